@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from PySide6.QtWidgets import QFileDialog
 
-from tests.app.test_review_time import make_run
+from tests.app.review.test_timing import make_run
 from tests.app.tiny_packs import write_tiny_packs
 from tests.backend.rig.scripted import scripted
 from tests.backend.runs.test_calibrated import SEEN

@@ -8,7 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from tests.bench import measured
+from tests.bench.measured import KEYS, read_records
+from tests.bench.measured import PAGE as MEASURED_PAGE
+from tests.bench.measured import page as measured_page
 from tests.fusion_tables import PAGE, loops, named, written
 from touchdown.backend.cli.command_line import VERBS
 from touchdown.backend.cli.doctor.command import DoctorCheck
@@ -133,9 +135,9 @@ def test_every_figure_of_the_list_of_faults_is_measured_and_its_module_named():
 
 
 def test_the_page_of_figures_is_rendered_from_its_data():
-    records, text = measured.read_records(), measured.PAGE.read_text("utf-8")
-    assert measured.page(text, records) == text
-    assert all(tuple(record) == measured.KEYS for record in records)
+    records, text = read_records(), MEASURED_PAGE.read_text("utf-8")
+    assert measured_page(text, records) == text
+    assert all(tuple(record) == KEYS for record in records)
     assert {record["measure"] for record in records} - {""} <= _measurements()
     names = [(record["group"], record["figure"]) for record in records]
     assert len(names) == len(set(names))

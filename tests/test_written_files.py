@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 import torch
 
-from tests.backend.runs.test_journal import ALL, same
+from tests.backend.runs.test_event_log import ALL, same
 from touchdown.app.application import TouchdownApp
 from touchdown.app.shell.errors import ErrorBox
 from touchdown.app.shell.layouts import load_layouts

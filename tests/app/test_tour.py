@@ -1,14 +1,136 @@
-"""The tour: real places, every page, by keys alone, in nobody's way, once by itself."""
+"""What the window shows of a wrist sensor that drifts: read-out, chip, inspector, card."""
 
 import json
 
 import pytest
 from PySide6.QtCore import QPoint, QRect, QSize, Qt
 from PySide6.QtTest import QTest
-from PySide6.QtWidgets import QApplication
+from PySide6.QtWidgets import QApplication, QTableView
 
 from tests.app.conftest import settle
+from touchdown.backend.core.events import Noticed
+from touchdown.backend.core.values import Outcome
+from touchdown.backend.runs.calibrations import drift_notice
+from touchdown.backend.sensing.zeroing import WrenchDrift
+from touchdown.widgets.base.panel import ElidedLabel, Panel
+from touchdown.widgets.forms.collect_form import TargetButtons
+from touchdown.widgets.lists.tables import LEAST_ROWS, FigureTable
 from touchdown.widgets.shell.tour import card_position
+from touchdown.widgets.views.tactile import TactileView
+
+
+def look(live, bench):
+    """Draw what is drawn now and then."""
+    bench.turn(0.2)
+    live._chips._drawn_s = live.workspaces["operate"].live._headers_s = float("-inf")
+    settle(live)
+
+
+@pytest.mark.promise("S8")
+def test_a_little_drift_is_a_figure_and_much_is_yellow_and_named(live, bench):
+    live.go("operate")
+    look(live, bench)
+    plot, chip = live.workspaces["operate"].page.force, live.bar.chips["force_torque"]
+    assert "drift" not in plot.summary()
+    bench.drift = WrenchDrift(0.12, 240.0)
+    look(live, bench)
+    assert plot.summary().endswith("; drift 0.12 N in 4 min")
+    assert chip.value.state == "ready"
+    assert chip.value.tip.endswith("drift 0.12 N in 4 min, in still air")
+    bench.drift = much = WrenchDrift(0.52, 11.0, named=True)
+    bench.events.publish(Noticed(bench.clock_s(), drift_notice(much)))
+    look(live, bench)
+    assert (chip.value.state, chip.value.detail) == ("degraded", "drift 0.52 N")
+    assert live.cards.codes == ("FT-DRIFT",)
+    card = live.cards.card("FT-DRIFT").text
+    assert "drifted by 0.52 N in 11 s" in card.what
+    assert (card.notice, card.reset) == (True, False), "it stops nothing"
+    live.inspect.open("force_torque")
+    assert live.inspect.sheet.rows()["drift in air"] == "0.52 N in 11 s"
+    live.inspect.open("gripper")
+    assert "drift in air" not in live.inspect.sheet.rows()
+
+
+PAGES = ("operate", "collect", "train", "stack", "review")
+
+
+@pytest.fixture
+def least(live):
+    live.window.resize(1280, 720)
+    for name in PAGES:
+        live.go(name)
+        settle(live)
+    return live
+
+
+def seen(main, kind):
+    page = main.workspaces[main.window.front].page
+    return [one for one in page.findChildren(kind) if one.isVisible()]
+
+
+def test_titles_side_by_side_are_in_line_and_no_tactile_picture_is_cut(least):
+    for name in PAGES:
+        least.go(name)
+        settle(least)
+        for view in seen(least, TactileView):
+            assert view.visibleRegion().boundingRect() == view.rect(), (name, view.geometry())
+        rows = {}
+        for panel in seen(least, Panel):
+            top = panel.mapTo(least.window, QPoint(0, 0)).y()
+            title = panel._title.mapTo(least.window, panel._title.rect().center()).y()
+            rows.setdefault(top, []).append(title)
+        assert max(map(len, rows.values())) > 1
+        for top, titles in rows.items():
+            assert max(titles) - min(titles) <= 1, (name, top, titles)
+
+
+def test_every_table_of_trainings_shows_three_rows(least):
+    least.go("train")
+    settle(least)
+    tables = seen(least, FigureTable)
+    assert len(tables) == 4
+    for table in tables:
+        room = table.viewport().height() / table.verticalHeader().defaultSectionSize()
+        assert room >= LEAST_ROWS, table.accessibleName()
+
+
+def test_no_column_of_the_probes_is_cut(least):
+    least.go("collect")
+    settle(least)
+    (table,) = seen(least, QTableView)
+    head, metrics = table.horizontalHeader(), table.horizontalHeader().fontMetrics()
+    shown = [at for at in range(head.count()) if not head.isSectionHidden(at)]
+    for at in shown:
+        word = table.model().headerData(at, head.orientation())
+        assert head.sectionSize(at) >= metrics.horizontalAdvance(word), word
+    assert sum(map(head.sectionSize, shown)) <= table.viewport().width()
+
+
+def test_the_header_of_the_trials_has_room_for_its_count(least, bench):
+    least.go("stack")
+    bench.tell_start(trials=10)
+    bench.tell_end(Outcome.ABORTED)
+    settle(least)
+    detail = least.workspaces["stack"].page.score.detail
+    assert detail.text() == "1 of 10, 1 aborted"
+    assert detail.shown() == detail.text()
+    for line in seen(least, ElidedLabel):
+        assert line.shown() == line.text(), line.text()
+
+
+def test_the_form_of_a_campaign_has_room_for_all_it_may_say(least):
+    least.go("collect")
+    settle(least)
+    target = least.workspaces["collect"].collect_page.target
+    target.show_buttons(
+        TargetButtons(start=False, pause=True, end=True, paused=False,
+                      why_not="In contact: lift first", in_contact=True)
+    )  # fmt: skip
+    target.show_progress(12, 20, "8 left, about 4 min at 30.0 s each")
+    QApplication.processEvents()
+    assert all(one.isVisible() for one in (target.lift, target.bar, target.eta))
+    assert target.layout().minimumSize().height() <= target.height()
+
 
 KEY = Qt.Key
 

@@ -25,7 +25,7 @@ from socket import socket
 
 import numpy as np
 
-from tests.backend.devices.emulated_arm import Rig
+from tests.backend.devices.melfa.emulated_arm import Rig
 from tests.backend.devices.melfa.stop_meets import interrupted, still
 from tests.backend.devices.melfa.trials import PRESS, trial
 from tests.backend.devices.waiting import until

@@ -23,7 +23,7 @@ import numpy as np
 from tests.backend.devices.cameras.damage import GELSIGHT, KINDS, SCENES, outcomes
 from tests.backend.runs.gel_bench import LOOKS, Gel, GelBench
 from tests.backend.sensing.drop_oracle import broken
-from tests.backend.sensing.test_episode_quality import frames, record
+from tests.backend.sensing.test_episode import frames, record
 from tests.bench.registry import Figure, figure
 from touchdown.backend.bench.emulator_registry import sheared_gel
 from touchdown.backend.calibration.cameras import HELD_LIMIT_PX, fingerprint_distance_px

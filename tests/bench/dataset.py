@@ -18,8 +18,8 @@ from pathlib import Path
 import numpy as np
 from safetensors.numpy import save_file
 
-from tests.backend.catalogue.filling import fill, make_files
-from tests.backend.catalogue.test_salvage import an_episode, mutants, record_ends
+from tests.backend.annotations.filling import fill, make_files
+from tests.backend.annotations.test_mcap import an_episode, mutants, record_ends
 from tests.backend.learning.test_checkpoint import reseal, save_small
 from tests.bench.registry import Figure, figure
 from touchdown.backend.annotations.dataset import Dataset
@@ -200,7 +200,7 @@ def training_cache() -> list[Figure]:
 def two_hundred_kills() -> list[Figure]:
     """SIGKILL while episodes and labels are recorded: what was acknowledged and is gone."""
     with scratch() as folder:
-        command = [sys.executable, "-m", "tests.backend.catalogue.crash_trials"]
+        command = [sys.executable, "-m", "tests.backend.annotations.crash_trials"]
         words = ["random", str(folder / "data"), "200"]
         done = subprocess.run(
             [*command, *words], cwd=ROOT, capture_output=True, text=True, check=True

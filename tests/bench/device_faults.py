@@ -14,11 +14,11 @@ from pathlib import Path
 import numpy as np
 
 from tests.backend.devices.melfa.trials import trial as trials_trial
+from tests.backend.devices.optoforce.trials_wrist import trial as trials_wrist_trial
 from tests.backend.devices.trials import Ended
 from tests.backend.devices.trials_camera import trial as trials_camera_trial
-from tests.backend.devices.trials_gripper import trial as trials_gripper_trial
-from tests.backend.devices.trials_wrist import trial as trials_wrist_trial
-from tests.backend.runs.test_collect_faults import Failing
+from tests.backend.devices.wsg.trials_gripper import trial as trials_gripper_trial
+from tests.backend.runs.test_campaign import Failing
 from tests.bench.registry import Figure, figure
 from touchdown.backend.annotations.dataset import Dataset
 from touchdown.backend.annotations.values import EpisodeFilter

@@ -17,8 +17,8 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from tests.backend.catalogue.conftest import context_for, small_episode
-from tests.backend.catalogue.crash_trials import Known, forked, record_one, told, verify
+from tests.backend.annotations.conftest import context_for, small_episode
+from tests.backend.annotations.crash_trials import Known, forked, record_one, told, verify
 from tests.bench.registry import Figure, figure
 from touchdown.backend.annotations.dataset import Dataset
 from touchdown.backend.annotations.values import Label

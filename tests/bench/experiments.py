@@ -17,7 +17,7 @@ import pytest
 import torch
 
 from tests.backend.experiments.device_loop import run_on_devices
-from tests.backend.one_press import CASES, RMS_LIMIT_PX, press_both_ways
+from tests.backend.simulation.one_press import CASES, RMS_LIMIT_PX, press_both_ways
 from tests.backend.simulation.release_cases import SETS, ask_both
 from tests.bench.registry import Figure, figure
 from touchdown.backend.bench.assembly import (

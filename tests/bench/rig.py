@@ -27,7 +27,7 @@ from pathlib import Path
 import numpy as np
 import psutil
 
-from tests.backend.devices.emulated_arm import settings as melfa_settings
+from tests.backend.devices.melfa.emulated_arm import settings as melfa_settings
 from tests.backend.devices.waiting import until
 from tests.backend.rig.inline import InlineBench
 from tests.backend.rig.served import Backend, Served

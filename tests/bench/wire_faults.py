@@ -17,7 +17,7 @@ import numpy as np
 
 from tests.backend.devices.codecs.codecs import CODECS, IN
 from tests.backend.devices.codecs.vectors import VECTORS, data
-from tests.backend.devices.emulated_arm import Rig
+from tests.backend.devices.melfa.emulated_arm import Rig
 from tests.backend.devices.melfa.leaps import Leaping
 from tests.backend.devices.melfa.test_stream import LEAD_MM, SPEED_MM_S
 from tests.bench.registry import Figure, figure

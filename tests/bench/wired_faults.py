@@ -21,7 +21,13 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from tests.backend.devices.trials_wrist import DATAGRAMS, EMULATED, LOAD, SETTINGS, TREMBLE
+from tests.backend.devices.optoforce.trials_wrist import (
+    DATAGRAMS,
+    EMULATED,
+    LOAD,
+    SETTINGS,
+    TREMBLE,
+)
 from tests.backend.devices.waiting import until
 from tests.bench.arm import LIMIT_S, Bench, in_contact
 from tests.bench.registry import Figure, figure

@@ -22,7 +22,7 @@ import psutil
 
 from tests.app.tiny_packs import write_tiny_packs
 from tests.backend.devices.waiting import until
-from tests.backend.exchange.test_foreign import robomimic_file
+from tests.backend.exchange.test_imports import robomimic_file
 from tests.backend.rig.served import Backend, Served
 from tests.bench.children.failing_window import HOOKS, THREADS, WAYS, failed_s
 from tests.bench.registry import Figure, figure

@@ -1,6 +1,6 @@
 """Refuse imports of the product's folders by their bare names, in tests and in their children.
 
-A class imported as ``backend.x`` and as ``touchdown.backend.cli.x`` would exist twice. The folder of
+A class imported as ``backend.x`` and as ``touchdown.backend.x`` would exist twice. The folder of
 this module is put on ``PYTHONPATH`` by ``tests/conftest.py``, so that each child loads it.
 """
 

@@ -5,7 +5,7 @@ from PySide6.QtCore import QEvent, Qt
 from PySide6.QtGui import QKeyEvent
 from PySide6.QtWidgets import QApplication
 
-from tests.backend.brisk import brisk_bench
+from tests.backend.bench.brisk import brisk_bench
 from touchdown.app.application import TouchdownApp
 from touchdown.app.shell.errors import ErrorBox
 from touchdown.backend.bench.assembly import simulated_session

@@ -5,7 +5,7 @@ from PySide6.QtCore import Qt
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication
 
-from tests.backend.brisk import brisk_bench, brisk_method
+from tests.backend.bench.brisk import brisk_bench, brisk_method
 from touchdown.app.application import TouchdownApp
 from touchdown.app.shell.errors import ErrorBox
 from touchdown.backend.annotations.dataset import Dataset

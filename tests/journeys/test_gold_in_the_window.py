@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from tests.backend.catalogue.conftest import context_for, small_episode
+from tests.backend.annotations.conftest import context_for, small_episode
 from touchdown.backend.annotations.agreement import compare_with_control_items
 from touchdown.backend.annotations.dataset import Dataset
 from touchdown.backend.annotations.reconciliation import check_dataset

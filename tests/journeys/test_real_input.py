@@ -14,7 +14,7 @@ import time
 
 import pytest
 
-from tests.backend.brisk import RATE_HZ
+from tests.backend.bench.brisk import RATE_HZ
 from touchdown.backend.annotations.dataset import Dataset
 from touchdown.backend.core.events import ProbeCollected, TrialFinished
 from touchdown.backend.core.values import Outcome

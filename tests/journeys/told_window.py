@@ -19,7 +19,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from tests.backend.brisk import brisk_method
+from tests.backend.bench.brisk import brisk_method
 from touchdown.app import start
 from touchdown.app.__main__ import parser
 

@@ -6,7 +6,7 @@ from importlib.resources import files
 
 import pytest
 
-from tests.backend.brisk import brisk_method, brisk_settings
+from tests.backend.bench.brisk import brisk_method, brisk_settings
 from tests.backend.rig.scripted import scripted
 from touchdown.backend.bench.assembly import simulated_bench
 from touchdown.backend.bench.laboratory import open_lab

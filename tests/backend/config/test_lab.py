@@ -1,21 +1,38 @@
 """Lab files: each version is read, a bad one names its key, and kind and addresses must agree."""
 
 import re
+import tomllib
 from dataclasses import asdict
+from datetime import UTC, datetime, timedelta
 from importlib.resources import files
 from pathlib import Path
 
 import pytest
 
+from tests.backend.rig.scripted import LINES, scripted
+from tests.backend.runs.test_calibrated import SEEN
+from touchdown.backend.bench.laboratory import (
+    LabChoice,
+    calibrations_of,
+    find_camera_conflicts,
+    lab_session,
+)
+from touchdown.backend.calibration.records import DeviceName
+from touchdown.backend.cli.doctor.command import lab_checks
 from touchdown.backend.config.lab import (
     LAB_FILE_VERSION,
     LabSettings,
     LimitSettings,
+    edit_toml,
     is_lab_file,
     load_lab,
+    save_lab,
 )
-from touchdown.backend.core.faults import InputError
+from touchdown.backend.core.faults import InputError, RefusedError
 from touchdown.backend.devices.interlock import Limits
+from touchdown.backend.devices.protocols import DeviceState
+from touchdown.backend.runs.recorder import RecordingOptions
+from touchdown.backend.runs.requests import ProbeRequest, SceneChoice, SetRequest, StackRequest
 
 BENCHES = Path(str(files("touchdown.resources"))) / "benches"
 EMULATED = """
@@ -146,3 +163,170 @@ def test_facts_follow_the_sensors_and_not_their_addresses(tmp_path):
 
 def test_every_table_of_devices_can_stand_in_a_lab_file():
     assert {"melfa", "wsg", "ft", "gelsight"} <= LabSettings.model_fields.keys()
+
+
+TEMPLATE = files("touchdown.resources").joinpath("benches", "lab.toml").read_text("utf-8")
+
+
+@pytest.fixture
+def path(tmp_path):
+    made = tmp_path / "lab.toml"
+    made.write_text(TEMPLATE, "utf-8")
+    return made
+
+
+def differing(before, after):
+    return [(a, b) for a, b in zip(before.splitlines(), after.splitlines(), strict=True) if a != b]
+
+
+def test_values_change_where_they_stand_and_comments_stay(path):
+    wanted = {
+        "ft.driver": "bota",
+        "ft.address": "/dev/serial/by-id/a # b",
+        "gelsight.left.serial": "2D8Y-69GR",
+        "wsg.host": "10.0.0.7",
+        "serials.gripper": "12345",
+    }
+    assert save_lab(path, wanted)
+    settings = load_lab(path).settings
+    assert (settings.ft.driver, settings.ft.address) == ("bota", "/dev/serial/by-id/a # b")
+    assert settings.gelsight.left.serial == "2D8Y-69GR"
+    assert settings.gelsight.right.serial == "FILL-IN2"
+    assert (settings.wsg.host, settings.serials.gripper) == ("10.0.0.7", "12345")
+    changed = differing(TEMPLATE, path.read_text("utf-8"))
+    assert len(changed) == len(wanted)
+    kept = [old.rpartition("#")[2] for old, new in changed if "#" in old]
+    assert kept == [new.rpartition("#")[2] for old, new in changed if "#" in old]
+    assert len(kept) == 2
+
+
+def test_keys_and_tables_that_are_missing_are_added(path):
+    assert save_lab(path, {"melfa.driver": "ur", "melfa.r3.port": 10003, "wsg.port": 1001})
+    settings = load_lab(path).settings
+    assert (settings.melfa.driver, settings.melfa.r3.port) == ("ur", 10003)
+    assert settings.wsg.port == 1001
+    before, after = tomllib.loads(TEMPLATE), tomllib.loads(path.read_text("utf-8"))
+    assert {key: after[key] for key in before if key not in ("melfa", "wsg")} == {
+        key: value for key, value in before.items() if key not in ("melfa", "wsg")
+    }
+
+
+def test_what_is_the_same_is_not_written(path):
+    before = path.stat()
+    assert not save_lab(path, {"ft.driver": "dynpick"})
+    assert path.stat() == before
+
+
+@pytest.mark.parametrize(
+    ("values", "key"),
+    [({"wsg.port": 70000}, "wsg.port"), ({"melfa.host": "127.0.0.1"}, "melfa.host")],
+)
+def test_what_could_not_be_used_changes_nothing(path, values, key):
+    with pytest.raises(InputError) as refused:
+        save_lab(path, values)
+    assert key in refused.value.what + refused.value.fix
+    assert path.read_text("utf-8") == TEMPLATE
+
+
+def test_a_file_that_is_not_understood_is_left_to_its_author():
+    strange = '"ft" = { "driver" = "bota" }\n'
+    with pytest.raises(InputError, match="not supported"):
+        edit_toml(strange, {"ft.driver": "dynpick"}, "lab.toml")
+
+
+LAB_TEMPLATE = Path(str(files("touchdown.resources"))) / "benches" / "lab.toml"
+
+
+@pytest.fixture
+def session(tmp_path):
+    text = LAB_TEMPLATE.read_text().replace("press_n = 25.0", "press_n = 20.0")
+    path = tmp_path / "lab.toml"
+    path.write_text(text.replace('piece = "pot"', 'piece = "mushroom"'))
+    made = lab_session(LabChoice(path), keep=RecordingOptions(tmp_path / "runs"))
+    yield made
+    made.close()
+
+
+def test_it_is_called_by_its_name_and_knows_its_limits(session, tmp_path):
+    assert (session.name, session.description.mode, session.simulated) == (
+        "My lab",
+        "hardware",
+        False,
+    )
+    assert session.interlock.limits.press_n == 20.0
+    assert session.limits_source == str(tmp_path / "lab.toml")
+    assert list(session.devices) == list(LINES)
+    assert {device.state for device in session.devices.values()} == {DeviceState.CLOSED}
+    assert session.hand is None
+    assert (session.usual.piece, session.usual.bottoms) == ("mushroom", ("short",))
+
+
+@pytest.mark.parametrize("request_", [ProbeRequest(), SetRequest(SceneChoice()), StackRequest()])
+def test_nothing_starts_before_all_are_connected(session, request_):
+    with pytest.raises(RefusedError, match=r"Not connected: force_torque.*Ctrl\+L"):
+        session.start(request_)
+
+
+def test_what_only_a_simulation_can_do_is_refused(session):
+    with pytest.raises(RefusedError) as caught:
+        session.start(StackRequest(strategy="pick-and-place"))
+    assert caught.value.reason == "SIMULATED-ONLY"
+
+
+def test_stop_reaches_arm_and_gripper_before_there_is_a_scene(session):
+    devices, log = scripted()
+    session.connection.devices.update(devices)
+    session.interlock.forget_stoppers()
+    session.join(session.connection, "Bench", session.interlock.limits, "lab.toml")
+    session.stop()
+    assert log == ["stop arm", "stop gripper"]
+    with pytest.raises(RefusedError, match="stopped"):
+        session.home_gripper()
+
+
+def test_a_model_of_simulations_does_not_decide_alone_here(session):
+    choice = StackRequest(piece="mushroom", bottoms=("short",)).scene()
+    with pytest.raises(InputError, match=r"must not run in auto mode here: bench mode"):
+        session._check(choice)
+    asked = StackRequest(piece="mushroom", bottoms=("short",), mode="approve").scene()
+    told = session._check(asked)
+    assert told["lab"]["name"] == "My lab"
+    assert told["model"]["piece"] == "mushroom"
+
+
+def test_a_bottom_that_nobody_knows_is_said_before_any_device_is_touched(tmp_path):
+    path = tmp_path / "lab.toml"
+    path.write_text(LAB_TEMPLATE.read_text().replace('bottom = "short"', 'bottom = "moon"'))
+    with pytest.raises(InputError, match="moon"):
+        lab_session(LabChoice(path))
+
+
+@pytest.mark.promise("C6")
+@pytest.mark.parametrize("days", [1, 400])
+def test_a_file_with_the_cameras_exchanged_is_told_and_the_calibration_counts(tmp_path, days):
+    """An expired calibration still holds for the assignment of the cameras."""
+    path = tmp_path / "lab.toml"
+    path.write_text(LAB_TEMPLATE.read_text())
+    lab = load_lab(path)
+    own = lab.settings.gelsight
+    serials = {"left": own.right.serial, "right": own.left.serial}
+    assert all(serials.values())
+    assert find_camera_conflicts(lab) == {}
+    who = {"maker": "GelSight", "model": "Mini"}
+    calibrations_of(lab).accept(
+        SEEN.to_event(0.0, "camera"),
+        {f"tactile_{f}": DeviceName(**who, serial=number) for f, number in serials.items()},
+        now=datetime.now(UTC) - timedelta(days=days),
+    )
+    session = lab_session(LabChoice(path), keep=RecordingOptions(tmp_path / "runs"))
+    devices, _ = scripted()
+    for line in LINES:
+        devices[line].connect(1.0, session.connection._cancel)
+    session.connection.devices.update(devices)
+    notices = {line.name: line.notice for line in session.connection.lines()}
+    session.close()
+    assert [name for name in LINES if notices[name]] == ["tactile_left", "tactile_right"]
+    assert f"found {serials['left']} there" in notices["tactile_left"]
+    checks = [look() for look in list(lab_checks(path))[:3]]
+    assert [check.word for check in checks] == ["OK", "NOTE", "NOTE"]
+    assert notices["tactile_left"] == f"{checks[2].detail}. {checks[2].fix}".removesuffix(".")

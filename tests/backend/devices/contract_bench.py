@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import pytest
 
-from tests.backend.brisk import brisk_settings
-from tests.backend.devices.emulated_arm import on_bench
+from tests.backend.bench.brisk import brisk_settings
+from tests.backend.devices.melfa.emulated_arm import on_bench
 from tests.backend.rig.inline import ROUND_US, InlineLink
 from touchdown.backend.core.faults import RefusedError
 from touchdown.backend.core.values import Finger

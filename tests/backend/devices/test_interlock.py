@@ -1,26 +1,61 @@
-"""The release conditions, the latch and the lease: one bad field must always refuse."""
+"""What is evidence that an arm stands: never one place alone."""
 
 from __future__ import annotations
 
 import dataclasses
 import math
+from dataclasses import replace
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from touchdown.backend.core.faults import Fault, RefusedError
+from touchdown.backend.core.streams import SampleStream
 from touchdown.backend.core.values import Pose
 from touchdown.backend.devices.interlock import (
     LEASE_S,
     VERDICT_ROWS,
     Interlock,
+    JigEvidence,
     Limits,
     ReleaseEvidence,
     distance_to_limit_mm,
+    fastest_mm_s,
+    jig_refusal,
     outside_box_mm,
+    recent_positions_mm,
+    refuse_forced,
     release_refusal,
+    travelled_mm,
 )
+
+
+def told(*rows):
+    poses = SampleStream("arm", 3, 4096)
+    t_s, z_mm = np.array(rows, dtype=float).reshape(-1, 2).T
+    poses.put(t_s, np.column_stack([np.zeros_like(z_mm), np.zeros_like(z_mm), z_mm]))
+    return poses
+
+
+@pytest.mark.parametrize(
+    ("rows", "travel_mm"),
+    [
+        ([], math.nan),
+        ([(9.9, 60.0)], math.nan),  # told once: it may be on its way
+        ([(9.1, 60.0), (9.15, 60.0)], math.nan),  # too long ago
+        ([(9.5, 60.2), (9.7, 60.0), (9.99, 60.0)], 0.0),  # ten times a second: the last two
+        ([(9.7, 60.2), (9.9, 60.0)], 0.2),
+        ([(9.79, 61.0), *((t, 60.0) for t in np.arange(9.81, 10.0, 0.0035))], 0.0),
+        ([*((t, 60.0 + (t > 9.9)) for t in np.arange(9.7, 10.0, 0.0035))], 1.0),
+        ([(9.9, math.nan), (9.95, 60.0)], math.nan),
+    ],
+)
+def test_the_last_two_places_at_least_tell_how_far_an_arm_moved(rows, travel_mm):
+    found = travelled_mm(recent_positions_mm(told(*rows), 10.0))
+    assert found == pytest.approx(travel_mm, nan_ok=True)
+
 
 GOOD = ReleaseEvidence(
     verdict_stable=True,
@@ -211,3 +246,98 @@ def test_the_box_ends_room_and_targets_before_the_reach_does():
     assert distance_to_limit_mm(here, diagonal, limits) == pytest.approx(20.0 * math.sqrt(2.0))
     assert outside_box_mm(here, limits) == 0.0
     assert outside_box_mm(Pose(45.0, -60.0, 50.0), limits) == pytest.approx(30.0)
+
+
+LIMITS = Limits()
+AT = Pose(0.0, 0.0, 100.0)
+
+
+@pytest.mark.parametrize(
+    ("at", "way", "room"),
+    [
+        (AT, (1.0, 0.0, 0.0), 150.0),
+        (Pose(90.0, 120.0, 50.0), (1.0, 0.0, 0.0), 0.0),
+        (Pose(90.0, 120.0, 50.0), (-1.0, 0.0, 0.0), 180.0),
+        (Pose(-100.0, 0.0, 50.0), (0.0, 1.0, 0.0), np.sqrt(150.0**2 - 100.0**2)),
+        (AT, (0.0, 0.0, 1.0), 300.0),
+        (AT, (0.0, 0.0, -1.0), 100.0),
+        (Pose(200.0, 0.0, 50.0), (1.0, 0.0, 0.0), 0.0),
+    ],
+)
+def test_room_to_the_edge_of_the_workspace(at, way, room):
+    assert distance_to_limit_mm(at, way, LIMITS) == pytest.approx(room)
+
+
+@pytest.mark.promise("W4")
+@pytest.mark.parametrize(
+    ("press_n", "way", "state", "reason"),
+    [
+        (0.5, (1.0, 0.0, 0.0), False, None),
+        (1.5, (1.0, 0.0, 0.0), False, "DRAGGING"),
+        (1.5, (0.0, 0.0, -1.0), False, None),
+        (15.1, (0.0, 0.0, -1.0), False, "JOG-FORCE"),
+        (15.1, (0.0, 0.0, 1.0), False, None),
+        (-15.1, (0.0, 0.0, 1.0), False, "JOG-FORCE"),
+        (2.0, (0.0, 0.0, -1.0), True, "RECOVERY"),
+        (2.0, (0.0, 0.0, 1.0), True, None),
+        (0.2, (0.0, 0.0, 1.0), "slow", None),
+        (0.2, (1.0, 0.0, 0.0), "slow", "DEGRADED"),
+        (0.2, (0.0, 0.0, -1.0), "slow", "DEGRADED"),
+        (-0.2, (0.0, 0.0, -1.0), "slow", "DEGRADED"),
+        (float("nan"), (0.0, 0.0, 1.0), False, "FT-UNKNOWN"),
+    ],
+)
+def test_force_guard(press_n, way, state, reason):
+    how = {"recovering": state is True, "degraded": "It is slow." if state == "slow" else ""}
+    if reason is None:
+        refuse_forced(press_n, way, LIMITS, **how)
+        return
+    with pytest.raises(RefusedError) as caught:
+        refuse_forced(press_n, way, LIMITS, **how)
+    assert caught.value.reason == reason
+    if reason == "JOG-FORCE":
+        assert "Fz" in caught.value.detail
+
+
+@pytest.mark.parametrize(
+    ("z", "surface", "press_n", "recovering", "speed"),
+    [
+        (100.0, 24.0, 0.0, False, 50.0),
+        (33.9, 24.0, 0.0, False, 2.0),
+        (34.0, 24.0, 0.0, False, 50.0),
+        (100.0, 24.0, 1.01, False, 2.0),
+        (100.0, 24.0, float("nan"), False, 2.0),
+        (100.0, float("nan"), 0.0, False, 2.0),
+        (100.0, 24.0, 0.0, True, 5.0),
+    ],
+)
+def test_speed_where_contact_is_near(z, surface, press_n, recovering, speed):
+    at = Pose(0.0, 0.0, z)
+    assert fastest_mm_s(at, surface, press_n, LIMITS, recovering=recovering)[0] == speed
+
+
+PUTTING_BACK_GOOD = JigEvidence(from_jig_mm=0.1, moved_mm=0.01, force_n=0.2, holding=True)
+NAN = float("nan")
+
+
+def test_at_rest_over_the_jig_the_piece_may_go() -> None:
+    assert jig_refusal(PUTTING_BACK_GOOD) is None
+
+
+@pytest.mark.promise("G7")
+@pytest.mark.parametrize(
+    ("name", "change"),
+    [
+        ("NOT-AT-JIG", {"from_jig_mm": 0.6}),
+        ("NOT-AT-JIG", {"from_jig_mm": NAN}),
+        ("ARM-MOVING", {"moved_mm": 0.06}),
+        ("ARM-MOVING", {"moved_mm": NAN}),
+        ("JAMMED", {"force_n": 2.1}),
+        ("JAMMED", {"force_n": NAN}),
+        ("NOT-HOLDING", {"holding": False}),
+    ],
+)
+def test_each_condition_refuses_alone(name, change) -> None:
+    refusal = jig_refusal(replace(PUTTING_BACK_GOOD, **change))
+    assert refusal is not None
+    assert refusal[0] == name

@@ -1,22 +1,162 @@
-"""Silent, raving and trembling sensors on a hand-wound clock."""
+"""A sensor that becomes slow is told at once, and none because its samples came in lumps."""
 
 from __future__ import annotations
+
+import random
 
 import numpy as np
 import pytest
 
+from touchdown.backend.config.hardware import ForceTorqueSettings, HardwareSettings
 from touchdown.backend.core.streams import SampleStream, Stream
 from touchdown.backend.core.values import FINGERS, TactileFrame
 from touchdown.backend.devices.cameras.frames import dark_fault
+from touchdown.backend.devices.dynpick.driver import DynpickDriver
+from touchdown.backend.devices.dynpick.emulator import EmulatedDynpick
+from touchdown.backend.devices.force_torque.driver import SensorDescription
+from touchdown.backend.devices.force_torque.reader import ForceTorqueReader
+from touchdown.backend.devices.ft300.driver import Ft300Driver
+from touchdown.backend.devices.ft300.emulator import EmulatedFt300
 from touchdown.backend.devices.interlock import Interlock
-from touchdown.backend.devices.protocols import DeviceState, GripStatus, Health
-from touchdown.backend.devices.supervision import GRACE_S, DegradedDevice, RateMonitor, Supervision
+from touchdown.backend.devices.protocols import DeviceState, GripStatus, Health, Identity
+from touchdown.backend.devices.supervision import (
+    GRACE_S,
+    ArrivalMonitor,
+    DegradedDevice,
+    RateMonitor,
+    Supervision,
+)
+from touchdown.backend.emulation.fault_plan import Faults, add_noise, apply_faults, hanging_gripper
+
+USUAL_S = 1.3
+
+
+class Watched:
+    """The real reader and the supervision, by hand: bytes every ``lump_s``, a look every 20 ms."""
+
+    first_s: float | None = None
+    """When something was told for the first time."""
+
+    def __init__(self, make: str, hz: float, lump_s: float) -> None:
+        self.now_s, self._lump_s = 0.0, lump_s
+        self.faults = Faults("force_torque")
+        self.faults.begin(0.0)
+        emulated = {"dynpick": EmulatedDynpick, "ft300": EmulatedFt300}[make]
+        self.sensor = emulated(apply_faults(add_noise(hanging_gripper), self.faults))
+        self.sensor.pace.faults = self.faults
+        self.sensor.pace.begin(0.0, 1.0 / hz)
+        settings = HardwareSettings()
+        made = {"dynpick": DynpickDriver, "ft300": Ft300Driver}[make]
+        self.language = made(settings, "")
+        self.reader = ForceTorqueReader(
+            lambda: self.language, lambda _: None, ForceTorqueSettings(), lambda: self.now_s,
+            late_s=0.016,
+        )  # fmt: skip
+        self.reader._greeting = SensorDescription(
+            Identity("", make, "", ""), (200.0,) * 6, 1.0 / hz
+        )
+        self.reader._forget()
+        frames = {finger: Stream(f"tactile_{finger}", 4) for finger in FINGERS}
+        self.interlock = Interlock()
+        self.watch = Supervision(self.interlock, self.reader.samples, frames)
+        self.watch.begin(0.0, wrist=self.reader)
+
+    def go(self, seconds: float) -> tuple[float, list[str]]:
+        """Let time pass; return how old the newest sample became, and what was told of it."""
+        told, oldest_s, until_s = list[str](), 0.0, self.now_s + seconds
+        next_lump_s, next_look_s = self.now_s, self.now_s
+        while self.now_s < until_s:
+            self.now_s += 0.002
+            if self.now_s >= next_lump_s:
+                self.reader._deliver(self.language, self.now_s, self.sensor.due(self.now_s))
+                next_lump_s = self.now_s + self._lump_s
+            if self.now_s >= next_look_s:
+                next_look_s += 0.02
+                self.watch.check(self.now_s)
+                found = [one for one in self.watch.degraded if one.device == "force_torque"]
+                told += [one.how for one in found if one.how not in told]
+                newest_s, _ = self.reader.samples.latest(self.now_s, 9.0)
+                oldest_s = max(oldest_s, self.now_s - newest_s)
+                if found and self.first_s is None:
+                    self.first_s = self.now_s
+        return oldest_s, told
+
+
+@pytest.mark.promise("S6")
+@pytest.mark.parametrize(
+    ("make", "hz", "slow_hz", "lump_s", "within_s"),
+    [
+        ("dynpick", 1000.0, 450.0, 0.004, 0.08),
+        ("dynpick", 1000.0, 200.0, 0.004, 0.08),
+        ("dynpick", 1000.0, 400.0, 0.016, 0.1),
+        ("ft300", 100.0, 45.0, 0.004, 0.1),
+        ("ft300", 100.0, 40.0, 0.004, 0.1),
+        ("ft300", 100.0, 40.0, 0.016, 0.12),
+    ],
+)
+def test_a_slow_sensor_is_told_at_once_and_its_samples_are_stamped_when_they_come(
+    make: str, hz: float, slow_hz: float, lump_s: float, within_s: float
+) -> None:
+    bench = Watched(make, hz, lump_s)
+    assert bench.go(USUAL_S)[1] == []
+    begun_s = bench.now_s
+    bench.faults.inject(begun_s, "slow", 0.8, hz=slow_hz)
+    oldest_s, told = bench.go(0.8)
+    assert told[-1] == "slow"
+    assert bench.first_s is not None
+    assert bench.first_s - begun_s <= within_s + 1e-9
+    assert oldest_s < 0.15, "no fault: that is twice as much"
+    assert bench.go(1.4)[1] == ["slow"]
+    assert bench.watch.degraded == () or bench.watch.degraded[0].device != "force_torque"
+
+
+@pytest.mark.promise("S6")
+def test_a_tenth_of_the_rate_is_degraded_before_anything_is_a_fault() -> None:
+    bench = Watched("ft300", 100.0, 0.004)
+    bench.go(USUAL_S)
+    bench.faults.inject(bench.now_s, "slow", hz=20.0)
+    oldest_s, told = bench.go(1.0)
+    assert told, "50 ms apart: silent or slow, whichever is known first"
+    assert oldest_s < 0.3
+    assert "FT-STALE" not in {fault.code for fault in bench.interlock.faults}
+
+
+@pytest.mark.promise("S6")
+@pytest.mark.parametrize("adapter_s", [0.0, 0.016])
+@pytest.mark.parametrize("hz", [100.0, 333.0, 1000.0])
+def test_adapters_losses_and_a_busy_computer_make_no_sensor_slow(
+    hz: float, adapter_s: float
+) -> None:
+    """1 % lost, an adapter that collects, and every second a wait of up to 0.5 s; 30 s of it."""
+    rng, arrivals = random.Random(5), ArrivalMonitor(1.0 / hz)
+    flush_s = last_s = wait_end_s = 0.0
+    next_wait_s = 1.0
+    for k in range(round(30.0 * hz)):
+        if rng.random() < 0.01:
+            continue
+        if adapter_s and k / hz > flush_s:
+            flush_s = k / hz + rng.uniform(0.0, adapter_s)
+        came_s = max(k / hz, flush_s)
+        if came_s > next_wait_s:
+            wait_end_s = came_s + rng.uniform(0.0, 0.5)
+            next_wait_s = wait_end_s + rng.expovariate(1.0)
+        if came_s < wait_end_s:
+            # What waited is read piece by piece, and now and then the computer is busy again.
+            pause_s = rng.uniform(0.002, 0.006) if rng.random() < 0.02 else 5e-5
+            came_s = max(last_s, wait_end_s) + pause_s
+        last_s = max(came_s, last_s + 1e-6)
+        arrivals.note(last_s, 1)
+        assert arrivals.slow_since_s is None, k / hz
+    for k in range(30):
+        arrivals.note(last_s + 2.5 * (k + 1) / hz, 1)
+    assert arrivals.slow_since_s is not None, "and yet a slow one is"
+
 
 IMAGES = np.random.default_rng(5).integers(0, 2, (8, 240, 320, 3), dtype=np.uint8)
 """Pictures of the least noise: one grey level."""
 
 
-class Watched:
+class SupervisionWatched:
     """Sensors that deliver what they are told, supervised every 20 ms."""
 
     def __init__(self) -> None:
@@ -51,14 +191,14 @@ class Watched:
 
 
 def test_healthy_sensors_raise_nothing() -> None:
-    bench = Watched()
+    bench = SupervisionWatched()
     bench.run(5.0, 8.0)
     assert not bench.interlock.latched
 
 
 @pytest.mark.promise("C7")
 def test_a_camera_that_told_why_it_gives_no_picture_is_not_called_silent_too() -> None:
-    bench = Watched()
+    bench = SupervisionWatched()
     bench.run(2.0)
     bench.run(0.3, silent="left")
     bench.interlock.raise_fault(dark_fault("tactile_left"))
@@ -69,7 +209,7 @@ def test_a_camera_that_told_why_it_gives_no_picture_is_not_called_silent_too() -
 @pytest.mark.promise("C1")
 @pytest.mark.parametrize("finger", FINGERS)
 def test_a_silent_camera_is_named_after_half_a_second(finger: str) -> None:
-    bench = Watched()
+    bench = SupervisionWatched()
     bench.run(2.0)
     bench.run(0.44, silent=finger)
     assert not bench.interlock.latched
@@ -80,7 +220,7 @@ def test_a_silent_camera_is_named_after_half_a_second(finger: str) -> None:
 @pytest.mark.promise("C3")
 @pytest.mark.parametrize("finger", FINGERS)
 def test_the_third_equal_picture_is_a_frozen_camera(finger: str) -> None:
-    bench = Watched()
+    bench = SupervisionWatched()
     bench.run(2.0)
     bench.run(0.04, frozen=finger)
     bench.run(0.04)
@@ -91,7 +231,7 @@ def test_the_third_equal_picture_is_a_frozen_camera(finger: str) -> None:
 
 
 def test_a_camera_is_not_taken_for_frozen_across_scenes() -> None:
-    bench = Watched()
+    bench = SupervisionWatched()
     bench.run(0.08, frozen="left")
     bench.supervision.begin(bench.now_s)
     bench.run(0.08, frozen="left")
@@ -101,7 +241,7 @@ def test_a_camera_is_not_taken_for_frozen_across_scenes() -> None:
 @pytest.mark.promise("S4")
 @pytest.mark.parametrize("value", [None, float("nan"), float("inf")])
 def test_no_valid_wrench_for_300_ms_is_a_fault(value: float | None) -> None:
-    bench = Watched()
+    bench = SupervisionWatched()
     bench.run(2.0)
     bench.run(0.28, value)
     assert not bench.interlock.latched
@@ -110,7 +250,7 @@ def test_no_valid_wrench_for_300_ms_is_a_fault(value: float | None) -> None:
 
 
 def test_sensors_get_time_to_start_and_then_no_more() -> None:
-    bench = Watched()
+    bench = SupervisionWatched()
     bench.run(GRACE_S - 0.04, None, silent="left")
     assert not bench.interlock.latched
     bench.run(0.1, None, silent="left")
@@ -120,7 +260,7 @@ def test_sensors_get_time_to_start_and_then_no_more() -> None:
 
 @pytest.mark.promise("G3")
 def test_the_trip_needs_two_samples_or_one_huge_one() -> None:
-    bench = Watched()
+    bench = SupervisionWatched()
     bench.run(1.5)
     one = np.zeros((20, 6))
     one[7, 2] = 45.0
@@ -131,7 +271,7 @@ def test_the_trip_needs_two_samples_or_one_huge_one() -> None:
     bench.wrench.put(bench.now_s + 0.021 + 0.001 * np.arange(1, 21), one)
     bench.supervision.check(bench.now_s + 0.05)
     assert bench.codes() == [("FT-TRIP", "force_torque")]
-    huge = Watched()
+    huge = SupervisionWatched()
     huge.run(1.5)
     single = np.zeros((20, 6))
     single[3, 0] = 61.0
@@ -142,7 +282,7 @@ def test_the_trip_needs_two_samples_or_one_huge_one() -> None:
 
 def test_a_moment_trips_as_well_though_no_force_does() -> None:
     """1.61 N·m from three parts below the limit of 1.5 N·m each; once is not enough."""
-    bench = Watched()
+    bench = SupervisionWatched()
     bench.run(1.5)
     twisted = np.zeros((20, 6))
     twisted[7, 3:] = (1.2, -1.0, 0.4)
@@ -158,7 +298,7 @@ def test_a_moment_trips_as_well_though_no_force_does() -> None:
 
 @pytest.mark.promise("C1")
 def test_a_sensor_is_degraded_before_it_is_a_fault_and_well_again_by_itself() -> None:
-    bench = Watched()
+    bench = SupervisionWatched()
     bench.run(2.0)
     bench.run(0.08, None)
     assert bench.supervision.degraded == ()
@@ -182,7 +322,7 @@ def test_a_sensor_is_degraded_before_it_is_a_fault_and_well_again_by_itself() ->
 
 
 def test_a_scene_that_begins_forgets_what_was_degraded() -> None:
-    bench = Watched()
+    bench = SupervisionWatched()
     bench.run(2.0)
     bench.run(0.2, None)
     assert bench.supervision.degraded
@@ -217,7 +357,7 @@ def test_a_sensor_that_is_slow_from_its_start_is_known_by_the_rate_that_it_tells
         def describe(self) -> dict[str, str | float]:
             return {"kind": "wrist", "usual_hz": 2500.0}
 
-    bench = Watched()
+    bench = SupervisionWatched()
     bench.supervision.begin(0.0, wrist=Wrist())  # type: ignore[arg-type]
     bench.run(0.9)
     assert bench.supervision.degraded == ()
@@ -233,7 +373,7 @@ def test_a_sensor_that_is_slow_from_its_start_is_known_by_the_rate_that_it_tells
 
 
 def test_a_camera_below_half_of_its_pictures_is_slow() -> None:
-    bench = Watched()
+    bench = SupervisionWatched()
     bench.run(2.5)
     for _ in range(25):
         bench.run(0.08)
@@ -256,7 +396,7 @@ class Jaws:
     state, grips, letting_go = DeviceState.READY, 1, False
     width_mm = 20.0
 
-    def __init__(self, bench: Watched) -> None:
+    def __init__(self, bench: SupervisionWatched) -> None:
         self._bench = bench
 
     def status(self) -> GripStatus:
@@ -269,7 +409,7 @@ class Jaws:
 
 @pytest.mark.promise("G9", "G2")
 def test_a_gripper_that_holds_a_piece_is_degraded_after_300_ms_and_a_fault_after_1_s() -> None:
-    bench = Watched()
+    bench = SupervisionWatched()
     jaws = Jaws(bench)
     bench.supervision.begin(0.0, jaws)  # type: ignore[arg-type]
     bench.run(2.0)
@@ -292,7 +432,7 @@ def test_a_gripper_that_holds_a_piece_is_degraded_after_300_ms_and_a_fault_after
 
 @pytest.mark.promise("G1")
 def test_a_gripper_that_tells_no_width_while_it_holds_is_as_good_as_silent() -> None:
-    bench = Watched()
+    bench = SupervisionWatched()
     jaws = Jaws(bench)
     bench.supervision.begin(0.0, jaws)  # type: ignore[arg-type]
     for _ in range(60):

@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from tests.backend.devices.emulated_arm import CYCLE_US, SteppedWires
+from tests.backend.devices.melfa.emulated_arm import CYCLE_US, SteppedWires
 from touchdown.backend.bench.assembly import make_scene
 from touchdown.backend.bench.emulated_scene import LATENCY_S, EmulatedScene, SceneDynpick
 from touchdown.backend.config.hardware import HardwareSettings
@@ -123,10 +123,10 @@ class WoundWires:
         end_us = self.clock.now_us + step_us
         while (next_us := (self.clock.now_us // 500 + 1) * 500) <= end_us:
             self.clock.advance(next_us - self.clock.now_us)
-            self._tend()
+            self._serve_due()
         self.clock.advance(end_us - self.clock.now_us)
 
-    def _tend(self) -> None:
+    def _serve_due(self) -> None:
         now_s, world = self.clock.now_s(), self.joined.world
         while True:
             over_s = 1e-6 * (world.now_us + world.cycle_us)

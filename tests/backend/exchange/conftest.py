@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.backend.catalogue.conftest import context_for
+from tests.backend.annotations.conftest import context_for
 from touchdown.backend.annotations.dataset import Dataset
 from touchdown.backend.annotations.values import Label, uuid7
 from touchdown.backend.core.values import FINGERS, Episode, EpisodeQuality, Recording, TactileFrame

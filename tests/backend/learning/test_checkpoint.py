@@ -1,8 +1,12 @@
-"""Checkpoints: every damaged model gives one InputError with the file."""
+"""Clearance of a model for autonomous use on a bench, field by field."""
 
 import hashlib
+import io
 import json
+import os
 import struct
+from contextlib import redirect_stderr, redirect_stdout
+from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
@@ -10,18 +14,188 @@ import pytest
 import torch
 from safetensors.numpy import save_file
 
+from touchdown.backend.bench.assembly import (
+    BenchModels,
+    SimulatedBenchChoice,
+    model_in_use,
+    simulated_session,
+)
+from touchdown.backend.cli.command_line import main
+from touchdown.backend.config.bench_description import BenchDescription, describe_simulation
+from touchdown.backend.config.simulation import SimulationSettings
 from touchdown.backend.core.faults import InputError
+from touchdown.backend.geometry.outlines import face_points
+from touchdown.backend.geometry.pieces import load_pieces
 from touchdown.backend.learning.checkpoint import (
     ModelCard,
     NetworkSizes,
     card_path,
+    load_card,
     load_checkpoint,
     parse_arrays,
     save_checkpoint,
     save_half_precision,
 )
 from touchdown.backend.learning.inference import ARCH, NetworkShape, expected_arrays
+from touchdown.backend.learning.registry import (
+    HARDWARE_PROBES,
+    ModelRegistry,
+    card_mismatches,
+    check_autonomous,
+)
 from touchdown.backend.learning.training import load_network, new_model
+from touchdown.backend.placement.estimator import Estimator
+from touchdown.backend.runs.recorder import RecordingOptions
+from touchdown.backend.runs.requests import SceneChoice, StackRequest
+
+HERE = describe_simulation(SimulationSettings())
+LAB = BenchDescription(
+    mode="hardware", sha256="c" * 64, mm_per_px=(0.0581, 0.0581), ft_frame="flange"
+)
+
+
+@pytest.fixture
+def card() -> ModelCard:
+    shipped = load_card(model_in_use("pot", None))
+    return shipped.model_copy(update={"benches": (HERE,)})
+
+
+def fields(card: ModelCard, bench: BenchDescription, probes: int = 0, piece: str = "") -> list[str]:
+    found = card_mismatches(card, bench, piece or card.geometry, 1.0, probes)
+    return [one.field for one in found]
+
+
+def test_the_bench_it_was_trained_on_fits(card: ModelCard) -> None:
+    assert fields(card, HERE) == []
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        ({"mm_per_px": (0.058, 0.066)}, ["mm/px"]),
+        ({"ft_frame": "flange"}, ["F/T frame"]),
+        ({"sha256": "d" * 64}, ["bench hash"]),
+    ],
+)
+def test_a_difference_is_named(
+    card: ModelCard, change: dict[str, object], named: list[str]
+) -> None:
+    assert fields(card, HERE.model_copy(update=change)) == named
+
+
+def test_piece_and_grid_are_named(card: ModelCard) -> None:
+    assert fields(card, HERE, piece="e" * 64) == ["piece hash"]
+    assert fields(card.model_copy(update={"grid_mm": 0.5}), HERE) == ["grid"]
+
+
+def test_what_nobody_told_is_no_difference(card: ModelCard) -> None:
+    assert fields(card.model_copy(update={"benches": ()}), HERE) == []
+    assert fields(card, BenchDescription(mode="simulated")) == []
+
+
+def test_any_bench_of_the_training_data_fits(card: ModelCard) -> None:
+    other = HERE.model_copy(update={"mm_per_px": (0.07, 0.07), "sha256": "d" * 64})
+    both = card.model_copy(update={"benches": (HERE, other)})
+    assert fields(both, HERE) == fields(both, other) == []
+
+
+def test_simulation_alone_needs_hardware_probes(card: ModelCard) -> None:
+    lab = LAB.model_copy(update={"mm_per_px": HERE.mm_per_px, "ft_frame": HERE.ft_frame})
+    assert fields(card, lab, HARDWARE_PROBES - 1) == ["bench mode"]
+    assert fields(card, lab, HARDWARE_PROBES) == []
+    assert fields(card, LAB, HARDWARE_PROBES) == ["mm/px", "F/T frame"]
+    with pytest.raises(InputError, match="49 of 50 hardware probes evaluated"):
+        check_autonomous(card, card_mismatches(card, lab, card.geometry, 1.0, 49), "model")
+
+
+def test_a_model_of_real_probes_is_no_model_of_the_simulation(card: ModelCard) -> None:
+    real = card.model_copy(update={"simulated": False, "benches": (LAB,)})
+    assert fields(real, HERE)[0] == "bench mode"
+
+
+def test_noise_is_no_part_of_the_bench_hash() -> None:
+    quiet = describe_simulation(SimulationSettings.model_validate({"preset": "quiet"}))
+    assert quiet == HERE
+    turned = SimulationSettings.model_validate({"wrist": {"yaw_rad": 0.1}})
+    assert describe_simulation(turned).sha256 != HERE.sha256
+
+
+def test_auto_is_refused_and_step_is_not(tmp_path: Path, card: ModelCard) -> None:
+    checkpoint = load_checkpoint(model_in_use("pot", None))
+    other = card.model_copy(update={"benches": (HERE.model_copy(update={"ft_frame": "flange"}),)})
+    model = tmp_path / "pot.safetensors"
+    save_checkpoint(model, checkpoint.arrays, other)
+    piece, request = load_pieces().piece("pot"), StackRequest(model=str(model))
+    models = BenchModels(None, HERE, 1.0)
+    with pytest.raises(InputError, match="auto mode here: F/T frame"):
+        models.check(request.scene(), piece)
+    assert models.check(StackRequest(model=str(model), mode="step").scene(), piece) is not None
+    session = simulated_session(SimulatedBenchChoice(preset="off"), keep=RecordingOptions(None))
+    with pytest.raises(InputError, match="F/T frame"):
+        session.run(request)
+    session.close()
+
+
+def test_the_session_takes_the_model_in_use(tmp_path: Path, card: ModelCard) -> None:
+    checkpoint = load_checkpoint(model_in_use("pot", None))
+    arrays = {**checkpoint.arrays, "head.bias": checkpoint.arrays["head.bias"] + 1}
+    model = tmp_path / "pot.safetensors"
+    mine = save_checkpoint(model, arrays, card)
+    registry = ModelRegistry(tmp_path / "models")
+    models, piece = BenchModels(registry, HERE, 1.0), load_pieces().piece("pot")
+
+    def in_use() -> str:
+        loaded = models.of(SceneChoice(), piece)
+        assert loaded is not None
+        return loaded.card.weights_sha256
+
+    assert in_use() == card.weights_sha256
+    registry.promote(model)
+    assert in_use() == mine.weights_sha256
+    registry.roll_back("pot")
+    assert in_use() == card.weights_sha256
+    # A run that began keeps the model it was checked and is recorded with.
+    models.check(SceneChoice(), piece)
+    registry.promote(model)
+    assert in_use() == card.weights_sha256
+    models.check(SceneChoice(), piece)
+    assert in_use() == mine.weights_sha256
+
+
+@pytest.mark.parametrize("named", [False, True], ids=["promoted", "named"])
+def test_a_run_keeps_its_model_though_the_file_is_damaged_and_the_next_is_refused(
+    named: bool, tmp_path: Path, card: ModelCard
+) -> None:
+    checkpoint = load_checkpoint(model_in_use("pot", None))
+    arrays = {**checkpoint.arrays, "head.bias": checkpoint.arrays["head.bias"] + 1}
+    model, registry = tmp_path / "pot.safetensors", ModelRegistry(tmp_path / "models")
+    mine = save_checkpoint(model, arrays, card)
+    registry.promote(model)
+    file = model if named else registry.in_use("pot")
+    assert file is not None
+    choice = SceneChoice(model=str(model) if named else None)
+    models, piece = BenchModels(registry, HERE, 1.0), load_pieces().piece("pot")
+    checked = models.check(choice, piece)
+    assert checked is not None
+    good = file.read_bytes()
+    file.write_bytes(good[:-8] + bytes(8))
+    os.utime(file, ns=(1, 1))
+    assert models.of(choice, piece) is checked, "the trials of the run that goes on"
+    with pytest.raises(InputError, match="damaged or not those of their card") as refused:
+        models.check(choice, piece)
+    assert (refused.value.where, bool(refused.value.fix)) == (str(file), True)
+    if not named:
+        registry.roll_back("pot")
+        shipped = models.check(choice, piece)
+        assert shipped is not None
+        assert shipped.card.weights_sha256 == card.weights_sha256
+        return
+    # Another model that was put in its place is read, and not the one in memory.
+    other = save_checkpoint(file, checkpoint.arrays, card)
+    os.utime(file, ns=(2, 2))
+    again = models.check(choice, piece)
+    assert again is not None
+    assert again.card.weights_sha256 == other.weights_sha256 != mine.weights_sha256
 
 
 def save_small(path: Path) -> dict[str, np.ndarray]:
@@ -186,3 +360,84 @@ def test_safetensors_vector_of_the_format() -> None:
     )
     assert len(content) == 96
     assert parse_arrays(content, Path("vector"))["w"].tolist() == [1.0, 2.0]
+
+
+def test_the_recipe_leaves_a_measured_model(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["models", "--pieces", "pot", "--out", str(tmp_path), "--episodes", "6", "--json"]
+    words += ["--test-episodes", "2", "--epochs", "1", "--probes-per-grip", "2", "--workers", "1"]
+    assert main(words) == 0
+    answer = json.loads(capsys.readouterr().out)
+    bottoms = {"short", "long", "hex20", "rect12x28", "all"}
+    assert set(answer["models"]["pot"]["scores"]) == bottoms
+    path = tmp_path / "pot.safetensors"
+    card = load_checkpoint(path).card
+    assert card.data["episodes"] == {"circle15": 6, "circle25": 6, "square15": 6}
+    assert card.data["recipe"]["seed"] == 1
+    assert set(card.metrics["unseen_bottoms"]) == bottoms
+    assert card.metrics["unseen_bottoms"]["all"]["episodes"] == 8
+    assert Estimator.load(path, load_pieces().piece("pot")).card == card
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["pot.json", "pot.safetensors"]
+
+
+@pytest.fixture(scope="module")
+def pieces(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a smaller pot of the operator's own."""
+    folder = tmp_path_factory.mktemp("pieces")
+    text = files("touchdown.resources").joinpath("objects", "pot.toml").read_text("utf-8")
+    assert "diameter_mm = " in text
+    lines = [
+        "diameter_mm = 20.0" if line.startswith("diameter_mm") else line
+        for line in text.splitlines()
+    ]
+    (folder / "own.toml").write_text("\n".join(lines), "utf-8")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def model(pieces: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("own")
+    words = ["models", "--pieces", "own", "--pieces-dir", str(pieces), "--out", str(folder)]
+    words += ["--episodes", "4", "--test-episodes", "2", "--epochs", "1", "--workers", "1"]
+    out, err = io.StringIO(), io.StringIO()
+    with redirect_stdout(out), redirect_stderr(err):
+        assert main([*words, "--json"]) == 0
+    assert err.getvalue() == ""
+    assert list(json.loads(out.getvalue())["models"]) == ["own"]
+    return folder / "own.safetensors"
+
+
+def test_models_are_made_of_the_faces_of_own_pieces(pieces: Path, model: Path) -> None:
+    points = face_points(load_pieces(pieces).piece("own").face)
+    assert len(points) != len(face_points(load_pieces().piece("pot").face))
+    card = load_checkpoint(model).card
+    assert card.piece == "own"
+    assert card.metrics["unseen_bottoms"]["all"]["episodes"] == 8
+
+
+def test_a_model_of_an_own_piece_is_measured_with_its_folder_only(
+    pieces: Path, model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    data = tmp_path / "data"
+    words = ["simulate", "--piece", "own", "--pieces", str(pieces), "--bottoms", "short"]
+    assert main([*words, "--episodes", "3", "--seed", "5", "--out", str(data), "--json"]) == 0
+    capsys.readouterr()
+    assert main(["evaluate", str(model), str(data), "--pieces", str(pieces), "--json"]) == 0
+    answer = json.loads(capsys.readouterr().out)
+    assert answer["piece"] == "own"
+    assert answer["scores"]["all"]["episodes"] == 3
+    assert main(["evaluate", str(model), str(data), "--json"]) == 2
+    told = capsys.readouterr()
+    assert told.out == ""
+    assert "own" in json.loads(told.err)["error"]["what"]
+
+
+def test_a_folder_that_is_not_there_is_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    missing = str(tmp_path / "none")
+    words = ["models", "--pieces", "own", "--pieces-dir", missing, "--out", str(tmp_path)]
+    assert main([*words, "--json"]) == 2
+    assert json.loads(capsys.readouterr().err)["error"]["where"] == missing
+    assert list(tmp_path.iterdir()) == []

@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.backend.learning.fused_writer import NAME, write
+from tests.backend.learning.fused.fused_writer import NAME, write
 from touchdown.backend.core.faults import InputError
 from touchdown.backend.learning.fused.checkpoint import load_fused
 
-WRITER = [sys.executable, "-m", "tests.backend.learning.fused_writer"]
+WRITER = [sys.executable, "-m", "tests.backend.learning.fused.fused_writer"]
 ROOT = Path(__file__).parents[3]
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals and limits of POSIX")
 

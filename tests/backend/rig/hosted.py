@@ -4,7 +4,7 @@ import threading
 
 import numpy as np
 
-from tests.backend.devices.emulated_arm import Rig
+from tests.backend.devices.melfa.emulated_arm import Rig
 from tests.backend.rig.scripted import ScriptedDevice
 from touchdown.backend.devices.interlock import Limits
 from touchdown.backend.devices.protocols import CommandedMotion, DeviceState, GripStatus

@@ -6,7 +6,7 @@ import itertools
 import threading
 from contextlib import ExitStack
 
-from tests.backend.devices.emulated_arm import on_bench
+from tests.backend.devices.melfa.emulated_arm import on_bench
 from touchdown.backend.bench.assembly import (
     BenchModels,
     SimulatedBenchChoice,

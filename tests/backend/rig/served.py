@@ -9,7 +9,7 @@ import time
 
 import numpy as np
 
-from tests.backend.devices.emulated_arm import settings as melfa_settings
+from tests.backend.devices.melfa.emulated_arm import settings as melfa_settings
 from tests.busy_computer import STARVED
 from touchdown.backend.config.hardware import HardwareSettings
 from touchdown.backend.core.faults import FaultError, RefusedError

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tests.backend.brisk import RATE_HZ, brisk_bench, brisk_method
+from tests.backend.bench.brisk import RATE_HZ, brisk_bench, brisk_method
 from touchdown.backend.bench.assembly import simulated_session
 from touchdown.backend.config.method import StackSettings
 from touchdown.backend.core.events import Event

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.backend.brisk import brisk_bench
+from tests.backend.bench.brisk import brisk_bench
 from tests.backend.devices.waiting import until
 from touchdown.backend.bench.assembly import simulated_session
 from touchdown.backend.core import scheduling as doings

@@ -5,10 +5,15 @@ from __future__ import annotations
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from importlib.resources import files
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from tests.backend.bench.brisk import brisk_bench, brisk_method
+from tests.backend.runs.oracle_bench import OracleSession, request
+from tests.backend.runs.test_event_log import last_trial
+from tests.backend.runs.test_requests import hold, order, position
 from touchdown.backend.bench.assembly import SimulatedBenchChoice, simulated_session
 from touchdown.backend.bench.laboratory import LabChoice, lab_session
 from touchdown.backend.calibration.applied import calibrated_cameras, camera_conflicts
@@ -21,9 +26,20 @@ from touchdown.backend.calibration.result import (
     Quantity,
 )
 from touchdown.backend.config.hardware import GelsightSettings
-from touchdown.backend.core.events import EpisodeRecorded
+from touchdown.backend.core.events import (
+    EpisodeRecorded,
+    Event,
+    FaultRaised,
+    Paused,
+    PhaseEntered,
+    Released,
+    RunFinished,
+)
 from touchdown.backend.core.faults import RefusedError
+from touchdown.backend.core.values import Outcome
 from touchdown.backend.devices.protocols import Identity
+from touchdown.backend.emulation.disturbances import Disturbance, DisturbanceScript
+from touchdown.backend.episodes.episode_file import read_episode
 from touchdown.backend.rig.connection import BenchConnection
 from touchdown.backend.runs.calibrations import (
     accept_calibration,
@@ -36,6 +52,7 @@ from touchdown.backend.runs.requests import (
     CalibrateRequest,
     CollectRequest,
     ProbeRequest,
+    RunState,
     SceneChoice,
     StackRequest,
 )
@@ -166,8 +183,8 @@ def test_everything_else_begins_without_them(tmp_path) -> None:
     empty = CalibrationStore(tmp_path, "hardware")
     for mode in ("simulated", "emulated"):
         assert calibrations_for(StackRequest(), mode, None, {}) == {}
-    for request in (ProbeRequest(), CalibrateRequest("payload")):
-        assert calibrations_for(request, "hardware", empty, {}) == {}
+    for asked in (ProbeRequest(), CalibrateRequest("payload")):
+        assert calibrations_for(asked, "hardware", empty, {}) == {}
 
 
 def test_a_simulated_bench_uses_what_it_has_and_its_episodes_say_so(tmp_path) -> None:
@@ -243,3 +260,112 @@ def test_a_lab_of_hardware_refuses_to_stack_and_looks_beside_its_file(
         assert session.engine.busy
     finally:
         session.close()
+
+
+MOST_S = 40.0
+
+
+class Slowed(OracleSession):
+    """Run whose wrist sensor delivers 300 of 1000 samples/s from the first probe on."""
+
+    def __init__(self, runs: Path | None) -> None:
+        super().__init__("force_torque:slow=300@2.0", runs=runs)
+        self.session.start(request())
+
+    def go_on_until(self, what: str) -> None:
+        """Advance until ``what`` is the state of the run, or the pause of a degraded sensor."""
+        while what != self.state():
+            self.session.engine.tick()
+            self.session.advance()
+            assert self.session.clock_s() < MOST_S, self.state()
+
+    def state(self) -> str:
+        """Return the state; "stands" while the checkpoint waits for the sensor."""
+        session = self.session
+        stands = session.engine._stand_until_s is not None and session.degraded
+        running = session.status().state is RunState.RUNNING
+        return "stands" if stands and running else session.status().state.value
+
+    def fail(self, kind: str) -> None:
+        """Let the wrist sensor fail permanently."""
+        bench = self.benches[-1]
+        bench._script = DisturbanceScript(
+            (Disturbance("force_torque", kind, self.session.clock_s()),)
+        )
+
+
+@pytest.mark.promise("S9")
+@pytest.mark.parametrize(
+    ("until", "kind"), [("stands", "nan"), ("stands", "stop"), ("paused", "stop")]
+)
+def test_a_sensor_lost_while_its_run_stands_degraded_ends_it_and_keeps_the_probe(
+    until: str, kind: str, tmp_path: Path
+) -> None:
+    bench = Slowed(tmp_path)
+    bench.go_on_until(until)
+    (kept,) = bench.of(EpisodeRecorded)
+    assert isinstance(kept, EpisodeRecorded)
+    assert [fact.fault.code for fact in bench.of(Paused)] == ["DEGRADED"] * (until == "paused")
+    bench.fail(kind)
+    failed_s = bench.session.clock_s()
+    bench.go_on_until("idle")
+    assert bench.session.clock_s() - failed_s < 0.4
+    (raised,) = bench.of(FaultRaised)
+    assert (raised.fault.code, raised.fault.device) == ("FT-STALE", "force_torque")
+    assert last_trial(bench).outcome is Outcome.ABORTED
+    assert bench.of(RunFinished)[-1].ending == "failed"
+    assert bench.of(Released) == []
+    assert bench.session._scene.gripper.status().holding, "the piece is kept"
+    (file,) = tmp_path.rglob("*.mcap")
+    assert read_episode(file).quality.accepted
+    bench.session.close()
+
+
+@pytest.mark.promise("S6")
+def test_with_a_slow_sensor_the_arm_only_jogs_away_and_holds_what_it_holds() -> None:
+    made = simulated_session(
+        brisk_bench(faults=("force_torque:slow=300@0",)), keep=RecordingOptions(None)
+    )
+    made.prepare(SceneChoice(estimates=False))
+    while made.clock_s() < 1.3:
+        made.advance()
+    assert [(one.device, one.how) for one in made.degraded] == [("force_torque", "slow")]
+    with pytest.raises(RefusedError, match="delivered less than half") as refused:
+        made.hand.jog.renew(order(made, axis="x"))
+    assert refused.value.reason == "DEGRADED"
+    with pytest.raises(RefusedError, match="only \\+Z is possible"):
+        made.hand.jog.step("z", "XYZ", -0.5, 2.0)
+    with pytest.raises(RefusedError, match="Turn once it is well"):
+        made.hand.jog.step("rz", "XYZ", 0.01, 0.05)
+    before = position(made)
+    hold(made, 0.3, hold=2, speed=5.0)
+    assert position(made)[2] > before[2]
+    made.hand.jog.end(2)
+    made.hand.grip(8.0)
+    while made.hand.active:
+        made.advance()
+    assert made._scene.gripper.status().holding
+    made.close()
+
+
+def test_after_the_piece_was_let_go_a_probe_says_that_and_what_to_do() -> None:
+    session = simulated_session(
+        brisk_bench("quiet"), keep=RecordingOptions(None), method=brisk_method()
+    )
+    session.prepare(SceneChoice(estimates=False))
+    facts: list[Event] = []
+    session.events.subscribe(facts.append)
+    assert session.hand is not None
+    for command in (lambda hand: hand.grip(8.0), lambda hand: hand.open(confirmed=True)):
+        command(session.hand)
+        session.advance()
+        while session.hand.active:
+            session.advance()
+    session.run(ProbeRequest())
+    assert [f.phase for f in facts if isinstance(f, PhaseEntered)] == ["grip"], "nothing is pressed"
+    (ended,) = [f for f in facts if isinstance(f, RunFinished)]
+    assert ended.ending == "failed"
+    assert ended.reason.startswith("The gripper closed on nothing: no piece is between the jaws.")
+    assert "set a new simulated scene (Ctrl+N in Operate)" in ended.reason
+    assert not session.interlock.latched
+    session.close()

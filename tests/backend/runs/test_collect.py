@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from tests.backend.brisk import RATE_HZ, brisk_bench, brisk_method
+from tests.backend.bench.brisk import RATE_HZ, brisk_bench, brisk_method
 from touchdown.backend.annotations import storage
 from touchdown.backend.annotations.dataset import Dataset
 from touchdown.backend.annotations.values import EpisodeFilter

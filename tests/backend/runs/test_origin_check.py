@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from tests.backend.brisk import PROBE, brisk_method
+from tests.backend.bench.brisk import PROBE, brisk_method
 from tests.backend.runs.blind_bench import BlindBench
 from tests.backend.runs.test_collect import collecting
 from touchdown.backend.core.events import OriginChecked, RunFinished

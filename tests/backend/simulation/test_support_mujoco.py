@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tests.backend.simulation.test_support import block, pressed
+from tests.backend.simulation.test_supports import block, pressed
 from touchdown.backend.config.simulation import SupportSettings
 from touchdown.backend.geometry.outlines import rectangle
 from touchdown.backend.geometry.tower import Body, Tower

@@ -14,7 +14,7 @@ import time
 
 import numpy as np
 
-from tests.backend.devices.emulated_arm import settings
+from tests.backend.devices.melfa.emulated_arm import settings
 from touchdown.backend.config.hardware import MelfaSettings
 from touchdown.backend.core.faults import FaultError
 from touchdown.backend.core.streams import SampleStream

@@ -17,7 +17,7 @@ from functools import partial
 
 import numpy as np
 
-from tests.backend.devices.emulated_arm import settings as melfa_settings
+from tests.backend.devices.melfa.emulated_arm import settings as melfa_settings
 from tests.backend.rig.served import Served
 from touchdown.backend.bench.emulated_scene import EMULATOR_PRIORITY, shorten_switch_interval
 from touchdown.backend.config.hardware import HardwareSettings
@@ -79,7 +79,7 @@ class LoggedFront(MelfaServer):
         except ProtocolError:
             moves = False
         self.came.append((seconds + 1e-9 * nanoseconds, moves))
-        if (answer := self._device.stream.receive(self._took(data), data)) is not None:
+        if (answer := self._device.stream.receive(self._log_received(data), data)) is not None:
             answers.append(answer)
         return caller[0], caller[1]
 

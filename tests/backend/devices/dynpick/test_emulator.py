@@ -1,12 +1,207 @@
-"""The emulated Dynpick alone: byte-exact answers, its stream in time, and the front's log."""
+"""The reader with a Dynpick against the emulated sensor, over TCP and over a pseudo terminal."""
 
+import random
+import sys
+import threading
+import time
+
+import numpy as np
 import pytest
 
 from tests.backend.devices.codecs.vectors import data
+from touchdown.backend.config.hardware import ForceTorqueSettings, HardwareSettings
+from touchdown.backend.core.faults import FaultError
 from touchdown.backend.devices.dynpick import protocol
+from touchdown.backend.devices.dynpick.driver import PERIOD_S as DRIVER_PERIOD_S
+from touchdown.backend.devices.dynpick.driver import DynpickDriver
 from touchdown.backend.devices.dynpick.emulator import EmulatedDynpick
+from touchdown.backend.devices.dynpick.protocol import (
+    RECORD_BYTES,
+    DynpickCommand,
+    DynpickRecord,
+    encode_record,
+)
+from touchdown.backend.devices.factories import make_force_torque
+from touchdown.backend.devices.force_torque.driver import WrenchReading
+from touchdown.backend.devices.force_torque.reader import WrenchStamper
+from touchdown.backend.devices.framing import Wrench
+from touchdown.backend.devices.protocols import DeviceState
+from touchdown.backend.devices.supervision import RateMonitor
+from touchdown.backend.emulation.fault_plan import Faults, add_noise, apply_faults
+from touchdown.backend.emulation.server import PtyServer, TcpServer
+from touchdown.backend.rig.connection import reconnect
+from touchdown.backend.sensing.episode import wrench_on_ticks
+from touchdown.backend.sensing.zeroing import WrenchDriftEstimator
 
 LOAD = (1.0, -2.0, -10.5, 0.1, -0.2, 0.05)
+LEAST = 1 / np.array([65.47, 65.44, 65.08, 1638.5, 1639.25, 1640.75])
+"""One count of each axis."""
+
+TREMBLE = tuple(2.0 * LEAST)
+"""A living sensor never repeats itself."""
+
+
+def trembling(load=LOAD):
+    return add_noise(lambda now_s: load, TREMBLE)
+
+
+def make(address, **dynpick):
+    ft = {"driver": "dynpick", "address": address}
+    settings = HardwareSettings.model_validate({"ft": ft, "dynpick": dynpick})
+    return make_force_torque(settings, time.monotonic)
+
+
+FRONTS = [TcpServer, *([PtyServer] if sys.platform != "win32" else [])]
+
+
+@pytest.fixture(params=FRONTS, ids=["tcp", "pty"][: len(FRONTS)])
+def front(request):
+    made = request.param(EmulatedDynpick(trembling()))
+    made.start()
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def driver(front):
+    made = make(front.url)
+    yield made
+    made.close()
+
+
+def connect(driver):
+    driver.connect(5.0, threading.Event())
+
+
+def until(condition, limit_s=60.0):
+    """Wait on an event that nobody sets: no test depends on how fast the machine is."""
+    end, never = time.monotonic() + limit_s, threading.Event()
+    while not condition():
+        assert time.monotonic() < end
+        never.wait(0.005)
+
+
+def test_it_delivers_what_the_sensor_feels(driver):
+    connect(driver)
+    assert driver.state is DeviceState.READY
+    until(lambda: driver.samples.count >= 50)
+    run = driver.samples.since(0)
+    assert np.all(np.diff(run.t_s) > 0)
+    assert np.all(np.abs(run.values.mean(axis=0) - LOAD) <= 2 * LEAST)
+    assert np.all(np.abs(run.values - LOAD) <= 12 * LEAST)
+    assert driver.rated == pytest.approx(8192 * LEAST)
+    assert driver.health.received >= 50
+
+
+def test_start_up_and_shutdown_go_in_the_documented_order(front, driver):
+    connect(driver)
+    driver.close()
+    until(lambda: b"".join(e.data for e in front.log if e.incoming).endswith(b"E"))
+    assert b"".join(e.data for e in front.log if e.incoming) == b"Ep1FSE"
+
+
+def test_it_opens_and_closes_any_number_of_times(driver):
+    for _ in range(2):
+        connect(driver)
+        connect(driver)
+        assert driver.state is DeviceState.READY
+        driver.close()
+        driver.close()
+        assert driver.state is DeviceState.CLOSED
+
+
+def test_a_lost_byte_costs_one_sample(front, driver):
+    connect(driver)
+    spoilt = threading.Event()
+
+    def lose_one(out):
+        if len(out) < 27 or spoilt.is_set():
+            return out
+        spoilt.set()
+        return out[:10] + out[11:]
+
+    front.damage = lose_one
+    until(spoilt.is_set)
+    before = driver.samples.count
+    until(lambda: driver.samples.count >= before + 20)
+    assert driver.state is DeviceState.READY
+    assert driver.health.lost >= 1
+    assert np.all(np.abs(driver.samples.since(0).values - LOAD) <= 12 * LEAST)
+    assert driver.resynchronised == 1
+
+
+def test_silence_is_a_fault_and_a_reconnect_heals_it(front, driver):
+    connect(driver)
+    front.damage = lambda out: b""
+    until(lambda: driver.state is DeviceState.FAULT)
+    assert driver.fault.code == "FT-LINK"
+    count = driver.samples.count
+    front.damage = bytes
+    reconnect(driver, 5.0, threading.Event())
+    assert driver.fault is None
+    until(lambda: driver.samples.count > count)
+
+
+def test_bytes_that_mean_nothing_are_a_fault(front, driver):
+    connect(driver)
+    front.damage = lambda out: b"?" * len(out[:-2]) + out[-2:]
+    until(lambda: driver.state is DeviceState.FAULT)
+    assert driver.fault.code == "FT-LINK"
+
+
+def test_no_answer_at_all_fails_the_connect(front, driver):
+    front.damage = lambda out: b""
+    with pytest.raises(FaultError, match="sends nothing"):
+        driver.connect(0.3, threading.Event())
+    assert driver.state is not DeviceState.READY
+
+
+def test_a_sensor_that_tells_nonsense_is_not_scaled_by_it(front, driver):
+    front.damage = lambda out: out.replace(b"65.470", b"00.000")
+    with pytest.raises(FaultError):
+        connect(driver)
+    assert driver.samples.count == 0
+
+
+def test_connecting_can_be_cancelled(driver):
+    cancel = threading.Event()
+    cancel.set()
+    with pytest.raises(FaultError, match="cancelled"):
+        driver.connect(5.0, cancel)
+    assert driver.state is DeviceState.CLOSED
+
+
+@pytest.mark.promise("S4")
+def test_a_port_that_is_not_there_is_a_fault():
+    driver = make("/dev/no-such-port")
+    told = r"The port /dev/no-such-port cannot be opened: No such file or directory\."
+    with pytest.raises(FaultError, match=told):
+        connect(driver)
+
+
+def test_an_older_sensor_is_scaled_by_the_settings():
+    front = TcpServer(EmulatedDynpick(trembling(), tells_sensitivity=False))
+    front.start()
+    driver = make(front.url, sensitivity=(50.0,) * 6)
+    connect(driver)
+    driver.close()
+    front.close()
+    assert driver.samples.since(0).values[0, 2] == pytest.approx(-10.5 * 65.08 / 50, abs=0.5)
+
+
+def test_the_end_of_the_range_is_a_fault_with_samples_going_on():
+    front = TcpServer(EmulatedDynpick(lambda now_s: (500.0, 0.0, 0.0, 0.0, 0.0, 0.0)))
+    front.start()
+    driver = make(front.url)
+    connect(driver)
+    until(lambda: driver.fault is not None)
+    count = driver.samples.count
+    until(lambda: driver.samples.count > count)
+    assert driver.fault.code == "FT-OVERLOAD"
+    assert driver.state is DeviceState.FAULT
+    assert np.isnan(driver.samples.since(0).values).all()
+    driver.close()
+    front.close()
 
 
 def emulated(**options):
@@ -61,3 +256,285 @@ def test_a_load_beyond_the_range_saturates():
     sensor = EmulatedDynpick(lambda now_s: (500.0, -500.0, 0.0, 0.0, 0.0, 0.0))
     (record,) = protocol.records().feed(sensor.receive(0.0, b"R"))
     assert record.counts[:3] == (0x3FFF, 0, 0x2000)
+
+
+ZERO = 0x2000
+PER_UNIT = (100.0, 100.0, 100.0, 1000.0, 1000.0, 1000.0)
+
+
+class Samples:
+    """Language and readout of one connection, without a wire."""
+
+    def __init__(self, **mounting):
+        settings = HardwareSettings.model_validate({"dynpick": {"sensitivity": PER_UNIT}})
+        self.language = DynpickDriver(settings, "")
+        self.readout = WrenchStamper(ForceTorqueSettings(**mounting), DRIVER_PERIOD_S)
+
+    def accept(self, arrival_s, data):
+        return self.readout.accept(arrival_s, self.language.take(data))
+
+    @property
+    def lost(self):
+        return self.readout.lost
+
+    @property
+    def overload(self):
+        return self.readout.overload
+
+
+samples = Samples
+
+
+def stream(*loads, tick=0):
+    return b"".join(
+        encode_record(DynpickRecord((tick + i) % 10, (ZERO + x, ZERO, ZERO, ZERO, ZERO, ZERO)))
+        for i, x in enumerate(loads)
+    )
+
+
+def test_a_burst_is_spread_by_the_period():
+    stamps, values = samples().accept(5.0, stream(100, 200, 300))
+    assert stamps == pytest.approx([4.998, 4.999, 5.0])
+    assert values[:, 0] == pytest.approx([1.0, 2.0, 3.0])
+
+
+def test_stamps_rise_even_if_bursts_overlap():
+    reading = samples()
+    first, _ = reading.accept(5.0, stream(0))
+    second, _ = reading.accept(5.001, stream(*[0] * 8, tick=1))
+    assert np.all(np.diff(np.concatenate([first, second])) > 0)
+    assert second[-1] == 5.001
+
+
+def test_a_record_in_two_reads_is_one_sample():
+    reading = samples()
+    content = stream(100)
+    assert len(reading.accept(1.0, content[:10])[0]) == 0
+    stamps, values = reading.accept(1.5, content[10:])
+    assert stamps == [1.5]
+    assert values.shape == (1, 6)
+
+
+def test_missing_ticks_are_counted():
+    reading = samples()
+    reading.accept(1.0, stream(0, 0))
+    reading.accept(1.1, stream(0, tick=5))
+    assert reading.lost == 3
+
+
+@pytest.mark.promise("S2")
+def test_one_leap_is_left_out_and_counted():
+    reading = samples()
+    _, values = reading.accept(1.0, stream(0, 0, 5000, 0, 0))
+    assert values[:, 0].tolist() == [0.0] * 4
+    assert reading.lost == 1
+
+
+@pytest.mark.promise("S2")
+def test_a_leap_that_stays_is_a_load():
+    _, values = samples().accept(1.0, stream(0, 0, 5000, 5001, 5002))
+    assert values[:, 0] == pytest.approx([0.0, 0.0, 50.01, 50.02])
+
+
+@pytest.mark.promise("S2")
+def test_two_different_leaps_are_both_left_out():
+    _, values = samples().accept(1.0, stream(0, 0, 5000, -5000, 0))
+    assert values[:, 0].tolist() == [0.0] * 3
+
+
+def test_the_ends_of_the_range_are_an_overload():
+    reading = samples()
+    reading.accept(1.0, stream(0x1FFE))
+    assert not reading.overload
+    reading.accept(1.1, stream(0x1FFF, tick=1))
+    assert reading.overload
+
+
+def test_mounting_and_sign_turn_force_and_torque():
+    quarter = ((0.0, -1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0))
+    content = encode_record(DynpickRecord(0, (ZERO + 100, ZERO, ZERO, ZERO + 100, ZERO, ZERO)))
+    _, values = samples(rotation=quarter, sign=-1).accept(1.0, content)
+    assert values[0] == pytest.approx([0.0, -1.0, 0.0, 0.0, -0.1, 0.0])
+
+
+def test_an_emulated_sensor_that_slows_down_is_slow_and_not_silent_and_gets_its_pace_back():
+    faults, now_s = Faults("force_torque"), 0.0
+    faults.begin(now_s)
+    rng = np.random.default_rng(4)
+    sensor = EmulatedDynpick(lambda now_s: (0.0, 0.0, rng.normal(-10.0, 0.1), 0.0, 0.0, 0.0))
+    sensor.pace.faults = faults
+    sensor.receive(now_s, b"S")
+    made, rate, oldest_s = samples(), RateMonitor(), 0.0
+
+    def deliver(seconds):
+        nonlocal now_s, oldest_s
+        for _ in range(round(100 * seconds)):
+            now_s += 0.01
+            stamps_s, _ = made.accept(now_s, sensor.due(now_s))
+            rate.note(float(stamps_s[-1]), len(stamps_s), lambda: 1.0 / DRIVER_PERIOD_S)
+            oldest_s = max(oldest_s, now_s - float(stamps_s[-1]))
+        return rate.slow_since_s
+
+    assert deliver(1.5) is None
+    faults.inject(now_s, "slow", 2.5, hz=450.0)
+    assert deliver(2.5) == pytest.approx(1.5, abs=0.6)
+    assert deliver(6.0) is None
+    assert made.readout._clock.period_s == pytest.approx(DRIVER_PERIOD_S, rel=1e-3)
+    assert oldest_s < 0.3, "no fault: it was never silent"
+
+
+@pytest.mark.promise("S8")
+def test_an_emulated_sensor_that_drifts_is_named_by_what_the_reader_reads():
+    faults, now_s, watch = Faults("force_torque"), 0.0, WrenchDriftEstimator()
+    faults.begin(now_s)
+    hangs = add_noise(lambda now_s: (0.0, 0.0, -14.7, 0.0, 0.0, 0.0))
+    sensor = EmulatedDynpick(apply_faults(hangs, faults))
+    sensor.pace.faults = faults
+    sensor.receive(now_s, b"S")
+    language = DynpickDriver(HardwareSettings(), "")
+    readout = WrenchStamper(ForceTorqueSettings(), DRIVER_PERIOD_S)
+    faults.inject(6.0, "drift", n_per_s=0.05)
+    while now_s < 30.0 and not ((found := watch.drift()) and found.named):
+        now_s += 0.1
+        stamps_s, wrench = readout.accept(now_s, language.take(sensor.due(now_s)))
+        watch.feed(stamps_s, wrench[:, :3])
+    assert 0.45 < 0.05 * (now_s - 6.0) < 0.75, "before it reaches 1 N"
+    assert found.moved_n == pytest.approx(0.05 * (now_s - 6.0), abs=0.1)
+
+
+PERIOD_S = 0.001
+BEGUN_S = 100.0
+LEAST_SHARE = 0.8
+STEADY_S = np.arange(BEGUN_S, BEGUN_S + 3.0, 0.004)
+AFTER_S = np.arange(BEGUN_S + 3.1, BEGUN_S + 6.0, 0.004)
+
+
+def reading(number, missed=0):
+    return WrenchReading(Wrench((float(number), 0.0, 0.0), (0.0, 0.0, 0.0)), missed)
+
+
+class Stream:
+    """A sensor whose clock is off by ``off``; ``wakes`` are the times at which it is read."""
+
+    def __init__(self, off=2e-4, *, numbered=False, nominal_s=PERIOD_S):
+        self.readout = WrenchStamper(ForceTorqueSettings(), nominal_s, numbered=numbered)
+        self.period_s = PERIOD_S * (1.0 + off)
+        self.taken = 0
+        self.true_s, self.told_s = [], []
+
+    def read(self, now_s, lost=0, missed=0, at_once=2):
+        """Read all that was taken up to ``now_s``, but for the first ``lost``, two at a time."""
+        numbers = [*range(self.taken + lost, int((now_s - BEGUN_S) / self.period_s) + 1)]
+        if not numbers:
+            return
+        self.taken = numbers[-1] + 1
+        for i in range(0, len(numbers), at_once):
+            some = numbers[i : i + at_once]
+            readings = [reading(n, missed if n == numbers[0] else 0) for n in some]
+            stamps, _ = self.readout.accept(now_s + 1e-4 * i / at_once, readings)
+            self.told_s.extend(stamps)
+            self.true_s.extend(BEGUN_S + n * self.period_s for n in some)
+
+    def errors(self, after_s=0.0):
+        true_s, told_s = np.array(self.true_s), np.array(self.told_s)
+        return (told_s - true_s)[true_s >= BEGUN_S + after_s]
+
+
+def wakes(seconds, stall_share=0.02, seed=4):
+    """Times at which a busy computer comes to read: every 2 ms, or after up to 150 ms."""
+    rng, now_s = random.Random(seed), BEGUN_S
+    while now_s < BEGUN_S + seconds:
+        now_s += rng.uniform(0.02, 0.15) if rng.random() < stall_share else 0.002
+        yield now_s
+
+
+@pytest.mark.parametrize("off", [-1e-3, 0.0, 5e-3])
+def test_late_bursts_are_stamped_with_the_time_in_which_they_were_measured(off):
+    stream = Stream(off)
+    for now_s in wakes(12.0):
+        stream.read(now_s)
+    assert np.all(np.diff(stream.told_s) > 0)
+    assert np.abs(stream.errors(after_s=4.0)).max() < 0.003
+    assert stream.readout.lost == 0
+
+
+def test_no_tick_lacks_a_whole_reading_because_the_computer_was_busy():
+    stream = Stream()
+    for now_s in wakes(6.0, stall_share=0.1):
+        stream.read(now_s)
+    told_s = np.array(stream.told_s)
+    ticks_s = np.arange(BEGUN_S + 0.5, stream.true_s[-1], 0.1)
+    wrench = np.repeat(np.array(stream.true_s)[:, None], 6, axis=1)
+    means = wrench_on_ticks(told_s, wrench, ticks_s, LEAST_SHARE)
+    assert np.isfinite(means).all()
+    assert np.abs(means[:, 0] - (ticks_s - 0.05)).max() < 0.005
+
+
+def test_samples_lost_without_a_number_are_a_gap_of_their_length_and_counted():
+    stream = Stream(off=0.0)
+    for now_s in (*STEADY_S, *AFTER_S):
+        stream.read(float(now_s), lost=40 if now_s == AFTER_S[0] else 0)
+    assert stream.readout.lost == pytest.approx(40, abs=2)
+    assert np.abs(stream.errors(after_s=4.0)).max() < 0.003
+
+
+def test_a_numbered_gap_is_one_at_once():
+    stream = Stream(numbered=True)
+    for now_s in (*STEADY_S, *AFTER_S):
+        lost = 40 if now_s == AFTER_S[0] else 0
+        stream.read(float(now_s), lost, missed=lost)
+    assert stream.readout.lost == 40
+    assert np.abs(stream.errors(after_s=1.0)).max() < 0.003
+
+
+@pytest.mark.parametrize("period_s", [0.002, 0.01])
+def test_a_sensor_set_to_a_slower_rate_is_believed_and_not_called_lossy(period_s):
+    stream = Stream(off=period_s / PERIOD_S - 1.0)
+    for now_s in wakes(5.0, stall_share=0.01):
+        stream.read(now_s)
+    assert stream.readout.lost == 0
+    assert np.abs(stream.errors(after_s=2.0)).max() < 0.01
+
+
+def test_a_long_stall_that_lost_nothing_is_no_loss():
+    stream = Stream(off=0.0)
+    for now_s in (*np.arange(100.0, 103.0, 0.004), *np.arange(104.5, 107.0, 0.004)):
+        stream.read(float(now_s))
+    assert stream.readout.lost == 0
+    assert np.abs(stream.errors(after_s=1.0)).max() < 0.003
+
+
+def test_a_first_read_that_was_late_is_put_right_and_time_never_goes_back():
+    stream = Stream(off=0.0)
+    for now_s in (100.3, *np.arange(100.302, 104.0, 0.002)):
+        stream.read(float(now_s), at_once=400)
+    assert np.all(np.diff(stream.told_s) > 0)
+    assert np.abs(stream.errors(after_s=3.0)).max() < 0.003
+
+
+def test_the_latency_lies_between_sample_and_arrival():
+    readout = WrenchStamper(ForceTorqueSettings(latency_ms=5.0), PERIOD_S)
+    stamps, _ = readout.accept(2.0, [reading(1), reading(2)])
+    assert stamps == pytest.approx([1.994, 1.995])
+
+
+def test_a_dynpick_behind_an_adapter_that_collects_keeps_its_rate():
+    """Through the bytes: the adapter hands over every 16 ms what it has, some of it torn."""
+    language, sensor = (
+        DynpickDriver(HardwareSettings(), ""),
+        EmulatedDynpick(add_noise(lambda now_s: (0.0,) * 6)),
+    )
+    readout = WrenchStamper(ForceTorqueSettings(), PERIOD_S)
+    sensor.receive(0.0, DynpickCommand.START.value)
+    told_s, rest = [], b""
+    for k in range(1, 250):
+        now_s = 0.016 * k
+        content = rest + sensor.due(now_s)
+        whole = len(content) - k % RECORD_BYTES
+        content, rest = content[:whole], content[whole:]
+        for i in range(0, len(content), 2 * RECORD_BYTES):
+            stamps, _ = readout.accept(now_s, language.take(content[i : i + 2 * RECORD_BYTES]))
+            told_s.extend(stamps)
+    steps_s = np.diff(told_s[1000:])
+    assert np.abs(steps_s - PERIOD_S).max() < 2e-4
+    assert readout.lost == 0

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from tests.backend.devices.emulated_arm import Rig
+from tests.backend.devices.melfa.emulated_arm import Rig
 from touchdown.backend.core.faults import FaultError
 from touchdown.backend.devices.melfa.command_channel import PendingRequest
 from touchdown.backend.devices.melfa.r3_protocol import R3Request

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tests.backend.devices.codecs.vectors import data
-from tests.backend.devices.emulated_arm import settings
+from tests.backend.devices.melfa.emulated_arm import settings
 from touchdown.backend.devices.melfa.emulated_controller import READY_RAD, SPEEDS_RAD_S, frame_of
 from touchdown.backend.devices.melfa.emulator import EmulatedMelfa
 from touchdown.backend.devices.melfa.r3_protocol import (

@@ -7,7 +7,7 @@ import time
 import numpy as np
 import pytest
 
-from tests.backend.devices.emulated_arm import settings
+from tests.backend.devices.melfa.emulated_arm import settings
 from tests.backend.devices.waiting import until
 from touchdown.backend.bench.emulator_registry import emulate
 from touchdown.backend.config.hardware import HardwareSettings

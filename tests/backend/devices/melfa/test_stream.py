@@ -6,7 +6,7 @@ import threading
 import numpy as np
 import pytest
 
-from tests.backend.devices.emulated_arm import Rig
+from tests.backend.devices.melfa.emulated_arm import Rig
 from touchdown.backend.core.faults import FaultError, RefusedError
 from touchdown.backend.core.values import Pose
 from touchdown.backend.devices.melfa.realtime_protocol import (

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tests.backend.devices.emulated_arm import Rig
+from tests.backend.devices.melfa.emulated_arm import Rig
 from touchdown.backend.core.values import Pose
 from touchdown.backend.devices.melfa.realtime_protocol import (
     CYCLE_S,

@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from tests.backend.devices.emulated_arm import _Follow
+from tests.backend.devices.melfa.emulated_arm import _Follow
 from touchdown.backend.config.hardware import UrSettings
 from touchdown.backend.core.rotations import IDENTITY_ROTATION, rotation_from_vector
 from touchdown.backend.devices.ur.driver import UrArm, UrPlacement

@@ -1,10 +1,12 @@
-"""WSG binary: named commands, refusals for the gripper side, and what noise cannot do."""
+"""What the WSG driver decides, on a hand-wound clock against the emulated gripper: no wire."""
 
 import struct
 
 import pytest
 
 from tests.backend.devices.codecs.vectors import data
+from tests.backend.devices.wsg.stepped import PART_MM, Bench
+from touchdown.backend.core.faults import FaultError
 from touchdown.backend.devices.framing import ProtocolError, crc_wsg
 from touchdown.backend.devices.wsg import protocol
 from touchdown.backend.devices.wsg.protocol import (
@@ -14,6 +16,141 @@ from touchdown.backend.devices.wsg.protocol import (
     WsgRequest,
     WsgStatus,
 )
+
+
+def code_of(motion):
+    with pytest.raises(FaultError) as raised:
+        motion.result()
+    return raised.value.fault.code
+
+
+@pytest.mark.parametrize(("convention", "sum_n"), [("device", 20.0), ("finger", 10.0)])
+def test_force_is_per_finger_and_the_wire_carries_what_the_gripper_takes(convention, sum_n):
+    bench = Bench(force_convention=convention)
+    status = bench.held()
+    assert WsgRequest(WsgCommand.SET_FORCE_LIMIT, (sum_n,)) in bench.sent
+    assert (status.width_mm, status.force_n, status.holding) == (PART_MM, 10.0, True)
+
+
+def test_the_force_is_set_before_the_jaws_close_and_read_after():
+    bench = Bench()
+    bench.sent.clear()
+    bench.held()
+    assert [request.command for request in bench.sent] == [
+        WsgCommand.SET_FORCE_LIMIT,
+        WsgCommand.GRASP,
+        WsgCommand.GRASP_STATE,
+        WsgCommand.WIDTH,
+        WsgCommand.FORCE,
+    ]
+
+
+def test_a_force_beyond_the_gripper_is_sent_as_its_limit_and_told():
+    bench = Bench()
+    assert bench.order(bench.core.grip, 200.0).sent == {"force_n": 25.0}
+
+
+def test_without_a_piece_the_grip_fails():
+    bench = Bench(part_mm=None)
+    assert code_of(bench.end(bench.order(bench.core.grip, 10.0))) == "WSG-NO-PART"
+    assert not bench.core.status.holding
+
+
+def test_before_homing_a_motion_is_refused_by_name():
+    bench = Bench(homed=False)
+    assert code_of(bench.end(bench.order(bench.core.grip, 10.0))) == "WSG-NOT-HOMED"
+
+
+def test_a_held_piece_is_released_and_empty_jaws_are_positioned():
+    bench = Bench()
+    bench.held()
+    opening = bench.end(bench.order(bench.core.open_to, 44.0, 5.0))
+    opening.result()
+    assert opening.sent == {"width_mm": 44.0, "speed_mm_s": 5.0}
+    assert WsgCommand.RELEASE in [request.command for request in bench.sent]
+    bench.end(bench.order(bench.core.open_to, 60.0, 100.0)).result()
+    assert bench.sent[-4].command == WsgCommand.PREPOSITION
+    assert bench.core.status.width_mm == pytest.approx(60.0)
+
+
+@pytest.mark.promise("G1")
+def test_a_lost_piece_is_seen_within_the_period_of_the_state():
+    bench = Bench()
+    bench.held()
+    bench.faults.inject(bench.now_s, "part_lost")
+    bench.advance(0.03)
+    assert not bench.core.status.holding
+    assert bench.core.lost_parts == 1
+    assert bench.core.fault is None
+
+
+def test_stop_ends_a_motion_and_is_not_sent_to_jaws_that_hold():
+    bench = Bench()
+    motion = bench.order(bench.core.grip, 10.0)
+    bench.advance(0.1)
+    bench.send(bench.core.stop())
+    assert bench.sent[-1].command == WsgCommand.STOP
+    assert code_of(motion) == "STOPPED"
+    bench.advance(0.1)
+    bench.held()
+    bench.sent.clear()
+    bench.send(bench.core.stop())
+    assert bench.sent == []
+    assert bench.core.status.holding
+
+
+def test_a_newer_command_stops_the_older_one_first():
+    bench = Bench(part_mm=None)
+    first = bench.order(bench.core.open_to, 10.0, 20.0)
+    bench.advance(0.2)
+    bench.sent.clear()
+    second = bench.order(bench.core.open_to, 50.0, 50.0)
+    assert code_of(first) == "REPLACED"
+    assert [request.command for request in bench.sent[:2]] == [
+        WsgCommand.STOP,
+        WsgCommand.PREPOSITION,
+    ]
+    bench.end(second).result()
+    assert bench.core.status.width_mm == pytest.approx(50.0)
+
+
+@pytest.mark.promise("G2")
+@pytest.mark.parametrize(
+    ("kind", "code"), [("fast_stop", "WSG-FAST-STOP"), ("power", "WSG-DEVICE")]
+)
+def test_nothing_is_commanded_until_a_fault_is_acknowledged(kind, code):
+    bench = Bench()
+    motion = bench.order(bench.core.grip, 10.0)
+    bench.faults.inject(bench.now_s, kind, 0.1)
+    bench.advance(0.2)
+    assert code_of(motion) in (code, "WSG-ABORTED")
+    assert bench.core.fault.code == code
+    bench.sent.clear()
+    with pytest.raises(FaultError):
+        bench.core.grip(bench.now_s, 10.0)
+    assert bench.sent == []
+    bench.send(bench.core.acknowledge())
+    assert bench.core.fault is None
+    bench.held()
+
+
+def test_a_motion_that_never_ends_is_stopped_at_its_deadline():
+    bench = Bench(part_mm=None)
+    motion = bench.order(bench.core.open_to, 10.0, 50.0)
+    bench.gripper.jaws.motion = None
+    bench.advance(5.0)
+    assert code_of(motion) == "WSG-TIMEOUT"
+    assert WsgRequest(WsgCommand.STOP) in bench.sent
+
+
+def test_silence_is_a_lost_link():
+    bench = Bench()
+    bench.held()
+    bench.deaf = True
+    bench.advance(2.9)
+    assert bench.core.fault is None
+    bench.advance(0.3)
+    assert bench.core.fault.code == "WSG-LINK"
 
 
 @pytest.mark.parametrize(
@@ -119,3 +256,110 @@ def test_a_width_that_is_no_float_is_refused(value):
         protocol.encode_request(protocol.WsgRequest(WsgCommand.STOP, (1,)))
     with pytest.raises(ProtocolError):
         protocol.encode_request(protocol.WsgRequest(WsgCommand.LOOP, (bytes(257),)))
+
+
+def text(**settings):
+    return Bench(protocol="gcl", **settings)
+
+
+def last(bench, call):
+    return [line for line in b"".join(bench.said).splitlines() if line.startswith(call)][-1]
+
+
+@pytest.mark.parametrize(("convention", "line"), [("device", b"20"), ("finger", b"10")])
+def test_the_force_travels_with_the_grip(convention, line):
+    bench = text(force_convention=convention)
+    status = bench.held()
+    assert last(bench, b"GRIP(") == b"GRIP(%b.0,0.0,50.0)" % line
+    assert (status.width_mm, status.force_n, status.holding) == (PART_MM, 10.0, True)
+
+
+@pytest.mark.parametrize(("counts", "line"), [("width", b"4.0"), ("finger", b"2.0")])
+def test_a_release_opens_by_the_distance_that_the_gripper_takes(counts, line):
+    bench = text(gcl_release=counts)
+    bench.held()
+    bench.end(bench.order(bench.core.open_to, PART_MM + 4.0, 5.0)).result()
+    assert last(bench, b"RELEASE") == b"RELEASE(%b,5.0)" % line
+    assert bench.core.status.width_mm == pytest.approx(PART_MM + 4.0)
+
+
+def test_what_the_gripper_refuses_has_the_words_of_the_binary_protocol():
+    bench = text(homed=False)
+    assert code_of(bench.end(bench.order(bench.core.grip, 10.0))) == "WSG-NOT-HOMED"
+    empty = text(part_mm=None)
+    assert code_of(empty.end(empty.order(empty.core.grip, 10.0))) == "WSG-NO-PART"
+
+
+@pytest.mark.parametrize("code", [status for status in WsgStatus if status not in (0, 11, 19, 26)])
+def test_every_error_code_ends_the_motion_with_a_fault(code):
+    bench = text()
+    motion = bench.order(bench.core.grip, 10.0)
+    bench.hear(b"ERR GRIP %d\r\n" % code)
+    assert code_of(motion).startswith("WSG-")
+
+
+def test_lines_may_come_torn_merged_and_with_a_carriage_return():
+    bench = text()
+    bench.language.take(b"GRIPST")
+    bench.hear(b"ATE=4\r\nPOS=12.5\nFORCE=20")
+    bench.hear(b".0\n")
+    assert (bench.core.status.width_mm, bench.core.status.force_n) == (12.5, 10.0)
+    assert bench.core.status.holding
+
+
+def test_a_motion_without_its_end_is_stopped_at_its_deadline():
+    bench = text(part_mm=None)
+    motion = bench.order(bench.core.open_to, 10.0, 50.0)
+    bench.damage = lambda data: b"" if data.startswith(b"FIN") else data
+    bench.advance(4.0)
+    assert code_of(motion) == "WSG-TIMEOUT"
+    assert last(bench, b"STOP") == b"STOP()"
+
+
+@pytest.mark.parametrize(("autosend", "within_s"), [(True, 0.06), (False, 0.25)])
+def test_a_lost_piece_is_seen_by_what_is_sent_or_else_by_asking(autosend, within_s):
+    bench = text()
+    bench.held()
+    if not autosend:
+        bench.mouth._auto.clear()
+    bench.faults.inject(bench.now_s, "part_lost")
+    bench.advance(within_s)
+    assert not bench.core.status.holding
+    assert bench.core.lost_parts == 1
+
+
+@pytest.mark.promise("G2")
+@pytest.mark.parametrize(
+    ("kind", "code"), [("fast_stop", "WSG-FAST-STOP"), ("power", "WSG-DEVICE")]
+)
+def test_nothing_is_commanded_until_a_fault_is_acknowledged_text(kind, code):
+    bench = text()
+    bench.faults.inject(bench.now_s, kind, 0.1)
+    bench.advance(0.4)
+    assert bench.core.fault.code == code
+    with pytest.raises(FaultError):
+        bench.core.grip(bench.now_s, 10.0)
+    bench.send(bench.core.acknowledge())
+    bench.advance(0.5)
+    assert bench.core.fault is None
+    bench.held()
+
+
+def test_a_stop_ends_the_motion_and_leaves_a_grip_alone():
+    bench = text()
+    motion = bench.order(bench.core.grip, 10.0)
+    bench.advance(0.05)
+    bench.send(bench.core.stop())
+    assert bench.sent[-1].command == WsgCommand.STOP
+    assert code_of(motion) == "STOPPED"
+    bench.advance(0.3)
+    bench.held()
+    bench.advance(0.3)
+    assert bench.core.stop() == []
+
+
+def test_silence_is_a_lost_link_text():
+    bench = text()
+    bench.deaf = True
+    bench.advance(3.2)
+    assert bench.core.fault.code == "WSG-LINK"

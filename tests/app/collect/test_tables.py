@@ -1,0 +1,356 @@
+"""The Collect half: form, keys, lists and maps."""
+
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from PySide6.QtCore import QPoint, Qt
+from PySide6.QtTest import QTest
+from PySide6.QtWidgets import QMenu
+
+from tests.app.collect.conftest import PROBES
+from tests.app.conftest import settle
+from touchdown.app.collect.workspace import LABEL_WORDS
+from touchdown.app.shell.errors import log_to
+from touchdown.backend.annotations.values import EpisodeFilter
+from touchdown.backend.core.events import Paused, PhaseEntered
+from touchdown.backend.core.faults import Fault
+from touchdown.backend.episodes.quality import count_coverage
+from touchdown.backend.geometry.pieces import load_pieces
+from touchdown.backend.runs.requests import CollectRequest, RunState
+from touchdown.widgets.lists.tables import DOWN, HEADS, TableArrangement
+from touchdown.widgets.plots.distribution import NEAR_PX
+from touchdown.widgets.shell.fault_cards import CardQuestion, CardText
+
+KEY = Qt.Key
+
+
+def test_start_hands_over_the_form_and_the_dataset(page):
+    target = page.view.target
+    target.count.setValue(7)
+    target.per_grip.setValue(3)
+    target.within.setValue(4.0)
+    target.pattern.setCurrentIndex(target.pattern.findData("grid"))
+    target.ask.setChecked(False)
+    page.press(KEY.Key_F5)
+    assert page.bench.started == [
+        CollectRequest("pot", "circle15", 7, 0, "grid", "Ann", 4.0, probes_per_grip=3)
+    ]
+    assert page.bench.dataset is page.presenter.dataset
+    page.press(KEY.Key_F5)
+    assert len(page.bench.started) == 1
+
+
+def test_the_first_range_is_any_displacement(page):
+    page.press(KEY.Key_F5)
+    (asked,) = page.bench.started
+    assert asked.within_mm is None
+    assert asked.ask
+
+
+def test_the_dataset_is_shown_before_anybody_is_named(unnamed, qtbot):
+    page = unnamed
+    qtbot.waitUntil(lambda: page.presenter.dataset is not None, timeout=60_000)
+    page.settle()
+    assert page.presenter.person == ""
+    assert len(page.uuids) == PROBES
+    assert len(page.view.distribution.scene.points_mm) == PROBES
+    assert not page.presenter.dataset.writable
+    page.press(KEY.Key_F5)
+    assert page.bench.started == []
+    assert page.view.target.person.hasFocus()
+    assert not page.main.cards.codes
+
+
+def test_a_pair_without_episodes_shows_its_bottom(unnamed):
+    target = unnamed.view.target
+    target.bottom.setCurrentIndex(target.bottom.findData("circle25"))
+    unnamed.settle()
+    assert len(unnamed.view.coverage.scene.bottom)
+    assert unnamed.view.table.rows() == []
+
+
+def test_each_half_has_its_own_key(page):
+    both = Qt.KeyboardModifier.ControlModifier | Qt.KeyboardModifier.ShiftModifier
+    page.press(KEY.Key_L, both)
+    assert page.workspace.page.front == "label"
+    page.press(KEY.Key_C, both)
+    assert page.workspace.page.front == "collect"
+
+
+def test_nobody_cannot_start(page):
+    page.presenter.person = ""
+    settle(page.main)
+    assert not page.view.target.start.isEnabled()
+    assert page.view.target.start.toolTip().startswith("Say who collects")
+    assert page.view.target.why_not.isVisible()
+    assert page.view.target.why_not.text() == f"{page.view.target.start.toolTip()}."
+
+
+def test_maps_and_table_show_what_the_dataset_holds(page):
+    dataset = page.presenter.dataset
+    entries = dataset.episodes(EpisodeFilter())
+    truth = [dataset.labels.head(e.uuid).label.offset_mm for e in entries]
+    assert page.uuids == [e.uuid for e in entries]
+    scene = page.view.distribution.scene
+    np.testing.assert_allclose(scene.points_mm, truth)
+    last = [dataset.read(e.uuid).observation[-1] for e in entries]
+    page.view.signal.setCurrentIndex(4)
+    settle(page.main)
+    shown = page.view.distribution.scene
+    np.testing.assert_allclose(shown.values, [row[254] for row in last], rtol=1e-6)
+    catalogue = load_pieces()
+    faces = (catalogue.piece("pot").face, catalogue.piece("circle15").face)
+    counts = count_coverage(np.array(truth), *faces).counts
+    np.testing.assert_array_equal(page.view.coverage.scene.bins.counts, counts)
+    assert counts.sum() == PROBES
+
+
+def test_a_click_on_a_dot_chooses_its_episode(page):
+    view = page.view.distribution
+    area, points = view.area(), view.scene.points_mm
+    away = np.hypot(*(points[:, None] - points).T) + 1e3 * np.eye(len(points))
+    at = int(away.min(axis=1).argmax())
+    spot = QPoint(round(area.x(points[at, 0])), round(area.y(points[at, 1])))
+    QTest.mouseClick(view, Qt.MouseButton.LeftButton, pos=spot)
+    settle(page.main)
+    assert page.presenter.probes.chosen == page.uuids[at] or at == PROBES - 1
+    row = page.view.table.currentIndex().row()
+    assert page.view.table.rows()[row].uuid == page.uuids[at]
+    edge = QPoint(round(area.rect.right() + 2 * NEAR_PX), 4)
+    QTest.mouseClick(view, Qt.MouseButton.LeftButton, pos=edge)
+    settle(page.main)
+    assert page.view.table.rows()[page.view.table.currentIndex().row()].uuid == page.uuids[at]
+
+
+def test_a_person_who_types_keeps_the_focus(page):
+    page.press(KEY.Key_U, Qt.KeyboardModifier.ControlModifier)
+    page.bench.set_state(RunState.RUNNING)
+    settle(page.main)
+    assert not page.view.target.start.isEnabled()
+    assert page.view.target.person.hasFocus()
+
+
+def test_the_list_is_sorted_by_a_click_and_its_columns_are_chosen_and_remembered(page, qtbot):
+    table, head = page.view.table, page.view.table.horizontalHeader()
+    page.presenter.probes.choose(page.uuids[1])
+    settle(page.main)
+
+    def click(column):
+        at = QPoint(head.sectionViewportPosition(column) + 8, head.height() // 2)
+        QTest.mouseClick(head.viewport(), Qt.MouseButton.LeftButton, pos=at)
+
+    click(3)
+    away = [row.distance_mm for row in table.rows()]
+    assert away == sorted(away)
+    click(3)
+    assert [row.distance_mm for row in table.rows()] == away[::-1]
+    assert table.chosen() == page.presenter.probes.shown
+    said = [table.model().headerData(k, Qt.Orientation.Horizontal, Qt.ItemDataRole.DisplayRole)
+            for k in range(len(HEADS))]  # fmt: skip
+    assert said == [*HEADS[:3], f"{HEADS[3]} {DOWN}", *HEADS[4:]]
+    assert table.isColumnHidden(HEADS.index("Person"))
+    table.choose_columns()
+    menu = table.findChild(QMenu)
+    for name in ("Person", "Time"):
+        next(a for a in menu.actions() if a.text() == name).trigger()
+    menu.close()
+    assert not table.isColumnHidden(HEADS.index("Person"))
+    assert {row.cells()[-1] for row in table.rows()} == {"setup"}
+    memory = page.workspace.memory()
+    table.arrange(TableArrangement())
+    assert page.workspace.recall(memory) == []
+    assert table.arrangement == TableArrangement(
+        (*HEADS[:4], "Person"), sort="x, y (mm)", descending=True
+    )
+    assert page.workspace.recall({**memory, "list": {"columns": ["Mood"]}}) == ["list"]
+    for column in range(len(HEADS)):
+        table.show_column(column, shown=False)
+    assert not all(table.isColumnHidden(column) for column in range(len(HEADS)))
+
+
+def test_keys_of_one_half_do_nothing_in_the_other(page):
+    page.workspace.page.show_half("label")
+    page.settle()
+    page.press(KEY.Key_F5)
+    page.press(KEY.Key_P)
+    assert page.bench.started == []
+    before = {e.uuid: e.state for e in page.presenter.dataset.episodes()}
+    page.workspace.page.show_half("collect")
+    for key in (KEY.Key_Left, KEY.Key_D, KEY.Key_PageDown, KEY.Key_V):
+        page.press(key)
+    page.settle()
+    assert {e.uuid: e.state for e in page.presenter.dataset.episodes()} == before
+
+
+def test_no_key_of_the_workspace_clashes(page):
+    keys = [row.key for row in page.main.actions.rows if row.context == "collect" and row.key]
+    assert len(keys) == len(set(keys))
+    names = [row.id for row in page.main.actions.rows if row.command is not None]
+    assert len(names) == len(set(names))
+
+
+PAGES_TWICE_AS_FINE = """
+import sys
+from pathlib import Path
+from PySide6.QtWidgets import QApplication
+from touchdown.app.application import TouchdownApp
+from touchdown.app.shell.errors import ErrorBox
+from tests.app.stand_in import StandInBench
+application = QApplication([])
+box, folder = ErrorBox(), Path(sys.argv[1])
+main = TouchdownApp(application, box, folder / "window.json", folder / "runs")
+bench = StandInBench()
+main.attach(bench)
+main.window.resize(1280, 720)
+main.window.show()
+bench.turn(0.2)
+for page in main.workspaces:
+    main.go(page)
+    for _ in range(12):
+        main.pump.tick()
+        application.processEvents()
+    image = main.window.grab().toImage()
+    colours = {image.pixel(x, y) for x in range(160, 2560, 12) for y in range(120, 1400, 12)}
+    print(page, image.width(), image.height(), image.devicePixelRatio(), len(colours) > 10)
+failure = box.take()
+print("failure", failure and failure.what)
+main.close()
+"""
+
+
+def place(widget, window):
+    return widget.mapTo(window, widget.rect().topLeft()), widget.size()
+
+
+def test_cards_and_questions_move_nothing_below_them(live, bench):
+    live.go("stack")
+    settle(live)
+    page = live.workspaces["stack"].page
+    watched = (page.run.start, page.decision, page.tactile["left"], page.force)
+    before = [place(widget, live.window) for widget in watched]
+    bench.tell_fault()
+    live.stop()
+    settle(live)
+    assert live.cards.isVisible()
+    assert live.cards.width() == live.cards.parentWidget().width()
+    assert [place(widget, live.window) for widget in watched] == before
+    one_px = live.cards.height()
+    live.cards.card("STOPPED").more.click()
+    settle(live)
+    assert live.cards.height() > one_px, "unfolded, all of it is seen"
+    live.reset()
+    live.cards.ask(CardQuestion("A piece is held. Opening lets it go.", (("Keep", list),)))
+    settle(live)
+    assert live.cards.isVisible()
+    assert [place(widget, live.window) for widget in watched] == before
+    live.cards.withdraw()
+    settle(live)
+    assert not live.cards.isVisible()
+
+
+def test_a_card_as_high_as_its_words(live):
+    long = "The disk is nearly full and this sentence goes on and on. " * 8
+    live.cards.show_card(CardText("DISK", long, long, "Look.", reset=False))
+    settle(live)
+    card = live.cards.card("DISK")
+    assert card.height() >= card.layout().totalHeightForWidth(card.width())
+    assert live.cards.rect().contains(card.geometry())
+
+
+def test_a_hint_goes_when_it_no_longer_holds(live):
+    wrong = [True]
+    live.say("In contact: lift first.", lambda: wrong[0])
+    drawn(live)
+    assert live.window._message.text() == "In contact: lift first."
+    wrong[0] = False
+    drawn(live)
+    assert live.window._message.text() == ""
+    live.say("The run ended.")
+    drawn(live)
+    assert live.window._message.text() == "The run ended."
+
+
+def drawn(main):
+    """Draw the frame, whatever the clock says."""
+    main._chips._drawn_s = float("-inf")
+    settle(main)
+
+
+@pytest.mark.promise("W7")
+def test_the_log_tells_stop_runs_faults_and_reset(live, bench, tmp_path):
+    path = log_to(tmp_path)
+    bench.tell_start()
+    bench.tell_finish()
+    bench.tell_fault()
+    settle(live)
+    live.stop()
+    live.reset()
+    settle(live)
+    told = path.read_text().splitlines()
+    for words in ("run run: stack, pot on short, seed 7", "run run finished",
+                  "fault FT-TRIP: Force trip: 41.3 N over 40 N.", "STOP by the operator",
+                  "reset by the operator"):  # fmt: skip
+        assert sum(words in line for line in told) == 1, words
+
+
+def test_with_large_text_the_controls_come_first_and_back(live):
+    live.go("stack")
+    live.window.resize(1600, 1000)
+    page = live.workspaces["stack"].page
+    live.look.show("dark", 2.0)
+    settle(live)
+    start = page.run.start
+    corner = start.mapTo(live.window, start.rect().bottomRight())
+    assert live.window.rect().contains(corner), "it is reached without scrolling"
+    shares = page.columns.arrangement().shares
+    live.look.show("dark", 1.0)
+    for width in (1600, 1280):
+        live.window.resize(width, 720)
+        for name in ("operate", "stack"):
+            live.go(name)
+            settle(live)
+            columns = live.workspaces[name].columns
+            places = [part.x() for part in columns._parts]
+            assert places == sorted(places), f"{name} as usual at {width} px"
+            assert not live.window._scrolls[name].horizontalScrollBar().isVisible()
+    assert page.columns.arrangement().shares == shares
+
+
+def test_every_page_is_drawn_on_a_screen_twice_as_fine(tmp_path):
+    env = {**os.environ, "QT_SCALE_FACTOR": "2", "QT_QPA_PLATFORM": "offscreen"}
+    done = subprocess.run(
+        [sys.executable, "-c", PAGES_TWICE_AS_FINE, str(tmp_path)],
+        env=env, capture_output=True, text=True, timeout=110, check=True,
+    )  # fmt: skip
+    lines = done.stdout.splitlines()
+    assert [line.split(maxsplit=1)[1] for line in lines[:5]] == 5 * ["2560 1440 2.0 True"]
+    assert lines[5] == "failure None"
+
+
+def test_a_run_that_paused_by_itself_says_why_until_it_goes_on(live, bench):
+    full = Fault("DISK-FULL", "The disk is full.", "The campaign is paused.", "Make room.")
+    for times in (1, 2):
+        bench.events.publish(Paused(1.0, full))
+        settle(live)
+        card = live.cards.card("DISK-FULL")
+        assert (card.text.reset, card.count) == (False, times)
+    assert not bench.interlock.latched
+    bench.events.publish(PhaseEntered(2.0, "press", 3))
+    settle(live)
+    assert live.cards.codes == ()
+
+
+def test_the_keys_of_label_are_told_on_label_alone(live):
+    live.go("collect")
+    page, foot = live.workspaces["collect"].page, live.window._message
+    for leave in (lambda: page.show_half("collect"), lambda: live.go("stack")):
+        live.go("collect")
+        page.show_half("label")
+        settle(live)
+        assert foot.text() == LABEL_WORDS
+        leave()
+        settle(live)
+        assert foot.text() == ""

@@ -1,0 +1,392 @@
+"""What concerns many episodes: bulk changes, agreement, the log, scores, a second copy."""
+
+import shutil
+
+import pytest
+
+from tests.app.label.conftest import CTRL, ITEMS, KEY, WITHOUT_LABEL
+from tests.app.label.test_values import content
+from touchdown.app.label.side import agreement_text
+from touchdown.backend.annotations.dataset import Dataset
+from touchdown.backend.annotations.values import Label
+
+LABELLED = ITEMS - WITHOUT_LABEL
+
+
+def wait(desk, qtbot, text):
+    qtbot.waitUntil(lambda: text in desk.page.message.text(), timeout=60_000)
+    desk.settle()
+
+
+def test_a_bulk_shift_is_previewed_applied_and_taken_back_in_one_step(desk):
+    before, form = content(desk), desk.page.bulk
+    form.value.setText("0.5,-0.25")
+    form.preview.click()
+    desk.settle()
+    assert f"{LABELLED} labels will change." in form.found.text()
+    assert f"{WITHOUT_LABEL} labels will not" in form.found.text()
+    assert content(desk) == before
+    form.apply.click()
+    desk.settle()
+    after = content(desk)
+    moved = [u for u in before if after[u][0] != before[u][0]]
+    assert len(moved) == LABELLED
+    old, new = before[moved[0]], after[moved[0]]
+    assert (new[0].x_um, new[0].y_um) == (old[0].x_um + 500, old[0].y_um - 250)
+    assert new[1] == old[1] == "commanded"
+    desk.do(KEY.Key_U)
+    assert content(desk) == before
+
+
+def test_a_bulk_change_is_refused_if_a_label_changed_since(desk):
+    form, uuid = desk.page.bulk, desk.uuid
+    form.value.setText("1,1")
+    form.preview.click()
+    desk.settle()
+    desk.book.set("Ann", uuid, Label(1, 1, 0, 100))
+    before = content(desk)
+    form.apply.click()
+    desk.settle()
+    assert "changed since the preview" in desk.page.message.text()
+    assert content(desk) == before
+
+
+@pytest.mark.parametrize(("kind", "text"), [(0, "1"), (1, "right"), (5, "")])
+def test_a_bulk_change_that_makes_no_sense_has_no_preview(desk, kind, text):
+    form = desk.page.bulk
+    form.kind.setCurrentIndex(kind)
+    form.value.setText(text)
+    form.preview.click()
+    desk.settle()
+    assert not form.apply.isEnabled()
+    assert "such as" in form.found.text() or "needs a reason" in form.found.text()
+
+
+def test_opinions_measure_agreement_and_change_no_label(desk):
+    uuids = desk.workspace.presenter.walk.order[:3]
+    for _ in uuids:
+        desk.do(KEY.Key_Right, KEY.Key_Return)
+    before = content(desk)
+    desk.enter_as("Bob")
+    desk.do((KEY.Key_B, CTRL))
+    desk.workspace.session.queue = "audit"
+    presenter = desk.workspace.presenter
+    presenter.walk.begin(list(uuids), presenter.walk.entries, "")
+    presenter.go_to(0)
+    desk.settle()
+    for uuid in uuids:
+        assert not desk.now.edit.label.is_set  # nothing to be swayed by
+        assert desk.page.side.history.list.count() == 0
+        label = desk.book.head(uuid).label
+        desk.type(f"{(label.x_um - 100) / 1000},{(label.y_um + 200) / 1000}")
+        desk.do(KEY.Key_Return, KEY.Key_Return)
+        if desk.page.choice.isVisible():  # Bob is asked once how sure he is
+            desk.do(KEY.Key_Return)
+    assert content(desk) == before
+    words = agreement_text(desk.workspace.presenter.dataset)
+    assert "Ann minus Bob, 3 episodes" in words
+    assert "x: bias +0.10 mm" in words
+    assert "y: bias \N{MINUS SIGN}0.20 mm" in words
+    assert "RMS 0.22 mm" in words
+
+
+def test_agreement_and_log_are_shown(desk, qtbot):
+    side = desk.page.side
+    desk.do(KEY.Key_Return)
+    side.choose(1)
+    desk.workspace._search("")
+    desk.settle()
+    assert "No two people" in side.agreement.text()
+    side.choose(2)
+    side.needle.setText("accept")
+    qtbot.waitUntil(lambda: side.log.count() == 1, timeout=60_000)
+    assert "Ann: accept next" in side.log.item(0).text()
+
+
+def test_the_model_scores_the_dataset_beside_the_labels(desk, qtbot):
+    before = content(desk)
+    desk.workspace.presenter.choose_queue("disagreement")
+    desk.settle()
+    assert "Ctrl+M" in desk.page.nothing.button.text()
+    desk.press(KEY.Key_M, CTRL)
+    wait(desk, qtbot, "were scored")
+    qtbot.waitUntil(lambda: len(desk.workspace.presenter.walk.order) == LABELLED, timeout=60_000)
+    assert content(desk) == before
+
+
+def test_a_copy_labelled_elsewhere_is_merged_and_conflicts_are_resolved(desk, qtbot, tmp_path):
+    presenter = desk.workspace.presenter
+    uuid, other_uuid = presenter.walk.order[:2]
+    other = tmp_path / "copy"
+    shutil.copytree(presenter.dataset.folder, other)
+    with Dataset.open(other, person="Bob") as copy:
+        copy.labels.accept("Bob", uuid, Label(1, 2, 0, 100))
+        copy.labels.accept("Bob", other_uuid)
+    desk.type("3,3")
+    desk.do(KEY.Key_Return)
+    desk.workspace.whole.merge()
+    desk.page.words.setText(str(other))
+    desk.press(KEY.Key_Return)
+    wait(desk, qtbot, "1 in conflict")
+    assert desk.book.head(other_uuid).person == "Bob"
+    presenter.choose_queue("conflicts")
+    desk.settle()
+    assert desk.uuid == uuid
+    desk.do(KEY.Key_C)
+    assert desk.page.choice.isVisible()
+    desk.do(KEY.Key_1)
+    assert len(desk.book.conflicting(uuid)) == 1
+
+
+def test_what_is_no_copy_is_refused(desk, qtbot, tmp_path):
+    desk.workspace.whole.merge()
+    desk.page.words.setText(str(tmp_path / "nowhere"))
+    desk.press(KEY.Key_Return)
+    wait(desk, qtbot, "nowhere")
+
+
+def show_queue(desk, name):
+    desk.workspace.presenter.choose_queue(name)
+    desk.settle()
+
+
+def go_to_unlabelled(desk):
+    """Go to the first episode that has no displacement."""
+    desk.workspace.presenter.go_to(ITEMS - WITHOUT_LABEL)
+    desk.settle()
+    assert not desk.now.edit.label.is_set
+
+
+def test_another_person_reviews(desk):
+    first, second = desk.workspace.presenter.walk.order[:2]
+    desk.do(KEY.Key_Return, KEY.Key_Return)
+    show_queue(desk, "review")
+    assert desk.workspace.presenter.walk.order == []  # nobody reviews what they wrote
+    desk.enter_as("Bob")
+    assert desk.page.person.text() == "Bob"
+    assert desk.workspace.presenter.walk.order == [first, second]
+    desk.do(KEY.Key_Return)
+    assert desk.book.head(first).state == "approved"
+    assert desk.book.head(first).person == "Bob"
+    desk.do(KEY.Key_D, KEY.Key_3)
+    assert (desk.book.head(second).state, desk.book.head(second).reason) == (
+        "rejected", "wrong piece",
+    )  # fmt: skip
+    desk.enter_as("Ann")
+    show_queue(desk, "returned")
+    assert desk.workspace.presenter.walk.order == [second]
+
+
+def test_another_person_begins_with_the_first_of_the_queue(desk):
+    desk.do(KEY.Key_Return, KEY.Key_Return)
+    desk.enter_as("Bob")
+    show_queue(desk, "review")
+    first, second = desk.workspace.presenter.walk.order
+    desk.do(KEY.Key_PageDown)
+    assert desk.uuid == second
+    desk.do((KEY.Key_R, CTRL))
+    assert desk.uuid == second  # the same queue, read anew
+    desk.enter_as("Cleo")
+    assert desk.uuid == first
+    desk.do(KEY.Key_PageDown)
+    show_queue(desk, "coverage")
+    assert desk.uuid == desk.workspace.presenter.walk.order[0]
+
+
+def test_four_eyes_refuse_the_author_and_say_so(desk):
+    uuid = desk.uuid
+    desk.do(KEY.Key_Return)
+    desk.workspace.session.queue = "audit"
+    desk.workspace.presenter.go_to(0)
+    desk.settle()
+    desk.do(KEY.Key_Return)
+    assert "another person has to review" in desk.page.message.text()
+    assert desk.book.head(uuid).state == "submitted"
+
+
+def test_review_can_be_taken_back_and_bulk_of_one_is_one_step(desk):
+    uuid = desk.uuid
+    desk.do(KEY.Key_Return)
+    desk.enter_as("Bob")
+    show_queue(desk, "review")
+    desk.do(KEY.Key_Return, KEY.Key_U)
+    assert desk.book.head(uuid).state == "submitted"
+
+
+def test_the_models_displacement_is_accepted_by_one_key_but_not_approved(desk):
+    go_to_unlabelled(desk)
+    uuid, model = desk.uuid, desk.now.item.model
+    assert model is not None
+    desk.do(KEY.Key_Return)
+    head = desk.book.head(uuid)
+    assert (head.source, head.state) == (model.source, "submitted")
+    assert head.label.offset_mm == pytest.approx(model.fit.offset_mm, abs=0.001)
+    assert head.label.sigma_um == round(1e3 * model.fit.sigma_mm)
+    assert len(model.weights) == 64
+
+
+def test_blind_nobody_sees_nor_takes_the_model(desk):
+    walk = desk.workspace.presenter.walk
+    walk.note(walk.order[3], ("model 9.0 \N{GREEK SMALL LETTER SIGMA} off",))
+    assert desk.page.list.rows()[3].badges
+    desk.do((KEY.Key_B, CTRL))
+    go_to_unlabelled(desk)
+    uuid = desk.uuid
+    assert desk.page.view.scene.ghosts == ()
+    assert "hidden" in desk.page.model_line.text()
+    rows = desk.page.list.rows()
+    assert not any("model" in badge for row in rows for badge in row.badges)
+    desk.do(KEY.Key_M, KEY.Key_Return)
+    assert desk.book.head(uuid).state == "unlabelled"
+    assert "no displacement yet" in desk.page.message.text()
+    desk.do(KEY.Key_H, KEY.Key_H)  # blind mode is not lifted by showing
+    assert desk.page.view.scene.ghosts == ()
+
+
+def test_blind_and_time_are_kept_with_the_answer(desk):
+    desk.do((KEY.Key_B, CTRL), KEY.Key_Return)
+    body = desk.book.log(limit=1)[0].body
+    assert body["blind"] is True
+    assert 0 <= body["seen_ms"] < 3_600_000
+
+
+def test_taking_the_model_keeps_its_name_until_a_person_moves_it(desk):
+    uuid = desk.uuid
+    desk.do(KEY.Key_M)
+    head = desk.book.head(uuid)
+    assert head.source.startswith("model:")
+    desk.press(KEY.Key_Right)
+    desk.settle()
+    head = desk.book.head(uuid)
+    assert (head.source, head.label.sigma_um) == ("human", 200)
+
+
+def test_the_page_says_what_a_label_rests_on(desk):
+    assert "commanded displacement, sigma 0.30 mm" in desk.page.basis.text()
+    desk.press(KEY.Key_Right)
+    desk.settle()
+    assert "set by Ann, sigma 0.20 mm" in desk.page.basis.text()
+    assert [g.kind for g in desk.page.view.scene.ghosts] == ["commanded", "model"]
+
+
+def test_a_far_model_is_badged(desk):
+    desk.now.edit = desk.now.edit.placed(40.0, 40.0).trusted(0.1)
+    desk.workspace.presenter.show_edit()
+    assert any(badge.startswith("model") for badge in desk.page.strip.badges)
+    assert desk.page.strip.warns
+
+
+def test_a_damaged_file_costs_one_episode(start, folder):
+    files = sorted((folder / "raw").rglob("*.mcap")) or sorted(folder.rglob("*.mcap"))
+    data = bytearray(files[1].read_bytes())
+    data[len(data) // 2] ^= 0xFF
+    files[1].write_bytes(bytes(data))
+    desk = start()
+    desk.workspace.presenter.go_to(1)
+    desk.settle()
+    assert desk.now is None
+    assert "cannot be read" in desk.page.nothing.title.text()
+    assert "damaged" in desk.page.message.text()
+    desk.do(KEY.Key_PageDown)
+    assert desk.now is not None
+
+
+def test_what_is_remembered_is_checked(start):
+    desk = start()
+    dropped = desk.workspace.recall({"person": 7, "queue": "x", "sigma_mm": -1.0, "blind": "no"})
+    assert sorted(dropped) == ["blind", "person", "queue", "sigma_mm"]
+    assert desk.workspace.memory()["person"] == "Ann"
+
+
+def test_a_second_window_looks_but_does_not_write(start, folder):
+    from touchdown.backend.annotations.dataset import Dataset
+
+    with Dataset.open(folder, person="Zoe"):
+        desk = start()
+        uuid = desk.uuid
+        desk.do(KEY.Key_Return)
+        assert "reading only" in desk.page.message.text()
+        assert desk.book.head(uuid).state == "draft"
+
+
+def test_the_label_moves_every_view_to_one_instant(desk):
+    desk.do(KEY.Key_BracketLeft)
+    t_s = desk.page.film.cursor_s
+    assert desk.page.forces.cursor_s == desk.page.moments.cursor_s == t_s
+    assert desk.now.item.span_s[0] <= t_s < 2.0
+
+
+def test_labels_without_displacement_ask_for_one(desk):
+    desk.do((KEY.Key_B, CTRL))
+    go_to_unlabelled(desk)
+    assert desk.page.verdict.text() == "No displacement yet"
+    desk.press(KEY.Key_Right)
+    desk.settle()
+    assert desk.book.head(desk.uuid).label == Label(100, 0, 0, 200)
+
+
+def test_gold_looks_like_the_rest_of_a_blind_audit_and_a_verdict_there_changes_no_label(desk):
+    presenter, order = desk.workspace.presenter, desk.workspace.presenter.walk.order
+    gold, other = order[:2]
+    for uuid in (gold, other):
+        desk.book.accept("Bob", uuid)
+    desk.book.approve("Cleo", gold)
+    desk.book.flag("Cleo", gold)
+    heads = {uuid: desk.book.head(uuid) for uuid in (gold, other)}
+    desk.workspace.session.queue = "audit"
+    desk.do((KEY.Key_B, CTRL))  # from here on answers are opinions
+    entries = {e.uuid: e for e in presenter.dataset.episodes()}
+    presenter.walk.begin([gold, other], entries, "")
+    presenter.go_to(0)
+    desk.settle()
+    page, seen = desk.page, []
+    for uuid in (gold, other):
+        assert desk.uuid == uuid
+        row = page.list.rows()[presenter.walk.at]
+        seen.append((
+            row.state, row.badges, page.strip.state, page.strip.badges, page.strip.saved,
+            page.basis.text(), page.message.text(), page.side.history.list.count(),
+        ))  # fmt: skip
+        desk.do(KEY.Key_V, KEY.Key_S)
+        assert "says stable" in page.strip.badges
+        desk.type("1,2")
+        desk.do(KEY.Key_Return, KEY.Key_Return)
+    assert seen[0] == seen[1]
+    assert [row.badges for row in page.list.rows()] == [("answered",)] * 2
+    assert {uuid: desk.book.head(uuid) for uuid in heads} == heads
+    kept = desk.workspace.presenter.dataset.labels.log(actor="Ann", limit=2)
+    assert [o.body["opinions"][0]["verdict"] for o in kept] == ["stable", "stable"]
+
+
+def test_gold_among_the_ordinary_queue_cannot_be_told_and_keeps_its_label(desk, monkeypatch):
+    presenter = desk.workspace.presenter
+    gold = presenter.walk.order[:2]
+    for uuid in gold:
+        desk.book.accept("Bob", uuid, Label(1500, 0, 0, 50))
+        desk.book.approve("Cleo", uuid)
+    heads = {uuid: desk.book.head(uuid) for uuid in gold}
+    monkeypatch.setattr("touchdown.backend.annotations.queues.AUDIT_SHARE", 1.0)
+    desk.do((KEY.Key_R, CTRL))
+    order, rows = presenter.walk.order, desk.page.list.rows()
+    places = {uuid: order.index(uuid) for uuid in gold}
+    assert sorted(place // 20 for place in places.values()) == [0, 1]
+    assert {row.state for row in rows[: ITEMS - 2 * WITHOUT_LABEL]} == {"draft"}
+    seen = []
+    for uuid in (*gold, next(u for u in order if u not in gold)):
+        presenter.go_to(order.index(uuid))
+        desk.settle()
+        assert desk.uuid == uuid
+        page, at = desk.page, presenter.walk.at
+        rests_on = page.basis.text().partition(": ")[2]
+        versions = page.side.history.list.count()
+        shown = page.strip.state, page.message.text(), versions, rests_on
+        desk.do(KEY.Key_Right, KEY.Key_Return)
+        seen.append((shown, page.list.rows()[at].state))
+        desk.do(KEY.Key_U)
+        assert presenter.walk.at == at
+        desk.do(KEY.Key_Return)
+    assert seen[0] == seen[1] == seen[2]
+    assert {uuid: desk.book.head(uuid) for uuid in gold} == heads
+    assert "Ann on gold minus approved label, 2 episodes" in agreement_text(presenter.dataset)
+    desk.do((KEY.Key_R, CTRL))
+    assert not set(gold) & set(presenter.walk.order)

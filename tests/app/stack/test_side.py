@@ -1,0 +1,340 @@
+"""The fall is drawn as it was recorded; the story keeps what was told, in any order of repeats."""
+
+import numpy as np
+import pytest
+
+from tests.app.conftest import settle
+from tests.app.stand_in import stability
+from touchdown.app.shell.run_story import RunStory
+from touchdown.app.stack.comparison import MAX_QUESTIONS, StrategyRuns, stack_question
+from touchdown.app.stack.side import HOLD_S, SideViewPresenter
+from touchdown.backend.core.events import (
+    PhaseEntered,
+    Released,
+    RunFinished,
+    RunStarted,
+    StabilityJudged,
+    TrialStarted,
+)
+from touchdown.backend.core.values import Fall, Outcome
+from touchdown.backend.runs.requests import RunState, StackRequest
+from touchdown.widgets.base.panel import Panel
+from touchdown.widgets.views.scene import UPRIGHT, SideBody, SideView
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.3, -1.2, 1.57, 2.5])
+def test_a_turned_body_shows_the_sides_that_a_turned_rectangle_has(angle):
+    """Seen along y a cylinder is a rectangle; turned about y it is that rectangle turned."""
+    turn = (np.cos(angle / 2), 0.0, np.sin(angle / 2), 0.0)
+    above, foot = SideBody("pot", 7.5, 15.0, 38.0, 4.0, -2.0, turn).outlines_mm()
+    cos, sin = np.cos(angle), np.sin(angle)
+    for part, half, low, high in ((foot, 7.5, 0.0, 6.0), (above, 15.0, 6.0, 38.0)):
+        corners = np.array([(x, z) for x in (-half, half) for z in (low, high)])
+        turned = corners @ np.array([[cos, -sin], [sin, cos]]) + (4.0, -2.0)
+        assert part.max(axis=0) == pytest.approx(turned.max(axis=0), abs=1e-4)
+        assert part.min(axis=0) == pytest.approx(turned.min(axis=0), abs=1e-4)
+
+
+def test_a_fall_towards_the_viewer_shows_the_round_end():
+    turn = (np.cos(np.pi / 4), np.sin(np.pi / 4), 0.0, 0.0)
+    above, _ = SideBody("pot", 7.5, 15.0, 38.0, 0.0, 0.0, turn).outlines_mm()
+    assert np.hypot(*above.T) == pytest.approx(15.0, abs=1e-4)
+
+
+def fall():
+    t_s = np.linspace(0, 1, 11)
+    angle = 1.5 * t_s
+    pose = np.zeros((11, 2, 7))
+    pose[:, 0, 3] = 1.0
+    pose[:, 1, 0] = 0.004 + 0.010 * t_s
+    pose[:, 1, 2] = -0.020 * t_s
+    pose[:, 1, 3], pose[:, 1, 5] = np.cos(angle / 2), np.sin(angle / 2)
+    return Fall(t_s, pose, ("short", "pot"))
+
+
+def test_the_piece_follows_its_recorded_fall(bench, qtbot):
+    now_s = [50.0]
+    view = SideView(_theme())
+    panel = Panel("side", view)
+    qtbot.addWidget(panel)
+    panel.show()
+    qtbot.waitExposed(panel, timeout=60_000)
+    side = SideViewPresenter(bench, view, panel, lambda: now_s[0])
+    bench.turn(0.04)
+    side.take(RunStarted(0.0, "r", "pot", "short", "paper", 7, 1, True, "{}"))
+    side.take(TrialStarted(0.0, 1, 7, None))
+    _draw(side)
+    assert view.scene.hand_mm is not None
+    side.take(Released(1.0, 1, False, -2.0, fall()))
+    now_s[0] += 0.5
+    _draw(side)
+    piece = view.scene.piece
+    assert piece.x_mm == pytest.approx(9.0, abs=0.01)
+    assert piece.z_mm == pytest.approx(-10.0, abs=0.01)
+    assert 2 * np.arctan2(piece.turn[2], piece.turn[0]) == pytest.approx(0.75, abs=1e-3)
+    assert view.scene.span_mm[1] > 14.0 + 30.0, "all of the fallen piece is in the picture"
+    side.take(TrialStarted(0.0, 2, 8, None))
+    now_s[0] += HOLD_S - 0.6
+    _draw(side)
+    assert view.scene.piece.turn[2] == pytest.approx(np.sin(0.75), abs=1e-3)
+    assert view.scene.hand_mm is None, "the hand belongs to the next trial"
+    assert panel.detail.text() == "trial 1: fell"
+    now_s[0] += 0.2
+    _draw(side)
+    assert view.scene.piece.turn == UPRIGHT
+    assert view.scene.hand_mm is not None
+
+
+def test_the_piece_stays_on_its_support_while_the_hand_rises(bench, qtbot):
+    view = SideView(_theme())
+    panel = Panel("side", view)
+    qtbot.addWidget(panel)
+    panel.show()
+    qtbot.waitExposed(panel, timeout=60_000)
+    side = SideViewPresenter(bench, view, panel, lambda: 5.0)
+    side.take(RunStarted(0.0, "r", "pot", "short", "paper", 7, 1, True, "{}"))
+    side.take(TrialStarted(0.0, 1, 7, None))
+    bench.press = 1.0
+    bench.turn(0.04)
+    side.take(PhaseEntered(0.0, "rise", 1))
+    bench.press = 0.0
+    bench.turn(0.04)
+    _draw(side)
+    assert (view.scene.piece.x_mm, view.scene.piece.z_mm) == (2.5, 0.0)
+    assert view.scene.hand_mm == (4.0, 27.0)
+    assert panel.detail.text() == "let go"
+    side.take(Released(1.0, 1, True, 2.0, None))
+    _draw(side)
+    assert (view.scene.piece.x_mm, view.scene.piece.z_mm) == (2.5, 0.0)
+    assert panel.detail.text() == "trial 1: stands"
+
+
+@pytest.mark.parametrize("tilt_deg", [0.0, 12.0, -9.0])
+def test_a_turned_hand_is_drawn_turned_with_its_piece(bench, qtbot, tilt_deg):
+    """Turned about y, seen along y: the piece is a rectangle turned about the grasp pivot."""
+    view = SideView(_theme())
+    panel = Panel("side", view)
+    qtbot.addWidget(panel)
+    panel.show()
+    qtbot.waitExposed(panel, timeout=60_000)
+    side = SideViewPresenter(bench, view, panel, lambda: 5.0)
+    side.take(RunStarted(0.0, "r", "pot", "short", "paper", 7, 1, True, "{}"))
+    bench.turn(0.04)
+    bench.devices["arm"].turn_rad = (0.0, np.radians(tilt_deg), 0.0)
+    _draw(side)
+    hand = np.array(view.scene.hand_mm)
+    grip_mm = bench.catalogue.piece("pot").grip_height_mm
+    cos, sin = np.cos(np.radians(tilt_deg)), np.sin(np.radians(tilt_deg))
+    piece = view.scene.piece
+    # A positive turn about y carries what is below the pivot to smaller x.
+    assert (piece.x_mm, piece.z_mm) == pytest.approx(
+        hand - (grip_mm * sin, grip_mm * cos), abs=0.02
+    )
+    left, right = view.scene.fingers_mm()
+    along = left[3] - left[0]
+    assert np.degrees(np.arctan2(along[0], along[1])) == pytest.approx(tilt_deg, abs=0.05)
+    gap = right[0] - left[0]
+    assert np.hypot(*gap) == pytest.approx(2 * view.scene.jaws_mm, abs=0.01)
+
+
+def test_nothing_fallen_is_drawn_below_the_table(bench, qtbot):
+    view = SideView(_theme())
+    panel = Panel("side", view)
+    qtbot.addWidget(panel)
+    panel.show()
+    qtbot.waitExposed(panel, timeout=60_000)
+    now_s = [0.0]
+    side = SideViewPresenter(bench, view, panel, lambda: now_s[0])
+    bench.turn(0.04)
+    side.take(RunStarted(0.0, "r", "pot", "short", "paper", 7, 1, True, "{}"))
+    side.take(TrialStarted(0.0, 1, 7, None))
+    pose = np.array([[[0.05, 0.0, -0.1, np.cos(np.pi / 4), 0.0, np.sin(np.pi / 4), 0.0]]])
+    side.take(Released(1.0, 1, False, -2.0, Fall(np.zeros(1), pose, ("pot",))))
+    now_s[0] += 0.1
+    _draw(side)
+    lowest = min(part[:, 1].min() for part in view.scene.piece.outlines_mm())
+    assert lowest == pytest.approx(view.scene.table_mm, abs=1e-3)
+    assert view.scene.table_mm < -20.0
+
+
+def _draw(side):
+    side.draw()
+    side.draw()
+
+
+def _theme():
+    from touchdown.widgets.base.theme import Theme
+
+    return Theme()
+
+
+def test_a_repeated_probe_number_replaces_the_older_look():
+    story = RunStory()
+    story.take(TrialStarted(0.0, 1, 7, None))
+    for margin in (-1.0, 2.0):
+        story.take(StabilityJudged(1.0, stability((1.0, 1.0), margin), 1))
+    assert len(story.trial.probes) == 1
+    assert story.trial.probes[0].stability.margin_mm == 2.0
+
+
+def test_facts_before_any_trial_are_harmless():
+    story = RunStory()
+    story.take(StabilityJudged(1.0, stability((1.0, 1.0), 1.0), 1))
+    assert story.trial is None
+    assert story.outcomes == ()
+
+
+def test_a_new_run_forgets_the_old_one(live, bench):
+    bench.tell_start()
+    bench.tell_probe(1, (7.2, 3.1), -3.4)
+    settle(live)
+    bench.tell_start(piece="barrel")
+    settle(live)
+    assert live.workspaces["stack"].presenter.story.head.piece == "barrel"
+    assert len(live.workspaces["stack"].presenter.story.trials) == 1
+    assert live.workspaces["stack"].page.strip.thumbnails == []
+
+
+PAPER, BLIND = "paper", "pick-and-place"
+
+
+def begin(bench, strategy, seed=7):
+    bench.events.publish(
+        RunStarted(bench.clock_s(), strategy, "pot", "short", strategy, seed, 3, True, "{}")
+    )
+    bench.set_state(RunState.RUNNING)
+
+
+def end(bench, ending="finished"):
+    bench.events.publish(RunFinished(bench.clock_s(), "run", ending, ""))
+    bench.set_state(RunState.IDLE)
+
+
+def run(bench, strategy, outcome, margin):
+    """Tell one trial of a run; only the method probes."""
+    begin(bench, strategy)
+    bench.tell_trial(1)
+    if strategy == PAPER:
+        bench.tell_probe(1, (7.2, 3.1), -2.1)
+        bench.tell_probe(2, (4.6, 2.0), 1.6)
+    bench.tell_end(outcome, margin)
+    end(bench)
+
+
+@pytest.fixture
+def comparing(live, bench):
+    live.go("stack")
+    live.actions.action("stack.compare").trigger()
+    comparison = live.workspaces["stack"].comparison
+    yield comparison
+    comparison.sheet.close()
+
+
+def test_what_is_missing_is_run_one_after_the_other(live, bench, comparing):
+    sheet = comparing.sheet
+    assert [panel.count.text() for panel in sheet.panels] == ["Not run yet", "Not run yet"]
+    assert sheet.run.text() == "Run both"
+    sheet.run.click()
+    assert [request.strategy for request in bench.started] == [PAPER]
+    run(bench, PAPER, Outcome.PLACED, 1.6)
+    settle(live)
+    assert [request.strategy for request in bench.started] == [PAPER, BLIND]
+    run(bench, BLIND, Outcome.FELL, -0.8)
+    settle(live)
+    assert len({stack_question(request) for request in bench.started}) == 1
+    felt, blind = sheet.panels
+    assert (felt.count.text(), blind.count.text()) == ("1 of 1 placed", "0 of 1 placed")
+    assert felt.rate.text() == "100 % success, 95 % interval 21 to 100 %"
+    assert felt.trial.text().startswith("Placed after 3 probes.")
+    assert felt.belief.scene.belief.probes == 2
+    assert blind.trial.text().startswith("Fell")
+    assert blind.belief.scene.belief is None
+    assert sheet.run.text() == "Run both again"
+
+
+def test_any_strategy_can_stand_on_the_right_and_keeps_its_answer(live, bench, comparing):
+    sheet, (left, right) = comparing.sheet, comparing.sheet.panels
+    run(bench, PAPER, Outcome.PLACED, 1.6)
+    run(bench, "fused", Outcome.PLACED, 1.1)
+    settle(live)
+    names = {sheet.against.itemData(at) for at in range(sheet.against.count())}
+    assert {"zero-wrench", "fused", BLIND} <= names
+    assert PAPER not in names
+    for name, count, runs in (("fused", "1 of 1 placed", "Run both again"),
+                              ("zero-wrench", "Not run yet", "Run the other one")):  # fmt: skip
+        at = sheet.against.findData(name)
+        sheet.against.setCurrentIndex(at)
+        sheet.against.activated.emit(at)
+        assert right.accessibleName() == sheet.against.itemText(at)
+        assert right.count.text() == count
+        assert left.count.text() == "1 of 1 placed"
+        assert sheet.run.text() == runs
+    sheet.run.click()
+    assert [request.strategy for request in bench.started] == ["zero-wrench"]
+    settle(live)
+    assert not sheet.against.isEnabled()
+
+
+def test_devices_let_nothing_go_untested(live, bench):
+    live.go("stack")
+    bench.simulated = False
+    live.actions.action("stack.compare").trigger()
+    sheet = live.workspaces["stack"].comparison.sheet
+    assert sheet.against.findData(BLIND) == -1
+    assert sheet.against.currentData() == live.workspaces["stack"].comparison._pair[1] != BLIND
+    assert sheet.against.findData("zero-wrench") >= 0
+    sheet.close()
+
+
+def test_a_run_that_was_cancelled_starts_no_other(live, bench, comparing):
+    comparing.sheet.run.click()
+    begin(bench, PAPER)
+    end(bench, "cancelled")
+    settle(live)
+    assert len(bench.started) == 1
+    assert comparing.sheet.run.text() == "Run both"
+
+
+def test_after_a_stop_nothing_is_run(live, bench, comparing):
+    live.stop()
+    settle(live)
+    assert not comparing.sheet.run.isEnabled()
+    assert "Reset" in comparing.sheet.run.toolTip()
+    comparing.run_missing()
+    settle(live)
+    assert bench.started == []
+
+
+def test_an_earlier_run_of_the_same_question_counts_and_another_seed_does_not(live, bench):
+    live.go("stack")
+    run(bench, PAPER, Outcome.PLACED, 1.6)
+    settle(live)
+    live.actions.action("stack.compare").trigger()
+    sheet = live.workspaces["stack"].comparison.sheet
+    assert sheet.run.text() == "Run the other one"
+    sheet.close()
+    live.workspaces["stack"].page.run._seed.setValue(8)
+    live.actions.action("stack.compare").trigger()
+    assert sheet.run.text() == "Run both"
+    sheet.close()
+
+
+def test_of_a_finished_trial_the_last_map_alone_is_kept(live, bench, comparing):
+    run(bench, PAPER, Outcome.PLACED, 1.6)
+    settle(live)
+    story = comparing._rivals.story(("pot", "short", 7, 3), PAPER)
+    assert [look.belief is not None for look in story.trials[0].probes] == [False, True]
+    shown = live.workspaces["stack"].presenter.story.trials[0].probes
+    assert all(look.belief is not None for look in shown), "the page itself can look back"
+
+
+def test_only_the_newest_questions_are_kept():
+    rivals = StrategyRuns()
+    for seed in range(MAX_QUESTIONS + 1):
+        rivals.take(RunStarted(0.0, "r", "pot", "short", PAPER, seed, 3, True, "{}"))
+    requests = [StackRequest("pot", ("short",), seed, 3) for seed in (0, 1, MAX_QUESTIONS)]
+    assert [rivals.story(stack_question(r), PAPER) is not None for r in requests] == [
+        False,
+        True,
+        True,
+    ]

@@ -1,0 +1,314 @@
+"""The Stack page asks the operator of a trial on devices; keys and buttons answer."""
+
+import pytest
+from PySide6.QtCore import Qt, QTimer
+from PySide6.QtGui import QKeySequence, QShortcut
+from PySide6.QtTest import QTest
+from PySide6.QtWidgets import (
+    QAbstractSpinBox,
+    QApplication,
+    QComboBox,
+    QFileDialog,
+    QLineEdit,
+    QMenu,
+    QMessageBox,
+    QSpinBox,
+)
+
+from tests.app.conftest import settle
+from touchdown.backend.core.events import (
+    HandOverAwaited,
+    OutcomeAwaited,
+    PhaseEntered,
+    PhotoKept,
+    SetUpAwaited,
+    TrialFinished,
+)
+from touchdown.backend.core.values import Outcome
+from touchdown.backend.devices.protocols import RobotMode
+from touchdown.backend.runs.requests import RunState
+
+PNG = b"\x89PNG\r\n\x1a\n" + bytes(40)
+ASKED = OutcomeAwaited(3.0, Outcome.FELL, "The opening fingers met a lateral force of 2.4 N.")
+
+
+@pytest.fixture
+def stack(live, bench):
+    live.go("stack")
+    bench.tell_start()
+    bench.set_state(RunState.RUNNING, trial=1, trials=1)
+    settle(live)
+    return live.workspaces["stack"]
+
+
+def press(main, key):
+    QTest.keyClick(main.window.windowHandle(), key)
+
+
+def test_the_scene_is_pictured_and_a_key_says_that_it_is_set(live, bench, stack):
+    trial = stack.page.trial
+    assert not trial.isVisible()
+    bench.events.publish(SetUpAwaited(0.0, "pot", "short", (6.2, -3.4), holds=False))
+    settle(live)
+    assert trial.isVisible()
+    assert trial.picture.scene.offset_mm == (6.2, -3.4)
+    assert "+6.2" in trial.text.text()
+    assert not stack.page.belief_panel.isVisible()
+    press(live, Qt.Key.Key_Y)
+    assert bench.answers == [True]
+    assert not trial.isVisible()
+    assert stack.page.belief_panel.isVisible()
+    press(live, Qt.Key.Key_Y)
+    assert bench.answers == [True], "nothing is asked any more"
+    bench.events.publish(HandOverAwaited(1.0, "pot", gives=True))
+    settle(live)
+    trial.no.click()
+    assert bench.answers == [True, False]
+
+
+def ask(live, bench):
+    bench.prompt.ask()
+    bench.events.publish(ASKED)
+    settle(live)
+
+
+@pytest.mark.parametrize(
+    ("key", "seen"),
+    [
+        (Qt.Key.Key_1, Outcome.PLACED),
+        (Qt.Key.Key_2, Outcome.FELL),
+        (Qt.Key.Key_3, Outcome.KNOCKED_OVER),
+        (Qt.Key.Key_Y, ASKED.proposed),
+    ],
+)
+def test_one_key_says_what_became_of_it(live, bench, stack, key, seen):
+    ask(live, bench)
+    roles = {o: b.property("role") for o, b in stack.page.trial.outcomes.items()}
+    assert [o for o, role in roles.items() if role == "primary"] == [ASKED.proposed]
+    press(live, key)
+    assert bench.prompt.seen == (seen, "")
+    assert not stack.page.trial.isVisible()
+
+
+def test_a_void_trial_needs_its_reason_and_is_listed(live, bench, stack):
+    ask(live, bench)
+    press(live, Qt.Key.Key_4)
+    assert bench.prompt.seen is None
+    trial = stack.page.trial
+    assert trial.reason.hasFocus()
+    QTest.keyClicks(trial.reason, "2 hands were in the way")
+    assert bench.prompt.seen is None, "keys of a text field judge nothing"
+    QTest.keyClick(trial.reason, Qt.Key.Key_Return)
+    assert bench.prompt.seen == (Outcome.ABORTED, "2 hands were in the way")
+    why = "Void: 2 hands were in the way."
+    bench.events.publish(TrialFinished(4.0, 1, 7, Outcome.ABORTED, why, 3, None, None))
+    settle(live)
+    assert "0 of 1 placed" in stack.page.score.words
+    assert f"Trial 1: {why}" in stack.page.score.words
+
+
+def test_a_picture_goes_beside_the_journal(live, bench, stack, tmp_path, qtbot):
+    bench.run_folder = tmp_path / "run"
+    ask(live, bench)
+    told = []
+    bench.events.subscribe(lambda fact: told.append(fact) if isinstance(fact, PhotoKept) else None)
+    for name, content in (("a.png", PNG), ("b.png", PNG), ("c.png", b"text")):
+        (tmp_path / name).write_bytes(content)
+        stack.attended.add_photo(tmp_path / name)
+    qtbot.waitUntil(lambda: not stack.attended._files.busy, timeout=60_000)
+    assert [fact.path for fact in told] == ["trial-001-1.png", "trial-001-2.png"]
+    assert (tmp_path / "run" / "photos" / "trial-001-2.png").read_bytes() == PNG
+    assert "no picture" in live.cards.card("PHOTO").text.what
+
+
+def test_what_is_asked_goes_when_the_run_goes_on(live, bench, stack):
+    ask(live, bench)
+    bench.events.publish(PhaseEntered(5.0, "lift", 1))
+    settle(live)
+    assert not stack.page.trial.isVisible()
+    press(live, Qt.Key.Key_1)
+    assert bench.prompt.seen is None
+
+
+PLACES = ["window", "combo", "spin box", "line edit", "combo popup", "menu", "message box",
+          "file dialog"]  # fmt: skip
+
+PAGES = ("operate", "collect", "train", "stack", "review")
+
+
+def press_stop(key):
+    """Press a key as the window system delivers it: to the window in front."""
+    window = (
+        QApplication.activePopupWidget()
+        or QApplication.activeModalWidget()
+        or QApplication.activeWindow()
+    )
+    QTest.keyClick(window.windowHandle(), key)
+
+
+def field_of(main, kind):
+    """Return a field of the page in front; a page without one gets one of its own."""
+    page = main.workspaces[main.window.front].page
+    for field in page.findChildren(kind):
+        if field.isVisible() and field.isEnabled() and field.objectName() != "qt_spinbox_lineedit":
+            return field
+    field = (QSpinBox if kind is QAbstractSpinBox else kind)(page)
+    if isinstance(field, QComboBox):
+        field.addItems(["one", "two"])
+    field.show()
+    return field
+
+
+def put_focus(main, place):
+    """Open what the case names; return what closes it again."""
+    kinds = {"combo": QComboBox, "spin box": QAbstractSpinBox, "line edit": QLineEdit}
+    if place in kinds:
+        field_of(main, kinds[place]).setFocus()
+    elif place == "combo popup":
+        combo = field_of(main, QComboBox)
+        combo.showPopup()
+        return combo.hidePopup
+    elif place == "menu":
+        menu = QMenu(main.window)
+        menu.addAction("one")
+        menu.popup(main.window.mapToGlobal(main.window.rect().center()))
+        return menu.close
+    elif place == "message box":
+        box = QMessageBox(QMessageBox.Icon.NoIcon, "t", "text", parent=main.window)
+        box.open()
+        return box.close
+    elif place == "file dialog":
+        dialog = QFileDialog(main.window)
+        dialog.setOption(QFileDialog.Option.DontUseNativeDialog)
+        dialog.open()
+        return dialog.close
+    return lambda: None
+
+
+@pytest.mark.promise("W2")
+@pytest.mark.parametrize("page", PAGES)
+def test_f12_stops_exactly_once_from_everywhere(live, bench, qtbot, page):
+    live.go(page)
+    for count, place in enumerate(PLACES, 1):
+        close = put_focus(live, place)
+        QApplication.processEvents()
+        press_stop(Qt.Key.Key_F12)
+        assert bench.stops == count, place
+        assert bench.interlock.latched, place
+        close()
+        live.reset()
+        QApplication.processEvents()
+        assert not bench.interlock.latched
+
+
+@pytest.mark.promise("R14", "W2")
+def test_f12_stops_in_every_state(live, bench):
+    for count, state in enumerate(RunState, 1):
+        bench.set_state(state)
+        settle(live)
+        press_stop(Qt.Key.Key_F12)
+        assert bench.stops == count, state
+        settle(live)
+        assert live.bar.pill.state.word == "STOPPED", state
+        live.reset()
+
+
+@pytest.mark.promise("W2")
+def test_f12_stops_inside_a_modal_loop(live, bench):
+    box = QMessageBox(QMessageBox.Icon.NoIcon, "t", "text", parent=live.window)
+    QTimer.singleShot(0, box, lambda: press_stop(Qt.Key.Key_F12))
+    QTimer.singleShot(50, box, box.close)
+    box.exec()
+    assert bench.stops == 1
+
+
+@pytest.mark.promise("W2")
+def test_space_stops_only_while_something_moves(live, bench):
+    live.workspaces["stack"].page.belief.setFocus()
+    press_stop(Qt.Key.Key_Space)
+    assert bench.stops == 0
+    bench.set_state(RunState.RUNNING)
+    press_stop(Qt.Key.Key_Space)
+    assert bench.stops == 1
+
+
+@pytest.mark.parametrize("key", [Qt.Key.Key_F12, Qt.Key.Key_Space])
+def test_no_shortcut_takes_a_stop_away(live, bench, key):
+    taken = []
+    QShortcut(QKeySequence(key), live.window).activated.connect(lambda: taken.append(key))
+    bench.set_state(RunState.RUNNING)
+    press_stop(key)
+    assert (bench.stops, taken) == (1, [])
+
+
+def test_space_stops_while_the_arm_moves_without_a_run(live, bench):
+    bench.devices["arm"].mode = RobotMode.MOVING
+    press_stop(Qt.Key.Key_Space)
+    assert bench.stops == 1
+
+
+@pytest.mark.promise("W2")
+def test_space_is_a_space_in_a_text_field(live, bench):
+    bench.set_state(RunState.RUNNING)
+    live.workspaces["stack"].page.run._seed.setFocus()
+    QApplication.processEvents()
+    press_stop(Qt.Key.Key_Space)
+    assert bench.stops == 0
+
+
+def test_space_never_presses_a_button_while_moving(live, bench):
+    bench.set_state(RunState.RUNNING)
+    settle(live)
+    live.workspaces["stack"].page.run.cancel.setFocus()
+    press_stop(Qt.Key.Key_Space)
+    assert bench.stops == 1
+    assert bench.engine.orders == []
+
+
+@pytest.mark.promise("W2")
+def test_a_held_key_is_one_stop(live, bench):
+    from PySide6.QtCore import QEvent
+    from PySide6.QtGui import QKeyEvent
+
+    window = live.window.windowHandle()
+    for repeat in (False, True, True):
+        event = QKeyEvent(
+            QEvent.Type.KeyPress,
+            Qt.Key.Key_F12,
+            Qt.KeyboardModifier.NoModifier,
+            autorep=repeat,
+        )
+        QApplication.sendEvent(window, event)
+    assert bench.stops == 1
+
+
+def test_the_button_stops_on_the_press(live, bench, qtbot):
+    qtbot.mousePress(live.bar.stop, Qt.MouseButton.LeftButton)
+    assert bench.stops == 1
+    qtbot.mouseRelease(live.bar.stop, Qt.MouseButton.LeftButton)
+    assert bench.stops == 1
+
+
+@pytest.mark.promise("W7")
+def test_stop_needs_reset_before_the_next_start(live, bench, qtbot):
+    press_stop(Qt.Key.Key_F12)
+    settle(live)
+    assert not live.workspaces["stack"].page.run.start.isEnabled()
+    assert live.cards.codes == ("STOPPED",)
+    live.cards.card("STOPPED")._act()
+    assert bench.resets == 1
+    settle(live)
+    assert live.cards.codes == ()
+    assert live.workspaces["stack"].page.run.start.isEnabled()
+
+
+def test_stop_before_a_bench_is_there_is_harmless(main, qtbot):
+    main.window.show()
+    qtbot.waitExposed(main.window, timeout=60_000)
+    QTest.keyClick(main.window.windowHandle(), Qt.Key.Key_F12)
+    assert main.cards.codes == ()
+
+
+def test_the_words_never_promise_an_emergency_stop(live):
+    assert "software" in live.bar.stop.text()
+    assert "emergency" not in live.bar.stop.text().lower()

@@ -1,0 +1,102 @@
+"""What the Train page says of a dataset that nobody has labelled yet."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import pytest
+
+from tests.backend.annotations.conftest import context_for, small_episode
+from touchdown.app.train.reading import TrainingReader
+from touchdown.app.train.text import autonomy_text, figure_rows
+from touchdown.backend.annotations.dataset import Dataset
+from touchdown.backend.annotations.values import Label
+from touchdown.backend.bench.assembly import model_in_use
+from touchdown.backend.learning.registry import HARDWARE_PROBES, SHIPPED_MODEL, ModelRegistry
+from touchdown.widgets.base.theme import Theme, load_resources
+from touchdown.widgets.forms.training_form import TrainingForm
+from touchdown.widgets.lists.tables import FigureTable
+
+
+def test_labels_that_would_count_are_named_with_the_way_to_them(tmp_path):
+    reading = TrainingReader(ModelRegistry(tmp_path / "models"))
+    form = replace(TrainingForm(), data=str(tmp_path / "data"), labels="approved")
+
+    def told(labels="approved"):
+        return reading.look(replace(form, labels=labels), anew=True).trouble
+
+    with Dataset.open(tmp_path / "data", person="ann") as dataset:
+        assert told() == (
+            "No label counts yet: accept labels in Label (Ctrl+2) and let somebody else approve "
+            "them."
+        )
+        context = context_for(dataset)
+        uuids = [
+            dataset.record(
+                small_episode(), Label(k, 0, 0, 9), source="measured", context=context
+            ).uuid
+            for k in range(3)
+        ]
+        assert told().startswith(
+            "No label counts yet. Labels 'All, with drafts' would give 3 episodes. Or"
+        )
+        assert told("drafts") == ""
+        dataset.labels.accept("ann", uuids[0])
+        assert "Labels 'Approved and submitted' would give 1 episode." in told()
+        dataset.labels.approve("bob", uuids[0])
+        assert told() == ""
+
+
+def test_a_promoted_model_can_be_rolled_back_without_data(tmp_path):
+    registry = ModelRegistry(tmp_path / "models")
+    reading, form = TrainingReader(registry), replace(TrainingForm(), data=str(tmp_path / "none"))
+    assert reading.look(form, anew=True).in_use is None
+    registry.promote(model_in_use("pot", None))
+    looked = reading.look(form, anew=True)
+    assert looked.trouble
+    assert looked.in_use is not None
+    assert (looked.in_use.piece, looked.in_use.before) == ("pot", SHIPPED_MODEL)
+
+
+def trained(piece, **bottoms):
+    figures = {name: {"iou": iou, "point_accuracy": 0.9} for name, iou in bottoms.items()}
+    whole = {"iou": sum(bottoms.values()) / len(bottoms), "point_accuracy": 0.9}
+    card = SimpleNamespace(metrics={"validation": {**whole, "bottoms": figures}})
+    return SimpleNamespace(card=card, about=SimpleNamespace(params={"piece": piece}))
+
+
+def test_trainings_of_one_piece_are_compared_bottom_by_bottom():
+    rows = figure_rows([trained("pot", short=0.5, long=0.7), trained("pot", short=0.6)])
+    assert rows == [
+        ("long", "70.0 / 90.0", "\N{EN DASH}"),
+        ("short", "50.0 / 90.0", "60.0 / 90.0"),
+        ("all", "60.0 / 90.0", "60.0 / 90.0"),
+    ]
+
+
+def test_trainings_of_two_pieces_name_them():
+    rows = figure_rows([trained("pot", short=0.5), trained("barrel", short=0.6)])
+    assert [row[0] for row in rows] == ["barrel, all", "barrel, short", "pot, all", "pot, short"]
+    assert rows[3] == ("pot, short", "50.0 / 90.0", "\N{EN DASH}")
+
+
+@pytest.mark.parametrize("probes", [None, 0, HARDWARE_PROBES - 1, HARDWARE_PROBES])
+def test_a_model_of_simulations_says_what_it_lacks(probes):
+    said = autonomy_text(probes)
+    assert (said == "") == (probes is None)
+    if probes is not None:
+        assert ("approve or step mode only" in said) == (probes < HARDWARE_PROBES)
+        assert str(probes) in said
+
+
+@pytest.mark.promise("W9")
+def test_rows_of_a_table_follow_the_text_down_as_well_as_up(qapp, qtbot):
+    load_resources()
+    theme, heights = Theme(), []
+    table = FigureTable(theme, "Figures", ("bottom", "IoU"))
+    qtbot.addWidget(table)
+    table.show_rows([("short", "0.5")])
+    for scale in (0.8, 2.0, 0.8):
+        theme.scale = scale
+        table.fit_to_theme()
+        heights.append(table.rowHeight(0))
+    assert heights[0] == heights[2] < heights[1]

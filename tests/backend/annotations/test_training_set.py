@@ -1,0 +1,281 @@
+"""The training cache: the same numbers as the files to half precision, rebuilt when they change."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.backend.annotations.conftest import context_for, small_episode
+from tests.backend.annotations.test_packs_in_datasets import write_pack
+from touchdown.backend.annotations import training_set
+from touchdown.backend.annotations.dataset import Dataset
+from touchdown.backend.annotations.training_set import (
+    CacheRow,
+    LabelChoice,
+    TrainingCache,
+    is_dataset,
+    load_training_set,
+    open_cache,
+    read_observation,
+)
+from touchdown.backend.annotations.values import Label
+from touchdown.backend.cli.command_line import main
+from touchdown.backend.core.faults import InputError
+from touchdown.backend.core.values import Episode, EpisodeQuality
+from touchdown.backend.episodes.episode_file import write_episode
+from touchdown.backend.episodes.mcap import read_chunks
+from touchdown.backend.episodes.packs import PackedEpisode, PackWriter
+from touchdown.backend.episodes.training_rows import TrainingRows, load_rows, patch_hex
+from touchdown.backend.geometry.pieces import load_pieces
+
+
+def truth(number: int) -> np.ndarray:
+    rng = np.random.default_rng(number)
+    scale = np.where(np.arange(258) < 252, 3.0, 20.0)
+    return (rng.normal(size=(20, 258)) * scale).astype(np.float32)
+
+
+def row(number: int, path: str, chunk: tuple[int, int] | None) -> CacheRow:
+    return CacheRow(f"e{number:04d}", f"{number:064x}", f"r{number}", path, chunk, number, -5, "p")
+
+
+@pytest.fixture
+def rows_cache(tmp_path: Path) -> list[CacheRow]:
+    """Eight episodes of a pack and two files of their own, in no order."""
+    (tmp_path / "packs").mkdir()
+    pack = tmp_path / "packs" / "a.mcap"
+    with PackWriter(pack, {}) as writer:
+        for number in range(8):
+            writer.write(PackedEpisode(truth(number), {"episode": f"e{number}"}))
+    quality = EpisodeQuality(True, (), 0, 0.0, 0, 0.0, 0.0)
+    listed = [
+        row(n, "packs/a.mcap", (chunk.offset, chunk.length))
+        for n, chunk in enumerate(read_chunks(pack))
+    ]
+    for number in (8, 9):
+        path = tmp_path / "raw" / "s" / f"e{number}.mcap"
+        episode = Episode(f"e{number}", "pot", truth(number), np.zeros(2), 0.0, quality)
+        write_episode(path, episode, None, {})
+        listed.append(row(number, f"raw/s/e{number}.mcap", None))
+    return listed[::-1]
+
+
+def numbers(opened: TrainingCache) -> list[int]:
+    return [int(r.revision[1:]) for r in opened.rows]
+
+
+def test_rows_come_back_to_half_precision(tmp_path: Path, rows_cache: list[CacheRow]) -> None:
+    opened = open_cache(tmp_path, rows_cache)
+    index = np.array([3, 0, 9, 3])
+    got = opened.batch(index).astype(np.float32)
+    expected = np.stack([truth(numbers(opened)[i]) for i in index])
+    assert got.shape == (4, 20, 258)
+    assert np.abs(got - expected).max() <= 0.032
+    close = np.abs(expected) < 8
+    assert np.abs(got - expected)[close].max() <= 0.004
+    opened.close()
+    exact = open_cache(tmp_path, rows_cache, "float32")
+    assert np.array_equal(exact.batch(index), expected)
+    exact.close()
+
+
+def test_a_cache_is_an_ordinary_array_with_its_facts(
+    tmp_path: Path, rows_cache: list[CacheRow]
+) -> None:
+    opened = open_cache(tmp_path, rows_cache)
+    opened.close()
+    array = np.load(opened.path)
+    assert (array.shape, array.dtype) == ((10, 20, 258), np.float16)
+    facts = json.loads(opened.path.with_suffix(".json").read_text())
+    assert facts["episode"] == sorted(r.episode for r in rows_cache)
+    assert facts["x_um"] == list(range(10))
+    assert facts["spec"]["rate_hz"] == 10
+
+
+def test_an_equal_set_is_not_built_again(
+    tmp_path: Path, rows_cache: list[CacheRow], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first = open_cache(tmp_path, rows_cache)
+    first.close()
+
+    def refuse(*_: object) -> None:
+        raise AssertionError("the files were read again")
+
+    monkeypatch.setattr(training_set, "read_observation", refuse)
+    again = open_cache(tmp_path, rows_cache[::-1])
+    assert again.path == first.path
+    again.close()
+    with pytest.raises(AssertionError):
+        open_cache(tmp_path, [replace(rows_cache[0], revision="other"), *rows_cache[1:]])
+
+
+@pytest.mark.parametrize("change", [{"sha256": "0" * 64}, {"revision": "r99"}])
+def test_another_file_or_revision_is_another_cache(
+    tmp_path: Path, rows_cache: list[CacheRow], change: dict[str, str]
+) -> None:
+    first = open_cache(tmp_path, rows_cache)
+    other = open_cache(tmp_path, [replace(rows_cache[0], **change), *rows_cache[1:]])
+    assert other.path != first.path
+    first.close()
+    other.close()
+
+
+@pytest.mark.parametrize("damage", ["cut", "no json", "foreign"])
+def test_half_a_cache_is_built_again(
+    tmp_path: Path, rows_cache: list[CacheRow], damage: str
+) -> None:
+    opened = open_cache(tmp_path, rows_cache)
+    opened.close()
+    if damage == "cut":
+        opened.path.write_bytes(opened.path.read_bytes()[:-999])
+    elif damage == "no json":
+        opened.path.with_suffix(".json").unlink()
+    else:
+        np.save(opened.path, np.zeros(3))
+    again = open_cache(tmp_path, rows_cache)
+    assert np.allclose(again.batch(np.array([0])), truth(numbers(again)[0]), atol=0.032)
+    again.close()
+
+
+def test_nothing_half_built_stays(tmp_path: Path, rows_cache: list[CacheRow]) -> None:
+    data = bytearray((tmp_path / "packs/a.mcap").read_bytes())
+    offset, length = rows_cache[-1].chunk or (0, 0)
+    data[offset + length - 30] ^= 0xFF
+    (tmp_path / "packs/a.mcap").write_bytes(data)
+    with pytest.raises(InputError) as error:
+        open_cache(tmp_path, rows_cache)
+    assert error.value.where.endswith("packs/a.mcap")
+    assert list((tmp_path / "cache").iterdir()) == []
+
+
+def test_a_wrong_place_in_a_pack_is_refused(tmp_path: Path, rows_cache: list[CacheRow]) -> None:
+    for chunk in ((3, 500), (0, 5), (10**9, 100), (8, 2**40)):
+        with pytest.raises(InputError):
+            read_observation(tmp_path, replace(rows_cache[-1], chunk=chunk))
+
+
+def test_only_the_newest_caches_stay(tmp_path: Path, rows_cache: list[CacheRow]) -> None:
+    for count in range(6, 11):
+        open_cache(tmp_path, rows_cache[:count]).close()
+    left = sorted(path.suffix for path in (tmp_path / "cache").iterdir())
+    assert left == [".json"] * training_set.KEPT_CACHES + [".npy"] * training_set.KEPT_CACHES
+    newest = open_cache(tmp_path, rows_cache[:10])
+    assert newest.path.exists()
+    newest.close()
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Episodes 0 to 9 of one grip each, in every state that matters; closed."""
+    folder = tmp_path / "data"
+    with Dataset.open(folder) as dataset:
+        context = context_for(dataset)
+        book = dataset.labels
+        for seed in range(10):
+            label = Label(1000 * seed, 0, 0, 100)
+            episode = small_episode(seed=seed, accepted=seed != 9)
+            dataset.record(episode, label, source="commanded", context=context)
+        ids = [entry.uuid for entry in dataset.episodes()]
+        for uuid in ids[1:6]:
+            book.set("ann", uuid, Label(500, 0, 0, 50))
+            book.accept("ann", uuid)
+        for uuid in ids[2:6]:
+            book.approve("bea", uuid)
+        book.set("ann", ids[3], Label(700, 0, 0, 50))
+        book.delete("ann", ids[4], "slip")
+        book.set("ann", ids[6], Label(600, 0, 0, 50))
+        book.accept("ann", ids[6])
+        book.reject("bea", ids[6], "slip")
+        (folder / dataset.entry(ids[5]).path).unlink()
+    Dataset.open(folder).close()
+    return folder
+
+
+def used(folder: Path, labels: LabelChoice) -> dict[int, float]:
+    """Seed of each episode used, with its x in mm."""
+    rows = load_training_set(folder, "pot", labels)
+    truth = {small_episode(seed=s).observation[0, 0].astype(np.float16): s for s in range(10)}
+    seeds = [truth[first] for first in rows.observation[:, 0, 0]]
+    return dict(zip(seeds, rows.offset_mm[:, 0].tolist(), strict=True))
+
+
+def test_the_latest_approved_label_counts(folder: Path) -> None:
+    assert used(folder, "approved") == {2: 0.5, 3: 0.5}
+
+
+def test_submitted_labels_where_wanted(folder: Path) -> None:
+    assert used(folder, "submitted") == {1: 0.5, 2: 0.5, 3: 0.5}
+
+
+def test_drafts_of_a_simulated_bench_where_wanted(folder: Path) -> None:
+    assert used(folder, "drafts") == {0: 0.0, 1: 0.5, 2: 0.5, 3: 0.5, 7: 7.0, 8: 8.0}
+
+
+def test_a_draft_by_a_person_is_never_used(folder: Path) -> None:
+    with Dataset.open(folder) as dataset:
+        uuid = next(e.uuid for e in dataset.episodes() if e.state == "draft")
+        dataset.labels.set("ann", uuid, Label(1, 1, 0, 1))
+    assert len(used(folder, "drafts")) == 5
+
+
+def test_nothing_labelled_says_what_to_do(tmp_path: Path) -> None:
+    folder = tmp_path / "data"
+    with Dataset.open(folder) as dataset:
+        label = Label(1, 1, 0, 1)
+        dataset.record(small_episode(), label, source="commanded", context=context_for(dataset))
+    with pytest.raises(InputError, match="--labels submitted or drafts"):
+        load_training_set(folder)
+    assert is_dataset(folder)
+    with pytest.raises(InputError, match="only of pot"):
+        load_training_set(folder, "barrel", "drafts")
+
+
+def test_a_pack_in_a_dataset_trains_as_it_does_alone(tmp_path: Path) -> None:
+    folder = tmp_path / "data"
+    Dataset.open(folder).close()
+    write_pack(folder / "packs" / "a.mcap", 20)
+    Dataset.open(folder).close()
+    alone, rows = load_rows(folder / "packs", "pot"), load_training_set(folder, "pot", "drafts")
+    assert (rows.piece, rows.geometry) == (alone.piece, alone.geometry)
+    order = [by_offset(alone)[key] for key in map(tuple, rows.offset_mm.tolist())]
+    assert np.array_equal(rows.patch, alone.patch[order])
+    assert [rows.grip_id[i] for i in range(20)] == [alone.grip_id[i] for i in order]
+    got = rows.inputs(np.arange(20))
+    assert got.dtype == np.float32
+    assert np.abs(got - alone.observation[order]).max() < 0.002
+
+
+def by_offset(rows: TrainingRows) -> dict[tuple[float, float], int]:
+    return {(float(x), float(y)): i for i, (x, y) in enumerate(rows.offset_mm)}
+
+
+def test_a_turned_label_has_a_turned_patch(tmp_path: Path) -> None:
+    folder = tmp_path / "data"
+    with Dataset.open(folder) as dataset:
+        context = context_for(dataset, bottom="square15")
+        for seed, theta in enumerate((0, 45_000)):
+            label = Label(6000, 0, theta, 100)
+            dataset.record(small_episode(seed=seed), label, source="commanded", context=context)
+        derived = [dataset.patch(entry.uuid).touching for entry in dataset.episodes()]
+    rows = load_training_set(folder, "pot", "drafts")
+    assert [patch_hex(p) for p in rows.patch] == [patch_hex(p) for p in derived]
+    assert rows.geometry == load_pieces().piece("pot").sha256
+
+
+def test_the_train_verb_takes_a_dataset(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    folder = tmp_path / "data"
+    Dataset.open(folder).close()
+    write_pack(folder / "packs" / "a.mcap", 24)
+    Dataset.open(folder).close()
+    out = tmp_path / "pot.safetensors"
+    words = ["train", str(folder), "--epochs", "1", "--out", str(out), "--json"]
+    assert main(words) == 2
+    assert "--labels" in capfd.readouterr().err
+    assert main([*words, "--labels", "drafts"]) == 2
+    assert "--divide-series" in capfd.readouterr().err, "one series cannot be kept apart"
+    assert main([*words, "--labels", "drafts", "--divide-series"]) == 0
+    answer = json.loads(capfd.readouterr().out)
+    assert (answer["episodes"], answer["piece"]) == (24, "pot")
+    assert out.exists()

@@ -1,0 +1,313 @@
+"""Plane and edges against the fit of numpy and against clipped outlines."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from shapely import affinity
+from shapely.geometry import box
+
+from touchdown.backend.calibration.estimators import (
+    EDGE_SIGMA_MM,
+    FELT_SIGMA_MM,
+    FORCE_SIGMA_N,
+    MOMENT_SIGMA_NM,
+    TouchedEdge,
+    estimate_board,
+    estimate_level_payload,
+    estimate_payload,
+    estimate_tool,
+    estimate_wrist,
+    fit_edges,
+    fit_plane,
+)
+from touchdown.backend.calibration.result import CalibrationEstimate
+from touchdown.backend.core.faults import RefusedError
+from touchdown.backend.simulation.wrist_sensor import wrist_wrench
+
+PLACES = np.array([[0, 0], [4, 4], [-4, 4], [4, -4], [-4, -4]], dtype=float)
+TOUCHES = np.column_stack([PLACES, 30.0 + 0.004 * PLACES[:, 0] - 0.002 * PLACES[:, 1]])
+
+
+def felt_edges(
+    centre, yaw_rad, board=(40.0, 36.0), piece=(15.0, 15.0), along=8.0
+) -> list[TouchedEdge]:
+    """Return where a piece that is pushed off the board loses it, by shapely and halving."""
+    ground = affinity.translate(
+        affinity.rotate(box(-board[0] / 2, -board[1] / 2, board[0] / 2, board[1] / 2),
+                        yaw_rad, origin=(0, 0), use_radians=True), *centre)  # fmt: skip
+    held = box(-piece[0] / 2, -piece[1] / 2, piece[0] / 2, piece[1] / 2)
+    edges = []
+    for axis in range(2):
+        for side in (-1.0, 1.0):
+            for off in (-along, along):
+                inside, outside = 0.0, 60.0
+                while outside - inside > 1e-6:
+                    middle = 0.5 * (inside + outside)
+                    place = [off, off]
+                    place[axis] = side * middle
+                    if affinity.translate(held, *place).intersects(ground):
+                        inside = middle
+                    else:
+                        outside = middle
+                edges.append(TouchedEdge(axis, side, off, side * inside))
+    return edges
+
+
+def test_the_plane_is_the_one_that_numpy_fits() -> None:
+    rng = np.random.default_rng(0)
+    touches = TOUCHES + np.array([0, 0, 0.05]) * rng.standard_normal(TOUCHES.shape)
+    ours = fit_plane(touches)
+    theirs = np.linalg.lstsq(np.column_stack([np.ones(5), PLACES]), touches[:, 2], rcond=None)[0]
+    np.testing.assert_allclose(ours.solution.x, theirs)
+
+
+def test_edges_of_a_board_that_is_off_and_turned_give_place_and_yaw() -> None:
+    found = fit_edges(felt_edges((0.8, -1.3), 0.02), yaw=True)
+    # The turned corner stands out by a part of the second order.
+    np.testing.assert_allclose(found.x[:2], [0.8, -1.3], atol=0.03)
+    assert found.x[4] == pytest.approx(0.02, abs=2e-4)
+    assert np.abs(found.residuals).max() < 0.02
+
+
+def test_the_place_covers_the_truth_as_often_as_it_says() -> None:
+    rng = np.random.default_rng(4)
+    edges = felt_edges((0.0, 0.0), 0.0)
+    scores = []
+    for _ in range(400):
+        noisy = [TouchedEdge(e.axis, e.side, e.along_mm, e.at_mm + EDGE_SIGMA_MM * n)
+                 for e, n in zip(edges, rng.standard_normal(8), strict=True)]  # fmt: skip
+        found = fit_edges(noisy, yaw=True)
+        scores.append((found.x[[0, 1, 4]]) / np.sqrt(np.diag(found.covariance)[[0, 1, 4]]))
+    assert (np.abs((np.abs(scores) < 1.0).mean(axis=0) - 0.683) < 0.093).all()
+
+
+def test_a_board_is_one_estimate_with_its_larger_residual() -> None:
+    edges = felt_edges((0.8, -1.3), 0.01)
+    found = estimate_board(TOUCHES, edges, "board")
+    assert found.acceptable
+    assert found.value("z_mm") == pytest.approx(30.0 + 0.004 * 0.8 + 0.002 * 1.3, abs=1e-3)
+    assert found.value("slope_x_rad") == pytest.approx(0.004)
+    bent = TOUCHES.copy()
+    bent[0, 2] += 0.5
+    assert estimate_board(bent, edges, "board").residual > 0.1
+    off = [*edges[:-1], TouchedEdge(1, 1.0, 8.0, edges[-1].at_mm + 1.0)]
+    assert not estimate_board(TOUCHES, off, "board").acceptable
+
+
+@pytest.mark.parametrize(("yaw", "way"), [(0.05, " clockwise"), (-0.05, "counter-clockwise")])
+def test_a_bottom_that_is_turned_is_turned_back_not_accepted(yaw: float, way: str) -> None:
+    found = estimate_board(TOUCHES, felt_edges((0.0, 0.0), yaw), "board")
+    assert found.residual <= found.limit
+    assert not found.acceptable
+    assert "2.9°" in found.obstacle
+    assert way in found.obstacle
+    # Of a piece that is held askew the bottom knows nothing.
+    assert estimate_board(TOUCHES, felt_edges((0.0, 0.0), yaw), "piece").obstacle == ""
+
+
+def test_round_edges_tell_no_yaw() -> None:
+    found = estimate_board(TOUCHES, felt_edges((0, 0), 0.0, along=0.0), "")
+    assert "yaw_rad" not in [q.name for q in found.quantities]
+    assert "No yaw" in found.note
+
+
+def test_too_little_is_refused_by_name() -> None:
+    edges = felt_edges((0, 0), 0.0)
+    cases = [
+        (lambda: fit_plane(TOUCHES[:3]), "TOUCHES"),
+        (lambda: fit_plane(TOUCHES[[0, 1, 4, 1]]), "DEGENERATE"),
+        (lambda: fit_edges(edges[:5], yaw=True), "EDGES"),
+        (lambda: fit_edges([e for e in edges if e.side > 0] * 2, yaw=True), "DEGENERATE"),
+        (lambda: fit_edges(felt_edges((0, 0), 0.0, along=0.0), yaw=True), "DEGENERATE"),
+    ]
+    for call, reason in cases:
+        with pytest.raises(RefusedError) as refused:
+            call()
+        assert refused.value.reason == reason
+
+
+MASS_KG, COM_MM = 1.5, np.array([3.0, -2.0, -60.0])
+BIAS = np.array([0.8, -1.2, 2.5, 0.03, -0.02, 0.01])
+LEANS = np.radians([[0, 0, 0], [20, 0, 0], [-20, 0, 0], [0, 20, 0], [0, -20, 0], [14, 14, 0]])
+TURNS = Rotation.from_rotvec(LEANS).as_matrix()
+
+
+def readings(turns: np.ndarray) -> np.ndarray:
+    """Return the readings of a perfect sensor with a bias, pose by pose."""
+    rows = []
+    for turn in turns:
+        force = turn.T @ [0.0, 0.0, -MASS_KG * 9.80665]
+        rows.append(np.concatenate([force, np.cross(1e-3 * COM_MM, force)]) + BIAS)
+    return np.array(rows)
+
+
+def test_perfect_readings_give_the_truth() -> None:
+    found = estimate_payload(TURNS, readings(TURNS))
+    values = np.array([q.value for q in found.quantities])
+    np.testing.assert_allclose(values, [MASS_KG, *COM_MM, *BIAS], atol=1e-9)
+    assert found.residual < 1e-9
+    assert found.acceptable
+
+
+def test_the_uncertainties_cover_the_truth_as_often_as_they_say() -> None:
+    rng = np.random.default_rng(1)
+    sigma = np.repeat([FORCE_SIGMA_N, MOMENT_SIGMA_NM], 3)
+    truth, perfect = np.array([MASS_KG, *COM_MM, *BIAS]), readings(TURNS)
+    scores = []
+    for _ in range(400):
+        found = estimate_payload(TURNS, perfect + sigma * rng.standard_normal(perfect.shape))
+        values = np.array([q.value for q in found.quantities])
+        scores.append((values - truth) / [q.sigma for q in found.quantities])
+    inside = (np.abs(scores) < 1.0).mean(axis=0)
+    # 68.3 %, give or take four standard deviations of 400 draws.
+    assert (np.abs(inside - 0.683) < 0.093).all()
+    assert np.abs(np.mean(scores, axis=0)).max() < 4.0 / np.sqrt(400)
+
+
+def test_the_covariance_is_that_of_repeated_measurements() -> None:
+    rng = np.random.default_rng(2)
+    sigma = np.repeat([FORCE_SIGMA_N, MOMENT_SIGMA_NM], 3)
+    perfect = readings(TURNS)
+    values = [
+        [q.value for q in estimate_payload(TURNS, noisy).quantities]
+        for noisy in perfect + sigma * rng.standard_normal((600, *perfect.shape))
+    ]
+    told = estimate_payload(TURNS, perfect).covariance
+    size = np.sqrt(np.diag(told))
+    np.testing.assert_allclose(np.cov(np.array(values).T) / np.outer(size, size),
+                               told / np.outer(size, size), atol=0.18)  # fmt: skip
+
+
+def test_a_cable_that_pulls_in_one_pose_is_not_accepted() -> None:
+    pulled = readings(TURNS)
+    pulled[2, 0] += 1.0
+    found = estimate_payload(TURNS, pulled)
+    assert found.residual > 0.3
+    assert not found.acceptable
+
+
+@pytest.mark.parametrize(
+    ("turns", "reason"),
+    [
+        (TURNS[:5], "POSES"),
+        (np.tile(np.eye(3), (6, 1, 1)), "DEGENERATE"),
+        # About the vertical nothing changes for gravity.
+        (Rotation.from_euler("z", np.arange(6)[:, None]).as_matrix(), "DEGENERATE"),
+    ],
+)
+def test_poses_that_do_not_tell_are_refused(turns, reason) -> None:
+    with pytest.raises(RefusedError) as refused:
+        estimate_payload(turns, readings(turns))
+    assert refused.value.reason == reason
+
+
+def test_a_reading_that_is_no_number_is_refused() -> None:
+    broken = readings(TURNS)
+    broken[0, 0] = np.nan
+    for estimate in (
+        lambda: estimate_payload(TURNS, broken),
+        lambda: estimate_level_payload(broken),
+    ):
+        with pytest.raises(RefusedError, match="NOT-FINITE"):
+            estimate()
+
+
+def test_a_wrong_sign_is_named() -> None:
+    assert "ft.sign" in estimate_payload(TURNS, -readings(TURNS)).obstacle
+    with pytest.raises(RefusedError, match=r"ft\.sign"):
+        estimate_level_payload(-readings(np.tile(np.eye(3), (6, 1, 1))))
+
+
+def test_a_level_hand_gives_mass_and_place_in_the_plane_and_says_what_it_leaves_open() -> None:
+    level = readings(np.tile(np.eye(3), (6, 1, 1))) - BIAS
+    found = estimate_level_payload(level)
+    assert [q.name for q in found.quantities] == ["mass_kg", "com_x_mm", "com_y_mm"]
+    np.testing.assert_allclose([q.value for q in found.quantities], [MASS_KG, *COM_MM[:2]])
+    assert found.acceptable
+    assert "height" in found.note
+    assert not estimate_level_payload(level + BIAS).acceptable
+
+
+def test_the_covariance_of_a_level_hand_covers() -> None:
+    rng = np.random.default_rng(3)
+    sigma = np.repeat([FORCE_SIGMA_N, MOMENT_SIGMA_NM], 3)
+    level = readings(np.tile(np.eye(3), (6, 1, 1))) - BIAS
+    scores = []
+    for _ in range(400):
+        found = estimate_level_payload(level + sigma * rng.standard_normal(level.shape))
+        errors = np.array([q.value for q in found.quantities]) - [MASS_KG, *COM_MM[:2]]
+        scores.append(errors / [q.sigma for q in found.quantities])
+    assert (np.abs((np.abs(scores) < 1.0).mean(axis=0) - 0.683) < 0.093).all()
+
+
+FACE, BOTTOM = np.array([0.4, -0.3]), np.array([1.2, 2.5])
+TOOL_AND_WRIST_LEANS = np.radians(
+    [[0, 0, 0], [14, 0, 0], [-14, 0, 0], [0, 14, 0], [0, -14, 0], [10, 10, 0]]
+)
+
+
+def leaning(yaw: float) -> np.ndarray:
+    """Return the readings of a biased sensor rotated by ``yaw``, pose by pose."""
+    rows = []
+    for turn in TURNS:
+        force = turn.T @ [0.0, 0.0, -1.5 * 9.80665]
+        at_g = np.concatenate([force, np.cross([1.0, 2.0, 60.0], force)])
+        rows.append(wrist_wrench(at_g, 120.0, yaw) + BIAS)
+    return np.array(rows)
+
+
+def scores_of(found: CalibrationEstimate, truth) -> list[float]:
+    return [(q.value - t) / q.sigma for q, t in zip(found.quantities, truth, strict=True)]
+
+
+def test_the_face_centre_covers_the_truth_as_often_as_it_says() -> None:
+    rng = np.random.default_rng(6)
+    scores = []
+    for _ in range(400):
+        grips = BOTTOM - FACE + FELT_SIGMA_MM * rng.standard_normal((5, 2))
+        found = estimate_tool(BOTTOM + 0.1 * rng.standard_normal(2), 0.1, grips)
+        scores.append(scores_of(found, FACE))
+    assert (np.abs((np.abs(scores) < 1.0).mean(axis=0) - 0.683) < 0.093).all()
+
+
+def test_grips_that_scatter_are_not_accepted() -> None:
+    scattered = BOTTOM - FACE + np.array([[0.0, 0.0], [0.6, 0.0], [0.0, -0.6]])
+    assert not estimate_tool(BOTTOM, 0.1, scattered).acceptable
+
+
+@pytest.mark.parametrize("yaw", [0.0, 0.02, -0.5, 1.6, 3.0])
+def test_the_yaw_of_the_sensor_is_found_whatever_its_bias(yaw) -> None:
+    found = estimate_wrist(TURNS, leaning(yaw))
+    assert found.value("yaw_rad") == pytest.approx(yaw, abs=1e-9)
+    assert found.value("mass_kg") == pytest.approx(1.5)
+    assert found.residual < 1e-9
+    assert bool(found.obstacle) == (abs(yaw) > 0.1)
+
+
+def test_a_turned_sensor_is_no_payload() -> None:
+    assert estimate_payload(TURNS, leaning(0.0)).acceptable
+    assert not estimate_payload(TURNS, leaning(0.2)).acceptable
+
+
+def test_the_yaw_covers_the_truth_as_often_as_it_says() -> None:
+    rng = np.random.default_rng(7)
+    perfect = leaning(0.02)
+    scores = []
+    for _ in range(400):
+        noisy = perfect + FORCE_SIGMA_N * rng.standard_normal(perfect.shape)
+        scores.append(scores_of(estimate_wrist(TURNS, noisy), [0.02, 1.5]))
+    assert (np.abs((np.abs(scores) < 1.0).mean(axis=0) - 0.683) < 0.093).all()
+
+
+def test_too_little_is_refused_by_name_tool_and_wrist() -> None:
+    level = np.tile(np.eye(3), (6, 1, 1))
+    for call, reason in (
+        (lambda: estimate_tool(BOTTOM, 0.1, np.zeros((2, 2))), "GRIPS"),
+        (lambda: estimate_wrist(TURNS[:5], leaning(0.0)[:5]), "POSES"),
+        (lambda: estimate_wrist(level, leaning(0.0)), "DEGENERATE"),
+    ):
+        with pytest.raises(RefusedError) as refused:
+            call()
+        assert refused.value.reason == reason

@@ -1,0 +1,506 @@
+"""``touchdown bench``, and what other verbs refuse of a lab file before touching a device."""
+
+from __future__ import annotations
+
+import argparse
+import io
+import json
+import re
+import shlex
+import sys
+from argparse import ArgumentParser
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from tests.backend.annotations.conftest import context_for, small_episode
+from tests.backend.bench.brisk import RATE_HZ
+from touchdown.backend.annotations.backups import list_backups
+from touchdown.backend.annotations.dataset import Dataset
+from touchdown.backend.annotations.values import Label
+from touchdown.backend.calibration.records import CalibrationStore, read_record
+from touchdown.backend.calibration.result import CALIBRATION_NAMES, CalibrationEstimate, Quantity
+from touchdown.backend.cli import calibrate, collect, stack
+from touchdown.backend.cli.bench import _timing_table
+from touchdown.backend.cli.collect import coverage_text
+from touchdown.backend.cli.command_line import main
+from touchdown.backend.cli.connection import fill_in_scene, wait_for_disk_space
+from touchdown.backend.cli.output import VerbOutput
+from touchdown.backend.core.events import RunFinished
+from touchdown.backend.core.faults import Fault
+from touchdown.backend.episodes.quality import count_coverage
+from touchdown.backend.geometry.outlines import circle
+from touchdown.backend.rig.diagnostics import SensorTiming
+from touchdown.backend.runs.recorder import calibrations_folder
+
+
+@pytest.fixture
+def lab(tmp_path, capsys):
+    path = tmp_path / "lab.toml"
+    assert main(["bench", str(path), "--new"]) == 0
+    capsys.readouterr()
+    return path
+
+
+def test_a_new_file_is_read_back_with_what_is_still_made_up(lab, capsys):
+    assert main(["bench", str(lab), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert (told["name"], told["kind"], told["limits"]["trip_n"]) == ("My lab", "hardware", 40.0)
+    assert told["devices"]["arm"] == "melfa 192.168.0.20:10001"
+    blank = {"ft.address", "gelsight.left.serial", "gelsight.right.serial"}
+    assert {"melfa.mxt.error_overspeed"} | blank <= set(told["placeholders"])
+    assert main(["bench", str(lab)]) == 0
+    assert "enter the values of the lab" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("table", "key"),
+    [("[ft]", "ft"), ("[gelsight]", "gelsight"), ("[wsg]", "wsg"), ("[melfa]", "melfa")],
+)
+def test_a_driver_that_nobody_offers_is_named_before_anything_is_connected(lab, capsys, table, key):
+    text = re.sub(r"(?m)^driver = .*\n", "", lab.read_text("utf-8"))
+    lab.write_text(text.replace(table, f'{table}\ndriver = "mine"'), "utf-8")
+    assert main(["bench", str(lab)]) == 2
+    told = capsys.readouterr().err
+    assert "There is no driver 'mine'." in told
+    assert f"{lab}, {key}.driver" in told.replace("\n", "")
+    assert "install the package that offers it" in " ".join(told.split())
+
+
+@pytest.mark.parametrize("verb", ["stack", "collect"])
+def test_a_campaign_on_hardware_without_calibrations_connects_nothing(
+    lab, capsys, tmp_path, monkeypatch, verb
+):
+    monkeypatch.setenv("TOUCHDOWN_DATA", str(tmp_path / "data"))
+    assert main([verb, "--bench", str(lab), "--home"]) == 1
+    told = capsys.readouterr()
+    assert "Payload: never calibrated on this bench." in told.err
+    assert "where: CALIBRATION-MISSING" in told.err
+    command = f"Run 'touchdown calibrate payload --bench {lab} --home --accept'."
+    assert f"fix:   {command}" in " ".join(told.err.split("\n")).replace("  fix", "fix")
+    assert "homing" not in told.out
+    assert "force_torque" not in told.out
+
+
+def test_what_stands_there_is_what_the_lab_file_says_unless_it_is_named(lab):
+    text = lab.read_text("utf-8").replace('bottom = "short"', 'bottom = "square15"')
+    lab.write_text(text.replace('piece = "pot"', 'piece = "barrel"'), "utf-8")
+
+    def scene(verb, *words):
+        parser = ArgumentParser()
+        verb.add_arguments(parser)
+        args = parser.parse_args(words)
+        fill_in_scene(args, verb.BOTTOM)
+        return args.piece, args.bottom
+
+    for verb in (collect, stack):
+        assert scene(verb, "--bench", str(lab)) == ("barrel", "square15")
+        assert scene(verb, "--bench", str(lab), "--bottom", "hex20") == ("barrel", "hex20")
+        assert scene(verb) == ("pot", verb.BOTTOM)
+
+
+def test_a_file_that_is_there_is_not_overwritten(lab, capsys):
+    assert main(["bench", str(lab), "--new"]) == 2
+    assert str(lab) in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "where"),
+    [
+        (["stack", "--home"], "--home"),
+        (["collect", "--override", "20"], "--override"),
+        (["stack", "--bench", "LAB", "--preset", "quiet"], "--preset"),
+        (["stack", "--bench", "LAB", "--emulated"], "--emulated"),
+        (["stack", "--bench", "LAB", "--json"], "--mode"),
+        (["collect", "--bench", "LAB", "--json"], "--hand-over"),
+        (["doctor", "--bench", "nowhere.toml"], "nowhere.toml"),
+    ],
+)
+def test_what_does_not_go_together_is_one_clear_error(lab, capsys, words, where):
+    assert main([str(lab) if word == "LAB" else word for word in words]) == 2
+    told = capsys.readouterr().err
+    assert where in (json.loads(told)["error"]["where"] if "--json" in words else told)
+
+
+def test_the_table_of_times_is_whole_in_a_terminal_of_80_columns() -> None:
+    timing = SensorTiming("tactile_right", 595, 200.0, 1020.3, 1150.9, 1225.2, 1129.4)
+    text = io.StringIO()
+    Console(file=text, width=80).print(_timing_table([timing]))
+    assert all(figure in text.getvalue() for figure in ("595", "1020.3", "1225.2", "1129.4"))
+    assert "99 %" in text.getvalue()
+
+
+GOOD = CalibrationEstimate(
+    (
+        Quantity("mass_kg", 1.5, 0.01, "kg"),
+        Quantity("com_x_mm", 0.0, 0.1, "mm"),
+        Quantity("com_y_mm", 0.0, 0.1, "mm"),
+    ),
+    np.eye(3), np.zeros(6), 0.05, 0.3, "N", note="Level.",
+).to_event(0.0, "payload")  # fmt: skip
+
+
+class Bench:
+    """A session as far as a report needs one."""
+
+    devices: dict[str, object] = {}  # noqa: RUF012
+
+    def __init__(self, folder: Path) -> None:
+        self.calibrations = CalibrationStore(folder, "simulated")
+
+
+def reported(folder: Path, found, *, accept: bool) -> tuple[int, dict]:
+    stream = io.StringIO()
+    screen = VerbOutput(json=True, stream=stream)
+    told = calibrate._CalibrationProgress(screen, None, None)
+    told.take(RunFinished(1.0, "r", "finished", "Done."))
+    if found is not None:
+        told.take(found)
+    args = argparse.Namespace(what="payload", accept=accept, person="Ada")
+    code = calibrate._report(args, Bench(folder), told, screen)
+    return code, json.loads(stream.getvalue())
+
+
+def test_a_good_result_is_kept_only_when_accepted(tmp_path) -> None:
+    code, told = reported(tmp_path, GOOD, accept=False)
+    assert (code, told["accepted"], list(tmp_path.iterdir())) == (0, None, [])
+    assert told["measured"]["values"]["mass_kg"] == {"value": 1.5, "sigma": 0.01, "unit": "kg"}
+    code, told = reported(tmp_path, GOOD, accept=True)
+    assert code == 0
+    assert read_record(Path(told["accepted"])).file.person == "Ada"
+
+
+@pytest.mark.parametrize("change", [{"residual": 0.4}, {"obstacle": "Turn ft.rotation."}])
+def test_a_bad_result_is_never_kept(tmp_path, change) -> None:
+    code, told = reported(tmp_path, replace(GOOD, **change), accept=True)
+    assert (code, told["accepted"], told["measured"]["acceptable"]) == (1, None, False)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_run_that_ended_early_is_no_result(tmp_path) -> None:
+    code, told = reported(tmp_path, None, accept=True)
+    assert (code, told["measured"], told["reason"]) == (1, None, "Done.")
+
+
+def test_status_says_what_lacks_and_what_to_do(capsys) -> None:
+    store = CalibrationStore(calibrations_folder(), "simulated")
+    store.accept(GOOD, {}, now=datetime.now(UTC))
+    assert main(["calibrate", "status"]) == 1
+    said = capsys.readouterr().out
+    assert "Run 'touchdown calibrate board --accept'." in " ".join(said.split())
+    assert main(["calibrate", "status", "--json"]) == 1
+    rows = json.loads(capsys.readouterr().out)["calibrations"]
+    assert [row["what"] for row in rows] == list(CALIBRATION_NAMES)
+    assert [row["condition"] for row in rows] == ["valid"] + 4 * ["missing"]
+
+
+LAB = """version = 1
+name = "Here"
+kind = "emulated"
+[mounting]
+sensor_height_mm = 120.0
+sensor_yaw_rad = 0.0
+payload_kg = 1.5
+payload_com_mm = [0.0, 0.0, 60.0]
+[melfa]
+host = "127.0.0.1"
+[wsg]
+host = "127.0.0.1"
+[ft]
+driver = "dynpick"
+address = "socket://127.0.0.1:5000"
+[gelsight]
+by_id = "/srv/by-id"
+[gelsight.left]
+serial = "L"
+[gelsight.right]
+serial = "R"
+"""
+
+
+def test_the_command_that_status_names_works_as_it_is_pasted(tmp_path, capsys) -> None:
+    """It homes a lab's gripper, and keeps what was asked for: bench, speed, place, folder."""
+    lab = tmp_path / "a lab.toml"
+    lab.write_text(LAB)
+    words = ["--bench", str(lab), "--override", "100", "--bottom", "square15",
+             "--origin", "1.5", "-2", "--person", "Ada L"]  # fmt: skip
+    assert main(["calibrate", "status", *words]) == 1
+    said = " ".join(capsys.readouterr().out.split())
+    given = re.findall(r"Run 'touchdown (calibrate .*?--accept)'\.", said)
+    assert [shlex.split(command)[1] for command in given] == list(CALIBRATION_NAMES)
+    parser = argparse.ArgumentParser()
+    calibrate.add_arguments(parser)
+    pasted = parser.parse_args(shlex.split(given[0])[1:])
+    assert (pasted.bench, pasted.home, pasted.override) == (str(lab), True, 100)
+    assert (pasted.bottom, pasted.origin, pasted.person) == ("square15", [1.5, -2.0], "Ada L")
+    assert pasted.accept
+
+
+def test_status_of_another_simulated_bench_names_it(tmp_path, capsys) -> None:
+    bench = tmp_path / "bench.toml"
+    bench.write_text('preset = "off"\n')
+    assert main(["calibrate", "status", "--bench", str(bench), "--pitch", "2"]) == 1
+    said = " ".join(capsys.readouterr().out.split())
+    assert f"touchdown calibrate board --bench {bench} --pitch 2.0 --accept" in said
+
+
+@pytest.mark.parametrize(
+    ("at_lab", "flag"),
+    [(False, "--home"), (False, "--override=50"), (True, "--emulated"), (True, "--preset=quiet")],
+)
+@pytest.mark.parametrize("what", ["payload", "status"])
+def test_what_the_bench_has_no_use_for_is_refused_not_passed_over(
+    tmp_path, capsys, at_lab, flag, what
+) -> None:
+    lab = tmp_path / "lab.toml"
+    lab.write_text(LAB)
+    assert main(["calibrate", what, flag, *(["--bench", str(lab)] if at_lab else [])]) == 2
+    assert flag.split("=")[0] in capsys.readouterr().err
+
+
+def test_a_board_that_is_not_there_is_said_with_exit_code_1(tmp_path, capsys) -> None:
+    bench = tmp_path / "bench.toml"
+    # Few pictures: none of them matters here.
+    bench.write_text('preset = "off"\n[tactile]\nrate_hz = 4.0\n')
+    words = ["board", "--origin", "40", "0", "--bench", str(bench), "--json"]
+    assert main(["calibrate", *words]) == 1
+    told = json.loads(capsys.readouterr().out)
+    assert told["ending"] == "failed"
+    assert "No contact at the expected centre" in told["reason"]
+    assert told["measured"] is None
+
+
+def test_senseless_words_are_refused(capsys) -> None:
+    assert main(["calibrate", "camera", "--pitch", "0"]) == 2
+    assert "--pitch" in capsys.readouterr().err
+    assert main(["calibrate", "board", "--hand-over", "--json"]) == 2
+
+
+@pytest.mark.slow
+def test_a_campaign_is_collected_and_resumed(tmp_path, capsys) -> None:
+    bench = tmp_path / "bench.toml"
+    bench.write_text(f'preset = "quiet"\n[tactile]\nrate_hz = {RATE_HZ}\n', "utf-8")
+    words = ["--dataset", str(tmp_path / "ds"), "--runs", str(tmp_path / "runs")]
+    words += ["--bench", str(bench)]
+    given = ["--count", "2", "--probes-per-grip", "2", "--person", "ann"]
+    assert main(["collect", *given, *words, "--json", "--inject", "force_torque:stop@14"]) == 1
+    first = json.loads(capsys.readouterr().out)
+    assert first["ending"] == "failed"
+    assert first["faults"]
+    assert (first["collected"], first["count"], first["simulated"]) == (1, 2, True)
+    assert main(["collect", "--resume", "--person", "bob", *words]) == 0
+    second = capsys.readouterr().out
+    for said in (first["campaign"], "2 of 2 probes are done.", "no findings"):
+        assert said in second
+    with Dataset.open(tmp_path / "ds", write=False) as dataset:
+        assert [entry.person for entry in dataset.episodes()] == ["ann", "bob"]
+    assert (tmp_path / "runs").is_dir()
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--count", "0"], "at least one probe"),
+        (["--within", "-1"], "range is not positive"),
+        (["--seed", "-2"], "seed -2 is negative"),
+        (["--piece", "cup"], "no piece 'cup'"),
+        (["--probes-per-grip", "0"], "--probes-per-grip must be at least 1"),
+        (["--preset", "calm"], "no preset 'calm'"),
+        (["--hand-over", "--json"], "With --json the prompt"),
+    ],
+)
+def test_bad_input_is_one_clear_error(words, said, tmp_path, capsys) -> None:
+    where = ["--dataset", str(tmp_path / "ds"), "--runs", str(tmp_path / "runs")]
+    assert main(["collect", *words, *where]) == 2
+    err = capsys.readouterr().err
+    assert said in err
+    assert err.count("\n") <= 3
+
+
+def test_resume_needs_a_campaign(tmp_path, capsys) -> None:
+    where = ["--dataset", str(tmp_path / "ds")]
+    assert main(["collect", "--resume", *where]) == 2
+    assert "no dataset" in capsys.readouterr().err
+    Dataset.open(tmp_path / "ds").close()
+    assert main(["collect", "--resume", *where]) == 2
+    assert "has no campaign" in capsys.readouterr().err
+
+
+def test_coverage_is_drawn_with_y_up() -> None:
+    seen = count_coverage([(0.0, 2.0)] * 3 + [(2.0, 0.0)] * 12, circle(8.0), circle(8.0))
+    head, *rows = coverage_text(seen).splitlines()
+    assert head.startswith("Covered 2 of ")
+    upper = next(k for k, row in enumerate(rows) if "3" in row)
+    lower = next(k for k, row in enumerate(rows) if "+" in row)
+    assert lower == upper + 1
+    assert rows[lower].index("+") > rows[upper].index("3")
+
+
+@pytest.fixture
+def folder_dataset(tmp_path: Path) -> Path:
+    folder_dataset = tmp_path / "data"
+    with Dataset.open(folder_dataset) as dataset:
+        context = context_for(dataset)
+        for seed in range(3):
+            dataset.record(small_episode(seed=seed), Label(seed, 0, 0, 1), source="commanded",
+                           context=context)  # fmt: skip
+    return folder_dataset
+
+
+@pytest.fixture
+def say(capfd: pytest.CaptureFixture[str]) -> Any:
+    def call(*words: str) -> tuple[int, dict[str, Any]]:
+        capfd.readouterr()
+        code = main([*words, "--json"])
+        out, err = capfd.readouterr()
+        answer: dict[str, Any] = json.loads(out or err)
+        return code, answer
+
+    return call
+
+
+def first_file(folder_dataset: Path) -> Path:
+    return sorted((folder_dataset / "raw").rglob("*.mcap"))[0]
+
+
+def test_status_counts_by_pair_and_state(folder_dataset: Path, say: Any) -> None:
+    code, answer = say("dataset", "--dataset", str(folder_dataset))
+    assert code == 0
+    assert answer["episodes"] == 3
+    assert answer["pairs"] == [
+        {"piece": "pot", "bottom": "circle15", "state": "draft", "episodes": 3}
+    ]
+    assert answer["backup_age_h"] == 0.0
+    (campaign,) = answer["campaigns"]
+    assert (campaign["uuid"], campaign["episodes"], campaign["done"]) == ("campaign-1", 3, 1)
+
+
+def test_the_usual_dataset_is_that_of_the_data_folder(
+    folder_dataset: Path, say: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("TOUCHDOWN_DATA", str(folder_dataset.parent))
+    folder_dataset.rename(folder_dataset.parent / "dataset")
+    assert say("dataset")[1]["episodes"] == 3
+    assert say("doctor", "--dataset")[0] == 0
+
+
+def test_doctor_reports_and_changes_nothing(folder_dataset: Path, say: Any) -> None:
+    assert say("doctor", "--dataset", str(folder_dataset)) == (
+        0, say("doctor", "--dataset", str(folder_dataset))[1],
+    )  # fmt: skip
+    path = first_file(folder_dataset)
+    path.write_bytes(path.read_bytes()[:-50])
+    for _ in range(2):
+        code, answer = say("doctor", "--dataset", str(folder_dataset))
+        assert code == 1
+        assert [f["kind"] for f in answer["findings"]] == ["torn"]
+    assert path.exists()
+
+
+def test_verify_reads_every_byte_and_notes_damage(folder_dataset: Path, say: Any) -> None:
+    assert say("dataset", "verify", "--dataset", str(folder_dataset))[0] == 0
+    path = first_file(folder_dataset)
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 4
+    path.write_bytes(data)
+    code, answer = say("dataset", "verify", "--dataset", str(folder_dataset))
+    assert code == 1
+    assert [f["kind"] for f in answer["findings"]] == ["damaged"]
+    assert say("dataset", "--dataset", str(folder_dataset))[1]["files"] == {
+        "complete": 2,
+        "damaged": 1,
+    }
+
+
+def test_verify_looks_only_while_another_program_writes(folder_dataset: Path, say: Any) -> None:
+    path = first_file(folder_dataset)
+    with Dataset.open(folder_dataset, person="ann") as dataset:
+        code, answer = say("dataset", "verify", "--dataset", str(folder_dataset))
+        assert (code, answer["findings"], answer["noted"]) == (0, [], False)
+        data = bytearray(path.read_bytes())
+        data[len(data) // 2] ^= 4
+        path.write_bytes(data)
+        code, answer = say("dataset", "verify", "--dataset", str(folder_dataset))
+        assert (code, [f["kind"] for f in answer["findings"]]) == (1, ["damaged"])
+        assert {e.file_state for e in dataset.episodes()} == {"complete"}
+        dataset.labels.set("ann", dataset.episodes()[1].uuid, Label(9, 9, 0, 1))
+
+
+def test_back_up_and_restore(folder_dataset: Path, say: Any) -> None:
+    code, answer = say("dataset", "backup", "--dataset", str(folder_dataset))
+    assert code == 0
+    copy = Path(answer["backup"])
+    assert copy == list_backups(folder_dataset / "backup")[0].path
+    kept = copy.read_bytes()
+    with Dataset.open(folder_dataset) as dataset:
+        uuid = dataset.episodes()[0].uuid
+        dataset.labels.set("ann", uuid, Label(77, 0, 0, 1))
+    keep = folder_dataset.parent / "keep.db"
+    keep.write_bytes(kept)
+    code, answer = say("dataset", "restore", str(keep), "--dataset", str(folder_dataset))
+    assert code == 0
+    assert any("replayed" in notice for notice in answer["notices"])
+    with Dataset.open(folder_dataset) as dataset:
+        assert dataset.labels.head(uuid).label.x_um == 77
+
+
+def test_rebuild_compares_and_replaces(folder_dataset: Path, say: Any) -> None:
+    code, answer = say("dataset", "rebuild", "--dataset", str(folder_dataset))
+    assert (code, answer["equal"], answer["replaced"]) == (0, True, False)
+    assert answer["rows"]["episode"] == 3
+    (folder_dataset / "catalog.db").write_bytes(b"gone")
+    code, answer = say("dataset", "rebuild", "--dataset", str(folder_dataset))
+    assert code == 2
+    assert "--replace" in answer["error"]["fix"]
+    code, answer = say("dataset", "rebuild", "--replace", "--dataset", str(folder_dataset))
+    assert (code, answer["replaced"]) == (0, True)
+    assert say("dataset", "--dataset", str(folder_dataset))[1]["episodes"] == 3
+
+
+@pytest.mark.parametrize(
+    "words",
+    [["dataset", "restore"], ["dataset", "verify", "x.db"], ["dataset", "burn"],
+     ["dataset", "restore", "none.db"]],
+)  # fmt: skip
+def test_bad_words_are_refused(folder_dataset: Path, say: Any, words: list[str]) -> None:
+    code, answer = say(*words, "--dataset", str(folder_dataset))
+    assert code == 2
+    assert answer["error"]["fix"]
+
+
+def test_no_dataset_says_so(tmp_path: Path, say: Any) -> None:
+    for words in (["dataset"], ["dataset", "verify"], ["dataset", "rebuild"],
+                  ["doctor", "--dataset", str(tmp_path)]):  # fmt: skip
+        extra = [] if words[0] == "doctor" else ["--dataset", str(tmp_path)]
+        code, answer = say(*words, *extra)
+        assert code == 2, words
+        assert str(tmp_path) in answer["error"]["where"]
+
+
+FULL = Fault("DISK-FULL", "Only 0.42 GB are free.", "The run is paused.", "Make room.")
+
+
+@pytest.mark.parametrize(
+    ("typed", "json", "waits", "made", "left"),
+    [
+        ("\nnext", False, True, True, "next"),
+        ("", False, True, False, ""),
+        ("\nnext", True, True, False, "\nnext"),
+        ("\nnext", False, False, False, "\nnext"),
+    ],
+)
+def test_an_enter_goes_on_and_nobody_is_waited_for_in_vain(
+    monkeypatch, typed, json, waits, made, left
+):
+    said = io.StringIO()
+    monkeypatch.setattr("sys.stdin", io.StringIO(typed))
+
+    assert wait_for_disk_space(FULL, VerbOutput(json=json, stream=said), "run", waits=waits) is made
+    assert sys.stdin.read() == left
+    assert ("0.42 GB" in said.getvalue()) is not json
+    assert ("press Enter" in said.getvalue()) is (waits and not json)

@@ -1,0 +1,786 @@
+"""What an operator can get wrong is one clear error before any work or window."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+from dataclasses import replace
+from importlib.resources import files
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.backend.annotations.conftest import context_for, small_episode
+from tests.backend.bench.brisk import RATE_HZ
+from tests.backend.exchange.conftest import fill
+from touchdown.backend.annotations.dataset import Dataset
+from touchdown.backend.annotations.values import Label
+from touchdown.backend.cli import command_line
+from touchdown.backend.cli.command_line import VERBS, main, module_of
+from touchdown.backend.cli.doctor.command import check_catalogue
+from touchdown.backend.core.events import RunStarted
+from touchdown.backend.core.faults import (
+    Fault,
+    FaultError,
+    InputError,
+    RefusedError,
+    StaleSampleError,
+)
+from touchdown.backend.episodes.episode_file import read_episode
+from touchdown.backend.episodes.packs import read_pack_metadata
+from touchdown.backend.episodes.training_rows import find_packs, load_rows
+from touchdown.backend.experiments import collection, tables
+from touchdown.backend.geometry.outlines import face_points, true_patch
+from touchdown.backend.geometry.pieces import load_pieces
+from touchdown.backend.runs.event_log import EVENT_LOG_NAME, EventLog
+from touchdown.backend.simulation.release_mujoco import mujoco_available
+
+
+@pytest.mark.parametrize("words", [["--theme", "foo"], ["--them", "x"], ["--size", "big"]])
+def test_bad_words_for_the_window_are_bad_input(words, capsys) -> None:
+    assert main(["app", *words]) == 2
+    assert "See 'touchdown app --help'." in capsys.readouterr().err
+
+
+def test_the_help_of_the_window_is_shown(capsys) -> None:
+    with pytest.raises(SystemExit):
+        main(["app", "--help"])
+    assert "--reset-layout" in capsys.readouterr().out
+
+
+def test_a_model_that_cannot_be_written_is_refused_first(tmp_path, capsys) -> None:
+    (tmp_path / "file").write_text("")
+    assert main(["train", str(tmp_path / "none"), "--out", str(tmp_path / "file" / "m")]) == 2
+    said = capsys.readouterr()
+    assert "cannot be written" in said.err
+    assert "Training" not in said.out
+
+
+def test_doctor_names_a_broken_piece_file(tmp_path) -> None:
+    assert check_catalogue().ok
+    (tmp_path / "mine.toml").write_text("title = 3\n")
+    check = check_catalogue(tmp_path)
+    assert not check.ok
+    assert "mine.toml" in check.detail
+
+
+def test_the_help_parts_every_verb_from_its_line(capsys) -> None:
+    assert main([]) == 2
+    said = capsys.readouterr().out
+    for name, text in VERBS.items():
+        assert f"  {name} " in said
+        assert f" {text}\n" in said
+
+
+def test_settings_that_are_no_text_name_no_line(tmp_path, capsys) -> None:
+    (tmp_path / "bench.toml").write_bytes(b"\x00\xff\xfe")
+    assert main(["stack", "--bench", str(tmp_path / "bench.toml")]) == 2
+    said = capsys.readouterr().err
+    assert "not text" in said
+    assert "line" not in said
+
+
+def test_garbage_is_no_journal(tmp_path, capsys) -> None:
+    (tmp_path / "journal.jsonl").write_text("garbage\n")
+    assert main(["replay", str(tmp_path)]) == 2
+    said = capsys.readouterr().err
+    assert "not a Touchdown event log" in said
+    assert "before it" not in said
+
+
+def test_a_bottom_that_does_not_exist_is_called_a_bottom(capsys, tmp_path) -> None:
+    assert main(["stack", "--bottom", "nowhere", "--runs", str(tmp_path)]) == 2
+    assert "no bottom piece 'nowhere'" in capsys.readouterr().err
+
+
+def test_nothing_is_said_before_bad_words_are_refused(capsys, tmp_path) -> None:
+    words = ["--dataset", str(tmp_path / "d"), "--runs", str(tmp_path / "r"), "--count", "0"]
+    assert main(["collect", *words]) == 2
+    assert capsys.readouterr().out == ""
+
+
+@pytest.mark.parametrize(
+    "words", [["--bottom", "short"], ["--bottom", "short+long", "--below", "1", "0", "0"]]
+)
+def test_an_entry_below_needs_a_tower_and_an_uncertainty(words, capsys) -> None:
+    entry = [] if "--below" in words else ["--below", "1", "0", "0.5"]
+    assert main(["stack", *words, *entry]) == 2
+    assert "--below" in capsys.readouterr().err
+
+
+@pytest.fixture
+def verb(monkeypatch):
+    """Let the verb `stack` do what the test says."""
+
+    def install(run, add_arguments=lambda parser: None):
+        module = SimpleNamespace(NAME="stack", HELP="", run=run, add_arguments=add_arguments)
+        monkeypatch.setattr(command_line.importlib, "import_module", lambda name: module)
+
+    return install
+
+
+def _raise(error):
+    def run(args, screen):
+        raise error
+
+    return run
+
+
+@pytest.mark.parametrize("code", [0, 1])
+def test_the_verb_s_own_code_is_the_exit_code(verb, code):
+    verb(lambda args, screen: code)
+    assert main(["stack"]) == code
+
+
+def test_every_verb_offers_what_the_frame_needs():
+    for name in VERBS:
+        module = importlib.import_module(module_of(name))
+        assert name == module.NAME
+        assert module.HELP
+        assert callable(module.add_arguments)
+        assert callable(module.run)
+
+
+@pytest.mark.parametrize("name", VERBS)
+def test_every_verb_explains_itself(name, capsys):
+    with pytest.raises(SystemExit) as left:
+        main([name, "--help"])
+    assert left.value.code == 0
+    assert "--json" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("words", [["--help"], ["--version"]])
+def test_help_and_version_are_no_errors(words, capsys):
+    with pytest.raises(SystemExit) as left:
+        main(words)
+    assert left.value.code == 0
+    assert "touchdown" in capsys.readouterr().out
+
+
+def test_without_a_verb_the_verbs_are_listed(capsys):
+    assert main([]) == 2
+    shown = capsys.readouterr().out
+    assert all(name in shown for name in VERBS)
+
+
+@pytest.mark.parametrize(
+    "words", [["stak"], ["stack", "--no-such-thing"], ["stack", "--trials", "many"], ["--wrong"]]
+)
+def test_bad_words_are_bad_input(words, capsys):
+    assert main(words) == 2
+    output = capsys.readouterr()
+    assert output.out == ""
+    assert "fix:" in output.err
+    assert "Traceback" not in output.err
+
+
+def test_bad_input_for_scripts_is_one_object_on_standard_error(verb, capsys):
+    verb(_raise(InputError("Broken.", "pieces/pot.toml", "Mend it.")))
+    assert main(["stack", "--json"]) == 2
+    output = capsys.readouterr()
+    assert output.out == ""
+    assert json.loads(output.err) == {
+        "error": {"what": "Broken.", "where": "pieces/pot.toml", "fix": "Mend it."}
+    }
+
+
+def test_bad_input_for_people_names_all_three(verb, capsys):
+    verb(_raise(InputError("Broken.", "pieces/pot.toml", "Mend it.")))
+    assert main(["stack"]) == 2
+    shown = capsys.readouterr().err
+    assert all(word in shown for word in ("Broken.", "pieces/pot.toml", "Mend it."))
+
+
+FAULT = Fault("CAMERA-STALE", "The left camera stopped.", "The run ended.", "Reconnect it.", "left")
+
+
+@pytest.mark.parametrize(
+    ("error", "words"),
+    [
+        (FaultError(FAULT), ("left camera stopped", "CAMERA-STALE", "Reconnect it.")),
+        (RefusedError("unloaded", "The piece still presses."), ("still presses", "unloaded")),
+        (StaleSampleError("wrench: no sample yet"), ("wrench: no sample yet",)),
+    ],
+)
+@pytest.mark.parametrize("json_flag", [[], ["--json"]])
+def test_a_run_that_failed_says_why(verb, capsys, error, words, json_flag):
+    verb(_raise(error))
+    assert main(["stack", *json_flag]) == 1
+    output = capsys.readouterr()
+    assert output.out == ""
+    assert all(word in output.err for word in words)
+    if json_flag:
+        assert set(json.loads(output.err)["error"]) == {"what", "where", "fix"}
+
+
+def test_an_interrupt_is_130(verb):
+    verb(_raise(KeyboardInterrupt()))
+    assert main(["stack"]) == 130
+
+
+def test_a_defect_is_not_hidden(verb):
+    verb(_raise(ZeroDivisionError()))
+    with pytest.raises(ZeroDivisionError):
+        main(["stack"])
+
+
+def test_a_verb_may_hand_unknown_words_on(verb):
+    seen = []
+
+    def run(args, screen):
+        seen.append(args.handed_on)
+        return 0
+
+    verb(run, lambda parser: parser.set_defaults(handed_on=[]))
+    assert main(["stack", "--theme", "dark"]) == 0
+    assert seen == [["--theme", "dark"]]
+
+
+def test_doctor_does_not_load_torch_or_qt():
+    code = (
+        "import sys; import touchdown.backend.cli.command_line; "
+        "import touchdown.backend.cli.doctor.command; "
+        "sys.exit(any(name in sys.modules for name in ('torch', 'PySide6', 'cv2')))"
+    )
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+@pytest.fixture
+def copies(tmp_path: Path) -> tuple[Path, Path, str]:
+    ours, theirs = tmp_path / "ours", tmp_path / "theirs"
+    with Dataset.open(ours) as dataset:
+        entry = dataset.record(
+            small_episode(), Label(1, 2, 0, 3), source="commanded", context=context_for(dataset)
+        )
+    shutil.copytree(ours, theirs)
+    return ours, theirs, entry.uuid
+
+
+def label(folder: Path, person: str, uuid: str, x_um: int) -> None:
+    with Dataset.open(folder) as dataset:
+        dataset.labels.accept(person, uuid, Label(x_um, 0, 0, 50))
+
+
+def test_merge_brings_labels_and_tells_conflicts(
+    copies: tuple[Path, Path, str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    ours, theirs, uuid = copies
+    label(theirs, "bob", uuid, 500)
+    words = ["dataset", "merge", str(theirs), "--dataset", str(ours), "--person", "ann", "--json"]
+    assert main(words) == 0
+    answer = json.loads(capsys.readouterr().out)
+    assert (answer["operations"], answer["episodes"], answer["conflicts"]) == (1, 0, [])
+    with Dataset.open(ours) as dataset:
+        dataset.labels.reject("ann", uuid, "tilt")
+    with Dataset.open(theirs) as dataset:
+        dataset.labels.undo("bob")
+    assert main(words) == 0
+    assert json.loads(capsys.readouterr().out)["conflicts"] == [uuid]
+    assert main(["dataset", "--dataset", str(ours), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["conflicts"] == 1
+    assert main(words) == 0
+    assert json.loads(capsys.readouterr().out)["operations"] == 0
+
+
+@pytest.mark.parametrize("other", ["", "nowhere"])
+def test_merge_without_a_copy_is_bad_input(
+    copies: tuple[Path, Path, str], other: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["dataset", "merge", *([other] if other else []), "--dataset", str(copies[0])]
+    assert main(words) == 2
+    assert "fix:" in capsys.readouterr().err
+
+
+@pytest.fixture
+def folder_exchange(tmp_path: Path) -> Path:
+    with Dataset.open(tmp_path / "data", person="cleo") as dataset:
+        fill(dataset, frames=False)
+    return tmp_path / "data"
+
+
+@pytest.fixture
+def say(capfd: pytest.CaptureFixture[str]) -> Any:
+    def call(*words: object) -> tuple[int, dict[str, Any]]:
+        capfd.readouterr()
+        code = main([*(str(word) for word in words), "--json"])
+        out, err = capfd.readouterr()
+        answer: dict[str, Any] = json.loads(out or err)
+        return code, answer
+
+    return call
+
+
+def test_out_and_in_again(folder_exchange: Path, say: Any, tmp_path: Path) -> None:
+    out, back = tmp_path / "out", tmp_path / "back"
+    code, answer = say("export", "robomimic", "--dataset", folder_exchange, "--out", out)
+    assert (code, answer["episodes"]) == (0, 4)
+    words = ("import", "robomimic", out, "--dataset", back, "--person", "dora")
+    code, answer = say(*words, "--check")
+    assert (code, answer["found"], answer["written"]) == (0, 4, 0)
+    code, answer = say(*words)
+    assert (code, answer["written"]) == (0, 4)
+    code, answer = say(*words)
+    assert (code, answer["here"], answer["written"]) == (0, 4, 0)
+    with Dataset.open(back) as dataset:
+        assert {dataset.labels.head(e.uuid).person for e in dataset.episodes()} == {"dora"}
+
+
+def test_labels_go_out_and_come_in(folder_exchange: Path, say: Any, tmp_path: Path) -> None:
+    for kind in ("csv", "coco"):
+        out = tmp_path / kind
+        assert say("export", kind, "--dataset", folder_exchange, "--out", out)[0] == 0
+        code, answer = say("import", kind, out, "--dataset", folder_exchange, "--person", "ann")
+        assert (code, answer["changed"], answer["unchanged"]) == (0, 0, 4)
+    assert say("export", "jsonl", "--dataset", folder_exchange, "--out", tmp_path / "log")[0] == 0
+    words = ("import", "jsonl", tmp_path / "log", "--dataset", folder_exchange, "--person", "ann")
+    assert say(*words)[1]["operations"] == 0
+
+
+def test_an_edited_table_without_its_manifest(
+    folder_exchange: Path, say: Any, tmp_path: Path
+) -> None:
+    say("export", "csv", "--dataset", folder_exchange, "--out", tmp_path / "csv")
+    table = tmp_path / "csv" / "episodes.csv"
+    table.write_text(table.read_text().replace(",-2.501,", ",-2.600,"))
+    words = ("--dataset", folder_exchange, "--person", "ann")
+    code, answer = say("import", "csv", tmp_path / "csv", *words)
+    assert code == 2
+    assert "missing or cut short" in str(answer) or "changed since" in str(answer)
+    code, answer = say("import", "csv", table, *words)
+    assert (code, answer["changed"]) == (0, 1)
+    assert Path(answer["backup"]).parent == folder_exchange / "backup"
+
+
+@pytest.mark.parametrize(
+    ("words", "why"),
+    [
+        (("export", "csv", "--out", "{tmp}/o", "--states", "perfect"), "--states"),
+        (("export", "csv", "--out", "{tmp}/o", "--held-out", "1"), "--held-out"),
+        (("export", "csv", "--out", "{tmp}/o", "--piece", "barrel"), "barrel"),
+        (("export", "csv", "--out", "{tmp}/o", "--video", "all"), "--video"),
+        (("export", "gif", "--out", "{tmp}/o"), "export"),
+        (("import", "csv", "{tmp}/none.csv", "--person", "ann"), "none.csv"),
+        (("import", "csv", "{tmp}"), "--person"),
+        (("import", "lerobot", "{tmp}", "--person", "ann"), "{tmp}"),
+    ],
+)
+def test_bad_wishes_are_refused(
+    words: tuple[str, ...], why: str, folder_exchange: Path, say: Any, tmp_path: Path
+) -> None:
+    called = [word.format(tmp=tmp_path) for word in words]
+    code, answer = say(*called, "--dataset", folder_exchange)
+    assert code == 2
+    assert why.format(tmp=tmp_path) in answer["error"]["where"]
+    assert answer["error"]["fix"]
+
+
+@pytest.mark.parametrize(
+    ("words", "where"),
+    [
+        (["--workers", "0"], "--workers"),
+        (["--pieces", "teapot"], "--pieces"),
+        (["--pieces", ""], "--pieces"),
+        (["--full", "--models", "."], "--models"),
+        (["--executor", "dask"], "--cluster"),
+        (["--shard", "2/2"], "--shard"),
+        (["--preset", "loud"], "--preset"),
+        (["--bench", "nowhere.toml"], "nowhere.toml"),
+        (["--full", "--quick"], "touchdown experiment"),
+    ],
+)
+def test_bad_words_are_refused(
+    words: list[str], where: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = ["--out", str(tmp_path / "out")]
+    assert main(["experiment", "tables", *out, *words, "--json"]) == 2
+    assert where in json.loads(capsys.readouterr().err)["error"]["where"]
+
+
+def test_a_file_in_the_way_is_bad_input(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "out").write_text("in the way")
+    assert main(["experiment", "tables", "--out", str(tmp_path / "out")]) == 2
+    assert "cannot be made" in capsys.readouterr().err
+
+
+def test_two_shards_make_one_experiment(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    small = replace(tables.QUICK, groups=4, trials=2)
+    monkeypatch.setitem(tables.SCALES, "quick", small)
+    words = ["experiment", "tables", "--pieces", "pot", "--executor", "serial", "--json"]
+    words += ["--preset", "quiet"]  # bottoms that stand still cost the least
+    words += ["--out", str(tmp_path)]
+    missing = []
+    for shard in ("0/2", "1/2"):
+        assert main([*words, "--shard", shard]) == 0
+        missing.append(json.loads(capsys.readouterr().out)["missing"])
+    assert missing[0] > 0
+    assert missing[1] == 0
+    folders = {path.name: path.stat().st_mtime_ns for path in (tmp_path / "jobs").iterdir()}
+    assert main(words) == 0
+    answer = json.loads(capsys.readouterr().out)
+    assert answer["failed"] == []
+    assert Path(answer["page"]).is_file()
+    assert folders == {p.name: p.stat().st_mtime_ns for p in (tmp_path / "jobs").iterdir()}
+    assert answer["tables"]["table3"][1]["cells"][0]["n"] == 2
+
+
+SMALL = ["simulate", "--piece", "pot", "--bottoms", "circle15,square15", "--episodes", "6"]
+SMALL += ["--probes-per-grip", "3", "--grips-per-mounting", "2", "--seed", "4", "--json"]
+
+
+@pytest.fixture
+def written(tmp_path, capsys):
+    out = tmp_path / "data"
+    assert main([*SMALL, "--workers", "1", "--out", str(out)]) == 0
+    return out, json.loads(capsys.readouterr().out)
+
+
+def test_json_counts_and_labels_are_complete(written) -> None:
+    out, answer = written
+    assert answer["episodes"] == 12
+    assert answer["out"] == str(out)
+    assert answer["seconds"] > 0
+    rows = load_rows(out)
+    assert len(rows) == 12
+    assert rows.piece == "pot"
+    assert sorted(set(rows.bottom)) == ["circle15", "square15"]
+    assert len(set(rows.grip_id)) == 4
+    assert len(set(rows.mounting_id)) == 2
+    label = rows.labels[0]
+    assert label["person"] == "simulation"
+    assert label["source"] == "commanded"
+    assert label["sigma_um"] == 512
+    assert label["points"] == 177
+    assert len({label["episode"] for label in rows.labels}) == 12
+
+
+def test_patches_are_the_overlap_at_the_label(written) -> None:
+    rows = load_rows(written[0])
+    catalogue = load_pieces()
+    points = face_points(catalogue.top("pot").face)
+    for k, name in enumerate(rows.bottom):
+        patch = true_patch(points, rows.offset_mm[k], catalogue.bottom(name).upper)
+        # The label is rounded to whole micrometres: a point on the edge may change sides.
+        assert np.count_nonzero(patch != rows.patch[k]) <= 1
+
+
+def test_files_do_not_depend_on_the_number_of_workers(written, tmp_path, capsys) -> None:
+    out, _ = written
+    other = tmp_path / "other"
+    assert main([*SMALL, "--workers", "2", "--out", str(other)]) == 0
+    for first, second in zip(find_packs(out), find_packs(other), strict=True):
+        assert first.name == second.name
+        assert first.read_bytes() == second.read_bytes()
+
+
+def test_packs_name_the_settings_they_were_made_with(written) -> None:
+    metadata = read_pack_metadata(find_packs(written[0])[0])
+    assert metadata["simulated"] == "true"
+    assert json.loads(metadata["settings"])["preset"] == "mixed"
+    assert metadata["probes_per_grip"] == "3"
+
+
+def test_jobs_cover_every_grip_once() -> None:
+    from tests.backend.simulation.test_batch import plan
+
+    for probes_per_grip in (1, 7, 50):
+        made = plan(episodes=1234, probes_per_grip=probes_per_grip)
+        jobs = collection.split_jobs(made, {}, None)
+        grips = [grip for job in jobs for grip in job.grips]
+        assert grips == list(range(made.grips))
+        assert sum(job.episodes for job in jobs) == 1234
+
+
+@pytest.mark.parametrize(
+    ("extra", "word"),
+    [
+        (["--piece", "teapot"], "teapot"),
+        (["--bottoms", "circle15,moon"], "moon"),
+        (["--bottoms", "circle15,circle15"], "once"),
+        (["--episodes", "0"], "--episodes"),
+        (["--seed", "-1"], "--seed"),
+        (["--preset", "loud"], "preset"),
+        (["--bench", "nowhere.toml"], "nowhere.toml"),
+    ],
+)
+def test_bad_input_is_one_clear_error(extra, word, tmp_path, capsys) -> None:
+    out = tmp_path / "data"
+    assert main(["simulate", "--out", str(out), "--json", *extra]) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    error = json.loads(captured.err)["error"]
+    assert word in error["what"] + error["where"] + error["fix"]
+    assert not out.exists()
+
+
+def test_a_folder_that_cannot_be_made_is_named(tmp_path, capsys) -> None:
+    (tmp_path / "file").write_text("no folder")
+    out = tmp_path / "file" / "data"
+    assert main(["simulate", "--out", str(out), "--episodes", "2", "--json"]) == 2
+    assert json.loads(capsys.readouterr().err)["error"]["where"] == str(out)
+
+
+def test_a_folder_with_episodes_is_not_mixed_with_others(written, capsys) -> None:
+    out, _ = written
+    before = [path.read_bytes() for path in find_packs(out)]
+    assert main([*SMALL, "--out", str(out)]) == 2
+    assert [path.read_bytes() for path in find_packs(out)] == before
+
+
+TRIAL_KEYS = {
+    "seed",
+    "outcome",
+    "reason",
+    "probes",
+    "excess_probes",
+    "margin_mm",
+    "contradicted",
+}
+OUTCOMES = {"placed", "fell", "knocked_over", "gave_up", "aborted"}
+
+
+@pytest.fixture
+def bench(tmp_path: Path) -> str:
+    """Settings of a bench with half the pictures."""
+    path = tmp_path / "bench.toml"
+    path.write_text(f"[tactile]\nrate_hz = {RATE_HZ}\n", "utf-8")
+    return str(path)
+
+
+def call(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str, str]:
+    status = main([*words, "--json"])
+    told = capsys.readouterr()
+    return status, told.out, told.err
+
+
+def test_stack_then_replay_tell_the_same(
+    tmp_path: Path, bench: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    runs = str(tmp_path / "runs")
+    words = ("stack", "--piece", "pot", "--bottom", "short", "--seed", "0", "--runs", runs)
+    words += ("--bench", bench)
+    status, out, err = call(capsys, *words)
+    told = json.loads(out)
+    assert err == ""
+    assert {"piece", "bottom", "strategy", "trials"} <= set(told)
+    (trial,) = told["trials"]
+    assert set(trial) == TRIAL_KEYS
+    assert trial["outcome"] in OUTCOMES
+    # The second judge was asked, where there is one.
+    assert trial["contradicted"] in ((False, True) if mujoco_available() else (None,))
+    assert status == (0 if trial["outcome"] == "placed" else 1)
+    status, out, err = call(capsys, "replay", "latest", "--runs", runs)
+    again = json.loads(out)
+    assert status == 0
+    assert again["trials"][0]["probes"] == trial["probes"]
+    assert again["facts"]["EpisodeRecorded"] == trial["probes"]
+    episodes = list((tmp_path / "runs").glob("*/episodes/*.mcap"))
+    assert len(episodes) == trial["probes"]
+
+
+def test_the_shipped_model_is_the_one_recorded(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    runs = tmp_path / "runs"
+    call(capsys, "stack", "--inject", "tactile_left:stop@0.5", "--runs", str(runs))
+    head = (next(runs.glob("*")) / EVENT_LOG_NAME).read_text("utf-8").splitlines()[1]
+    settings = json.loads(json.loads(head)["settings"])
+    assert set(settings) == {
+        "request", "method", "simulation", "disturbances", "model", "program", "limits",
+    }  # fmt: skip
+    assert settings["disturbances"] == ["tactile_left:stop@0.5"]
+    assert len(settings["model"]["weights_sha256"]) == 64
+
+
+@pytest.mark.parametrize(
+    ("words", "where"),
+    [
+        (("--piece", "nope"), "nope"),
+        (("--piece", "short"), "short"),
+        (("--bottom", "nope"), "nope"),
+        (("--bottom", ""), "--bottom"),
+        (("--bottom", "pot+short"), ""),
+        (("--model", "no/such/file.safetensors"), "no/such/file.safetensors"),
+        (("--bench", "no/such/file.toml"), "no/such/file.toml"),
+        (("--preset", "easy"), "preset"),
+        (("--inject", "camera"), "camera"),
+        (("--trials", "0"), "--trials"),
+        (("--seed", "-1"), "--seed"),
+        (("--pieces", "no/such/folder"), "no/such/folder"),
+    ],
+)
+def test_bad_input_is_one_error_and_leaves_nothing_behind(
+    words: tuple[str, ...], where: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    runs = tmp_path / "runs"
+    status, out, err = call(capsys, "stack", *words, "--runs", str(runs))
+    assert status == 2
+    assert out == ""
+    error = json.loads(err)["error"]
+    assert set(error) == {"what", "where", "fix"}
+    assert where in error["where"]
+    assert all(error.values())
+    assert not runs.exists()
+
+
+def test_a_run_killed_in_the_middle_replays_to_its_last_fact(
+    tmp_path: Path, bench: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    runs = tmp_path / "runs"
+    command = [sys.executable, "-m", "touchdown", "stack", "--trials", "50", "--runs", str(runs)]
+    command += ["--bench", bench]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, env=os.environ) as child:
+        assert child.stdout is not None
+        for line in child.stdout:
+            if b"Probe 2" in line:
+                break
+        child.send_signal(signal.SIGKILL)
+        child.wait(60)
+    status, out, _ = call(capsys, "replay", "latest", "--runs", str(runs))
+    told = json.loads(out)
+    assert status == 0
+    assert told["ending"] == "interrupted"
+    assert told["facts"]["ActionChosen"] >= 2
+    assert told["facts"]["EpisodeRecorded"] >= 1
+    (folder,) = runs.glob("*")
+    kept = {path.stem for path in folder.glob("episodes/*.mcap")}
+    lines = [json.loads(line) for line in (folder / EVENT_LOG_NAME).read_bytes().splitlines()[1:]]
+    told_ids = {f["episode"]["episode_id"] for f in lines if f["kind"] == "EpisodeRecorded"}
+    assert told_ids <= kept
+
+
+def test_a_runs_folder_that_cannot_be_written_is_bad_input(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    occupied = tmp_path / "file"
+    occupied.write_text("not a folder")
+    status, out, err = call(capsys, "stack", "--runs", str(occupied))
+    assert status == 2
+    assert out == ""
+    assert str(occupied) in json.loads(err)["error"]["where"]
+
+
+def test_ctrl_c_lifts_tells_the_result_and_closes_the_journal(
+    tmp_path: Path, bench: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    runs = tmp_path / "runs"
+    command = [sys.executable, "-m", "touchdown", "stack", "--trials", "50", "--runs", str(runs)]
+    command += ["--bench", bench]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, env=os.environ) as child:
+        assert child.stdout is not None
+        for line in child.stdout:
+            if b"Probe 1" in line:
+                break
+        child.send_signal(signal.SIGINT)
+        rest = child.stdout.read().decode()
+        status = child.wait(60)
+    assert status == 1
+    assert "aborted" in rest
+    assert "Kept in" in rest
+    told = json.loads(call(capsys, "replay", "latest", "--runs", str(runs))[1])
+    assert told["ending"] == "cancelled"
+    assert told["trials"][-1]["outcome"] == "aborted"
+
+
+def test_an_operators_own_piece_can_be_stacked_upon(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shipped = Path(__file__).parents[3] / "resources" / "objects" / "short.toml"
+    folder = tmp_path / "pieces"
+    folder.mkdir()
+    (folder / "mystub.toml").write_text(shipped.read_text("utf-8"), "utf-8")
+    words = ("--pieces", str(folder), "--bottom", "mystub", "--strategy", "pick-and-place")
+    status, out, _ = call(capsys, "stack", *words, "--runs", str(tmp_path / "runs"))
+    assert status == 1
+    assert json.loads(out)["trials"][0]["outcome"] == "fell"
+
+
+def test_pick_and_place_asks_for_no_model(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pieces = tmp_path / "pieces"
+    pieces.mkdir()
+    text = files("touchdown.resources").joinpath("objects", "pot.toml").read_text("utf-8")
+    (pieces / "own.toml").write_text(text, "utf-8")
+    runs = tmp_path / "runs"
+    words = ("stack", "--piece", "own", "--pieces", str(pieces), "--runs", str(runs))
+    status, _, err = call(capsys, *words)
+    assert status == 2
+    assert "No model ships for piece 'own'" in err
+    status, out, err = call(capsys, *words, "--strategy", "pick-and-place")
+    assert err == ""
+    assert (status, json.loads(out)["trials"][0]["outcome"]) == (1, "fell")
+    head = (next(runs.glob("*")) / EVENT_LOG_NAME).read_text("utf-8").splitlines()[1]
+    assert json.loads(json.loads(head)["settings"])["model"] is None
+    # A model that was named is read all the same: a wrong name is not passed over.
+    status, _, err = call(
+        capsys, *words, "--strategy", "pick-and-place", "--model", "no.safetensors"
+    )
+    assert status == 2
+    assert "no.safetensors" in err
+
+
+def test_a_camera_that_falls_silent_ends_in_one_fault_and_keeps_the_rest(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    runs = tmp_path / "runs"
+    words = ("stack", "--seed", "7", "--trials", "2", "--runs", str(runs))
+    status, out, err = call(capsys, *words, "--inject", "tactile_right:stop@7.0")
+    told = json.loads(out)
+    assert (status, err, told["faults"]) == (1, "", ["CAMERA-STALE"])
+    # The first probe was over by then; the trial is aborted and no other one is begun.
+    (trial,) = told["trials"]
+    assert trial["outcome"] == "aborted"
+    assert "CAMERA-STALE" in trial["reason"]
+    assert len(list(runs.glob("*/episodes/*.mcap"))) == 1
+    status, out, _ = call(capsys, "replay", "latest", "--runs", str(runs))
+    again = json.loads(out)
+    assert (status, again["ending"]) == (0, "failed")
+    assert again["facts"]["EpisodeRecorded"] == 1
+    assert again["facts"]["FaultRaised"] == 1
+
+
+def test_a_camera_silent_for_a_moment_costs_one_probe(
+    tmp_path: Path, bench: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    runs = ("--runs", str(tmp_path / "runs"), "--bench", bench)
+    status, out, _ = call(
+        capsys, "stack", "--seed", "7", *runs, "--inject", "tactile_left:stop@4.0+0.4"
+    )
+    told = json.loads(out)
+    assert told["faults"] == []
+    assert (status, told["trials"][0]["outcome"]) == (0, "placed")
+    episodes = list((tmp_path / "runs").glob("*/episodes/*.mcap"))
+    refused = [path for path in episodes if not read_episode(path).quality.accepted]
+    assert len(refused) == 1
+    assert any("tactile_left" in r or "left" in r for r in read_episode(refused[0]).quality.reasons)
+
+
+def test_a_run_of_a_removed_strategy_still_replays(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "run"
+    journal = EventLog(folder)
+    journal(RunStarted(0.0, "stack", "pot", "short", "pressure", 7, 1, True, "{}"))
+    journal.close()
+    assert main(["replay", str(folder), "--json"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert (result["piece"], result["facts"]) == ("pot", {"RunStarted": 1})
+
+
+def test_a_method_file_with_an_unknown_setting_is_one_error(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    method = tmp_path / "old.toml"
+    method.write_text("[contours]\nrisk = 0.05\n", "utf-8")
+    assert main(["settings", "--method", str(method)]) == 2
+    assert "There is no setting 'contours'." in capsys.readouterr().err

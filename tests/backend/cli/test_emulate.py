@@ -1,0 +1,353 @@
+"""``touchdown emulate``: a device for others to speak to, and what it says of itself."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import queue
+import socket
+import threading
+import time
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rich.table import Table
+
+from touchdown.backend.cli import emulate
+from touchdown.backend.cli.command_line import main
+from touchdown.backend.cli.emulate import FaultPrompt
+from touchdown.backend.cli.output import VerbOutput
+from touchdown.backend.cli.settings import as_toml, load_method
+from touchdown.backend.cli.stack import trial_table
+from touchdown.backend.config.hardware import HardwareSettings
+from touchdown.backend.config.lab import load_lab
+from touchdown.backend.config.method import StackSettings
+from touchdown.backend.config.toml_file import read_settings
+from touchdown.backend.core.events import TrialFinished
+from touchdown.backend.core.values import Outcome
+from touchdown.backend.devices.registry import emulated_makes
+from touchdown.backend.devices.wsg import protocol
+from touchdown.backend.devices.wsg.emulator import EmulatedWsg
+from touchdown.backend.devices.wsg.protocol import WsgCommand, WsgRequest
+from touchdown.backend.emulation.fault_plan import Faults
+from touchdown.backend.emulation.server import TcpServer
+from touchdown.backend.runs.event_log import EVENT_LOG_NAME
+
+
+def free_port():
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        return listener.getsockname()[1]
+
+
+@pytest.mark.parametrize("kind", sorted(emulated_makes()))
+def test_every_kind_serves_and_tells_its_bench_file(kind, capsys, tmp_path):
+    folder = ["--folder", str(tmp_path)] if kind == "gelsight" else []
+    assert main(["emulate", kind, *folder, "--for", "0.02", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["kind"] == kind
+    assert told["address"]
+    assert told["bench"]
+
+
+@pytest.fixture
+def ends(monkeypatch):
+    """Where each ``emulate`` puts what its Ctrl-C would call: it serves until a test calls it."""
+    told = queue.SimpleQueue()
+
+    @contextmanager
+    def handed_over(cancel):
+        told.put(cancel)
+        yield
+
+    monkeypatch.setattr(emulate, "ctrl_c_cancels", handed_over)
+    return told
+
+
+def test_a_client_of_its_own_reads_the_gripper(capsys, ends):
+    port = free_port()
+    words = ["emulate", "wsg", "--port", str(port), "--part", "0", "--json"]
+    serving = threading.Thread(target=main, args=(words,))
+    serving.start()
+    replies, reader = [], protocol.replies()
+    end = ends.get(timeout=60.0)
+    try:
+        with socket.create_connection(("127.0.0.1", port), timeout=60.0) as client:
+            client.sendall(protocol.encode_request(WsgRequest(WsgCommand.WIDTH, (0, 0))))
+            while not replies:
+                heard = client.recv(100)
+                assert heard, "it closed the wire without an answer"
+                replies.extend(reader.feed(heard))
+    finally:
+        end()
+        serving.join()
+    assert replies[0].values == (66.0,)
+    told = json.loads(capsys.readouterr().out)
+    assert (told["clients"], told["bench"]["wsg"]["port"]) == (1, port)
+    assert told["received_bytes"] == 11
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["wsg", "--tty", "x"],
+        ["dynpick", "--tty", "x", "--port", "5000"],
+        ["dynpick", "--load", "1,2"],
+        ["dynpick", "--port", "0"],
+        ["dynpick", "--for", "nan"],
+        ["gelsight"],
+        ["toaster"],
+    ],
+)
+def test_bad_words_are_bad_input(words, capsys):
+    assert main(["emulate", *words]) == 2
+    assert "fix:" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "words", [["stack", "--emulated", "--inject", "arm:stall@1"], ["emulate", "bench"]]
+)
+def test_what_the_emulated_bench_lacks_is_said_before_it_starts(words, capsys):
+    assert main(words) == 2
+    assert "fix:" in capsys.readouterr().err
+
+
+def test_a_folder_named_from_here_leads_to_the_bench_from_anywhere(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    words = ["emulate", "bench", "--folder", "new", "--lab-file", "new/lab.toml", "--for", "0.02"]
+    assert main(words) == 0
+    lab = load_lab(tmp_path / "new" / "lab.toml")
+    assert lab.settings.ft.address == str(tmp_path / "new" / "force_torque")
+    assert Path(lab.settings.gelsight.by_id).parent == (tmp_path / "new").resolve()
+
+
+def test_a_bench_leaves_its_file_in_the_folder(tmp_path, capsys):
+    assert main(["emulate", "bench", "--folder", str(tmp_path), "--for", "0.02", "--json"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert result["seen"]["step_share"] == 0.0
+    told = result["bench"]
+    hardware = read_settings(HardwareSettings, tmp_path / "bench.toml")
+    assert hardware.ft.address == told["ft"]["address"]
+    assert hardware.wsg.port == told["wsg"]["port"]
+
+
+@pytest.fixture
+def fronts():
+    """A gripper and a sensor, begun but with no thread."""
+    made = [TcpServer(EmulatedWsg(), faults=Faults(name)) for name in ("gripper", "force_torque")]
+    for front in made:
+        front.faults.begin(time.monotonic())
+    yield made
+    for front in made:
+        front.close()
+
+
+def on(front):
+    return front.faults.names(time.monotonic())
+
+
+def test_a_kind_alone_strikes_the_main_device_and_a_named_one_its_own(fronts):
+    typed = FaultPrompt(fronts, io.StringIO())
+    assert typed.obey("part_lost 60") == "gripper: part_lost for 60 s."
+    assert "until 'clear'" in typed.obey("force_torque freeze")
+    assert (on(fronts[0]), on(fronts[1])) == (("part_lost",), ("freeze",))
+    typed.obey("clear")
+    assert (on(fronts[0]), on(fronts[1])) == ((), ())
+
+
+@pytest.mark.parametrize("line", ["dark", "part_lost soon", "part_lost -1", "gripper"])
+def test_what_is_no_fault_is_said_and_does_nothing(fronts, line):
+    assert "is no fault" in FaultPrompt(fronts, io.StringIO()).obey(line)
+    assert on(fronts[0]) == ()
+
+
+def test_a_wrong_word_is_answered_with_the_kinds_there_are(fronts):
+    typed = FaultPrompt(fronts, io.StringIO())
+    assert "use one of lost, flip" in typed.obey("help")
+    assert "'hz', how many samples a second, belongs to 'slow'" in typed.obey("force_torque slow")
+
+
+def test_lines_come_as_they_are_typed_and_end(fronts):
+    read, write = os.pipe()
+    with os.fdopen(read) as source:
+        typed = FaultPrompt(fronts, source)
+        assert typed.take(0.0) == ""
+        os.write(write, b"silent 9\n")
+        assert typed.take(1.0) == "gripper: silent for 9 s."
+        os.write(write, b"part_lost 9\nforce_torque freeze 9\nsil")
+        assert typed.take(1.0) == "gripper: part_lost for 9 s."
+        assert typed.take(0.0) == "force_torque: freeze for 9 s."
+        assert typed.take(1.0) == ""
+        os.write(write, b"ent 8\n")
+        assert typed.take(1.0) == "gripper: silent for 8 s."
+        os.close(write)
+        assert typed.take(1.0) == ""
+        assert not typed.listens
+
+
+def test_where_nobody_can_type_nothing_is_waited_for(fronts):
+    assert not FaultPrompt(fronts, io.StringIO()).listens
+
+
+def _screen(*, as_json):
+    stream = io.StringIO()
+    return VerbOutput(json=as_json, stream=stream), stream
+
+
+def test_scripts_get_one_object_and_nothing_else():
+    screen, stream = _screen(as_json=True)
+    screen.say("words")
+    screen.show(Table(title="a table"))
+    with screen.progress("Working", 3) as advance:
+        advance(1, "one")
+        advance(3)
+    with screen.status() as show:
+        show(Table(title="changing"))
+    screen.result({"done": True})
+    assert json.loads(stream.getvalue()) == {"done": True}
+    assert stream.getvalue().count("\n") == 1
+
+
+def test_people_get_words_and_no_object():
+    screen, stream = _screen(as_json=False)
+    screen.say("Estimate [0.5, 1.0] mm")
+    screen.result({"done": True})
+    assert stream.getvalue() == "Estimate [0.5, 1.0] mm\n"
+
+
+def test_a_long_sentence_is_not_broken():
+    screen, stream = _screen(as_json=False)
+    screen.say("word " * 100)
+    assert stream.getvalue().count("\n") == 1
+
+
+def test_a_bar_in_a_pipe_is_its_title():
+    screen, stream = _screen(as_json=False)
+    with screen.progress("Training", 10) as advance:
+        advance(5, "half")
+    assert stream.getvalue() == "Training ...\n"
+
+
+def test_numbers_that_json_lacks_become_null():
+    screen, stream = _screen(as_json=True)
+    screen.result(
+        {
+            "nan": float("nan"),
+            "deep": [{"inf": float("inf")}, (1, np.float64("nan"))],
+            "numpy": [np.float32(0.5), np.int64(3), np.bool_(True)],
+        }
+    )
+    assert json.loads(stream.getvalue()) == {
+        "nan": None,
+        "deep": [{"inf": None}, [1, None]],
+        "numpy": [0.5, 3, True],
+    }
+
+
+def test_a_second_object_is_a_defect():
+    screen, _ = _screen(as_json=True)
+    screen.result({})
+    with pytest.raises(RuntimeError, match="exactly one"):
+        screen.result({})
+
+
+def test_brackets_in_a_table_are_text():
+    screen, stream = _screen(as_json=False)
+    table = Table("reason")
+    table.add_row("arm refused [/busy] [BUSY]")
+    screen.show(table)
+    assert "arm refused [/busy] [BUSY]" in stream.getvalue()
+
+
+def test_what_is_written_is_read_back_the_same(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "method.toml"
+    assert main(["settings", "--write", str(path), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["method"]["stability"]["delta"] == 0.9
+    assert told["written"] == str(path)
+    assert load_method(path) == StackSettings()
+    changed = path.read_text("utf-8").replace("[30.0, 30.0, 15.0]", "[20, 20.0, 1e1]")
+    path.write_text(changed.replace('"area"', '"cells"').replace("false", "true"), "utf-8")
+    settings = load_method(path)
+    assert settings.probe.stiffness_n_mm == (20.0, 20.0, 10.0)
+    assert (settings.policy.hull_centre, settings.belief.prior_correction) == ("cells", True)
+    again = tmp_path / "again.toml"
+    again.write_text(as_toml(settings), "utf-8")
+    assert load_method(again) == settings
+
+
+def test_a_file_is_never_written_over(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "method.toml"
+    path.write_text("mine", "utf-8")
+    assert main(["settings", "--write", str(path), "--json"]) == 2
+    assert json.loads(capsys.readouterr().err)["error"]["where"] == str(path)
+    assert path.read_text("utf-8") == "mine"
+
+
+def test_a_run_follows_the_file_and_records_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "method.toml"
+    path.write_text("[policy]\nmax_probes = 1\n", "utf-8")
+    runs = tmp_path / "runs"
+    words = ["stack", "--seed", "7", "--method", str(path), "--runs", str(runs), "--no-episodes"]
+    assert main([*words, "--json"]) == 1
+    (trial,) = json.loads(capsys.readouterr().out)["trials"]
+    assert (trial["outcome"], trial["probes"]) == ("gave_up", 1)
+    head = (next(runs.glob("*")) / EVENT_LOG_NAME).read_text("utf-8").splitlines()[1]
+    method = json.loads(json.loads(head)["settings"])["method"]
+    assert method["policy"]["max_probes"] == 1
+    assert method["stability"]["delta"] == 0.9
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("[policy]\nmax_probs = 1\n", "policy.max_probs"),
+        ("[stability]\ndelta = 1.5\n", "stability.delta"),
+        ("[policy]\nmax_probes = \n", "TOML"),
+        ('strategy = "paper"\n', "strategy"),
+    ],
+)
+def test_a_bad_file_is_one_error_and_leaves_nothing(
+    text: str, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "method.toml"
+    path.write_text(text, "utf-8")
+    runs = tmp_path / "runs"
+    assert main(["stack", "--method", str(path), "--runs", str(runs), "--json"]) == 2
+    error = json.loads(capsys.readouterr().err)["error"]
+    assert error["where"] == str(path)
+    assert said in error["what"] + error["fix"]
+    assert not runs.exists()
+
+
+ENDS = [
+    TrialFinished(1.0, 1, 7, Outcome.PLACED, "stands", 3, 0, 1.25),
+    TrialFinished(1.0, 1, 8, Outcome.FELL, "fell", 2, None, -0.5),
+]
+
+
+def shown(pieces: tuple[str, ...]) -> list[list[str]]:
+    stream = io.StringIO()
+    VerbOutput(json=False, stream=stream).show(trial_table(ENDS, pieces))
+    rows = [line for line in stream.getvalue().splitlines() if line[:1] in "┃│"]
+    return [
+        [cell.strip() for cell in row.strip("┃│ ").replace("│", "┃").split("┃")] for row in rows
+    ]
+
+
+def test_rows_are_led_by_their_piece() -> None:
+    assert shown(("pot", "barrel")) == [
+        ["piece", "seed", "outcome", "probes", "excess", "margin mm", "reason"],
+        ["pot", "7", "placed", "3", "0", "+1.25", "stands"],
+        ["barrel", "8", "fell", "2", "", "-0.50", "fell"],
+    ]
+
+
+def test_a_run_of_one_piece_needs_no_such_column() -> None:
+    assert [row[0] for row in shown(())] == ["seed", "7", "8"]

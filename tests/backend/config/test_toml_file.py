@@ -1,0 +1,225 @@
+"""Settings of real devices: documented with their defaults, and bad ones are refused."""
+
+from __future__ import annotations
+
+import json
+import re
+from importlib.resources import files
+from pathlib import Path
+
+import pytest
+
+from touchdown.backend.config.hardware import PLACEHOLDERS, HardwareSettings
+from touchdown.backend.config.method import ProbeSettings, Settings, StackSettings
+from touchdown.backend.config.simulation import PRESETS, SimulationSettings, load_simulation
+from touchdown.backend.config.toml_file import MAX_BYTES, parse_settings, read_settings
+from touchdown.backend.core.faults import InputError
+
+DOCUMENT = Path(__file__).resolve().parents[3] / "docs" / "hardware.md"
+
+
+def leaves(settings, prefix=""):
+    for name in type(settings).model_fields:
+        value = getattr(settings, name)
+        if isinstance(value, Settings):
+            yield from leaves(value, f"{prefix}{name}.")
+        else:
+            yield prefix + name, value
+
+
+def printed(value):
+    if isinstance(value, str):
+        return value
+    if isinstance(value, dict):
+        return "first that exists"
+    return "unset" if value is None else json.dumps(value)
+
+
+def test_the_document_lists_every_setting_with_its_default():
+    rows = re.findall(r"^\| `([a-z0-9_.]+)` \| `(.*?)` \| (.+) \|$", DOCUMENT.read_text(), re.M)
+    wanted = {key: printed(value) for key, value in leaves(HardwareSettings())}
+    assert {key: default for key, default, _ in rows} == wanted
+
+
+def test_placeholders_are_called_so():
+    text = DOCUMENT.read_text()
+    named = re.findall(r"^\| `([a-z0-9_.]+)` \| `.+?` \| placeholder:", text, re.M)
+    assert named == list(PLACEHOLDERS)
+
+
+@pytest.mark.parametrize(
+    ("content", "key"),
+    [
+        ({"melfa": {"mxt": {"step_fraction": 1.5}}}, "melfa.mxt.step_fraction"),
+        ({"melfa": {"flags": [4, 4, 1]}}, "melfa.flags"),
+        ({"melfa": {"force_variable_text": "("}}, "melfa.force_variable_text"),
+        ({"melfa": {"force_variable_text": "(a)(b)"}}, "melfa.force_variable_text"),
+        ({"melfa": {"override_start": 0}}, "melfa.override_start"),
+        ({"ft": {"rotation": [[1, 0, 0], [0, 1, 0], [0, 0, 2]]}}, "ft.rotation"),
+        ({"ft": {"rotation": [[1, 0, 0], [0, 1, 0], [0, 0, -1]]}}, "ft.rotation"),
+        ({"ft": {"rotation": [[float("nan"), 0, 0], [0, 1, 0], [0, 0, 1]]}}, "ft.rotation"),
+        ({"ft": {"sign": 0}}, "ft.sign"),
+        ({"wsg": {"grasp_force_parameter": True}}, "wsg.grasp_force_parameter"),
+        ({"optoforce": {"counts": [1, 2, 3, 4, 5, 0]}}, "optoforce.counts.5"),
+        ({"wsg": {"strok_mm": 60}}, "wsg.strok_mm"),
+    ],
+)
+def test_a_bad_value_names_its_key(content, key):
+    with pytest.raises(InputError, match=re.escape(f"'{key}'")):
+        parse_settings(HardwareSettings, content, "lab.toml")
+
+
+def test_a_turned_sensor_is_accepted():
+    content = {"ft": {"rotation": [[0, -1, 0], [1, 0, 0], [0, 0, 1]], "sign": -1}}
+    assert parse_settings(HardwareSettings, content, "lab.toml").ft.rotation[0] == (0.0, -1.0, 0.0)
+
+
+def _write(tmp_path, text):
+    path = tmp_path / "bench.toml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def test_values_are_taken_and_the_rest_is_default(tmp_path):
+    settings = read_settings(
+        StackSettings, _write(tmp_path, 'strategy = "pick-and-place"\n[probe]\ndepth_mm = 1.0\n')
+    )
+    assert settings.strategy == "pick-and-place"
+    assert settings.probe.depth_mm == 1.0
+    assert settings.probe.ramp_fraction == ProbeSettings().ramp_fraction
+
+
+def test_an_empty_file_is_the_paper(tmp_path):
+    settings = read_settings(StackSettings, _write(tmp_path, ""))
+    assert settings == StackSettings()
+    assert (settings.probe.depth_mm, settings.probe.duration_s) == (1.5, 2.0)
+    assert settings.probe.stiffness_n_mm == (30.0, 30.0, 15.0)
+    assert (settings.stability.delta, settings.policy.longest_step_mm) == (0.9, 3.0)
+
+
+@pytest.mark.parametrize(
+    ("text", "key"),
+    [
+        ("[probe]\ndepth_mm = -1.0\n", "probe.depth_mm"),
+        ("[probe]\ndepth_mm = nan\n", "probe.depth_mm"),
+        ("[probe]\ndepth_mm = inf\n", "probe.depth_mm"),
+        ('[probe]\ndepth_mm = "deep"\n', "probe.depth_mm"),
+        ("[probe]\nstiffness_n_mm = [30.0, 30.0]\n", "probe.stiffness_n_mm"),
+        ("[stability]\ndelta = 1.0\n", "stability.delta"),
+        ("[policy]\nmax_probes = 0\n", "policy.max_probes"),
+        ('strategy = "hope"\n', "strategy"),
+        ("[probe]\ndepth = 1.0\n", "probe.depth"),
+        ("probe = 3\n", "probe"),
+    ],
+)
+def test_the_error_names_file_and_key(tmp_path, text, key):
+    path = _write(tmp_path, text)
+    with pytest.raises(InputError) as caught:
+        read_settings(StackSettings, path)
+    assert caught.value.where == str(path)
+    assert f"'{key}" in caught.value.what
+    assert caught.value.fix
+
+
+@pytest.mark.parametrize(
+    ("text", "said", "fix"),
+    [
+        ("[ft]\nrate = 3", "There is no setting 'ft.rate'.", "'ft.rate_hz'"),
+        ("[gelsigt.left]", "There is no setting 'gelsigt'.", "'gelsight'"),
+        ("[ft]\nzzz = 3", "There is no setting 'ft.zzz'.", "Remove 'ft.zzz'."),
+    ],
+)
+def test_a_setting_that_nobody_knows_is_called_so_with_the_nearest_one(tmp_path, text, said, fix):
+    path = tmp_path / "bench.toml"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(InputError) as caught:
+        read_settings(HardwareSettings, path)
+    assert caught.value.what == said
+    assert fix in caught.value.fix
+
+
+def test_broken_toml_names_the_line(tmp_path):
+    path = _write(tmp_path, "[probe]\ndepth_mm = = 1\n")
+    with pytest.raises(InputError, match="line 2") as caught:
+        read_settings(StackSettings, path)
+    assert caught.value.where == str(path)
+
+
+def test_a_missing_file_a_folder_and_wrong_bytes_are_named(tmp_path):
+    binary = tmp_path / "binary.toml"
+    binary.write_bytes(b"\xff\xfe\x00\x01")
+    for path in (tmp_path / "missing.toml", tmp_path, binary):
+        with pytest.raises(InputError) as caught:
+            read_settings(StackSettings, path)
+        assert caught.value.where == str(path)
+
+
+@pytest.mark.promise("D8")
+def test_a_huge_file_is_refused_unread(tmp_path):
+    path = tmp_path / "huge.toml"
+    with path.open("wb") as file:
+        file.truncate(MAX_BYTES + 1)
+    with pytest.raises(InputError, match="too large"):
+        read_settings(StackSettings, path)
+
+
+def test_settings_cannot_be_changed_later():
+    settings = parse_settings(StackSettings, {}, "test")
+    with pytest.raises(ValueError, match="frozen"):
+        settings.probe.depth_mm = 9.0
+
+
+BENCHES = Path(str(files("touchdown.resources"))) / "benches"
+
+
+def test_shipped_default_spells_out_the_defaults() -> None:
+    assert load_simulation(BENCHES / "sim.toml") == SimulationSettings()
+
+
+@pytest.mark.parametrize(
+    ("name", "file"), [("quiet", "sim-quiet"), ("hard", "sim-hard"), ("bench-v1", "bench-v1")]
+)
+def test_shipped_file_is_its_preset(name, file) -> None:
+    assert load_simulation(BENCHES / f"{file}.toml") == load_simulation(preset=name)
+
+
+@pytest.mark.parametrize("name", sorted(PRESETS))
+def test_every_preset_is_valid_and_named(name) -> None:
+    assert load_simulation(preset=name).preset == name
+
+
+def test_off_leaves_nothing_random() -> None:
+    off = load_simulation(preset="off")
+    assert set(off.spread.model_dump().values()) == {0.0}
+    assert off.tactile.white_px == off.wrist.white_n == off.tactile.drop_share == 0.0
+
+
+def test_own_keys_win_over_the_preset() -> None:
+    made = SimulationSettings.model_validate(
+        {"preset": "hard", "spread": {"tilt_rad": 0.002}, "mu_grip": 0.5}
+    )
+    assert (made.spread.tilt_rad, made.mu_grip) == (0.002, 0.5)
+    assert made.spread.grasp_offset_mm == 1.0
+
+
+@pytest.mark.parametrize(
+    ("text", "key"),
+    [
+        ('preset = "loud"', "preset"),
+        ("[grasp]\nshear_n_mm = -1", "grasp.shear_n_mm"),
+        ("[tactile]\nwhite = 1", "tactile.white"),
+        ("mu = nan", "mu"),
+    ],
+)
+def test_a_bad_file_is_named_with_its_key(text, key, tmp_path) -> None:
+    file = tmp_path / "bench.toml"
+    file.write_text(text, encoding="utf-8")
+    with pytest.raises(InputError) as caught:
+        load_simulation(file)
+    assert caught.value.where == str(file)
+    assert key in caught.value.what
+
+
+def test_settings_survive_a_round_trip() -> None:
+    hard = load_simulation(preset="hard")
+    assert SimulationSettings.model_validate_json(hard.model_dump_json()) == hard

@@ -1,0 +1,335 @@
+"""Shared values are immutable."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.backend.simulation.one_press import CASES, RMS_LIMIT_PX, press_both_ways
+from touchdown.backend.core import scheduling
+from touchdown.backend.core.faults import StaleSampleError
+from touchdown.backend.core.scheduling import (
+    NICENESS,
+    RAISED_NICENESS,
+    RepaintHold,
+    raised_priority,
+)
+from touchdown.backend.core.streams import SampleStream, Stream
+from touchdown.backend.core.values import (
+    CHANNELS,
+    MARKERS,
+    TACTILE_CHANNELS,
+    BeliefMap,
+    ContactPatch,
+    TactileFrame,
+)
+from touchdown.backend.core.watchdog import STALLED_AFTER_S, ProcessStallDetector
+
+
+def test_the_observation_has_252_displacements_and_6_wrench_values():
+    assert (MARKERS, TACTILE_CHANNELS, CHANNELS) == (63, 252, 258)
+
+
+def test_arrays_of_values_are_read_only():
+    patch = ContactPatch(np.zeros((4, 2)), np.zeros(4))
+    with pytest.raises(ValueError, match="read-only"):
+        patch.probability[0] = 1.0
+    with pytest.raises(AttributeError):
+        patch.probability = np.ones(4)
+    frame = TactileFrame("left", 0, 0.0, np.zeros((240, 320, 3), np.uint8))
+    with pytest.raises(ValueError, match="read-only"):
+        frame.image[:] = 1
+
+
+def test_belief_cells_and_probabilities():
+    belief = BeliefMap(
+        np.array([[0.0, np.log(9.0), -np.log(9.0)]]), np.ones((1, 3), bool), (-1.0, 5.0), 2.0, 1
+    )
+    np.testing.assert_allclose(belief.probability, [[0.5, 0.9, 0.1]], rtol=0, atol=1e-15)
+    assert belief.cell_centres_mm().tolist() == [[[-1.0, 5.0], [1.0, 5.0], [3.0, 5.0]]]
+
+
+def test_extreme_log_odds_stay_probabilities():
+    belief = BeliefMap(np.array([[-20.0, 20.0]]), np.ones((1, 2), bool), (0.0, 0.0), 1.0, 1)
+    assert 0 < belief.probability[0, 0] < 1e-8
+    assert 1 - 1e-8 < belief.probability[0, 1] < 1
+
+
+def test_it_ends_by_itself_if_nobody_ends_it():
+    now = [10.0]
+    hush = RepaintHold(lambda: now[0])
+    assert not hush.on
+    hush.begin(0.08)
+    assert hush.on
+    now[0] = 10.079
+    assert hush.on
+    now[0] = 10.081
+    assert not hush.on
+
+
+def test_it_ends_with_the_decision():
+    hush = RepaintHold(lambda: 0.0)
+    hush.begin(0.08)
+    hush.end()
+    assert not hush.on
+
+
+TWICE = """
+import os
+from touchdown.backend.core.scheduling import lower_priority
+os.nice(5)
+lower_priority()
+lower_priority()
+print(os.nice(0))
+"""
+
+
+@pytest.mark.skipif(os.name != "posix", reason="only there is a niceness")
+def test_what_has_stepped_back_already_does_not_lower_priority_again() -> None:
+    told = subprocess.run([sys.executable, "-c", TWICE], capture_output=True, text=True, check=True)
+    assert int(told.stdout) == max(NICENESS, min(os.nice(0) + 5, 19))
+
+
+def present() -> int:
+    return os.getpriority(os.PRIO_PROCESS, 0)
+
+
+def of_a_new_thread() -> int:
+    found: list[int] = []
+    thread = threading.Thread(target=lambda: found.append(present()))
+    thread.start()
+    thread.join()
+    return found[0]
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only there each thread has its own")
+def test_threads_that_are_started_meanwhile_stand_forward_as_well() -> None:
+    before = present()
+    with raised_priority() as given:
+        if not given:
+            pytest.skip("this user may not have it")
+        assert of_a_new_thread() == present() == RAISED_NICENESS
+    assert of_a_new_thread() == present() == before
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only there each thread has its own")
+def test_who_may_not_step_forward_stays(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refused(*_: object) -> None:
+        raise PermissionError("no nice for this user")
+
+    before = present()
+    monkeypatch.setattr(scheduling.os, "setpriority", refused)
+    with raised_priority() as given:
+        assert not given
+        assert present() == before
+
+
+BUSY = "print(flush=True)\nwhile True: sum(range(1000))"
+WAITS = (
+    "import threading\nprint(flush=True)\nlock = threading.Lock()\nlock.acquire()\nlock.acquire()"
+)
+
+
+@pytest.fixture
+def child(request):
+    with subprocess.Popen([sys.executable, "-c", request.param], stdout=subprocess.PIPE) as made:
+        assert made.stdout.readline() == b"\n"
+        yield made
+        made.kill()
+
+
+def looks(watch, until):
+    """Look for as long as the outcome may still change; the clock of the looks is wound by hand."""
+    now_s = 0.0
+    for _ in range(10_000):
+        now_s += STALLED_AFTER_S
+        if watch.look(now_s) is until:
+            return True
+    return False
+
+
+@pytest.mark.promise("P7", "P10")
+@pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="threads are seen on Linux only")
+@pytest.mark.parametrize("child", [WAITS], indirect=True)
+def test_one_that_waits_for_ever_stands_still_and_a_gone_one_does_not(child):
+    watch = ProcessStallDetector(child.pid)
+    assert not watch.look(0.0), "a first look knows nothing"
+    assert looks(watch, True)
+    assert not watch.look(1e8), "who has not looked for long knows nothing either"
+    child.kill()
+    child.wait()
+    assert not watch.look(1e9)
+
+
+@pytest.mark.promise("P7", "P10")
+@pytest.mark.parametrize("child", [BUSY], indirect=True)
+def test_one_that_is_stopped_stands_still_until_it_goes_on(child):
+    watch = ProcessStallDetector(child.pid)
+    assert not any(watch.look(k * STALLED_AFTER_S) for k in range(50)), "it wants to run"
+    os.kill(child.pid, signal.SIGSTOP)
+    assert looks(watch, True)
+    os.kill(child.pid, signal.SIGCONT)
+    assert looks(watch, False)
+
+
+@given(st.integers(1, 8), st.lists(st.integers(0, 5), max_size=30))
+def test_a_reader_gets_each_item_once_or_as_lost(capacity, bursts):
+    stream, cursor, number, got, lost = Stream("s", capacity), 0, 0, [], 0
+    for burst in bursts:
+        for _ in range(burst):
+            stream.put(float(number), number)
+            number += 1
+        items, cursor, missed = stream.since(cursor)
+        assert missed == max(0, burst - capacity)
+        assert items == list(range(number - burst + missed, number))
+        got += items
+        lost += missed
+    assert len(got) + lost == number == stream.count
+
+
+def test_readers_do_not_disturb_each_other():
+    stream = Stream("s", 4)
+    for i in range(3):
+        stream.put(i, i)
+    assert stream.since(0)[0] == stream.since(0)[0] == [0, 1, 2]
+
+
+def test_an_old_item_is_no_observation_but_may_be_shown():
+    stream = Stream("left", 4)
+    with pytest.raises(StaleSampleError, match="no sample yet"):
+        stream.latest(0.0, 1.0)
+    stream.put(1.0, "a")
+    assert stream.latest(1.05, 0.05 + 1e-9) == "a"
+    with pytest.raises(StaleSampleError, match="left: newest sample is 200 ms old"):
+        stream.latest(1.2, 0.1)
+    assert stream.newest() == "a"
+
+
+@pytest.mark.parametrize("now", [float("nan")])
+def test_a_clock_that_is_no_number_makes_every_sample_stale(now):
+    stream = Stream("s", 1)
+    stream.put(0.0, 1)
+    with pytest.raises(StaleSampleError):
+        stream.latest(now, 1.0)
+
+
+def test_between_takes_both_ends():
+    stream = Stream("s", 10)
+    for i in range(10):
+        stream.put(0.1 * i, i)
+    assert stream.between(0.2, 0.5) == [2, 3, 4, 5]
+    assert stream.between(2.0, 3.0) == []
+
+
+def test_clear_forgets_items_but_not_the_count():
+    stream = Stream("s", 10)
+    for i in range(3):
+        stream.put(i, i)
+    stream.clear()
+    assert stream.newest() is None
+    items, cursor, lost = stream.since(1)
+    assert (items, cursor, lost) == ([], 3, 2)
+
+
+@given(st.integers(1, 40), st.lists(st.integers(0, 40), max_size=20), st.integers(1, 5))
+def test_the_ring_is_a_list_with_a_short_memory(capacity, blocks, every):
+    ring, kept, cursor, total = SampleStream("ft", 2, capacity), [], 0, 0
+    for turn, size in enumerate(blocks):
+        size = min(size, capacity)
+        numbers = np.arange(total, total + size, dtype=float)
+        ring.put(1e-3 * numbers, np.stack([numbers, -numbers], axis=1))
+        kept = (kept + list(numbers))[-capacity:]
+        total += size
+        window = ring.window(-np.inf, np.inf)
+        assert window.values[:, 0].tolist() == kept
+        if turn % every == 0:
+            samples = ring.since(cursor)
+            assert samples.lost == max(0, total - cursor - capacity)
+            assert samples.values[:, 0].tolist() == list(range(cursor + samples.lost, total))
+            cursor = samples.cursor
+    assert ring.count == total
+
+
+def test_window_takes_both_ends_and_returns_a_copy():
+    ring = SampleStream("ft", 1, 100)
+    t = np.arange(10.0)
+    ring.put(t, t[:, None])
+    samples = ring.window(3.0, 5.0)
+    assert samples.t_s.tolist() == [3.0, 4.0, 5.0]
+    samples.values[:] = 99.0
+    assert ring.window(3.0, 5.0).values[:, 0].tolist() == [3.0, 4.0, 5.0]
+
+
+def test_stale_missing_and_not_finite_samples_are_refused():
+    ring = SampleStream("ft", 2, 10)
+    with pytest.raises(StaleSampleError, match="no sample yet"):
+        ring.latest(0.0, 1.0)
+    ring.put(np.array([1.0]), np.array([[1.0, 2.0]]))
+    t_s, values = ring.latest(1.001, 0.0015)
+    assert (t_s, values.tolist()) == (1.0, [1.0, 2.0])
+    with pytest.raises(StaleSampleError, match="100 ms old"):
+        ring.latest(1.1, 0.0015)
+    ring.put(np.array([2.0]), np.array([[np.nan, 2.0]]))
+    with pytest.raises(StaleSampleError, match="not a finite number"):
+        ring.latest(2.0, 1.0)
+    ring.clear()
+    with pytest.raises(StaleSampleError, match="no sample yet"):
+        ring.latest(2.0, 1.0)
+
+
+def test_after_clear_the_loss_is_counted():
+    ring = SampleStream("ft", 1, 10)
+    ring.put(np.arange(4.0), np.zeros((4, 1)))
+    ring.clear()
+    ring.put(np.array([9.0]), np.zeros((1, 1)))
+    samples = ring.since(1)
+    assert (samples.lost, samples.t_s.tolist(), samples.cursor) == (3, [9.0], 5)
+
+
+def test_a_reader_never_sees_a_torn_block():
+    """Time and value of one sample belong together while another thread writes."""
+    ring, stop = SampleStream("ft", 1, 50), threading.Event()
+
+    def write():
+        number = 0
+        while not stop.is_set():
+            block = np.arange(number, number + 10, dtype=float)
+            ring.put(block, 2 * block[:, None])
+            number += 10
+
+    writer = threading.Thread(target=write)
+    writer.start()
+    try:
+        cursor = 0
+        for _ in range(500):
+            samples = ring.since(cursor)
+            assert np.array_equal(samples.values[:, 0], 2 * samples.t_s)
+            assert np.all(np.diff(samples.t_s) == 1)
+            assert len(samples.t_s) % 10 == 0
+            cursor = samples.cursor
+    finally:
+        stop.set()
+        writer.join()
+
+
+@pytest.mark.parametrize(("piece", "bottom", "seed"), CASES)
+def test_one_press_felt_by_the_devices_is_the_one_simulated_in_bulk(
+    piece: str, bottom: str, seed: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    press = press_both_ways(piece, bottom, seed, monkeypatch)
+    assert press.computed_mm == pytest.approx(press.felt_mm, abs=0.05)
+    moved_px = float(np.sqrt(np.mean(press.computed[:, :TACTILE_CHANNELS] ** 2)))
+    assert moved_px > 2.0
+    assert press.rms_px <= RMS_LIMIT_PX
+    wrench = np.abs(press.felt - press.computed)[:, TACTILE_CHANNELS:]
+    assert wrench[:, :3].max() < 0.15
+    assert wrench[:, 3:].max() < 0.01

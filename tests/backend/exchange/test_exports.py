@@ -1,0 +1,350 @@
+"""Exports: selection, manifest, and incomplete exports."""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+import zarr
+from zarr.core.sync import cleanup_resources
+
+from tests.backend.annotations.conftest import context_for, small_episode
+from tests.backend.annotations.test_packs_in_datasets import write_pack
+from tests.backend.exchange.conftest import Hand, recorded_episode
+from tests.backend.exchange.test_imports import manifest_of
+from touchdown.backend.annotations import operation_log, review
+from touchdown.backend.annotations.dataset import Dataset
+from touchdown.backend.annotations.episode_index import SPLIT_TAG
+from touchdown.backend.annotations.values import Label
+from touchdown.backend.core.faults import FaultError, InputError
+from touchdown.backend.core.values import FINGERS, MARKERS, MarkerField
+from touchdown.backend.exchange import exports
+from touchdown.backend.exchange.exports import EXPORTS, export, export_dataset, export_format
+from touchdown.backend.exchange.imports import EpisodeImport, ImportOptions
+from touchdown.backend.exchange.query import ExportQuery, ExportState, select_episodes
+
+EVERY: tuple[ExportState, ...] = ("approved", "submitted", "draft")
+
+
+@pytest.mark.parametrize("kind", EXPORTS)
+def test_the_same_query_gives_the_same_manifest(kind: str, hand: Hand) -> None:
+    one, two = (manifest_of(hand(kind, out).folder) for out in ("one", "two"))
+    assert one.pop("created_ns") < two.pop("created_ns")
+    assert one == two
+    assert one["files"]
+
+
+@pytest.mark.parametrize("kind", EXPORTS)
+def test_the_manifest_names_every_file_by_its_hash(kind: str, hand: Hand) -> None:
+    out = hand(kind).folder
+    listed = {file["path"]: file["sha256"] for file in manifest_of(out)["files"]}
+    files = [path for path in out.rglob("*") if path.is_file() and path.name != "manifest.json"]
+    assert listed == {
+        path.relative_to(out).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in files
+    }
+
+
+def test_the_manifest_says_where_it_comes_from(dataset: Dataset, hand: Hand) -> None:
+    content = manifest_of(hand("lerobot").folder)
+    assert content["dataset_uuid"] == dataset.description.uuid
+    assert content["site_heads"] == dataset.labels.chain_heads()
+    assert content["label_states"] == {"approved": 4, "draft": 1, "submitted": 1}
+    assert content["label_sources"] == {"measured": 6}
+    for episode in content["episodes"]:
+        assert episode["file_sha256"] == dataset.entry(episode["uuid"]).sha256
+        assert episode["rev_uuid"] == dataset.labels.head(episode["uuid"]).rev_uuid
+    numbers = sorted(k for side in content["splits"].values() for k in side)
+    assert numbers == list(range(6))
+
+
+def test_grips_stay_on_one_side(dataset: Dataset) -> None:
+    query = ExportQuery(states=EVERY, held_out=0.4, divide_series=True)
+    chosen = select_episodes(dataset, query).chosen
+    grips = {side: {o.entry.grip_id for o in chosen if o.split == side}
+             for side in ("train", "held_out")}  # fmt: skip
+    assert grips["train"]
+    assert grips["held_out"]
+    assert not grips["train"] & grips["held_out"]
+
+
+def tag(dataset: Dataset, uuids: list[str], side: str) -> None:
+    with dataset.labels.commit() as connection:
+        marks = [operation_log.read_mark(connection, u, f"{SPLIT_TAG}{side}", present=True)
+                 for u in uuids]  # fmt: skip
+        site, draft = dataset.description.site, operation_log.OperationDraft(marks=marks)
+        _, touched = operation_log.append_operation(connection, site, "ann", "tag", draft)
+        review.refresh_heads(connection, touched)
+
+
+def test_a_pair_of_a_series_is_divided_only_where_somebody_says_so(
+    dataset: Dataset, hand: Hand
+) -> None:
+    alone = select_episodes(dataset, ExportQuery(states=EVERY, held_out=0.4))
+    assert {one.split for one in alone.chosen} == {"train"}
+    assert alone.warnings[0].startswith("Nothing is held out. There is one series only of")
+    first, *rest = [entry.uuid for entry in dataset.episodes()]
+    tag(dataset, rest[:2], "held_out")
+    with pytest.raises(InputError, match="1 pair of a series is on both sides") as refused:
+        select_episodes(dataset, ExportQuery(states=EVERY))
+    assert first in refused.value.where
+    done = hand("csv", query=ExportQuery(states=EVERY, divide_series=True))
+    content = manifest_of(done.folder)
+    assert content["warnings"] == list(done.warnings)
+    assert content["warnings"][0].startswith("Leakage: 1 pair of a series is on both sides")
+    assert content["query"]["resolved"]["divide_series"] is True
+    assert len(content["splits"]["held_out"]) == 2
+
+
+def test_whole_series_are_held_out(dataset: Dataset) -> None:
+    for number, bottom in enumerate(("circle15", "circle15", "hex20")):
+        context = replace(context_for(dataset, "pot", bottom), mounting_id=f"mounting-{number}")
+        for k in range(3):
+            grip = replace(context, grip_id=f"{number}/{k}")
+            dataset.record(recorded_episode(50 + 3 * number + k, frames=False), Label(1, 2, 0, 3),
+                           source="measured", context=grip)  # fmt: skip
+    selection = select_episodes(dataset, ExportQuery(states=EVERY, held_out=0.3))
+    assert selection.warnings == ()
+    of = {side: {(o.entry.mounting_id, o.entry.bottom) for o in selection.chosen if o.split == side}
+          for side in ("train", "held_out")}  # fmt: skip
+    assert of["train"]
+    assert of["held_out"]
+    assert not of["train"] & of["held_out"]
+
+
+def test_states_choose_and_the_approved_label_counts(dataset: Dataset) -> None:
+    everything = [entry.uuid for entry in dataset.episodes()]
+    chosen = select_episodes(dataset, ExportQuery()).chosen
+    assert {o.entry.uuid for o in chosen} == set(everything[:4])
+    before = dataset.labels.head(everything[0])
+    dataset.labels.set("ann", everything[0], Label(7, 7, 0, 9))
+    chosen = select_episodes(dataset, ExportQuery()).chosen
+    found = {o.entry.uuid: o.revision.rev_uuid for o in chosen}
+    assert found[everything[0]] == before.rev_uuid
+    dataset.labels.reject("bob", everything[4], "tilt")
+    dataset.labels.delete("bob", everything[1], "test")
+    selection = select_episodes(dataset, ExportQuery(states=("approved", "submitted")))
+    assert {o.entry.uuid for o in selection.chosen} == {everything[k] for k in (0, 2, 3)}
+    assert "1 episodes are left out: its label is rejected." in selection.warnings
+
+
+def test_nothing_to_hand_on_says_why(tmp_path: Path) -> None:
+    with Dataset.open(tmp_path / "d") as dataset:
+        episode = small_episode(accepted=False)
+        context = context_for(dataset)
+        dataset.record(episode, Label(1, 2, 0, 3), source="commanded", context=context)
+        with pytest.raises(InputError, match="failed its quality checks"):
+            select_episodes(dataset, ExportQuery(states=("draft",)))
+
+
+def test_two_faces_need_a_piece(dataset: Dataset, hand: Hand) -> None:
+    barrel = replace(recorded_episode(50), piece="barrel")
+    context = context_for(dataset, "barrel")
+    dataset.record(barrel, Label(1, 2, 0, 3), source="measured", context=context)
+    with pytest.raises(InputError, match="--piece"):
+        hand("zarr")
+    query = ExportQuery(piece="pot", states=("approved", "draft"))
+    assert hand("zarr", query=query).episodes == 5
+    assert hand("csv").episodes == 7
+
+
+def test_an_interrupted_export_is_never_complete(
+    dataset: Dataset, tmp_path: Path, hand: Hand
+) -> None:
+    def stop(done: int, total: int) -> None:
+        if done == 2:
+            raise KeyboardInterrupt
+
+    out = tmp_path / "lerobot"
+    with pytest.raises(KeyboardInterrupt):
+        export_dataset(dataset, export_format("lerobot"), ExportQuery(), out, "none", stop)
+    part = tmp_path / "lerobot.partial"
+    assert part.is_dir()
+    assert not out.exists()
+    assert not (part / "manifest.json").exists()
+    with pytest.raises(InputError, match="interrupted"):
+        EpisodeImport(dataset, "lerobot", part, ImportOptions("dora"))
+    assert hand("lerobot").folder == out
+    assert not part.exists()
+
+
+def test_a_full_disk_is_a_fault(
+    dataset: Dataset, hand: Hand, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(folder: Path, content: object) -> str:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(exports.manifest, "write_manifest", full)
+    with pytest.raises(FaultError, match="DISK-FULL"):
+        hand("csv")
+
+
+def test_no_folder_is_overwritten(dataset: Dataset, hand: Hand, tmp_path: Path) -> None:
+    hand("csv")
+    with pytest.raises(InputError, match="there already"):
+        hand("csv")
+    (tmp_path / "mine.partial").mkdir()
+    (tmp_path / "mine.partial" / "thesis.txt").write_text("keep")
+    with pytest.raises(InputError, match="no interrupted export"):
+        hand("csv", "mine")
+    assert (tmp_path / "mine.partial" / "thesis.txt").exists()
+
+
+def test_zarr_holds_the_same_numbers(
+    dataset: Dataset, hand: Hand, request: pytest.FixtureRequest
+) -> None:
+    out = hand("zarr").folder
+    request.addfinalizer(cleanup_resources)
+    group = zarr.open_group(out / "episodes.zarr", mode="r")
+    assert group.attrs["committed"] is True
+    uuids = list(group.attrs["episodes"])  # type: ignore[arg-type]
+    markers, wrench = (group[f"observation.{name}"][:] for name in ("markers", "ft"))  # type: ignore[index]
+    for k, uuid in enumerate(uuids):
+        mine = np.concatenate([markers[k], wrench[k]], 1)
+        assert mine.tobytes() == dataset.read(str(uuid)).observation.tobytes()
+    array = group["observation.markers"]
+    assert array.metadata.zarr_format == 3  # type: ignore[union-attr]
+    assert array.shards[0] == 100  # type: ignore[union-attr, index]
+    assert array.chunks[0] == 1  # type: ignore[union-attr, index]
+
+
+def test_packed_episodes_have_what_the_model_is_given(tmp_path: Path, hand: Hand) -> None:
+    folder = tmp_path / "packed"
+    with Dataset.open(folder):
+        pass
+    write_pack(folder / "packs" / "a.mcap")
+    with Dataset.open(folder) as dataset:
+        done = hand("robomimic", "packed-out", of=dataset)
+        assert done.episodes == 4
+        assert "no recorded signals" in done.warnings[1]
+        with Dataset.open(tmp_path / "back") as back:
+            EpisodeImport(back, "robomimic", done.folder, ImportOptions("dora")).write()
+            mine = {back.read(e.uuid).observation.tobytes() for e in back.episodes()}
+            again = hand("robomimic", "packed-again", of=back)
+            first, second = (
+                [row["split"] for row in manifest_of(one.folder)["episodes"]]
+                for one in (done, again)
+            )
+            assert first == second
+            with (
+                h5py.File(done.folder / "demos.hdf5") as a,
+                h5py.File(again.folder / "demos.hdf5") as b,
+            ):
+                for name in a["data"]:
+                    obs = f"data/{name}/obs/markers"
+                    assert a[obs][()].tobytes() == b[obs][()].tobytes()
+    from touchdown.backend.episodes.packs import read_pack
+
+    packed = {row.observation.tobytes() for row in read_pack(folder / "packs" / "a.mcap")}
+    assert mine == packed
+
+
+def test_pictures_are_refused_where_there_are_none(hand: Hand, dataset: Dataset) -> None:
+    with pytest.raises(InputError, match="holds no pictures"):
+        hand("csv", video="all")
+    dataset.record(recorded_episode(60, frames=False), Label(1, 2, 0, 3), source="measured",
+                   context=context_for(dataset), keep_frames="none")  # fmt: skip
+    with pytest.raises(InputError, match="without pictures"):
+        hand("lerobot", video="all")
+    assert hand("lerobot", video="sample").episodes == 7
+
+
+def test_a_script_exports_a_folder_or_an_open_dataset(
+    dataset: Dataset, filled: Path, hand: Hand, tmp_path: Path
+) -> None:
+    by_path = export(str(filled), "jsonl", str(tmp_path / "path"), held_out=0.0)
+    assert by_path.episodes == 4
+    query = ExportQuery(states=EVERY, held_out=0.4, divide_series=True)
+    whole = hand("robomimic", query=query).folder
+    seen: list[tuple[int, int]] = []
+    of_open = export(
+        dataset, "robomimic", tmp_path / "open", states=EVERY, held_out=0.4, divide_series=True,
+        on_progress=lambda done, total: seen.append((done, total)),
+    )  # fmt: skip
+    contents = [manifest_of(folder) for folder in (whole, of_open.folder)]
+    assert contents[0].pop("created_ns") < contents[1].pop("created_ns")
+    assert contents[0] == contents[1]
+    assert seen[-1] == (6, 6)
+    with pytest.raises(InputError, match="no dataset"):
+        export(tmp_path / "none", "jsonl", tmp_path / "out")
+    with pytest.raises(InputError, match="no format"):
+        export(dataset, "hdf", tmp_path / "out")
+
+
+ALL = ExportQuery(states=("draft",))
+
+
+def columns(path: Path) -> dict[str, list[str]]:
+    with path.open(newline="", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    return {name: [row[name] for row in rows] for name in rows[0]}
+
+
+def floats(table: dict[str, list[str]], *names: str) -> np.ndarray[Any, Any]:
+    return np.array([[float(text) for text in table[name]] for name in names]).T
+
+
+def test_every_sample_is_in_its_table(tmp_path: Path) -> None:
+    episode = recorded_episode(3, frames=False)
+    assert episode.recording is not None
+    rng = np.random.default_rng(8)
+    fields = tuple(
+        MarkerField(f, k, 1.0 + 0.04 * k, rng.normal(size=(MARKERS, 2)),
+                    rng.normal(size=(MARKERS, 2)), rng.integers(0, 3, MARKERS).astype(np.uint8), 1)
+        for k in range(3) for f in FINGERS
+    )  # fmt: skip
+    episode = replace(episode, recording=replace(episode.recording, fields=fields))
+    with Dataset.open(tmp_path / "data") as dataset:
+        entry = dataset.record(
+            episode, Label(1, 2, 0, 3), source="measured", context=context_for(dataset)
+        )
+        done = export_dataset(dataset, export_format("csv", tables=True), ALL, tmp_path / "out")
+        stored = dataset.read(entry.uuid)
+    recording, onset_s = stored.recording, stored.onset_s
+    assert recording is not None
+    place = done.folder / "signals" / entry.uuid
+    ft = columns(place / "ft.csv")
+    names = ("fx_n", "fy_n", "fz_n", "tx_nm", "ty_nm", "tz_nm")
+    assert floats(ft, *names).tobytes() == recording.wrench.tobytes()
+    since_s = floats(ft, "t_s")[:, 0] + onset_s
+    np.testing.assert_allclose(since_s, recording.wrench_t_s, rtol=0, atol=1e-12)
+    markers = columns(place / "markers.csv")
+    assert len(markers["t_s"]) == len(fields) * MARKERS
+    for number, field in enumerate(recording.fields):
+        rows = slice(number * MARKERS, (number + 1) * MARKERS)
+        part = {name: values[rows] for name, values in markers.items()}
+        assert set(part["finger"]) == {field.finger}
+        assert part["marker"] == [str(k) for k in range(MARKERS)]
+        assert floats(part, "u_px", "v_px").tobytes() == field.position_px.tobytes()
+        assert floats(part, "du_px", "dv_px").tobytes() == field.displacement_px.tobytes()
+        words = ("seen", "inferred", "lost")
+        assert part["state"] == [words[state] for state in field.state]
+    poses = columns(place / "poses.csv")
+    for kind, t_s, told_mm in (
+        ("measured", recording.pose_t_s, recording.pose_mm),
+        ("commanded", recording.command_t_s, recording.command_mm),
+    ):
+        mine = [k for k, word in enumerate(poses["kind"]) if word == kind]
+        part = {name: [values[k] for k in mine] for name, values in poses.items()}
+        assert floats(part, "x_mm", "y_mm", "z_mm").tobytes() == told_mm.tobytes()
+        np.testing.assert_allclose(floats(part, "t_s")[:, 0] + onset_s, t_s, rtol=0, atol=1e-12)
+
+
+def test_other_formats_hold_no_tables() -> None:
+    with pytest.raises(InputError, match="holds no tables"):
+        export_format("zarr", tables=True)
+
+
+def test_without_recorded_signals_there_are_labels_only(tmp_path: Path) -> None:
+    silent = replace(recorded_episode(3, frames=False), recording=None)
+    with Dataset.open(tmp_path / "data") as dataset:
+        dataset.record(silent, Label(1, 2, 0, 3), source="measured", context=context_for(dataset))
+        done = export_dataset(dataset, export_format("csv", tables=True), ALL, tmp_path / "out")
+    assert (done.folder / "episodes.csv").is_file()
+    assert not (done.folder / "signals").exists()

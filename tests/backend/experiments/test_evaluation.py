@@ -1,0 +1,424 @@
+"""What exists is asked elsewhere and with other nuisances: same seeds, nothing asked twice."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from touchdown.backend.cli.command_line import main
+from touchdown.backend.config.simulation import SimulationSettings, SpreadSettings, load_simulation
+from touchdown.backend.core.faults import InputError
+from touchdown.backend.experiments.comparison import (
+    merged_oracle_shares,
+    oracle_shares,
+    quantity_label,
+)
+from touchdown.backend.experiments.document import report_page
+from touchdown.backend.experiments.domain_shift import (
+    LAW_FACTORS,
+    NUISANCE_FACTORS,
+    DomainShift,
+    RandomisedTraining,
+    format_drop,
+    format_interval,
+    press_scores,
+    randomise_bench,
+)
+from touchdown.backend.experiments.evaluation import FACTORS, FOUNDATION, NUISANCES, scale_nuisance
+from touchdown.backend.experiments.job_kinds import KINDS
+from touchdown.backend.experiments.models import adopt_models, shipped_model_folders
+from touchdown.backend.experiments.sensitivity import (
+    NuisanceSensitivity,
+    sensitivity_report,
+    sensitivity_table,
+)
+from touchdown.backend.experiments.statistics import format_change, iou_change
+from touchdown.backend.experiments.strategies import (
+    group_lines,
+    parse_trials,
+    parse_verdicts,
+    trial_lines,
+)
+from touchdown.backend.experiments.tables import BEYOND_FORMAT
+from touchdown.backend.jobs.execution import SerialExecutor, run_campaign
+from touchdown.backend.jobs.job import JobStore
+from touchdown.backend.learning.checkpoint import load_card
+from touchdown.backend.simulation import conditions
+from touchdown.backend.simulation.release_mujoco import mujoco_available
+
+BY_NAME = {found.name: found for found in NUISANCES}
+
+
+def test_every_spread_but_that_of_a_jig_is_a_nuisance() -> None:
+    keys = {key for found in NUISANCES for key in found.keys}
+    assert {f"spread.{name}" for name in SpreadSettings.model_fields} - keys == {"spread.jig_mm"}
+
+
+@pytest.mark.parametrize("found", NUISANCES, ids=lambda found: found.name)
+def test_one_nuisance_grows_and_nothing_else(found) -> None:
+    bench = load_simulation(preset="bench-v1")
+    assert scale_nuisance(bench, found, 1.0) == bench
+    before, after = bench.model_dump(), scale_nuisance(bench, found, 3.0).model_dump()
+    changed = {
+        f"{section}.{name}"
+        for section, content in before.items()
+        if isinstance(content, dict)
+        for name, value in content.items()
+        if after[section][name] != value
+    }
+    assert changed == set(found.keys)
+    for key in set(found.keys) - {"face.foundation_range_n_mm3"}:
+        section, name = key.split(".")
+        assert after[section][name] == pytest.approx(3.0 * before[section][name])
+
+
+def test_a_range_keeps_its_middle() -> None:
+    bench = load_simulation(preset="bench-v1")
+    low, high = scale_nuisance(bench, BY_NAME["foundation"], 0.5).face.foundation_range_n_mm3
+    assert low * high == pytest.approx(5.0 * 50.0)
+    assert high / low == pytest.approx((50.0 / 5.0) ** 0.5)
+
+
+def test_without_tilt_no_board_is_tilted() -> None:
+    bench = scale_nuisance(load_simulation(preset="bench-v1"), BY_NAME["tilt"], 0.0)
+    draws = [conditions.draw_mounting(bench, np.random.default_rng(k)) for k in range(3)]
+    assert [draw.tilt_rad for draw in draws] == [(0.0, 0.0)] * 3
+
+
+def _part(iou: list[float], says: list[bool], margins: list[float], left_out: int = 0) -> dict:
+    score = {"iou": iou, "accuracy": iou, "iou_true": iou, "says": dict.fromkeys("123", says)}
+    return {
+        "models": {"M": score},
+        "margin_mm": [[m, m] for m in margins],
+        "slipped": 0.5,
+        "rejected": 1,
+        "left_out": left_out,
+    }
+
+
+def test_figures_of_presses_join_their_parts() -> None:
+    parts = [
+        _part([0.2, 0.4], [True, False], [3.0, -2.0]),
+        _part([0.6, 0.8], [True, True], [-1.0, 0.1]),
+    ]
+    found = press_scores(parts, "M")
+    assert found["iou"]["value"] == pytest.approx(0.5)
+    assert found["iou"]["n"] == 4
+    # One place is too close to call; of the three others two were told right.
+    assert found["stable_1"]["accuracy"]["value"] == pytest.approx(2 / 3)
+    assert found["stable_1"]["too_close"] == 1
+    assert found["stable_1"]["unsafe"]["value"] == pytest.approx(0.5)
+    assert found["rejected"] == 2
+
+
+def test_a_drop_is_told_in_points() -> None:
+    here, there = ({"value": v, "low": v - 0.1, "high": v + 0.1} for v in (0.8, 0.65))
+    assert format_drop(here, there) == "-15.0"
+    assert format_interval(here) == "80.0 (70 to 90)"
+    assert format_drop(here, {"value": None}) == ""
+
+
+def test_sensitivity_is_asked_once_for_the_bench_itself(tmp_path: Path) -> None:
+    store, bench = JobStore(tmp_path), load_simulation(preset="quiet")
+    source = adopt_models(store, *shipped_model_folders("quiet"))["pot", "FT+Tac"]
+    asked = (BY_NAME["tilt"], BY_NAME["gain"])
+    plan = NuisanceSensitivity(bench, "test", "pot", source, ("short",), groups=4, nuisances=asked)
+    jobs = plan.jobs()
+    assert len(jobs) == 1 + 2 * (len(FACTORS) - 1)
+    # The bench itself comes first, then the ends of the range.
+    assert all(job.seed == jobs[0].seed for job in jobs)
+    some = jobs[:3]
+    assert {r.state for r in run_campaign(some, SerialExecutor(KINDS, store), store)} == {"done"}
+    answer = plan.answer(store)
+    tilt, gain = answer["nuisances"]
+    assert [row["factor"] for row in tilt["at"]] == [0.0, 1.0]
+    assert tilt["at"][1] == gain["at"][1]
+    assert tilt["at"][1]["iou_change"]["value"] == 0.0
+    shift = tilt["at"][0]["iou_change"]["value"]
+    assert shift == pytest.approx(tilt["at"][0]["iou"]["value"] - tilt["at"][1]["iou"]["value"])
+    assert shift != 0.0
+    assert tilt["at"][0]["iou_change_on"] == {"short": tilt["at"][0]["iou_change"]}
+    page = report_page(sensitivity_report(answer))
+    assert page.count("<svg") == 2
+    assert sensitivity_table(answer).texts()[1][1] in page
+
+
+@pytest.mark.optional
+@pytest.mark.skipif(not mujoco_available(), reason="needs the optional engine")
+def test_both_worlds_are_asked_the_same_and_only_once(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["experiment", "elsewhere", "--pieces", "pot", "--bottoms", "short", "--groups", "2"]
+    words += ["--trials", "1", "--strategies", "paper", "--preset", "quiet", "--json"]
+    words += ["--executor", "serial", "--out", str(tmp_path), "--train", "randomised"]
+    words += ["--probes", "10", "--epochs", "1", "--keep-models", str(tmp_path)]
+    assert main(words) == 0
+    answer = json.loads(capsys.readouterr().out)
+    assert (answer["missing"], answer["failed"]) == (0, [])
+    card = load_card(tmp_path / "randomised" / "pot-ft+tac.safetensors")
+    assert (card.data["mountings"], card.training["epochs"]) == (3, 1)
+    said = json.loads(Path(answer["file"]).read_text("utf-8"))
+    presses = {(c["world"], c["bottom"]): c for c in said["presses"] if c["model"] == "FT+Tac"}
+    here, there = presses["bench", "short"], presses["elsewhere", "short"]
+    assert here["iou"]["n"] == there["iou"]["n"] == 2
+    assert here["iou"]["value"] != there["iou"]["value"]
+    assert here["stable_1"]["stable_share"] == there["stable_1"]["stable_share"]
+    assert {c["placed"]["n"] for c in said["trials"]} == {1}
+    own = "FT+Tac randomised"
+    assert {c["strategy"] for c in said["trials"]} == {"paper", f"paper, {own}"}
+    iou = {(c["world"], c["model"]): c["iou"]["value"] for c in said["presses"]
+           if c["bottom"] == "short"}  # fmt: skip
+    change = {(c["what"], c["from"], c["to"]): c["value"] for c in said["changes"]
+              if c["bottom"] == "short"}  # fmt: skip
+    gain = iou["elsewhere", own] - iou["elsewhere", "FT+Tac"]
+    assert change["elsewhere", "FT+Tac", own] == pytest.approx(gain)
+    lost = iou["elsewhere", own] - iou["bench", own]
+    assert change["drop", own, own] == pytest.approx(lost)
+    done = {path.name: path.stat().st_mtime_ns for path in (tmp_path / "jobs").iterdir()}
+    assert main(words) == 0
+    assert done == {path.name: path.stat().st_mtime_ns for path in (tmp_path / "jobs").iterdir()}
+
+
+@pytest.mark.parametrize(
+    ("words", "where"),
+    [
+        (["--groups", "0"], "--groups"),
+        (["--pieces", "pot,barrel"], "--pieces"),
+        (["--bottoms", "sea"], "--bottoms"),
+        (["--strategies", "ceiling"], "--strategies"),
+    ],
+)
+def test_what_cannot_be_asked_is_refused(
+    words: list[str], where: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    given = ["experiment", "sensitivity", "--pieces", "pot", "--out", str(tmp_path), "--json"]
+    assert main([*given, *words]) == 2
+    assert where in json.loads(capsys.readouterr().err)["error"]["where"]
+
+
+Json = dict[str, Any]
+
+
+def cell(placed: int, of: int, *, word: str = "gave_up") -> list[Json]:
+    ends = ["placed"] * placed + [word] * (of - placed)
+    return [{"seed": k, "outcome": e, "probes": 3, "least_probes": 2} for k, e in enumerate(ends)]
+
+
+def stored(**strategies: list[Json]) -> Json:
+    """The content of a beyond.json with some trials of pot on Long, and no groups."""
+    counts = {"value": 0.5, "low": 0.1, "high": 0.9, "n": 2}
+    cells = [
+        {
+            "strategy": name.replace("_", "-"), "piece": "pot", "bottom": "long",
+            "placed": counts, "unsafe": counts, "outcomes": {"placed": 1}, "probes": 3.0,
+            "excess_probes_median": 1.0, "left_out": 0, "trials": trial_lines(trials),
+        }
+        for name, trials in strategies.items()
+    ]  # fmt: skip
+    return {
+        "format": BEYOND_FORMAT, "bench_sha256": "a" * 64, "code": "1", "models": {},
+        "cells": cells, "pooled": [], "gaps": [],
+    }  # fmt: skip
+
+
+def test_between_nothing_and_everything_the_share_is_the_rate_itself() -> None:
+    names = {"paper": cell(0, 80), "mine": cell(60, 80), "ceiling": cell(80, 80)}
+    row, unsafe = oracle_shares(
+        {(name, "pot", "long"): trials for name, trials in names.items()}, {}
+    )
+    half = 1.96 * (0.75 * 0.25 / 80) ** 0.5
+    assert row["share"] == 0.75
+    assert (row["share_low"], row["share_high"]) == pytest.approx(
+        (0.75 - half, 0.75 + half), abs=0.02
+    )
+    # Nobody let go of anything that fell: there is no way to go.
+    assert unsafe["share"] is None
+
+
+def test_one_who_knows_less_of_the_bottom_is_a_ceiling_too() -> None:
+    names = {"paper": cell(2, 10), "mine": cell(5, 10), "ceiling-diameter": cell(7, 10)}
+    of_pot = {(name, "pot", "long"): trials for name, trials in names.items()}
+    (row, _) = oracle_shares(of_pot, {})
+    assert (row["to"], row["share"]) == ("ceiling-diameter", pytest.approx(0.6))
+    rows = oracle_shares({**of_pot, ("ceiling", "pot", "long"): cell(8, 10)}, {})
+    # None of the two stands among those that are on their way.
+    placed = [(r["strategy"], quantity_label(r), r["share"]) for r in rows if r["what"] == "placed"]
+    assert placed == [
+        ("mine", "placed", pytest.approx(0.5)),
+        ("mine", "placed, to ceiling-diameter", pytest.approx(0.6)),
+    ]
+
+
+def test_a_way_that_may_not_exist_has_no_interval() -> None:
+    names = {"paper": cell(9, 10), "mine": cell(10, 10), "ceiling": cell(10, 10)}
+    row, _ = oracle_shares({(name, "pot", "long"): trials for name, trials in names.items()}, {})
+    # Without the one seed that tells them apart, as in a third of all draws, there is no way.
+    assert (row["share"], row["share_low"], row["share_high"]) == (1.0, None, None)
+
+
+def test_lines_hold_what_the_shares_are_made_of() -> None:
+    said = {
+        "margin_mm": [[3.5, 1.25], [-2.0, -2.0], [None, None]],
+        "left_out": 0,
+        "likely": {"1": [True, False, False], "2": [True, True, False],
+                   "3": [True, False, True], "5": [True, False, False]},
+        "says": {"1": [False] * 3, "2": [False, True, False],
+                 "3": [True, False, False], "5": [True, False, False]},
+    }  # fmt: skip
+    (line,) = group_lines({600: said})
+    assert line == "600 1.25:1111:0011 -2:0100:0100 -:0010:0000"
+    found = {"cells": [{"strategy": "mine", "piece": "pot", "bottom": "long", "asked": [line]}]}
+    back = parse_verdicts({"statics": found})["mine", "pot", "long"][600]
+    assert back["margin_mm"] == [[1.25, 1.25], [-2.0, -2.0], [None, None]]
+    assert (back["likely"], back["says"]) == (said["likely"], said["says"])
+    trials = cell(1, 2, word="knocked_over")
+    assert parse_trials(stored(mine=trials))["mine", "pot", "long"] == trials
+
+
+def test_one_command_prints_the_shares_over_several_files(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    files = [tmp_path / "ceiling.json", tmp_path / "others.json"]
+    files[0].write_text(json.dumps(stored(ceiling=cell(6, 6))))
+    files[1].write_text(json.dumps(stored(paper=cell(2, 4, word="fell"), mine=cell(3, 4))))
+    out = ["--out", str(tmp_path / "out"), "--beyond", *map(str, files)]
+    assert main(["experiment", "gap", *out, "--json"]) == 0
+    rows = json.loads(capsys.readouterr().out)["gaps"]
+    assert [(r["what"], r["n"], r["share"]) for r in rows] == [
+        ("placed", 4, 0.5),
+        ("unsafe", 4, 1.0),
+    ]
+    # What it leaves can be shown with tables, like any other comparison.
+    kept = json.loads((tmp_path / "out" / "gap.json").read_text("utf-8"))
+    assert (kept["format"], kept["gaps"]) == (BEYOND_FORMAT, rows)
+    assert (
+        "| mine | placed | 4 | 50.0 | 75.0 | 100.0 | 50.0" in (tmp_path / "out/gap.md").read_text()
+    )
+    assert main(["experiment", "gap", *out, str(files[1]), "--json"]) == 2
+    assert "mine pot long" in json.loads(capsys.readouterr().err)["error"]["what"]
+    assert main(["experiment", "gap", *out[:2], "--beyond", str(files[1]), "--json"]) == 2
+    assert "ceiling" in json.loads(capsys.readouterr().err)["error"]["what"]
+
+
+def test_other_benches_are_refused() -> None:
+    other = {**stored(ceiling=cell(1, 1)), "bench_sha256": "b" * 64}
+    with pytest.raises(InputError, match="different benches"):
+        merged_oracle_shares([("one", stored(paper=cell(1, 1))), ("other", other)])
+
+
+BENCH = load_simulation(preset="bench-v1")
+SEEDS = range(24)
+
+
+@pytest.fixture(scope="module")
+def drawn() -> list[SimulationSettings]:
+    """Return the benches of 24 mountings."""
+    return [randomise_bench(BENCH, seed) for seed in SEEDS]
+
+
+def value(bench: SimulationSettings, key: str) -> np.ndarray:
+    section, name = key.split(".")
+    return np.atleast_1d(getattr(getattr(bench, section) if section else bench, name))
+
+
+def test_a_mounting_is_the_same_bench_again_from_its_seed_and_no_other() -> None:
+    before = BENCH.model_dump()
+    assert randomise_bench(BENCH, 7) == randomise_bench(BENCH, 7)
+    assert randomise_bench(BENCH, 7) != randomise_bench(BENCH, 8)
+    assert BENCH.model_dump() == before
+
+
+@pytest.mark.parametrize("key", [key for key in LAW_FACTORS if key != FOUNDATION])
+def test_laws_fill_their_range_and_pairs_stay_pairs(
+    key: str, drawn: list[SimulationSettings]
+) -> None:
+    factors = np.array([value(bench, key) / value(BENCH, key) for bench in drawn])
+    low, high = LAW_FACTORS[key]
+    # Hysteresis is a size and a law at once.
+    wide = NUISANCE_FACTORS if key == "grasp.hysteresis_share" else (1.0, 1.0)
+    assert factors.min() >= low * wide[0]
+    assert factors.max() <= high * wide[1]
+    assert np.ptp(np.log(factors), axis=1) == pytest.approx(np.zeros(len(factors)))
+    # 24 uniform draws miss a third of their range, at either end, once in 8,000 times.
+    share = np.log(factors[:, 0] / low) / np.log(high / low)
+    assert share.min() < 1 / 3
+    assert share.max() > 2 / 3
+
+
+def test_every_nuisance_has_a_size_of_its_own(drawn: list[SimulationSettings]) -> None:
+    keys = [n.keys[0] for n in NUISANCES if n.keys[0] not in {FOUNDATION, *LAW_FACTORS}]
+    sizes = np.array([float(value(drawn[3], key)[0] / value(BENCH, key)[0]) for key in keys])
+    assert ((sizes >= NUISANCE_FACTORS[0]) & (sizes <= NUISANCE_FACTORS[1])).all()
+    assert len(set(sizes.round(9))) == len(keys)
+
+
+def test_the_contact_is_softer_or_harder_as_a_whole(drawn: list[SimulationSettings]) -> None:
+    ranges = np.log([bench.face.foundation_range_n_mm3 for bench in drawn])
+    middle, half = ranges.mean(axis=1), 0.5 * np.ptp(ranges, axis=1)
+    ours = np.log(BENCH.face.foundation_range_n_mm3)
+    assert np.exp(middle - ours.mean()).min() < 1.0 < 3.0 < np.exp(middle - ours.mean()).max()
+    shares = half / (0.5 * np.ptp(ours))
+    assert ((shares >= NUISANCE_FACTORS[0]) & (shares <= NUISANCE_FACTORS[1])).all()
+
+
+def test_a_collection_is_one_job_a_mounting_and_as_large_as_the_paper_s() -> None:
+    wide = RandomisedTraining(BENCH, "test", "pot", "randomised")
+    plain = replace(wide, collected="mountings")
+    jobs, same = wide.data(), plain.data()
+    assert len({spec.id for spec in (*jobs, *same)}) == 240
+    assert sum(spec.params["episodes"] for spec in jobs) == 6000
+    assert len({spec.seed for spec in jobs}) == 120
+    assert [spec.seed for spec in jobs] == [spec.seed for spec in same]
+    assert {str(spec.params["bench"]) for spec in same} == {str(BENCH.model_dump(mode="json"))}
+    assert len({str(spec.params["bench"]) for spec in jobs}) == 120
+    assert wide.training().inputs == tuple(spec.id for spec in jobs)
+
+
+def test_changes_are_paired_by_group_and_jobs_that_lost_one_do_not_count() -> None:
+    def part(first: list[float], second: list[float], left_out: int = 0) -> dict:
+        return {"models": {"A": {"iou": first}, "B": {"iou": second}}, "left_out": left_out}
+
+    there = [part([0.2, 0.6], [0.3, 0.8]), part([0.1], [0.9], left_out=1)]
+    found = iou_change([(p, p) for p in there], "A", "B")
+    assert found["value"] == pytest.approx(0.15)
+    assert found["n"] == 2
+    # Standard error of 0.1 and 0.2: 0.05.
+    assert found["high"] - found["value"] == pytest.approx(1.96 * 0.05, abs=1e-4)
+    assert format_change(found) == "+15.0 ± 9.8"
+
+
+def test_both_worlds_begin_where_they_are_told_to_and_wait_for_the_training() -> None:
+    own = RandomisedTraining(BENCH, "test", "pot", "randomised", probes=60)
+    given = {"FT+Tac": "given", "FT": "too"}
+    plan = DomainShift(
+        BENCH, "test", "pot", given, ("short",), ("paper", "fused"), 2, 2, (own,), first=40
+    )
+    jobs = plan.jobs()
+    assert [spec.kind for spec in jobs[:7]] == ["simulate"] * 6 + ["train"]
+    pressed = [spec for spec in jobs[7:] if spec.kind == "asked-presses"]
+    tried = [spec for spec in jobs[7:] if spec.kind == "asked-trials"]
+    assert {spec.seed % 100 for spec in (*pressed, *tried)} == {40}
+    assert all(own.training().id in spec.inputs for spec in pressed)
+    # Strategies read the first given model and the trained one; fusion reads none of a piece.
+    read = [(spec.params["strategy"], spec.inputs) for spec in tried]
+    assert len(pressed) == 2
+    assert sorted(read) == sorted(
+        2 * [("paper", ("given",)), ("paper", (own.training().id,)), ("fused", ("given",))]
+    )
+
+
+@pytest.mark.parametrize(
+    ("words", "where"),
+    [(["--train", "everything"], "--train"), (["--first", "-1"], "--first")],
+)
+def test_what_cannot_be_trained_or_numbered_is_refused(
+    words: list[str], where: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    given = ["experiment", "elsewhere", "--pieces", "pot", "--out", str(tmp_path)]
+    assert main([*given, *words]) == 2
+    assert where in capsys.readouterr().err

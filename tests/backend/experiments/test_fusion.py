@@ -1,0 +1,520 @@
+"""Results of the oracle: its worlds press as the bench does, its steps follow Bayes' rule."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import shutil
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from touchdown.backend.cli.command_line import main
+from touchdown.backend.cli.experiment.command import report_write_errors
+from touchdown.backend.config.method import FusedSettings, StackSettings
+from touchdown.backend.config.simulation import SimulationSettings, load_simulation
+from touchdown.backend.core.faults import InputError
+from touchdown.backend.core.values import CHANNELS, TACTILE_CHANNELS, ContactPatch
+from touchdown.backend.experiments import oracle
+from touchdown.backend.experiments.comparison import comparison_tables
+from touchdown.backend.experiments.fusion import (
+    FUSED_KINDS,
+    INSETS_MM,
+    PORTIONS,
+    SIMILAR_IOU,
+    THRESHOLD_BOTTOMS,
+    UNSEEN_BOTTOMS,
+    UNSEEN_PIECES,
+    WEIGHTS,
+    DataPortion,
+    FusionRecipe,
+    MixedBottomLockstep,
+    ShapeFamily,
+    count_under_threshold,
+    held_out_setup,
+    is_similar,
+    load_sequences,
+    next_places,
+    record_trials,
+    similarity,
+    threshold_jobs,
+)
+from touchdown.backend.experiments.models import WEIGHTS as MODELS_WEIGHTS
+from touchdown.backend.experiments.models import adopt_models, keep_models
+from touchdown.backend.experiments.oracle import (
+    FIRST_STEPS,
+    NEXT_STEPS,
+    HypothesisEnsemble,
+    OracleSetting,
+    OracleStrategy,
+    assimilate,
+    predict_press,
+    select_likely,
+)
+from touchdown.backend.experiments.strategies import (
+    TRIALS_PER_JOB,
+    ClosedLoopComparison,
+    count_outcomes,
+    least_probes,
+    run_closed_loop,
+    uninformed_model,
+)
+from touchdown.backend.experiments.tables import (
+    CELL_SEEDS,
+    FULL,
+    QUICK,
+    STACKING_SEED,
+    STATIC_SEED,
+    TRAINING_SEED,
+    Recipe,
+)
+from touchdown.backend.experiments.trials import SceneSetup, stack_in_lockstep, start_scene
+from touchdown.backend.geometry.outlines import Outline, circle, face_points, rectangle, square
+from touchdown.backend.geometry.pieces import load_pieces
+from touchdown.backend.geometry.tower import Body, Tower
+from touchdown.backend.jobs.execution import SerialExecutor, run_campaign
+from touchdown.backend.jobs.job import JobStore, run_job
+from touchdown.backend.learning.checkpoint import card_path, load_checkpoint
+from touchdown.backend.learning.fused.checkpoint import load_fused, shipped_path
+from touchdown.backend.placement.strategies import ProbeObservation
+from touchdown.backend.sensing.episode import EpisodeLimits
+from touchdown.backend.simulation.batch import BatchedTrials
+from touchdown.backend.simulation.gripper import scene_mounting
+from touchdown.backend.simulation.mechanics import GraspHistory
+from touchdown.backend.simulation.scene import Scene
+
+SEED = 51
+
+
+@pytest.fixture(scope="module")
+def bench_v1() -> SimulationSettings:
+    return load_simulation(preset="bench-v1")
+
+
+@pytest.fixture(scope="module")
+def scene(bench_v1: SimulationSettings) -> Scene:
+    found = start_scene(SceneSetup.of(load_pieces(), "pot", ("short",), bench_v1), SEED)
+    assert found is not None
+    return found
+
+
+def setting_of(scene: Scene, *, known: bool = True) -> OracleSetting:
+    return OracleSetting(scene.piece, load_pieces().bottom("short"), scene.settings, known)
+
+
+def true_world(scene: Scene, bench: BatchedTrials, shift_mm: np.ndarray) -> np.ndarray:
+    """The scene's own draws as a row of standard normal scores."""
+    spread, settings = scene.settings.spread, scene.settings
+    gripping, mounting = bench.grippings[0], scene_mounting(scene)
+    low, high = settings.face.foundation_range_n_mm3 or (1.0, 1.0)
+    share = np.log(mounting.foundation_n_mm3 / low) / np.log(high / low)
+    scores = np.linspace(-5.0, 5.0, 20001)
+    row = np.zeros(oracle.COLUMNS)
+    row[:2] = shift_mm
+    row[[oracle.TILT_X, oracle.TILT_Y]] = np.array(mounting.tilt_rad) / spread.tilt_rad
+    row[oracle.STIFFNESS] = np.interp(share, oracle._share(scores), scores)
+    row[oracle.GEL] = (gripping.gel_factor - 1.0) / spread.gel
+    row[oracle.MU_GRIP] = (gripping.mu_grip / settings.mu_grip - 1.0) / spread.mu_grip
+    row[oracle.GRIP] = (gripping.grip_force_n - 10.0) / spread.grip_force_n
+    row[[oracle.GRASP_X, oracle.GRASP_Z]] = (
+        np.array(gripping.grasp_offset_mm) / spread.grasp_offset_mm
+    )
+    row[oracle.YAW] = gripping.yaw_rad / spread.yaw_rad
+    row[[oracle.GAIN_LEFT, oracle.GAIN_RIGHT]] = (np.array(gripping.gain) - 1.0) / spread.gain
+    return row
+
+
+def test_the_true_world_feels_what_the_bench_felt(scene: Scene) -> None:
+    bench = BatchedTrials([scene])
+    at = bench.start_commands_mm()
+    pressed = bench.press([0], at)
+    row = true_world(scene, bench, pressed.true_mm[0] - at[0])
+    wrong = row.copy()
+    wrong[oracle.TILT_X] += 2.0
+    both = HypothesisEnsemble(np.stack([row, wrong]), GraspHistory.fresh(2))
+    felt = predict_press(setting_of(scene), both, (at[0, 0], at[0, 1]), np.random.default_rng(1))
+    # What the tare left is the same at all ticks: growth is compared, in N and N m.
+    growth = np.diff(pressed.observation[0, [1, 19], -6:], axis=0)
+    mine = np.diff(felt.observation[:, [1, 19], -6:], axis=1)[:, 0]
+    # When the contact was noticed is chance, and moves the press force along its ramp.
+    apart = np.abs(mine - growth) / [0.05, 0.05, 0.25, 0.005, 0.005, 0.005]
+    assert apart[0].max() < 1.0
+    assert apart[1].max() > 3.0
+
+
+def test_a_round_bottom_of_the_right_size_is_the_known_one(scene: Scene) -> None:
+    value = np.zeros((1, oracle.COLUMNS))
+    value[0, :2] = 5.0, 2.0  # the middle of the diameters that may be is that of Short: 20 mm
+    one = HypothesisEnsemble(value, GraspHistory.fresh(1))
+    known, unknown = (
+        predict_press(setting_of(scene, known=known), one, (0.0, 0.0), np.random.default_rng(4))
+        for known in (True, False)
+    )
+    assert np.array_equal(known.observation, unknown.observation)
+    assert known.usable.all()
+
+
+@pytest.mark.parametrize("factors", [FIRST_STEPS, NEXT_STEPS])
+def test_where_bayes_can_be_worked_out_the_steps_agree(factors: tuple[float, ...]) -> None:
+    assert sum(1.0 / f for f in factors) == pytest.approx(1.0, abs=0.01)
+    rng = np.random.default_rng(5)
+    value = rng.standard_normal((4000, 2))
+    matrix, spread = np.array([[2.0, 1.0], [0.0, 0.5]]), np.diag([0.5, 1.0]) ** 2
+    seen = np.array([1.5, -1.0])
+    for factor in factors:
+        value = assimilate(value, value @ matrix.T, seen, spread, factor, rng)
+    precision = np.eye(2) + matrix.T @ np.linalg.inv(spread) @ matrix
+    mean = np.linalg.solve(precision, matrix.T @ np.linalg.inv(spread) @ seen)
+    assert value.mean(axis=0) == pytest.approx(mean, abs=0.05)
+    assert np.cov(value.T) == pytest.approx(np.linalg.inv(precision), abs=0.05)
+
+
+def test_strays_and_failed_presses_do_not_go_on() -> None:
+    felt = np.concatenate([np.zeros((36, 3)), np.full((2, 3), 100.0), np.zeros((2, 3))])
+    usable = np.arange(40) < 38
+    kept = select_likely(felt, usable, np.zeros(3), np.eye(3), np.random.default_rng(2))
+    assert len(kept) == 40
+    assert set(kept) == set(range(36))
+
+
+def test_a_probe_tells_where_the_piece_is(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("touchdown.backend.experiments.oracle.ENSEMBLE_SIZE", 40)
+    monkeypatch.setattr("touchdown.backend.experiments.oracle.FIRST_STEPS", (20.0, 1.05))
+    bench = BatchedTrials([scene])
+    at = bench.start_commands_mm()
+    here = (float(at[0, 0]), float(at[0, 1]))
+    pressed = bench.press([0], at)
+    points = face_points(scene.piece.face)
+    patch = ContactPatch(points, np.full(len(points), 0.5))
+    reasoner = OracleStrategy(setting_of(scene), here, SEED)
+
+    def error_mm() -> float:
+        true = reasoner.worlds.value[:, :2] + at[0]
+        return float(np.hypot(*(true - pressed.true_mm[0]).T).mean())
+
+    before = error_mm()
+    concluded = reasoner.conclude(ProbeObservation(pressed.observation[0], patch, here))
+    assert error_mm() < 0.7 * before
+    assert concluded.action.kind != "give_up"
+
+
+def test_trials_are_those_of_table_3(bench_v1: SimulationSettings) -> None:
+    models = {("pot", "FT+Tac"): "m"}
+    table = Recipe(QUICK, bench_v1, "1", models, ("pot",)).stacking("pot", ("long",), "paper")
+    plan = ClosedLoopComparison(
+        bench_v1, "1", {"pot": "m"}, bottoms=("long",), strategies=("paper",), trials=5
+    )
+    jobs = plan.jobs()
+    assert table is not None
+    assert [job.seed - table.seed for job in jobs] == [0, TRIALS_PER_JOB, 2 * TRIALS_PER_JOB]
+    assert [job.params["trials"] for job in jobs] == [2, 2, 1]
+
+
+def test_counts_of_a_cell() -> None:
+    trials = [
+        {"outcome": "placed", "probes": 4, "least_probes": 2},
+        {"outcome": "placed", "probes": 3, "least_probes": 3},
+        {"outcome": "fell", "probes": 2, "least_probes": 2},
+        {"outcome": "gave_up", "probes": 8, "least_probes": 3},
+    ]
+    cell = count_outcomes(trials)
+    assert (cell["placed"]["value"], cell["unsafe"]["value"]) == (0.5, 0.25)
+    assert (cell["probes"], cell["excess_probes_median"]) == (3.5, 1.0)
+    assert count_outcomes([])["placed"]["value"] is None
+
+
+def test_the_least_number_of_probes(scene: Scene) -> None:
+    # The pot stands wherever its middle is over the disc of 20 mm: 10 mm, less 0.2 to be sure.
+    away = float(np.hypot(*scene.start_mm)) - 9.8
+    assert least_probes(scene) == 1 + int(np.ceil(away / 3.0))
+
+
+def test_letting_go_untested_falls_from_every_start(
+    bench_v1: SimulationSettings, tmp_path: Path
+) -> None:
+    plan = ClosedLoopComparison(
+        bench_v1, "1", {}, bottoms=("hex20",), strategies=("pick-and-place",), trials=2
+    )
+    store = JobStore(tmp_path)
+    (job,) = plan.jobs()
+    assert run_job(job, {"beyond": run_closed_loop}, store).state == "done"
+    (cell,) = plan.table(store)["cells"]
+    assert cell["unsafe"]["n"] == 2
+    assert cell["placed"]["value"] == 0.0
+    (sheet,) = comparison_tables({**plan.table(store), "gaps": []})
+    assert [row[0] for row in sheet.rows] == [
+        "pick-and-place pot hex20",
+        "pick-and-place pooled one bottom",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("words", "where"),
+    [
+        (["--strategies", "luck"], "--strategies"),
+        (["--bottoms", "table"], "--bottoms"),
+        (["--trials", "0"], "--trials"),
+    ],
+)
+def test_bad_words_are_refused(
+    words: list[str], where: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = ["--out", str(tmp_path), "--pieces", "pot"]
+    assert main(["experiment", "beyond", *out, *words, "--json"]) == 2
+    assert where in json.loads(capsys.readouterr().err)["error"]["where"]
+
+
+def covered_alike(first: Outline, second: Outline) -> float:
+    """Intersection over union on a fine grid, the best of all turns by 3 degrees."""
+    steps = np.arange(-20.0, 20.0, 0.4)
+    grid = np.stack(np.meshgrid(steps, steps), axis=-1)
+    inside = first.contains(grid)
+    best = 0.0
+    for angle in np.radians(np.arange(0.0, 180.0, 5.0)):
+        c, s = np.cos(angle), np.sin(angle)
+        other = second.contains(grid @ np.array([[c, -s], [s, c]]))
+        best = max(best, float((inside & other).sum() / (inside | other).sum()))
+    return best
+
+
+def test_likeness_is_the_common_share_at_the_best_turn() -> None:
+    assert similarity(circle(20.0), circle(19.0)) == pytest.approx((19.0 / 20.0) ** 2, abs=2e-3)
+    turned = rectangle(12.0, 20.0)
+    assert similarity(rectangle(20.0, 12.0), turned) == pytest.approx(1.0, abs=1e-3)
+    assert similarity(square(18.0), circle(20.0)) == pytest.approx(
+        covered_alike(square(18.0), circle(20.0)), abs=0.01
+    )
+
+
+def test_nothing_drawn_resembles_what_is_called_unseen() -> None:
+    catalogue = load_pieces()
+    family, rng = ShapeFamily.of(catalogue), np.random.default_rng(1)
+    bottoms = [family.bottom(rng) for _ in range(12)]
+    unseen = [catalogue.bottom(name).face for name in UNSEEN_BOTTOMS]
+    assert max(covered_alike(b.lower, u) for b in bottoms[:4] for u in unseen) <= SIMILAR_IOU + 0.01
+    assert not any(is_similar(b.lower, u) for b in bottoms for u in unseen)
+    faces = [family.piece(rng).face for _ in range(12)]
+    held = [catalogue.top(name).face for name in UNSEEN_PIECES]
+    assert not any(is_similar(face, u) for face in faces for u in held)
+    # Without the rule the same draws do come near them.
+    careless = ShapeFamily((), ())
+    anything = [careless.bottom(rng).lower for _ in range(20)]
+    assert any(is_similar(o, u) for o in anything for u in unseen)
+    assert {o.kind for o in faces} == {"circle", "polygon"}
+
+
+@pytest.mark.parametrize("fixed", [True, False])
+def test_side_by_side_each_presses_its_own_bottom(
+    bench_v1: SimulationSettings, fixed: bool
+) -> None:
+    piece = load_pieces().top("pot")
+    bottoms = [
+        Body("bottom", face, face, 20.0, 30.0, 10.0, fixed=fixed)
+        for face in (circle(14.0), square(22.0))
+    ]
+    scenes = [Scene(piece, Tower((b,)), (0.0, 0.0), 3 + k, bench_v1) for k, b in enumerate(bottoms)]
+    places = np.array([[5.0, 1.0], [-6.0, 2.0]])
+    together = MixedBottomLockstep(scenes).press([0, 1], places)
+    for k in range(2):
+        alone = BatchedTrials(scenes[k : k + 1]).press([0], places[k : k + 1])
+        np.testing.assert_allclose(together.observation[k], alone.observation[0], atol=2e-3)
+        np.testing.assert_allclose(together.true_mm[k], alone.true_mm[0], atol=1e-4)
+    with pytest.raises(ValueError, match="share"):
+        BatchedTrials(scenes)
+
+
+def test_a_step_knows_only_where_the_press_acted() -> None:
+    rng = np.random.default_rng(2)
+    last = np.tile([4.0, 0.0], (500, 1))
+    acted = np.tile([-6.0, 0.0], (500, 1))
+    step = next_places(last, acted, rng) - last
+    assert np.hypot(*step.T).max() <= 3.0 + 1e-9
+    assert step[:, 0].mean() < -1.5
+    assert abs(step[:, 1].mean()) < 0.3
+
+
+TINY = {
+    "short": DataPortion(0, 60, pieces=1, bottoms=2, probes=2, free=False),
+    "free": DataPortion(500, 100, pieces=1, bottoms=1, probes=3, free=True),
+}
+
+
+def tiny(bench: SimulationSettings, **others: Any) -> FusionRecipe:
+    return FusionRecipe(bench, "test", {"short": 2, "free": 2}, steps=3, portions=TINY, **others)
+
+
+def test_from_nothing_to_a_network_with_its_card(
+    bench_v1: SimulationSettings, tmp_path: Path
+) -> None:
+    store = JobStore(tmp_path)
+    jobs = tiny(bench_v1).jobs()
+    for result in run_campaign(jobs, SerialExecutor(FUSED_KINDS, store), store):
+        assert result.state == "done", result.error
+    data = load_sequences([store.folder(job.id) for job in (jobs[0], jobs[2])])
+    # Two sequences of two presses and one of three, all padded to three.
+    assert data["wrench"].shape == (3, 3, 8, CHANNELS - TACTILE_CHANNELS)
+    assert data["count"].tolist()[:2] == [2, 2]
+    assert data["count"][2] <= 3
+    assert not data["wrench"][:2, 2].any()
+    assert data["wrench"][:2, :2].any(axis=(2, 3)).all()
+    # The start of a sequence overlaps its bottom, and steps are those of a trial or anywhere.
+    found = load_fused(store.folder(jobs[-1].id) / WEIGHTS)
+    assert found.card.bench_sha256.startswith("03b08d28746d9339")
+    assert found.card.left_out == (*UNSEEN_PIECES, *UNSEEN_BOTTOMS)
+    # The first part of either portion is held out.
+    assert found.card.training["sequences"] == 3
+    assert found.card.training["held_out_sequences"] == 3
+    again = tiny(bench_v1, seed=1)
+    assert not {job.seed for job in again.jobs()[:4]} & {job.seed for job in jobs[:4]}
+
+
+def test_no_two_parts_share_a_seed_and_none_has_one_of_the_tables(
+    bench_v1: SimulationSettings,
+) -> None:
+    counts = {name: portion.most for name, portion in PORTIONS.items()}
+    seeds: list[int] = []
+    for seed in (0, 1):
+        jobs = FusionRecipe(bench_v1, "test", counts, seed=seed).jobs()[:-1]
+        seeds += [job.seed + k for job in jobs for k in range(240)]
+    assert len(set(seeds)) == len(seeds)
+    highest = max(TRAINING_SEED, STATIC_SEED, STACKING_SEED) + 100 * CELL_SEEDS
+    own = [job.seed + k for job in threshold_jobs(bench_v1, "test", "n", 64) for k in range(8)]
+    assert highest < min(seeds) < max(seeds) < min(own)
+    assert len(set(own)) == len(own)
+
+
+def trial(outcome: str, *steps: tuple[float, float]) -> dict[str, Any]:
+    said = [{"inset_mm": inset, "exceeds": len(INSETS_MM) * [p]} for inset, p in steps]
+    return {"outcome": outcome, "steps": said}
+
+
+def test_counted_by_hand() -> None:
+    trials = [
+        trial("gave_up", (-1.0, 0.5), (0.5, 0.91), (2.0, 0.99)),
+        trial("gave_up", (-0.1, 0.95), (2.0, 0.99)),
+        trial("knocked_over", (-3.0, 0.1)),
+        trial("aborted", (1.0, 0.8)),
+    ]
+    bold, shy, never = (count_under_threshold(trials, risk, 0) for risk in (0.1, 0.02, 0.001))
+    assert (bold["placed"], bold["unsafe"], bold["not_released"], bold["probes"]) == (1, 2, 1, 2.0)
+    assert (shy["placed"], shy["unsafe"], shy["not_released"], shy["probes"]) == (2, 1, 1, 2.5)
+    assert (never["placed"], never["unsafe"], never["not_released"]) == (0, 1, 3)
+
+
+def test_a_rule_counts_what_trials_under_it_come_to() -> None:
+    """The strategy itself, let go by the rule, on the same seeds."""
+    settings = SimulationSettings.model_validate(
+        {"preset": "off", "support": {"rocks": False, "slides": False}}
+    )
+    case, seeds = held_out_setup("pot", "disc 22", settings), range(70, 73)
+    found = count_under_threshold(
+        record_trials(case, seeds, shipped_path()), 0.1, INSETS_MM.index(0.5)
+    )
+    rule = StackSettings(strategy="fused", fused=FusedSettings(risk=0.1, inset_mm=0.5))
+    scenes = [scene for seed in seeds if (scene := start_scene(case, seed)) is not None]
+    ends = stack_in_lockstep(scenes, uninformed_model(case), rule, EpisodeLimits())
+    words = [end.outcome.value for end in ends]
+    assert words.count("placed") == found["placed"]
+    assert words.count("fell") == found["unsafe"]
+
+
+@pytest.mark.parametrize("name", THRESHOLD_BOTTOMS)
+def test_no_bottom_of_the_tables_is_among_them(name: str) -> None:
+    catalogue = load_pieces()
+    tables = {catalogue.bottom(b).face for b in ("short", "long", "hex20", "rect12x28")}
+    assert THRESHOLD_BOTTOMS[name] not in tables
+
+
+SHIPPED = Path(str(files("touchdown.resources"))) / "models" / "bench-v1"
+RECIPE = Recipe(FULL, SimulationSettings(), "1", pieces=("pot",))
+NAMES = ("FT", "FT+Tac")
+
+
+class KilledError(BaseException):
+    """What no code catches, as little as SIGKILL: what follows it is left undone."""
+
+
+@pytest.fixture(scope="module")
+def stores(tmp_path_factory: pytest.TempPathFactory) -> list[JobStore]:
+    """Two experiments that trained two models each, under the same names."""
+    made = []
+    for shift in (0, 1):
+        store = JobStore(tmp_path_factory.mktemp("jobs"))
+        for k, name in enumerate(NAMES):
+            spec = RECIPE.training("pot", name)
+            given = SHIPPED / f"pot-{NAMES[(k + shift) % 2].lower()}.safetensors"
+            with store.writing(spec) as part:
+                shutil.copyfile(given, part / MODELS_WEIGHTS)
+                shutil.copyfile(card_path(given), card_path(part / MODELS_WEIGHTS))
+                store.finish(spec, part, {})
+        made.append(store)
+    return made
+
+
+def at_call(monkeypatch: pytest.MonkeyPatch, name: str, ends: int, error: BaseException) -> None:
+    """Let the ``ends``-th call of ``os.fsync`` or ``Path.replace`` raise ``error``."""
+    owner = os if name == "fsync" else Path
+    real, left = getattr(owner, name), iter(range(ends))
+
+    def call(*args: object) -> object:
+        if next(left, None) is None:
+            raise error
+        return real(*args)
+
+    monkeypatch.setattr(owner, name, call)
+
+
+def refusal(path: Path) -> InputError | None:
+    """Return why a model is not loaded, which must name its file; None for one that is whole."""
+    try:
+        load_checkpoint(path)
+    except InputError as error:
+        return error if str(path.with_suffix("")) in error.where else pytest.fail(str(error))
+    return None
+
+
+POINTS = [("replace", 0), ("replace", 1), ("replace", 2), ("fsync", 1), ("fsync", 2)]
+"""Each model is two files; each of them is synced, renamed, and then its folder is synced."""
+
+
+@pytest.mark.parametrize(("name", "at"), POINTS)
+def test_killed_at_any_point_each_model_is_whole_or_refused(
+    stores: list[JobStore],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    name: str,
+    at: int,
+) -> None:
+    keep_models(stores[0], RECIPE, tmp_path)
+    whole = {p.name: load_checkpoint(p).card.weights_sha256 for p in tmp_path.glob("*.safetensors")}
+    assert len(whole) == 2
+    with monkeypatch.context() as patch:
+        at_call(patch, name, at, KilledError())
+        with pytest.raises(KilledError):
+            keep_models(stores[1], RECIPE, tmp_path)
+    told = [refusal(path) for path in sorted(tmp_path.glob("*.safetensors"))]
+    assert len([error for error in told if error is not None]) <= 1
+    kept = keep_models(stores[1], RECIPE, tmp_path)
+    assert sorted(p.name for p in tmp_path.iterdir()) == sorted(
+        name for path in kept for name in (path.name, card_path(path).name)
+    )
+    again = {p.name: load_checkpoint(p).card.weights_sha256 for p in kept}
+    assert set(again.values()) == set(whole.values())
+    assert again != whole
+
+
+def test_a_full_disk_is_one_clear_error_and_the_next_try_is_whole(
+    stores: list[JobStore], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    full = OSError(errno.ENOSPC, "No space left on device")
+    with monkeypatch.context() as patch:
+        at_call(patch, "fsync", 4, full)
+        with pytest.raises(InputError, match="No space left"), report_write_errors(tmp_path):
+            keep_models(stores[0], RECIPE, tmp_path)
+    assert not list(tmp_path.glob(".*"))
+    keep_models(stores[0], RECIPE, tmp_path)
+    assert len(adopt_models(JobStore(tmp_path / "other"), tmp_path)) == 2

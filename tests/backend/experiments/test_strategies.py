@@ -1,0 +1,254 @@
+"""The plan of a comparison of strategies: which trials its jobs hold."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from touchdown.backend.config.method import FusedSettings, StackSettings
+from touchdown.backend.config.simulation import SimulationSettings, load_simulation
+from touchdown.backend.experiments.comparison import (
+    StrategyComparison,
+    comparison_report,
+    comparison_tables,
+    oracle_shares,
+)
+from touchdown.backend.experiments.document import report_page
+from touchdown.backend.experiments.models import adopt_models, shipped_model_folders
+from touchdown.backend.experiments.results import comparison_beside, write_comparison
+from touchdown.backend.experiments.strategies import (
+    FORMAT,
+    PROBABILITY_STEPS,
+    ClosedLoopComparison,
+    StaticComparison,
+    least_probes,
+    reliability_of_counts,
+    run_closed_loop,
+    run_static_groups,
+    static_scores,
+)
+from touchdown.backend.experiments.tables import QUICK, TOWER, Recipe
+from touchdown.backend.experiments.trials import SceneSetup, start_scene
+from touchdown.backend.geometry.pieces import load_pieces
+from touchdown.backend.jobs.job import SPEC_FILE, JobSpec, JobStore, run_job
+from touchdown.backend.learning.fused.checkpoint import save_fused, shipped_fused
+from touchdown.backend.simulation.scene import Scene, true_margin_mm
+
+
+@pytest.mark.parametrize(("bottom", "trials"), [("long", 5), ("short+long", 23)])
+def test_no_two_trials_of_a_cell_have_the_same_seed(bottom: str, trials: int) -> None:
+    plan = ClosedLoopComparison(
+        load_simulation(preset="bench-v1"), "1", {"pot": "m", "barrel": "m"}, ("pot", "barrel"),
+        (bottom,), ("paper",), trials,
+    )  # fmt: skip
+    cells: dict[str, list[int]] = {"pot": [], "barrel": []}
+    for job in plan.jobs():
+        cells[job.params["piece"]] += range(job.seed, job.seed + job.params["trials"])
+    for seeds in cells.values():
+        assert seeds == list(range(seeds[0], seeds[0] + trials))
+    assert not set(cells["pot"]) & set(cells["barrel"])
+
+
+Json = dict[str, Any]
+NS = ("1", "2", "3", "5")
+
+
+@pytest.fixture(scope="module")
+def bench_v1() -> SimulationSettings:
+    return load_simulation(preset="bench-v1")
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> JobStore:
+    return JobStore(tmp_path)
+
+
+def answer(says: list[bool], likely: list[bool], margins: list[float | None]) -> Json:
+    counts = np.zeros((3, PROBABILITY_STEPS))
+    counts[:, [40, 360]] = np.array([[10.0, 10.0], [1.0, 10.0], [1.0, 9.0]])
+    return {
+        "says": dict.fromkeys(NS, says),
+        "likely": dict.fromkeys(NS, likely),
+        "margin_mm": [[m, m] for m in margins],
+        "left_out": 0,
+        "iou": [0.5, 0.7],
+        "cells": {"1": counts.tolist(), "3": counts.tolist()},
+    }
+
+
+def test_scores_of_known_answers() -> None:
+    margins = [3.0, -3.0, 2.0, None, 0.1]  # the last one is too close to be scored
+    found = static_scores([answer([True, False, False, False, True], [True] * 5, margins)])
+    assert found["groups"] == 5
+    assert found["released"]["3"]["balanced"] == pytest.approx(0.75)
+    assert found["released"]["3"]["unsafe"]["value"] == 0.0
+    assert found["likely"]["3"]["balanced"] == pytest.approx(0.5)
+    assert found["iou"]["value"] == pytest.approx(0.6)
+    # Ten cells promised 0.1 of which one supports, ten promised 0.9 that all do: 0.05 on average.
+    assert found["reliability"]["3"]["ece"] == pytest.approx(0.05)
+
+
+def test_counted_probabilities_make_the_chart_of_the_probabilities_themselves() -> None:
+    rng = np.random.default_rng(6)
+    p = rng.uniform(size=20000)
+    true = rng.uniform(size=20000) < p**2
+    step = np.minimum((p * PROBABILITY_STEPS).astype(int), PROBABILITY_STEPS - 1)
+    weights = (np.ones(len(p)), true.astype(float), p)
+    counts = np.stack([np.bincount(step, w, PROBABILITY_STEPS).astype(np.float64) for w in weights])
+    # The mean distance between p and p squared is 1/2 - 1/3.
+    assert reliability_of_counts(counts)["ece"] == pytest.approx(1 / 6, abs=0.01)
+    assert sum(reliability_of_counts(counts)["count"]) == 20000
+
+
+def test_shares_of_the_way_count_what_all_three_did() -> None:
+    def cell(*outcomes: str) -> list[Json]:
+        return [{"seed": k, "outcome": word} for k, word in enumerate(outcomes)]
+
+    trials = {
+        ("paper", "pot", "short"): cell("fell", "placed", "fell", "gave_up", "placed"),
+        ("mine", "pot", "short"): cell("placed", "placed", "fell", "placed"),
+        ("ceiling", "pot", "short"): cell("placed", "placed", "placed", "placed"),
+    }
+    row, unsafe = oracle_shares(trials, {})
+    assert (row["n"], row["paper"], row["own"], row["ceiling"]) == (4, 0.25, 0.75, 1.0)
+    assert row["share"] == pytest.approx(2 / 3)
+    # Of the unsafe releases one of two is gone; the ceiling has none.
+    assert (unsafe["what"], unsafe["paper"], unsafe["share"]) == ("unsafe", 0.5, 0.5)
+    assert oracle_shares({k: v for k, v in trials.items() if k[0] != "ceiling"}, {}) == []
+    said = {
+        ("paper", "pot", "short"): {1: answer([False] * 2, [False] * 2, [2.0, -2.0])},
+        ("mine", "pot", "short"): {1: answer([False] * 2, [True, False], [2.0, -2.0])},
+        ("ceiling", "pot", "short"): {1: answer([False] * 2, [True, False], [2.0, -2.0])},
+    }
+    rows = oracle_shares({}, said)
+    assert [r["what"] for r in rows] == [f"balanced, n = {n}" for n in NS]
+    assert (rows[0]["paper"], rows[0]["own"], rows[0]["share"]) == (0.5, 1.0, 1.0)
+
+
+def test_towers_have_the_seeds_of_table_3(bench_v1: SimulationSettings) -> None:
+    models = {("pot", "FT+Tac"): "m"}
+    table = Recipe(QUICK, bench_v1, "1", models, ("pot",)).stacking("pot", TOWER, "paper")
+    plan = ClosedLoopComparison(
+        bench_v1, "1", {"pot": "m"}, bottoms=("short+long", "long"),
+        strategies=("paper", "ceiling"), trials=2,
+    )  # fmt: skip
+    assert table is not None
+    found = {(j.params["bottom"], j.params["strategy"]): j.seed for j in plan.jobs()}
+    # The ceiling knows nothing of towers.
+    assert found.keys() == {("short+long", "paper"), ("long", "paper"), ("long", "ceiling")}
+    assert found["short+long", "paper"] == table.seed
+
+
+def test_answers_of_another_network_are_other_jobs(
+    bench_v1: SimulationSettings, tmp_path: Path
+) -> None:
+    ships, other = shipped_fused(), tmp_path / "other.safetensors"
+    save_fused(other, {**ships.arrays, "mean": ships.arrays["mean"] + 1.0}, ships.card)
+    asks = StackSettings(fused=FusedSettings(weights=str(other)))
+    for kind in (StaticComparison, ClosedLoopComparison):
+        plan = kind(bench_v1, "1", {"pot": "m"}, ("pot",), ("long",), ("paper", "fused"), 2)
+        paper, fused = plan.jobs()
+        _, theirs = replace(plan, method=asks).jobs()
+        assert theirs.id != fused.id
+        assert fused.params["fused_sha256"] == ships.card.weights_sha256
+        assert theirs.params["fused_sha256"] not in paper.params.values()
+        assert "fused_sha256" not in paper.params
+
+
+def test_the_least_probes_on_a_tower_are_those_to_where_all_of_it_holds(
+    bench_v1: SimulationSettings,
+) -> None:
+    case = SceneSetup.of(load_pieces(), "pot", TOWER, bench_v1)
+    scenes = [scene for seed in range(6) if (scene := start_scene(case, seed))]
+    assert len(scenes) > 3
+    around = np.arange(0.0, 2.0 * np.pi, np.pi / 12)
+    for scene in scenes:
+        longest = 3.0 * (least_probes(scene) - 1)
+        # The exact judge, asked all round: within the steps there is a place, one step less none.
+        ways = np.arange(longest, longest - 3.0, -0.5)
+        assert any(
+            true_margin_mm(scene, off(scene, w, a), 0.0) >= 0.2 for a in around for w in ways
+        )
+        if longest > 3.3:
+            near = [true_margin_mm(scene, off(scene, longest - 3.3, a), 0.0) for a in around]
+            assert max(near) < 0.2
+
+
+def off(scene: Scene, way_mm: float, angle: float) -> tuple[float, float]:
+    """A place this far from the start of the trial."""
+    x, y = scene.start_mm
+    return x + way_mm * float(np.cos(angle)), y + way_mm * float(np.sin(angle))
+
+
+def test_a_tower_and_groups_from_end_to_end(bench_v1: SimulationSettings, store: JobStore) -> None:
+    models = adopt_models(store, *shipped_model_folders("bench-v1"))
+    source = {"pot": models["pot", "FT+Tac"]}
+    loops = ClosedLoopComparison(
+        bench_v1, "1", source, bottoms=("short+long",), strategies=("fused",), trials=1
+    )
+    said = StaticComparison(bench_v1, "1", source, ("pot",), ("long",), ("paper",), 2)
+    plan = StrategyComparison(loops, said)
+    for job in plan.jobs():
+        assert (
+            run_job(job, {"beyond": run_closed_loop, "promises": run_static_groups}, store).state
+            == "done"
+        )
+    found = plan.answer(store)
+    (loop,), (cell,) = found["cells"], found["statics"]["cells"]
+    assert loop["placed"]["n"] + loop["left_out"] == 1
+    assert cell["groups"] == 2
+    for traced, kind in ((loop, "beyond"), (cell, "promises")):
+        (job,) = traced["jobs"]
+        spec = JobSpec.parse((store.folder(job) / SPEC_FILE).read_text("utf-8"))
+        assert (spec.id, spec.kind, spec.seed) == (job, kind, traced["seed"])
+    assert sum(cell["reliability"]["1"]["count"]) > 2 * 100
+    assert cell["reliability"]["3"]["ece"] < 1.0
+    assert all(len({len(row) for row in t.texts()}) == 1 for t in comparison_tables(found))
+
+
+def compared(*strategies: str) -> Json:
+    counts = {"value": 0.5, "low": 0.1, "high": 0.9, "n": 2}
+    cell = {
+        "piece": "pot",
+        "bottom": "long",
+        "placed": counts,
+        "unsafe": counts,
+        "outcomes": {"placed": 1, "fell": 1},
+        "probes": 3.0,
+        "excess_probes_median": 1.0,
+        "left_out": 0,
+    }
+    said = static_scores([answer([True, False], [True, False], [1.0, -1.0])])
+    return {
+        "format": FORMAT,
+        "bench_sha256": "a" * 64,
+        "code": "<1>",
+        "cells": [{"strategy": name, **cell} for name in strategies],
+        "pooled": [],
+        "statics": {
+            "cells": [],
+            "pooled": [{"strategy": name, **said} for name in strategies],
+        },
+        "gaps": [],
+    }
+
+
+def test_the_page_shows_every_strategy_and_escapes_what_it_is_told() -> None:
+    page = report_page(comparison_report(compared("mine", "<b>")))
+    assert page.count("mine pot long") == 1
+    assert page.count("<svg") == 4
+    assert "<b>" not in page
+    assert "&lt;1&gt;" in page
+    assert "SIMULATED BENCH" in page
+
+
+def test_tables_show_the_comparison_beside_them_if_it_is_of_their_bench(tmp_path: Path) -> None:
+    write_comparison(tmp_path, compared("mine"))
+    assert comparison_beside(tmp_path, "a" * 64) == compared("mine")
+    assert comparison_beside(tmp_path, "b" * 64) is None
+    assert comparison_beside(tmp_path / "none", "a" * 64) is None
+    assert "mine" in (tmp_path / "beyond.html").read_text("utf-8")

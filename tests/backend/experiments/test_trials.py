@@ -1,0 +1,173 @@
+"""The batched closed loop is the device loop: same seeds, same course, same end.
+
+Sensor noise is off; the mechanical nuisances are those of the hard preset. What differs is the
+device path: rendered images, the tracker, cycles of 10 ms, unloading before the release.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.backend.bench.brisk import RATE_HZ
+from tests.backend.experiments.device_loop import run_on_devices
+from touchdown.backend.bench.assembly import make_scene, shipped_model
+from touchdown.backend.config.method import BeliefSettings, PolicySettings, StackSettings
+from touchdown.backend.config.simulation import PRESETS, SimulationSettings, load_simulation
+from touchdown.backend.core.events import ActionChosen, EpisodeRecorded, TrialFinished
+from touchdown.backend.core.values import FloatArray, Outcome
+from touchdown.backend.experiments.models import batch_model
+from touchdown.backend.experiments.trials import (
+    BatchModel,
+    BatchTrialResult,
+    SceneSetup,
+    pick_and_place_in_lockstep,
+    stack_in_lockstep,
+    start_scene,
+)
+from touchdown.backend.geometry.outlines import face_points
+from touchdown.backend.geometry.pieces import load_pieces
+from touchdown.backend.learning.checkpoint import load_checkpoint
+from touchdown.backend.runs.requests import SceneChoice, StackRequest
+from touchdown.backend.sensing.episode import EpisodeLimits
+from touchdown.backend.simulation.batch import BatchedTrials
+from touchdown.backend.simulation.scene import Scene
+
+MECHANICAL = {
+    **PRESETS["off"],
+    "tactile": {**PRESETS["off"]["tactile"], "rate_hz": RATE_HZ},
+    "mu_grip": 0.6,
+    "grasp": {"hysteresis": True},
+    "spread": {"grasp_offset_mm": 0.5, "tilt_rad": 0.004, "mu": 0.15, "gel": 0.1, "gain": 0.05},
+}
+SEEDS = (11, 12, 13)
+
+
+@pytest.fixture(scope="module")
+def settings() -> SimulationSettings:
+    return SimulationSettings.model_validate({"preset": "off", **MECHANICAL})
+
+
+def three_scenes(settings: SimulationSettings) -> list[Scene]:
+    catalogue = load_pieces()
+    return [make_scene(catalogue, SceneChoice(seed=seed), settings) for seed in SEEDS]
+
+
+@pytest.mark.slow
+def test_the_batch_takes_the_course_of_the_devices(settings: SimulationSettings) -> None:
+    catalogue, request = load_pieces(), StackRequest()
+    scenes = three_scenes(settings)
+    model = batch_model(load_checkpoint(shipped_model("pot")), catalogue.top("pot"))
+    ends = stack_in_lockstep(scenes, model, StackSettings(), EpisodeLimits())
+    for end in ends:
+        facts = run_on_devices(settings, replace(request, seed=end.seed))
+        felt = [fact for fact in facts if isinstance(fact, EpisodeRecorded)]
+        chosen = [fact for fact in facts if isinstance(fact, ActionChosen)]
+        finished = next(fact for fact in facts if isinstance(fact, TrialFinished))
+        assert felt[0].episode.offset_mm == pytest.approx(end.steps[0].offset_mm, abs=1e-6)
+        first, theirs = end.steps[0].action, chosen[0].action
+        # The tracker's 0.03 px move single probabilities across 0.9, and with them the target.
+        assert first.kind == theirs.kind
+        assert first.step_mm == pytest.approx(theirs.step_mm, abs=0.5)
+        assert finished.outcome is end.outcome
+        assert abs(finished.probes - end.probes) <= 1
+
+
+def test_a_lone_trial_ends_as_it_does_in_a_crowd(settings: SimulationSettings) -> None:
+    scenes = three_scenes(settings)
+    together, alone = BatchedTrials(scenes), BatchedTrials(scenes[1:2])
+    commands = together.start_commands_mm()
+    crowd = together.press([0, 1, 2], commands)
+    lone = alone.press([0], commands[1:2])
+    assert lone.observation[0] == pytest.approx(crowd.observation[1], abs=1e-4)
+    assert lone.true_mm[0] == pytest.approx(crowd.true_mm[1], abs=1e-6)
+
+
+def test_the_start_of_a_scene_is_where_the_piece_is_pressed(settings: SimulationSettings) -> None:
+    scene = three_scenes(settings)[0]
+    bench = BatchedTrials([scene])
+    felt = bench.press([0], bench.start_commands_mm())
+    assert felt.valid.all()
+    assert felt.true_mm[0] == pytest.approx(scene.start_mm, abs=0.3)
+    assert felt.press_n[0] > 1.0
+
+
+def _constant(probability: float) -> BatchModel:
+    piece = load_pieces().top("pot")
+    points = face_points(piece.face)
+    return BatchModel(lambda seen: np.full((len(seen), len(points)), probability), points, None)
+
+
+def test_one_who_is_always_sure_lets_it_fall(settings: SimulationSettings) -> None:
+    scenes = three_scenes(settings)
+    for end in stack_in_lockstep(scenes, _constant(0.99), StackSettings(), EpisodeLimits()):
+        assert (end.outcome, end.probes) == (Outcome.FELL, 1)
+        assert end.verdict is not None
+        assert end.verdict.margin_mm < 0
+    for end in pick_and_place_in_lockstep(scenes, StackSettings(), EpisodeLimits()):
+        assert end.outcome is Outcome.FELL
+
+
+def test_one_who_never_knows_gives_up(settings: SimulationSettings) -> None:
+    scenes = three_scenes(settings)[:1]
+    (end,) = stack_in_lockstep(scenes, _constant(0.4), StackSettings(), EpisodeLimits())
+    # Looking around, the piece may leave the support: then the press finds nothing.
+    assert end.outcome in (Outcome.GAVE_UP, Outcome.ABORTED)
+    assert end.verdict is None
+
+
+def test_fusion_places_a_mug_over_its_centre_of_mass() -> None:
+    """Told a mirrored centre it lets some of these fall, or ends within 0.1 mm of the edge."""
+    case = SceneSetup.of(load_pieces(), "mug", ("short",), load_simulation(preset="bench-v1"))
+    scenes = [scene for seed in (900, 901, 902) if (scene := start_scene(case, seed))]
+    points = face_points(case.piece.face)
+    unasked = BatchModel(lambda seen: np.full((len(seen), len(points)), 0.5), points, None)
+    fused = StackSettings(strategy="fused")
+    for end in stack_in_lockstep(scenes, unasked, fused, EpisodeLimits()):
+        assert end.outcome is Outcome.PLACED
+        assert end.verdict is not None
+        assert end.verdict.margin_mm > 0.5
+
+
+BESIDE_MM = -18.5
+"""A pot of 15 mm and a bottom of 20 mm part at 17.5 mm."""
+
+
+class Beside(BatchedTrials):
+    """Trials whose first press meets nothing; the first place of a spiral lies 3 mm nearer."""
+
+    def start_commands_mm(self) -> FloatArray:
+        return np.tile([BESIDE_MM, 0.0], (len(self.scenes), 1))
+
+
+def ended(strategy: str, most: int) -> BatchTrialResult:
+    catalogue = load_pieces()
+    points = face_points(catalogue.top("pot").face)
+    model = BatchModel(lambda seen: np.full((len(seen), len(points)), 0.5), points, None)
+    settings = StackSettings.model_validate(
+        {
+            "strategy": strategy,
+            "policy": PolicySettings(max_probes=most),
+            "belief": BeliefSettings(half_extent_mm=24.0),
+        }
+    )
+    scene = make_scene(catalogue, SceneChoice(seed=5), SimulationSettings(preset="off"))
+    return stack_in_lockstep([scene], model, settings, EpisodeLimits(), world=Beside)[0]
+
+
+@pytest.mark.parametrize("strategy", ["paper", "zero-wrench"])
+def test_two_presses_without_contact_end_the_run(strategy: str) -> None:
+    end = ended(strategy, 2)
+    assert end.outcome is Outcome.ABORTED
+    assert end.reason.startswith("Probe 1 was rejected 2 times: no contact was found")
+    assert end.probes == 0
+
+
+def test_learned_fusion_presses_elsewhere() -> None:
+    end = ended("fused", 2)
+    assert end.outcome is Outcome.GAVE_UP
+    assert end.probes == 1
+    assert end.steps[0].offset_mm == pytest.approx((BESIDE_MM + 3.0, 0.0))
+    assert ended("fused", 1).reason == "No contact was found after 1 probes, the most allowed."

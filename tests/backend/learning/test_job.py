@@ -1,0 +1,513 @@
+"""Estimator compared with the network; NaN and foreign models are refused."""
+
+import hashlib
+import json
+import math
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from shapely import MultiPoint, Point
+
+from touchdown.backend.bench.assembly import shipped_model
+from touchdown.backend.cli.command_line import main
+from touchdown.backend.config.method import TrainingSettings
+from touchdown.backend.core.faults import FaultError, InputError
+from touchdown.backend.core.values import Episode, EpisodeQuality
+from touchdown.backend.geometry.outlines import face_points
+from touchdown.backend.geometry.pieces import Piece, load_pieces
+from touchdown.backend.learning.checkpoint import (
+    Checkpoint,
+    ModelCard,
+    NetworkSizes,
+    load_card,
+    load_checkpoint,
+    save_checkpoint,
+)
+from touchdown.backend.learning.fitting import evaluate, fit_model
+from touchdown.backend.learning.inference import (
+    ARCH,
+    Modality,
+    NetworkShape,
+    Normaliser,
+    PatchForward,
+    modality_columns,
+)
+from touchdown.backend.learning.job import (
+    TrainingCancelled,
+    TrainingEpoch,
+    TrainingFinished,
+    TrainingJob,
+    TrainingLoaded,
+    default_threads,
+)
+from touchdown.backend.learning.metrics import (
+    hull_margin_mm,
+    iou,
+    point_accuracy,
+    score,
+    stable_flags,
+    wilson_interval,
+)
+from touchdown.backend.learning.training import (
+    PatchNet,
+    computes_bfloat16,
+    load_network,
+    new_model,
+    resume_path,
+)
+from touchdown.backend.learning.training_runs import TrainingProcess, train_model
+from touchdown.backend.placement.estimator import Estimator
+
+
+def episode(observation: np.ndarray, piece: str = "pot") -> Episode:
+    quality = EpisodeQuality(True, (), 0, 0.0, 0, 1.0, 0.0)
+    return Episode("e1", piece, observation.astype(np.float32), np.zeros(2), 0.3, quality)
+
+
+def write_model(path: Path, of: Piece, modality: Modality = "FT+Tac", **card: object) -> Path:
+    inputs = modality_columns(modality).stop - modality_columns(modality).start
+    points = len(face_points(of.face))
+    model = new_model(NetworkShape(inputs, 256, 2, points), 9)
+    fields = {
+        "arch": ARCH, "modality": modality, "piece": of.name, "geometry": of.sha256,
+        "hyper": NetworkSizes(inputs=inputs, hidden=256, layers=2, points=points), "base_rate": 0.3,
+        "seed": 9, "program_version": "0", "weights_sha256": "",
+    }  # fmt: skip
+    save_checkpoint(path, model.arrays(), ModelCard.model_validate(fields | card))
+    return path
+
+
+@pytest.mark.parametrize("modality", ["FT", "Tac", "FT+Tac"])
+def test_equals_the_network_on_the_channels_of_its_modality(
+    tmp_path: Path, pot: Piece, modality: Modality
+) -> None:
+    estimator = Estimator.load(write_model(tmp_path / "m.safetensors", pot, modality), pot)
+    observation = np.random.default_rng(1).normal(size=(20, 258)).astype(np.float32)
+    patch = estimator.estimate(episode(observation))
+    inputs = modality_columns(modality).stop - modality_columns(modality).start
+    model = new_model(NetworkShape(inputs, 256, 2, 177), 9).eval()
+    x = {"FT": observation[:, 252:], "Tac": observation[:, :252]}.get(modality, observation)
+    with torch.no_grad():
+        expected = torch.sigmoid(model(torch.from_numpy(x.copy())[None]))[0].numpy()
+    assert np.allclose(patch.probability, expected, atol=1e-6)
+    assert np.array_equal(patch.points_mm, face_points(pot.face))
+    assert estimator.estimate(episode(observation)).probability.tolist() == (
+        patch.probability.tolist()
+    )
+
+
+def test_preparing_never_changes_an_estimate(tmp_path: Path, pot: Piece) -> None:
+    path = write_model(tmp_path / "m.safetensors", pot)
+    probes = np.random.default_rng(4).normal(size=(3, 20, 258)).astype(np.float32)
+    plain = [Estimator.load(path, pot).estimate(episode(rows)).probability for rows in probes]
+    estimator = Estimator.load(path, pot)
+    estimator.prepare(probes[0][:19])
+    for rows, expected in zip(probes, plain, strict=True):
+        # Bit for bit, prepared for this probe, for another, or with one value corrected since.
+        assert np.array_equal(estimator.estimate(episode(rows)).probability, expected)
+        estimator.prepare(rows[:19])
+        assert np.array_equal(estimator.estimate(episode(rows)).probability, expected)
+    corrected = probes[2].copy()
+    corrected[18, 257] += 1.0
+    changed = estimator.estimate(episode(corrected)).probability
+    assert not np.array_equal(changed, plain[2])
+    assert np.array_equal(
+        changed, Estimator.load(path, pot).estimate(episode(corrected)).probability
+    )
+
+
+def test_early_ticks_that_are_missing_do_no_harm(tmp_path: Path, pot: Piece) -> None:
+    estimator = Estimator.load(write_model(tmp_path / "m.safetensors", pot), pot)
+    rows = np.zeros((20, 258), np.float32)
+    expected = estimator.estimate(episode(rows)).probability
+    estimator.prepare(np.full((19, 258), np.nan, np.float32))
+    assert np.array_equal(estimator.estimate(episode(rows)).probability, expected)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("channel", [0, 251, 257])
+def test_a_value_that_is_not_finite_is_refused(
+    tmp_path: Path, pot: Piece, value: float, channel: int
+) -> None:
+    estimator = Estimator.load(write_model(tmp_path / "m.safetensors", pot), pot)
+    observation = np.zeros((20, 258))
+    observation[11, channel] = value
+    with pytest.raises(InputError, match=f"not finite .channel {channel} first"):
+        estimator.estimate(episode(observation))
+
+
+def test_episodes_that_do_not_belong_are_refused(tmp_path: Path, pot: Piece) -> None:
+    estimator = Estimator.load(write_model(tmp_path / "m.safetensors", pot), pot)
+    with pytest.raises(InputError, match="'barrel'"):
+        estimator.estimate(episode(np.zeros((20, 258)), "barrel"))
+    with pytest.raises(InputError, match="shape"):
+        estimator.estimate(episode(np.zeros((19, 258))))
+
+
+def test_models_that_do_not_belong_are_refused_by_name(tmp_path: Path, pot: Piece) -> None:
+    barrel = load_pieces().piece("barrel")
+    path = tmp_path / "m.safetensors"
+    other = hashlib.sha256(b"other").hexdigest()
+    cases = [
+        (barrel, {}, "of 'barrel', not of 'pot'"),
+        (pot, {"geometry": other}, "another version"),
+        (barrel, {"piece": "pot"}, "349 face points, 'pot' has 177"),
+    ]
+    for piece, card, words in cases:
+        write_model(path, piece, **card)
+        with pytest.raises(InputError, match=words) as error:
+            Estimator.load(path, pot)
+        assert error.value.where == str(path)
+
+
+def test_divergence_is_named_and_leaves_no_model(
+    tmp_path: Path, write_data: Callable[[Path], Path]
+) -> None:
+    out = tmp_path / "pot.safetensors"
+    job = TrainingJob(
+        data=write_data(tmp_path / "data"),
+        piece="pot",
+        out=out,
+        settings=TrainingSettings(hidden=4, epochs=9, patience=1, learning_rate=1e20),
+        threads=1,
+    )
+    with pytest.raises(InputError, match="diverged"):
+        fit_model(job, lambda _: None, lambda: False)
+    assert not out.exists()
+
+
+@pytest.mark.parametrize(("cores", "threads"), [(None, 1), (1, 1), (2, 2), (16, 2)])
+def test_a_training_alone_takes_two_threads_where_there_are_two_cores(
+    cores: int | None, threads: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("os.cpu_count", lambda: cores)
+    assert default_threads() == threads
+
+
+CLOSE = 2e-5
+"""Float32 over 20 ticks, sums in another order; logits are of size 1 to 20."""
+
+
+def forward_of(checkpoint: Checkpoint) -> PatchForward:
+    return PatchForward(checkpoint.arrays, NetworkShape(**checkpoint.card.hyper.model_dump()))
+
+
+def torch_logits(model: PatchNet, rows: np.ndarray) -> np.ndarray:
+    with torch.no_grad():
+        return model(torch.from_numpy(rows[None].copy()))[0].numpy()
+
+
+@pytest.mark.parametrize(
+    "shape", [NetworkShape(258, 256, 2, 177), NetworkShape(6, 5, 1, 3), NetworkShape(252, 33, 3, 7)]
+)
+def test_equals_torch_on_random_weights_and_inputs(shape: NetworkShape) -> None:
+    rng = np.random.default_rng(shape.hidden)
+    model = new_model(shape, 3).eval()
+    mean, scale = rng.normal(size=(2, shape.inputs)).astype(np.float32)
+    model.set_normaliser(Normaliser(mean, np.abs(scale) + 0.1))
+    forward = PatchForward(model.arrays(), shape)
+    for _ in range(20):
+        rows = rng.normal(scale=3.0, size=(20, shape.inputs)).astype(np.float32)
+        ours = forward.logits(forward.run(rows, forward.start))
+        assert np.abs(ours - torch_logits(model, rows)).max() < CLOSE
+
+
+@pytest.mark.parametrize("piece", ["pot", "mushroom", "barrel"])
+def test_equals_torch_on_the_shipped_models(piece: str) -> None:
+    checkpoint = load_checkpoint(shipped_model(piece))
+    forward, model = forward_of(checkpoint), load_network(checkpoint)
+    rng = np.random.default_rng(5)
+    mean, scale = checkpoint.arrays["mean"], checkpoint.arrays["scale"]
+    for size in (0.3, 1.0, 3.0):
+        # Walks that grow from zero, as a press does, in the units of the channels.
+        walk = np.cumsum(rng.normal(scale=size / 4, size=(20, 258)), axis=0)
+        rows = (mean + scale * walk).astype(np.float32)[
+            :, modality_columns(checkpoint.card.modality)
+        ]
+        ours = forward.logits(forward.run(rows, forward.start))
+        theirs = torch_logits(model, rows)
+        assert np.abs(ours - theirs).max() < CLOSE * max(1.0, np.abs(theirs).max())
+
+
+@pytest.mark.parametrize("cut", [1, 10, 19])
+def test_a_sequence_can_be_cut_anywhere(cut: int) -> None:
+    shape = NetworkShape(12, 16, 2, 4)
+    forward = PatchForward(new_model(shape, 1).arrays(), shape)
+    rows = np.random.default_rng(2).normal(size=(20, 12)).astype(np.float32)
+    begun = forward.run(rows[:cut], forward.start)
+    kept = begun.hidden.copy()
+    in_two = forward.logits(forward.run(rows[cut:], begun))
+    assert np.allclose(in_two, forward.logits(forward.run(rows, forward.start)), atol=1e-6)
+    assert np.array_equal(begun.hidden, kept)
+    assert not forward.start.hidden.any()
+
+
+def test_an_estimator_needs_no_torch() -> None:
+    code = (
+        "import sys\n"
+        "from touchdown.backend.bench.assembly import shipped_model\n"
+        "from touchdown.backend.geometry.pieces import load_pieces\n"
+        "from touchdown.backend.placement.estimator import Estimator\n"
+        "Estimator.load(shipped_model('pot'), load_pieces().piece('pot'))\n"
+        "sys.exit('torch' in sys.modules)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], check=False, cwd=Path(__file__).resolve().parents[3]
+    )
+    assert done.returncode == 0
+
+
+def bits(*rows: str) -> np.ndarray:
+    return np.array([[c == "1" for c in row] for row in rows])
+
+
+def test_iou_is_a_mean_over_samples_and_an_empty_union_counts_one() -> None:
+    assert iou(bits("1100", "0000", "1000"), bits("0110", "0000", "0001")) == pytest.approx(
+        (1 / 3 + 1 + 0) / 3
+    )
+    assert point_accuracy(bits("1100", "0000"), bits("0110", "0000")) == pytest.approx(6 / 8)
+
+
+@pytest.mark.parametrize(
+    ("k", "n", "low", "high"),
+    [(8, 10, 0.490, 0.943), (40, 60, 0.541, 0.773), (34, 60, 0.441, 0.684)],
+)
+def test_wilson_intervals_as_published(k: int, n: int, low: float, high: float) -> None:
+    assert wilson_interval(k, n) == pytest.approx((low, high), abs=5e-4)
+
+
+def test_wilson_without_trials_knows_nothing() -> None:
+    assert wilson_interval(0, 0) == (0.0, 1.0)
+
+
+def test_hull_margin_agrees_with_shapely() -> None:
+    rng = np.random.default_rng(8)
+    for _ in range(300):
+        points = rng.integers(-6, 7, (rng.integers(3, 12), 2)).astype(float)
+        hull = MultiPoint(points).convex_hull
+        got = hull_margin_mm(points)
+        if hull.area == 0:
+            assert got == -math.inf
+            continue
+        distance = hull.exterior.distance(Point(0, 0))
+        sign = 1 if hull.covers(Point(0, 0)) else -1
+        assert got == pytest.approx(sign * distance, abs=1e-5)
+
+
+@pytest.mark.parametrize("count", [0, 1, 2])
+def test_few_points_never_support(count: int) -> None:
+    assert hull_margin_mm(np.zeros((count, 2))) == -math.inf
+
+
+def test_scores_of_a_known_case() -> None:
+    x, y = np.meshgrid([-1.0, 0.0, 1.0], [-1.0, 0.0, 1.0])
+    points = np.stack([x.ravel(), y.ravel()], 1)
+    left, right, whole = x.ravel() < -0.5, x.ravel() > 0.5, np.ones(9, bool)
+    truth = np.stack([left, right, whole, whole])
+    assert stable_flags(truth, points).tolist() == [False, False, True, True]
+    probability = np.stack([whole, right, whole, left]) * 0.96 + 0.02
+    got = score(probability, truth, points, delta=0.9)
+    assert got.stability_accuracy == 0.5
+    assert got.unsafe == 0.5
+    assert got.base_rate == 0.5
+    assert got.iou == pytest.approx((3 / 9 + 1 + 1 + 3 / 9) / 4)
+    # confident enough to be contact, not enough to be support
+    assert score(probability * 0.9, truth, points, delta=0.9).unsafe == 0.0
+
+
+PRECISION = "bfloat16" if computes_bfloat16(torch.device("cpu")) else "float32"
+Data = Callable[[Path, int], Path]
+
+
+def test_train_then_evaluate(
+    tmp_path: Path, write_data: Data, capsys: pytest.CaptureFixture[str]
+) -> None:
+    data = write_data(tmp_path / "data", 36)
+    out = tmp_path / "pot.safetensors"
+    words = ["train", str(data), "--piece", "pot", "--out", str(out), "--epochs", "3"]
+    words += ["--batch", "4", "--threads", "1", "--precision", PRECISION]
+    assert main([*words, "--json"]) == 0
+    captured = capsys.readouterr()
+    answer = json.loads(captured.out)
+    assert answer["episodes"] == 36
+    assert answer["out"] == str(out)
+    assert load_card(out).training["precision"] == PRECISION
+    assert [point["epoch"] for point in answer["curve"]] == [1, 2, 3]
+    assert captured.err == ""
+
+    assert main(["evaluate", str(out), str(data), "--json"]) == 0
+    answer = json.loads(capsys.readouterr().out)
+    assert set(answer["scores"]) == {"circle15", "short", "all"}
+    assert answer["scores"]["all"]["episodes"] == 36
+    assert answer["scores"]["all"]["point_accuracy"] > 0.9
+    low, high = answer["scores"]["all"]["stability_interval"]
+    assert low <= answer["scores"]["all"]["stability_accuracy"] <= high
+
+    assert main(["evaluate", str(out), str(data)]) == 0
+    assert "circle15" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("extra", "where"),
+    [(["--epochs", "0"], "arguments"), (["--modality", "smell"], "touchdown train")],
+)
+def test_bad_arguments_are_one_error(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], extra: list[str], where: str
+) -> None:
+    assert main(["train", str(tmp_path), *extra, "--json"]) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert json.loads(captured.err)["error"]["where"] == where
+
+
+def test_missing_data_is_one_error_naming_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["train", str(tmp_path / "none"), "--json"]) == 2
+    assert json.loads(capsys.readouterr().err)["error"]["where"] == str(tmp_path / "none")
+
+
+def test_a_script_gets_the_numbers_of_the_command_line(
+    tmp_path: Path, write_data: Data, capsys: pytest.CaptureFixture[str]
+) -> None:
+    data = write_data(tmp_path / "data", 36)
+    by_verb, by_call = tmp_path / "verb.safetensors", tmp_path / "call.safetensors"
+    words = ["train", str(data), "--out", str(by_verb), "--epochs", "2", "--modality", "FT"]
+    assert main([*words, "--batch", "4", "--threads", "1", "--json"]) == 0
+    curve = json.loads(capsys.readouterr().out)["curve"]
+    reports: list[object] = []
+    card = train_model(
+        str(data), "pot", str(by_call), epochs=2, modality="FT", batch=4, threads=1,
+        on_report=reports.append,
+    )  # fmt: skip
+    assert card == load_card(by_verb) == load_card(by_call)
+    told = [r.validation_loss for r in reports if isinstance(r, TrainingEpoch)]
+    assert told == [point["validation_loss"] for point in curve]
+    assert isinstance(reports[-1], TrainingFinished)
+
+    assert main(["evaluate", str(by_verb), str(data), "--json"]) == 0
+    shown = json.loads(capsys.readouterr().out)["scores"]
+    assert {name: s.as_json() for name, s in evaluate(by_call, str(data)).items()} == shown
+
+
+def test_a_training_from_a_script_names_what_is_wrong(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="epochs"):
+        train_model(tmp_path, "pot", tmp_path / "pot.safetensors", epochs=0)
+    with pytest.raises(InputError) as missing:
+        train_model(tmp_path / "none", "pot", tmp_path / "pot.safetensors")
+    assert missing.value.where == str(tmp_path / "none")
+    with pytest.raises(InputError, match="folder"):
+        train_model(tmp_path, "pot", tmp_path)
+
+
+TrainingProcessData = Callable[[Path], Path]
+
+
+def job(data: Path, out: Path, **changes: object) -> TrainingJob:
+    settings = TrainingSettings(hidden=12, epochs=3, batch=8, validation_share=0.25)
+    fields = {"data": data, "piece": "pot", "out": out, "settings": settings, "threads": 1}
+    return TrainingJob.model_validate(fields | changes)
+
+
+@pytest.mark.cold_start
+def test_the_child_trains_and_equals_training_here(
+    tmp_path: Path, write_data: TrainingProcessData
+) -> None:
+    data = write_data(tmp_path / "data")
+    out = tmp_path / "pot.safetensors"
+    with TrainingProcess(job(data, out)) as training:
+        reports = list(training.reports())
+    assert [type(r) for r in reports] == [
+        TrainingLoaded,
+        TrainingEpoch,
+        TrainingEpoch,
+        TrainingEpoch,
+        TrainingFinished,
+    ]
+    assert isinstance(reports[0], TrainingLoaded)
+    assert (reports[0].episodes, reports[0].points, reports[0].kept_together) == (24, 177, "series")
+    card = load_checkpoint(out).card
+    assert card.data["episodes"] == {"circle15": 12, "short": 12}
+    assert not resume_path(out).exists()
+
+    here = tmp_path / "here.safetensors"
+    told: list[object] = []
+    fit_model(job(data, here), told.append, lambda: False)
+    assert told[:-1] == reports[:-1]
+    assert here.read_bytes() == out.read_bytes()
+
+
+@pytest.mark.promise("W14")
+def test_cancelled_then_resumed_equals_uninterrupted(
+    tmp_path: Path, write_data: TrainingProcessData
+) -> None:
+    data = write_data(tmp_path / "data")
+    whole, parts = tmp_path / "whole.safetensors", tmp_path / "parts.safetensors"
+    fit_model(job(data, whole), lambda _: None, lambda: False)
+
+    told: list[object] = []
+    fit_model(job(data, parts), told.append, lambda: len(told) >= 2)
+    assert isinstance(told[-1], TrainingCancelled)
+    assert told[-1].done == 1
+    assert not parts.exists()
+    fit_model(job(data, parts, resume=True), told.append, lambda: False)
+    assert isinstance(told[-1], TrainingFinished)
+    assert parts.read_bytes() == whole.read_bytes()
+
+
+def test_the_child_stops_when_asked(tmp_path: Path, write_data: TrainingProcessData) -> None:
+    settings = TrainingSettings(hidden=12, epochs=100_000, patience=100_000, batch=8)
+    endless = job(write_data(tmp_path / "data"), tmp_path / "pot.safetensors", settings=settings)
+    reports = []
+    with TrainingProcess(endless) as training:
+        for report in training.reports():
+            reports.append(report)
+            if len(reports) == 3:
+                training.cancel()
+    assert isinstance(reports[-1], TrainingCancelled)
+    assert reports[-1].done >= 2
+    assert reports[-1].state.exists()
+
+
+def test_the_child_ends_with_its_parent_block(
+    tmp_path: Path, write_data: TrainingProcessData
+) -> None:
+    settings = TrainingSettings(hidden=12, epochs=100_000, patience=100_000, batch=8)
+    endless = job(write_data(tmp_path / "data"), tmp_path / "pot.safetensors", settings=settings)
+    with TrainingProcess(endless) as training:
+        next(training.reports())
+    assert training._child.returncode is not None
+
+
+def test_bad_input_of_the_child_is_an_input_error_here(tmp_path: Path) -> None:
+    (tmp_path / "bad.mcap").write_bytes(b"not at all")
+    with (
+        TrainingProcess(job(tmp_path, tmp_path / "pot.safetensors")) as training,
+        pytest.raises(InputError, match="not an MCAP file") as error,
+    ):
+        list(training.reports())
+    assert error.value.where == str(tmp_path / "bad.mcap")
+
+
+@pytest.mark.promise("P7", "P10")
+def test_a_child_that_dies_is_a_fault_with_the_next_step(
+    tmp_path: Path, write_data: TrainingProcessData
+) -> None:
+    settings = TrainingSettings(hidden=12, epochs=100_000, patience=100_000, batch=8)
+    endless = job(write_data(tmp_path / "data"), tmp_path / "pot.safetensors", settings=settings)
+    with TrainingProcess(endless) as training:
+        reports = training.reports()
+        next(reports)
+        training._child.kill()
+        with pytest.raises(FaultError, match="--resume"):
+            list(reports)
+
+
+def test_a_wrong_ending_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="safetensors"):
+        fit_model(job(tmp_path, tmp_path / "pot.pt"), lambda _: None, lambda: False)

@@ -1,0 +1,292 @@
+"""bench-v1 never changes: its values, its pieces, and the wrench of a press."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from importlib.resources import files
+from typing import Any
+
+import numpy as np
+import pytest
+
+from touchdown.backend.config.bench_description import bench_sha256
+from touchdown.backend.config.simulation import SimulationSettings, load_simulation
+from touchdown.backend.core.marker_interpolation import fill_unseen_markers
+from touchdown.backend.geometry.outlines import face_points, true_patch
+from touchdown.backend.geometry.pieces import load_pieces
+from touchdown.backend.geometry.tower import Tower
+from touchdown.backend.simulation import conditions, marker_fields
+from touchdown.backend.simulation.batch import (
+    BatchedTrials,
+    BatchPlan,
+    EpisodeBatch,
+    simulate_episodes,
+)
+from touchdown.backend.simulation.conditions import SeedScope
+from touchdown.backend.simulation.scene import Scene
+
+BENCH = load_simulation(preset="bench-v1")
+FILE = files("touchdown.resources") / "benches" / "bench-v1.toml"
+VALUES = "03b08d28746d933930486411c27c1a07f9008dc6be3d42fb07d1c2279d5e443b"
+PIECES = {
+    "pot": "bdbb29d9d167befb",
+    "barrel": "734642e984c6e208",
+    "mushroom": "75769aa551146aea",
+    "short": "cb3b06b48c966b79",
+    "long": "c1c6ff05d8b3c9e5",
+    "circle15": "bae46760ff60e620",
+    "circle25": "3bd40b24fa4c0014",
+    "square15": "e1f8c905bb454e8a",
+}
+
+
+def leaves(values: Mapping[str, Any], under: str = "") -> Iterator[str]:
+    for key, value in values.items():
+        if isinstance(value, Mapping):
+            yield from leaves(value, f"{under}{key}.")
+        else:
+            yield under + key
+
+
+def test_no_value_ever_changes() -> None:
+    assert bench_sha256(BENCH) == VALUES
+
+
+def test_every_value_is_written_out_so_that_no_default_reaches_it() -> None:
+    written = tomllib.loads(FILE.read_text("utf-8"))
+    assert set(leaves(written)) == set(leaves(BENCH.model_dump()))
+
+
+def test_the_pieces_of_the_tables_are_those_of_the_freezing() -> None:
+    catalogue = load_pieces()
+    named = {name: catalogue.piece(name).sha256[:16] for name in PIECES}
+    assert named == PIECES
+
+
+def test_a_press_on_it_feels_as_it_did() -> None:
+    """Pot on Long, beyond its middle: one piece slips in the grip, the other makes Long rock."""
+    catalogue = load_pieces()
+    tower = Tower((catalogue.bottom("long").body(),))
+    bench = BatchedTrials(
+        [Scene(catalogue.top("pot"), tower, (0.0, 0.0), seed, BENCH) for seed in (13, 18)]
+    )
+    felt = bench.press([0, 1], np.full((2, 2), (8.0, -4.0)))
+    assert felt.valid.all()
+    assert felt.slip_mm == pytest.approx([0.1786, 0.0], abs=5e-4)
+    assert felt.true_mm == pytest.approx(np.array([[6.1775, -3.9204], [6.8473, -4.1607]]), abs=5e-4)
+    force_n = [[0.4428, 0.9031, 8.0413], [0.8975, -0.9690, 7.4345]]
+    moment_nm = [[0.0504, -0.0839, 0.0082], [0.0579, -0.1015, -0.0079]]
+    markers_px = [[-0.116, -9.962, -9.977], [-0.249, -10.008, -12.014]]
+    assert felt.observation[:, -1, -6:-3] == pytest.approx(np.array(force_n), abs=2e-3)
+    assert felt.observation[:, -1, -3:] == pytest.approx(np.array(moment_nm), abs=2e-4)
+    assert felt.observation[:, -1, [0, 100, 200]] == pytest.approx(np.array(markers_px), abs=5e-3)
+
+
+def plan(piece: str = "pot", bottom: str = "circle25", **changes) -> BatchPlan:
+    catalogue = load_pieces()
+    top, below = catalogue.top(piece), catalogue.bottom(bottom)
+    made = BatchPlan(
+        piece=piece,
+        bottom=bottom,
+        face=top.face,
+        bottom_outline=below.upper,
+        face_points_mm=face_points(top.face),
+        grip_height_mm=top.grip_height_mm,
+        width_mm=top.width_mm,
+        episodes=24,
+        seed=5,
+        probes_per_grip=4,
+        grips_per_mounting=3,
+    )
+    return replace(made, **changes)
+
+
+def everything(batches) -> EpisodeBatch:
+    parts = list(batches)
+    names = [n for n in EpisodeBatch.__dataclass_fields__ if n != "rejected"]
+    order = np.argsort(np.concatenate([b.episode for b in parts]))
+    whole = {n: np.concatenate([getattr(b, n) for b in parts])[order] for n in names}
+    return EpisodeBatch(**whole, rejected=sum(b.rejected for b in parts))
+
+
+@pytest.fixture(scope="module")
+def default_batch() -> EpisodeBatch:
+    return everything(simulate_episodes(plan()))
+
+
+def test_episodes_have_the_promised_shapes_and_scopes(default_batch) -> None:
+    batch = default_batch
+    assert batch.observation.shape == (24, 20, 258)
+    assert batch.observation.dtype == np.float32
+    assert np.isfinite(batch.observation).all()
+    np.testing.assert_array_equal(batch.episode, np.arange(24))
+    np.testing.assert_array_equal(batch.grip, np.arange(24) // 4)
+    np.testing.assert_array_equal(batch.mounting, batch.grip // 3)
+    assert batch.residual.max() <= 1e-4
+
+
+def test_the_label_is_the_overlap_at_the_commanded_place(default_batch) -> None:
+    made = plan()
+    patch = true_patch(made.face_points_mm, default_batch.offset_mm, made.bottom_outline)
+    np.testing.assert_array_equal(default_batch.patch, patch)
+    assert default_batch.patch.sum(axis=1).min() >= 6
+
+
+def test_the_face_sits_at_commanded_minus_grasp_offset_within_one_grip(default_batch) -> None:
+    made = plan()
+    for grip in range(6):
+        rows = default_batch.grip == grip
+        seed = conditions.scoped_generator(5, SeedScope.GRIPPING, made.pair, grip // 3, grip)
+        g_x = conditions.draw_gripping(made.settings, 10.0, seed).grasp_offset_mm[0]
+        seed = conditions.scoped_generator(5, SeedScope.MOUNTING, made.pair, grip // 3)
+        board = conditions.draw_mounting(made.settings, seed).print_offset_mm
+        shift = default_batch.true_offset_mm[rows] - default_batch.offset_mm[rows]
+        # What is left is the arm's own error of each probe.
+        rest = shift + np.array([g_x, 0.0]) + np.array(board)
+        assert np.abs(rest).max() < 0.3
+        assert np.ptp(rest[:, 0]) > 0.0
+
+
+def test_same_seed_same_bytes_however_the_grips_are_shared_out(default_batch) -> None:
+    shared = everything(
+        [*simulate_episodes(plan(), [3, 4, 5]), *simulate_episodes(plan(), [0, 1, 2])]
+    )
+    again = everything(
+        [*simulate_episodes(plan(), [0, 1, 2]), *simulate_episodes(plan(), [3, 4, 5])]
+    )
+    assert shared.observation.tobytes() == again.observation.tobytes()
+    np.testing.assert_allclose(shared.observation, default_batch.observation, atol=1e-3)
+    other = everything(simulate_episodes(plan(seed=6), [0]))
+    assert np.abs(other.observation - default_batch.observation[:4]).max() > 0.1
+
+
+def test_without_noise_equal_offsets_give_the_pure_physics() -> None:
+    made = plan(settings=load_simulation(preset="off"), episodes=6, probes_per_grip=1)
+    batch = everything(simulate_episodes(made))
+    np.testing.assert_allclose(batch.true_offset_mm, batch.offset_mm)
+    end = batch.observation[:, -1]
+    assert np.ptp(end[:, 254]) < 1.0
+    assert (end[:, 254] > 6.5).all()
+    field = end[:, :252].reshape(6, 2, 2, 7, 9)
+    # Both cameras see the piece rise (v falls), mirrored along u.
+    assert (field[:, :, 1, 3, 4] < -14.0).all()
+    np.testing.assert_allclose(field[:, 0, 0, 3, 4], -field[:, 1, 0, 3, 4], atol=0.35)
+
+
+def test_added_errors_have_the_levels_of_the_settings() -> None:
+    quiet_physics = load_simulation(preset="off").model_copy(
+        update={"wrist": SimulationSettings().wrist, "tactile": SimulationSettings().tactile}
+    )
+    count = 150
+    noisy = plan(settings=quiet_physics, episodes=count, probes_per_grip=1)
+    batch = everything(simulate_episodes(noisy))
+    clean_settings = load_simulation(preset="off")
+    clean = everything(simulate_episodes(replace(noisy, settings=clean_settings)))
+    np.testing.assert_allclose(batch.offset_mm, clean.offset_mm)
+    error = batch.observation.astype(float)[:, 16:] - clean.observation.astype(float)[:, 16:]
+    held = error.mean(axis=1)
+    force_sd = held[:, [252, 253]].std()
+    assert force_sd == pytest.approx(0.2, rel=0.2)
+    assert held[:, 255:].std() == pytest.approx(0.008, rel=0.25)
+    within = error[:, :, 252:254] - error[:, :, 252:254].mean(axis=1, keepdims=True)
+    assert within.std() == pytest.approx(0.01, rel=0.35)
+    field = error[:, :, :252].reshape(count, 4, 2, 2, 63)
+    bias = field.mean(axis=(1, 4))
+    assert bias[:, :, 0].std() == pytest.approx(0.155, rel=0.2)
+    white = field - field.mean(axis=4, keepdims=True)
+    # Interpolation between two frames averages part of the white noise away.
+    assert 0.02 < np.median(np.abs(white)) / 0.6745 < 0.05
+
+
+def test_slip_is_carried_within_a_grip_and_reported() -> None:
+    hard = load_simulation(preset="hard").model_copy(update={"mu_grip": 0.36})
+    batch = everything(
+        simulate_episodes(
+            plan("mushroom", "circle15", settings=hard, episodes=24, probes_per_grip=4)
+        )
+    )
+    assert (batch.slip_mm > 0.02).mean() > 0.5
+    still = hard.model_copy(update={"grasp": hard.grasp.model_copy(update={"slip": False})})
+    without = everything(
+        simulate_episodes(
+            plan("mushroom", "circle15", settings=still, episodes=24, probes_per_grip=4)
+        )
+    )
+    assert not without.slip_mm.any()
+    moved = np.abs(batch.true_offset_mm - without.true_offset_mm).max(axis=1)
+    first = batch.episode % 4 == 0
+    assert moved[first].max() < 1e-12
+    assert moved[~first].max() > 1e-3
+
+
+def test_probes_that_miss_are_drawn_again_and_counted() -> None:
+    wide = SimulationSettings.model_validate({"spread": {"grasp_offset_mm": 1.5}})
+    made = plan("pot", "circle15", settings=wide, episodes=400, probes_per_grip=1, seed=2)
+    batch = everything(simulate_episodes(made))
+    assert len(batch.episode) == 400
+    assert 0 < batch.rejected < 40
+
+
+def test_a_gripping_stays_the_same_and_the_next_differs() -> None:
+    settings = SimulationSettings()
+    draws = [
+        conditions.draw_gripping(
+            settings, 10.0, conditions.scoped_generator(1, SeedScope.GRIPPING, 0, grip)
+        )
+        for grip in (0, 0, 1)
+    ]
+    assert draws[0] == draws[1]
+    assert draws[0] != draws[2]
+
+
+def test_draws_keep_their_limits() -> None:
+    wild = SimulationSettings.model_validate(
+        {"spread": {"gel": 5.0, "mu": 5.0, "tilt_rad": 1.0, "gain": 9.0}}
+    )
+    rng = np.random.default_rng(0)
+    for _ in range(50):
+        grip = conditions.draw_gripping(wild, 10.0, rng)
+        assert 0.7 <= grip.gel_factor <= 1.3
+        assert all(0.8 <= gain <= 1.2 for gain in grip.gain)
+        assert np.abs(conditions.draw_mounting(wild, rng).tilt_rad).max() <= 0.02
+        assert 0.2 <= conditions.draw_probe(wild, rng).mu <= 0.6
+
+
+@pytest.mark.promise("C5")
+def test_frames_round_a_tick_skip_those_that_were_dropped() -> None:
+    t_s = np.full((1, 2, 72), np.inf)
+    t_s[0, :, :60] = 0.04 * np.arange(60)
+    t_s[0, 0, 26] = np.inf
+    ticks = np.full((1, 20), 1.03)
+    index, weight = marker_fields.frames_around_ticks(t_s, ticks)
+    assert index[0, 0, 0].tolist() == [25, 27]
+    assert index[0, 1, 0].tolist() == [25, 26]
+    np.testing.assert_allclose(weight[0, 0, 0], [0.625, 0.375])
+    np.testing.assert_allclose(weight[0, 1, 0], [0.25, 0.75])
+
+
+def test_lost_markers_follow_the_set_share_in_bursts() -> None:
+    tactile = SimulationSettings().tactile.model_copy(update={"lost_share": 0.01})
+    lost = np.stack(
+        [marker_fields.draw_camera(tactile, np.random.default_rng(k)).lost for k in range(60)]
+    )
+    assert lost.mean() == pytest.approx(0.01, rel=0.2)
+
+
+def test_lost_markers_are_filled_by_the_given_function() -> None:
+    losing = SimulationSettings.model_validate({"preset": "off", "tactile": {"lost_share": 0.02}})
+    made = plan(settings=losing, episodes=8, probes_per_grip=1)
+    asked = []
+
+    def infer(field, seen):
+        asked.append((~seen).sum())
+        return fill_unseen_markers(field, seen)
+
+    filled = everything(simulate_episodes(made, infer=infer))
+    whole = everything(simulate_episodes(replace(made, settings=load_simulation(preset="off"))))
+    assert sum(asked) > 0
+    error = (filled.observation - whole.observation)[:, :, :252]
+    assert np.abs(error).max() < 1.5
+    assert np.count_nonzero(np.abs(error) > 1e-4) > 0

@@ -1,0 +1,348 @@
+"""Verification vectors of the mechanics: no noise, defaults, end of hold."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.backend.simulation.test_batch import everything, plan
+from touchdown.backend.config.method import ProbeSettings
+from touchdown.backend.config.simulation import SimulationSettings, SupportSettings
+from touchdown.backend.core.values import GRID_COLS, GRID_ROWS
+from touchdown.backend.geometry.outlines import circle, face_points, rectangle
+from touchdown.backend.geometry.pieces import load_pieces
+from touchdown.backend.geometry.sampling import draw_offset
+from touchdown.backend.geometry.tower import Body, Tower, judge_tower
+from touchdown.backend.simulation import batch as lockstep
+from touchdown.backend.simulation import conditions as nuisance
+from touchdown.backend.simulation.batch import LARGEST_FORCE_RATIO, simulate_episodes
+from touchdown.backend.simulation.contact import RESIDUAL_LIMIT
+from touchdown.backend.simulation.gripper import HeldPiece, start_command_mm
+from touchdown.backend.simulation.marker_fields import build_gel
+from touchdown.backend.simulation.mechanics import (
+    ContactState,
+    ProbeEquilibrium,
+    advance_probes,
+    begin_probes,
+)
+from touchdown.backend.simulation.pressing import press_batch
+from touchdown.backend.simulation.scene import Scene
+from touchdown.backend.simulation.supports import (
+    SupportMotion,
+    join_support_stacks,
+    slide_bottoms,
+    support_stack,
+    topples,
+)
+from touchdown.backend.simulation.wrist_sensor import (
+    Load,
+    centre_of_pressure_mm,
+    held_piece_load,
+    wrist_wrench,
+)
+
+TOPS = {"mushroom": 25.4, "barrel": 21.2, "pot": 15.0}
+CENTRE = (GRID_ROWS // 2) * GRID_COLS + GRID_COLS // 2
+
+TABLE = Path(__file__).parents[2] / "data" / "mechanics-vectors.csv"
+WORDS = 2
+
+
+def read_vectors():
+    with TABLE.open(newline="") as file:
+        rows = list(csv.reader(file))[1:]
+    return [(*row[:WORDS], *map(float, row[WORDS:])) for row in rows]
+
+
+VECTORS = read_vectors()
+
+
+@pytest.mark.parametrize("row", VECTORS, ids=lambda r: f"{r[0]}-{r[1]}-{r[2]:g}-{r[3]:g}")
+def test_published_vector(row, press, shapes) -> None:
+    disc, square = shapes
+    bottoms = {"c15": disc(15.0), "c25": disc(25.0), "s15": square(15.0)}
+    top, bottom, x, y, cells, f_x, f_y, f_z, m_x, m_y, rho_x, rho_y, *rest = row
+    state, solved = press(TOPS[top], bottoms[bottom], (x, y))
+    end = solved[-1]
+    force, moment = end.wrench_g[0, :3], end.wrench_g[0, 3:]
+    assert state.cells.count[0] == cells
+    assert state.residual[0] <= 1e-6
+    np.testing.assert_allclose(force, (f_x, f_y, f_z), rtol=0.01, atol=6e-4)
+    np.testing.assert_allclose(moment[:2], (m_x, m_y), rtol=0.02, atol=6e-4)
+    np.testing.assert_allclose(1e3 * end.q[0, 3:5], (rho_x, rho_y), rtol=0.01, atol=6e-3)
+    np.testing.assert_allclose(end.cop_mm[0], rest[:2], rtol=0.01, atol=6e-3)
+    at_wrist = wrist_wrench(end.wrench_g, 120.0)
+    np.testing.assert_allclose(at_wrist[0, 3:5], rest[2:4], rtol=0.02, atol=6e-5)
+    lever = 120.0 - state.cells.r_z[0]
+    np.testing.assert_allclose(centre_of_pressure_mm(at_wrist, lever), end.cop_mm, atol=1e-9)
+    field = build_gel((0.058, 0.058)).displacement_px(end.strain, end.normal_n, np.array([10.0]))
+    np.testing.assert_allclose(field[0, :, CENTRE].ravel(), rest[4:], atol=0.05)
+
+
+@pytest.mark.parametrize(("pitch_mm", "f_x"), [(2.0, 0.727), (1.0, 0.794), (0.5, 0.799)])
+def test_discretisation_table(pitch_mm, f_x, press, shapes) -> None:
+    _, solved = press(25.4, shapes[0](15.0), (9, 0), pitch_mm=pitch_mm)
+    assert solved[-1].wrench_g[0, 0] == pytest.approx(f_x, rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("stiffness", "f_x"), [(2.0, 1.233), (5.0, 1.032), (20.0, 0.794), (100.0, 0.610)]
+)
+def test_foundation_table(stiffness, f_x, press, shapes) -> None:
+    _, solved = press(25.4, shapes[0](15.0), (9, 0), foundation_n_mm3=stiffness)
+    assert solved[-1].wrench_g[0, 0] == pytest.approx(f_x, rel=0.01)
+
+
+BOTH = SupportSettings(rocks=True, slides=True)
+OFF = SimulationSettings.model_validate({"preset": "off"})
+FACE = rectangle(6.0, 6.0)
+DEPTH_MM = 1.5
+
+
+def block(width_mm=12.0, height_mm=40.0, mass_g=35.0, **more) -> Body:
+    """A prism whose upper end overhangs its base: the press can be outside of it."""
+    lower, upper = rectangle(width_mm, 40.0), rectangle(40.0, 40.0)
+    return Body("block", lower, upper, height_mm, mass_g, height_mm / 2, **more)
+
+
+def pressed(
+    tower: Tower,
+    offset_mm,
+    support: SupportSettings = BOTH,
+    side_mm=(0.0, 0.0),
+    mu=0.4,
+    steps=15,
+) -> tuple[ContactState, ProbeEquilibrium]:
+    """Press a small square face at ``offset_mm``, then move the arm sideways by ``side_mm``."""
+    ground = np.random.default_rng(0)
+    draw = (
+        nuisance.draw_mounting(OFF, ground),
+        nuisance.draw_gripping(OFF, 10.0, ground),
+        nuisance.draw_probe(OFF, ground),
+    )
+    conditions = nuisance.conditions_from_draws(OFF, ProbeSettings(), 30.0, 30.0, [draw])
+    conditions.mu[:] = mu
+    state = begin_probes(
+        face_points(FACE),
+        tower.bodies[-1].upper,
+        np.array([offset_mm]),
+        conditions,
+    ).on(support_stack(tower, support))
+    for k in range(1, 2 * steps + 1):
+        down, across = min(1.0, k / steps), max(0.0, k / steps - 1.0)
+        command = np.array([[across * side_mm[0], across * side_mm[1], -DEPTH_MM * down]])
+        state, solved = advance_probes(state, command, 0.1)
+    assert solved.residual[0] <= RESIDUAL_LIMIT
+    return state, solved
+
+
+@pytest.mark.parametrize("x_mm", [4.0, 5.5, 5.9, 6.3, 7.0, 9.0])
+def test_a_block_tips_when_it_is_pressed_beyond_its_base(x_mm) -> None:
+    tower = Tower((block(),))
+    state, solved = pressed(tower, (x_mm, 0.0))
+    # A press alone, straight down at the middle of the face, with the weight at the middle.
+    fz, weight = solved.pressing_n[0], 0.035 * 9.81
+    resultant = x_mm * fz / (fz + weight)
+    assert (state.pose.rock_rad[0, 0, 0] > 1e-6) == (resultant > 6.0)
+    assert abs(state.pose.rock_rad[0, 0, 1]) < 1e-9
+
+
+@pytest.mark.parametrize("x_mm", [5.0, 5.9, 6.25, 6.8])
+def test_the_rigid_threshold_is_that_of_the_exact_judge(x_mm) -> None:
+    tower = Tower((block(),))
+    _, solved = pressed(tower, (x_mm, 0.0), SupportSettings())
+    load_g = 1e3 * solved.pressing_n[0] / 9.81
+    weight = Body("press", FACE, None, 1.0, load_g, 0.5, at_mm=(x_mm, 0.0))
+    stands = judge_tower(tower.with_top(weight)).margins_mm[0] > 0.0
+    state, _ = pressed(tower, (x_mm, 0.0))
+    assert bool(state.pose.rock_rad.any()) != stands
+
+
+def test_a_tipped_block_is_in_balance_about_its_edge() -> None:
+    tower = Tower((block(height_mm=60.0),))
+    state, solved = pressed(tower, (3.0, 0.0), side_mm=(1.2, 0.0), mu=0.6)
+    (a, _), r_z = state.pose.rock_rad[0, 0], -30.0
+    assert a > 1e-3
+    fx, _, fz, _, my, _ = solved.wrench_g[0]
+    # Moments about the edge at x = 6 of the press on the face (lever 60) and of the weight, both
+    # where they have moved to; the sum is nothing.
+    at = 3.0 + (-(my - r_z * fx) / fz) + solved.q[0, 0] + r_z * solved.q[0, 4]
+    weight = 0.035 * 9.81
+    moment = (at - 6.0) * fz - fx * 60.0 + weight * (30.0 * a - 6.0)
+    assert moment == pytest.approx(0.0, abs=0.01)
+    assert np.hypot(fx, 0.0) < 0.4 * (fz + weight)
+
+
+@pytest.mark.parametrize("mu", [0.1, 0.2])
+def test_a_block_slides_with_the_arm_when_friction_is_spent(mu) -> None:
+    support = SupportSettings(slides=True, mu=mu)
+    tower = Tower((block(width_mm=40.0),))
+    state, solved = pressed(tower, (0.0, 0.0), support, side_mm=(6.0, 0.0), mu=0.6)
+    fx, _, fz = solved.wrench_g[0, :3]
+    assert -fx == pytest.approx(mu * (fz + 0.035 * 9.81), rel=1e-6)
+    assert 0.5 < state.pose.slide_mm[0, 0, 0] < 6.0
+    # With more friction below than at the face it is the face that slides.
+    state, _ = pressed(tower, (0.0, 0.0), BOTH, side_mm=(6.0, 0.0), mu=0.2)
+    assert not state.pose.slide_mm.any()
+
+
+def test_what_rocked_comes_back_and_what_slid_stays() -> None:
+    support = SupportSettings(rocks=True, slides=True, mu=0.1)
+    state, _ = pressed(Tower((block(),)), (6.5, 0.0), support, side_mm=(0.0, 3.0), mu=0.6)
+    assert state.pose.rock_rad.any()
+    slide = state.pose.slide_mm.copy()
+    for height in np.linspace(-1.0, 1.0, 15):
+        state, solved = advance_probes(state, np.array([[0.0, 3.0, height]]), 0.1)
+    assert solved.pressing_n[0] == 0.0
+    assert not state.pose.rock_rad.any()
+    assert slide[0, 0, 1] > 0.1
+    assert np.abs(state.pose.slide_mm - slide).max() < 0.5
+
+
+def test_a_body_topples_once_its_centre_of_mass_is_over_the_edge() -> None:
+    stand = support_stack(Tower((block(),)), BOTH)
+    for angle, falls in ((0.299, False), (0.301, True)):
+        pose = SupportMotion(np.array([[[angle, 0.0]]]), np.zeros((1, 1, 2)))
+        assert topples(stand, pose)[0] == falls  # 6 mm beside the middle, 20 mm high
+
+
+def test_the_weights_of_a_tower_agree_with_the_judge() -> None:
+    rng = np.random.default_rng(3)
+    catalogue = load_pieces()
+    short, long = catalogue.bottom("short"), catalogue.bottom("long")
+    towers = [Tower((short.body(), long.body(tuple(rng.uniform(-12, 12, 2))))) for _ in range(60)]
+    towers = [
+        t for t in towers if np.isfinite(judge_tower(t).margin_mm) and not judge_tower(t).too_close
+    ]
+    stands = join_support_stacks([support_stack(t, BOTH) for t in towers])
+    falls = topples(stands, SupportMotion.upright(len(towers), 2))
+    np.testing.assert_array_equal(falls, [not judge_tower(t).stands for t in towers])
+
+
+def test_a_face_of_its_own_carries_like_one_within_a_wider_face() -> None:
+    tower = Tower((load_pieces().bottom("short").body(),))
+    table = join_support_stacks([support_stack(tower, BOTH)] * 200).area
+    wider = replace(table, grown_mm=np.add(table.grown_mm, (0.0, 40.0)))
+    points = np.random.default_rng(2).uniform(-25.0, 25.0, (200, 1, 2))
+    for mine, other in zip(table.nearest(points), wider.nearest(points), strict=True):
+        np.testing.assert_array_equal(mine, other)
+
+
+def test_fixed_bottoms_and_settings_that_are_off_have_no_stand() -> None:
+    catalogue = load_pieces()
+    assert support_stack(Tower((catalogue.bottom("circle15").body(),)), BOTH) is None
+    assert support_stack(Tower((catalogue.bottom("short").body(),)), SupportSettings()) is None
+    on_board = Tower((catalogue.bottom("circle25").body(), catalogue.bottom("short").body()))
+    stand = support_stack(on_board, BOTH)
+    assert stand is not None
+    assert stand.interfaces == 1
+
+
+def test_a_slide_moves_all_that_stands_above_it() -> None:
+    catalogue = load_pieces()
+    tower = Tower((catalogue.bottom("short").body(), catalogue.bottom("long").body((2.0, 0.0))))
+    moved = slide_bottoms(tower, np.array([[1.0, 0.0], [0.0, 0.5]]))
+    assert [body.at_mm for body in moved.bodies] == [(1.0, 0.0), (3.0, 0.5)]
+
+
+def test_episodes_are_the_same_bytes_where_the_supports_hold_still() -> None:
+    tower = Tower((load_pieces().bottom("short").body(),))
+    rigid = everything(simulate_episodes(plan(bottom="short", episodes=8)))
+    off = everything(simulate_episodes(plan(bottom="short", episodes=8, bottoms=tower)))
+    np.testing.assert_array_equal(rigid.observation, off.observation)
+    disc = Body("disc", circle(200.0), circle(20.0), 1.0, 1e6, 0.5)
+    settings = SimulationSettings(support=SupportSettings(rocks=True, slides=True, mu=5.0))
+    heavy = plan(bottom="short", episodes=8, bottoms=Tower((disc,)), settings=settings)
+    still = everything(simulate_episodes(heavy))
+    np.testing.assert_allclose(still.observation, rigid.observation, atol=1e-4)
+
+
+def test_no_press_on_free_bottoms_is_harder_than_a_spring_can_make_it() -> None:
+    """A failed search must not leave its last forces, which would trip the arm."""
+    catalogue, settings = load_pieces(), SimulationSettings.model_validate({"preset": "hard"})
+    tower = Tower((catalogue.bottom("long").body(),))
+    piece = catalogue.top("mushroom")
+    scenes = [Scene(piece, tower, (0.0, 0.0), seed, settings) for seed in range(24)]
+    places = draw_offset(np.random.default_rng(5), piece.face, tower.bodies[0].upper, len(scenes))
+    seen = []
+
+    def watched(*args, **more):
+        seen.append(press_batch(*args, **more))
+        return seen[-1]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(lockstep, "press_batch", watched)
+        felt = lockstep.BatchedTrials(scenes).press(range(len(scenes)), places)
+    wrench = seen[0].timeline.values[:, :, :6]
+    assert np.isfinite(wrench).all()
+    assert (
+        wrench[:, :, 2].max() < LARGEST_FORCE_RATIO * 5.22 * 1.6
+    )  # series stiffness times depth: reference 3.1
+    assert felt.valid.mean() > 0.85
+    assert (np.hypot(*np.moveaxis(seen[0].state.pose.rock_rad, -1, 0)) > 1e-4).mean() > 0.3
+
+
+def test_devices_and_batch_rock_alike(monkeypatch: pytest.MonkeyPatch) -> None:
+    settings = SimulationSettings.model_validate(
+        {"preset": "off", "spread": {"tilt_rad": 0.012}, "support": {"rocks": True, "slides": True}}
+    )
+    catalogue = load_pieces()
+    tower = Tower((catalogue.bottom("long").body(),))
+    scene = Scene(catalogue.top("pot"), tower, (5.0, -3.0), 4, settings)
+    seen = []
+
+    def watched(*args, **more):
+        seen.append(press_batch(*args, **more))
+        return seen[-1]
+
+    monkeypatch.setattr(lockstep, "press_batch", watched)
+    bench = lockstep.BatchedTrials([scene])
+    felt = bench.press([0], bench.start_commands_mm())
+    batch = seen[0].state
+    rock = batch.pose.rock_rad[0, 0]
+    assert np.hypot(*rock) > 5e-4
+    holding = HeldPiece(scene, 0, ProbeSettings().grip_force_n)
+    holding.begin_probe(ProbeSettings())
+    command = start_command_mm(scene)
+    for depth in np.linspace(-0.5, -batch.depth_mm[0], 150):
+        command[2] = holding.touch_height_mm - depth
+        values = holding.solve(command, 0.01)
+    assert values[:3] == pytest.approx(seen[0].timeline.values[0, -1, :3], abs=0.02)
+    assert holding._state.pose.rock_rad[0, 0] == pytest.approx(rock, abs=2e-5)
+    assert holding.offset_mm(command) == pytest.approx(felt.true_mm[0], abs=1e-3)
+
+
+def test_in_air_only_the_weights_are_felt() -> None:
+    piece = held_piece_load(21.0, (0.0, 0.0, 33.0), 30.0, (0.4, -0.2))
+    gripper = Load(1.5, (0.0, 0.0, 60.0))
+    total = piece.wrench_g() + gripper.wrench_g()
+    assert total[2] == pytest.approx(-(1.5 + 0.021) * 9.80665)
+    # The piece's centre of mass lies 0.4 mm to -x of the pivot: its weight turns about +y.
+    np.testing.assert_allclose(total[[3, 4, 5]], [0.0, -0.4 * 0.021 * 9.80665, 0.0], atol=1e-12)
+    assert piece.position_mm == pytest.approx((-0.4, 0.0, 33.0 - 30.0 + 0.2))
+
+
+def test_a_lateral_force_below_the_sensor_turns_it() -> None:
+    at_wrist = wrist_wrench(np.array([2.0, 3.0, 5.0, 10.0, 20.0, 30.0]), 120.0)
+    arm = np.array([0.0, 0.0, -120.0])
+    torque = np.array([10.0, 20.0, 30.0]) + np.cross(arm, [2.0, 3.0, 5.0])
+    np.testing.assert_allclose(at_wrist, [2.0, 3.0, 5.0, *(1e-3 * torque)])
+
+
+def test_a_turned_sensor_keeps_lengths_and_the_vertical() -> None:
+    wrench = np.array([[2.0, 3.0, 5.0, 10.0, 20.0, 30.0]])
+    plain, turned = wrist_wrench(wrench, 120.0)[0], wrist_wrench(wrench, 120.0, np.pi / 2)[0]
+    np.testing.assert_allclose(turned[:3], [plain[1], -plain[0], plain[2]], atol=1e-12)
+    np.testing.assert_allclose(turned[3:], [plain[4], -plain[3], plain[5]], atol=1e-12)
+
+
+def test_centre_of_pressure_of_a_single_force_is_its_point() -> None:
+    point, force, lever = np.array([3.0, -2.0, -33.0]), np.array([0.5, -0.3, 7.0]), 153.0
+    wrench_g = np.concatenate([force, np.cross(point, force)])
+    found = centre_of_pressure_mm(wrist_wrench(wrench_g, 120.0), lever)
+    np.testing.assert_allclose(found, point[:2])
+    assert np.isnan(centre_of_pressure_mm(np.zeros(6), lever)).all()

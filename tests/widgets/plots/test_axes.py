@@ -1,0 +1,227 @@
+"""Arrows, scales and labels: pure geometry against hand-made values."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from PySide6.QtCore import QLineF, QRectF
+from PySide6.QtGui import QColor, QImage, QPainter, QPen
+
+from tests.widgets.views.test_belief import pixels, shown
+from touchdown.widgets.plots.axes import (
+    LineBuffer,
+    PlotArea,
+    TraceBuckets,
+    nice_step,
+    polygon_of,
+    spread_labels,
+    tick_text,
+    ticks,
+)
+from touchdown.widgets.plots.force_traces import TracePlot
+from touchdown.widgets.views import tactile
+from touchdown.widgets.views.tactile import DimmedPicture
+
+
+def test_an_arrow_starts_at_rest_and_ends_at_gain_times_the_displacement():
+    strokes = tactile.arrow_segments(np.array([[10.0, 20.0]]), np.array([[4.0, -3.0]]))
+    assert strokes[0, 0] == pytest.approx([10, 20, 10 + 12, 20 - 9])
+    heads = strokes[0, 1:]
+    assert heads[:, 2:] == pytest.approx(np.array([[22, 11], [22, 11]]))
+    # Both strokes of the head lie behind the tip and on either side of the shaft.
+    back = heads[:, :2] - [22, 11]
+    assert (back @ [4, -3] < 0).all()
+    assert np.prod(back @ [3, 4]) < 0
+
+
+def test_no_displacement_gives_no_direction_and_no_nan():
+    strokes = tactile.arrow_segments(np.zeros((1, 2)), np.zeros((1, 2)))
+    assert (strokes == 0).all()
+
+
+def test_bins_grow_with_length():
+    lengths = np.array([0.0, 0.4, 1.0, 2.0, 4.0, 6.0, 50.0])
+    bins = tactile.colour_bins(np.stack([lengths, np.zeros(7)], axis=1))
+    assert bins.tolist() == [0, 0, 1, 2, 3, 4, 5]
+    assert len(tactile.BIN_COLOURS) == 6
+
+
+def test_nice_steps():
+    assert [nice_step(s, 5) for s in (1, 10, 40, 0.3)] == pytest.approx([0.2, 2, 10, 0.1])
+
+
+@given(st.floats(0.01, 1e4), st.integers(2, 9))
+def test_ticks_are_round_and_inside(half, count):
+    found = ticks(-half, half, count)
+    assert 0.0 in found
+    assert max(found) <= half * (1 + 1e-9)
+    assert 1 <= len(found) <= 2.6 * count + 1
+
+
+def test_tick_text_has_a_true_minus_and_the_decimals_of_its_step():
+    assert tick_text(-0.1, 0.05) == "\N{MINUS SIGN}0.10"
+    assert tick_text(10, 5) == "10"
+
+
+def test_the_area_maps_corners_to_corners():
+    area = PlotArea(QRectF(10, 20, 100, 50), -1, 1, 0, 5)
+    assert (area.x(-1), area.x(1), area.y(0), area.y(5)) == (10, 110, 70, 20)
+    polygon = area.polygon(np.array([-1.0, 1.0]), np.array([0.0, 5.0]))
+    assert [(p.x(), p.y()) for p in polygon] == [(10, 70), (110, 20)]
+
+
+def test_an_empty_polygon():
+    assert polygon_of(np.empty((0, 2))).size() == 0
+
+
+@given(st.lists(st.floats(-50, 350), min_size=3, max_size=3))
+def test_labels_never_overlap_and_stay_inside(wanted):
+    placed = sorted(spread_labels(wanted, 14, 0, 300))
+    assert all(b - a >= 14 - 1e-9 for a, b in pairwise(placed))
+    assert placed[0] >= 0
+    assert placed[-1] <= 300
+
+
+def test_labels_of_nan_values_are_still_placed():
+    assert np.isfinite(spread_labels([float("nan"), 5.0, 5.0], 14, 0, 300)).all()
+
+
+LEVELS = {"x": -6.0, "y": 2.0, "z": 8.0}
+
+
+@pytest.mark.parametrize("theme", ["light"], indirect=True)
+def test_more_is_higher_and_each_axis_has_its_colour(qtbot, theme):
+    plot = shown(qtbot, TracePlot(theme, "Force", "F", "N", 10.0))
+    plot.add(1e-3 * np.arange(5000), np.tile(list(LEVELS.values()), (5000, 1)))
+    rect = plot.area().rect
+    inside = pixels(plot)[:, int(rect.left()) + 1 : int(rect.right()) - 1]
+    zero, unit = rect.center().y(), rect.height() / 20.0
+    for axis, level in LEVELS.items():
+        hexed = getattr(theme.tokens, f"axis_{axis}")
+        want = np.array([int(hexed[i : i + 2], 16) for i in (1, 3, 5)])
+        rows = np.flatnonzero((np.abs(inside - want).max(axis=2) < 30).sum(axis=1) > 50)
+        assert rows.mean() == pytest.approx(zero - level * unit, abs=1.5), axis
+
+
+SIZE = (64, 48)
+
+
+@pytest.fixture
+def canvas(qapp):
+    """Return what a drawing leaves on a black ground, as (48, 64) grey levels."""
+
+    def drawn(draw):
+        image = QImage(*SIZE, QImage.Format.Format_RGB32)
+        image.fill(0)
+        painter = QPainter(image)
+        painter.setPen(QPen(QColor("#FFFFFF"), 2))
+        draw(painter)
+        painter.end()
+        return (
+            np.frombuffer(image.constBits(), np.uint8).reshape(SIZE[1], SIZE[0], 4)[..., 0].copy()
+        )
+
+    return drawn
+
+
+def test_strokes_are_those_that_qt_draws_from_its_own_lines(canvas):
+    rng, strokes = np.random.default_rng(3), LineBuffer()
+    for count in (5, 40, 3, 0):
+        lines = rng.uniform(0, 48, (count, 4))
+        strokes.take(lines)
+        some = canvas(lambda p, n=count: strokes.draw(p, n // 3, n))
+        own = [QLineF(*line) for line in lines[count // 3 :].tolist()]
+        assert (some == canvas(lambda p, own=own: p.drawLines(own) if own else None)).all()
+        assert some.any() == bool(count)
+
+
+def test_a_dimmed_picture_shows_nothing_of_the_one_before(canvas):
+    picture, whole = DimmedPicture(), QRectF(0, 0, *SIZE)
+    for shape, level in (((24, 32, 3), 200), ((24, 32, 3), 40), ((96, 128, 3), 120)):
+        image = np.full(shape, level, np.uint8)
+        for target in (whole, QRectF(8, 6, 20, 15)):
+            grey = canvas(lambda p, i=image, t=target: picture.draw(p, t, i, 1.0, 0.5))
+            inside = np.zeros((SIZE[1], SIZE[0]), bool)
+            x, y, width, height = target.toRect().getRect()
+            inside[y : y + height, x : x + width] = True
+            assert (grey[inside] == level // 2).all()
+            assert not grey[~inside].any()
+
+
+def oracle(t_s, values, span_s, buckets):
+    width = span_s / buckets
+    index = np.floor(t_s / width + 1e-9).astype(int)
+    low = np.full(buckets, np.nan)
+    high = np.full(buckets, np.nan)
+    for k in range(buckets):
+        inside = values[index == index[-1] - buckets + 1 + k]
+        inside = inside[np.isfinite(inside)]
+        if len(inside):
+            low[k], high[k] = inside.min(), inside.max()
+    return low, high
+
+
+@given(
+    blocks=st.lists(st.integers(1, 90), min_size=1, max_size=12),
+    pauses=st.lists(st.integers(0, 400), min_size=12, max_size=12),
+    seed=st.integers(0, 1000),
+)
+@settings(max_examples=40, deadline=None)
+def test_any_blocks_give_the_oracle(blocks, pauses, seed):
+    rng = np.random.default_rng(seed)
+    traces = TraceBuckets(1, span_s=1.0, buckets=50)
+    start, all_t, all_v = 0, [], []
+    for count, pause in zip(blocks, pauses, strict=False):
+        t_s = 1e-3 * (start + np.arange(1, count + 1))
+        values = rng.normal(size=(count, 1))
+        values[rng.random(count) < 0.1] = np.nan
+        traces.add(t_s, values)
+        start += count + pause
+        all_t.append(t_s)
+        all_v.append(values[:, 0])
+    _, low, high = traces.ordered()
+    expected = oracle(np.concatenate(all_t), np.concatenate(all_v), 1.0, 50)
+    np.testing.assert_array_equal(low[:, 0], expected[0])
+    np.testing.assert_array_equal(high[:, 0], expected[1])
+
+
+def test_nothing_is_nan_not_zero():
+    age_s, low, high = TraceBuckets(3, buckets=10).ordered()
+    assert np.isnan(low).all()
+    assert np.isnan(high).all()
+    assert age_s[-1] == 0.0
+    assert TraceBuckets(3).empty
+
+
+def test_one_sample_spike_survives():
+    traces = TraceBuckets(1, span_s=10.0, buckets=100)
+    values = np.zeros((9000, 1))
+    values[4321] = 41.3
+    traces.add(1e-3 * np.arange(9000), values)
+    assert traces.largest() == pytest.approx(41.3)
+
+
+def test_time_that_jumps_back_starts_anew():
+    traces = TraceBuckets(1, span_s=1.0, buckets=10)
+    traces.add(np.array([50.0]), np.array([[9.0]]))
+    traces.add(np.array([0.01]), np.array([[1.0]]))
+    _, _, high = traces.ordered()
+    assert np.nanmax(high) == 1.0
+
+
+def test_a_block_longer_than_the_span_keeps_the_newest():
+    traces = TraceBuckets(1, span_s=1.0, buckets=10)
+    t_s = 1e-3 * np.arange(5000)
+    traces.add(t_s, t_s[:, None])
+    _, low, high = traces.ordered()
+    assert np.isfinite(low).all()
+    assert np.nanmax(high) == pytest.approx(4.999)
+    assert np.nanmin(low) >= 3.999
+
+
+def test_nothing_to_add_is_fine():
+    traces = TraceBuckets(2)
+    traces.add(np.empty(0), np.empty((0, 2)))
+    assert traces.empty

@@ -86,11 +86,11 @@ def merged_oracle_shares(stored: Sequence[tuple[str, Mapping[str, Any]]]) -> lis
             "The files belong to different benches.", "--beyond", "Name files of one bench."
         )
     for name, answer in stored:
-        for mine, more in ((trials, parse_trials(answer)), (answers, parse_verdicts(answer))):
-            for cell in sorted(mine.keys() & more.keys()):
+        for known, more in ((trials, parse_trials(answer)), (answers, parse_verdicts(answer))):
+            for cell in sorted(known.keys() & more.keys()):
                 what = f"{' '.join(cell)} is in two of the files."
                 raise InputError(what, name, "Name one file for each strategy and cell.")
-            mine.update(more)  # type: ignore[arg-type]
+            known.update(more)  # type: ignore[arg-type]
     return oracle_shares(trials, answers)
 
 
@@ -99,8 +99,8 @@ def _compared_pairs(found: Mapping[Cell, Any]) -> list[tuple[str, str]]:
     names = dict.fromkeys(strategy for strategy, _, _ in found)
     if PAPER not in names:
         return []
-    asked = [name for name in names if name not in (PAPER, *ORACLES)]
-    return [(name, to) for to in ORACLES if to in names for name in asked]
+    compared = [name for name in names if name not in (PAPER, *ORACLES)]
+    return [(name, to) for to in ORACLES if to in names for name in compared]
 
 
 def _shared(
@@ -196,14 +196,14 @@ def _bootstrap_sums(counts: Sequence[FloatArray]) -> FloatArray:
 
 @dataclass(frozen=True, slots=True)
 class StrategyComparison:
-    """Closed loops ``loops`` and optional verdicts on groups ``said``."""
+    """Closed loops ``loops`` and optional verdicts on groups ``statics``."""
 
     loops: ClosedLoopComparison
-    said: StaticComparison | None = None
+    statics: StaticComparison | None = None
 
     def jobs(self) -> list[JobSpec]:
         """Return the jobs of both."""
-        return [*self.loops.jobs(), *(self.said.jobs() if self.said else ())]
+        return [*self.loops.jobs(), *(self.statics.jobs() if self.statics else ())]
 
     def effort(self, spec: JobSpec) -> int:
         """Return the relative duration of a job."""
@@ -216,10 +216,10 @@ class StrategyComparison:
     def answer(self, store: JobStore) -> Json:
         """Return all finished results."""
         found = self.loops.table(store)
-        answers = self.said.answers(store) if self.said else {}
+        answers = self.statics.answers(store) if self.statics else {}
         found["gaps"] = oracle_shares(self.loops.trials_of(store), answers)
-        if self.said is not None:
-            found["statics"] = self.said.table(store)
+        if self.statics is not None:
+            found["statics"] = self.statics.table(store)
         return found
 
 
@@ -304,11 +304,11 @@ def _oracle_share_row(row: Json) -> tuple[str, ...]:
 
 
 def _name(cell: Json) -> str:
-    words: Sequence[str] = (cell["strategy"], cell.get("piece", "pooled"))
+    parts: Sequence[str] = (cell["strategy"], cell.get("piece", "pooled"))
     over = cell.get("bottom") or {"one": "one bottom", "two": "two bottoms"}.get(
         cell.get("tower", ""), ""
     )
-    return " ".join((*words, over)).strip()
+    return " ".join((*parts, over)).strip()
 
 
 def _format_share(estimate: Json) -> str:

@@ -197,17 +197,17 @@ def scatter_map(
         f'<path d="M{PAD} {SIDE / 2}H{SIDE - PAD}M{SIDE / 2} {PAD}V{SIDE - PAD}" '
         f'stroke="{FAINT}" stroke-width="0.7"/>'
     )
-    words = f"{low:.3g} to {top:.3g} {unit}; ±{reach_mm:.0f} mm"
-    return _frame(title, cross + "".join(dots) + _text(SIDE / 2, SIDE - 8, words))
+    text = f"{low:.3g} to {top:.3g} {unit}; ±{reach_mm:.0f} mm"
+    return _frame(title, cross + "".join(dots) + _text(SIDE / 2, SIDE - 8, text))
 
 
 def reliability_chart(
     promised: Sequence[float], came: Sequence[float], title: str, note: str
 ) -> str:
     """Return a reliability diagram; a calibrated model lies on the diagonal."""
-    place = [(_unit(p), _unit(1.0 - c)) for p, c in zip(promised, came, strict=True)]
-    line = " ".join(f"{x:.1f},{y:.1f}" for x, y in place)
-    dots = "".join(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="2.5" fill="{BLUE}"/>' for x, y in place)
+    points = [(_unit(p), _unit(1.0 - c)) for p, c in zip(promised, came, strict=True)]
+    line = " ".join(f"{x:.1f},{y:.1f}" for x, y in points)
+    dots = "".join(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="2.5" fill="{BLUE}"/>' for x, y in points)
     box = (
         f'<rect x="{PAD}" y="{PAD}" width="{SIDE - 2 * PAD}" height="{SIDE - 2 * PAD}" '
         f'fill="none" stroke="{FAINT}"/><path d="M{PAD} {SIDE - PAD}L{SIDE - PAD} {PAD}" '
@@ -269,10 +269,10 @@ def _unit(share: float) -> float:
     return PAD + share * (SIDE - 2 * PAD)
 
 
-def _text(x: float, y: float, words: str) -> str:
+def _text(x: float, y: float, text: str) -> str:
     return (
         f'<text x="{x:.0f}" y="{y:.0f}" font-size="10" text-anchor="middle" '
-        f'fill="{INK}">{escape(words)}</text>'
+        f'fill="{INK}">{escape(text)}</text>'
     )
 
 

@@ -191,12 +191,12 @@ def evaluate_trials(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
     model = batch_model(load_model(spec.inputs[0], place.store), case.piece)
     method = StackSettings.model_validate({"strategy": p["strategy"]})
     world = WORLDS[p["world"]]
-    ends = stack_in_lockstep(scenes, model, method, EpisodeLimits(), world=world)
+    results = stack_in_lockstep(scenes, model, method, EpisodeLimits(), world=world)
     return {
         "bench_sha256": bench_sha256(case.settings),
         "trials": [
             {**end.as_json(), "least_probes": least_probes(scene)}
-            for scene, end in zip(scenes, ends, strict=True)
+            for scene, end in zip(scenes, results, strict=True)
         ],
     }
 

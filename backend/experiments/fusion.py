@@ -329,14 +329,14 @@ def simulate_sequences(
             acted = acting_point_mm((wrench[:, -1] - wrench[:, 0]).astype(np.float64), lever)
             wanted = next_places(offset[waiting, probe - 1], acted, rng)
             wanted = np.where(goes[:, None], wanted, free)
-            felt = bench.press(waiting.tolist(), wanted)
-            good = felt.valid & (felt.press_n >= limits.contact_n) & ~felt.toppled
-            good &= felt.slip_mm <= limits.slip_mm
+            press = bench.press(waiting.tolist(), wanted)
+            good = press.valid & (press.press_n >= limits.contact_n) & ~press.toppled
+            good &= press.slip_mm <= limits.slip_mm
             rows = waiting[good]
-            offset[rows, probe], true[rows, probe] = wanted[good], felt.true_mm[good]
-            seen[rows, probe] = felt.observation[good][:, TICKS]
+            offset[rows, probe], true[rows, probe] = wanted[good], press.true_mm[good]
+            seen[rows, probe] = press.observation[good][:, TICKS]
             count[rows] += 1
-            waiting = waiting[~good & ~felt.toppled]
+            waiting = waiting[~good & ~press.toppled]
     height = np.asarray(scenes[0].grip_height_mm)
     face = GraspedFace.of(face_points(piece.face), np.asarray(piece.com_xy_mm), height)
     return {
@@ -453,14 +453,17 @@ def record_trials(case: SceneSetup, seeds: Sequence[int], weights: Path) -> list
     scenes = [scene for seed in seeds if (scene := start_scene(case, seed)) is not None]
     never = FusedSettings(weights=str(weights), inset_mm=NEVER_MM)
     settings = StackSettings(strategy="fused", fused=never)
-    watching: list[RecordingFusedStrategy] = []
+    recorders: list[RecordingFusedStrategy] = []
 
-    def begun(scene: Scene, at: XY) -> RecordingFusedStrategy:
-        watching.append(RecordingFusedStrategy(grasped_piece_in(scene, None), settings, at))
-        return watching[-1]
+    def create(scene: Scene, at: XY) -> RecordingFusedStrategy:
+        recorders.append(RecordingFusedStrategy(grasped_piece_in(scene, None), settings, at))
+        return recorders[-1]
 
-    ends = stack_in_lockstep(scenes, uninformed_model(case), settings, EpisodeLimits(), begun)
-    return [_trial_record(case, end, one.said) for end, one in zip(ends, watching, strict=True)]
+    results = stack_in_lockstep(scenes, uninformed_model(case), settings, EpisodeLimits(), create)
+    return [
+        _trial_record(case, end, one.exceeds_by_probe)
+        for end, one in zip(results, recorders, strict=True)
+    ]
 
 
 class RecordingFusedStrategy(FusedStrategy):
@@ -468,24 +471,26 @@ class RecordingFusedStrategy(FusedStrategy):
 
     def __init__(self, held: GraspedPiece, settings: StackSettings, origin_mm: XY) -> None:
         super().__init__(held, settings, origin_mm)
-        self.said: list[list[float]] = []
+        self.exceeds_by_probe: list[list[float]] = []
 
     def conclude(self, touched: ProbeObservation) -> PlaceDecision:
         """Return the decision of the fused strategy and record its belief."""
         found = super().conclude(touched)
         inset = self.inset_at(touched.offset_mm)
         if inset is not None:
-            self.said.append([round(float(inset.exceeds(x)[0]), 5) for x in INSETS_MM])
+            self.exceeds_by_probe.append([round(float(inset.exceeds(x)[0]), 5) for x in INSETS_MM])
         return found
 
 
-def _trial_record(case: SceneSetup, end: BatchTrialResult, said: Sequence[Sequence[float]]) -> Json:
+def _trial_record(
+    case: SceneSetup, end: BatchTrialResult, exceeds_by_probe: Sequence[Sequence[float]]
+) -> Json:
     com = np.asarray(case.piece.com_xy_mm)
     places = np.array([step.true_mm for step in end.steps]).reshape(-1, 2)
     true = inset_mm(case.bottoms[0].face, places + com)
     steps = [
         {"inset_mm": round(float(inset), 4), "exceeds": exceeds}
-        for inset, exceeds in zip(true, said, strict=True)
+        for inset, exceeds in zip(true, exceeds_by_probe, strict=True)
     ]
     return {"seed": end.seed, "outcome": end.outcome.value, "steps": steps}
 

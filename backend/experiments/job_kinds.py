@@ -191,16 +191,16 @@ def run_stacking(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
     settings, limits = StackSettings(), EpisodeLimits()
     answer: dict[str, Any] = {"bench_sha256": bench_sha256(case.settings), "left_out": left_out}
     if p["strategy"] == "pick-and-place":
-        ends = pick_and_place_in_lockstep(scenes, settings, limits)
+        results = pick_and_place_in_lockstep(scenes, settings, limits)
     else:
         (source,) = spec.inputs
         checkpoint = load_model(source, place.store)
         answer["weights_sha256"] = checkpoint.card.weights_sha256
-        ends = stack_in_lockstep(scenes, batch_model(checkpoint, case.piece), settings, limits)
+        results = stack_in_lockstep(scenes, batch_model(checkpoint, case.piece), settings, limits)
         outline = case.bottoms[-1].face.polygon()
-        films = [belief_film(end, outline) for end in ends[:FILMS_PER_CELL]]
+        films = [belief_film(end, outline) for end in results[:FILMS_PER_CELL]]
         (place.folder / FILM_FILE).write_text(json.dumps(films), encoding="utf-8")
-    return {**answer, "trials": [end.as_json() for end in ends]}
+    return {**answer, "trials": [end.as_json() for end in results]}
 
 
 def _counted(case: SceneSetup, spec: JobSpec) -> tuple[list[Scene], int]:
@@ -232,11 +232,11 @@ def run_on_devices(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
         trials=p["trials"],
         model=str(place.store.folder(source) / WEIGHTS),
     )
-    ends: list[TrialFinished] = []
+    results: list[TrialFinished] = []
 
     def note(fact: Event) -> None:
         if isinstance(fact, TrialFinished):
-            ends.append(fact)
+            results.append(fact)
 
     # A fault ends a run, so each trial is a run of its own.
     for scene in _counted(_case(p), spec)[0]:
@@ -252,7 +252,7 @@ def run_on_devices(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
         "bench_sha256": bench_sha256(_bench(p)),
         "trials": [
             {"seed": e.seed, "outcome": e.outcome.value, "reason": e.reason, "probes": e.probes}
-            for e in ends
+            for e in results
         ],
     }
 

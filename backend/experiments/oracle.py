@@ -333,25 +333,25 @@ class OracleStrategy:
         seen = self._signals.of(touched.observation[None])[0]
         prior = self.worlds
         for factor in NEXT_STEPS if self._probes else FIRST_STEPS:
-            felt = predict_press(self._setting, prior, touched.offset_mm, self._rng)
-            signals = self._signals.of(felt.observation)
-            kept = select_likely(signals, felt.usable, seen, self._signals.spread, self._rng)
+            predicted = predict_press(self._setting, prior, touched.offset_mm, self._rng)
+            signals = self._signals.of(predicted.observation)
+            kept = select_likely(signals, predicted.usable, seen, self._signals.spread, self._rng)
             value = prior.value[kept]
-            drift, after = felt.worlds.value[kept] - value, felt.worlds.carried.take(kept)
+            drift, after = predicted.worlds.value[kept] - value, predicted.worlds.carried.take(kept)
             value = assimilate(value, signals[kept], seen, self._signals.spread, factor, self._rng)
             prior = HypothesisEnsemble(value, prior.carried.take(kept))
         # The motion of the piece by the press is added at the end.
         self.worlds = HypothesisEnsemble(prior.value + drift, after)
 
     def _choose(self, stability: Stability, here: XY, shift: FloatArray) -> PlaceAction:
-        words = describe_situation(stability)
+        situation = describe_situation(stability)
         if stability.stable:
-            return PlaceAction("release", (0.0, 0.0), None, False, f"{words}: release.")
+            return PlaceAction("release", (0.0, 0.0), None, False, f"{situation}: release.")
         if self._probes >= MAX_PROBES:
-            return give_up(f"{words} after {self._probes} probes, the most allowed: giving up.")
+            return give_up(f"{situation} after {self._probes} probes, the most allowed: giving up.")
         target = -float(shift[0]), -float(shift[1])
         if np.hypot(target[0] - here[0], target[1] - here[1]) < NEAREST_MM:
-            return PlaceAction("shift", (0.0, 0.0), target, False, f"{words}: probing again.")
+            return PlaceAction("shift", (0.0, 0.0), target, False, f"{situation}: probing again.")
         return shift_towards(stability, ShiftTarget(target, ""), here, LONGEST_MM, 0.0)
 
     def _map(self) -> BeliefMap:
@@ -361,14 +361,14 @@ class OracleStrategy:
         covered = np.ones((MAP_CELLS, MAP_CELLS), dtype=np.bool_)
         empty = BeliefMap(np.zeros(covered.shape), covered, corner, PITCH_MM, self._probes)
         cells = empty.cell_centres_mm()
-        held = np.zeros(covered.shape)
+        count_in = np.zeros(covered.shape)
         radius = 0.5 * diameters_mm(self._setting, self.worlds.value)
         for shift, r in zip(self.worlds.value[:, :TILT_X], radius, strict=True):
             if self._setting.diameter_known:
-                held += self._setting.bottom.face.contains(cells + shift)
+                count_in += self._setting.bottom.face.contains(cells + shift)
             else:
-                held += np.hypot(*np.moveaxis(cells + shift, -1, 0)) <= r
-        p = (held + 0.5) / (self.worlds.count + 1.0)
+                count_in += np.hypot(*np.moveaxis(cells + shift, -1, 0)) <= r
+        p = (count_in + 0.5) / (self.worlds.count + 1.0)
         return BeliefMap(np.log(p / (1.0 - p)), covered, corner, PITCH_MM, self._probes)
 
 
@@ -415,7 +415,7 @@ class SignalFeatures:
 
 
 def select_likely(
-    felt: FloatArray,
+    predicted: FloatArray,
     usable: NDArray[np.bool_],
     seen: FloatArray,
     spread: FloatArray,
@@ -423,32 +423,32 @@ def select_likely(
 ) -> NDArray[np.intp]:
     """Return n indices of hypotheses, resampled by likelihood.
 
-    The likelihood of ``seen`` (F,) given ``felt`` (n, F) is flattened until the effective sample
-    size is ``KEPT_SHARE`` of n: outliers are dropped, no single hypothesis dominates.
+    The likelihood of ``seen`` (F,) given ``predicted`` (n, F) is flattened until the effective
+    sample size is ``KEPT_SHARE`` of n: outliers are dropped, no single hypothesis dominates.
     """
-    misfit = np.where(usable | ~usable.any(), _misfit(felt, seen, spread), np.inf)
+    misfit = np.where(usable | ~usable.any(), _misfit(predicted, seen, spread), np.inf)
     misfit -= misfit.min()
     low, high = 1e-9, 1.0
     for _ in range(60):
         share = (low * high) ** 0.5
         weight = np.exp(-0.5 * share * misfit)
-        if weight.sum() ** 2 / (weight**2).sum() < KEPT_SHARE * len(felt):
+        if weight.sum() ** 2 / (weight**2).sum() < KEPT_SHARE * len(predicted):
             high = share
         else:
             low = share
     ends = np.cumsum(weight) / weight.sum()
-    places = (np.arange(len(felt)) + rng.random()) / len(felt)
-    return np.asarray(np.minimum(np.searchsorted(ends, places), len(felt) - 1), dtype=np.intp)
+    places = (np.arange(len(predicted)) + rng.random()) / len(predicted)
+    return np.asarray(np.minimum(np.searchsorted(ends, places), len(predicted) - 1), dtype=np.intp)
 
 
-def _misfit(felt: FloatArray, seen: FloatArray, spread: FloatArray) -> FloatArray:
+def _misfit(predicted: FloatArray, seen: FloatArray, spread: FloatArray) -> FloatArray:
     root = np.linalg.cholesky(spread)
-    return np.asarray((np.linalg.solve(root, (felt - seen).T) ** 2).sum(axis=0))
+    return np.asarray((np.linalg.solve(root, (predicted - seen).T) ** 2).sum(axis=0))
 
 
 def assimilate(
     value: FloatArray,
-    felt: FloatArray,
+    predicted: FloatArray,
     seen: FloatArray,
     spread: FloatArray,
     factor: float,
@@ -456,11 +456,11 @@ def assimilate(
 ) -> FloatArray:
     """Return the hypotheses (n, P) after a Kalman step towards the observation ``seen`` (F,).
 
-    ``felt`` (n, F): predicted features; the errors have the covariance ``factor * spread``.
+    ``predicted`` (n, F): predicted features; the errors have the covariance ``factor * spread``.
     """
     root = np.linalg.cholesky(spread)
-    centre = felt.mean(axis=0)
-    y = np.linalg.solve(root, (felt - centre).T).T
+    centre = predicted.mean(axis=0)
+    y = np.linalg.solve(root, (predicted - centre).T).T
     target = np.linalg.solve(root, seen - centre)
     _, _, along = np.linalg.svd(y, full_matrices=False)
     along = along[:DIRECTIONS]

@@ -487,7 +487,7 @@ def _ambiguous_pair(number: int, pair: JsonMapping, twins: JsonMapping) -> Pictu
         patch = patch_bits(text, len(points))
         note = f"at {at[0]:+.1f}, {at[1]:+.1f} mm"
         pictures.append(ReportPicture(patch_picture(points, patch, f"Patch {name}", note)))
-    words = (
+    caption = (
         f"Overlap of the patches {100 * pair['patch_iou']:.0f} %; signals differ by "
         f"{pair['marker_rms_px']:.2f} px, {pair['force_rms_n']:.2f} N, "
         f"{1e3 * pair['moment_rms_nm']:.1f} N mm (rms); nearer are {100 * pair['rank']:.2f} % of "
@@ -499,7 +499,7 @@ def _ambiguous_pair(number: int, pair: JsonMapping, twins: JsonMapping) -> Pictu
     ):
         a, b = (np.array(values) for values in pair[key])
         pictures.append(ReportPicture(paired_traces(a, b, title, unit)))
-    return PictureGallery(f"Pair {number}", tuple(pictures), words)
+    return PictureGallery(f"Pair {number}", tuple(pictures), caption)
 
 
 def _film_section(films: Sequence[JsonMapping]) -> ReportSection | None:
@@ -560,9 +560,13 @@ def _read(file: Path, wanted: tuple[str, ...], fix: str) -> Json:
         raise InputError(what, str(file), fix) from error
     except (ValueError, RecursionError) as error:
         raise InputError("It is not JSON, or damaged.", str(file), fix) from error
-    said = found.get("format") if isinstance(found, dict) else None
-    if said not in wanted:
-        what = f"Its format is '{said}' and not '{wanted[-1]}'." if said else "It is not a report."
+    file_format = found.get("format") if isinstance(found, dict) else None
+    if file_format not in wanted:
+        what = (
+            f"Its format is '{file_format}' and not '{wanted[-1]}'."
+            if file_format
+            else "It is not a report."
+        )
         raise InputError(what, str(file), fix)
     return dict(found)
 

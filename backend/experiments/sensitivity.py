@@ -97,14 +97,17 @@ class NuisanceSensitivity:
     def _rows(self, nuisance: Nuisance, store: JobStore) -> Iterator[Json]:
         reference, _ = self._cell(nuisance, 1.0)
         for factor in FACTORS:
-            asked, tried = self._cell(nuisance, factor)
-            presses, trials = _finished_results(asked, store), _finished_results(tried, store)
+            press_specs, trial_specs = self._cell(nuisance, factor)
+            presses, trials = (
+                _finished_results(press_specs, store),
+                _finished_results(trial_specs, store),
+            )
             if not presses:
                 continue
             row: Json = {"factor": factor, **press_scores(presses, _MODEL)}
             both = [
                 (a.params["bottom"], (store.result(a.id), store.result(b.id)))
-                for a, b in zip(reference, asked, strict=True)
+                for a, b in zip(reference, press_specs, strict=True)
                 if store.has(a.id) and store.has(b.id)
             ]
             row["iou_change"] = iou_change([pair for _, pair in both], _MODEL, _MODEL)
@@ -232,8 +235,8 @@ def _y(share: float) -> float:
     return TALL - BOTTOM - (TALL - BOTTOM - TOP) * (within - LOW) / (HIGH - LOW)
 
 
-def _text(x: float, y: float, words: str, size: int) -> str:
+def _text(x: float, y: float, text: str, size: int) -> str:
     return (
         f'<text x="{x:.1f}" y="{y:.1f}" font-size="{size}" text-anchor="middle" '
-        f'fill="{INK}">{html.escape(words)}</text>'
+        f'fill="{INK}">{html.escape(text)}</text>'
     )

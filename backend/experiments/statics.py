@@ -76,14 +76,16 @@ def probe_groups(
         waiting = going
         for attempt in range(ATTEMPTS):
             wanted = np.stack([_offset(case, seeds[g], g, probe, attempt) for g in waiting])
-            felt = bench.press(waiting, wanted)
+            press = bench.press(waiting, wanted)
             good = (
-                felt.valid & (felt.press_n >= limits.contact_n) & (felt.slip_mm <= limits.slip_mm)
+                press.valid
+                & (press.press_n >= limits.contact_n)
+                & (press.slip_mm <= limits.slip_mm)
             )
-            good &= ~felt.toppled
+            good &= ~press.toppled
             rows = np.array(waiting)[good]
-            offset[rows, probe], true[rows, probe] = wanted[good], felt.true_mm[good]
-            seen[rows, probe], slip[rows, probe] = felt.observation[good], felt.slip_mm[good]
+            offset[rows, probe], true[rows, probe] = wanted[good], press.true_mm[good]
+            seen[rows, probe], slip[rows, probe] = press.observation[good], press.slip_mm[good]
             rejected += int((~good).sum())
             waiting = [g for g, ok in zip(waiting, good, strict=True) if not ok]
             if not waiting:
@@ -137,13 +139,13 @@ def score_patches(probability: FloatArray, groups: ProbeGroups) -> dict[str, lis
     ``probability`` (g, p, N). The first probe belongs to a balanced sample and is left out.
     ``..._true``: compared with the true patch instead of the label.
     """
-    said = probability[:, 1:] > CONTACT_LEVEL
+    predicted = probability[:, 1:] > CONTACT_LEVEL
     scores = {}
     for name, patch in (("", groups.label[:, 1:]), ("_true", groups.truth[:, 1:])):
-        both, either = (said & patch).sum(-1), (said | patch).sum(-1)
+        both, either = (predicted & patch).sum(-1), (predicted | patch).sum(-1)
         iou = np.where(either == 0, 1.0, both / np.maximum(either, 1)).mean(axis=1)
         scores["iou" + name] = _plain(iou)
-        scores["accuracy" + name] = _plain((said == patch).mean(axis=(1, 2)))
+        scores["accuracy" + name] = _plain((predicted == patch).mean(axis=(1, 2)))
     return scores
 
 
@@ -195,9 +197,9 @@ def _support(
     return belief.map.probability[covered], case.bottoms[0].face.contains(centres + shift)
 
 
-def _iou(said: NDArray[np.bool_], real: NDArray[np.bool_]) -> float:
-    either = int((said | real).sum())
-    return round(float((said & real).sum() / either), DIGITS) if either else 1.0
+def _iou(predicted: NDArray[np.bool_], real: NDArray[np.bool_]) -> float:
+    either = int((predicted | real).sum())
+    return round(float((predicted & real).sum() / either), DIGITS) if either else 1.0
 
 
 def _plain(values: FloatArray) -> list[float]:

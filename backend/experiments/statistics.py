@@ -64,9 +64,9 @@ class VerdictCounts:
     neither: int
 
     @classmethod
-    def of(cls, said: Sequence[bool], true: Sequence[bool]) -> VerdictCounts:
-        """Count ``said`` against ``true``, of equal length."""
-        pairs = list(zip(said, true, strict=True))
+    def of(cls, predicted: Sequence[bool], true: Sequence[bool]) -> VerdictCounts:
+        """Count ``predicted`` against ``true``, of equal length."""
+        pairs = list(zip(predicted, true, strict=True))
         return cls(
             sum(s and t for s, t in pairs),
             sum(t and not s for s, t in pairs),

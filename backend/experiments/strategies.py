@@ -134,13 +134,13 @@ def _group(answer: Mapping[str, Any], g: int) -> str:
 def _answer(groups: Sequence[str]) -> Json:
     parts = [group.split(":") for group in groups]
     margins = [None if part[0] == NO_SUPPORT else float(part[0]) for part in parts]
-    said = {
+    verdicts = {
         kind: {
             str(n): [part[1 + v][k] == "1" for part in parts] for k, n in enumerate(PROBE_COUNTS)
         }
         for v, kind in enumerate(VERDICT_KINDS)
     }
-    return {"margin_mm": [[m, m] for m in margins], **said}
+    return {"margin_mm": [[m, m] for m in margins], **verdicts}
 
 
 FORMAT = BEYOND_FORMAT
@@ -321,26 +321,29 @@ def run_closed_loop(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
     scenes = [scene for k in range(p["trials"]) if (scene := start_scene(case, spec.seed + k))]
     method, limits = parse_settings(StackSettings, p["method"], "job"), EpisodeLimits()
     strategy = p["strategy"]
-    ends: list[BatchTrialResult] = []
+    results: list[BatchTrialResult] = []
+    create: Callable[[Scene, XY], Strategy] | None
     if not scenes:
         pass
     elif strategy == "pick-and-place":
-        ends = pick_and_place_in_lockstep(scenes, method, limits)
+        results = pick_and_place_in_lockstep(scenes, method, limits)
     elif strategy in ORACLES:
-        begun = oracle_factory(case, diameter_known=strategy == ORACLES[0])
-        ends = stack_in_lockstep(scenes, uninformed_model(case), method, limits, begun)
+        create = oracle_factory(case, diameter_known=strategy == ORACLES[0])
+        results = stack_in_lockstep(scenes, uninformed_model(case), method, limits, create)
     else:
         model = batch_model(load_model(spec.inputs[0], place.store), case.piece)
         chosen = StackSettings.model_validate({**p["method"], "strategy": strategy})
         sigma_mm = p.get("entry_sigma_mm")
-        told = None if sigma_mm is None else _entered_tower_strategy(case, sigma_mm, chosen, model)
-        ends = stack_in_lockstep(scenes, model, chosen, limits, told)
+        create = (
+            None if sigma_mm is None else _entered_tower_strategy(case, sigma_mm, chosen, model)
+        )
+        results = stack_in_lockstep(scenes, model, chosen, limits, create)
     return {
         "bench_sha256": bench_sha256(bench),
         "left_out": p["trials"] - len(scenes),
         "trials": [
             {**end.as_json(), "least_probes": least_probes(scene)}
-            for scene, end in zip(scenes, ends, strict=True)
+            for scene, end in zip(scenes, results, strict=True)
         ],
     }
 
@@ -389,7 +392,7 @@ def _entered_tower_strategy(
     operator.
     """
 
-    def begun(scene: Scene, at: XY) -> Strategy:
+    def create(scene: Scene, at: XY) -> Strategy:
         rng = np.random.Generator(
             np.random.PCG64(np.random.SeedSequence([scene.seed, ENTRY_STREAM]))
         )
@@ -400,7 +403,7 @@ def _entered_tower_strategy(
         below = SupportTower.entered(case.piece, case.bottoms, entry)
         return make_strategy(grasped_piece_in(scene, model.base_rate, below), settings, at)
 
-    return begun
+    return create
 
 
 def oracle_factory(case: SceneSetup, *, diameter_known: bool) -> Callable[[Scene, XY], Strategy]:
@@ -518,10 +521,10 @@ def run_static_groups(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
     else:
         model = batch_model(load_model(spec.inputs[0], place.store), case.piece)
         start = None
-    begun = _strategy_factory(case, settings, model, start)
+    create = _strategy_factory(case, settings, model, start)
     asked = VerdictCollector(case, believes=strategy not in STRATEGIES_WITHOUT_BELIEF)
     for g in range(len(groups.observation)):
-        asked.group(groups, g, begun(seeds[g], _pair(groups.offset_mm[g, 0])), model)
+        asked.group(groups, g, create(seeds[g], _pair(groups.offset_mm[g, 0])), model)
     margins = [[_finite(m) for m in pair] for pair in groups.margin_mm]
     return {"margin_mm": margins, "left_out": groups.left_out, **asked.as_json()}
 
@@ -536,18 +539,18 @@ class VerdictCollector:
         self._iou: list[float] = []
         self._counts = {str(n): np.zeros((3, PROBABILITY_STEPS)) for n in RELIABLE_AFTER}
 
-    def group(self, groups: ProbeGroups, g: int, reasoner: Strategy, model: BatchModel) -> None:
-        """Record the verdicts of ``reasoner`` on the probes of group ``g``."""
+    def group(self, groups: ProbeGroups, g: int, strategy: Strategy, model: BatchModel) -> None:
+        """Record the verdicts of ``strategy`` on the probes of group ``g``."""
         first = _pair(groups.offset_mm[g, 0])
         probability = model.predict(groups.observation[g])
         for k in range(PROBES_PER_GROUP):
             patch = ContactPatch(model.points_mm.copy(), probability[k])
             here = _pair(groups.offset_mm[g, k])
-            concluded = reasoner.conclude(ProbeObservation(groups.observation[g, k], patch, here))
+            concluded = strategy.conclude(ProbeObservation(groups.observation[g, k], patch, here))
             n = str(k + 1)
             if n in self._says:
-                self._says[n].append(reasoner.stable_at(first))
-                self._likely[n].append(reasoner.likely_at(first))
+                self._says[n].append(strategy.stable_at(first))
+                self._likely[n].append(strategy.likely_at(first))
             if self._believes and k + 1 in RELIABLE_AFTER:
                 self._note(concluded.map, groups, g, k + 1)
 
@@ -563,9 +566,9 @@ class VerdictCollector:
         for row, weight in enumerate((np.ones(len(step)), real, promised)):
             self._counts[str(probes)][row] += np.bincount(step, weight, PROBABILITY_STEPS)
         if probes == IOU_AFTER:
-            said = promised > CONTACT_LEVEL
-            either = int((said | real).sum())
-            self._iou.append(round(int((said & real).sum()) / either, 4) if either else 1.0)
+            verdicts = promised > CONTACT_LEVEL
+            either = int((verdicts | real).sum())
+            self._iou.append(round(int((verdicts & real).sum()) / either, 4) if either else 1.0)
 
     def as_json(self) -> Json:
         """Return all verdicts; ``cells`` per n: count, supported cells, sum of probabilities."""

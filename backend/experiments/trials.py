@@ -190,7 +190,7 @@ class _RunningTrial:
     number: int
     scene: Scene
     here: XY
-    reasoner: Strategy | None = None
+    strategy: Strategy | None = None
     steps: list[ProbeStep] = field(default_factory=list)
     tries: int = 0
     true_mm: XY | None = None
@@ -213,32 +213,32 @@ def stack_in_lockstep(
     model: BatchModel,
     settings: StackSettings,
     limits: EpisodeLimits,
-    reasoner: Callable[[Scene, XY], Strategy] | None = None,
+    create: Callable[[Scene, XY], Strategy] | None = None,
     world: type[BatchedTrials] = BatchedTrials,
 ) -> list[BatchTrialResult]:
     """Run one trial per scene to its end; the scenes share piece, touched surface and bench.
 
-    ``reasoner`` creates the strategy of a trial from its scene and commanded place; the default is
+    ``create`` returns the strategy of a trial from its scene and commanded place; the default is
     the strategy of the settings. ``world``: class of the simulation.
     """
     bench = world(scenes, settings.probe)
     trials = []
     for number, (scene, at) in enumerate(zip(scenes, bench.start_commands_mm(), strict=True)):
         here = _pair(at)
-        if reasoner is None:
+        if create is None:
             held = grasped_piece_in(scene, model.base_rate)
             trials.append(_RunningTrial(number, scene, here, make_strategy(held, settings, here)))
         else:
-            trials.append(_RunningTrial(number, scene, here, reasoner(scene, here)))
+            trials.append(_RunningTrial(number, scene, here, create(scene, here)))
     while active := [trial for trial in trials if trial.end is None]:
-        felt = bench.press([t.number for t in active], np.array([t.here for t in active]))
-        kept = _accepted_presses(active, felt, limits)
+        press = bench.press([t.number for t in active], np.array([t.here for t in active]))
+        kept = _accepted_presses(active, press, limits)
         if not kept:
             continue
-        probability = model.predict(felt.observation[kept])
+        probability = model.predict(press.observation[kept])
         for k, p in zip(kept, probability, strict=True):
             patch = ContactPatch(model.points_mm.copy(), p)
-            _decide(active[k], ProbeObservation(felt.observation[k], patch, active[k].here), bench)
+            _decide(active[k], ProbeObservation(press.observation[k], patch, active[k].here), bench)
     return [trial.end for trial in trials if trial.end is not None]
 
 
@@ -256,15 +256,15 @@ def pick_and_place_in_lockstep(
     """Press once and release in any case: the paper's baseline."""
     bench = BatchedTrials(scenes, settings.probe)
     commands = bench.start_commands_mm()
-    felt = bench.press(range(len(scenes)), commands)
+    press = bench.press(range(len(scenes)), commands)
     ends = []
     for k, scene in enumerate(scenes):
         at = (float(commands[k, 0]), float(commands[k, 1]))
         trial = _RunningTrial(k, scene, at)
-        trial.true_mm = _pair(felt.true_mm[k])
-        if felt.toppled[k]:
+        trial.true_mm = _pair(press.true_mm[k])
+        if press.toppled[k]:
             trial.close(Outcome.KNOCKED_OVER, TOPPLED_REASON)
-        elif felt.valid[k] and felt.press_n[k] >= limits.contact_n:
+        elif press.valid[k] and press.press_n[k] >= limits.contact_n:
             _release(trial, bench)
         else:
             trial.close(Outcome.ABORTED, "The press ended without a contact.")
@@ -274,25 +274,25 @@ def pick_and_place_in_lockstep(
 
 
 def _accepted_presses(
-    active: list[_RunningTrial], felt: TrialPresses, limits: EpisodeLimits
+    active: list[_RunningTrial], press: TrialPresses, limits: EpisodeLimits
 ) -> list[int]:
     """Return the valid presses; a trial with two invalid presses is aborted, unless its strategy
     can recover from a missed contact.
     """
     kept = []
     for k, trial in enumerate(active):
-        trial.true_mm = _pair(felt.true_mm[k])
-        if felt.toppled[k]:
+        trial.true_mm = _pair(press.true_mm[k])
+        if press.toppled[k]:
             trial.close(Outcome.KNOCKED_OVER, TOPPLED_REASON)
             continue
         reasons = []
-        if not felt.valid[k]:
+        if not press.valid[k]:
             reasons.append("no contact was found")
-        if not felt.press_n[k] >= limits.contact_n:
-            reasons.append(f"press force {felt.press_n[k]:.1f} N")
+        if not press.press_n[k] >= limits.contact_n:
+            reasons.append(f"press force {press.press_n[k]:.1f} N")
         touchless = bool(reasons)
-        if not felt.slip_mm[k] <= limits.slip_mm:
-            reasons.append(f"slip {felt.slip_mm[k]:.2f} mm")
+        if not press.slip_mm[k] <= limits.slip_mm:
+            reasons.append(f"slip {press.slip_mm[k]:.2f} mm")
         if not reasons:
             trial.tries = 0
             kept.append(k)
@@ -303,16 +303,16 @@ def _accepted_presses(
         why = (
             f"Probe {len(trial.steps) + 1} was rejected {MAX_ATTEMPTS} times: {'; '.join(reasons)}."
         )
-        if isinstance(trial.reasoner, SearchingStrategy) and touchless:
-            _recover_missed_contact(trial, trial.reasoner)
+        if isinstance(trial.strategy, SearchingStrategy) and touchless:
+            _recover_missed_contact(trial, trial.strategy)
         else:
             trial.close(Outcome.ABORTED, why)
     return kept
 
 
-def _recover_missed_contact(trial: _RunningTrial, reasoner: SearchingStrategy) -> None:
+def _recover_missed_contact(trial: _RunningTrial, strategy: SearchingStrategy) -> None:
     """Move on to the place that the strategy proposes after a missed contact."""
-    action = reasoner.missed(trial.here)
+    action = strategy.missed(trial.here)
     if action.kind == "give_up":
         trial.close(Outcome.GAVE_UP, action.reason)
     else:
@@ -322,9 +322,9 @@ def _recover_missed_contact(trial: _RunningTrial, reasoner: SearchingStrategy) -
 
 def _decide(trial: _RunningTrial, touched: ProbeObservation, bench: BatchedTrials) -> None:
     here = trial.here
-    assert trial.reasoner is not None
+    assert trial.strategy is not None
     assert trial.true_mm is not None
-    concluded = trial.reasoner.conclude(touched)
+    concluded = trial.strategy.conclude(touched)
     action = concluded.action
     step = ProbeStep(here, trial.true_mm, concluded.map, concluded.stability, action)
     trial.steps.append(step)

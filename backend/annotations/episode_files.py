@@ -142,8 +142,8 @@ def _compare_files(
                 yield finding, folder
     for row in rows:
         if row.path not in found and row.state == "complete":
-            said = f"The file of episode {row.uuid} is missing; its label is kept."
-            yield _state(row, "missing", said), row.path.rpartition("/")[0]
+            message = f"The file of episode {row.uuid} is missing; its label is kept."
+            yield _state(row, "missing", message), row.path.rpartition("/")[0]
 
 
 class _RowIndex(dict[str, EpisodeFileRow]):
@@ -201,8 +201,10 @@ def _check_known_file(
         if size != row.bytes and not is_readable(path):
             yield _torn_file(parts, path, row)
         else:
-            said = f"The file of episode {row.uuid} was changed: marked as damaged, left in place."
-            yield _state(row, "damaged", said)
+            message = (
+                f"The file of episode {row.uuid} was changed: marked as damaged, left in place."
+            )
+            yield _state(row, "damaged", message)
 
 
 def _unknown(parts: DatasetParts, path: Path, by_uuid: _RowIndex) -> Iterator[ConsistencyProblem]:
@@ -210,8 +212,8 @@ def _unknown(parts: DatasetParts, path: Path, by_uuid: _RowIndex) -> Iterator[Co
         complete = read_complete(path)
     except InputError as error:
         if is_readable(path):
-            said = f"{parts.name(path)} is no episode of a dataset: {error.what}"
-            yield ConsistencyProblem("not-adopted", parts.name(path), said)
+            message = f"{parts.name(path)} is no episode of a dataset: {error.what}"
+            yield ConsistencyProblem("not-adopted", parts.name(path), message)
         else:
             yield _torn_file(parts, path, None)
         return
@@ -221,9 +223,9 @@ def _unknown(parts: DatasetParts, path: Path, by_uuid: _RowIndex) -> Iterator[Co
         by_uuid[complete.uuid] = EpisodeFileRow(
             complete.uuid, name, size, file_sha256(path), "complete"
         )
-        said = f"Episode {complete.uuid} was on disk without a row: adopted."
+        message = f"Episode {complete.uuid} was on disk without a row: adopted."
         yield ConsistencyProblem(
-            "adopt", complete.uuid, said, lambda c: adopt_file(c, parts, complete)
+            "adopt", complete.uuid, message, lambda c: adopt_file(c, parts, complete)
         )
     else:
         yield _second_file(parts, path, row)
@@ -278,8 +280,10 @@ def _second_file(parts: DatasetParts, path: Path, row: EpisodeFileRow) -> Consis
     """Handle two files with one uuid: the file with the hash of the row stays."""
     kept = parts.folder / row.path
     if file_sha256(path) != row.sha256 or (kept.exists() and file_sha256(kept) == row.sha256):
-        said = f"{parts.name(path)} is a second file of episode {row.uuid}: moved to quarantine."
-        return ConsistencyProblem("double", row.uuid, said, lambda _: quarantine_file(parts, path))
+        message = f"{parts.name(path)} is a second file of episode {row.uuid}: moved to quarantine."
+        return ConsistencyProblem(
+            "double", row.uuid, message, lambda _: quarantine_file(parts, path)
+        )
 
     def repair(connection: sqlite3.Connection) -> None:
         if kept.exists():
@@ -287,8 +291,8 @@ def _second_file(parts: DatasetParts, path: Path, row: EpisodeFileRow) -> Consis
         sql = "UPDATE episode SET path = ?, state = 'complete' WHERE uuid = ?"
         connection.execute(sql, (parts.name(path), row.uuid))
 
-    said = f"The file of episode {row.uuid} was moved to {parts.name(path)}."
-    return ConsistencyProblem("moved", row.uuid, said, repair)
+    message = f"The file of episode {row.uuid} was moved to {parts.name(path)}."
+    return ConsistencyProblem("moved", row.uuid, message, repair)
 
 
 def _torn_file(parts: DatasetParts, path: Path, row: EpisodeFileRow | None) -> ConsistencyProblem:
@@ -299,8 +303,8 @@ def _torn_file(parts: DatasetParts, path: Path, row: EpisodeFileRow | None) -> C
             sql = "UPDATE episode SET state = 'quarantined' WHERE uuid = ?"
             connection.execute(sql, (row.uuid,))
 
-    said = f"{parts.name(path)} is torn: moved to quarantine, its whole chunks saved beside it."
-    return ConsistencyProblem("torn", parts.name(path), said, repair)
+    message = f"{parts.name(path)} is torn: moved to quarantine, its whole chunks saved beside it."
+    return ConsistencyProblem("torn", parts.name(path), message, repair)
 
 
 def _leftover(
@@ -314,19 +318,19 @@ def _leftover(
         part.unlink(missing_ok=True)
 
     if part.stat().st_size == 0:
-        said = f"{parts.name(part)} was empty: deleted."
-        yield ConsistencyProblem("left-over", parts.name(part), said, delete)
+        message = f"{parts.name(part)} was empty: deleted."
+        yield ConsistencyProblem("left-over", parts.name(part), message, delete)
         return
     if final.exists():
         if row is not None and file_sha256(final) == row.sha256:
-            said = f"{parts.name(part)} was left beside its finished file: deleted."
-            yield ConsistencyProblem("left-over", parts.name(part), said, delete)
+            message = f"{parts.name(part)} was left beside its finished file: deleted."
+            yield ConsistencyProblem("left-over", parts.name(part), message, delete)
         return
     target = parts.quarantine / final.name
     if not _is_reported(target, part):
-        said = f"{parts.name(part)} was never finished: its whole chunks are in quarantine."
+        message = f"{parts.name(part)} was never finished: its whole chunks are in quarantine."
         yield ConsistencyProblem(
-            "unfinished", parts.name(part), said, lambda _: salvage_file(part, target)
+            "unfinished", parts.name(part), message, lambda _: salvage_file(part, target)
         )
 
 
@@ -351,11 +355,11 @@ def quarantine_file(parts: DatasetParts, path: Path) -> Path:
     return target
 
 
-def _state(row: EpisodeFileRow, state: str, said: str) -> ConsistencyProblem:
+def _state(row: EpisodeFileRow, state: str, message: str) -> ConsistencyProblem:
     def repair(connection: sqlite3.Connection) -> None:
         connection.execute("UPDATE episode SET state = ? WHERE uuid = ?", (state, row.uuid))
 
-    return ConsistencyProblem("back" if state == "complete" else state, row.uuid, said, repair)
+    return ConsistencyProblem("back" if state == "complete" else state, row.uuid, message, repair)
 
 
 def is_readable(path: Path) -> bool:
@@ -462,20 +466,22 @@ def _compare_pack(
     there = {uuid: (at, offset, state) for uuid, at, offset, state in rows}
     elsewhere = {there[p.uuid][0] for p in listed if p.uuid in there} - {name}
     if any((parts.folder / other).exists() for other in elsewhere):
-        said = f"{name} holds episodes of {min(elsewhere)} again: moved to quarantine."
-        yield ConsistencyProblem("double", name, said, lambda _: quarantine_file(parts, path))
+        message = f"{name} holds episodes of {min(elsewhere)} again: moved to quarantine."
+        yield ConsistencyProblem("double", name, message, lambda _: quarantine_file(parts, path))
         return
     found |= elsewhere
     changed = [p for p in listed if there.get(p.uuid) != (name, p.chunk.offset, "complete")]
     lost = [u for u, row in there.items() if row[0] == name and row[2] == "complete"]
     lost = sorted(set(lost) - {p.uuid for p in listed})
     if lost:
-        said = f"{len(lost)} episodes of {name} are gone or changed: marked as damaged."
-        yield ConsistencyProblem("damaged", name, said, lambda c: _mark(c, lost, "damaged"))
+        message = f"{len(lost)} episodes of {name} are gone or changed: marked as damaged."
+        yield ConsistencyProblem("damaged", name, message, lambda c: _mark(c, lost, "damaged"))
     if changed:
         new = sum(p.uuid not in there for p in changed)
-        said = f"{len(changed)} episodes of {name} entered ({new} of them new)."
-        yield ConsistencyProblem("adopt", name, said, lambda c: enter_pack(c, parts, path, changed))
+        message = f"{len(changed)} episodes of {name} entered ({new} of them new)."
+        yield ConsistencyProblem(
+            "adopt", name, message, lambda c: enter_pack(c, parts, path, changed)
+        )
 
 
 def enter_pack(
@@ -578,8 +584,8 @@ def _missing_pack(parts: DatasetParts, name: str) -> Iterator[ConsistencyProblem
             sql = "UPDATE series SET bench = ? WHERE uuid = (SELECT series FROM episode"
             connection.execute(f"{sql} WHERE uuid = ?)", values)
 
-        said = f"The pack {name} with {len(uuids)} episodes is missing; their labels are kept."
-        yield ConsistencyProblem("missing", name, said, repair)
+        message = f"The pack {name} with {len(uuids)} episodes is missing; their labels are kept."
+        yield ConsistencyProblem("missing", name, message, repair)
 
 
 def _torn_pack(parts: DatasetParts, path: Path, error: InputError) -> ConsistencyProblem:
@@ -600,5 +606,5 @@ def _torn_pack(parts: DatasetParts, path: Path, error: InputError) -> Consistenc
         rows = connection.execute("SELECT uuid FROM episode WHERE path = ?", (name,)).fetchall()
         _mark(connection, [uuid for (uuid,) in rows if uuid not in kept], "damaged")
 
-    said = f"The pack {name} is damaged: {error.what} Its whole episodes were saved."
-    return ConsistencyProblem("torn", name, said, repair)
+    message = f"The pack {name} is damaged: {error.what} Its whole episodes were saved."
+    return ConsistencyProblem("torn", name, message, repair)

@@ -288,9 +288,9 @@ def _take_back(
             draft.add_copy(_following(now, before), node.parent)
 
 
-def _following(parent: Revision, said: Revision) -> dict[str, Any]:
-    content = LabelContent.of(said)
-    return new_revision(parent.episode, parent.rev_uuid, content, said.state, said.reason)
+def _following(parent: Revision, source: Revision) -> dict[str, Any]:
+    content = LabelContent.of(source)
+    return new_revision(parent.episode, parent.rev_uuid, content, source.state, source.reason)
 
 
 def _renumber(connection: sqlite3.Connection, draft: OperationDraft) -> None:

@@ -192,20 +192,20 @@ def _set_state(
 
 
 def _corrected(head: Revision, change: ShiftOrigin | RotateFrame | MoveGeometry) -> BulkChangeRow:
-    said = LabelContent.of(head)
+    content = LabelContent.of(head)
     if isinstance(change, MoveGeometry):
         if head.geometry != change.old:
             raise RefusedError("other geometry", "It belongs to another geometry.")
         # Rejected labels stay rejected when a dimension is corrected.
         keeps = head.state in ("unlabelled", "rejected")
         return BulkChangeRow(
-            head, replace(said, geometry=change.new), head.state if keeps else "draft"
+            head, replace(content, geometry=change.new), head.state if keeps else "draft"
         )
     if not head.label.is_set:
         raise RefusedError("is unlabelled", "It has no offset.")
     if head.state == "rejected":
         raise RefusedError("is rejected", "It is rejected.")
-    return BulkChangeRow(head, replace(said, label=_moved(head.label, change)), "draft")
+    return BulkChangeRow(head, replace(content, label=_moved(head.label, change)), "draft")
 
 
 def _moved(label: Label, change: ShiftOrigin | RotateFrame) -> Label:
@@ -546,6 +546,6 @@ def _edited(head: Revision, label: Label, source: Source | None, verdict: Verdic
     )
 
 
-def _following(head: Revision, said: Revision, state: LabelState) -> dict[str, Any]:
-    reason = said.reason if state == "rejected" else None
-    return new_revision(head.episode, head.rev_uuid, LabelContent.of(said), state, reason)
+def _following(head: Revision, source: Revision, state: LabelState) -> dict[str, Any]:
+    reason = source.reason if state == "rejected" else None
+    return new_revision(head.episode, head.rev_uuid, LabelContent.of(source), state, reason)

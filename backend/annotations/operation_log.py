@@ -366,18 +366,15 @@ def _append(path: Path, operations: list[Operation]) -> None:
     is_new = not path.exists()
     if is_new:
         make_folder(path.parent)
-    lines = b"".join(canonical_json(_as_line(operation)) + b"\n" for operation in operations)
+    # not ``asdict``, which copies the body of a bulk operation
+    rows = ({name: getattr(operation, name) for name in FIELDS} for operation in operations)
+    lines = b"".join(canonical_json(row) + b"\n" for row in rows)
     with path.open("ab") as file:
         file.write(lines)
         file.flush()
         os.fsync(file.fileno())
     if is_new:
         sync_folder(path.parent)
-
-
-def _as_line(operation: Operation) -> dict[str, object]:
-    # not ``asdict``, which copies the body of a bulk operation
-    return {name: getattr(operation, name) for name in FIELDS}
 
 
 def _cut_torn_line(path: Path) -> int:

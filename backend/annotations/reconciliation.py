@@ -60,16 +60,16 @@ def check_labels(parts: DatasetParts, *, whole: bool) -> Iterator[ConsistencyPro
         yield from findings
     if missing:
         missing.sort(key=lambda op: (op.lamport, op.site, op.seq))
-        said = (
+        message = (
             f"{len(missing)} label operations of the journal were not in the catalogue: replayed."
         )
         yield ConsistencyProblem(
-            "replay", parts.site, said, lambda connection: _replay(connection, missing)
+            "replay", parts.site, message, lambda connection: _replay(connection, missing)
         )
     wrong = wrong_heads(parts, whole=whole)
     if wrong:
-        said = f"{len(wrong)} label heads did not follow from the revisions: rebuilt."
-        yield ConsistencyProblem("heads", str(len(wrong)), said, review.rebuild_heads)
+        message = f"{len(wrong)} label heads did not follow from the revisions: rebuilt."
+        yield ConsistencyProblem("heads", str(len(wrong)), message, review.rebuild_heads)
 
 
 def wrong_heads(parts: DatasetParts, *, whole: bool) -> list[str]:
@@ -143,8 +143,8 @@ def _compare_journal(
     ahead = [operation for operation in operations if operation.seq > newest[0]]
     shared = [operation for operation in operations if operation.seq == newest[0]]
     if newest[0] and [operation.hash for operation in shared] != [newest[1]]:
-        said = "Journal and catalogue have different label operations"
-        return [], [_broken(site, newest[0], said)]
+        message = "Journal and catalogue have different label operations"
+        return [], [_broken(site, newest[0], message)]
     misfit = first_sequence_break(ahead, newest)
     if misfit is not None:
         return [], [_broken(site, misfit, "The journal's chain of label operations is broken")]
@@ -182,8 +182,8 @@ def _journal_behind(parts: DatasetParts, site: str, count: int) -> ConsistencyPr
     def repair(connection: sqlite3.Connection) -> None:
         parts.journal.catch_up(connection, site)
 
-    said = f"{count} label operations were missing in the journal: written."
-    return ConsistencyProblem("journal", site, said, repair)
+    message = f"{count} label operations were missing in the journal: written."
+    return ConsistencyProblem("journal", site, message, repair)
 
 
 def _replay(connection: sqlite3.Connection, missing: list[Operation]) -> None:
@@ -194,11 +194,11 @@ def _replay(connection: sqlite3.Connection, missing: list[Operation]) -> None:
 
 
 def _broken(site: str, seq: int, what: str) -> ConsistencyProblem:
-    said = (
+    message = (
         f"{what} at number {seq} of site {site}: labels are read-only."
         " Restore a backup, or rebuild the catalogue."
     )
-    return ConsistencyProblem("broken-chain", f"{site}/{seq}", said, locks=True)
+    return ConsistencyProblem("broken-chain", f"{site}/{seq}", message, locks=True)
 
 
 # Leftovers of a crash, of files that are built again on demand.
@@ -271,8 +271,8 @@ def _repaired(
                 reported.append(finding)
             except (InputError, OSError, sqlite3.IntegrityError) as error:
                 connection.execute("ROLLBACK TO one")
-                said = f"{finding.message} That failed: {error}"
-                unrepaired.append(ConsistencyProblem("not-mended", finding.target, said))
+                message = f"{finding.message} That failed: {error}"
+                unrepaired.append(ConsistencyProblem("not-mended", finding.target, message))
             connection.execute("RELEASE one")
     return reported + [f for f in unrepaired if _is_new(parts, f) or f.locks]
 
@@ -293,9 +293,9 @@ def _left_overs(parts: DatasetParts) -> Iterator[ConsistencyProblem]:
     for folder, pattern in LEFTOVERS:
         for path in sorted((parts.folder / folder).glob(pattern)):
             if not _in_use(parts, path):
-                said = f"{parts.name(path)} was left half-made: deleted."
+                message = f"{parts.name(path)} was left half-made: deleted."
                 yield ConsistencyProblem(
-                    "left-over", parts.name(path), said, partial(_remove, path)
+                    "left-over", parts.name(path), message, partial(_remove, path)
                 )
 
 

@@ -286,8 +286,8 @@ def _take_metrics(connection: sqlite3.Connection, run: Path, start: int) -> None
     rows = []
     for line in content.splitlines():
         try:
-            said = json.loads(line)
-            row = (said["name"], said["step"], said["value"], said["at_ns"])
+            value = json.loads(line)
+            row = (value["name"], value["step"], value["value"], value["at_ns"])
         except (ValueError, KeyError, TypeError):
             continue
         rows.append((run.name, *row))
@@ -384,8 +384,10 @@ def check_runs(parts: DatasetParts) -> Iterator[ConsistencyProblem]:
     for run in run_folders(parts.folder):
         if not (run / ABOUT).exists():
             if not is_run_alive(run) and not run_file_stamp(run)[1]:
-                said = f"{parts.name(run)} was left before its run began: deleted."
-                yield ConsistencyProblem("left-over", parts.name(run), said, partial(_remove, run))
+                message = f"{parts.name(run)} was left before its run began: deleted."
+                yield ConsistencyProblem(
+                    "left-over", parts.name(run), message, partial(_remove, run)
+                )
             continue
         try:
             about = read_run_info(run)
@@ -393,19 +395,21 @@ def check_runs(parts: DatasetParts) -> Iterator[ConsistencyProblem]:
             yield ConsistencyProblem("run-unreadable", parts.name(run), str(error))
             continue
         if about.state in OPEN and not is_run_alive(run):
-            said = f"The run {about.uuid} ({about.kind}) was interrupted: it can be started again."
+            message = (
+                f"The run {about.uuid} ({about.kind}) was interrupted: it can be started again."
+            )
             if about.kind == "train" and "out" in about.params:
-                said = (
+                message = (
                     f"The training of {about.params['out']} was interrupted; "
                     "its whole epochs are kept: go on with --resume."
                 )
             yield ConsistencyProblem(
-                "interrupted", about.uuid, said, partial(_interrupt, run, about)
+                "interrupted", about.uuid, message, partial(_interrupt, run, about)
             )
     for (uuid,) in parts.database.rows("SELECT uuid FROM run WHERE state IN (?, ?)", OPEN):
         if not (parts.folder / RUNS_FOLDER / uuid).is_dir():
-            said = f"The folder of run {uuid} is gone; its figures so far are kept."
-            yield ConsistencyProblem("interrupted", uuid, said, partial(_close, uuid))
+            message = f"The folder of run {uuid} is gone; its figures so far are kept."
+            yield ConsistencyProblem("interrupted", uuid, message, partial(_close, uuid))
 
 
 def _close(uuid: str, connection: sqlite3.Connection) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -137,8 +137,7 @@ def check_quality(rows: Sequence[ExaminedEpisode]) -> list[QualityIssue]:
     singles = [
         QualityIssue(kind, (row.uuid,), text)
         for row in rows
-        for kind, look in _CHECKS
-        if (text := look(row))
+        for kind, text in _single_findings(row)
     ]
     return [*find_asymmetry(rows), *find_contradicting_repeats(rows), *singles]
 
@@ -219,61 +218,34 @@ def _nearest_other_label(
     return distance, nearest
 
 
-def _jerk(row: ExaminedEpisode) -> str:
+def _single_findings(row: ExaminedEpisode) -> Iterator[tuple[Kind, str]]:
+    press_n = float(row.observation[-1, _FZ])
+    if not press_n >= CONTACT_N:
+        known = np.isfinite(press_n)
+        text = f"The press ended with {press_n:.2f} N." if known else "The press force is unknown."
+        yield "no contact", text
     forces = row.observation[:, _FX : _FX + 3].astype(np.float64)
     step = np.abs(forces[1:-1] - 0.5 * (forces[:-2] + forces[2:])).max(axis=1)
     worst = int(np.nanargmax(step)) if np.isfinite(step).any() else 0
     if step[worst] > JERK_N:
-        return f"The force jumps by {step[worst]:.1f} N at {(worst + 2) * TICK_S:.1f} s."
-    return ""
-
-
-def _no_contact(row: ExaminedEpisode) -> str:
-    press_n = float(row.observation[-1, _FZ])
-    if press_n >= CONTACT_N:
-        return ""
-    known = np.isfinite(press_n)
-    return f"The press ended with {press_n:.2f} N." if known else "The press force is unknown."
-
-
-def _saturated(row: ExaminedEpisode) -> str:
+        at_s = (worst + 2) * TICK_S
+        yield "jerk", f"The force jumps by {step[worst]:.1f} N at {at_s:.1f} s."
     shift = float(np.nanmax(np.abs(row.observation[:, :TACTILE_CHANNELS]), initial=0.0))
-    return f"A marker moved by {shift:.0f} px." if shift > SATURATED_PX else ""
-
-
-def _lost(row: ExaminedEpisode) -> str:
-    lost = row.quality.lost_markers
-    return f"{lost} markers were lost." if lost > LOST_MARKERS else ""
-
-
-def _dropped(row: ExaminedEpisode) -> str:
-    dropped = row.quality.dropped_frames
-    return f"{dropped} frames were lost." if dropped > DROPPED_FRAMES else ""
-
-
-def _skew(row: ExaminedEpisode) -> str:
-    texts = []
+    if shift > SATURATED_PX:
+        yield "saturated markers", f"A marker moved by {shift:.0f} px."
+    if row.quality.lost_markers > LOST_MARKERS:
+        yield "lost markers", f"{row.quality.lost_markers} markers were lost."
+    if row.quality.dropped_frames > DROPPED_FRAMES:
+        yield "dropped frames", f"{row.quality.dropped_frames} frames were lost."
+    skews = []
     for finger, lag_s in zip(FINGERS, lags_s(row.observation), strict=True):
         if abs(lag_s) > LAG_S:
             way = "behind" if lag_s > 0 else "ahead of"
-            texts.append(f"The {finger} gel is {1e3 * abs(lag_s):.0f} ms {way} the force.")
-    return " ".join(texts)
-
-
-def _slip(row: ExaminedEpisode) -> str:
-    slip_mm = row.quality.slip_mm
-    return f"The piece slipped by {slip_mm:.2f} mm." if slip_mm > SLIP_MM else ""
-
-
-_CHECKS: tuple[tuple[Kind, Callable[[ExaminedEpisode], str]], ...] = (
-    ("no contact", _no_contact),
-    ("jerk", _jerk),
-    ("saturated markers", _saturated),
-    ("lost markers", _lost),
-    ("dropped frames", _dropped),
-    ("clock skew", _skew),
-    ("slip", _slip),
-)
+            skews.append(f"The {finger} gel is {1e3 * abs(lag_s):.0f} ms {way} the force.")
+    if skews:
+        yield "clock skew", " ".join(skews)
+    if row.quality.slip_mm > SLIP_MM:
+        yield "slip", f"The piece slipped by {row.quality.slip_mm:.2f} mm."
 
 
 def lags_s(observation: NDArray[np.float32]) -> Iterator[float]:

@@ -196,7 +196,8 @@ def _iou(corners_mm: FloatArray, label: Label, pair: Pair, dataset: Dataset) -> 
     yaw_rad = math.radians((label.theta_mdeg or 0) / 1e3)
     points = rotated(pair.points_mm, yaw_rad) + label.offset_mm
     along = np.roll(corners_mm, -1, axis=0) - corners_mm
-    turn = 1.0 if _doubled_area(corners_mm) > 0.0 else -1.0
+    x, y = corners_mm[:, 0], corners_mm[:, 1]
+    turn = 1.0 if float(x @ np.roll(y, -1) - y @ np.roll(x, -1)) > 0.0 else -1.0
     away = points[:, None, :] - corners_mm
     cross = turn * (along[:, 0] * away[..., 1] - along[:, 1] * away[..., 0])
     depth_mm = (cross / np.maximum(np.hypot(along[:, 0], along[:, 1]), EDGE_MM)).min(axis=1)
@@ -204,8 +205,3 @@ def _iou(corners_mm: FloatArray, label: Label, pair: Pair, dataset: Dataset) -> 
     drawn = np.where(np.abs(depth_mm) < EDGE_MM, touching, depth_mm > 0.0)
     union = int((drawn | touching).sum())
     return int((drawn & touching).sum()) / union if union else 1.0
-
-
-def _doubled_area(corners_mm: FloatArray) -> float:
-    x, y = corners_mm[:, 0], corners_mm[:, 1]
-    return float(x @ np.roll(y, -1) - y @ np.roll(x, -1))

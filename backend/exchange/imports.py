@@ -92,11 +92,11 @@ def read_foreign(
     ]
     with (
         tempfile.TemporaryDirectory(prefix="touchdown-import-") as folder,
-        tempfile.TemporaryFile() as said,
+        tempfile.TemporaryFile() as stderr,
     ):
         child = subprocess.Popen(
             [*command, folder], stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
-            stderr=said,
+            stderr=stderr,
         )  # fmt: skip
         assert child.stdout is not None
         lines: queue.Queue[bytes] = queue.Queue()
@@ -105,7 +105,7 @@ def read_foreign(
         try:
             deadline = ReaderDeadline(child.pid, source, deadline_s)
             if not (yield from _episodes(lines, source, deadline)):
-                raise _crashed(source, said)
+                raise _crashed(source, stderr)
         finally:
             child.kill()
             child.wait()
@@ -164,9 +164,9 @@ def _episodes(
             return "done" in answer
 
 
-def _crashed(source: Path, said: IO[bytes]) -> InputError:
-    said.seek(0)
-    lines = said.read()[-2000:].decode("utf-8", "replace").splitlines()
+def _crashed(source: Path, stderr: IO[bytes]) -> InputError:
+    stderr.seek(0)
+    lines = stderr.read()[-2000:].decode("utf-8", "replace").splitlines()
     last = f" ({lines[-1]})" if lines else ""
     return InputError(
         f"The reader crashed on this file{last}.", str(source), "It is damaged; use another copy."
@@ -209,13 +209,13 @@ def mapping_problem(foreign: ForeignEpisode) -> str:
 
 def mapping_losses(foreign: ForeignEpisode) -> tuple[str, ...]:
     """Return the information that the file lacks, and the assumptions made instead."""
-    said = []
+    losses = []
     if foreign.fps is None:
-        said.append(f"It names no rate: ticks are taken as {1000 // FPS} ms apart.")
+        losses.append(f"It names no rate: ticks are taken as {1000 // FPS} ms apart.")
     if not _has_signals(foreign.values):
-        said.append("It has no wrench between the ticks and no poses: nothing is replayed there.")
-    said.append("It has no marker fields at their own rate, no bench clock and no tare.")
-    return tuple(said)
+        losses.append("It has no wrench between the ticks and no poses: nothing is replayed there.")
+    losses.append("It has no marker fields at their own rate, no bench clock and no tare.")
+    return tuple(losses)
 
 
 def map_episode(foreign: ForeignEpisode, *, commanded: bool = False) -> MappedEpisode:
@@ -334,11 +334,11 @@ class EpisodeImport:
     is not named.
     """
 
-    def __init__(self, dataset: Dataset, kind: str, source: Path, wish: ImportOptions) -> None:
+    def __init__(self, dataset: Dataset, kind: str, source: Path, options: ImportOptions) -> None:
         if source.name.endswith(PARTIAL):
             raise InputError("This export was interrupted.", str(source), "Export it again.")
-        self._dataset, self._kind, self._source, self._wish = dataset, kind, source, wish
-        self._actor = check_person(wish.actor)
+        self._dataset, self._kind, self._source, self._options = dataset, kind, source, options
+        self._actor = check_person(options.actor)
         self._manifest = read_manifest(source) if source.is_dir() else None
         self._named = _episodes_by_number(self._manifest, kind, source)
         spec = (self._manifest or {}).get("feature_spec")
@@ -374,7 +374,7 @@ class EpisodeImport:
         Raises ``FaultError`` before anything is written if the catalogue cannot be backed up.
         """
         self.backup = self._dataset.back_up_for("import")
-        self._take_geometry()
+        self._copy_geometry()
         series, written = uuid7(), list[tuple[str, str]]()
         for foreign in read_foreign(self._kind, self._source):
             if self._reason(foreign) or self._is_here(foreign):
@@ -382,7 +382,7 @@ class EpisodeImport:
             mapped = map_episode(foreign, commanded=self._commanded)
             written.append(self._record(mapped, series))
             advance(len(written))
-        self._note(series, written)
+        self._record_import(series, written)
         return [uuid for uuid, _ in written]
 
     def _reason(self, foreign: ForeignEpisode) -> str:
@@ -440,23 +440,23 @@ class EpisodeImport:
                 named["split"],
             )  # fmt: skip
         # Grips are unknown: one grip for all episodes, so that no split can leak.
-        source = "human" if self._wish.labelled_by else "measured"
-        piece, bottom = str(self._wish.piece), str(self._wish.bottom)
+        source = "human" if self._options.labelled_by else "measured"
+        piece, bottom = str(self._options.piece), str(self._options.bottom)
         return _EpisodeOrigin(foreign.uuid, piece, bottom, self._geometry, f"{series}/unknown",
                        f"{series}/unknown", mapped.label, source, foreign.side)  # fmt: skip
 
     def _own_pair(self) -> str:
-        if self._wish.piece is None or self._wish.bottom is None:
+        if self._options.piece is None or self._options.bottom is None:
             raise InputError(
                 "The file does not say which pieces touched.",
                 str(self._source),
                 "Name them with --piece and --bottom.",
             )
         pieces = load_pieces()
-        top, bottom = pieces.piece(self._wish.piece), pieces.piece(self._wish.bottom)
+        top, bottom = pieces.piece(self._options.piece), pieces.piece(self._options.bottom)
         return self._dataset.geometry.store_pair(top, bottom)
 
-    def _take_geometry(self) -> None:
+    def _copy_geometry(self) -> None:
         """Copy the geometry records; each is checked against its name on use."""
         for name in self._manifest["geometry"] if self._manifest else ():
             path = self._dataset.geometry.folder / f"{name}.json"
@@ -465,7 +465,7 @@ class EpisodeImport:
         for named in self._named.values():
             self._dataset.geometry.pair(named["geometry"])
 
-    def _note(self, series: str, written: Sequence[tuple[str, str]]) -> None:
+    def _record_import(self, series: str, written: Sequence[tuple[str, str]]) -> None:
         """Store the sides of the split as tags in one operation, and the import in the audit."""
         with self._dataset.database.reading() as connection:
             marks = [

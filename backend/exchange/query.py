@@ -93,8 +93,8 @@ def select_episodes(dataset: Dataset, query: ExportQuery) -> Selection:
     sides, warnings = _sides(dataset, [entry for entry, _ in found], query)
     order = sorted(range(len(found)), key=lambda k: (sides[k] != TRAIN, sides[k], k))
     chosen = tuple(SelectedEpisode(i, *found[k], sides[k]) for i, k in enumerate(order))
-    said = [f"{count} episodes are left out: {why}." for why, count in sorted(left_out.items())]
-    return Selection(chosen, tuple(sorted(left_out.items())), (*said, *warnings))
+    notes = [f"{count} episodes are left out: {why}." for why, count in sorted(left_out.items())]
+    return Selection(chosen, tuple(sorted(left_out.items())), (*notes, *warnings))
 
 
 def _unfit(entry: EpisodeEntry) -> str:

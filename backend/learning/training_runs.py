@@ -68,13 +68,13 @@ class TrainingProcess:
     """
 
     def __init__(self, job: TrainingJob) -> None:
-        self._complaints = tempfile.TemporaryFile()  # noqa: SIM115 - closed by close()
+        self._stderr = tempfile.TemporaryFile()  # noqa: SIM115 - closed by close()
         environment = IDLE_THREADS | os.environ
         self._child = subprocess.Popen(
             [sys.executable, "-m", "touchdown.backend.learning.process"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
-            stderr=self._complaints,
+            stderr=self._stderr,
             env=environment,
             text=True,
             encoding="utf-8",
@@ -132,7 +132,7 @@ class TrainingProcess:
         except subprocess.TimeoutExpired:
             self._child.kill()
             self._child.wait()
-        self._complaints.close()
+        self._stderr.close()
 
     def _send(self, line: str) -> None:
         assert self._child.stdin is not None
@@ -141,9 +141,9 @@ class TrainingProcess:
             self._child.stdin.flush()
 
     def _death(self) -> Fault:
-        self._complaints.seek(0)
-        said = self._complaints.read().decode("utf-8", "replace").strip().splitlines()
-        why = said[-1] if said else f"exit code {self._child.returncode}"
+        self._stderr.seek(0)
+        lines = self._stderr.read().decode("utf-8", "replace").strip().splitlines()
+        why = lines[-1] if lines else f"exit code {self._child.returncode}"
         return Fault(
             "TRAINING-DIED",
             f"The training process ended early: {why}.",
@@ -222,15 +222,10 @@ def read_training_run(folder: Path) -> TrainingRun:
         folder, about, state, _curves(folder / METRICS_FILE), _bins(folder / RELIABILITY)
     )
     if state == "finished":
-        return replace(made, card=_card(folder / MODEL))
+        with suppress(InputError):
+            return replace(made, card=load_card(folder / MODEL))
+        return made
     return replace(made, can_resume=state in UNFINISHED and (folder / RESUME).is_file())
-
-
-def _card(model: Path) -> ModelCard | None:
-    try:
-        return load_card(model)
-    except InputError:
-        return None
 
 
 def _curves(path: Path) -> dict[str, Curve]:

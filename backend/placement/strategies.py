@@ -67,12 +67,12 @@ class FaceCentre:
     at_mm: XY
     sigma_mm: float
 
-    def standing(self, face_mm: XY) -> str:
+    def describe(self, face_mm: XY) -> str:
         """Return a text with the final position, for the tower entry of the next piece."""
         x, y = np.subtract(face_mm, self.at_mm)
         return f"It stands {x:+.1f}, {y:+.1f} mm from the middle, sigma {self.sigma_mm:.1f} mm."
 
-    def drawn(self) -> FloatArray:
+    def samples(self) -> FloatArray:
         """Return (k, 2) evenly spread candidate positions, always the same ones."""
         return np.asarray(np.asarray(self.at_mm) + self.sigma_mm * normal_draws(1)[:, 0])
 
@@ -82,7 +82,7 @@ class LowerSupport:
     """Support by the bodies ``below``, for candidate positions of the uppermost face."""
 
     below: SupportTower
-    middle: FaceCentre
+    centre: FaceCentre
 
     def insets_mm(self, points_mm: FloatArray) -> FloatArray:
         """Return the inset (k, n) of the load in the weakest lower support, per candidate.
@@ -90,7 +90,7 @@ class LowerSupport:
         ``points_mm`` (n, 2): centre of mass of the piece, relative to the centre of the touched
         face.
         """
-        relative = points_mm - self.middle.drawn()[:, None]
+        relative = points_mm - self.centre.samples()[:, None]
         return self.below.insets_mm(relative).reshape(-1, len(points_mm))
 
 
@@ -279,7 +279,7 @@ class FusedStrategy:
         self._seen.append(np.asarray(touched.observation[TICKS, :], dtype=np.float64))
         com = self._held.com_xy_mm
         centre = here[0] + com[0], here[1] + com[1]
-        known = self._last = self._known(touched.patch.points_mm)
+        known = self._last = self._state(touched.patch.points_mm)
         if known is None:
             nothing = Stability(
                 False, np.nan, SupportKind.NO_ESTIMATE, np.zeros((0, 2)), centre, "belief"
@@ -289,9 +289,9 @@ class FusedStrategy:
         over = self._inset(known, cells, here)
         near = np.hypot(*(cells - com).T) <= FARTHEST_MM
         reached, cells = InsetDistribution(*(part[near] for part in over.parts())), cells[near]
-        middle = self._note_middle(reached, cells + here)
+        face_centre = self._update_face_centre(reached, cells + here)
         margin_mm = self._margin_mm(self._inset(known, np.array([com]), here), centre)
-        shown = self._shown(over)
+        shown = self._probability_map(over)
         stability = Stability(
             margin_mm >= settings.fused.inset_mm,
             margin_mm,
@@ -301,7 +301,7 @@ class FusedStrategy:
             "belief",
         )
         target = deepest_shift(self._expected_mm(reached, cells + here), cells - com)
-        action = self._choose(stability, target, middle)
+        action = self._choose(stability, target, face_centre)
         return PlaceDecision(shown, stability, action)
 
     def inset_at(self, offset_mm: XY) -> InsetDistribution | None:
@@ -359,7 +359,7 @@ class FusedStrategy:
     def _probes(self) -> int:
         return len(self._belief.visits) + len(self._missed_mm)
 
-    def _known(self, points_mm: FloatArray) -> FloatArray | None:
+    def _state(self, points_mm: FloatArray) -> FloatArray | None:
         """Return the state after all probes; None if a signal is outside the training data."""
         seen = np.stack(self._seen).astype(np.float32)
         if not np.isfinite(seen).all():
@@ -376,7 +376,7 @@ class FusedStrategy:
         away = np.subtract(here, self._offset_mm[0])
         return self._forward.inset(known, points_mm, away)
 
-    def _note_middle(self, over: InsetDistribution, places_mm: FloatArray) -> FaceCentre:
+    def _update_face_centre(self, over: InsetDistribution, places_mm: FloatArray) -> FaceCentre:
         """Return the centre of the touched face in the frame of the map; keep the lower support.
 
         ``places_mm`` (n, 2): positions of the insets ``over``.
@@ -384,9 +384,9 @@ class FusedStrategy:
         below = self._held.below
         face = None if below is None else below.bodies[-1].upper
         face = face or equivalent_disc(over, self._settings.belief.pitch_mm**2)
-        middle = fit_face_centre(over, places_mm, face)
-        self._lower = None if below is None else LowerSupport(below, middle)
-        return middle
+        centre = fit_face_centre(over, places_mm, face)
+        self._lower = None if below is None else LowerSupport(below, centre)
+        return centre
 
     def _margin_mm(self, top: InsetDistribution, centre_mm: XY) -> float:
         """Return the inset of one position that is exceeded with the required probability."""
@@ -404,12 +404,12 @@ class FusedStrategy:
         lower = self._lower.insets_mm(places_mm).mean(axis=0)
         return np.asarray(np.minimum(over.expected_mm(), lower))
 
-    def _choose(self, stability: Stability, target: XY, middle: FaceCentre) -> PlaceAction:
+    def _choose(self, stability: Stability, target: XY, face_centre: FaceCentre) -> PlaceAction:
         here = self._offset_mm[-1]
         policy, required = self._settings.policy, self._settings.fused.inset_mm
         words = describe_situation(stability, required)
         if stability.stable:
-            why = f"{words}: release. {middle.standing(here)}"
+            why = f"{words}: release. {face_centre.describe(here)}"
             return PlaceAction("release", (0.0, 0.0), None, False, why)
         probes = self._probes()
         if probes >= policy.max_probes:
@@ -420,7 +420,7 @@ class FusedStrategy:
             aim = ShiftTarget(next_on_spiral(here, self._belief, policy), "looking around")
         return shift_towards(stability, aim, here, policy.longest_step_mm, required)
 
-    def _shown(self, over: InsetDistribution) -> BeliefMap:
+    def _probability_map(self, over: InsetDistribution) -> BeliefMap:
         limit, shape = self._settings.belief.log_odds_limit, self._belief.map.log_odds.shape
         p = over.exceeds(0.0).reshape(shape)
         with np.errstate(divide="ignore"):

@@ -1,10 +1,21 @@
-"""Helpers of forms: labels, combo boxes, spin boxes and icons of buttons."""
+"""Fields of forms: numbers with units, buttons that act after a hold."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 
-from PySide6.QtWidgets import QAbstractButton, QAbstractSpinBox, QComboBox, QLabel, QWidget
+from PySide6.QtCore import QEvent, QObject, QPoint, QPointF, Qt, QTimer
+from PySide6.QtGui import QGuiApplication, QKeyEvent, QMouseEvent, QTouchEvent, QWindow
+from PySide6.QtWidgets import (
+    QAbstractButton,
+    QAbstractSpinBox,
+    QApplication,
+    QComboBox,
+    QLabel,
+    QPushButton,
+    QSizePolicy,
+    QWidget,
+)
 
 from touchdown.widgets.base import Theme, fit_icon, icon, label
 
@@ -53,3 +64,185 @@ def draw_run_icons(theme: Theme, start: QAbstractButton, *others: QAbstractButto
         name = "play" if button.text() == "Resume" else name
         button.setIcon(icon(name, tokens.colour("text" if button.isEnabled() else "disabled")))
     fit_icon(start, *others)
+
+
+RENEW_MS = 50  # half a lease period: a window late by one beat does not stop the arm
+SLACK_PX = 20  # distance the pointer may leave the button
+LEAST_PX = 44
+MOUSE, TOUCH = -1, -2  # sources of a hold; positive numbers are key codes
+_LOST = frozenset({QEvent.Type.Hide, QEvent.Type.Close, QEvent.Type.UngrabMouse,
+                   QEvent.Type.TouchCancel})  # fmt: skip
+_WINDOW_LOST = frozenset({QEvent.Type.WindowDeactivate, QEvent.Type.WindowBlocked,
+                          QEvent.Type.Close, QEvent.Type.Hide})  # fmt: skip
+
+
+class HoldState(QObject):
+    """Hold shared by the buttons and keys of one pad; at most one at a time.
+
+    ``renew`` is called at once and every 50 ms with the held action; False ends the hold. ``ended``
+    is called once with the cause.
+    """
+
+    def __init__(
+        self, parent: QWidget, renew: Callable[[str], bool], ended: Callable[[str], None]
+    ) -> None:
+        super().__init__(parent)
+        self._renew, self._ended = renew, ended
+        self.what = ""
+        self._source = 0
+        self._widget: QWidget | None = None
+        self._timer = QTimer(self)
+        self._timer.setTimerType(Qt.TimerType.PreciseTimer)
+        self._timer.setInterval(RENEW_MS)
+        self._timer.timeout.connect(self._beat)
+        parent.destroyed.connect(self._timer.stop)
+
+    @property
+    def held(self) -> bool:
+        """True while something is held."""
+        return self._widget is not None
+
+    def press(self, widget: QWidget, what: str, source: int) -> None:
+        """Start a hold of ``what`` on ``widget``; a second hold ends both."""
+        if self.held:
+            self.end("a second one was pressed")
+            return
+        window = widget.window()
+        if not (widget.isEnabled() and widget.isVisible() and window.isActiveWindow()):
+            return
+        self._widget, self.what, self._source = widget, what, source
+        self._watch()
+        if not self._renew(what):
+            self.end("refused")
+            return
+        if self.held:
+            self._timer.start()
+            self._look(down=True)
+
+    def release(self, source: int) -> None:
+        """End the hold if it was started by ``source``."""
+        if self.held and source == self._source:
+            self.end("released")
+
+    def end(self, cause: str) -> None:
+        """End the hold; may be called repeatedly."""
+        if not self.held:
+            return
+        self._look(down=False)
+        self._timer.stop()
+        application = QApplication.instance()
+        if application is not None:
+            application.removeEventFilter(self)
+        self._widget = None
+        self._ended(cause)
+
+    def eventFilter(self, watched: QObject, event: QEvent) -> bool:
+        """End the hold when the button, its window or the program loses the operator."""
+        widget, kind = self._widget, event.type()
+        if widget is None:
+            return False
+        if watched is widget and kind in _LOST:
+            self.end("the button was lost")
+        elif watched is widget and kind is QEvent.Type.EnabledChange and not widget.isEnabled():
+            self.end("switched off")
+        elif watched is widget.window() and kind in _WINDOW_LOST:
+            self.end("the window was lost")
+        elif kind is QEvent.Type.ApplicationDeactivate:
+            self.end("the program was left")
+        elif isinstance(event, QKeyEvent):
+            self._key(event, at_window=isinstance(watched, QWindow))
+        return False
+
+    def _key(self, event: QKeyEvent, *, at_window: bool) -> None:
+        if event.isAutoRepeat():
+            return
+        if event.type() is QEvent.Type.KeyRelease:
+            self.release(event.key())
+        elif (
+            # A key press addressed to the window can be STOP; let it through.
+            event.type() is QEvent.Type.KeyPress and not at_window and event.key() != self._source
+        ):
+            self.end("another key was pressed")
+
+    def _watch(self) -> None:
+        application = QApplication.instance()
+        assert isinstance(application, QApplication)
+        application.installEventFilter(self)
+        application.applicationStateChanged.connect(
+            self._state_changed, Qt.ConnectionType.UniqueConnection
+        )
+        application.focusChanged.connect(self._focus_changed, Qt.ConnectionType.UniqueConnection)
+
+    def _state_changed(self, state: Qt.ApplicationState) -> None:
+        if state is not Qt.ApplicationState.ApplicationActive:
+            self.end("the program was left")
+
+    def _focus_changed(self, _old: QWidget | None, _new: QWidget | None) -> None:
+        self.end("the focus moved")
+
+    def _beat(self) -> None:
+        if QGuiApplication.applicationState() is not Qt.ApplicationState.ApplicationActive:
+            self.end("the program was left")
+        elif self.held and not self._renew(self.what):
+            self.end("refused")
+
+    def _look(self, *, down: bool) -> None:
+        if isinstance(self._widget, HoldButton):
+            self._widget.setDown(down)
+
+
+class HoldButton(QPushButton):
+    """Button that starts and ends a hold; takes no focus, so that Space cannot press it."""
+
+    def __init__(self, text: str, what: str, name: str, hold: HoldState) -> None:
+        super().__init__(text)
+        self._what, self._hold = what, hold
+        self.setProperty("role", "hold")
+        self.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+        self.setAutoRepeat(False)
+        self.setMinimumSize(LEAST_PX, LEAST_PX)
+        self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Expanding)
+        self.setAttribute(Qt.WidgetAttribute.WA_AcceptTouchEvents)
+        self.setAccessibleName(name)
+        self.setToolTip(name)
+
+    def begin(self, source: int) -> None:
+        """Start the hold."""
+        self._hold.press(self, self._what, source)
+
+    def event(self, event: QEvent) -> bool:
+        """Handle touches like the mouse."""
+        kind = event.type()
+        if isinstance(event, QTouchEvent):
+            if kind is QEvent.Type.TouchBegin:
+                self.begin(TOUCH)
+            elif kind is QEvent.Type.TouchUpdate:
+                self._follow(event.points()[0].position())
+            elif kind in (QEvent.Type.TouchEnd, QEvent.Type.TouchCancel):
+                self._hold.release(TOUCH)
+            event.accept()
+            return True
+        return super().event(event)
+
+    def mousePressEvent(self, event: QMouseEvent) -> None:
+        """Start the hold."""
+        if event.button() is Qt.MouseButton.LeftButton:
+            self.begin(MOUSE)
+
+    def mouseMoveEvent(self, event: QMouseEvent) -> None:
+        """End the hold when the pointer leaves by more than the slack."""
+        self._follow(event.position())
+
+    def mouseReleaseEvent(self, event: QMouseEvent) -> None:
+        """End the hold."""
+        if event.button() is Qt.MouseButton.LeftButton:
+            self._hold.release(MOUSE)
+
+    def mouseDoubleClickEvent(self, event: QMouseEvent) -> None:
+        """Handle the second press of a double click like any other."""
+        self.mousePressEvent(event)
+
+    def _follow(self, at: QPointF) -> None:
+        reach = self.rect().adjusted(-SLACK_PX, -SLACK_PX, SLACK_PX, SLACK_PX)
+        if self._hold.held and not reach.contains(QPoint(round(at.x()), round(at.y()))):
+            self._hold.end("the pointer left the button")

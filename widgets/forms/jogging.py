@@ -19,8 +19,7 @@ from PySide6.QtWidgets import (
 )
 
 from touchdown.widgets.base import ElidedLabel, Panel, add_items, hbox, label, set_property, vbox
-from touchdown.widgets.forms.fields import field_label, inset_spin_boxes
-from touchdown.widgets.forms.hold_button import HoldButton, HoldState
+from touchdown.widgets.forms.fields import HoldButton, HoldState, field_label, inset_spin_boxes
 
 
 @dataclass(frozen=True, slots=True)

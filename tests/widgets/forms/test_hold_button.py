@@ -6,7 +6,7 @@ from PySide6.QtGui import QKeyEvent
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication, QLineEdit, QMessageBox, QStackedWidget, QWidget
 
-from touchdown.widgets.forms.hold_button import (
+from touchdown.widgets.forms.fields import (
     LEAST_PX,
     MOUSE,
     RENEW_MS,

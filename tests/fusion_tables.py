@@ -1,7 +1,6 @@
-"""Writes the tables of docs/learned-fusion.md from the JSON beside it: ``python -m
-tests.fusion_tables``.
+"""Render the tables of docs/learned-fusion.md: ``python -m tests.fusion_tables``.
 
-Each table stands between ``<!-- NAME -->`` and ``<!-- end -->`` and comes from the comparison
+Each table is between ``<!-- NAME -->`` and ``<!-- end -->`` and shows the comparison
 ``docs/results/NAME.json``.
 """
 
@@ -99,7 +98,7 @@ def _said(answers: Json) -> str:
 
 
 def written(page: str, answers: dict[str, Json]) -> str:
-    """Return the page with its tables made anew."""
+    """Return the page with its tables rendered."""
     for name, answer in answers.items():
         kind = statics if "statics" in name else loops
         block = re.compile(rf"(<!-- {name} -->\n).*?(\n<!-- end -->)", re.DOTALL)

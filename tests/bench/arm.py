@@ -43,8 +43,8 @@ from touchdown.backend.devices.protocols import DeviceState, PressCommand
 from touchdown.backend.emulation.fault_plan import hanging_gripper
 
 STATE_UP = Pose(0.0, 0.0, 150.0)
+# start of a press; height and stiffness of the surface
 ABOVE_MM, FLOOR_MM, GEL_N_MM = 60.0, 58.0, 5.0
-"""Where a press begins; where it meets something, and how stiff that is."""
 STATE_PRESS = PressCommand(1.5, 1.5, 20.0, 2.0, 1.0, 6.0, (30.0, 30.0, 15.0))
 STATE_SPEED_MM_S, JOINT_RAD_S = 10.0, 0.05
 SOON_S, LIMIT_S, NEVER_S, TRIES = 0.08, 20.0, 2.0, 10
@@ -125,9 +125,9 @@ class Bench:
         self._steady.wait(seconds)
 
     def aside(self, order: Callable[[], object], request: bytes = b"") -> None:
-        """Give an order on a thread of its own, how it ends is nobody's business.
+        """Run an order on its own thread and ignore its result.
 
-        Returns once the controller is asked ``request``, if one is given.
+        Returns when the controller has received ``request``, if one is given.
         """
 
         def give() -> None:
@@ -197,7 +197,7 @@ class Bench:
         until(lambda: self.controller.now_s >= then_s, LIMIT_S)
 
     def stands(self) -> bool:
-        """Whether the arm stands, after it has had time to brake, and no program presses."""
+        """Return True if the arm stands after the braking time, and no program presses."""
         self._pass(BRAKED_S)
         before = self.controller.joints.true_rad.copy()
         self._pass(WATCHED_S)
@@ -210,7 +210,7 @@ NOT_SEEN = Fault("NO-ANSWER", "The controller was not asked what was waited for.
 
 @dataclass(frozen=True)
 class State:
-    """How to get there; ``mode`` is the stiffness mode; ``wired``: a wire is surely up."""
+    """One state of the arm. ``mode``: stiffness mode; ``wired``: a wire exists for sure."""
 
     reach: Callable[[Bench], object]
     mode: str = "software"
@@ -507,7 +507,7 @@ def stop_to_wire() -> list[Figure]:
 
 @figure("arm")
 def gaps() -> list[Figure]:
-    """Largest step of the command after gaps of the stream, at 20 mm/s, on a hand-wound clock."""
+    """Largest step of the command after gaps of the stream, at 20 mm/s, by stepped clock."""
     worst_mm, holds, count = 0.0, 0, 0
     for gap_s in GAPS_S:
         for own in (False, True):
@@ -534,7 +534,7 @@ def gaps() -> list[Figure]:
 
 @figure("arm")
 def fault_campaign() -> list[Figure]:
-    """Random faults in random motions on a hand-wound clock: what did not end as documented."""
+    """Random faults in random motions by stepped clock: count those not ended as documented."""
     with ProcessPoolExecutor(2, get_context("spawn")) as pool:
         ended = list(pool.map(trial, range(TRIALS), chunksize=10))
     broken = [one for one in ended if one.broken]
@@ -622,7 +622,7 @@ ORDERS: Mapping[str, tuple[Callable[[Rig], None], Callable[[Rig], object], str]]
 
 @figure("faults")
 def stops_between_requests() -> list[Figure]:
-    """STOP after each request of each order, by a hand-wound clock: what moved all the same."""
+    """STOP after each request of each order, by stepped clock: count motions after it."""
     broken, counts = [], []
     for name, (prepare, order, mode) in ORDERS.items():
         count = 0

@@ -44,18 +44,18 @@ from touchdown.backend.sensing.tracker import measure_rest
 from touchdown.backend.simulation.finger_camera import GelAppearance
 
 MOST_OFF_PERCENT = {"cut off": 0.0, "one bit": 3.1, "64 bytes zeroed": 9.3, "1 KiB lost": 0.0}
+# Pictures of a kind at 320 x 240 px, and at native size, which takes 20 times as long.
 COUNT = {False: 1000, True: 200}
-"""Pictures of a kind at 320 x 240 px, and at native size, which takes 20 times as long."""
 CLIPS = (*(clip for clip, _ in SCENES), "artificial_strawberry_exp2_camera_0.avi")
 LIVE, NOISE_GREY = 10_000, 0.5
 CONNECTIONS, PATTERNS = 100, 500
 CREEP_PX, LIGHT = 1.5, (0.8, 1.2)
+# mode of the emulated camera, duration, expected code and text
 MODES = (
     ("dark", 1.0, "", ""),
     ("dark", None, "CAMERA-DARK", "stay dark"),
     ("small_dots", None, "GEL-GRID", "8x10 small-dot gel"),
 )
-"""Mode of the emulated camera, for how long, what is told, and in which words."""
 PLACES = {"by_id": "by-id", "names": "names", "nodes": "nodes"}
 DARKEST = GelsightSettings().darkest_mean
 REST_FILE = "nocontact_train_sensor.png"
@@ -63,7 +63,7 @@ REST_FILE = "nocontact_train_sensor.png"
 
 @figure("faults")
 def damaged_pictures() -> list[Figure]:
-    """What becomes of pictures damaged on their way."""
+    """Damaged pictures: share of those accepted with an error."""
     rows = []
     cv2.setNumThreads(1)
     for native, count in COUNT.items():
@@ -123,7 +123,7 @@ def dropped_frames() -> list[Figure]:
 
 @figure("faults")
 def gels_at_connection() -> list[Figure]:
-    """Which gels are refused when the cameras are connected."""
+    """Exchanged, other and equal gels: number refused at connection."""
     rng = np.random.default_rng(6)
     exchanged = other = wrongly = 0
     both = {"tactile_left": "GEL-OTHER", "tactile_right": "GEL-OTHER"}
@@ -150,7 +150,7 @@ def gels_at_connection() -> list[Figure]:
 
 @figure("faults")
 def cameras_not_to_be_used() -> list[Figure]:
-    """What is said of an emulated camera in the dark or with another grid, through its pipe."""
+    """Emulated cameras in the dark or with another grid: reported reason."""
     rows = []
     with tempfile.TemporaryDirectory() as folder, _Plugged(Path(folder)) as plugged:
         for kind, for_s, code, words in MODES:
@@ -194,7 +194,7 @@ class _Plugged:
         self._front.close()
 
     def connect(self, kind: str, for_s: float | None) -> tuple[Fault | None, list[TactileFrame]]:
-        """Connect anew while ``kind`` is on; return what is told, and the pictures that came."""
+        """Connect while ``kind`` is active; return the reported code and the pictures."""
         stream = self._frames["left"]
         self._connection.disconnect()
         self._connection.wait()
@@ -206,7 +206,7 @@ class _Plugged:
         return self._connection.lines()[0].fault, stream.since(before)[0]
 
     def fade(self) -> Fault | None:
-        """Let the lamps go out in the middle; return what is told within 8 s."""
+        """Switch the lamps off during operation; return the code reported within 8 s."""
         self._front.faults.clear()
         self._connection.begin(tuple(self._connection.devices))
         self._connection.wait()

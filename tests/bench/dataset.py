@@ -198,7 +198,7 @@ def training_cache() -> list[Figure]:
 
 @figure("store")
 def two_hundred_kills() -> list[Figure]:
-    """SIGKILL while episodes and labels are recorded: what was acknowledged and is gone."""
+    """SIGKILL while episodes and labels are recorded: count lost acknowledged ones."""
     with scratch() as folder:
         command = [sys.executable, "-m", "tests.backend.annotations.crash_trials"]
         words = ["random", str(folder / "data"), "200"]
@@ -224,7 +224,7 @@ HEADER_BYTES, REFUSED_S = 100_000_000, 1.0
 
 @figure("faults")
 def damaged_episodes() -> list[Figure]:
-    """Cut at each 4 KiB, flipped, zeroed, overwritten, lengths swapped: what is read of them."""
+    """Episodes cut, flipped, zeroed, overwritten, with swapped lengths: count wrong reads."""
     refused = wrong = 0
     slowest_s = 0.0
     with tempfile.TemporaryDirectory() as name:

@@ -131,13 +131,12 @@ TRIALS: Sequence[tuple[str, Callable[[int], object], int]] = (
     ("devices while collecting", campaign_trial, 30),
 )
 LEAST = 500
-FIRST = 10_000
-"""Other seeds than those of the tests and of the group ``arm``."""
+FIRST = 10_000  # seeds other than those of the tests and of the group ``arm``
 
 
 @figure("faults")
 def faults_of_every_device() -> list[Figure]:
-    """Random faults at random instants: how many did not end as documented."""
+    """Random faults at random instants: count those not ended as documented."""
     rows, total, missed = [], 0, 0
     with ProcessPoolExecutor(2, get_context("spawn")) as pool:
         for device, trial, count in TRIALS:
@@ -156,8 +155,8 @@ def faults_of_every_device() -> list[Figure]:
 
 GRIP_TRIALS, SEEN_S = 200, 0.2
 PHASES = ("approach", "press", "hold")
+# Range of the angles; instants during contact, early enough for detection.
 TURNS_DEG, FELT_S, LAST_S = (1.5, 10.0), 0.3, 1.7
-"""Angles of the turns; they come while the contact holds the piece, and in time to be seen."""
 
 
 class _Struck(Failing):

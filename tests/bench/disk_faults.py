@@ -36,8 +36,8 @@ print("held", flush=True)
 time.sleep(float(sys.argv[2]))
 other.execute("ROLLBACK")
 """
+# episodes recorded after the refusal was armed; largest number of calls of a kind
 EPISODES, LIMIT = 2, 400
-"""Recorded after the refusal was armed; more calls of a kind than these are not looked at."""
 
 
 @figure("faults")
@@ -111,7 +111,7 @@ def _scenario(place: Path, kind: int, nth: int, tell: Callable[[str], None]) -> 
         context = context_for(dataset)
         library.arm(kind, nth)
         for seed in range(EPISODES + 1):
-            # The disk is well again: what comes last has to succeed.
+            # The disk works again: the last call must succeed.
             last = seed == EPISODES
             if last:
                 tell(f"met {library.was_refused()} - -\n")
@@ -125,7 +125,7 @@ def _scenario(place: Path, kind: int, nth: int, tell: Callable[[str], None]) -> 
 
 
 def _one(place: Path, kind: int, nth: int) -> tuple[bool, list[str]]:
-    """Return whether the call was refused, and what does not hold then."""
+    """Return whether the call was refused, and the violated requirements."""
     known, met, ended, wrong = Known(), False, False, list[str]()
     Dataset.open(place).close()
     pid, out = forked(lambda tell: _scenario(place, kind, nth, tell))

@@ -61,8 +61,8 @@ class Flood:
             self._hub.publish(FaultRaised(self._clock_s(), FLOOD))
 
 
+# view that fails to draw, widget that fails to paint, fault in every step
 KINDS = ("view", "paint event", "bench")
-"""A view that cannot be drawn, a widget that cannot be painted, a fault told in every step."""
 
 
 @figure("faults")
@@ -101,7 +101,7 @@ def _told(
     kinds: Mapping[str, Mapping[str, Mapping[str, float]]],
     words: Callable[[Mapping[str, float]], str],
 ) -> str:
-    """Return for each kind what was with it, and without."""
+    """Return for each kind the results with and without the error."""
     return "; ".join(f"{kind} {words(one['with'])}, without {words(one['without'])}"
                      for kind, one in kinds.items())  # fmt: skip
 

@@ -48,8 +48,7 @@ from touchdown.backend.simulation.release_mujoco import (
     mujoco_available,
 )
 
-FIRST_SEED = 100
-"""Sixty seeds, none used twice: each cell has ten of its own."""
+FIRST_SEED = 100  # sixty seeds, ten per cell
 STACKING_PIECES, STACKING_BOTTOMS, TRIALS = ("pot", "mushroom", "barrel"), ("short", "long"), 10
 UNSAFE = (Outcome.FELL, Outcome.KNOCKED_OVER)
 
@@ -209,6 +208,7 @@ def training_of_one_piece() -> list[Figure]:
 
 
 PART = Scale("part", FULL.probes, epochs=2, groups=20, trials=5, pictured=100, repeated=2)
+# factor from the measured part of a job kind to the full tables
 TIMES = {
     "train": FULL.epochs / PART.epochs,
     "static": FULL.groups / PART.groups,
@@ -216,7 +216,6 @@ TIMES = {
     "devices": FULL.repeated / PART.repeated,
     "twins": FULL.pictured / PART.pictured,
 }
-"""How much more of a kind of job the full tables do; all other kinds are done whole."""
 WORKERS, LIMIT_H = 2, 2.0
 
 

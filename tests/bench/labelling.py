@@ -31,8 +31,7 @@ from touchdown.backend.geometry.pieces import load_pieces
 from touchdown.backend.placement.estimator import NOTABLE_SIGMAS, Ensemble, Estimator, OffsetGrid
 from touchdown.backend.placement.label_review import score_labels
 
-EPISODES, FILMED = 10_000, 120
-"""The queue is long; those that are looked at have films of 2 s."""
+EPISODES, FILMED = 10_000, 120  # length of the queue; episodes with films of 2 s
 LOOKS, NUDGES, ACCEPTED = 100, 200, 50
 
 
@@ -157,8 +156,8 @@ def _now() -> bool:
     return True
 
 
+# In every third grip the piece is 1 to 3 mm off its place along the jaws.
 SLIP_PROBES, PER_GRIP, EVERY = 126, 3, 3
-"""In every third grip the piece sits 1 to 3 mm off its place along the jaws."""
 
 
 @figure("labelling")
@@ -187,8 +186,8 @@ def _row(name: str, badged: list[bool], target: str, *, low: float, high: float)
     return Figure(name, share, "%", target, low <= share <= high, note)
 
 
+# mounting number and time of a picture; the clock restarts with every mounting
 Taken = tuple[int, float]
-"""Mounting (0, 1, ...) and time of a picture: the clock begins anew with every mounting."""
 
 
 def _collect(dataset: Any) -> dict[Taken, bool]:
@@ -260,10 +259,8 @@ BOTTOMS, EACH, SEED = "circle15,circle25,square15", 1000, 77
 WRONG_SHARE, WRONG_MM = 0.02, (1.0, 3.0)
 FIRST = 100
 NOT_FOR_ERRORS = {"audit": "random", "uncertainty": "looks at no label"}
-DRAWN, WORST = 300, 0.1
-"""So many random episodes tell how bad the worst tenth of the model's patches is."""
-Wrong = dict[str, Label]
-"""What each wrong label says; all others are as commanded."""
+DRAWN, WORST = 300, 0.1  # random episodes for the quantile of the model's worst tenth
+Wrong = dict[str, Label]  # displacement of each wrong label; all others are as commanded
 
 
 @figure("queues")

@@ -27,10 +27,9 @@ from touchdown.app.shell.cards import exit_after_timeout
 from touchdown.app.start import THREAD_SWITCH_S
 from touchdown.backend.annotations.dataset import Dataset
 
+# labels entered while the lock is held; all episodes; labels before the timing
 LABELS, EPISODES, WARM_UP = 4, 30, 3
-"""Labels that are nudged and accepted while the lock is held; others before anything is timed."""
-ROUND_S, KEY_MS = 2.0, 15
-"""A round goes on for so long after the lock is let go, and then until all is saved."""
+ROUND_S, KEY_MS = 2.0, 15  # duration of a round after the lock is released; interval of keys
 NUDGES, NUDGE_UM, PERSON = 3, 100, "Ann"
 MOST_GAP_MS = 100.0
 KEY = Qt.Key
@@ -62,7 +61,7 @@ def labels_while_the_catalogue_is_locked() -> list[Figure]:
 
 
 def lost_of(place: Path, asked: Mapping[str, tuple[int, int]]) -> list[str]:
-    """Return the episodes whose accepted label is not what was asked for."""
+    """Return the episodes whose accepted label differs from the entered one."""
     with Dataset.open(place, write=False) as dataset:
         heads = {uuid: dataset.labels.head(uuid) for uuid in asked}
     return [
@@ -73,7 +72,7 @@ def lost_of(place: Path, asked: Mapping[str, tuple[int, int]]) -> list[str]:
 
 
 class Labelling:
-    """The Label page with a person at it; ``asked``: by episode, where its face was put (µm)."""
+    """The Label page with an emulated operator; ``asked``: entered positions (µm)."""
 
     def __init__(self, window: Sliced) -> None:
         self._window, main = window, window.main
@@ -98,12 +97,12 @@ class Labelling:
 
     @property
     def quiet(self) -> bool:
-        """Whether all that was asked for is done."""
+        """Return True if all entered labels are saved."""
         waits = self._keys or self._p.saving.busy or self._p.editing.waits
         return not waits and not self._p.saving.waiting
 
     def accept(self, labels: int) -> None:
-        """Have so many labels nudged and accepted by keys, one key every ``KEY_MS``."""
+        """Nudge and accept labels by keys, one key every ``KEY_MS``."""
         walk = self._p.walk
         for uuid in walk.order[walk.at : walk.at + labels]:
             label = self._p.book.head(uuid).label

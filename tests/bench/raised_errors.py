@@ -52,13 +52,13 @@ class Canvas(QWidget):
     raising = False
 
     def paintEvent(self, event: QPaintEvent) -> None:  # noqa: N802
-        """Raise if told to."""
+        """Raise if armed."""
         if self.raising:
             raise PaintError("as was wanted")
 
 
 class Asked(QObject):
-    """A signal of which the slot is called on the window's thread, whoever emits it."""
+    """Signal whose slot runs on the window's thread."""
 
     now = Signal()
 

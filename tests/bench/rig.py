@@ -95,7 +95,7 @@ def stop_through_the_rig() -> list[Figure]:
 
 @figure("arm")
 def killed_rig() -> list[Figure]:
-    """The rig is killed, or crashes, while the arm moves: when it is told, who stops the arm."""
+    """Rig killed or crashed while the arm moves: time until reported, and stop of the arm."""
     took_ms, moved, again = [], 0, 0
     with served() as bench:
         backend = Backend(bench.settings)
@@ -172,10 +172,7 @@ def outcome(session: Session, seed: int) -> str:
 
 @figure("arm")
 def trials_through_the_rig() -> list[Figure]:
-    """Whole trials through the rig on a hand-wound clock, beside the simulated bench.
-
-    By the compliance over the stream, and by the force program of the controller.
-    """
+    """Whole trials through the rig by stepped clock, compared with the simulated bench."""
     simulated = simulated_session(keep=RecordingOptions(None))
     try:
         usual = [outcome(simulated, seed) for seed in SEEDS]
@@ -206,11 +203,11 @@ def _through(mode: str, usual: Sequence[str]) -> list[Figure]:
 
 PLACES = (Pose(0.0, 0.0, 120.0), Pose(0.0, 0.0, 70.0))
 SPEED_MM_S, MOVES_S, WATCHED_S, REALTIME = 20.0, 8.0, 5.0, 50
+# half of the top speed of a joint; one late command and the next, with a clock tolerance
 MOST_SHARE, MOST_AHEAD = 0.5, 1.05
-"""Half of the top speed of a joint; one late command and the next, with a tolerance for clocks."""
 REFUSED = "RIG-STARVED"
+# The second address (RFC 5737) is unused: only the route is looked up.
 LOOPBACK, ELSEWHERE = "127.0.0.1", ("192.0.2.1", 9)
-"""The second (RFC 5737) is nobody: only the way there is asked for, and nothing is sent."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -230,8 +227,8 @@ class Load:
 
 
 PLAIN = (Load(1), Load(2), Load(4))
+# below the first limit of the idle check (35 ms), between both, above the second (101 ms)
 TAKING = (Load(1, 20), Load(1, 60), Load(1, 150))
-"""Below the first mark of the idle check (35 ms), between both, over the second (101 ms)."""
 TAKES = """
 import os, threading, time
 os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(60))
@@ -245,10 +242,7 @@ while True:
 
 @dataclass(frozen=True, slots=True)
 class Ended:
-    """How a rig fared: ``outcome`` in words, and what the arm was told.
-
-    ``code``: of what refused or ended it, "" if it went on.
-    """
+    """Result of a rig: ``outcome`` as text, and the commands to the arm."""
 
     outcome: str
     code: str
@@ -256,7 +250,7 @@ class Ended:
 
     @property
     def well(self) -> bool:
-        """Whether it was warned, refused, held or went on, and never made a burst."""
+        """Return True if the rig warned, refused, held or went on, without a burst."""
         told = self.told
         safe = told.share <= MOST_SHARE and told.ahead <= MOST_AHEAD and told.late_ms == 0.0
         return safe and self.code in STARVED | {"", REFUSED}
@@ -296,7 +290,7 @@ def pin(number: int, core: int) -> None:
 
 
 def may_take_a_core() -> bool:
-    """Whether programs of this user may run at real-time priority."""
+    """Return True if programs of this user may run at real-time priority."""
     with round_robin_priority(1) as given:
         return given
 
@@ -357,7 +351,7 @@ def up_and_down(backend: Backend) -> None:
 
 @figure("arm")
 def rigs_that_share_a_core() -> list[Figure]:
-    """Beside busy programs, and one that takes the core: outcome, and what the arm was told."""
+    """Rigs beside busy programs and beside one that takes the core: outcome and commands."""
     if not hasattr(os, "sched_getaffinity") or len(os.sched_getaffinity(0)) < 2:
         text = "rigs that share a core: bursts"
         return [Figure(text, None, "", "0", None, "needs Linux and two cores")]
@@ -409,12 +403,9 @@ def rigs_that_share_a_core() -> list[Figure]:
 
 
 MOST_MS = 300.0
-STALLED, LOST, STOPPED, KILLED = 40, 72, 60, 28
-"""Trials of each kind, 200 in all."""
-LOOK_S, STOP_S = 0.6, 0.7
-"""The emulated arm remembers a second: it is asked within that, and stands by then."""
-LEAST_MM, TRIES = 0.2, 4
-"""A trial of which the arm had hardly set out says nothing, and is made again."""
+STALLED, LOST, STOPPED, KILLED = 40, 72, 60, 28  # trials of each kind, 200 in all
+LOOK_S, STOP_S = 0.6, 0.7  # The emulated arm stores one second: the query must come within it.
+LEAST_MM, TRIES = 0.2, 4  # trials with a shorter motion are repeated
 SPEEDS_MM_S = (20.0, 50.0, 5.0)
 TRIES = 3
 BETWEEN_S = 0.1
@@ -473,7 +464,7 @@ class Trial:
             child.process.communicate()
 
     def ends_by_itself(self, child: Child, kind: str, way: str) -> bool:
-        """Let the window freeze or lose what is held; return whether it says something."""
+        """Let the window freeze or lose the hold; return whether the trial is valid."""
         said = self._measured(child, kind, way)
         child.hear("over")
         return said

@@ -37,7 +37,7 @@ def window_beside_a_training_without_memory() -> list[Figure]:
         name = "window beside a training that dies"
         return [Figure(name, None, "", "alive", ok=False, note=f"{found}")]
     ways: Mapping[str, Mapping[str, Mapping[str, float]]] = found["ways"]  # type: ignore[assignment]
-    # The window alone, before it and after it: what the machine does beside is in both.
+    # The window alone, before and after: both include the other load of the machine.
     alone = {way: {name: (one["before"][name] + one["after"][name]) / 2.0 for name in RATES}
              for way, one in ways.items()}  # fmt: skip
     kept = min(one[when][name] / alone[way][name] for way, one in ways.items()

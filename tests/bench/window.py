@@ -9,12 +9,9 @@ from pathlib import Path
 
 from tests.bench.registry import Figure, figure
 
-START_S = 160
-"""Longest time from the command to the first measured second."""
-SOAK_S = 3600
-"""Longest time for 30 simulated minutes."""
-LOAD_S, DECISIONS_S = 20.0, 660.0
-"""A probe takes 6.4 s on the bench, so that 660 s hold 100 decisions."""
+START_S = 160  # longest time from the command to the first measured second
+SOAK_S = 3600  # longest time for 30 simulated minutes
+LOAD_S, DECISIONS_S = 20.0, 660.0  # 660 s hold 100 decisions; a probe takes 6.4 s on the bench
 
 LIMITS = {
     "window_cpu_percent": ("window, share of one core", "%", "<= 30", lambda v: v <= 30),

@@ -32,14 +32,14 @@ from touchdown.backend.devices.melfa.realtime_protocol import decode_mxt_request
 from touchdown.backend.devices.protocols import CommandedMotion, DeviceState
 
 NOISE_BYTES, PIECE, BLOCK = 10_000_000, 256, 1_000_000
+# data rate of the fastest serial line of a device
 LINE_BYTES_S = {
     "dynpick": 92_160, "leptrino": 46_080, "bota": 46_080, "optoforce": 92_160,
     "robotiq-ft300": 1_920, "wsg-binary": 11_520, "wsg-gcl": 11_520, "melfa-r3": 11_520,
 }  # fmt: skip
-"""What the fastest serial line of a device carries; those on a network are asked by turns."""
 TIMES_LINE, MOST_BYTES = 20.0, 1_000_000
+# bytes of a frame before the part protected by its checksum of 16 bits
 HEADS = {"bota": 1, "robotiq-ft300": 2, "optoforce": 4, "wsg-binary": 6}
-"""Bytes of a frame before what its checksum of 16 bits is there for."""
 NOISY_FRAMES, FLIPPED_RECORDS = 500_000, 100_000
 COUNTS_PER_N, MAX_RECORD_STEP_N = 65, 50.0
 LEAPS, STORM_CYCLES, MOST_SHARE = 200, 10, 0.5
@@ -79,7 +79,7 @@ def noise_on_every_line() -> list[Figure]:
 
 @figure("faults")
 def noise_in_frames_with_checksum() -> list[Figure]:
-    """Frames with the right head and length and noise for the rest: how many are believed."""
+    """Frames with valid head and length and random content: count accepted ones."""
     believed, names = 0, []
     for name, head in HEADS.items():
         codec, rng = CODECS[(name, IN)], random.Random(name)
@@ -179,7 +179,7 @@ def _travelled(loss: float, minutes: float) -> _Travelled:
 
 
 def _places(rig: Rig) -> FloatArray:
-    """Where the commands since the last clearing put the hand: (n, 3) mm."""
+    """Return the positions commanded since the last clearing: (n, 3) mm."""
     targets = [decode_mxt_request(packet).target for _, packet in rig.wires.packets]
     axes = [np.array(target.axes[:6]) for target in targets if target is not None]
     return np.array([rig.placing.pivot_mm(joints) for joints in axes])
@@ -202,7 +202,7 @@ def ten_minutes_of_lost_packets() -> list[Figure]:
 
 @figure("faults")
 def steps_too_large() -> list[Figure]:
-    """Motions that leap, by any step, any way, so many cycles in a row: what the controller saw."""
+    """Motions with jumps of any size, direction and number: largest step at the controller."""
     rng, broken, share = np.random.default_rng(11), [], 0.0
     faults = refused = 0
     for number in range(LEAPS):
@@ -249,8 +249,7 @@ SHARES = (1e-3, 1e-2, 0.1, 0.3)
 EDITED_FRAMES, CLEAN, TRIALS = 400, 6, 20
 LOST_FRAMES = 2
 PIECES = (1, 7, 64, 10_000)
-SENSITIVITIES = {"24.9": 24.9, "65": 65.0}
-"""Counts for a newton of two sizes of the sensor without checksum."""
+SENSITIVITIES = {"24.9": 24.9, "65": 65.0}  # counts per newton of two sizes of the sensor
 FLIPPED_UNDER_LOAD, MAX_LOADED_STEP_N, LOAD_N, HELD, BESIDE = 20_000, 50.0, 80.0, 40, 4
 
 

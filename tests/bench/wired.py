@@ -60,14 +60,13 @@ TRIAL_ATTEMPTS = 3
 
 @dataclass
 class Run:
-    """What one trial gave: its end, its first episode, its faults."""
+    """Result of one trial: end, first episode, faults."""
 
     ends: list[TrialFinished] = field(default_factory=list)
     episodes: list[Episode] = field(default_factory=list)
+    # includes sensors that paused the run; without an operator this ends the try
     faults: list[str] = field(default_factory=list)
-    """Also of a sensor for which the run paused: with nobody to resume it, that ended the try."""
-    presses: int = 0
-    """Until the first episode; a press that was void and is made again has moved the piece."""
+    presses: int = 0  # presses before the first episode; repeated presses move the piece
 
     def hear(self, fact: Event) -> None:
         if isinstance(fact, TrialFinished):
@@ -169,8 +168,7 @@ MOST_PC = 2.0
 BEHIND_S = 0.06
 NOISY = SimulationSettings()
 STILL = SimulationSettings.model_validate({"wrist": {"white_n": 0.01, "white_nm": 0.0004}})
-LONGER_S = 1.7
-"""Another rest before the press is other noise; nothing else depends on it."""
+LONGER_S = 1.7  # a longer rest before the press gives other noise and changes nothing else
 
 
 def share(name: str, apart_pc: Sequence[float], *, promised: bool = True) -> Figure:
@@ -200,18 +198,17 @@ def parts_of_the_first_probe(trials: int = TRIALS) -> list[Figure]:
 
 
 PROBES, DAY_ATTEMPTS = 4, 8
-SETTLE_S = 1.5
-"""The sensors begin to deliver."""
+SETTLE_S = 1.5  # start-up time of the sensors
+# commanded; near the surface the speed is that of contact
 JOG_MM_S, JOG_S, LEAST_MM = 10.0, 1.0, 1.0
-"""Asked; near the surface, where the day begins, a jog goes at the speed of contact."""
 PERSON = "bench"
+# plugs pulled one after the other, during the probes of a scene
 PULLED, PULLED_AT_S, PULLED_S = ("force_torque", "tactile_left", "arm"), 14.0, 3.0
-"""One plug after the other is out for a moment, amid the probes of the scene that is then set."""
 TINY = ("--labels", "submitted", "--divide-series", "--epochs", "1")
 
 
 class Day:
-    """One day in ``folder``; each part returns whether it held."""
+    """One day in ``folder``; each part returns True on success."""
 
     def __init__(self, folder: Path, bench: EmulatedBench, dataset: Dataset) -> None:
         self.folder, self.bench, self.session, self.dataset = folder, bench, bench.session, dataset
@@ -290,7 +287,7 @@ class Day:
         return self.run(StackRequest("pot", ("short",), 301))
 
     def review(self) -> bool:
-        """What the newest run wrote is read again as it was told."""
+        """Compare the files of the newest run with its events."""
         folder = self.session.run_folder
         told = [fact for fact in self.facts if isinstance(fact, TrialFinished)]
         assert folder is not None
@@ -326,7 +323,7 @@ class Day:
 
 @figure("wired")
 def operators_day_over_wires() -> list[Figure]:
-    """Which parts of the day did not hold, and what had to be begun again."""
+    """Operator's day over the wires: count parts that failed."""
     with (
         tempfile.TemporaryDirectory() as name,
         Dataset.open(Path(name) / "ds", person=PERSON) as dataset,
@@ -347,7 +344,7 @@ def pulled(device: str) -> FaultPlan:
 
 @figure("wired")
 def plugs_pulled_while_collecting() -> list[Figure]:
-    """Plugs are pulled and put back amid a campaign, which goes on after Reset: what is missing."""
+    """Plugs pulled and reinserted during a campaign with Reset: count lost probes."""
     plans = [pulled(device) for device in PULLED]
     with (
         tempfile.TemporaryDirectory() as name,

@@ -62,10 +62,9 @@ from touchdown.backend.runs.recorder import RecordingOptions
 from touchdown.backend.runs.requests import StackRequest
 
 FIRST = 20_000
-EARLIEST_S, LATEST_S = 0.5, 16.0
-"""When a fault begins, after the devices are there: from the first step of connecting on."""
+EARLIEST_S, LATEST_S = 0.5, 16.0  # range of the instant of a fault after the start of connecting
+# time until the arm stands after a trial; time after which a fault must have had an effect
 SETTLE_S, SURELY_S = 1.0, 4.0
-"""An arm stands so long after a trial; a trial that goes on for so long after its fault met it."""
 MOST_SHARE, MOST_LATE_S, MOST_N, STANDS_MM = 0.5, 0.15, 60.0, 0.05
 """Step share of `melfa.mxt.step_fraction`; a stream may go on for 29 cycles before its end is
 known; the highest force of reliability section 4.7; an arm that stands."""
@@ -83,11 +82,11 @@ CAMERA = {
     *("CAMERA-LINK", "CAMERA-STALE", "CAMERA-FROZEN", "CAMERA-DARK", "NO-REFERENCE"),
     *("PROBE-REJECTED", "DEGRADED"),
 }
+# Fault codes caused by a busy computer (docs/hardware.md), counted separately.
 APPLIED_LOAD = {
     *("BACKEND-SILENT", "LEASE-LAPSED", "MXT-LOST", "PRESS-VOID", "FT-STALE", "CAMERA-STALE"),
     *("PROBE-REJECTED", "DEGRADED"),
 }
-"""What a computer that is busy elsewhere brings about (docs/hardware.md): counted apart."""
 CODES = {
     "arm": ARM,
     "force_torque": WRIST,
@@ -147,7 +146,7 @@ Told = TypeVar("Told", bound=Event)
 
 @dataclass
 class Heard:
-    """What a trial told, and when its arm first moved (monotonic)."""
+    """Events of a trial, and the first motion of the arm (monotonic time)."""
 
     facts: list[Event] = field(default_factory=list)
     moved_s: float = float("inf")
@@ -157,21 +156,20 @@ class Heard:
         return {f.fault.code for f in self.facts if isinstance(f, FaultRaised | Paused)}
 
     def of(self, kind: type[Told]) -> list[Told]:
-        """Return the facts of one kind."""
+        """Return the figure of the trials."""
         return [fact for fact in self.facts if isinstance(fact, kind)]
 
 
 @dataclass(frozen=True)
 class Struck:
-    """One trial: what struck it when, how it ended, and which rows do not hold."""
+    """Result of a trial: device, instant, end, violated requirements."""
 
     seed: int
     kind: Kind
     at_s: float
     ended: str
     broken: tuple[str, ...]
-    loaded: bool = False
-    """Ended by what the load of the computer brings about, not by the fault."""
+    loaded: bool = False  # ended by the load of the computer
 
     def __str__(self) -> str:
         what = f"{self.kind.device} {self.kind.kind} {self.kind.for_s:g} s"
@@ -250,7 +248,7 @@ class Campaign:
             session.advance()
 
     def _lost(self) -> list[str]:
-        """Return the acknowledged episodes that are not there as they were told."""
+        """Return the acknowledged episodes that are missing or differ."""
         folder, lost = self.bench.session.run_folder, []
         for fact in self._heard.of(EpisodeRecorded):
             assert folder is not None
@@ -261,7 +259,7 @@ class Campaign:
 
 
 def witnessed(seen: DriverObservations, released: int) -> dict[str, bool]:
-    """Return by row whether the devices saw no unsafe command; NaN holds none."""
+    """Return by requirement whether the devices received no unsafe command."""
     return {
         f"a step of {seen.step_share:.2f} of the top speed": seen.step_share <= MOST_SHARE,
         f"a command {seen.late_command_s:.3f} s after the end": seen.late_command_s <= MOST_LATE_S,
@@ -284,12 +282,12 @@ def campaign(trials: int = len(KINDS), first: int = FIRST) -> list[Struck]:
 
 @figure("wired-faults")
 def faults_over_the_wires() -> list[Figure]:
-    """How many trials did not end as documented when a device failed in them."""
+    """Whole trials with a failing device: count those not ended as documented."""
     return [of(campaign())]
 
 
 def of(ended: Sequence[Struck]) -> Figure:
-    """Return the figure of so many trials."""
+    """Return the figure of the trials."""
     broken = [one for one in ended if one.broken]
     endings = Counter(one.ended.split()[0] for one in ended)
     kinds = len({(one.kind.device, one.kind.kind) for one in ended})
@@ -485,7 +483,7 @@ def _lifted(lifts: int) -> list[Figure]:
 
 
 class StandIn:
-    """What OpenCV has of a camera that was unplugged: no picture, an empty or an old one."""
+    """Results of OpenCV for an unplugged camera: no picture, an empty or an old one."""
 
     def __init__(self, path: str, _: int) -> None:
         self._node = Path(path).resolve()

@@ -140,7 +140,7 @@ def worst(
 
 @figure("faults")
 def quitting_asked_for_by_workers(asked: int = ASKED) -> list[Figure]:
-    """Each kind of thread asks for the end of the window: until its process is gone."""
+    """Each kind of thread requests the end of the program: time until the process has ended."""
     took_s: list[tuple[float, str]] = []
     for number in range(asked):
         thread = THREADS[number % len(THREADS)]
@@ -211,13 +211,12 @@ def _taken(path: Path) -> bool:
 
 
 READS = ("raises", "leaves", "killed", "crashes", "stopped", "deadlock")
+# The devices continue without the thread that waits for the next scene; its deadlock is reported
+# with the next scene.
 SERVES = ("raises", "leaves", "killed", "crashes", "stopped")
-"""Its devices go on without the thread that waits for the next scene: a deadlock of that one is
-told with the next scene."""
 NAMES = {"BENCH-GONE", "BENCH-STILL"}
 NEXT_SCENE_S = 15.0
-BEGUN_S = 0.1
-"""Of its processor: a reader is done with a small file after some more."""
+BEGUN_S = 0.1  # processor time after which a reader has started its work
 Found = dict[str, float | str]
 
 
@@ -287,7 +286,7 @@ def emulated(way: str) -> Found:
 
 
 def next_scene() -> Found:
-    """The thread that waits for the next scene deadlocks: what asking for that comes to."""
+    """Deadlock of the thread that waits for the next scene: time until reported."""
     before = children()
     bench = EmulatedBench(SimulatedBenchChoice(preset="quiet"), keep=RecordingOptions(None))
     try:
@@ -331,7 +330,7 @@ def reading(way: str) -> Found:
 
 
 class Told(Exception):  # noqa: N818 - what Ctrl-C is for its operator
-    """Ends the wait for jobs as soon as something was told."""
+    """Ends the wait for jobs at the first report."""
 
 
 def pooled(way: str) -> Found:
@@ -384,8 +383,7 @@ def failing_children_without_a_window() -> list[Figure]:
 
 
 EPOCHS = 6
-ROOM_BYTES = 65_536
-"""What a training may still take once its limit is set: less than a batch needs."""
+ROOM_BYTES = 65_536  # memory left to the training: less than a batch
 
 
 def out_of_memory(number: int) -> None:

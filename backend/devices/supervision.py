@@ -161,7 +161,7 @@ class GripMonitor:
         if gripper.state is not DeviceState.READY:
             self._since_s = None
             return None
-        if self._lets_go() or not told:
+        if self._may_leave() or not told:
             return None
         if self._since_s is None:
             self._since_s = now_s if status.holding else None
@@ -192,7 +192,7 @@ class GripMonitor:
             self._weak_s = None
         return self._weak_s is not None and now_s - self._weak_s >= WEAK_S - 1e-6
 
-    def _lets_go(self) -> bool:
+    def _may_leave(self) -> bool:
         """Return True if the piece may leave now. A newer grip restarts the monitoring."""
         ordered = self._ordered
         if ordered is None:
@@ -258,10 +258,14 @@ class ArrivalMonitor:
         if self._judged or now_s - self._came[-1][0] <= APART * self._period_s:
             return
         self._judged = True
-        if self.slow_since_s is None and self._share() < SLOW_ARRIVAL_SHARE and not self._held_up():
+        if (
+            self.slow_since_s is None
+            and self._share() < SLOW_ARRIVAL_SHARE
+            and not self._is_delayed()
+        ):
             self.slow_since_s = self._came[0][0]
 
-    def _held_up(self) -> bool:
+    def _is_delayed(self) -> bool:
         """Return True after a long wait: the batch that ends it may be incomplete."""
         longest_s = max(b[0] - a[0] for a, b in pairwise(self._came))
         return longest_s > max(WAIT_S, WAIT_PERIODS * self._period_s)

@@ -161,30 +161,30 @@ class Faults:
             self._held.clear()
             return []
         sent = [piece for message in messages for piece in self._damaged(now_s, message)]
-        if len(sent) > 1 and self._strikes("reorder", now_s):
+        if len(sent) > 1 and self._occurs("reorder", now_s):
             sent[-2:] = sent[:-3:-1]
         due = [message for at_s, message in self._held if at_s <= now_s]
         self._held = [item for item in self._held if item[0] > now_s]
         return due + sent
 
     def _damaged(self, now_s: float, message: bytes) -> list[bytes]:
-        if not message or self._strikes("lost", now_s):
+        if not message or self._occurs("lost", now_s):
             return []
-        if self._strikes("flip", now_s):
+        if self._occurs("flip", now_s):
             at = self._rng.randrange(len(message))
             spoilt = message[at] ^ (1 << self._rng.randrange(8))
             message = message[:at] + bytes((spoilt,)) + message[at + 1 :]
-        if self._strikes("cut", now_s):
+        if self._occurs("cut", now_s):
             message = message[: self._rng.randrange(len(message))]
-        if self._strikes("garbage", now_s):
+        if self._occurs("garbage", now_s):
             message = self._rng.randbytes(self._rng.randint(1, LONGEST_GARBAGE)) + message
         late = self.find("late", now_s)
         if late is not None and self._rng.random() < late.share:
             self._held.append((now_s + late.by_s, message))
             return []
-        return [message, message] if self._strikes("duplicate", now_s) else [message]
+        return [message, message] if self._occurs("duplicate", now_s) else [message]
 
-    def _strikes(self, kind: str, now_s: float) -> bool:
+    def _occurs(self, kind: str, now_s: float) -> bool:
         fault = self.find(kind, now_s)
         return fault is not None and self._rng.random() < fault.share
 
@@ -247,7 +247,7 @@ class SampleSchedule:
         self._start_s: float | None = None
         self._period_s = 1.0
         self._sent = 0
-        self._thinned = Decimator()
+        self._decimator = Decimator()
         # Faults of the sensor: ``slow`` reduces the number of samples due.
         self.faults: Faults | None = None
 
@@ -276,4 +276,4 @@ class SampleSchedule:
 
     def _taken(self, t_s: float) -> bool:
         slow = None if self.faults is None else self.faults.find("slow", t_s)
-        return slow is None or slow.hz is None or self._thinned.takes(t_s, slow.hz)
+        return slow is None or slow.hz is None or self._decimator.takes(t_s, slow.hz)

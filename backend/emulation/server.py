@@ -99,14 +99,14 @@ class DeviceServer(ABC):
     def _is_unplugged(self) -> bool:
         return self.faults.active("unplug", self._clock.now_s())
 
-    def _took(self, data: bytes) -> float:
+    def _log_received(self, data: bytes) -> float:
         """Count and log received bytes; return the time."""
         now_s = self._clock.now_s()
         self.received += len(data)
         self.log.append(Exchange(now_s, True, data))
         return now_s
 
-    def _gave(self, data: bytes) -> None:
+    def _log_sent(self, data: bytes) -> None:
         self.sent += len(data)
         self.log.append(Exchange(self._clock.now_s(), False, data))
 
@@ -134,12 +134,12 @@ class StreamServer(DeviceServer):
                     data = read()
                     if not data:
                         return
-                    answer = self._device.receive(self._took(data), data)
+                    answer = self._device.receive(self._log_received(data), data)
                 now_s = self._clock.now_s()
                 messages = self.faults.outgoing(now_s, (answer, self._device.due(now_s)))
                 if out := self.damage(b"".join(messages)):
                     write(out)
-                    self._gave(out)
+                    self._log_sent(out)
 
 
 class TcpServer(StreamServer):
@@ -351,7 +351,7 @@ class UdpServer(DeviceServer):
             if client != self._client:
                 self._client = client
                 self.clients += 1
-            answers.extend(self._device.receive(self._took(data), data))
+            answers.extend(self._device.receive(self._log_received(data), data))
         return answers
 
     def _send(self, out: bytes) -> None:
@@ -360,4 +360,4 @@ class UdpServer(DeviceServer):
         # A closed client causes an error here; a full buffer loses the datagram.
         with contextlib.suppress(ConnectionError, BlockingIOError):
             self._socket.sendto(out, self._client)
-            self._gave(out)
+            self._log_sent(out)

@@ -152,7 +152,7 @@ class BenchConnection:
     def acknowledge(self) -> None:
         """Acknowledge a fast stop of the gripper, on the operator's command."""
         gripper = self._gripper()
-        self._start(lambda: self._told("gripper", gripper.acknowledge), ())
+        self._start(lambda: self._run_step("gripper", gripper.acknowledge), ())
 
     def cancel(self) -> None:
         """Cancel connecting; returns at once. Connected devices stay connected."""
@@ -195,7 +195,7 @@ class BenchConnection:
                         continue
                     self._present = name
                     self._waiting = [one for one in self._waiting if one != name]
-                    self._told(name, partial(work, name))
+                    self._run_step(name, partial(work, name))
         finally:
             self._present, self._waiting = "", []
         if self.ready and not self._cancel.is_set():
@@ -231,7 +231,7 @@ class BenchConnection:
     def _close(self, names: Sequence[str]) -> None:
         for name in names:
             self._faults.pop(name, None)
-            self._told(name, self.devices[name].close)
+            self._run_step(name, self.devices[name].close)
 
     def _home(self, gripper: HomingGripper) -> None:
         def home() -> None:
@@ -243,9 +243,9 @@ class BenchConnection:
                 raise FaultError(NOT_HOMED)
             motion.result()
 
-        self._told("gripper", home)
+        self._run_step("gripper", home)
 
-    def _told(self, name: str, work: Callable[[], None]) -> None:
+    def _run_step(self, name: str, work: Callable[[], None]) -> None:
         """Run ``work`` and store its fault; clear the former one."""
         try:
             work()

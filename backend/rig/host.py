@@ -161,7 +161,7 @@ class RigHost:
     def round(self) -> bool:
         """Run one control cycle; return True if the process has to end."""
         now_s = self._now_s()
-        self._hand_on(now_s)
+        self._publish_samples(now_s)
         with self._lock:
             try:
                 out = self._core.step(now_s, self._inbox())
@@ -198,7 +198,7 @@ class RigHost:
             for number in [n for n in self._motions.of_arm if self._motions.under_way[n].done]:
                 self._end(number, out.why)
         if out.fault is not None:
-            self._tell_fault(now_s, out.fault)
+            self._report_fault(now_s, out.fault)
 
     def _stop(self, now_s: float, why: str) -> None:
         self._note(now_s, why)
@@ -213,16 +213,16 @@ class RigHost:
         else:
             arm.stop()
 
-    def _tell_fault(self, now_s: float, fault: Fault) -> None:
+    def _report_fault(self, now_s: float, fault: Fault) -> None:
         self._note(now_s, f"fault {fault.code}: {fault.what}")
         self._say({"kind": "fault", "number": self._core.faults, "fault": fault_row(fault)})
 
     # -- shared memory ----------------------------------------------------------------------------
 
-    def _hand_on(self, now_s: float) -> None:
+    def _publish_samples(self, now_s: float) -> None:
         """Copy new samples into the shared rings, and one line into the flight recorder."""
-        wrench = self._copied(0, self.devices.samples, self._memory.wrench)
-        self._copied(1, self.devices.poses, self._memory.poses)
+        wrench = self._copy_new_samples(0, self.devices.samples, self._memory.wrench)
+        self._copy_new_samples(1, self.devices.poses, self._memory.poses)
         if wrench is not None:
             finite = np.isfinite(wrench.values).all(axis=1)
             if finite.any():
@@ -230,7 +230,7 @@ class RigHost:
         if self._traced is not None and self.devices.arm.state is not DeviceState.CLOSED:
             self._memory.rounds.put(np.array([now_s]), np.array([self._traced.trace()]))
 
-    def _copied(self, which: int, stream: SampleStream, ring: Ring) -> Samples | None:
+    def _copy_new_samples(self, which: int, stream: SampleStream, ring: Ring) -> Samples | None:
         """Copy new samples of a stream into its ring and return them, None without any."""
         if stream.count == self._cursors[which]:
             return None
@@ -249,10 +249,10 @@ class RigHost:
                 "gripper": gripper_row(self.devices.gripper, self._homing),
                 "force_torque": sensor_row(self.devices.force_torque),
             }
-            self._remember_grip(now_s)
+            self._store_grip_width(now_s)
             self._memory.show({name: {**self._slow[name], **row} for name, row in rows.items()})
 
-    def _remember_grip(self, now_s: float) -> None:
+    def _store_grip_width(self, now_s: float) -> None:
         """Store the width of the gripped piece once the jaws have settled. A gripper reports a grip
         before its final width.
         """

@@ -160,7 +160,7 @@ class RigLink:
         if self.lost is not None:
             raise FaultError(self.lost)
         self._thread = threading.Thread(
-            target=self._keep_time, args=(memory, ended), name="rig link", daemon=True
+            target=self._run_cycles, args=(memory, ended), name="rig link", daemon=True
         )
         self._thread.start()
 
@@ -258,7 +258,7 @@ class RigLink:
             raise FaultError(NOT_STARTED)
         number, answer = next(self._numbers), _PendingAnswer()
         self._answers[number] = answer
-        self._tell_reset(channel)
+        self._forward_reset(channel)
         order = {"kind": "order", "id": number, "order": name, "args": arguments}
         taken = channel.say({**order, "lease_until_s": self._interlock.lease_until_s})
         if not taken or not self.running:
@@ -310,7 +310,7 @@ class RigLink:
 
     # -- heartbeat thread -------------------------------------------------------------------------
 
-    def _keep_time(self, memory: SharedMemory, ended: threading.Event) -> None:
+    def _run_cycles(self, memory: SharedMemory, ended: threading.Event) -> None:
         set_realtime_priority(min(PRIORITY, self._settings.melfa.realtime_priority))
         beats, beat_s = memory.rig_beats, time.monotonic()
         while not ended.wait(BEAT_S):
@@ -319,7 +319,7 @@ class RigLink:
             self._copy(memory)
             channel = self._channel
             if channel is not None:
-                self._tell_reset(channel)
+                self._forward_reset(channel)
                 self._tell_limits(channel)
             now_s = time.monotonic()
             if memory.rig_beats != beats:
@@ -337,7 +337,7 @@ class RigLink:
                 if len(t_s):
                     stream.put(t_s, values)
 
-    def _tell_reset(self, channel: Channel) -> None:
+    def _forward_reset(self, channel: Channel) -> None:
         """Reset the latch of the rig after the operator has reset that of the bench."""
         with self._counting:
             behind = (self._stops_reset, self._faults_reset) != (self._stops, self._faults)

@@ -107,7 +107,7 @@ def _serve(
     gc.collect()
     gc.freeze()
     try:
-        _keep_time(host, parent)
+        _run_cycles(host, parent)
     finally:
         _end(host)
     return 0
@@ -126,7 +126,7 @@ def _hello(devices: Devices, *, realtime: bool, locked: bool) -> Message:
     }
 
 
-def _keep_time(host: RigHost, parent: ParentProcess) -> None:
+def _run_cycles(host: RigHost, parent: ParentProcess) -> None:
     """Run a cycle every ``ROUND_S`` until one ends the process; missed cycles are skipped."""
     never = threading.Event()
     deadline_s = time.monotonic()

@@ -119,10 +119,10 @@ class _Remote:
         self._link.start()
         self._open.add(self._name)
         done = threading.Event()
-        watch = threading.Thread(target=self._hand_on, args=(cancel, done), daemon=True)
+        watch = threading.Thread(target=self._forward_cancel, args=(cancel, done), daemon=True)
         watch.start()
         try:
-            self._link.order(f"{self._name}.connect", timeout_s=timeout_s, **self._known())
+            self._link.order(f"{self._name}.connect", timeout_s=timeout_s, **self._previous_state())
         except BaseException:
             self._leave()
             raise
@@ -138,7 +138,7 @@ class _Remote:
             self._link.order(f"{self._name}.close")
         self._leave()
 
-    def _known(self) -> Mapping[str, Any]:
+    def _previous_state(self) -> Mapping[str, Any]:
         """Return the state from before, for the rig."""
         return {}
 
@@ -147,7 +147,7 @@ class _Remote:
         if not self._open:
             self._link.close()
 
-    def _hand_on(self, cancel: threading.Event, done: threading.Event) -> None:
+    def _forward_cancel(self, cancel: threading.Event, done: threading.Event) -> None:
         while not done.wait(0.02):
             if cancel.is_set():
                 self._link.cancel()
@@ -281,7 +281,7 @@ class RigGripper(_Remote):
 
     lost_holding = False
 
-    def _known(self) -> Mapping[str, Any]:
+    def _previous_state(self) -> Mapping[str, Any]:
         return {"lost_holding": self.lost_holding}
 
     def _leave(self) -> None:

@@ -420,7 +420,7 @@ class ForceTorqueReader:
             self._require_link()
         except FaultError as error:
             self.close()
-            stranger = "" if cancel.is_set() else self._stranger()
+            stranger = "" if cancel.is_set() else self._other_device()
             if not stranger:
                 raise
             raise FaultError(link_fault(stranger)) from error
@@ -442,7 +442,7 @@ class ForceTorqueReader:
         if self._stop.is_set() and self.fault is not None:
             raise FaultError(self.fault)
 
-    def _stranger(self) -> str:
+    def _other_device(self) -> str:
         """Return a sentence that names another device in place of the sensor, else ""."""
         with suppress(OSError), closing(self._open_link(self._new_language())) as link:
             stranger = identify_device(link.write, link.read, self._settings.driver)

@@ -317,9 +317,9 @@ class TactileCamera:
             self._fail(self._gate.fault)
         if image is not None:
             jpeg = isinstance(content, bytes)
-            self._hand_on(TactileFrame(self.finger, sequence, t_s, image, jpeg))
+            self._deliver_picture(TactileFrame(self.finger, sequence, t_s, image, jpeg))
 
-    def _hand_on(self, frame: TactileFrame) -> None:
+    def _deliver_picture(self, frame: TactileFrame) -> None:
         self._frames.put(frame.t_s, frame)
         self._received += 1
         self._arrivals.append(frame.t_s)

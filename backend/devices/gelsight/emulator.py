@@ -71,7 +71,7 @@ class GelsightServer(DeviceServer):
     def close(self) -> None:
         """Stop and remove the device."""
         super().close()
-        self._pull()
+        self._remove_device()
 
     def _link(self, index: int) -> Path:
         name = f"usb-Arducam_GelSight_Mini_R0B_{self._serial}:_Ge-video-index{index}"
@@ -105,8 +105,8 @@ class GelsightServer(DeviceServer):
     def _node_of(self, number: int) -> Path:
         return self._folder / "nodes" / f"video{number}"
 
-    def _pull(self) -> None:
-        self._hang_up()
+    def _remove_device(self) -> None:
+        self._close_pipe()
         for index, one in enumerate((self._node, self._mute)):
             link = self._link(index)
             if link.is_symlink() and link.readlink().name == one.name:
@@ -132,7 +132,7 @@ class GelsightServer(DeviceServer):
     def _replug(self) -> None:
         """Remove the device during the fault; return as another node."""
         before = self._node
-        self._pull()
+        self._remove_device()
         while self._is_unplugged() and not self._stop.wait(IDLE_S):
             pass
         try:
@@ -170,7 +170,7 @@ class GelsightServer(DeviceServer):
 
     def _write(self, out: bytes) -> None:
         """Write one picture if there is a reader; unread data are lost."""
-        if not self._answered():
+        if not self._has_reader():
             return
         rest, file = memoryview(out), self._file
         while rest and file is not None and not self._stop.is_set():
@@ -180,11 +180,11 @@ class GelsightServer(DeviceServer):
                 if not select.select([], [file], [], self._period_s)[1]:
                     break
             except BrokenPipeError:
-                self._hang_up()
+                self._close_pipe()
                 return
-        self._gave(out[: len(out) - len(rest)])
+        self._log_sent(out[: len(out) - len(rest)])
 
-    def _answered(self) -> bool:
+    def _has_reader(self) -> bool:
         """Return True if the pipe has a reader; opens it for writing on the first one."""
         if self._file is None:
             with contextlib.suppress(OSError):  # no reader
@@ -192,7 +192,7 @@ class GelsightServer(DeviceServer):
                 self.clients += 1
         return self._file is not None
 
-    def _hang_up(self) -> None:
+    def _close_pipe(self) -> None:
         if self._file is not None:
             os.close(self._file)
             self._file = None

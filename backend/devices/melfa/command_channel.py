@@ -226,7 +226,7 @@ class ControllerLinks(Protocol):
     def finish(self, ticket: PendingRequest) -> None:
         """Wait until the request is done."""
 
-    def watch_anew(self) -> None:
+    def restart_timing(self) -> None:
         """Restart the count of ``times``."""
 
     def pause(self, seconds: float) -> None:
@@ -331,7 +331,7 @@ def idle_check_notice(
     """
     if not settings.idle_check_s:
         return ""
-    wires.watch_anew()
+    wires.restart_timing()
     watched_s = 0.0
     while watched_s < settings.idle_check_s:
         go_on()

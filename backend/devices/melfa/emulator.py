@@ -156,10 +156,10 @@ class MelfaServer(DeviceServer):
                     else:
                         self._answer(ready, sessions[ready])
                 now_s = self._clock.now_s()
-                self._trouble(now_s)
+                self._apply_faults(now_s)
                 for out in self.faults.outgoing(now_s, answers):
                     self._send(stream, out, caller)
-                self._tend(now_s, selector, sessions)
+                self._serve_due(now_s, selector, sessions)
         for client, session in sessions.items():
             session.closed(self._clock.now_s())
             client.close()
@@ -175,7 +175,7 @@ class MelfaServer(DeviceServer):
             data, caller = stream.recvfrom(CHUNK)
         except (BlockingIOError, ConnectionError):
             return None
-        answer = self._device.stream.receive(self._took(data), data)
+        answer = self._device.stream.receive(self._log_received(data), data)
         if answer is not None:
             answers.append(answer)
         return caller[0], caller[1]
@@ -186,7 +186,7 @@ class MelfaServer(DeviceServer):
             return
         with contextlib.suppress(ConnectionError, BlockingIOError):
             stream.sendto(out, caller)
-            self._gave(out)
+            self._log_sent(out)
 
     # -- commands ---------------------------------------------------------------------------------
 
@@ -214,12 +214,12 @@ class MelfaServer(DeviceServer):
         if not data:
             session.gone = True
             return
-        now_s = self._took(data)
+        now_s = self._log_received(data)
         if b";STOP\r" in data:
             self.stops.append(now_s)
         self._reply(client, session, session.receive(now_s, data))
 
-    def _tend(
+    def _serve_due(
         self,
         now_s: float,
         selector: selectors.BaseSelector,
@@ -243,11 +243,11 @@ class MelfaServer(DeviceServer):
         except (ConnectionError, TimeoutError):
             session.gone = True
         else:
-            self._gave(out)
+            self._log_sent(out)
 
     # -- faults -----------------------------------------------------------------------------------
 
-    def _trouble(self, now_s: float) -> None:
+    def _apply_faults(self, now_s: float) -> None:
         """Start and end faults of the controller."""
         controller = self._device.controller
         for kind, begin in self._begins.items():

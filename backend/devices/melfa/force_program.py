@@ -106,7 +106,7 @@ class ControllerPress:
         """Process samples (n,), (n, 3) and the program state; a returned fault aborts the
         program.
         """
-        tripped = self._feel(*samples)
+        tripped = self._add_samples(*samples)
         if not self.under_way:
             return None
         fault = self._wrong(now_s, tripped, running=running)
@@ -132,7 +132,7 @@ class ControllerPress:
             return LATE if self._unloading is None else not_unloaded_fault(self._press_n)
         return None
 
-    def _feel(self, t_s: FloatArray, force_n: FloatArray) -> bool:
+    def _add_samples(self, t_s: FloatArray, force_n: FloatArray) -> bool:
         """Add samples; return True above the trip limit."""
         finite = np.isfinite(force_n).all(axis=1)
         if not finite.any():

@@ -197,7 +197,7 @@ class SocketLinks:
         """Wait until the request is done; it fails by itself after its time limit."""
         ticket.wait(FINISH_S)
 
-    def watch_anew(self) -> None:
+    def restart_timing(self) -> None:
         """Restart the count of ``times`` from the next cycle on."""
         self.times = CycleTimes(realtime=self.times.realtime)
         self._anew.set()
@@ -256,14 +256,14 @@ class SocketLinks:
         self, wire: socket.socket, cycle: CycleFunction, lost: Callable[[Fault], None]
     ) -> None:
         try:
-            self._keep_time(wire, cycle)
+            self._run_cycles(wire, cycle)
         finally:
             # Also after a program error: nothing may move without this thread.
             if not self._stop.is_set():
                 self.stop_now(END)
                 lost(link_fault("The real-time stream has ended by an error of this program."))
 
-    def _keep_time(self, wire: socket.socket, cycle: CycleFunction) -> None:
+    def _run_cycles(self, wire: socket.socket, cycle: CycleFunction) -> None:
         realtime = set_realtime_priority(self._settings.realtime_priority)
         deadline_s = time.monotonic() + CYCLE_S
         self.times = times = CycleTimes(realtime=realtime)

@@ -162,14 +162,14 @@ class PressProgram:
 
     def next_mm(self, felt: CycleInput) -> FloatArray:
         """Return the next command."""
-        if self.compliance is None and not self._touched(felt):
+        if self.compliance is None and not self._detect_contact(felt):
             self.stiffness.feed(felt.now_s, float(felt.command_mm[2]), 0.0)
             return self._descend(felt)
         comply = self.compliance
         assert comply is not None
         comply.feel(felt.now_s, felt.t_s, felt.force_n)
-        self._weigh(comply, felt)
-        self._judge(comply, felt.now_s)
+        self._check_stiffness(comply, felt)
+        self._check_contact(comply, felt.now_s)
         if self._rise_to_mm is not None:
             self._retract(comply, felt)
         elif not comply.swinging:
@@ -187,7 +187,7 @@ class PressProgram:
 
     # -- before contact ---------------------------------------------------------------------------
 
-    def _touched(self, felt: CycleInput) -> bool:
+    def _detect_contact(self, felt: CycleInput) -> bool:
         """Return True if contact is declared; the arm is compliant from then on."""
         if self._start_z_mm is None:
             self._start_z_mm = float(felt.command_mm[2])
@@ -242,7 +242,7 @@ class PressProgram:
         if elapsed_s >= command.hold_s:
             self.motion.end()
 
-    def _weigh(self, comply: Compliance, felt: CycleInput) -> None:
+    def _check_stiffness(self, comply: Compliance, felt: CycleInput) -> None:
         """Evaluate the contact stiffness once: adapt the damping, or retreat."""
         if self.stiffness.found_n_mm is not None:
             return
@@ -255,7 +255,7 @@ class PressProgram:
         elif not comply.swinging:
             comply.law = admittance_law(self._loop, self._command.stiffness_n_mm, STIFF_N_MM)
 
-    def _judge(self, comply: Compliance, now_s: float) -> None:
+    def _check_contact(self, comply: Compliance, now_s: float) -> None:
         """End the motion, and retreat after too much force, no measured force, or an
         oscillation.
         """

@@ -486,7 +486,7 @@ class WsgGripper:
             self._thread.join()
             self._thread = None
             if self._state is DeviceState.READY and self._socket is not None:
-                self._farewell()
+                self._announce_end()
         self._drop()
         self._state = DeviceState.CLOSED
 
@@ -575,9 +575,9 @@ class WsgGripper:
             for reply in self._heard(self._socket):
                 if reply.command == request.command:
                     return reply
-        raise FaultError(link_fault(self._who_answers(self._socket)))
+        raise FaultError(link_fault(self._other_device(self._socket)))
 
-    def _who_answers(self, line: socket.socket) -> str:
+    def _other_device(self, line: socket.socket) -> str:
         """Return a sentence that names the device that answers instead."""
 
         def receive(limit_s: float) -> bytes:
@@ -656,7 +656,7 @@ class WsgGripper:
             self._core.lose(link_fault(f"The connection to the gripper is lost: {error}."))
             self._state = DeviceState.FAULT
 
-    def _farewell(self) -> None:
+    def _announce_end(self) -> None:
         """Announce the end, which avoids a fast stop, unless that would open the grip. If the
         gripper opens after an announced end, the fast stop keeps the piece until the operator
         acknowledges it.

@@ -214,7 +214,7 @@ class EmulatedWsg:
         """Return the result of a motion that ended, and the updates that are due."""
         ended = self.jaws.advance(now_s)
         replies = [WsgReply(*ended)] if ended else []
-        replies += self._suffer(now_s)
+        replies += self._apply_faults(now_s)
         replies += [reply for command in self._updates for reply in self._update(now_s, command)]
         return b"".join(map(protocol.encode_reply, replies))
 
@@ -228,7 +228,7 @@ class EmulatedWsg:
             self.jaws.let_go()
         self._leaving = False
 
-    def _suffer(self, now_s: float) -> list[WsgReply]:
+    def _apply_faults(self, now_s: float) -> list[WsgReply]:
         """Apply active faults; return the end of an interrupted motion."""
         if self._faults.active("part_lost", now_s):
             self._lost_mm = self.jaws.part_mm or self._lost_mm

@@ -189,10 +189,21 @@ POLL_S = 0.2
 
 
 def run_jobs(jobs: Sequence[CollectionJob], workers: int, advance: Callable[[int], None]) -> int:
-    """Run all jobs in this process or in ``workers`` processes; return the number of repeated
-    probes.
+    """Run all jobs of a collection.
 
-    ``advance`` gets the number of finished episodes. An error in one job stops all.
+    Parameters
+    ----------
+    jobs : sequence of CollectionJob
+        Jobs, as ``split_jobs`` returns them.
+    workers : int
+        Number of processes; 1 runs all jobs in this process.
+    advance : callable
+        Called with the number of finished episodes.
+
+    Returns
+    -------
+    int
+        Number of probes that were drawn again. An error in one job stops all and is raised.
     """
     workers = min(workers, len(jobs))
     if workers == 1:

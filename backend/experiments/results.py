@@ -580,7 +580,29 @@ BEYOND_PAGE, BEYOND_DATA, BEYOND_TABLES = "beyond.html", "beyond.json", "beyond.
 
 
 def write_tables(out: Path, recipe: Recipe, store: JobStore) -> tuple[Path, Json]:
-    """Write the finished results to ``out``; return the path of the page and the content."""
+    """Write the finished results of Tables 1 to 3 as ``tables.json`` and ``tables.html``.
+
+    Parameters
+    ----------
+    out : Path
+        Existing folder. A ``beyond.json`` of the same bench in it is included.
+    recipe : Recipe
+        Jobs of the tables.
+    store : JobStore
+        Store with the results of finished jobs; missing cells are null.
+
+    Returns
+    -------
+    page : Path
+        Path of the page.
+    content : dict
+        Content of ``tables.json``.
+
+    Raises
+    ------
+    InputError
+        The ``beyond.json`` in the folder is damaged.
+    """
     found = table_results(recipe, store)
     spec = recipe.twins()
     twins = store.result(spec.id) if store.has(spec.id) else None

@@ -184,10 +184,22 @@ class _TrialRecord:
 def write_run_report(
     path: Path, runs: Sequence[Iterable[Event]], outlines_mm: Mapping[str, FloatArray]
 ) -> None:
-    """Write the page atomically.
+    """Write the report page of some runs atomically.
 
-    ``runs``: the events of each run in order. ``outlines_mm``: true outline (k, 2) per bottom,
-    drawn dashed; leave it out if the truth is unknown.
+    Parameters
+    ----------
+    path : Path
+        HTML file to write; an existing file is replaced.
+    runs : sequence of iterables of Event
+        Events of each run in order. Panels with signals need ``EpisodeRecorded.episode``.
+    outlines_mm : mapping of str to (k, 2) array
+        True outline of each bottom in mm, in the frame of the belief map (y up), drawn dashed.
+        Leave a bottom out if its truth is unknown.
+
+    Raises
+    ------
+    OSError
+        The file cannot be written.
     """
     galleries, rows, placed = [], [], 0
     for events in runs:

@@ -216,10 +216,28 @@ def stack_in_lockstep(
     create: Callable[[Scene, XY], Strategy] | None = None,
     world: type[BatchedTrials] = BatchedTrials,
 ) -> list[BatchTrialResult]:
-    """Run one trial per scene to its end; the scenes share piece, touched surface and bench.
+    """Run one stacking trial per scene to its end, all side by side.
 
-    ``create`` returns the strategy of a trial from its scene and commanded place; the default is
-    the strategy of the settings. ``world``: class of the simulation.
+    Parameters
+    ----------
+    scenes : sequence of Scene
+        Seeded scenes that share piece, touched surface and bench.
+    model : BatchModel
+        Contact model of the piece.
+    settings : StackSettings
+        Method, with the name of the strategy.
+    limits : EpisodeLimits
+        Limits on press force (N) and slip (mm) of a valid press.
+    create : callable, optional
+        Returns the strategy of a trial from its scene and its commanded place (x, y) in mm.
+        Default: the strategy of ``settings``.
+    world : type, optional
+        Class of the simulation.
+
+    Returns
+    -------
+    list of BatchTrialResult
+        One result per scene, in order.
     """
     bench = world(scenes, settings.probe)
     trials = []

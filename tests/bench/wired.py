@@ -191,7 +191,7 @@ def parts_of_the_first_probe(trials: int = TRIALS) -> list[Figure]:
         law.append(force_apart(still, WoundWires(seed, STILL, bursts(0.0)).press()))
     return [
         share("simulated twice, other sensor noise", noise, promised=False),
-        share("wires, clock wound by hand", wires),
+        share("wires, stepped clock", wires),
         share("the same, world up to 60 ms behind", behind),
         share("wires, nearly no sensor noise: the arm's law", law),
     ]

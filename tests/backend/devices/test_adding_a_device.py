@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.backend.devices import test_protocols as contract
+from tests.backend.devices import test_force_torque_contract as contract
 from touchdown.backend import devices
 from touchdown.backend.bench.emulator_registry import bench_toml, emulate
 from touchdown.backend.cli.command_line import main

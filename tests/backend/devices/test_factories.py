@@ -14,7 +14,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from tests.backend.devices import test_protocols as contract
+from tests.backend.devices import test_force_torque_contract as contract
 from tests.backend.devices import trials_camera
 from tests.backend.devices.optoforce.trials_wrist import EMULATED
 from tests.backend.devices.optoforce.trials_wrist import trial as trials_wrist_trial

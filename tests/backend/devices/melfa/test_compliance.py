@@ -7,7 +7,7 @@ from importlib.resources import files
 import numpy as np
 import pytest
 
-from tests.backend.devices import contract_bench, test_protocols
+from tests.backend.devices import contract_bench, test_arm_contract
 from tests.backend.devices.contract_bench import PRESS as CONTRACT_BENCH_PRESS
 from tests.backend.devices.contract_bench import DevicesUnderTest
 from tests.backend.devices.melfa.emulated_arm import Rig, on_bench
@@ -26,7 +26,7 @@ CASES = [
     pytest.param(clause, more, id=name.removeprefix("test_"))
     for name, clause, more in (
         (name, clause, {"after_s": 2.5} if "every_phase" in name else {})
-        for name, clause in vars(test_protocols).items()
+        for name, clause in vars(test_arm_contract).items()
         if name.startswith("test_") and "press" in name and clause.__code__.co_argcount > 0
     )
 ]  # moves are those of the stream, tested elsewhere

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from tests.backend.devices import contract_bench, test_protocols
+from tests.backend.devices import contract_bench, test_arm_contract, test_arm_retreat
 from tests.backend.devices.contract_bench import DevicesUnderTest
 from tests.backend.devices.ur.stand_in import UrWires, hand_leaning
 from tests.backend.devices.waiting import until
@@ -29,7 +29,7 @@ from touchdown.backend.simulation.devices.bench import SimulatedBench
 TURNING = ("turn", "joint")
 CLAUSES = [
     clause
-    for name, clause in {**vars(test_protocols), **vars(test_protocols)}.items()
+    for name, clause in {**vars(test_arm_contract), **vars(test_arm_retreat)}.items()
     if name.startswith("test_")
     and list(inspect.signature(clause).parameters) == ["bench"]
     and not any(word in name for word in TURNING)

@@ -1,0 +1,394 @@
+"""The part of the contract that every arm is held to: moves, presses, jogs, stops."""
+
+from __future__ import annotations
+
+import threading
+
+import numpy as np
+import pytest
+
+from tests.backend.devices.contract_bench import EVERY, PRESS, DevicesUnderTest
+from touchdown.backend.core.faults import FaultError, RefusedError
+from touchdown.backend.core.values import Pose
+from touchdown.backend.devices.protocols import STILL, RobotMode, SafetyMode
+
+
+@EVERY
+def test_a_move_arrives_reports_what_was_sent_and_keeps_its_speed(bench: DevicesUnderTest) -> None:
+    bench.lifted_and_gripped()
+    start = bench.arm.pose(0.1)
+    target = Pose(start.x_mm + 6.0, start.y_mm - 2.0, start.z_mm + 10.0)
+    begun_s = bench.now_s()
+    motion = bench.arm.move_to(target, 20.0)
+    with pytest.raises(ValueError, match="under way"):
+        motion.result()
+    bench.rest(0.05)
+    assert bench.arm.status().robot_mode is RobotMode.MOVING
+    bench.finish(motion)
+    motion.result()
+    assert motion.sent["speed_mm_s"] == 20.0
+    assert motion.sent["z_mm"] == target.z_mm
+    end = bench.arm.pose(0.1)
+    assert (end.x_mm, end.y_mm, end.z_mm) == pytest.approx(
+        (target.x_mm, target.y_mm, target.z_mm), abs=0.05
+    )
+    length = float(np.sqrt(6.0**2 + 2.0**2 + 10.0**2))
+    assert bench.now_s() - begun_s >= length / 20.0
+    poses = bench.arm.poses.window(begun_s, bench.now_s())
+    speed = np.linalg.norm(np.diff(poses.values, axis=0), axis=1) / np.diff(poses.t_s)
+    assert speed.max() <= 20.0 * 1.05
+    bench.hear()
+    assert bench.arm.status().robot_mode is RobotMode.READY
+    assert bench.arm.status().safety_mode is SafetyMode.NORMAL
+
+
+@EVERY
+def test_a_press_finds_contact_holds_and_unloads(bench: DevicesUnderTest) -> None:
+    bench.lifted_and_gripped()
+    samples = bench.force_torque.samples
+    air = samples.window(bench.now_s() - 0.2, bench.now_s()).values.mean(axis=0)
+    motion = bench.arm.press(PRESS)
+    assert motion.onset_s is None
+    assert motion.sent["depth_mm"] == 1.5
+    bench.finish(motion)
+    motion.result()
+    assert motion.onset_s is not None
+    assert motion.detected_s is not None
+    assert motion.onset_s <= motion.detected_s
+    assert bench.now_s() == pytest.approx(motion.onset_s + PRESS.hold_s, abs=0.011)
+    held = samples.window(bench.now_s() - 0.1, bench.now_s()).values.mean(axis=0) - air
+    assert 4.0 < held[2] < 11.0
+    unload = bench.arm.unload(1.0, 2.0)
+    bench.finish(unload)
+    unload.result()
+    bench.rest(0.2)
+    left = samples.window(bench.now_s() - 0.1, bench.now_s()).values.mean(axis=0) - air
+    assert 0.3 <= left[2] <= 2.0
+    assert unload.sent["force_n"] == 1.0
+
+
+@pytest.mark.promise("G4")
+@EVERY
+def test_a_press_into_nothing_fails_with_a_fault(bench: DevicesUnderTest) -> None:
+    bench.lifted_and_gripped()
+    here = bench.arm.pose(0.1)
+    bench.finish(bench.arm.move_to(Pose(here.x_mm, here.y_mm, here.z_mm + 20.0), 20.0))
+    motion = bench.arm.press(PRESS)
+    bench.finish(motion)
+    with pytest.raises(FaultError) as raised:
+        motion.result()
+    assert raised.value.fault.code == "NO-CONTACT"
+    assert motion.onset_s is None
+
+
+@pytest.mark.promise("R14")
+@EVERY
+@pytest.mark.parametrize("after_s", [0.0, 0.02, 0.5, 2.5])
+def test_stop_ends_a_press_in_every_phase(bench: DevicesUnderTest, after_s: float) -> None:
+    bench.lifted_and_gripped()
+    motion = bench.arm.press(PRESS)
+    bench.rest(after_s)
+    assert not motion.done
+    bench.arm.stop()
+    bench.hear()
+    assert motion.done
+    with pytest.raises(FaultError):
+        motion.result()
+    bench.rest(bench.still_s)
+    still = bench.arm.pose(0.1)
+    bench.rest(0.5)
+    after = bench.arm.pose(0.1)
+    assert (still.x_mm, still.y_mm, still.z_mm) == pytest.approx(
+        (after.x_mm, after.y_mm, after.z_mm), abs=bench.still_mm
+    )
+    assert bench.gripper.status().holding
+
+
+@pytest.mark.promise("R14")
+@EVERY
+def test_stop_is_legal_in_every_state(bench: DevicesUnderTest) -> None:
+    for stop in (bench.arm.stop, bench.gripper.stop):
+        stop()
+    bench.connect()
+    for stop in (bench.arm.stop, bench.gripper.stop):
+        stop()
+        stop()
+    grip = bench.gripper.grip(10.0)
+    bench.rest(0.1)
+    bench.gripper.stop()
+    bench.hear()
+    with pytest.raises(FaultError):
+        grip.result()
+    assert not bench.gripper.status().holding
+    for device in bench.all:
+        device.close()
+    for stop in (bench.arm.stop, bench.gripper.stop):
+        stop()
+
+
+@EVERY
+def test_stop_comes_through_from_another_thread(bench: DevicesUnderTest) -> None:
+    bench.lifted_and_gripped()
+    here = bench.arm.pose(0.1)
+    motion = bench.arm.move_to(Pose(here.x_mm, here.y_mm, here.z_mm + 60.0), 20.0)
+    bench.rest(0.2)
+    thread = threading.Thread(target=bench.arm.stop)
+    thread.start()
+    thread.join(60.0)
+    bench.hear()
+    assert motion.done
+    bench.rest(1.0)
+    assert bench.arm.pose(0.1).z_mm < here.z_mm + 10.0
+
+
+@EVERY
+def test_a_newer_command_ends_the_older_one(bench: DevicesUnderTest) -> None:
+    bench.lifted_and_gripped()
+    here = bench.arm.pose(0.1)
+    first = bench.arm.move_to(Pose(here.x_mm, here.y_mm, here.z_mm + 30.0), 20.0)
+    bench.rest(0.1)
+    second = bench.arm.move_to(Pose(here.x_mm, here.y_mm, here.z_mm + 5.0), 20.0)
+    bench.hear()
+    with pytest.raises(FaultError):
+        first.result()
+    bench.finish(second)
+    second.result()
+
+
+@EVERY
+def test_closing_the_connection_stops_motion_and_keeps_the_grip(bench: DevicesUnderTest) -> None:
+    bench.lifted_and_gripped()
+    here = bench.arm.pose(0.1)
+    motion = bench.arm.move_to(Pose(here.x_mm, here.y_mm, here.z_mm + 60.0), 20.0)
+    bench.rest(0.1)
+    bench.arm.close()
+    bench.gripper.close()
+    bench.hear()
+    assert motion.done
+    assert bench.holds()
+
+
+@pytest.mark.promise("P1")
+@EVERY
+@pytest.mark.parametrize("speed", [0.0, -1.0, float("nan"), float("inf")])
+def test_senseless_numbers_are_refused(bench: DevicesUnderTest, speed: float) -> None:
+    bench.lifted_and_gripped()
+    with pytest.raises(bench.senseless):
+        bench.arm.move_to(Pose(0.0, 0.0, 50.0), speed)
+    with pytest.raises(bench.senseless):
+        bench.arm.move_to(Pose(float("nan"), 0.0, 50.0), 10.0)
+    with pytest.raises(bench.senseless):
+        bench.gripper.open_to(50.0, speed)
+
+
+@EVERY
+def test_a_jog_ends_by_itself_and_a_renewal_is_the_same_motion(bench: DevicesUnderTest) -> None:
+    bench.connect()
+    bench.rest(0.1)
+    before = bench.arm.pose(0.1)
+    first = bench.arm.jog((0.0, 0.0, 10.0), 0.14)
+    bench.rest(0.1)
+    assert bench.arm.jog((0.0, 0.0, 10.0), 0.14) is first
+    assert bench.arm.status().robot_mode is RobotMode.MOVING
+    bench.rest(0.4)
+    assert first.done
+    first.result()
+    assert bench.arm.status().robot_mode is RobotMode.READY
+    gone = bench.arm.pose(0.1).z_mm - before.z_mm
+    assert gone == pytest.approx(0.24 * 10.0, abs=0.2)
+
+
+@EVERY
+def test_a_jog_turns_without_an_end_and_stop_ends_it(bench: DevicesUnderTest) -> None:
+    bench.connect()
+    bench.rest(0.1)
+    before = bench.arm.pose(0.1)
+    motion = bench.arm.jog((20.0, 0.0, 0.0), 0.14)
+    bench.rest(0.1)
+    assert bench.arm.jog((0.0, 20.0, 0.0), 0.14) is motion
+    bench.rest(0.1)
+    bench.arm.stop()
+    bench.rest(bench.still_s)
+    after = bench.arm.pose(0.1)
+    assert motion.done
+    assert after.x_mm - before.x_mm > 1.0
+    assert after.y_mm - before.y_mm > 0.5
+    bench.rest(0.2)
+    still = bench.arm.pose(0.1)
+    assert (still.x_mm, still.y_mm, still.z_mm) == pytest.approx(
+        (after.x_mm, after.y_mm, after.z_mm), abs=bench.still_mm
+    )
+
+
+@EVERY
+@pytest.mark.parametrize("velocity", [(float("nan"), 0.0, 0.0), (float("inf"), 0.0, 0.0)])
+def test_a_jog_without_a_number_is_refused(
+    bench: DevicesUnderTest, velocity: tuple[float, float, float]
+) -> None:
+    bench.connect()
+    with pytest.raises(bench.senseless):
+        bench.arm.jog(velocity, 0.1)
+    assert bench.arm.rotates in (True, False)
+
+
+@EVERY
+def test_halt_ends_a_move_and_the_next_one_begins_at_once(bench: DevicesUnderTest) -> None:
+    bench.connect()
+    bench.rest(0.1)
+    here = bench.arm.pose(0.1)
+    motion = bench.arm.move_to(Pose(here.x_mm, here.y_mm, here.z_mm + 60.0), 20.0)
+    bench.rest(0.3)
+    bench.arm.halt()
+    bench.hear()
+    assert motion.done
+    with pytest.raises(FaultError):
+        motion.result()
+    bench.rest(0.2)
+    still = bench.arm.pose(0.02)
+    bench.rest(0.1)
+    assert bench.arm.pose(0.02).z_mm == pytest.approx(still.z_mm, abs=1e-3)
+    before_s = bench.now_s()
+    again = bench.arm.move_to(here, 20.0)
+    assert bench.now_s() == before_s
+    bench.rest(0.1)
+    assert bench.arm.pose(0.02).z_mm < still.z_mm - 0.5
+    assert not again.done
+
+
+def high(bench: DevicesUnderTest) -> Pose:
+    """Connect and go up to where the hand may turn."""
+    bench.connect()
+    bench.rest(0.1)
+    here = bench.arm.pose(0.1)
+    bench.finish(bench.arm.move_to(Pose(here.x_mm, here.y_mm, here.z_mm + 30.0), 50.0))
+    bench.rest(0.1)
+    return bench.arm.pose(0.1)
+
+
+def vector(pose: Pose) -> tuple[float, float, float]:
+    return (pose.rx_rad, pose.ry_rad, pose.rz_rad)
+
+
+@EVERY
+def test_the_hand_turns_on_the_way_and_back_and_presses_only_unturned(
+    bench: DevicesUnderTest,
+) -> None:
+    up = high(bench)
+    assert bench.arm.rotates
+    begun_s = bench.now_s()
+    there = Pose(up.x_mm + 5.0, up.y_mm, up.z_mm, 0.10, -0.05, 0.2)
+    motion = bench.arm.move_to(there, 20.0, 0.2)
+    bench.finish(motion)
+    motion.result()
+    assert bench.now_s() - begun_s >= float(np.linalg.norm(vector(there))) / 0.2
+    bench.rest(0.1)
+    pose = bench.arm.pose(0.1)
+    assert vector(pose) == pytest.approx(vector(there), abs=1e-4)
+    assert (pose.x_mm, pose.y_mm, pose.z_mm) == pytest.approx(
+        (there.x_mm, there.y_mm, there.z_mm), abs=0.05
+    )
+    with pytest.raises(RefusedError, match="level it first"):
+        bench.arm.press(PRESS)
+    level = bench.arm.move_to(up, 20.0, 0.2)
+    bench.finish(level)
+    level.result()
+    bench.rest(0.1)
+    assert vector(bench.arm.pose(0.1)) == (0.0, 0.0, 0.0)
+
+
+@EVERY
+def test_a_turning_jog_keeps_its_pivot_and_ends_by_itself(bench: DevicesUnderTest) -> None:
+    up = high(bench)
+    first = bench.arm.jog(STILL, 0.14, (0.0, 0.1, 0.0))
+    bench.rest(0.1)
+    assert bench.arm.jog(STILL, 0.14, (0.0, 0.1, 0.0)) is first
+    bench.rest(0.5)
+    assert first.done
+    first.result()
+    pose = bench.arm.pose(0.1)
+    # 2 rad/s^2 up to 0.1 rad/s, 0.24 s of it, and as much way down as was missed going up.
+    assert vector(pose) == pytest.approx((0.0, 0.024, 0.0), abs=0.002)
+    assert (pose.x_mm, pose.y_mm, pose.z_mm) == pytest.approx((up.x_mm, up.y_mm, up.z_mm), abs=0.02)
+
+
+@EVERY
+def test_a_joint_jog_turns_that_joint_alone_and_stop_ends_it(bench: DevicesUnderTest) -> None:
+    high(bench)
+    before = bench.arm.joints_rad(0.1)
+    speeds = (0.0, 0.0, 0.0, 0.0, 0.0, 0.2)
+    motion = bench.arm.jog_joints(speeds, 0.14)
+    bench.rest(0.1)
+    assert bench.arm.jog_joints(speeds, 0.14) is motion
+    bench.rest(0.1)
+    bench.arm.stop()
+    bench.hear()
+    assert motion.done
+    bench.rest(bench.still_s)
+    after = bench.arm.joints_rad(0.1)
+    assert after[:5] == pytest.approx(before[:5], abs=1e-5)
+    assert 0.005 < after[5] - before[5] < 0.04
+    told, pose = bench.arm.place_of(after), bench.arm.pose(0.1)
+    assert vector(told) == pytest.approx(vector(pose), abs=1e-5)
+    assert (told.x_mm, told.y_mm, told.z_mm) == pytest.approx(
+        (pose.x_mm, pose.y_mm, pose.z_mm), abs=0.02
+    )
+    bench.rest(0.3)
+    assert bench.arm.joints_rad(0.1) == pytest.approx(after, abs=1e-5)
+
+
+@EVERY
+def test_joints_go_to_their_ends_and_never_beyond_their_range(bench: DevicesUnderTest) -> None:
+    high(bench)
+    before = bench.arm.joints_rad(0.1)
+    target = (*before[:4], before[4] + 0.05, before[5] - 0.1)
+    motion = bench.arm.move_joints(target, 0.2)
+    bench.finish(motion)
+    motion.result()
+    bench.rest(0.1)
+    assert bench.arm.joints_rad(0.1) == pytest.approx(target, abs=1e-4)
+    beyond = (*target[:5], bench.arm.joint_limits_rad[5][1] + 0.01)
+    refused = bench.arm.move_joints(beyond, 6.0)
+    bench.finish(refused)
+    with pytest.raises(FaultError) as raised:
+        refused.result()
+    assert raised.value.fault.code == "JOINT-RANGE"
+    low, high_rad = bench.arm.joint_limits_rad[5]
+    assert low <= bench.arm.joints_rad(0.1)[5] <= high_rad
+
+
+@EVERY
+@pytest.mark.parametrize("bad", [float("nan"), float("inf")])
+def test_a_turn_without_a_number_is_refused(bench: DevicesUnderTest, bad: float) -> None:
+    bench.connect()
+    with pytest.raises(bench.senseless):
+        bench.arm.jog(STILL, 0.1, (0.0, bad, 0.0))
+    with pytest.raises(bench.senseless):
+        bench.arm.jog_joints((bad,) * 6, 0.1)
+    with pytest.raises(bench.senseless):
+        bench.arm.move_joints((0.0,) * 6, bad)
+
+
+@EVERY
+def test_servo_off_ends_motion_and_moves_nothing_until_it_is_on(bench: DevicesUnderTest) -> None:
+    bench.connect()
+    bench.rest(0.1)
+    here = bench.arm.pose(0.1)
+    motion = bench.arm.move_to(Pose(here.x_mm, here.y_mm, here.z_mm + 60.0), 20.0)
+    bench.rest(0.3)
+    bench.arm.servo(False)
+    bench.hear()
+    assert motion.done
+    bench.rest(0.3)
+    assert bench.arm.status().robot_mode is RobotMode.SERVO_OFF
+    still = bench.arm.pose(0.2)
+    with pytest.raises(FaultError):
+        bench.finish(bench.arm.move_to(here, 20.0))
+    bench.rest(0.2)
+    assert bench.arm.pose(0.2).z_mm == pytest.approx(still.z_mm, abs=0.02)
+    bench.arm.servo(True)
+    bench.rest(0.2)
+    back = bench.arm.move_to(here, 20.0)
+    bench.finish(back)
+    back.result()
+    bench.hear()
+    assert bench.arm.status().robot_mode is RobotMode.READY

@@ -50,7 +50,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     """Check, write or connect; return 1 if a device does not answer."""
     if args.new:
-        _write_template(args.file)
+        template = files("touchdown.resources").joinpath("benches", TEMPLATE)
+        write_new(args.file, template.read_text("utf-8"))
         screen.say(f"Fill in {args.file}, then: touchdown bench {args.file}")
         screen.result({"version": JSON_VERSION, "written": str(args.file)})
         return 0
@@ -156,10 +157,7 @@ def _connect(file: Path, screen: VerbOutput) -> int:
                 }
                 for line in lines
             ],
-            "timing": [
-                {key: _as_number(value) for key, value in asdict(timing).items()}
-                for timing in timings
-            ],
+            "timing": [asdict(timing) for timing in timings],
         }
     )
     return 1 if away else 0
@@ -208,13 +206,3 @@ def _timing_table(timings: Sequence[SensorTiming]) -> Table:
         values = (one.rate_hz, one.spread_ms, one.gap_ms, one.age_ms, one.late_ms)
         table.add_row(one.name, str(one.samples), *(f"{value:.1f}" for value in values))
     return table
-
-
-def _as_number(value: str | float) -> str | float | None:
-    """Return ``value`` for JSON: None for NaN."""
-    return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
-def _write_template(path: Path) -> None:
-    text = files("touchdown.resources").joinpath("benches", TEMPLATE).read_text("utf-8")
-    write_new(path, text)

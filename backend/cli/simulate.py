@@ -10,7 +10,7 @@ from touchdown.backend.cli.output import VerbOutput
 from touchdown.backend.config import load_simulation
 from touchdown.backend.core import InputError
 from touchdown.backend.experiments import run_jobs, split_jobs
-from touchdown.backend.geometry import Outline, Piece, Tower, face_points, load_pieces
+from touchdown.backend.geometry import Piece, Tower, face_points, load_pieces
 from touchdown.backend.simulation import BatchPlan
 
 NAME = "simulate"
@@ -81,7 +81,7 @@ def _plans(args: argparse.Namespace) -> list[tuple[BatchPlan, dict[str, object]]
             piece=piece.name,
             bottom=bottom.name,
             face=piece.face,
-            bottom_outline=_upper(bottom),
+            bottom_outline=bottom.upper or bottom.face,
             face_points_mm=face_points(piece.face, settings.face.lattice_mm),
             grip_height_mm=_grip_height(piece),
             width_mm=piece.width_mm,
@@ -94,10 +94,6 @@ def _plans(args: argparse.Namespace) -> list[tuple[BatchPlan, dict[str, object]]
         )
         plans.append((plan, {"geometry": piece.sha256}))
     return plans
-
-
-def _upper(bottom: Piece) -> Outline:
-    return bottom.face if bottom.upper is None else bottom.upper
 
 
 def _grip_height(piece: Piece) -> float:

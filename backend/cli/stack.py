@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -292,14 +291,9 @@ def _result(args: argparse.Namespace, result: RunResult, session: Session) -> di
                 "reason": t.reason,
                 "probes": t.probes,
                 "excess_probes": t.excess_probes,
-                "margin_mm": _finite(t.margin_mm),
+                "margin_mm": t.margin_mm,
                 "contradicted": t.contradicted,
             }
             for t in result.trials
         ],
     }
-
-
-def _finite(value: float | None) -> float | None:
-    """Return None for -inf (no support), which JSON cannot represent."""
-    return value if value is not None and math.isfinite(value) else None

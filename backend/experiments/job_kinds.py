@@ -159,7 +159,7 @@ def evaluate_static(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
     }
     return {
         "bench_sha256": bench_sha256(case.settings),
-        "margin_mm": [[_finite(m) for m in pair] for pair in groups.margin_mm],
+        "margin_mm": groups.margins_as_json(),
         "slipped": float((groups.slip_mm > SLIPPED_MM).mean()),
         "rejected": groups.rejected,
         "left_out": groups.left_out,
@@ -303,10 +303,6 @@ def _case(params: Mapping[str, Any]) -> SceneSetup:
 
 def _bench(params: Mapping[str, Any]) -> SimulationSettings:
     return parse_settings(SimulationSettings, params["bench"], "job")
-
-
-def _finite(value: float) -> float | None:
-    return round(float(value), 4) if np.isfinite(value) else None
 
 
 KINDS: JobFunctions = {

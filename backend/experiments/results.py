@@ -76,14 +76,15 @@ def strategy_sections(tables: JsonMapping) -> list[ReportSection]:
     answers = tables.get("beyond") or ()
     if not answers:
         return []
+    shares = tables.get("gaps")
+    if shares is None:
+        shares = [row for answer in answers for row in answer.get("gaps") or ()]
     found = [
         _stacking_section(
             _stacking_cells(tables, answers), tuple(_source(one) for one in answers if one["cells"])
         ),
         _static_section(_static_cells(tables, answers)),
-        _oracle_share_section(
-            tables["gaps"] if "gaps" in tables else _stored_oracle_shares(answers)
-        ),
+        _oracle_share_section(shares),
         _strategy_reliability(answers),
     ]
     return [section for section in found if section is not None]
@@ -236,10 +237,6 @@ def _verdict(cell: JsonMapping) -> TableEntry:
     return TableEntry(
         shown.value, shown.interval, notes, tuple(cell.get("jobs", ())), cell.get("seed")
     )
-
-
-def _stored_oracle_shares(answers: Iterable[JsonMapping]) -> list[JsonMapping]:
-    return [row for answer in answers for row in answer.get("gaps") or ()]
 
 
 def _oracle_share_section(rows: Sequence[JsonMapping]) -> ReportSection | None:

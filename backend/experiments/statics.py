@@ -53,6 +53,13 @@ class ProbeGroups:
     rejected: int
     left_out: int
 
+    def margins_as_json(self) -> list[list[float | None]]:
+        """Return ``margin_mm`` rounded; a margin without support is None."""
+        return [
+            [round(float(m), DIGITS) if np.isfinite(m) else None for m in pair]
+            for pair in self.margin_mm
+        ]
+
 
 def probe_groups(
     case: SceneSetup, seeds: list[int], probes: int, world: type[BatchedTrials] = BatchedTrials

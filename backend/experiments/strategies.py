@@ -512,7 +512,8 @@ def run_static_groups(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
     seeds = [spec.seed + g for g in range(p["groups"])]
     groups = probe_groups(case, seeds, PROBES_PER_GROUP)
     strategy = p["strategy"]
-    settings = StackSettings.model_validate({**p["method"], "strategy": _as_setting(strategy)})
+    configured = "paper" if strategy in ORACLES else strategy
+    settings = StackSettings.model_validate({**p["method"], "strategy": configured})
     if strategy in ORACLES:
         model, start = (
             uninformed_model(case),
@@ -525,7 +526,7 @@ def run_static_groups(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
     asked = VerdictCollector(case, believes=strategy not in STRATEGIES_WITHOUT_BELIEF)
     for g in range(len(groups.observation)):
         asked.group(groups, g, create(seeds[g], _pair(groups.offset_mm[g, 0])), model)
-    margins = [[_finite(m) for m in pair] for pair in groups.margin_mm]
+    margins = groups.margins_as_json()
     return {"margin_mm": margins, "left_out": groups.left_out, **asked.as_json()}
 
 
@@ -633,14 +634,6 @@ def _strategy_factory(
     sensor_mm = case.settings.wrist.height_mm
     held = GraspedPiece(case.piece.com_xy_mm, height_mm, model.base_rate, sensor_mm)
     return lambda seed, at: make_strategy(held, settings, at)
-
-
-def _as_setting(strategy: str) -> str:
-    return "paper" if strategy in ORACLES else strategy
-
-
-def _finite(value: float) -> float | None:
-    return round(float(value), 4) if np.isfinite(value) else None
 
 
 def _pair(values: FloatArray | NDArray[np.float64]) -> XY:

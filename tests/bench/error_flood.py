@@ -22,9 +22,8 @@ from touchdown.app.start import THREAD_SWITCH_S
 from touchdown.backend.core.events import FaultRaised
 from touchdown.backend.core.faults import Fault
 
+# 60 s with the error and 60 s without, for each kind; the error is written every 5 s
 SLICE_S, TURNS, LIMIT_S = 5.0, 12, 600.0
-"""Of each kind 60 s with the error and 60 s without. What an error costs is the same in each frame:
-it is counted, and written every 5 s, from the first second on."""
 MOST_PERCENT, MOST_GAP_MS, LEAST_KEPT = 30.0, 100.0, 0.9
 MOST_BYTES = 10_000_000
 FLOOD = Fault("FLOOD", "The same fault in every step of the bench.", "None.", "Reset.")

@@ -22,9 +22,8 @@ from touchdown.app.start import THREAD_SWITCH_S
 SLICE_S = 5.0
 LEAST_KEPT, MOST_GAP_MS = 0.9, 100.0
 WHENS = ("before", "beside", "dying", "after")
+# larger than the shipped models, so that the training outlasts the measurement
 SIZES = {"hidden": 512, "layers": 2, "batch": 1}
-"""Larger than the models that ship: ten epochs, after which a training without progress ends, take
-longer than what is measured."""
 TOLD = "TRAINING-DIED"
 
 

@@ -84,11 +84,11 @@ def collecting() -> list[Figure]:
 
 
 GELSIGHT = Path(__file__).resolve().parents[1] / "data" / "gelsight"
+# other gels, recognised and named by the tracker, not tracked
 SMALL_DOTS = (
     GELSIGHT / "artificial_strawberry_exp2_camera_2.avi",
     GELSIGHT / "plug_3D_exp3_camera_0.avi",
 )
-"""Other gels: recognised and named by the tracker, not tracked."""
 
 
 @figure("tracking")

@@ -65,9 +65,9 @@ FIRST = 20_000
 EARLIEST_S, LATEST_S = 0.5, 16.0  # range of the instant of a fault after the start of connecting
 # time until the arm stands after a trial; time after which a fault must have had an effect
 SETTLE_S, SURELY_S = 1.0, 4.0
+# Step share of `melfa.mxt.step_fraction`; 29 cycles until the end of a stream is known; highest
+# force; tolerance of an arm that stands.
 MOST_SHARE, MOST_LATE_S, MOST_N, STANDS_MM = 0.5, 0.15, 60.0, 0.05
-"""Step share of `melfa.mxt.step_fraction`; a stream may go on for 29 cycles before its end is
-known; the highest force of reliability section 4.7; an arm that stands."""
 
 ARM = {"MXT-LOST", "MXT-ENDED", "MXT-START", "ARM-LINK", "ARM-STALE", "HW-STOP", "CONTROLLER"} | {
     *("NOT-READY", "REJECTED", "SERVO-OFF", "OUT-OF-RANGE", "PRESS-VOID", "RIG-STARVED"),

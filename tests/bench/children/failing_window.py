@@ -32,6 +32,7 @@ from touchdown.backend.runs.recorder import RecordingOptions
 from touchdown.backend.runs.requests import SceneChoice
 
 LIMIT_S = 180.0
+# failure of a process; the first, second and last by ``HOOKS`` inside it
 WAYS = {
     "raises": signal.SIGUSR1,
     "leaves": signal.SIGUSR2,
@@ -40,7 +41,7 @@ WAYS = {
     "stopped": signal.SIGSTOP,
     "deadlock": signal.SIGRTMIN,
 }
-"""What makes a process fail so; the first, the second and the last by ``HOOKS`` within it."""
+# sitecustomize.py, imported by every interpreter with its folder on the path
 HOOKS = """
 import os, signal, threading, time
 
@@ -62,12 +63,8 @@ signal.signal(signal.SIGUSR1, raises)
 signal.signal(signal.SIGUSR2, lambda number, frame: os._exit(3))
 signal.signal(signal.SIGRTMIN, deadlock)
 """
-"""Imported by every interpreter that is started with its folder on the path: sitecustomize.py.
-
-When it failed is noted beside it: a busy process takes a signal only when it has a processor.
-"""
+# threads of a window that may request its end
 THREADS = ("connect", "bench", "training", "saving", "another")
-"""Those of a window that may ask for its end: building the bench, moving it, and so on."""
 
 
 class Watched:

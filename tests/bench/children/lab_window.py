@@ -29,8 +29,7 @@ from touchdown.backend.devices.jog import JogOrder
 
 CLEAR_MM, SPEED_MM_S = 60.0, 20.0
 GOING_S, FROZEN_S, PATIENCE_S = 0.35, 3.0, 120.0
-AFTER_S = 0.3
-"""Without another order before the arm has been looked at: it is asked within its last second."""
+AFTER_S = 0.3  # pause before the query; the arm stores its last second
 NOTE = struct.Struct("<d")
 
 
@@ -216,12 +215,12 @@ def _nothing(window: LabWindow, _: QWidget) -> None:
 
 
 STALLS = {"sleeps": _freeze, "computes": _compute}
+# ways in which a held pad can lose its operator
 LOSSES = {
     "focus moved": _focus, "other window": _other_window, "dialog": _dialog, "other page": _page,
     "minimised": _minimised, "another key": _key, "pointer left": _pointer, "pad hidden": _hidden,
     "released": _released,
 }  # fmt: skip
-"""The hold matrix: each way in which a held pad can lose its operator."""
 WAYS: dict[str, Callable[[LabWindow, QWidget], None]] = {**STALLS, **LOSSES, "nothing": _nothing}
 
 

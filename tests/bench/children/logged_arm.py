@@ -31,8 +31,8 @@ from touchdown.backend.devices.melfa.realtime_protocol import (
 )
 from touchdown.backend.emulation.server import CHUNK
 
+# Linux, asm-generic/socket.h: arrival time with each datagram, as two 64-bit numbers
 SO_TIMESTAMPNS = 35
-"""Linux, asm-generic/socket.h: the time of arrival with each datagram, as two 64 bit numbers."""
 
 
 @dataclass(frozen=True, slots=True)

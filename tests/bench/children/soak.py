@@ -33,10 +33,8 @@ from touchdown.widgets.base.freshness import PERIOD_MS
 
 STEP_S = 1e-6 * STEP_US
 TICKS_A_STEP = 1e3 * STEP_S / PERIOD_MS
-PAGE_S, SAMPLE_S = 10.0, 10.0
-"""A page stays so long; memory is looked at so often."""
-WARM_UP = 0.2
-"""Share of the minutes in which caches may still fill."""
+PAGE_S, SAMPLE_S = 10.0, 10.0  # time per page; interval of the memory samples
+WARM_UP = 0.2  # share of the minutes in which caches may still fill
 
 
 def main(argv: list[str]) -> int:

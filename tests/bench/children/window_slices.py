@@ -20,8 +20,7 @@ from touchdown.app.stack.workspace import StackWorkspace
 from touchdown.backend.runs.requests import StackRequest
 
 TICK_MS = 10
-TRIALS, SEED = 500, 100
-"""More trials than any measurement lasts."""
+TRIALS, SEED = 500, 100  # more trials than any measurement needs
 SIZE = (1600, 940)
 WARM_UP_S, LOOK_S = 3.0, 0.02
 RATES = ("left_fps", "right_fps", "traces_fps")

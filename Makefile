@@ -3,7 +3,7 @@
 SHELL := /bin/bash
 .SHELLFLAGS := -eu -o pipefail -c
 .DEFAULT_GOAL := help
-.PHONY: help setup run demo test check lint types contracts format bench fuzz screens pictures models exchange-check clean
+.PHONY: help setup run demo test coverage check lint types contracts format bench fuzz screens pictures models exchange-check clean
 
 export PYTHON
 # Compiled once, not by every process anew, also where the environment forbids to keep it.
@@ -39,14 +39,18 @@ test: setup ## all tests: offscreen, no hardware, no network; one by real keys (
 	@export QT_QPA_PLATFORM=offscreen OMP_NUM_THREADS=1; \
 	if [ -w /dev/shm ] && [ "$$(df -Pm /dev/shm | awk 'END { print $$4 }')" -ge $(MEMORY_MB) ]; then \
 	    export PYTEST_DEBUG_TEMPROOT=/dev/shm; fi; \
-	$(BIN)/pytest $(TESTS) -q -n $(WORKERS) --dist worksteal --cov=touchdown --cov-report= || { \
+	$(BIN)/pytest $(TESTS) -q -n $(WORKERS) --dist worksteal || { \
 	    code=$$?; [ $$code = 1 ] || exit $$code; \
 	    echo "test: what failed is run again, one by one:"; \
 	    if $(BIN)/pytest $(TESTS) -q --last-failed --last-failed-no-failures none --maxfail 9; \
 	    then echo "test: FAILED. Alone they pass: they depend on speed, or on what ran beside or before."; \
 	    else echo "test: FAILED, alone as well."; fi; \
-	    exit $$code; }; \
-	echo "test: $$($(BIN)/coverage report --format=total) % of the product's lines are covered"
+	    exit $$code; }
+
+coverage: setup ## share of the product's lines that the tests run (slower than make test)
+	@QT_QPA_PLATFORM=offscreen OMP_NUM_THREADS=1 $(BIN)/pytest $(TESTS) -q -n $(WORKERS) \
+	    --cov=app --cov=backend --cov=widgets --cov-report=
+	@echo "coverage: $$($(BIN)/coverage report --format=total) % of the product's lines are covered"
 
 check: lint types contracts test ## what continuous integration runs
 

@@ -46,7 +46,7 @@ class PendingDecision:
 
     @property
     def given(self) -> bool:
-        """Whether a decision is pending."""
+        """True if a decision is pending."""
         return self._decision is not None
 
     def give(self, decision: EpisodeDecision) -> None:
@@ -94,12 +94,12 @@ class OperatorPrompt:
 
     @property
     def answered(self) -> bool:
-        """Whether the last question has an answer."""
+        """True if the last question has an answer."""
         return self._answer is not None
 
     @property
     def yes(self) -> bool:
-        """Whether the answer was yes."""
+        """True if the answer was yes."""
         return self._answer is True
 
 
@@ -164,7 +164,7 @@ class EpisodeStore(Protocol):
 
     @property
     def written(self) -> bool:
-        """Whether no write is in progress, so that ``settle`` returns or raises at once."""
+        """True if no write is in progress, so that ``settle`` returns or raises at once."""
 
     def settle(self) -> Path | None:
         """Wait until the last episode is durable; return its path, None if files are not kept.

@@ -151,7 +151,7 @@ class EpisodeRecorder:
 
     @property
     def written(self) -> bool:
-        """Whether no write is in progress, so that ``settle`` returns or raises at once."""
+        """True if no write is in progress, so that ``settle`` returns or raises at once."""
         return self._pending is not None and self._pending.done()
 
     def settle(self) -> EpisodeEntry:
@@ -187,7 +187,7 @@ class OriginCheck:
 
     @property
     def agrees(self) -> bool:
-        """Whether the residual is within three standard uncertainties on both axes."""
+        """True if the residual is within three standard uncertainties on both axes."""
         return bool(np.abs(self.residual_mm).max() <= 3.0 * self.sigma_mm)
 
 

@@ -98,7 +98,7 @@ class Engine:
 
     @property
     def busy(self) -> bool:
-        """Whether a plan is running."""
+        """True if a plan is running."""
         return self._plan is not None
 
     def begin(self, plan: Plan[object]) -> None:
@@ -415,7 +415,7 @@ class LiveThread:
 
     @property
     def running(self) -> bool:
-        """Whether it was opened and not closed."""
+        """True if it was opened and not closed."""
         return self._thread is not None
 
     @property

@@ -72,22 +72,22 @@ class ManualControl:
 
     @property
     def active(self) -> bool:
-        """Whether something moves under manual control."""
+        """True if something moves under manual control."""
         return self.jog.active or self._gripping or self.switching
 
     @property
     def switching(self) -> bool:
-        """Whether the servo is being switched."""
+        """True if the servo is being switched."""
         return self._switch is not None and self._switch.is_alive()
 
     @property
     def powered(self) -> bool:
-        """Whether the motors of the arm are on."""
+        """True if the motors of the arm are on."""
         return self._reach.arm.status().robot_mode is not RobotMode.SERVO_OFF
 
     @property
     def holding(self) -> bool:
-        """Whether a piece is held."""
+        """True if a piece is held."""
         return self._reach.gripper.status().holding
 
     @property
@@ -101,7 +101,7 @@ class ManualControl:
 
     @property
     def rotates(self) -> bool:
-        """Whether the hand can rotate and single joints can be driven."""
+        """True if the hand can rotate and single joints can be driven."""
         return self._reach.arm.rotates
 
     def refuse_turned(self) -> None:

@@ -189,7 +189,7 @@ class RunStore:
 
     @property
     def written(self) -> bool:
-        """Whether no write is in progress, so that ``settle`` returns or raises at once."""
+        """True if no write is in progress, so that ``settle`` returns or raises at once."""
         return self._pending is None or self._pending.done()
 
     def settle(self) -> Path | None:

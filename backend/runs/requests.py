@@ -201,7 +201,7 @@ class CalibrateRequest:
 
     @property
     def takes_piece(self) -> bool:
-        """Whether a piece is held during the measurement."""
+        """True if a piece is held during the measurement."""
         return self.what not in ("payload", "wrist")
 
     def scene(self) -> SceneChoice:

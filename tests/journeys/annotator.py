@@ -74,7 +74,7 @@ class Person:
         return self.workspace.presenter
 
     def calm(self) -> bool:
-        """Whether the window has done all that was asked, and shows it as saved."""
+        """True if the window has done all that was asked, and shows it as saved."""
         p = self.presenter
         return (
             p is not None

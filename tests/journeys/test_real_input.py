@@ -148,7 +148,7 @@ class Operator:
         return seen[0]
 
     def reads(self, words):
-        """Whether these words stand in the window."""
+        """True if these words stand in the window."""
         return any(words in c["words"] for c in self.ask("look"))
 
     def height_mm(self):

@@ -203,7 +203,7 @@ def test_whoever_starts_first_is_asked_for_a_name(start):
 
 
 def is_blank(view):
-    """Whether a view is of one colour."""
+    """True if a view is of one colour."""
     image = view.grab().toImage().scaled(40, 40)
     return len({image.pixel(x, y) for x in range(40) for y in range(40)}) == 1
 

@@ -67,7 +67,7 @@ class DevicesUnderTest:
         self.rest(self.told_s)
 
     def holds(self) -> bool:
-        """Whether the piece is in the jaws, even if the gripper is closed."""
+        """True if the piece is in the jaws, even if the gripper is closed."""
         return (self.truly_holding or (lambda: self.gripper.status().holding))()
 
     def rest(self, seconds: float) -> None:

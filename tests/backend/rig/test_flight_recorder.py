@@ -71,7 +71,7 @@ def child(folder, moment):
 
 
 def reserves(folder):
-    """Whether this file system keeps room for files without a name."""
+    """True if this file system keeps room for files without a name."""
     reserve = ReservedFile()
     able = reserve.take(folder, 4096)
     reserve.give_back()

@@ -38,7 +38,7 @@ class Watched:
         self.now_s = time.monotonic()
 
     def rests(self):
-        """Whether the thread sleeps."""
+        """True if the thread sleeps."""
         return self.rest.look(time.monotonic()) > 0.0
 
     def look(self, times, every_s=WATCH_PERIOD_S):

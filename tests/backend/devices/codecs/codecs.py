@@ -32,7 +32,7 @@ class Codec:
     datagram: Callable[[bytes], Any] | None = None
     end: bytes = b""
     exact: bool = True
-    """Whether a decoded message is found again, byte by byte, in what was decoded."""
+    """True if a decoded message is found again, byte by byte, in what was decoded."""
 
     def messages(self, data, cut=None):
         """Decode ``data``, a stream cut after each ``cut`` bytes, or one datagram."""

@@ -21,7 +21,7 @@ def only(decoder, content):
 
 
 def same(wanted, found):
-    """Whether two values of fields agree: numbers within 1e-9 relative, the rest exactly."""
+    """True if two values of fields agree: numbers within 1e-9 relative, the rest exactly."""
     if isinstance(wanted, dict):
         return set(wanted) <= set(found) and all(same(wanted[k], found[k]) for k in wanted)
     if isinstance(wanted, list):

@@ -47,7 +47,7 @@ def interrupted(rig: Rig, order: Callable[[], object], wanted: str | int) -> str
 
 
 def still(rig: Rig, for_s: float = 0.2) -> bool:
-    """Whether the arm stands, after it has had time to brake."""
+    """True if the arm stands, after it has had time to brake."""
     rig.rest(0.2)
     before = rig.true_mm
     rig.rest(for_s)

@@ -23,8 +23,14 @@ from touchdown.app.label.page import (
     EmptyState,
     LabelPage,
 )
-from touchdown.app.label.queue import Prefetcher, QueueCursor, read_queue
-from touchdown.app.label.session import AnnotationSession, FindingQueue, PresentEpisode
+from touchdown.app.label.session import (
+    AnnotationSession,
+    FindingQueue,
+    Prefetcher,
+    PresentEpisode,
+    QueueCursor,
+    read_queue,
+)
 from touchdown.app.label.text import (
     FINDING,
     history_rows,

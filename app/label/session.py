@@ -1,11 +1,24 @@
-"""Annotation session on one dataset."""
+"""Annotation session: its person, the review queue and the episodes read ahead."""
 
 from __future__ import annotations
 
+import threading
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Generic, TypeVar
 
-from touchdown.app.shell import LabelDraft, LabelItem
-from touchdown.backend.annotations import Revision, Verdict
+from touchdown.app.label.text import FINDING, blind_queue_row, queue_row
+from touchdown.app.shell import LabelDraft, LabelItem, MainThreadQueue
+from touchdown.backend.annotations import (
+    ControlItemView,
+    Dataset,
+    EpisodeEntry,
+    Revision,
+    Verdict,
+    with_control_items,
+)
+from touchdown.backend.core import InputError
+from touchdown.widgets.lists import LabelList, LabelListRow
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,3 +64,217 @@ class PresentEpisode:
     edit: LabelDraft
     history: list[Revision] = field(default_factory=list)
     verdict: Verdict | None = None
+
+
+PREFETCH_DISTANCE = 3  # number of episodes kept ready before and after the present one
+IDLE_BEFORE_READ_S = 0.08
+PREFETCH_JOIN_S = 1.0  # the thread only reads, so one that hangs on a disk is abandoned
+
+Item = TypeVar("Item")
+
+
+class Prefetcher(Generic[Item]):
+    """Reads the wanted items on a thread; keeps at most ``2 * PREFETCH_DISTANCE + 1``.
+
+    ``arrived`` is called on the thread of the window with the id of each item read.
+    """
+
+    def __init__(
+        self,
+        read: Callable[[str], Item],
+        main_thread: MainThreadQueue,
+        arrived: Callable[[str], None],
+    ) -> None:
+        self._read, self._main_thread, self._arrived = read, main_thread, arrived
+        self._changed = threading.Condition()
+        self._wanted: tuple[str, ...] = ()
+        self._items: dict[str, Item | Exception] = {}
+        self._closed = False
+        self._thread = threading.Thread(target=self._run, name="label-prefetch", daemon=True)
+        self._thread.start()
+
+    def want(self, wanted: Sequence[str]) -> None:
+        """Keep exactly these items; the first one is read first."""
+        with self._changed:
+            self._wanted = tuple(wanted[: 2 * PREFETCH_DISTANCE + 1])
+            self._drop()
+            self._changed.notify()
+
+    def get(self, uuid: str) -> Item | Exception | None:
+        """Return the item, its read error, or None while it is not read yet."""
+        with self._changed:
+            return self._items.get(uuid)
+
+    def forget(self) -> None:
+        """Read all items again."""
+        with self._changed:
+            self._items.clear()
+            self._changed.notify()
+
+    def held(self) -> tuple[str, ...]:
+        """Return the ids of the items in memory."""
+        with self._changed:
+            return tuple(self._items)
+
+    def close(self) -> None:
+        """End the thread."""
+        with self._changed:
+            self._closed = True
+            self._changed.notify()
+        self._thread.join(PREFETCH_JOIN_S)
+
+    def _drop(self) -> None:
+        for uuid in set(self._items) - set(self._wanted):
+            del self._items[uuid]
+
+    def _run(self) -> None:
+        while (uuid := self._next()) is not None:
+            item: Item | Exception
+            try:
+                item = self._read(uuid)
+            except Exception as error:  # noqa: BLE001 - one bad episode must not end the reading
+                item = error
+            with self._changed:
+                self._items[uuid] = item
+                self._drop()
+            self._main_thread.put(lambda uuid=uuid: self._arrived(uuid))  # type: ignore[misc]
+
+    def _next(self) -> str | None:
+        """Wait for the next item to read; return None at the end.
+
+        The present episode is read at once. Its neighbours are read after a pause, so that reading
+        ahead does not delay painting.
+        """
+        with self._changed:
+            while not self._closed:
+                missing = [uuid for uuid in self._wanted if uuid not in self._items]
+                if missing and missing[0] == self._wanted[0]:
+                    return missing[0]
+                if missing and not self._changed.wait(IDLE_BEFORE_READ_S):
+                    return missing[0]
+                if not missing:
+                    self._changed.wait()
+        return None
+
+
+def neighbours(order: Sequence[str], at: int) -> list[str]:
+    """Return the present id and its neighbours, nearest first, later before earlier."""
+    places = [at]
+    for distance in range(1, PREFETCH_DISTANCE + 1):
+        places += [at + distance, at - distance]
+    return [order[place] for place in places if 0 <= place < len(order)]
+
+
+# Ids in order, all entries, and the control items among the ids.
+QueueContent = tuple[list[str], dict[str, EpisodeEntry], dict[str, ControlItemView]]
+
+
+def read_queue(dataset: Dataset, session: AnnotationSession) -> QueueContent:
+    """Return a queue with control items mixed in. Slow: do not call on the thread of the window."""
+    s = session
+    if s.queue == FINDING:
+        order = [] if s.chosen is None else list(s.chosen.said)
+    else:
+        order = dataset.queue(s.queue, s.person, seed=s.seed)
+    entries = {entry.uuid: entry for entry in dataset.episodes()}
+    order = [uuid for uuid in order if uuid in entries]
+    if s.queue != "unlabelled":
+        return order, entries, {}
+    order, gold = with_control_items(dataset, s.person, order, entries, s.seed)
+    return order, entries, gold
+
+
+class QueueCursor:
+    """Keeps list, order and prefetch consistent. The order does not change until the next read."""
+
+    def __init__(self, rows: LabelList, prefetch: Prefetcher[LabelItem]) -> None:
+        self._rows, self._prefetch = rows, prefetch
+        self.order: list[str] = []
+        self.entries: dict[str, EpisodeEntry] = {}
+        self.badges: dict[str, tuple[str, ...]] = {}
+        self.at = -1
+        self.begun = False
+        self._blind = self._hides = False
+        # Answered blind since the queue was read.
+        self.answered: set[str] = set()
+
+    @property
+    def uuid(self) -> str | None:
+        """The present episode."""
+        return self.order[self.at] if 0 <= self.at < len(self.order) else None
+
+    def begin(self, order: Sequence[str], entries: Mapping[str, EpisodeEntry], stay: str) -> None:
+        """Use a queue; start with ``stay`` if it contains it, else with the first episode."""
+        self.begun = True
+        self.answered.clear()
+        self.order, self.entries = list(order), dict(entries)
+        self._rows.show_rows([self._row(uuid) for uuid in self.order])
+        self.at = self.order.index(stay) if stay in self.order else (0 if self.order else -1)
+        self._want()
+
+    def move_to(self, at: int) -> bool:
+        """Go to a place; return False if there is none."""
+        if not 0 <= at < len(self.order):
+            return False
+        self.at = at
+        self._want()
+        return True
+
+    def find(self, uuid: str) -> int:
+        """Return the place of an episode, -1 if it is not in this queue."""
+        return self.order.index(uuid) if uuid in self.order else -1
+
+    def ready(self) -> LabelItem | Exception | None:
+        """Return the present item, its read error, or None while it is being read."""
+        uuid = self.uuid
+        return InputError("The queue is empty.", "queue", "Choose another.") if uuid is None else (
+            self._prefetch.get(uuid)
+        )  # fmt: skip
+
+    def ahead(self) -> LabelItem | Exception | None:
+        """Return the next item of the queue, None if it is not read yet."""
+        at = self.at + 1
+        return self._prefetch.get(self.order[at]) if at < len(self.order) else None
+
+    def held(self) -> tuple[str, ...]:
+        """Return the ids of the episodes in memory."""
+        return self._prefetch.held()
+
+    def size(self, uuid: str) -> int:
+        """Return the memory size of an episode in bytes, 0 if it is not in memory."""
+        item = self._prefetch.get(uuid)
+        return item.bytes if isinstance(item, LabelItem) else 0
+
+    def cover(self, *, blind: bool, hides: bool) -> None:
+        """Hide the states of the episodes (``blind``) or other evidence (``hides``)."""
+        if (blind, hides) != (self._blind, self._hides):
+            self._blind, self._hides = blind, hides
+            self._rows.show_rows([self._row(uuid) for uuid in self.order])
+            if self.at >= 0:
+                self._rows.choose(self.at)
+
+    def note(self, uuid: str, badges: tuple[str, ...]) -> None:
+        """Set the badges of an episode and update its row."""
+        self.badges[uuid] = badges
+        at = self.at if uuid == self.uuid else self.find(uuid)
+        if at >= 0:
+            self._rows.show_row(at, self._row(uuid))
+
+    def take(self, entry: EpisodeEntry) -> None:
+        """Update the entry of an episode and its row."""
+        self.entries[entry.uuid] = entry
+        self.note(entry.uuid, self.badges.get(entry.uuid, ()))
+
+    def _row(self, uuid: str) -> LabelListRow:
+        entry = self.entries[uuid]
+        if self._blind:
+            return blind_queue_row(entry, answered=uuid in self.answered)
+        badges = () if self._hides else self.badges.get(uuid, ())
+        return queue_row(entry, entry.state, badges)
+
+    def _want(self) -> None:
+        if self.at >= 0:
+            self._prefetch.want(neighbours(self.order, self.at))
+            self._rows.choose(self.at)
+        else:
+            self._prefetch.want(())

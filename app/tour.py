@@ -125,8 +125,8 @@ def tour_stops(
     """Return the stops, in the order of a working day."""
     return (
         TourStop("", lambda: bar.pill, "This bench is simulated",
-                 "Fingers, wrench, arm and gripper are computed, so nothing can break. Here stands "
-                 "what the bench is doing; the devices beside it open their raw fields."),
+                 "Fingers, wrench, arm and gripper are computed, so nothing can break. This field "
+                 "shows the state of the bench. Click a device beside it for its raw values."),
         TourStop("", lambda: bar.stop, "STOP is everywhere",
                  "It halts arm and gripper at once and keeps the grip. F12 does the same from "
                  "every page, dialog and text field. Then look at the bench and press Reset."),
@@ -138,15 +138,15 @@ def tour_stops(
         TourStop("operate", lambda: _of(workspaces, OperateWorkspace).page.probe, "Probe once",
                  "Presses at the position of the arm and shows the result (F5)."),
         TourStop("collect", lambda: _target(workspaces), "Collect, then label",
-                 "So many labelled probes of one pair, here. F2 changes to labelling: there Enter "
-                 "accepts and goes on."),
+                 "Set the number of labelled probes of one pair here. F2 changes to labelling: "
+                 "Enter accepts a label and shows the next."),
         TourStop("train", lambda: _of(workspaces, TrainWorkspace).page.form, "Train a model",
                  "On the labelled probes; curves, samples and comparison are shown beside it."),
         TourStop("stack", lambda: _of(workspaces, StackWorkspace).page.run, "Stack by touch",
-                 "Press Start stacking: the piece is pressed on, felt, shifted, and let go where "
-                 "it will stand. The belief map and the decision in words follow every probe."),
+                 "Press Start stacking: the arm presses the piece on, shifts it, and releases it "
+                 "where it will stand. Belief map and decision are updated after every probe."),
         TourStop("review", lambda: _of(workspaces, ReviewWorkspace).page.runs, "Look at it again",
-                 "Every run is kept: pictures, wrench, belief and decision on one line of time."),
+                 "Every run is recorded: pictures, wrench, belief and decision on one time line."),
         TourStop("", lambda: window.rail["keys"], "Find your way",
                  "Ctrl+K finds every command, F1 shows all keys. 'Layout' arranges the columns of "
                  "a workspace. This tour is in the palette too: Ctrl+K, tour."),

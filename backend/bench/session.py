@@ -314,7 +314,9 @@ class Session:
             self.hand.refuse_turned()
         plan = self._plan(request)
         events: list[Event] = []
-        leave = self.events.subscribe(events.append)
+        # Other events hold episodes and maps; a long run would fill the memory with them.
+        kept = (TrialFinished, FaultRaised, RunFinished)
+        leave = self.events.subscribe(lambda e: events.append(e) if isinstance(e, kept) else None)
         try:
             self.engine.run(plan, self.advance)
         finally:

@@ -11,12 +11,7 @@ from shiboken6 import isValid
 from touchdown.app.collect import CollectWorkspace
 from touchdown.app.operate import OperateWorkspace
 from touchdown.app.review import ReviewWorkspace
-from touchdown.app.shell import (
-    Memory,
-    Workspace,
-    WorkspaceContext,
-    ignored_words,
-)
+from touchdown.app.shell import Memory, Workspace, WorkspaceContext, ignored_words
 from touchdown.app.stack import StackWorkspace
 from touchdown.app.train import TrainWorkspace
 from touchdown.backend.bench import Session

@@ -26,10 +26,7 @@ TITLES = {
     "short+hex20": "hexagon on Short",
     "short+rect12x28": "long rectangle on Short",
 }
-KINDS = {
-    ", rather stable than not": "likely",
-    ", sure enough to release": "released",
-}
+KINDS = {", rather stable than not": "likely", ", sure enough to release": "released"}
 Json = dict[str, Any]
 
 

@@ -46,8 +46,7 @@ def leaks_since(before: Snapshot, keeper: int | None = None) -> list[str]:
         if thread not in before.threads:
             thread.join(GRACE_S)
     psutil.wait_procs(
-        [child for child in _children(keeper) if child.pid not in before.children],
-        timeout=GRACE_S,
+        [child for child in _children(keeper) if child.pid not in before.children], timeout=GRACE_S
     )
     _delete_deferred()
     gc.collect()

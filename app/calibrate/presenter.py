@@ -11,16 +11,8 @@ from typing import cast
 
 from PySide6.QtWidgets import QWidget
 
-from touchdown.app.calibrate.sheet import (
-    CalibrateSheet,
-    CalibrationView,
-    PlaceForm,
-)
-from touchdown.app.shell import (
-    is_run_active,
-    refusal_card,
-    start_obstacle,
-)
+from touchdown.app.calibrate.sheet import CalibrateSheet, CalibrationView, PlaceForm
+from touchdown.app.shell import is_run_active, refusal_card, start_obstacle
 from touchdown.backend.bench import Session
 from touchdown.backend.calibration import (
     CALIBRATION_KINDS,

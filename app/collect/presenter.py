@@ -19,11 +19,7 @@ from touchdown.app.collect.requests import (
     collect_request,
     probe_text,
 )
-from touchdown.app.shell import (
-    ACTIVE_STATES,
-    SaveWorker,
-    refusal_card,
-)
+from touchdown.app.shell import ACTIVE_STATES, SaveWorker, refusal_card
 from touchdown.backend.annotations import Dataset, EpisodeEntry, EpisodeFilter, check_person
 from touchdown.backend.bench import Session
 from touchdown.backend.core import (

@@ -95,10 +95,7 @@ class PairProbes:
         before = self._held.get(held.entry.uuid)
         if before is not None and held.seen is None:
             held = replace(
-                held,
-                commanded_mm=before.commanded_mm,
-                seen=before.seen,
-                signals=before.signals,
+                held, commanded_mm=before.commanded_mm, seen=before.seen, signals=before.signals
             )
         self._held[held.entry.uuid] = held
         self._coverage = None

@@ -7,10 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from touchdown.app.collect.probes import ProbeRecord, displacement_text, quality_text, read_probe
-from touchdown.app.shell import (
-    ACTIVE_STATES,
-    start_obstacle,
-)
+from touchdown.app.shell import ACTIVE_STATES, start_obstacle
 from touchdown.backend.annotations import Dataset
 from touchdown.backend.bench import Session
 from touchdown.backend.core import EpisodeDecision, HandOverAwaited, MountingAwaited

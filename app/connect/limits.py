@@ -19,10 +19,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from touchdown.app.shell import (
-    QuestionRow,
-    refusal_card,
-)
+from touchdown.app.shell import QuestionRow, refusal_card
 from touchdown.backend.bench import Session
 from touchdown.backend.config import LimitSettings
 from touchdown.backend.core import InputError, RefusedError

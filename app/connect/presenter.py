@@ -12,10 +12,7 @@ from touchdown.app.calibrate import CalibratePresenter
 from touchdown.app.connect.devices import DevicesPresenter
 from touchdown.app.connect.limits import LimitsPresenter
 from touchdown.app.connect.sheet import ConnectSheet, ConnectView, DeviceRowView
-from touchdown.app.shell import (
-    is_run_active,
-    refusal_card,
-)
+from touchdown.app.shell import is_run_active, refusal_card
 from touchdown.backend.bench import Session
 from touchdown.backend.core import RefusedError
 from touchdown.backend.devices import CONNECTION_STEPS

@@ -13,13 +13,7 @@ from PySide6.QtGui import QKeyEvent, QWindow
 from PySide6.QtWidgets import QApplication, QWidget
 
 from touchdown.app.operate.page import OperatePage
-from touchdown.app.shell import (
-    is_run_active,
-    is_typing,
-    log,
-    missing_scene_reason,
-    refusal_card,
-)
+from touchdown.app.shell import is_run_active, is_typing, log, missing_scene_reason, refusal_card
 from touchdown.backend.bench import Session
 from touchdown.backend.core import (
     LEVEL_TOLERANCE_RAD,

@@ -18,13 +18,7 @@ from touchdown.widgets.base import (
     flat_button,
     ui_font,
 )
-from touchdown.widgets.forms import (
-    GripperPanel,
-    JogPad,
-    JogUnit,
-    ProbePanel,
-    ScenePanel,
-)
+from touchdown.widgets.forms import GripperPanel, JogPad, JogUnit, ProbePanel, ScenePanel
 from touchdown.widgets.plots import SPANS_S, TracesPanel
 from touchdown.widgets.views import LOOKS, BeliefPanel
 

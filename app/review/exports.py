@@ -95,10 +95,7 @@ def _head_px(theme: Theme) -> int:
 @contextmanager
 def _without_buttons(view: QWidget) -> Iterator[None]:
     """Hide the buttons for a while, without changing the layout."""
-    found: list[QWidget] = [
-        *view.findChildren(QAbstractButton),
-        *view.findChildren(QComboBox),
-    ]
+    found: list[QWidget] = [*view.findChildren(QAbstractButton), *view.findChildren(QComboBox)]
     hidden = [one for one in found if one.isVisible()]
     before = [one.sizePolicy() for one in hidden]
     for one in hidden:

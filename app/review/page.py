@@ -29,12 +29,7 @@ from touchdown.widgets.views import (
 )
 
 KINDS = (("all", "All"), ("runs", "Runs"), ("series", "Series"))
-ORDERS = (
-    ("kind", "By kind"),
-    ("newest", "Newest"),
-    ("oldest", "Oldest"),
-    ("pair", "By pair"),
-)
+ORDERS = (("kind", "By kind"), ("newest", "Newest"), ("oldest", "Oldest"), ("pair", "By pair"))
 STORY_PX = 82  # height of three lines at the minimum window size
 NOTHING_FLAGS = Qt.AlignmentFlag.AlignCenter | Qt.TextFlag.TextWordWrap
 FILM_SHARE = 0.18  # maximum share of the page height for a picture

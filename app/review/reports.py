@@ -34,13 +34,7 @@ from touchdown.backend.experiments import (
 )
 from touchdown.widgets.base import Tokens, label
 from touchdown.widgets.shell import CardText
-from touchdown.widgets.views import (
-    FlowWidget,
-    PictureCard,
-    ReportCell,
-    ReportGrid,
-    ReportSheet,
-)
+from touchdown.widgets.views import FlowWidget, PictureCard, ReportCell, ReportGrid, ReportSheet
 
 DEFAULT_SIZE_PX = 220, 220
 NAMESPACES = 'xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink"'

@@ -7,11 +7,7 @@ from dataclasses import dataclass
 
 from PySide6.QtWidgets import QFrame, QHBoxLayout, QPushButton
 
-from touchdown.backend.bench import (
-    Session,
-    model_in_use,
-    shipped_model,
-)
+from touchdown.backend.bench import Session, model_in_use, shipped_model
 from touchdown.backend.core import InputError
 from touchdown.backend.learning import ModelCard, ModelRegistry, load_card
 from touchdown.backend.learning.fused import shipped_fused

@@ -96,8 +96,7 @@ def _arrangement(raw: dict[str, object]) -> ColumnArrangement:
     if not all(isinstance(title, str) for title in hidden):
         raise TypeError("a panel without a title")
     return ColumnArrangement(
-        tuple(float(cast("float", share)) for share in shares),
-        frozenset(cast("list[str]", hidden)),
+        tuple(float(cast("float", share)) for share in shares), frozenset(cast("list[str]", hidden))
     )
 
 
@@ -119,10 +118,7 @@ class LayoutsPresenter:
     """
 
     def __init__(
-        self,
-        path: Path,
-        tell: Callable[[str], None],
-        failed: Callable[[OSError], None],
+        self, path: Path, tell: Callable[[str], None], failed: Callable[[OSError], None]
     ) -> None:
         self._path, self._tell, self._failed = path, tell, failed
         self._columns: dict[str, Columns] = {}

@@ -113,10 +113,7 @@ class LivePresenter:
             plot.setAccessibleDescription(plot.summary())
 
     def _show_header(self, finger: Finger) -> None:
-        panel, device = (
-            self._views.panels[finger],
-            self._bench.devices.get(f"tactile_{finger}"),
-        )
+        panel, device = (self._views.panels[finger], self._bench.devices.get(f"tactile_{finger}"))
         seen, total = self._views.tactile[finger].seen()
         if device is None or total == 0:
             panel.detail.setText("")

@@ -6,10 +6,7 @@ from pathlib import Path
 
 from PySide6.QtWidgets import QFileDialog
 
-from touchdown.app.shell import (
-    MainThreadQueue,
-    SaveWorker,
-)
+from touchdown.app.shell import MainThreadQueue, SaveWorker
 from touchdown.app.stack.page import StackPage
 from touchdown.backend.bench import Session
 from touchdown.backend.core import (

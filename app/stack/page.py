@@ -49,10 +49,7 @@ class StackPage(LivePage):
         self.belief_panel = BeliefPanel(theme, "Belief map", self.strip)
         self.belief, self.legend = self.belief_panel.view, self.belief_panel.legend
         self.run = RunPanel(
-            theme,
-            self.start_requested.emit,
-            self.pause_requested.emit,
-            self.cancel_requested.emit,
+            theme, self.start_requested.emit, self.pause_requested.emit, self.cancel_requested.emit
         )
         self.score = ScorePanel(theme)
         compare = flat_button("Compare", "Compare the strategies on the same seed (Ctrl+D)")

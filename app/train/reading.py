@@ -77,11 +77,7 @@ class TrainingReader:
             found, trouble = (), f"{error.what} {error.fix}"
             self._key = None
         seen = training_set_overview(
-            found,
-            form.piece,
-            form.held_out / 100,
-            form.seed,
-            divide_series=form.divide_series,
+            found, form.piece, form.held_out / 100, form.seed, divide_series=form.divide_series
         )
         runs = tuple(list_training_runs(data))
         piece = seen.piece or _piece_of(runs) or self._changed_last()

@@ -216,10 +216,7 @@ def _moved(label: Label, change: ShiftOrigin | RotateFrame) -> Label:
     c, s = math.cos(angle), math.sin(angle)
     theta = None if label.theta_mdeg is None else label.theta_mdeg + change.angle_mdeg
     return replace(
-        label,
-        x_um=round(c * x_um - s * y_um),
-        y_um=round(s * x_um + c * y_um),
-        theta_mdeg=theta,
+        label, x_um=round(c * x_um - s * y_um), y_um=round(s * x_um + c * y_um), theta_mdeg=theta
     )
 
 

@@ -134,11 +134,7 @@ class SimulatedScoring:
         if truth.stands is not None and self.animate:
             truth = self.bench.truth(animate=True)
         return ReleaseVerdict(
-            bool(truth.stands),
-            truth.knocked_over,
-            truth.margin_mm,
-            truth.fall,
-            truth.contradicted,
+            bool(truth.stands), truth.knocked_over, truth.margin_mm, truth.fall, truth.contradicted
         )
 
 
@@ -405,10 +401,7 @@ def simulated_bench(
         given=None if isinstance(settings, Path) else settings,
     )
     session = simulated_session(
-        choice,
-        keep=RecordingOptions(runs),
-        method=method,
-        registry=ModelRegistry(models_folder()),
+        choice, keep=RecordingOptions(runs), method=method, registry=ModelRegistry(models_folder())
     )
     session.calibrations = CalibrationStore(calibrations_folder(), "simulated")
     return session

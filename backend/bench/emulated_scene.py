@@ -451,10 +451,7 @@ def lab_toml(scene: Scene, emulation: Emulation) -> str:
     wrist, tactile = scene.settings.wrist, scene.settings.tactile
     bottoms = "+".join(body.name for body in scene.bottoms.bodies)
     tables = {name: dict(table) for name, table in emulation.bench.items()}
-    tables["gelsight"] |= {
-        "mm_per_px_x": tactile.mm_per_px[0],
-        "mm_per_px_y": tactile.mm_per_px[0],
-    }
+    tables["gelsight"] |= {"mm_per_px_x": tactile.mm_per_px[0], "mm_per_px_y": tactile.mm_per_px[0]}
     mounting = {
         "sensor_height_mm": wrist.height_mm,
         "sensor_yaw_rad": wrist.yaw_rad,

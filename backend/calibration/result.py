@@ -46,11 +46,7 @@ CALIBRATION_KINDS: dict[CalibrationName, CalibrationKind] = {
             ("mass_kg", "com_x_mm", "com_y_mm"),
         ),
         CalibrationKind(
-            "board",
-            "Board",
-            1,
-            ("arm",),
-            ("x_mm", "y_mm", "z_mm", "slope_x_rad", "slope_y_rad"),
+            "board", "Board", 1, ("arm",), ("x_mm", "y_mm", "z_mm", "slope_x_rad", "slope_y_rad")
         ),
         CalibrationKind(
             "tool", "Tool and face centre", 30, ("arm", "gripper"), ("face_x_mm", "face_y_mm")

@@ -155,12 +155,7 @@ PRESETS: dict[str, dict[str, Any]] = {
     "mixed": {},
     "realistic": {"release_disturbance_mm": 0.5},
     "quiet": {
-        "tactile": {
-            "white_px": 0.2,
-            "bias_px": 0.3,
-            "drift_px_sqrt_s": 0.0,
-            "lost_share": 0.0,
-        },
+        "tactile": {"white_px": 0.2, "bias_px": 0.3, "drift_px_sqrt_s": 0.0, "lost_share": 0.0},
         "wrist": {
             "white_n": 0.05,
             "white_nm": 0.002,

@@ -67,9 +67,7 @@ def make_gripper(settings: HardwareSettings, now_s: Callable[[], float]) -> Grip
 
 
 def make_force_torque(
-    settings: HardwareSettings,
-    now_s: Callable[[], float],
-    samples: SampleStream | None = None,
+    settings: HardwareSettings, now_s: Callable[[], float], samples: SampleStream | None = None
 ) -> ForceTorqueReader:
     """Return the reader of the sensor that ``ft.driver`` names at ``ft.address``.
 

@@ -198,9 +198,7 @@ BEYOND = 1e5  # a load beyond the range of every sensor, N and N·m
 
 
 def add_noise(
-    wrench: Callable[[float], Sequence[float]],
-    noise: Sequence[float] = NOISE,
-    seed: int = 0,
+    wrench: Callable[[float], Sequence[float]], noise: Sequence[float] = NOISE, seed: int = 0
 ) -> Callable[[float], tuple[float, ...]]:
     """Return ``wrench`` with independent noise on every sample."""
     rng = random.Random(seed)  # noqa: S311

@@ -16,12 +16,7 @@ from touchdown.backend.emulation.fault_plan import (
     add_noise,
     hanging_gripper,
 )
-from touchdown.backend.emulation.server import (
-    DeviceServer,
-    EmulatedDevice,
-    PtyServer,
-    TcpServer,
-)
+from touchdown.backend.emulation.server import DeviceServer, EmulatedDevice, PtyServer, TcpServer
 
 WrenchFunction = Callable[[float], Sequence[float]]  # time in s -> (6,) N and N·m
 PictureFunction = Callable[[float], ImageArray | None]  # time in s -> picture, None if no new one

@@ -23,11 +23,7 @@ from touchdown.backend.core import RefusedError
 
 
 def note_import(
-    dataset: Dataset,
-    person: str,
-    draft: OperationDraft,
-    target: str,
-    body: dict[str, str | int],
+    dataset: Dataset, person: str, draft: OperationDraft, target: str, body: dict[str, str | int]
 ) -> None:
     """Commit ``draft`` as one operation of ``person``, with the event about ``target``.
 

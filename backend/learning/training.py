@@ -232,10 +232,7 @@ class Trainer:
             )
         self.settings, self.device = settings, device
         self.split: Split = split_rows(
-            rows,
-            settings.validation_share,
-            settings.seed,
-            divide_series=settings.divide_series,
+            rows, settings.validation_share, settings.seed, divide_series=settings.divide_series
         )
         self._rows, self._seen = rows, modality_columns(settings.modality)
         train = self.split.train

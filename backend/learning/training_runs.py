@@ -317,10 +317,7 @@ def run_training(
     dataset after the run. Raises ``InputError`` for invalid data, ``FaultError`` if the child
     process dies.
     """
-    with (
-        record_training(job, on_notice) as run,
-        TrainingProcess(job_in_run(run, job)) as training,
-    ):
+    with record_training(job, on_notice) as run, TrainingProcess(job_in_run(run, job)) as training:
         for report in training.reports():
             if run is not None:
                 record_report(run, report)

@@ -5,12 +5,6 @@ from typing import TYPE_CHECKING
 import lazy_loader
 
 if TYPE_CHECKING:
-    from touchdown.backend.rig import (
-        connection,
-        diagnostics,
-        flight_recorder,
-        link,
-        remote_devices,
-    )
+    from touchdown.backend.rig import connection, diagnostics, flight_recorder, link, remote_devices
 
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -111,11 +111,7 @@ class Devices:
 
     def named(self) -> dict[str, Device]:
         """Return the devices by name."""
-        return {
-            "force_torque": self.force_torque,
-            "gripper": self.gripper,
-            "arm": self.arm,
-        }
+        return {"force_torque": self.force_torque, "gripper": self.gripper, "arm": self.arm}
 
 
 @dataclass

@@ -74,10 +74,7 @@ def device_names(devices: Mapping[str, Device]) -> dict[str, DeviceName]:
 
 
 def calibrations_for(
-    request: Request,
-    mode: BenchMode,
-    store: CalibrationStore | None,
-    devices: Mapping[str, Device],
+    request: Request, mode: BenchMode, store: CalibrationStore | None, devices: Mapping[str, Device]
 ) -> UsedCalibrations:
     """Return the calibrations that a run uses.
 

@@ -42,10 +42,7 @@ HEADER = f"""
 
 
 def simulate_release(
-    tower: Tower,
-    seconds: float = 1.5,
-    frame_hz: float = 60.0,
-    disturbance_mm: Point = (0.0, 0.0),
+    tower: Tower, seconds: float = 1.5, frame_hz: float = 60.0, disturbance_mm: Point = (0.0, 0.0)
 ) -> tuple[bool, Fall]:
     """Simulate the release of a tower for ``seconds``.
 

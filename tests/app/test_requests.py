@@ -273,10 +273,7 @@ def test_a_held_key_is_one_stop(live, bench):
     window = live.window.windowHandle()
     for repeat in (False, True, True):
         event = QKeyEvent(
-            QEvent.Type.KeyPress,
-            Qt.Key.Key_F12,
-            Qt.KeyboardModifier.NoModifier,
-            autorep=repeat,
+            QEvent.Type.KeyPress, Qt.Key.Key_F12, Qt.KeyboardModifier.NoModifier, autorep=repeat
         )
         QApplication.sendEvent(window, event)
     assert bench.stops == 1

@@ -32,11 +32,7 @@ STRATEGIES = (
     ("zero-wrench", "Release at zero wrench"),
     ("pick-and-place", "Pick and place"),
 )
-MODES = (
-    ("auto", "Auto: no questions"),
-    ("approve", "Approve each move"),
-    ("step", "Step by step"),
-)
+MODES = (("auto", "Auto: no questions"), ("approve", "Approve each move"), ("step", "Step by step"))
 
 
 @dataclass(frozen=True, slots=True)

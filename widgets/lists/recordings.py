@@ -8,12 +8,7 @@ from typing import Any
 
 from PySide6.QtCore import QAbstractListModel, QRectF, QSize, Qt
 from PySide6.QtGui import QFontMetrics, QKeyEvent, QPainter, QPen
-from PySide6.QtWidgets import (
-    QListWidget,
-    QPushButton,
-    QStyleOptionViewItem,
-    QWidget,
-)
+from PySide6.QtWidgets import QListWidget, QPushButton, QStyleOptionViewItem, QWidget
 
 from touchdown.widgets.base import (
     ROOT,

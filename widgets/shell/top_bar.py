@@ -6,14 +6,7 @@ from collections.abc import Callable
 
 from PySide6.QtCore import QPointF, QRectF, QSize, Qt, QTimer
 from PySide6.QtGui import QColor, QPainter, QPaintEvent, QPen, QPolygonF, QResizeEvent
-from PySide6.QtWidgets import (
-    QFrame,
-    QPushButton,
-    QSizePolicy,
-    QSpinBox,
-    QVBoxLayout,
-    QWidget,
-)
+from PySide6.QtWidgets import QFrame, QPushButton, QSizePolicy, QSpinBox, QVBoxLayout, QWidget
 
 from touchdown.widgets.base import Theme, fit_icon, hbox, icon, label, ui_font, vbox
 from touchdown.widgets.shell.devices import DeviceChip

@@ -8,13 +8,7 @@ from dataclasses import dataclass
 
 from PySide6.QtCore import QEvent, Qt, Signal
 from PySide6.QtGui import QKeyEvent
-from PySide6.QtWidgets import (
-    QFrame,
-    QGridLayout,
-    QLineEdit,
-    QPushButton,
-    QWidget,
-)
+from PySide6.QtWidgets import QFrame, QGridLayout, QLineEdit, QPushButton, QWidget
 
 from touchdown.backend.core import Outcome, PlaceAction, Stability, SupportKind
 from touchdown.widgets.base import Panel, Theme, add_items, hbox, label, set_property, vbox

@@ -140,10 +140,7 @@ class ProbeStrip(QWidget):
             thumbnail.view.show_map(name)
 
     def show_probes(
-        self,
-        probes: list[tuple[BeliefScene, str]],
-        chosen: int,
-        empty: tuple[str, str] = NO_PROBES,
+        self, probes: list[tuple[BeliefScene, str]], chosen: int, empty: tuple[str, str] = NO_PROBES
     ) -> None:
         """Show these probes with one selected; ``empty``: title and detail if there are none."""
         self._empty = empty

@@ -7,14 +7,7 @@ from dataclasses import dataclass, field
 
 from PySide6.QtCore import QPointF, QRectF, QSize, Qt
 from PySide6.QtGui import QPainter, QPaintEvent, QPen
-from PySide6.QtWidgets import (
-    QComboBox,
-    QDialog,
-    QPushButton,
-    QSizePolicy,
-    QSpinBox,
-    QWidget,
-)
+from PySide6.QtWidgets import QComboBox, QDialog, QPushButton, QSizePolicy, QSpinBox, QWidget
 
 from touchdown.backend.core import Outcome
 from touchdown.widgets.base import Panel, Theme, add_items, hbox, label, set_property, vbox

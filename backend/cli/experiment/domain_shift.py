@@ -174,10 +174,7 @@ def _trained(args: argparse.Namespace, bench: SimulationSettings) -> tuple[Rando
 
 
 def _keep(
-    folder: Path,
-    trained: Sequence[RandomisedTraining],
-    store: JobStore,
-    screen: VerbOutput,
+    folder: Path, trained: Sequence[RandomisedTraining], store: JobStore, screen: VerbOutput
 ) -> None:
     """Write the trained models, each to its own folder for ``--models``."""
     from touchdown.backend.learning import save_half_precision
@@ -193,10 +190,7 @@ def _keep(
 
 def _models(args: argparse.Namespace, bench: SimulationSettings, store: JobStore) -> dict[str, str]:
     """Return the models of the piece, FT+Tac first; raises ``InputError`` for unknown names."""
-    known = (
-        (args.pieces, PIECES),
-        *((b, TABLE_BOTTOMS) for b in args.bottoms.split(",")),
-    )
+    known = ((args.pieces, PIECES), *((b, TABLE_BOTTOMS) for b in args.bottoms.split(",")))
     known += tuple((s, EVALUATED_STRATEGIES) for s in args.strategies.split(","))
     for name, names in known:
         if name not in names:

@@ -96,10 +96,7 @@ class MelfaPrograms:
         return program is not None and not program.motion.done
 
     def travel(
-        self,
-        core: StreamCore,
-        target: tuple[FloatArray, FloatArray],
-        speeds: tuple[float, float],
+        self, core: StreamCore, target: tuple[FloatArray, FloatArray], speeds: tuple[float, float]
     ) -> CommandedMotion:
         """Start a straight move to (3,) mm and (3, 3) turn, with mm/s and rad/s."""
         target_mm, turn = target

@@ -5,10 +5,6 @@ from typing import TYPE_CHECKING
 import lazy_loader
 
 if TYPE_CHECKING:
-    from touchdown.backend.devices.streamed import (
-        arm,
-        compliance,
-        motion_programs,
-    )
+    from touchdown.backend.devices.streamed import arm, compliance, motion_programs
 
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -291,9 +291,7 @@ class RotationJogProgram:
     fragile = False
 
     def __init__(
-        self,
-        motion: CommandedMotion,
-        now: tuple[FloatArray, FloatArray] | None = None,
+        self, motion: CommandedMotion, now: tuple[FloatArray, FloatArray] | None = None
     ) -> None:
         """``now`` is the initial velocity (3,) and turn rate (3,); the arm brakes unless
         renewed.

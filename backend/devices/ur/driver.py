@@ -197,11 +197,7 @@ def link_fault(what: str) -> Fault:
 def robot_fault(what: str, code: str = "UR-STOPPED") -> Fault:
     """Return the fault that the robot reports."""
     return Fault(
-        code,
-        f"{what}.",
-        HELD,
-        "Clear it at the teach pendant, then connect the arm again.",
-        ARM,
+        code, f"{what}.", HELD, "Clear it at the teach pendant, then connect the arm again.", ARM
     )
 
 

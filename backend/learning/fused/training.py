@@ -80,11 +80,7 @@ class FusedNet(nn.Module):
         about = self._linear("about", self.fused(probes))[:, :, None]
         both = relu(self._linear("both", relu(about + self._linear("point", points))))
         weight, mean, log_sd = self._linear("answer", both).chunk(3, dim=-1)
-        return (
-            weight.log_softmax(dim=-1),
-            mean,
-            log_sd.clamp(LEAST_LOG_SD, MOST_LOG_SD),
-        )
+        return (weight.log_softmax(dim=-1), mean, log_sd.clamp(LEAST_LOG_SD, MOST_LOG_SD))
 
     def _attended(self, layer: int, x: Tensor, later: Tensor) -> Tensor:
         b, count, width = x.shape

@@ -127,11 +127,7 @@ class SimArm(SimDevice):
     """Moves the pivot of a ``World``. ``stop`` works from any thread and in every state."""
 
     def __init__(
-        self,
-        world: World,
-        poses: SampleStream,
-        commands: SampleStream,
-        now_s: Callable[[], float],
+        self, world: World, poses: SampleStream, commands: SampleStream, now_s: Callable[[], float]
     ) -> None:
         self._world, self._poses, self._now_s = world, poses, now_s
         self._commands = commands

@@ -498,10 +498,7 @@ def test_the_chain_of_labels_is_written_into_the_run(dataset: Dataset, record) -
 
 
 def test_a_param_is_never_without_its_run(dataset: Dataset) -> None:
-    with (
-        pytest.raises(sqlite3.IntegrityError),
-        dataset.database.transaction() as connection,
-    ):
+    with pytest.raises(sqlite3.IntegrityError), dataset.database.transaction() as connection:
         connection.execute("INSERT INTO param VALUES ('none', 'k', '1')")
 
 

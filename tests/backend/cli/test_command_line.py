@@ -536,15 +536,7 @@ def test_a_folder_with_episodes_is_not_mixed_with_others(written, capsys) -> Non
     assert [path.read_bytes() for path in find_packs(out)] == before
 
 
-TRIAL_KEYS = {
-    "seed",
-    "outcome",
-    "reason",
-    "probes",
-    "excess_probes",
-    "margin_mm",
-    "contradicted",
-}
+TRIAL_KEYS = {"seed", "outcome", "reason", "probes", "excess_probes", "margin_mm", "contradicted"}
 OUTCOMES = {"placed", "fell", "knocked_over", "gave_up", "aborted"}
 
 

@@ -45,15 +45,7 @@ def test_delete_export_and_undo(dataset: Dataset, hand: Hand) -> None:
 
 
 ROOT = Path(__file__).resolve().parents[3]
-HOSTILE = [
-    "../secret",
-    "a/../../secret",
-    "/etc/hostname",
-    "link/secret",
-    "x" * 300,
-    "a\0b",
-    "",
-]
+HOSTILE = ["../secret", "a/../../secret", "/etc/hostname", "link/secret", "x" * 300, "a\0b", ""]
 UNPACKING = re.compile(r"import (zipfile|tarfile)|from (zipfile|tarfile)|unpack_archive")
 
 

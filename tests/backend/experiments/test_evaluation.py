@@ -413,8 +413,7 @@ def test_both_worlds_begin_where_they_are_told_to_and_wait_for_the_training() ->
 
 
 @pytest.mark.parametrize(
-    ("words", "where"),
-    [(["--train", "everything"], "--train"), (["--first", "-1"], "--first")],
+    ("words", "where"), [(["--train", "everything"], "--train"), (["--first", "-1"], "--first")]
 )
 def test_what_cannot_be_trained_or_numbered_is_refused(
     words: list[str], where: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]

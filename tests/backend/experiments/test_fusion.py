@@ -483,11 +483,7 @@ POINTS = [("replace", 0), ("replace", 1), ("replace", 2), ("fsync", 1), ("fsync"
 
 @pytest.mark.parametrize(("name", "at"), POINTS)
 def test_killed_at_any_point_each_model_is_whole_or_refused(
-    stores: list[JobStore],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    name: str,
-    at: int,
+    stores: list[JobStore], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, at: int
 ) -> None:
     keep_models(stores[0], RECIPE, tmp_path)
     whole = {p.name: load_checkpoint(p).card.weights_sha256 for p in tmp_path.glob("*.safetensors")}

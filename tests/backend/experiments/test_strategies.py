@@ -229,10 +229,7 @@ def compared(*strategies: str) -> Json:
         "code": "<1>",
         "cells": [{"strategy": name, **cell} for name in strategies],
         "pooled": [],
-        "statics": {
-            "cells": [],
-            "pooled": [{"strategy": name, **said} for name in strategies],
-        },
+        "statics": {"cells": [], "pooled": [{"strategy": name, **said} for name in strategies]},
         "gaps": [],
     }
 

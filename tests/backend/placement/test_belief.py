@@ -60,11 +60,7 @@ HERE = (3.3, -1.7)
 
 @pytest.mark.parametrize(
     ("estimates", "log_odds", "probability"),
-    [
-        ((0.7, 0.8), 2.2336, 0.9032),
-        ((0.6, 0.6, 0.6), 1.2164, 0.7714),
-        ((0.9, 0.2), 0.8109, 0.6923),
-    ],
+    [((0.7, 0.8), 2.2336, 0.9032), ((0.6, 0.6, 0.6), 1.2164, 0.7714), ((0.9, 0.2), 0.8109, 0.6923)],
 )
 def test_published_vectors(
     estimates: tuple[float, ...], log_odds: float, probability: float

@@ -90,11 +90,7 @@ def test_the_longest_step_is_a_setting() -> None:
 @pytest.mark.parametrize(
     ("what", "expected"),
     # An L of two bars: x 2..6 at y 0 and y 1..5 at x 2. Area: cells of the triangle.
-    [
-        ("cells", (2 + 10 / 10, 15 / 10)),
-        ("vertices", ((2 + 6 + 2) / 3, 5 / 3)),
-        ("area", None),
-    ],
+    [("cells", (2 + 10 / 10, 15 / 10)), ("vertices", ((2 + 6 + 2) / 3, 5 / 3)), ("area", None)],
 )
 def test_hull_centre_modes(what: str, expected: XY | None) -> None:
     points = lattice()

@@ -272,9 +272,7 @@ def test_a_campaign_is_hashable_as_a_value() -> None:
     assert Campaign("u", "a", "b", "grid", 1, 2) == Campaign("u", "a", "b", "grid", 1, 2)
 
 
-def test_holes_are_those_of_all_campaigns_that_somebody_stands_for(
-    stored: Dataset,
-) -> None:
+def test_holes_are_those_of_all_campaigns_that_somebody_stands_for(stored: Dataset) -> None:
     mine = new_campaign("pot", "circle15", "adaptive", 0, 5, None)
     context = replace(context_for(stored), campaign=mine.uuid)
     others = replace(context, campaign="another")
@@ -291,9 +289,7 @@ def test_holes_are_those_of_all_campaigns_that_somebody_stands_for(
     stored.labels.approve("bea", made[1])
     pieces = load_pieces()
     seen = pair_coverage(
-        stored,
-        mine,
-        ProbeTarget(pieces.piece("pot").face, pieces.piece("circle15").face),
+        stored, mine, ProbeTarget(pieces.piece("pot").face, pieces.piece("circle15").face)
     )
     # Mine as a draft, theirs approved and submitted; not their draft, nor what is no observation.
     found = [seen.centre_mm(i, j) for i, j in zip(*np.nonzero(seen.counts), strict=True)]

@@ -337,14 +337,7 @@ def test_damage_in_the_middle_names_file_and_line(tmp_path: Path) -> None:
         list(read_events(folder))
 
 
-@pytest.mark.parametrize(
-    "change",
-    [
-        {"dtype": "object"},
-        {"data": "not base64!"},
-        {"shape": [999]},
-    ],
-)
+@pytest.mark.parametrize("change", [{"dtype": "object"}, {"data": "not base64!"}, {"shape": [999]}])
 def test_a_forged_array_is_refused(tmp_path: Path, change: dict[str, object]) -> None:
     folder = written(tmp_path / "run")
     lines = (folder / EVENT_LOG_NAME).read_bytes().splitlines()

@@ -58,8 +58,7 @@ def plain(count: int, grip_height_mm: float, **changes) -> Conditions:
         settings, ProbeSettings(), grip_height_mm, 30.0, [draw] * count
     )
     return replace(
-        made,
-        **{k: np.broadcast_to(v, getattr(made, k).shape).copy() for k, v in changes.items()},
+        made, **{k: np.broadcast_to(v, getattr(made, k).shape).copy() for k, v in changes.items()}
     )
 
 

@@ -110,12 +110,7 @@ def block(width_mm=12.0, height_mm=40.0, mass_g=35.0, **more) -> Body:
 
 
 def pressed(
-    tower: Tower,
-    offset_mm,
-    support: SupportSettings = BOTH,
-    side_mm=(0.0, 0.0),
-    mu=0.4,
-    steps=15,
+    tower: Tower, offset_mm, support: SupportSettings = BOTH, side_mm=(0.0, 0.0), mu=0.4, steps=15
 ) -> tuple[ContactState, ProbeEquilibrium]:
     """Press a small square face at ``offset_mm``, then move the arm sideways by ``side_mm``."""
     ground = np.random.default_rng(0)
@@ -127,10 +122,7 @@ def pressed(
     conditions = nuisance.conditions_from_draws(OFF, ProbeSettings(), 30.0, 30.0, [draw])
     conditions.mu[:] = mu
     state = begin_probes(
-        face_points(FACE),
-        tower.bodies[-1].upper,
-        np.array([offset_mm]),
-        conditions,
+        face_points(FACE), tower.bodies[-1].upper, np.array([offset_mm]), conditions
     ).on(support_stack(tower, support))
     for k in range(1, 2 * steps + 1):
         down, across = min(1.0, k / steps), max(0.0, k / steps - 1.0)

@@ -260,9 +260,7 @@ def on_bench(bench: SimulatedBench, **more: object) -> tuple[MelfaArm, SteppedWi
     device.controller.felt = lambda: felt.latest(bench.clock.now_s(), 1.0)[1]
     world.drive.run(
         _Follow(
-            lambda: placing.pivot_mm(joints.true_rad),
-            lambda: placing.turn(joints.true_rad),
-            world,
+            lambda: placing.pivot_mm(joints.true_rad), lambda: placing.turn(joints.true_rad), world
         )
     )
     return MelfaArm(wires, bench.force_torque.samples, wanted, bench.clock.now_s), wires

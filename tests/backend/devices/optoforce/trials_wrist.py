@@ -133,10 +133,7 @@ class WristTrial:
         chosen = SETTINGS.ft.model_copy(update={"driver": self.kind})
         make_driver = load_driver("force_torque", SETTINGS.model_copy(update={"ft": chosen}))
         self.reader = ForceTorqueReader(
-            lambda: make_driver(SETTINGS, "a port"),
-            self._open,
-            SETTINGS.ft,
-            self.clock.now_s,
+            lambda: make_driver(SETTINGS, "a port"), self._open, SETTINGS.ft, self.clock.now_s
         )
 
     def run(self) -> Ended:

@@ -150,10 +150,7 @@ def test_signals_mirror_as_a_mirrored_bench_feels_them(across_x: bool, across_y:
     )
     assert one.usable.all()
     wrench, field = mirror_signals(
-        one.observation[..., 252:],
-        one.observation[..., :252],
-        across_x=across_x,
-        across_y=across_y,
+        one.observation[..., 252:], one.observation[..., :252], across_x=across_x, across_y=across_y
     )
     np.testing.assert_allclose(wrench, two.observation[..., 252:], atol=2e-3)
     # The two cameras grab at instants of their own, up to a frame apart.

@@ -272,10 +272,7 @@ def test_dragging_knocks_a_free_support_over_and_spares_a_fixed_one():
 
 def test_towers_are_judged_at_every_interface():
     scene_bottoms = Tower(
-        (
-            CATALOGUE.bottom("short").body(),
-            CATALOGUE.bottom("long").body((8.5, 0.0)),
-        )
+        (CATALOGUE.bottom("short").body(), CATALOGUE.bottom("long").body((8.5, 0.0)))
     )
     scene = Scene(
         CATALOGUE.top("mushroom"), scene_bottoms, (5.0, 0.0), 1, SimulationSettings(preset="off")

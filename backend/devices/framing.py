@@ -7,6 +7,7 @@ and G. Cook).
 from __future__ import annotations
 
 import math
+from binascii import crc_hqx
 from collections.abc import Callable, Sequence
 from functools import reduce
 from operator import xor
@@ -107,6 +108,11 @@ class FrameStream(Generic[Message]):
             self.bad_in_a_row += 1
 
 
+def never_skip(take: TakeFrame[Message], data: bytes, at: int) -> bool:
+    """Wait for the rest of every incomplete message."""
+    return False
+
+
 def require_length(data: bytes, length: int, where: str) -> None:
     """Raise ``ProtocolError`` unless ``data`` is exactly ``length`` bytes."""
     if len(data) != length:
@@ -121,22 +127,36 @@ def noise_until(data: bytes, at: int, starts: bytes) -> FrameStep[Message]:
     return FrameStep(end - at)
 
 
-def _table(polynomial: int, reflected: bool) -> tuple[int, ...]:
-    def entry(index: int) -> int:
-        crc = index if reflected else index << 8
+def take_frame(
+    data: bytes, at: int, length: int | None, starts: bytes, decode: Callable[[bytes], Message]
+) -> FrameStep[Message] | None:
+    """Return the step over the frame at ``at``.
+
+    ``length`` is 0 if no frame starts there, None if it is not known yet. ``starts`` are the first
+    bytes of all frames.
+    """
+    if length == 0:
+        return noise_until(data, at, starts)
+    if length is None or at + length > len(data):
+        return None
+    try:
+        return FrameStep(length, decode(data[at : at + length]))
+    except ProtocolError:
+        return FrameStep(1, refused=True)
+
+
+def _reflected_table(polynomial: int) -> tuple[int, ...]:
+    def entry(crc: int) -> int:
         for _ in range(8):
-            if reflected:
-                crc = crc >> 1 ^ (polynomial if crc & 1 else 0)
-            else:
-                crc = (crc << 1 ^ (polynomial if crc & 0x8000 else 0)) & 0xFFFF
+            crc = crc >> 1 ^ (polynomial if crc & 1 else 0)
         return crc
 
-    return tuple(entry(index) for index in range(256))
+    return tuple(map(entry, range(256)))
 
 
-WSG_TABLE = _table(0x1021, reflected=False)
-_X25_TABLE = _table(0x8408, reflected=True)
-_MODBUS_TABLE = _table(0xA001, reflected=True)
+WSG_TABLE = tuple(crc_hqx(bytes([index]), 0) for index in range(256))  # polynomial 1021
+_X25_TABLE = _reflected_table(0x8408)
+_MODBUS_TABLE = _reflected_table(0xA001)
 
 
 def _crc16(table: tuple[int, ...], data: bytes) -> int:
@@ -173,9 +193,6 @@ def sum16(data: bytes) -> int:
 def xor8(data: bytes) -> int:
     """Exclusive or of all bytes."""
     return reduce(xor, data, 0)
-
-
-ENDS = b"\r\n"
 
 
 class LineStream(Generic[Message]):

@@ -18,7 +18,6 @@ import numpy as np
 
 from touchdown.backend.core import (
     IDENTITY_ROTATION,
-    Fault,
     FaultError,
     FloatArray,
     Pose,
@@ -432,7 +431,9 @@ class Jog:
             if silent_s > LEASE_S:
                 raise RefusedError("JOG-LEASE", _silence_reason(silent_s, self._late_s))
             self._refuse_if_taken()
-            self._refuse_failed()
+            motion, self._held = self._held, None
+            if motion is not None and motion.done and (failure := _failure(motion)):
+                raise failure  # the arm ended the motion by itself
             speed, slow = self._permit.speed(order.axis, order.frame, order.speed)
             self._interlock.renew_lease(self._around.now_s())
             for_s = min(REPEAT_S, LEASE_S - silent_s - _braking_s(order.axis, speed))
@@ -487,7 +488,8 @@ class Jog:
         """Renew the lease during a step, while the limits permit it."""
         if motion.done:
             self._step = None
-            self._tell_failure(motion)
+            if failure := _failure(motion):
+                self._tell(failure)
             return
         try:
             self._permit.refuse(going.axis, going.frame, going.signed)
@@ -496,19 +498,6 @@ class Jog:
             self._halt()
             self._step = None
             self._tell(error)
-
-    def _refuse_failed(self) -> None:
-        """Raise the fault of a motion that the arm ended by itself."""
-        motion, self._held = self._held, None
-        if motion is not None and motion.done:
-            fault = _failure(motion)
-            if fault is not None:
-                raise RefusedError(fault.code, f"{fault.what} {fault.next_step}")
-
-    def _tell_failure(self, motion: Motion) -> None:
-        fault = _failure(motion)
-        if fault is not None:
-            self._tell(RefusedError(fault.code, f"{fault.what} {fault.next_step}"))
 
     def _refuse_taken_or_moving(self) -> None:
         self._refuse_if_taken()
@@ -557,10 +546,12 @@ def _silence_reason(silent_s: float, late_s: float) -> str:
     return f"{said} The window hung; hold again."
 
 
-def _failure(motion: Motion) -> Fault | None:
-    """Return the fault of a motion, None after success or a command to end."""
+def _failure(motion: Motion) -> RefusedError | None:
+    """Return the reason of a motion that failed, None after success or a command to end."""
     try:
         motion.result()
     except FaultError as error:
-        return None if error.fault.code in ("STOPPED", "REPLACED") else error.fault
+        fault = error.fault
+        if fault.code not in ("STOPPED", "REPLACED"):
+            return RefusedError(fault.code, f"{fault.what} {fault.next_step}")
     return None

@@ -105,17 +105,6 @@ def refuse_degraded(degraded: tuple[DegradedDevice, ...], now_s: float) -> None:
         raise RefusedError("DEGRADED", f"{one.what(now_s)} Start again once it delivers.")
 
 
-def pause_fault(degraded: DegradedDevice, now_s: float) -> Fault:
-    """Return the fault text of a run that pauses because of ``degraded``."""
-    return Fault(
-        "DEGRADED",
-        degraded.what(now_s),
-        "The run is paused, the arm stands lifted; every probe so far is safe.",
-        "Check the device and its cable; resume (P) once the state is no longer DEGRADED.",
-        degraded.device,
-    )
-
-
 MOVED_MM = 0.3  # permitted change of the width while a piece is held
 # The grip is weak if the force is below this share of the grip's force for this time.
 WEAK_SHARE, WEAK_S = 0.5, 0.1
@@ -299,18 +288,11 @@ class Supervision:
         frames: Mapping[Finger, Stream[TactileFrame]],
     ) -> None:
         self._interlock, self._wrench, self._frames = interlock, wrench, frames
-        self._cursor = wrench.count
-        self._begun_s = 0.0
-        self._finite_s = 0.0
-        self._repeats = {finger: _RepeatedPictures(frames[finger]) for finger in FINGERS}
         self._rates = {device: RateMonitor() for device in LATE_SHARE}
-        self._counts = {finger: frames[finger].count for finger in FINGERS}
-        self._wrist: Device | None = None
-        self._gripper: Gripper | None = None
-        self._grip = GripMonitor()
+        self._now_s = 0.0
         # Devices that are late or slow; readable from any thread.
         self.degraded: tuple[DegradedDevice, ...] = ()
-        self._now_s = 0.0
+        self.begin(0.0)
 
     def begin(
         self, now_s: float, gripper: Gripper | None = None, wrist: Device | None = None
@@ -354,7 +336,15 @@ class Supervision:
 
     def unwell(self) -> Fault | None:
         """Return the fault of a run that pauses for a degraded device, None without one."""
-        return next((pause_fault(one, self._now_s) for one in self.degraded), None)
+        for one in self.degraded:
+            return Fault(
+                "DEGRADED",
+                one.what(self._now_s),
+                "The run is paused, the arm stands lifted; every probe so far is safe.",
+                "Check the device and its cable; resume (P) once the state is no longer DEGRADED.",
+                one.device,
+            )
+        return None
 
     def _check_trip(self, wrench: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> None:
         limits = self._interlock.limits
@@ -387,15 +377,10 @@ class Supervision:
                     )
                 )
 
-    def _is_explained(self, device: str) -> bool:
-        """Return True if a camera reports why its pictures are rejected: its silence has the
-        same cause.
-        """
-        told = {fault.device for fault in self._interlock.faults}
-        return device.startswith("tactile_") and device in told
-
     def _check_ages(self, now_s: float) -> None:
         limits, late = self._interlock.limits, list[DegradedDevice]()
+        # A camera that reports why its pictures are rejected is silent for the same reason.
+        explained = {fault.device for fault in self._interlock.faults} - {"force_torque"}
         ages = [("force_torque", self._finite_s, limits.wrench_age_s)]
         for finger in FINGERS:
             newest = self._frames[finger].newest()
@@ -412,7 +397,7 @@ class Supervision:
                 late.append(DegradedDevice(device, "slow", slow_s))
             elif now_s - last_s > LATE_SHARE[device] * limit_s:
                 late.append(DegradedDevice(device, "silent", last_s))
-            if now_s - last_s > limit_s and not self._is_explained(device):
+            if now_s - last_s > limit_s and device not in explained:
                 self._interlock.raise_fault(_stale_fault(device, now_s - last_s))
         late.extend(self._check_grip(now_s))
         self._show(tuple(late), now_s)

@@ -69,10 +69,6 @@ READERS: dict[tuple[str, str], Reader] = {
     ("dynpick-answer", "sensitivity"): _plain(
         protocol.decode_sensitivity, *_vectors("dynpick-sensitivity-reply")
     ),
-    ("dynpick-answer", "temperature"): _plain(
-        protocol.decode_temperature, *_vectors("dynpick-temperature-reply")
-    ),
-    ("dynpick-answer", "filter"): _plain(protocol.decode_filter, *_vectors("dynpick-filter-reply")),
     ("netft-answer", "calibration"): _plain(
         net_ft.decode_calibration, *_vectors("netft-tcp-calibration-reply")
     ),

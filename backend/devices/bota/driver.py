@@ -9,21 +9,13 @@ import threading
 
 from touchdown.backend.config import HardwareSettings
 from touchdown.backend.devices.bota import protocol
-from touchdown.backend.devices.bota.protocol import (
-    SINC_STEP_S,
-    BotaBoot,
-    BotaFrame,
-    BotaReply,
-    BotaRequest,
-    BotaStatus,
-)
+from touchdown.backend.devices.bota.protocol import BotaFrame, BotaRequest, BotaStatus
 from touchdown.backend.devices.force_torque import (
-    FrameErrors,
+    FramedDriver,
     NotAnsweredError,
     SensorDescription,
     SensorLink,
     WrenchReading,
-    ask,
     listen,
     pause,
 )
@@ -39,16 +31,16 @@ LONGEST_GAP = 10_000
 OLD_US = 1_000_000  # a timestamp this much before the newest is late; an older one is a restart
 
 
-class BotaDriver:
+class BotaDriver(FramedDriver[protocol.BotaMessage]):
     """Losses are found by the sensor's timestamps."""
 
     baud = 460_800
     chunk = 2 * protocol.FRAME_BYTES
 
     def __init__(self, settings: HardwareSettings, address: str) -> None:
+        super().__init__(protocol.incoming())
         self._settings, self._address = settings.bota, address
-        self._period_s = settings.bota.sinc * SINC_STEP_S
-        self._decoder = protocol.incoming()
+        self._period_s = settings.bota.sinc * protocol.SINC_STEP_S
         self._last_us: int | None = None
 
     def start(self, link: SensorLink, cancel: threading.Event) -> SensorDescription:
@@ -59,7 +51,7 @@ class BotaDriver:
             nonlocal frames
             for message in self._decoder.feed(data):
                 frames += isinstance(message, BotaFrame)
-                if isinstance(message, BotaBoot):
+                if isinstance(message, protocol.BotaBoot):
                     return True
             return True if frames >= 2 else None
 
@@ -81,22 +73,19 @@ class BotaDriver:
         frames = (m for m in self._decoder.feed(data) if isinstance(m, BotaFrame))
         return [self._reading(frame) for frame in frames if not self._is_old(frame)]
 
-    @property
-    def refusals(self) -> FrameErrors:
-        """Counts of invalid frames."""
-        decoder = self._decoder
-        return FrameErrors(decoder.bad_frames, decoder.bad_in_a_row, decoder.discarded)
-
     def stop(self, link: SensorLink) -> None:
         """Switch to configuration mode, in which the sensor is silent."""
         link.write(protocol.encode(BotaRequest("C")))
 
     def _ask(self, link: SensorLink, cancel: threading.Event, request: BotaRequest) -> None:
-        def find(data: bytes) -> BotaReply | None:
-            replies = (m for m in self._decoder.feed(data) if isinstance(m, BotaReply))
-            return next((reply for reply in replies if reply.command == request.command), None)
-
-        reply = ask(link, cancel, protocol.encode(request), find, limit_s=ANSWER_S)
+        reply = self.ask(
+            link,
+            cancel,
+            protocol.encode(request),
+            protocol.BotaReply,
+            lambda message: message.command == request.command,
+            limit_s=ANSWER_S,
+        )
         if reply.code != 0:
             raise NotAnsweredError(f"The sensor refuses '{request.command}' ({reply.code})")
 

@@ -8,14 +8,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from touchdown.backend.devices.bota import protocol
-from touchdown.backend.devices.bota.protocol import (
-    SINC_STEP_S,
-    BotaBoot,
-    BotaFrame,
-    BotaReply,
-    BotaRequest,
-    BotaStatus,
-)
 from touchdown.backend.emulation import (
     Emulation,
     EmulationChoice,
@@ -71,13 +63,13 @@ class EmulatedBota:
             return b""
         self._booted = True
         self.pace.begin(now_s, self._period_s)
-        return protocol.encode(BotaBoot())
+        return protocol.encode(protocol.BotaBoot())
 
     @property
     def _period_s(self) -> float:
-        return self._sinc * SINC_STEP_S
+        return self._sinc * protocol.SINC_STEP_S
 
-    def _answer(self, now_s: float, request: BotaRequest) -> bytes:
+    def _answer(self, now_s: float, request: protocol.BotaRequest) -> bytes:
         if request.command == "C":
             self._configuring = True
             if self._quiet_in_config:
@@ -89,14 +81,14 @@ class EmulatedBota:
         elif request.command == "R":
             self._configuring = False
             self.pace.begin(now_s + self._period_s, self._period_s)
-        return protocol.encode(BotaReply(request.command, 0))
+        return protocol.encode(protocol.BotaReply(request.command, 0))
 
     def _frame(self, now_s: float) -> bytes:
         values = tuple(self._wrench(now_s))
         over = any(abs(v) > rated for v, rated in zip(values, self._rated, strict=True))
-        status = int(BotaStatus.OVER_RANGE) if over else 0
+        status = int(protocol.BotaStatus.OVER_RANGE) if over else 0
         timestamp_us = round(now_s * 1e6) % TIMESTAMP_TURN
-        return protocol.encode(BotaFrame(status, values, timestamp_us, TEMPERATURE_C))
+        return protocol.encode(protocol.BotaFrame(status, values, timestamp_us, TEMPERATURE_C))
 
 
 def emulate_bota(choice: EmulationChoice, faults: Faults) -> Emulation:

@@ -20,6 +20,7 @@ from touchdown.backend.devices.framing import (
     TakeFrame,
     Wrench,
     crc16_x25,
+    never_skip,
     noise_until,
     require_length,
     wrench_of,
@@ -127,12 +128,12 @@ def decode_frame(data: bytes) -> BotaFrame:
 
 def incoming() -> FrameStream[BotaMessage]:
     """Return the decoder of the sensor's messages: frames and texts in any order."""
-    return FrameStream(_take, overtake=_text_behind)
+    return FrameStream(_take, _text_behind)
 
 
 def requests() -> FrameStream[BotaRequest]:
     """Return the decoder of commands."""
-    return FrameStream(_take_request, overtake=lambda take, data, at: False)
+    return FrameStream(_take_request, never_skip)
 
 
 def _checked(text: bytes, pattern: re.Pattern[bytes]) -> bytes:

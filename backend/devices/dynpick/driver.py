@@ -10,15 +10,9 @@ from operator import sub
 
 from touchdown.backend.config import HardwareSettings
 from touchdown.backend.devices.dynpick import protocol
-from touchdown.backend.devices.dynpick.protocol import (
-    END,
-    ZERO_COUNT,
-    DynpickCommand,
-    DynpickRecord,
-    decode_sensitivity,
-)
+from touchdown.backend.devices.dynpick.protocol import DynpickCommand, DynpickRecord
 from touchdown.backend.devices.force_torque import (
-    FrameErrors,
+    FramedDriver,
     SensorDescription,
     SensorLink,
     WrenchReading,
@@ -33,7 +27,7 @@ ANSWER_S = 0.3
 LONGEST_ANSWER = 60
 
 
-class DynpickDriver:
+class DynpickDriver(FramedDriver[DynpickRecord]):
     """The protocol has no checksum: a single sample that differs by more than ``max_step`` is
     dropped. If the next one agrees with it, the load has changed.
     """
@@ -42,9 +36,9 @@ class DynpickDriver:
     chunk = 2 * protocol.RECORD_BYTES
 
     def __init__(self, settings: HardwareSettings, address: str) -> None:
+        super().__init__(protocol.records())
         self._settings, self._address = settings.dynpick, address
         self._sensitivity: tuple[float, ...] = settings.dynpick.sensitivity
-        self._decoder = protocol.records()
         self._last: DynpickRecord | None = None
         self._kept: DynpickRecord | None = None
         self._missed = 0
@@ -57,14 +51,15 @@ class DynpickDriver:
         link.write(DynpickCommand.SENSITIVITY.value)
         heard = bytearray()
 
-        def whole(data: bytes) -> bytes | None:
+        def answered(data: bytes) -> bool | None:
             heard.extend(data)
-            return bytes(heard) if heard.endswith(END) or len(heard) > LONGEST_ANSWER else None
+            whole = heard.endswith(protocol.END) or len(heard) > LONGEST_ANSWER
+            return True if whole else None
 
-        if listen(link, cancel, ANSWER_S, whole) or heard:
-            self._sensitivity = decode_sensitivity(bytes(heard))
+        if listen(link, cancel, ANSWER_S, answered) or heard:
+            self._sensitivity = protocol.decode_sensitivity(bytes(heard))
         link.write(DynpickCommand.FILTER_1.value + DynpickCommand.START.value)
-        rated = tuple(ZERO_COUNT / per_unit for per_unit in self._sensitivity)
+        rated = tuple(protocol.ZERO_COUNT / per_unit for per_unit in self._sensitivity)
         # The sensor has no readable serial number: the port replaces it.
         return SensorDescription(
             Identity("WACOH-TECH", "Dynpick", self._address, ""), rated, PERIOD_S
@@ -73,12 +68,6 @@ class DynpickDriver:
     def take(self, data: bytes) -> list[WrenchReading]:
         """Return the plausible samples."""
         return [self._reading(r) for r in self._decoder.feed(data) if self._plausible(r)]
-
-    @property
-    def refusals(self) -> FrameErrors:
-        """Counts of invalid records."""
-        decoder = self._decoder
-        return FrameErrors(decoder.bad_frames, decoder.bad_in_a_row, decoder.discarded)
 
     def stop(self, link: SensorLink) -> None:
         """End the stream."""

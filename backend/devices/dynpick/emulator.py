@@ -8,12 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from touchdown.backend.devices.dynpick import protocol
-from touchdown.backend.devices.dynpick.protocol import (
-    TOP_COUNT,
-    ZERO_COUNT,
-    DynpickCommand,
-    DynpickRecord,
-)
+from touchdown.backend.devices.dynpick.protocol import DynpickCommand
 from touchdown.backend.emulation import (
     Emulation,
     EmulationChoice,
@@ -106,8 +101,10 @@ class EmulatedDynpick:
 
     def _record(self, now_s: float) -> bytes:
         pairs = zip(self._counts(now_s), self._offset, strict=True)
-        counts = tuple(min(max(ZERO_COUNT + c - o, 0), TOP_COUNT) for c, o in pairs)
-        record = DynpickRecord(self._tick, counts)
+        counts = tuple(
+            min(max(protocol.ZERO_COUNT + c - o, 0), protocol.TOP_COUNT) for c, o in pairs
+        )
+        record = protocol.DynpickRecord(self._tick, counts)
         self._tick = (self._tick + 1) % 10
         return protocol.encode_record(record)
 

@@ -17,6 +17,7 @@ from touchdown.backend.devices.framing import (
     FrameStream,
     ProtocolError,
     Wrench,
+    never_skip,
     wrench_of,
 )
 from touchdown.backend.devices.identification import ProtocolSignature
@@ -94,12 +95,12 @@ def _take(data: bytes, at: int) -> FrameStep[DynpickRecord] | None:
 
 def records() -> FrameStream[DynpickRecord]:
     """Return the decoder of a stream of records; invalid lines are counted."""
-    return FrameStream(_take, overtake=lambda take, data, at: False)
+    return FrameStream(_take, never_skip)
 
 
 def command_stream() -> FrameStream[DynpickCommand]:
     """Return the decoder of commands."""
-    return FrameStream(_take_command, overtake=lambda take, data, at: False)
+    return FrameStream(_take_command, never_skip)
 
 
 def _take_command(data: bytes, at: int) -> FrameStep[DynpickCommand] | None:
@@ -136,27 +137,11 @@ def encode_temperature(temperature_c: float) -> bytes:
     return b"%04X\r\n" % count
 
 
-def decode_temperature(data: bytes) -> float:
-    """Return degrees Celsius."""
-    if re.fullmatch(rb"[0-9A-F]{4}\r\n", data) is None:
-        raise ProtocolError("digit", "dynpick temperature")
-    return int(data[:4], 16) / 16
-
-
 def encode_filter(divider: int) -> bytes:
     """Return the answer to ``0F``."""
     if divider not in (1, 2, 4, 8):
         raise ProtocolError("range", "dynpick filter")
     return b"%dF\r" % divider
-
-
-def decode_filter(data: bytes) -> int:
-    """Return the divider 1, 2, 4 or 8; the third byte is not documented and may be any."""
-    if len(data) != 3:
-        raise ProtocolError("length", "dynpick filter", min(len(data), 3))
-    if data[:1] not in (b"1", b"2", b"4", b"8"):
-        raise ProtocolError("digit", "dynpick filter")
-    return int(data[:1])
 
 
 SIGNATURES = (

@@ -1,3 +1,4 @@
+from .driver import FramedDriver as FramedDriver
 from .driver import FrameErrors as FrameErrors
 from .driver import NotAnsweredError as NotAnsweredError
 from .driver import SensorDescription as SensorDescription
@@ -16,6 +17,7 @@ __all__ = [
     "LATE_S",
     "ForceTorqueReader",
     "FrameErrors",
+    "FramedDriver",
     "NotAnsweredError",
     "SensorDescription",
     "SensorLink",

@@ -14,13 +14,13 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol, TypeVar
+from typing import Generic, NamedTuple, Protocol, TypeVar
 from urllib.parse import urlsplit
 
 import serial
 
 from touchdown.backend.core import TouchdownError
-from touchdown.backend.devices.framing import Wrench
+from touchdown.backend.devices.framing import FrameStream, Message, Wrench
 from touchdown.backend.devices.protocols import Identity
 
 CHUNK = 4096
@@ -279,3 +279,40 @@ def ask(
         if answer is not None:
             return answer
     raise NotAnsweredError("The sensor sends nothing that is an answer")
+
+
+class FramedDriver(Generic[Message]):
+    """Base of the drivers whose bytes a ``FrameStream`` decodes."""
+
+    def __init__(self, decoder: FrameStream[Message]) -> None:
+        self._decoder = decoder
+        self._seen_bad = 0
+
+    @property
+    def refusals(self) -> FrameErrors:
+        """Counts of invalid frames."""
+        decoder = self._decoder
+        return FrameErrors(decoder.bad_frames, decoder.bad_in_a_row, decoder.discarded)
+
+    def newly_bad(self) -> int:
+        """Return the number of frames rejected since the last call."""
+        before, self._seen_bad = self._seen_bad, self._decoder.bad_frames
+        return self._seen_bad - before
+
+    def ask(
+        self,
+        link: SensorLink,
+        cancel: threading.Event,
+        request: bytes,
+        kind: type[AnswerT] | tuple[type[AnswerT], ...],
+        fits: Callable[[AnswerT], bool] = lambda message: True,
+        *,
+        limit_s: float = 0.2,
+    ) -> AnswerT:
+        """Send ``request``; return the first message of type ``kind`` that ``fits``."""
+
+        def find(data: bytes) -> AnswerT | None:
+            answers = (m for m in self._decoder.feed(data) if isinstance(m, kind))
+            return next(filter(fits, answers), None)
+
+        return ask(link, cancel, request, find, limit_s=limit_s)

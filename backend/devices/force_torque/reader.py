@@ -106,12 +106,10 @@ class SampleClock:
                 self._fit()
             self._chunk = chunk
             self._chunks.append((number, arrival_s))
-        elif arrival_s - self._period_s * number < self._kept_s():
+            return
+        kept, kept_s = self._chunks[-1]
+        if arrival_s - kept_s < self._period_s * (number - kept):
             self._chunks[-1] = (number, arrival_s)
-
-    def _kept_s(self) -> float:
-        number, arrival_s = self._chunks[-1]
-        return arrival_s - self._period_s * number
 
     def _fit(self) -> None:
         """Fit the closest line below all arrivals: one edge of their lower hull."""
@@ -268,38 +266,31 @@ OVERLOAD = Fault(
 )
 
 
+def ft_fault(code: str, what: str, next_step: str) -> Fault:
+    """Return a fault after which no wrench is measured."""
+    return Fault(code, what, "No wrench is measured.", next_step, NAME)
+
+
 def link_fault(what: str) -> Fault:
     """Return the fault of a missing or lost connection."""
-    return Fault(
-        "FT-LINK",
-        what,
-        "No wrench is measured.",
+    next_step = (
         "Check cable and power of the force/torque sensor, and that no other program reads it; "
-        "then connect it again.",
-        NAME,
+        "then connect it again."
     )
+    return ft_fault("FT-LINK", what, next_step)
 
 
 def driver_fault(error: Exception) -> Fault:
     """Return the fault of a driver that raised an unexpected exception."""
-    return Fault(
-        "FT-DRIVER",
-        f"The driver of the force/torque sensor failed: {type(error).__name__}: {error}.",
-        "No wrench is measured.",
-        "Report the text of the log to who wrote the driver; then connect the sensor again.",
-        NAME,
-    )
+    what = f"The driver of the force/torque sensor failed: {type(error).__name__}: {error}."
+    next_step = "Report the text of the log to who wrote the driver; then connect the sensor again."
+    return ft_fault("FT-DRIVER", what, next_step)
 
 
 def sensor_fault(what: str) -> Fault:
     """Return the fault that the sensor itself reports."""
-    return Fault(
-        "FT-SENSOR",
-        f"{what}.",
-        "No wrench is measured.",
-        "Switch the force/torque sensor off and on, then connect it again.",
-        NAME,
-    )
+    next_step = "Switch the force/torque sensor off and on, then connect it again."
+    return ft_fault("FT-SENSOR", f"{what}.", next_step)
 
 
 READ_S = 0.005  # longest wait for bytes
@@ -319,7 +310,7 @@ class ForceTorqueReader:
 
     def __init__(
         self,
-        language: Callable[[], WrenchDriver],
+        make_driver: Callable[[], WrenchDriver],
         open_link: Callable[[WrenchDriver], SensorLink],
         settings: ForceTorqueSettings,
         now_s: Callable[[], float],
@@ -327,7 +318,7 @@ class ForceTorqueReader:
         late_s: float = LATE_S,
     ) -> None:
         self._late_s = late_s
-        self._new_language, self._open_link = language, open_link
+        self._make_driver, self._open_link = make_driver, open_link
         self._settings, self._now_s = settings, now_s
         self._samples = samples or SampleStream(self.name, 6, CAPACITY)
         self._thread: threading.Thread | None = None
@@ -335,7 +326,7 @@ class ForceTorqueReader:
         self._lock = threading.Lock()
         self.steps = ConnectionSteps()
         self._state = DeviceState.CLOSED
-        self._greeting: SensorDescription | None = None
+        self._description: SensorDescription | None = None
         self._readout = WrenchStamper(settings, 1.0)
         self._received = self._resynchronised = 0
         self._arrivals: deque[tuple[float, int]] = deque(maxlen=8192)
@@ -350,7 +341,7 @@ class ForceTorqueReader:
     @property
     def identity(self) -> Identity | None:
         """Identity, None before the first connection."""
-        return self._greeting.identity if self._greeting else None
+        return self._description.identity if self._description else None
 
     @property
     def samples(self) -> SampleStream:
@@ -360,7 +351,7 @@ class ForceTorqueReader:
     @property
     def rated(self) -> FloatArray:
         """(6,) rated range, N and N·m; NaN before the first connection."""
-        return np.array(self._greeting.rated if self._greeting else [np.nan] * 6)
+        return np.array(self._description.rated if self._description else [np.nan] * 6)
 
     @property
     def health(self) -> Health:
@@ -369,11 +360,6 @@ class ForceTorqueReader:
         newest_s = arrivals[-1][0] if arrivals else float("-inf")
         rate_hz = sum(n for t, n in arrivals if t > now_s - RATE_WINDOW_S) / RATE_WINDOW_S
         return Health(rate_hz, now_s - newest_s, self._received, self._readout.lost)
-
-    @property
-    def resynchronised(self) -> int:
-        """Number of resynchronisations after invalid bytes."""
-        return self._resynchronised
 
     @property
     def condition(self) -> str:
@@ -413,18 +399,27 @@ class ForceTorqueReader:
         self._state, self.fault = DeviceState.CONNECTING, None
         self.steps.begin()
         try:
-            link, language = self._begin(cancel)
-            self._start(link, language)
+            link, driver = self._begin(cancel)
+            self._forget()
+            self._thread = threading.Thread(
+                target=self._read, args=(link, driver), name=self.name, daemon=True
+            )
+            self._thread.start()
             if not self._first.wait(timeout_s):
                 raise FaultError(link_fault("The sensor sends nothing."))
-            self._require_link()
+            if self._stop.is_set() and self.fault is not None:
+                raise FaultError(self.fault)
         except FaultError as error:
             self.close()
-            stranger = "" if cancel.is_set() else self._other_device()
-            if not stranger:
+            found = "" if cancel.is_set() else self._other_device()
+            if not found:
                 raise
-            raise FaultError(link_fault(stranger)) from error
+            raise FaultError(link_fault(found)) from error
         self._settle()
+
+    def _settle(self) -> None:
+        with self._lock:
+            self._state = DeviceState.READY if self.fault is None else DeviceState.FAULT
 
     def close(self) -> None:
         """Stop the stream and close the link."""
@@ -434,27 +429,19 @@ class ForceTorqueReader:
             self._thread = None
         self._state = DeviceState.CLOSED
 
-    def _settle(self) -> None:
-        with self._lock:
-            self._state = DeviceState.READY if self.fault is None else DeviceState.FAULT
-
-    def _require_link(self) -> None:
-        if self._stop.is_set() and self.fault is not None:
-            raise FaultError(self.fault)
-
     def _other_device(self) -> str:
         """Return a sentence that names another device in place of the sensor, else ""."""
-        with suppress(OSError), closing(self._open_link(self._new_language())) as link:
-            stranger = identify_device(link.write, link.read, self._settings.driver)
-            wanted = f"a force/torque sensor (ft.driver is {self._settings.driver})"
-            return f"This is {stranger}, expected {wanted}." if stranger else ""
+        with suppress(OSError), closing(self._open_link(self._make_driver())) as link:
+            found = identify_device(link.write, link.read, self._settings.driver)
+            expected = f"a force/torque sensor (ft.driver is {self._settings.driver})"
+            return f"This is {found}, expected {expected}." if found else ""
         return ""
 
     def _begin(self, cancel: threading.Event) -> tuple[SensorLink, WrenchDriver]:
         """Open the link and start the sensor; the link is closed again if that fails."""
-        language = self._new_language()
+        driver = self._make_driver()
         try:
-            link = self._open_link(language)
+            link = self._open_link(driver)
         except OSError as error:
             # Some packages repeat number and port in the text.
             why = os.strerror(error.errno) if error.errno else str(error)
@@ -462,7 +449,7 @@ class ForceTorqueReader:
             raise FaultError(link_fault(f"The {port} cannot be opened: {why}.")) from error
         self.steps.reached("reach")
         try:
-            self._greeting = language.start(link, cancel)
+            self._description = driver.start(link, cancel)
             self.steps.reached("configure")
         except WIRE_TROUBLE as error:
             link.close()
@@ -470,22 +457,13 @@ class ForceTorqueReader:
         except Exception as error:
             link.close()
             raise FaultError(driver_fault(error)) from error
-        except BaseException:
-            link.close()
-            raise
-        return link, language
-
-    def _start(self, link: SensorLink, language: WrenchDriver) -> None:
-        self._forget()
-        self._thread = threading.Thread(
-            target=self._read, args=(link, language), name=self.name, daemon=True
-        )
-        self._thread.start()
+        return link, driver
 
     def _forget(self) -> None:
         """Reset counts and time stamps."""
-        period_s = self._greeting.period_s if self._greeting else 1.0
-        numbered = self._greeting is not None and self._greeting.numbered
+        started = self._description
+        period_s = started.period_s if started else 1.0
+        numbered = started is not None and started.numbered
         self._readout = WrenchStamper(self._settings, period_s, self._late_s, numbered=numbered)
         self._stop.clear()
         self._first.clear()
@@ -493,22 +471,22 @@ class ForceTorqueReader:
         self._arrivals.clear()
         self._pace = ArrivalMonitor(period_s)
 
-    def _read(self, link: SensorLink, language: WrenchDriver) -> None:
+    def _read(self, link: SensorLink, driver: WrenchDriver) -> None:
         """Read the link until the stop or its loss; then stop the sensor."""
-        good_s, discarded = self._now_s(), language.refusals.discarded
+        good_s, discarded = self._now_s(), driver.refusals.discarded
         try:
             while not self._stop.is_set():
                 data = link.read(READ_S)
                 now_s = self._now_s()
-                if self._deliver(language, now_s, data):
+                if self._deliver(driver, now_s, data):
                     good_s, before = now_s, discarded
-                    discarded = language.refusals.discarded
+                    discarded = driver.refusals.discarded
                     self._resynchronised += discarded > before
                 if self._first.is_set() and now_s - good_s > self._settings.silence_s:
                     self._fail(link_fault("The sensor has fallen silent."))
-                elif language.refusals.in_a_row >= BAD_LIMIT:
+                elif driver.refusals.in_a_row >= BAD_LIMIT:
                     self._fail(link_fault("The sensor sends nothing that can be read."))
-            language.stop(link)
+            driver.stop(link)
         except OSError as error:
             self._fail(link_fault(f"The port is lost: {error}."))
         except Exception as error:
@@ -517,9 +495,9 @@ class ForceTorqueReader:
         finally:
             link.close()
 
-    def _deliver(self, language: WrenchDriver, now_s: float, data: bytes) -> bool:
+    def _deliver(self, driver: WrenchDriver, now_s: float, data: bytes) -> bool:
         readout = self._readout
-        stamps, values = readout.accept(now_s, language.take(data))
+        stamps, values = readout.accept(now_s, driver.take(data))
         if not len(stamps):
             self._pace.look(now_s)
             return False

@@ -8,24 +8,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from touchdown.backend.devices.ft300 import protocol
-from touchdown.backend.devices.ft300.protocol import (
-    FIRMWARE_REGISTER,
-    SERIAL_REGISTER,
-    STREAM_ON,
-    STREAM_REGISTER,
-    WRENCH_REGISTER,
-    YEAR_REGISTER,
-    Ft300Message,
-    Ft300Request,
-    Ft300Sample,
-    ModbusRefusal,
-    ModbusWritten,
-    ReadRegisters,
-    RegisterValues,
-    StreamStop,
-    WriteRegister,
-    WriteRegisters,
-)
 from touchdown.backend.emulation import (
     Emulation,
     EmulationChoice,
@@ -63,39 +45,43 @@ class EmulatedFt300:
     def closed(self, now_s: float) -> None:
         """Do nothing: a sensor on a serial line does not notice."""
 
-    def _answer(self, now_s: float, request: Ft300Request) -> Ft300Message | None:
-        if isinstance(request, StreamStop):
+    def _answer(self, now_s: float, request: protocol.Ft300Request) -> protocol.Ft300Message | None:
+        if isinstance(request, protocol.StreamStop):
             self.pace.end()
             return None
         if self.pace.running:
             return None
-        if isinstance(request, ReadRegisters):
+        if isinstance(request, protocol.ReadRegisters):
             return self._registers(now_s, request)
-        wanted = request.value if isinstance(request, WriteRegister) else request.values[0]
-        if request.register == STREAM_REGISTER and wanted == STREAM_ON:
+        wanted = request.value if isinstance(request, protocol.WriteRegister) else request.values[0]
+        if request.register == protocol.STREAM_REGISTER and wanted == protocol.STREAM_ON:
             self.pace.begin(now_s, PERIOD_S)
         return (
-            ModbusWritten(request.register, 1) if isinstance(request, WriteRegisters) else request
+            protocol.ModbusWritten(request.register, 1)
+            if isinstance(request, protocol.WriteRegisters)
+            else request
         )
 
-    def _registers(self, now_s: float, request: ReadRegisters) -> RegisterValues | ModbusRefusal:
+    def _registers(
+        self, now_s: float, request: protocol.ReadRegisters
+    ) -> protocol.RegisterValues | protocol.ModbusRefusal:
         counts = [count & 0xFFFF for count in self._sample(now_s).counts]
         blocks = {
-            WRENCH_REGISTER: counts,
-            SERIAL_REGISTER: _words(SERIAL),
-            FIRMWARE_REGISTER: _words(FIRMWARE),
-            YEAR_REGISTER: [YEAR],
+            protocol.WRENCH_REGISTER: counts,
+            protocol.SERIAL_REGISTER: _words(SERIAL),
+            protocol.FIRMWARE_REGISTER: _words(FIRMWARE),
+            protocol.YEAR_REGISTER: [YEAR],
         }
         block = blocks.get(request.register, [])
         if not 0 < request.count <= len(block):
-            return ModbusRefusal(_READ, BAD_REGISTER)
-        return RegisterValues(tuple(block[: request.count]))
+            return protocol.ModbusRefusal(_READ, BAD_REGISTER)
+        return protocol.RegisterValues(tuple(block[: request.count]))
 
-    def _sample(self, now_s: float) -> Ft300Sample:
+    def _sample(self, now_s: float) -> protocol.Ft300Sample:
         per_unit = (100, 100, 100, 1000, 1000, 1000)
         pairs = zip(self._wrench(now_s), per_unit, strict=True)
         counts = (round(value * factor) for value, factor in pairs)
-        return Ft300Sample(tuple(min(max(count, -_LIMIT), _LIMIT) for count in counts))
+        return protocol.Ft300Sample(tuple(min(max(count, -_LIMIT), _LIMIT) for count in counts))
 
 
 def _words(content: bytes) -> list[int]:

@@ -16,6 +16,7 @@ from touchdown.backend.devices.framing import (
     Wrench,
     crc16_modbus,
     noise_until,
+    take_frame,
     wrench_of,
 )
 from touchdown.backend.devices.identification import ProtocolSignature
@@ -199,15 +200,7 @@ def _incoming(frame: bytes) -> Ft300Message:
 
 
 def _take(data: bytes, at: int) -> FrameStep[Ft300Message] | None:
-    length = _incoming_length(data, at)
-    if length == 0:
-        return noise_until(data, at, b"\x20\x09")
-    if length is None or at + length > len(data):
-        return None
-    try:
-        return FrameStep(length, _incoming(data[at : at + length]))
-    except ProtocolError:
-        return FrameStep(1, refused=True)
+    return take_frame(data, at, _incoming_length(data, at), b"\x20\x09", _incoming)
 
 
 def _take_request(data: bytes, at: int) -> FrameStep[Ft300Request] | None:
@@ -228,12 +221,7 @@ def _take_request(data: bytes, at: int) -> FrameStep[Ft300Request] | None:
         return FrameStep(1, refused=True)
     else:
         length = 9 + head[6]
-    if at + length > len(data):
-        return None
-    try:
-        return FrameStep(length, _request(_checked(data[at : at + length])))
-    except ProtocolError:
-        return FrameStep(1, refused=True)
+    return take_frame(data, at, length, b"", lambda frame: _request(_checked(frame)))
 
 
 def _take_stop(data: bytes, at: int) -> FrameStep[Ft300Request] | None:

@@ -10,20 +10,7 @@ from collections.abc import Callable, Sequence
 
 from touchdown.backend.devices.framing import xor8
 from touchdown.backend.devices.leptrino import protocol
-from touchdown.backend.devices.leptrino.protocol import (
-    CLIP,
-    ETX,
-    FULL_SCALE,
-    FilterSetting,
-    LeptrinoCommand,
-    LeptrinoNak,
-    LeptrinoSample,
-    LeptrinoStatus,
-    Packet,
-    PlainFrame,
-    RatedLoads,
-    SensorInfo,
-)
+from touchdown.backend.devices.leptrino.protocol import LeptrinoCommand, PlainFrame
 from touchdown.backend.emulation import (
     Emulation,
     EmulationChoice,
@@ -34,7 +21,7 @@ from touchdown.backend.emulation import (
 )
 
 RATED = (250.0, 250.0, 250.0, 6.0, 6.0, 6.0)
-INFO = SensorInfo("PFS080YA501A6", "00012345", "1.13")
+INFO = protocol.SensorInfo("PFS080YA501A6", "00012345", "1.13")
 PERIOD_S = 0.001
 LENGTH, UNDEFINED, VALUE = 1, 2, 3  # result codes of refused commands
 FILTERS = 4
@@ -70,41 +57,45 @@ class EmulatedLeptrino:
     def closed(self, now_s: float) -> None:
         """Do nothing: a sensor on a serial line does not notice."""
 
-    def _answer(self, now_s: float, packet: Packet) -> Packet:
+    def _answer(self, now_s: float, packet: protocol.Packet) -> protocol.Packet:
         command = getattr(packet, "command", None)
         if command == LeptrinoCommand.INFO:
             return INFO
         if command == LeptrinoCommand.RATED:
-            return RatedLoads(self._rated)
+            return protocol.RatedLoads(self._rated)
         if command == LeptrinoCommand.READ:
             return self._sample(now_s, LeptrinoCommand.READ)
         if command == LeptrinoCommand.GET_FILTER:
-            return FilterSetting(LeptrinoCommand.GET_FILTER, 0)
+            return protocol.FilterSetting(LeptrinoCommand.GET_FILTER, 0)
         if command == LeptrinoCommand.START:
             self.pace.begin(now_s + PERIOD_S, PERIOD_S)
         elif command == LeptrinoCommand.STOP:
             self.pace.end()
         elif command != LeptrinoCommand.SET_FILTER:
             return PlainFrame(command or 0, UNDEFINED)
-        elif not isinstance(packet, FilterSetting):
+        elif not isinstance(packet, protocol.FilterSetting):
             return PlainFrame(command, LENGTH)
         elif packet.index >= FILTERS:
             return PlainFrame(command, VALUE)
         return PlainFrame(command)
 
-    def _sample(self, now_s: float, command: LeptrinoCommand) -> LeptrinoSample:
+    def _sample(self, now_s: float, command: LeptrinoCommand) -> protocol.LeptrinoSample:
         pairs = zip(self._wrench(now_s), self._rated, strict=True)
-        raw = [round(value / load * FULL_SCALE) for value, load in pairs]
-        over = LeptrinoStatus.OVER_RATING if max(map(abs, raw)) > FULL_SCALE else 0
-        return LeptrinoSample(command, tuple(min(max(c, -CLIP), CLIP) for c in raw), int(over))
+        raw = [round(value / load * protocol.FULL_SCALE) for value, load in pairs]
+        over = (
+            protocol.LeptrinoStatus.OVER_RATING if max(map(abs, raw)) > protocol.FULL_SCALE else 0
+        )
+        return protocol.LeptrinoSample(
+            command, tuple(min(max(c, -protocol.CLIP), protocol.CLIP) for c in raw), int(over)
+        )
 
 
-def _refusal(data: bytes) -> Packet:
+def _refusal(data: bytes) -> protocol.Packet:
     """Return the answer to a frame with a wrong length or check."""
     found = _FRAME.search(data)
     content = b"" if found is None else found[1].replace(b"\x10\x10", b"\x10")
-    whole = found is not None and len(content) >= 3 and xor8(content) ^ ETX == found[2][0]
-    return PlainFrame(content[2], LENGTH) if whole else LeptrinoNak()
+    whole = found is not None and len(content) >= 3 and xor8(content) ^ protocol.ETX == found[2][0]
+    return PlainFrame(content[2], LENGTH) if whole else protocol.LeptrinoNak()
 
 
 def emulate_leptrino(choice: EmulationChoice, faults: Faults) -> Emulation:

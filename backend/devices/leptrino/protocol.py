@@ -6,6 +6,7 @@ Frames with doubled 10h bytes and an exclusive-or check. Source: communication f
 
 from __future__ import annotations
 
+import re
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,6 +17,7 @@ from touchdown.backend.devices.framing import (
     FrameStream,
     ProtocolError,
     Wrench,
+    never_skip,
     noise_until,
     wrench_of,
     xor8,
@@ -24,6 +26,7 @@ from touchdown.backend.devices.identification import ProtocolSignature
 
 DLE, STX, ETX, NAK_BYTE = 0x10, 0x02, 0x03, 0x15
 LONGEST_DATA = 128
+_CONTENT = re.compile(rb"(?:[^\x10]|\x10\x10)*")
 FULL_SCALE, CLIP = 10_000, 32_000  # counts at the rated load, and at the end of the range
 
 
@@ -154,7 +157,7 @@ def decode(frame: bytes) -> Packet:
 
 def packets() -> FrameStream[Packet]:
     """Return a decoder of either direction."""
-    return FrameStream(_take, overtake=lambda take, data, at: False)
+    return FrameStream(_take, never_skip)
 
 
 def _take(data: bytes, at: int) -> FrameStep[Packet] | None:
@@ -166,29 +169,14 @@ def _take(data: bytes, at: int) -> FrameStep[Packet] | None:
         return FrameStep(2, LeptrinoNak())
     if data[at + 1] != STX:
         return FrameStep(2)  # a pair of 10h is content of a lost frame, never a start
-    return _take_frame(data, at)
-
-
-def _take_frame(data: bytes, at: int) -> FrameStep[Packet] | None:
-    end = at + 2
-    while end < len(data):
-        if end - at > 2 * LONGEST_DATA + 2:
-            return FrameStep(2, refused=True)
-        if data[end] != DLE:
-            end += 1
-        elif end + 1 == len(data):
-            return None
-        elif data[end + 1] == DLE:
-            end += 2
-        elif data[end + 1] == ETX:
-            return _closed(data, at, end)
-        else:
-            return FrameStep(end - at, refused=True)
-    return None
-
-
-def _closed(data: bytes, at: int, end: int) -> FrameStep[Packet] | None:
-    if end + 2 == len(data):
+    content = _CONTENT.match(data, at + 2)
+    end = at + 2 if content is None else content.end()
+    if end - at > 2 * LONGEST_DATA + 2:
+        return FrameStep(2, refused=True)
+    tail = data[end : end + 3]
+    if len(tail) > 1 and tail[1] != ETX:
+        return FrameStep(end - at, refused=True)
+    if len(tail) < 3:
         return None
     try:
         return FrameStep(end + 3 - at, _unpack(*_unstuff(data[at : end + 3])))
@@ -225,7 +213,10 @@ def _body(command: int, body: bytes) -> Packet:
         )
         return SensorInfo(model, serial, firmware, text[28:])
     if command == LeptrinoCommand.RATED:
-        return RatedLoads(_finite(struct.unpack("<6f", body)))
+        loads = struct.unpack("<6f", body)
+        if not all(0 < load < 1e6 for load in loads):
+            raise ProtocolError("range", "leptrino rated load", 4)
+        return RatedLoads(loads)
     if command in (LeptrinoCommand.GET_FILTER, LeptrinoCommand.SET_FILTER):
         index, *zeros = struct.unpack("<4B", body)
         if not any(zeros):
@@ -235,12 +226,6 @@ def _body(command: int, body: bytes) -> Packet:
         if not zero:
             return LeptrinoSample(command, tuple(counts), status, reserve)
     raise ProtocolError("body", "leptrino frame", 4)
-
-
-def _finite(loads: tuple[float, ...]) -> tuple[float, ...]:
-    if not all(0 < load < 1e6 for load in loads):
-        raise ProtocolError("range", "leptrino rated load", 4)
-    return loads
 
 
 SIGNATURES = (

@@ -21,7 +21,6 @@ from touchdown.backend.devices.force_torque import (
 )
 from touchdown.backend.devices.framing import ProtocolError
 from touchdown.backend.devices.netft import protocol
-from touchdown.backend.devices.netft.protocol import TCP_REQUEST, RdtCommand, RdtRecord, RdtRequest
 from touchdown.backend.devices.protocols import Identity
 
 ONROBOT_COUNTS = (10_000.0, 100_000.0)
@@ -50,11 +49,11 @@ class NetFtDriver:
         """Read the scale, stop an old stream, start."""
         self._counts = self._scale(link)
         for _ in range(2):
-            link.write(protocol.encode_request(RdtRequest(RdtCommand.STOP)))
+            link.write(protocol.encode_request(protocol.RdtRequest(protocol.RdtCommand.STOP)))
         pause(cancel, SETTLE_S)
         link.drain()
         self._last = None
-        link.write(protocol.encode_request(RdtRequest(RdtCommand.START)))
+        link.write(protocol.encode_request(protocol.RdtRequest(protocol.RdtCommand.START)))
         identity = Identity("ATI", "Net F/T", self._address, "")
         return SensorDescription(identity, self._settings.rated, self._period_s, numbered=True)
 
@@ -80,9 +79,9 @@ class NetFtDriver:
     def stop(self, link: SensorLink) -> None:
         """Stop the stream; sent three times, because a datagram may be lost."""
         for _ in range(3):
-            link.write(protocol.encode_request(RdtRequest(RdtCommand.STOP)))
+            link.write(protocol.encode_request(protocol.RdtRequest(protocol.RdtCommand.STOP)))
 
-    def _reading(self, record: RdtRecord) -> WrenchReading | None:
+    def _reading(self, record: protocol.RdtRecord) -> WrenchReading | None:
         missed, last = 0, self._last
         if last is not None:
             step = (record.rdt_sequence - last) % SEQUENCE_TURN
@@ -121,7 +120,7 @@ class NetFtDriver:
 
     def _calibration(self, host: str) -> tuple[float, float]:
         with socket.create_connection((host, self._settings.tcp_port), timeout=ANSWER_S) as line:
-            line.sendall(TCP_REQUEST)
+            line.sendall(protocol.TCP_REQUEST)
             heard = b""
             while len(heard) < CALIBRATION_BYTES and (more := line.recv(CALIBRATION_BYTES)):
                 heard += more

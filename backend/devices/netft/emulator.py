@@ -87,11 +87,23 @@ class EmulatedNetFt:
         return RdtRecord(self._sequence, self._ft_sequence, status, counts)
 
 
-class EmulatedCalibration:
-    """TCP channel of an Ethernet Axia: a request of 20 bytes, answered with the scale."""
+class _Answering:
+    """A device that answers whole requests and sends nothing by itself."""
 
     def __init__(self) -> None:
         self._heard = b""
+
+    def due(self, now_s: float) -> bytes:
+        """Return nothing."""
+        return b""
+
+    def closed(self, now_s: float) -> None:
+        """Discard an incomplete request."""
+        self._heard = b""
+
+
+class EmulatedCalibration(_Answering):
+    """TCP channel of an Ethernet Axia: a request of 20 bytes, answered with the scale."""
 
     def receive(self, now_s: float, data: bytes) -> bytes:
         """Answer a complete request."""
@@ -104,21 +116,13 @@ class EmulatedCalibration:
         scale = Calibration(UNIT_NEWTON, UNIT_NEWTON_METRE, PER_UNIT, PER_UNIT, (1,) * 6)
         return protocol.encode_calibration(scale)
 
-    def due(self, now_s: float) -> bytes:
-        """Do nothing."""
-        return b""
 
-    def closed(self, now_s: float) -> None:
-        """Discard an incomplete request."""
-        self._heard = b""
-
-
-class EmulatedPage:
+class EmulatedPage(_Answering):
     """Web page of a Net F/T box: one request, one answer."""
 
     def __init__(self, force_unit: str = "N", torque_unit: str = "N-m") -> None:
+        super().__init__()
         self._units = force_unit, torque_unit
-        self._heard = b""
 
     def receive(self, now_s: float, data: bytes) -> bytes:
         """Answer a complete request."""
@@ -138,14 +142,6 @@ class EmulatedPage:
         status = b"200 OK" if found else b"404 Not Found"
         head = b"HTTP/1.1 %b\r\nContent-Type: text/xml\r\nContent-Length: %d\r\n\r\n"
         return head % (status, len(body)) + body
-
-    def due(self, now_s: float) -> bytes:
-        """Do nothing."""
-        return b""
-
-    def closed(self, now_s: float) -> None:
-        """Discard an incomplete request."""
-        self._heard = b""
 
 
 def emulate_netft(choice: EmulationChoice, faults: Faults) -> Emulation:

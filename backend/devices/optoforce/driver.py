@@ -10,20 +10,13 @@ import threading
 from touchdown.backend.config import HardwareSettings
 from touchdown.backend.core import InputError
 from touchdown.backend.devices.force_torque import (
-    FrameErrors,
+    FramedDriver,
     NotAnsweredError,
     SensorDescription,
     SensorLink,
     WrenchReading,
-    ask,
 )
 from touchdown.backend.devices.optoforce import protocol
-from touchdown.backend.devices.optoforce.protocol import (
-    SPEED_HZ,
-    OptoforceAck,
-    OptoforceConfig,
-    OptoforceFrame,
-)
 from touchdown.backend.devices.protocols import Identity
 
 COUNT_TURN = 1 << 16
@@ -31,13 +24,14 @@ OLD = 1000  # a count this much before the newest is late; an older one is a res
 SPEED, NO_FILTER = 1, 0
 
 
-class OptoforceDriver:
+class OptoforceDriver(FramedDriver[protocol.OptoforceMessage]):
     """Losses are found by the sensor's count; raises ``InputError`` without a scale."""
 
     baud = 1_000_000
     chunk = 44
 
     def __init__(self, settings: HardwareSettings, address: str) -> None:
+        super().__init__(protocol.incoming())
         counts, capacity = settings.optoforce.counts, settings.optoforce.capacity
         if counts is None or capacity is None:
             raise InputError(
@@ -46,44 +40,36 @@ class OptoforceDriver:
                 "Copy both from the data sheet of the very sensor into the bench file.",
             )
         self._counts, self._capacity, self._address = counts, capacity, address
-        self._decoder = protocol.incoming()
         self._last: int | None = None
 
     def start(self, link: SensorLink, cancel: threading.Event) -> SensorDescription:
         """Set the full rate without filter; the acknowledgement may come between frames."""
         link.drain()
-
-        def find(data: bytes) -> OptoforceAck | None:
-            return next((m for m in self._decoder.feed(data) if isinstance(m, OptoforceAck)), None)
-
-        ack = ask(link, cancel, protocol.encode(OptoforceConfig(SPEED, NO_FILTER)), find)
+        request = protocol.encode(protocol.OptoforceConfig(SPEED, NO_FILTER))
+        ack = self.ask(link, cancel, request, protocol.OptoforceAck)
         if ack.status != 0:
             raise NotAnsweredError(f"The sensor refuses its configuration ({ack.status})")
         self._last = None
         identity = Identity("OnRobot", "HEX", self._address, "")
-        return SensorDescription(identity, self._capacity, 1.0 / SPEED_HZ[SPEED], numbered=True)
+        return SensorDescription(
+            identity, self._capacity, 1.0 / protocol.SPEED_HZ[SPEED], numbered=True
+        )
 
     def take(self, data: bytes) -> list[WrenchReading]:
         """Return the samples of six axes."""
-        frames = (m for m in self._decoder.feed(data) if isinstance(m, OptoforceFrame))
+        frames = (m for m in self._decoder.feed(data) if isinstance(m, protocol.OptoforceFrame))
         whole = (frame for frame in frames if len(frame.counts) == 6)
         return [self._reading(frame) for frame in whole if not self._is_old(frame)]
 
-    @property
-    def refusals(self) -> FrameErrors:
-        """Counts of invalid frames."""
-        decoder = self._decoder
-        return FrameErrors(decoder.bad_frames, decoder.bad_in_a_row, decoder.discarded)
-
     def stop(self, link: SensorLink) -> None:
         """Stop the stream."""
-        link.write(protocol.encode(OptoforceConfig(0, NO_FILTER)))
+        link.write(protocol.encode(protocol.OptoforceConfig(0, NO_FILTER)))
 
-    def _is_old(self, frame: OptoforceFrame) -> bool:
+    def _is_old(self, frame: protocol.OptoforceFrame) -> bool:
         """Return True if the frame is overtaken or repeated."""
         return self._last is not None and (self._last - frame.count) % COUNT_TURN <= OLD
 
-    def _reading(self, frame: OptoforceFrame) -> WrenchReading:
+    def _reading(self, frame: protocol.OptoforceFrame) -> WrenchReading:
         missed, last = 0, self._last
         self._last = frame.count
         if last is not None:

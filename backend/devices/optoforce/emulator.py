@@ -8,13 +8,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from touchdown.backend.devices.optoforce import protocol
-from touchdown.backend.devices.optoforce.protocol import (
-    SPEED_HZ,
-    ZERO_NOW,
-    OptoforceAck,
-    OptoforceConfig,
-    OptoforceFrame,
-)
 from touchdown.backend.emulation import (
     Emulation,
     EmulationChoice,
@@ -64,16 +57,16 @@ class EmulatedOptoforce:
     def closed(self, now_s: float) -> None:
         """Do nothing: a sensor on a serial line does not notice."""
 
-    def _answer(self, now_s: float, request: OptoforceConfig) -> bytes:
-        if request.speed not in SPEED_HZ or request.filter not in protocol.FILTER_HZ:
-            return protocol.encode(OptoforceAck(BAD_CONFIG))
-        self._zero = self._raw(now_s) if request.zero == ZERO_NOW else (0,) * 6
-        rate_hz = SPEED_HZ[request.speed]
+    def _answer(self, now_s: float, request: protocol.OptoforceConfig) -> bytes:
+        if request.speed not in protocol.SPEED_HZ or request.filter not in protocol.FILTER_HZ:
+            return protocol.encode(protocol.OptoforceAck(BAD_CONFIG))
+        self._zero = self._raw(now_s) if request.zero == protocol.ZERO_NOW else (0,) * 6
+        rate_hz = protocol.SPEED_HZ[request.speed]
         if rate_hz:
             self.pace.begin(now_s, 1.0 / rate_hz)
         else:
             self.pace.end()
-        return protocol.encode(OptoforceAck(0))
+        return protocol.encode(protocol.OptoforceAck(0))
 
     def _raw(self, now_s: float) -> tuple[int, ...]:
         pairs = zip(self._wrench(now_s), self._per_unit, strict=True)
@@ -87,7 +80,7 @@ class EmulatedOptoforce:
         ):
             status |= (abs(count) > factor * load) << bit
         zeroed = (min(max(c - z, -_LIMIT), _LIMIT) for c, z in zip(raw, self._zero, strict=True))
-        frame = OptoforceFrame(self._count, status, tuple(zeroed))
+        frame = protocol.OptoforceFrame(self._count, status, tuple(zeroed))
         self._count = (self._count + 1) % COUNT_TURN
         return protocol.encode(frame)
 

@@ -9,15 +9,14 @@ from __future__ import annotations
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
-from enum import IntEnum
 
 from touchdown.backend.devices.framing import (
     FrameStep,
     FrameStream,
     ProtocolError,
     Wrench,
-    noise_until,
     sum16,
+    take_frame,
     wrench_of,
 )
 from touchdown.backend.devices.identification import ProtocolSignature
@@ -31,21 +30,6 @@ ZERO_NOW = 255
 _CONFIG, _ACK, _FRAME = b"\xaa\x00\x32\x03", b"\xaa\x00\x50\x01", b"\xaa\x07\x08"
 _AXES = {0x0A: 3, 0x10: 6, 0x1C: 12}
 _OVERLOADS = ((9, "Fx"), (8, "Fy"), (7, "Fz"), (6, "Tx"), (5, "Ty"), (4, "Tz"))
-
-
-class AcquisitionFault(IntEnum):
-    """Fault of the acquisition unit, bits 15 to 13 of the status."""
-
-    ERROR = 1
-    COMMUNICATION = 2
-
-
-class SensorFault(IntEnum):
-    """Fault of the sensor, bits 12 to 10 of the status."""
-
-    NOT_DETECTED = 1
-    FAILURE = 2
-    TEMPERATURE = 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,28 +58,18 @@ class OptoforceFrame:
 
     @property
     def daq(self) -> int:
-        """0, or a ``Daq`` fault."""
+        """Fault of the acquisition unit: 1 error, 2 communication; 0 for none."""
         return self.status >> 13
 
     @property
     def sensor(self) -> int:
-        """0, or a ``Sensor`` fault."""
+        """Fault of the sensor: 1 not detected, 2 failure, 4 temperature; 0 for none."""
         return self.status >> 10 & 7
 
     @property
     def overload(self) -> tuple[str, ...]:
         """Axes over their capacity."""
         return tuple(name for bit, name in _OVERLOADS if self.status >> bit & 1)
-
-    @property
-    def several(self) -> bool:
-        """True if several sensors report."""
-        return bool(self.status >> 3 & 1)
-
-    @property
-    def sensor_number(self) -> int:
-        """Number of the reporting sensor."""
-        return self.status & 7
 
     def scaled(self, counts_at_capacity: Sequence[float], capacity: Sequence[float]) -> list[float]:
         """Return N (N·m) per axis, by the sensor's data sheet."""
@@ -174,27 +148,12 @@ def _length(data: bytes, at: int) -> int | None:
 
 
 def _take(data: bytes, at: int) -> FrameStep[OptoforceMessage] | None:
-    length = _length(data, at)
-    if length == 0:
-        return noise_until(data, at, b"\xaa")
-    if length is None or at + length > len(data):
-        return None
-    try:
-        return FrameStep(length, decode(data[at : at + length]))
-    except ProtocolError:
-        return FrameStep(1, refused=True)
+    return take_frame(data, at, _length(data, at), b"\xaa", decode)
 
 
 def _take_request(data: bytes, at: int) -> FrameStep[OptoforceConfig] | None:
-    head = data[at : at + 4]
-    if not _CONFIG.startswith(head):
-        return noise_until(data, at, b"\xaa")
-    if len(data) - at < 9:
-        return None
-    try:
-        return FrameStep(9, OptoforceConfig(*_summed(data[at : at + 9])[4:]))
-    except ProtocolError:
-        return FrameStep(1, refused=True)
+    length = 9 if _CONFIG.startswith(data[at : at + 4]) else 0
+    return take_frame(data, at, length, b"\xaa", lambda f: OptoforceConfig(*_summed(f)[4:]))
 
 
 SIGNATURES = (

@@ -52,7 +52,7 @@ class Watched:
             lambda: self.language, lambda _: None, ForceTorqueSettings(), lambda: self.now_s,
             late_s=0.016,
         )  # fmt: skip
-        self.reader._greeting = SensorDescription(
+        self.reader._description = SensorDescription(
             Identity("", make, "", ""), (200.0,) * 6, 1.0 / hz
         )
         self.reader._forget()

@@ -341,7 +341,7 @@ def optoforce_message(message, vector):
         return {"status": message.status}
     facts = {"count": message.count, "status": message.status, "raw": list(message.counts)}
     facts |= {"daq": message.daq, "sensor": message.sensor, "overload": list(message.overload)}
-    facts |= {"multiple": message.several, "sensor_number": message.sensor_number}
+    facts |= {"multiple": bool(message.status & 8), "sensor_number": message.status & 7}
     if "scale" in vector["fields"]:
         scale = vector["fields"]["scale"]
         facts |= {"scale": scale, "force_n": message.scaled([1.0] * len(scale), scale)}

@@ -489,9 +489,7 @@ def test_answers_outside_the_stream():
     sensitivity = (65.47, 65.44, 65.08, 1638.5, 1639.25, 1640.75)
     assert dynpick.decode_sensitivity(data("dynpick-sensitivity-reply")) == sensitivity
     assert dynpick.encode_sensitivity(sensitivity) == data("dynpick-sensitivity-reply")
-    assert dynpick.decode_temperature(data("dynpick-temperature-reply")) == 27.5
     assert dynpick.encode_temperature(27.5) == data("dynpick-temperature-reply")
-    assert dynpick.decode_filter(data("dynpick-filter-reply")) == 4
     assert dynpick.encode_filter(4) == data("dynpick-filter-reply")
     assert data("netft-tcp-read-calibration") == net_ft.TCP_REQUEST
     calibration = net_ft.decode_calibration(data("netft-tcp-calibration-reply"))

@@ -127,7 +127,7 @@ def test_a_lost_byte_costs_one_sample(front, driver):
     assert driver.state is DeviceState.READY
     assert driver.health.lost >= 1
     assert np.all(np.abs(driver.samples.since(0).values - LOAD) <= 12 * LEAST)
-    assert driver.resynchronised == 1
+    assert driver.describe()["resynchronised"] == 1
 
 
 def test_silence_is_a_fault_and_a_reconnect_heals_it(front, driver):

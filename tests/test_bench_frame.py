@@ -4,15 +4,15 @@ import json
 
 import pytest
 
-from tests.bench import measured, run
-from tests.bench.registry import Figure, figure
+from tests.bench import figures, run
+from tests.bench.figures import Figure, figure
 from touchdown.backend.core.faults import InputError
 
 
 @pytest.fixture(autouse=True)
 def empty(monkeypatch):
     monkeypatch.setattr(run, "MODULES", ())
-    monkeypatch.setattr("tests.bench.registry.REGISTER", {})
+    monkeypatch.setattr("tests.bench.figures.REGISTER", {})
     monkeypatch.setattr(run, "REGISTER", {})
 
 
@@ -64,7 +64,7 @@ def test_groups_and_figures_are_chosen_by_name(name, monkeypatch, capsys):
 
 
 def test_two_figures_of_one_name_are_a_defect(monkeypatch):
-    monkeypatch.setattr("tests.bench.registry.REGISTER", {})
+    monkeypatch.setattr("tests.bench.figures.REGISTER", {})
 
     def speed():
         return []
@@ -77,11 +77,11 @@ def test_two_figures_of_one_name_are_a_defect(monkeypatch):
 def test_saved_figures_replace_those_of_their_function_and_the_page_shows_them(
     monkeypatch, tmp_path
 ):
-    monkeypatch.setattr(measured, "DATA", tmp_path / "measured.json")
-    monkeypatch.setattr(measured, "PAGE", tmp_path / "measured.md")
-    old = measured.records_of("group a", "a", [Figure("old", 1.0, "ms", "<= 2", True)])
-    other = measured.records_of("group b", "b", [Figure("other", 7, "of 9", "stated", None)])
-    content = {"format": measured.FORMAT, "figures": [*old, *other]}
+    monkeypatch.setattr(figures, "DATA", tmp_path / "measured.json")
+    monkeypatch.setattr(figures, "PAGE", tmp_path / "measured.md")
+    old = figures.records_of("group a", "a", [Figure("old", 1.0, "ms", "<= 2", True)])
+    other = figures.records_of("group b", "b", [Figure("other", 7, "of 9", "stated", None)])
+    content = {"format": figures.FORMAT, "figures": [*old, *other]}
     (tmp_path / "measured.json").write_text(json.dumps(content), "utf-8")
     (tmp_path / "measured.md").write_text("Top\n<!-- figures -->\n\n<!-- end -->\nEnd", "utf-8")
     _register(
@@ -92,7 +92,7 @@ def test_saved_figures_replace_those_of_their_function_and_the_page_shows_them(
         ],
     )
     assert run.main(["a", "--save"]) == 1
-    assert [record["figure"] for record in measured.read_records()] == ["new", "other"]
+    assert [record["figure"] for record in figures.read_records()] == ["new", "other"]
     page = (tmp_path / "measured.md").read_text("utf-8")
     assert "2 figures: 0 meet their target, 1 miss it, 1 have none." in page
     assert "| group a | new | 3 ms | ≤ 2 | why |" in page

@@ -17,21 +17,16 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
-from multiprocessing import get_context
 from socket import socket
 
 import numpy as np
 
-from tests.backend.devices.melfa.emulated_arm import Rig
-from tests.backend.devices.melfa.stop_meets import interrupted, still
-from tests.backend.devices.melfa.trials import PRESS, trial
 from tests.backend.devices.waiting import until
 from tests.backend.rig.served import Backend, Served
-from tests.bench.children.arm import SPEED_MM_S, UP, driver, front
-from tests.bench.registry import Figure, figure
+from tests.bench.children.arm import UP, driver, front
+from tests.bench.figures import Figure, at_most, failures, figure, stated
 from tests.busy_computer import STARVED
 from touchdown.backend.core.faults import Fault, FaultError, RefusedError
 from touchdown.backend.core.values import FloatArray, Pose
@@ -315,14 +310,7 @@ def _servo_on(bench: Bench) -> None:
 
 
 START_UP = (
-    "1;OPEN=TOUCHDOWN\r",
-    "ERROR",
-    "PARMXTTOUT",
-    "CNTLON",
-    "OVRD=",
-    "SRVON",
-    "SLOTINIT",
-    "RUN",
+    *("1;OPEN=TOUCHDOWN\r", "ERROR", "PARMXTTOUT", "CNTLON", "OVRD=", "SRVON", "SLOTINIT", "RUN"),
 )
 JOINTS = (JOINT_RAD_S, 0.0, 0.0, 0.0, 0.0, 0.0)
 STATES: Mapping[str, State] = {
@@ -391,7 +379,6 @@ def pressed_in(bench: Bench, name: str, state: State) -> tuple[float, list[str]]
 
 SECONDS, BUSY, PRIORITY = 15.0, 1, 50
 WIRE_STOPS, TRIALS = 100, 500
-GAPS_S = (0.06, 0.098)
 Times = dict[str, float | str]
 CHILD = [sys.executable, "-m", "tests.bench.children.arm"]
 
@@ -447,30 +434,15 @@ def cycle_times() -> list[Figure]:
     with beside("burn", str(BUSY)):
         apart, first = streamed(0), streamed(0, PRIORITY)
     thread, process, fifo = share(inside), share(apart), share(first)
-    rows = [
-        Figure("late cycles, thread of a busy process", thread, "%", "stated", None, note(inside)),
-        Figure(
-            "late cycles, process of its own beside it",
-            process,
-            "%",
-            "<= 1/3 of the thread",
-            process <= thread / 3.0,
-            note(apart),
-        ),
-    ]
     ok = fifo <= thread / 10.0 if first["realtime"] else None
     why = note(first) if first["realtime"] else "no right to real-time priority here"
-    rows.append(
-        Figure(
-            "late cycles, process of its own with SCHED_FIFO",
-            fifo,
-            "%",
-            "<= 1/10 of the thread",
-            ok,
-            why,
-        )
-    )
-    return rows
+    return [
+        stated("late cycles, thread of a busy process", thread, "%", note(inside)),
+        Figure("late cycles, process of its own beside it", process, "%", "<= 1/3 of the thread",
+               process <= thread / 3.0, note(apart)),
+        Figure("late cycles, process of its own with SCHED_FIFO", fifo, "%",
+               "<= 1/10 of the thread", ok, why),
+    ]  # fmt: skip
 
 
 @figure("arm")
@@ -502,54 +474,11 @@ def stop_to_wire() -> list[Figure]:
         served.close()
     p99 = float(np.percentile(took_ms, 99))
     told = f"{WIRE_STOPS} stops; median {np.median(took_ms):.2f}, worst {max(took_ms):.1f} ms"
-    return [Figure("STOP to the controller's socket, p99", p99, "ms", "<= 20", p99 <= 20.0, told)]
-
-
-@figure("arm")
-def gaps() -> list[Figure]:
-    """Largest step of the command after gaps of the stream, at 20 mm/s, by stepped clock."""
-    worst_mm, holds, count = 0.0, 0, 0
-    for gap_s in GAPS_S:
-        for own in (False, True):
-            rig = Rig()
-            rig.arm.connect(1.0, threading.Event())
-            rig.arm.move_to(Pose(0.0, 0.0, 160.0), SPEED_MM_S)
-            rig.rest(0.4)
-            for _ in range(5):
-                before = rig.arm.describe()["z_mm"]
-                rig.wires.stalled, rig.wires.link.cut = own, not own
-                rig.rest(gap_s)
-                rig.wires.stalled = rig.wires.link.cut = False
-                for _ in range(60):
-                    rig.wires.advance(3500)
-                    after = rig.arm.describe()["z_mm"]
-                    worst_mm = max(worst_mm, abs(float(after) - float(before)))
-                    before = after
-                count += 1
-            holds += rig.arm._core.holds
-    ok = worst_mm <= 0.25 and holds == count
-    told = f"{count} gaps of {', '.join(f'{1e3 * s:.0f}' for s in GAPS_S)} ms, {holds} holds"
-    return [Figure("largest step after a gap of the stream", worst_mm, "mm", "<= 0.25", ok, told)]
-
-
-@figure("arm")
-def fault_campaign() -> list[Figure]:
-    """Random faults in random motions by stepped clock: count those not ended as documented."""
-    with ProcessPoolExecutor(2, get_context("spawn")) as pool:
-        ended = list(pool.map(trial, range(TRIALS), chunksize=10))
-    broken = [one for one in ended if one.broken]
-    told = (
-        f"{len({one.fault for one in ended})} kinds; {broken[0]}"
-        if broken
-        else (f"{len({one.fault for one in ended})} kinds of faults in travels, jogs and presses")
-    )
-    text = f"faults of {TRIALS} not ended as documented, or with an unsafe command"
-    return [Figure(text, len(broken), "", "0", not broken, told)]
+    return [at_most("STOP to the controller's socket, p99", p99, "ms", 20, told)]
 
 
 STATE_STOPS, TROUBLES, WIRE_MS = 20, 26, 20.0
 MODES = ("software", "controller")
-AIR_S = 0.3
 
 
 @figure("faults")
@@ -588,55 +517,5 @@ def _stop_figures(name: str, states: Mapping[str, State], stops: int) -> list[Fi
     wrong = "; ".join(sorted(set(broken))[:3])
     return [
         Figure(f"{name}: to the wire, p99", float(p99), "ms", "<= 20", bool(p99 <= WIRE_MS), told),
-        Figure(f"{name}: went on, or no latch", len(broken), "", "0", not broken, wrong),
+        failures(f"{name}: went on, or no latch", len(broken), "", wrong),
     ]
-
-
-def _connected(rig: Rig) -> None:
-    rig.arm.connect(1.0, threading.Event())
-    rig.rest(AIR_S)
-
-
-def _stood(rig: Rig) -> None:
-    _connected(rig)
-    rig.arm.stop()
-    rig.rest(AIR_S)
-
-
-def _unpowered(rig: Rig) -> None:
-    _connected(rig)
-    rig.arm.servo(False)
-
-
-ORDERS: Mapping[str, tuple[Callable[[Rig], None], Callable[[Rig], object], str]] = {
-    "connecting": (lambda rig: None, _connected, "software"),
-    "press of the controller": (_connected, lambda rig: rig.arm.press(PRESS), "controller"),
-    "move after a stop": (
-        _stood, lambda rig: rig.arm.move_to(Pose(0.0, 0.0, 120.0), 20.0), "software"
-    ),
-    "servo on": (_unpowered, lambda rig: rig.arm.servo(True), "software"),
-    "servo off": (_connected, lambda rig: rig.arm.servo(False), "software"),
-    "closing": (_connected, lambda rig: rig.arm.close(), "software"),
-}  # fmt: skip
-
-
-@figure("faults")
-def stops_between_requests() -> list[Figure]:
-    """STOP after each request of each order, by stepped clock: count motions after it."""
-    broken, counts = [], []
-    for name, (prepare, order, mode) in ORDERS.items():
-        count = 0
-        while True:
-            rig = Rig(stiffness_mode=mode)
-            rig.noise_n = 0.05
-            prepare(rig)
-            if interrupted(rig, lambda: order(rig), count) is None:  # noqa: B023 - called at once
-                break
-            idle = rig.arm.state is DeviceState.CLOSED or rig.arm._core.program is None
-            if not (still(rig) and idle and rig.device.controller.program != "probe"):
-                broken.append(f"{name}, request {count + 1}")
-            count += 1
-        counts.append(f"{name} {count}")
-    told = ", ".join(counts) + "".join(f"; {one}" for one in broken[:3])
-    text = "STOP between two requests: the arm moved all the same"
-    return [Figure(text, len(broken), "", "0", not broken, told)]

@@ -9,35 +9,21 @@ dropped frames (C5) and gels refused at connection (C6).
 from __future__ import annotations
 
 import tempfile
-import threading
-import time
 from dataclasses import replace
 from functools import cache
 from itertools import islice, permutations
 from pathlib import Path
-from typing import Self
 
 import cv2
 import numpy as np
 
 from tests.backend.devices.cameras.damage import GELSIGHT, KINDS, SCENES, outcomes
 from tests.backend.runs.gel_bench import LOOKS, Gel, GelBench
-from tests.backend.sensing.drop_oracle import broken
-from tests.backend.sensing.test_episode import frames, record
-from tests.bench.registry import Figure, figure
-from touchdown.backend.bench.emulator_registry import sheared_gel
+from tests.bench.figures import Figure, at_least, at_most, failures, figure
 from touchdown.backend.calibration.cameras import HELD_LIMIT_PX, fingerprint_distance_px
-from touchdown.backend.calibration.records import CalibrationStore
 from touchdown.backend.config.hardware import GelsightSettings
-from touchdown.backend.core.faults import Fault
-from touchdown.backend.core.streams import Stream
-from touchdown.backend.core.values import Finger, FloatArray, TactileFrame
+from touchdown.backend.core.values import FloatArray
 from touchdown.backend.devices.cameras.frames import PictureFilter
-from touchdown.backend.devices.gelsight.driver import TactileCamera
-from touchdown.backend.devices.gelsight.emulator import SERIAL, GelsightServer
-from touchdown.backend.emulation.fault_plan import Faults
-from touchdown.backend.rig.connection import BenchConnection
-from touchdown.backend.runs.calibrations import GelCheck
 from touchdown.backend.sensing.damaged_frames import DamageCheckingTracker
 from touchdown.backend.sensing.picture_files import read_pictures
 from touchdown.backend.sensing.tracker import measure_rest
@@ -50,14 +36,6 @@ CLIPS = (*(clip for clip, _ in SCENES), "artificial_strawberry_exp2_camera_0.avi
 LIVE, NOISE_GREY = 10_000, 0.5
 CONNECTIONS, PATTERNS = 100, 500
 CREEP_PX, LIGHT = 1.5, (0.8, 1.2)
-# mode of the emulated camera, duration, expected code and text
-MODES = (
-    ("dark", 1.0, "", ""),
-    ("dark", None, "CAMERA-DARK", "stay dark"),
-    ("small_dots", None, "GEL-GRID", "8x10 small-dot gel"),
-)
-PLACES = {"by_id": "by-id", "names": "names", "nodes": "nodes"}
-DARKEST = GelsightSettings().darkest_mean
 REST_FILE = "nocontact_train_sensor.png"
 
 
@@ -96,7 +74,7 @@ def whole_pictures() -> list[Figure]:
     share = 100 * refused / count
     note = f"{refused} of {count}, in fast slip; never two in a row"
     name = "whole pictures of real clips that are refused"
-    return [Figure(name, share, "%", "<= 1", share <= 1, note), _taken_for_frozen()]
+    return [at_most(name, share, "%", 1, note), _taken_for_frozen()]
 
 
 def _taken_for_frozen() -> Figure:
@@ -107,18 +85,7 @@ def _taken_for_frozen() -> Figure:
         noise = NOISE_GREY * rng.standard_normal(still.shape)
         gate.judge(0.04 * k, (still + noise).round().astype(np.uint8))
     name = f"live pictures taken for frozen, noise {NOISE_GREY} levels"
-    return Figure(name, gate.invalid, "", "0", gate.invalid == 0, f"of {LIVE}")
-
-
-@figure("faults")
-def dropped_frames() -> list[Figure]:
-    """Episodes with dropped frames, against an oracle."""
-    wrong, accepted = broken(PATTERNS, record(frames()))
-    note = f"of {PATTERNS}; {accepted} accepted; 10 %, 30 %, bursts of 0.5 s and shorter ones"
-    if wrong:
-        note += f"; first: {wrong[0]}"
-    name = "dropped frames: verdict, value or mark other than the oracle's"
-    return [Figure(name, len(wrong), "", "0", not wrong, note)]
+    return failures(name, gate.invalid, note=f"of {LIVE}")
 
 
 @figure("faults")
@@ -143,78 +110,9 @@ def gels_at_connection() -> list[Figure]:
     return [
         Figure("gels exchanged, refused", exchanged, "", target, exchanged == CONNECTIONS, note),
         Figure("other gel, refused", other, "", target, other == CONNECTIONS, note),
-        Figure("the same gels, refused", wrongly, "", "0", wrongly == 0, note),
+        failures("the same gels, refused", wrongly, "", note),
         *_real_gels(),
     ]
-
-
-@figure("faults")
-def cameras_not_to_be_used() -> list[Figure]:
-    """Emulated cameras in the dark or with another grid: reported reason."""
-    rows = []
-    with tempfile.TemporaryDirectory() as folder, _Plugged(Path(folder)) as plugged:
-        for kind, for_s, code, words in MODES:
-            told, frames = plugged.connect(kind, for_s)
-            good = (told.code, words in told.what) == (code, True) if told else not code
-            dark = sum(float(frame.image.mean()) < DARKEST for frame in frames)
-            good = good and not dark
-            said = told.code if told else "connected"
-            how = f"{kind}, for {for_s:g} s" if for_s else kind
-            note = f"{told.what if told else ''} {dark} dark pictures of {len(frames)} were used"
-            rows.append(Figure(f"camera: {how}", said, "", code or "connected", good, note.strip()))
-        told = plugged.fade()
-        said = told.code if told else "nothing"
-        rows.append(Figure("camera: fade, in use", said, "", "CAMERA-DARK", said == "CAMERA-DARK"))
-    return rows
-
-
-class _Plugged:
-    """An emulated camera behind its pipe, and the connection that takes it."""
-
-    def __init__(self, folder: Path) -> None:
-        self._front = GelsightServer(
-            sheared_gel("left", 0.0), folder, faults=Faults("tactile_left")
-        )
-        places = {name: str(folder / where) for name, where in PLACES.items()}
-        own = {"serial": SERIAL}
-        settings = GelsightSettings.model_validate({**places, "left": own, "crop_fraction": 0.0})
-        self._frames: dict[Finger, Stream[TactileFrame]] = {"left": Stream("left", 256)}
-        camera = TactileCamera("left", settings, time.monotonic, self._frames["left"])
-        self._camera, devices = camera, {camera.name: camera}
-        self._connection = BenchConnection(devices)
-        store = CalibrationStore(folder / "calibrations", "emulated")
-        self._connection.prove = GelCheck(store, devices, self._frames).prove
-
-    def __enter__(self) -> Self:
-        self._front.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._connection.close()
-        self._front.close()
-
-    def connect(self, kind: str, for_s: float | None) -> tuple[Fault | None, list[TactileFrame]]:
-        """Connect while ``kind`` is active; return the reported code and the pictures."""
-        stream = self._frames["left"]
-        self._connection.disconnect()
-        self._connection.wait()
-        self._front.faults.clear()
-        self._front.inject(kind, for_s)
-        before = stream.count
-        self._connection.begin(tuple(self._connection.devices))
-        self._connection.wait()
-        return self._connection.lines()[0].fault, stream.since(before)[0]
-
-    def fade(self) -> Fault | None:
-        """Switch the lamps off during operation; return the code reported within 8 s."""
-        self._front.faults.clear()
-        self._connection.begin(tuple(self._connection.devices))
-        self._connection.wait()
-        self._front.inject("fade")
-        end_s, pause = time.monotonic() + 8.0, threading.Event()
-        while self._camera.fault is None and time.monotonic() < end_s:
-            pause.wait(0.02)
-        return self._camera.fault
 
 
 def _another_day(look: GelAppearance, rng: np.random.Generator) -> Gel:
@@ -239,16 +137,11 @@ def _real_gels() -> list[Figure]:
     same = [fingerprint_distance_px(_rest_px(a), _rest_px(b)) for a, b in permutations(CLIPS, 2)]
     other = [fingerprint_distance_px(_rest_px(a), _rest_px(REST_FILE)) for a in CLIPS]
     worst, nearest = max(same), min(other)
+    name = "one real gel in five recordings, holding pieces: farthest apart"
     return [
-        Figure(
-            "one real gel in five recordings, holding pieces: farthest apart", worst, "px",
-            f"< {HELD_LIMIT_PX:g}", worst < HELD_LIMIT_PX, f"rms, of {len(same)} pairs",
-        ),
-        Figure(
-            "another real gel: nearest", nearest, "px",
-            f">= {HELD_LIMIT_PX:g}", nearest >= HELD_LIMIT_PX, f"rms, of {len(other)} pairs",
-        ),
-    ]  # fmt: skip
+        at_most(name, worst, "px", HELD_LIMIT_PX, f"rms, of {len(same)} pairs"),
+        at_least("another real gel: nearest", nearest, "px", HELD_LIMIT_PX, "rms"),
+    ]
 
 
 assert set(KINDS) == set(MOST_OFF_PERCENT)

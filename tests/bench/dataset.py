@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-import random
 import shutil
-import struct
 import subprocess
 import sys
 import tempfile
@@ -16,20 +14,14 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
-from safetensors.numpy import save_file
 
 from tests.backend.annotations.filling import fill, make_files
-from tests.backend.annotations.test_mcap import an_episode, mutants, record_ends
-from tests.backend.learning.test_checkpoint import reseal, save_small
-from tests.bench.registry import Figure, figure
+from tests.bench.figures import Figure, at_least, at_most, figure, stated
 from touchdown.backend.annotations.dataset import Dataset
 from touchdown.backend.annotations.training_set import CacheRow, TrainingCache, open_cache
 from touchdown.backend.annotations.values import EpisodeFilter, Label
-from touchdown.backend.core.faults import InputError
-from touchdown.backend.episodes.episode_file import read_episode, write_episode
 from touchdown.backend.episodes.mcap import read_chunks
 from touchdown.backend.episodes.packs import MAX_EPISODES, PackedEpisode, PackWriter
-from touchdown.backend.learning.checkpoint import load_checkpoint
 
 EPISODES = 100_000
 APPROVED = 10_000
@@ -73,7 +65,7 @@ def _picking(dataset: Dataset) -> list[Figure]:
     for name, (call, limit_ms) in cases.items():
         p99 = float(np.percentile(_times_ms(call, 40), 99))
         whole = f"catalogue, {name}, p99"
-        figures.append(Figure(whole, p99, "ms", f"<= {limit_ms:g}", p99 <= limit_ms))
+        figures.append(at_most(whole, p99, "ms", limit_ms))
     return figures
 
 
@@ -85,9 +77,8 @@ def _committing(dataset: Dataset, uuids: list[str]) -> list[Figure]:
     p50, p99 = (float(np.percentile(times, q)) for q in (50, 99))
     note = f"one fsync of this disk: p50 {_fsync_ms(dataset.folder):.1f} ms; a commit needs two"
     return [
-        Figure("label commit with journal, p50", p50, "ms", f"<= {COMMIT_MS:g}", p50 <= COMMIT_MS,
-               note),
-        Figure("label commit with journal, p99", p99, "ms", "stated", None),
+        at_most("label commit with journal, p50", p50, "ms", COMMIT_MS, note),
+        stated("label commit with journal, p99", p99, "ms"),
     ]  # fmt: skip
 
 
@@ -188,11 +179,9 @@ def training_cache() -> list[Figure]:
     cold_rate, warm_rate = float(np.median(cold)), float(np.median(warm))
     size = f"{CACHED} episodes, batches of {BATCH}, median of 5"
     return [
-        Figure("training cache of 6,000 packed episodes, build", build_s, "s", "stated", None),
-        Figure("cache, random reads, cold", cold_rate, "episodes/s", ">= 40000",
-               cold_rate >= 40_000, size),
-        Figure("cache, random reads, warm", warm_rate, "episodes/s", ">= 40000",
-               warm_rate >= 40_000, size),
+        stated("training cache of 6,000 packed episodes, build", build_s, "s"),
+        at_least("cache, random reads, cold", cold_rate, "episodes/s", 40_000, size),
+        at_least("cache, random reads, warm", warm_rate, "episodes/s", 40_000, size),
     ]  # fmt: skip
 
 
@@ -218,88 +207,4 @@ def two_hundred_kills() -> list[Figure]:
 
 
 MUTANTS, HANG_S = 2000, 10.0
-BLOCK = 4096
 HEADER_BYTES, REFUSED_S = 100_000_000, 1.0
-
-
-@figure("faults")
-def damaged_episodes() -> list[Figure]:
-    """Episodes cut, flipped, zeroed, overwritten, with swapped lengths: count wrong reads."""
-    refused = wrong = 0
-    slowest_s = 0.0
-    with tempfile.TemporaryDirectory() as name:
-        path = Path(name) / "e1.mcap"
-        write_episode(path, an_episode(), {"episode": "e1", "x_um": 7}, {"mode": "stepped"})
-        whole = path.read_bytes()
-        truth = an_episode().observation
-        for mutant in _damaged(whole):
-            path.write_bytes(mutant)
-            begun_s = time.process_time()
-            try:
-                wrong += not np.array_equal(read_episode(path).observation, truth)
-            except InputError:
-                refused += 1
-            slowest_s = max(slowest_s, time.process_time() - begun_s)
-    told = f"{refused} refused by an error of the known kind; slowest {1e3 * slowest_s:.0f} ms"
-    name = f"damaged episodes of {MUTANTS} read as something else"
-    return [Figure(name, wrong, "", "0, none over 10 s", wrong == 0 and slowest_s < HANG_S, told)]
-
-
-def _damaged(whole: bytes) -> Iterator[bytes]:
-    yield from (whole[:at] for at in range(0, len(whole), BLOCK))
-    ends = list(record_ends(whole))
-    rng, count = random.Random(5), -(-len(whole) // BLOCK)
-    for one in ends[:-1]:
-        # The length of one record in place of that of another.
-        hurt, other = bytearray(whole), rng.choice(ends[:-1])
-        hurt[one + 1 : one + 9] = whole[other + 1 : other + 9]
-        if hurt != whole:
-            count += 1
-            yield bytes(hurt)
-    yield from (m for m in mutants(whole, MUTANTS - count) if m != whole)
-
-
-@figure("faults")
-def hostile_models() -> list[Figure]:
-    """Pickled code, a header of 100 MB, other tensors, no numbers: refused, and how soon."""
-    slowest_s, taken, ran = 0.0, [], []
-    for name, spoil in _SPOILT.items():
-        with tempfile.TemporaryDirectory() as folder:
-            path, witness = Path(folder) / "pot.safetensors", Path(folder) / "ran"
-            spoil(path, witness, save_small(path))
-            reseal(path)
-            begun_s = time.process_time()
-            try:
-                load_checkpoint(path)
-                taken.append(name)
-            except InputError:
-                slowest_s = max(slowest_s, time.process_time() - begun_s)
-            ran += [name] if witness.exists() else []
-    told = f"{len(_SPOILT)} kinds" + "".join(f"; {name} was taken" for name in [*taken, *ran])
-    return [
-        Figure("hostile models, slowest refusal", slowest_s, "s", "<= 1, nothing run",
-               slowest_s <= REFUSED_S and not taken and not ran, told)
-    ]  # fmt: skip
-
-
-def _pickled(path: Path, witness: Path, _: object) -> None:
-    code = f"open({str(witness)!r}, 'w')".encode()
-    call = b"cbuiltins\nexec\n(X" + struct.pack("<I", len(code)) + code + b"tR."
-    path.write_bytes(b"\x80\x02" + call)
-
-
-def _long_header(path: Path, _: Path, __: object) -> None:
-    path.write_bytes(struct.pack("<Q", HEADER_BYTES) + b"{" + b" " * (HEADER_BYTES - 2) + b"}")
-
-
-def _with(**changes: np.ndarray) -> Callable[[Path, Path, dict[str, np.ndarray]], None]:
-    return lambda path, _, arrays: save_file({**arrays, **changes}, path)
-
-
-_SPOILT: dict[str, Callable[[Path, Path, dict[str, np.ndarray]], None]] = {
-    "pickled code": _pickled,
-    "100 MB header": _long_header,
-    "extra tensor": _with(extra=np.zeros(1, np.float32)),
-    "wrong shape": _with(**{"head.bias": np.zeros(6, np.float32)}),
-    "no numbers": _with(**{"head.bias": np.full(5, np.nan, np.float32)}),
-}

@@ -1,10 +1,11 @@
-"""Fault campaign over all devices by stepped clock, and probes that lose or turn their piece."""
+"""Random faults of all devices by stepped clock, and damaged bytes on their lines."""
 
 from __future__ import annotations
 
-import math
 import random
 import tempfile
+import time
+import tracemalloc
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import suppress
@@ -13,30 +14,28 @@ from pathlib import Path
 
 import numpy as np
 
+from tests.backend.devices.codecs.codecs import CODECS, IN
+from tests.backend.devices.codecs.vectors import VECTORS, data
 from tests.backend.devices.melfa.trials import trial as trials_trial
 from tests.backend.devices.optoforce.trials_wrist import trial as trials_wrist_trial
 from tests.backend.devices.trials import Ended
 from tests.backend.devices.trials_camera import trial as trials_camera_trial
 from tests.backend.devices.wsg.trials_gripper import trial as trials_gripper_trial
 from tests.backend.runs.test_campaign import Failing
-from tests.bench.registry import Figure, figure
+from tests.bench.figures import Figure, failures, figure
 from touchdown.backend.annotations.dataset import Dataset
-from touchdown.backend.annotations.values import EpisodeFilter
-from touchdown.backend.core.events import (
-    Event,
-    FaultRaised,
-    PhaseEntered,
-    ProbeCollected,
-    RunFinished,
-)
+from touchdown.backend.config.hardware import ForceTorqueSettings, HardwareSettings
+from touchdown.backend.core.events import PhaseEntered, ProbeCollected, RunFinished
 from touchdown.backend.core.faults import TouchdownError
+from touchdown.backend.devices.dynpick.driver import PERIOD_S, DynpickDriver
+from touchdown.backend.devices.dynpick.protocol import DynpickRecord, encode_record
+from touchdown.backend.devices.force_torque.reader import WrenchStamper
 from touchdown.backend.emulation.disturbances import (
     DISTURBANCE_KINDS,
     Disturbance,
     DisturbanceScript,
 )
 from touchdown.backend.runs.campaign import newest_campaign
-from touchdown.backend.simulation.world import World
 
 CAMPAIGN_PROBES, TRIES = 2, 4
 SLOW_HZ = {"force_torque": 300.0, "tactile_left": 10.0, "tactile_right": 10.0}
@@ -124,7 +123,7 @@ def _is_whole(dataset: Dataset, uuid: str) -> bool:
 
 
 TRIALS: Sequence[tuple[str, Callable[[int], object], int]] = (
-    ("arm", trials_trial, 120),
+    ("arm", trials_trial, 500),
     ("gripper, both protocols", trials_gripper_trial, 150),
     ("wrist sensors, seven makes", trials_wrist_trial, 180),
     ("tactile cameras", trials_camera_trial, 120),
@@ -145,7 +144,7 @@ def faults_of_every_device() -> list[Figure]:
             kinds = len({one.fault for one in ended})
             told = f"{count} faults of {kinds} kinds" + (f"; {broken[0]}" if broken else "")
             name = f"faults not ended as documented: {device}"
-            rows.append(Figure(name, len(broken), "", "0", not broken, told))
+            rows.append(failures(name, len(broken), "", told))
             total, missed = total + count, missed + len(broken)
     note = "no unsafe command in the emulators' logs, no acknowledged episode lost"
     good = total >= LEAST and missed == 0
@@ -153,109 +152,116 @@ def faults_of_every_device() -> list[Figure]:
     return rows
 
 
-GRIP_TRIALS, SEEN_S = 200, 0.2
-PHASES = ("approach", "press", "hold")
-# Range of the angles; instants during contact, early enough for detection.
-TURNS_DEG, FELT_S, LAST_S = (1.5, 10.0), 0.3, 1.7
-
-
-class _Struck(Failing):
-    """As ``Failing``; something happens to the piece some time after a phase of the first probe
-    began."""
-
-    struck_s = _due_s = float("inf")
-
-    def strike(self, phase: str, after_s: float, blow: Callable[[World], None]) -> None:
-        self._phase, self._after_s = phase, after_s
-        step = self.session.advance
-
-        def advance() -> None:
-            step()
-            if self.struck_s == float("inf") and self.session.clock_s() >= self._due_s:
-                scene = self.session._scene
-                assert scene is not None
-                blow(scene.gripper._world)
-                self.struck_s = self.session.clock_s()
-
-        self.session.advance = advance
-
-    def _take(self, fact: Event) -> None:
-        super()._take(fact)
-        if isinstance(fact, PhaseEntered) and fact.phase == self._phase:
-            self._due_s = min(self._due_s, fact.t_s + self._after_s)
-
-    _phase, _after_s = "", 0.0
-
-
-def _lose(world: World) -> None:
-    world.jaws.piece_present = world.jaws.holding = False
-
-
-def lost(seed: int) -> Ended:
-    """Collect one probe, in which the piece is lost; return what does not hold."""
-    rng = random.Random(seed)
-    phase, after_s = rng.choice(PHASES), rng.uniform(0.0, 0.5)
-    return _collected(seed, phase, after_s, _lose, "PIECE-LOST", "lost")
-
-
-def turned(seed: int) -> Ended:
-    """Collect one probe, in which the piece turns; return what does not hold."""
-    rng = random.Random(seed)
-    after_s, angle_deg = rng.uniform(FELT_S, LAST_S), rng.choice((-1, 1)) * rng.uniform(*TURNS_DEG)
-
-    def turn(world: World) -> None:
-        assert world.holding is not None
-        world.holding.turn(math.radians(angle_deg))
-
-    told = f"turned by {angle_deg:.1f} degrees"
-    return _collected(seed, "press", after_s, turn, "PIECE-TURNED", told)
-
-
-def _collected(
-    seed: int, phase: str, after_s: float, blow: Callable[[World], None], code: str, what: str
-) -> Ended:
-    with (
-        tempfile.TemporaryDirectory() as folder,
-        Dataset.open(Path(folder) / "ds", person="ann") as dataset,
-    ):
-        struck = _Struck(dataset)
-        struck.strike(phase, after_s, blow)
-        try:
-            with suppress(TouchdownError):
-                struck.run(count=1)
-            kept = dataset.episodes(EpisodeFilter(deleted=None))
-        finally:
-            struck.session.close()
-    phases = [f for f in struck.facts if isinstance(f, PhaseEntered)]
-    # What is lost after the probe has ended was held while it lasted: that label is right.
-    lifted_s = next((f.t_s for f in phases if f.phase == "lift"), float("inf"))
-    told = [f for f in struck.facts if isinstance(f, FaultRaised) and f.fault.code == code]
-    rows = {
-        "never struck": struck.struck_s < float("inf"),
-        "a label": struck.struck_s >= lifted_s or not any(e.quality.accepted for e in kept),
-        "not told": len(told) == 1,
-        "told late": bool(told) and told[0].t_s - struck.struck_s <= SEEN_S,
-    }
-    broken = tuple(name for name, holds in rows.items() if not holds)
-    return Ended(seed, "collecting", f"{what} {after_s:.2f} s into {phase}", broken)
-
-
-def _of(trial: Callable[[int], Ended], count: int) -> Sequence[Ended]:
-    with ProcessPoolExecutor(2, get_context("spawn")) as pool:
-        return list(pool.map(trial, range(count), chunksize=5))
+NOISE_BYTES, PIECE, BLOCK = 10_000_000, 256, 1_000_000
+# data rate of the fastest serial line of a device
+LINE_BYTES_S = {
+    "dynpick": 92_160, "leptrino": 46_080, "bota": 46_080, "optoforce": 92_160,
+    "robotiq-ft300": 1_920, "wsg-binary": 11_520, "wsg-gcl": 11_520, "melfa-r3": 11_520,
+}  # fmt: skip
+TIMES_LINE, MOST_BYTES = 20.0, 1_000_000
+# bytes of a frame before the part protected by its checksum of 16 bits
+HEADS = {"bota": 1, "robotiq-ft300": 2, "optoforce": 4, "wsg-binary": 6}
+NOISY_FRAMES, FLIPPED_RECORDS = 500_000, 100_000
+COUNTS_PER_N, MAX_RECORD_STEP_N = 65, 50.0
 
 
 @figure("faults")
-def pieces_lost_in_probes(count: int = GRIP_TRIALS) -> list[Figure]:
-    """The gripper loses its piece at a random instant of a probe: labels that come of it."""
-    broken = [one for one in _of(lost, count) if one.broken]
-    name = f"probes of {count} with a lost piece that gave a label, or told late"
-    return [Figure(name, len(broken), "", "0", not broken, str(broken[0]) if broken else "")]
+def noise_on_every_line() -> list[Figure]:
+    """10 MB of noise into each decoder of what devices send: its speed, and what it keeps."""
+    slowest, most, names = np.inf, 0, []
+    for name, line in LINE_BYTES_S.items():
+        decoder, rng = CODECS[(name, IN)].stream, random.Random(name)
+        assert decoder is not None
+        stream, took_s = decoder(), 0.0
+        for _ in range(NOISE_BYTES // BLOCK):
+            noise = rng.randbytes(BLOCK)
+            begun_s = time.process_time()
+            for at in range(0, BLOCK, PIECE):
+                stream.feed(noise[at : at + PIECE])
+            took_s += time.process_time() - begun_s
+        times = NOISE_BYTES / took_s / line
+        slowest = min(slowest, times)
+        names.append(f"{name} {times:.0f}")
+        # Apart: whoever counts memory is slow.
+        noise = rng.randbytes(BLOCK)
+        tracemalloc.start()
+        for at in range(0, BLOCK, PIECE):
+            stream.feed(noise[at : at + PIECE])
+        most = max(most, tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    return [
+        Figure("10 MB of noise, slowest decoder, times its line", float(slowest), "", ">= 20",
+               slowest >= TIMES_LINE, "no exception; " + ", ".join(names)),
+        Figure("10 MB of noise, memory kept", most / 1e6, "MB", "< 1", most < MOST_BYTES),
+    ]  # fmt: skip
 
 
 @figure("faults")
-def pieces_turned_in_probes(count: int = GRIP_TRIALS) -> list[Figure]:
-    """The piece turns in the grasp at a random instant of a press: labels that come of it."""
-    broken = [one for one in _of(turned, count) if one.broken]
-    name = f"probes of {count} with a piece that turned and gave a label, or told late"
-    return [Figure(name, len(broken), "", "0", not broken, str(broken[0]) if broken else "")]
+def noise_in_frames_with_checksum() -> list[Figure]:
+    """Frames with valid head and length and random content: count accepted ones."""
+    believed, names = 0, []
+    for name, head in HEADS.items():
+        codec, rng = CODECS[(name, IN)], random.Random(name)
+        assert codec.stream is not None
+        whole = _a_frame(name)
+        taken = 0
+        for _ in range(NOISY_FRAMES):
+            stream = codec.stream()
+            taken += len(stream.feed(whole[:head] + rng.randbytes(len(whole) - head)))
+        believed += taken
+        names.append(f"{name} {taken}")
+    frames = NOISY_FRAMES * len(HEADS)
+    due = frames / 65_536
+    # What chance alone does to such a count.
+    ok = believed <= due + 3.0 * due**0.5
+    told = f"of {frames} frames; chance lets {due:.0f} pass; " + ", ".join(names)
+    return [
+        Figure("frames of noise accepted, of 65,536", 65_536 * believed / frames, "",
+               "<= 1 and three sigma of chance", ok, told)
+    ]  # fmt: skip
+
+
+def _a_frame(name: str) -> bytes:
+    """Return the longest published frame of what a device sends in one piece."""
+    codec = CODECS[(name, IN)]
+    found = [
+        data(vector)
+        for vector, about in VECTORS.items()
+        if about["device"] == name and about["direction"] == IN and about.get("valid", True)
+    ]
+    single = [frame for frame in found if len(codec.messages(frame)) == 1]
+    return max(single, key=len)
+
+
+@figure("faults")
+def flipped_bits_without_checksum() -> list[Figure]:
+    """One bit in each of 100,000 records of a sensor that has no checksum, in air."""
+    rng, noise = random.Random(7), np.random.default_rng(7)
+    settings = HardwareSettings.model_validate({"dynpick": {"sensitivity": (COUNTS_PER_N,) * 6}})
+    language = DynpickDriver(settings, "")
+    readout = WrenchStamper(ForceTorqueSettings(), PERIOD_S)
+    believed = [np.zeros((0, 6))]
+    for number in range(FLIPPED_RECORDS):
+        # Nine whole records for each damaged one.
+        counts = 0x2000 + noise.integers(-9, 10, (10, 6))
+        records = [
+            encode_record(DynpickRecord((10 * number + k) % 10, tuple(map(int, row))))
+            for k, row in enumerate(counts)
+        ]
+        hurt = bytearray(records[4])
+        place = rng.randrange(8 * len(hurt))
+        hurt[place // 8] ^= 1 << place % 8
+        content = b"".join([*records[:4], bytes(hurt), *records[5:]])
+        _, values = readout.accept(0.01 * (number + 1), language.take(content))
+        believed.append(values[np.isfinite(values).all(axis=1)])
+    values = np.concatenate(believed)
+    forces = values[:, :3]
+    step_n = float(np.linalg.norm(np.diff(forces, axis=0), axis=1).max())
+    wrong = int((np.abs(forces).max(axis=1) > 1.0).sum())
+    told = (
+        f"{len(values)} samples of {10 * FLIPPED_RECORDS} records, {wrong} of them off by over 1 N"
+    )
+    return [
+        Figure("flipped bits without checksum, largest step accepted", step_n, "N", "<= 50",
+               step_n <= MAX_RECORD_STEP_N and len(values) > 8 * FLIPPED_RECORDS, told)
+    ]  # fmt: skip

@@ -8,7 +8,6 @@ from __future__ import annotations
 import tempfile
 import time
 from collections import defaultdict
-from dataclasses import replace
 from itertools import product
 from pathlib import Path
 
@@ -16,32 +15,20 @@ import numpy as np
 import pytest
 import torch
 
-from tests.backend.experiments.device_loop import run_on_devices
 from tests.backend.simulation.one_press import CASES, RMS_LIMIT_PX, press_both_ways
 from tests.backend.simulation.release_cases import SETS, ask_both
-from tests.bench.registry import Figure, figure
-from touchdown.backend.bench.assembly import (
-    SimulatedBenchChoice,
-    make_scene,
-    shipped_model,
-    simulated_session,
-)
-from touchdown.backend.config.method import StackSettings
+from tests.bench.figures import Figure, at_least, at_most, failures, figure, stated
+from touchdown.backend.bench.assembly import SimulatedBenchChoice, simulated_session
 from touchdown.backend.config.simulation import SimulationSettings, load_simulation
 from touchdown.backend.core.events import ActionChosen, Event, TrialFinished
 from touchdown.backend.core.values import Outcome
 from touchdown.backend.episodes.training_rows import join_rows, load_rows
 from touchdown.backend.experiments.job_kinds import KINDS
-from touchdown.backend.experiments.models import batch_model
 from touchdown.backend.experiments.tables import FULL, PIECES, Recipe, Scale, paper_training
-from touchdown.backend.experiments.trials import stack_in_lockstep
-from touchdown.backend.geometry.pieces import load_pieces
 from touchdown.backend.jobs.execution import ProcessPool, run_campaign
 from touchdown.backend.jobs.job import JobStore, run_job
-from touchdown.backend.learning.checkpoint import load_checkpoint
 from touchdown.backend.learning.training import Trainer, use_one_thread
-from touchdown.backend.runs.requests import SceneChoice, StackRequest, StrategyChoice
-from touchdown.backend.sensing.episode import EpisodeLimits
+from touchdown.backend.runs.requests import StackRequest, StrategyChoice
 from touchdown.backend.simulation.release_mujoco import (
     PAIR_BAND_MM,
     TOWER_BAND_MM,
@@ -83,9 +70,9 @@ def paper_on_the_default_bench() -> list[Figure]:
     p50, p99 = (float(value) for value in np.percentile(latencies_ms, [50, 99]))
     decided = f"{len(latencies_ms)} decisions, median {p50:.1f}, max {max(latencies_ms):.1f} ms"
     return [
-        Figure("placed, paper strategy", placed, "of 60", ">= 50", placed >= 50, note),
-        Figure("released unsafely, paper strategy", unsafe, "of 60", "<= 3", unsafe <= 3, note),
-        Figure("decision latency p99, headless", p99, "ms", "<= 10", p99 <= 10, decided),
+        at_least("placed, paper strategy", placed, "of 60", 50, note),
+        at_most("released unsafely, paper strategy", unsafe, "of 60", 3, note),
+        at_most("decision latency p99, headless", p99, "ms", 10, decided),
     ]
 
 
@@ -94,14 +81,14 @@ def paper_with_release_disturbance() -> list[Figure]:
     """The same with 0.5 mm of disturbance at release (no target: stated beside the other)."""
     placed, unsafe, note = _counts(_sixty("realistic", "paper")[0])
     note = f"{unsafe} released unsafely; {note}"
-    return [Figure("placed, preset realistic", placed, "of 60", "stated", None, note)]
+    return [stated("placed, preset realistic", placed, "of 60", note)]
 
 
 @figure("stacking")
 def pick_and_place() -> list[Figure]:
     """Without touch nothing stands, since every start is unstable."""
     placed, _, note = _counts(_sixty(None, "pick-and-place")[0])
-    return [Figure("placed, pick-and-place", placed, "of 60", "0", placed == 0, note)]
+    return [failures("placed, pick-and-place", placed, "of 60", note)]
 
 
 @figure("agreement")
@@ -134,36 +121,11 @@ def judge_against_engine() -> list[Figure]:
             far_mm = max(abs(o.verdict.margin_mm) for o in unlike)
             note += f", up to {far_mm:.3f} mm from the edge"
         text = f"judge against MuJoCo, {name}: beyond {band_mm} mm"
-        figures.append(Figure(text, beyond, "cases", "0", beyond == 0, note))
+        figures.append(failures(text, beyond, "cases", note))
     return figures
 
 
 HARD = SimulationSettings.model_validate({"preset": "hard"})
-SEEDS = range(500, 510)
-
-
-@figure("experiments")
-def trials_both_ways() -> list[Figure]:
-    """Ten trials of the pot both ways, sensor noise included (drawn differently): stated."""
-    catalogue = load_pieces()
-    scenes = [make_scene(catalogue, SceneChoice(seed=seed), HARD) for seed in SEEDS]
-    model = batch_model(load_checkpoint(shipped_model("pot")), catalogue.top("pot"))
-    ends = stack_in_lockstep(scenes, model, StackSettings(), EpisodeLimits())
-    apart, same, probes = [], 0, []
-    for end in ends:
-        facts = run_on_devices(HARD, replace(StackRequest(), seed=end.seed))
-        first = next((f for f in facts if isinstance(f, ActionChosen)), None)
-        finished = next(f for f in facts if isinstance(f, TrialFinished))
-        same += finished.outcome is end.outcome
-        probes.append(abs(finished.probes - end.probes))
-        if first is not None and end.steps:
-            apart.append(np.subtract(first.action.step_mm, end.steps[0].action.step_mm))
-    step = float(np.median(np.hypot(*np.array(apart).T)))
-    note = f"probes differ by {np.mean(probes):.1f} on average"
-    return [
-        Figure("batch and devices: same outcome", same, f"of {len(ends)}", "stated", None, note),
-        Figure("batch and devices: first step apart, median", step, "mm", "stated", None),
-    ]
 
 
 @figure("experiments")
@@ -181,9 +143,7 @@ def second_worker() -> list[Figure]:
             assert all(result.state == "done" for result in results)
     efficiency = seconds[0] / (2.0 * seconds[1])
     note = f"8 x 1,000 episodes: {seconds[0]:.0f} s and {seconds[1]:.0f} s, start-up included"
-    return [
-        Figure("efficiency of two workers", efficiency, "", ">= 0.85", efficiency >= 0.85, note)
-    ]
+    return [at_least("efficiency of two workers", efficiency, "", 0.85, note)]
 
 
 @figure("experiments")
@@ -202,9 +162,7 @@ def training_of_one_piece() -> list[Figure]:
     seconds = (time.perf_counter() - began_s) * FULL.epochs / epochs
     torch.set_num_threads(1)
     note = f"{epochs} epochs timed, on two threads"
-    return [
-        Figure("training, 6,000 probes, 30 epochs", seconds, "s", "<= 240", seconds <= 240, note)
-    ]
+    return [at_most("training, 6,000 probes, 30 epochs", seconds, "s", 240, note)]
 
 
 PART = Scale("part", FULL.probes, epochs=2, groups=20, trials=5, pictured=100, repeated=2)
@@ -238,10 +196,8 @@ def tables_in_full() -> list[Figure]:
     }
     total_h = sum(whole_h.values())
     note = ", ".join(f"{kind} {hours:.2f}" for kind, hours in whole_h.items())
+    shared_h, name = total_h / WORKERS, "full tables, two workers that share it evenly"
     return [
-        Figure("full tables, processor time", total_h, "h", "stated", None, f"{note} h"),
-        Figure(
-            "full tables, two workers that share it evenly", total_h / WORKERS, "h",
-            f"<= {LIMIT_H:g}", total_h / WORKERS <= LIMIT_H, "from parts",
-        ),
-    ]  # fmt: skip
+        stated("full tables, processor time", total_h, "h", f"{note} h"),
+        at_most(name, shared_h, "h", LIMIT_H, "from parts"),
+    ]

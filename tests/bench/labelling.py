@@ -1,4 +1,4 @@
-"""Labelling: the page, slips, queues of wrong labels, and a day of labelling.
+"""Labelling: the page, slips and queues of wrong labels.
 
 The queue of the episodes of which the model is unsure looks at no label: it is measured by how
 often the model itself is wrong there.
@@ -19,17 +19,30 @@ from typing import Any
 from unittest import mock
 
 import numpy as np
+from PySide6.QtTest import QTest
+from PySide6.QtWidgets import QApplication
 
-from tests.bench.registry import Figure, figure
+from tests.app.label.conftest import make_episode
+from tests.bench.figures import Figure, at_least, at_most, figure, stated
+from touchdown.app.application import TouchdownApp
+from touchdown.app.label.evidence import evidence_badges
+from touchdown.app.shell.datasets import ModelPrelabeller, model_path_in_use
+from touchdown.app.shell.errors import ErrorBox
+from touchdown.app.shell.label_items import LabelDraft, item_reader
+from touchdown.app.start import THREAD_SWITCH_S
 from touchdown.backend.annotations.dataset import Dataset
 from touchdown.backend.annotations.labels import SetState
 from touchdown.backend.annotations.queues import SCORES
-from touchdown.backend.annotations.values import Label
-from touchdown.backend.bench.assembly import shipped_model
+from touchdown.backend.annotations.values import EpisodeContext, Label
+from touchdown.backend.bench.assembly import shipped_model, simulated_session
 from touchdown.backend.geometry.outlines import true_patch
 from touchdown.backend.geometry.pieces import load_pieces
 from touchdown.backend.placement.estimator import NOTABLE_SIGMAS, Ensemble, Estimator, OffsetGrid
 from touchdown.backend.placement.label_review import score_labels
+from touchdown.backend.runs.recorder import RecordingOptions
+from touchdown.backend.runs.requests import CollectRequest
+from touchdown.backend.simulation import gripper
+from touchdown.backend.simulation.devices.bench import SimulatedBench
 
 EPISODES, FILMED = 10_000, 120  # length of the queue; episodes with films of 2 s
 LOOKS, NUDGES, ACCEPTED = 100, 200, 50
@@ -47,12 +60,7 @@ def label_page() -> list[Figure]:
 
 
 def fill(folder: Path, episodes: int, filmed: int) -> None:
-    """Make the dataset; nothing has to survive a crash here, so nothing is synced."""
-    from tests.app.label.conftest import make_episode
-    from touchdown.backend.annotations.dataset import Dataset
-    from touchdown.backend.annotations.values import EpisodeContext, Label
-    from touchdown.backend.geometry.pieces import load_pieces
-
+    """Make the dataset without synchronising: nothing has to survive a crash."""
     catalogue = load_pieces()
     with mock.patch("os.fsync"), Dataset.open(folder, person="bench") as dataset:
         pair = dataset.geometry.store_pair(catalogue.piece("pot"), catalogue.piece("circle15"))
@@ -65,12 +73,6 @@ def fill(folder: Path, episodes: int, filmed: int) -> None:
 
 def _opened(folder: Path) -> tuple[Any, Any, Any]:
     """Return application, window and label workspace, with Ann at the label page."""
-    from PySide6.QtWidgets import QApplication
-
-    from touchdown.app.application import TouchdownApp
-    from touchdown.app.shell.errors import ErrorBox
-    from touchdown.app.start import THREAD_SWITCH_S
-
     sys.setswitchinterval(THREAD_SWITCH_S)
     application = QApplication.instance() or QApplication([])
     assert isinstance(application, QApplication)
@@ -84,8 +86,6 @@ def _opened(folder: Path) -> tuple[Any, Any, Any]:
 
 
 def _walk(folder: Path) -> list[Figure]:
-    from PySide6.QtTest import QTest
-
     application, window, workspace = _opened(folder)
 
     def until(done: Callable[[], bool]) -> None:
@@ -111,7 +111,7 @@ def _walk(folder: Path) -> list[Figure]:
     for _ in range(LOOKS // 2):
         until(ready)
         want, start_s = p.walk.at + 1, time.thread_time()
-        looks.append(timed(lambda want=want: p.go_to(want), _now))  # type: ignore[misc]
+        looks.append(timed(lambda want=want: p.go_to(want), lambda: True))  # type: ignore[misc]
         busy.append(1e3 * (time.thread_time() - start_s))
     for k in range(NUDGES):
         start_s = time.perf_counter()
@@ -132,11 +132,10 @@ def _walk(folder: Path) -> list[Figure]:
     note = f"{len(p.walk.order)} episodes, offscreen"
     next_ms, nudge_ms = (float(np.percentile(v, 95)) for v in (looks, nudges))
     return [
-        Figure("next episode painted, p95", next_ms, "ms", "<= 50", next_ms <= 50, note),
+        at_most("next episode painted, p95", next_ms, "ms", 50, note),
         *_stated("next episode painted", looks, (50,), note),
         *_stated("next episode, processor time of the window's thread", busy, (50, 95), note),
-        Figure("patch, hull and verdict of a nudge, p95", nudge_ms, "ms", "<= 5", nudge_ms <= 5,
-               note),
+        at_most("patch, hull and verdict of a nudge, p95", nudge_ms, "ms", 5, note),
         *_stated("accept saved and next painted", accepted, (50, 95), note),
         *_stated("accept and next, processor time of the window's thread", working, (50, 95), note),
         Figure("episodes read ahead", held / 1e6, "MB", "<= 50", held <= 50e6, note),
@@ -146,14 +145,9 @@ def _walk(folder: Path) -> list[Figure]:
 def _stated(name: str, times_ms: list[float], shares: tuple[int, ...], note: str) -> list[Figure]:
     """Return percentiles that have no target of their own."""
     return [
-        Figure(f"{name}, p{share}", float(np.percentile(times_ms, share)), "ms", "stated", None,
-               note)
+        stated(f"{name}, p{share}", float(np.percentile(times_ms, share)), "ms", note)
         for share in shares
     ]  # fmt: skip
-
-
-def _now() -> bool:
-    return True
 
 
 # In every third grip the piece is 1 to 3 mm off its place along the jaws.
@@ -163,8 +157,6 @@ SLIP_PROBES, PER_GRIP, EVERY = 126, 3, 3
 @figure("labelling")
 def slips() -> list[Figure]:
     """Collect on the simulated devices with injected slips, then judge each recorded label."""
-    from touchdown.backend.annotations.dataset import Dataset
-
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name) / "dataset"
         with mock.patch("os.fsync"), Dataset.open(folder, person="bench") as dataset:
@@ -172,18 +164,12 @@ def slips() -> list[Figure]:
             judged = _judged(dataset, slipped_at_s)
     hits = [badged for slipped, badged in judged if slipped]
     false = [badged for slipped, badged in judged if not slipped]
+    hit, wrong = 100 * float(np.mean(hits)), 100 * float(np.mean(false))
+    count = f"of {len(hits)} and {len(false)} probes"
     return [
-        _row("slips of 1 to 3 mm that are badged", hits, ">= 95", low=95.0, high=100.0),
-        _row("clean probes that are badged", false, "<= 5", low=0.0, high=5.0),
+        at_least("slips of 1 to 3 mm that are badged", hit, "%", 95, count),
+        at_most("clean probes that are badged", wrong, "%", 5, count),
     ]
-
-
-def _row(name: str, badged: list[bool], target: str, *, low: float, high: float) -> Figure:
-    if not badged:
-        return Figure(name, None, "%", target, None, "no such probe was collected")
-    share = 100 * sum(badged) / len(badged)
-    note = f"{sum(badged)} of {len(badged)} probes"
-    return Figure(name, share, "%", target, low <= share <= high, note)
 
 
 # mounting number and time of a picture; the clock restarts with every mounting
@@ -192,12 +178,6 @@ Taken = tuple[int, float]
 
 def _collect(dataset: Any) -> dict[Taken, bool]:
     """Return for each picture whether the piece had slipped."""
-    from touchdown.backend.bench.assembly import simulated_session
-    from touchdown.backend.runs.recorder import RecordingOptions
-    from touchdown.backend.runs.requests import CollectRequest
-    from touchdown.backend.simulation import gripper
-    from touchdown.backend.simulation.devices.bench import SimulatedBench
-
     rng, grips, slipped = np.random.default_rng(5), [0], dict[Taken, bool]()
     last: Taken = (0, 0.0)
     draw, picture = gripper.draw_gripping, SimulatedBench.scene_picture
@@ -236,11 +216,6 @@ def _collect(dataset: Any) -> dict[Taken, bool]:
 
 def _judged(dataset: Any, slipped: dict[Taken, bool]) -> list[tuple[bool, bool]]:
     """Return (slipped, badged) of each probe that was no refused observation."""
-    from touchdown.app.label.evidence import evidence_badges
-    from touchdown.app.shell.datasets import ModelPrelabeller, model_path_in_use
-    from touchdown.app.shell.label_items import LabelDraft, item_reader
-    from touchdown.backend.geometry.pieces import load_pieces
-
     read = item_reader(dataset, ModelPrelabeller(load_pieces(), model_path_in_use), lambda: None)
     judged, mountings = [], dict[str, int]()
     for entry in dataset.episodes():
@@ -381,26 +356,7 @@ def _badges(dataset: Dataset, wrong: Wrong) -> list[Figure]:
         hits, false = (100 * float(np.mean(one)) for one in (bad, good))
         note = f"{by}, no scene camera; of {len(bad)} off by 1 to 3 mm"
         figures += [
-            Figure(f"wrong labels badged by {by}", hits, "%", ">= 95", hits >= 95, note),
-            Figure(f"right labels badged by {by}", false, "%", "<= 5", false <= 5, f"{len(good)}"),
+            at_least(f"wrong labels badged by {by}", hits, "%", 95, note),
+            at_most(f"right labels badged by {by}", false, "%", 5, f"{len(good)}"),
         ]
     return figures
-
-
-DAY = "tests/journeys/test_annotators_day.py"
-DAY_PROBES = 100
-
-
-@figure("day")
-def a_day_of_labelling() -> list[Figure]:
-    """Label by keys in the real window, kill it twice, review, correct, train and export."""
-    command = [sys.executable, "-m", "pytest", DAY, "-q", "-x", "-p", "no:cacheprovider"]
-    command += ["--timeout", "1800"]
-    done = subprocess.run(
-        command, cwd=ROOT, env={**os.environ, "DAY_PROBES": str(DAY_PROBES)}, capture_output=True,
-        text=True, check=False,
-    )  # fmt: skip
-    name = f"day of {DAY_PROBES} probes, killed twice: parts that did not hold"
-    lines = done.stdout.strip().splitlines()
-    held = done.returncode == 0
-    return [Figure(name, 0.0 if held else 1.0, "", "0", held, lines[-1] if lines else "")]

@@ -34,7 +34,7 @@ from tests.backend.rig.served import Backend, Served
 from tests.bench.children.lab_window import LOSSES, STALLS, Note
 from tests.bench.children.logged_arm import LoggedArm, Told
 from tests.bench.children.watched_arm import WatchedArm, watched_arm
-from tests.bench.registry import Figure, figure
+from tests.bench.figures import Figure, at_most, failures, figure, stated
 from tests.bench.workers import hooked
 from tests.busy_computer import STARVED
 from touchdown.backend.bench.assembly import simulated_session
@@ -88,8 +88,8 @@ def stop_through_the_rig() -> list[Figure]:
     told = f"{STOPS} stops; median {np.median(took_ms):.2f}, worst {max(took_ms):.1f} ms"
     asked = float(np.median(asked_ms))
     return [
-        Figure("STOP through the rig to the controller, p99", p99, "ms", "<= 20", p99 <= 20, told),
-        Figure("an order to the rig and its answer, median", asked, "ms", "stated", None),
+        at_most("STOP through the rig to the controller, p99", p99, "ms", 20, told),
+        stated("an order to the rig and its answer, median", asked, "ms"),
     ]
 
 
@@ -125,9 +125,8 @@ def killed_rig() -> list[Figure]:
     told = f"{KILLS} times, killed and crashed by turns; median {np.median(took_ms):.0f} ms"
     still = "stopped by the controller itself; no rig began by itself"
     return [
-        Figure("rig killed: CONTROL-LOST, worst", worst, "ms", "<= 500", worst <= 500, told),
-        Figure("rig killed: arms that moved on, or rigs started again", moved + again, "", "0",
-               moved + again == 0, still),
+        at_most("rig killed: CONTROL-LOST, worst", worst, "ms", 500, told),
+        failures("rig killed: arms that moved on, or rigs started again", moved + again, "", still),
     ]  # fmt: skip
 
 
@@ -151,8 +150,8 @@ def killed_backend() -> list[Figure]:
     worst = max(took_ms)
     told = f"{KILLS} kills; median {np.median(took_ms):.0f} ms"
     return [
-        Figure("backend killed: STOP by the rig, worst", worst, "ms", "<= 100", worst <= 100, told),
-        Figure("backend killed: processes left", left, "", "0", left == 0),
+        at_most("backend killed: STOP by the rig, worst", worst, "ms", 100, told),
+        failures("backend killed: processes left", left),
     ]
 
 
@@ -189,16 +188,13 @@ def _through(mode: str, usual: Sequence[str]) -> list[Figure]:
         bench.close()
     alike = sum(one == other for one, other in zip(ended, usual, strict=True))
     refused = [text for link in bench.links for text in link.refused]
+    name = f"trials with {mode} stiffness that end as on the simulated bench"
+    orders = f"orders of the plans, {mode} stiffness, that the rig refused"
+    good, share = alike >= 0.9 * len(SEEDS), f"{alike} of {len(SEEDS)}"
     return [
-        Figure(
-            f"trials with {mode} stiffness that end as on the simulated bench",
-            f"{alike} of {len(SEEDS)}", "", ">= 90 %", alike >= 0.9 * len(SEEDS), ", ".join(ended),
-        ),
-        Figure(
-            f"orders of the plans, {mode} stiffness, that the rig refused", len(refused), "", "0",
-            not refused, "; ".join(refused[:2]),
-        ),
-    ]  # fmt: skip
+        Figure(name, share, "", ">= 90 %", good, ", ".join(ended)),
+        failures(orders, len(refused), note="; ".join(refused[:2])),
+    ]
 
 
 PLACES = (Pose(0.0, 0.0, 120.0), Pose(0.0, 0.0, 70.0))
@@ -370,44 +366,25 @@ def rigs_that_share_a_core() -> list[Figure]:
                 ended.append(one)
                 told = one.told
                 what = f"{name}, beside {load}: cycles left out"
-                rows.append(Figure(what, 100.0 * told.left_out, "%", "stated", None,
-                                   f"{one.outcome}; longest gap {told.gap_ms:.0f} ms, "
-                                   f"{told.moves} commands"))  # fmt: skip
+                note = f"{one.outcome}; longest gap {told.gap_ms:.0f} ms, {told.moves} commands"
+                rows.append(stated(what, 100.0 * told.left_out, "%", note))
     share, ahead = (max(getattr(one.told, key) for one in ended) for key in ("share", "ahead"))
     wrong = [one.outcome for one in ended if not one.well]
     return [
         *rows,
-        Figure(
-            "rigs that share a core: largest step, of the top speed",
-            share,
-            "",
-            "<= 0.5",
-            share <= MOST_SHARE,
-        ),
-        Figure(
-            "rigs that share a core: commands ahead of one a cycle, most",
-            ahead,
-            "",
-            "<= 1, a late one and the next",
-            ahead <= MOST_AHEAD,
-        ),
-        Figure(
-            "rigs that share a core: not ended as documented, or with a burst",
-            len(wrong),
-            "",
-            "0",
-            not wrong,
-            "; ".join(wrong),
-        ),
-    ]
+        at_most("rigs that share a core: largest step, of the top speed", share, "", MOST_SHARE),
+        Figure("rigs that share a core: commands ahead of one a cycle, most", ahead, "",
+               "<= 1, a late one and the next", ahead <= MOST_AHEAD),
+        failures("rigs that share a core: not ended as documented, or with a burst", len(wrong),
+                 note="; ".join(wrong)),
+    ]  # fmt: skip
 
 
 MOST_MS = 300.0
 STALLED, LOST, STOPPED, KILLED = 40, 72, 60, 28  # trials of each kind, 200 in all
 LOOK_S, STOP_S = 0.6, 0.7  # The emulated arm stores one second: the query must come within it.
-LEAST_MM, TRIES = 0.2, 4  # trials with a shorter motion are repeated
+LEAST_MM, TRIES = 0.2, 3  # trials with a shorter motion are repeated
 SPEEDS_MM_S = (20.0, 50.0, 5.0)
-TRIES = 3
 BETWEEN_S = 0.1
 Trials = dict[str, list[float]]
 

@@ -11,37 +11,23 @@ import argparse
 import importlib
 import sys
 from collections.abc import Sequence
+from dataclasses import asdict
 
 from rich.table import Table
 from rich.text import Text
 
-from tests.bench.measured import Record, records_of, save
-from tests.bench.registry import REGISTER, Figure
+from tests.bench.figures import REGISTER, Figure, Record, records_of, save
 from touchdown.backend.cli.output import VerbOutput
 from touchdown.backend.core.faults import TouchdownError
 
 # Modules that register figures, in the order of the table.
-MODULES: tuple[str, ...] = (
-    "tests.bench.throughput",
-    "tests.bench.window",
-    "tests.bench.experiments",
-    "tests.bench.dataset",
-    "tests.bench.labelling",
-    "tests.bench.arm",
-    "tests.bench.rig",
-    "tests.bench.device_faults",
-    "tests.bench.camera_faults",
-    "tests.bench.wire_faults",
-    "tests.bench.wired",
-    "tests.bench.wired_faults",
-    "tests.bench.disk_faults",
-    "tests.bench.workers",
-    "tests.bench.raised_errors",
-    "tests.bench.blocked_camera",
-    "tests.bench.error_flood",
-    "tests.bench.starved_window",
-    "tests.bench.locked_catalogue",
-)
+MODULES = tuple(
+    f"tests.bench.{name}"
+    for name in (
+        "throughput", "window", "experiments", "dataset", "labelling", "arm", "rig",
+        "device_faults", "camera_faults", "wired", "wired_faults", "workers", "window_faults",
+    )
+)  # fmt: skip
 
 WORDS = {
     True: Text("met", "green"),
@@ -92,7 +78,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     screen.show(table(figures))
     missed = [figure for figure in figures if figure.ok is False]
     screen.say(f"{len(figures)} figures, {len(missed)} missed.")
-    screen.result({"figures": [as_record(figure) for figure in figures]})
+    screen.result({"figures": [asdict(figure) for figure in figures]})
     return 1 if missed else 0
 
 
@@ -110,12 +96,6 @@ def table(figures: Sequence[Figure]) -> Table:
     for f in figures:
         shown.add_row(f.name, measured(f), f"{f.target} {f.unit}".strip(), WORDS[f.ok], f.note)
     return shown
-
-
-def as_record(f: Figure) -> dict[str, object]:
-    """Return the JSON form of one figure."""
-    names = ("name", "value", "unit", "target", "ok", "note")
-    return {name: getattr(f, name) for name in names}
 
 
 if __name__ == "__main__":

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from tests.backend.sensing.known_truth import known_truth
-from tests.bench.registry import Figure, figure
+from tests.bench.figures import Figure, at_least, figure
 from touchdown.backend.annotations.dataset import Dataset
 from touchdown.backend.bench.assembly import simulated_session
 from touchdown.backend.cli.track import track_images
@@ -110,7 +110,7 @@ def real_gels() -> list[Figure]:
     return [
         Figure("tracker, median per frame, one thread", median, "ms", "<= 1 (must 2)", median <= 2),
         Figure("files with 63/63 on frame 0", files, "", "all", all(whole_at_start)),
-        Figure("markers seen, all frames", share, "%", ">= 99", share >= 99, "covered ones count"),
+        at_least("markers seen, all frames", share, "%", 99, "covered ones count"),
     ]
 
 

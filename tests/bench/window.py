@@ -7,7 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from tests.bench.registry import Figure, figure
+from tests.bench.figures import Figure, at_least, at_most, failures, figure, stated
 
 START_S = 160  # longest time from the command to the first measured second
 SOAK_S = 3600  # longest time for 30 simulated minutes
@@ -47,53 +47,52 @@ def decisions_beside_the_window() -> list[Figure]:
     p50, p99, worst = (answer[f"decision_{key}_ms"] for key in ("p50", "p99", "max"))
     note = f"{answer['decisions']:.0f} decisions at {answer['pace']:.2f} x real time"
     return [
-        Figure(f"{name} p50", p50, "ms", "stated", None, note),
-        Figure(f"{name} p99", p99, "ms", "<= 10", p99 <= 10, note),
-        Figure(f"{name} max", worst, "ms", "stated", None, note),
+        stated(f"{name} p50", p50, "ms", note),
+        at_most(f"{name} p99", p99, "ms", 10, note),
+        stated(f"{name} max", worst, "ms", note),
     ]
 
 
 @figure("window-soak")
 def window_for_half_an_hour() -> list[Figure]:
     """Let the window show 30 simulated minutes of stacking, all pages in turn."""
-    answer = _child("tests.bench.children.soak", SOAK_S)
+    answer = _child("soak", SOAK_S)
     name = "memory of the window, slope over 30 simulated minutes"
     if isinstance(answer, str):
         return [Figure(name, None, "MB/min", "<= 1", False, answer)]
     slope, left = answer["slope_mb_per_min"], answer["threads_left"] + answer["timers_left"]
     note = f"{answer['memory_mb']:.0f} MB at the end, {answer['wall_s']:.0f} s"
+    left_fps, right_fps = answer["tactile_left_fps"], answer["tactile_right_fps"]
     return [
-        Figure(name, slope, "MB/min", "<= 1", slope <= 1.0, note),
-        Figure("threads and timers left after the window", left, "", "0", left == 0),
-        Figure(f"{LIMITS['tactile_left_fps'][0]}, of each simulated second",
-               answer["tactile_left_fps"], "fps", ">= 24", answer["tactile_left_fps"] >= 24),
-        Figure(f"{LIMITS['tactile_right_fps'][0]}, of each simulated second",
-               answer["tactile_right_fps"], "fps", ">= 24", answer["tactile_right_fps"] >= 24),
+        at_most(name, slope, "MB/min", 1, note),
+        failures("threads and timers left after the window", left),
+        at_least("tactile left, of each simulated second", left_fps, "fps", 24),
+        at_least("tactile right, of each simulated second", right_fps, "fps", 24),
         # A stepped bench sends samples 50 times a second, each view has every other turn.
-        Figure("traces, of each simulated second", answer["traces_fps"], "fps", "stated", None),
-    ]  # fmt: skip
+        stated("traces, of each simulated second", answer["traces_fps"], "fps"),
+    ]
 
 
 @figure("window")
 def window_start() -> list[Figure]:
     """Start the window twice in one process."""
-    answer = _child("tests.bench.children.start_up", START_S)
+    answer = _child("start", START_S)
     if isinstance(answer, str):
         return [Figure("window, start to live pictures", None, "s", "<= 3", False, answer)]
     warm_s, cold_s = answer["warm_s"], answer["cold_s"]
     return [
-        Figure("window, start to live pictures, imports warm", warm_s, "s", "<= 3", warm_s <= 3),
-        Figure("window, start to live pictures, from the command", cold_s, "s", "stated", None),
+        at_most("window, start to live pictures, imports warm", warm_s, "s", 3),
+        stated("window, start to live pictures, from the command", cold_s, "s"),
     ]
 
 
-def _child(module: str, most_s: float) -> dict[str, float] | str:
-    """Return what a child process printed, or why it did not."""
-    return _answer([sys.executable, "-m", module], most_s)
+def _child(what: str, most_s: float) -> dict[str, float] | str:
+    """Return what a child process measured, or the reason why it did not."""
+    return _answer([sys.executable, "-m", "tests.bench.children.window", what], most_s)
 
 
 def _measured(seconds: float) -> dict[str, float] | str:
-    """Return what the window measured of itself in ``seconds``, or why it did not."""
+    """Return what the window measured of itself, or the reason why it did not."""
     command = [sys.executable, "-m", "touchdown.app", "--measure", "--after", f"{seconds:g}"]
     return _answer([*command, "--size", "1600x940"], START_S + seconds)
 

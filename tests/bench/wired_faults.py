@@ -30,7 +30,7 @@ from tests.backend.devices.optoforce.trials_wrist import (
 )
 from tests.backend.devices.waiting import until
 from tests.bench.arm import LIMIT_S, Bench, in_contact
-from tests.bench.registry import Figure, figure
+from tests.bench.figures import Figure, at_most, failures, figure
 from touchdown.backend.bench.assembly import SimulatedBenchChoice
 from touchdown.backend.bench.emulated import EmulatedBench
 from touchdown.backend.bench.emulated_scene import DriverObservations
@@ -296,7 +296,7 @@ def of(ended: Sequence[Struck]) -> Figure:
     note += f"; {sum(one.loaded for one in ended)} by a busy computer"
     note += "".join(f"; {one}" for one in broken[:3])
     name = "faults over the wires, in real time: not ended as documented, or an unsafe command"
-    return Figure(name, len(broken), f"of {len(ended)}", "0", not broken, note)
+    return failures(name, len(broken), f"of {len(ended)}", note)
 
 
 SERIAL = [kind for kind in EMULATED if kind not in DATAGRAMS]
@@ -384,7 +384,7 @@ def _pulled_s(front: PtyServer | GelsightServer, take_away: str) -> float:
 def _row(name: str, took_ms: Times, most_ms: float) -> Figure:
     worst = max(took_ms)
     told = f"{len(took_ms)} times; median {np.median(took_ms):.0f} ms"
-    return Figure(f"{name}, worst", worst, "ms", f"<= {most_ms:g}", worst <= most_ms, told)
+    return at_most(f"{name}, worst", worst, "ms", most_ms, told)
 
 
 # -- wrist sensors --------------------------------------------------------------------------------
@@ -460,23 +460,13 @@ def _lifted(lifts: int) -> list[Figure]:
     told = f"{len(rose_mm)} times; {least:.2f} to {most:.2f} mm"
     worst, first = max(began), min(began)
     return [
-        Figure(
-            "wrist sensor unplugged in contact: the arm begins to rise, latest",
-            worst,
-            "ms",
-            "300 and what the arm lags",
-            first >= FAULT_MS - 50.0 and worst <= FAULT_MS + 100.0,
-            f"{len(began)} times; earliest {first:.0f}, median {np.median(began):.0f} ms",
-        ),
-        Figure(
-            "wrist sensor unplugged in contact: rises by, least",
-            least,
-            "mm",
-            "2",
-            least >= 1.9 and most <= 2.3,
-            told,
-        ),
-    ]
+        Figure("wrist sensor unplugged in contact: the arm begins to rise, latest", worst, "ms",
+               "300 and what the arm lags",
+               first >= FAULT_MS - 50.0 and worst <= FAULT_MS + 100.0,
+               f"{len(began)} times; earliest {first:.0f}, median {np.median(began):.0f} ms"),
+        Figure("wrist sensor unplugged in contact: rises by, least", least, "mm", "2",
+               least >= 1.9 and most <= 2.3, told),
+    ]  # fmt: skip
 
 
 # -- cameras --------------------------------------------------------------------------------------

@@ -1,6 +1,4 @@
-"""Failing workers: killed, leaving, raising or stopped processes and threads, a training without
-memory, held locks. Wall time.
-"""
+"""Failing workers: killed, leaving, raising or stopped processes and threads, and held locks."""
 
 from __future__ import annotations
 
@@ -17,26 +15,22 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import psutil
 
-from tests.app.tiny_packs import write_tiny_packs
 from tests.backend.devices.waiting import until
 from tests.backend.exchange.test_imports import robomimic_file
 from tests.backend.rig.served import Backend, Served
 from tests.bench.children.failing_window import HOOKS, THREADS, WAYS, failed_s
-from tests.bench.registry import Figure, figure
+from tests.bench.figures import Figure, at_most, figure
 from touchdown.backend.bench.assembly import SimulatedBenchChoice
 from touchdown.backend.bench.emulated import EmulatedBench
-from touchdown.backend.config.method import TrainingSettings
 from touchdown.backend.core.faults import FaultError, InputError
 from touchdown.backend.core.files import lock_file
 from touchdown.backend.exchange.imports import read_foreign
 from touchdown.backend.jobs.execution import ProcessPool
 from touchdown.backend.jobs.job import JobContext, JobSpec, JobStore
-from touchdown.backend.learning.checkpoint import load_checkpoint
-from touchdown.backend.learning.job import TrainingEpoch, TrainingJob
-from touchdown.backend.learning.training_runs import TrainingProcess
 from touchdown.backend.runs.recorder import RecordingOptions
 from touchdown.backend.runs.requests import SceneChoice
 
@@ -89,15 +83,8 @@ def failing_workers() -> list[Figure]:
             found[f"training {way}"] = window(environment, "worker", "training", way)
         for way in ("raises", "deadlock"):
             found[f"bench {way}"] = window(environment, "worker", "bench", way)
-        before = os.environ.get("PYTHONPATH")
-        os.environ["PYTHONPATH"] = environment["PYTHONPATH"]
-        try:
-            found |= {f"rig {way}": rig(number) for way, number in WAYS.items()}
-        finally:
-            if before is None:
-                del os.environ["PYTHONPATH"]
-            else:
-                os.environ["PYTHONPATH"] = before
+    with failing_children():
+        found |= {f"rig {way}": rig(number) for way, number in WAYS.items()}
     return [
         worst(found, "told_s", "a failing worker is named after, worst", "s", TOLD_S),
         worst(found, "closed_s", "everything is closed after a failing worker, worst", "s", GONE_S),
@@ -135,7 +122,7 @@ def worst(
     over = [f"{one} {value:.2f} ({found[one]['named']})" for one, value in values.items()
             if value > most]  # fmt: skip
     told = f"{case}; {len(values)} cases" + "".join(f"; {one}" for one in over)
-    return Figure(name, values[case], unit, f"<= {most:g}", values[case] <= most, told)
+    return at_most(name, values[case], unit, most, told)
 
 
 @figure("faults")
@@ -179,7 +166,7 @@ def locks_of_killed_programs() -> list[Figure]:
         took_ms = [_freed_ms(code) for _ in range(KILLS)]
         told = f"{KILLS} kills; median {sorted(took_ms)[KILLS // 2]:.1f} ms"
         name, worst_ms = f"{kind} free after kill -9, worst", max(took_ms)
-        rows.append(Figure(name, worst_ms, "ms", "<= 10", worst_ms <= FREE_MS, told))
+        rows.append(at_most(name, worst_ms, "ms", FREE_MS, told))
     return rows
 
 
@@ -231,16 +218,8 @@ def work(spec: JobSpec, _: JobContext) -> Mapping[str, Any]:
 @contextmanager
 def failing_children() -> Iterator[None]:
     """Let all interpreters that are started meanwhile fail on a signal, each in its way."""
-    before = os.environ.get("PYTHONPATH")
-    with hooked() as environment:
-        os.environ["PYTHONPATH"] = environment["PYTHONPATH"]
-        try:
-            yield
-        finally:
-            if before is None:
-                del os.environ["PYTHONPATH"]
-            else:
-                os.environ["PYTHONPATH"] = before
+    with hooked() as environment, mock.patch.dict(os.environ, environment):
+        yield
 
 
 def strike(number: int, way: str, told: Callable[[], str]) -> Found:
@@ -382,7 +361,6 @@ def failing_children_without_a_window() -> list[Figure]:
     ]
 
 
-EPOCHS = 6
 ROOM_BYTES = 65_536  # memory left to the training: less than a batch
 
 
@@ -402,35 +380,3 @@ MEMORY_FAILURES: dict[str, Callable[[int], None]] = {
     "no memory left": out_of_memory,
     "killed": killed,
 }
-
-
-@figure("faults")
-def trainings_without_memory() -> list[Figure]:
-    """The limit of a training's memory is reached, or the system kills it; then it is resumed."""
-    broken, said = list[str](), list[str]()
-    for way, strike in MEMORY_FAILURES.items():
-        with tempfile.TemporaryDirectory() as name:
-            data, out = Path(name) / "packs", Path(name) / "pot.safetensors"
-            data.mkdir()
-            write_tiny_packs(data)
-            settings = TrainingSettings(hidden=256, layers=2, epochs=EPOCHS, batch=8)
-            job = TrainingJob(data=data, piece="pot", out=out, settings=settings)
-            epochs, code = 0, ""
-            try:
-                with TrainingProcess(job) as training:
-                    for report in training.reports():
-                        epochs += isinstance(report, TrainingEpoch)
-                        if epochs == 1 and isinstance(report, TrainingEpoch):
-                            strike(training.pid)
-            except FaultError as error:
-                code = error.fault.code
-                said.append(error.fault.what)
-            if code != "TRAINING-DIED" or out.exists():
-                broken.append(f"{way}: {code or 'not told'} after {epochs} epochs")
-            with TrainingProcess(job.model_copy(update={"resume": True})) as training:
-                more = sum(isinstance(report, TrainingEpoch) for report in training.reports())
-            if not 0 < more < EPOCHS or load_checkpoint(out).card.piece != "pot":
-                broken.append(f"{way}: resumed with {more} epochs")
-    told = "; ".join([*broken, *said])
-    name = "trainings without memory or killed: not told, or not resumed"
-    return [Figure(name, len(broken), f"of {len(MEMORY_FAILURES)}", "0", not broken, told)]

@@ -1,7 +1,7 @@
 """Probes labelled by keys in the real window, killed twice, reviewed, handed on.
 
 Fourteen of them: each way to decide twice, two collected and the others simulated.
-``DAY_PROBES=100`` in the environment makes it a hundred, as ``make bench`` does.
+``DAY_PROBES=100`` in the environment makes it a hundred.
 """
 
 from __future__ import annotations

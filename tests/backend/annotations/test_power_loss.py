@@ -1,7 +1,8 @@
-"""Power loss at every step of recording and labelling, on a simulated disk."""
+"""Power loss at every step of recording and labelling, on a simulated disk, and refusing disks."""
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import subprocess
@@ -34,17 +35,25 @@ def place() -> Iterator[Path]:
         yield Path(folder).resolve()
 
 
-def traced(place: Path) -> list[Done]:
-    """Let a child record and label two episodes; return all that it did to the disk."""
-    shim, log = place / "disk_trace.so", place / "log"
-    source = HERE / "disk_trace.c"
+def preloaded(place: Path, library: str, module: str, **variables: str) -> str:
+    """Run a module on ``place``/disk with a library of this folder preloaded; return its output."""
+    shim, source = place / "shim.so", HERE / library
     build = [str(COMPILER), "-O1", "-shared", "-fPIC", "-o", shim, source, "-ldl", "-pthread"]
     subprocess.run(build, check=True)
     (place / "disk").mkdir()
-    environment = os.environ | {"LD_PRELOAD": str(shim), "TRACE_ROOT": str(place / "disk"),
-                                "TRACE_LOG": str(log)}  # fmt: skip
-    command = [sys.executable, "-m", "tests.backend.annotations.test_power_loss", place / "disk"]
-    subprocess.run(command, cwd=ROOT, env=environment, check=True)
+    environment = os.environ | {"LD_PRELOAD": str(shim), **variables}
+    command = [sys.executable, "-m", f"tests.backend.annotations.{module}", place / "disk"]
+    done = subprocess.run(
+        command, cwd=ROOT, env=environment, check=True, stdout=subprocess.PIPE, text=True
+    )
+    return done.stdout
+
+
+def traced(place: Path) -> list[Done]:
+    """Let a child record and label two episodes; return all that it did to the disk."""
+    log = place / "log"
+    variables = {"TRACE_ROOT": str(place / "disk"), "TRACE_LOG": str(log)}
+    preloaded(place, "disk_trace.c", "test_power_loss", **variables)
     return read_log(log)
 
 
@@ -89,6 +98,16 @@ def test_power_lost_at_any_step_loses_nothing_acknowledged(place: Path) -> None:
     assert len(known.episodes) == EPISODES
     assert len(known.labels) == EPISODES
     assert len(seen) > 100
+
+
+@pytest.mark.promise("D1", "D2", "D3")
+@pytest.mark.slow
+def test_a_disk_that_refuses_a_call_loses_nothing_acknowledged(place: Path) -> None:
+    root = str(place / "disk")
+    answer = json.loads(preloaded(place, "disk_refusals.c", "refusing_disk", REFUSE_ROOT=root))
+    assert answer["wrong"] == []
+    least = {"synchronising": 20, "writing": 5, "writing half": 5, "renaming": 3, "creating": 5}
+    assert {kind: count for kind, count in answer["refused"].items() if count < least[kind]} == {}
 
 
 def test_the_model_loses_what_was_not_synchronised(tmp_path: Path) -> None:

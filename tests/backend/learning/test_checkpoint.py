@@ -278,6 +278,14 @@ def test_a_truncated_file_is_refused(path: Path) -> None:
         refused(path, "not a complete safetensors")
 
 
+@pytest.mark.promise("D6")
+def test_a_header_of_100_mb_is_refused(path: Path) -> None:
+    size = 100_000_000
+    path.write_bytes(struct.pack("<Q", size) + b"{" + b" " * (size - 2) + b"}")
+    reseal(path)
+    refused(path, "too large for a model")
+
+
 def test_weights_of_16_bits_are_half_as_large_and_answer_alike(path: Path) -> None:
     whole = load_checkpoint(path)
     half = path.with_name("half.safetensors")

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+import resource
 from collections.abc import Callable
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import psutil
 import pytest
 
 from tests.backend.annotations.test_packs_in_datasets import write_pack
@@ -111,18 +113,39 @@ def test_cancelled_and_gone_on_with_equals_uninterrupted(tmp_path: Path, write_d
         resume_request(two, data)
 
 
-def test_a_killed_child_leaves_a_failed_run(tmp_path: Path, write_data: Data) -> None:
+def _take_memory(pid: int) -> None:
+    """Leave the process less than a batch; libraries reserve address space far beyond that."""
+    taken = psutil.Process(pid).memory_info().vms
+    resource.prlimit(pid, resource.RLIMIT_AS, (taken // 2, taken // 2))
+    resource.prlimit(pid, resource.RLIMIT_DATA, (65_536, 65_536))
+
+
+@pytest.mark.promise("P10")
+@pytest.mark.parametrize("way", ["killed", "no memory left"])
+def test_a_child_that_dies_leaves_a_failed_run_that_can_be_resumed(
+    tmp_path: Path, write_data: Data, way: str
+) -> None:
     data = write_data(tmp_path / "data", 24)
-    training = RecordedTraining(TrainingRequest(data, "pot", ENDLESS))
+    longer = TrainingSettings(hidden=256, layers=2, epochs=12, batch=8, patience=12)
+    training = RecordedTraining(TrainingRequest(data, "pot", longer))
     reports = training.reports()
     assert isinstance([next(reports), next(reports)][1], TrainingEpoch)
     assert training._child is not None
-    training._child._child.kill()
-    with pytest.raises(FaultError, match="ended early"):
+    if way == "killed":
+        training._child._child.kill()
+    else:
+        _take_memory(training._child.pid)
+    with pytest.raises(FaultError, match="ended early") as error:
         list(reports)
+    assert error.value.fault.code == "TRAINING-DIED"
     (run,) = list_training_runs(data)
     assert (run.state, run.can_resume) == ("failed", True)
     assert "ended early" in run.about.reason
+    epochs = sum(
+        isinstance(report, TrainingEpoch)
+        for report in RecordedTraining(resume_request(run, data)).reports()
+    )
+    assert 0 < epochs < 12
 
 
 def test_a_refusal_is_kept_as_the_reason(tmp_path: Path, write_data: Data) -> None:

@@ -152,7 +152,7 @@ def test_a_failing_sensor_within_a_press_is_no_probe_and_the_campaign_goes_on(
 
 
 @pytest.mark.promise("G1")
-@pytest.mark.parametrize("phase", ["approach", "hold"])
+@pytest.mark.parametrize("phase", ["approach", "press", "hold"])
 def test_a_piece_that_is_lost_within_a_probe_is_no_probe(phase: str, failing: Failing) -> None:
     lost_s: list[float] = []
 

@@ -160,10 +160,9 @@ def test_a_limit_of_nan_or_bad_position_refuses() -> None:
 
 @pytest.mark.promise("C5")
 def test_verdict_values_and_marks_equal_the_oracle_for_random_drop_patterns() -> None:
-    # 500 of them: figure "dropped_frames".
-    wrong, accepted = broken(48, record(frames()))
+    wrong, accepted = broken(100, record(frames()))
     assert wrong == []
-    assert 8 < accepted < 40
+    assert 16 < accepted < 84
 
 
 SYNCHRONISER_ONSET_S = 12.3456

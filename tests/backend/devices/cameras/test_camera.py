@@ -173,6 +173,21 @@ def test_dark_pictures_at_the_start_are_dropped(cameras):
     assert frames[0].image.mean() > cameras.settings.darkest_mean
 
 
+@pytest.mark.promise("C7")
+def test_a_camera_that_stays_dark_is_refused_and_lamps_that_fail_later_are_a_fault(cameras):
+    cameras.fronts["left"].inject("dark")
+    with pytest.raises(FaultError, match="stay dark") as error:
+        cameras.driver.connect(2.0, threading.Event())
+    assert error.value.fault.code == "CAMERA-DARK"
+    cameras.fronts["left"].faults.clear()
+    cameras.connect()
+    cameras.fronts["left"].inject("fade")
+    until(lambda: cameras.driver.fault is not None)
+    assert cameras.driver.fault.code == "CAMERA-DARK"
+    frames, _, _ = cameras.driver.frames.since(0)
+    assert all(frame.image.mean() >= cameras.settings.darkest_mean for frame in frames)
+
+
 @pytest.mark.promise("C6")
 def test_a_camera_that_is_not_there_is_named_with_those_that_are(cameras):
     settings = cameras.settings.model_copy(

@@ -317,11 +317,10 @@ def test_after_noise_the_third_frame_at_the_latest_is_read(key, data):
     codec = CODECS[key]
     noise = data.draw(st.binary(max_size=60))
     messages = data.draw(st.lists(MESSAGES[key], min_size=3, max_size=6))
-    decoder = codec.stream()
-    frames = [noise, *encoded(codec, messages)]
-    segments = [b"".join(frames)] if data.draw(st.booleans()) else frames
-    out = [m for segment in segments for m in decoder.feed(segment)]
+    content = b"".join([noise, *encoded(codec, messages)])
+    out = codec.messages(content)
     assert out[len(out) - len(messages) + 2 :] == messages[2:]
+    assert codec.messages(content, cut=data.draw(st.sampled_from((1, 7, 64)))) == out
 
 
 @pytest.mark.parametrize("key", FRAMED, ids="/".join)

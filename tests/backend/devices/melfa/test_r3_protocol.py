@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import re
 import threading
@@ -515,6 +516,40 @@ def test_motors_that_are_being_switched_on_stay_off():
     assert not rig.device.controller.servo
     with pytest.raises(FaultError, match="off"):
         rig.arm.move_to(Pose(0.0, 0.0, 120.0), 20.0)
+
+
+def _servo_is_off(rig):
+    rig.arm.servo(False)
+
+
+def _stopped(rig):
+    rig.arm.stop()
+    rig.rest(0.3)
+
+
+# by name: what comes before, the order, its stiffness mode, and the requests that it takes at least
+ORDERS = {
+    "press of the controller": (bool, lambda arm: arm.press(TRIALS_PRESS), "controller", 30),
+    "move after a stop": (_stopped, lambda arm: arm.move_to(Pose(0, 0, 120), 20), "software", 4),
+    "servo on": (_servo_is_off, lambda arm: arm.servo(True), "software", 7),
+    "servo off": (bool, lambda arm: arm.servo(False), "software", 3),
+    "closing": (bool, lambda arm: arm.close(), "software", 5),
+}
+
+
+@pytest.mark.promise("R14")
+@pytest.mark.parametrize("name", ORDERS)
+def test_nothing_moves_after_a_stop_between_any_two_requests(name):
+    prepare, order, mode, least = ORDERS[name]
+    for count in itertools.count():
+        rig = connected(stiffness_mode=mode)
+        prepare(rig)
+        if interrupted(rig, lambda rig=rig: order(rig.arm), count) is None:
+            break
+        assert still(rig), count
+        assert rig.arm.state is DeviceState.CLOSED or rig.arm._core.program is None, count
+        assert rig.device.controller.program != "probe", count
+    assert count >= least
 
 
 def test_a_program_whose_stream_has_just_ended_does_not_wait_for_the_next():

@@ -19,6 +19,7 @@ from touchdown.backend.core.faults import FaultError, RefusedError
 from touchdown.backend.core.values import FloatArray, Pose
 from touchdown.backend.devices.framing import ProtocolError
 from touchdown.backend.devices.melfa import realtime_protocol
+from touchdown.backend.devices.melfa.kinematics import STEPS_RAD
 from touchdown.backend.devices.melfa.realtime_protocol import (
     CYCLE_S,
     AxisValues,
@@ -272,13 +273,18 @@ def test_without_the_operation_right_no_stream_starts(state: str) -> None:
 
 @pytest.mark.promise("R7")
 @pytest.mark.parametrize(("leaps", "told"), [(10, None), (11, "STEPS-TOO-LARGE")])
-def test_more_than_ten_cut_steps_in_a_row_are_a_fault(leaps, told):
+@pytest.mark.parametrize(
+    "step_mm", [(0.0, 0.0, 5.0), (0.9, -0.4, 0.2), (-30.0, 20.0, -10.0), (100.0, 300.0, -150.0)]
+)
+def test_more_than_ten_cut_steps_in_a_row_are_a_fault(step_mm, leaps, told):
     rig = Rig()
     rig.arm.connect(1.0, threading.Event())
-    program = Leaping(np.array([0.0, 0.0, 5.0]), leaps)
+    program = Leaping(np.array(step_mm), leaps)
     rig.arm._core.run(program)
     rig.rest(0.1)
     assert rig.device.controller.error == 0
+    joints = [t.axes[:6] for _, p in rig.wires.packets if (t := decode_mxt_request(p).target)]
+    assert (np.abs(np.diff(joints, axis=0)) / STEPS_RAD).max() <= 0.5
     assert (rig.arm.fault and rig.arm.fault.code) == told
     assert rig.arm.state is (DeviceState.FAULT if told else DeviceState.READY)
     if told:

@@ -144,8 +144,9 @@ def test_the_ladder(missed, silent_s, found):
 
 
 @pytest.mark.promise("R1")
-def test_lost_packets_slow_it_down_and_nothing_else(rig):
-    rig.wires.link.loss = 0.2
+@pytest.mark.parametrize("loss", [0.05, 0.2])
+def test_lost_packets_slow_it_down_and_nothing_else(rig, loss):
+    rig.wires.link.loss = loss
     since = len(rig.wires.packets)
     rig.arm.move_to(FAR, SPEED_MM_S)
     rig.rest(3.0)

@@ -1,6 +1,12 @@
-"""Results of ``make bench`` and the page that shows them.
+"""Register of measured figures, their stored results and the page that shows them.
 
-``docs/results/measured.json`` holds one record a figure. ``python -m tests.bench.measured`` renders
+A figure is a function in a module of this folder; ``MODULES`` of ``run.py`` names the modules::
+
+    @figure("tracking")
+    def tracker_speed() -> list[Figure]:
+        return [Figure("tracker, median per frame", 0.8, "ms", "<= 1 (must 2)", ok=True)]
+
+``docs/results/measured.json`` holds one record a figure. ``python -m tests.bench.figures`` renders
 ``docs/measured.md`` from it; ``python -m tests.bench.run --save`` replaces the records of the
 measurements that it ran and renders the page.
 """
@@ -13,12 +19,12 @@ import os
 import platform
 import re
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
 from typing import Any
 
-from tests.bench.registry import Figure
 from touchdown.backend.core.files import write_atomically
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
@@ -30,6 +36,54 @@ KEYS = (
 RESULTS = {True: "met", False: "**missed**", None: ""}
 BLOCK = re.compile(r"(<!-- figures -->\n).*(\n<!-- end -->)", re.DOTALL)
 Record = Mapping[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Figure:
+    """One measured figure. ``ok`` None: no target, or not measured (``note`` gives the reason)."""
+
+    name: str
+    value: float | str | None
+    unit: str
+    target: str
+    ok: bool | None
+    note: str = ""
+
+
+def at_most(name: str, value: float, unit: str, limit: float, note: str = "") -> Figure:
+    """Return a figure whose target is an upper limit."""
+    return Figure(name, value, unit, f"<= {limit:g}", bool(value <= limit), note)
+
+
+def at_least(name: str, value: float, unit: str, limit: float, note: str = "") -> Figure:
+    """Return a figure whose target is a lower limit."""
+    return Figure(name, value, unit, f">= {limit:g}", bool(value >= limit), note)
+
+
+def failures(name: str, count: int, unit: str = "", note: str = "") -> Figure:
+    """Return a figure that counts failures."""
+    return Figure(name, count, unit, "0", not count, note)
+
+
+def stated(name: str, value: float | str, unit: str, note: str = "") -> Figure:
+    """Return a figure without a target."""
+    return Figure(name, value, unit, "stated", None, note)
+
+
+Measure = Callable[[], list[Figure]]
+REGISTER: dict[str, tuple[str, Measure]] = {}
+
+
+def figure(group: str) -> Callable[[Measure], Measure]:
+    """Register a function that measures one or more figures; ``group`` selects it by name."""
+
+    def register(measure: Measure) -> Measure:
+        if measure.__name__ in REGISTER:
+            raise ValueError(f"two figures are called {measure.__name__}")
+        REGISTER[measure.__name__] = (group, measure)
+        return measure
+
+    return register
 
 
 def read_records() -> list[Record]:
@@ -71,13 +125,13 @@ def save(new: Sequence[Record]) -> None:
 
 def page(text: str, records: Sequence[Record]) -> str:
     """Return the page with its generated part replaced."""
-    found, count = BLOCK.subn(lambda match: match[1] + figures(records) + match[2], text)
+    found, count = BLOCK.subn(lambda match: match[1] + tables(records) + match[2], text)
     if count != 1:
         raise ValueError(f"{count} places for the figures")
     return found
 
 
-def figures(records: Sequence[Record]) -> str:
+def tables(records: Sequence[Record]) -> str:
     """Return the summary, the missed targets and a table a group, as Markdown."""
     results = [record["met"] for record in records]
     missed = [record for record in records if record["met"] is False]

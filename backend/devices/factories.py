@@ -22,13 +22,6 @@ from touchdown.backend.devices.identification import load_signatures
 from touchdown.backend.devices.protocols import Arm, Gripper, TactileSensor
 from touchdown.backend.devices.registry import load_driver
 
-ArmMaker = Callable[[HardwareSettings, Callable[[], float], SampleStream, SampleStream], Arm]
-GripperMaker = Callable[[HardwareSettings, Callable[[], float]], Gripper]
-WrenchDriverMaker = Callable[[HardwareSettings, str], WrenchDriver]
-TactileMaker = Callable[
-    [Finger, HardwareSettings, Callable[[], float], Stream[TactileFrame]], TactileSensor
-]
-
 
 def make_arm(
     settings: HardwareSettings,
@@ -55,15 +48,16 @@ def make_arm(
         If there is no such driver, or if a setting is missing.
 
     """
-    maker: ArmMaker = load_driver("arm", settings)
-    return maker(settings, now_s, wrench, poses)
+    arm: Arm = load_driver("arm", settings)(settings, now_s, wrench, poses)
+    return arm
 
 
 def make_gripper(settings: HardwareSettings, now_s: Callable[[], float]) -> Gripper:
     """Return the gripper that ``wsg.driver`` names; raises ``InputError``."""
-    maker: GripperMaker = load_driver("gripper", settings)
+    make = load_driver("gripper", settings)
     load_signatures()
-    return maker(settings, now_s)
+    gripper: Gripper = make(settings, now_s)
+    return gripper
 
 
 def make_force_torque(
@@ -86,7 +80,7 @@ def make_force_torque(
         If there is no such driver, or if a setting is missing.
 
     """
-    make_driver: WrenchDriverMaker = load_driver("force_torque", settings)
+    make_driver = load_driver("force_torque", settings)
     default_address = getattr(make_driver, "default_address", None)
     address = settings.ft.address or (default_address(settings) if default_address else "")
     if not address:
@@ -112,5 +106,5 @@ def make_tactile(
     frames: Stream[TactileFrame],
 ) -> TactileSensor:
     """Return the camera of one finger that ``gelsight.driver`` names; raises ``InputError``."""
-    maker: TactileMaker = load_driver("tactile", settings)
-    return maker(finger, settings, now_s, frames)
+    sensor: TactileSensor = load_driver("tactile", settings)(finger, settings, now_s, frames)
+    return sensor

@@ -174,11 +174,12 @@ class Interlock:
         self.limits = limits or Limits()
         _require_finite(self.limits)
         self._lock = threading.RLock()
-        self._stopped_by = ""
-        self._faults: tuple[Fault, ...] = ()
-        self._lease_until_s = -math.inf
         self._stoppers: list[tuple[Callable[[], None], Callable[[], None] | None]] = []
-        self._override = 1.0
+        self.stopped_by = ""  # source of the stop, empty if not stopped
+        self.faults: tuple[Fault, ...] = ()  # latched faults, oldest first
+        self.lease_until_s = -math.inf  # bench time until which motion is permitted
+        # Factor of every commanded speed in air, ``LEAST_OVERRIDE`` to 1; presses are unaffected.
+        self.override = 1.0
         # True from the reset of a fault until the wrist is free of contact: meanwhile the arm moves
         # by hand only, slowly and away from contact.
         self.recovering = False
@@ -191,30 +192,13 @@ class Interlock:
     @property
     def latched(self) -> bool:
         """True after ``stop`` or a fault, until ``reset``."""
-        return bool(self._stopped_by) or bool(self._faults)
-
-    @property
-    def stopped_by(self) -> str:
-        """Source of the stop, empty if not stopped."""
-        return self._stopped_by
-
-    @property
-    def faults(self) -> tuple[Fault, ...]:
-        """Latched faults, oldest first."""
-        return self._faults
-
-    @property
-    def override(self) -> float:
-        """Factor of every commanded speed in air, ``LEAST_OVERRIDE`` to 1; presses are
-        unaffected.
-        """
-        return self._override
+        return bool(self.stopped_by) or bool(self.faults)
 
     def override_speed(self, share: float) -> None:
         """Set the speed factor of later commands; raises ``RefusedError`` outside the range."""
         if not LEAST_OVERRIDE <= share <= 1.0:
             raise RefusedError("OVERRIDE", f"{100 * share:.0f} % is not within 10 to 100 %.")
-        self._override = share
+        self.override = share
 
     def change_limits(self, limits: Limits, now_s: float) -> None:
         """Replace the limits; raises ``RefusedError`` while motion is permitted."""
@@ -241,7 +225,7 @@ class Interlock:
     def stop(self, who: str = "operator") -> None:
         """Latch, and stop arm and gripper, bypassing their queues."""
         with self._lock:
-            self._stopped_by = self._stopped_by or who
+            self.stopped_by = self.stopped_by or who
             stoppers = tuple(self._stoppers)
         for stopper, _ in stoppers:
             stopper()
@@ -251,11 +235,11 @@ class Interlock:
         strongest reaction wins: no retreat after a STOP or with a fault that stops.
         """
         with self._lock:
-            codes = {f.code for f in self._faults}
-            if (fault.code, fault.device) not in {(f.code, f.device) for f in self._faults}:
-                self._faults = (*self._faults, fault)
+            codes = {f.code for f in self.faults}
+            if (fault.code, fault.device) not in {(f.code, f.device) for f in self.faults}:
+                self.faults = (*self.faults, fault)
             stoppers = tuple(self._stoppers)
-            stopped = bool(self._stopped_by) or not codes | {fault.code} <= RETREAT_FAULTS
+            stopped = bool(self.stopped_by) or not codes | {fault.code} <= RETREAT_FAULTS
         for stopper, retreat in stoppers:
             if stopped or retreat is None:
                 stopper()
@@ -266,34 +250,29 @@ class Interlock:
     def reset(self) -> None:
         """Clear the latch and the faults, on the operator's command only. Moves nothing."""
         with self._lock:
-            self.recovering = bool(self._faults)
-            self._stopped_by = ""
-            self._faults = ()
-            self._lease_until_s = -math.inf
-
-    @property
-    def lease_until_s(self) -> float:
-        """Bench time until which motion is permitted; -inf while it is not."""
-        return self._lease_until_s
+            self.recovering = bool(self.faults)
+            self.stopped_by = ""
+            self.faults = ()
+            self.lease_until_s = -math.inf
 
     def renew_lease(self, now_s: float) -> None:
         """Renew the permission to move for ``LEASE_S`` from now."""
         with self._lock:
-            self._lease_until_s = now_s + LEASE_S
+            self.lease_until_s = now_s + LEASE_S
 
     def drop_lease(self) -> None:
         """Return the permission to move."""
         with self._lock:
-            self._lease_until_s = -math.inf
+            self.lease_until_s = -math.inf
 
     def has_lease(self, now_s: float) -> bool:
         """Return True while motion is permitted."""
-        return now_s <= self._lease_until_s
+        return now_s <= self.lease_until_s
 
     def refuse_latched(self) -> None:
         """Raise ``RefusedError`` after a stop or a fault, until ``reset``."""
         with self._lock:
-            stopped_by, faults = self._stopped_by, self._faults
+            stopped_by, faults = self.stopped_by, self.faults
         if stopped_by:
             raise RefusedError("STOPPED", f"Stopped by {stopped_by}: press Reset first.")
         if faults:

@@ -196,20 +196,25 @@ class JogPermission:
     def speed(self, axis: Axis, frame: Frame, signed: float) -> tuple[float, str]:
         """Return the permitted speed of a held jog, and the reason if it is reduced, else ""."""
         self.refuse(axis, frame, signed)
-        if not turns(axis):
-            return self._line_speed(axis, frame, signed)
-        interlock, asked = self._interlock, abs(signed)
-        if not 0.0 < asked <= interlock.limits.turn_rad_s * (1 + 1e-9):
-            raise RefusedError("SPEED", f"{math.degrees(asked):.1f}\N{DEGREE SIGN}/s is too fast.")
-        speed = asked * interlock.override
-        slow = "" if speed == asked else f"override {100 * interlock.override:.0f} %"
-        if axis in JOINTS:
-            most = self.joint_most(axis, speed if signed > 0 else -speed)
-            speed, slow = (speed, slow) if most == speed else (most, "the hand at its top speed")
+        limits, override, asked = self._interlock.limits, self._interlock.override, abs(signed)
+        top, creep = limits.jog_mm_s, CREEP_MM_S
+        if turns(axis):
+            top, creep = limits.turn_rad_s * (1 + 1e-9), CREEP_RAD_S
+        if not 0.0 < asked <= top:
+            raise RefusedError("SPEED", f"{distance_text(axis, asked)}/s is no jog speed.")
+        wanted = speed = asked * override
+        slow = "" if speed == asked else f"override {100 * override:.0f} %"
+        if axis in AXES:
+            zone, why = self.line_zone()
+            speed = min(wanted, zone)
+            slow = "" if speed == asked else why or slow
+        elif axis in JOINTS:
+            speed = self.joint_most(axis, wanted if signed > 0 else -wanted)
+            slow = slow if speed == wanted else "the hand at its top speed"
         left = self.left(axis, frame, signed)
         if left / REPEAT_S < speed:
             speed, slow = left / REPEAT_S, f"{distance_text(axis, left)} to the limit"
-        if not speed >= min(asked * interlock.override, CREEP_RAD_S):
+        if not speed >= min(wanted, creep):
             raise RefusedError("LIMIT", range_text(axis, frame, signed, left))
         return speed, slow
 
@@ -235,20 +240,6 @@ class JogPermission:
 
     # -- inside -----------------------------------------------------------------------------------
 
-    def _line_speed(self, axis: Axis, frame: Frame, signed: float) -> tuple[float, str]:
-        interlock, asked = self._interlock, abs(signed)
-        if not 0.0 < asked <= interlock.limits.jog_mm_s:
-            raise RefusedError("SPEED", f"{asked:.1f} mm/s is no jog speed.")
-        zone, why = self.line_zone()
-        speed, override = min(asked * interlock.override, zone), interlock.override
-        slow = "" if speed == asked else why or f"override {100 * override:.0f} %"
-        left_mm = self.left(axis, frame, signed)
-        if left_mm / REPEAT_S < speed:
-            speed, slow = left_mm / REPEAT_S, f"{left_mm:.1f} mm to the limit"
-        if not speed >= min(asked * override, CREEP_MM_S):
-            raise RefusedError("LIMIT", range_text(axis, frame, signed, left_mm))
-        return speed, slow
-
     def _joint_left(self, axis: Axis, sign: int) -> float:
         now = self._arm.joints_rad(max_age_s=POSE_AGE_S)
         key = tuple(round(angle, 4) for angle in now)
@@ -267,19 +258,14 @@ class JogPermission:
         good, bad, step = 0.0, math.inf, FINE_RAD
         while good < end and bad - good > FINE_RAD:
             tried = min(good + step, end) if math.isinf(bad) else 0.5 * (good + bad)
-            if self._inside(_added(now, joint_speeds(axis, sign * tried))):
-                good, step = tried, 2.0 * step
-            else:
+            there = self._arm.place_of(_added(now, joint_speeds(axis, sign * tried)))
+            try:
+                refuse_place(there, self._around.surface_mm(), self._interlock.limits)
+            except RefusedError:
                 bad = tried
+            else:
+                good, step = tried, 2.0 * step
         return good
-
-    def _inside(self, joints_rad: tuple[float, ...]) -> bool:
-        try:
-            there = self._arm.place_of(joints_rad)
-            refuse_place(there, self._around.surface_mm(), self._interlock.limits)
-        except RefusedError:
-            return False
-        return True
 
 
 def range_text(axis: Axis, frame: Frame, signed: float, left: float) -> str:
@@ -338,7 +324,7 @@ class Jog:
         self._order: JogOrder | None = None
         self._taken_s = self._ticked_s = self._late_s = 0.0
         self._ended = 0
-        self._step: tuple[Motion, _JogStep] | None = None
+        self._step: tuple[Motion, Axis, Frame, float] | None = None
         self._held: Motion | None = None
         self._permit = JogPermission(arm, interlock, around)
         self.state = JogState()
@@ -401,18 +387,17 @@ class Jog:
         if abs(distance) > left:
             raise RefusedError("LIMIT", range_text(axis, frame, distance, left))
         self._interlock.renew_lease(self._around.now_s())
-        going = _JogStep(axis, frame, distance)
-        self._step = (self._stepped(going, abs(speed)), going)
+        self._step = (self._stepped(axis, frame, distance, abs(speed)), axis, frame, distance)
 
     def level(self, speed_rad_s: float) -> None:
         """Turn the hand back to straight down, in place; raises ``RefusedError``."""
         self._refuse_taken_or_moving()
-        here, going = self._permit.here(), _JogStep("rz", "XYZ", 1.0)
-        self._permit.refuse(going.axis, going.frame, going.signed)
+        here = self._permit.here()
+        self._permit.refuse("rz", "XYZ", 1.0)
         self._interlock.renew_lease(self._around.now_s())
         target = Pose(here.x_mm, here.y_mm, here.z_mm)
         motion = self._arm.move_to(target, self._interlock.limits.speed_mm_s, speed_rad_s)
-        self._step = (motion, going)
+        self._step = (motion, "rz", "XYZ", 1.0)
 
     # -- on the bench clock -----------------------------------------------------------------------
 
@@ -436,7 +421,8 @@ class Jog:
                 raise failure  # the arm ended the motion by itself
             speed, slow = self._permit.speed(order.axis, order.frame, order.speed)
             self._interlock.renew_lease(self._around.now_s())
-            for_s = min(REPEAT_S, LEASE_S - silent_s - _braking_s(order.axis, speed))
+            braking = ACCELERATION_RAD_S2 if turns(order.axis) else ACCELERATION_MM_S2
+            for_s = min(REPEAT_S, LEASE_S - silent_s - speed / braking - SETTLE_S)
             if for_s > 0.0:
                 self._held = self._driven(order, speed, for_s)
             self.state = JogState(order, speed, slow)
@@ -466,15 +452,15 @@ class Jog:
             return self._arm.jog(STILL, for_s, (x, y, z))
         return self._arm.jog((x, y, z), for_s)
 
-    def _stepped(self, going: _JogStep, speed: float) -> Motion:
-        arm, here, size = self._arm, self._permit.here(), abs(going.signed)
-        if going.axis in JOINTS:
-            speed = self._permit.joint_most(going.axis, speed if going.signed > 0 else -speed)
+    def _stepped(self, axis: Axis, frame: Frame, signed: float, speed: float) -> Motion:
+        arm, here, size = self._arm, self._permit.here(), abs(signed)
+        if axis in JOINTS:
+            speed = self._permit.joint_most(axis, speed if signed > 0 else -speed)
             now = arm.joints_rad(max_age_s=POSE_AGE_S)
-            way = joint_speeds(going.axis, going.signed)
-            return arm.move_joints(tuple(a + b for a, b in zip(now, way, strict=True)), speed)
-        x, y, z = (part * size for part in self._permit.way(going.axis, going.frame, going.signed))
-        if turns(going.axis):
+            way = joint_speeds(axis, signed)
+            return arm.move_joints(_added(now, way), speed)
+        x, y, z = (part * size for part in self._permit.way(axis, frame, signed))
+        if turns(axis):
             turn = rotation_from_vector(np.array([x, y, z])) @ pose_rotation(here)
             rx, ry, rz = rotation_vector(turn).tolist()
             target = replace(here, rx_rad=rx, ry_rad=ry, rz_rad=rz)
@@ -484,7 +470,7 @@ class Jog:
         most = self._permit.line_zone()[0] / self._interlock.override
         return arm.move_to(target, min(speed, most))
 
-    def _watch_step(self, motion: Motion, going: _JogStep) -> None:
+    def _watch_step(self, motion: Motion, axis: Axis, frame: Frame, signed: float) -> None:
         """Renew the lease during a step, while the limits permit it."""
         if motion.done:
             self._step = None
@@ -492,7 +478,7 @@ class Jog:
                 self._tell(failure)
             return
         try:
-            self._permit.refuse(going.axis, going.frame, going.signed)
+            self._permit.refuse(axis, frame, signed)
             self._interlock.renew_lease(self._around.now_s())
         except RefusedError as error:
             self._halt()
@@ -518,21 +504,6 @@ class Jog:
             self._arm.halt()
             self._interlock.drop_lease()
         self.state = JogState()
-
-
-@dataclass(frozen=True, slots=True)
-class _JogStep:
-    """Direction and length of a step, mm or rad."""
-
-    axis: Axis
-    frame: Frame
-    signed: float
-
-
-def _braking_s(axis: Axis, speed: float) -> float:
-    """Return the braking time after the end of a command, s."""
-    acceleration = ACCELERATION_RAD_S2 if turns(axis) else ACCELERATION_MM_S2
-    return speed / acceleration + SETTLE_S
 
 
 def _silence_reason(silent_s: float, late_s: float) -> str:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import threading
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from enum import Enum
 from typing import Literal, Protocol, runtime_checkable
 
@@ -472,16 +472,8 @@ class ArmPress(CommandedMotion):
     onset_s: float | None = None
 
 
-STOPPED = Fault(
-    "STOPPED", "The motion was stopped.", HELD, "Look at the bench, then press Reset.", ARM
-)
-REPLACED = Fault(
-    "REPLACED",
-    "Another command took the place of this motion.",
-    "The arm follows the newer command.",
-    "Wait for a motion to end before the next command.",
-    ARM,
-)
+STOPPED = replace(stopped_fault(ARM), consequence=HELD)
+REPLACED = replace(replaced_fault(ARM), consequence="The arm follows the newer command.")
 NOT_CONNECTED = Fault(
     "NOT-CONNECTED",
     "The device 'arm' is not connected.",

@@ -57,14 +57,10 @@ class BotaFrame:
     timestamp_us: int
     temperature_c: float
 
-    @property
-    def usable(self) -> bool:
-        """True if the values are valid, in N and N·m."""
-        return not self.status & (BotaStatus.INVALID | BotaStatus.RAW)
-
     def wrench(self) -> Wrench:
         """Return the wrench; NaN if the sensor marks it invalid or unscaled."""
-        return wrench_of(self.values) if self.usable else NO_WRENCH
+        unusable = self.status & (BotaStatus.INVALID | BotaStatus.RAW)
+        return NO_WRENCH if unusable else wrench_of(self.values)
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,18 +146,10 @@ def _take(data: bytes, at: int) -> FrameStep[BotaMessage] | None:
             return FrameStep(FRAME_BYTES, decode_frame(data[at : at + FRAME_BYTES]))
         except ProtocolError:
             return FrameStep(1, refused=True)
-    return _take_text(data, at) or _wait_for_text(data, at)
-
-
-def _take_text(data: bytes, at: int) -> FrameStep[BotaMessage] | None:
     if data.startswith(_BOOT, at):
         return FrameStep(len(_BOOT), BotaBoot())
     if found := _REPLY.match(data, at):
         return FrameStep(len(found[0]), BotaReply(found[1].decode(), int(found[2])))
-    return None
-
-
-def _wait_for_text(data: bytes, at: int) -> FrameStep[BotaMessage] | None:
     rest = data[at : at + len(_BOOT)]
     if _BOOT.startswith(rest) or re.fullmatch(rb"r(,(0(,([CcfR],?)?)?)?)?", rest):
         return None

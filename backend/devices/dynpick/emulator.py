@@ -79,11 +79,6 @@ class EmulatedDynpick:
                 return VERSION
             case DynpickCommand.FILTER_QUERY:
                 return protocol.encode_filter(self._divider)
-        self._change(now_s, command)
-        return b""
-
-    def _change(self, now_s: float, command: DynpickCommand) -> None:
-        match command:
             case DynpickCommand.START:
                 self.pace.begin(now_s, self._divider / RATE_HZ)
             case DynpickCommand.STOP:
@@ -94,6 +89,7 @@ class EmulatedDynpick:
                 self._divider = _DIVIDERS[command]
                 if self.streaming:
                     self.pace.begin(now_s, self._divider / RATE_HZ)
+        return b""
 
     def _counts(self, now_s: float) -> tuple[int, ...]:
         values = zip(self._wrench(now_s), self._sensitivity, strict=True)

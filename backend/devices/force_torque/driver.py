@@ -85,7 +85,30 @@ class SerialLink:
         self._port.close()
 
 
-class TcpLink:
+class SocketLink:
+    """A socket that is read with a time limit."""
+
+    _socket: socket.socket
+
+    def read(self, limit_s: float) -> bytes:
+        """Return the received bytes, of UDP one datagram."""
+        self._socket.settimeout(limit_s)
+        try:
+            return self._socket.recv(CHUNK)
+        except (TimeoutError, BlockingIOError):
+            return b""
+
+    def drain(self) -> None:
+        """Discard received bytes."""
+        while self.read(1e-3):
+            pass
+
+    def close(self) -> None:
+        """Close the socket."""
+        self._socket.close()
+
+
+class TcpLink(SocketLink):
     """A sensor behind a serial-to-network box, or an emulated one."""
 
     def __init__(self, host: str, port: int, limit_s: float) -> None:
@@ -108,17 +131,8 @@ class TcpLink:
         self._socket.settimeout(WRITE_S)
         self._socket.sendall(data)
 
-    def drain(self) -> None:
-        """Discard received bytes."""
-        while self.read(1e-3):
-            pass
 
-    def close(self) -> None:
-        """Close the connection."""
-        self._socket.close()
-
-
-class UdpLink:
+class UdpLink(SocketLink):
     """Datagrams to and from one address."""
 
     def __init__(self, host: str, port: int) -> None:
@@ -130,26 +144,9 @@ class UdpLink:
             self._socket.close()
             raise
 
-    def read(self, limit_s: float) -> bytes:
-        """Return one datagram."""
-        self._socket.settimeout(limit_s)
-        try:
-            return self._socket.recv(CHUNK)
-        except (TimeoutError, BlockingIOError):
-            return b""
-
     def write(self, data: bytes) -> None:
         """Send one datagram."""
         self._socket.send(data)
-
-    def drain(self) -> None:
-        """Discard received datagrams."""
-        while self.read(1e-3):
-            pass
-
-    def close(self) -> None:
-        """Close the socket."""
-        self._socket.close()
 
 
 def open_link(address: str, *, baud: int, chunk: int, limit_s: float = 2.0) -> SensorLink:

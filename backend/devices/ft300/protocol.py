@@ -61,11 +61,6 @@ class RegisterValues:
 
     values: tuple[int, ...]
 
-    def wrench(self) -> Wrench:
-        """Return the wrench of the six registers from ``WRENCH_REGISTER``."""
-        signed = (value - 0x10000 if value & 0x8000 else value for value in self.values)
-        return Ft300Sample(tuple(signed)).wrench()
-
 
 @dataclass(frozen=True, slots=True)
 class WriteRegister:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import http.client
 import socket
 import threading
+from contextlib import closing
 
 from touchdown.backend.config import HardwareSettings
 from touchdown.backend.devices.force_torque import (
@@ -82,15 +83,12 @@ class NetFtDriver:
             link.write(protocol.encode_request(protocol.RdtRequest(protocol.RdtCommand.STOP)))
 
     def _reading(self, record: protocol.RdtRecord) -> WrenchReading | None:
-        missed, last = 0, self._last
-        if last is not None:
-            step = (record.rdt_sequence - last) % SEQUENCE_TURN
-            if step == 0 or step > SEQUENCE_TURN // 2:
-                return None
-            missed = step - 1
+        step = 1 if self._last is None else (record.rdt_sequence - self._last) % SEQUENCE_TURN
+        if step == 0 or step > SEQUENCE_TURN // 2:
+            return None
         self._last = record.rdt_sequence
         trouble = f"The sensor reports status {record.status:08X}h" if record.status else ""
-        return WrenchReading(record.wrench(*self._counts), missed, trouble=trouble)
+        return WrenchReading(record.wrench(*self._counts), step - 1, trouble=trouble)
 
     def _scale(self, link: SensorLink) -> tuple[float, float]:
         """Return counts per N and per N·m: from the page, the TCP channel, else the settings."""
@@ -107,13 +105,11 @@ class NetFtDriver:
         return self._settings.counts
 
     def _page(self, host: str) -> tuple[float, float]:
-        connection = http.client.HTTPConnection(host, self._settings.http_port, timeout=ANSWER_S)
-        try:
-            connection.request("GET", PAGE)
-            answer = connection.getresponse()
+        box = http.client.HTTPConnection(host, self._settings.http_port, timeout=ANSWER_S)
+        with closing(box):
+            box.request("GET", PAGE)
+            answer = box.getresponse()
             content = answer.read(PAGE_BYTES)
-        finally:
-            connection.close()
         if answer.status != http.client.OK:
             raise OSError(f"status {answer.status}")
         return protocol.decode_page(content)

@@ -70,10 +70,8 @@ class OptoforceDriver(FramedDriver[protocol.OptoforceMessage]):
         return self._last is not None and (self._last - frame.count) % COUNT_TURN <= OLD
 
     def _reading(self, frame: protocol.OptoforceFrame) -> WrenchReading:
-        missed, last = 0, self._last
+        missed = 0 if self._last is None else (frame.count - self._last - 1) % COUNT_TURN
         self._last = frame.count
-        if last is not None:
-            missed = (frame.count - last - 1) % COUNT_TURN
         trouble = ""
         if frame.daq or frame.sensor:
             trouble = f"The sensor reports a failure (unit {frame.daq}, sensor {frame.sensor})"

@@ -317,7 +317,9 @@ def ft300(message, vector):
         case robotiq_ft300.ModbusWritten(register, count):
             return facts | {"function": 16, "register": register, "count": count}
         case robotiq_ft300.RegisterValues(values):
-            return facts | {"function": 3, "values": list(values)} | _wrench(message.wrench())
+            signed = tuple(value - 0x10000 if value & 0x8000 else value for value in values)
+            wrench = robotiq_ft300.Ft300Sample(signed).wrench()
+            return facts | {"function": 3, "values": list(values)} | _wrench(wrench)
 
 
 def bota_message(message, vector):

@@ -24,14 +24,6 @@ from touchdown.backend.emulation.serving import EmulationChoice
 PAGE = (Path(__file__).resolve().parents[3] / "docs" / "adding-a-device.md").read_text("utf-8")
 FILES = dict(re.findall(r"^`(\w+\.py)`:\n\n```py\n(.*?)```", PAGE, re.DOTALL | re.MULTILINE))
 (LINE,) = re.findall(r"```py\n(Make\(.*?\)),\n```", PAGE, re.DOTALL)
-CLAUSES = [
-    contract.test_it_delivers_what_the_sensor_feels_in_order_at_its_rate,
-    contract.test_garbage_is_refused_counted_and_overcome,
-    contract.test_a_frozen_sensor_gives_no_measurement,
-    contract.test_the_end_of_the_range_is_a_fault_and_no_number,
-    contract.test_unplugged_it_is_a_fault_and_plugged_in_again_it_heals,
-    contract.test_connecting_can_be_cancelled_and_closing_twice_is_allowed,
-]
 
 
 @pytest.fixture(autouse=True)
@@ -55,7 +47,7 @@ def test_the_page_has_every_file_of_a_make():
     assert set(FILES) == {"protocol.py", "driver.py", "emulator.py", "__init__.py"}
 
 
-@pytest.mark.parametrize("clause", CLAUSES, ids=lambda clause: clause.__name__[5:])
+@pytest.mark.parametrize("clause", contract.CLAUSES, ids=lambda clause: clause.__name__[5:])
 def test_it_keeps_the_contract_of_wrist_sensors(clause, tmp_path):
     wired = contract.Wired("toy", tmp_path)
     try:

@@ -190,6 +190,7 @@ def test_the_end_of_the_range_is_a_fault_and_no_number(wired):
     values = wired.driver.samples.since(begin).values
     finite = values[np.isfinite(values).all(axis=1)]
     assert not len(finite) or np.abs(finite - LOAD).max() < 1.0
+    assert np.isnan(wired.newest(5)).all(), "samples go on"
 
 
 @pytest.mark.promise("S4")
@@ -221,6 +222,16 @@ def test_connecting_can_be_cancelled_and_closing_twice_is_allowed(wired):
     wired.driver.close()
     wired.driver.close()
     assert wired.driver.state is DeviceState.CLOSED
+
+
+CLAUSES = [
+    test_it_delivers_what_the_sensor_feels_in_order_at_its_rate,
+    test_garbage_is_refused_counted_and_overcome,
+    test_a_frozen_sensor_gives_no_measurement,
+    test_the_end_of_the_range_is_a_fault_and_no_number,
+    test_unplugged_it_is_a_fault_and_plugged_in_again_it_heals,
+    test_connecting_can_be_cancelled_and_closing_twice_is_allowed,
+]
 
 
 @pytest.mark.promise("S5")

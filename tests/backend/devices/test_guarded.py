@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from touchdown.backend.core.faults import RefusedError
 from touchdown.backend.core.values import Pose
 from touchdown.backend.devices.guarded_devices import GuardedArm
-from touchdown.backend.devices.interlock import Interlock, Limits
+from touchdown.backend.devices.interlock import LEASE_S, Interlock, Limits
+from touchdown.backend.devices.jog import Jog, JogOrder, JogSurroundings, direction_of
 from touchdown.backend.devices.protocols import ArmStatus, PressCommand, RobotMode, SafetyMode
 
 SURFACE_MM = 40.0
@@ -30,14 +33,17 @@ class NotedArm:
 
     def __init__(self) -> None:
         self.orders: list[tuple[object, ...]] = []
+        self.ages_s: list[float] = []
 
     def status(self) -> ArmStatus:
         return ArmStatus(RobotMode.READY, SafetyMode.NORMAL, 1.0, 0)
 
     def pose(self, max_age_s: float) -> Pose:
+        self.ages_s.append(max_age_s)
         return self.here
 
     def joints_rad(self, max_age_s: float) -> tuple[float, ...]:
+        self.ages_s.append(max_age_s)
         return JOINTS
 
     def place_of(self, joints_rad: tuple[float, ...]) -> Pose:
@@ -146,3 +152,65 @@ def test_a_turned_hand_is_not_jogged_down_to_the_surface() -> None:
         assert guard.refusal("jog", (1.0, -2.0, 3.0), 0.2) is None
         guard.noted.here = replace(HERE, z_mm=height_mm)
         assert guard.refusal("jog", *down) is None
+
+
+@pytest.mark.parametrize(
+    ("axis", "frame", "way"),
+    [
+        ("x", "TOOL", (1.0, 0.0, 0.0)),
+        ("y", "TOOL", (0.0, -1.0, 0.0)),
+        ("z", "TOOL", (0.0, 0.0, -1.0)),
+        ("rx", "TOOL", (1.0, 0.0, 0.0)),
+        ("ry", "TOOL", (0.0, -1.0, 0.0)),
+        ("rz", "TOOL", (0.0, 0.0, -1.0)),
+        ("y", "XYZ", (0.0, 1.0, 0.0)),
+        ("z", "XYZ", (0.0, 0.0, 1.0)),
+    ],
+)
+def test_a_jog_goes_along_the_axes_of_a_hand_that_points_down(axis, frame, way) -> None:
+    assert direction_of(axis, frame, 2.5) == way
+    assert direction_of(axis, frame, -2.5) == tuple(-part for part in way)
+
+
+def test_the_axes_of_the_tool_are_right_handed_and_turn_with_the_hand() -> None:
+    x, y, z = (np.array(direction_of(axis, "TOOL", 1.0)) for axis in ("x", "y", "z"))
+    np.testing.assert_array_equal(np.cross(x, y), z)
+    quarter = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    assert direction_of("y", "TOOL", 4.0, quarter) == (1.0, 0.0, 0.0)
+
+
+def test_after_a_stop_the_servo_goes_off_but_not_on() -> None:
+    guard = Guard()
+    guard.interlock.stop("operator")
+    assert guard.refusal("servo", True) == "STOPPED"
+    assert guard.refusal("servo", False) is None
+    assert guard.noted.orders == [("servo", False)]
+
+
+@pytest.mark.parametrize("order", ["jog", "jog_joints"])
+@pytest.mark.parametrize("for_s", [0.0, -0.1, 1.01 * LEASE_S, math.nan])
+def test_no_jog_lasts_no_time_or_longer_than_a_lease(order: str, for_s: float) -> None:
+    guard, (way, _) = Guard(), MOTIONS[order]
+    assert guard.refusal(order, way, for_s) == "JOG-TIME"
+    assert guard.refusal(order, way, LEASE_S) is None
+
+
+def test_a_turn_of_joints_is_judged_by_fresh_values() -> None:
+    guard = Guard()
+    guard.arm.move_joints(GOAL, 0.2)
+    assert len(guard.noted.ages_s) >= 2
+    assert max(guard.noted.ages_s) <= 0.2
+
+
+def test_a_jog_that_ended_tells_the_time_in_milliseconds() -> None:
+    guard, wall_s, told = Guard(), [7.0], list[RefusedError]()
+    around = JogSurroundings(
+        lambda: 3.0, lambda: wall_s[0], lambda: 0.0, lambda: SURFACE_MM, lambda: False
+    )
+    jog = Jog(guard.arm, guard.interlock, around, told.append)
+    jog.renew(JogOrder(1, 1, 3.0, "x", "XYZ", 5.0))
+    wall_s[0] += 0.312
+    jog.tick()
+    assert [cause.reason for cause in told] == ["JOG-LEASE"]
+    assert "renewed it for 312 ms" in told[0].detail
+    assert "late as well, by 312 ms" in told[0].detail

@@ -258,42 +258,37 @@ def test_sensors_get_time_to_start_and_then_no_more() -> None:
     assert ("CAMERA-STALE", "tactile_left") in bench.codes()
 
 
+def after_samples(bench: SupervisionWatched, *spikes: tuple[int, int, float]) -> None:
+    """Deliver 20 samples, zero but for (sample, channel, value)."""
+    wrench = np.zeros((20, 6))
+    for sample, channel, value in spikes:
+        wrench[sample, channel] = value
+    bench.wrench.put(bench.now_s + 0.001 * np.arange(1, 21), wrench)
+    bench.now_s += 0.02
+    bench.supervision.check(bench.now_s)
+
+
+# 1.61 N·m from three parts below the limit of 1.5 N·m each; once is not enough.
+TWIST, TURNED = ((7, 3, 1.2), (7, 4, -1.0), (7, 5, 0.4)), ((8, 3, -1.2), (8, 4, 1.0), (8, 5, 0.4))
+
+
 @pytest.mark.promise("G3")
-def test_the_trip_needs_two_samples_or_one_huge_one() -> None:
+@pytest.mark.parametrize(
+    ("once", "more", "what"),
+    [
+        (((7, 2, 45.0),), ((7, 2, 45.0), (8, 2, 45.0)), "45.0 N"),
+        (((3, 0, 59.0),), ((3, 0, 61.0),), "61.0 N"),
+        (TWIST, (*TWIST, *TURNED), "1.61 N·m"),
+    ],
+)
+def test_the_trip_needs_two_samples_or_one_huge_force(once, more, what) -> None:
     bench = SupervisionWatched()
     bench.run(1.5)
-    one = np.zeros((20, 6))
-    one[7, 2] = 45.0
-    bench.wrench.put(bench.now_s + 0.001 * np.arange(1, 21), one)
-    bench.supervision.check(bench.now_s + 0.02)
+    after_samples(bench, *once)
     assert not bench.interlock.latched
-    one[8, 2] = 45.0
-    bench.wrench.put(bench.now_s + 0.021 + 0.001 * np.arange(1, 21), one)
-    bench.supervision.check(bench.now_s + 0.05)
+    after_samples(bench, *more)
     assert bench.codes() == [("FT-TRIP", "force_torque")]
-    huge = SupervisionWatched()
-    huge.run(1.5)
-    single = np.zeros((20, 6))
-    single[3, 0] = 61.0
-    huge.wrench.put(huge.now_s + 0.001 * np.arange(1, 21), single)
-    huge.supervision.check(huge.now_s + 0.02)
-    assert huge.codes() == [("FT-TRIP", "force_torque")]
-
-
-def test_a_moment_trips_as_well_though_no_force_does() -> None:
-    """1.61 N·m from three parts below the limit of 1.5 N·m each; once is not enough."""
-    bench = SupervisionWatched()
-    bench.run(1.5)
-    twisted = np.zeros((20, 6))
-    twisted[7, 3:] = (1.2, -1.0, 0.4)
-    bench.wrench.put(bench.now_s + 0.001 * np.arange(1, 21), twisted)
-    bench.supervision.check(bench.now_s + 0.02)
-    assert not bench.interlock.latched
-    twisted[8, 3:] = (-1.2, 1.0, 0.4)
-    bench.wrench.put(bench.now_s + 0.021 + 0.001 * np.arange(1, 21), twisted)
-    bench.supervision.check(bench.now_s + 0.05)
-    assert bench.codes() == [("FT-TRIP", "force_torque")]
-    assert "1.61 N·m" in bench.interlock.faults[0].what
+    assert what in bench.interlock.faults[0].what
 
 
 @pytest.mark.promise("C1")

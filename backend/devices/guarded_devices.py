@@ -150,9 +150,7 @@ class GuardedArm(_Guarded):
         if not all(math.isfinite(value) for value in values):
             raise RefusedError("NOT-FINITE", "The target or the speed is not a finite number.")
         if not 0 < speed_mm_s <= limits.speed_mm_s:
-            raise RefusedError(
-                "SPEED", f"{speed_mm_s:.1f} mm/s is not within 0 to {limits.speed_mm_s:.0f} mm/s."
-            )
+            raise _speed_refusal(speed_mm_s, limits.speed_mm_s, " mm/s")
         refuse_outside(target, limits)
         self._refuse_dragging(target)
         turning = self._refuse_turned_move(target, turn_rad_s)
@@ -170,9 +168,7 @@ class GuardedArm(_Guarded):
         limits, here = self._interlock.limits, self._arm.pose(max_age_s=0.2)
         speed, turning = math.hypot(*velocity_mm_s), math.hypot(*turn_rad_s)
         if not (0 < speed <= limits.jog_mm_s or (speed == 0 and turning > 0)):
-            raise RefusedError(
-                "SPEED", f"{speed:.1f} mm/s is not within 0 to {limits.jog_mm_s:.0f} mm/s."
-            )
+            raise _speed_refusal(speed, limits.jog_mm_s, " mm/s")
         if speed:
             x, y, z = (part / speed for part in velocity_mm_s)
             way = (x, y, z)
@@ -287,11 +283,7 @@ class GuardedArm(_Guarded):
         interlock = self._interlock
         most = interlock.limits.turn_rad_s
         if not 0 < speed_rad_s <= most * (1 + 1e-9):
-            raise RefusedError(
-                "SPEED",
-                f"{math.degrees(speed_rad_s):.1f}\N{DEGREE SIGN}/s is not within 0 to "
-                f"{math.degrees(most):.0f}\N{DEGREE SIGN}/s.",
-            )
+            raise _speed_refusal(math.degrees(speed_rad_s), math.degrees(most), "\N{DEGREE SIGN}/s")
         if interlock.recovering:
             raise RefusedError("RECOVERY", "After a fault: jog away from contact first.")
         refuse_turning(here, self._surface_mm(), self._press_n(), interlock.limits)
@@ -314,6 +306,10 @@ class GuardedArm(_Guarded):
             raise RefusedError(
                 "DRAGGING", f"Lift first: {force:.1f} N press on the support while moving sideways."
             )
+
+
+def _speed_refusal(speed: float, most: float, unit: str) -> RefusedError:
+    return RefusedError("SPEED", f"{speed:.1f}{unit} is not within 0 to {most:.0f}{unit}.")
 
 
 class GuardedGripper(_Guarded):

@@ -26,15 +26,8 @@ TIMESTAMP_TURN = 1 << 32
 class EmulatedBota:
     """Emulated sensor; ``wrench(now_s)`` returns (6,) N and N·m."""
 
-    def __init__(
-        self,
-        wrench: Callable[[float], Sequence[float]],
-        *,
-        rated: Sequence[float] = RATED,
-        quiet_in_config: bool = True,
-    ) -> None:
-        self._wrench, self._rated = wrench, tuple(rated)
-        self._quiet_in_config = quiet_in_config
+    def __init__(self, wrench: Callable[[float], Sequence[float]]) -> None:
+        self._wrench = wrench
         self._requests = protocol.requests()
         self.pace = SampleSchedule()
         self._sinc = DEFAULT_SINC
@@ -72,8 +65,7 @@ class EmulatedBota:
     def _answer(self, now_s: float, request: protocol.BotaRequest) -> bytes:
         if request.command == "C":
             self._configuring = True
-            if self._quiet_in_config:
-                self.pace.end()
+            self.pace.end()
         elif not self._configuring:
             return b""
         elif request.command == "f":
@@ -85,7 +77,7 @@ class EmulatedBota:
 
     def _frame(self, now_s: float) -> bytes:
         values = tuple(self._wrench(now_s))
-        over = any(abs(v) > rated for v, rated in zip(values, self._rated, strict=True))
+        over = any(abs(v) > rated for v, rated in zip(values, RATED, strict=True))
         status = int(protocol.BotaStatus.OVER_RANGE) if over else 0
         timestamp_us = round(now_s * 1e6) % TIMESTAMP_TURN
         return protocol.encode(protocol.BotaFrame(status, values, timestamp_us, TEMPERATURE_C))

@@ -20,6 +20,7 @@ from touchdown.backend.emulation import (
 
 RATE_HZ = 1000.0
 SENSITIVITY = (65.47, 65.44, 65.08, 1638.5, 1639.25, 1640.75)
+TEMPERATURE_C = 27.5
 VERSION = b"Touchdown emulated Dynpick\r\n"
 _DIVIDERS = {
     DynpickCommand.FILTER_1: 1,
@@ -35,15 +36,9 @@ class EmulatedDynpick:
     """
 
     def __init__(
-        self,
-        wrench: Callable[[float], Sequence[float]],
-        *,
-        sensitivity: Sequence[float] = SENSITIVITY,
-        temperature_c: float = 27.5,
-        tells_sensitivity: bool = True,
+        self, wrench: Callable[[float], Sequence[float]], *, tells_sensitivity: bool = True
     ) -> None:
-        self._wrench, self._sensitivity = wrench, tuple(sensitivity)
-        self._temperature_c, self._tells_sensitivity = temperature_c, tells_sensitivity
+        self._wrench, self._tells_sensitivity = wrench, tells_sensitivity
         self._commands = protocol.command_stream()
         self._offset: tuple[int, ...] = (0,) * 6
         self._divider, self._tick = 1, 0
@@ -72,9 +67,9 @@ class EmulatedDynpick:
             case DynpickCommand.READ:
                 return self._record(now_s)
             case DynpickCommand.SENSITIVITY if self._tells_sensitivity:
-                return protocol.encode_sensitivity(self._sensitivity)
+                return protocol.encode_sensitivity(SENSITIVITY)
             case DynpickCommand.TEMPERATURE:
-                return protocol.encode_temperature(self._temperature_c)
+                return protocol.encode_temperature(TEMPERATURE_C)
             case DynpickCommand.VERSION:
                 return VERSION
             case DynpickCommand.FILTER_QUERY:
@@ -92,7 +87,7 @@ class EmulatedDynpick:
         return b""
 
     def _counts(self, now_s: float) -> tuple[int, ...]:
-        values = zip(self._wrench(now_s), self._sensitivity, strict=True)
+        values = zip(self._wrench(now_s), SENSITIVITY, strict=True)
         return tuple(round(value * per_unit) for value, per_unit in values)
 
     def _record(self, now_s: float) -> bytes:

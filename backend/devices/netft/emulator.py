@@ -29,7 +29,7 @@ from touchdown.backend.emulation import (
 )
 
 PER_UNIT = 1_000_000
-RATE_HZ = 1000.0
+PERIOD_S = 0.001
 SEQUENCE_TURN = 1 << 32
 SATURATED = 0x0002_0000  # status bit of a saturated gauge
 _LIMIT = 0x7FFF_FFFF
@@ -39,10 +39,8 @@ _STARTS = (RdtCommand.START, RdtCommand.START_AXIA, RdtCommand.START_BUFFERED)
 class EmulatedNetFt:
     """Emulated sensor; ``wrench(now_s)`` returns (6,) N and N·m. It serves the last client."""
 
-    def __init__(
-        self, wrench: Callable[[float], Sequence[float]], *, rate_hz: float = RATE_HZ
-    ) -> None:
-        self._wrench, self._period_s = wrench, 1.0 / rate_hz
+    def __init__(self, wrench: Callable[[float], Sequence[float]]) -> None:
+        self._wrench = wrench
         self.pace = SampleSchedule()
         self._left: int | None = None
         self._sequence = self._ft_sequence = 0
@@ -61,7 +59,7 @@ class EmulatedNetFt:
         elif request.command in _STARTS:
             self._left = request.count or None
             self._sequence = 0
-            self.pace.begin(now_s, self._period_s)
+            self.pace.begin(now_s, PERIOD_S)
         return []
 
     def due(self, now_s: float) -> list[bytes]:
@@ -80,7 +78,7 @@ class EmulatedNetFt:
 
     def _record(self, now_s: float) -> RdtRecord:
         self._sequence = (self._sequence + 1) % SEQUENCE_TURN
-        self._ft_sequence = round(now_s / self._period_s) % SEQUENCE_TURN
+        self._ft_sequence = round(now_s / PERIOD_S) % SEQUENCE_TURN
         raw = [count - bias for count, bias in zip(self._raw(now_s), self._bias, strict=True)]
         status = SATURATED if max(map(abs, raw)) > _LIMIT else 0
         counts = tuple(min(max(count, -_LIMIT), _LIMIT) for count in raw)
@@ -120,10 +118,6 @@ class EmulatedCalibration(_Answering):
 class EmulatedPage(_Answering):
     """Web page of a Net F/T box: one request, one answer."""
 
-    def __init__(self, force_unit: str = "N", torque_unit: str = "N-m") -> None:
-        super().__init__()
-        self._units = force_unit, torque_unit
-
     def receive(self, now_s: float, data: bytes) -> bytes:
         """Answer a complete request."""
         self._heard += data
@@ -131,11 +125,10 @@ class EmulatedPage(_Answering):
             return b""
         found = self._heard.startswith(b"GET /netftapi2.xml ")
         self._heard = b""
-        force_unit, torque_unit = self._units
         body = (
             '<?xml version="1.0"?><netft>'
             f"<cfgcpf>{PER_UNIT}</cfgcpf><cfgcpt>{PER_UNIT}</cfgcpt>"
-            f"<scfgfu>{force_unit}</scfgfu><scfgtu>{torque_unit}</scfgtu></netft>"
+            f"<scfgfu>N</scfgfu><scfgtu>N-m</scfgtu></netft>"
             if found
             else ""
         ).encode()

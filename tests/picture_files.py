@@ -9,7 +9,7 @@ import traceback
 from collections.abc import Callable
 from pathlib import Path
 
-from touchdown.backend.annotations.storage import free_space_for
+from touchdown.backend.annotations.storage import check_free_space
 from touchdown.backend.core.faults import InputError
 
 PART = ".part"
@@ -55,7 +55,7 @@ def run_reporting(draw: Callable[[], int]) -> int:
     Standard error is not shown: it carries messages of the Qt platform plugin.
     """
     try:
-        free_space_for(Path(tempfile.gettempdir()), 0)
+        check_free_space(Path(tempfile.gettempdir()))
         return draw()
     except InputError as error:
         why = f"{error.what} {error.where}: {error.fix}"

@@ -59,8 +59,8 @@ from .run_tracking import read_run_info as read_run_info
 from .storage import DISK_FULL_ERRNOS as DISK_FULL_ERRNOS
 from .storage import NotWritableError as NotWritableError
 from .storage import WriterLock as WriterLock
+from .storage import check_free_space as check_free_space
 from .storage import free_bytes_if_low as free_bytes_if_low
-from .storage import free_space_for as free_space_for
 from .training_set import LABEL_CHOICES as LABEL_CHOICES
 from .training_set import CacheRow as CacheRow
 from .training_set import LabelChoice as LabelChoice
@@ -141,6 +141,7 @@ __all__ = [
     "canonical_json",
     "check_dataset",
     "check_dataset_quality",
+    "check_free_space",
     "check_person",
     "compare_with_control_items",
     "content_hash",
@@ -148,7 +149,6 @@ __all__ = [
     "file_sha256",
     "follow_uuid",
     "free_bytes_if_low",
-    "free_space_for",
     "hardware_info",
     "is_dataset",
     "is_run_alive",

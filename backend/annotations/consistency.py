@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import sqlite3
 import time
 from collections import Counter
@@ -65,11 +66,6 @@ class CheckedFolders:
         if stamp and at_ns - int(stamp.split(":")[-1]) > SETTLED_NS:
             self.looks[name] = FolderState(stamp, rows, at_ns)
 
-    def forget(self, names: set[str]) -> None:
-        """Remove ``names``."""
-        for name in names:
-            self.looks.pop(name, None)
-
 
 def stamp_of(folder: Path) -> str:
     """Return a stamp that changes when a file of ``folder`` comes or goes; "" if it is missing.
@@ -129,6 +125,19 @@ class ConsistencyProblem:
     message: str
     repair: Repair | None = None
     locks: bool = False
+
+
+def leftover(parts: DatasetParts, path: Path, why: str) -> ConsistencyProblem:
+    """Return the problem of a file or folder that a crash left behind; its repair deletes it."""
+
+    def repair(_: sqlite3.Connection) -> None:
+        if path.is_dir():
+            shutil.rmtree(path)
+        else:
+            path.unlink(missing_ok=True)
+
+    name = parts.name(path)
+    return ConsistencyProblem("left-over", name, f"{name} {why}: deleted.", repair)
 
 
 def problem_lines(findings: Iterable[ConsistencyProblem]) -> tuple[str, ...]:

@@ -10,7 +10,7 @@ import shutil
 import sqlite3
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -190,6 +190,7 @@ CATALOGUE_FILE = "catalog.db"
 BUSY_MS = 2000  # longest wait for a lock held by another program
 LEAST_ROOM = 1_000_000
 Row = tuple[Any, ...]
+Values = Sequence[object] | dict[str, object]
 
 
 class Database:
@@ -261,18 +262,18 @@ class Database:
         with self._lock:
             yield self._connection
 
-    def rows(self, sql: str, values: Sequence[object] = ()) -> list[Row]:
+    def rows(self, sql: str, values: Values = ()) -> list[Row]:
         """Return all rows of a query."""
         with self._lock:
             return self._connection.execute(sql, values).fetchall()
 
-    def first(self, sql: str, values: Sequence[object] = ()) -> Row | None:
+    def first(self, sql: str, values: Values = ()) -> Row | None:
         """Return the first row, or None."""
         with self._lock:
             row: Row | None = self._connection.execute(sql, values).fetchone()
             return row
 
-    def one(self, sql: str, values: Sequence[object] = ()) -> Row:
+    def one(self, sql: str, values: Values = ()) -> Row:
         """Return the first row; raises ``LookupError`` if there is none."""
         row = self.first(sql, values)
         if row is None:
@@ -281,12 +282,8 @@ class Database:
 
     def copy_to(self, target: Path) -> None:
         """Write a consistent copy to ``target``, including the WAL."""
-        copy = sqlite3.connect(target)
-        try:
-            with self._lock:
-                self._connection.backup(copy)
-        finally:
-            copy.close()
+        with closing(sqlite3.connect(target)) as copy, self._lock:
+            self._connection.backup(copy)
 
     def close(self) -> None:
         """Close the connection. A second call has no effect."""
@@ -358,46 +355,33 @@ def _examine(connection: sqlite3.Connection, path: Path) -> int:
 def _create(connection: sqlite3.Connection) -> None:
     # SQLite allows this outside a transaction only.
     connection.execute("PRAGMA journal_mode = WAL")
-    script = (
+    connection.executescript(
         f"BEGIN IMMEDIATE;\n{statements()}"
         f"PRAGMA application_id = {APPLICATION_ID};\n"
         f"PRAGMA user_version = {SCHEMA_VERSION};\nCOMMIT;"
     )
-    connection.executescript(script)
 
 
 def _open_error(path: Path, error: sqlite3.Error) -> InputError:
+    why = "The catalogue cannot be opened"
+    fix = "Check the folder; 'touchdown dataset rebuild' rebuilds it from files and journal."
     if shutil.disk_usage(path.parent).free < LEAST_ROOM:
-        return InputError(
-            f"The catalogue cannot be opened, as its disk is full: {error}.",
-            str(path),
-            "Make room on it, then try again.",
-        )
-    return InputError(
-        f"The catalogue cannot be opened: {error}.",
-        str(path),
-        "Check the folder; 'touchdown dataset rebuild' rebuilds it from files and journal.",
-    )
+        why += ", as its disk is full"
+        fix = "Make room on it, then try again."
+    return InputError(f"{why}: {error}.", str(path), fix)
 
 
 def _not_saved(error: sqlite3.OperationalError) -> Fault:
+    code = "CATALOGUE-WRITE"
+    what = f"The catalogue could not be written: {error}."
+    step = "Make room on the disk or check it"
     if error.sqlite_errorcode & 0xFF == sqlite3.SQLITE_BUSY:
-        return Fault(
-            code="CATALOGUE-BUSY",
-            what=f"Another program has held the catalogue for {1e-3 * BUSY_MS:.0f} s.",
-            consequence="The last action is not saved; nothing that was saved before is touched.",
-            next_step="Close the program that has the catalogue open, then do the action again.",
-        )
-    if error.sqlite_errorcode & 0xFF == sqlite3.SQLITE_FULL:
-        return Fault(
-            code="DISK-FULL",
-            what="The disk is full: the catalogue could not be written.",
-            consequence="The last action is not saved; nothing that was saved before is touched.",
-            next_step="Make room on this disk, then do the action again.",
-        )
-    return Fault(
-        code="CATALOGUE-WRITE",
-        what=f"The catalogue could not be written: {error}.",
-        consequence="The last action is not saved; nothing that was saved before is touched.",
-        next_step="Make room on the disk or check it, then do the action again.",
-    )
+        code = "CATALOGUE-BUSY"
+        what = f"Another program has held the catalogue for {1e-3 * BUSY_MS:.0f} s."
+        step = "Close the program that has the catalogue open"
+    elif error.sqlite_errorcode & 0xFF == sqlite3.SQLITE_FULL:
+        code = "DISK-FULL"
+        what = "The disk is full: the catalogue could not be written."
+        step = "Make room on this disk"
+    consequence = "The last action is not saved; nothing that was saved before is touched."
+    return Fault(code, what, consequence, f"{step}, then do the action again.")

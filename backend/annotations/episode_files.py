@@ -12,12 +12,17 @@ import time
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from hashlib import sha256
+from hashlib import file_digest
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from touchdown.backend.annotations import episode_index, operation_log, review
-from touchdown.backend.annotations.consistency import ConsistencyProblem, DatasetParts, stamp_of
+from touchdown.backend.annotations.consistency import (
+    ConsistencyProblem,
+    DatasetParts,
+    leftover,
+    stamp_of,
+)
 from touchdown.backend.annotations.values import (
     PROGRAM_ACTOR,
     Label,
@@ -55,13 +60,10 @@ class EpisodeFileRow(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class CompleteFile:
-    """Content of a complete file, as needed for its row."""
+    """Row and label message of a complete file."""
 
-    path: Path
-    uuid: str
-    message: dict[str, Any]
-    quality: EpisodeQuality
-    keep_frames: str
+    row: dict[str, Any]
+    message: Mapping[str, Any]
 
 
 def check_episode_files(parts: DatasetParts, *, whole: bool) -> Iterator[ConsistencyProblem]:
@@ -78,7 +80,7 @@ def check_episode_files(parts: DatasetParts, *, whole: bool) -> Iterator[Consist
         rows = _folder_rows(parts, known, set()) or []
     folders = [name for name in names if name not in known]
     stamps = {name: stamp_of(parts.folder / name) for name in folders}
-    parts.checked.forget(set(parts.checked.looks) - set(known))
+    parts.checked.looks = {name: parts.checked.looks[name] for name in known}
     disorder: set[str] = set()
     for finding, folder in _compare_files(parts, folders, rows, whole=whole):
         disorder.add(folder)
@@ -209,7 +211,7 @@ def _check_known_file(
 
 def _unknown(parts: DatasetParts, path: Path, by_uuid: _RowIndex) -> Iterator[ConsistencyProblem]:
     try:
-        complete = read_complete(path)
+        complete = read_complete(path, parts.folder)
     except InputError as error:
         if is_readable(path):
             message = f"{parts.name(path)} is no episode of a dataset: {error.what}"
@@ -217,21 +219,18 @@ def _unknown(parts: DatasetParts, path: Path, by_uuid: _RowIndex) -> Iterator[Co
         else:
             yield _torn_file(parts, path, None)
         return
-    row = by_uuid.find(complete.uuid)
+    uuid = complete.row["uuid"]
+    row = by_uuid.find(uuid)
     if row is None:
-        size, name = path.stat().st_size, parts.name(path)
-        by_uuid[complete.uuid] = EpisodeFileRow(
-            complete.uuid, name, size, file_sha256(path), "complete"
-        )
-        message = f"Episode {complete.uuid} was on disk without a row: adopted."
-        yield ConsistencyProblem(
-            "adopt", complete.uuid, message, lambda c: adopt_file(c, parts, complete)
-        )
+        names = EpisodeFileRow._fields
+        by_uuid[uuid] = EpisodeFileRow(**{name: complete.row[name] for name in names})
+        message = f"Episode {uuid} was on disk without a row: adopted."
+        yield ConsistencyProblem("adopt", uuid, message, lambda c: adopt_file(c, parts, complete))
     else:
         yield _second_file(parts, path, row)
 
 
-def read_complete(path: Path) -> CompleteFile:
+def read_complete(path: Path, root: Path) -> CompleteFile:
     """Read an episode file with all checksums; raises ``InputError`` if it is incomplete."""
     contents = read_whole(path)
     messages = contents.messages.get(LABEL_TOPIC.name, [])
@@ -245,13 +244,10 @@ def read_complete(path: Path) -> CompleteFile:
         quality["reasons"] = tuple(quality["reasons"])
         if facts["uuid"] != message["episode"]:
             raise ValueError("its label belongs to another episode")
-        episode_index.episode_row(
-            message, EpisodeQuality(**quality), facts["keep_frames"], path, path.parent
-        )
         label_of(message)
-        return CompleteFile(
-            path, facts["uuid"], message, EpisodeQuality(**quality), facts["keep_frames"]
-        )
+        keep = facts["keep_frames"]
+        row = episode_index.episode_row(message, EpisodeQuality(**quality), keep, path, root)
+        return CompleteFile(row | {"adopted": 1}, message)
 
 
 def label_of(message: Mapping[str, Any]) -> Label:
@@ -264,16 +260,18 @@ def label_of(message: Mapping[str, Any]) -> Label:
 
 def adopt_file(connection: sqlite3.Connection, parts: DatasetParts, complete: CompleteFile) -> None:
     """Insert the row of a complete file, and its first label if the log has none."""
-    args = (complete.message, complete.quality, complete.keep_frames, complete.path, parts.folder)
-    row = {**episode_index.episode_row(*args), "adopted": 1}
-    has_label = "SELECT 1 FROM label_rev WHERE episode = ? LIMIT 1"
-    if connection.execute(has_label, (complete.uuid,)).fetchone():
+    row, message = complete.row, complete.message
+    if _has_label(connection, row["uuid"]):
         episode_index.insert_episode(connection, row)
-        review.refresh_heads(connection, [complete.uuid])
+        review.refresh_heads(connection, [row["uuid"]])
         return
-    label, source = label_of(complete.message), str(complete.message["source"])
-    content = LabelContent(label, source, str(complete.message["geometry"]))
+    content = LabelContent(label_of(message), str(message["source"]), str(message["geometry"]))
     episode_index.enter_episode(connection, parts.site, row, content, "adopt")
+
+
+def _has_label(connection: sqlite3.Connection, uuid: str) -> bool:
+    sql = "SELECT 1 FROM label_rev WHERE episode = ? LIMIT 1"
+    return connection.execute(sql, (uuid,)).fetchone() is not None
 
 
 def _second_file(parts: DatasetParts, path: Path, row: EpisodeFileRow) -> ConsistencyProblem:
@@ -300,8 +298,7 @@ def _torn_file(parts: DatasetParts, path: Path, row: EpisodeFileRow | None) -> C
         aside = quarantine_file(parts, path)
         salvage_file(aside, aside.with_name(f"{path.stem}.salvaged.mcap"))
         if row is not None:
-            sql = "UPDATE episode SET state = 'quarantined' WHERE uuid = ?"
-            connection.execute(sql, (row.uuid,))
+            _mark(connection, [row.uuid], "quarantined")
 
     message = f"{parts.name(path)} is torn: moved to quarantine, its whole chunks saved beside it."
     return ConsistencyProblem("torn", parts.name(path), message, repair)
@@ -314,24 +311,15 @@ def _leftover(
     final = part.with_name(part.name.removeprefix(".").removesuffix(PART))
     row = by_path.get(parts.name(final))
 
-    def delete(_: sqlite3.Connection) -> None:
-        part.unlink(missing_ok=True)
-
+    target, name = parts.quarantine / final.name, parts.name(part)
     if part.stat().st_size == 0:
-        message = f"{parts.name(part)} was empty: deleted."
-        yield ConsistencyProblem("left-over", parts.name(part), message, delete)
-        return
-    if final.exists():
+        yield leftover(parts, part, "was empty")
+    elif final.exists():
         if row is not None and file_sha256(final) == row.sha256:
-            message = f"{parts.name(part)} was left beside its finished file: deleted."
-            yield ConsistencyProblem("left-over", parts.name(part), message, delete)
-        return
-    target = parts.quarantine / final.name
-    if not _is_reported(target, part):
-        message = f"{parts.name(part)} was never finished: its whole chunks are in quarantine."
-        yield ConsistencyProblem(
-            "unfinished", parts.name(part), message, lambda _: salvage_file(part, target)
-        )
+            yield leftover(parts, part, "was left beside its finished file")
+    elif not _is_reported(target, part):
+        message = f"{name} was never finished: its whole chunks are in quarantine."
+        yield ConsistencyProblem("unfinished", name, message, lambda _: salvage_file(part, target))
 
 
 def _is_reported(target: Path, part: Path) -> bool:
@@ -356,10 +344,8 @@ def quarantine_file(parts: DatasetParts, path: Path) -> Path:
 
 
 def _state(row: EpisodeFileRow, state: str, message: str) -> ConsistencyProblem:
-    def repair(connection: sqlite3.Connection) -> None:
-        connection.execute("UPDATE episode SET state = ? WHERE uuid = ?", (state, row.uuid))
-
-    return ConsistencyProblem("back" if state == "complete" else state, row.uuid, message, repair)
+    kind = "back" if state == "complete" else state
+    return ConsistencyProblem(kind, row.uuid, message, lambda c: _mark(c, [row.uuid], state))
 
 
 def is_readable(path: Path) -> bool:
@@ -374,10 +360,7 @@ def is_readable(path: Path) -> bool:
 def file_sha256(path: Path) -> str:
     """Return the SHA-256 of a file."""
     with path.open("rb") as file:
-        found = sha256()
-        while block := file.read(1 << 20):
-            found.update(block)
-    return found.hexdigest()
+        return file_digest(file, "sha256").hexdigest()
 
 
 PACKS = "packs"
@@ -497,15 +480,18 @@ def enter_pack(
     connection.execute("INSERT INTO series VALUES (?, ?, ?, ?, ?, ?)", values)
     revisions = []
     for packed in listed:
-        known = connection.execute("SELECT 1 FROM episode WHERE uuid = ?", (packed.uuid,))
-        if known.fetchone():
-            _move(connection, name, packed)
+        length = packed.chunk.length
+        moved = connection.execute(
+            "UPDATE episode SET path = ?, chunk_off = ?, chunk_len = ?, bytes = ?,"
+            " state = 'complete' WHERE uuid = ?",
+            (name, packed.chunk.offset, length, length, packed.uuid),
+        )
+        if moved.rowcount:
             continue
         geometry = _pair(parts, catalogue, packed.label, path)
         row = _packed_row(packed, series, name, size.st_mtime_ns, geometry)
         episode_index.insert_episode(connection, row)
-        sql = "SELECT 1 FROM label_rev WHERE episode = ? LIMIT 1"
-        if connection.execute(sql, (packed.uuid,)).fetchone() is None:
+        if not _has_label(connection, packed.uuid):
             label, source = label_of(packed.label), str(packed.label.get("source", "commanded"))
             content = LabelContent(label, source, geometry)
             revisions.append(operation_log.new_revision(packed.uuid, None, content, "draft"))
@@ -559,14 +545,6 @@ def _pair(
     return parts.geometry.store_pair(piece, bottom)
 
 
-def _move(connection: sqlite3.Connection, name: str, packed: PackEntry) -> None:
-    connection.execute(
-        "UPDATE episode SET path = ?, chunk_off = ?, chunk_len = ?, bytes = ?, state = 'complete'"
-        " WHERE uuid = ?",
-        (name, packed.chunk.offset, packed.chunk.length, packed.chunk.length, packed.uuid),
-    )
-
-
 def _mark(connection: sqlite3.Connection, uuids: list[str], state: str) -> None:
     rows = [(state, uuid) for uuid in uuids]
     connection.executemany("UPDATE episode SET state = ? WHERE uuid = ?", rows)
@@ -592,17 +570,15 @@ def _torn_pack(parts: DatasetParts, path: Path, error: InputError) -> Consistenc
     name = parts.name(path)
 
     def repair(connection: sqlite3.Connection) -> None:
-        repaired = parts.quarantine / f"{path.stem}.repaired.mcap"
+        repaired, listed = parts.quarantine / f"{path.stem}.repaired.mcap", list[PackEntry]()
         parts.quarantine.mkdir(exist_ok=True)
         saved = salvage_file(path, repaired)
         quarantine_file(parts, path)
         if saved.path is not None:
             repaired.replace(path)
-            listed = list(read_pack_chunks(path))
+            listed += read_pack_chunks(path)
             enter_pack(connection, parts, path, listed)
-            kept = {packed.uuid for packed in listed}
-        else:
-            kept = set()
+        kept = {packed.uuid for packed in listed}
         rows = connection.execute("SELECT uuid FROM episode WHERE path = ?", (name,)).fetchall()
         _mark(connection, [uuid for (uuid,) in rows if uuid not in kept], "damaged")
 

@@ -5,6 +5,7 @@ Undo and redo are computed from the log, so they survive a restart and have no l
 
 from __future__ import annotations
 
+import json
 import math
 import sqlite3
 from collections.abc import Iterable, Mapping, Sequence
@@ -18,27 +19,26 @@ from touchdown.backend.annotations.database import Database
 from touchdown.backend.annotations.operation_log import (
     COLUMNS,
     REVERSING,
-    REVISION,
     EpisodeMark,
     OperationDraft,
     as_operation,
-    as_revision,
     new_revision,
     newest_operations,
+    read_head,
     read_revision,
+    read_revisions,
 )
 from touchdown.backend.annotations.review import ReviewStatus, RevisionNode, leaves_of, read_nodes
 from touchdown.backend.annotations.values import (
     NO_LABEL,
     ControlItemStep,
     LabelContent,
+    LabelState,
     Operation,
     Revision,
     uuid7,
 )
 from touchdown.backend.core import FloatArray, InputError, RefusedError
-
-EPISODES_PER_QUERY = 500
 
 
 class LabelReader:
@@ -49,27 +49,21 @@ class LabelReader:
 
     def head(self, uuid: str) -> Revision:
         """Return the valid revision; raises ``InputError`` if there is no such episode."""
-        row = self._database.first(
-            f"SELECT {REVISION} FROM label_head h JOIN label_rev r USING (rev_uuid)"  # noqa: S608
-            " JOIN op o USING (op_uuid) WHERE h.episode = ?",
-            (uuid,),
-        )
-        if row is None:
+        with self._database.reading() as connection:
+            head = read_head(connection, uuid)
+        if head is None:
             raise _unknown(uuid)
-        return as_revision(row)
+        return head
 
     def offsets_mm(self, uuids: Sequence[str]) -> FloatArray:
         """Return the offsets (n, 2) of the valid revisions; NaN without offset."""
         found: dict[str, tuple[float, float]] = {}
-        for start in range(0, len(uuids), EPISODES_PER_QUERY):
-            some = uuids[start : start + EPISODES_PER_QUERY]
-            marks = ", ".join("?" * len(some))
-            sql = (
-                "SELECT h.episode, r.x_um, r.y_um FROM label_head h JOIN label_rev r"  # noqa: S608
-                f" USING (rev_uuid) WHERE r.x_um NOTNULL AND h.episode IN ({marks})"
-            )
-            for uuid, x_um, y_um in self._database.rows(sql, some):
-                found[uuid] = x_um / 1e3, y_um / 1e3
+        sql = (
+            "SELECT h.episode, r.x_um, r.y_um FROM label_head h JOIN label_rev r USING (rev_uuid)"
+            " WHERE r.x_um NOTNULL AND h.episode IN (SELECT value FROM json_each(?))"
+        )
+        for uuid, x_um, y_um in self._database.rows(sql, (json.dumps(list(uuids)),)):
+            found[uuid] = x_um / 1e3, y_um / 1e3
         nowhere = (math.nan, math.nan)
         places = [found.get(uuid, nowhere) for uuid in uuids]
         return np.array(places, dtype=np.float64).reshape(-1, 2)
@@ -79,16 +73,11 @@ class LabelReader:
 
         An approved revision that a later approved one replaced has the state ``superseded``.
         """
-        rows = self._database.rows(
-            f"SELECT {REVISION} FROM label_rev r JOIN op o USING (op_uuid)"  # noqa: S608
-            " WHERE r.episode = ? ORDER BY o.lamport, o.site, r.rev_uuid",
-            (uuid,),
-        )
         with self._database.reading() as connection:
+            found = read_revisions(connection, uuid)
             nodes, closed = review.read_nodes(connection, uuid)
         head = review.head_of(nodes, closed)
         old = review.superseded_revisions(nodes, head.counting) if head else set[str]()
-        found = [as_revision(row) for row in rows]
         return [replace(r, state="superseded") if r.rev_uuid in old else r for r in found]
 
     def review_status(self, uuid: str) -> ReviewStatus:
@@ -119,14 +108,10 @@ class LabelReader:
 
     def counting(self, uuid: str) -> Revision | None:
         """Return the approved revision used for training, or None."""
-        row = self._database.first(
-            "SELECT counting FROM label_head WHERE episode = ? AND NOT conflict AND NOT deleted",
-            (uuid,),
-        )
-        if row is None or row[0] is None:
-            return None
+        sql = "SELECT counting FROM label_head WHERE episode = ? AND NOT conflict AND NOT deleted"
         with self._database.reading() as connection:
-            return read_revision(connection, row[0])
+            row = connection.execute(sql, (uuid,)).fetchone()
+            return read_revision(connection, row[0]) if row and row[0] else None
 
     def log(self, *, actor: str | None = None, episode: str | None = None,
             text: str = "", limit: int = 500) -> list[Operation]:  # fmt: skip
@@ -188,21 +173,13 @@ class UndoStacks:
         """Update the stacks with the next operation of the person."""
         if verb in NO_STEPS:
             return
-        if verb == "undo":
-            self._move(target, self.undo)
-            self.redo.append(op_uuid)
-        elif verb == "redo":
-            self._move(target, self.redo)
-            self.undo.append(op_uuid)
-        else:
-            self.undo.append(op_uuid)
+        done = self.redo if verb == "redo" else self.undo
+        if verb not in REVERSING:
             self.redo.clear()
-
-    @staticmethod
-    def _move(target: str | None, stack: list[str]) -> None:
-        # After a merge the operations of two sites interleave: it may not be the topmost.
-        if target in stack:
-            stack.remove(str(target))
+        elif target in done:
+            # After a merge the operations of two sites interleave: it may not be the topmost.
+            done.remove(target)
+        (self.redo if verb == "undo" else self.undo).append(op_uuid)
 
 
 def read_undo_stacks(connection: sqlite3.Connection, person: str) -> UndoStacks:
@@ -233,7 +210,7 @@ def inverse_draft(connection: sqlite3.Connection, operation: Operation) -> Opera
         _take_back(connection, draft, _EpisodeHistory(nodes, closed), written)
     for rev_uuid in body["closes"]:
         retired = read_revision(connection, rev_uuid)
-        draft.add_copy(_following(retired, retired), rev_uuid)
+        draft.add_copy(following(retired, retired), rev_uuid)
     # The former head has to be the head again: the leaf of the greatest id wins, and ids rise.
     if body["closes"]:
         _renumber(connection, draft)
@@ -285,12 +262,20 @@ def _take_back(
             draft.revs.append(new_revision(now.episode, leaf, content, "unlabelled"))
         else:
             before = read_revision(connection, node.parent)
-            draft.add_copy(_following(now, before), node.parent)
+            draft.add_copy(following(now, before), node.parent)
 
 
-def _following(parent: Revision, source: Revision) -> dict[str, Any]:
-    content = LabelContent.of(source)
-    return new_revision(parent.episode, parent.rev_uuid, content, source.state, source.reason)
+def following(
+    parent: Revision, source: Revision, state: LabelState | None = None
+) -> dict[str, Any]:
+    """Return the columns of a revision after ``parent`` with the content of ``source``.
+
+    ``state`` None: state and reason are also those of ``source``.
+    """
+    content, reason = LabelContent.of(source), source.reason
+    if state not in (None, "rejected"):
+        reason = None
+    return new_revision(parent.episode, parent.rev_uuid, content, state or source.state, reason)
 
 
 def _renumber(connection: sqlite3.Connection, draft: OperationDraft) -> None:

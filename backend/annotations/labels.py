@@ -10,14 +10,13 @@ import sqlite3
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
-from typing import Any
 
 from touchdown.backend.annotations import operation_log, review
-from touchdown.backend.annotations import review as heads
 from touchdown.backend.annotations.database import Database
 from touchdown.backend.annotations.label_history import (
     LabelReader,
     UndoStacks,
+    following,
     inverse_draft,
     read_review_status,
     read_undo_stacks,
@@ -26,6 +25,7 @@ from touchdown.backend.annotations.operation_log import (
     OperationDraft,
     OperationJournal,
     new_revision,
+    read_head,
     read_mark,
     read_revision,
 )
@@ -130,9 +130,8 @@ def preview_bulk_change(
     rows, refused = [], []
     for uuid in dict.fromkeys(uuids):
         try:
-            status = read_review_status(connection, uuid)
+            head, status = _head_and_status(connection, uuid)
             review.check_open(status)
-            head = _head(connection, uuid)
             if isinstance(change, SetState):
                 rows.append(_set_state(head, status, change, person, four_eyes))
             else:
@@ -153,7 +152,7 @@ def fill_bulk_draft(
     """Add the previewed changes to ``draft``; raises ``RefusedError`` if a label changed since."""
     changed = []
     for row in wanted.rows:
-        head, status = _head(connection, row.episode), read_review_status(connection, row.episode)
+        head, status = _head_and_status(connection, row.episode)
         if head.rev_uuid != row.before.rev_uuid or status.conflict or status.deleted:
             changed.append(head)
         elif isinstance(wanted.change, SetState):
@@ -175,11 +174,6 @@ def fill_bulk_draft(
         draft.revs.append(new_revision(row.episode, parent, row.after, row.state, reason))
         if isinstance(change, MoveGeometry):
             draft.marks.append(read_mark(connection, row.episode, GEOMETRY_CHANGED, present=True))
-
-
-def _head(connection: sqlite3.Connection, uuid: str) -> Revision:
-    row = connection.execute("SELECT rev_uuid FROM label_head WHERE episode = ?", (uuid,))
-    return read_revision(connection, row.fetchone()[0])
 
 
 def _set_state(
@@ -258,7 +252,7 @@ class LabelStore(LabelReader):
             state = review.state_after("set", status, name)
             wanted = _edited(head, label, source, verdict, note)
             if wanted != head or head.state not in ("draft", state):
-                draft.revs.append(_following(head, wanted, state))
+                draft.revs.append(following(head, wanted, state))
         return self.head(uuid)
 
     def accept(
@@ -279,7 +273,7 @@ class LabelStore(LabelReader):
                 edited = review.state_after("set", status, name)
                 status = replace(status, state=edited)
             state = review.state_after("accept", status, name)
-            draft.revs.append(_following(head, wanted, state))
+            draft.revs.append(following(head, wanted, state))
         return self.head(uuid)
 
     def take_over(self, person: str, uuid: str) -> Revision:
@@ -289,7 +283,7 @@ class LabelStore(LabelReader):
             review.check_open(status)
             if head.state not in ("draft", "rejected") or name in status.authors:
                 raise RefusedError("nothing to take over", "This is no draft of another person.")
-            draft.revs.append(_following(head, head, "draft"))
+            draft.revs.append(following(head, head, "draft"))
         return self.head(uuid)
 
     def approve(self, person: str, uuid: str, *, context: AnswerContext | None = None) -> Revision:
@@ -317,7 +311,7 @@ class LabelStore(LabelReader):
         with self._act(person, action, context) as (connection, draft, name):
             head, status = _head_and_status(connection, uuid)
             state = review.state_after(action, status, name, four_eyes=self.four_eyes)
-            draft.revs.append(_following(head, replace(head, reason=reason), state))
+            draft.revs.append(following(head, replace(head, reason=reason), state))
             done = {"rev_uuid": head.rev_uuid, "decision": state, "reason": reason}
             draft.reviews.append(done)
         return self.head(uuid)
@@ -328,14 +322,14 @@ class LabelStore(LabelReader):
         With ``four_eyes``, a person cannot prefer an approval of their own work to another review.
         """
         with self._act(person, "resolve") as (connection, draft, name):
-            nodes, closed = heads.read_nodes(connection, uuid)
-            ids = [leaf.rev_uuid for leaf in heads.leaves_of(nodes, closed)]
+            nodes, closed = review.read_nodes(connection, uuid)
+            ids = [leaf.rev_uuid for leaf in review.leaves_of(nodes, closed)]
             if len(ids) < 2 or rev_uuid not in ids:
                 raise RefusedError("no conflict", "There is no conflict that this would resolve.")
             winner = read_revision(connection, rev_uuid)
             if self.four_eyes and winner.state == "approved":
-                review.check_other_author(heads.authors_of(nodes, rev_uuid), name)
-            draft.add_copy(_following(winner, winner, winner.state), winner.rev_uuid)
+                review.check_other_author(review.authors_of(nodes, rev_uuid), name)
+            draft.add_copy(following(winner, winner, winner.state), winner.rev_uuid)
             draft.closes += [other for other in ids if other != rev_uuid]
         return self.head(uuid)
 
@@ -392,7 +386,7 @@ class LabelStore(LabelReader):
 
     def skip(self, person: str, uuid: str) -> None:
         """Move an episode to the end of its queue."""
-        self._mark(person, "skip", uuid, SKIPPED, present=True)
+        self._mark(person, "skip", uuid, SKIPPED)
 
     def flag(self, person: str, uuid: str, present: bool = True, note: str = "") -> None:
         """Set or remove the flag."""
@@ -408,14 +402,14 @@ class LabelStore(LabelReader):
         """Hide an episode, with a reason; its file and history are kept."""
         if not reason.strip():
             raise InputError("A deletion needs a reason.", uuid, "Say why in a few words.")
-        self._mark(person, "delete", uuid, DELETED, present=True, note=reason.strip())
+        self._mark(person, "delete", uuid, DELETED, note=reason.strip())
 
     def restore(self, person: str, uuid: str, reason: str = "") -> None:
         """Restore a deleted episode."""
         self._mark(person, "restore", uuid, DELETED, present=False, note=reason.strip())
 
     def _mark(self, person: str, verb: str, uuid: str, name: str, *,
-              present: bool, note: str = "") -> None:  # fmt: skip
+              present: bool = True, note: str = "") -> None:  # fmt: skip
         with self._act(person, verb) as (connection, draft, _):
             status = read_review_status(connection, uuid)
             if status.deleted and name != DELETED:
@@ -516,7 +510,7 @@ class LabelStore(LabelReader):
         operation, touched = operation_log.append_operation(
             connection, self.site, name, verb, draft, target
         )
-        heads.refresh_heads(connection, touched)
+        review.refresh_heads(connection, touched)
         return operation
 
     def _note(self, operation: Operation) -> None:
@@ -526,9 +520,9 @@ class LabelStore(LabelReader):
 
 
 def _head_and_status(connection: sqlite3.Connection, uuid: str) -> tuple[Revision, ReviewStatus]:
-    status = read_review_status(connection, uuid)
-    row = connection.execute("SELECT rev_uuid FROM label_head WHERE episode = ?", (uuid,))
-    return read_revision(connection, row.fetchone()[0]), status
+    status, head = read_review_status(connection, uuid), read_head(connection, uuid)
+    assert head is not None  # its review status is read from the same row
+    return head, status
 
 
 def _edited(head: Revision, label: Label, source: Source | None, verdict: Verdict | None,
@@ -541,8 +535,3 @@ def _edited(head: Revision, label: Label, source: Source | None, verdict: Verdic
         verdict=verdict or head.verdict,
         note=head.note if note is None else note,
     )
-
-
-def _following(head: Revision, source: Revision, state: LabelState) -> dict[str, Any]:
-    reason = source.reason if state == "rejected" else None
-    return new_revision(head.episode, head.rev_uuid, LabelContent.of(source), state, reason)

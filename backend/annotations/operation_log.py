@@ -11,6 +11,7 @@ import os
 import sqlite3
 import time
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, TypedDict
@@ -30,7 +31,8 @@ from touchdown.backend.annotations.values import (
 )
 from touchdown.backend.core import make_folder, sync_folder
 
-COLUMNS = "op_uuid, site, seq, lamport, at_ns, actor, verb, target_op, body, prev_hash, hash"
+FIELDS = tuple(field.name for field in fields(Operation))
+COLUMNS = ", ".join(FIELDS)  # of the table ``op``
 REVERSING = ("undo", "redo")
 
 
@@ -90,15 +92,11 @@ def new_revision(
     reason: str | None = None,
 ) -> dict[str, Any]:
     """Return the columns of a new revision, as written to the body of its operation."""
-    label = content.label
     return {
         "rev_uuid": uuid7(),
         "episode": episode,
         "parent": parent,
-        "x_um": label.x_um,
-        "y_um": label.y_um,
-        "theta_mdeg": label.theta_mdeg,
-        "sigma_um": label.sigma_um,
+        **asdict(content.label),
         "source": content.source,
         "state": state,
         "reason": reason,
@@ -148,28 +146,16 @@ def store_operation(connection: sqlite3.Connection, operation: Operation) -> set
     Operations have to be stored in the order of (lamport, site, seq). Raises
     ``sqlite3.IntegrityError`` if it exists already, or if its site has another one of that number.
     """
-    connection.execute(
-        f"INSERT INTO op ({COLUMNS}) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",  # noqa: S608
-        (
-            operation.op_uuid,
-            operation.site,
-            operation.seq,
-            operation.lamport,
-            operation.at_ns,
-            operation.actor,
-            operation.verb,
-            operation.target_op,
-            canonical_json(operation.body).decode("utf-8"),
-            operation.prev_hash,
-            operation.hash,
-        ),
-    )
+    row = {name: getattr(operation, name) for name in FIELDS}
+    row["body"] = canonical_json(operation.body).decode("utf-8")
+    values = ", ".join(f":{name}" for name in FIELDS)
+    connection.execute(f"INSERT INTO op ({COLUMNS}) VALUES ({values})", row)  # noqa: S608
     _store_body(connection, operation)
     body: Mapping[str, Any] = operation.body
     named = {part["episode"] for part in (*body["revs"], *body.get("marks", ()))}
     for closed in body["closes"]:
-        row = connection.execute("SELECT episode FROM label_rev WHERE rev_uuid = ?", (closed,))
-        named.update(episode for (episode,) in row)
+        found = connection.execute("SELECT episode FROM label_rev WHERE rev_uuid = ?", (closed,))
+        named.update(episode for (episode,) in found)
     return named
 
 
@@ -268,11 +254,8 @@ def read_operations(
 
 def as_operation(row: tuple[Any, ...]) -> Operation:
     """Return the operation of a row of ``COLUMNS``."""
-    op_uuid, site, seq, lamport, at_ns, actor, verb, target, body, previous, digest = row
-    content = json.loads(body)
-    return Operation(
-        op_uuid, site, seq, lamport, at_ns, actor, verb, target, content, previous, digest
-    )
+    values = dict(zip(FIELDS, row, strict=True))
+    return Operation(**values | {"body": json.loads(values["body"])})
 
 
 # Columns of ``as_revision``, from ``label_rev r JOIN op o USING (op_uuid)``.
@@ -280,6 +263,7 @@ REVISION = (
     "r.rev_uuid, r.op_uuid, r.episode, r.parent, r.x_um, r.y_um, r.theta_mdeg, r.sigma_um,"
     " r.source, r.state, r.reason, r.verdict, r.geometry, r.note, o.actor, o.at_ns"
 )
+_REVISIONS = f"SELECT {REVISION} FROM label_rev r JOIN op o USING (op_uuid)"  # noqa: S608
 
 
 def as_revision(row: tuple[Any, ...]) -> Revision:
@@ -292,14 +276,24 @@ def as_revision(row: tuple[Any, ...]) -> Revision:
     )  # fmt: skip
 
 
+def read_revisions(connection: sqlite3.Connection, episode: str) -> list[Revision]:
+    """Return all revisions of an episode, oldest first."""
+    sql = f"{_REVISIONS} WHERE r.episode = ? ORDER BY o.lamport, o.site, r.rev_uuid"
+    return [as_revision(row) for row in connection.execute(sql, (episode,))]
+
+
 def read_revision(connection: sqlite3.Connection, rev_uuid: str) -> Revision:
     """Return one revision."""
-    row = connection.execute(
-        f"SELECT {REVISION} FROM label_rev r JOIN op o USING (op_uuid)"  # noqa: S608
-        " WHERE r.rev_uuid = ?",
-        (rev_uuid,),
-    ).fetchone()
-    return as_revision(row)
+    return as_revision(
+        connection.execute(f"{_REVISIONS} WHERE r.rev_uuid = ?", (rev_uuid,)).fetchone()
+    )
+
+
+def read_head(connection: sqlite3.Connection, episode: str) -> Revision | None:
+    """Return the valid revision of an episode, or None."""
+    sql = "SELECT rev_uuid FROM label_head WHERE episode = ?"
+    row = connection.execute(f"{_REVISIONS} WHERE r.rev_uuid = ({sql})", (episode,)).fetchone()
+    return row and as_revision(row)
 
 
 def newest_operations(connection: sqlite3.Connection) -> dict[str, tuple[int, str]]:
@@ -316,7 +310,6 @@ def newest_operations(connection: sqlite3.Connection) -> dict[str, tuple[int, st
 
 
 TAIL_BYTES = 65_536
-FIELDS = tuple(field.name for field in fields(Operation))
 
 
 class OperationJournal:
@@ -381,19 +374,21 @@ def _cut_torn_line(path: Path) -> int:
     """Remove an incomplete last line; return the last sequence number (0 if none)."""
     if not path.exists():
         return 0
-    start, tail = read_tail(path)
-    end = tail.rfind(b"\n") + 1
-    if end < len(tail):
-        os.truncate(path, start + end)
-    line = tail[tail.rfind(b"\n", 0, max(end - 1, 0)) + 1 : end]
+    line, end = read_last_line(path)
+    if end < path.stat().st_size:
+        os.truncate(path, end)
     try:
         return int(json.loads(line)["seq"]) if line else 0
     except (ValueError, TypeError, KeyError):
-        return _last_readable(path)
+        last = 0
+        with suppress(ValueError):
+            for operation in read_journal(path):
+                last = operation.seq
+        return last
 
 
-def read_tail(path: Path) -> tuple[int, bytes]:
-    """Return the end of a file with its last complete line, and the offset where it begins."""
+def read_last_line(path: Path) -> tuple[bytes, int]:
+    """Return the last complete line of a file (b"" if there is none) and the offset of its end."""
     size, length = path.stat().st_size, TAIL_BYTES
     with path.open("rb") as file:
         while True:
@@ -401,18 +396,9 @@ def read_tail(path: Path) -> tuple[int, bytes]:
             file.seek(start)
             tail = file.read()
             if not start or tail.count(b"\n") >= 2:
-                return start, tail
+                end = tail.rfind(b"\n") + 1
+                return tail[tail.rfind(b"\n", 0, max(end - 1, 0)) + 1 : end], start + end
             length *= 4
-
-
-def _last_readable(path: Path) -> int:
-    last = 0
-    try:
-        for operation in read_journal(path):
-            last = operation.seq
-    except ValueError:
-        return last
-    return last
 
 
 _STEPS = (
@@ -440,23 +426,12 @@ def _steps(rows: sqlite3.Cursor) -> Iterator[ControlItemStep]:
         yield ControlItemStep(as_revision(row[:16]), copy_of, deleted, bool(skipped), beside)
 
 
-def recorded_label(connection: sqlite3.Connection, uuid: str) -> Revision:
-    """Return the first label of an episode."""
-    row = connection.execute(
-        f"SELECT {REVISION} FROM label_rev r JOIN op o USING (op_uuid)"  # noqa: S608
-        " WHERE r.episode = ? ORDER BY o.lamport, o.site, r.rev_uuid LIMIT 1",
-        (uuid,),
-    ).fetchone()
-    return as_revision(row)
-
-
 def add_step(draft: OperationDraft, step: ControlItemStep) -> None:
     """Add a step on a control item; a decision is also stored as an opinion."""
     r = step.version
+    content = new_revision(r.episode, r.parent, LabelContent.of(r), r.state, r.reason)
     draft.apart.append({
-        "episode": r.episode, "rev_uuid": r.rev_uuid, "parent": r.parent, **asdict(r.label),
-        "source": r.source, "state": r.state, "reason": r.reason, "verdict": r.verdict,
-        "geometry": r.geometry, "note": r.note, "copy_of": step.copy_of, "deleted": step.deleted,
+        **content, "rev_uuid": r.rev_uuid, "copy_of": step.copy_of, "deleted": step.deleted,
         "skipped": step.skipped, "shown_ns": 0, "beside": step.beside,
     })  # fmt: skip
     if step.answer is not None:
@@ -470,9 +445,10 @@ def take_back_step(
     steps = read_steps(connection, operation.actor, uuid)
     at = [step.version.op_uuid for step in steps].index(operation.op_uuid)
     done, now = steps[at], steps[-1]
-    before = steps[at - 1] if at else replace(
-        done, version=recorded_label(connection, uuid), copy_of=None, deleted="", skipped=False
-    )  # fmt: skip
+    recorded = replace(
+        done, version=read_revisions(connection, uuid)[0], copy_of=None, deleted="", skipped=False
+    )
+    before = steps[at - 1] if at else recorded
     if done.version.rev_uuid == before.version.rev_uuid:
         step = replace(now, deleted=before.deleted, skipped=before.skipped)
     else:

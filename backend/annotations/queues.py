@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from hashlib import blake2b
 from typing import Literal, get_args
@@ -135,7 +135,13 @@ def episode_queue(
     """
     if name not in QUEUES:
         raise InputError(f"There is no queue '{name}'.", "queue", f"Use {', '.join(QUEUES)}.")
-    return _MAKERS[name](database, person, seed, -1 if limit is None else limit)
+    if name == "coverage":
+        return _coverage(database)[:limit]
+    if name in ("audit", "gold"):
+        found = _drawn(_ids(database, _QUERIES[name], person, name, -1), seed)
+        answered = _answered(database, person) if name == "gold" else ()
+        return [uuid for uuid in found if uuid not in answered][:limit]
+    return _ids(database, _QUERIES[name], person, name, -1 if limit is None else limit)
 
 
 def stage_counts(database: Database) -> dict[str, int]:
@@ -144,57 +150,12 @@ def stage_counts(database: Database) -> dict[str, int]:
     return dict(database.rows(sql))
 
 
-def _ids(database: Database, sql: str, *values: object) -> list[str]:
-    return [uuid for (uuid,) in database.rows(sql, values)]
+def _ids(database: Database, sql: str, person: str, name: str, limit: int) -> list[str]:
+    values = {"person": person, "author": f"\n{person}\n", "name": name, "limit": limit}
+    return [uuid for (uuid,) in database.rows(f"{sql} LIMIT :limit", values)]
 
 
-def _stage(stage: str) -> Callable[[Database, str, int, int], list[str]]:
-    def make(database: Database, person: str, seed: int, limit: int) -> list[str]:
-        return _ids(
-            database,
-            "SELECT episode FROM label_head WHERE stage = ? ORDER BY skipped, episode LIMIT ?",
-            stage,
-            limit,
-        )
-
-    return make
-
-
-def _review(database: Database, person: str, seed: int, limit: int) -> list[str]:
-    return _ids(
-        database,
-        "SELECT episode FROM label_head WHERE stage = 'review' AND instr(authors, ?) = 0"
-        " ORDER BY skipped, episode LIMIT ?",
-        f"\n{person}\n",
-        limit,
-    )
-
-
-def _returned(database: Database, person: str, seed: int, limit: int) -> list[str]:
-    return _ids(
-        database,
-        "SELECT episode FROM label_head WHERE stage = 'rejected' AND instr(authors, ?) > 0"
-        " AND actor != ? ORDER BY skipped, episode LIMIT ?",
-        f"\n{person}\n",
-        person,
-        limit,
-    )
-
-
-def _scored(name: str, condition: str) -> Callable[..., list[str]]:
-    # Names and condition are constants below, never input.
-    sql = (
-        "SELECT s.episode FROM score s JOIN label_head h USING (episode)"  # noqa: S608
-        f" WHERE s.name = '{name}' AND {condition} ORDER BY s.value DESC, s.episode LIMIT ?"
-    )
-
-    def make(database: Database, person: str, seed: int, limit: int) -> list[str]:
-        return _ids(database, sql, limit)
-
-    return make
-
-
-def _coverage(database: Database, person: str, seed: int, limit: int) -> list[str]:
+def _coverage(database: Database) -> list[str]:
     rows = database.rows(
         "SELECT h.episode, h.stage, e.piece, e.bottom, r.x_um, r.y_um FROM label_head h"
         " JOIN label_rev r USING (rev_uuid) JOIN episode e ON e.uuid = h.episode"
@@ -203,35 +164,23 @@ def _coverage(database: Database, person: str, seed: int, limit: int) -> list[st
     )
     where = {row[0]: (row[2], row[3], row[4] // BIN_UM, row[5] // BIN_UM) for row in rows}
     approved = Counter(where[row[0]] for row in rows if row[1] == "approved")
-    waiting = [row[0] for row in rows if row[1] != "approved"]
-    waiting.sort(key=lambda uuid: (approved[where[uuid]], uuid))
-    return waiting if limit < 0 else waiting[:limit]
-
-
-def _audit(database: Database, person: str, seed: int, limit: int) -> list[str]:
-    sql = "SELECT episode FROM label_head WHERE stage IN ('review', 'approved')"
-    return _drawn(_ids(database, sql), seed, limit)
-
-
-def _control_items(database: Database, person: str, seed: int, limit: int) -> list[str]:
-    sql = "SELECT episode FROM label_head WHERE stage = 'approved' AND instr(authors, ?) = 0"
-    drawn = _drawn(_ids(database, sql, f"\n{person}\n"), seed, -1)
-    answered = _answered(database, person)
-    left = [uuid for uuid in drawn if uuid not in answered]
-    return left if limit < 0 else left[:limit]
+    waiting = (row[0] for row in rows if row[1] != "approved")
+    return sorted(waiting, key=lambda uuid: (approved[where[uuid]], uuid))
 
 
 def _answered(database: Database, person: str) -> set[str]:
     """Return the episodes with an opinion of ``person`` that was not undone."""
-    sql = "SELECT episode FROM opinion JOIN op USING (op_uuid) WHERE actor = ?"
-    by_itself = " AND NOT EXISTS (SELECT 1 FROM apart a WHERE a.op_uuid = opinion.op_uuid)"
+    sql = (
+        "SELECT episode FROM opinion JOIN op USING (op_uuid) WHERE actor = ?"
+        " AND NOT EXISTS (SELECT 1 FROM apart a WHERE a.op_uuid = opinion.op_uuid)"
+    )
     with database.reading() as connection:
         steps = operation_log.last_steps(connection, person)
     decided = {uuid for uuid, step in steps.items() if step.answer is not None}
-    return decided.union(_ids(database, sql + by_itself, person))
+    return decided.union(uuid for (uuid,) in database.rows(sql, (person,)))
 
 
-def _drawn(uuids: list[str], seed: int, limit: int) -> list[str]:
+def _drawn(uuids: list[str], seed: int) -> list[str]:
     """Return a share of ``uuids`` in random order; a draw depends on ``seed`` and its id only."""
     key = seed.to_bytes(16, "little", signed=True)
 
@@ -239,23 +188,28 @@ def _drawn(uuids: list[str], seed: int, limit: int) -> list[str]:
         return int.from_bytes(blake2b(uuid.encode(), digest_size=8, key=key).digest(), "little")
 
     thrown = sorted((die(uuid), uuid) for uuid in uuids)
-    chosen = [uuid for value, uuid in thrown if value < AUDIT_SHARE * 2**64]
-    return chosen if limit < 0 else chosen[:limit]
+    return [uuid for value, uuid in thrown if value < AUDIT_SHARE * 2**64]
 
 
-_OPEN = "h.stage IN ('unlabelled', 'review')"
-_SAME_LABEL = "h.stage IN ('unlabelled', 'review', 'approved') AND h.rev_uuid = s.rev_uuid"
-
-_MAKERS: dict[str, Callable[[Database, str, int, int], list[str]]] = {
-    "unlabelled": _stage("unlabelled"),
-    "review": _review,
-    "returned": _returned,
-    "doubt": _scored("doubt", _SAME_LABEL),
-    "disagreement": _scored("disagreement", _SAME_LABEL),
-    "uncertainty": _scored("uncertainty", _OPEN),
-    "coverage": _coverage,
-    "duplicates": _scored("duplicates", _SAME_LABEL),
-    "conflicts": _stage("conflicts"),
-    "audit": _audit,
-    "gold": _control_items,
+_IN_ORDER = "SELECT episode FROM label_head WHERE {} ORDER BY skipped, episode"
+_BY_SCORE = (
+    "SELECT s.episode FROM score s JOIN label_head h USING (episode)"
+    " WHERE s.name = :name AND {} ORDER BY s.value DESC, s.episode"
+)
+_SAME_LABEL = _BY_SCORE.format(
+    "h.stage IN ('unlabelled', 'review', 'approved') AND h.rev_uuid = s.rev_uuid"
+)
+_QUERIES = {
+    "unlabelled": _IN_ORDER.format("stage = 'unlabelled'"),
+    "review": _IN_ORDER.format("stage = 'review' AND instr(authors, :author) = 0"),
+    "returned": _IN_ORDER.format(
+        "stage = 'rejected' AND instr(authors, :author) > 0 AND actor != :person"
+    ),
+    "doubt": _SAME_LABEL,
+    "disagreement": _SAME_LABEL,
+    "uncertainty": _BY_SCORE.format("h.stage IN ('unlabelled', 'review')"),
+    "duplicates": _SAME_LABEL,
+    "conflicts": _IN_ORDER.format("stage = 'conflicts'"),
+    "audit": _IN_ORDER.format("stage IN ('review', 'approved')"),
+    "gold": _IN_ORDER.format("stage = 'approved' AND instr(authors, :author) = 0"),
 }

@@ -6,40 +6,37 @@ Runs on every opening, before anything can be recorded. Merging takes the union 
 from __future__ import annotations
 
 import json
-import shutil
 import sqlite3
 import time
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
 from touchdown.backend.annotations import operation_log, review
-from touchdown.backend.annotations.consistency import ConsistencyProblem, DatasetParts
+from touchdown.backend.annotations.consistency import ConsistencyProblem, DatasetParts, leftover
 from touchdown.backend.annotations.database import Database, add_event
 from touchdown.backend.annotations.episode_files import check_episode_files, check_packs
 from touchdown.backend.annotations.operation_log import (
     newest_operations,
     read_journal,
+    read_last_line,
     read_operations,
-    read_tail,
     store_operation,
 )
 from touchdown.backend.annotations.run_tracking import check_runs, sync_run_tables
 from touchdown.backend.annotations.values import (
     FIRST_HASH,
     PROGRAM_ACTOR,
+    ChainPosition,
     Operation,
     canonical_json,
     first_broken_link,
-    operation_hash,
 )
 from touchdown.backend.core import Fault, InputError, write_atomically
 
 CHECKED_OPERATIONS = 500  # number of newest operations checked on opening; ``verify`` checks all
-
-ChainPosition = tuple[int, str]  # number and hash of an operation
 
 
 def check_labels(parts: DatasetParts, *, whole: bool) -> Iterator[ConsistencyProblem]:
@@ -63,9 +60,7 @@ def check_labels(parts: DatasetParts, *, whole: bool) -> Iterator[ConsistencyPro
         message = (
             f"{len(missing)} label operations of the journal were not in the catalogue: replayed."
         )
-        yield ConsistencyProblem(
-            "replay", parts.site, message, lambda connection: _replay(connection, missing)
-        )
+        yield ConsistencyProblem("replay", parts.site, message, lambda c: _replay(c, missing))
     wrong = wrong_heads(parts, whole=whole)
     if wrong:
         message = f"{len(wrong)} label heads did not follow from the revisions: rebuilt."
@@ -88,10 +83,8 @@ def wrong_heads(parts: DatasetParts, *, whole: bool) -> list[str]:
             heads = connection.execute("SELECT episode, rev_uuid, conflict FROM label_head")
             for episode, rev_uuid, conflict in heads.fetchall():
                 head = review.head_of(*review.read_nodes(connection, episode))
-                if (head and (head.node.rev_uuid, int(len(head.leaves) > 1))) != (
-                    rev_uuid,
-                    conflict,
-                ):
+                expected = head and (head.node.rev_uuid, int(len(head.leaves) > 1))
+                if expected != (rev_uuid, conflict):
                     found.add(episode)
     return sorted(found)
 
@@ -101,27 +94,8 @@ def _bad_link(parts: DatasetParts, site: str, after: int) -> int | None:
     with parts.database.reading() as connection:
         operations = read_operations(connection, "site = ? AND seq >= ?", (site, after))
     if after:
-        start = (operations[0].seq, operations[0].hash)
-        return first_sequence_break(operations[1:], start)
-    return first_sequence_break(operations, (0, FIRST_HASH))
-
-
-def first_sequence_break(operations: Iterable[Operation], start: ChainPosition) -> int | None:
-    """Return the first number that does not continue the chain of one site from ``start``."""
-    seq, digest = start
-    for operation in operations:
-        fits = (operation.seq, operation.prev_hash) == (seq + 1, digest)
-        if not fits or _link(operation) != operation.hash:
-            return seq + 1
-        seq, digest = operation.seq, operation.hash
-    return None
-
-
-def _link(operation: Operation) -> str:
-    try:
-        return operation_hash(operation)
-    except (TypeError, ValueError):
-        return ""
+        return first_broken_link(operations[1:], (operations[0].seq, operations[0].hash))
+    return first_broken_link(operations)
 
 
 def _compare_journal(
@@ -129,61 +103,45 @@ def _compare_journal(
 ) -> tuple[list[Operation], list[ConsistencyProblem]]:
     """Return the operations of the journal that the catalogue lacks, and problems of the site."""
     path = parts.journal.path(site)
-    last = _last_line(path)
+    last = _last_position(path)
     if last == newest:
         return [], []
-    if last is not None and last[0] < newest[0] and _is_known(parts, site, last):
-        return [], [_journal_behind(parts, site, newest[0] - last[0])]
+    if last is not None and last[0] < newest[0]:
+        sql = "SELECT hash FROM op WHERE site = ? AND seq = ?"
+        if not last[0] or parts.database.first(sql, (site, last[0])) == (last[1],):
+            message = (
+                f"{newest[0] - last[0]} label operations were missing in the journal: written."
+            )
+            catch_up = partial(parts.journal.catch_up, site=site)
+            return [], [ConsistencyProblem("journal", site, message, catch_up)]
     try:
         operations = list(read_journal(path))
     except (ValueError, OSError) as error:
-        return [], [
-            ConsistencyProblem("journal-damaged", site, f"The journal is damaged: {error}.")
-        ]
+        message = f"The journal is damaged: {error}."
+        return [], [ConsistencyProblem("journal-damaged", site, message)]
     ahead = [operation for operation in operations if operation.seq > newest[0]]
-    shared = [operation for operation in operations if operation.seq == newest[0]]
-    if newest[0] and [operation.hash for operation in shared] != [newest[1]]:
+    shared = [operation.hash for operation in operations if operation.seq == newest[0]]
+    if newest[0] and shared != [newest[1]]:
         message = "Journal and catalogue have different label operations"
         return [], [_broken(site, newest[0], message)]
-    misfit = first_sequence_break(ahead, newest)
+    misfit = first_broken_link(ahead, newest)
     if misfit is not None:
         return [], [_broken(site, misfit, "The journal's chain of label operations is broken")]
     return ahead, []
 
 
-def _is_known(parts: DatasetParts, site: str, place: ChainPosition) -> bool:
-    if not place[0]:
-        return True
-    found = parts.database.first("SELECT hash FROM op WHERE site = ? AND seq = ?", (site, place[0]))
-    return found == (place[1],)
-
-
-def _last_line(path: Path) -> ChainPosition | None:
-    """Return the position of the last complete line; None if it is unreadable.
-
-    (0, ...) if there is none.
-    """
+def _last_position(path: Path) -> ChainPosition | None:
+    """Return the position of the last complete line: (0, ...) without one, None if unreadable."""
     try:
-        _, content = read_tail(path)
-    except FileNotFoundError:
-        return 0, FIRST_HASH
-    end = content.rfind(b"\n") + 1
-    line = content[content.rfind(b"\n", 0, max(end - 1, 0)) + 1 : end]
-    if not line:
-        return 0, FIRST_HASH
-    try:
+        line, _ = read_last_line(path)
+        if not line:
+            return 0, FIRST_HASH
         facts = json.loads(line)
         return int(facts["seq"]), str(facts["hash"])
+    except FileNotFoundError:
+        return 0, FIRST_HASH
     except (ValueError, TypeError, KeyError):
         return None
-
-
-def _journal_behind(parts: DatasetParts, site: str, count: int) -> ConsistencyProblem:
-    def repair(connection: sqlite3.Connection) -> None:
-        parts.journal.catch_up(connection, site)
-
-    message = f"{count} label operations were missing in the journal: written."
-    return ConsistencyProblem("journal", site, message, repair)
 
 
 def _replay(connection: sqlite3.Connection, missing: list[Operation]) -> None:
@@ -223,24 +181,23 @@ def check_dataset(parts: DatasetParts, *, whole: bool = False) -> Iterator[Consi
     ``whole`` reads every file and checks every operation. Otherwise the newest operations are
     checked, and the file sizes in folders that are not known to be in order.
     """
-    yield from check_labels(parts, whole=whole)
-    yield from check_episode_files(parts, whole=whole)
-    yield from check_packs(parts, whole=whole)
-    yield from check_runs(parts)
-    yield from _left_overs(parts)
+    for check in _checks(parts, whole):
+        yield from check
+
+
+def _checks(parts: DatasetParts, whole: bool) -> Iterator[Iterator[ConsistencyProblem]]:
+    # Labels come first, so that an episode with a label in the journal does not get a second one.
+    yield check_labels(parts, whole=whole)
+    yield check_episode_files(parts, whole=whole)
+    yield check_packs(parts, whole=whole)
+    yield check_runs(parts)
+    yield _left_overs(parts)
 
 
 def reconcile(parts: DatasetParts, *, whole: bool = False) -> list[ConsistencyProblem]:
     """Repair the problems of a dataset; return those to report. Each is stored as an event."""
     reported: list[ConsistencyProblem] = []
-    # Labels come first, so that an episode with a label in the journal does not get a second one.
-    for check in (
-        check_labels(parts, whole=whole),
-        check_episode_files(parts, whole=whole),
-        check_packs(parts, whole=whole),
-        check_runs(parts),
-        _left_overs(parts),
-    ):
+    for check in _checks(parts, whole):
         found = list(check)
         for start in range(0, len(found), REPAIRS_PER_TRANSACTION):
             reported += _repaired(parts, found[start : start + REPAIRS_PER_TRANSACTION])
@@ -292,25 +249,11 @@ def _is_new(parts: DatasetParts, finding: ConsistencyProblem) -> bool:
 def _left_overs(parts: DatasetParts) -> Iterator[ConsistencyProblem]:
     for folder, pattern in LEFTOVERS:
         for path in sorted((parts.folder / folder).glob(pattern)):
-            if not _in_use(parts, path):
-                message = f"{parts.name(path)} was left half-made: deleted."
-                yield ConsistencyProblem(
-                    "left-over", parts.name(path), message, partial(_remove, path)
-                )
-
-
-def _in_use(parts: DatasetParts, path: Path) -> bool:
-    """Return True if this program uses the file, or a training may be building it."""
-    if path.name.startswith(parts.database.path.name):
-        return True
-    return path.parent.name == "cache" and time.time() - path.stat().st_mtime < BUSY_S
-
-
-def _remove(path: Path, _: sqlite3.Connection) -> None:
-    if path.is_dir():
-        shutil.rmtree(path)
-    else:
-        path.unlink(missing_ok=True)
+            own = path.name.startswith(parts.database.path.name)
+            # A training may be building a young cache.
+            young = folder == "cache" and time.time() - path.stat().st_mtime < BUSY_S
+            if not own and not young:
+                yield leftover(parts, path, "was left half-made")
 
 
 @dataclass(frozen=True, slots=True)
@@ -330,7 +273,17 @@ def merge_operations(
     ``where`` names the other dataset in errors. Raises ``InputError`` for a broken chain, or one
     that continues differently in both.
     """
-    _check_chains(theirs, where)
+    by_site: dict[str, list[Operation]] = defaultdict(list)
+    for operation in theirs:
+        by_site[operation.site].append(operation)
+    for site, chain in by_site.items():
+        bad = first_broken_link(sorted(chain, key=lambda op: op.seq))
+        if bad is not None:
+            raise InputError(
+                f"The chain of labels is broken at operation {bad} of site {site}.",
+                where,
+                "Restore that dataset from a backup first.",
+            )
     touched: set[str] = set()
     for operation in sorted(theirs, key=lambda op: (op.lamport, op.site, op.seq)):
         row = connection.execute(
@@ -371,8 +324,7 @@ def copy_files(mine: Path, theirs: Path, paths: Sequence[str]) -> list[str]:
 def _is_inside(folder: Path, path: Path) -> bool:
     try:
         return folder.resolve() in path.resolve().parents and len(path.name) <= 200
-    except (OSError, ValueError):
-        # a name that is invalid on every system
+    except (OSError, ValueError):  # a name that is invalid on every system
         return False
 
 
@@ -428,17 +380,3 @@ def copy_fault(error: OSError, folder: Path) -> Fault:
         consequence="Nothing was merged; files that came are complete, and used the next time.",
         next_step=f"Make room on the disk of {folder} or check both disks, then merge again.",
     )
-
-
-def _check_chains(theirs: Sequence[Operation], where: str) -> None:
-    by_site: dict[str, list[Operation]] = defaultdict(list)
-    for operation in theirs:
-        by_site[operation.site].append(operation)
-    for site, chain in by_site.items():
-        bad = first_broken_link(sorted(chain, key=lambda op: op.seq))
-        if bad is not None:
-            raise InputError(
-                f"The chain of labels is broken at operation {bad} of site {site}.",
-                where,
-                "Restore that dataset from a backup first.",
-            )

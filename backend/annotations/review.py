@@ -6,7 +6,7 @@ The valid revision (head) of an episode is a pure function of the set of operati
 from __future__ import annotations
 
 import sqlite3
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -76,7 +76,12 @@ def head_of(nodes: Sequence[RevisionNode], closed: Iterable[str]) -> LabelHead |
         return None
     by_id = {node.rev_uuid: node for node in nodes}
     head = leaves[-1]
-    counting = None if head.state == "rejected" else _counting(head, by_id)
+    approved = (
+        node.rev_uuid
+        for node in _ancestry(head, by_id)
+        if node.state == "approved" and node.geometry == head.geometry
+    )
+    counting = None if head.state == "rejected" else next(approved, None)
     ids = tuple(leaf.rev_uuid for leaf in leaves)
     return LabelHead(head, ids, counting, _authors(head, by_id))
 
@@ -87,44 +92,30 @@ def authors_of(nodes: Sequence[RevisionNode], rev_uuid: str) -> tuple[str, ...]:
     return _authors(by_id[rev_uuid], by_id)
 
 
-def _before(node: RevisionNode, by_id: Mapping[str, RevisionNode]) -> RevisionNode | None:
-    """Return the predecessor of ``node``: the revision it copies, else its parent."""
-    key = node.copy_of if node.is_copy else node.parent
-    return None if key is None else by_id.get(key)
-
-
-def _counting(head: RevisionNode, by_id: Mapping[str, RevisionNode]) -> str | None:
+def _ancestry(head: RevisionNode, by_id: Mapping[str, RevisionNode]) -> Iterator[RevisionNode]:
+    """Yield ``head`` and its predecessors: the revision that each copies, else its parent."""
     node: RevisionNode | None = head
     while node is not None:
-        if node.state == "approved" and node.geometry == head.geometry:
-            return node.rev_uuid
-        node = _before(node, by_id)
-    return None
+        yield node
+        node = by_id.get((node.copy_of if node.is_copy else node.parent) or "")
 
 
 def _authors(head: RevisionNode, by_id: Mapping[str, RevisionNode]) -> tuple[str, ...]:
     """Return the authors of the content since its last approval (reviewers are not authors)."""
     found: set[str] = set()
-    node: RevisionNode | None = head
-    while node is not None and node.verb not in BY_PROGRAM:
-        if node.state == "approved" and found:
+    for node in _ancestry(head, by_id):
+        if node.verb in BY_PROGRAM or (node.state == "approved" and found):
             break
         if not node.is_copy and node.state in ("draft", "submitted"):
             found.add(node.actor)
-        node = _before(node, by_id)
     return tuple(sorted(found))
 
 
 def superseded_revisions(nodes: Sequence[RevisionNode], counting: str | None) -> set[str]:
     """Return the approved revisions before the counting one."""
     by_id = {node.rev_uuid: node for node in nodes}
-    node = None if counting is None else _before(by_id[counting], by_id)
-    found = set()
-    while node is not None:
-        if node.state == "approved":
-            found.add(node.rev_uuid)
-        node = _before(node, by_id)
-    return found
+    chain = () if counting is None else _ancestry(by_id[counting], by_id)
+    return {node.rev_uuid for node in chain if node.state == "approved"} - {counting or ""}
 
 
 def stage_of(state: LabelState, *, conflict: bool, deleted: bool) -> Stage:
@@ -171,24 +162,14 @@ def refresh_heads(connection: sqlite3.Connection, episodes: Iterable[str]) -> No
         head = head_of(*read_nodes(connection, episode))
         if head is None:
             continue
-        marks = connection.execute(
-            "SELECT name FROM mark WHERE episode = ? AND present", (episode,)
-        ).fetchall()
-        names = {name for (name,) in marks}
+        sql = "SELECT name FROM mark WHERE episode = ? AND present"
+        names = {name for (name,) in connection.execute(sql, (episode,))}
         conflict, deleted = len(head.leaves) > 1, DELETED in names
+        stage = stage_of(head.node.state, conflict=conflict, deleted=deleted)
         row = (
-            episode,
-            head.node.rev_uuid,
-            int(conflict),
-            stage_of(head.node.state, conflict=conflict, deleted=deleted),
-            head.node.state,
-            head.counting,
-            join_names(head.authors),
-            head.node.actor,
-            int(FLAG in names),
-            int(SKIPPED in names),
-            int(deleted),
-        )
+            episode, head.node.rev_uuid, conflict, stage, head.node.state, head.counting,
+            join_names(head.authors), head.node.actor, FLAG in names, SKIPPED in names, deleted,
+        )  # fmt: skip
         connection.execute(
             "INSERT OR REPLACE INTO label_head VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)", row
         )
@@ -251,9 +232,12 @@ def state_after(
     """Return the state after ``action``; raises ``RefusedError`` with the reason."""
     check_open(status)
     if action == "set":
-        return _set(status, person)
+        _check_own_work(status, person)
+        return "draft"
     if action == "accept":
-        return _accept(status)
+        if status.state != "draft":
+            raise RefusedError(f"is {status.state}", _NO_DRAFT[status.state])
+        return "submitted"
     return _review(action, status, person, four_eyes)
 
 
@@ -271,7 +255,7 @@ def check_other_author(authors: Sequence[str], person: str) -> None:
         raise RefusedError("four eyes", f"{person} wrote it: another person has to review it.")
 
 
-def _set(status: ReviewStatus, person: str) -> LabelState:
+def _check_own_work(status: ReviewStatus, person: str) -> None:
     if status.state == "submitted":
         raise RefusedError(
             "waits for review",
@@ -281,19 +265,6 @@ def _set(status: ReviewStatus, person: str) -> LabelState:
     if status.state in ("draft", "rejected") and not own:
         names = " and ".join(status.authors)
         raise RefusedError("another's work", f"This is the work of {names}: take it over first.")
-    return "draft"
-
-
-def _accept(status: ReviewStatus) -> LabelState:
-    if status.state != "draft":
-        reasons = {
-            "unlabelled": "There is no offset yet: set one.",
-            "submitted": "It waits for review already.",
-            "approved": "It is approved already.",
-            "rejected": "It was rejected: change it first.",
-        }
-        raise RefusedError(f"is {status.state}", reasons.get(status.state, status.state))
-    return "submitted"
 
 
 def _review(action: Action, status: ReviewStatus, person: str, four_eyes: bool) -> LabelState:
@@ -308,10 +279,15 @@ def _review(action: Action, status: ReviewStatus, person: str, four_eyes: bool) 
     return "approved" if action == "approve" else "rejected"
 
 
+_NO_DRAFT = {
+    "unlabelled": "There is no offset yet: set one.",
+    "submitted": "It waits for review already.",
+    "approved": "It is approved already.",
+    "rejected": "It was rejected: change it first.",
+}
 _NOT_SUBMITTED = {
     "unlabelled": "There is no label to review.",
     "draft": "It is a draft: its author has to accept it first.",
     "approved": "It is approved: change the label, or delete the episode with a reason.",
     "rejected": "It is rejected already: its author has to change it.",
-    "superseded": "A later revision replaced it.",
 }

@@ -13,14 +13,15 @@ import platform
 import sqlite3
 import time
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
-from hashlib import sha256
+from hashlib import file_digest
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Literal, Self, get_args
 
-from touchdown.backend.annotations.consistency import ConsistencyProblem, DatasetParts
+from touchdown.backend.annotations.consistency import ConsistencyProblem, DatasetParts, leftover
 from touchdown.backend.annotations.database import Database
 from touchdown.backend.annotations.values import uuid7
 from touchdown.backend.core import (
@@ -33,8 +34,6 @@ from touchdown.backend.core import (
     write_atomically,
 )
 
-PACKAGES = ("numpy", "torch")
-
 
 def hardware_info() -> dict[str, object]:
     """Return processor, memory and operating system of this computer."""
@@ -43,10 +42,8 @@ def hardware_info() -> dict[str, object]:
 
 def package_versions() -> dict[str, object]:
     """Return the versions of Python and of the packages that affect results."""
-    return {
-        "python": platform.python_version(),
-        **{name: package_version(name) for name in PACKAGES},
-    }
+    versions = {name: package_version(name) for name in ("numpy", "torch")}
+    return {"python": platform.python_version(), **versions}
 
 
 RUNS_FOLDER = "runs"
@@ -162,12 +159,10 @@ class ActiveRun:
     def artifact(self, name: str, path: Path) -> None:
         """Record a file made by the run."""
         with path.open("rb") as file:
-            digest = sha256()
-            while block := file.read(1 << 20):
-                digest.update(block)
+            digest = file_digest(file, "sha256").hexdigest()
         full, root = path.resolve(), self._dataset.resolve()
         place = full.relative_to(root) if full.is_relative_to(root) else full
-        made = Artifact(name, place.as_posix(), digest.hexdigest(), path.stat().st_size)
+        made = Artifact(name, place.as_posix(), digest, path.stat().st_size)
         self._write(artifacts=(*self.about.artifacts, made))
 
     def set_manifest(self, manifest: str) -> None:
@@ -211,9 +206,10 @@ class ActiveRun:
         write_run_info(self.folder, self.about)
 
 
+JSON_COLUMNS = ("hardware", "environment", "chain")
 RUN_COLUMNS = (
     "uuid", "kind", "state", "started_ns", "seed", "program", "manifest", "ended_ns", "reason",
-    "hardware", "environment", "chain",
+    *JSON_COLUMNS,
 )  # fmt: skip
 
 
@@ -254,9 +250,7 @@ def run_file_stamp(run: Path) -> tuple[str, int]:
 
 def _enter(connection: sqlite3.Connection, about: RunInfo, mark: str) -> None:
     row = {name: getattr(about, name) for name in RUN_COLUMNS}
-    for name in ("hardware", "environment", "chain"):
-        row[name] = json.dumps(row[name])
-    row["mark"] = mark
+    row |= {name: json.dumps(row[name]) for name in JSON_COLUMNS} | {"mark": mark}
     names = ", ".join(row)
     values = ", ".join(f":{name}" for name in row)
     changes = ", ".join(f"{name} = excluded.{name}" for name in row if name != "uuid")
@@ -285,18 +279,13 @@ def _take_metrics(connection: sqlite3.Connection, run: Path, start: int) -> None
     content = content[: content.rfind(b"\n") + 1]
     rows = []
     for line in content.splitlines():
-        try:
+        with suppress(ValueError, KeyError, TypeError):
             value = json.loads(line)
             row = (value["name"], value["step"], value["value"], value["at_ns"])
-        except (ValueError, KeyError, TypeError):
-            continue
-        rows.append((run.name, *row))
+            rows.append((run.name, *row))
     connection.executemany("INSERT OR REPLACE INTO metric VALUES (?, ?, ?, ?, ?)", rows)
     sql = "UPDATE run SET read_bytes = ? WHERE uuid = ?"
     connection.execute(sql, (start + len(content), run.name))
-
-
-_ALL = ", ".join(RUN_COLUMNS)
 
 
 @dataclass(frozen=True, slots=True)
@@ -337,18 +326,14 @@ class RunTracker:
 
     def entries(self, kind: str | None = None) -> list[RunInfo]:
         """Return the runs (of ``kind``), newest first."""
-        self._follow()
-        sql = f"SELECT {_ALL} FROM run WHERE kind = coalesce(?, kind) ORDER BY started_ns DESC"  # noqa: S608
-        return [self._entry(row) for row in self._database.rows(sql, (kind,))]
+        return self._entries("kind = coalesce(?, kind) ORDER BY started_ns DESC", kind)
 
     def entry(self, uuid: str) -> RunInfo:
         """Return one run; raises ``InputError`` if there is no such run."""
-        self._follow()
-        sql = f"SELECT {_ALL} FROM run WHERE uuid = ?"  # noqa: S608
-        row = self._database.first(sql, (uuid,))
-        if row is None:
+        found = self._entries("uuid = ?", uuid)
+        if not found:
             raise InputError("There is no such run.", uuid, "List the runs of the dataset.")
-        return self._entry(row)
+        return found[0]
 
     def metrics(self, uuid: str, name: str | None = None) -> list[Metric]:
         """Return the values of a run (of one name), ordered by name and step."""
@@ -363,10 +348,14 @@ class RunTracker:
         if self._database.writable:
             sync_run_tables(self._folder, self._database)
 
+    def _entries(self, where: str, value: str | None) -> list[RunInfo]:
+        self._follow()
+        sql = f"SELECT {', '.join(RUN_COLUMNS)} FROM run WHERE {where}"  # noqa: S608
+        return [self._entry(row) for row in self._database.rows(sql, (value,))]
+
     def _entry(self, row: tuple[Any, ...]) -> RunInfo:
         values = dict(zip(RUN_COLUMNS, row, strict=True))
-        for name in ("hardware", "environment", "chain"):
-            values[name] = json.loads(values[name])
+        values |= {name: json.loads(values[name]) for name in JSON_COLUMNS}
         uuid = values["uuid"]
         params = self._database.rows("SELECT key, value FROM param WHERE run = ?", (uuid,))
         sql = "SELECT name, path, sha256, bytes FROM artifact WHERE run = ?"
@@ -384,10 +373,7 @@ def check_runs(parts: DatasetParts) -> Iterator[ConsistencyProblem]:
     for run in run_folders(parts.folder):
         if not (run / ABOUT).exists():
             if not is_run_alive(run) and not run_file_stamp(run)[1]:
-                message = f"{parts.name(run)} was left before its run began: deleted."
-                yield ConsistencyProblem(
-                    "left-over", parts.name(run), message, partial(_remove, run)
-                )
+                yield leftover(parts, run, "was left before its run began")
             continue
         try:
             about = read_run_info(run)
@@ -420,9 +406,3 @@ def _interrupt(run: Path, about: RunInfo, _: sqlite3.Connection) -> None:
     lines = run / METRICS_FILE
     last_ns = lines.stat().st_mtime_ns if lines.exists() else about.started_ns
     write_run_info(run, replace(about, state="interrupted", ended_ns=last_ns))
-
-
-def _remove(run: Path, _: sqlite3.Connection) -> None:
-    for path in run.iterdir():
-        path.unlink()
-    run.rmdir()

@@ -32,21 +32,8 @@ LEAST_BYTES_RUNNING = 500_000_000
 EPISODE_BYTES = 3_700_000
 
 
-@dataclass(frozen=True, slots=True)
-class FreeSpace:
-    """Free bytes, number of episodes that fit, and True in ``enough`` if all planned ones fit."""
-
-    free_bytes: int
-    episodes: int
-    enough: bool
-
-
-def free_space_for(folder: Path, episodes: int, bytes_each: int = EPISODE_BYTES) -> FreeSpace:
-    """Return the free space for ``episodes`` on the disk of ``folder``.
-
-    Raises ``InputError`` if less than 1 GB is free, or less than 100 episodes need. ``enough`` is
-    False if the planned episodes do not fit.
-    """
+def check_free_space(folder: Path, bytes_each: int = EPISODE_BYTES) -> None:
+    """Raise ``InputError`` if the disk has less than 1 GB free, or less than 100 episodes need."""
     place, free = _free(folder)
     needed = max(LEAST_BYTES, LEAST_EPISODES * bytes_each)
     if free < needed:
@@ -55,8 +42,6 @@ def free_space_for(folder: Path, episodes: int, bytes_each: int = EPISODE_BYTES)
             str(place),
             "Free some space, or record on another disk.",
         )
-    fit = free // max(1, bytes_each)
-    return FreeSpace(free, fit, fit >= episodes)
 
 
 def free_bytes_if_low(folder: Path) -> int | None:
@@ -77,14 +62,14 @@ nfs nfs3 nfs4 cifs smb smb2 smb3 smbfs sshfs fuse.sshfs ncpfs afs afpfs webdav d
 fuse.rclone fuse.s3fs glusterfs fuse.glusterfs ceph lustre gpfs beegfs 9p
 """
 NETWORK = frozenset(_NETWORK.split())
-FAT = frozenset({"vfat", "msdos", "exfat", "fat", "fat32", "fuse.exfat"})
+FAT = ("vfat", "msdos", "exfat", "fat", "fat32", "fuse.exfat")
 
 Mounts = Sequence[tuple[str, str]]  # (mount point, type of file system)
 
 
 def check_local_disk(folder: Path, mounts: Mounts | None = None) -> None:
     """Raise ``InputError`` if ``folder`` lies on a network file system (NFS, SMB, sshfs ...)."""
-    kind = file_system(folder.resolve(), _mounts() if mounts is None else mounts)
+    kind = file_system(folder, mounts)
     if kind.lower() in NETWORK:
         raise InputError(
             f"The dataset lies on a network file system ({kind}), where its catalogue can break.",
@@ -95,7 +80,7 @@ def check_local_disk(folder: Path, mounts: Mounts | None = None) -> None:
 
 def disk_weakness(folder: Path, mounts: Mounts | None = None) -> str:
     """Return a warning if the disk of ``folder`` is not safe against power loss, else ""."""
-    kind = file_system(folder.resolve(), _mounts() if mounts is None else mounts)
+    kind = file_system(folder, mounts)
     if kind.lower() not in FAT:
         return ""
     return (
@@ -105,9 +90,10 @@ def disk_weakness(folder: Path, mounts: Mounts | None = None) -> str:
     )
 
 
-def file_system(folder: Path, mounts: Mounts) -> str:
+def file_system(folder: Path, mounts: Mounts | None = None) -> str:
     """Return the type of the file system that holds ``folder`` ("" if unknown)."""
-    holding = [(len(Path(at).parts), kind) for at, kind in mounts if folder.is_relative_to(at)]
+    place, mounts = folder.resolve(), _mounts() if mounts is None else mounts
+    holding = [(len(Path(at).parts), kind) for at, kind in mounts if place.is_relative_to(at)]
     return max(holding, default=(0, ""))[1]
 
 

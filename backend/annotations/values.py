@@ -175,10 +175,9 @@ class Operation:
     @property
     def episodes(self) -> list[str]:
         """Ids of the episodes concerned, without duplicates."""
-        parts: list[Any] = []
-        for name in ("revs", "marks", "opinions", "apart"):
-            found: Any = self.body.get(name, ())
-            parts += found
+        body: Mapping[str, Any] = self.body
+        names = ("revs", "marks", "opinions", "apart")
+        parts = (part for name in names for part in body.get(name, ()))
         return list(dict.fromkeys(str(part["episode"]) for part in parts))
 
 
@@ -291,6 +290,7 @@ class EpisodeFilter:
 
 
 FIRST_HASH = "0" * 64  # previous hash of the first operation of a site
+ChainPosition = tuple[int, str]  # number and hash of an operation
 
 HASHED = ("actor", "at_ns", "body", "lamport", "op_uuid", "seq", "site", "target_op", "verb")
 
@@ -316,14 +316,20 @@ def operation_hash(operation: Operation) -> str:
     return sha256(bytes.fromhex(operation.prev_hash) + _encoded(content)).hexdigest()
 
 
-def first_broken_link(operations: Iterable[Operation]) -> int | None:
-    """Return the sequence number of the first broken link of one site, or None."""
-    previous, expected = FIRST_HASH, 1
+def first_broken_link(
+    operations: Iterable[Operation], start: ChainPosition = (0, FIRST_HASH)
+) -> int | None:
+    """Return the first number that does not continue the chain of one site from ``start``."""
+    seq, digest = start
     for operation in operations:
-        whole = operation.seq == expected and operation.prev_hash == previous
-        if not whole or operation_hash(operation) != operation.hash:
-            return expected
-        previous, expected = operation.hash, expected + 1
+        fits = (operation.seq, operation.prev_hash) == (seq + 1, digest)
+        try:
+            whole = fits and operation_hash(operation) == operation.hash
+        except (TypeError, ValueError):
+            whole = False
+        if not whole:
+            return seq + 1
+        seq, digest = operation.seq, operation.hash
     return None
 
 
@@ -335,9 +341,6 @@ def _encoded(value: object) -> bytes:
 def _refuse_floats(value: object) -> None:
     if isinstance(value, float):
         raise TypeError("floats are not hashed: store a text or an integer in µm")
-    if isinstance(value, dict):
-        for item in value.values():
-            _refuse_floats(item)
-    elif isinstance(value, list | tuple):
-        for item in value:
+    if isinstance(value, dict | list | tuple):
+        for item in value.values() if isinstance(value, dict) else value:
             _refuse_floats(item)

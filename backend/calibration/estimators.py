@@ -52,20 +52,8 @@ class TouchedEdge:
     at_mm: float
 
 
-@dataclass(frozen=True, slots=True)
-class BoardPlane:
-    """Height over (0, 0) and slopes of a board, with the residuals (n,) of the touches, mm."""
-
-    solution: LeastSquaresSolution
-
-    @property
-    def residual_mm(self) -> float:
-        """Root mean square of the residuals per degree of freedom."""
-        return rms(self.solution.residuals, 3)
-
-
-def fit_plane(touches_mm: FloatArray) -> BoardPlane:
-    """Fit z = h + a x + b y to ``touches_mm`` (n, 3).
+def fit_plane(touches_mm: FloatArray) -> LeastSquaresSolution:
+    """Fit z = h + a x + b y to ``touches_mm`` (n, 3); return height over (0, 0) and slopes.
 
     Raises ``RefusedError`` "TOUCHES" for fewer than four, "DEGENERATE" if they lie on one line.
     """
@@ -74,10 +62,9 @@ def fit_plane(touches_mm: FloatArray) -> BoardPlane:
         raise RefusedError("TOUCHES", f"{count} touches are too few: take {MIN_TOUCHES} or more.")
     design = np.column_stack([np.ones(count), touches_mm[:, :2]])
     sigma = np.full(count, TOUCH_SIGMA_MM)
-    found = solve_least_squares(
+    return solve_least_squares(
         design, touches_mm[:, 2], sigma, "All touches lie on one line: spread them."
     )
-    return BoardPlane(found)
 
 
 def fit_edges(edges: Sequence[TouchedEdge], *, yaw: bool) -> LeastSquaresSolution:
@@ -115,34 +102,24 @@ def estimate_board(
     """
     plane, felt = fit_plane(touches_mm), fit_edges(edges, yaw=bool(yaw_of))
     x, y = felt.x[:2].tolist()
-    height, slope_x, slope_y = plane.solution.x
+    height, slope_x, slope_y = plane.x
     over = np.array([1.0, x, y])
+    z_sigma = float(np.sqrt(over @ plane.covariance @ over))
     found = [
-        Quantity("x_mm", x, float(np.sqrt(felt.covariance[0, 0])), "mm"),
-        Quantity("y_mm", y, float(np.sqrt(felt.covariance[1, 1])), "mm"),
-        Quantity(
-            "z_mm",
-            float(height + slope_x * x + slope_y * y),
-            float(np.sqrt(over @ plane.solution.covariance @ over)),
-            "mm",
+        *quantities(("x_mm", "y_mm"), ("mm", "mm"), felt.x[:2], felt.covariance[:2, :2]),
+        Quantity("z_mm", float(height + slope_x * x + slope_y * y), z_sigma, "mm"),
+        *quantities(
+            ("slope_x_rad", "slope_y_rad"), ("rad", "rad"), plane.x[1:], plane.covariance[1:, 1:]
         ),
     ]
-    found += quantities(
-        ("slope_x_rad", "slope_y_rad"),
-        ("rad", "rad"),
-        plane.solution.x[1:],
-        plane.solution.covariance[1:, 1:],
-    )
     if yaw_of:
-        sigma = float(np.sqrt(felt.covariance[4, 4]))
-        found.append(Quantity("yaw_rad", float(felt.x[4]), sigma, "rad"))
-    edge_mm = rms(felt.residuals, 5 if yaw_of else 4)
+        found += quantities(("yaw_rad",), ("rad",), felt.x[4:], felt.covariance[4:, 4:])
     return CalibrationEstimate(
         tuple(found),
         np.diag([q.sigma**2 for q in found]),
-        np.concatenate([plane.solution.residuals, felt.residuals]),
-        max(plane.residual_mm, edge_mm), BOARD_LIMIT_MM, "mm",
-        note=_yaw_note(yaw_of), obstacle=_bottom_obstacle(found[-1]) if yaw_of == "board" else "",
+        np.concatenate([plane.residuals, felt.residuals]),
+        max(rms(plane.residuals, 3), rms(felt.residuals, len(felt.x))), BOARD_LIMIT_MM, "mm",
+        note=YAW_NOTES[yaw_of], obstacle=_bottom_obstacle(found[-1]) if yaw_of == "board" else "",
     )  # fmt: skip
 
 
@@ -162,12 +139,11 @@ def _bottom_obstacle(yaw: Quantity) -> str:
     )
 
 
-def _yaw_note(yaw_of: YawOf) -> str:
-    if yaw_of == "board":
-        return "The yaw is that of the board: its edges are longer than the piece."
-    if yaw_of == "piece":
-        return "The yaw is that of the piece in the hand: its edges are longer than the board."
-    return "No yaw: an edge is round, or piece and board are of the same length."
+YAW_NOTES: dict[YawOf, str] = {
+    "board": "The yaw is that of the board: its edges are longer than the piece.",
+    "piece": "The yaw is that of the piece in the hand: its edges are longer than the board.",
+    "": "No yaw: an edge is round, or piece and board are of the same length.",
+}
 
 
 TOOL_LIMIT_MM = 0.2
@@ -228,14 +204,12 @@ def estimate_payload(turns: FloatArray, wrenches: FloatArray) -> CalibrationEsti
     that the model leaves over. Raises ``RefusedError`` "POSES" for fewer than six poses,
     "DEGENERATE" if they do not turn the hand about two axes.
     """
-    count = len(wrenches)
-    if count < PAYLOAD_POSES:
-        raise RefusedError("POSES", f"{count} poses are too few: take {PAYLOAD_POSES}.")
-    gravity = np.einsum("nji,j->ni", turns, [0.0, 0.0, -GRAVITY_M_S2])
+    count, gravity = _count_poses(wrenches), _gravity(turns)
     design = np.zeros((count, 6, 10))
     design[:, :3, 0] = gravity
     design[:, :3, 4:7] = np.eye(3)
-    design[:, 3:, 1:4] = -_cross(gravity)
+    # (m c) x g = -M (m c) with the rows e_k x g of M
+    design[:, 3:, 1:4] = -np.cross(np.eye(3), gravity[:, None])
     design[:, 3:, 7:] = np.eye(3)
     sigma = np.repeat([FORCE_SIGMA_N, MOMENT_SIGMA_NM], 3)
     found = solve_least_squares(
@@ -245,12 +219,12 @@ def estimate_payload(turns: FloatArray, wrenches: FloatArray) -> CalibrationEsti
         "The poses do not turn the hand enough: lean it by 15 degrees or more about two axes.",
     )
     values, covariance = _centre_from_moments(found.x, found.covariance)
-    left_n = np.linalg.norm(found.residuals.reshape(count, 6)[:, :3], axis=1)
-    obstacle = "" if values[0] > 0.0 else "The mass is negative: check ft.sign."
-    return CalibrationEstimate(
+    return _force_estimate(
         quantities(_PAYLOAD_NAMES, _PAYLOAD_UNITS, values, covariance),
-        covariance, left_n, float(left_n.max()), PAYLOAD_LIMIT_N, "N", obstacle=obstacle,
-    )  # fmt: skip
+        covariance,
+        found.residuals.reshape(count, 6)[:, :3],
+        obstacle="" if values[0] > 0.0 else "The mass is negative: check ft.sign.",
+    )
 
 
 def estimate_level_payload(wrenches: FloatArray) -> CalibrationEstimate:
@@ -260,9 +234,7 @@ def estimate_level_payload(wrenches: FloatArray) -> CalibrationEstimate:
     bias is assumed zero; the residual contains the lateral force of a sensor that was not zeroed.
     Raises ``RefusedError`` "POSES" for fewer than six readings.
     """
-    count = len(wrenches)
-    if count < PAYLOAD_POSES:
-        raise RefusedError("POSES", f"{count} readings are too few: take {PAYLOAD_POSES}.")
+    count = _count_poses(wrenches, "readings")
     if not np.isfinite(wrenches).all():
         raise RefusedError("NOT-FINITE", "A measurement is not a finite number.")
     mean = wrenches.mean(axis=0)
@@ -277,23 +249,40 @@ def estimate_level_payload(wrenches: FloatArray) -> CalibrationEstimate:
     change[2] = y_mm / weight_n, -1e3 / weight_n, 0.0
     spread = np.diag([FORCE_SIGMA_N, MOMENT_SIGMA_NM, MOMENT_SIGMA_NM]) ** 2 / count
     covariance = change @ spread @ change.T
-    left_n = np.linalg.norm(wrenches[:, :3] - [0.0, 0.0, -weight_n], axis=1)
+    values = np.array([weight_n / GRAVITY_M_S2, x_mm, y_mm])
+    return _force_estimate(
+        quantities(_PAYLOAD_NAMES[:3], _PAYLOAD_UNITS[:3], values, covariance),
+        covariance,
+        wrenches[:, :3] - [0.0, 0.0, -weight_n],
+        note=LEVEL_NOTE,
+    )
+
+
+def _count_poses(wrenches: FloatArray, noun: str = "poses") -> int:
+    count = len(wrenches)
+    if count < PAYLOAD_POSES:
+        raise RefusedError("POSES", f"{count} {noun} are too few: take {PAYLOAD_POSES}.")
+    return count
+
+
+def _gravity(turns: FloatArray) -> FloatArray:
+    """Return gravity (n, 3) in the axes of the hand, N/kg."""
+    return np.asarray(np.einsum("nji,j->ni", turns, [0.0, 0.0, -GRAVITY_M_S2]))
+
+
+def _force_estimate(
+    found: tuple[Quantity, ...],
+    covariance: FloatArray,
+    left_n: FloatArray,
+    note: str = "",
+    obstacle: str = "",
+) -> CalibrationEstimate:
+    """Return the estimate whose residual is the largest of the forces ``left_n`` (n, 3)."""
+    norm_n = np.linalg.norm(left_n, axis=1)
+    worst_n, limit_n = float(norm_n.max()), PAYLOAD_LIMIT_N
     return CalibrationEstimate(
-        quantities(
-            (_PAYLOAD_NAMES[0], *_PAYLOAD_NAMES[1:3]),
-            _PAYLOAD_UNITS[:3],
-            np.array([weight_n / GRAVITY_M_S2, x_mm, y_mm]),
-            covariance,
-        ),
-        covariance, left_n, float(left_n.max()), PAYLOAD_LIMIT_N, "N", note=LEVEL_NOTE,
-    )  # fmt: skip
-
-
-def _cross(vectors: FloatArray) -> FloatArray:
-    """Return the (n, 3, 3) cross-product matrices."""
-    x, y, z = vectors.T
-    o = np.zeros_like(x)
-    return np.stack([np.stack([o, -z, y], 1), np.stack([z, o, -x], 1), np.stack([-y, x, o], 1)], 1)
+        found, covariance, norm_n, worst_n, limit_n, "N", note=note, obstacle=obstacle
+    )
 
 
 def _centre_from_moments(x: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -315,10 +304,7 @@ def estimate_wrist(turns: FloatArray, wrenches: FloatArray) -> CalibrationEstima
     largest force that the model leaves over. Raises ``RefusedError`` "POSES" for fewer than six,
     "DEGENERATE" if the hand hardly leans.
     """
-    count = len(wrenches)
-    if count < PAYLOAD_POSES:
-        raise RefusedError("POSES", f"{count} poses are too few: take {PAYLOAD_POSES}.")
-    g_x, g_y, g_z = np.einsum("nji,j->in", turns, [0.0, 0.0, -GRAVITY_M_S2])
+    count, (g_x, g_y, g_z) = _count_poses(wrenches), _gravity(turns).T
     design = np.zeros((count, 3, 6))
     design[:, 0, 0], design[:, 0, 1] = g_x, g_y
     design[:, 1, 0], design[:, 1, 1] = g_y, -g_x
@@ -336,16 +322,11 @@ def estimate_wrist(turns: FloatArray, wrenches: FloatArray) -> CalibrationEstima
     covariance = change @ found.covariance[:2, :2] @ change.T
     yaw = math.atan2(b, a)
     sigma, mass_sigma = np.sqrt(np.diag(covariance)).tolist()
-    left_n = np.linalg.norm(found.residuals.reshape(count, 3), axis=1)
-    return CalibrationEstimate(
+    turned = f"The sensor is rotated by {math.degrees(yaw):.1f}°: rotate ft.rotation by this angle."
+    return _force_estimate(
         (Quantity("yaw_rad", yaw, sigma, "rad"), Quantity("mass_kg", mass, mass_sigma, "kg")),
-        covariance, left_n, float(left_n.max()), PAYLOAD_LIMIT_N, "N",
+        covariance,
+        found.residuals.reshape(count, 3),
         note="The yaw is the remainder after ft.rotation.",
-        obstacle=_yaw_obstacle(yaw, sigma),
-    )  # fmt: skip
-
-
-def _yaw_obstacle(yaw: float, sigma: float) -> str:
-    if abs(yaw) <= MAX_YAW_RAD + 2.0 * sigma:
-        return ""
-    return f"The sensor is rotated by {math.degrees(yaw):.1f}°: rotate ft.rotation by this angle."
+        obstacle=turned if abs(yaw) > MAX_YAW_RAD + 2.0 * sigma else "",
+    )

@@ -10,6 +10,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
+from functools import partial
 from hashlib import sha256
 from pathlib import Path
 from typing import Annotated, Literal
@@ -183,7 +184,7 @@ def _first_error(error: Exception) -> str:
         first = error.errors()[0]
         where = ".".join(str(part) for part in first["loc"])
         return f"'{where}': {first['msg']}"
-    return str(error).splitlines()[0] if str(error) else type(error).__name__
+    return next(iter(str(error).splitlines()), type(error).__name__)
 
 
 Condition = Literal["valid", "expired", "missing", "other device", "damaged"]
@@ -294,27 +295,20 @@ class CalibrationStore:
 
         Devices that are not connected are not compared.
         """
-        command = self.command(what)
+        status = partial(CalibrationStatus, what, command=self.command(what))
         try:
             record = self._newest(what)
         except InputError as error:
-            return CalibrationStatus(
-                what, "damaged", None, f"{error.what} [{error.where}]", command
-            )
+            return status("damaged", None, f"{error.what} [{error.where}]")
         if record is None:
-            return CalibrationStatus(
-                what, "missing", None, "never calibrated on this bench", command
-            )
-        other = record.foreign(devices)
-        if other:
+            return status("missing", None, "never calibrated on this bench")
+        if other := record.foreign(devices):
             then = record.file.devices[other].serial or "another one"
-            return CalibrationStatus(
-                what, "other device", record, f"made with {other} {then}", command
-            )
+            return status("other device", record, f"made with {other} {then}")
         left = record.days_left(now or datetime.now(UTC))
         if left < 0:
-            return CalibrationStatus(what, "expired", record, f"expired {_age(-left)} ago", command)
-        return CalibrationStatus(what, "valid", record, "", command)
+            return status("expired", record, f"expired {_age(-left)} ago")
+        return status("valid", record, "")
 
     def statuses(
         self, devices: Mapping[str, DeviceName], now: datetime | None = None

@@ -171,28 +171,29 @@ def _fill(rows: ByteRows, offset: int, values: NDArray[np.generic]) -> None:
     rows[:, _HEAD + offset : _HEAD + offset + raw.shape[1]] = raw
 
 
-def pack_wrench(stamps_ns: Times, wrench: FloatArray, frame_id: str = "ft") -> ByteRows:
+def _pack_doubles(
+    stamps_ns: Times, frame_id: str, default: Sequence[float], values: FloatArray
+) -> ByteRows:
+    """Pack a header and the doubles ``default``, the first k replaced by ``values`` (n, k)."""
+    writer = CdrWriter()
+    writer.header(0, frame_id)
+    writer.align(8)
+    offset = writer.size
+    writer.numbers("d", default)
+    rows = _repeat(writer.finish(), stamps_ns)
+    _fill(rows, offset, values.astype("<f8"))
+    return rows
+
+
+def pack_wrench(stamps_ns: Times, wrench: FloatArray) -> ByteRows:
     """Pack ``WrenchStamped``: ``wrench`` (n, 6) in N and N·m."""
-    writer = CdrWriter()
-    writer.header(0, frame_id)
-    writer.align(8)
-    offset = writer.size
-    writer.numbers("d", [0.0] * 6)
-    rows = _repeat(writer.finish(), stamps_ns)
-    _fill(rows, offset, wrench.astype("<f8"))
-    return rows
+    return _pack_doubles(stamps_ns, WRENCH_TOPIC.frame_id, [0.0] * 6, wrench)
 
 
-def pack_pose(stamps_ns: Times, position_mm: FloatArray, frame_id: str = "base") -> ByteRows:
+def pack_pose(stamps_ns: Times, position_mm: FloatArray) -> ByteRows:
     """Pack ``PoseStamped`` without rotation: ``position_mm`` (n, 3) becomes metres."""
-    writer = CdrWriter()
-    writer.header(0, frame_id)
-    writer.align(8)
-    offset = writer.size
-    writer.numbers("d", [0.0] * 6 + [1.0])
-    rows = _repeat(writer.finish(), stamps_ns)
-    _fill(rows, offset, (position_mm / 1e3).astype("<f8"))
-    return rows
+    default = [0.0] * 6 + [1.0]
+    return _pack_doubles(stamps_ns, POSE_TOPIC.frame_id, default, position_mm / 1e3)
 
 
 def pack_observation(stamps_ns: Times, values: NDArray[np.float32]) -> ByteRows:

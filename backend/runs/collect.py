@@ -11,8 +11,8 @@ from touchdown.backend.annotations import (
     EpisodeContext,
     EpisodeEntry,
     EpisodeFilter,
+    check_free_space,
     follow_uuid,
-    free_space_for,
     uuid7,
 )
 from touchdown.backend.core import (
@@ -96,7 +96,7 @@ def collect_run(session: RunContext, request: CollectRequest) -> Plan[None]:
     method = request.method(session.method)
     settings = request_record(request, method, session.check_scene(request.scene()))
     entries = dataset.episodes(EpisodeFilter(campaign=campaign.uuid))
-    free_space_for(dataset.folder, len(campaign.todo(entries)))
+    check_free_space(dataset.folder)
     session.open_record()
     yield RunStarted(
         0.0, session.run_id, request.piece, request.bottom, request.pattern, request.seed, 1,

@@ -12,7 +12,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from touchdown.backend.annotations import DISK_FULL_ERRNOS, free_bytes_if_low, free_space_for
+from touchdown.backend.annotations import DISK_FULL_ERRNOS, check_free_space, free_bytes_if_low
 from touchdown.backend.core import (
     DISK_TIMEOUT_S,
     ClockJumpDetector,
@@ -301,7 +301,7 @@ class RunRecorder:
         if self.folder is not None:
             if self._keep.episodes:
                 episodes = self.folder / "episodes"
-                free_space_for(episodes, 1)
+                check_free_space(episodes)
             try:
                 self._log = EventLog(self.folder)
             except OSError as error:

@@ -8,7 +8,8 @@ Values that were not measured are NaN: nothing is extrapolated, repeated or fill
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -207,12 +208,11 @@ def _longest_hole_s(frame_s: FloatArray, tick_s: FloatArray) -> float:
 def _missing_numbers(fields: list[MarkerField], tick_s: FloatArray) -> int:
     """Count frames missing in the probe by their sequence numbers."""
     start, end = tick_s[0] - TICK_S, tick_s[-1]
-    numbers = [field.sequence for field in fields]
-    missing = 0
-    for i in range(1, len(fields)):
-        if fields[i].t_s >= start and fields[i - 1].t_s <= end:
-            missing += max(0, numbers[i] - numbers[i - 1] - 1)
-    return missing
+    return sum(
+        max(0, field.sequence - before.sequence - 1)
+        for before, field in pairwise(fields)
+        if field.t_s >= start and before.t_s <= end
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -270,7 +270,8 @@ def assemble_episode(
     offset = np.array(offset_mm, dtype=np.float64)
     quality = judge_quality(ticks, slip_mm, limits)
     if quality.accepted and not (np.isfinite(offset).all() and np.isfinite(observation).all()):
-        quality = _reject(quality, "A value of the observation is not a finite number")
+        reasons = (*quality.reasons, "A value of the observation is not a finite number")
+        quality = replace(quality, accepted=False, reasons=reasons)
     bridged = _bridged_ticks(ticks)
     return Episode(
         episode_id=_digest(observation, offset, onset_s, piece, recording),
@@ -297,14 +298,16 @@ def judge_quality(
         reasons.append(f"{100 * inferred:.0f} % of the markers were not seen")
     if not lost <= limits.lost_markers:
         reasons.append(f"{lost} of {2 * MARKERS} markers were lost")
-    reasons += _wrench_reasons(ticks.wrench, limits)
-    if not 0 <= slip_mm <= limits.slip_mm:
-        known = np.isfinite(slip_mm)
-        reasons.append(
-            f"The piece slipped by {slip_mm:.2f} mm in the grasp"
-            if known
-            else "Slip in the grasp cannot be judged"
-        )
+    missing, press_n = int((~np.isfinite(ticks.wrench).all(axis=1)).sum()), ticks.wrench[-1, 2]
+    if missing:
+        count = len(ticks.wrench)
+        reasons.append(f"The force sensor has no whole reading at {missing} of {count} ticks")
+    elif not press_n >= limits.contact_n:
+        reasons.append(f"No contact: {press_n:.2f} N at the end of the press")
+    if not np.isfinite(slip_mm):
+        reasons.append("Slip in the grasp cannot be judged")
+    elif not 0 <= slip_mm <= limits.slip_mm:
+        reasons.append(f"The piece slipped by {slip_mm:.2f} mm in the grasp")
     return EpisodeQuality(
         accepted=not reasons,
         reasons=tuple(reasons),
@@ -327,28 +330,6 @@ def _frame_reasons(name: str, finger: FingerTicks, limits: EpisodeLimits) -> lis
     if missing and not reasons:
         reasons.append(f"The {name} camera has no frame on both sides of {missing} tick(s)")
     return reasons
-
-
-def _wrench_reasons(wrench: FloatArray, limits: EpisodeLimits) -> list[str]:
-    missing = int((~np.isfinite(wrench).all(axis=1)).sum())
-    if missing:
-        return [f"The force sensor has no whole reading at {missing} of {len(wrench)} ticks"]
-    press_n = float(wrench[-1, 2])
-    if not press_n >= limits.contact_n:
-        return [f"No contact: {press_n:.2f} N at the end of the press"]
-    return []
-
-
-def _reject(quality: EpisodeQuality, reason: str) -> EpisodeQuality:
-    return EpisodeQuality(
-        accepted=False,
-        reasons=(*quality.reasons, reason),
-        dropped_frames=quality.dropped_frames,
-        inferred_share=quality.inferred_share,
-        lost_markers=quality.lost_markers,
-        skew_ms=quality.skew_ms,
-        slip_mm=quality.slip_mm,
-    )
 
 
 def _bridged_ticks(ticks: SynchronisedProbe) -> str:

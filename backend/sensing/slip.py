@@ -104,11 +104,14 @@ def _finger_slip_mm(recording: Recording, finger: Finger, onset_s: float, end_s:
     ]
     if len(fields) < MIN_FRAMES or not np.isfinite(recording.pose_mm).all():
         return math.nan
+    if len(recording.pose_t_s) < 2 or recording.pose_t_s[0] > onset_s:
+        return math.nan
     shear_px = np.array([field.displacement_px[:, 1] for field in fields]).mean(axis=1)
     whole = np.isfinite(shear_px)
-    shear_px = shear_px[whole]
-    travel_mm = _travel_mm(recording, onset_s, np.array([field.t_s for field in fields])[whole])
-    deepest_mm = float(travel_mm.max()) if len(travel_mm) else 0.0
+    shear_px, t_s = shear_px[whole], np.array([field.t_s for field in fields])[whole]
+    height_mm = np.interp([onset_s, *t_s], recording.pose_t_s, recording.pose_mm[:, 2])
+    travel_mm = height_mm[0] - height_mm[1:]
+    deepest_mm = float(travel_mm.max(initial=0.0))
     if not deepest_mm >= MIN_TRAVEL_MM:
         return math.nan
     part = travel_mm / deepest_mm
@@ -130,15 +133,6 @@ def _fit_line(x: FloatArray, y: FloatArray) -> tuple[float, float]:
         return math.nan, math.nan
     slope = float(from_mean @ y) / spread
     return slope, float(y.mean() - slope * x.mean())
-
-
-def _travel_mm(recording: Recording, onset_s: float, t_s: FloatArray) -> FloatArray:
-    """Return the descent of ``G`` since the onset at the times ``t_s``, empty if unknown."""
-    if len(recording.pose_t_s) < 2 or recording.pose_t_s[0] > onset_s:
-        return np.zeros(0)
-    height_mm = np.interp(t_s, recording.pose_t_s, recording.pose_mm[:, 2])
-    onset_mm = np.interp(onset_s, recording.pose_t_s, recording.pose_mm[:, 2])
-    return np.asarray(onset_mm - height_mm, dtype=np.float64)
 
 
 # A piece rotates if the markers of both gels turn by MIN_TURN_RAD within TURN_WINDOW_S, at most

@@ -13,7 +13,7 @@ import copy
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +25,6 @@ from touchdown.backend.core import (
     MARKERS,
     Finger,
     FloatArray,
-    ImageArray,
     MarkerField,
     MarkerState,
     TactileFrame,
@@ -214,17 +213,10 @@ _REORDER_EVERY = 5
 _NO_BLOB = -1
 
 
-class TrackerMemory(NamedTuple):
-    """State of a tracker between frames."""
-
-    grid: GridReport
-    locked: bool
-    position_px: FloatArray
-    looks: DotAppearance
-    last_seen_s: FloatArray
-    was_seen: NDArray[np.bool_]
-    hidden: HiddenMarkers
-    restless: int
+# Attributes of a tracker that change from frame to frame.
+_STATE = (
+    "grid", "_locked", "_position", "_looks", "_last_seen_s", "_was_seen", "_hidden", "_restless",
+)  # fmt: skip
 
 
 class MarkerTracker:
@@ -266,28 +258,18 @@ class MarkerTracker:
         """(63, 2) darkness of each marker (centre, total), px², when last seen."""
         return self._looks.newest
 
-    def remember(self) -> TrackerMemory:
+    def remember(self) -> dict[str, Any]:
         """Return the present state, to be restored with ``recall`` after a damaged picture."""
-        return TrackerMemory(
-            self.grid,
-            self._locked,
-            self._position,
-            copy.deepcopy(self._looks),
-            self._last_seen_s.copy(),
-            self._was_seen,
-            copy.deepcopy(self._hidden),
-            self._restless,
-        )
+        return copy.deepcopy({name: getattr(self, name) for name in _STATE})
 
-    def recall(self, memory: TrackerMemory) -> None:
+    def recall(self, memory: dict[str, Any]) -> None:
         """Restore the state ``memory``."""
-        self.grid, self._locked, self._position = memory.grid, memory.locked, memory.position_px
-        self._looks, self._hidden, self._restless = memory.looks, memory.hidden, memory.restless
-        self._last_seen_s, self._was_seen = memory.last_seen_s, memory.was_seen
+        for name in _STATE:
+            setattr(self, name, memory[name])
 
     def track(self, frame: TactileFrame) -> MarkerField:
         """Return the markers of ``frame``; frames must come in order of time."""
-        if not _is_readable(frame.image):
+        if frame.image.shape != (HEIGHT_PX, WIDTH_PX, 3) or frame.image.dtype != np.uint8:
             return self._blind(frame)
         self._detector.look(frame.image)
         position, seen = self._follow(frame.t_s), np.ones(MARKERS, dtype=bool)
@@ -324,30 +306,19 @@ class MarkerTracker:
         dots = blobs.centre_px[whole]
         reach_px = REACH_PITCH * self.grid.pitch_px
         found = nearest_dots(self._position, dots, reach_px)
+        if (found < 0).any():
+            # Search the remaining markers at positions predicted from their neighbours.
+            step, hit = np.zeros((MARKERS, 2)), found >= 0
+            step[hit] = dots[found[hit]] - self._position[hit]
+            expected = self._position + self._hidden.carry(step, hit)
+            found = assign_remaining(found, expected, dots, reach_px)
         missing = int((found < 0).sum())
-        if missing:
-            found = self._second_look(found, dots, reach_px)
-            missing = int((found < 0).sum())
         owner = np.where(found < 0, _NO_BLOB, whole[found] if len(whole) else _NO_BLOB)
         self._restless = self._restless + 1 if missing else 0
-        if self._should_reorder(missing, len(whole)):
+        doubtful = MARKERS - missing < _MIN_SEEN or len(whole) >= MARKERS
+        if missing and doubtful and self._restless % _REORDER_EVERY == 1:
             return self._reordered(blobs, owner)
         return owner
-
-    def _second_look(
-        self, found: NDArray[np.intp], dots: FloatArray, reach_px: float
-    ) -> NDArray[np.intp]:
-        """Search the remaining markers at positions predicted from their neighbours."""
-        step = np.zeros((MARKERS, 2))
-        hit = found >= 0
-        step[hit] = dots[found[hit]] - self._position[hit]
-        expected = self._position + self._hidden.carry(step, hit)
-        return assign_remaining(found, expected, dots, reach_px)
-
-    def _should_reorder(self, missing: int, dots: int) -> bool:
-        if not missing or self._restless % _REORDER_EVERY != 1:
-            return False
-        return MARKERS - missing < _MIN_SEEN or dots >= MARKERS
 
     def _lock(self, blobs: Blobs) -> NDArray[np.intp] | None:
         ordered = order_grid(blobs)
@@ -448,10 +419,6 @@ class MarkerTracker:
         """Return the field of an unusable frame: the last positions, none seen."""
         self._was_seen = np.zeros(MARKERS, dtype=bool)
         return self._field(frame, 0.0)
-
-
-def _is_readable(image: ImageArray) -> bool:
-    return image.shape == (HEIGHT_PX, WIDTH_PX, 3) and image.dtype == np.uint8
 
 
 def _straight_grid() -> FloatArray:

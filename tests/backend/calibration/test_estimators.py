@@ -60,7 +60,7 @@ def test_the_plane_is_the_one_that_numpy_fits() -> None:
     touches = TOUCHES + np.array([0, 0, 0.05]) * rng.standard_normal(TOUCHES.shape)
     ours = fit_plane(touches)
     theirs = np.linalg.lstsq(np.column_stack([np.ones(5), PLACES]), touches[:, 2], rcond=None)[0]
-    np.testing.assert_allclose(ours.solution.x, theirs)
+    np.testing.assert_allclose(ours.x, theirs)
 
 
 def test_edges_of_a_board_that_is_off_and_turned_give_place_and_yaw() -> None:

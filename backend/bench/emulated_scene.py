@@ -29,7 +29,6 @@ from touchdown.backend.core import (
     FINGERS,
     IDENTITY_ROTATION,
     LEVEL_TOLERANCE_RAD,
-    Fault,
     Finger,
     FloatArray,
     ImageArray,
@@ -57,7 +56,7 @@ from touchdown.backend.emulation import (
     TcpServer,
     apply_faults,
 )
-from touchdown.backend.simulation import ArmCycle, CycleRecord, Scene, SceneTruth, World
+from touchdown.backend.simulation import ArmCycle, CycleRecord, Scene, SceneTruth, SimProgram, World
 
 STILL_S = 0.2  # interval over which motion of the arm is measured
 REST_ROWS = 100  # wrist samples of a new scene, averaged to the payload without contact
@@ -305,15 +304,12 @@ class BenchFrame:
         return found
 
 
-class CarriedProgram:
+class CarriedProgram(SimProgram):
     """Arm program of the world: follow the joints of the emulated arm."""
-
-    done = False
-    failure: Fault | None = None
 
     def __init__(self, emulated: EmulatedScene) -> None:
         self._emulated = emulated
-        self.turn: FloatArray = IDENTITY_ROTATION  # rotation of the emulated arm's hand
+        self.turn = IDENTITY_ROTATION  # rotation of the emulated arm's hand
 
     def next_mm(self, command_mm: FloatArray, cycle: ArmCycle) -> FloatArray:
         """Return the arm position at the end of ``cycle``; a descent begins the next probe."""

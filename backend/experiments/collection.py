@@ -57,6 +57,10 @@ def split_jobs(plan: BatchPlan, label: Mapping[str, object], folder: Path) -> li
 def episode_rows(job: CollectionJob, batches: Sequence[EpisodeBatch]) -> Iterator[PackedEpisode]:
     """Yield the episodes in order of their number, with labels."""
     plan, pair = job.plan, f"{job.plan.piece}-{job.plan.bottom}-{job.plan.seed}"
+    spread = plan.settings.spread
+    # Standard deviation of the label along x, its larger axis.
+    parts = (spread.grasp_offset_mm, spread.label_error_mm, spread.print_offset_mm)
+    sigma_um = round(1e3 * float(np.linalg.norm(parts)))
     places = [(int(n), batch, i) for batch in batches for i, n in enumerate(batch.episode)]
     for number, batch, i in sorted(places, key=lambda place: place[0]):
         x_um, y_um = np.rint(1e3 * batch.offset_mm[i]).astype(int).tolist()
@@ -64,7 +68,7 @@ def episode_rows(job: CollectionJob, batches: Sequence[EpisodeBatch]) -> Iterato
             "episode": f"{pair}-{number}",
             "x_um": x_um,
             "y_um": y_um,
-            "sigma_um": label_sigma_um(plan),
+            "sigma_um": sigma_um,
             "source": "commanded",
             "piece": plan.piece,
             "bottom": plan.bottom,
@@ -77,13 +81,6 @@ def episode_rows(job: CollectionJob, batches: Sequence[EpisodeBatch]) -> Iterato
             **job.label,
         }
         yield PackedEpisode(batch.observation[i], label)
-
-
-def label_sigma_um(plan: BatchPlan) -> int:
-    """Return the standard deviation of the label along x, its larger axis."""
-    spread = plan.settings.spread
-    parts = (spread.grasp_offset_mm, spread.label_error_mm, spread.print_offset_mm)
-    return round(1e3 * float(np.linalg.norm(parts)))
 
 
 def pack_metadata(job: CollectionJob) -> dict[str, str]:

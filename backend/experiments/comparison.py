@@ -17,6 +17,7 @@ import numpy as np
 
 from touchdown.backend.core import FloatArray, InputError, Outcome
 from touchdown.backend.experiments.document import (
+    RELIABILITY_LEGEND,
     PictureGallery,
     Report,
     ReportSection,
@@ -56,8 +57,9 @@ def oracle_shares(
     by_seed = {cell: {t["seed"]: t for t in some} for cell, some in trials.items()}
     for name, to in _compared_pairs(by_seed):
         three = _shared(by_seed, name, to)
-        rows.append({**_row(name, "placed", _counted(three, _placed), _mean), "to": to})
-        rows.append({**_row(name, "unsafe", _counted(three, _unsafe), _mean), "to": to})
+        for what, outcomes in (("placed", (Outcome.PLACED.value,)), ("unsafe", UNSAFE_OUTCOMES)):
+            counts = _counted(three, lambda t, among=outcomes: (float(t["outcome"] in among), 1.0))  # type: ignore[misc]
+            rows.append({**_row(name, what, counts, _mean), "to": to})
     for name, to in _compared_pairs(answers):
         three = _shared(answers, name, to)
         for n in map(str, PROBE_COUNTS):
@@ -118,18 +120,7 @@ def _shared(
 
 def _counted(cells: Sequence[Sequence[tuple[Json, ...]]], count: CountFunction) -> list[FloatArray]:
     """Return an array (seeds, 3, sums) per cell."""
-    return [
-        np.array([[count(one) for one in three] for three in cell], dtype=np.float64)
-        for cell in cells
-    ]
-
-
-def _placed(trial: Json) -> Sequence[float]:
-    return float(trial["outcome"] == Outcome.PLACED.value), 1.0
-
-
-def _unsafe(trial: Json) -> Sequence[float]:
-    return float(trial["outcome"] in UNSAFE_OUTCOMES), 1.0
+    return [np.array([list(map(count, three)) for three in cell], np.float64) for cell in cells]
 
 
 def _mean(sums: FloatArray) -> FloatArray:
@@ -186,7 +177,7 @@ def _share_of_way(values: FloatArray, *, upwards: bool) -> FloatArray:
 
 def _bootstrap_sums(counts: Sequence[FloatArray]) -> FloatArray:
     """Return (draws, 3, sums) over resampled seeds of every cell."""
-    rng = np.random.Generator(np.random.PCG64(993))
+    rng = np.random.default_rng(993)
     total = np.zeros((BOOTSTRAP_DRAWS, *counts[0].shape[1:]))
     for cell in counts:
         often = rng.multinomial(len(cell), np.full(len(cell), 1.0 / len(cell)), BOOTSTRAP_DRAWS)
@@ -207,11 +198,8 @@ class StrategyComparison:
 
     def effort(self, spec: JobSpec) -> int:
         """Return the relative duration of a job."""
-        return (
-            ClosedLoopComparison.effort(spec)
-            if spec.kind == "beyond"
-            else StaticComparison.effort(spec)
-        )
+        kind = ClosedLoopComparison if spec.kind == "beyond" else StaticComparison
+        return kind.effort(spec)
 
     def answer(self, store: JobStore) -> Json:
         """Return all finished results."""
@@ -229,11 +217,11 @@ def comparison_tables(answer: Mapping[str, Any]) -> list[ReportTable]:
         ReportTable.of_texts(
             "Closed loop, simulated; 95 % intervals",
             ("strategy", "trials", "placed %", "unsafe %", "outcomes", "probes", "spare"),
-            (_closed_loop_row(cell) for cell in (*answer["cells"], *answer["pooled"])),
+            map(_closed_loop_row, (*answer["cells"], *answer["pooled"])),
         )
     ]
     if "statics" in answer:
-        statics = answer["statics"]
+        cells = (*answer["statics"]["cells"], *answer["statics"]["pooled"])
         found.append(
             ReportTable.of_texts(
                 "Stability at the place of the first probe: balanced accuracy, %",
@@ -244,14 +232,14 @@ def comparison_tables(answer: Mapping[str, Any]) -> list[ReportTable]:
                     *(f"released, n = {n}" for n in PROBE_COUNTS),
                     "unsafe %, n = 3",
                 ),
-                (_verdict_row(cell) for cell in (*statics["cells"], *statics["pooled"])),
+                map(_verdict_row, cells),
             )
         )
         found.append(
             ReportTable.of_texts(
                 "Calibration of the maps, covered cells",
                 ("strategy", *(f"ECE, n = {n}" for n in RELIABLE_AFTER), f"IoU %, n = {IOU_AFTER}"),
-                (_reliability_row(cell) for cell in (*statics["cells"], *statics["pooled"])),
+                map(_reliability_row, cells),
             )
         )
     if answer["gaps"]:
@@ -264,7 +252,7 @@ def oracle_share_table(rows: Sequence[Json]) -> ReportTable:
     return ReportTable.of_texts(
         "Share of the improvement from paper to ceiling, common trials; 95 % intervals",
         ("strategy", "of", "n", "paper %", "own %", "ceiling %", "share %"),
-        (_oracle_share_row(row) for row in rows),
+        map(_oracle_share_row, rows),
     )
 
 
@@ -296,9 +284,7 @@ def _reliability_row(cell: Json) -> tuple[str, ...]:
 
 def _oracle_share_row(row: Json) -> tuple[str, ...]:
     shares = [_format_percent(row[key]) for key in ("paper", "own", "ceiling")]
-    share = {
-        key: row[f"share{end}"] for key, end in (("value", ""), ("low", "_low"), ("high", "_high"))
-    }
+    share = {"value": row["share"], "low": row["share_low"], "high": row["share_high"]}
     shown = _format_share(share) if share["low"] is not None else _format_percent(share["value"])
     return row["strategy"], quantity_label(row), str(row["n"]), *shares, shown
 
@@ -340,8 +326,7 @@ def comparison_report(answer: Mapping[str, Any]) -> Report:
         for n, chart in pooled["reliability"].items()
     ]
     if charts:
-        legend = "Covered cells, 15 bins of equal mass. Horizontal: predicted. Vertical: observed."
-        parts.append(reliability_gallery("Calibration", legend, charts))
+        parts.append(reliability_gallery("Calibration", RELIABILITY_LEGEND, charts))
     return Report(
         "Touchdown: strategies beyond the paper",
         (f"Bench {answer['bench_sha256'][:16]}, program {answer['code']}.",),

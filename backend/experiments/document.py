@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
+from types import MappingProxyType
 from typing import Any
 from xml.etree import ElementTree
 
@@ -117,12 +118,23 @@ class Report:
 
 
 def rate_entry(
-    estimate: Json, printed: float | None = None, notes: tuple[str, ...] = ()
+    estimate: Json,
+    printed: float | None = None,
+    notes: Iterable[str] = (),
+    cell: Json = MappingProxyType({}),
 ) -> TableEntry:
-    """Return a rate of 0..1 in % with its interval; ``printed``: the paper's value, shown below."""
+    """Return a rate of 0..1 in % with its interval.
+
+    ``printed``: the paper's value, shown below. ``cell``: names the jobs and their seed.
+    """
     paper = () if printed is None else (f"paper {format_percent(printed)}",)
+    jobs = tuple(cell.get("jobs", ())) or ((cell["job"],) if "job" in cell else ())
     return TableEntry(
-        format_percent(estimate.get("value")), format_interval(estimate), (*paper, *notes)
+        format_percent(estimate.get("value")),
+        format_interval(estimate),
+        (*paper, *notes),
+        jobs,
+        cell.get("seed"),
     )
 
 
@@ -188,7 +200,9 @@ def scatter_map(
     signed = bool((values < 0).any())
     low = -top if signed else 0.0
     shade = np.clip((values - low) / (top - low), 0.0, 1.0)
-    colours = _colours(shade, diverging=signed)
+    table = cv2.COLORMAP_TWILIGHT_SHIFTED if signed else cv2.COLORMAP_CIVIDIS
+    grey = np.round(255 * shade).astype(np.uint8)[:, None]
+    colours = [f"#{r:02x}{g:02x}{b:02x}" for b, g, r in cv2.applyColorMap(grey, table)[:, 0]]
     dots = [
         f'<circle cx="{_x(x, reach_mm):.1f}" cy="{_x(-y, reach_mm):.1f}" r="1.8" fill="{colour}"/>'
         for (x, y), colour in zip(points_mm, colours, strict=True)
@@ -217,6 +231,16 @@ def reliability_chart(
     ticks = _text(PAD - 8, SIDE - PAD + 4, "0") + _text(PAD - 8, PAD + 4, "1")
     ticks += _text(SIDE - PAD, SIDE - PAD + 14, "1")
     return _frame(title, box + dots + ticks + _text(SIDE / 2, SIDE - 6, note))
+
+
+RELIABILITY_LEGEND = (
+    "Covered cells, 15 bins of equal mass. Horizontal: predicted. Vertical: observed."
+)
+FILM_LEGEND = (
+    "Belief maps, 40 mm wide: yellow is support, blue is none, grey is unknown. Double line: "
+    "hull of support above 90 %. Cross: centre of mass and planned step. Dashed: the true "
+    "support, drawn after the fact."
+)
 
 
 def reliability_gallery(
@@ -281,12 +305,6 @@ def _frame(title: str, inside: str) -> str:
         f'<svg viewBox="0 0 {SIDE} {SIDE}" width="{SIDE}" height="{SIDE}" role="img" '
         f'aria-label="{escape(title)}">{_text(SIDE / 2, 16, title)}{inside}</svg>'
     )
-
-
-def _colours(shade: FloatArray, *, diverging: bool) -> list[str]:
-    table = cv2.COLORMAP_TWILIGHT_SHIFTED if diverging else cv2.COLORMAP_CIVIDIS
-    grey = np.round(255 * shade).astype(np.uint8)[:, None]
-    return [f"#{r:02x}{g:02x}{b:02x}" for b, g, r in cv2.applyColorMap(grey, table)[:, 0]]
 
 
 PAGE_STYLE = """

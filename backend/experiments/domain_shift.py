@@ -33,7 +33,12 @@ from touchdown.backend.experiments.statistics import (
     iou_change,
 )
 from touchdown.backend.experiments.strategies import count_outcomes
-from touchdown.backend.experiments.tables import TRAINING_BOTTOMS, paper_training, score_verdicts
+from touchdown.backend.experiments.tables import (
+    TRAINING_BOTTOMS,
+    paper_training,
+    score_verdicts,
+    training_job,
+)
 from touchdown.backend.jobs import JobSpec, JobStore
 from touchdown.backend.learning import DeviceName
 
@@ -112,13 +117,7 @@ class RandomisedTraining:
     def training(self) -> JobSpec:
         """Return the training job."""
         settings = paper_training(self.inputs, self.epochs)
-        params = {
-            "piece": self.piece,
-            "head": "patch",
-            "training": settings.model_dump(mode="json"),
-            "device": self.device,
-        }
-        return JobSpec("train", params, settings.seed, tuple(s.id for s in self.data()), self.code)
+        return training_job((self.piece, "patch"), settings, self.device, self.data(), self.code)
 
     def effort(self, spec: JobSpec) -> int:
         """Return the relative duration of a job (unit of ``evaluation.job_effort``)."""
@@ -197,8 +196,8 @@ class DomainShift:
             same = zip(*(cells[other, bottom, strategy] for other in WORLDS), strict=True)
             both = [all(store.has(spec.id) for spec in specs) for specs in same]
             done = [store.result(spec.id) for spec, ok in zip(jobs, both, strict=True) if ok]
-            found.setdefault((world, bottom, strategy), []).extend(done)
-            found.setdefault((world, "pooled", strategy), []).extend(done)
+            for over in (bottom, "pooled"):
+                found.setdefault((world, over, strategy), []).extend(done)
         return {
             "format": FORMAT,
             "simulated": True,
@@ -211,7 +210,7 @@ class DomainShift:
                 {"world": world, "bottom": bottom, "model": model, **press_scores(parts, model)}
                 for (world, bottom, strategy), parts in found.items()
                 if not strategy and parts
-                for model in _model_names(parts)
+                for model in parts[0]["models"]
             ],
             "changes": [change for bottom in (*self.bottoms, "pooled")
                         for change in _changes(found, bottom)],
@@ -250,16 +249,12 @@ class DomainShift:
 _Cell = tuple[str, str, str]  # world, bottom, strategy with its model ("" for presses)
 
 
-def _model_names(parts: Sequence[Mapping[str, Any]]) -> list[str]:
-    return list(parts[0]["models"])
-
-
 def _changes(found: Mapping[_Cell, Sequence[Json]], bottom: str) -> Iterator[Json]:
     """Yield the paired changes per model between worlds and between models in one world."""
     here, there = (found.get((world, bottom, ""), []) for world in WORLDS)
     if not here:
         return
-    names = _model_names(here)
+    names = list(here[0]["models"])
     across = list(zip(here, there, strict=True))
     for name in names:
         yield {"what": "drop", "bottom": bottom, "from": name, "to": name,
@@ -292,19 +287,11 @@ def press_scores(parts: Sequence[Mapping[str, Any]], model: str) -> Json:
 
 def press_rows(answer: Json) -> list[tuple[str, ...]]:
     """Return rows of IoU and stability by model and bottom: bench, second world, difference."""
-    cells = {(c["model"], c["bottom"], c["world"]): c for c in answer["presses"]}
     rows = []
-    for model, bottom in dict.fromkeys((m, b) for m, b, _ in cells):
-        here, there = (cells.get((model, bottom, world)) for world in WORLDS)
-        if here is None or there is None:
-            continue
-        row = [f"{model} {bottom}"]
+    for name, here, there in _in_both_worlds(answer["presses"], "model"):
+        row = [name]
         for get in (iou_of, stability_of):
-            row += [
-                format_interval(get(here)),
-                format_interval(get(there)),
-                format_drop(get(here), get(there)),
-            ]
+            row += _compared(get(here), get(there))
         shares = [c["stable_1"]["unsafe"]["value"] for c in (here, there)]
         unsafe = ["" if share is None else f"{100 * share:.0f}" for share in shares]
         rows.append((*row, " / ".join(unsafe)))
@@ -325,21 +312,26 @@ def trial_rows(answer: Json) -> list[tuple[str, ...]]:
     """Return rows of placed and unsafe trials by strategy and bottom: bench, second world,
     difference.
     """
-    cells = {(c["strategy"], c["bottom"], c["world"]): c for c in answer["trials"]}
     rows = []
-    for strategy, bottom in dict.fromkeys((s, b) for s, b, _ in cells):
-        here, there = (cells.get((strategy, bottom, world)) for world in WORLDS)
-        if here is None or there is None:
-            continue
-        row = [f"{strategy} {bottom}", f"{here['placed']['n']} / {there['placed']['n']}"]
-        for name in ("placed", "unsafe"):
-            row += [
-                format_interval(here[name]),
-                format_interval(there[name]),
-                format_drop(here[name], there[name]),
-            ]
+    for name, here, there in _in_both_worlds(answer["trials"], "strategy"):
+        row = [name, f"{here['placed']['n']} / {there['placed']['n']}"]
+        for rate in ("placed", "unsafe"):
+            row += _compared(here[rate], there[rate])
         rows.append(tuple(row))
     return rows
+
+
+def _in_both_worlds(cells: Sequence[Json], key: str) -> Iterator[tuple[str, Json, Json]]:
+    """Yield the name (value of ``key`` and bottom) and the cells on the bench and elsewhere."""
+    found = {(c[key], c["bottom"], c["world"]): c for c in cells}
+    for what, bottom in dict.fromkeys((what, bottom) for what, bottom, _ in found):
+        here, there = (found.get((what, bottom, world)) for world in WORLDS)
+        if here is not None and there is not None:
+            yield f"{what} {bottom}", here, there
+
+
+def _compared(here: Json, there: Json) -> list[str]:
+    return [format_interval(here), format_interval(there), format_drop(here, there)]
 
 
 def format_interval(estimate: Json) -> str:

@@ -13,13 +13,12 @@ from typing import Any
 
 import numpy as np
 
-from touchdown.backend.config import SimulationSettings, StackSettings, bench_sha256, parse_settings
+from touchdown.backend.config import SimulationSettings, StackSettings, bench_sha256
 from touchdown.backend.experiments.models import batch_model, load_model
 from touchdown.backend.experiments.statics import probe_groups, score_fused_verdicts, score_patches
 from touchdown.backend.experiments.strategies import least_probes, network_params
 from touchdown.backend.experiments.tables import CELL_SEEDS, PIECES, TABLE_BOTTOMS
 from touchdown.backend.experiments.trials import SceneSetup, stack_in_lockstep, start_scene
-from touchdown.backend.geometry import load_pieces
 from touchdown.backend.jobs import JobContext, JobSpec
 from touchdown.backend.learning import use_one_thread
 from touchdown.backend.sensing import EpisodeLimits
@@ -94,7 +93,6 @@ WORLDS: dict[str, type[BatchedTrials]] = {"bench": BatchedTrials, "elsewhere": S
 PRESSES_SEED, TRIALS_SEED = 5_000_000, 6_000_000
 GROUPS_PER_JOB, PROBES, TRIALS_PER_JOB = 10, 3, 2
 EVALUATED_STRATEGIES = ("paper", "fused", "zero-wrench")  # the last two use no model of a piece
-SLIPPED_MM = 0.02  # larger motions of a pad in one press are slip
 Json = dict[str, Any]
 
 
@@ -117,11 +115,8 @@ def press_jobs(
     return [
         JobSpec(
             "asked-presses",
-            {
-                **_bench_params(place, pair),
-                "models": dict(models),
-                "groups": min(GROUPS_PER_JOB, groups - k),
-            },
+            _bench_params(place, pair)
+            | {"models": dict(models), "groups": min(GROUPS_PER_JOB, groups - k)},
             PRESSES_SEED + _cell(pair) + place.first + k,
             tuple(sorted(set(models.values()))),
             code,
@@ -134,16 +129,11 @@ def trial_jobs(
     place: EvaluationBench, pair: tuple[str, str], strategy: tuple[str, str], trials: int, code: str
 ) -> list[JobSpec]:
     """Return the jobs of ``trials`` trials; ``strategy``: its name, and the source of its model."""
-    network = network_params(strategy[0], StackSettings())
+    params = {"strategy": strategy[0], **network_params(strategy[0], StackSettings())}
     return [
         JobSpec(
             "asked-trials",
-            {
-                **_bench_params(place, pair),
-                "strategy": strategy[0],
-                "trials": min(TRIALS_PER_JOB, trials - k),
-                **network,
-            },
+            _bench_params(place, pair) | params | {"trials": min(TRIALS_PER_JOB, trials - k)},
             TRIALS_SEED + _cell(pair) + place.first + k,
             (strategy[1],),
             code,
@@ -161,31 +151,24 @@ def job_effort(spec: JobSpec) -> int:
 
 def evaluate_presses(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
     """Press groups of probes over one bottom and score every model on the same probes."""
-    p, case = spec.params, _case(spec)
+    p = spec.params
+    case = SceneSetup.of_job(p, p["bottom"])
     use_one_thread()
     seeds = [spec.seed + g for g in range(p["groups"])]
     groups = probe_groups(case, seeds, PROBES, WORLDS[p["world"]])
     models: Json = {}
     for name, source in sorted(p["models"].items()):
         model = batch_model(load_model(source, place.store), case.piece)
-        g, n = groups.observation.shape[:2]
-        flat = groups.observation.reshape(g * n, *groups.observation.shape[2:])
-        probability = model.predict(flat).reshape(g, n, -1)
+        probability = groups.predictions(model)
         fused = score_fused_verdicts(probability, groups, model, case)
         models[name] = {**score_patches(probability, groups), "says": fused["says"]}
-    return {
-        "bench_sha256": bench_sha256(case.settings),
-        "margin_mm": [[round(float(m), 4) for m in pair] for pair in groups.margin_mm],
-        "slipped": float((groups.slip_mm > SLIPPED_MM).mean()),
-        "rejected": groups.rejected,
-        "left_out": groups.left_out,
-        "models": models,
-    }
+    return {**groups.as_json(case.settings), "models": models}
 
 
 def evaluate_trials(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
     """Run trials of one strategy; every trial counts."""
-    p, case = spec.params, _case(spec)
+    p = spec.params
+    case = SceneSetup.of_job(p, p["bottom"])
     use_one_thread()
     scenes = [scene for k in range(p["trials"]) if (scene := start_scene(case, spec.seed + k))]
     model = batch_model(load_model(spec.inputs[0], place.store), case.piece)
@@ -208,12 +191,6 @@ def _bench_params(place: EvaluationBench, pair: tuple[str, str]) -> Json:
         "piece": pair[0],
         "bottom": pair[1],
     }
-
-
-def _case(spec: JobSpec) -> SceneSetup:
-    p = spec.params
-    bench = parse_settings(SimulationSettings, p["bench"], "job")
-    return SceneSetup.of(load_pieces(), p["piece"], (p["bottom"],), bench)
 
 
 def _cell(pair: tuple[str, str]) -> int:

@@ -15,7 +15,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
 from math import pi
 from pathlib import Path
 from typing import Any
@@ -103,16 +102,11 @@ class ShapeFamily:
     unseen_faces: tuple[Outline, ...]
 
     @classmethod
-    def of(
-        cls,
-        catalogue: PieceLibrary,
-        bottoms: tuple[str, ...] = UNSEEN_BOTTOMS,
-        pieces: tuple[str, ...] = UNSEEN_PIECES,
-    ) -> ShapeFamily:
-        """Return the family without the named bottoms and pieces; raises ``InputError``."""
+    def of(cls, catalogue: PieceLibrary) -> ShapeFamily:
+        """Return the family without the bottoms and pieces of the tables."""
         return cls(
-            tuple(catalogue.bottom(name).face for name in bottoms),
-            tuple(catalogue.top(name).face for name in pieces),
+            tuple(catalogue.bottom(name).face for name in UNSEEN_BOTTOMS),
+            tuple(catalogue.top(name).face for name in UNSEEN_PIECES),
         )
 
     def bottom(self, rng: np.random.Generator, *, free: bool = False) -> Body:
@@ -196,7 +190,8 @@ def _polygon(rng: np.random.Generator, size_mm: float) -> Outline | None:
         half = 0.5 * 0.886 * size_mm * np.array([ratio, 1.0 / ratio])
         radius = float(half.min() * rng.uniform(0.2, 0.8)) if kind else 0.0
         corners = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * (half - radius)
-        arcs = radius * _circle_points(32 if kind else 1)
+        around = 2.0 * pi * np.arange(32 if kind else 1) / (32 if kind else 1)
+        arcs = radius * np.stack([np.cos(around), np.sin(around)], axis=1)
         points = (corners[:, None] + arcs).reshape(-1, 2)
     else:
         angle = np.sort(rng.uniform(0.0, 2.0 * pi, int(rng.integers(5, 12))))
@@ -209,12 +204,6 @@ def _polygon(rng: np.random.Generator, size_mm: float) -> Outline | None:
         return convex_polygon(tuple((float(x), float(y)) for x, y in hull))
     except ValueError:
         return None  # nearly collinear corners
-
-
-@lru_cache(maxsize=4)
-def _circle_points(count: int) -> FloatArray:
-    angle = 2.0 * pi * np.arange(count) / count
-    return np.stack([np.cos(angle), np.sin(angle)], axis=1)
 
 
 def _centred(polygon_mm: FloatArray) -> FloatArray:
@@ -247,7 +236,7 @@ def probe_sequences(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
     settings = parse_settings(SimulationSettings, p["bench"], "job")
     use_one_thread()
     family = ShapeFamily.of(catalogue)
-    rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence([spec.seed, _DRAWS])))
+    rng = np.random.default_rng([spec.seed, _DRAWS])
     parts = []
     for number in range(p["pieces"]):
         first = spec.seed + number * p["sequences"]
@@ -309,10 +298,8 @@ def simulate_sequences(
         for bottom, seed in zip(bottoms, seeds, strict=True)
     ]
     bench, limits, n = MixedBottomLockstep(scenes), EpisodeLimits(), len(scenes)
-    anywhere, lever = (
-        rng.random(n) < RANDOM_SEQUENCE_SHARE,
-        np.asarray(scenes[0].grip_height_mm + SENSOR_MM),
-    )
+    anywhere = rng.random(n) < RANDOM_SEQUENCE_SHARE
+    lever = np.asarray(scenes[0].grip_height_mm + SENSOR_MM)
     offset, true = np.zeros((n, probes, 2)), np.zeros((n, probes, 2))
     seen = np.zeros((n, probes, len(TICKS), CHANNELS), np.float32)
     count = np.zeros(n, np.int64)
@@ -321,9 +308,8 @@ def simulate_sequences(
         for _ in range(MAX_ATTEMPTS):
             if not len(waiting):
                 break
-            free = np.stack(
-                [draw_offset(rng, piece.face, bottoms[k].lower, 1)[0] for k in waiting.tolist()]
-            )
+            lowers = [bottoms[k].lower for k in waiting.tolist()]
+            free = np.stack([draw_offset(rng, piece.face, lower, 1)[0] for lower in lowers])
             goes = ~anywhere[waiting] & (probe > 0)
             wrench = seen[waiting, probe - 1, :, TACTILE_CHANNELS:]
             acted = acting_point_mm((wrench[:, -1] - wrench[:, 0]).astype(np.float64), lever)

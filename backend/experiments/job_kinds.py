@@ -36,6 +36,7 @@ from touchdown.backend.experiments.fusion import FUSED_KINDS
 from touchdown.backend.experiments.models import WEIGHTS, batch_model, load_model
 from touchdown.backend.experiments.run_report import FILM_FILE, belief_film
 from touchdown.backend.experiments.statics import (
+    SLIPPED_MM,
     ProbeGroups,
     join_groups,
     probe_groups,
@@ -68,7 +69,6 @@ from touchdown.backend.sensing import EpisodeLimits
 from touchdown.backend.simulation import BatchPlan, Scene
 from touchdown.backend.simulation import simulate_episodes as simulated
 
-SLIPPED_MM = 0.02  # larger motions of a pad in one press are slip
 GROUPS_PER_BATCH = 50
 PAIRS = 3
 FILMS_PER_CELL = 2  # number of trials per stacking cell stored as pictures
@@ -147,8 +147,8 @@ def stability_rows(rows: TrainingRows) -> TrainingRows:
 
 def evaluate_static(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
     """Press groups of probes over one bottom and score every model on the same probes."""
-    p, catalogue = spec.params, load_pieces()
-    case = SceneSetup.of(catalogue, p["piece"], (p["bottom"],), _bench(p))
+    p = spec.params
+    case = SceneSetup.of_job(p, p["bottom"])
     use_one_thread()
     seeds = [spec.seed + g for g in range(p["groups"])]
     chunks = [seeds[k : k + GROUPS_PER_BATCH] for k in range(0, len(seeds), GROUPS_PER_BATCH)]
@@ -157,21 +157,12 @@ def evaluate_static(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
         name: _scores(load_model(source, place.store), case, groups)
         for name, source in sorted(p["models"].items())
     }
-    return {
-        "bench_sha256": bench_sha256(case.settings),
-        "margin_mm": groups.margins_as_json(),
-        "slipped": float((groups.slip_mm > SLIPPED_MM).mean()),
-        "rejected": groups.rejected,
-        "left_out": groups.left_out,
-        "models": models,
-    }
+    return {**groups.as_json(case.settings), "models": models}
 
 
 def _scores(checkpoint: Checkpoint, case: SceneSetup, groups: ProbeGroups) -> dict[str, Any]:
     model = batch_model(checkpoint, case.piece)
-    g, p = groups.observation.shape[:2]
-    flat = groups.observation.reshape(g * p, *groups.observation.shape[2:])
-    probability = model.predict(flat).reshape(g, p, -1)
+    probability = groups.predictions(model)
     about = {"weights_sha256": checkpoint.card.weights_sha256}
     if checkpoint.card.answers == "stability":
         return {**about, "says": {"1": [bool(v) for v in probability[:, 0, 0] > CONTACT_LEVEL]}}
@@ -185,7 +176,7 @@ def _scores(checkpoint: Checkpoint, case: SceneSetup, groups: ProbeGroups) -> di
 def run_stacking(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
     """Run the trials of one cell; every trial counts."""
     p = spec.params
-    case = _case(p)
+    case = SceneSetup.of_job(p, *p["bottoms"])
     use_one_thread()
     scenes, left_out = _counted(case, spec)
     settings, limits = StackSettings(), EpisodeLimits()
@@ -232,18 +223,13 @@ def run_on_devices(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
         trials=p["trials"],
         model=str(place.store.folder(source) / WEIGHTS),
     )
-    results: list[TrialFinished] = []
-
-    def note(fact: Event) -> None:
-        if isinstance(fact, TrialFinished):
-            results.append(fact)
-
+    results: list[Event] = []
     # A fault ends a run, so each trial is a run of its own.
-    for scene in _counted(_case(p), spec)[0]:
+    for scene in _counted(SceneSetup.of_job(p, *p["bottoms"]), spec)[0]:
         session = simulated_session(
             SimulatedBenchChoice(given=_bench(p)), keep=RecordingOptions(None)
         )
-        session.events.subscribe(note)
+        session.events.subscribe(results.append)
         try:
             session.run(replace(request, seed=scene.seed, trials=1))
         finally:
@@ -253,6 +239,7 @@ def run_on_devices(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
         "trials": [
             {"seed": e.seed, "outcome": e.outcome.value, "reason": e.reason, "probes": e.probes}
             for e in results
+            if isinstance(e, TrialFinished)
         ],
     }
 
@@ -295,10 +282,6 @@ def _rounded(values: FloatArray | NDArray[np.float32], digits: int = 3) -> list[
 
 def _rms(values: FloatArray) -> float:
     return round(float(np.sqrt(np.mean(values**2))), 5)
-
-
-def _case(params: Mapping[str, Any]) -> SceneSetup:
-    return SceneSetup.of(load_pieces(), params["piece"], tuple(params["bottoms"]), _bench(params))
 
 
 def _bench(params: Mapping[str, Any]) -> SimulationSettings:

@@ -37,27 +37,22 @@ def adopt_models(store: JobStore, *folders: Path) -> dict[tuple[str, str], str]:
     A later folder takes precedence. Raises ``InputError`` for an empty folder, or for two models of
     one folder for the same cells.
     """
+    names = {(inputs, head): name for name, inputs, head in MODELS}
     found: dict[tuple[str, str], str] = {}
     for folder in folders:
-        found |= _adopted(store, folder)
-    return found
-
-
-def _adopted(store: JobStore, folder: Path) -> dict[tuple[str, str], str]:
-    found: dict[tuple[str, str], str] = {}
-    for path in sorted(folder.glob("*.safetensors")):
-        card = load_card(path)
-        names = [n for n, inputs, head in MODELS if (inputs, head) == (card.modality, card.answers)]
-        if not names:
-            continue
-        key = (card.piece, names[0])
-        if key in found:
-            raise InputError(
-                f"There are two models for {' '.join(key)}.", str(path), "Remove one of them."
-            )
-        found[key] = _adopt(store, path, card.weights_sha256)
-    if not found:
-        raise InputError("There are no models here.", str(folder), "Name a folder of models.")
+        own: dict[tuple[str, str], str] = {}
+        for path in sorted(folder.glob("*.safetensors")):
+            card = load_card(path)
+            if (card.modality, card.answers) not in names:
+                continue
+            key = (card.piece, names[card.modality, card.answers])
+            if key in own:
+                what = f"There are two models for {' '.join(key)}."
+                raise InputError(what, str(path), "Remove one of them.")
+            own[key] = _adopt(store, path, card.weights_sha256)
+        if not own:
+            raise InputError("There are no models here.", str(folder), "Name a folder of models.")
+        found |= own
     return found
 
 

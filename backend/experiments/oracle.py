@@ -40,7 +40,6 @@ from touchdown.backend.simulation import (
     Conditions,
     GraspHistory,
     GripDraw,
-    MarkerModel,
     MountingDraw,
     ProbeDraw,
     Region,
@@ -53,7 +52,7 @@ from touchdown.backend.simulation import (
     join_support_stacks,
     observe_presses,
     onset_rule,
-    press_batch,
+    press_with_noise,
     support_stack,
 )
 
@@ -151,14 +150,8 @@ def predict_press(
     rule = onset_rule(settings, setting.probe)
     still = _errorless(settings)
     noise = [_noise(settings, still, setting.probe, rng) for _ in range(worlds.count)]
-    pressed = press_batch(
-        state.on(_stand(setting, value), splits=0),
-        np.array([n.phase_s for n in noise]),
-        np.stack([n.force_n for n in noise]),
-        setting.probe,
-        rule,
-        1e-6 * settings.cycle_us,
-    )
+    state = state.on(_stand(setting, value), splits=0)
+    pressed = press_with_noise(state, noise, settings, setting.probe, rule)
     moved = value.copy()
     slip = (pressed.state.slip - worlds.carried.slip)[:, :, 0].mean(axis=1)
     moved[:, SHIFT_X] += slip
@@ -167,9 +160,7 @@ def predict_press(
     moved[:, MU] = rng.standard_normal(worlds.count)
     moved[:, :TILT_X] += settings.spread.label_error_mm * rng.standard_normal((worlds.count, 2))
     after = HypothesisEnsemble(moved, GraspHistory(pressed.state.slip, pressed.state.relaxed))
-    seen = observe_presses(
-        pressed, conditions, still, noise, MarkerModel(gel_from_settings(settings))
-    )
+    seen = observe_presses(pressed, conditions, still, noise, gel_from_settings(settings))
     return PredictedPress(
         seen, after, pressed.detected & (pressed.state.residual <= RESIDUAL_LIMIT)
     )
@@ -204,9 +195,11 @@ def _conditions(setting: OracleSetting, value: FloatArray) -> Conditions:
     draws = []
     for v in value:
         tilt = np.clip(spread.tilt_rad * v[[TILT_X, TILT_Y]], -0.02, 0.02)
-        mounting = MountingDraw(
-            (float(tilt[0]), float(tilt[1])), (0.0, 0.0), _foundation(settings, v[STIFFNESS])
-        )
+        foundation = settings.face.foundation_n_mm3
+        if settings.face.foundation_range_n_mm3 is not None:
+            low, high = np.log(settings.face.foundation_range_n_mm3)
+            foundation = float(np.exp(low + (high - low) * _share(v[[STIFFNESS]])[0]))
+        mounting = MountingDraw((float(tilt[0]), float(tilt[1])), (0.0, 0.0), foundation)
         grasp = np.clip(spread.grasp_offset_mm * v[[GRASP_X, GRASP_Z]], -2.0, 2.0)
         gain = np.clip(1.0 + spread.gain * v[[GAIN_LEFT, GAIN_RIGHT]], 0.8, 1.2)
         grip_n = setting.probe.grip_force_n + spread.grip_force_n * v[GRIP]
@@ -224,14 +217,6 @@ def _conditions(setting: OracleSetting, value: FloatArray) -> Conditions:
     height = setting.piece.grip_height_mm
     assert height is not None
     return conditions_from_draws(settings, setting.probe, height, setting.piece.width_mm, draws)
-
-
-def _foundation(settings: SimulationSettings, score: float) -> float:
-    between = settings.face.foundation_range_n_mm3
-    if between is None:
-        return settings.face.foundation_n_mm3
-    low, high = np.log(between)
-    return float(np.exp(low + (high - low) * _share(np.array([score]))[0]))
 
 
 def _share(score: FloatArray) -> FloatArray:
@@ -285,7 +270,7 @@ class OracleStrategy:
 
     def __init__(self, setting: OracleSetting, origin_mm: XY, seed: int) -> None:
         self._setting, self._origin = setting, origin_mm
-        self._rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, 991])))
+        self._rng = np.random.default_rng([seed, 991])
         self._signals = SignalFeatures(setting)
         self.worlds = draw_hypotheses(setting, origin_mm, ENSEMBLE_SIZE, self._rng)
         self._probes = 0
@@ -426,7 +411,8 @@ def select_likely(
     The likelihood of ``seen`` (F,) given ``predicted`` (n, F) is flattened until the effective
     sample size is ``KEPT_SHARE`` of n: outliers are dropped, no single hypothesis dominates.
     """
-    misfit = np.where(usable | ~usable.any(), _misfit(predicted, seen, spread), np.inf)
+    whitened = np.linalg.solve(np.linalg.cholesky(spread), (predicted - seen).T)
+    misfit = np.where(usable | ~usable.any(), (whitened**2).sum(axis=0), np.inf)
     misfit -= misfit.min()
     low, high = 1e-9, 1.0
     for _ in range(60):
@@ -439,11 +425,6 @@ def select_likely(
     ends = np.cumsum(weight) / weight.sum()
     places = (np.arange(len(predicted)) + rng.random()) / len(predicted)
     return np.asarray(np.minimum(np.searchsorted(ends, places), len(predicted) - 1), dtype=np.intp)
-
-
-def _misfit(predicted: FloatArray, seen: FloatArray, spread: FloatArray) -> FloatArray:
-    root = np.linalg.cholesky(spread)
-    return np.asarray((np.linalg.solve(root, (predicted - seen).T) ** 2).sum(axis=0))
 
 
 def assimilate(

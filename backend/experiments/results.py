@@ -6,7 +6,8 @@ A file of another format and a damaged file raise ``InputError``.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -22,6 +23,8 @@ from touchdown.backend.experiments.comparison import (
     quantity_label,
 )
 from touchdown.backend.experiments.document import (
+    FILM_LEGEND,
+    RELIABILITY_LEGEND,
     PictureGallery,
     Report,
     ReportPicture,
@@ -48,6 +51,7 @@ from touchdown.backend.experiments.tables import (
     TABLE_BOTTOMS,
     TABLES_FORMAT,
     TOWER,
+    UNSAFE_OUTCOMES,
     Recipe,
     table_results,
 )
@@ -68,7 +72,6 @@ TITLES = {
     "pick-and-place": "Pick and place",
 }
 TABLE_2_PROBES = "3"  # number of probes in Table 2 by strategy
-UNSAFE_OUTCOMES = (Outcome.FELL.value, Outcome.KNOCKED_OVER.value)
 
 
 def strategy_sections(tables: JsonMapping) -> list[ReportSection]:
@@ -132,13 +135,7 @@ def _names(cells: Cells) -> list[str]:
 
 def _stacking_section(cells: Cells, sources: Sequence[str]) -> ReportSection:
     names = _names(cells)
-    rows = [
-        (
-            _cell_title(place),
-            tuple(_loop(own[name]) if name in own else TableEntry("") for name in names),
-        )
-        for place, own in cells.items()
-    ]
+    rows = _cell_rows(cells, names, _loop)
     for title, tower in (("Pooled, one bottom", False), ("Pooled, two bottoms", True)):
         some = [own for (_, bottom), own in cells.items() if ("+" in bottom) is tower]
         if some:
@@ -171,10 +168,7 @@ def _loop(cell: JsonMapping) -> TableEntry:
         spare = cell.get("excess_probes_median")
         more = "" if spare is None else f", {spare:.0f} spare"
         notes.append(f"{cell['probes']:.1f} probes{more}")
-    shown = rate_entry(cell["placed"], notes=tuple(notes))
-    return TableEntry(
-        shown.value, shown.interval, shown.notes, tuple(cell.get("jobs", ())), cell.get("seed")
-    )
+    return rate_entry(cell["placed"], None, notes, cell)
 
 
 def _pooled_loop(places: Sequence[Mapping[str, JsonMapping]], name: str) -> TableEntry:
@@ -191,7 +185,7 @@ def _pooled_loop(places: Sequence[Mapping[str, JsonMapping]], name: str) -> Tabl
         notes.append(
             f"paper's {format_percent(theirs['value'])}, unsafe {format_percent(fell['value'])}"
         )
-    return rate_entry(placed, notes=tuple(notes))
+    return rate_entry(placed, None, notes)
 
 
 def _shares(cells: Sequence[JsonMapping]) -> tuple[JsonMapping, JsonMapping]:
@@ -207,13 +201,7 @@ def _static_section(cells: Cells) -> ReportSection | None:
     if not any(name != PAPER for place in cells.values() for name in place):
         return None
     names = _names(cells)
-    rows = tuple(
-        (
-            _cell_title(place),
-            tuple(_verdict(own[name]) if name in own else TableEntry("") for name in names),
-        )
-        for place, own in cells.items()
-    )
+    rows = tuple(_cell_rows(cells, names, _verdict))
     text = (
         f"Does it rather stand than fall at the place of the first probe, after {TABLE_2_PROBES}? "
         "Right, %; below it the balanced accuracy after 1, 2, 3 and 5 probes, and what would be "
@@ -233,10 +221,7 @@ def _verdict(cell: JsonMapping) -> TableEntry:
         f"released {format_percent(found)}, unsafe {format_percent(unsafe)}",
         f"{cell['count']} places",
     )
-    shown = rate_entry(likely[TABLE_2_PROBES]["accuracy"], notes=notes)
-    return TableEntry(
-        shown.value, shown.interval, notes, tuple(cell.get("jobs", ())), cell.get("seed")
-    )
+    return rate_entry(likely[TABLE_2_PROBES]["accuracy"], None, notes, cell)
 
 
 def _oracle_share_section(rows: Sequence[JsonMapping]) -> ReportSection | None:
@@ -279,18 +264,25 @@ def _strategy_reliability(answers: Iterable[JsonMapping]) -> ReportSection | Non
     ]
     if not charts:
         return None
-    text = "Covered cells, 15 bins of equal mass. Horizontal: predicted. Vertical: observed."
-    return ReportSection("Calibration by strategy", (text,), (reliability_gallery("", "", charts),))
+    gallery = reliability_gallery("", "", charts)
+    return ReportSection("Calibration by strategy", (RELIABILITY_LEGEND,), (gallery,))
 
 
 def _strategy_columns(names: Sequence[str]) -> tuple[tuple[str, str], ...]:
     return tuple((TITLES.get(name, name), "") for name in names)
 
 
-def _cell_title(place: tuple[str, str]) -> str:
-    piece, bottom = place
-    over = " on ".join(reversed(bottom.split("+")))
-    return f"{piece.title()} on {over}"
+def _cell_rows(
+    cells: Cells, names: Sequence[str], entry: Callable[[JsonMapping], TableEntry]
+) -> list[tuple[str, tuple[TableEntry, ...]]]:
+    """Return one row per piece and bottom, with an entry per strategy."""
+    return [
+        (
+            f"{piece.title()} on {' on '.join(reversed(bottom.split('+')))}",
+            tuple(entry(own[name]) if name in own else TableEntry("") for name in names),
+        )
+        for (piece, bottom), own in cells.items()
+    ]
 
 
 def report_of(tables: JsonMapping) -> Report:
@@ -364,12 +356,8 @@ def _table3(rows: Sequence[JsonMapping]) -> ReportSection:
         for row in chosen:
             name = "Pick and place" if row["strategy"] == "pick-and-place" else "Ours"
             unsafe = row["unsafe"]
-            fell = (
-                (f"fell {format_percent(unsafe['value'])} % of {unsafe['n']}",)
-                if unsafe["n"]
-                else ()
-            )
-            total = rate_entry(row["pooled"], row["paper_pooled"], fell)
+            fell = [f"fell {format_percent(unsafe['value'])} % of {unsafe['n']}"]
+            total = rate_entry(row["pooled"], row["paper_pooled"], fell if unsafe["n"] else ())
             lines.append((name, (*(_stacking_cell(cell) for cell in row["cells"]), total)))
         columns = _table_columns(chosen[0]["cells"], "pooled")
         grids.append(ReportTable(f"{title}: placed, %", columns, tuple(lines)))
@@ -389,9 +377,7 @@ def _cell(
     cell: JsonMapping, estimate: JsonMapping | None = None, notes: tuple[str, ...] = ()
 ) -> TableEntry:
     """Return an entry with the common parts of a cell; ``estimate``: its value."""
-    entry = rate_entry(cell if estimate is None else estimate, cell["paper"], notes)
-    jobs = (cell["job"],) if "job" in cell else ()
-    return TableEntry(entry.value, entry.interval, entry.notes, jobs, cell.get("seed"))
+    return rate_entry(cell if estimate is None else estimate, cell["paper"], notes, cell)
 
 
 def _stability_cell(cell: JsonMapping) -> TableEntry:
@@ -502,11 +488,6 @@ def _ambiguous_pair(number: int, pair: JsonMapping, twins: JsonMapping) -> Pictu
 def _film_section(films: Sequence[JsonMapping]) -> ReportSection | None:
     if not films:
         return None
-    legend = (
-        "Belief maps, 40 mm wide: yellow is support, blue is none, grey is unknown. Double line: "
-        "hull of support above 90 %. Cross: centre of mass and planned step. Dashed: the true "
-        "support, drawn after the fact."
-    )
     strips = []
     for film in films:
         probes = tuple(
@@ -514,7 +495,7 @@ def _film_section(films: Sequence[JsonMapping]) -> ReportSection | None:
             for number, probe in enumerate(film["probes"], 1)
         )
         strips.append(PictureGallery(film["title"], probes, end=film["end"]))
-    return ReportSection("Belief maps by probe", (legend,), tuple(strips))
+    return ReportSection("Belief maps by probe", (FILM_LEGEND,), tuple(strips))
 
 
 MAX_BYTES = 64 * 2**20  # a full report has about 1 MB
@@ -527,23 +508,19 @@ def read_report(file: Path) -> tuple[Json, Report]:
     """Return the content of a ``tables.json`` and its report; raises ``InputError``."""
     fix = "Name a tables.json, as `touchdown experiment tables` writes it."
     found = _read(file, (TABLES_FORMAT,), fix)
-    try:
+    with _checked_content(file, fix):
         return found, report_of(found)
-    except CONTENT_ERRORS as error:
-        raise InputError(_damaged(error), str(file), fix) from error
 
 
 def read_beyond(file: Path) -> Json:
     """Return the content of a ``beyond.json``; raises ``InputError``."""
     fix = "Name a beyond.json, as `touchdown experiment beyond` writes it."
     found = _read(file, BEYOND_READABLE, fix)
-    try:
+    with _checked_content(file, fix):
         strategy_sections({"table2": [], "table3": [], "beyond": [found]})
         str(found["bench_sha256"])
         parse_trials(found)
         parse_verdicts(found)
-    except CONTENT_ERRORS as error:
-        raise InputError(_damaged(error), str(file), fix) from error
     return found
 
 
@@ -568,8 +545,13 @@ def _read(file: Path, wanted: tuple[str, ...], fix: str) -> Json:
     return dict(found)
 
 
-def _damaged(error: Exception) -> str:
-    return f"Its content is damaged ({type(error).__name__}: {error})."
+@contextmanager
+def _checked_content(file: Path, fix: str) -> Iterator[None]:
+    try:
+        yield
+    except CONTENT_ERRORS as error:
+        what = f"Its content is damaged ({type(error).__name__}: {error})."
+        raise InputError(what, str(file), fix) from error
 
 
 PAGE, DATA = "tables.html", "tables.json"
@@ -618,15 +600,19 @@ def rewrite_tables(file: Path, compared: Sequence[Path]) -> Path:
     or a comparison on another bench.
     """
     found = dict(read_report(file)[0])
-    answers = []
-    for path in compared:
-        answer = read_beyond(path)
+    answers = list(map(read_beyond, compared))
+    for path, answer in zip(compared, answers, strict=True):
         if answer["bench_sha256"] != found["bench_sha256"]:
             raise InputError("It belongs to another bench.", str(path), f"Leave it out of {file}.")
-        answers.append(answer)
     if answers:
         found["beyond"] = answers
-        found["gaps"] = _oracle_shares_over(compared, answers)
+        try:
+            found["gaps"] = merged_oracle_shares(
+                list(zip(map(str, compared), answers, strict=True))
+            )
+        except InputError:
+            # Files that share a cell: the shares of each.
+            found["gaps"] = [row for answer in answers for row in answer.get("gaps") or ()]
     return _written(file, found)
 
 
@@ -634,22 +620,17 @@ def _written(file: Path, found: Json) -> Path:
     """Write the page beside ``file``, then the file; return the path of the page."""
     page = file.with_suffix(".html")
     write_atomically(page, report_page(report_of(found)).encode())
-    write_atomically(file, json.dumps(found, indent=1, sort_keys=True).encode() + b"\n")
+    write_atomically(file, _json_bytes(found))
     return page
 
 
-def _oracle_shares_over(files: Sequence[Path], answers: Sequence[Json]) -> list[Json]:
-    """Return the oracle shares over all files, or those of each file if files share a cell."""
-    try:
-        return merged_oracle_shares([(str(f), a) for f, a in zip(files, answers, strict=True)])
-    except InputError:
-        return [row for answer in answers for row in answer.get("gaps") or ()]
+def _json_bytes(content: Mapping[str, Any]) -> bytes:
+    return json.dumps(content, indent=1, sort_keys=True).encode() + b"\n"
 
 
 def write_comparison(out: Path, answer: Mapping[str, Any]) -> Path:
     """Write a comparison of strategies; tables written to the same folder include it."""
-    content = json.dumps(answer, indent=1, sort_keys=True).encode() + b"\n"
-    write_atomically(out / BEYOND_DATA, content)
+    write_atomically(out / BEYOND_DATA, _json_bytes(answer))
     write_atomically(out / BEYOND_PAGE, report_page(comparison_report(answer)).encode())
     write_atomically(out / BEYOND_TABLES, to_markdown(comparison_tables(answer)).encode())
     return out / BEYOND_DATA

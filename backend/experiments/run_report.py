@@ -9,14 +9,14 @@ import base64
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from touchdown.backend.core import (
     ActionChosen,
-    BeliefMap,
     BeliefUpdated,
     Episode,
     EpisodeRecorded,
@@ -31,6 +31,10 @@ from touchdown.backend.core import (
     write_atomically,
 )
 from touchdown.backend.experiments.document import (
+    BLUE,
+    FILM_LEGEND,
+    ORANGE,
+    VIOLET,
     PictureGallery,
     Report,
     ReportPicture,
@@ -41,14 +45,10 @@ from touchdown.backend.experiments.document import (
 from touchdown.backend.experiments.trials import BatchTrialResult
 
 WIDTH_PX = 230
-AXIS_COLOURS = ("#005FCC", "#C04A00", "#3A0D3F")
 
 
-def _map_png(belief: BeliefMap) -> str:
-    grey = np.round(255 * belief.probability[::-1]).astype(np.uint8)
-    ok, png = cv2.imencode(".png", cv2.applyColorMap(grey, cv2.COLORMAP_CIVIDIS))
-    assert ok
-    return base64.b64encode(png.tobytes()).decode("ascii")
+def _base64(image: NDArray[np.uint8]) -> str:
+    return base64.b64encode(image.tobytes()).decode("ascii")
 
 
 def belief_svg(
@@ -63,6 +63,8 @@ def belief_svg(
     The view is ``2 view_mm`` wide around the centre of the map; y points up.
     """
     belief = updated.belief
+    grey = np.round(255 * belief.probability[::-1]).astype(np.uint8)
+    _, png = cv2.imencode(".png", cv2.applyColorMap(grey, cv2.COLORMAP_CIVIDIS))
     ny, nx = belief.log_odds.shape
     half = 0.5 * belief.pitch_mm
     left, bottom = belief.origin_mm[0] - half, belief.origin_mm[1] - half
@@ -75,7 +77,7 @@ def belief_svg(
         f'<image x="{left}" y="{-(bottom + ny * belief.pitch_mm)}" '
         f'width="{nx * belief.pitch_mm}" height="{ny * belief.pitch_mm}" '
         'preserveAspectRatio="none" style="image-rendering:pixelated" '
-        f'href="data:image/png;base64,{_map_png(belief)}"/>',
+        f'href="data:image/png;base64,{_base64(png)}"/>',
     ]
     if true_outline_mm is not None:
         parts.append(_polygon(true_outline_mm, "#ffffff", 0.25, dash="0.8 0.8"))
@@ -105,7 +107,7 @@ def wrench_svg(episode: Episode) -> str:
     force = episode.observation[:, 252:255].astype(np.float64)
     top = max(1.0, float(np.nanmax(np.abs(force))))
     lines = []
-    for axis, colour in enumerate(AXIS_COLOURS):
+    for axis, colour in enumerate((BLUE, ORANGE, VIOLET)):
         points = " ".join(
             f"{10 * (k + 1):.1f},{30 - 26 * v / top:.1f}" for k, v in enumerate(force[:, axis])
         )
@@ -129,12 +131,10 @@ def tactile_png(episode: Episode) -> str:
         return ""
     both = cv2.hconcat([last["left"], last["right"]])
     small = cv2.resize(both, (WIDTH_PX * 2, WIDTH_PX * 3 // 4), interpolation=cv2.INTER_AREA)
-    ok, jpeg = cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, 85])
-    assert ok
-    data = base64.b64encode(jpeg.tobytes()).decode("ascii")
+    _, jpeg = cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, 85])
     return (
         f'<img alt="Tactile images, left and right finger" width="{WIDTH_PX}" '
-        f'src="data:image/jpeg;base64,{data}"/>'
+        f'src="data:image/jpeg;base64,{_base64(jpeg)}"/>'
     )
 
 
@@ -163,22 +163,23 @@ def belief_film(end: BatchTrialResult, outline_mm: FloatArray) -> Mapping[str, A
     return {"end": f"Seed {end.seed}: {word}. {end.reason}", "probes": probes}
 
 
-_LEGEND = (
-    "Belief maps, 40 mm wide: yellow is support, blue is none, grey is unknown. Double line: hull "
-    "of support above 90 %. Cross: centre of mass and planned step. Dashed: the true support, "
-    "drawn after the fact. Below: forces of the press, and both tactile images at its end."
-)
+_LEGEND = f"{FILM_LEGEND} Below: forces of the press, and both tactile images at its end."
+
+
+_AnyEvent = TypeVar("_AnyEvent", bound=Event)
 
 
 @dataclass
 class _TrialRecord:
     started: TrialStarted
-    beliefs: list[BeliefUpdated] = field(default_factory=list)
-    judged: list[StabilityJudged] = field(default_factory=list)
-    chosen: list[ActionChosen] = field(default_factory=list)
-    episodes: dict[int, EpisodeRecorded] = field(default_factory=dict)
-    faults: list[FaultRaised] = field(default_factory=list)
-    finished: TrialFinished | None = None
+    events: list[Event] = field(default_factory=list)
+
+    def of(self, kind: type[_AnyEvent]) -> list[_AnyEvent]:
+        return [event for event in self.events if isinstance(event, kind)]
+
+    @property
+    def finished(self) -> TrialFinished | None:
+        return next(iter(self.of(TrialFinished)), None)
 
 
 def write_run_report(
@@ -231,23 +232,8 @@ def _split_trials(facts: Iterable[Event]) -> tuple[RunStarted | None, list[_Tria
         elif isinstance(fact, TrialStarted):
             trials.append(_TrialRecord(fact))
         elif trials:
-            _add_event(trials[-1], fact)
+            trials[-1].events.append(fact)
     return head, trials
-
-
-def _add_event(trial: _TrialRecord, fact: Event) -> None:
-    if isinstance(fact, BeliefUpdated):
-        trial.beliefs.append(fact)
-    elif isinstance(fact, StabilityJudged):
-        trial.judged.append(fact)
-    elif isinstance(fact, ActionChosen):
-        trial.chosen.append(fact)
-    elif isinstance(fact, EpisodeRecorded):
-        trial.episodes[fact.probe] = fact
-    elif isinstance(fact, FaultRaised):
-        trial.faults.append(fact)
-    elif isinstance(fact, TrialFinished):
-        trial.finished = fact
 
 
 def _result(trial: _TrialRecord) -> tuple[str, str, str]:
@@ -260,11 +246,13 @@ def _result(trial: _TrialRecord) -> tuple[str, str, str]:
 
 def _gallery(title: str, trial: _TrialRecord, outline_mm: FloatArray | None) -> PictureGallery:
     pictures = []
-    for updated, judged, chosen in zip(trial.beliefs, trial.judged, trial.chosen, strict=False):
+    episodes = {recorded.probe: recorded for recorded in trial.of(EpisodeRecorded)}
+    panels = trial.of(BeliefUpdated), trial.of(StabilityJudged), trial.of(ActionChosen)
+    for updated, judged, chosen in zip(*panels, strict=False):
         drawing = belief_svg(updated, judged, chosen, outline_mm)
-        if recorded := trial.episodes.get(updated.probe):
+        if recorded := episodes.get(updated.probe):
             drawing += wrench_svg(recorded.episode) + tactile_png(recorded.episode)
         pictures.append(ReportPicture(drawing, f"Probe {updated.probe}", chosen.action.reason))
     reason = "Interrupted." if trial.finished is None else trial.finished.reason
-    end = " ".join([*(event.fault.what for event in trial.faults), reason])
+    end = " ".join([*(event.fault.what for event in trial.of(FaultRaised)), reason])
     return PictureGallery(title, tuple(pictures), end=end)

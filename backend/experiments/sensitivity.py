@@ -98,10 +98,8 @@ class NuisanceSensitivity:
         reference, _ = self._cell(nuisance, 1.0)
         for factor in FACTORS:
             press_specs, trial_specs = self._cell(nuisance, factor)
-            presses, trials = (
-                _finished_results(press_specs, store),
-                _finished_results(trial_specs, store),
-            )
+            presses = _finished_results(press_specs, store)
+            trials = _finished_results(trial_specs, store)
             if not presses:
                 continue
             row: Json = {"factor": factor, **press_scores(presses, _MODEL)}
@@ -116,15 +114,11 @@ class NuisanceSensitivity:
                 for bottom in self.bottoms
             }
             if trials:
-                row["trials"] = count_outcomes(
-                    [trial for part in trials for trial in part["trials"]]
-                )
+                row["trials"] = count_outcomes([t for part in trials for t in part["trials"]])
             yield row
 
     def _cell(self, nuisance: Nuisance, factor: float) -> tuple[list[JobSpec], list[JobSpec]]:
-        # Factor 1 is the unchanged bench for every nuisance.
-        bench = self.bench if factor == 1.0 else scale_nuisance(self.bench, nuisance, factor)
-        place = EvaluationBench("bench", bench)
+        place = EvaluationBench("bench", scale_nuisance(self.bench, nuisance, factor))
         presses: list[JobSpec] = []
         trials: list[JobSpec] = []
         for bottom in self.bottoms:

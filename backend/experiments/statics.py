@@ -13,14 +13,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.backend.config import BeliefSettings, StabilitySettings
+from touchdown.backend.config import (
+    BeliefSettings,
+    SimulationSettings,
+    StabilitySettings,
+    bench_sha256,
+)
 from touchdown.backend.core import ContactPatch, FloatArray
 from touchdown.backend.experiments.statistics import reliability_curve
 from touchdown.backend.experiments.trials import (
     BatchModel,
     SceneSetup,
     balanced_offset,
+    pair_of,
     probing_scene,
+    rounded_margins,
     uniform_offset,
 )
 from touchdown.backend.geometry import face_points, judge_tower
@@ -30,6 +37,7 @@ from touchdown.backend.sensing import EpisodeLimits
 from touchdown.backend.simulation import BatchedTrials, tower_with_piece
 
 ATTEMPTS = 30
+SLIPPED_MM = 0.02  # larger motions of a pad in one press are slip
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,12 +61,21 @@ class ProbeGroups:
     rejected: int
     left_out: int
 
-    def margins_as_json(self) -> list[list[float | None]]:
-        """Return ``margin_mm`` rounded; a margin without support is None."""
-        return [
-            [round(float(m), DIGITS) if np.isfinite(m) else None for m in pair]
-            for pair in self.margin_mm
-        ]
+    def predictions(self, model: BatchModel) -> FloatArray:
+        """Return the contact probabilities (g, p, N) of a model."""
+        g, p = self.observation.shape[:2]
+        flat = self.observation.reshape(g * p, *self.observation.shape[2:])
+        return model.predict(flat).reshape(g, p, -1)
+
+    def as_json(self, bench: SimulationSettings) -> dict[str, Any]:
+        """Return margins, slip and counts; a margin without support is None."""
+        return {
+            "bench_sha256": bench_sha256(bench),
+            "margin_mm": [rounded_margins(pair) for pair in self.margin_mm],
+            "slipped": float((self.slip_mm > SLIPPED_MM).mean()),
+            "rejected": self.rejected,
+            "left_out": self.left_out,
+        }
 
 
 def probe_groups(
@@ -82,14 +99,17 @@ def probe_groups(
     for probe in range(probes):
         waiting = going
         for attempt in range(ATTEMPTS):
-            wanted = np.stack([_offset(case, seeds[g], g, probe, attempt) for g in waiting])
-            press = bench.press(waiting, wanted)
-            good = (
-                press.valid
-                & (press.press_n >= limits.contact_n)
-                & (press.slip_mm <= limits.slip_mm)
+            wanted = np.stack(
+                [
+                    uniform_offset(case, seeds[g], probe, attempt)
+                    if probe
+                    else balanced_offset(case, seeds[g], attempt, stable=g % 2 == 0)
+                    for g in waiting
+                ]
             )
-            good &= ~press.toppled
+            press = bench.press(waiting, wanted)
+            good = press.valid & (press.press_n >= limits.contact_n) & ~press.toppled
+            good &= press.slip_mm <= limits.slip_mm
             rows = np.array(waiting)[good]
             offset[rows, probe], true[rows, probe] = wanted[good], press.true_mm[good]
             seen[rows, probe], slip[rows, probe] = press.observation[good], press.slip_mm[good]
@@ -103,8 +123,8 @@ def probe_groups(
     seen, offset, true, slip = seen[going], offset[going], true[going], slip[going]
     outline = case.bottoms[0].face
     verdicts = [
-        judge_tower(tower_with_piece(scenes[g], (float(x), float(y)), bench.grippings[g].yaw_rad))
-        for g, (x, y) in zip(going, true[:, 0], strict=True)
+        judge_tower(tower_with_piece(scenes[g], pair_of(at), bench.grippings[g].yaw_rad))
+        for g, at in zip(going, true[:, 0], strict=True)
     ]
     return ProbeGroups(
         seen,
@@ -127,12 +147,6 @@ def join_groups(parts: Sequence[ProbeGroups]) -> ProbeGroups:
         name: np.concatenate([getattr(part, name) for part in parts]) for name in names
     }
     return ProbeGroups(**joined, **{name: sum(getattr(p, name) for p in parts) for name in counts})
-
-
-def _offset(case: SceneSetup, seed: int, group: int, probe: int, attempt: int) -> FloatArray:
-    if probe == 0:
-        return balanced_offset(case, seed, attempt, stable=group % 2 == 0)
-    return uniform_offset(case, seed, probe, attempt)
 
 
 PROBE_COUNTS = (1, 2, 3, 5)
@@ -168,11 +182,11 @@ def score_fused_verdicts(
     promised, real = [], []
     iou: list[float] = []
     for g in range(len(probability)):
-        first = _pair(groups.offset_mm[g, 0])
+        first = pair_of(groups.offset_mm[g, 0])
         belief = Belief.unknown(BeliefSettings(), first, model.base_rate)
         for k, p in enumerate(probability[g]):
             patch = ContactPatch(model.points_mm.copy(), p.copy())
-            belief = belief.updated(patch, _pair(groups.offset_mm[g, k]))
+            belief = belief.updated(patch, pair_of(groups.offset_mm[g, k]))
             if str(k + 1) in says:
                 com, rules = case.piece.com_xy_mm, StabilitySettings()
                 says[str(k + 1)].append(judge_stability(belief, patch, com, first, rules).stable)
@@ -180,18 +194,9 @@ def score_fused_verdicts(
                 cells, support = _support(belief, groups, g, case)
                 promised.append(cells)
                 real.append(support)
-                iou.append(_iou(cells > CONTACT_LEVEL, support))
+                iou.append(overlap_share(cells > CONTACT_LEVEL, support))
     chart = reliability_curve(np.concatenate(promised), np.concatenate(real))
-    return {
-        "says": says,
-        "map_iou": iou,
-        "reliability": {
-            "promised": _plain(np.array(chart.promised)),
-            "came": _plain(np.array(chart.came)),
-            "count": list(chart.count),
-            "ece": round(chart.ece, DIGITS),
-        },
-    }
+    return {"says": says, "map_iou": iou, "reliability": chart.as_json()}
 
 
 def _support(
@@ -204,14 +209,11 @@ def _support(
     return belief.map.probability[covered], case.bottoms[0].face.contains(centres + shift)
 
 
-def _iou(predicted: NDArray[np.bool_], real: NDArray[np.bool_]) -> float:
+def overlap_share(predicted: NDArray[np.bool_], real: NDArray[np.bool_]) -> float:
+    """Return the intersection over union, 1 if both are empty."""
     either = int((predicted | real).sum())
     return round(float((predicted & real).sum() / either), DIGITS) if either else 1.0
 
 
 def _plain(values: FloatArray) -> list[float]:
     return [round(float(v), DIGITS) for v in values]
-
-
-def _pair(values: FloatArray) -> tuple[float, float]:
-    return float(values[0]), float(values[1])

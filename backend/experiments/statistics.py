@@ -8,8 +8,10 @@ lists the cells of one ``tables.json`` whose interval misses the value of anothe
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, astuple, dataclass
+from operator import add
 from typing import Any
 
 import numpy as np
@@ -66,40 +68,25 @@ class VerdictCounts:
     @classmethod
     def of(cls, predicted: Sequence[bool], true: Sequence[bool]) -> VerdictCounts:
         """Count ``predicted`` against ``true``, of equal length."""
-        pairs = list(zip(predicted, true, strict=True))
-        return cls(
-            sum(s and t for s, t in pairs),
-            sum(t and not s for s, t in pairs),
-            sum(s and not t for s, t in pairs),
-            sum(not s and not t for s, t in pairs),
-        )
-
-    @property
-    def n(self) -> int:
-        """Number of cases."""
-        return self.both + self.missed + self.unsafe + self.neither
+        n = Counter((bool(s), bool(t)) for s, t in zip(predicted, true, strict=True))
+        return cls(n[True, True], n[False, True], n[True, False], n[False, False])
 
     def __add__(self, other: VerdictCounts) -> VerdictCounts:
-        return VerdictCounts(
-            self.both + other.both,
-            self.missed + other.missed,
-            self.unsafe + other.unsafe,
-            self.neither + other.neither,
-        )
+        return VerdictCounts(*map(add, astuple(self), astuple(other)))
 
     def as_json(self) -> dict[str, object]:
         """Return accuracy, balanced accuracy, base rate, and the rates of both errors."""
         found = estimate_rate(self.both, self.both + self.missed)
         unsafe = estimate_rate(self.unsafe, self.unsafe + self.neither)
-        stable = self.both + self.missed
+        n, stable = sum(astuple(self)), self.both + self.missed
         balanced = None
         if found.value is not None and unsafe.value is not None:
             balanced = 0.5 * (found.value + 1.0 - unsafe.value)
         return {
-            "accuracy": estimate_rate(self.both + self.neither, self.n).as_json(),
+            "accuracy": estimate_rate(self.both + self.neither, n).as_json(),
             "balanced": balanced,
-            "base_rate": max(stable, self.n - stable) / self.n if self.n else None,
-            "stable_share": stable / self.n if self.n else None,
+            "base_rate": max(stable, n - stable) / n if n else None,
+            "stable_share": stable / n if n else None,
             "found": found.as_json(),
             "unsafe": unsafe.as_json(),
         }
@@ -126,6 +113,15 @@ class ReliabilityCurve:
             return float("nan")
         gap = np.abs(np.array(self.promised) - np.array(self.came))
         return float((gap * weight).sum() / weight.sum())
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the rounded curve."""
+        return {
+            "promised": [round(v, 4) for v in self.promised],
+            "came": [round(v, 4) for v in self.came],
+            "count": list(self.count),
+            "ece": round(self.ece, 4),
+        }
 
 
 def reliability_curve(
@@ -158,7 +154,7 @@ def iou_change(pairs: Sequence[tuple[PressResult, PressResult]], before: str, af
         new - old
         for then, now in pairs
         if then["left_out"] == now["left_out"] == 0
-        for old, new in zip(_iou(then, before), _iou(now, after), strict=True)
+        for old, new in zip(then["models"][before]["iou"], now["models"][after]["iou"], strict=True)
     ]
     if len(change) < 2:
         return {"value": None, "low": None, "high": None, "n": len(change)}
@@ -172,11 +168,6 @@ def format_change(change: Json | None) -> str:
         return ""
     half = 50.0 * (change["high"] - change["low"])
     return f"{100 * change['value']:+.1f} ± {half:.1f}"
-
-
-def _iou(part: PressResult, model: str) -> list[float]:
-    found: list[float] = part["models"][model]["iou"]
-    return found
 
 
 TablesContent = Mapping[str, Any]

@@ -17,13 +17,13 @@ without support) and the two verdicts after each number of probes in ``PROBE_COU
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import ceil
 from typing import Any, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.backend.config import (
     SimulationSettings,
@@ -36,7 +36,12 @@ from touchdown.backend.config import (
 from touchdown.backend.core import BeliefMap, ContactPatch, FloatArray, Outcome
 from touchdown.backend.experiments.models import batch_model, load_model
 from touchdown.backend.experiments.oracle import OracleSetting, OracleStrategy
-from touchdown.backend.experiments.statics import PROBE_COUNTS, ProbeGroups, probe_groups
+from touchdown.backend.experiments.statics import (
+    PROBE_COUNTS,
+    ProbeGroups,
+    overlap_share,
+    probe_groups,
+)
 from touchdown.backend.experiments.statistics import (
     VerdictCounts,
     estimate_mean,
@@ -57,17 +62,18 @@ from touchdown.backend.experiments.trials import (
     BatchTrialResult,
     SceneSetup,
     grasped_piece_in,
+    pair_of,
     pick_and_place_in_lockstep,
     probing_scene,
+    rounded_margins,
     stack_in_lockstep,
     start_scene,
 )
-from touchdown.backend.geometry import Tower, face_points, inset_mm, judge_tower, load_pieces
+from touchdown.backend.geometry import Tower, face_points, inset_mm, judge_tower
 from touchdown.backend.jobs import JobContext, JobSpec, JobStore
 from touchdown.backend.learning import CONTACT_LEVEL, use_one_thread
 from touchdown.backend.placement import (
     XY,
-    GraspedPiece,
     ProbeObservation,
     Strategy,
     SupportTower,
@@ -192,23 +198,20 @@ class ClosedLoopComparison:
             if first % _chunk(bottom) == 0
         ]
 
-    def trials_of(self, store: JobStore) -> dict[tuple[str, str, str], list[Json]]:
+    def trials_of(self, store: JobStore) -> dict[Cell, list[Json]]:
         """Return all finished trials by strategy, piece and bottom."""
-        cells: dict[tuple[str, str, str], list[Json]] = {}
+        cells: dict[Cell, list[Json]] = {}
         for spec in self.jobs():
-            p = spec.params
             trials = store.result(spec.id)["trials"] if store.has(spec.id) else []
-            cells.setdefault((p["strategy"], p["piece"], p["bottom"]), []).extend(trials)
+            cells.setdefault(_cell(spec.params), []).extend(trials)
         return cells
 
-    def left_out(self, store: JobStore) -> dict[tuple[str, str, str], int]:
+    def left_out(self, store: JobStore) -> dict[Cell, int]:
         """Return the number of towers without a stable place, by strategy, piece and bottom."""
-        found: dict[tuple[str, str, str], int] = {}
+        found: Counter[Cell] = Counter()
         for spec in self.jobs():
-            p = spec.params
-            cell = p["strategy"], p["piece"], p["bottom"]
-            none = store.result(spec.id)["left_out"] if store.has(spec.id) else 0
-            found[cell] = found.get(cell, 0) + none
+            if store.has(spec.id):
+                found[_cell(spec.params)] += store.result(spec.id)["left_out"]
         return found
 
     def table(self, store: JobStore) -> Json:
@@ -236,7 +239,11 @@ class ClosedLoopComparison:
                 {"strategy": s, "tower": tower, **count_outcomes(trials)}
                 for s in self.strategies
                 for tower, bottoms in (("one", SINGLE_BOTTOMS), ("two", TOWERS))
-                if (trials := _trials_of(cells, s, bottoms))
+                if (
+                    trials := [
+                        t for c, own in cells.items() if c[0] == s and c[2] in bottoms for t in own
+                    ]
+                )
             ],
         }
 
@@ -249,15 +256,8 @@ class ClosedLoopComparison:
         source = "" if strategy in (*ORACLES, "pick-and-place") else self.models[piece]
         touched = SINGLE_BOTTOMS.index(bottom.split("+")[-1])
         cell = 10 * PIECES.index(piece) + touched + (TOWER_CELLS if bottom in TOWERS else 0)
-        params: Json = {
-            "bench": self.bench.model_dump(mode="json"),
-            "method": self.method.model_dump(mode="json"),
-            "piece": piece,
-            "bottom": bottom,
-            "strategy": strategy,
-            "trials": min(_chunk(bottom), self.trials - first),
-        }
-        params |= network_params(strategy, self.method)
+        params = _job_params(self, (strategy, piece, bottom))
+        params["trials"] = min(_chunk(bottom), self.trials - first)
         if bottom in TOWERS:
             params["entry_sigma_mm"] = self.entry_sigma_mm
         seed = STACKING_SEED + CELL_SEEDS * cell + first
@@ -271,29 +271,28 @@ def network_params(strategy: str, method: StackSettings) -> Json:
     return {"fused_sha256": load_network_of(method.fused).card.weights_sha256}
 
 
+def _job_params(plan: ClosedLoopComparison | StaticComparison, cell: Cell) -> Json:
+    return {
+        "bench": plan.bench.model_dump(mode="json"),
+        "method": plan.method.model_dump(mode="json"),
+        **dict(zip(("strategy", "piece", "bottom"), cell, strict=True)),
+        **network_params(cell[0], plan.method),
+    }
+
+
 def _chunk(bottom: str) -> int:
     """Return the largest number of trials of a job."""
     return TOWER_TRIALS_PER_JOB if bottom in TOWERS else TRIALS_PER_JOB
 
 
-def job_traces(jobs: Iterable[JobSpec], store: JobStore) -> dict[tuple[str, str, str], Json]:
+def job_traces(jobs: Iterable[JobSpec], store: JobStore) -> dict[Cell, Json]:
     """Return the first seed and the finished jobs of each cell."""
-    found: dict[tuple[str, str, str], Json] = {}
+    found: dict[Cell, Json] = {}
     for spec in jobs:
-        p = spec.params
-        cell = p["strategy"], p["piece"], p["bottom"]
-        trace = found.setdefault(cell, {"seed": spec.seed, "jobs": []})
+        trace = found.setdefault(_cell(spec.params), {"seed": spec.seed, "jobs": []})
         if store.has(spec.id):
             trace["jobs"].append(spec.id)
     return found
-
-
-def _trials_of(
-    cells: Mapping[tuple[str, str, str], Sequence[Json]], strategy: str, bottoms: tuple[str, ...]
-) -> list[Json]:
-    return [
-        t for (s, _, b), trials in cells.items() if s == strategy and b in bottoms for t in trials
-    ]
 
 
 def count_outcomes(trials: Sequence[Mapping[str, Any]]) -> Json:
@@ -314,9 +313,8 @@ def count_outcomes(trials: Sequence[Mapping[str, Any]]) -> Json:
 
 def run_closed_loop(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
     """Run trials of one cell; every trial counts."""
-    p, catalogue = spec.params, load_pieces()
-    bench = parse_settings(SimulationSettings, p["bench"], "job")
-    case = SceneSetup.of(catalogue, p["piece"], tuple(p["bottom"].split("+")), bench)
+    p = spec.params
+    case = SceneSetup.of_job(p, *p["bottom"].split("+"))
     use_one_thread()
     scenes = [scene for k in range(p["trials"]) if (scene := start_scene(case, spec.seed + k))]
     method, limits = parse_settings(StackSettings, p["method"], "job"), EpisodeLimits()
@@ -339,7 +337,7 @@ def run_closed_loop(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
         )
         results = stack_in_lockstep(scenes, model, chosen, limits, create)
     return {
-        "bench_sha256": bench_sha256(bench),
+        "bench_sha256": bench_sha256(case.settings),
         "left_out": p["trials"] - len(scenes),
         "trials": [
             {**end.as_json(), "least_probes": least_probes(scene)}
@@ -393,9 +391,7 @@ def _entered_tower_strategy(
     """
 
     def create(scene: Scene, at: XY) -> Strategy:
-        rng = np.random.Generator(
-            np.random.PCG64(np.random.SeedSequence([scene.seed, ENTRY_STREAM]))
-        )
+        rng = np.random.default_rng([scene.seed, ENTRY_STREAM])
         steps = np.diff([body.at_mm for body in scene.bottoms.bodies], axis=0)
         entered = steps + sigma_mm * rng.standard_normal(steps.shape)
         offset_mm = tuple((float(x), float(y)) for x, y in entered)
@@ -451,12 +447,11 @@ class StaticComparison:
             if strategy != "pick-and-place"
         ]
 
-    def answers(self, store: JobStore) -> dict[tuple[str, str, str], dict[int, Json]]:
+    def answers(self, store: JobStore) -> dict[Cell, dict[int, Json]]:
         """Return the finished results by strategy, piece and bottom, then by the first seed."""
-        found: dict[tuple[str, str, str], dict[int, Json]] = {}
+        found: dict[Cell, dict[int, Json]] = {}
         for spec in self.jobs():
-            p = spec.params
-            cell = found.setdefault((p["strategy"], p["piece"], p["bottom"]), {})
+            cell = found.setdefault(_cell(spec.params), {})
             if store.has(spec.id):
                 cell[spec.seed] = dict(store.result(spec.id))
         return found
@@ -489,15 +484,8 @@ class StaticComparison:
 
     def _job(self, piece: str, bottom: str, strategy: str, first: int) -> JobSpec:
         source = "" if strategy in ORACLES else self.models[piece]
-        params = {
-            "bench": self.bench.model_dump(mode="json"),
-            "method": self.method.model_dump(mode="json"),
-            "piece": piece,
-            "bottom": bottom,
-            "strategy": strategy,
-            "groups": min(GROUPS_PER_JOB, self.groups - first),
-            **network_params(strategy, self.method),
-        }
+        params = _job_params(self, (strategy, piece, bottom))
+        params["groups"] = min(GROUPS_PER_JOB, self.groups - first)
         cell = 10 * PIECES.index(piece) + SINGLE_BOTTOMS.index(bottom)
         seed = STATIC_SEED + CELL_SEEDS * cell + first
         return JobSpec("promises", params, seed, (source,) if source else (), self.code)
@@ -505,9 +493,8 @@ class StaticComparison:
 
 def run_static_groups(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
     """Press groups of one cell and collect the verdicts of one strategy after each probe."""
-    p, catalogue = spec.params, load_pieces()
-    bench = parse_settings(SimulationSettings, p["bench"], "job")
-    case = SceneSetup.of(catalogue, p["piece"], (p["bottom"],), bench)
+    p = spec.params
+    case = SceneSetup.of_job(p, p["bottom"])
     use_one_thread()
     seeds = [spec.seed + g for g in range(p["groups"])]
     groups = probe_groups(case, seeds, PROBES_PER_GROUP)
@@ -515,18 +502,20 @@ def run_static_groups(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
     configured = "paper" if strategy in ORACLES else strategy
     settings = StackSettings.model_validate({**p["method"], "strategy": configured})
     if strategy in ORACLES:
-        model, start = (
-            uninformed_model(case),
-            oracle_factory(case, diameter_known=strategy == ORACLES[0]),
-        )
+        model = uninformed_model(case)
+        create = oracle_factory(case, diameter_known=strategy == ORACLES[0])
     else:
         model = batch_model(load_model(spec.inputs[0], place.store), case.piece)
-        start = None
-    create = _strategy_factory(case, settings, model, start)
+
+        def create(scene: Scene, at: XY) -> Strategy:
+            return make_strategy(grasped_piece_in(scene, model.base_rate), settings, at)
+
     asked = VerdictCollector(case, believes=strategy not in STRATEGIES_WITHOUT_BELIEF)
     for g in range(len(groups.observation)):
-        asked.group(groups, g, create(seeds[g], _pair(groups.offset_mm[g, 0])), model)
-    margins = groups.margins_as_json()
+        asked.group(
+            groups, g, create(probing_scene(case, seeds[g]), pair_of(groups.offset_mm[g, 0])), model
+        )
+    margins = [rounded_margins(pair) for pair in groups.margin_mm]
     return {"margin_mm": margins, "left_out": groups.left_out, **asked.as_json()}
 
 
@@ -542,11 +531,11 @@ class VerdictCollector:
 
     def group(self, groups: ProbeGroups, g: int, strategy: Strategy, model: BatchModel) -> None:
         """Record the verdicts of ``strategy`` on the probes of group ``g``."""
-        first = _pair(groups.offset_mm[g, 0])
+        first = pair_of(groups.offset_mm[g, 0])
         probability = model.predict(groups.observation[g])
         for k in range(PROBES_PER_GROUP):
             patch = ContactPatch(model.points_mm.copy(), probability[k])
-            here = _pair(groups.offset_mm[g, k])
+            here = pair_of(groups.offset_mm[g, k])
             concluded = strategy.conclude(ProbeObservation(groups.observation[g, k], patch, here))
             n = str(k + 1)
             if n in self._says:
@@ -567,9 +556,7 @@ class VerdictCollector:
         for row, weight in enumerate((np.ones(len(step)), real, promised)):
             self._counts[str(probes)][row] += np.bincount(step, weight, PROBABILITY_STEPS)
         if probes == IOU_AFTER:
-            verdicts = promised > CONTACT_LEVEL
-            either = int((verdicts | real).sum())
-            self._iou.append(round(int((verdicts & real).sum()) / either, 4) if either else 1.0)
+            self._iou.append(overlap_share(promised > CONTACT_LEVEL, real))
 
     def as_json(self) -> Json:
         """Return all verdicts; ``cells`` per n: count, supported cells, sum of probabilities."""
@@ -612,29 +599,4 @@ def reliability_of_counts(counts: FloatArray) -> Json:
     some = count > 0
     promised = np.repeat(counts[2][some] / counts[0][some], count[some])
     came = np.repeat(counts[1][some] / counts[0][some], count[some])
-    chart = reliability_curve(promised, came)
-    return {
-        "promised": [round(v, 4) for v in chart.promised],
-        "came": [round(v, 4) for v in chart.came],
-        "count": list(chart.count),
-        "ece": round(chart.ece, 4),
-    }
-
-
-def _strategy_factory(
-    case: SceneSetup,
-    settings: StackSettings,
-    model: BatchModel,
-    start: Callable[..., Strategy] | None,
-) -> Callable[[int, XY], Strategy]:
-    if start is not None:
-        return lambda seed, at: start(probing_scene(case, seed), at)
-    height_mm = case.piece.grip_height_mm
-    assert height_mm is not None
-    sensor_mm = case.settings.wrist.height_mm
-    held = GraspedPiece(case.piece.com_xy_mm, height_mm, model.base_rate, sensor_mm)
-    return lambda seed, at: make_strategy(held, settings, at)
-
-
-def _pair(values: FloatArray | NDArray[np.float64]) -> XY:
-    return float(values[0]), float(values[1])
+    return reliability_curve(promised, came).as_json()

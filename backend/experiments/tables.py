@@ -7,6 +7,7 @@ arXiv 2309.14552. Published values are in % except Table III (successes of 10); 
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import product
@@ -119,27 +120,24 @@ class Recipe:
 
     def data(self, piece: str) -> list[JobSpec]:
         """Return the collections of training probes of ``piece``, one per outline."""
-        scale = self.scale
-        facts: dict[str, Any] = {
-            "piece": piece,
-            "episodes": scale.probes,
-            "probes_per_grip": scale.probes_per_grip,
-            "grips_per_mounting": scale.grips_per_mounting,
-        }
-        return [self._job("simulate", TRAINING_SEED, bottom=b, **facts) for b in TRAINING_BOTTOMS]
+        return [self._collection("simulate", piece, b, self.scale.probes) for b in TRAINING_BOTTOMS]
+
+    def _collection(self, kind: str, piece: str, bottom: str, episodes: int) -> JobSpec:
+        return self._job(
+            kind,
+            TRAINING_SEED,
+            piece=piece,
+            bottom=bottom,
+            episodes=episodes,
+            probes_per_grip=self.scale.probes_per_grip,
+            grips_per_mounting=self.scale.grips_per_mounting,
+        )
 
     def training(self, piece: str, model: str) -> JobSpec:
         """Return the training of one model."""
         inputs, head = next((i, h) for name, i, h in MODELS if name == model)
         settings = paper_training(inputs, self.scale.epochs)
-        needs = tuple(spec.id for spec in self.data(piece))
-        params = {
-            "piece": piece,
-            "head": head,
-            "training": settings.model_dump(mode="json"),
-            "device": self.device,
-        }
-        return JobSpec("train", params, settings.seed, needs, self.code)
+        return training_job((piece, head), settings, self.device, self.data(piece), self.code)
 
     def static(self, piece: str, bottom: str) -> JobSpec | None:
         """Return the evaluation of the models of ``piece`` over one bottom; None without any."""
@@ -184,15 +182,8 @@ class Recipe:
 
     def twins(self) -> JobSpec:
         """Return the small collection that is searched for ambiguous presses."""
-        return self._job(
-            "twins",
-            TRAINING_SEED,
-            piece=self.pieces[0],
-            bottom=TRAINING_BOTTOMS[0],
-            episodes=self.scale.pictured,
-            probes_per_grip=self.scale.probes_per_grip,
-            grips_per_mounting=self.scale.grips_per_mounting,
-        )
+        piece, bottom = self.pieces[0], TRAINING_BOTTOMS[0]
+        return self._collection("twins", piece, bottom, self.scale.pictured)
 
     def effort(self, spec: JobSpec) -> int:
         """Return the relative duration of a job."""
@@ -234,6 +225,23 @@ class Recipe:
     @staticmethod
     def _cell(piece: str, bottom: str) -> int:
         return 10 * PIECES.index(piece) + TABLE_BOTTOMS.index(bottom)
+
+
+def training_job(
+    target: tuple[str, NetworkHead],
+    settings: TrainingSettings,
+    device: DeviceName,
+    data: Iterable[JobSpec],
+    code: str,
+) -> JobSpec:
+    """Return the training of a network for ``target`` (piece, head) on collected ``data``."""
+    params = {
+        "piece": target[0],
+        "head": target[1],
+        "training": settings.model_dump(mode="json"),
+        "device": device,
+    }
+    return JobSpec("train", params, settings.seed, tuple(spec.id for spec in data), code)
 
 
 def paper_training(inputs: str, epochs: int) -> TrainingSettings:
@@ -298,7 +306,7 @@ def _table1(recipe: Recipe, store: JobStore) -> list[Json]:
             cells = []
             for piece, bottom in _cells(recipe):
                 spec = recipe.static(piece, bottom)
-                scores = ((_answer(spec, store) or {}).get("models") or {}).get(model)
+                scores = (_answer(spec, store) or {"models": {}})["models"].get(model)
                 cell = _cell(piece, bottom, spec, 0.01 * printed[model][piece, bottom])
                 if scores:
                     cell |= estimate_mean(scores["patch"][metric]).as_json()
@@ -319,11 +327,11 @@ def _table2(recipe: Recipe, store: JobStore) -> list[Json]:
         pooled = VerdictCounts(0, 0, 0, 0)
         for piece, bottom in _cells(recipe):
             spec = recipe.static(piece, bottom)
-            answer = _answer(spec, store)
+            answer = _answer(spec, store) or {"models": {}}
             printed = PAPER_STABILITY.get(method, {}).get((piece, bottom))
             cell = _cell(piece, bottom, spec, None if printed is None else 0.01 * printed)
-            says = ((answer or {}).get("models") or {}).get(model, {}).get("says", {}).get(n)
-            if answer and says:
+            says = answer["models"].get(model, {}).get("says", {}).get(n)
+            if says:
                 every, cell["excluded"] = score_verdicts(says, answer["margin_mm"], interface=1)
                 top, _ = score_verdicts(says, answer["margin_mm"], interface=0)
                 cell |= {**every.as_json(), "top_interface": top.as_json()}
@@ -352,12 +360,8 @@ def score_verdicts(
 def _table3(recipe: Recipe, store: JobStore) -> list[Json]:
     """Return one row per tower and strategy. Every trial counts."""
     rows = []
-    kinds: tuple[tuple[str, str, str], ...] = (
-        ("pick-and-place", "one", "pick-and-place"),
-        ("one", "one", "paper"),
-        ("two", "two", "paper"),
-    )
-    for printed, tower, strategy in kinds:
+    for printed, strategy in (("pick-and-place",) * 2, ("one", "paper"), ("two", "paper")):
+        tower = "two" if printed == "two" else "one"
         cells = []
         for piece, bottom in _cells(recipe):
             if tower == "two" and bottom != TOWER[-1]:
@@ -392,16 +396,14 @@ def _table3(recipe: Recipe, store: JobStore) -> list[Json]:
 
 def stacking_cell(trials: Sequence[Mapping[str, Any]]) -> Json:
     """Count the outcomes of one cell, for all interfaces and for the top one."""
-    counts: dict[str, int] = {}
-    for trial in trials:
-        counts[trial["outcome"]] = counts.get(trial["outcome"], 0) + 1
-    placed = counts.get(Outcome.PLACED.value, 0)
+    counts = Counter(trial["outcome"] for trial in trials)
+    placed = counts[Outcome.PLACED.value]
     top = sum(bool(t["margins_mm"]) and (t["margins_mm"][-1] or -1.0) > 0.0 for t in trials)
     probes = [t["probes"] for t in trials if t["outcome"] == Outcome.PLACED.value]
     return {
         **estimate_rate(placed, len(trials)).as_json(),
         "outcomes": counts,
-        "unsafe_releases": sum(counts.get(word, 0) for word in UNSAFE_OUTCOMES),
+        "unsafe_releases": sum(counts[word] for word in UNSAFE_OUTCOMES),
         "top_interface": estimate_rate(top, len(trials)).as_json(),
         "probes": sum(probes) / len(probes) if probes else None,
     }

@@ -7,14 +7,14 @@ of that plan are left out. Episodes are accepted by the same limits on press for
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.backend.config import SimulationSettings, StackSettings
+from touchdown.backend.config import SimulationSettings, StackSettings, parse_settings
 from touchdown.backend.core import (
     BeliefMap,
     ContactPatch,
@@ -34,6 +34,7 @@ from touchdown.backend.geometry import (
     draw_start,
     draw_tower,
     judge_tower,
+    load_pieces,
 )
 from touchdown.backend.placement import (
     GraspedPiece,
@@ -74,13 +75,19 @@ class SceneSetup:
         """Return the set-up of the named pieces; raises ``InputError``."""
         return cls(catalogue.top(piece), tuple(map(catalogue.bottom, bottoms)), settings)
 
+    @classmethod
+    def of_job(cls, params: Mapping[str, Any], *bottoms: str) -> SceneSetup:
+        """Return the set-up of a job with ``piece`` and ``bench`` in its parameters."""
+        bench = parse_settings(SimulationSettings, params["bench"], "job")
+        return cls.of(load_pieces(), params["piece"], bottoms, bench)
+
 
 def start_scene(case: SceneSetup, seed: int) -> Scene | None:
     """Return the unstable scene of one trial; None if no place is stable.
 
     The device loop builds the same scene from the same seed.
     """
-    rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, _START])))
+    rng = np.random.default_rng([seed, _START])
     tower = draw_tower(rng, case.bottoms)
     if len(case.bottoms) > 1 and not can_be_placed(case.piece, tower):
         return None
@@ -104,8 +111,8 @@ def balanced_offset(case: SceneSetup, seed: int, attempt: int, *, stable: bool) 
     bottom = case.bottoms[0].body()
     for _ in range(100):
         for offset in draw_offset(rng, case.piece.face, case.bottoms[0].face, 16):
-            at = (float(offset[0]), float(offset[1]))
-            if judge_tower(Tower((bottom, case.piece.body(at)))).stands is stable:
+            body = case.piece.body(pair_of(offset))
+            if judge_tower(Tower((bottom, body))).stands is stable:
                 return np.asarray(offset, dtype=np.float64)
     raise InputError(
         f"'{case.piece.name}' never {'stands' if stable else 'falls'} there.",
@@ -122,8 +129,7 @@ def uniform_offset(case: SceneSetup, seed: int, probe: int, attempt: int) -> Flo
 
 def displacement_rng(seed: int, probe: int, attempt: int) -> np.random.Generator:
     """Return the random generator of the displacement of one probe of a trial."""
-    place = np.random.SeedSequence([seed, _DISPLACEMENT, probe + 1, attempt + 1])
-    return np.random.Generator(np.random.PCG64(place))
+    return np.random.default_rng([seed, _DISPLACEMENT, probe + 1, attempt + 1])
 
 
 # contact probabilities (k, N) of observations (k, 20, 258)
@@ -170,19 +176,18 @@ class BatchTrialResult:
 
     def as_json(self) -> dict[str, Any]:
         """Return the stored form; a margin without support is None."""
-        verdict = self.verdict
-        finite = (
-            None
-            if verdict is None
-            else [round(float(m), 4) if np.isfinite(m) else None for m in verdict.margins_mm]
-        )
         return {
             "seed": self.seed,
             "outcome": self.outcome.value,
             "reason": self.reason,
             "probes": self.probes,
-            "margins_mm": finite,
+            "margins_mm": self.verdict and rounded_margins(self.verdict.margins_mm),
         }
+
+
+def rounded_margins(margins_mm: Iterable[float]) -> list[float | None]:
+    """Return margins for JSON; one without support is None."""
+    return [round(float(m), 4) if np.isfinite(m) else None for m in margins_mm]
 
 
 @dataclass
@@ -197,14 +202,9 @@ class _RunningTrial:
     end: BatchTrialResult | None = None
 
     def close(self, outcome: Outcome, reason: str, verdict: TowerVerdict | None = None) -> None:
+        steps = tuple(self.steps)
         self.end = BatchTrialResult(
-            self.scene.seed,
-            outcome,
-            reason,
-            len(self.steps),
-            verdict,
-            self.true_mm,
-            tuple(self.steps),
+            self.scene.seed, outcome, reason, len(steps), verdict, self.true_mm, steps
         )
 
 
@@ -240,14 +240,15 @@ def stack_in_lockstep(
         One result per scene, in order.
     """
     bench = world(scenes, settings.probe)
-    trials = []
-    for number, (scene, at) in enumerate(zip(scenes, bench.start_commands_mm(), strict=True)):
-        here = _pair(at)
-        if create is None:
-            held = grasped_piece_in(scene, model.base_rate)
-            trials.append(_RunningTrial(number, scene, here, make_strategy(held, settings, here)))
-        else:
-            trials.append(_RunningTrial(number, scene, here, create(scene, here)))
+    if create is None:
+
+        def create(scene: Scene, at: XY) -> Strategy:
+            return make_strategy(grasped_piece_in(scene, model.base_rate), settings, at)
+
+    starts = zip(scenes, map(pair_of, bench.start_commands_mm()), strict=True)
+    trials = [
+        _RunningTrial(k, scene, at, create(scene, at)) for k, (scene, at) in enumerate(starts)
+    ]
     while active := [trial for trial in trials if trial.end is None]:
         press = bench.press([t.number for t in active], np.array([t.here for t in active]))
         kept = _accepted_presses(active, press, limits)
@@ -277,9 +278,8 @@ def pick_and_place_in_lockstep(
     press = bench.press(range(len(scenes)), commands)
     ends = []
     for k, scene in enumerate(scenes):
-        at = (float(commands[k, 0]), float(commands[k, 1]))
-        trial = _RunningTrial(k, scene, at)
-        trial.true_mm = _pair(press.true_mm[k])
+        trial = _RunningTrial(k, scene, pair_of(commands[k]))
+        trial.true_mm = pair_of(press.true_mm[k])
         if press.toppled[k]:
             trial.close(Outcome.KNOCKED_OVER, TOPPLED_REASON)
         elif press.valid[k] and press.press_n[k] >= limits.contact_n:
@@ -299,7 +299,7 @@ def _accepted_presses(
     """
     kept = []
     for k, trial in enumerate(active):
-        trial.true_mm = _pair(press.true_mm[k])
+        trial.true_mm = pair_of(press.true_mm[k])
         if press.toppled[k]:
             trial.close(Outcome.KNOCKED_OVER, TOPPLED_REASON)
             continue
@@ -365,5 +365,6 @@ def _release(trial: _RunningTrial, bench: BatchedTrials) -> None:
     trial.close(outcome, f"Margin {verdict.margin_mm:+.2f} mm.", verdict)
 
 
-def _pair(values: FloatArray) -> XY:
+def pair_of(values: FloatArray) -> XY:
+    """Return (2,) as a pair."""
     return float(values[0]), float(values[1])

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -123,7 +123,12 @@ def cover_cells(
     if len(rows) and len(columns):
         weight, total = _bilinear(face, values, u, v)
         cells = np.stack(np.meshgrid(u, v), axis=-1)
-        on_face = (weight >= LEAST_WEIGHT - SNAP) & _in_hull(face, cells)
+        if len(face.hull) < 3:
+            # A face of one point or line: only cells exactly on its points are covered.
+            in_hull = (cells == np.rint(cells)).all(axis=-1)
+        else:
+            in_hull = inside_hull(face.hull, cells)
+        on_face = (weight >= LEAST_WEIGHT - SNAP) & in_hull
         window = np.ix_(rows, columns)
         covered[window] = on_face
         log_odds[window] = np.where(on_face, total / np.where(on_face, weight, 1.0), 0.0)
@@ -156,13 +161,6 @@ def _bilinear(
 def _hat(place: FloatArray, count: int) -> FloatArray:
     """Return the weights (n, count) of linear interpolation at ``place`` (n,)."""
     return np.maximum(0.0, 1.0 - np.abs(place[:, None] - np.arange(count)))
-
-
-def _in_hull(face: FaceLattice, cells: FloatArray) -> NDArray[np.bool_]:
-    if len(face.hull) < 3:
-        # A face of one point or line: only cells exactly on its points are covered.
-        return np.asarray((cells == np.rint(cells)).all(axis=-1), dtype=np.bool_)
-    return inside_hull(face.hull, cells)
 
 
 @dataclass(frozen=True, slots=True)
@@ -199,11 +197,8 @@ class Belief:
             )
         reach = math.ceil(settings.half_extent_mm / settings.pitch_mm)
         side = 2 * reach + 1
-        corner = (
-            origin_mm[0] - reach * settings.pitch_mm,
-            origin_mm[1] - reach * settings.pitch_mm,
-        )
-        grid = CellGrid(corner, settings.pitch_mm, (side, side))
+        x_mm, y_mm = (at - reach * settings.pitch_mm for at in origin_mm)
+        grid = CellGrid((x_mm, y_mm), settings.pitch_mm, (side, side))
         rate = 0.5 if base_rate is None else base_rate
         return cls(settings, _fused(grid, (), settings.log_odds_limit), base_rate=rate)
 
@@ -215,14 +210,14 @@ class Belief:
         """
         visits = (*self.visits, offset_mm)
         if not is_finite(patch) or not all(map(math.isfinite, offset_mm)):
-            return Belief(self.settings, self.map, self.evidence, visits, self.base_rate)
+            return replace(self, visits=visits)
         grid = CellGrid.of(self.map)
         values = self.log_odds(patch.probability)
         least_mm = self.settings.min_shift_mm
         kept = tuple(e for e in self.evidence if math.dist(e.offset_mm, offset_mm) >= least_mm)
         evidence = (*kept, cover_cells(grid, patch.points_mm, values, offset_mm))
         fused = _fused(grid, evidence, self.settings.log_odds_limit)
-        return Belief(self.settings, fused, evidence, visits, self.base_rate)
+        return replace(self, map=fused, evidence=evidence, visits=visits)
 
     def log_odds(self, probability: FloatArray) -> FloatArray:
         """Convert ``probability`` (N,) to log odds with clipping, temperature and prior."""

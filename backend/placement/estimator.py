@@ -223,15 +223,16 @@ class Estimator:
 def _check_fit(card: ModelCard, piece: Piece, points: int, where: str) -> None:
     fix = f"Choose the model of '{piece.name}', or train one: touchdown train --piece {piece.name}."
     if card.piece != piece.name:
-        raise InputError(f"The model is of '{card.piece}', not of '{piece.name}'.", where, fix)
-    if card.hyper.points != points:
+        what = f"The model is of '{card.piece}', not of '{piece.name}'."
+    elif card.hyper.points != points:
         what = f"The model knows {card.hyper.points} face points, '{piece.name}' has {points}."
-        raise InputError(what, where, fix)
-    if card.geometry != piece.sha256:
+    elif card.geometry != piece.sha256:
         what = (
             f"The model was trained for another version of '{piece.name}' (content hash differs)."
         )
-        raise InputError(what, where, fix)
+    else:
+        return
+    raise InputError(what, where, fix)
 
 
 @dataclass(frozen=True, slots=True)
@@ -260,7 +261,7 @@ class Ensemble:
     @property
     def weights(self) -> str:
         """Hashes of the weights of all members, joined by ``+``."""
-        return joined_hash([member.card.weights_sha256 for member in self.members])
+        return "+".join(sorted(member.card.weights_sha256 for member in self.members))
 
     def judge(self, episode: Episode, grid: OffsetGrid) -> EnsembleEstimate:
         """Return the joint estimate for ``episode``.
@@ -284,8 +285,3 @@ def mix_fits(fits: Sequence[OffsetFit]) -> tuple[OffsetFit, float]:
     own = float(np.mean([fit.sigma_mm**2 for fit in fits]))
     x_mm, y_mm = at.mean(axis=0).tolist()
     return OffsetFit((x_mm, y_mm), math.sqrt(own + between)), math.sqrt(between)
-
-
-def joined_hash(weights: Sequence[str]) -> str:
-    """Return one name for several hashes, independent of their order."""
-    return "+".join(sorted(weights))

@@ -96,7 +96,10 @@ def summarise_signals(probability: FloatArray, wrench: FloatArray) -> FloatArray
     ``probability`` (n, N) of the estimated patches, ``wrench`` (n, 6) of the settled press; all of
     one pair.
     """
-    return np.hstack([_principal_components(probability), _standard(wrench)])
+    p = np.clip(probability, CLIP, 1 - CLIP)
+    odds = np.log(p / (1 - p))
+    left, sizes, _ = np.linalg.svd(odds - odds.mean(axis=0), full_matrices=False)
+    return np.hstack([_standard(left[:, :PARTS] * sizes[:PARTS]), _standard(wrench)])
 
 
 def displacement_doubt(felt: FloatArray, offsets_mm: FloatArray) -> FloatArray:
@@ -122,13 +125,6 @@ def displacement_doubt(felt: FloatArray, offsets_mm: FloatArray) -> FloatArray:
         distance = np.einsum("ij,jk,ik->i", apart, inverse, apart)
         found[k] = distance[0] - distance.min()
     return found
-
-
-def _principal_components(probability: FloatArray) -> FloatArray:
-    p = np.clip(probability, CLIP, 1 - CLIP)
-    odds = np.log(p / (1 - p))
-    left, sizes, _ = np.linalg.svd(odds - odds.mean(axis=0), full_matrices=False)
-    return _standard(left[:, :PARTS] * sizes[:PARTS])
 
 
 def _standard(values: FloatArray) -> FloatArray:

@@ -194,22 +194,14 @@ def choose_action(
 
     ``belief.visits`` is the history of probes; their number is limited by ``max_probes``.
     """
-    if stability.stable:
-        return PlaceAction(
-            "release", (0.0, 0.0), None, False, f"{describe_situation(stability)}: release."
-        )
     if stability.support is SupportKind.NO_ESTIMATE:
         return give_up("The model returned no usable estimate: giving up without a release.")
-    probes = len(belief.visits)
-    if probes >= settings.max_probes:
-        situation = describe_situation(stability, judged_by.margin_mm)
-        return give_up(f"{situation} after {probes} probes, "
-                        "the most allowed: giving up.")  # fmt: skip
+    situation = describe_situation(stability, judged_by.margin_mm)
+    if ended := release_or_give_up(stability, situation, len(belief.visits), settings.max_probes):
+        return ended
     aim = _aim(stability, belief, offset_mm, settings, judged_by.delta)
     if aim is None:
-        situation = describe_situation(stability, judged_by.margin_mm)
-        return give_up(f"{situation} and no better place is "
-                        "known: giving up.")  # fmt: skip
+        return give_up(f"{situation} and no better place is known: giving up.")
     return shift_towards(stability, aim, offset_mm, settings.longest_step_mm, judged_by.margin_mm)
 
 
@@ -276,6 +268,20 @@ def shift_towards(
     reason += f": move {math.hypot(*step):.1f} mm towards {degrees:.0f}°"
     reason += f", {distance_mm:.1f} mm wanted." if clipped else "."
     return PlaceAction("shift", step, aim.target_mm, clipped, reason)
+
+
+def release_or_give_up(
+    stability: Stability, situation: str, probes: int, most: int, more: str = ""
+) -> PlaceAction | None:
+    """Return the release of a stable piece, the end after ``most`` probes, or None.
+
+    ``more``: text after the reason of a release.
+    """
+    if stability.stable:
+        return PlaceAction("release", (0.0, 0.0), None, False, f"{situation}: release.{more}")
+    if probes >= most:
+        return give_up(f"{situation} after {probes} probes, the most allowed: giving up.")
+    return None
 
 
 def give_up(reason: str) -> PlaceAction:

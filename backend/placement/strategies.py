@@ -47,6 +47,7 @@ from touchdown.backend.placement.policy import (
     give_up,
     judge_stability,
     next_on_spiral,
+    release_or_give_up,
     shift_towards,
     support_hull_mm,
 )
@@ -124,7 +125,12 @@ def fit_face_centre(over: InsetDistribution, points_mm: FloatArray, face: Outlin
     misfit = (inset_mm(face, points_mm - around[:, None]) - expected) ** 2 @ weight
     at = around[int(np.argmin(misfit))]
     for _ in range(REFINED):
-        slope = _inset_gradient(face, points_mm - at)
+        # Gradient of the inset with respect to the position of the centre.
+        ways = [
+            inset_mm(face, points_mm - at - m) - inset_mm(face, points_mm - at + m)
+            for m in NUDGE_MM * np.eye(2)
+        ]
+        slope = np.stack(ways, axis=-1) / (2.0 * NUDGE_MM)
         off = expected - inset_mm(face, points_mm - at)
         normal = (slope * weight[:, None]).T @ slope + LEAST_SD_MM**2 * np.eye(2)
         at = at + np.linalg.solve(normal, (slope * weight[:, None]).T @ off)
@@ -133,13 +139,6 @@ def fit_face_centre(over: InsetDistribution, points_mm: FloatArray, face: Outlin
     varies = (variance + (expected - inset) ** 2)[near]
     sigma_mm = sqrt(float(varies.mean())) if near.any() else SEARCH_RADIUS_MM
     return FaceCentre((float(at[0]), float(at[1])), max(sigma_mm, LEAST_SD_MM))
-
-
-def _inset_gradient(face: Outline, relative: FloatArray) -> FloatArray:
-    """Return the gradient (n, 2) of the inset with respect to the position of the centre."""
-    moved = [NUDGE_MM * np.eye(2)[axis] for axis in range(2)]
-    ways = [inset_mm(face, relative - m) - inset_mm(face, relative + m) for m in moved]
-    return np.asarray(np.stack(ways, axis=-1) / (2.0 * NUDGE_MM), dtype=np.float64)
 
 
 def equivalent_disc(over: InsetDistribution, cell_mm2: float) -> Outline:
@@ -277,8 +276,7 @@ class FusedStrategy:
         self._belief = self._belief.updated(touched.patch, here)
         self._offset_mm.append(here)
         self._seen.append(np.asarray(touched.observation[TICKS, :], dtype=np.float64))
-        com = self._held.com_xy_mm
-        centre = here[0] + com[0], here[1] + com[1]
+        com, centre = self._held.com_xy_mm, self._com_at(here)
         known = self._last = self._state(touched.patch.points_mm)
         if known is None:
             nothing = Stability(
@@ -292,14 +290,9 @@ class FusedStrategy:
         face_centre = self._update_face_centre(reached, cells + here)
         margin_mm = self._margin_mm(self._inset(known, np.array([com]), here), centre)
         shown = self._probability_map(over)
-        stability = Stability(
-            margin_mm >= settings.fused.inset_mm,
-            margin_mm,
-            SupportKind.AREA,
-            support_hull_mm(replace(self._belief, map=shown), shown.log_odds > 0.0),
-            centre,
-            "belief",
-        )
+        stable = margin_mm >= settings.fused.inset_mm
+        hull = support_hull_mm(replace(self._belief, map=shown), shown.log_odds > 0.0)
+        stability = Stability(stable, margin_mm, SupportKind.AREA, hull, centre, "belief")
         target = deepest_shift(self._expected_mm(reached, cells + here), cells - com)
         action = self._choose(stability, target, face_centre)
         return PlaceDecision(shown, stability, action)
@@ -348,9 +341,8 @@ class FusedStrategy:
         inset = self.inset_at(offset_mm)
         if inset is None:
             return False
-        return bool(
-            holding_probability(inset, self._lower, self._com_at(offset_mm), np.zeros(1))[0] > EVEN
-        )
+        centre_mm = self._com_at(offset_mm)
+        return bool(holding_probability(inset, self._lower, centre_mm, np.zeros(1))[0] > EVEN)
 
     def _com_at(self, offset_mm: XY) -> XY:
         com = self._held.com_xy_mm
@@ -407,15 +399,11 @@ class FusedStrategy:
     def _choose(self, stability: Stability, target: XY, face_centre: FaceCentre) -> PlaceAction:
         here = self._offset_mm[-1]
         policy, required = self._settings.policy, self._settings.fused.inset_mm
-        words = describe_situation(stability, required)
-        if stability.stable:
-            why = f"{words}: release. {face_centre.describe(here)}"
-            return PlaceAction("release", (0.0, 0.0), None, False, why)
+        words, more = describe_situation(stability, required), f" {face_centre.describe(here)}"
         probes = self._probes()
-        if probes >= policy.max_probes:
-            return give_up(f"{words} after {probes} probes, the most allowed: giving up.")
-        to = here[0] + target[0], here[1] + target[1]
-        aim = ShiftTarget(to, "")
+        if ended := release_or_give_up(stability, words, probes, policy.max_probes, more):
+            return ended
+        aim = ShiftTarget((here[0] + target[0], here[1] + target[1]), "")
         if np.hypot(*target) < self._settings.belief.min_shift_mm:
             aim = ShiftTarget(next_on_spiral(here, self._belief, policy), "looking around")
         return shift_towards(stability, aim, here, policy.longest_step_mm, required)
@@ -487,11 +475,8 @@ class ZeroWrenchStrategy:
 
     def _choose(self, stability: Stability, target: XY, here: XY) -> PlaceAction:
         policy, words = self._settings.policy, describe_situation(stability)
-        if stability.stable:
-            return PlaceAction("release", (0.0, 0.0), None, False, f"{words}: release.")
-        if len(self._felt) >= policy.max_probes:
-            count = len(self._felt)
-            return give_up(f"{words} after {count} probes, the most allowed: giving up.")
+        if ended := release_or_give_up(stability, words, len(self._felt), policy.max_probes):
+            return ended
         aim = ShiftTarget(target, "")
         if math.dist(here, target) < self._settings.belief.min_shift_mm:
             aim = ShiftTarget(next_on_spiral(here, self._belief, policy), "looking around")

@@ -120,7 +120,7 @@ class BenchConnection:
     @property
     def ready(self) -> bool:
         """True if every device is ready."""
-        return all(device.state is DeviceState.READY for device in self.devices.values())
+        return not self.missing()
 
     def lines(self) -> tuple[DeviceStatus, ...]:
         """Return the state of each device, in the order of connection."""
@@ -216,7 +216,15 @@ class BenchConnection:
         except Exception as error:
             # A driver of another package may raise anything; the other devices continue.
             device.close()
-            raise FaultError(_driver_fault(name, error)) from error
+            raise FaultError(
+                Fault(
+                    "DRIVER-FAILED",
+                    f"The driver of {name} failed: {type(error).__name__}: {error}.",
+                    "The device is not connected.",
+                    "Tell who wrote the driver; then connect the device again.",
+                    name,
+                )
+            ) from error
         require_serial(device, self._known.get(name, ""))
         if device.identity is not None:
             self._known[name] = device.identity.serial
@@ -293,16 +301,6 @@ def fault_of(device: Device) -> Fault | None:
     """Return the fault of a device, None if it reports none."""
     fault = getattr(device, "fault", None)
     return fault if isinstance(fault, Fault) else None
-
-
-def _driver_fault(name: str, error: Exception) -> Fault:
-    return Fault(
-        "DRIVER-FAILED",
-        f"The driver of {name} failed: {type(error).__name__}: {error}.",
-        "The device is not connected.",
-        "Tell who wrote the driver; then connect the device again.",
-        name,
-    )
 
 
 def _needs(device: Device) -> Literal["", "home", "acknowledge"]:

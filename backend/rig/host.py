@@ -10,7 +10,7 @@ from __future__ import annotations
 import queue
 import threading
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -30,13 +30,13 @@ from touchdown.backend.devices import (
     recent_positions_mm,
     travelled_mm,
 )
-from touchdown.backend.rig.memory import RIG_BEAT, Ring, SharedMemory
+from touchdown.backend.rig.memory import BACKEND_BEAT, RIG_BEAT, STOPS, Ring, SharedMemory
 from touchdown.backend.rig.messages import (
     Message,
     Row,
     arm_row,
+    as_row,
     error_row,
-    fault_row,
     gripper_row,
     inspector_row,
     program_fault,
@@ -115,12 +115,13 @@ class Devices:
 
 
 @dataclass
-class _Motions:
-    """Active motions by the number of the command that started them."""
+class _RunningMotion:
+    """Motion with the number of the command that started it; ``felt``: its contact was reported."""
 
-    under_way: dict[int, Motion] = field(default_factory=dict)
-    of_arm: set[int] = field(default_factory=set)
-    felt: set[int] = field(default_factory=set)
+    number: int
+    motion: Motion
+    of_arm: bool
+    felt: bool = False
 
 
 class RigHost:
@@ -142,7 +143,7 @@ class RigHost:
         self._lock = threading.RLock()
         self._showing, self._noting = threading.Lock(), threading.Lock()
         self._orders = DriverCommands(devices.arm, devices.gripper, self._may_open)
-        self._motions = _Motions()
+        self._motions: list[_RunningMotion] = []
         self._cancel = threading.Event()
         self._gone = False
         self._rounds = 0
@@ -174,10 +175,10 @@ class RigHost:
 
     def _inbox(self) -> FailsafeInput:
         memory = self._memory
-        moving = any(not self._motions.under_way[n].done for n in self._motions.of_arm)
+        moving = any(one.of_arm and not one.motion.done for one in self._motions)
         return FailsafeInput(
-            memory.backend_beats,
-            memory.stops,
+            memory.count(BACKEND_BEAT),
+            memory.count(STOPS),
             memory.lease_until_s,
             moving,
             self._gone,
@@ -191,8 +192,8 @@ class RigHost:
             self._note(now_s, f"hold: {out.why.code if out.why else 'silent'}")
             self.devices.arm.halt()
         if out.why is not None:
-            for number in [n for n in self._motions.of_arm if self._motions.under_way[n].done]:
-                self._end(number, out.why)
+            for one in [one for one in self._motions if one.of_arm and one.motion.done]:
+                self._end(one, out.why)
         if out.fault is not None:
             self._report_fault(now_s, out.fault)
 
@@ -211,7 +212,7 @@ class RigHost:
 
     def _report_fault(self, now_s: float, fault: Fault) -> None:
         self._note(now_s, f"fault {fault.code}: {fault.what}")
-        self._say({"kind": "fault", "number": self._core.faults, "fault": fault_row(fault)})
+        self._say({"kind": "fault", "number": self._core.faults, "fault": as_row(fault)})
 
     # -- shared memory ----------------------------------------------------------------------------
 
@@ -268,22 +269,20 @@ class RigHost:
 
     def _tell_motions(self) -> None:
         with self._lock:
-            for number, motion in list(self._motions.under_way.items()):
-                if number not in self._motions.felt and getattr(motion, "onset_s", None):
-                    self._motions.felt.add(number)
-                    self._say({"kind": "felt", "motion": number, **_contact(motion)})
-                if motion.done:
+            for one in list(self._motions):
+                if not one.felt and getattr(one.motion, "onset_s", None):
+                    one.felt = True
+                    self._say({"kind": "felt", "motion": one.number, **_contact(one.motion)})
+                if one.motion.done:
                     # Publish the state first: the reader of the message must find it.
                     self._show(self._now_s(), slow=False)
-                    self._end(number, _fault_of(motion))
+                    self._end(one, _fault_of(one.motion))
 
-    def _end(self, number: int, fault: Fault | None) -> None:
-        motion = self._motions.under_way.pop(number)
-        self._motions.of_arm.discard(number)
-        self._motions.felt.discard(number)
-        self._note(self._now_s(), f"motion {number} ended{f': {fault.code}' if fault else ''}")
-        row = fault_row(fault)
-        self._say({"kind": "ended", "motion": number, "fault": row, **_contact(motion)})
+    def _end(self, one: _RunningMotion, fault: Fault | None) -> None:
+        self._motions.remove(one)
+        self._note(self._now_s(), f"motion {one.number} ended{f': {fault.code}' if fault else ''}")
+        row = as_row(fault)
+        self._say({"kind": "ended", "motion": one.number, "fault": row, **_contact(one.motion)})
 
     # -- messages ---------------------------------------------------------------------------------
 
@@ -390,12 +389,10 @@ class RigHost:
 
     def _follow(self, number: int, motion: Motion, order: str) -> int:
         """Track a motion; a continued motion keeps its number."""
-        for known, present in self._motions.under_way.items():
-            if present is motion:
-                return known
-        self._motions.under_way[number] = motion
-        if order in MOVES:
-            self._motions.of_arm.add(number)
+        for known in self._motions:
+            if known.motion is motion:
+                return known.number
+        self._motions.append(_RunningMotion(number, motion, order in MOVES))
         return number
 
     # -- opening on a held piece ------------------------------------------------------------------

@@ -26,7 +26,15 @@ from touchdown.backend.core import (
     set_realtime_priority,
 )
 from touchdown.backend.devices import CommandedMotion, Interlock, Limits
-from touchdown.backend.rig.memory import BACKEND_BEAT, STOPS, SharedMemory, drop, make
+from touchdown.backend.rig.memory import (
+    BACKEND_BEAT,
+    RIG_BEAT,
+    STATE,
+    STOPS,
+    SharedMemory,
+    drop,
+    make,
+)
 from touchdown.backend.rig.messages import Channel, Message, read_error, read_fault
 
 BEAT_S = 0.005
@@ -72,22 +80,26 @@ class RigLink:
         self._settings, self._now_s, self._interlock = settings, now_s, interlock
         self.samples, self.poses = samples, poses
         self._lock, self._counting = threading.RLock(), threading.Lock()
-        self._copying, self._cursors = threading.Lock(), [0, 0]
+        self._copying = threading.Lock()
+        self._forget()
         self._child: subprocess.Popen[bytes] | None = None
         self._channel: Channel | None = None
         self._memory: SharedMemory | None = None
         self._thread: threading.Thread | None = None
-        self._ending = threading.Event()
         self._numbers = itertools.count(1)
         self._answers: dict[int, _PendingAnswer] = {}
         self._motions: dict[int, RigMotion] = {}
-        self._stops = self._stops_reset = self._faults = self._faults_reset = 0
         self._limits: Limits | None = None
-        self._rows: Mapping[str, Any] = {}
-        self._seen = 0
-        self._greeting = _PendingAnswer()
         # Fault that ended the rig; None while it runs or is not needed.
         self.lost: Fault | None = None
+
+    def _forget(self) -> None:
+        """Start with the counts and states of a new rig."""
+        self._ending, self._greeting = threading.Event(), _PendingAnswer()
+        self._stops = self._stops_reset = self._faults = self._faults_reset = 0
+        self._cursors = [0, 0]
+        self._rows: Mapping[str, Any] = {}
+        self._seen = 0
 
     # -- start and end ----------------------------------------------------------------------------
 
@@ -122,11 +134,8 @@ class RigLink:
                 drop(path)
 
     def _begin(self, memory: SharedMemory, path: Path) -> None:
-        self._ending, self._greeting = threading.Event(), _PendingAnswer()
-        self._stops = self._stops_reset = self._faults = self._faults_reset = 0
-        self._cursors = [0, 0]
+        self._forget()
         self._memory, self._limits = memory, self._interlock.limits
-        self._rows, self._seen = {}, 0
         memory.beat(BACKEND_BEAT)
         self._child = child = subprocess.Popen(
             [sys.executable, "-m", "touchdown.backend.rig.process"],
@@ -212,18 +221,19 @@ class RigLink:
 
     def retreat(self) -> None:
         """Retreat the arm from its contact; does not wait."""
-        if self._channel is not None:
-            self._channel.say({"kind": "retreat"})
+        self._say("retreat")
 
     def stop_gripper(self) -> None:
         """Stop the jaws; does not wait."""
-        if self._channel is not None:
-            self._channel.say({"kind": "stop gripper"})
+        self._say("stop gripper")
 
     def cancel(self) -> None:
         """Cancel a connection in progress."""
+        self._say("cancel")
+
+    def _say(self, kind: str) -> None:
         if self._channel is not None:
-            self._channel.say({"kind": "cancel"})
+            self._channel.say({"kind": kind})
 
     def settle(self) -> None:
         """Discard the positions received so far and wait for the next one."""
@@ -241,8 +251,8 @@ class RigLink:
     def row(self, device: str) -> Mapping[str, Any]:
         """Return the state of a device, empty while there is no rig."""
         memory = self._memory
-        if memory is not None and self._child is not None and memory.states != self._seen:
-            seen = memory.states
+        if memory is not None and self._child is not None and memory.count(STATE) != self._seen:
+            seen = memory.count(STATE)
             rows = memory.seen()
             if rows is not None:
                 self._rows, self._seen = rows, seen
@@ -312,7 +322,7 @@ class RigLink:
 
     def _run_cycles(self, memory: SharedMemory, ended: threading.Event) -> None:
         set_realtime_priority(min(PRIORITY, self._settings.melfa.realtime_priority))
-        beats, beat_s = memory.rig_beats, time.monotonic()
+        beats, beat_s = memory.count(RIG_BEAT), time.monotonic()
         while not ended.wait(BEAT_S):
             memory.permit(self._interlock.lease_until_s)
             memory.beat(BACKEND_BEAT)
@@ -322,8 +332,8 @@ class RigLink:
                 self._forward_reset(channel)
                 self._tell_limits(channel)
             now_s = time.monotonic()
-            if memory.rig_beats != beats:
-                beats, beat_s = memory.rig_beats, now_s
+            if memory.count(RIG_BEAT) != beats:
+                beats, beat_s = memory.count(RIG_BEAT), now_s
             elif now_s - beat_s > RIG_SILENT_S:
                 self._lose(ended, SILENT)
                 return

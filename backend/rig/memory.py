@@ -109,30 +109,14 @@ class SharedMemory:
         self.wrench, self.poses, self.rounds = rings[WRENCH], rings[POSES], rings[ROUNDS]
         self._notes = np.frombuffer(pages, NOTE, NOTES_KEPT, offset)
 
-    @property
-    def backend_beats(self) -> int:
-        """Heartbeat of the backend, a count."""
-        return int(self._words[BACKEND_BEAT])
-
-    @property
-    def rig_beats(self) -> int:
-        """Heartbeat of the rig, a count."""
-        return int(self._words[RIG_BEAT])
-
-    @property
-    def stops(self) -> int:
-        """Number of STOP requests."""
-        return int(self._words[STOPS])
+    def count(self, word: int) -> int:
+        """Return a control word that counts heartbeats, STOP requests or states."""
+        return int(self._words[word])
 
     @property
     def lease_until_s(self) -> float:
         """Bench time until which motion is permitted, s."""
         return float(self._lease[0])
-
-    @property
-    def states(self) -> int:
-        """Number of states written."""
-        return int(self._words[STATE])
 
     def beat(self, word: int) -> None:
         """Increment a control word of which this side is the only writer."""
@@ -201,7 +185,11 @@ SIZE = (
 
 def make() -> tuple[SharedMemory, Path]:
     """Return new memory and its file for this user only; ``drop`` the file once attached."""
-    _delete_stale_files(_folder())
+    for found in _folder().glob(f"{PREFIX}*-*"):
+        # Left by a program that was killed while it started.
+        number = found.name.removeprefix(PREFIX).split("-")[0]
+        if number.isdecimal() and not _alive(int(number)):
+            shutil.rmtree(found, ignore_errors=True)
     folder = Path(tempfile.mkdtemp(prefix=f"{PREFIX}{os.getpid()}-", dir=_folder()))
     path = folder / FILE
     with path.open("w+b") as file:
@@ -227,14 +215,6 @@ def _folder() -> Path:
     shared = Path("/dev/shm")  # noqa: S108 - a folder of our own is made in it
     usable = shared.is_dir() and os.access(shared, os.W_OK)
     return shared if usable else Path(tempfile.gettempdir())
-
-
-def _delete_stale_files(folder: Path) -> None:
-    """Delete files of programs that were killed while starting."""
-    for found in folder.glob(f"{PREFIX}*-*"):
-        number = found.name.removeprefix(PREFIX).split("-")[0]
-        if number.isdecimal() and not _alive(int(number)):
-            shutil.rmtree(found, ignore_errors=True)
 
 
 def _alive(number: int) -> bool:

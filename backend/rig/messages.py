@@ -80,9 +80,9 @@ def receive(stream: IO[bytes]) -> Message | None:
     return message
 
 
-def fault_row(fault: Fault | None) -> Mapping[str, str] | None:
-    """Return a fault as JSON."""
-    return None if fault is None else asdict(fault)
+def as_row(value: Fault | Identity | None) -> Mapping[str, str] | None:
+    """Return a fault or an identity as JSON."""
+    return None if value is None else asdict(value)
 
 
 def read_fault(row: Mapping[str, str] | None) -> Fault | None:
@@ -90,20 +90,10 @@ def read_fault(row: Mapping[str, str] | None) -> Fault | None:
     return None if row is None else Fault(**row)
 
 
-def identity_row(identity: Identity | None) -> Mapping[str, str] | None:
-    """Return an identity as JSON."""
-    return None if identity is None else asdict(identity)
-
-
-def read_identity(row: Mapping[str, str] | None) -> Identity | None:
-    """Return the identity of a JSON row."""
-    return None if row is None else Identity(**row)
-
-
 def error_row(error: Exception) -> Message:
     """Return an error as JSON; an unexpected one is named by its type."""
     if isinstance(error, FaultError):
-        return {"type": "fault", "fault": fault_row(error.fault)}
+        return {"type": "fault", "fault": as_row(error.fault)}
     if isinstance(error, RefusedError):
         return {"type": "refused", "reason": error.reason, "detail": error.detail}
     if isinstance(error, InputError):
@@ -152,7 +142,7 @@ def device_row(device: Device) -> Row:
     return {
         "state": device.state.value,
         "steps": steps.done if isinstance(steps, ConnectionSteps) else 0,
-        "fault": fault_row(fault if isinstance(fault, Fault) else None),
+        "fault": as_row(fault if isinstance(fault, Fault) else None),
     }
 
 
@@ -206,7 +196,7 @@ def inspector_row(device: Device, now_s: float) -> Row:
     health = device.health
     fields: Mapping[str, str | float] = device.describe()
     return {
-        "identity": identity_row(device.identity),
+        "identity": as_row(device.identity),
         "health": [health.rate_hz, now_s - health.age_s, health.received, health.lost],
         "fields": dict(fields),
     }

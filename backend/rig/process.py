@@ -43,7 +43,11 @@ def make_devices(settings: HardwareSettings, now_s: Callable[[], float]) -> Devi
 
 def main() -> int:
     """Serve one backend until it disconnects; return the exit code."""
-    source, sink = _pipes()
+    # Both pipes are for messages; printing goes to standard error.
+    source, sink = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)
+    # Ctrl-C is handled by the backend, which ends this process.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
     begin = receive(source)
     if begin is None:
         return 0
@@ -61,15 +65,6 @@ def main() -> int:
         sink.flush()
         return 2
     return _serve(begin, devices, memory, (source, sink), now_s, settings.melfa.realtime_priority)
-
-
-def _pipes() -> tuple[IO[bytes], IO[bytes]]:
-    """Reserve both pipes for messages; redirect printing to standard error."""
-    source, sink = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)
-    # Ctrl-C is handled by the backend, which ends this process.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    return source, sink
 
 
 def _serve(

@@ -47,7 +47,7 @@ from touchdown.backend.devices import (
 )
 from touchdown.backend.devices.melfa import PLACE_LATE_S
 from touchdown.backend.rig.link import RigLink, RigMotion
-from touchdown.backend.rig.messages import read_fault, read_identity
+from touchdown.backend.rig.messages import read_fault
 from touchdown.backend.rig.process import make_devices
 
 
@@ -59,28 +59,23 @@ class _Remote:
     def __init__(
         self, name: str, link: RigLink, now_s: Callable[[], float], open_ones: set[str]
     ) -> None:
-        self._name, self._link, self._now_s, self._open = name, link, now_s, open_ones
-
-    @property
-    def name(self) -> str:
-        """Name of the device."""
-        return self._name
+        self.name, self._link, self._now_s, self._open = name, link, now_s, open_ones
 
     @property
     def _row(self) -> Mapping[str, Any]:
-        return self._link.row(self._name) if self._name in self._open else {}
+        return self._link.row(self.name) if self.name in self._open else {}
 
     @property
     def state(self) -> DeviceState:
         """State of the connection; FAULT when the rig is lost."""
-        if self._name in self._open and self._link.lost is not None:
+        if self.name in self._open and self._link.lost is not None:
             return DeviceState.FAULT
         return DeviceState(self._row.get("state", "closed"))
 
     @property
     def fault(self) -> Fault | None:
         """Fault of the device, None without one."""
-        if self._name in self._open and self._link.lost is not None:
+        if self.name in self._open and self._link.lost is not None:
             return self._link.lost
         return read_fault(self._row.get("fault"))
 
@@ -94,7 +89,8 @@ class _Remote:
     @property
     def identity(self) -> Identity | None:
         """Identity, None before the first connection."""
-        return read_identity(self._row.get("identity"))
+        row = self._row.get("identity")
+        return None if row is None else Identity(**row)
 
     @property
     def health(self) -> Health:
@@ -117,12 +113,12 @@ class _Remote:
         if self.state is DeviceState.READY:
             return
         self._link.start()
-        self._open.add(self._name)
+        self._open.add(self.name)
         done = threading.Event()
         watch = threading.Thread(target=self._forward_cancel, args=(cancel, done), daemon=True)
         watch.start()
         try:
-            self._link.order(f"{self._name}.connect", timeout_s=timeout_s, **self._previous_state())
+            self._link.order(f"{self.name}.connect", timeout_s=timeout_s, **self._previous_state())
         except BaseException:
             self._leave()
             raise
@@ -132,10 +128,10 @@ class _Remote:
 
     def close(self) -> None:
         """Close in the rig; the process ends with the last device. The gripper keeps its grip."""
-        if self._name not in self._open:
+        if self.name not in self._open:
             return
         if self._link.running:
-            self._link.order(f"{self._name}.close")
+            self._link.order(f"{self.name}.close")
         self._leave()
 
     def _previous_state(self) -> Mapping[str, Any]:
@@ -143,7 +139,7 @@ class _Remote:
         return {}
 
     def _leave(self) -> None:
-        self._open.discard(self._name)
+        self._open.discard(self.name)
         if not self._open:
             self._link.close()
 
@@ -193,11 +189,11 @@ class RigArm(_Remote):
 
     def status(self) -> ArmStatus:
         """Return the status."""
-        if self._link.lost is not None and self._name in self._open:
-            return ArmStatus(RobotMode.DISCONNECTED, SafetyMode.FAULT, 0.0, 0)
+        lost = self._link.lost is not None and self.name in self._open
         row = self._row.get("status")
-        if row is None:
-            return ArmStatus(RobotMode.DISCONNECTED, SafetyMode.UNKNOWN, 0.0, 0)
+        if lost or row is None:
+            safety_mode = SafetyMode.FAULT if lost else SafetyMode.UNKNOWN
+            return ArmStatus(RobotMode.DISCONNECTED, safety_mode, 0.0, 0)
         mode, safety, override, error = row
         return ArmStatus(RobotMode(mode), SafetyMode(safety), override, error)
 
@@ -294,10 +290,7 @@ class RigGripper(_Remote):
     def status(self) -> GripStatus:
         """Return the last status of the gripper."""
         grip = self._row.get("grip")
-        if grip is None:
-            return GripStatus(math.nan, math.nan, holding=False)
-        width_mm, force_n, holding = grip
-        return GripStatus(width_mm, force_n, holding)
+        return GripStatus(math.nan, math.nan, holding=False) if grip is None else GripStatus(*grip)
 
     @property
     def homed(self) -> bool:

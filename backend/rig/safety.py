@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from typing import Any
 
 from touchdown.backend.core import Fault, Pose, RefusedError
@@ -125,7 +125,13 @@ class Failsafe:
         known, self._silent = self._silent, True
         if known or not moving:
             return FailsafeOutput(hold=moving)
-        fault = silent_fault(silent_s)
+        fault = Fault(
+            "BACKEND-SILENT",
+            f"The program stood still for {1e3 * silent_s:.0f} ms while the arm moved.",
+            "The arm was held; the gripper was not opened.",
+            "Look at the load of this computer, then press Reset.",
+            "arm",
+        )
         return FailsafeOutput(hold=True, fault=self.latch(fault), why=fault)
 
     # -- messages ---------------------------------------------------------------------------------
@@ -164,17 +170,6 @@ class Failsafe:
             raise RefusedError("FT-STALE", "The wrist sensor is silent: nothing moves without it.")
 
 
-def silent_fault(silent_s: float) -> Fault:
-    """Return the fault of a backend that stopped beating while the arm moved."""
-    return Fault(
-        "BACKEND-SILENT",
-        f"The program stood still for {1e3 * silent_s:.0f} ms while the arm moved.",
-        "The arm was held; the gripper was not opened.",
-        "Look at the load of this computer, then press Reset.",
-        "arm",
-    )
-
-
 LAPSED = Fault(
     "LEASE-LAPSED",
     "The permission to move was not renewed in time.",
@@ -204,100 +199,77 @@ class DriverCommands:
     gripper: Gripper
     may_open: Callable[[ReleaseAuthorisation], None]
 
-    def give(self, name: str, arguments: Arguments, limits: Limits) -> Motion | list[float] | None:
+    def give(self, name: str, given: Arguments, limits: Limits) -> Motion | list[float] | None:
         """Execute command ``name``; return its motion, a value, or None."""
-        known = {
-            "arm.servo": self._servo,
-            "arm.move_to": self._move_to,
-            "arm.jog": self._jog,
-            "arm.jog_joints": self._jog_joints,
-            "arm.move_joints": self._move_joints,
-            "arm.press": self._press,
-            "arm.unload": self._unload,
-            "arm.halt": self._halt,
-            "arm.place_of": self._place_of,
-            "gripper.home": self._home,
-            "gripper.acknowledge": self._acknowledge,
-            "gripper.grip": self._grip,
-            "gripper.open_to": self._open_to,
-            "gripper.open_held": self._open_held,
-        }
-        if name not in known:
-            raise ValueError(f"there is no order {name!r}")
-        return known[name](arguments, limits)
+        if name.startswith("gripper."):
+            return self._move_gripper(name, given)
+        match name:
+            case "arm.servo":
+                self.arm.servo(bool(given["on"]))
+            case "arm.halt":
+                self.arm.halt()
+            case "arm.place_of":
+                return list(astuple(self.arm.place_of(tuple(given["joints_rad"]))))
+            case _:
+                return self._move_arm(name, given, limits)
+        return None
 
-    # -- arm --------------------------------------------------------------------------------------
+    def _move_arm(self, name: str, given: Arguments, limits: Limits) -> Motion:
+        arm = self.arm
+        match name:
+            case "arm.move_to":
+                target = Pose(*given["target"])
+                refuse_outside(target, limits)
+                _refuse_fast("SPEED", given["speed_mm_s"], limits.speed_mm_s)
+                _refuse_fast("TURN-SPEED", given["turn_rad_s"], limits.turn_rad_s)
+                return arm.move_to(target, given["speed_mm_s"], given["turn_rad_s"])
+            case "arm.jog":
+                velocity, turning = given["velocity_mm_s"], given["turn_rad_s"]
+                _refuse_fast("SPEED", math.hypot(*velocity), limits.jog_mm_s)
+                _refuse_fast("TURN-SPEED", math.hypot(*turning), limits.turn_rad_s)
+                return arm.jog(tuple(velocity), given["for_s"], tuple(turning))
+            case "arm.jog_joints":
+                speeds = tuple(given["speeds_rad_s"])
+                _refuse_fast("TURN-SPEED", max(map(abs, speeds)), limits.turn_rad_s)
+                return arm.jog_joints(speeds, given["for_s"])
+            case "arm.move_joints":
+                _refuse_fast("TURN-SPEED", given["speed_rad_s"], limits.turn_rad_s)
+                return arm.move_joints(tuple(given["target_rad"]), given["speed_rad_s"])
+            case "arm.press":
+                stiffness = tuple(given["stiffness_n_mm"])
+                command = PressCommand(**{**given, "stiffness_n_mm": stiffness})
+                nominal_n = stiffness[2] * command.depth_mm
+                if not nominal_n <= limits.probe_n:
+                    raise RefusedError(
+                        "PRESS-FORCE", f"Nominal {nominal_n:.1f} N is over the limit."
+                    )
+                _refuse_fast("APPROACH-SPEED", command.approach_mm_s, limits.contact_speed_mm_s)
+                return arm.press(command)
+            case "arm.unload":
+                _refuse_fast("SPEED", given["speed_mm_s"], limits.speed_mm_s)
+                return arm.unload(given["force_n"], given["speed_mm_s"])
+        raise ValueError(f"there is no order {name!r}")
 
-    def _servo(self, given: Arguments, limits: Limits) -> None:
-        self.arm.servo(bool(given["on"]))
-
-    def _move_to(self, given: Arguments, limits: Limits) -> Motion:
-        target = Pose(*given["target"])
-        refuse_outside(target, limits)
-        _refuse_fast("SPEED", given["speed_mm_s"], limits.speed_mm_s)
-        _refuse_fast("TURN-SPEED", given["turn_rad_s"], limits.turn_rad_s)
-        return self.arm.move_to(target, given["speed_mm_s"], given["turn_rad_s"])
-
-    def _jog(self, given: Arguments, limits: Limits) -> Motion:
-        velocity, turning = given["velocity_mm_s"], given["turn_rad_s"]
-        _refuse_fast("SPEED", math.hypot(*velocity), limits.jog_mm_s)
-        _refuse_fast("TURN-SPEED", math.hypot(*turning), limits.turn_rad_s)
-        return self.arm.jog(tuple(velocity), given["for_s"], tuple(turning))
-
-    def _jog_joints(self, given: Arguments, limits: Limits) -> Motion:
-        speeds = tuple(given["speeds_rad_s"])
-        _refuse_fast("TURN-SPEED", max(map(abs, speeds)), limits.turn_rad_s)
-        return self.arm.jog_joints(speeds, given["for_s"])
-
-    def _move_joints(self, given: Arguments, limits: Limits) -> Motion:
-        _refuse_fast("TURN-SPEED", given["speed_rad_s"], limits.turn_rad_s)
-        return self.arm.move_joints(tuple(given["target_rad"]), given["speed_rad_s"])
-
-    def _press(self, given: Arguments, limits: Limits) -> Motion:
-        stiffness = tuple(given["stiffness_n_mm"])
-        command = PressCommand(**{**given, "stiffness_n_mm": stiffness})
-        nominal_n = stiffness[2] * command.depth_mm
-        if not nominal_n <= limits.probe_n:
-            raise RefusedError("PRESS-FORCE", f"Nominal {nominal_n:.1f} N is over the limit.")
-        _refuse_fast("APPROACH-SPEED", command.approach_mm_s, limits.contact_speed_mm_s)
-        return self.arm.press(command)
-
-    def _unload(self, given: Arguments, limits: Limits) -> Motion:
-        _refuse_fast("SPEED", given["speed_mm_s"], limits.speed_mm_s)
-        return self.arm.unload(given["force_n"], given["speed_mm_s"])
-
-    def _halt(self, given: Arguments, limits: Limits) -> None:
-        self.arm.halt()
-
-    def _place_of(self, given: Arguments, limits: Limits) -> list[float]:
-        place = self.arm.place_of(tuple(given["joints_rad"]))
-        return [place.x_mm, place.y_mm, place.z_mm, place.rx_rad, place.ry_rad, place.rz_rad]
-
-    # -- gripper ----------------------------------------------------------------------------------
-
-    def _home(self, given: Arguments, limits: Limits) -> Motion:
-        return self._homing().home()
-
-    def _acknowledge(self, given: Arguments, limits: Limits) -> None:
-        self._homing().acknowledge()
-
-    def _homing(self) -> HomingGripper:
-        if not isinstance(self.gripper, HomingGripper):
-            raise RefusedError("NO-HOMING", "This gripper is not homed from here.")
-        return self.gripper
-
-    def _grip(self, given: Arguments, limits: Limits) -> Motion:
-        return self.gripper.grip(given["force_n"])
-
-    def _open_to(self, given: Arguments, limits: Limits) -> Motion:
-        if self.gripper.status().holding:
-            raise RefusedError("HOLDING", "A piece is held: it is let go by a right only.")
-        return self.gripper.open_to(given["width_mm"], given["speed_mm_s"])
-
-    def _open_held(self, given: Arguments, limits: Limits) -> Motion:
-        right = RIGHTS[given["right"]](**given["evidence"])
-        self.may_open(right)
-        return self.gripper.open_to(given["width_mm"], given["speed_mm_s"])
+    def _move_gripper(self, name: str, given: Arguments) -> Motion | None:
+        gripper = self.gripper
+        match name:
+            case "gripper.grip":
+                return gripper.grip(given["force_n"])
+            case "gripper.open_to":
+                if gripper.status().holding:
+                    raise RefusedError("HOLDING", "A piece is held: it is let go by a right only.")
+                return gripper.open_to(given["width_mm"], given["speed_mm_s"])
+            case "gripper.open_held":
+                self.may_open(RIGHTS[given["right"]](**given["evidence"]))
+                return gripper.open_to(given["width_mm"], given["speed_mm_s"])
+            case "gripper.home" | "gripper.acknowledge":
+                if not isinstance(gripper, HomingGripper):
+                    raise RefusedError("NO-HOMING", "This gripper is not homed from here.")
+                if name == "gripper.home":
+                    return gripper.home()
+                gripper.acknowledge()
+                return None
+        raise ValueError(f"there is no order {name!r}")
 
 
 def _refuse_fast(name: str, speed: float, most: float) -> None:

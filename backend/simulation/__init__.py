@@ -12,6 +12,7 @@ if TYPE_CHECKING:
         contact,
         finger_camera,
         gripper,
+        marker_fields,
         mechanics,
         pressing,
         release_mujoco,

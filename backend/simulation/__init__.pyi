@@ -1,14 +1,14 @@
 from .arm import ArmCycle as ArmCycle
+from .arm import SimProgram as SimProgram
 from .batch import BatchedTrials as BatchedTrials
 from .batch import BatchPlan as BatchPlan
 from .batch import EpisodeBatch as EpisodeBatch
-from .batch import MarkerModel as MarkerModel
 from .batch import SensorNoise as SensorNoise
 from .batch import TrialPresses as TrialPresses
 from .batch import draw_noise as draw_noise
-from .batch import gel_from_settings as gel_from_settings
 from .batch import observe_presses as observe_presses
 from .batch import onset_rule as onset_rule
+from .batch import press_with_noise as press_with_noise
 from .batch import simulate_episodes as simulate_episodes
 from .conditions import Conditions as Conditions
 from .conditions import GripDraw as GripDraw
@@ -20,10 +20,10 @@ from .finger_camera import TactileRenderer as TactileRenderer
 from .finger_camera import load_gel_appearance as load_gel_appearance
 from .finger_camera import mirror_appearance as mirror_appearance
 from .gripper import start_command_mm as start_command_mm
+from .marker_fields import gel_from_settings as gel_from_settings
 from .mechanics import GraspHistory as GraspHistory
 from .mechanics import Region as Region
 from .mechanics import begin_probes as begin_probes
-from .pressing import press_batch as press_batch
 from .release_mujoco import import_mujoco as import_mujoco
 from .release_mujoco import mujoco_available as mujoco_available
 from .scene import Scene as Scene
@@ -47,13 +47,13 @@ __all__ = [
     "EpisodeBatch",
     "GraspHistory",
     "GripDraw",
-    "MarkerModel",
     "MountingDraw",
     "ProbeDraw",
     "Region",
     "Scene",
     "SceneTruth",
     "SensorNoise",
+    "SimProgram",
     "SupportStack",
     "TactileRenderer",
     "TrialPresses",
@@ -69,7 +69,7 @@ __all__ = [
     "mujoco_available",
     "observe_presses",
     "onset_rule",
-    "press_batch",
+    "press_with_noise",
     "release_kick_mm",
     "simulate_episodes",
     "start_command_mm",

@@ -11,7 +11,6 @@ import math
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
@@ -24,6 +23,7 @@ from touchdown.backend.core import (
     rotation_from_vector,
     rotation_vector,
 )
+from touchdown.backend.devices import PressCommand
 
 ACCELERATION_MM_S2 = 500.0
 _NOT_OPENED = "The arm stands still; the gripper was not opened."
@@ -42,23 +42,20 @@ class ArmCycle:
     heard_n: FloatArray
 
 
-class SimProgram(Protocol):
-    """One command in progress."""
+class SimProgram:
+    """One command in progress.
 
-    @property
-    def done(self) -> bool:
-        """True if the program ended, with or without a failure."""
+    ``done``: it ended, with or without ``failure``. ``turn`` (3, 3): rotation of the hand after the
+    last cycle; None: unchanged.
+    """
 
-    @property
-    def failure(self) -> Fault | None:
-        """Reason of a failure, or None."""
-
-    @property
-    def turn(self) -> FloatArray | None:
-        """Rotation (3, 3) of the hand after the last cycle; None: unchanged."""
+    done = False
+    failure: Fault | None = None
+    turn: FloatArray | None = None
 
     def next_mm(self, command_mm: FloatArray, cycle: ArmCycle) -> FloatArray:
         """Return the command (3,) at the end of ``cycle``."""
+        raise NotImplementedError
 
 
 def travelled_mm(
@@ -79,17 +76,20 @@ def travelled_mm(
     return speed * (elapsed_s - 0.5 * rise_s)
 
 
-class SimTravel:
-    """A straight move with a trapezoidal speed profile."""
+def limit_change(now: FloatArray, wanted: FloatArray, most: float) -> FloatArray:
+    """Return the next velocity: ``wanted``, but at most ``most`` from ``now``."""
+    change = wanted - now
+    size = float(np.linalg.norm(change))
+    return wanted.copy() if size <= most else np.asarray(now + change * (most / size))
 
-    failure: Fault | None = None
-    turn: FloatArray | None = None
+
+class SimTravel(SimProgram):
+    """A straight move with a trapezoidal speed profile."""
 
     def __init__(self, start_mm: FloatArray, target_mm: FloatArray, speed_mm_s: float) -> None:
         self._start_mm, self._target_mm = start_mm.copy(), target_mm.copy()
         self._length_mm = float(np.linalg.norm(target_mm - start_mm))
         self._speed_mm_s, self._elapsed_s = speed_mm_s, 0.0
-        self.done = False
 
     def next_mm(self, command_mm: FloatArray, cycle: ArmCycle) -> FloatArray:
         """Return the next point of the line."""
@@ -102,16 +102,12 @@ class SimTravel:
         return np.asarray(self._start_mm + share * (self._target_mm - self._start_mm))
 
 
-class SimJog:
+class SimJog(SimProgram):
     """Follows a velocity until it expires, then brakes. A renewal continues without a jerk."""
-
-    failure: Fault | None = None
-    turn: FloatArray | None = None
 
     def __init__(self) -> None:
         self._asked: tuple[FloatArray, float] = (np.zeros(3), -math.inf)
         self._velocity_mm_s = np.zeros(3)
-        self.done = False
 
     def renew(self, velocity_mm_s: FloatArray, until_s: float) -> None:
         """Set another velocity (3,), valid until ``until_s`` on the bench clock."""
@@ -123,39 +119,24 @@ class SimJog:
         over = cycle.start_s >= until_s
         wanted = np.zeros(3) if over else asked
         dt_s = cycle.end_s - cycle.start_s
-        change = wanted - self._velocity_mm_s
-        size, most = float(np.linalg.norm(change)), ACCELERATION_MM_S2 * dt_s
-        self._velocity_mm_s = (
-            wanted.copy() if size <= most else self._velocity_mm_s + change * (most / size)
-        )
+        self._velocity_mm_s = limit_change(self._velocity_mm_s, wanted, ACCELERATION_MM_S2 * dt_s)
         self.done = over and not self._velocity_mm_s.any()
         return np.asarray(command_mm + self._velocity_mm_s * dt_s)
 
 
-@dataclass(frozen=True, slots=True)
-class PressLaw:
-    """Descent, contact rule, ramp and hold of one press (units in the names)."""
-
-    depth_mm: float
-    ramp_s: float
-    hold_s: float
-    approach_mm_s: float
-    threshold_n: float
-    max_travel_mm: float
-
-
-class SimPress:
+class SimPress(SimProgram):
     """Descent at constant speed until contact is declared, then a ramp from the back-dated onset.
 
     The command never rises: the overshoot of the descent is kept until the ramp passes it. ``air``
     (n,), (n,): times and forces just before, as the baseline of an early contact.
     """
 
-    failure: Fault | None = None
-    turn: FloatArray | None = None
-
     def __init__(
-        self, law: PressLaw, start_z_mm: float, start_s: float, air: tuple[FloatArray, FloatArray]
+        self,
+        law: PressCommand,
+        start_z_mm: float,
+        start_s: float,
+        air: tuple[FloatArray, FloatArray],
     ) -> None:
         self._law, self._start_z_mm = law, start_z_mm
         self._detector = OnsetDetector(OnsetRule(threshold_n=law.threshold_n))
@@ -163,7 +144,6 @@ class SimPress:
             self._detector.feed(*air)
         self._way: list[tuple[float, float]] = [(start_s, start_z_mm)]
         self._zero_mm: float | None = None
-        self.done = False
 
     @property
     def detected_s(self) -> float | None:
@@ -207,18 +187,14 @@ class SimPress:
         )
 
 
-class SimUnload:
+class SimUnload(SimProgram):
     """Rises while pressing until the force over ``tare_n`` has fallen to ``force_n``."""
 
     LONGEST_MM = 10.0
 
-    failure: Fault | None = None
-    turn: FloatArray | None = None
-
     def __init__(self, force_n: float, tare_n: float, speed_mm_s: float, start_z_mm: float) -> None:
         self._force_n, self._tare_n = force_n, tare_n
         self._speed_mm_s, self._start_z_mm = speed_mm_s, start_z_mm
-        self.done = False
 
     def next_mm(self, command_mm: FloatArray, cycle: ArmCycle) -> FloatArray:
         """Return the next command; unchanged without force samples."""
@@ -292,13 +268,6 @@ PoseCheck = Callable[[HandPose], Fault | None]
 ForwardKinematics = Callable[[FloatArray], HandPose]
 
 
-def limit_change(now: FloatArray, wanted: FloatArray, most: float) -> FloatArray:
-    """Return the next velocity: ``wanted``, but at most ``most`` from ``now``."""
-    change = wanted - now
-    size = float(np.linalg.norm(change))
-    return wanted.copy() if size <= most else np.asarray(now + change * (most / size))
-
-
 @dataclass(frozen=True, slots=True)
 class JointKinematics:
     """Forward kinematics and check of poses."""
@@ -307,13 +276,11 @@ class JointKinematics:
     allowed: PoseCheck
 
 
-class _CheckedProgram:
+class _CheckedProgram(SimProgram):
     """Base of programs with rotation, which end at the first pose that is not allowed."""
 
     def __init__(self, start: HandPose, allowed: PoseCheck) -> None:
-        self.turn: FloatArray | None = start[1]
-        self.failure: Fault | None = None
-        self.done = False
+        self.turn = start[1]
         self._allowed = allowed
 
     def _go(self, command_mm: FloatArray, place: HandPose) -> FloatArray:

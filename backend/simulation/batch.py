@@ -12,31 +12,24 @@ from __future__ import annotations
 import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.backend.config import SAMPLES_PER_PROBE, ProbeSettings, SimulationSettings
-from touchdown.backend.core import (
-    CHANNELS,
-    TACTILE_CHANNELS,
-    FloatArray,
-    OnsetRule,
-    fill_unseen_markers,
-)
+from touchdown.backend.core import CHANNELS, TACTILE_CHANNELS, FloatArray, OnsetRule
 from touchdown.backend.geometry import Outline, Tower, face_points
 from touchdown.backend.simulation import conditions as nuisance
 from touchdown.backend.simulation import marker_fields
 from touchdown.backend.simulation.conditions import Conditions, SeedScope, true_offset_mm
 from touchdown.backend.simulation.contact import RESIDUAL_LIMIT
 from touchdown.backend.simulation.gripper import scene_mounting, start_command_mm
-from touchdown.backend.simulation.marker_fields import CameraDraw, Gel, build_gel
-from touchdown.backend.simulation.mechanics import GraspHistory, Region, begin_probes
+from touchdown.backend.simulation.marker_fields import CameraDraw, Gel, gel_from_settings
+from touchdown.backend.simulation.mechanics import ContactState, GraspHistory, Region, begin_probes
 from touchdown.backend.simulation.pressing import (
     TIMELINE_VALUES,
     PressBatch,
-    Timeline,
+    PressCourse,
     noise_samples,
     press_batch,
 )
@@ -132,14 +125,6 @@ class SensorNoise:
 
 
 @dataclass(frozen=True, slots=True)
-class MarkerModel:
-    """Model of marker fields (``gel``), and function that fills unseen markers (``infer``)."""
-
-    gel: Gel
-    infer: marker_fields.FillMarkers = fill_unseen_markers
-
-
-@dataclass(frozen=True, slots=True)
 class _ProbeNoise:
     """Random numbers of one probe."""
 
@@ -149,9 +134,7 @@ class _ProbeNoise:
 
 
 def simulate_episodes(
-    plan: BatchPlan,
-    grips: Sequence[int] | None = None,
-    infer: marker_fields.FillMarkers = fill_unseen_markers,
+    plan: BatchPlan, grips: Sequence[int] | None = None
 ) -> Iterator[EpisodeBatch]:
     """Yield the episodes of ``grips`` (default: all), one probe of each grip at a time.
 
@@ -159,7 +142,7 @@ def simulate_episodes(
     counted. Raises ``RuntimeError`` if a probe fails ``MAX_ATTEMPTS`` times.
     """
     chosen = list(range(plan.grips) if grips is None else grips)
-    bench = _BatchBench(plan, infer)
+    bench = _BatchBench(plan)
     held = {grip: bench.gripping(grip) for grip in chosen}
     carried = GraspHistory.fresh(len(chosen))
     for number in range(max(map(plan.probes_of, chosen), default=0)):
@@ -172,11 +155,10 @@ def simulate_episodes(
 class _BatchBench:
     """Common parts of all probes of a plan."""
 
-    def __init__(self, plan: BatchPlan, infer: marker_fields.FillMarkers) -> None:
+    def __init__(self, plan: BatchPlan) -> None:
         self.plan = plan
-        self.eye = MarkerModel(gel_from_settings(plan.settings), infer)
+        self.gel = gel_from_settings(plan.settings)
         self.rule = onset_rule(plan.settings, plan.probe)
-        self.cycle_s = 1e-6 * plan.settings.cycle_us
         tower = plan.bottoms
         self.stand = None if tower is None else support_stack(tower, plan.settings.support)
 
@@ -264,20 +246,18 @@ class _BatchBench:
             carried,
             plan.settings.face.lattice_mm,
         ).on(None if self.stand is None else join_support_stacks([self.stand] * len(drawn)))
-        pressed = press_batch(
-            state,
-            np.array([d.noise.phase_s for d in drawn]),
-            np.stack([d.noise.force_n for d in drawn]),
-            plan.probe,
-            self.rule,
-            self.cycle_s,
+        pressed = press_with_noise(
+            state, [d.noise for d in drawn], plan.settings, plan.probe, self.rule
         )
         slipped = pressed.state.slip[:, :, :2] - carried.slip[:, :, :2]
-        after = _regrasped(GraspHistory(pressed.state.slip, pressed.state.relaxed))
+        after = GraspHistory(pressed.state.slip, pressed.state.relaxed)
+        # A piece that slid too far is gripped again.
+        slid = np.hypot(after.slip[..., 0], after.slip[..., 1]).max(axis=1) > REGRASP_MM
+        after = after.replaced(np.flatnonzero(slid), GraspHistory.fresh(int(slid.sum())))
         mounting = np.array(grips) // plan.grips_per_mounting
         batch = EpisodeBatch(
             observation=observe_presses(
-                pressed, conditions, plan.settings, [d.noise for d in drawn], self.eye
+                pressed, conditions, plan.settings, [d.noise for d in drawn], self.gel
             ),
             offset_mm=commanded,
             true_offset_mm=true,
@@ -291,12 +271,6 @@ class _BatchBench:
             rejected=0,
         )
         return batch, after, usable_presses(pressed, conditions, plan.probe)
-
-
-def gel_from_settings(settings: SimulationSettings) -> Gel:
-    """Return the gel of the settings."""
-    tactile = settings.tactile
-    return build_gel(tactile.mm_per_px, tactile.pitch_mm, tactile.roll_off_mm, tactile.dilation)
 
 
 def onset_rule(settings: SimulationSettings, probe: ProbeSettings) -> OnsetRule:
@@ -315,20 +289,17 @@ def draw_noise(
     return SensorNoise(phase_s, force_n, wrench, marker_fields.draw_camera(settings.tactile, rng))
 
 
-class PressCourse(Protocol):
-    """B presses as read by ``observe_presses``; ``PressBatch`` is one."""
-
-    @property
-    def timeline(self) -> Timeline:
-        """Wrench, strain and pad forces over time."""
-
-    @property
-    def ticks_s(self) -> FloatArray:
-        """(B, 20) instants of the model's input."""
-
-    @property
-    def air(self) -> FloatArray:
-        """(B, 14) values before the descent."""
+def press_with_noise(
+    state: ContactState,
+    noise: Sequence[SensorNoise],
+    settings: SimulationSettings,
+    probe: ProbeSettings,
+    rule: OnsetRule,
+) -> PressBatch:
+    """Press B probes with drawn sensor errors."""
+    phase_s = np.array([n.phase_s for n in noise])
+    force_n = np.stack([n.force_n for n in noise])
+    return press_batch(state, phase_s, force_n, probe, rule, 1e-6 * settings.cycle_us)
 
 
 def observe_presses(
@@ -336,16 +307,15 @@ def observe_presses(
     conditions: Conditions,
     settings: SimulationSettings,
     noise: Sequence[SensorNoise],
-    eye: MarkerModel,
+    gel: Gel,
 ) -> NDArray[np.float32]:
     """Return the observations (n, 20, 258) of n presses."""
     sight = marker_fields.PadImaging(
-        eye.gel,
+        gel,
         conditions.gain,
         conditions.bias_px,
         conditions.grip_force_n,
         settings.tactile.border_px,
-        eye.infer,
     )
     fields = marker_fields.fields_at_ticks(
         pressed.timeline, pressed.air, pressed.ticks_s, [n.camera for n in noise], sight
@@ -359,12 +329,6 @@ def observe_presses(
     seen[:, :, :TACTILE_CHANNELS] = in_order
     seen[:, :, TACTILE_CHANNELS:] = at_wrist
     return seen
-
-
-def _regrasped(carried: GraspHistory) -> GraspHistory:
-    """Reset the slip of pieces that slipped too far."""
-    slid = np.hypot(carried.slip[..., 0], carried.slip[..., 1]).max(axis=1) > REGRASP_MM
-    return carried.replaced(np.flatnonzero(slid), GraspHistory.fresh(int(slid.sum())))
 
 
 def _mean_wrench(pressed: PressCourse) -> FloatArray:
@@ -453,7 +417,7 @@ class BatchedTrials:
         self._probe = probe or ProbeSettings()
         self._points_mm = face_points(first.piece.face, first.settings.face.lattice_mm)
         self._rule = onset_rule(first.settings, self._probe)
-        self._eye = MarkerModel(gel_from_settings(first.settings))
+        self._gel = gel_from_settings(first.settings)
         force_n = self._probe.grip_force_n
         self.grippings = [
             nuisance.draw_gripping(
@@ -474,7 +438,12 @@ class BatchedTrials:
     @staticmethod
     def shared(scene: Scene) -> tuple[object, ...]:
         """Return the values that must be equal in all scenes."""
-        return scene.piece, scene.surface, scene.settings, _count_free_bodies(scene)
+        return (
+            scene.piece,
+            scene.surface,
+            scene.settings,
+            sum(not body.fixed for body in scene.bottoms.bodies),
+        )
 
     def surfaces(self, rows: NDArray[np.intp]) -> Region:
         """Return the outline below the faces of the trials ``rows``."""
@@ -502,14 +471,7 @@ class BatchedTrials:
             settings.face.lattice_mm,
         ).on(self._stand(rows))
         noise = [draw_noise(settings, self._rule, self._sensor_rng(i)) for i in rows.tolist()]
-        pressed = press_batch(
-            state,
-            np.array([n.phase_s for n in noise]),
-            np.stack([n.force_n for n in noise]),
-            self._probe,
-            self._rule,
-            1e-6 * settings.cycle_us,
-        )
+        pressed = press_with_noise(state, noise, settings, self._probe, self._rule)
         slid = pressed.state.slip[:, :, :2] - carried.slip[:, :, :2]
         valid = usable_presses(pressed, conditions, self._probe)
         after = GraspHistory(pressed.state.slip, pressed.state.relaxed)
@@ -517,7 +479,7 @@ class BatchedTrials:
         self._slide(rows, pressed.state.pose.slide_mm)
         last = pressed.timeline.values[:, -1, :TIMELINE_VALUES]
         return TrialPresses(
-            observation=observe_presses(pressed, conditions, settings, noise, self._eye),
+            observation=observe_presses(pressed, conditions, settings, noise, self._gel),
             true_mm=true_offset_mm(commands_mm, conditions, after.slip) - self._slid_mm[rows],
             valid=valid,
             press_n=np.asarray(last[:, 2], dtype=np.float64),
@@ -555,7 +517,3 @@ class BatchedTrials:
     def _sensor_rng(self, trial: int) -> np.random.Generator:
         seed, number = self.scenes[trial].seed, self._number[trial]
         return nuisance.scoped_generator(seed, SeedScope.PROBE, _MOUNTING, _GRIP, number, _SENSORS)
-
-
-def _count_free_bodies(scene: Scene) -> int:
-    return sum(not body.fixed for body in scene.bottoms.bodies)

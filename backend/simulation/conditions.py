@@ -7,8 +7,9 @@ that draws do not depend on the division or order of the work.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from enum import IntEnum
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -88,7 +89,7 @@ class SeedScope(IntEnum):
 
 def scoped_generator(seed: int, scope: SeedScope, *place: int) -> np.random.Generator:
     """Return the generator of one ``place``: (mounting), (mounting, grip), (..., probe)."""
-    return np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, scope, *place])))
+    return np.random.default_rng([seed, scope, *place])
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,31 +181,25 @@ def conditions_from_draws(
     count = len(draws)
     ones = np.ones(count)
     grasp = settings.grasp
-    gel = np.array([g.gel_factor for g in gripping])
+    drawn: dict[str, Any] = {
+        field.name: np.array([getattr(draw, field.name) for draw in scope])
+        for scope in (mounting, gripping, each)
+        for field in fields(scope[0])
+    }
+    gel = drawn.pop("gel_factor")
     return Conditions(
+        **drawn,
         shear_n_mm=grasp.shear_n_mm * gel,
         normal_n_mm=grasp.normal_n_mm * gel,
         torsion_nmm=grasp.torsion_nmm_rad * gel,
         width_mm=width_mm * ones,
         robot_n_mm=np.tile(np.array(probe.stiffness_n_mm), (count, 1)),
         grip_height_mm=grip_height_mm * ones,
-        grip_force_n=np.array([g.grip_force_n for g in gripping]),
-        mu_grip=np.array([g.mu_grip for g in gripping]),
         limit_radius_mm=grasp.limit_radius_mm * ones,
         slips=np.full(count, grasp.slip),
-        grasp_offset_mm=np.array([g.grasp_offset_mm for g in gripping]),
-        yaw_rad=np.array([g.yaw_rad for g in gripping]),
         alpha=(grasp.hysteresis_share if grasp.hysteresis else 0.0) * ones,
         relax_s=grasp.hysteresis_s * ones,
-        mu=np.array([p.mu for p in each]),
-        foundation_n_mm3=np.array([m.foundation_n_mm3 for m in mounting]),
         tangential_n_mm3=settings.face.tangential_n_mm3 * ones,
-        tilt_rad=np.array([m.tilt_rad for m in mounting]),
-        print_offset_mm=np.array([m.print_offset_mm for m in mounting]),
-        label_error_mm=np.array([p.label_error_mm for p in each]),
-        gain=np.array([g.gain for g in gripping]),
-        bias_px=np.stack([p.bias_px for p in each]),
-        ft_offset=np.stack([p.ft_offset for p in each]),
     )
 
 

@@ -263,7 +263,8 @@ class _SpringLoad(Rows):
     def at(self, q: FloatArray) -> _MotionTrial:
         there = contact_forces(self.cells, self.anchor, q)
         left = there.wrench - self.stiffness * (q - self.zero)
-        return _MotionTrial(q, there, left, _residual_norm(left))
+        scaled = left * RESIDUAL_SCALE
+        return _MotionTrial(q, there, left, np.sqrt((scaled * scaled).sum(axis=1)))
 
 
 def _newton_step(
@@ -281,8 +282,3 @@ def _newton_step(
 
 
 _DIAGONAL = np.arange(6)
-
-
-def _residual_norm(residual: FloatArray) -> FloatArray:
-    scaled = residual * RESIDUAL_SCALE
-    return np.asarray(np.sqrt((scaled * scaled).sum(axis=1)), dtype=np.float64)

@@ -16,6 +16,7 @@ import tomllib
 from dataclasses import dataclass, replace
 from functools import cache, lru_cache
 from importlib import resources
+from typing import Any
 
 import cv2
 import numpy as np
@@ -59,17 +60,11 @@ def load_gel_appearance(name: str = "large-dot") -> GelAppearance:
     rest_px = np.array(raw["rest_px"], dtype=np.float64)
     if rest_px.shape != (GRID_ROWS, GRID_COLS, 2):
         raise ValueError(f"gel {name}: rest_px is {rest_px.shape}, not 7 x 9 x 2")
-    return GelAppearance(
-        name=str(raw["name"]),
-        rest_px=rest_px.reshape(MARKERS, 2),
-        background=np.array(raw["background"], dtype=np.float64),
-        core=np.array(raw["core"], dtype=np.float64),
-        smear=np.array(raw["smear"], dtype=np.float64),
-        radius_px=float(raw["radius_px"]),
-        edge_px=float(raw["edge_px"]),
-        grain=float(raw["grain"]),
-        noise=float(raw["noise"]),
-    )
+    colours: dict[str, Any] = {
+        k: np.array(raw[k], dtype=np.float64) for k in ("background", "core", "smear")
+    }
+    numbers: dict[str, Any] = {k: float(raw[k]) for k in ("radius_px", "edge_px", "grain", "noise")}
+    return GelAppearance(str(raw["name"]), rest_px.reshape(MARKERS, 2), **colours, **numbers)
 
 
 def mirror_appearance(look: GelAppearance, width_px: int = 320) -> GelAppearance:
@@ -217,9 +212,13 @@ class TactileRenderer:
 
     def __init__(self, look: GelAppearance, seed: int, still_px: float = 0.0) -> None:
         self.look = look
-        fixed = np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, 1])))
-        self._draws = np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, 2])))
-        self._back = _grain(look, fixed)
+        fixed = np.random.default_rng([seed, 1])
+        self._draws = np.random.default_rng([seed, 2])
+        # Fixed grain: a Gaussian pattern of correlation 1 px.
+        white = fixed.standard_normal((HEIGHT_PX, WIDTH_PX, 3), dtype=np.float32)
+        grain = np.asarray(cv2.GaussianBlur(white, (0, 0), 1.0), dtype=np.float32)
+        grain *= np.float32(look.grain / float(grain.std()))
+        self._back = np.ascontiguousarray(grain.transpose(2, 0, 1))
         self._back += _background(look.background.tobytes(), look.background.shape)
         self._to_core = look.core.astype(np.float32)[:, None, None] - self._back
         self._dots = DotRenderer(look, fixed, still_px)
@@ -314,14 +313,6 @@ def _noise_bank(state: str, deviation: float) -> Float32:
     return bank
 
 
-def _grain(look: GelAppearance, rng: np.random.Generator) -> Float32:
-    """Return (3, 240, 320): Gaussian pattern of correlation 1 px and the look's deviation."""
-    white = rng.standard_normal((HEIGHT_PX, WIDTH_PX, 3), dtype=np.float32)
-    smooth = np.asarray(cv2.GaussianBlur(white, (0, 0), 1.0), dtype=np.float32)
-    smooth *= np.float32(look.grain / float(smooth.std()))
-    return np.ascontiguousarray(smooth.transpose(2, 0, 1))
-
-
 @dataclass(frozen=True, slots=True)
 class Exposure:
     """One image (240, 320, 3) BGR, its time and number; gaps in the numbers are lost frames."""
@@ -345,7 +336,7 @@ class FingerCamera:
 
     def __init__(self, settings: TactileSettings, optics: TactileRenderer, seed: int) -> None:
         self._settings, self._optics = settings, optics
-        self._rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, 3])))
+        self._rng = np.random.default_rng([seed, 3])
         self._period_us = 1e6 / settings.rate_hz
         self._phase_us = float(self._rng.uniform(0.0, self._period_us))
         self._next, self._due_us = 0, 0

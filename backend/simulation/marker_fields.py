@@ -8,14 +8,13 @@ on the left of the image; the right camera faces the opposite way, so that its u
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.backend.config import SAMPLES_PER_PROBE, TactileSettings
-from touchdown.backend.core import GRID_COLS, GRID_ROWS, MARKERS, FloatArray
+from touchdown.backend.config import SAMPLES_PER_PROBE, SimulationSettings, TactileSettings
+from touchdown.backend.core import GRID_COLS, GRID_ROWS, MARKERS, FloatArray, fill_unseen_markers
 from touchdown.backend.simulation.pressing import Timeline
 
 
@@ -65,8 +64,11 @@ def build_gel(
     return Gel(np.stack(maps), np.stack(rests))
 
 
-# Fills unseen markers: (n, 63, 2) px and seen (n, 63) -> (n, 63, 2).
-FillMarkers = Callable[[FloatArray, NDArray[np.bool_]], FloatArray]
+def gel_from_settings(settings: SimulationSettings) -> Gel:
+    """Return the gel of the settings."""
+    tactile = settings.tactile
+    return build_gel(tactile.mm_per_px, tactile.pitch_mm, tactile.roll_off_mm, tactile.dilation)
+
 
 FRAMES_PER_PRESS = 72  # frames per camera that cover any press at 25 Hz
 LEAD_TIME_S = 0.25  # the first frame comes this long before first touch
@@ -145,7 +147,7 @@ def frames_around_ticks(
 class PadImaging:
     """Imaging of B pads: ``gain`` (B, 2), ``bias_px`` (B, 2, 2), ``grip_force_n`` (B,).
 
-    A marker nearer than ``border_px`` to the image border is not seen and filled by ``infer``.
+    A marker nearer than ``border_px`` to the image border is not seen and filled in.
     """
 
     gel: Gel
@@ -153,7 +155,6 @@ class PadImaging:
     bias_px: FloatArray
     grip_force_n: FloatArray
     border_px: float
-    infer: FillMarkers
 
 
 def fields_at_ticks(
@@ -177,12 +178,14 @@ def fields_at_ticks(
     moved = _inputs(values, sight) - _inputs(air[:, None, None, None, :], sight)
     field = (moved.reshape(count, 2, -1, 4) @ sight.gel.map).reshape(*index.shape, MARKERS, 2)
     lost = np.stack([draw.lost for draw in draws])[rows, fingers, index]
-    lost |= _near_border(sight.gel.rest_px[:, None, None] + field, sight.border_px)
+    at_px = sight.gel.rest_px[:, None, None] + field
+    lost |= (at_px < sight.border_px).any(axis=-1)
+    lost |= (at_px > np.array(IMAGE_PX) - sight.border_px).any(axis=-1)
     field *= sight.gain[:, :, None, None, None, None]
     field += np.stack([draw.white_px for draw in draws]).swapaxes(1, 2)
     hurt = lost.any(axis=-1)
     if hurt.any():
-        field[hurt] = sight.infer(field[hurt], ~lost[hurt])
+        field[hurt] = fill_unseen_markers(field[hurt], ~lost[hurt])
     at_ticks = (field * weight[..., None, None]).sum(axis=3).swapaxes(1, 2)
     at_ticks += sight.bias_px[:, None, :, None, :]
     at_ticks += np.stack([draw.drift_px for draw in draws])[:, :, :, None, :]
@@ -197,9 +200,3 @@ def _inputs(values: FloatArray, sight: PadImaging) -> FloatArray:
     if values.shape[1] == 1:
         return np.asarray(both[:, 0].transpose(0, 3, 1, 2, 4), dtype=np.float64)
     return np.stack([both[:, 0, ..., 0, :], both[:, 1, ..., 1, :]], axis=1)
-
-
-def _near_border(position_px: FloatArray, border_px: float) -> NDArray[np.bool_]:
-    low = (position_px < border_px).any(axis=-1)
-    high = (position_px > np.array(IMAGE_PX) - border_px).any(axis=-1)
-    return np.asarray(low | high)

@@ -474,6 +474,9 @@ def _advance_once(
     elastic[:, :, :3] -= slip
     moved = np.abs(travel[:, None]) > 1e-6
     way = np.where(moved, travel[:, None], 1.0)
+    toppled = state.toppled
+    if state.stand is not None:
+        toppled = toppled | (topples(state.stand, pose) & (residual <= RESIDUAL_LIMIT))
     after = replace(
         state,
         q=q,
@@ -484,8 +487,10 @@ def _advance_once(
         depth_mm=commanded_mm[:, 2],
         slope=np.where(moved, (q - state.q) / way, state.slope),
         pose=pose,
-        toppled=state.toppled | _toppled(state, pose, residual),
+        toppled=toppled,
     )
+    r_z, (fx, fy, fz, mx, my, _) = state.cells.r_z, now.wrench.T
+    press = np.where(fz > 0.0, fz, np.nan)
     solved = ProbeEquilibrium(
         q=q,
         wrench_g=now.wrench,
@@ -493,19 +498,6 @@ def _advance_once(
         normal_n=found.normal_n,
         slip=slip,
         residual=residual,
-        cop_mm=_centre_of_pressure(now.wrench, state.cells.r_z),
+        cop_mm=np.stack([-(my - r_z * fx) / press, (mx + r_z * fy) / press], axis=1),
     )
     return after, solved
-
-
-def _toppled(state: ContactState, pose: SupportMotion, residual: FloatArray) -> NDArray[np.bool_]:
-    if state.stand is None:
-        return np.zeros_like(state.toppled)
-    return topples(state.stand, pose) & (residual <= RESIDUAL_LIMIT)
-
-
-def _centre_of_pressure(wrench: FloatArray, r_z: FloatArray) -> FloatArray:
-    force = np.where(wrench[:, 2] > 0.0, wrench[:, 2], np.nan)
-    x = -(wrench[:, 4] - r_z * wrench[:, 0]) / force
-    y = (wrench[:, 3] + r_z * wrench[:, 1]) / force
-    return np.stack([x, y], axis=1)

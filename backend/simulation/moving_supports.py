@@ -168,7 +168,14 @@ def solve_on_supports(
     The supports of probes that are not ``alive`` (B,) stay, with an infinite residual. ``eased``:
     use a relaxed drag if the first search fails.
     """
-    start = _resting_solution(held, q, pose)
+    # Supports at rest: infinite residual if they would move.
+    ride = carried_motion(held, pose)
+    relative, now, residual = solve_equilibrium(
+        held.cells, held.anchor, q - ride, held.zero - ride, held.stiffness
+    )
+    q = relative + ride
+    rests = SupportLaw.at(held, q, pose, now).size <= TOLERANCE
+    start = SupportSolution(q, pose, np.where(rests, residual, np.inf))
     rows = np.flatnonzero(alive & ~(start.residual <= TOLERANCE))
     if not len(rows):
         return start
@@ -181,13 +188,6 @@ def solve_on_supports(
     # Without an equilibrium the press continues on rigid supports.
     usable = np.flatnonzero(found.residual <= RESIDUAL_LIMIT)
     return start.replaced(rows[usable], found.take(usable))
-
-
-def _resting_solution(held: SolutionInputs, q: FloatArray, pose: SupportMotion) -> SupportSolution:
-    """Return the equilibrium on resting supports; infinite residual if they would move."""
-    q, now, residual = _solve_fixed(held, q, pose)
-    law = SupportLaw.at(held, q, pose, now)
-    return SupportSolution(q, pose, np.where(law.size <= TOLERANCE, residual, np.inf))
 
 
 def carried_motion(
@@ -222,17 +222,6 @@ def _relaxed_drag(held: SolutionInputs, q: FloatArray, pose: SupportMotion) -> S
         there = np.flatnonzero(found.residual <= TOLERANCE)
         now = now.replaced(there, found.take(there))
     return _solve_newton(held, now.q, now.pose)
-
-
-def _solve_fixed(
-    held: SolutionInputs, q: FloatArray, pose: SupportMotion
-) -> tuple[FloatArray, ContactForces, FloatArray]:
-    """Return q (B, 6), forces and residual of the equilibrium on supports that stay at ``pose``."""
-    ride = carried_motion(held, pose)
-    relative, now, residual = solve_equilibrium(
-        held.cells, held.anchor, q - ride, held.zero - ride, held.stiffness
-    )
-    return relative + ride, now, residual
 
 
 def _solve_newton(held: SolutionInputs, q: FloatArray, pose: SupportMotion) -> SupportSolution:

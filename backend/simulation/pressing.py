@@ -10,7 +10,8 @@ touch.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Self
+from operator import attrgetter
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -72,19 +73,26 @@ FIRST_BLOCK, NEXT_BLOCK, MAX_CYCLES = 15, 3, 60
 
 
 @dataclass(frozen=True, slots=True)
-class PressBatch:
-    """B presses. ``onset_s`` (B,) back-dated; ``detected`` (B,): contact was found in time.
-
-    ``touch_s`` (B,): true first touch; ``ticks_s`` (B, 20); ``air`` (B, 14): values before the
-    descent; ``state``: at the end of the hold.
+class PressCourse:
+    """Course of B presses. ``ticks_s`` (B, 20): instants of the model input; ``air`` (B, 14):
+    values before the descent.
     """
 
     timeline: Timeline
+    ticks_s: FloatArray
+    air: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class PressBatch(PressCourse):
+    """B presses. ``onset_s`` (B,) back-dated; ``detected`` (B,): contact was found in time.
+
+    ``touch_s`` (B,): true first touch; ``state``: at the end of the hold.
+    """
+
     onset_s: FloatArray
     touch_s: FloatArray
-    ticks_s: FloatArray
     detected: NDArray[np.bool_]
-    air: FloatArray
     state: ContactState
 
 
@@ -145,7 +153,12 @@ def press_batch(
     onset = np.where(detected, onset, 0.0)
     per_cycle = round(cycle_s * rule.rate_hz)
     acted = np.clip(-(-(found - (air - 1)) // per_cycle), 1, len(descent.states) - 1)
-    first = _first_stretch(descent, acted)
+    # The descent up to the cycle end ``acted`` of each probe, held there to the end.
+    index = np.minimum(np.arange(len(descent.states)), acted[:, None])
+    rows = np.arange(len(acted))[:, None]
+    first = Timeline(
+        np.stack(descent.t_s, axis=1)[rows, index], np.stack(descent.values, axis=1)[rows, index]
+    )
     ticks = onset[:, None] + TICK_S * np.arange(1, SAMPLES_PER_PROBE + 1)
     chosen = _state_at(descent.states, acted)
     command = _Ramp(probe, onset, first.t_s[:, -1], descent.lead_mm)
@@ -202,14 +215,6 @@ def _sampled_force(
     return force
 
 
-def _first_stretch(descent: _Descent, acted: NDArray[np.intp]) -> Timeline:
-    """Return the descent up to the cycle end ``acted`` of each probe, held there to the end."""
-    index = np.minimum(np.arange(len(descent.states)), acted[:, None])
-    rows = np.arange(len(acted))[:, None]
-    t_s = np.stack(descent.t_s, axis=1)[rows, index]
-    return Timeline(t_s, np.stack(descent.values, axis=1)[rows, index])
-
-
 def _state_at(states: list[ContactState], acted: NDArray[np.intp]) -> ContactState:
     """Return the state of each probe at its cycle end ``acted``."""
     rows = np.arange(len(acted))
@@ -217,23 +222,13 @@ def _state_at(states: list[ContactState], acted: NDArray[np.intp]) -> ContactSta
     anchors = np.stack([state.anchor for state in used])[acted, :, rows]
 
     def own(name: str) -> FloatArray:
-        return np.stack([getattr(state, name) for state in used])[acted, rows]
+        return np.stack(list(map(attrgetter(name), used)))[acted, rows]
 
-    return replace(
-        states[0],
-        q=own("q"),
-        slip=own("slip"),
-        anchor=np.ascontiguousarray(anchors.swapaxes(0, 1)),
-        relaxed=own("relaxed"),
-        residual=own("residual"),
-        depth_mm=own("depth_mm"),
-        slope=own("slope"),
-        pose=SupportMotion(
-            np.stack([state.pose.rock_rad for state in used])[acted, rows],
-            np.stack([state.pose.slide_mm for state in used])[acted, rows],
-        ),
-        toppled=np.stack([state.toppled for state in used])[acted, rows],
-    )
+    pose = SupportMotion(own("pose.rock_rad"), own("pose.slide_mm"))
+    names = ("q", "slip", "relaxed", "residual", "depth_mm", "slope", "toppled")
+    anchor = np.ascontiguousarray(anchors.swapaxes(0, 1))
+    changed: dict[str, Any] = {name: own(name) for name in names}
+    return replace(states[0], anchor=anchor, pose=pose, **changed)
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from touchdown.backend.core import Fall, FloatArray, InputError
+from touchdown.backend.core import Fall, InputError
 from touchdown.backend.geometry import Body, Outline, Point, Tower, TowerVerdict, rotated
 
 SPHERES_PER_FACE = 32
@@ -66,7 +66,9 @@ def simulate_release(
         poses[frame, :, :3] = data.xpos[1:]
         poses[frame, :, 2] -= rest_m
         poses[frame, :, 3:] = data.xquat[1:]
-        fallen = fallen or _tilt_deg(poses[frame]) > FALLEN_DEG
+        # A fixed body never tilts.
+        upright = float((1.0 - 2.0 * (poses[frame, :, 4] ** 2 + poses[frame, :, 5] ** 2)).min())
+        fallen = fallen or degrees(acos(max(-1.0, min(1.0, upright)))) > FALLEN_DEG
     names = tuple(body.name for body in tower.bodies)
     return fallen, Fall(np.arange(frames) / frame_hz, poses, names)
 
@@ -107,12 +109,6 @@ def _kicked(tower: Tower, disturbance_mm: Point) -> Tower:
     shift = rotated(np.asarray(disturbance_mm, dtype=np.float64), -top.yaw_rad)
     x, y = (np.asarray(top.com_xy_mm) + shift).tolist()
     return Tower((*tower.bodies[:-1], replace(top, com_xy_mm=(x, y))))
-
-
-def _tilt_deg(pose: FloatArray) -> float:
-    """Return the largest tilt of any body; a fixed one never tilts."""
-    upright = 1.0 - 2.0 * (pose[:, 4] ** 2 + pose[:, 5] ** 2)
-    return degrees(acos(max(-1.0, min(1.0, float(upright.min())))))
 
 
 def _heights_mm(tower: Tower) -> list[float]:

@@ -5,7 +5,6 @@ The ground truth is used for scoring and for the display after a trial only.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -103,14 +102,8 @@ def true_margin_mm(
 def release_kick_mm(scene: Scene, release: int) -> tuple[float, float]:
     """Return the effect of the opening fingers as a random shift of the centre of mass."""
     sigma = scene.settings.release_disturbance_mm
-    seed = np.random.SeedSequence([scene.seed, 5, release])
-    x, y = sigma * np.random.Generator(np.random.PCG64(seed)).standard_normal(2)
+    x, y = sigma * np.random.default_rng([scene.seed, 5, release]).standard_normal(2)
     return float(x), float(y)
-
-
-def falls_on_release(gap_mm: float) -> bool:
-    """Return True if a piece released at this height counts as fallen."""
-    return not (math.isfinite(gap_mm) and gap_mm <= MAX_RELEASE_GAP_MM)
 
 
 def mujoco_opinion(

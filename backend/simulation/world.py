@@ -15,12 +15,12 @@ import numpy as np
 
 from touchdown.backend.config import ProbeSettings
 from touchdown.backend.core import FINGERS, IDENTITY_ROTATION, Finger, FloatArray
+from touchdown.backend.devices import PressCommand
 from touchdown.backend.emulation import DisturbanceScript
 from touchdown.backend.simulation import scene as scoring
 from touchdown.backend.simulation.arm import (
     ArmCycle,
     ArmDrive,
-    PressLaw,
     SimPress,
     SimProgram,
     SimTravel,
@@ -35,7 +35,7 @@ from touchdown.backend.simulation.finger_camera import (
     mirror_appearance,
 )
 from touchdown.backend.simulation.gripper import HeldPiece, SimulatedJaws, start_command_mm
-from touchdown.backend.simulation.marker_fields import build_gel
+from touchdown.backend.simulation.marker_fields import gel_from_settings
 from touchdown.backend.simulation.pressing import TIMELINE_VALUES
 from touchdown.backend.simulation.scene import Scene, SceneTruth
 from touchdown.backend.simulation.wrist_sensor import WristLoad, WristSampler
@@ -75,10 +75,7 @@ class World:
         self.drive = ArmDrive(start_command_mm(scene))
         width_mm = scene.piece.width_mm
         self.jaws = SimulatedJaws(width_mm + OPEN_CLEARANCE_MM, width_mm)
-        tactile = settings.tactile
-        self._gel = build_gel(
-            tactile.mm_per_px, tactile.pitch_mm, tactile.roll_off_mm, tactile.dilation
-        )
+        self._gel = gel_from_settings(settings)
         seeds = np.random.SeedSequence([scene.seed, 7, scene.mounting]).generate_state(3)
         self._wrist = WristSampler(settings.wrist, self.cycle_us, int(seeds[2]))
         self._cameras = _cameras(scene, seeds.tolist(), still_px)
@@ -108,10 +105,10 @@ class World:
         """Start a jog, or a program with rotation."""
         self.drive.run(program)
 
-    def press(self, law: PressLaw, stiffness_n_mm: tuple[float, float, float]) -> SimPress:
+    def press(self, law: PressCommand) -> SimPress:
         """Start a press: a new probe, whose nuisances are drawn."""
         if self._holding is not None:
-            self._holding.begin_probe(ProbeSettings(stiffness_n_mm=stiffness_n_mm))
+            self._holding.begin_probe(ProbeSettings(stiffness_n_mm=law.stiffness_n_mm))
         air_s, air_n = (np.concatenate(part) for part in zip(*self._air, strict=True))
         self._tare_n = float(np.mean(self._recent_n)) if self._recent_n else 0.0
         start_s = self.now_us * 1e-6
@@ -235,7 +232,7 @@ class World:
         offset, yaw = holding.offset_mm(command), holding.gripping.yaw_rad
         kick = scoring.release_kick_mm(self.scene, self._grips)
         margin = scoring.true_margin_mm(self._scene_now(), offset, yaw, kick)
-        dropped = scoring.falls_on_release(holding.gap_mm(command))
+        dropped = not holding.gap_mm(command) <= scoring.MAX_RELEASE_GAP_MM
         stands = margin > 0.0 and not dropped and not self.knocked_over
         self._put_down = (offset, yaw)
         self._final = SceneTruth(
@@ -252,9 +249,8 @@ class World:
                 self._scene_now(), final.offset_mm, final.yaw_rad, kick
             )
             if opinion is not None:
-                fall, contradicted = opinion
-                fall = None if final.stands else fall
-                self._final = replace(final, fall=fall, contradicted=contradicted)
+                fall = None if final.stands else opinion[0]
+                self._final = replace(final, fall=fall, contradicted=opinion[1])
         return self._final or final
 
     def _watch_dragging(self, command: FloatArray) -> None:
@@ -271,15 +267,12 @@ class World:
         turn = self.drive.turn
         if turn is not IDENTITY_ROTATION:
             # The hand rotates in air only, without a contact wrench.
-            return values[:6] + self._weights_g(turn)
+            weights = self._wrist.payload.wrench_g(turn)
+            if self._holding is not None:
+                weights = weights + self._holding.weight.wrench_g(turn)
+            return values[:6] + weights
         load = values[:6] + self._wrist.payload_g
-        if self._holding is not None:
-            load = load + self._holding.weight_g
-        return load
-
-    def _weights_g(self, turn: FloatArray) -> FloatArray:
-        weights = self._wrist.payload.wrench_g(turn)
-        return weights if self._holding is None else weights + self._holding.weight.wrench_g(turn)
+        return load if self._holding is None else load + self._holding.weight_g
 
     def _field(self, values: FloatArray) -> FloatArray:
         """Return (2, 63, 2) marker displacements in px, gain included."""

@@ -56,17 +56,6 @@ def wrist_wrench(wrench_g: FloatArray, height_mm: float, yaw_rad: float = 0.0) -
     return turned
 
 
-def centre_of_pressure_mm(wrench_w: FloatArray, lever_mm: float) -> FloatArray:
-    """Return (..., 2) centre of pressure in the face plane, relative to G's vertical axis.
-
-    ``wrench_w`` (..., 6) in N and N·m; ``lever_mm`` from sensor to face. NaN where Fz <= 0.
-    """
-    f_z = np.where(wrench_w[..., 2] > 0.0, wrench_w[..., 2], np.nan)
-    x = -(1e3 * wrench_w[..., 4] + lever_mm * wrench_w[..., 0]) / f_z
-    y = (1e3 * wrench_w[..., 3] - lever_mm * wrench_w[..., 1]) / f_z
-    return np.stack([x, y], axis=-1)
-
-
 @dataclass(frozen=True, slots=True)
 class WristLoad:
     """Load below the sensor over a cycle: (6,) at ``G`` in N and N·mm, weights included."""
@@ -82,9 +71,8 @@ class WristSampler:
     def __init__(self, settings: WristSettings, cycle_us: int, seed: int) -> None:
         self._settings = settings
         self._count = round(settings.rate_hz * cycle_us * 1e-6)
-        self._rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, 4])))
-        scale = np.repeat([settings.white_n, settings.white_nm], 3)
-        self._white = scale
+        self._rng = np.random.default_rng([seed, 4])
+        self._white = np.repeat([settings.white_n, settings.white_nm], 3)
         per_minute = np.repeat([settings.drift_n_sqrt_min, settings.drift_nm_sqrt_min], 3)
         self._walk = per_minute * np.sqrt(cycle_us * 1e-6 / 60.0)
         self._drift = np.zeros(6)

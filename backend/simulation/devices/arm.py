@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import threading
 from collections.abc import Callable, Mapping
+from dataclasses import asdict
 from functools import partial
 from typing import TypeVar
 
@@ -37,7 +38,6 @@ from touchdown.backend.devices import (
     RobotMode,
     SafetyMode,
     Vector,
-    replaced_fault,
     servo_off_fault,
     stopped_fault,
 )
@@ -45,7 +45,6 @@ from touchdown.backend.devices.melfa import JOINT_RANGES, MelfaPlacement, check_
 from touchdown.backend.simulation.arm import (
     HandPose,
     JointKinematics,
-    PressLaw,
     SimJog,
     SimJointJog,
     SimJointTravel,
@@ -54,7 +53,7 @@ from touchdown.backend.simulation.arm import (
     SimRotationJog,
     SimRotationTravel,
 )
-from touchdown.backend.simulation.devices.connection import SimConnection, SimDevice
+from touchdown.backend.simulation.devices.connection import SimDevice
 from touchdown.backend.simulation.world import World
 
 
@@ -124,30 +123,25 @@ _P = TypeVar("_P", bound=SimProgram)
 
 
 class SimArm(SimDevice):
-    """Moves the pivot of a ``World``. ``stop`` works from any thread and in every state."""
+    """Moves the pivot of a ``World``. ``stop`` works from any thread and in every state.
+
+    ``poses``: measured position of ``G``, mm, once per cycle.
+    """
 
     def __init__(
         self, world: World, poses: SampleStream, commands: SampleStream, now_s: Callable[[], float]
     ) -> None:
-        self._world, self._poses, self._now_s = world, poses, now_s
-        self._commands = commands
-        super().__init__(SimConnection("arm", "simulated arm", now_s))
+        super().__init__("arm", "simulated arm", now_s)
+        self._world, self.poses, self._commands = world, poses, commands
         self._joints = SimJoints(world)
         self._driving = JointKinematics(self._joints.place, self._joints.allowed)
-        self._lock = threading.Lock()
-        self._motion: CommandedMotion | None = None
         self._program: SimProgram | None = None
         self._powered = True
-
-    @property
-    def poses(self) -> SampleStream:
-        """Measured position of ``G``, mm, once per cycle."""
-        return self._poses
 
     def close(self) -> None:
         """Stop and close; the jaws stay as they are."""
         self.stop()
-        self._connection.close()
+        super().close()
 
     def describe(self) -> Mapping[str, str | float]:
         """Return the commanded position."""
@@ -156,7 +150,7 @@ class SimArm(SimDevice):
 
     def status(self) -> ArmStatus:
         """Return the status words."""
-        if not self._connection.ready:
+        if not self.ready:
             return ArmStatus(RobotMode.DISCONNECTED, SafetyMode.UNKNOWN, 0.0, 0)
         mode = RobotMode.MOVING if self._world.drive.moving else RobotMode.READY
         return ArmStatus(mode if self._powered else RobotMode.SERVO_OFF, SafetyMode.NORMAL, 1.0, 0)
@@ -168,19 +162,19 @@ class SimArm(SimDevice):
 
     def servo(self, on: bool) -> None:
         """Switch the motors immediately; off ends the present motion."""
-        self._connection.require_ready()
+        self.require_ready()
         if not on:
             self.stop()
         self._powered = on
 
     def _require_power(self) -> None:
-        self._connection.require_ready()
+        self.require_ready()
         if not self._powered:
             raise FaultError(servo_off_fault(self.name))
 
     def pose(self, max_age_s: float) -> Pose:
         """Return the measured pose; raises ``StaleSampleError`` if it is older."""
-        _, values = self._poses.latest(self._now_s(), max_age_s)
+        _, values = self.poses.latest(self._now_s(), max_age_s)
         return _pose(values, self._world.drive.turn)
 
     # -- moves ------------------------------------------------------------------------------------
@@ -236,7 +230,7 @@ class SimArm(SimDevice):
 
     def joints_rad(self, max_age_s: float) -> Joints:
         """Return the joints; raises ``StaleSampleError`` if the position is older."""
-        _, values = self._poses.latest(self._now_s(), max_age_s)
+        _, values = self.poses.latest(self._now_s(), max_age_s)
         return tuple(self._joints.of((values, self._world.drive.turn)).tolist())
 
     @property
@@ -280,25 +274,10 @@ class SimArm(SimDevice):
         """Press compliantly straight down; refused if the hand is rotated."""
         self._require_power()
         require_unrotated(self._world.drive.turn)
-        law = PressLaw(
-            depth_mm=command.depth_mm,
-            ramp_s=command.ramp_s,
-            hold_s=command.hold_s,
-            approach_mm_s=command.approach_mm_s,
-            threshold_n=command.threshold_n,
-            max_travel_mm=command.max_travel_mm,
-        )
-        sent = {
-            "depth_mm": law.depth_mm,
-            "ramp_s": law.ramp_s,
-            "hold_s": law.hold_s,
-            "approach_mm_s": law.approach_mm_s,
-            "threshold_n": law.threshold_n,
-            "max_travel_mm": law.max_travel_mm,
-            "stiffness_z_n_mm": command.stiffness_n_mm[2],
-        }
+        sent = asdict(command)
+        sent["stiffness_z_n_mm"] = sent.pop("stiffness_n_mm")[2]
         with self._lock:
-            program = self._world.press(law, command.stiffness_n_mm)
+            program = self._world.press(command)
             motion = SimPressMotion(sent, program)
             self._take(motion, program)
             return motion
@@ -314,14 +293,13 @@ class SimArm(SimDevice):
         """Stop in the next cycle; the present motion ends with a fault."""
         with self._lock:
             self._world.drive.drop()
-            if self._motion is not None:
-                self._motion.end(stopped_fault(self.name))
-            self._motion = self._program = None
+            self._end_motion(stopped_fault(self.name))
+            self._program = None
 
     def retreat(self) -> None:
         """Rise straight from the present position, then stop; without motors, stop."""
         self.stop()
-        if not (self._connection.ready and self._powered):
+        if not (self.ready and self._powered):
             return
         with self._lock:
             up_mm = self._world.drive.command_mm + np.array([0.0, 0.0, RETREAT_MM])
@@ -334,15 +312,15 @@ class SimArm(SimDevice):
 
     def deliver(self, t_s: float, pose_mm: FloatArray, *, silent: bool) -> None:
         """Process the measured position of one cycle and the end of a motion."""
-        if self._connection.ready and not silent:
+        if self.ready and not silent:
             at_s = np.array([t_s])
-            self._poses.put(at_s, pose_mm[None])
+            self.poses.put(at_s, pose_mm[None])
             self._commands.put(at_s, self._world.drive.command_mm[None])
-            self._connection.arrived(t_s, 1)
+            self.arrived(t_s, 1)
         with self._lock:
             if self._motion is not None and self._program is not None and self._program.done:
-                self._motion.end(self._program.failure)
-                self._motion = self._program = None
+                self._end_motion(self._program.failure)
+                self._program = None
 
     def _place(self) -> HandPose:
         return self._world.drive.command_mm, self._world.drive.turn
@@ -370,10 +348,8 @@ class SimArm(SimDevice):
         return made, self._take(CommandedMotion(sent), made)
 
     def _take(self, motion: CommandedMotion, program: SimProgram) -> CommandedMotion:
-        if self._motion is not None:
-            self._motion.end(replaced_fault(self.name))
-        self._motion, self._program = motion, program
-        return motion
+        self._program = program
+        return self._start_motion(motion)
 
 
 def _pose(position_mm: FloatArray, turn: FloatArray) -> Pose:

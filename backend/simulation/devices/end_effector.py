@@ -18,15 +18,9 @@ from touchdown.backend.core import (
     TactileFrame,
     require_unrotated,
 )
-from touchdown.backend.devices import (
-    ArrivalMonitor,
-    CommandedMotion,
-    GripStatus,
-    replaced_fault,
-    stopped_fault,
-)
+from touchdown.backend.devices import ArrivalMonitor, CommandedMotion, GripStatus, stopped_fault
 from touchdown.backend.emulation import DisturbanceScript
-from touchdown.backend.simulation.devices.connection import SimConnection, SimDevice
+from touchdown.backend.simulation.devices.connection import SimDevice
 from touchdown.backend.simulation.finger_camera import Exposure
 from touchdown.backend.simulation.world import World
 
@@ -39,18 +33,14 @@ class SimGripper(SimDevice):
 
     def __init__(self, world: World, now_s: Callable[[], float]) -> None:
         self._world = world
-        super().__init__(SimConnection("gripper", "simulated gripper", now_s))
-        self._rng = np.random.Generator(
-            np.random.PCG64(np.random.SeedSequence([world.scene.seed, 6]))
-        )
-        self._lock = threading.Lock()
-        self._motion: CommandedMotion | None = None
+        super().__init__("gripper", "simulated gripper", now_s)
+        self._rng = np.random.default_rng([world.scene.seed, 6])
         self._status = GripStatus(world.jaws.width_mm, 0.0, False)
 
     def close(self) -> None:
         """Close; the jaws stay as they are."""
         self.stop()
-        self._connection.close()
+        super().close()
 
     def describe(self) -> Mapping[str, str | float]:
         """Return width and force."""
@@ -63,30 +53,30 @@ class SimGripper(SimDevice):
 
     def grip(self, force_n: float) -> CommandedMotion:
         """Close until the piece is held with ``force_n`` per finger; refused on a rotated hand."""
-        self._connection.require_ready()
+        self.require_ready()
         require_unrotated(self._world.drive.turn)
         if not 0.0 < force_n < float("inf"):
             raise ValueError("the grip force must be positive")
         with self._lock:
             self._world.jaws.close(force_n)
-            return self._take(CommandedMotion({"force_n": force_n}))
+            return self._start_motion(CommandedMotion({"force_n": force_n}))
 
     def open_to(self, width_mm: float, speed_mm_s: float) -> CommandedMotion:
         """Open to ``width_mm``; a held piece is released."""
-        self._connection.require_ready()
+        self.require_ready()
         if not (0.0 <= width_mm < float("inf") and 0.0 < speed_mm_s < float("inf")):
             raise ValueError("width and speed must be finite, the speed positive")
         with self._lock:
             self._world.jaws.open_to(width_mm, speed_mm_s)
-            return self._take(CommandedMotion({"width_mm": width_mm, "speed_mm_s": speed_mm_s}))
+            return self._start_motion(
+                CommandedMotion({"width_mm": width_mm, "speed_mm_s": speed_mm_s})
+            )
 
     def stop(self) -> None:
         """Stop; the grip is kept."""
         with self._lock:
             self._world.jaws.halt()
-            if self._motion is not None:
-                self._motion.end(stopped_fault(self.name))
-                self._motion = None
+            self._end_motion(stopped_fault(self.name))
 
     def deliver(self, t_s: float, *, silent: bool = False) -> None:
         """Measure width and force of one cycle, and process the end of a motion.
@@ -95,20 +85,13 @@ class SimGripper(SimDevice):
         """
         jaws = self._world.jaws
         width, force = self._rng.standard_normal(2).tolist()
-        if self._connection.ready and not silent:
+        if self.ready and not silent:
             force_n = jaws.force_n + FORCE_NOISE_N * force if jaws.force_n > 0.0 else 0.0
             self._status = GripStatus(jaws.width_mm + WIDTH_NOISE_MM * width, force_n, jaws.holding)
-            self._connection.arrived(t_s, 1)
+            self.arrived(t_s, 1)
         with self._lock:
-            if self._motion is not None and not jaws.moving:
-                self._motion.end()
-                self._motion = None
-
-    def _take(self, motion: CommandedMotion) -> CommandedMotion:
-        if self._motion is not None:
-            self._motion.end(replaced_fault(self.name))
-        self._motion = motion
-        return motion
+            if not jaws.moving:
+                self._end_motion()
 
 
 FLICKER = 0.25  # amplitude of the brightness, as in the known-truth test of the tracker
@@ -124,27 +107,17 @@ class SimTactile(SimDevice):
         now_s: Callable[[], float],
         script: DisturbanceScript,
     ) -> None:
-        self._finger, self._frames, self._script = finger, frames, script
-        super().__init__(SimConnection(f"tactile_{finger}", "simulated tactile finger", now_s))
+        self.finger, self.frames, self._script = finger, frames, script
+        super().__init__(f"tactile_{finger}", "simulated tactile finger", now_s)
         self._thinned = Decimator()
         self._newest: int | None = None
         self._frozen: ImageArray | None = None
 
-    @property
-    def finger(self) -> Finger:
-        """Finger of the camera."""
-        return self._finger
-
-    @property
-    def frames(self) -> Stream[TactileFrame]:
-        """Frames as they arrive."""
-        return self._frames
-
     def connect(self, timeout_s: float, cancel: threading.Event) -> None:
         """Connect immediately."""
-        if not self._connection.ready:
+        if not self.ready:
             self._newest = None
-        self._connection.open()
+        super().connect(timeout_s, cancel)
 
     def describe(self) -> Mapping[str, str | float]:
         """Return the image format."""
@@ -152,7 +125,7 @@ class SimTactile(SimDevice):
 
     def deliver(self, shots: list[Exposure]) -> None:
         """Put the images of one cycle into the stream."""
-        if not self._connection.ready:
+        if not self.ready:
             return
         for shot in shots:
             t_s = shot.t_us * 1e-6
@@ -164,8 +137,8 @@ class SimTactile(SimDevice):
             lost = 0 if self._newest is None else shot.sequence - self._newest - 1
             self._newest = shot.sequence
             image = self._seen(shot, t_s)
-            self._frames.put(t_s, TactileFrame(self._finger, shot.sequence, t_s, image))
-            self._connection.arrived(t_s, 1, lost)
+            self.frames.put(t_s, TactileFrame(self.finger, shot.sequence, t_s, image))
+            self.arrived(t_s, 1, lost)
 
     def _seen(self, shot: Exposure, t_s: float) -> ImageArray:
         image = shot.image
@@ -186,19 +159,14 @@ RATED = (200.0, 200.0, 200.0, 4.0, 4.0, 4.0)  # N and N·m, as the sensor of the
 
 
 class SimForceTorque(SimDevice):
-    """Untared samples, ``usual_hz`` a second, delivered in blocks of one cycle."""
+    """Untared samples Fx Fy Fz Tx Ty Tz in N and N·m, delivered in blocks of one cycle."""
 
     def __init__(
         self, samples: SampleStream, now_s: Callable[[], float], usual_hz: float = 1000.0
     ) -> None:
-        self._samples, self._usual_hz = samples, usual_hz
+        self.samples, self._usual_hz = samples, usual_hz
         self._pace = ArrivalMonitor(1.0 / usual_hz)
-        super().__init__(SimConnection("force_torque", "simulated wrist sensor", now_s))
-
-    @property
-    def samples(self) -> SampleStream:
-        """Fx Fy Fz Tx Ty Tz in N and N·m."""
-        return self._samples
+        super().__init__("force_torque", "simulated wrist sensor", now_s)
 
     @property
     def rated(self) -> FloatArray:
@@ -217,9 +185,9 @@ class SimForceTorque(SimDevice):
 
     def deliver(self, t_s: FloatArray, values: FloatArray) -> bool:
         """Put one block into the stream; return True if samples were delivered."""
-        if not (self._connection.ready and len(t_s)):
+        if not (self.ready and len(t_s)):
             return False
-        self._samples.put(t_s, values)
-        self._connection.arrived(float(t_s[-1]), len(t_s))
+        self.samples.put(t_s, values)
+        self.arrived(float(t_s[-1]), len(t_s))
         self._pace.note(float(t_s[-1]), len(t_s))
         return True

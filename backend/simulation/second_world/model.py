@@ -18,7 +18,7 @@ import numpy as np
 
 from touchdown.backend.config import SupportSettings
 from touchdown.backend.core import FloatArray
-from touchdown.backend.geometry import Body, Outline, Piece, Tower
+from touchdown.backend.geometry import Outline, Piece, Tower
 from touchdown.backend.simulation.conditions import Conditions
 from touchdown.backend.simulation.release_mujoco import (
     format_metres,
@@ -135,7 +135,10 @@ def build_model(
         free += moves
         joint = f"<freejoint/>{inertia_xml(body)}" if moves else ""
         upper = face if body is bottoms.bodies[-1] else foot
-        inside = _bottom_xml(body, f"b{k}", foot, upper, meshes)
+        outline = body.upper or body.lower
+        inside = shape_xml(outline, 0.0, body.height_mm, f"b{k}", meshes)
+        inside += foot.rim_xml(body.lower, SPHERE_MM, FOOT_SPHERES)
+        inside += upper.rim_xml(outline, body.height_mm - SPHERE_MM, RIM_SPHERES)
         parts.append(f'<body pos="{format_metres(*at)}" {quat}>{joint}{inside}</body>')
         height_mm += body.height_mm
     model = mujoco.MjModel.from_xml_string(
@@ -154,17 +157,6 @@ def pad_stiffness(conditions: Conditions) -> FloatArray:
     rocking = shear * lever**2
     both = np.array([shear, normal, shear, 1e-6 * rocking, 1e-6 * torsion, 1e-6 * rocking])
     return np.asarray(2e3 * both, dtype=np.float64)
-
-
-def _bottom_xml(
-    body: Body, tag: str, foot: _SphereContact, face: _SphereContact, meshes: list[str]
-) -> str:
-    upper = body.upper or body.lower
-    return (
-        shape_xml(upper, 0.0, body.height_mm, tag, meshes)
-        + foot.rim_xml(body.lower, SPHERE_MM, FOOT_SPHERES)
-        + face.rim_xml(upper, body.height_mm - SPHERE_MM, RIM_SPHERES)
-    )
 
 
 def _hand_xml(

@@ -19,7 +19,6 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.backend.config import SAMPLES_PER_PROBE, TICK_S, ProbeSettings
 from touchdown.backend.core import (
@@ -34,7 +33,6 @@ from touchdown.backend.core import (
 )
 from touchdown.backend.simulation.batch import (
     BatchedTrials,
-    MarkerModel,
     TrialPresses,
     draw_noise,
     observe_presses,
@@ -42,7 +40,7 @@ from touchdown.backend.simulation.batch import (
 from touchdown.backend.simulation.conditions import Conditions, true_offset_mm
 from touchdown.backend.simulation.marker_fields import Gel
 from touchdown.backend.simulation.mechanics import SIGN, GraspHistory, elastic_zero
-from touchdown.backend.simulation.pressing import MAX_CYCLES, Timeline, air_samples
+from touchdown.backend.simulation.pressing import MAX_CYCLES, PressCourse, Timeline, air_samples
 from touchdown.backend.simulation.scene import Scene
 from touchdown.backend.simulation.second_world.model import (
     HAND_JOINTS,
@@ -311,24 +309,13 @@ class SecondWorldPress:
         return bool((left[:3] < BALANCE_N).all() and (left[3:] < BALANCE_NMM).all())
 
 
-@dataclass(frozen=True, slots=True)
-class _JoinedPresses:
-    """Presses side by side, as read by ``observe_presses``."""
-
-    timeline: Timeline
-    ticks_s: FloatArray
-    air: FloatArray
-
-
 class SecondWorldTrials(BatchedTrials):
     """The second world with the interface of the bench."""
 
     def __init__(self, scenes: Sequence[Scene], probe: ProbeSettings | None = None) -> None:
         super().__init__(scenes, probe)
         tactile = self._first.settings.tactile
-        self._eye = MarkerModel(
-            build_half_space_gel(tactile.mm_per_px, tactile.pitch_mm, tactile.dilation)
-        )
+        self._gel = build_half_space_gel(tactile.mm_per_px, tactile.pitch_mm, tactile.dilation)
 
     def press(self, trials: Sequence[int], commands_mm: FloatArray) -> TrialPresses:
         """Press the pieces of ``trials`` at ``commands_mm`` (k, 2); slip persists."""
@@ -360,26 +347,21 @@ class SecondWorldTrials(BatchedTrials):
         moved = slip[:, :, :2] - before[:, :, :2]
         return TrialPresses(
             observation=observe_presses(
-                _join_presses(pressed), conditions, settings, noise, self._eye
+                _join_presses(pressed), conditions, settings, noise, self._gel
             ),
             true_mm=true_offset_mm(commands_mm, conditions, slip) - self._slid_mm[rows],
-            valid=_valid(pressed, toppled),
+            valid=~toppled & [bool(np.isfinite(p.onset_s)) and p.settled for p in pressed],
             press_n=np.array([p.press_n for p in pressed]),
             slip_mm=np.asarray(np.hypot(moved[..., 0], moved[..., 1]).max(axis=1)),
             toppled=toppled,
         )
 
 
-def _valid(pressed: list[DescentRecord], toppled: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    found = [bool(np.isfinite(p.onset_s)) and p.settled for p in pressed]
-    return np.array(found, dtype=np.bool_) & ~toppled
-
-
-def _join_presses(pressed: list[DescentRecord]) -> _JoinedPresses:
+def _join_presses(pressed: list[DescentRecord]) -> PressCourse:
     """Join presses; shorter ones are extended with their last values."""
     longest = max(len(p.t_s) for p in pressed)
     index = [np.minimum(np.arange(longest), len(p.t_s) - 1) for p in pressed]
-    return _JoinedPresses(
+    return PressCourse(
         Timeline(
             np.stack([p.t_s[i] for p, i in zip(pressed, index, strict=True)]),
             np.stack([p.values[i] for p, i in zip(pressed, index, strict=True)]),

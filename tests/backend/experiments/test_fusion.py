@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import json
 import os
 import shutil
 from importlib.resources import files
@@ -13,7 +12,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from touchdown.backend.cli.command_line import main
 from touchdown.backend.cli.experiment.command import report_write_errors
 from touchdown.backend.config.method import FusedSettings, StackSettings
 from touchdown.backend.config.simulation import SimulationSettings, load_simulation
@@ -252,22 +250,6 @@ def test_letting_go_untested_falls_from_every_start(
     ]
 
 
-@pytest.mark.parametrize(
-    ("words", "where"),
-    [
-        (["--strategies", "luck"], "--strategies"),
-        (["--bottoms", "table"], "--bottoms"),
-        (["--trials", "0"], "--trials"),
-    ],
-)
-def test_bad_words_are_refused(
-    words: list[str], where: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    out = ["--out", str(tmp_path), "--pieces", "pot"]
-    assert main(["experiment", "beyond", *out, *words, "--json"]) == 2
-    assert where in json.loads(capsys.readouterr().err)["error"]["where"]
-
-
 def covered_alike(first: Outline, second: Outline) -> float:
     """Intersection over union on a fine grid, the best of all turns by 3 degrees."""
     steps = np.arange(-20.0, 20.0, 0.4)
@@ -477,8 +459,8 @@ def refusal(path: Path) -> InputError | None:
     return None
 
 
+# Each model is two files; each of them is synced, renamed, and then its folder is synced.
 POINTS = [("replace", 0), ("replace", 1), ("replace", 2), ("fsync", 1), ("fsync", 2)]
-"""Each model is two files; each of them is synced, renamed, and then its folder is synced."""
 
 
 @pytest.mark.parametrize(("name", "at"), POINTS)

@@ -94,9 +94,8 @@ def test_the_start_of_a_scene_is_where_the_piece_is_pressed(settings: Simulation
     assert felt.press_n[0] > 1.0
 
 
-def _constant(probability: float) -> BatchModel:
-    piece = load_pieces().top("pot")
-    points = face_points(piece.face)
+def _constant(probability: float, piece: str = "pot") -> BatchModel:
+    points = face_points(load_pieces().top(piece).face)
     return BatchModel(lambda seen: np.full((len(seen), len(points)), probability), points, None)
 
 
@@ -122,17 +121,14 @@ def test_fusion_places_a_mug_over_its_centre_of_mass() -> None:
     """Told a mirrored centre it lets some of these fall, or ends within 0.1 mm of the edge."""
     case = SceneSetup.of(load_pieces(), "mug", ("short",), load_simulation(preset="bench-v1"))
     scenes = [scene for seed in (900, 901, 902) if (scene := start_scene(case, seed))]
-    points = face_points(case.piece.face)
-    unasked = BatchModel(lambda seen: np.full((len(seen), len(points)), 0.5), points, None)
     fused = StackSettings(strategy="fused")
-    for end in stack_in_lockstep(scenes, unasked, fused, EpisodeLimits()):
+    for end in stack_in_lockstep(scenes, _constant(0.5, "mug"), fused, EpisodeLimits()):
         assert end.outcome is Outcome.PLACED
         assert end.verdict is not None
         assert end.verdict.margin_mm > 0.5
 
 
-BESIDE_MM = -18.5
-"""A pot of 15 mm and a bottom of 20 mm part at 17.5 mm."""
+BESIDE_MM = -18.5  # a pot of 15 mm and a bottom of 20 mm part at 17.5 mm
 
 
 class Beside(BatchedTrials):
@@ -143,9 +139,6 @@ class Beside(BatchedTrials):
 
 
 def ended(strategy: str, most: int) -> BatchTrialResult:
-    catalogue = load_pieces()
-    points = face_points(catalogue.top("pot").face)
-    model = BatchModel(lambda seen: np.full((len(seen), len(points)), 0.5), points, None)
     settings = StackSettings.model_validate(
         {
             "strategy": strategy,
@@ -153,8 +146,8 @@ def ended(strategy: str, most: int) -> BatchTrialResult:
             "belief": BeliefSettings(half_extent_mm=24.0),
         }
     )
-    scene = make_scene(catalogue, SceneChoice(seed=5), SimulationSettings(preset="off"))
-    return stack_in_lockstep([scene], model, settings, EpisodeLimits(), world=Beside)[0]
+    scene = make_scene(load_pieces(), SceneChoice(seed=5), SimulationSettings(preset="off"))
+    return stack_in_lockstep([scene], _constant(0.5), settings, EpisodeLimits(), world=Beside)[0]
 
 
 @pytest.mark.parametrize("strategy", ["paper", "zero-wrench"])

@@ -23,7 +23,6 @@ from touchdown.backend.placement import label_review
 from touchdown.backend.placement.belief import Belief, CellGrid, cover_cells
 from touchdown.backend.placement.estimator import EnsembleEstimate, OffsetFit
 from touchdown.backend.placement.strategies import fit_face_centre
-from touchdown.backend.placement.support_tower import normal_draws
 
 RAW = BeliefSettings(min_shift_mm=0.0)
 
@@ -219,23 +218,20 @@ def test_points_that_are_no_lattice_are_refused() -> None:
         Belief.unknown(RAW, (0.0, 0.0)).updated(patch, (0.0, 0.0))
 
 
-ORIGIN = (3.3, -1.7)
-
-
 @pytest.mark.parametrize("pitch_mm", [0.8, 1.6, 2.0])
 def test_a_new_map_has_its_first_probe_in_the_middle(pitch_mm: float) -> None:
     how = BeliefSettings(pitch_mm=pitch_mm, half_extent_mm=9.6)
-    centres = Belief.unknown(how, ORIGIN).map.cell_centres_mm()
-    np.testing.assert_allclose(centres.mean(axis=(0, 1)), ORIGIN)
+    centres = Belief.unknown(how, HERE).map.cell_centres_mm()
+    np.testing.assert_allclose(centres.mean(axis=(0, 1)), HERE)
     reach_mm = np.ceil(9.6 / pitch_mm - 1e-9) * pitch_mm
-    np.testing.assert_allclose(centres[0, 0], np.subtract(ORIGIN, reach_mm))
+    np.testing.assert_allclose(centres[0, 0], np.subtract(HERE, reach_mm))
 
 
 def test_a_map_without_a_base_rate_knows_as_much_for_as_against() -> None:
-    unknown = Belief.unknown(BeliefSettings(), ORIGIN)
+    unknown = Belief.unknown(BeliefSettings(), HERE)
     assert unknown.base_rate == 0.5
     assert Belief(unknown.settings, unknown.map).base_rate == 0.5
-    rated = Belief.unknown(BeliefSettings(prior_correction=True), ORIGIN, 0.2)
+    rated = Belief.unknown(BeliefSettings(prior_correction=True), HERE, 0.2)
     np.testing.assert_allclose(rated.log_odds(np.array([0.2, 0.5])), [0.0, np.log(4.0)], atol=1e-12)
 
 
@@ -264,16 +260,6 @@ def test_a_sure_inset_counts_by_its_variance_down_to_the_smallest() -> None:
     )
     weight = np.array([1.0 / 0.3**2, 1.0 / 0.36**2])
     assert found.at_mm[0] == pytest.approx(1.2 + 0.8 * weight[1] / weight.sum(), abs=0.02)
-
-
-def test_every_joint_has_the_same_draws_in_an_order_of_its_own() -> None:
-    draws = normal_draws(4)
-    lengths = np.linalg.norm(draws, axis=2)
-    for joint in range(4):
-        np.testing.assert_allclose(np.sort(lengths[:, joint]), np.sort(lengths[:, 0]))
-        for other in range(joint):
-            assert not np.allclose(draws[:, joint], draws[:, other])
-    np.testing.assert_allclose(draws.mean(axis=(0, 1)), 0.0, atol=0.2)
 
 
 class TellsNothing:

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.backend.placement.test_belief import lattice
 from touchdown.backend.config.method import BeliefSettings, PolicySettings, StabilitySettings
 from touchdown.backend.core.values import ContactPatch, PlaceAction, Stability, SupportKind
 from touchdown.backend.placement.belief import Belief
@@ -16,12 +17,6 @@ from touchdown.backend.placement.policy import choose_action, judge_stability, l
 
 XY = tuple[float, float]
 HERE = (10.0, 20.0)
-
-
-def lattice(radius_mm: float = 7.5) -> np.ndarray:
-    axis = np.arange(-20.0, 21.0)
-    points = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
-    return points[np.hypot(points[:, 0], points[:, 1]) <= radius_mm + 1e-9]
 
 
 def probed(
@@ -298,20 +293,16 @@ def test_no_number_is_no_estimate_and_never_stable(source: str, bad: float) -> N
     p = good.probability.copy()
     p[7] = bad
     broken = ContactPatch(good.points_mm, p)
-    belief = (
-        Belief.unknown(BeliefSettings(), STABILITY_HERE)
-        .updated(good, STABILITY_HERE)
-        .updated(broken, STABILITY_HERE)
-    )
-    how = StabilitySettings(judge_from=source)
-    for stability in (
-        judge_stability(belief, broken, (0.0, 0.0), STABILITY_HERE, how),
-        judge_stability(belief, good, (math.nan, 0.0), STABILITY_HERE, how),
-        judge_stability(belief, good, (0.0, 0.0), (STABILITY_HERE[0], math.nan), how),
-        judge_stability(
-            belief, ContactPatch(np.zeros((0, 2)), np.zeros(0)), (0.0, 0.0), STABILITY_HERE, how
-        ),
+    here, centred, how = STABILITY_HERE, (0.0, 0.0), StabilitySettings(judge_from=source)
+    belief = Belief.unknown(BeliefSettings(), here).updated(good, here).updated(broken, here)
+    empty = ContactPatch(np.zeros((0, 2)), np.zeros(0))
+    for patch, com, place in (
+        (broken, centred, here),
+        (good, (math.nan, 0.0), here),
+        (good, centred, (here[0], math.nan)),
+        (empty, centred, here),
     ):
+        stability = judge_stability(belief, patch, com, place, how)
         assert stability.support is SupportKind.NO_ESTIMATE
         assert math.isnan(stability.margin_mm)
         assert not stability.stable

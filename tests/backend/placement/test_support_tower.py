@@ -5,16 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from touchdown.backend.config.method import BeliefSettings, TowerSettings
+from touchdown.backend.config.method import TowerSettings
 from touchdown.backend.core.faults import InputError
-from touchdown.backend.geometry.outlines import circle, face_points
 from touchdown.backend.geometry.pieces import PieceLibrary, load_pieces
 from touchdown.backend.geometry.tower import Tower, judge_tower
 from touchdown.backend.placement.support_tower import DRAWS, SupportTower, normal_draws
 
 EXACT = 1e-6
-FACE = face_points(circle(15.0))
-SMALL = BeliefSettings(half_extent_mm=16.0)
 
 
 @pytest.fixture(scope="module")
@@ -66,11 +63,15 @@ def test_a_vague_entry_leaves_towers_that_would_fall(catalogue: PieceLibrary) ->
     assert vague.mean() < exact.mean()
 
 
-def test_draws_are_standard_normal_and_joints_differ() -> None:
-    draws = normal_draws(2)
+def test_draws_are_standard_normal_and_each_joint_has_its_own_order() -> None:
+    draws = normal_draws(4)
     assert draws.mean(axis=0) == pytest.approx(0.0, abs=0.15)
     assert draws.std(axis=0) == pytest.approx(1.0, abs=0.15)
     assert abs((draws[:, 0] * draws[:, 1]).mean()) < 0.2
+    lengths = np.linalg.norm(draws, axis=2)
+    for joint in range(4):
+        np.testing.assert_allclose(np.sort(lengths[:, joint]), np.sort(lengths[:, 0]))
+        assert not any(np.allclose(draws[:, joint], draws[:, other]) for other in range(joint))
 
 
 def test_an_entry_of_another_tower_is_refused(catalogue: PieceLibrary) -> None:

@@ -3,9 +3,11 @@
 import threading
 
 import numpy as np
+import pytest
 
 from tests.backend.devices.melfa.emulated_arm import Rig
 from tests.backend.rig.scripted import ScriptedDevice
+from touchdown.backend.core.faults import RefusedError
 from touchdown.backend.devices.interlock import Limits
 from touchdown.backend.devices.protocols import CommandedMotion, DeviceState, GripStatus
 from touchdown.backend.rig.host import Devices, RigHost
@@ -13,6 +15,13 @@ from touchdown.backend.rig.memory import BACKEND_BEAT, STOPS, drop, make
 from touchdown.backend.rig.messages import read_error, read_fault
 
 ROUND_US = 4000
+
+
+def reason(call, *given):
+    """Return the reason with which ``call`` is refused."""
+    with pytest.raises(RefusedError) as caught:
+        call(*given)
+    return caught.value.reason
 
 
 class HeldPiece(ScriptedDevice):

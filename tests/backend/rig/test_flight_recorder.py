@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.backend.rig.hosted import Hosted
+from tests.backend.rig.hosted import reason
 from touchdown.backend.core.events import FaultRaised, RunFinished, RunStarted
-from touchdown.backend.core.faults import FaultError, RefusedError
+from touchdown.backend.core.faults import FaultError
 from touchdown.backend.devices.protocols import DeviceState, GripStatus, RobotMode
 from touchdown.backend.rig.flight_recorder import RESERVED_BYTES, FlightRecorder, ReservedFile
 from touchdown.backend.rig.link import GONE
@@ -20,8 +20,7 @@ from touchdown.backend.rig.memory import drop, make
 
 ROOT = Path(__file__).resolve().parents[3]
 RUN = RunStarted(0.0, "run", "pot", "short", "touch", 7, 1, False, "{}")
-SAMPLES = 5000
-"""Of a wrist sensor of 1 kHz in the time that is kept."""
+SAMPLES = 5000  # of a wrist sensor of 1 kHz in the recorded time
 
 RECORDING = """
 import os, signal, sys
@@ -70,6 +69,9 @@ def child(folder, moment):
     return [sys.executable, "-c", RECORDING, str(folder), moment]
 
 
+linux = pytest.mark.skipif(sys.platform != "linux", reason="the room is a file without a name")
+
+
 def reserves(folder):
     """True if this file system keeps room for files without a name."""
     reserve = ReservedFile()
@@ -96,14 +98,14 @@ def test_a_full_disk_still_takes_the_last_seconds(tmp_path):
     assert json.loads(" ".join(head))["fault"]["code"] == "CONTROL-LOST"
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="the room is a file without a name")
+@linux
 def test_killed_before_it_has_a_name_it_leaves_nothing_torn_and_no_room_taken(tmp_path):
     done = subprocess.run(child(tmp_path, "link"), cwd=ROOT, check=False)
     assert done.returncode == -signal.SIGKILL
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="the room is a file without a name")
+@linux
 def test_the_room_is_given_back_with_the_run(tmp_path):
     if not reserves(tmp_path):
         pytest.skip("this file system knows no files without a name")
@@ -122,19 +124,6 @@ def test_the_room_is_given_back_with_the_run(tmp_path):
     made.note(RunFinished(7.0, "run", "failed", "lost"))
     assert kept() == []
     assert [path.name for path in tmp_path.iterdir()] == ["flight-1.jsonl"]
-
-
-@pytest.fixture
-def rig():
-    made = Hosted()
-    yield made.connected()
-    made.close()
-
-
-def reason(call):
-    with pytest.raises(RefusedError) as caught:
-        call()
-    return caught.value.reason
 
 
 def moved_mm(rig, seconds):

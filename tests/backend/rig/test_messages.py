@@ -36,6 +36,7 @@ from touchdown.backend.rig.memory import (
     NOTES,
     POSES,
     PREFIX,
+    RIG_BEAT,
     ROUNDS,
     STATE,
     WRENCH,
@@ -60,6 +61,11 @@ def made(**more):
     return BenchConnection(devices, **more), devices, log
 
 
+def connect(connection, *names):
+    connection.begin(*names)
+    assert connection.wait(60.0)
+
+
 def line(connection, name):
     return next(line for line in connection.lines() if line.name == name)
 
@@ -72,8 +78,7 @@ def test_all_are_connected_the_arm_last_and_the_bench_is_told_once():
     told = []
     connection, _, log = made(when_ready=lambda: told.append("ready"))
     assert set(states(connection).values()) == {"closed"}
-    connection.begin()
-    assert connection.wait(60.0)
+    connect(connection)
     assert log == [f"connect {name}" for name in LINES]
     assert told == ["ready"]
     assert connection.ready
@@ -99,16 +104,14 @@ def test_each_step_shows_while_it_goes_on():
 def test_one_that_fails_says_at_which_step_and_the_others_go_on():
     connection, devices, log = made()
     devices["tactile_left"].fails_at = "configure"
-    connection.begin()
-    connection.wait(60.0)
+    connect(connection)
     failed = line(connection, "tactile_left")
     assert (failed.state, failed.steps) == ("failed", 2)
     assert failed.fault.next_step == "Look at it."
     assert connection.missing() == ("tactile_left",)
     devices["tactile_left"].fails_at = ""
     log.clear()
-    connection.begin(("tactile_left",))
-    connection.wait(60.0)
+    connect(connection, ("tactile_left",))
     assert log == ["connect tactile_left"], "the others are left alone"
     assert connection.ready
 
@@ -120,8 +123,7 @@ def test_a_driver_that_fails_in_its_own_way_is_told_and_the_others_go_on(monkeyp
         raise KeyError("gain")
 
     monkeypatch.setattr(devices["tactile_left"], "connect", broken)
-    connection.begin()
-    connection.wait(60.0)
+    connect(connection)
     failed = line(connection, "tactile_left")
     assert failed.fault.code == "DRIVER-FAILED"
     assert "tactile_left failed: KeyError: 'gain'" in failed.fault.what
@@ -131,20 +133,17 @@ def test_a_driver_that_fails_in_its_own_way_is_told_and_the_others_go_on(monkeyp
 def test_the_arm_is_not_switched_on_without_the_wrist_sensor():
     connection, devices, log = made()
     devices["force_torque"].fails_at = "reach"
-    connection.begin()
-    connection.wait(60.0)
+    connect(connection)
     assert line(connection, "arm").fault.code == "NO-WRIST"
     assert "connect arm" not in log
 
 
 def test_another_device_than_the_first_time_is_closed_again():
     connection, devices, _ = made()
-    connection.begin()
-    connection.wait(60.0)
+    connect(connection)
     devices["tactile_right"].lose()
     devices["tactile_right"].serial = "other"
-    connection.begin(("tactile_right",))
-    connection.wait(60.0)
+    connect(connection, ("tactile_right",))
     found = line(connection, "tactile_right")
     assert (found.state, found.fault.code) == ("failed", "OTHER-DEVICE")
     assert "other answers instead of tactile_right-1" in found.fault.what
@@ -153,8 +152,7 @@ def test_another_device_than_the_first_time_is_closed_again():
 @pytest.mark.promise("C6")
 def test_a_number_of_the_file_is_asked_for_from_the_start():
     connection, _, _ = made(serials={"gripper": "G7", "arm": ""})
-    connection.begin()
-    connection.wait(60.0)
+    connect(connection)
     assert line(connection, "gripper").fault.code == "OTHER-DEVICE"
     assert line(connection, "arm").state == "ready"
 
@@ -172,8 +170,7 @@ def test_cancel_ends_it_where_it_is():
 
 def test_a_lost_device_is_told_and_its_line_says_what_to_do():
     connection, devices, _ = made()
-    connection.begin()
-    connection.wait(60.0)
+    connect(connection)
     interlock = Interlock()
     latch_device_faults(devices.values(), interlock)
     assert not interlock.latched
@@ -181,16 +178,14 @@ def test_a_lost_device_is_told_and_its_line_says_what_to_do():
     latch_device_faults(devices.values(), interlock)
     assert [fault.code for fault in interlock.faults] == ["LINK"]
     assert line(connection, "force_torque").fault.next_step == "Plug it in."
-    connection.begin()
-    connection.wait(60.0)
+    connect(connection)
     assert connection.ready
     assert line(connection, "force_torque").fault is None
 
 
 def test_one_device_is_disconnected_and_the_arm_goes_first_of_all():
     connection, _, log = made()
-    connection.begin()
-    connection.wait(60.0)
+    connect(connection)
     log.clear()
     connection.disconnect(("tactile_left",))
     connection.wait(60.0)
@@ -205,8 +200,7 @@ def test_a_bench_that_cannot_be_used_says_why():
         raise InputError("There is no piece 'x'.", "lab.toml", "Correct it.")
 
     connection, _, _ = made(when_ready=refuse)
-    connection.begin()
-    connection.wait(60.0)
+    connect(connection)
     assert "There is no piece" in str(connection.trouble)
 
 
@@ -384,7 +378,7 @@ def test_one_side_reads_what_the_other_has_put(both):
     assert other.wrench.since(cursor)[1][:, 0].tolist() == [5, 6]
     mine.beat(BACKEND_BEAT)
     mine.permit(1.25)
-    assert (other.backend_beats, other.rig_beats, other.lease_until_s) == (1, 0, 1.25)
+    assert (other.count(BACKEND_BEAT), other.count(RIG_BEAT), other.lease_until_s) == (1, 0, 1.25)
 
 
 def test_a_slow_reader_gets_the_newest_and_never_waits(both):

@@ -5,6 +5,7 @@ import threading
 
 import numpy as np
 
+from tests.backend.rig.hosted import Wrist
 from tests.backend.rig.inline import InlineLink
 from tests.backend.rig.scripted import ScriptedDevice
 from touchdown.backend.core.streams import SampleStream
@@ -30,17 +31,11 @@ class AwayGripper(ScriptedDevice):
         return GripStatus(math.nan, math.nan, holding=False)
 
 
-class AwayWrist(ScriptedDevice):
-    """Is never connected."""
-
-    rated = np.full(6, 100.0)
-
-
 class TickingRig:
     """``gripper`` or ``force_torque``: the driver inside; as attributes, both over the link."""
 
     def __init__(self, now_s, *, gripper=None, force_torque=None):
-        wrist = force_torque or AwayWrist("force_torque", [])
+        wrist = force_torque or Wrist("force_torque", [])
         samples = getattr(wrist, "samples", None) or SampleStream("force_torque", 6, 64)
         self._poses = poses = SampleStream("arm", 3, 64)
         jaws = gripper or AwayGripper("gripper", [])

@@ -13,10 +13,11 @@ from touchdown.backend.geometry.outlines import Outline
 from touchdown.backend.geometry.tower import Body, Tower, TowerVerdict, judge_tower
 from touchdown.backend.simulation.release_mujoco import contradicts_analysis, simulate_release
 
+# number of bodies, whether the lowest is fixed, number of cases
 SETS = {"fixed pair": (2, True, 120), "free pair": (2, False, 90), "three bodies": (3, False, 90)}
-"""Number of bodies, whether the lowest is fixed, number of cases."""
-CLEAR_MM = 0.5
-"""Beyond this margin 0.7 s show the outcome; nearer to the edge a fall may take longer."""
+CLEAR_MM = (
+    0.5  # beyond this margin 0.7 s show the outcome; nearer to the edge a fall may take longer
+)
 
 
 @dataclass(frozen=True)

@@ -275,7 +275,7 @@ def test_lost_markers_follow_the_set_share_in_bursts() -> None:
     assert lost.mean() == pytest.approx(0.01, rel=0.2)
 
 
-def test_lost_markers_are_filled_by_the_given_function() -> None:
+def test_lost_markers_are_filled_in(monkeypatch: pytest.MonkeyPatch) -> None:
     losing = SimulationSettings.model_validate({"preset": "off", "tactile": {"lost_share": 0.02}})
     made = plan(settings=losing, episodes=8, probes_per_grip=1)
     asked = []
@@ -284,7 +284,8 @@ def test_lost_markers_are_filled_by_the_given_function() -> None:
         asked.append((~seen).sum())
         return fill_unseen_markers(field, seen)
 
-    filled = everything(simulate_episodes(made, infer=infer))
+    monkeypatch.setattr(marker_fields, "fill_unseen_markers", infer)
+    filled = everything(simulate_episodes(made))
     whole = everything(simulate_episodes(replace(made, settings=load_simulation(preset="off"))))
     assert sum(asked) > 0
     error = (filled.observation - whole.observation)[:, :, :252]

@@ -11,11 +11,11 @@ import pytest
 from touchdown.backend.core.faults import InputError
 from touchdown.backend.core.streams import Decimator
 from touchdown.backend.core.values import MARKERS, FloatArray
+from touchdown.backend.devices.protocols import PressCommand
 from touchdown.backend.emulation.disturbances import Disturbance, parse_disturbance, parse_script
 from touchdown.backend.simulation.arm import (
     ArmCycle,
     ArmDrive,
-    PressLaw,
     SimPress,
     SimTravel,
     SimUnload,
@@ -29,7 +29,7 @@ from touchdown.backend.simulation.finger_camera import (
     mirror_appearance,
 )
 
-LAW = PressLaw(1.5, 1.5, 2.0, 2.0, 1.0, 11.0)
+LAW = PressCommand(1.5, 1.5, 2.0, 2.0, 1.0, 11.0, (15.0, 15.0, 15.0))
 CYCLE_S = 0.01
 
 
@@ -40,6 +40,11 @@ def cycle(k, force_n=None):
     if force_n is None:
         return ArmCycle(start, start + CYCLE_S, np.empty(0), np.empty(0))
     return ArmCycle(start, start + CYCLE_S, t_s, force_n(t_s))
+
+
+def advance(drive, numbers, force_n=None, *, stalled=False):
+    for k in numbers:
+        drive.step(cycle(k, force_n), stalled=stalled)
 
 
 @pytest.mark.parametrize(("length", "speed"), [(10.0, 20.0), (0.3, 20.0), (3.0, 50.0), (0.0, 5.0)])
@@ -72,14 +77,11 @@ def test_a_stalled_arm_stands_still_and_goes_on_afterwards():
     drive = ArmDrive(np.zeros(3))
     travel = SimTravel(np.zeros(3), np.array([0.0, 0.0, 5.0]), 20.0)
     drive.run(travel)
-    for k in range(10):
-        drive.step(cycle(k), stalled=False)
+    advance(drive, range(10))
     before = drive.command_mm
-    for k in range(10, 30):
-        drive.step(cycle(k), stalled=True)
+    advance(drive, range(10, 30), stalled=True)
     assert drive.command_mm.tolist() == before.tolist()
-    for k in range(30, 60):
-        drive.step(cycle(k), stalled=False)
+    advance(drive, range(30, 60))
     assert travel.done
     assert drive.command_mm[2] == 5.0
 
@@ -149,13 +151,10 @@ def test_what_the_descent_overshot_is_kept():
 
 @pytest.mark.parametrize("force", [None, lambda t: np.full(len(t), np.nan)])
 def test_without_a_sensor_the_press_ends_after_its_travel(force):
-    drive, press = (
-        ArmDrive(np.array([0.0, 0.0, 40.0])),
-        SimPress(LAW, 40.0, 0.0, (np.empty(0), np.empty(0))),
-    )
+    drive = ArmDrive(np.array([0.0, 0.0, 40.0]))
+    press = SimPress(LAW, 40.0, 0.0, (np.empty(0), np.empty(0)))
     drive.run(press)
-    for k in range(700):
-        drive.step(cycle(k, force), stalled=False)
+    advance(drive, range(700), force)
     assert press.done
     assert press.failure is not None
     assert press.failure.code == "NO-CONTACT"
@@ -166,8 +165,7 @@ def test_unload_stops_at_the_force_and_waits_while_nothing_is_heard():
     drive = ArmDrive(np.array([0.0, 0.0, -1.5]))
     unload = SimUnload(1.0, 14.7, 2.0, -1.5)
     drive.run(unload)
-    for k in range(20):
-        drive.step(cycle(k), stalled=False)
+    advance(drive, range(20))
     assert drive.command_mm[2] == -1.5
     k = 20
     while not unload.done:
@@ -184,8 +182,7 @@ def test_unload_gives_up_when_the_force_does_not_fall():
     drive = ArmDrive(np.zeros(3))
     unload = SimUnload(1.0, 0.0, 2.0, 0.0)
     drive.run(unload)
-    for k in range(600):
-        drive.step(cycle(k, lambda t: np.full(len(t), 20.0)), stalled=False)
+    advance(drive, range(600), lambda t: np.full(len(t), 20.0))
     assert unload.failure is not None
     assert unload.failure.code == "NOT-UNLOADED"
 
@@ -220,12 +217,8 @@ def test_active_from_start_to_end_only():
 
 def test_a_slow_sensor_has_its_rate_and_takes_the_first_sample_of_each_period():
     script = parse_script(["force_torque:slow=300@1+2"])
-    assert [script.rate_hz("force_torque", t_s) for t_s in (0.9, 1.0, 2.9, 3.0)] == [
-        None,
-        300.0,
-        300.0,
-        None,
-    ]
+    rates = [script.rate_hz("force_torque", t_s) for t_s in (0.9, 1.0, 2.9, 3.0)]
+    assert rates == [None, 300.0, 300.0, None]
     thinned = Decimator()
     taken = [k for k in range(1000) if thinned.takes(1.0 + 0.001 * k, 300.0)]
     assert len(taken) == 300
@@ -250,22 +243,11 @@ def test_a_drift_grows_as_told_and_stays():
 @pytest.mark.parametrize(
     "text",
     [
-        "",
-        "tactile_left",
-        "tactile_left:freeze",
-        "tactile_left:freeze@",
-        "tactile_left:freeze@-1",
-        "tactile_left:freeze@nan",
-        "tactile_left:freeze@1+",
-        "camera:freeze@1",
-        "gripper:freeze@1",
-        "arm:stall@1;arm:stall@2",
-        "force_torque:slow@1",
-        "force_torque:slow=0@1",
-        "force_torque:nan=5@1",
-        "arm:slow=5@1",
-        "force_torque:drift@1",
-        "tactile_left:drift=0.1@1",
+        *("", "tactile_left", "tactile_left:freeze", "tactile_left:freeze@"),
+        *("tactile_left:freeze@-1", "tactile_left:freeze@nan", "tactile_left:freeze@1+"),
+        *("camera:freeze@1", "gripper:freeze@1", "arm:stall@1;arm:stall@2", "arm:slow=5@1"),
+        *("force_torque:slow@1", "force_torque:slow=0@1", "force_torque:nan=5@1"),
+        *("force_torque:drift@1", "tactile_left:drift=0.1@1"),
     ],
 )
 def test_bad_text_is_one_clear_error(text):

@@ -17,14 +17,17 @@ POINTS = lattice(25.4)
 BOTTOM = Disc(15)
 
 
-def offsets(count: int):
-    rng = np.random.default_rng(0)
-    kept = []
+def random_offsets(rng, count, top_mm, bottom):
+    points, kept = lattice(top_mm), []
     while len(kept) < count:
         offset = rng.uniform(-20, 20, 2)
-        if BOTTOM.contains(POINTS + offset).sum() >= 6:
+        if bottom.contains(points + offset).sum() >= 6:
             kept.append(offset)
     return np.array(kept)
+
+
+def offsets(count: int):
+    return random_offsets(np.random.default_rng(0), count, 25.4, BOTTOM)
 
 
 def shear_slip(slip):
@@ -133,15 +136,6 @@ def test_conditions_of_one_probe_can_be_picked() -> None:
     assert made.take(np.array([2])).mu == pytest.approx([0.5])
 
 
-def random_offsets(rng, count, top_mm, bottom):
-    points, kept = lattice(top_mm), []
-    while len(kept) < count:
-        offset = rng.uniform(-20, 20, 2)
-        if bottom.contains(points + offset).sum() >= 6:
-            kept.append(offset)
-    return np.array(kept)
-
-
 def rough(rng, count, grip_height_mm, **changes):
     """Return conditions with every mechanical nuisance on."""
     gel = np.clip(1 + 0.1 * rng.standard_normal(count), 0.7, 1.3)
@@ -179,8 +173,7 @@ def test_random_probes_converge_within_the_sanity_bound(top_mm, bottom) -> None:
 def test_forces_balance_the_springs_and_are_resultants_of_the_cells() -> None:
     rng = np.random.default_rng(3)
     made = rough(rng, 60, 33.0)
-    bottom = Disc(15)
-    state = begin_probes(lattice(25.4), bottom, random_offsets(rng, 60, 25.4, bottom), made)
+    state = begin_probes(POINTS, BOTTOM, random_offsets(rng, 60, 25.4, BOTTOM), made)
     before, _ = drive(state, RAMP[:-1])
     after, (end,) = drive(before, RAMP[-1:])
     spring = mechanics.springs(made, before.relaxed, 0.1)
@@ -201,8 +194,7 @@ def test_forces_balance_the_springs_and_are_resultants_of_the_cells() -> None:
 def test_friction_never_exceeds_coulomb() -> None:
     rng = np.random.default_rng(4)
     made = rough(rng, 40, 33.0)
-    bottom = Disc(15)
-    state = begin_probes(lattice(25.4), bottom, random_offsets(rng, 40, 25.4, bottom), made)
+    state = begin_probes(POINTS, BOTTOM, random_offsets(rng, 40, 25.4, BOTTOM), made)
     before, _ = drive(state, RAMP[:-1])
     _, (end,) = drive(before, RAMP[-1:])
     now = contact.contact_forces(before.cells, before.anchor, end.q)
@@ -246,12 +238,11 @@ def test_flat_punch_pressed_in_the_centre_has_uniform_pressure(press, shapes) ->
 
 def test_centre_of_pressure_lies_in_the_hull_of_the_overlap() -> None:
     rng = np.random.default_rng(6)
-    bottom, points = Disc(15), lattice(25.4)
-    offsets = random_offsets(rng, 40, 25.4, bottom)
+    offsets = random_offsets(rng, 40, 25.4, BOTTOM)
     made = replace(rough(rng, 40, 33.0), yaw_rad=np.zeros(40))
-    _, solved = drive(begin_probes(points, bottom, offsets, made), RAMP)
+    _, solved = drive(begin_probes(POINTS, BOTTOM, offsets, made), RAMP)
     for k in range(40):
-        patch = points[bottom.contains(points + offsets[k])]
+        patch = POINTS[BOTTOM.contains(POINTS + offsets[k])]
         hull = ConvexHull(patch).equations
         # The centre of pressure counts from the pivot's axis, the face centre lies at -g_x.
         centre = solved[-1].cop_mm[k] + [made.grasp_offset_mm[k, 0], 0.0]

@@ -108,6 +108,14 @@ def run(jaws, seconds):
     return [change for change in changes if change != JawEvents()]
 
 
+@pytest.fixture
+def held():
+    jaws = SimulatedJaws(50.0, 30.0)
+    jaws.close(10.0)
+    run(jaws, 1.0)
+    return jaws
+
+
 def test_closing_takes_the_piece_once_with_the_force_asked_for():
     jaws = SimulatedJaws(50.0, 30.0)
     jaws.close(10.0)
@@ -118,13 +126,10 @@ def test_closing_takes_the_piece_once_with_the_force_asked_for():
     assert not jaws.moving
 
 
-def test_a_firmer_grip_of_a_held_piece_does_not_take_it_again():
-    jaws = SimulatedJaws(50.0, 30.0)
-    jaws.close(10.0)
-    run(jaws, 1.0)
-    jaws.close(14.0)
-    assert run(jaws, 1.0) == []
-    assert jaws.force_n == 14.0
+def test_a_firmer_grip_of_a_held_piece_does_not_take_it_again(held):
+    held.close(14.0)
+    assert run(held, 1.0) == []
+    assert held.force_n == 14.0
 
 
 def test_without_a_piece_the_jaws_close_on_nothing():
@@ -135,20 +140,14 @@ def test_without_a_piece_the_jaws_close_on_nothing():
     assert (jaws.width_mm, jaws.force_n, jaws.holding, jaws.moving) == (0.0, 0.0, False, False)
 
 
-def test_opening_lets_go_just_beyond_the_width_of_the_piece():
-    jaws = SimulatedJaws(50.0, 30.0)
-    jaws.close(10.0)
-    run(jaws, 1.0)
-    jaws.open_to(34.0, 5.0)
-    steps = 0
-    while jaws.step(STEP_S) == JawEvents():
-        assert jaws.holding
-        steps += 1
-    assert jaws.width_mm == pytest.approx(30.1, abs=0.06)
-    assert not jaws.holding
-    run(jaws, 2.0)
-    assert jaws.width_mm == 34.0
-    assert not jaws.moving
+def test_opening_lets_go_just_beyond_the_width_of_the_piece(held):
+    held.open_to(34.0, 5.0)
+    while held.step(STEP_S) == JawEvents():
+        assert held.holding
+    assert held.width_mm == pytest.approx(30.1, abs=0.06)
+    assert not held.holding
+    run(held, 2.0)
+    assert (held.width_mm, held.moving) == (34.0, False)
 
 
 @pytest.mark.parametrize("halt_after_s", [0.0, 0.2, CLOSING_TIME_S + 0.5 * SQUEEZE_TIME_S])
@@ -166,15 +165,12 @@ def test_a_halted_grip_can_be_taken_up_again(halt_after_s):
     assert jaws.holding
 
 
-def test_a_halted_release_keeps_what_is_still_held():
-    jaws = SimulatedJaws(50.0, 30.0)
-    jaws.close(10.0)
-    run(jaws, 1.0)
-    jaws.open_to(34.0, 5.0)
-    jaws.step(STEP_S)
-    jaws.halt()
-    assert run(jaws, 1.0) == []
-    assert jaws.holding
+def test_a_halted_release_keeps_what_is_still_held(held):
+    held.open_to(34.0, 5.0)
+    held.step(STEP_S)
+    held.halt()
+    assert run(held, 1.0) == []
+    assert held.holding
 
 
 RULE, PROBE, CYCLE_S = OnsetRule(), ProbeSettings(), 0.01
@@ -216,8 +212,7 @@ def stepped(state, phase_s, pressed) -> Timeline:
 
 def pixels(values, air):
     strain = (values[..., 6:12] - air[:, None, 6:12]).reshape(*values.shape[:2], 2, 3)
-    gel = build_gel((0.058, 0.058))
-    return gel.displacement_px(strain, values[..., 12:14], np.full((COUNT, 1), 10.0))
+    return GEL.displacement_px(strain, values[..., 12:14], np.full((COUNT, 1), 10.0))
 
 
 @pytest.mark.parametrize(
@@ -279,8 +274,7 @@ def test_timeline_is_linear_between_and_constant_outside() -> None:
     np.testing.assert_allclose(got, [0.0, 1.0, 4.0, 5.0, 6.0])
 
 
-SHARE = 0.4
-"""Of the random stacks; the measured figures are of all of them."""
+SHARE = 0.4  # of the random stacks; the measured figures are of all of them
 needs = pytest.mark.skipif(not mujoco_available(), reason="needs the extra 'mujoco'")
 
 

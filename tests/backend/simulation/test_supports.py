@@ -17,6 +17,7 @@ from touchdown.backend.geometry.outlines import circle, face_points, rectangle
 from touchdown.backend.geometry.pieces import load_pieces
 from touchdown.backend.geometry.sampling import draw_offset
 from touchdown.backend.geometry.tower import Body, Tower, judge_tower
+from touchdown.backend.placement.equilibrium import centre_of_pressure_mm
 from touchdown.backend.simulation import batch as lockstep
 from touchdown.backend.simulation import conditions as nuisance
 from touchdown.backend.simulation.batch import LARGEST_FORCE_RATIO, simulate_episodes
@@ -38,12 +39,7 @@ from touchdown.backend.simulation.supports import (
     support_stack,
     topples,
 )
-from touchdown.backend.simulation.wrist_sensor import (
-    Load,
-    centre_of_pressure_mm,
-    held_piece_load,
-    wrist_wrench,
-)
+from touchdown.backend.simulation.wrist_sensor import Load, held_piece_load, wrist_wrench
 
 TOPS = {"mushroom": 25.4, "barrel": 21.2, "pot": 15.0}
 CENTRE = (GRID_ROWS // 2) * GRID_COLS + GRID_COLS // 2

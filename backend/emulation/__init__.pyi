@@ -9,7 +9,6 @@ from .fault_plan import apply_faults as apply_faults
 from .fault_plan import hanging_gripper as hanging_gripper
 from .fault_plan import load_faults as load_faults
 from .server import CHUNK as CHUNK
-from .server import UNPLUGGED_S as UNPLUGGED_S
 from .server import DeviceServer as DeviceServer
 from .server import EmulatedDevice as EmulatedDevice
 from .server import PtyServer as PtyServer
@@ -25,7 +24,6 @@ from .serving import serve_serial as serve_serial
 __all__ = [
     "AMOUNTS",
     "CHUNK",
-    "UNPLUGGED_S",
     "BenchTables",
     "DeviceServer",
     "DisturbanceScript",

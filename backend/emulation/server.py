@@ -99,6 +99,12 @@ class DeviceServer(ABC):
     def _is_unplugged(self) -> bool:
         return self.faults.active("unplug", self._clock.now_s())
 
+    def _wait_until_plugged(self) -> bool:
+        """Wait for the end of the fault ``unplug``; return False if the server closes."""
+        while self._is_unplugged() and not self._stop.wait(UNPLUGGED_S):
+            pass
+        return not self._stop.is_set()
+
     def _log_received(self, data: bytes) -> float:
         """Count and log received bytes; return the time."""
         now_s = self._clock.now_s()
@@ -176,9 +182,7 @@ class TcpServer(StreamServer):
         while not self._stop.is_set():
             if self._is_unplugged():
                 self._listener.close()
-                while self._is_unplugged() and not self._stop.wait(UNPLUGGED_S):
-                    pass
-                if not self._stop.is_set():
+                if self._wait_until_plugged():
                     self._listener = self._listen(self.address)
                 continue
             try:
@@ -258,8 +262,7 @@ class PtyServer(StreamServer):
                 continue
             self._device.closed(self._clock.now_s())
             self._unplug()
-            while self._is_unplugged() and not self._stop.wait(UNPLUGGED_S):
-                pass
+            self._wait_until_plugged()
             self._plug()
 
     def _write(self, out: bytes) -> None:
@@ -324,9 +327,7 @@ class UdpServer(DeviceServer):
                 self._exchange()
                 continue
             self._socket.close()
-            while self._is_unplugged() and not self._stop.wait(UNPLUGGED_S):
-                pass
-            if not self._stop.is_set():
+            if self._wait_until_plugged():
                 self._socket = self._bind(self.address)
 
     def _exchange(self) -> None:

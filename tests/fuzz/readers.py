@@ -73,7 +73,7 @@ READERS: dict[tuple[str, str], Reader] = {
         net_ft.decode_calibration, *_vectors("netft-tcp-calibration-reply")
     ),
     ("netft-answer", "page"): _plain(net_ft.decode_page, PAGE),
-    ("gelsight-mini", "name"): _plain(driver.decode, *_vectors("gelsight")),
+    ("gelsight-mini", "name"): _plain(driver.read_serial, *_vectors("gelsight")),
     ("gelsight-mini", "pictures"): Reader(
         Codec(lambda picture: picture, stream=frames.JpegStream), _PICTURES
     ),

@@ -62,7 +62,7 @@ class JpegStream:
 
     def __init__(self) -> None:
         self._rest = b""
-        self.bad_frames = self.bad_in_a_row = self.discarded = 0
+        self.bad_frames = self.discarded = 0
 
     @property
     def pending(self) -> int:
@@ -88,7 +88,6 @@ class JpegStream:
             elif end > 0:
                 pictures.append(self._rest[: end + 2])
                 self._rest = self._rest[end + 2 :]
-                self.bad_in_a_row = 0
             elif len(self._rest) > LONGEST:
                 self._refuse(len(self._rest))
             else:
@@ -106,7 +105,6 @@ class JpegStream:
     def _refuse(self, count: int) -> None:
         self._skip(count)
         self.bad_frames += 1
-        self.bad_in_a_row += 1
 
 
 def size_px(picture: bytes) -> tuple[int, int]:

@@ -45,19 +45,28 @@ def lock_controls(
     """Disable automatic control, set exposure and white balance; return the values read back.
     Missing controls are left out; the result is empty on other systems. Nothing is raised.
     """
-    ask = ask or _ioctl()
-    if ask is None:
-        return {}
     try:
+        import fcntl
+
+        ask = ask or fcntl.ioctl
         file = os.open(path, os.O_RDWR | getattr(os, "O_NONBLOCK", 0))
-    except OSError:
+    except (ImportError, OSError):
         return {}
     try:
         known = find_controls(file, ask)
+        # Automatic modes first: they block the others.
+        wanted = {
+            "white_balance_auto": 0,
+            "exposure_auto": V4L2_MANUAL_EXPOSURE,
+            "exposure_priority": 0,
+            "exposure": round(settings.exposure),
+            "white_balance": round(settings.white_balance),
+        }
+        names = settings.control_names
         told = {
-            key: _set(file, ask, known, settings.control_names[key], value)
-            for key, value in _wanted(settings).items()
-            if key in settings.control_names
+            key: _set(file, ask, known, names[key], value)
+            for key, value in wanted.items()
+            if key in names
         }
     except OSError:
         return {}
@@ -88,17 +97,6 @@ def plain_name(title: str) -> str:
     return "_".join(re.findall(r"[a-z0-9]+", title.lower()))
 
 
-def _wanted(settings: GelsightSettings) -> Mapping[str, int]:
-    """Return the values by key; automatic modes first, because they block the others."""
-    return {
-        "white_balance_auto": 0,
-        "exposure_auto": V4L2_MANUAL_EXPOSURE,
-        "exposure_priority": 0,
-        "exposure": round(settings.exposure),
-        "white_balance": round(settings.white_balance),
-    }
-
-
 def _set(
     file: int, ask: IoctlFunction, known: Mapping[str, int], names: tuple[str, ...], value: int
 ) -> float | None:
@@ -112,14 +110,6 @@ def _set(
         if error.errno not in (errno.EINVAL, errno.ERANGE, errno.EACCES, errno.EBUSY):
             raise
     return float(_VALUE.unpack(ask(file, GET, _VALUE.pack(control, 0)))[1])
-
-
-def _ioctl() -> IoctlFunction | None:
-    try:
-        import fcntl
-    except ImportError:
-        return None
-    return fcntl.ioctl
 
 
 CHUNK = 1 << 16

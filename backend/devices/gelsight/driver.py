@@ -50,22 +50,12 @@ class Mailbox(Generic[T]):
 LONGEST = 256
 
 
-@dataclass(frozen=True, slots=True)
-class CardName:
-    """Name of a video device; ``serial`` is None if it is not a GelSight Mini or cut off."""
-
-    name: str
-    serial: str | None
-    is_gelsight: bool
-
-
-def decode(content: bytes) -> CardName:
-    """Parse the content of a ``/sys/class/video4linux/*/name`` file."""
-    name = content[:LONGEST].decode("utf-8", "replace").strip("\n\x00 ")
-    if "GelSight Mini" not in name:
-        return CardName(name, None, is_gelsight=False)
-    serial = re.search(r"\b[A-Z0-9]{4}-[A-Z0-9]{4}\b", name)
-    return CardName(name, serial[0] if serial else None, is_gelsight=True)
+def read_serial(content: bytes) -> str | None:
+    """Return the serial number of a ``/sys/class/video4linux/*/name`` file; None if it is cut off,
+    or if the device is no GelSight Mini.
+    """
+    serial = re.search(rb"GelSight Mini.*\b([A-Z0-9]{4}-[A-Z0-9]{4})\b", content[:LONGEST])
+    return serial[1].decode() if serial else None
 
 
 BY_ID = "*-index0"  # the second node of a camera carries no pictures
@@ -92,20 +82,20 @@ def find_cameras(by_id: Path, names: Path, nodes: Path) -> list[FoundCamera]:
 
 def _by_id(folder: Path) -> Iterator[FoundCamera]:
     for link in sorted(folder.glob(BY_ID)):
-        card = decode(link.name.replace("_", " ").encode())
-        if card.serial is not None and link.exists():
-            yield FoundCamera(card.serial, link)
+        serial = read_serial(link.name.replace("_", " ").encode())
+        if serial is not None and link.exists():
+            yield FoundCamera(serial, link)
 
 
 def _by_name(folder: Path, nodes: Path) -> Iterator[FoundCamera]:
     for entry in sorted(folder.glob("video*"), key=_number):
         try:
             index = (entry / "index").read_text("ascii").strip()
-            card = decode((entry / "name").read_bytes())
+            serial = read_serial((entry / "name").read_bytes())
         except (OSError, UnicodeDecodeError):
             continue
-        if index == "0" and card.serial is not None:
-            yield FoundCamera(card.serial, nodes / entry.name)
+        if index == "0" and serial is not None:
+            yield FoundCamera(serial, nodes / entry.name)
 
 
 def _number(entry: Path) -> int:
@@ -144,33 +134,19 @@ class TactileCamera:
         self._settings = settings
         self._own = settings.left if finger == "left" else settings.right
         self._now_s, self._open_camera, self._given = now_s, open_camera, identity
-        self._frames = frames or Stream(self.name, CAPACITY)
+        self.frames = frames or Stream[TactileFrame](self.name, CAPACITY)
         self._newest: Mailbox[Captured] = Mailbox()
         self._stop, self._first = threading.Event(), threading.Event()
         self._threads: list[threading.Thread] = []
-        self._state = DeviceState.CLOSED
-        self._identity: Identity | None = None
+        # State of the connection; FAULT while the camera is missing or hangs.
+        self.state = DeviceState.CLOSED
+        self.identity: Identity | None = None  # None before the first connection
         self._facts: Mapping[str, float] = {}
         self._arrivals: deque[float] = deque(maxlen=512)
         self._received = self._damaged = self.reopened = self._sequence = 0
         self._gate = self._new_gate()
         self.steps = ConnectionSteps()
         self.fault: Fault | None = None
-
-    @property
-    def state(self) -> DeviceState:
-        """State of the connection; FAULT while the camera is missing or hangs."""
-        return self._state
-
-    @property
-    def identity(self) -> Identity | None:
-        """Identity, None before the first connection."""
-        return self._identity
-
-    @property
-    def frames(self) -> Stream[TactileFrame]:
-        """Stream of pictures."""
-        return self._frames
 
     @property
     def health(self) -> Health:
@@ -185,10 +161,10 @@ class TactileCamera:
 
     def describe(self) -> Mapping[str, str | float]:
         """Return condition, scale, and the camera's format and controls."""
-        stale = self._state is DeviceState.READY and self.health.age_s > STALE_S
+        stale = self.state is DeviceState.READY and self.health.age_s > STALE_S
         return {
-            "kind": self._identity.model if self._identity else "GelSight Mini",
-            "condition": "stale" if stale else self._state.value,
+            "kind": self.identity.model if self.identity else "GelSight Mini",
+            "condition": "stale" if stale else self.state.value,
             "mm_per_px_x": self._settings.mm_per_px_x,
             "mm_per_px_y": self._settings.mm_per_px_y,
             "mirror": self._own.mirror,
@@ -200,10 +176,10 @@ class TactileCamera:
 
     def connect(self, timeout_s: float, cancel: threading.Event) -> None:
         """Find the camera by its serial number, open it, wait for the first bright picture."""
-        if self._state is DeviceState.READY:
+        if self.state is DeviceState.READY:
             return
         self.close()
-        self._state, self.fault = DeviceState.CONNECTING, None
+        self.state, self.fault = DeviceState.CONNECTING, None
         self.steps.begin()
         self._stop, self._first, self._newest = threading.Event(), threading.Event(), Mailbox()
         self._received = self._damaged = self.reopened = self._sequence = 0
@@ -231,7 +207,7 @@ class TactileCamera:
         for thread in self._threads:
             thread.join(JOIN_S)
         self._threads = []
-        self._state = DeviceState.CLOSED
+        self.state = DeviceState.CLOSED
 
     def _new_gate(self) -> PictureFilter:
         return PictureFilter(self.finger, self.name, self._settings, self._now_s())
@@ -239,10 +215,10 @@ class TactileCamera:
     def find(self) -> Path:
         """Return the path of the camera; raises ``FaultError``."""
         if self._given is not None:
-            self._identity = self._given
+            self.identity = self._given
             return Path(self.name)
         if self._own.file:
-            self._identity = Identity("", "video file", Path(self._own.file).name, "")
+            self.identity = Identity("", "video file", Path(self._own.file).name, "")
             return Path(self._own.file)
         folders = self._settings.by_id, self._settings.names, self._settings.nodes
         found = {camera.serial: camera.path for camera in find_cameras(*map(Path, folders))}
@@ -250,7 +226,7 @@ class TactileCamera:
             there = ", ".join(found) or "none"
             what = f"No camera with the number '{self._own.serial}' is plugged in (there: {there})."
             raise FaultError(link_fault(self.name, what))
-        self._identity = Identity("GelSight", "GelSight Mini", self._own.serial, "")
+        self.identity = Identity("GelSight", "GelSight Mini", self._own.serial, "")
         return found[self._own.serial]
 
     def _watch(self, stop: threading.Event) -> None:
@@ -320,11 +296,11 @@ class TactileCamera:
             self._deliver_picture(TactileFrame(self.finger, sequence, t_s, image, jpeg))
 
     def _deliver_picture(self, frame: TactileFrame) -> None:
-        self._frames.put(frame.t_s, frame)
+        self.frames.put(frame.t_s, frame)
         self._received += 1
         self._arrivals.append(frame.t_s)
         self.fault = None
-        self._state = DeviceState.READY
+        self.state = DeviceState.READY
         self.steps.reached("first sample")
         self._first.set()
 
@@ -335,7 +311,7 @@ class TactileCamera:
     def _fail(self, fault: Fault) -> None:
         self.fault = fault
         if self._first.is_set():
-            self._state = DeviceState.FAULT
+            self.state = DeviceState.FAULT
 
 
 def make_gelsight(

@@ -133,8 +133,7 @@ class GelsightServer(DeviceServer):
         """Remove the device during the fault; return as another node."""
         before = self._node
         self._remove_device()
-        while self._is_unplugged() and not self._stop.wait(IDLE_S):
-            pass
+        self._wait_until_plugged()
         try:
             before.touch()
             self._node = self._plug()

@@ -11,8 +11,8 @@ import math
 import re
 import threading
 from collections import deque
-from collections.abc import Callable, Mapping
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from typing import Protocol
 
@@ -22,11 +22,11 @@ from touchdown.backend.config import MelfaSettings, is_loopback
 from touchdown.backend.core import Fault, FaultError, FloatArray
 from touchdown.backend.devices.framing import ProtocolError
 from touchdown.backend.devices.melfa.faults import (
+    UNLIMITED,
     controller_fault,
     link_fault,
     other_arm_fault,
     starved_fault,
-    unlimited_fault,
 )
 from touchdown.backend.devices.melfa.kinematics import MelfaPlacement, hand_of
 from touchdown.backend.devices.melfa.r3_protocol import (
@@ -76,19 +76,13 @@ class PendingRequest:
         self._ended.set()
 
     @property
-    def reply(self) -> R3Reply:
-        """The reply; raises ``FaultError`` without one."""
-        if self._fault is not None or self._reply is None:
-            raise FaultError(self._fault or link_fault("The controller did not answer."))
-        return self._reply
-
-    @property
     def answer(self) -> str:
         """Text after QoK; raises ``FaultError`` if the request was refused or not answered."""
-        reply = self.reply
-        if not reply.ok:
-            raise FaultError(controller_fault(reply.error))
-        return reply.answer
+        if self._fault is not None or self._reply is None:
+            raise FaultError(self._fault or link_fault("The controller did not answer."))
+        if not self._reply.ok:
+            raise FaultError(controller_fault(self._reply.error))
+        return self._reply.answer
 
 
 class R3Client:
@@ -145,11 +139,12 @@ class R3Client:
         """Fail all requests, present and future: the wire is gone."""
         with self._lock:
             self._over = fault
-            left = [*([self._current] if self._current else []), *self._waiting]
+            left = [self._current, *self._waiting]
             self._current = None
             self._waiting.clear()
         for ticket in left:
-            ticket.end(None, fault)
+            if ticket is not None:
+                ticket.end(None, fault)
 
     def _receive(self, now_s: float, data: bytes) -> list[R3Reply]:
         if data:
@@ -242,6 +237,16 @@ class ControllerLinks(Protocol):
         """Close all; may be called twice."""
 
 
+@contextmanager
+def _require_readable() -> Iterator[None]:
+    """Raise ``FaultError`` for an answer of another form."""
+    try:
+        yield
+    except ProtocolError as error:
+        fault = link_fault(f"The controller does not answer as it should: {error}.")
+        raise FaultError(fault) from error
+
+
 STATE_S = 0.1
 PLACE_S = 0.04  # without a running program: otherwise 100 ms are required
 PROBING_STATE_S = 0.35
@@ -288,14 +293,13 @@ class ControllerPoller:
 
     def _read(self, ticket: PendingRequest, *, streaming: bool) -> None:
         try:
-            if ticket.request == PLACE:
-                self.place_mm = self._of_reading(read_axes(ticket.answer))
-                return
-            self.state = state = read_state(ticket.answer)
+            with _require_readable():
+                if ticket.request == PLACE:
+                    self.place_mm = self._of_reading(read_axes(ticket.answer))
+                    return
+                self.state = state = read_state(ticket.answer)
         except FaultError as error:
             self.fault = error.fault
-        except ProtocolError as error:
-            self.fault = link_fault(f"The controller does not answer as it should: {error}.")
         else:
             if state.error:
                 self.fault = controller_fault(state.error)
@@ -399,7 +403,7 @@ class Console:
 
     def start_up(self, reached: Callable[[ConnectionStep], None]) -> Identity:
         """Start the real-time program on an open wire; raises ``FaultError``."""
-        try:
+        with _require_readable():
             identity = self._identify()
             reached("identify")
             self._reset_alarm()
@@ -411,22 +415,16 @@ class Console:
             self._go_on()
             self.run_stream()
             reached("configure")
-        except ProtocolError as error:
-            fault = link_fault(f"The controller does not answer as it should: {error}.")
-            raise FaultError(fault) from error
-        return identity
+            return identity
 
     def examine(self) -> Identity:
         """Return the identity of the controller; nothing is switched on."""
-        try:
+        with _require_readable():
             identity = self._identify()
             self._require_no_error()
             self._require_time_limit()
             self.ask("CLOSE")
-        except ProtocolError as error:
-            fault = link_fault(f"The controller does not answer as it should: {error}.")
-            raise FaultError(fault) from error
-        return identity
+            return identity
 
     def run_stream(self) -> None:
         """Start the controller program that opens the stream, and wait until it runs."""
@@ -507,7 +505,7 @@ class Console:
             value = "-1"
         self.unlimited = not value.isdecimal()
         if self.unlimited and not self._settings.mxt.allow_unlimited:
-            raise FaultError(unlimited_fault())
+            raise FaultError(UNLIMITED)
 
     def servo_on(self) -> None:
         """Switch the servo motors on and wait for them; raises ``FaultError``."""

@@ -82,13 +82,8 @@ class MelfaPrograms:
             math.radians(settings.hand_deg),
             settings.tool_mm,
         )
-        self.level = StreamedPrograms(
-            LoopDelays(
-                CYCLE_S,
-                arm_lag_s=1e-3 * settings.arm_lag_ms,
-                sensor_lag_s=1e-3 * settings.sensor_lag_ms,
-            )
-        )
+        lags_s = 1e-3 * settings.arm_lag_ms, 1e-3 * settings.sensor_lag_ms
+        self.level = StreamedPrograms(LoopDelays(CYCLE_S, *lags_s))
 
     def under_way(self, core: StreamCore) -> bool:
         """Return True while a motion is active."""
@@ -172,51 +167,6 @@ def arm_status(
     return ArmStatus(mode, safety, override, error)
 
 
-def trace_values(core: StreamCore, orders: MelfaPrograms) -> tuple[float, ...]:
-    """Return the values of ``TRACE``; the caller holds the lock of the stream."""
-    return (
-        *core.command_mm.tolist(),
-        *core.measured_mm.tolist(),
-        *core.sent_rad.tolist(),
-        *core.measured_rad.tolist(),
-        *(
-            PHASES[core.phase],
-            core.missed,
-            core.holds,
-            orders.under_way(core),
-            orders.level.press_n(),
-        ),
-    )
-
-
-def inspector_fields(
-    core: StreamCore, wires: ControllerLinks, settings: MelfaSettings, console: Console
-) -> Mapping[str, str | float]:
-    """Return the inspector fields; ``command_mm`` is of ``G`` in the bench frame."""
-    counts, times = core.replies.counts, wires.times
-    x, y, z = core.command_mm.tolist()
-    return {
-        "kind": "melfa",
-        "host": settings.host,
-        "stream": core.phase.value,
-        "x_mm": x,
-        "y_mm": y,
-        "z_mm": z,
-        "holds": core.holds,
-        "refused": counts.refused,
-        "repeated": counts.repeated,
-        "old": counts.old,
-        "skipped": counts.skipped,
-        "controller_missed": core.timeouts,
-        "bad_replies": wires.bad_replies,
-        "late_cycles": times.late,
-        "latest_ms": 1e3 * times.latest_s,
-        "realtime": "yes" if times.realtime else "no",
-        "time_limit": "none" if console.unlimited else "set",
-        **({"notice": console.notice} if console.notice else {}),
-    }
-
-
 INF, LONGEST_S = math.inf, 3600.0
 WAIT_S = 0.02
 OPEN_S = 5.0
@@ -265,8 +215,26 @@ class MelfaArm:
             return self._measured.health(counts.refused + counts.skipped)
 
     def describe(self) -> Mapping[str, str | float]:
-        """Return the commanded position and the counts of the link."""
-        return inspector_fields(self._core, self._wires, self._settings, self._console)
+        """Return the commanded position of ``G`` and the counts of the link."""
+        core, counts, times = self._core, self._core.replies.counts, self._wires.times
+        return {
+            "kind": "melfa",
+            "host": self._settings.host,
+            "stream": core.phase.value,
+            **dict(zip(("x_mm", "y_mm", "z_mm"), core.command_mm.tolist(), strict=True)),
+            "holds": core.holds,
+            "refused": counts.refused,
+            "repeated": counts.repeated,
+            "old": counts.old,
+            "skipped": counts.skipped,
+            "controller_missed": core.timeouts,
+            "bad_replies": self._wires.bad_replies,
+            "late_cycles": times.late,
+            "latest_ms": 1e3 * times.latest_s,
+            "realtime": "yes" if times.realtime else "no",
+            "time_limit": "none" if self._console.unlimited else "set",
+            **({"notice": self._console.notice} if self._console.notice else {}),
+        }
 
     def connect(self, timeout_s: float, cancel: threading.Event) -> None:
         """Connect up to an open stream; ``timeout_s`` is the minimum time limit of each step."""
@@ -423,7 +391,15 @@ class MelfaArm:
     def trace(self) -> tuple[float, ...]:
         """Return the present values, in the order of ``TRACE_NAMES``."""
         with self._lock:
-            return trace_values(self._core, self._orders)
+            core, level = self._core, self._orders.level
+            return (
+                *core.command_mm.tolist(),
+                *core.measured_mm.tolist(),
+                *core.sent_rad.tolist(),
+                *core.measured_rad.tolist(),
+                *(PHASES[core.phase], core.missed, core.holds),
+                *(self._orders.under_way(core), level.press_n()),
+            )
 
     def pose(self, max_age_s: float) -> Pose:
         """Return the measured pose; raises ``StaleSampleError`` if it is older."""

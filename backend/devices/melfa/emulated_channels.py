@@ -18,16 +18,15 @@ from touchdown.backend.core import FloatArray
 from touchdown.backend.devices.framing import LineStream, ProtocolError
 from touchdown.backend.devices.melfa import r3_protocol, realtime_protocol
 from touchdown.backend.devices.melfa.emulated_controller import (
-    LIMITS_RAD,
     SPEEDS_RAD_S,
     STREAM,
     EmulatedController,
     RefusedCommandError,
     angles_of,
     frame_of,
-    hand_of,
     solve,
 )
+from touchdown.backend.devices.melfa.kinematics import LIMITS_RAD, hand_of
 from touchdown.backend.devices.melfa.r3_protocol import (
     LONGEST_REQUEST,
     AxisReading,
@@ -157,15 +156,10 @@ class EmulatedStream:
 
     def _reply(self, request: MxtRequest) -> bytes:
         first, second, third, fourth = map(self._block, request.monitors)
+        blocks = (first, second, third, fourth)
         timeouts = self._timeouts if self._settings.mxt.mxttout >= 0 else 0
-        reply = MxtReply(
-            request.command,
-            request.monitors[0],
-            request.monitors,
-            (first, second, third, fourth),
-            self._counter,
-            timeouts=timeouts,
-        )
+        command, types = request.command, request.monitors
+        reply = MxtReply(command, types[0], types, blocks, self._counter, timeouts=timeouts)
         self.jump_rad = np.zeros(6)
         return encode_mxt_reply(reply)
 
@@ -177,12 +171,9 @@ class EmulatedStream:
         if kind is BlockKind.CURRENT:
             amount = joints.currents().round().astype(int).tolist()
             return AxisValues(kind, (*amount, 0, 0))
-        sources: tuple[Callable[[], FloatArray], ...] = (
-            lambda: joints.command_rad + self.jump_rad,
-            lambda: joints.filtered_rad,
-            lambda: joints.feedback_rad,
-        )
-        angles = sources[(monitor - 1) // 3]()
+        command_rad = joints.command_rad + self.jump_rad
+        sources = (command_rad, joints.filtered_rad, joints.feedback_rad)
+        angles = sources[(monitor - 1) // 3]
         if kind is BlockKind.POSE:
             frame = frame_of(angles)
             turned = angles_of(frame[:3, :3], self._settings.euler)

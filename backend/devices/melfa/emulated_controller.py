@@ -19,11 +19,11 @@ import numpy as np
 
 from touchdown.backend.config import MelfaSettings
 from touchdown.backend.core import FloatArray
+from touchdown.backend.devices.melfa.kinematics import LIMITS_RAD
 from touchdown.backend.devices.melfa.r3_protocol import EMERGENCY_ERRORS, RunStatus, StopStatus
 from touchdown.backend.devices.melfa.realtime_protocol import CYCLE_S, FLANGE_MM, JOINTS
 
 NOISE_RAD = 1e-7  # standard deviation of the encoder feedback
-LIMITS_RAD = np.array([joint.limit_rad for joint in JOINTS])
 SPEEDS_RAD_S = np.array([joint.speed_rad_s for joint in JOINTS])
 _SOLVE_STEPS = 60
 
@@ -105,18 +105,6 @@ def angles_of(hand: FloatArray, euler: str) -> tuple[float, float, float]:
         return math.atan2(hand[2, 1], hand[2, 2]), b, math.atan2(hand[1, 0], hand[0, 0])
     b = math.asin(min(max(float(hand[0, 2]), -1.0), 1.0))
     return math.atan2(-hand[1, 2], hand[2, 2]), b, math.atan2(-hand[0, 1], hand[0, 0])
-
-
-def hand_of(a: float, b: float, c: float, euler: str) -> FloatArray:
-    """Return the rotation (3, 3) of A, B, C."""
-    ca, sa, cb, sb = math.cos(a), math.sin(a), math.cos(b), math.sin(b)
-    cc, sc = math.cos(c), math.sin(c)
-    about_x = np.array([[1, 0, 0], [0, ca, -sa], [0, sa, ca]])
-    about_y = np.array([[cb, 0, sb], [0, 1, 0], [-sb, 0, cb]])
-    about_z = np.array([[cc, -sc, 0], [sc, cc, 0], [0, 0, 1]])
-    if euler.startswith("Rz"):
-        return np.asarray(about_z @ about_y @ about_x)
-    return np.asarray(about_x @ about_y @ about_z)
 
 
 class EmulatedJoints:
@@ -214,52 +202,46 @@ class EmulatedProbe:
 
     def _advance(self, press_n: float) -> None:
         order = round(self._variables["MDO"])
-        if order == ABORT and self.step not in (
-            ProbeProgramStep.DESCEND,
-            ProbeProgramStep.LIFTING,
-            ProbeProgramStep.ENDED,
-        ):
+        resting = ProbeProgramStep.DESCEND, ProbeProgramStep.LIFTING, ProbeProgramStep.ENDED
+        if order == ABORT and self.step not in resting:
             self._go(ProbeProgramStep.LIFTING)
-        steps: dict[ProbeProgramStep, Callable[[float, int], None]] = {
-            ProbeProgramStep.DESCEND: self._descend,
-            ProbeProgramStep.PRESS: self._press,
-            ProbeProgramStep.ASKED: self._ask,
-            ProbeProgramStep.UNLOADING: self._unload,
-            ProbeProgramStep.STANDING: self._stand,
-            ProbeProgramStep.LIFTING: self._lift,
-            ProbeProgramStep.ENDED: lambda press_n, order: None,
-        }
-        steps[self.step](press_n, order)
+        match self.step:
+            case ProbeProgramStep.DESCEND:
+                self._descend(press_n)
+            case ProbeProgramStep.PRESS:
+                self._press()
+            case ProbeProgramStep.ASKED:
+                self._ask(order)
+            case ProbeProgramStep.UNLOADING:
+                self._unload(press_n)
+            case ProbeProgramStep.STANDING:
+                if order != UNLOAD or self._lasted_s >= STAND_S:
+                    self._go(ProbeProgramStep.LIFTING)
+            case ProbeProgramStep.LIFTING:
+                self._taught_mm[2] += LIFT_MM_S * CYCLE_S
+                if self._taught_mm[2] >= self._touch_mm + LIFT_MM:
+                    self.step = ProbeProgramStep.ENDED
 
-    def _press(self, press_n: float, order: int) -> None:
+    def _press(self) -> None:
         told = self._variables
         self._down(told["MDDEP"] / told["MDRMP"], self._touch_mm - told["MDDEP"])
         if self._lasted_s >= told["MDHLD"]:
             self._go(ProbeProgramStep.ASKED)
 
-    def _ask(self, press_n: float, order: int) -> None:
+    def _ask(self, order: int) -> None:
         if order == UNLOAD:
             self._start_mm = float(self._taught_mm[2])
             self._go(ProbeProgramStep.UNLOADING)
         elif order or self._lasted_s >= ASK_S:
             self._go(ProbeProgramStep.LIFTING)
 
-    def _unload(self, press_n: float, order: int) -> None:
+    def _unload(self, press_n: float) -> None:
         self._taught_mm[2] += self._variables["MDUSP"] * CYCLE_S
         rose_mm = float(self._taught_mm[2]) - self._start_mm
         if press_n <= self._variables["MDUNL"] or rose_mm >= UNLOAD_MM:
             self._go(ProbeProgramStep.STANDING)
 
-    def _stand(self, press_n: float, order: int) -> None:
-        if order != UNLOAD or self._lasted_s >= STAND_S:
-            self._go(ProbeProgramStep.LIFTING)
-
-    def _lift(self, press_n: float, order: int) -> None:
-        self._taught_mm[2] += LIFT_MM_S * CYCLE_S
-        if self._taught_mm[2] >= self._touch_mm + LIFT_MM:
-            self.step = ProbeProgramStep.ENDED
-
-    def _descend(self, press_n: float, order: int) -> None:
+    def _descend(self, press_n: float) -> None:
         told = self._variables
         self._over = self._over + 1 if press_n > told["MDTHR"] else 0
         if self._over >= IN_A_ROW:
@@ -348,7 +330,7 @@ class EmulatedController:
         # Wrench on the tool (6,), N and N·m in base axes, for the controller's own sensor.
         self.felt: Callable[[], FloatArray] = lambda: np.zeros(6)
         # Called once per cycle; the stream counts its silence there.
-        self.on_cycle: Callable[[], None] = _nothing
+        self.on_cycle: Callable[[], None] = lambda: None
         if streaming:
             self._servo_on_s, self.program = -math.inf, STREAM
 
@@ -480,10 +462,6 @@ class EmulatedController:
         self.switch_servo(False)
         self.halt()
 
-    def press_emergency_stop(self, number: int = 50) -> None:
-        """Press the emergency stop."""
-        self.raise_error(number)
-
     def release_emergency_stop(self) -> None:
         """Release the emergency stop; the error stays until the reset."""
         self.emergency = False
@@ -500,7 +478,7 @@ class EmulatedController:
         """Jog until the command is not repeated in time; axis bits from 1."""
         if mode not in (JOINT, STRAIGHT, TOOL):
             raise RefusedCommandError(self.settings.r3.error_unknown)
-        signs = [float(bool(plus >> k & 1)) - float(bool(minus >> k & 1)) for k in range(6)]
+        signs = [float((plus >> k & 1) - (minus >> k & 1)) for k in range(6)]
         self._jog = ActiveJog(mode, np.array(signs), self.now_s + JOG_S)
 
     def move(self, target_rad: FloatArray, *, straight: bool, speed_share: float) -> None:
@@ -546,9 +524,8 @@ class EmulatedController:
             return
         share = self.override / 100.0
         if jog.mode == JOINT:
-            after = self.joints.command_rad + jog.signs * SPEEDS_RAD_S * (
-                JOG_SHARE * share * CYCLE_S
-            )
+            step_rad = jog.signs * SPEEDS_RAD_S * (JOG_SHARE * share * CYCLE_S)
+            after = self.joints.command_rad + step_rad
         else:
             found = self._jogged(jog, share * CYCLE_S)
             if found is None:
@@ -570,7 +547,3 @@ class EmulatedController:
         unitary, _, right = np.linalg.svd(small @ frame[:3, :3])
         frame[:3, :3] = unitary @ right
         return solve(frame, self.joints.command_rad)
-
-
-def _nothing() -> None:
-    """Do nothing per cycle."""

@@ -23,7 +23,6 @@ from touchdown.backend.devices.melfa.emulated_channels import (
 from touchdown.backend.devices.melfa.emulated_controller import EmulatedController
 from touchdown.backend.emulation import (
     CHUNK,
-    UNPLUGGED_S,
     BenchTables,
     DeviceServer,
     Emulation,
@@ -83,7 +82,7 @@ class MelfaServer(DeviceServer):
         controller = device.controller
         self._begins: dict[str, Callable[[], None]] = {
             "alarm": partial(controller.raise_error, ALARM),
-            "estop": partial(controller.press_emergency_stop, ESTOP),
+            "estop": partial(controller.raise_error, ESTOP),
             "servo_off": partial(controller.switch_servo, False),
         }
 
@@ -134,8 +133,7 @@ class MelfaServer(DeviceServer):
             self._serve_all()
             if self._is_unplugged():
                 self._leave()
-            while self._is_unplugged() and not self._stop.wait(UNPLUGGED_S):
-                pass
+                self._wait_until_plugged()
 
     def _serve_all(self) -> None:
         stream, *doors = self._sources

@@ -19,6 +19,14 @@ START = Fault(
     ARM,
 )
 
+UNLIMITED = Fault(
+    "MXTTOUT",
+    "The controller does not end a real-time stream that falls silent (MXTTOUT is -1).",
+    NOTHING_MOVED,
+    "Set MXTTOUT to 57 in the controller, or allow it with melfa.mxt.allow_unlimited.",
+    ARM,
+)
+
 VOID = Fault(
     VOID_PRESS,
     "Replies of the controller stayed away for 35 ms during a press.",
@@ -84,17 +92,6 @@ def oversize_fault(cycles: int) -> Fault:
         f"A motion asked for steps too large for its speed, {cycles} cycles in a row.",
         HELD,
         "This is an error of the program: keep its log, press Reset, then connect the arm again.",
-        ARM,
-    )
-
-
-def unlimited_fault() -> Fault:
-    """Return the fault of a controller that never ends a silent stream."""
-    return Fault(
-        "MXTTOUT",
-        "The controller does not end a real-time stream that falls silent (MXTTOUT is -1).",
-        NOTHING_MOVED,
-        "Set MXTTOUT to 57 in the controller, or allow it with melfa.mxt.allow_unlimited.",
         ARM,
     )
 

@@ -28,11 +28,10 @@ from touchdown.backend.devices.streamed import (
     AIR_WINDOW_S,
     NOT_PRESSING,
     OLD_S,
-    TRIP_AT_ONCE_N,
-    TRIP_N,
     TRIPPED,
     UNFELT,
     UNLOAD_MM,
+    TripDetector,
     no_contact_fault,
     not_unloaded_fault,
     press_fields,
@@ -64,7 +63,7 @@ class ControllerPress:
         self._felt_s, self._press_n = float(t_s[-1]), math.nan
         descent_s = command.max_travel_mm / command.approach_mm_s
         self._ends_s = self._felt_s + descent_s + command.hold_s + margin_s
-        self._over = False
+        self._trip = TripDetector()
 
     @property
     def under_way(self) -> bool:
@@ -143,10 +142,7 @@ class ControllerPress:
             self._detector.feed(t_s[finite], force_n[finite, 2])
             self.motion.detected_s = self._detector.detected_s
             self.motion.onset_s = self._detector.onset_s
-        size = np.linalg.norm(values, axis=1)
-        over = np.concatenate([[self._over], size > TRIP_N])
-        self._over = bool(over[-1])
-        return bool((over[:-1] & over[1:]).any() or (size > TRIP_AT_ONCE_N).any())
+        return self._trip.feed(values)
 
 
 ENDED = Fault(

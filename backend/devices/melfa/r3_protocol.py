@@ -16,33 +16,26 @@ from touchdown.backend.devices.framing import LineStream, ProtocolError, Wrench,
 from touchdown.backend.devices.melfa.realtime_protocol import MelfaPose
 
 LONGEST_REQUEST, LONGEST_REPLY = 255, 4096
-EDIT_SLOT = 9  # TASKMAX + 1 with the factory setting
 
 _PROGRAM = r"[A-Za-z0-9_]{1,12}"
 _VARIABLE_NAME = r"[A-Za-z][A-Za-z0-9_]{0,15}"
 _WRITE = _VARIABLE_NAME + r"=[-+0-9.,()Ee]{1,160}"
 _MOTION = r"(?i:MOV|MVS|SPD|JOVRD|OVRD) [A-Za-z0-9_+\-.,() ]{1,160}"
 
+_PLAIN = (
+    "CLOSE", "OVRD", "STOP", "CSTOP", "STOPON", "STOPOFF", "SLOTINIT", "RSTPRG", "RSTALRM", "STATE",
+    "DSTATE", "ERROR", "HNDSTS", "TOOLRD", "MOVSP", "ALIGN", "ATENA", "STPSIG", "CALIB",
+)  # fmt: skip
+
 # Permitted commands with the pattern of their argument.
 ALLOWED: dict[str, str] = {
+    **dict.fromkeys(_PLAIN, ""),
     "OPEN=": r"[A-Za-z0-9]{1,32}",
-    "CLOSE": "",
     "CNTL": "ON|OFF",
     "SRV": "ON|OFF",
     "OVRD=": r"[1-9][0-9]?|100",
-    "OVRD": "",
     "PRGLOAD=": _PROGRAM,
     "RUN": rf"(?:{_PROGRAM})?(?:;[01])?",
-    "STOP": "",
-    "CSTOP": "",
-    "STOPON": "",
-    "STOPOFF": "",
-    "SLOTINIT": "",
-    "RSTPRG": "",
-    "RSTALRM": "",
-    "STATE": "",
-    "DSTATE": "",
-    "ERROR": "",
     "ERRORMES": r"[0-9]{1,5}",
     "PPOS": "F",
     "JPOS": "F",
@@ -51,7 +44,6 @@ ALLOWED: dict[str, str] = {
     "JOG": r"0[0-5];00;[0-9A-F]{2};[0-9A-F]{2};0[0-2](?:;0[0-2])?",
     "HNDON": "[1-8]",
     "HNDOFF": "[1-8]",
-    "HNDSTS": "",
     "OUT=": r"[0-9]{1,5};[0-9A-F]{4}",
     "OUT": r"[0-9]{1,5}",
     "IN": r"[0-9]{1,5}",
@@ -59,12 +51,6 @@ ALLOWED: dict[str, str] = {
     "VAL": rf"<;[A-Z]|{_VARIABLE_NAME}",
     "HOT": rf"{_PROGRAM};{_WRITE}",
     "TOOLSET=": r"[0-9]|1[0-6]",
-    "TOOLRD": "",
-    "MOVSP": "",
-    "ALIGN": "",
-    "ATENA": "",
-    "STPSIG": "",
-    "CALIB": "",
     "PAR": r"[A-Z0-9]{1,12}",
     "OPSTSRD": r"[0-9]{1,2}",
 }
@@ -221,10 +207,12 @@ class AxisReading:
 
     def answer(self) -> str:
         """Return the text of the answer."""
-        axes = (f"{n};{_to_wire(n, v):.2f};" for n, v in zip(self.names, self.values, strict=True))
+        pairs = zip(self.names, self.values, strict=True)
+        printed = ((n, math.degrees(v) if _ANGLES.fullmatch(n) else v) for n, v in pairs)
+        axes = "".join(f"{n};{value:.2f};" for n, value in printed)
         flags = _NO_FLAGS if self.flags is None else f"{self.flags[0]},{self.flags[1]}"
         limits = f"{self.plus_limit:02X}{self.minus_limit:02X}0000"
-        return f"{''.join(axes)};{flags};{self.override};{self.speed_mm_s:.2f};{limits}"
+        return f"{axes};{flags};{self.override};{self.speed_mm_s:.2f};{limits}"
 
 
 def read_axes(answer: str) -> AxisReading:
@@ -236,9 +224,8 @@ def read_axes(answer: str) -> AxisReading:
     names = tuple(parts[::2])
     if not all(map(_NAME.fullmatch, names)) or len(set(names)) != len(names):
         raise ProtocolError("name", "r3 position")
-    values = tuple(
-        _from_wire(name, number(text)) for name, text in zip(names, parts[1::2], strict=True)
-    )
+    pairs = zip(names, map(number, parts[1::2]), strict=True)
+    values = tuple(math.radians(v) if _ANGLES.fullmatch(n) else v for n, v in pairs)
     limits = re.fullmatch(r"([0-9A-F]{2})([0-9A-F]{2})[0-9A-F]{4}", tail[3])
     if limits is None:
         raise ProtocolError("limits", "r3 position")
@@ -279,9 +266,7 @@ class NumberVariable:
     def answer(self) -> str:
         """Return the printed form."""
         whole_number = math.isfinite(self.value) and self.value == int(self.value)
-        return (
-            f"{self.name}={self.value:+.0f}" if whole_number else f"{self.name}={self.value:+.6f}"
-        )
+        return f"{self.name}={self.value:+.{0 if whole_number else 6}f}"
 
 
 def read_variable(answer: str) -> PositionVariable | NumberVariable:
@@ -317,14 +302,6 @@ def _flags(text: str) -> tuple[int, int] | None:
         return None
     first, _, second = text.partition(",")
     return whole(first), whole(second)
-
-
-def _from_wire(name: str, value: float) -> float:
-    return math.radians(value) if _ANGLES.fullmatch(name) else value
-
-
-def _to_wire(name: str, value: float) -> float:
-    return math.degrees(value) if _ANGLES.fullmatch(name) else value
 
 
 EMERGENCY_ERRORS = frozenset({50, 51, 61, 70, 71})
@@ -424,47 +401,24 @@ def read_opened(answer: str) -> ControllerInfo:
     """Return the answer to OPEN; raises ``ProtocolError``."""
     parts = _parts(answer, 16, "r3 open")
     flag1, flag2 = (whole(part) for part in _pair(parts[2], ","))
+    axes = _hexadecimal(parts[0]), _hexadecimal(parts[1])
+    speeds = tuple(map(_hexadecimal, parts[3].split(",")))
+    program, parameter, robot, controller, series, date, version, language = parts[4:12]
     return ControllerInfo(
-        _hexadecimal(parts[0]),
-        _hexadecimal(parts[1]),
-        (flag1, flag2),
-        tuple(map(_hexadecimal, parts[3].split(","))),
-        parts[4],
-        parts[5],
-        parts[6],
-        parts[7],
-        parts[8],
-        parts[9],
-        parts[10],
-        parts[11],
-        parts[13],
-        parts[14],
-        whole(parts[15]),
-    )
+        *axes, (flag1, flag2), speeds, program, parameter, robot, controller, series, date, version,
+        language, parts[13], parts[14], whole(parts[15]),
+    )  # fmt: skip
 
 
 def read_state(answer: str) -> ControllerState:
     """Return the answer to STATE; the number of empty fields in its middle may vary."""
     parts = _parts(answer, 12, "r3 state")
-    run, stop, error = _status(parts[4])
     line, override, edit_status, step, mechanism = (whole(parts[i]) for i in (1, 2, 3, 5, 6))
-    task_program, mode, condition, priority, in_use = parts[-5:]
+    program, mode, condition, priority, in_use = parts[-5:]
     return ControllerState(
-        parts[0],
-        line,
-        override,
-        edit_status,
-        run,
-        stop,
-        error,
-        step,
-        mechanism,
-        task_program,
-        mode,
-        condition,
-        whole(priority),
-        whole(in_use),
-    )
+        parts[0], line, override, edit_status, *_status(parts[4]), step, mechanism, program, mode,
+        condition, whole(priority), whole(in_use),
+    )  # fmt: skip
 
 
 def read_progress(answer: str) -> ProgramProgress:

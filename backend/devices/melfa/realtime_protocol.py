@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import astuple, dataclass
 from enum import Enum, IntEnum
 
 from touchdown.backend.devices.framing import ProtocolError, require_length
@@ -75,6 +75,7 @@ class RobotMonitor:
 
 
 Block = MelfaPose | AxisValues | RobotMonitor | None
+Blocks = tuple[Block, Block, Block, Block]
 
 _LAYOUTS = {
     BlockKind.JOINT: _FLOATS,
@@ -109,21 +110,11 @@ def _pack(block: Block) -> bytes:
         return _POSE.pack(*_finite(block.axes), block.flag1, block.flag2)
     if isinstance(block, AxisValues):
         return _LAYOUTS[block.kind].pack(*_finite(block.axes))
-    numbers = (
-        block.speed_feedback_mm_s,
-        block.remaining_feedback_mm,
-        block.speed_command_mm_s,
-        block.remaining_command_mm,
-        block.gap,
-        block.transport_factor,
-    )
-    name = block.program.encode("ascii")
+    *numbers, accelerating, step, program, celsius, counter = astuple(block)
+    name, tenths = program.encode("ascii"), round(celsius * 10)
     if len(name) > 6:
         raise ProtocolError("length", "melfa program name")
-    tenths = round(block.temperature_c * 10)
-    return _ROBMON.pack(
-        *_finite(numbers), block.accelerating, block.step, name, tenths, block.cycle_counter
-    )
+    return _ROBMON.pack(*_finite(tuple(numbers)), accelerating, step, name, tenths, counter)
 
 
 def decode_block(kind: BlockKind, data: bytes, where: str, offset: int) -> Block:
@@ -146,8 +137,8 @@ def _unpack(kind: BlockKind, data: bytes) -> Block:
     program = name.rstrip(b"\x00")
     if not program.isascii() or b"\x00" in program:
         raise ProtocolError("text", "melfa program name")
-    a, b, c, d, e, f = _finite(tuple(numbers))
     text = program.decode("ascii")
+    a, b, c, d, e, f = _finite(tuple(numbers))
     return RobotMonitor(a, b, c, d, e, f, accelerating, step, text, tenths / 10, counter)
 
 
@@ -170,17 +161,17 @@ _HEAD = struct.Struct("<4H")
 _MXT_SIGNALS = struct.Struct("<6HI")
 _SLOT = struct.Struct("<2H")
 _SLOTS = (64, 108, 152)
+_BLOCKS = (8, *(slot + _SLOT.size for slot in _SLOTS))
+DataTypes = tuple[int, int, int, int]
 
 SEND_KINDS = {0: BlockKind.NONE, 1: BlockKind.POSE, 2: BlockKind.JOINT, 3: BlockKind.PULSE}
 # Content of each monitor type: 1-3 command, 4-6 after filter, 7-9 encoder, 10, 11 currents.
 MONITOR_KINDS = {
     0: BlockKind.NONE,
-    **{
-        number: (BlockKind.POSE, BlockKind.JOINT, BlockKind.PULSE)[(number - 1) % 3]
-        for number in range(1, 10)
-    },
-    10: BlockKind.CURRENT,
-    11: BlockKind.CURRENT,
+    **dict.fromkeys((1, 4, 7), BlockKind.POSE),
+    **dict.fromkeys((2, 5, 8), BlockKind.JOINT),
+    **dict.fromkeys((3, 6, 9), BlockKind.PULSE),
+    **dict.fromkeys((10, 11), BlockKind.CURRENT),
 }
 
 
@@ -209,7 +200,7 @@ class MxtRequest:
 
     command: MxtCommand
     target: Block = None
-    monitors: tuple[int, int, int, int] = (0, 0, 0, 0)
+    monitors: DataTypes = (0, 0, 0, 0)
     counter: int = 0
     signals: MxtSignals = MxtSignals()
     timeouts: int = 0
@@ -225,8 +216,8 @@ class MxtReply:
 
     command: MxtCommand
     send_type: int
-    monitors: tuple[int, int, int, int]
-    blocks: tuple[Block, Block, Block, Block]
+    monitors: DataTypes
+    blocks: Blocks
     counter: int
     signals: MxtSignals = MxtSignals()
     timeouts: int = 0
@@ -238,8 +229,7 @@ def encode_mxt_request(request: MxtRequest) -> bytes:
     send_type = next((code for code, known in SEND_KINDS.items() if known is kind), None)
     if send_type is None:
         raise ProtocolError("type", "mxt target", 2)
-    blocks = (request.target, None, None, None)
-    return _join_mxt_packet(request, send_type, blocks)
+    return _encode_mxt(request, send_type, (request.target, None, None, None))
 
 
 def encode_mxt_reply(reply: MxtReply) -> bytes:
@@ -247,26 +237,43 @@ def encode_mxt_reply(reply: MxtReply) -> bytes:
     kinds = tuple(map(kind_of, reply.blocks))
     if kinds != tuple(MONITOR_KINDS.get(number) for number in reply.monitors):
         raise ProtocolError("type", "mxt reply", 4)
-    return _join_mxt_packet(reply, reply.send_type, reply.blocks)
+    return _encode_mxt(reply, reply.send_type, reply.blocks)
 
 
-def _join_mxt_packet(
-    packet: MxtRequest | MxtReply, send_type: int, blocks: tuple[Block, ...]
-) -> bytes:
-    signals = packet.signals
-    io = (signals.send, signals.receive, signals.head, signals.mask, signals.bits)
+def _encode_mxt(packet: MxtRequest | MxtReply, send_type: int, blocks: Blocks) -> bytes:
+    io = packet.signals
+    numbers = (io.send, io.receive, io.head, io.mask, io.bits, packet.timeouts, packet.counter)
     try:
-        first, *others = packet.monitors
-        parts = [
-            _HEAD.pack(packet.command, send_type, first, 0),
-            encode_block(blocks[0]),
-            _MXT_SIGNALS.pack(*io, packet.timeouts, packet.counter),
-        ]
-        for monitor, block in zip(others, blocks[1:], strict=True):
-            parts += [_SLOT.pack(monitor, 0), encode_block(block)]
+        signals = _MXT_SIGNALS.pack(*numbers)
+        return _join_packet(packet.command, send_type, packet.monitors, blocks, signals)
     except struct.error as error:
         raise ProtocolError("range", "mxt packet") from error
+
+
+def _join_packet(
+    command: int, send_type: int, types: DataTypes, blocks: tuple[Block, ...], signals: bytes
+) -> bytes:
+    first, *others = types
+    parts = [_HEAD.pack(command, send_type, first, 0), encode_block(blocks[0]), signals]
+    for number, block in zip(others, blocks[1:], strict=True):
+        parts += [_SLOT.pack(number, 0), encode_block(block)]
     return b"".join(parts)
+
+
+def _open_packet(data: bytes, where: str) -> tuple[int, int, DataTypes]:
+    """Return command, send type and data types."""
+    require_length(data, PACKET_BYTES, where)
+    command, send_type, first, _ = _HEAD.unpack_from(data, 0)
+    second, third, fourth = (_SLOT.unpack_from(data, slot)[0] for slot in _SLOTS)
+    return command, send_type, (first, second, third, fourth)
+
+
+def _decode_blocks(data: bytes, kinds: Iterable[BlockKind], where: str) -> Blocks:
+    first, second, third, fourth = (
+        decode_block(kind, data[at : at + BLOCK_BYTES], where, at)
+        for kind, at in zip(kinds, _BLOCKS, strict=True)
+    )
+    return first, second, third, fourth
 
 
 def decode_mxt_request(data: bytes) -> MxtRequest:
@@ -281,27 +288,17 @@ def decode_mxt_request(data: bytes) -> MxtRequest:
 def decode_mxt_reply(data: bytes) -> MxtReply:
     """Return the reply of one datagram; raises ``ProtocolError``."""
     command, send_type, monitors, signals, timeouts, counter = _open_mxt_packet(data)
-    starts = (8, *(slot + _SLOT.size for slot in _SLOTS))
-    first, second, third, fourth = (
-        decode_block(MONITOR_KINDS[number], data[at : at + BLOCK_BYTES], "mxt reply", at)
-        for number, at in zip(monitors, starts, strict=True)
-    )
-    blocks = (first, second, third, fourth)
+    blocks = _decode_blocks(data, map(MONITOR_KINDS.__getitem__, monitors), "mxt reply")
     return MxtReply(command, send_type, monitors, blocks, counter, signals, timeouts)
 
 
-def _open_mxt_packet(
-    data: bytes,
-) -> tuple[MxtCommand, int, tuple[int, int, int, int], MxtSignals, int, int]:
-    require_length(data, PACKET_BYTES, "mxt packet")
-    number, send_type, first, _ = _HEAD.unpack_from(data, 0)
+def _open_mxt_packet(data: bytes) -> tuple[MxtCommand, int, DataTypes, MxtSignals, int, int]:
+    number, send_type, monitors = _open_packet(data, "mxt packet")
     try:
         command = MxtCommand(number)
     except ValueError as error:
         raise ProtocolError("command", "mxt packet") from error
     *io, timeouts, counter = _MXT_SIGNALS.unpack_from(data, 48)
-    second, third, fourth = (_SLOT.unpack_from(data, slot)[0] for slot in _SLOTS)
-    monitors = (first, second, third, fourth)
     for number, at in zip(monitors, (4, *_SLOTS), strict=True):
         if number not in MONITOR_KINDS:
             raise ProtocolError("type", "mxt packet", at)
@@ -314,7 +311,6 @@ _MONITOR_SIGNALS = struct.Struct("<2H3I")
 
 # Kind of each data type number of this controller; 0 is none.
 BlockKinds = Mapping[int, BlockKind]
-DataTypes = tuple[int, int, int, int]
 
 
 @dataclass(frozen=True, slots=True)
@@ -330,7 +326,7 @@ class MonitorReply:
     """One cycle: four blocks, 32 input and output signals from their heads, and a counter."""
 
     types: DataTypes
-    blocks: tuple[Block, Block, Block, Block]
+    blocks: Blocks
     counter: int
     input_head: int = 0
     output_head: int = 0
@@ -340,15 +336,16 @@ class MonitorReply:
 
 def encode_monitor_request(request: MonitorRequest) -> bytes:
     """Return the 196 bytes."""
-    return _join_monitor_packet(
-        request.command, request.types, (None,) * 4, bytes(_MONITOR_SIGNALS.size)
-    )
+    try:
+        signals = bytes(_MONITOR_SIGNALS.size)
+        return _join_packet(request.command, 0, request.types, (None,) * 4, signals)
+    except struct.error as error:
+        raise ProtocolError("range", "monitor packet") from error
 
 
 def decode_monitor_request(data: bytes) -> MonitorRequest:
     """Return the request of one datagram; raises ``ProtocolError``."""
-    command, types = _open_monitor_packet(data)
-    return MonitorRequest(command, types)
+    return MonitorRequest(*_open_monitor_packet(data))
 
 
 def encode_monitor_reply(reply: MonitorReply, kinds: BlockKinds) -> bytes:
@@ -358,9 +355,9 @@ def encode_monitor_reply(reply: MonitorReply, kinds: BlockKinds) -> bytes:
     heads = reply.input_head, reply.output_head
     try:
         signals = _MONITOR_SIGNALS.pack(*heads, reply.inputs, reply.outputs, reply.counter)
+        return _join_packet(START, 0, reply.types, reply.blocks, signals)
     except struct.error as error:
         raise ProtocolError("range", "monitor reply", 48) from error
-    return _join_monitor_packet(START, reply.types, reply.blocks, signals)
 
 
 def decode_monitor_reply(data: bytes, kinds: BlockKinds) -> MonitorReply:
@@ -368,13 +365,8 @@ def decode_monitor_reply(data: bytes, kinds: BlockKinds) -> MonitorReply:
     command, types = _open_monitor_packet(data)
     if command != START:
         raise ProtocolError("command", "monitor reply")
-    starts = (8, *(slot + _SLOT.size for slot in _SLOTS))
-    first, second, third, fourth = (
-        decode_block(_kind(kinds, number), data[at : at + BLOCK_BYTES], "monitor reply", at)
-        for number, at in zip(types, starts, strict=True)
-    )
+    blocks = _decode_blocks(data, (_kind(kinds, number) for number in types), "monitor reply")
     input_head, output_head, inputs, outputs, counter = _MONITOR_SIGNALS.unpack_from(data, 48)
-    blocks = (first, second, third, fourth)
     return MonitorReply(types, blocks, counter, input_head, output_head, inputs, outputs)
 
 
@@ -386,26 +378,11 @@ def _kind(kinds: BlockKinds, number: int) -> BlockKind:
     return kinds[number]
 
 
-def _join_monitor_packet(
-    command: int, types: DataTypes, blocks: tuple[Block, ...], signals: bytes
-) -> bytes:
-    first, *others = types
-    try:
-        parts = [_HEAD.pack(command, 0, first, 0), encode_block(blocks[0]), signals]
-        for number, block in zip(others, blocks[1:], strict=True):
-            parts += [_SLOT.pack(number, 0), encode_block(block)]
-    except struct.error as error:
-        raise ProtocolError("range", "monitor packet") from error
-    return b"".join(parts)
-
-
 def _open_monitor_packet(data: bytes) -> tuple[int, DataTypes]:
-    require_length(data, PACKET_BYTES, "monitor packet")
-    command, _, first, _ = _HEAD.unpack_from(data, 0)
+    command, _, types = _open_packet(data, "monitor packet")
     if command not in (START, END):
         raise ProtocolError("command", "monitor packet")
-    second, third, fourth = (_SLOT.unpack_from(data, slot)[0] for slot in _SLOTS)
-    return command, (first, second, third, fourth)
+    return command, types
 
 
 CYCLE_S = 0.0035  # control cycle of a CR800

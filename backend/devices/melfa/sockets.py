@@ -46,38 +46,34 @@ class ControllerLock:
         self._path = folder / f"{PREFIX}{name}-{port}{SUFFIX}"
         _delete_unlocked_files(folder, self._path)
         try:
-            self._descriptor = _lock_with_retries(self._path)
+            self._descriptor = _lock(self._path, TRIES)
         except OSError as error:
-            raise FaultError(controller_in_use_fault(f"{host}:{port}")) from error
+            what = f"Another program on this computer drives the controller at {host}:{port}."
+            step = "Close the arm there first."
+            raise FaultError(Fault("ARM-TAKEN", what, NOTHING_MOVED, step, ARM)) from error
 
     def close(self) -> None:
         """Release the lock."""
         _delete_file(self._descriptor, self._path)
 
 
-def _lock_with_retries(path: Path) -> int:
-    for _ in range(TRIES - 1):
-        try:
-            return _lock(path)
-        except BlockingIOError:
-            threading.Event().wait(AGAIN_S)
-    return _lock(path)
-
-
-def _lock(path: Path) -> int:
+def _lock(path: Path, tries: int = 1) -> int:
     """Lock ``path``, but not a file that was deleted while waiting for the lock."""
     while True:
-        descriptor = lock_file(path)
-        if os.name != "posix" or _is_there(descriptor, path):
+        try:
+            descriptor = lock_file(path)
+        except BlockingIOError:
+            tries -= 1
+            if tries == 0:
+                raise
+            threading.Event().wait(AGAIN_S)
+            continue
+        if os.name != "posix":
             return descriptor
+        with contextlib.suppress(FileNotFoundError):
+            if os.path.samestat(os.fstat(descriptor), path.stat()):
+                return descriptor
         os.close(descriptor)
-
-
-def _is_there(descriptor: int, path: Path) -> bool:
-    try:
-        return os.path.samestat(os.fstat(descriptor), path.stat())
-    except FileNotFoundError:
-        return False
 
 
 def _delete_file(descriptor: int, path: Path) -> None:
@@ -88,28 +84,11 @@ def _delete_file(descriptor: int, path: Path) -> None:
 
 
 def _delete_unlocked_files(folder: Path, wanted: Path) -> None:
-    """Delete unlocked files."""
-    if os.name != "posix":
-        return
-    for found in folder.glob(f"{PREFIX}*{SUFFIX}"):
-        if found == wanted:
-            continue
-        try:
-            descriptor = _lock(found)
-        except OSError:
-            continue
-        _delete_file(descriptor, found)
-
-
-def controller_in_use_fault(address: str) -> Fault:
-    """Return the fault of a controller that is used by another program on this computer."""
-    return Fault(
-        "ARM-TAKEN",
-        f"Another program on this computer drives the controller at {address}.",
-        NOTHING_MOVED,
-        "Close the arm there first.",
-        ARM,
-    )
+    found = folder.glob(f"{PREFIX}*{SUFFIX}") if os.name == "posix" else ()
+    for path in found:
+        if path != wanted:
+            with contextlib.suppress(OSError):
+                _delete_file(_lock(path), path)
 
 
 CONNECT_S = 3.0

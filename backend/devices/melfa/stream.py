@@ -306,7 +306,10 @@ class StreamCore:
                 return self._fail(refused)
         elif level is not SilenceLevel.GO:
             self._rest()
-        self._settle()
+        if self.phase is Phase.HOLDING:
+            self._left -= 1
+            if self._left <= 0:
+                self.phase = Phase.OPEN
         return StreamOutput(self._packet(), None if echo is None else self.measured_mm)
 
     def _quiet(self) -> StreamOutput:
@@ -354,12 +357,6 @@ class StreamCore:
             if self.program.fragile:
                 self.program.motion.end(VOID)
             self.program.still()
-
-    def _settle(self) -> None:
-        if self.phase is Phase.HOLDING:
-            self._left -= 1
-            if self._left <= 0:
-                self.phase = Phase.OPEN
 
     def _move(self, now_s: float, inbox: StreamInput) -> Fault | None:
         """Advance the program by one cycle; return a fault that ends the stream."""

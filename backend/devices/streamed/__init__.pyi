@@ -9,9 +9,8 @@ from .arm import jog_motion as jog_motion
 from .arm import no_contact_fault as no_contact_fault
 from .arm import press_fields as press_fields
 from .compliance import OLD_S as OLD_S
-from .compliance import TRIP_AT_ONCE_N as TRIP_AT_ONCE_N
-from .compliance import TRIP_N as TRIP_N
 from .compliance import LoopDelays as LoopDelays
+from .compliance import TripDetector as TripDetector
 from .motion_programs import ACCELERATION_MM_S2 as ACCELERATION_MM_S2
 from .motion_programs import ACCELERATION_RAD_S2 as ACCELERATION_RAD_S2
 from .motion_programs import UNLOAD_MM as UNLOAD_MM
@@ -33,8 +32,6 @@ __all__ = [
     "NOT_PRESSING",
     "OLD_S",
     "TRIPPED",
-    "TRIP_AT_ONCE_N",
-    "TRIP_N",
     "UNFELT",
     "UNLOAD_MM",
     "CycleInput",
@@ -49,6 +46,7 @@ __all__ = [
     "RotationTravelProgram",
     "StreamedPrograms",
     "TravelProgram",
+    "TripDetector",
     "air_before",
     "jog_motion",
     "no_contact_fault",

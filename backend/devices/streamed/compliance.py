@@ -27,12 +27,12 @@ GIVE_MM = 3.0
 
 @dataclass(frozen=True, slots=True)
 class LoopDelays:
-    """Delays of the control loop: ``cycle_s``, whole dead cycles, lags of arm and sensor."""
+    """Delays of the control loop: ``cycle_s``, lags of arm and sensor, whole dead cycles."""
 
     cycle_s: float
-    dead_cycles: int = 2
     arm_lag_s: float = 0.010
     sensor_lag_s: float = 0.0
+    dead_cycles: int = 2
     filter_hz: float = FILTER_HZ
 
     @property
@@ -109,13 +109,6 @@ def deflect(law: AdmittanceLaw, give: Deflection, force_n: FloatArray) -> Deflec
     return Deflection(d, v, g)
 
 
-def limit_deflection(
-    give: Deflection, reference_mm: FloatArray, command_mm: FloatArray
-) -> Deflection:
-    """Return the state after the lead limit reduced the command to ``command_mm``."""
-    return replace(give, d_mm=command_mm - reference_mm, v_mm_s=np.zeros(3))
-
-
 def fastest_approach_mm_s(
     law: AdmittanceLaw, loop: LoopDelays, peak_n: float, press_mm: float
 ) -> float:
@@ -171,6 +164,20 @@ TRIP_N, TRIP_AT_ONCE_N = 40.0, 60.0
 OLD_S = 0.1  # maximum age of a wrench; without one the arm stands still
 
 
+class TripDetector:
+    """Detects a force above the trip limit on two samples in a row, or far above it on one."""
+
+    def __init__(self) -> None:
+        self._over = False
+
+    def feed(self, force_n: FloatArray) -> bool:
+        """Add tared samples (n, 3); return True above the limit."""
+        size = np.linalg.norm(force_n, axis=1)
+        over = np.concatenate([[self._over], size > TRIP_N])
+        self._over = bool(over[-1])
+        return bool((over[:-1] & over[1:]).any() or (size > TRIP_AT_ONCE_N).any())
+
+
 class Compliance:
     """Computes the command from reference and force; forces in N relative to ``air_n``. ``moved_n``
     (3,) is the drift of this zero until contact; the arm does not comply with it. Reported forces
@@ -192,7 +199,7 @@ class Compliance:
         self._air_n = air_n.copy()
         self._moved_n = np.zeros(3) if moved_n is None else moved_n.copy()
         self._felt_n, self._felt_s = np.full(3, math.nan), -math.inf
-        self._over_before = False
+        self._trip = TripDetector()
         self._calmed_s = math.inf
         self.reference_mm = reference_mm.copy()
         self.tripped = False
@@ -230,7 +237,7 @@ class Compliance:
         if finite.any():
             values = force_n[finite] - self._air_n
             self._felt_n, self._felt_s = values.mean(axis=0), float(t_s[finite][-1])
-            self._look_for_trip(values)
+            self.tripped |= self._trip.feed(values)
         elif not now_s - self._felt_s <= OLD_S:
             self._felt_n = np.full(3, math.nan)
 
@@ -242,8 +249,9 @@ class Compliance:
         return np.asarray(self.reference_mm + self._give.d_mm)
 
     def cut(self, command_mm: FloatArray) -> None:
-        """Handle a command reduced by the lead limit."""
-        self._give = limit_deflection(self._give, self.reference_mm, command_mm)
+        """Continue from a command that the lead limit reduced."""
+        d_mm = command_mm - self.reference_mm
+        self._give = replace(self._give, d_mm=d_mm, v_mm_s=np.zeros(3))
 
     def rebase(self, command_mm: FloatArray) -> None:
         """Continue from a command that was changed elsewhere."""
@@ -259,10 +267,3 @@ class Compliance:
             self.law = self.law.doubled()
             self._calmed_s = now_s
             self._swing.forget()
-
-    def _look_for_trip(self, values_n: FloatArray) -> None:
-        size = np.linalg.norm(values_n, axis=1)
-        over = np.concatenate([[self._over_before], size > TRIP_N])
-        self._over_before = bool(over[-1])
-        twice = bool((over[:-1] & over[1:]).any())
-        self.tripped = self.tripped or twice or bool((size > TRIP_AT_ONCE_N).any())

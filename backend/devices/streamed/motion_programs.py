@@ -77,62 +77,76 @@ class MotionProgram(Protocol):
         """Handle a standstill: restart from zero speed."""
 
 
-def limit_speed_mm_s(speed_mm_s: float, most_mm_s: float, left_mm: float, cycle_s: float) -> float:
-    """Return the speed of the next cycle: up by the acceleration, and down in time for the end."""
-    faster = speed_mm_s + ACCELERATION_MM_S2 * cycle_s
-    return min(faster, most_mm_s, braking_speed_mm_s(ACCELERATION_MM_S2, left_mm, cycle_s))
-
-
-def braking_speed_mm_s(acceleration: float, left: float, cycle_s: float) -> float:
+def braking_speed(acceleration: float, left: float, cycle_s: float) -> float:
     """Return the highest speed from which whole cycles of braking end within ``left``."""
     a_t = acceleration * cycle_s
     # Whole cycles of braking from v cover v (v + a T) / 2 a: solved for v.
     return 0.5 * a_t * (math.sqrt(1.0 + 8.0 * left / (a_t * cycle_s)) - 1.0)
 
 
-class TravelProgram:
-    """Straight motion to a position."""
+def limit_change(now: FloatArray, wanted: FloatArray, most: float) -> FloatArray:
+    """Return the next velocity towards ``wanted``, changed by at most ``most``."""
+    change = wanted - now
+    size = float(np.linalg.norm(change))
+    return wanted.copy() if size <= most else np.asarray(now + change * (most / size))
+
+
+class HandProgram:
+    """Defaults of a program of the hand."""
 
     fragile = False
     turn: FloatArray | None = None
 
+    def cut(self, command_mm: FloatArray) -> None:
+        """Do nothing: the next cycle starts at the present command."""
+
+
+class Arrival:
+    """Ends ``motion`` after its last command: when the arm is there, at the latest after 0.3 s."""
+
+    def __init__(self, motion: CommandedMotion) -> None:
+        self._motion, self._commanded_s = motion, math.inf
+
+    def check(self, now_s: float, *, arrived: bool) -> None:
+        """Check once per cycle from the last command on."""
+        self._commanded_s = min(self._commanded_s, now_s)
+        if arrived or now_s - self._commanded_s >= ARRIVED_S:
+            self._motion.end()
+
+
+class TravelProgram(HandProgram):
+    """Straight motion to a position."""
+
     def __init__(self, motion: CommandedMotion, target_mm: FloatArray, speed_mm_s: float) -> None:
         self.motion, self.speed_mm_s = motion, speed_mm_s
         self._target_mm, self._now_mm_s = target_mm.copy(), 0.0
-        self._told_s: float | None = None
+        self._arrival = Arrival(motion)
 
     def next_mm(self, felt: CycleInput) -> FloatArray:
         """Return the next point of the line."""
         way = self._target_mm - felt.command_mm
         left_mm = float(np.linalg.norm(way))
-        speed = limit_speed_mm_s(self._now_mm_s, self.speed_mm_s, left_mm, felt.cycle_s)
+        speed = min(
+            self._now_mm_s + ACCELERATION_MM_S2 * felt.cycle_s,
+            self.speed_mm_s,
+            braking_speed(ACCELERATION_MM_S2, left_mm, felt.cycle_s),
+        )
         step_mm = speed * felt.cycle_s
         if left_mm - step_mm <= 1e-4:
             self._now_mm_s = 0.0
-            self._watch_arrival(felt)
+            away_mm = float(np.linalg.norm(felt.measured_mm - self._target_mm))
+            self._arrival.check(felt.now_s, arrived=away_mm <= ARRIVED_MM)
             return self._target_mm.copy()
         self._now_mm_s = speed
         return np.asarray(felt.command_mm + way * (step_mm / left_mm))
 
-    def _watch_arrival(self, felt: CycleInput) -> None:
-        self._told_s = felt.now_s if self._told_s is None else self._told_s
-        away_mm = float(np.linalg.norm(felt.measured_mm - self._target_mm))
-        if away_mm <= ARRIVED_MM or felt.now_s - self._told_s >= ARRIVED_S:
-            self.motion.end()
-
-    def cut(self, command_mm: FloatArray) -> None:
-        """Nothing: the next cycle sets out from where the command is."""
-
     def still(self) -> None:
-        """Begin again from zero speed."""
+        """Restart from zero speed."""
         self._now_mm_s = 0.0
 
 
-class JogProgram:
+class JogProgram(HandProgram):
     """Motion at a velocity until its time is up, then braking. A renewal is smooth."""
-
-    fragile = False
-    turn: FloatArray | None = None
 
     def __init__(self, motion: CommandedMotion, velocity_mm_s: FloatArray | None = None) -> None:
         """``velocity_mm_s`` is the initial velocity; the arm brakes unless renewed."""
@@ -150,29 +164,18 @@ class JogProgram:
         """Return the next point."""
         over = felt.now_s >= self._until_s
         wanted = np.zeros(3) if over else self._asked_mm_s
-        change = wanted - self._now_mm_s
-        size, most = float(np.linalg.norm(change)), ACCELERATION_MM_S2 * felt.cycle_s
-        if size <= most:
-            self._now_mm_s = wanted.copy()
-        else:
-            self._now_mm_s = self._now_mm_s + change * (most / size)
+        self._now_mm_s = limit_change(self._now_mm_s, wanted, ACCELERATION_MM_S2 * felt.cycle_s)
         if over and not self._now_mm_s.any():
             self.motion.end()
         return np.asarray(felt.command_mm + self._now_mm_s * felt.cycle_s)
 
-    def cut(self, command_mm: FloatArray) -> None:
-        """Nothing: the next cycle sets out from where the command is."""
-
     def still(self) -> None:
-        """Begin again from zero speed."""
+        """Restart from zero speed."""
         self._now_mm_s = np.zeros(3)
 
 
-class UnloadProgram:
+class UnloadProgram(HandProgram):
     """Lift in contact until the press force has fallen to ``force_n``, then stand stiffly."""
-
-    fragile = False
-    turn: FloatArray | None = None
 
     def __init__(
         self, motion: CommandedMotion, compliance: Compliance, force_n: float, speed_mm_s: float
@@ -207,7 +210,7 @@ class UnloadProgram:
         self._compliance.cut(command_mm)
 
     def still(self) -> None:
-        """Nothing: the law has its own speed."""
+        """Do nothing: the law has its own speed."""
 
 
 def not_unloaded_fault(press_n: float) -> Fault:
@@ -225,17 +228,8 @@ ACCELERATION_RAD_S2 = 2.0
 ARRIVED_RAD = 2e-5
 
 
-def limit_change(now: FloatArray, wanted: FloatArray, most: float) -> FloatArray:
-    """Return the next velocity towards ``wanted``, changed by at most ``most``."""
-    change = wanted - now
-    size = float(np.linalg.norm(change))
-    return wanted.copy() if size <= most else np.asarray(now + change * (most / size))
-
-
-class RotationTravelProgram:
+class RotationTravelProgram(HandProgram):
     """Straight motion to a position while the hand turns evenly, within both speeds."""
-
-    fragile = False
 
     def __init__(
         self,
@@ -246,9 +240,7 @@ class RotationTravelProgram:
         """``target``: (3,) mm and (3, 3) turn; ``speeds``: mm/s and rad/s."""
         self.motion, (self.speed_mm_s, self.speed_rad_s) = motion, speeds
         self._target_mm, self._target_turn = target
-        self.turn: FloatArray | None = None
-        self._pace = 0.0
-        self._told_s: float | None = None
+        self._pace, self._arrival = 0.0, Arrival(motion)
 
     def next_mm(self, felt: CycleInput) -> FloatArray:
         """Return the next point of the path; ``turn`` is the turn there."""
@@ -258,37 +250,26 @@ class RotationTravelProgram:
         # In seconds at full speed, so that both motions end together.
         left_s = max(left_mm / self.speed_mm_s, left_rad / self.speed_rad_s)
         per_s = min(ACCELERATION_MM_S2 / self.speed_mm_s, ACCELERATION_RAD_S2 / self.speed_rad_s)
-        pace = min(
-            self._pace + per_s * felt.cycle_s, 1.0, braking_speed_mm_s(per_s, left_s, felt.cycle_s)
-        )
+        braking = braking_speed(per_s, left_s, felt.cycle_s)
+        pace = min(self._pace + per_s * felt.cycle_s, 1.0, braking)
         if left_s - pace * felt.cycle_s <= 1e-6:
             self._pace = 0.0
             self.turn = self._target_turn
-            self._watch_arrival(felt)
+            behind = np.abs(felt.sent_rad - felt.measured_rad).max()
+            self._arrival.check(felt.now_s, arrived=bool(behind <= ARRIVED_RAD))
             return self._target_mm.copy()
         self._pace = pace
         share = pace * felt.cycle_s / left_s
         self.turn = rotation_from_vector(share * way_rad) @ felt.turn
         return np.asarray(felt.command_mm + share * way_mm)
 
-    def _watch_arrival(self, felt: CycleInput) -> None:
-        self._told_s = felt.now_s if self._told_s is None else self._told_s
-        behind = np.abs(felt.sent_rad - felt.measured_rad).max()
-        if behind <= ARRIVED_RAD or felt.now_s - self._told_s >= ARRIVED_S:
-            self.motion.end()
-
-    def cut(self, command_mm: FloatArray) -> None:
-        """Nothing: the next cycle sets out from where the command is."""
-
     def still(self) -> None:
-        """Begin again from zero speed."""
+        """Restart from zero speed."""
         self._pace = 0.0
 
 
-class RotationJogProgram:
+class RotationJogProgram(HandProgram):
     """Motion at a velocity and turn rate until its time is up, then braking."""
-
-    fragile = False
 
     def __init__(
         self, motion: CommandedMotion, now: tuple[FloatArray, FloatArray] | None = None
@@ -301,7 +282,6 @@ class RotationJogProgram:
         self._asked = (np.zeros(3), np.zeros(3), -math.inf)
         self.speed_mm_s = float(np.linalg.norm(self._mm_s))
         self.speed_rad_s = float(np.linalg.norm(self._rad_s))
-        self.turn: FloatArray | None = None
 
     def renew(self, velocity_mm_s: FloatArray, turn_rad_s: FloatArray, until_s: float) -> None:
         """Set a new velocity (3,) and turn rate (3,), valid until ``until_s``."""
@@ -312,24 +292,19 @@ class RotationJogProgram:
     def next_mm(self, felt: CycleInput) -> FloatArray:
         """Return the next point; ``turn`` is the turn there."""
         velocity, turning, until_s = self._asked
-        over, rest = felt.now_s >= until_s, np.zeros(3)
+        over = felt.now_s >= until_s
         cycle_s = felt.cycle_s
-        self._mm_s = limit_change(
-            self._mm_s, rest if over else velocity, ACCELERATION_MM_S2 * cycle_s
-        )
-        self._rad_s = limit_change(
-            self._rad_s, rest if over else turning, ACCELERATION_RAD_S2 * cycle_s
-        )
+        if over:
+            velocity = turning = np.zeros(3)
+        self._mm_s = limit_change(self._mm_s, velocity, ACCELERATION_MM_S2 * cycle_s)
+        self._rad_s = limit_change(self._rad_s, turning, ACCELERATION_RAD_S2 * cycle_s)
         if over and not self._mm_s.any() and not self._rad_s.any():
             self.motion.end()
         self.turn = rotation_from_vector(self._rad_s * cycle_s) @ felt.turn
         return np.asarray(felt.command_mm + self._mm_s * cycle_s)
 
-    def cut(self, command_mm: FloatArray) -> None:
-        """Nothing: the next cycle sets out from where the command is."""
-
     def still(self) -> None:
-        """Begin again from zero speed."""
+        """Restart from zero speed."""
         self._mm_s, self._rad_s = np.zeros(3), np.zeros(3)
 
 
@@ -341,7 +316,7 @@ class JointTravelProgram:
     def __init__(self, motion: CommandedMotion, target_rad: FloatArray, speed_rad_s: float) -> None:
         self.motion, self.speed_rad_s = motion, speed_rad_s
         self._target_rad, self._now_rad_s = target_rad.copy(), 0.0
-        self._told_s: float | None = None
+        self._arrival = Arrival(motion)
 
     def next_rad(self, felt: CycleInput) -> FloatArray:
         """Return the next joints (6,)."""
@@ -350,20 +325,18 @@ class JointTravelProgram:
         speed = min(
             self._now_rad_s + ACCELERATION_RAD_S2 * felt.cycle_s,
             self.speed_rad_s,
-            braking_speed_mm_s(ACCELERATION_RAD_S2, left, felt.cycle_s),
+            braking_speed(ACCELERATION_RAD_S2, left, felt.cycle_s),
         )
         if left - speed * felt.cycle_s <= 1e-7:
             self._now_rad_s = 0.0
-            self._told_s = felt.now_s if self._told_s is None else self._told_s
             behind = np.abs(self._target_rad - felt.measured_rad).max()
-            if behind <= ARRIVED_RAD or felt.now_s - self._told_s >= ARRIVED_S:
-                self.motion.end()
+            self._arrival.check(felt.now_s, arrived=bool(behind <= ARRIVED_RAD))
             return self._target_rad.copy()
         self._now_rad_s = speed
         return np.asarray(felt.sent_rad + way * (speed * felt.cycle_s / left))
 
     def still(self) -> None:
-        """Begin again from zero speed."""
+        """Restart from zero speed."""
         self._now_rad_s = 0.0
 
 
@@ -394,7 +367,7 @@ class JointJogProgram:
         return np.asarray(felt.sent_rad + self._now_rad_s * felt.cycle_s)
 
     def still(self) -> None:
-        """Begin again from zero speed."""
+        """Restart from zero speed."""
         self._now_rad_s = np.zeros(6)
 
 

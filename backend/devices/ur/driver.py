@@ -75,6 +75,9 @@ from touchdown.backend.devices.ur.rtde import (
 M_PER_MM = 1e-3
 # Permitted lag of the arm: this time at its speed, plus a distance.
 LEAD_S, LEAD_MM = 0.25, 2.0
+LOOK_FOR_HOLD = (
+    "Look for what holds it, and at the speed slider of the teach pendant; then press Reset."
+)
 STEP_MM = 1.5  # largest step of one cycle; at 125 Hz that is 187 mm/s
 
 
@@ -97,11 +100,6 @@ class UrPlacement:
         return [*place.tolist(), *rotation.tolist()]
 
 
-def lean_rad(rotation: FloatArray) -> float:
-    """Return the angle between the hand with this rotation vector (3,) and straight down, rad."""
-    return math.acos(max(-1.0, min(1.0, -float(rotation_from_vector(rotation)[2, 2]))))
-
-
 class ServoCore:
     """Active program and command; the owner calls ``step`` once per cycle."""
 
@@ -115,11 +113,6 @@ class ServoCore:
         self.program = None
         self.command_mm, self.measured_mm = measured_mm.copy(), measured_mm.copy()
         self._velocity_mm_s = np.zeros(3)
-
-    @property
-    def moving(self) -> bool:
-        """True while a motion is active."""
-        return self.program is not None and not self.program.motion.done
 
     def run(self, program: MotionProgram) -> None:
         """Replace the active program."""
@@ -154,33 +147,15 @@ class ServoCore:
         after_mm = self.program.next_mm(felt)
         step_mm = float(np.linalg.norm(after_mm - self.command_mm))
         if not step_mm <= STEP_MM:
-            raise FaultError(_step_fault(step_mm))
+            what = f"A command would be {step_mm:.1f} mm from the last one."
+            raise FaultError(Fault("STEP", what, HELD, "Move more slowly.", ARM))
         behind_mm = float(np.linalg.norm(after_mm - measured_mm))
         if not behind_mm <= self.program.speed_mm_s * LEAD_S + LEAD_MM:
-            raise FaultError(_behind_fault(behind_mm))
+            what = f"The arm is {behind_mm:.1f} mm behind its command."
+            raise FaultError(Fault("UR-BEHIND", what, HELD, LOOK_FOR_HOLD, ARM))
         self._velocity_mm_s = (after_mm - self.command_mm) / cycle_s
         self.command_mm = after_mm
         return after_mm
-
-
-def _step_fault(step_mm: float) -> Fault:
-    return Fault(
-        "STEP",
-        f"A command would be {step_mm:.1f} mm from the last one.",
-        HELD,
-        "Move more slowly.",
-        ARM,
-    )
-
-
-def _behind_fault(behind_mm: float) -> Fault:
-    return Fault(
-        "UR-BEHIND",
-        f"The arm is {behind_mm:.1f} mm behind its command.",
-        HELD,
-        "Look for what holds it, and at the speed slider of the teach pendant; then press Reset.",
-        ARM,
-    )
 
 
 def link_fault(what: str) -> Fault:
@@ -212,50 +187,7 @@ def leaning_fault(degrees: float) -> Fault:
     )
 
 
-def arm_status(robot: UrConnections | None, fault: Fault | None, *, moving: bool) -> ArmStatus:
-    """Return the status; ``robot`` is None without a connection."""
-    if robot is None:
-        return ArmStatus(RobotMode.DISCONNECTED, SafetyMode.UNKNOWN, 0.0, 0)
-    mode = RobotMode.MOVING if moving else RobotMode.READY
-    if robot.receive.getRobotMode() != RUNNING:
-        mode = RobotMode.SERVO_OFF
-    safety = SafetyMode.NORMAL
-    if fault is not None:
-        safety = SafetyMode.HW_STOP if fault.code == "HW-STOP" else SafetyMode.FAULT
-    elif robot.receive.getSafetyMode() == REDUCED:
-        safety = SafetyMode.REDUCED
-    return ArmStatus(mode, safety, robot.receive.getSpeedScaling(), 0)
-
-
 NO_TURNS = "this arm does not turn its hand"
-
-
-class LevelHand:
-    """Turn and joint methods of an arm that cannot turn: all raise ``ValueError``."""
-
-    rotates = False
-    joint_limits_rad: tuple[tuple[float, float], ...] = ()
-
-    def refuse_turning(self, turn_rad_s: Vector) -> None:
-        """Raise for any turn."""
-        if any(turn_rad_s):
-            raise ValueError(NO_TURNS)
-
-    def joints_rad(self, max_age_s: float) -> Joints:
-        """Refuse."""
-        raise ValueError(NO_TURNS)
-
-    def place_of(self, joints_rad: Joints) -> Pose:
-        """Refuse."""
-        raise ValueError(NO_TURNS)
-
-    def jog_joints(self, speeds_rad_s: Joints, for_s: float) -> CommandedMotion:
-        """Refuse."""
-        raise ValueError(NO_TURNS)
-
-    def move_joints(self, target_rad: Joints, speed_rad_s: float) -> CommandedMotion:
-        """Refuse."""
-        raise ValueError(NO_TURNS)
 
 
 SILENT_S = 0.1
@@ -294,10 +226,12 @@ SETTLE_S = 1.0  # limit for the answer to a stop; without it nothing moves
 AXES = ("x_mm", "y_mm", "z_mm")
 
 
-class UrArm(LevelHand):
+class UrArm:
     """Driver of the arm; ``wrench``: untared samples of the wrist sensor in bench axes."""
 
     name = ARM
+    rotates = False
+    joint_limits_rad: tuple[tuple[float, float], ...] = ()
 
     def __init__(
         self,
@@ -313,13 +247,8 @@ class UrArm(LevelHand):
         # Measured position of ``G``, mm in the bench frame, once per cycle.
         self.poses = self._measured.poses
         self._placing, self._cycle_s = UrPlacement(settings), 1.0 / settings.rate_hz
-        self._orders = StreamedPrograms(
-            LoopDelays(
-                self._cycle_s,
-                arm_lag_s=1e-3 * settings.arm_lag_ms,
-                sensor_lag_s=1e-3 * settings.sensor_lag_ms,
-            )
-        )
+        lags_s = 1e-3 * settings.arm_lag_ms, 1e-3 * settings.sensor_lag_ms
+        self._orders = StreamedPrograms(LoopDelays(self._cycle_s, *lags_s))
         self._core = ServoCore()
         self._robot: UrConnections | None = None
         self._rotation = np.zeros(3)
@@ -406,9 +335,10 @@ class UrArm(LevelHand):
         robot.control.setWatchdog(self._settings.watchdog_hz)
         pose = np.array(robot.receive.getActualTCPPose())
         self._rotation = pose[3:]
-        lean = lean_rad(self._rotation)
-        if lean > LEVEL_TOLERANCE_RAD:
-            raise FaultError(leaning_fault(math.degrees(lean)))
+        cosine = -float(rotation_from_vector(self._rotation)[2, 2])
+        lean_rad = math.acos(max(-1.0, min(1.0, cosine)))
+        if lean_rad > LEVEL_TOLERANCE_RAD:
+            raise FaultError(leaning_fault(math.degrees(lean_rad)))
         self._core.begin(self._placing.pivot_mm(pose))
         self.steps.reached("configure")
         self._cursor = self._wrench.count
@@ -536,7 +466,19 @@ class UrArm(LevelHand):
 
     def status(self) -> ArmStatus:
         """Return the status."""
-        return arm_status(self._robot, self.fault, moving=self._core.moving)
+        if (robot := self._robot) is None:
+            return ArmStatus(RobotMode.DISCONNECTED, SafetyMode.UNKNOWN, 0.0, 0)
+        program = self._core.program
+        moving = program is not None and not program.motion.done
+        mode = RobotMode.MOVING if moving else RobotMode.READY
+        if robot.receive.getRobotMode() != RUNNING:
+            mode = RobotMode.SERVO_OFF
+        safety = SafetyMode.NORMAL
+        if self.fault is not None:
+            safety = SafetyMode.HW_STOP if self.fault.code == "HW-STOP" else SafetyMode.FAULT
+        elif robot.receive.getSafetyMode() == REDUCED:
+            safety = SafetyMode.REDUCED
+        return ArmStatus(mode, safety, robot.receive.getSpeedScaling(), 0)
 
     def pose(self, max_age_s: float) -> Pose:
         """Return the measured pose; raises ``StaleSampleError`` if it is older."""
@@ -572,10 +514,27 @@ class UrArm(LevelHand):
         velocity = np.array(velocity_mm_s)
         if not (np.isfinite(velocity).all() and 0.0 < for_s < math.inf):
             raise ValueError("velocity and time must be finite, the time positive")
-        self.refuse_turning(turn_rad_s)
+        if any(turn_rad_s):
+            raise ValueError(NO_TURNS)
         self._require_ready()
         with self._lock:
             return self._orders.follow(self._core, velocity, self._now_s() + for_s)
+
+    def joints_rad(self, max_age_s: float) -> Joints:
+        """Refuse."""
+        raise ValueError(NO_TURNS)
+
+    def place_of(self, joints_rad: Joints) -> Pose:
+        """Refuse."""
+        raise ValueError(NO_TURNS)
+
+    def jog_joints(self, speeds_rad_s: Joints, for_s: float) -> CommandedMotion:
+        """Refuse."""
+        raise ValueError(NO_TURNS)
+
+    def move_joints(self, target_rad: Joints, speed_rad_s: float) -> CommandedMotion:
+        """Refuse."""
+        raise ValueError(NO_TURNS)
 
     def press(self, command: PressCommand) -> ArmPress:
         """Press compliantly, straight down."""

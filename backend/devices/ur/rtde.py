@@ -30,22 +30,10 @@ from touchdown.backend.devices.framing import wrench_of
 from touchdown.backend.devices.protocols import ARM, Identity
 
 
-class Stopper(Protocol):
-    """``dashboard_client.DashboardClient``, as used by ``StopConnection``."""
-
-    def stop(self) -> None:
-        """End the script on the controller, which brakes the arm; raises ``RuntimeError`` if
-        none runs.
-        """
-
-    def disconnect(self) -> None:
-        """Close."""
-
-
 class StopConnection:
-    """Thread with a connection to the dashboard."""
+    """Thread with a connection to the dashboard for STOP alone."""
 
-    def __init__(self, stopper: Stopper) -> None:
+    def __init__(self, stopper: DashboardInterface) -> None:
         self._stopper = stopper
         self._asked, self._settled = threading.Event(), threading.Event()
         self._settled.set()
@@ -147,6 +135,9 @@ class ReceiveInterface(Protocol):
     def isEmergencyStopped(self) -> bool:  # noqa: N802
         """Return True while an emergency stop is pressed."""
 
+    def getFtRawWrench(self) -> Sequence[float]:  # noqa: N802
+        """Return forces in N and torques in N·m, flange axes, including the payload."""
+
     def getSpeedScaling(self) -> float:  # noqa: N802
         """Share of every commanded speed, by the slider of the teach pendant."""
 
@@ -181,6 +172,11 @@ class DashboardInterface(Protocol):
     def powerOff(self) -> None:  # noqa: N802
         """Motors off, brakes on."""
 
+    def stop(self) -> None:
+        """End the script on the controller, which brakes the arm; raises ``RuntimeError`` if
+        none runs.
+        """
+
     def disconnect(self) -> None:
         """Close."""
 
@@ -192,7 +188,7 @@ class UrConnections:
     control: ControlInterface
     receive: ReceiveInterface
     dashboard: DashboardInterface
-    stopper: Stopper
+    stopper: DashboardInterface
 
     def close(self) -> None:
         """Close all but the stopper, which its lane closes."""
@@ -242,28 +238,12 @@ POLLS_PER_PERIOD = 4  # polls of the connection per period of the robot
 START_S = 1.0
 
 
-class WrenchSource(Protocol):
-    """``rtde_receive.RTDEReceiveInterface``, as used by this sensor."""
-
-    def getFtRawWrench(self) -> Sequence[float]:  # noqa: N802
-        """Return forces in N and torques in N·m, flange axes, including the payload."""
-
-    def getTimestamp(self) -> float:  # noqa: N802
-        """Return the time since the controller was started, s."""
-
-    def isConnected(self) -> bool:  # noqa: N802
-        """Return True while data arrives."""
-
-    def disconnect(self) -> None:
-        """Close."""
-
-
 class RtdeLink:
     """Link that returns each new sample once, as ``SAMPLE``; raises ``OSError`` like other
     links.
     """
 
-    def __init__(self, source: WrenchSource, period_s: float) -> None:
+    def __init__(self, source: ReceiveInterface, period_s: float) -> None:
         self._source, self._look_s = source, period_s / POLLS_PER_PERIOD
         self._told_s, self._never = -math.inf, threading.Event()
 
@@ -297,21 +277,14 @@ class RtdeLink:
         self._source.disconnect()
 
 
-def open_source(host: str, rate_hz: float) -> WrenchSource:
-    """Connect through ``ur_rtde``; raises ``OSError`` without the package, or ``RuntimeError``."""
-    try:
-        receive = importlib.import_module("rtde_receive").RTDEReceiveInterface
-    except ImportError as error:
-        raise OSError("the package 'ur_rtde' is not installed") from error
-    source: WrenchSource = receive(host, rate_hz)
-    return source
-
-
 def open_rtde(settings: HardwareSettings, address: str) -> SensorLink:
     """Open ``address`` (``rtde://host``); raises ``OSError``."""
     rate_hz = settings.ur.rate_hz
     try:
-        return RtdeLink(open_source(address.removeprefix(SCHEME), rate_hz), 1.0 / rate_hz)
+        receive = importlib.import_module("rtde_receive").RTDEReceiveInterface
+        return RtdeLink(receive(address.removeprefix(SCHEME), rate_hz), 1.0 / rate_hz)
+    except ImportError as error:
+        raise OSError("the package 'ur_rtde' is not installed") from error
     except RuntimeError as error:
         raise ConnectionRefusedError(str(error)) from error
 

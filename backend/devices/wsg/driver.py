@@ -18,12 +18,15 @@ from touchdown.backend.config import HardwareSettings, WsgSettings
 from touchdown.backend.core import Fault, FaultError
 from touchdown.backend.devices.identification import identify_device
 from touchdown.backend.devices.protocols import (
+    NOTHING_MOVED,
     CommandedMotion,
     ConnectionSteps,
     DeviceState,
     GripStatus,
     Health,
     Identity,
+    replaced_fault,
+    stopped_fault,
 )
 from touchdown.backend.devices.wsg import protocol
 from touchdown.backend.devices.wsg.gcl import GclProtocol
@@ -46,7 +49,7 @@ DEVICE_FAULTS = {
     SystemFlag.FINGER_FAULT: "a finger reports a failure",
 }
 _STANDS = "The gripper stands still; it was not opened."
-_REASONS = {
+_REASONS: dict[int, tuple[str, str]] = {
     WsgStatus.NOT_INITIALIZED: ("WSG-NOT-HOMED", "The gripper does not know where its jaws are"),
     WsgStatus.ALREADY_RUNNING: ("WSG-BUSY", "The gripper is still moving"),
     WsgStatus.RANGE_ERROR: ("WSG-RANGE", "The gripper cannot go there"),
@@ -65,28 +68,23 @@ _STEPS = {
 }
 
 
+FAST_STOP = Fault(
+    "WSG-FAST-STOP",
+    "The gripper is in fast stop.",
+    "It takes no motion; the grip is as it was.",
+    "Look at the piece, then acknowledge the fast stop.",
+    NAME,
+)
+
+
 def refusal(command: int, status: int, flags: SystemFlag) -> Fault:
     """Return the fault of a command that was answered with ``status``."""
     if status == WsgStatus.ACCESS_DENIED and SystemFlag.FAST_STOP in flags:
-        return fast_stop_fault()
+        return FAST_STOP
     name = WsgCommand(command).name.lower().replace("_", " ")
     unknown = ("WSG-REFUSED", f"The gripper refuses '{name}' (code {status})")
-    code, what = _REASONS.get(WsgStatus(status), unknown) if status in _KNOWN else unknown
+    code, what = _REASONS.get(status, unknown)
     return Fault(code, f"{what}.", _STANDS, _STEPS.get(code, "Look at the gripper."), NAME)
-
-
-_KNOWN = frozenset(int(status) for status in WsgStatus)
-
-
-def fast_stop_fault() -> Fault:
-    """Return the fault of a latched fast stop."""
-    return Fault(
-        "WSG-FAST-STOP",
-        "The gripper is in fast stop.",
-        "It takes no motion; the grip is as it was.",
-        "Look at the piece, then acknowledge the fast stop.",
-        NAME,
-    )
 
 
 def device_fault(flags: SystemFlag) -> Fault | None:
@@ -100,7 +98,7 @@ def device_fault(flags: SystemFlag) -> Fault | None:
                 "Remove the cause, then acknowledge it.",
                 NAME,
             )
-    return fast_stop_fault() if SystemFlag.FAST_STOP in flags else None
+    return FAST_STOP if SystemFlag.FAST_STOP in flags else None
 
 
 def link_fault(what: str) -> Fault:
@@ -114,31 +112,10 @@ def link_fault(what: str) -> Fault:
     )
 
 
-def stopped_fault() -> Fault:
-    """Return the fault of a motion that was stopped."""
-    return Fault("STOPPED", "The motion was stopped.", _STANDS, "Look at the bench.", NAME)
-
-
-def replaced_fault() -> Fault:
-    """Return the fault of a motion that was replaced by another command."""
-    return Fault(
-        "REPLACED",
-        "Another command took the place of this motion.",
-        "The gripper follows the newer command.",
-        "Wait for a motion to end before the next command.",
-        NAME,
-    )
-
-
-def not_connected_fault() -> Fault:
-    """Return the fault of a command without a connection."""
-    return Fault(
-        "NOT-CONNECTED",
-        "The gripper is not connected.",
-        "Nothing was moved.",
-        "Connect it first.",
-        NAME,
-    )
+STOPPED, REPLACED = stopped_fault(NAME), replaced_fault(NAME)
+NOT_CONNECTED = Fault(
+    "NOT-CONNECTED", "The gripper is not connected.", NOTHING_MOVED, "Connect it first.", NAME
+)
 
 
 class WsgMotion(CommandedMotion):
@@ -246,7 +223,7 @@ class WsgCore:
     def stop(self) -> list[WsgRequest]:
         """Stop a motion; keeps a completed grip."""
         moving = self.motion is not None or SystemFlag.MOVING in self.flags
-        self._end(stopped_fault())
+        self._end(STOPPED)
         return [STOP] if moving else []
 
     def acknowledge(self) -> list[WsgRequest]:
@@ -271,16 +248,12 @@ class WsgCore:
     def tick(self, now_s: float) -> list[WsgRequest]:
         """Check the time: stop a motion that takes too long, report silence as a fault."""
         if now_s - self._heard_s > SILENCE_S:
-            self._latch(link_fault(f"The gripper is silent for {now_s - self._heard_s:.1f} s."))
+            self.latch(link_fault(f"The gripper is silent for {now_s - self._heard_s:.1f} s."))
         elif self.motion is not None and now_s > self.motion.deadline_s:
             command = self.motion.steps[0].command if self.motion.steps else WsgCommand.STOP
             self._end(refusal(command, WsgStatus.TIMEOUT, self.flags))
             return [STOP]
         return []
-
-    def lose(self, fault: Fault) -> None:
-        """Handle the loss of the wire."""
-        self._latch(fault)
 
     def _readings(self) -> list[WsgRequest]:
         period_ms = self._settings.update_ms
@@ -302,7 +275,7 @@ class WsgCore:
             raise FaultError(self.fault)
         first = requests if isinstance(requests, tuple) else (requests,)
         before = [STOP] if self.motion is not None else []
-        self._end(replaced_fault())
+        self._end(REPLACED)
         steps = [*before, *first, *self._readings()]
         deadline_s = now_s + within_s + self._settings.margin_s
         self.motion = WsgMotion(steps, sent, deadline_s)
@@ -326,13 +299,10 @@ class WsgCore:
         motion.steps.pop(0)
         motion.pending = False
         if not motion.steps:
-            self._end(self._missing_grip(motion))
+            missing = "force_n" in motion.sent and self.grasp_state is not GraspState.HOLDING
+            no_part = refusal(WsgCommand.GRASP, WsgStatus.CMD_FAILED, self.flags)
+            self._end(no_part if missing else None)
         return motion.steps[:1]
-
-    def _missing_grip(self, motion: WsgMotion) -> Fault | None:
-        if "force_n" in motion.sent and self.grasp_state is not GraspState.HOLDING:
-            return refusal(WsgCommand.GRASP, WsgStatus.CMD_FAILED, self.flags)
-        return None
 
     def _read(self, reply: WsgReply) -> None:
         value = float(reply.values[0])
@@ -341,20 +311,19 @@ class WsgCore:
                 self.flags = SystemFlag(int(value))
                 fault = device_fault(self.flags)
                 if fault is not None:
-                    self._latch(fault)
+                    self.latch(fault)
             case WsgCommand.GRASP_STATE:
-                self._see(GraspState(int(value)) if value in _STATES else GraspState.ERROR)
+                state = GraspState(int(value)) if value in _STATES else GraspState.ERROR
+                holding = self.grasp_state is GraspState.HOLDING
+                self.lost_parts += holding and state is GraspState.PART_LOST
+                self.grasp_state = state
             case WsgCommand.WIDTH:
                 self.width_mm = value
             case WsgCommand.FORCE:
                 self.force_sum_n = value
 
-    def _see(self, state: GraspState) -> None:
-        lost = self.grasp_state is GraspState.HOLDING and state is GraspState.PART_LOST
-        self.lost_parts += lost
-        self.grasp_state = state
-
-    def _latch(self, fault: Fault) -> None:
+    def latch(self, fault: Fault) -> None:
+        """Keep the first fault; end the motion."""
         self.fault = self.fault or fault
         self._end(fault)
 
@@ -399,7 +368,7 @@ class WsgGripper:
         self._stop = threading.Event()
         self.steps = ConnectionSteps()
         self._state = DeviceState.CLOSED
-        self._identity: Identity | None = None
+        self.identity: Identity | None = None  # None before the first connection
         self._received = 0
         self._arrivals: deque[float] = deque(maxlen=512)
         # True if a piece was held when the connection was lost: the operator must acknowledge the
@@ -411,11 +380,6 @@ class WsgGripper:
         """State of the connection; FAULT for a latched fault of the gripper."""
         faulty = self._state is DeviceState.READY and self._core.fault is not None
         return DeviceState.FAULT if faulty else self._state
-
-    @property
-    def identity(self) -> Identity | None:
-        """Identity, None before the first connection."""
-        return self._identity
 
     @property
     def fault(self) -> Fault | None:
@@ -445,7 +409,7 @@ class WsgGripper:
         core, status = self._core, self._core.status
         stale = self._state is DeviceState.READY and self.health.age_s > STALE_S
         return {
-            "kind": self._identity.model if self._identity else "WSG",
+            "kind": self.identity.model if self.identity else "WSG",
             "condition": "stale" if stale else self.state.value,
             "grasp": core.grasp_state.name.lower().replace("_", " "),
             "homed": "yes" if self.homed else "no",
@@ -543,7 +507,7 @@ class WsgGripper:
 
     def _require_link(self) -> None:
         if self._state is not DeviceState.READY:
-            raise FaultError(self._core.fault or not_connected_fault())
+            raise FaultError(self._core.fault or NOT_CONNECTED)
 
     def _greet(self, cancel: threading.Event) -> None:
         core = self._core
@@ -559,13 +523,13 @@ class WsgGripper:
             core.limits = WsgLimits(stroke, (low, high), _number(acceleration), (weakest, nominal))
         told = self._exchange(WsgRequest(WsgCommand.SYSTEM_INFO), cancel)
         address = f"{self._address[0]}:{self._address[1]}"
-        self._identity = self._language.identity(told, address)
+        self.identity = self._language.identity(told, address)
         self.steps.reached("identify")
 
     def _exchange(self, request: WsgRequest, cancel: threading.Event) -> WsgReply:
         """Send one request and wait for its answer; only before the listening thread runs."""
         if self._socket is None:
-            raise FaultError(not_connected_fault())
+            raise FaultError(NOT_CONNECTED)
         self._socket.sendall(self._language.encode([request]))
         self._socket.settimeout(READ_S)
         end_s = time.monotonic() + ANSWER_S
@@ -653,7 +617,7 @@ class WsgGripper:
         self._stop.set()
         with self._lock:
             self.lost_holding |= self._core.status.holding
-            self._core.lose(link_fault(f"The connection to the gripper is lost: {error}."))
+            self._core.latch(link_fault(f"The connection to the gripper is lost: {error}."))
             self._state = DeviceState.FAULT
 
     def _announce_end(self) -> None:

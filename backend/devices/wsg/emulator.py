@@ -118,10 +118,6 @@ class EmulatedJaws:
         self.state = GraspState.IDLE
         return motion
 
-    def let_go(self) -> None:
-        """Release without a motion: the fingers have no force."""
-        self.state = GraspState.IDLE
-
     def advance(self, now_s: float) -> tuple[WsgCommand, WsgStatus] | None:
         """Advance to ``now_s``; return command and result of a motion that ended."""
         if self.state is GraspState.HOLDING and self.part_mm is None:
@@ -163,12 +159,20 @@ _MOTIONS = (WsgCommand.HOME, WsgCommand.PREPOSITION, WsgCommand.GRASP, WsgComman
 
 @dataclass(slots=True)
 class PeriodicUpdate:
-    """A periodically sent reading."""
+    """A periodically sent reading; ``on_change`` only when it differs from the ``last`` one."""
 
     period_s: float
     on_change: bool
     next_s: float
-    last: tuple[Number, ...] | None = None
+    last: object = None
+
+    def takes(self, now_s: float, reading: object) -> bool:
+        """Return True if ``reading`` is sent now; call it when the update is due."""
+        if self.on_change and reading == self.last:
+            return False
+        self.next_s += (math.floor((now_s - self.next_s) / self.period_s) + 1) * self.period_s
+        self.last = reading
+        return True
 
 
 class EmulatedWsg:
@@ -215,7 +219,10 @@ class EmulatedWsg:
         ended = self.jaws.advance(now_s)
         replies = [WsgReply(*ended)] if ended else []
         replies += self._apply_faults(now_s)
-        replies += [reply for command in self._updates for reply in self._update(now_s, command)]
+        for command, update in self._updates.items():
+            reading = self._reading(command) if now_s >= update.next_s else None
+            if reading is not None and update.takes(now_s, reading):
+                replies.append(WsgReply(command, WsgStatus.SUCCESS, reading))
         return b"".join(map(protocol.encode_reply, replies))
 
     def closed(self, now_s: float) -> None:
@@ -225,7 +232,7 @@ class EmulatedWsg:
         if not self._leaving:
             self._fast_stop()
         elif not self._keeps_grip:
-            self.jaws.let_go()
+            self.jaws.state = GraspState.IDLE  # the fingers have no force
         self._leaving = False
 
     def _apply_faults(self, now_s: float) -> list[WsgReply]:
@@ -326,25 +333,11 @@ class EmulatedWsg:
         flags, period_ms = (int(value) for value in request.values)
         command = WsgCommand(request.command)
         if flags & 1 and period_ms:
-            period_s = period_ms / 1000
-            update = PeriodicUpdate(
-                period_s, bool(flags & 2), now_s + period_s, self._reading(command)
-            )
-            self._updates[command] = update
+            period_s, reading = period_ms / 1000, self._reading(command)
+            first_s = now_s + period_s
+            self._updates[command] = PeriodicUpdate(period_s, bool(flags & 2), first_s, reading)
         else:
             self._updates.pop(command, None)
-
-    def _update(self, now_s: float, command: WsgCommand) -> list[WsgReply]:
-        update = self._updates[command]
-        if now_s < update.next_s:
-            return []
-        reading = self._reading(command)
-        if reading is None or (update.on_change and reading == update.last):
-            return []
-        late = math.floor((now_s - update.next_s) / update.period_s)
-        update.next_s += (late + 1) * update.period_s
-        update.last = reading
-        return [WsgReply(command, WsgStatus.SUCCESS, reading)]
 
     def _reading(self, command: int) -> tuple[Number, ...] | None:
         """Return the answer to a reading command; None for other commands."""
@@ -403,16 +396,6 @@ class UnknownLine:
     name: str
 
 
-@dataclass(slots=True)
-class AutoSend:
-    """A periodically sent reading; ``on_change`` only when it differs."""
-
-    period_s: float
-    on_change: bool
-    next_s: float
-    last: GclLine | None = None
-
-
 class EmulatedGcl:
     """Text interface of the emulated ``gripper``."""
 
@@ -423,7 +406,7 @@ class EmulatedGcl:
         self._called: dict[int, str] = {}
         self._acknowledged_s = -APART_S
         self._waiting: list[tuple[float, GclLine]] = []
-        self._auto: dict[str, AutoSend] = {}
+        self._auto: dict[str, PeriodicUpdate] = {}
         self._verbose, self._kept = False, dict[str, GclLine]()
 
     def receive(self, now_s: float, data: bytes) -> bytes:
@@ -438,13 +421,10 @@ class EmulatedGcl:
         """Return the ends of motions and the periodic readings."""
         self._hear(now_s, self.gripper.due(now_s))
         out = self._ends(now_s)
-        for name, auto in self._auto.items():
-            if now_s >= auto.next_s:
-                auto.next_s = max(auto.next_s + auto.period_s, now_s)
+        for name, update in self._auto.items():
+            if now_s >= update.next_s:
                 line = self._reading(now_s, name)
-                if not (auto.on_change and line == auto.last):
-                    auto.last = line
-                    out.append(line)
+                out += [line] if update.takes(now_s, line) else []
         return b"".join(map(gcl.encode, out))
 
     def closed(self, now_s: float) -> None:
@@ -472,8 +452,10 @@ class EmulatedGcl:
                 self._verbose = bool(value) if name == "VERBOSE" else self._verbose
                 self._kept[name] = asked
                 return [asked]
-            case GclCall("AUTOSEND", (str(name), int(period_ms), bool(third))) if name in READINGS:
-                self._auto[name] = AutoSend(period_ms / 1000, third, now_s)
+            case GclCall("AUTOSEND", (str(name), int(period_ms), bool(third))) if (
+                name in READINGS and period_ms > 0
+            ):
+                self._auto[name] = PeriodicUpdate(period_ms / 1000, third, now_s)
                 return [GclAnswer("ACK", "AUTOSEND")]
             case GclCall(name) if name in ORDERS:
                 if name == "BYE":
@@ -495,9 +477,8 @@ class EmulatedGcl:
             counts = self._ask(now_s, STATISTICS).values
             return [GclAssignment(name, tuple(map(int, counts)))]
         if name.startswith("SYSFLAGS"):
-            return [
-                self._flags(name, self._ask(now_s, WsgRequest(WsgCommand.SYSTEM_STATE, (0, 0))))
-            ]
+            told = self._ask(now_s, WsgRequest(WsgCommand.SYSTEM_STATE, (0, 0)))
+            return [self._flags(name, told)]
         if name in READINGS:
             return [self._reading(now_s, name)]
         if name == "FDATA[0]":

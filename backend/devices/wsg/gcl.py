@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 import re
-from collections import deque
 from collections.abc import Iterable
 from dataclasses import dataclass
 from decimal import Decimal
@@ -216,7 +215,7 @@ class GclProtocol:
     def __init__(self, settings: WsgSettings) -> None:
         self._settings = settings
         self._decoder = lines()
-        self._own: deque[WsgReply] = deque()
+        self._own: list[WsgReply] = []
         self._force_sum_n = settings.force_min_n
         self._width_mm = 0.0
         self._moves: dict[str, WsgCommand] = {"HOME": WsgCommand.HOME, "GRIP": WsgCommand.GRASP}
@@ -241,9 +240,7 @@ class GclProtocol:
 
     def take(self, data: bytes) -> list[WsgReply]:
         """Return the replies; without data those to requests that it answers by itself."""
-        replies: list[WsgReply] = []
-        while self._own:
-            replies.append(self._own.popleft())
+        replies, self._own = self._own, []
         for line in self._decoder.feed(data):
             replies += self._understand(line)
         return replies
@@ -269,34 +266,29 @@ class GclProtocol:
         command, values = request.command, request.values
         if command == WsgCommand.SET_FORCE_LIMIT:
             self._force_sum_n = float(values[0])
-            return self._answered(WsgReply(command, WsgStatus.SUCCESS))
+            self._own.append(WsgReply(command, WsgStatus.SUCCESS))
+            return []
         if command in UNKNOWN_TO_TEXT:
-            return self._answered(WsgReply(command, WsgStatus.NOT_AVAILABLE))
+            self._own.append(WsgReply(command, WsgStatus.NOT_AVAILABLE))
+            return []
         if command == WsgCommand.SYSTEM_STATE:
             return list(self._flag_queries())
         if command == WsgCommand.SYSTEM_INFO:
             self._texts.clear()
             return [GclQuery(name) for name in SELVES]
         if command in READINGS:
-            return self._reading(READINGS[WsgCommand(command)], int(values[1]) if values else 0)
+            name, period_ms = READINGS[WsgCommand(command)], int(values[1]) if values else 0
+            if not period_ms or name in self._sent_of_itself:
+                return [GclQuery(name)]
+            self._sent_of_itself.add(name)
+            third = self._settings.gcl_autosend_third == "true"
+            return [GclCall("AUTOSEND", (name, period_ms, third)), GclQuery(name)]
         if command in CALLS:
             return [GclCall(CALLS[WsgCommand(command)])]
         return [self._motion(WsgCommand(command), tuple(float(value) for value in values))]
 
-    def _answered(self, reply: WsgReply) -> list[GclLine]:
-        self._own.append(reply)
-        return []
-
     def _flag_queries(self) -> list[GclQuery]:
         return [GclQuery(f"SYSFLAGS[{flag.bit_length() - 1}]") for flag in FLAGS]
-
-    def _reading(self, name: str, period_ms: int) -> list[GclLine]:
-        lines: list[GclLine] = [GclQuery(name)]
-        if period_ms and name not in self._sent_of_itself:
-            self._sent_of_itself.add(name)
-            third = self._settings.gcl_autosend_third == "true"
-            lines.insert(0, GclCall("AUTOSEND", (name, period_ms, third)))
-        return lines
 
     def _motion(self, command: WsgCommand, values: tuple[float, ...]) -> GclLine:
         """Return the call that starts a motion and register the motion by its name."""
@@ -322,19 +314,16 @@ class GclProtocol:
             case GclAnswer("FIN", name) if name in self._moves:
                 return [WsgReply(self._moves[name], WsgStatus.SUCCESS)]
             case GclAnswer("ACK", name):
-                return self._obeyed(name)
+                if name == "FSACK":
+                    self._bits.clear()  # earlier flags are outdated
+                called = _called(name)
+                return [] if called is None else [WsgReply(called, WsgStatus.SUCCESS)]
             case GclError(name, code):
                 command = self._moves.get(name) or _called(name)
                 return [WsgReply(command, code)] if command is not None else []
             case GclAssignment(name, value) if isinstance(value, str | int | float):
                 return self._told(name, value)
         return []
-
-    def _obeyed(self, name: str) -> list[WsgReply]:
-        if name == "FSACK":
-            self._bits.clear()  # earlier flags are outdated
-        command = _called(name)
-        return [] if command is None else [WsgReply(command, WsgStatus.SUCCESS)]
 
     def _told(self, name: str, value: str | float) -> list[WsgReply]:
         for command, reading in READINGS.items():

@@ -13,7 +13,7 @@ import struct
 from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import IntEnum, IntFlag
-from typing import Protocol, TypeAlias
+from typing import Any, Protocol, TypeAlias
 
 from touchdown.backend.devices.framing import (
     FrameStep,
@@ -136,7 +136,15 @@ LONGEST_UNKNOWN = 64  # longest payload of a command outside the tables; longer 
 # Commands with a payload of any length up to this.
 TEXT: dict[int, int] = {WsgCommand.LOOP: 256, WsgCommand.SET_TAG: 64, WsgCommand.GET_TAG: 64}
 
-_UPDATE, NOTHING = "<BH", "<"
+NOTHING = "<"
+# Readings that are sent once or periodically.
+UPDATED = (
+    WsgCommand.SYSTEM_STATE,
+    WsgCommand.GRASP_STATE,
+    WsgCommand.WIDTH,
+    WsgCommand.SPEED,
+    WsgCommand.FORCE,
+)
 # Layout of the payload of each request.
 REQUESTS: dict[int, str] = {
     **dict.fromkeys(WsgCommand, NOTHING),
@@ -150,26 +158,22 @@ REQUESTS: dict[int, str] = {
     WsgCommand.SET_SOFT_LIMITS: "<ff",
     WsgCommand.OVERDRIVE: "<B",
     WsgCommand.STATISTICS: "<B",
-    WsgCommand.SYSTEM_STATE: _UPDATE,
-    WsgCommand.GRASP_STATE: _UPDATE,
-    WsgCommand.WIDTH: _UPDATE,
-    WsgCommand.SPEED: _UPDATE,
-    WsgCommand.FORCE: _UPDATE,
+    **dict.fromkeys(UPDATED, "<BH"),
 }
 
+_FLOATS = (
+    WsgCommand.GET_ACCELERATION, WsgCommand.GET_FORCE_LIMIT,
+    WsgCommand.WIDTH, WsgCommand.SPEED, WsgCommand.FORCE,
+)  # fmt: skip
 # Layouts after status 0 in each reply; the manual prints 30h with a value.
 REPLIES: dict[int, tuple[str, ...]] = {
     **dict.fromkeys(WsgCommand, (NOTHING,)),
     WsgCommand.SET_ACCELERATION: (NOTHING, "<f"),
-    WsgCommand.GET_ACCELERATION: ("<f",),
-    WsgCommand.GET_FORCE_LIMIT: ("<f",),
+    **dict.fromkeys(_FLOATS, ("<f",)),
     WsgCommand.GET_SOFT_LIMITS: ("<ff",),
     WsgCommand.SYSTEM_STATE: ("<I",),
     WsgCommand.GRASP_STATE: ("<B",),
     WsgCommand.STATISTICS: ("<IHH",),
-    WsgCommand.WIDTH: ("<f",),
-    WsgCommand.SPEED: ("<f",),
-    WsgCommand.FORCE: ("<f",),
     WsgCommand.TEMPERATURE: ("<h",),
     WsgCommand.SYSTEM_INFO: ("<BBHI",),
     WsgCommand.SYSTEM_LIMITS: ("<8f",),
@@ -360,34 +364,34 @@ def _reply(command: int, payload: bytes) -> WsgReply:
     return WsgReply(command, status, values)
 
 
-def _take_reply(data: bytes, at: int) -> FrameStep[WsgReply] | None:
+def _frame_at(data: bytes, at: int) -> bytes | FrameStep[Any] | None:
+    """Return the whole frame at ``at``, the noise before the next one, or None if unfinished."""
     size = _size(data, at)
     if size == 0:
         return noise_until(data, at, PREAMBLE[:1])
-    if size is None or at + size > len(data):
-        return None
-    frame = data[at : at + size]
+    return None if size is None or at + size > len(data) else data[at : at + size]
+
+
+def _take_reply(data: bytes, at: int) -> FrameStep[WsgReply] | None:
+    frame = _frame_at(data, at)
+    if not isinstance(frame, bytes):
+        return frame
     try:
-        return FrameStep(size, _reply(frame[3], _payload(frame)))
+        return FrameStep(len(frame), _reply(frame[3], _payload(frame)))
     except ProtocolError:
         return FrameStep(1, refused=True)
 
 
 def _take_request(data: bytes, at: int) -> FrameStep[WsgIncoming] | None:
-    size = _size(data, at)
-    if size == 0:
-        return noise_until(data, at, PREAMBLE[:1])
-    if size is None or at + size > len(data):
-        return None
-    frame = data[at : at + size]
-    command = frame[3]
+    frame = _frame_at(data, at)
+    if not isinstance(frame, bytes):
+        return frame
     try:
-        payload = _payload(frame)
+        return FrameStep(len(frame), _request(frame[3], _payload(frame)))
     except ProtocolError:
-        inner = data.find(PREAMBLE, at + 1, at + size)
-        length = size if inner < 0 else inner - at  # noise may contain a false length
-        return FrameStep(length, WsgRefusal(command, WsgStatus.CHECKSUM_ERROR), refused=True)
-    return FrameStep(size, _request(command, payload))
+        inner = frame.find(PREAMBLE, 1)
+        length = len(frame) if inner < 0 else inner  # noise may contain a false length
+        return FrameStep(length, WsgRefusal(frame[3], WsgStatus.CHECKSUM_ERROR), refused=True)
 
 
 def _request(command: int, payload: bytes) -> WsgIncoming:

@@ -74,10 +74,32 @@ class Heard:
             self.data += self._read()
         return answer
 
+    def until_text(self, text):
+        self.until(lambda data: True if text in data else None)
+
+    def frame(self, head, length, good):
+        """Return the first valid frame that starts with ``head``."""
+
+        def found(data):
+            for start in re.finditer(b"(?=" + re.escape(head) + b")", data):
+                frame = data[start.start() : start.start() + length]
+                if len(frame) == length and good(frame):
+                    return frame
+            return None
+
+        return self.until(found)
+
 
 def over_tcp(address):
     client = socket.create_connection(address, timeout=LIMIT_S)
     return client, Heard(lambda: client.recv(4096))
+
+
+def over_udp(address):
+    wire = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    wire.settimeout(LIMIT_S)
+    wire.connect(address)
+    return wire
 
 
 @pytest.fixture
@@ -142,7 +164,7 @@ def test_the_same_gripper_speaks_text(serve):
     ):
         client.sendall(line)
         for answer in answers:
-            heard.until(lambda data, answer=answer: True if answer in data else None)
+            heard.until_text(answer)
             heard.data = heard.data.split(answer, 1)[1]
     client.sendall(b"POS?\n")
     told = heard.until(lambda data: re.search(rb"POS=([0-9.]+)\n", data))
@@ -202,9 +224,7 @@ def test_an_arm_is_switched_on_and_streamed_to_by_text_and_one_struct(serve):
     before = console.joints()
     assert console.ask("1;1;RUNTDMXT;1") == "QoK"
     console.wait_for(0x40, on=True)
-    wire = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    wire.settimeout(LIMIT_S)
-    wire.connect(("127.0.0.1", bench["melfa.mxt"]["port"]))
+    wire = over_udp(("127.0.0.1", bench["melfa.mxt"]["port"]))
     first = exchange(wire, 0, 0)
     assert (first[1], first[2]) == (2, 2)
     joints = np.array(first[4:10])
@@ -272,17 +292,9 @@ def test_a_leptrino_streams_its_stuffed_frames(port):
 def test_an_ft300_is_started_by_modbus_and_stopped_by_ff(port):
     line, heard, _ = port("ft300", 19200)
     line.write(bytes.fromhex("0910019a0001020200cdca"))
-    answer = bytes.fromhex("0910019a00012152")
-    heard.until(lambda data: True if answer in data else None)
-
-    def good(data):
-        for start in re.finditer(rb"(?=\x20\x4e)", data):
-            frame = data[start.start() : start.start() + 16]
-            if len(frame) == 16 and modbus_crc(frame[:14]).to_bytes(2, "little") == frame[14:]:
-                return frame
-        return None
-
-    values = struct.unpack("<6h", heard.until(good)[2:14])
+    heard.until_text(bytes.fromhex("0910019a00012152"))
+    good = lambda f: modbus_crc(f[:14]).to_bytes(2, "little") == f[14:]  # noqa: E731
+    values = struct.unpack("<6h", heard.frame(b"\x20\x4e", 16, good)[2:14])
     assert np.array(values) / [100, 100, 100, 1000, 1000, 1000] == pytest.approx(LOAD, abs=0.02)
     line.write(b"\xff" * 50)
     end_s = time.monotonic() + LIMIT_S
@@ -295,16 +307,9 @@ def test_a_bota_goes_through_its_configuration_mode(port):
     line, heard, _ = port("bota", 460800)
     for text, answer in ((b"C", b"r,0,C,0"), (b"c,0,1,0,4", b"r,0,c,0"), (b"R", b"r,0,R,0")):
         line.write(text)
-        heard.until(lambda data, answer=answer: True if answer in data else None)
-
-    def good(data):
-        for start in re.finditer(rb"(?=\xaa)", data):
-            frame = data[start.start() : start.start() + 37]
-            if len(frame) == 37 and x25_crc(frame[1:35]).to_bytes(2, "little") == frame[35:]:
-                return frame
-        return None
-
-    status, *values = struct.unpack("<H6f", heard.until(good)[1:27])
+        heard.until_text(answer)
+    good = lambda f: x25_crc(f[1:35]).to_bytes(2, "little") == f[35:]  # noqa: E731
+    status, *values = struct.unpack("<H6f", heard.frame(b"\xaa", 37, good)[1:27])
     assert status == 0
     assert values == pytest.approx(LOAD, abs=0.01)
 
@@ -313,17 +318,10 @@ def test_a_bota_goes_through_its_configuration_mode(port):
 def test_an_optoforce_takes_its_nine_bytes(port):
     line, heard, bench = port("optoforce", 1000000)
     line.write(bytes.fromhex("aa0032030a040000ed"))
-    answer = bytes.fromhex("aa0050010000fb")
-    heard.until(lambda data: True if answer in data else None)
-
-    def good(data):
-        for start in re.finditer(rb"(?=\xaa\x07\x08\x10)", data):
-            frame = data[start.start() : start.start() + 22]
-            if len(frame) == 22 and sum(frame[:20]) == int.from_bytes(frame[20:], "big"):
-                return frame
-        return None
-
-    _, status, *counts = struct.unpack(">HH6h", heard.until(good)[4:20])
+    heard.until_text(bytes.fromhex("aa0050010000fb"))
+    good = lambda f: sum(f[:20]) == int.from_bytes(f[20:], "big")  # noqa: E731
+    frame = heard.frame(bytes.fromhex("aa070810"), 22, good)
+    _, status, *counts = struct.unpack(">HH6h", frame[4:20])
     assert status == 0
     scale = np.array(bench["optoforce"]["capacity"]) / bench["optoforce"]["counts"]
     assert np.array(counts) * scale == pytest.approx(LOAD, abs=0.05)
@@ -338,9 +336,7 @@ def test_a_net_ft_tells_its_scale_by_page_and_its_samples_by_datagram(serve):
     per_n, per_nm = (
         float(re.search(f"<{name}>([0-9.]+)</{name}>", text)[1]) for name in ("cfgcpf", "cfgcpt")
     )
-    wire = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    wire.settimeout(LIMIT_S)
-    wire.connect(made.fronts[0].address)
+    wire = over_udp(made.fronts[0].address)
     wire.send(bytes.fromhex("1234000200000000"))
     numbers = []
     for _ in range(3):
@@ -357,9 +353,7 @@ def test_a_net_ft_tells_its_scale_by_page_and_its_samples_by_datagram(serve):
 def test_the_monitor_of_the_controller_sends_what_it_was_asked_for(serve):
     made = serve("monitor")
     kind = made.bench["melfa.monitor"]["type_force"]
-    wire = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    wire.settimeout(LIMIT_S)
-    wire.connect(made.fronts[0].address)
+    wire = over_udp(made.fronts[0].address)
     wire.send(struct.pack("<HHHH", 1, 0, kind, 0).ljust(196, b"\0"))
     first, second = wire.recv(300), wire.recv(300)
     assert [len(first), len(second)] == [196, 196]

@@ -307,7 +307,7 @@ def melfa():
 def test_a_command_after_an_emergency_stop_is_seen_with_its_delay(melfa):
     here = melfa.controller.joints.command_rad
     assert melfa.stream.receive(1.0, move(here)) is not None
-    melfa.controller.press_emergency_stop()
+    melfa.controller.raise_error(50)
     assert DriverMonitor(melfa).observations(0.0).late_command_s == 0.0
     assert "no command after an error" in str(DriverMonitor(melfa).observations(0.0))
     melfa.stream.receive(1.25, move(here))

@@ -443,8 +443,7 @@ def test_answers_outside_the_stream():
 
 @pytest.mark.parametrize("name", [n for n in sorted(ALONE) if n.startswith("gelsight")])
 def test_the_card_name_gives_the_serial(name):
-    card, wanted = driver.decode(data(name)), VECTORS[name]["fields"]
-    assert {"name": card.name, "is_gelsight": card.is_gelsight, "serial": card.serial} == wanted
+    assert driver.read_serial(data(name)) == VECTORS[name]["fields"]["serial"]
 
 
 ONE_FRAME = {

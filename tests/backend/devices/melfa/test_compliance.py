@@ -124,7 +124,7 @@ def test_an_emergency_stop_in_contact_ends_the_press(bench, controller):
     motion = bench.arm.press(CONTRACT_BENCH_PRESS)
     while motion.onset_s is None:
         bench.advance(10_000)
-    controller.press_emergency_stop()
+    controller.raise_error(50)
     bench.rest(1.0)
     assert motion.done
     assert bench.arm.fault.code == "HW-STOP"
@@ -231,12 +231,18 @@ def finish(rig, motion, limit_s=6.0):
     raise AssertionError("the motion does not end")
 
 
-@pytest.mark.parametrize("stiffness_n_mm", [3.0, 8.0])
-def test_a_press_counts_from_first_touch_and_holds_the_force_of_springs_in_series(stiffness_n_mm):
-    rig = ready(stiffness_n_mm)
+def pressed(rig):
+    """Press to the end; raise its fault."""
     motion = rig.arm.press(PRESS)
     finish(rig, motion)
     motion.result()
+    return motion
+
+
+@pytest.mark.parametrize("stiffness_n_mm", [3.0, 8.0])
+def test_a_press_counts_from_first_touch_and_holds_the_force_of_springs_in_series(stiffness_n_mm):
+    rig = ready(stiffness_n_mm)
+    motion = pressed(rig)
     press = rig.arm.poses.window(0.0, rig.wires.clock.now_s())
     touched_mm = float(np.interp(motion.onset_s, press.t_s, press.values[:, 2]))
     assert touched_mm == pytest.approx(TOUCH_MM, abs=0.1)
@@ -256,9 +262,7 @@ def test_what_the_sensor_drifts_on_the_way_down_is_no_force_of_the_contact():
     spring = rig.contact
     drift_n = np.array([0.0, 0.0, 0.7])
     rig.contact = lambda pivot: spring(pivot) + (drift_n if pivot[2] < TOUCH_MM + 0.9 else 0.0)
-    motion = rig.arm.press(PRESS)
-    finish(rig, motion)
-    motion.result()
+    pressed(rig)
     steady_n = 1.5 * 15.0 * 8.0 / (15.0 + 8.0)
     assert 8.0 * (TOUCH_MM - rig.true_mm[2]) == pytest.approx(steady_n, abs=0.1)
     # What is told of the force counts as the tare of a run does, which is from before the descent.
@@ -271,9 +275,8 @@ def test_a_contact_that_is_too_stiff_is_found_and_calmed():
     rig = ready(300.0)
     motion = rig.arm.press(PRESS)
     finish(rig, motion)
-    with pytest.raises(FaultError) as raised:
+    with pytest.raises(FaultError, match="CONTACT-SWINGS"):
         motion.result()
-    assert raised.value.fault.code == "CONTACT-SWINGS"
     found_s = rig.wires.clock.now_s() - motion.onset_s
     assert found_s <= 12.0 * rig.arm._orders.level.loop.delay_s
     assert rig.wrench.since(0).values[:, 2].max() < 40.0
@@ -291,9 +294,8 @@ def test_a_force_over_the_trip_draws_the_arm_back():
     height = rig.true_mm[2]
     rig.contact = lambda pivot: np.array([0.0, 0.0, 45.0 if pivot[2] < height + 1.0 else 0.0])
     finish(rig, motion)
-    with pytest.raises(FaultError) as raised:
+    with pytest.raises(FaultError, match="FT-TRIP"):
         motion.result()
-    assert raised.value.fault.code == "FT-TRIP"
     rig.rest(1.0)
     assert rig.true_mm[2] > height + 1.0
 
@@ -334,9 +336,8 @@ def test_a_contact_without_a_gel_is_drawn_back_from(stiff_n_mm):
     rig = ready(stiff_n_mm)
     motion = rig.arm.press(PRESS)
     finish(rig, motion)
-    with pytest.raises(FaultError) as raised:
+    with pytest.raises(FaultError, match="CONTACT-STIFF"):
         motion.result()
-    assert raised.value.fault.code == "CONTACT-STIFF"
     assert rig.wrench.since(0).values[:, 2].max() < 40.0
     height_mm = rig.true_mm[2]
     rig.rest(1.0)
@@ -346,20 +347,17 @@ def test_a_contact_without_a_gel_is_drawn_back_from(stiff_n_mm):
 def test_no_wrench_no_press():
     rig = ready(8.0)
     rig.wrench.clear()
-    with pytest.raises(FaultError) as raised:
+    with pytest.raises(FaultError, match="FT-STALE"):
         rig.arm.press(PRESS)
-    assert raised.value.fault.code == "FT-STALE"
-    with pytest.raises(FaultError) as raised:
+    with pytest.raises(FaultError, match="NOT-PRESSING"):
         rig.arm.unload(1.0, 2.0)
-    assert raised.value.fault.code == "NOT-PRESSING"
 
 
 @pytest.mark.parametrize("speed_mm_s", [13.0, 0.0])
 def test_an_approach_that_could_trip_is_refused(speed_mm_s):
     rig = ready(8.0)
-    with pytest.raises(RefusedError) as raised:
+    with pytest.raises(RefusedError, match="APPROACH-SPEED"):
         rig.arm.press(replace(PRESS, approach_mm_s=speed_mm_s))
-    assert raised.value.reason == "APPROACH-SPEED"
     before = rig.true_mm[2]
     rig.rest(0.1)
     assert rig.true_mm[2] == pytest.approx(before, abs=1e-3)
@@ -507,9 +505,8 @@ def test_three_seconds_of_silence_are_a_lost_link_for_all_that_wait(client):
     tickets = [client.ask(STATE), client.ask(OVERRIDE)]
     client.step(0.0, b"")
     client.step(1.5, b"")
-    with pytest.raises(FaultError) as raised:
+    with pytest.raises(FaultError, match="ARM-LINK"):
         client.step(3.0, b"")
-    assert raised.value.fault.code == "ARM-LINK"
     assert all(ticket.done for ticket in tickets)
     after = client.ask(STATE)
     assert after.done

@@ -143,7 +143,7 @@ def test_the_servo_takes_its_time_and_the_state_tells():
 
 def test_an_emergency_stop_is_reset_only_when_it_is_released():
     client = Client().ready()
-    client.device.controller.press_emergency_stop(61)
+    client.device.controller.raise_error(61)
     state = client.state()
     assert (state.error, StopStatus.EMERGENCY in state.stop) == (61, True)
     assert client.ask("1;1;ERROR") == "Qok61;1"

@@ -18,7 +18,6 @@ from tests.backend.devices.melfa.test_stream import FAR, LEAD_MM, SPEED_MM_S, do
 from touchdown.backend.core.faults import FaultError, RefusedError
 from touchdown.backend.core.values import FloatArray, Pose
 from touchdown.backend.devices.framing import ProtocolError
-from touchdown.backend.devices.melfa import realtime_protocol
 from touchdown.backend.devices.melfa.kinematics import STEPS_RAD
 from touchdown.backend.devices.melfa.realtime_protocol import (
     CYCLE_S,
@@ -26,9 +25,15 @@ from touchdown.backend.devices.melfa.realtime_protocol import (
     BlockKind,
     MelfaPose,
     MxtCommand,
+    MxtReply,
+    MxtRequest,
+    decode_monitor_reply,
+    decode_mxt_reply,
     decode_mxt_request,
+    encode_mxt_reply,
+    encode_mxt_request,
 )
-from touchdown.backend.devices.protocols import DeviceState
+from touchdown.backend.devices.protocols import DeviceState, RobotMode, SafetyMode
 
 MINUTE_S, DOUBLED, REORDERED = 60.0, 0.10, 0.05
 LATE_S = 0.5
@@ -90,6 +95,7 @@ def test_doubled_and_reordered_replies_cause_no_step_back() -> None:
     assert rig.arm.state is DeviceState.READY
     assert counts.repeated > 1000
     assert counts.old > 500
+    assert rig.arm.health.lost == counts.refused + counts.skipped
     assert back == 0
     assert ratio <= 1.05
 
@@ -126,7 +132,7 @@ def test_replies_of_the_stream_before_are_not_used_by_the_next() -> None:
     assert _starts_with_the_echo(rig)
 
 
-@pytest.mark.promise("R5")
+@pytest.mark.promise("R5", "P4")
 @pytest.mark.parametrize("state", ["travel", "press"])
 @pytest.mark.parametrize("silent", ["replies", "this computer"])
 @pytest.mark.parametrize(("seconds", "lost"), OUTAGES_S.items())
@@ -134,7 +140,7 @@ def test_an_outage_is_held_or_a_fault(seconds: float, lost: bool, silent: str, s
     rig = _rig()
     doing(rig, state)
     rig.wires.advance(3500)
-    since = len(rig.wires.packets)
+    since, here_mm = len(rig.wires.packets), rig.true_mm[2]
     if silent == "replies":
         outage(rig, seconds)
     else:
@@ -146,6 +152,10 @@ def test_an_outage_is_held_or_a_fault(seconds: float, lost: bool, silent: str, s
     assert float(steps.max(initial=0.0)) <= MAX_JUMP_MM
     assert (rig.arm.state is DeviceState.FAULT) is lost
     assert lost or rig.arm._core.holds == 1
+    if state == "travel" and not lost:
+        # It goes on by itself, from zero speed.
+        assert not rig.arm._core.program.motion.done
+        assert rig.true_mm[2] > here_mm + 2.0
 
 
 @pytest.mark.promise("R12")
@@ -163,9 +173,9 @@ def test_the_controller_stops_when_the_computer_dies(state: str, phase: int) -> 
         rig.wires.advance(3500)
         cycles += 1
     rig.rest(0.1)
-    assert cycles <= limit
+    assert limit - 2 <= cycles <= limit
     assert float(np.abs(rig.true_mm - here_mm).max()) < 1.0
-    assert rig.device.controller.error
+    assert rig.device.controller.error == rig.settings.mxt.error_timeout
     assert not rig.device.controller.servo
 
 
@@ -233,9 +243,12 @@ def _ended(rig: Rig, happen: Callable[[Rig], None], name: str) -> tuple[float, l
     rig.rest(0.4)
     fault = rig.arm.fault
     emergency = int(name) in EMERGENCIES if name.isdigit() else False
+    status, stopped = rig.arm.status(), fault is not None and fault.code == "HW-STOP"
+    safety, off = SafetyMode.HW_STOP if emergency else SafetyMode.FAULT, RobotMode.SERVO_OFF
     rows = {
         "not told": known() and rig.arm.state is DeviceState.FAULT,
-        "not as an emergency": not emergency or (fault is not None and fault.code == "HW-STOP"),
+        "not as an emergency": stopped is emergency and status.safety_mode is safety,
+        "the servo is told on": name == "program ended" or status.robot_mode is off,
         "a command afterwards": _moves(rig, since) == 0,
         "a command was obeyed": rig.device.stream.commands == followed,
     }
@@ -300,11 +313,9 @@ JOINTS = AxisValues(BlockKind.JOINT, (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.0, 0.0))
 def test_encoded_packets_have_the_published_digest(name):
     ask = VECTORS[name]["direction"] == "pc-to-device"
     if ask:
-        content = realtime_protocol.encode_mxt_request(
-            realtime_protocol.decode_mxt_request(data(name))
-        )
+        content = encode_mxt_request(decode_mxt_request(data(name)))
     else:
-        content = realtime_protocol.encode_mxt_reply(realtime_protocol.decode_mxt_reply(data(name)))
+        content = encode_mxt_reply(decode_mxt_reply(data(name)))
     assert hashlib.sha1(content).hexdigest() == VECTORS[name]["sha1"]
 
 
@@ -313,13 +324,11 @@ def test_encoded_packets_have_the_published_digest(name):
 def test_a_target_that_is_no_number_is_never_sent(bad):
     target = AxisValues(BlockKind.JOINT, (bad, *JOINTS.axes[1:]))
     with pytest.raises(ProtocolError):
-        realtime_protocol.encode_mxt_request(
-            realtime_protocol.MxtRequest(realtime_protocol.MxtCommand.MOVE, target)
-        )
+        encode_mxt_request(MxtRequest(MxtCommand.MOVE, target))
     content = bytearray(data("mxt-move-joint"))
     content[8:12] = struct.pack("<f", bad)
     with pytest.raises(ProtocolError) as refusal:
-        realtime_protocol.decode_mxt_request(bytes(content))
+        decode_mxt_request(bytes(content))
     assert (refusal.value.what, refusal.value.offset) == ("number", 8)
 
 
@@ -328,60 +337,47 @@ def test_an_unknown_monitor_type_is_refused_where_it_stands(slot, at):
     content = bytearray(data("mxt-reply-joint"))
     content[at : at + 2] = (12).to_bytes(2, "little")
     with pytest.raises(ProtocolError) as refusal:
-        realtime_protocol.decode_mxt_reply(bytes(content))
+        decode_mxt_reply(bytes(content))
     assert (refusal.value.what, refusal.value.offset) == ("type", at)
 
 
 def test_an_unknown_command_is_refused():
     with pytest.raises(ProtocolError):
-        realtime_protocol.decode_mxt_reply(b"\x02" + data("mxt-reply-joint")[1:])
+        decode_mxt_reply(b"\x02" + data("mxt-reply-joint")[1:])
 
 
 def test_a_target_of_a_kind_that_cannot_be_sent():
     current = AxisValues(BlockKind.CURRENT, (1, 2, 3, 4, 5, 6, 7, 8))
     with pytest.raises(ProtocolError):
-        realtime_protocol.encode_mxt_request(
-            realtime_protocol.MxtRequest(realtime_protocol.MxtCommand.MOVE, current)
-        )
+        encode_mxt_request(MxtRequest(MxtCommand.MOVE, current))
 
 
 def test_a_reply_whose_blocks_do_not_fit_its_types():
     with pytest.raises(ProtocolError):
-        realtime_protocol.encode_mxt_reply(
-            realtime_protocol.MxtReply(
-                realtime_protocol.MxtCommand.MOVE, 1, (1, 0, 0, 0), (JOINTS, None, None, None), 1
-            )
-        )
+        encode_mxt_reply(MxtReply(MxtCommand.MOVE, 1, (1, 0, 0, 0), (JOINTS, None, None, None), 1))
 
 
 @pytest.mark.parametrize("counter", [-1, 2**32])
 def test_a_counter_wraps_in_the_caller(counter):
     with pytest.raises(ProtocolError):
-        realtime_protocol.encode_mxt_request(
-            realtime_protocol.MxtRequest(realtime_protocol.MxtCommand.NONE, counter=counter)
-        )
+        encode_mxt_request(MxtRequest(MxtCommand.NONE, counter=counter))
 
 
 def test_reserved_bytes_of_a_controller_are_not_held_against_it():
     content = bytearray(data("mxt-reply-joint"))
     content[6:8] = content[66:68] = b"\x12\x34"
-    assert realtime_protocol.decode_mxt_reply(bytes(content)) == realtime_protocol.decode_mxt_reply(
-        data("mxt-reply-joint")
-    )
+    assert decode_mxt_reply(bytes(content)) == decode_mxt_reply(data("mxt-reply-joint"))
 
 
 def test_an_unnamed_data_type_of_the_monitor_is_refused():
     content = data("monitor-stream-force-robmon-pose-float8")
     kinds = {number: kind for number, kind in MONITOR_KINDS.items() if number != 903}
     with pytest.raises(ProtocolError) as refusal:
-        realtime_protocol.decode_monitor_reply(content, kinds)
+        decode_monitor_reply(content, kinds)
     assert refusal.value.what == "type"
 
 
 def test_a_pose_carries_its_flags_back_unchanged():
     pose = MelfaPose((1.0, 2.0, 3.0, 0.5, 0.25, -0.5, 0.0, 0.0), 6, 0x00F0_000E)
-    request = realtime_protocol.MxtRequest(realtime_protocol.MxtCommand.MOVE, pose)
-    assert (
-        realtime_protocol.decode_mxt_request(realtime_protocol.encode_mxt_request(request)).target
-        == pose
-    )
+    request = MxtRequest(MxtCommand.MOVE, pose)
+    assert decode_mxt_request(encode_mxt_request(request)).target == pose

@@ -1,5 +1,6 @@
 """Driver and emulated controller over real sockets: order of start-up, motion, stop, faults."""
 
+import contextlib
 import socket
 import threading
 import time
@@ -31,9 +32,12 @@ def front_of(**more):
 
 
 def arm_of(front):
-    wrench = SampleStream("force_torque", 6, 1000)
-    wires = SocketLinks(front.settings, time.monotonic)
-    return MelfaArm(wires, wrench, front.settings, time.monotonic)
+    return arm_for(front.settings)
+
+
+def arm_for(wanted):
+    wires, wrench = SocketLinks(wanted, time.monotonic), SampleStream("force_torque", 6, 1000)
+    return MelfaArm(wires, wrench, wanted, time.monotonic)
 
 
 @pytest.fixture
@@ -116,12 +120,7 @@ def test_the_rehearsal_controller_is_driven_by_the_bench_table_that_it_prints():
     table = {key.removeprefix("melfa").lstrip("."): dict(row) for key, row in served.bench.items()}
     told = {**table.pop(""), **table, "servo_timeout_s": 10.0, "realtime_priority": 0}
     wanted = HardwareSettings.model_validate({"melfa": told}).melfa
-    arm = MelfaArm(
-        SocketLinks(wanted, time.monotonic),
-        SampleStream("force_torque", 6, 10),
-        wanted,
-        time.monotonic,
-    )
+    arm = arm_for(wanted)
     try:
         patiently(arm)
         assert arm.state is DeviceState.READY
@@ -163,11 +162,9 @@ def test_a_pulled_plug_is_a_fault_and_comes_back_by_hand(front, arm):
     arm.close()
 
     def again():
-        try:
+        with contextlib.suppress(FaultError):
             connect(arm)
-        except FaultError:
-            return False
-        return True
+            return True
 
     until(again)
     assert arm.state is DeviceState.READY
@@ -200,21 +197,17 @@ def test_a_controller_that_is_not_ready_is_refused_by_name(more, trouble, code):
 
 
 def test_another_arm_at_the_address_is_refused(front):
-    wrench = SampleStream("force_torque", 6, 1000)
-    wanted = front.settings.model_copy(update={"robot_type": "RV-8CRL"})
-    arm = MelfaArm(SocketLinks(wanted, time.monotonic), wrench, wanted, time.monotonic)
-    with pytest.raises(FaultError) as raised:
+    arm = arm_for(front.settings.model_copy(update={"robot_type": "RV-8CRL"}))
+    with pytest.raises(FaultError, match="OTHER-ARM"):
         connect(arm)
-    assert raised.value.fault.code == "OTHER-ARM"
 
 
 @pytest.mark.promise("R11")
 def test_a_second_program_is_refused_until_the_first_lets_go(front, arm):
     patiently(arm)
     second = arm_of(front)
-    with pytest.raises(FaultError) as raised:
+    with pytest.raises(FaultError, match="ARM-TAKEN"):
         connect(second)
-    assert raised.value.fault.code == "ARM-TAKEN"
     arm.close()
     patiently(second)
     second.close()
@@ -236,15 +229,9 @@ def test_nobody_at_the_address_is_one_fault():
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
     wanted = settings(host="127.0.0.1", r3={"port": port})
-    arm = MelfaArm(
-        SocketLinks(wanted, time.monotonic),
-        SampleStream("force_torque", 6, 10),
-        wanted,
-        time.monotonic,
-    )
-    with pytest.raises(FaultError) as raised:
+    arm = arm_for(wanted)
+    with pytest.raises(FaultError, match="ARM-LINK"):
         connect(arm)
-    assert raised.value.fault.code == "ARM-LINK"
     arm.stop()
     arm.close()
 

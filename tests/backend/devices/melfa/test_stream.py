@@ -20,12 +20,11 @@ from touchdown.backend.devices.melfa.realtime_protocol import (
 )
 from touchdown.backend.devices.melfa.stream import (
     MONITORS,
-    Phase,
     ReplyFilter,
     SilenceLevel,
     silence_level,
 )
-from touchdown.backend.devices.protocols import DeviceState, PressCommand, RobotMode, SafetyMode
+from touchdown.backend.devices.protocols import DeviceState, PressCommand
 
 SPEED_MM_S = 20.0
 LEAD_MM = 3 * CYCLE_S * SPEED_MM_S
@@ -107,9 +106,8 @@ def test_a_hand_that_was_left_turned_is_taken_as_it_is_and_presses_nothing():
 def test_a_hand_that_leans_too_far_is_not_moved():
     rig = Rig()
     rig.device.controller.joints.command_rad[4] += 0.4
-    with pytest.raises(FaultError) as raised:
+    with pytest.raises(FaultError, match="TILTED"):
         rig.arm.connect(1.0, threading.Event())
-    assert raised.value.fault.code == "TILTED"
     assert rig.device.stream.commands == 0
     assert not rig.device.controller.servo
 
@@ -165,21 +163,6 @@ def test_without_loss_it_reaches_the_asked_speed(rig):
     assert steps_mm(rig, since).max() / CYCLE_S == pytest.approx(SPEED_MM_S, rel=3e-3)
 
 
-@pytest.mark.promise("R2", "R3")
-def test_late_doubled_and_reordered_replies_move_nothing_backwards(rig):
-    link = rig.wires.link
-    link.duplicate, link.late = 0.10, lambda: link.rng.choice((0, 0, 0, 0, 1, 3))
-    since = len(rig.wires.packets)
-    rig.arm.move_to(FAR, SPEED_MM_S)
-    rig.rest(3.0)
-    counts = rig.arm._core.replies.counts
-    assert counts.repeated > 20
-    assert counts.old > 20
-    assert (np.diff(places(rig, since)[:, 2]) >= -1e-4).all()
-    assert steps_mm(rig, since).max() <= 1.05 * LEAD_MM
-    assert rig.arm.health.lost == counts.refused + counts.skipped
-
-
 @pytest.mark.promise("R4")
 def test_garbage_is_counted_and_never_used(rig):
     rig.wires.link.garbage = 0.10
@@ -189,43 +172,6 @@ def test_garbage_is_counted_and_never_used(rig):
     motion.result()
     assert rig.arm._core.replies.counts.refused > 30
     assert rig.true_mm == pytest.approx([0.0, 0.0, 80.0], abs=0.02)
-
-
-@pytest.mark.promise("R2", "R3")
-def test_a_queue_of_old_replies_is_not_believed(rig):
-    link, due = rig.wires.link, {"cycles": 0}
-    link.late = lambda: due["cycles"]
-    rig.arm.move_to(FAR, SPEED_MM_S)
-    rig.rest(0.5)
-    due["cycles"] = 20
-    rig.rest(0.07)
-    due["cycles"] = 0
-    since = len(rig.wires.packets)
-    rig.rest(0.5)
-    assert steps_mm(rig, since).max() <= 1.05 * LEAD_MM
-    assert rig.arm._core.replies.counts.old >= 15
-
-
-@pytest.mark.promise("R5", "P4")
-@pytest.mark.parametrize("seconds", [0.06, 0.0980])
-@pytest.mark.parametrize("own", [False, True], ids=["link", "driver"])
-def test_a_gap_below_the_fault_ends_in_a_hold_and_a_small_jump(rig, seconds, own):
-    motion = rig.arm.move_to(FAR, SPEED_MM_S)
-    rig.rest(0.5)
-    before = len(rig.wires.packets) - 1
-    if own:
-        rig.wires.stalled = True
-        rig.rest(seconds)
-        rig.wires.stalled = False
-    else:
-        outage(rig, seconds)
-    rig.rest(0.3)
-    assert rig.arm._core.holds == 1
-    assert steps_mm(rig, before).max() <= 0.25
-    # It went on by itself, from zero speed.
-    assert not motion.done
-    assert rig.true_mm[2] > places(rig)[before][2] + 2.0
-    assert rig.arm.state is DeviceState.READY
 
 
 @pytest.mark.promise("R5", "P4")
@@ -282,9 +228,8 @@ def test_a_press_is_void_after_a_hold(rig):
     assert press.onset_s is not None
     outage(rig, 0.06)
     assert press.done
-    with pytest.raises(FaultError) as raised:
+    with pytest.raises(FaultError, match="PRESS-VOID"):
         press.result()
-    assert raised.value.fault.code == "PRESS-VOID"
     rig.rest(0.5)
     assert 2.0 < 8.0 * (55.0 - rig.true_mm[2]) < 12.0
 
@@ -332,56 +277,6 @@ def doing(rig, what):
         rig.rest(1.2)
         assert rig.wrench.since(0).values[-1, 2] > 1.0
     rig.rest(0.5)
-
-
-@pytest.mark.promise("R8", "R9")
-@pytest.mark.parametrize(
-    ("number", "what"),
-    [
-        (50, "stand"), (61, "jog"), (70, "press"),
-        (2000, "travel"), (2601, "press"), (4140, "jog"), (6020, "stand"), (4242, "travel"),
-    ],
-)  # fmt: skip
-def test_an_error_of_the_controller_ends_every_state_and_its_number_is_told(rig, number, what):
-    doing(rig, what)
-    rig.device.controller.raise_error(number)
-    followed = rig.device.stream.commands
-    rig.rest(0.35)
-    assert rig.arm.state is DeviceState.FAULT
-    assert str(number) in rig.arm.fault.what
-    assert (rig.arm.status().safety_mode is SafetyMode.HW_STOP) == (number in (50, 61, 70))
-    assert rig.arm.status().robot_mode is RobotMode.SERVO_OFF
-    assert rig.device.stream.commands == followed
-    rig.arm.close()
-    assert rig.device.stream.commands == followed
-    # The operator clears it and connects again: the arm is told to be where it is.
-    rig.device.controller.emergency = False
-    rig.device.controller.reset_error()
-    here_mm, since = rig.true_mm, len(rig.wires.packets)
-    rig.arm.connect(1.0, threading.Event())
-    rig.rest(0.1)
-    assert rig.arm.state is DeviceState.READY
-    assert np.abs(places(rig, since) - here_mm).max() < 0.01
-
-
-@pytest.mark.promise("R8")
-def test_a_program_that_ends_by_itself_is_a_fault(rig):
-    rig.device.controller.finish_program()
-    rig.rest(0.3)
-    assert rig.arm.fault.code in ("MXT-ENDED", "MXT-LOST")
-    assert rig.arm._core.phase is not Phase.OPEN
-
-
-@pytest.mark.promise("R12")
-def test_the_controller_stops_by_itself_when_the_driver_dies(rig):
-    rig.arm.move_to(FAR, SPEED_MM_S)
-    rig.rest(0.5)
-    rig.wires.stalled = True
-    rig.rest(56 * CYCLE_S)
-    assert rig.device.controller.error == 0
-    rig.rest(3 * CYCLE_S)
-    assert rig.device.controller.error == 9902
-    assert not rig.device.controller.servo
 
 
 @pytest.mark.promise("R7")

@@ -19,7 +19,7 @@ from tests.backend.devices.streamed.contact_loop import Plant, largest_stable, p
 from tests.backend.rig.inline import InlineBench
 from touchdown.backend.config.method import StackSettings
 from touchdown.backend.core.events import EpisodeRecorded, Event, FaultRaised, PhaseEntered
-from touchdown.backend.core.faults import TouchdownError
+from touchdown.backend.core.faults import FaultError, TouchdownError
 from touchdown.backend.core.streams import Stream
 from touchdown.backend.core.values import FINGERS, Pose
 from touchdown.backend.devices.guarded_devices import GuardedArm
@@ -253,6 +253,7 @@ def test_a_contact_5_to_12_mm_early_is_a_trip_and_a_retreat() -> None:
         assert codes == ["FT-TRIP"], f"{early_mm:.1f} mm, {speed_mm_s:.0f} mm/s"
     assert ROSE_MM[0] <= min(rose_mm)
     assert max(rose_mm) <= ROSE_MM[1]
+    assert min(peak_n) > TRIP_N
     assert max(peak_n) <= MAX_EARLY_CONTACT_N
 
 
@@ -274,9 +275,14 @@ def _early(board_mm: float, speed_mm_s: float) -> tuple[float, float, list[str]]
         rig.wires.advance(ROUND_US)
         watch.check(now_s())
         lowest_mm = min(lowest_mm, float(rig.true_mm[2]))
+    with pytest.raises(FaultError):
+        motion.result()
+    assert lowest_mm > WANTED_MM
     rig.rest(1.0)
-    peak_n = float(rig.wrench.since(0).values[:, 2].max())
-    return float(rig.true_mm[2]) - lowest_mm, peak_n, [f.code for f in interlock.faults]
+    peak_n, height_mm = float(rig.wrench.since(0).values[:, 2].max()), float(rig.true_mm[2])
+    rig.rest(0.5)
+    assert rig.true_mm[2] == pytest.approx(height_mm, abs=0.01)
+    return height_mm - lowest_mm, peak_n, [f.code for f in interlock.faults]
 
 
 SOFT_N, STIFF_N = 30.0, 100.0  # design stiffness of the damping, N/mm

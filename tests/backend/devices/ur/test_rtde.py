@@ -21,7 +21,6 @@ from touchdown.backend.devices.factories import make_arm, make_force_torque
 from touchdown.backend.devices.protocols import DeviceState, RobotMode, SafetyMode
 from touchdown.backend.devices.ur import driver as ur_arm
 from touchdown.backend.devices.ur import rtde
-from touchdown.backend.devices.ur import rtde as stop_lane
 from touchdown.backend.devices.ur.driver import UrArm
 from touchdown.backend.devices.ur.rtde import SAMPLE, UrWrenchDriver
 from touchdown.backend.simulation.devices.bench import SimulatedBench
@@ -90,14 +89,14 @@ def test_the_controller_is_told_its_tool_and_keeps_hearing(bench, wires):
 
 def test_stop_that_comes_while_a_move_is_being_ordered_is_not_forgotten(bench, monkeypatch):
     bench.connect()
-    here, settle = bench.arm.pose(1.0), stop_lane.StopConnection.settle
+    here, settle = bench.arm.pose(1.0), rtde.StopConnection.settle
 
     def stopped_meanwhile(lane, limit_s):
         settled = settle(lane, limit_s)
         bench.arm.stop()
         return settled
 
-    monkeypatch.setattr(stop_lane.StopConnection, "settle", stopped_meanwhile)
+    monkeypatch.setattr(rtde.StopConnection, "settle", stopped_meanwhile)
     with pytest.raises(FaultError, match="STOPPED"):
         bench.arm.move_to(Pose(here.x_mm + 20.0, here.y_mm, here.z_mm), 50.0)
     monkeypatch.undo()
@@ -268,7 +267,6 @@ def test_the_package_has_what_the_driver_calls():
         (rtde.ControlInterface, control),
         (rtde.ReceiveInterface, receive),
         (rtde.DashboardInterface, dashboard),
-        (stop_lane.Stopper, dashboard),
     ):
         for name, method in vars(ours).items():
             if name.startswith("_"):
@@ -385,12 +383,3 @@ def test_a_gap_in_the_time_of_the_robot_is_counted_and_the_end_of_its_range_told
     assert reading.overload
     assert language.take(SAMPLE.pack(5.016, float("nan"), *LOAD[1:])) == []
     assert language.refusals.in_a_row == 1
-
-
-@pytest.mark.optional
-def test_the_package_has_what_the_sensor_asks():
-    theirs = pytest.importorskip("rtde_receive").RTDEReceiveInterface
-    for name, method in inspect.getmembers(rtde.WrenchSource, inspect.isfunction):
-        if not name.startswith("_"):
-            assert list(inspect.signature(method).parameters) == ["self"]
-            assert callable(getattr(theirs, name))

@@ -3,6 +3,7 @@
 The WSG in both of its protocols, binary and text, and behind the link of a rig.
 """
 
+import contextlib
 import socket
 import threading
 import time
@@ -42,7 +43,17 @@ from touchdown.backend.simulation.scene import Scene
 PART_MM = 30.0
 
 
-class Simulated:
+class GripperBench:
+    """A gripper under test."""
+
+    told = staticmethod(lambda: None)  # waits until an event has been reported
+    senseless = ValueError
+
+    def let_go(self, width_mm):
+        return self.gripper.open_to(width_mm, 20.0)
+
+
+class Simulated(GripperBench):
     """The gripper of the simulated bench; its time is wound by hand."""
 
     def __init__(self):
@@ -52,16 +63,9 @@ class Simulated:
         self.bench = SimulatedBench(Scene(catalogue.top("pot"), bottoms, (6.0, 3.0), 11, settings))
         self.gripper = self.bench.gripper
 
-    told = staticmethod(lambda: None)
-    """Waits until what has just happened is told."""
-    senseless = ValueError
-
     def connect(self):
         self.gripper.connect(1.0, threading.Event())
         self.rest(0.05)
-
-    def let_go(self, width_mm):
-        return self.gripper.open_to(width_mm, 20.0)
 
     def rest(self, seconds):
         self.bench.advance(round(seconds * 1e6))
@@ -70,7 +74,7 @@ class Simulated:
         self.gripper.close()
 
 
-class OverTheWire:
+class OverTheWire(GripperBench):
     """A homed WSG driver and its emulated gripper with a piece between the jaws."""
 
     def __init__(self, **settings):
@@ -87,20 +91,11 @@ class OverTheWire:
         self.gripper = make_gripper(HardwareSettings(wsg=wsg), time.monotonic)
         self.front.start()
 
-    told = staticmethod(lambda: None)
-    senseless = ValueError
-
     def connect(self):
         self.gripper.connect(2.0, threading.Event())
         if not self.gripper.homed:
-            self.finish(self.gripper.home())
+            finish(self, self.gripper.home())
         until(lambda: self.gripper.status().width_mm > 0)
-
-    def let_go(self, width_mm):
-        return self.gripper.open_to(width_mm, 20.0)
-
-    def finish(self, motion):
-        until(lambda: motion.done)
 
     def rest(self, seconds):
         threading.Event().wait(seconds)
@@ -138,18 +133,14 @@ WIRED = {"wsg": BINARY, "wsg text": TEXT, "wsg over the link": OverTheLink}
 EVERY = {"simulated": Simulated, **WIRED}
 
 
-@pytest.fixture(params=EVERY.values(), ids=EVERY.keys())
-def bench(request):
-    made = request.param()
-    yield made
-    made.close()
+def made(request):
+    gripper = request.param()
+    yield gripper
+    gripper.close()
 
 
-@pytest.fixture(params=WIRED.values(), ids=WIRED.keys())
-def wired(request):
-    made = request.param()
-    yield made
-    made.close()
+bench = pytest.fixture(made, name="bench", params=EVERY.values(), ids=EVERY.keys())
+wired = pytest.fixture(made, name="wired", params=WIRED.values(), ids=WIRED.keys())
 
 
 def finish(bench, motion):
@@ -250,6 +241,12 @@ def test_senseless_numbers_are_refused(bench, bad):
             command()
 
 
+def connects(gripper):
+    with contextlib.suppress(FaultError):
+        gripper.connect(2.0, threading.Event())
+        return True
+
+
 @pytest.mark.promise("G2")
 def test_a_link_lost_while_holding_waits_for_the_operator(wired):
     wired.connect()
@@ -261,14 +258,7 @@ def test_a_link_lost_while_holding_waits_for_the_operator(wired):
         wired.gripper.open_to(38.0, 50.0)
     until(lambda: not wired.front.faults.names(time.monotonic()))
 
-    def back():
-        try:
-            wired.gripper.connect(2.0, threading.Event())
-        except FaultError:
-            return False
-        return True
-
-    until(back)
+    until(partial(connects, wired.gripper))
     assert wired.gripper.fault.code == "WSG-FAST-STOP"
     with pytest.raises(FaultError):
         wired.gripper.grip(10.0)
@@ -528,10 +518,7 @@ def test_bad_and_unknown_requests_are_answered():
     spoilt[-1] ^= 1
     out = client.replies.feed(client.gripper.receive(10.0, bytes(spoilt)))
     assert out == [WsgReply(WsgCommand.GRASP, WsgStatus.CHECKSUM_ERROR)]
-    unknown = client.replies.feed(
-        client.gripper.receive(10.0, protocol.encode_request(WsgRequest(0x90)))
-    )
-    assert unknown == [WsgReply(0x90, WsgStatus.CMD_UNKNOWN)]
+    assert client.send(10.0, WsgRequest(0x90)) == [WsgReply(0x90, WsgStatus.CMD_UNKNOWN)]
 
 
 def test_limits_are_the_published_ones():

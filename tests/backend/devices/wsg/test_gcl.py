@@ -7,15 +7,10 @@ from tests.backend.devices.wsg.stepped import Bench
 from touchdown.backend.core.faults import FaultError
 from touchdown.backend.devices.framing import ProtocolError
 from touchdown.backend.devices.wsg import gcl
+from touchdown.backend.devices.wsg.driver import DEVICE_FAULTS
 from touchdown.backend.devices.wsg.protocol import SystemFlag, WsgCommand
 
-FLAGS = (
-    SystemFlag.FAST_STOP,
-    SystemFlag.TEMP_FAULT,
-    SystemFlag.POWER_FAULT,
-    SystemFlag.CURR_FAULT,
-    SystemFlag.FINGER_FAULT,
-)
+FLAGS = (SystemFlag.FAST_STOP, *DEVICE_FAULTS)
 MOTIONS = {WsgCommand.HOME, WsgCommand.PREPOSITION, WsgCommand.GRASP, WsgCommand.RELEASE}
 
 
@@ -29,14 +24,9 @@ def test_no_motion_is_sent_while_a_flag_is_not_acknowledged(flag):
     assert bench.core.fault.code in ("WSG-FAST-STOP", "WSG-DEVICE")
     bench.sent.clear()
     core = bench.core
-    orders = (
-        lambda: core.grip(bench.now_s, 10.0),
-        lambda: core.open_to(bench.now_s, 38.0, 50.0),
-        lambda: core.home(bench.now_s),
-    )
-    for order in orders:
+    for order, *values in ((core.grip, 10.0), (core.open_to, 38.0, 50.0), (core.home,)):
         with pytest.raises(FaultError):
-            order()
+            order(bench.now_s, *values)
     bench.advance(1.0)
     assert not MOTIONS & {request.command for request in bench.sent}
     # The cause has gone; the operator has looked at the piece.
@@ -70,20 +60,10 @@ def test_carriage_returns_are_taken():
     assert gcl.lines().feed(b"FIN GRIP\r\n") == [gcl.GclAnswer("FIN", "GRIP")]
 
 
-@pytest.mark.parametrize(
-    "line",
-    [
-        b"",
-        b"move(40)",
-        b"MOVE(40",
-        b"MOVE(40,)x",
-        b"MOVE(4 0)",
-        b"ACK",
-        b"ERR MOVE",
-        b"\xff\xfe",
-        b"POS ?",
-    ],
-)
+BAD = b"|move(40)|MOVE(40|MOVE(40,)x|MOVE(4 0)|ACK|ERR MOVE|\xff\xfe|POS ?".split(b"|")
+
+
+@pytest.mark.parametrize("line", BAD)
 def test_other_lines_are_refused(line):
     with pytest.raises(ProtocolError):
         gcl.decode(line)

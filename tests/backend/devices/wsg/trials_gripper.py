@@ -90,7 +90,7 @@ class GripperTrial:
         elif fault == "unplug":
             bench.mouth.closed(bench.now_s)
             bench.deaf = True
-            bench.core.lose(link_fault("The connection to the gripper is lost."))
+            bench.core.latch(link_fault("The connection to the gripper is lost."))
             self.barred_s = bench.now_s
         elif fault == "stop":
             bench.send(bench.core.stop())

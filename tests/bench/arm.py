@@ -91,7 +91,6 @@ class Bench:
         self._steady = threading.Event()
 
     def close(self) -> None:
-        """End everything."""
         self.backend.close()
         self.served.close()
 
@@ -116,7 +115,6 @@ class Bench:
     # -- getting somewhere ------------------------------------------------------------------------
 
     def wait(self, seconds: float) -> None:
-        """Let time pass."""
         self._steady.wait(seconds)
 
     def aside(self, order: Callable[[], object], request: bytes = b"") -> None:
@@ -142,7 +140,6 @@ class Bench:
         return any(e.incoming and e.t_s >= since_s and request in e.data for e in newest)
 
     def renew(self) -> None:
-        """Hold a live lease."""
         self.backend.interlock.renew_lease(self.backend.now_s())
 
     def above(self) -> None:

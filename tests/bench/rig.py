@@ -401,7 +401,6 @@ class Child:
         self.hear("ready")
 
     def hear(self, word: str) -> None:
-        """Wait for a word."""
         assert self.process.stdout is not None
         said = self.process.stdout.readline().strip()
         if said != word:
@@ -415,7 +414,6 @@ class Child:
         self.hear("going")
 
     def close(self) -> None:
-        """End it as its user does."""
         self.process.communicate("", timeout=60.0)
 
 

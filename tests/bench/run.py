@@ -89,7 +89,6 @@ def measured(f: Figure) -> str:
 
 
 def table(figures: Sequence[Figure]) -> Table:
-    """Return the table of all figures."""
     shown = Table(title="Figures")
     for column in ("figure", "measured", "target", "", "note"):
         shown.add_column(column, overflow="fold")

@@ -156,7 +156,6 @@ class Heard:
         return {f.fault.code for f in self.facts if isinstance(f, FaultRaised | Paused)}
 
     def of(self, kind: type[Told]) -> list[Told]:
-        """Return the figure of the trials."""
         return [fact for fact in self.facts if isinstance(fact, kind)]
 
 
@@ -271,7 +270,6 @@ def witnessed(seen: DriverObservations, released: int) -> dict[str, bool]:
 
 
 def campaign(trials: int = len(KINDS), first: int = FIRST) -> list[Struck]:
-    """Run trials and return how each ended."""
     with tempfile.TemporaryDirectory() as folder:
         struck = Campaign(Path(folder))
         try:
@@ -287,7 +285,6 @@ def faults_over_the_wires() -> list[Figure]:
 
 
 def of(ended: Sequence[Struck]) -> Figure:
-    """Return the figure of the trials."""
     broken = [one for one in ended if one.broken]
     endings = Counter(one.ended.split()[0] for one in ended)
     kinds = len({(one.kind.device, one.kind.kind) for one in ended})

@@ -5,11 +5,13 @@ from .freshness import scroll_into_view as scroll_into_view
 from .panel import CaptionedView as CaptionedView
 from .panel import ColumnArrangement as ColumnArrangement
 from .panel import Columns as Columns
+from .panel import DrawnView as DrawnView
 from .panel import ElidedLabel as ElidedLabel
 from .panel import Panel as Panel
 from .panel import ScrollingNote as ScrollingNote
 from .panel import add_items as add_items
 from .panel import compact_combo_box as compact_combo_box
+from .panel import describe as describe
 from .panel import flat_button as flat_button
 from .panel import hbox as hbox
 from .panel import label as label
@@ -48,6 +50,7 @@ __all__ = [
     "CaptionedView",
     "ColumnArrangement",
     "Columns",
+    "DrawnView",
     "ElidedLabel",
     "EventPump",
     "Freshness",
@@ -65,6 +68,7 @@ __all__ = [
     "blend",
     "colour_table",
     "compact_combo_box",
+    "describe",
     "draw_elided_line",
     "fit_icon",
     "flat_button",

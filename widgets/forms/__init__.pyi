@@ -16,6 +16,7 @@ from .probe import ProbeText as ProbeText
 from .questions import ACTIVE_DURING_QUESTION as ACTIVE_DURING_QUESTION
 from .questions import ChoiceBar as ChoiceBar
 from .questions import NameDialog as NameDialog
+from .questions import NameField as NameField
 from .run_form import STRATEGIES as STRATEGIES
 from .run_form import RunButtons as RunButtons
 from .run_form import RunForm as RunForm
@@ -37,6 +38,7 @@ __all__ = [
     "JogUnit",
     "LastProbePanel",
     "NameDialog",
+    "NameField",
     "PairHealthPanel",
     "PoseReadout",
     "ProbePanel",

@@ -18,7 +18,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from touchdown.widgets.base import Panel, Theme, add_items, hbox, label
+from touchdown.widgets.base import Panel, Theme, add_items, describe, hbox, label
 from touchdown.widgets.forms.fields import (
     draw_run_icons,
     field_label,
@@ -149,7 +149,7 @@ class TargetPanel(Panel):
         self.show_progress(0, 0, "")
 
     def _tips(self) -> None:
-        for widget, name, tip in (
+        describe(
             (self.piece, "Piece", "Piece to grasp, in its jig"),
             (self.bottom, "Bottom or board", "Body to press on; its outline is known"),
             (self.within, "Range", "Largest displacement along x and along y"),
@@ -176,9 +176,7 @@ class TargetPanel(Panel):
             (self.lift, "Lift", "Lift by 5 mm; no campaign can start in contact"),
             (self.end, "End the campaign for now", "Lift, store the finished probes, end"),
             (self.bar, "Progress", "Accepted probes of the campaign"),
-        ):
-            widget.setAccessibleName(name)
-            widget.setToolTip(tip)
+        )
 
     def _arrange(self) -> None:
         # Compact: at the smallest window size a campaign in contact shows every row.

@@ -14,6 +14,7 @@ from touchdown.widgets.base import (
     Panel,
     Theme,
     add_items,
+    describe,
     hbox,
     label,
     set_property,
@@ -86,10 +87,10 @@ class ProbePanel(Panel):
         self.result = label("No probe yet.", wrap=True)
         self.probe, self.cancel = QPushButton("Probe once"), QPushButton("Cancel")
         self.probe.setProperty("role", "primary")
-        self.probe.setAccessibleName("Probe once")
-        self.probe.setToolTip("Press here with these values, record, and lift (F5)")
-        self.cancel.setAccessibleName("Cancel the probe")
-        self.cancel.setToolTip("End the run: lift the arm, keep the grip")
+        describe(
+            (self.probe, "Probe once", "Press here with these values, record, and lift (F5)"),
+            (self.cancel, "Cancel the probe", "End the run: lift the arm, keep the grip"),
+        )
         self.probe.clicked.connect(on_probe)
         self.cancel.clicked.connect(on_cancel)
         row = hbox((self.probe, 2), (self.cancel, 1))
@@ -151,8 +152,7 @@ class LastProbePanel(Panel):
         grid.setSpacing(6)
         for at, (name, text, key) in enumerate(DECISIONS):
             button = QPushButton(f"{text}  ({key})")
-            button.setAccessibleName(text)
-            button.setToolTip(TIPS[name])
+            describe((button, text, TIPS[name]))
             button.setFocusPolicy(Qt.FocusPolicy.NoFocus)
             button.clicked.connect(lambda _=False, name=name: decide(name))
             self.buttons[name] = button
@@ -214,15 +214,13 @@ class GripperPanel(Panel):
         self.force.setValue(USUAL_N)
         self.force.setSuffix(" N")
         inset_spin_boxes(self.force)
-        self.force.setAccessibleName("Grip force per finger")
-        self.force.setToolTip("Force per finger for the next grip")
+        describe((self.force, "Grip force per finger", "Force per finger for the next grip"))
         self.grip, self.open = QPushButton("Grip"), QPushButton("Open")
         for button, tip, slot in (
             (self.grip, "Close on the piece with this force (G)", on_grip),
             (self.open, "Open the jaws; asks first while a piece is held (Shift+G)", on_open),
         ):
-            button.setAccessibleName(f"{button.text()} the gripper")
-            button.setToolTip(tip)
+            describe((button, f"{button.text()} the gripper", tip))
             button.clicked.connect(slot)
         row = hbox(
             field_label("Force", self.force), (self.force, 1), (self.grip, 1), (self.open, 1)

@@ -179,7 +179,6 @@ class NameDialog(QDialog):
         self._take: Callable[[str], str] = str
         self._taken: Sequence[str] = ()
         self.setWindowTitle(title)
-        self.setModal(False)
         self.head, self.said = label("", "head"), label("", "small", wrap=True)
         self.field = QLineEdit()
         self.save, close = QPushButton("Save"), QPushButton("Close")

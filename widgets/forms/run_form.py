@@ -15,7 +15,7 @@ from PySide6.QtWidgets import (
     QSpinBox,
 )
 
-from touchdown.widgets.base import ElidedLabel, Panel, Theme, add_items, hbox
+from touchdown.widgets.base import ElidedLabel, Panel, Theme, add_items, describe, hbox
 from touchdown.widgets.forms.fields import (
     draw_run_icons,
     field_label,
@@ -106,7 +106,7 @@ class RunPanel(Panel):
         self.show_buttons(RunButtons(False, False, cancel=False, paused=False, form=True))
 
     def _tips(self) -> None:
-        for widget, name, tip in (
+        describe(
             (self._piece, "Piece", "Piece in the gripper; its geometry is known"),
             (self._bottom, "Bottom", "Body to stack on; its shape is unknown to the method"),
             (self._under, "Below it", "Second body under the bottom, for a tower"),
@@ -116,9 +116,7 @@ class RunPanel(Panel):
             (self._mode, "Mode", "Moves that wait for your approval"),
             (self.pause, "Pause", "Pause at the next safe point, arm lifted (P)"),
             (self.cancel, "Cancel", "End the run: lift the arm, keep the grip"),
-        ):
-            widget.setAccessibleName(name)
-            widget.setToolTip(tip)
+        )
         self.start.setAccessibleName("Start stacking")
 
     def _arrange(self) -> None:
@@ -226,15 +224,13 @@ class ScenePanel(Panel):
         self._on_set = on_set
         self.piece, self.bottom = QComboBox(), QComboBox()
         self.set = QPushButton("Set")
-        for combo, name, tip in (
+        describe(
             (self.piece, "Piece", "Piece between the jaws"),
             (self.bottom, "Bottom", "Body below the piece"),
-        ):
-            combo.setAccessibleName(name)
-            combo.setToolTip(tip)
-            let_shrink(combo, letters=6)
-        self.set.setAccessibleName("Set the bench")
-        self.set.setToolTip("Reset both to their places on the simulated bench (Ctrl+N)")
+        )
+        tip = "Reset both to their places on the simulated bench (Ctrl+N)"
+        describe((self.set, "Set the bench", tip))
+        let_shrink(self.piece, self.bottom, letters=6)
         self.set.clicked.connect(self.ask)
         self.column.addLayout(hbox((self.piece, 1), (self.bottom, 1), self.set))
 

@@ -17,7 +17,7 @@ from PySide6.QtWidgets import (
     QToolButton,
 )
 
-from touchdown.widgets.base import Panel, Theme, add_items, hbox
+from touchdown.widgets.base import Panel, Theme, add_items, describe, hbox
 from touchdown.widgets.forms.fields import (
     draw_run_icons,
     field_label,
@@ -109,7 +109,7 @@ class TrainingFormPanel(Panel):
         self.show_buttons(TrainingButtons(start=False, cancel=False, resume=False))
 
     def _tips(self) -> None:
-        for widget, name, tip in (
+        describe(
             (self.data, "Data", "A dataset, or a folder of simulated packs"),
             (self.folder, "Choose another folder of data", "Choose another folder of data"),
             (self.labels, "Labels", "Labels to train on"),
@@ -120,9 +120,7 @@ class TrainingFormPanel(Panel):
             (self.resume, "Resume", "Continue the selected training (Ctrl+Shift+Return)"),
             (self.divide, "Divide series", "Hold out grips instead of whole series (leakage)"),
             (self.defaults, "Defaults", "Fill in the network and settings of the paper"),
-        ):
-            widget.setAccessibleName(name)
-            widget.setToolTip(tip)
+        )
 
     def _arrange(self) -> None:
         form = QGridLayout()
@@ -218,8 +216,7 @@ class _Numbers:
             ("Held out", "Share of the episodes for validation", self.held_out),
         )
         for name, tip, box in self.named:
-            box.setAccessibleName(name)
-            box.setToolTip(tip)
+            describe((box, name, tip))
             inset_spin_boxes(box)
             box.setMinimumWidth(LEAST_PX)  # two share a row
 

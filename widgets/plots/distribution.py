@@ -8,12 +8,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from PySide6.QtCore import QPointF, QRectF, QSize, Qt
+from PySide6.QtCore import QPointF, QRectF, Qt
 from PySide6.QtGui import QColor, QMouseEvent, QPainter, QPaintEvent, QPen
-from PySide6.QtWidgets import QSizePolicy, QWidget
 
 from touchdown.backend.core import FloatArray
-from touchdown.widgets.base import MapName, Theme, colour_table, map_colours, ui_font
+from touchdown.widgets.base import DrawnView, MapName, Theme, colour_table, map_colours, ui_font
 from touchdown.widgets.plots.axes import (
     PictureCache,
     PlotArea,
@@ -74,23 +73,16 @@ class DistributionScene:
         return (low, high) if high > low else (low - 0.5, high + 0.5)
 
 
-class DistributionView(QWidget):
+class DistributionView(DrawnView):
     """Plot of a ``DistributionScene``; ``choose`` gets the index of the clicked dot."""
 
     def __init__(self, theme: Theme, name: str, choose: Callable[[int], None]) -> None:
-        super().__init__()
-        self._theme, self._choose = theme, choose
+        # Nearly a square; the colour bar takes room at the right.
+        super().__init__(theme, name, (190, 180), (320, 280))
+        self._choose = choose
         self.scene = DistributionScene()
         self._map: MapName = "cividis"
         self._cache = PictureCache(self, theme)
-        self.setAccessibleName(name)
-        self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Expanding)
-        self.setMinimumSize(190, 180)
-        self.setAttribute(Qt.WidgetAttribute.WA_OpaquePaintEvent)
-
-    def sizeHint(self) -> QSize:
-        """Return nearly a square; the colour bar takes room at the right."""
-        return QSize(320, 280)
 
     def show_scene(self, scene: DistributionScene) -> None:
         """Show another scene."""

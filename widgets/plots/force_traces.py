@@ -8,10 +8,10 @@ from functools import lru_cache
 import numpy as np
 from PySide6.QtCore import QPointF, QRectF, Qt
 from PySide6.QtGui import QPainter, QPaintEvent, QPen, QPolygonF, QStaticText
-from PySide6.QtWidgets import QSizePolicy, QWidget
+from PySide6.QtWidgets import QWidget
 
 from touchdown.backend.core import FloatArray
-from touchdown.widgets.base import Age, Panel, Theme, flat_button, ui_font
+from touchdown.widgets.base import Age, DrawnView, Panel, Theme, flat_button, ui_font
 from touchdown.widgets.plots.axes import (
     PictureCache,
     PlotArea,
@@ -31,12 +31,12 @@ ROW_EM = 1.4  # distance of the read-outs in text heights
 SPANS_S = (10.0, 30.0, 60.0)
 
 
-class TracePlot(QWidget):
+class TracePlot(DrawnView):
     """Three traces of one unit. The range grows in round steps and shrinks only with ``fit``."""
 
     def __init__(self, theme: Theme, name: str, symbol: str, unit: str, limit: float) -> None:
-        super().__init__()
-        self._theme, self._name, self._symbol, self._unit = theme, name, symbol, unit
+        super().__init__(theme, f"{name} traces", (240, 110))
+        self._name, self._symbol, self._unit = name, symbol, unit
         self._least = self.limit = limit
         self.buckets = TraceBuckets(3, buckets=BUCKETS)
         self._age, self._age_s, self._reason = Age.NEVER, 0.0, ""
@@ -44,10 +44,6 @@ class TracePlot(QWidget):
         self._ground = PictureCache(self, theme)
         self.paints = 0
         self.points_drawn = 0
-        self.setAccessibleName(f"{name} traces")
-        self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Expanding)
-        self.setMinimumSize(240, 110)
-        self.setAttribute(Qt.WidgetAttribute.WA_OpaquePaintEvent)
 
     def add(self, t_s: FloatArray, values: FloatArray) -> None:
         """Add samples: ``t_s`` (n,), ``values`` (n, 3)."""

@@ -7,12 +7,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from PySide6.QtCore import QPointF, QRectF, QSize, Qt
+from PySide6.QtCore import QPointF, QRectF, Qt
 from PySide6.QtGui import QColor, QImage, QMouseEvent, QPainter, QPaintEvent, QPen
 from PySide6.QtWidgets import QSizePolicy, QWidget
 
 from touchdown.backend.core import FloatArray
-from touchdown.widgets.base import Theme, Tokens, ui_font
+from touchdown.widgets.base import DrawnView, Theme, Tokens, ui_font
 from touchdown.widgets.plots.axes import PlotArea, draw_message, nice_step, tick_text, ticks
 
 LEAST = {"N": 1.0, "N·m": 0.02}
@@ -185,25 +185,17 @@ Drawn = tuple[TraceSheet, QImage]  # a sheet and its picture, drawn in advance
 FONTS, GAP_PX = (0.85, 0.75, 0.68), 8  # font scales of the read-outs; the first that fits is used
 
 
-class RecordedTraces(QWidget):
+class RecordedTraces(DrawnView):
     """Plot of the chosen channels; ``seek`` gets the clicked time."""
 
     def __init__(self, theme: Theme, channels: tuple[int, ...], seek: Callable[[float], None]):
-        super().__init__()
-        self._theme, self._seek = theme, seek
+        super().__init__(theme, "Force and moment of the probe", (200, 84), (420, 130))
+        self._seek = seek
         self.channels = channels
         self.trace: WrenchTrace | None = None
         self.cursor_s = 0.0
         self._why_empty = NO_WRENCH
         self._drawn: Drawn | None = None
-        self.setAccessibleName("Force and moment of the probe")
-        self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Expanding)
-        self.setMinimumSize(200, 84)
-        self.setAttribute(Qt.WidgetAttribute.WA_OpaquePaintEvent)
-
-    def sizeHint(self) -> QSize:
-        """Return a flat rectangle."""
-        return QSize(420, 130)
 
     def show_trace(
         self, trace: WrenchTrace | None, drawn: Drawn | None = None, why: str = NO_WRENCH
@@ -364,24 +356,16 @@ def step_of(trace: WrenchTrace) -> int:
     return max(len(trace.t_s) // MOST_POINTS, 1)
 
 
-class PhasePlot(QWidget):
+class PhasePlot(DrawnView):
     """Plot of the path (Tx, Ty): strong up to the cursor, faint after it."""
 
     def __init__(self, theme: Theme) -> None:
-        super().__init__()
-        self._theme = theme
+        super().__init__(theme, "Moment Tx over moment Ty", (140, 110), (150, 150))
         self._trace: WrenchTrace | None = None
         self._cursor_s = 0.0
         self._why_empty = "No moments"
         self._drawn: PhaseDrawn | None = None
-        self.setAccessibleName("Moment Tx over moment Ty")
         self.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Expanding)
-        self.setMinimumSize(140, 110)
-        self.setAttribute(Qt.WidgetAttribute.WA_OpaquePaintEvent)
-
-    def sizeHint(self) -> QSize:
-        """Return a square."""
-        return QSize(150, 150)
 
     def show_trace(
         self, trace: WrenchTrace | None, drawn: PhaseDrawn | None = None, why: str = "No moments"

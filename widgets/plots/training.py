@@ -8,12 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from PySide6.QtCore import QPointF, QRectF, QSize, Qt
+from PySide6.QtCore import QPointF, QRectF, Qt
 from PySide6.QtGui import QColor, QFontMetrics, QPainter, QPaintEvent, QPen, QPolygonF
-from PySide6.QtWidgets import QSizePolicy, QWidget
 
 from touchdown.backend.core import FloatArray
-from touchdown.widgets.base import Theme, map_colours, ui_font
+from touchdown.widgets.base import DrawnView, Theme, map_colours, ui_font
 from touchdown.widgets.plots.axes import (
     PlotArea,
     draw_message,
@@ -41,20 +40,13 @@ class CurveLine:
     dashed: bool = False
 
 
-class _TrainingPlot(QWidget):
+class _TrainingPlot(DrawnView):
     """Axes and lines; small enough to be drawn without a cache."""
 
     def __init__(self, theme: Theme, name: str) -> None:
-        super().__init__()
-        self._theme, self._name = theme, name
+        super().__init__(theme, name, (130, 96), (280, 170), opaque=False)
+        self._name = name
         self.lines: tuple[CurveLine, ...] = ()
-        self.setAccessibleName(name)
-        self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Expanding)
-        self.setMinimumSize(130, 96)
-
-    def sizeHint(self) -> QSize:
-        """Return room for a readable plot."""
-        return QSize(280, 170)
 
     def _area(self, x: tuple[float, float], y: tuple[float, float], right: float) -> PlotArea:
         em = self.fontMetrics().height()
@@ -217,21 +209,14 @@ class SampleScene:
     pitch_mm: float = 1.0
 
 
-class SampleStrip(QWidget):
+class SampleStrip(DrawnView):
     """Tiles of samples from best to worst, as many as fit."""
 
     def __init__(self, theme: Theme) -> None:
-        super().__init__()
-        self._theme = theme
+        name = "Sample predictions beside the truth"
+        super().__init__(theme, name, (200, 110), (520, 240), opaque=False)
         self.scenes: tuple[SampleScene, ...] = ()
         self._why = "Choose a finished run."
-        self.setAccessibleName("Sample predictions beside the truth")
-        self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Expanding)
-        self.setMinimumSize(200, 110)
-
-    def sizeHint(self) -> QSize:
-        """Return room for two rows."""
-        return QSize(520, 240)
 
     def show_scenes(self, scenes: Sequence[SampleScene], why: str = "") -> None:
         """Show these samples; ``why`` is shown if there are none."""

@@ -159,7 +159,6 @@ class DeviceInspector(QDialog):
 
     def __init__(self, parent: QWidget, on_reconnect: Callable[[], None]) -> None:
         super().__init__(parent)
-        self.setModal(False)
         self.key = ""
         self.reconnect = QPushButton("Reconnect")
         self.reconnect.setToolTip("Close the connection and open it again; the grip is kept")

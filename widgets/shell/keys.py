@@ -116,7 +116,6 @@ class CommandPalette(QDialog):
         self._window, self._on_choice = parent, on_choice
         self._choices: Sequence[PaletteEntry] = ()
         self.setWindowTitle("Commands")
-        self.setModal(False)
         self.field, self.list = QLineEdit(), QListWidget()
         self.field.setPlaceholderText("What do you want to do?")
         self.field.setAccessibleName("Find a command")
@@ -203,7 +202,6 @@ class KeySheet(QDialog):
         super().__init__(parent)
         self._window = parent
         self.setWindowTitle("Keys")
-        self.setModal(False)
         self._scroll = QScrollArea()
         self._scroll.setWidgetResizable(True)
         self._scroll.setFrameShape(QFrame.Shape.NoFrame)
@@ -271,7 +269,6 @@ class KeyDialog(QDialog):
         super().__init__(parent)
         self._change: Callable[[str], str] = str
         self.setWindowTitle("Change a key")
-        self.setModal(False)
         self.head, self.said = label("", "head", wrap=True), label("", wrap=True)
         none, close = QPushButton("No key"), QPushButton("Close")
         none.setToolTip("The command stays available in the palette")

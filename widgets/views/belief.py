@@ -21,7 +21,7 @@ from PySide6.QtGui import (
 from PySide6.QtWidgets import QSizePolicy, QWidget
 
 from touchdown.backend.core import BeliefMap, FloatArray, Stability
-from touchdown.widgets.base import MapName, Theme, map_colours, ui_font
+from touchdown.widgets.base import DrawnView, MapName, Theme, map_colours, ui_font
 from touchdown.widgets.plots import PictureCache, PlotArea, draw_message, draw_mm_grid
 
 ENTRIES = (
@@ -258,23 +258,17 @@ def _step(
     stroke_on_black(painter, 2.2, Qt.PenStyle.SolidLine, stroke)
 
 
-class BeliefView(QWidget):
+class BeliefView(DrawnView):
     """View of a ``BeliefScene``; rendered again only if the scene, size or theme changes."""
 
     def __init__(self, theme: Theme, *, thumbnail: bool = False) -> None:
-        super().__init__()
-        self._theme, self._thumbnail = theme, thumbnail
+        least_px = (40, 40) if thumbnail else (240, 200)
+        super().__init__(theme, "Belief map", least_px, (480, 480), opaque=False)
+        self._thumbnail = thumbnail
         self.scene = BeliefScene()
         self.map_name: MapName = "cividis"
         self._drawn = PictureCache(self, theme)
         self.paints = self.renders = 0
-        self.setAccessibleName("Belief map")
-        self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Expanding)
-        self.setMinimumSize(*((40, 40) if thumbnail else (240, 200)))
-
-    def sizeHint(self) -> QSize:
-        """Return a square."""
-        return QSize(480, 480)
 
     def show_scene(self, scene: BeliefScene) -> None:
         """Show another scene."""

@@ -6,12 +6,12 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from PySide6.QtCore import QEvent, Qt, Signal
-from PySide6.QtGui import QKeyEvent
-from PySide6.QtWidgets import QFrame, QGridLayout, QLineEdit, QPushButton, QWidget
+from PySide6.QtCore import Qt, Signal
+from PySide6.QtWidgets import QFrame, QGridLayout, QPushButton, QWidget
 
 from touchdown.backend.core import Outcome, PlaceAction, Stability, SupportKind
 from touchdown.widgets.base import Panel, Theme, add_items, hbox, label, set_property, vbox
+from touchdown.widgets.forms import NameField
 from touchdown.widgets.views.offset import OffsetScene, OffsetView
 
 OUTCOMES: tuple[tuple[Outcome, str, str], ...] = (
@@ -41,16 +41,6 @@ class TrialPrompt:
     proposed: Outcome | None = None
 
 
-class _Reason(QLineEdit):
-    """Line edit that claims Enter before the shortcuts of the page."""
-
-    def event(self, event: QEvent) -> bool:
-        """Claim Enter before a shortcut does."""
-        if isinstance(event, QKeyEvent) and event.key() in (Qt.Key.Key_Return, Qt.Key.Key_Enter):
-            event.accept()
-        return super().event(event)
-
-
 class TrialPanel(Panel):
     """Question to the operator during a trial; hidden if there is none."""
 
@@ -67,7 +57,7 @@ class TrialPanel(Panel):
         self.yes, self.no = QPushButton("Ready"), QPushButton("Not now")
         self.yes.setProperty("role", "primary")
         self.outcomes = {outcome: QPushButton(text) for outcome, text, _ in OUTCOMES}
-        self.reason = _Reason()
+        self.reason = NameField()
         self.reason.setPlaceholderText("Reason (required for a void trial)")
         self.reason.setAccessibleName("Reason")
         self.reason.setMaxLength(200)

@@ -9,12 +9,11 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from PySide6.QtCore import QPointF, QRectF, QSize, Qt
+from PySide6.QtCore import QPointF, QRectF, Qt
 from PySide6.QtGui import QColor, QMouseEvent, QPainter, QPaintEvent, QPen, QPixmap, QPolygonF
-from PySide6.QtWidgets import QSizePolicy, QWidget
 
 from touchdown.backend.core import FloatArray, SupportKind
-from touchdown.widgets.base import Theme, blend, ui_font
+from touchdown.widgets.base import DrawnView, Theme, blend, ui_font
 from touchdown.widgets.plots import PictureCache, PlotArea, draw_message, draw_mm_grid
 from touchdown.widgets.views.belief import draw_plus
 
@@ -252,12 +251,12 @@ def _placed(area: PlotArea, outline: FloatArray, at_mm: Point, yaw_rad: float) -
 Moved = Callable[[Point], None]
 
 
-class OffsetView(QWidget):
+class OffsetView(DrawnView):
     """View of an ``OffsetScene`` with a draggable face; the background is cached."""
 
     def __init__(self, theme: Theme, moved: Moved, dropped: Callable[[], None]) -> None:
-        super().__init__()
-        self._theme, self._moved, self._dropped = theme, moved, dropped
+        super().__init__(theme, "Displacement of the grasped face", (240, 140), (460, 460))
+        self._moved, self._dropped = moved, dropped
         self.scene: OffsetScene | None = None
         self.editable = True
         self._held_mm: Point | None = None
@@ -269,14 +268,6 @@ class OffsetView(QWidget):
         self._pair: tuple[object, object] | None = None
         self._behind_key: tuple[object, ...] = ()
         self.paints = 0
-        self.setAccessibleName("Displacement of the grasped face")
-        self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Expanding)
-        self.setMinimumSize(240, 140)
-        self.setAttribute(Qt.WidgetAttribute.WA_OpaquePaintEvent)
-
-    def sizeHint(self) -> QSize:
-        """Return a square."""
-        return QSize(460, 460)
 
     def show_scene(self, scene: OffsetScene | None) -> None:
         """Show another displacement or episode."""

@@ -104,7 +104,6 @@ class ReportSheet(QDialog):
     def __init__(self, parent: QWidget) -> None:
         super().__init__(parent)
         self._window = parent
-        self.setModal(False)
         self.setWindowTitle("Report of experiments")
         self.head, self.banner = label("", "head", wrap=True), label("", "title", wrap=True)
         self.banner.setAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)

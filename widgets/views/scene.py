@@ -7,12 +7,11 @@ from functools import lru_cache
 
 import cv2
 import numpy as np
-from PySide6.QtCore import QPointF, QRectF, QSize, Qt
+from PySide6.QtCore import QPointF, QRectF, Qt
 from PySide6.QtGui import QColor, QPainter, QPaintEvent, QPen, QPolygonF
-from PySide6.QtWidgets import QSizePolicy, QWidget
 
 from touchdown.backend.core import FloatArray
-from touchdown.widgets.base import Theme, blend, ui_font
+from touchdown.widgets.base import DrawnView, Theme, blend, ui_font
 from touchdown.widgets.plots import draw_message
 
 Quaternion = tuple[float, float, float, float]
@@ -106,22 +105,13 @@ class SideScene:
         return tuple(boxes)
 
 
-class SideView(QWidget):
+class SideView(DrawnView):
     """View of a ``SideScene``; an equal scene is not drawn again."""
 
     def __init__(self, theme: Theme) -> None:
-        super().__init__()
-        self._theme = theme
+        super().__init__(theme, "Side view of the bench", (120, 90), (280, 180))
         self.scene = SideScene()
         self.paints = 0
-        self.setAccessibleName("Side view of the bench")
-        self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Expanding)
-        self.setMinimumSize(120, 90)
-        self.setAttribute(Qt.WidgetAttribute.WA_OpaquePaintEvent)
-
-    def sizeHint(self) -> QSize:
-        """Return a landscape format."""
-        return QSize(280, 180)
 
     def show_scene(self, scene: SideScene) -> None:
         """Show another scene."""

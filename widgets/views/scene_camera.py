@@ -7,12 +7,11 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from PySide6.QtCore import QPointF, QRectF, QSize, Qt
+from PySide6.QtCore import QPointF, QRectF, Qt
 from PySide6.QtGui import QColor, QImage, QPainter, QPaintEvent, QPen
-from PySide6.QtWidgets import QSizePolicy, QWidget
 
 from touchdown.backend.core import FloatArray, ImageArray
-from touchdown.widgets.base import Theme, ui_font
+from touchdown.widgets.base import DrawnView, Theme, ui_font
 from touchdown.widgets.plots import draw_message, polygon_of
 
 OutlineKind = Literal["bottom", "label", "scene"]
@@ -45,22 +44,13 @@ class SceneShot:
     outlines: tuple[PictureOutline, ...]
 
 
-class SceneShotView(QWidget):
+class SceneShotView(DrawnView):
     """Pictures side by side, cut to the same part around the outlines of the first."""
 
     def __init__(self, theme: Theme) -> None:
-        super().__init__()
-        self._theme = theme
+        super().__init__(theme, "Pictures of the scene camera", (240, 120), (480, 180))
         self.shots: tuple[SceneShot, ...] = ()
         self._why_empty = NO_PICTURE
-        self.setAccessibleName("Pictures of the scene camera")
-        self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Expanding)
-        self.setMinimumSize(240, 120)
-        self.setAttribute(Qt.WidgetAttribute.WA_OpaquePaintEvent)
-
-    def sizeHint(self) -> QSize:
-        """Return room for two pictures."""
-        return QSize(480, 180)
 
     def show_shots(self, shots: Sequence[SceneShot], why: str = NO_PICTURE) -> None:
         """Show pictures of an episode; ``why``: reason if there are none."""

@@ -10,7 +10,16 @@ from PySide6.QtGui import QPainter, QPaintEvent, QPen
 from PySide6.QtWidgets import QComboBox, QDialog, QPushButton, QSizePolicy, QSpinBox, QWidget
 
 from touchdown.backend.core import Outcome
-from touchdown.widgets.base import Panel, Theme, add_items, hbox, label, set_property, vbox
+from touchdown.widgets.base import (
+    Panel,
+    Theme,
+    add_items,
+    describe,
+    hbox,
+    label,
+    set_property,
+    vbox,
+)
 from touchdown.widgets.forms import field_label, inset_spin_boxes, set_entries
 from touchdown.widgets.views.belief import BeliefScene, BeliefView
 
@@ -219,18 +228,15 @@ class ComparisonSheet(QDialog):
         super().__init__(parent)
         self._window = parent
         self.setWindowTitle("Strategies on the same seed")
-        self.setModal(False)
         self.head = label("", "head", wrap=True)
         self.panels = StrategyPanel(theme), StrategyPanel(theme)
         self.trial = QSpinBox()
         self.trial.setRange(1, 1)
         inset_spin_boxes(self.trial)
-        self.trial.setAccessibleName("Trial")
-        self.trial.setToolTip("Trial shown on both sides")
+        describe((self.trial, "Trial", "Trial shown on both sides"))
         self.trial.valueChanged.connect(choose)
         self.against = QComboBox()
-        self.against.setAccessibleName("Strategy to compare with")
-        self.against.setToolTip("Strategy on the right")
+        describe((self.against, "Strategy to compare with", "Strategy on the right"))
         self.against.activated.connect(lambda at: against(self.against.itemData(at)))
         self.run = QPushButton("Run both")
         self.run.setProperty("role", "primary")

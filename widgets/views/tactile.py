@@ -19,7 +19,7 @@ from PySide6.QtGui import (
     QPixmap,
     QResizeEvent,
 )
-from PySide6.QtWidgets import QSizePolicy, QWidget
+from PySide6.QtWidgets import QSizePolicy
 
 from touchdown.backend.core import (
     Finger,
@@ -29,7 +29,15 @@ from touchdown.backend.core import (
     MarkerState,
     TactileFrame,
 )
-from touchdown.widgets.base import Age, MapName, Theme, colour_table, map_colours, ui_font
+from touchdown.widgets.base import (
+    Age,
+    DrawnView,
+    MapName,
+    Theme,
+    colour_table,
+    map_colours,
+    ui_font,
+)
 from touchdown.widgets.plots import LineBuffer, draw_message, draw_stale_overlay
 
 
@@ -161,12 +169,12 @@ LOOKS: tuple[tuple[Look, str], ...] = (
 )
 
 
-class TactileView(QWidget):
+class TactileView(DrawnView):
     """Newest image and marker field of one finger."""
 
     def __init__(self, theme: Theme, finger: Finger) -> None:
-        super().__init__()
-        self._theme = theme
+        name, least_px = f"Tactile image, {finger} finger", (MIN_SIZE.width(), MIN_SIZE.height())
+        super().__init__(theme, name, least_px, (IMAGE_W, IMAGE_H))
         self._frame: TactileFrame | None = None
         self._field: MarkerField | None = None
         self._age, self._age_s, self._reason = Age.NEVER, 0.0, ""
@@ -175,16 +183,9 @@ class TactileView(QWidget):
         self._legend_key: tuple[object, ...] = ()
         self.look: Look = "both"
         self.paints = 0
-        self.setAccessibleName(f"Tactile image, {finger} finger")
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Preferred)
-        self.setMinimumSize(MIN_SIZE)
         self._limit_px = self.maximumHeight()
         self.never, self.gone = "No camera yet", "No live picture"  # titles of the empty view
-        self.setAttribute(Qt.WidgetAttribute.WA_OpaquePaintEvent)
-
-    def sizeHint(self) -> QSize:
-        """Return the size of the image."""
-        return QSize(IMAGE_W, IMAGE_H)
 
     def limit_height(self, limit_px: int) -> None:
         """Limit the height, so that a wide window leaves room below."""

@@ -44,7 +44,6 @@ def driver(wanted: MelfaSettings) -> MelfaArm:
 
 
 def emulate() -> None:
-    """Serve until the input ends."""
     served = front()
     served.start()
     sys.stdout.write(served.settings.model_dump_json() + "\n")
@@ -95,7 +94,6 @@ def drive(wanted: MelfaSettings, seconds: float, load: int, priority: int) -> No
 
 
 def main(arguments: list[str]) -> None:
-    """Do what the first argument says."""
     if arguments[0] == "emulate":
         emulate()
     elif arguments[0] == "burn":

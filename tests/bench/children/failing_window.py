@@ -228,7 +228,7 @@ def _ask_in_train(window: Watched, thread: str, leave: Callable[[], None]) -> No
 
 
 def _nothing(*_: object) -> None:
-    """Nobody waits."""
+    pass
 
 
 def print_found(found: Mapping[str, object]) -> None:
@@ -238,7 +238,6 @@ def print_found(found: Mapping[str, object]) -> None:
 
 
 def main(words: list[str]) -> int:
-    """Do what the first word says."""
     with tempfile.TemporaryDirectory() as name:
         window = Watched(Path(name))
         if words[0] == "worker":

@@ -157,7 +157,6 @@ class Blocking:
         self.lost, self.facts, self.close = 0, source.facts, source.close
 
     def read(self, limit_s: float) -> bytes | ImageArray | None:
-        """Return the next picture, or block."""
         if self._block.is_set():
             self._block.clear()
             threading.Event().wait(BLOCKED_S)
@@ -191,7 +190,6 @@ class Canvas(QWidget):
     error: type[Exception] | None = None
 
     def paintEvent(self, event: QPaintEvent) -> None:  # noqa: N802
-        """Raise if armed."""
         if self.error is not None:
             raise self.error("deliberate")
 
@@ -399,7 +397,6 @@ SCENARIOS: dict[str, tuple[Callable[..., Watched], Callable[[Any], dict[str, obj
 
 
 def main(scenario: str, *lab: str) -> int:
-    """Measure, close the window, print."""
     sys.setswitchinterval(THREAD_SWITCH_S)
     make, measure = SCENARIOS[scenario]
     with tempfile.TemporaryDirectory() as name:

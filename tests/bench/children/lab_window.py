@@ -43,11 +43,9 @@ class Note:
             self._memory = mmap.mmap(file.fileno(), NOTE.size)
 
     def write(self, number: float) -> None:
-        """Note a number."""
         NOTE.pack_into(self._memory, 0, number)
 
     def read(self) -> float:
-        """Return the last one."""
         return float(NOTE.unpack_from(self._memory, 0)[0])
 
 
@@ -91,7 +89,6 @@ class LabWindow(Watched):
         raise TimeoutError(f"the bench does not become ready: {connection.lines()}")
 
     def linger(self, for_s: float) -> None:
-        """Live for so long."""
         end_s = time.monotonic() + for_s
         self.pump(lambda: time.monotonic() >= end_s)
 
@@ -109,7 +106,6 @@ class LabWindow(Watched):
         return pad
 
     def release(self, pad: QWidget) -> None:
-        """Let go of a pad."""
         QTest.mouseRelease(pad, Qt.MouseButton.LeftButton)
 
     def rise(self) -> None:
@@ -225,7 +221,6 @@ WAYS: dict[str, Callable[[LabWindow, QWidget], None]] = {**STALLS, **LOSSES, "no
 
 
 def say(text: str) -> None:
-    """Tell the parent."""
     sys.stdout.write(text + "\n")
     sys.stdout.flush()
 
@@ -249,7 +244,6 @@ def jog(window: LabWindow, speed_mm_s: float, way: str) -> None:
 
 
 def main(lab: Path, note: Path) -> None:
-    """Jog as told until the input ends."""
     sys.setswitchinterval(THREAD_SWITCH_S)
     orders: list[str] = []
     over = threading.Event()

@@ -84,7 +84,6 @@ class LoggedFront(MelfaServer):
         return caller[0], caller[1]
 
     def told(self) -> Told:
-        """Return what came since the last call."""
         came, self.came = self.came, []
         stream = self._device.stream
         all_s = np.array([t_s for t_s, _ in came])
@@ -117,7 +116,6 @@ class LoggedArm:
         self.settings = HardwareSettings.model_validate_json(self._child.stdout.readline())
 
     def told(self) -> Told:
-        """Ask what came since the last time."""
         assert self._child.stdin is not None
         assert self._child.stdout is not None
         self._child.stdin.write("\n")
@@ -125,12 +123,10 @@ class LoggedArm:
         return Told(**json.loads(self._child.stdout.readline()))
 
     def close(self) -> None:
-        """End the devices."""
         self._child.communicate("", timeout=20.0)
 
 
 def main(host: str) -> None:
-    """Serve and answer until the input ends."""
     with round_robin_priority(EMULATOR_PRIORITY):
         served = Served(partial(LoggedFront, host=host))
     # Tests let it wait for a computer that stalls: here it ends a silent stream, as on hardware.

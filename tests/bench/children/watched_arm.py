@@ -83,7 +83,6 @@ class WatchedArm:
         return Rest(**json.loads(self._answer()))
 
     def close(self) -> None:
-        """End the bench."""
         self._child.communicate("", timeout=20.0)
 
     def _answer(self) -> str:
@@ -93,7 +92,6 @@ class WatchedArm:
 
 @contextmanager
 def watched_arm() -> Iterator[WatchedArm]:
-    """Serve a bench until the block ends."""
     with tempfile.TemporaryDirectory() as folder:
         arm = WatchedArm(Path(folder))
         try:
@@ -103,7 +101,6 @@ def watched_arm() -> Iterator[WatchedArm]:
 
 
 def main(folder: Path) -> None:
-    """Serve and answer until the input ends."""
     settings = SimulatedBenchChoice(preset="quiet").settings()
     scene = make_scene(load_pieces(), SceneChoice("pot", ("short",), SEED), settings)
     with round_robin_priority(EMULATOR_PRIORITY):

@@ -33,12 +33,23 @@ class BenchDescription(Settings):
 
 def describe_simulation(settings: SimulationSettings) -> BenchDescription:
     """Return the description of a simulated bench."""
+    tactile, wrist, grasp = settings.tactile, settings.wrist, settings.grasp
+    relevant = {
+        "mm_per_px": tactile.mm_per_px,
+        "pitch_mm": tactile.pitch_mm,
+        "roll_off_mm": tactile.roll_off_mm,
+        "frames_hz": tactile.rate_hz,
+        "wrench_hz": wrist.rate_hz,
+        "wrist_mm": wrist.height_mm,
+        "wrist_rad": wrist.yaw_rad,
+        "gel": [grasp.shear_n_mm, grasp.normal_n_mm, grasp.torsion_nmm_rad],
+    }
     return BenchDescription(
         mode="simulated",
-        sha256=sha256_of_json(_relevant_values(settings)),
-        mm_per_px=settings.tactile.mm_per_px,
-        ft_frame=wrist_frame(settings.wrist.height_mm, settings.wrist.yaw_rad),
-        sensor_height_mm=settings.wrist.height_mm,
+        sha256=sha256_of_json(relevant),
+        mm_per_px=tactile.mm_per_px,
+        ft_frame=wrist_frame(wrist.height_mm, wrist.yaw_rad),
+        sensor_height_mm=wrist.height_mm,
     )
 
 
@@ -56,17 +67,3 @@ def wrist_frame(height_mm: float, yaw_rad: float) -> str:
 def sha256_of_json(values: Any) -> str:
     """Return the SHA-256 of JSON-ready values."""
     return sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
-
-
-def _relevant_values(settings: SimulationSettings) -> dict[str, Any]:
-    tactile, wrist, grasp = settings.tactile, settings.wrist, settings.grasp
-    return {
-        "mm_per_px": tactile.mm_per_px,
-        "pitch_mm": tactile.pitch_mm,
-        "roll_off_mm": tactile.roll_off_mm,
-        "frames_hz": tactile.rate_hz,
-        "wrench_hz": wrist.rate_hz,
-        "wrist_mm": wrist.height_mm,
-        "wrist_rad": wrist.yaw_rad,
-        "gel": [grasp.shear_n_mm, grasp.normal_n_mm, grasp.torsion_nmm_rad],
-    }

@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from typing import Annotated, Literal
 
+import numpy as np
 from pydantic import Field, field_validator
 
 from touchdown.backend.config.method import NonNegative, Positive, Settings
@@ -214,18 +215,10 @@ class ForceTorqueSettings(Settings):
     @field_validator("rotation")
     @classmethod
     def _is_a_rotation(cls, rows: tuple[Row, Row, Row]) -> tuple[Row, Row, Row]:
-        for i, first in enumerate(rows):
-            for j, second in enumerate(rows):
-                product = sum(a * b for a, b in zip(first, second, strict=True))
-                if not abs(product - (i == j)) < 1e-6:
-                    raise ValueError("the rows are not at right angles and of length 1")
-        x, y, z = rows
-        if (
-            x[0] * (y[1] * z[2] - y[2] * z[1])
-            + x[1] * (y[2] * z[0] - y[0] * z[2])
-            + x[2] * (y[0] * z[1] - y[1] * z[0])
-            < 0
-        ):
+        matrix = np.array(rows)
+        if not np.abs(matrix @ matrix.T - np.eye(3)).max() < 1e-6:
+            raise ValueError("the rows are not at right angles and of length 1")
+        if np.linalg.det(matrix) < 0:
             raise ValueError("this is a reflection, not a rotation")
         return rows
 

@@ -146,11 +146,8 @@ class SimulationSettings(Settings):
         return given if preset is None else _overlay(preset, given)
 
 
-def _frozen(name: str) -> dict[str, Any]:
-    """Return the values of a frozen bench."""
-    return read_toml(Path(str(files("touchdown.resources"))) / "benches" / f"{name}.toml")
-
-
+_BENCHES = Path(str(files("touchdown.resources"))) / "benches"
+_NO_DRIFT = {"drift_n_sqrt_min": 0.0, "drift_nm_sqrt_min": 0.0}
 PRESETS: dict[str, dict[str, Any]] = {
     "mixed": {},
     "realistic": {"release_disturbance_mm": 0.5},
@@ -161,13 +158,12 @@ PRESETS: dict[str, dict[str, Any]] = {
             "white_nm": 0.002,
             "offset_n": 0.05,
             "offset_nm": 0.002,
-            "drift_n_sqrt_min": 0.0,
-            "drift_nm_sqrt_min": 0.0,
+            **_NO_DRIFT,
         },
         "spread": {"label_error_mm": 0.0, "print_offset_mm": 0.0},
     },
     # The paper's method performs here about as on its robot (docs/bench-v1.md); never changed.
-    "bench-v1": _frozen("bench-v1"),
+    "bench-v1": read_toml(_BENCHES / "bench-v1.toml"),
     "hard": {
         "mu_grip": 0.45,
         "grasp": {"hysteresis": True},
@@ -178,21 +174,12 @@ PRESETS: dict[str, dict[str, Any]] = {
         "spread": {"grasp_offset_mm": 1.0, "tilt_rad": 0.013, "mu": 0.25},
     },
     "off": {
-        "tactile": {
-            "jitter_s": 0.0,
-            "drop_share": 0.0,
-            "white_px": 0.0,
-            "bias_px": 0.0,
-            "drift_px_sqrt_s": 0.0,
-            "lost_share": 0.0,
-        },
+        "tactile": dict.fromkeys(
+            ("jitter_s", "drop_share", "white_px", "bias_px", "drift_px_sqrt_s", "lost_share"), 0.0
+        ),
         "wrist": {
-            "white_n": 0.0,
-            "white_nm": 0.0,
-            "offset_n": 0.0,
-            "offset_nm": 0.0,
-            "drift_n_sqrt_min": 0.0,
-            "drift_nm_sqrt_min": 0.0,
+            **dict.fromkeys(("white_n", "white_nm", "offset_n", "offset_nm"), 0.0),
+            **_NO_DRIFT,
         },
         "spread": dict.fromkeys(SpreadSettings.model_fields, 0.0),
     },

@@ -53,6 +53,7 @@ from .files import lock_file as lock_file
 from .files import make_folder as make_folder
 from .files import package_version as package_version
 from .files import program_stamp as program_stamp
+from .files import read_json_lines as read_json_lines
 from .files import sync_folder as sync_folder
 from .files import write_atomically as write_atomically
 from .marker_interpolation import fill_unseen_markers as fill_unseen_markers
@@ -207,6 +208,7 @@ __all__ = [
     "pose_rotation",
     "program_stamp",
     "raised_priority",
+    "read_json_lines",
     "read_only",
     "require_unrotated",
     "rotation_angle_rad",

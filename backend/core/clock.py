@@ -50,12 +50,11 @@ class ClockJumpDetector:
 
     def __init__(
         self,
-        wall_s: Callable[[], float] | None = None,
+        # time.time is looked up at each call, so that a test can replace it.
+        wall_s: Callable[[], float] = lambda: time.time(),
         steady_s: Callable[[], float] = time.monotonic,
     ) -> None:
-        # Looked up at each call, so that a test can replace time.time.
-        self._wall_s = wall_s or (lambda: time.time())
-        self._steady_s = steady_s
+        self._wall_s, self._steady_s = wall_s, steady_s
         self._seen = self._wall_s(), self._steady_s()
 
     def jump_s(self) -> float:

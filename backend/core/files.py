@@ -6,12 +6,16 @@ A file is either complete or absent. The system releases a lock when its process
 from __future__ import annotations
 
 import errno
+import json
 import os
 import sys
 from contextlib import suppress
 from functools import lru_cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+from typing import Any
+
+from touchdown.backend.core.faults import InputError
 
 # Reported by file systems whose folders cannot be synced (FAT).
 UNSYNCABLE_ERRNOS = frozenset({errno.EINVAL, errno.ENOTSUP})
@@ -63,6 +67,25 @@ def write_atomically(path: Path, content: bytes) -> None:
             part.unlink()
         raise
     sync_folder(path.parent)
+
+
+def read_json_lines(path: Path) -> list[dict[str, Any]]:
+    """Return the objects of a file of JSON lines; empty if it does not exist.
+
+    Incomplete lines are skipped. Raises ``InputError`` if the file cannot be read.
+    """
+    try:
+        content = path.read_bytes() if path.is_file() else b""
+    except OSError as error:
+        raise InputError(
+            f"The file cannot be read: {error.strerror}.", str(path), "Check its permissions."
+        ) from error
+    found = []
+    for raw in content.splitlines():
+        with suppress(ValueError):
+            if isinstance(line := json.loads(raw), dict):
+                found.append(line)
+    return found
 
 
 _FAR_BYTE = 1 << 20  # A Windows lock also blocks reading, so a byte far behind the text is locked

@@ -19,13 +19,6 @@ _VALUE_WEIGHT = 1e-9
 _CHUNK = 8192
 
 
-def _differences(order_row: int, order_col: int) -> FloatArray:
-    """Return the (m, 63) operator of mixed differences of the given orders on the grid."""
-    along_rows = np.diff(np.eye(GRID_ROWS), n=order_row, axis=0)
-    along_cols = np.diff(np.eye(GRID_COLS), n=order_col, axis=0)
-    return np.asarray(np.kron(along_rows, along_cols), dtype=np.float64)
-
-
 def _energy() -> FloatArray:
     """Return the (63, 63) positive definite matrix of the bending energy."""
     total = _VALUE_WEIGHT * np.eye(MARKERS)
@@ -36,7 +29,9 @@ def _energy() -> FloatArray:
         (1, 0, _SLOPE_WEIGHT),
         (0, 1, _SLOPE_WEIGHT),
     ):
-        operator = _differences(order_row, order_col)
+        along_rows = np.diff(np.eye(GRID_ROWS), n=order_row, axis=0)
+        along_cols = np.diff(np.eye(GRID_COLS), n=order_col, axis=0)
+        operator = np.kron(along_rows, along_cols)  # mixed differences on the grid, (m, 63)
         total += weight * operator.T @ operator
     return total
 
@@ -61,18 +56,12 @@ def fill_unseen_markers(displacement: FloatArray, seen: NDArray[np.bool_]) -> Fl
     for count in np.unique(unseen_count[unseen_count > 0]):
         frames = np.flatnonzero(unseen_count == count)
         for start in range(0, len(frames), _CHUNK):
-            _fill_group(filled, seen, frames[start : start + _CHUNK], int(count))
+            chunk = frames[start : start + _CHUNK]
+            unseen = np.nonzero(~seen[chunk])[1].reshape(len(chunk), count)
+            matrix = _ENERGY[unseen[:, :, None], unseen[:, None, :]]
+            pull = -_ENERGY[unseen] @ filled[chunk]
+            filled[chunk[:, None], unseen] = np.linalg.solve(matrix, pull)
     return filled
-
-
-def _fill_group(
-    filled: FloatArray, seen: NDArray[np.bool_], frames: NDArray[np.intp], count: int
-) -> None:
-    """Solve the frames that have exactly ``count`` unseen markers, in place."""
-    unseen = np.nonzero(~seen[frames])[1].reshape(len(frames), count)
-    matrix = _ENERGY[unseen[:, :, None], unseen[:, None, :]]
-    pull = -_ENERGY[unseen] @ filled[frames]
-    filled[frames[:, None], unseen] = np.linalg.solve(matrix, pull)
 
 
 def marker_misfit(field: FloatArray) -> FloatArray:

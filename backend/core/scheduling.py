@@ -13,7 +13,6 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from types import TracebackType
 
 
 def set_realtime_priority(priority: int) -> bool:
@@ -153,10 +152,5 @@ class SharedLock:
             with blocking_section("waits for another thread", LOCK_TIMEOUT_S):
                 self._lock.acquire()
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._lock.release()

@@ -20,6 +20,11 @@ from touchdown.backend.core.values import FloatArray
 T = TypeVar("T")
 
 
+def _require_fresh(name: str, age_s: float, max_age_s: float) -> None:
+    if not age_s <= max_age_s:
+        raise StaleSampleError(f"{name}: newest sample is {1e3 * age_s:.0f} ms old")
+
+
 class Stream(Generic[T]):
     """Keeps the newest ``capacity`` items for one writer and any number of readers."""
 
@@ -51,9 +56,7 @@ class Stream(Generic[T]):
             if not self._items:
                 raise StaleSampleError(f"{self.name}: no sample yet")
             t_s, item = self._items[-1]
-        if not now_s - t_s <= max_age_s:
-            age_ms = 1e3 * (now_s - t_s)
-            raise StaleSampleError(f"{self.name}: newest sample is {age_ms:.0f} ms old")
+        _require_fresh(self.name, now_s - t_s, max_age_s)
         return item
 
     def since(self, cursor: int) -> tuple[list[T], int, int]:
@@ -138,9 +141,7 @@ class SampleStream:
                 raise StaleSampleError(f"{self.name}: no sample yet")
             i = (self._count - 1) % self.capacity
             t_s, values = float(self._t_s[i]), self._values[i].copy()
-        if not now_s - t_s <= max_age_s:
-            age_ms = 1e3 * (now_s - t_s)
-            raise StaleSampleError(f"{self.name}: newest sample is {age_ms:.0f} ms old")
+        _require_fresh(self.name, now_s - t_s, max_age_s)
         if not np.isfinite(values).all():
             raise StaleSampleError(f"{self.name}: newest sample is not a finite number")
         return t_s, values

@@ -15,7 +15,7 @@ import numpy as np
 from touchdown.backend.annotations import Dataset, Label, Pair, content_hash
 from touchdown.backend.core import FloatArray, InputError
 from touchdown.backend.exchange.exports import ExportJob
-from touchdown.backend.exchange.label_import import ImportedLabel
+from touchdown.backend.exchange.label_import import ImportedLabel, label_file
 from touchdown.backend.exchange.query import SelectedEpisode
 from touchdown.backend.geometry import overlap_polygon, rotated
 
@@ -26,7 +26,6 @@ VISIBLE = 2
 DECIMALS = 4
 MIN_IOU = 0.99
 EDGE_MM = 0.05  # one px: rounding of a polygon moves its edge by up to this
-MAX_BYTES = 1_000_000_000
 INK, PAPER = 60, 245
 
 
@@ -143,10 +142,8 @@ def read_coco(source: Path, dataset: Dataset) -> Iterator[ImportedLabel]:
 
     Raises ``InputError`` if the file is damaged or foreign.
     """
-    path = source / FILE if source.is_dir() else source
+    path = label_file(source, FILE)
     try:
-        if path.stat().st_size > MAX_BYTES:
-            raise ValueError("it is larger than 1 GB")
         content = json.loads(path.read_bytes())
         origins, scale = content["info"]["origin_px"], float(content["info"]["px_per_mm"])
         images = {image["id"]: image for image in content["images"]}

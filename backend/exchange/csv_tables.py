@@ -20,7 +20,7 @@ from touchdown.backend.core import MARKERS, FloatArray, InputError, MarkerState,
 from touchdown.backend.episodes import episode_of, read_first
 from touchdown.backend.exchange.exports import ExportJob
 from touchdown.backend.exchange.features import FT_NAMES
-from touchdown.backend.exchange.label_import import ImportedLabel
+from touchdown.backend.exchange.label_import import ImportedLabel, label_file
 from touchdown.backend.exchange.query import SelectedEpisode
 from touchdown.backend.geometry import overlap_edges, rotated, signed_distances_mm
 
@@ -79,7 +79,6 @@ COLUMNS = (
     "mounting_id", "person", "split",
 )  # fmt: skip
 NEEDED = ("uuid", "x_mm", "y_mm")
-MAX_BYTES = 1_000_000_000
 
 
 def write(job: ExportJob, folder: Path) -> Mapping[str, object]:
@@ -147,9 +146,7 @@ def _thousandth(value: int | None) -> str:
 def read_csv(source: Path, dataset: Dataset) -> Iterator[ImportedLabel]:
     """Yield the labels of ``episodes.csv``; raises ``InputError`` with the bad line."""
     del dataset
-    path = source / FILE if source.is_dir() else source
-    if not path.is_file() or path.stat().st_size > MAX_BYTES:
-        raise InputError("There is no table of at most 1 GB.", str(path), "Name the CSV file.")
+    path = label_file(source, FILE)
     with path.open(newline="", encoding="utf-8") as file:
         rows = csv.DictReader(file)
         try:

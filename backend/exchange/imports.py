@@ -83,28 +83,24 @@ def read_foreign(
 
     Raises ``InputError`` for a file that is damaged, foreign, or not read within the deadline.
     """
-    command = [
-        sys.executable,
-        "-m",
-        "touchdown.backend.exchange.foreign_child",
-        kind,
-        str(source.resolve()),
-    ]
+    command = [sys.executable, "-m", "touchdown.backend.exchange.foreign_child", kind]
     with (
         tempfile.TemporaryDirectory(prefix="touchdown-import-") as folder,
         tempfile.TemporaryFile() as stderr,
     ):
         child = subprocess.Popen(
-            [*command, folder], stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
+            [*command, str(source.resolve()), folder],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
             stderr=stderr,
-        )  # fmt: skip
+        )
         assert child.stdout is not None
         lines: queue.Queue[bytes] = queue.Queue()
         listener = threading.Thread(target=_listen, args=(child.stdout, lines), daemon=True)
         listener.start()
         try:
-            deadline = ReaderDeadline(child.pid, source, deadline_s)
-            if not (yield from _episodes(lines, source, deadline)):
+            watch = ProcessStallDetector(child.pid)
+            if not (yield from _episodes(lines, watch, source, deadline_s)):
                 raise _crashed(source, stderr)
         finally:
             child.kill()
@@ -119,40 +115,33 @@ def _listen(stream: IO[bytes], lines: queue.Queue[bytes]) -> None:
     lines.put(b"")
 
 
-class ReaderDeadline:
-    """Deadline for output of the reader process ``number``, extended while it uses the CPU."""
-
-    def __init__(self, number: int, source: Path, deadline_s: float) -> None:
-        self._watch = ProcessStallDetector(number)
-        self._source, self._deadline_s = source, deadline_s
-
-    def line(self, lines: queue.Queue[bytes]) -> bytes:
-        """Return the next line; raises ``InputError`` after the deadline."""
-        end_s = time.monotonic() + self._deadline_s
-        while True:
-            left_s = end_s - time.monotonic()
-            try:
-                return lines.get(timeout=max(min(LOOK_S, left_s), 0.0))
-            except queue.Empty:
-                if left_s <= 0.0:
-                    what = f"was not read within {self._deadline_s:g} s and was given up"
-                elif self._watch.look(time.monotonic()):
-                    what = "was given up: its reader makes no progress"
-                else:
-                    continue
-            raise InputError(
-                f"The file {what}.",
-                str(self._source),
-                "It is damaged or far too large; use another copy.",
-            )
+def _next_line(
+    lines: queue.Queue[bytes], watch: ProcessStallDetector, source: Path, deadline_s: float
+) -> bytes:
+    """Return the next line of the reader; raises ``InputError`` if it stalls or is too slow."""
+    end_s = time.monotonic() + deadline_s
+    while True:
+        left_s = end_s - time.monotonic()
+        try:
+            return lines.get(timeout=max(min(LOOK_S, left_s), 0.0))
+        except queue.Empty:
+            if left_s <= 0.0:
+                what = f"was not read within {deadline_s:g} s and was given up"
+            elif watch.look(time.monotonic()):
+                what = "was given up: its reader makes no progress"
+            else:
+                continue
+        raise InputError(
+            f"The file {what}.", str(source), "It is damaged or far too large; use another copy."
+        )
 
 
 def _episodes(
-    lines: queue.Queue[bytes], source: Path, waiting: ReaderDeadline
+    lines: queue.Queue[bytes], watch: ProcessStallDetector, source: Path, deadline_s: float
 ) -> Generator[ForeignEpisode, None, bool]:
     """Yield the episodes; return True if the reader finished."""
     while True:
-        line = waiting.line(lines)
+        line = _next_line(lines, watch, source, deadline_s)
         answer: dict[str, str] = json.loads(line) if line.endswith(b"\n") else {}
         if "episode" in answer:
             path = Path(answer["episode"])
@@ -312,21 +301,6 @@ class ImportSurvey:
     losses: tuple[str, ...]
 
 
-@dataclass(frozen=True, slots=True)
-class _EpisodeOrigin:
-    """Origin of one episode: pair, grip and mounting, label and side."""
-
-    uuid: str
-    piece: str
-    bottom: str
-    geometry: str
-    grip_id: str
-    mounting_id: str
-    label: Label
-    source: str
-    side: str
-
-
 class EpisodeImport:
     """One import of episodes: ``survey`` first, then ``write``.
 
@@ -413,37 +387,39 @@ class EpisodeImport:
         return str(UUID(int=former >> OWN_BITS << OWN_BITS | own))
 
     def _record(self, mapped: MappedEpisode, series: str) -> tuple[str, str]:
-        origin = self._origin(mapped, series)
+        """Store one episode; return its id and its side of the split."""
+        foreign, label = mapped.foreign, mapped.label
+        origin = self._named.get(foreign.index)
+        if origin is not None:
+            label = Label(**origin["label"])
+        else:
+            # Grips are unknown: one grip for all episodes, so that no split can leak.
+            origin = {
+                "uuid": foreign.uuid,
+                "piece": str(self._options.piece),
+                "bottom": str(self._options.bottom),
+                "geometry": self._geometry,
+                "grip_id": f"{series}/unknown",
+                "mounting_id": f"{series}/unknown",
+                "source": "human" if self._options.labelled_by else "measured",
+                "split": foreign.side,
+            }
         context = EpisodeContext(
-            series=series, bottom=origin.bottom, geometry=origin.geometry, person=self._actor,
-            grip_id=origin.grip_id, mounting_id=origin.mounting_id, mode=MODE,
+            series=series, bottom=origin["bottom"], geometry=origin["geometry"], person=self._actor,
+            grip_id=origin["grip_id"], mounting_id=origin["mounting_id"], mode=MODE,
             bench={"imported_from": self._kind},
         )  # fmt: skip
         uuid = self._uuid(mapped)
-        offset = origin.label.offset_mm if origin.label.is_set else np.zeros(2)
-        pairs = (("imported_as", origin.uuid),) if origin.uuid else ()
-        episode = Episode(uuid, origin.piece, mapped.observation, offset, 0.0, TRUSTED,
+        offset = label.offset_mm if label.is_set else np.zeros(2)
+        pairs = (("imported_as", origin["uuid"]),) if origin["uuid"] else ()
+        episode = Episode(uuid, origin["piece"], mapped.observation, offset, 0.0, TRUSTED,
                           mapped.recording, pairs)  # fmt: skip
         has_frames = mapped.recording is not None and bool(mapped.recording.frames)
         self._dataset.record(
-            episode, origin.label, source=origin.source, context=context,
+            episode, label, source=origin["source"], context=context,
             keep_frames="jpeg95_444" if has_frames else "none",
         )  # fmt: skip
-        return uuid, origin.side
-
-    def _origin(self, mapped: MappedEpisode, series: str) -> _EpisodeOrigin:
-        foreign, named = mapped.foreign, self._named.get(mapped.foreign.index)
-        if named is not None:
-            return _EpisodeOrigin(
-                named["uuid"], named["piece"], named["bottom"], named["geometry"],
-                named["grip_id"], named["mounting_id"], Label(**named["label"]), named["source"],
-                named["split"],
-            )  # fmt: skip
-        # Grips are unknown: one grip for all episodes, so that no split can leak.
-        source = "human" if self._options.labelled_by else "measured"
-        piece, bottom = str(self._options.piece), str(self._options.bottom)
-        return _EpisodeOrigin(foreign.uuid, piece, bottom, self._geometry, f"{series}/unknown",
-                       f"{series}/unknown", mapped.label, source, foreign.side)  # fmt: skip
+        return uuid, origin["split"]
 
     def _own_pair(self) -> str:
         if self._options.piece is None or self._options.bottom is None:

@@ -18,6 +18,7 @@ from touchdown.backend.annotations import (
 )
 from touchdown.backend.core import InputError
 from touchdown.backend.exchange.exports import ExportJob
+from touchdown.backend.exchange.label_import import label_file
 from touchdown.backend.exchange.manifest import read_manifest
 
 FILE = "labels.jsonl"
@@ -38,9 +39,7 @@ def write(job: ExportJob, folder: Path) -> Mapping[str, object]:
 
 def read_jsonl(source: Path) -> list[Operation]:
     """Return the operations of a file or export; raises ``InputError`` with the bad line."""
-    path = source / FILE if source.is_dir() else source
-    if not path.is_file() or path.stat().st_size > MAX_BYTES:
-        raise InputError("There is no file of at most 2 GB.", str(path), "Name the JSONL file.")
+    path = label_file(source, FILE, MAX_BYTES)
     log = []
     with path.open("rb") as file:
         for number, line in enumerate(file, start=1):

@@ -19,7 +19,7 @@ from touchdown.backend.annotations import (
     refresh_heads,
     state_after,
 )
-from touchdown.backend.core import RefusedError
+from touchdown.backend.core import InputError, RefusedError
 
 
 def note_import(
@@ -35,6 +35,19 @@ def note_import(
             _, touched = append_operation(connection, site, person, "import", draft)
             refresh_heads(connection, touched)
         add_event(connection, person, "import", target, body)
+
+
+def label_file(source: Path, name: str, max_bytes: int = 1_000_000_000) -> Path:
+    """Return ``source``, or the file ``name`` in the export ``source``.
+
+    Raises ``InputError`` if it does not exist or is too large.
+    """
+    path = source / name if source.is_dir() else source
+    if not path.is_file() or path.stat().st_size > max_bytes:
+        raise InputError(
+            f"There is no file of at most {max_bytes // 10**9} GB.", str(path), "Name the file."
+        )
+    return path
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from contextlib import ExitStack, closing
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,8 @@ from touchdown.backend.config import SAMPLES_PER_PROBE
 from touchdown.backend.exchange.export_episode import ExportEpisode
 from touchdown.backend.exchange.exports import ExportJob
 from touchdown.backend.exchange.features import FPS, PICTURES, Feature, require_package
-from touchdown.backend.exchange.video import CODEC, VIDEO_MB, VideoWriter
+from touchdown.backend.exchange.query import indices_by_side
+from touchdown.backend.exchange.video import CHUNK_FILES, CODEC, VIDEO_MB, VideoWriter
 
 
 class RunningStats:
@@ -52,7 +53,7 @@ class RunningStats:
 
 
 CODEBASE = "v3.0"
-CHUNK_FILES, DATA_MB = 1000, 100
+DATA_MB = 100
 DATA_PATH = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 VIDEO_PATH = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
 EPISODES_PATH = "meta/episodes/chunk-000/file-000.parquet"
@@ -65,10 +66,17 @@ def write(job: ExportJob, folder: Path) -> Mapping[str, object]:
     tasks = sorted({_task(one.entry.piece, one.entry.bottom) for one in job.chosen})
     rows: list[dict[str, Any]] = []
     stats: dict[str, RunningStats] = {}
-    with _ParquetWriter(folder, job.features) as data, _FingerVideos(folder, job.pictures) as films:
+    with ExitStack() as stack:
+        data = stack.enter_context(closing(_ParquetWriter(folder, job.features)))
+        films = {
+            key: stack.enter_context(closing(VideoWriter(folder, VIDEO_PATH, key)))
+            for key in (PICTURES.values() if job.pictures else ())
+        }
         for episode in job.episodes():
             task = _task(episode.chosen.entry.piece, episode.chosen.entry.bottom)
-            row = data.add(episode, tasks.index(task)) | films.add(episode)
+            row = data.add(episode, tasks.index(task))
+            for key, film in films.items():
+                row |= film.add(episode.pictures[key])
             rows.append({"episode_index": episode.chosen.index, "tasks": [task],
                          "length": SAMPLES_PER_PROBE, **row})  # fmt: skip
             _count(stats, episode, job.features)
@@ -98,15 +106,8 @@ class _ParquetWriter:
         self._path = folder
         self._file, self._frames = -1, 0
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def close(self) -> None:
+        """Finish the file."""
         if self._writer is not None:
             self._writer.close()
 
@@ -134,40 +135,12 @@ class _ParquetWriter:
         }
 
     def _next_file(self) -> None:
-        if self._writer is not None:
-            self._writer.close()
+        self.close()
         self._file += 1
         chunk, number = divmod(self._file, CHUNK_FILES)
         self._path = self._folder / DATA_PATH.format(chunk_index=chunk, file_index=number)
         self._path.parent.mkdir(parents=True, exist_ok=True)
         self._writer = self._parquet.ParquetWriter(self._path, self._schema, compression="snappy")
-
-
-class _FingerVideos:
-    """Videos of both fingers."""
-
-    def __init__(self, folder: Path, pictures: bool) -> None:
-        keys = PICTURES.values() if pictures else ()
-        self._films = {key: VideoWriter(folder, VIDEO_PATH, key) for key in keys}
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        for film in self._films.values():
-            film.close()
-
-    def add(self, episode: ExportEpisode) -> dict[str, Any]:
-        """Append the images of one episode; return their position."""
-        row: dict[str, Any] = {}
-        for key, film in self._films.items():
-            row |= film.add(episode.pictures[key])
-        return row
 
 
 def _type(pa: Any, dtype: str, shape: Sequence[int]) -> Any:
@@ -251,19 +224,15 @@ def _info(job: ExportJob, tasks: int) -> dict[str, Any]:
         "data_files_size_in_mb": DATA_MB,
         "video_files_size_in_mb": VIDEO_MB,
         "fps": FPS,
-        "splits": _ranges(job),
+        # The episodes are sorted by side, so each side is a range.
+        "splits": {
+            side: f"{index[0]}:{index[-1] + 1}"
+            for side, index in indices_by_side(job.chosen).items()
+        },
         "data_path": DATA_PATH,
         "video_path": VIDEO_PATH if job.pictures else None,
         "features": listed,
     }
-
-
-def _ranges(job: ExportJob) -> dict[str, str]:
-    """Return each side of the split as a range of episodes, which are sorted by side."""
-    sides: dict[str, list[int]] = {}
-    for one in job.chosen:
-        sides.setdefault(one.split, []).append(one.index)
-    return {side: f"{index[0]}:{index[-1] + 1}" for side, index in sides.items()}
 
 
 def _write_json(path: Path, content: Mapping[str, Any]) -> None:

@@ -13,7 +13,12 @@ from typing import Any
 from touchdown.backend.annotations import SCHEMA_VERSION, Dataset, file_sha256
 from touchdown.backend.core import InputError, program_stamp, write_atomically
 from touchdown.backend.exchange.features import FPS, Feature
-from touchdown.backend.exchange.query import ExportQuery, SelectedEpisode, Selection
+from touchdown.backend.exchange.query import (
+    ExportQuery,
+    SelectedEpisode,
+    Selection,
+    indices_by_side,
+)
 
 MANIFEST_NAME = "manifest.json"
 VERSION = 1
@@ -42,7 +47,7 @@ def make_manifest(
         "dataset_uuid": dataset.description.uuid,
         "query": {"text": query.text(), "resolved": resolved | {"states": list(query.states)}},
         "episodes": [_episode(one) for one in chosen],
-        "geometry": sorted(geometry_records_of(dataset, chosen)),
+        "geometry": sorted(_geometry_records(dataset, chosen)),
         "label_states": dict(sorted(Counter(r.state for r in revisions).items())),
         "label_sources": dict(sorted(Counter(r.source for r in revisions).items())),
         "feature_spec": {
@@ -52,18 +57,10 @@ def make_manifest(
                 for f in features
             ],
         },
-        "splits": manifest_splits(chosen),
+        "splits": indices_by_side(chosen),
         "site_heads": dataset.labels.chain_heads(),
         "warnings": list(selection.warnings),
     }
-
-
-def manifest_splits(chosen: Sequence[SelectedEpisode]) -> dict[str, list[int]]:
-    """Return the export numbers on each side of the split."""
-    sides: dict[str, list[int]] = {}
-    for one in chosen:
-        sides.setdefault(one.split, []).append(one.index)
-    return sides
 
 
 def _episode(one: SelectedEpisode) -> dict[str, object]:
@@ -89,7 +86,7 @@ def _episode(one: SelectedEpisode) -> dict[str, object]:
     }
 
 
-def geometry_records_of(dataset: Dataset, chosen: Sequence[SelectedEpisode]) -> set[str]:
+def _geometry_records(dataset: Dataset, chosen: Sequence[SelectedEpisode]) -> set[str]:
     """Return the hashes of all geometry records that the labels refer to."""
     found: set[str] = set()
     for pair in {one.revision.geometry for one in chosen}:

@@ -60,14 +60,18 @@ class SelectedEpisode:
 
 @dataclass(frozen=True, slots=True)
 class Selection:
-    """Selected episodes sorted by side of the split.
-
-    ``left_out``: numbers of other episodes by reason. ``warnings``: sentences for the manifest.
-    """
+    """Selected episodes sorted by side of the split. ``warnings``: sentences for the manifest."""
 
     chosen: tuple[SelectedEpisode, ...]
-    left_out: tuple[tuple[str, int], ...]
     warnings: tuple[str, ...]
+
+
+def indices_by_side(chosen: Sequence[SelectedEpisode]) -> dict[str, list[int]]:
+    """Return the export numbers on each side of the split."""
+    sides: dict[str, list[int]] = {}
+    for one in chosen:
+        sides.setdefault(one.split, []).append(one.index)
+    return sides
 
 
 def select_episodes(dataset: Dataset, query: ExportQuery) -> Selection:
@@ -94,7 +98,7 @@ def select_episodes(dataset: Dataset, query: ExportQuery) -> Selection:
     order = sorted(range(len(found)), key=lambda k: (sides[k] != TRAIN, sides[k], k))
     chosen = tuple(SelectedEpisode(i, *found[k], sides[k]) for i, k in enumerate(order))
     notes = [f"{count} episodes are left out: {why}." for why, count in sorted(left_out.items())]
-    return Selection(chosen, tuple(sorted(left_out.items())), (*notes, *warnings))
+    return Selection(chosen, (*notes, *warnings))
 
 
 def _unfit(entry: EpisodeEntry) -> str:

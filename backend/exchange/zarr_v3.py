@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from touchdown.backend.config import SAMPLES_PER_PROBE
-from touchdown.backend.exchange.export_episode import ExportEpisode
 from touchdown.backend.exchange.exports import ExportJob
 from touchdown.backend.exchange.features import FPS, PICTURES, require_package
 from touchdown.backend.exchange.video import HEIGHT, WIDTH
@@ -40,24 +39,19 @@ def _write(zarr: Any, job: ExportJob, folder: Path) -> None:
     for key in PICTURES.values() if job.pictures else ():
         shape = (count, SAMPLES_PER_PROBE, HEIGHT, WIDTH, 3)
         arrays[key] = _array(zarr, group, key, shape, "uint8")
-    for start, batch in _batches(job):
+    episodes, start = job.episodes(), 0
+    while batch := list(islice(episodes, SHARD)):
         for key, array in arrays.items():
             values = [
                 np.stack(one.pictures[key]) if key in one.pictures else one.values[key]
                 for one in batch
             ]
             array[start : start + len(batch)] = np.stack(values)
+        start += len(batch)
     group.attrs["fps"] = FPS
     group.attrs["episodes"] = [one.entry.uuid for one in job.chosen]
     group.attrs["splits"] = [one.split for one in job.chosen]
     group.attrs["committed"] = True
-
-
-def _batches(job: ExportJob) -> Iterator[tuple[int, list[ExportEpisode]]]:
-    episodes, start = job.episodes(), 0
-    while batch := list(islice(episodes, SHARD)):
-        yield start, batch
-        start += len(batch)
 
 
 def _array(zarr: Any, group: Any, key: str, shape: tuple[int, ...], dtype: str) -> Any:

@@ -58,19 +58,23 @@ from touchdown.backend.geometry import (
     square,
 )
 from touchdown.backend.jobs import JobContext, JobFunctions, JobSpec
-from touchdown.backend.learning import DeviceName, device_name, select_device, use_one_thread
+from touchdown.backend.learning import (
+    DeviceName,
+    device_name,
+    save_checkpoint,
+    select_device,
+    use_one_thread,
+)
 from touchdown.backend.learning.fused import (
     SENSOR_MM,
     TICKS,
     FusedCard,
-    FusedSizes,
     FusedTrainer,
     FusedTraining,
     GraspedFace,
     InputPart,
     acting_point_mm,
     data_sha256,
-    save_fused,
 )
 from touchdown.backend.placement import (
     XY,
@@ -626,7 +630,7 @@ def train_fusion(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
         "held_out_loss": round(trainer.held_out_loss(), 4),
     }
     card = FusedCard(
-        hyper=FusedSizes(**settings.shape.as_json()),
+        hyper=settings.shape,
         family=FAMILY_TEXT.format(stands=SUPPORT_TEXTS[bool(spec.params["free"])]),
         left_out=(*UNSEEN_PIECES, *UNSEEN_BOTTOMS),
         bench_sha256=spec.params["bench_sha256"],
@@ -645,7 +649,7 @@ def train_fusion(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
         metrics=metrics,
         program_version=program_version(),
     )
-    card = save_fused(place.folder / WEIGHTS, trainer.arrays(), card)
+    card = save_checkpoint(place.folder / WEIGHTS, trainer.arrays(), card)
     return {"weights_sha256": card.weights_sha256, **metrics}
 
 

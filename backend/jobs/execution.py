@@ -295,7 +295,8 @@ def run_campaign(
                 failed.add(result.id)
                 ahead.discard(result.id)
                 yield result
-            for spec in _ready_jobs(waiting, ahead, executor.room()):
+            ready = [spec for spec in waiting.values() if not ahead & set(spec.inputs)]
+            for spec in ready[: max(executor.room(), 0)]:
                 del waiting[spec.id]
                 executor.submit(spec)
                 running += 1
@@ -342,11 +343,6 @@ def independent_jobs(
             return list(chosen.values())
         outside |= blocked
         chosen = {k: spec for k, spec in chosen.items() if k not in blocked}
-
-
-def _ready_jobs(waiting: dict[str, JobSpec], ahead: set[str], room: int) -> list[JobSpec]:
-    ready = [spec for spec in waiting.values() if not ahead & set(spec.inputs)]
-    return ready[: max(room, 0)]
 
 
 def _failed_inputs(waiting: dict[str, JobSpec], failed: set[str]) -> Iterator[JobResult]:

@@ -7,11 +7,11 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError
 from safetensors import SafetensorError
 from safetensors.numpy import load as load_arrays
 from safetensors.numpy import save as save_arrays
@@ -33,17 +33,7 @@ FIX = "Use the model that came with Touchdown, or train again with 'touchdown tr
 STORED = (np.float32, np.float16)  # types of weights on disk; in memory they are float32
 FULL_PRECISION = ("mean", "scale")  # in units of the signals, with a large range: always 32 bits
 _PICKLES = (b"PK\x03\x04", b"\x80")
-Size = Annotated[int, Field(ge=1, le=100_000)]
-
-
-class NetworkSizes(BaseModel):
-    """Sizes of the network."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-    inputs: Size
-    hidden: Annotated[int, Field(ge=1, le=4096)]
-    layers: Annotated[int, Field(ge=1, le=8)]
-    points: Size
+Card = TypeVar("Card", bound=BaseModel)
 
 
 class ModelCard(BaseModel):
@@ -73,7 +63,7 @@ class ModelCard(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
     format: Literal["touchdown-model/1"] = "touchdown-model/1"
     arch: str
-    hyper: NetworkSizes
+    hyper: NetworkShape
     modality: Modality
     vector_order: str = VECTOR_ORDER
     rate_hz: int = 10
@@ -115,7 +105,7 @@ def card_path(path: Path) -> Path:
     return path.with_suffix(".json")
 
 
-def save_checkpoint(path: Path, arrays: Mapping[str, NDArray[Any]], card: ModelCard) -> ModelCard:
+def save_checkpoint(path: Path, arrays: Mapping[str, NDArray[Any]], card: Card) -> Card:
     """Write weights and card; return the card with the hash of the weights."""
     content = save_arrays({name: np.ascontiguousarray(array) for name, array in arrays.items()})
     sealed = card.model_copy(update={"weights_sha256": hashlib.sha256(content).hexdigest()})
@@ -133,7 +123,7 @@ def save_half_precision(path: Path, model: Checkpoint) -> ModelCard:
     return save_checkpoint(path, arrays, model.card)
 
 
-def save_card(path: Path, card: ModelCard) -> None:
+def save_card(path: Path, card: BaseModel) -> None:
     """Write the card of the weights ``path``, for example with further metrics."""
     text = json.dumps(card.model_dump(), indent=2, sort_keys=True, ensure_ascii=False)
     write_atomically(card_path(path), text.encode("utf-8") + b"\n")
@@ -166,7 +156,7 @@ def load_checkpoint(path: Path) -> Checkpoint:
     if hashlib.sha256(content).hexdigest() != card.weights_sha256:
         raise _bad(path, "The weights are damaged or not those of their card (SHA-256 differs)")
     arrays = parse_arrays(content, path)
-    _check_arrays(arrays, NetworkShape(**card.hyper.model_dump()), path)
+    _check_arrays(arrays, card.hyper, path)
     return Checkpoint({name: a.astype(np.float32, copy=False) for name, a in arrays.items()}, card)
 
 

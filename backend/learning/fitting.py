@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 import time
 from collections import Counter
 from collections.abc import Callable
-from importlib.metadata import PackageNotFoundError, version
+from hashlib import sha256
 from pathlib import Path
 
 import numpy as np
@@ -15,13 +14,12 @@ import torch
 
 from touchdown.backend.annotations import LabelChoice, is_dataset, load_training_set
 from touchdown.backend.config import BenchDescription, StabilitySettings
-from touchdown.backend.core import FloatArray, InputError, write_atomically
+from touchdown.backend.core import FloatArray, InputError, package_version, write_atomically
 from touchdown.backend.episodes import TrainingRows, load_rows
 from touchdown.backend.geometry import face_points, load_pieces
 from touchdown.backend.learning.checkpoint import (
     Checkpoint,
     ModelCard,
-    NetworkSizes,
     load_checkpoint,
     save_checkpoint,
 )
@@ -29,7 +27,6 @@ from touchdown.backend.learning.inference import ARCH, modality_columns
 from touchdown.backend.learning.job import (
     ReportCallback,
     TrainingCancelled,
-    TrainingEpoch,
     TrainingFinished,
     TrainingJob,
     TrainingLoaded,
@@ -43,7 +40,6 @@ from touchdown.backend.learning.metrics import (
 )
 from touchdown.backend.learning.training import (
     Trainer,
-    delete_training_state,
     device_name,
     fingerprint,
     in_batches,
@@ -57,7 +53,6 @@ from touchdown.backend.learning.training import (
 )
 from touchdown.backend.learning.training_data import (
     MANIFEST,
-    manifest_sha256,
     only_simulated,
     read_benches,
     training_manifest,
@@ -173,11 +168,21 @@ def fit_model(job: TrainingJob, tell: ReportCallback, cancelled: Callable[[], bo
     state = resume_path(job.out)
     if job.resume:
         load_training_state(state, trainer, data)
-    tell(_loaded(rows, trainer))
-
+    tell(
+        TrainingLoaded(
+            piece=rows.piece,
+            episodes=len(rows),
+            held_out=len(trainer.split.held_out),
+            kept_together=trainer.split.kept_together,
+            points=rows.patch.shape[1],
+            parameters=sum(p.numel() for p in trainer.model.parameters()),
+            base_rate=trainer.base_rate,
+            done=trainer.done,
+        )
+    )
     for report in trainer.epochs(cancelled):
         save_training_state(state, trainer, data)
-        tell(TrainingEpoch(**dataclasses.asdict(report)))
+        tell(report)
     if not trainer.finished:
         tell(TrainingCancelled(done=trainer.done, state=state))
         return
@@ -195,7 +200,7 @@ def fit_model(job: TrainingJob, tell: ReportCallback, cancelled: Callable[[], bo
         write_atomically(job.keep / MANIFEST, training_manifest(rows, trainer.split))
         save_samples(job.keep, choose_samples(rows, trainer.split.held_out, probability))
     card = save_checkpoint(job.out, trainer.best_model().arrays(), card)
-    delete_training_state(state)
+    state.unlink(missing_ok=True)
     best = trainer.best_figures
     tell(
         TrainingFinished(
@@ -216,19 +221,6 @@ def load_episodes(data: Path, piece: str | None, labels: LabelChoice) -> Trainin
     return load_rows(data, piece)
 
 
-def _loaded(rows: TrainingRows, trainer: Trainer) -> TrainingLoaded:
-    return TrainingLoaded(
-        piece=rows.piece,
-        episodes=len(rows),
-        held_out=len(trainer.split.held_out),
-        kept_together=trainer.split.kept_together,
-        points=rows.patch.shape[1],
-        parameters=sum(p.numel() for p in trainer.model.parameters()),
-        base_rate=trainer.base_rate,
-        done=trainer.done,
-    )
-
-
 def make_card(
     rows: TrainingRows, trainer: Trainer, data: str, benches: tuple[BenchDescription, ...] = ()
 ) -> ModelCard:
@@ -237,7 +229,7 @@ def make_card(
     sources = sorted({str(label.get("source")) for label in rows.labels})
     return ModelCard(
         arch=ARCH,
-        hyper=NetworkSizes(**trainer.model.shape.as_json()),
+        hyper=trainer.model.shape,
         modality=settings.modality,
         piece=rows.piece,
         geometry=rows.geometry,
@@ -267,16 +259,9 @@ def make_card(
             "device": device_name(trainer.device),
         },
         seed=settings.seed,
-        program_version=_version(),
+        program_version=package_version("touchdown") or "source tree",
         weights_sha256="",
         simulated=only_simulated(rows),
         benches=benches,
-        manifest_sha256=manifest_sha256(training_manifest(rows, trainer.split)),
+        manifest_sha256=sha256(training_manifest(rows, trainer.split)).hexdigest(),
     )
-
-
-def _version() -> str:
-    try:
-        return version("touchdown")
-    except PackageNotFoundError:
-        return "source tree"

@@ -7,11 +7,13 @@ standardisation. The state can be kept between two ticks.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass
-from typing import Literal
+from dataclasses import dataclass
+from typing import Annotated, Literal
 
 import numpy as np
+import pydantic.dataclasses
 from numpy.typing import NDArray
+from pydantic import ConfigDict, Field
 
 from touchdown.backend.core import CHANNELS, MARKERS, TACTILE_CHANNELS, WRENCH_CHANNELS
 
@@ -21,18 +23,17 @@ ARCHITECTURES = (ARCH,)
 GATES = 4
 
 
-@dataclass(frozen=True, slots=True)
+Size = Annotated[int, Field(ge=1, le=100_000)]
+
+
+@pydantic.dataclasses.dataclass(frozen=True, config=ConfigDict(extra="forbid"))
 class NetworkShape:
     """Sizes of the network: ``inputs`` channels, ``points`` outputs."""
 
-    inputs: int
-    hidden: int
-    layers: int
-    points: int
-
-    def as_json(self) -> dict[str, int]:
-        """Return the sizes by name."""
-        return asdict(self)
+    inputs: Size
+    hidden: Annotated[int, Field(ge=1, le=4096)]
+    layers: Annotated[int, Field(ge=1, le=8)]
+    points: Size
 
 
 def expected_arrays(shape: NetworkShape) -> Mapping[str, tuple[int, ...]]:

@@ -65,7 +65,10 @@ class TrainingLoaded(JobMessage):
 
 
 class TrainingEpoch(JobMessage):
-    """One epoch is finished; see ``EpochReport``."""
+    """One epoch is finished; ``epoch`` counts from 1. Losses are mean BCE per point (nats).
+
+    All but ``train_loss`` are measured on the validation side.
+    """
 
     kind: Literal["epoch"] = "epoch"
     epoch: int
@@ -107,13 +110,8 @@ class TrainingRefused(JobMessage):
     fix: str
 
 
-TrainingReport = Annotated[
-    TrainingLoaded | TrainingEpoch | TrainingFinished | TrainingCancelled | TrainingRefused,
-    Field(discriminator="kind"),
-]
-TRAINING_REPORT: TypeAdapter[
-    TrainingLoaded | TrainingEpoch | TrainingFinished | TrainingCancelled | TrainingRefused
-] = TypeAdapter(TrainingReport)
-ReportCallback = Callable[
-    [TrainingLoaded | TrainingEpoch | TrainingFinished | TrainingCancelled], None
-]
+TrainingReport = TrainingLoaded | TrainingEpoch | TrainingFinished | TrainingCancelled
+TRAINING_REPORT: TypeAdapter[TrainingReport | TrainingRefused] = TypeAdapter(
+    Annotated[TrainingReport | TrainingRefused, Field(discriminator="kind")]
+)
+ReportCallback = Callable[[TrainingReport], None]

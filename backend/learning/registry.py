@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from touchdown.backend.config import BenchDescription
-from touchdown.backend.core import InputError, sync_folder, write_atomically
+from touchdown.backend.core import InputError, read_json_lines, sync_folder, write_atomically
 from touchdown.backend.learning.checkpoint import ModelCard, load_card, load_checkpoint, save_card
 
 HARDWARE_PROBES = 50  # hardware probes required for a model trained on simulation only
@@ -129,7 +129,9 @@ class ModelRegistry:
 
     def history(self, piece: str | None = None) -> list[ModelUse]:
         """Return all changes, oldest first; raises ``InputError`` for a damaged line."""
-        uses = [_use(line, self.folder / HISTORY) for line in _lines(self.folder / HISTORY)]
+        uses = [
+            _use(line, self.folder / HISTORY) for line in read_json_lines(self.folder / HISTORY)
+        ]
         return [use for use in uses if piece is None or use.piece == piece]
 
     def promote(self, model: Path, person: str = "", run: str = "") -> ModelUse:
@@ -160,7 +162,7 @@ class ModelRegistry:
     def ensemble(self, piece: str) -> tuple[Path, ...]:
         """Return the models that pre-label ``piece`` together, if any were chosen."""
         chosen: object = ()
-        for line in _lines(self.folder / ENSEMBLES):
+        for line in read_json_lines(self.folder / ENSEMBLES):
             if line.get("piece") == piece:
                 chosen = line.get("weights_sha256")
         if not isinstance(chosen, list | tuple) or not all(map(_is_sha256, chosen)):
@@ -193,7 +195,7 @@ class ModelRegistry:
 
     def hardware_probes(self, weights_sha256: str) -> int:
         """Return the largest number of hardware probes in one evaluation."""
-        lines = _lines(self.folder / EVALUATIONS)
+        lines = read_json_lines(self.folder / EVALUATIONS)
         counts = [e.get("probes") for e in lines if e.get("weights_sha256") == weights_sha256]
         return max((n for n in counts if isinstance(n, int)), default=0)
 
@@ -250,20 +252,6 @@ def _append_line(path: Path, line: dict[str, Any]) -> None:
         file.flush()
         os.fsync(file.fileno())
     sync_folder(path.parent)
-
-
-def _lines(path: Path) -> list[dict[str, Any]]:
-    if not path.is_file():
-        return []
-    found = []
-    for raw in path.read_bytes().splitlines():
-        try:
-            line = json.loads(raw)
-        except ValueError:
-            continue
-        if isinstance(line, dict):
-            found.append(line)
-    return found
 
 
 def _use(line: dict[str, Any], path: Path) -> ModelUse:

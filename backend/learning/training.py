@@ -12,7 +12,6 @@ import json
 import math
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import cast
 
@@ -35,14 +34,8 @@ from touchdown.backend.learning.inference import (
     fit_normaliser_in_parts,
     modality_columns,
 )
-from touchdown.backend.learning.job import DeviceName
-from touchdown.backend.learning.metrics import (
-    CONTACT_LEVEL,
-    ReliabilityBin,
-    iou,
-    point_accuracy,
-    reliability,
-)
+from touchdown.backend.learning.job import DeviceName, TrainingEpoch
+from touchdown.backend.learning.metrics import CONTACT_LEVEL, iou, point_accuracy, reliability
 
 
 def select_device(asked: DeviceName) -> torch.device:
@@ -131,7 +124,7 @@ def new_model(shape: NetworkShape, seed: int) -> PatchNet:
 def load_network(checkpoint: Checkpoint) -> PatchNet:
     """Return the network of a loaded model in evaluation mode."""
     with torch.device("meta"):
-        model = PatchNet(NetworkShape(**checkpoint.card.hyper.model_dump()))
+        model = PatchNet(checkpoint.card.hyper)
     tensors = {name: torch.from_numpy(array.copy()) for name, array in checkpoint.arrays.items()}
     model.load_state_dict(tensors, strict=True, assign=True)
     model.requires_grad_(False)
@@ -184,23 +177,6 @@ CPU = torch.device("cpu")
 EPISODES_PER_PASS = 4096  # episodes in memory at once during a pass over all
 
 
-@dataclass(frozen=True, slots=True)
-class EpochReport:
-    """Results of one epoch; ``epoch`` counts from 1. Losses are mean BCE per point (nats).
-
-    All but ``train_loss`` are measured on the validation side.
-    """
-
-    epoch: int
-    epochs: int
-    train_loss: float
-    validation_loss: float
-    iou: float
-    point_accuracy: float
-    best_epoch: int
-    reliability: tuple[ReliabilityBin, ...]
-
-
 def fingerprint(rows: TrainingRows) -> str:
     """Return the SHA-256 of all inputs and targets, which identifies a training set."""
     digest = hashlib.sha256()
@@ -249,7 +225,7 @@ class Trainer:
         self.best_figures = (0.0, 0.0)
         self.best_state = self._weights()
 
-    def epochs(self, cancelled: Callable[[], bool] = lambda: False) -> Iterator[EpochReport]:
+    def epochs(self, cancelled: Callable[[], bool] = lambda: False) -> Iterator[TrainingEpoch]:
         """Run the remaining epochs; stops without a report when ``cancelled`` returns True."""
         while not self.finished:
             train_loss = self._train_epoch(cancelled)
@@ -280,34 +256,31 @@ class Trainer:
     def _train_epoch(self, cancelled: Callable[[], bool]) -> float | None:
         rng = np.random.default_rng([self.settings.seed, self.done])
         order = rng.permutation(self.split.train)
-        self._set_rate()
+        settings = self.settings
+        self.optimiser.rate = settings.learning_rate
+        if settings.schedule == "cosine":
+            self.optimiser.rate *= 0.5 * (1 + math.cos(math.pi * self.done / settings.epochs))
         self.model.train()
-        coarse = self.settings.precision == "bfloat16"
+        coarse = settings.precision == "bfloat16"
         total = 0.0
-        for batch in in_batches(order, self.settings.batch):
+        for batch in in_batches(order, settings.batch):
             if cancelled():
                 return None
             self.optimiser.zero_grad()
             with torch.autocast(self.device.type, torch.bfloat16, enabled=coarse):
                 logits = self.model(self._inputs(batch))
-            loss = binary_cross_entropy(logits.float(), self._targets[batch].to(self.device))
+            targets = self._targets[batch].to(self.device)
+            loss = binary_cross_entropy_with_logits(logits.float(), targets)
             loss.backward()  # type: ignore[no-untyped-call]
             self.optimiser.step()
             total += float(loss.detach()) * len(batch)
         return total / len(order)
 
-    def _set_rate(self) -> None:
-        settings = self.settings
-        rate = settings.learning_rate
-        if settings.schedule == "cosine":
-            rate *= 0.5 * (1 + math.cos(math.pi * self.done / settings.epochs))
-        self.optimiser.rate = rate
-
-    def _validate(self, train_loss: float) -> EpochReport:
+    def _validate(self, train_loss: float) -> TrainingEpoch:
         model, held_out = self.model.eval(), self.split.held_out
         parts = [predict_logits(model, self._inputs(index)).cpu() for index in in_batches(held_out)]
         logits, targets = torch.cat(parts), self._targets[held_out]
-        loss = float(binary_cross_entropy(logits, targets))
+        loss = float(binary_cross_entropy_with_logits(logits, targets))
         probability = torch.sigmoid(logits).numpy()
         predicted = probability > CONTACT_LEVEL
         truth = targets.numpy() > CONTACT_LEVEL
@@ -315,14 +288,15 @@ class Trainer:
         if loss < self.best_loss or self.settings.keep == "last":
             self.best_epoch, self.best_loss, self.best_state = self.done, loss, self._weights()
             self.best_figures = figures
-        return EpochReport(
-            self.done,
-            self.settings.epochs,
-            train_loss,
-            loss,
-            *figures,
-            self.best_epoch,
-            reliability(probability, truth),
+        return TrainingEpoch(
+            epoch=self.done,
+            epochs=self.settings.epochs,
+            train_loss=train_loss,
+            validation_loss=loss,
+            iou=figures[0],
+            point_accuracy=figures[1],
+            best_epoch=self.best_epoch,
+            reliability=reliability(probability, truth),
         )
 
     def _inputs(self, index: NDArray[np.int64]) -> Tensor:
@@ -338,11 +312,6 @@ class Trainer:
 def in_batches(index: NDArray[np.int64], size: int = EPISODES_PER_PASS) -> list[NDArray[np.int64]]:
     """Divide ``index`` into parts of at most ``size``."""
     return [index[start : start + size] for start in range(0, len(index), size)]
-
-
-def binary_cross_entropy(logits: Tensor, targets: Tensor) -> Tensor:
-    """Return the mean binary cross-entropy over samples and points, from logits (B, N)."""
-    return binary_cross_entropy_with_logits(logits, targets)
 
 
 def predict_logits(model: PatchNet, inputs: Tensor, batch: int = 512) -> Tensor:
@@ -418,8 +387,3 @@ def _under(prefix: str, tensors: dict[str, Tensor]) -> dict[str, Tensor]:
         for name, tensor in tensors.items()
         if name.startswith(prefix)
     }
-
-
-def delete_training_state(path: Path) -> None:
-    """Delete the saved state, if any."""
-    path.unlink(missing_ok=True)

@@ -9,7 +9,6 @@ import json
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from hashlib import sha256
 from pathlib import Path
 
 import numpy as np
@@ -60,25 +59,14 @@ def training_manifest(rows: TrainingRows, split: Split) -> bytes:
         "kept_together": split.kept_together,
         "episodes": episodes,
     }
-    if warnings := _leaks(rows, [str(one["split"]) for one in episodes]):
-        content["warnings"] = warnings
+    sides = [str(one["split"]) for one in episodes]
+    leaks = len(divided_indices(sides, list(zip(rows.mounting_id, rows.bottom, strict=True))))
+    if leaks:
+        content["warnings"] = [
+            f"Leakage: {leaks} episodes share mounting and bottom with the other side, so "
+            "validation knows their errors."
+        ]
     return json.dumps(content, indent=1, sort_keys=True, ensure_ascii=False).encode() + b"\n"
-
-
-def _leaks(rows: TrainingRows, sides: Sequence[str]) -> list[str]:
-    """Return warnings about data shared with the validation side; none for whole mountings."""
-    count = len(divided_indices(sides, list(zip(rows.mounting_id, rows.bottom, strict=True))))
-    if not count:
-        return []
-    return [
-        f"Leakage: {count} episodes share mounting and bottom with the other side, so validation "
-        "knows their errors."
-    ]
-
-
-def manifest_sha256(manifest: bytes) -> str:
-    """Return the SHA-256 of a manifest for the model card."""
-    return sha256(manifest).hexdigest()
 
 
 def only_simulated(rows: TrainingRows) -> bool:

@@ -5,7 +5,6 @@ The parent process writes the record: parameters, curves, model.
 
 from __future__ import annotations
 
-import contextlib
 import json
 import math
 import os
@@ -19,7 +18,6 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
 from touchdown.backend.annotations import (
@@ -38,7 +36,7 @@ from touchdown.backend.annotations import (
     uuid7,
 )
 from touchdown.backend.config import TrainingSettings, parse_settings
-from touchdown.backend.core import Fault, FaultError, InputError, program_stamp
+from touchdown.backend.core import Fault, FaultError, InputError, program_stamp, read_json_lines
 from touchdown.backend.learning.checkpoint import ModelCard, load_card
 from touchdown.backend.learning.inference import Modality
 from touchdown.backend.learning.job import (
@@ -51,6 +49,7 @@ from touchdown.backend.learning.job import (
     TrainingJob,
     TrainingLoaded,
     TrainingRefused,
+    TrainingReport,
     default_threads,
 )
 from touchdown.backend.learning.metrics import ReliabilityBin, calibration_error
@@ -89,14 +88,10 @@ class TrainingProcess:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, _: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
-    def reports(
-        self,
-    ) -> Iterator[TrainingLoaded | TrainingEpoch | TrainingFinished | TrainingCancelled]:
+    def reports(self) -> Iterator[TrainingReport]:
         """Yield the reports of the child until it ends.
 
         Raises ``InputError`` for invalid input, ``FaultError`` if the child dies.
@@ -125,7 +120,7 @@ class TrainingProcess:
         """End the child and wait for it."""
         for pipe in (self._child.stdin, self._child.stdout):
             if pipe is not None:
-                with contextlib.suppress(BrokenPipeError):
+                with suppress(BrokenPipeError):
                     pipe.close()
         try:
             self._child.wait(EXIT_WAIT_S)
@@ -136,7 +131,7 @@ class TrainingProcess:
 
     def _send(self, line: str) -> None:
         assert self._child.stdin is not None
-        with contextlib.suppress(BrokenPipeError):
+        with suppress(BrokenPipeError):
             self._child.stdin.write(line + "\n")
             self._child.stdin.flush()
 
@@ -230,37 +225,20 @@ def read_training_run(folder: Path) -> TrainingRun:
 
 def _curves(path: Path) -> dict[str, Curve]:
     curves: dict[str, dict[int, float]] = {}
-
-    def take(line: Mapping[str, Any]) -> None:
-        value = math.nan if line["value"] is None else float(line["value"])
-        curves.setdefault(str(line["name"]), {})[int(line["step"])] = value
-
-    _read_lines(path, take)
+    for line in read_json_lines(path):
+        with suppress(ValueError, KeyError, TypeError):
+            value = math.nan if line["value"] is None else float(line["value"])
+            curves.setdefault(str(line["name"]), {})[int(line["step"])] = value
     return {name: tuple(sorted(values.items())) for name, values in curves.items()}
 
 
 def _bins(path: Path) -> dict[int, tuple[ReliabilityBin, ...]]:
     found: dict[int, tuple[ReliabilityBin, ...]] = {}
-
-    def take(line: Mapping[str, Any]) -> None:
-        bins = tuple((float(p), float(share), int(n)) for p, share, n in line["bins"])
-        found[int(line["epoch"])] = bins
-
-    _read_lines(path, take)
+    for line in read_json_lines(path):
+        with suppress(ValueError, KeyError, TypeError):
+            bins = tuple((float(p), float(share), int(n)) for p, share, n in line["bins"])
+            found[int(line["epoch"])] = bins
     return found
-
-
-def _read_lines(path: Path, take: Callable[[Mapping[str, Any]], None]) -> None:
-    """Pass each complete line to ``take``; incomplete lines are skipped."""
-    try:
-        content = path.read_bytes()
-    except OSError:
-        return
-    for raw in content.splitlines():
-        try:
-            take(json.loads(raw))
-        except (ValueError, KeyError, TypeError):
-            continue
 
 
 # fields of ``TrainingEpoch`` stored as metrics
@@ -268,23 +246,7 @@ CURVES = ("train_loss", "validation_loss", "iou", "point_accuracy")
 CALIBRATION = "calibration_error"
 
 
-def begin_training(dataset: Dataset, job: TrainingJob) -> ActiveRun:
-    """Begin the run of ``job`` with its parameters."""
-    parameters = job.model_dump(
-        mode="json", include={"piece", "out", "labels", "resume", "threads"}
-    )
-    settings = parameters | job.settings.model_dump(mode="json")
-    return dataset.runs.begin(KIND, seed=job.settings.seed, settings=settings)
-
-
-def job_in_run(run: ActiveRun | None, job: TrainingJob) -> TrainingJob:
-    """Return ``job`` with the folder of its run for manifest and samples, if there is a run."""
-    return job if run is None else job.model_copy(update={"keep": run.folder})
-
-
-def record_report(
-    run: ActiveRun, report: TrainingLoaded | TrainingEpoch | TrainingFinished | TrainingCancelled
-) -> None:
+def record_report(run: ActiveRun, report: TrainingReport) -> None:
     """Store a report of the training; the last one ends the run."""
     match report:
         case TrainingLoaded():
@@ -317,11 +279,13 @@ def run_training(
     dataset after the run. Raises ``InputError`` for invalid data, ``FaultError`` if the child
     process dies.
     """
-    with record_training(job, on_notice) as run, TrainingProcess(job_in_run(run, job)) as training:
-        for report in training.reports():
-            if run is not None:
-                record_report(run, report)
-            on_report(report)
+    with record_training(job, on_notice) as run:
+        kept = job if run is None else job.model_copy(update={"keep": run.folder})
+        with TrainingProcess(kept) as training:
+            for report in training.reports():
+                if run is not None:
+                    record_report(run, report)
+                on_report(report)
     return None if run is None else run.uuid
 
 
@@ -469,15 +433,10 @@ def record_training(job: TrainingJob, say: Callable[[str], None]) -> Iterator[Ac
     if not is_dataset(job.data):
         yield None
         return
-    try:
-        with Dataset.open(job.data, create=False, write=False) as dataset:
-            run = begin_training(dataset, job)
-    except OSError as error:
-        raise InputError(
-            f"No run can be kept there: {error.strerror or error}.",
-            str(job.data),
-            "Make room, or give the account the right to write there.",
-        ) from error
+    parameters = job.model_dump(
+        mode="json", include={"piece", "out", "labels", "resume", "threads"}
+    )
+    run = _begin(job.data, job.settings, parameters)
     try:
         with run:
             yield run
@@ -500,12 +459,6 @@ class TrainingRequest:
     labels: LabelChoice = "approved"
     resumed_run: TrainingRun | None = None
 
-    def params(self) -> dict[str, Any]:
-        """Return the parameters of the run, JSON-ready."""
-        resumed = {} if self.resumed_run is None else {"resumed": self.resumed_run.uuid}
-        kept = {"piece": self.piece, "labels": self.labels, **self.settings.model_dump(mode="json")}
-        return kept | resumed
-
 
 def resume_request(run: TrainingRun, data: Path) -> TrainingRequest:
     """Return the request that continues ``run``; raises ``InputError`` if it cannot."""
@@ -526,7 +479,9 @@ class RecordedTraining:
 
     def __init__(self, request: TrainingRequest) -> None:
         self._request = request
-        self._run = _begin(request)
+        resumed = {} if request.resumed_run is None else {"resumed": request.resumed_run.uuid}
+        parameters = {"piece": request.piece, "labels": request.labels, **resumed}
+        self._run = _begin(request.data, request.settings, parameters)
         self._child: TrainingProcess | None = None
         self._cancelled = self._killed = False
         self._lock = threading.Lock()
@@ -547,9 +502,7 @@ class RecordedTraining:
         with self._lock:
             return None if self._child is None else self._child.pid
 
-    def reports(
-        self,
-    ) -> Iterator[TrainingLoaded | TrainingEpoch | TrainingFinished | TrainingCancelled]:
+    def reports(self) -> Iterator[TrainingReport]:
         """Train, and yield each report after it was stored.
 
         Raises ``InputError`` for invalid input, ``FaultError`` if the child dies.
@@ -604,21 +557,22 @@ class RecordedTraining:
         )
 
 
-def _begin(request: TrainingRequest) -> ActiveRun:
-    seed, params = request.settings.seed, request.params()
+def _begin(data: Path, settings: TrainingSettings, parameters: Mapping[str, Any]) -> ActiveRun:
+    """Begin a run of the dataset, or of the folder of packs, ``data``."""
+    params = {**parameters, **settings.model_dump(mode="json")}
     try:
-        if is_dataset(request.data):
-            with Dataset.open(request.data, write=False) as dataset:
-                return dataset.runs.begin(KIND, seed=seed, settings=params)
+        if is_dataset(data):
+            with Dataset.open(data, create=False, write=False) as dataset:
+                return dataset.runs.begin(KIND, seed=settings.seed, settings=params)
         about = RunInfo(
-            uuid7(), KIND, "running", time.time_ns(), seed, program_stamp(), params,
+            uuid7(), KIND, "running", time.time_ns(), settings.seed, program_stamp(), params,
             hardware=hardware_info(), environment=package_versions(),
         )  # fmt: skip
-        return ActiveRun(request.data, about)
+        return ActiveRun(data, about)
     except OSError as error:
         raise InputError(
             f"No run can be kept there: {error.strerror or error}.",
-            str(request.data),
+            str(data),
             "Make room, or give the account the right to write there.",
         ) from error
 

@@ -24,7 +24,6 @@ from touchdown.backend.learning import (
     Checkpoint,
     LstmState,
     ModelCard,
-    NetworkShape,
     PatchForward,
     load_checkpoint,
     modality_columns,
@@ -119,8 +118,7 @@ class Estimator:
 
     def __init__(self, checkpoint: Checkpoint, points_mm: FloatArray) -> None:
         self.card = checkpoint.card
-        shape = NetworkShape(**self.card.hyper.model_dump())
-        self._network = PatchForward(checkpoint.arrays, shape)
+        self._network = PatchForward(checkpoint.arrays, self.card.hyper)
         self._points_mm = points_mm
         self._columns = modality_columns(self.card.modality)
         self._prepared: tuple[NDArray[np.float32], LstmState] | None = None

@@ -260,7 +260,7 @@ class FusedStrategy:
 
     def __init__(self, held: GraspedPiece, settings: StackSettings, origin_mm: XY) -> None:
         found = load_network_of(settings.fused)
-        self._forward = FusedForward(found.arrays, found.shape)
+        self._forward = FusedForward(found.arrays, found.card.hyper)
         self._held, self._settings = held, settings
         self._sensor_mm = held.lever_mm() - held.grip_height_mm
         self._belief = Belief.unknown(settings.belief, origin_mm, held.base_rate)

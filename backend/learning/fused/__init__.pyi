@@ -1,8 +1,6 @@
 from .checkpoint import FusedCard as FusedCard
 from .checkpoint import FusedCheckpoint as FusedCheckpoint
-from .checkpoint import FusedSizes as FusedSizes
 from .checkpoint import load_fused as load_fused
-from .checkpoint import save_fused as save_fused
 from .checkpoint import shipped_fused as shipped_fused
 from .features import SENSOR_MM as SENSOR_MM
 from .features import TICKS as TICKS
@@ -22,7 +20,6 @@ __all__ = [
     "FusedCard",
     "FusedCheckpoint",
     "FusedForward",
-    "FusedSizes",
     "FusedTrainer",
     "FusedTraining",
     "GraspedFace",
@@ -31,7 +28,6 @@ __all__ = [
     "acting_point_mm",
     "data_sha256",
     "load_fused",
-    "save_fused",
     "shipped_fused",
     "wrench_at_sensor",
 ]

@@ -6,38 +6,24 @@ Loading runs no code.
 from __future__ import annotations
 
 import hashlib
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib.resources import files
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
-from safetensors.numpy import save as save_arrays
+from pydantic import BaseModel, ConfigDict, ValidationError
 
-from touchdown.backend.core import InputError, write_atomically
+from touchdown.backend.core import InputError
 from touchdown.backend.learning.checkpoint import card_path, first_error, parse_arrays, read_limited
 from touchdown.backend.learning.fused.features import ARCH, TICKS, FusedShape, expected_fused_arrays
 from touchdown.backend.learning.inference import VECTOR_ORDER
 
 MAX_BYTES = 2_000_000
 FIX = "Use the one that came with Touchdown, or train again with 'touchdown experiment fused'."
-Size = Annotated[int, Field(ge=1, le=1024)]
-
-
-class FusedSizes(BaseModel):
-    """Sizes of the network."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-    width: Size
-    heads: Size
-    layers: Annotated[int, Field(ge=1, le=8)]
-    inner: Size
-    parts: Annotated[int, Field(ge=1, le=16)]
 
 
 class FusedCard(BaseModel):
@@ -46,7 +32,7 @@ class FusedCard(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
     format: Literal["touchdown-fused/1"] = "touchdown-fused/1"
     arch: Literal["causal-attention-inset/1"] = ARCH
-    hyper: FusedSizes
+    hyper: FusedShape
     vector_order: str = VECTOR_ORDER
     ticks: tuple[int, ...] = TICKS
     answers: str = "how far a point lies within the support, mm: a mixture of normal distributions"
@@ -70,21 +56,6 @@ class FusedCheckpoint:
     arrays: Mapping[str, NDArray[np.float32]]
     card: FusedCard
 
-    @property
-    def shape(self) -> FusedShape:
-        """Sizes of the network."""
-        return FusedShape(**self.card.hyper.model_dump())
-
-
-def save_fused(path: Path, arrays: Mapping[str, NDArray[np.float32]], card: FusedCard) -> FusedCard:
-    """Write weights and card; return the card with the hash of the weights."""
-    content = save_arrays({name: np.ascontiguousarray(array) for name, array in arrays.items()})
-    sealed = card.model_copy(update={"weights_sha256": hashlib.sha256(content).hexdigest()})
-    write_atomically(path, content)
-    text = json.dumps(sealed.model_dump(), indent=2, sort_keys=True, ensure_ascii=False)
-    write_atomically(card_path(path), text.encode("utf-8") + b"\n")
-    return sealed
-
 
 def load_fused(path: Path) -> FusedCheckpoint:
     """Load and check a network; raises ``InputError`` with the file for any problem.
@@ -101,7 +72,7 @@ def load_fused(path: Path) -> FusedCheckpoint:
     if card.vector_order != VECTOR_ORDER or card.ticks != TICKS:
         raise _bad(path, "It reads other channels or instants than this program")
     found = FusedCheckpoint(parse_arrays(content, path), card)
-    expected = expected_fused_arrays(found.shape)
+    expected = expected_fused_arrays(card.hyper)
     if {name: array.shape for name, array in found.arrays.items()} != expected:
         raise _bad(path, "Its arrays are not those that its card announces")
     if any(a.dtype != np.float32 or not np.isfinite(a).all() for a in found.arrays.values()):

@@ -7,11 +7,13 @@ checkpoint files have the same form.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
-from typing import Final, Literal, get_args
+from dataclasses import dataclass
+from typing import Annotated, Final, Literal, get_args
 
 import numpy as np
+import pydantic.dataclasses
 from numpy.typing import NDArray
+from pydantic import ConfigDict, Field
 
 from touchdown.backend.core import GRID_COLS, GRID_ROWS, FloatArray
 
@@ -152,7 +154,10 @@ POINT_INPUTS = 5
 OF_MIXTURE = 3  # weight, mean and standard deviation of each component
 
 
-@dataclass(frozen=True, slots=True)
+Size = Annotated[int, Field(ge=1, le=1024)]
+
+
+@pydantic.dataclasses.dataclass(frozen=True, config=ConfigDict(extra="forbid"))
 class FusedShape:
     """Sizes of the network.
 
@@ -160,15 +165,11 @@ class FusedShape:
     units; the answer for a point is a mixture of ``parts`` normal distributions.
     """
 
-    width: int = 96
-    heads: int = 4
-    layers: int = 2
-    inner: int = 192
-    parts: int = 3
-
-    def as_json(self) -> dict[str, int]:
-        """Return the sizes by name."""
-        return asdict(self)
+    width: Size = 96
+    heads: Size = 4
+    layers: Annotated[int, Field(ge=1, le=8)] = 2
+    inner: Size = 192
+    parts: Annotated[int, Field(ge=1, le=16)] = 3
 
 
 def expected_fused_arrays(shape: FusedShape) -> Mapping[str, tuple[int, ...]]:

@@ -19,7 +19,7 @@ from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
 from touchdown.backend.core import files
-from touchdown.backend.core.clock import BenchClock, ClockJumpDetector, ManualClock, MonotonicClock
+from touchdown.backend.core.clock import BenchClock, ClockJumpDetector, ManualClock
 from touchdown.backend.core.contact_onset import (
     OnsetDetector,
     OnsetRule,
@@ -52,30 +52,12 @@ def test_many_small_steps_are_one_large_step(steps):
     assert by_steps.now_s() == at_once.now_s()
 
 
-def test_a_cycle_of_10_ms_wound_for_an_hour_is_an_hour():
-    clock = ManualClock()
-    for _ in range(360_000):
-        clock.advance(10_000)
-    assert clock.now_s() == 3600.0
-
-
 def test_it_is_never_wound_back():
     clock = ManualClock()
     clock.advance(5)
     with pytest.raises(ValueError, match="cannot go back"):
         clock.advance(-1)
     assert clock.now_us == 5
-
-
-def test_it_stands_still_between():
-    clock = ManualClock()
-    assert clock.now_s() == clock.now_s() == 0.0
-
-
-def test_the_computer_s_clock_never_goes_back():
-    clock = MonotonicClock()
-    readings = [clock.now_s() for _ in range(1000)]
-    assert readings == sorted(readings)
 
 
 def test_the_clock_of_a_real_bench_waits_and_makes_up_for_nothing():
@@ -229,17 +211,7 @@ def test_every_subscriber_gets_every_fact_in_order():
     assert second == facts
 
 
-def test_who_left_hears_nothing_and_may_leave_twice():
-    hub, heard = EventBus(), []
-    leave = hub.subscribe(heard.append)
-    hub.publish(_fact(0))
-    leave()
-    leave()
-    hub.publish(_fact(1))
-    assert heard == [_fact(0)]
-
-
-def test_a_subscriber_may_leave_while_it_is_told():
+def test_a_subscriber_may_leave_during_delivery_and_again():
     hub, heard = EventBus(), []
 
     def once(fact):
@@ -250,6 +222,7 @@ def test_a_subscriber_may_leave_while_it_is_told():
     late = []
     hub.subscribe(late.append)
     hub.publish(_fact(0))
+    leave()
     hub.publish(_fact(1))
     assert heard == [_fact(0)]
     assert late == [_fact(0), _fact(1)]
@@ -305,11 +278,6 @@ def test_a_mailbox_keeps_the_newest_and_counts_the_rest(capacity, moves):
     while (fact := box.take()) is not None:
         rest.append(fact)
     assert rest == model
-
-
-def test_facts_cannot_be_changed():
-    with pytest.raises(AttributeError):
-        _fact(0).text = "other"
 
 
 ROW, COL = np.divmod(np.arange(63), 9)

@@ -1,48 +1,59 @@
-"""Real-time priority is inherited by threads and restored; nothing changes without permission."""
+"""A raised priority is inherited by threads and restored; nothing changes without permission."""
 
 from __future__ import annotations
 
 import os
+import sys
 import threading
+from collections.abc import Callable
+from contextlib import AbstractContextManager
 
 import pytest
 
 from touchdown.backend.core import scheduling
-from touchdown.backend.core.scheduling import round_robin_priority
+from touchdown.backend.core.scheduling import RAISED_NICENESS, raised_priority, round_robin_priority
 
-pytestmark = pytest.mark.skipif(
-    not hasattr(os, "sched_setscheduler"), reason="only Linux gives it to threads"
-)
-
-
-def present() -> tuple[int, int]:
-    return os.sched_getscheduler(0), os.sched_getparam(0).sched_priority
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="only Linux gives it to threads")
+Raise = Callable[[], AbstractContextManager[bool]]
 
 
-def of_a_new_thread() -> tuple[int, int]:
-    found: list[tuple[int, int]] = []
+def present() -> tuple[int, int, int]:
+    priority = os.sched_getparam(0).sched_priority
+    return os.sched_getscheduler(0), priority, os.getpriority(os.PRIO_PROCESS, 0)
+
+
+def of_a_new_thread() -> tuple[int, int, int]:
+    found: list[tuple[int, int, int]] = []
     thread = threading.Thread(target=lambda: found.append(present()))
     thread.start()
     thread.join()
     return found[0]
 
 
-def test_threads_inherit_it_and_the_caller_has_its_own_again() -> None:
+@pytest.mark.parametrize("raise_it", [lambda: round_robin_priority(3), raised_priority])
+def test_threads_inherit_it_and_the_caller_has_its_own_again(raise_it: Raise) -> None:
     before = present()
-    with round_robin_priority(3) as given:
+    with raise_it() as given:
         if not given:
             pytest.skip("this user may not have it")
-        assert of_a_new_thread() == present() == (os.SCHED_RR, 3)
+        niceness = RAISED_NICENESS if raise_it is raised_priority else before[2]
+        policy = before[:2] if raise_it is raised_priority else (os.SCHED_RR, 3)
+        assert of_a_new_thread() == present() == (*policy, niceness)
     assert of_a_new_thread() == present() == before
 
 
-@pytest.mark.parametrize("priority", [0, 3])
-def test_without_it_nothing_changes(priority: int, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    "raise_it", [lambda: round_robin_priority(0), lambda: round_robin_priority(3), raised_priority]
+)
+def test_without_permission_nothing_changes(
+    raise_it: Raise, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def refused(*_: object) -> None:
-        raise PermissionError("no rtprio for this user")
+        raise PermissionError("not for this user")
 
     before = present()
     monkeypatch.setattr(scheduling.os, "sched_setscheduler", refused)
-    with round_robin_priority(priority) as given:
+    monkeypatch.setattr(scheduling.os, "setpriority", refused)
+    with raise_it() as given:
         assert not given
         assert present() == before

@@ -135,19 +135,16 @@ def test_a_damaged_file_is_one_sentence(content: bytes, tmp_path: Path) -> None:
         list(read_foreign("robomimic", path))
 
 
-def test_a_cut_file_is_one_sentence(tmp_path: Path) -> None:
-    path = robomimic_file(tmp_path / "demo.hdf5")
+@pytest.mark.parametrize("kind", ["robomimic", "lerobot"])
+def test_a_cut_file_is_one_sentence(kind: str, tmp_path: Path) -> None:
+    if kind == "robomimic":
+        source = path = robomimic_file(tmp_path / "demo.hdf5")
+    else:
+        source = lerobot_21(tmp_path / "old")
+        path = next(source.rglob("*.parquet"))
     path.write_bytes(path.read_bytes()[:-3000])
-    with pytest.raises(InputError):
-        list(read_foreign("robomimic", path))
-
-
-def test_a_damaged_parquet_file_is_one_sentence(tmp_path: Path) -> None:
-    folder = lerobot_21(tmp_path / "old")
-    path = next(folder.rglob("*.parquet"))
-    path.write_bytes(path.read_bytes()[:-20])
     with pytest.raises(InputError, match="damaged or foreign"):
-        list(read_foreign("lerobot", folder))
+        list(read_foreign(kind, source))
 
 
 def test_a_reader_that_takes_too_long_is_given_up(tmp_path: Path) -> None:

@@ -35,7 +35,8 @@ from touchdown.backend.experiments.tables import QUICK, TOWER, Recipe
 from touchdown.backend.experiments.trials import SceneSetup, start_scene
 from touchdown.backend.geometry.pieces import load_pieces
 from touchdown.backend.jobs.job import SPEC_FILE, JobSpec, JobStore, run_job
-from touchdown.backend.learning.fused.checkpoint import save_fused, shipped_fused
+from touchdown.backend.learning.checkpoint import save_checkpoint
+from touchdown.backend.learning.fused.checkpoint import shipped_fused
 from touchdown.backend.simulation.scene import Scene, true_margin_mm
 
 
@@ -147,7 +148,7 @@ def test_answers_of_another_network_are_other_jobs(
     bench_v1: SimulationSettings, tmp_path: Path
 ) -> None:
     ships, other = shipped_fused(), tmp_path / "other.safetensors"
-    save_fused(other, {**ships.arrays, "mean": ships.arrays["mean"] + 1.0}, ships.card)
+    save_checkpoint(other, {**ships.arrays, "mean": ships.arrays["mean"] + 1.0}, ships.card)
     asks = StackSettings(fused=FusedSettings(weights=str(other)))
     for kind in (StaticComparison, ClosedLoopComparison):
         plan = kind(bench_v1, "1", {"pot": "m"}, ("pot",), ("long",), ("paper", "fused"), 2)

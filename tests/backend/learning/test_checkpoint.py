@@ -28,7 +28,6 @@ from touchdown.backend.geometry.outlines import face_points
 from touchdown.backend.geometry.pieces import load_pieces
 from touchdown.backend.learning.checkpoint import (
     ModelCard,
-    NetworkSizes,
     card_path,
     load_card,
     load_checkpoint,
@@ -202,7 +201,7 @@ def save_small(path: Path) -> dict[str, np.ndarray]:
     """Save a small new model with its card; return its arrays."""
     model = new_model(NetworkShape(6, 8, 2, 5), 4)
     card = ModelCard(
-        arch=ARCH, hyper=NetworkSizes(inputs=6, hidden=8, layers=2, points=5), modality="FT",
+        arch=ARCH, hyper=NetworkShape(6, 8, 2, 5), modality="FT",
         piece="pot", geometry="ab" * 32, base_rate=0.3, seed=4, program_version="0.1.0",
         weights_sha256="",
     )  # fmt: skip

@@ -18,12 +18,7 @@ from touchdown.backend.core.faults import InputError
 from touchdown.backend.core.values import Episode, EpisodeQuality
 from touchdown.backend.episodes.training_rows import split_rows
 from touchdown.backend.geometry.pieces import load_pieces
-from touchdown.backend.learning.checkpoint import (
-    ModelCard,
-    NetworkSizes,
-    load_checkpoint,
-    save_checkpoint,
-)
+from touchdown.backend.learning.checkpoint import ModelCard, load_checkpoint, save_checkpoint
 from touchdown.backend.learning.fitting import hardware_rows
 from touchdown.backend.learning.inference import ARCH, NetworkShape, expected_arrays
 from touchdown.backend.learning.registry import (
@@ -117,7 +112,7 @@ def make(tmp_path: Path) -> Make:
             for name, size in expected_arrays(shape).items()
         }
         card = ModelCard(
-            arch=ARCH, hyper=NetworkSizes(**shape.as_json()), modality="FT", piece=piece,
+            arch=ARCH, hyper=shape, modality="FT", piece=piece,
             geometry="g",
             base_rate=0.5, seed=seed, program_version="0", weights_sha256="",
         )  # fmt: skip

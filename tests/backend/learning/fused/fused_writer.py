@@ -13,7 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from touchdown.backend.learning.fused.checkpoint import FusedCard, FusedSizes, save_fused
+from touchdown.backend.learning.checkpoint import save_checkpoint
+from touchdown.backend.learning.fused.checkpoint import FusedCard
 from touchdown.backend.learning.fused.features import FusedShape, expected_fused_arrays
 
 SHAPE = FusedShape(width=16, heads=2, layers=1, inner=24, parts=2)
@@ -26,9 +27,8 @@ def write(folder: Path, number: int) -> None:
         name: np.full(size, number, np.float32)
         for name, size in expected_fused_arrays(SHAPE).items()
     }
-    sizes = FusedSizes(**SHAPE.as_json())
     facts = {"bench_sha256": "b", "data_sha256": "d", "seed": number, "program_version": "0"}
-    save_fused(folder / NAME, arrays, FusedCard(hyper=sizes, **facts))  # type: ignore[arg-type]
+    save_checkpoint(folder / NAME, arrays, FusedCard(hyper=SHAPE, **facts))  # type: ignore[arg-type]
 
 
 def main(folder: Path, what: str) -> None:

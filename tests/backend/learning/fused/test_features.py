@@ -19,12 +19,8 @@ from touchdown.backend.experiments import oracle
 from touchdown.backend.experiments.oracle import HypothesisEnsemble, OracleSetting, predict_press
 from touchdown.backend.geometry.outlines import circle, face_points, inset_mm, rectangle
 from touchdown.backend.geometry.pieces import load_pieces
-from touchdown.backend.learning.fused.checkpoint import (
-    FusedCard,
-    FusedSizes,
-    load_fused,
-    save_fused,
-)
+from touchdown.backend.learning.checkpoint import save_checkpoint
+from touchdown.backend.learning.fused.checkpoint import FusedCard, load_fused
 from touchdown.backend.learning.fused.features import (
     TICKS,
     FusedShape,
@@ -241,21 +237,15 @@ def test_a_training_learns_and_is_the_same_again() -> None:
 
 @pytest.fixture
 def kept(tmp_path: Path) -> Path:
-    card = FusedCard(
-        hyper=FusedSizes(**SMALL.as_json()),
-        bench_sha256="b",
-        data_sha256="d",
-        seed=1,
-        program_version="0",
-    )
+    card = FusedCard(hyper=SMALL, bench_sha256="b", data_sha256="d", seed=1, program_version="0")
     path = tmp_path / "fused.safetensors"
-    save_fused(path, weights(1), card)
+    save_checkpoint(path, weights(1), card)
     return path
 
 
 def test_weights_arrive_as_they_left(kept: Path) -> None:
     found = load_fused(kept)
-    assert found.shape == SMALL
+    assert found.card.hyper == SMALL
     assert all(np.array_equal(found.arrays[name], a) for name, a in weights(1).items())
 
 

@@ -50,7 +50,7 @@ from touchdown.backend.simulation import Scene, SceneTruth, start_command_mm, tr
 from touchdown.backend.simulation.devices import BenchStreams, SimulatedBench
 
 TOWERS = 100  # most draws of a tower on which the piece can stand
-DIRECTIONS = 32
+DIRECTIONS, MOST_STEPS = 32, 20  # rays and steps of the search for the least number of probes
 JIG_MM = (-80.0, 0.0)  # position of the jig beside the bottom
 
 
@@ -80,8 +80,8 @@ class SimulatedBenchChoice:
             return read_settings(SimulationSettings, self.file)
         name = self.preset or "mixed"
         if name not in PRESETS:
-            known = ", ".join(PRESETS)
-            raise InputError(f"There is no preset '{name}'.", "--preset", f"Choose one of {known}.")
+            fix = f"Choose one of {', '.join(PRESETS)}."
+            raise InputError(f"There is no preset '{name}'.", "--preset", fix)
         return SimulationSettings.model_validate({"preset": name})
 
 
@@ -109,14 +109,10 @@ class SimulatedScoring:
         return self.bench.scene.start_mm
 
     def least_probes(self) -> int:
-        """Return 1 + the least number of longest steps from the start to a stable offset.
-
-        Searches along ``DIRECTIONS`` rays.
-        """
+        """Return 1 + the least number of longest steps from the start to a stable offset."""
         scene = self.bench.scene
         x, y = scene.start_mm
-        steps = 0
-        while steps < 20:
+        for steps in range(MOST_STEPS):
             radius = steps * self.longest_step_mm
             angles = 2 * np.pi * np.arange(DIRECTIONS if steps else 1) / DIRECTIONS
             for angle in angles:
@@ -125,8 +121,7 @@ class SimulatedScoring:
                     at = (x + reach * float(np.cos(angle)), y + reach * float(np.sin(angle)))
                     if true_margin_mm(scene, at, 0.0) > 0.0:
                         return 1 + steps
-            steps += 1
-        return 1 + steps
+        return 1 + MOST_STEPS
 
     def verdict(self) -> ReleaseVerdict:
         """Judge the present scene; if animated, the physics engine judges a release as well."""
@@ -253,23 +248,17 @@ def make_scene(catalogue: PieceLibrary, choice: SceneChoice, settings: Simulatio
     piece = catalogue.top(choice.piece)
     rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, 77])))
     tower = make_tower(catalogue, choice, piece, rng)
-    if choice.jig:
-        return _collecting(piece, tower, choice, settings)
-    start = draw_start(rng, piece.body(), tower)
-    return Scene(piece=piece, bottoms=tower, start_mm=start, seed=seed, settings=settings)
-
-
-def _collecting(
-    piece: Piece, tower: Tower, choice: SceneChoice, settings: SimulationSettings
-) -> Scene:
-    """Return a scene with the piece in its jig, which holds it more precisely than a hand."""
+    if not choice.jig:
+        start = draw_start(rng, piece.body(), tower)
+        return Scene(piece=piece, bottoms=tower, start_mm=start, seed=seed, settings=settings)
+    # A jig holds the piece more precisely than a hand.
     grasp_mm = settings.spread.grasp_offset_mm if choice.handed else settings.spread.jig_mm
     spread = settings.spread.model_copy(update={"grasp_offset_mm": grasp_mm})
     return Scene(
         piece=piece,
         bottoms=tower,
         start_mm=JIG_MM,
-        seed=choice.seed,
+        seed=seed,
         settings=settings.model_copy(update={"spread": spread}),
         mounting=choice.mounting,
         jig=True,
@@ -304,15 +293,11 @@ def simulated_session(
     description = describe_simulation(settings)
     models = BenchModels(registry, description, method.belief.pitch_mm)
 
-    def _estimator(bench: SimulatedBench, choice: SceneChoice) -> PatchEstimator:
-        if estimate is not None:
-            return estimate(bench)
-        return models.of(choice, bench.scene.piece) or NoEstimator()
-
     def make_stage(choice: SceneChoice, raw: RawStreams) -> SceneDevices:
         scene = make_scene(catalogue, choice, settings)
         streams = BenchStreams(raw.frames, raw.samples, raw.poses, raw.commands)
         bench = SimulatedBench(scene, script, streams)
+        estimator = estimate(bench) if estimate else models.of(choice, scene.piece)
         return SceneDevices(
             clock=bench.clock,
             devices=bench.devices,
@@ -322,7 +307,7 @@ def simulated_session(
             bottom="+".join(choice.bottoms),
             advance=bench.advance,
             scoring=SimulatedScoring(bench, method.policy.longest_step_mm, animate),
-            estimator=_estimator(bench, choice),
+            estimator=estimator or NoEstimator(),
             payload=gripper_payload(settings.wrist.payload_kg, settings.wrist.payload_com_mm),
             outline=scene.surface,
             jig=Pose(*start_command_mm(scene).tolist()) if scene.jig else None,

@@ -10,7 +10,6 @@ import threading
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from types import TracebackType
 
 from touchdown.backend.bench.assembly import (
     BenchModels,
@@ -103,12 +102,7 @@ class EmulatedBench:
     def __enter__(self) -> EmulatedBench:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_error: object) -> None:
         self.close()
 
     def _make_stage(self, choice: SceneChoice, raw: RawStreams) -> SceneDevices:
@@ -123,13 +117,9 @@ class EmulatedBench:
             self._truth = truth = TruthClient(scene, address)
             hardware = read_settings(HardwareSettings, folder / BENCH_FILE)
             self._wired = wired = BenchDevices(
-                hardware,
-                self._clock.now_s,
-                raw.frames,
-                raw.samples,
-                raw.poses,
+                hardware, self._clock.now_s, raw.frames, raw.samples, raw.poses,
                 self.session.interlock,
-            )
+            )  # fmt: skip
             stack.callback(wired.close)
             wired.connect(threading.Event())
             wired.home()
@@ -209,7 +199,6 @@ def emulated_bench(
         registry=ModelRegistry(models_folder()),
         plan=faults,
     ) as bench:
-        bench.session.calibrations = CalibrationStore(
-            calibrations_folder(), "emulated", "--emulated"
-        )
+        store = CalibrationStore(calibrations_folder(), "emulated", "--emulated")
+        bench.session.calibrations = store
         yield bench.session

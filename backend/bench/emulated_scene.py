@@ -19,7 +19,7 @@ import time
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -48,7 +48,6 @@ from touchdown.backend.devices.melfa import (
 )
 from touchdown.backend.devices.wsg import EmulatedWsg
 from touchdown.backend.emulation import (
-    DeviceServer,
     Emulation,
     FaultPlan,
     Faults,
@@ -92,19 +91,12 @@ class DriverObservations:
         )
 
 
-class WatchedGripper(Protocol):
-    """Counters of the emulated gripper."""
-
-    openings: int
-    barred: int
-
-
 class DriverMonitor:
     """Monitor of the devices of a scene; ``gripper`` is set once there is one."""
 
     def __init__(self, melfa: EmulatedMelfa) -> None:
         self._melfa = melfa
-        self.gripper: WatchedGripper | None = None
+        self.gripper: SceneWsg | None = None
         self._rest: list[FloatArray] = []
         self._rest_n: FloatArray = np.zeros(3)
         self._force_n = 0.0
@@ -150,12 +142,12 @@ class EmulatedScene:
     """Scene with the state that its devices read; time passes on its own thread."""
 
     def __init__(self, scene: Scene, settings: MelfaSettings) -> None:
-        self._scene, self.world = scene, World(scene, still_px=STILL_PX)
+        self.scene, self.world = scene, World(scene, still_px=STILL_PX)
         self.frame = BenchFrame(settings)
         start = self.frame.joints(self.world.drive.command_mm)
         self.melfa = EmulatedMelfa(settings, start_rad=start)
         self.world.drive.run(CarriedProgram(self))
-        self._monitor = DriverMonitor(self.melfa)
+        self.monitor = DriverMonitor(self.melfa)
         self.melfa.controller.felt = self._felt_in_base
         self._zero_s = 0.0
         self._felt: tuple[float, FloatArray] = (0.0, np.zeros((1, 6)))
@@ -164,11 +156,6 @@ class EmulatedScene:
         self.priority = 0  # real-time priority of the world thread if permitted; 0: unchanged
         self._thread = threading.Thread(target=self._run, name="world", daemon=True)
         self.late = 0  # skipped cycles
-
-    @property
-    def scene(self) -> Scene:
-        """The scene as it was set."""
-        return self._scene
 
     def start(self) -> None:
         """Start the time."""
@@ -195,7 +182,7 @@ class EmulatedScene:
         Returns the newest sample if the world is late.
         """
         newest_s, rows = self._felt
-        rate_hz = self._scene.settings.wrist.rate_hz
+        rate_hz = self.scene.settings.wrist.rate_hz
         behind = round((newest_s - (now_s - self._zero_s - LATENCY_S)) * rate_hz)
         return tuple(rows[max(-1 - max(behind, 0), -len(rows))].tolist())
 
@@ -212,22 +199,18 @@ class EmulatedScene:
         """Return the ground truth."""
         return self.world.truth(animate=animate)
 
-    def watch_gripper(self, gripper: WatchedGripper) -> None:
-        """Include the counters of ``gripper`` in the observations."""
-        self._monitor.gripper = gripper
-
     def driver_observations(self) -> DriverObservations:
         """Return the driver behaviour observed so far."""
         controller, pivot_mm = self.melfa.controller, self.frame.pivot_mm
         now_s = controller.now_s
         before_mm = pivot_mm(controller.joints_at(now_s - STILL_S))
         way_mm = pivot_mm(controller.joints_at(now_s)) - before_mm
-        return self._monitor.observations(float(np.linalg.norm(way_mm)))
+        return self.monitor.observations(float(np.linalg.norm(way_mm)))
 
     def step(self, behind_s: float = 0.0) -> CycleRecord:
         """Advance the world, late by ``behind_s``, by one cycle and publish its samples."""
         sensed = self.world.step(FINGERS if behind_s <= PICTURE_S else ())
-        self._monitor.add_samples(sensed.wrench)
+        self.monitor.add_samples(sensed.wrench)
         rows = np.concatenate([self._felt[1], sensed.wrench])[-KEPT:]
         self._felt = (1e-6 * sensed.end_us, rows)
         for finger in FINGERS:
@@ -245,15 +228,12 @@ class EmulatedScene:
             if wait_s > 0.0:
                 self._stop.wait(wait_s)
             elif wait_s < -BEHIND_S:
-                self._give_up(-wait_s)
+                # Skip the delay; samples from before are not returned for times after.
+                self._felt = (self._felt[0], self._felt[1][-1:])
+                self._zero_s -= wait_s
+                self.late += round(-1e6 * wait_s / self.world.cycle_us)
             else:
                 self.step(-wait_s)
-
-    def _give_up(self, behind_s: float) -> None:
-        """Skip the delay; samples from before are not returned for times after."""
-        self._felt = (self._felt[0], self._felt[1][-1:])
-        self._zero_s += behind_s
-        self.late += round(1e6 * behind_s / self.world.cycle_us)
 
 
 class BenchFrame:
@@ -287,11 +267,8 @@ class BenchFrame:
         """Return the rotation (3, 3) of the hand; the identity within the level tolerance."""
         hand = self._frame(joints_rad)[:3, :3]
         turn = self._turn.T @ hand @ self._hand.T @ self._turn
-        return (
-            IDENTITY_ROTATION
-            if np.linalg.norm(rotation_vector(turn)) <= LEVEL_TOLERANCE_RAD
-            else turn
-        )
+        level = np.linalg.norm(rotation_vector(turn)) <= LEVEL_TOLERANCE_RAD
+        return IDENTITY_ROTATION if level else turn
 
     def joints(self, pivot_mm: FloatArray) -> FloatArray:
         """Return joints (6,) with ``G`` there and the hand down; ``ValueError`` out of reach."""
@@ -345,7 +322,7 @@ class SceneWsg(EmulatedWsg):
         self._world, self._piece_mm = emulated.world, emulated.scene.piece.width_mm
         self._held = self._in_hand = False
         self.openings = 0
-        emulated.watch_gripper(self)
+        emulated.monitor.gripper = self
 
     def due(self, now_s: float) -> bytes:
         """Return the gripper's output and apply its jaws to the world."""
@@ -427,8 +404,23 @@ def serve_bench(
     arm = MelfaServer(emulated.melfa, host, faults=Faults("arm", plan))
     gripping = Faults("gripper", plan)
     gripper = TcpServer(SceneWsg(emulated, gripping), host, faults=gripping)
-    sensor = _sensor(emulated, folder, Faults("force_torque", plan), host)
-    cameras = [_camera(emulated, finger, folder, plan) for finger in FINGERS]
+    felt = Faults("force_torque", plan)
+    sensor: TcpServer | PtyServer
+    if sys.platform == "win32":
+        sensor = TcpServer(SceneDynpick(emulated, felt), host, faults=felt)
+    else:
+        sensor = PtyServer(SceneDynpick(emulated, felt), faults=felt, link=folder / "force_torque")
+    sensor.tick_s = SENSOR_TICK_S
+    cameras = [
+        GelsightServer(
+            lambda now_s, finger=finger: emulated.picture(finger),  # type: ignore[misc]
+            folder,
+            SERIALS[finger],
+            rate_hz=POLL_HZ,
+            faults=Faults(f"tactile_{finger}", plan),
+        )
+        for finger in FINGERS
+    ]
     emulated.priority = EMULATOR_PRIORITY
     for server in (arm, gripper, sensor, *cameras):
         server.priority = EMULATOR_PRIORITY
@@ -456,30 +448,6 @@ def lab_toml(scene: Scene, emulation: Emulation) -> str:
     }
     return LAB_HEAD.format(piece=scene.piece.name, bottom=bottoms) + bench_toml(
         {"mounting": mounting, **tables}
-    )
-
-
-def _sensor(emulated: EmulatedScene, folder: Path, faults: Faults, host: str) -> DeviceServer:
-    device = SceneDynpick(emulated, faults)
-    server: TcpServer | PtyServer
-    if sys.platform == "win32":
-        server = TcpServer(device, host, faults=faults)
-    else:
-        server = PtyServer(device, faults=faults, link=folder / "force_torque")
-    server.tick_s = SENSOR_TICK_S
-    return server
-
-
-def _camera(
-    emulated: EmulatedScene, finger: Finger, folder: Path, plan: FaultPlan
-) -> GelsightServer:
-    faults = Faults(f"tactile_{finger}", plan)
-    return GelsightServer(
-        lambda now_s: emulated.picture(finger),
-        folder,
-        SERIALS[finger],
-        rate_hz=POLL_HZ,
-        faults=faults,
     )
 
 
@@ -519,12 +487,7 @@ class TruthClient:
     """Ground truth of ``scene``, which another process emulates at ``address``."""
 
     def __init__(self, scene: Scene, address: tuple[str, int]) -> None:
-        self._scene, self._address = scene, address
-
-    @property
-    def scene(self) -> Scene:
-        """The scene as it was set."""
-        return self._scene
+        self.scene, self._address = scene, address
 
     def truth(self, *, animate: bool = False) -> SceneTruth:
         """Return the ground truth; raises ``OSError``."""

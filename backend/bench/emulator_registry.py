@@ -28,16 +28,14 @@ from touchdown.backend.simulation import TactileRenderer, load_gel_appearance, m
 STILL_NOISE = 1.0  # grey levels added to a still picture: two camera pictures are never equal
 
 
-def sheared_gel(
-    finger: Finger, amplitude_px: float = 3.0, period_s: float = 4.0, seed: int = 0
-) -> PictureFunction:
-    """Return the pictures of a gel whose markers swing to and fro by ``amplitude_px``."""
+def sheared_gel(finger: Finger, amplitude_px: float = 3.0) -> PictureFunction:
+    """Return the pictures of a gel whose markers swing by ``amplitude_px`` every 4 s."""
     look = load_gel_appearance() if finger == "left" else mirror_appearance(load_gel_appearance())
-    optics = TactileRenderer(look, seed)
+    optics = TactileRenderer(look, 0)
     hidden = np.zeros(MARKERS, dtype=np.bool_)
 
     def seen(now_s: float) -> ImageArray:
-        swing_px = amplitude_px * math.sin(2 * math.pi * now_s / period_s)
+        swing_px = amplitude_px * math.sin(0.5 * math.pi * now_s)
         return optics.render(np.tile([swing_px, 0.5 * swing_px], (MARKERS, 1)), hidden)
 
     return seen

@@ -278,8 +278,10 @@ class Session:
             refuse_degraded(self.degraded, self.clock_s())
             if self.hand is not None:
                 self.hand.refuse_turned()
-            if self.hand is not None and not self.hand.powered:
-                raise RefusedError("SERVO-OFF", "The servo of the arm is off: switch it on first.")
+                if not self.hand.powered:
+                    raise RefusedError(
+                        "SERVO-OFF", "The servo of the arm is off: switch it on first."
+                    )
         self.engine.begin(self._plan(request))
 
     def run(self, request: Request) -> RunResult:
@@ -467,10 +469,6 @@ class Session:
         self.mode = "stepped" if stepped else LIVE_MODES.get(self.description.mode, "lab")
         return make_plan(request, self)
 
-    def _wall_s(self) -> float:
-        """Return the clock of the jog lease: the wall clock while live, else the bench clock."""
-        return time.monotonic() if self._live.running else self.clock_s()
-
     # -- for plans --------------------------------------------------------------------------------
 
     def check_scene(self, choice: SceneChoice) -> Mapping[str, object]:
@@ -532,11 +530,18 @@ class Session:
 
         arm = GuardedArm(stage.arm, self.interlock, now_s, press_n, surface_mm)
         gripper = GuardedGripper(stage.gripper, self.interlock, now_s)
-        around = JogSurroundings(now_s, self._wall_s, press_n, surface_mm, lambda: self.engine.busy)
-        hand = ManualControl(
+
+        def lease_clock_s() -> float:
+            # The wall clock while live, else the bench clock.
+            return time.monotonic() if self._live.running else self.clock_s()
+
+        around = JogSurroundings(
+            now_s, lease_clock_s, press_n, surface_mm, lambda: self.engine.busy
+        )
+        self._stage = stage
+        self._hand = ManualControl(
             ManualDevices(arm, gripper, sensing), self.interlock, around, self.events.publish
         )
-        self._stage, self._hand = stage, hand
         self._drift = DriftMonitor(
             DriftScene(now_s, arm, gripper, surface_mm), sensing, self.events.publish
         )

@@ -36,26 +36,16 @@ def open_window(arguments: list[str]) -> int:
             "PySide6",
             "Run 'make setup', or work without a window: 'touchdown stack'.",
         )
-    _check_arguments(arguments)
-    return int(_window().main(arguments))
-
-
-def _check_arguments(arguments: list[str]) -> None:
-    """Raise ``InputError`` for arguments that the window's parser refuses."""
     parser = _window().parser()
     parser.exit_on_error = False
     try:
         _, unknown = parser.parse_known_args(arguments)
+        wrong = f"Unknown argument: {' '.join(unknown)}." if unknown else ""
     except argparse.ArgumentError as error:
-        raise InputError(
-            f"{str(error).capitalize()}.", "touchdown app", "See 'touchdown app --help'."
-        ) from error
-    if unknown:
-        raise InputError(
-            f"Unknown argument: {' '.join(unknown)}.",
-            "touchdown app",
-            "See 'touchdown app --help'.",
-        )
+        wrong = f"{str(error).capitalize()}."
+    if wrong:
+        raise InputError(wrong, "touchdown app", "See 'touchdown app --help'.")
+    return int(_window().main(arguments))
 
 
 def _window() -> ModuleType:

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from functools import partial
 from importlib.resources import files
+from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,7 +19,7 @@ import numpy as np
 from rich.table import Table
 
 from touchdown.backend.cli.output import VerbOutput, write_new
-from touchdown.backend.config import PLACEHOLDERS, Lab, LabSettings, Settings, load_lab
+from touchdown.backend.config import PLACEHOLDERS, Lab, LabSettings, load_lab
 
 if TYPE_CHECKING:
     from touchdown.backend.bench import Session
@@ -68,15 +69,13 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
 
 def _show(lab: Lab, screen: VerbOutput) -> None:
     settings = lab.settings
-    table = Table(title=f"{settings.name} ({settings.kind})")
-    table.add_column("setting")
-    table.add_column("value")
-    for group in ("limits", "mounting", "serials"):
-        for key, value in getattr(settings, group).model_dump(mode="json").items():
-            table.add_row(f"{group}.{key}", json.dumps(value))
-    for key, text in _devices(settings).items():
-        table.add_row(key, text)
-    screen.show(table)
+    rows = [
+        (f"{group}.{key}", json.dumps(value))
+        for group in ("limits", "mounting", "serials")
+        for key, value in getattr(settings, group).model_dump(mode="json").items()
+    ]
+    title = f"{settings.name} ({settings.kind})"
+    screen.table(title, ("setting", "value"), *rows, *_devices(settings).items())
     made_up = placeholders(settings)
     if made_up and settings.kind == "hardware":
         screen.say(f"Placeholders, enter the values of the lab: {', '.join(made_up)}.")
@@ -109,19 +108,9 @@ def _devices(settings: LabSettings) -> dict[str, str]:
 def placeholders(settings: LabSettings) -> list[str]:
     """Return the keys with a default placeholder, and those that are still empty."""
     usual = LabSettings(version=1, name="usual", kind="hardware")
-    made_up = [key for key in PLACEHOLDERS if _at(settings, key) == _at(usual, key)]
-    return [*(key for key in REQUIRED_KEYS if _is_blank(_at(settings, key))), *made_up]
-
-
-def _is_blank(value: object) -> bool:
-    return isinstance(value, str) and re.search("FILL.IN", value) is not None
-
-
-def _at(settings: Settings, key: str) -> object:
-    value: object = settings
-    for part in key.split("."):
-        value = getattr(value, part)
-    return value
+    made_up = [key for key in PLACEHOLDERS if attrgetter(key)(settings) == attrgetter(key)(usual)]
+    blank = [key for key in REQUIRED_KEYS if re.search("FILL.IN", attrgetter(key)(settings))]
+    return [*blank, *made_up]
 
 
 def _connect(file: Path, screen: VerbOutput) -> int:

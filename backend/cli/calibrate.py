@@ -8,12 +8,9 @@ from __future__ import annotations
 import argparse
 import getpass
 import shlex
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
-
-from rich.table import Table
 
 from touchdown.backend.calibration import (
     CALIBRATION_KINDS,
@@ -24,16 +21,15 @@ from touchdown.backend.calibration import (
     quantity_name,
 )
 from touchdown.backend.cli.connection import (
-    add_lab_arguments,
+    add_bench_arguments,
     add_scene_arguments,
     ask_yes_no_in_thread,
+    at_lab,
     fill_in_scene,
-    open_lab_bench,
-    refuse_lab_arguments,
-    refuse_simulated_arguments,
+    open_bench,
+    refuse_misplaced_arguments,
 )
 from touchdown.backend.cli.output import AdvanceFunction, VerbOutput, ctrl_c_cancels
-from touchdown.backend.config import is_lab_file
 from touchdown.backend.core import (
     CalibrationMeasured,
     Event,
@@ -45,7 +41,12 @@ from touchdown.backend.core import (
     RunFinished,
     Said,
 )
-from touchdown.backend.runs import CalibrateRequest, calibrations_folder, hand_over_message
+from touchdown.backend.runs import (
+    CalibrateRequest,
+    RecordingOptions,
+    calibrations_folder,
+    hand_over_message,
+)
 
 if TYPE_CHECKING:
     from touchdown.backend.bench import Session
@@ -86,16 +87,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument("--person", help="who accepts (default: the account's name)")
     parser.add_argument("--seed", type=int, default=0, help="of the simulated bench")
-    parser.add_argument("--preset", help="noise preset of the simulated bench")
-    parser.add_argument(
-        "--bench", metavar="FILE", help="lab file, or settings of the simulated bench (TOML)"
-    )
-    parser.add_argument(
-        "--emulated", action="store_true",
-        help="through real drivers and wires to emulated devices, in real time",
-    )  # fmt: skip
     parser.add_argument("--calibrations", metavar="DIR", help="their folder (default: the bench's)")
-    add_lab_arguments(parser)
+    add_bench_arguments(parser)
 
 
 def run(args: argparse.Namespace, screen: VerbOutput) -> int:
@@ -105,10 +98,7 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     """
     if not args.pitch > 0:
         raise InputError("The pitch must be positive.", "--pitch", "Give it in mm, such as 1.9.")
-    if args.bench is not None and is_lab_file(Path(args.bench)):
-        refuse_simulated_arguments(args)
-    else:
-        refuse_lab_arguments(args)
+    refuse_misplaced_arguments(args)
     if args.what == "status":
         return _status(_store_of(args), screen)
     what: CalibrationName = args.what
@@ -121,7 +111,10 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
         what, args.piece, args.bottom, args.seed, (args.origin[0], args.origin[1]),
         args.hand_over, args.pitch,
     )  # fmt: skip
-    with _session(args, screen) as session, ExitStack() as bars:
+    # A new gel must be connected to be calibrated.
+    bench = open_bench(args, screen, RecordingOptions(None), any_gels=args.what == "camera")
+    with bench as session, ExitStack() as bars:
+        session.calibrations = _store_of(args)
         told = _CalibrationProgress(screen, bars, session)
         session.events.subscribe(told.take)
         with ctrl_c_cancels(session.engine.cancel):
@@ -166,7 +159,11 @@ def _report(
 
     found, path = told.measured, None
     if found is not None:
-        screen.show(_table(found))
+        measured = zip(found.names, found.values, found.sigmas, found.units, strict=True)
+        rows = [(quantity_name(n), format_value(n, v, s, u)) for n, v, s, u in measured]
+        residual = format_residual(found.residual, found.limit, found.unit)
+        header = ("quantity", "value")
+        screen.table(TITLES[found.what], header, *rows, ("Residual", residual), right=("value",))
         for text in (found.note, found.obstacle):
             if text:
                 screen.say(text)
@@ -200,17 +197,6 @@ def _verdict(found: CalibrationMeasured) -> str:
     return f"Not acceptable: the residual is {said}."
 
 
-def _table(found: CalibrationMeasured) -> Table:
-    table = Table(title=TITLES[found.what])
-    table.add_column("quantity")
-    table.add_column("value", justify="right")
-    rows = zip(found.names, found.values, found.sigmas, found.units, strict=True)
-    for name, value, sigma, unit in rows:
-        table.add_row(quantity_name(name), format_value(name, value, sigma, unit))
-    table.add_row("Residual", format_residual(found.residual, found.limit, found.unit))
-    return table
-
-
 def _as_json(found: CalibrationMeasured) -> dict[str, object]:
     rows = zip(found.names, found.values, found.sigmas, found.units, strict=True)
     return {
@@ -229,20 +215,19 @@ def _status(store: CalibrationStore, screen: VerbOutput) -> int:
 
     now = datetime.now(UTC)
     standings = store.statuses({}, now)
-    table = Table(title=f"Calibrations in {store.folder}")
-    for column in ("what", "condition", "residual", "date", "days left"):
-        table.add_column(column)
-    rows = []
+    listed, rows = [], []
     for standing in standings:
         record = standing.record
         file = None if record is None else record.file
         left = None if record is None else record.days_left(now)
-        table.add_row(
-            CALIBRATION_KINDS[standing.what].title,
-            standing.condition,
-            "" if file is None else f"{file.residual:.3f} of {file.limit:g} {file.unit}",
-            "" if file is None else f"{file.date:%Y-%m-%d %H:%M}",
-            "" if left is None else f"{max(left, 0.0):.0f}",
+        listed.append(
+            (
+                CALIBRATION_KINDS[standing.what].title,
+                standing.condition,
+                "" if file is None else f"{file.residual:.3f} of {file.limit:g} {file.unit}",
+                "" if file is None else f"{file.date:%Y-%m-%d %H:%M}",
+                "" if left is None else f"{max(left, 0.0):.0f}",
+            )
         )
         rows.append({
             "what": standing.what,
@@ -252,12 +237,14 @@ def _status(store: CalibrationStore, screen: VerbOutput) -> int:
             "sha256": None if record is None else record.sha256,
             "days_left": left,
         })  # fmt: skip
-    screen.show(table)
+    header = ("what", "condition", "residual", "date", "days left")
+    screen.table(f"Calibrations in {store.folder}", header, *listed)
     for standing in standings:
+        title = CALIBRATION_KINDS[standing.what].title
         if standing.fix:
-            screen.say(f"{CALIBRATION_KINDS[standing.what].title}: {standing.why}. {standing.fix}")
+            screen.say(f"{title}: {standing.why}. {standing.fix}")
         elif standing.notice:
-            screen.say(f"{CALIBRATION_KINDS[standing.what].title}: {standing.notice}.")
+            screen.say(f"{title}: {standing.notice}.")
     screen.result({"version": JSON_VERSION, "folder": str(store.folder), "calibrations": rows})
     return 0 if all(standing.condition == "valid" for standing in standings) else 1
 
@@ -267,26 +254,25 @@ def _store_of(args: argparse.Namespace) -> CalibrationStore:
     from touchdown.backend.config import load_lab
 
     folder = Path(args.calibrations) if args.calibrations else calibrations_folder()
-    at_lab = args.bench is not None and is_lab_file(Path(args.bench))
-    where = _bench_arguments(args, at_lab=at_lab)
-    if at_lab:
+    where = _bench_arguments(args)
+    if at_lab(args):
         lab = load_lab(Path(args.bench))
         own = folder if args.calibrations else lab.calibrations
         return CalibrationStore(own, lab.settings.kind, where)
     return CalibrationStore(folder, "emulated" if args.emulated else "simulated", where)
 
 
-def _bench_arguments(args: argparse.Namespace, *, at_lab: bool) -> str:
+def _bench_arguments(args: argparse.Namespace) -> str:
     """Return the arguments that a command for the same bench needs, quoted for a shell.
 
     On a real bench the gripper must be homed after power-on. The gripper is empty at the start of
     every calibration, so ``--home`` is always safe.
     """
     words = ["--bench", args.bench] if args.bench is not None else []
-    words += ["--home"] if at_lab else []
+    words += ["--home"] if at_lab(args) else []
     words += ["--emulated"] if args.emulated else []
     words += ["--hand-over"] if args.hand_over else []
-    for flag in ("preset", "piece", "bottom", "override", "person", "calibrations"):
+    for flag in ("preset", "pieces", "piece", "bottom", "override", "person", "calibrations"):
         given = getattr(args, flag)
         words += [] if given is None else [f"--{flag}", str(given)]
     if tuple(args.origin) != ORIGIN:
@@ -295,38 +281,3 @@ def _bench_arguments(args: argparse.Namespace, *, at_lab: bool) -> str:
         given = getattr(args, flag)
         words += [] if given == usual else [f"--{flag}", str(given)]
     return shlex.join(words)
-
-
-@contextmanager
-def _session(args: argparse.Namespace, screen: VerbOutput) -> Iterator[Session]:
-    """Open a session on the selected bench; close it at the end."""
-    from touchdown.backend.bench import SimulatedBenchChoice, simulated_session
-    from touchdown.backend.runs import RecordingOptions
-
-    keep, store = RecordingOptions(None), _store_of(args)
-    if args.bench is not None and is_lab_file(Path(args.bench)):
-        from touchdown.backend.bench import LabChoice
-
-        # A new gel must be connected to be calibrated.
-        choice = LabChoice(Path(args.bench), any_gels=args.what == "camera")
-        home, override = args.home, args.override
-        with open_lab_bench(choice, keep, None, screen, home=home, override=override) as session:
-            session.calibrations = store
-            yield session
-        return
-    bench = SimulatedBenchChoice(
-        file=None if args.bench is None else Path(args.bench), preset=args.preset
-    )
-    if args.emulated:
-        from touchdown.backend.bench import EmulatedBench
-
-        with EmulatedBench(bench, keep=keep) as emulated:
-            emulated.session.calibrations = store
-            yield emulated.session
-        return
-    session = simulated_session(bench, keep=keep)
-    session.calibrations = store
-    try:
-        yield session
-    finally:
-        session.close()

@@ -5,22 +5,26 @@ from __future__ import annotations
 import argparse
 import getpass
 import sys
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from touchdown.backend.cli.connection import (
-    add_lab_arguments,
+    add_bench_arguments,
     add_scene_arguments,
+    at_lab,
     fill_in_scene,
-    lab_choice,
-    open_lab_bench,
-    refuse_lab_arguments,
+    open_bench,
+    refuse_misplaced_arguments,
     wait_for_disk_space,
 )
-from touchdown.backend.cli.output import AdvanceFunction, VerbOutput, ctrl_c_cancels
-from touchdown.backend.config import CollectSettings, StackSettings, is_lab_file
+from touchdown.backend.cli.output import (
+    AdvanceFunction,
+    VerbOutput,
+    ctrl_c_cancels,
+    require_positive,
+)
+from touchdown.backend.config import CollectSettings, StackSettings
 from touchdown.backend.core import (
     CampaignBegan,
     Event,
@@ -38,7 +42,7 @@ from touchdown.backend.core import (
 )
 from touchdown.backend.runs import (
     CollectRequest,
-    calibrations_folder,
+    RecordingOptions,
     data_folder,
     dataset_folder,
     hand_over_message,
@@ -48,7 +52,7 @@ from touchdown.backend.runs import (
 if TYPE_CHECKING:
     from touchdown.backend.annotations import Dataset
     from touchdown.backend.bench import Session
-    from touchdown.backend.episodes import Coverage, QualityIssue
+    from touchdown.backend.episodes import Coverage
 
 
 NAME = "collect"
@@ -91,14 +95,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--resume", action="store_true", help="resume the newest campaign with its plan"
     )
-    parser.add_argument(
-        "--bench", metavar="FILE", help="lab file, or settings of the simulated bench (TOML)"
-    )
-    add_lab_arguments(parser)
-    parser.add_argument("--preset", help="noise preset: mixed, quiet, hard, off, realistic")
-    parser.add_argument("--inject", action="append", default=[], metavar="FAULT",
-                        help="scripted disturbance such as force_torque:stop@30")  # fmt: skip
-    parser.add_argument("--pieces", metavar="DIR", help="folder with further piece files")
+    add_bench_arguments(parser)
     parser.add_argument("--runs", metavar="DIR", help="folder for journals (default: data folder)")
 
 
@@ -107,27 +104,23 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     # Imported here so that `touchdown --help` starts without SQLite and scipy.
     from touchdown.backend.annotations import Dataset
 
-    for flag in ("probes_per_grip", "grips_per_mounting"):
-        value = getattr(args, flag)
-        if value is not None and value < 1:
-            name = "--" + flag.replace("_", "-")
-            raise InputError(f"{name} must be at least 1.", name, "Give a positive number.")
-    lab = args.bench is not None and is_lab_file(Path(args.bench))
-    if not lab:
-        refuse_lab_arguments(args)
+    require_positive(args, "probes_per_grip", "grips_per_mounting")
+    refuse_misplaced_arguments(args)
     fill_in_scene(args, BOTTOM)
     # A real bench has no jig: the operator hands the piece over.
-    args.hand_over |= lab
+    args.hand_over |= at_lab(args)
     if args.hand_over and screen.json:
         raise InputError(
             "With --json the prompt for the piece is not shown.", "--hand-over", "Leave out --json."
         )
     folder = Path(args.dataset) if args.dataset else dataset_folder()
+    runs = Path(args.runs) if args.runs else data_folder() / "runs"
+    keep = RecordingOptions(runs, episodes=False)
     person = args.person or getpass.getuser()
     with Dataset.open(folder, create=not args.resume, person=person) as dataset:
         for notice in dataset.notices:
             screen.say(notice)
-        with _session(args, screen, lab=lab) as session:
+        with open_bench(args, screen, keep, method=StackSettings(), campaign=True) as session:
             session.dataset = dataset
             # The bar starts with the campaign, after the arguments are checked.
             with ExitStack() as bars, ctrl_c_cancels(session.engine.cancel):
@@ -155,15 +148,19 @@ class _CollectionProgress:
             self._start_bar(fact)
         elif isinstance(fact, ProbeCollected):
             self.collected.append(fact)
-            self._move(fact.done, fact.total, "")
+            self._move(fact.done, fact.total)
             if fact.reasons:
                 self._screen.say(f"  probe {fact.probe} is not an observation: {fact.reasons}")
         elif isinstance(fact, Gripped):
             self._screen.say(
                 f"  mounting {fact.mounting}, grip {fact.grip}: {fact.mass_g:.1f} g held"
             )
-        elif isinstance(fact, HandOverAwaited | MountingAwaited):
-            self._ask(fact)
+        elif isinstance(fact, MountingAwaited):
+            self._screen.say(f"  {mounting_question(fact)} Type y for yes; Enter: no.")
+            self._confirm(sys.stdin.readline().strip().lower() in ("y", "yes"))
+        elif isinstance(fact, HandOverAwaited):
+            self._screen.say(f"  {hand_over_message(fact)} Enter confirms.")
+            self._confirm(sys.stdin.readline() != "")
         elif isinstance(fact, Paused):
             self._wait_for_operator(fact.fault)
         elif isinstance(fact, Said | Noticed):
@@ -173,22 +170,13 @@ class _CollectionProgress:
         elif isinstance(fact, RunFinished):
             self.ended = fact
 
-    def _ask(self, fact: HandOverAwaited | MountingAwaited) -> None:
-        """Ask on standard input; end of file means no."""
-        if isinstance(fact, MountingAwaited):
-            self._screen.say(f"  {mounting_question(fact)} Type y for yes; Enter: no.")
-            self._confirm(sys.stdin.readline().strip().lower() in ("y", "yes"))
-        else:
-            self._screen.say(f"  {hand_over_message(fact)} Enter confirms.")
-            self._confirm(sys.stdin.readline() != "")
-
     def _start_bar(self, fact: CampaignBegan) -> None:
         """Start the progress bar with the first mounting."""
         self.began = fact
         if self.advance is None:
             bar = self._screen.progress("Collecting", fact.total)
             self.advance = self._bars.enter_context(bar)
-        self._move(fact.done, fact.total, "")
+        self._move(fact.done, fact.total)
 
     def _wait_for_operator(self, fault: Fault) -> None:
         """Wait for the operator; without one the campaign ends and can be resumed."""
@@ -198,38 +186,9 @@ class _CollectionProgress:
             self.faults.append(fault.code)
             self._engine.cancel()
 
-    def _move(self, done: int, total: int, text: str) -> None:
+    def _move(self, done: int, total: int) -> None:
         if self.advance is not None:
-            self.advance(done, f"of {total} {text}")
-
-
-@contextmanager
-def _session(args: argparse.Namespace, screen: VerbOutput, *, lab: bool) -> Iterator[Session]:
-    from touchdown.backend.bench import SimulatedBenchChoice, simulated_session
-    from touchdown.backend.calibration import CalibrationStore
-    from touchdown.backend.runs import RecordingOptions
-
-    runs = Path(args.runs) if args.runs else data_folder() / "runs"
-    keep = RecordingOptions(runs, episodes=False)
-    method = StackSettings()
-    if lab:
-        with open_lab_bench(
-            lab_choice(args), keep, method, screen, home=args.home, override=args.override
-        ) as session:
-            yield session
-        return
-    choice = SimulatedBenchChoice(
-        file=Path(args.bench) if args.bench else None,
-        preset=args.preset,
-        disturbances=tuple(args.inject),
-        pieces=Path(args.pieces) if args.pieces else None,
-    )
-    session = simulated_session(choice, keep=keep, method=method)
-    session.calibrations = CalibrationStore(calibrations_folder(), "simulated")
-    try:
-        yield session
-    finally:
-        session.close()
+            self.advance(done, f"of {total}")
 
 
 def _request(args: argparse.Namespace, dataset: Dataset, person: str) -> CollectRequest:
@@ -278,7 +237,11 @@ def _report(
     more = f"; --resume continues with the other {left}." if left else "."
     screen.say(f"{done} of {campaign.count} probes are done{more}")
     screen.say(coverage_text(seen))
-    _say_findings(findings, screen)
+    screen.say(f"Health: {len(findings) or 'no'} findings.")
+    for finding in findings[:MAX_LISTED]:
+        screen.say(f"  {finding.kind}: {finding.text} {' '.join(finding.episodes)}".rstrip())
+    if len(findings) > MAX_LISTED:
+        screen.say(f"  ... and {len(findings) - MAX_LISTED} more (--json lists all)")
     screen.say(f"Dataset {dataset.folder}, campaign {campaign.uuid}")
     screen.result({
         "version": JSON_VERSION,
@@ -313,15 +276,3 @@ def coverage_text(seen: Coverage) -> str:
         ]
         lines.append(("  " + " ".join(marks)).rstrip())
     return "\n".join(line for line in lines if line.strip())
-
-
-def _say_findings(findings: list[QualityIssue], screen: VerbOutput) -> None:
-    if not findings:
-        screen.say("Health: no findings.")
-        return
-    screen.say(f"Health: {len(findings)} findings.")
-    for finding in findings[:MAX_LISTED]:
-        names = " ".join(finding.episodes)
-        screen.say(f"  {finding.kind}: {finding.text} {names}".rstrip())
-    if len(findings) > MAX_LISTED:
-        screen.say(f"  ... and {len(findings) - MAX_LISTED} more (--json lists all)")

@@ -13,7 +13,13 @@ from collections.abc import Sequence
 from typing import NoReturn, Protocol, cast
 
 from touchdown.backend.cli.output import VerbOutput
-from touchdown.backend.core import FaultError, InputError, RefusedError, TouchdownError
+from touchdown.backend.core import (
+    FaultError,
+    InputError,
+    RefusedError,
+    TouchdownError,
+    program_stamp,
+)
 
 # Help line of each verb. Its module is imported on use.
 VERBS = {
@@ -136,17 +142,8 @@ def _front() -> Parser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
     )
-    front.add_argument("--version", action="version", version=f"touchdown {_version()}")
+    front.add_argument("--version", action="version", version=program_stamp())
     return front
-
-
-def _version() -> str:
-    from importlib.metadata import PackageNotFoundError, version
-
-    try:
-        return version("touchdown")
-    except PackageNotFoundError:
-        return "(not installed)"
 
 
 def _complain(words: list[str], what: str, where: str, fix: str) -> None:

@@ -1,4 +1,4 @@
-"""Connection of a verb to real devices: arguments, progress of each device, operator prompts."""
+"""Bench of a verb: its arguments, its session, progress of each device, operator prompts."""
 
 from __future__ import annotations
 
@@ -24,6 +24,7 @@ from touchdown.backend.core import (
     raised_priority,
 )
 from touchdown.backend.runs import (
+    calibrations_folder,
     check_connected,
     hand_over_message,
     models_folder,
@@ -32,7 +33,7 @@ from touchdown.backend.runs import (
 )
 
 if TYPE_CHECKING:
-    from touchdown.backend.bench import LabChoice, Session
+    from touchdown.backend.bench import Session
     from touchdown.backend.config import StackSettings
     from touchdown.backend.rig import BenchConnection, DeviceStatus
     from touchdown.backend.runs import RecordingOptions
@@ -43,8 +44,11 @@ PIECE = "pot"  # default for a lab file without a piece
 START_OVERRIDE = 10  # default of --override: percent of every speed in air
 
 
-def add_lab_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments for real devices."""
+def add_bench_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments that choose a bench: simulated, emulated or of a lab file."""
+    parser.add_argument(
+        "--bench", metavar="FILE", help="lab file, or settings of the simulated bench (TOML)"
+    )
     parser.add_argument(
         "--home", action="store_true", help="with a lab file: home the empty gripper first"
     )
@@ -55,6 +59,20 @@ def add_lab_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="PERCENT",
         help=f"with a lab file: share of every speed in air (default: {START_OVERRIDE})",
     )
+    parser.add_argument(
+        "--emulated",
+        action="store_true",
+        help="through real drivers and wires to emulated devices, in real time",
+    )
+    parser.add_argument("--preset", help="noise preset: mixed, quiet, hard, off, realistic")
+    parser.add_argument(
+        "--inject",
+        action="append",
+        default=[],
+        metavar="FAULT",
+        help="scripted disturbance such as tactile_left:stop@3.0 (may be given several times)",
+    )
+    parser.add_argument("--pieces", metavar="DIR", help="folder with further piece files")
 
 
 def add_scene_arguments(parser: argparse.ArgumentParser, bottom: str, of_bottom: str) -> None:
@@ -64,83 +82,98 @@ def add_scene_arguments(parser: argparse.ArgumentParser, bottom: str, of_bottom:
     parser.add_argument("--bottom", help=f"{of_bottom} (default: {bottom}; {at_lab})")
 
 
+def at_lab(args: argparse.Namespace) -> bool:
+    """Return True if ``--bench`` names a lab file."""
+    return args.bench is not None and is_lab_file(Path(args.bench))
+
+
 def fill_in_scene(args: argparse.Namespace, bottom: str) -> None:
     """Set missing piece and bottom from the lab file.
 
     Raises ``InputError`` for a lab file that cannot be read.
     """
-    at_lab = args.bench is not None and is_lab_file(Path(args.bench))
-    lab = load_lab(Path(args.bench)).settings if at_lab else None
+    lab = load_lab(Path(args.bench)).settings if at_lab(args) else None
     if args.piece is None:
         args.piece = PIECE if lab is None else lab.piece
     if args.bottom is None:
         args.bottom = bottom if lab is None else lab.bottom
 
 
-def refuse_lab_arguments(args: argparse.Namespace) -> None:
-    """Raise ``InputError`` for arguments that need a lab file."""
-    for flag, given in (("--home", args.home), ("--override", args.override)):
-        if given:
-            raise InputError(
-                "This argument is for real devices only.", flag, "Name a lab file with --bench."
-            )
-
-
-def refuse_simulated_arguments(args: argparse.Namespace) -> None:
-    """Raise ``InputError`` for arguments of the simulation given with a lab file."""
-    for name in ("preset", "inject", "emulated"):
-        if getattr(args, name, None):
-            raise InputError(
-                "This argument is for the simulated bench only.", f"--{name}", "Leave it out."
-            )
-
-
-def lab_choice(args: argparse.Namespace) -> LabChoice:
-    """Return the lab of ``--bench``, for a campaign.
-
-    Raises ``InputError`` for arguments of the simulation.
-    """
-    from touchdown.backend.bench import LabChoice
-
-    refuse_simulated_arguments(args)
-    pieces = Path(args.pieces) if args.pieces else None
-    return LabChoice(Path(args.bench), pieces, campaign=True)
+def refuse_misplaced_arguments(args: argparse.Namespace) -> None:
+    """Raise ``InputError`` for arguments that the bench of ``args`` has no use for."""
+    lab = at_lab(args)
+    for name in ("preset", "inject", "emulated") if lab else ("home", "override"):
+        if getattr(args, name):
+            bench = "the simulated bench" if lab else "real devices"
+            fix = "Leave it out." if lab else "Name a lab file with --bench."
+            raise InputError(f"This argument is for {bench} only.", f"--{name}", fix)
 
 
 @contextmanager
-def open_lab_bench(
-    choice: LabChoice,
-    keep: RecordingOptions,
-    method: StackSettings | None,
+def open_bench(
+    args: argparse.Namespace,
     screen: VerbOutput,
+    keep: RecordingOptions,
     *,
-    home: bool,
-    override: int | None = None,
+    method: StackSettings | None = None,
+    campaign: bool = False,
+    any_gels: bool = False,
 ) -> Iterator[Session]:
-    """Open a session on the devices of a lab file and connect all; close it at the end.
+    """Open a session on the bench of ``args``, connect a lab's devices, close it at the end.
 
-    Raises the errors of ``lab_session``, and ``FaultError`` for the first device that failed.
+    ``campaign`` and ``any_gels`` as of ``LabChoice``. Raises the errors of ``lab_session``, and
+    ``FaultError`` for the first device that failed.
     """
-    from touchdown.backend.bench import lab_session
+    from touchdown.backend.bench import (
+        EmulatedBench,
+        LabChoice,
+        SimulatedBenchChoice,
+        lab_session,
+        simulated_session,
+    )
+    from touchdown.backend.calibration import CalibrationStore
     from touchdown.backend.learning import ModelRegistry
 
     registry = ModelRegistry(models_folder())
+    file = None if args.bench is None else Path(args.bench)
+    pieces = Path(args.pieces) if args.pieces else None
     with ExitStack() as rest:
-        # Before the first thread, so that all threads inherit it.
-        rest.enter_context(raised_priority())
-        session = lab_session(choice, keep=keep, method=method, registry=registry)
-        rest.callback(session.close)
-        connection = session.connection
-        assert connection is not None
-        session.interlock.override_speed((override or START_OVERRIDE) / 100)
-        connection.begin()
-        report_devices(connection, screen.say)
-        if home:
-            screen.say("  gripper: homing, the jaws move")
-            session.home_gripper()
-            report_devices(connection, screen.say, ("gripper",))
-        check_connected(connection)
+        if file is not None and at_lab(args):
+            # Before the first thread, so that all threads inherit it.
+            rest.enter_context(raised_priority())
+            lab = LabChoice(file, pieces, any_gels=any_gels, campaign=campaign)
+            session = lab_session(lab, keep=keep, method=method, registry=registry)
+            rest.enter_context(session)
+            _connect(session, args, screen)
+            yield session
+            return
+        choice = SimulatedBenchChoice(file, args.preset, tuple(args.inject), pieces)
+        if args.emulated:
+            bench = EmulatedBench(choice, keep=keep, method=method, registry=registry)
+            session = rest.enter_context(bench).session
+            store = CalibrationStore(calibrations_folder(), "emulated", "--emulated")
+        else:
+            session = simulated_session(
+                choice, keep=keep, method=method, animate=True, registry=registry
+            )
+            rest.enter_context(session)
+            store = CalibrationStore(calibrations_folder(), "simulated")
+        session.calibrations = store
         yield session
+
+
+def _connect(session: Session, args: argparse.Namespace, screen: VerbOutput) -> None:
+    """Connect the devices of a lab, home the gripper if required; raises the first fault."""
+    connection = session.connection
+    assert connection is not None
+    session.interlock.override_speed((args.override or START_OVERRIDE) / 100)
+    connection.begin()
+    report_devices(connection, screen.say)
+    if args.home:
+        screen.say("  gripper: homing, the jaws move")
+        session.home_gripper()
+        report_devices(connection, screen.say, ("gripper",))
+    check_connected(connection)
 
 
 def report_devices(
@@ -176,12 +209,9 @@ def line_text(line: DeviceStatus) -> str:
 
 def ask_yes_no_in_thread(answer: Callable[[bool], None]) -> None:
     """Answer by a line of standard input without blocking the bench; end of file means no."""
-
-    def read() -> None:
-        line = sys.stdin.readline()
-        answer(line != "" and line.strip().lower() in ("", "y", "yes"))
-
-    threading.Thread(target=read, name="answer", daemon=True).start()
+    _read_line_in_thread(
+        lambda line: answer(line != "" and line.strip().lower() in ("", "y", "yes"))
+    )
 
 
 OUTCOME_KEYS = {
@@ -195,11 +225,11 @@ OUTCOME_HELP = "s: stands, f: fell, d: disturbed, v and reason: void. Enter: as 
 
 def answer_prompt(fact: Event, session: Session, screen: VerbOutput) -> None:
     """Print the question of an event and answer it; bench and STOP stay responsive."""
-    if isinstance(fact, SetUpAwaited):
-        screen.say(f"  {scene_to_set_message(fact)} Enter: ready. Ctrl-D: end the run.")
-        _read_line_in_thread(lambda line: session.answer(line != ""))
-    elif isinstance(fact, HandOverAwaited):
-        screen.say(f"  {hand_over_message(fact)} Enter confirms.")
+    if isinstance(fact, SetUpAwaited | HandOverAwaited):
+        if isinstance(fact, SetUpAwaited):
+            screen.say(f"  {scene_to_set_message(fact)} Enter: ready. Ctrl-D: end the run.")
+        else:
+            screen.say(f"  {hand_over_message(fact)} Enter confirms.")
         _read_line_in_thread(lambda line: session.answer(line != ""))
     elif isinstance(fact, OutcomeAwaited):
         screen.say(f"  {outcome_question(fact)} {OUTCOME_HELP}")
@@ -245,8 +275,4 @@ def _judge(line: str, fact: OutcomeAwaited, session: Session, screen: VerbOutput
 
 def _read_line_in_thread(take: Callable[[str], None]) -> None:
     """Pass the next line of standard input to ``take``; "" at end of file."""
-
-    def read() -> None:
-        take(sys.stdin.readline())
-
-    threading.Thread(target=read, name="answer", daemon=True).start()
+    threading.Thread(target=lambda: take(sys.stdin.readline()), name="answer", daemon=True).start()

@@ -10,8 +10,6 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rich.table import Table
-
 from touchdown.backend.cli.output import VerbOutput
 from touchdown.backend.core import InputError
 from touchdown.backend.runs import dataset_folder
@@ -91,13 +89,16 @@ def rebuild(args: argparse.Namespace, folder: Path, screen: VerbOutput) -> int:
     from touchdown.backend.annotations import rebuild_dataset as make_anew
 
     result = make_anew(folder, replace=args.replace)
-    table = Table(title="catalogue made anew")
-    for column in ("table", "rows", "only in the old", "only in the new"):
-        table.add_column(column, justify="left" if column == "table" else "right")
-    for name, rows in result.rows.items():
-        only = (result.only_old.get(name, "-"), result.only_new.get(name, "-"))
-        table.add_row(name, str(rows), *map(str, only))
-    screen.show(table)
+    columns = ("rows", "only in the old", "only in the new")
+    counts = [
+        (
+            name,
+            str(rows),
+            *(str(only.get(name, "-")) for only in (result.only_old, result.only_new)),
+        )
+        for name, rows in result.rows.items()
+    ]
+    screen.table("catalogue made anew", ("table", *columns), *counts, right=columns)
     for notice in result.notices:
         screen.say(notice)
     if not result.old_readable:
@@ -119,13 +120,9 @@ def rebuild(args: argparse.Namespace, folder: Path, screen: VerbOutput) -> int:
 def _report(
     found: Sequence[ConsistencyProblem], screen: VerbOutput, facts: dict[str, object]
 ) -> int:
-    table = Table(title="out of order")
-    for column in ("what", "where", "found"):
-        table.add_column(column, overflow="fold")
-    for finding in found:
-        table.add_row(finding.kind.replace("-", " "), finding.target, finding.message)
     if found:
-        screen.show(table)
+        rows = ((f.kind.replace("-", " "), f.target, f.message) for f in found)
+        screen.table("out of order", ("what", "where", "found"), *rows)
     screen.say(f"{len(found)} findings." if found else "Files, labels and journal agree.")
     listed = [{"kind": f.kind, "target": f.target, "said": f.message} for f in found]
     screen.result({**facts, "findings": listed})
@@ -147,13 +144,12 @@ def status(args: argparse.Namespace, folder: Path, screen: VerbOutput) -> int:
     pairs = Counter((e.piece, e.bottom, "deleted" if e.deleted else e.state) for e in entries)
     files = Counter(e.file_state for e in entries)
     states = sorted({state for _, _, state in pairs})
-    table = Table(title=f"{len(entries)} episodes in {folder}")
-    for column in ("piece", "bottom", *states):
-        table.add_column(column, justify="right" if column in states else "left")
-    for piece, bottom in sorted({(piece, bottom) for piece, bottom, _ in pairs}):
-        counts = (str(pairs[piece, bottom, state] or "-") for state in states)
-        table.add_row(piece, bottom, *counts)
-    screen.show(table)
+    rows = [
+        (piece, bottom, *(str(pairs[piece, bottom, state] or "-") for state in states))
+        for piece, bottom in sorted({(piece, bottom) for piece, bottom, _ in pairs})
+    ]
+    title = f"{len(entries)} episodes in {folder}"
+    screen.table(title, ("piece", "bottom", *states), *rows, right=states)
     conflicts = sum(e.conflict for e in entries)
     if conflicts:
         screen.say(f"{conflicts} episodes have two labels since a merge: resolve them.")

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from rich.table import Table
 
-from touchdown.backend.cli.output import VerbOutput
+from touchdown.backend.cli.output import VerbOutput, text_table
 from touchdown.backend.config import StabilitySettings
 from touchdown.backend.runs import models_folder
 
@@ -86,20 +86,24 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
 
 def score_table(title: str, scores: dict[str, EvaluationScores], trained_on: set[str]) -> Table:
     """Return the table of scores; bottoms that are not in the training data are marked."""
-    table = Table(title=title, caption="n = 1; 95 % Wilson interval of the stability accuracy")
-    for column in ("bottom", "episodes", "IoU %", "points right %", "stable right %",
-                   "base rate %", "unsafe %"):  # fmt: skip
-        table.add_column(column, justify="left" if column == "bottom" else "right")
+    rows = []
     for name, s in scores.items():
         unseen = "" if name == "all" or name in trained_on else " (unseen)"
         low, high = s.stability_interval
-        table.add_row(
-            name + unseen,
-            str(s.episodes),
-            f"{100 * s.iou:.1f}",
-            f"{100 * s.point_accuracy:.1f}",
-            f"{100 * s.stability_accuracy:.1f} ({100 * low:.1f}-{100 * high:.1f})",
-            f"{100 * s.base_rate:.1f}",
-            "-" if math.isnan(s.unsafe) else f"{100 * s.unsafe:.1f}",
+        rows.append(
+            (
+                name + unseen,
+                str(s.episodes),
+                f"{100 * s.iou:.1f}",
+                f"{100 * s.point_accuracy:.1f}",
+                f"{100 * s.stability_accuracy:.1f} ({100 * low:.1f}-{100 * high:.1f})",
+                f"{100 * s.base_rate:.1f}",
+                "-" if math.isnan(s.unsafe) else f"{100 * s.unsafe:.1f}",
+            )
         )
+    columns = (
+        "episodes", "IoU %", "points right %", "stable right %", "base rate %", "unsafe %",
+    )  # fmt: skip
+    table = text_table(title, ("bottom", *columns), *rows, right=columns)
+    table.caption = "n = 1; 95 % Wilson interval of the stability accuracy"
     return table

@@ -6,12 +6,13 @@ Also shared by verbs: the first Ctrl-C cancels a run before the second interrupt
 
 from __future__ import annotations
 
+import argparse
 import json
 import math
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
@@ -58,12 +59,11 @@ class VerbOutput:
         """Print a rich table or other renderable for people (colours by ``rich.text.Text``)."""
         self._console.print(renderable, soft_wrap=False)
 
-    def table(self, title: str, header: Sequence[str], *rows: Iterable[str]) -> None:
-        """Print a table of plain texts for people."""
-        table = Table(*header, title=title)
-        for row in rows:
-            table.add_row(*row)
-        self.show(table)
+    def table(
+        self, title: str, header: Sequence[str], *rows: Iterable[str], right: Container[str] = ()
+    ) -> None:
+        """Print a table of plain texts for people; the columns of ``right`` hold numbers."""
+        self.show(text_table(title, header, *rows, right=right))
 
     @contextmanager
     def progress(self, title: str, total: int | None) -> Iterator[AdvanceFunction]:
@@ -115,6 +115,18 @@ class VerbOutput:
         self._stream.flush()
 
 
+def text_table(
+    title: str, header: Sequence[str], *rows: Iterable[str], right: Container[str] = ()
+) -> Table:
+    """Return a table of plain texts; the columns of ``right`` are aligned to the right."""
+    table = Table(title=title)
+    for column in header:
+        table.add_column(column, justify="right" if column in right else "left", overflow="fold")
+    for row in rows:
+        table.add_row(*row)
+    return table
+
+
 def _to_json(value: object) -> object:
     """Return ``value`` for JSON: non-finite floats None, tuples lists, numpy scalars numbers."""
     if hasattr(value, "item"):
@@ -157,3 +169,24 @@ def write_new(path: Path, text: str) -> None:
             str(path),
             "Name a new file in a folder that can be written.",
         ) from error
+
+
+def make_output_folder(folder: Path) -> None:
+    """Create a folder for results; ``InputError`` if that fails."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(
+            f"The folder cannot be made: {error.strerror or error}.",
+            str(folder),
+            "Name another folder.",
+        ) from error
+
+
+def require_positive(args: argparse.Namespace, *names: str) -> None:
+    """Raise ``InputError`` for the first given argument of ``names`` below 1."""
+    for name in names:
+        value = getattr(args, name)
+        if value is not None and value < 1:
+            flag = "--" + name.replace("_", "-")
+            raise InputError(f"{flag} must be at least 1.", flag, "Give a positive number.")

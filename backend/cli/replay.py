@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections import Counter
 from pathlib import Path
 
 from touchdown.backend.cli.output import VerbOutput
@@ -46,11 +47,11 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
 
         return open_window(["--replay", str(folder)])
     trials: list[TrialFinished] = []
-    counts: dict[str, int] = {}
+    counts: Counter[str] = Counter()
     head: RunStarted | None = None
     ending: RunFinished | None = None
     for fact in read_events(folder):
-        counts[type(fact).__name__] = counts.get(type(fact).__name__, 0) + 1
+        counts[type(fact).__name__] += 1
         head = fact if isinstance(fact, RunStarted) else head
         ending = fact if isinstance(fact, RunFinished) else ending
         if isinstance(fact, TrialFinished):
@@ -59,18 +60,7 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     screen.show(trial_table(trials))
     if ending is None:
         screen.say("The journal is incomplete: the program was interrupted.")
-    screen.result(_result(folder, head, ending, trials, counts))
-    return 0
-
-
-def _result(
-    folder: Path,
-    head: RunStarted | None,
-    ending: RunFinished | None,
-    trials: list[TrialFinished],
-    counts: dict[str, int],
-) -> dict[str, object]:
-    return {
+    screen.result({
         "version": JSON_VERSION,
         "run": str(folder),
         "piece": None if head is None else head.piece,
@@ -81,4 +71,5 @@ def _result(
             {"seed": t.seed, "outcome": t.outcome.value, "reason": t.reason, "probes": t.probes}
             for t in trials
         ],
-    }
+    })  # fmt: skip
+    return 0

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Iterator
 from pathlib import Path
-
-from rich.table import Table
 
 from touchdown.backend.cli.output import VerbOutput, write_new
 from touchdown.backend.config import StackSettings, parse_settings, read_toml
@@ -39,13 +36,12 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     groups = settings.model_dump(mode="json", exclude=RUN_ARGUMENTS)
     if args.write:
         write_new(args.write, as_toml(settings))
-    table = Table(title="Settings of the method")
-    table.add_column("setting")
-    table.add_column("value", justify="right")
-    for group, values in groups.items():
-        for key, value in values.items():
-            table.add_row(f"{group}.{key}", json.dumps(value))
-    screen.show(table)
+    rows = [
+        (f"{group}.{key}", json.dumps(value))
+        for group, values in groups.items()
+        for key, value in values.items()
+    ]
+    screen.table("Settings of the method", ("setting", "value"), *rows, right=("value",))
     written = None if args.write is None else str(args.write)
     screen.result({"version": JSON_VERSION, "method": groups, "written": written})
     return 0
@@ -66,11 +62,9 @@ def load_method(path: Path) -> StackSettings:
 
 def as_toml(settings: StackSettings) -> str:
     """Return the text of a settings file."""
-    return HEAD + "".join(_lines(settings))
-
-
-def _lines(settings: StackSettings) -> Iterator[str]:
+    text = HEAD
     for group, values in settings.model_dump(mode="json", exclude=RUN_ARGUMENTS).items():
-        yield f"\n[{group}]\n"
         # Numbers, strings, booleans and lists have the same syntax in JSON and TOML.
-        yield from (f"{key} = {json.dumps(value)}\n" for key, value in values.items())
+        lines = (f"{key} = {json.dumps(value)}\n" for key, value in values.items())
+        text += f"\n[{group}]\n" + "".join(lines)
+    return text

@@ -6,7 +6,7 @@ import argparse
 import time
 from pathlib import Path
 
-from touchdown.backend.cli.output import VerbOutput
+from touchdown.backend.cli.output import VerbOutput, make_output_folder, require_positive
 from touchdown.backend.config import load_simulation
 from touchdown.backend.core import InputError
 from touchdown.backend.experiments import run_jobs, split_jobs
@@ -42,16 +42,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     """Simulate all pairs and write them; the result does not depend on ``--workers``."""
-    for name in ("episodes", "probes_per_grip", "grips_per_mounting", "workers"):
-        if getattr(args, name) < 1:
-            option = "--" + name.replace("_", "-")
-            raise InputError(f"{option} must be at least 1.", option, "Give a positive number.")
+    require_positive(args, "episodes", "probes_per_grip", "grips_per_mounting", "workers")
     if args.seed < 0:
         raise InputError("--seed must not be negative.", "--seed", "Give 0, 1, 2 ...")
     out = Path(args.out)
-    _check_folder(out)
+    if out.exists() and not out.is_dir():
+        raise InputError("This is a file, not a folder.", str(out), "Name a new folder.")
+    if any(out.rglob("*.mcap")):
+        raise InputError(
+            "The folder already holds episodes.", str(out), "Name a new or an empty folder."
+        )
     jobs = [job for plan, label in _plans(args) for job in split_jobs(plan, label, out)]
-    _make_folder(out)
+    make_output_folder(out)
     total = sum(job.episodes for job in jobs)
     began_s = time.monotonic()
     with screen.progress(f"Simulating {total} episodes", total) as advance:
@@ -102,25 +104,3 @@ def _grip_height(piece: Piece) -> float:
             f"'{piece.name}' cannot be grasped.", piece.source, "Set its grip_height_mm."
         )
     return piece.grip_height_mm
-
-
-def _check_folder(out: Path) -> None:
-    """Raise ``InputError`` for a folder with another data set."""
-    if out.exists() and not out.is_dir():
-        raise InputError("This is a file, not a folder.", str(out), "Name a new folder.")
-    if out.is_dir() and any(out.rglob("*.mcap")):
-        raise InputError(
-            "The folder already holds episodes.", str(out), "Name a new or an empty folder."
-        )
-
-
-def _make_folder(out: Path) -> None:
-    """Create the folder before the simulation."""
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(
-            f"The folder cannot be made: {error.strerror or error}.",
-            str(out),
-            "Name another folder.",
-        ) from error

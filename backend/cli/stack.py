@@ -3,26 +3,25 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, get_args
 
 from rich.table import Table
 
 from touchdown.backend.cli.connection import (
-    add_lab_arguments,
+    add_bench_arguments,
     add_scene_arguments,
     answer_prompt,
     ask_yes_no_in_thread,
+    at_lab,
     fill_in_scene,
-    lab_choice,
-    open_lab_bench,
-    refuse_lab_arguments,
+    open_bench,
+    refuse_misplaced_arguments,
 )
-from touchdown.backend.cli.output import VerbOutput, ctrl_c_cancels
+from touchdown.backend.cli.output import VerbOutput, ctrl_c_cancels, require_positive, text_table
 from touchdown.backend.cli.settings import load_method
-from touchdown.backend.config import is_lab_file
 from touchdown.backend.core import (
     ApprovalAwaited,
     Event,
@@ -37,17 +36,15 @@ from touchdown.backend.core import (
 )
 from touchdown.backend.runs import (
     DecisionMode,
+    RecordingOptions,
     StackRequest,
     StrategyChoice,
-    calibrations_folder,
     data_folder,
-    models_folder,
 )
 
 if TYPE_CHECKING:
-    from touchdown.backend.bench import LabChoice, RunResult, Session, SimulatedBenchChoice
+    from touchdown.backend.bench import RunResult, Session
     from touchdown.backend.config import StackSettings
-    from touchdown.backend.runs import RecordingOptions
 
 
 NAME = "stack"
@@ -71,9 +68,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--method", type=Path, metavar="FILE", help="settings of the method (see 'settings')"
     )
     parser.add_argument(
-        "--bench", metavar="FILE", help="lab file, or settings of the simulated bench (TOML)"
-    )
-    parser.add_argument(
         "--mode",
         choices=("auto", "approve", "step"),
         help="ask before a move (default: auto when simulated, approve on devices)",
@@ -87,21 +81,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="of a tower: centre of the touched bottom from that of the one below it, as measured, "
         "and its standard uncertainty, mm (default: centred, by eye)",
     )  # fmt: skip
-    add_lab_arguments(parser)
-    parser.add_argument("--preset", help="noise preset: mixed, quiet, hard, off, realistic")
-    parser.add_argument(
-        "--inject",
-        action="append",
-        default=[],
-        metavar="FAULT",
-        help="scripted disturbance such as tactile_left:stop@3.0 (may be given several times)",
-    )
-    parser.add_argument(
-        "--emulated",
-        action="store_true",
-        help="through real drivers and wires to emulated devices, in real time",
-    )
-    parser.add_argument("--pieces", metavar="DIR", help="folder with further piece files")
+    add_bench_arguments(parser)
     parser.add_argument("--runs", metavar="DIR", help="folder for runs (default: data folder)")
     parser.add_argument("--no-episodes", action="store_true", help="store the journal only")
 
@@ -114,21 +94,13 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
             "--inject",
             "See 'touchdown emulate'.",
         )
-    # Imported here so that `touchdown doctor` starts without torch.
-    from touchdown.backend.bench import SimulatedBenchChoice
-    from touchdown.backend.runs import RecordingOptions
-
-    if args.trials < 1:
-        raise InputError("--trials must be at least 1.", "--trials", "Give a positive number.")
-    lab = args.bench is not None and is_lab_file(Path(args.bench))
-    if not lab:
-        refuse_lab_arguments(args)
-        if any(args.origin):
-            raise InputError(
-                "This argument is for real devices only.",
-                "--origin",
-                "Name a lab file with --bench.",
-            )
+    require_positive(args, "trials")
+    lab = at_lab(args)
+    refuse_misplaced_arguments(args)
+    if not lab and any(args.origin):
+        raise InputError(
+            "This argument is for real devices only.", "--origin", "Name a lab file with --bench."
+        )
     fill_in_scene(args, BOTTOM)
     mode: DecisionMode = args.mode or ("approve" if lab else "auto")
     if mode != "auto" and screen.json:
@@ -137,21 +109,20 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
         )
     if lab and screen.json:
         raise InputError("Trials on devices ask their operator.", "--json", "Leave it out.")
-    request = _request(args, mode)
-    runs = Path(args.runs) if args.runs else data_folder() / "runs"
-    choice = (
-        lab_choice(args)
-        if lab
-        else SimulatedBenchChoice(
-            file=Path(args.bench) if args.bench else None,
-            preset=args.preset,
-            disturbances=tuple(args.inject),
-            pieces=Path(args.pieces) if args.pieces else None,
-        )
+    request = StackRequest(
+        piece=args.piece,
+        bottoms=tuple(args.bottom.split("+")),
+        seed=args.seed,
+        trials=args.trials,
+        strategy=args.strategy,
+        mode=mode,
+        model=args.model,
+        origin_mm=(args.origin[0], args.origin[1]),
     )
+    runs = Path(args.runs) if args.runs else data_folder() / "runs"
     keep = RecordingOptions(runs, episodes=not args.no_episodes)
     method = _method(args, request)
-    with _session(choice, keep, method, args, screen) as session:
+    with open_bench(args, screen, keep, method=method, campaign=True) as session:
         bench = f"{session.name}" if lab else "simulated bench"
         session.events.subscribe(lambda fact: narrate(fact, screen, bench))
         session.events.subscribe(lambda fact: _ask(fact, session, screen))
@@ -164,19 +135,6 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     screen.result(_result(args, result, session))
     placed = [t for t in result.trials if t.outcome is Outcome.PLACED]
     return 0 if len(placed) == request.trials and not result.faults else 1
-
-
-def _request(args: argparse.Namespace, mode: DecisionMode) -> StackRequest:
-    return StackRequest(
-        piece=args.piece,
-        bottoms=tuple(args.bottom.split("+")),
-        seed=args.seed,
-        trials=args.trials,
-        strategy=args.strategy,
-        mode=mode,
-        model=args.model,
-        origin_mm=(args.origin[0], args.origin[1]),
-    )
 
 
 def _method(args: argparse.Namespace, request: StackRequest) -> StackSettings | None:
@@ -195,42 +153,6 @@ def _method(args: argparse.Namespace, request: StackRequest) -> StackSettings | 
         )
     tower = TowerSettings(offset_mm=((x, y),), sigma_mm=sigma)
     return (method or StackSettings()).model_copy(update={"tower": tower})
-
-
-@contextmanager
-def _session(
-    choice: SimulatedBenchChoice | LabChoice,
-    keep: RecordingOptions,
-    method: StackSettings | None,
-    args: argparse.Namespace,
-    screen: VerbOutput,
-) -> Iterator[Session]:
-    """Open a session on the simulated, emulated or real bench; close it at the end."""
-    from touchdown.backend.bench import SimulatedBenchChoice, simulated_session
-    from touchdown.backend.calibration import CalibrationStore
-    from touchdown.backend.learning import ModelRegistry
-
-    if not isinstance(choice, SimulatedBenchChoice):
-        with open_lab_bench(
-            choice, keep, method, screen, home=args.home, override=args.override
-        ) as session:
-            yield session
-        return
-    registry = ModelRegistry(models_folder())
-    if args.emulated:
-        from touchdown.backend.bench import EmulatedBench
-
-        with EmulatedBench(choice, keep=keep, method=method, registry=registry) as bench:
-            store = CalibrationStore(calibrations_folder(), "emulated", "--emulated")
-            bench.session.calibrations = store
-            yield bench.session
-        return
-    session = simulated_session(choice, keep=keep, method=method, animate=True, registry=registry)
-    session.calibrations = CalibrationStore(calibrations_folder(), "simulated")
-    try:
-        yield session
-    finally:
-        session.close()
 
 
 def _ask(fact: Event, session: Session, screen: VerbOutput) -> None:
@@ -264,15 +186,14 @@ def trial_table(
 ) -> Table:
     """Return the result table of a run; ``pieces``: a first column, one per trial."""
     placed = sum(t.outcome is Outcome.PLACED for t in trials)
-    table = Table(title=f"{placed} of {len(trials)} placed ({bench})")
-    for column in (*(("piece",) if pieces else ()), "seed", *COLUMNS):
-        table.add_column(column)
+    rows = []
     for index, t in enumerate(trials):
         margin = "" if t.margin_mm is None else f"{t.margin_mm:+.2f}"
         excess = "" if t.excess_probes is None else str(t.excess_probes)
         first = (*pieces[index : index + 1], str(t.seed))
-        table.add_row(*first, t.outcome.value, str(t.probes), excess, margin, t.reason)
-    return table
+        rows.append((*first, t.outcome.value, str(t.probes), excess, margin, t.reason))
+    header = (*(("piece",) if pieces else ()), "seed", *COLUMNS)
+    return text_table(f"{placed} of {len(trials)} placed ({bench})", header, *rows)
 
 
 def _result(args: argparse.Namespace, result: RunResult, session: Session) -> dict[str, object]:
@@ -285,15 +206,8 @@ def _result(args: argparse.Namespace, result: RunResult, session: Session) -> di
         "run": None if result.run_folder is None else str(result.run_folder),
         "faults": [fault.code for fault in result.faults],
         "trials": [
-            {
-                "seed": t.seed,
-                "outcome": t.outcome.value,
-                "reason": t.reason,
-                "probes": t.probes,
-                "excess_probes": t.excess_probes,
-                "margin_mm": t.margin_mm,
-                "contradicted": t.contradicted,
-            }
+            {key: value for key, value in asdict(t).items() if key not in ("t_s", "trial")}
+            | {"outcome": t.outcome.value}
             for t in result.trials
         ],
     }

@@ -10,7 +10,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from rich.table import Table
 
 from touchdown.backend.cli.output import VerbOutput
 from touchdown.backend.core import GRID_COLS, GRID_ROWS, InputError, MarkerState, RefusedError
@@ -74,11 +73,9 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     reference = rest_reference(args.reference, args.template) if args.reference else None
     tracked: list[TrackedImage] = []
     with ExitStack() as stack:
-        overlay = (
-            stack.enter_context(OverlayVideo(args.overlay, DEFAULT_RATE_HZ))
-            if args.overlay
-            else None
-        )
+        overlay = None
+        if args.overlay:
+            overlay = stack.enter_context(OverlayVideo(args.overlay, DEFAULT_RATE_HZ))
         advance = stack.enter_context(screen.progress("Tracking", count_pictures(args.file)))
         for item in track_images(args.file, reference):
             tracked.append(item)
@@ -144,9 +141,6 @@ def _summarise(path: Path, tracked: list[TrackedImage], screen: VerbOutput) -> N
     fields = [item.field for item in tracked]
     state = np.stack([field.state for field in fields])
     moved = np.stack([np.linalg.norm(field.displacement_px, axis=1) for field in fields])
-    table = Table(title=f"{path.name}: {len(fields)} frames, grid {_GRID}")
-    table.add_column("measure")
-    table.add_column("value", justify="right")
     rows = {
         "markers seen": _share(state, MarkerState.SEEN),
         "inferred from neighbours": _share(state, MarkerState.INFERRED),
@@ -155,9 +149,8 @@ def _summarise(path: Path, tracked: list[TrackedImage], screen: VerbOutput) -> N
         "lowest frame quality": f"{min(field.quality for field in fields):.2f}",
         "median time per frame": f"{np.median([item.ms for item in tracked]):.2f} ms",
     }
-    for name, value in rows.items():
-        table.add_row(name, value)
-    screen.show(table)
+    title = f"{path.name}: {len(fields)} frames, grid {_GRID}"
+    screen.table(title, ("measure", "value"), *rows.items(), right=("value",))
 
 
 def _share(state: NDArray[np.uint8], kind: MarkerState) -> str:

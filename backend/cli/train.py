@@ -12,7 +12,7 @@ from touchdown.backend.config import TrainingSettings
 if TYPE_CHECKING:
     from pydantic import BaseModel
 
-    from touchdown.backend.learning import TrainingFinished, TrainingLoaded
+    from touchdown.backend.learning import TrainingLoaded
 
 
 NAME = "train"
@@ -118,20 +118,12 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
         run_training,
     )
 
-    settings = {
-        "modality": args.modality,
-        "epochs": args.epochs,
-        "batch": args.batch,
-        "learning_rate": args.learning_rate,
-        "precision": args.precision,
-        "divide_series": args.divide_series,
-        "seed": args.seed,
-    }
+    names = ("modality", "epochs", "batch", "learning_rate", "precision", "divide_series", "seed")
     job = make_training_job(
         args.data,
         args.piece,
         args.out or Path(f"{args.piece or 'model'}.safetensors"),
-        settings,
+        {name: getattr(args, name) for name in names},
         labels=args.labels,
         resume=args.resume,
         threads=args.threads,
@@ -157,7 +149,11 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
                     exclude = {"kind", "epochs", "reliability"}
                     curve.append(report.model_dump(mode="json", exclude=exclude))
                 case TrainingFinished():
-                    screen.say(_finished(report))
+                    screen.say(
+                        f"{report.out}: epoch {report.best_epoch}, validation IoU "
+                        f"{100 * report.iou:.1f} %, point accuracy "
+                        f"{100 * report.point_accuracy:.1f} %, {report.seconds:.0f} s"
+                    )
                     answer |= report.model_dump(mode="json", exclude={"kind"})
                 case TrainingCancelled():
                     screen.say(f"Cancelled after epoch {report.done}; continue with --resume.")
@@ -177,12 +173,4 @@ def _loaded(report: TrainingLoaded) -> str:
         f"{report.episodes} episodes of {report.piece}, {report.held_out} held out "
         f"for validation ({group_noun(report.kept_together)}), {report.points} points, "
         f"{report.parameters:,} parameters, base rate {report.base_rate:.3f}"
-    )
-
-
-def _finished(report: TrainingFinished) -> str:
-    return (
-        f"{report.out}: epoch {report.best_epoch}, validation IoU "
-        f"{100 * report.iou:.1f} %, point accuracy "
-        f"{100 * report.point_accuracy:.1f} %, {report.seconds:.0f} s"
     )

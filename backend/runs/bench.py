@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -41,24 +42,20 @@ class PendingDecision:
     """Latest decision of the operator about the newest collected episode."""
 
     def __init__(self) -> None:
-        self._lock = threading.Lock()
-        self._decision: EpisodeDecision | None = None
+        self._newest: deque[EpisodeDecision] = deque(maxlen=1)
 
     @property
     def given(self) -> bool:
         """True if a decision is pending."""
-        return self._decision is not None
+        return bool(self._newest)
 
     def give(self, decision: EpisodeDecision) -> None:
         """Set the decision; replaces one that is still pending."""
-        with self._lock:
-            self._decision = decision
+        self._newest.append(decision)
 
     def take(self) -> EpisodeDecision | None:
         """Return the pending decision and clear it, None if there is none."""
-        with self._lock:
-            decision, self._decision = self._decision, None
-            return decision
+        return self._newest.pop() if self._newest else None
 
 
 class OperatorPrompt:
@@ -67,40 +64,26 @@ class OperatorPrompt:
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._asked = False
-        self._answer: bool | None = None
-        self._seen: tuple[Outcome, str] | None = None
+        # Reply to the last question, None before it
+        self.reply: bool | None = None
+        self.seen: tuple[Outcome, str] | None = None  # observed outcome and its reason
 
     def ask(self) -> None:
         """Open a question and clear the previous answer."""
         with self._lock:
-            self._asked, self._answer, self._seen = True, None, None
+            self._asked, self.reply, self.seen = True, None, None
 
     def answer(self, yes: bool) -> None:
         """Answer the open question; ignored without one."""
         with self._lock:
             if self._asked:
-                self._asked, self._answer = False, yes
+                self._asked, self.reply = False, yes
 
     def see(self, outcome: Outcome, reason: str) -> None:
         """Answer the open question with the observed outcome; ignored without one."""
         with self._lock:
             if self._asked:
-                self._asked, self._seen = False, (outcome, reason)
-
-    @property
-    def seen(self) -> tuple[Outcome, str] | None:
-        """Observed outcome and its reason, None before the answer."""
-        return self._seen
-
-    @property
-    def answered(self) -> bool:
-        """True if the last question has an answer."""
-        return self._answer is not None
-
-    @property
-    def yes(self) -> bool:
-        """True if the answer was yes."""
-        return self._answer is True
+                self._asked, self.seen = False, (outcome, reason)
 
 
 @dataclass(frozen=True, slots=True)

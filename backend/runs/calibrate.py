@@ -34,7 +34,6 @@ from touchdown.backend.calibration import (
 )
 from touchdown.backend.core import (
     FINGERS,
-    Fault,
     FloatArray,
     PhaseEntered,
     Pose,
@@ -45,9 +44,7 @@ from touchdown.backend.core import (
     Said,
     pose_rotation,
 )
-from touchdown.backend.devices import PressCommand
 from touchdown.backend.geometry import Outline
-from touchdown.backend.runs import messages
 from touchdown.backend.runs.bench import Bench, RunContext
 from touchdown.backend.runs.jig import pick_piece, return_piece, with_handed_piece
 from touchdown.backend.runs.motions import (
@@ -55,6 +52,7 @@ from touchdown.backend.runs.motions import (
     MOVE_S,
     middle_of_overlap,
     move_to,
+    press_command,
     retry_if_void,
     run_to_end,
     wait,
@@ -70,6 +68,7 @@ from touchdown.backend.runs.touch_probing import (
     find_height,
     rise_from_contact,
     touch_height_mm,
+    void_touch,
 )
 from touchdown.backend.sensing import take_reference
 
@@ -107,7 +106,11 @@ def measure_board(bench: Bench, request: CalibrateRequest) -> Plan[CalibrationEs
         if found.residual <= found.limit:
             break
         if before + 1 < BOARD_ROUNDS:
-            yield Said(bench.now_s(), messages.repeated_board_message(found.residual, found.limit))
+            text = (
+                f"The residual is {found.residual:.2f} mm, beyond its limit of "
+                f"{found.limit:.1f} mm: the board is probed once more, and both rounds count."
+            )
+            yield Said(bench.now_s(), text)
     yield _progress(bench, before, BOARD_STEPS, "back to the jig")
     yield from return_piece(bench)
     return found
@@ -146,24 +149,25 @@ def along_edges(face: Outline, bottom: Outline) -> EdgeOffsets:
     A straight edge of the bottom gives its own yaw along the stretch that a round face, or the
     corner of a shorter face, reaches. A face longer than the bottom gives the yaw of the piece.
     """
-    longer, shorter = _half_lengths(bottom), _half_lengths(face)
-    round_face, round_bottom = face.kind == "circle", bottom.kind == "circle"
-    if longer is not None and (round_face or shorter is not None):
-        least = (0.0, 0.0) if round_face or shorter is None else shorter
-        room = tuple(longer[1 - k] - least[1 - k] - INSET_MM for k in range(2))
+    bodies: tuple[tuple[Outline, Outline, YawOf], ...] = (
+        (bottom, face, "board"),
+        (face, bottom, "piece"),
+    )
+    for straight, other, yaw_of in bodies:
+        longer, shorter = _half_lengths(straight), _half_lengths(other)
+        if straight.kind == "circle" or longer is None or shorter is None:
+            continue
+        room = tuple(longer[1 - k] - shorter[1 - k] - INSET_MM for k in range(2))
         if min(room) >= INSET_MM:
-            return EdgeOffsets((room[0], room[1]), "board")
-    if shorter is not None and (round_bottom or longer is not None):
-        least = (0.0, 0.0) if round_bottom or longer is None else longer
-        room = tuple(shorter[1 - k] - least[1 - k] - INSET_MM for k in range(2))
-        if min(room) >= INSET_MM:
-            return EdgeOffsets((room[0], room[1]), "piece")
+            return EdgeOffsets((room[0], room[1]), yaw_of)
     return EdgeOffsets((0.0, 0.0), "")
 
 
 def _half_lengths(outline: Outline) -> tuple[float, float] | None:
-    """Return the half sides of a rectangle along the axes, None for any other outline."""
-    if outline.kind == "circle" or len(outline.vertices_mm) != 4:
+    """Return the half sides of a rectangle along the axes, zeros for a circle, else None."""
+    if outline.kind == "circle":
+        return 0.0, 0.0
+    if len(outline.vertices_mm) != 4:
         return None
     x_mm, y_mm = outline.half_extents_mm
     if all(math.isclose(abs(x), x_mm) and math.isclose(abs(y), y_mm) for x, y in
@@ -208,8 +212,7 @@ def measure_tool(bench: Bench, request: CalibrateRequest) -> Plan[CalibrationEst
         yield from pick_piece(bench)
         contact_mm = yield from find_height(bench, bottom)
         start_mm = contact_mm + bench.settings.probe.start_height_mm
-        centre = yield from _face_centre(bench, bottom, start_mm, grip)
-        centres.append(centre)
+        centres.append((yield from _face_centre(bench, bottom, start_mm, grip)))
         yield from return_piece(bench)
     yield Progress(bench.now_s(), TOOL_STEPS, TOOL_STEPS, "done")
     sigma_mm = bench.settings.collect.origin_sigma_mm
@@ -221,12 +224,8 @@ def _face_centre(bench: Bench, bottom: FloatArray, start_mm: float, grip: int) -
     between = np.zeros(2)
     for at, (axis, side) in enumerate(TOOL_SIDES):
         yield PausePoint()
-        yield Progress(
-            bench.now_s(),
-            grip * len(TOOL_SIDES) + at,
-            TOOL_STEPS,
-            f"grip {grip + 1} of {TOOL_GRIPS}",
-        )
+        done = grip * len(TOOL_SIDES) + at
+        yield Progress(bench.now_s(), done, TOOL_STEPS, f"grip {grip + 1} of {TOOL_GRIPS}")
         edge = yield from probed_edge(bench, bottom, (axis, side, 0.0), start_mm)
         between[axis] += 0.5 * edge.at_mm
     return between
@@ -249,9 +248,8 @@ def measure_payload(bench: Bench, request: CalibrateRequest) -> Plan[Calibration
     An arm that cannot tilt its hand stays level: mass and horizontal centre of mass only.
     """
     turns, wrenches = yield from _weighed(bench)
-    if bench.arm.rotates:
-        return estimate_payload(turns, wrenches)
-    return estimate_level_payload(wrenches)
+    rotates = bench.arm.rotates
+    return estimate_payload(turns, wrenches) if rotates else estimate_level_payload(wrenches)
 
 
 def measure_wrist(bench: Bench, request: CalibrateRequest) -> Plan[CalibrationEstimate]:
@@ -353,9 +351,8 @@ def _side_presses(bench: Bench, request: CalibrateRequest) -> Plan[list[SidePres
         way["xy".index(side[1])] = 1.0 if side[0] == "+" else -1.0
         x_mm, y_mm = (origin + out_mm * way).tolist()
         yield from move_to(bench, Pose(x_mm, y_mm, start_mm), "the arm to shift")
-        push, after_void = partial(_side_press, bench, side), partial(_after_void, bench, start_mm)
-        each = yield from retry_if_void(bench, push, after_void)
-        presses.append(each)
+        push = partial(_side_press, bench, side)
+        presses.append((yield from retry_if_void(bench, push, void_touch(bench, start_mm))))
         yield from rise_from_contact(bench, start_mm)
     yield Progress(bench.now_s(), MOST_PUSHES, MOST_PUSHES, "back to the jig")
     yield from return_piece(bench)
@@ -378,26 +375,10 @@ def next_side(presses: Sequence[SidePress]) -> Side | None:
     return ACROSS[0]
 
 
-def _after_void(bench: Bench, start_mm: float, fault: Fault) -> Plan[None]:
-    yield Said(bench.now_s(), messages.void_touch_message(fault))
-    yield from rise_from_contact(bench, start_mm)
-
-
 def _side_press(bench: Bench, side: Side) -> Plan[SidePress]:
     yield from zero_sensors(bench, 0)
     yield PhaseEntered(bench.now_s(), "press", 0)
-    probe = bench.settings.probe
-    press = bench.arm.press(
-        PressCommand(
-            depth_mm=DEPTH_MM,
-            ramp_s=RAMP_S,
-            hold_s=HOLD_S,
-            approach_mm_s=probe.approach_mm_s,
-            threshold_n=probe.threshold_n,
-            max_travel_mm=probe.start_height_mm + probe.max_travel_mm,
-            stiffness_n_mm=probe.stiffness_n_mm,
-        )
-    )
+    press = bench.arm.press(press_command(bench, DEPTH_MM, RAMP_S, HOLD_S))
     yield Wait(lambda: press.done, MOVE_S, "the press to end")
     press.result()
     now_s = bench.now_s()

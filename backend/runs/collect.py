@@ -25,7 +25,6 @@ from touchdown.backend.core import (
     RunStarted,
     Said,
 )
-from touchdown.backend.runs import messages
 from touchdown.backend.runs.bench import Bench, RunContext
 from touchdown.backend.runs.campaign import (
     Campaign,
@@ -70,7 +69,8 @@ def ask_mounting(bench: Bench, dataset: Dataset, campaign: Campaign) -> Plan[Mou
     if (yield from ask_operator(bench, question, "the answer about the mounting")):
         return NEW_MOUNTING
     found = _last(dataset, campaign)
-    yield Said(bench.now_s(), messages.same_mounting_message(campaign.mountings, found.grips))
+    text = f"Mounting {campaign.mountings} and its series go on, after {found.grips} grips."
+    yield Said(bench.now_s(), text)
     return found
 
 
@@ -220,15 +220,12 @@ def _dataset(session: RunContext, request: CollectRequest) -> Dataset:
         raise RefusedError("NO-DATASET", "No dataset is open to collect into.")
     if not session.dataset.writable:
         raise RefusedError("READ-ONLY", "The dataset is open for reading only.")
-    for name, limit in (
-        ("grip", request.probes_per_grip),
-        ("mounting", request.grips_per_mounting),
-    ):
+    counts = (("probe", "grip", request.probes_per_grip),
+              ("grip", "mounting", request.grips_per_mounting))  # fmt: skip
+    for what, name, limit in counts:
         if limit is not None and limit < 1:
-            what = "probe" if name == "grip" else "grip"
-            raise InputError(
-                f"A {name} makes at least one {what}.", f"{what}s per {name}", "Give 1 or more."
-            )
+            text = f"A {name} makes at least one {what}."
+            raise InputError(text, f"{what}s per {name}", "Give 1 or more.")
     if not request.person.strip():
         raise InputError("No operator is named.", "--person", "Give the name of the operator.")
     return session.dataset

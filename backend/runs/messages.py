@@ -6,7 +6,6 @@ import math
 
 from touchdown.backend.core import (
     ContactPatch,
-    Fault,
     HandOverAwaited,
     MountingAwaited,
     Outcome,
@@ -58,20 +57,6 @@ DECISION_WORDS = {
 }  # recorded reason of a deletion, by decision
 
 
-def origin_message(x_mm: float, y_mm: float, sigma_mm: float, agrees: bool) -> str:
-    """Return the measured deviation of the bottom from its origin."""
-    felt = f"The bottom was found {x_mm:+.2f}, {y_mm:+.2f} mm off its origin (s.d. {sigma_mm:.2f})"
-    return f"{felt}." if agrees else f"{felt}: set the origin again, the labels are off by this."
-
-
-def repeated_board_message(residual_mm: float, limit_mm: float) -> str:
-    """Return the reason for a second round on the board."""
-    return (
-        f"The residual is {residual_mm:.2f} mm, beyond its limit of {limit_mm:.1f} mm: the board "
-        "is probed once more, and both rounds count."
-    )
-
-
 def regrip_message(why: str) -> str:
     """Return the reason for an early return of the piece to its jig."""
     return f"The piece is gripped again: {why}."
@@ -92,29 +77,9 @@ def mounting_question(awaited: MountingAwaited) -> str:
     return f"Were {what} fitted anew since mounting {awaited.mounting} of this campaign?"
 
 
-def same_mounting_message(number: int, grips: int) -> str:
-    """Return the message for a mounting that continues."""
-    return f"Mounting {number} and its series go on, after {grips} grips."
-
-
 def rejected_message(probe: int, reasons: tuple[str, ...]) -> str:
     """Return the reasons for rejecting a probe."""
     return f"Probe {probe} is not an observation: {'; '.join(reasons)}."
-
-
-def void_press_message(probe: int, fault: Fault) -> str:
-    """Return the reason for repeating a press."""
-    return f"Probe {probe} is void: {fault.what} Pressing again."
-
-
-def void_touch_message(fault: Fault) -> str:
-    """Return the reason for repeating a touch."""
-    return f"The touch is void: {fault.what} Touching again."
-
-
-def late_verdict_message(held_s: float) -> str:
-    """Return the message for a verdict that came too late to act on."""
-    return f"The verdict took {held_s:.1f} s, too long to hold the press: lifted, probing again."
 
 
 _SEEN = {

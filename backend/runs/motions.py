@@ -29,6 +29,7 @@ from touchdown.backend.core import (
 from touchdown.backend.devices import (
     STATIONARY_MM,
     VOID_PRESS,
+    PressCommand,
     ReleaseEvidence,
     recent_positions_mm,
     travelled_mm,
@@ -120,12 +121,35 @@ def move_to(bench: Bench, place: Pose, what: str) -> Plan[None]:
             return
 
 
+def press_command(
+    bench: Bench, depth_mm: float, ramp_s: float, hold_s: float, below_mm: float | None = None
+) -> PressCommand:
+    """Return a press with the method's gains, to ``below_mm`` below the usual contact at most."""
+    probe = bench.settings.probe
+    return PressCommand(
+        depth_mm=depth_mm,
+        ramp_s=ramp_s,
+        hold_s=hold_s,
+        approach_mm_s=probe.approach_mm_s,
+        threshold_n=probe.threshold_n,
+        max_travel_mm=probe.start_height_mm + (below_mm or probe.max_travel_mm),
+        stiffness_n_mm=probe.stiffness_n_mm,
+    )
+
+
+def probe_command(bench: Bench) -> PressCommand:
+    """Return the press of a probe."""
+    probe = bench.settings.probe
+    ramp_s = probe.ramp_fraction * probe.duration_s
+    return press_command(bench, probe.depth_mm, ramp_s, probe.duration_s)
+
+
 def ask_operator(bench: Bench, question: Event, what: str) -> Plan[bool]:
     """Publish ``question`` and wait for the operator's yes or no; ``what`` names the wait."""
     bench.prompt.ask()
     yield question
-    yield Wait(lambda: bench.prompt.answered, OPERATOR_TIMEOUT_S, what)
-    return bench.prompt.yes
+    yield Wait(lambda: bench.prompt.reply is not None, OPERATOR_TIMEOUT_S, what)
+    return bench.prompt.reply is True
 
 
 def take_piece(bench: Bench) -> Plan[None]:
@@ -251,18 +275,14 @@ def wait_at_rest(bench: Bench) -> Plan[None]:
 def wait_fresh_wrench(bench: Bench) -> Plan[None]:
     """Wait for the next wrench sample if the newest is too old, ``FRESH_S`` at most."""
     until_s = bench.now_s() + FRESH_S
-    if not _wrench_is_fresh(bench):
-        yield Wait(
-            lambda: _wrench_is_fresh(bench) or bench.now_s() >= until_s,
-            2.0 * FRESH_S,
-            "a fresh wrench",
-        )
-
-
-def _wrench_is_fresh(bench: Bench) -> bool:
-    now_s = bench.now_s()
     limit_s = bench.wrench_late_s + WRENCH_AGE_LIMIT_S
-    return len(bench.sensing.wrench.window(now_s - limit_s, now_s).t_s) > 0
+
+    def is_fresh() -> bool:
+        now_s = bench.now_s()
+        return len(bench.sensing.wrench.window(now_s - limit_s, now_s).t_s) > 0
+
+    if not is_fresh():
+        yield Wait(lambda: is_fresh() or bench.now_s() >= until_s, 2.0 * FRESH_S, "a fresh wrench")
 
 
 def release_evidence(
@@ -363,14 +383,14 @@ def run_to_end(bench: Bench, plan: Plan[R]) -> Plan[PlanEnd[R]]:
             yield FaultRaised(bench.now_s(), faults[0])
             return PlanEnd(None, "failed", str(FaultError(faults[0])))
         if bench.interlock.latched:
-            return PlanEnd(None, "stopped", _stop_reason(bench))
+            return PlanEnd(None, "stopped", stopped_message(bench.interlock.stopped_by))
         yield Said(bench.now_s(), f"Refused: {cause}")
         yield from _retreat(bench)
         return PlanEnd(None, None, str(cause))
     except (FaultError, StaleSampleError) as cause:
         if bench.interlock.stopped_by and not bench.interlock.faults:
             # STOP interrupted the motion: that is no device fault.
-            return PlanEnd(None, "stopped", _stop_reason(bench))
+            return PlanEnd(None, "stopped", stopped_message(bench.interlock.stopped_by))
         # A fault that stopped the arm shows as an interrupted motion: report its cause.
         faults = bench.interlock.faults
         found = stale_fault(cause) if isinstance(cause, StaleSampleError) else cause.fault
@@ -379,10 +399,6 @@ def run_to_end(bench: Bench, plan: Plan[R]) -> Plan[PlanEnd[R]]:
         yield FaultRaised(bench.now_s(), first.fault)
         return PlanEnd(None, "failed", str(first))
     return PlanEnd(value)
-
-
-def _stop_reason(bench: Bench) -> str:
-    return stopped_message(bench.interlock.stopped_by)
 
 
 def _retreat(bench: Bench) -> Plan[None]:

@@ -10,10 +10,9 @@ import numpy as np
 
 from touchdown.backend.config import EARLY_TICKS, SAMPLES_PER_PROBE, TICK_S
 from touchdown.backend.core import Fault, FaultError, FloatArray, PhaseEntered, Said, ScenePicture
-from touchdown.backend.devices import PressCommand
 from touchdown.backend.runs import messages
 from touchdown.backend.runs.bench import Bench, PressedProbe
-from touchdown.backend.runs.motions import lift, move_to, retry_if_void, zero_sensors
+from touchdown.backend.runs.motions import lift, move_to, probe_command, retry_if_void, zero_sensors
 from touchdown.backend.runs.plan import Plan, Wait
 from touchdown.backend.runs.recorder import wait_until_durable
 from touchdown.backend.sensing import TorsionSlipDetector, assemble_episode, synchronise
@@ -28,20 +27,6 @@ HUSH_S = 0.02  # lead time for repaints in progress to end before the decision
 LONGEST_HUSH_S = 0.08
 
 
-def press_command(bench: Bench) -> PressCommand:
-    """Return the press command of the method's settings."""
-    probe = bench.settings.probe
-    return PressCommand(
-        depth_mm=probe.depth_mm,
-        ramp_s=probe.ramp_fraction * probe.duration_s,
-        hold_s=probe.duration_s,
-        approach_mm_s=probe.approach_mm_s,
-        threshold_n=probe.threshold_n,
-        max_travel_mm=probe.start_height_mm + probe.max_travel_mm,
-        stiffness_n_mm=probe.stiffness_n_mm,
-    )
-
-
 def press_once(
     bench: Bench, probe: int, offset_mm: FloatArray | None = None, *, decides: bool = False
 ) -> Plan[PressedProbe]:
@@ -53,7 +38,7 @@ def press_once(
     """
 
     def after_void(fault: Fault) -> Plan[None]:
-        yield Said(bench.now_s(), messages.void_press_message(probe, fault))
+        yield Said(bench.now_s(), f"Probe {probe} is void: {fault.what} Pressing again.")
         yield from lift(bench, probe)
 
     press = partial(_press, bench, probe, offset_mm, decides=decides)
@@ -66,7 +51,7 @@ def _press(
     yield from zero_sensors(bench, probe)
     yield PhaseEntered(bench.now_s(), "approach", probe)
     here = bench.arm.pose(max_age_s=0.2)
-    motion = bench.arm.press(press_command(bench))
+    motion = bench.arm.press(probe_command(bench))
     limit_s = 60.0
     yield Wait(lambda: motion.done or motion.onset_s is not None, limit_s, "contact")
     if motion.onset_s is not None:

@@ -41,6 +41,7 @@ from touchdown.backend.runs.motions import (
     ask_operator,
     lift,
     open_and_rise,
+    probe_command,
     release_piece,
     run_to_end,
     shift_piece,
@@ -50,7 +51,7 @@ from touchdown.backend.runs.motions import (
 )
 from touchdown.backend.runs.outcome import TrialResult, judge_release, trial_finished
 from touchdown.backend.runs.plan import PausePoint, Plan, Wait, motion_done
-from touchdown.backend.runs.probe import press_command, probe_until_accepted
+from touchdown.backend.runs.probe import probe_until_accepted
 from touchdown.backend.runs.recorder import wait_for_space, wait_until_durable
 from touchdown.backend.runs.requests import StackRequest, request_record
 
@@ -60,7 +61,7 @@ def pick_and_place(bench: Bench) -> Plan[TrialResult]:
     yield from take_piece(bench)
     yield from zero_sensors(bench, 1)
     yield PhaseEntered(bench.now_s(), "approach", 1)
-    motion = bench.arm.press(press_command(bench))
+    motion = bench.arm.press(probe_command(bench))
     yield Wait(lambda: motion.done or motion.onset_s is not None, 60.0, "contact")
     if motion.onset_s is None:
         motion.result()
@@ -126,7 +127,8 @@ def place_piece(bench: Bench) -> Plan[TrialResult]:
         yield from lift(bench, probe)
         yield from _recorded(bench, pressed)
         if late:
-            yield Said(bench.now_s(), messages.late_verdict_message(held_s))
+            late_text = f"The verdict took {held_s:.1f} s, too long to hold the press"
+            yield Said(bench.now_s(), f"{late_text}: lifted, probing again.")
             continue
         if judged.action.kind == "give_up":
             return TrialResult(Outcome.GAVE_UP, judged.action.reason, probe)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from functools import partial
 
 import numpy as np
@@ -16,11 +17,16 @@ from touchdown.backend.core import (
     RefusedError,
     Said,
 )
-from touchdown.backend.devices import PressCommand
-from touchdown.backend.runs import messages
 from touchdown.backend.runs.bench import Bench
 from touchdown.backend.runs.jig import approach_with_piece
-from touchdown.backend.runs.motions import MOVE_S, TOUCH_TRIES, move_to, retry_if_void, wait
+from touchdown.backend.runs.motions import (
+    MOVE_S,
+    TOUCH_TRIES,
+    move_to,
+    press_command,
+    retry_if_void,
+    wait,
+)
 from touchdown.backend.runs.plan import Plan, Wait
 
 SEARCH_MM = 3.0  # search range on both sides of the expected edge
@@ -85,13 +91,18 @@ def touch_height_mm(
     The descent ends ``below_mm`` below the usual contact height. The arm ends at ``start_mm``. A
     void touch is repeated.
     """
+    touch = partial(_touched_mm, bench, place, start_mm, below_mm)
+    return (yield from retry_if_void(bench, touch, void_touch(bench, start_mm), TOUCH_TRIES))
+
+
+def void_touch(bench: Bench, start_mm: float) -> Callable[[Fault], Plan[None]]:
+    """Return the plan after a void touch: say why, rise to ``start_mm``."""
 
     def after_void(fault: Fault) -> Plan[None]:
-        yield Said(bench.now_s(), messages.void_touch_message(fault))
+        yield Said(bench.now_s(), f"The touch is void: {fault.what} Touching again.")
         yield from rise_from_contact(bench, start_mm)
 
-    touch = partial(_touched_mm, bench, place, start_mm, below_mm)
-    return (yield from retry_if_void(bench, touch, after_void, TOUCH_TRIES))
+    return after_void
 
 
 def rise_from_contact(bench: Bench, start_mm: float) -> Plan[None]:
@@ -105,22 +116,11 @@ def rise_from_contact(bench: Bench, start_mm: float) -> Plan[None]:
 def _touched_mm(
     bench: Bench, place: FloatArray, start_mm: float, below_mm: float
 ) -> Plan[float | None]:
-    probe = bench.settings.probe
     x_mm, y_mm = place.tolist()
     yield from move_to(bench, Pose(x_mm, y_mm, start_mm), "the arm to shift")
     yield from wait(bench, SETTLE_S)
     yield PhaseEntered(bench.now_s(), "approach", 0)
-    press = bench.arm.press(
-        PressCommand(
-            depth_mm=DEPTH_MM,
-            ramp_s=TOUCH_S,
-            hold_s=2.0 * TOUCH_S,
-            approach_mm_s=probe.approach_mm_s,
-            threshold_n=probe.threshold_n,
-            max_travel_mm=probe.start_height_mm + below_mm,
-            stiffness_n_mm=probe.stiffness_n_mm,
-        )
-    )
+    press = bench.arm.press(press_command(bench, DEPTH_MM, TOUCH_S, 2.0 * TOUCH_S, below_mm))
     yield Wait(lambda: press.done, MOVE_S, "the touch to end")
     onset_s = press.onset_s
     try:
@@ -128,11 +128,9 @@ def _touched_mm(
     except FaultError as cause:
         if cause.fault.code != "NO-CONTACT":
             raise
-    height_mm = None if onset_s is None else _height_mm(bench, onset_s)
+    height_mm = None
+    if onset_s is not None:
+        poses = bench.arm.poses.window(onset_s - 0.1, onset_s + 0.1)
+        height_mm = float(np.interp(onset_s, poses.t_s, poses.values[:, 2]))
     yield from rise_from_contact(bench, start_mm)
     return height_mm
-
-
-def _height_mm(bench: Bench, t_s: float) -> float:
-    poses = bench.arm.poses.window(t_s - 0.1, t_s + 0.1)
-    return float(np.interp(t_s, poses.t_s, poses.values[:, 2]))

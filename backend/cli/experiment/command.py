@@ -12,10 +12,12 @@ from typing import Any
 
 from touchdown.backend.cli.experiment.domain_shift import (
     EVALUATIONS,
+    Json,
+    RunJobs,
     add_evaluation_arguments,
     run_evaluation,
 )
-from touchdown.backend.cli.output import VerbOutput
+from touchdown.backend.cli.output import VerbOutput, make_output_folder, require_positive
 from touchdown.backend.cli.train import add_device
 from touchdown.backend.config import load_simulation
 from touchdown.backend.core import InputError, write_atomically
@@ -63,8 +65,6 @@ from touchdown.backend.jobs import (
     shard_of,
 )
 
-Json = dict[str, Any]
-
 
 def add_report_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of ``report`` and ``gap``."""
@@ -96,14 +96,6 @@ def rewrite_report(args: argparse.Namespace, screen: VerbOutput) -> Json:
         page = rewrite_tables(file, args.beyond)
     screen.say(f"Written: {page}")
     return {"page": str(page), "file": str(file)}
-
-
-def tables_to_compare(file: Path | None) -> Json | None:
-    """Return the content of the tables.json to compare with, None without one.
-
-    Read before the first job, to report a wrong file early. Raises ``InputError``.
-    """
-    return None if file is None else read_report(file)[0]
 
 
 def compare_tables(answer: Json, other: Json, file: Path, screen: VerbOutput) -> None:
@@ -159,8 +151,6 @@ def write_gap(args: argparse.Namespace, screen: VerbOutput) -> Json:
 
 
 ABLATIONS = ("wrench", "fields", "others", "mirrors")
-# runs the unfinished jobs, given the effort of each; returns the ids of failed jobs
-RunJobs = Callable[[list[JobSpec], Callable[[JobSpec], int]], list[str]]
 
 
 def add_fused_arguments(parser: argparse.ArgumentParser) -> None:
@@ -324,14 +314,15 @@ def _add_beyond_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     """Run all unfinished jobs, then write the page; return 0 if no job failed."""
-    if args.workers < 1:
-        raise InputError("--workers must be at least 1.", "--workers", "Give a positive number.")
+    require_positive(args, "workers")
     if args.what in ("report", "gap"):
         way = rewrite_report if args.what == "report" else write_gap
         screen.result({"version": JSON_VERSION, **way(args, screen)})
         return 0
-    other = tables_to_compare(args.against)
-    store = JobStore(_folder(args.out) / "jobs")
+    # Read before the first job, to report a wrong file early.
+    other = None if args.against is None else read_report(args.against)[0]
+    make_output_folder(args.out / "jobs")
+    store = JobStore(args.out / "jobs")
     if args.what == "beyond":
         return _run_beyond(args, screen, store)
     if args.what in ("fused", *EVALUATIONS):
@@ -346,7 +337,10 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     with report_write_errors(args.out):
         page, answer = write_tables(args.out, recipe, store)
     if args.keep_models:
-        _keep(args, recipe, store, screen)
+        with report_write_errors(args.keep_models):
+            args.keep_models.mkdir(parents=True, exist_ok=True)
+            kept = keep_models(store, recipe, args.keep_models)
+        screen.say(f"{len(kept)} models: {args.keep_models}")
     screen.say(f"{len(jobs) - missing} of {len(jobs)} jobs are done: {page}")
     if other is not None:
         compare_tables(answer, other, args.against, screen)
@@ -361,14 +355,6 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
         }
     )
     return 1 if failed else 0
-
-
-def _keep(args: argparse.Namespace, recipe: Recipe, store: JobStore, screen: VerbOutput) -> None:
-
-    with report_write_errors(args.keep_models):
-        args.keep_models.mkdir(parents=True, exist_ok=True)
-        kept = keep_models(store, recipe, args.keep_models)
-    screen.say(f"{len(kept)} models: {args.keep_models}")
 
 
 def _run_jobs(
@@ -419,8 +405,8 @@ def _comparison_of(args: argparse.Namespace, store: JobStore) -> StrategyCompari
     bench = load_simulation(args.bench, None if args.bench else args.preset)
     folders = [args.models] if args.models else shipped_model_folders(bench.preset)
     found = adopt_models(store, *folders)
-    if args.trials < (0 if args.statics else 1):
-        raise InputError("--trials must be at least 1.", "--trials", "Give a positive number.")
+    if args.trials or not args.statics:
+        require_positive(args, "trials")
     if args.statics < 0:
         raise InputError("--statics is negative.", "--statics", "Give 0 or a positive number.")
     if not args.entry_sigma > 0.0:
@@ -462,11 +448,11 @@ def _recipe(args: argparse.Namespace, store: JobStore) -> Recipe:
     scale = SCALES[args.scale]
     if args.keep_models and not scale.probes:
         raise InputError(
-            "--quick trains no models.", "--keep-models", "Leave it out, or use --full."
+            "--quick trains no models.", "--keep-models", "Leave it out or use --full."
         )
     if args.models and scale.probes:
         raise InputError(
-            "--full trains its own models.", "--models", "Leave it out, or use --quick."
+            "--full trains its own models.", "--models", "Leave it out or use --quick."
         )
     bench = load_simulation(args.bench, None if args.bench else args.preset)
     models = {}
@@ -486,18 +472,6 @@ def _executor(args: argparse.Namespace, store: JobStore, tell: Callable[[str], N
     if not args.cluster:
         raise InputError("The executor dask needs a scheduler.", "--cluster", "Give its address.")
     return DaskCluster.at(KINDS, store, args.cluster)
-
-
-def _folder(out: Path) -> Path:
-    try:
-        (out / "jobs").mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(
-            f"The folder cannot be made: {error.strerror or error}.",
-            str(out),
-            "Name another folder.",
-        ) from error
-    return out
 
 
 def _job_name(spec: JobSpec) -> str:

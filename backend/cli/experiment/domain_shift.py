@@ -194,10 +194,9 @@ def _models(args: argparse.Namespace, bench: SimulationSettings, store: JobStore
     known += tuple((s, EVALUATED_STRATEGIES) for s in args.strategies.split(","))
     for name, names in known:
         if name not in names:
+            fix = f"Name one piece, or some of {','.join(names)}."
             raise InputError(
-                f"'{name}' is not available.",
-                "--pieces, --bottoms, --strategies",
-                f"Name one piece, or some of {','.join(names)}.",
+                f"'{name}' is not available.", "--pieces, --bottoms, --strategies", fix
             )
     folders = [args.models] if args.models else shipped_model_folders(bench.preset)
     found = adopt_models(store, *folders)
@@ -211,10 +210,5 @@ def _kept(
     path = out / f"{name}.json"
     write_atomically(path, json.dumps(answer, indent=1, sort_keys=True).encode() + b"\n")
     missing = sum(not store.has(spec.id) for spec in jobs)
-    return {
-        "file": str(path),
-        "jobs": len(jobs),
-        "missing": missing,
-        "failed": failed,
-        name: answer,
-    }
+    counts = {"jobs": len(jobs), "missing": missing, "failed": failed}
+    return {"file": str(path), **counts, name: answer}

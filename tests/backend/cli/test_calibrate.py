@@ -75,7 +75,7 @@ def test_a_driver_that_nobody_offers_is_named_before_anything_is_connected(lab, 
 @pytest.mark.parametrize("verb", ["stack", "collect"])
 def test_a_campaign_on_hardware_without_calibrations_connects_nothing(
     lab, capsys, tmp_path, monkeypatch, verb
-):
+) -> None:
     monkeypatch.setenv("TOUCHDOWN_DATA", str(tmp_path / "data"))
     assert main([verb, "--bench", str(lab), "--home"]) == 1
     told = capsys.readouterr()
@@ -380,9 +380,7 @@ def test_status_counts_by_pair_and_state(folder_dataset: Path, say: Any) -> None
     assert (campaign["uuid"], campaign["episodes"], campaign["done"]) == ("campaign-1", 3, 1)
 
 
-def test_the_usual_dataset_is_that_of_the_data_folder(
-    folder_dataset: Path, say: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_usual_dataset_is_that_of_the_data_folder(folder_dataset, say, monkeypatch) -> None:
     monkeypatch.setenv("TOUCHDOWN_DATA", str(folder_dataset.parent))
     folder_dataset.rename(folder_dataset.parent / "dataset")
     assert say("dataset")[1]["episodes"] == 3
@@ -496,7 +494,7 @@ FULL = Fault("DISK-FULL", "Only 0.42 GB are free.", "The run is paused.", "Make 
 )
 def test_an_enter_goes_on_and_nobody_is_waited_for_in_vain(
     monkeypatch, typed, json, waits, made, left
-):
+) -> None:
     said = io.StringIO()
     monkeypatch.setattr("sys.stdin", io.StringIO(typed))
 

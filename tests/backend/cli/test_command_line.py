@@ -269,9 +269,7 @@ def label(folder: Path, person: str, uuid: str, x_um: int) -> None:
         dataset.labels.accept(person, uuid, Label(x_um, 0, 0, 50))
 
 
-def test_merge_brings_labels_and_tells_conflicts(
-    copies: tuple[Path, Path, str], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_merge_brings_labels_and_tells_conflicts(copies, capsys) -> None:
     ours, theirs, uuid = copies
     label(theirs, "bob", uuid, 500)
     words = ["dataset", "merge", str(theirs), "--dataset", str(ours), "--person", "ann", "--json"]
@@ -291,9 +289,7 @@ def test_merge_brings_labels_and_tells_conflicts(
 
 
 @pytest.mark.parametrize("other", ["", "nowhere"])
-def test_merge_without_a_copy_is_bad_input(
-    copies: tuple[Path, Path, str], other: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_merge_without_a_copy_is_bad_input(copies, other, capsys) -> None:
     words = ["dataset", "merge", *([other] if other else []), "--dataset", str(copies[0])]
     assert main(words) == 2
     assert "fix:" in capsys.readouterr().err
@@ -344,9 +340,7 @@ def test_labels_go_out_and_come_in(folder_exchange: Path, say: Any, tmp_path: Pa
     assert say(*words)[1]["operations"] == 0
 
 
-def test_an_edited_table_without_its_manifest(
-    folder_exchange: Path, say: Any, tmp_path: Path
-) -> None:
+def test_an_edited_table_without_its_manifest(folder_exchange, say, tmp_path) -> None:
     say("export", "csv", "--dataset", folder_exchange, "--out", tmp_path / "csv")
     table = tmp_path / "csv" / "episodes.csv"
     table.write_text(table.read_text().replace(",-2.501,", ",-2.600,"))
@@ -372,9 +366,7 @@ def test_an_edited_table_without_its_manifest(
         (("import", "lerobot", "{tmp}", "--person", "ann"), "{tmp}"),
     ],
 )
-def test_bad_wishes_are_refused(
-    words: tuple[str, ...], why: str, folder_exchange: Path, say: Any, tmp_path: Path
-) -> None:
+def test_bad_wishes_are_refused(words, why, folder_exchange, say, tmp_path) -> None:
     called = [word.format(tmp=tmp_path) for word in words]
     code, answer = say(*called, "--dataset", folder_exchange)
     assert code == 2
@@ -396,9 +388,7 @@ def test_bad_wishes_are_refused(
         (["--full", "--quick"], "touchdown experiment"),
     ],
 )
-def test_bad_words_are_refused(
-    words: list[str], where: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_bad_words_are_refused(words, where, tmp_path, capsys) -> None:
     out = ["--out", str(tmp_path / "out")]
     assert main(["experiment", "tables", *out, *words, "--json"]) == 2
     assert where in json.loads(capsys.readouterr().err)["error"]["where"]
@@ -410,9 +400,7 @@ def test_a_file_in_the_way_is_bad_input(tmp_path: Path, capsys: pytest.CaptureFi
     assert "cannot be made" in capsys.readouterr().err
 
 
-def test_two_shards_make_one_experiment(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_two_shards_make_one_experiment(tmp_path, capsys, monkeypatch) -> None:
     small = replace(tables.QUICK, groups=4, trials=2)
     monkeypatch.setitem(tables.SCALES, "quick", small)
     words = ["experiment", "tables", "--pieces", "pot", "--executor", "serial", "--json"]
@@ -554,9 +542,7 @@ def call(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str, str
     return status, told.out, told.err
 
 
-def test_stack_then_replay_tell_the_same(
-    tmp_path: Path, bench: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_stack_then_replay_tell_the_same(tmp_path, bench, capsys) -> None:
     runs = str(tmp_path / "runs")
     words = ("stack", "--piece", "pot", "--bottom", "short", "--seed", "0", "--runs", runs)
     words += ("--bench", bench)
@@ -579,9 +565,7 @@ def test_stack_then_replay_tell_the_same(
     assert len(episodes) == trial["probes"]
 
 
-def test_the_shipped_model_is_the_one_recorded(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_shipped_model_is_the_one_recorded(tmp_path, capsys) -> None:
     runs = tmp_path / "runs"
     call(capsys, "stack", "--inject", "tactile_left:stop@0.5", "--runs", str(runs))
     head = (next(runs.glob("*")) / EVENT_LOG_NAME).read_text("utf-8").splitlines()[1]
@@ -610,9 +594,7 @@ def test_the_shipped_model_is_the_one_recorded(
         (("--pieces", "no/such/folder"), "no/such/folder"),
     ],
 )
-def test_bad_input_is_one_error_and_leaves_nothing_behind(
-    words: tuple[str, ...], where: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_bad_input_is_one_error_and_leaves_nothing_behind(words, where, tmp_path, capsys) -> None:
     runs = tmp_path / "runs"
     status, out, err = call(capsys, "stack", *words, "--runs", str(runs))
     assert status == 2
@@ -624,9 +606,7 @@ def test_bad_input_is_one_error_and_leaves_nothing_behind(
     assert not runs.exists()
 
 
-def test_a_run_killed_in_the_middle_replays_to_its_last_fact(
-    tmp_path: Path, bench: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_run_killed_in_the_middle_replays_to_its_last_fact(tmp_path, bench, capsys) -> None:
     runs = tmp_path / "runs"
     command = [sys.executable, "-m", "touchdown", "stack", "--trials", "50", "--runs", str(runs)]
     command += ["--bench", bench]
@@ -650,9 +630,7 @@ def test_a_run_killed_in_the_middle_replays_to_its_last_fact(
     assert told_ids <= kept
 
 
-def test_a_runs_folder_that_cannot_be_written_is_bad_input(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_runs_folder_that_cannot_be_written_is_bad_input(tmp_path, capsys) -> None:
     occupied = tmp_path / "file"
     occupied.write_text("not a folder")
     status, out, err = call(capsys, "stack", "--runs", str(occupied))
@@ -661,9 +639,7 @@ def test_a_runs_folder_that_cannot_be_written_is_bad_input(
     assert str(occupied) in json.loads(err)["error"]["where"]
 
 
-def test_ctrl_c_lifts_tells_the_result_and_closes_the_journal(
-    tmp_path: Path, bench: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_ctrl_c_lifts_tells_the_result_and_closes_the_journal(tmp_path, bench, capsys) -> None:
     runs = tmp_path / "runs"
     command = [sys.executable, "-m", "touchdown", "stack", "--trials", "50", "--runs", str(runs)]
     command += ["--bench", bench]
@@ -683,9 +659,7 @@ def test_ctrl_c_lifts_tells_the_result_and_closes_the_journal(
     assert told["trials"][-1]["outcome"] == "aborted"
 
 
-def test_an_operators_own_piece_can_be_stacked_upon(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_operators_own_piece_can_be_stacked_upon(tmp_path, capsys) -> None:
     shipped = Path(__file__).parents[3] / "resources" / "objects" / "short.toml"
     folder = tmp_path / "pieces"
     folder.mkdir()
@@ -696,9 +670,7 @@ def test_an_operators_own_piece_can_be_stacked_upon(
     assert json.loads(out)["trials"][0]["outcome"] == "fell"
 
 
-def test_pick_and_place_asks_for_no_model(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_pick_and_place_asks_for_no_model(tmp_path, capsys) -> None:
     pieces = tmp_path / "pieces"
     pieces.mkdir()
     text = files("touchdown.resources").joinpath("objects", "pot.toml").read_text("utf-8")
@@ -721,9 +693,7 @@ def test_pick_and_place_asks_for_no_model(
     assert "no.safetensors" in err
 
 
-def test_a_camera_that_falls_silent_ends_in_one_fault_and_keeps_the_rest(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_camera_that_falls_silent_ends_in_one_fault_and_keeps_the_rest(tmp_path, capsys) -> None:
     runs = tmp_path / "runs"
     words = ("stack", "--seed", "7", "--trials", "2", "--runs", str(runs))
     status, out, err = call(capsys, *words, "--inject", "tactile_right:stop@7.0")
@@ -741,9 +711,7 @@ def test_a_camera_that_falls_silent_ends_in_one_fault_and_keeps_the_rest(
     assert again["facts"]["FaultRaised"] == 1
 
 
-def test_a_camera_silent_for_a_moment_costs_one_probe(
-    tmp_path: Path, bench: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_camera_silent_for_a_moment_costs_one_probe(tmp_path, bench, capsys) -> None:
     runs = ("--runs", str(tmp_path / "runs"), "--bench", bench)
     status, out, _ = call(
         capsys, "stack", "--seed", "7", *runs, "--inject", "tactile_left:stop@4.0+0.4"
@@ -757,9 +725,7 @@ def test_a_camera_silent_for_a_moment_costs_one_probe(
     assert any("tactile_left" in r or "left" in r for r in read_episode(refused[0]).quality.reasons)
 
 
-def test_a_run_of_a_removed_strategy_still_replays(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_run_of_a_removed_strategy_still_replays(tmp_path, capsys) -> None:
     folder = tmp_path / "run"
     journal = EventLog(folder)
     journal(RunStarted(0.0, "stack", "pot", "short", "pressure", 7, 1, True, "{}"))
@@ -769,9 +735,7 @@ def test_a_run_of_a_removed_strategy_still_replays(
     assert (result["piece"], result["facts"]) == ("pot", {"RunStarted": 1})
 
 
-def test_a_method_file_with_an_unknown_setting_is_one_error(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_method_file_with_an_unknown_setting_is_one_error(tmp_path, capsys) -> None:
     method = tmp_path / "old.toml"
     method.write_text("[contours]\nrisk = 0.05\n", "utf-8")
     assert main(["settings", "--method", str(method)]) == 2

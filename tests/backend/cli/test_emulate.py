@@ -261,9 +261,7 @@ def test_brackets_in_a_table_are_text():
     assert "arm refused [/busy] [BUSY]" in stream.getvalue()
 
 
-def test_what_is_written_is_read_back_the_same(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_is_written_is_read_back_the_same(tmp_path, capsys) -> None:
     path = tmp_path / "method.toml"
     assert main(["settings", "--write", str(path), "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
@@ -288,9 +286,7 @@ def test_a_file_is_never_written_over(tmp_path: Path, capsys: pytest.CaptureFixt
     assert path.read_text("utf-8") == "mine"
 
 
-def test_a_run_follows_the_file_and_records_it(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_run_follows_the_file_and_records_it(tmp_path, capsys) -> None:
     path = tmp_path / "method.toml"
     path.write_text("[policy]\nmax_probes = 1\n", "utf-8")
     runs = tmp_path / "runs"
@@ -313,9 +309,7 @@ def test_a_run_follows_the_file_and_records_it(
         ('strategy = "paper"\n', "strategy"),
     ],
 )
-def test_a_bad_file_is_one_error_and_leaves_nothing(
-    text: str, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_bad_file_is_one_error_and_leaves_nothing(text, said, tmp_path, capsys) -> None:
     path = tmp_path / "method.toml"
     path.write_text(text, "utf-8")
     runs = tmp_path / "runs"

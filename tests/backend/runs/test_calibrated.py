@@ -299,7 +299,7 @@ class Slowed(OracleSession):
     ("until", "kind"), [("stands", "nan"), ("stands", "stop"), ("paused", "stop")]
 )
 def test_a_sensor_lost_while_its_run_stands_degraded_ends_it_and_keeps_the_probe(
-    until: str, kind: str, tmp_path: Path
+    until, kind, tmp_path
 ) -> None:
     bench = Slowed(tmp_path)
     bench.go_on_until(until)

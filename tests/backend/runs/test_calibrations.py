@@ -491,9 +491,7 @@ def test_all_of_it_is_read() -> None:
 
 
 @pytest.mark.parametrize(("tare_s", "last"), [(JUDGED_S - 0.01, True), (JUDGED_S + 0.01, False)])
-def test_a_verdict_from_before_the_last_tare_is_not_of_the_last_probe(
-    tare_s: float, last: bool
-) -> None:
+def test_a_verdict_from_before_the_last_tare_is_not_of_the_last_probe(tare_s, last) -> None:
     assert evidence(tare_s=tare_s).verdict_of_last_probe is last
 
 

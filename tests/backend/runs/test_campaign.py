@@ -136,7 +136,7 @@ def test_after_an_unplugged_camera_the_campaign_goes_on_where_it_was(failing: Fa
     [("tactile_right", "freeze", "CAMERA-FROZEN"), ("force_torque", "nan", "FT-STALE")],
 )
 def test_a_failing_sensor_within_a_press_is_no_probe_and_the_campaign_goes_on(
-    device: str, kind: str, code: str, failing: Failing
+    device, kind, code, failing
 ) -> None:
     failing.fail_in_press(1, device, kind)
     failing.run(count=1)
@@ -301,7 +301,7 @@ def test_holes_are_those_of_all_campaigns_that_somebody_stands_for(stored: Datas
     [(20, None, 7, 1), (2, None, 1, 1), (200, None, 50, 1), (2000, None, 50, 10), (20, 9, 9, 1)],
 )
 def test_a_campaign_makes_three_grips_and_mountings_or_more_unless_told_otherwise(
-    count: int, asked: int | None, most: int, grips: int
+    count, asked, most, grips
 ) -> None:
     method = CollectRequest(count=count, probes_per_grip=asked).method(StackSettings())
     assert method.collect.probes_per_grip == most
@@ -405,7 +405,7 @@ def test_a_decision_waits_for_room_and_is_carried_out_then(collect, tmp_path, mo
 @pytest.mark.parametrize("room_made", [True, False])
 def test_the_plan_waits_for_room_before_and_after_a_mounting(
     collect, tmp_path, monkeypatch, nth, room_made
-):
+) -> None:
     """Once for the new mounting, once for the skipped item."""
     write, calls = campaigns.write_atomically, []
 
@@ -453,7 +453,7 @@ def test_what_was_decided_just_before_a_cancel_is_carried_out(collect, tmp_path)
 @pytest.mark.parametrize("refusals", [1, 2])
 def test_a_cancel_while_a_skip_waits_for_room_does_not_lose_it(
     collect, tmp_path, monkeypatch, refusals
-):
+) -> None:
     """With space at the end, or without: then the fault names the next step."""
     delete, refused = LabelStore.delete, []
 

@@ -283,9 +283,7 @@ def told_to_its_end(rig: Rig) -> Plan[str]:
 
 
 @pytest.mark.parametrize("paused", [False, True])
-def test_a_stopped_run_tells_how_its_trial_ended_also_out_of_a_pause(
-    rig: Rig, paused: bool
-) -> None:
+def test_a_stopped_run_tells_how_its_trial_ended_also_out_of_a_pause(rig, paused) -> None:
     rig.engine.begin(told_to_its_end(rig))
     rig.tick()
     if paused:

@@ -149,7 +149,7 @@ def test_what_was_placed_stays_placed_where_nobody_makes_room(tmp_path: Path) ->
 
 @pytest.mark.promise("D2", "W18")
 def test_a_run_is_refused_below_1_gb_and_pauses_before_the_next_probe_below_half_of_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path, monkeypatch
 ) -> None:
     usage = SimpleNamespace(free=900_000_000)
     monkeypatch.setattr(storage.shutil, "disk_usage", lambda _place: usage)
@@ -183,7 +183,7 @@ def test_a_run_is_refused_below_1_gb_and_pauses_before_the_next_probe_below_half
 
 @pytest.mark.promise("D2")
 def test_a_journal_without_room_is_held_in_memory_and_written_in_order(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path, monkeypatch
 ) -> None:
     bench = OracleSession(runs=tmp_path)
     plain, full = EventLog._append, []
@@ -363,9 +363,7 @@ def test_an_existing_run_is_never_written_over(tmp_path: Path) -> None:
         EventLog(tmp_path / "run")
 
 
-def test_each_fact_is_on_the_disk_before_the_next_one(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_each_fact_is_on_the_disk_before_the_next_one(tmp_path, monkeypatch) -> None:
     """Each line has its own sync, at which all previous lines are in the file."""
     path, synced = tmp_path / "run" / EVENT_LOG_NAME, []
     fsync = os.fsync
@@ -615,9 +613,7 @@ def test_cancel_lifts_and_keeps_the_piece() -> None:
         ("arm:silent@1.0", "ARM-STALE", "arm"),
     ],
 )
-def test_a_failing_sensor_ends_in_one_clear_fault(
-    fault: str, code: str, device: str, tmp_path: Path
-) -> None:
+def test_a_failing_sensor_ends_in_one_clear_fault(fault, code, device, tmp_path) -> None:
     bench = OracleSession(fault, runs=tmp_path)
     bench.session.run(request())
     folder = bench.session.run_folder
@@ -685,7 +681,7 @@ def test_stacks_on_a_tower_of_two() -> None:
 
 @pytest.mark.parametrize(("lean_mm", "carried"), [(0.0, True), (30.0, False)])
 def test_learned_fusion_lets_go_on_a_tower_only_where_the_entry_carries_it(
-    lean_mm: float, carried: bool
+    lean_mm, carried
 ) -> None:
     """Ready to let go of anything that the touched face might carry, it still asks the entry."""
     changes = {
@@ -742,7 +738,7 @@ def test_a_dying_bench_thread_latches_a_fault_and_ends_the_run() -> None:
 
 @pytest.mark.parametrize("after_facts", [0, 5, 20])
 def test_a_disk_that_fails_stops_the_run_and_keeps_what_was_written(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, after_facts: int
+    tmp_path, monkeypatch, after_facts
 ) -> None:
     bench = OracleSession(runs=tmp_path)
     plain = EventLog._append
@@ -767,9 +763,7 @@ def test_a_disk_that_fails_stops_the_run_and_keeps_what_was_written(
 
 @pytest.mark.promise("R5")
 @pytest.mark.parametrize(("voids", "outcome"), [(2, Outcome.PLACED), (3, Outcome.ABORTED)])
-def test_a_void_press_is_made_again_but_not_for_ever(
-    voids: int, outcome: Outcome, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_void_press_is_made_again_but_not_for_ever(voids, outcome, monkeypatch) -> None:
     """With the faults of a real arm during a dropout in mid-press."""
     pressing: list[CommandedMotion] = []
     press = SimArm.press

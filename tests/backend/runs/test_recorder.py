@@ -41,9 +41,7 @@ def picture(tmp_path: Path) -> Path:
     return path
 
 
-def test_a_picture_that_was_taken_away_leaves_the_others_in_place(
-    tmp_path: Path, picture: Path
-) -> None:
+def test_a_picture_that_was_taken_away_leaves_the_others_in_place(tmp_path, picture) -> None:
     first, second = (keep_photo(tmp_path / "run", 3, picture) for _ in range(2))
     first.unlink()
     picture.write_bytes(PNG + b"third")
@@ -54,9 +52,7 @@ def test_a_picture_that_was_taken_away_leaves_the_others_in_place(
 
 
 @pytest.mark.parametrize("call", ["fsync", "replace"])
-def test_a_full_disk_is_said_and_leaves_nothing(
-    tmp_path: Path, picture: Path, monkeypatch: pytest.MonkeyPatch, call: str
-) -> None:
+def test_a_full_disk_is_said_and_leaves_nothing(tmp_path, picture, monkeypatch, call) -> None:
     kept = keep_photo(tmp_path / "run", 3, picture)
 
     def full(*_args: object, **_named: object) -> None:
@@ -162,7 +158,7 @@ def recorded(folder: Path, monkeypatch: pytest.MonkeyPatch, back_ns: int) -> tup
 
 @pytest.mark.promise("P2")
 def test_a_clock_set_back_by_an_hour_in_mid_press_changes_no_number_and_no_order(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path, monkeypatch
 ) -> None:
     plain, _ = recorded(tmp_path / "plain", monkeypatch, 0)
     jumped, at_ns = recorded(tmp_path / "jumped", monkeypatch, HOUR_NS)

@@ -128,7 +128,7 @@ def test_without_a_set_scene_nothing_moves(tmp_path):
 )
 def test_a_device_lost_while_the_scene_is_set_up_ends_the_run_before_a_probe(
     tmp_path, fault, code, asked
-):
+) -> None:
     """While the operator is prompted, or while the piece is carried to its start."""
     attended = Attended(tmp_path, faults=(fault,))
     attended.ready = None if asked else True

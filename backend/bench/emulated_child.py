@@ -92,10 +92,9 @@ class EmulatedProcess:
         child, self._child = self._child, None
         if child is None:
             return
-        for pipe in (child.stdin, child.stdout):
-            if pipe is not None:
-                with suppress(BrokenPipeError):  # the child died with an unread order
-                    pipe.close()
+        for pipe in filter(None, (child.stdin, child.stdout)):
+            with suppress(BrokenPipeError):  # the child died with an unread order
+                pipe.close()
         try:
             child.wait(END_S)
         except subprocess.TimeoutExpired:

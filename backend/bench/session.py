@@ -59,12 +59,10 @@ from touchdown.backend.runs import (
     SCENE_TIMEOUT_S,
     Bench,
     DriftMonitor,
-    DriftScene,
     Engine,
     FaultNotifier,
     LiveThread,
     ManualControl,
-    ManualDevices,
     OperatorPrompt,
     PendingDecision,
     Plan,
@@ -538,14 +536,7 @@ class Session:
         around = JogSurroundings(
             now_s, lease_clock_s, press_n, surface_mm, lambda: self.engine.busy
         )
-        self._stage = stage
-        self._hand = ManualControl(
-            ManualDevices(arm, gripper, sensing), self.interlock, around, self.events.publish
-        )
-        self._drift = DriftMonitor(
-            DriftScene(now_s, arm, gripper, surface_mm), sensing, self.events.publish
-        )
-        self._scene = scene = Bench(
+        scene = Bench(
             now_s=now_s,
             arm=arm,
             gripper=gripper,
@@ -568,5 +559,8 @@ class Session:
             sensor_height_mm=self.description.sensor_height_mm,
             real_time=stage.real_time,
         )
+        self._hand = ManualControl(scene, self.interlock, around, self.events.publish)
+        self._drift = DriftMonitor(scene, surface_mm, self.events.publish)
+        self._stage, self._scene = stage, scene
         self._supervision.begin(now_s(), gripper, stage.devices["force_torque"])
         return scene

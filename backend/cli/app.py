@@ -10,9 +10,6 @@ from types import ModuleType
 from touchdown.backend.cli.output import VerbOutput
 from touchdown.backend.core import InputError
 
-NAME = "app"
-HELP = "open the window"
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""

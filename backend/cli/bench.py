@@ -9,7 +9,6 @@ import re
 import threading
 from collections.abc import Sequence
 from dataclasses import asdict
-from functools import partial
 from importlib.resources import files
 from operator import attrgetter
 from pathlib import Path
@@ -23,13 +22,10 @@ from touchdown.backend.config import PLACEHOLDERS, Lab, LabSettings, load_lab
 
 if TYPE_CHECKING:
     from touchdown.backend.bench import Session
-    from touchdown.backend.core import FloatArray, SampleStream, Stream, TactileFrame
+    from touchdown.backend.core import SampleStream, Stream, TactileFrame
     from touchdown.backend.rig import NewestStamp, SensorTiming, StampsSince
 
 
-NAME = "bench"
-HELP = "check a lab file, write a new one, or connect its devices once"
-JSON_VERSION = 1
 TIMING_S = 3.0  # duration of the timing report of the sensors
 TEMPLATE = "lab.toml"
 # keys of a new file without a usable default
@@ -54,7 +50,7 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
         template = files("touchdown.resources").joinpath("benches", TEMPLATE)
         write_new(args.file, template.read_text("utf-8"))
         screen.say(f"Fill in {args.file}, then: touchdown bench {args.file}")
-        screen.result({"version": JSON_VERSION, "written": str(args.file)})
+        screen.result({"written": str(args.file)})
         return 0
     lab = load_lab(args.file)
     if args.connect:
@@ -81,7 +77,6 @@ def _show(lab: Lab, screen: VerbOutput) -> None:
         screen.say(f"Placeholders, enter the values of the lab: {', '.join(made_up)}.")
     screen.result(
         {
-            "version": JSON_VERSION,
             "name": settings.name,
             "kind": settings.kind,
             "piece": settings.piece,
@@ -134,7 +129,6 @@ def _connect(file: Path, screen: VerbOutput) -> int:
         screen.show(_timing_table(timings))
     screen.result(
         {
-            "version": JSON_VERSION,
             "devices": [
                 {
                     "name": line.name,
@@ -157,31 +151,26 @@ def _sensor_timing(session: Session) -> list[SensorTiming]:
     from touchdown.backend.rig import measure_timing
 
     raw = session.raw
-    sensors: dict[str, tuple[NewestStamp, StampsSince]] = {
-        name: (partial(_newest_s, stream), partial(_since_s, stream))
-        for name, stream in (("force_torque", raw.samples), ("arm", raw.poses))
-    }
+    sensors = {"force_torque": _stamps(raw.samples), "arm": _stamps(raw.poses)}
     for finger, frames in raw.frames.items():
-        sensors[f"tactile_{finger}"] = (partial(_frame_s, frames), partial(_frames_s, frames))
+        sensors[f"tactile_{finger}"] = _frame_stamps(frames)
     return measure_timing(sensors, session.clock_s, threading.Event().wait, TIMING_S)
 
 
-def _newest_s(stream: SampleStream) -> float:
-    stamps_s = stream.since(stream.count - 1).t_s
-    return float(stamps_s[-1]) if len(stamps_s) else math.nan
+def _stamps(stream: SampleStream) -> tuple[NewestStamp, StampsSince]:
+    def newest_s() -> float:
+        stamps_s = stream.since(stream.count - 1).t_s
+        return float(stamps_s[-1]) if len(stamps_s) else math.nan
+
+    return newest_s, lambda t_s: stream.window(t_s, math.inf).t_s
 
 
-def _since_s(stream: SampleStream, t_s: float) -> FloatArray:
-    return stream.window(t_s, math.inf).t_s
+def _frame_stamps(frames: Stream[TactileFrame]) -> tuple[NewestStamp, StampsSince]:
+    def newest_s() -> float:
+        newest = frames.newest()
+        return math.nan if newest is None else newest.t_s
 
-
-def _frame_s(frames: Stream[TactileFrame]) -> float:
-    newest = frames.newest()
-    return math.nan if newest is None else newest.t_s
-
-
-def _frames_s(frames: Stream[TactileFrame], t_s: float) -> FloatArray:
-    return np.array([frame.t_s for frame in frames.between(t_s, math.inf)])
+    return newest_s, lambda t_s: np.array([frame.t_s for frame in frames.between(t_s, math.inf)])
 
 
 def _timing_table(timings: Sequence[SensorTiming]) -> Table:

@@ -9,27 +9,32 @@ import argparse
 import getpass
 import shlex
 from contextlib import ExitStack
+from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+from touchdown.backend.bench import Session
 from touchdown.backend.calibration import (
     CALIBRATION_KINDS,
     CALIBRATION_NAMES,
     CalibrationName,
+    CalibrationStore,
     format_residual,
     format_value,
     quantity_name,
 )
 from touchdown.backend.cli.connection import (
     add_bench_arguments,
+    add_hand_over_arguments,
     add_scene_arguments,
     ask_yes_no_in_thread,
     at_lab,
     fill_in_scene,
     open_bench,
+    refuse_hidden_prompt,
     refuse_misplaced_arguments,
 )
 from touchdown.backend.cli.output import AdvanceFunction, VerbOutput, ctrl_c_cancels
+from touchdown.backend.config import load_lab
 from touchdown.backend.core import (
     CalibrationMeasured,
     Event,
@@ -44,20 +49,13 @@ from touchdown.backend.core import (
 from touchdown.backend.runs import (
     CalibrateRequest,
     RecordingOptions,
+    accept_calibration,
     calibrations_folder,
     hand_over_message,
 )
 
-if TYPE_CHECKING:
-    from touchdown.backend.bench import Session
-    from touchdown.backend.calibration import CalibrationStore
-
-
-NAME = "calibrate"
-HELP = "measure and accept calibrations, or show their status"
-JSON_VERSION = 1
 BOTTOM = "square15"
-ORIGIN, PITCH_MM = (0.0, 0.0), 1.9
+PITCH_MM = 1.9
 TITLES: dict[str, str] = {kind.what: kind.title for kind in CALIBRATION_KINDS.values()}
 
 
@@ -70,21 +68,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--accept", action="store_true", help="store the result if it is acceptable"
     )
     add_scene_arguments(parser, BOTTOM, "board or bottom")
+    add_hand_over_arguments(parser)
     parser.add_argument(
-        "--origin", type=float, nargs=2, default=ORIGIN, metavar=("X", "Y"),
-        help="centre of the bottom in the frame of the arm, mm (default: 0 0)",
-    )  # fmt: skip
-    parser.add_argument(
-        "--pitch",
-        type=float,
-        default=PITCH_MM,
-        metavar="MM",
-        help="pitch of the dots (default: 1.9)",
+        "--pitch", type=float, default=PITCH_MM, metavar="MM", help="of the dots (default: 1.9)"
     )
-    parser.add_argument(
-        "--hand-over", action="store_true",
-        help="hand the piece to the gripper if there is no jig; Enter confirms",
-    )  # fmt: skip
     parser.add_argument("--person", help="who accepts (default: the account's name)")
     parser.add_argument("--seed", type=int, default=0, help="of the simulated bench")
     parser.add_argument("--calibrations", metavar="DIR", help="their folder (default: the bench's)")
@@ -103,10 +90,7 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
         return _status(_store_of(args), screen)
     what: CalibrationName = args.what
     fill_in_scene(args, BOTTOM)
-    if args.hand_over and screen.json:
-        raise InputError(
-            "With --json the prompt for the piece is not shown.", "--hand-over", "Leave out --json."
-        )
+    refuse_hidden_prompt(args, screen)
     request = CalibrateRequest(
         what, args.piece, args.bottom, args.seed, (args.origin[0], args.origin[1]),
         args.hand_over, args.pitch,
@@ -155,8 +139,6 @@ class _CalibrationProgress:
 def _report(
     args: argparse.Namespace, session: Session, told: _CalibrationProgress, screen: VerbOutput
 ) -> int:
-    from touchdown.backend.runs import accept_calibration
-
     found, path = told.measured, None
     if found is not None:
         measured = zip(found.names, found.values, found.sigmas, found.units, strict=True)
@@ -177,7 +159,6 @@ def _report(
     elif found is not None:
         screen.say(_verdict(found))
     screen.result({
-        "version": JSON_VERSION,
         "what": args.what,
         "ending": None if told.ended is None else told.ended.ending,
         "reason": None if told.ended is None else told.ended.reason,
@@ -211,8 +192,6 @@ def _as_json(found: CalibrationMeasured) -> dict[str, object]:
 
 
 def _status(store: CalibrationStore, screen: VerbOutput) -> int:
-    from datetime import UTC, datetime
-
     now = datetime.now(UTC)
     standings = store.statuses({}, now)
     listed, rows = [], []
@@ -245,14 +224,11 @@ def _status(store: CalibrationStore, screen: VerbOutput) -> int:
             screen.say(f"{title}: {standing.why}. {standing.fix}")
         elif standing.notice:
             screen.say(f"{title}: {standing.notice}.")
-    screen.result({"version": JSON_VERSION, "folder": str(store.folder), "calibrations": rows})
+    screen.result({"folder": str(store.folder), "calibrations": rows})
     return 0 if all(standing.condition == "valid" for standing in standings) else 1
 
 
 def _store_of(args: argparse.Namespace) -> CalibrationStore:
-    from touchdown.backend.calibration import CalibrationStore
-    from touchdown.backend.config import load_lab
-
     folder = Path(args.calibrations) if args.calibrations else calibrations_folder()
     where = _bench_arguments(args)
     if at_lab(args):
@@ -275,7 +251,7 @@ def _bench_arguments(args: argparse.Namespace) -> str:
     for flag in ("preset", "pieces", "piece", "bottom", "override", "person", "calibrations"):
         given = getattr(args, flag)
         words += [] if given is None else [f"--{flag}", str(given)]
-    if tuple(args.origin) != ORIGIN:
+    if any(args.origin):
         words += ["--origin", *(f"{value:g}" for value in args.origin)]
     for flag, usual in (("pitch", PITCH_MM), ("seed", 0)):
         given = getattr(args, flag)

@@ -7,14 +7,17 @@ import getpass
 import sys
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+from touchdown.backend.annotations import Dataset, EpisodeFilter
+from touchdown.backend.bench import Session
 from touchdown.backend.cli.connection import (
     add_bench_arguments,
+    add_hand_over_arguments,
     add_scene_arguments,
     at_lab,
     fill_in_scene,
     open_bench,
+    refuse_hidden_prompt,
     refuse_misplaced_arguments,
     wait_for_disk_space,
 )
@@ -40,24 +43,20 @@ from touchdown.backend.core import (
     RunFinished,
     Said,
 )
+from touchdown.backend.episodes import Coverage, check_quality
 from touchdown.backend.runs import (
     CollectRequest,
     RecordingOptions,
+    current_campaign,
     data_folder,
     dataset_folder,
     hand_over_message,
+    labelled_coverage,
     mounting_question,
+    newest_campaign,
+    read_examined_episodes,
 )
 
-if TYPE_CHECKING:
-    from touchdown.backend.annotations import Dataset
-    from touchdown.backend.bench import Session
-    from touchdown.backend.episodes import Coverage
-
-
-NAME = "collect"
-HELP = "collect labelled probes into a dataset"
-JSON_VERSION = 1
 BOTTOM = "circle15"
 MAX_LISTED = 12  # printed findings; ``--json`` contains all
 
@@ -78,18 +77,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--grips-per-mounting", type=int,
         help=f"at most (default: a third of the grips, at most {limits.grips_per_mounting})",
     )  # fmt: skip
-    parser.add_argument(
-        "--origin", type=float, nargs=2, default=(0.0, 0.0), metavar=("X", "Y"),
-        help="centre of the bottom in the frame of the arm, mm (default: 0 0)",
-    )  # fmt: skip
+    add_hand_over_arguments(parser)
     parser.add_argument("--origin-sigma", type=float, metavar="MM", help="its uncertainty")
     parser.add_argument(
         "--check-origin", action="store_true", help="probe at known displacements first"
     )
-    parser.add_argument(
-        "--hand-over", action="store_true",
-        help="hand the piece to the gripper if there is no jig; Enter confirms",
-    )  # fmt: skip
     parser.add_argument("--dataset", metavar="DIR", help="dataset (default: in the data folder)")
     parser.add_argument("--person", help="who collects (default: the account's name)")
     parser.add_argument(
@@ -101,18 +93,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     """Collect; return 0 if every probe of the plan was recorded or skipped on purpose, else 1."""
-    # Imported here so that `touchdown --help` starts without SQLite and scipy.
-    from touchdown.backend.annotations import Dataset
-
     require_positive(args, "probes_per_grip", "grips_per_mounting")
     refuse_misplaced_arguments(args)
     fill_in_scene(args, BOTTOM)
     # A real bench has no jig: the operator hands the piece over.
     args.hand_over |= at_lab(args)
-    if args.hand_over and screen.json:
-        raise InputError(
-            "With --json the prompt for the piece is not shown.", "--hand-over", "Leave out --json."
-        )
+    refuse_hidden_prompt(args, screen)
     folder = Path(args.dataset) if args.dataset else dataset_folder()
     runs = Path(args.runs) if args.runs else data_folder() / "runs"
     keep = RecordingOptions(runs, episodes=False)
@@ -145,16 +131,19 @@ class _CollectionProgress:
     def take(self, fact: Event) -> None:
         """Handle one event."""
         if isinstance(fact, CampaignBegan):
-            self._start_bar(fact)
+            self.began = fact
+            if self.advance is None:
+                bar = self._screen.progress("Collecting", fact.total)
+                self.advance = self._bars.enter_context(bar)
+            self._move(fact.done, fact.total)
         elif isinstance(fact, ProbeCollected):
             self.collected.append(fact)
             self._move(fact.done, fact.total)
             if fact.reasons:
                 self._screen.say(f"  probe {fact.probe} is not an observation: {fact.reasons}")
         elif isinstance(fact, Gripped):
-            self._screen.say(
-                f"  mounting {fact.mounting}, grip {fact.grip}: {fact.mass_g:.1f} g held"
-            )
+            at = f"mounting {fact.mounting}, grip {fact.grip}"
+            self._screen.say(f"  {at}: {fact.mass_g:.1f} g held")
         elif isinstance(fact, MountingAwaited):
             self._screen.say(f"  {mounting_question(fact)} Type y for yes; Enter: no.")
             self._confirm(sys.stdin.readline().strip().lower() in ("y", "yes"))
@@ -170,14 +159,6 @@ class _CollectionProgress:
         elif isinstance(fact, RunFinished):
             self.ended = fact
 
-    def _start_bar(self, fact: CampaignBegan) -> None:
-        """Start the progress bar with the first mounting."""
-        self.began = fact
-        if self.advance is None:
-            bar = self._screen.progress("Collecting", fact.total)
-            self.advance = self._bars.enter_context(bar)
-        self._move(fact.done, fact.total)
-
     def _wait_for_operator(self, fault: Fault) -> None:
         """Wait for the operator; without one the campaign ends and can be resumed."""
         if wait_for_disk_space(fault, self._screen, "campaign"):
@@ -192,8 +173,6 @@ class _CollectionProgress:
 
 
 def _request(args: argparse.Namespace, dataset: Dataset, person: str) -> CollectRequest:
-    from touchdown.backend.runs import newest_campaign
-
     campaign = newest_campaign(dataset.folder) if args.resume else ""
     if campaign is None:
         raise InputError(
@@ -220,10 +199,6 @@ def _request(args: argparse.Namespace, dataset: Dataset, person: str) -> Collect
 def _report(
     dataset: Dataset, session: Session, told: _CollectionProgress, screen: VerbOutput
 ) -> int:
-    from touchdown.backend.annotations import EpisodeFilter
-    from touchdown.backend.episodes import check_quality
-    from touchdown.backend.runs import current_campaign, labelled_coverage, read_examined_episodes
-
     assert told.began is not None
     assert told.ended is not None
     campaign = current_campaign(dataset, told.began.campaign)
@@ -244,7 +219,6 @@ def _report(
         screen.say(f"  ... and {len(findings) - MAX_LISTED} more (--json lists all)")
     screen.say(f"Dataset {dataset.folder}, campaign {campaign.uuid}")
     screen.result({
-        "version": JSON_VERSION,
         "dataset": str(dataset.folder),
         "campaign": campaign.uuid,
         "piece": campaign.piece,

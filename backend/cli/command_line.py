@@ -10,7 +10,7 @@ import importlib
 import json
 import sys
 from collections.abc import Sequence
-from typing import NoReturn, Protocol, cast
+from typing import NoReturn
 
 from touchdown.backend.cli.output import VerbOutput
 from touchdown.backend.core import (
@@ -21,7 +21,8 @@ from touchdown.backend.core import (
     program_stamp,
 )
 
-# Help line of each verb. Its module is imported on use.
+# Help line of each verb. Its module is imported on use: ``add_arguments(parser)`` and
+# ``run(args, screen)``, which returns the exit code.
 VERBS = {
     "app": "open the window",
     "stack": "place a piece by touch on the simulated bench or on a lab's devices",
@@ -48,19 +49,6 @@ VERBS = {
 _MODULES = {"import": "import_", "doctor": "doctor.command", "experiment": "experiment.command"}
 
 DONE, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
-
-
-class Verb(Protocol):
-    """Interface of the module of a verb."""
-
-    NAME: str
-    HELP: str
-
-    def add_arguments(self, parser: argparse.ArgumentParser) -> None:
-        """Add the verb's arguments."""
-
-    def run(self, args: argparse.Namespace, screen: VerbOutput) -> int:
-        """Run the verb; return the exit code."""
 
 
 class Parser(argparse.ArgumentParser):
@@ -111,7 +99,7 @@ def _dispatch(words: list[str]) -> int:
     if name not in VERBS:
         known = ", ".join(VERBS)
         raise InputError(f"There is no verb '{name}'.", "touchdown", f"Use one of: {known}.")
-    verb = cast("Verb", importlib.import_module(module_of(name)))
+    verb = importlib.import_module(module_of(name))
     parser = Parser(prog=f"touchdown {name}", description=VERBS[name], allow_abbrev=False)
     parser.add_argument(
         "--json", action="store_true", help="print one JSON object and nothing else"
@@ -122,7 +110,7 @@ def _dispatch(words: list[str]) -> int:
         args.handed_on = unknown
     elif unknown:
         parser.error(f"unknown argument: {' '.join(unknown)}")
-    return verb.run(args, VerbOutput(json=args.json))
+    return int(verb.run(args, VerbOutput(json=args.json)))
 
 
 def module_of(verb: str) -> str:

@@ -82,6 +82,26 @@ def add_scene_arguments(parser: argparse.ArgumentParser, bottom: str, of_bottom:
     parser.add_argument("--bottom", help=f"{of_bottom} (default: {bottom}; {at_lab})")
 
 
+def add_hand_over_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments for a bottom set and a piece handed over by the operator."""
+    parser.add_argument(
+        "--origin", type=float, nargs=2, default=(0.0, 0.0), metavar=("X", "Y"),
+        help="centre of the bottom in the frame of the arm, mm (default: 0 0)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--hand-over", action="store_true",
+        help="hand the piece to the gripper if there is no jig; Enter confirms",
+    )  # fmt: skip
+
+
+def refuse_hidden_prompt(args: argparse.Namespace, screen: VerbOutput) -> None:
+    """Raise ``InputError`` for a hand-over whose prompt would not be shown."""
+    if args.hand_over and screen.json:
+        raise InputError(
+            "With --json the prompt for the piece is not shown.", "--hand-over", "Leave out --json."
+        )
+
+
 def at_lab(args: argparse.Namespace) -> bool:
     """Return True if ``--bench`` names a lab file."""
     return args.bench is not None and is_lab_file(Path(args.bench))

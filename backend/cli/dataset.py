@@ -8,23 +8,27 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+from touchdown.backend.annotations import (
+    ConsistencyProblem,
+    Dataset,
+    EpisodeFilter,
+    NotWritableError,
+    WriterLock,
+    check_dataset,
+    list_backups,
+    list_campaigns,
+    rebuild_dataset,
+    reconcile,
+    restore_backup,
+)
 from touchdown.backend.cli.output import VerbOutput
 from touchdown.backend.core import InputError
 from touchdown.backend.runs import dataset_folder
 
-if TYPE_CHECKING:
-    from touchdown.backend.annotations import ConsistencyProblem
-
-
-# Imports of the catalogue are local, so that `touchdown --help` starts quickly.
-
 
 def examine_only(folder: Path, screen: VerbOutput) -> int:
     """Report findings without changes; return 1 if there are any."""
-    from touchdown.backend.annotations import Dataset, check_dataset, list_backups
-
     with Dataset.open(folder, create=False, write=False) as dataset:
         found = list(check_dataset(dataset.parts, whole=True))
     copies = list_backups(folder / "backup")
@@ -35,8 +39,6 @@ def examine_only(folder: Path, screen: VerbOutput) -> int:
 
 def verify(args: argparse.Namespace, folder: Path, screen: VerbOutput) -> int:
     """Read every file, check every label operation, and record damage; return 1 if there is any."""
-    from touchdown.backend.annotations import Dataset, NotWritableError, check_dataset, reconcile
-
     try:
         with Dataset.open(folder, create=False) as dataset:
             for notice in dataset.notices:
@@ -53,8 +55,6 @@ def verify(args: argparse.Namespace, folder: Path, screen: VerbOutput) -> int:
 
 def backup(args: argparse.Namespace, folder: Path, screen: VerbOutput) -> int:
     """Make a verified copy of the catalogue now."""
-    from touchdown.backend.annotations import Dataset
-
     with Dataset.open(folder, create=False) as dataset:
         path = dataset.backups.make("by hand")
     screen.say(f"{path} ({path.stat().st_size / 1e6:.1f} MB), opened and checked.")
@@ -64,8 +64,6 @@ def backup(args: argparse.Namespace, folder: Path, screen: VerbOutput) -> int:
 
 def restore(args: argparse.Namespace, folder: Path, screen: VerbOutput) -> int:
     """Restore a backup; later labels are read back from the journal."""
-    from touchdown.backend.annotations import Dataset, WriterLock, restore_backup
-
     if args.other is None:
         raise InputError(
             "Which backup?", "restore", f"Name a file, such as one in {folder / 'backup'}."
@@ -86,9 +84,7 @@ def restore(args: argparse.Namespace, folder: Path, screen: VerbOutput) -> int:
 
 def rebuild(args: argparse.Namespace, folder: Path, screen: VerbOutput) -> int:
     """Rebuild the catalogue from files, packs and journal; return 1 if it differs."""
-    from touchdown.backend.annotations import rebuild_dataset as make_anew
-
-    result = make_anew(folder, replace=args.replace)
+    result = rebuild_dataset(folder, replace=args.replace)
     columns = ("rows", "only in the old", "only in the new")
     counts = [
         (
@@ -129,15 +125,8 @@ def _report(
     return 1 if found else 0
 
 
-NAME = "dataset"
-HELP = "show, check, back up, rebuild and merge datasets"
-JSON_VERSION = 1
-
-
 def status(args: argparse.Namespace, folder: Path, screen: VerbOutput) -> int:
     """Count the episodes by pair and label state."""
-    from touchdown.backend.annotations import Dataset, EpisodeFilter, list_campaigns
-
     with Dataset.open(folder, create=False, write=False) as dataset:
         entries = dataset.episodes(EpisodeFilter(deleted=None))
         age, campaigns = dataset.backups.age, list_campaigns(dataset.database)
@@ -164,7 +153,7 @@ def status(args: argparse.Namespace, folder: Path, screen: VerbOutput) -> int:
         {"piece": piece, "bottom": bottom, "state": state, "episodes": count}
         for (piece, bottom, state), count in sorted(pairs.items())
     ]
-    answer = {"version": JSON_VERSION, "dataset": str(folder), "episodes": len(entries)}
+    answer = {"dataset": str(folder), "episodes": len(entries)}
     screen.result({**answer, "pairs": listed, "files": dict(files), "conflicts": conflicts,
                    "campaigns": [asdict(one) for one in campaigns],
                    "backup_age_h": hours})  # fmt: skip
@@ -173,8 +162,6 @@ def status(args: argparse.Namespace, folder: Path, screen: VerbOutput) -> int:
 
 def merge(args: argparse.Namespace, folder: Path, screen: VerbOutput) -> int:
     """Merge labels and episodes of another copy of the dataset."""
-    from touchdown.backend.annotations import Dataset
-
     if args.other is None:
         raise InputError("Which copy?", "merge", "Name the folder of another copy of the dataset.")
     person = args.person or getpass.getuser()
@@ -186,7 +173,7 @@ def merge(args: argparse.Namespace, folder: Path, screen: VerbOutput) -> int:
     screen.say(f"{done.operations} label operations and {done.episodes} episodes are new here.")
     if done.conflicts:
         screen.say(f"{len(done.conflicts)} episodes have two labels: resolve them in the window.")
-    answer = {"version": JSON_VERSION, "dataset": str(folder), "merged": str(args.other)}
+    answer = {"dataset": str(folder), "merged": str(args.other)}
     counts = {"operations": done.operations, "episodes": done.episodes}
     screen.result({**answer, **counts, "conflicts": list(done.conflicts)})
     return 0

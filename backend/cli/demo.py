@@ -11,8 +11,6 @@ from touchdown.backend.cli.stack import narrate, trial_table
 from touchdown.backend.core import EpisodeRecorded, Event, Outcome, TrialFinished
 from touchdown.backend.runs import StackRequest
 
-NAME = "demo"
-HELP = "stack three pieces headless and write an HTML report"
 SHOWN = (("pot", "short"), ("barrel", "long"), ("mushroom", "short"))
 
 
@@ -57,12 +55,11 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     screen.say(f"Report: {report}")
     screen.say(f"Replay: touchdown replay latest --runs {out / 'runs'}")
     placed = sum(end.outcome is Outcome.PLACED for end in ends)
-    screen.result({"version": 1, "placed": placed, "trials": len(SHOWN), "report": str(report)})
+    screen.result({"placed": placed, "trials": len(SHOWN), "report": str(report)})
     return 0 if placed == len(SHOWN) else 1
 
 
 def _with_signals(fact: Event, folder: Path | None) -> Event:
-    """Return ``fact`` with the recorded signals if it is a recorded episode."""
     from touchdown.backend.episodes import read_episode
 
     if not isinstance(fact, EpisodeRecorded) or folder is None or not fact.path:

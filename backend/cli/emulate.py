@@ -33,7 +33,7 @@ from touchdown.backend.bench import (
     serve_bench,
     shorten_switch_interval,
 )
-from touchdown.backend.cli.output import VerbOutput, ctrl_c_cancels
+from touchdown.backend.cli.output import VerbOutput, ctrl_c_cancels, text_table
 from touchdown.backend.config import first_error_message
 from touchdown.backend.core import FINGERS, InputError, round_robin_priority
 from touchdown.backend.devices import emulated_makes
@@ -117,8 +117,6 @@ class FaultPrompt:
         return f"{struck.faults.device}: {kind} {until}."
 
 
-NAME = "emulate"
-HELP = "emulate a device over its real wire"
 STATUS_S = 0.5
 BENCH = "bench"
 
@@ -217,7 +215,6 @@ def _serve(
         screen.say(f"Recorded by the devices: {seen}.")
     screen.result(
         {
-            "version": 1,
             "kind": args.kind,
             "address": front.url,
             "bench": emulation.bench,
@@ -232,15 +229,15 @@ def _serve(
 
 
 def _device(args: argparse.Namespace) -> Emulation:
+    plan = load_faults(args.faults) if args.faults else FaultPlan()
     wrench: WrenchFunction = add_noise(args.load or hanging_gripper)
     part_mm = args.part if args.part > 0 else None
-    wire = EmulationChoice(args.kind, args.host, args.port, args.tty, _plan(args), wrench, part_mm)
+    wire = EmulationChoice(args.kind, args.host, args.port, args.tty, plan, wrench, part_mm)
     camera = {"finger": args.finger, "serial": args.serial, "folder": args.folder}
     return emulate(replace(wire, **camera, text=args.text, film=args.film))
 
 
 def _bench(args: argparse.Namespace) -> tuple[EmulatedScene, Emulation]:
-    """Build a whole bench and write its bench file."""
     if args.folder is None:
         raise InputError(
             "An emulated bench needs a folder or a lab file.",
@@ -250,11 +247,12 @@ def _bench(args: argparse.Namespace) -> tuple[EmulatedScene, Emulation]:
     # Imported here: single devices do not need a scene.
     from touchdown.backend.bench import SimulatedBenchChoice, make_scene
 
+    plan = load_faults(args.faults) if args.faults else FaultPlan()
     settings = SimulatedBenchChoice(preset=args.preset).settings()
     choice = SceneChoice(args.piece, (args.bottom,), args.seed, jig=args.jig)
     scene = make_scene(load_pieces(), choice, settings)
     try:
-        world, emulation = serve_bench(scene, args.folder, _plan(args), args.host)
+        world, emulation = serve_bench(scene, args.folder, plan, args.host)
         if args.lab_file is not None:
             args.lab_file.write_text(lab_toml(scene, emulation), "utf-8")
     except OSError as error:
@@ -266,14 +264,9 @@ def _bench(args: argparse.Namespace) -> tuple[EmulatedScene, Emulation]:
     return world, emulation
 
 
-def _plan(args: argparse.Namespace) -> FaultPlan:
-    return load_faults(args.faults) if args.faults else FaultPlan()
-
-
 def _watch(
     emulation: Emulation, end: threading.Event, for_s: float | None, screen: VerbOutput
 ) -> None:
-    """Show the traffic of the wires until the end."""
     end_s = float("inf") if for_s is None else time.monotonic() + for_s
     typed = FaultPrompt(emulation.fronts)
     with screen.status() as show:
@@ -286,18 +279,14 @@ def _watch(
 
 
 def _table(fronts: Sequence[DeviceServer]) -> Table:
-    """Return the traffic of each wire and the active faults."""
-    table = Table()
-    table.add_column("wire")
-    for column in ("clients", "bytes in", "bytes out"):
-        table.add_column(column, justify="right")
-    table.add_column("faults on")
+    rows: list[tuple[str | Text, ...]] = []
     for front in fronts:
         name = front.faults.device or front.url.partition("://")[2]
         faults = ", ".join(front.faults.names(time.monotonic()))
         counts = (f"{count:,}" for count in (front.clients, front.received, front.sent))
-        table.add_row(name, *counts, Text(faults or "none", "bold red" if faults else ""))
-    return table
+        rows.append((name, *counts, Text(faults or "none", "bold red" if faults else "")))
+    columns = ("clients", "bytes in", "bytes out")
+    return text_table("", ("wire", *columns, "faults on"), *rows, right=columns)
 
 
 def _port(text: str) -> int:

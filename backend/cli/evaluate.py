@@ -17,11 +17,6 @@ if TYPE_CHECKING:
     from touchdown.backend.learning import EvaluationScores
 
 
-NAME = "evaluate"
-HELP = "evaluate a contact-patch model"
-JSON_VERSION = 1
-
-
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
     parser.add_argument("model", type=Path, help="model file (.safetensors)")
@@ -70,7 +65,6 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     screen.show(score_table(f"{card.piece}, {card.modality} ({kind})", scores, trained_on))
     screen.result(
         {
-            "version": JSON_VERSION,
             "model": str(args.model),
             "piece": card.piece,
             "modality": card.modality,

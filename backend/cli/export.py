@@ -3,20 +3,11 @@
 from __future__ import annotations
 
 import argparse
-from typing import TYPE_CHECKING
 
 from touchdown.backend.cli.output import VerbOutput
 from touchdown.backend.core import InputError
-from touchdown.backend.exchange import EXPORTS
+from touchdown.backend.exchange import EXPORT_STATES, EXPORTS, ExportState, export
 from touchdown.backend.runs import dataset_folder
-
-if TYPE_CHECKING:
-    from touchdown.backend.exchange import ExportState
-
-
-NAME = "export"
-HELP = "export episodes and labels to the format of another program"
-JSON_VERSION = 1
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -56,9 +47,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     """Export; return 0 if the folder is complete."""
-    # Imported here so that `touchdown --help` starts without SQLite and OpenCV.
-    from touchdown.backend.exchange import export
-
     with screen.progress(f"Exporting to {args.format}", None) as advance:
         done = export(
             args.dataset or dataset_folder(),
@@ -80,7 +68,6 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     for warning in done.warnings:
         screen.say(f"  {warning}")
     screen.result({
-        "version": JSON_VERSION,
         "format": args.format,
         "out": str(done.folder),
         "episodes": done.episodes,
@@ -91,8 +78,6 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
 
 
 def _states(text: str) -> tuple[ExportState, ...]:
-    from touchdown.backend.exchange import EXPORT_STATES
-
     wanted = tuple(word.strip() for word in text.split(","))
     chosen = tuple(state for state in EXPORT_STATES if state in wanted)
     if len(chosen) != len(wanted):

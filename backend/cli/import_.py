@@ -5,19 +5,22 @@ from __future__ import annotations
 import argparse
 import getpass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+from touchdown.backend.annotations import Dataset
 from touchdown.backend.cli.output import VerbOutput
 from touchdown.backend.core import InputError
+from touchdown.backend.exchange import (
+    EpisodeImport,
+    ImportOptions,
+    import_labels,
+    import_log,
+    read_coco,
+    read_csv,
+    read_jsonl,
+    read_manifest,
+)
 from touchdown.backend.runs import dataset_folder
 
-if TYPE_CHECKING:
-    from touchdown.backend.annotations import Dataset
-
-
-NAME = "import"
-HELP = "import episodes or labels from the format of another program"
-JSON_VERSION = 1
 EPISODES = ("lerobot", "robomimic")
 LABELS = ("coco", "csv")
 LOG = "jsonl"
@@ -45,9 +48,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     """Import; return 0 if everything was imported or already present, else 1."""
-    # Imported here so that `touchdown --help` starts without SQLite and OpenCV.
-    from touchdown.backend.annotations import Dataset
-
     if not args.source.exists():
         raise InputError("There is no such file or folder.", str(args.source), "Check the path.")
     if args.format in (*LABELS, LOG) and not args.person:
@@ -63,8 +63,6 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
 
 
 def _episodes(args: argparse.Namespace, dataset: Dataset, actor: str, screen: VerbOutput) -> int:
-    from touchdown.backend.exchange import EpisodeImport, ImportOptions
-
     wish = ImportOptions(actor, args.person, args.piece, args.bottom)
     wanted = EpisodeImport(dataset, args.format, args.source, wish)
     with screen.progress("Reading", wanted.total) as advance:
@@ -82,7 +80,6 @@ def _episodes(args: argparse.Namespace, dataset: Dataset, actor: str, screen: Ve
         backup = _backup_text(wanted.backup, screen)
         screen.say(f"{len(written)} episodes are new in {dataset.folder}, their labels drafts.")
     screen.result({
-        "version": JSON_VERSION,
         "found": survey.found,
         "here": survey.here,
         "written": len(written),
@@ -94,8 +91,6 @@ def _episodes(args: argparse.Namespace, dataset: Dataset, actor: str, screen: Ve
 
 
 def _labels(args: argparse.Namespace, dataset: Dataset, screen: VerbOutput) -> int:
-    from touchdown.backend.exchange import import_labels, read_coco, read_csv, read_manifest
-
     if args.source.is_dir():
         read_manifest(args.source)
     read = read_coco if args.format == "coco" else read_csv
@@ -109,7 +104,6 @@ def _labels(args: argparse.Namespace, dataset: Dataset, screen: VerbOutput) -> i
         screen.say(f"  {warning}")
     backup = _backup_text(done.backup, screen)
     screen.result({
-        "version": JSON_VERSION,
         "changed": done.changed,
         "unchanged": done.unchanged,
         "refused": [{"episode": uuid, "why": why} for uuid, why in done.refused],
@@ -120,18 +114,15 @@ def _labels(args: argparse.Namespace, dataset: Dataset, screen: VerbOutput) -> i
 
 
 def _log(args: argparse.Namespace, dataset: Dataset, screen: VerbOutput) -> int:
-    from touchdown.backend.exchange import import_log, read_jsonl
-
     if args.check:
         log = read_jsonl(args.source)
         screen.say(f"{len(log)} operations can be read.")
-        screen.result({"version": JSON_VERSION, "operations": len(log), "conflicts": []})
+        screen.result({"operations": len(log), "conflicts": []})
         return 0
     done = import_log(dataset, args.source, args.person)
     screen.say(f"{done.operations} operations are new, {len(done.conflicts)} episodes in conflict.")
     backup = _backup_text(done.backup, screen)
     screen.result({
-        "version": JSON_VERSION,
         "operations": done.operations,
         "conflicts": list(done.conflicts),
         "backup": backup,

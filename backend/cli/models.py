@@ -12,9 +12,6 @@ from types import ModuleType
 from touchdown.backend.cli import evaluate, simulate, train
 from touchdown.backend.cli.output import VerbOutput
 
-NAME = "models"
-HELP = "simulate, train and evaluate the shipped models"
-JSON_VERSION = 1
 TRAINING_BOTTOMS = "circle15,circle25,square15"
 UNSEEN_BOTTOMS = "short,long,hex20,rect12x28"
 # Test episodes have other seeds than training episodes, so they share no grip.
@@ -45,9 +42,7 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     for piece in [name for name in args.pieces.split(",") if name]:
         with TemporaryDirectory(prefix="touchdown-models-") as folder:
             answer[piece] = _make(args, piece, Path(folder), screen)
-    screen.result(
-        {"version": JSON_VERSION, "models": answer, "seconds": round(time.monotonic() - began_s, 1)}
-    )
+    screen.result({"models": answer, "seconds": round(time.monotonic() - began_s, 1)})
     return 0
 
 
@@ -83,7 +78,7 @@ def _make(
     card = checkpoint.card.model_copy(
         update={
             "metrics": {**checkpoint.card.metrics, "unseen_bottoms": figures},
-            "data": {**checkpoint.card.data, "recipe": {"verb": NAME, **recipe}},
+            "data": {**checkpoint.card.data, "recipe": {"verb": "models", **recipe}},
         }
     )
     save_card(out, card)
@@ -91,8 +86,7 @@ def _make(
 
 
 def _run_verb(verb: ModuleType, words: list[object], screen: VerbOutput) -> None:
-    """Run another verb without its JSON object."""
-    parser = argparse.ArgumentParser(prog=f"touchdown {verb.NAME}", allow_abbrev=False)
+    parser = argparse.ArgumentParser(allow_abbrev=False)
     verb.add_arguments(parser)
     inner = VerbOutput(json=True, stream=io.StringIO()) if screen.json else screen
     verb.run(parser.parse_args([str(word) for word in words]), inner)

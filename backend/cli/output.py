@@ -29,10 +29,12 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 from rich.table import Table
+from rich.text import Text
 
 from touchdown.backend.core import InputError
 
 AdvanceFunction = Callable[..., None]
+JSON_VERSION = 1  # of the objects of all verbs
 
 
 class VerbOutput:
@@ -60,7 +62,11 @@ class VerbOutput:
         self._console.print(renderable, soft_wrap=False)
 
     def table(
-        self, title: str, header: Sequence[str], *rows: Iterable[str], right: Container[str] = ()
+        self,
+        title: str,
+        header: Sequence[str],
+        *rows: Iterable[str | Text],
+        right: Container[str] = (),
     ) -> None:
         """Print a table of plain texts for people; the columns of ``right`` hold numbers."""
         self.show(text_table(title, header, *rows, right=right))
@@ -111,12 +117,14 @@ class VerbOutput:
         if self._answered:
             raise RuntimeError("a verb gives exactly one result")
         self._answered = True
-        self._stream.write(json.dumps(_to_json(mapping), allow_nan=False) + "\n")
+        self._stream.write(
+            json.dumps(_to_json({"version": JSON_VERSION, **mapping}), allow_nan=False) + "\n"
+        )
         self._stream.flush()
 
 
 def text_table(
-    title: str, header: Sequence[str], *rows: Iterable[str], right: Container[str] = ()
+    title: str, header: Sequence[str], *rows: Iterable[str | Text], right: Container[str] = ()
 ) -> Table:
     """Return a table of plain texts; the columns of ``right`` are aligned to the right."""
     table = Table(title=title)

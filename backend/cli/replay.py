@@ -12,10 +12,6 @@ from touchdown.backend.core import InputError, RunFinished, RunStarted, TrialFin
 from touchdown.backend.runs import EVENT_LOG_NAME as JOURNAL
 from touchdown.backend.runs import data_folder, read_events
 
-NAME = "replay"
-HELP = "replay a recorded run"
-JSON_VERSION = 1
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
@@ -61,7 +57,6 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     if ending is None:
         screen.say("The journal is incomplete: the program was interrupted.")
     screen.result({
-        "version": JSON_VERSION,
         "run": str(folder),
         "piece": None if head is None else head.piece,
         "bottom": None if head is None else head.bottom,

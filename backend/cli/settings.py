@@ -10,9 +10,6 @@ from touchdown.backend.cli.output import VerbOutput, write_new
 from touchdown.backend.config import StackSettings, parse_settings, read_toml
 from touchdown.backend.core import InputError
 
-NAME = "settings"
-HELP = "show the settings of the method, or write them to a file"
-JSON_VERSION = 1
 # Tables that 0.1.0 wrote for strategies that are gone.
 REMOVED_TABLES = {"looking", "outlines", "pressure"}
 RUN_ARGUMENTS = {"strategy", "mode"}  # arguments of each run, not stored in the file
@@ -43,7 +40,7 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     ]
     screen.table("Settings of the method", ("setting", "value"), *rows, right=("value",))
     written = None if args.write is None else str(args.write)
-    screen.result({"version": JSON_VERSION, "method": groups, "written": written})
+    screen.result({"method": groups, "written": written})
     return 0
 
 

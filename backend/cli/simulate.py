@@ -13,9 +13,6 @@ from touchdown.backend.experiments import run_jobs, split_jobs
 from touchdown.backend.geometry import Piece, Tower, face_points, load_pieces
 from touchdown.backend.simulation import BatchPlan
 
-NAME = "simulate"
-HELP = "write labelled episodes of the simulated bench"
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""

@@ -47,9 +47,6 @@ if TYPE_CHECKING:
     from touchdown.backend.config import StackSettings
 
 
-NAME = "stack"
-HELP = "stack a piece on the simulated bench or on a lab's devices, headless"
-JSON_VERSION = 1
 BOTTOM = "short"
 COLUMNS = ("outcome", "probes", "excess", "margin mm", "reason")
 INPUT_CODE = "INPUT"  # code of bad input, which the command line reports itself
@@ -198,7 +195,6 @@ def trial_table(
 
 def _result(args: argparse.Namespace, result: RunResult, session: Session) -> dict[str, object]:
     return {
-        "version": JSON_VERSION,
         "piece": args.piece,
         "bottom": args.bottom,
         "strategy": args.strategy,

@@ -29,8 +29,6 @@ from touchdown.backend.sensing import (
 )
 from touchdown.backend.simulation import load_gel_appearance, mirror_appearance
 
-NAME = "track"
-HELP = "follow the markers through an image, a video or a folder"
 _GRID = f"{GRID_ROWS}x{GRID_COLS}"
 _REST_FIX = {
     "contact": "Take pictures with nothing on the gel. If nothing touches it here, this sensor's "

@@ -15,11 +15,6 @@ if TYPE_CHECKING:
     from touchdown.backend.learning import TrainingLoaded
 
 
-NAME = "train"
-HELP = "train a contact-patch model"
-JSON_VERSION = 1
-
-
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
     _add_data(parser)
@@ -130,7 +125,7 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
         device=args.device,
     )
     curve: list[dict[str, object]] = []
-    answer: dict[str, object] = {"version": JSON_VERSION}
+    answer: dict[str, object] = {}
     with screen.progress(f"Training {args.piece or 'model'}", args.epochs) as advance:
 
         def show(report: BaseModel) -> None:

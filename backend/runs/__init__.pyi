@@ -10,7 +10,6 @@ from .bench import SceneDevices as SceneDevices
 from .bench import SceneFactory as SceneFactory
 from .bench import SceneView as SceneView
 from .calibrations import DriftMonitor as DriftMonitor
-from .calibrations import DriftScene as DriftScene
 from .calibrations import GelCheck as GelCheck
 from .calibrations import UsedCalibrations as UsedCalibrations
 from .calibrations import accept_calibration as accept_calibration
@@ -40,7 +39,6 @@ from .event_log import log_limit_change as log_limit_change
 from .event_log import read_events as read_events
 from .manual_control import FaultNotifier as FaultNotifier
 from .manual_control import ManualControl as ManualControl
-from .manual_control import ManualDevices as ManualDevices
 from .manual_control import check_connected as check_connected
 from .manual_control import check_devices as check_devices
 from .manual_control import check_no_contact as check_no_contact
@@ -86,13 +84,11 @@ __all__ = [
     "CollectRequest",
     "DecisionMode",
     "DriftMonitor",
-    "DriftScene",
     "Engine",
     "FaultNotifier",
     "GelCheck",
     "LiveThread",
     "ManualControl",
-    "ManualDevices",
     "NoEstimator",
     "OperatorPrompt",
     "PatchEstimator",

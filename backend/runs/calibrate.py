@@ -39,7 +39,6 @@ from touchdown.backend.core import (
     Pose,
     Progress,
     RefusedError,
-    RunFinished,
     RunStarted,
     Said,
     pose_rotation,
@@ -54,6 +53,7 @@ from touchdown.backend.runs.motions import (
     move_to,
     press_command,
     retry_if_void,
+    run_finished,
     run_to_end,
     wait,
     zero_sensors,
@@ -195,7 +195,6 @@ def _touches(bench: Bench, centre: FloatArray, start_mm: float, before: int) -> 
 
 
 def _progress(bench: Bench, before: int, done: int, text: str) -> Progress:
-    """Return the progress after ``before`` complete rounds and ``done`` steps."""
     steps = BOARD_STEPS * (before + 1)
     return Progress(bench.now_s(), BOARD_STEPS * before + done, steps, text)
 
@@ -416,9 +415,7 @@ def calibrate_run(session: RunContext, request: CalibrateRequest) -> Plan[None]:
     if ended.value is not None:
         about = f"{request.piece}{ON_BOTTOM}{request.bottom}" if request.what == "board" else ""
         yield ended.value.to_event(bench.now_s(), request.what, about)
-    ending = ended.run_ending or ("failed" if ended.value is None else "finished")
-    reason = ended.reason or f"The {request.what} is measured."
-    yield RunFinished(bench.now_s(), session.run_id, ending, reason)
+    yield run_finished(bench, session.run_id, ended, f"The {request.what} is measured.")
 
 
 def _measured(bench: Bench, request: CalibrateRequest) -> Plan[CalibrationEstimate]:

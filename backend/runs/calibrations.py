@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 import threading
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import cast
 
@@ -44,16 +45,16 @@ from touchdown.backend.core import (
     Stream,
     TactileFrame,
 )
-from touchdown.backend.devices import Arm, Device, DeviceState, Gripper
+from touchdown.backend.devices import Device, DeviceState, Gripper
 from touchdown.backend.geometry import Piece
 from touchdown.backend.rig import fault_of
+from touchdown.backend.runs.bench import Bench
 from touchdown.backend.runs.requests import CollectRequest, Request, StackRequest
 from touchdown.backend.sensing import (
     MOTION_FACTOR,
     NOISE_FLOOR_PX,
     REST_FRAMES,
     GelRest,
-    LiveSensing,
     WrenchDrift,
     WrenchDriftEstimator,
     gripper_payload,
@@ -234,7 +235,10 @@ class GelCheck:
 
     def _compare(self, finger: Finger, seen: GelRest) -> None:
         name = f"tactile_{finger}"
-        known = {one: mirrored_dots(px, self._mirror(one)) for one, px in self._known().items()}
+        known = {
+            one: mirrored_dots(px, str(self._devices[one].describe().get("mirror", "none")))
+            for one, px in self._known().items()
+        }
         if name not in known:
             return
         limit_px = FINGERPRINT_LIMIT_PX if self._empty() else HELD_LIMIT_PX
@@ -258,11 +262,7 @@ class GelCheck:
             return {}
         return {name: numbers_to_dots(numbers) for name, numbers in record.file.gels.items()}
 
-    def _mirror(self, name: str) -> str:
-        return str(self._devices[name].describe().get("mirror", "none"))
-
     def _empty(self) -> bool:
-        """Return True if the gripper is known to hold nothing."""
         gripper = self._devices.get("gripper")
         if gripper is None or gripper.state is not DeviceState.READY:
             return False
@@ -307,24 +307,17 @@ SAME_MM = 0.3  # jaws within this limit still hold the same load
 POSE_AGE_S = 0.2
 
 
-@dataclass(frozen=True, slots=True)
-class DriftScene:
-    """Devices of a scene; ``surface_mm`` returns the height of ``G`` in contact."""
-
-    now_s: Callable[[], float]
-    arm: Arm
-    gripper: Gripper
-    surface_mm: Callable[[], float]
-
-
 class DriftMonitor:
-    """Monitor of the wrist drift at rest in air. Call ``update`` once per bench step."""
+    """Monitor of the wrist drift at rest in air. Call ``update`` once per bench step.
+
+    ``surface_mm`` returns the height of ``G`` in contact.
+    """
 
     def __init__(
-        self, place: DriftScene, sensing: LiveSensing, publish: Callable[[Event], None]
+        self, scene: Bench, surface_mm: Callable[[], float], publish: Callable[[Event], None]
     ) -> None:
-        self._place, self._sensing, self._publish = place, sensing, publish
-        self._cursor = sensing.raw.samples.count
+        self._scene, self._surface_mm, self._publish = scene, surface_mm, publish
+        self._cursor = scene.sensing.raw.samples.count
         self._watch = WrenchDriftEstimator()
         self._at_rest: Pose | None = None
         self._since_s = math.inf
@@ -332,39 +325,38 @@ class DriftMonitor:
 
     def update(self) -> None:
         """Process new samples; publish ``Noticed`` when the drift exceeds its limit."""
-        samples = self._sensing.raw.samples.since(self._cursor)
+        samples = self._scene.sensing.raw.samples.since(self._cursor)
         self._cursor = samples.cursor
         if not self._at_rest_in_air():
             self._watch.leave()
             return
         settled = samples.t_s >= self._since_s + SETTLE_S
         self._watch.feed(samples.t_s[settled], samples.values[settled, :3])
-        was, found = self._sensing.drift, self._watch.drift()
-        self._sensing.drift = found
+        was, found = self._scene.sensing.drift, self._watch.drift()
+        self._scene.sensing.drift = found
         if found is not None and found.named and not (was is not None and was.named):
-            self._publish(Noticed(self._place.now_s(), drift_notice(found)))
+            self._publish(Noticed(self._scene.now_s(), drift_notice(found)))
 
     def _at_rest_in_air(self) -> bool:
-        place = self._place
-        status = place.gripper.status()
+        status = self._scene.gripper.status()
         load = status.holding, status.width_mm
-        if self._load is None or not _same_load(load, self._load):
+        known = self._load
+        if known is None or load[0] != known[0] or abs(load[1] - known[1]) > SAME_MM:
             self._load = load
             self._watch.reload()
             self._at_rest = None
-        try:
-            pose = place.arm.pose(POSE_AGE_S)
-        except StaleSampleError:
-            pose = None
+        pose = None
+        with suppress(StaleSampleError):
+            pose = self._scene.arm.pose(POSE_AGE_S)
         if pose is None or math.hypot(pose.rx_rad, pose.ry_rad, pose.rz_rad) > LEVEL_TOLERANCE_RAD:
             self._at_rest = None
             if pose is not None:
                 self._watch.reload()
             return False
         if self._at_rest is None or not _at_rest(pose, self._at_rest):
-            self._at_rest, self._since_s = pose, place.now_s()
+            self._at_rest, self._since_s = pose, self._scene.now_s()
             return False
-        return pose.z_mm >= place.surface_mm() + CLEAR_MM
+        return pose.z_mm >= self._surface_mm() + CLEAR_MM
 
 
 def drift_notice(drift: WrenchDrift) -> Fault:
@@ -379,11 +371,6 @@ def drift_notice(drift: WrenchDrift) -> Fault:
         "If it continues, check its mounting and cable.",
         "force_torque",
     )
-
-
-def _same_load(one: tuple[bool, float], other: tuple[bool, float]) -> bool:
-    moved = abs(one[1] - other[1])
-    return one[0] == other[0] and not moved > SAME_MM
 
 
 def _at_rest(one: Pose, other: Pose) -> bool:

@@ -253,12 +253,9 @@ def pair_coverage(dataset: Dataset, campaign: Campaign, target: ProbeTarget) -> 
     It counts the campaign's own probes and the submitted or approved ones of the same pair.
     """
     entries = dataset.episodes(EpisodeFilter(piece=campaign.piece, bottom=campaign.bottom))
-    stood_for = [
-        entry
-        for entry in entries
-        if entry.campaign == campaign.uuid or entry.state in ("submitted", "approved")
-    ]
-    return labelled_coverage(dataset, stood_for, target.face, target.bottom)
+    counted = ("submitted", "approved")
+    kept = [e for e in entries if e.campaign == campaign.uuid or e.state in counted]
+    return labelled_coverage(dataset, kept, target.face, target.bottom)
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,7 +21,6 @@ from touchdown.backend.core import (
     InputError,
     MountingAwaited,
     RefusedError,
-    RunFinished,
     RunStarted,
     Said,
 )
@@ -37,7 +36,7 @@ from touchdown.backend.runs.campaign import (
 )
 from touchdown.backend.runs.collector import BottomOrigin, Collector, EpisodeRecorder
 from touchdown.backend.runs.jig import wait_for_refit
-from touchdown.backend.runs.motions import PlanEnd, ask_operator, run_to_end
+from touchdown.backend.runs.motions import PlanEnd, ask_operator, run_finished, run_to_end
 from touchdown.backend.runs.plan import Plan
 from touchdown.backend.runs.recorder import plan_not_saved_fault, save_or_wait
 from touchdown.backend.runs.requests import CollectRequest, request_record
@@ -141,12 +140,10 @@ def _mountings(
                 break
         mounting = NEW_MOUNTING
         bench = session.set_scene(request.scene(collector.campaign.mountings), method)
-    ending = ended.run_ending or ("finished" if ended.value else "failed")
-    reason = f"{collector.done} of {collector.campaign.count} probes are collected"
+    done = f"{collector.done} of {collector.campaign.count} probes are collected"
     left_out = len(collector.campaign.skipped)
-    reason += f", {left_out} left out." if left_out else "."
-    reason = ended.reason or reason
-    yield RunFinished(bench.now_s(), session.run_id, ending, reason)
+    done += f", {left_out} left out." if left_out else "."
+    yield run_finished(bench, session.run_id, ended, done)
 
 
 def _by_hand(request: CollectRequest, bench: Bench) -> bool:

@@ -9,8 +9,8 @@ from __future__ import annotations
 import json
 import math
 from collections import Counter, deque
-from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from touchdown.backend.annotations import Dataset, EpisodeContext, EpisodeEntry, Label, with_uuid
 from touchdown.backend.config import CollectSettings
 from touchdown.backend.core import (
-    DISK_TIMEOUT_S,
     MARKERS,
     TACTILE_CHANNELS,
     DecisionAwaited,
@@ -35,7 +34,6 @@ from touchdown.backend.core import (
     ProbeCollected,
     RefusedError,
     Said,
-    blocking_section,
 )
 from touchdown.backend.episodes import Coverage
 from touchdown.backend.runs import messages
@@ -59,6 +57,7 @@ from touchdown.backend.runs.plan import PausePoint, Plan, Wait
 from touchdown.backend.runs.probe import press_once, scene_pictures
 from touchdown.backend.runs.recorder import (
     DISK_FULL,
+    DiskWriter,
     decision_not_saved_fault,
     no_space_fault,
     refused_episode_fault,
@@ -121,58 +120,28 @@ def last_signal_excerpt(observation: NDArray[np.float32]) -> SignalExcerpt:
     ``observation`` (20, 258) as in ``Episode``.
     """
     last = np.asarray(observation[-1], dtype=np.float64)
-    shifts = last[:TACTILE_CHANNELS].reshape(2, 2, MARKERS)
-    u_px, v_px = (_largest(shifts[:, axis]) for axis in range(2))
+    # Per axis the value of largest magnitude with its sign; NaN if a value is missing
+    shifts = last[:TACTILE_CHANNELS].reshape(2, 2, MARKERS).swapaxes(0, 1).reshape(2, -1)
+    u_px, v_px = (float(shift[np.argmax(np.abs(shift))]) for shift in shifts)
     fz, tx, ty = (float(last[TACTILE_CHANNELS + channel]) for channel in (2, 3, 4))
     return u_px, v_px, tx, ty, fz
 
 
-def _largest(values: FloatArray) -> float:
-    """Return the value of largest magnitude with its sign; NaN if a value is missing."""
-    flat = values.ravel()
-    return float(flat[np.argmax(np.abs(flat))])
-
-
-class EpisodeRecorder:
+class EpisodeRecorder(DiskWriter[EpisodeEntry]):
     """Writes episodes into a dataset on its own thread; the bench never waits for the disk."""
 
     def __init__(self, dataset: Dataset) -> None:
+        super().__init__("collect-writer")
         self.dataset = dataset
-        self._writer = ThreadPoolExecutor(1, thread_name_prefix="collect-writer")
-        self._pending: Future[EpisodeEntry] | None = None
-        self._newest: tuple[Episode, Label, EpisodeContext] | None = None
 
     def record(self, episode: Episode, label: Label, context: EpisodeContext) -> None:
         """Start to write an episode; the previous one must be settled."""
-        assert self._pending is None
         # The id is fixed here, so that a repeated write makes the same file.
-        self._newest = with_uuid(episode), label, context
-        self._pending = self._begin()
-
-    @property
-    def written(self) -> bool:
-        """True if no write is in progress, so that ``settle`` returns or raises at once."""
-        return self._pending is not None and self._pending.done()
-
-    def settle(self) -> EpisodeEntry:
-        """Return the entry of the last episode once it is durable; raises the error of the write.
-
-        The next call after an error writes the episode again.
-        """
-        pending, self._pending = self._pending or self._begin(), None
-        with blocking_section("waits for the disk", DISK_TIMEOUT_S):
-            return pending.result()
-
-    def _begin(self) -> Future[EpisodeEntry]:
-        assert self._newest is not None
-        episode, label, context = self._newest
-        return self._writer.submit(
-            self.dataset.record, episode, label, source=MEASURED, context=context
+        self.begin(
+            partial(
+                self.dataset.record, with_uuid(episode), label, source=MEASURED, context=context
+            )
         )
-
-    def close(self) -> None:
-        """End the thread after the write in progress."""
-        self._writer.shutdown(wait=True)
 
 
 @dataclass(frozen=True, slots=True)
@@ -351,7 +320,9 @@ class Collector:
             if waits:
                 yield from wait_while_writing(bench, lambda: self.recorder.written)
             try:
-                return self.recorder.settle()
+                entry = self.recorder.settle()
+                assert entry is not None
+                return entry
             except FaultError as error:
                 if error.fault.code != DISK_FULL or not waits:
                     self._pending = None
@@ -385,14 +356,13 @@ class Collector:
                 yield from self._settled(bench)
                 yield from self._wait_for_decision(bench)
             slip_mm = pending.pressed.episode.quality.slip_mm
+            why = ""
             if not slip_mm <= SLIP_MM:
-                yield Said(
-                    bench.now_s(), messages.regrip_message(f"it slipped by {slip_mm:.2f} mm")
-                )
-                return
-            if not pending.drift_mm <= settings.drift_mm:
-                drifted = f"contact came {pending.drift_mm:.2f} mm off its first height"
-                yield Said(bench.now_s(), messages.regrip_message(drifted))
+                why = f"it slipped by {slip_mm:.2f} mm"
+            elif not pending.drift_mm <= settings.drift_mm:
+                why = f"contact came {pending.drift_mm:.2f} mm off its first height"
+            if why:
+                yield Said(bench.now_s(), f"The piece is gripped again: {why}.")
                 return
 
     def _probe(
@@ -408,11 +378,10 @@ class Collector:
         probe = bench.settings.probe
         there = (origin.x_mm + wanted_mm[0], origin.y_mm + wanted_mm[1])
         place = descent_start(bench, there)
-        if first_mm is not None:
-            place = replace(place, z_mm=first_mm + probe.start_height_mm)
         if first_mm is None:
             yield from approach_with_piece(bench, place)
         else:
+            place = replace(place, z_mm=first_mm + probe.start_height_mm)
             yield from move_to(bench, place, "the arm to shift")
         yield from self._settled(bench)
         pressed = yield from press_once(bench, self._probes, np.array(wanted_mm))

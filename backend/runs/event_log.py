@@ -127,11 +127,10 @@ def decode_event(line: dict[str, Any], where: str) -> Event:
 
 
 def _encode_fields(value: Any) -> dict[str, Any]:
-    skip = {"recording"}
     return {
         f.name: _encoded(getattr(value, f.name))
         for f in dataclasses.fields(value)
-        if f.name not in skip
+        if f.name != "recording"
     }
 
 
@@ -161,13 +160,8 @@ def _hints(cls: type) -> dict[str, Any]:
 
 
 def _build(cls: type, content: dict[str, Any]) -> Any:
-    hints = _hints(cls)
-    values = {
-        f.name: _decoded(hints[f.name], content[f.name])
-        for f in dataclasses.fields(cls)
-        if f.name in content
-    }
-    return cls(**values)
+    hints, names = _hints(cls), (f.name for f in dataclasses.fields(cls))
+    return cls(**{n: _decoded(hints[n], content[n]) for n in names if n in content})
 
 
 def _decoded(hint: Any, value: Any) -> Any:
@@ -202,6 +196,7 @@ def _array(value: dict[str, Any]) -> np.ndarray[Any, Any]:
 
 EVENT_LOG_NAME = "journal.jsonl"
 MAX_LINE_BYTES = 8_000_000
+NO_LOG, NO_LOG_FIX = "This is not a Touchdown event log.", "Name the folder of a run."
 
 
 class EventLog:
@@ -292,29 +287,16 @@ def read_events(run: Path) -> Iterator[Event]:
                 line = json.loads(raw)
             except ValueError as error:
                 if number == 1:
-                    raise _no_log(where) from error
-                raise InputError(
-                    "A line is not valid JSON.",
-                    where,
-                    f"Keep the {number - 1} lines before it in a file of their own, and replay it.",
-                ) from error
-            if number == 1:
-                _check_head(line, where)
-            else:
+                    raise InputError(NO_LOG, where, NO_LOG_FIX) from error
+                fix = f"Keep the {number - 1} lines before it in a file of their own and replay it."
+                raise InputError("A line is not valid JSON.", where, fix) from error
+            if number > 1:
                 yield decode_event(line, where)
-
-
-def _check_head(line: object, where: str) -> None:
-    if not isinstance(line, dict) or line.get("program") != "touchdown":
-        raise _no_log(where)
-    if line.get("format") != FORMAT:
-        raise InputError(
-            f"Event log format {line.get('format')} is not known.", where, "Use a newer Touchdown."
-        )
-
-
-def _no_log(where: str) -> InputError:
-    return InputError("This is not a Touchdown event log.", where, "Name the folder of a run.")
+            elif not isinstance(line, dict) or line.get("program") != "touchdown":
+                raise InputError(NO_LOG, where, NO_LOG_FIX)
+            elif line.get("format") != FORMAT:
+                what = f"Event log format {line.get('format')} is not known."
+                raise InputError(what, where, "Use a newer Touchdown.")
 
 
 LIMIT_LOG_NAME = "limits.jsonl"

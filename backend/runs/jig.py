@@ -49,14 +49,14 @@ def pick_piece(bench: Bench) -> Plan[float]:
         raise RefusedError("HOLDING", "A piece is held already: put it back into its jig first.")
     yield PhaseEntered(bench.now_s(), "shift", 0)
     yield from wait(bench, SETTLE_S)
-    yield from _go(bench, jig)
+    yield from move_to(bench, jig)
     yield from wait(bench, SETTLE_S + WEIGH_S)
     empty_n = _vertical_n(bench)
     bench.sensing.forget_references()
     if bench.handed:
         yield from _hand_at_the_jaws(bench, gives=True)
     yield from take_piece(bench)
-    yield from _go(bench, _above(bench, jig))
+    yield from move_to(bench, _above(bench, jig))
     yield from wait(bench, SETTLE_S + WEIGH_S)
     weight_n = empty_n - _vertical_n(bench)
     yield from _weighed(bench, weight_n)
@@ -72,9 +72,9 @@ def return_piece(bench: Bench) -> Plan[None]:
     yield PhaseEntered(bench.now_s(), "shift", 0)
     here = bench.arm.pose(max_age_s=0.2)
     high = _above(bench, jig)
-    yield from _go(bench, Pose(here.x_mm, here.y_mm, high.z_mm))
-    yield from _go(bench, high)
-    yield from _go(bench, jig)
+    yield from move_to(bench, Pose(here.x_mm, here.y_mm, high.z_mm))
+    yield from move_to(bench, high)
+    yield from move_to(bench, jig)
     yield from wait(bench, SETTLE_S)
     yield PhaseEntered(bench.now_s(), "release", 0)
     width_mm = bench.gripper.status().width_mm + bench.settings.collect.open_mm
@@ -92,9 +92,9 @@ def approach_with_piece(bench: Bench, place: Pose) -> Plan[None]:
     """Carry the held piece over ``place``: up, across, and down."""
     high_mm = _above(bench, _jig(bench)).z_mm
     here = bench.arm.pose(max_age_s=0.2)
-    yield from _go(bench, Pose(here.x_mm, here.y_mm, max(here.z_mm, high_mm)))
-    yield from _go(bench, Pose(place.x_mm, place.y_mm, high_mm))
-    yield from _go(bench, place)
+    yield from move_to(bench, Pose(here.x_mm, here.y_mm, max(here.z_mm, high_mm)))
+    yield from move_to(bench, Pose(place.x_mm, place.y_mm, high_mm))
+    yield from move_to(bench, place)
 
 
 def wait_for_refit(bench: Bench) -> Plan[bool]:
@@ -134,7 +134,6 @@ def _weighed(bench: Bench, weight_n: float) -> Plan[None]:
 
 
 def _vertical_n(bench: Bench) -> float:
-    """Return the mean untared vertical force of the last ``WEIGH_S``."""
     now_s = bench.now_s()
     window = bench.sensing.raw.samples.window(now_s - WEIGH_S, now_s)
     return float(np.mean(window.values[:, 2])) if len(window.t_s) else math.nan
@@ -161,7 +160,3 @@ def _jig(bench: Bench) -> Pose:
 
 def _above(bench: Bench, jig: Pose) -> Pose:
     return Pose(jig.x_mm, jig.y_mm, jig.z_mm + bench.settings.collect.clearance_mm)
-
-
-def _go(bench: Bench, place: Pose) -> Plan[None]:
-    yield from move_to(bench, place, "the arm to arrive")

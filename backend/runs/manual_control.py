@@ -6,7 +6,6 @@ import threading
 from collections import deque
 from collections.abc import Callable, Iterable
 from contextlib import suppress
-from dataclasses import dataclass
 
 from touchdown.backend.core import (
     Event,
@@ -25,8 +24,6 @@ from touchdown.backend.core import (
 from touchdown.backend.devices import (
     Device,
     DeviceState,
-    GuardedArm,
-    GuardedGripper,
     Interlock,
     Jog,
     JogSurroundings,
@@ -34,8 +31,8 @@ from touchdown.backend.devices import (
     RobotMode,
 )
 from touchdown.backend.rig import BenchConnection, fault_of
+from touchdown.backend.runs.bench import Bench
 from touchdown.backend.runs.requests import Request, StackRequest
-from touchdown.backend.sensing import LiveSensing
 
 REFERENCE_FRAMES = 10
 REFERENCE_S = 2.0
@@ -44,31 +41,22 @@ OPEN_MM_S = 5.0
 WAITING = 4  # queue length of sensing orders
 
 
-@dataclass(frozen=True, slots=True)
-class ManualDevices:
-    """Guarded devices and sensing of one scene."""
-
-    arm: GuardedArm
-    gripper: GuardedGripper
-    sensing: LiveSensing
-
-
 class ManualControl:
     """Manual control of one scene. ``tick`` is called once per bench step."""
 
     def __init__(
         self,
-        reach: ManualDevices,
+        scene: Bench,
         interlock: Interlock,
         around: JogSurroundings,
         publish: Callable[[Event], None],
     ) -> None:
-        self._reach, self._interlock, self._around = reach, interlock, around
+        self._scene, self._interlock, self._around = scene, interlock, around
         self._publish = publish
         self._orders: deque[tuple[Callable[[], str], float]] = deque(maxlen=WAITING)
         self._grip: Motion | None = None
         self._switch: threading.Thread | None = None
-        self.jog = Jog(reach.arm, interlock, around, self._refused)
+        self.jog = Jog(scene.arm, interlock, around, self._refused)
 
     @property
     def active(self) -> bool:
@@ -83,12 +71,12 @@ class ManualControl:
     @property
     def powered(self) -> bool:
         """True if the motors of the arm are on."""
-        return self._reach.arm.status().robot_mode is not RobotMode.SERVO_OFF
+        return self._scene.arm.status().robot_mode is not RobotMode.SERVO_OFF
 
     @property
     def holding(self) -> bool:
         """True if a piece is held."""
-        return self._reach.gripper.status().holding
+        return self._scene.gripper.status().holding
 
     @property
     def pressing_n(self) -> float:
@@ -102,25 +90,25 @@ class ManualControl:
     @property
     def rotates(self) -> bool:
         """True if the hand can rotate and single joints can be driven."""
-        return self._reach.arm.rotates
+        return self._scene.arm.rotates
 
     def refuse_turned(self) -> None:
         """Raise ``RefusedError`` if the hand is rotated: a probe needs a level face."""
         with suppress(StaleSampleError):
-            require_unrotated(pose_rotation(self._reach.arm.pose(max_age_s=1.0)))
+            require_unrotated(pose_rotation(self._scene.arm.pose(max_age_s=1.0)))
 
     # -- from any thread --------------------------------------------------------------------------
 
     def grip(self, force_n: float) -> None:
         """Close with ``force_n`` per finger; raises ``RefusedError``."""
         self._take()
-        self._grip = self._reach.gripper.grip(force_n)
+        self._grip = self._scene.gripper.grip(force_n)
 
     def open(self, *, confirmed: bool) -> None:
         """Open the gripper; raises ``RefusedError``, "HOLDING" on a held piece unless confirmed."""
         self._take()
-        status, press_n = self._reach.gripper.status(), self._around.press_n()
-        self._grip = self._reach.gripper.open_by_hand(
+        status, press_n = self._scene.gripper.status(), self._around.press_n()
+        self._grip = self._scene.gripper.open_by_hand(
             status.width_mm + CLEAR_MM, OPEN_MM_S, confirmed=confirmed
         )
         if status.holding:
@@ -197,11 +185,11 @@ class ManualControl:
         self._orders.append((order, self._around.now_s() + for_s))
 
     def _zero(self) -> str:
-        self._reach.sensing.zero_wrench(self._around.now_s())
+        self._scene.sensing.zero_wrench(self._around.now_s())
         return "Force and moment are zeroed."
 
     def _reference(self) -> str:
-        self._reach.sensing.take_references(REFERENCE_FRAMES)
+        self._scene.sensing.take_references(REFERENCE_FRAMES)
         return "New tactile references are taken."
 
     def _recover(self) -> None:
@@ -213,7 +201,7 @@ class ManualControl:
 
     def _switch_servo(self, on: bool) -> None:
         try:
-            self._reach.arm.servo(on)
+            self._scene.arm.servo(on)
         except FaultError as error:
             self._refused(RefusedError(error.fault.code, error.fault.what))
         except RefusedError as error:

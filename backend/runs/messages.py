@@ -25,20 +25,13 @@ def decision_message(
     """Return one line per probe: estimate, belief, verdict with signed margin, chosen move."""
     points = int((patch.probability > 0.5).sum())
     share = 100.0 * points / max(1, len(patch.probability))
-    return (
-        f"Probe {probe}: contact on {share:.0f} % of the face ({points} points). "
-        f"{support_message(stability)} {action.reason}"
-    )
-
-
-def support_message(stability: Stability) -> str:
-    """Return the kind of support and the verdict."""
+    support = f"not stable, {stability.support.value}"
     if stability.support is SupportKind.AREA:
-        verdict = "stable" if stability.stable else "not stable"
         digits = 1 if abs(stability.margin_mm) >= 0.1 else 2
         margin = f"{stability.margin_mm:+.{digits}f}".replace("-", "\N{MINUS SIGN}")
-        return f"Verdict: {verdict}, margin {margin} mm."
-    return f"Verdict: not stable, {stability.support.value}."
+        support = f"{'stable' if stability.stable else 'not stable'}, margin {margin} mm"
+    contact = f"contact on {share:.0f} % of the face ({points} points)"
+    return f"Probe {probe}: {contact}. Verdict: {support}. {action.reason}"
 
 
 def release_message(stands: bool, margin_mm: float) -> str:
@@ -55,11 +48,6 @@ DECISION_WORDS = {
     "redo": "probed again",
     "skip": "left out of the campaign",
 }  # recorded reason of a deletion, by decision
-
-
-def regrip_message(why: str) -> str:
-    """Return the reason for an early return of the piece to its jig."""
-    return f"The piece is gripped again: {why}."
 
 
 def hand_over_message(awaited: HandOverAwaited) -> str:

@@ -23,6 +23,7 @@ from touchdown.backend.core import (
     PhaseEntered,
     Pose,
     RefusedError,
+    RunFinished,
     Said,
     StaleSampleError,
 )
@@ -100,7 +101,7 @@ def wait(bench: Bench, seconds: float) -> Plan[None]:
     yield Wait(lambda: bench.now_s() >= until_s, seconds + 1.0, "a pause to end")
 
 
-def move_to(bench: Bench, place: Pose, what: str) -> Plan[None]:
+def move_to(bench: Bench, place: Pose, what: str = "the arm to arrive") -> Plan[None]:
     """Move straight to ``place`` in air, as fast as the override allows.
 
     In real time the wrench may be too old for a lateral motion; then the next sample is waited for.
@@ -399,6 +400,12 @@ def run_to_end(bench: Bench, plan: Plan[R]) -> Plan[PlanEnd[R]]:
         yield FaultRaised(bench.now_s(), first.fault)
         return PlanEnd(None, "failed", str(first))
     return PlanEnd(value)
+
+
+def run_finished(bench: Bench, run_id: str, ended: PlanEnd[R], done: str) -> RunFinished:
+    """Return the last event of a run that consists of one plan; ``done`` says what it did."""
+    ending = ended.run_ending or ("finished" if ended.value else "failed")
+    return RunFinished(bench.now_s(), run_id, ending, ended.reason or done)
 
 
 def _retreat(bench: Bench) -> Plan[None]:

@@ -142,18 +142,14 @@ def outcome_from_signals(
     if holding:
         return Outcome.ABORTED, "The gripper still holds something."
     if weight_n > WEIGHED_N and left_n < 0.5 * weight_n:
-        return (
-            Outcome.ABORTED,
-            f"The load decreased by only {left_n:.1f} N of the piece's {weight_n:.1f} N.",
-        )
+        why = f"The load decreased by only {left_n:.1f} N of the piece's {weight_n:.1f} N."
+        return Outcome.ABORTED, why
     if side_n > SIDE_N:
         return Outcome.FELL, f"The opening fingers met a lateral force of {side_n:.1f} N."
     if not side_n <= SIDE_N:
         return Outcome.FELL, "No wrench samples while the fingers opened."
-    return (
-        Outcome.PLACED,
-        f"No lateral force on the fingers while they opened and rose ({side_n:.1f} N).",
-    )
+    why = f"No lateral force on the fingers while they opened and rose ({side_n:.1f} N)."
+    return Outcome.PLACED, why
 
 
 def judge_release(bench: Bench, probe: int) -> Plan[TrialResult]:
@@ -182,13 +178,6 @@ def trial_finished(bench: Bench, trial: int, seed: int, ending: TrialResult) -> 
         if ending.outcome is Outcome.PLACED:
             excess = max(0, ending.probes - bench.scoring.least_probes())
     return TrialFinished(
-        bench.now_s(),
-        trial,
-        seed,
-        ending.outcome,
-        ending.reason,
-        ending.probes,
-        excess,
-        margin_mm,
-        contradicted,
-    )
+        bench.now_s(), trial, seed, ending.outcome, ending.reason, ending.probes, excess,
+        margin_mm, contradicted,
+    )  # fmt: skip

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from touchdown.backend.core import EpisodeRecorded, PatchEstimated, RunFinished, RunStarted, Said
+from touchdown.backend.core import EpisodeRecorded, PatchEstimated, RunStarted, Said
 from touchdown.backend.runs import messages
 from touchdown.backend.runs.bench import Bench, NoEstimator, RunContext
 from touchdown.backend.runs.calibrate import calibrate_run
 from touchdown.backend.runs.collect import collect_run
-from touchdown.backend.runs.motions import lift, run_to_end, take_piece
+from touchdown.backend.runs.motions import lift, run_finished, run_to_end, take_piece
 from touchdown.backend.runs.plan import Plan
 from touchdown.backend.runs.probe import press_once
 from touchdown.backend.runs.recorder import wait_while_writing
@@ -36,21 +36,11 @@ def probe_run(session: RunContext, request: ProbeRequest) -> Plan[None]:
     bench = session.present_scene(session.method)
     session.open_record()
     yield RunStarted(
-        bench.now_s(),
-        session.run_id,
-        bench.piece.name,
-        bench.bottom,
-        "",
-        0,
-        1,
-        session.simulated,
-        request_record(request, session.method, {}),
-        activity="probe",
-    )
+        bench.now_s(), session.run_id, bench.piece.name, bench.bottom, "", 0, 1, session.simulated,
+        request_record(request, session.method, {}), activity="probe",
+    )  # fmt: skip
     ended = yield from run_to_end(bench, _probe(bench))
-    ending = ended.run_ending or ("finished" if ended.value else "failed")
-    reason = ended.reason or "The probe is done."
-    yield RunFinished(bench.now_s(), session.run_id, ending, reason)
+    yield run_finished(bench, session.run_id, ended, "The probe is done.")
 
 
 def _probe(bench: Bench) -> Plan[bool]:

@@ -10,7 +10,9 @@ import os
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
+from typing import Generic, TypeVar
 
 from touchdown.backend.annotations import DISK_FULL_ERRNOS, check_free_space, free_bytes_if_low
 from touchdown.backend.core import (
@@ -140,8 +142,7 @@ def wait_until_durable(bench: Bench) -> Plan[Path | None]:
 
 def data_folder() -> Path:
     """Return the operator's data folder: $TOUCHDOWN_DATA, else the XDG data folder."""
-    chosen = os.environ.get("TOUCHDOWN_DATA")
-    if chosen:
+    if chosen := os.environ.get("TOUCHDOWN_DATA"):
         return Path(chosen)
     base = os.environ.get("XDG_DATA_HOME") or str(Path.home() / ".local" / "share")
     return Path(base) / "touchdown"
@@ -162,11 +163,54 @@ def models_folder() -> Path:
     return data_folder() / "models"
 
 
-class RunStore:
-    """Writes episodes on its own thread, so that a run never waits for the disk.
+T = TypeVar("T")
 
-    A failed write raises in ``settle`` and the episode is kept for another attempt.
+
+class DiskWriter(Generic[T]):
+    """Writes on its own thread, so that a run never waits for the disk; one write at a time.
+
+    A failed write raises in ``settle`` and is kept for another attempt.
     """
+
+    def __init__(self, name: str) -> None:
+        self._thread = ThreadPoolExecutor(1, thread_name_prefix=name)
+        self._write: Callable[[], T] | None = None  # the last write until it is durable
+        self._pending: Future[T] | None = None
+
+    def begin(self, write: Callable[[], T]) -> None:
+        """Start ``write``; the previous one must be settled."""
+        self._write, self._pending = write, self._thread.submit(write)
+
+    @property
+    def pending(self) -> bool:
+        """True if a write was begun whose result was not asked for."""
+        return self._pending is not None
+
+    @property
+    def written(self) -> bool:
+        """True if no write is in progress, so that ``settle`` returns or raises at once."""
+        return self._pending is None or self._pending.done()
+
+    def settle(self) -> T | None:
+        """Return the result of the last write once it is durable; raises its error.
+
+        The next call after an error writes again. Returns None if nothing is to be written.
+        """
+        if self._write is None:
+            return None
+        pending, self._pending = self._pending or self._thread.submit(self._write), None
+        with blocking_section("waits for the disk", DISK_TIMEOUT_S):
+            result = pending.result()
+        self._write = None
+        return result
+
+    def close(self) -> None:
+        """End the thread after the write in progress."""
+        self._thread.shutdown(wait=True)
+
+
+class RunStore:
+    """Writes the episodes of a run."""
 
     def __init__(
         self,
@@ -176,33 +220,26 @@ class RunStore:
     ) -> None:
         self._folder, self._metadata = folder, dict(metadata)
         self.obstacle = obstacle
-        self._writer = ThreadPoolExecutor(1, thread_name_prefix="episode-writer")
-        self._pending: Future[Path] | None = None
-        self._newest: Episode | None = None  # not yet durable
+        self._writer = DiskWriter[Path]("episode-writer")
 
     def keep(self, episode: Episode) -> None:
         """Start to write ``episode``; nothing is written without a folder."""
         if self._folder is not None:
             self.settle()
-            self._newest = episode
-            self._begin(self._folder, episode)
+            self._writer.begin(partial(self._write, self._folder, episode))
 
     @property
     def written(self) -> bool:
         """True if no write is in progress, so that ``settle`` returns or raises at once."""
-        return self._pending is None or self._pending.done()
+        return self._writer.written
 
     def settle(self) -> Path | None:
         """Wait until the last episode is durable; return its path.
 
         Raises ``FaultError`` if the disk refused it; the next call writes it again.
         """
-        if self._pending is None and self._newest is not None and self._folder is not None:
-            self._begin(self._folder, self._newest)
-        pending, self._pending = self._pending, None
         try:
-            with blocking_section("waits for the disk", DISK_TIMEOUT_S):
-                path = None if pending is None else pending.result()
+            return self._writer.settle()
         except OSError as error:
             raise FaultError(
                 Fault(
@@ -213,19 +250,14 @@ class RunStore:
                     "store",
                 )
             ) from error
-        self._newest = None
-        return path
 
     def close(self) -> None:
         """Finish the last write and end the thread; a refused episode is dropped."""
         try:
-            if self._pending is not None:
+            if self._writer.pending:
                 self.settle()
         finally:
-            self._writer.shutdown(wait=True)
-
-    def _begin(self, folder: Path, episode: Episode) -> None:
-        self._pending = self._writer.submit(self._write, folder, episode)
+            self._writer.close()
 
     def _write(self, folder: Path, episode: Episode) -> Path:
         make_folder(folder)
@@ -316,16 +348,11 @@ class RunRecorder:
     def obstacle(self) -> Fault | None:
         """Return the fault that prevents recording another probe, None if there is none."""
         with self._lock:
-            self._try_again()
+            self._write(mend=True)
             if self._held:
                 what = "The event log cannot be written: the disk is full."
-                return Fault(
-                    DISK_FULL,
-                    what,
-                    f"{CONSEQUENCE} What it did is kept in memory.",
-                    NEXT_STEP,
-                    "store",
-                )
+                kept = f"{CONSEQUENCE} What it did is kept in memory."
+                return Fault(DISK_FULL, what, kept, NEXT_STEP, "store")
         if self.folder is None or not self._keep.episodes:
             return None
         return no_space_fault(self.folder)
@@ -335,7 +362,7 @@ class RunRecorder:
         if self._leave is not None:
             self._leave()
         with self._lock:
-            self._try_again()
+            self._write(mend=True)
             if self._log is not None and self._held:
                 lost = len(self._held)
                 self._give_up(f"the disk is full, the last {lost} lines are lost")
@@ -358,13 +385,9 @@ class RunRecorder:
             self._held.append(event)
             self._write(mend=len(self._held) > 1)
 
-    def _try_again(self) -> None:
-        if self._held:
-            self._write(mend=True)
-
     def _write(self, *, mend: bool) -> None:
         """Append the events in memory, the oldest first; the rest stays in memory."""
-        if self._log is None:
+        if self._log is None or not self._held:
             return
         try:
             if mend:

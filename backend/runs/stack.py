@@ -72,8 +72,7 @@ def pick_and_place(bench: Bench) -> Plan[TrialResult]:
     yield from motion_done(unload, MOVE_S, "the arm to unload")
     yield from wait(bench, settings.settle_s)
     yield PhaseEntered(bench.now_s(), "release", 1)
-    width_mm = bench.gripper.status().width_mm
-    now_s, status = bench.now_s(), bench.gripper.status()
+    status = bench.gripper.status()
     evidence = ReleaseEvidence(
         verdict_stable=False,
         verdict_of_last_probe=False,
@@ -82,15 +81,15 @@ def pick_and_place(bench: Bench) -> Plan[TrialResult]:
         required_margin_mm=0.0,
         quality_accepted=False,
         slip_mm=0.0,
-        press_n=bench.sensing.press_n(now_s, 0.1),
+        press_n=bench.sensing.press_n(bench.now_s(), 0.1),
         wrench_age_s=0.0,
         wrench_age_limit_s=0.0,
         moved_mm=0.0,
-        width_change_mm=status.width_mm - width_mm,
+        width_change_mm=0.0,
         holding=status.holding,
         approved=True,
     )
-    yield from open_and_rise(bench, 1, evidence, width_mm)
+    yield from open_and_rise(bench, 1, evidence, status.width_mm)
     return (yield from judge_release(bench, 1))
 
 
@@ -127,8 +126,8 @@ def place_piece(bench: Bench) -> Plan[TrialResult]:
         yield from lift(bench, probe)
         yield from _recorded(bench, pressed)
         if late:
-            late_text = f"The verdict took {held_s:.1f} s, too long to hold the press"
-            yield Said(bench.now_s(), f"{late_text}: lifted, probing again.")
+            text = f"The verdict took {held_s:.1f} s, too long to hold the press"
+            yield Said(bench.now_s(), f"{text}: lifted, probing again.")
             continue
         if judged.action.kind == "give_up":
             return TrialResult(Outcome.GAVE_UP, judged.action.reason, probe)
@@ -148,12 +147,9 @@ def grasped_piece(bench: Bench) -> GraspedPiece:
     piece = bench.piece
     assert piece.grip_height_mm is not None
     return GraspedPiece(
-        piece.com_xy_mm,
-        piece.grip_height_mm,
-        bench.estimator.base_rate,
-        bench.sensor_height_mm,
+        piece.com_xy_mm, piece.grip_height_mm, bench.estimator.base_rate, bench.sensor_height_mm,
         bench.below,
-    )
+    )  # fmt: skip
 
 
 def _judge(bench: Bench, pressed: PressedProbe, strategy: Strategy) -> Plan[JudgedProbe]:
@@ -175,7 +171,6 @@ def _judge(bench: Bench, pressed: PressedProbe, strategy: Strategy) -> Plan[Judg
 
 
 def _let_go(bench: Bench, judged: JudgedProbe, *, approved: bool) -> Plan[TrialResult]:
-    """Release here and judge the outcome."""
     probe = judged.pressed.probe
     yield from release_piece(bench, judged, approved=approved)
     # Publish the outcome first: a refused write of the episode must not hide it.
@@ -223,24 +218,15 @@ def stack_run(session: RunContext, request: StackRequest) -> Plan[None]:
     settings = request_record(request, method, session.check_scene(request.scene()))
     session.open_record()
     yield RunStarted(
-        0.0,
-        session.run_id,
-        request.piece,
-        "+".join(request.bottoms),
-        request.strategy,
-        request.seed,
-        request.trials,
-        session.simulated,
-        settings,
-    )
+        0.0, session.run_id, request.piece, "+".join(request.bottoms), request.strategy,
+        request.seed, request.trials, session.simulated, settings,
+    )  # fmt: skip
     for trial in range(request.trials):
         bench = session.set_scene(request.scene(trial), method)
         seed = request.seed + trial
         start_mm = None if bench.scoring is None else bench.scoring.start_mm()
         yield TrialStarted(bench.now_s(), trial + 1, seed, start_mm)
-        at_mm = (
-            None if bench.scoring is not None else outcome.trial_start_mm(session, request, trial)
-        )
+        at_mm = outcome.trial_start_mm(session, request, trial) if bench.scoring is None else None
         ended = yield from run_to_end(bench, _placing(bench, request, at_mm))
         ending, run_ending = ended.value, ended.run_ending
         if ending is None:

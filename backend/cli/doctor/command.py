@@ -17,19 +17,22 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 from importlib.resources import files
 from importlib.resources.abc import Traversable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from rich.table import Table
 from rich.text import Text
 
 from touchdown.backend.cli.doctor.qt_libraries import missing_libraries, packages_for
 from touchdown.backend.cli.output import VerbOutput
 from touchdown.backend.core import InputError
+
+if TYPE_CHECKING:
+    from touchdown.backend.config import Lab, LabSettings
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,25 +71,15 @@ def check_display() -> DoctorCheck:
     wayland, x11 = os.environ.get("WAYLAND_DISPLAY"), os.environ.get("DISPLAY")
     if wayland or x11:
         return DoctorCheck("display", True, f"Wayland {wayland}" if wayland else f"X11 {x11}")
-    return DoctorCheck(
-        "display",
-        True,
-        "none: no window can be opened",
-        "Work without one ('make demo', 'touchdown stack'), or log in to a desktop.",
-    )
+    fix = "Work without one ('make demo', 'touchdown stack'), or log in to a desktop."
+    return DoctorCheck("display", True, "none: no window can be opened", fix)
 
 
 def check_cameras(folder: Path = CAMERAS) -> DoctorCheck:
     """Check for tactile cameras by their stable names (index 0; index 1 is metadata)."""
-    found = sorted(path.name for path in folder.glob("*-index0")) if folder.is_dir() else []
-    if found:
-        return DoctorCheck("cameras", True, ", ".join(found))
-    return DoctorCheck(
-        "cameras",
-        True,
-        "none connected (the simulated bench needs none)",
-        "Connect both tactile sensors by USB; add your account to the group 'video'.",
-    )
+    found = [path.name for path in folder.glob("*-index0")] if folder.is_dir() else []
+    fix = "Connect both tactile sensors by USB; add your account to the group 'video'."
+    return _optional_devices("cameras", found, "none connected", fix)
 
 
 def check_serial_ports() -> DoctorCheck:
@@ -94,14 +87,14 @@ def check_serial_ports() -> DoctorCheck:
     from serial.tools import list_ports
 
     found = [f"{port.device} ({port.description})" for port in list_ports.comports()]
+    fix = "Connect the sensor; add your account to the group 'dialout'."
+    return _optional_devices("serial ports", found, "none", fix)
+
+
+def _optional_devices(name: str, found: list[str], absent: str, fix: str) -> DoctorCheck:
     if found:
-        return DoctorCheck("serial ports", True, ", ".join(sorted(found)))
-    return DoctorCheck(
-        "serial ports",
-        True,
-        "none (the simulated bench needs none)",
-        "Connect the sensor; add your account to the group 'dialout'.",
-    )
+        return DoctorCheck(name, True, ", ".join(sorted(found)))
+    return DoctorCheck(name, True, f"{absent} (the simulated bench needs none)", fix)
 
 
 def check_processors() -> DoctorCheck:
@@ -243,9 +236,8 @@ def check_qt_libraries() -> DoctorCheck:
 def check_qt_platform() -> DoctorCheck:
     """Start Qt offscreen in a child process, because a failure aborts."""
     code = (
-        "from PySide6.QtWidgets import QApplication\n"
-        "import sys\n"
-        "sys.stdout.write(QApplication([]).platformName())\n"
+        "import sys; from PySide6.QtWidgets import QApplication; "
+        "sys.stdout.write(QApplication([]).platformName())"
     )
     done = _child(code, {"QT_QPA_PLATFORM": "offscreen"})
     if done is None:
@@ -259,11 +251,8 @@ def check_qt_platform() -> DoctorCheck:
 def check_opencv() -> DoctorCheck:
     """Check for headless OpenCV only; other builds bring a second Qt into the process."""
     name = "opencv-contrib-python-headless"
-    others = [
-        other
-        for other in ("opencv-python", "opencv-contrib-python", "opencv-python-headless")
-        if installed(other) is not None
-    ]
+    unwanted = ("opencv-python", "opencv-contrib-python", "opencv-python-headless")
+    others = [other for other in unwanted if installed(other) is not None]
     if others:
         fix = f"pip uninstall -y {' '.join(others)} && pip install --force-reinstall {name}"
         return DoctorCheck("opencv", False, f"also installed: {', '.join(others)}", fix)
@@ -298,19 +287,11 @@ def check_torch() -> DoctorCheck:
 def check_others() -> DoctorCheck:
     """Check the other required packages."""
     required = (
-        "pyqtgraph",
-        "numpy",
-        "scipy",
-        "pydantic",
-        "rich",
-        "safetensors",
-        "zstandard",
-        "pyserial",
-    )
-    absent = [name for name in required if installed(name) is None]
-    if absent:
-        detail = f"missing: {', '.join(absent)}"
-        return DoctorCheck("packages", False, detail, f"pip install {' '.join(absent)}")
+        "pyqtgraph", "numpy", "scipy", "pydantic", "rich", "safetensors", "zstandard", "pyserial",
+    )  # fmt: skip
+    if absent := [name for name in required if installed(name) is None]:
+        fix = f"pip install {' '.join(absent)}"
+        return DoctorCheck("packages", False, f"missing: {', '.join(absent)}", fix)
     listed = ", ".join(f"{name} {installed(name)}" for name in required)
     return DoctorCheck("packages", True, listed)
 
@@ -355,45 +336,36 @@ def lab_checks(path: Path) -> Iterator[Callable[[], DoctorCheck]]:
     lab = load_lab(path)
     settings = lab.settings
     yield partial(DoctorCheck, "lab file", True, f"{settings.name} ({settings.kind}), {path}")
-    yield partial(_check_placeholders, path)
-    yield partial(_check_fingers, path)
+    yield partial(_check_placeholders, settings)
+    yield partial(_check_fingers, lab)
     findings = examine_devices(settings)
+
+    def next_device() -> DoctorCheck:
+        found = next(findings)
+        return DoctorCheck(found.device, found.ok, found.detail, found.fix)
+
     for _ in DEVICES:
-        yield partial(_next_device, findings)
+        yield next_device
 
 
-def _check_placeholders(path: Path) -> DoctorCheck:
+def _check_placeholders(settings: LabSettings) -> DoctorCheck:
     from touchdown.backend.cli.bench import placeholders
-    from touchdown.backend.config import load_lab
 
-    settings = load_lab(path).settings
     names = placeholders(settings) if settings.kind == "hardware" else []
     if not names:
         return DoctorCheck("made up", True, "nothing")
     return DoctorCheck("made up", True, ", ".join(names), "Enter the values of the lab.")
 
 
-def _check_fingers(path: Path) -> DoctorCheck:
+def _check_fingers(lab: Lab) -> DoctorCheck:
     from touchdown.backend.bench import find_camera_conflicts
-    from touchdown.backend.config import load_lab
 
-    told = find_camera_conflicts(load_lab(path))
+    told = find_camera_conflicts(lab)
     if not told:
         return DoctorCheck("cameras", True, "at the fingers of the lab file, as far as known")
     what, _, fix = next(iter(told.values())).partition(". ")
     return DoctorCheck("cameras", True, what, f"{fix}.")
 
-
-def _next_device(findings: Iterator[object]) -> DoctorCheck:
-    from touchdown.backend.rig import DeviceFinding
-
-    found = next(findings)
-    assert isinstance(found, DeviceFinding)
-    return DoctorCheck(found.device, found.ok, found.detail, found.fix)
-
-
-NAME = "doctor"
-HELP = "check this computer, each finding with its fix"
 
 EXAMINATIONS: tuple[CheckFunction, ...] = (
     check_python,
@@ -448,24 +420,12 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
         for look in looks:
             checks.append(look())
             advance(len(checks), checks[-1].name)
-    screen.show(findings_table(checks))
+    rows = ((Text(c.word, COLOURS[c.word]), c.name, c.detail, c.fix) for c in checks)
+    screen.table("touchdown doctor", ("", "check", "found", "what to do"), *rows)
     failed = [check for check in checks if not check.ok]
     screen.say("Everything required is present." if not failed else f"{len(failed)} to fix.")
-    screen.result(
-        {"checks": [{"name": c.name, "ok": c.ok, "detail": c.detail, "fix": c.fix} for c in checks]}
-    )
+    screen.result({"checks": [asdict(check) for check in checks]})
     return 1 if failed else 0
-
-
-def findings_table(checks: list[DoctorCheck]) -> Table:
-    """Return the table of findings."""
-    table = Table(title="touchdown doctor", show_lines=False)
-    for column in ("", "check", "found", "what to do"):
-        table.add_column(column, overflow="fold")
-    for check in checks:
-        word = Text(check.word, style=COLOURS[check.word])
-        table.add_row(word, check.name, check.detail, check.fix)
-    return table
 
 
 def _run_check(look: CheckFunction) -> DoctorCheck:

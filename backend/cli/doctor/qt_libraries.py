@@ -30,20 +30,13 @@ PACKAGES = {
     "libX11.so.6": "libx11-6",
     "libX11-xcb.so.1": "libx11-xcb1",
     "libxcb.so.1": "libxcb1",
-    "libxcb-cursor.so.0": "libxcb-cursor0",
-    "libxcb-icccm.so.4": "libxcb-icccm4",
-    "libxcb-image.so.0": "libxcb-image0",
-    "libxcb-keysyms.so.1": "libxcb-keysyms1",
-    "libxcb-randr.so.0": "libxcb-randr0",
-    "libxcb-render.so.0": "libxcb-render0",
-    "libxcb-render-util.so.0": "libxcb-render-util0",
-    "libxcb-shape.so.0": "libxcb-shape0",
-    "libxcb-shm.so.0": "libxcb-shm0",
-    "libxcb-sync.so.1": "libxcb-sync1",
-    "libxcb-util.so.1": "libxcb-util1",
-    "libxcb-xfixes.so.0": "libxcb-xfixes0",
-    "libxcb-xkb.so.1": "libxcb-xkb1",
 }
+
+XCB = (
+    "cursor.so.0 icccm.so.4 image.so.0 keysyms.so.1 randr.so.0 render.so.0 "
+    "render-util.so.0 shape.so.0 shm.so.0 sync.so.1 util.so.1 xfixes.so.0 xkb.so.1"
+)
+PACKAGES |= {f"libxcb-{name}": f"libxcb-{name.replace('.so.', '')}" for name in XCB.split()}
 
 
 def missing_in(report: str) -> list[str]:

@@ -219,7 +219,6 @@ def train_fused(
 
 
 def _rules(screen: VerbOutput, store: JobStore, asked: list[JobSpec]) -> list[dict[str, Any]]:
-    """Print and return the outcomes of the finished trials under every rule."""
     trials = [t for spec in asked if store.has(spec.id) for t in store.result(spec.id)["trials"]]
     if not trials:
         return []
@@ -229,9 +228,6 @@ def _rules(screen: VerbOutput, store: JobStore, asked: list[JobSpec]) -> list[di
     return found
 
 
-NAME = "experiment"
-HELP = "measure the paper's three tables on the simulated bench, or strategies beyond it"
-JSON_VERSION = 1
 EXECUTORS = ("serial", "local", "dask")
 
 
@@ -317,7 +313,7 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     require_positive(args, "workers")
     if args.what in ("report", "gap"):
         way = rewrite_report if args.what == "report" else write_gap
-        screen.result({"version": JSON_VERSION, **way(args, screen)})
+        screen.result({**way(args, screen)})
         return 0
     # Read before the first job, to report a wrong file early.
     other = None if args.against is None else read_report(args.against)[0]
@@ -328,7 +324,7 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     if args.what in ("fused", *EVALUATIONS):
         asked = train_fused if args.what == "fused" else run_evaluation
         answer = asked(args, screen, store, lambda j, e: _run_jobs(j, e, args, screen, store))
-        screen.result({"version": JSON_VERSION, **answer})
+        screen.result({**answer})
         return 1 if answer["failed"] else 0
     recipe = _recipe(args, store)
     jobs = recipe.jobs()
@@ -346,7 +342,6 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
         compare_tables(answer, other, args.against, screen)
     screen.result(
         {
-            "version": JSON_VERSION,
             "page": str(page),
             "jobs": len(jobs),
             "missing": missing,
@@ -385,7 +380,6 @@ def _run_jobs(
 
 
 def _run_beyond(args: argparse.Namespace, screen: VerbOutput, store: JobStore) -> int:
-    """Compare strategies; write ``beyond.json`` with all finished results."""
     plan = _comparison_of(args, store)
     jobs = plan.jobs()
     failed = _run_jobs(jobs, plan.effort, args, screen, store)
@@ -395,7 +389,7 @@ def _run_beyond(args: argparse.Namespace, screen: VerbOutput, store: JobStore) -
         path = write_comparison(args.out, answer)
     for sheet in comparison_tables(answer):
         screen.table(sheet.title, *sheet.texts())
-    screen.result({"version": JSON_VERSION, "file": str(path), "jobs": len(jobs),
+    screen.result({"file": str(path), "jobs": len(jobs),
                    "missing": missing, "failed": failed, "beyond": answer})  # fmt: skip
     return 1 if failed else 0
 
@@ -475,7 +469,6 @@ def _executor(args: argparse.Namespace, store: JobStore, tell: Callable[[str], N
 
 
 def _job_name(spec: JobSpec) -> str:
-    """Return a short description of a job."""
     p = spec.params
     over = "+".join(p["bottoms"]) if "bottoms" in p else p.get("bottom", "")
     training = p.get("training", {}).get("modality", "")

@@ -34,6 +34,11 @@ def brisk_settings(preset: str = "mixed", rate_hz: float = RATE_HZ) -> Simulatio
     return SimulationSettings.model_validate(given)
 
 
+def on(session, kind, act) -> None:
+    """Call ``act`` with each event of ``kind``."""
+    session.events.subscribe(lambda event: act(event) if isinstance(event, kind) else None)
+
+
 def brisk_bench(
     preset: str = "mixed", rate_hz: float = RATE_HZ, faults: tuple[str, ...] = ()
 ) -> SimulatedBenchChoice:

@@ -12,7 +12,6 @@ from argparse import ArgumentParser
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -342,36 +341,29 @@ def test_coverage_is_drawn_with_y_up() -> None:
 
 
 @pytest.fixture
-def folder_dataset(tmp_path: Path) -> Path:
-    folder_dataset = tmp_path / "data"
-    with Dataset.open(folder_dataset) as dataset:
+def data_set(tmp_path: Path) -> Path:
+    data_set = tmp_path / "data"
+    with Dataset.open(data_set) as dataset:
         context = context_for(dataset)
         for seed in range(3):
             dataset.record(small_episode(seed=seed), Label(seed, 0, 0, 1), source="commanded",
                            context=context)  # fmt: skip
-    return folder_dataset
+    return data_set
 
 
-@pytest.fixture
-def say(capfd: pytest.CaptureFixture[str]) -> Any:
-    def call(*words: str) -> tuple[int, dict[str, Any]]:
-        capfd.readouterr()
-        code = main([*words, "--json"])
-        out, err = capfd.readouterr()
-        answer: dict[str, Any] = json.loads(out or err)
-        return code, answer
-
-    return call
+def first_file(data_set: Path) -> Path:
+    return sorted((data_set / "raw").rglob("*.mcap"))[0]
 
 
-def first_file(folder_dataset: Path) -> Path:
-    return sorted((folder_dataset / "raw").rglob("*.mcap"))[0]
+def flip_a_bit(path):
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 4
+    path.write_bytes(data)
 
 
-def test_status_counts_by_pair_and_state(folder_dataset: Path, say: Any) -> None:
-    code, answer = say("dataset", "--dataset", str(folder_dataset))
-    assert code == 0
-    assert answer["episodes"] == 3
+def test_status_counts_by_pair_and_state(data_set, say) -> None:
+    code, answer = say("dataset", "--dataset", data_set)
+    assert (code, answer["episodes"]) == (0, 3)
     assert answer["pairs"] == [
         {"piece": "pot", "bottom": "circle15", "state": "draft", "episodes": 3}
     ]
@@ -380,84 +372,76 @@ def test_status_counts_by_pair_and_state(folder_dataset: Path, say: Any) -> None
     assert (campaign["uuid"], campaign["episodes"], campaign["done"]) == ("campaign-1", 3, 1)
 
 
-def test_the_usual_dataset_is_that_of_the_data_folder(folder_dataset, say, monkeypatch) -> None:
-    monkeypatch.setenv("TOUCHDOWN_DATA", str(folder_dataset.parent))
-    folder_dataset.rename(folder_dataset.parent / "dataset")
+def test_the_usual_dataset_is_that_of_the_data_folder(data_set, say, monkeypatch) -> None:
+    monkeypatch.setenv("TOUCHDOWN_DATA", str(data_set.parent))
+    data_set.rename(data_set.parent / "dataset")
     assert say("dataset")[1]["episodes"] == 3
     assert say("doctor", "--dataset")[0] == 0
 
 
-def test_doctor_reports_and_changes_nothing(folder_dataset: Path, say: Any) -> None:
-    assert say("doctor", "--dataset", str(folder_dataset)) == (
-        0, say("doctor", "--dataset", str(folder_dataset))[1],
-    )  # fmt: skip
-    path = first_file(folder_dataset)
+def test_doctor_reports_and_changes_nothing(data_set, say) -> None:
+    before = say("doctor", "--dataset", data_set)
+    assert before[0] == 0
+    assert say("doctor", "--dataset", data_set) == before
+    path = first_file(data_set)
     path.write_bytes(path.read_bytes()[:-50])
     for _ in range(2):
-        code, answer = say("doctor", "--dataset", str(folder_dataset))
+        code, answer = say("doctor", "--dataset", data_set)
         assert code == 1
         assert [f["kind"] for f in answer["findings"]] == ["torn"]
     assert path.exists()
 
 
-def test_verify_reads_every_byte_and_notes_damage(folder_dataset: Path, say: Any) -> None:
-    assert say("dataset", "verify", "--dataset", str(folder_dataset))[0] == 0
-    path = first_file(folder_dataset)
-    data = bytearray(path.read_bytes())
-    data[len(data) // 2] ^= 4
-    path.write_bytes(data)
-    code, answer = say("dataset", "verify", "--dataset", str(folder_dataset))
-    assert code == 1
-    assert [f["kind"] for f in answer["findings"]] == ["damaged"]
-    assert say("dataset", "--dataset", str(folder_dataset))[1]["files"] == {
-        "complete": 2,
-        "damaged": 1,
-    }
+def test_verify_reads_every_byte_and_notes_damage(data_set, say) -> None:
+    assert say("dataset", "verify", "--dataset", data_set)[0] == 0
+    path = first_file(data_set)
+    flip_a_bit(path)
+    code, answer = say("dataset", "verify", "--dataset", data_set)
+    assert (code, [f["kind"] for f in answer["findings"]]) == (1, ["damaged"])
+    assert say("dataset", "--dataset", data_set)[1]["files"] == {"complete": 2, "damaged": 1}
 
 
-def test_verify_looks_only_while_another_program_writes(folder_dataset: Path, say: Any) -> None:
-    path = first_file(folder_dataset)
-    with Dataset.open(folder_dataset, person="ann") as dataset:
-        code, answer = say("dataset", "verify", "--dataset", str(folder_dataset))
+def test_verify_looks_only_while_another_program_writes(data_set, say) -> None:
+    path = first_file(data_set)
+    with Dataset.open(data_set, person="ann") as dataset:
+        code, answer = say("dataset", "verify", "--dataset", data_set)
         assert (code, answer["findings"], answer["noted"]) == (0, [], False)
-        data = bytearray(path.read_bytes())
-        data[len(data) // 2] ^= 4
-        path.write_bytes(data)
-        code, answer = say("dataset", "verify", "--dataset", str(folder_dataset))
+        flip_a_bit(path)
+        code, answer = say("dataset", "verify", "--dataset", data_set)
         assert (code, [f["kind"] for f in answer["findings"]]) == (1, ["damaged"])
         assert {e.file_state for e in dataset.episodes()} == {"complete"}
         dataset.labels.set("ann", dataset.episodes()[1].uuid, Label(9, 9, 0, 1))
 
 
-def test_back_up_and_restore(folder_dataset: Path, say: Any) -> None:
-    code, answer = say("dataset", "backup", "--dataset", str(folder_dataset))
+def test_back_up_and_restore(data_set, say) -> None:
+    code, answer = say("dataset", "backup", "--dataset", data_set)
     assert code == 0
     copy = Path(answer["backup"])
-    assert copy == list_backups(folder_dataset / "backup")[0].path
+    assert copy == list_backups(data_set / "backup")[0].path
     kept = copy.read_bytes()
-    with Dataset.open(folder_dataset) as dataset:
+    with Dataset.open(data_set) as dataset:
         uuid = dataset.episodes()[0].uuid
         dataset.labels.set("ann", uuid, Label(77, 0, 0, 1))
-    keep = folder_dataset.parent / "keep.db"
+    keep = data_set.parent / "keep.db"
     keep.write_bytes(kept)
-    code, answer = say("dataset", "restore", str(keep), "--dataset", str(folder_dataset))
+    code, answer = say("dataset", "restore", str(keep), "--dataset", data_set)
     assert code == 0
     assert any("replayed" in notice for notice in answer["notices"])
-    with Dataset.open(folder_dataset) as dataset:
+    with Dataset.open(data_set) as dataset:
         assert dataset.labels.head(uuid).label.x_um == 77
 
 
-def test_rebuild_compares_and_replaces(folder_dataset: Path, say: Any) -> None:
-    code, answer = say("dataset", "rebuild", "--dataset", str(folder_dataset))
+def test_rebuild_compares_and_replaces(data_set, say) -> None:
+    code, answer = say("dataset", "rebuild", "--dataset", data_set)
     assert (code, answer["equal"], answer["replaced"]) == (0, True, False)
     assert answer["rows"]["episode"] == 3
-    (folder_dataset / "catalog.db").write_bytes(b"gone")
-    code, answer = say("dataset", "rebuild", "--dataset", str(folder_dataset))
+    (data_set / "catalog.db").write_bytes(b"gone")
+    code, answer = say("dataset", "rebuild", "--dataset", data_set)
     assert code == 2
     assert "--replace" in answer["error"]["fix"]
-    code, answer = say("dataset", "rebuild", "--replace", "--dataset", str(folder_dataset))
+    code, answer = say("dataset", "rebuild", "--replace", "--dataset", data_set)
     assert (code, answer["replaced"]) == (0, True)
-    assert say("dataset", "--dataset", str(folder_dataset))[1]["episodes"] == 3
+    assert say("dataset", "--dataset", data_set)[1]["episodes"] == 3
 
 
 @pytest.mark.parametrize(
@@ -465,13 +449,13 @@ def test_rebuild_compares_and_replaces(folder_dataset: Path, say: Any) -> None:
     [["dataset", "restore"], ["dataset", "verify", "x.db"], ["dataset", "burn"],
      ["dataset", "restore", "none.db"]],
 )  # fmt: skip
-def test_bad_words_are_refused(folder_dataset: Path, say: Any, words: list[str]) -> None:
-    code, answer = say(*words, "--dataset", str(folder_dataset))
+def test_bad_words_are_refused(data_set, say, words: list[str]) -> None:
+    code, answer = say(*words, "--dataset", data_set)
     assert code == 2
     assert answer["error"]["fix"]
 
 
-def test_no_dataset_says_so(tmp_path: Path, say: Any) -> None:
+def test_no_dataset_says_so(tmp_path, say) -> None:
     for words in (["dataset"], ["dataset", "verify"], ["dataset", "rebuild"],
                   ["doctor", "--dataset", str(tmp_path)]):  # fmt: skip
         extra = [] if words[0] == "doctor" else ["--dataset", str(tmp_path)]

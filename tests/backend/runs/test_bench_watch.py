@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.backend.bench.brisk import brisk_bench
+from tests.backend.bench.brisk import brisk_bench, on
 from tests.backend.devices.waiting import until
 from touchdown.backend.bench.assembly import simulated_session
 from touchdown.backend.core import scheduling as doings
@@ -155,9 +155,7 @@ def test_who_waits_for_a_lock_that_others_hold_over_a_disk_says_so():
 def test_a_deadlock_of_the_thread_of_the_bench_is_a_fault_and_told_again_after_a_reset():
     session, facts, over = simulated_session(brisk_bench("quiet")), [], threading.Event()
     session.prepare(SceneChoice())
-    session.events.subscribe(
-        lambda fact: facts.append(fact) if isinstance(fact, FaultRaised) else 0
-    )
+    on(session, FaultRaised, facts.append)
     session.advance = over.wait
     session.open()
     until(lambda: facts)

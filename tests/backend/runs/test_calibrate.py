@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.backend.bench.brisk import on
 from tests.backend.runs.blind_bench import BRISK, BlindBench
 from touchdown.backend.bench.assembly import SimulatedBenchChoice, simulated_session
 from touchdown.backend.calibration.cameras import FINGERPRINT_VALUES
@@ -285,9 +286,7 @@ def test_pressing_at_the_rim_tells_how_the_cameras_sit(monkeypatch) -> None:
     )
     session.interlock.limits = Limits(contact_speed_mm_s=4.0)
     told = []
-    session.events.subscribe(
-        lambda f: told.append(f) if isinstance(f, CalibrationMeasured) else None
-    )
+    on(session, CalibrationMeasured, told.append)
     session.run(CalibrateRequest("camera", seed=2))
     session.close()
     (found,) = told

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.backend.bench.brisk import brisk_bench, brisk_method
+from tests.backend.bench.brisk import brisk_bench, brisk_method, on
 from tests.backend.runs.oracle_bench import OracleSession, request
 from tests.backend.runs.test_event_log import last_trial
 from tests.backend.runs.test_requests import hold, order, position
@@ -147,7 +147,6 @@ def test_cameras_are_kept_as_they_sit_whatever_the_settings_were(tmp_path) -> No
     gels_px = tuple(np.concatenate([px.ravel() for px in shown]).tolist())
     accept_calibration(store, replace(SEEN, gels_px=gels_px).to_event(0.0, "camera"), devices)
     record = store.status("camera", {}).record
-    assert record is not None
     # The fingerprints go with their cameras, and are those of the raw pictures.
     for name, gel in (("tactile_left", "B"), ("tactile_right", "A")):
         np.testing.assert_allclose(numbers_to_dots(record.file.gels[name]), at_px[gel], atol=1e-3)
@@ -190,14 +189,11 @@ def test_everything_else_begins_without_them(tmp_path) -> None:
 def test_a_simulated_bench_uses_what_it_has_and_its_episodes_say_so(tmp_path) -> None:
     session = simulated_session(SimulatedBenchChoice(preset="off"), keep=RecordingOptions(None))
     recorded = []
-    session.events.subscribe(
-        lambda f: recorded.append(f) if isinstance(f, EpisodeRecorded) else None
-    )
+    on(session, EpisodeRecorded, recorded.append)
     session.prepare(SceneChoice(estimates=False))
     store = session.calibrations = filled(tmp_path, session.devices, "simulated")
     session.prepare(SceneChoice(estimates=False))
     payload = payload_wrench(store, session.devices)
-    assert payload is not None
     # Weight down; its arm turns the hand as the cross product says.
     force = np.array([0.0, 0.0, -1.5 * 9.80665])
     np.testing.assert_allclose(payload, [*force, *np.cross([0.002, -0.001, 0.0], force)])
@@ -207,7 +203,6 @@ def test_a_simulated_bench_uses_what_it_has_and_its_episodes_say_so(tmp_path) ->
     told = dict(recorded[0].episode.metadata)
     for what in CALIBRATION_NAMES:
         standing = store.status(what, device_names(session.devices))
-        assert standing.record is not None
         assert told[f"calibration_{what}"] == standing.record.sha256
 
 
@@ -251,15 +246,12 @@ def test_a_lab_of_hardware_refuses_to_stack_and_looks_beside_its_file(
     path = tmp_path / "lab.toml"
     path.write_text(template.read_text(encoding="utf-8"))
     monkeypatch.setattr(BenchConnection, "missing", lambda _self: ())
-    session = lab_session(LabChoice(path), keep=RecordingOptions(None))
-    try:
+    with lab_session(LabChoice(path), keep=RecordingOptions(None)) as session:
         with pytest.raises(RefusedError, match=r"Payload: never calibrated.*calibrate payload"):
             session.start(StackRequest(mode="approve"))
         filled(tmp_path / "calibrations", {})
         session.start(StackRequest(mode="approve"))
         assert session.engine.busy
-    finally:
-        session.close()
 
 
 MOST_S = 40.0
@@ -355,7 +347,6 @@ def test_after_the_piece_was_let_go_a_probe_says_that_and_what_to_do() -> None:
     session.prepare(SceneChoice(estimates=False))
     facts: list[Event] = []
     session.events.subscribe(facts.append)
-    assert session.hand is not None
     for command in (lambda hand: hand.grip(8.0), lambda hand: hand.open(confirmed=True)):
         command(session.hand)
         session.advance()

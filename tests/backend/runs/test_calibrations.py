@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.backend.bench.brisk import brisk_bench, brisk_method
+from tests.backend.bench.brisk import brisk_bench, brisk_method, on
 from tests.backend.runs.blind_bench import BlindBench
 from tests.backend.runs.gel_bench import LOOKS, Gel, GelBench
 from tests.backend.runs.oracle_bench import Oracle, OracleSession, request
@@ -56,12 +56,7 @@ from touchdown.backend.geometry.pieces import load_pieces
 from touchdown.backend.runs import touch_probing
 from touchdown.backend.runs.bench import PendingDecision
 from touchdown.backend.runs.calibrate import measure_board
-from touchdown.backend.runs.calibrations import (
-    DriftMonitor,
-    DriftScene,
-    GelCheck,
-    contact_height_mm,
-)
+from touchdown.backend.runs.calibrations import DriftMonitor, GelCheck, contact_height_mm
 from touchdown.backend.runs.campaign import Campaign
 from touchdown.backend.runs.collector import (
     BottomOrigin,
@@ -105,7 +100,6 @@ def test_a_wrong_prior_is_put_right_by_the_board(tmp_path, monkeypatch):
         return skewed[0]
 
     blind = BlindBench(request.scene(), "off", arm=skew)
-    assert blind.bench.jig is not None
     jig_mm = [blind.bench.jig.x_mm, blind.bench.jig.y_mm, blind.bench.jig.z_mm]
     jig = Pose(*skewed[0].believed(np.array(jig_mm)).tolist())
     blind.bench = replace(blind.bench, jig=jig)
@@ -127,7 +121,6 @@ def test_a_wrong_prior_is_put_right_by_the_board(tmp_path, monkeypatch):
     assert misses["not"][1] > 0.4
     # Of another bottom it says nothing; with another piece, nothing of the height.
     assert placed.origin((0.0, 0.0), 0.2, "short") == UNCALIBRATED.origin((0.0, 0.0), 0.2, "short")
-    assert placed.board is not None
     assert not placed.board.is_of("barrel", "square15")
     # The guard of the arm goes by the height that was felt, of this piece on this bottom alone.
     pot = blind.bench.piece
@@ -240,8 +233,10 @@ class Bench:
         self.now_s, self.force_n, self.told = 0.0, -15.0, list[Noticed]()
         self.at, self.grip = Pose(0.0, 0.0, SURFACE_MM + 3.0), GripStatus(24.0, 10.0, True)
         self._rng = np.random.default_rng(3)
-        place = DriftScene(lambda: self.now_s, self, self, lambda: SURFACE_MM)  # type: ignore[arg-type]
-        self._teller = DriftMonitor(place, self.sensing, self.told.append)  # type: ignore[arg-type]
+        scene = SimpleNamespace(
+            now_s=lambda: self.now_s, arm=self, gripper=self, sensing=self.sensing
+        )
+        self._teller = DriftMonitor(scene, lambda: SURFACE_MM, self.told.append)
 
     def pose(self, _max_age_s: float) -> Pose:
         return self.at
@@ -262,45 +257,45 @@ class Bench:
 
 
 @pytest.fixture
-def bench_drifting() -> Bench:
+def drifting() -> Bench:
     made = Bench()
     made.go(8.0)
     assert made.sensing.drift.moved_n < 0.1
     return made
 
 
-def test_a_drift_in_still_air_is_told_once_before_it_reaches_1_n(bench_drifting: Bench) -> None:
-    bench_drifting.go(18.0, 0.05)
-    (told,) = bench_drifting.told
+def test_a_drift_in_still_air_is_told_once_before_it_reaches_1_n(drifting: Bench) -> None:
+    drifting.go(18.0, 0.05)
+    (told,) = drifting.told
     assert told.fault.code == "FT-DRIFT"
     assert 0.45 < 0.05 * (told.t_s - 8.0) < 0.8
     assert "Zero it in air (Z)" in told.text
 
 
 @pytest.mark.promise("S8")
-def test_what_creeps_in_contact_is_no_drift_however_long(bench_drifting: Bench) -> None:
-    bench_drifting.at = replace(bench_drifting.at, z_mm=SURFACE_MM + 0.2)
-    bench_drifting.force_n += 8.0
-    bench_drifting.go(40.0, -0.05)
-    bench_drifting.at = replace(bench_drifting.at, z_mm=SURFACE_MM + 3.0)
-    bench_drifting.force_n = -15.0
-    bench_drifting.go(3.0)
-    assert bench_drifting.told == []
-    assert bench_drifting.sensing.drift.moved_n < 0.1
+def test_what_creeps_in_contact_is_no_drift_however_long(drifting: Bench) -> None:
+    drifting.at = replace(drifting.at, z_mm=SURFACE_MM + 0.2)
+    drifting.force_n += 8.0
+    drifting.go(40.0, -0.05)
+    drifting.at = replace(drifting.at, z_mm=SURFACE_MM + 3.0)
+    drifting.force_n = -15.0
+    drifting.go(3.0)
+    assert drifting.told == []
+    assert drifting.sensing.drift.moved_n < 0.1
 
 
-def test_a_hand_that_turns_or_takes_another_piece_begins_anew(bench_drifting: Bench) -> None:
-    bench_drifting.go(10.0, 0.1, turn_rad_s=0.01)
-    bench_drifting.at = replace(bench_drifting.at, rx_rad=0.0)
-    bench_drifting.go(3.0)
-    bench_drifting.force_n += 1.0
-    bench_drifting.grip = GripStatus(float("nan"), 0.0, False)
-    bench_drifting.go(3.0)
-    bench_drifting.force_n -= 0.2
-    bench_drifting.grip = GripStatus(18.0, 10.0, True)
-    bench_drifting.go(3.0)
-    assert bench_drifting.told == []
-    assert bench_drifting.sensing.drift.moved_n < 0.15
+def test_a_hand_that_turns_or_takes_another_piece_begins_anew(drifting: Bench) -> None:
+    drifting.go(10.0, 0.1, turn_rad_s=0.01)
+    drifting.at = replace(drifting.at, rx_rad=0.0)
+    drifting.go(3.0)
+    drifting.force_n += 1.0
+    drifting.grip = GripStatus(float("nan"), 0.0, False)
+    drifting.go(3.0)
+    drifting.force_n -= 0.2
+    drifting.grip = GripStatus(18.0, 10.0, True)
+    drifting.go(3.0)
+    assert drifting.told == []
+    assert drifting.sensing.drift.moved_n < 0.15
 
 
 def test_the_simulated_sensor_drifts_on_demand_and_its_probe_keeps_how_far() -> None:
@@ -308,10 +303,8 @@ def test_the_simulated_sensor_drifts_on_demand_and_its_probe_keeps_how_far() -> 
         brisk_bench("quiet", faults=("force_torque:drift=0.09@0.5",)), method=brisk_method()
     )
     told, episodes = list[Noticed](), list[EpisodeRecorded]()
-    session.events.subscribe(lambda f: told.append(f) if isinstance(f, Noticed) else None)
-    session.events.subscribe(
-        lambda f: episodes.append(f) if isinstance(f, EpisodeRecorded) else None
-    )
+    on(session, Noticed, told.append)
+    on(session, EpisodeRecorded, episodes.append)
     session.prepare(SceneChoice("pot", ("short",)))
     while session.clock_s() < 9.0 and not told:
         session.advance()
@@ -343,11 +336,7 @@ def test_nobody_draws_beside_a_decision(monkeypatch: pytest.MonkeyPatch) -> None
     session, after = bench.session, []
     session.repaint_hold = RepaintHold(lambda: 0.0)
 
-    def choose(fact: Event) -> None:
-        if isinstance(fact, ActionChosen):
-            after.append(session.repaint_hold.on)
-
-    session.events.subscribe(choose)
+    on(session, ActionChosen, lambda _: after.append(session.repaint_hold.on))
     asked: list[bool] = []
     answer = Oracle.estimate
 
@@ -367,7 +356,7 @@ LEFT = LOOKS["left"]
 
 
 @pytest.fixture
-def bench_gel_check(tmp_path):
+def fitted(tmp_path):
     made = GelBench(tmp_path, FINE)
     made.calibrate()
     yield made
@@ -379,73 +368,68 @@ def drawn(rest_px) -> Gel:
 
 
 @pytest.mark.promise("C6")
-def test_the_same_gels_are_accepted_in_other_light_and_as_a_setting_mirrors_them(bench_gel_check):
-    bench_gel_check.gels = {"left": Gel(LEFT, 90, (1.2, -0.8), 0.9), "right": FINE["right"]}
-    assert bench_gel_check.connect() == {}
-    bench_gel_check.mirror = "y"
-    assert bench_gel_check.connect() == {}
-    assert bench_gel_check.connection.ready
+def test_the_same_gels_are_accepted_in_other_light_and_as_a_setting_mirrors_them(fitted):
+    fitted.gels = {"left": Gel(LEFT, 90, (1.2, -0.8), 0.9), "right": FINE["right"]}
+    assert fitted.connect() == {}
+    fitted.mirror = "y"
+    assert fitted.connect() == {}
+    assert fitted.connection.ready
 
 
 @pytest.mark.promise("C6")
-def test_gels_that_changed_places_are_refused_and_whose_they_are_is_said(bench_gel_check):
-    bench_gel_check.gels = {"left": FINE["right"], "right": FINE["left"]}
-    bench_gel_check.log.clear()
-    found = bench_gel_check.faults()
+def test_gels_that_changed_places_are_refused_and_whose_they_are_is_said(fitted):
+    fitted.gels = {"left": FINE["right"], "right": FINE["left"]}
+    fitted.log.clear()
+    found = fitted.faults()
     assert {fault.code for fault in found.values()} == {"GEL-OTHER"}
-    assert bench_gel_check.connection.missing() == ("tactile_left", "tactile_right")
+    assert fitted.connection.missing() == ("tactile_left", "tactile_right")
     assert found["tactile_left"].next_step.startswith("It is the gel of the right finger")
     assert "rms, limit 1" in found["tactile_left"].what
-    assert bench_gel_check.log.index("close tactile_left") < bench_gel_check.log.index(
-        "connect arm"
-    )
+    assert fitted.log.index("close tactile_left") < fitted.log.index("connect arm")
 
 
 @pytest.mark.promise("C6")
-def test_one_other_gel_or_one_turned_round_is_refused_and_the_other_camera_stays(bench_gel_check):
-    bench_gel_check.gels = {**FINE, "left": Gel(LEFT, 5, fitted=other_gel)}
-    found = bench_gel_check.faults()
+def test_one_other_gel_or_one_turned_round_is_refused_and_the_other_camera_stays(fitted):
+    fitted.gels = {**FINE, "left": Gel(LEFT, 5, fitted=other_gel)}
+    found = fitted.faults()
     assert list(found) == ["tactile_left"]
     assert "exchanged" in found["tactile_left"].next_step
     assert "run 'touchdown calibrate camera --accept'" in found["tactile_left"].next_step
     # To follow that, any gel of the right grid can be connected.
-    bench_gel_check.connection.prove = GelCheck(
-        None,
-        bench_gel_check.devices,
-        bench_gel_check.frames,
-        lambda cancel: bench_gel_check.shoot(),
+    fitted.connection.prove = GelCheck(
+        None, fitted.devices, fitted.frames, lambda cancel: fitted.shoot()
     ).prove
-    assert bench_gel_check.connect() == {}
-    bench_gel_check.connection.prove = bench_gel_check.check.prove
+    assert fitted.connect() == {}
+    fitted.connection.prove = fitted.check.prove
     turned = LEFT.rest_px.reshape(7, 9, 2)[::-1] * [1, -1] + [0, 239]
-    bench_gel_check.gels = {**FINE, "left": drawn(turned)}
-    assert "mirrored in y" in bench_gel_check.faults()["tactile_left"].next_step
+    fitted.gels = {**FINE, "left": drawn(turned)}
+    assert "mirrored in y" in fitted.faults()["tactile_left"].next_step
 
 
 @pytest.mark.promise("C6")
-def test_a_held_piece_may_press_the_dots_out_of_their_rest(bench_gel_check):
+def test_a_held_piece_may_press_the_dots_out_of_their_rest(fitted):
     outwards = LEFT.rest_px + 1.5 * np.sign(LEFT.rest_px - [160, 120])
-    bench_gel_check.gels = {"left": drawn(outwards), "right": FINE["left"]}
-    assert bench_gel_check.connect() == {"tactile_left": "GEL-OTHER", "tactile_right": "GEL-OTHER"}
-    bench_gel_check.holding = True
-    assert bench_gel_check.connect() == {"tactile_right": "GEL-OTHER"}
+    fitted.gels = {"left": drawn(outwards), "right": FINE["left"]}
+    assert fitted.connect() == {"tactile_left": "GEL-OTHER", "tactile_right": "GEL-OTHER"}
+    fitted.holding = True
+    assert fitted.connect() == {"tactile_right": "GEL-OTHER"}
 
 
 @pytest.mark.promise("C6")
 def test_a_calibration_without_a_fingerprint_stays_valid_and_says_so(tmp_path):
-    bench_gel_check = GelBench(tmp_path, FINE)
-    bench_gel_check.calibrate(fingerprint=False)
-    standing = bench_gel_check.store.status("camera", {})
+    fitted = GelBench(tmp_path, FINE)
+    fitted.calibrate(fingerprint=False)
+    standing = fitted.store.status("camera", {})
     assert (standing.condition, standing.notice) == ("valid", "no fingerprint of the gels yet")
-    bench_gel_check.gels = {"left": FINE["right"], "right": FINE["left"]}
-    assert bench_gel_check.connect() == {}
-    bench_gel_check.connection.close()
+    fitted.gels = {"left": FINE["right"], "right": FINE["left"]}
+    assert fitted.connect() == {}
+    fitted.connection.close()
 
 
 @pytest.mark.promise("C7")
-def test_a_camera_without_pictures_and_one_of_another_grid_are_named(bench_gel_check):
-    bench_gel_check.gels = {"right": Gel(LOOKS["right"], 6, fitted=small_dots)}
-    found = bench_gel_check.faults()
+def test_a_camera_without_pictures_and_one_of_another_grid_are_named(fitted):
+    fitted.gels = {"right": Gel(LOOKS["right"], 6, fitted=small_dots)}
+    found = fitted.faults()
     assert found["tactile_left"].code == "GEL-UNSEEN"
     assert found["tactile_right"].code == "GEL-GRID"
     assert "8x10 small-dot gel" in found["tactile_right"].what
@@ -505,13 +489,10 @@ def test_a_mug_is_released_with_its_centre_of_mass_over_the_support() -> None:
     bench = OracleSession(preset="quiet")
     bench.session.run(request(piece="mug"))
     (end,) = bench.of(TrialFinished)
-    assert isinstance(end, TrialFinished)
     assert end.outcome is Outcome.PLACED
     probed, judged, chosen = map(bench.of, (EpisodeRecorded, StabilityJudged, ActionChosen))
     assert len(probed) == len(judged) == len(chosen) == end.probes > 1
     for probe, verdict in zip(probed, judged, strict=True):
-        assert isinstance(probe, EpisodeRecorded)
-        assert isinstance(verdict, StabilityJudged)
         off_mm = np.asarray(verdict.stability.centre_mm) - probe.episode.offset_mm
         np.testing.assert_allclose(off_mm, com, atol=1e-9)
     # Face and bottom are discs of 20 mm: the support is a lens, whose edges are theirs.
@@ -571,7 +552,6 @@ def test_a_tare_that_stays_spoilt_ends_the_run_before_a_probe() -> None:
     began = spoil(bench, 40)
     bench.session.run(request(trials=1))
     end = bench.of(TrialFinished)[-1]
-    assert isinstance(end, TrialFinished)
     assert end.outcome is Outcome.ABORTED
     assert [fault.code for fault in bench.session.interlock.faults] == ["TARE-REFUSED"]
     assert approaches(bench) == []

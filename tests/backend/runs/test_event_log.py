@@ -17,7 +17,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from tests.backend.bench.brisk import brisk_method
+from tests.backend.bench.brisk import brisk_method, on
 from tests.backend.runs.oracle_bench import Oracle, OracleSession, request
 from touchdown.backend.annotations import storage
 from touchdown.backend.bench.assembly import SimulatedBenchChoice, simulated_session
@@ -116,8 +116,6 @@ def test_a_full_disk_pauses_the_run_which_goes_on_and_loses_nothing(tmp_path: Pa
     assert {fact.fault.code for fact in pauses} == {"DISK-FULL"}
     assert all("in memory" in fact.fault.consequence for fact in pauses)
     trial, run = told[-2:]
-    assert isinstance(trial, TrialFinished)
-    assert isinstance(run, RunFinished)
     assert (trial.outcome, run.ending) == (Outcome.PLACED, "finished")
     recorded = [fact for fact in told if isinstance(fact, EpisodeRecorded)]
     assert [fact.probe for fact in recorded] == list(range(1, trial.probes + 1))
@@ -134,9 +132,6 @@ def test_what_was_placed_stays_placed_where_nobody_makes_room(tmp_path: Path) ->
     assert stands is True
     assert [type(fact) for fact in told[-4:]] == [Paused, FaultRaised, TrialFinished, RunFinished]
     fault, trial, run = told[-3:]
-    assert isinstance(fault, FaultRaised)
-    assert isinstance(trial, TrialFinished)
-    assert isinstance(run, RunFinished)
     assert str(tmp_path) in fault.fault.next_step
     assert (trial.outcome, run.ending) == (Outcome.PLACED, "failed")
     assert "The episode cannot be written" in run.reason
@@ -174,7 +169,6 @@ def test_a_run_is_refused_below_1_gb_and_pauses_before_the_next_probe_below_half
     assert [state for state, _ in states] == [RunState.PAUSED]
     assert "Only 0.42 GB" in states[0][1]
     end = bench.of(RunFinished)[-1]
-    assert isinstance(end, RunFinished)
     assert end.ending == "cancelled"
     assert "0.42 GB" in end.reason
     assert len(bench.of(EpisodeRecorded)) == 1
@@ -207,12 +201,8 @@ def test_a_journal_without_room_is_held_in_memory_and_written_in_order(
     bench.session.run(request())
     folder = bench.session.run_folder
     bench.session.close()
-    assert folder is not None
     # Before the second probe and at the end: both presses had filled the disk.
-    assert [fact.fault.device for fact in bench.of(Paused) if isinstance(fact, Paused)] == [
-        "store",
-        "store",
-    ]
+    assert [fact.fault.device for fact in bench.of(Paused)] == ["store", "store"]
     assert [encode_event(fact) for fact in read_events(folder)] == [
         encode_event(fact) for fact in bench.facts
     ]
@@ -482,14 +472,11 @@ def test_places_the_piece_and_tells_every_step(whole: OracleSession) -> None:
 def test_the_journal_gives_the_run_back_and_every_episode_is_on_disk(whole: OracleSession) -> None:
     bench = whole
     folder = bench.session.run_folder
-    assert folder is not None
     back = list(read_events(folder))
     assert [type(f) for f in back] == [type(f) for f in bench.facts]
     for fact, oracle in zip(bench.of(EpisodeRecorded), bench.oracles[0].asked, strict=True):
-        assert isinstance(fact, EpisodeRecorded)
         episode = read_episode(folder / "episodes" / fact.path)
         assert episode.observation.tobytes() == oracle.observation.tobytes()
-        assert episode.recording is not None
         assert len(episode.recording.frames) >= 100
 
 
@@ -539,7 +526,7 @@ def test_without_contact_only_a_strategy_that_asks_for_it_presses_elsewhere() ->
     bench = OracleSession(method=brisk_method().model_copy(update=changes))
     bench.session.run(request(strategy="fused"))
     assert last_trial(bench).outcome is Outcome.GAVE_UP
-    moved = [f.phase for f in bench.of(PhaseEntered) if isinstance(f, PhaseEntered)]
+    moved = [f.phase for f in bench.of(PhaseEntered)]
     assert moved.count("approach") == 2
     assert moved.count("shift") == 1
     assert bench.benches[-1].gripper.status().holding
@@ -548,9 +535,7 @@ def test_without_contact_only_a_strategy_that_asks_for_it_presses_elsewhere() ->
     bench.session.run(request())
     assert height_mm(bench) == pytest.approx(began_mm[0], abs=0.05)
     assert last_trial(bench).outcome is Outcome.ABORTED
-    assert "NO-CONTACT" in [
-        f.fault.code for f in bench.of(FaultRaised) if isinstance(f, FaultRaised)
-    ]
+    assert "NO-CONTACT" in [f.fault.code for f in bench.of(FaultRaised)]
     assert not bench.of(EpisodeRecorded)
 
 
@@ -576,7 +561,6 @@ def test_stop_in_every_phase_ends_the_run_and_keeps_the_piece(phase: str) -> Non
     assert last_trial(bench).probes == len(bench.of(PatchEstimated)), "only what was felt counts"
     assert excluding_fault(last_trial(bench), phase) == ""
     end = bench.facts[-1]
-    assert isinstance(end, RunFinished)
     assert end.ending == "stopped"
     world = bench.benches[-1]
     world.advance(20_000)
@@ -595,7 +579,6 @@ def test_cancel_lifts_and_keeps_the_piece() -> None:
     bench.session.run(request())
     assert last_trial(bench).outcome is Outcome.ABORTED
     end = bench.facts[-1]
-    assert isinstance(end, RunFinished)
     assert end.ending == "cancelled"
     assert bench.benches[-1].gripper.status().holding
     pressed_n = bench.session.wrench.latest(bench.session.clock_s(), 1.0)[1][2]
@@ -622,14 +605,12 @@ def test_a_failing_sensor_ends_in_one_clear_fault(fault, code, device, tmp_path)
     assert last_trial(bench).outcome is Outcome.ABORTED
     assert len(faults) == 1
     raised = faults[0]
-    assert isinstance(raised, FaultRaised)
     assert (raised.fault.code, raised.fault.device) == (code, device)
-    phase = [f for f in bench.of(PhaseEntered) if isinstance(f, PhaseEntered)][-1].phase
+    phase = bench.of(PhaseEntered)[-1].phase
     assert excluding_fault(last_trial(bench), phase) == ("" if code == "FT-TRIP" else code)
     for letting_go in ("release", "rise"):
         assert excluding_fault(last_trial(bench), letting_go) == ""
     assert bench.benches[-1].gripper.status().holding
-    assert folder is not None
     assert isinstance(list(read_events(folder))[-1], RunFinished)
 
 
@@ -647,27 +628,24 @@ def test_approve_mode_moves_only_after_a_yes_and_judges_again() -> None:
     bench = OracleSession()
     asked: list[str] = []
 
-    def answer(fact: Event) -> None:
-        if isinstance(fact, ApprovalAwaited):
-            asked.append(fact.action.kind)
-            force = bench.session.wrench.latest(bench.session.clock_s(), 1.0)[1][2]
-            assert abs(force) < 1.0
-            bench.session.answer(True)
+    def answer(fact: ApprovalAwaited) -> None:
+        asked.append(fact.action.kind)
+        force = bench.session.wrench.latest(bench.session.clock_s(), 1.0)[1][2]
+        assert abs(force) < 1.0
+        bench.session.answer(True)
 
-    bench.session.events.subscribe(answer)
+    on(bench.session, ApprovalAwaited, answer)
     bench.session.run(request(mode="approve"))
     assert last_trial(bench).outcome is Outcome.PLACED
     assert asked[-1] == "release"
     assert asked.count("release") == 1
-    chosen = [f.action.kind for f in bench.of(ActionChosen) if isinstance(f, ActionChosen)]
+    chosen = [f.action.kind for f in bench.of(ActionChosen)]
     assert chosen[-2:] == ["release", "release"]
 
 
 def test_a_no_keeps_the_piece() -> None:
     bench = OracleSession()
-    bench.session.events.subscribe(
-        lambda f: bench.session.answer(False) if isinstance(f, ApprovalAwaited) else None
-    )
+    on(bench.session, ApprovalAwaited, lambda _: bench.session.answer(False))
     bench.session.run(request(mode="approve"))
     assert last_trial(bench).outcome is Outcome.ABORTED
     assert bench.benches[-1].gripper.status().holding
@@ -710,7 +688,7 @@ def test_a_verdict_that_comes_too_late_is_not_acted_on(monkeypatch: pytest.Monke
 
     monkeypatch.setattr(Oracle, "estimate", slow)
     bench.session.run(request())
-    chosen = [f.action.kind for f in bench.of(ActionChosen) if isinstance(f, ActionChosen)]
+    chosen = [f.action.kind for f in bench.of(ActionChosen)]
     assert chosen == ["shift", "release", "release"]
     assert len(bench.of(Released)) == 1
     assert last_trial(bench).probes == 3
@@ -757,7 +735,6 @@ def test_a_disk_that_fails_stops_the_run_and_keeps_what_was_written(
     assert [f.code for f in bench.session.interlock.faults] == ["JOURNAL-FAILED"]
     assert last_trial(bench).outcome is Outcome.ABORTED
     assert bench.benches[-1].truth().stands is None
-    assert folder is not None
     assert len(list(read_events(folder))) == after_facts
 
 

@@ -21,7 +21,6 @@ from touchdown.backend.core.faults import Fault, InputError
 from touchdown.backend.devices.protocols import DeviceState
 from touchdown.backend.runs import recorder as store_module
 from touchdown.backend.runs.event_log import read_events
-from touchdown.backend.runs.plan import Wait
 from touchdown.backend.runs.recorder import (
     CLOCK_SET,
     RecordingOptions,
@@ -83,10 +82,9 @@ def test_a_plan_goes_on_waiting_by_steps_until_the_episode_is_written(slow):
     store, done = slow
     plan = wait_until_durable(SimpleNamespace(store=store, real_time=True))
     waiting = next(plan)
-    assert isinstance(waiting, Wait)
     assert not waiting.until()
     done.set()
-    store._pending.result(30.0)
+    store._writer._pending.result(30.0)
     assert waiting.until()
     with pytest.raises(StopIteration) as ended:
         next(plan)

@@ -9,6 +9,7 @@ import threading
 import traceback
 from collections import OrderedDict, deque
 from collections.abc import Callable
+from datetime import UTC, datetime
 from logging.handlers import RotatingFileHandler
 from pathlib import Path
 from types import TracebackType
@@ -138,9 +139,14 @@ _SHOWN = {
 }
 
 
-class _EscapingFormatter(logging.Formatter):
+class _FileFormatter(logging.Formatter):
+    """Writes times in UTC with the offset, so that logs of two time zones can be merged."""
+
     def format(self, record: logging.LogRecord) -> str:
         return super().format(record).translate(_SHOWN)
+
+    def formatTime(self, record: logging.LogRecord, datefmt: str | None = None) -> str:
+        return datetime.fromtimestamp(record.created, UTC).isoformat(timespec="milliseconds")
 
 
 def log_to(folder: Path) -> Path | None:
@@ -153,7 +159,7 @@ def log_to(folder: Path) -> Path | None:
         log.warning("no log file: %s", error)
         return None
     handler.addFilter(RepeatFilter())
-    handler.setFormatter(_EscapingFormatter("%(asctime)s %(levelname)s %(message)s"))
+    handler.setFormatter(_FileFormatter("%(asctime)s %(levelname)s %(message)s"))
     log.addHandler(handler)
     log.setLevel(logging.INFO)
     log.propagate = False

@@ -5,8 +5,9 @@ from __future__ import annotations
 import json
 import logging
 import sys
+import time
 from collections.abc import Iterator
-from datetime import datetime
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
@@ -577,3 +578,15 @@ def test_what_a_terminal_would_obey_is_written_as_its_number(folder: Path) -> No
     log.error("piece %s", "\x1b[2Jcup\r\x07 \u00e4")
     (text,) = [path.read_text() for path in folder.iterdir()]
     assert text.endswith("piece \\x1b[2Jcup\\x0d\\x07 \u00e4\n")
+
+
+def test_the_log_file_has_utc_times_with_their_offset(folder: Path, monkeypatch) -> None:
+    with monkeypatch.context() as patch:
+        patch.setenv("TZ", "Asia/Tokyo")
+        time.tzset()
+        log.warning("hello")
+    time.tzset()
+    stamp, level, text = (folder / "app.log").read_text("utf-8").split(maxsplit=2)
+    at = datetime.fromisoformat(stamp)
+    assert (at.utcoffset(), level, text) == (timedelta(0), "WARNING", "hello\n")
+    assert abs(datetime.now(UTC) - at) < timedelta(minutes=5)

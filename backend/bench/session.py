@@ -491,6 +491,7 @@ class Session:
         bottoms = [self.catalogue.bottom(name) for name in scene.bottom.split("+")]
         self.interlock.untested_release = self.simulated and method.strategy == "pick-and-place"
         self.interlock.renew_lease(scene.now_s())
+        self._recorder.store.started_ns = scene.started_ns
         return replace(
             scene,
             settings=method,
@@ -558,6 +559,7 @@ class Session:
             wrench_late_s=stage.wrench_late_s,
             sensor_height_mm=self.description.sensor_height_mm,
             real_time=stage.real_time,
+            started_ns=time.time_ns() - round(1e9 * now_s()),
         )
         self._hand = ManualControl(scene, self.interlock, around, self.events.publish)
         self._drift = DriftMonitor(scene, surface_mm, self.events.publish)

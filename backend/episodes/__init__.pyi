@@ -1,3 +1,4 @@
+from .episode_file import START_KEY as START_KEY
 from .episode_file import CompressedEpisode as CompressedEpisode
 from .episode_file import CompressedImages as CompressedImages
 from .episode_file import KeepFrames as KeepFrames
@@ -48,6 +49,7 @@ __all__ = [
     "LABEL_TOPIC",
     "MIN_MOUNTINGS",
     "OBSERVATION_TOPIC",
+    "START_KEY",
     "CompressedEpisode",
     "CompressedImages",
     "Coverage",

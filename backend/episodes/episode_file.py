@@ -117,6 +117,7 @@ def decode_image(data: bytes) -> ImageArray:
 
 
 SCHEMA_VERSION = "1"
+START_KEY = "clock_start_ns"  # wall clock at the zero of the bench clock, ns since 1970
 TOPICS = (
     OBSERVATION_TOPIC,
     LABEL_TOPIC,
@@ -144,12 +145,14 @@ def write_episode(
 ) -> None:
     """Write ``episode`` to ``path``; the file is complete and durable, or does not exist.
 
-    Time stamps are those of the bench clock, in ns. ``metadata`` becomes the record ``bench``.
+    Headers hold the bench clock, in ns. Log times are on the wall clock: the bench clock plus
+    ``START_KEY`` of ``metadata``, which becomes the record ``bench``.
     Markers and wrench are stored losslessly, images according to ``keep_frames``. Raises
     ``OSError`` if the disk fails; the episode can then be written again.
     """
     scene = () if episode.recording is None else episode.recording.scene
     with McapWriter(path, (*TOPICS, SCENE_TOPIC) if scene else TOPICS) as writer:
+        writer.start_ns = int(metadata.get(START_KEY, 0))
         for name, values in _metadata(episode, metadata, keep_frames).items():
             writer.add_metadata(name, values)
         blocks = [_observation(writer, episode), *_notes(writer, episode, label)]
@@ -180,7 +183,7 @@ def _metadata(
         },
         "bench": dict(metadata),
         "calibration": {"tare": json.dumps(tare)},
-        "clock": {"utc_minus_monotonic_ns": "0", "method": "bench clock"},
+        "clock": {"utc_minus_monotonic_ns": metadata.get(START_KEY, "0"), "method": "bench clock"},
         "software": {"schema_version": SCHEMA_VERSION, "program": program_stamp()},
         "pairs": {"items": json.dumps(episode.metadata)},
     }
@@ -190,7 +193,9 @@ def _observation(writer: McapWriter, episode: Episode) -> MessageBlock:
     count = len(episode.observation)
     stamps = to_ns(episode.onset_s + TICK_S * np.arange(1, count + 1))
     rows = pack_observation(stamps, episode.observation)
-    return message_rows(writer.channel[OBSERVATION_TOPIC.name], stamps, np.arange(count), rows)
+    return message_rows(
+        writer.channel[OBSERVATION_TOPIC.name], writer.logged(stamps), np.arange(count), rows
+    )
 
 
 def _notes(
@@ -199,7 +204,10 @@ def _notes(
     onset, channel = int(to_ns([episode.onset_s])[0]), writer.channel
     event = {"event": "contact", "t_s": episode.onset_s}
     notes = [(EVENT_TOPIC, event)] + ([] if label is None else [(LABEL_TOPIC, label)])
-    return [message_list(channel[t.name], [onset], [0], [pack_json(note)]) for t, note in notes]
+    return [
+        message_list(channel[t.name], writer.logged([onset]), [0], [pack_json(note)])
+        for t, note in notes
+    ]
 
 
 def _signals(writer: McapWriter, recording: Recording) -> list[MessageBlock]:
@@ -212,7 +220,9 @@ def _signals(writer: McapWriter, recording: Recording) -> list[MessageBlock]:
         if len(t_s):
             stamps = to_ns(t_s)
             channel, sequence = writer.channel[topic.name], np.arange(len(stamps))
-            blocks.append(message_rows(channel, stamps, sequence, pack(stamps, values)))
+            blocks.append(
+                message_rows(channel, writer.logged(stamps), sequence, pack(stamps, values))
+            )
     for finger in FINGERS:
         fields = [field for field in recording.fields if field.finger == finger]
         if fields:
@@ -232,7 +242,7 @@ def _markers(writer: McapWriter, finger: Finger, fields: Sequence[MarkerField]) 
     topic = MARKER_TOPICS[finger]
     rows = pack_markers(stamps, markers, topic.frame_id)
     sequence = np.array([field.sequence for field in fields], dtype=np.int64)
-    return message_rows(writer.channel[topic.name], stamps, sequence, rows)
+    return message_rows(writer.channel[topic.name], writer.logged(stamps), sequence, rows)
 
 
 def _images(writer: McapWriter, recording: Recording, keep: KeepFrames) -> list[MessageBlock]:
@@ -250,7 +260,7 @@ def _images(writer: McapWriter, recording: Recording, keep: KeepFrames) -> list[
         if frames:
             sequence = [frame.sequence for frame in frames]
             channel = writer.channel[topic.name]
-            blocks.append(message_list(channel, stamps, sequence, messages))
+            blocks.append(message_list(channel, writer.logged(stamps), sequence, messages))
     return blocks
 
 

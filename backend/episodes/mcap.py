@@ -22,6 +22,7 @@ from typing import Self
 
 import numpy as np
 import zstandard
+from numpy.typing import ArrayLike
 
 from touchdown.backend.core import InputError, make_folder, sync_folder
 from touchdown.backend.episodes.messages import ByteRows, Times, Topic, schema_text
@@ -383,6 +384,7 @@ class McapWriter:
         self._chunk_indexes: list[bytes] = []
         self._metadata_indexes: list[bytes] = []
         self._span_ns: tuple[int, int] | None = None
+        self.start_ns = 0  # added to the stamps of messages to get their log times
         self._zstd = zstandard.ZstdCompressor(level=1)
         self._crc = 0
         self._file = self.part.open("wb")
@@ -403,6 +405,10 @@ class McapWriter:
     def counts(self) -> dict[str, int]:
         """Messages written per topic."""
         return {name: self._counts[number] for name, number in self.channel.items()}
+
+    def logged(self, stamps_ns: ArrayLike) -> Times:
+        """Return the log times of messages with these stamps."""
+        return np.asarray(stamps_ns, dtype=np.int64) + self.start_ns
 
     def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
         """Append a metadata record."""

@@ -206,6 +206,7 @@ class Bench:
     is the wrist sensor above the grasp pivot, None if unknown. ``below`` is the tower under the
     touched surface as entered, None for a single bottom. ``placed`` holds the calibrated positions
     of board and tool. ``real_time``: time passes by itself, so waits must let the sensors be read.
+    ``started_ns`` is the wall clock at bench time zero, ns since 1970.
     """
 
     now_s: Callable[[], float]
@@ -233,6 +234,7 @@ class Bench:
     below: SupportTower | None = None
     placed: CalibratedPositions = UNCALIBRATED
     real_time: bool = False
+    started_ns: int = 0
 
 
 SCENE_TIMEOUT_S = 120.0  # longest time to set a scene, with emulated devices to start

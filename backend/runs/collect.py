@@ -24,6 +24,7 @@ from touchdown.backend.core import (
     RunStarted,
     Said,
 )
+from touchdown.backend.episodes import START_KEY
 from touchdown.backend.runs.bench import Bench, RunContext
 from touchdown.backend.runs.campaign import (
     Campaign,
@@ -264,5 +265,6 @@ def _context(
             "run": session.run_id,
             "origin": json.dumps(calibration),
             "facts": session.description.model_dump_json(),
+            START_KEY: str(bench.started_ns),
         },
     )

@@ -32,7 +32,7 @@ from touchdown.backend.core import (
     write_atomically,
 )
 from touchdown.backend.devices import Interlock
-from touchdown.backend.episodes import write_episode
+from touchdown.backend.episodes import START_KEY, write_episode
 from touchdown.backend.runs.bench import Bench
 from touchdown.backend.runs.event_log import EventLog
 from touchdown.backend.runs.plan import CancelledError, PausePoint, Plan, StoppedError, Wait
@@ -219,6 +219,7 @@ class RunStore:
         obstacle: Callable[[], Fault | None] = lambda: None,
     ) -> None:
         self._folder, self._metadata = folder, dict(metadata)
+        self.started_ns = 0  # wall clock at bench time zero of the present scene
         self.obstacle = obstacle
         self._writer = DiskWriter[Path]("episode-writer")
 
@@ -262,7 +263,8 @@ class RunStore:
     def _write(self, folder: Path, episode: Episode) -> Path:
         make_folder(folder)
         path = folder / f"{episode.episode_id}.mcap"
-        write_episode(path, episode, label=None, metadata=self._metadata)
+        metadata = {**self._metadata, START_KEY: str(self.started_ns)}
+        write_episode(path, episode, label=None, metadata=metadata)
         return path
 
 

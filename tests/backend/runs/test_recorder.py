@@ -12,13 +12,17 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from mcap.reader import make_reader
 
-from tests.backend.bench.brisk import brisk_bench, brisk_method
+from tests.backend.bench.brisk import brisk_bench, brisk_method, brisk_session
+from tests.backend.runs.oracle_bench import OracleSession, request
 from touchdown.backend.annotations.dataset import Dataset
 from touchdown.backend.bench.assembly import SimulatedBenchChoice, simulated_session
 from touchdown.backend.core.events import Event, PhaseEntered, Said
 from touchdown.backend.core.faults import Fault, InputError
 from touchdown.backend.devices.protocols import DeviceState
+from touchdown.backend.episodes.episode_file import read_episode
+from touchdown.backend.episodes.mcap import read_first
 from touchdown.backend.runs import recorder as store_module
 from touchdown.backend.runs.event_log import read_events
 from touchdown.backend.runs.recorder import (
@@ -163,3 +167,23 @@ def test_a_clock_set_back_by_an_hour_in_mid_press_changes_no_number_and_no_order
     assert jumped == plain
     # The time of the recording is what the wall said, and tells of the jump.
     assert time.time_ns() - at_ns > HOUR_NS // 2
+
+
+def test_recordings_are_logged_by_the_wall_clock_and_keep_the_bench_clock(tmp_path) -> None:
+    before_ns = time.time_ns()
+    with brisk_session() as session, Dataset.open(tmp_path / "ds") as dataset:
+        session.dataset = dataset
+        session.run(CollectRequest(seed=2, person="ann", count=1))
+        collected = dataset.folder / dataset.episodes()[0].path
+    stacking = OracleSession(runs=tmp_path / "runs")
+    stacking.session.run(request())
+    stacking.session.close()
+    probed = next((tmp_path / "runs").glob("*/episodes/*.mcap"))
+    for path in (collected, probed):
+        contents, onset_s = read_first(path), read_episode(path).onset_s
+        start_ns = int(contents.metadata["clock"]["utc_minus_monotonic_ns"])
+        assert before_ns <= start_ns <= time.time_ns()
+        assert contents.metadata["bench"]["clock_start_ns"] == str(start_ns)
+        with path.open("rb") as file:
+            logged = {m.log_time for _, c, m in make_reader(file).iter_messages() if c.id == 3}
+        assert logged == {start_ns + round(1e9 * onset_s)}

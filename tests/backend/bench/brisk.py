@@ -7,7 +7,7 @@ with the default settings.
 
 from __future__ import annotations
 
-from touchdown.backend.bench.assembly import SimulatedBenchChoice
+from touchdown.backend.bench.assembly import SimulatedBenchChoice, simulated_session
 from touchdown.backend.config.method import (
     CollectSettings,
     ProbeSettings,
@@ -44,3 +44,10 @@ def brisk_bench(
 ) -> SimulatedBenchChoice:
     """Return the choice of a bench with ``brisk_settings`` and faults."""
     return SimulatedBenchChoice(given=brisk_settings(preset, rate_hz), disturbances=faults)
+
+
+def brisk_session(preset="quiet", faults=(), keep=None, method=None):
+    """Return a session on a brisk bench; nothing is kept without ``keep``."""
+    return simulated_session(
+        brisk_bench(preset, faults=faults), keep=keep, method=method or brisk_method()
+    )

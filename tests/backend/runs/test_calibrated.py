@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.backend.bench.brisk import brisk_bench, brisk_method, on
+from tests.backend.bench.brisk import brisk_bench, brisk_session, on
 from tests.backend.runs.oracle_bench import OracleSession, request
 from tests.backend.runs.test_event_log import last_trial
 from tests.backend.runs.test_requests import hold, order, position
@@ -341,9 +341,7 @@ def test_with_a_slow_sensor_the_arm_only_jogs_away_and_holds_what_it_holds() -> 
 
 
 def test_after_the_piece_was_let_go_a_probe_says_that_and_what_to_do() -> None:
-    session = simulated_session(
-        brisk_bench("quiet"), keep=RecordingOptions(None), method=brisk_method()
-    )
+    session = brisk_session()
     session.prepare(SceneChoice(estimates=False))
     facts: list[Event] = []
     session.events.subscribe(facts.append)

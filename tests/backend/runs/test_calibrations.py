@@ -9,12 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.backend.bench.brisk import brisk_bench, brisk_method, on
+from tests.backend.bench.brisk import brisk_method, brisk_session, on
 from tests.backend.runs.blind_bench import BlindBench
 from tests.backend.runs.gel_bench import LOOKS, Gel, GelBench
 from tests.backend.runs.oracle_bench import Oracle, OracleSession, request
 from tests.backend.runs.skewed_arm import SkewedArm
-from touchdown.backend.bench.assembly import simulated_session
 from touchdown.backend.calibration.applied import UNCALIBRATED, calibrated_positions
 from touchdown.backend.calibration.estimators import BOARD_LIMIT_MM
 from touchdown.backend.calibration.records import CalibrationStore
@@ -299,9 +298,7 @@ def test_a_hand_that_turns_or_takes_another_piece_begins_anew(drifting: Bench) -
 
 
 def test_the_simulated_sensor_drifts_on_demand_and_its_probe_keeps_how_far() -> None:
-    session = simulated_session(
-        brisk_bench("quiet", faults=("force_torque:drift=0.09@0.5",)), method=brisk_method()
-    )
+    session = brisk_session(faults=("force_torque:drift=0.09@0.5",))
     told, episodes = list[Noticed](), list[EpisodeRecorded]()
     on(session, Noticed, told.append)
     on(session, EpisodeRecorded, episodes.append)

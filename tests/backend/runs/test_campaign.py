@@ -14,13 +14,11 @@ from scipy.stats import kstest
 
 from tests.app.label.conftest import make_episode
 from tests.backend.annotations.conftest import context_for, small_episode
-from tests.backend.bench.brisk import brisk_bench, brisk_method
+from tests.backend.bench.brisk import brisk_session, on
 from touchdown.app.collect.requests import apply_decision
 from touchdown.backend.annotations.dataset import Dataset
 from touchdown.backend.annotations.labels import LabelStore
 from touchdown.backend.annotations.values import EpisodeFilter, Label
-from touchdown.backend.bench.assembly import simulated_session
-from touchdown.backend.bench.session import Session
 from touchdown.backend.config.method import StackSettings
 from touchdown.backend.core.events import (
     EpisodeDecided,
@@ -54,7 +52,6 @@ from touchdown.backend.runs.campaign import (
 )
 from touchdown.backend.runs.collector import Collector, MeasuredOffset
 from touchdown.backend.runs.plan import CancelledError
-from touchdown.backend.runs.recorder import RecordingOptions
 from touchdown.backend.runs.requests import GRIPS, MOUNTINGS, CollectRequest
 
 
@@ -64,9 +61,7 @@ class Failing:
     def __init__(self, dataset: Dataset) -> None:
         self.facts: list[Event] = []
         self.dataset = dataset
-        self.session = simulated_session(
-            brisk_bench("quiet"), keep=RecordingOptions(None), method=brisk_method()
-        )
+        self.session = brisk_session()
         self.session.dataset = dataset
         self.session.events.subscribe(self._take)
         self._fails: tuple[int, str, str, float | None] | None = None
@@ -98,6 +93,10 @@ class Failing:
         assert [(f.code, f.device) for f in raised] == [(code, device)]
         assert self.session.interlock.faults == tuple(raised)
         assert self.facts[-1].ending == "failed"
+
+    def told_s(self) -> float:
+        (told,) = [fact.t_s for fact in self.facts if isinstance(fact, FaultRaised)]
+        return told
 
     def only_what_was_told(self, count: int) -> None:
         """Check that the dataset holds only published probes, none incomplete or with NaN."""
@@ -163,8 +162,7 @@ def test_a_piece_that_is_lost_within_a_probe_is_no_probe(phase: str, failing: Fa
     failing.run(count=1)
     failing.one_fault("PIECE-LOST", "gripper")
     failing.only_what_was_told(0)
-    (told,) = [fact for fact in failing.facts if isinstance(fact, FaultRaised)]
-    assert told.t_s - lost_s[0] <= 0.2
+    assert failing.told_s() - lost_s[0] <= 0.2
 
 
 @pytest.mark.promise("G1")
@@ -173,8 +171,7 @@ def test_a_piece_that_turns_in_the_grasp_is_no_probe(failing: Failing) -> None:
     failing.run(count=1)
     failing.one_fault("PIECE-TURNED", "gripper")
     failing.only_what_was_told(0)
-    (told,) = [fact for fact in failing.facts if isinstance(fact, FaultRaised)]
-    assert 0.0 < told.t_s - failing.fails_s <= 0.2
+    assert 0.0 < failing.told_s() - failing.fails_s <= 0.2
 
 
 TARGET = ProbeTarget(circle(15.0), rectangle(12.0, 28.0))
@@ -321,9 +318,7 @@ def collect(tmp_path, monkeypatch):
             return True
 
         monkeypatch.setattr(Collector, "mounting", mounting)
-        session = simulated_session(
-            brisk_bench("quiet"), keep=RecordingOptions(None), method=brisk_method()
-        )
+        session = brisk_session()
         facts, error = [], None
 
         def take(fact):
@@ -482,24 +477,21 @@ def test_a_skipped_probe_that_is_brought_back_is_done(collect, tmp_path):
 
 def collected(dataset: Dataset, answer: Callable[[Event], bool], **asked):
     """Collect by hand-over; return the session, the events, and the times of the prompts."""
-    session: Session = simulated_session(
-        brisk_bench("quiet"), keep=RecordingOptions(None), method=brisk_method()
-    )
+    session = brisk_session()
     session.dataset = dataset
     facts: list[Event] = []
     session.events.subscribe(facts.append)
     asked_of: list[tuple[str, bool]] = []
 
-    def hold(fact: Event) -> None:
+    def reply(fact: MountingAwaited | HandOverAwaited) -> None:
         if isinstance(fact, MountingAwaited):
-            asked_of.append((f"fitted since {fact.mounting}", session.hand.holding))
-            session.answer(answer(fact))
-        elif isinstance(fact, HandOverAwaited):
+            what = f"fitted since {fact.mounting}"
+        else:
             what = "fit anew" if fact.anew else "give" if fact.gives else "take"
-            asked_of.append((what, session.hand.holding))
-            session.answer(answer(fact))
+        asked_of.append((what, session.hand.holding))
+        session.answer(answer(fact))
 
-    session.events.subscribe(hold)
+    on(session, MountingAwaited | HandOverAwaited, reply)
     session.run(CollectRequest(seed=2, person="ann", hand_over=True, **asked))
     session.close()
     return session, facts, asked_of

@@ -9,11 +9,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from tests.backend.bench.brisk import RATE_HZ, brisk_bench, brisk_method, on
+from tests.backend.bench.brisk import RATE_HZ, brisk_method, brisk_session, on
 from touchdown.backend.annotations import storage
 from touchdown.backend.annotations.dataset import Dataset
 from touchdown.backend.annotations.values import EpisodeFilter
-from touchdown.backend.bench.assembly import simulated_session
 from touchdown.backend.core.events import (
     CampaignBegan,
     DecisionAwaited,
@@ -27,7 +26,6 @@ from touchdown.backend.core.events import (
 from touchdown.backend.core.faults import Fault, FaultError, InputError, RefusedError
 from touchdown.backend.runs import jig
 from touchdown.backend.runs.campaign import newest_campaign, read_campaign
-from touchdown.backend.runs.recorder import RecordingOptions
 from touchdown.backend.runs.requests import CollectRequest, RunState
 from touchdown.backend.sensing.scene_camera import Homography
 
@@ -39,11 +37,7 @@ class Collected:
 
     def __init__(self, folder, method=None, **limits):
         self.dataset = Dataset.open(folder, person="ann")
-        self.session = simulated_session(
-            brisk_bench("quiet"),
-            keep=RecordingOptions(None),
-            method=method or brisk_method(**limits),
-        )
+        self.session = brisk_session(method=method or brisk_method(**limits))
         self.session.dataset = self.dataset
         # By default a short campaign grips anew for each probe; here one grip is enough.
         self._per_grip = limits.get("probes_per_grip", 50)

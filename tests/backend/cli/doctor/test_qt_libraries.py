@@ -4,6 +4,7 @@ import io
 import json
 import re
 from argparse import Namespace
+from dataclasses import asdict
 
 import pytest
 
@@ -30,12 +31,7 @@ BAD = DoctorCheck("c", False, "broken [x]", "mend it")
 def test_absent_options_do_not_fail(monkeypatch):
     code, shown = _run(monkeypatch, GOOD, NOTE)
     assert code == 0
-    assert json.loads(shown)["checks"][1] == {
-        "name": "b",
-        "ok": True,
-        "detail": "none",
-        "fix": "plug it in",
-    }
+    assert json.loads(shown)["checks"][1] == asdict(NOTE)
 
 
 def test_what_stops_work_fails(monkeypatch):
@@ -57,9 +53,8 @@ def test_a_damaged_installation_does_not_end_the_doctor(monkeypatch):
 
     monkeypatch.setattr(command, "EXAMINATIONS", (check_data_folder, lambda: GOOD))
     stream = io.StringIO()
-    assert (
-        command.run(Namespace(bench=None, dataset=None), VerbOutput(json=True, stream=stream)) == 1
-    )
+    screen = VerbOutput(json=True, stream=stream)
+    assert command.run(Namespace(bench=None, dataset=None), screen) == 1
     first, second = json.loads(stream.getvalue())["checks"]
     assert (first["name"], first["ok"], first["fix"]) == ("data folder", False, "make setup")
     assert second["ok"]

@@ -4,12 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from touchdown.backend.annotations.dataset import Dataset
-from touchdown.backend.annotations.values import EpisodeContext, EpisodeEntry, Label, uuid7
+from touchdown.backend.annotations.values import (
+    NO_LABEL,
+    EpisodeContext,
+    EpisodeEntry,
+    Label,
+    uuid7,
+)
 from touchdown.backend.core.values import Episode, EpisodeQuality
 from touchdown.backend.geometry.pieces import load_pieces
 
@@ -40,6 +47,27 @@ def context_for(dataset: Dataset, piece: str = "pot", bottom: str = "circle15") 
     )
 
 
+def add(
+    dataset: Dataset,
+    label: Label = NO_LABEL,
+    source: str = "commanded",
+    context: EpisodeContext | None = None,
+    **episode: Any,
+) -> EpisodeEntry:
+    """Record a small episode with ``label``."""
+    return dataset.record(
+        small_episode(**episode), label, source=source, context=context or context_for(dataset)
+    )
+
+
+def flip_byte(path: Path, at: float = 0.5) -> bytes:
+    """Change one byte of a file, at a part ``at`` of its length; return the new content."""
+    data = bytearray(path.read_bytes())
+    data[int(at * len(data))] ^= 1
+    path.write_bytes(data)
+    return bytes(data)
+
+
 @pytest.fixture
 def dataset(tmp_path: Path) -> Iterator[Dataset]:
     with Dataset.open(tmp_path / "data", person="cleo") as opened:
@@ -52,7 +80,6 @@ def record(dataset: Dataset) -> Record:
 
     def make(x_um: int | None = 1000, y_um: int | None = -500, **changes: bool) -> EpisodeEntry:
         label = Label(x_um, y_um, 0, 150) if x_um is not None else Label()
-        episode = small_episode(**changes)  # type: ignore[arg-type]
-        return dataset.record(episode, label, source="commanded", context=context)
+        return add(dataset, label, context=context, **changes)
 
     return make

@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from tests.backend.annotations.conftest import context_for, small_episode
+from tests.backend.annotations.conftest import add, context_for, small_episode
 from touchdown.backend.annotations import database, episode_index
 from touchdown.backend.annotations.dataset import Dataset
 from touchdown.backend.annotations.reconciliation import check_dataset
@@ -97,9 +97,7 @@ def record_one(
     dataset: Dataset, tell: Callable[[str], None], seed: int, context: EpisodeContext
 ) -> None:
     """Record one episode and label it, reporting each as soon as it is durable."""
-    entry = dataset.record(
-        small_episode(seed=seed), Label(seed, -seed, 0, 9), source="commanded", context=context
-    )
+    entry = add(dataset, Label(seed, -seed, 0, 9), seed=seed, context=context)
     tell(f"episode {entry.uuid} {seed} -\n")
     revision = dataset.labels.set("ann", entry.uuid, Label(seed + 1, 0, 0, 9))
     tell(f"label {entry.uuid} {seed + 1} {revision.rev_uuid}\n")

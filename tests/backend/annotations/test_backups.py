@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.backend.annotations.conftest import Record, context_for, small_episode
+from tests.backend.annotations.conftest import Record, add
 from tests.backend.annotations.test_packs_in_datasets import write_pack
 from tests.backend.annotations.test_values import tables
 from touchdown.backend.annotations import backups, operation_log
@@ -88,9 +88,7 @@ def test_hourly_while_labels_change(dataset: Dataset, record: Record) -> None:
 def test_a_commit_makes_the_first_copy_and_closing_the_last(tmp_path: Path) -> None:
     folder = tmp_path / "data"
     with Dataset.open(folder) as dataset:
-        context = context_for(dataset)
-        entry = dataset.record(small_episode(), Label(1, 2, 0, 3), source="commanded",
-                               context=context)  # fmt: skip
+        entry = add(dataset, Label(1, 2, 0, 3))
         assert len(copies(dataset)) == 1
         dataset.labels.set("ann", entry.uuid, Label(5, 5, 0, 1))
         assert len(copies(dataset)) == 1
@@ -183,17 +181,14 @@ def test_a_copy_that_is_not_good_does_not_stay(
 def test_going_back_to_a_copy_loses_no_label(tmp_path: Path) -> None:
     folder = tmp_path / "data"
     with Dataset.open(folder) as dataset:
-        context = context_for(dataset)
         for seed in range(3):
-            dataset.record(small_episode(seed=seed), Label(seed, 0, 0, 1), source="commanded",
-                           context=context)  # fmt: skip
+            add(dataset, Label(seed, 0, 0, 1), seed=seed)
         old = dataset.backups.make("test")
         uuid = dataset.episodes()[0].uuid
         dataset.labels.set("ann", uuid, Label(50, 60, 0, 7))
         dataset.labels.accept("ann", uuid)
         dataset.labels.approve("bea", uuid)
-        dataset.record(small_episode(seed=9), Label(9, 9, 0, 1), source="commanded",
-                       context=context)  # fmt: skip
+        add(dataset, Label(9, 9, 0, 1), seed=9)
         expected = tables(dataset)
         keep = tmp_path / "keep.db"
         shutil.copy(old, keep)
@@ -211,10 +206,9 @@ def busy(tmp_path: Path) -> Path:
     """A dataset with files, a pack, reviews, an undo, tags and a deleted episode; closed."""
     folder = tmp_path / "data"
     with Dataset.open(folder) as dataset:
-        context = context_for(dataset)
         for seed in range(6):
             label = Label(100 * seed, 0, 0, 1)
-            dataset.record(small_episode(seed=seed), label, source="measured", context=context)
+            add(dataset, label, seed=seed, source="measured")
         first, second, third, fourth = (e.uuid for e in dataset.episodes()[:4])
         dataset.labels.set("ann", first, Label(1, 1, 0, 1))
         dataset.labels.accept("ann", first)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.backend.annotations.conftest import Record, context_for, small_episode
+from tests.backend.annotations.conftest import Record, add
 from touchdown.backend.annotations import operation_log
 from touchdown.backend.annotations.agreement import compare_with_control_items
 from touchdown.backend.annotations.control_items import (
@@ -148,8 +148,7 @@ def test_gold_answers_every_key_as_the_rest_does_over_restarts(tmp_path: Path, s
     numbers = range(100 * seed, 100 * seed + 60)
     with Dataset.open(tmp_path / "gold", person="cleo") as dataset:
         label = Label(1000, 0, 0, 150)
-        context = context_for(dataset)
-        uuid = dataset.record(small_episode(), label, source="commanded", context=context).uuid
+        uuid = add(dataset, label).uuid
     shutil.copytree(tmp_path / "gold", tmp_path / "plain")
     ordinary = told(tmp_path / "plain", uuid, numbers, gold=False)
     with Dataset.open(tmp_path / "gold", person="cleo") as dataset:

@@ -19,7 +19,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from tests.backend.annotations.conftest import Record, context_for, small_episode
+from tests.backend.annotations.conftest import Record, add, context_for, flip_byte, small_episode
 from tests.backend.annotations.test_packs_in_datasets import write_pack
 from tests.backend.annotations.test_values import ACTIONS, FAST, PEOPLE, Step, act, contents
 from tests.backend.episodes.test_quality import (
@@ -51,18 +51,18 @@ EACH = 3
 
 
 @pytest.fixture
-def folder_checked_folders(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A closed dataset of three series that were in order at the last opening."""
     # Nothing here changes within one tick of the clock, so that nobody has to wait.
     monkeypatch.setattr(consistency, "SETTLED_NS", 0)
-    folder_checked_folders = tmp_path / "data"
-    with Dataset.open(folder_checked_folders) as dataset:
+    folder = tmp_path / "data"
+    with Dataset.open(folder) as dataset:
         for number in range(EACH * len(SERIES)):
             context = replace(context_for(dataset), series=SERIES[number // EACH])
             label = Label(number, 0, 0, 1)
-            dataset.record(small_episode(seed=number), label, source="commanded", context=context)
-    Dataset.open(folder_checked_folders).close()
-    return folder_checked_folders
+            add(dataset, label, seed=number, context=context)
+    Dataset.open(folder).close()
+    return folder
 
 
 @pytest.fixture
@@ -79,78 +79,72 @@ def looked(monkeypatch: pytest.MonkeyPatch) -> set[str]:
     return seen
 
 
-def first(folder_checked_folders: Path, series: str) -> Path:
-    return min((folder_checked_folders / "raw" / series).glob("*.mcap"))
+def first(folder: Path, series: str) -> Path:
+    return min((folder / "raw" / series).glob("*.mcap"))
 
 
-def die_open(folder_checked_folders: Path) -> None:
+def die_open(folder: Path) -> None:
     """Open for writing in a child and kill it."""
     pid = os.fork()
     if not pid:
         try:
-            Dataset.open(folder_checked_folders)
+            Dataset.open(folder)
         finally:
             os.kill(os.getpid(), signal.SIGKILL)
     os.waitpid(pid, 0)
 
 
-def notices(folder_checked_folders: Path) -> tuple[str, ...]:
-    with Dataset.open(folder_checked_folders) as dataset:
+def notices(folder: Path) -> tuple[str, ...]:
+    with Dataset.open(folder) as dataset:
         return dataset.notices
 
 
-def test_what_looks_as_it_did_is_not_looked_at(
-    folder_checked_folders: Path, looked: set[str]
-) -> None:
-    assert notices(folder_checked_folders) == ()
+def test_what_looks_as_it_did_is_not_looked_at(folder: Path, looked: set[str]) -> None:
+    assert notices(folder) == ()
     assert looked == {"raw"}
 
 
-def test_after_a_crash_everything_is_looked_at(
-    folder_checked_folders: Path, looked: set[str]
-) -> None:
-    die_open(folder_checked_folders)
-    assert notices(folder_checked_folders) == ()
+def test_after_a_crash_everything_is_looked_at(folder: Path, looked: set[str]) -> None:
+    die_open(folder)
+    assert notices(folder) == ()
     assert looked == {"raw", "raw/a", "raw/b", "raw/c"}
 
 
-def remove(folder_checked_folders: Path) -> None:
-    first(folder_checked_folders, "b").unlink()
+def remove(folder: Path) -> None:
+    first(folder, "b").unlink()
 
 
-def remove_folder(folder_checked_folders: Path) -> None:
-    shutil.rmtree(folder_checked_folders / "raw" / "b")
+def remove_folder(folder: Path) -> None:
+    shutil.rmtree(folder / "raw" / "b")
 
 
-def rename(folder_checked_folders: Path) -> None:
-    first(folder_checked_folders, "b").rename(folder_checked_folders / "raw" / "b" / "other.mcap")
+def rename(folder: Path) -> None:
+    first(folder, "b").rename(folder / "raw" / "b" / "other.mcap")
 
 
-def move(folder_checked_folders: Path) -> None:
-    path = first(folder_checked_folders, "b")
-    path.rename(folder_checked_folders / "raw" / "c" / path.name)
+def move(folder: Path) -> None:
+    path = first(folder, "b")
+    path.rename(folder / "raw" / "c" / path.name)
 
 
-def add_foreign(folder_checked_folders: Path) -> None:
-    (folder_checked_folders / "raw" / "b" / "foreign.mcap").write_bytes(b"no episode")
+def add_foreign(folder: Path) -> None:
+    (folder / "raw" / "b" / "foreign.mcap").write_bytes(b"no episode")
 
 
-def add_copy(folder_checked_folders: Path) -> None:
-    shutil.copyfile(
-        first(folder_checked_folders, "b"), folder_checked_folders / "raw" / "a" / "again.mcap"
-    )
+def add_copy(folder: Path) -> None:
+    shutil.copyfile(first(folder, "b"), folder / "raw" / "a" / "again.mcap")
 
 
-def replace_by_shorter(folder_checked_folders: Path) -> None:
-    path = first(folder_checked_folders, "b")
+def replace_by_shorter(folder: Path) -> None:
+    path = first(folder, "b")
     content = path.read_bytes()[:-100]
     path.unlink()
     path.write_bytes(content)
 
 
-def replace_folder(folder_checked_folders: Path) -> None:
+def replace_folder(folder: Path) -> None:
     """Put a copy in its place that has the same times, but a file less."""
-    place, copy = folder_checked_folders / "raw" / "b", folder_checked_folders / "copy"
+    place, copy = folder / "raw" / "b", folder / "copy"
     times = place.stat()
     shutil.copytree(place, copy)
     shutil.rmtree(place)
@@ -168,104 +162,96 @@ def replace_folder(folder_checked_folders: Path) -> None:
     ids=lambda value: getattr(value, "__name__", ""),
 )  # fmt: skip
 def test_whatever_comes_or_goes_is_found(
-    folder_checked_folders: Path, change: Callable[[Path], None], said: str, crash: bool
+    folder: Path, change: Callable[[Path], None], said: str, crash: bool
 ) -> None:
     if crash:
-        die_open(folder_checked_folders)
-    change(folder_checked_folders)
-    found = notices(folder_checked_folders)
+        die_open(folder)
+    change(folder)
+    found = notices(folder)
     assert found
     assert all(said in line for line in found)
     # Once only, and the folders are trusted again after that.
-    assert notices(folder_checked_folders) == ()
-    with Dataset.open(folder_checked_folders) as dataset:
+    assert notices(folder) == ()
+    with Dataset.open(folder) as dataset:
         assert reconcile(dataset.parts, whole=True) == []
 
 
-def test_an_episode_that_comes_back_is_found(folder_checked_folders: Path) -> None:
-    path = first(folder_checked_folders, "b")
-    path.rename(folder_checked_folders / "kept")
-    assert len(notices(folder_checked_folders)) == 1
-    assert notices(folder_checked_folders) == ()
-    (folder_checked_folders / "kept").rename(path)
-    assert "is back" in notices(folder_checked_folders)[0]
+def test_an_episode_that_comes_back_is_found(folder: Path) -> None:
+    path = first(folder, "b")
+    path.rename(folder / "kept")
+    assert len(notices(folder)) == 1
+    assert notices(folder) == ()
+    (folder / "kept").rename(path)
+    assert "is back" in notices(folder)[0]
 
 
-def cut(folder_checked_folders: Path) -> None:
-    path = first(folder_checked_folders, "b")
+def cut(folder: Path) -> None:
+    path = first(folder, "b")
     os.truncate(path, path.stat().st_size - 100)
 
 
-def test_a_file_cut_in_place_is_found_after_a_crash(folder_checked_folders: Path) -> None:
-    cut(folder_checked_folders)
-    die_open(folder_checked_folders)
-    assert "torn" in notices(folder_checked_folders)[0]
+def test_a_file_cut_in_place_is_found_after_a_crash(folder: Path) -> None:
+    cut(folder)
+    die_open(folder)
+    assert "torn" in notices(folder)[0]
 
 
-def test_a_file_cut_in_place_is_found_by_verify_after_a_clean_close(
-    folder_checked_folders: Path,
-) -> None:
-    cut(folder_checked_folders)
-    with Dataset.open(folder_checked_folders) as dataset:
+def test_a_file_cut_in_place_is_found_by_verify_after_a_clean_close(folder: Path) -> None:
+    cut(folder)
+    with Dataset.open(folder) as dataset:
         assert dataset.notices == ()
         assert [f.kind for f in reconcile(dataset.parts, whole=True)] == ["torn"]
 
 
 def test_a_file_cut_in_place_is_found_within_a_week(
-    folder_checked_folders: Path, monkeypatch: pytest.MonkeyPatch
+    folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    cut(folder_checked_folders)
+    cut(folder)
     monkeypatch.setattr(consistency, "WEEK_NS", 0)
-    assert "torn" in notices(folder_checked_folders)[0]
+    assert "torn" in notices(folder)[0]
 
 
 def test_a_folder_that_changed_a_moment_ago_is_looked_at_again(
-    folder_checked_folders: Path, looked: set[str], monkeypatch: pytest.MonkeyPatch
+    folder: Path, looked: set[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    with Dataset.open(folder_checked_folders) as dataset:
+    with Dataset.open(folder) as dataset:
         context = replace(context_for(dataset), series="b")
-        dataset.record(small_episode(seed=99), Label(1, 1, 0, 1), source="commanded",
-                       context=context)  # fmt: skip
+        add(dataset, Label(1, 1, 0, 1), seed=99, context=context)
     monkeypatch.setattr(consistency, "SETTLED_NS", 3600 * 10**9)
     for _ in range(2):
         looked.clear()
-        assert notices(folder_checked_folders) == ()
+        assert notices(folder) == ()
         assert looked == {"raw", "raw/b"}
     monkeypatch.setattr(consistency, "SETTLED_NS", 0)
-    notices(folder_checked_folders)
+    notices(folder)
     looked.clear()
-    notices(folder_checked_folders)
+    notices(folder)
     assert looked == {"raw"}
 
 
-def test_a_file_put_there_while_the_dataset_is_open_is_found(folder_checked_folders: Path) -> None:
-    with Dataset.open(folder_checked_folders):
-        add_copy(folder_checked_folders)
-    assert "second file" in notices(folder_checked_folders)[0]
+def test_a_file_put_there_while_the_dataset_is_open_is_found(folder: Path) -> None:
+    with Dataset.open(folder):
+        add_copy(folder)
+    assert "second file" in notices(folder)[0]
 
 
-def test_rows_that_no_folder_accounts_for_are_found(folder_checked_folders: Path) -> None:
-    with (
-        Dataset.open(folder_checked_folders) as dataset,
-        dataset.database.transaction() as connection,
-    ):
+def test_rows_that_no_folder_accounts_for_are_found(folder: Path) -> None:
+    with Dataset.open(folder) as dataset, dataset.database.transaction() as connection:
         connection.execute(
             "INSERT INTO episode SELECT 'lost', series, campaign, plan_item, kind,"
             " 'raw/a/lost.mcap', chunk_off, chunk_len, crc, sha256, bytes, recorded_ns, piece,"
             " bottom, geometry, grip_id, mounting_id, person, mode, quality, accepted,"
             " keep_frames, state, adopted FROM episode LIMIT 1"
         )
-    assert "missing" in notices(folder_checked_folders)[0]
+    assert "missing" in notices(folder)[0]
 
 
-def test_a_restored_catalogue_knows_no_folder(
-    folder_checked_folders: Path, looked: set[str]
-) -> None:
-    with Dataset.open(folder_checked_folders) as dataset:
+def test_a_restored_catalogue_knows_no_folder(folder: Path, looked: set[str]) -> None:
+    with Dataset.open(folder) as dataset:
         backup = dataset.backups.make("test")
-    restore_backup(folder_checked_folders, backup)
+    restore_backup(folder, backup)
     looked.clear()
-    assert notices(folder_checked_folders) == ()
+    assert notices(folder) == ()
     assert looked == {"raw", "raw/a", "raw/b", "raw/c"}
 
 
@@ -319,10 +305,7 @@ def test_each_fault_is_listed(dataset: Dataset, filled: dict[str, str]) -> None:
 
 def test_a_damaged_file_is_a_finding(dataset: Dataset, filled: dict[str, str]) -> None:
     uuid = next(e.uuid for e in dataset.episodes() if e.uuid not in filled.values())
-    path = dataset.path(uuid)
-    data = bytearray(path.read_bytes())
-    data[len(data) // 3] ^= 0xFF
-    path.write_bytes(bytes(data))
+    flip_byte(dataset.path(uuid), 1 / 3)
     found = check_dataset_quality(dataset, always).findings
     assert [finding.episodes for finding in found if finding.kind == "unreadable"] == [(uuid,)]
 
@@ -385,18 +368,14 @@ def test_a_recorded_episode_is_in_file_index_and_journal(dataset: Dataset) -> No
 
 
 def test_an_episode_of_a_run_gets_an_id_of_the_dataset(dataset: Dataset) -> None:
-    entry = dataset.record(
-        small_episode("run-7-probe-2"), Label(), source="commanded", context=context_for(dataset)
-    )
+    entry = add(dataset, Label(), name="run-7-probe-2")
     assert entry.state == "unlabelled"
     assert ("recorded_as", "run-7-probe-2") in dataset.read(entry.uuid).metadata
 
 
 def test_everything_is_there_after_reopening(tmp_path: Path) -> None:
     with Dataset.open(tmp_path) as dataset:
-        entry = dataset.record(
-            small_episode(), Label(1, 2, 0, 3), source="commanded", context=context_for(dataset)
-        )
+        entry = add(dataset, Label(1, 2, 0, 3))
         site = dataset.description.site
     with Dataset.open(tmp_path, write=False) as again:
         assert again.episodes() == [entry]
@@ -482,9 +461,7 @@ def test_commits_are_durable_by_the_settings_of_the_file(dataset: Dataset) -> No
 
 def test_a_newer_catalogue_opens_for_reading_with_a_notice(tmp_path: Path) -> None:
     with Dataset.open(tmp_path) as dataset:
-        entry = dataset.record(
-            small_episode(), Label(1, 2), source="commanded", context=context_for(dataset)
-        )
+        entry = add(dataset, Label(1, 2))
         with dataset.database.transaction() as connection:
             connection.execute(f"PRAGMA user_version = {SCHEMA_VERSION + 1}")
     with Dataset.open(tmp_path) as newer:
@@ -553,7 +530,7 @@ def test_a_disk_that_refuses_once_is_tried_again_and_twice_is_a_fault(
         return original(writer)
 
     monkeypatch.setattr(episode_file.McapWriter, "finish", failing)
-    kept = dataset.record(small_episode(), Label(1, 2), source="commanded", context=context)
+    kept = add(dataset, Label(1, 2))
     assert dataset.path(kept.uuid).is_file()
     failures[0] = 2
     lost = small_episode(seed=2)
@@ -636,13 +613,7 @@ def play(dataset: Dataset, todo: list[Step], uuids: list[str]) -> None:
 
 def begin(folder: Path) -> list[str]:
     with Dataset.open(folder) as dataset:
-        context = context_for(dataset)
-        return [
-            dataset.record(
-                small_episode(), Label(k, -k, 0, 9), source="commanded", context=context
-            ).uuid
-            for k in range(2)
-        ]
+        return [add(dataset, Label(k, -k, 0, 9)).uuid for k in range(2)]
 
 
 def merged(folder: Path, name: str, first: str, *others: str) -> Dataset:
@@ -764,9 +735,7 @@ def test_a_merge_that_the_disk_refuses_says_so_and_goes_on_later(
 ) -> None:
     ours, theirs, (uuid, _) = copies
     theirs.labels.accept("bob", uuid, Label(900, 0, 0, 50))
-    new = theirs.record(
-        small_episode(seed=9), Label(1, 2), source="measured", context=context_for(theirs)
-    ).uuid
+    new = add(theirs, Label(1, 2), seed=9, source="measured").uuid
     before = tables(ours)
 
     def refuse(path: Path, content: bytes) -> None:
@@ -784,10 +753,13 @@ def test_a_merge_that_the_disk_refuses_says_so_and_goes_on_later(
 
 def test_episodes_come_with_their_files(copies: Copies) -> None:
     ours, theirs, _ = copies
-    entry = theirs.record(
-        small_episode(seed=9), Label(1, 2), source="measured",
+    entry = add(
+        theirs,
+        Label(1, 2),
+        seed=9,
+        source="measured",
         context=context_for(theirs, "barrel", "hex20"),
-    )  # fmt: skip
+    )
     done = ours.merge("ann", theirs.folder)
     assert (done.episodes, done.operations) == (1, 1)
     assert ours.entry(entry.uuid) == entry

@@ -40,7 +40,6 @@ from touchdown.backend.episodes.packs import PackedEpisode, PackWriter, read_pac
 from touchdown.backend.episodes.training_rows import patch_hex
 from touchdown.backend.geometry.outlines import circle, face_points, true_patch
 from touchdown.backend.geometry.pieces import Piece, load_pieces
-from touchdown.backend.learning.metrics import wilson_interval
 
 SHROUT_FLEISS = [
     [9, 2, 5, 8],
@@ -88,14 +87,6 @@ def test_alpha_of_krippendorffs_own_example_with_gaps() -> None:
     assert agreement.krippendorff_alpha([unit for unit in items if len(unit) > 1]) == pytest.approx(
         0.743, abs=5e-4
     )
-
-
-INTERVALS = [(8, 10, 0.490, 0.943), (40, 60, 0.541, 0.773), (34, 60, 0.441, 0.684)]
-
-
-@pytest.mark.parametrize(("k", "n", "low", "high"), INTERVALS)
-def test_wilson_intervals(k: int, n: int, low: float, high: float) -> None:
-    assert wilson_interval(k, n) == pytest.approx((low, high), abs=5e-4)
 
 
 def test_distance_and_overlap() -> None:

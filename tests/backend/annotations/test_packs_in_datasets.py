@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.backend.annotations.conftest import Record, context_for, small_episode
+from tests.backend.annotations.conftest import Record, add, context_for, flip_byte, small_episode
 from touchdown.app.shell.datasets import dataset_opener
 from touchdown.backend.annotations import storage
 from touchdown.backend.annotations.dataset import Dataset
@@ -30,11 +30,15 @@ from touchdown.backend.annotations.storage import (
     ReadOnlyFolderError,
     check_free_space,
 )
-from touchdown.backend.annotations.values import EpisodeContext, Label
+from touchdown.backend.annotations.values import EpisodeContext, EpisodeFilter, Label
 from touchdown.backend.core.faults import FaultError, InputError
 from touchdown.backend.core.values import Episode
-from touchdown.backend.episodes.episode_file import read_compressed_episode, read_episode
-from touchdown.backend.episodes.packs import PackedEpisode, PackWriter
+from touchdown.backend.episodes.episode_file import (
+    read_compressed_episode,
+    read_episode,
+    write_episode,
+)
+from touchdown.backend.episodes.packs import PackedEpisode, PackWriter, read_pack
 from touchdown.backend.episodes.training_rows import patch_hex
 from touchdown.backend.geometry.outlines import face_points, true_patch
 from touchdown.backend.geometry.pieces import load_pieces
@@ -57,9 +61,7 @@ def no_file_above(size: int) -> Iterator[None]:
 
 
 def record(dataset: Dataset, seed: int) -> str:
-    context = context_for(dataset)
-    label = Label(seed, 0, 0, 1)
-    return dataset.record(small_episode(seed=seed), label, source="commanded", context=context).uuid
+    return add(dataset, Label(seed, 0, 0, 1), seed=seed).uuid
 
 
 def fill(dataset: Dataset) -> None:
@@ -243,11 +245,7 @@ def refusing_folders(monkeypatch: pytest.MonkeyPatch, code: int) -> list[int]:
 def filled(folder: Path) -> list[str]:
     """Make a dataset with all that is written beside the catalogue; returns its episodes."""
     with Dataset.open(folder, person="cleo") as dataset:
-        context = context_for(dataset)
-        uuids = [
-            dataset.record(small_episode(seed=k), LABEL, source="measured", context=context).uuid
-            for k in (1, 2)
-        ]
+        uuids = [add(dataset, LABEL, seed=k, source="measured").uuid for k in (1, 2)]
         dataset.labels.accept("ann", uuids[0], Label(1500, 0, 0, 50))
         assert not dataset.labels.journal_trouble
         dataset.back_up_for("test")
@@ -280,7 +278,7 @@ def test_a_disk_that_fails_to_sync_a_folder_is_no_such_disk(
         context = context_for(dataset)
         refusing_folders(monkeypatch, errno.EIO)
         with pytest.raises(FaultError) as caught:
-            dataset.record(small_episode(), LABEL, source="measured", context=context)
+            add(dataset, LABEL, source="measured", context=context)
         assert caught.value.fault.code == "EPISODE-WRITE"
         assert dataset.episodes() == []
 
@@ -320,8 +318,7 @@ def held(dataset: Dataset) -> Iterator[sqlite3.Connection]:
 
 
 def record_locked(dataset: Dataset) -> str:
-    context = context_for(dataset)
-    return dataset.record(small_episode(), LOCKED_LABEL, source="measured", context=context).uuid
+    return add(dataset, LOCKED_LABEL, source="measured").uuid
 
 
 @pytest.mark.promise("D4")
@@ -384,27 +381,28 @@ def write_pack(path: Path, count: int = 4, seed: int = 0, geometry: str | None =
 
 
 @pytest.fixture
-def folder_packs_in_datasets(tmp_path: Path) -> Path:
-    folder_packs_in_datasets = tmp_path / "data"
-    Dataset.open(folder_packs_in_datasets).close()
-    write_pack(folder_packs_in_datasets / "packs" / "a.mcap")
-    return folder_packs_in_datasets
+def folder(tmp_path: Path) -> Path:
+    folder = tmp_path / "data"
+    Dataset.open(folder).close()
+    write_pack(folder / "packs" / "a.mcap")
+    return folder
 
 
-def states(folder_packs_in_datasets: Path) -> list[str]:
-    with Dataset.open(folder_packs_in_datasets) as dataset:
+def states(folder: Path) -> list[str]:
+    with Dataset.open(folder) as dataset:
         return [entry.file_state for entry in dataset.episodes()]
 
 
-def calm(folder_packs_in_datasets: Path) -> bool:
-    with Dataset.open(folder_packs_in_datasets) as dataset:
+def calm(folder: Path) -> bool:
+    with Dataset.open(folder) as dataset:
         return dataset.notices == () and not list(check_dataset(dataset.parts, whole=True))
 
 
-def test_a_pack_becomes_episodes_with_commanded_drafts(folder_packs_in_datasets: Path) -> None:
-    with Dataset.open(folder_packs_in_datasets) as dataset:
+def test_a_pack_becomes_episodes_with_commanded_drafts(folder: Path) -> None:
+    with Dataset.open(folder) as dataset:
         assert "4 episodes of packs/a.mcap entered" in dataset.notices[0]
-        entries = dataset.episodes()
+        assert dataset.episodes(EpisodeFilter(accepted=False)) == []
+        entries = dataset.episodes(EpisodeFilter(accepted=True))
         assert sorted(e.grip_id for e in entries) == ["g0", "g0", "g1", "g1"]
         assert {(e.piece, e.bottom, e.mode, e.state, e.keep_frames) for e in entries} == {
             ("pot", "circle15", "mass", "draft", "none")
@@ -419,46 +417,28 @@ def test_a_pack_becomes_episodes_with_commanded_drafts(folder_packs_in_datasets:
             sent.add(tuple(int(v) for v in rng.integers(-8000, 8000, 2)))
             rng.normal(size=(20, 258))
         assert {(head.label.x_um, head.label.y_um) for head in heads} == sent
-    assert calm(folder_packs_in_datasets)
+    assert calm(folder)
 
 
-def test_the_derived_patch_is_that_of_the_pack(folder_packs_in_datasets: Path) -> None:
-    with Dataset.open(folder_packs_in_datasets) as dataset:
-        truth = {row.label["patch"] for row in read(folder_packs_in_datasets / "packs" / "a.mcap")}
-        derived = {patch_hex(dataset.patch(entry.uuid).touching) for entry in dataset.episodes()}
-        assert derived == truth
-
-
-def read(path: Path) -> list[PackedEpisode]:
-    from touchdown.backend.episodes.packs import read_pack
-
-    return list(read_pack(path))
-
-
-def test_a_packed_episode_is_read_like_any_other(folder_packs_in_datasets: Path) -> None:
-    sent = {
-        row.observation.tobytes(): row.label
-        for row in read(folder_packs_in_datasets / "packs" / "a.mcap")
-    }
-    with Dataset.open(folder_packs_in_datasets) as dataset:
+def test_a_packed_episode_is_read_like_any_other(folder: Path) -> None:
+    sent = {row.observation.tobytes(): row.label for row in read_pack(folder / "packs/a.mcap")}
+    with Dataset.open(folder) as dataset:
         for entry in dataset.episodes():
             episode = dataset.read(entry.uuid)
             label = sent.pop(episode.observation.tobytes())
             assert (episode.episode_id, episode.piece) == (entry.uuid, "pot")
             film = dataset.film(entry.uuid)
             assert np.array_equal(film.episode.observation, episode.observation)
-            assert film.bytes == 0
-            assert dataset.labels.head(entry.uuid).label.x_um == label["x_um"]
-            assert np.array_equal(
-                episode.offset_mm, dataset.labels.head(entry.uuid).label.offset_mm
-            )
+            assert all(len(pictures.packed) == 0 for pictures in film.pictures.values())
+            stored = dataset.labels.head(entry.uuid).label
+            assert stored.x_um == label["x_um"]
+            assert np.array_equal(episode.offset_mm, stored.offset_mm)
+            assert patch_hex(dataset.patch(entry.uuid).touching) == label["patch"]
     assert sent == {}
 
 
-def test_the_same_pack_elsewhere_is_the_same_episodes(
-    folder_packs_in_datasets: Path, tmp_path: Path
-) -> None:
-    with Dataset.open(folder_packs_in_datasets) as dataset:
+def test_the_same_pack_elsewhere_is_the_same_episodes(folder: Path, tmp_path: Path) -> None:
+    with Dataset.open(folder) as dataset:
         before = [entry.uuid for entry in dataset.episodes()]
     other = tmp_path / "other"
     Dataset.open(other).close()
@@ -467,99 +447,82 @@ def test_the_same_pack_elsewhere_is_the_same_episodes(
         assert [entry.uuid for entry in dataset.episodes()] == before
 
 
-def test_a_renamed_pack_keeps_its_labels(folder_packs_in_datasets: Path) -> None:
-    with Dataset.open(folder_packs_in_datasets) as dataset:
+def test_a_renamed_pack_keeps_its_labels(folder: Path) -> None:
+    with Dataset.open(folder) as dataset:
         uuid = dataset.episodes()[0].uuid
         dataset.labels.set("ann", uuid, Label(1, 2, 0, 3))
-    (folder_packs_in_datasets / "packs" / "a.mcap").rename(
-        folder_packs_in_datasets / "packs" / "b.mcap"
-    )
-    with Dataset.open(folder_packs_in_datasets) as dataset:
+    (folder / "packs" / "a.mcap").rename(folder / "packs" / "b.mcap")
+    with Dataset.open(folder) as dataset:
         assert {e.path for e in dataset.episodes()} == {"packs/b.mcap"}
         assert {e.file_state for e in dataset.episodes()} == {"complete"}
         assert dataset.labels.head(uuid).label == Label(1, 2, 0, 3)
-    assert calm(folder_packs_in_datasets)
+    assert calm(folder)
 
 
-def test_a_second_copy_goes_to_quarantine(folder_packs_in_datasets: Path) -> None:
-    states(folder_packs_in_datasets)
-    shutil.copy(
-        folder_packs_in_datasets / "packs" / "a.mcap",
-        folder_packs_in_datasets / "packs" / "copy.mcap",
-    )
-    assert states(folder_packs_in_datasets) == ["complete"] * 4
-    assert (folder_packs_in_datasets / "quarantine" / "copy.mcap").exists()
-    assert calm(folder_packs_in_datasets)
+def test_a_second_copy_goes_to_quarantine(folder: Path) -> None:
+    states(folder)
+    shutil.copy(folder / "packs" / "a.mcap", folder / "packs" / "copy.mcap")
+    assert states(folder) == ["complete"] * 4
+    assert (folder / "quarantine" / "copy.mcap").exists()
+    assert calm(folder)
 
 
-def test_a_missing_pack_is_told_and_comes_back(
-    folder_packs_in_datasets: Path, tmp_path: Path
-) -> None:
-    states(folder_packs_in_datasets)
-    shutil.move(folder_packs_in_datasets / "packs" / "a.mcap", tmp_path / "away.mcap")
-    assert states(folder_packs_in_datasets) == ["missing"] * 4
-    assert calm(folder_packs_in_datasets)
-    shutil.move(tmp_path / "away.mcap", folder_packs_in_datasets / "packs" / "a.mcap")
-    assert states(folder_packs_in_datasets) == ["complete"] * 4
-    assert calm(folder_packs_in_datasets)
+def test_a_missing_pack_is_told_and_comes_back(folder: Path, tmp_path: Path) -> None:
+    states(folder)
+    shutil.move(folder / "packs" / "a.mcap", tmp_path / "away.mcap")
+    assert states(folder) == ["missing"] * 4
+    assert calm(folder)
+    shutil.move(tmp_path / "away.mcap", folder / "packs" / "a.mcap")
+    assert states(folder) == ["complete"] * 4
+    assert calm(folder)
 
 
 Tear = Callable[[bytes], bytes]
 
 
 @pytest.mark.parametrize("known", [True, False])
-def test_a_torn_pack_keeps_its_whole_episodes(folder_packs_in_datasets: Path, known: bool) -> None:
+def test_a_torn_pack_keeps_its_whole_episodes(folder: Path, known: bool) -> None:
     if known:
-        states(folder_packs_in_datasets)
-    pack = folder_packs_in_datasets / "packs" / "a.mcap"
+        states(folder)
+    pack = folder / "packs" / "a.mcap"
     whole = pack.read_bytes()
     pack.write_bytes(whole[: len(whole) // 2])
-    with Dataset.open(folder_packs_in_datasets) as dataset:
+    with Dataset.open(folder) as dataset:
         assert any("whole episodes were saved" in notice for notice in dataset.notices)
         found = sorted(entry.file_state for entry in dataset.episodes())
         assert found == (["complete"] * 2 + ["damaged"] * 2 * known)
         kept = next(e for e in dataset.episodes() if e.file_state == "complete")
         assert kept.path == "packs/a.mcap"
-    assert (folder_packs_in_datasets / "quarantine" / "a.mcap").read_bytes() == whole[
-        : len(whole) // 2
-    ]
-    assert calm(folder_packs_in_datasets)
+    assert (folder / "quarantine" / "a.mcap").read_bytes() == whole[: len(whole) // 2]
+    assert calm(folder)
 
 
-def test_a_changed_byte_costs_one_pack_check_and_keeps_the_rest(
-    folder_packs_in_datasets: Path,
-) -> None:
-    states(folder_packs_in_datasets)
-    pack = folder_packs_in_datasets / "packs" / "a.mcap"
-    data = bytearray(pack.read_bytes())
-    data[len(data) // 2] ^= 1
-    pack.write_bytes(data)
-    with Dataset.open(folder_packs_in_datasets) as dataset:
+def test_a_changed_byte_costs_one_pack_check_and_keeps_the_rest(folder: Path) -> None:
+    states(folder)
+    flip_byte(folder / "packs" / "a.mcap")
+    with Dataset.open(folder) as dataset:
         assert dataset.notices == ()
         assert [f.kind for f in reconcile(dataset.parts, whole=True)] == ["torn"]
         kinds = [entry.file_state for entry in dataset.episodes()]
         assert sorted(set(kinds)) == ["complete", "damaged"]
-    assert calm(folder_packs_in_datasets)
+    assert calm(folder)
 
 
-def test_a_pack_of_another_geometry_is_told_once(folder_packs_in_datasets: Path) -> None:
-    write_pack(folder_packs_in_datasets / "packs" / "b.mcap", seed=3, geometry="ab" * 32)
-    with Dataset.open(folder_packs_in_datasets) as dataset:
+def test_a_pack_of_another_geometry_is_told_once(folder: Path) -> None:
+    write_pack(folder / "packs" / "b.mcap", seed=3, geometry="ab" * 32)
+    with Dataset.open(folder) as dataset:
         assert any("was changed since" in notice for notice in dataset.notices)
         assert len(dataset.episodes()) == 4
-    with Dataset.open(folder_packs_in_datasets) as dataset:
+    with Dataset.open(folder) as dataset:
         assert dataset.notices == ()
 
 
-def test_other_files_among_the_packs_are_left(folder_packs_in_datasets: Path) -> None:
-    from tests.backend.annotations.conftest import small_episode
-    from touchdown.backend.episodes.episode_file import write_episode
-
-    write_episode(folder_packs_in_datasets / "packs" / "single.mcap", small_episode(), None, {})
-    with Dataset.open(folder_packs_in_datasets) as dataset:
+def test_other_files_among_the_packs_are_left(folder: Path) -> None:
+    write_episode(folder / "packs" / "single.mcap", small_episode(), None, {})
+    with Dataset.open(folder) as dataset:
         assert any("single.mcap is no pack" in notice for notice in dataset.notices)
-    assert (folder_packs_in_datasets / "packs" / "single.mcap").exists()
-    assert states(folder_packs_in_datasets) == ["complete"] * 4
+    assert (folder / "packs" / "single.mcap").exists()
+    assert states(folder) == ["complete"] * 4
 
 
 def test_a_pack_read_as_one_episode_says_that_no_pictures_were_kept(tmp_path: Path) -> None:
@@ -570,23 +533,12 @@ def test_a_pack_read_as_one_episode_says_that_no_pictures_were_kept(tmp_path: Pa
             read(path)
 
 
-def test_a_packed_episode_has_an_empty_film(tmp_path: Path) -> None:
-    folder_packs_in_datasets = tmp_path / "data"
-    Dataset.open(folder_packs_in_datasets).close()
-    write_pack(folder_packs_in_datasets / "packs" / "a.mcap", 3)
-    with Dataset.open(folder_packs_in_datasets) as dataset:
-        film = dataset.film(dataset.episodes()[0].uuid)
-    assert film.bytes == 0
-    assert all(len(pictures.packed) == 0 for pictures in film.pictures.values())
-
-
 @pytest.fixture
 def closed(tmp_path: Path) -> Path:
     """Return the folder of a dataset with one episode, closed in order."""
     folder = tmp_path / "closed"
     with Dataset.open(folder, person="ann") as dataset:
-        label, context = Label(0, 0, 0, 9), context_for(dataset)
-        dataset.record(small_episode(), label, source="measured", context=context)
+        add(dataset, Label(0, 0, 0, 9), source="measured")
     return folder
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.backend.annotations.conftest import context_for, small_episode
+from tests.backend.annotations.conftest import add, context_for, small_episode
 from tests.backend.annotations.test_packs_in_datasets import write_pack
 from touchdown.backend.annotations import training_set
 from touchdown.backend.annotations.dataset import Dataset
@@ -42,7 +42,7 @@ def row(number: int, path: str, chunk: tuple[int, int] | None) -> CacheRow:
 
 
 @pytest.fixture
-def rows_cache(tmp_path: Path) -> list[CacheRow]:
+def rows(tmp_path: Path) -> list[CacheRow]:
     """Eight episodes of a pack and two files of their own, in no order."""
     (tmp_path / "packs").mkdir()
     pack = tmp_path / "packs" / "a.mcap"
@@ -66,8 +66,8 @@ def numbers(opened: TrainingCache) -> list[int]:
     return [int(r.revision[1:]) for r in opened.rows]
 
 
-def test_rows_come_back_to_half_precision(tmp_path: Path, rows_cache: list[CacheRow]) -> None:
-    opened = open_cache(tmp_path, rows_cache)
+def test_rows_come_back_to_half_precision(tmp_path: Path, rows: list[CacheRow]) -> None:
+    opened = open_cache(tmp_path, rows)
     index = np.array([3, 0, 9, 3])
     got = opened.batch(index).astype(np.float32)
     expected = np.stack([truth(numbers(opened)[i]) for i in index])
@@ -76,57 +76,53 @@ def test_rows_come_back_to_half_precision(tmp_path: Path, rows_cache: list[Cache
     close = np.abs(expected) < 8
     assert np.abs(got - expected)[close].max() <= 0.004
     opened.close()
-    exact = open_cache(tmp_path, rows_cache, "float32")
+    exact = open_cache(tmp_path, rows, "float32")
     assert np.array_equal(exact.batch(index), expected)
     exact.close()
 
 
-def test_a_cache_is_an_ordinary_array_with_its_facts(
-    tmp_path: Path, rows_cache: list[CacheRow]
-) -> None:
-    opened = open_cache(tmp_path, rows_cache)
+def test_a_cache_is_an_ordinary_array_with_its_facts(tmp_path: Path, rows: list[CacheRow]) -> None:
+    opened = open_cache(tmp_path, rows)
     opened.close()
     array = np.load(opened.path)
     assert (array.shape, array.dtype) == ((10, 20, 258), np.float16)
     facts = json.loads(opened.path.with_suffix(".json").read_text())
-    assert facts["episode"] == sorted(r.episode for r in rows_cache)
+    assert facts["episode"] == sorted(r.episode for r in rows)
     assert facts["x_um"] == list(range(10))
     assert facts["spec"]["rate_hz"] == 10
 
 
 def test_an_equal_set_is_not_built_again(
-    tmp_path: Path, rows_cache: list[CacheRow], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, rows: list[CacheRow], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    first = open_cache(tmp_path, rows_cache)
+    first = open_cache(tmp_path, rows)
     first.close()
 
     def refuse(*_: object) -> None:
         raise AssertionError("the files were read again")
 
     monkeypatch.setattr(training_set, "read_observation", refuse)
-    again = open_cache(tmp_path, rows_cache[::-1])
+    again = open_cache(tmp_path, rows[::-1])
     assert again.path == first.path
     again.close()
     with pytest.raises(AssertionError):
-        open_cache(tmp_path, [replace(rows_cache[0], revision="other"), *rows_cache[1:]])
+        open_cache(tmp_path, [replace(rows[0], revision="other"), *rows[1:]])
 
 
 @pytest.mark.parametrize("change", [{"sha256": "0" * 64}, {"revision": "r99"}])
 def test_another_file_or_revision_is_another_cache(
-    tmp_path: Path, rows_cache: list[CacheRow], change: dict[str, str]
+    tmp_path: Path, rows: list[CacheRow], change: dict[str, str]
 ) -> None:
-    first = open_cache(tmp_path, rows_cache)
-    other = open_cache(tmp_path, [replace(rows_cache[0], **change), *rows_cache[1:]])
+    first = open_cache(tmp_path, rows)
+    other = open_cache(tmp_path, [replace(rows[0], **change), *rows[1:]])
     assert other.path != first.path
     first.close()
     other.close()
 
 
 @pytest.mark.parametrize("damage", ["cut", "no json", "foreign"])
-def test_half_a_cache_is_built_again(
-    tmp_path: Path, rows_cache: list[CacheRow], damage: str
-) -> None:
-    opened = open_cache(tmp_path, rows_cache)
+def test_half_a_cache_is_built_again(tmp_path: Path, rows: list[CacheRow], damage: str) -> None:
+    opened = open_cache(tmp_path, rows)
     opened.close()
     if damage == "cut":
         opened.path.write_bytes(opened.path.read_bytes()[:-999])
@@ -134,34 +130,34 @@ def test_half_a_cache_is_built_again(
         opened.path.with_suffix(".json").unlink()
     else:
         np.save(opened.path, np.zeros(3))
-    again = open_cache(tmp_path, rows_cache)
+    again = open_cache(tmp_path, rows)
     assert np.allclose(again.batch(np.array([0])), truth(numbers(again)[0]), atol=0.032)
     again.close()
 
 
-def test_nothing_half_built_stays(tmp_path: Path, rows_cache: list[CacheRow]) -> None:
+def test_nothing_half_built_stays(tmp_path: Path, rows: list[CacheRow]) -> None:
     data = bytearray((tmp_path / "packs/a.mcap").read_bytes())
-    offset, length = rows_cache[-1].chunk or (0, 0)
+    offset, length = rows[-1].chunk or (0, 0)
     data[offset + length - 30] ^= 0xFF
     (tmp_path / "packs/a.mcap").write_bytes(data)
     with pytest.raises(InputError) as error:
-        open_cache(tmp_path, rows_cache)
+        open_cache(tmp_path, rows)
     assert error.value.where.endswith("packs/a.mcap")
     assert list((tmp_path / "cache").iterdir()) == []
 
 
-def test_a_wrong_place_in_a_pack_is_refused(tmp_path: Path, rows_cache: list[CacheRow]) -> None:
+def test_a_wrong_place_in_a_pack_is_refused(tmp_path: Path, rows: list[CacheRow]) -> None:
     for chunk in ((3, 500), (0, 5), (10**9, 100), (8, 2**40)):
         with pytest.raises(InputError):
-            read_observation(tmp_path, replace(rows_cache[-1], chunk=chunk))
+            read_observation(tmp_path, replace(rows[-1], chunk=chunk))
 
 
-def test_only_the_newest_caches_stay(tmp_path: Path, rows_cache: list[CacheRow]) -> None:
+def test_only_the_newest_caches_stay(tmp_path: Path, rows: list[CacheRow]) -> None:
     for count in range(6, 11):
-        open_cache(tmp_path, rows_cache[:count]).close()
+        open_cache(tmp_path, rows[:count]).close()
     left = sorted(path.suffix for path in (tmp_path / "cache").iterdir())
     assert left == [".json"] * training_set.KEPT_CACHES + [".npy"] * training_set.KEPT_CACHES
-    newest = open_cache(tmp_path, rows_cache[:10])
+    newest = open_cache(tmp_path, rows[:10])
     assert newest.path.exists()
     newest.close()
 
@@ -201,19 +197,11 @@ def used(folder: Path, labels: LabelChoice) -> dict[int, float]:
     return dict(zip(seeds, rows.offset_mm[:, 0].tolist(), strict=True))
 
 
-def test_the_latest_approved_label_counts(folder: Path) -> None:
+def test_the_latest_approved_label_counts_and_others_where_wanted(folder: Path) -> None:
     assert used(folder, "approved") == {2: 0.5, 3: 0.5}
-
-
-def test_submitted_labels_where_wanted(folder: Path) -> None:
     assert used(folder, "submitted") == {1: 0.5, 2: 0.5, 3: 0.5}
-
-
-def test_drafts_of_a_simulated_bench_where_wanted(folder: Path) -> None:
     assert used(folder, "drafts") == {0: 0.0, 1: 0.5, 2: 0.5, 3: 0.5, 7: 7.0, 8: 8.0}
-
-
-def test_a_draft_by_a_person_is_never_used(folder: Path) -> None:
+    # A draft by a person is never used.
     with Dataset.open(folder) as dataset:
         uuid = next(e.uuid for e in dataset.episodes() if e.state == "draft")
         dataset.labels.set("ann", uuid, Label(1, 1, 0, 1))
@@ -223,8 +211,7 @@ def test_a_draft_by_a_person_is_never_used(folder: Path) -> None:
 def test_nothing_labelled_says_what_to_do(tmp_path: Path) -> None:
     folder = tmp_path / "data"
     with Dataset.open(folder) as dataset:
-        label = Label(1, 1, 0, 1)
-        dataset.record(small_episode(), label, source="commanded", context=context_for(dataset))
+        add(dataset, Label(1, 1, 0, 1))
     with pytest.raises(InputError, match="--labels submitted or drafts"):
         load_training_set(folder)
     assert is_dataset(folder)
@@ -256,8 +243,7 @@ def test_a_turned_label_has_a_turned_patch(tmp_path: Path) -> None:
     with Dataset.open(folder) as dataset:
         context = context_for(dataset, bottom="square15")
         for seed, theta in enumerate((0, 45_000)):
-            label = Label(6000, 0, theta, 100)
-            dataset.record(small_episode(seed=seed), label, source="commanded", context=context)
+            add(dataset, Label(6000, 0, theta, 100), seed=seed, context=context)
         derived = [dataset.patch(entry.uuid).touching for entry in dataset.episodes()]
     rows = load_training_set(folder, "pot", "drafts")
     assert [patch_hex(p) for p in rows.patch] == [patch_hex(p) for p in derived]

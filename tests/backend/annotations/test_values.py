@@ -7,19 +7,17 @@ import os
 import shutil
 import tempfile
 import time
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
-import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from tests.backend.annotations.conftest import Record, context_for, small_episode
+from tests.backend.annotations.conftest import Record, add, context_for, flip_byte, small_episode
 from touchdown.backend.annotations import values as ids
 from touchdown.backend.annotations.backups import BackupStore
 from touchdown.backend.annotations.dataset import Dataset
@@ -32,7 +30,6 @@ from touchdown.backend.annotations.values import (
     Label,
     Operation,
     canonical_json,
-    content_hash,
     first_broken_link,
     follow_uuid,
     is_uuid7,
@@ -41,11 +38,7 @@ from touchdown.backend.annotations.values import (
     uuid7_from_parts,
 )
 from touchdown.backend.core.faults import RefusedError
-from touchdown.backend.episodes.episode_file import read_episode
-from touchdown.backend.episodes.packs import PackedEpisode, PackWriter
-from touchdown.backend.episodes.training_rows import patch_hex
-from touchdown.backend.geometry.outlines import face_points
-from touchdown.backend.geometry.pieces import load_pieces
+from touchdown.backend.episodes.episode_file import read_episode, write_episode
 from touchdown.backend.runs.campaign import new_campaign
 
 FIRST_OP = (
@@ -92,12 +85,6 @@ def test_a_float_is_never_hashed_and_words_stay_as_they_are() -> None:
     assert canonical_json({"b": "Jörg", "a": None}) == '{"a":null,"b":"Jörg"}'.encode()
 
 
-def test_the_published_face_record() -> None:
-    face = {"com_um": [0, 0], "d_um": 15000, "kind": "face", "shape": "circle", "v": 1}
-    expected = "1e539dbc6c5b2a1e36adca9ca8496f7049f62f099342ac2d4a8439cee539303b"
-    assert content_hash(face) == expected
-
-
 def test_ids_sort_by_time_and_have_the_form_of_rfc_9562() -> None:
     # Appendix A.6 of RFC 9562.
     random = (0xCC3 << 62) | 0x18C4DC0C0C07398F
@@ -119,11 +106,10 @@ def test_labels_and_episodes_keep_their_order(
 ) -> None:
     folder = tmp_path / "data"
     with Dataset.open(folder, person="ann") as dataset:
-        context = context_for(dataset)
 
         def record() -> str:
             label = Label(0, 0, 0, 9)
-            made = dataset.record(small_episode(), label, source="measured", context=context)
+            made = add(dataset, label, source="measured")
             return made.uuid
 
         first = record()
@@ -164,9 +150,7 @@ def test_labels_are_backed_up_hourly_although_the_newest_copy_is_of_tomorrow(
 ) -> None:
     now = datetime(2030, 5, 2, 12, tzinfo=UTC)
     keeper = BackupStore(dataset.database, dataset.folder / "b", lambda: now + timedelta(days=1))
-    dataset.labels.skip("ann", dataset.record(
-        small_episode(), Label(0, 0, 0, 9), source="measured", context=context_for(dataset)
-    ).uuid)  # fmt: skip
+    dataset.labels.skip("ann", add(dataset, Label(0, 0, 0, 9), source="measured").uuid)
     keeper.make("test")
     dataset.labels.flag("ann", dataset.episodes()[0].uuid)
     back = BackupStore(dataset.database, dataset.folder / "b", lambda: now)
@@ -229,9 +213,7 @@ def test_a_part_file_stays_while_its_finished_file_is_damaged(
     final = dataset.folder / entry.path
     part = final.with_name(f".{final.name}.part")
     part.write_bytes(final.read_bytes())
-    data = bytearray(final.read_bytes())
-    data[len(data) // 2] ^= 1
-    final.write_bytes(data)
+    flip_byte(final)
     site = dataset.folder
     dataset.close()
     with Dataset.open(site) as opened:
@@ -240,36 +222,14 @@ def test_a_part_file_stays_while_its_finished_file_is_damaged(
     assert part.exists()
 
 
-def test_packed_episodes_count_as_accepted(tmp_path: Path) -> None:
-    Dataset.open(tmp_path / "data").close()
-    piece = load_pieces().top("pot")
-    points = len(face_points(piece.face))
-    label = {
-        "x_um": 1500, "y_um": -700, "sigma_um": 300, "source": "commanded", "piece": "pot",
-        "bottom": "circle15", "patch": patch_hex(np.arange(points) % 2 > 0), "points": points,
-        "geometry": piece.sha256, "grip_id": "g", "mounting_id": "m", "person": "cleo", "seed": 3,
-    }  # fmt: skip
-    with PackWriter(tmp_path / "data" / "packs" / "a.mcap", {"simulated": "true"}) as pack:
-        for number in range(3):
-            observation = np.full((20, 258), 0.1 * number, dtype=np.float32)
-            pack.write(PackedEpisode(observation, {"episode": f"e{number}", **label}))
-    with Dataset.open(tmp_path / "data") as dataset:
-        assert len(dataset.episodes(EpisodeFilter(accepted=True))) == 3
-        assert dataset.episodes(EpisodeFilter(accepted=False)) == []
-
-
-Reopen = Callable[[], Dataset]
-
-
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     """A dataset of three episodes, one with a label by a person; closed."""
     folder = tmp_path / "data"
     with Dataset.open(folder, person="cleo") as dataset:
-        context = context_for(dataset)
         for number in range(3):
             label = Label(1000 * number, -500, 0, 150)
-            dataset.record(small_episode(seed=number), label, source="commanded", context=context)
+            add(dataset, label, seed=number)
         first = dataset.episodes()[0].uuid
         dataset.labels.set("ann", first, Label(1234, 5, 0, 100))
     return folder
@@ -320,10 +280,7 @@ def test_a_clean_dataset_has_nothing_to_say(folder: Path) -> None:
 def test_a_complete_file_without_a_row_is_adopted(tmp_path: Path) -> None:
     folder = tmp_path / "data"
     with Dataset.open(folder) as dataset:
-        context = context_for(dataset)
-        entry = dataset.record(
-            small_episode(), Label(700, -30, 5, 90), source="measured", context=context
-        )
+        entry = add(dataset, Label(700, -30, 5, 90), source="measured")
     forget_row(folder, entry.uuid)
     (notice,) = mended(folder)
     assert "adopted" in notice
@@ -345,23 +302,21 @@ def test_a_complete_file_without_a_row_is_adopted(tmp_path: Path) -> None:
 def test_a_changed_byte_is_found_by_the_whole_check(folder: Path) -> None:
     uuid = uuids(folder)[1]
     path = file_of(folder, uuid)
-    data = bytearray(path.read_bytes())
-    data[len(data) // 2] ^= 1
-    path.write_bytes(data)
+    data = flip_byte(path)
     assert mended(folder) == ()
     with Dataset.open(folder) as dataset:
         (finding,) = reconcile(dataset.parts, whole=True)
         assert (finding.kind, finding.target) == ("damaged", uuid)
         assert dataset.entry(uuid).file_state == "damaged"
         assert reconcile(dataset.parts, whole=True) == []
-    assert path.read_bytes() == bytes(data)
+    assert path.read_bytes() == data
 
 
 def test_a_file_of_another_size_is_damaged_until_it_is_put_back(folder: Path) -> None:
     uuid = uuids(folder)[1]
     path = file_of(folder, uuid)
     good = path.read_bytes()
-    write_other_episode(folder, path)
+    write_other_episode(path)
     assert "marked as damaged" in mended(folder)[0]
     with Dataset.open(folder) as dataset:
         assert dataset.entry(uuid).file_state == "damaged"
@@ -372,10 +327,8 @@ def test_a_file_of_another_size_is_damaged_until_it_is_put_back(folder: Path) ->
         assert dataset.entry(uuid).file_state == "complete"
 
 
-def write_other_episode(folder: Path, path: Path) -> None:
+def write_other_episode(path: Path) -> None:
     """Replace the file of an episode by a readable file of another size."""
-    from touchdown.backend.episodes.episode_file import write_episode
-
     write_episode(path, small_episode(seed=99), None, {"note": "another" * 50})
 
 
@@ -455,7 +408,7 @@ def test_of_two_files_with_one_uuid_the_true_one_stays(folder: Path, damaged: bo
     copy = path.with_name("copy.mcap")
     copy.write_bytes(good)
     if damaged:
-        write_other_episode(folder, path)
+        write_other_episode(path)
     mended(folder)
     with Dataset.open(folder) as dataset:
         entry = dataset.entry(uuid)
@@ -465,8 +418,6 @@ def test_of_two_files_with_one_uuid_the_true_one_stays(folder: Path, damaged: bo
 
 
 def test_a_foreign_file_is_told_once_and_left(folder: Path) -> None:
-    from touchdown.backend.episodes.episode_file import write_episode
-
     stray = folder / "raw" / "stray.mcap"
     write_episode(stray, small_episode(seed=5), None, {})
     assert "no label message" in mended(folder)[0]
@@ -492,9 +443,7 @@ def test_what_only_the_journal_has_is_replayed(folder: Path, tmp_path: Path) -> 
     with Dataset.open(folder) as dataset:
         dataset.labels.set("ann", dataset.episodes()[1].uuid, Label(42, 43, 0, 10))
         dataset.labels.accept("ann", dataset.episodes()[1].uuid)
-        context = context_for(dataset)
-        dataset.record(small_episode(seed=8), Label(9, 9, 0, 1), source="commanded",
-                       context=context)  # fmt: skip
+        add(dataset, Label(9, 9, 0, 1), seed=8)
         expected = tables(dataset)
     for name in ("catalog.db", "catalog.db-wal", "catalog.db-shm"):
         (folder / name).unlink(missing_ok=True)
@@ -545,8 +494,7 @@ def test_a_broken_chain_makes_labels_read_only(folder: Path, where: str) -> None
             with pytest.raises(RefusedError, match="read-only"):
                 dataset.labels.set("ann", uuid, Label(1, 2, 0, 3))
             with pytest.raises(RefusedError):
-                dataset.record(small_episode(seed=7), Label(), source="commanded",
-                               context=context_for(dataset))  # fmt: skip
+                add(dataset, Label(), seed=7)
             assert tables(dataset) == before
             assert len(list((folder / "raw").rglob("*.mcap"))) == 3
             events = dataset.database.rows("SELECT 1 FROM event WHERE verb = 'broken-chain'")
@@ -720,13 +668,7 @@ def test_undo_all_gives_the_beginning_and_redo_all_the_end(
                 dataset = Dataset.open(Path(folder))
             return dataset
 
-        context = context_for(dataset)
-        uuids = [
-            dataset.record(
-                small_episode(), Label(k, -k, 0, 9), source="commanded", context=context
-            ).uuid
-            for k in range(EPISODES)
-        ]
+        uuids = [add(dataset, Label(k, -k, 0, 9)).uuid for k in range(EPISODES)]
         trail, done = [contents(dataset)], []
         for step in steps:
             if step[0] == "reopen":
@@ -796,9 +738,7 @@ def test_an_undone_resolution_lets_the_label_lead_that_led_before(
     tmp_path: Path, which: str
 ) -> None:
     with Dataset.open(tmp_path / "ours") as ours:
-        uuid = ours.record(
-            small_episode(), Label(1, -2, 0, 9), source="commanded", context=context_for(ours)
-        ).uuid
+        uuid = add(ours, Label(1, -2, 0, 9)).uuid
     shutil.copytree(tmp_path / "ours", tmp_path / "theirs")
     with Dataset.open(tmp_path / "ours") as ours, Dataset.open(tmp_path / "theirs") as theirs:
         ours.labels.set("ann", uuid, Label(300, -400, 0, 9))

@@ -2,7 +2,7 @@
 
 import json
 import struct
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -170,14 +170,14 @@ def episode(with_recording: bool = True) -> Episode:
 
 
 @pytest.fixture
-def path_episode_file(tmp_path: Path) -> Path:
+def path(tmp_path: Path) -> Path:
     return tmp_path / "e.mcap"
 
 
-def test_every_native_sample_comes_back_bit_for_bit(path_episode_file: Path) -> None:
+def test_every_native_sample_comes_back_bit_for_bit(path: Path) -> None:
     sent = episode()
-    write_episode(path_episode_file, sent, {"x_um": 12}, {"mode": "stepped"})
-    got = read_episode(path_episode_file)
+    write_episode(path, sent, {"x_um": 12}, {"mode": "stepped"})
+    got = read_episode(path)
     assert (got.episode_id, got.piece, got.onset_s) == (sent.episode_id, "pot", sent.onset_s)
     assert got.quality == sent.quality
     assert got.metadata == sent.metadata
@@ -196,27 +196,27 @@ def test_every_native_sample_comes_back_bit_for_bit(path_episode_file: Path) -> 
         assert np.array_equal(f.position_px, g.position_px)
         assert np.array_equal(f.displacement_px, g.displacement_px)
         assert np.array_equal(f.state, g.state)
-    assert read_label(path_episode_file) == {"x_um": 12}
+    assert read_label(path) == {"x_um": 12}
 
 
-def test_a_file_without_commanded_poses_is_read_as_before(path_episode_file: Path) -> None:
+def test_a_file_without_commanded_poses_is_read_as_before(path: Path) -> None:
     sent = episode()
     assert sent.recording is not None
     silent = replace(sent.recording, command_t_s=np.zeros(0), command_mm=np.zeros((0, 3)))
-    write_episode(path_episode_file, replace(sent, recording=silent), None, {})
-    got = read_episode(path_episode_file).recording
+    write_episode(path, replace(sent, recording=silent), None, {})
+    got = read_episode(path).recording
     assert got is not None
     assert (got.command_t_s.shape, got.command_mm.shape) == ((0,), (0, 3))
     assert np.array_equal(got.pose_t_s, silent.pose_t_s)
 
 
-def test_pictures_are_close_as_jpeg_and_exact_as_png(path_episode_file: Path) -> None:
+def test_pictures_are_close_as_jpeg_and_exact_as_png(path: Path) -> None:
     sent = episode()
     assert sent.recording is not None
     worst = {}
     for keep in ("jpeg95_444", "png"):
-        write_episode(path_episode_file, sent, None, {}, keep)  # type: ignore[arg-type]
-        got = read_episode(path_episode_file).recording
+        write_episode(path, sent, None, {}, keep)  # type: ignore[arg-type]
+        got = read_episode(path).recording
         assert got is not None
         worst[keep] = max(
             np.abs(a.image.astype(int) - b.image).mean()
@@ -226,16 +226,16 @@ def test_pictures_are_close_as_jpeg_and_exact_as_png(path_episode_file: Path) ->
         assert all((a.finger, a.sequence, a.t_s) == (b.finger, b.sequence, b.t_s) for a, b in pairs)
     assert worst["png"] == 0
     assert worst["jpeg95_444"] < 1.0
-    write_episode(path_episode_file, sent, None, {}, "none")
-    got = read_episode(path_episode_file).recording
+    write_episode(path, sent, None, {}, "none")
+    got = read_episode(path).recording
     assert got is not None
     assert got.frames == ()
-    assert read_label(path_episode_file) is None
+    assert read_label(path) is None
 
 
-def test_stored_jpegs_keep_full_colour_resolution(path_episode_file: Path) -> None:
-    write_episode(path_episode_file, episode(), None, {})
-    with path_episode_file.open("rb") as file:
+def test_stored_jpegs_keep_full_colour_resolution(path: Path) -> None:
+    write_episode(path, episode(), None, {})
+    with path.open("rb") as file:
         _, _, message = next(make_reader(file).iter_messages(topics=["/tac/left/image"]))
     data = message.data[message.data.index(b"\xff\xd8") :]
     frame_header = data.index(b"\xff\xc0")
@@ -243,17 +243,9 @@ def test_stored_jpegs_keep_full_colour_resolution(path_episode_file: Path) -> No
     assert sampling == [0x11, 0x11, 0x11]
 
 
-def test_an_episode_without_recording(path_episode_file: Path) -> None:
-    sent = episode(with_recording=False)
-    write_episode(path_episode_file, sent, None, {})
-    got = read_episode(path_episode_file)
-    assert got.recording is None
-    assert np.array_equal(got.observation, sent.observation)
-
-
-def test_the_reference_reader_sees_streams_in_order_of_time(path_episode_file: Path) -> None:
-    write_episode(path_episode_file, episode(), {"x_um": 1}, {"mode": "stepped", "person": "ann"})
-    with path_episode_file.open("rb") as file:
+def test_the_reference_reader_sees_streams_in_order_of_time(path: Path) -> None:
+    write_episode(path, episode(), {"x_um": 1}, {"mode": "stepped", "person": "ann"})
+    with path.open("rb") as file:
         reader = make_reader(file, validate_crcs=True)
         summary = reader.get_summary()
         assert summary is not None
@@ -277,17 +269,15 @@ def test_the_reference_reader_sees_streams_in_order_of_time(path_episode_file: P
     assert json.loads(metadata["episode"]["quality"])["slip_mm"] == 0.0625
 
 
-def test_a_truncated_or_foreign_episode_is_refused_by_name(
-    path_episode_file: Path, tmp_path: Path
-) -> None:
-    write_episode(path_episode_file, episode(), None, {})
-    whole = path_episode_file.read_bytes()
+def test_a_truncated_or_foreign_episode_is_refused_by_name(path: Path, tmp_path: Path) -> None:
+    write_episode(path, episode(), None, {})
+    whole = path.read_bytes()
     for size in (0, 80, len(whole) // 3, len(whole) - 3):
-        path_episode_file.write_bytes(whole[:size])
+        path.write_bytes(whole[:size])
         with pytest.raises(InputError) as error:
-            read_episode(path_episode_file)
-        assert error.value.where == str(path_episode_file)
-    path_episode_file.write_bytes(whole)
+            read_episode(path)
+        assert error.value.where == str(path)
+    path.write_bytes(whole)
     with pytest.raises(InputError, match="lacks its observation or its label"):
         load_rows(tmp_path)
     with pytest.raises(InputError, match="No such file"):
@@ -295,19 +285,19 @@ def test_a_truncated_or_foreign_episode_is_refused_by_name(
 
 
 def test_a_failed_write_leaves_the_old_file_and_no_other(
-    path_episode_file: Path, monkeypatch: pytest.MonkeyPatch
+    path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    write_episode(path_episode_file, episode(with_recording=False), None, {})
-    before = path_episode_file.read_bytes()
+    write_episode(path, episode(with_recording=False), None, {})
+    before = path.read_bytes()
 
     def full(*_: object) -> bytes:
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(episode_file, "encode_image", full)
     with pytest.raises(OSError, match="No space"):
-        write_episode(path_episode_file, episode(), None, {})
-    assert path_episode_file.read_bytes() == before
-    assert [p.name for p in path_episode_file.parent.iterdir()] == [path_episode_file.name]
+        write_episode(path, episode(), None, {})
+    assert path.read_bytes() == before
+    assert [p.name for p in path.parent.iterdir()] == [path.name]
 
 
 def test_whole_microseconds_survive_and_others_to_the_nanosecond() -> None:
@@ -317,8 +307,7 @@ def test_whole_microseconds_survive_and_others_to_the_nanosecond() -> None:
     assert np.allclose(to_s(episode_file.to_ns(odd)), odd, rtol=0, atol=5e-10)
 
 
-def test_the_same_as_the_whole_episode(tmp_path, monkeypatch):
-    path = tmp_path / "e.mcap"
+def test_the_same_as_the_whole_episode(path, monkeypatch):
     write_episode(path, episode(), None, {})
     whole, decoded = read_episode(path), []
     with monkeypatch.context() as patch:
@@ -335,12 +324,14 @@ def test_the_same_as_the_whole_episode(tmp_path, monkeypatch):
             assert np.array_equal(film.pictures[finger].picture(index), frame.image)
 
 
-def test_an_episode_without_pictures(tmp_path):
-    path = tmp_path / "e.mcap"
-    write_episode(path, episode(with_recording=False), None, {})
+def test_an_episode_without_recording(path: Path) -> None:
+    sent = episode(with_recording=False)
+    write_episode(path, sent, None, {})
     film = read_compressed_episode(path)
     assert film.bytes == 0
-    assert film.episode.recording is None
+    for got in (read_episode(path), film.episode):
+        assert got.recording is None
+        assert np.array_equal(got.observation, sent.observation)
 
 
 def rows(count: int, **changes: object) -> Iterator[PackedEpisode]:
@@ -362,17 +353,13 @@ def write(path: Path, count: int = 3, **changes: object) -> Path:
     return path
 
 
-def same(a: Mapping[str, object], b: Mapping[str, object]) -> bool:
-    return dict(a) == dict(b)
-
-
 def test_episodes_come_back_bit_for_bit(tmp_path: Path) -> None:
     path = write(tmp_path / "a.mcap", 5)
     back = list(read_pack(path))
     assert len(back) == 5
     for got, sent in zip(back, rows(5), strict=True):
         assert np.array_equal(got.observation, sent.observation)
-        assert same(got.label, sent.label)
+        assert dict(got.label) == dict(sent.label)
     assert read_pack_metadata(path) == {"schema_version": "1", "seed": "7"}
 
 
@@ -465,7 +452,7 @@ def test_every_changed_byte_is_noticed_or_harmless(tmp_path: Path) -> None:
             refused += 1
             continue
         assert all(
-            np.array_equal(a.observation, b.observation) and same(a.label, b.label)
+            np.array_equal(a.observation, b.observation) and dict(a.label) == dict(b.label)
             for a, b in zip(got, sent, strict=True)
         )
     assert refused > 0.9 * len(positions)

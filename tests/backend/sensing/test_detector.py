@@ -362,11 +362,16 @@ def test_both_simulated_fingers_are_accepted_in_air_and_refused_in_the_press(
             rest_reference(tmp_path / f"lift-{finger}.png")
 
 
-def test_the_loop_refuses_a_later_reference_in_contact() -> None:
+def live_sensing() -> LiveSensing:
     frames = {finger: Stream[TactileFrame](finger, 64) for finger in FINGERS}
     fields = {finger: Stream(finger, 64) for finger in FINGERS}
     raw = RawStreams(frames, SampleStream("ft", 6, 10), SampleStream("arm", 3, 10))
-    sensing = LiveSensing(raw, fields, SampleStream("wrench", 6, 10), np.zeros(6))
+    return LiveSensing(raw, fields, SampleStream("wrench", 6, 10), np.zeros(6))
+
+
+def test_the_loop_refuses_a_later_reference_in_contact() -> None:
+    sensing = live_sensing()
+    frames, fields = sensing.raw.frames, sensing.fields
     clock = count()
 
     image, _ = rest_dots()
@@ -395,10 +400,8 @@ def test_the_loop_refuses_a_later_reference_in_contact() -> None:
 
 @pytest.mark.promise("C7")
 def test_a_reference_of_a_gel_with_another_grid_is_refused_and_names_it() -> None:
-    frames = {finger: Stream[TactileFrame](finger, 64) for finger in FINGERS}
-    fields = {finger: Stream(finger, 64) for finger in FINGERS}
-    raw = RawStreams(frames, SampleStream("ft", 6, 10), SampleStream("arm", 3, 10))
-    sensing = LiveSensing(raw, fields, SampleStream("wrench", 6, 10), np.zeros(6))
+    sensing = live_sensing()
+    frames = sensing.raw.frames
     image, _ = rest_dots()
     for k in range(3):
         for finger in FINGERS:

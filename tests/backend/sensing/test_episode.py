@@ -165,27 +165,31 @@ def test_verdict_values_and_marks_equal_the_oracle_for_random_drop_patterns() ->
     assert 16 < accepted < 84
 
 
-SYNCHRONISER_ONSET_S = 12.3456
-TICKS_S = SYNCHRONISER_ONSET_S + 0.1 * np.arange(1, 21)
+START_S = 12.3456
+TICKS_S = START_S + 0.1 * np.arange(1, 21)
 
 
 def displacement(finger: Finger, t_s: float) -> np.ndarray:
     """A field linear in time, so that linear interpolation must be exact; every number differs."""
     index = np.arange(126.0).reshape(63, 2)
     sign = 1.0 if finger == "left" else -1.0
-    return sign * (0.01 * index + (t_s - SYNCHRONISER_ONSET_S) * (1.0 + index / 126.0))
+    return sign * (0.01 * index + (t_s - START_S) * (1.0 + index / 126.0))
 
 
-def field_synchroniser(finger: Finger, number: int, t_s: float) -> MarkerField:
+def ramp(finger: Finger, number: int, t_s: float) -> MarkerField:
     moved = displacement(finger, t_s)
     return MarkerField(finger, number, t_s, moved + 100.0, moved, np.zeros(63, np.uint8), 1.0)
 
 
 def frame_times(period_s: float = 0.04, phase_s: float = 0.013) -> np.ndarray:
-    return SYNCHRONISER_ONSET_S - 0.3 + phase_s + period_s * np.arange(int(2.4 / period_s))
+    return START_S - 0.3 + phase_s + period_s * np.arange(int(2.4 / period_s))
 
 
-def record_synchroniser(
+def ramp_fields(finger: Finger = "left") -> list[MarkerField]:
+    return [ramp(finger, i, float(t)) for i, t in enumerate(frame_times())]
+
+
+def ramps(
     left: list[MarkerField] | None = None,
     right: list[MarkerField] | None = None,
     wrench_t_s: np.ndarray | None = None,
@@ -195,19 +199,15 @@ def record_synchroniser(
     fields: list[MarkerField] = []
     for finger in FINGERS:
         given = own[finger]
-        fields += (
-            [field_synchroniser(finger, i, float(t)) for i, t in enumerate(frame_times())]
-            if given is None
-            else given
-        )
-    t_s = SYNCHRONISER_ONSET_S - 0.3 + 1e-3 * np.arange(2400) if wrench_t_s is None else wrench_t_s
-    values = np.outer(t_s - SYNCHRONISER_ONSET_S, np.arange(1.0, 7.0)) if wrench is None else wrench
+        fields += ramp_fields(finger) if given is None else given
+    t_s = START_S - 0.3 + 1e-3 * np.arange(2400) if wrench_t_s is None else wrench_t_s
+    values = np.outer(t_s - START_S, np.arange(1.0, 7.0)) if wrench is None else wrench
     empty = np.zeros((0, 3))
     return Recording(t_s, values, tuple(fields), (), np.zeros(0), empty, np.zeros(6))
 
 
 def test_linear_signals_are_met_exactly() -> None:
-    ticks = synchronise(record_synchroniser(), SYNCHRONISER_ONSET_S)
+    ticks = synchronise(ramps(), START_S)
     for finger, name in zip(ticks.fingers, FINGERS, strict=True):
         for i, t_s in enumerate(TICKS_S):
             np.testing.assert_allclose(
@@ -215,13 +215,13 @@ def test_linear_signals_are_met_exactly() -> None:
             )
     # The mean of a ramp over (tick - 0.1, tick] of 100 samples lies 49.5 samples before the last.
     i = np.arange(20)
-    last = np.floor((TICKS_S - (SYNCHRONISER_ONSET_S - 0.3)) * 1e3 + 1e-6) * 1e-3 - 0.3
+    last = np.floor((TICKS_S - (START_S - 0.3)) * 1e3 + 1e-6) * 1e-3 - 0.3
     np.testing.assert_allclose(ticks.wrench[i, 0], last - 0.0495, atol=1e-9)
     np.testing.assert_allclose(ticks.wrench[:, 5], 6 * ticks.wrench[:, 0])
 
 
 def test_order_of_the_252_numbers() -> None:
-    rows = synchronise(record_synchroniser(), SYNCHRONISER_ONSET_S).observation()
+    rows = synchronise(ramps(), START_S).observation()
     assert rows.shape == (20, 258)
     assert rows.dtype == np.float32
     for sensor, finger in enumerate(FINGERS):
@@ -233,53 +233,41 @@ def test_order_of_the_252_numbers() -> None:
 
 
 def test_skew_is_the_distance_to_the_nearest_frame() -> None:
-    ticks = synchronise(record_synchroniser(), SYNCHRONISER_ONSET_S)
+    ticks = synchronise(ramps(), START_S)
     times = frame_times()
     expected = max(min(abs(t - tick) for t in times) for tick in TICKS_S)
     assert ticks.skew_s == pytest.approx(expected, abs=1e-12)
 
 
 def test_frame_on_the_tick_needs_no_other() -> None:
-    exact = [field_synchroniser("left", i, float(t)) for i, t in enumerate(TICKS_S)]
-    ticks = synchronise(record_synchroniser(left=exact), SYNCHRONISER_ONSET_S)
+    exact = [ramp("left", i, float(t)) for i, t in enumerate(TICKS_S)]
+    ticks = synchronise(ramps(left=exact), START_S)
     assert ticks.left.near.all()
     np.testing.assert_allclose(ticks.left.displacement_px[0], exact[0].displacement_px)
 
 
 def test_nothing_is_extrapolated() -> None:
-    early = [
-        field_synchroniser("left", i, float(t))
-        for i, t in enumerate(frame_times())
-        if t < SYNCHRONISER_ONSET_S + 1.99
-    ]
-    ticks = synchronise(record_synchroniser(left=early), SYNCHRONISER_ONSET_S)
+    early = [field for field in ramp_fields() if field.t_s < START_S + 1.99]
+    ticks = synchronise(ramps(left=early), START_S)
     assert np.isnan(ticks.left.displacement_px[19]).all()
     assert not ticks.left.near[19]
-    late = [
-        field_synchroniser("left", i, float(t))
-        for i, t in enumerate(frame_times())
-        if t > SYNCHRONISER_ONSET_S + 0.101
-    ]
-    ticks = synchronise(record_synchroniser(left=late), SYNCHRONISER_ONSET_S)
+    late = [field for field in ramp_fields() if field.t_s > START_S + 0.101]
+    ticks = synchronise(ramps(left=late), START_S)
     assert np.isnan(ticks.left.displacement_px[0]).all()
 
 
 @pytest.mark.promise("C5")
 def test_long_holes_are_not_bridged() -> None:
-    kept = [
-        field_synchroniser("left", i, float(t))
-        for i, t in enumerate(frame_times())
-        if not SYNCHRONISER_ONSET_S + 0.72 < t < SYNCHRONISER_ONSET_S + 1.18
-    ]
-    ticks = synchronise(record_synchroniser(left=kept), SYNCHRONISER_ONSET_S)
-    in_hole = (TICKS_S > SYNCHRONISER_ONSET_S + 0.72) & (TICKS_S < SYNCHRONISER_ONSET_S + 1.18)
+    kept = [field for field in ramp_fields() if not START_S + 0.72 < field.t_s < START_S + 1.18]
+    ticks = synchronise(ramps(left=kept), START_S)
+    in_hole = (TICKS_S > START_S + 0.72) & (TICKS_S < START_S + 1.18)
     assert np.array_equal(np.isnan(ticks.left.displacement_px[:, 0, 0]), in_hole)
     assert ticks.left.hole_s > 0.44
     assert np.isfinite(ticks.right.displacement_px).all()
 
 
 def test_no_frames_at_all() -> None:
-    ticks = synchronise(record_synchroniser(left=[]), SYNCHRONISER_ONSET_S)
+    ticks = synchronise(ramps(left=[]), START_S)
     assert np.isnan(ticks.left.displacement_px).all()
     assert not ticks.left.near.any()
     assert ticks.skew_s == np.inf
@@ -287,22 +275,22 @@ def test_no_frames_at_all() -> None:
 
 
 def test_field_with_nan_is_a_frame_that_never_came() -> None:
-    fields = [field_synchroniser("left", i, float(t)) for i, t in enumerate(frame_times())]
+    fields = ramp_fields()
     moved = fields[20].displacement_px.copy()
     moved[5, 1] = np.nan
     bad = fields[20]
     fields[20] = MarkerField(
         "left", 20, bad.t_s, bad.position_px.copy(), moved, bad.state.copy(), 1.0
     )
-    with_bad = synchronise(record_synchroniser(left=fields), SYNCHRONISER_ONSET_S)
-    without = synchronise(record_synchroniser(left=fields[:20] + fields[21:]), SYNCHRONISER_ONSET_S)
+    with_bad = synchronise(ramps(left=fields), START_S)
+    without = synchronise(ramps(left=fields[:20] + fields[21:]), START_S)
     np.testing.assert_array_equal(with_bad.left.displacement_px, without.left.displacement_px)
     assert np.isfinite(with_bad.left.displacement_px).all()
     assert (with_bad.left.dropped, without.left.dropped) == (0, 1)
 
 
 def test_marker_states_of_both_frames_count() -> None:
-    fields = [field_synchroniser("left", i, float(t)) for i, t in enumerate(frame_times())]
+    fields = ramp_fields()
     state = np.zeros(63, np.uint8)
     state[7], state[8] = MarkerState.INFERRED, MarkerState.LOST
     first = next(i for i, f in enumerate(fields) if f.t_s > TICKS_S[9])
@@ -310,7 +298,7 @@ def test_marker_states_of_both_frames_count() -> None:
     fields[first] = MarkerField(
         "left", first, old.t_s, old.position_px.copy(), old.displacement_px.copy(), state, 1.0
     )
-    ticks = synchronise(record_synchroniser(left=fields), SYNCHRONISER_ONSET_S)
+    ticks = synchronise(ramps(left=fields), START_S)
     assert ticks.left.inferred[9, 7]
     assert ticks.left.lost[9, 8]
     assert not ticks.left.lost[9, 7]
@@ -318,27 +306,21 @@ def test_marker_states_of_both_frames_count() -> None:
 
 
 def test_wrench_needs_80_percent_and_finite_samples() -> None:
-    t_s = SYNCHRONISER_ONSET_S - 0.3 + 1e-3 * np.arange(2400)
+    t_s = START_S - 0.3 + 1e-3 * np.arange(2400)
     values = np.ones((2400, 6))
     in_fifth = (t_s > TICKS_S[4] - 0.1) & (t_s <= TICKS_S[4])
     keep = np.ones(2400, dtype=bool)
     keep[np.flatnonzero(in_fifth)[:19]] = False
-    ticks = synchronise(
-        record_synchroniser(wrench_t_s=t_s[keep], wrench=values[keep].copy()), SYNCHRONISER_ONSET_S
-    )
+    ticks = synchronise(ramps(wrench_t_s=t_s[keep], wrench=values[keep].copy()), START_S)
     assert np.isfinite(ticks.wrench).all()
     keep[np.flatnonzero(in_fifth)[:21]] = False
-    ticks = synchronise(
-        record_synchroniser(wrench_t_s=t_s[keep], wrench=values[keep].copy()), SYNCHRONISER_ONSET_S
-    )
+    ticks = synchronise(ramps(wrench_t_s=t_s[keep], wrench=values[keep].copy()), START_S)
     assert np.flatnonzero(np.isnan(ticks.wrench[:, 2])).tolist() == [4]
     values[np.flatnonzero(in_fifth)[50], 3] = np.nan
-    ticks = synchronise(record_synchroniser(wrench_t_s=t_s, wrench=values), SYNCHRONISER_ONSET_S)
+    ticks = synchronise(ramps(wrench_t_s=t_s, wrench=values), START_S)
     assert np.flatnonzero(np.isnan(ticks.wrench[:, 2])).tolist() == [4]
 
 
 def test_no_wrench_is_missing_not_zero() -> None:
-    ticks = synchronise(
-        record_synchroniser(wrench_t_s=np.zeros(0), wrench=np.zeros((0, 6))), SYNCHRONISER_ONSET_S
-    )
+    ticks = synchronise(ramps(wrench_t_s=np.zeros(0), wrench=np.zeros((0, 6))), START_S)
     assert np.isnan(ticks.wrench).all()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Hashable, Sequence
+from collections.abc import Hashable, Iterable, Sequence
 from dataclasses import dataclass
 from itertools import permutations
 from statistics import fmean, median
@@ -141,18 +141,24 @@ class SuggestionBias:
 
 def suggestion_bias(database: Database, people: Sequence[str]) -> SuggestionBias:
     """Return the bias over the episodes that were answered both blind and with a suggestion."""
-    blind: dict[str, Label] = {}
-    shown: dict[str, Label] = {}
-    for person in people:
-        for kind, found in ((True, blind), (False, shown)):
-            given = read_answers(database, person, blind=kind).items()
-            found.update((uuid, answer.label) for uuid, answer in given if answer.label.is_set)
+    blind, shown = (
+        {
+            uuid: answer.label
+            for person in people
+            for uuid, answer in read_answers(database, person, blind=kind).items()
+            if answer.label.is_set
+        }
+        for kind in (True, False)
+    )
     both = [uuid for uuid in blind if uuid in shown]
-    a = np.array([blind[u].offset_mm for u in both], dtype=np.float64).reshape(-1, 2)
-    b = np.array([shown[u].offset_mm for u in both], dtype=np.float64).reshape(-1, 2)
+    a, b = _offsets_mm(blind[u] for u in both), _offsets_mm(shown[u] for u in both)
     return SuggestionBias(
         len(both), agreement_limits(a[:, 0], b[:, 0]), agreement_limits(a[:, 1], b[:, 1])
     )
+
+
+def _offsets_mm(labels: Iterable[Label]) -> Floats:
+    return np.array([label.offset_mm for label in labels], dtype=np.float64).reshape(-1, 2)
 
 
 def read_answers(
@@ -230,14 +236,17 @@ def _agreement(
 ) -> AgreementReport:
     both = [uuid for uuid in one if uuid in two]
     pairs = [(one[u], two[u]) for u in both if one[u].label.is_set and two[u].label.is_set]
-    a = np.array([x.label.offset_mm for x, _ in pairs], dtype=np.float64).reshape(-1, 2)
-    b = np.array([y.label.offset_mm for _, y in pairs], dtype=np.float64).reshape(-1, 2)
+    a, b = _offsets_mm(x.label for x, _ in pairs), _offsets_mm(y.label for _, y in pairs)
     verdicts = [(one[u].verdict, two[u].verdict) for u in both]
     named = [(x, y) for x, y in verdicts if x is not None and y is not None]
-    patches = [
-        [geometry.patch(y.geometry, answer.label).touching for answer in (x, y)] for x, y in pairs
+    overlaps = [
+        patch_iou(*(geometry.patch(y.geometry, answer.label).touching for answer in (x, y)))
+        for x, y in pairs
     ]
-    overlaps = [patch_iou(first, second) for first, second in patches]
+    half, d = len(pairs) // 2, a - b
+    drift_x, drift_y = math.nan, math.nan
+    if half:
+        drift_x, drift_y = (d[half:].mean(axis=0) - d[:half].mean(axis=0)).tolist()
     return AgreementReport(
         episodes=len(both),
         bias_x_mm=agreement_limits(a[:, 0], b[:, 0]),
@@ -248,17 +257,9 @@ def _agreement(
         patch_iou=fmean(overlaps) if overlaps else math.nan,
         kappa=cohen_kappa([x for x, _ in named], [y for _, y in named]),
         alpha=krippendorff_alpha(named),
-        drift_mm=_drift(a - b),
+        drift_mm=(drift_x, drift_y),
         seconds=(_seconds(one), _seconds(two)),
     )
-
-
-def _drift(difference: Floats) -> tuple[float, float]:
-    half = len(difference) // 2
-    if not half:
-        return math.nan, math.nan
-    x, y = difference[half:].mean(axis=0) - difference[:half].mean(axis=0)
-    return float(x), float(y)
 
 
 def _seconds(given: dict[str, LabellerAnswer]) -> float:

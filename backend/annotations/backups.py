@@ -6,7 +6,7 @@ import os
 import shutil
 import sqlite3
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -134,11 +134,10 @@ class BackupStore:
     def if_changed(self, reason: str) -> Path | None:
         """Make a backup unless the newest one contains all operations."""
         if self._saved is None:
-            newest = self.newest()
-            try:
-                self._saved = {} if newest is None else check_backup(newest)
-            except InputError:
-                self._saved = {}
+            self._saved = {}
+            if newest := self.newest():
+                with suppress(InputError):
+                    self._saved = check_backup(newest)
         return self.make(reason) if self._heads() != self._saved else None
 
     def _copy(self, part: Path) -> None:

@@ -11,7 +11,6 @@ from hashlib import blake2b
 from typing import Any
 
 from touchdown.backend.annotations import review
-from touchdown.backend.annotations import review as heads
 from touchdown.backend.annotations.dataset import Dataset
 from touchdown.backend.annotations.labels import LabelStore
 from touchdown.backend.annotations.review import BY_PROGRAM, Action, ReviewStatus, RevisionNode
@@ -165,10 +164,8 @@ class _ControlItems:
         return self.history(uuid)[-1]
 
     def history(self, uuid: str) -> list[Revision]:
-        found = dict[str, Revision]()
-        for step in self._steps(uuid):
-            found.setdefault(step.version.rev_uuid, step.version)
-        return list(found.values())
+        versions = {step.version.rev_uuid: step.version for step in reversed(self._steps(uuid))}
+        return list(reversed(versions.values()))
 
     def set(
         self,
@@ -179,15 +176,9 @@ class _ControlItems:
         source: Source | None = None,
         verdict: Verdict | None = None,
     ) -> Revision:
-        head = self.head(uuid)
-        revision = self._revision(
-            person, uuid, label, source, verdict, self._after("set", uuid, person)
-        )
-        same = (revision.label, revision.source, revision.verdict) == (
-            head.label,
-            head.source,
-            head.verdict,
-        )
+        head, state = self.head(uuid), self._after("set", uuid, person)
+        revision = self._revision(person, uuid, label, state, source, verdict)
+        same = all(getattr(revision, n) == getattr(head, n) for n in ("label", "source", "verdict"))
         return head if same and head.state == "draft" else self._add("label.set", revision)
 
     def accept(
@@ -203,14 +194,14 @@ class _ControlItems:
         if label != self.head(uuid).label:
             state = self._after("set", uuid, person)
         state = self._after("accept", uuid, person, state)
-        revision = self._revision(person, uuid, label, source, None, state)
+        revision = self._revision(person, uuid, label, state, source)
         return self._add("label.accept_next", revision, context)
 
     def reject(
         self, person: str, uuid: str, reason: str, *, context: AnswerContext | None = None
     ) -> Revision:
         state = self._after("reject", uuid, person)
-        revision = self._revision(person, uuid, self.head(uuid).label, None, None, state)
+        revision = self._revision(person, uuid, self.head(uuid).label, state)
         return self._add("reject", replace(revision, reason=reason), context)
 
     def take_over(self, person: str, uuid: str) -> Revision:
@@ -218,9 +209,7 @@ class _ControlItems:
         review.check_open(status)
         if head.state not in ("draft", "rejected") or person in status.authors:
             raise RefusedError("nothing to take over", "This is no draft of another person.")
-        return self._add(
-            "label.take_over", self._revision(person, uuid, head.label, None, None, "draft")
-        )
+        return self._add("label.take_over", self._revision(person, uuid, head.label, "draft"))
 
     def restore_revision(self, person: str, uuid: str, rev_uuid: str) -> Revision:
         for old in self.history(uuid):
@@ -249,7 +238,7 @@ class _ControlItems:
         for step in steps:
             if step.version.rev_uuid not in {node.rev_uuid for node in nodes}:
                 nodes.append(_node(step, "label.set"))
-        authors = heads.authors_of(nodes, head.rev_uuid) if state is None else (self.person,)
+        authors = review.authors_of(nodes, head.rev_uuid) if state is None else (self.person,)
         return ReviewStatus(state or head.state, authors, False, False, bool(steps[-1].deleted))
 
     def _after(
@@ -263,9 +252,9 @@ class _ControlItems:
         person: str,
         uuid: str,
         label: Label,
-        source: Source | None,
-        verdict: Verdict | None,
         state: LabelState,
+        source: Source | None = None,
+        verdict: Verdict | None = None,
     ) -> Revision:
         head = self.head(uuid)
         moved = "human" if label != head.label else head.source

@@ -31,6 +31,7 @@ from touchdown.backend.annotations.reconciliation import MergeReport, reconcile
 from touchdown.backend.annotations.review import check_person
 from touchdown.backend.annotations.run_tracking import RunTracker
 from touchdown.backend.annotations.storage import WriterLock, check_local_disk, disk_weakness
+from touchdown.backend.annotations.training_set import stored_observation
 from touchdown.backend.annotations.values import (
     EpisodeContext,
     EpisodeEntry,
@@ -51,19 +52,14 @@ from touchdown.backend.core import (
     write_atomically,
 )
 from touchdown.backend.episodes import (
-    OBSERVATION_TOPIC,
     CompressedEpisode,
     ExaminedEpisode,
     KeepFrames,
     QualityIssue,
     check_quality,
     divided_indices,
-    input_errors,
-    read_chunk,
     read_compressed_episode,
     read_episode,
-    read_first,
-    unpack_observation,
     without_images,
 )
 
@@ -305,15 +301,12 @@ class Dataset:
             If there is no such episode, or its file is damaged; the error names the file.
 
         """
-        packed = self._packed(uuid)
-        return read_episode(self.path(uuid)) if packed is None else packed
+        return self._packed(uuid) or read_episode(self.path(uuid))
 
     def film(self, uuid: str) -> CompressedEpisode:
         """Read an episode with compressed images; an episode in a pack has none."""
         packed = self._packed(uuid)
-        return (
-            read_compressed_episode(self.path(uuid)) if packed is None else without_images(packed)
-        )
+        return without_images(packed) if packed else read_compressed_episode(self.path(uuid))
 
     def _packed(self, uuid: str) -> Episode | None:
         path = self.path(uuid)
@@ -472,11 +465,7 @@ def iter_observations(
     chunks = {uuid: (offset, length) for uuid, offset, length in dataset.database.rows(sql)}
     for entry in entries:
         try:
-            path, chunk = dataset.folder / entry.path, chunks.get(entry.uuid)
-            group = read_first(path) if chunk is None else read_chunk(path, *chunk)
-            with input_errors(path):
-                observation = unpack_observation(group.messages[OBSERVATION_TOPIC.name])
-            yield entry, observation
+            yield entry, stored_observation(dataset.folder / entry.path, chunks.get(entry.uuid))
         except InputError as error:
             yield entry, error
 

@@ -76,14 +76,13 @@ def face_record(outline: Outline, com_xy_mm: Point = (0.0, 0.0)) -> Record:
     return record | {"shape": "polygon", "vertices_um": corners}
 
 
-def grid_record(pitch_um: int = GRID_UM) -> Record:
-    """Return the record of a square lattice through the face's centre."""
-    return {"kind": "grid", "v": VERSION, "pitch_um": pitch_um, "origin_um": [0, 0]}
+# Square lattice through the face's centre.
+GRID: Record = {"kind": "grid", "v": VERSION, "pitch_um": GRID_UM, "origin_um": [0, 0]}
 
 
 def pair_records(piece: Piece, bottom: Piece) -> dict[str, Record]:
     """Return the records of ``piece`` above ``bottom`` by hash; the pair comes last."""
-    parts = [face_record(piece.face, piece.com_xy_mm), face_record(bottom.face), grid_record()]
+    parts = [face_record(piece.face, piece.com_xy_mm), face_record(bottom.face), GRID]
     face, below, grid = (content_hash(part) for part in parts)
     pair: Record = {"kind": "pair", "v": VERSION, "rule": INSIDE_OR_ON_EDGE}
     pair |= {"face": face, "bottom": below, "grid": grid}

@@ -103,14 +103,11 @@ def _settle(folder: Path, person: str) -> bool:
 
 def _make(folder: Path, path: Path, *, carry: bool) -> tuple[str, ...]:
     site = read_description(folder).site
-    database = Database.open(path, write=True)
-    try:
+    with closing(Database.open(path, write=True)) as database:
         journal, geometry = OperationJournal(folder / "labels"), GeometryStore(folder / "geometry")
         if carry:
             _carry_over(database, folder / CATALOGUE_FILE)
         found = reconcile(DatasetParts(folder, database, journal, geometry, site))
-    finally:
-        database.close()
     return problem_lines(finding for finding in found if finding.kind not in ("adopt", "replay"))
 
 

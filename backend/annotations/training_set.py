@@ -5,12 +5,13 @@ The cache gives random access to observations without decoding files.
 
 from __future__ import annotations
 
-import contextlib
 import json
 import math
 import os
 import tempfile
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import closing, suppress
 from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
@@ -122,7 +123,7 @@ def open_cache(
     path = folder / f"{name}.npy"
     if not _fits(path, len(ordered), width):
         folder.mkdir(parents=True, exist_ok=True)
-        _write(path, _observations(dataset, ordered, advance), len(ordered), width)
+        _write(path, dataset, ordered, width, advance)
         columns = {name: [getattr(row, name) for row in ordered] for name in LISTED}
         header = {"spec": {**spec, "episodes": len(ordered)}, **columns}
         write_atomically(path.with_suffix(".json"), json.dumps(header).encode())
@@ -141,15 +142,22 @@ def _fits(path: Path, count: int, width: Width) -> bool:
 
 
 def _write(
-    path: Path, observations: Iterator[NDArray[np.float32]], count: int, width: Width
+    path: Path,
+    dataset: Path,
+    rows: Sequence[CacheRow],
+    width: Width,
+    advance: Callable[[int], None],
 ) -> None:
-    header = {"descr": np.dtype(width).str, "fortran_order": False, "shape": (count, *SHAPE)}
+    header = {"descr": np.dtype(width).str, "fortran_order": False, "shape": (len(rows), *SHAPE)}
     descriptor, part = tempfile.mkstemp(dir=path.parent, prefix=".", suffix=".tmp")
     try:
         with os.fdopen(descriptor, "wb") as file:
             np.lib.format.write_array_header_1_0(file, header)
-            for observation in observations:
-                file.write(observation.astype(width).tobytes())
+            for done, row in enumerate(rows):
+                file.write(read_observation(dataset, row).astype(width).tobytes())
+                if done % 64 == 0:
+                    advance(done)
+            advance(len(rows))
             file.flush()
             os.fsync(file.fileno())
         Path(part).replace(path)
@@ -159,29 +167,24 @@ def _write(
     sync_folder(path.parent)
 
 
-def _observations(
-    dataset: Path, rows: Sequence[CacheRow], advance: Callable[[int], None]
-) -> Iterator[NDArray[np.float32]]:
-    for done, row in enumerate(rows):
-        yield read_observation(dataset, row)
-        if done % 64 == 0:
-            advance(done)
-    advance(len(rows))
+def stored_observation(path: Path, chunk: tuple[int, int] | None) -> NDArray[np.float32]:
+    """Return the observation of an episode file, or of a ``chunk`` of a pack."""
+    group = read_first(path) if chunk is None else read_chunk(path, *chunk)
+    with input_errors(path):
+        return unpack_observation(group.messages[OBSERVATION_TOPIC.name])
 
 
 def read_observation(dataset: Path, row: CacheRow) -> NDArray[np.float32]:
     """Return the observation (20, 258) of one row; raises ``InputError`` for a damaged file."""
     path = dataset / row.path
-    group = read_first(path) if row.chunk is None else read_chunk(path, *row.chunk)
-    with input_errors(path):
-        observation = unpack_observation(group.messages[OBSERVATION_TOPIC.name])
+    observation = stored_observation(path, row.chunk)
     if observation.shape != SHAPE or not (np.abs(observation) < np.finfo(np.float16).max).all():
         raise InputError("The observation is no probe of 20 ticks.", str(path), DAMAGED_FILE_FIX)
     return observation
 
 
 def _delete_old(folder: Path, used: Path) -> None:
-    with contextlib.suppress(OSError):
+    with suppress(OSError):
         os.utime(used)
         by_age = sorted(folder.glob("*.npy"), key=lambda path: -path.stat().st_mtime_ns)
         for path in by_age[KEPT_CACHES:]:
@@ -241,11 +244,8 @@ def load_training_set(
     copied into the cache, if it has to be built. Raises ``InputError`` if there are no episodes, or
     episodes of several pieces.
     """
-    database = Database.open(folder / CATALOGUE_FILE, write=False)
-    try:
+    with closing(Database.open(folder / CATALOGUE_FILE, write=False)) as database:
         listed = labelled_episodes(database, labels)
-    finally:
-        database.close()
     chosen = _of_one_piece(listed, piece, folder, labels)
     pairs = {e.row.pair: None for e in chosen}
     store = GeometryStore(folder / "geometry")
@@ -330,9 +330,9 @@ def _patches(
     """Return the true patches (n, N) over ``points`` (N, 2), per pair and rotation at once."""
     patch = np.zeros((len(chosen), len(points)), dtype=np.bool_)
     offset: FloatArray = np.stack([e.label.offset_mm for e in chosen])
-    groups: dict[tuple[str, int], list[int]] = {}
+    groups = defaultdict[tuple[str, int], list[int]](list)
     for i, e in enumerate(chosen):
-        groups.setdefault((e.row.pair, e.label.theta_mdeg or 0), []).append(i)
+        groups[e.row.pair, e.label.theta_mdeg or 0].append(i)
     for (name, theta_mdeg), index in groups.items():
         yaw_rad = math.radians(theta_mdeg / 1e3)
         patch[index] = true_patch(points, offset[index], pairs[name].bottom, yaw_rad)

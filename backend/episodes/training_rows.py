@@ -9,7 +9,9 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,17 +66,13 @@ class TrainingRows:
     def take(self, index: NDArray[np.int64]) -> TrainingRows:
         """Return the episodes at ``index``, in that order."""
         chosen = index.tolist()
-        return TrainingRows(
-            self.piece,
-            self.geometry,
-            self.observation[index],
-            self.offset_mm[index],
-            self.patch[index],
-            tuple(self.bottom[i] for i in chosen),
-            tuple(self.grip_id[i] for i in chosen),
-            tuple(self.mounting_id[i] for i in chosen),
-            tuple(self.labels[i] for i in chosen),
-        )
+        arrays: Any = {name: getattr(self, name)[index] for name in ARRAYS}
+        lists: Any = {name: tuple(getattr(self, name)[i] for i in chosen) for name in LISTS}
+        return TrainingRows(self.piece, self.geometry, **arrays, **lists)
+
+
+ARRAYS = ("observation", "offset_mm", "patch")
+LISTS = ("bottom", "grip_id", "mounting_id", "labels")
 
 
 def patch_hex(patch: NDArray[np.bool_]) -> str:
@@ -133,7 +131,17 @@ def load_rows(folder: Path, piece: str | None = None) -> TrainingRows:
             str(folder),
             "Choose one of these pieces, or simulate more episodes.",
         )
-    return _stack(rows, patches, wanted or "", geometry)
+    labels = tuple(row.label for row in rows)
+    lists: Any = {name: tuple(str(label[name]) for label in labels) for name in LISTS[:3]}
+    return TrainingRows(
+        wanted or "",
+        geometry,
+        np.stack([row.observation for row in rows]),
+        np.array([[_number(k["x_um"]), _number(k["y_um"])] for k in labels]) / 1e3,
+        np.stack(patches),
+        labels=labels,
+        **lists,
+    )
 
 
 def join_rows(parts: Sequence[TrainingRows]) -> TrainingRows:
@@ -146,35 +154,9 @@ def join_rows(parts: Sequence[TrainingRows]) -> TrainingRows:
                 "episodes",
                 "Join episodes of one piece only.",
             )
-    return TrainingRows(
-        first.piece,
-        first.geometry,
-        np.concatenate([part.observation for part in parts]),
-        np.concatenate([part.offset_mm for part in parts]),
-        np.concatenate([part.patch for part in parts]),
-        tuple(name for part in parts for name in part.bottom),
-        tuple(name for part in parts for name in part.grip_id),
-        tuple(name for part in parts for name in part.mounting_id),
-        tuple(label for part in parts for label in part.labels),
-    )
-
-
-def _stack(
-    rows: Sequence[PackedEpisode], patches: Sequence[NDArray[np.bool_]], piece: str, geometry: str
-) -> TrainingRows:
-    labels = tuple(row.label for row in rows)
-    offset = np.array([[_number(k["x_um"]), _number(k["y_um"])] for k in labels]) / 1e3
-    return TrainingRows(
-        piece,
-        geometry,
-        np.stack([row.observation for row in rows]),
-        offset,
-        np.stack(patches),
-        tuple(str(label["bottom"]) for label in labels),
-        tuple(str(label["grip_id"]) for label in labels),
-        tuple(str(label["mounting_id"]) for label in labels),
-        labels,
-    )
+    arrays: Any = {name: np.concatenate([getattr(part, name) for part in parts]) for name in ARRAYS}
+    lists: Any = {name: tuple(chain(*(getattr(part, name) for part in parts))) for name in LISTS}
+    return TrainingRows(first.piece, first.geometry, **arrays, **lists)
 
 
 def _number(value: object) -> float:
@@ -244,9 +226,8 @@ def split_grips(
     Raises ``InputError`` if all episodes come from one grip.
     """
     if len(set(mounting_id)) >= MIN_MOUNTINGS:
-        return _hold_out(list(mounting_id), "mounting", share, seed)
-    pairs = zip(mounting_id, grip_id, strict=True)
-    keys = [f"{mounting}/{grip}" for mounting, grip in pairs]
+        return _hold_out(mounting_id, "mounting", share, seed)
+    keys = [f"{mounting}/{grip}" for mounting, grip in zip(mounting_id, grip_id, strict=True)]
     if len(set(keys)) < 2:
         raise InputError(
             "All episodes come from one grip, so validation would see what training saw.",
@@ -264,38 +245,31 @@ def split_series(mounting_id: Sequence[str], pair: Sequence[str], share: float, 
     keeps a series for training. Raises ``InputError`` if no pair has two series.
     """
     if len(set(mounting_id)) >= MIN_MOUNTINGS:
-        return _hold_out(list(mounting_id), "mounting", share, seed)
+        return _hold_out(mounting_id, "mounting", share, seed)
     keys = list(zip(pair, mounting_id, strict=True))
     sizes = Counter(keys)
     of_pair = Counter(name for name, _ in sizes)
     if not of_pair or max(of_pair.values()) < 2:
-        name = next(iter(of_pair), "one pair")
+        name = next(iter(of_pair), "one pair") if len(of_pair) < 2 else "each pair"
         raise InputError(
-            f"There is one series only of {name}, so validation would know its errors."
-            if len(of_pair) < 2
-            else "There is one series only of each pair, so validation would know its errors.",
+            f"There is one series only of {name}, so validation would know its errors.",
             "mounting_id",
             "Collect another campaign of the same pair (each is a series of its own); "
             f"{SIMULATE_ADVICE}. Or choose to divide series by grips (--divide-series).",
         )
-    chosen = _chosen_series(sizes, of_pair, share * len(keys), seed)
-    held_out = np.array([key in chosen for key in keys])
-    return Split(np.flatnonzero(~held_out), np.flatnonzero(held_out), "series")
-
-
-def _chosen_series(
-    sizes: Counter[tuple[str, str]], of_pair: Counter[str], wanted: float, seed: int
-) -> set[tuple[str, str]]:
-    """Draw series up to ``wanted`` episodes, or the smallest one if all are larger."""
+    # Draw series up to the wanted number of episodes, or the smallest one if all are larger.
     names = sorted(key for key in sizes if of_pair[key[0]] > 1)
     order = np.random.default_rng([seed, 14]).permutation(len(names))
-    drawn, left, total = set[tuple[str, str]](), Counter(of_pair), 0
-    for key in (names[k] for k in order.tolist()):
-        if total + sizes[key] <= wanted and left[key[0]] > 1:
+    shuffled = [names[k] for k in order.tolist()]
+    drawn, total = set[tuple[str, str]](), 0
+    for key in shuffled:
+        if total + sizes[key] <= share * len(keys) and of_pair[key[0]] > 1:
             drawn.add(key)
-            left[key[0]] -= 1
+            of_pair[key[0]] -= 1
             total += sizes[key]
-    return drawn or {min((names[k] for k in order.tolist()), key=lambda key: sizes[key])}
+    drawn = drawn or {min(shuffled, key=sizes.__getitem__)}
+    held_out = np.array([key in drawn for key in keys])
+    return Split(np.flatnonzero(~held_out), np.flatnonzero(held_out), "series")
 
 
 def group_noun(kept_together: str) -> str:

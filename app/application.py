@@ -43,7 +43,6 @@ from touchdown.app.shell import (
     save_settings,
     show_event,
     stopped_card,
-    time_of_day,
 )
 from touchdown.app.tour import Tour, tour_stops
 from touchdown.app.workspaces import FIRST, Workspaces
@@ -270,7 +269,7 @@ class TouchdownApp(QObject):
         if self.bench is not None:
             self.bench.stop()
             log.info("STOP by the operator")
-            self.cards.show_card(stopped_card(time_of_day()))
+            self.cards.show_card(stopped_card())
 
     def reset(self) -> None:
         """Clear the stop latch and the cards."""

@@ -7,12 +7,11 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from datetime import UTC, datetime
-from typing import cast
 
 from PySide6.QtWidgets import QWidget
 
 from touchdown.app.calibrate.sheet import CalibrateSheet, CalibrationView, PlaceForm
-from touchdown.app.shell import is_run_active, refusal_card, start_obstacle
+from touchdown.app.shell import arm_position_mm, carry_out, is_run_active, start_obstacle
 from touchdown.backend.bench import Session
 from touchdown.backend.calibration import (
     CALIBRATION_KINDS,
@@ -28,14 +27,10 @@ from touchdown.backend.core import (
     CalibrationMeasured,
     Event,
     HandOverAwaited,
-    InputError,
     Progress,
-    RefusedError,
     RunFinished,
     RunStarted,
-    StaleSampleError,
 )
-from touchdown.backend.devices import Arm
 from touchdown.backend.runs import (
     CalibrateRequest,
     accept_calibration,
@@ -43,7 +38,7 @@ from touchdown.backend.runs import (
     hand_over_message,
 )
 from touchdown.widgets.base import Age, Theme
-from touchdown.widgets.shell import CardText, FaultCards
+from touchdown.widgets.shell import FaultCards
 
 STEPS: dict[CalibrationName, tuple[str, ...]] = {
     "payload": (
@@ -199,40 +194,25 @@ class CalibratePresenter:
     def _measure(self) -> None:
         if self.sheet is None:
             return
-        try:
-            self._bench.start(self.sheet.form.request(self._chosen))
-        except RefusedError as error:
-            self._cards.show_card(refusal_card(error, _clock()))
-            return
-        except InputError as error:
-            self._show_bad(error)
-            return
-        self._measured.pop(self._chosen, None)
-        self._said.pop(self._chosen, None)
-        self._cards.pass_on()
-        self.draw(at_once=True)
+        request = self.sheet.form.request(self._chosen)
+        if carry_out(lambda: self._bench.start(request), self._cards, "CALIBRATE"):
+            self._measured.pop(self._chosen, None)
+            self._said.pop(self._chosen, None)
+            self.draw(at_once=True)
 
     def _accept(self) -> None:
         found, store = self._measured.get(self._chosen), self._bench.calibrations
         if found is None or store is None:
             return
-        try:
+
+        def accept() -> None:
             path = accept_calibration(store, found, self._bench.devices, self._person())
-        except RefusedError as error:
-            self._cards.show_card(refusal_card(error, _clock()))
-        except InputError as error:
-            self._show_bad(error)
-        else:
             del self._measured[self._chosen]
             self._said[self._chosen] = f"Accepted: {path.name}{AFTER.get(self._chosen, '')}"
             self._read_standings()
-            self.draw(at_once=True)
 
-    def _show_bad(self, error: InputError) -> None:
-        where = f"In {error.where}."
-        self._cards.show_card(
-            CardText("CALIBRATE", error.what, where, error.fix, reset=False, at=_clock())
-        )
+        if carry_out(accept, self._cards, "CALIBRATE"):
+            self.draw(at_once=True)
 
     # -- showing ----------------------------------------------------------------------------------
 
@@ -308,20 +288,17 @@ class CalibratePresenter:
         return f"{file.residual:.2g} of {file.limit:g} {file.unit}, holds {left}{also}", "good"
 
     def _live(self) -> str:
-        minus, now_s = "\N{MINUS SIGN}", self._bench.clock_s()
+        now_s = self._bench.clock_s()
         window = self._bench.wrench.window(now_s - 0.1, now_s)
         if not len(window.t_s):
             return "The wrist sensor is silent."
         force, moment = window.values[:, :3].mean(axis=0), window.values[:, 3:].mean(axis=0)
         text = "F " + "  ".join(f"{v:+.2f}" for v in force) + " N     T "
         text += "  ".join(f"{v:+.3f}" for v in moment) + " N\N{MIDDLE DOT}m"
-        arm = self._bench.devices.get("arm")
-        try:
-            _, at = cast("Arm", arm).poses.latest(now_s, 1.0)
-        except (StaleSampleError, AttributeError):
-            return text.replace("-", minus)
-        text += "     hand at " + "  ".join(f"{v:.1f}" for v in at) + " mm"
-        return text.replace("-", minus)
+        at = arm_position_mm(self._bench, 1.0)
+        if at is not None:
+            text += "     hand at " + "  ".join(f"{v:.1f}" for v in at) + " mm"
+        return text.replace("-", "\N{MINUS SIGN}")
 
     def _draw_fingers(self, sheet: CalibrateSheet) -> None:
         now_s = self._bench.clock_s()
@@ -338,7 +315,3 @@ def _figure(found: CalibrationMeasured | None) -> str:
     if found is None:
         return ""
     return f"Residual {format_residual(found.residual, found.limit, found.unit)}."
-
-
-def _clock() -> str:
-    return f"{datetime.now():%H:%M:%S}"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import cast
 
 from PySide6.QtCore import Qt, Signal
 from PySide6.QtGui import QFontMetrics, QResizeEvent
@@ -11,9 +10,9 @@ from PySide6.QtWidgets import QCheckBox, QComboBox, QHBoxLayout, QVBoxLayout, QW
 
 from touchdown.app.collect.origin import OriginCheckNote, residual_text
 from touchdown.app.collect.probes import SIGNALS
+from touchdown.app.shell import arm_position_mm
 from touchdown.backend.bench import Session
-from touchdown.backend.core import FINGERS, Finger, StaleSampleError
-from touchdown.backend.devices import Arm
+from touchdown.backend.core import FINGERS, Finger
 from touchdown.widgets.base import Age, CaptionedView, Panel, Theme, ui_font
 from touchdown.widgets.forms import LastProbePanel, PairHealthPanel, TargetPanel
 from touchdown.widgets.lists import EpisodeTable
@@ -194,13 +193,8 @@ class OriginField:
 
     def set_here(self, bench: Session | None) -> None:
         """Set the origin to the present position of the arm."""
-        arm = None if bench is None else bench.devices.get("arm")
-        if bench is None or arm is None:
-            return
-        try:
-            _, pose_mm = cast("Arm", arm).poses.latest(bench.clock_s(), AGE_S)
-        except StaleSampleError:
-            return
-        for field, value_mm in zip(self._target.origin, pose_mm.tolist(), strict=False):
-            field.setValue(value_mm)
-        self.show_note(None)
+        at_mm = None if bench is None else arm_position_mm(bench, AGE_S)
+        if at_mm is not None:
+            for field, value_mm in zip(self._target.origin, at_mm, strict=False):
+                field.setValue(value_mm)
+            self.show_note(None)

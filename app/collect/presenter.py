@@ -19,7 +19,7 @@ from touchdown.app.collect.requests import (
     collect_request,
     probe_text,
 )
-from touchdown.app.shell import ACTIVE_STATES, SaveWorker, refusal_card
+from touchdown.app.shell import SaveWorker, carry_out, error_card, is_run_active
 from touchdown.backend.annotations import Dataset, EpisodeEntry, EpisodeFilter, check_person
 from touchdown.backend.bench import Session
 from touchdown.backend.core import (
@@ -35,7 +35,6 @@ from touchdown.backend.core import (
     OriginChecked,
     PhaseEntered,
     ProbeCollected,
-    RefusedError,
     RunFinished,
     RunStarted,
     TouchdownError,
@@ -50,7 +49,7 @@ from touchdown.backend.runs import (
     newest_campaign,
 )
 from touchdown.widgets.forms import ProbeText, TargetButtons
-from touchdown.widgets.shell import CardText, FaultCards
+from touchdown.widgets.shell import FaultCards
 
 
 class ProbesPresenter:
@@ -327,34 +326,25 @@ class CollectPresenter:
 
     def _begin(self, request: CollectRequest) -> None:
         bench = self.bench
-        if bench is None or bench.status().state in ACTIVE_STATES:
+        if bench is None or is_run_active(bench):
             return
         if not request.person:
             # The line below the button shows the reason; focus the name.
             self._page.target.ask_person()
             return
-        try:
+
+        def start() -> None:
             check_person(request.person)
             bench.dataset = self.dataset
             bench.start(request)
-        except RefusedError as error:
-            self._refused(error)
-        except InputError as error:
-            self._cards.show_card(
-                CardText("INPUT", error.what, f"In {error.where}.", error.fix, reset=False)
-            )
+
+        carry_out(start, self._cards)
 
     def lift(self) -> None:
         """Lift the arm out of contact, so that a run can start."""
-        if self.bench is None or self.bench.hand is None:
-            return
-        try:
-            self.bench.hand.jog.step("z", "XYZ", LIFT_MM, LIFT_MM_S)
-        except RefusedError as error:
-            self._refused(error)
-
-    def _refused(self, error: RefusedError) -> None:
-        self._cards.show_card(refusal_card(error, f"{datetime.now():%H:%M:%S}"))
+        if self.bench is not None and self.bench.hand is not None:
+            jog = self.bench.hand.jog
+            carry_out(lambda: jog.step("z", "XYZ", LIFT_MM, LIFT_MM_S), self._cards)
 
     def pause_or_resume(self) -> None:
         """Pause at the next safe place, or resume."""
@@ -503,10 +493,8 @@ class CollectPresenter:
         self._reader.submit(look, done, self._failed)
 
     def _failed(self, error: Exception) -> None:
-        what = error.what if isinstance(error, InputError) else str(error)
-        fix = error.fix if isinstance(error, InputError) else ""
-        code = "DATASET" if not isinstance(error, TouchdownError) else type(error).__name__
-        self._cards.show_card(CardText(code.upper(), what, "", fix, reset=False))
+        code = type(error).__name__.upper() if isinstance(error, TouchdownError) else "DATASET"
+        self._cards.show_card(error_card(code, error))
 
     # -- showing ----------------------------------------------------------------------------------
 

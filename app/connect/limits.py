@@ -6,7 +6,7 @@ import getpass
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from datetime import datetime
+from functools import partial
 
 from pydantic import ValidationError
 from PySide6.QtWidgets import (
@@ -19,15 +19,14 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from touchdown.app.shell import QuestionRow, refusal_card
+from touchdown.app.shell import QuestionRow, carry_out, time_of_day
 from touchdown.backend.bench import Session
 from touchdown.backend.config import LimitSettings
-from touchdown.backend.core import InputError, RefusedError
 from touchdown.backend.devices import Limits
 from touchdown.backend.runs import changed_limits
 from touchdown.widgets.base import label, rule
 from touchdown.widgets.forms import inset_spin_boxes
-from touchdown.widgets.shell import CardText, FaultCards
+from touchdown.widgets.shell import FaultCards
 
 WIDEST = 2000.0
 COLUMNS = 2
@@ -237,21 +236,11 @@ class LimitsPresenter:
         return ""
 
     def _take(self, wanted: Limits) -> None:
-        at, person = f"{datetime.now():%H:%M:%S}", self._person()
-        try:
-            self._bench.change_limits(wanted, person)
-        except RefusedError as error:
-            self._cards.show_card(refusal_card(error, at))
-        except InputError as error:
-            self._cards.show_card(
-                CardText("LIMITS", error.what, f"In {error.where}.", error.fix, reset=False, at=at)
-            )
-        else:
-            self._cards.pass_on()
-            same = wanted == self._first
-            self._said = (
-                "" if same else (f"From {self._bench.limits_source}, changed at {at} by {person}.")
-            )
+        person, source = self._person(), self._bench.limits_source
+        change = partial(self._bench.change_limits, wanted, person)
+        if carry_out(change, self._cards, "LIMITS"):
+            changed = f"From {source}, changed at {time_of_day()} by {person}."
+            self._said = "" if wanted == self._first else changed
         self._show()
 
 

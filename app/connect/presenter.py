@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from datetime import datetime
 
 from PySide6.QtWidgets import QWidget
 
@@ -12,7 +11,7 @@ from touchdown.app.calibrate import CalibratePresenter
 from touchdown.app.connect.devices import DevicesPresenter
 from touchdown.app.connect.limits import LimitsPresenter
 from touchdown.app.connect.sheet import ConnectSheet, ConnectView, DeviceRowView
-from touchdown.app.shell import is_run_active, refusal_card
+from touchdown.app.shell import carry_out, is_run_active
 from touchdown.backend.bench import Session
 from touchdown.backend.core import RefusedError
 from touchdown.backend.devices import CONNECTION_STEPS
@@ -95,25 +94,15 @@ class ConnectPresenter:
     def _extra(self, index: int) -> None:
         needs = self._connection.lines()[index].needs
         if needs == "home":
-            self.sheet.question.ask(
-                "Homing moves the jaws to their end. Are they empty?",
-                "Not yet",
-                "Home the gripper",
-                lambda: self._ordered(self._bench.home_gripper),
-            )
-        elif needs == "acknowledge":
-            self.sheet.question.ask(
-                "Have you looked at the gripper and the piece?", "Not yet", "Acknowledge",
-                lambda: self._ordered(self._connection.acknowledge),
-            )  # fmt: skip
+            text, yes = "Homing moves the jaws to their end. Are they empty?", "Home the gripper"
+            order = self._bench.home_gripper
+        else:
+            text, yes = "Have you looked at the gripper and the piece?", "Acknowledge"
+            order = self._connection.acknowledge
+        self.sheet.question.ask(text, "Not yet", yes, lambda: self._ordered(order))
 
     def _ordered(self, order: Callable[[], None]) -> None:
-        try:
-            order()
-        except RefusedError as error:
-            self._cards.show_card(refusal_card(error, f"{datetime.now():%H:%M:%S}"))
-        else:
-            self._cards.pass_on()
+        carry_out(order, self._cards)
         self.draw(at_once=True)
 
     # -- showing ----------------------------------------------------------------------------------
@@ -132,11 +121,9 @@ class ConnectPresenter:
         trouble = self._connection.trouble
         if trouble is not None:
             return str(trouble)
-        if self._connection.busy:
-            return f"{ready} of {len(lines)} connected. {NOTHING_MOVES}"
-        if any(line.needs for line in lines):
+        if not self._connection.busy and any(line.needs for line in lines):
             return "The gripper needs you: see its row."
-        if ready == len(lines):
+        if not self._connection.busy and ready == len(lines):
             return "All devices are ready."
         return f"{ready} of {len(lines)} connected. {NOTHING_MOVES}"
 

@@ -32,6 +32,7 @@ from touchdown.app.shell import (
     Workspace,
     WorkspaceContext,
     dataset_opener,
+    error_card,
 )
 from touchdown.backend.annotations import (
     MergeReport,
@@ -375,11 +376,9 @@ class LabelWorkspace(Workspace):
         self.opened(opened)
 
     def _failed(self, error: Exception) -> None:
-        fix = error.fix if isinstance(error, InputError) else "Look at the folder."
-        what = error.what if isinstance(error, InputError) else str(error)
         self.label_page.say("No dataset is open.", bad=True)
         self._context.cards.show_card(
-            CardText("DATASET", what, f"In {self.folder}.", fix, reset=False)
+            error_card("DATASET", error, f"In {self.folder}.", "Look at the folder.")
         )
 
     # -- who --------------------------------------------------------------------------------------

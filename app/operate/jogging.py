@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from datetime import datetime
 from typing import cast
 
 from PySide6.QtCore import QEvent, QObject, Qt, QTimer
@@ -13,11 +12,18 @@ from PySide6.QtGui import QKeyEvent, QWindow
 from PySide6.QtWidgets import QApplication, QWidget
 
 from touchdown.app.operate.page import OperatePage
-from touchdown.app.shell import is_run_active, is_typing, log, missing_scene_reason, refusal_card
+from touchdown.app.shell import (
+    arm_of,
+    carry_out,
+    gripper_of,
+    is_run_active,
+    is_typing,
+    log,
+    missing_scene_reason,
+)
 from touchdown.backend.bench import Session
 from touchdown.backend.core import (
     LEVEL_TOLERANCE_RAD,
-    FaultError,
     Pose,
     RefusedError,
     StaleSampleError,
@@ -29,9 +35,7 @@ from touchdown.backend.devices import (
     STEPS_MM,
     Arm,
     Axis,
-    Device,
     Frame,
-    Gripper,
     GripStatus,
     JogOrder,
     JogRange,
@@ -144,20 +148,7 @@ class ManualControlPresenter:
         hand = self._bench.hand
         if hand is None:
             return False
-        try:
-            order(hand)
-        except RefusedError as error:
-            if error.reason == "JOG-ENDED":
-                # The cause was shown already.
-                return False
-            self._cards.show_card(refusal_card(error, f"{datetime.now():%H:%M:%S}"))
-            return False
-        except FaultError as error:
-            refused = RefusedError(error.fault.code, error.fault.what)
-            self._cards.show_card(refusal_card(refused, f"{datetime.now():%H:%M:%S}"))
-            return False
-        self._cards.pass_on()
-        return True
+        return carry_out(lambda: order(hand), self._cards)
 
     # -- showing ----------------------------------------------------------------------------------
 
@@ -187,13 +178,13 @@ class ManualControlPresenter:
         return "A run is going on" if is_run_active(self._bench) else ""
 
     def _look(self) -> PoseReadout:
-        arm, hand = self._bench.devices.get("arm"), self._bench.hand
+        arm, hand = arm_of(self._bench), self._bench.hand
         if arm is None or hand is None:
             return PoseReadout()
         try:
-            t_s, _ = _arm(arm).poses.latest(self._bench.clock_s(), float("inf"))
-            pose = _arm(arm).pose(float("inf"))
-            text = self._pose_text(_arm(arm), pose)
+            t_s, _ = arm.poses.latest(self._bench.clock_s(), float("inf"))
+            pose = arm.pose(float("inf"))
+            text = self._pose_text(arm, pose)
             rooms = hand.jog.rooms(self._frame())
         except (StaleSampleError, RefusedError):
             return PoseReadout()
@@ -246,8 +237,8 @@ class ManualControlPresenter:
             )
 
     def _grip_status(self) -> GripStatus | None:
-        device = self._bench.devices.get("gripper")
-        return None if device is None else _gripper(device).status()
+        gripper = gripper_of(self._bench)
+        return None if gripper is None else gripper.status()
 
     def _frame(self) -> Frame:
         return FRAMES[self._page.jog.frame.currentIndex()]
@@ -277,14 +268,6 @@ def _axis(what: str) -> Axis:
 
 def _sign(what: str) -> float:
     return 1.0 if what[0] == "+" else -1.0
-
-
-def _arm(device: Device) -> Arm:
-    return device  # type: ignore[return-value]
-
-
-def _gripper(device: Device) -> Gripper:
-    return device  # type: ignore[return-value]
 
 
 IDLE_MS = 30_000

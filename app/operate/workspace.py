@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from datetime import datetime
 
 from touchdown.app.operate.jogging import PACES, ROWS, JogKeyFilter, ManualControlPresenter
 from touchdown.app.operate.page import OperatePage
@@ -16,9 +15,9 @@ from touchdown.app.shell import (
     Workspace,
     WorkspaceContext,
     belief_scene,
+    carry_out,
     face_outlines,
     is_run_active,
-    refusal_card,
     scene_model_caption,
     start_obstacle,
     unprobed_scene,
@@ -28,16 +27,14 @@ from touchdown.backend.config import ProbeSettings
 from touchdown.backend.core import (
     EpisodeRecorded,
     Event,
-    InputError,
     PatchEstimated,
     PhaseEntered,
-    RefusedError,
     RunFinished,
     RunStarted,
 )
 from touchdown.backend.runs import ProbeRequest
 from touchdown.widgets.forms import ProbePanel
-from touchdown.widgets.shell import CardText, FaultCards
+from touchdown.widgets.shell import FaultCards
 from touchdown.widgets.views import BeliefScene
 
 PHASES = ("grip", "reference", "approach", "press", "hold", "lift")
@@ -56,16 +53,8 @@ class SingleProbePresenter:
 
     def start(self) -> None:
         """Start a single probe."""
-        if is_run_active(self._bench):
-            return
-        try:
-            self._bench.start(ProbeRequest())
-        except RefusedError as error:
-            self._cards.show_card(refusal_card(error, f"{datetime.now():%H:%M:%S}"))
-        except InputError as error:
-            self._cards.show_card(
-                CardText("INPUT", error.what, f"In {error.where}.", error.fix, reset=False)
-            )
+        if not is_run_active(self._bench):
+            carry_out(lambda: self._bench.start(ProbeRequest()), self._cards)
 
     def cancel(self) -> None:
         """End the probe in order."""

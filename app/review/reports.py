@@ -16,7 +16,7 @@ from PySide6.QtSvg import QSvgRenderer
 from PySide6.QtWidgets import QFileDialog, QWidget
 
 from touchdown.app.review.exports import open_in_viewer
-from touchdown.app.shell import SaveWorker, WorkspaceContext
+from touchdown.app.shell import SaveWorker, WorkspaceContext, error_card
 from touchdown.backend.core import InputError, write_atomically
 from touchdown.backend.experiments import (
     BLUE,
@@ -33,7 +33,6 @@ from touchdown.backend.experiments import (
     report_page,
 )
 from touchdown.widgets.base import Tokens, label
-from touchdown.widgets.shell import CardText
 from touchdown.widgets.views import FlowWidget, PictureCard, ReportCell, ReportGrid, ReportSheet
 
 DEFAULT_SIZE_PX = 220, 220
@@ -236,10 +235,9 @@ class ReportsPresenter:
         )
 
     def _failed(self, error: Exception) -> None:
-        bad = error if isinstance(error, InputError) else None
-        what = bad.what if bad else f"The report cannot be shown: {error}."
-        where, fix = (f"In {bad.where}.", bad.fix) if bad else ("", "")
-        self._context.cards.show_card(CardText("REPORT", what, where, fix, reset=False))
+        if not isinstance(error, InputError):
+            error = RuntimeError(f"The report cannot be shown: {error}.")
+        self._context.cards.show_card(error_card("REPORT", error))
 
 
 def _look(entry: TableEntry) -> ReportCell:

@@ -6,6 +6,9 @@ from .actions import key_bindings as key_bindings
 from .actions import portable_key as portable_key
 from .activity import ACTIVE_STATES as ACTIVE_STATES
 from .activity import DeviceInspectorPresenter as DeviceInspectorPresenter
+from .activity import arm_of as arm_of
+from .activity import arm_position_mm as arm_position_mm
+from .activity import gripper_of as gripper_of
 from .activity import is_run_active as is_run_active
 from .activity import may_be_moving as may_be_moving
 from .activity import missing_scene_reason as missing_scene_reason
@@ -15,9 +18,10 @@ from .bench_text import bench_caption as bench_caption
 from .bench_text import run_model_caption as run_model_caption
 from .bench_text import scene_model_caption as scene_model_caption
 from .cards import CloseConfirmation as CloseConfirmation
+from .cards import carry_out as carry_out
+from .cards import error_card as error_card
 from .cards import exit_after_timeout as exit_after_timeout
 from .cards import log_event as log_event
-from .cards import refusal_card as refusal_card
 from .cards import show_event as show_event
 from .cards import stopped_card as stopped_card
 from .cards import time_of_day as time_of_day
@@ -117,13 +121,18 @@ __all__ = [
     "WindowSettings",
     "Workspace",
     "WorkspaceContext",
+    "arm_of",
+    "arm_position_mm",
     "as_float_pair",
     "belief_scene",
     "bench_caption",
+    "carry_out",
     "column_of",
     "dataset_opener",
+    "error_card",
     "exit_after_timeout",
     "face_outlines",
+    "gripper_of",
     "ignored_words",
     "install_error_hooks",
     "is_run_active",
@@ -142,7 +151,6 @@ __all__ = [
     "parse_displacement",
     "pill_state",
     "portable_key",
-    "refusal_card",
     "restore_form",
     "run_model_caption",
     "run_score",

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import math
 import threading
 from functools import partial
+from typing import cast
 
 from PySide6.QtCore import QPoint
 from PySide6.QtWidgets import QWidget
 
 from touchdown.backend.bench import Session
-from touchdown.backend.core import FaultError, Refused, Said
-from touchdown.backend.devices import NAMES, Device, RobotMode
+from touchdown.backend.core import FaultError, Refused, Said, StaleSampleError
+from touchdown.backend.devices import NAMES, Arm, Device, Gripper, RobotMode
 from touchdown.backend.rig import reconnect
 from touchdown.backend.runs import RunState
 from touchdown.widgets.shell import DEVICE_CHIPS, DeviceInspector, TopBar
@@ -33,9 +35,27 @@ def may_be_moving(bench: Session) -> bool:
     status = bench.status()
     if status.state in MOVING_STATES and status.awaiting is None and not status.asks:
         return True
-    arm = bench.devices.get("arm")
-    mode = getattr(arm, "status", None)
-    return mode is not None and mode().robot_mode is RobotMode.MOVING
+    arm = arm_of(bench)
+    return arm is not None and arm.status().robot_mode is RobotMode.MOVING
+
+
+def arm_of(bench: Session) -> Arm | None:
+    """Return the arm, None while the bench has none."""
+    return cast("Arm | None", bench.devices.get("arm"))
+
+
+def gripper_of(bench: Session) -> Gripper | None:
+    """Return the gripper, None while the bench has none."""
+    return cast("Gripper | None", bench.devices.get("gripper"))
+
+
+def arm_position_mm(bench: Session, max_age_s: float = math.inf) -> tuple[float, ...] | None:
+    """Return x, y, z of the hand, None if it is unknown or older than ``max_age_s``."""
+    arm = arm_of(bench)
+    try:
+        return None if arm is None else tuple(arm.poses.latest(bench.clock_s(), max_age_s)[1])
+    except StaleSampleError:
+        return None
 
 
 def missing_scene_reason(bench: Session) -> str:

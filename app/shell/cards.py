@@ -15,8 +15,10 @@ from touchdown.backend.bench import Session
 from touchdown.backend.core import (
     Event,
     Fault,
+    FaultError,
     FaultRaised,
     FaultsReset,
+    InputError,
     Noticed,
     Paused,
     PhaseEntered,
@@ -29,32 +31,61 @@ from touchdown.backend.core import (
 from touchdown.widgets.shell import STOPPED, CardQuestion, CardText, FaultCards
 
 
-def fault_card(fault: Fault, at: str) -> CardText:
-    """Return the card of a fault; ``at`` is the time of day."""
+def fault_card(fault: Fault) -> CardText:
+    """Return the card of a fault that is raised now."""
     device = f"\nDevice: {fault.device}" if fault.device else ""
+    at = time_of_day()
     details = (
         f"{fault.what}\n{fault.consequence}\n{fault.next_step}\nCode: {fault.code}{device}\n{at}"
     )
-    return CardText(
-        fault.code, fault.what, fault.consequence, fault.next_step, details, reset=True, at=at
-    )
+    return CardText(fault.code, fault.what, fault.consequence, fault.next_step, details, at=at)
 
 
-def stopped_card(at: str) -> CardText:
+def stopped_card() -> CardText:
     """Return the card of a STOP."""
     return CardText(
         STOPPED,
         "Stopped by the operator.",
         "The run ends and new motion is refused; the grip is kept.",
         "Look at the bench, then press Reset.",
-        at=at,
+        at=time_of_day(),
     )
 
 
-def refusal_card(error: RefusedError, at: str) -> CardText:
+def refusal_card(error: RefusedError) -> CardText:
     """Return the card of a refused or ended manual command."""
     consequence = "The order was refused or has ended."
-    return CardText(error.reason, error.detail, consequence, "", reset=False, at=at, passing=True)
+    return CardText(
+        error.reason, error.detail, consequence, "", reset=False, at=time_of_day(), passing=True
+    )
+
+
+def error_card(code: str, error: Exception, where: str = "", fix: str = "") -> CardText:
+    """Return the card of a failed action. An ``InputError`` has a place and a fix of its own."""
+    if isinstance(error, InputError):
+        return CardText(code, error.what, where or f"In {error.where}.", error.fix, reset=False)
+    return CardText(code, str(error), where, fix, reset=False)
+
+
+def carry_out(order: Callable[[], object], cards: FaultCards, code: str = "INPUT") -> bool:
+    """Carry out an order of the operator; return False and show a card if it is refused.
+
+    ``code`` is that of the card for invalid input. An accepted order removes earlier refusals.
+    """
+    try:
+        order()
+    except RefusedError as error:
+        # The cause of an ended jog was shown already.
+        if error.reason != "JOG-ENDED":
+            cards.show_card(refusal_card(error))
+    except FaultError as error:
+        cards.show_card(refusal_card(RefusedError(error.fault.code, error.fault.what)))
+    except InputError as error:
+        cards.show_card(error_card(code, error))
+    else:
+        cards.pass_on()
+        return True
+    return False
 
 
 class ShowStatus(Protocol):
@@ -88,9 +119,9 @@ def show_event(event: Event, bench: Session | None, cards: FaultCards, say: Show
     if isinstance(event, PhaseEntered | RunFinished):
         cards.clear(cards.obstacles)
     if isinstance(event, FaultRaised):
-        cards.show_card(fault_card(event.fault, time_of_day()))
+        cards.show_card(fault_card(event.fault))
     elif isinstance(event, Refused):
-        cards.show_card(refusal_card(RefusedError(event.reason, event.text), time_of_day()))
+        cards.show_card(refusal_card(RefusedError(event.reason, event.text)))
     elif isinstance(event, FaultsReset):
         cards.clear()
         why = "" if bench is None else start_obstacle(bench)
@@ -98,7 +129,7 @@ def show_event(event: Event, bench: Session | None, cards: FaultCards, say: Show
             say(f"{why}.", lambda: start_obstacle(bench) == why)
     elif isinstance(event, Paused | Noticed):
         waits = isinstance(event, Paused)
-        card = fault_card(event.fault, time_of_day())
+        card = fault_card(event.fault)
         cards.show_card(replace(card, reset=False, obstacle=waits, notice=not waits))
     elif isinstance(event, RunStarted):
         say("")

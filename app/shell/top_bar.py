@@ -6,13 +6,12 @@ import math
 import time
 from collections.abc import Callable
 
+from touchdown.app.shell.activity import arm_of
 from touchdown.app.shell.bench_text import bench_caption
-from touchdown.app.shell.cards import refusal_card, time_of_day
+from touchdown.app.shell.cards import carry_out
 from touchdown.app.shell.workspace import WindowCommand
 from touchdown.backend.bench import Session
-from touchdown.backend.core import RefusedError
 from touchdown.backend.devices import (
-    Arm,
     DegradedDevice,
     Device,
     DeviceState,
@@ -165,9 +164,9 @@ class DeviceChipsPresenter:
             device = devices.get(key)
             if device is not None:
                 self._bar.chips[key].show_value(self._chip(key, device, now_s, degraded.get(key)))
-        arm = devices.get("arm")
+        arm = arm_of(self._bench)
         if arm is not None:
-            status = _arm(arm).status()
+            status = arm.status()
             self._bar.show_modes(status.robot_mode.value, status.safety_mode.value)
             self._bar.show_hardware_stop(self._hardware_stop(status.safety_mode))
         return True
@@ -220,10 +219,6 @@ def _is_much(health: Health) -> bool:
 def lost_samples_text(count: int, noun: str) -> str:
     """Return the number of lost samples with its noun."""
     return f"{count} {noun} lost" if count == 1 else f"{count} {noun}s lost"
-
-
-def _arm(device: Device) -> Arm:
-    return device  # type: ignore[return-value]
 
 
 START_PERCENT = 10  # initial override with hardware
@@ -279,9 +274,5 @@ class ServoSwitch:
 
     def _switch(self, on: bool) -> None:
         hand = self._bench.hand
-        if hand is None:
-            return
-        try:
-            hand.servo(on)
-        except RefusedError as error:
-            self._cards.show_card(refusal_card(error, time_of_day()))
+        if hand is not None:
+            carry_out(lambda: hand.servo(on), self._cards)

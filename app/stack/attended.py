@@ -6,7 +6,7 @@ from pathlib import Path
 
 from PySide6.QtWidgets import QFileDialog
 
-from touchdown.app.shell import MainThreadQueue, SaveWorker
+from touchdown.app.shell import MainThreadQueue, SaveWorker, error_card
 from touchdown.app.stack.page import StackPage
 from touchdown.backend.bench import Session
 from touchdown.backend.core import (
@@ -30,7 +30,7 @@ from touchdown.backend.runs import (
     keep_photo,
     scene_to_set_message,
 )
-from touchdown.widgets.shell import CardText, FaultCards
+from touchdown.widgets.shell import FaultCards
 from touchdown.widgets.views import OffsetScene, TrialPrompt
 
 # Events after which no question is open.
@@ -141,6 +141,4 @@ class OperatorPromptsPresenter:
         return OffsetScene(bottom, face, asked.start_mm, names=(asked.bottom, asked.piece))
 
     def _refused(self, error: Exception) -> None:
-        fix = error.fix if isinstance(error, InputError) else ""
-        what = error.what if isinstance(error, InputError) else str(error)
-        self._cards.show_card(CardText("PHOTO", what, "No picture was kept.", fix, reset=False))
+        self._cards.show_card(error_card("PHOTO", error, "No picture was kept."))

@@ -8,6 +8,7 @@ from touchdown.app.shell import (
     RunStory,
     TrialStory,
     belief_scene,
+    error_card,
     face_outlines,
     is_run_active,
     run_model_caption,
@@ -76,9 +77,7 @@ class StackPresenter:
             self._cards.show_card(CardText(error.reason, "The run was not started.", error.detail,
                                            "", reset=latched, passing=not latched))  # fmt: skip
         except InputError as error:
-            self._cards.show_card(
-                CardText("INPUT", error.what, f"In {error.where}.", error.fix, reset=False)
-            )
+            self._cards.show_card(error_card("INPUT", error))
         else:
             return True
         return False

@@ -9,6 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from touchdown.app.shell import arm_of, arm_position_mm, gripper_of
 from touchdown.backend.bench import Session
 from touchdown.backend.core import (
     Event,
@@ -20,7 +21,6 @@ from touchdown.backend.core import (
     StaleSampleError,
     TrialStarted,
 )
-from touchdown.backend.devices import Arm, Device, Gripper
 from touchdown.backend.geometry import Piece
 from touchdown.widgets.base import Panel
 from touchdown.widgets.views import (
@@ -123,14 +123,8 @@ class SideViewPresenter:
             return None
 
     def _hand(self) -> tuple[float, float] | None:
-        device = self._bench.devices.get("arm")
-        if device is None:
-            return None
-        try:
-            _, pose = _arm(device).poses.latest(self._bench.clock_s(), math.inf)
-        except StaleSampleError:
-            return None
-        return round(float(pose[0]), 2), round(float(pose[2]), 2)
+        at = arm_position_mm(self._bench)
+        return None if at is None else (round(float(at[0]), 2), round(float(at[2]), 2))
 
     def _held(self) -> SideBody | None:
         hand, piece = self._hand(), self._piece
@@ -145,11 +139,11 @@ class SideViewPresenter:
 
     def _turn(self) -> Quaternion:
         """Return the rotation of the hand from straight down."""
-        device = self._bench.devices.get("arm")
-        if device is None:
+        arm = arm_of(self._bench)
+        if arm is None:
             return UPRIGHT
         try:
-            pose = _arm(device).pose(math.inf)
+            pose = arm.pose(math.inf)
         except StaleSampleError:
             return UPRIGHT
         vector = np.array([pose.rx_rad, pose.ry_rad, pose.rz_rad])
@@ -160,10 +154,10 @@ class SideViewPresenter:
         return round(math.cos(0.5 * angle), 4), x, y, z
 
     def _jaws(self) -> float:
-        device = self._bench.devices.get("gripper")
-        if device is None or self._piece is None:
+        gripper = gripper_of(self._bench)
+        if gripper is None or self._piece is None:
             return 0.0
-        return max(0.5 * _gripper(device).status().width_mm, 0.5 * self._piece.width_mm)
+        return max(0.5 * gripper.status().width_mm, 0.5 * self._piece.width_mm)
 
     def _fallen(self, still: SideBody, *, at_end: bool = False) -> SideBody:
         """Return a body along its recorded fall; unmoved without a record.
@@ -196,11 +190,3 @@ class SideViewPresenter:
         self._bottoms, self._table_mm = tuple(reversed(bodies)), top_mm
         titles = [p.title for p in reversed(pieces)]
         self._names = " on ".join([self._piece.title, *titles] if self._piece else titles)
-
-
-def _arm(device: Device) -> Arm:
-    return device  # type: ignore[return-value]
-
-
-def _gripper(device: Device) -> Gripper:
-    return device  # type: ignore[return-value]

@@ -29,7 +29,7 @@ from touchdown.backend.learning import (
 )
 from touchdown.widgets.forms import TrainingButtons, TrainingForm
 from touchdown.widgets.plots import SampleScene
-from touchdown.widgets.shell import CardQuestion, CardText, FaultCards
+from touchdown.widgets.shell import CardQuestion, FaultCards
 
 Report = TrainingLoaded | TrainingEpoch | TrainingFinished | TrainingCancelled
 POLL_INTERVAL_S = 0.05
@@ -414,11 +414,7 @@ class TrainPresenter:
 
     def _failed(self, error: Exception) -> None:
         self._page.show_busy(False)
-        if isinstance(error, InputError):
-            text = CardText("TRAIN", error.what, f"In {error.where}.", error.fix, reset=False)
-        else:
-            text = words.failure_card(error)
-        self._cards.show_card(text)
+        self._cards.show_card(words.failure_card(error))
 
 
 def training_request(form: TrainingForm) -> TrainingRequest:

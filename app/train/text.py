@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from datetime import datetime
 from typing import Any
 
+from touchdown.app.shell import error_card
 from touchdown.app.train.reading import ModelInUse
 from touchdown.backend.core import FaultError, InputError
 from touchdown.backend.episodes import group_noun
@@ -182,10 +183,10 @@ def failure_card(error: Exception) -> CardText:
         fault = error.fault
         step = "Choose the run and press Resume; free memory first if it ran short."
         return CardText(fault.code, fault.what, fault.consequence, step, reset=False)
-    if isinstance(error, InputError):
-        return CardText("TRAINING", error.what, f"In {error.where}.", error.fix, reset=False)
-    what = f"The training failed: {error}."
-    return CardText("TRAINING", what, "There is no new model.", "Train again.", reset=False)
+    if not isinstance(error, InputError):
+        what = f"The training failed: {error}."
+        return CardText("TRAINING", what, "There is no new model.", "Train again.", reset=False)
+    return error_card("TRAINING", error)
 
 
 def _bottoms(run: TrainingRun) -> dict[str, Mapping[str, Any]]:

@@ -135,8 +135,7 @@ class CalibratePresenter:
             self.sheet.accept_requested.connect(self._accept)
         self._read_s = float("-inf")
         self.draw(at_once=True)
-        self.sheet.show()
-        self.sheet.raise_()
+        self.sheet.present()
 
     def _usual(self) -> CalibrateRequest:
         """Return the request that the form starts with."""

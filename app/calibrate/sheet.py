@@ -12,7 +12,6 @@ from PySide6.QtWidgets import (
     QButtonGroup,
     QCheckBox,
     QComboBox,
-    QDialog,
     QDoubleSpinBox,
     QFrame,
     QGridLayout,
@@ -25,11 +24,11 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from touchdown.app.shell import QuestionRow
+from touchdown.app.shell import BenchSheet, QuestionRow
 from touchdown.backend.calibration import CalibrationName
 from touchdown.backend.core import FINGERS, Finger
 from touchdown.backend.runs import CalibrateRequest
-from touchdown.widgets.base import CaptionedView, Theme, label, rule, set_property, ui_font
+from touchdown.widgets.base import CaptionedView, Theme, hbox, label, set_property, ui_font, vbox
 from touchdown.widgets.forms import inset_spin_boxes
 from touchdown.widgets.plots import draw_message
 from touchdown.widgets.views import MIN_SIZE, TactileView
@@ -155,11 +154,9 @@ class PlaceForm(QWidget):
             row.addWidget(title)
             row.addWidget(field)
         second.addWidget(self.hand_over)
-        column = QVBoxLayout(self)
-        column.setContentsMargins(0, 0, 0, 0)
         for row in (first, second):
             row.addStretch(1)
-            column.addLayout(row)
+        vbox(first, second, parent=self, margins=(0, 0, 0, 0))
 
     def show_pitch(self, on: bool) -> None:
         """Show or hide the dot pitch, which only camera calibrations need."""
@@ -220,7 +217,7 @@ class CalibrationView:
     why: str
 
 
-class CalibrateSheet(QDialog):
+class CalibrateSheet(BenchSheet):
     """List on the left; steps, live values, residual and buttons on the right."""
 
     calibration_chosen = Signal(int)
@@ -231,9 +228,7 @@ class CalibrateSheet(QDialog):
     def __init__(
         self, parent: QWidget, theme: Theme, titles: Sequence[str], form: PlaceForm
     ) -> None:
-        super().__init__(parent)
-        self.setModal(False)
-        self.setWindowTitle("Calibrate")
+        super().__init__(parent, "Calibrate")
         self.form = form
         self._shown: CalibrationView | None = None
         self.choices = [QPushButton(title) for title in titles]
@@ -250,9 +245,9 @@ class CalibrateSheet(QDialog):
         self.figure, self.note = label("", "title", wrap=True), label("", wrap=True)
         self.question = QuestionRow()
         self.measure, self.cancel = QPushButton("Measure"), QPushButton("Cancel")
-        self.accept_it, self._close = QPushButton("Accept"), QPushButton("Close")
+        self.accept_it = QPushButton("Accept")
         self._pictures = QWidget()
-        self._arrange(parent)
+        self._arrange()
         self._wire()
 
     def show_look(self, look: CalibrationView) -> None:
@@ -311,23 +306,14 @@ class CalibrateSheet(QDialog):
         for choice in self.choices:
             choice.setEnabled(not look.busy)
 
-    def _arrange(self, parent: QWidget) -> None:
+    def _arrange(self) -> None:
         scroll = QScrollArea()
         scroll.setFrameShape(QFrame.Shape.NoFrame)
         scroll.setWidgetResizable(True)
         scroll.setWidget(self._right())
-        body = QHBoxLayout()
-        body.setSpacing(20)
-        body.addLayout(self._left())
-        body.addWidget(scroll, 1)
-        column = QVBoxLayout(self)
-        column.setContentsMargins(18, 14, 18, 14)
-        column.setSpacing(10)
-        column.addLayout(body, 1)
-        column.addWidget(rule())
-        column.addLayout(self._foot())
-        em = self.fontMetrics().height()
-        self.resize(QSize(54 * em, 38 * em).boundedTo(parent.size()))
+        body = hbox(self._left(), (scroll, 1), spacing=20)
+        self.arrange((body, 1), foot=(self.measure, self.cancel, self.accept_it), spacing=10)
+        self.resize_to_em(54, 38)
 
     def _left(self) -> QVBoxLayout:
         left = QVBoxLayout()
@@ -344,29 +330,17 @@ class CalibrateSheet(QDialog):
         return left
 
     def _right(self) -> QWidget:
-        page = QWidget()
-        right = QVBoxLayout(page)
-        right.setContentsMargins(0, 0, 8, 0)
-        right.setSpacing(8)
-        for widget in (self.title, *self.steps, self.form, self.live, self.progress):
-            right.addWidget(widget)
-        right.addWidget(self.question)
-        right.addLayout(self._seen(), 1)
-        right.addWidget(self.figure)
-        right.addWidget(self.note)
-        right.addLayout(self._value_grid())
-        return page
-
-    def _seen(self) -> QHBoxLayout:
-        pair = QHBoxLayout(self._pictures)
-        pair.setContentsMargins(0, 0, 0, 0)
-        for finger, view in self.fingers.items():
+        for view in self.fingers.values():
             view.setFixedSize(MIN_SIZE)
-            pair.addWidget(CaptionedView(f"{finger.capitalize()} finger", view))
-        seen = QHBoxLayout()
-        seen.addWidget(self._pictures)
-        seen.addWidget(self.bars, 1)
-        return seen
+        pair = (CaptionedView(f"{f.capitalize()} finger", v) for f, v in self.fingers.items())
+        hbox(*pair, parent=self._pictures, margins=(0, 0, 0, 0))
+        page, seen = QWidget(), hbox(self._pictures, (self.bars, 1))
+        vbox(
+            self.title, *self.steps, self.form, self.live, self.progress, self.question, (seen, 1),
+            self.figure, self.note, self._value_grid(),
+            parent=page, margins=(0, 0, 8, 0), spacing=8,
+        )  # fmt: skip
+        return page
 
     def _value_grid(self) -> QGridLayout:
         grid = QGridLayout()
@@ -381,14 +355,6 @@ class CalibrateSheet(QDialog):
             grid.setColumnStretch(2 * side + 1, 1)
         return grid
 
-    def _foot(self) -> QHBoxLayout:
-        foot = QHBoxLayout()
-        for button in (self.measure, self.cancel, self.accept_it):
-            foot.addWidget(button)
-        foot.addStretch(1)
-        foot.addWidget(self._close)
-        return foot
-
     def _wire(self) -> None:
         self.question.no.clicked.connect(self.cancel_requested)
         self.cancel.setToolTip("End in an orderly way: lift, keep the piece")
@@ -398,6 +364,3 @@ class CalibrateSheet(QDialog):
         self.measure.clicked.connect(self.measure_requested)
         self.cancel.clicked.connect(self.cancel_requested)
         self.accept_it.clicked.connect(self.accept_requested)
-        self._close.clicked.connect(self.close)
-        for button in (self.measure, self.cancel, self.accept_it, self._close):
-            button.setAutoDefault(False)

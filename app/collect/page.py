@@ -5,25 +5,20 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from PySide6.QtCore import Qt, Signal
-from PySide6.QtGui import QFontMetrics, QResizeEvent
-from PySide6.QtWidgets import QCheckBox, QComboBox, QHBoxLayout, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QCheckBox, QComboBox
 
 from touchdown.app.collect.origin import OriginCheckNote, residual_text
 from touchdown.app.collect.probes import SIGNALS
-from touchdown.app.shell import arm_position_mm
+from touchdown.app.shell import LivePage, arm_position_mm, column_of
 from touchdown.backend.bench import Session
-from touchdown.backend.core import FINGERS, Finger
-from touchdown.widgets.base import Age, CaptionedView, Panel, Theme, ui_font
+from touchdown.backend.core import FINGERS
+from touchdown.widgets.base import CaptionedView, Panel, Theme, add_items, hbox, vbox
 from touchdown.widgets.forms import LastProbePanel, PairHealthPanel, TargetPanel
 from touchdown.widgets.lists import EpisodeTable
-from touchdown.widgets.plots import DistributionView, TracePlot
-from touchdown.widgets.views import TactileView
-
-# Maximum share of the page height for the finger images; the maps need the rest.
-FINGER_SHARE = 0.22
+from touchdown.widgets.plots import DistributionView
 
 
-class CollectPage(QWidget):
+class CollectPage(LivePage):
     """Target on the left, live views and maps in the middle, probes on the right.
 
     The page is complete after ``build`` has finished.
@@ -33,22 +28,18 @@ class CollectPage(QWidget):
     dot_chosen = Signal(int)
     row_chosen = Signal(str)
     filter_changed = Signal()
+    tactile_share = 0.22  # the maps need the rest
 
     def __init__(self, theme: Theme) -> None:
-        super().__init__()
-        self.setObjectName("frame")
+        super().__init__(theme)
         self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
-        self._theme = theme
         self.target = TargetPanel(theme)
 
     def build(self) -> Iterator[None]:
         """Create the other widgets of the page, a few milliseconds per step."""
         theme, choose = self._theme, self.dot_chosen.emit
         titles = {"left": "Left", "right": "Right"}
-        self.tactile: dict[Finger, TactileView] = {f: TactileView(theme, f) for f in FINGERS}
         self.captions = {f: CaptionedView(titles[f], self.tactile[f]) for f in FINGERS}
-        self.force = TracePlot(theme, "Force", "F", "N", 10.0)
-        self.moment = TracePlot(theme, "Moment", "T", "N\N{MIDDLE DOT}m", 0.2)
         self.coverage = DistributionView(theme, "Coverage of the displacements", choose)
         self.distribution = DistributionView(theme, "Distribution of the displacements", choose)
         self.signal = QComboBox()
@@ -71,18 +62,13 @@ class CollectPage(QWidget):
         self.deleted.toggled.connect(self.filter_changed)
         self._arrange()
 
-    def heightForWidth(self, _width: int) -> int:
-        """Return the minimum height, so that the views share the available height."""
-        return self.minimumHeight()
-
-    def fit(self) -> None:
-        """Fit the ranges of both plots."""
-        self.force.fit()
-        self.moment.fit()
+    def _leave_room(self) -> None:
+        for view in self.tactile.values():
+            view.limit_height(round(self.tactile_share * self.height()))
 
     def fit_to_theme(self) -> None:
         """Set the widths of the controls for the size of the text."""
-        em = QFontMetrics(ui_font(self._theme.scale)).height()
+        em = self.em
         self._left.setMinimumWidth(round(17.5 * em))
         self._left.setMaximumWidth(round(22 * em))
         self._right.setMinimumWidth(round(22 * em))
@@ -92,64 +78,35 @@ class CollectPage(QWidget):
         self.table.fit_to_theme()
         self.target.draw_icons()
 
-    def show_waiting(self, why: str) -> None:
-        """Show why there are no live data yet."""
-        for view in self.tactile.values():
-            view.show_age(Age.NEVER, 0.0, why)
-        for plot in (self.force, self.moment):
-            plot.show_age(Age.NEVER, 0.0, why)
-
-    def resizeEvent(self, event: QResizeEvent) -> None:
-        """Limit the height of the finger images."""
-        super().resizeEvent(event)
-        for view in self.tactile.values():
-            view.limit_height(round(FINGER_SHARE * self.height()))
-
     # -- inside -----------------------------------------------------------------------------------
 
     def _arrange(self) -> None:
-        self._left, left = _column()
-        left.addWidget(self.target, 1)
-        middle = QVBoxLayout()
-        middle.setSpacing(8)
-        middle.addWidget(self._live_panel(), 1)
-        middle.addWidget(self._maps_panel(), 1)
-        self._right, right = _column()
-        right.addWidget(self.probe)
-        right.addWidget(self._table_panel(), 1)
-        right.addWidget(self.health)
-        right.addWidget(self._recorder_panel)
-        row = QHBoxLayout(self)
-        row.setContentsMargins(10, 8, 10, 8)
-        row.setSpacing(8)
-        row.addWidget(self._left, 5)
-        row.addLayout(middle, 12)
-        row.addWidget(self._right, 9)
+        self._left = column_of((self.target, 1))
+        middle = vbox((self._live_panel(), 1), (self._maps_panel(), 1), spacing=8)
+        self._right = column_of(
+            (self.probe, 0), (self._table_panel(), 1), (self.health, 0), (self._recorder_panel, 0)
+        )
+        hbox(
+            (self._left, 5), (middle, 12), (self._right, 9),
+            parent=self, margins=(10, 8, 10, 8), spacing=8,
+        )  # fmt: skip
         self.fit_to_theme()
 
     def _live_panel(self) -> Panel:
         self.live = Panel("Live")
-        fingers, plots = QHBoxLayout(), QHBoxLayout()
-        for line in (fingers, plots):
-            line.setSpacing(10)
-        for caption in self.captions.values():
-            fingers.addWidget(caption, 1)
         for plot in (self.force, self.moment):
             plot.setMinimumSize(200, 104)
-            plots.addWidget(plot, 1)
-        self.live.column.addLayout(fingers)
-        self.live.column.addLayout(plots, 1)
+        fingers = hbox(*((caption, 1) for caption in self.captions.values()), spacing=10)
+        plots = hbox((self.force, 1), (self.moment, 1), spacing=10)
+        add_items(self.live.column, fingers, (plots, 1))
         return self.live
 
     def _maps_panel(self) -> Panel:
         self.maps = Panel("Displacements")
         self.maps.header.addWidget(self.signal)
-        line = QHBoxLayout()
-        line.setSpacing(16)
         self.coverage_caption = CaptionedView("Coverage", self.coverage)
         self.distribution_caption = CaptionedView("Distribution", self.distribution)
-        line.addWidget(self.coverage_caption, 1)
-        line.addWidget(self.distribution_caption, 1)
+        line = hbox((self.coverage_caption, 1), (self.distribution_caption, 1), spacing=16)
         self.maps.column.addLayout(line, 1)
         return self.maps
 
@@ -157,14 +114,6 @@ class CollectPage(QWidget):
         self.episodes = Panel("Episodes", self.table)
         self.episodes.header.addWidget(self.deleted)
         return self.episodes
-
-
-def _column() -> tuple[QWidget, QVBoxLayout]:
-    holder = QWidget()
-    column = QVBoxLayout(holder)
-    column.setContentsMargins(0, 0, 0, 0)
-    column.setSpacing(8)
-    return holder, column
 
 
 AGE_S = 1.0  # maximum age of an arm pose that is used as the origin

@@ -12,7 +12,6 @@ from touchdown.app.collect.requests import remembered_table
 from touchdown.app.label import HalvesPage, LabelWorkspace
 from touchdown.app.shell import (
     LivePresenter,
-    LiveViews,
     Memory,
     OpenedDataset,
     SaveWorker,
@@ -129,14 +128,9 @@ class CollectWorkspace(Workspace):
     def attach(self, bench: Session) -> None:
         """Connect to a bench."""
         self._bench, page = bench, self.collect_page
-        self.live = LivePresenter(
-            bench, LiveViews(page.tactile, page.captions, page.force, page.moment)
-        )
+        self.live = LivePresenter(bench, page)
         self.presenter.attach(bench)
-        self.parts = (
-            self.live.draw_left, self.live.draw_right, self.live.draw_wrench,
-            self.live.draw_headers, self.presenter.draw, self.presenter.draw_maps,
-        )  # fmt: skip
+        self.parts = (*self.live.parts, self.presenter.draw, self.presenter.draw_maps)
 
     def take(self, event: Event) -> None:
         """Handle one event of the bench."""
@@ -144,7 +138,7 @@ class CollectWorkspace(Workspace):
 
     def show_waiting(self, word: str, why: str) -> None:
         """Show why no bench is connected yet."""
-        self.collect_page.show_waiting(why)
+        self.collect_page.show_silent(why)
 
     def enter(self) -> None:
         """Show the dataset; open it for writing if the person is known."""

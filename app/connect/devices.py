@@ -6,20 +6,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from PySide6.QtCore import QSize, Qt, Signal
+from PySide6.QtCore import Qt, Signal
 from PySide6.QtGui import QShowEvent
-from PySide6.QtWidgets import (
-    QComboBox,
-    QDialog,
-    QGridLayout,
-    QHBoxLayout,
-    QLineEdit,
-    QPushButton,
-    QScrollArea,
-    QVBoxLayout,
-    QWidget,
-)
+from PySide6.QtWidgets import QComboBox, QGridLayout, QLineEdit, QPushButton, QScrollArea, QWidget
 
+from touchdown.app.shell import BenchSheet
 from touchdown.backend.bench import Session
 from touchdown.backend.config import LabSettings, load_lab, save_lab
 from touchdown.backend.core import InputError
@@ -41,7 +32,7 @@ class DeviceField:
     empty: str = ""
 
 
-class DevicesSheet(QDialog):
+class DevicesSheet(BenchSheet):
     """Form of the device settings. The presenter interprets the texts."""
 
     look_requested = Signal()
@@ -49,14 +40,12 @@ class DevicesSheet(QDialog):
     save_requested = Signal()
 
     def __init__(self, parent: QWidget, fields: Sequence[DeviceField]) -> None:
-        super().__init__(parent)
-        self.setModal(False)
-        self.setWindowTitle("Devices")
+        super().__init__(parent, "Devices")
         self.source, self.said = label("", wrap=True), label("", wrap=True)
         self._form = QWidget()
         self.editors: dict[str, QComboBox | QLineEdit] = {}
         self.look, self.swap = QPushButton("Look again"), QPushButton("Exchange left and right")
-        self.save, self._close = QPushButton("Save"), QPushButton("Close")
+        self.save = QPushButton("Save")
         self.save.setProperty("role", "primary")
         self.look.setToolTip("Look for serial ports and cameras that are plugged in")
         self.swap.setToolTip("Each camera to the other finger")
@@ -64,8 +53,7 @@ class DevicesSheet(QDialog):
         self.look.clicked.connect(self.look_requested)
         self.swap.clicked.connect(self.swap_requested)
         self.save.clicked.connect(self.save_requested)
-        self._close.clicked.connect(self.close)
-        self._arrange(parent, fields)
+        self._arrange(fields)
 
     def values(self) -> dict[str, str]:
         """Return the texts of the form by key."""
@@ -102,7 +90,7 @@ class DevicesSheet(QDialog):
 
     # -- inside -----------------------------------------------------------------------------------
 
-    def _arrange(self, parent: QWidget, fields: Sequence[DeviceField]) -> None:
+    def _arrange(self, fields: Sequence[DeviceField]) -> None:
         grid, device = QGridLayout(), ""
         grid.setHorizontalSpacing(16)
         grid.setVerticalSpacing(4)
@@ -122,25 +110,11 @@ class DevicesSheet(QDialog):
             device = one.device
             grid.addWidget(title, at, 1)
             grid.addWidget(editor, at, 2)
-        foot = QHBoxLayout()
-        for button in (self.save, self.look, self.swap):
-            button.setAutoDefault(False)
-            foot.addWidget(button)
-        foot.addStretch(1)
-        self._close.setAutoDefault(False)
-        foot.addWidget(self._close)
-        column = QVBoxLayout(self)
-        column.setContentsMargins(18, 14, 18, 14)
-        column.setSpacing(8)
-        column.addWidget(label("Devices of this bench", "head"))
-        column.addWidget(self.source)
-        column.addWidget(rule())
-        column.addWidget(self._scrolled(grid), 1)
-        column.addWidget(self.said)
-        column.addWidget(rule())
-        column.addLayout(foot)
-        em = self.fontMetrics().height()
-        self.resize(QSize(48 * em, 44 * em).boundedTo(parent.size()))
+        self.arrange(
+            label("Devices of this bench", "head"), self.source, rule(),
+            (self._scrolled(grid), 1), self.said, foot=(self.save, self.look, self.swap), spacing=8,
+        )  # fmt: skip
+        self.resize_to_em(48, 44)
 
     def _scrolled(self, grid: QGridLayout) -> QScrollArea:
         scroll = QScrollArea()
@@ -200,8 +174,7 @@ class DevicesPresenter:
         else:
             self.sheet.set_values({one.key: str(self._held(one.key)) for one in FIELDS})
             self._look()
-        self.sheet.show()
-        self.sheet.raise_()
+        self.sheet.present()
 
     # -- orders -----------------------------------------------------------------------------------
 

@@ -9,17 +9,9 @@ from dataclasses import asdict, dataclass
 from functools import partial
 
 from pydantic import ValidationError
-from PySide6.QtWidgets import (
-    QDialog,
-    QDoubleSpinBox,
-    QGridLayout,
-    QHBoxLayout,
-    QPushButton,
-    QVBoxLayout,
-    QWidget,
-)
+from PySide6.QtWidgets import QDoubleSpinBox, QGridLayout, QPushButton, QWidget
 
-from touchdown.app.shell import QuestionRow, carry_out, time_of_day
+from touchdown.app.shell import BenchSheet, QuestionRow, carry_out, time_of_day
 from touchdown.backend.bench import Session
 from touchdown.backend.config import LimitSettings
 from touchdown.backend.devices import Limits
@@ -43,16 +35,14 @@ class LimitRow:
     unit: str
 
 
-class LimitsSheet(QDialog):
+class LimitsSheet(BenchSheet):
     """Form of the limits.
 
     ``offer`` applies values by name and returns "" or the reason of refusal.
     """
 
     def __init__(self, parent: QWidget, offer: Callable[[Mapping[str, float]], str]) -> None:
-        super().__init__(parent)
-        self.setModal(False)
-        self.setWindowTitle("Limits")
+        super().__init__(parent, "Limits")
         self._offer = offer
         self.source, self.said = label("", wrap=True), label("", wrap=True)
         self.said.setProperty("tone", "bad")
@@ -66,11 +56,15 @@ class LimitsSheet(QDialog):
         self.edit = QPushButton("Unlock")
         self.edit.setCheckable(True)
         self.edit.setToolTip("Let the limits be changed")
-        self.take, self._close = QPushButton("Change\N{HORIZONTAL ELLIPSIS}"), QPushButton("Close")
+        self.take = QPushButton("Change\N{HORIZONTAL ELLIPSIS}")
         self.edit.toggled.connect(self._unlock)
         self.take.clicked.connect(self._taken)
-        self._close.clicked.connect(self.close)
-        self._arrange()
+        head = label("Limits of motion and force", "head")
+        self.arrange(
+            head, self.source, rule(), self._grid, self.said, self.question, 1,
+            foot=(self.edit, self.take), spacing=8,
+        )  # fmt: skip
+        self.setMinimumWidth(50 * self.fontMetrics().height())
 
     def show_rows(self, rows: Sequence[LimitRow], source: str) -> None:
         """Show the present limits and their source; the form is locked."""
@@ -86,28 +80,6 @@ class LimitsSheet(QDialog):
         self._unlock(False)
 
     # -- inside -----------------------------------------------------------------------------------
-
-    def _arrange(self) -> None:
-        foot = QHBoxLayout()
-        for button in (self.edit, self.take):
-            foot.addWidget(button)
-        foot.addStretch(1)
-        foot.addWidget(self._close)
-        for button in (self.edit, self.take, self._close):
-            button.setAutoDefault(False)
-        column = QVBoxLayout(self)
-        column.setContentsMargins(18, 14, 18, 14)
-        column.setSpacing(8)
-        column.addWidget(label("Limits of motion and force", "head"))
-        column.addWidget(self.source)
-        column.addWidget(rule())
-        column.addLayout(self._grid)
-        column.addWidget(self.said)
-        column.addWidget(self.question)
-        column.addStretch(1)
-        column.addWidget(rule())
-        column.addLayout(foot)
-        self.setMinimumWidth(50 * self.fontMetrics().height())
 
     def _build(self, rows: Sequence[LimitRow]) -> None:
         high = -(-len(rows) // COLUMNS)
@@ -204,8 +176,7 @@ class LimitsPresenter:
         if self.sheet is None:
             self.sheet = LimitsSheet(self._window, self._offer)
         self._show()
-        self.sheet.show()
-        self.sheet.raise_()
+        self.sheet.present()
 
     def _show(self) -> None:
         assert self.sheet is not None

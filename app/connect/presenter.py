@@ -53,8 +53,7 @@ class ConnectPresenter:
         """Show the panel. If it is visible, connect, or cancel a connection in progress."""
         if not self.sheet.isVisible():
             self.draw(at_once=True)
-            self.sheet.show()
-            self.sheet.raise_()
+            self.sheet.present()
         elif self._connection.busy:
             self._connection.cancel()
         else:

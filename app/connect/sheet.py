@@ -7,17 +7,9 @@ from dataclasses import dataclass, field
 from functools import partial
 
 from PySide6.QtCore import QRect, Qt, Signal
-from PySide6.QtWidgets import (
-    QDialog,
-    QGridLayout,
-    QHBoxLayout,
-    QLabel,
-    QPushButton,
-    QVBoxLayout,
-    QWidget,
-)
+from PySide6.QtWidgets import QGridLayout, QLabel, QPushButton, QWidget
 
-from touchdown.app.shell import QuestionRow
+from touchdown.app.shell import BenchSheet, QuestionRow
 from touchdown.widgets.base import label, rule, set_property
 
 MARKS = {
@@ -71,8 +63,8 @@ class _DeviceRow:
     shown: DeviceRowView | None = field(default=None)
 
 
-class ConnectSheet(QDialog):
-    """Connection panel. Not modal: STOP and all pages stay available."""
+class ConnectSheet(BenchSheet):
+    """Connection panel."""
 
     connect_requested = Signal()
     cancel_requested = Signal()
@@ -83,8 +75,7 @@ class ConnectSheet(QDialog):
     devices_requested = Signal()
 
     def __init__(self, parent: QWidget, steps: Sequence[str]) -> None:
-        super().__init__(parent)
-        self.setModal(False)
+        super().__init__(parent, "Connect")
         self._steps = tuple(steps)
         self.head, self.text = label("", "head"), label("", wrap=True)
         self.question = QuestionRow()
@@ -97,9 +88,11 @@ class ConnectSheet(QDialog):
         self.connect_all.setProperty("role", "primary")
         self.cancel, self.disconnect_all = QPushButton("Cancel"), QPushButton("Disconnect all")
         self.devices, self.limits = QPushButton("Devices"), QPushButton("Limits")
-        self._close = QPushButton("Close")
-        self._foot = (self.connect_all, self.cancel, self.disconnect_all, self.devices, self.limits)
-        self._arrange()
+        foot = (self.connect_all, self.cancel, self.disconnect_all, self.devices, self.limits)
+        self.arrange(
+            self.head, self.text, rule(), self._grid, self.question, 1, foot=foot, spacing=10
+        )
+        self.setMinimumWidth(64 * self.fontMetrics().height())
         self._wire()
 
     def show_look(self, look: ConnectView) -> None:
@@ -123,26 +116,6 @@ class ConnectSheet(QDialog):
 
     # -- inside -----------------------------------------------------------------------------------
 
-    def _arrange(self) -> None:
-        self.setWindowTitle("Connect")
-        foot = QHBoxLayout()
-        for button in self._foot:
-            foot.addWidget(button)
-        foot.addStretch(1)
-        foot.addWidget(self._close)
-        column = QVBoxLayout(self)
-        column.setContentsMargins(18, 14, 18, 14)
-        column.setSpacing(10)
-        column.addWidget(self.head)
-        column.addWidget(self.text)
-        column.addWidget(rule())
-        column.addLayout(self._grid)
-        column.addWidget(self.question)
-        column.addStretch(1)
-        column.addWidget(rule())
-        column.addLayout(foot)
-        self.setMinimumWidth(64 * self.fontMetrics().height())
-
     def _wire(self) -> None:
         self.connect_all.setToolTip("One after the other, the arm last; nothing moves")
         self.cancel.setToolTip("End connecting; what is connected stays so")
@@ -153,9 +126,6 @@ class ConnectSheet(QDialog):
         self.disconnect_all.clicked.connect(self.disconnect_requested)
         self.limits.clicked.connect(self.limits_requested)
         self.devices.clicked.connect(self.devices_requested)
-        self._close.clicked.connect(self.close)
-        for button in (*self._foot, self._close):
-            button.setAutoDefault(False)
 
     def _build(self, looks: Sequence[DeviceRowView]) -> None:
         for column, step in enumerate(self._steps):

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 
 from PySide6.QtCore import Signal
-from PySide6.QtGui import QFontMetrics
-from PySide6.QtWidgets import QHBoxLayout
 
 from touchdown.app.shell import LivePage, column_of, limit_height
 from touchdown.backend.core import FINGERS
@@ -16,7 +14,7 @@ from touchdown.widgets.base import (
     Panel,
     compact_combo_box,
     flat_button,
-    ui_font,
+    hbox,
 )
 from touchdown.widgets.forms import GripperPanel, JogPad, JogUnit, ProbePanel, ScenePanel
 from touchdown.widgets.plots import SPANS_S, TracesPanel
@@ -68,14 +66,12 @@ class OperatePage(LivePage):
         self.traces_panel = TracesPanel(
             TRACES, self.force, self.moment, (self.span, self.zero, self.pause)
         )
-        self.fit = self.traces_panel.fit
         self._arrange()
         self._wire()
 
     def fit_to_theme(self) -> None:
         """Set the widths of the controls for the size of the text."""
-        em = QFontMetrics(ui_font(self._theme.scale)).height()
-        self._right.setMinimumWidth(round(20.5 * em))
+        self._right.setMinimumWidth(round(20.5 * self.em))
 
     def show_waiting(self, why: str) -> None:
         """Show why there are no live data yet."""
@@ -114,11 +110,8 @@ class OperatePage(LivePage):
         limit_height(panel)
         panel.header.addWidget(self.looks)
         panel.header.addWidget(self.baseline)
-        fingers = QHBoxLayout()
-        fingers.setSpacing(18)
-        for caption in self.captions.values():
-            fingers.addWidget(caption, 1)
-        panel.column.addLayout(fingers)
+        fingers = ((caption, 1) for caption in self.captions.values())
+        panel.column.addLayout(hbox(*fingers, spacing=18))
         return panel
 
     def _wire(self) -> None:

@@ -8,7 +8,6 @@ from touchdown.app.operate.jogging import PACES, ROWS, JogKeyFilter, ManualContr
 from touchdown.app.operate.page import OperatePage
 from touchdown.app.shell import (
     LivePresenter,
-    LiveViews,
     Memory,
     RunStory,
     WindowCommand,
@@ -163,8 +162,7 @@ class OperateWorkspace(Workspace):
         """Connect the page to a bench."""
         page = self.page
         self._bench = bench
-        views = LiveViews(page.tactile, page.captions, page.force, page.moment)
-        self.live = LivePresenter(bench, views)
+        self.live = LivePresenter(bench, page)
         self.hand = ManualControlPresenter(bench, page, self._context.cards)
         self.probe = SingleProbePresenter(bench, page.probe, self._context.cards)
         page.jog.hold_ended.connect(self.hand.ended)
@@ -177,10 +175,7 @@ class OperateWorkspace(Workspace):
         page.probe_requested.connect(self.probe.start)
         page.cancel_requested.connect(self.probe.cancel)
         page.span_chosen.connect(self.live.show_span)
-        self.parts = (
-            self.live.draw_left, self.live.draw_right, self.live.draw_wrench,
-            self.live.draw_headers, self.hand.draw, self.probe.draw, self._draw_belief,
-        )  # fmt: skip
+        self.parts = (*self.live.parts, self.hand.draw, self.probe.draw, self._draw_belief)
 
     def take(self, event: Event) -> None:
         """Handle one event of the bench."""

@@ -4,17 +4,20 @@ from __future__ import annotations
 
 from PySide6.QtCore import Qt, Signal
 from PySide6.QtGui import QKeyEvent, QPainter, QPaintEvent, QPalette, QResizeEvent
-from PySide6.QtWidgets import (
-    QComboBox,
-    QHBoxLayout,
-    QLineEdit,
-    QListWidget,
-    QToolButton,
-    QVBoxLayout,
-    QWidget,
-)
+from PySide6.QtWidgets import QComboBox, QLineEdit, QListWidget, QToolButton, QWidget
 
-from touchdown.widgets.base import ElidedLabel, Panel, Theme, WrappedItemDelegate, label
+from touchdown.app.shell import WorkspacePage
+from touchdown.widgets.base import (
+    ElidedLabel,
+    Panel,
+    Theme,
+    WrappedItemDelegate,
+    add_items,
+    flat_button,
+    hbox,
+    label,
+    vbox,
+)
 from touchdown.widgets.lists import RecordingList
 from touchdown.widgets.plots import RecordedTraces
 from touchdown.widgets.views import (
@@ -62,7 +65,7 @@ class KeylessList(QListWidget):
             super().keyPressEvent(event)
 
 
-class ReviewPage(QWidget):
+class ReviewPage(WorkspacePage):
     """Recordings on the left; belief, decision, film and wrench at one cursor on the right."""
 
     recording_chosen = Signal(int)
@@ -77,15 +80,16 @@ class ReviewPage(QWidget):
     viewer_requested = Signal()
 
     def __init__(self, theme: Theme) -> None:
-        super().__init__()
-        self.setObjectName("frame")
+        super().__init__(theme)
         self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
         seek = self.time_chosen.emit
         self.runs = RecordingList(theme, "Recorded runs", self.recording_chosen.emit)
         self.trials = KeylessList("Trials of the run")
         self.story = KeylessList("What happened", "No steps: only runs have them.")
         self.kind, self.order, self.filter = QComboBox(), QComboBox(), QLineEdit()
-        self.refresh, self.experiments = QToolButton(), QToolButton()
+        self.refresh = flat_button("Refresh", "Look for new recordings (Ctrl+R)")
+        report = "Open a report of experiments (Ctrl+Shift+O)"
+        self.experiments = flat_button("Report", report)
         self.empty = label("", "muted", wrap=True)
         self.belief, self.legend = BeliefView(theme), BeliefLegend(theme)
         self.belief.setMinimumHeight(170)
@@ -101,10 +105,6 @@ class ReviewPage(QWidget):
         self.play = QToolButton()
         self._name()
         self._arrange()
-
-    def heightForWidth(self, _width: int) -> int:
-        """Return the minimum height, so that the views share the available height."""
-        return self.minimumHeight()
 
     def resizeEvent(self, _event: QResizeEvent) -> None:
         """Limit the height of the pictures."""
@@ -147,15 +147,7 @@ class ReviewPage(QWidget):
         for button in self.filter.findChildren(QToolButton):
             button.setAccessibleName("Clear the filter")
             button.setToolTip("Clear the filter")
-        self.experiments.setText("Report")
-        self.experiments.setProperty("role", "plain")
-        self.experiments.setAccessibleName("Open a report of experiments")
-        self.experiments.setToolTip("Open a report of experiments (Ctrl+Shift+O)")
         self.experiments.clicked.connect(self.report_requested)
-        self.refresh.setText("Refresh")
-        self.refresh.setProperty("role", "plain")
-        self.refresh.setAccessibleName("Look for new recordings")
-        self.refresh.setToolTip("Look for new recordings (Ctrl+R)")
         self.play.setText("Play")
         self.play.setToolTip("Play from the cursor, or pause (Space, while nothing moves)")
         self.play.setAccessibleName("Play or pause")
@@ -167,36 +159,25 @@ class ReviewPage(QWidget):
 
     def _arrange(self) -> None:
         runs = self.runs_panel = Panel("Recordings")
-        choices = QHBoxLayout()
         for combo in (self.kind, self.order):
             combo.setMinimumContentsLength(4)
-            choices.addWidget(combo, 1)
-        runs.column.addLayout(choices)
-        runs.column.addWidget(self.filter)
-        runs.column.addWidget(self.runs, 1)
-        runs.column.addWidget(self.empty)
+        choices = hbox((self.kind, 1), (self.order, 1))
+        add_items(runs.column, choices, self.filter, (self.runs, 1), self.empty)
         runs.header.addWidget(self.experiments)
         runs.header.addWidget(self.refresh)
         self.trials_panel = Panel("Trials", self.trials)
-        left = _column((runs, 3), (self.trials_panel, 2), (self.score, 0))
+        left = vbox((runs, 3), (self.trials_panel, 2), self.score, spacing=8)
         self.shown = QWidget()
         self.shown.setObjectName("frame")
-        views = QHBoxLayout()
-        views.setSpacing(8)
-        views.addLayout(_column((self.decision, 0), (self._belief_panel(), 1)), 9)
-        views.addLayout(
-            _column((self._signals_panel(), 3), (Panel("What happened", self.story), 1)), 8
+        story = Panel("What happened", self.story)
+        views = hbox(
+            (vbox(self.decision, (self._belief_panel(), 1), spacing=8), 9),
+            (vbox((self._signals_panel(), 3), (story, 1), spacing=8), 8),
+            spacing=8,
         )
-        whole = QVBoxLayout(self.shown)
-        whole.setContentsMargins(0, 0, 0, 0)
-        whole.setSpacing(8)
-        whole.addLayout(views, 1)
-        whole.addWidget(self._time_panel())
-        row = QHBoxLayout(self)
-        row.setContentsMargins(10, 8, 10, 8)
-        row.setSpacing(8)
-        row.addLayout(left, 5)
-        row.addWidget(self.shown, 17)
+        whole = (views, 1), self._time_panel()
+        vbox(*whole, parent=self.shown, margins=(0, 0, 0, 0), spacing=8)
+        hbox((left, 5), (self.shown, 17), parent=self, margins=(10, 8, 10, 8), spacing=8)
 
     def _belief_panel(self) -> Panel:
         self.belief_panel = Panel("Belief map", MapAndStrip(self.belief, self.legend, self.strip))
@@ -205,17 +186,12 @@ class ReviewPage(QWidget):
 
     def _signals_panel(self) -> Panel:
         self.signals_panel = Panel("Signals")
-        self.signals_panel.column.addWidget(self.film)
-        self.signals_panel.column.addWidget(self.forces, 1)
-        self.signals_panel.column.addWidget(self.moments, 1)
+        add_items(self.signals_panel.column, self.film, (self.forces, 1), (self.moments, 1))
         return self.signals_panel
 
     def _time_panel(self) -> Panel:
         panel = Panel("Time")
-        row = QHBoxLayout()
-        row.addWidget(self.play)
-        row.addWidget(self.time_line, 1)
-        panel.column.addLayout(row)
+        panel.column.addLayout(hbox(self.play, (self.time_line, 1)))
         panel.header.addWidget(self.at)
         for text, tip, requested in (
             ("Picture", "Export what is shown as PNG and SVG (Ctrl+E)", self.picture_requested),
@@ -224,19 +200,7 @@ class ReviewPage(QWidget):
             ("Open file", "Open the file in the viewer of this computer (Ctrl+O)",
              self.viewer_requested),
         ):  # fmt: skip
-            button = QToolButton()
-            button.setText(text)
-            button.setProperty("role", "plain")
-            button.setToolTip(tip)
-            button.setAccessibleName(tip)
+            button = flat_button(text, tip)
             button.clicked.connect(requested)
             panel.header.addWidget(button)
         return panel
-
-
-def _column(*parts: tuple[QWidget, int]) -> QVBoxLayout:
-    column = QVBoxLayout()
-    column.setSpacing(8)
-    for widget, share in parts:
-        column.addWidget(widget, share)
-    return column

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
         run_story,
         saving,
         settings,
+        sheets,
         top_bar,
         window,
         workspace,

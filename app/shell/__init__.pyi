@@ -13,7 +13,6 @@ from .activity import is_run_active as is_run_active
 from .activity import may_be_moving as may_be_moving
 from .activity import missing_scene_reason as missing_scene_reason
 from .activity import start_obstacle as start_obstacle
-from .bench_text import QuestionRow as QuestionRow
 from .bench_text import bench_caption as bench_caption
 from .bench_text import run_model_caption as run_model_caption
 from .bench_text import scene_model_caption as scene_model_caption
@@ -46,7 +45,7 @@ from .layouts import LayoutMenu as LayoutMenu
 from .layouts import LayoutsPresenter as LayoutsPresenter
 from .live import LivePage as LivePage
 from .live import LivePresenter as LivePresenter
-from .live import LiveViews as LiveViews
+from .live import WorkspacePage as WorkspacePage
 from .live import column_of as column_of
 from .live import limit_height as limit_height
 from .run_story import ProbeStory as ProbeStory
@@ -68,6 +67,8 @@ from .settings import load_settings as load_settings
 from .settings import restore_form as restore_form
 from .settings import save_settings as save_settings
 from .settings import settings_path as settings_path
+from .sheets import BenchSheet as BenchSheet
+from .sheets import QuestionRow as QuestionRow
 from .top_bar import DeviceChipsPresenter as DeviceChipsPresenter
 from .top_bar import ServoSwitch as ServoSwitch
 from .top_bar import SpeedOverride as SpeedOverride
@@ -87,6 +88,7 @@ __all__ = [
     "USUAL",
     "ActionRegistry",
     "Appearance",
+    "BenchSheet",
     "CloseConfirmation",
     "CommandDialogs",
     "DeviceChipsPresenter",
@@ -99,7 +101,6 @@ __all__ = [
     "LayoutsPresenter",
     "LivePage",
     "LivePresenter",
-    "LiveViews",
     "MainThreadQueue",
     "MainWindow",
     "Memory",
@@ -121,6 +122,7 @@ __all__ = [
     "WindowSettings",
     "Workspace",
     "WorkspaceContext",
+    "WorkspacePage",
     "arm_of",
     "arm_position_mm",
     "as_float_pair",

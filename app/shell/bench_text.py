@@ -1,18 +1,14 @@
-"""Text for bench states, connection questions and models."""
+"""Text for benches and models."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-
-from PySide6.QtWidgets import QFrame, QHBoxLayout, QPushButton
 
 from touchdown.backend.bench import Session, model_in_use, shipped_model
 from touchdown.backend.core import InputError
 from touchdown.backend.learning import ModelCard, ModelRegistry, load_card
 from touchdown.backend.learning.fused import shipped_fused
 from touchdown.backend.runs import models_folder
-from touchdown.widgets.base import label
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,45 +48,6 @@ def bench_caption(bench: Session) -> BenchCaption:
         False,
         "",
     )
-
-
-class QuestionRow(QFrame):
-    """A question with two answers; the first one (no) does nothing."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.setProperty("role", "question")
-        self.text = label("", "title", wrap=True)
-        self.no, self.yes = QPushButton("No"), QPushButton("Yes")
-        self._act: Callable[[], None] | None = None
-        row = QHBoxLayout(self)
-        row.addWidget(self.text, 1)
-        for button in (self.no, self.yes):
-            button.setAutoDefault(False)
-            row.addWidget(button)
-        self.no.clicked.connect(self.withdraw)
-        self.yes.clicked.connect(self._accept)
-        self.hide()
-
-    def ask(self, text: str, no: str, yes: str, act: Callable[[], None]) -> None:
-        """Ask a question; ``act`` is called for yes."""
-        self._act = act
-        self.text.setText(text)
-        for button, word in ((self.no, no), (self.yes, yes)):
-            button.setText(word)
-            button.setAccessibleName(f"{word}: {text}")
-        self.show()
-
-    def withdraw(self) -> None:
-        """Remove the question."""
-        self._act = None
-        self.hide()
-
-    def _accept(self) -> None:
-        act = self._act
-        self.withdraw()
-        if act is not None:
-            act()
 
 
 MODALITY_NAMES = {"FT+Tac": "touch and wrench", "Tac": "touch", "FT": "the wrench"}

@@ -3,40 +3,40 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 
-from PySide6.QtGui import QResizeEvent
-from PySide6.QtWidgets import QHBoxLayout, QSizePolicy, QVBoxLayout, QWidget
+from PySide6.QtGui import QFontMetrics, QResizeEvent
+from PySide6.QtWidgets import QHBoxLayout, QSizePolicy, QWidget
 
 from touchdown.app.shell.top_bar import lost_samples_text
 from touchdown.backend.bench import Session
 from touchdown.backend.core import FINGERS, Finger, MarkerField, TactileFrame
 from touchdown.backend.devices import DeviceState
-from touchdown.widgets.base import Age, CaptionedView, Columns, Freshness, Panel, Theme
+from touchdown.widgets.base import (
+    Age,
+    CaptionedView,
+    Columns,
+    Freshness,
+    Panel,
+    Theme,
+    hbox,
+    ui_font,
+    vbox,
+)
 from touchdown.widgets.plots import TracePlot
 from touchdown.widgets.views import TactileView
 
 HEADER_PERIOD_S = 0.25
 
 
-@dataclass(frozen=True, slots=True)
-class LiveViews:
-    """The views of one page that show sensor data."""
-
-    tactile: Mapping[Finger, TactileView]
-    panels: Mapping[Finger, Panel | CaptionedView]
-    force: TracePlot
-    moment: TracePlot
-
-
 class LivePresenter:
     """Shows the newest samples of a bench in the views of one page."""
 
     def __init__(
-        self, bench: Session, views: LiveViews, now_s: Callable[[], float] = time.monotonic
+        self, bench: Session, page: LivePage, now_s: Callable[[], float] = time.monotonic
     ) -> None:
-        self._bench, self._views, self._now_s = bench, views, now_s
+        self._bench, self._views, self._now_s = bench, page, now_s
         self._fresh = {finger: Freshness() for finger in FINGERS}
         self._wrench_fresh = Freshness()
         self._wrench_cursor = 0
@@ -44,16 +44,15 @@ class LivePresenter:
         self._headers_s = float("-inf")
         self._frame_cursor = dict.fromkeys(FINGERS, 0)
         self.frames_shown = dict.fromkeys(FINGERS, 0)
+        # Functions that draw the live views, a few ms each.
+        self.parts: Sequence[Callable[[], None]] = (
+            *(partial(self.draw_finger, finger) for finger in FINGERS),
+            self.draw_wrench,
+            self.draw_headers,
+        )
 
-    def draw_left(self) -> None:
-        """Update the left tactile view."""
-        self._draw_finger("left")
-
-    def draw_right(self) -> None:
-        """Update the right tactile view."""
-        self._draw_finger("right")
-
-    def _draw_finger(self, finger: Finger) -> None:
+    def draw_finger(self, finger: Finger) -> None:
+        """Update the tactile view of a finger."""
         view, stream = self._views.tactile[finger], self._bench.frames[finger]
         if not view.isVisible():
             return
@@ -113,7 +112,7 @@ class LivePresenter:
             plot.setAccessibleDescription(plot.summary())
 
     def _show_header(self, finger: Finger) -> None:
-        panel, device = (self._views.panels[finger], self._bench.devices.get(f"tactile_{finger}"))
+        panel, device = (self._views.captions[finger], self._bench.devices.get(f"tactile_{finger}"))
         seen, total = self._views.tactile[finger].seen()
         if device is None or total == 0:
             panel.detail.setText("")
@@ -132,55 +131,80 @@ class LivePresenter:
         return "The camera has sent no frame for more than 2 s."
 
 
-# Maximum share of the page height for the finger images; the traces need the rest.
-TACTILE_SHARE = 0.45
 Part = QWidget | QHBoxLayout
 
 
-class LivePage(QWidget):
-    """Base class of pages with live views; subclasses arrange them."""
-
-    columns: Columns
+class WorkspacePage(QWidget):
+    """Base class of the pages."""
 
     def __init__(self, theme: Theme) -> None:
         super().__init__()
         self.setObjectName("frame")
         self._theme = theme
+
+    def heightForWidth(self, _width: int) -> int:
+        """Return the minimum height, so that the views share the available height."""
+        return self.minimumHeight()
+
+    @property
+    def em(self) -> int:
+        """Height of the base font in px."""
+        return QFontMetrics(ui_font(self._theme.scale)).height()
+
+    def fill(self, columns: QWidget) -> None:
+        """Fill the page with its columns."""
+        hbox(columns, parent=self, margins=(10, 8, 10, 8))
+
+
+class LivePage(WorkspacePage):
+    """Base class of pages with live views; subclasses arrange them.
+
+    ``captions``: the framed view of each finger, whose header shows rate and markers.
+    """
+
+    columns: Columns
+    captions: Mapping[Finger, Panel | CaptionedView]
+    tactile_share = 0.45  # maximum share of the page height for the finger images
+
+    def __init__(self, theme: Theme) -> None:
+        super().__init__(theme)
         self.tactile: dict[Finger, TactileView] = {f: TactileView(theme, f) for f in FINGERS}
         self.force = TracePlot(theme, "Force", "F", "N", 10.0)
         self.moment = TracePlot(theme, "Moment", "T", "N\N{MIDDLE DOT}m", 0.2)
 
     def show_silent(self, why: str) -> None:
         """Show in the live views why there are no data yet."""
-        for view in self.tactile.values():
+        views: tuple[TactileView | TracePlot, ...] = (
+            *self.tactile.values(),
+            self.force,
+            self.moment,
+        )
+        for view in views:
             view.show_age(Age.NEVER, 0.0, why)
-        for plot in (self.force, self.moment):
-            plot.show_age(Age.NEVER, 0.0, why)
-
-    def heightForWidth(self, _width: int) -> int:
-        """Return the minimum height, so that the views share the available height."""
-        return self.minimumHeight()
 
     def resizeEvent(self, event: QResizeEvent) -> None:
         """Limit the height of the finger images."""
         super().resizeEvent(event)
         self._leave_room()
 
+    def fit(self) -> None:
+        """Fit the ranges of both plots."""
+        self.force.fit()
+        self.moment.fit()
+
     def stand_in(self, columns: Columns, traces: str) -> None:
         """Fill the page; ``traces`` is the title of the panel below the fingers."""
         self.columns, self._traces = columns, traces
         columns.arranged.connect(self._leave_room)
-        row = QHBoxLayout(self)
-        row.setContentsMargins(10, 8, 10, 8)
-        row.addWidget(columns)
+        self.fill(columns)
 
     def _leave_room(self) -> None:
-        share = 1.0 if self.columns.hides(self._traces) else TACTILE_SHARE
+        share = 1.0 if self.columns.hides(self._traces) else self.tactile_share
         for view in self.tactile.values():
             view.limit_height(round(share * self.height()))
 
 
-def limit_height(panel: Panel) -> None:
+def limit_height(panel: QWidget) -> None:
     """Limit the height of a panel to that of its views."""
     panel.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Maximum)
 
@@ -188,14 +212,6 @@ def limit_height(panel: Panel) -> None:
 def column_of(*parts: tuple[Part, int]) -> QWidget:
     """Return a column of (view, stretch)."""
     holder = QWidget()
-    layout = QVBoxLayout(holder)
-    layout.setContentsMargins(0, 0, 0, 0)
-    layout.setSpacing(8)
-    for part, stretch in parts:
-        if isinstance(part, QWidget):
-            layout.addWidget(part, stretch)
-        else:
-            layout.addLayout(part, stretch)
-    # Takes the remaining height when the stretching views are hidden.
-    layout.addStretch(0)
+    # The last item takes the remaining height when the stretching views are hidden.
+    vbox(*parts, 0, parent=holder, margins=(0, 0, 0, 0), spacing=8)
     return holder

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from PySide6.QtCore import Signal
-from PySide6.QtGui import QFontMetrics
-from PySide6.QtWidgets import QHBoxLayout, QSizePolicy, QVBoxLayout
+from PySide6.QtWidgets import QSizePolicy, QVBoxLayout
 
 from touchdown.app.shell import LivePage, column_of, limit_height
 from touchdown.backend.core import FINGERS
-from touchdown.widgets.base import Columns, Panel, Theme, flat_button, ui_font
+from touchdown.widgets.base import Columns, Panel, Theme, flat_button, hbox
 from touchdown.widgets.forms import RunPanel
 from touchdown.widgets.plots import TracesPanel
 from touchdown.widgets.views import (
@@ -40,9 +39,8 @@ class StackPage(LivePage):
     def __init__(self, theme: Theme) -> None:
         super().__init__(theme)
         titles = {"left": "Tactile L", "right": "Tactile R"}
-        self.tactile_panels = {f: Panel(titles[f], self.tactile[f]) for f in FINGERS}
+        self.captions = {f: Panel(titles[f], self.tactile[f]) for f in FINGERS}
         self.traces_panel = TracesPanel("Force and moment at the wrist", self.force, self.moment)
-        self.fit = self.traces_panel.fit
         self.decision = DecisionPanel(self.approved.emit, self.declined.emit)
         self.trial = TrialPanel(theme)
         self.strip = ProbeStrip(theme, self.probe_chosen.emit)
@@ -61,8 +59,7 @@ class StackPage(LivePage):
 
     def fit_to_theme(self) -> None:
         """Set the widths of the controls for the size of the text."""
-        em = QFontMetrics(ui_font(self._theme.scale)).height()
-        self._right.setMinimumWidth(round(16.5 * em))
+        self._right.setMinimumWidth(round(16.5 * self.em))
 
     def show_waiting(self, verdict: str, why: str) -> None:
         """Show why there are no data yet."""
@@ -91,15 +88,13 @@ class StackPage(LivePage):
         layout.setStretchFactor(self.score, int(self.side_panel.isHidden()))
 
     def _arrange(self) -> None:
-        fingers = QHBoxLayout()
-        fingers.setSpacing(8)
-        for panel in self.tactile_panels.values():
+        for panel in self.captions.values():
             limit_height(panel)
-            fingers.addWidget(panel, 1)
+        fingers = hbox(*((panel, 1) for panel in self.captions.values()), spacing=8)
         feel = column_of((fingers, 0), (self.traces_panel, 1))
         believe = column_of((self.decision, 0), (self.trial, 1), (self.belief_panel, 2))
         self._right = column_of((self.run, 0), (self.score, 0), (self.side_panel, 1))
-        left, right = self.tactile_panels.values()
+        left, right = self.captions.values()
         self.stand_in(
             Columns(
                 ((feel, 10), (believe, 9), (self._right, 5)),

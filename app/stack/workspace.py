@@ -8,7 +8,6 @@ from functools import partial
 
 from touchdown.app.shell import (
     LivePresenter,
-    LiveViews,
     Memory,
     WindowCommand,
     Workspace,
@@ -95,8 +94,7 @@ class StackWorkspace(Workspace):
     def attach(self, bench: Session) -> None:
         """Connect the page to a bench."""
         page, shown = self.page, bench.catalogue
-        views = LiveViews(page.tactile, page.tactile_panels, page.force, page.moment)
-        self.live = LivePresenter(bench, views)
+        self.live = LivePresenter(bench, page)
         self.presenter = StackPresenter(bench, page, self._context.cards)
         self.side = SideViewPresenter(bench, page.side, page.side_panel)
         self.attended = OperatorPromptsPresenter(bench, page, self._context.cards)
@@ -120,11 +118,7 @@ class StackWorkspace(Workspace):
         page.trial.answered.connect(self.attended.answer)
         page.trial.judged.connect(self.attended.judge)
         page.trial.photo_requested.connect(self.attended.ask_photo)
-        self.parts = (
-            self.live.draw_left, self.live.draw_right, self.live.draw_wrench,
-            self.live.draw_headers, self.presenter.draw, self.side.draw,
-            self.comparison.draw,
-        )  # fmt: skip
+        self.parts = (*self.live.parts, self.presenter.draw, self.side.draw, self.comparison.draw)
 
     def enter(self) -> None:
         """Show the model in use, which may have changed."""

@@ -5,17 +5,25 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from PySide6.QtCore import Signal
-from PySide6.QtGui import QFontMetrics
-from PySide6.QtWidgets import QHBoxLayout, QPushButton, QSizePolicy, QWidget
+from PySide6.QtWidgets import QPushButton, QSizePolicy
 
-from touchdown.app.shell import column_of
-from touchdown.widgets.base import Columns, Panel, ScrollingNote, Theme, label, rule, ui_font
+from touchdown.app.shell import WorkspacePage, column_of
+from touchdown.widgets.base import (
+    Columns,
+    Panel,
+    ScrollingNote,
+    Theme,
+    add_items,
+    hbox,
+    label,
+    rule,
+)
 from touchdown.widgets.forms import TrainingFormPanel
 from touchdown.widgets.lists import FigureTable, TrainingTable
 from touchdown.widgets.plots import CurvePlot, ReliabilityPlot, SampleStrip
 
 
-class TrainPage(QWidget):
+class TrainPage(WorkspacePage):
     """Training runs on one dataset. The page is complete after ``build`` has finished."""
 
     runs_chosen = Signal(object)  # tuple of run identifiers
@@ -23,9 +31,7 @@ class TrainPage(QWidget):
     roll_back_requested = Signal()
 
     def __init__(self, theme: Theme) -> None:
-        super().__init__()
-        self.setObjectName("frame")
-        self._theme = theme
+        super().__init__(theme)
         self.form = TrainingFormPanel(theme)
 
     def build(self) -> Iterator[None]:
@@ -58,14 +64,9 @@ class TrainPage(QWidget):
         yield
         self._arrange()
 
-    def heightForWidth(self, _width: int) -> int:
-        """Return the minimum height, so that the views share the available height."""
-        return self.minimumHeight()
-
     def fit_to_theme(self) -> None:
         """Apply the sizes and icons of the theme."""
-        em = QFontMetrics(ui_font(self._theme.scale)).height()
-        self._left.setMinimumWidth(round(20 * em))
+        self._left.setMinimumWidth(round(20 * self.em))
         for table in (self.split, self.runs, self.differences, self.figures):
             table.fit_to_theme()
         self.form.draw_icons()
@@ -76,10 +77,9 @@ class TrainPage(QWidget):
 
     def _arrange(self) -> None:
         self.split_panel = Panel("Split", self.split)
-        self.split_panel.header.addWidget(label("Held out", "muted"))
-        self.split_panel.header.addWidget(self.form.numbers.held_out)
-        self.split_panel.column.addWidget(self.leaks)
-        self.split_panel.column.addWidget(self.form.divide)
+        held_out = label("Held out", "muted"), self.form.numbers.held_out
+        add_items(self.split_panel.header, *held_out)
+        add_items(self.split_panel.column, self.leaks, self.form.divide)
         self._left = column_of((self.form, 0), (self.split_panel, 1))
         middle = column_of((self._curves(), 3), (self._samples_panel(), 2))
         right = column_of((self._runs_panel(), 4), (self._comparison(), 5))
@@ -93,18 +93,13 @@ class TrainPage(QWidget):
                 "Comparison": self.comparison,
             },
         )
-        row = QHBoxLayout(self)
-        row.setContentsMargins(10, 8, 10, 8)
-        row.addWidget(self.columns)
+        self.fill(self.columns)
         self.fit_to_theme()
 
     def _curves(self) -> Panel:
         self.curves_panel = Panel("Curves")
         for pair in ((self.loss, self.reliability), (self.iou, self.accuracy)):
-            line = QHBoxLayout()
-            line.setSpacing(10)
-            for plot in pair:
-                line.addWidget(plot, 1)
+            line = hbox(*((plot, 1) for plot in pair), spacing=10)
             self.curves_panel.column.addLayout(line, 1)
         return self.curves_panel
 
@@ -116,18 +111,13 @@ class TrainPage(QWidget):
 
     def _runs_panel(self) -> Panel:
         self.runs_panel = Panel("Trainings", self.runs)
-        buttons = QHBoxLayout()
-        buttons.addWidget(self.promote, 1)
-        buttons.addWidget(self.roll_back, 1)
-        self.runs_panel.column.addWidget(rule())
-        self.runs_panel.column.addWidget(self.in_use)
-        self.runs_panel.column.addLayout(buttons)
+        buttons = hbox((self.promote, 1), (self.roll_back, 1))
+        add_items(self.runs_panel.column, rule(), self.in_use, buttons)
         return self.runs_panel
 
     def _comparison(self) -> Panel:
         self.comparison = Panel("Comparison")
         # As high as its rows; the longer table below takes the rest.
         self.figures.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Preferred)
-        self.comparison.column.addWidget(self.figures)
-        self.comparison.column.addWidget(self.differences, 1)
+        add_items(self.comparison.column, self.figures, (self.differences, 1))
         return self.comparison

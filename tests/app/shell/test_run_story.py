@@ -316,7 +316,7 @@ def test_lost_frames_are_in_the_tips_and_on_the_chip_where_they_are_many(
     bench.turn(0.04)
     live._chips._drawn_s = live.workspaces["stack"].live._headers_s = 0.0
     settle(live)
-    detail = live.workspaces["stack"].page.tactile_panels["left"].detail
+    detail = live.workspaces["stack"].page.captions["left"].detail
     noun = "frame" if lost == 1 else "frames"
     assert detail.text().endswith(" Hz")
     assert detail.toolTip().endswith(f"; {lost} {noun} lost")

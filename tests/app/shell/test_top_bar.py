@@ -15,7 +15,7 @@ from tests.app.conftest import settle
 from tests.backend.bench.brisk import brisk_bench, brisk_method
 from touchdown.app.shell import window as appearance
 from touchdown.app.shell.activity import DEGRADED_DELAY_S, start_obstacle
-from touchdown.app.shell.live import LivePresenter, LiveViews
+from touchdown.app.shell.live import LivePresenter
 from touchdown.app.shell.top_bar import DeviceChipsPresenter, pill_state
 from touchdown.app.shell.window import CHOICES, Appearance, system_theme
 from touchdown.backend.bench.assembly import simulated_session
@@ -260,7 +260,7 @@ def test_forces_and_moments_go_into_their_own_plots_axis_by_axis():
     wrench.put(t_s, values)
     force, moment = NotedPlot(), NotedPlot()
     live = LivePresenter(
-        SimpleNamespace(wrench=wrench), LiveViews({}, {}, force, moment), lambda: 0.1
+        SimpleNamespace(wrench=wrench), SimpleNamespace(force=force, moment=moment), lambda: 0.1
     )
     live.draw_wrench()
     np.testing.assert_array_equal(force.values, [values[:, :3]])

@@ -1,0 +1,79 @@
+"""Dialogs of the bench: their frame and their questions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from PySide6.QtCore import QSize
+from PySide6.QtWidgets import QDialog, QFrame, QLayout, QPushButton, QWidget
+
+from touchdown.widgets.base import hbox, label, rule, vbox
+
+
+class QuestionRow(QFrame):
+    """A question with two answers; the first one (no) does nothing."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.setProperty("role", "question")
+        self.text = label("", "title", wrap=True)
+        self.no, self.yes = QPushButton("No"), QPushButton("Yes")
+        self._act: Callable[[], None] | None = None
+        for button in (self.no, self.yes):
+            button.setAutoDefault(False)
+        hbox((self.text, 1), self.no, self.yes, parent=self)
+        self.no.clicked.connect(self.withdraw)
+        self.yes.clicked.connect(self._accept)
+        self.hide()
+
+    def ask(self, text: str, no: str, yes: str, act: Callable[[], None]) -> None:
+        """Ask a question; ``act`` is called for yes."""
+        self._act = act
+        self.text.setText(text)
+        for button, word in ((self.no, no), (self.yes, yes)):
+            button.setText(word)
+            button.setAccessibleName(f"{word}: {text}")
+        self.show()
+
+    def withdraw(self) -> None:
+        """Remove the question."""
+        self._act = None
+        self.hide()
+
+    def _accept(self) -> None:
+        act = self._act
+        self.withdraw()
+        if act is not None:
+            act()
+
+
+class BenchSheet(QDialog):
+    """Dialog with buttons and *Close* at its foot. Not modal: STOP and all pages stay available."""
+
+    def __init__(self, parent: QWidget, title: str) -> None:
+        super().__init__(parent)
+        self.setModal(False)
+        self.setWindowTitle(title)
+
+    def present(self) -> None:
+        """Show the sheet above the window."""
+        self.show()
+        self.raise_()
+
+    def arrange(
+        self, *parts: QWidget | QLayout | tuple[QWidget | QLayout, int] | int,
+        foot: tuple[QPushButton, ...], spacing: int,
+    ) -> None:  # fmt: skip
+        """Fill the sheet with ``parts`` (as in ``vbox``) above a row of buttons."""
+        close = QPushButton("Close")
+        close.clicked.connect(self.close)
+        for button in (*foot, close):
+            button.setAutoDefault(False)
+        row = hbox(*foot, 1, close)
+        vbox(*parts, rule(), row, parent=self, margins=(18, 14, 18, 14), spacing=spacing)
+
+    def resize_to_em(self, width: int, height: int) -> None:
+        """Set the size in heights of the font, at most that of the window."""
+        em, parent = self.fontMetrics().height(), self.parentWidget()
+        assert parent is not None
+        self.resize(QSize(width * em, height * em).boundedTo(parent.size()))

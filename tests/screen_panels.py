@@ -131,7 +131,7 @@ def beside_the_queue(stage: Stage) -> Iterator[str]:
     page = label.label_page
     for tab, name in ((1, "agree"), (2, "log"), (3, "bulk"), (4, "health")):
         page.side.choose(tab)
-        label.side.show("")
+        label.tools.side.show("")
         stage.settle()
         yield f"label-{name}"
     page.side.choose(0)

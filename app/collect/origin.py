@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import shutil
 from collections import deque
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 
@@ -105,25 +104,6 @@ class OriginCheckNote:
     def taken(self) -> OriginCheckNote:
         """Return the note after the origin was corrected by it."""
         return replace(self, used=True)
-
-    def memory(self) -> dict[str, object]:
-        """Return the note as JSON-ready values."""
-        return asdict(self)
-
-
-def origin_note(memory: object) -> OriginCheckNote | None:
-    """Return a stored note, None for none. Raises ``ValueError`` for invalid values."""
-    if memory is None:
-        return None
-    if not isinstance(memory, Mapping):
-        raise ValueError("no note")
-    try:
-        x, y = (float(v) for v in memory["residual_mm"])
-        sigma_mm = float(memory["sigma_mm"])
-        at = str(memory["at"])
-        return OriginCheckNote((x, y), sigma_mm, bool(memory["agrees"]), at, bool(memory["used"]))
-    except (KeyError, TypeError, ValueError) as error:
-        raise ValueError("no note") from error
 
 
 def residual_text(note: OriginCheckNote | None) -> str:

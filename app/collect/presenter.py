@@ -261,11 +261,8 @@ class CollectPresenter:
         self._asking = self._mine = False
         self._asked: HandOverAwaited | MountingAwaited | None = None
         self._campaign, self._go_on = "", ""
-        self._pace, self._gauge, self._progress = (
-            CampaignPace(),
-            RecorderGauge(),
-            CampaignProgress(),
-        )
+        self._pace, self._gauge = CampaignPace(), RecorderGauge()
+        self._progress = CampaignProgress()
         self._gauge_s = float("-inf")
         self._buttons: TargetButtons | None = None
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 
 from touchdown.app.collect.probes import ProbeRecord, displacement_text, quality_text, read_probe
-from touchdown.app.shell import ACTIVE_STATES, start_obstacle
+from touchdown.app.shell import ACTIVE_STATES, count_noun, start_obstacle
 from touchdown.backend.annotations import Dataset
 from touchdown.backend.bench import Session
 from touchdown.backend.core import EpisodeDecision, HandOverAwaited, MountingAwaited
@@ -20,7 +21,6 @@ from touchdown.backend.runs import (
     mounting_question,
 )
 from touchdown.widgets.forms import ProbeText, TargetButtons, TargetForm
-from touchdown.widgets.lists import TableArrangement
 
 
 def probe_text(held: ProbeRecord | None, *, asking: bool, running: bool, back: bool) -> ProbeText:
@@ -66,8 +66,7 @@ def _detail_text(held: ProbeRecord, *, back: bool, running: bool) -> str:
     if held.signals is not None:
         parts.append(f"Fz {held.signals[4]:.1f} N at the end")
     if quality.dropped_frames:
-        lost = quality.dropped_frames
-        parts.append("1 frame lost" if lost == 1 else f"{lost} frames lost")
+        parts.append(f"{count_noun(quality.dropped_frames, 'frame')} lost")
     text = ", ".join(parts)
     text = f"{text[0].upper()}{text[1:]}."
     if back and running:
@@ -170,13 +169,12 @@ def _in_contact(bench: Session | None) -> bool:
 
 def collect_request(form: TargetForm, person: str, *, campaign: str = "") -> CollectRequest:
     """Return the request of a form. With ``campaign``, the plan of that campaign applies."""
-    patterns: dict[str, Pattern] = {"grid": "grid", "adaptive": "adaptive"}
     return CollectRequest(
         piece=form.piece,
         bottom=form.bottom,
         count=form.count,
         seed=form.seed,
-        pattern=patterns.get(form.pattern, "random"),
+        pattern=cast("Pattern", form.pattern),
         person=person,
         within_mm=form.within_mm or None,
         origin_mm=(form.origin_x_mm, form.origin_y_mm),
@@ -186,13 +184,3 @@ def collect_request(form: TargetForm, person: str, *, campaign: str = "") -> Col
         probes_per_grip=form.probes_per_grip or None,
         hand_over=form.hand_over,
     )
-
-
-def remembered_table(memory: object) -> TableArrangement:
-    """Return columns and order of the table. Raises ``ValueError`` for invalid values."""
-    match memory:
-        case None:
-            return TableArrangement()
-        case {"columns": [*columns], "sort": str(sort), "descending": bool(descending)}:
-            return TableArrangement(tuple(str(name) for name in columns), sort, descending)
-    raise ValueError("no columns")

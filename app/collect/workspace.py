@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, field, replace
+from functools import partial
+from typing import Annotated
 
-from touchdown.app.collect.origin import origin_note
+from pydantic import Field
+
+from touchdown.app.collect.origin import OriginCheckNote
 from touchdown.app.collect.page import CollectPage
 from touchdown.app.collect.presenter import CollectPresenter
-from touchdown.app.collect.requests import remembered_table
+from touchdown.app.collect.probes import SIGNALS
 from touchdown.app.label import HalvesPage, LabelWorkspace
 from touchdown.app.shell import (
     LivePresenter,
@@ -23,9 +27,10 @@ from touchdown.app.shell import (
 )
 from touchdown.backend.annotations import DESCRIPTION_FILE, Dataset
 from touchdown.backend.bench import Session
-from touchdown.backend.core import EpisodeDecision, Event
+from touchdown.backend.core import Event
 from touchdown.backend.geometry import load_pieces
 from touchdown.widgets.forms import TargetForm
+from touchdown.widgets.lists import TableArrangement
 
 
 def join_half_commands(
@@ -38,37 +43,43 @@ def join_half_commands(
     ``front`` returns the name of the visible half; ``titles`` and ``commands`` are keyed by that
     name. Commands of a hidden half do nothing.
     """
-    rows: dict[str, WindowCommand] = {}
-    acts: dict[str, dict[str, Callable[[], None]]] = {}
+    rows: dict[str, dict[str, WindowCommand]] = {}
     for half, given in commands.items():
         for command in given:
             key = portable_key(command.key) or f"{half}.{command.name}"
-            text = f"{titles[half]}: {command.text}"
-            known = rows.get(key)
-            if known is None:
-                rows[key] = replace(command, text=text, run=_run_in_front(front, acts, key))
-            else:
-                both = f"{known.text}; {text}"
-                rows[key] = replace(known, text=both, repeats=known.repeats and command.repeats)
-            acts.setdefault(key, {})[half] = command.run
-    return tuple(rows.values())
+            rows.setdefault(key, {})[half] = command
 
+    def run_in_front(halves: Mapping[str, WindowCommand]) -> None:
+        command = halves.get(front())
+        if command is not None:
+            command.run()
 
-def _run_in_front(
-    front: Callable[[], str], acts: Mapping[str, Mapping[str, Callable[[], None]]], key: str
-) -> Callable[[], None]:
-    def run() -> None:
-        act = acts[key].get(front())
-        if act is not None:
-            act()
-
-    return run
+    return tuple(
+        replace(
+            next(iter(halves.values())),
+            text="; ".join(f"{titles[half]}: {one.text}" for half, one in halves.items()),
+            run=partial(run_in_front, halves),
+            repeats=all(one.repeats for one in halves.values()),
+        )
+        for halves in rows.values()
+    )
 
 
 COLLECT, LABEL = "collect", "label"
 TITLES = {COLLECT: "Collect", LABEL: "Label"}
 # Main keys of the label half, which has no buttons for them.
 LABEL_WORDS = "Enter accepts the label and goes on, arrows move it, D rejects; F1 shows all keys."
+
+
+@dataclass(frozen=True, slots=True)
+class CollectMemory:
+    """Stored settings of the collect half."""
+
+    target: dict[str, object] = field(default_factory=dict)
+    signal: Annotated[int, Field(ge=0, lt=len(SIGNALS))] = 0
+    list: TableArrangement = field(default_factory=TableArrangement)
+    origin: OriginCheckNote | None = None
+    half: Annotated[str, Field(pattern="^(collect|label)$")] = COLLECT
 
 
 class CollectWorkspace(Workspace):
@@ -103,7 +114,7 @@ class CollectWorkspace(Workspace):
 
     def build(self) -> Iterator[None]:
         """Create both halves and the thread that reads for them."""
-        self.page = self.lazy_pages = HalvesPage()
+        self.page = self.lazy_pages = HalvesPage(self._context.theme)
         self.collect_page = CollectPage(self._context.theme)
         yield
         yield from self.collect_page.build()
@@ -156,45 +167,26 @@ class CollectWorkspace(Workspace):
 
     def memory(self) -> Memory:
         """Return the settings of both halves to store."""
-        note = self.presenter.origin.note
-        return {
-            **self.label.memory(),
-            "half": self.page.front,
-            "target": asdict(self.collect_page.target.form()),
-            "signal": self.collect_page.signal.currentIndex(),
-            "list": asdict(self.collect_page.table.arrangement),
-            "origin": None if note is None else note.memory(),
-        }
+        page = self.collect_page
+        mine = CollectMemory(
+            asdict(page.target.form()),
+            page.signal.currentIndex(),
+            page.table.arrangement,
+            self.presenter.origin.note,
+            self.page.front,
+        )
+        return {**self.label.memory(), **asdict(mine)}
 
     def recall(self, memory: Memory) -> Sequence[str]:
         """Restore stored settings; return the names of invalid fields."""
-        dropped = list(self.label.recall(memory))
-        target, half = memory.get("target", {}), memory.get("half", COLLECT)
-        if isinstance(target, Mapping):
-            form, wrong = restore_form(TargetForm(), target)
-            dropped += wrong
-        else:
-            form = TargetForm()
-            dropped.append("target")
+        mine, dropped = restore_form(CollectMemory(), memory)
+        form, invalid = restore_form(TargetForm(), mine.target)
         self.collect_page.target.show_form(form)
-        signal = memory.get("signal", 0)
-        if type(signal) is int and 0 <= signal < self.collect_page.signal.count():
-            self.collect_page.signal.setCurrentIndex(signal)
-        else:
-            dropped.append("signal")
-        try:
-            self.collect_page.table.arrange(remembered_table(memory.get("list")))
-        except ValueError:
-            dropped.append("list")
-        try:
-            self.presenter.origin.show_note(origin_note(memory.get("origin")))
-        except ValueError:
-            dropped.append("origin")
-        if half in TITLES:
-            self.page.bring(str(half))
-        else:
-            dropped.append("half")
-        return dropped
+        self.collect_page.signal.setCurrentIndex(mine.signal)
+        self.collect_page.table.arrange(mine.list)
+        self.presenter.origin.show_note(mine.origin)
+        self.page.bring(mine.half)
+        return [*self.label.recall(memory), *dropped, *invalid]
 
     def close(self) -> None:
         """Close the bench before the dataset that it records into."""
@@ -278,16 +270,10 @@ class CollectWorkspace(Workspace):
         page.target.origin_requested.connect(presenter.set_origin_here)
         page.target.lift_requested.connect(presenter.lift)
         page.target.pair_chosen.connect(presenter.choose_pair)
-        page.decided.connect(self._decide)
+        page.decided.connect(presenter.decide)
         page.dot_chosen.connect(presenter.probes.choose_dot)
         page.row_chosen.connect(presenter.probes.choose)
         page.filter_changed.connect(presenter.probes.restyle)
-
-    def _decide(self, name: str) -> None:
-        decisions: dict[str, EpisodeDecision] = {
-            "keep": "keep", "discard": "discard", "flag": "flag", "redo": "redo", "skip": "skip",
-        }  # fmt: skip
-        self.presenter.decide(decisions[name])
 
     def _commands(self) -> tuple[WindowCommand, ...]:
         return (

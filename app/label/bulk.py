@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
 
 from touchdown.app.label.decisions import LabelDecisions
 from touchdown.app.label.page import LabelPage
 from touchdown.app.label.presenter import LabelPresenter
 from touchdown.app.label.side import BULK, HISTORY, KINDS, BulkForm, SideTabs, agreement_text
 from touchdown.app.label.text import history_rows, operation_text
-from touchdown.app.shell import SaveWorker, parse_displacement
+from touchdown.app.shell import SaveWorker, count_noun, parse_displacement
 from touchdown.backend.annotations import (
     BulkChange,
     BulkPreview,
@@ -90,7 +89,7 @@ class BulkPresenter:
             self._form.found.setText(preview_text(found))
             self._form.apply.setEnabled(bool(found.rows))
             if ask and found.rows:
-                text = f"{_labels(len(found.rows))} will change."
+                text = f"{count_noun(len(found.rows), 'label')} will change."
                 self._choice.ask(text, YES, lambda _: self.apply())
 
         self._on.flushed(preview)
@@ -109,7 +108,9 @@ class BulkPresenter:
             async def apply() -> None:
                 count = await self._on.saving.save(lambda: book.bulk(person, wanted))
                 self._preview = None
-                self._form.found.setText(f"{_labels(count)} changed. U takes it back in one step.")
+                self._form.found.setText(
+                    f"{count_noun(count, 'label')} changed. U takes it back in one step."
+                )
                 await self._on.read_queue()
 
             self._on.flushed(apply)
@@ -146,14 +147,10 @@ class BulkPresenter:
 
 def preview_text(found: BulkPreview) -> str:
     """Return the number of changes, and why some labels are excluded."""
-    lines = [f"{_labels(len(found.rows))} will change."]
+    lines = [f"{count_noun(len(found.rows), 'label')} will change."]
     for reason, count in Counter(reason for _, reason in found.refused).most_common(3):
-        lines.append(f"{_labels(count)} will not: {reason}")
+        lines.append(f"{count_noun(count, 'label')} will not: {reason}")
     return "\n".join(lines)
-
-
-def _labels(count: int) -> str:
-    return "1 label" if count == 1 else f"{count} labels"
 
 
 MOST = 9  # answers with a digit
@@ -175,7 +172,7 @@ class SideTabKeys:
 
     def versions(self) -> None:
         """Ask which of the newest versions to restore."""
-        self._after(self._ask_version)
+        self._on.do(self._ask_version)
 
     def _ask_version(self) -> None:
         now = self._on.present
@@ -210,7 +207,7 @@ class SideTabKeys:
         """Ask for a bulk change of the queue and its value."""
         choices = [(str(n), text) for n, (_, text, _) in enumerate(KINDS, start=1)]
         names = {text: name for name, text, _ in KINDS}
-        self._after(
+        self._on.do(
             lambda: self._page.choice.ask(
                 "Change every label of this queue how?", choices,
                 lambda word: self._begin(names[word]),
@@ -226,6 +223,3 @@ class SideTabKeys:
             form.value.selectAll()
         else:
             self._bulk.preview_and_ask()
-
-    def _after(self, ask: Callable[[], None]) -> None:
-        self._on.do(ask)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, cast
 
 from touchdown.app.label.page import LabelPage
 from touchdown.app.label.presenter import LabelPresenter
@@ -104,17 +104,15 @@ class LabelDecisions:
         self._ask("Would it stand? Your verdict", VERDICTS, self._say_verdict)
 
     def _say_verdict(self, word: str) -> None:
-        said: dict[str, Verdict] = {"stable": "stable", "unstable": "unstable", "unsure": "unsure"}
-        now = self._on.present
+        verdict, now = cast("Verdict", word), self._on.present
         if now is not None and self._on.session.opines:
-            now.verdict = said[word]
+            now.verdict = verdict
             self._on.show_edit()
         elif now is not None:
             label = now.edit.base.label
+            shown = self._on.shown
             self._with_present(
-                lambda person, uuid: self._on.shown.of(uuid).set(
-                    person, uuid, label, verdict=said[word]
-                )
+                lambda person, uuid: shown.of(uuid).set(person, uuid, label, verdict=verdict)
             )
 
     def take_over(self) -> None:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from PySide6.QtCore import Qt, Signal
 from PySide6.QtGui import QKeyEvent
-from PySide6.QtWidgets import QComboBox, QHBoxLayout, QListWidget, QPushButton, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QComboBox, QListWidget, QPushButton, QWidget
 
 from touchdown.app.label.side import BulkForm, KeyboardLineEdit, SideTabs
 from touchdown.app.label.text import QUEUES
@@ -17,8 +17,13 @@ from touchdown.widgets.base import (
     Panel,
     Theme,
     WrappedItemDelegate,
+    add_items,
+    compact_combo_box,
+    hbox,
     label,
     scroll_into_view,
+    set_property,
+    vbox,
 )
 from touchdown.widgets.forms import ChoiceBar
 from touchdown.widgets.lists import LabelList
@@ -41,11 +46,7 @@ class DatasetHealthPanel(QWidget):
         self.look.clicked.connect(look)
         self.list.itemClicked.connect(lambda item: choose(self.list.row(item)))
         self.list.itemActivated.connect(lambda item: choose(self.list.row(item)))
-        column = QVBoxLayout(self)
-        column.setContentsMargins(0, 0, 0, 0)
-        column.addWidget(self.said)
-        column.addWidget(self.list, 1)
-        column.addWidget(self.look)
+        vbox(self.said, (self.list, 1), self.look, parent=self, margins=(0, 0, 0, 0))
 
     def show_findings(self, said: str, lines: Sequence[str]) -> None:
         """Show a summary and one line per kind of problem."""
@@ -124,12 +125,9 @@ class EmptyStateView(QWidget):
         self.button.setProperty("role", "primary")
         self.button.setFocusPolicy(Qt.FocusPolicy.TabFocus)
         self.button.clicked.connect(lambda: act(self.shown.command))
-        column = QVBoxLayout(self)
-        column.setSpacing(8)
-        column.addStretch(2)
         for widget in (self.title, self.why):
             widget.setAlignment(Qt.AlignmentFlag.AlignCenter)
-            column.addWidget(widget)
+        column = vbox(2, self.title, self.why, parent=self, spacing=8)
         column.addSpacing(4)
         column.addWidget(self.button, 0, Qt.AlignmentFlag.AlignHCenter)
         column.addStretch(3)
@@ -214,12 +212,12 @@ class LabelPage(QWidget):
         self.banner = UnsavedBanner(self.retry_requested.emit, self.discard_requested.emit)
         self.film = FilmView(theme, self.show_cursor)
         self.shots = SceneShotView(theme)
-        self.pictures = _choice("Pictures", ["Tactile film", "Scene camera"])
+        self.pictures = compact_combo_box(["Tactile film", "Scene camera"], "Pictures")
         self.forces = RecordedTraces(theme, FORCES, self.show_cursor)
         self.moments = RecordedTraces(theme, MOMENTS, self.show_cursor)
         self.phase = PhasePlot(theme)
         pairs = [f"{CHANNEL_NAMES[a]} with {CHANNEL_NAMES[b]}" for a, b in PAIRS]
-        self.curves = _choice("Curves on one axis", ["Forces, moments", *pairs])
+        self.curves = compact_combo_box(["Forces, moments", *pairs], "Curves on one axis")
         self.person = QPushButton("nobody")
         self.person.setToolTip("Who labels (Ctrl+U)")
         self.person.setProperty("role", "header")
@@ -231,69 +229,30 @@ class LabelPage(QWidget):
         self._arrange()
 
     def _arrange(self) -> None:
-        row = QHBoxLayout(self)
-        row.setContentsMargins(10, 8, 10, 8)
-        row.setSpacing(8)
-        row.addLayout(self._left(), 6)
-        row.addLayout(self._middle(), 11)
-        row.addLayout(self._right(), 10)
-
-    def _left(self) -> QVBoxLayout:
         self.queue_panel = Panel("Queue", self.list)
         self.queue_panel.column.insertWidget(1, self.queue)
-        column = QVBoxLayout()
-        column.setSpacing(8)
-        column.addWidget(self.queue_panel, 5)
-        column.addWidget(self.side, 4)
-        return column
-
-    def _middle(self) -> QVBoxLayout:
         self.view_panel = Panel("Displacement", self.view)
         self.view_panel.header.addWidget(self.person)
         inner = self.view_panel.column
         inner.insertWidget(1, self.strip)
         inner.insertWidget(2, self.nothing, 1)
-        for widget in (
-            self.verdict,
-            self.basis,
-            self.scene_line,
-            self.model_line,
-            self.caption,
-            self.entry,
-            self.words,
-            self.message,
-        ):
-            inner.addWidget(widget)
-        column = QVBoxLayout()
-        column.setSpacing(8)
-        column.addWidget(self.banner)
-        column.addWidget(self.view_panel, 1)
-        # Below the view: a question must not cover the face.
-        column.addWidget(self.choice)
-        return column
-
-    def _right(self) -> QVBoxLayout:
-        film = Panel("Pictures", self.film)
+        evidence = self.verdict, self.basis, self.scene_line, self.model_line
+        add_items(inner, *evidence, self.caption, self.entry, self.words, self.message)
+        film = self.film_panel = Panel("Pictures", self.film)
         film.column.addWidget(self.shots, 1)
         self.shots.hide()
         film.header.addWidget(self.pictures)
-        self.film_panel = film
         curves = Panel("Wrench")
-        self.wrench_panel = curves
         curves.header.addWidget(self.curves)
-        plots = QVBoxLayout()
-        plots.setSpacing(2)
-        plots.addWidget(self.forces, 1)
-        plots.addWidget(self.moments, 1)
-        both = QHBoxLayout()
-        both.addLayout(plots, 3)
-        both.addWidget(self.phase, 2)
-        curves.column.addLayout(both, 1)
-        column = QVBoxLayout()
-        column.setSpacing(8)
-        column.addWidget(film)
-        column.addWidget(curves, 1)
-        return column
+        plots = vbox((self.forces, 1), (self.moments, 1), spacing=2)
+        curves.column.addLayout(hbox((plots, 3), (self.phase, 2)), 1)
+        hbox(
+            (vbox((self.queue_panel, 5), (self.side, 4), spacing=8), 6),
+            # The question is below the view: it must not cover the face.
+            (vbox(self.banner, (self.view_panel, 1), self.choice, spacing=8), 11),
+            (vbox(film, (curves, 1), spacing=8), 10),
+            parent=self, margins=(10, 8, 10, 8), spacing=8,
+        )  # fmt: skip
 
     def show_cursor(self, t_s: float) -> None:
         """Move the cursor of every view."""
@@ -367,11 +326,7 @@ class LabelPage(QWidget):
 
     def say(self, text: str, *, bad: bool = False) -> None:
         """Show one sentence below the view; ``bad`` marks a refusal."""
-        tone = "bad" if bad else ""
-        if tone != self.message.property("tone"):
-            self.message.setProperty("tone", tone)
-            self.message.style().unpolish(self.message)
-            self.message.style().polish(self.message)
+        set_property(self.message, "tone", "bad" if bad else "")
         self.message.setText(text)
         self.message.setToolTip(text)
 
@@ -450,12 +405,3 @@ class LabelPage(QWidget):
             self.forces.show_channels(PAIRS[at - 1])
         self.moments.setVisible(at == 0)
         self.setFocus()
-
-
-def _choice(name: str, texts: Sequence[str]) -> QComboBox:
-    """Return a narrow combo box for a panel header."""
-    made = QComboBox()
-    made.setProperty("role", "compact")
-    made.setAccessibleName(name)
-    made.addItems(list(texts))
-    return made

@@ -19,7 +19,6 @@ from touchdown.app.label.page import (
     LOADING,
     NO_PROBES,
     UNREADABLE,
-    DatasetHealthPanel,
     EmptyState,
     LabelPage,
 )
@@ -45,17 +44,17 @@ from touchdown.app.shell import (
     LabelItem,
     LabelSheets,
     MainThreadQueue,
-    PrelabelFunction,
+    OpenedDataset,
     SaveAction,
     SaveQueue,
     SaveWorker,
+    count_noun,
     item_reader,
     scene_shots,
 )
 from touchdown.backend.annotations import (
     AnswerContext,
     ControlItemLabels,
-    Dataset,
     EpisodeEntry,
     QualityReport,
     Revision,
@@ -121,13 +120,12 @@ class LabelPresenter:
     def __init__(
         self,
         page: LabelPage,
-        dataset: Dataset,
-        prelabel: PrelabelFunction,
+        opened: OpenedDataset,
         worker: SaveWorker,
         main_thread: MainThreadQueue,
         session: AnnotationSession,
     ) -> None:
-        self._page, self.dataset, self.book = page, dataset, dataset.labels
+        self._page, self.dataset, self.book = page, opened.dataset, opened.dataset.labels
         # Labels as the person sees them: control items look like the rest.
         self.shown = ControlItemLabels(self.book)
         self.session = session
@@ -135,7 +133,7 @@ class LabelPresenter:
         self.saving = SaveQueue(worker, self.refuse, self._show_saving)
         self.editing = LabelEditing(self, page, self.shown, session, self.saving)
         self._sheets: LabelSheets | None = None
-        read = item_reader(dataset, prelabel, lambda: self._sheets)
+        read = item_reader(opened.dataset, opened.prelabel, lambda: self._sheets)
         self._prefetch = Prefetcher(read, main_thread, self._arrived)
         self.walk = QueueCursor(page.list, self._prefetch)
         self.clock = ViewingTimer()
@@ -418,23 +416,20 @@ class FindingGroup:
     @property
     def title(self) -> str:
         """Kind and number of episodes."""
-        count = len(self.said)
-        return f"{self.name}: {count} {'episode' if count == 1 else 'episodes'}"
+        return f"{self.name}: {count_noun(len(self.said), 'episode')}"
 
 
 class HealthPresenter:
     """Keeps the result of the last dataset check."""
 
-    def __init__(
-        self, page: LabelPage, panel: DatasetHealthPanel, presenter: LabelPresenter
-    ) -> None:
-        self._page, self._panel, self._on = page, panel, presenter
+    def __init__(self, page: LabelPage, presenter: LabelPresenter) -> None:
+        self._page, self._on = page, presenter
         self.kinds: list[FindingGroup] = []
 
     def show(self, health: QualityReport) -> None:
         """Show the findings, most important kinds first."""
         self.kinds = group_findings(health.findings)
-        self._panel.show_findings(
+        self._page.health.show_findings(
             health_text(health, len(self.kinds), datetime.now()),
             [f"{kind.title}\n{kind.first}" for kind in self.kinds],
         )

@@ -12,16 +12,15 @@ from PySide6.QtWidgets import (
     QButtonGroup,
     QComboBox,
     QFrame,
-    QHBoxLayout,
     QLineEdit,
     QListWidget,
     QPushButton,
     QScrollArea,
     QStackedWidget,
-    QVBoxLayout,
     QWidget,
 )
 
+from touchdown.app.shell import count_noun
 from touchdown.backend.annotations import (
     PROGRAM_ACTOR,
     AgreementReport,
@@ -30,7 +29,7 @@ from touchdown.backend.annotations import (
     compare_with_control_items,
     suggestion_bias,
 )
-from touchdown.widgets.base import Panel, WrappedItemDelegate, label
+from touchdown.widgets.base import Panel, WrappedItemDelegate, hbox, label, vbox
 from touchdown.widgets.lists import HistoryList
 
 LEAST = 2  # one common episode gives no agreement figures
@@ -61,8 +60,7 @@ def agreement_text(dataset: Dataset) -> str:
 
 def pair_agreement_text(first: str, second: str, c: AgreementReport) -> str:
     """Return the agreement of two persons; unknown figures are left out."""
-    count = "1 episode" if c.episodes == 1 else f"{c.episodes} episodes"
-    lines = [f"{first} minus {second}, {count}"]
+    lines = [f"{first} minus {second}, {count_noun(c.episodes, 'episode')}"]
     for axis, bias, icc in (("x", c.bias_x_mm, c.icc_x), ("y", c.bias_y_mm, c.icc_y)):
         if not math.isnan(bias.mean):
             limits = f", 95 % limits {_signed(bias.lower)} to {_signed(bias.upper)}"
@@ -161,10 +159,7 @@ class SideTabs(Panel):
         self.needle.textChanged.connect(search)
         self._stack = QStackedWidget()
         log = QWidget()
-        column = QVBoxLayout(log)
-        column.setContentsMargins(0, 0, 0, 0)
-        column.addWidget(self.needle)
-        column.addWidget(self.log, 1)
+        vbox(self.needle, (self.log, 1), parent=log, margins=(0, 0, 0, 0))
         for page in (self.history, _top(self.agreement), log, bulk, health):
             self._stack.addWidget(page)
         self.column.addWidget(self._stack, 1)
@@ -198,10 +193,7 @@ class SideTabs(Panel):
 def _top(widget: QWidget) -> QWidget:
     """Return a scroll area with a text at its top."""
     holder = QWidget()
-    column = QVBoxLayout(holder)
-    column.setContentsMargins(0, 0, 0, 0)
-    column.addWidget(widget)
-    column.addStretch(1)
+    vbox(widget, 1, parent=holder, margins=(0, 0, 0, 0))
     scroll = QScrollArea()
     scroll.setWidget(holder)
     scroll.setWidgetResizable(True)
@@ -241,18 +233,11 @@ class BulkForm(QWidget):
             self.kind.addItem(text, name)
         self.preview, self.apply = QPushButton("Preview"), QPushButton("Apply")
         self.found = label("Changes every label of the queue that is shown.", "muted", wrap=True)
-        buttons = QHBoxLayout()
-        for button in (self.preview, self.apply):
-            buttons.addWidget(button)
-        buttons.addStretch(1)
-        column = QVBoxLayout(self)
-        column.setContentsMargins(0, 0, 0, 0)
-        column.setSpacing(5)
-        for part in (self.kind, self.value):
-            column.addWidget(part)
-        column.addLayout(buttons)
-        column.addWidget(self.found)
-        column.addStretch(1)
+        buttons = hbox(self.preview, self.apply, 1)
+        vbox(
+            self.kind, self.value, buttons, self.found, 1,
+            parent=self, margins=(0, 0, 0, 0), spacing=5,
+        )  # fmt: skip
         self.preview.clicked.connect(preview)
         self.apply.clicked.connect(apply)
         self.kind.currentIndexChanged.connect(self._kind_chosen)

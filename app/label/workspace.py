@@ -4,17 +4,11 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from PySide6.QtCore import Signal
-from PySide6.QtWidgets import (
-    QButtonGroup,
-    QHBoxLayout,
-    QPushButton,
-    QStackedWidget,
-    QVBoxLayout,
-    QWidget,
-)
+from PySide6.QtWidgets import QButtonGroup, QPushButton, QStackedWidget, QWidget
 
 from touchdown.app.label.bulk import BulkPresenter, SideTabKeys, SideTabsPresenter
 from touchdown.app.label.decisions import LabelDecisions
@@ -31,8 +25,9 @@ from touchdown.app.shell import (
     WindowCommand,
     Workspace,
     WorkspaceContext,
-    dataset_opener,
+    WorkspacePage,
     error_card,
+    open_dataset,
 )
 from touchdown.backend.annotations import (
     MergeReport,
@@ -44,6 +39,7 @@ from touchdown.backend.core import InputError, TouchdownError
 from touchdown.backend.learning import ModelRegistry, models_below
 from touchdown.backend.placement import score_labels
 from touchdown.backend.runs import data_folder, models_folder
+from touchdown.widgets.base import Theme, hbox, vbox
 from touchdown.widgets.shell import CardText
 
 TELL_EVERY = 20
@@ -157,33 +153,21 @@ class DatasetTasks:
         self._page.say(str(error) if isinstance(error, TouchdownError) else repr(error), bad=True)
 
 
-class HalvesPage(QWidget):
+class HalvesPage(WorkspacePage):
     """Shows one half at a time, with a switch if there are two."""
 
     half_shown = Signal(str)
 
-    def __init__(self) -> None:
-        super().__init__()
-        self.setObjectName("frame")
+    def __init__(self, theme: Theme) -> None:
+        super().__init__(theme)
         self._stack, self._buttons = QStackedWidget(), QButtonGroup(self)
         self._names: list[str] = []
         self._halves: list[QWidget] = []
         self._bar = QWidget()
-        self._row = QHBoxLayout(self._bar)
-        self._row.setContentsMargins(10, 8, 10, 0)
-        self._row.setSpacing(4)
-        self._row.addStretch(1)
-        column = QVBoxLayout(self)
-        column.setContentsMargins(0, 0, 0, 0)
-        column.setSpacing(0)
-        column.addWidget(self._bar)
-        column.addWidget(self._stack, 1)
+        self._row = hbox(1, parent=self._bar, margins=(10, 8, 10, 0), spacing=4)
+        vbox(self._bar, (self._stack, 1), parent=self, margins=(0, 0, 0, 0), spacing=0)
         self._bar.hide()
         self._buttons.idClicked.connect(lambda at: self.show_half(self._names[at]))
-
-    def heightForWidth(self, _width: int) -> int:
-        """Return the minimum height, so that the views share the available height."""
-        return self.minimumHeight()
 
     def add(self, name: str, title: str, page: QWidget) -> None:
         """Add a half."""
@@ -232,6 +216,19 @@ def default_folder() -> Path:
     return data_folder() / "dataset"
 
 
+@dataclass(frozen=True, slots=True)
+class LabelTools:
+    """What acts on the open dataset."""
+
+    presenter: LabelPresenter
+    decisions: LabelDecisions
+    side: SideTabsPresenter
+    bulk: BulkPresenter
+    tasks: DatasetTasks
+    health: HealthPresenter
+    keys: SideTabKeys
+
+
 class LabelWorkspace(Workspace):
     """The label half. Opens the dataset when it is entered for the first time."""
 
@@ -241,18 +238,11 @@ class LabelWorkspace(Workspace):
     def __init__(self, context: WorkspaceContext) -> None:
         self._context, self.folder = context, default_folder()
         self.session = AnnotationSession()
-        self.opened: Callable[[OpenedDataset], None] = lambda _: (
-            None
-        )  # called when the dataset is open
+        # Called when the dataset is open.
+        self.opened: Callable[[OpenedDataset], None] = lambda _: None
         self.person_changed: Callable[[str], None] = lambda _: None
         self.worker: SaveWorker | None = None
-        self.presenter: LabelPresenter | None = None
-        self.decisions: LabelDecisions | None = None
-        self.side: SideTabsPresenter | None = None
-        self.bulk: BulkPresenter | None = None
-        self.whole: DatasetTasks | None = None
-        self.health: HealthPresenter | None = None
-        self.side_keys: SideTabKeys | None = None
+        self.tools: LabelTools | None = None
         self._opened: OpenedDataset | None = None
         self.commands = label_commands(self, context)
         self.held_keys = tuple((key, "Type a displacement x,y in mm") for key in "0123456789-.")
@@ -264,6 +254,11 @@ class LabelWorkspace(Workspace):
         self._wire()
         self.page.add("label", "Label", self.label_page)
         self.main_thread = MainThreadQueue(self.page)
+
+    @property
+    def presenter(self) -> LabelPresenter | None:
+        """The presenter of the open dataset."""
+        return None if self.tools is None else self.tools.presenter
 
     # -- life -------------------------------------------------------------------------------------
 
@@ -286,10 +281,9 @@ class LabelWorkspace(Workspace):
 
     def close(self) -> None:
         """Save the present edit, end the threads and release the dataset."""
-        if self.whole is not None:
-            self.whole.close()
-        if self.presenter is not None:
-            self.presenter.close()
+        if self.tools is not None:
+            self.tools.tasks.close()
+            self.tools.presenter.close()
         if self.worker is not None:
             self.worker.close()
             self.worker = None
@@ -341,38 +335,32 @@ class LabelWorkspace(Workspace):
         elif self.worker.busy:
             return
         self.label_page.say("Opening the dataset …")
-        self.worker.submit(
-            dataset_opener(self.folder, self.session.person), self._take, self._failed
-        )
+        person = self.session.person
+        self.worker.submit(lambda: open_dataset(self.folder, person), self._take, self._failed)
 
     def _take(self, opened: OpenedDataset) -> None:
         assert self.worker is not None
-        self._opened = opened
-        self.presenter = LabelPresenter(
-            self.label_page,
-            opened.dataset,
-            opened.prelabel,
-            self.worker,
-            self.main_thread,
-            self.session,
+        self._opened, page = opened, self.label_page
+        presenter = LabelPresenter(page, opened, self.worker, self.main_thread, self.session)
+        decisions = LabelDecisions(page, presenter)
+        side = SideTabsPresenter(page.side, presenter, self.worker)
+        bulk = BulkPresenter(page.bulk, presenter, opened.catalogue, page.choice)
+        self.tools = LabelTools(
+            presenter,
+            decisions,
+            side,
+            bulk,
+            DatasetTasks(page, presenter, opened, self.main_thread),
+            HealthPresenter(page, presenter),
+            SideTabKeys(page, presenter, decisions, side, bulk),
         )
-        self.decisions = LabelDecisions(self.label_page, self.presenter)
-        self.side = SideTabsPresenter(self.label_page.side, self.presenter, self.worker)
-        self.bulk = BulkPresenter(
-            self.label_page.bulk, self.presenter, opened.catalogue, self.label_page.choice
-        )
-        self.side_keys = SideTabKeys(
-            self.label_page, self.presenter, self.decisions, self.side, self.bulk
-        )
-        self.whole = DatasetTasks(self.label_page, self.presenter, opened, self.main_thread)
-        self.health = HealthPresenter(self.label_page, self.label_page.health, self.presenter)
-        self.label_page.say("")
+        page.say("")
         for notice in (*opened.dataset.notices, opened.read_only):
             if notice:
                 self._context.cards.show_card(
                     CardText("DATASET", notice, "", "", reset=False, notice=True)
                 )
-        self.presenter.refresh()
+        presenter.refresh()
         self.opened(opened)
 
     def _failed(self, error: Exception) -> None:
@@ -397,16 +385,17 @@ class LabelWorkspace(Workspace):
             self.label_page.say(str(error), bad=True)
             return
         self.label_page.close_lines()
-        if self.presenter is None:
+        presenter = self.presenter
+        if presenter is None:
             self._be(person)
             self.open()
-        else:
-            self.presenter.flushed(lambda: self._switch(person))
+            return
 
-    async def _switch(self, person: str) -> None:
-        self._be(person)
-        if self.presenter is not None:
-            await self.presenter.read_queue(stay=False)
+        async def switch() -> None:
+            self._be(person)
+            await presenter.read_queue(stay=False)
+
+        presenter.flushed(switch)
 
     def _be(self, person: str) -> None:
         if person != self.session.person:
@@ -427,77 +416,54 @@ class LabelWorkspace(Workspace):
 
     def _wire(self) -> None:
         page = self.label_page
-        page.row_chosen.connect(lambda at: self.on(lambda p: p.go_to(at)))
+        page.row_chosen.connect(lambda at: self.on(lambda t: t.presenter.go_to(at)))
         page.queue_chosen.connect(self._choose_queue)
-        page.face_dragged.connect(lambda at_mm: self.on(lambda p: p.editing.place(at_mm)))
-        page.face_dropped.connect(lambda: self.on(lambda p: p.editing.drop()))
-        page.version_chosen.connect(lambda rev: self.decide(lambda d: d.restore(rev)))
-        page.displacement_typed.connect(lambda text: self.on(lambda p: p.editing.typed(text)))
+        page.face_dragged.connect(lambda at_mm: self.on(lambda t: t.presenter.editing.place(at_mm)))
+        page.face_dropped.connect(lambda: self.on(lambda t: t.presenter.editing.drop()))
+        page.version_chosen.connect(lambda rev: self.on(lambda t: t.decisions.restore(rev)))
+        page.displacement_typed.connect(
+            lambda text: self.on(lambda t: t.presenter.editing.typed(text))
+        )
         page.key_typed.connect(self._type)
-        page.retry_requested.connect(lambda: self.decide(LabelDecisions.enter))
+        page.retry_requested.connect(lambda: self.on(lambda t: t.decisions.enter()))
         page.discard_requested.connect(self.discard)
         page.search_changed.connect(self._search)
         page.person_requested.connect(self.ask_person)
         page.command_requested.connect(self._run)
         page.tab_chosen.connect(lambda _: self._search(""))
-        page.preview_requested.connect(lambda: self.many(BulkPresenter.preview))
-        page.apply_requested.connect(lambda: self.many(BulkPresenter.apply))
-        page.value_entered.connect(lambda: self.many(BulkPresenter.preview_and_ask))
+        page.preview_requested.connect(lambda: self.on(lambda t: t.bulk.preview()))
+        page.apply_requested.connect(lambda: self.on(lambda t: t.bulk.apply()))
+        page.value_entered.connect(lambda: self.on(lambda t: t.bulk.preview_and_ask()))
         page.health_requested.connect(self.look_through)
-        page.finding_chosen.connect(lambda row: self.healthy(lambda h: h.choose(row)))
+        page.finding_chosen.connect(lambda row: self.on(lambda t: t.health.choose(row)))
 
-    def on(self, act: Callable[[LabelPresenter], None]) -> None:
-        """Call ``act`` with the presenter, once the dataset is open."""
-        if self.presenter is not None:
-            act(self.presenter)
-
-    def decide(self, act: Callable[[LabelDecisions], None]) -> None:
-        """Call ``act`` with the decisions, once the dataset is open."""
-        if self.decisions is not None:
-            act(self.decisions)
-
-    def all(self, act: Callable[[DatasetTasks], None]) -> None:
-        """Call ``act`` with the dataset tasks, once the dataset is open."""
-        if self.whole is not None:
-            act(self.whole)
-
-    def healthy(self, act: Callable[[HealthPresenter], None]) -> None:
-        """Call ``act`` with the findings, once the dataset is open."""
-        if self.health is not None:
-            act(self.health)
-
-    def many(self, act: Callable[[BulkPresenter], None]) -> None:
-        """Call ``act`` with the bulk changes, once the dataset is open."""
-        if self.bulk is not None:
-            act(self.bulk)
-
-    def beside(self, act: Callable[[SideTabKeys], None]) -> None:
-        """Call ``act`` with the side tab keys, once the dataset is open."""
-        if self.side_keys is not None:
-            act(self.side_keys)
+    def on(self, act: Callable[[LabelTools], None]) -> None:
+        """Call ``act`` once the dataset is open."""
+        if self.tools is not None:
+            act(self.tools)
 
     def ask_number(self) -> None:
         """Ask for a place of the queue and go there."""
-        self.on(lambda p: self.label_page.ask_words(
-            f"Number in the queue, 1 to {len(p.walk.order):,}", "", p.go_to_number
-        ))  # fmt: skip
+        p = self.presenter
+        if p is not None:
+            hint = f"Number in the queue, 1 to {len(p.walk.order):,}"
+            self.label_page.ask_words(hint, "", p.go_to_number)
 
     def _type(self, text: str) -> None:
         """Answer the open question with a digit, else start the entry of a displacement."""
-        page = self.label_page
+        page, presenter = self.label_page, self.presenter
         if text == " ":
             page.film.play_or_pause()
-            return
-        self.on(lambda p: p.do(
-            lambda: page.choice.take(text) if page.choice.isVisible() else page.open_entry(text)
-        ))  # fmt: skip
+        elif presenter is not None:
+            presenter.do(
+                lambda: page.choice.take(text) if page.choice.isVisible() else page.open_entry(text)
+            )
 
     def look_through(self) -> None:
         """Check the quality of the dataset."""
-        whole, health = self.whole, self.health
-        if whole is not None and health is not None:
+        if self.tools is not None:
             self.label_page.side.choose(HEALTH)
-            whole.look_through(health.show)
+            self.tools.tasks.look_through(self.tools.health.show)
 
     def discard(self) -> None:
         """Discard the save that failed."""
@@ -506,8 +472,7 @@ class LabelWorkspace(Workspace):
             self.presenter.reload()
 
     def _search(self, text: str) -> None:
-        if self.side is not None:
-            self.side.show(text)
+        self.on(lambda t: t.side.show(text))
 
     def _run(self, name: str) -> None:
         """Run a command by name; ``collect`` switches to the other half."""
@@ -520,7 +485,7 @@ class LabelWorkspace(Workspace):
     def hide(self) -> None:
         """Hide or show the model and other sources."""
         self.session.hidden = not self.session.hidden
-        self.on(LabelPresenter.show_edit)
+        self.on(lambda t: t.presenter.show_edit())
 
     def toggle_blind(self) -> None:
         """Turn blind mode on or off."""
@@ -530,9 +495,9 @@ class LabelWorkspace(Workspace):
             self.session.blind = not self.session.blind
             words = f"Blind mode is {'on' if self.session.blind else 'off'}."
             if self.session.opines is not opined:
-                self.on(lambda p: p.read_with_news(words))
+                self.on(lambda t: t.presenter.read_with_news(words))
             else:
-                self.on(LabelPresenter.reload)
+                self.on(lambda t: t.presenter.reload())
                 self.label_page.say(words)
 
         if self.presenter is None:
@@ -541,7 +506,7 @@ class LabelWorkspace(Workspace):
             self.presenter.flushed(turn)
 
     def _choose_queue(self, name: str) -> None:
-        self.on(lambda p: p.choose_queue(name))
+        self.on(lambda t: t.presenter.choose_queue(name))
         self._context.remember()
 
     def list_queues(self) -> None:
@@ -563,122 +528,79 @@ ARROWS = (("Left", -1, 0), ("Right", 1, 0), ("Up", 0, 1), ("Down", 0, -1))
 
 def label_commands(w: LabelWorkspace, context: WorkspaceContext) -> tuple[WindowCommand, ...]:
     """Return all commands of the label half."""
-    return (
-        *_decisions(w),
-        *_nudges(w),
-        *_view_commands(w),
-        *_queue(w),
-        *_side_commands(w),
-        *_session_commands(w),
-        WindowCommand("discard", "Discard what could not be saved", "Esc", w.discard),
-        WindowCommand("sheet", "Key sheet", "?", context.keys),
-    )
 
+    def on(
+        name: str, text: str, key: str, act: Callable[[LabelTools], None], *,
+        beside: bool = False,
+    ) -> WindowCommand:  # fmt: skip
+        """Return a command on the open dataset; ``beside`` ones repeat while the key is held."""
+        return WindowCommand(name, text, key, lambda: w.on(act), repeats=beside, beside=beside)
 
-def _decisions(w: LabelWorkspace) -> tuple[WindowCommand, ...]:
-    decide = w.decide
-    return (
-        WindowCommand("accept", "Accept (approve, while reviewing) and next", "Return",
-                lambda: decide(LabelDecisions.enter)),
-        WindowCommand("reject", "Reject, then 1 to 9 for the reason", "D",
-                lambda: decide(LabelDecisions.reject)),
-        WindowCommand("flag", "Flag, or take the flag off", "X",
-                      lambda: decide(LabelDecisions.flag)),
-        WindowCommand("undo", "Undo my last action", "Ctrl+Z", lambda: decide(LabelDecisions.undo)),
-        WindowCommand("redo", "Redo", "Ctrl+Shift+Z", lambda: decide(LabelDecisions.redo)),
-        WindowCommand("undo-plain", "Undo my last action", "U",
-                      lambda: decide(LabelDecisions.undo)),
-        WindowCommand("redo-plain", "Redo", "Shift+U", lambda: decide(LabelDecisions.redo)),
-        WindowCommand("model", "Take the model's displacement", "M",
-                lambda: w.on(lambda p: p.editing.take_model())),
-        WindowCommand("sigma", "Say how sure you are of what you set", "S",
-                lambda: w.on(lambda p: p.editing.ask_sigma())),
-        WindowCommand("verdict", "Your verdict, then S, U or ?", "V",
-                lambda: decide(LabelDecisions.verdict)),
-        WindowCommand("take-over", "Take over another's draft", "T",
-                lambda: decide(LabelDecisions.take_over)),
-        WindowCommand("resolve", "Resolve a conflict", "C", lambda: decide(LabelDecisions.resolve)),
-        WindowCommand("delete", "Delete the episode, with a reason", "Delete",
-                lambda: decide(LabelDecisions.delete)),
-    )  # fmt: skip
-
-
-def _nudges(w: LabelWorkspace) -> tuple[WindowCommand, ...]:
     def nudge(name: str, prefix: str, dx_um: int, dy_um: int) -> WindowCommand:
         step_um = max(abs(dx_um), abs(dy_um))
-        return WindowCommand(
+        return on(
             f"nudge-{name.lower()}-{step_um}",
             f"Move the face {step_um / 1000:g} mm {name.lower()}",
             f"{prefix}{name}",
-            lambda: w.on(lambda p: p.editing.nudge(dx_um, dy_um)),
-            repeats=True,
+            lambda t: t.presenter.editing.nudge(dx_um, dy_um),
             beside=True,
         )
 
-    return tuple(
-        nudge(name, prefix, dx * step_um, dy * step_um)
-        for prefix, step_um in STEPS_UM
-        for name, dx, dy in ARROWS
-    )
-
-
-def _view_commands(w: LabelWorkspace) -> tuple[WindowCommand, ...]:
     return (
+        on("accept", "Accept (approve, while reviewing) and next", "Return",
+           lambda t: t.decisions.enter()),
+        on("reject", "Reject, then 1 to 9 for the reason", "D", lambda t: t.decisions.reject()),
+        on("flag", "Flag, or take the flag off", "X", lambda t: t.decisions.flag()),
+        on("undo", "Undo my last action", "Ctrl+Z", lambda t: t.decisions.undo()),
+        on("redo", "Redo", "Ctrl+Shift+Z", lambda t: t.decisions.redo()),
+        on("undo-plain", "Undo my last action", "U", lambda t: t.decisions.undo()),
+        on("redo-plain", "Redo", "Shift+U", lambda t: t.decisions.redo()),
+        on("model", "Take the model's displacement", "M",
+           lambda t: t.presenter.editing.take_model()),
+        on("sigma", "Say how sure you are of what you set", "S",
+           lambda t: t.presenter.editing.ask_sigma()),
+        on("verdict", "Your verdict, then S, U or ?", "V", lambda t: t.decisions.verdict()),
+        on("take-over", "Take over another's draft", "T", lambda t: t.decisions.take_over()),
+        on("resolve", "Resolve a conflict", "C", lambda t: t.decisions.resolve()),
+        on("delete", "Delete the episode, with a reason", "Delete",
+           lambda t: t.decisions.delete()),
+        *(nudge(name, prefix, dx * step_um, dy * step_um)
+          for prefix, step_um in STEPS_UM for name, dx, dy in ARROWS),
         WindowCommand("play", "Play the film from the cursor, or pause (Space)", "",
-                lambda: w.label_page.film.play_or_pause()),
+                      lambda: w.label_page.film.play_or_pause()),
         WindowCommand("frame-back", "One frame back", "[", lambda: w.label_page.film.step(-1),
-                repeats=True, beside=True),
+                      repeats=True, beside=True),
         WindowCommand("frame-on", "One frame forward", "]", lambda: w.label_page.film.step(1),
-                repeats=True, beside=True),
+                      repeats=True, beside=True),
         WindowCommand("pictures", "Pictures: the tactile film, or the scene camera", "I",
-                lambda: w.label_page.next_pictures(), beside=True),
+                      lambda: w.label_page.next_pictures(), beside=True),
         WindowCommand("curves", "Choose the curves on one axis", "W",
-                lambda: w.label_page.list_curves()),
+                      lambda: w.label_page.list_curves()),
         WindowCommand("hide", "Hide or show the model and other sources", "H", w.hide),
-    )  # fmt: skip
-
-
-def _queue(w: LabelWorkspace) -> tuple[WindowCommand, ...]:
-    return (
-        WindowCommand("previous", "Previous, without a decision", "PgUp",
-                lambda: w.on(lambda p: p.move(-1))),
-        WindowCommand("next", "Next, without a decision: skip", "PgDown",
-                lambda: w.on(lambda p: p.move(1))),
-        WindowCommand("first", "First of the queue", "Home", lambda: w.on(lambda p: p.go_to(0))),
-        WindowCommand("last", "Last of the queue", "End",
-                lambda: w.on(lambda p: p.go_to(len(p.walk.order) - 1))),
+        on("previous", "Previous, without a decision", "PgUp", lambda t: t.presenter.move(-1)),
+        on("next", "Next, without a decision: skip", "PgDown", lambda t: t.presenter.move(1)),
+        on("first", "First of the queue", "Home", lambda t: t.presenter.go_to(0)),
+        on("last", "Last of the queue", "End",
+           lambda t: t.presenter.go_to(len(t.presenter.walk.order) - 1)),
         WindowCommand("number", "Go to a place of the queue, by its number", "Q", w.ask_number),
         WindowCommand("queue", "Choose the queue", "Ctrl+J", w.list_queues),
-        WindowCommand("reread", "Read the queue again", "Ctrl+R",
-                lambda: w.on(lambda p: p.flushed(p.read_queue))),
-    )  # fmt: skip
-
-
-def _side_commands(w: LabelWorkspace) -> tuple[WindowCommand, ...]:
-    return (
-        WindowCommand("versions", "Restore an earlier version, by its digit", "O",
-                lambda: w.beside(SideTabKeys.versions)),
-        WindowCommand("agreement", "Figures of agreement", "E",
-                      lambda: w.beside(SideTabKeys.agreement)),
-        WindowCommand("log", "Search the log of all actions", "L",
-                      lambda: w.beside(SideTabKeys.log)),
-        WindowCommand("bulk", "Change every label of the queue", "B",
-                      lambda: w.beside(SideTabKeys.many)),
-        WindowCommand("health", "Check all episodes of the dataset", "Ctrl+H",
-                w.look_through),
-        WindowCommand("findings", "Choose a finding, by its digit", "F",
-                lambda: w.healthy(HealthPresenter.ask)),
-    )  # fmt: skip
-
-
-def _session_commands(w: LabelWorkspace) -> tuple[WindowCommand, ...]:
-    return (
+        on("reread", "Read the queue again", "Ctrl+R",
+           lambda t: t.presenter.flushed(t.presenter.read_queue)),
+        on("versions", "Restore an earlier version, by its digit", "O",
+           lambda t: t.keys.versions()),
+        on("agreement", "Figures of agreement", "E", lambda t: t.keys.agreement()),
+        on("log", "Search the log of all actions", "L", lambda t: t.keys.log()),
+        on("bulk", "Change every label of the queue", "B", lambda t: t.keys.many()),
+        WindowCommand("health", "Check all episodes of the dataset", "Ctrl+H", w.look_through),
+        on("findings", "Choose a finding, by its digit", "F", lambda t: t.health.ask()),
         WindowCommand("blind", "Blind mode: no model, no other sources", "Ctrl+B", w.toggle_blind),
         WindowCommand("person", "Change the person", "Ctrl+U", w.ask_person),
-        WindowCommand("score", "Let the model score the dataset: fills four queues", "Ctrl+M",
-                lambda: w.all(DatasetTasks.score)),
-        WindowCommand("models", "Choose the models that pre-label: one, or several together",
-                "Shift+M", lambda: w.all(DatasetTasks.choose_models)),
-        WindowCommand("merge", "Merge another copy of this dataset", "Ctrl+Shift+M",
-                lambda: w.all(DatasetTasks.merge)),
+        on("score", "Let the model score the dataset: fills four queues", "Ctrl+M",
+           lambda t: t.tasks.score()),
+        on("models", "Choose the models that pre-label: one, or several together", "Shift+M",
+           lambda t: t.tasks.choose_models()),
+        on("merge", "Merge another copy of this dataset", "Ctrl+Shift+M",
+           lambda t: t.tasks.merge()),
+        WindowCommand("discard", "Discard what could not be saved", "Esc", w.discard),
+        WindowCommand("sheet", "Key sheet", "?", context.keys),
     )  # fmt: skip

@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from typing import Annotated
+
+from pydantic import Field
 
 from touchdown.app.operate.jogging import PACES, ROWS, JogKeyFilter, ManualControlPresenter
 from touchdown.app.operate.page import OperatePage
@@ -17,6 +21,7 @@ from touchdown.app.shell import (
     carry_out,
     face_outlines,
     is_run_active,
+    restore_form,
     scene_model_caption,
     start_obstacle,
     unprobed_scene,
@@ -32,9 +37,11 @@ from touchdown.backend.core import (
     RunStarted,
 )
 from touchdown.backend.runs import ProbeRequest
+from touchdown.widgets.base import MAPS
 from touchdown.widgets.forms import ProbePanel
+from touchdown.widgets.plots import SPANS_S
 from touchdown.widgets.shell import FaultCards
-from touchdown.widgets.views import BeliefScene
+from touchdown.widgets.views import LOOKS, BeliefScene
 
 PHASES = ("grip", "reference", "approach", "press", "hold", "lift")
 
@@ -130,6 +137,16 @@ NO_RUN = BeliefScene(
 )
 
 
+@dataclass(frozen=True, slots=True)
+class OperateMemory:
+    """Stored settings of the page: entries of the lists, grip force per finger."""
+
+    look: Annotated[int, Field(ge=0, lt=len(LOOKS))] = 0
+    span: Annotated[int, Field(ge=0, lt=len(SPANS_S))] = 0
+    map: Annotated[int, Field(ge=0, lt=len(MAPS))] = 0
+    grip_n: float = 0.0
+
+
 class OperateWorkspace(Workspace):
     """Live views, belief of the last run, single probe, jog and gripper."""
 
@@ -209,27 +226,18 @@ class OperateWorkspace(Workspace):
     def memory(self) -> Memory:
         """Return the settings to store."""
         page = self.page
-        return {
-            "look": page.looks.currentIndex(),
-            "span": page.span.currentIndex(),
-            "map": page.maps.currentIndex(),
-            "grip_n": page.gripper.force.value(),
-        }
+        look, span, shown = (box.currentIndex() for box in (page.looks, page.span, page.maps))
+        return asdict(OperateMemory(look, span, shown, page.gripper.force.value()))
 
     def recall(self, memory: Memory) -> Sequence[str]:
         """Restore stored settings; return the names of invalid fields."""
-        dropped, page = [], self.page
-        for name, chooser in (("look", page.looks), ("span", page.span), ("map", page.maps)):
-            index = memory.get(name, 0)
-            if type(index) is int and 0 <= index < chooser.count():
-                chooser.setCurrentIndex(index)
-            else:
-                dropped.append(name)
-        grip_n = memory.get("grip_n", page.gripper.force.value())
-        if isinstance(grip_n, float):
-            page.gripper.force.setValue(grip_n)
-        else:
-            dropped.append("grip_n")
+        page = self.page
+        usual = OperateMemory(grip_n=page.gripper.force.value())
+        mine, dropped = restore_form(usual, memory)
+        page.looks.setCurrentIndex(mine.look)
+        page.span.setCurrentIndex(mine.span)
+        page.maps.setCurrentIndex(mine.map)
+        page.gripper.force.setValue(mine.grip_n)
         return dropped
 
     def close(self) -> None:
@@ -242,53 +250,30 @@ class OperateWorkspace(Workspace):
         return (
             WindowCommand("probe", "Probe once", "F5", lambda: self.page.probe_requested.emit()),
             WindowCommand("grip", "Grip the piece", "G", lambda: self.page.grip_requested.emit()),
-            WindowCommand(
-                "open", "Open the gripper", "Shift+G", lambda: self.page.open_requested.emit()
-            ),
-            WindowCommand(
-                "zero", "Zero force and moment", "Z", lambda: self.page.zero_requested.emit()
-            ),
-            WindowCommand(
-                "baseline",
-                "Take a new tactile reference",
-                "B",
-                lambda: self.page.baseline_requested.emit(),
-            ),
-            WindowCommand(
-                "arm", "Arm or disarm the jog keys", "J", lambda: self.page.jog.keys.toggle()
-            ),
-            WindowCommand(
-                "shorter",
-                "Shorter step, down to hold-to-run",
-                "[",
-                lambda: self.page.jog.next_step(-1),
-            ),
+            WindowCommand("open", "Open the gripper", "Shift+G",
+                          lambda: self.page.open_requested.emit()),
+            WindowCommand("zero", "Zero force and moment", "Z",
+                          lambda: self.page.zero_requested.emit()),
+            WindowCommand("baseline", "Take a new tactile reference", "B",
+                          lambda: self.page.baseline_requested.emit()),
+            WindowCommand("arm", "Arm or disarm the jog keys", "J",
+                          lambda: self.page.jog.keys.toggle()),
+            WindowCommand("shorter", "Shorter step, down to hold-to-run", "[",
+                          lambda: self.page.jog.next_step(-1)),
             WindowCommand("longer", "Longer step", "]", lambda: self.page.jog.next_step(1)),
-            WindowCommand(
-                "frame",
-                "Jog in the next frame: XYZ, TOOL, JOINT",
-                "F",
-                lambda: self.page.jog.next_frame(),
-            ),
-            WindowCommand(
-                "turn", "Jog: turn the hand, or move it", "T", lambda: self.page.jog.turn.click()
-            ),
-            WindowCommand(
-                "level", "Level the hand", "Shift+T", lambda: self.page.jog.level_requested.emit()
-            ),
-            WindowCommand(
-                "scene",
-                "Set up a new scene on the simulated bench",
-                "Ctrl+N",
-                lambda: self.page.scene.ask(),
-            ),
-            WindowCommand(
-                "freeze", "Hold the traces still", "Ctrl+P", lambda: self.page.pause.toggle()
-            ),
-            WindowCommand(
-                "fit", "Fit the force and moment ranges", "Ctrl+F", lambda: self.page.fit()
-            ),
-        )
+            WindowCommand("frame", "Jog in the next frame: XYZ, TOOL, JOINT", "F",
+                          lambda: self.page.jog.next_frame()),
+            WindowCommand("turn", "Jog: turn the hand, or move it", "T",
+                          lambda: self.page.jog.turn.click()),
+            WindowCommand("level", "Level the hand", "Shift+T",
+                          lambda: self.page.jog.level_requested.emit()),
+            WindowCommand("scene", "Set up a new scene on the simulated bench", "Ctrl+N",
+                          lambda: self.page.scene.ask()),
+            WindowCommand("freeze", "Hold the traces still", "Ctrl+P",
+                          lambda: self.page.pause.toggle()),
+            WindowCommand("fit", "Fit the force and moment ranges", "Ctrl+F",
+                          lambda: self.page.fit()),
+        )  # fmt: skip
 
     def _renew(self, what: str) -> bool:
         return self.hand is not None and self.hand.renew(what)

@@ -8,6 +8,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from touchdown.app.shell import count_noun
 from touchdown.backend.core import (
     CampaignBegan,
     EpisodeDecided,
@@ -56,8 +57,8 @@ class CollectedRun:
             f"{head.piece} on {head.bottom}",
             f"plan: {head.strategy}, {plan.get('count', '?')} probes, seed {head.seed}",
             f"collected by {plan.get('person') or 'nobody named'}",
-            f"{_count_noun(len(self.probes), 'probe')} in this run, {self._decisions()}",
-            f"{_count_noun(len(self.grips), 'grip')} on {_count_noun(mountings, 'mounting')}",
+            f"{count_noun(len(self.probes), 'probe')} in this run, {self._decisions()}",
+            f"{count_noun(len(self.grips), 'grip')} on {count_noun(mountings, 'mounting')}",
             _ending(self.ended),
         ]
         return "\n".join(lines)
@@ -140,10 +141,6 @@ def _request(head: RunStarted) -> dict[str, Any]:
     except (ValueError, AttributeError):
         return {}
     return request if isinstance(request, dict) else {}
-
-
-def _count_noun(count: int, noun: str) -> str:
-    return f"1 {noun}" if count == 1 else f"{count} {noun}s"
 
 
 def count_text(words: Sequence[str]) -> str:

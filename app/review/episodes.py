@@ -12,7 +12,7 @@ import numpy as np
 
 from touchdown.app.review.campaign import count_text
 from touchdown.app.review.timing import TrialTimeline
-from touchdown.app.shell import ModelPrelabeller
+from touchdown.app.shell import ModelPrelabeller, count_noun
 from touchdown.backend.annotations import Dataset, EpisodeEntry
 from touchdown.backend.config import StackSettings
 from touchdown.backend.core import (
@@ -118,12 +118,8 @@ class EpisodeSeries:
         """Date of the first episode, and the pair."""
         first = self.entries[0]
         when = datetime.fromtimestamp(first.recorded_ns * 1e-9, UTC)
-        count = len(self.entries)
-        noun = "episode" if count == 1 else "episodes"
-        return (
-            f"{when:%Y-%m-%d  %H:%M:%S} UTC\n"
-            f"series: {first.piece} on {first.bottom}, {count} {noun}"
-        )
+        episodes = count_noun(len(self.entries), "episode")
+        return f"{when:%Y-%m-%d  %H:%M:%S} UTC\nseries: {first.piece} on {first.bottom}, {episodes}"
 
     @property
     def facts(self) -> str:
@@ -138,8 +134,7 @@ class EpisodeSeries:
             self.plan,
             f"recorded by {people}",
             f"{count_text([e.state for e in self.entries])}; {refused} refused",
-            f"{grips} {'grip' if grips == 1 else 'grips'} on "
-            f"{mountings} {'mounting' if mountings == 1 else 'mountings'}",
+            f"{count_noun(grips, 'grip')} on {count_noun(mountings, 'mounting')}",
         ]
         return "\n".join(line for line in lines if line)
 

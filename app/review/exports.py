@@ -150,10 +150,10 @@ def _rows(trial: TrialTimeline, bottom: Outline | None) -> Iterator[tuple[object
         )  # fmt: skip
 
 
-def export_table(text: str, folder: Path, name: str) -> Path:
-    """Write a table. Raises ``OSError``."""
+def write_export(text: str, folder: Path, name: str) -> Path:
+    """Write a table or a page. Raises ``OSError``."""
     folder.mkdir(parents=True, exist_ok=True)
-    path = folder / f"{name}.csv"
+    path = folder / name
     write_atomically(path, text.encode())
     return path
 

@@ -23,7 +23,7 @@ from touchdown.app.review.recordings import (
 )
 from touchdown.app.review.replay import ReplayPresenter
 from touchdown.app.review.timing import TrialTimeline
-from touchdown.app.shell import RunStory, SaveWorker, TrialStory, run_score
+from touchdown.app.shell import RunStory, SaveWorker, TrialStory, count_noun, run_score
 from touchdown.backend.core import InputError
 from touchdown.backend.runs import EVENT_LOG_NAME
 from touchdown.widgets.shell import CardText, FaultCards
@@ -158,8 +158,7 @@ class ReviewPresenter:
         self._episodes = [entry.uuid for entry in series.entries]
         self._whole = ", ".join((f"Series {series.name}", series.plan)).rstrip(", ")
         count = len(series.entries)
-        self._page.score.show_facts("1 episode" if count == 1 else f"{count} episodes",
-                                    series.facts)  # fmt: skip
+        self._page.score.show_facts(count_noun(count, "episode"), series.facts)
         self._name_parts("Episodes", "of the series", "Series")
         lines = [f"{at}.  {e.state}, {e.uuid[-8:]}" for at, e in enumerate(series.entries, 1)]
         self._fill(lines, count - 1)
@@ -278,5 +277,4 @@ def _trial_title(trial: TrialStory) -> str:
     word = "not finished" if trial.finished is None else OUTCOME_WORDS[trial.finished.outcome]
     if trial.excuse:
         word += f" by {trial.excuse}, not counted"
-    probes = "1 probe" if len(trial.probes) == 1 else f"{len(trial.probes)} probes"
-    return f"{trial.trial}.  seed {trial.seed}: {word}, {probes}"
+    return f"{trial.trial}.  seed {trial.seed}: {word}, {count_noun(len(trial.probes), 'probe')}"

@@ -13,10 +13,10 @@ from pathlib import Path
 from PySide6.QtCore import QRectF, QSize, Qt
 from PySide6.QtGui import QImage, QPainter
 from PySide6.QtSvg import QSvgRenderer
-from PySide6.QtWidgets import QFileDialog, QWidget
+from PySide6.QtWidgets import QWidget
 
 from touchdown.app.review.exports import open_in_viewer
-from touchdown.app.shell import SaveWorker, WorkspaceContext, error_card
+from touchdown.app.shell import SaveWorker, WorkspaceContext, ask_path, error_card
 from touchdown.backend.core import InputError, write_atomically
 from touchdown.backend.experiments import (
     BLUE,
@@ -97,12 +97,8 @@ class ReportsPresenter:
         """Let the user choose a file, without blocking the window."""
         last = self._file.parent if self.report is not None else USUAL
         start = last if last.is_dir() else Path.cwd()
-        dialog = QFileDialog(self._window, "Report of experiments", str(start), "Reports (*.json)")
-        dialog.setFileMode(QFileDialog.FileMode.ExistingFile)
-        dialog.setOption(QFileDialog.Option.DontUseNativeDialog)
-        dialog.fileSelected.connect(lambda name: self.open(Path(name)))
-        dialog.finished.connect(dialog.deleteLater)
-        dialog.open()
+        names = "Reports (*.json)"
+        ask_path(self._window, "Report of experiments", self.open, start=start, names=names)
 
     def open(self, file: Path) -> None:
         """Read and show a report; show a card for an invalid file."""
@@ -287,11 +283,3 @@ def report_html(caption: str, facts: str, picture: bytes, table: str) -> str:
         f"<table>\n<thead><tr>{head}</tr></thead>\n<tbody>\n{body}</tbody>\n</table>\n"
         "</body>\n</html>\n"
     )
-
-
-def export_report(text: str, folder: Path, name: str) -> Path:
-    """Write a page. Raises ``OSError``."""
-    folder.mkdir(parents=True, exist_ok=True)
-    path = folder / f"{name}.html"
-    write_atomically(path, text.encode())
-    return path

@@ -8,14 +8,14 @@ from pathlib import Path
 from touchdown.app.review.exports import (
     dated_file_name,
     export_picture,
-    export_table,
     open_in_viewer,
     view_picture,
+    write_export,
 )
 from touchdown.app.review.page import ReviewPage
 from touchdown.app.review.presenter import ReviewPresenter
 from touchdown.app.review.recordings import ReviewDataset
-from touchdown.app.review.reports import ReportsPresenter, export_report, report_html
+from touchdown.app.review.reports import ReportsPresenter, report_html
 from touchdown.app.shell import (
     MainThreadQueue,
     SaveWorker,
@@ -105,7 +105,7 @@ class ReviewWorkspace(Workspace):
         """End the reading thread."""
         self.page.film.stop()
         self.presenter.cancel_reading()
-        self.reader.submit(self.library.close, _done, _failed)
+        self.reader.submit(self.library.close, lambda _: None, lambda _: None)
         self.reader.close()
         self.main_thread.close()
 
@@ -118,15 +118,9 @@ class ReviewWorkspace(Workspace):
         if self.presenter.file is None:
             self._context.say("Nothing is chosen that could be pictured.")
             return
-        name, caption = (
-            dated_file_name(f"review-{self.presenter.replay.cursor_s:.2f}s"),
-            self._caption(),
-        )
-        self._export(
-            lambda: export_picture(
-                self.page.shown, self._context.theme, self.exports, name, caption
-            )[0]
-        )
+        name = dated_file_name(f"review-{self.presenter.replay.cursor_s:.2f}s")
+        shown, theme, caption = self.page.shown, self._context.theme, self._caption()
+        self._export(lambda: export_picture(shown, theme, self.exports, name, caption)[0])
 
     def _caption(self) -> str:
         at_s = self.presenter.replay.cursor_s
@@ -134,7 +128,9 @@ class ReviewWorkspace(Workspace):
 
     def _table(self) -> None:
         def write(text: str) -> None:
-            self._export(lambda: export_table(text, self.exports, dated_file_name("probes")))
+            self._export(
+                lambda: write_export(text, self.exports, f"{dated_file_name('probes')}.csv")
+            )
 
         if not self.presenter.make_table(write):
             self._context.say("Nothing is chosen that could be written as a table.")
@@ -149,7 +145,7 @@ class ReviewWorkspace(Workspace):
 
         def write(table: str) -> None:
             text = report_html(caption, facts, picture, table)
-            self._export(lambda: export_report(text, self.exports, name))
+            self._export(lambda: write_export(text, self.exports, f"{name}.html"))
 
         self.presenter.make_table(write)
 
@@ -167,11 +163,3 @@ class ReviewWorkspace(Workspace):
             self._context.cards.show_card(
                 CardText("EXPORT", what, f"In {self.exports}.", "Free some space.", reset=False)
             )
-
-
-def _done(_: object) -> None:
-    """Do nothing: the window closes."""
-
-
-def _failed(_: Exception) -> None:
-    """Do nothing: the window closes."""

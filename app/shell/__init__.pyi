@@ -14,6 +14,7 @@ from .activity import may_be_moving as may_be_moving
 from .activity import missing_scene_reason as missing_scene_reason
 from .activity import start_obstacle as start_obstacle
 from .bench_text import bench_caption as bench_caption
+from .bench_text import count_noun as count_noun
 from .bench_text import run_model_caption as run_model_caption
 from .bench_text import scene_model_caption as scene_model_caption
 from .cards import CloseConfirmation as CloseConfirmation
@@ -26,8 +27,8 @@ from .cards import stopped_card as stopped_card
 from .cards import time_of_day as time_of_day
 from .datasets import ModelPrelabeller as ModelPrelabeller
 from .datasets import OpenedDataset as OpenedDataset
-from .datasets import dataset_opener as dataset_opener
 from .datasets import model_path_in_use as model_path_in_use
+from .datasets import open_dataset as open_dataset
 from .errors import ErrorBox as ErrorBox
 from .errors import install_error_hooks as install_error_hooks
 from .errors import log as log
@@ -69,6 +70,7 @@ from .settings import save_settings as save_settings
 from .settings import settings_path as settings_path
 from .sheets import BenchSheet as BenchSheet
 from .sheets import QuestionRow as QuestionRow
+from .sheets import ask_path as ask_path
 from .top_bar import DeviceChipsPresenter as DeviceChipsPresenter
 from .top_bar import ServoSwitch as ServoSwitch
 from .top_bar import SpeedOverride as SpeedOverride
@@ -126,11 +128,12 @@ __all__ = [
     "arm_of",
     "arm_position_mm",
     "as_float_pair",
+    "ask_path",
     "belief_scene",
     "bench_caption",
     "carry_out",
     "column_of",
-    "dataset_opener",
+    "count_noun",
     "error_card",
     "exit_after_timeout",
     "face_outlines",
@@ -150,6 +153,7 @@ __all__ = [
     "missing_scene_reason",
     "model_path_in_use",
     "move_on_screen",
+    "open_dataset",
     "parse_displacement",
     "pill_state",
     "portable_key",

@@ -101,7 +101,7 @@ def card_caption(card: ModelCard) -> ModelCaption:
     """Return origin, accuracy and training data of a model."""
     probes, found = _probe_count(card), card.metrics.get("validation", {}).get("iou")
     iou = "" if found is None else f"IoU {100 * found:.0f} %"
-    trained = f"{probes:,} {'probe' if probes == 1 else 'probes'}" if probes else ""
+    trained = count_noun(probes, "probe") if probes else ""
     short = (_model_origin(card), iou, "" if _is_shipped(card) else trained)
     kind = "simulated" if card.simulated else "of devices"
     whence = "the one that ships" if _is_shipped(card) else "promoted in Train"
@@ -124,6 +124,11 @@ def fused_caption() -> ModelCaption:
         "It reads the signals of all probes itself: a promoted model changes nothing in it.",
     )
     return ModelCaption("its own, shipped", "\n".join(filter(None, lines)))
+
+
+def count_noun(count: int, noun: str) -> str:
+    """Return a number with its noun: "1 probe", "1,200 probes"."""
+    return f"{count:,} {noun}" if count == 1 else f"{count:,} {noun}s"
 
 
 def _model_origin(card: ModelCard) -> str:

@@ -7,7 +7,6 @@ import threading
 from collections.abc import Callable
 from dataclasses import replace
 from datetime import datetime
-from typing import Protocol
 
 from touchdown.app.shell.activity import is_run_active, start_obstacle
 from touchdown.app.shell.errors import log
@@ -88,13 +87,6 @@ def carry_out(order: Callable[[], object], cards: FaultCards, code: str = "INPUT
     return False
 
 
-class ShowStatus(Protocol):
-    """Shows a sentence in the footer; with ``holds``, only while it returns True."""
-
-    def __call__(self, text: str, holds: Callable[[], bool] | None = None) -> None:
-        """Show the sentence."""
-
-
 def log_event(event: Event) -> None:
     """Log an event that an operator may ask about later."""
     if isinstance(event, RunStarted):
@@ -114,8 +106,10 @@ def log_event(event: Event) -> None:
         log.info("refused %s: %s", event.reason, event.text)
 
 
-def show_event(event: Event, bench: Session | None, cards: FaultCards, say: ShowStatus) -> None:
-    """Show an event to the operator, if it needs attention."""
+def show_event(
+    event: Event, bench: Session | None, cards: FaultCards, say: Callable[..., None]
+) -> None:
+    """Show an event to the operator, if it needs attention. ``say`` writes to the footer."""
     if isinstance(event, PhaseEntered | RunFinished):
         cards.clear(cards.obstacles)
     if isinstance(event, FaultRaised):

@@ -80,23 +80,17 @@ class OpenedDataset:
     read_only: str
 
 
-def dataset_opener(folder: Path, person: str) -> Callable[[], OpenedDataset]:
-    """Return a function that opens ``folder``; it may take seconds and runs on a thread."""
-
-    def open_dataset() -> OpenedDataset:
-        read_only = ""
-        try:
-            dataset = Dataset.open(folder, person=person)
-        except NotWritableError as error:
-            dataset, read_only = Dataset.open(folder, write=False), str(error.what)
-        if not read_only and not dataset.writable:
-            read_only = "The dataset was written by a newer version."
-        catalogue = load_pieces()
-        return OpenedDataset(
-            dataset, ModelPrelabeller(catalogue, prelabel_models), catalogue, read_only
-        )
-
-    return open_dataset
+def open_dataset(folder: Path, person: str) -> OpenedDataset:
+    """Open the dataset in ``folder``. May take seconds."""
+    read_only = ""
+    try:
+        dataset = Dataset.open(folder, person=person)
+    except NotWritableError as error:
+        dataset, read_only = Dataset.open(folder, write=False), str(error.what)
+    if not read_only and not dataset.writable:
+        read_only = "The dataset was written by a newer version."
+    pieces = load_pieces()
+    return OpenedDataset(dataset, ModelPrelabeller(pieces, prelabel_models), pieces, read_only)
 
 
 def prelabel_models(piece: str) -> Sequence[Path]:

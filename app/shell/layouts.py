@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field, fields
 from datetime import datetime
 from functools import partial
 from pathlib import Path
-from typing import cast
 
+from pydantic import ValidationError
 from PySide6.QtCore import QPoint
 from PySide6.QtGui import QAction
 from PySide6.QtWidgets import QMenu, QWidget
 
+from touchdown.app.shell.settings import parse_stored
 from touchdown.backend.core import write_atomically
 from touchdown.widgets.base import ColumnArrangement, Columns
 from touchdown.widgets.forms import NameDialog
@@ -45,26 +46,21 @@ def load_layouts(path: Path, now: datetime) -> tuple[SavedLayouts, str]:
         return SavedLayouts(), _moved_aside(path, now, f"The layouts could not be read ({error}).")
     if not isinstance(raw, dict) or raw.get("version") != VERSION:
         return SavedLayouts(), _moved_aside(path, now, "The layouts are of another version.")
+    missing = [one.name for one in fields(SavedLayouts) if one.name not in raw]
     try:
-        book = SavedLayouts(
-            locked=bool(raw["locked"]),
-            present=_named(raw["present"]),
-            saved={name: _named(saved) for name, saved in raw["saved"].items()},
-        )
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        return SavedLayouts(), _moved_aside(path, now, f"The layouts make no sense ({error}).")
+        book: SavedLayouts = parse_stored(SavedLayouts, {} if missing else raw)
+    except ValidationError as error:
+        missing = [".".join(map(str, error.errors()[0]["loc"]))]
+    if missing:
+        what = f"The layouts make no sense ({missing[0]})."
+        return SavedLayouts(), _moved_aside(path, now, what)
     return book, ""
 
 
 def save_layouts(path: Path, book: SavedLayouts) -> None:
     """Write all layouts. Raises ``OSError``."""
-    body = {
-        "version": VERSION,
-        "locked": book.locked,
-        "present": _plain(book.present),
-        "saved": {name: _plain(saved) for name, saved in book.saved.items()},
-    }
-    write_atomically(path, json.dumps(body, indent=1).encode())
+    body = json.dumps({"version": VERSION, **asdict(book)}, indent=1, default=sorted)
+    write_atomically(path, body.encode())
 
 
 def copy_aside(path: Path, now: datetime) -> Path:
@@ -85,26 +81,6 @@ def _moved_aside(path: Path, now: datetime, what: str) -> str:
     except OSError as error:
         return f"{what} The usual ones are used; the file could not be kept aside ({error})."
     return f"{what} The usual ones are used; the file is kept as {kept.name}."
-
-
-def _named(raw: dict[str, dict[str, object]]) -> LayoutKey:
-    return {name: _arrangement(entry) for name, entry in raw.items()}
-
-
-def _arrangement(raw: dict[str, object]) -> ColumnArrangement:
-    shares, hidden = cast("list[object]", raw["shares"]), cast("list[object]", raw["hidden"])
-    if not all(isinstance(title, str) for title in hidden):
-        raise TypeError("a panel without a title")
-    return ColumnArrangement(
-        tuple(float(cast("float", share)) for share in shares), frozenset(cast("list[str]", hidden))
-    )
-
-
-def _plain(named: LayoutKey) -> dict[str, object]:
-    return {
-        name: {"shares": [round(s, 5) for s in entry.shares], "hidden": sorted(entry.hidden)}
-        for name, entry in named.items()
-    }
 
 
 USUAL = "Usual"

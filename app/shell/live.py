@@ -9,7 +9,7 @@ from functools import partial
 from PySide6.QtGui import QFontMetrics, QResizeEvent
 from PySide6.QtWidgets import QHBoxLayout, QSizePolicy, QWidget
 
-from touchdown.app.shell.top_bar import lost_samples_text
+from touchdown.app.shell.bench_text import count_noun
 from touchdown.backend.bench import Session
 from touchdown.backend.core import FINGERS, Finger, MarkerField, TactileFrame
 from touchdown.backend.devices import DeviceState
@@ -118,8 +118,8 @@ class LivePresenter:
             panel.detail.setText("")
             return
         health = device.health
-        lost = lost_samples_text(health.lost, "frame")
-        panel.detail.setToolTip(f"markers seen, measured rate; {lost}")
+        lost = count_noun(health.lost, "frame")
+        panel.detail.setToolTip(f"markers seen, measured rate; {lost} lost")
         panel.detail.setText(f"{seen}/{total}, {health.rate_hz:.1f} Hz")
 
     def _why_silent(self, finger: Finger) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -29,6 +28,7 @@ from touchdown.backend.core import (
     TrialStarted,
 )
 from touchdown.backend.geometry import PieceLibrary, edges_to_polygon, overlap_edges
+from touchdown.backend.learning import wilson_interval
 from touchdown.backend.runs import excluding_fault
 from touchdown.widgets.views import BeliefScene, Score
 
@@ -223,21 +223,6 @@ def belief_scene(
     )
 
 
-Z_95 = 1.959964  # two-sided 95 % quantile of the normal distribution
-
-
-def wilson_interval(successes: int, trials: int, z: float = Z_95) -> tuple[float, float] | None:
-    """Return the Wilson score interval (0..1), None without a trial (Wilson 1927)."""
-    if trials <= 0:
-        return None
-    rate = successes / trials
-    centre = rate + z * z / (2 * trials)
-    half = z * math.sqrt(rate * (1 - rate) / trials + z * z / (4 * trials * trials))
-    scale = 1 + z * z / trials
-    low, high = (centre - half) / scale, (centre + half) / scale
-    return max(0.0, low), min(1.0, high)
-
-
 def run_score(trials: Sequence[TrialStory], planned: int, last: str) -> Score:
     """Return the score of a run. Aborted trials count as failures.
 
@@ -252,7 +237,8 @@ def run_score(trials: Sequence[TrialStory], planned: int, last: str) -> Score:
         said = f"Not counted: {which} ended before the release ({', '.join(excuses)})."
         last = f"{last} {said}".strip()
     placed = sum(outcome is Outcome.PLACED for outcome in outcomes)
-    interval = wilson_interval(placed, len(outcomes) - excused)
+    counted = len(outcomes) - excused
+    interval = wilson_interval(placed, counted) if counted else None
     ended = [t.finished for t in done if t.finished is not None]
     void = tuple(
         f"Trial {one.trial}: {one.reason}" for one in ended if one.outcome is Outcome.ABORTED

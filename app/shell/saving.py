@@ -43,13 +43,6 @@ class MainThreadQueue(QObject):
 Result = TypeVar("Result")
 
 
-@dataclass(frozen=True, slots=True)
-class _Job:
-    work: Callable[[], Any]
-    done: Callable[[Any], None]
-    failed: Callable[[Exception], None]
-
-
 class SaveWorker(QObject):
     """Runs jobs on one thread, in order. Exactly one of ``done`` and ``failed`` follows each job.
 
@@ -61,7 +54,7 @@ class SaveWorker(QObject):
     def __init__(self, main_thread: MainThreadQueue, name: str = "label-commits") -> None:
         super().__init__()
         self._main_thread = main_thread
-        self._jobs: queue.SimpleQueue[_Job | None] = queue.SimpleQueue()
+        self._jobs: queue.SimpleQueue[tuple[Callable[..., Any], ...] | None] = queue.SimpleQueue()
         self._waiting = 0
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
         self._thread.start()
@@ -79,7 +72,7 @@ class SaveWorker(QObject):
     ) -> None:
         """Run ``work`` on the thread; call ``done`` or ``failed`` on the thread of the window."""
         self._waiting += 1
-        self._jobs.put(_Job(work, done, failed))
+        self._jobs.put((work, done, failed))
 
     def close(self) -> None:
         """Finish the submitted jobs, then end the thread."""
@@ -88,10 +81,11 @@ class SaveWorker(QObject):
 
     def _run(self) -> None:
         while (job := self._jobs.get()) is not None:
+            work, done, failed = job
             try:
-                finish = partial(self._finish, job.done, job.work())
+                finish = partial(self._finish, done, work())
             except Exception as error:  # noqa: BLE001 - an unreported end would block the page
-                finish = partial(self._finish, job.failed, error)
+                finish = partial(self._finish, failed, error)
             self._main_thread.put(finish)
 
     def _finish(self, report: Callable[[Any], None], result: object) -> None:

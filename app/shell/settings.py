@@ -4,16 +4,26 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, fields
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from functools import lru_cache
 from pathlib import Path
-from typing import TypeVar, cast
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar, get_type_hints
 
-from touchdown.app.shell.window import CHOICES, ThemeChoice
+from pydantic import Field, TypeAdapter, ValidationError
+
+from touchdown.app.shell.window import ThemeChoice
 from touchdown.backend.core import write_atomically
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
 
 VERSION = 2
 Json = dict[str, object]
+
+
+Coordinate = Annotated[int, Field(gt=-30_000, lt=30_000)]
+Length = Annotated[int, Field(gt=0, lt=30_000)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,24 +35,35 @@ class WindowSettings:
     """
 
     theme: ThemeChoice = "dark"
-    scale: float = 1.0
-    geometry: tuple[int, int, int, int] | None = None
+    scale: Annotated[float, Field(ge=0.8, le=2.0)] = 1.0
+    geometry: tuple[Coordinate, Coordinate, Length, Length] | None = None
     front: str = ""
     keys: dict[str, str] = field(default_factory=dict)
     toured: bool = False
     pages: dict[str, Json] = field(default_factory=dict)
 
 
-Form = TypeVar("Form")
+Form = TypeVar("Form", bound="DataclassInstance")
 
 
 def restore_form(default: Form, memory: Mapping[str, object]) -> tuple[Form, list[str]]:
     """Return (form, names of invalid fields); invalid and missing fields keep their defaults."""
-    values = {e.name: getattr(default, e.name) for e in fields(default)}  # type: ignore[arg-type]
-    known = {name: memory[name] for name in values if name in memory}
-    dropped = [name for name, value in known.items() if type(value) is not type(values[name])]
-    valid = {name: value for name, value in known.items() if name not in dropped}
-    return type(default)(**(values | valid)), dropped
+    values, dropped = dict[str, object](), []
+    for name, kind in get_type_hints(type(default), include_extras=True).items():
+        if name in memory:
+            try:
+                values[name] = parse_stored(kind, memory[name])
+            except ValidationError:
+                dropped.append(name)
+    return replace(default, **values), dropped
+
+
+def parse_stored(kind: Any, stored: object) -> Any:
+    """Return a stored JSON value as ``kind``. Raises ``ValidationError`` if it does not fit."""
+    return _adapter(kind).validate_json(json.dumps(stored), strict=True)
+
+
+_adapter = lru_cache(TypeAdapter)
 
 
 def settings_path() -> Path:
@@ -64,17 +85,12 @@ def load_settings(path: Path) -> tuple[WindowSettings, str]:
         return WindowSettings(), f"The window settings could not be read ({error}): defaults."
     if not isinstance(raw, dict) or raw.get("version") != VERSION:
         return WindowSettings(), "The window settings are of another version: defaults are used."
-    dropped: list[str] = []
-    settings = WindowSettings(
-        theme=cast("ThemeChoice", _kept(raw, "theme", "dark", lambda v: v in CHOICES, dropped)),
-        scale=float(cast("float", _kept(raw, "scale", 1.0, _is_scale, dropped))),
-        geometry=_geometry(raw.get("geometry"), dropped),
-        front=cast("str", _kept(raw, "front", "", _is_text, dropped)),
-        keys=_keys(raw.get("keys", {}), dropped),
-        toured=bool(_kept(raw, "toured", True, lambda v: isinstance(v, bool), dropped)),
-        pages=_pages(raw, dropped),
-    )
-    return settings, ignored_words(dropped)
+    pages, dropped = raw.get("pages"), list[str]()
+    if isinstance(pages, dict):
+        dropped = [name for name, page in pages.items() if not isinstance(page, dict)]
+        raw["pages"] = {name: page for name, page in pages.items() if name not in dropped}
+    settings, wrong = restore_form(WindowSettings(toured=True), raw)
+    return settings, ignored_words([*wrong, *dropped])
 
 
 def ignored_words(names: Sequence[str]) -> str:
@@ -86,49 +102,3 @@ def save_settings(path: Path, settings: WindowSettings) -> None:
     """Write the settings. Raises ``OSError``."""
     body = {"version": VERSION, **asdict(settings)}
     write_atomically(path, json.dumps(body, indent=1).encode())
-
-
-def _kept(
-    raw: Json, name: str, default: object, good: Callable[[object], bool], dropped: list[str]
-) -> object:
-    value = raw.get(name, default)
-    if good(value):
-        return value
-    dropped.append(name)
-    return default
-
-
-def _is_text(value: object) -> bool:
-    return isinstance(value, str)
-
-
-def _is_scale(value: object) -> bool:
-    number = isinstance(value, (int, float)) and not isinstance(value, bool)
-    return number and 0.8 <= cast("float", value) <= 2.0
-
-
-def _geometry(raw: object, dropped: list[str]) -> tuple[int, int, int, int] | None:
-    if raw is None:
-        return None
-    if isinstance(raw, list) and len(raw) == 4 and all(type(v) is int for v in raw):
-        x, y, width, height = raw
-        if abs(x) < 30_000 and abs(y) < 30_000 and 0 < width < 30_000 and 0 < height < 30_000:
-            return x, y, width, height
-    dropped.append("geometry")
-    return None
-
-
-def _keys(raw: object, dropped: list[str]) -> dict[str, str]:
-    if isinstance(raw, dict) and all(isinstance(v, str) for v in raw.values()):
-        return dict(raw)
-    dropped.append("keys")
-    return {}
-
-
-def _pages(raw: Json, dropped: list[str]) -> dict[str, Json]:
-    pages = raw.get("pages", {})
-    if not isinstance(pages, dict):
-        dropped.append("pages")
-        return {}
-    dropped += [name for name, page in pages.items() if not isinstance(page, dict)]
-    return {name: page for name, page in pages.items() if isinstance(page, dict)}

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 
 from PySide6.QtCore import QSize
-from PySide6.QtWidgets import QDialog, QFrame, QLayout, QPushButton, QWidget
+from PySide6.QtWidgets import QDialog, QFileDialog, QFrame, QLayout, QPushButton, QWidget
 
 from touchdown.widgets.base import hbox, label, rule, vbox
 
@@ -77,3 +78,20 @@ class BenchSheet(QDialog):
         em, parent = self.fontMetrics().height(), self.parentWidget()
         assert parent is not None
         self.resize(QSize(width * em, height * em).boundedTo(parent.size()))
+
+
+def ask_path(
+    parent: QWidget, title: str, take: Callable[[Path], None], *, start: Path | None = None,
+    names: str = "",
+) -> None:  # fmt: skip
+    """Let the user choose a file that fits the filter ``names``, or a folder without a filter.
+
+    The window is not blocked.
+    """
+    dialog = QFileDialog(parent, title, str(start or ""), names)
+    mode = QFileDialog.FileMode.ExistingFile if names else QFileDialog.FileMode.Directory
+    dialog.setFileMode(mode)
+    dialog.setOption(QFileDialog.Option.DontUseNativeDialog)
+    dialog.fileSelected.connect(lambda name: take(Path(name)))
+    dialog.finished.connect(dialog.deleteLater)
+    dialog.open()

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 
 from touchdown.app.shell.activity import arm_of
-from touchdown.app.shell.bench_text import bench_caption
+from touchdown.app.shell.bench_text import bench_caption, count_noun
 from touchdown.app.shell.cards import carry_out
 from touchdown.app.shell.workspace import WindowCommand
 from touchdown.backend.bench import Session
@@ -87,11 +87,6 @@ def _sensed(bench: Session, status: RunStatus) -> PillState | None:
     return None
 
 
-def _of_run(note: str, status: RunStatus) -> PillState:
-    word, shape, colour = _WORDS[status.state]
-    return PillState(word, shape, colour, _with(note, status))
-
-
 def _which(degraded: tuple[DegradedDevice, ...], now_s: float) -> str:
     """Return the sensor that is late or slow, and since when."""
     first, *others = degraded
@@ -125,10 +120,11 @@ def _by_hand(bench: Session) -> str:
     return f"{signed_name(order.axis, order.speed)} {order.frame}, {speed}"
 
 
-def _with(note: str, status: RunStatus) -> str:
+def _of_run(note: str, status: RunStatus) -> PillState:
+    word, shape, colour = _WORDS[status.state]
     if status.state is RunState.RUNNING and status.phase:
-        return f"{note}, {status.phase}".lstrip(", ")
-    return note
+        note = f"{note}, {status.phase}".lstrip(", ")
+    return PillState(word, shape, colour, note)
 
 
 PERIOD_S = 0.25
@@ -202,8 +198,8 @@ class DeviceChipsPresenter:
         else:
             detail = device.state.value
         who = device.identity
-        lost = lost_samples_text(health.lost, "frame" if key.startswith("tactile") else "sample")
-        tip = f"{device.state.value}, {detail}; {health.received} received, {lost}"
+        lost = count_noun(health.lost, "frame" if key.startswith("tactile") else "sample")
+        tip = f"{device.state.value}, {detail}; {health.received} received, {lost} lost"
         tip = tip if drift is None else f"{tip}\n{drift.words()}, in still air"
         if who is not None:
             tip = f"{who.maker} {who.model}, serial {who.serial}\n{tip}"
@@ -214,11 +210,6 @@ def _is_much(health: Health) -> bool:
     """Return True if the losses are shown on the chip."""
     share = health.lost / max(1, health.received + health.lost)
     return health.lost >= LEAST_LOST and share > MUCH_LOST
-
-
-def lost_samples_text(count: int, noun: str) -> str:
-    """Return the number of lost samples with its noun."""
-    return f"{count} {noun} lost" if count == 1 else f"{count} {noun}s lost"
 
 
 START_PERCENT = 10  # initial override with hardware

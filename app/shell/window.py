@@ -3,24 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Literal, Protocol
+from typing import Literal
 
 from PySide6.QtCore import QObject, QRect, QSize, Qt, QTimer
 from PySide6.QtGui import QCloseEvent, QFontMetrics, QRegion, QResizeEvent
 from PySide6.QtWidgets import (
     QApplication,
     QFrame,
-    QHBoxLayout,
     QMainWindow,
     QScrollArea,
     QSizePolicy,
     QStackedWidget,
     QToolButton,
-    QVBoxLayout,
     QWidget,
 )
 
 from touchdown.app.shell.bench_text import BenchCaption
+from touchdown.app.shell.workspace import Workspace
 from touchdown.widgets.base import (
     MAX_SCALE,
     MIN_SCALE,
@@ -29,9 +28,11 @@ from touchdown.widgets.base import (
     ElidedLabel,
     Theme,
     ThemeName,
+    hbox,
     icon,
     label,
     ui_font,
+    vbox,
 )
 from touchdown.widgets.shell import BenchBanner, FaultCards, TopBar, TopOverlay
 
@@ -42,18 +43,11 @@ RAIL_GAP_PX, RAIL_MARGIN_PX = 4, 8
 FOOT_OF_RAIL = (("layouts", "Layout"), ("theme", "Theme"), ("keys", "Keys"))
 
 
-class WorkspaceTab(Protocol):
-    """A workspace, as the window uses it."""
-
-    name: str
-    title: str
-
-
 class MainWindow(QMainWindow):
     """The main window. ``may_close`` decides on a close request."""
 
     def __init__(
-        self, theme: Theme, bar: TopBar, cards: FaultCards, tabs: Sequence[WorkspaceTab]
+        self, theme: Theme, bar: TopBar, cards: FaultCards, tabs: Sequence[Workspace]
     ) -> None:
         super().__init__()
         self._theme, self._bar = theme, bar
@@ -76,24 +70,18 @@ class MainWindow(QMainWindow):
 
     def _arrange(self, bar: TopBar, cards: FaultCards) -> None:
         body = QWidget()
-        right = QVBoxLayout(body)
-        right.setContentsMargins(0, 0, 0, 0)
-        right.addWidget(self._stack, 1)
+        vbox((self._stack, 1), parent=body, margins=(0, 0, 0, 0))
         self._on_top = TopOverlay(cards, body)
-        middle = QHBoxLayout()
-        middle.setSpacing(0)
         self._rail_frame = self._rail()
-        middle.addWidget(self._rail_frame)
-        middle.addWidget(body, 1)
+        middle = hbox(self._rail_frame, (body, 1), spacing=0)
         frame = self._frame = QWidget()
         frame.setObjectName("frame")
-        column = QVBoxLayout(frame)
-        column.setContentsMargins(0, 0, 0, 0)
-        column.setSpacing(0)
-        column.addWidget(bar)
-        column.addLayout(middle, 1)
-        self._foot_frame = self._foot(cards.strip)
-        column.addWidget(self._foot_frame)
+        self._foot_frame = QFrame()
+        self._foot_frame.setProperty("role", "foot")
+        foot = cards.strip, (self._message, 1), self._banner, self._right
+        hbox(*foot, parent=self._foot_frame, margins=(12, 4, 12, 4), spacing=16)
+        whole = bar, (middle, 1), self._foot_frame
+        vbox(*whole, parent=frame, margins=(0, 0, 0, 0), spacing=0)
         self.setCentralWidget(frame)
         # Takes the initial focus, so that no control looks selected.
         frame.setFocusPolicy(Qt.FocusPolicy.ClickFocus)
@@ -102,28 +90,13 @@ class MainWindow(QMainWindow):
     def _rail(self) -> QFrame:
         rail = QFrame()
         rail.setProperty("role", "rail")
-        column = QVBoxLayout(rail)
-        column.setContentsMargins(5, RAIL_MARGIN_PX, 5, RAIL_MARGIN_PX)
-        column.setSpacing(RAIL_GAP_PX)
         for name in self._tabs:
             self.rail[name].setCheckable(True)
-            column.addWidget(self.rail[name])
-        column.addStretch(1)
-        for name, _ in FOOT_OF_RAIL:
-            column.addWidget(self.rail[name])
+        foot = [self.rail[name] for name, _ in FOOT_OF_RAIL]
+        buttons: list[QWidget | int] = [*(self.rail[name] for name in self._tabs), 1, *foot]
+        margins = 5, RAIL_MARGIN_PX, 5, RAIL_MARGIN_PX
+        vbox(*buttons, parent=rail, margins=margins, spacing=RAIL_GAP_PX)
         return rail
-
-    def _foot(self, folded: QWidget) -> QFrame:
-        foot = QFrame()
-        foot.setProperty("role", "foot")
-        row = QHBoxLayout(foot)
-        row.setContentsMargins(12, 4, 12, 4)
-        row.setSpacing(16)
-        row.addWidget(folded)
-        row.addWidget(self._message, 1)
-        row.addWidget(self._banner)
-        row.addWidget(self._right)
-        return foot
 
     def add_page(self, name: str, page: QWidget) -> None:
         """Add the page of a workspace."""

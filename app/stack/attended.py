@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from PySide6.QtWidgets import QFileDialog
-
-from touchdown.app.shell import MainThreadQueue, SaveWorker, error_card
+from touchdown.app.shell import MainThreadQueue, SaveWorker, ask_path, error_card
 from touchdown.app.stack.page import StackPage
 from touchdown.backend.bench import Session
 from touchdown.backend.core import (
@@ -54,15 +52,11 @@ class OperatorPromptsPresenter:
         if not self._mine:
             return
         if isinstance(event, SetUpAwaited):
-            self._ask(
-                TrialPrompt(
-                    "Set the scene", scene_to_set_message(event), "Ready  Y", self._scene(event)
-                )
-            )
+            said, scene = scene_to_set_message(event), self._scene(event)
+            self._ask(TrialPrompt("Set the scene", said, "Ready  Y", scene))
         elif isinstance(event, HandOverAwaited):
-            self._ask(
-                TrialPrompt("Hand the piece over", hand_over_message(event), "It is there  Y")
-            )
+            said = hand_over_message(event)
+            self._ask(TrialPrompt("Hand the piece over", said, "It is there  Y"))
         elif isinstance(event, OutcomeAwaited):
             self._ask(TrialPrompt("What became of it?", event.why, proposed=event.proposed))
         elif isinstance(event, _OVER):
@@ -98,12 +92,8 @@ class OperatorPromptsPresenter:
         """Let the operator choose a picture of this trial."""
         if self._asked is None or self._asked.proposed is None:
             return
-        dialog = QFileDialog(self._page, "Picture of this trial")
-        dialog.setOption(QFileDialog.Option.DontUseNativeDialog)
-        dialog.setNameFilter(f"Pictures ({' '.join('*' + kind for kind in PHOTO_SUFFIXES)})")
-        dialog.fileSelected.connect(lambda name: self.add_photo(Path(name)))
-        dialog.finished.connect(dialog.deleteLater)
-        dialog.open()
+        kinds = " ".join(f"*{kind}" for kind in PHOTO_SUFFIXES)
+        ask_path(self._page, "Picture of this trial", self.add_photo, names=f"Pictures ({kinds})")
 
     def add_photo(self, source: Path) -> None:
         """Store a picture of this trial beside the log of its run."""

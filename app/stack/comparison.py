@@ -13,6 +13,7 @@ from touchdown.app.shell import (
     RunStory,
     TrialStory,
     belief_scene,
+    count_noun,
     face_outlines,
     is_run_active,
     run_score,
@@ -254,6 +255,6 @@ def _words(trial: TrialStory) -> tuple[str, bool | None]:
     done = trial.finished
     if done is None:
         return f"{trial.phase or 'begun'} \N{HORIZONTAL ELLIPSIS}", None
-    probes = "1 probe" if done.probes == 1 else f"{done.probes} probes"
+    probes = count_noun(done.probes, "probe")
     good = done.outcome is Outcome.PLACED
     return f"{OUTCOME_WORDS[done.outcome].capitalize()} after {probes}. {done.reason}", good

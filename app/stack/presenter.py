@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from typing import cast
+
 from touchdown.app.shell import (
     ACTIVE_STATES,
     ProbeStory,
     RunStory,
     TrialStory,
     belief_scene,
+    count_noun,
     error_card,
     face_outlines,
     is_run_active,
@@ -294,10 +297,8 @@ class StackPresenter:
         for trial in reversed(self.story.trials):
             if trial.finished is not None:
                 done = trial.finished
-                noun = "probe" if done.probes == 1 else "probes"
-                last = (
-                    f"Seed {done.seed}: {OUTCOME_WORDS[done.outcome]} after {done.probes} {noun}."
-                )
+                probes = count_noun(done.probes, "probe")
+                last = f"Seed {done.seed}: {OUTCOME_WORDS[done.outcome]} after {probes}."
                 break
         return run_score(self.story.trials, head.trials if head is not None else 0, last)
 
@@ -306,14 +307,13 @@ def stack_request(form: RunForm) -> StackRequest:
     """Return the request of a form."""
     bottoms = (form.under, form.bottom) if form.under else (form.bottom,)
     strategy = strategy_by_name(form.strategy) or "paper"
-    modes: dict[str, DecisionMode] = {"auto": "auto", "approve": "approve", "step": "step"}
     return StackRequest(
         piece=form.piece,
         bottoms=bottoms,
         seed=form.seed,
         trials=form.trials,
         strategy=strategy,
-        mode=modes.get(form.mode, "auto"),
+        mode=cast("DecisionMode", form.mode),
         origin_mm=(form.origin_x_mm, form.origin_y_mm),
     )
 

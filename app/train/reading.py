@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from touchdown.app.shell import count_noun
 from touchdown.backend.annotations import LABEL_CHOICES
 from touchdown.backend.bench import model_in_use
 from touchdown.backend.core import FloatArray, InputError
@@ -133,8 +134,8 @@ def _label_hint(form: TrainingForm) -> str:
     for name, text in LABEL_TITLES[names.index(form.labels) + 1 :]:
         labels = next(choice for choice in LABEL_CHOICES if choice == name)
         if count := len(training_candidates(Path(form.data), labels)):
-            episodes = "1 episode" if count == 1 else f"{count} episodes"
-            return f"No label counts yet. Labels '{text}' would give {episodes}. Or {review}."
+            would = f"Labels '{text}' would give {count_noun(count, 'episode')}."
+            return f"No label counts yet. {would} Or {review}."
     return f"No label counts yet: {review}."
 
 

@@ -6,8 +6,6 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
 
-from PySide6.QtWidgets import QFileDialog
-
 from touchdown.app.shell import (
     MainThreadQueue,
     Memory,
@@ -15,6 +13,7 @@ from touchdown.app.shell import (
     WindowCommand,
     Workspace,
     WorkspaceContext,
+    ask_path,
     restore_form,
 )
 from touchdown.app.train.page import TrainPage
@@ -40,33 +39,19 @@ class TrainWorkspace(Workspace):
         self._worker: SaveWorker | None = None
         self._folders = [dataset_folder()]
         self.commands = (
-            WindowCommand(
-                "start", "Start training", "Ctrl+Return", self._order(TrainPresenter.start)
-            ),
-            WindowCommand(
-                "resume",
-                "Resume the chosen training",
-                "Ctrl+Shift+Return",
-                self._order(TrainPresenter.resume),
-            ),
-            WindowCommand(
-                "cancel", "Cancel the training", "Esc", self._order(TrainPresenter.ask_cancel)
-            ),
-            WindowCommand(
-                "promote",
-                "Put the chosen model in use",
-                "Ctrl+P",
-                self._order(TrainPresenter.promote),
-            ),
-            WindowCommand(
-                "roll-back",
-                "Put the model before in use again",
-                "Ctrl+Shift+P",
-                self._order(TrainPresenter.roll_back),
-            ),
+            WindowCommand("start", "Start training", "Ctrl+Return",
+                          self._order(TrainPresenter.start)),
+            WindowCommand("resume", "Resume the chosen training", "Ctrl+Shift+Return",
+                          self._order(TrainPresenter.resume)),
+            WindowCommand("cancel", "Cancel the training", "Esc",
+                          self._order(TrainPresenter.ask_cancel)),
+            WindowCommand("promote", "Put the chosen model in use", "Ctrl+P",
+                          self._order(TrainPresenter.promote)),
+            WindowCommand("roll-back", "Put the model before in use again", "Ctrl+Shift+P",
+                          self._order(TrainPresenter.roll_back)),
             WindowCommand("folder", "Train on another folder", "Ctrl+O", self._ask_folder),
             WindowCommand("reread", "Read data and trainings again", "Ctrl+R", self._reread),
-        )
+        )  # fmt: skip
 
     def build(self) -> Iterator[None]:
         """Create the page."""
@@ -76,7 +61,7 @@ class TrainWorkspace(Workspace):
         page.form.start_requested.connect(self._order(TrainPresenter.start))
         page.form.cancel_requested.connect(self._order(TrainPresenter.ask_cancel))
         page.form.resume_requested.connect(self._order(TrainPresenter.resume))
-        page.form.changed.connect(self._changed)
+        page.form.changed.connect(self._order(TrainPresenter.look))
         page.form.folder_requested.connect(self._ask_folder)
         page.form.defaults_requested.connect(self._defaults)
         page.runs_chosen.connect(lambda _: self._on(TrainPresenter.choose))
@@ -147,27 +132,17 @@ class TrainWorkspace(Workspace):
     def _order(self, order: Callable[[TrainPresenter], None]) -> Callable[[], None]:
         return lambda: self._on(order)
 
-    def _changed(self) -> None:
-        if self.presenter is not None:
-            self.presenter.look()
-
     def _reread(self) -> None:
-        if self.presenter is not None:
-            self.presenter.look(anew=True)
+        self._on(lambda presenter: presenter.look(anew=True))
 
     def _defaults(self) -> None:
         form, default = self.page.form.form(), TrainingForm()
         kept = {"data": form.data, "labels": form.labels, "piece": form.piece}
         self.page.form.show_form(TrainingForm(**{**asdict(default), **kept}))
-        self._changed()
+        self._on(TrainPresenter.look)
 
     def _ask_folder(self) -> None:
-        dialog = QFileDialog(self.page, "Folder of a dataset, or of simulated packs")
-        dialog.setFileMode(QFileDialog.FileMode.Directory)
-        dialog.setOption(QFileDialog.Option.DontUseNativeDialog)
-        dialog.fileSelected.connect(lambda name: self.take_folder(Path(name)))
-        dialog.finished.connect(dialog.deleteLater)
-        dialog.open()
+        ask_path(self.page, "Folder of a dataset, or of simulated packs", self.take_folder)
 
     def _show_folders(self, chosen: str) -> None:
         own = dataset_folder()

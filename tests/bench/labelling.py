@@ -123,7 +123,7 @@ def _walk(folder: Path) -> list[Figure]:
         until(ready)
         before, start_s = p.present.item.entry.uuid, time.thread_time()
         accepted.append(timed(
-            workspace.decisions.enter,
+            workspace.tools.decisions.enter,
             lambda before=before: p.present.item.entry.uuid != before,  # type: ignore[misc]
         ))  # fmt: skip
         working.append(1e3 * (time.thread_time() - start_s))

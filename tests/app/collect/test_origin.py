@@ -14,11 +14,12 @@ from touchdown.app.collect.origin import (
     OriginCheckNote,
     RecorderGauge,
     duration_text,
-    origin_note,
     residual_text,
 )
 from touchdown.app.collect.probes import PairProbes, ProbeRecord, displacement_text, grip_text
 from touchdown.app.collect.requests import probe_text
+from touchdown.app.collect.workspace import CollectMemory
+from touchdown.app.shell.settings import restore_form
 from touchdown.backend.core.events import (
     DecisionAwaited,
     EpisodeDecided,
@@ -176,7 +177,8 @@ def test_the_check_of_the_origin_is_dated_used_once_and_remembered(page, qapp, t
     target.take.click()
     target.take.click()
     assert (target.origin[0].value(), target.origin[1].value()) == (0.25, -0.5)
-    assert origin_note(page.workspace.memory()["origin"]) == page.presenter.origin.note
+    kept, dropped = restore_form(CollectMemory(), page.workspace.memory())
+    assert (kept.origin, dropped) == (page.presenter.origin.note, [])
 
 
 def test_the_origin_is_set_where_the_arm_was_jogged_to(page):
@@ -288,10 +290,9 @@ def test_a_pair_without_a_probe_has_holes_only():
 
 
 def test_notes_that_make_no_sense_are_refused():
-    assert origin_note(None) is None
+    assert restore_form(CollectMemory(), {"origin": None}) == (CollectMemory(), [])
     for bad in (3, {}, {"residual_mm": [1], "sigma_mm": 1, "at": "", "agrees": 1, "used": 0}):
-        with pytest.raises(ValueError, match="no note"):
-            origin_note(bad)
+        assert restore_form(CollectMemory(), {"origin": bad}) == (CollectMemory(), ["origin"])
     far = OriginCheckNote((1.0, 0.0), 0.1, False, "2026-01-01 10:00")
     assert "does not agree" in residual_text(far)
 

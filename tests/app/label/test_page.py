@@ -49,7 +49,7 @@ def models(tmp_path):
 
 
 def choose(desk, qtbot, words, said):
-    desk.workspace.whole.choose_models()
+    desk.workspace.tools.tasks.choose_models()
     desk.page.words.setText(words)
     desk.press(KEY.Key_Return)
     qtbot.waitUntil(lambda: said in desk.page.message.text(), timeout=60_000)
@@ -423,7 +423,7 @@ def test_a_finding_opens_its_episodes_as_a_queue(desk, qtbot):
     qtbot.waitUntil(lambda: desk.page.health.list.count() > 0, timeout=60_000)
     assert desk.page.health.isVisible()
     assert f"{ITEMS} episodes were checked" in desk.page.health.said.text()
-    kinds = desk.workspace.health.kinds
+    kinds = desk.workspace.tools.health.kinds
     at = next(k for k, kind in enumerate(kinds) if kind.name == "Jerk")
     desk.press(KEY.Key_F)
     desk.press(KEY.Key_1 + at)

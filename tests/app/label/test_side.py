@@ -124,7 +124,7 @@ def test_a_copy_labelled_elsewhere_is_merged_and_conflicts_are_resolved(desk, qt
         copy.labels.accept("Bob", other_uuid)
     desk.type("3,3")
     desk.do(KEY.Key_Return)
-    desk.workspace.whole.merge()
+    desk.workspace.tools.tasks.merge()
     desk.page.words.setText(str(other))
     desk.press(KEY.Key_Return)
     wait(desk, qtbot, "1 in conflict")
@@ -139,7 +139,7 @@ def test_a_copy_labelled_elsewhere_is_merged_and_conflicts_are_resolved(desk, qt
 
 
 def test_what_is_no_copy_is_refused(desk, qtbot, tmp_path):
-    desk.workspace.whole.merge()
+    desk.workspace.tools.tasks.merge()
     desk.page.words.setText(str(tmp_path / "nowhere"))
     desk.press(KEY.Key_Return)
     wait(desk, qtbot, "nowhere")

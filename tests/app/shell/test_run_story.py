@@ -8,11 +8,11 @@ from scipy.stats import binomtest
 
 from tests.app.conftest import settle
 from tests.app.stand_in import action
-from touchdown.app.shell.run_story import wilson_interval
 from touchdown.app.shell.settings import load_settings
 from touchdown.app.stack.presenter import stack_request
 from touchdown.backend.core.events import PhaseEntered, TrialFinished
 from touchdown.backend.core.values import Outcome
+from touchdown.backend.learning import wilson_interval
 from touchdown.backend.runs.requests import RunState, StackRequest
 from touchdown.widgets.forms.run_form import RunForm
 from touchdown.widgets.views.belief import NO_PROBE
@@ -138,7 +138,7 @@ def test_the_score_counts_and_gives_the_interval(live, bench):
 def test_wilson_against_scipy(placed, trials):
     expected = binomtest(placed, trials).proportion_ci(0.95, method="wilson")
     assert wilson_interval(placed, trials) == pytest.approx((expected.low, expected.high), abs=1e-6)
-    assert wilson_interval(0, 0) is None
+    assert wilson_interval(0, 0) == (0.0, 1.0)
 
 
 def test_a_trial_without_a_verdict_still_says_how_it_ended(live, bench):

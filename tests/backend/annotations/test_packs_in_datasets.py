@@ -20,7 +20,7 @@ import numpy as np
 import pytest
 
 from tests.backend.annotations.conftest import Record, add, context_for, flip_byte, small_episode
-from touchdown.app.shell.datasets import dataset_opener
+from touchdown.app.shell.datasets import open_dataset
 from touchdown.backend.annotations import storage
 from touchdown.backend.annotations.dataset import Dataset
 from touchdown.backend.annotations.rebuild import rebuild_dataset
@@ -568,7 +568,7 @@ def test_it_is_looked_at_and_nothing_appears_beside_the_catalogue(
         Dataset.open(closed, person="ann")
     with pytest.raises(ReadOnlyFolderError):
         rebuild_dataset(closed, replace=False)
-    opened = dataset_opener(closed, "ann")()
+    opened = open_dataset(closed, "ann")
     assert "cannot be written" in opened.read_only
     assert not opened.dataset.writable
     opened.dataset.close()

@@ -183,7 +183,10 @@ class CollectWorkspace(Workspace):
         form, invalid = restore_form(TargetForm(), mine.target)
         self.collect_page.target.show_form(form)
         self.collect_page.signal.setCurrentIndex(mine.signal)
-        self.collect_page.table.arrange(mine.list)
+        try:
+            self.collect_page.table.arrange(mine.list)
+        except ValueError:
+            dropped.append("list")
         self.presenter.origin.show_note(mine.origin)
         self.page.bring(mine.half)
         return [*self.label.recall(memory), *dropped, *invalid]

@@ -7,12 +7,6 @@ from dataclasses import dataclass, replace
 from datetime import datetime
 
 from touchdown.app.label.editing import LabelEditing, ViewingTimer
-from touchdown.app.label.evidence import (
-    evidence_badges,
-    evidence_ghosts,
-    model_evidence_text,
-    scene_evidence_text,
-)
 from touchdown.app.label.page import (
     EMPTY_QUEUE,
     EMPTY_QUEUES,
@@ -32,10 +26,14 @@ from touchdown.app.label.session import (
 )
 from touchdown.app.label.text import (
     FINDING,
+    evidence_badges,
+    evidence_ghosts,
     history_rows,
     local_time_text,
+    model_evidence_text,
     next_step_text,
     provenance_text,
+    scene_evidence_text,
     source_text,
 )
 from touchdown.app.shell import (

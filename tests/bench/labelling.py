@@ -25,7 +25,7 @@ from PySide6.QtWidgets import QApplication
 from tests.app.label.conftest import make_episode
 from tests.bench.figures import Figure, at_least, at_most, figure, stated
 from touchdown.app.application import TouchdownApp
-from touchdown.app.label.evidence import evidence_badges
+from touchdown.app.label.text import evidence_badges
 from touchdown.app.shell.datasets import ModelPrelabeller, model_path_in_use
 from touchdown.app.shell.errors import ErrorBox
 from touchdown.app.shell.label_items import LabelDraft, item_reader

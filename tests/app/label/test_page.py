@@ -19,9 +19,9 @@ from PySide6.QtWidgets import QApplication
 from tests.app.label.conftest import CTRL, ITEMS, KEY, SHIFT, WITHOUT_LABEL
 from tests.import_contracts import imports
 from touchdown.app.label.editing import ViewingTimer
-from touchdown.app.label.evidence import evidence_badges, model_evidence_text, scene_evidence_text
 from touchdown.app.label.page import LabelPage
 from touchdown.app.label.presenter import group_findings, health_text
+from touchdown.app.label.text import evidence_badges, model_evidence_text, scene_evidence_text
 from touchdown.app.shell.actions import portable_key
 from touchdown.app.shell.label_items import LabelDraft, ModelLabel, SceneObservation, scene_shots
 from touchdown.backend.annotations.dataset import QualityReport

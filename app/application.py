@@ -47,7 +47,7 @@ from touchdown.app.shell import (
 from touchdown.app.tour import Tour, tour_stops
 from touchdown.app.workspaces import FIRST, Workspaces
 from touchdown.backend.bench import Session
-from touchdown.backend.core import Event, EventQueue, TouchdownError
+from touchdown.backend.core import Event, EventQueue
 from touchdown.widgets.base import EventPump, load_resources
 from touchdown.widgets.shell import CardText, FaultCards, PillState, TopBar, TourStop
 
@@ -82,14 +82,10 @@ class BenchLoader:
         return self._arrived.pop()
 
     def _build(self, make: Callable[[], Session]) -> None:
-        arrived: Session | Exception = RuntimeError("an unexpected error")
         try:
-            arrived = make()
-        except (TouchdownError, OSError, ValueError, ImportError, RuntimeError) as error:
-            arrived = error
-        finally:
-            # Also after an unexpected error, to end the state "connecting".
-            self._arrived.append(arrived)
+            self._arrived.append(make())
+        except Exception as error:  # noqa: BLE001 - an unreported end would stay "connecting"
+            self._arrived.append(error)
 
 
 def bench_failed_card(error: Exception, again: Callable[[], None]) -> CardText:
@@ -327,15 +323,15 @@ class TouchdownApp(QObject):
             WindowCommand("quit", "Quit", "Ctrl+Q", self._quit),
         ]  # fmt: skip
 
-    def _quit(self) -> None:
-        self.window.close()
-
     def _wire_rail(self) -> None:
         for name, button in self.window.rail.items():
             button.setToolTip(
                 f"{button.text()} ({self.actions.action(name).shortcut().toString()})"
             )
             button.clicked.connect(self.actions.action(name).trigger)
+
+    def _quit(self) -> None:
+        self.window.close()
 
     def _show_limits(self) -> None:
         if self.panels is not None:
@@ -389,14 +385,15 @@ class TouchdownApp(QObject):
 
     def _add_parts(self) -> None:
         """Add one call of the pump for each part that a page may have."""
-        for turn in range(MOST_PARTS):
-            self.pump.add(partial(self._draw_part, turn))
-        self.pump.add(self._draw_frame)
 
-    def _draw_part(self, turn: int) -> None:
-        parts = self.workspaces[self.window.front].parts
-        if turn < len(parts):
-            parts[turn]()
+        def draw(turn: int) -> None:
+            parts = self.workspaces[self.window.front].parts
+            if turn < len(parts):
+                parts[turn]()
+
+        for turn in range(MOST_PARTS):
+            self.pump.add(partial(draw, turn))
+        self.pump.add(self._draw_frame)
 
     def _hushed(self) -> bool:
         return self.bench is not None and self.bench.repaint_hold.on

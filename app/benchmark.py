@@ -39,8 +39,13 @@ class Measurement(QObject):
 
     def _wait(self) -> None:
         """Start the measurement two seconds after the run has begun."""
+        cards = self._main.cards
+        if self._main.bench is None and cards.codes:
+            text = cards.card(cards.codes[0]).text
+            sys.stderr.write(f"touchdown: {text.what} {text.next_step}\n")
+            self._timer.stop()
+            self._main.quit_at_once(1)
         if self._main.bench is None:
-            self._give_up_if_failed()
             return
         if self._warm_s == 0.0:
             self._main.bench.events.subscribe(self._take)
@@ -50,25 +55,15 @@ class Measurement(QObject):
             return
         self._timer.timeout.disconnect(self._wait)
         self._timer.timeout.connect(self._beat)
-        self._begin()
+        self._start_s = self._due_s = time.perf_counter()
+        self._thread_s, self._process = time.thread_time(), psutil.Process()
+        self._process_s = sum(self._process.cpu_times()[:2])
+        self._counts = self._paints()
 
     def _take(self, event: Event) -> None:
         """Record a decision. Runs on the thread of the bench, so it only appends."""
         if isinstance(event, ActionChosen):
             self._latencies_ms.append(event.latency_ms)
-
-    def _give_up_if_failed(self) -> None:
-        if self._main.cards.codes:
-            text = self._main.cards.card(self._main.cards.codes[0]).text
-            sys.stderr.write(f"touchdown: {text.what} {text.next_step}\n")
-            self._timer.stop()
-            self._main.quit_at_once(1)
-
-    def _begin(self) -> None:
-        self._start_s = self._due_s = time.perf_counter()
-        self._thread_s, self._process = time.thread_time(), psutil.Process()
-        self._process_s = sum(self._process.cpu_times()[:2])
-        self._counts = self._paints()
 
     def _beat(self) -> None:
         now_s = time.perf_counter()

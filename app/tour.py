@@ -104,9 +104,9 @@ class Tour(QObject):
         # The positions are known only after the layout of the page.
         QApplication.sendPostedEvents(None, QEvent.Type.LayoutRequest)
         self._place = stop.place()
-        scroll = _scroll_of(self._place)
-        if scroll is not None:
-            scroll.ensureWidgetVisible(self._place)
+        for scroll in self._window.findChildren(QScrollArea):
+            if scroll.isAncestorOf(self._place):
+                scroll.ensureWidgetVisible(self._place)
         assert self.card is not None
         self.card.show_stop(stop, self.at, len(self.stops))
         self.fit()
@@ -166,12 +166,3 @@ def _target(workspaces: Mapping[str, Workspace]) -> QWidget:
     collect = _of(workspaces, CollectWorkspace)
     collect.page.bring(COLLECT)
     return collect.collect_page.target
-
-
-def _scroll_of(place: QWidget) -> QScrollArea | None:
-    parent = place.parentWidget()
-    while parent is not None:
-        if isinstance(parent, QScrollArea):
-            return parent
-        parent = parent.parentWidget()
-    return None

@@ -225,6 +225,10 @@ class CalibratePresenter:
         what, active = self._chosen, is_run_active(self._bench)
         found = None if self._running == what else self._measured.get(what)
         mine = self._running == what
+        note = self._said.get(what, "")
+        if found is not None:
+            note = " ".join(text for text in (found.obstacle, found.note) if text)
+        residual = "" if found is None else format_residual(found.residual, found.limit, found.unit)
         why = NO_STORE if self._bench.calibrations is None else start_obstacle(self._bench)
         return CalibrationView(
             rows=tuple(self._row(each) for each in CALIBRATION_NAMES),
@@ -248,21 +252,16 @@ class CalibratePresenter:
             limit=1.0 if found is None else found.limit,
             unit="" if found is None else found.unit,
             kind=COUNTS[what],
-            figure=_figure(found),
+            figure="" if found is None else f"Residual {residual}.",
             empty=self._empty(what),
             within=None if found is None else found.residual <= found.limit,
-            note=self._note(found),
+            note=note,
             note_bad=found is not None and bool(found.obstacle),
             running=mine,
             busy=active,
             can_accept=found is not None and found.acceptable and not active,
             why="A run is going on" if active else why,
         )  # fmt: skip
-
-    def _note(self, found: CalibrationMeasured | None) -> str:
-        if found is None:
-            return self._said.get(self._chosen, "")
-        return " ".join(text for text in (found.obstacle, found.note) if text)
 
     def _empty(self, what: CalibrationName) -> str:
         """Return the text shown in place of residuals: the stored result and its date."""
@@ -308,9 +307,3 @@ class CalibratePresenter:
             age_s = now_s - frame.t_s
             view.show_age(Age.FRESH if age_s < FRESH_S else Age.STALE, age_s, "No new picture.")
             view.show_frame(frame, self._bench.fields[finger].newest())
-
-
-def _figure(found: CalibrationMeasured | None) -> str:
-    if found is None:
-        return ""
-    return f"Residual {format_residual(found.residual, found.limit, found.unit)}."

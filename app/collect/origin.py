@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 
+from touchdown.app.shell import duration_text
 from touchdown.backend.core import OriginChecked
 
 WINDOW_S = 120.0  # time window of the recording rate
@@ -69,18 +70,6 @@ class CampaignPace:
             return ""
         each_s = (self._at_s[-1] - self._at_s[0]) / (len(self._at_s) - 1)
         return f"{left} left, about {duration_text(left * each_s)} at {each_s:.1f} s each"
-
-
-def duration_text(seconds: float) -> str:
-    """Return a duration with at most two figures: "40 s", "12 min", "3 h 20 min", "8 days"."""
-    if seconds < 90:
-        return f"{seconds:.0f} s"
-    minutes = round(seconds / 60)
-    if minutes < 90:
-        return f"{minutes} min"
-    if minutes < 48 * 60:
-        return f"{minutes // 60} h {minutes % 60:02d} min"
-    return f"{min(minutes // 1440, 999)} days"
 
 
 @dataclass(frozen=True, slots=True)

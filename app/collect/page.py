@@ -38,8 +38,7 @@ class CollectPage(LivePage):
     def build(self) -> Iterator[None]:
         """Create the other widgets of the page, a few milliseconds per step."""
         theme, choose = self._theme, self.dot_chosen.emit
-        titles = {"left": "Left", "right": "Right"}
-        self.captions = {f: CaptionedView(titles[f], self.tactile[f]) for f in FINGERS}
+        self.captions = {f: CaptionedView(f.capitalize(), self.tactile[f]) for f in FINGERS}
         self.coverage = DistributionView(theme, "Coverage of the displacements", choose)
         self.distribution = DistributionView(theme, "Distribution of the displacements", choose)
         self.signal = QComboBox()

@@ -66,6 +66,7 @@ def join_half_commands(
 
 
 COLLECT, LABEL = "collect", "label"
+OTHER = {COLLECT: LABEL, LABEL: COLLECT}
 TITLES = {COLLECT: "Collect", LABEL: "Label"}
 # Main keys of the label half, which has no buttons for them.
 LABEL_WORDS = "Enter accepts the label and goes on, arrows move it, D rejects; F1 shows all keys."
@@ -104,7 +105,8 @@ class CollectWorkspace(Workspace):
         halves = {COLLECT: self._commands(), LABEL: self.label.commands}
         self.commands = (
             *join_half_commands(lambda: self.page.front, TITLES, halves),
-            WindowCommand("half", "The other half: collect, or label", "F2", self._show_other_half),
+            WindowCommand("half", "The other half: collect, or label", "F2",
+                          lambda: self.page.show_half(OTHER[self.page.front])),
             WindowCommand("half-collect", "Collect half", "Ctrl+Shift+C",
                     lambda: self.page.show_half(COLLECT)),
             WindowCommand("half-label", "Label half", "Ctrl+Shift+L",
@@ -252,9 +254,6 @@ class CollectWorkspace(Workspace):
         if self._told_keys:
             self._told_keys = False
             self._context.say("")
-
-    def _show_other_half(self) -> None:
-        self.page.show_half(COLLECT if self.page.front == LABEL else LABEL)
 
     def _be(self, name: str) -> None:
         if name.strip() and name != self.presenter.person:

@@ -107,13 +107,10 @@ class LimitsSheet(BenchSheet):
             self.question.withdraw()
 
     def _taken(self) -> None:
-        self.said.setText(self._offer({name: self._value(name) for name in self.boxes}))
-
-    def _value(self, name: str) -> float:
-        """Return a limit; an unedited one keeps digits that its box does not show."""
-        value, shown = self._shown[name]
-        now = self.boxes[name].value()
-        return value if now == shown else now
+        values = {name: box.value() for name, box in self.boxes.items()}
+        # An unedited limit keeps the digits that its box does not show.
+        kept = {n: value for n, (value, shown) in self._shown.items() if values[n] == shown}
+        self.said.setText(self._offer(values | kept))
 
 
 # All limits in the order of the sheet.

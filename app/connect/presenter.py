@@ -42,7 +42,7 @@ class ConnectPresenter:
         self.sheet = sheet = ConnectSheet(window, CONNECTION_STEPS)
         sheet.connect_requested.connect(self._connect)
         sheet.cancel_requested.connect(connection.cancel)
-        sheet.disconnect_requested.connect(self._disconnect)
+        sheet.disconnect_requested.connect(lambda: self._ordered(lambda: self._leave(())))
         sheet.row_pressed.connect(self._row)
         sheet.extra_pressed.connect(self._extra)
         sheet.limits_requested.connect(limits.open)
@@ -76,9 +76,6 @@ class ConnectPresenter:
         if self._bench.interlock.stopped_by:
             raise RefusedError("NOT-RESET", "The bench is stopped: press Reset, then connect.")
         self._connection.begin(names)
-
-    def _disconnect(self) -> None:
-        self._ordered(lambda: self._leave(()))
 
     def _leave(self, names: tuple[str, ...]) -> None:
         # Nothing may move without all devices.
@@ -130,8 +127,9 @@ class ConnectPresenter:
 def device_row(line: DeviceStatus, *, can: bool) -> DeviceRowView:
     """Return the row of one device."""
     failed = line.state == "failed"
+    present = {"connecting": "now", "failed": "failed"}.get(line.state, "open")
     marks = [
-        "done" if step < line.steps else "open" if step > line.steps else _at(line)
+        "done" if step < line.steps else "open" if step > line.steps else present
         for step in range(len(CONNECTION_STEPS))
     ]
     if failed and line.steps == len(CONNECTION_STEPS):
@@ -150,11 +148,6 @@ def device_row(line: DeviceStatus, *, can: bool) -> DeviceRowView:
         TITLES.get(line.name, line.name), line.state, tuple(marks), text,
         line.fault is not None or bool(line.notice), order, words[order], can, EXTRA[line.needs],
     )  # fmt: skip
-
-
-def _at(line: DeviceStatus) -> str:
-    """Return the mark of the next step."""
-    return {"connecting": "now", "failed": "failed"}.get(line.state, "open")
 
 
 class BenchDialogs:

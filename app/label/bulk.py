@@ -14,7 +14,6 @@ from touchdown.backend.annotations import (
     BulkChange,
     BulkPreview,
     MoveGeometry,
-    Operation,
     RotateFrame,
     SetState,
     ShiftOrigin,
@@ -37,16 +36,15 @@ class SideTabsPresenter:
         if self._side.tab == LOG:
             book = self._presenter.shown
             self._worker.submit(
-                lambda: book.log(text=text, limit=MOST_LINES), self._show_log, self._failed
+                lambda: book.log(text=text, limit=MOST_LINES),
+                lambda found: self._side.show_log([operation_text(one) for one in found]),
+                self._failed,
             )
         elif self._side.tab == AGREEMENT:
             dataset = self._presenter.dataset
             self._worker.submit(
                 lambda: agreement_text(dataset), self._side.agreement.setText, self._failed
             )
-
-    def _show_log(self, operations: list[Operation]) -> None:
-        self._side.show_log([operation_text(operation) for operation in operations])
 
     def _failed(self, error: Exception) -> None:
         self._side.show_log([f"The log cannot be read: {error}"])
@@ -64,15 +62,11 @@ class BulkPresenter:
         self._form, self._on, self._catalogue, self._choice = form, presenter, catalogue, choice
         self._preview: BulkPreview | None = None
 
-    def preview(self) -> None:
-        """Compute the changes to the labels of the shown queue."""
-        self._begin(ask=False)
+    def preview(self, *, ask: bool = False) -> None:
+        """Compute the changes to the labels of the shown queue.
 
-    def preview_and_ask(self) -> None:
-        """Compute the changes and ask whether to apply them, for use by keyboard."""
-        self._begin(ask=True)
-
-    def _begin(self, *, ask: bool) -> None:
+        With ``ask``, for use by keyboard, ask whether to apply them.
+        """
         self._preview = None
         self._form.apply.setEnabled(False)
         kind, text = str(self._form.kind.currentData()), self._form.value.text().strip()
@@ -81,9 +75,11 @@ class BulkPresenter:
         except ValueError as error:
             self._form.found.setText(str(error))
             return
-        book, person, order = self._on.book, self._on.session.person, self._mine()
+        book, person, shown = self._on.book, self._on.session.person, self._on.shown
+        # Bulk changes must not touch control items.
+        order = [uuid for uuid in self._on.walk.order if not shown.hides(uuid)]
 
-        async def preview() -> None:
+        async def compute() -> None:
             found = await self._on.saving.save(lambda: book.preview(person, order, change))
             self._preview = found
             self._form.found.setText(preview_text(found))
@@ -92,11 +88,7 @@ class BulkPresenter:
                 text = f"{count_noun(len(found.rows), 'label')} will change."
                 self._choice.ask(text, YES, lambda _: self.apply())
 
-        self._on.flushed(preview)
-
-    def _mine(self) -> list[str]:
-        """Return the queue without control items, which bulk changes must not touch."""
-        return [uuid for uuid in self._on.walk.order if not self._on.shown.hides(uuid)]
+        self._on.flushed(compute)
 
     def apply(self) -> None:
         """Apply the previewed change; refused if a label changed meanwhile."""
@@ -222,4 +214,4 @@ class SideTabKeys:
             form.value.setFocus()
             form.value.selectAll()
         else:
-            self._bulk.preview_and_ask()
+            self._bulk.preview(ask=True)

@@ -127,11 +127,13 @@ class LabelDecisions:
 
     def delete(self) -> None:
         """Ask for the reason, then hide the episode; undo restores it."""
-        self._page.ask_words("Delete the episode because", "", self._delete)
-
-    def _delete(self, reason: str) -> None:
-        self._with_present(
-            lambda person, uuid: self._on.shown.of(uuid).delete(person, uuid, reason), go_on=True
+        shown = self._on.shown
+        self._page.ask_words(
+            "Delete the episode because",
+            "",
+            lambda reason: self._with_present(
+                lambda person, uuid: shown.of(uuid).delete(person, uuid, reason), go_on=True
+            ),
         )
 
     def resolve(self) -> None:
@@ -154,17 +156,17 @@ class LabelDecisions:
 
     def undo(self) -> None:
         """Undo the person's last action."""
-        person, book = self._on.session.person, self._on.book
-        self._reversed(lambda: book.undo(person), "Undone")
+        self._reversed(self._on.book.undo, "Undone")
 
     def redo(self) -> None:
         """Redo the last undone action."""
-        person, book = self._on.session.person, self._on.book
-        self._reversed(lambda: book.redo(person), "Done again")
+        self._reversed(self._on.book.redo, "Done again")
 
-    def _reversed(self, work: Callable[[], Operation | None], word: str) -> None:
+    def _reversed(self, work: Callable[[str], Operation | None], word: str) -> None:
+        person = self._on.session.person
+
         async def reverse() -> None:
-            found = await self._on.saving.save(work)
+            found = await self._on.saving.save(lambda: work(person))
             if found is None:
                 self._page.say("There is nothing to take back.")
             else:

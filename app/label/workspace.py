@@ -68,7 +68,7 @@ class DatasetTasks:
         opened, progress = self._opened, self._teller("Scoring")
         self._jobs.submit(
             lambda: score_labels(opened.dataset, opened.prelabel.model, progress),
-            self._scored,
+            lambda count: self._on.read_anew(f"{count} episodes were scored by the model."),
             self._failed,
         )
 
@@ -134,9 +134,6 @@ class DatasetTasks:
             return not self._ended.is_set()
 
         return tell
-
-    def _scored(self, count: int) -> None:
-        self._on.read_anew(f"{count} episodes were scored by the model.")
 
     def _merge(self, folder: str) -> None:
         person, dataset = self._on.session.person, self._opened.dataset
@@ -433,7 +430,7 @@ class LabelWorkspace(Workspace):
         page.tab_chosen.connect(lambda _: self._search(""))
         page.preview_requested.connect(lambda: self.on(lambda t: t.bulk.preview()))
         page.apply_requested.connect(lambda: self.on(lambda t: t.bulk.apply()))
-        page.value_entered.connect(lambda: self.on(lambda t: t.bulk.preview_and_ask()))
+        page.value_entered.connect(lambda: self.on(lambda t: t.bulk.preview(ask=True)))
         page.health_requested.connect(self.look_through)
         page.finding_chosen.connect(lambda row: self.on(lambda t: t.health.choose(row)))
 

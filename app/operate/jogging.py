@@ -123,7 +123,11 @@ class ManualControlPresenter:
         """Open the gripper; while it holds a piece, ask first."""
         status = self._grip_status()
         if status is not None and status.holding:
-            answers = (("Keep holding", lambda: None), ("Open and let it go", self._open_anyway))
+
+            def let_go() -> None:
+                self._ordered(lambda hand: hand.open(confirmed=True))
+
+            answers = (("Keep holding", lambda: None), ("Open and let it go", let_go))
             self._cards.ask(CardQuestion("A piece is held. Opening lets it go.", answers))
         else:
             self._ordered(lambda hand: hand.open(confirmed=False))
@@ -140,9 +144,6 @@ class ManualControlPresenter:
         """Set up a new scene on the simulated bench; a held piece returns to its place."""
         request = SetRequest(SceneChoice(piece, (bottom,)))
         self._ordered(lambda _hand: self._bench.start(request))
-
-    def _open_anyway(self) -> None:
-        self._ordered(lambda hand: hand.open(confirmed=True))
 
     def _ordered(self, order: Callable[[ManualControl], None]) -> bool:
         hand = self._bench.hand
@@ -190,7 +191,10 @@ class ManualControlPresenter:
             return PoseReadout()
         slow = hand.jog.state.slow
         recovering, turned = self._bench.interlock.recovering, rotation_angle_rad(pose) > 0.0
-        note = "Recovery: jog away from contact" if recovering else self._contact(hand)
+        note = "Recovery: jog away from contact" if recovering else ""
+        if not note and hand.pressing_n and not is_run_active(self._bench):
+            force = f"{hand.pressing_n:.1f} N"
+            note = f"In contact with {force}: jog +Z to lift before you start a run"
         note = note or self._bench.interlock.degraded
         warn = bool(note)
         if not note and rotation_angle_rad(pose) > LEVEL_TOLERANCE_RAD:
@@ -222,11 +226,6 @@ class ManualControlPresenter:
         if state.order is not None and turns(state.order.axis):
             return f"{math.degrees(state.speed):.1f}\N{DEGREE SIGN}/s"
         return f"{state.speed:.1f} mm/s"
-
-    def _contact(self, hand: ManualControl) -> str:
-        if is_run_active(self._bench) or not hand.pressing_n:
-            return ""
-        return f"In contact with {hand.pressing_n:.1f} N: jog +Z to lift before you start a run"
 
     def _draw_gripper(self) -> None:
         status, hand = self._grip_status(), self._bench.hand

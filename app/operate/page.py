@@ -51,8 +51,7 @@ class OperatePage(LivePage):
         )
         self.scene = ScenePanel(self.scene_chosen.emit)
         yield
-        titles = {"left": "Left", "right": "Right"}
-        self.captions = {f: CaptionedView(titles[f], self.tactile[f]) for f in FINGERS}
+        self.captions = {f: CaptionedView(f.capitalize(), self.tactile[f]) for f in FINGERS}
         self.belief_panel = BeliefPanel(theme, "Belief of the last run")
         self.belief, self.legend = self.belief_panel.view, self.belief_panel.legend
         self.maps = self.belief_panel.maps
@@ -118,11 +117,8 @@ class OperatePage(LivePage):
         self.zero.clicked.connect(self.zero_requested)
         self.baseline.clicked.connect(self.baseline_requested)
         self.pause.toggled.connect(self.pause_toggled)
-        self.span.currentIndexChanged.connect(self._choose_span)
+        self.span.currentIndexChanged.connect(lambda at: self.span_chosen.emit(SPANS_S[at]))
         self.looks.currentIndexChanged.connect(self._choose_look)
-
-    def _choose_span(self, index: int) -> None:
-        self.span_chosen.emit(SPANS_S[index])
 
     def _choose_look(self, index: int) -> None:
         for view in self.tactile.values():

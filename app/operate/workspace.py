@@ -86,7 +86,10 @@ class SingleProbePresenter:
         if isinstance(event, PhaseEntered) and event.phase in PHASES:
             self._panel.strip.show_phase(PHASES.index(event.phase))
         elif isinstance(event, EpisodeRecorded):
-            self._note_episode(event)
+            episode = event.episode
+            self._felt.append(f"largest Fz {float(episode.observation[:, -4].max()):.1f} N")
+            if not episode.quality.accepted:
+                self._felt.append(f"not an observation: {'; '.join(episode.quality.reasons)}")
         elif isinstance(event, PatchEstimated):
             share = float((event.patch.probability > 0.5).mean())
             self._felt.append(f"contact on {100 * share:.0f} % of the face")
@@ -106,12 +109,6 @@ class SingleProbePresenter:
             self._model = self._bench.model
             self.show_model()
         self._panel.detail.setText(self._bench.status().phase if active and self._mine else "")
-
-    def _note_episode(self, event: EpisodeRecorded) -> None:
-        episode = event.episode
-        self._felt.append(f"largest Fz {float(episode.observation[:, -4].max()):.1f} N")
-        if not episode.quality.accepted:
-            self._felt.append(f"not an observation: {'; '.join(episode.quality.reasons)}")
 
     def _end(self, event: RunFinished) -> None:
         self._mine = False

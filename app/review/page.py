@@ -18,6 +18,7 @@ from touchdown.widgets.base import (
     label,
     vbox,
 )
+from touchdown.widgets.forms import set_entries
 from touchdown.widgets.lists import RecordingList
 from touchdown.widgets.plots import RecordedTraces
 from touchdown.widgets.views import (
@@ -131,16 +132,19 @@ class ReviewPage(WorkspacePage):
     # -- inside -----------------------------------------------------------------------------------
 
     def _name(self) -> None:
-        for combo, entries in ((self.kind, KINDS), (self.order, ORDERS)):
-            for name, text in entries:
-                combo.addItem(text, name)
+        for combo, entries, name, tip in (
+            (self.kind, KINDS, "Kind of recording", "Show runs, series of the dataset, or all"),
+            (self.order, ORDERS, "Order of the recordings",
+             "Runs before series; by time; or by pair and outcome"),
+        ):  # fmt: skip
+            set_entries(combo, entries)
             combo.setSizeAdjustPolicy(
                 QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon
             )
-        self.kind.setAccessibleName("Kind of recording")
-        self.order.setAccessibleName("Order of the recordings")
-        self.kind.setToolTip("Show runs, series of the dataset, or all")
-        self.order.setToolTip("Runs before series; by time; or by pair and outcome")
+            combo.setMinimumContentsLength(4)
+            combo.setAccessibleName(name)
+            combo.setToolTip(tip)
+            combo.currentIndexChanged.connect(self.filter_changed)
         self.filter.setPlaceholderText("Filter: pot, fell, 2026-11")
         self.filter.setAccessibleName("Filter of the recordings")
         self.filter.setClearButtonEnabled(True)
@@ -152,15 +156,11 @@ class ReviewPage(WorkspacePage):
         self.play.setToolTip("Play from the cursor, or pause (Space, while nothing moves)")
         self.play.setAccessibleName("Play or pause")
         self.filter.textChanged.connect(self.filter_changed)
-        self.kind.currentIndexChanged.connect(self.filter_changed)
-        self.order.currentIndexChanged.connect(self.filter_changed)
         self.play.clicked.connect(self.play_requested)
         self.film.ran.connect(lambda on: self.play.setText("Pause" if on else "Play"))
 
     def _arrange(self) -> None:
         runs = self.runs_panel = Panel("Recordings")
-        for combo in (self.kind, self.order):
-            combo.setMinimumContentsLength(4)
         choices = hbox((self.kind, 1), (self.order, 1))
         add_items(runs.column, choices, self.filter, (self.runs, 1), self.empty)
         runs.header.addWidget(self.experiments)

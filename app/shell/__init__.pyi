@@ -15,6 +15,7 @@ from .activity import missing_scene_reason as missing_scene_reason
 from .activity import start_obstacle as start_obstacle
 from .bench_text import bench_caption as bench_caption
 from .bench_text import count_noun as count_noun
+from .bench_text import duration_text as duration_text
 from .bench_text import run_model_caption as run_model_caption
 from .bench_text import scene_model_caption as scene_model_caption
 from .cards import CloseConfirmation as CloseConfirmation
@@ -134,6 +135,7 @@ __all__ = [
     "carry_out",
     "column_of",
     "count_noun",
+    "duration_text",
     "error_card",
     "exit_after_timeout",
     "face_outlines",

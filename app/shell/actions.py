@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 from PySide6.QtCore import QEvent, QKeyCombination, QObject, Qt
@@ -69,7 +69,8 @@ def remap_keys(
         if key_refusal(kept, name, key):
             refused.append(name)
         else:
-            kept = [_with_key(row, key) if row.id == name else row for row in kept]
+            new = portable_key(key)
+            kept = [replace(row, key=new) if row.id == name else row for row in kept]
     return kept, refused
 
 
@@ -118,10 +119,6 @@ def _pressed_key(sequence: QKeySequence) -> QKeyCombination | None:
     return first
 
 
-def _with_key(row: KeyBinding, key: str) -> KeyBinding:
-    return KeyBinding(row.context, row.title, portable_key(key), row.text, row.command)
-
-
 _PRESSED = frozenset({QEvent.Type.ShortcutOverride, QEvent.Type.KeyPress})
 
 
@@ -139,7 +136,8 @@ class StopKeyFilter(QObject):
         # Called for every event of the window: the cheapest test comes first.
         if not isinstance(event, QKeyEvent) or not isinstance(watched, QWindow):
             return False
-        if event.type() not in _PRESSED or not self._wanted(event.key()):
+        space = event.key() == Qt.Key.Key_Space and self._moving() and not is_typing()
+        if event.type() not in _PRESSED or not (space or event.key() == Qt.Key.Key_F12):
             return False
         # Qt sends ShortcutOverride before a key press. Accept it, so that no shortcut takes the
         # key; it is not a key press itself.
@@ -147,11 +145,6 @@ class StopKeyFilter(QObject):
             self._stop()
         event.accept()
         return True
-
-    def _wanted(self, key: int) -> bool:
-        if key == Qt.Key.Key_F12:
-            return True
-        return key == Qt.Key.Key_Space and self._moving() and not is_typing()
 
 
 def is_typing() -> bool:

@@ -25,29 +25,14 @@ class BenchCaption:
 def bench_caption(bench: Session) -> BenchCaption:
     """Return the names of a bench, consistent with its recordings."""
     mode = bench.description.mode
-    if mode == "simulated":
-        return BenchCaption(
-            "Touchdown (SIMULATED)",
-            "SIMULATED BENCH",
-            "No hardware is connected. Everything you see is computed.",
-            True,
-            "simulated",
-        )
+    if mode not in ("simulated", "emulated"):
+        tip = "Real devices: the arm of this lab moves."
+        return BenchCaption(f"Touchdown ({bench.name})", bench.name, tip, False, "")
+    name, tip = "SIMULATED", "No hardware is connected. Everything you see is computed."
     if mode == "emulated":
-        return BenchCaption(
-            f"Touchdown (EMULATED: {bench.name})",
-            "EMULATED BENCH",
-            "Real drivers and wires, emulated devices: no hardware moves.",
-            True,
-            "emulated",
-        )
-    return BenchCaption(
-        f"Touchdown ({bench.name})",
-        bench.name,
-        "Real devices: the arm of this lab moves.",
-        False,
-        "",
-    )
+        name, tip = "EMULATED", "Real drivers and wires, emulated devices: no hardware moves."
+    title = name if mode == "simulated" else f"{name}: {bench.name}"
+    return BenchCaption(f"Touchdown ({title})", f"{name} BENCH", tip, True, name.lower())
 
 
 MODALITY_NAMES = {"FT+Tac": "touch and wrench", "Tac": "touch", "FT": "the wrench"}
@@ -129,6 +114,18 @@ def fused_caption() -> ModelCaption:
 def count_noun(count: int, noun: str) -> str:
     """Return a number with its noun: "1 probe", "1,200 probes"."""
     return f"{count:,} {noun}" if count == 1 else f"{count:,} {noun}s"
+
+
+def duration_text(seconds: float) -> str:
+    """Return a duration with at most two figures: "40 s", "12 min", "3 h 20 min", "8 days"."""
+    if seconds < 90:
+        return f"{seconds:.0f} s"
+    minutes = round(seconds / 60)
+    if minutes < 90:
+        return f"{minutes} min"
+    if minutes < 48 * 60:
+        return f"{minutes // 60} h {minutes % 60:02d} min"
+    return f"{min(minutes // 1440, 999)} days"
 
 
 def _model_origin(card: ModelCard) -> str:

@@ -43,9 +43,9 @@ def load_layouts(path: Path, now: datetime) -> tuple[SavedLayouts, str]:
     except FileNotFoundError:
         return SavedLayouts(), ""
     except (OSError, ValueError) as error:
-        return SavedLayouts(), _moved_aside(path, now, f"The layouts could not be read ({error}).")
+        return SavedLayouts(), _kept_aside(path, now, f"The layouts could not be read ({error}).")
     if not isinstance(raw, dict) or raw.get("version") != VERSION:
-        return SavedLayouts(), _moved_aside(path, now, "The layouts are of another version.")
+        return SavedLayouts(), _kept_aside(path, now, "The layouts are of another version.")
     missing = [one.name for one in fields(SavedLayouts) if one.name not in raw]
     try:
         book: SavedLayouts = parse_stored(SavedLayouts, {} if missing else raw)
@@ -53,7 +53,7 @@ def load_layouts(path: Path, now: datetime) -> tuple[SavedLayouts, str]:
         missing = [".".join(map(str, error.errors()[0]["loc"]))]
     if missing:
         what = f"The layouts make no sense ({missing[0]})."
-        return SavedLayouts(), _moved_aside(path, now, what)
+        return SavedLayouts(), _kept_aside(path, now, what)
     return book, ""
 
 
@@ -74,10 +74,12 @@ def copy_aside(path: Path, now: datetime) -> Path:
     return kept
 
 
-def _moved_aside(path: Path, now: datetime, what: str) -> str:
+def _kept_aside(path: Path, now: datetime, what: str, *, move: bool = True) -> str:
+    """Keep a copy of a file whose layouts are not used; return ``what`` and the file's name."""
     try:
         kept = copy_aside(path, now)
-        path.unlink()
+        if move:
+            path.unlink()
     except OSError as error:
         return f"{what} The usual ones are used; the file could not be kept aside ({error})."
     return f"{what} The usual ones are used; the file is kept as {kept.name}."
@@ -141,7 +143,9 @@ class LayoutsPresenter:
 
     def toggle_lock(self) -> None:
         """Lock or unlock the layout."""
-        self._lock(not self.book.locked)
+        self.book.locked = not self.book.locked
+        for columns in self._columns.values():
+            columns.lock(self.book.locked)
         self._tell(
             "The layout is locked."
             if self.locked
@@ -227,27 +231,16 @@ class LayoutsPresenter:
             ]  # fmt: skip
         return found
 
-    def _kept(self) -> str:
-        try:
-            kept = copy_aside(self._path, datetime.now())
-        except OSError as error:
-            return f"The usual ones are used; the file could not be kept aside ({error})."
-        return f"The usual ones are used; the file is kept as {kept.name}."
-
     def _without(self, wrong: Mapping[str, str]) -> str:
         """Remove layouts that do not fit, given with the reason; return the notice."""
         if not wrong:
             return ""
         told = ", ".join(f"{name} ({reason})" for name, reason in wrong.items())
-        notice = f"Layouts that do not fit this version: {told}. {self._kept()}"
+        what = f"Layouts that do not fit this version: {told}."
+        notice = _kept_aside(self._path, datetime.now(), what, move=False)
         for name in wrong:
             del self.book.present[name]
         return notice
-
-    def _lock(self, locked: bool) -> None:
-        self.book.locked = locked
-        for columns in self._columns.values():
-            columns.lock(locked)
 
 
 def _same(one: ColumnArrangement, other: ColumnArrangement) -> bool:

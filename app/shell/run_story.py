@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 from touchdown.backend.core import (
@@ -80,6 +80,15 @@ class TrialStory:
         return first[0] - self.start_mm[0], first[1] - self.start_mm[1]
 
 
+# Fields of ``ProbeStory`` that an event reports under the same names.
+REPORTED: dict[type[Event], tuple[str, ...]] = {
+    PatchEstimated: ("probe", "offset_mm"),
+    BeliefUpdated: ("probe", "belief"),
+    StabilityJudged: ("probe", "stability"),
+    ActionChosen: ("probe", "action", "latency_ms"),
+}
+
+
 class RunStory:
     """State of a run, built from its events in order.
 
@@ -95,20 +104,6 @@ class RunStory:
         self.awaiting: PlaceAction | None = None
         self.version = 0
         self._mine = True
-        self._steps: dict[type[Event], Callable[..., None]] = {
-            RunStarted: self._run_started,
-            TrialStarted: self._trial_started,
-            PhaseEntered: self._phase,
-            PatchEstimated: self._patch,
-            BeliefUpdated: self._belief,
-            StabilityJudged: self._stability,
-            ActionChosen: self._action,
-            ApprovalAwaited: self._approval,
-            Released: self._released,
-            TrialFinished: self._trial_finished,
-            RunFinished: self._run_finished,
-            Said: self._said,
-        }
 
     @property
     def trial(self) -> TrialStory | None:
@@ -126,51 +121,40 @@ class RunStory:
             self._mine = self._of_any or event.activity == "stack"
         if not self._mine:
             return
-        step = self._steps.get(type(event))
-        if step is not None:
-            step(event)
-            self.version += 1
+        reported = REPORTED.get(type(event))
+        if reported is not None:
+            known = {name: getattr(event, name) for name in reported}
+            self._note(known.pop("probe"), **known)
+        elif not self._follow(event):
+            return
+        self.version += 1
 
-    def _run_started(self, event: RunStarted) -> None:
-        self.head, self.ended, self.awaiting, self.said = event, None, None, ""
-        self.trials.clear()
-
-    def _trial_started(self, event: TrialStarted) -> None:
-        self.trials.append(TrialStory(event.trial, event.seed, event.start_mm))
-
-    def _phase(self, event: PhaseEntered) -> None:
-        self.awaiting = None
-        if self.trial is not None:
-            self.trial.phase = event.phase
-
-    def _patch(self, event: PatchEstimated) -> None:
-        self._note(event.probe, offset_mm=event.offset_mm)
-
-    def _belief(self, event: BeliefUpdated) -> None:
-        self._note(event.probe, belief=event.belief)
-
-    def _stability(self, event: StabilityJudged) -> None:
-        self._note(event.probe, stability=event.stability)
-
-    def _action(self, event: ActionChosen) -> None:
-        self._note(event.probe, action=event.action, latency_ms=event.latency_ms)
-
-    def _approval(self, event: ApprovalAwaited) -> None:
-        self.awaiting = event.action
-
-    def _released(self, event: Released) -> None:
-        if self.trial is not None:
-            self.trial.stands, self.trial.fall = event.stands, event.fall
-
-    def _trial_finished(self, event: TrialFinished) -> None:
-        if self.trial is not None:
-            self.trial.finished = event
-
-    def _run_finished(self, event: RunFinished) -> None:
-        self.ended, self.awaiting = event, None
-
-    def _said(self, event: Said) -> None:
-        self.said = event.text
+    def _follow(self, event: Event) -> bool:
+        """Follow an event that reports no probe; return False if it has no effect."""
+        trial = self.trial
+        if isinstance(event, RunStarted):
+            self.head, self.ended, self.awaiting, self.said = event, None, None, ""
+            self.trials.clear()
+        elif isinstance(event, TrialStarted):
+            self.trials.append(TrialStory(event.trial, event.seed, event.start_mm))
+        elif isinstance(event, ApprovalAwaited):
+            self.awaiting = event.action
+        elif isinstance(event, RunFinished):
+            self.ended, self.awaiting = event, None
+        elif isinstance(event, Said):
+            self.said = event.text
+        elif isinstance(event, PhaseEntered):
+            self.awaiting = None
+            if trial is not None:
+                trial.phase = event.phase
+        elif isinstance(event, Released | TrialFinished):
+            if trial is not None and isinstance(event, Released):
+                trial.stands, trial.fall = event.stands, event.fall
+            elif trial is not None and isinstance(event, TrialFinished):
+                trial.finished = event
+        else:
+            return False
+        return True
 
     def _note(self, probe: int, **known: object) -> None:
         """Update the state of ``probe``; a repeated number replaces the older probe."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
+from functools import partial
 
 from touchdown.app.shell.activity import arm_of
 from touchdown.app.shell.bench_text import bench_caption, count_noun
@@ -15,7 +16,6 @@ from touchdown.backend.devices import (
     DegradedDevice,
     Device,
     DeviceState,
-    Health,
     SafetyMode,
     signed_name,
     turns,
@@ -164,14 +164,10 @@ class DeviceChipsPresenter:
         if arm is not None:
             status = arm.status()
             self._bar.show_modes(status.robot_mode.value, status.safety_mode.value)
-            self._bar.show_hardware_stop(self._hardware_stop(status.safety_mode))
+            active = status.safety_mode is SafetyMode.HW_STOP
+            unknown = "active" if active else "unknown"
+            self._bar.show_hardware_stop("none" if self._bench.simulated else unknown)
         return True
-
-    def _hardware_stop(self, safety: SafetyMode) -> str:
-        """Return the hardware stop, if it is known to be active."""
-        if self._bench.simulated:
-            return "none"
-        return "active" if safety is SafetyMode.HW_STOP else "unknown"
 
     def _chip(
         self, key: str, device: Device, now_s: float, degraded: DegradedDevice | None
@@ -203,13 +199,9 @@ class DeviceChipsPresenter:
         tip = tip if drift is None else f"{tip}\n{drift.words()}, in still air"
         if who is not None:
             tip = f"{who.maker} {who.model}, serial {who.serial}\n{tip}"
-        return ChipValue(state, detail, health.lost if _is_much(health) else 0, tip)
-
-
-def _is_much(health: Health) -> bool:
-    """Return True if the losses are shown on the chip."""
-    share = health.lost / max(1, health.received + health.lost)
-    return health.lost >= LEAST_LOST and share > MUCH_LOST
+        share = health.lost / max(1, health.received + health.lost)
+        much = health.lost >= LEAST_LOST and share > MUCH_LOST
+        return ChipValue(state, detail, health.lost if much else 0, tip)
 
 
 START_PERCENT = 10  # initial override with hardware
@@ -224,9 +216,11 @@ class SpeedOverride:
         self._bench: Session | None = None
         bar.override.valueChanged.connect(self._choose)
         self.commands = (
-            WindowCommand("slower", "Slower: speed override down", "Ctrl+Alt+-", self._slower),
-            WindowCommand("faster", "Faster: speed override up", "Ctrl+Alt++", self._faster),
-        )
+            WindowCommand("slower", "Slower: speed override down", "Ctrl+Alt+-",
+                          partial(self._change, -STEP_PERCENT)),
+            WindowCommand("faster", "Faster: speed override up", "Ctrl+Alt++",
+                          partial(self._change, STEP_PERCENT)),
+        )  # fmt: skip
 
     def attach(self, bench: Session) -> None:
         """Show the override of this bench; hardware starts slowly."""
@@ -241,11 +235,8 @@ class SpeedOverride:
             self._bench.interlock.override_speed(percent / 100)
             self._say(f"Speed override {percent} %.")
 
-    def _slower(self) -> None:
-        self._bar.override.setValue(self._bar.override.value() - STEP_PERCENT)
-
-    def _faster(self) -> None:
-        self._bar.override.setValue(self._bar.override.value() + STEP_PERCENT)
+    def _change(self, by_percent: int) -> None:
+        self._bar.override.setValue(self._bar.override.value() + by_percent)
 
 
 class ServoSwitch:

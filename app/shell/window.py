@@ -233,7 +233,7 @@ class Appearance(QObject):
         self._settled = QTimer(self)
         self._settled.setSingleShot(True)
         self._settled.setInterval(SETTLE_MS)
-        self._settled.timeout.connect(self._show_wanted)
+        self._settled.timeout.connect(lambda: self.show(self.choice, self._wanted_scale))
         application.styleHints().colorSchemeChanged.connect(self._follow)
 
     def dress(self, window: QWidget) -> None:
@@ -271,9 +271,6 @@ class Appearance(QObject):
     def _step(self, step: float) -> None:
         self._wanted_scale = min(max(self._wanted_scale + step, MIN_SCALE), MAX_SCALE)
         self._settled.start()
-
-    def _show_wanted(self) -> None:
-        self.show(self.choice, self._wanted_scale)
 
     def _name(self) -> ThemeName:
         return system_theme(self._application) if self.choice == "system" else self.choice
@@ -317,13 +314,9 @@ def move_on_screen(window: QRect, screens: Sequence[QRect]) -> QRect:
             and seen.height() >= GRIP_PX.height()
         ):
             return window
-    nearest = min(screens, key=lambda screen: _away(screen, window))
+    middle = window.center()
+    nearest = min(screens, key=lambda screen: (screen.center() - middle).manhattanLength())
     width, height = min(window.width(), nearest.width()), min(window.height(), nearest.height())
     x = min(max(window.left(), nearest.left()), nearest.left() + nearest.width() - width)
     y = min(max(window.top(), nearest.top()), nearest.top() + nearest.height() - height)
     return QRect(x, y, width, height)
-
-
-def _away(screen: QRect, window: QRect) -> int:
-    between = screen.center() - window.center()
-    return between.manhattanLength()

@@ -38,8 +38,7 @@ class StackPage(LivePage):
 
     def __init__(self, theme: Theme) -> None:
         super().__init__(theme)
-        titles = {"left": "Tactile L", "right": "Tactile R"}
-        self.captions = {f: Panel(titles[f], self.tactile[f]) for f in FINGERS}
+        self.captions = {f: Panel(f"Tactile {f[0].upper()}", self.tactile[f]) for f in FINGERS}
         self.traces_panel = TracesPanel("Force and moment at the wrist", self.force, self.moment)
         self.decision = DecisionPanel(self.approved.emit, self.declined.emit)
         self.trial = TrialPanel(theme)

@@ -32,7 +32,6 @@ from touchdown.widgets.views import (
     TRUE_MARGIN,
     BeliefScene,
     DecisionText,
-    Score,
     caption_of,
     decision_text,
     signed_mm,
@@ -198,9 +197,6 @@ class StackPresenter:
         begun = any(look.belief is not None for look in trials[-1].probes)
         return trials[-1] if begun else trials[-2]
 
-    def _draw_score(self) -> None:
-        self._page.score.show_score(self._score())
-
     def _draw_decision(self) -> None:
         trial = self._shown_trial()
         if trial is not None and trial.probes:
@@ -292,7 +288,7 @@ class StackPresenter:
             self._scenes[key] = kept
         return kept[1]
 
-    def _score(self) -> Score:
+    def _draw_score(self) -> None:
         head, last = self.story.head, ""
         for trial in reversed(self.story.trials):
             if trial.finished is not None:
@@ -300,7 +296,8 @@ class StackPresenter:
                 probes = count_noun(done.probes, "probe")
                 last = f"Seed {done.seed}: {OUTCOME_WORDS[done.outcome]} after {probes}."
                 break
-        return run_score(self.story.trials, head.trials if head is not None else 0, last)
+        planned = head.trials if head is not None else 0
+        self._page.score.show_score(run_score(self.story.trials, planned, last))
 
 
 def stack_request(form: RunForm) -> StackRequest:

@@ -179,7 +179,7 @@ class TrainPresenter:
         page.split.show_rows(words.split_rows(overview))
         page.split_panel.detail.setText(overview.piece)
         page.leaks.setText(words.split_text(overview, looked.trouble))
-        self._show_runs()
+        self.choose()
         if not page.runs.chosen() and self.runs:
             page.runs.choose([next(iter(self.runs))])
 
@@ -301,7 +301,7 @@ class TrainPresenter:
             others = {uuid: one for uuid, one in self.runs.items() if uuid != run.uuid}
             first = run.uuid not in self.runs
             self.runs = {run.uuid: run, **others} if first else {**self.runs, run.uuid: run}
-            self._show_runs()
+            self.choose()
             if choose:
                 self._page.runs.choose([run.uuid])
 
@@ -310,7 +310,7 @@ class TrainPresenter:
     # -- showing ----------------------------------------------------------------------------------
 
     def choose(self) -> None:
-        """Show the results of the chosen training runs."""
+        """Show the training runs and the results of the chosen ones."""
         self._show_rows()
         self._show_chosen()
         self.show_buttons()
@@ -331,11 +331,9 @@ class TrainPresenter:
                 why_not=why,
             )
         )
-        use = self.in_use
-        fresh = run is not None and run.card is not None
-        if fresh and run is not None and run.card is not None and use is not None:
-            fresh = not words.is_in_use(run.card, use)
-        page.promote.setEnabled(fresh)
+        use, card = self.in_use, None if run is None else run.card
+        used = card is not None and use is not None and words.is_in_use(card, use)
+        page.promote.setEnabled(card is not None and not used)
         page.roll_back.setEnabled(use is not None and use.before is not None)
         page.in_use.setText(words.model_in_use_text(use))
 
@@ -349,11 +347,6 @@ class TrainPresenter:
     def _chosen_alone(self) -> TrainingRun | None:
         chosen = self._chosen()
         return chosen[0] if len(chosen) == 1 else None
-
-    def _show_runs(self) -> None:
-        self._show_rows()
-        self._show_chosen()
-        self.show_buttons()
 
     def _show_rows(self) -> None:
         chosen = self._page.runs.chosen()
@@ -410,7 +403,7 @@ class TrainPresenter:
 
     def _take_use(self, in_use: ModelInUse | None) -> None:
         self.in_use = in_use
-        self._show_runs()
+        self.choose()
 
     def _failed(self, error: Exception) -> None:
         self._page.show_busy(False)

@@ -9,12 +9,11 @@ from pathlib import Path
 from touchdown.app.shell import count_noun
 from touchdown.backend.annotations import LABEL_CHOICES
 from touchdown.backend.bench import model_in_use
-from touchdown.backend.core import FloatArray, InputError
+from touchdown.backend.core import InputError
 from touchdown.backend.geometry import face_points, load_pieces
 from touchdown.backend.learning import (
     SHIPPED_MODEL,
     ModelRegistry,
-    SamplePrediction,
     TrainingCandidate,
     TrainingRun,
     TrainingSetOverview,
@@ -81,7 +80,10 @@ class TrainingReader:
             found, form.piece, form.held_out / 100, form.seed, divide_series=form.divide_series
         )
         runs = tuple(list_training_runs(data))
-        piece = seen.piece or _piece_of(runs) or self._changed_last()
+        piece = seen.piece or (str(runs[0].about.params.get("piece", "")) if runs else "")
+        if not piece and (history := self._registry.history()):
+            # Without data the model that was changed last can be rolled back.
+            piece = history[-1].piece
         return TrainingLookup(seen, runs, self.in_use(piece), trouble)
 
     def in_use(self, piece: str) -> ModelInUse | None:
@@ -94,11 +96,6 @@ class TrainingReader:
         return ModelInUse(
             piece, sha256, self._registry.before(piece), since_ns, self._probes(piece)
         )
-
-    def _changed_last(self) -> str:
-        """Return the piece whose model was changed last, for a roll-back without data."""
-        history = self._registry.history()
-        return history[-1].piece if history else ""
 
     def _probes(self, piece: str) -> int | None:
         """Return the number of hardware evaluation probes of a simulation model, else None."""
@@ -144,13 +141,8 @@ def sample_scenes(run: TrainingRun) -> list[SampleScene]:
     samples = load_samples(run.folder)
     piece = str(run.about.params.get("piece", ""))
     points = face_points(load_pieces().piece(piece).face)
-    return [_scene(sample, points) for sample in samples if len(points) == len(sample.truth)]
-
-
-def _scene(sample: SamplePrediction, points: FloatArray) -> SampleScene:
-    detail = f"IoU {100 * sample.iou:.0f} %"
-    return SampleScene(points, sample.probability, sample.truth, sample.bottom, detail)
-
-
-def _piece_of(runs: Sequence[TrainingRun]) -> str:
-    return str(runs[0].about.params.get("piece", "")) if runs else ""
+    return [
+        SampleScene(points, s.probability, s.truth, s.bottom, f"IoU {100 * s.iou:.0f} %")
+        for s in samples
+        if len(points) == len(s.truth)
+    ]

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from datetime import datetime
 from typing import Any
 
-from touchdown.app.shell import error_card
+from touchdown.app.shell import duration_text, error_card
 from touchdown.app.train.reading import ModelInUse
 from touchdown.backend.core import FaultError, InputError
 from touchdown.backend.episodes import group_noun
@@ -174,7 +174,7 @@ def remaining_time_text(done: int, total: int, seconds: Sequence[float]) -> str:
         return f"epoch {done} of {total}"
     recent = seconds[-5:]
     left_s = (total - done) * sum(recent) / len(recent)
-    return f"epoch {done} of {total}, about {_duration(left_s)} left"
+    return f"epoch {done} of {total}, about {duration_text(max(left_s, 1.0))} left"
 
 
 def failure_card(error: Exception) -> CardText:
@@ -217,9 +217,3 @@ def _setting(value: object) -> str:
 
 def _model(sha256: str) -> str:
     return "the one that ships" if sha256 == SHIPPED_MODEL else f"model {sha256[:8]}"
-
-
-def _duration(seconds: float) -> str:
-    if seconds < 90:
-        return f"{max(seconds, 1):.0f} s"
-    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"

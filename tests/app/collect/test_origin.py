@@ -9,16 +9,11 @@ from PySide6.QtCore import Qt
 
 from tests.app.collect.conftest import CAMPAIGN, PROBES
 from tests.app.conftest import settle
-from touchdown.app.collect.origin import (
-    CampaignPace,
-    OriginCheckNote,
-    RecorderGauge,
-    duration_text,
-    residual_text,
-)
+from touchdown.app.collect.origin import CampaignPace, OriginCheckNote, RecorderGauge, residual_text
 from touchdown.app.collect.probes import PairProbes, ProbeRecord, displacement_text, grip_text
 from touchdown.app.collect.requests import probe_text
 from touchdown.app.collect.workspace import CollectMemory
+from touchdown.app.shell.bench_text import duration_text
 from touchdown.app.shell.settings import restore_form
 from touchdown.backend.core.events import (
     DecisionAwaited,

@@ -1,8 +1,11 @@
 """The window on the stand-in bench, closed and deleted after each test."""
 
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+from PySide6.QtTest import QTest
+from PySide6.QtWidgets import QApplication
 
 from tests.app.stand_in import StandInBench
 from tests.prompt_window import prompt
@@ -10,6 +13,29 @@ from touchdown.app.application import TouchdownApp
 from touchdown.app.shell.errors import ErrorBox
 
 __all__ = ["prompt"]
+
+
+@contextmanager
+def opened(folder: Path, bench=None, *, active=False):
+    """Open a window with its files in ``folder``; it is closed and deleted afterwards.
+
+    ``active``: shown with the keyboard focus. Its pump is ticked by hand.
+    """
+    application = QApplication.instance()
+    made = TouchdownApp(application, ErrorBox(), folder / "window.json", folder / "runs")
+    try:
+        if bench is not None:
+            made.attach(bench)
+        if active:
+            made.window.show()
+            made.window.activateWindow()
+            assert QTest.qWaitForWindowActive(made.window, 60_000)
+        yield made
+    finally:
+        made.close()
+        made.window.deleteLater()
+        made.deleteLater()
+        QApplication.processEvents()
 
 
 @pytest.fixture
@@ -20,11 +46,8 @@ def bench():
 @pytest.fixture
 def main(qapp, qtbot, tmp_path: Path):
     """A window without a bench; its pump is ticked by hand."""
-    made = TouchdownApp(qapp, ErrorBox(), tmp_path / "window.json", tmp_path / "runs")
-    yield made
-    made.close()
-    made.window.deleteLater()
-    made.deleteLater()
+    with opened(tmp_path) as made:
+        yield made
 
 
 @pytest.fixture
@@ -41,8 +64,6 @@ def live(main, bench, qtbot):
 
 def settle(main, ticks=12):
     """Turn the pump until everything waiting is shown."""
-    from PySide6.QtWidgets import QApplication
-
     for _ in range(ticks):
         main.pump.tick()
         QApplication.processEvents()

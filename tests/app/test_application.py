@@ -5,6 +5,7 @@ import os
 import signal
 import time
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
@@ -12,13 +13,12 @@ from PySide6.QtCore import QEventLoop, Qt, QTimer
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication, QPushButton
 
-from tests.app.conftest import settle
+from tests.app.conftest import opened, settle
 from tests.app.slot_watch import SLOT_S, SlotWatch
 from tests.app.stand_in import StandInBench
 from tests.app.tiny_packs import EPISODES, write_tiny_packs
 from tests.app.yardstick import USUAL_S, Yardstick
 from touchdown.app.application import TouchdownApp
-from touchdown.app.shell.errors import ErrorBox
 from touchdown.app.shell.settings import load_settings
 from touchdown.app.workspaces import WORKSPACES
 from touchdown.backend.bench.assembly import model_in_use, simulated_session
@@ -33,17 +33,8 @@ from touchdown.widgets.shell.fault_cards import FaultCard
 @pytest.fixture
 def window(qapp, tmp_path, qtbot):
     """Make a window on what is written into its folder first."""
-    made = []
-
-    def open_window():
-        made.append(TouchdownApp(qapp, ErrorBox(), tmp_path / "window.json", tmp_path / "runs"))
-        return made[-1]
-
-    yield open_window
-    for main in made:
-        main.close()
-        main.window.deleteLater()
-        main.deleteLater()
+    with ExitStack() as made:
+        yield lambda: made.enter_context(opened(tmp_path))
 
 
 def test_only_the_page_in_front_is_made_and_every_command_is_known(main):
@@ -186,9 +177,8 @@ def test_no_slot_takes_long_while_a_probe_goes_on_and_pages_change(qapp, qtbot, 
     opened = session.open
     session.open = lambda: opened(FASTER)
     yardstick = Yardstick()
-    main = TouchdownApp(qapp, ErrorBox(), tmp_path / "window.json", tmp_path / "runs")
-    main.window.show()
-    try:
+    with opened(tmp_path) as main:
+        main.window.show()
         for name in (*main.workspaces, "operate"):
             # A page is laid out when it is first seen: once, and not while something moves.
             main.go(name)
@@ -216,10 +206,6 @@ def test_no_slot_takes_long_while_a_probe_goes_on_and_pages_change(qapp, qtbot, 
         qtbot.waitUntil(lambda: len(seen) > VISITS * len(main.workspaces), timeout=60_000)
         timer.stop()
         yardstick.measure(TIMES)
-    finally:
-        main.close()
-        main.window.deleteLater()
-        main.deleteLater()
     assert watch.turns > len(seen)
     assert set(watch.visits) == set(main.workspaces)
     # A slot that is too long is so at every visit; a crowded machine is not.
@@ -243,12 +229,8 @@ class Desk:
     """The window as a person uses it."""
 
     def __init__(self, main: TouchdownApp, qtbot, data: Path) -> None:
-        self.main, self.workspace, self._qtbot, self.data = (
-            main,
-            main.workspaces["train"],
-            qtbot,
-            data,
-        )
+        self.main, self._qtbot, self.data = main, qtbot, data
+        self.workspace = main.workspaces["train"]
         self.page = self.workspace.page
 
     @property
@@ -286,55 +268,39 @@ def desk(qapp, qtbot, tmp_path, packs) -> Iterator[Desk]:
     data.mkdir()
     for file in packs.glob("*.mcap"):
         (data / file.name).hardlink_to(file)
-    main = TouchdownApp(qapp, ErrorBox(), tmp_path / "window.json", tmp_path / "runs")
-    with qtbot.waitActive(main.window, timeout=60_000):
-        main.window.show()
-        main.window.activateWindow()
-    made = Desk(main, qtbot, data)
-    made.press(KEY.Key_3, CTRL)
-    made.settle()
-    made.workspace.take_folder(data)
-    made.settle()
-    yield made
-    main.close()
-    main.window.deleteLater()
-    main.deleteLater()
+    with opened(tmp_path, active=True) as main:
+        made = Desk(main, qtbot, data)
+        made.press(KEY.Key_3, CTRL)
+        made.settle()
+        made.workspace.take_folder(data)
+        made.settle()
+        yield made
 
 
-def test_without_data_the_page_says_how_to_get_some(qapp, qtbot, tmp_path):
-    main = TouchdownApp(qapp, ErrorBox(), tmp_path / "window.json", tmp_path / "runs")
+def test_without_data_the_page_says_how_to_get_some(main, qtbot):
     main.go("train")
     page = main.workspaces["train"].page
     qtbot.waitUntil(lambda: bool(page.leaks.text()), timeout=60_000)
     assert "Collect probes (Ctrl+2)" in page.leaks.text()
     assert not page.form.start.isEnabled()
     assert main.cards.codes == ()
-    main.close()
-    main.window.deleteLater()
-    main.deleteLater()
 
 
-def test_a_model_of_data_that_is_gone_is_rolled_back_by_its_key(qapp, qtbot, tmp_path):
+def test_a_model_of_data_that_is_gone_is_rolled_back_by_its_key(qtbot, tmp_path):
     registry = ModelRegistry(models_folder())
     mine = registry.promote(model_in_use("pot", None), "Ann").weights_sha256
-    main = TouchdownApp(qapp, ErrorBox(), tmp_path / "window.json", tmp_path / "runs")
-    with qtbot.waitActive(main.window, timeout=60_000):
-        main.window.show()
-        main.window.activateWindow()
-    desk = Desk(main, qtbot, tmp_path / "gone")
-    desk.press(KEY.Key_3, CTRL)
-    desk.until(lambda: desk.page.roll_back.isEnabled())
-    assert not desk.page.form.start.isEnabled(), "there is nothing to train on"
-    assert f"model {mine[:8]}" in desk.page.in_use.text()
-    desk.press(KEY.Key_P, CTRL | SHIFT)
-    desk.settle()
-    assert registry.in_use("pot") is None
-    assert desk.page.in_use.text().startswith("In use for pot: the model that ships.")
-    assert not desk.page.roll_back.isEnabled()
-    assert main.cards.codes == ()
-    main.close()
-    main.window.deleteLater()
-    main.deleteLater()
+    with opened(tmp_path, active=True) as main:
+        desk = Desk(main, qtbot, tmp_path / "gone")
+        desk.press(KEY.Key_3, CTRL)
+        desk.until(lambda: desk.page.roll_back.isEnabled())
+        assert not desk.page.form.start.isEnabled(), "there is nothing to train on"
+        assert f"model {mine[:8]}" in desk.page.in_use.text()
+        desk.press(KEY.Key_P, CTRL | SHIFT)
+        desk.settle()
+        assert registry.in_use("pot") is None
+        assert desk.page.in_use.text().startswith("In use for pot: the model that ships.")
+        assert not desk.page.roll_back.isEnabled()
+        assert main.cards.codes == ()
 
 
 def test_counts_and_leaks_are_there_before_training(desk):

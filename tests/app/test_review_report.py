@@ -6,10 +6,9 @@ import pytest
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QApplication, QFileDialog, QWidget
 
-from touchdown.app.application import TouchdownApp
+from tests.app.conftest import opened
 from touchdown.app.review import reports
 from touchdown.app.review.reports import recolour_drawing, render_drawing
-from touchdown.app.shell.errors import ErrorBox
 from touchdown.backend.experiments.document import INK, reliability_chart
 from touchdown.backend.experiments.results import read_report
 from touchdown.widgets.base.theme import DARK, LIGHT, Theme, load_resources
@@ -20,16 +19,12 @@ FULL = Path(__file__).parents[2] / "docs/results/tables-full.json"
 
 @pytest.fixture
 def review(qapp, qtbot, tmp_path):
-    main = TouchdownApp(qapp, ErrorBox(), tmp_path / "window.json", tmp_path / "runs")
-    main.window.show()
-    main.go("review")
-    workspace = main.workspaces["review"]
-    qtbot.waitUntil(lambda: not workspace.reader.busy, timeout=60_000)
-    yield workspace
-    main.close()
-    main.window.deleteLater()
-    main.deleteLater()
-    QApplication.processEvents()
+    with opened(tmp_path) as main:
+        main.window.show()
+        main.go("review")
+        workspace = main.workspaces["review"]
+        qtbot.waitUntil(lambda: not workspace.reader.busy, timeout=60_000)
+        yield workspace
 
 
 def open_report(review, qtbot, file):

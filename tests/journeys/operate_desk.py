@@ -3,11 +3,11 @@
 import pytest
 from PySide6.QtCore import QEvent, Qt
 from PySide6.QtGui import QKeyEvent
+from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication
 
+from tests.app.conftest import opened
 from tests.backend.bench.brisk import brisk_bench
-from touchdown.app.application import TouchdownApp
-from touchdown.app.shell.errors import ErrorBox
 from touchdown.backend.bench.assembly import simulated_session
 from touchdown.backend.core.values import Pose
 from touchdown.backend.runs.recorder import RecordingOptions
@@ -17,16 +17,23 @@ STEP_S = 0.02
 
 
 class SteppedSession:
-    """A session whose time the test turns."""
+    """A session whose time the test turns; everything else is the session itself."""
 
     def __init__(self, session):
-        self._session = session
+        object.__setattr__(self, "session", session)
 
     def __getattr__(self, name):
-        return getattr(self._session, name)
+        return getattr(self.session, name)
+
+    def __setattr__(self, name, value):
+        setattr(self.session, name, value)
 
     def open(self):
         """No thread."""
+
+    def step(self):
+        self.session.engine.tick()
+        self.session.advance()
 
 
 @pytest.fixture
@@ -38,17 +45,13 @@ def desk(qapp, qtbot, tmp_path):
     motion = session._stage.arm.move_to(Pose(0.0, 0.0, 80.0), 50.0)
     while not motion.done:
         session.advance()
-    main = TouchdownApp(qapp, ErrorBox(), tmp_path / "window.json", tmp_path / "runs")
-    main.attach(SteppedSession(session))
-    main.go("operate")
-    with qtbot.waitActive(main.window, timeout=60_000):
+    with opened(tmp_path, SteppedSession(session)) as main:
+        main.go("operate")
         main.window.show()
         main.window.activateWindow()
-    turn(main, session, 0.1)
-    yield main, session
-    main.close()
-    main.window.deleteLater()
-    main.deleteLater()
+        assert QTest.qWaitForWindowActive(main.window, 60_000)
+        turn(main, session, 0.1)
+        yield main, session
 
 
 def turn(main, session, seconds, held=False):

@@ -5,9 +5,9 @@ from PySide6.QtCore import Qt
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication
 
+from tests.app.conftest import opened
 from tests.backend.bench.brisk import brisk_bench, brisk_method
-from touchdown.app.application import TouchdownApp
-from touchdown.app.shell.errors import ErrorBox
+from tests.journeys.operate_desk import SteppedSession
 from touchdown.backend.annotations.dataset import Dataset
 from touchdown.backend.annotations.values import EpisodeFilter
 from touchdown.backend.bench.assembly import simulated_session
@@ -18,22 +18,6 @@ KEY = Qt.Key
 pytestmark = pytest.mark.slow
 
 
-class Stepped:
-    """A session whose time the test turns."""
-
-    def __init__(self, session):
-        object.__setattr__(self, "session", session)
-
-    def __getattr__(self, name):
-        return getattr(self.session, name)
-
-    def __setattr__(self, name, value):
-        setattr(self.session, name, value)
-
-    def open(self):
-        """No thread."""
-
-
 @pytest.fixture
 def desk(qapp, qtbot, tmp_path, isolated_settings):
     session = simulated_session(
@@ -42,24 +26,16 @@ def desk(qapp, qtbot, tmp_path, isolated_settings):
         method=brisk_method(),
     )
     session.prepare(SceneChoice())
-    main = TouchdownApp(qapp, ErrorBox(), tmp_path / "window.json", tmp_path / "runs")
-    main.attach(Stepped(session))
-    with qtbot.waitActive(main.window, timeout=60_000):
-        main.window.show()
-        main.window.activateWindow()
-    press(main, KEY.Key_2, Qt.KeyboardModifier.ControlModifier)
-    collect = main.workspaces["collect"]
-    person = collect.collect_page.target.person
-    person.setFocus()
-    QTest.keyClicks(person, "Ann")
-    QTest.keyClick(person, KEY.Key_Return)
-    collect.collect_page.setFocus()
-    qtbot.waitUntil(lambda: collect.presenter.dataset is not None, timeout=60_000)
-    yield main, session, collect
-    main.close()
-    main.window.deleteLater()
-    main.deleteLater()
-    QApplication.processEvents()
+    with opened(tmp_path, SteppedSession(session), active=True) as main:
+        press(main, KEY.Key_2, Qt.KeyboardModifier.ControlModifier)
+        collect = main.workspaces["collect"]
+        person = collect.collect_page.target.person
+        person.setFocus()
+        QTest.keyClicks(person, "Ann")
+        QTest.keyClick(person, KEY.Key_Return)
+        collect.collect_page.setFocus()
+        qtbot.waitUntil(lambda: collect.presenter.dataset is not None, timeout=60_000)
+        yield main, session, collect
 
 
 def press(main, key, modifiers=Qt.KeyboardModifier.NoModifier):

@@ -18,9 +18,8 @@ from PySide6.QtCore import Qt
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication
 
+from tests.app.conftest import opened
 from tests.busy_computer import STARVED
-from touchdown.app.application import TouchdownApp
-from touchdown.app.shell.errors import ErrorBox
 from touchdown.app.start import open_bench
 from touchdown.backend.core.events import RunFinished
 from touchdown.backend.devices.protocols import DeviceState
@@ -53,18 +52,15 @@ def served(tmp_path):
 
 @pytest.fixture
 def desk(qapp, qtbot, served, tmp_path):
-    main = TouchdownApp(qapp, ErrorBox(), tmp_path / "window.json", tmp_path / "runs")
-    main.window.show()
-    # Behind a page that draws little: what is drawn here takes time from the stream of the arm.
-    main.go("train")
-    link = open_bench(served[0])
-    main.attach(link)
-    link.interlock.override_speed(1.0)
-    main.pump.start()
-    yield main, link
-    main.close()
-    main.window.deleteLater()
-    main.deleteLater()
+    with opened(tmp_path) as main:
+        main.window.show()
+        # Behind a page that draws little: what is drawn here takes time from the stream of the arm.
+        main.go("train")
+        link = open_bench(served[0])
+        main.attach(link)
+        link.interlock.override_speed(1.0)
+        main.pump.start()
+        yield main, link
 
 
 def wait(condition, turn=QApplication.processEvents, limit_s=LIMIT_S):

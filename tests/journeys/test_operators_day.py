@@ -5,9 +5,9 @@ from PySide6.QtCore import Qt
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication
 
+from tests.app.conftest import opened
 from tests.backend.bench.brisk import brisk_bench, brisk_method
-from touchdown.app.application import TouchdownApp
-from touchdown.app.shell.errors import ErrorBox
+from tests.journeys.operate_desk import SteppedSession
 from touchdown.backend.bench.assembly import simulated_session
 from touchdown.backend.runs.recorder import RecordingOptions
 from touchdown.backend.runs.requests import RunState, SceneChoice
@@ -15,22 +15,6 @@ from touchdown.backend.runs.requests import RunState, SceneChoice
 KEY, CTRL, SHIFT = Qt.Key, Qt.KeyboardModifier.ControlModifier, Qt.KeyboardModifier.ShiftModifier
 PROBES = 2
 pytestmark = pytest.mark.slow
-
-
-class SteppedSession:
-    """A session whose time the test turns."""
-
-    def __init__(self, session):
-        object.__setattr__(self, "session", session)
-
-    def __getattr__(self, name):
-        return getattr(self.session, name)
-
-    def __setattr__(self, name, value):
-        setattr(self.session, name, value)
-
-    def open(self):
-        """No thread."""
 
 
 class Day:
@@ -66,15 +50,8 @@ class Day:
 
 @pytest.fixture
 def day(qapp, qtbot, tmp_path):
-    main = TouchdownApp(qapp, ErrorBox(), tmp_path / "window.json", tmp_path / "runs")
-    with qtbot.waitActive(main.window, timeout=60_000):
-        main.window.show()
-        main.window.activateWindow()
-    yield Day(main, qtbot)
-    main.close()
-    main.window.deleteLater()
-    main.deleteLater()
-    QApplication.processEvents()
+    with opened(tmp_path, active=True) as main:
+        yield Day(main, qtbot)
 
 
 def test_an_operators_day(day, tmp_path):

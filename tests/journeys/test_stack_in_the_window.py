@@ -6,9 +6,9 @@ from PySide6.QtCore import Qt
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication
 
+from tests.app.conftest import opened
 from tests.backend.bench.brisk import brisk_bench, brisk_method
-from touchdown.app.application import TouchdownApp
-from touchdown.app.shell.errors import ErrorBox
+from tests.journeys.operate_desk import SteppedSession
 from touchdown.backend.bench import assembly
 from touchdown.backend.core.faults import RefusedError
 from touchdown.backend.core.values import ContactPatch, Outcome
@@ -38,44 +38,21 @@ class KnowsTheBottom:
         return ContactPatch(self._points.copy(), 1 / (1 + np.exp(-np.clip(1.2 * inside, -4, 4))))
 
 
-class SteppedSession:
-    """A session whose time the test turns; everything else is the session itself."""
-
-    def __init__(self, session):
-        self._session = session
-
-    def __getattr__(self, name):
-        return getattr(self._session, name)
-
-    def open(self):
-        """No thread."""
-
-    def step(self):
-        self._session.engine.tick()
-        self._session.advance()
-
-
 @pytest.fixture
 def desk(qapp, qtbot, tmp_path, monkeypatch):
     monkeypatch.setattr(
         assembly.Estimator, "load", staticmethod(lambda path, piece: KnowsTheBottom(piece))
     )
-    runs = tmp_path / "runs"
-    session = assembly.simulated_session(
-        brisk_bench(), keep=RecordingOptions(runs, episodes=False), method=brisk_method()
-    )
+    keep = RecordingOptions(tmp_path / "runs", episodes=False)
+    session = assembly.simulated_session(brisk_bench(), keep=keep, method=brisk_method())
     session.prepare(SceneChoice())
     link = SteppedSession(session)
-    main = TouchdownApp(qapp, ErrorBox(), tmp_path / "window.json", runs)
-    main.attach(link)
-    main.window.show()
-    qtbot.waitExposed(main.window, timeout=60_000)
-    for _ in range(12):
-        main.pump.tick()
-    yield main, link
-    main.close()
-    main.window.deleteLater()
-    main.deleteLater()
+    with opened(tmp_path, link) as main:
+        main.window.show()
+        qtbot.waitExposed(main.window, timeout=60_000)
+        for _ in range(12):
+            main.pump.tick()
+        yield main, link
 
 
 def turn_until(main, link, done, most=1500):

@@ -6,13 +6,10 @@ import numpy as np
 import pytest
 from PySide6.QtCore import Qt
 from PySide6.QtTest import QTest
-from PySide6.QtWidgets import QApplication
 
-from tests.app.conftest import settle
+from tests.app.conftest import opened, settle
 from tests.app.label.conftest import make_episode
 from tests.app.stand_in import StandInBench
-from touchdown.app.application import TouchdownApp
-from touchdown.app.shell.errors import ErrorBox
 from touchdown.backend.annotations.dataset import Dataset
 from touchdown.backend.annotations.values import EpisodeContext, Label
 from touchdown.backend.core.events import CampaignBegan, ProbeCollected, RunStarted
@@ -86,18 +83,10 @@ def unnamed(qapp, qtbot, collected, isolated_settings, tmp_path):
     place = isolated_settings / "data" / "dataset"
     shutil.copytree(collected, place)
     bench = StandInBench()
-    main = TouchdownApp(qapp, ErrorBox(), tmp_path / "window.json", tmp_path / "runs")
-    main.attach(bench)
-    with qtbot.waitActive(main.window, timeout=60_000):
-        main.window.show()
-        main.window.activateWindow()
-    made = Page(main, bench, qtbot)
-    made.press(KEY.Key_2, Qt.KeyboardModifier.ControlModifier)
-    yield made
-    main.close()
-    main.window.deleteLater()
-    main.deleteLater()
-    QApplication.processEvents()
+    with opened(tmp_path, bench, active=True) as main:
+        made = Page(main, bench, qtbot)
+        made.press(KEY.Key_2, Qt.KeyboardModifier.ControlModifier)
+        yield made
 
 
 @pytest.fixture

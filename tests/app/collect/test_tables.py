@@ -185,13 +185,6 @@ def test_keys_of_one_half_do_nothing_in_the_other(page):
     assert {e.uuid: e.state for e in page.presenter.dataset.episodes()} == before
 
 
-def test_no_key_of_the_workspace_clashes(page):
-    keys = [row.key for row in page.main.actions.rows if row.context == "collect" and row.key]
-    assert len(keys) == len(set(keys))
-    names = [row.id for row in page.main.actions.rows if row.command is not None]
-    assert len(names) == len(set(names))
-
-
 PAGES_TWICE_AS_FINE = """
 import sys
 from pathlib import Path

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 import threading
+from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +13,9 @@ from PySide6.QtCore import Qt
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication
 
+from tests.app.conftest import opened
 from tests.app.stand_in import REST
 from touchdown.app.application import TouchdownApp
-from touchdown.app.shell.errors import ErrorBox
 from touchdown.backend.annotations.dataset import Dataset
 from touchdown.backend.annotations.values import EpisodeContext, Label
 from touchdown.backend.core.values import (
@@ -151,29 +152,18 @@ def folder(template, isolated_settings) -> Path:
 @pytest.fixture
 def start(qapp, qtbot, folder, tmp_path):
     """Return what starts the application anew, as after a restart of the computer."""
-    running: list[TouchdownApp] = []
+    with ExitStack() as running:
 
-    def stop() -> None:
-        while running:
-            made = running.pop()
-            made.close()
-            made.window.deleteLater()
-            made.deleteLater()
-            QApplication.processEvents()
+        def begin(person: str = "Ann", sigma_mm: float | None = 0.2) -> Desk:
+            running.close()
+            desk = Desk(running.enter_context(opened(tmp_path)), qtbot)
+            desk.workspace.recall({"person": person, "sigma_mm": sigma_mm})
+            desk.open()
+            if person:
+                desk.settle()
+            return desk
 
-    def begin(person: str = "Ann", sigma_mm: float | None = 0.2) -> Desk:
-        stop()
-        made = TouchdownApp(qapp, ErrorBox(), tmp_path / "window.json", tmp_path / "runs")
-        running.append(made)
-        desk = Desk(made, qtbot)
-        desk.workspace.recall({"person": person, "sigma_mm": sigma_mm})
-        desk.open()
-        if person:
-            desk.settle()
-        return desk
-
-    yield begin
-    stop()
+        yield begin
 
 
 @pytest.fixture

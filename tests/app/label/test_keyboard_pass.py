@@ -7,7 +7,7 @@ from PySide6.QtCore import QEvent, QObject, Qt
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication
 
-from tests.app.label.conftest import CTRL, ITEMS, KEY, PUNCTUATION, SHIFT, WITHOUT_LABEL
+from tests.app.label.conftest import CTRL, ITEMS, KEY, SHIFT, WITHOUT_LABEL
 from tests.app.stand_in import StandInBench
 
 
@@ -268,9 +268,3 @@ def test_reading_ahead_holds_no_more_than_seven_episodes(desk):
     for _ in range(5):
         desk.do(KEY.Key_PageUp)
         assert len(walk.held()) <= 7
-
-
-def test_minus_begins_a_displacement(desk):
-    desk.press(PUNCTUATION["-"])
-    desk.settle()
-    assert desk.page.entry.text() == "-"

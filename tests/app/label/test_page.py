@@ -320,14 +320,6 @@ def item(seen=None, model=None, pictures=True, doubt=None):
     return SimpleNamespace(scene=scene, model=felt, doubt=doubt)
 
 
-def replace_doubt(seen, doubt):
-    return SimpleNamespace(scene=seen.scene, model=seen.model, doubt=doubt)
-
-
-def replace_base(now, rev_uuid):
-    return replace(now, base=SimpleNamespace(**{**vars(now.base), "rev_uuid": rev_uuid}))
-
-
 class TestBadge:
     def test_a_slip_that_the_camera_saw_is_told_in_sigmas(self):
         sigma = np.hypot(0.15, 0.12)
@@ -347,8 +339,13 @@ class TestBadge:
     def test_the_other_episodes_are_asked_before_the_model(self):
         seen = item(None, model=(9.0, 0.0), pictures=False, doubt=("r1", 16.0))
         assert evidence_badges(edit(1.0), seen) == ("signals 4.0 \u03c3 off",)
-        assert evidence_badges(edit(1.0), replace_doubt(seen, ("r1", 8.0))) == ()
-        for judged in (edit(1.0).placed(2.0, 0.0), replace_base(edit(1.0), "r2")):
+        assert (
+            evidence_badges(edit(1.0), SimpleNamespace(**{**vars(seen), "doubt": ("r1", 8.0)}))
+            == ()
+        )
+        later = edit(1.0)
+        later.base.rev_uuid = "r2"
+        for judged in (edit(1.0).placed(2.0, 0.0), later):
             assert evidence_badges(judged, seen)[0].startswith("model")  # another label was judged
 
     def test_a_label_without_displacement_has_none(self):

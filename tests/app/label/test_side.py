@@ -299,8 +299,6 @@ def test_what_is_remembered_is_checked(start):
 
 
 def test_a_second_window_looks_but_does_not_write(start, folder):
-    from touchdown.backend.annotations.dataset import Dataset
-
     with Dataset.open(folder, person="Zoe"):
         desk = start()
         uuid = desk.uuid

@@ -5,6 +5,7 @@ import csv
 import html
 import io
 import re
+from contextlib import ExitStack
 from dataclasses import replace
 from xml.etree import ElementTree
 
@@ -16,12 +17,11 @@ from PySide6.QtSvg import QSvgRenderer
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication
 
+from tests.app.conftest import opened
 from tests.app.label.conftest import make_episode
 from tests.app.stand_in import StandInBench
-from touchdown.app.application import TouchdownApp
 from touchdown.app.review import exports
 from touchdown.app.review.timing import patch_score, split_into_trials
-from touchdown.app.shell.errors import ErrorBox
 from touchdown.backend.annotations.dataset import Dataset
 from touchdown.backend.annotations.values import EpisodeContext, Label
 from touchdown.backend.core.events import (
@@ -103,25 +103,15 @@ class Review:
 @pytest.fixture
 def start(qapp, qtbot, tmp_path):
     """Return what opens the window at Review."""
-    running = []
+    with ExitStack() as running:
 
-    def begin():
-        main = TouchdownApp(qapp, ErrorBox(), tmp_path / "window.json", tmp_path / "runs")
-        running.append(main)
-        with qtbot.waitActive(main.window, timeout=60_000):
-            main.window.show()
-            main.window.activateWindow()
-        review = Review(main, qtbot)
-        review.press(KEY.Key_5, Qt.KeyboardModifier.ControlModifier)
-        review.settle()
-        return review
+        def begin():
+            review = Review(running.enter_context(opened(tmp_path, active=True)), qtbot)
+            review.press(KEY.Key_5, Qt.KeyboardModifier.ControlModifier)
+            review.settle()
+            return review
 
-    yield begin
-    for main in running:
-        main.close()
-        main.window.deleteLater()
-        main.deleteLater()
-    QApplication.processEvents()
+        yield begin
 
 
 @pytest.fixture

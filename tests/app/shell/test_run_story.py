@@ -4,7 +4,6 @@ import pytest
 from PySide6.QtCore import Qt
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QPushButton
-from scipy.stats import binomtest
 
 from tests.app.conftest import settle
 from tests.app.stand_in import action
@@ -12,10 +11,14 @@ from touchdown.app.shell.settings import load_settings
 from touchdown.app.stack.presenter import stack_request
 from touchdown.backend.core.events import PhaseEntered, TrialFinished
 from touchdown.backend.core.values import Outcome
-from touchdown.backend.learning import wilson_interval
 from touchdown.backend.runs.requests import RunState, StackRequest
 from touchdown.widgets.forms.run_form import RunForm
 from touchdown.widgets.views.belief import NO_PROBE
+
+
+@pytest.fixture
+def page(live):
+    return live.workspaces["stack"].page
 
 
 def told(live, bench, end=None):
@@ -28,19 +31,17 @@ def told(live, bench, end=None):
     settle(live)
 
 
-def test_start_hands_over_what_is_filled_in(live, bench):
-    live.workspaces["stack"].page.run.show_form(
-        RunForm("barrel", "hex20", "long", 11, 5, "pick-and-place", "step")
-    )
-    live.workspaces["stack"].page.run.start.click()
+def test_start_hands_over_what_is_filled_in(live, bench, page):
+    page.run.show_form(RunForm("barrel", "hex20", "long", 11, 5, "pick-and-place", "step"))
+    page.run.start.click()
     assert bench.started == [
         StackRequest("barrel", ("long", "hex20"), 11, 5, "pick-and-place", "step")
     ]
 
 
-def test_a_careful_mode_is_remembered_before_anything_can_crash(live, tmp_path):
-    live.workspaces["stack"].page.run.show_form(RunForm(mode="approve"))
-    live.workspaces["stack"].page.run.start.click()
+def test_a_careful_mode_is_remembered_before_anything_can_crash(live, tmp_path, page):
+    page.run.show_form(RunForm(mode="approve"))
+    page.run.start.click()
     kept, _ = load_settings(tmp_path / "window.json")
     assert kept.pages["stack"]["mode"] == "approve"
 
@@ -49,14 +50,14 @@ def test_a_form_without_a_tower():
     assert stack_request(RunForm(bottom="short", under="")).bottoms == ("short",)
 
 
-def test_a_second_start_is_not_sent(live, bench):
-    live.workspaces["stack"].page.run.start.click()
+def test_a_second_start_is_not_sent(live, bench, page):
+    page.run.start.click()
     live.actions.action("stack.start").trigger()
     assert len(bench.started) == 1
 
 
-def test_buttons_follow_the_state(live, bench):
-    run = live.workspaces["stack"].page.run
+def test_buttons_follow_the_state(live, bench, page):
+    run = page.run
     assert (run.start.isEnabled(), run.pause.isEnabled(), run.cancel.isEnabled()) == (1, 0, 0)
     run.start.click()
     settle(live)
@@ -69,8 +70,9 @@ def test_buttons_follow_the_state(live, bench):
     assert bench.engine.orders == ["pause", "resume", "cancel"]
 
 
-def test_a_run_that_is_held_up_before_its_first_estimate_says_so_and_keeps_its_form(live, bench):
-    page = live.workspaces["stack"].page
+def test_a_run_that_is_held_up_before_its_first_estimate_says_so_and_keeps_its_form(
+    live, bench, page
+):
     bench.tell_start()
     for state, title in (
         (RunState.RUNNING, "Probing"),
@@ -87,9 +89,8 @@ def test_a_run_that_is_held_up_before_its_first_estimate_says_so_and_keeps_its_f
     assert page.run._piece.isEnabled()
 
 
-def test_decision_and_map_show_the_newest_probe(live, bench):
+def test_decision_and_map_show_the_newest_probe(live, bench, page):
     told(live, bench)
-    page = live.workspaces["stack"].page
     assert page.decision._margin.text() == "\N{MINUS SIGN}1.1 mm"
     assert page.belief.scene.belief.probes == 2
     assert len(page.strip.thumbnails) == 2
@@ -97,72 +98,59 @@ def test_decision_and_map_show_the_newest_probe(live, bench):
     assert "probe 2" in page.belief_panel.detail.text()
 
 
-def test_looking_back_and_forward_again(live, bench, qtbot):
+def test_looking_back_and_forward_again(live, bench, qtbot, page):
     told(live, bench)
-    qtbot.mouseClick(live.workspaces["stack"].page.strip.thumbnails[0], Qt.MouseButton.LeftButton)
+    qtbot.mouseClick(page.strip.thumbnails[0], Qt.MouseButton.LeftButton)
     settle(live)
-    assert live.workspaces["stack"].page.belief.scene.belief.probes == 1
-    assert "Looking back" in live.workspaces["stack"].page.decision._text.text()
+    assert page.belief.scene.belief.probes == 1
+    assert "Looking back" in page.decision._text.text()
     bench.tell_probe(3, (1.6, 0.7), 1.6)
     settle(live)
-    assert (
-        live.workspaces["stack"].page.belief.scene.belief.probes == 1
-    )  # stays where the operator looks
-    qtbot.mouseClick(live.workspaces["stack"].page.strip.thumbnails[2], Qt.MouseButton.LeftButton)
+    assert page.belief.scene.belief.probes == 1  # stays where the operator looks
+    qtbot.mouseClick(page.strip.thumbnails[2], Qt.MouseButton.LeftButton)
     settle(live)
-    assert live.workspaces["stack"].page.belief.scene.belief.probes == 3
+    assert page.belief.scene.belief.probes == 3
 
 
-def test_the_true_overlap_appears_only_after_the_trial(live, bench):
+def test_the_true_overlap_appears_only_after_the_trial(live, bench, page):
     told(live, bench)
-    assert live.workspaces["stack"].page.belief.scene.truth is None
+    assert page.belief.scene.truth is None
     bench.tell_end(Outcome.PLACED)
     settle(live)
-    truth = live.workspaces["stack"].page.belief.scene.truth
+    truth = page.belief.scene.truth
     assert truth is not None
     # Start offset told as true, commanded equal to it: the overlap holds the midpoint of both.
     assert len(truth) > 10
 
 
-def test_the_score_counts_and_gives_the_interval(live, bench):
+def test_the_score_counts_and_gives_the_interval(live, bench, page):
     told(live, bench, Outcome.PLACED)
     bench.tell_trial(2)
     bench.tell_end(Outcome.FELL)
     settle(live)
-    score = live.workspaces["stack"].page.score
+    score = page.score
     assert score._count.text() == "1 of 2 placed"
     assert score._rate.text() == "50 % success, 95 % interval 9 to 91 %"
 
 
-@pytest.mark.parametrize(("placed", "trials"), [(0, 10), (8, 10), (50, 60), (10, 10)])
-def test_wilson_against_scipy(placed, trials):
-    expected = binomtest(placed, trials).proportion_ci(0.95, method="wilson")
-    assert wilson_interval(placed, trials) == pytest.approx((expected.low, expected.high), abs=1e-6)
-    assert wilson_interval(0, 0) == (0.0, 1.0)
-
-
-def test_a_trial_without_a_verdict_still_says_how_it_ended(live, bench):
+def test_a_trial_without_a_verdict_still_says_how_it_ended(live, bench, page):
     bench.tell_start()
     bench.tell_end(Outcome.FELL, -2.0)
     settle(live)
-    assert live.workspaces["stack"].page.decision._verdict.text().endswith("Trial 1 fell")
-    assert live.workspaces["stack"].page.decision._margin.text() == "\N{MINUS SIGN}2.0 mm"
+    assert page.decision._verdict.text().endswith("Trial 1 fell")
+    assert page.decision._margin.text() == "\N{MINUS SIGN}2.0 mm"
 
 
 @pytest.mark.parametrize("outcome", list(Outcome))
-def test_a_margin_stands_beside_an_outcome_only_after_a_release(live, bench, outcome):
+def test_a_margin_stands_beside_an_outcome_only_after_a_release(live, bench, outcome, page):
     told(live, bench, outcome)
     released = outcome not in (Outcome.GAVE_UP, Outcome.ABORTED)
-    assert live.workspaces["stack"].page.decision._margin.text() == ("+1.6 mm" if released else "")
-    assert live.workspaces["stack"].page.decision._caption.isVisible() == released
-    assert (
-        live.workspaces["stack"].page.strip.thumbnails[1].caption.text()
-        == "2: est. \N{MINUS SIGN}1.1 mm"
-    )
+    assert page.decision._margin.text() == ("+1.6 mm" if released else "")
+    assert page.decision._caption.isVisible() == released
+    assert page.strip.thumbnails[1].caption.text() == "2: est. \N{MINUS SIGN}1.1 mm"
 
 
-def test_a_trial_stopped_in_its_first_press_tells_one_story(live, bench):
-    page = live.workspaces["stack"].page
+def test_a_trial_stopped_in_its_first_press_tells_one_story(live, bench, page):
     bench.tell_start()
     bench.events.publish(PhaseEntered(bench.clock_s(), "approach", 1))
     settle(live)
@@ -192,53 +180,53 @@ def test_operate_has_no_map_before_a_stacking_run(live, bench):
     assert belief.scene.empty == NO_PROBE
 
 
-def test_an_outcome_stays_until_the_next_trial_has_a_map(live, bench):
+def test_an_outcome_stays_until_the_next_trial_has_a_map(live, bench, page):
     told(live, bench, Outcome.PLACED)
     bench.tell_trial(2)
     settle(live)
-    assert live.workspaces["stack"].page.belief.scene.truth is not None
-    assert live.workspaces["stack"].page.decision._verdict.text().endswith("Trial 1 placed")
-    assert live.workspaces["stack"].page.decision._caption.text() == "true margin"
+    assert page.belief.scene.truth is not None
+    assert page.decision._verdict.text().endswith("Trial 1 placed")
+    assert page.decision._caption.text() == "true margin"
     bench.tell_probe(1, (5.0, 1.0), -2.0)
     settle(live)
-    assert live.workspaces["stack"].page.belief.scene.truth is None
-    assert live.workspaces["stack"].page.belief.scene.path == ((5.0, 1.0),)
-    assert live.workspaces["stack"].page.decision._verdict.text().endswith("Would fall")
-    assert live.workspaces["stack"].page.decision._caption.text() == "estimated margin"
+    assert page.belief.scene.truth is None
+    assert page.belief.scene.path == ((5.0, 1.0),)
+    assert page.decision._verdict.text().endswith("Would fall")
+    assert page.decision._caption.text() == "estimated margin"
 
 
-def test_a_new_run_empties_map_and_message(live, bench):
+def test_a_new_run_empties_map_and_message(live, bench, page):
     told(live, bench, Outcome.PLACED)
     assert "Probe 2" in live.window._message.text()
     bench.tell_start()
     settle(live)
     assert live.window._message.text() == ""
     assert live.window._message.toolTip() == ""
-    assert live.workspaces["stack"].page.belief.scene.belief is None
-    assert live.workspaces["stack"].page.strip.thumbnails == []
+    assert page.belief.scene.belief is None
+    assert page.strip.thumbnails == []
 
 
 @pytest.mark.promise("W15")
 @pytest.mark.parametrize(("key", "mode"), [(Qt.Key.Key_A, "approve"), (Qt.Key.Key_N, "step")])
-def test_approval_is_asked_and_given_by_key(live, bench, key, mode):
-    live.workspaces["stack"].page.run.show_form(RunForm(mode=mode))
+def test_approval_is_asked_and_given_by_key(live, bench, key, mode, page):
+    page.run.show_form(RunForm(mode=mode))
     told(live, bench)
     QTest.keyClick(live.window, key)
     assert bench.answers == []  # nothing waits: nothing is approved in advance
     settle(live)
-    stood = live.workspaces["stack"].page.belief_panel.geometry()
+    stood = page.belief_panel.geometry()
     bench.set_state(RunState.RUNNING, awaiting=action((4.4, 1.9), -1.1))
     settle(live)
-    assert live.workspaces["stack"].page.decision.approve.isVisible()
-    assert live.workspaces["stack"].page.belief_panel.geometry() == stood
+    assert page.decision.approve.isVisible()
+    assert page.belief_panel.geometry() == stood
     assert live.bar.pill.state.word == "YOUR TURN"
     QTest.keyClick(live.window, key)
     assert bench.answers == [True]
 
 
 @pytest.mark.promise("W15")
-def test_a_question_never_stands_beside_the_decision_before(live, bench):
-    decision = live.workspaces["stack"].page.decision
+def test_a_question_never_stands_beside_the_decision_before(live, bench, page):
+    decision = page.decision
     told(live, bench)
     assert "2.2 mm" not in decision.accessibleDescription()
     bench.set_state(RunState.RUNNING, awaiting=action((2.0, 1.0), 2.2), estimated=3)
@@ -252,19 +240,19 @@ def test_a_question_never_stands_beside_the_decision_before(live, bench):
     assert "+2.2 mm" in decision.accessibleDescription()
 
 
-def test_declining(live, bench):
+def test_declining(live, bench, page):
     bench.set_state(RunState.RUNNING, awaiting=action((4.4, 1.9), -1.1))
     settle(live)
-    live.workspaces["stack"].page.decision.decline.click()
+    page.decision.decline.click()
     assert bench.answers == [False]
 
 
-def test_letters_do_nothing_in_a_text_field(live, bench):
+def test_letters_do_nothing_in_a_text_field(live, bench, page):
     bench.set_state(RunState.RUNNING)
     settle(live)
-    live.workspaces["stack"].page.run._seed.setEnabled(True)
-    live.workspaces["stack"].page.run._seed.setFocus()
-    QTest.keyClick(live.workspaces["stack"].page.run._seed, Qt.Key.Key_P)
+    page.run._seed.setEnabled(True)
+    page.run._seed.setFocus()
+    QTest.keyClick(page.run._seed, Qt.Key.Key_P)
     assert bench.engine.orders == []
 
 
@@ -283,7 +271,7 @@ def test_a_fault_becomes_a_card_until_reset(live, bench):
 
 
 @pytest.mark.promise("W5")
-def test_stale_by_the_windows_own_clock(live, bench):
+def test_stale_by_the_windows_own_clock(live, bench, page):
     now_s = [1000.0]
     live.workspaces["stack"].live._now_s = live._chips._now_s = lambda: now_s[0]
     live._chips._drawn_s = 0.0
@@ -294,13 +282,13 @@ def test_stale_by_the_windows_own_clock(live, bench):
     live._chips._drawn_s = 0.0
     settle(live)
     assert live.bar.chips["tactile_left"].value.state == "stale"
-    assert live.workspaces["stack"].page.tactile["left"]._age.value == "stale"
+    assert page.tactile["left"]._age.value == "stale"
     now_s[0] += 2.0
     settle(live)
-    assert live.workspaces["stack"].page.tactile["left"]._age.value == "gone"
+    assert page.tactile["left"]._age.value == "gone"
     bench.turn(0.04)
     settle(live)
-    assert live.workspaces["stack"].page.tactile["left"]._age.value == "fresh"
+    assert page.tactile["left"]._age.value == "fresh"
 
 
 @pytest.mark.promise("W6")
@@ -309,14 +297,14 @@ def test_stale_by_the_windows_own_clock(live, bench):
     [(100, 0, 0), (20, 1, 0), (20, 3, 3), (1000, 20, 0), (1000, 30, 30)],
 )
 def test_lost_frames_are_in_the_tips_and_on_the_chip_where_they_are_many(
-    live, bench, received, lost, shown
+    live, bench, received, lost, shown, page
 ):
     bench.devices["tactile_left"].received = received
     bench.devices["tactile_left"].lost = lost
     bench.turn(0.04)
     live._chips._drawn_s = live.workspaces["stack"].live._headers_s = 0.0
     settle(live)
-    detail = live.workspaces["stack"].page.captions["left"].detail
+    detail = page.captions["left"].detail
     noun = "frame" if lost == 1 else "frames"
     assert detail.text().endswith(" Hz")
     assert detail.toolTip().endswith(f"; {lost} {noun} lost")

@@ -11,20 +11,23 @@ from PySide6.QtCore import QRect, Qt, qWarning
 from PySide6.QtGui import QAction, QImage
 from PySide6.QtWidgets import QAbstractButton, QComboBox, QLabel, QPushButton, QSpinBox, QWidget
 
-from tests.app.conftest import settle
+from tests.app.conftest import opened, settle
 from tests.app.stand_in import StandInBench
-from touchdown.app.application import TouchdownApp
 from touchdown.app.shell.actions import EVERYWHERE_CONTEXT, STOP_BINDINGS, portable_key
 from touchdown.app.shell.errors import ErrorBox, install_error_hooks, log_to
 from touchdown.app.shell.settings import WindowSettings, load_settings, restore_form, save_settings
 from touchdown.app.start import incompatibility
 from touchdown.widgets.base.theme import THEMES
 from touchdown.widgets.forms.run_form import RunForm
+from touchdown.widgets.shell.fault_cards import CardQuestion
 
 
 @pytest.mark.promise("W11")
 def test_no_two_commands_share_a_key_in_one_context(main):
     rows = main.actions.rows
+    names = [row.id for row in rows if row.command is not None]
+    assert len(names) == len(set(names))
+    assert {row.context for row in rows} == {EVERYWHERE_CONTEXT, *main.workspaces}
     for context in main.workspaces:
         keys = [
             portable_key(r.key)
@@ -121,14 +124,6 @@ def test_scale_and_theme_switch_live(live, qtbot):
     live.look.show("dark", 1.0)
 
 
-def test_the_key_sheet_opens_without_blocking(live):
-    live.actions.action("keys").trigger()
-    settle(live)
-    assert live.dialogs.sheet.isVisible()
-    assert not live.dialogs.sheet.isModal()
-    live.dialogs.sheet.close()
-
-
 # -- settings --------------------------------------------------------------------------------------
 
 
@@ -192,18 +187,12 @@ def test_closing_remembers_the_form(main, tmp_path):
 
 
 def test_closing_without_a_bench_keeps_the_remembered_form(qapp, tmp_path, qtbot):
-    path = tmp_path / "window.json"
-    save_settings(
-        path, WindowSettings(pages={"stack": asdict(RunForm("barrel", "hex20", "long", 5))})
-    )
-    main = TouchdownApp(qapp, ErrorBox(), path, tmp_path)
-    main.close()
-    main.window.deleteLater()
-    main.deleteLater()
+    path, form = tmp_path / "window.json", RunForm("barrel", "hex20", "long", 5)
+    save_settings(path, WindowSettings(pages={"stack": asdict(form)}))
+    with opened(tmp_path):
+        pass
     settings, _ = load_settings(path)
-    assert restore_form(RunForm(), settings.pages["stack"])[0] == RunForm(
-        "barrel", "hex20", "long", 5
-    )
+    assert restore_form(RunForm(), settings.pages["stack"])[0] == form
 
 
 # -- guard and hooks -------------------------------------------------------------------------------
@@ -278,8 +267,6 @@ def test_details_are_shown_and_copied(live, bench, qapp):
 
 def test_questions_do_not_block(live, qtbot):
     answered = []
-    from touchdown.widgets.shell.fault_cards import CardQuestion
-
     live.cards.ask(CardQuestion("Really?", (("Yes", lambda: answered.append(1)),)))
     button = next(b for b in live.cards.findChildren(QAbstractButton) if b.text() == "Yes")
     qtbot.mouseClick(button, Qt.MouseButton.LeftButton)

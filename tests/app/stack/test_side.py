@@ -1,5 +1,7 @@
 """The fall is drawn as it was recorded; the story keeps what was told, in any order of repeats."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -19,6 +21,7 @@ from touchdown.backend.core.events import (
 from touchdown.backend.core.values import Fall, Outcome
 from touchdown.backend.runs.requests import RunState, StackRequest
 from touchdown.widgets.base.panel import Panel
+from touchdown.widgets.base.theme import Theme
 from touchdown.widgets.views.scene import UPRIGHT, SideBody, SideView
 
 
@@ -52,14 +55,20 @@ def fall():
     return Fall(t_s, pose, ("short", "pot"))
 
 
-def test_the_piece_follows_its_recorded_fall(bench, qtbot):
-    now_s = [50.0]
-    view = SideView(_theme())
+@pytest.fixture
+def seen(bench, qtbot):
+    """The presenter of a side view, the view, its panel and a clock wound by hand."""
+    now_s, view = [50.0], SideView(Theme())
     panel = Panel("side", view)
     qtbot.addWidget(panel)
     panel.show()
     qtbot.waitExposed(panel, timeout=60_000)
     side = SideViewPresenter(bench, view, panel, lambda: now_s[0])
+    return SimpleNamespace(side=side, view=view, panel=panel, now_s=now_s)
+
+
+def test_the_piece_follows_its_recorded_fall(bench, seen):
+    side, view, panel, now_s = seen.side, seen.view, seen.panel, seen.now_s
     bench.turn(0.04)
     side.take(RunStarted(0.0, "r", "pot", "short", "paper", 7, 1, True, "{}"))
     side.take(TrialStarted(0.0, 1, 7, None))
@@ -85,13 +94,8 @@ def test_the_piece_follows_its_recorded_fall(bench, qtbot):
     assert view.scene.hand_mm is not None
 
 
-def test_the_piece_stays_on_its_support_while_the_hand_rises(bench, qtbot):
-    view = SideView(_theme())
-    panel = Panel("side", view)
-    qtbot.addWidget(panel)
-    panel.show()
-    qtbot.waitExposed(panel, timeout=60_000)
-    side = SideViewPresenter(bench, view, panel, lambda: 5.0)
+def test_the_piece_stays_on_its_support_while_the_hand_rises(bench, seen):
+    side, view, panel = seen.side, seen.view, seen.panel
     side.take(RunStarted(0.0, "r", "pot", "short", "paper", 7, 1, True, "{}"))
     side.take(TrialStarted(0.0, 1, 7, None))
     bench.press = 1.0
@@ -110,14 +114,9 @@ def test_the_piece_stays_on_its_support_while_the_hand_rises(bench, qtbot):
 
 
 @pytest.mark.parametrize("tilt_deg", [0.0, 12.0, -9.0])
-def test_a_turned_hand_is_drawn_turned_with_its_piece(bench, qtbot, tilt_deg):
+def test_a_turned_hand_is_drawn_turned_with_its_piece(bench, seen, tilt_deg):
     """Turned about y, seen along y: the piece is a rectangle turned about the grasp pivot."""
-    view = SideView(_theme())
-    panel = Panel("side", view)
-    qtbot.addWidget(panel)
-    panel.show()
-    qtbot.waitExposed(panel, timeout=60_000)
-    side = SideViewPresenter(bench, view, panel, lambda: 5.0)
+    side, view = seen.side, seen.view
     side.take(RunStarted(0.0, "r", "pot", "short", "paper", 7, 1, True, "{}"))
     bench.turn(0.04)
     bench.devices["arm"].turn_rad = (0.0, np.radians(tilt_deg), 0.0)
@@ -137,14 +136,8 @@ def test_a_turned_hand_is_drawn_turned_with_its_piece(bench, qtbot, tilt_deg):
     assert np.hypot(*gap) == pytest.approx(2 * view.scene.jaws_mm, abs=0.01)
 
 
-def test_nothing_fallen_is_drawn_below_the_table(bench, qtbot):
-    view = SideView(_theme())
-    panel = Panel("side", view)
-    qtbot.addWidget(panel)
-    panel.show()
-    qtbot.waitExposed(panel, timeout=60_000)
-    now_s = [0.0]
-    side = SideViewPresenter(bench, view, panel, lambda: now_s[0])
+def test_nothing_fallen_is_drawn_below_the_table(bench, seen):
+    side, view, now_s = seen.side, seen.view, seen.now_s
     bench.turn(0.04)
     side.take(RunStarted(0.0, "r", "pot", "short", "paper", 7, 1, True, "{}"))
     side.take(TrialStarted(0.0, 1, 7, None))
@@ -160,12 +153,6 @@ def test_nothing_fallen_is_drawn_below_the_table(bench, qtbot):
 def _draw(side):
     side.draw()
     side.draw()
-
-
-def _theme():
-    from touchdown.widgets.base.theme import Theme
-
-    return Theme()
 
 
 def test_a_repeated_probe_number_replaces_the_older_look():

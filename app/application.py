@@ -107,8 +107,11 @@ class TouchdownApp(QObject):
     """Owns window, workspaces and pump. The bench is built on a thread and attached later."""
 
     bench: Session | None = None
-    panels: BenchDialogs | None = None
-    _servo: ServoSwitch | None = None
+    # Set with the bench.
+    panels: BenchDialogs
+    inspect: DeviceInspectorPresenter
+    _chips: DeviceChipsPresenter
+    _servo: ServoSwitch
     _holds: Callable[[], bool] | None = None
 
     def __init__(
@@ -133,8 +136,6 @@ class TouchdownApp(QObject):
         self.window.may_close = lambda: self._closing.may_close(self.bench)
         self._closing = CloseConfirmation(self.cards, self.stop, self.window.close)
         self._arrival, self._mailbox = BenchLoader(), EventQueue()
-        self._chips: DeviceChipsPresenter | None = None
-        self.inspect: DeviceInspectorPresenter | None = None
         self.actions = ActionRegistry(
             self.window, key_bindings(self._commands(), self.workspaces.all), settings.keys
         )
@@ -300,18 +301,16 @@ class TouchdownApp(QObject):
             WindowCommand("connect", "Connect the bench", "Ctrl+L", self._connect_again),
             WindowCommand("limits", "Limits of motion and force", "", self._show_limits),
             WindowCommand("calibrate", "Calibrate: payload, board, tool, wrist, cameras",
-                          "Ctrl+Shift+K",
-                    self._show_calibrations),
+                          "Ctrl+Shift+K", self._show_calibrations),
             WindowCommand("layout", "Reset the layout", "Ctrl+0", self._reset_layout),
             WindowCommand("layouts", "Layouts of this workspace", "Ctrl+Alt+L",
-                    lambda: self.layout_menu.show(self.window.rail["layouts"])),
+                          lambda: self.layout_menu.show(self.window.rail["layouts"])),
             WindowCommand("lock", "Lock or unlock the layout", "",
                           lambda: self.layouts.toggle_lock()),
             WindowCommand("save-layout", "Save the layout under a name", "",
-                    lambda: self.layout_menu.ask_name()),
+                          lambda: self.layout_menu.ask_name()),
             WindowCommand("theme", "Next theme: dark, light, high contrast, as the system",
-                          "Ctrl+T",
-                    self._next_theme),
+                          "Ctrl+T", self._next_theme),
             WindowCommand("larger", "Larger text", "Ctrl++", self.look.larger),
             WindowCommand("smaller", "Smaller text", "Ctrl+-", self.look.smaller),
             WindowCommand("keys", "Key sheet", "F1", self._show_keys),
@@ -334,17 +333,17 @@ class TouchdownApp(QObject):
         self.window.close()
 
     def _show_limits(self) -> None:
-        if self.panels is not None:
+        if self.bench is not None:
             self.panels.limits.open()
 
     def _show_calibrations(self) -> None:
-        if self.panels is not None:
+        if self.bench is not None:
             self.panels.calibrate.open()
 
     def _connect_again(self) -> None:
-        if self.panels is not None:
+        if self.bench is not None:
             self.panels.open_connect()
-        elif self.bench is None and self._arrival.again():
+        elif self._arrival.again():
             self._show_connecting()
 
     def _reset_layout(self) -> None:
@@ -418,8 +417,7 @@ class TouchdownApp(QObject):
 
     def _take(self, event: Event) -> None:
         self.workspaces.take(event)
-        if self.panels is not None:
-            self.panels.calibrate.take(event)
+        self.panels.calibrate.take(event)
         log_event(event)
         show_event(event, self.bench, self.cards, self.say)
 
@@ -433,17 +431,14 @@ class TouchdownApp(QObject):
         self.cards.show_card(bench_failed_card(error, self._connect_again))
 
     def _draw_frame(self) -> None:
-        if self.bench is None or self._chips is None:
+        if self.bench is None:
             return
         if self._chips.draw():
-            if self._servo is not None:
-                self._servo.draw()
+            self._servo.draw()
             if self._holds is not None and not self._holds():
                 self.say("")
-            if self.inspect is not None:
-                self.inspect.draw()
-            if self.panels is not None:
-                self.panels.draw()
+            self.inspect.draw()
+            self.panels.draw()
             self._closing.draw(self.bench)
             pace = f"{self.pace:.2f}\N{MULTIPLICATION SIGN} real time" if self.pace else ""
             self.window.show_right(pace)

@@ -68,50 +68,43 @@ class EmptyState:
     command: str
 
 
-CHOOSE_OTHER_QUEUE = "Choose another queue (Ctrl+J)", "queue"
-SCORE_DATASET = "Let the model score the dataset (Ctrl+M)", "score"
 NO_PERSON = EmptyState(
-    "No person is named yet",
-    "What is to be labelled depends on who labels.",
-    "Give your name (Ctrl+U)",
-    "person",
-)
+    "No person is named yet", "What is to be labelled depends on who labels.",
+    "Give your name (Ctrl+U)", "person",
+)  # fmt: skip
 NO_PROBES = EmptyState(
-    "There are no probes yet",
-    "Every probe that is collected waits here for its label.",
-    "Collect probes (F2)",
-    "collect",
-)
+    "There are no probes yet", "Every probe that is collected waits here for its label.",
+    "Collect probes (F2)", "collect",
+)  # fmt: skip
 LOADING = EmptyState("Loading the episode", "Its pictures and forces are being read.", "", "")
 UNREADABLE = EmptyState(
-    "This episode cannot be read",
-    "The line below says why; its label stays as it is.",
-    "Go to the next one (PgDown)",
-    "next",
+    "This episode cannot be read", "The line below says why; its label stays as it is.",
+    "Go to the next one (PgDown)", "next",
+)  # fmt: skip
+NOT_SCORED = EmptyState(
+    "Nothing is in this queue",
+    "The model has not looked for such labels yet, or none is left.",
+    "Let the model score the dataset (Ctrl+M)",
+    "score",
 )
+
+
+def empty_queue(title: str, why: str) -> EmptyState:
+    """Return the state of a queue that is done."""
+    return EmptyState(title, why, "Choose another queue (Ctrl+J)", "queue")
+
+
 LABELLED = "Every probe has a label that was accepted or rejected."
-NOT_SCORED = "The model has not looked for such labels yet, or none is left."
 EMPTY_QUEUES = {
-    "unlabelled": EmptyState("Nothing is left to label", LABELLED, *CHOOSE_OTHER_QUEUE),
-    "review": EmptyState(
-        "Nothing waits for your review",
-        "What you labelled is for others to review.",
-        *CHOOSE_OTHER_QUEUE,
+    "unlabelled": empty_queue("Nothing is left to label", LABELLED),
+    "review": empty_queue(
+        "Nothing waits for your review", "What you labelled is for others to review."
     ),
-    "returned": EmptyState(
-        "Nothing of yours was rejected", "No label came back to you.", *CHOOSE_OTHER_QUEUE
-    ),
-    "conflicts": EmptyState(
-        "There are no conflicts", "No merge left an episode two labels.", *CHOOSE_OTHER_QUEUE
-    ),
-    **{
-        name: EmptyState("Nothing is in this queue", NOT_SCORED, *SCORE_DATASET)
-        for name in ("doubt", "disagreement", "uncertainty", "duplicates")
-    },
+    "returned": empty_queue("Nothing of yours was rejected", "No label came back to you."),
+    "conflicts": empty_queue("There are no conflicts", "No merge left an episode two labels."),
+    **dict.fromkeys(("doubt", "disagreement", "uncertainty", "duplicates"), NOT_SCORED),
 }
-EMPTY_QUEUE = EmptyState(
-    "Nothing is in this queue", "No episode belongs to this queue.", *CHOOSE_OTHER_QUEUE
-)
+EMPTY_QUEUE = empty_queue("Nothing is in this queue", "No episode belongs to this queue.")
 
 
 class EmptyStateView(QWidget):

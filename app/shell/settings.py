@@ -8,15 +8,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar, get_type_hints
+from typing import Annotated, Any, TypeVar, get_type_hints
 
 from pydantic import Field, TypeAdapter, ValidationError
 
 from touchdown.app.shell.window import ThemeChoice
 from touchdown.backend.core import write_atomically
-
-if TYPE_CHECKING:
-    from _typeshed import DataclassInstance
 
 VERSION = 2
 Json = dict[str, object]
@@ -43,7 +40,7 @@ class WindowSettings:
     pages: dict[str, Json] = field(default_factory=dict)
 
 
-Form = TypeVar("Form", bound="DataclassInstance")
+Form = TypeVar("Form")
 
 
 def restore_form(default: Form, memory: Mapping[str, object]) -> tuple[Form, list[str]]:
@@ -55,7 +52,7 @@ def restore_form(default: Form, memory: Mapping[str, object]) -> tuple[Form, lis
                 values[name] = parse_stored(kind, memory[name])
             except ValidationError:
                 dropped.append(name)
-    return replace(default, **values), dropped
+    return replace(default, **values), dropped  # type: ignore[type-var]
 
 
 def parse_stored(kind: Any, stored: object) -> Any:

@@ -7,12 +7,13 @@ import json
 import math
 import re
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
+from functools import partial
 from importlib.resources import files
 from operator import attrgetter
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 from rich.table import Table
@@ -23,9 +24,11 @@ from touchdown.backend.config import PLACEHOLDERS, Lab, LabSettings, load_lab
 if TYPE_CHECKING:
     from touchdown.backend.bench import Session
     from touchdown.backend.core import SampleStream, Stream, TactileFrame
-    from touchdown.backend.rig import NewestStamp, SensorTiming, StampsSince
+    from touchdown.backend.devices import ForceTorqueSensor
+    from touchdown.backend.rig import BenchConnection, NewestStamp, SensorTiming, StampsSince
 
 
+WEIGH_S = 0.5  # the weight of the hand is averaged over this time
 TIMING_S = 3.0  # duration of the timing report of the sensors
 TEMPLATE = "lab.toml"
 # keys of a new file without a usable default
@@ -54,7 +57,7 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
         return 0
     lab = load_lab(args.file)
     if args.connect:
-        return _connect(args.file, screen)
+        return _connect(args.file, lab.settings.mounting.payload_kg, screen)
     # Imported here: not needed to write a new file.
     from touchdown.backend.devices import refuse_unknown_drivers
 
@@ -108,7 +111,7 @@ def placeholders(settings: LabSettings) -> list[str]:
     return [*blank, *made_up]
 
 
-def _connect(file: Path, screen: VerbOutput) -> int:
+def _connect(file: Path, payload_kg: float, screen: VerbOutput) -> int:
     from touchdown.backend.bench import LabChoice, lab_session
     from touchdown.backend.cli.connection import line_text, report_devices
     from touchdown.backend.runs import RecordingOptions
@@ -117,6 +120,7 @@ def _connect(file: Path, screen: VerbOutput) -> int:
     try:
         connection = session.connection
         assert connection is not None
+        connection.prove = partial(_prove, connection.prove, connection, payload_kg)
         connection.begin()
         report_devices(connection, screen.say)
         lines, away = connection.lines(), connection.missing()
@@ -144,6 +148,24 @@ def _connect(file: Path, screen: VerbOutput) -> int:
         }
     )
     return 1 if away else 0
+
+
+def _prove(
+    proved: Callable[[str, threading.Event], None],
+    connection: BenchConnection,
+    payload_kg: float,
+    name: str,
+    cancel: threading.Event,
+) -> None:
+    """Weigh the hand with the wrist sensor; raises ``FaultError``. Other devices: ``proved``."""
+    from touchdown.backend.devices.force_torque import require_plausible
+
+    proved(name, cancel)
+    if name == "force_torque":
+        sensor = cast("ForceTorqueSensor", connection.devices[name])
+        begun = sensor.samples.count
+        cancel.wait(WEIGH_S)
+        require_plausible(sensor.samples.since(begun).values, sensor.rated, payload_kg)
 
 
 def _sensor_timing(session: Session) -> list[SensorTiming]:

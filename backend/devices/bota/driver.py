@@ -25,9 +25,6 @@ WAKE_S = 10.0
 PAUSE_S = 0.5
 ANSWER_S = 1.0
 TIMESTAMP_TURN = 1 << 32
-# Samples; a larger gap is a restart of the sensor, not a loss.
-LONGEST_GAP = 10_000
-
 OLD_US = 1_000_000  # a timestamp this much before the newest is late; an older one is a restart
 
 
@@ -101,7 +98,7 @@ class BotaDriver(FramedDriver[protocol.BotaMessage]):
         if last_us is not None:
             gap_us = (frame.timestamp_us - last_us) % TIMESTAMP_TURN
             steps = round(1e-6 * gap_us / self._period_s)
-            missed = steps - 1 if 1 <= steps <= LONGEST_GAP else 0
+            missed = max(steps - 1, 0)
         trouble = "The sensor sends raw counts" if frame.status & BotaStatus.RAW else ""
         return WrenchReading(
             frame.wrench(), missed, bool(frame.status & BotaStatus.OVER_RANGE), trouble

@@ -8,12 +8,14 @@ of the fastest arrival.
 
 from __future__ import annotations
 
+import math
 import os
 import threading
+import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -186,11 +188,29 @@ LEAST_S = 1e-6  # minimum difference of two stamps
 LATE_S = 0.01  # default limit of the delay of the wire
 
 
+AXES = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")
+MOST_MISSED_S = 1.0  # a longer gap in the sample numbers is no loss but another stream
+
+
+def axis_text(axis: int, value: float) -> str:
+    """Return the value of an axis with its unit, such as "Fz = -14.70 N"."""
+    return f"{AXES[axis]} = {value:.2f} {'N' if axis < 3 else 'N·m'}"
+
+
+def range_text(values: Sequence[float], rated: Sequence[float]) -> str:
+    """Return the first axis at or beyond its rated range with both values, else ""."""
+    for axis, (value, limit) in enumerate(zip(values, rated, strict=True)):
+        if abs(value) >= limit:
+            return f"{axis_text(axis, value)}, rated {limit:g}"
+    return ""
+
+
 class WrenchStamper:
     """Time stamps and validity of samples; the caller owns the clock. ``late_s``: limit of the
     delay of the wire. ``numbered``: True if the sensor's own count shows every loss; otherwise a
-    loss is found by a persistent delay. A sensor is stuck if the newest ``stuck_after`` samples are
-    identical. ``overload`` and ``trouble`` are latched.
+    loss is found by a persistent delay. ``rated``: range of each axis of the sensor, N and N·m. A
+    sensor is stuck if the newest ``stuck_after`` samples are identical. ``overload`` (text) and
+    ``trouble`` are latched.
     """
 
     def __init__(
@@ -200,17 +220,17 @@ class WrenchStamper:
         late_s: float = LATE_S,
         *,
         numbered: bool = False,
+        rated: Sequence[float] = (np.inf,) * len(AXES),
     ) -> None:
-        self._settings, self.period_s = settings, period_s
+        self._settings, self.period_s, self._rated = settings, period_s, rated
         self._clock, self._numbered = SampleClock(period_s, late_s), numbered
         self._number = 0
-        self._turn = settings.sign * np.array(settings.rotation)
+        self.turn = settings.sign * np.array(settings.rotation)  # sensor axes to tool axes
         self._newest_s = -np.inf
         self._last: Wrench | None = None
         self._equal = 0
         self.lost = 0
-        self.overload = False
-        self.trouble = ""
+        self.overload = self.trouble = ""
 
     @property
     def stuck(self) -> bool:
@@ -225,14 +245,30 @@ class WrenchStamper:
         Stamps follow the count of the sensor along the line of least delay, minus the latency: a
         late burst is spread over the time of its measurement.
         """
+        readings = [self._possible(reading) for reading in readings]
         told = np.array([self._valid(reading) for reading in readings], dtype=np.float64)
-        values = (told.reshape(-1, 2, 3) @ self._turn.T).reshape(-1, 6)
+        values = (told.reshape(-1, 2, 3) @ self.turn.T).reshape(-1, 6)
         return self._stamps(arrival_s - 1e-3 * self._settings.latency_ms, readings), values
+
+    def _possible(self, reading: WrenchReading) -> WrenchReading:
+        """Return the reading, with the reason if it cannot be a measurement."""
+        if reading.missed * self.period_s > MOST_MISSED_S:
+            leap = f"The sample numbers leap by {reading.missed}: this is not one stream"
+            return replace(reading, missed=0, trouble=reading.trouble or leap)
+        values = (*reading.wrench.force_n, *reading.wrench.torque_nm)
+        if all(map(math.isfinite, values)):
+            beyond = range_text(values, self._rated)
+            self.overload = self.overload or beyond
+            return replace(reading, overload=True) if beyond else reading
+        if all(map(math.isnan, values)):
+            return reading  # marked as invalid
+        return replace(reading, trouble=reading.trouble or "A value is not a finite number")
 
     def _valid(self, reading: WrenchReading) -> Wrench:
         """Return the wrench of a reading in sensor axes, NaN if it is invalid."""
         self.lost += reading.missed
-        self.overload |= reading.overload
+        if reading.overload:
+            self.overload = self.overload or "its status says so"
         self.trouble = self.trouble or reading.trouble
         self._equal = self._equal + 1 if reading.wrench == self._last else 0
         self._last = reading.wrench
@@ -266,6 +302,11 @@ OVERLOAD = Fault(
 )
 
 
+def overload_fault(beyond: str) -> Fault:
+    """Return ``OVERLOAD`` with the value that is beyond its range."""
+    return replace(OVERLOAD, what=f"{OVERLOAD.what.removesuffix('.')}: {beyond}.")
+
+
 def ft_fault(code: str, what: str, next_step: str) -> Fault:
     """Return a fault after which no wrench is measured."""
     return Fault(code, what, "No wrench is measured.", next_step, NAME)
@@ -291,6 +332,61 @@ def sensor_fault(what: str) -> Fault:
     """Return the fault that the sensor itself reports."""
     next_step = "Switch the force/torque sensor off and on, then connect it again."
     return ft_fault("FT-SENSOR", f"{what}.", next_step)
+
+
+def implausible_fault(why: str) -> Fault:
+    """Return the fault of a sensor whose readings in still air cannot be right."""
+    what = f"The readings of the force/torque sensor in still air are not plausible: {why}."
+    next_step = (
+        "Check make, scale, range and axes of the sensor in the lab file, and that the hand hangs "
+        "still and free; then connect it again."
+    )
+    return ft_fault("FT-IMPLAUSIBLE", what, next_step)
+
+
+GRAVITY_M_S2 = 9.80665
+# Permitted zero offset: share of the weight below the sensor, but at least this force.
+MOST_UNEXPLAINED, LEAST_UNEXPLAINED_N = 0.6, 3.0
+
+
+def require_plausible(values: FloatArray, rated: FloatArray, payload_kg: float) -> None:
+    """Raise ``FaultError`` unless untared readings (n, 6), tool axes, are those of a payload that
+    hangs free below the sensor. Readings of other axes, sign or scale are not.
+    """
+    if why := implausible_text(values, rated):
+        raise FaultError(implausible_fault(why))
+    weight_n = GRAVITY_M_S2 * payload_kg
+    force_n = np.nanmean(values[:, :3], axis=0)
+    away_n = float(np.linalg.norm(force_n - np.array([0.0, 0.0, -weight_n])))
+    if not away_n <= max(MOST_UNEXPLAINED * weight_n, LEAST_UNEXPLAINED_N):
+        read = ", ".join(axis_text(axis, float(value)) for axis, value in enumerate(force_n))
+        why = f"{read}, and mounting.payload_kg = {payload_kg:g} weighs {weight_n:.1f} N"
+        raise FaultError(implausible_fault(why))
+
+
+LEAST_STILL, STILL_S = 20, 0.1  # samples and time that a connection judges
+MOST_NOISE, MOST_OFFSET = 0.03, 0.5  # shares of the rated range
+
+
+def implausible_text(values: FloatArray, rated: FloatArray) -> str:
+    """Return why readings (n, 6) in still air cannot be right, else "".
+
+    They scatter by less than 3 % of the range and stay within half of it, and half of them or more
+    are valid.
+    """
+    valid = values[np.isfinite(values).all(axis=1)]
+    if 2 * len(valid) <= len(values):
+        return f"{len(values) - len(valid)} of {len(values)} samples are not valid"
+    if len(valid) > 1 and np.ptp(valid, axis=0).max() == 0:
+        return "It repeats one value"
+    noise, offset = valid.std(axis=0), valid.mean(axis=0)
+    axis = int(np.argmax(noise / rated))
+    if noise[axis] > MOST_NOISE * rated[axis]:
+        return f"{axis_text(axis, float(offset[axis]))} scatters by {noise[axis]:.2f}"
+    axis = int(np.argmax(np.abs(offset) / rated))
+    if abs(offset[axis]) > MOST_OFFSET * rated[axis]:
+        return f"{axis_text(axis, float(offset[axis]))}, more than half of its range"
+    return ""
 
 
 READ_S = 0.005  # longest wait for bytes
@@ -407,8 +503,7 @@ class ForceTorqueReader:
             self._thread.start()
             if not self._first.wait(timeout_s):
                 raise FaultError(link_fault("The sensor sends nothing."))
-            if self._stop.is_set() and self.fault is not None:
-                raise FaultError(self.fault)
+            self._check_still(timeout_s, cancel)
         except FaultError as error:
             self.close()
             found = "" if cancel.is_set() else self._other_device()
@@ -428,6 +523,27 @@ class ForceTorqueReader:
             self._thread.join()
             self._thread = None
         self._state = DeviceState.CLOSED
+
+    def _check_still(self, timeout_s: float, cancel: threading.Event) -> None:
+        """Raise the fault of a lost link, or of readings that no sensor in still air delivers."""
+        period_s, until_s = self._readout.period_s, time.monotonic() + timeout_s
+        count = max(LEAST_STILL, round(STILL_S / period_s))
+        while (
+            self._received < count
+            and self.fault is None
+            and time.monotonic() < until_s
+            and not cancel.wait(READ_S)
+        ):
+            pass
+        if self.fault is not None:
+            if self._stop.is_set():
+                raise FaultError(self.fault)
+            return
+        values = self._samples.since(self._samples.count - self._received).values
+        stuck, turn = self._readout.stuck, self._readout.turn
+        refusal = implausible_text((values.reshape(-1, 2, 3) @ turn).reshape(-1, 6), self.rated)
+        if stuck or refusal:
+            raise FaultError(implausible_fault("It repeats one value" if stuck else refusal))
 
     def _other_device(self) -> str:
         """Return a sentence that names another device in place of the sensor, else ""."""
@@ -464,7 +580,10 @@ class ForceTorqueReader:
         started = self._description
         period_s = started.period_s if started else 1.0
         numbered = started is not None and started.numbered
-        self._readout = WrenchStamper(self._settings, period_s, self._late_s, numbered=numbered)
+        rated = started.rated if started else (np.inf,) * len(AXES)
+        self._readout = WrenchStamper(
+            self._settings, period_s, self._late_s, numbered=numbered, rated=rated
+        )
         self._stop.clear()
         self._first.clear()
         self._received = self._resynchronised = 0
@@ -506,7 +625,8 @@ class ForceTorqueReader:
         self._arrivals.append((now_s, len(stamps)))
         self._pace.note(now_s, len(stamps))
         if self.fault is None and (readout.overload or readout.trouble):
-            self._latch(OVERLOAD if readout.overload else sensor_fault(readout.trouble))
+            beyond, trouble = readout.overload, readout.trouble
+            self._latch(overload_fault(beyond) if beyond else sensor_fault(trouble))
         self.steps.reached("first sample")
         self._first.set()
         return True

@@ -53,7 +53,7 @@ class Ft300Driver(FramedDriver[protocol.Ft300Message]):
     def take(self, data: bytes) -> list[WrenchReading]:
         """Return the samples of the stream."""
         samples = (m for m in self._decoder.feed(data) if isinstance(m, protocol.Ft300Sample))
-        return [self._reading(sample) for sample in samples]
+        return [WrenchReading(sample.wrench(), self.newly_bad()) for sample in samples]
 
     def stop(self, link: SensorLink) -> None:
         """End the stream."""
@@ -72,9 +72,3 @@ class Ft300Driver(FramedDriver[protocol.Ft300Message]):
         content = b"".join(value.to_bytes(2, "big") for value in found.values)
         text = content.decode("ascii", "replace").strip("\x00 ")
         return text if text.isprintable() and text else content.hex()
-
-    def _reading(self, sample: protocol.Ft300Sample) -> WrenchReading:
-        wrench = sample.wrench()
-        values = (*wrench.force_n, *wrench.torque_nm)
-        overload = any(abs(value) >= rated for value, rated in zip(values, RATED, strict=True))
-        return WrenchReading(wrench, self.newly_bad(), overload)

@@ -10,6 +10,7 @@ import numpy as np
 
 from touchdown.backend.core import (
     Decimator,
+    Fault,
     Finger,
     FloatArray,
     ImageArray,
@@ -18,7 +19,14 @@ from touchdown.backend.core import (
     TactileFrame,
     require_unrotated,
 )
-from touchdown.backend.devices import ArrivalMonitor, CommandedMotion, GripStatus, stopped_fault
+from touchdown.backend.devices import (
+    ArrivalMonitor,
+    CommandedMotion,
+    DeviceState,
+    GripStatus,
+    stopped_fault,
+)
+from touchdown.backend.devices.force_torque import overload_fault, range_text
 from touchdown.backend.emulation import DisturbanceScript
 from touchdown.backend.simulation.devices.connection import SimDevice
 from touchdown.backend.simulation.finger_camera import Exposure
@@ -164,9 +172,16 @@ class SimForceTorque(SimDevice):
     def __init__(
         self, samples: SampleStream, now_s: Callable[[], float], usual_hz: float = 1000.0
     ) -> None:
-        self.samples, self._usual_hz = samples, usual_hz
+        self.samples, self._usual_hz = samples, usual_hz  # NaN beyond the rated range
+        self.fault: Fault | None = None
         self._pace = ArrivalMonitor(1.0 / usual_hz)
         super().__init__("force_torque", "simulated wrist sensor", now_s)
+
+    def connect(self, timeout_s: float, cancel: threading.Event) -> None:
+        """Connect immediately; ends a fault."""
+        self.fault = None
+        self.fault = None if not self.ready else self.fault
+        super().connect(timeout_s, cancel)
 
     @property
     def rated(self) -> FloatArray:
@@ -185,8 +200,13 @@ class SimForceTorque(SimDevice):
 
     def deliver(self, t_s: FloatArray, values: FloatArray) -> bool:
         """Put one block into the stream; return True if samples were delivered."""
-        if not (self.ready and len(t_s)):
+        if self.state is DeviceState.CLOSED or not len(t_s):
             return False
+        beyond = np.any(np.abs(values) >= RATED, axis=1)
+        if beyond.any():
+            self.fault = self.fault or overload_fault(range_text(values[beyond][0], RATED))
+            self.state = DeviceState.FAULT
+            values = np.where(beyond[:, None], np.nan, values)
         self.samples.put(t_s, values)
         self.arrived(float(t_s[-1]), len(t_s))
         self._pace.note(float(t_s[-1]), len(t_s))

@@ -11,11 +11,14 @@ import threading
 import time
 from contextlib import contextmanager
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from rich.table import Table
 
+from touchdown.backend import bench
+from touchdown.backend.cli import bench as bench_verb
 from touchdown.backend.cli import emulate
 from touchdown.backend.cli.command_line import main
 from touchdown.backend.cli.emulate import FaultPrompt
@@ -28,12 +31,15 @@ from touchdown.backend.config.method import StackSettings
 from touchdown.backend.config.toml_file import read_settings
 from touchdown.backend.core.events import TrialFinished
 from touchdown.backend.core.values import Outcome
+from touchdown.backend.devices.dynpick.emulator import EmulatedDynpick
+from touchdown.backend.devices.factories import make_force_torque
 from touchdown.backend.devices.registry import emulated_makes
 from touchdown.backend.devices.wsg import protocol
 from touchdown.backend.devices.wsg.emulator import EmulatedWsg
 from touchdown.backend.devices.wsg.protocol import WsgCommand, WsgRequest
-from touchdown.backend.emulation.fault_plan import Faults
+from touchdown.backend.emulation.fault_plan import Faults, add_noise
 from touchdown.backend.emulation.server import TcpServer
+from touchdown.backend.rig.connection import BenchConnection
 from touchdown.backend.runs.event_log import EVENT_LOG_NAME
 
 
@@ -332,3 +338,34 @@ def test_rows_are_led_by_their_piece_where_there_are_several() -> None:
         ["pot", "7", "placed", "3", "0", "+1.25", "stands"],
         ["barrel", "8", "fell", "2", "", "-0.50", "fell"],
     ]
+
+
+HANDS = {
+    "sound": lambda fx, fy, fz: (fx, fy, fz),
+    "swapped axes": lambda fx, fy, fz: (fz, fy, fx),
+    "four times the counts": lambda fx, fy, fz: (4 * fx, 4 * fy, 4 * fz),
+}
+
+
+@pytest.mark.promise("S11")
+@pytest.mark.parametrize("hand", HANDS)
+def test_a_bench_is_not_ready_with_a_wrist_sensor_that_does_not_weigh_its_hand(
+    hand, tmp_path, capsys, monkeypatch
+):
+    hangs = add_noise(lambda now_s: (*HANDS[hand](0.3, -0.2, -14.7), 0.0, 0.0, 0.0))
+    wrist = TcpServer(EmulatedDynpick(hangs))
+    wrist.start()
+    lab = tmp_path / "lab.toml"
+    lab.write_text('version = 1\nname = "b"\nkind = "hardware"\nmounting.payload_kg = 1.4\n')
+    ft = {"driver": "dynpick", "address": wrist.url}
+    sensor = make_force_torque(HardwareSettings.model_validate({"ft": ft}), time.monotonic)
+    connection = BenchConnection({"force_torque": sensor})
+    session = SimpleNamespace(connection=connection, close=sensor.close)
+    monkeypatch.setattr(bench, "lab_session", lambda choice, keep: session)
+    monkeypatch.setattr(bench_verb, "_sensor_timing", lambda session: [])
+    ready = hand == "sound"
+    assert main(["bench", str(lab), "--connect", "--json"]) == (0 if ready else 1)
+    wrist.close()
+    (line,) = json.loads(capsys.readouterr().out)["devices"]
+    assert line["state"] == ("ready" if ready else "failed")
+    assert ("mounting.payload_kg = 1.4 weighs 13.7 N" in line["text"]) != ready

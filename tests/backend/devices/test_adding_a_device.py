@@ -19,6 +19,7 @@ from touchdown.backend.core.faults import FaultError
 from touchdown.backend.devices import registry
 from touchdown.backend.devices.discovery import choices
 from touchdown.backend.devices.factories import make_force_torque
+from touchdown.backend.emulation.fault_plan import add_noise
 from touchdown.backend.emulation.serving import EmulationChoice
 
 PAGE = (Path(__file__).resolve().parents[3] / "docs" / "adding-a-device.md").read_text("utf-8")
@@ -57,7 +58,9 @@ def test_it_keeps_the_contract_of_wrist_sensors(clause, tmp_path):
 
 
 def test_over_a_loopback_port_driver_and_emulator_agree():
-    emulation = emulate(EmulationChoice("toy", port=0, wrench=lambda now_s: (1, 2, 3, 4, 0.5, 0.6)))
+    load = (1.0, 2.0, 3.0, 0.4, 0.5, 0.6)
+    feels = add_noise(lambda now_s: load, (0.01,) * 6)
+    emulation = emulate(EmulationChoice("toy", port=0, wrench=feels))
     settings = HardwareSettings.model_validate(tomllib.loads(bench_toml(emulation.bench)))
     assert settings.ft.address.startswith("socket://127.0.0.1:")
     driver = make_force_torque(settings, time.monotonic)
@@ -65,8 +68,7 @@ def test_over_a_loopback_port_driver_and_emulator_agree():
     try:
         driver.connect(5.0, threading.Event())
         assert driver.identity.maker == "Toys"
-        # Equal samples count as stuck after the fifth: the first ones are the measurement.
-        assert tuple(driver.samples.since(0).values[0]) == (1, 2, 3, 4, 0.5, 0.6)
+        assert driver.samples.since(0).values[0] == pytest.approx(load, abs=0.1)
     finally:
         driver.close()
         emulation.close()

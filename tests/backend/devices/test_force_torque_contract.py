@@ -5,6 +5,7 @@ Each driver is connected to its emulated sensor over a real pseudo terminal or U
 them also through the rig process link.
 """
 
+import math
 import sys
 import threading
 import time
@@ -15,13 +16,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.backend.devices.optoforce import trials_wrist
+from tests.backend.devices.optoforce.trials_wrist import EMULATED as TRIALS
+from tests.backend.devices.optoforce.trials_wrist import WristTrial
 from tests.backend.devices.waiting import until
 from tests.backend.rig.ticking import TickingRig
 from touchdown.backend.bench.emulator_registry import bench_toml, emulate
-from touchdown.backend.config.hardware import HardwareSettings
+from touchdown.backend.config.hardware import ForceTorqueSettings, HardwareSettings
 from touchdown.backend.core.faults import FaultError, InputError
+from touchdown.backend.core.streams import SampleStream
 from touchdown.backend.devices import registry
 from touchdown.backend.devices.factories import make_force_torque
+from touchdown.backend.devices.force_torque.driver import WrenchReading
+from touchdown.backend.devices.force_torque.reader import WrenchStamper, require_plausible
+from touchdown.backend.devices.framing import Wrench
 from touchdown.backend.devices.melfa.realtime_protocol import CYCLE_S
 from touchdown.backend.devices.protocols import DeviceState
 from touchdown.backend.devices.wsg.emulator import EmulatedWsg
@@ -29,6 +37,7 @@ from touchdown.backend.emulation.fault_plan import Faults, add_noise, apply_faul
 from touchdown.backend.emulation.server import PtyServer, TcpServer
 from touchdown.backend.emulation.serving import EmulationChoice
 from touchdown.backend.rig.connection import reconnect
+from touchdown.backend.simulation.devices.end_effector import SimForceTorque
 
 LOAD = (1.0, -2.0, -10.5, 0.1, -0.2, 0.05)
 TREMBLE = (0.03, 0.03, 0.03, 0.003, 0.003, 0.003)
@@ -222,6 +231,125 @@ def test_connecting_can_be_cancelled_and_closing_twice_is_allowed(wired):
     wired.driver.close()
     wired.driver.close()
     assert wired.driver.state is DeviceState.CLOSED
+
+
+HANGING = (0.4, -0.3, -14.7, 0.02, 0.03, -0.01)
+PAYLOAD_KG = 1.5
+INTEGERS = {  # counts per N and N·m, and their type, big-endian
+    "netft": ((1e6,) * 6, ">i4"),
+    "leptrino": ((40.0,) * 3 + (1e4 / 6,) * 3, ">i2"),
+    "ft300": ((100.0,) * 3 + (1000.0,) * 3, ">i2"),
+    "optoforce": ((50.0,) * 3 + (1e4 / 6.5,) * 3, ">i2"),
+    "dynpick": ((65.47, 65.44, 65.08, 1638.5, 1639.25, 1640.75), ">i2"),
+}
+
+
+def with_bytes_swapped(kind, values):
+    """Return the values that the counts, or single floats, of a make mean with swapped bytes."""
+    per_unit, counts = INTEGERS.get(kind, ((1.0,) * 6, ">f4"))
+    zero = 0x2000 if kind == "dynpick" else 0
+    raw = np.multiply(values, per_unit) + zero
+    with np.errstate(invalid="ignore"):
+        swapped = raw.astype(counts).byteswap().astype(float) - zero
+    return tuple(np.nan_to_num(swapped / per_unit, nan=0.0, posinf=1e30, neginf=-1e30))
+
+
+def noisy(values, seed):
+    """Return ``values`` with the noise of a sensor, the same at the same time."""
+    rng = np.random.default_rng(seed)
+    return tuple(np.add(values, rng.normal(0.0, (0.1,) * 3 + (0.004,) * 3)))
+
+
+IMPOSSIBLE = {
+    "over range": lambda kind, values: (*values[:2], 1.5e4, *values[3:]),
+    "over range in one moment": lambda kind, values: (*values[:4], -400.0, values[5]),
+    "wrong byte order": with_bytes_swapped,
+    "ten times the counts": lambda kind, values: tuple(np.multiply(values, 10.0)),
+    "a tenth of the counts": lambda kind, values: tuple(np.multiply(values, 0.1)),
+    "swapped axes": lambda kind, values: (*values[2::-1], *values[:2:-1]),
+    "other sign": lambda kind, values: tuple(np.negative(values)),
+    "frozen": lambda kind, values: HANGING,
+}
+
+
+class SimulatedTrial:
+    """The simulated wrist sensor in place of a wired one."""
+
+    def __init__(self, load):
+        self._load, self.reader = load, SimForceTorque(SampleStream("wrist", 6, 4096), lambda: 0.5)
+        self.reader.connect(1.0, threading.Event())
+
+    def listen(self, seconds):
+        t_s = np.arange(0.0, seconds, 0.001)
+        self.reader.deliver(t_s, np.array([self._load(at_s) for at_s in t_s]))
+        return self.reader.samples.since(0).values
+
+
+def still_air(kind, load):
+    """Connect a sensor that feels ``load``; raise ``FaultError`` unless it is plausible."""
+    trial = SimulatedTrial(load) if kind == "simulated" else WristTrial(3, kind, load)
+    sensor = trial.reader
+    try:
+        values = trial.listen(0.5)
+    finally:
+        run = sensor.samples.since(0).values
+        published = run[np.isfinite(run).all(axis=1)]
+        assert not np.any(np.abs(published) >= sensor.rated), "published beyond its range"
+    if sensor.fault is not None:
+        raise FaultError(sensor.fault)
+    require_plausible(values, sensor.rated, PAYLOAD_KG)
+
+
+@pytest.mark.promise("S11")
+@pytest.mark.parametrize("kind", [*sorted(TRIALS), "simulated"])
+@pytest.mark.parametrize("how", ["sound", *IMPOSSIBLE])
+def test_what_no_wrist_sensor_can_measure_is_never_ready(kind, how, monkeypatch):
+    if how == "sound":
+        still_air(kind, lambda now_s: noisy(HANGING, round(now_s * 1e6)))
+        return
+    if how == "frozen":
+        monkeypatch.setattr(trials_wrist, "TREMBLE", (0.0,) * 6)
+    with pytest.raises(FaultError) as caught:
+        still_air(kind, lambda now_s: IMPOSSIBLE[how](kind, noisy(HANGING, round(now_s * 1e6))))
+    fault = caught.value.fault
+    assert fault.code in ("FT-OVERLOAD", "FT-SENSOR", "FT-IMPLAUSIBLE")
+    assert fault.device == "force_torque"
+    assert fault.next_step
+
+
+@pytest.mark.promise("S11")
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+def test_a_number_that_is_not_finite_is_a_fault_and_no_sample(value):
+    readout = WrenchStamper(ForceTorqueSettings(), 0.001)
+    force = Wrench((1.0, value, 2.0), (0.0, 0.0, 0.0))
+    _, values = readout.accept(1.0, [WrenchReading(force)])
+    assert np.isnan(values).all()
+    assert "not a finite number" in readout.trouble
+
+
+@pytest.mark.promise("S11")
+@pytest.mark.parametrize(("missed", "refused"), [(999, False), (1001, True), (10**10, True)])
+def test_a_leap_of_the_numbers_by_more_than_a_second_is_another_stream(missed, refused):
+    readout = WrenchStamper(ForceTorqueSettings(), 0.001, numbered=True)
+    sample = Wrench((1.0, 2.0, 3.0), (0.0, 0.0, 0.0))
+    _, values = readout.accept(1.0, [WrenchReading(sample, missed)])
+    assert bool(readout.trouble) == bool(np.isnan(values).all()) == refused
+    assert readout.lost == (0 if refused else missed)
+
+
+@pytest.mark.promise("S11")
+def test_a_net_ft_with_little_endian_packets_is_refused_with_its_number_leap(tmp_path):
+    wired = Wired("netft", tmp_path)
+    wired.front.damage = lambda out: np.frombuffer(out, ">u4").byteswap().tobytes()
+    try:
+        with suppress(FaultError):
+            wired.connect()
+        assert wired.driver.state is not DeviceState.READY
+        assert wired.driver.fault.code in ("FT-OVERLOAD", "FT-SENSOR")
+        assert np.isnan(wired.driver.samples.since(1).values).all()
+        assert wired.driver.health.lost < 1000
+    finally:
+        wired.close()
 
 
 CLAUSES = [

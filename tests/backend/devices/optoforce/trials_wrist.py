@@ -6,6 +6,7 @@ The reader runs as it does on its thread, but on a wire whose reading lets the t
 from __future__ import annotations
 
 import random
+import threading
 
 import numpy as np
 
@@ -122,12 +123,12 @@ class SteppedLink:
 class WristTrial:
     """Draws everything from ``seed``."""
 
-    def __init__(self, seed: int, kind: str | None = None) -> None:
+    def __init__(self, seed: int, kind: str | None = None, load=lambda now_s: LOAD) -> None:
         self.seed, self.rng = seed, random.Random(seed)
         self.kind = kind or self.rng.choice(sorted(EMULATED))
         self.clock, self.faults = ManualClock(), Faults("force_torque")
         self.faults.begin(0.0)
-        felt = apply_faults(add_noise(lambda now_s: LOAD, TREMBLE, seed), self.faults)
+        felt = apply_faults(add_noise(load, TREMBLE, seed), self.faults)
         self.sensor = EMULATED[self.kind](felt)
         self.link = SteppedLink(self.sensor, self.faults, self.clock, self.rng)
         chosen = SETTINGS.ft.model_copy(update={"driver": self.kind})
@@ -148,6 +149,17 @@ class WristTrial:
         link.end_s, link.at_end = begun_s + 1.2, reader._stop.set
         reader._read(link, language)
         return Ended(self.seed, self.kind, fault, tuple(self._broken(fault, begun_s)))
+
+    def listen(self, seconds: float) -> np.ndarray:
+        """Stream without a fault as in a connection; return the samples, or raise its refusal."""
+        reader, clock = self.reader, self.clock
+        link, driver = reader._begin(Impatient(clock))
+        reader._forget()
+        link.end_s, link.at_end = clock.now_s() + seconds, reader._stop.set
+        reader._read(link, driver)
+        reader._stop.clear()
+        reader._check_still(0.0, threading.Event())
+        return reader.samples.since(0).values
 
     def _open(self, language) -> SteppedLink:
         self.link.chunk = language.chunk

@@ -3,7 +3,7 @@
 SHELL := /bin/bash
 .SHELLFLAGS := -eu -o pipefail -c
 .DEFAULT_GOAL := help
-.PHONY: help setup run demo test coverage check lint types contracts format bench fuzz screens pictures models exchange-check clean
+.PHONY: help setup run demo test check lint types contracts format bench fuzz screens pictures models exchange-check clean
 
 export PYTHON
 # Compiled once, not by every process anew, also where the environment forbids to keep it.
@@ -15,6 +15,8 @@ MINUTES ?= 10
 GROUP ?=
 # Where so much is free in memory, tests write there: they flush thousands of small files.
 MEMORY_MB := 6000
+# From CPython 3.12 on, the monitoring of the interpreter measures coverage at no cost.
+CORE := import sys; print("sysmon" if sys.version_info >= (3, 12) else "ctrace")
 
 help: ## list the targets
 	@awk -F':.*## ' '/^[a-z]+:.*## / { printf "  make %-10s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -34,23 +36,19 @@ run: ## open the window on the simulated bench
 demo: setup ## stack three pieces without a screen and leave a report
 	@$(BIN)/touchdown demo
 
-test: setup ## all tests: offscreen, no hardware, no network; one by real keys (Xvfb, xdotool)
+test: setup ## all tests and their coverage: offscreen, no hardware, no network; one by real keys (Xvfb)
 	@.ci/system-packages.sh Xvfb=xvfb xdotool=xdotool
-	@export QT_QPA_PLATFORM=offscreen OMP_NUM_THREADS=1; \
+	@export QT_QPA_PLATFORM=offscreen OMP_NUM_THREADS=1 COVERAGE_CORE="$$($(BIN)/python -c '$(CORE)')"; \
 	if [ -w /dev/shm ] && [ "$$(df -Pm /dev/shm | awk 'END { print $$4 }')" -ge $(MEMORY_MB) ]; then \
 	    export PYTEST_DEBUG_TEMPROOT=/dev/shm; fi; \
-	$(BIN)/pytest $(TESTS) -q -n $(WORKERS) --dist worksteal || { \
+	$(BIN)/pytest $(TESTS) -q -n $(WORKERS) --dist worksteal --cov --cov-report= || { \
 	    code=$$?; [ $$code = 1 ] || exit $$code; \
 	    echo "test: what failed is run again, one by one:"; \
 	    if $(BIN)/pytest $(TESTS) -q --last-failed --last-failed-no-failures none --maxfail 9; \
 	    then echo "test: FAILED. Alone they pass: they depend on speed, or on what ran beside or before."; \
 	    else echo "test: FAILED, alone as well."; fi; \
 	    exit $$code; }
-
-coverage: setup ## share of the product's lines that the tests run (slower than make test)
-	@QT_QPA_PLATFORM=offscreen OMP_NUM_THREADS=1 $(BIN)/pytest $(TESTS) -q -n $(WORKERS) \
-	    --cov=app --cov=backend --cov=widgets --cov-report=
-	@echo "coverage: $$($(BIN)/coverage report --format=total) % of the product's lines are covered"
+	@echo "coverage: $$($(BIN)/coverage report --format=total) % of the product's lines"
 
 check: lint types contracts test ## what continuous integration runs
 

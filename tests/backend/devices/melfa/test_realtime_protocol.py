@@ -240,7 +240,7 @@ def _ended(rig: Rig, happen: Callable[[Rig], None], name: str) -> tuple[float, l
     while not known() and rig.wires.clock.now_s() - begun_s < 0.5:
         rig.wires.advance(3500)
     took_s, since = rig.wires.clock.now_s() - begun_s, len(rig.wires.packets)
-    rig.rest(0.4)
+    rig.rest(0.2)
     fault = rig.arm.fault
     emergency = int(name) in EMERGENCIES if name.isdigit() else False
     status, stopped = rig.arm.status(), fault is not None and fault.code == "HW-STOP"
@@ -253,7 +253,7 @@ def _ended(rig: Rig, happen: Callable[[Rig], None], name: str) -> tuple[float, l
         "a command was obeyed": rig.device.stream.commands == followed,
     }
     rig.arm.close()
-    rig.rest(1.0)
+    rig.rest(0.5)
     rows["connected by itself"] = rig.arm.state is DeviceState.CLOSED
     if name.isdigit():
         try:

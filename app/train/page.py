@@ -77,7 +77,7 @@ class TrainPage(WorkspacePage):
 
     def _arrange(self) -> None:
         self.split_panel = Panel("Split", self.split)
-        held_out = label("Held out", "muted"), self.form.numbers.held_out
+        held_out = label("Held out", "muted"), self.form.held_out
         add_items(self.split_panel.header, *held_out)
         add_items(self.split_panel.column, self.leaks, self.form.divide)
         self._left = column_of((self.form, 0), (self.split_panel, 1))

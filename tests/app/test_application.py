@@ -249,7 +249,7 @@ class Desk:
 
     def tiny(self, **more: int) -> None:
         for name, value in {"hidden": HIDDEN, "epochs": EPOCHS, "layers": 1, **more}.items():
-            getattr(self.page.form.numbers, name).setValue(value)
+            getattr(self.page.form, name).setValue(value)
         self.settle()
 
     def train(self) -> None:
@@ -315,7 +315,7 @@ def test_counts_and_leaks_are_there_before_training(desk):
     desk.settle()
     assert "on both sides" in page.leaks.text()
     before = int(rows[2][2])
-    page.form.numbers.held_out.setValue(40)
+    page.form.held_out.setValue(40)
     desk.settle()
     assert int(page.split.texts()[2][2]) > 2 * before
 

@@ -285,7 +285,7 @@ def train(me: Person) -> Doing:
         return workspace.presenter is not None and not workspace._worker.busy
 
     yield settled
-    epochs = form.numbers.epochs
+    epochs = form.epochs
     epochs.setFocus()
     epochs.selectAll()
     me.type("2")

@@ -146,7 +146,7 @@ def train(day, workspace):
     day.wait(settled)
     page.form.labels.setCurrentIndex(1)
     for name, value in {"hidden": 8, "epochs": 1, "layers": 1, "held_out": 40}.items():
-        getattr(page.form.numbers, name).setValue(value)
+        getattr(page.form, name).setValue(value)
     day.wait(lambda: settled() and page.form.start.isEnabled())
     day.press(KEY.Key_Return, CTRL)
     day.wait(lambda: workspace.presenter.thread is None and settled())

@@ -3,29 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from PySide6.QtCore import QSignalBlocker, Signal
-from PySide6.QtWidgets import (
-    QCheckBox,
-    QComboBox,
-    QDoubleSpinBox,
-    QGridLayout,
-    QProgressBar,
-    QPushButton,
-    QSizePolicy,
-    QSpinBox,
-    QWidget,
-)
+from PySide6.QtWidgets import QCheckBox, QComboBox, QProgressBar, QPushButton, QSizePolicy
 
 from touchdown.widgets.base import Panel, Theme, add_items, describe, hbox, label
 from touchdown.widgets.forms.fields import (
+    FormFields,
+    decimal_box,
     draw_run_icons,
-    field_label,
-    inset_spin_boxes,
-    let_shrink,
-    select_key,
     set_entries,
+    whole_box,
 )
 from touchdown.widgets.forms.questions import NameField
 
@@ -97,9 +86,12 @@ class TargetPanel(Panel):
         super().__init__("Target")
         self._theme = theme
         self.piece, self.bottom, self.pattern = QComboBox(), QComboBox(), QComboBox()
-        self.within, self.count, self.per_grip = QDoubleSpinBox(), QSpinBox(), QSpinBox()
-        self.seed, self.person = QSpinBox(), NameField()
-        self.origin = (QDoubleSpinBox(), QDoubleSpinBox())
+        self.within, self.count = decimal_box(0.0, WIDEST_MM), whole_box(1, 100_000)
+        self.within.setSpecialValueText(NO_LIMIT)
+        self.within.setSuffix(" mm")
+        self.per_grip, self.seed = whole_box(0, 1000, "auto"), whole_box(0, 999_999)
+        self.person = NameField()
+        self.origin = decimal_box(-100.0, 100.0, step=0.1), decimal_box(-100.0, 100.0, step=0.1)
         self.check_origin = QCheckBox("Touch the edges after every mounting")
         self.ask = QCheckBox("Wait for an answer after each probe")
         self.hand_over = QCheckBox("Hand the piece over (no jig)")
@@ -109,23 +101,12 @@ class TargetPanel(Panel):
         self.start, self.go_on = QPushButton("Start collecting"), QPushButton("Continue")
         self.pause, self.end = QPushButton("Pause"), QPushButton("End")
         self.bar, self.eta = QProgressBar(), label("", "small")
-        self._fields: tuple[QWidget, ...] = (
-            self.piece, self.bottom, self.within, self.pattern, self.count, self.per_grip,
-            self.seed, self.person, *self.origin, self.check_origin, self.ask, self.hand_over,
-            self.here,
+        self._fields = FormFields(
+            8, 3, piece=self.piece, bottom=self.bottom, within_mm=self.within,
+            pattern=self.pattern, count=self.count, probes_per_grip=self.per_grip, seed=self.seed,
+            origin_x_mm=self.origin[0], origin_y_mm=self.origin[1],
+            check_origin=self.check_origin, ask=self.ask, hand_over=self.hand_over,
         )  # fmt: skip
-        self.within.setRange(0.0, WIDEST_MM)
-        self.within.setSpecialValueText(NO_LIMIT)
-        self.within.setSuffix(" mm")
-        self.count.setRange(1, 100_000)
-        self.per_grip.setRange(0, 1000)
-        self.per_grip.setSpecialValueText("auto")
-        self.seed.setRange(0, 999_999)
-        for spin in self.origin:
-            spin.setRange(-100.0, 100.0)
-            spin.setDecimals(2)
-            spin.setSingleStep(0.1)
-        inset_spin_boxes(self.within, self.count, self.per_grip, self.seed, *self.origin)
         set_entries(self.pattern, PATTERNS)
         self.bar.setTextVisible(True)
         self.bar.setFormat("%v of %m")
@@ -182,33 +163,19 @@ class TargetPanel(Panel):
         # Compact: at the smallest window size a campaign in contact shows every row.
         self.column.setSpacing(4)
         self.lift.setProperty("role", "header")
-        form = QGridLayout()
-        form.setHorizontalSpacing(8)
-        form.setVerticalSpacing(3)
-        form.setColumnStretch(1, 1)
-        form.setColumnStretch(3, 1)
-        for row, (text, field) in enumerate(
-            (("Piece", self.piece), ("Bottom", self.bottom), ("Pattern", self.pattern),
-             ("Person", self.person))
-        ):  # fmt: skip
-            form.addWidget(field_label(text, field), row, 0)
-            form.addWidget(field, row, 1, 1, 3)
-        pairs = (
-            ("Range \N{PLUS-MINUS SIGN}", self.within, "Probes", self.count),
-            ("Per grip", self.per_grip, "Seed", self.seed),
-            ("Origin x", self.origin[0], "y", self.origin[1]),
-        )
-        for row, (left, one, right, other) in enumerate(pairs, start=4):
-            form.addWidget(field_label(left, one), row, 0)
-            form.addWidget(one, row, 1)
-            form.addWidget(field_label(right, other), row, 2)
-            form.addWidget(other, row, 3)
-        for field in self._fields:
-            if not isinstance(field, QCheckBox | QPushButton):
-                field.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
-        let_shrink(self.piece, self.bottom, self.pattern)
+        fields = self._fields
+        fields.add_wide(
+            0, ("Piece", self.piece), ("Bottom", self.bottom), ("Pattern", self.pattern),
+            ("Person", self.person),
+        )  # fmt: skip
+        fields.add_halves(
+            4, ("Range \N{PLUS-MINUS SIGN}", self.within), ("Probes", self.count),
+            ("Per grip", self.per_grip), ("Seed", self.seed),
+            ("Origin x", self.origin[0]), ("y", self.origin[1]),
+        )  # fmt: skip
+        self.person.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
         add_items(
-            self.column, form, hbox((self.here, 3), (self.take, 2)),
+            self.column, fields, hbox((self.here, 3), (self.take, 2)),
             self.residual, self.check_origin, self.hand_over, self.ask, self.start,
             hbox((self.why_not, 1), self.lift),
             hbox((self.go_on, 1), (self.pause, 1), (self.end, 1)), self.bar, self.eta, 1,
@@ -227,35 +194,11 @@ class TargetPanel(Panel):
     def show_form(self, form: TargetForm) -> None:
         """Fill in the form; unknown entries change nothing."""
         self._form = form
-        for combo, key in ((self.piece, form.piece), (self.bottom, form.bottom),
-                           (self.pattern, form.pattern)):  # fmt: skip
-            select_key(combo, key)
-        self.within.setValue(form.within_mm)
-        self.count.setValue(form.count)
-        self.per_grip.setValue(form.probes_per_grip)
-        self.seed.setValue(form.seed)
-        self.origin[0].setValue(form.origin_x_mm)
-        self.origin[1].setValue(form.origin_y_mm)
-        self.check_origin.setChecked(form.check_origin)
-        self.ask.setChecked(form.ask)
-        self.hand_over.setChecked(form.hand_over)
+        self._fields.fill(form)
 
     def form(self) -> TargetForm:
         """Return the content of the form; without a catalogue, the pair shown last."""
-        return TargetForm(
-            piece=self.piece.currentData() or self._form.piece,
-            bottom=self.bottom.currentData() or self._form.bottom,
-            within_mm=self.within.value(),
-            pattern=self.pattern.currentData(),
-            count=self.count.value(),
-            probes_per_grip=self.per_grip.value(),
-            seed=self.seed.value(),
-            origin_x_mm=self.origin[0].value(),
-            origin_y_mm=self.origin[1].value(),
-            check_origin=self.check_origin.isChecked(),
-            ask=self.ask.isChecked(),
-            hand_over=self.hand_over.isChecked(),
-        )
+        return replace(self._form, **self._fields.read())
 
     def show_buttons(self, buttons: TargetButtons) -> None:
         """Enable buttons and fields; Start confirms while ``ask`` is set."""
@@ -278,8 +221,9 @@ class TargetPanel(Panel):
         self.pause.setText("Resume" if buttons.paused else "Pause")
         self.pause.setToolTip("Pause at the next safe point, arm lifted (P)")
         self.end.setEnabled(buttons.end)
-        for field in self._fields:
-            field.setEnabled(buttons.form)
+        self._fields.set_enabled(buttons.form)
+        self.person.setEnabled(buttons.form)
+        self.here.setEnabled(buttons.form)
         self.draw_icons()
 
     def ask_person(self) -> None:

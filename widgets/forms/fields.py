@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from typing import Any
 
 from PySide6.QtCore import QEvent, QObject, QPoint, QPointF, Qt, QTimer
 from PySide6.QtGui import QGuiApplication, QKeyEvent, QMouseEvent, QTouchEvent, QWindow
@@ -10,16 +11,21 @@ from PySide6.QtWidgets import (
     QAbstractButton,
     QAbstractSpinBox,
     QApplication,
+    QCheckBox,
     QComboBox,
+    QDoubleSpinBox,
+    QGridLayout,
     QLabel,
     QPushButton,
     QSizePolicy,
+    QSpinBox,
     QWidget,
 )
 
 from touchdown.widgets.base import Theme, fit_icon, icon, label
 
 INSET_PX = 6
+Field = QCheckBox | QComboBox | QDoubleSpinBox | QSpinBox
 
 
 def field_label(text: str, field: QWidget) -> QLabel:
@@ -54,6 +60,85 @@ def select_key(combo: QComboBox, key: str) -> None:
     index = combo.findData(key)
     if index >= 0:
         combo.setCurrentIndex(index)
+
+
+def whole_box(low: int, high: int, auto: str = "") -> QSpinBox:
+    """Return a spin box for whole numbers; ``auto`` is the text of the lowest one."""
+    box = QSpinBox()
+    box.setRange(low, high)
+    box.setSpecialValueText(auto)
+    return box
+
+
+def decimal_box(low: float, high: float, decimals: int = 2, step: float = 1.0) -> QDoubleSpinBox:
+    """Return a spin box for decimal numbers."""
+    box = QDoubleSpinBox()
+    box.setDecimals(decimals)
+    box.setRange(low, high)
+    box.setSingleStep(step)
+    return box
+
+
+class FormFields(QGridLayout):
+    """Grid of the fields of a form. Each field holds the attribute of a dataclass with its name.
+
+    A row has one wide field or two halves.
+    """
+
+    def __init__(self, horizontal_px: int, vertical_px: int, **fields: Field) -> None:
+        super().__init__()
+        self.setHorizontalSpacing(horizontal_px)
+        self.setVerticalSpacing(vertical_px)
+        self.setColumnStretch(1, 1)
+        self.setColumnStretch(3, 1)
+        self._fields = fields
+        for field in fields.values():
+            if isinstance(field, QComboBox):
+                let_shrink(field)
+            elif isinstance(field, QAbstractSpinBox):
+                inset_spin_boxes(field)
+            if not isinstance(field, QCheckBox):
+                field.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
+
+    def add_wide(self, row: int, *named: tuple[str, QWidget]) -> None:
+        """Add (title, field) rows from ``row`` on."""
+        for at, (title, field) in enumerate(named, start=row):
+            self.addWidget(field_label(title, field), at, 0)
+            self.addWidget(field, at, 1, 1, 3)
+
+    def add_halves(self, row: int, *named: tuple[str, QWidget]) -> list[QLabel]:
+        """Add (title, field) halves from ``row`` on, two to a row; return their labels."""
+        titles = [field_label(title, field) for title, field in named]
+        for at, (title, (_, field)) in enumerate(zip(titles, named, strict=True)):
+            self.addWidget(title, row + at // 2, 2 * (at % 2))
+            self.addWidget(field, row + at // 2, 2 * (at % 2) + 1)
+        return titles
+
+    def fill(self, form: object) -> None:
+        """Show the attributes of ``form``; unknown entries of combo boxes change nothing."""
+        for name, field in self._fields.items():
+            value = getattr(form, name)
+            if isinstance(field, QComboBox):
+                select_key(field, value)
+            elif isinstance(field, QCheckBox):
+                field.setChecked(value)
+            else:
+                field.setValue(value)
+
+    def read(self) -> dict[str, Any]:
+        """Return the values by name, without empty combo boxes."""
+        values: dict[str, Any] = {}
+        for name, field in self._fields.items():
+            if isinstance(field, QComboBox):
+                values[name] = field.currentData()
+            else:
+                values[name] = field.isChecked() if isinstance(field, QCheckBox) else field.value()
+        return {name: value for name, value in values.items() if value is not None}
+
+    def set_enabled(self, enabled: bool) -> None:
+        """Enable or disable every field."""
+        for field in self._fields.values():
+            field.setEnabled(enabled)
 
 
 def draw_run_icons(theme: Theme, start: QAbstractButton, *others: QAbstractButton) -> None:

@@ -6,23 +6,16 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from PySide6.QtCore import Signal
-from PySide6.QtWidgets import (
-    QComboBox,
-    QDoubleSpinBox,
-    QGridLayout,
-    QPushButton,
-    QSizePolicy,
-    QSpinBox,
-)
+from PySide6.QtWidgets import QComboBox, QPushButton
 
 from touchdown.widgets.base import ElidedLabel, Panel, Theme, add_items, describe, hbox
 from touchdown.widgets.forms.fields import (
+    FormFields,
+    decimal_box,
     draw_run_icons,
-    field_label,
-    inset_spin_boxes,
     let_shrink,
-    select_key,
     set_entries,
+    whole_box,
 )
 
 NO_BODY = "nothing"
@@ -80,16 +73,15 @@ class RunPanel(Panel):
         super().__init__("Run")
         self._theme = theme
         self._piece, self._bottom, self._under = QComboBox(), QComboBox(), QComboBox()
-        self._seed, self._trials = QSpinBox(), QSpinBox()
-        self._origin = QDoubleSpinBox(), QDoubleSpinBox()
+        self._seed, self._trials = whole_box(0, 999_999), whole_box(1, 100)
+        self._origin = decimal_box(-300.0, 300.0), decimal_box(-300.0, 300.0)
         self._strategy, self._mode = QComboBox(), QComboBox()
+        self._fields = FormFields(
+            12, 6, piece=self._piece, bottom=self._bottom, under=self._under, seed=self._seed,
+            trials=self._trials, strategy=self._strategy, mode=self._mode,
+            origin_x_mm=self._origin[0], origin_y_mm=self._origin[1],
+        )  # fmt: skip
         self._model = ElidedLabel("small")
-        self._seed.setRange(0, 999_999)
-        self._trials.setRange(1, 100)
-        for box in self._origin:
-            box.setRange(-300.0, 300.0)
-            box.setDecimals(2)
-        inset_spin_boxes(self._seed, self._trials, *self._origin)
         set_entries(self._strategy, STRATEGIES)
         set_entries(self._mode, MODES)
         self.start = QPushButton("Start stacking")
@@ -120,34 +112,20 @@ class RunPanel(Panel):
         self.start.setAccessibleName("Start stacking")
 
     def _arrange(self) -> None:
-        form = QGridLayout()
-        form.setHorizontalSpacing(12)
-        form.setVerticalSpacing(6)
-        form.setColumnStretch(1, 1)
-        form.setColumnStretch(3, 1)
-        wide = (("Piece", self._piece), ("Bottom", self._bottom), ("Below it", self._under))
-        for row, (text, field) in enumerate(wide):
-            form.addWidget(field_label(text, field), row, 0)
-            form.addWidget(field, row, 1, 1, 3)
-        for column, (text, number) in ((0, ("Seed", self._seed)), (2, ("Trials", self._trials))):
-            form.addWidget(field_label(text, number), 3, column)
-            form.addWidget(number, 3, column + 1)
+        fields = self._fields
+        fields.add_wide(
+            0, ("Piece", self._piece), ("Bottom", self._bottom), ("Below it", self._under)
+        )
+        fields.add_halves(3, ("Seed", self._seed), ("Trials", self._trials))
+        fields.add_wide(
+            4, ("Strategy", self._strategy), ("Model", self._model), ("Mode", self._mode)
+        )
         x, y = self._origin
-        self._origin_words = field_label("Origin x", x), field_label("y", y)
-        for column, widget in enumerate((self._origin_words[0], x, self._origin_words[1], y)):
-            form.addWidget(widget, 7, column)
+        self._origin_words = fields.add_halves(7, ("Origin x", x), ("y", y))
         self.show_devices(False)
-        form.addWidget(field_label("Model", self._model), 5, 0)
-        form.addWidget(self._model, 5, 1, 1, 3)
-        for row, (text, field) in ((4, ("Strategy", self._strategy)), (6, ("Mode", self._mode))):
-            form.addWidget(field_label(text, field), row, 0)
-            form.addWidget(field, row, 1, 1, 3)
-        self.column.addLayout(form)
+        self.column.addLayout(fields)
         self.column.addSpacing(2)
         add_items(self.column, self.start, hbox((self.pause, 1), (self.cancel, 1)))
-        for one in (self._piece, self._bottom, self._under, self._strategy, self._mode):
-            one.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
-            let_shrink(one)
 
     def show_catalogue(
         self, pieces: Sequence[tuple[str, str]], bottoms: Sequence[tuple[str, str]]
@@ -172,29 +150,11 @@ class RunPanel(Panel):
 
     def show_form(self, form: RunForm) -> None:
         """Fill in the form; unknown entries change nothing."""
-        for combo, key in ((self._piece, form.piece), (self._bottom, form.bottom),
-                           (self._under, form.under), (self._strategy, form.strategy),
-                           (self._mode, form.mode)):  # fmt: skip
-            select_key(combo, key)
-        self._seed.setValue(form.seed)
-        self._trials.setValue(form.trials)
-        self._origin[0].setValue(form.origin_x_mm)
-        self._origin[1].setValue(form.origin_y_mm)
+        self._fields.fill(form)
 
     def form(self) -> RunForm:
         """Return the content of the form."""
-        default = RunForm()
-        return RunForm(
-            piece=self._piece.currentData() or default.piece,
-            bottom=self._bottom.currentData() or default.bottom,
-            under=self._under.currentData() or "",
-            seed=self._seed.value(),
-            trials=self._trials.value(),
-            strategy=self._strategy.currentData(),
-            mode=self._mode.currentData(),
-            origin_x_mm=self._origin[0].value(),
-            origin_y_mm=self._origin[1].value(),
-        )
+        return RunForm(**self._fields.read())
 
     def show_buttons(self, buttons: RunButtons) -> None:
         """Enable buttons and fields; the tool tip of a disabled Start gives the reason."""
@@ -203,9 +163,7 @@ class RunPanel(Panel):
         self.pause.setEnabled(buttons.pause)
         self.pause.setText("Resume" if buttons.paused else "Pause")
         self.cancel.setEnabled(buttons.cancel)
-        for field in (self._piece, self._bottom, self._under, self._seed, self._trials,
-                      self._strategy, self._mode, *self._origin):  # fmt: skip
-            field.setEnabled(buttons.form and self._piece.count() > 0)
+        self._fields.set_enabled(buttons.form and self._piece.count() > 0)
         self.draw_icons()
 
     def draw_icons(self) -> None:

@@ -3,28 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from PySide6.QtCore import QSignalBlocker, Qt, Signal
-from PySide6.QtWidgets import (
-    QCheckBox,
-    QComboBox,
-    QDoubleSpinBox,
-    QGridLayout,
-    QPushButton,
-    QSizePolicy,
-    QSpinBox,
-    QToolButton,
-)
+from PySide6.QtWidgets import QCheckBox, QComboBox, QPushButton, QSizePolicy, QToolButton
 
 from touchdown.widgets.base import Panel, Theme, add_items, describe, hbox
 from touchdown.widgets.forms.fields import (
+    FormFields,
+    decimal_box,
     draw_run_icons,
     field_label,
-    inset_spin_boxes,
-    let_shrink,
-    select_key,
     set_entries,
+    whole_box,
 )
 
 LABEL_TITLES = (
@@ -84,7 +75,20 @@ class TrainingFormPanel(Panel):
         self.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Fixed)
         self.data, self.labels, self.piece = QComboBox(), QComboBox(), QComboBox()
         self.modality, self.folder = QComboBox(), QToolButton()
-        self.numbers, self.divide = _Numbers(), QCheckBox("Divide series by grips")
+        self.divide = QCheckBox("Divide series by grips")
+        self.layers, self.hidden = whole_box(1, 4), whole_box(4, 1024)
+        self.epochs, self.batch = whole_box(1, 1000), whole_box(1, 1024)
+        self.held_out, self.seed = whole_box(5, 50), whole_box(0, 999_999)
+        self.held_out.setSuffix(" %")
+        self.held_out.setProperty("role", "compact")
+        self.rate = decimal_box(0.0001, 1.0, decimals=4, step=0.0005)
+        numbers = (self.layers, self.hidden, self.epochs, self.batch, self.held_out, self.seed)
+        self._fields = FormFields(
+            10, 5, data=self.data, labels=self.labels, piece=self.piece, modality=self.modality,
+            layers=self.layers, hidden=self.hidden, epochs=self.epochs, batch=self.batch,
+            learning_rate=self.rate, seed=self.seed, held_out=self.held_out,
+            divide_series=self.divide,
+        )  # fmt: skip
         self.start, self.cancel = QPushButton("Start training"), QPushButton("Cancel")
         self.resume, self.defaults = QPushButton("Resume"), QToolButton()
         self.start.setProperty("role", "primary")
@@ -103,8 +107,11 @@ class TrainingFormPanel(Panel):
         self.defaults.clicked.connect(self.defaults_requested)
         for combo in (self.data, self.labels, self.piece, self.modality):
             combo.currentIndexChanged.connect(self.changed)
-        for number in self.numbers.all():
+        for number in (*numbers, self.rate):
+            number.setMinimumWidth(LEAST_PX)  # two share a row
             number.valueChanged.connect(self.changed)
+        for number in numbers:
+            number.setKeyboardTracking(False)
         self.divide.toggled.connect(self.changed)
         self.show_buttons(TrainingButtons(start=False, cancel=False, resume=False))
 
@@ -120,31 +127,32 @@ class TrainingFormPanel(Panel):
             (self.resume, "Resume", "Continue the selected training (Ctrl+Shift+Return)"),
             (self.divide, "Divide series", "Hold out grips instead of whole series (leakage)"),
             (self.defaults, "Defaults", "Fill in the network and settings of the paper"),
+            (self.layers, "Layers", "LSTM layers; the paper has 2"),
+            (self.hidden, "Units", "Units of each layer; the paper has 256"),
+            (self.epochs, "Epochs", "Passes over the training episodes"),
+            (self.batch, "Batch", "Episodes per step"),
+            (self.rate, "Rate", "Learning rate of the optimiser"),
+            (self.seed, "Seed", "Seed of initial weights, order and split"),
+            (self.held_out, "Held out", "Share of the episodes for validation"),
         )
 
     def _arrange(self) -> None:
-        form = QGridLayout()
-        form.setHorizontalSpacing(10)
-        form.setVerticalSpacing(5)
-        form.setColumnStretch(1, 1)
-        form.setColumnStretch(3, 1)
-        form.addWidget(field_label("Data", self.data), 0, 0)
-        form.addLayout(hbox((self.data, 1), self.folder, spacing=4), 0, 1, 1, 3)
-        rows = (("Labels", self.labels), ("Piece", self.piece), ("Sees", self.modality))
-        for row, (text, field) in enumerate(rows, start=1):
-            form.addWidget(field_label(text, field), row, 0)
-            form.addWidget(field, row, 1, 1, 3)
-        self.numbers.place(form, 4)
+        fields = self._fields
+        fields.addWidget(field_label("Data", self.data), 0, 0)
+        fields.addLayout(hbox((self.data, 1), self.folder, spacing=4), 0, 1, 1, 3)
+        fields.add_wide(1, ("Labels", self.labels), ("Piece", self.piece), ("Sees", self.modality))
+        # The held-out share stands beside the split.
+        fields.add_halves(
+            4, ("Layers", self.layers), ("Units", self.hidden), ("Epochs", self.epochs),
+            ("Batch", self.batch), ("Rate", self.rate), ("Seed", self.seed),
+        )  # fmt: skip
         self.detail.setText("support: p > 0.9")
         self.detail.setToolTip("A face point above this probability is support (delta)")
         self.header.addWidget(self.defaults)
         # One row, to leave room for the table of the split.
         buttons = hbox((self.start, 1), self.cancel, self.resume, spacing=4)
-        add_items(self.column, form, buttons)
+        add_items(self.column, fields, buttons)
         self.folder.setSizePolicy(QSizePolicy.Policy.Fixed, QSizePolicy.Policy.Ignored)
-        for one in (self.data, self.labels, self.piece, self.modality):
-            one.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
-            let_shrink(one)
 
     def show_data(self, entries: Sequence[tuple[str, str]], chosen: str) -> None:
         """Set the (folder, title) entries and select one, without emitting ``changed``."""
@@ -158,24 +166,12 @@ class TrainingFormPanel(Panel):
 
     def show_form(self, form: TrainingForm) -> None:
         """Fill in the form without emitting ``changed``; unknown entries change nothing."""
-        for combo, key in ((self.data, form.data), (self.labels, form.labels),
-                           (self.piece, form.piece), (self.modality, form.modality)):  # fmt: skip
-            with QSignalBlocker(combo):
-                select_key(combo, key)
-        self.numbers.show(form)
-        with QSignalBlocker(self.divide):
-            self.divide.setChecked(form.divide_series)
+        with QSignalBlocker(self):
+            self._fields.fill(form)
 
     def form(self) -> TrainingForm:
         """Return the content of the form."""
-        return replace(
-            self.numbers.read(),
-            data=self.data.currentData() or "",
-            labels=self.labels.currentData(),
-            piece=self.piece.currentData() or "",
-            modality=self.modality.currentData(),
-            divide_series=self.divide.isChecked(),
-        )
+        return TrainingForm(**self._fields.read())
 
     def show_buttons(self, buttons: TrainingButtons) -> None:
         """Enable buttons and fields; the tool tip of a disabled Start gives the reason."""
@@ -183,76 +179,14 @@ class TrainingFormPanel(Panel):
         self.start.setToolTip(buttons.why_not or "Train in a separate process (Ctrl+Return)")
         self.cancel.setEnabled(buttons.cancel)
         self.resume.setEnabled(buttons.resume)
-        for field in (self.data, self.folder, self.labels, self.piece, self.modality,
-                      self.defaults, self.divide, *self.numbers.all()):  # fmt: skip
-            field.setEnabled(not buttons.cancel)
+        self._fields.set_enabled(not buttons.cancel)
+        self.folder.setEnabled(not buttons.cancel)
+        self.defaults.setEnabled(not buttons.cancel)
         self.draw_icons()
 
     def draw_icons(self) -> None:
         """Draw the icon in the colours of the theme."""
         draw_run_icons(self._theme, self.start)
-
-
-class _Numbers:
-    """Spin boxes of the form, two per row."""
-
-    def __init__(self) -> None:
-        self.layers, self.hidden = _whole(1, 4), _whole(4, 1024)
-        self.epochs, self.batch = _whole(1, 1000), _whole(1, 1024)
-        self.held_out, self.seed = _whole(5, 50), _whole(0, 999_999)
-        self.held_out.setSuffix(" %")
-        self.held_out.setProperty("role", "compact")
-        self.rate = QDoubleSpinBox()
-        self.rate.setDecimals(4)
-        self.rate.setRange(0.0001, 1.0)
-        self.rate.setSingleStep(0.0005)
-        self.named: tuple[tuple[str, str, QSpinBox | QDoubleSpinBox], ...] = (
-            ("Layers", "LSTM layers; the paper has 2", self.layers),
-            ("Units", "Units of each layer; the paper has 256", self.hidden),
-            ("Epochs", "Passes over the training episodes", self.epochs),
-            ("Batch", "Episodes per step", self.batch),
-            ("Rate", "Learning rate of the optimiser", self.rate),
-            ("Seed", "Seed of initial weights, order and split", self.seed),
-            ("Held out", "Share of the episodes for validation", self.held_out),
-        )
-        for name, tip, box in self.named:
-            describe((box, name, tip))
-            inset_spin_boxes(box)
-            box.setMinimumWidth(LEAST_PX)  # two share a row
-
-    def all(self) -> list[QSpinBox | QDoubleSpinBox]:
-        return [box for _, _, box in self.named]
-
-    def place(self, form: QGridLayout, first: int) -> None:
-        """Place all but the held-out share, which is shown beside the split."""
-        for at, (name, _, box) in enumerate(self.named[:-1]):
-            row, side = divmod(at, 2)
-            form.addWidget(field_label(name, box), first + row, 2 * side)
-            form.addWidget(box, first + row, 2 * side + 1)
-
-    def show(self, form: TrainingForm) -> None:
-        for box, value in (
-            (self.layers, form.layers), (self.hidden, form.hidden), (self.epochs, form.epochs),
-            (self.batch, form.batch), (self.held_out, form.held_out), (self.seed, form.seed),
-        ):  # fmt: skip
-            with QSignalBlocker(box):
-                box.setValue(value)
-        with QSignalBlocker(self.rate):
-            self.rate.setValue(form.learning_rate)
-
-    def read(self) -> TrainingForm:
-        return TrainingForm(
-            layers=self.layers.value(), hidden=self.hidden.value(), epochs=self.epochs.value(),
-            learning_rate=self.rate.value(), batch=self.batch.value(),
-            held_out=self.held_out.value(), seed=self.seed.value(),
-        )  # fmt: skip
-
-
-def _whole(low: int, high: int) -> QSpinBox:
-    box = QSpinBox()
-    box.setRange(low, high)
-    box.setKeyboardTracking(False)
-    return box
 
 
 def _refill(combo: QComboBox, entries: Sequence[tuple[str, str]], chosen: str) -> None:

@@ -105,7 +105,7 @@ def test_progress_pause_and_end(page):
     target.end.click()
     page.bench.set_state(RunState.CANCELLING)
     settle(page.main)
-    assert not any(field.isEnabled() for field in target._fields)
+    assert not any(field.isEnabled() for field in (target.piece, target.count, target.here))
     page.bench.set_state(RunState.IDLE)
     page.tell(RunFinished(2.0, "run", "cancelled", "cancelled by the operator"))
     assert page.bench.engine.orders == ["pause", "cancel"]

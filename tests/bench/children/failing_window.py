@@ -106,7 +106,7 @@ class Watched:
         train.take_folder(data)
         self.pump(lambda: train.page.form.start.isEnabled())
         for name, value in {"hidden": 8, "epochs": 100_000, "layers": 1}.items():
-            getattr(train.page.form.numbers, name).setValue(value)
+            getattr(train.page.form, name).setValue(value)
         self.pump(lambda: train._worker is not None and not train._worker.busy)
         return train
 

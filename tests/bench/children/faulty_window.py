@@ -308,7 +308,7 @@ def dying_training(window: Sliced) -> dict[str, object]:
     found = dict[str, object]()
     train = window.train()
     for name, value in SIZES.items():
-        getattr(train.page.form.numbers, name).setValue(value)
+        getattr(train.page.form, name).setValue(value)
     window.stack()
     for way, strike in MEMORY_FAILURES.items():
         whens = {"before": window.slice_of(SLICE_S)}

@@ -84,11 +84,19 @@ QUARANTINE = "quarantine"
 FULL_LINES = 5  # above this number, findings of one kind are summarised
 
 
+CheckProgress = Callable[[str, int, int], None]
+
+
+def no_progress(what: str, done: int, total: int) -> None:
+    """Ignore the progress of a check."""
+
+
 @dataclass(frozen=True, slots=True)
 class DatasetParts:
     """Parts of a dataset that checks and repairs use; ``site``: hash chain of this copy.
 
-    ``checked``: folders that need no check at the next opening; a check updates it.
+    ``checked``: folders that need no check at the next opening; a check updates it. ``progress``
+    receives what is checked, and numbers of checked and of all.
     """
 
     folder: Path
@@ -97,6 +105,7 @@ class DatasetParts:
     geometry: GeometryStore
     site: str
     checked: CheckedFolders = field(default_factory=CheckedFolders)
+    progress: CheckProgress = no_progress
 
     @property
     def quarantine(self) -> Path:
@@ -117,7 +126,7 @@ class ConsistencyProblem:
 
     ``kind`` becomes the verb of an event, ``target`` its subject; ``message`` is a sentence for
     users. ``repair`` is None if a person has to decide: such a problem is reported once. A problem
-    that ``locks`` the labels is reported at every opening.
+    that is ``lasting``, or that ``locks`` the labels, is reported at every opening.
     """
 
     kind: str
@@ -125,6 +134,12 @@ class ConsistencyProblem:
     message: str
     repair: Repair | None = None
     locks: bool = False
+    lasting: bool = False
+
+    @property
+    def is_damage(self) -> bool:
+        """True if data were lost or damaged, False for ordinary work after a crash or a copy."""
+        return self.kind not in ("adopt", "back", "interrupted", "left-over", "moved")
 
 
 def leftover(parts: DatasetParts, path: Path, why: str) -> ConsistencyProblem:

@@ -19,15 +19,22 @@ from numpy.typing import NDArray
 from touchdown.backend.annotations import episode_index, operation_log, queues, reconciliation
 from touchdown.backend.annotations.agreement import AgreementReport, compare_labellers
 from touchdown.backend.annotations.backups import BackupStore
-from touchdown.backend.annotations.consistency import CheckedFolders, DatasetParts, problem_lines
+from touchdown.backend.annotations.consistency import (
+    CheckedFolders,
+    CheckProgress,
+    ConsistencyProblem,
+    DatasetParts,
+    no_progress,
+    problem_lines,
+)
 from touchdown.backend.annotations.database import CATALOGUE_FILE, SCHEMA_VERSION, Database
-from touchdown.backend.annotations.episode_files import read_packed
+from touchdown.backend.annotations.episode_files import LOSSES, check_losses, read_packed
 from touchdown.backend.annotations.episode_index import tagged_sides
 from touchdown.backend.annotations.geometry_records import GeometryStore, TruePatch
 from touchdown.backend.annotations.labels import LabelStore
 from touchdown.backend.annotations.operation_log import OperationJournal
 from touchdown.backend.annotations.queues import ScoreStore
-from touchdown.backend.annotations.reconciliation import MergeReport, reconcile
+from touchdown.backend.annotations.reconciliation import MergeReport, check_dataset, reconcile
 from touchdown.backend.annotations.review import check_person
 from touchdown.backend.annotations.run_tracking import RunTracker
 from touchdown.backend.annotations.storage import WriterLock, check_local_disk, disk_weakness
@@ -100,7 +107,9 @@ class Dataset:
     runs : RunTracker
         Runs recorded in the dataset.
     notices : tuple of str
-        Problems found and repaired on opening, one sentence each.
+        Problems found or repaired on opening, one sentence each; losses until they are resolved.
+    problems : list of ConsistencyProblem
+        The same problems, one by one.
     backup_trouble : str
         Reason why the last backup of the catalogue failed; empty if it succeeded.
 
@@ -124,6 +133,7 @@ class Dataset:
         self._lock = lock
         self._checked = CheckedFolders()
         self.notices: tuple[str, ...] = ()
+        self.problems: list[ConsistencyProblem] = []
         self.geometry = GeometryStore(folder / "geometry")
         self.journal = OperationJournal(folder / "labels")
         self.labels = LabelStore(database, self.journal, description.site)
@@ -137,7 +147,13 @@ class Dataset:
 
     @classmethod
     def open(
-        cls, folder: Path | str, *, create: bool = True, write: bool = True, person: str = ""
+        cls,
+        folder: Path | str,
+        *,
+        create: bool = True,
+        write: bool = True,
+        person: str = "",
+        progress: CheckProgress = no_progress,
     ) -> Self:
         """Open a dataset, or create it.
 
@@ -154,6 +170,9 @@ class Dataset:
             Open for writing.
         person : str
             Name shown to others who want to write (default: the user account).
+        progress : callable
+            Receives what is checked, and numbers of checked and of all. After a crash every file
+            is looked at, which takes minutes in a large dataset on a cold disk.
 
         Returns
         -------
@@ -189,23 +208,48 @@ class Dataset:
             raise
         dataset = cls(folder, description, database, lock)
         try:
-            dataset._reconcile()
+            dataset._reconcile(progress)
         except BaseException:
             dataset.close()
             raise
         return dataset
 
-    def _reconcile(self) -> None:
+    def _reconcile(self, progress: CheckProgress) -> None:
         if self.writable:
             self._checked = CheckedFolders.take(self.database)
-            found = reconcile(self.parts)
+            self.problems = reconcile(replace(self.parts, progress=progress))
             follow_uuid(self.database.one("SELECT coalesce(max(uuid), '') FROM episode")[0])
-            self.labels.frozen = " ".join(finding.message for finding in found if finding.locks)
-            self.notices = (*problem_lines(found), *filter(None, (disk_weakness(self.folder),)))
+            self.labels.frozen = " ".join(one.message for one in self.problems if one.locks)
+            weakness = disk_weakness(self.folder)
+            self.notices = (*problem_lines(self.problems), *filter(None, (weakness,)))
         elif self._lock is not None:
             self.notices = (
                 "The catalogue was written by a newer version of Touchdown: open for reading only.",
             )
+        else:
+            self.problems = list(check_losses(self.parts, whole=False))
+            self.notices = problem_lines(self.problems)
+
+    def verify(self, progress: CheckProgress) -> list[ConsistencyProblem]:
+        """Read every file and label operation, and return all damage until it is resolved.
+
+        Damage is recorded if the dataset is open for writing. What opening repaired is returned
+        as well. ``progress`` receives what is checked, and numbers of checked and of all.
+        """
+        parts = replace(self.parts, progress=progress)
+        if self.writable:
+            found = reconcile(parts, whole=True, again=True)
+        else:
+            found = list(check_dataset(parts, whole=True))
+        targets = {problem.target for problem in found}
+        # Losses of episodes are among the found ones, unless they were resolved since the opening.
+        before = [
+            problem
+            for problem in self.problems
+            if problem.target not in targets
+            and episode_index.find_episode(self.database, problem.target) is None
+        ]
+        return [problem for problem in (*before, *found) if problem.is_damage]
 
     @property
     def parts(self) -> DatasetParts:
@@ -327,6 +371,10 @@ class Dataset:
         """Return the episodes of a review queue for ``person``, in order."""
         return queues.episode_queue(self.database, name, person, seed=seed, limit=limit)
 
+    def count(self, wanted: EpisodeFilter | None = None) -> int:
+        """Return the number of entries that pass the filter (default: all but deleted)."""
+        return episode_index.count_episodes(self.database, wanted or EpisodeFilter())
+
     def counts(self) -> dict[str, int]:
         """Return the number of episodes per stage: unlabelled, review, approved, rejected, ..."""
         return queues.stage_counts(self.database)
@@ -436,9 +484,13 @@ def check_dataset_quality(dataset: Dataset, progress: Progress) -> QualityReport
 
     Distribution and duplicates are checked per pair of pieces. Unreadable episodes are findings.
     """
-    entries = [entry for entry in dataset.episodes() if entry.file_state == "complete"]
+    listed = dataset.episodes()
+    entries = [entry for entry in listed if entry.file_state == "complete"]
     pairs: dict[tuple[str, str], list[ExaminedEpisode]] = defaultdict(list)
     found, examined = list(_divided(dataset, entries)), 0
+    for entry in listed:
+        if loss := LOSSES.get(entry.file_state):
+            found.append(QualityIssue("unreadable", (entry.uuid,), f"Its file {loss}."))
     for entry, seen in iter_observations(dataset, entries):
         examined += 1
         if isinstance(seen, InputError):

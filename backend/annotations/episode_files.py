@@ -128,6 +128,7 @@ def _compare_files(
     found: set[str] = set()
     for folder in folders:
         for name, size in _files(parts.folder / folder, folder):
+            parts.progress("Episode files", len(found), len(rows))
             row = by_path.get(name)
             if row is not None:
                 found.add(name)
@@ -301,7 +302,8 @@ def _torn_file(parts: DatasetParts, path: Path, row: EpisodeFileRow | None) -> C
             _mark(connection, [row.uuid], "quarantined")
 
     message = f"{parts.name(path)} is torn: moved to quarantine, its whole chunks saved beside it."
-    return ConsistencyProblem("torn", parts.name(path), message, repair)
+    target = parts.name(path) if row is None else row.uuid
+    return ConsistencyProblem("torn", target, message, repair)
 
 
 def _leftover(
@@ -362,6 +364,40 @@ def file_sha256(path: Path) -> str:
     with path.open("rb") as file:
         return file_digest(file, "sha256").hexdigest()
 
+
+# What became of a recording, by the state of its row.
+LOSSES = {
+    "missing": "is missing",
+    "damaged": "was changed or is damaged",
+    "quarantined": "was torn and is in quarantine",
+}
+
+
+def check_losses(parts: DatasetParts, *, whole: bool) -> Iterator[ConsistencyProblem]:
+    """Yield the recordings that are known to be lost, until their file is back or they are deleted.
+
+    ``whole`` also finds labels whose episode has neither row nor file, as after a rebuild.
+    """
+    rows = parts.database.rows(
+        "SELECT e.state, e.path, e.kind, min(e.uuid), count(*) FROM episode e"
+        " JOIN label_head h ON h.episode = e.uuid WHERE e.state != 'complete' AND NOT h.deleted"
+        " GROUP BY e.state, e.path ORDER BY min(e.uuid)"
+    )
+    for state, path, kind, uuid, count in rows:
+        who = f"episode {uuid}" if kind == "file" else f"{count} episodes of a pack"
+        message = f"The file {path} of {who} {LOSSES[state]}: {_PUT_BACK}"
+        target = uuid if kind == "file" else path
+        yield ConsistencyProblem(state, target, message, lasting=True)
+    sql = (
+        "SELECT h.episode FROM label_head h LEFT JOIN episode e ON e.uuid = h.episode"
+        " WHERE e.uuid IS NULL AND NOT h.deleted ORDER BY h.episode"
+    )
+    for (uuid,) in parts.database.rows(sql) if whole else ():
+        message = f"Episode {uuid} has a label but no file: {_PUT_BACK}"
+        yield ConsistencyProblem("missing", uuid, message, lasting=True)
+
+
+_PUT_BACK = "put a good copy there, or delete the episode on the Label page."
 
 PACKS = "packs"
 MODE = "mass"

@@ -114,6 +114,13 @@ def find_episodes(database: Database, wanted: EpisodeFilter) -> list[EpisodeEntr
     return [row_to_entry(row) for row in database.rows(sql, values)]
 
 
+def count_episodes(database: Database, wanted: EpisodeFilter) -> int:
+    """Return the number of entries that pass the filter."""
+    where, values = _conditions(wanted)
+    (count,) = database.one(f"SELECT count(*) FROM {TABLES} WHERE {where}", values)  # noqa: S608
+    return int(count)
+
+
 def find_episode(database: Database, uuid: str) -> EpisodeEntry | None:
     """Return one entry, or None."""
     sql = f"SELECT {COLUMNS} FROM {TABLES} WHERE e.uuid = ?"  # noqa: S608

@@ -323,13 +323,14 @@ class OperationJournal:
         """Return the journal of ``site``."""
         return self.folder / f"{site}.jsonl"
 
-    def catch_up(self, connection: sqlite3.Connection, site: str) -> int:
+    def catch_up(self, connection: sqlite3.Connection, site: str, *, anew: bool = False) -> int:
         """Append the operations that the journal of ``site`` lacks; return their number.
 
-        An incomplete last line is removed first. Raises ``OSError`` if the disk fails.
+        An incomplete last line is removed first. ``anew``: the file was moved away. Raises
+        ``OSError`` if the disk fails.
         """
         path = self.path(site)
-        last = self._written.get(site)
+        last = None if anew else self._written.get(site)
         if last is None:
             last = _cut_torn_line(path)
         missing = read_operations(connection, "site = ? AND seq > ?", (site, last))
@@ -353,6 +354,13 @@ def read_journal(path: Path) -> Iterator[Operation]:
             yield Operation(**json.loads(line))
         except (ValueError, TypeError) as error:
             raise ValueError(f"{path.name}, line {number}: {error}") from error
+
+
+def line_numbers(path: Path) -> Iterator[int]:
+    """Yield the sequence number of each readable line of a journal."""
+    for line in path.read_bytes().splitlines():
+        with suppress(ValueError, TypeError, KeyError):
+            yield int(json.loads(line)["seq"])
 
 
 def _append(path: Path, operations: list[Operation]) -> None:

@@ -17,8 +17,14 @@ from pathlib import Path
 from touchdown.backend.annotations import operation_log, review
 from touchdown.backend.annotations.consistency import ConsistencyProblem, DatasetParts, leftover
 from touchdown.backend.annotations.database import Database, add_event
-from touchdown.backend.annotations.episode_files import check_episode_files, check_packs
+from touchdown.backend.annotations.episode_files import (
+    check_episode_files,
+    check_losses,
+    check_packs,
+    quarantine_file,
+)
 from touchdown.backend.annotations.operation_log import (
+    line_numbers,
     newest_operations,
     read_journal,
     read_last_line,
@@ -52,7 +58,8 @@ def check_labels(parts: DatasetParts, *, whole: bool) -> Iterator[ConsistencyPro
     missing: list[Operation] = []
     journals = {path.stem for path in parts.journal.folder.glob("*.jsonl")}
     for site in sorted({*catalogue, *journals} - broken):
-        ahead, findings = _compare_journal(parts, site, catalogue.get(site, (0, FIRST_HASH)))
+        newest = catalogue.get(site, (0, FIRST_HASH))
+        ahead, findings = _compare_journal(parts, site, newest, whole=whole)
         missing += ahead
         yield from findings
     if missing:
@@ -99,12 +106,15 @@ def _bad_link(parts: DatasetParts, site: str, after: int) -> int | None:
 
 
 def _compare_journal(
-    parts: DatasetParts, site: str, newest: ChainPosition
+    parts: DatasetParts, site: str, newest: ChainPosition, *, whole: bool
 ) -> tuple[list[Operation], list[ConsistencyProblem]]:
-    """Return the operations of the journal that the catalogue lacks, and problems of the site."""
+    """Return the operations of the journal that the catalogue lacks, and problems of the site.
+
+    ``whole`` reads all lines, else the last one.
+    """
     path = parts.journal.path(site)
     last = _last_position(path)
-    if last == newest:
+    if last == newest and not whole:
         return [], []
     if last is not None and last[0] < newest[0]:
         sql = "SELECT hash FROM op WHERE site = ? AND seq = ?"
@@ -116,9 +126,13 @@ def _compare_journal(
             return [], [ConsistencyProblem("journal", site, message, catch_up)]
     try:
         operations = list(read_journal(path))
+        bad = first_broken_link(operations) if last == newest else None
+        if bad is not None:
+            raise ValueError(f"{path.name}, line {bad}: it was changed")
     except (ValueError, OSError) as error:
-        message = f"The journal is damaged: {error}."
-        return [], [ConsistencyProblem("journal-damaged", site, message)]
+        return [], [_damaged_journal(parts, site, newest, error)]
+    if last == newest:
+        return [], []
     ahead = [operation for operation in operations if operation.seq > newest[0]]
     shared = [operation.hash for operation in operations if operation.seq == newest[0]]
     if newest[0] and shared != [newest[1]]:
@@ -128,6 +142,24 @@ def _compare_journal(
     if misfit is not None:
         return [], [_broken(site, misfit, "The journal's chain of label operations is broken")]
     return ahead, []
+
+
+def _damaged_journal(
+    parts: DatasetParts, site: str, newest: ChainPosition, error: Exception
+) -> ConsistencyProblem:
+    """Return the problem; its repair writes the journal anew if the catalogue has all of it."""
+    path = parts.journal.path(site)
+
+    def write_anew(connection: sqlite3.Connection) -> None:
+        quarantine_file(parts, path)
+        parts.journal.catch_up(connection, site, anew=True)
+
+    message = f"The journal of labels is damaged ({error})"
+    if max(line_numbers(path), default=0) <= newest[0]:
+        message += ": written anew from the catalogue; the damaged file is in quarantine."
+        return ConsistencyProblem("journal-damaged", site, message, write_anew)
+    message += ", and it has operations that the catalogue lacks: take this file from a copy."
+    return ConsistencyProblem("journal-damaged", site, message, lasting=True)
 
 
 def _last_position(path: Path) -> ChainPosition | None:
@@ -192,15 +224,22 @@ def _checks(parts: DatasetParts, whole: bool) -> Iterator[Iterator[ConsistencyPr
     yield check_packs(parts, whole=whole)
     yield check_runs(parts)
     yield _left_overs(parts)
+    yield check_losses(parts, whole=whole)
 
 
-def reconcile(parts: DatasetParts, *, whole: bool = False) -> list[ConsistencyProblem]:
-    """Repair the problems of a dataset; return those to report. Each is stored as an event."""
+def reconcile(
+    parts: DatasetParts, *, whole: bool = False, again: bool = False
+) -> list[ConsistencyProblem]:
+    """Repair the problems of a dataset; return those to report. Each is stored as an event.
+
+    ``again`` also returns the problems for a person that were reported before.
+    """
     reported: list[ConsistencyProblem] = []
     for check in _checks(parts, whole):
-        found = list(check)
+        known = {problem.target for problem in reported}
+        found = [problem for problem in check if not (problem.lasting and problem.target in known)]
         for start in range(0, len(found), REPAIRS_PER_TRANSACTION):
-            reported += _repaired(parts, found[start : start + REPAIRS_PER_TRANSACTION])
+            reported += _repaired(parts, found[start : start + REPAIRS_PER_TRANSACTION], again)
     sync_run_tables(parts.folder, parts.database)
     with parts.database.reading() as connection:
         sites = list(newest_operations(connection))
@@ -211,9 +250,9 @@ def reconcile(parts: DatasetParts, *, whole: bool = False) -> list[ConsistencyPr
 
 
 def _repaired(
-    parts: DatasetParts, findings: Sequence[ConsistencyProblem]
+    parts: DatasetParts, findings: Sequence[ConsistencyProblem], again: bool
 ) -> list[ConsistencyProblem]:
-    """Repair in one transaction; return the problems that were not reported before."""
+    """Repair in one transaction; return the problems to report."""
     reported: list[ConsistencyProblem] = []
     unrepaired = [finding for finding in findings if finding.repair is None]
     with parts.database.transaction() as connection:
@@ -231,7 +270,7 @@ def _repaired(
                 message = f"{finding.message} That failed: {error}"
                 unrepaired.append(ConsistencyProblem("not-mended", finding.target, message))
             connection.execute("RELEASE one")
-    return reported + [f for f in unrepaired if _is_new(parts, f) or f.locks]
+    return reported + [f for f in unrepaired if f.lasting or _is_new(parts, f) or f.locks or again]
 
 
 def _is_new(parts: DatasetParts, finding: ConsistencyProblem) -> bool:

@@ -6,7 +6,7 @@ import argparse
 import getpass
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 from touchdown.backend.annotations import (
@@ -19,10 +19,9 @@ from touchdown.backend.annotations import (
     list_backups,
     list_campaigns,
     rebuild_dataset,
-    reconcile,
     restore_backup,
 )
-from touchdown.backend.cli.output import VerbOutput
+from touchdown.backend.cli.output import VerbOutput, progress_lines
 from touchdown.backend.core import InputError
 from touchdown.backend.runs import dataset_folder
 
@@ -30,7 +29,8 @@ from touchdown.backend.runs import dataset_folder
 def examine_only(folder: Path, screen: VerbOutput) -> int:
     """Report findings without changes; return 1 if there are any."""
     with Dataset.open(folder, create=False, write=False) as dataset:
-        found = list(check_dataset(dataset.parts, whole=True))
+        parts = replace(dataset.parts, progress=progress_lines())
+        found = list(check_dataset(parts, whole=True))
     copies = list_backups(folder / "backup")
     newest = copies[0].made.isoformat(timespec="seconds") if copies else None
     screen.say(f"{folder}, newest backup: {newest or 'none'}")
@@ -39,18 +39,19 @@ def examine_only(folder: Path, screen: VerbOutput) -> int:
 
 def verify(args: argparse.Namespace, folder: Path, screen: VerbOutput) -> int:
     """Read every file, check every label operation, and record damage; return 1 if there is any."""
+    progress = progress_lines()
     try:
-        with Dataset.open(folder, create=False) as dataset:
-            for notice in dataset.notices:
-                screen.say(notice)
-            found, count = reconcile(dataset.parts, whole=True), len(dataset.episodes())
+        dataset = Dataset.open(folder, create=False, progress=progress)
     except NotWritableError as error:
-        with Dataset.open(folder, create=False, write=False) as dataset:
-            found, count = list(check_dataset(dataset.parts, whole=True)), len(dataset.episodes())
+        dataset = Dataset.open(folder, create=False, write=False)
         screen.say(f"{error.what} It is only read; nothing is recorded there.")
-        return _report(found, screen, {"dataset": str(folder), "episodes": count, "noted": False})
+    with dataset:
+        for notice in dataset.notices:
+            screen.say(notice)
+        found, count = dataset.verify(progress), dataset.count()
+        noted = dataset.writable
     screen.say(f"{count} episodes read.")
-    return _report(found, screen, {"dataset": str(folder), "episodes": count, "noted": True})
+    return _report(found, screen, {"dataset": str(folder), "episodes": count, "noted": noted})
 
 
 def backup(args: argparse.Namespace, folder: Path, screen: VerbOutput) -> int:

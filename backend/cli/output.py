@@ -12,6 +12,7 @@ import math
 import signal
 import sys
 import threading
+import time
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -121,6 +122,23 @@ class VerbOutput:
             json.dumps(_to_json({"version": JSON_VERSION, **mapping}), allow_nan=False) + "\n"
         )
         self._stream.flush()
+
+
+def progress_lines(every_s: float = 2.0) -> Callable[[str, int, int], None]:
+    """Return a function that reports progress on standard error, at most every ``every_s``.
+
+    It takes what is done, and numbers of finished and of all steps.
+    """
+    last_s = time.monotonic()
+
+    def advance(what: str, done: int, total: int) -> None:
+        nonlocal last_s
+        if time.monotonic() - last_s >= every_s:
+            last_s = time.monotonic()
+            sys.stderr.write(f"{what}: {done:,} of {total:,} ...\n")
+            sys.stderr.flush()
+
+    return advance
 
 
 def text_table(

@@ -395,7 +395,8 @@ def states(folder: Path) -> list[str]:
 
 def calm(folder: Path) -> bool:
     with Dataset.open(folder) as dataset:
-        return dataset.notices == () and not list(check_dataset(dataset.parts, whole=True))
+        found = (*dataset.problems, *check_dataset(dataset.parts, whole=True))
+        return all(problem.lasting for problem in found)
 
 
 def test_a_pack_becomes_episodes_with_commanded_drafts(folder: Path) -> None:

@@ -24,12 +24,12 @@ from touchdown.backend.annotations.dataset import Dataset
 from touchdown.backend.annotations.values import Label
 from touchdown.backend.calibration.records import CalibrationStore, read_record
 from touchdown.backend.calibration.result import CALIBRATION_NAMES, CalibrationEstimate, Quantity
-from touchdown.backend.cli import calibrate, collect, stack
+from touchdown.backend.cli import calibrate, collect, dataset, stack
 from touchdown.backend.cli.bench import _timing_table
 from touchdown.backend.cli.collect import coverage_text
 from touchdown.backend.cli.command_line import main
 from touchdown.backend.cli.connection import fill_in_scene, wait_for_disk_space
-from touchdown.backend.cli.output import VerbOutput
+from touchdown.backend.cli.output import VerbOutput, progress_lines
 from touchdown.backend.core.events import RunFinished
 from touchdown.backend.core.faults import Fault
 from touchdown.backend.episodes.quality import count_coverage
@@ -399,6 +399,33 @@ def test_verify_reads_every_byte_and_notes_damage(data_set, say) -> None:
     code, answer = say("dataset", "verify", "--dataset", data_set)
     assert (code, [f["kind"] for f in answer["findings"]]) == (1, ["damaged"])
     assert say("dataset", "--dataset", data_set)[1]["files"] == {"complete": 2, "damaged": 1}
+
+
+@pytest.mark.parametrize("damage", ["cut", "flipped", "removed"])
+def test_a_loss_is_listed_by_every_verification_until_it_is_resolved(data_set, say, damage) -> None:
+    path = first_file(data_set)
+    whole = path.read_bytes()
+    if damage == "flipped":
+        flip_a_bit(path)
+    elif damage == "cut":
+        path.write_bytes(whole[:-50])
+    else:
+        path.unlink()
+    for words in 3 * [("dataset", "verify")] + [("doctor",)]:
+        code, answer = say(*words, "--dataset", data_set)
+        assert code == 1
+        assert [f["target"] for f in answer["findings"]] == [path.stem]
+    path.write_bytes(whole)
+    assert say("dataset", "verify", "--dataset", data_set)[0] == 0
+    assert say("doctor", "--dataset", data_set)[0] == 0
+
+
+def test_verify_reports_progress_on_standard_error(data_set, capfd, monkeypatch) -> None:
+    monkeypatch.setattr(dataset, "progress_lines", lambda: progress_lines(every_s=0.0))
+    assert main(["dataset", "verify", "--dataset", str(data_set), "--json"]) == 0
+    out, err = capfd.readouterr()
+    assert json.loads(out)["findings"] == []
+    assert "Episode files: 2 of 3 ..." in err
 
 
 def test_verify_looks_only_while_another_program_writes(data_set, say) -> None:

@@ -45,26 +45,23 @@ class LabelDecisions:
         if not now.edit.label.is_set:
             self._on.refuse("There is no displacement yet: type one as x,y, or nudge.")
             return
-        await self._on.editing.add_sigma()
-        now, book, person = self._on.present, self._on.shown, session.person
-        if now is None:
-            return
+        self._on.editing.add_sigma()
+        book, person = self._on.shown, session.person
         uuid, edit, looked = now.item.entry.uuid, now.edit, self._on.looked()
         source = edit.source if edit.changed else None
         await self._on.saving.save(
             lambda: book.of(uuid).accept(person, uuid, edit.label, source=source, context=looked)
         )
         self._on.go_on()
+        self._on.editing.tell_assumed(edit)
 
     async def _answer_blind(self) -> None:
         now = self._on.present
         if now is None or not now.edit.label.is_set:
             self._on.refuse("Set the displacement as you see it: x,y or the arrows.")
             return
-        await self._on.editing.add_sigma()
-        now, book, person = self._on.present, self._on.book, self._on.session.person
-        if now is None:
-            return
+        self._on.editing.add_sigma()
+        book, person = self._on.book, self._on.session.person
         uuid, label, verdict = now.item.entry.uuid, now.edit.label, now.verdict
         looked = self._on.looked()
         await self._on.saving.save(

@@ -9,26 +9,25 @@ from typing import Protocol
 from PySide6.QtCore import QTimer
 
 from touchdown.app.label.page import LabelPage
-from touchdown.app.label.session import AnnotationSession, PresentEpisode
-from touchdown.app.shell import LabelDraft, Question, SaveAction, SaveQueue, parse_displacement
+from touchdown.app.label.session import USUAL_MM, AnnotationSession, PresentEpisode
+from touchdown.app.shell import LabelDraft, SaveAction, SaveQueue, parse_displacement
 from touchdown.backend.annotations import ControlItemLabels
 from touchdown.widgets.views import Point
 
 OFFERED_MM = (0.05, 0.1, 0.2, 0.3, 0.5, 1.0)
-USUAL_MM = 0.2  # marked when a person is asked for the first time
+ASSUMED = f"Saved with sigma {USUAL_MM:.2f} mm. Press S to say how sure you are."
 
 
-def ask_uncertainty(page: LabelPage, known_mm: float | None, take: Callable[[float], None]) -> None:
+def ask_uncertainty(page: LabelPage, known_mm: float, take: Callable[[float], None]) -> None:
     """Ask for an uncertainty in mm, with the present one marked; ``take`` receives the answer.
 
     Digits do not answer the question: they start the entry of a displacement.
     """
-    marked_mm = known_mm or USUAL_MM
-    words = {_word(mm): mm for mm in sorted({*OFFERED_MM, marked_mm})}
+    words = {_word(mm): mm for mm in sorted({*OFFERED_MM, known_mm})}
     page.choice.offer(
         "How sure are you of what you set (sigma)?",
         list(words),
-        list(words).index(_word(marked_mm)),
+        list(words).index(_word(known_mm)),
         lambda word: take(words[word]),
         page.open_entry,
     )
@@ -39,7 +38,7 @@ def _word(sigma_mm: float) -> str:
     return f"{sigma_mm:.2f} mm" if len(exact) <= 4 else f"{exact} mm"
 
 
-NUDGES_MS = 500
+NUDGES_MS = 300
 
 
 class EpisodeView(Protocol):
@@ -61,7 +60,7 @@ class EpisodeView(Protocol):
 
 
 class LabelEditing:
-    """Changes the label of the present episode. Saves 0.5 s after the last nudge."""
+    """Changes the label of the present episode. Saves 0.3 s after the last nudge."""
 
     def __init__(
         self,
@@ -76,7 +75,7 @@ class LabelEditing:
         self._nudging = QTimer(page)
         self._nudging.setSingleShot(True)
         self._nudging.setInterval(NUDGES_MS)
-        self._nudging.timeout.connect(self.nudged)
+        self._nudging.timeout.connect(self.drop)
 
     @property
     def waits(self) -> bool:
@@ -94,27 +93,15 @@ class LabelEditing:
     # -- changes ----------------------------------------------------------------------------------
 
     def nudge(self, dx_um: int, dy_um: int) -> None:
-        """Move the face by whole µm. Nudges within half a second make one revision."""
+        """Move the face by whole µm. Nudges within 0.3 s make one revision."""
         self._front.do(lambda: self._change(lambda edit: edit.nudged(dx_um, dy_um)))
-
-    def nudged(self) -> None:
-        """Save the nudged label, unless the person is typing or answering a question."""
-        unsure, asked = self._session.sigma_mm is None, self._page.choice
-        asks_sigma = asked.isVisible() and bool(asked.marked)
-        if unsure and asks_sigma:
-            # Nudges made while sigma is asked are saved with the answer.
-            self._nudging.stop()
-        elif asks_sigma or (unsure and (self._page.typing or asked.isVisible())):
-            self._nudging.start()
-        else:
-            self._front.do(self.save)
 
     def place(self, at_mm: Point) -> None:
         """Move the face to a position while it is dragged."""
         self._front.do(lambda: self._change(lambda edit: edit.placed(*at_mm)))
 
     def drop(self) -> None:
-        """Save the dragged position."""
+        """Save the dragged or nudged position."""
         self._front.do(self.save)
 
     def typed(self, text: str) -> None:
@@ -165,37 +152,42 @@ class LabelEditing:
         now = self._front.present
         if now is None or not now.edit.changed or self._session.opines:
             return
-        await self.add_sigma()
-        now, person = self._front.present, self._session.person
-        if now is not None:
-            uuid, edit = now.item.entry.uuid, now.edit
-            await self._saving.save(
-                lambda: self._book.of(uuid).set(person, uuid, edit.label, source=edit.source)
-            )
-            self._front.reload()
+        self.add_sigma()
+        uuid, edit, person = now.item.entry.uuid, now.edit, self._session.person
+        await self._saving.save(
+            lambda: self._book.of(uuid).set(person, uuid, edit.label, source=edit.source)
+        )
+        self._front.reload()
+        self.tell_assumed(edit)
 
-    async def add_sigma(self) -> None:
-        """Give a changed edit the uncertainty of the person, who is asked once per session."""
-        if self._lacks_sigma() and self._session.sigma_mm is None:
-            self._session.sigma_mm = await Question[float](
-                lambda answer: ask_uncertainty(self._page, None, answer)
-            )
-        now, sigma_mm = self._front.present, self._session.sigma_mm
-        if now is not None and sigma_mm is not None and self._lacks_sigma():
-            now.edit = now.edit.trusted(sigma_mm)
-
-    def _lacks_sigma(self) -> bool:
+    def add_sigma(self) -> None:
+        """Give a changed edit the uncertainty of the person, stated or assumed."""
         now = self._front.present
-        return now is not None and now.edit.changed and now.edit.label.sigma_um is None
+        if now is not None and now.edit.changed and now.edit.label.sigma_um is None:
+            now.edit = now.edit.trusted(self._session.trusted_mm)
+
+    def tell_assumed(self, saved: LabelDraft) -> None:
+        """Tell that the uncertainty of a saved edit was assumed, until the person states it."""
+        assumed = self._session.sigma_mm is None and saved.source == "human"
+        if assumed and saved.changed and not self._page.message.text():
+            self._page.say(ASSUMED)
 
     def ask_sigma(self) -> None:
-        """Ask for the person's uncertainty, then save an edit made meanwhile."""
+        """Ask for the person's uncertainty; it also holds for the present draft of the person."""
 
         def take(sigma_mm: float) -> None:
             self._session.sigma_mm = sigma_mm
+            now = self._front.present
+            if now is not None:
+                base = now.edit.base
+                own = base.state == "draft" and base.person == self._session.person
+                if now.edit.source == "human" and (own or now.edit.changed):
+                    now.edit = now.edit.trusted(sigma_mm)
             self._front.do(self.save)
 
-        ask_uncertainty(self._page, self._session.sigma_mm, take)
+        ask_uncertainty(
+            self._page, self._session.trusted_mm, lambda mm: self._front.do(lambda: take(mm))
+        )
 
 
 PAUSE_S = 60.0

@@ -29,6 +29,9 @@ class FindingQueue:
     said: dict[str, str]
 
 
+USUAL_MM = 0.2  # uncertainty of a person who has not stated one
+
+
 @dataclass(slots=True)
 class AnnotationSession:
     """Person and settings of the labelling.
@@ -44,6 +47,11 @@ class AnnotationSession:
     blind: bool = False
     hidden: bool = False
     chosen: FindingQueue | None = None
+
+    @property
+    def trusted_mm(self) -> float:
+        """The stated uncertainty of the person, else the usual one."""
+        return self.sigma_mm or USUAL_MM
 
     @property
     def opines(self) -> bool:

@@ -59,7 +59,6 @@ from .run_story import run_score as run_score
 from .run_story import true_patch_outline as true_patch_outline
 from .run_story import unprobed_scene as unprobed_scene
 from .saving import MainThreadQueue as MainThreadQueue
-from .saving import Question as Question
 from .saving import SaveAction as SaveAction
 from .saving import SaveQueue as SaveQueue
 from .saving import SaveWorker as SaveWorker
@@ -111,7 +110,6 @@ __all__ = [
     "OpenedDataset",
     "PrelabelFunction",
     "ProbeStory",
-    "Question",
     "QuestionRow",
     "RunStory",
     "SaveAction",

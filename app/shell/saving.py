@@ -108,21 +108,8 @@ class _Save(Generic[Result]):
         return (yield self)
 
 
-@dataclass(slots=True)
-class Question(Generic[Result]):
-    """Awaits an answer of the person. ``show`` shows the question and gets the answer's receiver.
-
-    The saves go on meanwhile. A question that is replaced by another one is never answered.
-    """
-
-    show: Callable[[Callable[[Result], None]], None]
-
-    def __await__(self) -> Generator[Question[Result], Result, Result]:
-        return (yield self)
-
-
 class SaveQueue:
-    """Runs user actions in order; each may be a coroutine that awaits saves and questions.
+    """Runs user actions in order; each may be a coroutine that awaits saves.
 
     An action waits for the saves of the actions before it. A save that another program locks out
     is repeated; one that is refused ends its action; one that fails stays as ``failure`` until
@@ -203,15 +190,12 @@ class SaveQueue:
             self._draining = False
 
     def _resume(self, coroutine: Coroutine[Any, Any, None], result: object) -> None:
-        """Run a coroutine up to its next save or question."""
+        """Run a coroutine up to its next save."""
         try:
             step = coroutine.send(result)
         except StopIteration:
             return
-        if isinstance(step, Question):
-            step.show(partial(self._resume, coroutine))
-        else:
-            self._submit(coroutine, step.work)
+        self._submit(coroutine, step.work)
 
     def _submit(self, coroutine: Coroutine[Any, Any, None], work: Callable[[], Any]) -> None:
         self._worker.submit(

@@ -8,6 +8,8 @@ command line are the parts of the day to play. Whoever started it may kill it at
 from __future__ import annotations
 
 import json
+import os
+import signal
 import sys
 import time
 import traceback
@@ -109,12 +111,6 @@ class Person:
         """Begin with the first of the queue: an episode that is in both stays in front."""
         yield from self.do(*[KEY.Key_PageUp] * self.presenter.walk.at)
 
-    def trusts(self) -> Doing:
-        """Say how sure I am, if I am asked."""
-        yield lambda: self.page.choice.isVisible() or self.calm()
-        if self.page.choice.isVisible():
-            yield from self.do(KEY.Key_Return)
-
     def acknowledged(self, uuid: str) -> None:
         """Tell what the window says of an episode that was dealt with."""
         head = self.presenter.book.head(uuid)
@@ -185,12 +181,12 @@ def decide(me: Person, way: int) -> Doing:
     uuid = me.uuid
     if way == 1:
         me.press(KEY.Key_Right)
-        yield from me.trusts()
+        yield me.calm
         me.acknowledged(uuid)
     elif way == 2:
         me.type("1.5,-2.25")
         me.press(KEY.Key_Return)
-        yield from me.trusts()
+        yield me.calm
         me.acknowledged(uuid)
     elif way == 3:
         me.press(KEY.Key_D)
@@ -209,8 +205,20 @@ def decide(me: Person, way: int) -> Doing:
         yield from me.do(KEY.Key_X)
         me.press(KEY.Key_Up, ALT)
         me.press(KEY.Key_Down, SHIFT)
-        yield from me.trusts()
+        yield me.calm
     yield from me.do(KEY.Key_Return)
+
+
+def nudge_and_die(me: Person) -> Doing:
+    """Go to an episode, nudge it, and end without warning 0.6 s later."""
+    number, x_um = int(os.environ["EPISODE"]), 0
+    yield from me.do(*[KEY.Key_PageDown] * number)
+    uuid = me.uuid
+    x_um = me.presenter.present.edit.label.x_um or 0
+    me.press(KEY.Key_Right)
+    QTimer.singleShot(600, lambda: os.kill(os.getpid(), signal.SIGKILL))
+    tell(nudged=uuid, x_um=x_um + 100)
+    yield lambda: False
 
 
 def four_eyes(me: Person) -> Doing:
@@ -262,7 +270,7 @@ def correct(me: Person) -> Doing:
     for uuid in order:
         assert me.uuid == uuid
         me.press(KEY.Key_Left, SHIFT)
-        yield from me.trusts()
+        yield me.calm
         yield from me.do(KEY.Key_Return)
         me.acknowledged(uuid)
     yield from me.be("bob")
@@ -299,7 +307,7 @@ def train(me: Person) -> Doing:
 
 PARTS = {
     "arrive": arrive, "take-back": take_back, "label": label, "four-eyes": four_eyes,
-    "review": review, "correct": correct, "train": train,
+    "review": review, "correct": correct, "train": train, "nudge-and-die": nudge_and_die,
 }  # fmt: skip
 
 

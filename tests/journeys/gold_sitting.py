@@ -40,7 +40,7 @@ def nudge(me: Person) -> Doing:
     for uuid in chosen():
         yield from look(me, uuid)
         me.press(KEY.Key_Right)
-        yield from me.trusts()
+        yield me.calm
         yield from look(me, uuid)
 
 

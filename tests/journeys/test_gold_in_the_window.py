@@ -109,3 +109,24 @@ def test_a_kill_loses_no_nudge_on_gold_and_undo_reaches_behind_it(
         found = compare_with_control_items(dataset.database, dataset.geometry, "ann")
         assert found.episodes == 1
         assert found.bias_x_mm.mean == pytest.approx(1.1 - 4)
+
+
+KILLS = 20
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1200)
+def test_no_nudge_is_lost_where_the_window_is_killed_0_6_s_after_it(folder, monkeypatch, tmp_path):
+    """Each window is the first of its person, who has not said how sure they are."""
+    with Dataset.open(folder, person="setup") as dataset:
+        context, label = context_for(dataset), Label(1000, -500, 0, 150)
+        for _ in range(KILLS):
+            dataset.record(small_episode(), label, source="commanded", context=context)
+    for number in range(KILLS):
+        monkeypatch.setenv("TOUCHDOWN_CONFIG", str(tmp_path / f"config-{number}"))
+        monkeypatch.setenv("EPISODE", str(number))
+        told = window(["nudge-and-die"], tmp_path / f"{number}.log", deadly=-1)
+        nudged = next(one for one in told if "nudged" in one)
+        with Dataset.open(folder, create=False) as dataset:
+            label = dataset.labels.head(nudged["nudged"]).label
+        assert (label.x_um, label.sigma_um) == (nudged["x_um"], 200), number

@@ -71,17 +71,17 @@ def test_no_key_of_the_page_moves_the_bench(start):
 def test_arrows_nudge_by_whole_steps(desk):
     before = desk.now.edit.label
     alt = Qt.KeyboardModifier.AltModifier
-    half_a_second = desk.workspace.presenter.editing._nudging
-    half_a_second.setInterval(3_600_000)  # it is over when the test says so
+    pause = desk.workspace.presenter.editing._nudging
+    pause.setInterval(3_600_000)  # it is over when the test says so
     desk.press(KEY.Key_Right)
     desk.press(KEY.Key_Up, SHIFT)
     desk.press(KEY.Key_Left, alt)
     edit = desk.now.edit
     assert edit.label.x_um == before.x_um + 100 - 10
     assert edit.label.y_um == before.y_um + 1000
-    half_a_second.start(0)
+    pause.start(0)
     desk.settle()
-    assert len(desk.book.history(desk.uuid)) == 2  # nudges within half a second are one revision
+    assert len(desk.book.history(desk.uuid)) == 2  # nudges in quick succession are one revision
     assert desk.page.strip.saved.endswith("rev 2")
 
 
@@ -128,13 +128,15 @@ def test_a_typed_displacement_that_makes_no_sense_stays_in_the_line(desk):
     assert len(desk.book.history(uuid)) == 1
 
 
-def test_the_uncertainty_is_asked_for_once(start):
+def test_the_uncertainty_is_assumed_told_and_stated_by_a_key(start):
     desk = start(sigma_mm=None)
     first = desk.uuid
     desk.type("1,2")
-    desk.press(KEY.Key_Return)
-    desk.settle()
-    assert desk.page.choice.isVisible()
+    desk.do(KEY.Key_Return)
+    assert not desk.page.choice.isVisible()
+    assert desk.book.head(first).label.sigma_um == 200
+    assert "sigma 0.20 mm" in desk.page.message.text()
+    desk.do(KEY.Key_S)
     assert desk.page.choice.marked == "0.20 mm"
     desk.do(KEY.Key_Tab, KEY.Key_Return)
     assert desk.book.head(first).label.sigma_um == 300
@@ -142,15 +144,26 @@ def test_the_uncertainty_is_asked_for_once(start):
     second = desk.uuid
     desk.type("3,1")
     desk.do(KEY.Key_Return)
-    assert not desk.page.choice.isVisible()
     assert desk.book.head(second).label.sigma_um == 300
+    assert "sigma" not in desk.page.message.text()
+
+
+def test_the_first_nudge_is_saved_at_once_and_enter_after_it_accepts(start):
+    desk = start(sigma_mm=None)
+    uuid, before = desk.uuid, desk.book.head(desk.uuid).label
+    desk.do(KEY.Key_Right)
+    head = desk.book.head(uuid)
+    assert (head.state, head.label.x_um, head.label.sigma_um) == ("draft", before.x_um + 100, 200)
+    desk.do(KEY.Key_Return)
+    assert desk.book.head(uuid).state == "submitted"
+    assert desk.uuid != uuid
 
 
 def test_coordinates_typed_into_the_question_of_sigma_are_saved_whole_or_not_at_all(start):
     desk = start(sigma_mm=None)
     uuid = desk.uuid
     before = desk.book.head(uuid).label
-    desk.do(KEY.Key_Right)  # half a second later sigma is asked for
+    desk.do(KEY.Key_S)
     assert desk.page.choice.isVisible()
     assert not desk.page.choice.geometry().intersects(desk.page.view_panel.geometry())
     assert not desk.page.choice.geometry().intersects(desk.page.film_panel.geometry())
@@ -165,24 +178,13 @@ def test_coordinates_typed_into_the_question_of_sigma_are_saved_whole_or_not_at_
     assert (label.x_um, label.y_um, label.sigma_um) == (-3200, 4500, 200)
 
 
-def test_digits_typed_into_the_question_of_sigma_are_no_answer(start):
+def test_a_save_leaves_the_displacement_that_is_being_typed(start):
     desk = start(sigma_mm=None)
-    uuid = desk.uuid
-    desk.do(KEY.Key_Right)
-    desk.type("3,2")
-    assert desk.page.entry.text() == "3,2"
-    desk.do(KEY.Key_Return)
-    assert desk.page.choice.marked == "0.20 mm"
-    desk.do(KEY.Key_Return)
-    label = desk.book.head(uuid).label
-    assert (label.x_um, label.y_um, label.sigma_um) == (3000, 2000, 200)
-
-
-def test_nothing_is_asked_while_a_displacement_is_being_typed(start):
-    desk = start(sigma_mm=None)
+    uuid, before = desk.uuid, desk.book.head(desk.uuid).label
     desk.press(KEY.Key_Right)
     desk.type("-3.2")
-    desk.workspace.presenter.editing.nudged()  # the half second is over
+    desk.settle()
+    assert desk.book.head(uuid).label.x_um == before.x_um + 100
     assert not desk.page.choice.isVisible()
     desk.type(",4.5")
     assert desk.page.entry.text() == "-3.2,4.5"

@@ -71,6 +71,7 @@ class ProbesPresenter:
         self.dataset: Dataset | None = None
         self.harvest: PairProbes | None = None
         self.chosen = self.last = ""
+        self.awaits_first = False  # a run has started and has not probed yet
         self._pair = ("", "")
         self._read_from: Dataset | None = None
         self._stale, self._judging = True, False
@@ -86,6 +87,21 @@ class ProbesPresenter:
 
     def restyle(self) -> None:
         """Redraw maps and table."""
+        self._stale = True
+
+    def begin_run(self) -> None:
+        """Show no probe until the run that starts has made one."""
+        self.chosen = self.last = ""
+        self.awaits_first = self._stale = True
+
+    def follow(self, uuid: str) -> None:
+        """Show the newest probe of the run."""
+        self.last, self.awaits_first, self._stale = uuid, False, True
+
+    def end_run(self) -> None:
+        """Show the newest probe of the pair after a run without one."""
+        if self.awaits_first:
+            self.follow("" if self.harvest is None else self.harvest.newest)
         self._stale = True
 
     def choose(self, uuid: str) -> None:
@@ -118,7 +134,7 @@ class ProbesPresenter:
         def done(held: list[ProbeRecord]) -> None:
             if pair == self._pair and dataset is self._read_from:
                 self.harvest = PairProbes(face, outline, held)
-                self.last, self._stale = self.harvest.newest, True
+                self.last, self._stale = "" if self.awaits_first else self.harvest.newest, True
                 self._judge()
 
         self._reader.submit(lambda: read_pair(dataset, *pair), done, self._failed)
@@ -403,7 +419,7 @@ class CollectPresenter:
             self._mine = event.activity == "collect"
             if self._mine:
                 self._pace.restart(self._now_s())
-                self.probes.chosen = ""
+                self.probes.begin_run()
                 self._show_pair(event.piece, event.bottom)
         if not self._mine:
             return
@@ -414,8 +430,8 @@ class CollectPresenter:
         elif isinstance(event, ProbeCollected):
             self._collected(event)
         elif isinstance(event, DecisionAwaited):
-            self._asking, self.probes.last = True, event.uuid
-            self.probes.restyle()
+            self._asking = True
+            self.probes.follow(event.uuid)
         elif isinstance(event, EpisodeDecided):
             self._asking = False
             self._progress.decided(event)
@@ -445,7 +461,7 @@ class CollectPresenter:
 
     def _collected(self, event: ProbeCollected) -> None:
         self._pace.note(self._now_s())
-        self.probes.last = event.uuid
+        self.probes.follow(event.uuid)
         self._progress.collected(event)
         self._show_done()
         self.probes.read(event.uuid, lambda held: self._gauge.note(self._now_s(), held.entry.bytes))
@@ -461,7 +477,7 @@ class CollectPresenter:
         self._page.live.detail.setText("")
         self._page.target.eta.setText(event.reason)
         self._read_campaign()
-        self.probes.restyle()
+        self.probes.end_run()
 
     def _read_campaign(self) -> None:
         """Read the progress of the last campaign and decide if it can be continued."""

@@ -46,6 +46,21 @@ def test_one_key_answers_for_the_last_probe(page, key, decision):
     assert page.bench.started == []
 
 
+def test_a_new_run_leaves_the_probes_of_the_one_before_alone(page):
+    before = {e.uuid: (e.flagged, e.deleted) for e in page.presenter.dataset.episodes()}
+    page.begin()
+    assert page.view.probe.verdict.text() == "No probe yet"
+    assert not any(button.isEnabled() for button in page.view.probe.buttons.values())
+    for key in (KEY.Key_Return, KEY.Key_Backspace, KEY.Key_X, KEY.Key_R, KEY.Key_S):
+        page.press(key)
+    page.settle()
+    assert {e.uuid: (e.flagged, e.deleted) for e in page.presenter.dataset.episodes()} == before
+    assert page.bench.decisions == []
+    page.bench.set_state(RunState.IDLE)
+    page.tell(RunFinished(2.0, "run", "cancelled", "cancelled by the operator"))
+    assert page.view.probe.buttons["discard"].isEnabled(), "an older one can be decided again"
+
+
 def test_space_and_f12_stop_while_the_question_waits(page):
     page.begin()
     page.probed(page.uuids[-1])

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from PySide6.QtCore import QSignalBlocker, QSize, Qt, Signal
-from PySide6.QtGui import QResizeEvent
+from PySide6.QtCore import QEvent, QSignalBlocker, QSize, Qt, Signal
 from PySide6.QtWidgets import (
     QButtonGroup,
     QComboBox,
@@ -279,9 +278,14 @@ class JogPad(Panel):
         at = offered.index(self.frame.currentIndex())
         self.frame.setCurrentIndex(offered[(at + 1) % len(offered)])
 
-    def resizeEvent(self, event: QResizeEvent) -> None:
-        """Keep the pads nearly square."""
-        super().resizeEvent(event)
+    def event(self, event: QEvent) -> bool:
+        """Keep the pads nearly square, also after a change of theme or text size."""
+        done = super().event(event)
+        if event.type() in (QEvent.Type.Resize, QEvent.Type.LayoutRequest):
+            self._fit_pads()
+        return done
+
+    def _fit_pads(self) -> None:
         within = self.column.contentsRect().width()
         side = min(within / 4, PAD_LINES * self.fontMetrics().lineSpacing())
         most = QSize(round(4 * side), round(3 * PAD_TALL * side))

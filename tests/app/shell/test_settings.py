@@ -18,6 +18,7 @@ from touchdown.app.shell.errors import ErrorBox, install_error_hooks, log_to
 from touchdown.app.shell.settings import WindowSettings, load_settings, restore_form, save_settings
 from touchdown.app.start import incompatibility
 from touchdown.widgets.base.theme import THEMES
+from touchdown.widgets.forms.jogging import PoseReadout
 from touchdown.widgets.forms.run_form import RunForm
 from touchdown.widgets.shell.fault_cards import CardQuestion
 
@@ -65,6 +66,24 @@ def test_everything_that_can_be_operated_has_a_name(live):
         and not isinstance(widget.parent(), (QComboBox, QSpinBox))
     ]
     assert nameless == []
+
+
+def test_a_change_of_theme_leaves_the_distances_on_the_jog_pads_whole(live, qtbot):
+    live.window.resize(1280, 720)
+    live.go("operate")
+    jog = live.workspaces["operate"].page.jog
+    jog.show_look(PoseReadout("X 1", 0.0, tuple((what, "146 mm") for what in jog.shown)))
+    settle(live)
+    before = [jog.pads[what].size() for what in jog.shown]
+    for _ in THEMES:
+        name = live.theme.tokens.name
+        live.actions.action("theme").trigger()
+        qtbot.waitUntil(lambda: live.theme.tokens.name != name, timeout=60_000)  # noqa: B023
+        settle(live)
+        pads = [jog.pads[what] for what in jog.shown]
+        assert [pad.size() for pad in pads] == before
+        assert all(pad.width() >= pad.minimumSizeHint().width() for pad in pads)
+    live.look.show("dark", 1.0)
 
 
 def test_buttons_and_fields_have_tooltips(live):

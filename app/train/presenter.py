@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from touchdown.app.shell import MainThreadQueue, SaveWorker
+from touchdown.app.shell import MainThreadQueue, SaveWorker, log
 from touchdown.app.train import text as words
 from touchdown.app.train.page import TrainPage
 from touchdown.app.train.reading import ModelInUse, TrainingLookup, TrainingReader, sample_scenes
@@ -226,16 +226,30 @@ class TrainPresenter:
             self.show_buttons()
 
     def promote(self) -> None:
-        """Put the model of the chosen training in use."""
+        """Put the model of the chosen training in use; ask first if it may be worse."""
         run = self._chosen_alone()
-        if run is not None and run.card is not None:
-            chosen = run
-            self._worker.submit(lambda: self._reading.promote(chosen), self._take_use, self._failed)
+        if run is None or run.card is None:
+            return
+        used = None if self.in_use is None else self.in_use.card
+        question, put = words.promotion_question(run.card, used), partial(self._put_in_use, run)
+        if question:
+            answers = (("Keep the present one", lambda: None), ("Put it in use", put))
+            self._cards.ask(CardQuestion(question, answers))
+        else:
+            put()
+
+    def _put_in_use(self, run: TrainingRun) -> None:
+        def done(in_use: ModelInUse | None) -> None:
+            log.info("model of training %s put in use", run.uuid)
+            self._take_use(in_use)
+
+        self._worker.submit(lambda: self._reading.promote(run), done, self._failed)
 
     def roll_back(self) -> None:
         """Put the previous model in use again."""
         if self.in_use is not None and self.in_use.before is not None:
             piece = self.in_use.piece
+            log.info("model before put in use again for %s", piece)
             self._worker.submit(
                 lambda: self._reading.roll_back(piece), self._take_use, self._failed
             )

@@ -13,6 +13,7 @@ from touchdown.backend.core import InputError
 from touchdown.backend.geometry import face_points, load_pieces
 from touchdown.backend.learning import (
     SHIPPED_MODEL,
+    ModelCard,
     ModelRegistry,
     TrainingCandidate,
     TrainingRun,
@@ -34,7 +35,7 @@ class ModelInUse:
     """The model in use for ``piece`` ("" is the shipped one); ``before``: None if never changed.
 
     ``probes``: number of hardware probes it was evaluated on, None for a model not trained on
-    simulations alone.
+    simulations alone. ``card``: None if it cannot be read.
     """
 
     piece: str
@@ -42,6 +43,7 @@ class ModelInUse:
     before: str | None
     since_ns: int
     probes: int | None = None
+    card: ModelCard | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,17 +95,14 @@ class TrainingReader:
         path, history = self._registry.in_use(piece), self._registry.history(piece)
         sha256 = SHIPPED_MODEL if path is None else path.stem
         since_ns = history[-1].at_ns if history else 0
-        return ModelInUse(
-            piece, sha256, self._registry.before(piece), since_ns, self._probes(piece)
-        )
-
-    def _probes(self, piece: str) -> int | None:
-        """Return the number of hardware evaluation probes of a simulation model, else None."""
         try:
             card = load_card(model_in_use(piece, self._registry))
         except InputError:
-            return None
-        return self._registry.hardware_probes(card.weights_sha256) if card.simulated else None
+            card = None
+        probes = None
+        if card is not None and card.simulated:
+            probes = self._registry.hardware_probes(card.weights_sha256)
+        return ModelInUse(piece, sha256, self._registry.before(piece), since_ns, probes, card)
 
     def promote(self, run: TrainingRun) -> ModelInUse | None:
         """Put the model of a training in use."""

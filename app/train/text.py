@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from datetime import datetime
 from typing import Any
 
-from touchdown.app.shell import duration_text, error_card
+from touchdown.app.shell import count_noun, duration_text, error_card
 from touchdown.app.train.reading import ModelInUse
 from touchdown.backend.core import FaultError, InputError
 from touchdown.backend.episodes import group_noun
@@ -24,6 +24,7 @@ from touchdown.widgets.plots import RUN_COLOURS, CurveLine
 from touchdown.widgets.shell import CardText
 
 LETTERS = ("A", "B", "C")
+THIN_TEST = 100  # fewer held-out probes say little about a model
 NOTHING = "\N{EN DASH}"
 SETTINGS = {
     "labels": "labels", "modality": "sees", "layers": "layers", "hidden": "units",
@@ -76,6 +77,29 @@ def model_in_use_text(in_use: ModelInUse | None) -> str:
         f"In use for {in_use.piece}: {_model(in_use.weights_sha256)} "
         f"since {since:%d %b %H:%M}; before it {_model(in_use.before)}. {alone}"
     ).strip()
+
+
+def promotion_question(card: ModelCard, used: ModelCard | None) -> str:
+    """Return the question before a model is put in use, "" if it is good and well tested."""
+    iou, held_out = _test(card)
+    if used is None:
+        return ""
+    used_iou, used_held_out = _test(used)
+    worse, thin = iou < used_iou, held_out < min(THIN_TEST, used_held_out)
+    if not worse and not thin:
+        return ""
+    why = "It is worse." if worse else "It was tested on few probes."
+    return (
+        f"Put this model in use for {card.piece}? {why} Its IoU is {100 * iou:.0f} % on "
+        f"{count_noun(held_out, 'probe')} held out; the model in use has {100 * used_iou:.0f} % on "
+        f"{count_noun(used_held_out, 'probe')}."
+    )
+
+
+def _test(card: ModelCard) -> tuple[float, int]:
+    """Return the IoU on the probes that were held out, and their number."""
+    iou = card.metrics.get("validation", {}).get("iou")
+    return (0.0 if iou is None else float(iou)), int(card.data.get("held_out") or 0)
 
 
 def autonomy_text(probes: int | None) -> str:

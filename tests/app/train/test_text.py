@@ -7,7 +7,7 @@ import pytest
 
 from tests.backend.annotations.conftest import context_for, small_episode
 from touchdown.app.train.reading import TrainingReader
-from touchdown.app.train.text import autonomy_text, figure_rows
+from touchdown.app.train.text import autonomy_text, figure_rows, promotion_question
 from touchdown.backend.annotations.dataset import Dataset
 from touchdown.backend.annotations.values import Label
 from touchdown.backend.bench.assembly import model_in_use
@@ -77,6 +77,25 @@ def test_trainings_of_two_pieces_name_them():
     rows = figure_rows([trained("pot", short=0.5), trained("barrel", short=0.6)])
     assert [row[0] for row in rows] == ["barrel, all", "barrel, short", "pot, all", "pot, short"]
     assert rows[3] == ("pot, short", "50.0 / 90.0", "\N{EN DASH}")
+
+
+@pytest.mark.parametrize(
+    ("iou", "held_out", "asked"),
+    [(0.25, 6, "It is worse."), (0.8, 6, "few probes"), (0.8, 1200, ""), (0.7, 1200, "worse")],
+)
+def test_a_model_that_is_worse_or_hardly_tested_is_questioned_with_its_figures(
+    iou, held_out, asked
+):
+    def card(iou, held_out):
+        metrics = {"validation": {"iou": iou}}
+        return SimpleNamespace(piece="pot", metrics=metrics, data={"held_out": held_out})
+
+    said = promotion_question(card(iou, held_out), card(0.75, 1200))
+    assert bool(said) == bool(asked)
+    assert asked in said
+    if asked:
+        assert f"{100 * iou:.0f} % on {held_out:,} probes" in said
+        assert "75 % on 1,200 probes" in said
 
 
 @pytest.mark.parametrize("probes", [None, 0, HARDWARE_PROBES - 1, HARDWARE_PROBES])

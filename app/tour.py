@@ -94,7 +94,7 @@ class Tour(QObject):
         hole = QRect() if self._place is None else self._hole(self._place)
         cards = self._hole(self._cards, 0)
         self.spotlight.show_hole(hole, cards)
-        self.card.fit(hole, cards.bottom() + 1)
+        self.card.fit(hole, self._window.height() if cards.isEmpty() else cards.top())
         self.card.raise_()
 
     def _show(self) -> None:

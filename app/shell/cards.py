@@ -188,7 +188,7 @@ class CloseConfirmation:
             ENDED_QUESTION, (("Stay", lambda: None), ("Close", self._close_now))
         )
         if now.text != self._asked.text:
-            self._ask(now)
+            self._ask(now, front=False)
 
     def _question(self, bench: Session) -> CardQuestion | None:
         if is_run_active(bench):
@@ -203,9 +203,9 @@ class CloseConfirmation:
         answers = ((stay, lambda: None), ("Stop and close", self._stop_and_close))
         return CardQuestion(f"{what} Stop and close? The grip is kept.", answers)
 
-    def _ask(self, question: CardQuestion) -> None:
+    def _ask(self, question: CardQuestion, *, front: bool = True) -> None:
         self._asked = question
-        self._cards.ask(question)
+        self._cards.ask(question, front=front)
 
     def _stop_and_close(self) -> None:
         self._stop()

@@ -10,6 +10,8 @@ from PySide6.QtWidgets import QDialog, QFileDialog, QFrame, QLayout, QPushButton
 
 from touchdown.widgets.base import hbox, label, rule, vbox
 
+LEAST_WINDOW = QSize(800, 440)  # of the main window; no sheet needs to be wider
+
 
 class QuestionRow(QFrame):
     """A question with two answers; the first one (no) does nothing."""

@@ -19,6 +19,7 @@ from PySide6.QtWidgets import (
 )
 
 from touchdown.app.shell.bench_text import BenchCaption
+from touchdown.app.shell.sheets import LEAST_WINDOW
 from touchdown.app.shell.workspace import Workspace
 from touchdown.widgets.base import (
     MAX_SCALE,
@@ -34,10 +35,9 @@ from touchdown.widgets.base import (
     ui_font,
     vbox,
 )
-from touchdown.widgets.shell import BenchBanner, FaultCards, TopBar, TopOverlay
+from touchdown.widgets.shell import BenchBanner, FaultCards, TopBar
 
-MINIMUM = QSize(1280, 720)
-PAGE_EM = (74, 33)  # minimum size of a page in heights of the base font; smaller windows scroll
+LEAST_EM, MOST_EM = (62, 34), (74, 38)  # limits of the minimum size of a page, which else scrolls
 USUAL = QSize(1600, 940)
 RAIL_GAP_PX, RAIL_MARGIN_PX = 4, 8
 FOOT_OF_RAIL = (("layouts", "Layout"), ("theme", "Theme"), ("keys", "Keys"))
@@ -64,14 +64,14 @@ class MainWindow(QMainWindow):
         # The name is unknown until a bench is attached.
         self._banner.hide()
         self._arrange(bar, cards)
-        self.setMinimumSize(MINIMUM)
+        self.setMinimumSize(LEAST_WINDOW)
         self.resize(USUAL)
         self.fit_to_theme()
 
     def _arrange(self, bar: TopBar, cards: FaultCards) -> None:
         body = QWidget()
-        vbox((self._stack, 1), parent=body, margins=(0, 0, 0, 0))
-        self._on_top = TopOverlay(cards, body)
+        # Below the page: what is above a new card keeps its place under the hand.
+        vbox((self._stack, 1), cards, parent=body, margins=(0, 0, 0, 0), spacing=0)
         self._rail_frame = self._rail()
         middle = hbox(self._rail_frame, (body, 1), spacing=0)
         frame = self._frame = QWidget()
@@ -101,7 +101,6 @@ class MainWindow(QMainWindow):
     def add_page(self, name: str, page: QWidget) -> None:
         """Add the page of a workspace."""
         self._pages[name], self._scrolls[name] = page, _scrolled(page)
-        self._give_room(page)
         self._stack.addWidget(self._scrolls[name])
         self._fit_columns(page)
 
@@ -113,6 +112,7 @@ class MainWindow(QMainWindow):
             self._frame.setFocus()
         self.front = name
         self._stack.setCurrentWidget(self._scrolls[name])
+        self._fit_columns(self._pages[name])
         for key in self._tabs:
             self.rail[key].setChecked(key == name)
 
@@ -135,22 +135,16 @@ class MainWindow(QMainWindow):
     def fit_to_theme(self) -> None:
         """Redraw the icons of the rail; larger text scrolls."""
         em = QFontMetrics(ui_font(self._theme.scale)).height()
-        for page in self._pages.values():
-            self._give_room(page)
         for button in self.rail.values():
             button.setMinimumWidth(round(3.7 * em))
         self._bar.ensurePolished()
         self._bar.fit()
-        self.setMinimumWidth(max(MINIMUM.width(), self._bar.minimumSizeHint().width()))
+        self.setMinimumWidth(max(LEAST_WINDOW.width(), self._bar.minimumSizeHint().width()))
         for name, button in self.rail.items():
             button.setIcon(icon(name, self._theme.tokens.colour("text"), 22))
         self._fit_rail()
         for page in self._pages.values():
             self._fit_columns(page)
-
-    def _give_room(self, page: QWidget) -> None:
-        em = QFontMetrics(ui_font(self._theme.scale)).height()
-        page.setMinimumSize(PAGE_EM[0] * em, PAGE_EM[1] * em)
 
     def resizeEvent(self, event: QResizeEvent) -> None:
         """Hide the icons of the rail where there is only room for its texts."""
@@ -170,7 +164,10 @@ class MainWindow(QMainWindow):
                 return
 
     def _fit_columns(self, page: QWidget) -> None:
-        """Show the controls first where a page is wider than the window."""
+        """Give a page room; show its controls first where it is wider than the window."""
+        em, needed = QFontMetrics(ui_font(self._theme.scale)).height(), page.minimumSizeHint()
+        sizes = zip(LEAST_EM, (needed.width(), needed.height()), MOST_EM, strict=True)
+        page.setMinimumSize(*(max(least * em, min(size, most * em)) for least, size, most in sizes))
         # Hidden pages have no layout yet: use the width of the window.
         room = self.width() - self._rail_frame.sizeHint().width()
         narrow = room < page.minimumWidth()
@@ -297,7 +294,7 @@ GRIP_PX = QSize(120, 30)  # part of the upper edge that must be on a screen
 def move_on_screen(window: QRect, screens: Sequence[QRect]) -> QRect:
     """Return ``window``, moved to the nearest screen if it cannot be reached.
 
-    This includes a window larger than all screens: STOP is at its right edge.
+    This includes a window larger than all screens.
     """
     if not screens:
         return window

@@ -363,6 +363,13 @@ def test_train_compare_promote_and_roll_back(desk):
         desk.settle()
         QTest.mouseClick(page.promote, Qt.MouseButton.LeftButton)
         desk.settle()
+        if run is both:
+            assert "held out; the model in use has" in desk.main.cards.asks.text
+            assert registry.in_use("pot") is None
+        for answer in desk.main.cards.findChildren(QPushButton):
+            if answer.text() == "Put it in use":
+                answer.click()
+        desk.settle()
         assert registry.in_use("pot").stem == run.card.weights_sha256
         assert not page.promote.isEnabled()
     assert f"model {wrench.card.weights_sha256[:8]}" in page.in_use.text()

@@ -5,7 +5,6 @@ from .fault_cards import STOPPED as STOPPED
 from .fault_cards import CardQuestion as CardQuestion
 from .fault_cards import CardText as CardText
 from .fault_cards import FaultCards as FaultCards
-from .fault_cards import TopOverlay as TopOverlay
 from .fault_cards import UnsavedBanner as UnsavedBanner
 from .keys import CommandPalette as CommandPalette
 from .keys import KeyDialog as KeyDialog
@@ -44,7 +43,6 @@ __all__ = [
     "Spotlight",
     "StateStrip",
     "TopBar",
-    "TopOverlay",
     "TourCard",
     "TourStop",
     "UnsavedBanner",

@@ -5,13 +5,29 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from PySide6.QtCore import QEvent, QObject
-from PySide6.QtGui import QGuiApplication
-from PySide6.QtWidgets import QFrame, QPlainTextEdit, QPushButton, QSizePolicy, QWidget
+from PySide6.QtCore import QEvent, QObject, Qt
+from PySide6.QtGui import QGuiApplication, QKeyEvent
+from PySide6.QtWidgets import (
+    QApplication,
+    QFrame,
+    QPlainTextEdit,
+    QPushButton,
+    QSizePolicy,
+    QWidget,
+)
 
-from touchdown.widgets.base import ElidedLabel, hbox, label, scroll_into_view, set_property, vbox
+from touchdown.widgets.base import (
+    ElidedLabel,
+    add_items,
+    hbox,
+    label,
+    scroll_into_view,
+    set_property,
+    vbox,
+)
 
 MAX_CARDS = 4
+ANSWER_EM = 9  # least width of an answer, so that each has its place
 STOPPED = "STOPPED"  # code of the card of a stop, always on top
 
 
@@ -51,7 +67,7 @@ class CardText:
 
 @dataclass(frozen=True, slots=True)
 class CardQuestion:
-    """Non-blocking question: text and (label, action) per answer."""
+    """Non-blocking question: text and (label, action) per answer; the first one changes nothing."""
 
     text: str
     answers: tuple[tuple[str, Callable[[], None]], ...]
@@ -110,9 +126,9 @@ class FaultCard(QFrame):
         details = self._button("Details", lambda: shown.setVisible(shown.isHidden()))
         row = hbox((words, 1), self.more, self.fold, details, self._button("Copy", self._copy))
         if self.text.offer is not None:
-            offer = self._button(self.text.offer[0], self._accept)
-            offer.setProperty("role", "primary")
-            row.addWidget(offer)
+            self.offer = self._button(self.text.offer[0], self._accept)
+            self.offer.setProperty("role", "primary")
+            row.addWidget(self.offer)
         last = "Reset" if self.text.reset else "Dismiss"
         end = self._button(last, self._act)
         if self.text.reset:
@@ -171,7 +187,11 @@ class FoldedCards(QFrame):
 
 
 class FaultCards(QWidget):
-    """Stack of cards with at most one question; takes no room while empty."""
+    """Queue of cards with at most one question; takes no room while empty.
+
+    The newest of question and latched cards is in front. Answers of questions stand at the left,
+    buttons of cards at the right, so that no button takes the place of one with another meaning.
+    """
 
     def __init__(self, on_reset: Callable[[], None]) -> None:
         super().__init__()
@@ -179,10 +199,12 @@ class FaultCards(QWidget):
         self._cards: dict[str, FaultCard] = {}
         self._question: QFrame | None = None
         self.asks: CardQuestion | None = None  # the present question
+        self._asked_last = False  # the question is newer than the latched cards
+        self._more: QPushButton | None = None  # of the question
         self._unfolded = False
         self.folded = False  # True while the cards are one line in the foot of the window
         self.strip = FoldedCards(self, self._unfold_line, on_reset)
-        self._column = vbox(parent=self, margins=(10, 8, 10, 0), spacing=6)
+        self._column = vbox(parent=self, margins=(10, 0, 10, 8), spacing=6)
         self.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Maximum)
         self.hide()
 
@@ -216,26 +238,34 @@ class FaultCards(QWidget):
             card = FaultCard(text, self._pressed, self.fold)
             card.more.clicked.connect(self._unfold)
             self._cards[text.key] = card
+        self._asked_last = self._asked_last and not text.reset
         self._lay_out()
 
-    def ask(self, question: CardQuestion) -> None:
-        """Show a question in place of the former one; a focus on that moves to the new one."""
+    def ask(self, question: CardQuestion, *, front: bool = True) -> None:
+        """Show a question in place of the former one; a focus on that moves to the new one.
+
+        ``front``: False leaves the question behind newer cards.
+        """
         focus = QGuiApplication.focusObject()
         focused = self._question is not None and focus in self._question.children()
         self.withdraw()
         frame = QFrame()
         frame.setProperty("role", "question")
-        row = hbox((label(question.text, "title", wrap=True), 1), parent=frame)
+        self._more = QPushButton()
+        self._more.clicked.connect(self._unfold)
+        row = hbox(parent=frame)
         for text, action in question.answers:
             answer = QPushButton(text)
+            answer.setMinimumWidth(ANSWER_EM * self.fontMetrics().height())
             answer.clicked.connect(lambda _=False, action=action: self._answer(action))
             answer.setAccessibleName(f"{text}: {question.text}")
             row.addWidget(answer)
+        add_items(row, self._more, (label(question.text, "title", wrap=True), 1))
         self._question, self.asks = frame, question
-        self.folded = False
+        self._asked_last = front or self._asked_last
+        self.folded = self.folded and not front
+        QApplication.instance().installEventFilter(self)  # type: ignore[union-attr]
         self._lay_out()
-        self._column.insertWidget(0, frame)
-        self.show()
         if focused:
             frame.findChildren(QPushButton)[0].setFocus()
 
@@ -248,8 +278,22 @@ class FaultCards(QWidget):
         if self._question is not None:
             self._question.hide()
             self._question.deleteLater()
-            self._question = self.asks = None
+            self._question = self._more = self.asks = None
+            QApplication.instance().removeEventFilter(self)  # type: ignore[union-attr]
         self._lay_out()
+
+    def eventFilter(self, watched: QObject, event: QEvent) -> bool:
+        """Give the first answer with Esc while a question is in front."""
+        asked = self.asks
+        if not isinstance(event, QKeyEvent) or event.key() != Qt.Key.Key_Escape or asked is None:
+            return False
+        mine = watched is self.window().windowHandle() and self._question is not None
+        if not mine or self._question.isHidden():  # type: ignore[union-attr]
+            return False
+        if event.type() is QEvent.Type.KeyPress and not event.isAutoRepeat():
+            self._answer(asked.answers[0][1])
+        event.accept()
+        return True
 
     def fold(self) -> None:
         """Fold all cards into one line in the foot of the window."""
@@ -294,23 +338,30 @@ class FaultCards(QWidget):
         self._lay_out()
 
     def _lay_out(self) -> None:
-        """Show the first card, all cards if unfolded, or one line if folded."""
+        """Show what is in front, everything if unfolded, or one line if folded."""
         ranked = self._ranked()
-        self._unfolded = self._unfolded and len(ranked) > 1
+        self._unfolded = self._unfolded and len(ranked) + (self._question is not None) > 1
         self.folded = self.folded and bool(ranked)
         if self.folded:
             self.strip.show_first(ranked[0].text, len(ranked))
         else:
             self.strip.hide()
+        front = self._question is not None and (self._asked_last or not ranked)
+        waiting = len(ranked) + (self._question is not None) - 1
         for place, card in enumerate(ranked):
             self._column.removeWidget(card)
             self._column.addWidget(card)
-            card.setVisible(not self.folded and (place == 0 or self._unfolded))
-            card.more.setVisible(place == 0 and len(ranked) > 1)
-        if len(ranked) > 1:
-            text = "Fewer" if self._unfolded else f"{len(ranked) - 1} more"
-            ranked[0].more.setText(text)
-            ranked[0].more.setAccessibleName(f"{text}: the other cards")
+            first = place == 0 and not front
+            card.setVisible(not self.folded and (first or self._unfolded))
+            card.more.setVisible(first and waiting > 0)
+        if self._question is not None and self._more is not None:
+            self._column.insertWidget(0 if front else -1, self._question)
+            self._question.setVisible(front or self._unfolded)
+            self._more.setVisible(front and waiting > 0)
+        text = "Fewer" if self._unfolded else f"{waiting} more"
+        for more in filter(None, (self._more, *(card.more for card in ranked[:1]))):
+            more.setText(text)
+            more.setAccessibleName(f"{text}: the other cards")
         shown = bool(ranked) and not self.folded
         self.setVisible(shown or self._question is not None)
 
@@ -338,36 +389,3 @@ class UnsavedBanner(QFrame):
         self.setVisible(bool(what))
         if appears:
             scroll_into_view(self)
-
-
-_CHANGED = frozenset({QEvent.Type.LayoutRequest, QEvent.Type.Show})
-
-
-class TopOverlay(QObject):
-    """Keeps ``cover`` at the top of ``base``, as wide as it and as high as needed."""
-
-    def __init__(self, cover: QWidget, base: QWidget) -> None:
-        super().__init__(base)
-        self._cover, self._base = cover, base
-        cover.setParent(base)
-        base.installEventFilter(self)
-        cover.installEventFilter(self)
-        cover.setVisible(False)
-
-    def eventFilter(self, watched: QObject, event: QEvent) -> bool:
-        """Follow size changes of the base and content changes of the cover."""
-        kind = event.type()
-        if (watched is self._base and kind is QEvent.Type.Resize) or (
-            watched is self._cover and kind in _CHANGED
-        ):
-            self._place()
-        return False
-
-    def _place(self) -> None:
-        cover, width = self._cover, self._base.width()
-        layout = cover.layout()
-        high = cover.sizeHint().height()
-        if layout is not None and layout.hasHeightForWidth():
-            high = layout.totalHeightForWidth(width)
-        cover.setGeometry(0, 0, width, min(high, self._base.height()))
-        cover.raise_()

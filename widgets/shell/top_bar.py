@@ -123,7 +123,10 @@ DEVICE_CHIPS = (
 
 
 class TopBar(QFrame):
-    """Bar of one row, or two if narrow; ``on_stop`` is called when STOP is pressed down."""
+    """Bar of one row, or two if narrow; ``on_stop`` is called when STOP is pressed down.
+
+    State and STOP are first; where the room ends with them, the modes of the arm are left out.
+    """
 
     def __init__(self, theme: Theme, on_stop: Callable[[], None]) -> None:
         super().__init__()
@@ -168,7 +171,9 @@ class TopBar(QFrame):
     def _arrange(self) -> None:
         modes = _two(self._robot, self._safety)
         estop = _two(self._estop_title, self._estop)
-        self._row = hbox(self.pill, modes, 1, estop, self.stop, spacing=GAP)
+        self._modes = QWidget()
+        hbox(modes, estop, parent=self._modes, margins=(0, 0, 0, 0), spacing=GAP)
+        self._row = hbox(self.pill, self.stop, self._modes, 1, spacing=GAP)
         self._devices = QWidget()
         chips = hbox(*self.chips.values(), parent=self._devices, margins=(0, 0, 0, 0),
                      spacing=CHIP_GAP)  # fmt: skip
@@ -176,7 +181,7 @@ class TopBar(QFrame):
         chips.addLayout(_two(self._override_title, self.override))
         chips.addSpacing(GAP - CHIP_GAP)
         chips.addLayout(_two(self._servo_title, self.servo))
-        self._row.insertWidget(2, self._devices)
+        self._row.insertWidget(3, self._devices)
         self._second = hbox()
         vbox(self._row, self._second, parent=self, margins=(MARGIN, 7, MARGIN, 7), spacing=6)
         self.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Fixed)
@@ -206,27 +211,30 @@ class TopBar(QFrame):
                 break
         else:
             for chip in chips:
-                chip.show_short(False)
+                chip.show_short(self._devices_px(chips) > room)
         if one_row and self._second.count():
             self._second.removeWidget(self._devices)
             self._second.takeAt(0)
-            self._row.insertWidget(2, self._devices)
+            self._row.insertWidget(3, self._devices)
         elif not one_row and not self._second.count():
             self._row.removeWidget(self._devices)
             self._second.addWidget(self._devices)
             self._second.addStretch(1)
-        self._least_px = self._needed(())
+        self._least_px = self.pill.sizeHint().width() + self.stop.sizeHint().width() + 3 * GAP
+        self._modes.setVisible(self._needed(()) <= room)
         self.updateGeometry()
 
     def _needed(self, chips: tuple[DeviceChip, ...]) -> int:
         modes = max(self._robot.sizeHint().width(), self._safety.sizeHint().width())
         estop = max(self._estop_title.sizeHint().width(), self._estop.sizeHint().width())
         fixed = self.pill.sizeHint().width() + modes + estop + self.stop.sizeHint().width()
-        if chips:
-            override = (self._override_title.sizeHint().width(), self.override.width())
-            fixed += GAP + max(override)
-            fixed += GAP + max(self._servo_title.sizeHint().width(), self.servo.sizeHint().width())
-        return fixed + sum(c.sizeHint().width() + CHIP_GAP for c in chips) + 5 * GAP + 2 * MARGIN
+        return fixed + (self._devices_px(chips) if chips else 0) + 5 * GAP + 2 * MARGIN
+
+    def _devices_px(self, chips: tuple[DeviceChip, ...]) -> int:
+        """Return the width of chips, override and servo."""
+        override = max(self._override_title.sizeHint().width(), self.override.width())
+        servo = max(self._servo_title.sizeHint().width(), self.servo.sizeHint().width())
+        return override + servo + 2 * GAP + sum(c.sizeHint().width() + CHIP_GAP for c in chips)
 
     def show_modes(self, robot: str, safety: str) -> None:
         """Show robot mode and safety mode of the arm."""

@@ -96,16 +96,15 @@ class TourCard(QFrame):
         self.raise_()
         self.next.setFocus()
 
-    def fit(self, hole: QRect, top: int = 0) -> None:
-        """Place the card beside the highlight, inside the window and below ``top``."""
+    def fit(self, hole: QRect, bottom: int) -> None:
+        """Place the card beside the highlight, inside the window and above ``bottom``."""
         em = self.fontMetrics().height()
         width = min(24 * em, self._window.width() - 2 * MARGIN_PX)
         self.setFixedWidth(width)
         high = max(self.heightForWidth(width), self.minimumSizeHint().height())
         self.resize(width, high)
         corner = card_position(hole, self.size(), self._window.rect())
-        lowest = self._window.height() - high - MARGIN_PX
-        self.move(corner.x(), min(max(corner.y(), top + MARGIN_PX if top else 0), lowest))
+        self.move(corner.x(), max(min(corner.y(), bottom - high - MARGIN_PX), 0))
 
     def event(self, event: QEvent) -> bool:
         """Claim Enter and Esc before the shortcuts of the page."""

@@ -6,7 +6,7 @@ import sys
 
 import numpy as np
 import pytest
-from PySide6.QtCore import QPoint, Qt
+from PySide6.QtCore import QPoint, QRect, QSize, Qt
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QMenu
 
@@ -218,30 +218,64 @@ def place(widget, window):
     return widget.mapTo(window, widget.rect().topLeft()), widget.size()
 
 
-def test_cards_and_questions_move_nothing_below_them(live, bench):
+def test_cards_and_questions_cover_nothing_and_leave_the_controls_in_place(live, bench):
     live.go("stack")
     settle(live)
     page = live.workspaces["stack"].page
-    watched = (page.run.start, page.decision, page.tactile["left"], page.force)
-    before = [place(widget, live.window) for widget in watched]
+    watched = (page.run.start, page.run.cancel, page.decision)
+    before = [place(widget, live.window)[0] for widget in watched]
     bench.tell_fault()
     live.stop()
     settle(live)
-    assert live.cards.isVisible()
-    assert live.cards.width() == live.cards.parentWidget().width()
-    assert [place(widget, live.window) for widget in watched] == before
+
+    def scene():
+        corner = live.cards.mapTo(live.window, QPoint(0, 0))
+        assert live.cards.isVisible()
+        assert [place(widget, live.window)[0] for widget in watched] == before
+        for scroll in live.window._scrolls.values():
+            if scroll.isVisible():
+                above = scroll.mapTo(live.window, scroll.rect().bottomLeft())
+                assert above.y() < corner.y(), "no control is below the cards"
+
+    scene()
     one_px = live.cards.height()
     live.cards.card("STOPPED").more.click()
     settle(live)
     assert live.cards.height() > one_px, "unfolded, all of it is seen"
+    scene()
     live.reset()
     live.cards.ask(CardQuestion("A piece is held. Opening lets it go.", (("Keep", list),)))
     settle(live)
-    assert live.cards.isVisible()
-    assert [place(widget, live.window) for widget in watched] == before
+    scene()
     live.cards.withdraw()
     settle(live)
     assert not live.cards.isVisible()
+
+
+@pytest.mark.parametrize(
+    ("width", "height", "scale"),
+    [(800, 600, 1), (800, 470, 1), (1024, 768, 1), (1280, 720, 1.5), (1600, 940, 1.5)],
+)
+def test_state_and_stop_are_seen_and_all_else_is_reached_in_every_size(live, width, height, scale):
+    live.window.resize(width, height)
+    live.look.show("dark", scale)
+    for name in live.workspaces:
+        live.go(name)
+        live.cards.ask(CardQuestion("A piece is held. Close the window?", (("Stay", list),)))
+        settle(live)
+        assert live.window.size() == QSize(width, height)
+        within = QRect(0, 0, width, height)
+        pill, stop = (QRect(*place(w, live.window)) for w in (live.bar.pill, live.bar.stop))
+        assert within.contains(pill)
+        assert within.contains(stop)
+        assert 0 < stop.left() - pill.right() < 20
+        scroll = live.window._scrolls[name]
+        page, room = scroll.widget(), scroll.viewport().size()
+        reach = QPoint(scroll.horizontalScrollBar().maximum(), scroll.verticalScrollBar().maximum())
+        assert page.width() <= room.width() + reach.x()
+        assert page.height() <= room.height() + reach.y()
+        assert within.contains(QRect(*place(live.cards, live.window)))
+        live.cards.withdraw()
 
 
 def test_a_card_as_high_as_its_words(live):

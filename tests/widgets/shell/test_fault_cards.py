@@ -1,12 +1,13 @@
 """One card shows, STOP before all others; a refusal passes with the next order carried out."""
 
 import pytest
-from PySide6.QtCore import QRect
-from PySide6.QtWidgets import QApplication, QWidget
+from PySide6.QtCore import QPoint, QRect, Qt
+from PySide6.QtTest import QTest
+from PySide6.QtWidgets import QApplication, QPushButton, QWidget
 
-from touchdown.widgets.base.panel import ElidedLabel
+from touchdown.widgets.base.panel import ElidedLabel, vbox
 from touchdown.widgets.base.theme import Theme, load_resources
-from touchdown.widgets.shell.fault_cards import STOPPED, CardText, FaultCards, TopOverlay
+from touchdown.widgets.shell.fault_cards import STOPPED, CardQuestion, CardText, FaultCards
 from touchdown.widgets.shell.top_bar import TopBar
 
 
@@ -92,12 +93,11 @@ def test_folded_cards_are_a_line_elsewhere_until_something_new_comes(qtbot):
     base, resets = QWidget(), []
     qtbot.addWidget(base)
     cards = FaultCards(lambda: resets.append(1))
-    on_top = TopOverlay(cards, base)
-    cards.strip.setParent(base)
+    vbox(1, cards, cards.strip, parent=base, margins=(0, 0, 0, 0))
     base.resize(1180, 630)
     base.show()
     cards.show_card(fault("FT-TRIP"))
-    qtbot.waitUntil(lambda: cards.width() == 1180 and cards.y() == 0)
+    qtbot.waitUntil(lambda: cards.width() == 1180)
     assert not cards.strip.isVisible()
     cards.card("FT-TRIP").fold.click()
     assert not cards.isVisible(), "nothing of the page is covered"
@@ -116,7 +116,44 @@ def test_folded_cards_are_a_line_elsewhere_until_something_new_comes(qtbot):
     cards.fold()
     cards.clear(cards.codes)
     assert not cards.strip.isVisible()
-    del on_top
+
+
+def test_a_question_and_a_stop_are_one_queue_and_no_button_takes_the_place_of_another(qtbot):
+    base, answers, resets = QWidget(), [], []
+    qtbot.addWidget(base)
+    cards = FaultCards(lambda: resets.append(1))
+    vbox(1, cards, parent=base, margins=(0, 0, 0, 0))
+    base.resize(900, 400)
+    base.show()
+
+    def buttons():
+        qtbot.wait(1)
+        seen = [b for b in cards.findChildren(QPushButton) if b.isVisible()]
+        return {b.text(): QRect(b.mapTo(base, QPoint(0, 0)), b.size()) for b in seen}
+
+    def ask(word, **more):
+        stay, go = (lambda: answers.append("stay")), (lambda: answers.append("close"))
+        cards.ask(CardQuestion("A run is active.", (("Stay", stay), (word, go))), **more)
+
+    ask("Stop and close")
+    first = buttons()
+    cards.show_card(CardText(STOPPED, "Stopped.", "The run ends.", "Press Reset."))
+    stopped = buttons()
+    assert "Reset" in stopped
+    assert "Stay" not in stopped, "one at a time"
+    ask("Close", front=False)
+    assert buttons() == stopped, "new words for the same question stay behind"
+    for place in (first["Stay"], first["Stop and close"]):
+        assert not any(place.intersects(stopped[text]) for text in ("Reset", "Fold", "Copy"))
+    ask("Close")
+    again = buttons()
+    assert (again["Stay"], again["Close"].x()) == (first["Stay"], first["Stop and close"].x())
+    assert "Reset" not in again
+    QTest.keyClick(base.windowHandle(), Qt.Key.Key_Escape)
+    assert answers == ["stay"]
+    assert "Reset" in buttons()
+    QTest.keyClick(base.windowHandle(), Qt.Key.Key_Escape)
+    assert (answers, resets) == (["stay"], [])
 
 
 @pytest.fixture

@@ -56,6 +56,7 @@ from touchdown.backend.learning import ModelCard
 from touchdown.backend.placement import Estimator, SupportTower
 from touchdown.backend.rig import BenchConnection
 from touchdown.backend.runs import (
+    DEVICE_FAULTS,
     SCENE_TIMEOUT_S,
     Bench,
     DriftMonitor,
@@ -82,6 +83,7 @@ from touchdown.backend.runs import (
     check_connected,
     check_devices,
     check_no_contact,
+    check_request,
     connect_stop,
     contact_height_mm,
     latch_device_faults,
@@ -91,6 +93,7 @@ from touchdown.backend.runs import (
 )
 from touchdown.backend.sensing import LiveSensing, RawStreams, WrenchDrift
 
+LOSS_S = 1.5  # time to find all devices that were lost at once
 STEP_US = 20_000  # bench step, 20 ms: the delay of a cancel
 # Mode of recordings by the mode of the bench; anything else is a lab
 LIVE_MODES = {"simulated": "live simulation", "emulated": "emulated"}
@@ -320,6 +323,11 @@ class Session:
         try:
             self.engine.run(plan, self.advance)
         finally:
+            if {fault.code for fault in self.interlock.faults} & DEVICE_FAULTS:
+                # Devices lost at the same time are found within this time, and each is named.
+                until_s = self.clock_s() + LOSS_S
+                while self.clock_s() < until_s:
+                    self.advance()
             leave()
             self._recorder.close()
         finished = next((e for e in reversed(events) if isinstance(e, RunFinished)), None)
@@ -330,6 +338,18 @@ class Session:
             faults=tuple(e.fault for e in events if isinstance(e, FaultRaised)),
             run_folder=self.run_folder,
         )
+
+    def check(self, request: Request, *, connected: bool = False) -> None:
+        """Raise what ``run`` would raise for a request on the devices of a lab; nothing moves.
+
+        Before the devices are connected everything but their calibrations is checked, afterwards
+        (``connected``) the calibrations.
+        """
+        if connected:
+            calibrations_for(request, self.description.mode, self.calibrations, self.devices)
+            return
+        check_request(request, self)
+        self._recorder.check()
 
     def stop(self) -> None:
         """STOP: latch, halt arm and gripper, end the run. Always allowed; returns at once."""

@@ -1,4 +1,4 @@
-"""``touchdown bench``: check a lab file, write a new one, or connect its devices once."""
+"""``touchdown bench``: check or write a lab file, connect its devices, recover from a fault."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import argparse
 import json
 import math
 import re
+import sys
 import threading
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
@@ -18,8 +19,9 @@ from typing import TYPE_CHECKING, cast
 import numpy as np
 from rich.table import Table
 
-from touchdown.backend.cli.output import VerbOutput, write_new
+from touchdown.backend.cli.output import VerbOutput, ctrl_c_cancels, write_new
 from touchdown.backend.config import PLACEHOLDERS, Lab, LabSettings, load_lab
+from touchdown.backend.core import FaultError, InputError, RefusedError
 
 if TYPE_CHECKING:
     from touchdown.backend.bench import Session
@@ -34,6 +36,24 @@ TEMPLATE = "lab.toml"
 # keys of a new file without a usable default
 REQUIRED_KEYS = ("ft.address", "gelsight.left.serial", "gelsight.right.serial")
 
+ON = "All devices are connected and the arm is switched on; it stands."
+# Recovery without a window: help, and the question before it.
+RECOVERY = {
+    "status": ("connect all devices, show their state and what to do", ON),
+    "reset": (
+        "connect all devices and reset their faults; nothing moves",
+        f"{ON} Faults are reset.",
+    ),
+    "acknowledge": (
+        "acknowledge a fast stop or fault of the gripper",
+        f"{ON} The gripper takes motions again; it keeps what it holds.",
+    ),
+    "lift": ("lift the arm by 5 mm, out of contact", f"{ON} Then it rises by 5 mm."),
+    "open-jaws": ("open the jaws, also on a held piece", ON),
+}
+LIFT_MM, LIFT_MM_S = 5.0, 5.0
+SETTLE_S = 0.5  # samples of all sensors have arrived
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
@@ -45,6 +65,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="connect all devices, list the answers, disconnect; the arm is switched on and stands",
     )
+    for name, (text, _) in RECOVERY.items():
+        what.add_argument(f"--{name}", action="store_true", help=text)
+    parser.add_argument("--yes", action="store_true", help="do not ask before a recovery")
 
 
 def run(args: argparse.Namespace, screen: VerbOutput) -> int:
@@ -62,6 +85,9 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     from touchdown.backend.devices import refuse_unknown_drivers
 
     refuse_unknown_drivers(lab.settings, str(args.file))
+    for name in RECOVERY:
+        if getattr(args, name.replace("-", "_")):
+            return _recover(args, name, screen)
     _show(lab, screen)
     return 0
 
@@ -166,6 +192,98 @@ def _prove(
         begun = sensor.samples.count
         cancel.wait(WEIGH_S)
         require_plausible(sensor.samples.since(begun).values, sensor.rated, payload_kg)
+
+
+def _recover(args: argparse.Namespace, action: str, screen: VerbOutput) -> int:
+    """Do one step of the operator without a window; return 1 if it was declined or failed."""
+    from touchdown.backend.bench import LabChoice, lab_session
+    from touchdown.backend.cli.connection import line_text, report_devices
+    from touchdown.backend.core import raised_priority
+    from touchdown.backend.runs import check_connected
+
+    if screen.json and not args.yes:
+        raise InputError("With --json nothing is asked.", f"--{action}", "Add --yes.")
+    if not _agreed(args, RECOVERY[action][1], screen):
+        return 1
+    # Any gel is accepted: a recovery measures nothing.
+    with raised_priority(), lab_session(LabChoice(args.file, any_gels=True)) as session:
+        connection = session.connection
+        assert connection is not None
+        connection.begin()
+        report_devices(connection, screen.say)
+        if action == "reset" and connection.missing():
+            # The next connection resets the error that the last one named.
+            connection.begin()
+            report_devices(connection, screen.say)
+        if action == "acknowledge":
+            needs = {line.name for line in connection.lines() if line.needs == action}
+            screen.say("Acknowledging." if needs else "Nothing waits for an acknowledgement.")
+            if needs:
+                connection.acknowledge()
+                report_devices(connection, screen.say, ("gripper",))
+        done = True
+        if action in ("lift", "open-jaws"):
+            check_connected(connection, homes=True)
+            done = _move(session, action, args, screen)
+        state = _bench_state(session, screen)
+        lines, missing = connection.lines(), connection.missing()
+    devices = [{"name": n.name, "state": n.state, "text": line_text(n)} for n in lines]
+    screen.result({"action": action, "done": done, "devices": devices, **state})
+    return 0 if done and not missing else 1
+
+
+def _agreed(args: argparse.Namespace, question: str, screen: VerbOutput) -> bool:
+    if args.yes:
+        return True
+    screen.say(f"{question} Go on? Type y for yes; Enter: no.")
+    if sys.stdin.readline().strip().lower() in ("y", "yes"):
+        return True
+    screen.say("Nothing was done.")
+    return False
+
+
+def _move(session: Session, action: str, args: argparse.Namespace, screen: VerbOutput) -> bool:
+    """Lift the arm or open the jaws; raises ``RefusedError`` as the window refuses it."""
+    hand = session.hand
+    assert hand is not None
+    _advance(session, SETTLE_S)
+    if not hand.powered:
+        raise RefusedError("SERVO-OFF", "The servo of the arm is off: switch it on first.")
+    holding = hand.holding
+    if action == "open-jaws":
+        held = "A piece is held. Opening lets it go: hold it with your hand."
+        if not _agreed(args, held if holding else "The jaws are empty; they open.", screen):
+            return False
+        hand.open(confirmed=holding)
+    else:
+        hand.jog.step("z", "XYZ", LIFT_MM, LIFT_MM_S)
+    with ctrl_c_cancels(session.stop):
+        while hand.active and not session.interlock.latched:
+            session.advance()
+    if session.interlock.faults:
+        raise FaultError(session.interlock.faults[0])
+    session.interlock.refuse_latched()
+    return True
+
+
+def _bench_state(session: Session, screen: VerbOutput) -> dict[str, object]:
+    """Print and return what arm, gripper and wrist report, as far as there is a scene."""
+    hand = session.hand
+    if hand is None:
+        return {}
+    _advance(session, SETTLE_S)
+    hold = "a piece is held" if hand.holding else "no piece is held"
+    screen.say(f"Gripper: {hold}.")
+    screen.say(f"Arm: the servo is {'on' if hand.powered else 'off'}.")
+    if hand.pressing_n:
+        screen.say(f"The piece presses with {hand.pressing_n:.1f} N: lift first (jog +Z).")
+    return {"holding": hand.holding, "powered": hand.powered, "pressing_n": hand.pressing_n}
+
+
+def _advance(session: Session, seconds: float) -> None:
+    end_s = session.clock_s() + seconds
+    while session.clock_s() < end_s:
+        session.advance()
 
 
 def _sensor_timing(session: Session) -> list[SensorTiming]:

@@ -29,6 +29,7 @@ from touchdown.backend.cli.connection import (
     ask_yes_no_in_thread,
     at_lab,
     fill_in_scene,
+    held_piece_reported,
     open_bench,
     refuse_hidden_prompt,
     refuse_misplaced_arguments,
@@ -96,12 +97,13 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
         args.hand_over, args.pitch,
     )  # fmt: skip
     # A new gel must be connected to be calibrated.
-    bench = open_bench(args, screen, RecordingOptions(None), any_gels=args.what == "camera")
+    keep, any_gels = RecordingOptions(None), args.what == "camera"
+    bench = open_bench(args, screen, keep, prepare=lambda _: request, any_gels=any_gels)
     with bench as session, ExitStack() as bars:
         session.calibrations = _store_of(args)
         told = _CalibrationProgress(screen, bars, session)
         session.events.subscribe(told.take)
-        with ctrl_c_cancels(session.engine.cancel):
+        with ctrl_c_cancels(session.engine.cancel), held_piece_reported(session, screen):
             session.run(request)
         return _report(args, session, told, screen)
 

@@ -16,6 +16,7 @@ from touchdown.backend.cli.connection import (
     add_scene_arguments,
     at_lab,
     fill_in_scene,
+    held_piece_reported,
     open_bench,
     refuse_hidden_prompt,
     refuse_misplaced_arguments,
@@ -106,13 +107,25 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     with Dataset.open(folder, create=not args.resume, person=person) as dataset:
         for notice in dataset.notices:
             screen.say(notice)
-        with open_bench(args, screen, keep, method=StackSettings(), campaign=True) as session:
+        request = _request(args, dataset, person)
+
+        def prepare(session: Session) -> CollectRequest:
             session.dataset = dataset
+            return request
+
+        with open_bench(
+            args, screen, keep, method=StackSettings(), prepare=prepare, campaign=True
+        ) as session:
+            prepare(session)
             # The bar starts with the campaign, after the arguments are checked.
-            with ExitStack() as bars, ctrl_c_cancels(session.engine.cancel):
+            with (
+                ExitStack() as bars,
+                ctrl_c_cancels(session.engine.cancel),
+                held_piece_reported(session, screen),
+            ):
                 told = _CollectionProgress(screen, bars, session)
                 session.events.subscribe(told.take)
-                session.run(_request(args, dataset, person))
+                session.run(request)
         return _report(dataset, session, told, screen)
 
 

@@ -10,9 +10,12 @@ import importlib
 import json
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
 from typing import NoReturn
 
-from touchdown.backend.cli.output import VerbOutput
+from touchdown.backend.cli.output import VerbOutput, without_window
+from touchdown.backend.config import is_lab_file
 from touchdown.backend.core import (
     FaultError,
     InputError,
@@ -110,7 +113,19 @@ def _dispatch(words: list[str]) -> int:
         args.handed_on = unknown
     elif unknown:
         parser.error(f"unknown argument: {' '.join(unknown)}")
-    return int(verb.run(args, VerbOutput(json=args.json)))
+    return int(verb.run(args, VerbOutput(json=args.json, lab=_lab_of(rest))))
+
+
+def _lab_of(words: list[str]) -> str:
+    """Return the lab file that the words of a verb name, empty without one."""
+    for option, value in zip(["", *words], words, strict=False):
+        file = value.removeprefix("--bench=")
+        if option in ("", "--bench") or file != value:
+            # A file that cannot be read is reported by the verb itself.
+            with suppress(InputError):
+                if file.endswith(".toml") and Path(file).is_file() and is_lab_file(Path(file)):
+                    return file
+    return ""
 
 
 def module_of(verb: str) -> str:
@@ -135,6 +150,8 @@ def _front() -> Parser:
 
 
 def _complain(words: list[str], what: str, where: str, fix: str) -> None:
+    lab = _lab_of(words[1:])
+    what, fix = without_window(what, lab), without_window(fix, lab)
     if "--json" in words:
         body = {"error": {"what": what, "where": where, "fix": fix}}
         sys.stderr.write(json.dumps(body) + "\n")

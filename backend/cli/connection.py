@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import shlex
 import sys
 import threading
 from collections.abc import Callable, Container, Iterator
@@ -23,6 +24,7 @@ from touchdown.backend.core import (
     SetUpAwaited,
     raised_priority,
 )
+from touchdown.backend.emulation import FaultPlan, load_faults, parse_fault
 from touchdown.backend.runs import (
     calibrations_folder,
     check_connected,
@@ -36,10 +38,11 @@ if TYPE_CHECKING:
     from touchdown.backend.bench import Session
     from touchdown.backend.config import StackSettings
     from touchdown.backend.rig import BenchConnection, DeviceStatus
-    from touchdown.backend.runs import RecordingOptions
+    from touchdown.backend.runs import RecordingOptions, Request
 
 
 POLL_S = 0.05
+ARM = "arm"
 PIECE = "pot"  # default for a lab file without a piece
 START_OVERRIDE = 10  # default of --override: percent of every speed in air
 
@@ -70,7 +73,10 @@ def add_bench_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="FAULT",
-        help="scripted disturbance such as tactile_left:stop@3.0 (may be given several times)",
+        help="scripted fault such as tactile_left:freeze@3.0 (may be given several times)",
+    )
+    parser.add_argument(
+        "--faults", type=Path, metavar="FILE", help="with --emulated: fault plan (TOML)"
     )
     parser.add_argument("--pieces", metavar="DIR", help="folder with further piece files")
 
@@ -122,11 +128,13 @@ def fill_in_scene(args: argparse.Namespace, bottom: str) -> None:
 def refuse_misplaced_arguments(args: argparse.Namespace) -> None:
     """Raise ``InputError`` for arguments that the bench of ``args`` has no use for."""
     lab = at_lab(args)
-    for name in ("preset", "inject", "emulated") if lab else ("home", "override"):
+    for name in ("preset", "inject", "emulated", "faults") if lab else ("home", "override"):
         if getattr(args, name):
             bench = "the simulated bench" if lab else "real devices"
             fix = "Leave it out." if lab else "Name a lab file with --bench."
             raise InputError(f"This argument is for {bench} only.", f"--{name}", fix)
+    if args.faults and not args.emulated:
+        raise InputError("A fault plan is for emulated devices.", "--faults", "Add --emulated.")
 
 
 @contextmanager
@@ -136,13 +144,14 @@ def open_bench(
     keep: RecordingOptions,
     *,
     method: StackSettings | None = None,
-    campaign: bool = False,
-    any_gels: bool = False,
+    prepare: Callable[[Session], Request],
+    **lab: bool,
 ) -> Iterator[Session]:
     """Open a session on the bench of ``args``, connect a lab's devices, close it at the end.
 
-    ``campaign`` and ``any_gels`` as of ``LabChoice``. Raises the errors of ``lab_session``, and
-    ``FaultError`` for the first device that failed.
+    ``prepare`` returns the request of the run. At a lab it is checked before anything is connected,
+    moves or is switched on. ``lab`` are options of ``LabChoice``. Raises the errors of
+    ``lab_session``, and ``FaultError`` for the first device that failed.
     """
     from touchdown.backend.bench import (
         EmulatedBench,
@@ -161,20 +170,27 @@ def open_bench(
         if file is not None and at_lab(args):
             # Before the first thread, so that all threads inherit it.
             rest.enter_context(raised_priority())
-            lab = LabChoice(file, pieces, any_gels=any_gels, campaign=campaign)
-            session = lab_session(lab, keep=keep, method=method, registry=registry)
+            session = lab_session(
+                LabChoice(file, pieces, **lab), keep=keep, method=method, registry=registry
+            )
             rest.enter_context(session)
-            _connect(session, args, screen)
+            request = prepare(session)
+            session.check(request)
+            _connect(session, request, args, screen)
             yield session
             return
-        choice = SimulatedBenchChoice(file, args.preset, tuple(args.inject), pieces)
         if args.emulated:
-            bench = EmulatedBench(choice, keep=keep, method=method, registry=registry)
+            plan = load_faults(args.faults) if args.faults else FaultPlan()
+            faults = (*plan.fault, *map(parse_fault, args.inject))
+            plan = plan.model_copy(update={"fault": faults})
+            scene = SimulatedBenchChoice(file, args.preset, (), pieces)
+            bench = EmulatedBench(scene, keep=keep, method=method, registry=registry, plan=plan)
             session = rest.enter_context(bench).session
             store = CalibrationStore(calibrations_folder(), "emulated", "--emulated")
         else:
+            scene = SimulatedBenchChoice(file, args.preset, tuple(args.inject), pieces)
             session = simulated_session(
-                choice, keep=keep, method=method, animate=True, registry=registry
+                scene, keep=keep, method=method, animate=True, registry=registry
             )
             rest.enter_context(session)
             store = CalibrationStore(calibrations_folder(), "simulated")
@@ -182,18 +198,42 @@ def open_bench(
         yield session
 
 
-def _connect(session: Session, args: argparse.Namespace, screen: VerbOutput) -> None:
-    """Connect the devices of a lab, home the gripper if required; raises the first fault."""
+def _connect(
+    session: Session, request: Request, args: argparse.Namespace, screen: VerbOutput
+) -> None:
+    """Connect the devices of a lab and home the gripper if required; raises the first fault.
+
+    The arm is switched on last, once nothing is known to prevent the run.
+    """
     connection = session.connection
     assert connection is not None
     session.interlock.override_speed((args.override or START_OVERRIDE) / 100)
-    connection.begin()
-    report_devices(connection, screen.say)
+    others = [name for name in connection.devices if name != ARM]
+    connection.begin(others)
+    report_devices(connection, screen.say, others)
+    check_connected(connection, others, homes=args.home)
+    session.check(request, connected=True)
     if args.home:
         screen.say("  gripper: homing, the jaws move")
         session.home_gripper()
         report_devices(connection, screen.say, ("gripper",))
+    check_connected(connection, others)
+    connection.begin()
+    report_devices(connection, screen.say, (ARM,))
     check_connected(connection)
+
+
+@contextmanager
+def held_piece_reported(session: Session, screen: VerbOutput) -> Iterator[None]:
+    """After a run on devices, also an interrupted one, say how to take a held piece."""
+    try:
+        yield
+    finally:
+        if screen.lab and session.hand is not None and session.hand.holding:
+            screen.say(
+                "The gripper still holds a piece. Hold it with your hand, then run "
+                f"'touchdown bench {shlex.quote(screen.lab)} --open-jaws'."
+            )
 
 
 def report_devices(

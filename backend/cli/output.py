@@ -9,6 +9,8 @@ from __future__ import annotations
 import argparse
 import json
 import math
+import re
+import shlex
 import signal
 import sys
 import threading
@@ -45,8 +47,8 @@ class VerbOutput:
     one JSON object (from ``result``) and nothing else; ``say``, ``show`` and bars are silent.
     """
 
-    def __init__(self, *, json: bool = False, stream: TextIO | None = None) -> None:
-        self.json = json
+    def __init__(self, *, json: bool = False, stream: TextIO | None = None, lab: str = "") -> None:
+        self.json, self.lab = json, lab
         self._stream = sys.stdout if stream is None else stream
         # No mark-up: "[CAMERA-STALE]" in a message or a table cell is text.
         self._console = Console(
@@ -55,8 +57,8 @@ class VerbOutput:
         self._answered = False
 
     def say(self, text: str) -> None:
-        """Print a sentence for people."""
-        self._console.print(text)
+        """Print a sentence for people; steps in the window become commands for ``lab``."""
+        self._console.print(without_window(text, self.lab))
 
     def show(self, renderable: RenderableType) -> None:
         """Print a rich table or other renderable for people (colours by ``rich.text.Text``)."""
@@ -164,6 +166,43 @@ def _to_json(value: object) -> object:
     if isinstance(value, Sequence) and not isinstance(value, str | bytes):
         return [_to_json(item) for item in value]
     return value
+
+
+# Steps in the window, and their commands: with a lab file, and on a bench that ends with its run.
+_WINDOW_STEPS = (
+    (r"[Pp]ress Reset, then connect [^.]*again", "run '{bench} --reset'", "start again"),
+    (r"press Reset, then connect [^.]*\.", "run '{bench} --reset'.", "start again."),
+    (r"[Pp]ress Reset", "run '{bench} --reset'", "start again"),
+    (r"Look at the device chips", "Run '{bench} --status'", "Look at the devices"),
+    (r"see the Connect panel", "run '{bench} --acknowledge'", "acknowledge it"),
+    (r"acknowledge (it|the fast stop)\b", "run '{bench} --acknowledge'", r"acknowledge \1"),
+    (
+        r"open the jaws in the window \(Operate, Shift\+G\)",
+        "run '{bench} --open-jaws'",
+        "open them",
+    ),
+    (r"Connect first \(Ctrl\+L\)", "Run '{bench} --status'", "Connect first"),
+    (r" \(jog \+Z\)", " ('{bench} --lift')", ""),
+    (r"jog away from contact first", "run '{bench} --lift' first", "lift first"),
+    (r" Connecting once more in the same window resets this error; from [^.]*\.", "", ""),
+    (r",? or set a new simulated scene \(Ctrl\+N in Operate\)", "", ""),
+)
+
+
+def without_window(text: str, lab: str = "") -> str:
+    """Return ``text`` with the commands that do what it says of the window.
+
+    ``lab`` is the lab file of the bench, empty for a simulated or emulated one.
+    """
+    bench = f"touchdown bench {shlex.quote(lab)}"
+    for step, command, otherwise in _WINDOW_STEPS:
+
+        def replaced(found: re.Match[str], words: str = command if lab else otherwise) -> str:
+            words = found.expand(words).replace("{bench}", bench)
+            return words[:1].upper() + words[1:] if found[0][0].isupper() else words
+
+        text = re.sub(step, replaced, text)
+    return text
 
 
 @contextmanager

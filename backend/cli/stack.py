@@ -17,6 +17,7 @@ from touchdown.backend.cli.connection import (
     ask_yes_no_in_thread,
     at_lab,
     fill_in_scene,
+    held_piece_reported,
     open_bench,
     refuse_misplaced_arguments,
 )
@@ -85,12 +86,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     """Run all trials; return 0 if every piece was placed, else 1."""
-    if args.emulated and args.inject:
-        raise InputError(
-            "Disturbances of emulated devices need a fault plan.",
-            "--inject",
-            "See 'touchdown emulate'.",
-        )
     require_positive(args, "trials")
     lab = at_lab(args)
     refuse_misplaced_arguments(args)
@@ -119,17 +114,19 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     runs = Path(args.runs) if args.runs else data_folder() / "runs"
     keep = RecordingOptions(runs, episodes=not args.no_episodes)
     method = _method(args, request)
-    with open_bench(args, screen, keep, method=method, campaign=True) as session:
-        bench = f"{session.name}" if lab else "simulated bench"
+    with open_bench(
+        args, screen, keep, method=method, prepare=lambda _: request, campaign=True
+    ) as session:
+        bench = session.name or f"{'emulated' if args.emulated else 'simulated'} bench"
         session.events.subscribe(lambda fact: narrate(fact, screen, bench))
         session.events.subscribe(lambda fact: _ask(fact, session, screen))
         session.events.subscribe(lambda fact: answer_prompt(fact, session, screen))
-        with ctrl_c_cancels(session.engine.cancel):
+        with ctrl_c_cancels(session.engine.cancel), held_piece_reported(session, screen):
             result = session.run(request)
-    screen.show(trial_table(result.trials, bench="simulated" if session.simulated else bench))
+    screen.show(trial_table(result.trials, bench=bench.removesuffix(" bench")))
     if result.run_folder is not None:
         screen.say(f"Kept in {result.run_folder}")
-    screen.result(_result(args, result, session))
+    screen.result({**_result(args, result, session), "bench": bench})
     placed = [t for t in result.trials if t.outcome is Outcome.PLACED]
     return 0 if len(placed) == request.trials and not result.faults else 1
 

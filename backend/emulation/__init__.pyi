@@ -8,6 +8,7 @@ from .fault_plan import add_noise as add_noise
 from .fault_plan import apply_faults as apply_faults
 from .fault_plan import hanging_gripper as hanging_gripper
 from .fault_plan import load_faults as load_faults
+from .fault_plan import parse_fault as parse_fault
 from .server import CHUNK as CHUNK
 from .server import DeviceServer as DeviceServer
 from .server import EmulatedDevice as EmulatedDevice
@@ -42,6 +43,7 @@ __all__ = [
     "apply_faults",
     "hanging_gripper",
     "load_faults",
+    "parse_fault",
     "parse_script",
     "serve_serial",
 ]

@@ -31,8 +31,8 @@ DISTURBANCE_KINDS: dict[str, tuple[str, ...]] = {
 # Unit of the amount of each kind that has one.
 AMOUNT_UNITS = {"slow": "samples a second", "drift": "N a second", "turn": "degrees"}
 
-_FORM = re.compile(
-    r"(?P<device>[a-z_]+):(?P<kind>[a-z]+)(=(?P<much>\d+(\.\d+)?))?@(?P<start>\d+(\.\d+)?)(\+(?P<length>\d+(\.\d+)?))?"
+FAULT_FORM = re.compile(
+    r"(?P<device>[a-z_]+):(?P<kind>[a-z_]+)(=(?P<much>\d+(\.\d+)?))?@(?P<start>\d+(\.\d+)?)(\+(?P<length>\d+(\.\d+)?))?"
 )
 
 
@@ -91,7 +91,7 @@ class DisturbanceScript:
 
 def parse_disturbance(text: str) -> Disturbance:
     """Return the disturbance that ``text`` describes; raises ``InputError``."""
-    match = _FORM.fullmatch(text.strip())
+    match = FAULT_FORM.fullmatch(text.strip())
     if match is None:
         raise InputError(
             f"'{text}' is not a disturbance.",

@@ -20,10 +20,17 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated
 
-from pydantic import Field, model_validator
+from pydantic import Field, ValidationError, model_validator
 
-from touchdown.backend.config import NonNegative, Positive, Settings, read_settings
-from touchdown.backend.core import Decimator
+from touchdown.backend.config import (
+    NonNegative,
+    Positive,
+    Settings,
+    first_error_message,
+    read_settings,
+)
+from touchdown.backend.core import Decimator, InputError
+from touchdown.backend.emulation.disturbances import FAULT_FORM
 
 # lost: a message is missing; flip: one bit is wrong; garbage: random bytes before a message; cut:
 # its end is missing; duplicate: sent twice; late: sent ``by_s`` later; silent: nothing is sent, the
@@ -94,6 +101,29 @@ class FaultPlan(Settings):
 def load_faults(path: Path) -> FaultPlan:
     """Read a fault plan; raises ``InputError`` naming the first bad entry."""
     return read_settings(FaultPlan, path)
+
+
+def parse_fault(text: str) -> PlannedFault:
+    """Return the fault of a text such as ``gripper:fast_stop@5`` or ``arm:silent@3+0.5``.
+
+    An amount follows the kind: ``force_torque:slow=300@3``. Raises ``InputError``.
+    """
+    match = FAULT_FORM.fullmatch(text.strip())
+    if match is None:
+        fix = "Write device:kind@seconds or device:kind@seconds+seconds."
+        raise InputError(f"'{text}' is not a fault.", text, fix)
+    values: dict[str, object] = {"device": match["device"], "kind": match["kind"]}
+    values["at_s"] = float(match["start"])
+    if match["length"]:
+        values["for_s"] = float(match["length"])
+    if match["much"]:
+        name, _ = AMOUNTS.get(match["kind"], AMOUNTS["slow"])
+        values[name] = float(match["much"])
+    try:
+        return PlannedFault.model_validate(values)
+    except ValidationError as error:
+        what = f"This is no fault of the emulated bench: {first_error_message(error)}."
+        raise InputError(what, text, "Choose another device or kind.") from error
 
 
 class Faults:

@@ -50,8 +50,10 @@ from .messages import mounting_question as mounting_question
 from .messages import outcome_question as outcome_question
 from .messages import scene_to_set_message as scene_to_set_message
 from .motions import RunEnding as RunEnding
+from .outcome import DEVICE_FAULTS as DEVICE_FAULTS
 from .outcome import excluding_fault as excluding_fault
 from .plan import Plan as Plan
+from .plans import check_request as check_request
 from .plans import make_plan as make_plan
 from .recorder import PHOTO_SUFFIXES as PHOTO_SUFFIXES
 from .recorder import RecordingOptions as RecordingOptions
@@ -75,6 +77,7 @@ from .requests import StrategyChoice as StrategyChoice
 
 __all__ = [
     "DECISION_WORDS",
+    "DEVICE_FAULTS",
     "EVENT_LOG_NAME",
     "PHOTO_SUFFIXES",
     "SCENE_TIMEOUT_S",
@@ -121,6 +124,7 @@ __all__ = [
     "check_connected",
     "check_devices",
     "check_no_contact",
+    "check_request",
     "connect_stop",
     "contact_height_mm",
     "counts_for_coverage",

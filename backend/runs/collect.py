@@ -86,17 +86,10 @@ def _last(dataset: Dataset, campaign: Campaign) -> MountingProgress:
 
 def collect_run(session: RunContext, request: CollectRequest) -> Plan[None]:
     """Collect the missing items of the plan; every episode is durable before the next press."""
-    dataset = _dataset(session, request)
-    campaign = _begun(dataset, request)
-    request = replace(
-        request, piece=campaign.piece, bottom=campaign.bottom, count=campaign.count,
-        pattern=campaign.pattern, seed=campaign.seed, within_mm=campaign.within_mm,
-        campaign=campaign.uuid,
-    )  # fmt: skip
+    dataset, campaign, request = prepare_campaign(session, request)
     method = request.method(session.method)
     settings = request_record(request, method, session.check_scene(request.scene()))
     entries = dataset.episodes(EpisodeFilter(campaign=campaign.uuid))
-    check_free_space(dataset.folder)
     session.open_record()
     yield RunStarted(
         0.0, session.run_id, request.piece, request.bottom, request.pattern, request.seed, 1,
@@ -107,6 +100,29 @@ def collect_run(session: RunContext, request: CollectRequest) -> Plan[None]:
         yield from _mountings(session, request, campaign, entries, recorder)
     finally:
         recorder.close()
+
+
+def prepare_campaign(
+    session: RunContext, request: CollectRequest
+) -> tuple[Dataset, Campaign, CollectRequest]:
+    """Return dataset, campaign and the request with its plan; nothing is written.
+
+    Raises ``InputError`` or ``RefusedError`` if the campaign cannot be collected.
+    """
+    dataset = _dataset(session, request)
+    campaign = _begun(dataset, request)
+    request = replace(
+        request, piece=campaign.piece, bottom=campaign.bottom, count=campaign.count,
+        pattern=campaign.pattern, seed=campaign.seed, within_mm=campaign.within_mm,
+        campaign=campaign.uuid,
+    )  # fmt: skip
+    session.check_scene(request.scene())
+    piece, bottom = session.catalogue.top(campaign.piece), session.catalogue.bottom(campaign.bottom)
+    target = ProbeTarget(piece.face, bottom.upper or bottom.face, request.within_mm)
+    seen = pair_coverage(dataset, campaign, target)
+    planned_displacement_mm(campaign.pattern, target, campaign.seed, 0, campaign.count, seen)
+    check_free_space(dataset.folder)
+    return dataset, campaign, request
 
 
 def _mountings(

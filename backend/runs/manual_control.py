@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 
 from touchdown.backend.core import (
@@ -220,19 +220,30 @@ def check_devices(connection: BenchConnection | None, request: Request) -> None:
     """
     if connection is None:
         return
-    if isinstance(request, StackRequest) and request.strategy == "pick-and-place":
-        raise RefusedError("SIMULATED-ONLY", "A release without a test is for simulations only.")
+    refuse_simulated_only(request)
     if missing := connection.missing():
         names = ", ".join(missing)
         raise RefusedError("NOT-CONNECTED", f"Not connected: {names}. Connect first (Ctrl+L).")
 
 
-def check_connected(connection: BenchConnection) -> None:
-    """Raise the first fault of a device, or the step its operator has to do first."""
-    for line in connection.lines():
+def refuse_simulated_only(request: Request) -> None:
+    """Raise ``RefusedError`` for a request that devices never run."""
+    if isinstance(request, StackRequest) and request.strategy == "pick-and-place":
+        raise RefusedError("SIMULATED-ONLY", "A release without a test is for simulations only.")
+
+
+def check_connected(
+    connection: BenchConnection, names: Sequence[str] = (), *, homes: bool = False
+) -> None:
+    """Raise the first fault of a device, or the step its operator has to do first.
+
+    ``names`` are the devices (empty: all); with ``homes`` the gripper is homed later.
+    """
+    wanted = names or tuple(connection.devices)
+    for line in (line for line in connection.lines() if line.name in wanted):
         if line.fault is not None:
             raise FaultError(line.fault)
-        if line.needs == "home":
+        if line.needs == "home" and not homes:
             raise RefusedError(
                 "NOT-HOMED",
                 "The gripper does not know where its jaws are: empty them, then home it (--home).",
@@ -243,8 +254,8 @@ def check_connected(connection: BenchConnection) -> None:
             )
     if connection.trouble is not None:
         raise connection.trouble
-    if connection.missing():
-        raise RefusedError("NOT-CONNECTED", f"Not connected: {', '.join(connection.missing())}.")
+    if missing := [name for name in connection.missing() if name in wanted]:
+        raise RefusedError("NOT-CONNECTED", f"Not connected: {', '.join(missing)}.")
 
 
 def check_no_contact(hand: ManualControl | None) -> None:

@@ -8,8 +8,10 @@ from touchdown.backend.core import EpisodeRecorded, PatchEstimated, RunStarted, 
 from touchdown.backend.runs import messages
 from touchdown.backend.runs.bench import Bench, NoEstimator, RunContext
 from touchdown.backend.runs.calibrate import calibrate_run
-from touchdown.backend.runs.collect import collect_run
+from touchdown.backend.runs.collect import collect_run, prepare_campaign
+from touchdown.backend.runs.manual_control import refuse_simulated_only
 from touchdown.backend.runs.motions import lift, run_finished, run_to_end, take_piece
+from touchdown.backend.runs.outcome import trial_start_mm
 from touchdown.backend.runs.plan import Plan
 from touchdown.backend.runs.probe import press_once
 from touchdown.backend.runs.recorder import wait_while_writing
@@ -19,6 +21,7 @@ from touchdown.backend.runs.requests import (
     ProbeRequest,
     Request,
     SetRequest,
+    StackRequest,
     request_record,
 )
 from touchdown.backend.runs.stack import stack_run
@@ -74,3 +77,15 @@ def make_plan(request: Request, session: RunContext) -> Plan[None]:
     if isinstance(request, SetRequest):
         return set_scene_run(session, request)
     return stack_run(session, request)
+
+
+def check_request(request: Request, session: RunContext) -> None:
+    """Raise the errors of ``request`` that are known before a device is connected."""
+    refuse_simulated_only(request)
+    if isinstance(request, CollectRequest):
+        prepare_campaign(session, request)
+    elif isinstance(request, StackRequest):
+        session.check_scene(request.scene())
+        trial_start_mm(session, request, 0)
+    elif isinstance(request, CalibrateRequest):
+        session.check_scene(request.scene())

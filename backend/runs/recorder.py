@@ -7,6 +7,7 @@ run pauses before the next probe.
 from __future__ import annotations
 
 import os
+import tempfile
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -326,6 +327,19 @@ class RunRecorder:
         self.store = RunStore(None, {})  # discards episodes outside a run
         self.folder: Path | None = None
 
+    def check(self) -> None:
+        """Raise ``InputError`` if the next run could not be kept."""
+        if self._keep.runs is None:
+            return
+        try:
+            make_folder(self._keep.runs)
+            with tempfile.TemporaryFile(dir=self._keep.runs):
+                pass
+        except OSError as error:
+            raise _not_kept(self._keep.runs, error) from error
+        if self._keep.episodes:
+            check_free_space(self._keep.runs)
+
     def open(self, run_id: str) -> None:
         """Begin run ``run_id``; raises ``InputError`` without space or a writable folder."""
         self.close()
@@ -339,11 +353,7 @@ class RunRecorder:
             try:
                 self._log = EventLog(self.folder)
             except OSError as error:
-                raise InputError(
-                    f"The run cannot be kept: {error.strerror or error}.",
-                    str(self.folder.parent),
-                    "Name a folder that can be written (--runs, or TOUCHDOWN_DATA).",
-                ) from error
+                raise _not_kept(self.folder.parent, error) from error
             self._leave = self._hub.subscribe(self._record)
         self.store = RunStore(episodes, {"run": run_id, "mode": self._mode}, self.obstacle)
 
@@ -415,3 +425,11 @@ class RunRecorder:
                 "store",
             )
         )
+
+
+def _not_kept(runs: Path, error: OSError) -> InputError:
+    return InputError(
+        f"The run cannot be kept: {error.strerror or error}.",
+        str(runs),
+        "Name a folder that can be written (--runs, or TOUCHDOWN_DATA).",
+    )

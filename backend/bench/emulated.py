@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import tempfile
 import threading
+import time
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -19,7 +20,12 @@ from touchdown.backend.bench.assembly import (
     run_record,
 )
 from touchdown.backend.bench.emulated_child import EmulatedProcess
-from touchdown.backend.bench.emulated_scene import BENCH_FILE, DriverObservations, TruthClient
+from touchdown.backend.bench.emulated_scene import (
+    BENCH_FILE,
+    EMULATOR_PRIORITY,
+    DriverObservations,
+    TruthClient,
+)
 from touchdown.backend.bench.session import Session
 from touchdown.backend.calibration import CalibrationStore
 from touchdown.backend.config import (
@@ -28,7 +34,7 @@ from touchdown.backend.config import (
     describe_simulation,
     read_settings,
 )
-from touchdown.backend.core import BenchClock, Pose
+from touchdown.backend.core import BenchClock, Pose, set_realtime_priority
 from touchdown.backend.emulation import FaultPlan
 from touchdown.backend.geometry import load_pieces
 from touchdown.backend.learning import ModelRegistry
@@ -43,6 +49,55 @@ from touchdown.backend.runs import (
 )
 from touchdown.backend.sensing import RawStreams, gripper_payload
 from touchdown.backend.simulation import start_command_mm
+
+MEASURED_S, WAKE_S = 2.0, 0.004  # duration of the measurement, period of a wake-up
+# Later wake-ups void a press (replies of the arm), or cost it its permission to move (backend)
+REPLY_LATE_S, BACKEND_LATE_S = 0.035, 0.1
+
+
+def measure_lateness_s(seconds: float = MEASURED_S) -> tuple[float, float]:
+    """Return the longest delays of a device's and of an ordinary thread on this computer, s.
+
+    The first has the priority of emulated devices, the other that of the caller.
+    """
+    late_s = [0.0, 0.0]
+
+    def wake(at: int, priority: int) -> None:
+        set_realtime_priority(priority)
+        begun_s = now_s = time.monotonic()
+        while now_s - begun_s < seconds:
+            due_s = now_s + WAKE_S
+            time.sleep(WAKE_S)
+            now_s = time.monotonic()
+            late_s[at] = max(late_s[at], now_s - due_s)
+
+    threads = [
+        threading.Thread(target=wake, args=args) for args in ((0, EMULATOR_PRIORITY), (1, 0))
+    ]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    return late_s[0], late_s[1]
+
+
+def real_time_notice(device_s: float, backend_s: float) -> str:
+    """Return what a computer with these delays cannot keep up with, empty if nothing."""
+    limits = (
+        (device_s, REPLY_LATE_S, "the arm's replies, so that presses are void"),
+        (backend_s, BACKEND_LATE_S, "the program's commands, so that motions are held"),
+    )
+    late = [
+        f"{what} ({1e3 * found_s:.0f} ms late, limit {1e3 * limit_s:.0f} ms)"
+        for found_s, limit_s, what in limits
+        if found_s > limit_s
+    ]
+    if not late:
+        return ""
+    return (
+        f"This computer is too busy for real time: it delays {', and '.join(late)}. End other "
+        "programs, or allow real-time priority (docs/hardware.md)."
+    )
 
 
 class EmulatedBench:

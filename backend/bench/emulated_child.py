@@ -19,9 +19,20 @@ from pathlib import Path
 from typing import IO, Any
 
 from touchdown.backend.bench.assembly import make_scene
-from touchdown.backend.bench.emulated_scene import TruthServer, serve_bench, shorten_switch_interval
+from touchdown.backend.bench.emulated_scene import (
+    EMULATOR_PRIORITY,
+    TruthServer,
+    serve_bench,
+    shorten_switch_interval,
+)
 from touchdown.backend.config import SimulationSettings
-from touchdown.backend.core import Fault, FaultError, ProcessStallDetector, ThreadStallDetector
+from touchdown.backend.core import (
+    Fault,
+    FaultError,
+    ProcessStallDetector,
+    ThreadStallDetector,
+    round_robin_priority,
+)
 from touchdown.backend.emulation import FaultPlan, TcpServer
 from touchdown.backend.geometry import load_pieces
 from touchdown.backend.runs import SceneChoice
@@ -190,4 +201,6 @@ def _set(order: dict[str, Any], present: ExitStack) -> tuple[str, int]:
 
 
 if __name__ == "__main__":
-    serve(sys.stdin, sys.stdout)
+    # The threads share one interpreter lock, so none may be delayed by other programs.
+    with round_robin_priority(EMULATOR_PRIORITY):
+        serve(sys.stdin, sys.stdout)

@@ -158,6 +158,8 @@ def open_bench(
         LabChoice,
         SimulatedBenchChoice,
         lab_session,
+        measure_lateness_s,
+        real_time_notice,
         simulated_session,
     )
     from touchdown.backend.calibration import CalibrationStore
@@ -180,6 +182,10 @@ def open_bench(
             yield session
             return
         if args.emulated:
+            # Before the first thread, as above.
+            rest.enter_context(raised_priority())
+            if notice := real_time_notice(*measure_lateness_s()):
+                screen.say(notice)
             plan = load_faults(args.faults) if args.faults else FaultPlan()
             faults = (*plan.fault, *map(parse_fault, args.inject))
             plan = plan.model_copy(update={"fault": faults})

@@ -6,6 +6,7 @@ measured figures.
 
 import io
 import json
+import os
 import tempfile
 from pathlib import Path
 
@@ -13,6 +14,12 @@ import pytest
 
 from tests.backend.devices.waiting import until
 from touchdown.backend.bench.assembly import SimulatedBenchChoice, make_scene
+from touchdown.backend.bench.emulated import (
+    BACKEND_LATE_S,
+    REPLY_LATE_S,
+    measure_lateness_s,
+    real_time_notice,
+)
 from touchdown.backend.bench.emulated_child import EmulatedProcess, serve
 from touchdown.backend.bench.emulated_scene import (
     BENCH_FILE,
@@ -23,6 +30,9 @@ from touchdown.backend.bench.emulated_scene import (
 from touchdown.backend.config.hardware import HardwareSettings
 from touchdown.backend.config.toml_file import read_settings
 from touchdown.backend.core.faults import FaultError
+from touchdown.backend.core.scheduling import round_robin_priority
+from touchdown.backend.devices.interlock import LEASE_S, Limits
+from touchdown.backend.devices.melfa.emulator import TIMEOUT_CYCLES
 from touchdown.backend.emulation.fault_plan import FaultPlan
 from touchdown.backend.emulation.server import TcpServer
 from touchdown.backend.geometry.pieces import load_pieces
@@ -93,3 +103,35 @@ def test_a_process_that_never_sets_its_scene_is_a_fault_and_the_next_scene_gets_
         assert process._child is None
     process.close()
     assert told == []
+
+
+@pytest.mark.skipif(not hasattr(os, "sched_getscheduler"), reason="needs priorities of Linux")
+def test_no_thread_of_the_emulated_bench_lacks_its_priority(tmp_path):
+    """A thread without it keeps the interpreter lock from the others on a busy computer."""
+    with round_robin_priority(1) as granted:
+        pass
+    process = EmulatedProcess(lambda fault: None)
+    try:
+        process.set_scene(CHOICE, SETTINGS, FaultPlan(), tmp_path)
+        tasks = Path(f"/proc/{process._child.pid}/task").iterdir()
+        policies = {os.sched_getscheduler(int(task.name)) for task in tasks}
+    finally:
+        process.close()
+    if granted:
+        assert policies <= {os.SCHED_RR, os.SCHED_FIFO}
+
+
+def test_delays_that_real_time_does_not_bear_are_said_at_the_start():
+    assert real_time_notice(0.034, 0.09) == ""
+    assert "arm's replies, so that presses are void (36 ms late" in real_time_notice(0.036, 0.0)
+    both = real_time_notice(0.05, 0.2)
+    assert "50 ms late, limit 35 ms" in both
+    assert "200 ms late, limit 100 ms" in both
+    assert min(measure_lateness_s(0.01)) >= 0.0
+
+
+def test_a_busy_computer_changes_no_limit_of_a_device():
+    limits = Limits()
+    assert (limits.wrench_age_s, limits.frame_age_s, LEASE_S) == (0.3, 0.5, 0.25)
+    assert (TIMEOUT_CYCLES, HardwareSettings().melfa.realtime_priority) == (57, 50)
+    assert (REPLY_LATE_S, BACKEND_LATE_S) == (0.035, 0.1)

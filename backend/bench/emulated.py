@@ -60,14 +60,14 @@ def measure_lateness_s(seconds: float = MEASURED_S) -> tuple[float, float]:
 
     The first has the priority of emulated devices, the other that of the caller.
     """
-    late_s = [0.0, 0.0]
+    late_s, never = [0.0, 0.0], threading.Event()
 
     def wake(at: int, priority: int) -> None:
         set_realtime_priority(priority)
         begun_s = now_s = time.monotonic()
         while now_s - begun_s < seconds:
             due_s = now_s + WAKE_S
-            time.sleep(WAKE_S)
+            never.wait(WAKE_S)
             now_s = time.monotonic()
             late_s[at] = max(late_s[at], now_s - due_s)
 

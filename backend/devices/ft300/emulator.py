@@ -18,6 +18,8 @@ from touchdown.backend.emulation import (
 )
 
 PERIOD_S = 0.01
+# Of a hand that points down and stands, thousandths of g.
+ACCELERATION = (0, 0, -1000)
 SERIAL, FIRMWARE, YEAR = b"F-12345\x00", b"FTS-3\x00", 2021
 BAD_REGISTER = 2
 _READ = 3
@@ -68,6 +70,7 @@ class EmulatedFt300:
         counts = [count & 0xFFFF for count in self._sample(now_s).counts]
         blocks = {
             protocol.WRENCH_REGISTER: counts,
+            protocol.ACCELERATION_REGISTER: [count & 0xFFFF for count in ACCELERATION],
             protocol.SERIAL_REGISTER: _words(SERIAL),
             protocol.FIRMWARE_REGISTER: _words(FIRMWARE),
             protocol.YEAR_REGISTER: [YEAR],

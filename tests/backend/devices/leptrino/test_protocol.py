@@ -57,6 +57,8 @@ def test_an_ft300_answers_modbus_until_it_streams():
     assert sensor.receive(1.5, data("ft300-read-wrench")) == b""
     sensor.receive(1.6, b"\xff" * 50)
     assert sensor.due(2.0) == b""
+    told = robotiq_ft300.decode(sensor.receive(2.0, data("ft300-read-acceleration")))
+    assert told == robotiq_ft300.RegisterValues((0, 0, 0x10000 - 1000))
     assert sensor.receive(2.0, data("ft300-read-wrench")) == data("ft300-read-wrench-reply")
 
 

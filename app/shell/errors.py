@@ -18,7 +18,7 @@ from PySide6.QtCore import QMessageLogContext, QtMsgType, qInstallMessageHandler
 
 from touchdown.widgets.shell import CardText
 
-log = logging.getLogger("touchdown.app")
+log = logging.getLogger("touchdown")  # of the window and of the devices
 BOX_SIZE = 64
 # Interval between log lines of a repeated text, so that it cannot fill the disk.
 REPEAT_INTERVAL_S = 5.0

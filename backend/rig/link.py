@@ -8,6 +8,7 @@ motion ends with CONTROL LOST. Only a new connection starts a new process.
 from __future__ import annotations
 
 import itertools
+import logging
 import subprocess
 import sys
 import threading
@@ -289,6 +290,8 @@ class RigLink:
             case "hello" | "refused":
                 self._greeting.message = message
                 self._greeting.came.set()
+            case "log":
+                logging.getLogger("touchdown.rig").log(message["level"], message["text"])
             case "reply":
                 self._take_reply(message)
             case "felt" | "ended":

@@ -9,6 +9,7 @@ process. It loads no Qt, torch or OpenCV.
 from __future__ import annotations
 
 import gc
+import logging
 import os
 import signal
 import sys
@@ -101,11 +102,25 @@ def _serve(
     # Permanent objects: exclude them from garbage collection.
     gc.collect()
     gc.freeze()
+    log = logging.getLogger("touchdown")
+    log.setLevel(logging.INFO)
+    log.addHandler(_ForwardingHandler(say))
     try:
         _run_cycles(host, parent)
     finally:
         _end(host)
     return 0
+
+
+class _ForwardingHandler(logging.Handler):
+    """Sends log records to the backend, which owns the log file."""
+
+    def __init__(self, say: Callable[[Message], bool]) -> None:
+        super().__init__()
+        self._say = say
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self._say({"kind": "log", "level": record.levelno, "text": record.getMessage()})
 
 
 def _hello(devices: Devices, *, realtime: bool, locked: bool) -> Message:

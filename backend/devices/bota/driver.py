@@ -15,6 +15,7 @@ from touchdown.backend.devices.force_torque import (
     NotAnsweredError,
     SensorDescription,
     SensorLink,
+    UnansweredError,
     WrenchReading,
     listen,
     pause,
@@ -53,7 +54,7 @@ class BotaDriver(FramedDriver[protocol.BotaMessage]):
             return True if frames >= 2 else None
 
         if listen(link, cancel, WAKE_S, awake) is None:
-            raise NotAnsweredError("The sensor sends nothing")
+            raise UnansweredError
         pause(cancel, PAUSE_S)
         link.drain()
         self._decoder.reset()

@@ -3,7 +3,7 @@ from .driver import FrameErrors as FrameErrors
 from .driver import NotAnsweredError as NotAnsweredError
 from .driver import SensorDescription as SensorDescription
 from .driver import SensorLink as SensorLink
-from .driver import UdpLink as UdpLink
+from .driver import UnansweredError as UnansweredError
 from .driver import WrenchDriver as WrenchDriver
 from .driver import WrenchReading as WrenchReading
 from .driver import ask as ask
@@ -25,7 +25,7 @@ __all__ = [
     "NotAnsweredError",
     "SensorDescription",
     "SensorLink",
-    "UdpLink",
+    "UnansweredError",
     "WrenchDriver",
     "WrenchReading",
     "ask",

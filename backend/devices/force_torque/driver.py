@@ -25,6 +25,7 @@ from touchdown.backend.devices.protocols import Identity
 
 CHUNK = 4096
 WRITE_S = 1.0
+FIRST_BYTES = 32  # kept for the log
 
 
 class SensorLink(Protocol):
@@ -136,7 +137,6 @@ class UdpLink(SocketLink):
     """Datagrams to and from one address."""
 
     def __init__(self, host: str, port: int) -> None:
-        self.host = host
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
             self._socket.connect((host, port))
@@ -147,6 +147,20 @@ class UdpLink(SocketLink):
     def write(self, data: bytes) -> None:
         """Send one datagram."""
         self._socket.send(data)
+
+
+class RecordedLink:
+    """A link that keeps the first bytes received."""
+
+    def __init__(self, link: SensorLink) -> None:
+        self._link, self.first = link, b""
+        self.write, self.drain, self.close = link.write, link.drain, link.close
+
+    def read(self, limit_s: float) -> bytes:
+        """Return the received bytes."""
+        data = self._link.read(limit_s)
+        self.first += data[: FIRST_BYTES - len(self.first)]
+        return data
 
 
 def open_link(address: str, *, baud: int, chunk: int, limit_s: float = 2.0) -> SensorLink:
@@ -169,6 +183,13 @@ AXES = 6  # Fx Fy Fz Tx Ty Tz
 
 class NotAnsweredError(TouchdownError):
     """The sensor does not answer as expected; the text is for the operator."""
+
+
+class UnansweredError(NotAnsweredError):
+    """The sensor sent no answer; the reader tells silence from bytes that cannot be read."""
+
+    def __init__(self) -> None:
+        super().__init__("The sensor does not answer")
 
 
 @dataclass(frozen=True, slots=True)
@@ -275,7 +296,7 @@ def ask(
         answer = listen(link, cancel, limit_s, find)
         if answer is not None:
             return answer
-    raise NotAnsweredError("The sensor sends nothing that is an answer")
+    raise UnansweredError
 
 
 class FramedDriver(Generic[Message]):

@@ -8,6 +8,7 @@ of the fastest arrival.
 
 from __future__ import annotations
 
+import logging
 import math
 import os
 import threading
@@ -22,9 +23,12 @@ import numpy as np
 from touchdown.backend.config import ForceTorqueSettings
 from touchdown.backend.core import Fault, FaultError, FloatArray, SampleStream
 from touchdown.backend.devices.force_torque.driver import (
+    FIRST_BYTES,
     NotAnsweredError,
+    RecordedLink,
     SensorDescription,
     SensorLink,
+    UnansweredError,
     WrenchDriver,
     WrenchReading,
 )
@@ -292,6 +296,7 @@ class WrenchStamper:
 
 
 NAME = "force_torque"
+LOG = logging.getLogger("touchdown.devices")
 
 OVERLOAD = Fault(
     "FT-OVERLOAD",
@@ -319,6 +324,34 @@ def link_fault(what: str) -> Fault:
         "then connect it again."
     )
     return ft_fault("FT-LINK", what, next_step)
+
+
+def other_device_fault(what: str) -> Fault:
+    """Return the fault of a sensor in whose place another device answers."""
+    next_step = (
+        "Correct ft.driver or ft.address in the lab file, or exchange the plugs; then connect it "
+        "again."
+    )
+    return ft_fault("FT-LINK", what, next_step)
+
+
+def unreadable_fault(driver: str, received: bytes, reason: str = "") -> Fault:
+    """Return the fault of a sensor whose bytes have no meaning; the log gets the first of them."""
+    LOG.info("wrist sensor, as %s: %s cannot be read. %s", driver, received.hex(" "), reason)
+    what = f"What the force/torque sensor sends cannot be read as that of the make '{driver}'."
+    next_step = (
+        "Check ft.driver, the data rate and the wiring of the sensor; the log has the first bytes. "
+        "Then connect it again."
+    )
+    return ft_fault("FT-LINK", what, next_step)
+
+
+SILENT = "The force/torque sensor is silent: no byte came."
+# Texts of a ``ProtocolError`` in an answer that can be read.
+WRONG_ANSWERS = {
+    "unit": "The sensor is set to other units than N and N·m.",
+    "range": "The sensor reports a scale or range that is not possible.",
+}
 
 
 def driver_fault(error: Exception) -> Fault:
@@ -389,12 +422,15 @@ def implausible_text(values: FloatArray, rated: FloatArray) -> str:
     return ""
 
 
+def _system_text(error: OSError) -> str:
+    return os.strerror(error.errno) if error.errno else str(error)
+
+
 READ_S = 0.005  # longest wait for bytes
 BAD_LIMIT = 20
 RATE_WINDOW_S = 1.0
 STALE_S = 0.1
 CAPACITY = 32_768
-WIRE_TROUBLE = (OSError, ProtocolError, NotAnsweredError)
 
 
 class ForceTorqueReader:
@@ -425,6 +461,7 @@ class ForceTorqueReader:
         self._description: SensorDescription | None = None
         self._readout = WrenchStamper(settings, 1.0)
         self._received = self._resynchronised = 0
+        self._junk = b""  # first bytes since the last sample
         self._arrivals: deque[tuple[float, int]] = deque(maxlen=8192)
         self._pace = ArrivalMonitor(1.0)
         self.fault: Fault | None = None
@@ -502,14 +539,16 @@ class ForceTorqueReader:
             )
             self._thread.start()
             if not self._first.wait(timeout_s):
-                raise FaultError(link_fault("The sensor sends nothing."))
+                if self._junk:
+                    raise FaultError(unreadable_fault(self._settings.driver, self._junk))
+                raise FaultError(link_fault(SILENT))
             self._check_still(timeout_s, cancel)
         except FaultError as error:
             self.close()
             found = "" if cancel.is_set() else self._other_device()
             if not found:
                 raise
-            raise FaultError(link_fault(found)) from error
+            raise FaultError(other_device_fault(found)) from error
         self._settle()
 
     def _settle(self) -> None:
@@ -560,20 +599,34 @@ class ForceTorqueReader:
             link = self._open_link(driver)
         except OSError as error:
             # Some packages repeat number and port in the text.
-            why = os.strerror(error.errno) if error.errno else str(error)
             port = f"port {self._settings.address}".rstrip()
-            raise FaultError(link_fault(f"The {port} cannot be opened: {why}.")) from error
+            what = f"The {port} cannot be opened: {_system_text(error)}."
+            raise FaultError(link_fault(what)) from error
         self.steps.reached("reach")
+        recorded = RecordedLink(link)
         try:
-            self._description = driver.start(link, cancel)
+            self._description = driver.start(recorded, cancel)
             self.steps.reached("configure")
-        except WIRE_TROUBLE as error:
-            link.close()
-            raise FaultError(link_fault(f"{error}.")) from error
         except Exception as error:
             link.close()
-            raise FaultError(driver_fault(error)) from error
+            raise FaultError(self._start_fault(error, recorded.first)) from error
         return link, driver
+
+    def _start_fault(self, error: Exception, received: bytes) -> Fault:
+        """Return the fault of a failed start: silent, unreadable, wrong answer, or refused."""
+        match error:
+            case ProtocolError() if error.what in WRONG_ANSWERS:
+                LOG.info("wrist sensor: %s after %s", error, received.hex(" "))
+                return link_fault(WRONG_ANSWERS[error.what])
+            case UnansweredError() if not received:
+                return link_fault(SILENT)
+            case ProtocolError() | UnansweredError():
+                return unreadable_fault(self._settings.driver, received, str(error))
+            case OSError():
+                return link_fault(f"The port is lost: {_system_text(error)}.")
+            case NotAnsweredError():
+                return link_fault(f"{error}.")
+        return driver_fault(error)
 
     def _forget(self) -> None:
         """Reset counts and time stamps."""
@@ -592,22 +645,26 @@ class ForceTorqueReader:
 
     def _read(self, link: SensorLink, driver: WrenchDriver) -> None:
         """Read the link until the stop or its loss; then stop the sensor."""
-        good_s, discarded = self._now_s(), driver.refusals.discarded
+        good_s = heard_s = self._now_s()
+        discarded, self._junk = driver.refusals.discarded, b""
         try:
             while not self._stop.is_set():
                 data = link.read(READ_S)
                 now_s = self._now_s()
+                heard_s, self._junk = now_s if data else heard_s, (self._junk + data)[:FIRST_BYTES]
                 if self._deliver(driver, now_s, data):
-                    good_s, before = now_s, discarded
+                    good_s, before, self._junk = now_s, discarded, b""
                     discarded = driver.refusals.discarded
                     self._resynchronised += discarded > before
-                if self._first.is_set() and now_s - good_s > self._settings.silence_s:
-                    self._fail(link_fault("The sensor has fallen silent."))
-                elif driver.refusals.in_a_row >= BAD_LIMIT:
-                    self._fail(link_fault("The sensor sends nothing that can be read."))
+                limit_s = self._settings.silence_s
+                ended = self._first.is_set() and now_s - good_s > limit_s
+                if ended and now_s - heard_s > 0.5 * limit_s:
+                    self._fail(link_fault("The force/torque sensor has fallen silent."))
+                elif ended or driver.refusals.in_a_row >= BAD_LIMIT:
+                    self._fail(unreadable_fault(self._settings.driver, self._junk))
             driver.stop(link)
         except OSError as error:
-            self._fail(link_fault(f"The port is lost: {error}."))
+            self._fail(link_fault(f"The port is lost: {_system_text(error)}."))
         except Exception as error:
             self._fail(driver_fault(error))
             raise

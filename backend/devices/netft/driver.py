@@ -9,6 +9,7 @@ import http.client
 import socket
 import threading
 from contextlib import closing
+from urllib.parse import urlsplit
 
 from touchdown.backend.config import HardwareSettings
 from touchdown.backend.devices.force_torque import (
@@ -16,7 +17,6 @@ from touchdown.backend.devices.force_torque import (
     NotAnsweredError,
     SensorDescription,
     SensorLink,
-    UdpLink,
     WrenchReading,
     pause,
 )
@@ -48,7 +48,7 @@ class NetFtDriver:
 
     def start(self, link: SensorLink, cancel: threading.Event) -> SensorDescription:
         """Read the scale, stop an old stream, start."""
-        self._counts = self._scale(link)
+        self._counts = self._scale()
         for _ in range(2):
             link.write(protocol.encode_request(protocol.RdtRequest(protocol.RdtCommand.STOP)))
         pause(cancel, SETTLE_S)
@@ -90,11 +90,11 @@ class NetFtDriver:
         trouble = f"The sensor reports status {record.status:08X}h" if record.status else ""
         return WrenchReading(record.wrench(*self._counts), step - 1, trouble=trouble)
 
-    def _scale(self, link: SensorLink) -> tuple[float, float]:
+    def _scale(self) -> tuple[float, float]:
         """Return counts per N and per N·m: from the page, the TCP channel, else the settings."""
         if self._settings.onrobot:
             return ONROBOT_COUNTS
-        host = link.host if isinstance(link, UdpLink) else ""
+        host = urlsplit(self._address).hostname or ""
         for tell in (self._page, self._calibration):
             try:
                 return tell(host)

@@ -26,11 +26,13 @@ from touchdown.backend.config.hardware import ForceTorqueSettings, HardwareSetti
 from touchdown.backend.core.faults import FaultError, InputError
 from touchdown.backend.core.streams import SampleStream
 from touchdown.backend.devices import registry
+from touchdown.backend.devices.bota import driver as bota_driver
 from touchdown.backend.devices.factories import make_force_torque
 from touchdown.backend.devices.force_torque.driver import WrenchReading
 from touchdown.backend.devices.force_torque.reader import WrenchStamper, require_plausible
 from touchdown.backend.devices.framing import Wrench
 from touchdown.backend.devices.melfa.realtime_protocol import CYCLE_S
+from touchdown.backend.devices.netft import protocol as protocol_of_netft
 from touchdown.backend.devices.protocols import DeviceState
 from touchdown.backend.devices.wsg.emulator import EmulatedWsg
 from touchdown.backend.emulation.fault_plan import Faults, add_noise, apply_faults
@@ -350,6 +352,64 @@ def test_a_net_ft_with_little_endian_packets_is_refused_with_its_number_leap(tmp
         assert wired.driver.health.lost < 1000
     finally:
         wired.close()
+
+
+class Peer:
+    """A device on the wire of the sensor that sends ``content`` again and again."""
+
+    def __init__(self, content):
+        self._content = content
+
+    def receive(self, now_s, data):
+        return b""
+
+    def due(self, now_s):
+        return self._content
+
+    def closed(self, now_s):
+        """Nothing."""
+
+
+SERIAL = ("dynpick", "leptrino", "ft300", "bota", "optoforce")
+
+
+@pytest.mark.promise("S11")
+@pytest.mark.parametrize("kind", SERIAL)
+@pytest.mark.parametrize(
+    ("content", "what"),
+    [(b"", "is silent: no byte came"), (b"PC LOAD LETTER\n", "cannot be read as that of the make")],
+)
+def test_silent_and_unreadable_are_told_apart_without_internal_names(
+    kind, content, what, monkeypatch, caplog
+):
+    caplog.set_level("INFO", "touchdown.devices")
+    monkeypatch.setattr(bota_driver, "WAKE_S", 0.3)
+    front = TcpServer(Peer(content))
+    tables = {
+        "ft": {"driver": kind, "address": front.url},
+        "optoforce": {"counts": trials_wrist.COUNTS, "capacity": trials_wrist.CAPACITY},
+    }
+    driver = make_force_torque(HardwareSettings.model_validate(tables), time.monotonic)
+    front.start()
+    with pytest.raises(FaultError) as caught:
+        driver.connect(0.4, threading.Event())
+    front.close()
+    fault = caught.value.fault
+    assert what in fault.what
+    assert not set("[]") & set(fault.what + fault.next_step), "internal names"
+    assert content.hex(" ")[:20] in caplog.text
+    assert content.hex(" ") not in fault.what or not content
+
+
+@pytest.mark.promise("S11")
+def test_a_net_ft_in_pounds_is_told_by_its_units(tmp_path, monkeypatch):
+    page = protocol_of_netft.decode_page
+    pounds = lambda content: page(content.replace(b"<scfgfu>N<", b"<scfgfu>lbf<"))  # noqa: E731
+    monkeypatch.setattr(protocol_of_netft, "decode_page", pounds)
+    wired = Wired("netft", tmp_path)
+    with pytest.raises(FaultError, match="set to other units than N and N·m"):
+        wired.connect()
+    wired.close()
 
 
 CLAUSES = [

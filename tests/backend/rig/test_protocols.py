@@ -224,6 +224,19 @@ def test_the_first_that_is_away_is_named_and_those_before_it_stay():
     front.close()
 
 
+def test_the_log_gets_the_first_bytes_that_the_rig_could_not_read(caplog):
+    caplog.set_level("INFO", "touchdown.rig")
+    front = TcpServer(EmulatedDynpick(add_noise(hanging_gripper)))
+    front.damage = lambda out: b"PC LOAD LETTER" if out else b""
+    front.start()
+    devices, _ = wired(ft={"driver": "dynpick", "address": front.url})
+    with pytest.raises(FaultError, match="cannot be read"):
+        devices.connect(threading.Event(), lambda name: None, limit_s=1.0)
+    devices.close()
+    front.close()
+    assert b"PC LOAD".hex(" ") in caplog.text
+
+
 def test_a_bench_file_without_a_sensor_is_bad_input():
     with pytest.raises(InputError, match=r"ft\.address"):
         wired(ft={"driver": "dynpick"})

@@ -259,7 +259,7 @@ def test_twenty_refused_frames_in_a_row_are_a_lost_link(count, ends):
     until(lambda: not line.waiting or reader.state is DeviceState.FAULT)
     if ends:
         until(lambda: reader.state is DeviceState.FAULT)
-        assert "nothing that can be read" in reader.fault.what
+        assert "cannot be read" in reader.fault.what
     else:
         until(lambda: reader.health.received == 3)
         assert reader.state is DeviceState.READY

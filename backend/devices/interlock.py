@@ -13,8 +13,8 @@ from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Callable
-from dataclasses import dataclass, fields
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields, replace
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -186,6 +186,7 @@ class Interlock:
         # Description of a late or slow device, empty if there is none. Meanwhile the arm moves by
         # hand only away from contact.
         self.degraded = ""
+        self.late: Mapping[str, str] = {}  # description by device of all that are late or slow
         # True only on a simulated bench while the pick-and-place baseline runs.
         self.untested_release = False
 
@@ -232,11 +233,15 @@ class Interlock:
 
     def raise_fault(self, fault: Fault) -> None:
         """Latch ``fault`` (once per code and device); stop, or retreat if that is its reaction. The
-        strongest reaction wins: no retreat after a STOP or with a fault that stops.
+        strongest reaction wins: no retreat after a STOP or with a fault that stops. The text names
+        the other devices that are late, because the first fault ends a run.
         """
         with self._lock:
             codes = {f.code for f in self.faults}
             if (fault.code, fault.device) not in {(f.code, f.device) for f in self.faults}:
+                known = {fault.device, *(f.device for f in self.faults)}
+                others = [text for device, text in self.late.items() if device not in known]
+                fault = replace(fault, what=" ".join([fault.what, *others]))
                 self.faults = (*self.faults, fault)
             stoppers = tuple(self._stoppers)
             stopped = bool(self.stopped_by) or not codes | {fault.code} <= RETREAT_FAULTS
@@ -276,7 +281,8 @@ class Interlock:
         if stopped_by:
             raise RefusedError("STOPPED", f"Stopped by {stopped_by}: press Reset first.")
         if faults:
-            raise RefusedError("FAULT", f"{faults[0].what} Press Reset first.")
+            what = " ".join(fault.what for fault in faults)
+            raise RefusedError("FAULT", f"{what} Press Reset first.")
 
     def require_motion(self, now_s: float) -> None:
         """Raise ``RefusedError`` unless motion may start now."""

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Literal, Protocol, runtime_checkable
@@ -378,7 +378,7 @@ class Supervision:
                 )
 
     def _check_ages(self, now_s: float) -> None:
-        limits, late = self._interlock.limits, list[DegradedDevice]()
+        limits, late, stale = self._interlock.limits, list[DegradedDevice](), list[Fault]()
         # A camera that reports why its pictures are rejected is silent for the same reason.
         explained = {fault.device for fault in self._interlock.faults} - {"force_torque"}
         ages = [("force_torque", self._finite_s, limits.wrench_age_s)]
@@ -398,25 +398,31 @@ class Supervision:
             elif now_s - last_s > LATE_SHARE[device] * limit_s:
                 late.append(DegradedDevice(device, "silent", last_s))
             if now_s - last_s > limit_s and device not in explained:
-                self._interlock.raise_fault(_stale_fault(device, now_s - last_s))
-        late.extend(self._check_grip(now_s))
+                stale.append(_stale_fault(device, now_s - last_s))
+        for fault, one in self._check_grip(now_s):
+            stale.extend(filter(None, (fault,)))
+            late.append(one)
         self._show(tuple(late), now_s)
+        for fault in stale:
+            self._interlock.raise_fault(fault)
 
-    def _check_grip(self, now_s: float) -> list[DegradedDevice]:
-        """Return the gripper if it holds a piece and is late; raise a fault if it stays silent. A
+    def _check_grip(self, now_s: float) -> Iterator[tuple[Fault | None, DegradedDevice]]:
+        """Yield the gripper if it holds a piece and is late, with its fault if it stays silent. A
         gripper without a valid width counts as silent.
         """
         gripper = self._gripper
         if gripper is None or not (self._grip.holds or gripper.status().holding):
-            return []
+            return
         last_s = max(self._begun_s, min(now_s - gripper.health.age_s, self._grip.seen_s))
-        if now_s - last_s > GRIP_LOST_S:
-            self._interlock.raise_fault(_stale_fault("gripper", now_s - last_s))
-        return [DegradedDevice("gripper", "silent", last_s)] if now_s - last_s > GRIP_LATE_S else []
+        if now_s - last_s > GRIP_LATE_S:
+            lost = now_s - last_s > GRIP_LOST_S
+            fault = _stale_fault("gripper", now_s - last_s) if lost else None
+            yield fault, DegradedDevice("gripper", "silent", last_s)
 
     def _show(self, late: tuple[DegradedDevice, ...], now_s: float) -> None:
         self.degraded = late
         self._interlock.degraded = late[0].what(now_s) if late else ""
+        self._interlock.late = {one.device: one.what(now_s) for one in late}
 
 
 def _stale_fault(device: str, age_s: float) -> Fault:

@@ -46,7 +46,7 @@ KINDS = frozenset(
     {
         *("begin", "hello", "refused"),
         *("order", "reply", "stop", "stop gripper", "retreat", "cancel", "reset", "limits"),
-        *("felt", "ended", "fault"),
+        *("felt", "ended", "fault", "log"),
     }
 )
 

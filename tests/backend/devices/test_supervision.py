@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from touchdown.backend.config.hardware import ForceTorqueSettings, HardwareSettings
+from touchdown.backend.core.faults import RefusedError
 from touchdown.backend.core.streams import SampleStream, Stream
 from touchdown.backend.core.values import FINGERS, TactileFrame
 from touchdown.backend.devices.cameras.frames import dark_fault
@@ -449,3 +450,31 @@ def test_a_gripper_that_tells_no_width_while_it_holds_is_as_good_as_silent() -> 
     jaws.width_mm, jaws.holding = 20.0, True
     bench.run(0.04)
     assert (bench.supervision.degraded, bench.codes()) == ((), []), "well again"
+
+
+@pytest.mark.promise("S12")
+def test_the_first_fault_names_every_device_that_was_lost_at_once() -> None:
+    bench = SupervisionWatched()
+    jaws = Jaws(bench)
+    bench.supervision.begin(0.0, jaws)  # type: ignore[arg-type]
+    jaws.heard_s = 1.5
+    bench.run(1.5)
+    for _ in range(20):
+        bench.now_s += 0.02
+        bench.supervision.check(bench.now_s)
+    (fault,) = bench.interlock.faults
+    assert fault.code == "FT-STALE"
+    for name in ("force/torque", "left tactile camera", "right tactile camera", "gripper"):
+        assert name in fault.what
+    for _ in range(60):
+        bench.now_s += 0.02
+        bench.supervision.check(bench.now_s)
+    assert [code for code, _ in bench.codes()] == [
+        "FT-STALE",
+        "CAMERA-STALE",
+        "CAMERA-STALE",
+        "GRIP-STALE",
+    ]
+    assert bench.interlock.faults[-1].what.count("gripper") == 1
+    with pytest.raises(RefusedError, match=r"force/torque.*left.*right.*gripper"):
+        bench.interlock.refuse_latched()

@@ -3,7 +3,7 @@
 SHELL := /bin/bash
 .SHELLFLAGS := -eu -o pipefail -c
 .DEFAULT_GOAL := help
-.PHONY: help setup run demo test check lint types contracts format bench fuzz screens pictures models exchange-check clean
+.PHONY: help setup run demo test check lint types contracts format bench campaign fuzz screens pictures models exchange-check clean
 
 export PYTHON
 # Compiled once, not by every process anew, also where the environment forbids to keep it.
@@ -68,6 +68,9 @@ format: setup ## rewrite the sources in the house style
 
 bench: setup ## measure every figure and write docs/measured.md (GROUP=name for one group)
 	@QT_QPA_PLATFORM=offscreen OMP_NUM_THREADS=1 $(BIN)/python -m tests.bench.run --save $(GROUP)
+
+campaign: setup ## strike every device and process 600 times (40 min; resumes; writes docs/faults.md)
+	@QT_QPA_PLATFORM=offscreen OMP_NUM_THREADS=1 $(BIN)/python -m tests.bench.campaign
 
 fuzz: setup ## throw damaged bytes at every wire decoder (10 min each; MINUTES=1 for less)
 	@OMP_NUM_THREADS=1 $(BIN)/python -m tests.fuzz.wire --minutes $(MINUTES)

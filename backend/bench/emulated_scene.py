@@ -16,7 +16,8 @@ import socket
 import sys
 import threading
 import time
-from collections.abc import Mapping
+from collections import deque
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -91,6 +92,19 @@ class DriverObservations:
         )
 
 
+def command_travel(
+    positions_mm: Sequence[tuple[float, FloatArray]], since_s: float
+) -> tuple[float, float, float]:
+    """Return how far the commanded positions (time, (3,) mm) went sideways, down and up after
+    ``since_s``, mm.
+    """
+    way = np.array([at_mm for t_s, at_mm in positions_mm if t_s >= since_s]).reshape(-1, 3)
+    if not len(way):
+        return 0.0, 0.0, 0.0
+    x, y, z = (way - way[0]).T
+    return float(np.hypot(x, y).max()), float(-z.min()), float(z.max())
+
+
 class DriverMonitor:
     """Monitor of the devices of a scene; ``gripper`` is set once there is one."""
 
@@ -133,6 +147,7 @@ PICTURE_S = 0.040
 BEHIND_S = 0.5  # a world this late skips the delay
 LATENCY_S = 0.020  # Age of a wrist sample at the sensor: one cycle and its computation
 KEPT = 500  # wrist samples kept for the sensor
+KEPT_COMMANDS = 3000  # cycles of commanded positions, 30 s
 CONTACT_MM = 0.02
 HAND_MM = 5.0  # On a bench with a jig, a piece released this high goes to the operator's hand
 STILL_PX = 0.01  # A gel at rest is rendered again after this creep, a third of the tracker's error
@@ -156,6 +171,8 @@ class EmulatedScene:
         self.priority = 0  # real-time priority of the world thread if permitted; 0: unchanged
         self._thread = threading.Thread(target=self._run, name="world", daemon=True)
         self.late = 0  # skipped cycles
+        self.faults: dict[str, Faults] = {}  # of each device, for a strike
+        self._commands: deque[tuple[float, FloatArray]] = deque(maxlen=KEPT_COMMANDS)
 
     def start(self) -> None:
         """Start the time."""
@@ -207,12 +224,18 @@ class EmulatedScene:
         way_mm = pivot_mm(controller.joints_at(now_s)) - before_mm
         return self.monitor.observations(float(np.linalg.norm(way_mm)))
 
+    def command_travel(self, since_s: float) -> tuple[float, float, float]:
+        """Return ``command_travel`` of the arm since a monotonic time."""
+        return command_travel(list(self._commands), since_s)
+
     def step(self, behind_s: float = 0.0) -> CycleRecord:
         """Advance the world, late by ``behind_s``, by one cycle and publish its samples."""
         sensed = self.world.step(FINGERS if behind_s <= PICTURE_S else ())
         self.monitor.add_samples(sensed.wrench)
         rows = np.concatenate([self._felt[1], sensed.wrench])[-KEPT:]
         self._felt = (1e-6 * sensed.end_us, rows)
+        over_s = self._zero_s + 1e-6 * sensed.end_us
+        self._commands.append((over_s, self.world.drive.command_mm))
         for finger in FINGERS:
             if sensed.shots[finger]:
                 self._pictures[finger] = sensed.shots[finger][-1].image
@@ -421,6 +444,7 @@ def serve_bench(
         )
         for finger in FINGERS
     ]
+    emulated.faults = {one.faults.device: one.faults for one in (arm, gripper, sensor, *cameras)}
     emulated.priority = EMULATOR_PRIORITY
     for server in (arm, gripper, sensor, *cameras):
         server.priority = EMULATOR_PRIORITY
@@ -453,12 +477,14 @@ def lab_toml(scene: Scene, emulation: Emulation) -> str:
 
 ANSWER_S = 2.0
 LONGEST = 4096
-TRUTH, SEEN = b"?\n", b"seen\n"
+TRUTH, SEEN, AFTER, STRIKE = b"?\n", b"seen\n", b"after ", b"strike "
 TRUTH_FIELDS = ("offset_mm", "yaw_rad", "margin_mm", "stands", "slip_mm", "knocked_over")
 
 
 class TruthServer:
-    """Answers each line with a line of JSON: ground truth or driver observations."""
+    """Answers each line with a line of JSON: ground truth, driver observations or command travel;
+    starts a fault.
+    """
 
     def __init__(self, emulated: EmulatedScene) -> None:
         self._emulated = emulated
@@ -467,7 +493,14 @@ class TruthServer:
         """Return one line per line."""
         answer = b""
         for line in data.splitlines(keepends=True):
-            if line == SEEN:
+            if line.startswith(AFTER):
+                travel = self._emulated.command_travel(float(line[len(AFTER) :]))
+                answer += json.dumps(travel).encode() + b"\n"
+            elif line.startswith(STRIKE):
+                fault = json.loads(line[len(STRIKE) :])
+                self._emulated.faults[fault.pop("device")].inject(now_s, **fault)
+                answer += b"{}\n"
+            elif line == SEEN:
                 answer += json.dumps(asdict(self._emulated.driver_observations())).encode() + b"\n"
             elif line.endswith(b"\n"):
                 truth = self._emulated.truth()
@@ -499,7 +532,17 @@ class TruthClient:
         """Return the driver observations; raises ``OSError``."""
         return DriverObservations(**self._ask(SEEN))
 
-    def _ask(self, question: bytes) -> dict[str, Any]:
+    def command_travel(self, since_s: float) -> tuple[float, float, float]:
+        """Return ``command_travel`` since a monotonic time; raises ``OSError``."""
+        side_mm, down_mm, up_mm = self._ask(AFTER + f"{since_s!r}\n".encode())
+        return side_mm, down_mm, up_mm
+
+    def strike(self, device: str, kind: str, for_s: float, **more: float) -> None:
+        """Start a fault of a device now; raises ``OSError``."""
+        fault = {"device": device, "kind": kind, "for_s": for_s, **more}
+        self._ask(STRIKE + json.dumps(fault).encode() + b"\n")
+
+    def _ask(self, question: bytes) -> Any:
         with socket.create_connection(self._address, timeout=ANSWER_S) as line:
             line.sendall(question)
             received = b""
@@ -508,5 +551,4 @@ class TruthClient:
                 if not more:
                     raise ConnectionResetError("the emulated bench is gone")
                 received += more
-        answer: dict[str, Any] = json.loads(received)
-        return answer
+        return json.loads(received)

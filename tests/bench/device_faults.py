@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import random
-import tempfile
 import time
 import tracemalloc
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from contextlib import suppress
 from multiprocessing import get_context
-from pathlib import Path
 
 import numpy as np
 
@@ -18,116 +15,19 @@ from tests.backend.devices.codecs.codecs import CODECS, IN
 from tests.backend.devices.codecs.vectors import VECTORS, data
 from tests.backend.devices.melfa.trials import trial as trials_trial
 from tests.backend.devices.optoforce.trials_wrist import trial as trials_wrist_trial
-from tests.backend.devices.trials import Ended
 from tests.backend.devices.trials_camera import trial as trials_camera_trial
 from tests.backend.devices.wsg.trials_gripper import trial as trials_gripper_trial
-from tests.backend.runs.test_campaign import Failing
 from tests.bench.figures import Figure, failures, figure
-from touchdown.backend.annotations.dataset import Dataset
 from touchdown.backend.config.hardware import ForceTorqueSettings, HardwareSettings
-from touchdown.backend.core.events import PhaseEntered, ProbeCollected, RunFinished
-from touchdown.backend.core.faults import TouchdownError
 from touchdown.backend.devices.dynpick.driver import PERIOD_S, DynpickDriver
 from touchdown.backend.devices.dynpick.protocol import DynpickRecord, encode_record
 from touchdown.backend.devices.force_torque.reader import WrenchStamper
-from touchdown.backend.emulation.disturbances import (
-    DISTURBANCE_KINDS,
-    Disturbance,
-    DisturbanceScript,
-)
-from touchdown.backend.runs.campaign import newest_campaign
-
-CAMPAIGN_PROBES, TRIES = 2, 4
-SLOW_HZ = {"force_torque": 300.0, "tactile_left": 10.0, "tactile_right": 10.0}
-FAULTS = tuple((device, kind) for device, kinds in DISTURBANCE_KINDS.items() for kind in kinds)
-
-
-class _AnyTime(Failing):
-    """As ``Failing``, at any instant of any phase, and for a while."""
-
-    def break_at(self, phase: int, after_s: float, device: str, kind: str, for_s: float) -> None:
-        self._when = (phase, after_s, Disturbance(device, kind, 0.0, for_s))
-
-    def _take(self, fact) -> None:
-        self.facts.append(fact)
-        phases = sum(isinstance(f, PhaseEntered) for f in self.facts)
-        if self._when is not None and phases == self._when[0]:
-            _, after_s, what = self._when
-            begins_s = fact.t_s + after_s
-            rate_hz = SLOW_HZ[what.device] if what.kind == "slow" else None
-            fault = Disturbance(what.device, what.kind, begins_s, what.length_s, rate_hz)
-            script = DisturbanceScript((fault,))
-            bench = self.session._stage.advance.__self__
-            for part in (bench, bench._world, *bench.tactile.values()):
-                part._script = script
-            self._when = None
-
-    _when: tuple[int, float, Disturbance] | None = None
-
-
-def campaign_trial(seed: int) -> Ended:
-    """Collect two probes with one fault, go on after Reset until they are there, and look."""
-    rng = random.Random(seed)
-    device, kind = rng.choice(FAULTS)
-    with (
-        tempfile.TemporaryDirectory() as folder,
-        Dataset.open(Path(folder) / "ds", person="ann") as dataset,
-    ):
-        failing = _AnyTime(dataset)
-        try:
-            when = (rng.randint(2, 12), rng.uniform(0.0, 0.5))
-            failing.break_at(*when, device, kind, rng.uniform(0.2, 3.0))
-            broken = _run(failing, dataset)
-        finally:
-            failing.session.close()
-    return Ended(seed, "collecting", f"{device} {kind}", tuple(broken))
-
-
-def _run(failing: _AnyTime, dataset: Dataset) -> list[str]:
-    asked: dict[str, object] = {"count": CAMPAIGN_PROBES}
-    endings, latched = [], True
-    for _ in range(TRIES):
-        # What ends a run early is announced and raised as well.
-        with suppress(TouchdownError):
-            failing.run(**asked)
-        endings.append([f for f in failing.facts if isinstance(f, RunFinished)][-1].ending)
-        if endings[-1] == "finished":
-            break
-        latched = latched and len(failing.session.interlock.faults) > 0
-        for _ in range(40):  # until the fault is over
-            failing.session._stage.advance(100_000)
-        failing.session.reset()
-        found = newest_campaign(dataset.folder)
-        asked = {"campaign": found} if found is not None else {"count": CAMPAIGN_PROBES}
-    told = [fact.uuid for fact in failing.facts if isinstance(fact, ProbeCollected)]
-    # One that was stored when the run ended is there without a word: it was never acknowledged.
-    entries = dataset.episodes()
-    whole = {entry.uuid for entry in entries}
-    # A probe that its quality refuses is kept beside the one that was taken in its place.
-    items = sorted(entry.plan_item for entry in entries if entry.quality.accepted)
-    broken = [uuid for uuid in whole if not _is_whole(dataset, uuid)]
-    rows = {
-        f"ended {endings}": endings[-1] == "finished" and set(endings) <= {"finished", "failed"},
-        "a run failed without a latched fault": latched,
-        "an acknowledged episode is lost": set(told) <= whole,
-        "an episode cannot be read": not broken,
-        "an item is missing or there twice": items == list(range(CAMPAIGN_PROBES)),
-    }
-    return [name for name, holds in rows.items() if not holds]
-
-
-def _is_whole(dataset: Dataset, uuid: str) -> bool:
-    episode = dataset.read(uuid)
-    accepted = episode.quality.accepted
-    return not accepted or bool(np.isfinite(episode.observation).all())
-
 
 TRIALS: Sequence[tuple[str, Callable[[int], object], int]] = (
     ("arm", trials_trial, 500),
     ("gripper, both protocols", trials_gripper_trial, 150),
     ("wrist sensors, seven makes", trials_wrist_trial, 180),
     ("tactile cameras", trials_camera_trial, 120),
-    ("devices while collecting", campaign_trial, 30),
 )
 LEAST = 500
 FIRST = 10_000  # seeds other than those of the tests and of the group ``arm``

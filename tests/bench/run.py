@@ -25,7 +25,8 @@ MODULES = tuple(
     f"tests.bench.{name}"
     for name in (
         "throughput", "window", "experiments", "dataset", "labelling", "arm", "rig",
-        "device_faults", "camera_faults", "wired", "wired_faults", "workers", "window_faults",
+        "device_faults", "camera_faults", "wired", "wired_faults", "campaign", "workers",
+        "window_faults",
     )
 )  # fmt: skip
 

@@ -8,8 +8,10 @@ import io
 import json
 import os
 import tempfile
+import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from tests.backend.devices.waiting import until
@@ -26,6 +28,7 @@ from touchdown.backend.bench.emulated_scene import (
     EmulatedScene,
     TruthClient,
     TruthServer,
+    serve_bench,
 )
 from touchdown.backend.config.hardware import HardwareSettings
 from touchdown.backend.config.toml_file import read_settings
@@ -135,3 +138,27 @@ def test_a_busy_computer_changes_no_limit_of_a_device():
     assert (limits.wrench_age_s, limits.frame_age_s, LEASE_S) == (0.3, 0.5, 0.25)
     assert (TIMEOUT_CYCLES, HardwareSettings().melfa.realtime_priority) == (57, 50)
     assert (REPLY_LATE_S, BACKEND_LATE_S) == (0.035, 0.1)
+
+
+def test_a_strike_reaches_its_device_and_commands_are_kept(tmp_path):
+    scene = make_scene(load_pieces(), CHOICE, SETTINGS)
+    joined, emulation = serve_bench(scene, tmp_path, FaultPlan())
+    front = TcpServer(TruthServer(joined))
+    for part in emulation.fronts:
+        part.faults.begin(0.0)
+    front.start()
+    truth = TruthClient(scene, front.address)
+    truth.strike("force_torque", "silent", 1e6)
+    assert joined.faults["force_torque"].active("silent", time.monotonic())
+    assert not joined.faults["gripper"].active("silent", time.monotonic())
+    joined.step()
+    joined.melfa.controller.joints_at = lambda now_s: joined.frame.joints(
+        np.array([0.0, 0.0, 90.0])
+    )
+    joined.step()
+    side_mm, down_mm, up_mm = truth.command_travel(-1.0)
+    assert up_mm > 1.0
+    assert (side_mm, down_mm) == pytest.approx((0.0, 0.0), abs=1.0)
+    front.close()
+    for part in emulation.fronts:
+        part.close()

@@ -28,18 +28,18 @@ from touchdown.backend.devices.protocols import PressCommand
 from touchdown.backend.geometry.pieces import load_pieces
 from touchdown.backend.runs.requests import SceneChoice
 from touchdown.backend.sensing.episode import SyncLimits, wrench_on_ticks
-from touchdown.backend.simulation.arm import PressLaw
 from touchdown.backend.simulation.scene import Scene
 from touchdown.backend.simulation.world import World
 
 PROBE = StackSettings().probe
-LAW = PressLaw(
+LAW = PressCommand(
     PROBE.depth_mm,
     PROBE.ramp_fraction * PROBE.duration_s,
     PROBE.duration_s,
     PROBE.approach_mm_s,
     PROBE.threshold_n,
     PROBE.start_height_mm + PROBE.max_travel_mm,
+    PROBE.stiffness_n_mm,
 )
 AIR_S = 0.2
 AFTER_S = 0.15
@@ -78,7 +78,7 @@ def simulated_press(seed: int, settings: SimulationSettings, rest_s: float = 1.5
     for _ in range(round(1e6 * rest_s / world.cycle_us)):
         step()
     tare = _air(samples, 1e-6 * world.now_us)
-    press = world.press(LAW, PROBE.stiffness_n_mm)
+    press = world.press(LAW)
     while not press.done:
         step()
     for _ in range(round(1e6 * AFTER_S / world.cycle_us)):
@@ -109,7 +109,7 @@ class WoundWires:
         self.arm.connect(1.0, threading.Event())
         self.wires.advance(1_200_000)
         tare = _air(self.samples, self.clock.now_s())
-        motion = self.arm.press(_command())
+        motion = self.arm.press(LAW)
         for _ in range(round(1e6 * LONGEST_S / CYCLE_US)):
             if motion.done:
                 break
@@ -152,18 +152,6 @@ def bursts(longest_s: float) -> Callable[[float], float]:
 def _take_piece(world: World) -> None:
     world.jaws.width_mm = world.scene.piece.width_mm
     world.jaws.close(PROBE.grip_force_n)
-
-
-def _command() -> PressCommand:
-    return PressCommand(
-        LAW.depth_mm,
-        LAW.ramp_s,
-        LAW.hold_s,
-        LAW.approach_mm_s,
-        LAW.threshold_n,
-        LAW.max_travel_mm,
-        PROBE.stiffness_n_mm,
-    )
 
 
 def _air(samples: SampleStream, now_s: float) -> FloatArray:

@@ -1,0 +1,619 @@
+"""Fault campaign: a fault strikes an activity at a random instant, judged by ``docs/endings.toml``.
+
+``python -m tests.bench.campaign`` (``make campaign``) runs the strikes that are missing in
+``docs/results/campaign.json``, which belongs to one state of the sources, and renders the tables in
+``docs/faults.md``. Activities on the simulated bench run by stepped clock; those on the emulated
+bench in real time over real wires. Strikes of ``make:`` feed one driver by stepped clock.
+"""
+
+from __future__ import annotations
+
+import argparse
+import datetime
+import hashlib
+import json
+import os
+import random
+import re
+import resource
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+import tomllib
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from contextlib import ExitStack, suppress
+from dataclasses import asdict, dataclass
+from functools import cache
+from math import inf
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import psutil
+
+from tests.backend.bench.brisk import brisk_bench, brisk_method
+from tests.backend.devices.melfa.trials import trial as arm_trial
+from tests.backend.devices.optoforce.trials_wrist import EMULATED as WRIST_SENSORS
+from tests.backend.devices.optoforce.trials_wrist import trial as wrist_trial
+from tests.backend.devices.trials_camera import trial as camera_trial
+from tests.backend.devices.wsg.trials_gripper import trial as gripper_trial
+from tests.bench.figures import DOCS, Figure, failures, figure
+from touchdown.backend.annotations.dataset import Dataset
+from touchdown.backend.bench.assembly import SimulatedBenchChoice, simulated_session
+from touchdown.backend.bench.emulated import EmulatedBench
+from touchdown.backend.bench.emulated_scene import command_travel
+from touchdown.backend.bench.session import Session
+from touchdown.backend.core.events import (
+    EpisodeRecorded,
+    Event,
+    FaultRaised,
+    Paused,
+    ProbeCollected,
+)
+from touchdown.backend.core.faults import (
+    Fault,
+    FaultError,
+    InputError,
+    RefusedError,
+    TouchdownError,
+)
+from touchdown.backend.core.files import write_atomically
+from touchdown.backend.devices.jog import JogOrder
+from touchdown.backend.emulation.disturbances import (
+    DISTURBANCE_KINDS,
+    Disturbance,
+    DisturbanceScript,
+)
+from touchdown.backend.emulation.fault_plan import DEVICE_KINDS, WIRE_KINDS
+from touchdown.backend.episodes.episode_file import read_episode
+from touchdown.backend.runs.event_log import read_events
+from touchdown.backend.runs.recorder import RecordingOptions
+from touchdown.backend.runs.requests import (
+    CalibrateRequest,
+    CollectRequest,
+    SceneChoice,
+    StackRequest,
+)
+
+ENDINGS, RESULTS, PAGE = (
+    DOCS / "endings.toml",
+    DOCS / "results" / "campaign.json",
+    DOCS / "faults.md",
+)
+ROOT = DOCS.parent
+SAMPLE = 60
+# strikes of each kind, by bench
+TURNS = {"simulated": 10, "emulated": 4, "stepped wire": 5}
+ACTIVITIES = ("stacking", "collecting", "calibrating", "jogging")
+CAMERAS = ("tactile_left", "tactile_right")
+# latest instant of a strike after the start of the motion, by bench, s
+LATEST_S = {"simulated": 8.0, "emulated": 5.0}
+# duration of a fault; time after it in which it may still be reported; time the arm may brake
+LASTS_S, WATCH_S, BRAKE_S = 2.5, 1.5, 0.3
+JOG_MM_S, JOG_S, INSIST_S, SETTLE_S = 5.0, 10.0, 0.5, 1.0
+# largest travel of the commands after the report, mm; upwards by what the table allows
+SIDE_MM, DOWN_MM, UP_MM = 0.5, 0.1, {"stand": 0.5, "retreat": 2.5, "lift": inf}
+INTERNAL = re.compile(r"[a-z]+_[a-z_]+|\bbyte \d|Error\b|Traceback|touchdown\.|\bNone\b")
+CHECKS = ("documented", "in time", "jaws", "arm", "data", "message")
+Row = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Ending:
+    """Row of the table of allowed endings."""
+
+    row: str
+    strikes: tuple[str, ...]
+    codes: tuple[str, ...]
+    within_s: float
+    then: str
+    must: bool
+    names: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What a strike left behind: code of the reported fault ("" if none), time from the strike to
+    the report, message, openings of the jaws and travel of the commands after the report, lost
+    records; whether the activity came to an end, and whether the fault struck it at all.
+    """
+
+    code: str = ""
+    after_s: float | None = None
+    message: tuple[str, str, str] = ("", "", "")
+    openings: int = 0
+    travel_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    lost: tuple[str, ...] = ()
+    ended: bool = True
+    struck: bool = True
+
+
+@cache
+def endings() -> tuple[Mapping[str, Ending], frozenset[str]]:
+    """Return the allowed ending of each strike, and the faults of a busy computer."""
+    content = tomllib.loads(ENDINGS.read_text("utf-8"))
+    found: dict[str, Ending] = {}
+    for row in content["ending"]:
+        made = Ending(**{k: tuple(v) if isinstance(v, list) else v for k, v in row.items()})
+        for strike in made.strikes:
+            device, kind = strike.split(":")
+            for name in CAMERAS if device == "camera" else (device,):
+                found[f"{name}:{kind}"] = made
+    return found, frozenset(content["load"])
+
+
+def judge(rule: Ending, seen: Seen, load: Iterable[str] = ()) -> dict[str, bool]:
+    """Return by name of ``CHECKS`` whether it holds."""
+    reported = bool(seen.code)
+    by_load = seen.code in load and seen.code not in rule.codes
+    side_mm, down_mm, up_mm = seen.travel_mm
+    text = re.sub(r"\S*/\S*/\S*", "", " ".join(seen.message))  # without paths
+    named = not rule.names or any(word in text.lower() for word in rule.names)
+    clear = all(map(str.strip, seen.message)) and not INTERNAL.search(text)
+    return {
+        "documented": seen.ended
+        and seen.struck
+        and (seen.code in rule.codes or by_load if reported else not rule.must),
+        "in time": by_load or seen.after_s is None or seen.after_s <= rule.within_s,
+        "jaws": seen.openings == 0,
+        "arm": side_mm <= SIDE_MM and down_mm <= DOWN_MM and up_mm <= UP_MM[rule.then],
+        "data": not seen.lost,
+        "message": not reported or seen.code == "ended" or (clear and (named or by_load)),
+    }
+
+
+class Watch:
+    """Session under one strike: strikes at its instant, notes the report, ends what goes on."""
+
+    def __init__(self, session: Session, blow: Callable[[], None], at_s: float) -> None:
+        self.session, self._blow, self._at_s = session, blow, at_s
+        self.facts: list[Event] = []
+        self.fault: Fault | None = None
+        self.struck_s = self.reported_s = self.wall_s = inf
+        self.openings = 0
+        self._scene: object = None
+        self._begun_s = inf
+        self._step = session.advance
+        session.advance = self._advance  # type: ignore[method-assign]
+        self._leave = session.events.subscribe(self._hear)
+
+    def close(self) -> None:
+        """Give the session back."""
+        self._leave()
+        self.session.advance = self._step  # type: ignore[method-assign]
+
+    def report(self, fault: Fault) -> None:
+        """Note the first fault after the strike."""
+        if self.struck_s < inf and self.fault is None:
+            self.fault = fault
+            self.reported_s, self.wall_s = self.session.clock_s(), time.monotonic()
+
+    def _hear(self, fact: Event) -> None:
+        self.facts.append(fact)
+        if isinstance(fact, FaultRaised | Paused):
+            self.report(fact.fault)
+
+    def _advance(self) -> None:
+        self._step()
+        session = self.session
+        now_s = session.clock_s()
+        for fault in session.interlock.faults[:1]:
+            self.report(fault)
+        if session._scene is not self._scene:
+            self._scene = session._scene
+            self._begun_s = now_s
+            self._watch_jaws()
+        if self.struck_s == inf:
+            if now_s >= self._begun_s + self._at_s:
+                self.struck_s = now_s
+                self._blow()
+        elif self.fault is None and now_s > self.struck_s + LASTS_S + WATCH_S:
+            session.stop()
+
+    def _watch_jaws(self) -> None:
+        gripper: Any = self.session._stage.gripper
+        real = gripper.open_to
+
+        def open_to(width_mm: float, speed_mm_s: float) -> Any:
+            self.openings += self.fault is not None and gripper.status().holding
+            return real(width_mm, speed_mm_s)
+
+        gripper.open_to = open_to
+
+
+def act(watch: Watch, activity: str, seed: int) -> None:
+    """Carry out one activity to its end."""
+    session, rng = watch.session, random.Random(seed)
+    if activity == "stacking":
+        session.run(StackRequest("pot", ("short",), seed))
+    elif activity == "collecting":
+        session.run(CollectRequest(count=2, seed=seed, person="campaign", grips_per_mounting=10))
+    elif activity == "calibrating":
+        session.run(CalibrateRequest(rng.choice(("payload", "board")), seed=seed))
+    else:
+        session.prepare(SceneChoice("pot", ("circle15",), seed))
+        assert session.hand is not None
+        begun_s, sequence = session.clock_s(), 0
+        # The operator holds the button on for a while after the report.
+        while session.clock_s() < min(begun_s + JOG_S, watch.reported_s + INSIST_S):
+            now_s, sequence = session.clock_s(), sequence + 1
+            session.hand.jog.renew(JogOrder(1, sequence, now_s, "z", "XYZ", JOG_MM_S))
+            session.advance()
+        session.hand.jog.end(1)
+
+
+def observe(watch: Watch, activity: str, seed: int) -> None:
+    """Act; note a fault that only an exception reports, and let the arm come to rest."""
+    session = watch.session
+    try:
+        act(watch, activity, seed)
+    except FaultError as error:
+        watch.report(error.fault)
+    except InputError as error:
+        watch.report(Fault("INPUT", error.what, error.where, error.fix))
+    except RefusedError as error:
+        watch.report(Fault(error.reason, error.what, "Nothing was moved.", error.next_step))
+    except TouchdownError as error:
+        watch.report(Fault(type(error).__name__, str(error), "", ""))
+    end_s = session.clock_s() + SETTLE_S
+    while session._scene is not None and session.clock_s() < end_s:
+        with suppress(TouchdownError):
+            session.advance()
+
+
+def lost_records(facts: Iterable[Event], dataset: Dataset, runs: Path | None) -> tuple[str, ...]:
+    """Return the acknowledged records that are missing or cannot be read."""
+    lost = []
+    for fact in facts:
+        try:
+            if isinstance(fact, ProbeCollected):
+                dataset.read(fact.uuid)
+            elif isinstance(fact, EpisodeRecorded) and fact.path and runs is not None:
+                read_episode(runs / "episodes" / Path(fact.path).name)
+        except (TouchdownError, OSError, KeyError, ValueError) as error:
+            lost.append(f"{type(error).__name__}: {error}")
+    return tuple(lost)
+
+
+def seen_by(watch: Watch, travel_mm: tuple[float, float, float], lost: tuple[str, ...]) -> Seen:
+    """Return what the watch has seen."""
+    fault, ended = watch.fault, not watch.session.engine.busy
+    if fault is None:
+        struck = watch.struck_s < inf
+        return Seen(openings=watch.openings, lost=lost, ended=ended, struck=struck)
+    message = (fault.what, fault.consequence, fault.next_step)
+    after_s = watch.reported_s - watch.struck_s
+    return Seen(fault.code, after_s, message, watch.openings, travel_mm, lost, ended)
+
+
+# -- strikes --------------------------------------------------------------------------------------
+
+
+def clock_and_disk(kind: str, ends: ExitStack) -> Callable[[], None] | None:
+    """Return the blow of what both benches have: the wall clock jumps, or the disk refuses."""
+    if kind == "clock:jump":
+        real = time.time
+
+        def jump() -> None:
+            time.time = lambda: real() + 3600.0
+            ends.callback(setattr, time, "time", real)
+
+        return jump
+    if kind != "disk:full":
+        return None
+
+    def fill() -> None:
+        limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (0, limits[1]))
+        ends.callback(resource.setrlimit, resource.RLIMIT_FSIZE, limits)
+
+    return fill
+
+
+def simulated_blow(session: Session, kind: str) -> None:
+    """Start a disturbance on the simulated bench."""
+    device, what = kind.split(":")
+    bench: Any = session._stage.advance.__self__  # type: ignore[attr-defined]
+    if what == "part_lost":
+        bench._world.jaws.lose()
+        return
+    much = {"slow": 300.0 if device == "force_torque" else 8.0, "drift": 1.0, "turn": 4.0}
+    begun = Disturbance(device, what, session.clock_s(), LASTS_S, much.get(what))
+    for part in (bench, bench._world, *bench.tactile.values()):
+        part._script = DisturbanceScript((begun,))
+
+
+def emulated_blow(bench: EmulatedBench, kind: str) -> None:
+    """Start a fault of an emulated device, or send a signal to a process."""
+    device, what = kind.split(":")
+    assert bench._truth is not None
+    if device == "rig":
+        assert bench._wired is not None
+        os.kill(bench._wired.link.hello["pid"], signal.Signals[what])
+    elif device == "devices":
+        assert bench._process._child is not None
+        bench._process._child.send_signal(signal.Signals[what])
+    else:
+        amount = {"slow": {"hz": 300.0 if device == "force_torque" else 8.0}}
+        more = amount | {"drift": {"n_per_s": 1.0}, "late": {"share": 0.2, "by_s": 0.05}}
+        more |= {wire: {"share": 0.2} for wire in ("lost", "flip", "garbage", "cut", "duplicate")}
+        bench._truth.strike(device, what, LASTS_S, **more.get(what, {}))
+
+
+def strike_session(bench: str, kind: str, activity: str, seed: int, latest_s: float) -> Seen:
+    """Strike an activity on a bench of this process, ``latest_s`` after its start at the latest."""
+    at_s = random.Random(seed).uniform(0.2, latest_s)
+    with ExitStack() as ends, tempfile.TemporaryDirectory() as name:
+        runs, folder = Path(name) / "runs", Path(name) / "ds"
+        dataset = ends.enter_context(Dataset.open(folder, person="campaign"))
+        common = clock_and_disk(kind, disk := ends.enter_context(ExitStack()))
+        keep = RecordingOptions(runs)
+        if bench == "simulated":
+            session = simulated_session(brisk_bench("quiet"), keep=keep, method=brisk_method())
+            ends.callback(session.close)
+            watch = Watch(session, common or (lambda: simulated_blow(session, kind)), at_s)
+        else:
+            wired = EmulatedBench(SimulatedBenchChoice(), keep=keep, method=brisk_method())
+            ends.callback(wired.close)
+            session = wired.session
+            watch = Watch(session, common or (lambda: emulated_blow(wired, kind)), at_s)
+        session.dataset = dataset
+        observe(watch, activity, seed)
+        travel = (0.0, 0.0, 0.0)
+        if watch.fault is not None and bench == "simulated":
+            sent = session.raw.commands.window(watch.reported_s + BRAKE_S, inf)
+            travel = command_travel(list(zip(sent.t_s, sent.values, strict=True)), -inf)
+        elif watch.fault is not None:
+            with suppress(OSError):  # the devices are gone
+                travel = wired._truth.command_travel(watch.wall_s + BRAKE_S)  # type: ignore[union-attr]
+        disk.close()
+        lost = lost_records(watch.facts, dataset, session.run_folder)
+        watch.close()
+        return seen_by(watch, travel, lost)
+
+
+VERBS = {
+    "stacking": ("stack", "--preset", "quiet"),
+    "collecting": ("collect", "--preset", "quiet", "--count", "40", "--person", "campaign"),
+}
+
+
+def strike_program(bench: str, kind: str, activity: str, seed: int) -> Seen:
+    """Send a signal to the program; it ends, leaves no process and loses nothing it has logged."""
+    rng = random.Random(seed)
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        words = [*VERBS[activity], "--runs", str(folder / "runs"), "--seed", str(seed)]
+        words += ["--emulated"] if bench == "emulated" else []
+        words += ["--dataset", str(folder / "ds")] if activity == "collecting" else []
+        child = subprocess.Popen(
+            [sys.executable, "-m", "touchdown", *words],
+            stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+            env={**os.environ, "XDG_DATA_HOME": name},
+        )  # fmt: skip
+        with suppress(subprocess.TimeoutExpired):
+            child.wait(rng.uniform(4.0, 12.0))
+        started = psutil.Process(child.pid).children(recursive=True) if child.poll() is None else []
+        begun_s = time.monotonic()
+        child.send_signal(signal.Signals[kind.split(":")[1]])
+        try:
+            child.wait(10.0)
+        except subprocess.TimeoutExpired:
+            child.kill()
+            child.wait()
+        _, left = psutil.wait_procs(started, timeout=8.0)
+        after_s = time.monotonic() - begun_s
+        logs = [log.parent for log in (folder / "runs").rglob("journal.jsonl")]
+        facts = [fact for log in logs for fact in read_events(log)]
+        lost: tuple[str, ...] = ()
+        if activity == "collecting" and (folder / "ds").exists():
+            with Dataset.open(folder / "ds", person="campaign") as dataset:
+                lost = lost_records(facts, dataset, None)
+        for process in left:
+            process.kill()
+        return Seen("ended", after_s, lost=lost, ended=not left)
+
+
+def strike_driver(kind: str, seed: int) -> Seen:
+    """Feed the driver of one make with a fault of its stepped wire."""
+    make = kind.split(":")[1]
+    trials = {"arm": arm_trial, "gripper": gripper_trial, "camera": camera_trial}
+    ended = trials[make](seed) if make in trials else wrist_trial(seed, make)
+    return Seen("ended", 0.0, (ended.doing, ended.fault, str(ended.broken)), ended=not ended.broken)
+
+
+def all_kinds() -> list[tuple[str, str]]:
+    """Return every bench with every strike of it."""
+    common = [f"program:{name}" for name in ("SIGKILL", "SIGTERM", "SIGINT")]
+    common += ["disk:full", "clock:jump"]
+    simulated = [
+        f"{device}:{kind}" for device, kinds in DISTURBANCE_KINDS.items() for kind in kinds
+    ]
+    emulated = [f"{d}:{kind}" for d, own in DEVICE_KINDS.items() for kind in (*WIRE_KINDS, *own)]
+    emulated += ["arm:reorder", "rig:SIGKILL", "rig:SIGTERM", "rig:SIGSTOP"]
+    emulated += ["devices:SIGKILL", "devices:SIGSTOP"]
+    makes = [f"make:{name}" for name in (*WRIST_SENSORS, "arm", "gripper", "camera")]
+    return [
+        *(("simulated", kind) for kind in (*simulated, "gripper:part_lost", *common)),
+        *(("emulated", kind) for kind in (*emulated, *common)),
+        *(("stepped wire", kind) for kind in makes),
+    ]
+
+
+def plan() -> list[tuple[int, str, str, str]]:
+    """Return the strikes: number, bench, kind and activity; all kinds before any comes again."""
+    strikes = []
+    turns = [(turn, k, *one) for turn in range(max(TURNS.values()))
+             for k, one in enumerate(all_kinds()) if turn < TURNS[one[0]]]  # fmt: skip
+    for number, (turn, k, bench, kind) in enumerate(turns):
+        possible = ACTIVITIES
+        if kind.startswith("program:"):
+            possible = tuple(VERBS) if bench == "simulated" else ("stacking",)
+        elif bench == "stepped wire":
+            possible = ("streaming",)
+        strikes.append((number, bench, kind, possible[(turn + k) % len(possible)]))
+    return strikes
+
+
+def run_strike(number: int, bench: str, kind: str, activity: str) -> Row:
+    """Run one strike and judge it."""
+    rules, load = endings()
+    seed, begun_s = 50_000 + number, time.monotonic()
+    if kind.startswith("program:"):
+        seen = strike_program(bench, kind, activity, seed)
+    elif bench == "stepped wire":
+        seen = strike_driver(kind, seed)
+    else:
+        for latest_s in (LATEST_S[bench], 2.0, 0.5):  # an activity may be over before
+            seen = strike_session(bench, kind, activity, seed, latest_s)
+            if seen.struck:
+                break
+    broken = [name for name, holds in judge(rules[kind], seen, load).items() if not holds]
+    return {
+        "number": number, "bench": bench, "strike": kind, "activity": activity,
+        **asdict(seen), "broken": broken, "took_s": round(time.monotonic() - begun_s, 1),
+    }  # fmt: skip
+
+
+# -- campaign -------------------------------------------------------------------------------------
+
+
+def source_hash() -> str:
+    """Return the hash of the product, of this module and of the table of endings."""
+    found = hashlib.sha256()
+    for path in sorted((*(ROOT / "backend").rglob("*.py"), Path(__file__), ENDINGS)):
+        found.update(path.read_bytes())
+    return found.hexdigest()[:16]
+
+
+def stored() -> Mapping[str, Any] | None:
+    """Return the stored campaign, None without one."""
+    return json.loads(RESULTS.read_text("utf-8")) if RESULTS.exists() else None
+
+
+def read_rows(source: str) -> list[Row]:
+    """Return the stored rows of this state of the sources."""
+    content = stored()
+    return list(content["strikes"]) if content and content["source"] == source else []
+
+
+def save(rows: Sequence[Row], source: str) -> None:
+    """Store the rows and render the page."""
+    content = {
+        "date": datetime.datetime.now(tz=datetime.UTC).isoformat(timespec="seconds"),
+        "source": source,
+        "strikes": sorted(rows, key=lambda row: row["number"]),
+    }
+    write_atomically(RESULTS, (json.dumps(content, indent=0) + "\n").encode())
+    write_atomically(PAGE, rendered(PAGE.read_text("utf-8"), content).encode())
+
+
+def run(strikes: Sequence[tuple[int, str, str, str]], workers: int,
+        keep: Callable[[list[Row]], None], rows: list[Row]) -> list[Row]:  # fmt: skip
+    """Run what is missing in ``rows``; ``keep`` is called after each strike."""
+    known = {row["number"] for row in rows}
+    with ProcessPoolExecutor(workers, get_context("spawn"), max_tasks_per_child=20) as pool:
+        waiting = [pool.submit(run_strike, *one) for one in strikes if one[0] not in known]
+        for done in as_completed(waiting):
+            rows.append(done.result())
+            keep(rows)
+    return rows
+
+
+def endings_table() -> str:
+    """Return the table of allowed endings as Markdown."""
+    rows = dict.fromkeys(endings()[0].values())
+    then = {"stand": "stands", "retreat": "stands, or rises by 2 mm", "lift": "may be lifted"}
+    lines = ["| row | strikes | reported as | within | then the arm | ends the activity |"]
+    lines.append("|---|---|---|---|---|---|")
+    for one in rows:
+        within = "" if one.within_s == inf else f"{one.within_s:g} s"
+        must = "yes" if one.must else "not always"
+        cells = (one.row, ", ".join(one.strikes), ", ".join(one.codes) or "nothing", within)
+        lines.append(f"| {' | '.join((*cells, then[one.then], must))} |")
+    return "\n".join(lines)
+
+
+def results_table(content: Mapping[str, Any] | None) -> str:
+    """Return the results by bench and device as Markdown."""
+    if content is None:
+        return "No campaign was run yet."
+    groups: dict[tuple[str, str], list[Row]] = defaultdict(list)
+    for row in content["strikes"]:
+        groups[row["bench"], row["strike"].split(":")[0]].append(row)
+    lines = [
+        f"{len(content['strikes'])} strikes, {content['date']}, source {content['source']}.",
+        "",
+    ]
+    lines += [f"| bench | device | strikes | {' | '.join(CHECKS)} | latest report |"]
+    lines.append("|" + "---|" * (len(CHECKS) + 4))
+    for (bench, device), rows in groups.items():
+        broken = Counter(name for row in rows for name in row["broken"])
+        latest = max((row["after_s"] or 0.0 for row in rows), default=0.0)
+        counts = " | ".join(str(len(rows) - broken[name]) for name in CHECKS)
+        lines.append(f"| {bench} | {device} | {len(rows)} | {counts} | {latest:.2f} s |")
+    return "\n".join(lines)
+
+
+def rendered(text: str, content: Mapping[str, Any] | None) -> str:
+    """Return the page with both generated tables."""
+    for name, table in (("endings", endings_table()), ("campaign", results_table(content))):
+        block = re.compile(rf"(<!-- {name} -->\n).*?(\n<!-- end {name} -->)", re.DOTALL)
+        text, count = block.subn(lambda m, t=table: m[1] + t + m[2], text)  # type: ignore[misc]
+        assert count == 1, name
+    return text
+
+
+def summary(rows: Sequence[Row]) -> list[Figure]:
+    """Return one figure per check."""
+    found = []
+    for name in CHECKS:
+        broken = [row for row in rows if name in row["broken"]]
+        first = broken[0] if broken else {}
+        note = f"strike {first['number']}: {first['bench']} {first['strike']}" if broken else ""
+        found.append(
+            failures(f"fault campaign, not held: {name}", len(broken), f"of {len(rows)}", note)
+        )
+    return found
+
+
+@figure("faults")
+def sample_of_the_fault_campaign() -> list[Figure]:
+    """Strikes of every bench and device, spread over the campaign."""
+    strikes = plan()
+    return summary(run(strikes[:: len(strikes) // SAMPLE], 2, lambda rows: None, []))
+
+
+def main() -> int:
+    """Run the campaign; return 1 if a check is broken."""
+    parser = argparse.ArgumentParser(prog="make campaign", description=__doc__)
+    parser.add_argument("--every", type=int, default=1, help="run every n-th strike only")
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--out", type=Path, help="store the rows there; leave the page alone")
+    args = parser.parse_args()
+    source = source_hash()
+
+    def keep(rows: list[Row]) -> None:
+        last = rows[-1]
+        sys.stdout.write(f"{len(rows)} {last['bench']} {last['strike']} {last['activity']}: "
+                         f"{last['code'] or 'went on'} {last['broken'] or ''}\n")  # fmt: skip
+        sys.stdout.flush()
+        if args.out is None:
+            save(rows, source)
+        else:
+            write_atomically(args.out, json.dumps(rows, indent=0).encode())
+
+    known = read_rows(source) if args.out is None else []
+    rows = run(plan()[:: args.every], args.workers, keep, known)
+    for one in summary(rows):
+        sys.stdout.write(f"{one.name}: {one.value} {one.unit} {one.note}\n")
+    return int(any(row["broken"] for row in rows))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

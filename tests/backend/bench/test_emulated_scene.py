@@ -11,7 +11,6 @@ import tempfile
 import time
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from tests.backend.devices.waiting import until
@@ -152,13 +151,10 @@ def test_a_strike_reaches_its_device_and_commands_are_kept(tmp_path):
     assert joined.faults["force_torque"].active("silent", time.monotonic())
     assert not joined.faults["gripper"].active("silent", time.monotonic())
     joined.step()
-    joined.melfa.controller.joints_at = lambda now_s: joined.frame.joints(
-        np.array([0.0, 0.0, 90.0])
-    )
-    joined.step()
-    side_mm, down_mm, up_mm = truth.command_travel(-1.0)
-    assert up_mm > 1.0
-    assert (side_mm, down_mm) == pytest.approx((0.0, 0.0), abs=1.0)
+    ((at_s, start_mm),) = joined._commands
+    joined._commands.append((at_s + 0.01, start_mm + np.array([0.3, 0.4, 2.0])))
+    assert truth.command_travel(at_s) == pytest.approx((0.5, 0.0, 2.0))
+    assert truth.command_travel(at_s + 1.0) == (0.0, 0.0, 0.0)
     front.close()
     for part in emulation.fronts:
         part.close()

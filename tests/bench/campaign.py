@@ -447,16 +447,19 @@ def all_kinds() -> list[tuple[str, str]]:
 
 def plan() -> list[tuple[int, str, str, str]]:
     """Return the strikes: number, bench, kind and activity; all kinds before any comes again."""
-    strikes = []
-    turns = [(turn, k, *one) for turn in range(max(TURNS.values()))
-             for k, one in enumerate(all_kinds()) if turn < TURNS[one[0]]]  # fmt: skip
-    for number, (turn, k, bench, kind) in enumerate(turns):
-        possible = ACTIVITIES
-        if kind.startswith("program:"):
-            possible = tuple(VERBS) if bench == "simulated" else ("stacking",)
-        elif bench == "stepped wire":
-            possible = ("streaming",)
-        strikes.append((number, bench, kind, possible[(turn + k) % len(possible)]))
+    order, strikes = random.Random(1), []
+    for turn in range(max(TURNS.values())):
+        kinds = list(enumerate(all_kinds()))
+        order.shuffle(kinds)
+        for k, (bench, kind) in kinds:
+            possible = ACTIVITIES
+            if kind.startswith("program:"):
+                possible = tuple(VERBS) if bench == "simulated" else ("stacking",)
+            elif bench == "stepped wire":
+                possible = ("streaming",)
+            if turn < TURNS[bench]:
+                activity = possible[(turn + k) % len(possible)]
+                strikes.append((len(strikes), bench, kind, activity))
     return strikes
 
 

@@ -251,12 +251,15 @@ class EmulatedScene:
             if wait_s > 0.0:
                 self._stop.wait(wait_s)
             elif wait_s < -BEHIND_S:
-                # Skip the delay; samples from before are not returned for times after.
-                self._felt = (self._felt[0], self._felt[1][-1:])
-                self._zero_s -= wait_s
-                self.late += round(-1e6 * wait_s / self.world.cycle_us)
+                self._give_up(-wait_s)
             else:
                 self.step(-wait_s)
+
+    def _give_up(self, behind_s: float) -> None:
+        """Skip the delay; samples from before are not returned for times after."""
+        self._felt = (self._felt[0], self._felt[1][-1:])
+        self._zero_s += behind_s
+        self.late += round(1e6 * behind_s / self.world.cycle_us)
 
 
 class BenchFrame:

@@ -257,7 +257,7 @@ def observe(watch: Watch, activity: str, seed: int) -> None:
         watch.report(Fault("INPUT", error.what, error.where, error.fix))
     except RefusedError as error:
         watch.report(Fault(error.reason, error.what, "Nothing was moved.", error.next_step))
-    except TouchdownError as error:
+    except (TouchdownError, OSError) as error:
         watch.report(Fault(type(error).__name__, str(error), "", ""))
     end_s = session.clock_s() + SETTLE_S
     while session._scene is not None and session.clock_s() < end_s:

@@ -45,7 +45,7 @@ def test_a_strike_as_documented_breaks_nothing() -> None:
     assert broken(RULE, GOOD) == []
     assert broken(replace(RULE, must=False), Seen()) == []
     assert broken(replace(RULE, then="lift"), replace(GOOD, travel_mm=(0.0, 0.0, 50.0))) == []
-    in_a_file = ("The sensor log /tmp/some_place/x cannot be written.", "Held.", "Look.")
+    in_a_file = ("The sensor log /some_where/a_place/x cannot be written.", "Held.", "Look.")
     assert broken(RULE, replace(GOOD, message=in_a_file)) == []
 
 
@@ -100,6 +100,8 @@ def test_results_belong_to_one_state_of_the_sources(tmp_path, monkeypatch) -> No
     row = campaign.run_strike(7, "simulated", "force_torque:stop", "collecting")
     assert (row["code"], row["broken"]) == ("FT-STALE", [])
     campaign.save([row], "abc")
-    assert [one["number"] for one in campaign.read_rows("abc")] == [7]
-    assert campaign.read_rows("other") == []
+    content = campaign.stored("abc")
+    assert content is not None
+    assert [one["number"] for one in content["strikes"]] == [7]
+    assert campaign.stored("other") is None
     assert "1 strikes" in page.read_text("utf-8")

@@ -22,6 +22,7 @@ import sys
 import tempfile
 import time
 import tomllib
+import traceback
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -54,13 +55,7 @@ from touchdown.backend.core.events import (
     Paused,
     ProbeCollected,
 )
-from touchdown.backend.core.faults import (
-    Fault,
-    FaultError,
-    InputError,
-    RefusedError,
-    TouchdownError,
-)
+from touchdown.backend.core.faults import Fault, FaultError, TouchdownError
 from touchdown.backend.core.files import write_atomically
 from touchdown.backend.devices.jog import JogOrder
 from touchdown.backend.emulation.disturbances import (
@@ -70,6 +65,7 @@ from touchdown.backend.emulation.disturbances import (
 )
 from touchdown.backend.emulation.fault_plan import DEVICE_KINDS, WIRE_KINDS
 from touchdown.backend.episodes.episode_file import read_episode
+from touchdown.backend.runs.engine import _fault_of
 from touchdown.backend.runs.event_log import read_events
 from touchdown.backend.runs.recorder import RecordingOptions
 from touchdown.backend.runs.requests import (
@@ -79,13 +75,10 @@ from touchdown.backend.runs.requests import (
     StackRequest,
 )
 
-ENDINGS, RESULTS, PAGE = (
-    DOCS / "endings.toml",
-    DOCS / "results" / "campaign.json",
-    DOCS / "faults.md",
-)
+ENDINGS, PAGE = DOCS / "endings.toml", DOCS / "faults.md"
+RESULTS = DOCS / "results" / "campaign.json"
 ROOT = DOCS.parent
-SAMPLE = 60
+SAMPLE, TRIALS = 60, 20  # strikes of the sample; trials of a strike on a stepped wire
 # strikes of each kind, by bench
 TURNS = {"simulated": 10, "emulated": 4, "stepped wire": 5}
 ACTIVITIES = ("stacking", "collecting", "calibrating", "jogging")
@@ -253,12 +246,8 @@ def observe(watch: Watch, activity: str, seed: int) -> None:
         act(watch, activity, seed)
     except FaultError as error:
         watch.report(error.fault)
-    except InputError as error:
-        watch.report(Fault("INPUT", error.what, error.where, error.fix))
-    except RefusedError as error:
-        watch.report(Fault(error.reason, error.what, "Nothing was moved.", error.next_step))
     except (TouchdownError, OSError) as error:
-        watch.report(Fault(type(error).__name__, str(error), "", ""))
+        watch.report(_fault_of(error))
     end_s = session.clock_s() + SETTLE_S
     while session._scene is not None and session.clock_s() < end_s:
         with suppress(TouchdownError):
@@ -277,17 +266,6 @@ def lost_records(facts: Iterable[Event], dataset: Dataset, runs: Path | None) ->
         except (TouchdownError, OSError, KeyError, ValueError) as error:
             lost.append(f"{type(error).__name__}: {error}")
     return tuple(lost)
-
-
-def seen_by(watch: Watch, travel_mm: tuple[float, float, float], lost: tuple[str, ...]) -> Seen:
-    """Return what the watch has seen."""
-    fault, ended = watch.fault, not watch.session.engine.busy
-    if fault is None:
-        struck = watch.struck_s < inf
-        return Seen(openings=watch.openings, lost=lost, ended=ended, struck=struck)
-    message = (fault.what, fault.consequence, fault.next_step)
-    after_s = watch.reported_s - watch.struck_s
-    return Seen(fault.code, after_s, message, watch.openings, travel_mm, lost, ended)
 
 
 # -- strikes --------------------------------------------------------------------------------------
@@ -374,7 +352,13 @@ def strike_session(bench: str, kind: str, activity: str, seed: int, latest_s: fl
         disk.close()
         lost = lost_records(watch.facts, dataset, session.run_folder)
         watch.close()
-        return seen_by(watch, travel, lost)
+        ended, fault = not session.engine.busy, watch.fault
+        if fault is None:
+            struck = watch.struck_s < inf
+            return Seen(openings=watch.openings, lost=lost, ended=ended, struck=struck)
+        message = (fault.what, fault.consequence, fault.next_step)
+        after_s = watch.reported_s - watch.struck_s
+        return Seen(fault.code, after_s, message, watch.openings, travel, lost, ended)
 
 
 VERBS = {
@@ -420,11 +404,15 @@ def strike_program(bench: str, kind: str, activity: str, seed: int) -> Seen:
 
 
 def strike_driver(kind: str, seed: int) -> Seen:
-    """Feed the driver of one make with a fault of its stepped wire."""
+    """Feed the driver of one make with random faults of its stepped wire."""
     make = kind.split(":")[1]
     trials = {"arm": arm_trial, "gripper": gripper_trial, "camera": camera_trial}
-    ended = trials[make](seed) if make in trials else wrist_trial(seed, make)
-    return Seen("ended", 0.0, (ended.doing, ended.fault, str(ended.broken)), ended=not ended.broken)
+    for one in range(TRIALS * seed, TRIALS * (seed + 1)):
+        ended: Any = trials[make](one) if make in trials else wrist_trial(one, make)
+        message = ("", "", str(ended))
+        if ended.broken:
+            break
+    return Seen("ended", 0.0, message, ended=not ended.broken)
 
 
 def all_kinds() -> list[tuple[str, str]]:
@@ -467,15 +455,18 @@ def run_strike(number: int, bench: str, kind: str, activity: str) -> Row:
     """Run one strike and judge it."""
     rules, load = endings()
     seed, begun_s = 50_000 + number, time.monotonic()
-    if kind.startswith("program:"):
-        seen = strike_program(bench, kind, activity, seed)
-    elif bench == "stepped wire":
-        seen = strike_driver(kind, seed)
-    else:
-        for latest_s in (LATEST_S[bench], 2.0, 0.5):  # an activity may be over before
-            seen = strike_session(bench, kind, activity, seed, latest_s)
-            if seen.struck:
-                break
+    try:
+        if kind.startswith("program:"):
+            seen = strike_program(bench, kind, activity, seed)
+        elif bench == "stepped wire":
+            seen = strike_driver(kind, seed)
+        else:
+            for latest_s in (LATEST_S[bench], 2.0, 0.5):  # an activity may be over before
+                seen = strike_session(bench, kind, activity, seed, latest_s)
+                if seen.struck:
+                    break
+    except Exception as error:  # noqa: BLE001 - one strike does not end the campaign
+        seen = Seen("crashed", 0.0, (repr(error), "", traceback.format_exc()[-600:]), ended=False)
     broken = [name for name, holds in judge(rules[kind], seen, load).items() if not holds]
     return {
         "number": number, "bench": bench, "strike": kind, "activity": activity,
@@ -494,24 +485,17 @@ def source_hash() -> str:
     return found.hexdigest()[:16]
 
 
-def stored() -> Mapping[str, Any] | None:
-    """Return the stored campaign, None without one."""
-    return json.loads(RESULTS.read_text("utf-8")) if RESULTS.exists() else None
-
-
-def read_rows(source: str) -> list[Row]:
-    """Return the stored rows of this state of the sources."""
-    content = stored()
-    return list(content["strikes"]) if content and content["source"] == source else []
+def stored(source: str = "") -> Mapping[str, Any] | None:
+    """Return the stored campaign of this state of the sources ("": of any), None without one."""
+    content = json.loads(RESULTS.read_text("utf-8")) if RESULTS.exists() else None
+    return content if content and source in ("", content["source"]) else None
 
 
 def save(rows: Sequence[Row], source: str) -> None:
     """Store the rows and render the page."""
-    content = {
-        "date": datetime.datetime.now(tz=datetime.UTC).isoformat(timespec="seconds"),
-        "source": source,
-        "strikes": sorted(rows, key=lambda row: row["number"]),
-    }
+    date = datetime.datetime.now(tz=datetime.UTC).isoformat(timespec="seconds")
+    ordered = sorted(rows, key=lambda row: row["number"])
+    content = {"date": date, "source": source, "strikes": ordered}
     write_atomically(RESULTS, (json.dumps(content, indent=0) + "\n").encode())
     write_atomically(PAGE, rendered(PAGE.read_text("utf-8"), content).encode())
 
@@ -549,11 +533,8 @@ def results_table(content: Mapping[str, Any] | None) -> str:
     groups: dict[tuple[str, str], list[Row]] = defaultdict(list)
     for row in content["strikes"]:
         groups[row["bench"], row["strike"].split(":")[0]].append(row)
-    lines = [
-        f"{len(content['strikes'])} strikes, {content['date']}, source {content['source']}.",
-        "",
-    ]
-    lines += [f"| bench | device | strikes | {' | '.join(CHECKS)} | latest report |"]
+    lines = [f"{len(content['strikes'])} strikes, {content['date']}, source {content['source']}."]
+    lines += ["", f"| bench | device | strikes | {' | '.join(CHECKS)} | latest report |"]
     lines.append("|" + "---|" * (len(CHECKS) + 4))
     for (bench, device), rows in groups.items():
         broken = Counter(name for row in rows for name in row["broken"])
@@ -579,9 +560,8 @@ def summary(rows: Sequence[Row]) -> list[Figure]:
         broken = [row for row in rows if name in row["broken"]]
         first = broken[0] if broken else {}
         note = f"strike {first['number']}: {first['bench']} {first['strike']}" if broken else ""
-        found.append(
-            failures(f"fault campaign, not held: {name}", len(broken), f"of {len(rows)}", note)
-        )
+        told = f"fault campaign, not held: {name}"
+        found.append(failures(told, len(broken), f"of {len(rows)}", note))
     return found
 
 
@@ -603,16 +583,16 @@ def main() -> int:
 
     def keep(rows: list[Row]) -> None:
         last = rows[-1]
-        sys.stdout.write(f"{len(rows)} {last['bench']} {last['strike']} {last['activity']}: "
-                         f"{last['code'] or 'went on'} {last['broken'] or ''}\n")  # fmt: skip
+        told = (len(rows), last["bench"], last["strike"], last["activity"], last["code"] or "none")
+        sys.stdout.write(" ".join(map(str, (*told, *last["broken"]))) + "\n")
         sys.stdout.flush()
         if args.out is None:
             save(rows, source)
         else:
             write_atomically(args.out, json.dumps(rows, indent=0).encode())
 
-    known = read_rows(source) if args.out is None else []
-    rows = run(plan()[:: args.every], args.workers, keep, known)
+    known = stored(source) if args.out is None else None
+    rows = run(plan()[:: args.every], args.workers, keep, list(known["strikes"]) if known else [])
     for one in summary(rows):
         sys.stdout.write(f"{one.name}: {one.value} {one.unit} {one.note}\n")
     return int(any(row["broken"] for row in rows))

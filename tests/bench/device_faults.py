@@ -1,56 +1,20 @@
-"""Random faults of all devices by stepped clock, and damaged bytes on their lines."""
+"""Damaged bytes on the lines of all devices."""
 
 from __future__ import annotations
 
 import random
 import time
 import tracemalloc
-from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from multiprocessing import get_context
 
 import numpy as np
 
 from tests.backend.devices.codecs.codecs import CODECS, IN
 from tests.backend.devices.codecs.vectors import VECTORS, data
-from tests.backend.devices.melfa.trials import trial as trials_trial
-from tests.backend.devices.optoforce.trials_wrist import trial as trials_wrist_trial
-from tests.backend.devices.trials_camera import trial as trials_camera_trial
-from tests.backend.devices.wsg.trials_gripper import trial as trials_gripper_trial
-from tests.bench.figures import Figure, failures, figure
+from tests.bench.figures import Figure, figure
 from touchdown.backend.config.hardware import ForceTorqueSettings, HardwareSettings
 from touchdown.backend.devices.dynpick.driver import PERIOD_S, DynpickDriver
 from touchdown.backend.devices.dynpick.protocol import DynpickRecord, encode_record
 from touchdown.backend.devices.force_torque.reader import WrenchStamper
-
-TRIALS: Sequence[tuple[str, Callable[[int], object], int]] = (
-    ("arm", trials_trial, 500),
-    ("gripper, both protocols", trials_gripper_trial, 150),
-    ("wrist sensors, seven makes", trials_wrist_trial, 180),
-    ("tactile cameras", trials_camera_trial, 120),
-)
-LEAST = 500
-FIRST = 10_000  # seeds other than those of the tests and of the group ``arm``
-
-
-@figure("faults")
-def faults_of_every_device() -> list[Figure]:
-    """Random faults at random instants: count those not ended as documented."""
-    rows, total, missed = [], 0, 0
-    with ProcessPoolExecutor(2, get_context("spawn")) as pool:
-        for device, trial, count in TRIALS:
-            ended = list(pool.map(trial, range(FIRST, FIRST + count), chunksize=5))
-            broken = [one for one in ended if one.broken]
-            kinds = len({one.fault for one in ended})
-            told = f"{count} faults of {kinds} kinds" + (f"; {broken[0]}" if broken else "")
-            name = f"faults not ended as documented: {device}"
-            rows.append(failures(name, len(broken), "", told))
-            total, missed = total + count, missed + len(broken)
-    note = "no unsafe command in the emulators' logs, no acknowledged episode lost"
-    good = total >= LEAST and missed == 0
-    rows.append(Figure("injected faults in all", total, "", f">= {LEAST}", good, note))
-    return rows
-
 
 NOISE_BYTES, PIECE, BLOCK = 10_000_000, 256, 1_000_000
 # data rate of the fastest serial line of a device

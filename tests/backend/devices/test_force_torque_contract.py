@@ -29,7 +29,11 @@ from touchdown.backend.devices import registry
 from touchdown.backend.devices.bota import driver as bota_driver
 from touchdown.backend.devices.factories import make_force_torque
 from touchdown.backend.devices.force_torque.driver import WrenchReading
-from touchdown.backend.devices.force_torque.reader import WrenchStamper, require_plausible
+from touchdown.backend.devices.force_torque.reader import (
+    WrenchStamper,
+    implausible_text,
+    require_plausible,
+)
 from touchdown.backend.devices.framing import Wrench
 from touchdown.backend.devices.melfa.realtime_protocol import CYCLE_S
 from touchdown.backend.devices.netft import protocol as protocol_of_netft
@@ -352,6 +356,31 @@ def test_a_net_ft_with_little_endian_packets_is_refused_with_its_number_leap(tmp
         assert wired.driver.health.lost < 1000
     finally:
         wired.close()
+
+
+RANGE = np.array([100.0, 120.0, 200.0, 5.0, 6.0, 4.0])
+SWING = np.array([1.0, -1.0] * 20)  # of standard deviation 1
+
+
+@pytest.mark.promise("S11")
+@pytest.mark.parametrize(
+    ("axis", "mean", "noise", "refused"),
+    [
+        (2, -14.7, 5.9, ""),
+        (2, -14.7, 6.1, "Fz = -14.70 N scatters by 6.10"),
+        (4, 0.3, 0.19, "Ty = 0.30 N·m scatters by 0.19"),
+        (1, -59.0, 0.1, ""),
+        (1, -61.0, 0.1, "Fy = -61.00 N, more than half of its range"),
+        (5, 2.1, 0.01, "Tz = 2.10 N·m, more than half of its range"),
+        (0, 1.0, 0.0, "It repeats one value"),
+    ],
+)
+def test_still_air_is_judged_by_the_range_of_each_axis(axis, mean, noise, refused):
+    values = np.zeros((len(SWING), 6))
+    values[:, axis] = mean + noise * SWING
+    assert implausible_text(values, RANGE) == refused
+    values[:20] = np.nan
+    assert implausible_text(values, RANGE) == "20 of 40 samples are not valid"
 
 
 class Peer:

@@ -83,6 +83,7 @@ class EmulatedJaws:
         self.state = GraspState.IDLE
         self.flags = SystemFlag(0)
         self.motion: JawMotion | None = None
+        self.soft_limits_mm: tuple[float, float] | None = None
         self.statistics = (0, 0, 0)  # number of grasps, of grasps without a part, of lost parts
 
     def count(self, *, missed: int = 0, lost: int = 0) -> None:
@@ -95,8 +96,13 @@ class EmulatedJaws:
         """Sum over both fingers."""
         return self.force_limit_n if self.state is GraspState.HOLDING else 0.0
 
+    def accepts(self, width_mm: float) -> bool:
+        """Return True for a width within the stroke and the soft limits."""
+        low, high = self.soft_limits_mm or (0.0, self.profile.stroke_mm)
+        return max(low, 0.0) <= width_mm <= min(high, self.profile.stroke_mm)
+
     def begin(self, now_s: float, command: WsgCommand, target_mm: float, speed_mm_s: float) -> None:
-        """Start a motion; width and speed are clamped to what the gripper can do."""
+        """Start a motion; the speed is clamped to what the gripper can do."""
         slowest, fastest = self.profile.speed_mm_s
         speed = min(max(speed_mm_s, slowest), fastest)
         target = min(max(target_mm, 0.0), self.profile.stroke_mm)
@@ -175,6 +181,14 @@ class PeriodicUpdate:
         return True
 
 
+WsgAction = Callable[[WsgRequest], tuple[WsgStatus, tuple[Number, ...]]]
+
+
+def _unavailable(request: WsgRequest) -> tuple[WsgStatus, tuple[Number, ...]]:
+    """Answer a command of a script or a finger sensor: this gripper has neither."""
+    return WsgStatus.NOT_AVAILABLE, ()
+
+
 class EmulatedWsg:
     """Emulated gripper; set ``jaws.part_mm`` at any time to add or remove a part. ``faults``:
     faults of the gripper itself. ``keeps_grip``: True if a piece stays held after an announced
@@ -195,11 +209,20 @@ class EmulatedWsg:
         self._requests = protocol.requests()
         self._updates: dict[WsgCommand, PeriodicUpdate] = {}
         self._acceleration_mm_s2 = self.jaws.profile.acceleration_mm_s2[0]
+        self._tag = b""
         self._leaving = False
         self._lost_mm: float | None = None
         self.barred = 0  # motion commands before a fault was acknowledged
-        self._actions: dict[int, Callable[[WsgRequest], tuple[WsgStatus, tuple[Number, ...]]]] = {
+        none = dict.fromkeys((*protocol.SCRIPTS, *protocol.FINGERS, WsgCommand.TARE), _unavailable)
+        self._actions: dict[int, WsgAction] = {
+            **none,
             WsgCommand.LOOP: lambda request: (WsgStatus.SUCCESS, request.values),
+            WsgCommand.SET_TAG: self._set_tag,
+            WsgCommand.GET_TAG: lambda _: (WsgStatus.SUCCESS, (self._tag,) if self._tag else ()),
+            WsgCommand.SET_SOFT_LIMITS: self._set_soft_limits,
+            WsgCommand.GET_SOFT_LIMITS: self._soft_limits,
+            WsgCommand.CLEAR_SOFT_LIMITS: self._clear_soft_limits,
+            WsgCommand.OVERDRIVE: self._overdrive,
             WsgCommand.ACKNOWLEDGE: self._acknowledge,
             WsgCommand.SET_ACCELERATION: self._set_acceleration,
             WsgCommand.SET_FORCE_LIMIT: self._set_force_limit,
@@ -280,17 +303,20 @@ class EmulatedWsg:
             refusal = WsgStatus.NOT_INITIALIZED
         if refusal is not WsgStatus.CMD_PENDING:
             return WsgReply(command, refusal)
-        numbers = [float(value) for value in values]
         if command is WsgCommand.HOME:
-            target = 0.0 if numbers[0] == 2 else jaws.profile.stroke_mm
-            jaws.begin(now_s, command, target, _HOME_SPEED_MM_S)
-        elif command is WsgCommand.PREPOSITION:
-            relative = jaws.width_mm if int(numbers[0]) & 1 else 0.0
-            jaws.begin(now_s, command, relative + numbers[1], numbers[2])
-        else:
-            travel = CLAMPING_TRAVEL_MM if command is WsgCommand.GRASP else 0.0
-            jaws.begin(now_s, command, numbers[0] - travel, numbers[1])
-        return WsgReply(command, WsgStatus.CMD_PENDING)
+            if values[0] not in (0, 1, 2):
+                return WsgReply(command, WsgStatus.INVALID_PARAMETER)
+            target_mm = 0.0 if values[0] == 2 else jaws.profile.stroke_mm
+            jaws.begin(now_s, command, target_mm, _HOME_SPEED_MM_S)
+            return WsgReply(command, refusal)
+        *flags, width_mm, speed_mm_s = (float(value) for value in values)
+        if flags and int(flags[0]) & 1:
+            width_mm += jaws.width_mm
+        if not jaws.accepts(width_mm):
+            return WsgReply(command, WsgStatus.RANGE_ERROR)
+        travel_mm = CLAMPING_TRAVEL_MM if command is WsgCommand.GRASP else 0.0
+        jaws.begin(now_s, command, width_mm - travel_mm, speed_mm_s)
+        return WsgReply(command, refusal)
 
     def _halt(self, command: int) -> list[WsgReply]:
         self._leaving = command == WsgCommand.DISCONNECT
@@ -318,7 +344,36 @@ class EmulatedWsg:
 
     def _set_force_limit(self, request: WsgRequest) -> tuple[WsgStatus, tuple[Number, ...]]:
         low, high = self.jaws.profile.force_sum_n
-        self.jaws.force_limit_n = min(max(float(request.values[0]), low), high)
+        force_sum_n = float(request.values[0])
+        if not low <= force_sum_n <= high:
+            return WsgStatus.RANGE_ERROR, ()
+        self.jaws.force_limit_n = force_sum_n
+        return WsgStatus.SUCCESS, ()
+
+    def _set_tag(self, request: WsgRequest) -> tuple[WsgStatus, tuple[Number, ...]]:
+        self._tag = b"".join(value for value in request.values if isinstance(value, bytes))
+        return WsgStatus.SUCCESS, ()
+
+    def _set_soft_limits(self, request: WsgRequest) -> tuple[WsgStatus, tuple[Number, ...]]:
+        low, high = (float(value) for value in request.values)
+        if not 0.0 <= low < high <= self.jaws.profile.stroke_mm:
+            return WsgStatus.RANGE_ERROR, ()
+        self.jaws.soft_limits_mm = low, high
+        return WsgStatus.SUCCESS, ()
+
+    def _soft_limits(self, request: WsgRequest) -> tuple[WsgStatus, tuple[Number, ...]]:
+        limits = self.jaws.soft_limits_mm
+        return (WsgStatus.SUCCESS, limits) if limits else (WsgStatus.NOT_AVAILABLE, ())
+
+    def _clear_soft_limits(self, request: WsgRequest) -> tuple[WsgStatus, tuple[Number, ...]]:
+        self.jaws.soft_limits_mm = None
+        return WsgStatus.SUCCESS, ()
+
+    def _overdrive(self, request: WsgRequest) -> tuple[WsgStatus, tuple[Number, ...]]:
+        # The overdrive limit of this profile is the nominal force: only the flag changes.
+        on = int(request.values[0]) & 1
+        self.jaws.flags &= ~SystemFlag.OVERDRIVE_MODE
+        self.jaws.flags |= SystemFlag.OVERDRIVE_MODE if on else SystemFlag(0)
         return WsgStatus.SUCCESS, ()
 
     def _statistics(self, request: WsgRequest) -> tuple[WsgStatus, tuple[Number, ...]]:
@@ -380,7 +435,8 @@ ORDERS = {
     "FSACK": protocol.acknowledge(),
     "BYE": WsgRequest(WsgCommand.DISCONNECT),
 }
-MOTIONS = ("HOME", "MOVE", "GRIP", "RELEASE")
+# Motions with the least and the largest number of their arguments.
+MOTIONS = {"HOME": (0, 1), "MOVE": (1, 2), "GRIP": (0, 3), "RELEASE": (0, 2)}
 OTHERS = ("AUTOSEND", "SYSFLAGS", "GRIPSTATS", "FDATA")
 COMMANDS = frozenset({*READINGS, *SELVES, *KEPT, *ORDERS, *MOTIONS, *OTHERS})
 FLAGS, LONGEST_NAME = 32, 32
@@ -508,9 +564,17 @@ class EmulatedGcl:
 
     def _move(self, now_s: float, name: str, arguments: tuple[Scalar, ...]) -> list[GclLine]:
         numbers = [float(value) for value in arguments if not isinstance(value, str)]
-        if len(numbers) != len(arguments) or (name == "MOVE" and not numbers):
+        least, most = MOTIONS[name]
+        if len(numbers) != len(arguments) or not least <= len(numbers) <= most:
             return [self._ended(name, WsgStatus.CMD_FORMAT_ERROR, "ACK")]
-        request = self._request(now_s, name, numbers)
+        widths_mm = {"GRIP": numbers[1:2], "RELEASE": numbers[:1]}.get(name, [])
+        if not all(map(self.gripper.jaws.accepts, widths_mm)):
+            return [self._ended(name, WsgStatus.RANGE_ERROR, "ACK")]
+        if name == "GRIP" and numbers:
+            told = self._ask(now_s, protocol.set_force_limit(numbers[0]))
+            if told.status != WsgStatus.SUCCESS:
+                return [self._ended(name, told.status, "ACK")]
+        request = self._request(name, numbers)
         self._called[request.command] = name
         # Before the request: the end of a motion may come with the answer.
         self._acknowledged_s = now_s
@@ -519,19 +583,20 @@ class EmulatedGcl:
             return [GclAnswer("ACK", name)]
         return [self._ended(name, status, "ACK")]
 
-    def _request(self, now_s: float, name: str, numbers: list[float]) -> WsgRequest:
+    def _request(self, name: str, numbers: list[float]) -> WsgRequest:
         if name == "HOME":
-            return protocol.home(int(numbers[0]) if numbers else 0)
+            direction = numbers[0] if numbers else 0
+            return protocol.home(int(direction) if direction in (0, 1, 2) else 255)
         if name == "MOVE":
             return protocol.preposition(numbers[0], [*numbers, _SPEED_MM_S][1])
         if name == "GRIP":
-            if numbers:
-                self._ask(now_s, protocol.set_force_limit(numbers[0]))
             width_mm, speed_mm_s = [*numbers[1:], *(0.0, _SPEED_MM_S)[len(numbers[1:]) :]]
             return protocol.grasp(width_mm, speed_mm_s)
         distance_mm, speed_mm_s = [*numbers, *(_RELEASE_MM, _SPEED_MM_S)[len(numbers) :]]
         share = 1.0 if self._settings.gcl_release == "width" else 2.0
-        return protocol.release(self.gripper.jaws.width_mm + share * distance_mm, speed_mm_s)
+        jaws = self.gripper.jaws
+        width_mm = min(jaws.width_mm + share * distance_mm, jaws.profile.stroke_mm)
+        return protocol.release(width_mm, speed_mm_s)
 
     def _ask(self, now_s: float, request: WsgRequest) -> WsgReply:
         """Return the gripper's answer; ends of motions in it are sent when due."""
@@ -545,8 +610,9 @@ class EmulatedGcl:
             if reply.command == command:
                 found = reply
             elif name := self._called.get(reply.command):
-                good = reply.status == WsgStatus.SUCCESS
-                at_s = max(now_s, self._acknowledged_s + APART_S) if good else now_s
+                # A stop ends a motion at once, unless it came together with the motion.
+                stopped = reply.status == WsgStatus.CMD_ABORTED and now_s > self._acknowledged_s
+                at_s = now_s if stopped else max(now_s, self._acknowledged_s + APART_S)
                 self._waiting.append((at_s, self._ended(name, reply.status, "FIN")))
         return found
 

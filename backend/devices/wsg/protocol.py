@@ -134,7 +134,14 @@ class GraspState(IntEnum):
 
 LONGEST_UNKNOWN = 64  # longest payload of a command outside the tables; longer ones are noise
 # Commands with a payload of any length up to this.
-TEXT: dict[int, int] = {WsgCommand.LOOP: 256, WsgCommand.SET_TAG: 64, WsgCommand.GET_TAG: 64}
+SCRIPTS = (0xB0, 0xB1, 0xB2, 0xBA, 0xBB)  # commands of a script loaded into the gripper
+FINGERS = (0x60, 0x61, 0x62, 0x63, 0x70, 0x71, 0x72, 0x73)  # commands of fingers with sensors
+TEXT: dict[int, int] = {
+    WsgCommand.LOOP: 256,
+    WsgCommand.SET_TAG: 64,
+    WsgCommand.GET_TAG: 64,
+    **dict.fromkeys(SCRIPTS, 256),
+}
 
 NOTHING = "<"
 # Readings that are sent once or periodically.

@@ -18,6 +18,7 @@ from touchdown.backend.config.hardware import HardwareSettings, WsgSettings
 from touchdown.backend.config.simulation import SimulationSettings
 from touchdown.backend.core.faults import FaultError, RefusedError
 from touchdown.backend.devices.factories import make_gripper
+from touchdown.backend.devices.framing import crc_wsg
 from touchdown.backend.devices.interlock import ByHand
 from touchdown.backend.devices.leptrino.emulator import EmulatedLeptrino
 from touchdown.backend.devices.protocols import DeviceState
@@ -444,6 +445,87 @@ def test_a_line_of_no_known_form_is_refused_by_its_name(line, answer):
     )
     # What names nothing has no answer, and the next line has.
     assert mouth.receive(0.2, b"\x00?!\nSN?\n") == b"SN=12345\n"
+
+
+def told(mouth, now_s, line):
+    return mouth.receive(now_s, line + b"\n").decode().splitlines()
+
+
+@pytest.mark.parametrize(
+    ("request_", "line"),
+    [
+        (protocol.preposition(150, 50), b"MOVE(150)"),
+        (protocol.preposition(-5, 50), b"MOVE(-5,50)"),
+        (protocol.preposition(30, 50, relative=True), b"MOVE(96)"),
+        (protocol.grasp(67, 50), b"GRIP(10,67)"),
+        (protocol.release(66.5, 50), b"RELEASE(66.5)"),
+        (protocol.set_force_limit(500), b"GRIP(500)"),
+        (protocol.set_force_limit(4), b"GRIP(4)"),
+    ],
+)
+def test_a_width_or_force_beyond_the_gripper_is_a_range_error_and_moves_nothing(request_, line):
+    client = Client(part_mm=20.0)
+    assert client.send(10.0, request_) == [WsgReply(request_.command, WsgStatus.RANGE_ERROR)]
+    mouth, (name, _, _) = EmulatedGcl(client.gripper), line.partition(b"(")
+    assert told(mouth, 10.1, line) == [f"ERR {name.decode()} 28"]
+    assert client.gripper.jaws.motion is None
+    assert client.read(12.0, WsgCommand.WIDTH) == 66.0
+    assert client.gripper.jaws.force_limit_n == 5.0
+
+
+def test_soft_limits_bound_the_targets_until_they_are_cleared():
+    client, ask = Client(), WsgRequest(WsgCommand.GET_SOFT_LIMITS)
+    assert client.send(10.0, ask)[0].status == WsgStatus.NOT_AVAILABLE
+    beyond = WsgRequest(WsgCommand.SET_SOFT_LIMITS, (10, 67))
+    assert client.send(10.0, beyond)[0].status == WsgStatus.RANGE_ERROR
+    client.send(10.0, WsgRequest(WsgCommand.SET_SOFT_LIMITS, (10, 50)))
+    assert client.send(10.0, ask)[0].values == (10.0, 50.0)
+    for width_mm in (9.0, 51.0):
+        assert client.send(10.0, protocol.preposition(width_mm, 50))[0].status == 28
+    client.send(10.0, WsgRequest(WsgCommand.CLEAR_SOFT_LIMITS))
+    assert client.send(10.0, protocol.preposition(9, 50))[0].status == WsgStatus.CMD_PENDING
+
+
+@pytest.mark.parametrize("command", [*protocol.SCRIPTS, *protocol.FINGERS, WsgCommand.TARE])
+def test_scripts_and_finger_sensors_are_answered_as_not_available(command):
+    size = 200 if command in protocol.SCRIPTS else 0
+    head = b"\xaa\xaa\xaa" + bytes((command,)) + size.to_bytes(2, "little") + bytes(size)
+    out = Client().gripper.receive(10.0, head + crc_wsg(head).to_bytes(2, "little"))
+    (reply,) = protocol.replies().feed(out)
+    assert (reply.command, reply.status) == (command, WsgStatus.NOT_AVAILABLE)
+
+
+def test_a_tag_and_the_overdrive_are_kept():
+    client = Client()
+    client.send(10.0, WsgRequest(WsgCommand.SET_TAG, (b"left",)))
+    assert client.send(10.0, WsgRequest(WsgCommand.GET_TAG))[0].values == (b"left",)
+    for on in (1, 0):
+        client.send(10.0, WsgRequest(WsgCommand.OVERDRIVE, (on,)))
+        state = client.read(10.0, WsgCommand.SYSTEM_STATE)
+        assert bool(state & SystemFlag.OVERDRIVE_MODE) == bool(on)
+
+
+@pytest.mark.parametrize("line", [b"MOVE(10)", b"GRIP(10,66)"])
+def test_an_error_never_shares_a_segment_with_its_acknowledgement(line):
+    """The jaws stand at the block already, or find no part on a short way."""
+    client = Client(part_mm=66.0 if b"MOVE" in line else None)
+    mouth, name = EmulatedGcl(client.gripper), line[:4].decode()
+    # A server sends what is due together with the answer.
+    first = mouth.receive(10.0, line + b"\n") + mouth.due(10.001)
+    assert first.decode().splitlines() == [f"ACK {name}"]
+    assert mouth.due(10.09) == b""
+    assert mouth.due(10.2).decode().startswith(f"ERR {name} ")
+    mouth.receive(20.0, b"FSACK()\n")
+    mouth.gripper.jaws.part_mm = None
+    assert told(mouth, 20.0, b"MOVE(10)\nSTOP()") == ["ACK MOVE", "ACK STOP"]
+    assert mouth.due(20.2) == b"ERR MOVE 19\n"
+
+
+@pytest.mark.parametrize(
+    ("line", "code"), [(b"HOME(300)", 24), (b"GRIP(10,20,50,1)", 15), (b"RELEASE(1,2,3)", 15)]
+)
+def test_a_call_with_senseless_arguments_is_refused(line, code):
+    assert told(EmulatedGcl(EmulatedWsg()), 0.0, line)[0].endswith(f" {code}")
 
 
 def test_grasps_are_counted_until_they_are_reset():

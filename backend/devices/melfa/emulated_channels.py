@@ -18,6 +18,7 @@ from touchdown.backend.core import FloatArray
 from touchdown.backend.devices.framing import LineStream, ProtocolError
 from touchdown.backend.devices.melfa import r3_protocol, realtime_protocol
 from touchdown.backend.devices.melfa.emulated_controller import (
+    READY_RAD,
     SPEEDS_RAD_S,
     STREAM,
     EmulatedController,
@@ -31,6 +32,8 @@ from touchdown.backend.devices.melfa.r3_protocol import (
     LONGEST_REQUEST,
     AxisReading,
     ControllerState,
+    NumberVariable,
+    PositionVariable,
     ProgramProgress,
     R3Reply,
     R3Request,
@@ -190,11 +193,23 @@ GAP_S = 0.05
 PACE_S = 0.1
 TEXTS = {
     50: "External emergency stop",
+    51: "Wiring of the external emergency stop",
     61: "Emergency stop of the operation panel",
     70: "Emergency stop of the teaching box",
+    71: "Wiring of the teaching box",
     2000: "Servo is off",
+    2601: "Start position over the limit",
     2602: "Destination position over the limit",
+    2603: "Middle position over the limit",
+    2802: "Illegal destination data",
     4140: "The program was not found",
+    4340: "Undefined variable",
+    4350: "Duplicate variable",
+    5120: "The slot is not in the program selection state",
+    5600: "Not possible during an error",
+    5610: "Not possible during the stop signal",
+    5640: "Not possible while running",
+    6020: "The operation right was not acquired",
 }
 OPENED = (
     "3F;3F;7,0;3,5,A,1E,32,46,64;MB6;PRM;{robot};CR800-D;MELFA;20-11-19;Ver.C1;ENG;"
@@ -204,8 +219,14 @@ OPENED = (
 NETPORTS = tuple(range(10000, 10010))
 FORCE = "P_FsCurD"  # variable of the controller's own force sensor
 _ENDS = {"none": b"", "cr": b"\r", "crlf": b"\r\n"}
-_PLACE = re.compile(r"(?i)(MOV|MVS) \(([^()]*)\)\([0-9]+,[0-9]+\)")
-_SPEED = re.compile(r"(?i)(SPD|JOVRD|OVRD) ([0-9.]+)")
+_PLACE = r"\(([^()]*)\) ?(?:\([0-9]+,[0-9]+\))?"
+_MOVE = re.compile(rf"(?i)(MOV|MVS) (?:{_PLACE}|([A-Z][A-Z0-9_]*))")
+_SPEED = re.compile(r"(?i)(SPD|JOVRD|OVRD) ([0-9.]+|M_N\1)")
+_FRAME = re.compile(rf"(?i)(BASE|TOOL) (?:{_PLACE}|P_N\1)")
+_DEFINE = re.compile(r"(?i)DEF (?:POS|JNT) ([A-Z][A-Z0-9_]*)")
+_ASSIGN = re.compile(rf"(?i)([A-Z][A-Z0-9_]*)={_PLACE}")
+_TOOL_NUMBER = re.compile(r"(?i)M_TOOL=([0-9]+)")
+NO_LIMIT = 10_000.0  # default of SPD: the joints alone limit the speed
 
 
 class EmulatedCommands:
@@ -216,7 +237,7 @@ class EmulatedCommands:
         self._lines: LineStream[R3Request | None] = LineStream(_request, LONGEST_REQUEST)
         self._end = b""
         self._byte_s = self._exchange_s = -math.inf
-        self._speed_share = 0.1
+        self._speed_share, self._speed_mm_s = 0.1, NO_LIMIT
         self.too_fast = 0  # number of exchanges less than 100 ms apart during a program
         self.received: deque[R3Request] = deque(maxlen=1000)
         self.gone = False
@@ -290,7 +311,7 @@ class EmulatedCommands:
             "STATE": self._state,
             "DSTATE": self._progress,
             "ERROR": self._error,
-            "ERRORMES": lambda request: TEXTS.get(int(request.argument), "No text"),
+            "ERRORMES": self._text,
             "PPOS": self._place,
             "JPOS": self._joints,
             "EXEC": self._execute,
@@ -300,8 +321,14 @@ class EmulatedCommands:
             "STPSIG": lambda _: f"0;{int(self._controller.emergency)}",
             "ATENA": lambda _: "0",
             "CALIB": lambda _: "N3F3F",
-            "TOOLRD": lambda _: "0",
+            "TOOLSET=": self._set_tool,
+            "TOOLRD": lambda _: str(self._controller.tool),
+            "MOVSP": self._move_to_safe_position,
+            "OUT=": self._set_outputs,
+            "OUT": lambda request: self._controller.outputs.get(request.argument, "0000"),
+            "IN": lambda _: "0000",
             "PAR": self._parameter,
+            "PNR": self._parameter,
             "HOT": self._write,
             "VAL": self._value,
         }
@@ -323,15 +350,48 @@ class EmulatedCommands:
 
     def _set_override(self, request: R3Request) -> str:
         self._controller.require(self)
-        self._controller.override = int(request.argument)
-        return request.argument
+        self._controller.override = round(self._within(request.argument, 1.0, 100.0))
+        return str(self._controller.override)
+
+    def _within(self, text: str, least: float, most: float) -> float:
+        """Return the number of ``text``; raises the refusal of another."""
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not least <= value <= most:
+            raise RefusedCommandError(self._controller.settings.r3.error_unknown)
+        return value
+
+    def _text(self, request: R3Request) -> str:
+        mxt, r3 = self._controller.settings.mxt, self._controller.settings.r3
+        own = {
+            mxt.error_overspeed: "Joint speed over the limit during Mxt",
+            mxt.error_timeout: "No packet within MXTTOUT during Mxt",
+            r3.error_unknown: "Unknown command or argument",
+        }
+        return {**TEXTS, **own}.get(int(request.argument), "No text")
+
+    def _set_tool(self, request: R3Request) -> str:
+        self._controller.require(self)
+        self._controller.tool = int(request.argument)
+        return ""
+
+    def _set_outputs(self, request: R3Request) -> str:
+        head, bits = request.arguments
+        self._controller.outputs[head] = bits
+        return ""
+
+    def _move_to_safe_position(self, request: R3Request) -> str:
+        self._controller.require(self, servo=True, still=True)
+        self._controller.move(READY_RAD, straight=False, speed_share=self._speed_share)
+        return ""
 
     def _load(self, request: R3Request) -> str:
         self._controller.require(self, still=True)
         if self._controller.held:
             raise RefusedCommandError(5120)
-        self._controller.require_program(request.argument)
-        self._controller.loaded = request.argument
+        self._controller.loaded = self._controller.require_program(request.argument)
         return ""
 
     def _run(self, request: R3Request) -> str:
@@ -379,11 +439,23 @@ class EmulatedCommands:
         return f"{error};{1 if error < 1000 else 2}" if error else ""
 
     def _parameter(self, request: R3Request) -> str:
-        if request.argument == "NETPORT":
+        name, controller = request.argument, self._controller
+        if name == "NETPORT":
             return f"NETPORT;{','.join(map(str, NETPORTS))};{len(NETPORTS)}"
-        if request.argument != "MXTTOUT":
-            raise RefusedCommandError(self._controller.settings.r3.error_unknown)
-        return f"MXTTOUT;{self._controller.settings.mxt.mxttout};1"
+        limits = np.degrees(LIMITS_RAD).round(2).tolist()
+        values: dict[str, tuple[float, ...]] = {
+            "MXTTOUT": (controller.settings.mxt.mxttout,),
+            "MEJAR": (*(end for limit in limits for end in (-limit, limit)), 0.0, 0.0, 0.0, 0.0),
+            "MEPAR": (-1e4, 1e4) * 3,
+            "JSAFE": (*np.degrees(READY_RAD).round(2).tolist(), 0.0, 0.0),
+            "MEXTL": controller.frames["TOOL"],
+            "MEXBS": controller.frames["BASE"],
+        }
+        if name not in values:
+            raise RefusedCommandError(controller.settings.r3.error_unknown)
+        numbers = values[name]
+        texts = (str(n) if isinstance(n, int) else f"{n:.2f}" for n in numbers)
+        return f"{name};{', '.join(texts)};{len(numbers)}"
 
     def _write(self, request: R3Request) -> str:
         program, assignment = request.arguments
@@ -399,18 +471,52 @@ class EmulatedCommands:
         if request.argument == FORCE:
             numbers = ",".join(f"{number:+.2f}" for number in self._controller.felt())
             return f"{FORCE}=({numbers})(0,0)"
-        value = self._controller.variables.get(request.argument)
+        name, controller = request.argument, self._controller
+        status = {
+            "M_SVO": float(controller.servo),
+            "M_RSPD": round(controller.speed_mm_s, 2),
+            "M_JOVRD": 100.0 * self._speed_share,
+            "M_TOOL": float(controller.tool),
+        }
+        x, y, z, *angles = self._shown_place()
+        places = {
+            **controller.positions,
+            "P_FBC": (x, y, z, *map(math.degrees, angles)),
+            "P_TOOL": controller.frames["TOOL"],
+            "P_BASE": controller.frames["BASE"],
+        }
+        if name.upper() in places:
+            return PositionVariable(name, places[name.upper()], FLAGS).answer()
+        if name.upper() in status:
+            return NumberVariable(name, status[name.upper()]).answer()
+        value = controller.variables.get(name)
         if value is None:
             raise RefusedCommandError(4340)
-        return f"{request.argument}={value:+g}"
+        return f"{name}={value:+g}"
 
     # -- positions and moves ----------------------------------------------------------------------
 
     def _place(self, request: R3Request) -> str:
+        values, controller = self._shown_place(), self._controller
+        return AxisReading(tuple("XYZABC"), values, FLAGS, controller.override, 0.0).answer()
+
+    def _shown_place(self) -> tuple[float, ...]:
+        """Return position, mm, and angles, rad, of the tool in the coordinates that BASE sets."""
         frame = frame_of(self._controller.joints.feedback_rad)
+        frame = self._frame("BASE") @ frame @ self._frame("TOOL")
         turned = angles_of(frame[:3, :3], self._controller.settings.euler)
-        values = (*frame[:3, 3].tolist(), *turned)
-        return AxisReading(tuple("XYZABC"), values, FLAGS, self._controller.override, 0.0).answer()
+        return (*frame[:3, 3].tolist(), *turned)
+
+    def _frame(self, name: str) -> FloatArray:
+        return self._frame_of(self._controller.frames[name])
+
+    def _frame_of(self, numbers: Sequence[float]) -> FloatArray:
+        """Return the (4, 4) frame of six numbers, mm and degrees."""
+        frame = np.eye(4)
+        a, b, c = map(math.radians, numbers[3:])
+        frame[:3, :3] = hand_of(a, b, c, self._controller.settings.euler)
+        frame[:3, 3] = numbers[:3]
+        return frame
 
     def _joints(self, request: R3Request) -> str:
         names = tuple(f"J{k + 1}" for k in range(6))
@@ -424,37 +530,74 @@ class EmulatedCommands:
         return ""
 
     def _execute(self, request: R3Request) -> str:
-        controller = self._controller
-        controller.require(self, servo=True, still=True)
-        if found := _SPEED.fullmatch(request.argument):
-            self._speed_share = min(max(float(found[2]) / 100.0, 0.01), 1.0)
-            return ""
-        place = _PLACE.fullmatch(request.argument)
-        if place is None:
-            raise RefusedCommandError(4340)
-        target = self._solved([float(text) for text in place[2].split(",")])
-        straight = place[1].upper() == "MVS"
-        controller.move(target, straight=straight, speed_share=self._speed_share)
+        controller, text = self._controller, request.argument
+        moves = text[:3].upper() in ("MOV", "MVS")
+        controller.require(self, servo=moves, still=True)
+        if found := _MOVE.fullmatch(text):
+            numbers = self._numbers(found[2]) if found[3] is None else self._named(found[3])
+            self._move(numbers, straight=found[1].upper() == "MVS")
+        elif found := _SPEED.fullmatch(text):
+            self._set_speed(found[1].upper(), found[2])
+        elif found := _FRAME.fullmatch(text):
+            numbers = self._numbers(found[2]) if found[2] is not None else (0.0,) * 6
+            controller.frames[found[1].upper()] = numbers
+        elif found := _TOOL_NUMBER.fullmatch(text):
+            controller.tool = int(self._within(found[1], 1, 16))
+        elif found := _DEFINE.fullmatch(text):
+            if found[1].upper() in controller.positions:
+                raise RefusedCommandError(4350)
+            controller.positions[found[1].upper()] = (0.0,) * 6
+        elif found := _ASSIGN.fullmatch(text):
+            self._named(found[1])
+            controller.positions[found[1].upper()] = self._numbers(found[2])
+        else:
+            raise RefusedCommandError(controller.settings.r3.error_unknown)
         return ""
 
-    def _solved(self, numbers: list[float]) -> FloatArray:
-        if len(numbers) != 6:
+    def _set_speed(self, kind: str, text: str) -> None:
+        if kind == "SPD":
+            plain = text.upper() == "M_NSPD"
+            self._speed_mm_s = NO_LIMIT if plain else self._within(text, 0.01, NO_LIMIT)
+            return
+        percent = 100.0 if text.upper().startswith("M_N") else self._within(text, 1.0, 100.0)
+        if kind == "OVRD":
+            self._controller.override = round(percent)
+        else:
+            self._speed_share = percent / 100.0
+
+    def _named(self, name: str) -> tuple[float, ...]:
+        numbers = self._controller.positions.get(name.upper())
+        if numbers is None:
+            raise RefusedCommandError(4340)
+        return numbers
+
+    def _numbers(self, text: str) -> tuple[float, ...]:
+        """Return six numbers; a missing one is 0."""
+        try:
+            numbers = tuple(float(part or 0.0) for part in text.split(","))
+        except ValueError:
+            numbers = ()
+        if len(numbers) != 6 or not all(map(math.isfinite, numbers)):
             raise RefusedCommandError(2802)
+        return numbers
+
+    def _move(self, numbers: tuple[float, ...], *, straight: bool) -> None:
         controller = self._controller
-        frame = np.eye(4)
-        a, b, c = map(math.radians, numbers[3:])
-        frame[:3, :3] = hand_of(a, b, c, controller.settings.euler)
-        frame[:3, 3] = numbers[:3]
+        base, tool = (np.linalg.inv(self._frame(name)) for name in ("BASE", "TOOL"))
+        frame = base @ self._frame_of(numbers) @ tool
         target = solve(frame, controller.joints.command_rad)
         if target is None:
             raise RefusedCommandError(2602)
-        return target
+        most_mm_s = self._speed_mm_s if straight else math.inf
+        controller.move(
+            target, straight=straight, speed_share=self._speed_share, most_mm_s=most_mm_s
+        )
 
 
 def _request(content: bytes) -> R3Request | None:
     """Return the request, None for an unknown one, which is answered with an error."""
     try:
-        return r3_protocol.decode_request(content)
+        return r3_protocol.decode_request(content, foreign=True)
     except ProtocolError:
         return None
 

@@ -327,6 +327,10 @@ class EmulatedController:
         self._moving: ActiveMove | None = None
         self._probe: EmulatedProbe | None = None
         self.variables: dict[str, float] = {}  # variables of the force program
+        # Number of the tool; outputs by their head; positions, base and tool: six numbers, mm, deg.
+        self.tool, self.outputs = 0, dict[str, str]()
+        self.positions: dict[str, tuple[float, ...]] = {}
+        self.frames: dict[str, tuple[float, ...]] = {"BASE": (0.0,) * 6, "TOOL": (0.0,) * 6}
         # Wrench on the tool (6,), N and N·m in base axes, for the controller's own sensor.
         self.felt: Callable[[], FloatArray] = lambda: np.zeros(6)
         # Called once per cycle; the stream counts its silence there.
@@ -385,6 +389,15 @@ class EmulatedController:
         self.joints.cycle()
         self._past.append((self.now_s, self.joints.true_rad))
 
+    @property
+    def speed_mm_s(self) -> float:
+        """Speed of the flange over the last cycle."""
+        if len(self._past) < 2:
+            return 0.0
+        (start_s, start_rad), (end_s, end_rad) = self._past[-2], self._past[-1]
+        way = frame_of(end_rad)[:3, 3] - frame_of(start_rad)[:3, 3]
+        return float(np.linalg.norm(way)) / (end_s - start_s)
+
     def joints_at(self, t_s: float) -> FloatArray:
         """Return the joints (6,) at a past time, interpolated between cycles."""
         past = list(self._past)
@@ -422,8 +435,7 @@ class EmulatedController:
 
     def run_program(self, name: str) -> None:
         """Run the program ``name``: the one that opens the stream, or the one that presses."""
-        name = name or self.loaded
-        self.require_program(name)
+        name = self.require_program(name or self.loaded)
         if self.held:
             raise RefusedCommandError(5120)
         self.loaded = name
@@ -438,11 +450,13 @@ class EmulatedController:
         )
         self.program = PROBE
 
-    def require_program(self, name: str) -> None:
-        """Raise the refusal of an unknown program."""
+    def require_program(self, name: str) -> str:
+        """Return ``name`` without its extension; raises the refusal of an unknown program."""
+        name = name.partition(".")[0]
         here = (self.settings.mxt.program, PLAIN, self.settings.fsc.program)
         if name not in here or name in self.missing_programs:
             raise RefusedCommandError(4140)
+        return name
 
     def halt(self, *, end_stream: bool = True) -> None:
         """Stop at the present joints."""
@@ -481,13 +495,24 @@ class EmulatedController:
         signs = [float((plus >> k & 1) - (minus >> k & 1)) for k in range(6)]
         self._jog = ActiveJog(mode, np.array(signs), self.now_s + JOG_S)
 
-    def move(self, target_rad: FloatArray, *, straight: bool, speed_share: float) -> None:
-        """Start a move of EXEC to joints (6,)."""
+    def move(
+        self,
+        target_rad: FloatArray,
+        *,
+        straight: bool,
+        speed_share: float,
+        most_mm_s: float = math.inf,
+    ) -> None:
+        """Start a move of EXEC to joints (6,), by a share of their top speeds, at most
+        ``most_mm_s``.
+        """
         start = self.joints.command_rad.copy()
         way = target_rad - start
         share = max(speed_share * self.override / 100.0, 1e-3)
         lasts_s = max(float((np.abs(way) / SPEEDS_RAD_S).max()) / share, CYCLE_S)
         first, last = frame_of(start), frame_of(target_rad)
+        way_mm = float(np.linalg.norm(last[:3, 3] - first[:3, 3]))
+        lasts_s = max(lasts_s, way_mm / most_mm_s * 100.0 / self.override)
 
         def point(part: float) -> FloatArray | None:
             near = start + part * way

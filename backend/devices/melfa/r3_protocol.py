@@ -55,9 +55,24 @@ ALLOWED: dict[str, str] = {
     "OPSTSRD": r"[0-9]{1,2}",
 }
 
-_PATTERNS = [
-    (command, re.compile(ALLOWED[command])) for command in sorted(ALLOWED, key=len, reverse=True)
-]
+_FILE = rf"{_PROGRAM}(?:\.[A-Za-z0-9]{{1,3}})?"
+# Requests of other clients in addition: an emulator answers them, no driver sends them.
+FOREIGN: dict[str, str] = {
+    "OVRD=": r"[0-9]{1,3}(?:\.[0-9]{1,4})?",
+    "PRGLOAD=": _FILE,
+    "RUN": rf"(?:{_FILE})?(?:;[01])?",
+    "HOT": rf"{_FILE};{_WRITE}",
+    "PNR": r"[A-Z0-9]{1,12}",
+    "EXEC": r"[ -~]{1,160}",
+    "EXEC2=": r"[ -~]{1,160}",
+}
+
+
+def _compiled(table: dict[str, str]) -> list[tuple[str, re.Pattern[str]]]:
+    return [(name, re.compile(table[name])) for name in sorted(table, key=len, reverse=True)]
+
+
+_PATTERNS, _FOREIGN_PATTERNS = _compiled(ALLOWED), _compiled({**ALLOWED, **FOREIGN})
 _ADDRESS = re.compile(r"([0-3]?);([0-9]|[12][0-9]|3[0-3]|);")
 _HEAD = re.compile(r"[Qq](?:[Oo][Kk]|[Ee][Rr])")
 _FORBIDDEN_BYTES = re.compile(rb"[\x00-\x08\x0a\x0c-\x1f\x7f]")
@@ -127,15 +142,17 @@ def encode_request(request: R3Request) -> bytes:
     return content
 
 
-def decode_request(content: bytes) -> R3Request:
-    """Return the request of one text without its end; raises ``ProtocolError``."""
+def decode_request(content: bytes, *, foreign: bool = False) -> R3Request:
+    """Return the request of one text without its end; raises ``ProtocolError``. ``foreign``: accept
+    the requests of ``FOREIGN`` as well.
+    """
     if len(content) > LONGEST_REQUEST:
         raise ProtocolError("length", "r3 request", LONGEST_REQUEST)
     text = _text(content, "ascii", "r3 request")
     found = _ADDRESS.match(text)
     rest = text[found.end() :] if found else text
     robot, slot = (int(part) if part else 1 for part in found.groups()) if found else (None, None)
-    for command, argument in _PATTERNS:
+    for command, argument in _FOREIGN_PATTERNS if foreign else _PATTERNS:
         if rest.startswith(command) and argument.fullmatch(rest, len(command)):
             return R3Request(command, rest[len(command) :], robot, slot)
     raise ProtocolError("command", "r3 request", len(text) - len(rest))

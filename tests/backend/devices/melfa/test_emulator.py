@@ -16,6 +16,7 @@ from touchdown.backend.devices.melfa.r3_protocol import (
     jog,
     read_axes,
     read_state,
+    read_variable,
 )
 from touchdown.backend.devices.melfa.r3_protocol import decode_reply as decode_answer
 from touchdown.backend.devices.melfa.realtime_protocol import (
@@ -302,3 +303,88 @@ def test_what_a_first_day_asks_is_answered():
     told = client.ask("1;1;VALP_FsCurD")
     assert told == "QoKP_FsCurD=(+0.12,-0.34,+9.87,+0.01,+0.02,+0.00)(0,0)"
     assert re.search(settings().force_variable_text, told)
+
+
+def test_a_public_client_finishes_its_start_up_and_moves_in_its_own_coordinates():
+    """The requests of an R3 client of another maker, in its order."""
+    client = Client()
+    for text in ("OPEN=NARCUSER", "CNTLON", "EXECSPD M_NSPD", "EXECJOVRD M_NJOVRD"):
+        assert client.ask(f"1;1;{text}").startswith("QoK")
+    assert client.ask("1;1;OVRD") == "QoK100"
+    assert client.ask("1;1;OVRD=20.00") == "QoK20"
+    assert client.ask("1;1;VALM_SVO") == "QoKM_SVO=+0"
+    assert client.ask("1;1;SRVON") == "QoK"
+    client.wait(0.35)
+    assert client.ask("1;1;VALM_SVO") == "QoKM_SVO=+1"
+    x, y, z, *angles = read_axes(client.ask("1;1;PPOSF").removeprefix("QoK")).values
+    assert client.ask("1;1;EXECBASE P_NBASE") == "QoK"
+    assert client.ask("1;1;EXECDEF POS P1") == "QoK"
+    assert client.ask("1;1;EXECDEF POS P1") == "QeR4350"
+    assert client.ask("1;1;EXECBASE (-600.00,140.00,-38.63,,,)") == "QoK"
+    assert client.ask("1;1;EXECTOOL (0,0,25,0,0,0)") == "QoK"
+    assert client.ask("1;1;PNRMEXTL") == "QoKMEXTL;0.00, 0.00, 25.00, 0.00, 0.00, 0.00;6"
+    shown = read_axes(client.ask("1;1;PPOSF").removeprefix("QoK")).values
+    # The hand points down: the tool is 25 mm below the flange.
+    assert shown[:3] == pytest.approx((x - 600.0, y + 140.0, z - 38.63 - 25.0), abs=0.02)
+    degrees = ",".join(f"{math.degrees(angle):.2f}" for angle in angles)
+    goal = f"({shown[0] + 10:.2f},{shown[1]:.2f},{shown[2]:.2f},{degrees})"
+    assert client.ask("1;1;EXECSPD 50.00") == "QoK"
+    assert client.ask(f"1;1;EXECMVS {goal} (7,0)") == "QoK"
+    client.wait(0.5)
+    # 50 mm/s at an override of 20 %.
+    told = client.ask("1;1;VALM_RSPD")
+    assert float(told.removeprefix("QoKM_RSPD=")) == pytest.approx(10.0, rel=0.05)
+    client.wait(1.0)
+    after = read_axes(client.ask("1;1;PPOSF").removeprefix("QoK")).values
+    assert after[:3] == pytest.approx((shown[0] + 10.0, *shown[1:3]), abs=0.03)
+    assert client.ask("1;1;VALM_RSPD") == "QoKM_RSPD=+0"
+
+
+@pytest.mark.parametrize(
+    ("request_", "answer"),
+    [
+        ("VALM_JOVRD", "QoKM_JOVRD=+10"),
+        ("VALM_TOOL", "QoKM_TOOL=+0"),
+        ("VALP_TOOL", "QoKP_TOOL=(+0.00,+0.00,+0.00,+0.00,+0.00,+0.00)(7,0)"),
+        ("IN0", "QoK0000"),
+        ("OUT0", "QoK0000"),
+        ("PNRMXTTOUT", "QoKMXTTOUT;57;1"),
+        ("PNRNOTHING", "QeR9903"),
+        ("PRGLOAD=TDMXT.MB6", "QoK"),
+        ("RUNTDMXT.MB6;1", "QoK"),
+        ("RUNNOPE.MB6;1", "QeR4140"),
+        ("OVRD=0.00", "QeR9903"),
+        ("OVRD=101", "QeR9903"),
+        ("EXECJOVRD 0", "QeR9903"),
+        ("EXECSPD 99999", "QeR9903"),
+        ("EXECM_TOOL=17", "QeR9903"),
+        ("TOOLSET=17", "QeR9903"),
+        ("EXECP9=(0,0,0,0,0,0)(7,0)", "QeR4340"),
+        ("EXECMOV P9", "QeR4340"),
+        ("EXECMOV (1,2)(7,0)", "QeR2802"),
+        ("EXECRSTPWR", "QeR9903"),
+        ("VALM_NONE", "QeR4340"),
+    ],
+)
+def test_requests_of_other_clients_are_answered(request_, answer):
+    assert Client().ready().ask(f"1;1;{request_}") == answer
+
+
+def test_the_feedback_position_is_a_variable_in_degrees():
+    client = Client().ready()
+    x, y, z, *angles = read_axes(client.ask("1;1;PPOSF").removeprefix("QoK")).values
+    place = read_variable(client.ask("1;1;VALP_Fbc").removeprefix("QoK"))
+    assert place.numbers == pytest.approx((x, y, z, *map(math.degrees, angles)), abs=0.01)
+
+
+@pytest.mark.parametrize(("step_rad", "error"), [(0.0095, "9901"), (9.0, "2602")])
+def test_every_alarm_that_it_raises_has_a_text(step_rad, error):
+    client = Client().streaming()
+    client.command(READY_RAD)
+    client.command(READY_RAD + step_rad)
+    assert client.ask("1;1;ERROR") == f"Qok{error};2"
+    told = client.ask(f"1;1;ERRORMES{error}")
+    assert told.startswith("Qok")
+    assert "limit" in told
+    for number in (2000, 2802, 4340, 4350, 5120, 5600, 5610, 5640, 6020, 9902, 9903):
+        assert client.ask(f"1;1;ERRORMES{number}") != "QokNo text"

@@ -584,5 +584,5 @@ class Session:
         self._hand = ManualControl(scene, self.interlock, around, self.events.publish)
         self._drift = DriftMonitor(scene, surface_mm, self.events.publish)
         self._stage, self._scene = stage, scene
-        self._supervision.begin(now_s(), gripper, stage.devices["force_torque"])
+        self._supervision.begin(now_s(), gripper, stage.devices["force_torque"], arm)
         return scene

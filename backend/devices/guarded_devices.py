@@ -114,6 +114,8 @@ class GuardedArm(_Guarded):
         super().__init__(arm)
         self._arm, self._interlock = arm, interlock
         self._now_s, self._press_n, self._surface_mm = now_s, press_n, surface_mm
+        # Last motion to a place, press or unloading.
+        self.commanded: Motion | None = None
         interlock.on_stop(arm.stop, arm.retreat if isinstance(arm, RetreatingArm) else None)
 
     @property
@@ -155,9 +157,9 @@ class GuardedArm(_Guarded):
         self._refuse_dragging(target)
         turning = self._refuse_turned_move(target, turn_rad_s)
         override = self._interlock.override
-        if not turning:
-            return self._arm.move_to(target, speed_mm_s * override)
-        return self._arm.move_to(target, speed_mm_s * override, turn_rad_s * override)
+        turn_rad_s = turn_rad_s * override if turning else TURN_RAD_S
+        self.commanded = self._arm.move_to(target, speed_mm_s * override, turn_rad_s)
+        return self.commanded
 
     def jog(self, velocity_mm_s: Vector, for_s: float, turn_rad_s: Vector = STILL) -> Motion:
         """Move at a velocity; refused if too fast, too long, outside the limits, or against a
@@ -232,7 +234,9 @@ class GuardedArm(_Guarded):
             there = self._arm.place_of(between)
             refuse_place(there, self._surface_mm(), self._interlock.limits)
             self._refuse_too_fast(here, there, part * longest / speed_rad_s)
-        return self._arm.move_joints(target_rad, speed_rad_s * self._interlock.override)
+        speed_rad_s *= self._interlock.override
+        self.commanded = self._arm.move_joints(target_rad, speed_rad_s)
+        return self.commanded
 
     def halt(self) -> None:
         """Stand still without a latch, at the end of a jog."""
@@ -253,12 +257,14 @@ class GuardedArm(_Guarded):
                 f"{command.approach_mm_s:.1f} mm/s exceeds {limits.contact_speed_mm_s:.1f} mm/s.",
             )
         require_unrotated(pose_rotation(self._arm.pose(max_age_s=0.2)))
-        return self._arm.press(command)
+        self.commanded = motion = self._arm.press(command)
+        return motion
 
     def unload(self, force_n: float, speed_mm_s: float) -> Motion:
         """Lift to the press force ``force_n``."""
         self._require_motion()
-        return self._arm.unload(force_n, speed_mm_s)
+        self.commanded = self._arm.unload(force_n, speed_mm_s)
+        return self.commanded
 
     def stop(self) -> None:
         """Latch the interlock and stop."""

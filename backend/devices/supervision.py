@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from itertools import pairwise
 from typing import Literal, Protocol, runtime_checkable
 
@@ -23,15 +23,18 @@ import numpy as np
 from touchdown.backend.core import (
     FINGERS,
     Fault,
+    FaultError,
     Finger,
     ImageArray,
+    Pose,
     RefusedError,
     SampleStream,
+    StaleSampleError,
     Stream,
     TactileFrame,
 )
 from touchdown.backend.devices.interlock import Interlock
-from touchdown.backend.devices.protocols import Device, DeviceState, Gripper
+from touchdown.backend.devices.protocols import Device, DeviceState, Gripper, Motion
 
 # A device is late at this share of the age that is a fault: 100 of 300 ms, pictures 120 of 500 ms.
 LATE_SHARE = {"force_torque": 1 / 3, "tactile_left": 0.24, "tactile_right": 0.24}
@@ -274,6 +277,10 @@ class ArrivalMonitor:
 
 GRACE_S = 1.0  # time for the first samples after the start of a scene
 EQUAL = 3  # equal pictures in a row of a frozen camera: a live one has noise
+# Pictures in a row below this mean grey level: the lamps of the gel have failed.
+DARK, DARKEST_MEAN = 5, 16.0
+# An arm is stalled if it moves less than this in this time although a motion is under way.
+STALLED_S, STALLED_MM, STALLED_RAD = 1.5, 0.05, 1e-3
 _KEPT = "Motion stopped; the gripper was not opened."
 _LOOK = "Check the device and its cable, then press Reset."
 
@@ -295,16 +302,21 @@ class Supervision:
         self.begin(0.0)
 
     def begin(
-        self, now_s: float, gripper: Gripper | None = None, wrist: Device | None = None
+        self,
+        now_s: float,
+        gripper: Gripper | None = None,
+        wrist: Device | None = None,
+        arm: CommandedArm | None = None,
     ) -> None:
         """Restart for a new scene. ``gripper`` is monitored while it holds a piece; ``wrist``
-        reports its usual rate as the field ``usual_hz``.
+        reports its usual rate as the field ``usual_hz``; ``arm`` is monitored while it moves.
         """
         self._gripper, self._wrist = gripper, wrist
+        self._stall = StallMonitor(arm)
         self._grip = GripMonitor(gripper)
         self._begun_s = self._finite_s = now_s
         self._cursor = self._wrench.count
-        self._repeats = {finger: _RepeatedPictures(self._frames[finger]) for finger in FINGERS}
+        self._pictures = {finger: _PictureMonitor(self._frames[finger]) for finger in FINGERS}
         self._counts = {finger: self._frames[finger].count for finger in FINGERS}
         for rate in self._rates.values():
             rate.begin()
@@ -322,9 +334,10 @@ class Supervision:
                 count = int(np.count_nonzero(finite))
                 self._rates["force_torque"].note(self._finite_s, count, self._usual_hz)
                 self._check_trip(samples.values[finite])
-        self._check_frozen()
-        if (lost := self._grip.check(now_s)) is not None:
-            self._interlock.raise_fault(lost)
+        self._check_pictures()
+        for fault in (self._grip.check(now_s), self._stall.check(now_s)):
+            if fault is not None:
+                self._interlock.raise_fault(fault)
         if now_s - self._begun_s < GRACE_S:
             return
         self._check_ages(now_s)
@@ -364,18 +377,19 @@ class Supervision:
                 )
             )
 
-    def _check_frozen(self) -> None:
-        for finger, repeats in self._repeats.items():
-            if repeats.longest() >= EQUAL:
-                self._interlock.raise_fault(
-                    Fault(
-                        "CAMERA-FROZEN",
-                        f"The {finger} tactile camera delivers the same picture again and again.",
-                        _KEPT,
-                        _LOOK,
-                        f"tactile_{finger}",
-                    )
-                )
+    def _check_pictures(self) -> None:
+        for finger, pictures in self._pictures.items():
+            equal, dark = pictures.longest()
+            if equal >= EQUAL:
+                what = f"The {finger} tactile camera delivers the same picture again and again."
+                step, code = _LOOK, "CAMERA-FROZEN"
+            elif dark >= DARK:
+                what = f"The pictures of the {finger} tactile camera are dark."
+                step = "Check the lamps of the sensor and its exposure, then press Reset."
+                code = "CAMERA-DARK"
+            else:
+                continue
+            self._interlock.raise_fault(Fault(code, what, _KEPT, step, f"tactile_{finger}"))
 
     def _check_ages(self, now_s: float) -> None:
         limits, late, stale = self._interlock.limits, list[DegradedDevice](), list[Fault]()
@@ -436,24 +450,71 @@ def _stale_fault(device: str, age_s: float) -> Fault:
     return Fault("CAMERA-STALE", what, _KEPT, _LOOK, device)
 
 
-class _RepeatedPictures:
-    """Counter of equal pictures in a row of one camera."""
+class _PictureMonitor:
+    """Counter of equal and of dark pictures in a row of one camera."""
 
     def __init__(self, frames: Stream[TactileFrame]) -> None:
         self._frames, self._cursor = frames, frames.count
         self._last: ImageArray | None = None
-        self._equal = 1
+        self._equal, self._dark = 1, 0
 
-    def longest(self) -> int:
-        """Return the longest run of equal pictures that ends since the last call."""
+    def longest(self) -> tuple[int, int]:
+        """Return the longest runs of equal and of dark pictures that end since the last call."""
         frames, self._cursor, _ = self._frames.since(self._cursor)
-        longest = 0
+        equal = dark = 0
         for frame in frames:
             alike = self._last is not None and _equal(self._last, frame.image)
             self._equal = self._equal + 1 if alike else 1
+            self._dark = self._dark + 1 if frame.image[::8, ::8].mean() < DARKEST_MEAN else 0
             self._last = frame.image
-            longest = max(longest, self._equal)
-        return longest
+            equal, dark = max(equal, self._equal), max(dark, self._dark)
+        return equal, dark
+
+
+class CommandedArm(Protocol):
+    """An arm that knows its last commanded motion."""
+
+    @property
+    def commanded(self) -> Motion | None:
+        """Last motion to a place, press or unloading; a jog is none of them."""
+
+    def pose(self, max_age_s: float) -> Pose:
+        """Measured pose of ``G``."""
+
+
+class StallMonitor:
+    """Monitor of an arm while a motion is under way; a press may stand in contact."""
+
+    def __init__(self, arm: CommandedArm | None) -> None:
+        self._arm = arm
+        self._motion: Motion | None = None
+        self._since_s = 0.0
+        self._pose = np.zeros(6)
+
+    def check(self, now_s: float) -> Fault | None:
+        """Return the fault of an arm that does not move, once; otherwise None."""
+        motion = None if self._arm is None else self._arm.commanded
+        if self._arm is None or motion is None or motion.done:
+            self._motion = None
+            return None
+        try:
+            pose = np.array(astuple(self._arm.pose(STALLED_S)))
+        except (StaleSampleError, FaultError):
+            return None  # a silent arm has a fault of its own
+        away = np.abs(pose - self._pose)
+        moved = away[:3].max() > STALLED_MM or away[3:].max() > STALLED_RAD
+        if motion is not self._motion or moved or getattr(motion, "onset_s", None) is not None:
+            self._motion, self._since_s, self._pose = motion, now_s, pose
+        if now_s - self._since_s <= STALLED_S:
+            return None
+        self._since_s = math.inf
+        return Fault(
+            "ARM-STALLED",
+            f"The arm has not moved for {STALLED_S:g} s although a motion is under way.",
+            _KEPT,
+            "Look for what holds the arm, and at its controller; then press Reset.",
+            "arm",
+        )
 
 
 def _equal(one: ImageArray, other: ImageArray) -> bool:

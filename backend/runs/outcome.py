@@ -49,9 +49,10 @@ class TrialResult:
 # Codes of faults of a silent, lost or broken device. Failures of a press, a grip or an estimate
 # (excessive force, no contact, no piece, stop) are not among them.
 DEVICE_FAULTS = frozenset({
-    "ARM-LINK", "ARM-STALE", "CAMERA-DARK", "CAMERA-FROZEN", "CAMERA-LINK", "CAMERA-STALE",
-    "CONTROLLER", "FT-LINK", "FT-SENSOR", "FT-STALE", "MXT-ENDED", "MXT-LOST", "MXT-START",
-    "PRESS-VOID", "WSG-DEVICE", "WSG-FAST-STOP", "WSG-FRAME", "WSG-LINK", "WSG-TIMEOUT",
+    "ARM-LINK", "ARM-STALE", "ARM-STALLED", "CAMERA-DARK", "CAMERA-FROZEN", "CAMERA-LINK",
+    "CAMERA-STALE", "CONTROLLER", "FT-LINK", "FT-SENSOR", "FT-STALE", "MXT-ENDED", "MXT-LOST",
+    "MXT-START", "PRESS-VOID", "WSG-DEVICE", "WSG-FAST-STOP", "WSG-FRAME", "WSG-LINK",
+    "WSG-TIMEOUT",
 })  # fmt: skip
 
 AFTER = ("release", "rise")  # phases of the release: a fault here no longer excludes the trial

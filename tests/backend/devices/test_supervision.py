@@ -10,7 +10,7 @@ import pytest
 from touchdown.backend.config.hardware import ForceTorqueSettings, HardwareSettings
 from touchdown.backend.core.faults import RefusedError
 from touchdown.backend.core.streams import SampleStream, Stream
-from touchdown.backend.core.values import FINGERS, TactileFrame
+from touchdown.backend.core.values import FINGERS, Pose, TactileFrame
 from touchdown.backend.devices.cameras.frames import dark_fault
 from touchdown.backend.devices.dynpick.driver import DynpickDriver
 from touchdown.backend.devices.dynpick.emulator import EmulatedDynpick
@@ -19,7 +19,14 @@ from touchdown.backend.devices.force_torque.reader import ForceTorqueReader
 from touchdown.backend.devices.ft300.driver import Ft300Driver
 from touchdown.backend.devices.ft300.emulator import EmulatedFt300
 from touchdown.backend.devices.interlock import Interlock
-from touchdown.backend.devices.protocols import DeviceState, GripStatus, Health, Identity
+from touchdown.backend.devices.protocols import (
+    ArmPress,
+    CommandedMotion,
+    DeviceState,
+    GripStatus,
+    Health,
+    Identity,
+)
 from touchdown.backend.devices.supervision import (
     GRACE_S,
     ArrivalMonitor,
@@ -153,7 +160,7 @@ def test_adapters_losses_and_a_busy_computer_make_no_sensor_slow(
     assert arrivals.slow_since_s is not None, "and yet a slow one is"
 
 
-IMAGES = np.random.default_rng(5).integers(0, 2, (8, 240, 320, 3), dtype=np.uint8)
+IMAGES = np.random.default_rng(5).integers(90, 92, (8, 240, 320, 3), dtype=np.uint8)
 """Pictures of the least noise: one grey level."""
 
 
@@ -205,6 +212,70 @@ def test_a_camera_that_told_why_it_gives_no_picture_is_not_called_silent_too() -
     bench.interlock.raise_fault(dark_fault("tactile_left"))
     bench.run(1.0, silent="left")
     assert bench.codes() == [("CAMERA-DARK", "tactile_left")]
+
+
+@pytest.mark.promise("C7")
+@pytest.mark.parametrize("finger", FINGERS)
+def test_the_fifth_dark_picture_in_a_row_is_a_dark_camera(finger: str) -> None:
+    bench = SupervisionWatched()
+
+    def shown(*levels: int) -> None:
+        for level in levels:
+            bench.now_s += 0.04
+            image = np.full((240, 320, 3), level, np.uint8)
+            bench.sequence += 1
+            frame = TactileFrame(finger, bench.sequence, bench.now_s, image)
+            bench.frames[finger].put(bench.now_s, frame)
+            bench.supervision.check(bench.now_s)
+
+    shown(9, 8, 9, 8, 60, 9, 8, 9, 8)
+    assert not bench.interlock.latched
+    shown(9)
+    assert bench.codes() == [("CAMERA-DARK", f"tactile_{finger}")]
+
+
+class CommandedArm:
+    """An arm with one motion, at ``pose_mm``."""
+
+    def __init__(self) -> None:
+        self.commanded: CommandedMotion | None = None
+        self.place = Pose(0.0, 0.0, 60.0)
+
+    def pose(self, max_age_s: float) -> Pose:
+        return self.place
+
+
+@pytest.mark.promise("R16")
+@pytest.mark.parametrize(
+    ("step", "turn", "stalled"), [(0.0, 0.0, True), (0.002, 0.0, False), (0.0, 1e-4, False)]
+)
+def test_an_arm_that_stands_during_a_motion_is_named_within_2_s(
+    step: float, turn: float, stalled: bool
+) -> None:
+    bench, arm = SupervisionWatched(), CommandedArm()
+    bench.supervision.begin(bench.now_s, arm=arm)
+    bench.run(3.0)
+    arm.commanded = CommandedMotion({})
+    begun_s = bench.now_s
+    while bench.now_s - begun_s < 4.0 and not bench.interlock.latched:
+        old = arm.place
+        arm.place = Pose(0.0, 0.0, old.z_mm - step, old.rx_rad + turn, 0.0, 0.0)
+        bench.run(0.02)
+    assert bench.codes() == ([("ARM-STALLED", "arm")] if stalled else [])
+    assert not stalled or bench.now_s - begun_s <= 2.0
+    assert not stalled or "motion is under way" in bench.interlock.faults[0].what
+
+
+def test_an_arm_may_stand_after_its_motion_and_while_it_presses() -> None:
+    bench, arm = SupervisionWatched(), CommandedArm()
+    bench.supervision.begin(bench.now_s, arm=arm)
+    arm.commanded = CommandedMotion({})
+    arm.commanded.end()
+    bench.run(3.0)
+    arm.commanded = ArmPress({})
+    arm.commanded.onset_s = bench.now_s
+    bench.run(5.0)
+    assert not bench.interlock.latched
 
 
 @pytest.mark.promise("C1")

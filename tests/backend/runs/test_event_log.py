@@ -593,7 +593,9 @@ def test_cancel_lifts_and_keeps_the_piece() -> None:
         ("force_torque:nan@4.0", "FT-STALE", "force_torque"),
         ("force_torque:stop@4.0", "FT-STALE", "force_torque"),
         ("force_torque:jump@4.0", "FT-TRIP", "force_torque"),
+        ("tactile_left:dark@3.0", "CAMERA-DARK", "tactile_left"),
         ("arm:silent@1.0", "ARM-STALE", "arm"),
+        ("arm:stall@3.0", "ARM-STALLED", "arm"),
     ],
 )
 def test_a_failing_sensor_ends_in_one_clear_fault(fault, code, device, tmp_path) -> None:
@@ -612,6 +614,15 @@ def test_a_failing_sensor_ends_in_one_clear_fault(fault, code, device, tmp_path)
         assert excluding_fault(last_trial(bench), letting_go) == ""
     assert bench.benches[-1].gripper.status().holding
     assert isinstance(list(read_events(folder))[-1], RunFinished)
+
+
+@pytest.mark.promise("C7")
+def test_a_camera_that_is_dark_from_the_start_is_named_before_a_reference_fails() -> None:
+    bench = OracleSession("tactile_left:dark@0.0")
+    bench.session.run(request())
+    bench.session.close()
+    faults = [f.fault for f in bench.of(FaultRaised) if isinstance(f, FaultRaised)]
+    assert [(fault.code, fault.device) for fault in faults] == [("CAMERA-DARK", "tactile_left")]
 
 
 def test_a_short_nan_burst_voids_the_probe_and_the_run_goes_on() -> None:

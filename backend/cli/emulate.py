@@ -40,6 +40,7 @@ from touchdown.backend.devices import emulated_makes
 from touchdown.backend.devices.gelsight import SERIAL
 from touchdown.backend.emulation import (
     AMOUNTS,
+    EVERY_ADDRESS,
     DeviceServer,
     Emulation,
     EmulationChoice,
@@ -48,6 +49,8 @@ from touchdown.backend.emulation import (
     add_noise,
     hanging_gripper,
     load_faults,
+    own_address,
+    replace_host,
 )
 from touchdown.backend.geometry import load_pieces
 from touchdown.backend.runs import SceneChoice
@@ -196,10 +199,18 @@ def _serve(
         shorten_switch_interval()
         world.start()
     emulation.start()
+    host = own_address() if args.host == EVERY_ADDRESS else args.host
+    address = emulation.fronts[0].url.replace(EVERY_ADDRESS, host)
+    tables = replace_host(emulation.bench, host)
     try:
-        screen.say(f"The emulated {args.kind} answers at {emulation.fronts[0].url}.")
+        screen.say(f"The emulated {args.kind} answers at {address}.")
+        if args.host == EVERY_ADDRESS:
+            screen.say(
+                "Warning: it listens on every network of this computer, without a password. Anyone "
+                "there can command it. Give --host with one address to limit it."
+            )
         if args.lab_file is None:
-            screen.say(f"In a bench file:\n\n{bench_toml(emulation.bench)}\n")
+            screen.say(f"In a bench file:\n\n{bench_toml(tables)}\n")
         else:
             screen.say(f"Open it with: touchdown app --bench {args.lab_file}")
         screen.say(f"{USAGE} Ctrl-C ends it.")
@@ -216,8 +227,8 @@ def _serve(
     screen.result(
         {
             "kind": args.kind,
-            "address": front.url,
-            "bench": emulation.bench,
+            "address": address,
+            "bench": tables,
             "seconds": round(time.monotonic() - begun_s, 3),
             "clients": front.clients,
             "received_bytes": front.received,
@@ -254,7 +265,9 @@ def _bench(args: argparse.Namespace) -> tuple[EmulatedScene, Emulation]:
     try:
         world, emulation = serve_bench(scene, args.folder, plan, args.host)
         if args.lab_file is not None:
-            args.lab_file.write_text(lab_toml(scene, emulation), "utf-8")
+            # The lab file is for this computer: its cameras are folders here.
+            here = replace(emulation, bench=replace_host(emulation.bench, "127.0.0.1"))
+            args.lab_file.write_text(lab_toml(scene, here), "utf-8")
     except OSError as error:
         raise InputError(
             f"The bench cannot be made: {error.strerror or error}.",

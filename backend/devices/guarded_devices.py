@@ -157,9 +157,12 @@ class GuardedArm(_Guarded):
         self._refuse_dragging(target)
         turning = self._refuse_turned_move(target, turn_rad_s)
         override = self._interlock.override
-        turn_rad_s = turn_rad_s * override if turning else TURN_RAD_S
-        self.commanded = self._arm.move_to(target, speed_mm_s * override, turn_rad_s)
-        return self.commanded
+        if turning:
+            motion = self._arm.move_to(target, speed_mm_s * override, turn_rad_s * override)
+        else:
+            motion = self._arm.move_to(target, speed_mm_s * override)
+        self.commanded = motion
+        return motion
 
     def jog(self, velocity_mm_s: Vector, for_s: float, turn_rad_s: Vector = STILL) -> Motion:
         """Move at a velocity; refused if too fast, too long, outside the limits, or against a

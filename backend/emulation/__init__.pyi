@@ -15,16 +15,20 @@ from .server import EmulatedDevice as EmulatedDevice
 from .server import PtyServer as PtyServer
 from .server import TcpServer as TcpServer
 from .server import UdpServer as UdpServer
+from .serving import EVERY_ADDRESS as EVERY_ADDRESS
 from .serving import BenchTables as BenchTables
 from .serving import Emulation as Emulation
 from .serving import EmulationChoice as EmulationChoice
 from .serving import PictureFunction as PictureFunction
 from .serving import WrenchFunction as WrenchFunction
+from .serving import own_address as own_address
+from .serving import replace_host as replace_host
 from .serving import serve_serial as serve_serial
 
 __all__ = [
     "AMOUNTS",
     "CHUNK",
+    "EVERY_ADDRESS",
     "BenchTables",
     "DeviceServer",
     "DisturbanceScript",
@@ -43,7 +47,9 @@ __all__ = [
     "apply_faults",
     "hanging_gripper",
     "load_faults",
+    "own_address",
     "parse_fault",
     "parse_script",
+    "replace_host",
     "serve_serial",
 ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -93,6 +94,30 @@ class Emulation:
         """Stop serving."""
         for front in self.fronts:
             front.close()
+
+
+EVERY_ADDRESS = "0.0.0.0"  # noqa: S104
+
+
+def own_address() -> str:
+    """Return the address of this computer in its network, 127.0.0.1 without a network."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.connect(("192.0.2.1", 9))  # chooses the route, sends nothing
+        except OSError:
+            return "127.0.0.1"
+        return str(probe.getsockname()[0])
+
+
+def replace_host(tables: BenchTables, address: str) -> BenchTables:
+    """Return tables that name ``address`` in place of "every address"."""
+    return {
+        name: {
+            key: value.replace(EVERY_ADDRESS, address) if isinstance(value, str) else value
+            for key, value in table.items()
+        }
+        for name, table in tables.items()
+    }
 
 
 def serve_serial(

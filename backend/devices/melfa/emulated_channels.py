@@ -18,6 +18,7 @@ from touchdown.backend.core import FloatArray
 from touchdown.backend.devices.framing import LineStream, ProtocolError
 from touchdown.backend.devices.melfa import r3_protocol, realtime_protocol
 from touchdown.backend.devices.melfa.emulated_controller import (
+    PLAIN,
     READY_RAD,
     SPEEDS_RAD_S,
     STREAM,
@@ -79,6 +80,7 @@ class EmulatedStream:
 
     def _begin(self) -> None:
         self._running = False
+        self._kind: BlockKind | None = None
         self._counter = self._timeouts = self._silent = 0
 
     def receive(self, now_s: float, data: bytes) -> bytes | None:
@@ -122,8 +124,12 @@ class EmulatedStream:
             self._controller.raise_error(self._settings.mxt.error_timeout)
 
     def _follow(self, request: MxtRequest) -> bool:
-        controller, mxt = self._controller, self._settings.mxt
-        if mxt.send_type_must_match and kind_of(request.target) is not _KINDS[mxt.position_type]:
+        controller, mxt, kind = self._controller, self._settings.mxt, kind_of(request.target)
+        # The program of another maker takes positions of the kind of its first one.
+        own = controller.loaded == PLAIN
+        wanted = (self._kind or kind) if own else _KINDS[mxt.position_type]
+        self._kind = kind
+        if mxt.send_type_must_match and kind is not wanted:
             controller.raise_error(mxt.error_overspeed)
             return False
         target = self._joints(request.target)

@@ -20,7 +20,7 @@ from touchdown.backend.devices.melfa.emulated_channels import (
     EmulatedMonitor,
     EmulatedStream,
 )
-from touchdown.backend.devices.melfa.emulated_controller import EmulatedController
+from touchdown.backend.devices.melfa.emulated_controller import STREAM, EmulatedController
 from touchdown.backend.emulation import (
     CHUNK,
     BenchTables,
@@ -32,6 +32,7 @@ from touchdown.backend.emulation import (
     apply_faults,
 )
 
+CALLER_LEFT_S = 0.1  # silence of the caller of the stream after which another one is followed
 TICK_S = 0.004  # longest sleep between two polls; during a program, until the next cycle
 ALARM = 2601  # error of the fault ``alarm``: a position over its limit
 ESTOP = 50
@@ -79,6 +80,8 @@ class MelfaServer(DeviceServer):
         self._listen()
         self.stops: list[float] = []  # times of STOP on the server's clock
         self._on: set[str] = set()
+        self._caller: tuple[str, int] | None = None
+        self._caller_s = 0.0
         controller = device.controller
         self._begins: dict[str, Callable[[], None]] = {
             "alarm": partial(controller.raise_error, ALARM),
@@ -138,7 +141,6 @@ class MelfaServer(DeviceServer):
     def _serve_all(self) -> None:
         stream, *doors = self._sources
         sessions: dict[socket.socket, EmulatedCommands] = {}
-        caller: tuple[str, int] | None = None
         with selectors.DefaultSelector() as selector:
             for source in self._sources:
                 selector.register(source, selectors.EVENT_READ)
@@ -148,7 +150,7 @@ class MelfaServer(DeviceServer):
                     ready = key.fileobj
                     assert isinstance(ready, socket.socket)
                     if ready is stream:
-                        caller = self._take(stream, answers) or caller
+                        self._take(stream, answers)
                     elif ready in doors:
                         self._admit(ready, selector, sessions)
                     else:
@@ -156,7 +158,7 @@ class MelfaServer(DeviceServer):
                 now_s = self._clock.now_s()
                 self._apply_faults(now_s)
                 for out in self.faults.outgoing(now_s, answers):
-                    self._send(stream, out, caller)
+                    self._send(stream, out)
                 self._serve_due(now_s, selector, sessions)
         for client, session in sessions.items():
             session.closed(self._clock.now_s())
@@ -168,22 +170,28 @@ class MelfaServer(DeviceServer):
 
     # -- stream -----------------------------------------------------------------------------------
 
-    def _take(self, stream: socket.socket, answers: list[bytes]) -> tuple[str, int] | None:
+    def _take(self, stream: socket.socket, answers: list[bytes]) -> None:
+        """Process one datagram; another caller is ignored until the present one has left."""
         try:
-            data, caller = stream.recvfrom(CHUNK)
+            data, (host, port) = stream.recvfrom(CHUNK)
         except (BlockingIOError, ConnectionError):
-            return None
-        answer = self._device.stream.receive(self._log_received(data), data)
+            return
+        now_s, caller = self._log_received(data), (host, port)
+        if self._caller not in (None, caller) and now_s - self._caller_s < CALLER_LEFT_S:
+            return
+        answer = self._device.stream.receive(now_s, data)
         if answer is not None:
+            self._caller, self._caller_s = caller, now_s
             answers.append(answer)
-        return caller[0], caller[1]
+        elif self._device.controller.program != STREAM:
+            self._caller = None
 
-    def _send(self, stream: socket.socket, out: bytes, caller: tuple[str, int] | None) -> None:
+    def _send(self, stream: socket.socket, out: bytes) -> None:
         out = self.damage(out)
-        if caller is None or not out:
+        if self._caller is None or not out:
             return
         with contextlib.suppress(ConnectionError, BlockingIOError):
-            stream.sendto(out, caller)
+            stream.sendto(out, self._caller)
             self._log_sent(out)
 
     # -- commands ---------------------------------------------------------------------------------

@@ -95,6 +95,21 @@ def test_a_client_of_its_own_reads_the_gripper(capsys, ends):
     assert told["received_bytes"] == 11
 
 
+@pytest.mark.parametrize("kind", ["melfa", "wsg", "dynpick", "netft"])
+def test_a_device_on_every_network_warns_and_tells_an_address_for_others(kind, capsys, monkeypatch):
+    monkeypatch.setattr(emulate, "own_address", lambda: "192.0.2.7")
+    words = ["emulate", kind, "--host", "0.0.0.0", "--port", str(free_port()), "--for", "0.02"]
+    assert main(words) == 0
+    told = " ".join(capsys.readouterr().out.split())
+    assert "listens on every network of this computer" in told
+    assert "192.0.2.7" in told.partition("In a bench file:")[2]
+    assert "0.0.0.0" not in told
+    assert main([*words, "--json"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert "0.0.0.0" not in json.dumps(result)
+    assert "192.0.2.7" in json.dumps(result["bench"])
+
+
 @pytest.mark.parametrize(
     "words",
     [

@@ -7,6 +7,7 @@ matched to another request. Before a stream opens, the cycles of this computer a
 
 from __future__ import annotations
 
+import logging
 import math
 import re
 import threading
@@ -26,6 +27,7 @@ from touchdown.backend.devices.melfa.faults import (
     controller_fault,
     link_fault,
     other_arm_fault,
+    other_device_fault,
     starved_fault,
 )
 from touchdown.backend.devices.melfa.kinematics import MelfaPlacement, hand_of
@@ -47,6 +49,9 @@ from touchdown.backend.devices.melfa.realtime_protocol import CYCLE_S
 from touchdown.backend.devices.melfa.stream import FAULT_CYCLES, HOLD_CYCLES
 from touchdown.backend.devices.protocols import STOPPED, ConnectionStep, Identity
 
+log = logging.getLogger("touchdown.app.melfa")
+
+FIRST_BYTES = 32  # logged of what is no reply
 PACE_S = 0.1  # minimum time between two exchanges while a controller program runs
 TIMEOUT_S, DOWN_S = 1.0, 3.0
 
@@ -88,8 +93,12 @@ class PendingRequest:
 class R3Client:
     """Request queue; call ``ask`` from any thread, ``step`` from the owner of the wire."""
 
-    def __init__(self, reply_gap_s: float) -> None:
-        self._gap_s = reply_gap_s
+    def __init__(self, reply_gap_s: float, identify: Callable[[], str] = str) -> None:
+        """``identify`` returns the description of another device on the wire, "" if unknown."""
+        self._gap_s, self._identify = reply_gap_s, identify
+        self._answered = False
+        self._nonsense = False  # bytes since the last reply that are none
+        self._unread = b""  # the first of them
         self._decoder = replies()
         self._waiting: deque[PendingRequest] = deque()
         self._lock = threading.Lock()
@@ -122,15 +131,20 @@ class R3Client:
         """Process received bytes; return the bytes to send. Raises ``FaultError`` if the link is
         down.
         """
+        bad, self._unread = self._decoder.bad_frames, (self._unread + data)[:FIRST_BYTES]
         for reply in self._receive(now_s, data):
             self._take(now_s, reply)
+            self._answered, self._nonsense = True, False
+        self._nonsense |= self._decoder.bad_frames > bad
+        if not (self._nonsense or self._decoder.pending):
+            self._unread = b""
         current = self._current
         if current is not None and now_s >= current.until_s:
             self._current, self._owed = None, self._owed + 1
             name = current.request.command.rstrip("=")
-            current.end(None, link_fault(f"The controller did not answer to {name}."))
+            current.end(None, self._missing(f"The controller did not answer to {name}."))
         if now_s - self._silent_since_s >= DOWN_S:
-            fault = link_fault(f"The controller has been silent for {DOWN_S:.0f} s.")
+            fault = self._missing(f"The controller has been silent for {DOWN_S:.0f} s.")
             self.end(fault)
             raise FaultError(fault)
         return self._send(now_s)
@@ -145,6 +159,15 @@ class R3Client:
         for ticket in left:
             if ticket is not None:
                 ticket.end(None, fault)
+
+    def _missing(self, silent: str) -> Fault:
+        """Return the fault of a missing reply: another device, unreadable, or ``silent``."""
+        if not self._answered and (stranger := self._identify()):
+            return other_device_fault(stranger)
+        if not self._nonsense:
+            return link_fault(silent)
+        log.info("not readable on the command channel: %s", self._unread.hex(" "))
+        return link_fault("What arrives on the command channel is no answer of a controller.")
 
     def _receive(self, now_s: float, data: bytes) -> list[R3Reply]:
         if data:
@@ -243,7 +266,8 @@ def _require_readable() -> Iterator[None]:
     try:
         yield
     except ProtocolError as error:
-        fault = link_fault(f"The controller does not answer as it should: {error}.")
+        log.info("not readable in an answer: %s", error)
+        fault = link_fault("An answer of the controller has another form than expected.")
         raise FaultError(fault) from error
 
 

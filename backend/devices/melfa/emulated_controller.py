@@ -94,7 +94,14 @@ def _apart(here: FloatArray, there: FloatArray) -> FloatArray:
     axis = np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
     size = float(np.linalg.norm(axis))
     angle = math.atan2(size, float(np.trace(turn)) - 1.0)
-    turned = axis * (angle / size) if size > 1e-12 else np.zeros(3)
+    if size > 1e-12:
+        turned = axis * (angle / size)
+    elif angle > 1.0:  # half a turn, of which the antisymmetric part is zero
+        columns = turn + np.eye(3)
+        axis = columns[:, int(np.argmax(np.diag(columns)))]
+        turned = axis * (math.pi / np.linalg.norm(axis))
+    else:
+        turned = np.zeros(3)
     return np.concatenate([there[:3, 3] - here[:3, 3], turned])
 
 

@@ -21,6 +21,7 @@ from touchdown.backend.devices.melfa.emulated_channels import (
     EmulatedStream,
 )
 from touchdown.backend.devices.melfa.emulated_controller import STREAM, EmulatedController
+from touchdown.backend.devices.melfa.realtime_protocol import MxtCommand
 from touchdown.backend.emulation import (
     CHUNK,
     BenchTables,
@@ -81,7 +82,7 @@ class MelfaServer(DeviceServer):
         self.stops: list[float] = []  # times of STOP on the server's clock
         self._on: set[str] = set()
         self._caller: tuple[str, int] | None = None
-        self._caller_s = 0.0
+        self._caller_s, self._commands = 0.0, False
         controller = device.controller
         self._begins: dict[str, Callable[[], None]] = {
             "alarm": partial(controller.raise_error, ALARM),
@@ -171,20 +172,25 @@ class MelfaServer(DeviceServer):
     # -- stream -----------------------------------------------------------------------------------
 
     def _take(self, stream: socket.socket, answers: list[bytes]) -> None:
-        """Process one datagram; another caller is ignored until the present one has left."""
+        """Process one datagram. Whoever asks for positions is answered; other callers are ignored
+        while one commands motion, until it has left.
+        """
         try:
             data, (host, port) = stream.recvfrom(CHUNK)
         except (BlockingIOError, ConnectionError):
             return
         now_s, caller = self._log_received(data), (host, port)
-        if self._caller not in (None, caller) and now_s - self._caller_s < CALLER_LEFT_S:
-            return
+        if caller != self._caller:
+            if self._commands and now_s - self._caller_s < CALLER_LEFT_S:
+                return
+            self._commands = False
         answer = self._device.stream.receive(now_s, data)
         if answer is not None:
             self._caller, self._caller_s = caller, now_s
+            self._commands |= data[0] == MxtCommand.MOVE
             answers.append(answer)
         elif self._device.controller.program != STREAM:
-            self._caller = None
+            self._caller, self._commands = None, False
 
     def _send(self, stream: socket.socket, out: bytes) -> None:
         out = self.damage(out)

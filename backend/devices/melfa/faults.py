@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from enum import Enum
+
 from touchdown.backend.core import Fault
 from touchdown.backend.devices.melfa.r3_protocol import (
     EMERGENCY_ERRORS,
@@ -43,6 +45,40 @@ def lost_fault(cycles: int) -> Fault:
         f"No real-time reply for {cycles} cycles.",
         f"The stream was ended. {HELD}",
         "Check the cable and the load of this computer, press Reset, then connect the arm again.",
+        ARM,
+    )
+
+
+class Refusal(Enum):
+    """Reason why a datagram of the real-time port is not used, and the step for the operator."""
+
+    UNREADABLE = (
+        "What arrives in place of the real-time replies cannot be read.",
+        "Check which device or program sends to this computer, and melfa.mxt.port.",
+    )
+    OTHER_DATA = (
+        "The real-time replies carry other data than requested.",
+        "Check that the program TDMXT runs in the controller, and no other one.",
+    )
+    OUT_OF_RANGE = (
+        "The real-time replies carry joint angles that no arm can have.",
+        "Check melfa.robot_type, and the type of the controller.",
+    )
+
+
+def unusable_fault(code: str, why: Refusal, effect: str) -> Fault:
+    """Return the fault of a stream whose replies cannot be used."""
+    what, step = why.value
+    return Fault(code, what, effect, f"{step} Then press Reset and connect the arm again.", ARM)
+
+
+def other_device_fault(found: str) -> Fault:
+    """Return the fault of another device on the command channel."""
+    return Fault(
+        "ARM-LINK",
+        f"This is {found}, expected a MELFA controller.",
+        NOTHING_MOVED,
+        "Correct melfa.host or melfa.r3.port in the bench file, or exchange the cables.",
         ARM,
     )
 

@@ -20,6 +20,7 @@ from pathlib import Path
 
 from touchdown.backend.config import MelfaSettings
 from touchdown.backend.core import Fault, FaultError, lock_file, set_realtime_priority
+from touchdown.backend.devices.identification import identify_device
 from touchdown.backend.devices.melfa.command_channel import (
     CycleFunction,
     CycleTimes,
@@ -143,9 +144,20 @@ class SocketLinks:
             raise FaultError(link_fault(f"The controller cannot be reached: {error}.")) from error
         self._stop.clear()
         self.times = CycleTimes()
-        self._client = R3Client(1e-3 * self._settings.r3.reply_gap_ms)
+        self._client = R3Client(1e-3 * self._settings.r3.reply_gap_ms, self._identify)
         self._start("melfa commands", self._own_commands, self._commands, self._lane, lost)
         self._start("melfa stream", self._own_stream, self._stream, cycle, lost)
+
+    def _identify(self) -> str:
+        """Return the description of another device on the command channel, "" if unknown."""
+        wire = self._commands
+        if wire is None or self._stop.is_set():
+            return ""
+
+        def receive(limit_s: float) -> bytes:
+            return wire.recv(4096) if select.select([wire], [], [], limit_s)[0] else b""
+
+        return identify_device(wire.sendall, receive, "melfa")
 
     def close(self) -> None:
         """End both threads and close the sockets."""

@@ -9,6 +9,7 @@ and in time, so that a stall of this program is detected like one of the link.
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, field
@@ -30,9 +31,11 @@ from touchdown.backend.devices.framing import ProtocolError
 from touchdown.backend.devices.melfa.faults import (
     START,
     VOID,
+    Refusal,
     lost_fault,
     oversize_fault,
     tilted_fault,
+    unusable_fault,
 )
 from touchdown.backend.devices.melfa.kinematics import (
     STEPS_RAD,
@@ -60,6 +63,9 @@ from touchdown.backend.devices.streamed import (
     RotationJogProgram,
 )
 
+log = logging.getLogger("touchdown.app.melfa")
+
+FIRST_BYTES = 16  # logged of a refused datagram
 COMMAND_JOINTS, FEEDBACK_JOINTS = 2, 8
 # Monitor types of every reply: joints commanded, measured, filtered, and currents.
 MONITORS = (COMMAND_JOINTS, FEEDBACK_JOINTS, 5, 11)
@@ -93,6 +99,9 @@ class ReplyFilter:
 
     def __init__(self) -> None:
         self.counts = DatagramCounts()
+        # Reason and first bytes of the last refused datagram since the last accepted one.
+        self.refusal: Refusal | None = None
+        self.refused = b""
         self._counter: int | None = None
 
     def take(self, datagrams: Iterable[bytes]) -> AcceptedReply | None:
@@ -100,10 +109,11 @@ class ReplyFilter:
         newest: AcceptedReply | None = None
         for data in datagrams:
             told = _acceptable(data)
-            if told is None:
+            if isinstance(told, Refusal):
                 self.counts.refused += 1
+                self.refusal, self.refused = told, data[:FIRST_BYTES]
             elif self._is_newer(told[0]):
-                newest = told[1]
+                newest, self.refusal = told[1], None
                 self.counts.accepted += 1
         return newest
 
@@ -121,20 +131,20 @@ class ReplyFilter:
         return True
 
 
-def _acceptable(data: bytes) -> tuple[int, AcceptedReply] | None:
-    """Return counter and echo of one datagram, None if it is invalid."""
+def _acceptable(data: bytes) -> tuple[int, AcceptedReply] | Refusal:
+    """Return counter and echo of one datagram, or the reason why it is not used."""
     try:
         reply = decode_mxt_reply(data)
     except ProtocolError:
-        return None
+        return Refusal.UNREADABLE
     if reply.monitors != MONITORS:
-        return None
+        return Refusal.OTHER_DATA
     command, feedback = reply.blocks[0], reply.blocks[1]
     assert isinstance(command, AxisValues)
     assert isinstance(feedback, AxisValues)
     wanted, found = command.axes[:6], feedback.axes[:6]
     if not all(-TURN_RAD <= angle <= TURN_RAD for angle in (*wanted, *found)):
-        return None
+        return Refusal.OUT_OF_RANGE
     return reply.counter, AcceptedReply(np.array(wanted), np.array(found), reply.timeouts)
 
 
@@ -298,7 +308,7 @@ class StreamCore:
             level = SilenceLevel.GO
         if level is SilenceLevel.FAULT:
             cycles = max(self.missed, int(silent_s / CYCLE_S))
-            return self._fail(lost_fault(cycles))
+            return self._fail(self._lost("MXT-LOST", lost_fault(cycles)))
         self._descend_ladder(level)
         if level is SilenceLevel.GO and self.phase is Phase.OPEN:
             refused = self._move(now_s, inbox)
@@ -322,7 +332,7 @@ class StreamCore:
     def _open(self, now_s: float, echo: AcceptedReply | None) -> StreamOutput:
         if echo is None:
             if now_s - self._begun_s > self._settings.mxt.start_timeout_s:
-                return self._fail(START)
+                return self._fail(self._lost("MXT-START", START))
             self._counter += 1
             null = MxtRequest(MxtCommand.NONE, monitors=MONITORS, counter=self._counter)
             return StreamOutput(encode_mxt_request(null))
@@ -340,6 +350,14 @@ class StreamCore:
         self._hear(now_s, echo)
         self.phase, self._left = Phase.HOLDING, HELD_CYCLES
         return StreamOutput(self._packet(), self.measured_mm)
+
+    def _lost(self, code: str, silent: Fault) -> Fault:
+        """Return ``silent``, or the fault of replies that came and cannot be used."""
+        why = self.replies.refusal
+        if why is None:
+            return silent
+        log.info("refused on the real-time port: %s", self.replies.refused.hex(" "))
+        return unusable_fault(code, why, silent.consequence)
 
     def _hear(self, now_s: float, echo: AcceptedReply) -> None:
         self._heard_s, self.timeouts = now_s, echo.timeouts

@@ -258,10 +258,14 @@ def test_the_stream_follows_its_first_caller_until_it_leaves(serve):
     console.wait_for(0x20, on=True)
     assert console.ask("1;1;RUNTDMXT;1") == "QoK"
     first, second = (over_udp(("127.0.0.1", bench["melfa.mxt"]["port"])) for _ in range(2))
-    exchange(first, 0, 0)
+    joints = exchange(first, 0, 0)[4:10]
+    # Positions are told to whoever asks, as long as nobody commands motion.
+    assert exchange(second, 0, 0)[4:10] == joints
+    exchange(first, 1, 2, joints)
     for _ in range(5):
         second.send(packet(0, 0))
-        assert exchange(first, 0, 0)[1:3] == (2, 2)
+        second.send(packet(1, 2, (1.0,) * 6))
+        assert exchange(first, 1, 2, joints)[1:3] == (2, 2)
     second.settimeout(0.02)
     with pytest.raises(TimeoutError):
         second.recv(300)

@@ -514,6 +514,39 @@ def test_three_seconds_of_silence_are_a_lost_link_for_all_that_wait(client):
         _ = after.answer
 
 
+@pytest.mark.parametrize(
+    ("data", "stranger", "said"),
+    [
+        (b"", "", "silent for 3 s"),
+        (b"\x00\xff nonsense\r", "", "no answer of a controller"),
+        (b"\xaa\xaa\xaa\x40 without an end", "", "no answer of a controller"),
+        (b"0200020002000\r\n", "a Dynpick sensor", "This is a Dynpick sensor, expected a MELFA"),
+    ],
+)
+def test_silence_nonsense_and_another_device_are_told_apart(data, stranger, said, caplog):
+    client = R3Client(0.03, lambda: stranger)
+    caplog.set_level("INFO")
+    for now_s in (0.0, 0.5, 0.6):
+        client.ask(STATE, 60.0)
+        client.step(now_s, data if now_s else b"")
+    with pytest.raises(FaultError, match=said) as raised:
+        client.step(3.0, b"")
+    assert data[:4].hex(" ") not in str(raised.value) or not data
+    assert bool(caplog.records) is (bool(data) and not stranger)
+    assert not caplog.records or data[:4].hex(" ") in caplog.text
+
+
+def test_a_controller_that_answered_once_is_never_asked_who_it_is():
+    client = R3Client(0.03, lambda: "a gripper")
+    client.ask(STATE)
+    client.step(0.0, b"")
+    client.step(0.1, b"QoKa\r")
+    client.ask(STATE, 60.0)
+    client.step(0.2, b"")
+    with pytest.raises(FaultError, match="silent"):
+        client.step(3.3, b"")
+
+
 def test_silence_counts_only_while_something_is_owed(client):
     ticket = client.ask(STATE)
     client.step(0.0, b"")

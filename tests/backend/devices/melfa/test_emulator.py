@@ -8,7 +8,12 @@ import pytest
 
 from tests.backend.devices.codecs.vectors import data
 from tests.backend.devices.melfa.emulated_arm import settings
-from touchdown.backend.devices.melfa.emulated_controller import READY_RAD, SPEEDS_RAD_S, frame_of
+from touchdown.backend.devices.melfa.emulated_controller import (
+    READY_RAD,
+    SPEEDS_RAD_S,
+    frame_of,
+    solve,
+)
 from touchdown.backend.devices.melfa.emulator import EmulatedMelfa
 from touchdown.backend.devices.melfa.r3_protocol import (
     RunStatus,
@@ -388,3 +393,11 @@ def test_every_alarm_that_it_raises_has_a_text(step_rad, error):
     assert "limit" in told
     for number in (2000, 2802, 4340, 4350, 5120, 5600, 5610, 5640, 6020, 9902, 9903):
         assert client.ask(f"1;1;ERRORMES{number}") != "QokNo text"
+
+
+@pytest.mark.parametrize("half_turn", [(1, -1, -1), (-1, 1, -1), (-1, -1, 1)])
+def test_a_hand_turned_by_half_a_turn_is_not_taken_for_reached(half_turn):
+    wanted = frame_of(READY_RAD)
+    wanted[:3, :3] = wanted[:3, :3] @ np.diag(half_turn)
+    found = solve(wanted, READY_RAD)
+    assert found is None or frame_of(found) == pytest.approx(wanted, abs=1e-5)

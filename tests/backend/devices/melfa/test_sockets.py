@@ -15,11 +15,13 @@ from touchdown.backend.config.hardware import HardwareSettings
 from touchdown.backend.core.faults import FaultError
 from touchdown.backend.core.streams import SampleStream
 from touchdown.backend.core.values import Pose
+from touchdown.backend.devices.leptrino.emulator import EmulatedLeptrino
 from touchdown.backend.devices.melfa.driver import MelfaArm, MelfaPrograms
 from touchdown.backend.devices.melfa.emulated_controller import READY_RAD
 from touchdown.backend.devices.melfa.emulator import EmulatedMelfa, MelfaServer
 from touchdown.backend.devices.melfa.sockets import SocketLinks
 from touchdown.backend.devices.protocols import DeviceState, RobotMode, SafetyMode
+from touchdown.backend.emulation.server import TcpServer
 from touchdown.backend.emulation.serving import EmulationChoice
 
 START = np.array([0.0, 0.0, 60.0])
@@ -234,6 +236,23 @@ def test_nobody_at_the_address_is_one_fault():
         connect(arm)
     arm.stop()
     arm.close()
+
+
+@pytest.mark.promise("S5")
+def test_another_device_on_the_command_port_is_named():
+    others = [TcpServer(EmulatedLeptrino(lambda now_s: (0.0,) * 6)) for _ in range(2)]
+    for other in others:
+        other.start()
+    (host, port), (_, stop_port) = (other.address for other in others)
+    arm = arm_for(settings(host=host, r3={"port": port, "stop_port": stop_port}))
+    words = "This is a Leptrino force/torque sensor, expected a MELFA controller"
+    try:
+        with pytest.raises(FaultError, match=words):
+            connect(arm)
+    finally:
+        arm.close()
+        for other in others:
+            other.close()
 
 
 @pytest.mark.promise("R14")

@@ -320,3 +320,36 @@ def test_the_counter_wraps():
     assert replies.take([reply(2**32 - 1)]) is not None
     assert replies.take([reply(0)]) is not None
     assert replies.take([reply(2**32 - 1)]) is None
+
+
+@pytest.mark.parametrize(
+    ("datagram", "said"),
+    [
+        (None, "Check the address of this computer"),
+        (b"\x12" * 196, "cannot be read"),
+        (b"short", "cannot be read"),
+        (reply(1, monitors=(2, 8, 5, 0)), "other data than requested"),
+        (reply(1, joint=11.0), "joint angles that no arm can have"),
+    ],
+)
+@pytest.mark.parametrize("running", [False, True])
+def test_replies_that_come_and_cannot_be_used_are_told_from_silence(datagram, said, running):
+    rig = Rig()
+    came = () if datagram is None else (datagram,)
+    if running:
+        rig.arm.connect(1.0, threading.Event())
+        rig.rest(0.1)
+        rig.wires.link.back = lambda reply: came
+        rig.rest(0.3)
+        fault, silent = rig.arm.fault, "No real-time reply for 29 cycles"
+        assert fault.code == "MXT-LOST"
+    else:
+        rig.wires.link.back = lambda reply: came
+        with pytest.raises(FaultError) as raised:
+            rig.arm.connect(1.0, threading.Event())
+        fault, silent = raised.value.fault, "no real-time reply comes"
+        assert fault.code == "MXT-START"
+    told = f"{fault.what} {fault.next_step}"
+    assert (silent in told) is (datagram is None)
+    assert datagram is None or said in told
+    assert datagram is None or "firewall" not in told

@@ -33,7 +33,9 @@ from touchdown.app.shell import (
     WorkspaceContext,
     bench_caption,
     ignored_words,
+    is_pressing,
     key_bindings,
+    lift_hand,
     load_settings,
     log,
     log_event,
@@ -49,7 +51,7 @@ from touchdown.app.workspaces import FIRST, Workspaces
 from touchdown.backend.bench import Session
 from touchdown.backend.core import Event, EventQueue
 from touchdown.widgets.base import EventPump, load_resources
-from touchdown.widgets.shell import CardText, FaultCards, PillState, TopBar, TourStop
+from touchdown.widgets.shell import STOPPED, CardText, FaultCards, PillState, TopBar, TourStop
 
 
 class BenchLoader:
@@ -266,7 +268,8 @@ class TouchdownApp(QObject):
         if self.bench is not None:
             self.bench.stop()
             log.info("STOP by the operator")
-            self.cards.show_card(stopped_card())
+            self.cards.show_card(stopped_card(partial(lift_hand, self.bench, self.cards)))
+            self.cards.show_offer(STOPPED, is_pressing(self.bench))
 
     def reset(self) -> None:
         """Clear the stop latch and the cards."""
@@ -440,6 +443,7 @@ class TouchdownApp(QObject):
             self.inspect.draw()
             self.panels.draw()
             self._closing.draw(self.bench)
+            self.cards.show_offer(STOPPED, is_pressing(self.bench))
             pace = f"{self.pace:.2f}\N{MULTIPLICATION SIGN} real time" if self.pace else ""
             self.window.show_right(pace)
         self.bar.pill.show_state(pill_state(self.bench))

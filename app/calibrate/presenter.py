@@ -270,7 +270,8 @@ class CalibratePresenter:
             return "Measure first."
         file = standing.record.file
         by = f" by {file.person}" if file.person else ""
-        return f"Last measured {file.date:%Y-%m-%d %H:%M} UTC{by}: {file.residual:.2g} {file.unit}."
+        when = file.date.astimezone()
+        return f"Last measured {when:%Y-%m-%d %H:%M}{by}: {file.residual:.2g} {file.unit}."
 
     def _row(self, what: CalibrationName) -> tuple[str, str]:
         standing = self._standings.get(what)

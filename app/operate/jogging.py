@@ -13,11 +13,15 @@ from PySide6.QtWidgets import QApplication, QWidget
 
 from touchdown.app.operate.page import OperatePage
 from touchdown.app.shell import (
+    LIFT,
+    LIFT_MM,
     arm_of,
     carry_out,
     gripper_of,
+    is_pressing,
     is_run_active,
     is_typing,
+    lift_hand,
     log,
     missing_scene_reason,
 )
@@ -81,6 +85,7 @@ class ManualControlPresenter:
             [(name, shown.piece(name).title) for name in shown.bottoms],
             (SceneChoice().piece, SceneChoice().bottoms[0]),
         )
+        page.jog.lift.clicked.connect(self.lift)
         page.jog.show_turning("" if hand is not None and hand.rotates else NO_JOINTS)
 
     # -- orders -----------------------------------------------------------------------------------
@@ -113,6 +118,12 @@ class ManualControlPresenter:
     def level(self) -> None:
         """Turn the hand back to straight down."""
         self._ordered(lambda hand: hand.jog.level(LEVEL_RAD_S))
+
+    def lift(self) -> None:
+        """Reset if stopped, then lift the hand out of contact."""
+        if self._bench.interlock.latched:
+            self._cards.reset()
+        lift_hand(self._bench, self._cards)
 
     def grip(self) -> None:
         """Close the gripper on the piece."""
@@ -166,6 +177,8 @@ class ManualControlPresenter:
         if now_s - self._drawn_s >= PERIOD_S or pads != self._drawn_pads:
             self._drawn_s, self._drawn_pads = now_s, pads
             self._page.jog.show_look(self._look())
+            words = LIFT if self._bench.interlock.latched else f"Lift {LIFT_MM:.0f} mm"
+            self._page.jog.show_lift(words if is_pressing(self._bench) else "")
             self._draw_gripper()
 
     def why_not(self) -> str:
@@ -189,7 +202,7 @@ class ManualControlPresenter:
             rooms = hand.jog.rooms(self._frame())
         except (StaleSampleError, RefusedError):
             return PoseReadout()
-        slow = hand.jog.state.slow
+        slow, above_mm = hand.jog.state.slow, pose.z_mm - hand.surface_mm
         recovering, turned = self._bench.interlock.recovering, rotation_angle_rad(pose) > 0.0
         note = "Recovery: jog away from contact" if recovering else ""
         if not note and hand.pressing_n and not is_run_active(self._bench):
@@ -202,7 +215,9 @@ class ManualControlPresenter:
             note = f"Turned by {turned_deg:.1f}\N{DEGREE SIGN}: level it to probe"
         if not note and any(room.why == "TURN-LOW" for room in rooms.values()):
             clear_mm = self._bench.interlock.limits.turn_clear_mm
-            note = f"To turn, the face must be {clear_mm:.0f} mm off the surface: jog +Z"
+            note = f"{above_mm:.1f} mm above the surface, {clear_mm:.0f} mm needed to turn: jog +Z"
+        if not note and not math.isnan(above_mm):
+            note = f"{above_mm:.1f} mm above the surface"
         if slow and hand.jog.state.order is not None:
             note = f"{self._jog_speed(hand)}: {slow}"
         age_s = max(self._bench.clock_s() - t_s, 0.0)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from datetime import UTC, datetime
+from datetime import datetime
 from functools import lru_cache
 from pathlib import Path
 
@@ -117,9 +117,9 @@ class EpisodeSeries:
     def title(self) -> str:
         """Date of the first episode, and the pair."""
         first = self.entries[0]
-        when = datetime.fromtimestamp(first.recorded_ns * 1e-9, UTC)
+        when = datetime.fromtimestamp(first.recorded_ns * 1e-9)
         episodes = count_noun(len(self.entries), "episode")
-        return f"{when:%Y-%m-%d  %H:%M:%S} UTC\nseries: {first.piece} on {first.bottom}, {episodes}"
+        return f"{when:%Y-%m-%d  %H:%M:%S}\nseries: {first.piece} on {first.bottom}, {episodes}"
 
     @property
     def facts(self) -> str:

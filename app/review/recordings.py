@@ -7,7 +7,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from datetime import datetime
+from datetime import UTC, datetime
 from functools import cached_property
 from pathlib import Path
 
@@ -266,12 +266,12 @@ def _looked_for(runs: Path, known: list[Path]) -> tuple[list[Path], list[str]]:
 
 
 def run_title(name: str) -> str:
-    """Return the name of a run as date and time, where it is one."""
+    """Return the name of a run, a time in UTC, as local date and time, where it is one."""
     try:
-        when = datetime.strptime(name[:15], "%Y%m%d-%H%M%S")
+        when = datetime.strptime(name[:15], "%Y%m%d-%H%M%S").replace(tzinfo=UTC).astimezone()
     except ValueError:
         return name
-    return f"{when:%Y-%m-%d  %H:%M:%S} UTC"
+    return f"{when:%Y-%m-%d  %H:%M:%S}"
 
 
 def _described(folder: Path, known: tuple[int, str]) -> tuple[int, str]:

@@ -18,10 +18,14 @@ from .bench_text import count_noun as count_noun
 from .bench_text import duration_text as duration_text
 from .bench_text import run_model_caption as run_model_caption
 from .bench_text import scene_model_caption as scene_model_caption
+from .cards import LIFT as LIFT
+from .cards import LIFT_MM as LIFT_MM
 from .cards import CloseConfirmation as CloseConfirmation
 from .cards import carry_out as carry_out
 from .cards import error_card as error_card
 from .cards import exit_after_timeout as exit_after_timeout
+from .cards import is_pressing as is_pressing
+from .cards import lift_hand as lift_hand
 from .cards import log_event as log_event
 from .cards import show_event as show_event
 from .cards import stopped_card as stopped_card
@@ -89,6 +93,8 @@ __all__ = [
     "ACTIVE_STATES",
     "CURSOR_S",
     "LEAST_WINDOW",
+    "LIFT",
+    "LIFT_MM",
     "USUAL",
     "ActionRegistry",
     "Appearance",
@@ -142,10 +148,12 @@ __all__ = [
     "gripper_of",
     "ignored_words",
     "install_error_hooks",
+    "is_pressing",
     "is_run_active",
     "is_typing",
     "item_reader",
     "key_bindings",
+    "lift_hand",
     "limit_height",
     "load_settings",
     "log",

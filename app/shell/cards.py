@@ -40,14 +40,31 @@ def fault_card(fault: Fault) -> CardText:
     return CardText(fault.code, fault.what, fault.consequence, fault.next_step, details, at=at)
 
 
-def stopped_card() -> CardText:
-    """Return the card of a STOP."""
+LIFT = "Reset and lift 5 mm"
+LIFT_MM, LIFT_MM_S = 5.0, 5.0
+
+
+def lift_hand(bench: Session, cards: FaultCards) -> None:
+    """Lift the hand by ``LIFT_MM``, slowly while in contact."""
+    hand = bench.hand
+    if hand is not None:
+        carry_out(lambda: hand.jog.step("z", "XYZ", LIFT_MM, LIFT_MM_S), cards)
+
+
+def is_pressing(bench: Session) -> bool:
+    """Return True if a held piece presses on something and no run moves it."""
+    return bench.hand is not None and bool(bench.hand.pressing_n) and not is_run_active(bench)
+
+
+def stopped_card(lift: Callable[[], None]) -> CardText:
+    """Return the card of a STOP; ``lift`` is offered while in contact."""
     return CardText(
         STOPPED,
         "Stopped by the operator.",
         "The run ends and new motion is refused; the grip is kept.",
         "Look at the bench, then press Reset.",
         at=time_of_day(),
+        offer=(LIFT, lift),
     )
 
 

@@ -88,6 +88,11 @@ class ManualControl:
         return press_n if press_n > self._interlock.limits.contact_n and self.holding else 0.0
 
     @property
+    def surface_mm(self) -> float:
+        """Height of ``G`` at which a held piece touches the support; NaN if unknown."""
+        return self._around.surface_mm()
+
+    @property
     def rotates(self) -> bool:
         """True if the hand can rotate and single joints can be driven."""
         return self._scene.arm.rotates

@@ -1,5 +1,6 @@
 """The window on the stand-in bench, closed and deleted after each test."""
 
+import time
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -41,6 +42,16 @@ def opened(folder: Path, bench=None, *, active=False):
 @pytest.fixture
 def bench():
     return StandInBench()
+
+
+@pytest.fixture
+def far_east(monkeypatch):
+    """A local time of 5:45 h before UTC."""
+    with monkeypatch.context() as patch:
+        patch.setenv("TZ", "NPT-5:45")
+        time.tzset()
+        yield
+    time.tzset()
 
 
 @pytest.fixture

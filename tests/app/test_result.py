@@ -194,12 +194,12 @@ def test_an_expired_calibration_is_red_and_named(wizard, bench) -> None:
     assert sheet.conditions[0].property("tone") == "bad"
 
 
-def test_a_page_says_when_and_by_whom_it_was_measured_last(wizard, bench) -> None:
+def test_a_page_says_when_and_by_whom_it_was_measured_last(wizard, bench, far_east) -> None:
     assert shown(wizard).bars.empty == "Measure first."
     bench.calibrations.accept(GOOD, {}, "Ada", datetime(2020, 1, 1, 12, tzinfo=UTC))
     wizard.panels.calibrate.open()
     sheet = shown(wizard)
-    assert sheet.bars.empty == "Last measured 2020-01-01 12:00 UTC by Ada: 0.02 N."
+    assert sheet.bars.empty == "Last measured 2020-01-01 17:45 by Ada: 0.02 N."
     assert "Ada" in sheet.bars.accessibleDescription()
 
 

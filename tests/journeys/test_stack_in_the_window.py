@@ -130,10 +130,19 @@ def test_approve_then_stop_then_reset(desk, qtbot):
         link.start(ProbeRequest())
     main.go("operate")
     jog = main.workspaces["operate"].page.jog
-    jog.next_step(9)
-    turn_until(main, link, jog.pads["+z"].isEnabled)
-    QTest.mousePress(jog.pads["+z"], Qt.MouseButton.LeftButton)
-    turn_until(main, link, lambda: main.bar.pill.state.word == "READY")
+    turn_until(main, link, jog.lift.isVisible)
+    assert jog.lift.text() == "Lift 5 mm"
+    main.stop()
+    turn_until(main, link, lambda: jog.lift.text() == "Reset and lift 5 mm")
+    offer = main.cards.card("STOPPED").offer
+    assert offer.isVisible()
+    assert offer.text() == jog.lift.text()
+    low_mm = link.devices["arm"].pose(1.0).z_mm
+    offer.click()
+    turn_until(main, link, lambda: main.bar.pill.state.word == "READY" and not link.hand.active)
+    assert link.devices["arm"].pose(1.0).z_mm == pytest.approx(low_mm + 5.0, abs=0.2)
+    turn_until(main, link, jog.lift.isHidden)
+    assert "mm above the surface" in jog._note.text()
     main.go("stack")
     turn_until(main, link, start.isEnabled)
     assert main.cards.codes == ()

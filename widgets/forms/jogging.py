@@ -173,6 +173,9 @@ class JogPad(Panel):
         self.keys.setAccessibleName("Arm the jog keys")
         self.pace = JogPace(paces)
         self.speed = self.pace.speed
+        self.lift = QPushButton()  # offered in contact
+        self.lift.setProperty("role", "primary")
+        self.lift.hide()
         self.joint = 1  # joint of the arrow keys in JOINT
         self._ready = self._turns = False
         self._pose, self._note = ElidedLabel(""), label("", "small")
@@ -234,6 +237,12 @@ class JogPad(Panel):
             pad.setToolTip(f"Jog {_signed(what)}" if ready else why)
         if self.keys.isEnabled() != ready:
             self.keys.setEnabled(ready)
+
+    def show_lift(self, words: str) -> None:
+        """Offer to lift the hand; "" hides the button."""
+        self.lift.setVisible(bool(words))
+        if words and self.lift.text() != words:
+            self.lift.setText(words)
 
     def show_look(self, look: PoseReadout) -> None:
         """Show pose, remaining travel and note."""
@@ -340,7 +349,7 @@ class JogPad(Panel):
         self._note.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Preferred)
         top = hbox((self._pose, 1), self.turn, self.frame)
         middle = hbox(1, (self._field, 1000), 1)
-        add_items(self.column, top, (middle, 1000), self.pace, self._note, 1)
+        add_items(self.column, top, (middle, 1000), self.pace, self._note, self.lift, 1)
 
 
 class _Pad(HoldButton):

@@ -195,7 +195,7 @@ class FaultCards(QWidget):
 
     def __init__(self, on_reset: Callable[[], None]) -> None:
         super().__init__()
-        self._on_reset = on_reset
+        self.reset = on_reset
         self._cards: dict[str, FaultCard] = {}
         self._question: QFrame | None = None
         self.asks: CardQuestion | None = None  # the present question
@@ -300,6 +300,12 @@ class FaultCards(QWidget):
         self.folded = True
         self._lay_out()
 
+    def show_offer(self, code: str, on: bool) -> None:
+        """Show or hide the button for the next step on the card of ``code``."""
+        for card in self._cards.values():
+            if card.text.code == code and card.text.offer is not None:
+                card.offer.setVisible(on)
+
     def pass_on(self) -> None:
         """Remove the cards of refused commands after an accepted one."""
         self.clear([card.text.code for card in self._cards.values() if card.text.passing])
@@ -313,7 +319,7 @@ class FaultCards(QWidget):
 
     def _pressed(self, text: CardText) -> None:
         if text.reset:
-            self._on_reset()
+            self.reset()
         else:
             self._remove(text.key)
             self._lay_out()

@@ -2,6 +2,7 @@
 
 import threading
 import time
+from types import SimpleNamespace
 
 import pytest
 from PySide6.QtCore import Qt
@@ -9,6 +10,7 @@ from PySide6.QtCore import Qt
 from tests.app.slot_watch import SLOT_S, SlotWatch
 from tests.app.stand_in import StandInBench
 from touchdown.app.review import recordings
+from touchdown.app.review.episodes import EpisodeSeries
 from touchdown.app.review.page import KeylessList
 from touchdown.app.review.recordings import RunReader, read_run_summary
 from touchdown.backend.core.events import PhaseEntered, RunFinished, RunStarted, TrialFinished
@@ -18,7 +20,7 @@ from touchdown.widgets.base.rows import WrappedItemDelegate
 from touchdown.widgets.base.theme import Theme
 from touchdown.widgets.lists.recordings import RecordingList, RecordingRow
 
-TIME = "2026-11-21  04:15:11 UTC"
+TIME = "2026-11-21  04:15:11"
 
 
 def record(folder, outcomes, ending="finished", piece="pot", probes=1):
@@ -49,6 +51,13 @@ def described(main, qtbot):
     qtbot.waitUntil(
         lambda: not presenter.recordings.describing and not presenter.reading, timeout=60_000
     )
+
+
+def test_the_times_of_runs_and_series_are_local(far_east):
+    assert recordings.run_title("20261121-041511-7") == "2026-11-21  10:00:11"
+    assert recordings.run_title("trial run") == "trial run"
+    entry = SimpleNamespace(recorded_ns=0, piece="pot", bottom="short")
+    assert EpisodeSeries("s", (entry,)).title.startswith("1970-01-01  05:45:00\n")
 
 
 @pytest.mark.parametrize(

@@ -69,7 +69,10 @@ COLLECT, LABEL = "collect", "label"
 OTHER = {COLLECT: LABEL, LABEL: COLLECT}
 TITLES = {COLLECT: "Collect", LABEL: "Label"}
 # Main keys of the label half, which has no buttons for them.
-LABEL_WORDS = "Enter accepts the label and goes on, arrows move it, D rejects; F1 shows all keys."
+LABEL_WORDS = (
+    "Enter accepts the label (or approves it, in a review) and goes on, arrows move it, D rejects; "
+    "F1 shows all keys."
+)
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,7 @@ from functools import partial
 from pydantic import ValidationError
 from PySide6.QtWidgets import QDoubleSpinBox, QGridLayout, QPushButton, QWidget
 
-from touchdown.app.shell import LEAST_WINDOW, BenchSheet, QuestionRow, carry_out, time_of_day
+from touchdown.app.shell import BenchSheet, QuestionRow, carry_out, time_of_day
 from touchdown.backend.bench import Session
 from touchdown.backend.config import LimitSettings
 from touchdown.backend.devices import Limits
@@ -64,7 +64,7 @@ class LimitsSheet(BenchSheet):
             head, self.source, rule(), self._grid, self.said, self.question, 1,
             foot=(self.edit, self.take), spacing=8,
         )  # fmt: skip
-        self.setMinimumWidth(min(50 * self.fontMetrics().height(), LEAST_WINDOW.width()))
+        self.give_width(50)
 
     def show_rows(self, rows: Sequence[LimitRow], source: str) -> None:
         """Show the present limits and their source; the form is locked."""

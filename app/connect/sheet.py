@@ -9,7 +9,7 @@ from functools import partial
 from PySide6.QtCore import QRect, Qt, Signal
 from PySide6.QtWidgets import QGridLayout, QLabel, QPushButton, QWidget
 
-from touchdown.app.shell import LEAST_WINDOW, BenchSheet, QuestionRow
+from touchdown.app.shell import BenchSheet, QuestionRow
 from touchdown.widgets.base import label, rule, set_property
 
 MARKS = {
@@ -92,7 +92,7 @@ class ConnectSheet(BenchSheet):
         self.arrange(
             self.head, self.text, rule(), self._grid, self.question, 1, foot=foot, spacing=10
         )
-        self.setMinimumWidth(min(64 * self.fontMetrics().height(), LEAST_WINDOW.width()))
+        self.give_width(64)
         self._wire()
 
     def show_look(self, look: ConnectView) -> None:

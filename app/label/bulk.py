@@ -141,7 +141,7 @@ def preview_text(found: BulkPreview) -> str:
     """Return the number of changes, and why some labels are excluded."""
     lines = [f"{count_noun(len(found.rows), 'label')} will change."]
     for reason, count in Counter(reason for _, reason in found.refused).most_common(3):
-        lines.append(f"{count_noun(count, 'label')} will not: {reason}")
+        lines.append(f"{count_noun(count, 'label')} will stay. Reason: {reason}")
     return "\n".join(lines)
 
 

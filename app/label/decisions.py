@@ -38,6 +38,10 @@ class LabelDecisions:
             await self._on.saving.save(lambda: labels.approve(session.person, uuid, context=looked))
             self._on.go_on()
             return
+        if now.edit.base.state in ("submitted", "approved") and not now.edit.changed:
+            # There is nothing to accept: another person reviews it.
+            self._on.go_on()
+            return
         model = now.item.model
         if not now.edit.label.is_set and model is not None and not session.hides:
             fit = model.fit
@@ -178,7 +182,9 @@ class LabelDecisions:
         here = self._on.present.item.entry.uuid if self._on.present is not None else ""
         places = [at for uuid in touched if (at := self._on.walk.find(uuid)) >= 0]
         said = f"{word}." if len(touched) == 1 else f"{word} on {len(touched)} episodes."
-        if here in touched or not places:
+        if not here:
+            self._on.read_with_news(said)
+        elif here in touched or not places:
             self._on.reload()
             self._page.say(said)
         else:

@@ -100,7 +100,9 @@ EMPTY_QUEUES = {
     "review": empty_queue(
         "Nothing waits for your review", "What you labelled is for others to review."
     ),
-    "returned": empty_queue("Nothing of yours was rejected", "No label came back to you."),
+    "returned": empty_queue(
+        "Nothing of yours was rejected", "No label came back, and you rejected no probe."
+    ),
     "conflicts": empty_queue("There are no conflicts", "No merge left an episode two labels."),
     **dict.fromkeys(("doubt", "disagreement", "uncertainty", "duplicates"), NOT_SCORED),
 }

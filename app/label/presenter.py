@@ -221,7 +221,21 @@ class LabelPresenter:
             self.walk.note(now.item.entry.uuid, self._badges_of(now))
         else:
             self.reload()
-        self._go(self.walk.at + 1)
+        if self.walk.at + 1 == len(self.walk.order) and not self.session.opines:
+            self.saving.after(self._end)
+        else:
+            self._go(self.walk.at + 1)
+
+    async def _end(self) -> None:
+        """Tell what is left at the end of the queue; show that nothing is."""
+        session, at = replace(self.session), self.walk.uuid
+        left, _, _ = await self.saving.save(lambda: read_queue(self.dataset, session))
+        if not left:
+            self._news = "The end of the queue: nothing is left."
+            await self.read_queue(stay=False)
+        elif self.walk.uuid == at:
+            count = count_noun(len(left), "episode")
+            self._page.say(f"The end of the queue: {count} left, Ctrl+R reads it again.")
 
     def show_at(self, at: int, said: str) -> None:
         """Show another place of the queue with a message. There must be no unsaved edit."""

@@ -72,7 +72,6 @@ from .settings import load_settings as load_settings
 from .settings import restore_form as restore_form
 from .settings import save_settings as save_settings
 from .settings import settings_path as settings_path
-from .sheets import LEAST_WINDOW as LEAST_WINDOW
 from .sheets import BenchSheet as BenchSheet
 from .sheets import QuestionRow as QuestionRow
 from .sheets import ask_path as ask_path
@@ -92,7 +91,6 @@ from .workspace import WorkspaceContext as WorkspaceContext
 __all__ = [
     "ACTIVE_STATES",
     "CURSOR_S",
-    "LEAST_WINDOW",
     "LIFT",
     "LIFT_MM",
     "USUAL",

@@ -10,7 +10,7 @@ from PySide6.QtWidgets import QDialog, QFileDialog, QFrame, QLayout, QPushButton
 
 from touchdown.widgets.base import hbox, label, rule, vbox
 
-LEAST_WINDOW = QSize(800, 440)  # of the main window; no sheet needs to be wider
+LEAST_WINDOW = QSize(800, 440)  # of the main window
 
 
 class QuestionRow(QFrame):
@@ -57,6 +57,13 @@ class BenchSheet(QDialog):
         super().__init__(parent)
         self.setModal(False)
         self.setWindowTitle(title)
+
+    def give_width(self, em: float) -> None:
+        """Set the least width in heights of the font; not wider than the main window."""
+        window = self.parentWidget()
+        assert window is not None
+        room = max(window.width(), LEAST_WINDOW.width())
+        self.setMinimumWidth(min(round(em * self.fontMetrics().height()), room))
 
     def present(self) -> None:
         """Show the sheet above the window."""

@@ -124,7 +124,7 @@ def episode_queue(
     """Return the episodes of a queue for ``person``, in order, without deleted ones.
 
     - unlabelled: not yet accepted, oldest first, skipped ones last
-    - review: submitted by others; returned: own labels that a reviewer rejected
+    - review: submitted by others; returned: own labels and probes that were rejected
     - doubt, disagreement, duplicates, uncertainty: highest score first. Labels that changed since
       the score was computed are left out, except for uncertainty, which does not depend on the
       label and lists episodes that are not yet approved
@@ -203,7 +203,8 @@ _QUERIES = {
     "unlabelled": _IN_ORDER.format("stage = 'unlabelled'"),
     "review": _IN_ORDER.format("stage = 'review' AND instr(authors, :author) = 0"),
     "returned": _IN_ORDER.format(
-        "stage = 'rejected' AND instr(authors, :author) > 0 AND actor != :person"
+        "stage = 'rejected' AND (instr(authors, :author) > 0 OR authors = char(10)"
+        " AND actor = :person)"
     ),
     "doubt": _SAME_LABEL,
     "disagreement": _SAME_LABEL,

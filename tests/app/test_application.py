@@ -174,8 +174,8 @@ def test_only_a_slower_computer_is_allowed_more(slower, allowed):
 def test_no_slot_takes_long_while_a_probe_goes_on_and_pages_change(qapp, qtbot, tmp_path, watch):
     session = simulated_session(keep=RecordingOptions(tmp_path / "runs"))
     session.prepare(SceneChoice())
-    opened = session.open
-    session.open = lambda: opened(FASTER)
+    begin = session.open
+    session.open = lambda: begin(FASTER)
     yardstick = Yardstick()
     with opened(tmp_path) as main:
         main.window.show()

@@ -73,6 +73,7 @@ QPushButton[role="choice"]:checked, QPushButton:checked {{ background: {selectio
     color: {selection_text}; border-color: {selection}; }}
 QFrame[role="card"][armed="yes"] {{ border: 3px solid {focus}; }}
 QPushButton[role="hold"][chosen="yes"] {{ border: 3px solid {focus}; }}
+QAbstractSpinBox[refused="yes"] {{ border: 2px solid {bad}; }}
 
 QComboBox, QAbstractSpinBox, QLineEdit {{ background: {bg}; color: {text};
     placeholder-text-color: {muted};

@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from typing import Any
 
-from PySide6.QtCore import QEvent, QObject, QPoint, QPointF, Qt, QTimer
+from PySide6.QtCore import QEvent, QObject, QPoint, QPointF, QSignalBlocker, Qt, QTimer
 from PySide6.QtGui import QGuiApplication, QKeyEvent, QMouseEvent, QTouchEvent, QWindow
 from PySide6.QtWidgets import (
     QAbstractButton,
-    QAbstractSpinBox,
     QApplication,
     QCheckBox,
     QComboBox,
@@ -19,10 +18,11 @@ from PySide6.QtWidgets import (
     QPushButton,
     QSizePolicy,
     QSpinBox,
+    QToolTip,
     QWidget,
 )
 
-from touchdown.widgets.base import Theme, fit_icon, icon, label
+from touchdown.widgets.base import Theme, fit_icon, icon, label, set_property
 
 INSET_PX = 6
 Field = QCheckBox | QComboBox | QDoubleSpinBox | QSpinBox
@@ -35,10 +35,67 @@ def field_label(text: str, field: QWidget) -> QLabel:
     return made
 
 
-def inset_spin_boxes(*boxes: QAbstractSpinBox) -> None:
-    """Inset the figures of spin boxes; style-sheet padding does not reach them."""
+NumberBox = QSpinBox | QDoubleSpinBox
+
+
+def inset_spin_boxes(*boxes: NumberBox) -> None:
+    """Inset the figures of spin boxes, and refuse wrong numbers visibly.
+
+    Style-sheet padding does not reach the figures. A typed number that the box cannot hold leaves
+    the former one, with a frame around it and the allowed range beside it.
+    """
     for box in boxes:
         box.lineEdit().setTextMargins(INSET_PX, 0, 0, 0)
+        _RefusedEntry(box)
+
+
+class _RefusedEntry(QObject):
+    """Keeps the value of a spin box, and says so, while it cannot hold what is typed."""
+
+    def __init__(self, box: NumberBox) -> None:
+        super().__init__(box)
+        self._box, self._typed, self._before = box, "", box.value()
+        # The validator would drop single letters: "-5e9" would become a wrong number.
+        box.lineEdit().setValidator(None)  # type: ignore[arg-type]
+        box.lineEdit().textEdited.connect(self._edit)
+        box.editingFinished.connect(self._finish)
+
+    def _edit(self, typed: str) -> None:
+        box, edit = self._box, self._box.lineEdit()
+        if not self._typed:
+            self._before = box.value()
+        self._typed = typed or " "
+        wrong = self._is_wrong()
+        if wrong and box.value() != self._before:
+            at = edit.cursorPosition()
+            box.setValue(self._before)  # type: ignore[arg-type]
+            with QSignalBlocker(edit):
+                edit.setText(typed)
+                edit.setCursorPosition(at)
+        set_property(box, "refused", "yes" if wrong else "no")
+
+    def _finish(self) -> None:
+        if self._typed and self._is_wrong():
+            box = self._box
+            place, words = box.mapToGlobal(box.rect().bottomLeft()), self._words()
+            QTimer.singleShot(0, box, lambda: QToolTip.showText(place, words, box))
+        self._typed = ""
+
+    def _is_wrong(self) -> bool:
+        box = self._box
+        figures = self._typed.removeprefix(box.prefix()).removesuffix(box.suffix()).strip()
+        number, is_number = box.locale().toDouble(figures)
+        if box.specialValueText() and self._typed.strip() == box.specialValueText():
+            return False
+        decimals = box.decimals() if isinstance(box, QDoubleSpinBox) else 0
+        fits = box.minimum() <= number <= box.maximum() and number == round(number, decimals)
+        return not (is_number and fits)
+
+    def _words(self) -> str:
+        box = self._box
+        decimals = box.decimals() if isinstance(box, QDoubleSpinBox) else 0
+        low, high = (f"{value:.{decimals}f}" for value in (box.minimum(), box.maximum()))
+        return f"{self._typed.strip()} is refused: {low} to {high}{box.suffix()} is allowed."
 
 
 def let_shrink(*combos: QComboBox, letters: int = 8) -> None:
@@ -95,7 +152,7 @@ class FormFields(QGridLayout):
         for field in fields.values():
             if isinstance(field, QComboBox):
                 let_shrink(field)
-            elif isinstance(field, QAbstractSpinBox):
+            elif isinstance(field, NumberBox):
                 inset_spin_boxes(field)
             if not isinstance(field, QCheckBox):
                 field.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)

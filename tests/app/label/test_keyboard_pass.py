@@ -232,6 +232,32 @@ def test_an_empty_queue_says_so_once_and_offers_one_thing_to_do(desk):
     assert not any(is_blank(view) for view in views)
 
 
+def test_the_end_of_a_queue_shows_what_is_left_and_an_own_rejection_is_found_again(desk):
+    page, presenter = desk.page, desk.workspace.presenter
+    first, second, *others = presenter.walk.order
+    for uuid in others:
+        desk.book.delete("setup", uuid, "of no use here")
+    presenter.choose_queue("unlabelled")
+    desk.settle()
+    desk.do(KEY.Key_D, KEY.Key_2)
+    assert desk.uuid == second
+    desk.do(KEY.Key_X, KEY.Key_Return)
+    assert page.nothing.isVisible()
+    assert page.nothing.title.text() == "Nothing is left to label"
+    desk.do(KEY.Key_Return)
+    desk.do(KEY.Key_U)
+    assert desk.uuid == second
+    desk.do(KEY.Key_Return)
+    presenter.choose_queue("returned")
+    desk.settle()
+    assert (presenter.walk.order, desk.uuid) == ([first], first)
+    presenter.choose_queue("coverage")
+    desk.settle()
+    assert desk.uuid == second
+    desk.do(KEY.Key_Return)
+    assert page.message.text() == "The end of the queue: 1 episode left, Ctrl+R reads it again."
+
+
 @pytest.mark.parametrize(
     ("queue", "button"),
     [("doubt", "Let the model score the dataset (Ctrl+M)"), ("", "Collect probes (F2)")],

@@ -226,6 +226,10 @@ def test_work_moves_from_queue_to_queue(dataset: Dataset, record: Record) -> Non
     labels.reject("bob", b, "tilt")
     assert dataset.queue("returned", "ann") == [b]
     assert dataset.queue("returned", "bob") == []
+    labels.reject("bob", a, "slip")
+    assert dataset.queue("returned", "bob") == [a], "an own rejection of a probe stays in reach"
+    assert dataset.queue("returned", "ann") == [b]
+    labels.undo("bob")
     labels.delete("ann", c, "test")
     assert dataset.queue("unlabelled", "ann") == [a]
     assert dataset.counts() == {"deleted": 1, "rejected": 1, "unlabelled": 1}

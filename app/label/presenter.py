@@ -152,7 +152,8 @@ class LabelPresenter:
         order, entries, gold = await self.saving.save(lambda: read_queue(self.dataset, session))
         self._cover_rows()
         self.shown.begin(self.session.person, gold)
-        self.walk.begin(order, entries | {u: self.shown.entry(entries[u]) for u in gold}, here)
+        entries.update({uuid: self.shown.entry(entries[uuid]) for uuid in gold})
+        self.walk.begin(order, entries, here)
         self._show_present()
 
     def refresh(self) -> None:
@@ -284,7 +285,7 @@ class LabelPresenter:
 
     def _nothing(self) -> EmptyState:
         """Return why the queue is empty."""
-        if not self.walk.entries:
+        if not self.walk.total:
             return NO_PROBES
         return EMPTY_QUEUES.get(self.session.queue, EMPTY_QUEUE)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Generic, TypeVar
 
@@ -18,7 +18,7 @@ from touchdown.backend.annotations import (
     with_control_items,
 )
 from touchdown.backend.core import InputError
-from touchdown.widgets.lists import LabelList, LabelListRow
+from touchdown.widgets.lists import LabelList, LabelListRow, RowsOnDemand
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,8 +173,25 @@ def neighbours(order: Sequence[str], at: int) -> list[str]:
     return [order[place] for place in places if 0 <= place < len(order)]
 
 
-# Ids in order, all entries, and the control items among the ids.
-QueueContent = tuple[list[str], dict[str, EpisodeEntry], dict[str, ControlItemView]]
+class QueueEntries(dict[str, EpisodeEntry]):
+    """Entries of a queue by id, read in pages on first use. ``total``: episodes of the dataset."""
+
+    def __init__(self, dataset: Dataset, order: Sequence[str], total: int) -> None:
+        super().__init__()
+        self._dataset, self._order, self.total = dataset, order, total
+        self._place = {uuid: at for at, uuid in enumerate(order)}
+
+    def __missing__(self, uuid: str) -> EpisodeEntry:
+        start = self._place.get(uuid, 0) // ENTRIES_PER_PAGE * ENTRIES_PER_PAGE
+        page = self._dataset.entries([uuid, *self._order[start : start + ENTRIES_PER_PAGE]])
+        self.update(page | self)
+        return dict.__getitem__(self, uuid)
+
+
+ENTRIES_PER_PAGE = 200
+
+# Ids in order, their entries, and the control items among the ids.
+QueueContent = tuple[list[str], QueueEntries, dict[str, ControlItemView]]
 
 
 def read_queue(dataset: Dataset, session: AnnotationSession) -> QueueContent:
@@ -184,12 +201,11 @@ def read_queue(dataset: Dataset, session: AnnotationSession) -> QueueContent:
         order = [] if s.chosen is None else list(s.chosen.said)
     else:
         order = dataset.queue(s.queue, s.person, seed=s.seed)
-    entries = {entry.uuid: entry for entry in dataset.episodes()}
-    order = [uuid for uuid in order if uuid in entries]
-    if s.queue != "unlabelled":
-        return order, entries, {}
-    order, gold = with_control_items(dataset, s.person, order, entries, s.seed)
-    return order, entries, gold
+    known, gold = dataset.uuids(), dict[str, ControlItemView]()
+    order = [uuid for uuid in order if uuid in known]
+    if s.queue == "unlabelled":
+        order, gold = with_control_items(dataset, s.person, order, known, s.seed)
+    return order, QueueEntries(dataset, order, len(known)), gold
 
 
 class QueueCursor:
@@ -199,6 +215,7 @@ class QueueCursor:
         self._rows, self._prefetch = rows, prefetch
         self.order: list[str] = []
         self.entries: dict[str, EpisodeEntry] = {}
+        self.total = 0
         self.badges: dict[str, tuple[str, ...]] = {}
         self.at = -1
         self.begun = False
@@ -211,12 +228,12 @@ class QueueCursor:
         """The present episode."""
         return self.order[self.at] if 0 <= self.at < len(self.order) else None
 
-    def begin(self, order: Sequence[str], entries: Mapping[str, EpisodeEntry], stay: str) -> None:
+    def begin(self, order: Sequence[str], entries: QueueEntries, stay: str) -> None:
         """Use a queue; start with ``stay`` if it contains it, else with the first episode."""
         self.begun = True
         self.answered.clear()
-        self.order, self.entries = list(order), dict(entries)
-        self._rows.show_rows([self._row(uuid) for uuid in self.order])
+        self.order, self.entries, self.total = list(order), entries, entries.total
+        self._show_rows()
         self.at = self.order.index(stay) if stay in self.order else (0 if self.order else -1)
         self._want()
 
@@ -257,7 +274,7 @@ class QueueCursor:
         """Hide the states of the episodes (``blind``) or other evidence (``hides``)."""
         if (blind, hides) != (self._blind, self._hides):
             self._blind, self._hides = blind, hides
-            self._rows.show_rows([self._row(uuid) for uuid in self.order])
+            self._show_rows()
             if self.at >= 0:
                 self._rows.choose(self.at)
 
@@ -272,6 +289,9 @@ class QueueCursor:
         """Update the entry of an episode and its row."""
         self.entries[entry.uuid] = entry
         self.note(entry.uuid, self.badges.get(entry.uuid, ()))
+
+    def _show_rows(self) -> None:
+        self._rows.show_rows(RowsOnDemand(len(self.order), lambda at: self._row(self.order[at])))
 
     def _row(self, uuid: str) -> LabelListRow:
         entry = self.entries[uuid]

@@ -5,7 +5,9 @@ from .agreement import patch_iou as patch_iou
 from .agreement import suggestion_bias as suggestion_bias
 from .backups import list_backups as list_backups
 from .backups import restore_backup as restore_backup
+from .consistency import CheckProgress as CheckProgress
 from .consistency import ConsistencyProblem as ConsistencyProblem
+from .consistency import no_progress as no_progress
 from .control_items import ControlItemLabels as ControlItemLabels
 from .control_items import ControlItemView as ControlItemView
 from .control_items import with_control_items as with_control_items
@@ -107,6 +109,7 @@ __all__ = [
     "BulkChange",
     "BulkPreview",
     "CacheRow",
+    "CheckProgress",
     "ConsistencyProblem",
     "ControlItemLabels",
     "ControlItemView",
@@ -160,6 +163,7 @@ __all__ = [
     "load_training_set",
     "merge_labels",
     "new_revision",
+    "no_progress",
     "package_versions",
     "patch_iou",
     "read_mark",

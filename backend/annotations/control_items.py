@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from bisect import bisect_right
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass, replace
 from hashlib import blake2b
 from typing import Any
@@ -48,8 +48,7 @@ Mixed = tuple[list[str], dict[str, ControlItemView]]
 
 
 def with_control_items(
-    dataset: Dataset, person: str, order: Sequence[str], entries: Mapping[str, EpisodeEntry],
-    seed: int = 0,
+    dataset: Dataset, person: str, order: Sequence[str], entries: Container[str], seed: int = 0
 ) -> Mixed:  # fmt: skip
     """Return the queue of ``person`` with control items, unfinished ones included."""
     waiting = dataset.queue("gold", person, seed=seed)

@@ -29,7 +29,7 @@ from touchdown.backend.annotations.consistency import (
 )
 from touchdown.backend.annotations.database import CATALOGUE_FILE, SCHEMA_VERSION, Database
 from touchdown.backend.annotations.episode_files import LOSSES, check_losses, read_packed
-from touchdown.backend.annotations.episode_index import tagged_sides
+from touchdown.backend.annotations.episode_index import PairCount, tagged_sides
 from touchdown.backend.annotations.geometry_records import GeometryStore, TruePatch
 from touchdown.backend.annotations.labels import LabelStore
 from touchdown.backend.annotations.operation_log import OperationJournal
@@ -246,8 +246,7 @@ class Dataset:
         before = [
             problem
             for problem in self.problems
-            if problem.target not in targets
-            and episode_index.find_episode(self.database, problem.target) is None
+            if problem.target not in targets and not self.entries([problem.target])
         ]
         return [problem for problem in (*before, *found) if problem.is_damage]
 
@@ -308,14 +307,18 @@ class Dataset:
         return self.entry(episode.episode_id)
 
     def __iter__(self) -> Iterator[EpisodeEntry]:
-        return iter(self.episodes())
+        return episode_index.iter_episodes(self.database)
 
     def entry(self, uuid: str) -> EpisodeEntry:
         """Return one entry; raises ``InputError`` if there is no such episode."""
-        found = episode_index.find_episode(self.database, uuid)
-        if found is None:
+        found = self.entries([uuid])
+        if not found:
             raise InputError("There is no such episode.", uuid, "List the episodes of the dataset.")
-        return found
+        return found[uuid]
+
+    def entries(self, uuids: Iterable[str]) -> dict[str, EpisodeEntry]:
+        """Return the entries of these episodes; unknown ids are left out."""
+        return episode_index.find_by_uuid(self.database, uuids)
 
     def episodes(self, wanted: EpisodeFilter | None = None) -> list[EpisodeEntry]:
         """Return the entries that pass the filter (default: all but deleted), oldest first."""
@@ -371,9 +374,14 @@ class Dataset:
         """Return the episodes of a review queue for ``person``, in order."""
         return queues.episode_queue(self.database, name, person, seed=seed, limit=limit)
 
-    def count(self, wanted: EpisodeFilter | None = None) -> int:
-        """Return the number of entries that pass the filter (default: all but deleted)."""
-        return episode_index.count_episodes(self.database, wanted or EpisodeFilter())
+    def uuids(self) -> set[str]:
+        """Return the ids of all episodes that are not deleted."""
+        sql = f"SELECT e.uuid FROM {episode_index.TABLES} WHERE NOT h.deleted"  # noqa: S608
+        return {uuid for (uuid,) in self.database.rows(sql)}
+
+    def count_by_pair(self) -> list[PairCount]:
+        """Return the numbers of episodes by pair, label state and file state."""
+        return episode_index.count_by_pair(self.database)
 
     def counts(self) -> dict[str, int]:
         """Return the number of episodes per stage: unlabelled, review, approved, rejected, ..."""

@@ -9,11 +9,12 @@ from __future__ import annotations
 import dataclasses
 import json
 import sqlite3
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from hashlib import sha256
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from touchdown.backend.annotations import operation_log, review
 from touchdown.backend.annotations.database import Database
@@ -42,6 +43,7 @@ COLUMNS = (
     " e.bytes, e.state, e.adopted, h.state, h.conflict, h.flagged, h.deleted"
 )
 TABLES = "episode e JOIN label_head h ON h.episode = e.uuid"
+PAGE = 1000  # entries read at once
 
 
 def label_message(
@@ -114,18 +116,39 @@ def find_episodes(database: Database, wanted: EpisodeFilter) -> list[EpisodeEntr
     return [row_to_entry(row) for row in database.rows(sql, values)]
 
 
-def count_episodes(database: Database, wanted: EpisodeFilter) -> int:
-    """Return the number of entries that pass the filter."""
-    where, values = _conditions(wanted)
-    (count,) = database.one(f"SELECT count(*) FROM {TABLES} WHERE {where}", values)  # noqa: S608
-    return int(count)
+def iter_episodes(database: Database) -> Iterator[EpisodeEntry]:
+    """Yield the entries that are not deleted, oldest first, reading page by page."""
+    page = find_episodes(database, EpisodeFilter(limit=PAGE))
+    while page:
+        yield from page
+        page = find_episodes(database, EpisodeFilter(limit=PAGE, after=page[-1].uuid))
 
 
-def find_episode(database: Database, uuid: str) -> EpisodeEntry | None:
-    """Return one entry, or None."""
-    sql = f"SELECT {COLUMNS} FROM {TABLES} WHERE e.uuid = ?"  # noqa: S608
-    row = database.first(sql, (uuid,))
-    return None if row is None else row_to_entry(row)
+def find_by_uuid(database: Database, uuids: Iterable[str]) -> dict[str, EpisodeEntry]:
+    """Return the entries of these episodes; unknown ids are left out."""
+    listed = "(SELECT value FROM json_each(?))"
+    sql = f"SELECT {COLUMNS} FROM {TABLES} WHERE e.uuid IN {listed}"  # noqa: S608
+    rows = database.rows(sql, (json.dumps(list(uuids)),))
+    return {row[0]: row_to_entry(row) for row in rows}
+
+
+def count_by_pair(database: Database) -> list[PairCount]:
+    """Return the numbers of episodes by pair, label state and file state, deleted ones included."""
+    state = "CASE WHEN h.deleted THEN 'deleted' ELSE h.state END"
+    columns = f"e.piece, e.bottom, {state}, e.state, count(*), sum(h.conflict)"
+    sql = f"SELECT {columns} FROM {TABLES} GROUP BY 1, 2, 3, 4 ORDER BY 1, 2, 3, 4"  # noqa: S608
+    return [PairCount(*row) for row in database.rows(sql)]
+
+
+class PairCount(NamedTuple):
+    """Number of episodes of a pair in one state; ``conflicts`` of them have two labels."""
+
+    piece: str
+    bottom: str
+    state: str
+    file_state: str
+    episodes: int
+    conflicts: int
 
 
 def row_to_entry(row: tuple[Any, ...]) -> EpisodeEntry:
@@ -135,13 +158,17 @@ def row_to_entry(row: tuple[Any, ...]) -> EpisodeEntry:
         mounting_id, person, mode, quality, keep_frames, digest, size, file_state, adopted, state,
         conflict, flagged, deleted,
     ) = row  # fmt: skip
-    found = json.loads(quality)
-    found["reasons"] = tuple(found["reasons"])
     return EpisodeEntry(
         uuid, series, campaign, plan_item, path, recorded_ns, piece, bottom, geometry, grip_id,
-        mounting_id, person, mode, EpisodeQuality(**found), keep_frames, digest, size, file_state,
+        mounting_id, person, mode, _quality(quality), keep_frames, digest, size, file_state,
         bool(adopted), state, bool(conflict), bool(flagged), bool(deleted),
     )  # fmt: skip
+
+
+@lru_cache(maxsize=10_000)
+def _quality(text: str) -> EpisodeQuality:
+    found = json.loads(text)
+    return EpisodeQuality(**found | {"reasons": tuple(found["reasons"])})
 
 
 def _conditions(wanted: EpisodeFilter) -> tuple[str, list[Any]]:

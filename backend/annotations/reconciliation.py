@@ -50,8 +50,15 @@ def check_labels(parts: DatasetParts, *, whole: bool) -> Iterator[ConsistencyPro
     with parts.database.reading() as connection:
         catalogue = newest_operations(connection)
     broken: set[str] = set()
+    chains: dict[str, list[Operation]] = {}
     for site, (seq, _) in catalogue.items():
-        bad = _bad_link(parts, site, 0 if whole else max(0, seq - CHECKED_OPERATIONS))
+        after = 0 if whole else max(0, seq - CHECKED_OPERATIONS)
+        with parts.database.reading() as connection:
+            chain = read_operations(connection, "site = ? AND seq >= ?", (site, after))
+        start = (chain[0].seq, chain[0].hash) if after else (0, FIRST_HASH)
+        bad = first_broken_link(_counted(parts, chain[1:] if after else chain), start)
+        if whole:
+            chains[site] = chain
         if bad is not None:
             broken.add(site)
             yield _broken(site, bad, "The chain of label operations is broken")
@@ -59,7 +66,7 @@ def check_labels(parts: DatasetParts, *, whole: bool) -> Iterator[ConsistencyPro
     journals = {path.stem for path in parts.journal.folder.glob("*.jsonl")}
     for site in sorted({*catalogue, *journals} - broken):
         newest = catalogue.get(site, (0, FIRST_HASH))
-        ahead, findings = _compare_journal(parts, site, newest, whole=whole)
+        ahead, findings = _compare_journal(parts, site, newest, chains.get(site))
         missing += ahead
         yield from findings
     if missing:
@@ -88,7 +95,9 @@ def wrong_heads(parts: DatasetParts, *, whole: bool) -> list[str]:
     if whole:
         with parts.database.reading() as connection:
             heads = connection.execute("SELECT episode, rev_uuid, conflict FROM label_head")
-            for episode, rev_uuid, conflict in heads.fetchall():
+            listed = heads.fetchall()
+            for done, (episode, rev_uuid, conflict) in enumerate(listed):
+                parts.progress("Labels", done, len(listed))
                 head = review.head_of(*review.read_nodes(connection, episode))
                 expected = head and (head.node.rev_uuid, int(len(head.leaves) > 1))
                 if expected != (rev_uuid, conflict):
@@ -96,25 +105,22 @@ def wrong_heads(parts: DatasetParts, *, whole: bool) -> list[str]:
     return sorted(found)
 
 
-def _bad_link(parts: DatasetParts, site: str, after: int) -> int | None:
-    """Return the number of the first operation after ``after`` that breaks the chain, or None."""
-    with parts.database.reading() as connection:
-        operations = read_operations(connection, "site = ? AND seq >= ?", (site, after))
-    if after:
-        return first_broken_link(operations[1:], (operations[0].seq, operations[0].hash))
-    return first_broken_link(operations)
+def _counted(parts: DatasetParts, operations: Sequence[Operation]) -> Iterator[Operation]:
+    for done, operation in enumerate(operations):
+        parts.progress("Label operations", done, len(operations))
+        yield operation
 
 
 def _compare_journal(
-    parts: DatasetParts, site: str, newest: ChainPosition, *, whole: bool
+    parts: DatasetParts, site: str, newest: ChainPosition, chain: Sequence[Operation] | None
 ) -> tuple[list[Operation], list[ConsistencyProblem]]:
     """Return the operations of the journal that the catalogue lacks, and problems of the site.
 
-    ``whole`` reads all lines, else the last one.
+    All lines are compared with ``chain``; without one the last line is read.
     """
     path = parts.journal.path(site)
     last = _last_position(path)
-    if last == newest and not whole:
+    if last == newest and chain is None:
         return [], []
     if last is not None and last[0] < newest[0]:
         sql = "SELECT hash FROM op WHERE site = ? AND seq = ?"
@@ -126,13 +132,12 @@ def _compare_journal(
             return [], [ConsistencyProblem("journal", site, message, catch_up)]
     try:
         operations = list(read_journal(path))
-        bad = first_broken_link(operations) if last == newest else None
-        if bad is not None:
-            raise ValueError(f"{path.name}, line {bad}: it was changed")
+        if last == newest:
+            if operations != chain:
+                raise ValueError(f"{path.name} was changed")
+            return [], []
     except (ValueError, OSError) as error:
         return [], [_damaged_journal(parts, site, newest, error)]
-    if last == newest:
-        return [], []
     ahead = [operation for operation in operations if operation.seq > newest[0]]
     shared = [operation.hash for operation in operations if operation.seq == newest[0]]
     if newest[0] and shared != [newest[1]]:

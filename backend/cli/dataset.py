@@ -12,7 +12,6 @@ from pathlib import Path
 from touchdown.backend.annotations import (
     ConsistencyProblem,
     Dataset,
-    EpisodeFilter,
     NotWritableError,
     WriterLock,
     check_dataset,
@@ -48,8 +47,8 @@ def verify(args: argparse.Namespace, folder: Path, screen: VerbOutput) -> int:
     with dataset:
         for notice in dataset.notices:
             screen.say(notice)
-        found, count = dataset.verify(progress), dataset.count()
-        noted = dataset.writable
+        found, noted = dataset.verify(progress), dataset.writable
+        count = sum(one.episodes for one in dataset.count_by_pair() if one.state != "deleted")
     screen.say(f"{count} episodes read.")
     return _report(found, screen, {"dataset": str(folder), "episodes": count, "noted": noted})
 
@@ -128,33 +127,35 @@ def _report(
 
 def status(args: argparse.Namespace, folder: Path, screen: VerbOutput) -> int:
     """Count the episodes by pair and label state."""
+    pairs, files, conflicts = Counter[tuple[str, str, str]](), Counter[str](), 0
     with Dataset.open(folder, create=False, write=False) as dataset:
-        entries = dataset.episodes(EpisodeFilter(deleted=None))
+        counts = dataset.count_by_pair()
         age, campaigns = dataset.backups.age, list_campaigns(dataset.database)
-    pairs = Counter((e.piece, e.bottom, "deleted" if e.deleted else e.state) for e in entries)
-    files = Counter(e.file_state for e in entries)
+    for one in counts:
+        pairs[one.piece, one.bottom, one.state] += one.episodes
+        files[one.file_state] += one.episodes
+        conflicts += one.conflicts
     states = sorted({state for _, _, state in pairs})
     rows = [
         (piece, bottom, *(str(pairs[piece, bottom, state] or "-") for state in states))
         for piece, bottom in sorted({(piece, bottom) for piece, bottom, _ in pairs})
     ]
-    title = f"{len(entries)} episodes in {folder}"
+    title = f"{pairs.total()} episodes in {folder}"
     screen.table(title, ("piece", "bottom", *states), *rows, right=states)
-    conflicts = sum(e.conflict for e in entries)
     if conflicts:
         screen.say(f"{conflicts} episodes have two labels since a merge: resolve them.")
     for state, count in sorted(files.items()):
         if state != "complete":
             screen.say(f"{count} files are {state}.")
-    for one in campaigns:
-        screen.say(f"Campaign {one.uuid}: {one.done} items of {one.piece} over {one.bottom} done.")
+    for run in campaigns:
+        screen.say(f"Campaign {run.uuid}: {run.done} items of {run.piece} over {run.bottom} done.")
     hours = None if age is None else round(age.total_seconds() / 3600, 1)
     screen.say("There is no backup." if hours is None else f"Newest backup: {hours} h old.")
     listed = [
         {"piece": piece, "bottom": bottom, "state": state, "episodes": count}
         for (piece, bottom, state), count in sorted(pairs.items())
     ]
-    answer = {"dataset": str(folder), "episodes": len(entries)}
+    answer = {"dataset": str(folder), "episodes": pairs.total()}
     screen.result({**answer, "pairs": listed, "files": dict(files), "conflicts": conflicts,
                    "campaigns": [asdict(one) for one in campaigns],
                    "backup_age_h": hours})  # fmt: skip

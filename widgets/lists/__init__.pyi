@@ -5,6 +5,7 @@ from .recordings import LabelList as LabelList
 from .recordings import LabelListRow as LabelListRow
 from .recordings import RecordingList as RecordingList
 from .recordings import RecordingRow as RecordingRow
+from .recordings import RowsOnDemand as RowsOnDemand
 from .tables import EpisodeTable as EpisodeTable
 from .tables import EpisodeTableRow as EpisodeTableRow
 from .tables import FigureTable as FigureTable
@@ -23,6 +24,7 @@ __all__ = [
     "LabelListRow",
     "RecordingList",
     "RecordingRow",
+    "RowsOnDemand",
     "TableArrangement",
     "TrainingRow",
     "TrainingTable",

@@ -113,12 +113,34 @@ class RecordingList(RowList):
             self._chosen(self.current)
 
 
+class RowsOnDemand(Sequence[Any]):
+    """``count`` rows, each made by ``make`` from its number when it is first read."""
+
+    def __init__(self, count: int, make: Callable[[int], Any]) -> None:
+        self._count, self._make = count, make
+        self._made: dict[int, Any] = {}
+
+    def __len__(self) -> int:
+        return self._count
+
+    def __getitem__(self, at: Any) -> Any:
+        place = range(self._count)[at]
+        if isinstance(place, range):
+            return [self[number] for number in place]
+        if place not in self._made:
+            self._made[place] = self._make(place)
+        return self._made[place]
+
+    def __setitem__(self, at: int, row: Any) -> None:
+        self._made[at] = row
+
+
 class _RowModel(QAbstractListModel):
     """Some of ``rows``, in the order of their numbers in ``order``."""
 
     def __init__(self, parent: QWidget) -> None:
         super().__init__(parent)
-        self.rows: list[Any] = []
+        self.rows: list[Any] | RowsOnDemand = []
         self.order: list[int] = []
 
     def rowCount(self, parent: ModelIndex = ROOT) -> int:
@@ -202,7 +224,7 @@ class LabelList(RowList):
 
     def show_rows(self, rows: Sequence[LabelListRow]) -> None:
         """Replace all rows."""
-        self._rows.rows = list(rows)
+        self._rows.rows = rows if isinstance(rows, RowsOnDemand) else list(rows)
         self._rows.show(range(len(rows)))
 
     def show_row(self, at: int, row: LabelListRow) -> None:

@@ -6,9 +6,12 @@ import pytest
 
 from tests.app.label.conftest import CTRL, ITEMS, KEY, WITHOUT_LABEL
 from tests.app.label.test_values import content
+from tests.backend.annotations.filling import fill
+from touchdown.app.label.session import AnnotationSession, QueueEntries, read_queue
 from touchdown.app.label.side import agreement_text
 from touchdown.backend.annotations.dataset import Dataset
 from touchdown.backend.annotations.values import Label
+from touchdown.widgets.lists.recordings import RowsOnDemand
 
 LABELLED = ITEMS - WITHOUT_LABEL
 
@@ -331,7 +334,7 @@ def test_gold_looks_like_the_rest_of_a_blind_audit_and_a_verdict_there_changes_n
     heads = {uuid: desk.book.head(uuid) for uuid in (gold, other)}
     desk.workspace.session.queue = "audit"
     desk.do((KEY.Key_B, CTRL))  # from here on answers are opinions
-    entries = {e.uuid: e for e in presenter.dataset.episodes()}
+    entries = QueueEntries(presenter.dataset, [gold, other], 2)
     presenter.walk.begin([gold, other], entries, "")
     presenter.go_to(0)
     desk.settle()
@@ -386,3 +389,16 @@ def test_gold_among_the_ordinary_queue_cannot_be_told_and_keeps_its_label(desk, 
     assert "Ann on gold minus approved label, 2 episodes" in agreement_text(presenter.dataset)
     desk.do((KEY.Key_R, CTRL))
     assert not set(gold) & set(presenter.walk.order)
+
+
+def test_entries_and_rows_of_a_large_queue_are_read_in_pages(tmp_path) -> None:
+    with Dataset.open(tmp_path / "large") as dataset:
+        uuids = fill(dataset, 950)
+        session = AnnotationSession(person="zoe", queue="unlabelled")
+        order, entries, gold = read_queue(dataset, session)
+        assert (order, entries.total, len(entries), gold) == (uuids, 950, 0, {})
+        rows = RowsOnDemand(len(order), lambda at: entries[order[at]])
+        assert rows[-1].uuid == uuids[-1]
+        assert len(entries) == 150
+        assert [row.uuid for row in rows] == order
+        assert dict(entries) == {entry.uuid: entry for entry in dataset.episodes()}

@@ -11,6 +11,7 @@ import signal
 import sqlite3
 import subprocess
 import sys
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -20,6 +21,7 @@ import pytest
 
 from tests.backend.annotations.conftest import Record, context_for
 from tests.backend.annotations.filling import fill
+from touchdown.backend.annotations import episode_index
 from touchdown.backend.annotations.backups import list_backups, restore_backup
 from touchdown.backend.annotations.dataset import Dataset
 from touchdown.backend.annotations.queues import AUDIT_SHARE, QUEUES, Suggestion, disagreement
@@ -27,7 +29,7 @@ from touchdown.backend.annotations.rebuild import rebuild_dataset
 from touchdown.backend.annotations.reconciliation import check_dataset
 from touchdown.backend.annotations.review import ReviewStatus, check_person, state_after
 from touchdown.backend.annotations.run_tracking import METRICS_FILE, RUNS_FOLDER, ActiveRun
-from touchdown.backend.annotations.values import AnswerContext, Label
+from touchdown.backend.annotations.values import AnswerContext, EpisodeFilter, Label
 from touchdown.backend.core.faults import InputError, RefusedError
 
 MOVED = Label(2000, 300, 0, 200)
@@ -325,6 +327,23 @@ def test_a_suggestion_is_no_label(dataset: Dataset, record: Record) -> None:
     assert found is not None
     assert (found.label, found.source) == (Label(5, 6, 0, 700), "model:abc")
     assert dataset.labels.history(entry.uuid) == before
+
+
+def test_entries_are_read_in_pages_and_counted_by_the_catalogue(
+    dataset: Dataset, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(episode_index, "PAGE", 7)
+    uuids = fill(dataset, 30, approved=4)
+    dataset.labels.delete("ann", uuids[3], "test")
+    dataset.labels.delete("ann", uuids[20], "test")
+    listed = dataset.episodes()
+    assert list(dataset) == listed
+    assert dataset.uuids() == {entry.uuid for entry in listed}
+    assert dataset.entries([uuids[5], "none", uuids[3]]).keys() == {uuids[3], uuids[5]}
+    every = dataset.episodes(EpisodeFilter(deleted=None))
+    keys = ((e.piece, e.bottom, "deleted" if e.deleted else e.state, e.file_state) for e in every)
+    counted = {tuple(one[:4]): one.episodes for one in dataset.count_by_pair()}
+    assert counted == dict(Counter(keys))
 
 
 SETTINGS = {"modality": "FT+Tac", "epochs": 2, "out": "pot.safetensors"}

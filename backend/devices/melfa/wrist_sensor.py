@@ -92,9 +92,7 @@ class MelfaWrenchDriver:
         self._last = reply.counter
         block = reply.blocks[0]
         assert isinstance(block, AxisValues)
-        pairs = zip(block.axes, self._rated, strict=True)
-        overload = any(abs(value) >= rated for value, rated in pairs)
-        return [WrenchReading(wrench_of(block.axes), missed, overload)]
+        return [WrenchReading(wrench_of(block.axes), missed)]
 
     @property
     def refusals(self) -> FrameErrors:

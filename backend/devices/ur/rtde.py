@@ -331,9 +331,7 @@ class UrWrenchDriver:
         self._bad_in_a_row = 0
         periods = round((told_s - self._told_s) / self._period_s) if self._told_s < told_s else 1
         self._told_s = told_s
-        pairs = zip(values, self._rated, strict=True)
-        overload = any(abs(value) >= rated for value, rated in pairs)
-        return [WrenchReading(wrench_of(values), max(periods - 1, 0), overload)]
+        return [WrenchReading(wrench_of(values), max(periods - 1, 0))]
 
     @property
     def refusals(self) -> FrameErrors:

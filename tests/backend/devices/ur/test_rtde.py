@@ -13,11 +13,12 @@ from tests.backend.devices import contract_bench, test_arm_contract, test_arm_re
 from tests.backend.devices.contract_bench import DevicesUnderTest
 from tests.backend.devices.ur.stand_in import UrWires, hand_leaning
 from tests.backend.devices.waiting import until
-from touchdown.backend.config.hardware import HardwareSettings
+from touchdown.backend.config.hardware import ForceTorqueSettings, HardwareSettings
 from touchdown.backend.core.faults import FaultError, RefusedError
 from touchdown.backend.core.streams import SampleStream
 from touchdown.backend.core.values import Pose
 from touchdown.backend.devices.factories import make_arm, make_force_torque
+from touchdown.backend.devices.force_torque.reader import WrenchStamper
 from touchdown.backend.devices.protocols import DeviceState, RobotMode, SafetyMode
 from touchdown.backend.devices.ur import driver as ur_arm
 from touchdown.backend.devices.ur import rtde
@@ -379,7 +380,9 @@ def test_a_gap_in_the_time_of_the_robot_is_counted_and_the_end_of_its_range_told
     language = UrWrenchDriver(SETTINGS, "rtde://robot")
     told = [SAMPLE.pack(t_s, *LOAD) for t_s in (5.0, 5.002, 5.010, 5.012)]
     assert [reading.missed for data in told for reading in language.take(data)] == [0, 0, 3, 0]
-    (reading,) = language.take(SAMPLE.pack(5.014, 0.0, 0.0, -50.0, 0.0, 0.0, 0.0))
-    assert reading.overload
+    readout = WrenchStamper(ForceTorqueSettings(), 0.002, rated=SETTINGS.ur.rated)
+    readings = language.take(SAMPLE.pack(5.014, 0.0, 0.0, -50.0, 0.0, 0.0, 0.0))
+    assert np.isnan(readout.accept(1.0, readings)[1]).all()
+    assert readout.overload == "Fz = -50.00 N, rated 50"
     assert language.take(SAMPLE.pack(5.016, float("nan"), *LOAD[1:])) == []
     assert language.refusals.in_a_row == 1

@@ -1,4 +1,4 @@
-"""Memory shared by backend and real-time process, locked against paging.
+"""Memory shared by backend and real-time process.
 
 Holds control words, sample rings and one state. Neither side waits for the other: a record has its
 number in front and behind, and a reader accepts it only if both match. Each part has one writer.
@@ -6,13 +6,11 @@ number in front and behind, and a reader accepts it only if both match. Each par
 
 from __future__ import annotations
 
-import ctypes
 import json
 import math
 import mmap
 import os
 import shutil
-import sys
 import tempfile
 from pathlib import Path
 from typing import Any, Final
@@ -227,25 +225,3 @@ def _alive(number: int) -> bool:
     except PermissionError:
         return True
     return True
-
-
-# Flags of ``mlockall`` in Linux. Pages are locked on first use: unused stacks would take 200 MB.
-CURRENT, FUTURE, ON_FAULT = 1, 2, 4
-
-
-def lock_memory() -> bool:
-    """Lock all present and future memory of this process; return True on success.
-
-    Linux only. Ordinary users need ``memlock unlimited`` in limits.conf: under a limit, memory that
-    is asked for later would be refused, which ends a process.
-    """
-    if sys.platform != "linux":
-        return False
-    import resource
-
-    limit, _ = resource.getrlimit(resource.RLIMIT_MEMLOCK)
-    if limit != resource.RLIM_INFINITY and os.geteuid() != 0:
-        return False
-    # A superuser without that right gets an error from the system above the limit.
-    refused: int = ctypes.CDLL(None).mlockall(CURRENT | FUTURE | ON_FAULT)
-    return not refused

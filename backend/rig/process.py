@@ -24,7 +24,7 @@ from touchdown.backend.config import HardwareSettings
 from touchdown.backend.core import InputError, SampleStream, set_realtime_priority
 from touchdown.backend.devices import Limits, make_arm, make_force_torque, make_gripper
 from touchdown.backend.rig.host import Devices, RigHost
-from touchdown.backend.rig.memory import SharedMemory, attach, lock_memory
+from touchdown.backend.rig.memory import SharedMemory, attach
 from touchdown.backend.rig.messages import Channel, Message, ParentProcess, error_row, pack, receive
 
 ROUND_S = 0.004
@@ -95,9 +95,7 @@ def _serve(
         host.leave()
 
     signal.signal(signal.SIGTERM, terminate)
-    # Last: everything that the loop needs exists now.
-    locked = priority > 0 and lock_memory()
-    channel.say(_hello(devices, realtime=realtime, locked=locked))
+    channel.say(_hello(devices, realtime=realtime))
     channel.start()
     # Permanent objects: exclude them from garbage collection.
     gc.collect()
@@ -123,7 +121,7 @@ class _ForwardingHandler(logging.Handler):
         self._say({"kind": "log", "level": record.levelno, "text": record.getMessage()})
 
 
-def _hello(devices: Devices, *, realtime: bool, locked: bool) -> Message:
+def _hello(devices: Devices, *, realtime: bool) -> Message:
     arm = devices.arm
     ranges = [list(pair) for pair in arm.joint_limits_rad] if arm.rotates else []
     return {
@@ -131,7 +129,6 @@ def _hello(devices: Devices, *, realtime: bool, locked: bool) -> Message:
         "pid": os.getpid(),
         "python": sys.version.split()[0],
         "realtime": realtime,
-        "locked": locked,
         "joint_ranges": ranges,
     }
 

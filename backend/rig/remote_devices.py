@@ -105,7 +105,6 @@ class _Remote:
             **self._row.get("fields", {}),
             "rig": "running" if self._link.running else "not running",
             "rig_realtime": "yes" if hello.get("realtime") else "no",
-            "rig_memory": "kept" if hello.get("locked") else "may be moved to disk",
         }
 
     def connect(self, timeout_s: float, cancel: threading.Event) -> None:

@@ -27,6 +27,7 @@ MODULES = tuple(
         "throughput", "window", "experiments", "dataset", "labelling", "arm", "rig",
         "device_faults", "camera_faults", "wired", "wired_faults", "campaign", "workers",
         "window_faults",
+        "machinery",
     )
 )  # fmt: skip
 

@@ -6,6 +6,7 @@ Prints one JSON object after the window was closed.
 
 from __future__ import annotations
 
+import gc
 import math
 import os
 import subprocess
@@ -17,6 +18,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import numpy as np
 from PySide6.QtCore import QEventLoop, QObject, Qt, QTimer, Signal
@@ -30,12 +32,16 @@ from tests.bench.workers import MEMORY_FAILURES
 from touchdown.app.shell.cards import exit_after_timeout
 from touchdown.app.shell.errors import log_to
 from touchdown.app.stack.workspace import StackWorkspace
-from touchdown.app.start import THREAD_SWITCH_S
+from touchdown.app.start import THREAD_SWITCH_S, freeze_garbage
+from touchdown.backend.bench.assembly import simulated_session
 from touchdown.backend.core.events import FaultRaised
 from touchdown.backend.core.faults import Fault
 from touchdown.backend.core.values import ImageArray
 from touchdown.backend.devices.cameras.sources import PictureSource
 from touchdown.backend.devices.gelsight.driver import TactileCamera
+from touchdown.backend.placement.strategies import ProbeObservation, make_strategy
+from touchdown.backend.runs import probe, stack
+from touchdown.backend.runs.recorder import RecordingOptions
 from touchdown.backend.runs.requests import StackRequest
 
 TICK_MS, FLOOD_TICK_MS, KEY_MS = 10, 16, 15
@@ -44,6 +50,7 @@ SIZE = (1600, 940)
 WARM_UP_S, LOOK_S, SLICE_S = 3.0, 0.02, 5.0
 BLOCKED_S, FLOOD_S = 10.0, 10.0
 SLICES = 12  # slices with an error in every frame, for each kind
+DECISIONS, HOLD_S, USUAL_SWITCH_S = 200, 0.08, 0.005
 FLOODS = ("view", "paint event", "bench")  # a view's redraw, a paint event, each step of the bench
 RAISED = ("SlotError", "TimerError", "PaintError", "ThreadError", "QueuedError")
 FLOOD = Fault("FLOOD", "The same fault in every step of the bench.", "None.", "Reset.")
@@ -387,12 +394,77 @@ def locked_catalogue(window: Sliced) -> dict[str, object]:
     return {"locked": locked, "free": free, "waited": waited, "asked": at.asked}
 
 
+def a_decision() -> Callable[[], float]:
+    """Return a function that decides on a recorded probe and returns how long that took, ms."""
+    pressed: list[tuple[Any, ...]] = []
+    judge, assemble = stack._judge, probe.assemble_episode
+
+    def judged(bench: Any, one: Any, strategy: Any) -> Any:
+        pressed.append((bench.estimator, stack.grasped_piece(bench), bench.settings, one.episode))
+        return judge(bench, one, strategy)
+
+    with (
+        mock.patch.object(stack, "_judge", judged),
+        mock.patch.object(probe, "assemble_episode", side_effect=assemble) as assembled,
+    ):
+        session = simulated_session(keep=RecordingOptions(None))
+        session.run(StackRequest(seed=SEED))
+        session.close()
+    (estimator, held, settings, episode), made = pressed[0], assembled.call_args_list[0]
+
+    def decide() -> float:
+        estimator.prepare(episode.observation[:19])
+        strategy, begun_s = make_strategy(held, settings, (0.0, 0.0)), time.perf_counter()
+        now = assemble(*made.args, **made.kwargs)
+        x_mm, y_mm = now.offset_mm.tolist()
+        patch = estimator.estimate(now)
+        strategy.conclude(ProbeObservation(now.observation, patch, (x_mm, y_mm)))
+        return 1e3 * (time.perf_counter() - begun_s)
+
+    return decide
+
+
+def machinery(window: Sliced) -> dict[str, object]:
+    """Decisions, collections of garbage and ticks with and without what shall speed them up."""
+    decide, hold = a_decision(), window.session.repaint_hold
+    window.stack()
+    latency_ms: dict[bool, list[float]] = {True: [], False: []}
+
+    def alternate() -> None:
+        pause = threading.Event()
+        for number in range(2 * DECISIONS):
+            if number % 2 == 0:
+                hold.begin(HOLD_S)
+            pause.wait(LOOK_S)
+            latency_ms[number % 2 == 0].append(decide())
+            hold.end()
+            pause.wait(LOOK_S)
+
+    thread = threading.Thread(target=alternate)
+    thread.start()
+    window.pump(lambda: not thread.is_alive())
+    found: dict[str, object] = {"latency_ms": [latency_ms[True], latency_ms[False]]}
+    collected_ms: dict[bool, list[float]] = {True: [], False: []}
+    gaps_ms: dict[bool, list[float]] = {True: [], False: []}
+    for number in range(2 * SLICES):
+        used = number % 2 == 0
+        (freeze_garbage if used else gc.unfreeze)()
+        begun_s = time.thread_time()
+        gc.collect()
+        collected_ms[used].append(1e3 * (time.thread_time() - begun_s))
+        sys.setswitchinterval(THREAD_SWITCH_S if used else USUAL_SWITCH_S)
+        gaps_ms[used].append(window.slice_of(SLICE_S).gap_ms)
+    found["collected_ms"] = [collected_ms[True], collected_ms[False]]
+    return found | {"gap_ms": [gaps_ms[True], gaps_ms[False]]}
+
+
 SCENARIOS: dict[str, tuple[Callable[..., Watched], Callable[[Any], dict[str, object]]]] = {
     "blocked camera": (LabWindow, blocked_camera),
     "exceptions": (Watched, exceptions),
     "error in every frame": (Sliced, error_in_every_frame),
     "dying training": (Sliced, dying_training),
     "locked catalogue": (Sliced, locked_catalogue),
+    "machinery": (Sliced, machinery),
 }
 
 

@@ -26,8 +26,7 @@ MODULES = tuple(
     for name in (
         "throughput", "window", "experiments", "dataset", "labelling", "arm", "rig",
         "device_faults", "camera_faults", "wired", "wired_faults", "campaign", "workers",
-        "window_faults",
-        "machinery",
+        "window_faults", "machinery",
     )
 )  # fmt: skip
 

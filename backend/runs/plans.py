@@ -36,8 +36,9 @@ def set_scene_run(session: RunContext, request: SetRequest) -> Plan[None]:
 
 def probe_run(session: RunContext, request: ProbeRequest) -> Plan[None]:
     """Probe once at the present arm pose, report the result, and lift."""
-    bench = session.present_scene(session.method)
+    session.present_scene(session.method)  # raises before a folder is made
     session.open_record()
+    bench = session.present_scene(session.method)  # with the store of this run
     yield RunStarted(
         bench.now_s(), session.run_id, bench.piece.name, bench.bottom, "", 0, 1, session.simulated,
         request_record(request, session.method, {}), activity="probe",

@@ -6,15 +6,16 @@ from importlib.resources import files
 
 import pytest
 
-from tests.backend.bench.brisk import brisk_method, brisk_settings
+from tests.backend.bench.brisk import brisk_method, brisk_session, brisk_settings
 from tests.backend.rig.scripted import scripted
 from touchdown.backend.bench.assembly import simulated_bench
 from touchdown.backend.bench.laboratory import open_lab
 from touchdown.backend.bench.session import RunResult
-from touchdown.backend.core.events import TrialFinished
+from touchdown.backend.core.events import EpisodeRecorded, TrialFinished
 from touchdown.backend.core.faults import FaultError, InputError, RefusedError
 from touchdown.backend.core.values import Outcome
 from touchdown.backend.runs.event_log import read_events
+from touchdown.backend.runs.recorder import RecordingOptions
 from touchdown.backend.runs.requests import ProbeRequest, SceneChoice, SetRequest, StackRequest
 
 REQUEST = StackRequest(piece="pot", bottoms=("short",), strategy="fused", seed=7)
@@ -61,6 +62,15 @@ def test_requests_without_trials_have_an_empty_result():
         assert bench.run(SetRequest(SceneChoice(estimates=False))) == RunResult()
         probe = bench.run(ProbeRequest())
     assert (probe.trials, probe.ending, probe.reason) == ((), "finished", "The probe is done.")
+
+
+def test_the_episode_of_a_probe_is_kept(tmp_path):
+    session = brisk_session(keep=RecordingOptions(tmp_path))
+    with session as bench:
+        bench.run(SetRequest(SceneChoice(estimates=False)))
+        folder = bench.run(ProbeRequest()).run_folder
+    (recorded,) = [e for e in read_events(folder) if isinstance(e, EpisodeRecorded)]
+    assert (folder / "episodes" / recorded.path).is_file()
 
 
 def test_a_cancelled_run_returns_what_it_has():

@@ -10,7 +10,7 @@ from touchdown.backend.cli.output import VerbOutput, make_output_folder, require
 from touchdown.backend.config import load_simulation
 from touchdown.backend.core import InputError
 from touchdown.backend.experiments import run_jobs, split_jobs
-from touchdown.backend.geometry import Piece, Tower, face_points, load_pieces
+from touchdown.backend.geometry import Tower, face_points, load_pieces
 from touchdown.backend.simulation import BatchPlan
 
 
@@ -68,6 +68,9 @@ def _plans(args: argparse.Namespace) -> list[tuple[BatchPlan, dict[str, object]]
     catalogue = load_pieces(Path(args.pieces) if args.pieces else None)
     settings = load_simulation(Path(args.bench) if args.bench else None, args.preset)
     piece = catalogue.top(args.piece)
+    if piece.grip_height_mm is None:
+        what = f"'{piece.name}' cannot be grasped."
+        raise InputError(what, piece.source, "Set its grip_height_mm.")
     names = [name for name in args.bottoms.split(",") if name]
     if not names or len(set(names)) != len(names):
         raise InputError(
@@ -82,7 +85,7 @@ def _plans(args: argparse.Namespace) -> list[tuple[BatchPlan, dict[str, object]]
             face=piece.face,
             bottom_outline=bottom.upper or bottom.face,
             face_points_mm=face_points(piece.face, settings.face.lattice_mm),
-            grip_height_mm=_grip_height(piece),
+            grip_height_mm=piece.grip_height_mm,
             width_mm=piece.width_mm,
             episodes=args.episodes,
             seed=args.seed,
@@ -93,11 +96,3 @@ def _plans(args: argparse.Namespace) -> list[tuple[BatchPlan, dict[str, object]]
         )
         plans.append((plan, {"geometry": piece.sha256}))
     return plans
-
-
-def _grip_height(piece: Piece) -> float:
-    if piece.grip_height_mm is None:
-        raise InputError(
-            f"'{piece.name}' cannot be grasped.", piece.source, "Set its grip_height_mm."
-        )
-    return piece.grip_height_mm

@@ -23,6 +23,7 @@ from touchdown.backend.cli.connection import (
 )
 from touchdown.backend.cli.output import VerbOutput, ctrl_c_cancels, require_positive, text_table
 from touchdown.backend.cli.settings import load_method
+from touchdown.backend.config import StackSettings, TowerSettings
 from touchdown.backend.core import (
     ApprovalAwaited,
     Event,
@@ -45,7 +46,6 @@ from touchdown.backend.runs import (
 
 if TYPE_CHECKING:
     from touchdown.backend.bench import RunResult, Session
-    from touchdown.backend.config import StackSettings
 
 
 BOTTOM = "short"
@@ -118,9 +118,16 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
         args, screen, keep, method=method, prepare=lambda _: request, campaign=True
     ) as session:
         bench = session.name or f"{'emulated' if args.emulated else 'simulated'} bench"
-        session.events.subscribe(lambda fact: narrate(fact, screen, bench))
-        session.events.subscribe(lambda fact: _ask(fact, session, screen))
-        session.events.subscribe(lambda fact: answer_prompt(fact, session, screen))
+
+        def take(fact: Event) -> None:
+            narrate(fact, screen, bench)
+            if isinstance(fact, ApprovalAwaited):
+                step = ", ".join(f"{value:+.1f} mm" for value in fact.action.step_mm)
+                screen.say(f"  {fact.action.kind} ({step})? Enter or y: yes; anything else: no.")
+                ask_yes_no_in_thread(session.answer)
+            answer_prompt(fact, session, screen)
+
+        session.events.subscribe(take)
         with ctrl_c_cancels(session.engine.cancel), held_piece_reported(session, screen):
             result = session.run(request)
     screen.show(trial_table(result.trials, bench=bench.removesuffix(" bench")))
@@ -133,8 +140,6 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
 
 def _method(args: argparse.Namespace, request: StackRequest) -> StackSettings | None:
     """Return the settings with the entered tower; raises ``InputError``."""
-    from touchdown.backend.config import StackSettings, TowerSettings
-
     method = load_method(args.method) if args.method else None
     if args.below is None:
         return method
@@ -147,13 +152,6 @@ def _method(args: argparse.Namespace, request: StackRequest) -> StackSettings | 
         )
     tower = TowerSettings(offset_mm=((x, y),), sigma_mm=sigma)
     return (method or StackSettings()).model_copy(update={"tower": tower})
-
-
-def _ask(fact: Event, session: Session, screen: VerbOutput) -> None:
-    if isinstance(fact, ApprovalAwaited):
-        step = ", ".join(f"{value:+.1f} mm" for value in fact.action.step_mm)
-        screen.say(f"  {fact.action.kind} ({step})? Enter or y: yes; anything else: no.")
-        ask_yes_no_in_thread(session.answer)
 
 
 def narrate(fact: Event, screen: VerbOutput, bench: str = "simulated bench") -> None:

@@ -12,8 +12,6 @@ from touchdown.backend.config import TrainingSettings
 if TYPE_CHECKING:
     from pydantic import BaseModel
 
-    from touchdown.backend.learning import TrainingLoaded
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
@@ -104,6 +102,7 @@ def _add_training(parser: argparse.ArgumentParser, defaults: TrainingSettings) -
 def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     """Train; return 0 if the model is written. Ctrl-C keeps finished epochs for ``--resume``."""
     # Imported here so that `touchdown --help` starts without torch.
+    from touchdown.backend.episodes import group_noun
     from touchdown.backend.learning import (
         TrainingCancelled,
         TrainingEpoch,
@@ -132,7 +131,12 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
             nonlocal answer
             match report:
                 case TrainingLoaded():
-                    screen.say(_loaded(report))
+                    kept = group_noun(report.kept_together)
+                    screen.say(
+                        f"{report.episodes} episodes of {report.piece}, {report.held_out} held out "
+                        f"for validation ({kept}), {report.points} points, "
+                        f"{report.parameters:,} parameters, base rate {report.base_rate:.3f}"
+                    )
                     answer |= report.model_dump(mode="json", exclude={"kind", "done"})
                 case TrainingEpoch():
                     words = (
@@ -159,13 +163,3 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
         answer["run"] = run_id
     screen.result({**answer, "curve": curve})
     return 1 if "cancelled" in answer else 0
-
-
-def _loaded(report: TrainingLoaded) -> str:
-    from touchdown.backend.episodes import group_noun
-
-    return (
-        f"{report.episodes} episodes of {report.piece}, {report.held_out} held out "
-        f"for validation ({group_noun(report.kept_together)}), {report.points} points, "
-        f"{report.parameters:,} parameters, base rate {report.base_rate:.3f}"
-    )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -153,7 +153,10 @@ def accept_calibration(
         sources = {"left": "right", "right": "left"}
     mirrors: dict[str, float] = {"exchanged": 0.0}
     gels: dict[str, tuple[float, ...]] = {}
-    seen_px = dict(zip(FINGERS, _places(measured.gels_px), strict=False))
+    # Markers (63, 2) of each finger, none without fingerprints
+    starts = range(0, len(measured.gels_px), FINGERPRINT_VALUES)
+    places = (numbers_to_dots(measured.gels_px[i : i + FINGERPRINT_VALUES]) for i in starts)
+    seen_px = dict(zip(FINGERS, places, strict=False))
     for finger, source in sources.items():
         now = str(devices[f"tactile_{source}"].describe().get("mirror", "none"))
         code = round(values[f"{finger}_mirror"]) ^ MIRROR_CODES.index(now)
@@ -163,14 +166,6 @@ def accept_calibration(
     kept = tuple(mirrors.get(name, value) for name, value in values.items())
     cameras = {f"tactile_{f}": names[f"tactile_{s}"] for f, s in sources.items()}
     return store.accept(replace(measured, values=kept), {**names, **cameras}, person, gels=gels)
-
-
-def _places(gels_px: Sequence[float]) -> list[FloatArray]:
-    """Return the markers (63, 2) of each finger, an empty list without fingerprints."""
-    return [
-        numbers_to_dots(gels_px[i : i + FINGERPRINT_VALUES])
-        for i in range(0, len(gels_px), FINGERPRINT_VALUES)
-    ]
 
 
 def calibration_metadata(used: UsedCalibrations) -> tuple[tuple[str, str], ...]:

@@ -141,7 +141,11 @@ def _mountings(
     collector = Collector(campaign, recorder, session.decisions, seen, entries)
     collector.ask, collector.check_origin = request.ask, request.check_origin
     collector.hand_over = request.hand_over
-    begun = yield from run_to_end(bench, _mounting(bench, request, recorder.dataset, campaign))
+    begun = PlanEnd(NEW_MOUNTING)
+    if campaign.mountings and _by_hand(request, bench):
+        # Only a mounting fitted by hand may be continued.
+        asked = ask_mounting(bench, recorder.dataset, campaign)
+        begun = yield from run_to_end(bench, asked)
     ended: PlanEnd[bool] = PlanEnd(None, begun.run_ending, begun.reason)
     mounting = begun.value
     if mounting is not None and mounting.goes_on:
@@ -166,15 +170,6 @@ def _mountings(
 def _by_hand(request: CollectRequest, bench: Bench) -> bool:
     """Return True if a person fits bottom and gels; a simulation with a jig refits by itself."""
     return request.hand_over or bench.jig is None
-
-
-def _mounting(
-    bench: Bench, request: CollectRequest, dataset: Dataset, campaign: Campaign
-) -> Plan[MountingProgress]:
-    """Return the mounting to start with; only one fitted by hand may be continued."""
-    if campaign.mountings and _by_hand(request, bench):
-        return (yield from ask_mounting(bench, dataset, campaign))
-    return NEW_MOUNTING
 
 
 def _one(

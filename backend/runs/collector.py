@@ -354,7 +354,9 @@ class Collector:
             self._record(pending, replace(context, plan_item=item))
             if self.ask:
                 yield from self._settled(bench)
-                yield from self._wait_for_decision(bench)
+                assert self._last is not None
+                yield DecisionAwaited(bench.now_s(), self._last[0].uuid, item)
+                yield Wait(lambda: self._decisions.given, OPERATOR_TIMEOUT_S, "the operator")
             slip_mm = pending.pressed.episode.quality.slip_mm
             why = ""
             if not slip_mm <= SLIP_MM:
@@ -407,12 +409,6 @@ class Collector:
             self.todo.append(item)
         else:
             self.campaign = self.campaign.without(item)
-
-    def _wait_for_decision(self, bench: Bench) -> Plan[None]:
-        assert self._last is not None
-        entry, item = self._last
-        yield DecisionAwaited(bench.now_s(), entry.uuid, item)
-        yield Wait(lambda: self._decisions.given, OPERATOR_TIMEOUT_S, "the operator")
 
     def _carry_out(self, bench: Bench, *, waits: bool = True) -> Plan[None]:
         """Carry out the operator's decision on the newest recorded episode.

@@ -148,7 +148,9 @@ class ManualControl:
 
     def tick(self) -> None:
         """Process the jog lease, the end of a grip, and queued sensing orders."""
-        self._recover()
+        lock = self._interlock
+        if lock.recovering and abs(self._around.press_n()) <= lock.limits.contact_n:
+            lock.recovering = False  # the wrist is free of contact
         self.jog.tick()
         if self._grip is not None and self._grip.done:
             self._grip = None
@@ -196,13 +198,6 @@ class ManualControl:
     def _reference(self) -> str:
         self._scene.sensing.take_references(REFERENCE_FRAMES)
         return "New tactile references are taken."
-
-    def _recover(self) -> None:
-        """End the recovery once the wrist is free of contact."""
-        if not self._interlock.recovering:
-            return
-        if abs(self._around.press_n()) <= self._interlock.limits.contact_n:
-            self._interlock.recovering = False
 
     def _switch_servo(self, on: bool) -> None:
         try:

@@ -320,8 +320,8 @@ def release_evidence(
 
 VOID_TRIES = 3  # presses in all while each is void
 TOUCH_TRIES = 6  # touches in all while each is void; a calibration has dozens of short ones
-# Codes of short dropouts of arm or wrist, shorter than a latched fault
-VOID = (VOID_PRESS, "FT-STALE")
+# Codes of short dropouts of arm, wrist or this program, shorter than a latched fault
+VOID = (VOID_PRESS, "FT-STALE", "LEASE-LAPSED")
 T = TypeVar("T")
 
 

@@ -53,6 +53,7 @@ from touchdown.backend.devices.jog import JogOrder
 from touchdown.backend.devices.melfa.faults import VOID
 from touchdown.backend.devices.protocols import CommandedMotion, PressCommand
 from touchdown.backend.episodes.episode_file import read_episode
+from touchdown.backend.rig.safety import LAPSED
 from touchdown.backend.runs.event_log import (
     EVENT_LOG_NAME,
     LIMIT_LOG_NAME,
@@ -750,9 +751,12 @@ def test_a_disk_that_fails_stops_the_run_and_keeps_what_was_written(
 
 
 @pytest.mark.promise("R5")
-@pytest.mark.parametrize(("voids", "outcome"), [(2, Outcome.PLACED), (3, Outcome.ABORTED)])
-def test_a_void_press_is_made_again_but_not_for_ever(voids, outcome, monkeypatch) -> None:
-    """With the faults of a real arm during a dropout in mid-press."""
+@pytest.mark.parametrize(
+    ("voids", "fault", "outcome"),
+    [(2, VOID, Outcome.PLACED), (2, LAPSED, Outcome.PLACED), (3, VOID, Outcome.ABORTED)],
+)
+def test_a_void_press_is_made_again_but_not_for_ever(voids, fault, outcome, monkeypatch) -> None:
+    """With the faults of a real arm during a dropout in mid-press, of the arm or the program."""
     pressing: list[CommandedMotion] = []
     press = SimArm.press
 
@@ -765,7 +769,7 @@ def test_a_void_press_is_made_again_but_not_for_ever(voids, outcome, monkeypatch
 
     def lose(fact: Event) -> None:
         if isinstance(fact, PhaseEntered) and fact.phase == "press" and len(pressing) <= voids:
-            pressing[-1].end(VOID)
+            pressing[-1].end(fault)
 
     bench.session.events.subscribe(lose)
     bench.session.run(request(trials=1))

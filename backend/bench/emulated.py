@@ -132,6 +132,7 @@ class EmulatedBench:
             keep=keep or RecordingOptions(),
             description=description,
         )
+        self.session.live_mode = "emulated"
         self._wired: BenchDevices | None = None
         self._truth: TruthClient | None = None
         recorder = FlightRecorder(

@@ -203,8 +203,9 @@ class Session:
         self.raw = RawStreams(self.frames, samples, poses, commands)
         self._supervision = Supervision(self.interlock, self.wrench, self.frames)
         self.engine = Engine(self.events, self.interlock, self.clock_s, self._supervision.unwell)
-        mode = LIVE_MODES.get(description.mode, "lab")
-        self._keep, self._recorder = keep, RunRecorder(keep, self.events, self.interlock, mode)
+        # Mode of recordings of a live bench
+        self.live_mode = LIVE_MODES.get(description.mode, "lab")
+        self._keep, self._recorder = keep, RunRecorder(keep, self.events, self.interlock)
         self._teller = FaultNotifier(self.events, self.interlock, self.clock_s)
         self._scene: Bench | None = None  # assigned after the three below
         self._stage: SceneDevices
@@ -483,8 +484,8 @@ class Session:
             request, self.description.mode, self.calibrations, self.devices
         )
         self.run_id = datetime.now(UTC).strftime("%Y%m%d-%H%M%S-%f")[:-3]
-        stepped = self.simulated and not self._live.running
-        self.mode = "stepped" if stepped else LIVE_MODES.get(self.description.mode, "lab")
+        simulated = self.live_mode == LIVE_MODES["simulated"]
+        self.mode = "stepped" if simulated and not self._live.running else self.live_mode
         return make_plan(request, self)
 
     # -- for plans --------------------------------------------------------------------------------
@@ -495,7 +496,7 @@ class Session:
 
     def open_record(self) -> None:
         """Open event log and episode store of the run; raises ``InputError``."""
-        self._recorder.open(self.run_id)
+        self._recorder.open(self.run_id, self.live_mode)
 
     def set_scene(self, choice: SceneChoice, method: StackSettings) -> Bench:
         """Build a new scene and return its bench for the run in progress."""

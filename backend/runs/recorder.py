@@ -315,10 +315,8 @@ class RecordingOptions:
 class RunRecorder:
     """Opens and closes event log and episode store of a run; one run at a time."""
 
-    def __init__(
-        self, keep: RecordingOptions, hub: EventBus, interlock: Interlock, mode: str
-    ) -> None:
-        self._keep, self._hub, self._interlock, self._mode = keep, hub, interlock, mode
+    def __init__(self, keep: RecordingOptions, hub: EventBus, interlock: Interlock) -> None:
+        self._keep, self._hub, self._interlock = keep, hub, interlock
         self._log: EventLog | None = None
         self._leave: Callable[[], None] | None = None
         self._held: list[Event] = []  # events that did not fit on the disk, in order
@@ -340,8 +338,8 @@ class RunRecorder:
         if self._keep.episodes:
             check_free_space(self._keep.runs)
 
-    def open(self, run_id: str) -> None:
-        """Begin run ``run_id``; raises ``InputError`` without space or a writable folder."""
+    def open(self, run_id: str, mode: str) -> None:
+        """Begin a run in ``mode``; raises ``InputError`` without space or a writable folder."""
         self.close()
         self._wall = ClockJumpDetector()
         self.folder = None if self._keep.runs is None else self._keep.runs / run_id
@@ -355,7 +353,7 @@ class RunRecorder:
             except OSError as error:
                 raise _not_kept(self.folder.parent, error) from error
             self._leave = self._hub.subscribe(self._record)
-        self.store = RunStore(episodes, {"run": run_id, "mode": self._mode}, self.obstacle)
+        self.store = RunStore(episodes, {"run": run_id, "mode": mode}, self.obstacle)
 
     def obstacle(self) -> Fault | None:
         """Return the fault that prevents recording another probe, None if there is none."""

@@ -19,6 +19,7 @@ from touchdown.backend.bench.assembly import SimulatedBenchChoice, make_scene
 from touchdown.backend.bench.emulated import (
     BACKEND_LATE_S,
     REPLY_LATE_S,
+    EmulatedBench,
     measure_lateness_s,
     real_time_notice,
 )
@@ -39,7 +40,7 @@ from touchdown.backend.devices.melfa.emulator import TIMEOUT_CYCLES
 from touchdown.backend.emulation.fault_plan import FaultPlan
 from touchdown.backend.emulation.server import TcpServer
 from touchdown.backend.geometry.pieces import load_pieces
-from touchdown.backend.runs.requests import SceneChoice
+from touchdown.backend.runs.requests import CollectRequest, SceneChoice
 
 SETTINGS = SimulatedBenchChoice(preset="quiet").settings()
 CHOICE = SceneChoice("pot", ("short",), 3)
@@ -159,3 +160,10 @@ def test_a_strike_reaches_its_device_and_commands_are_kept(tmp_path):
     front.close()
     for part in emulation.fronts:
         part.close()
+
+
+def test_recordings_of_an_emulated_bench_say_so():
+    bench = EmulatedBench(SimulatedBenchChoice(preset="quiet"))
+    bench.session._plan(CollectRequest(person="ann"))
+    assert bench.session.mode == "emulated"
+    bench.close()

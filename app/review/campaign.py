@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
@@ -21,6 +20,7 @@ from touchdown.backend.core import (
     RunFinished,
     RunStarted,
     Said,
+    parse_json,
 )
 from touchdown.widgets.views import offset_text
 
@@ -137,7 +137,7 @@ def _ending(ended: RunFinished | None) -> str:
 def _request(head: RunStarted) -> dict[str, Any]:
     """Return the request of the run; empty if the log does not contain it."""
     try:
-        request = json.loads(head.settings).get("request", {})
+        request = parse_json(head.settings).get("request", {})
     except (ValueError, AttributeError):
         return {}
     return request if isinstance(request, dict) else {}

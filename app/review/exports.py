@@ -31,18 +31,16 @@ def export_picture(
 
     Buttons are left out.
     """
-    folder.mkdir(parents=True, exist_ok=True)
     png, svg = folder / f"{name}.png", folder / f"{name}.svg"
-    png.write_bytes(view_picture(view, theme, caption))
-    size = _size(view, theme)
+    write_atomically(png, view_picture(view, theme, caption))
+    size, content = _size(view, theme), QBuffer()
     generator = QSvgGenerator()
-    generator.setFileName(str(svg))
+    generator.setOutputDevice(content)
     generator.setSize(size)
     generator.setViewBox(QRect(QPoint(0, 0), size))
     generator.setTitle(caption)
     _draw(generator, view, theme, caption)
-    if not svg.is_file():
-        raise OSError(None, "the picture cannot be written", str(svg))
+    write_atomically(svg, bytes(content.data().data()))
     return png, svg
 
 

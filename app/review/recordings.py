@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
@@ -30,6 +29,7 @@ from touchdown.backend.core import (
     RunFinished,
     RunStarted,
     TrialFinished,
+    parse_json,
 )
 from touchdown.backend.geometry import Outline, PieceLibrary, load_pieces
 from touchdown.backend.runs import EVENT_LOG_NAME, decode_event, event_log_path, read_events
@@ -79,7 +79,7 @@ def read_run_summary(run: Path) -> RunSummary:
                 continue
             where = f"{path}, line {number}"
             try:
-                event = decode_event(json.loads(raw), where)
+                event = decode_event(parse_json(raw), where)
             except ValueError as error:
                 raise InputError("A line is not valid JSON.", where, "Open the run.") from error
             if isinstance(event, RunStarted):

@@ -15,7 +15,7 @@ from PySide6.QtGui import QAction
 from PySide6.QtWidgets import QMenu, QWidget
 
 from touchdown.app.shell.settings import parse_stored
-from touchdown.backend.core import write_atomically
+from touchdown.backend.core import parse_json, write_atomically
 from touchdown.widgets.base import ColumnArrangement, Columns
 from touchdown.widgets.forms import NameDialog
 
@@ -39,7 +39,7 @@ class SavedLayouts:
 def load_layouts(path: Path, now: datetime) -> tuple[SavedLayouts, str]:
     """Return (layouts, notice). An invalid file is moved aside."""
     try:
-        raw = json.loads(path.read_text(encoding="utf-8"))
+        raw = parse_json(path.read_bytes())
     except FileNotFoundError:
         return SavedLayouts(), ""
     except (OSError, ValueError) as error:

@@ -13,7 +13,7 @@ from typing import Annotated, Any, TypeVar, get_type_hints
 from pydantic import Field, TypeAdapter, ValidationError
 
 from touchdown.app.shell.window import ThemeChoice
-from touchdown.backend.core import write_atomically
+from touchdown.backend.core import parse_json, write_atomically
 
 VERSION = 2
 Json = dict[str, object]
@@ -75,7 +75,7 @@ def settings_path() -> Path:
 def load_settings(path: Path) -> tuple[WindowSettings, str]:
     """Return (settings, warning). Unreadable values are replaced by defaults and named."""
     try:
-        raw = json.loads(path.read_text(encoding="utf-8"))
+        raw = parse_json(path.read_bytes())
     except FileNotFoundError:
         return WindowSettings(), ""
     except (OSError, ValueError) as error:

@@ -217,7 +217,13 @@ class Database:
         try:
             connection = _connect(path, mode)
             found = _examine(connection, path)
-            if write and found == 0:
+            if found == 0 and not write:
+                raise InputError(
+                    "The catalogue is empty.",
+                    str(path),
+                    "'touchdown dataset rebuild --replace' rebuilds it from files and journal.",
+                )
+            if found == 0:
                 _create(connection)
         except (sqlite3.Error, InputError) as error:
             if connection is not None:

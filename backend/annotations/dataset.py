@@ -55,6 +55,7 @@ from touchdown.backend.core import (
     InputError,
     RefusedError,
     make_folder,
+    parse_json,
     program_stamp,
     write_atomically,
 )
@@ -86,6 +87,11 @@ class DatasetDescription:
     home: str
     schema_version: int
     created_by: str
+
+    @property
+    def is_newer(self) -> bool:
+        """True if a later program wrote it: it is opened for reading only."""
+        return self.schema_version > SCHEMA_VERSION
 
 
 class Dataset:
@@ -201,7 +207,9 @@ class Dataset:
         lock = WriterLock.take(folder, person) if write else None
         try:
             description = _describe(folder) if write else read_description(folder)
-            database = Database.open(folder / CATALOGUE_FILE, write=write)
+            database = Database.open(
+                folder / CATALOGUE_FILE, write=write and not description.is_newer
+            )
         except BaseException:
             if lock is not None:
                 lock.release()
@@ -223,8 +231,12 @@ class Dataset:
             weakness = disk_weakness(self.folder)
             self.notices = (*problem_lines(self.problems), *filter(None, (weakness,)))
         elif self._lock is not None:
+            told = self.description
+            number = max(told.schema_version, self.database.schema_version)
+            by = f"{told.created_by} (schema {number})" if told.is_newer else "a newer version"
             self.notices = (
-                "The catalogue was written by a newer version of Touchdown: open for reading only.",
+                f"The dataset was written by {by}: open for reading only. Open it with the "
+                "Touchdown that wrote it.",
             )
         else:
             self.problems = list(check_losses(self.parts, whole=False))
@@ -453,7 +465,7 @@ def _describe(folder: Path) -> DatasetDescription:
         found = DatasetDescription(uuid7(), uuid7(), home, SCHEMA_VERSION, program_stamp())
     else:
         found = read_description(folder)
-        if found.home == home:
+        if found.home == home or found.is_newer:
             return found
         found = replace(found, site=uuid7(), home=home)
     content = {name: getattr(found, name) for name in DatasetDescription.__slots__}
@@ -467,8 +479,12 @@ def read_description(folder: Path) -> DatasetDescription:
     """Read ``dataset.json``; raises ``InputError`` if it cannot be read."""
     path = folder / DESCRIPTION_FILE
     try:
-        content = json.loads(path.read_text("utf-8"))
-        return DatasetDescription(**{name: content[name] for name in DatasetDescription.__slots__})
+        content = parse_json(path.read_bytes())
+        facts = {name: content[name] for name in DatasetDescription.__slots__}
+        version = facts.pop("schema_version")
+        if type(version) is not int or not all(isinstance(v, str) for v in facts.values()):
+            raise TypeError("a value is of another type")
+        return DatasetDescription(**facts, schema_version=version)
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise InputError(
             "The description of the dataset cannot be read.", str(path), "Restore it from a copy."

@@ -29,7 +29,14 @@ from touchdown.backend.annotations.values import (
     LabelContent,
     uuid7_from_parts,
 )
-from touchdown.backend.core import Episode, EpisodeQuality, InputError, make_folder, sync_folder
+from touchdown.backend.core import (
+    Episode,
+    EpisodeQuality,
+    InputError,
+    make_folder,
+    parse_json,
+    sync_folder,
+)
 from touchdown.backend.episodes import (
     DAMAGED_FILE_FIX,
     LABEL_TOPIC,
@@ -241,7 +248,7 @@ def read_complete(path: Path, root: Path) -> CompleteFile:
         )
     with input_errors(path):
         facts, message = contents.metadata["episode"], unpack_json(messages[-1])
-        quality = json.loads(facts["quality"])
+        quality = parse_json(facts["quality"])
         quality["reasons"] = tuple(quality["reasons"])
         if facts["uuid"] != message["episode"]:
             raise ValueError("its label belongs to another episode")
@@ -326,7 +333,7 @@ def _leftover(
 
 def _is_reported(target: Path, part: Path) -> bool:
     try:
-        report = json.loads(target.with_name(f"{target.name}.json").read_text("utf-8"))
+        report = parse_json(target.with_name(f"{target.name}.json").read_text("utf-8"))
         return bool(report["bytes"] == part.stat().st_size)
     except (OSError, ValueError, KeyError, TypeError):
         return False
@@ -419,7 +426,7 @@ def check_packs(parts: DatasetParts, *, whole: bool) -> Iterator[ConsistencyProb
     """Yield the problems of the folder ``packs``; ``whole`` reads every chunk again."""
     folder = parts.folder / PACKS
     rows = parts.database.rows("SELECT bench FROM series WHERE mode = ?", (MODE,))
-    facts = [json.loads(bench) for (bench,) in rows]
+    facts = [parse_json(bench) for (bench,) in rows]
     known = {fact["pack"]: fact["bytes"] for fact in facts if "pack" in fact}
     found: set[str] = set()
     for path in sorted(folder.glob("*.mcap")) if folder.is_dir() else ():

@@ -5,7 +5,6 @@ True contact patches are derived from them.
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -17,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.backend.annotations.values import Label, canonical_json, content_hash
-from touchdown.backend.core import FloatArray, InputError, write_atomically
+from touchdown.backend.core import FloatArray, InputError, parse_json, write_atomically
 from touchdown.backend.geometry import (
     Outline,
     Piece,
@@ -118,7 +117,7 @@ class GeometryStore:
         """Return one record; raises ``InputError`` if it is missing or its hash is wrong."""
         path = self.folder / f"{sha256}.json"
         try:
-            record = json.loads(path.read_bytes())
+            record = parse_json(path.read_bytes())
             whole = content_hash(record) == sha256
         except OSError as error:
             raise _bad(path, "is missing") from error

@@ -6,7 +6,6 @@ control items is stored apart from labels.
 
 from __future__ import annotations
 
-import json
 import os
 import sqlite3
 import time
@@ -29,7 +28,7 @@ from touchdown.backend.annotations.values import (
     operation_hash,
     uuid7,
 )
-from touchdown.backend.core import make_folder, sync_folder
+from touchdown.backend.core import make_folder, parse_json, sync_folder
 
 FIELDS = tuple(field.name for field in fields(Operation))
 COLUMNS = ", ".join(FIELDS)  # of the table ``op``
@@ -255,7 +254,7 @@ def read_operations(
 def as_operation(row: tuple[Any, ...]) -> Operation:
     """Return the operation of a row of ``COLUMNS``."""
     values = dict(zip(FIELDS, row, strict=True))
-    return Operation(**values | {"body": json.loads(values["body"])})
+    return Operation(**values | {"body": parse_json(values["body"])})
 
 
 # Columns of ``as_revision``, from ``label_rev r JOIN op o USING (op_uuid)``.
@@ -351,7 +350,7 @@ def read_journal(path: Path) -> Iterator[Operation]:
         if not line.endswith(b"\n"):
             return
         try:
-            yield Operation(**json.loads(line))
+            yield Operation(**parse_json(line))
         except (ValueError, TypeError) as error:
             raise ValueError(f"{path.name}, line {number}: {error}") from error
 
@@ -360,7 +359,7 @@ def line_numbers(path: Path) -> Iterator[int]:
     """Yield the sequence number of each readable line of a journal."""
     for line in path.read_bytes().splitlines():
         with suppress(ValueError, TypeError, KeyError):
-            yield int(json.loads(line)["seq"])
+            yield int(parse_json(line)["seq"])
 
 
 def _append(path: Path, operations: list[Operation]) -> None:
@@ -386,7 +385,7 @@ def _cut_torn_line(path: Path) -> int:
     if end < path.stat().st_size:
         os.truncate(path, end)
     try:
-        return int(json.loads(line)["seq"]) if line else 0
+        return int(parse_json(line)["seq"]) if line else 0
     except (ValueError, TypeError, KeyError):
         last = 0
         with suppress(ValueError):

@@ -5,7 +5,6 @@ Runs on every opening, before anything can be recorded. Merging takes the union 
 
 from __future__ import annotations
 
-import json
 import sqlite3
 import time
 from collections import defaultdict
@@ -40,7 +39,7 @@ from touchdown.backend.annotations.values import (
     canonical_json,
     first_broken_link,
 )
-from touchdown.backend.core import Fault, InputError, write_atomically
+from touchdown.backend.core import Fault, InputError, parse_json, write_atomically
 
 CHECKED_OPERATIONS = 500  # number of newest operations checked on opening; ``verify`` checks all
 
@@ -173,7 +172,7 @@ def _last_position(path: Path) -> ChainPosition | None:
         line, _ = read_last_line(path)
         if not line:
             return 0, FIRST_HASH
-        facts = json.loads(line)
+        facts = parse_json(line)
         return int(facts["seq"]), str(facts["hash"])
     except FileNotFoundError:
         return 0, FIRST_HASH

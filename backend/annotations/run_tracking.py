@@ -29,6 +29,7 @@ from touchdown.backend.core import (
     lock_file,
     make_folder,
     package_version,
+    parse_json,
     program_stamp,
     sync_folder,
     write_atomically,
@@ -98,7 +99,7 @@ def read_run_info(folder: Path) -> RunInfo:
     """Read ``run.json``; raises ``InputError`` with its path."""
     path = folder / ABOUT
     try:
-        content = json.loads(path.read_text("utf-8"))
+        content = parse_json(path.read_bytes())
         if content.pop("format") != FORMAT or content["state"] not in get_args(RunState):
             raise ValueError("it is of another version")
         content["artifacts"] = tuple(Artifact(**made) for made in content["artifacts"])
@@ -280,7 +281,7 @@ def _take_metrics(connection: sqlite3.Connection, run: Path, start: int) -> None
     rows = []
     for line in content.splitlines():
         with suppress(ValueError, KeyError, TypeError):
-            value = json.loads(line)
+            value = parse_json(line)
             row = (value["name"], value["step"], value["value"], value["at_ns"])
             rows.append((run.name, *row))
     connection.executemany("INSERT OR REPLACE INTO metric VALUES (?, ?, ?, ?, ?)", rows)
@@ -355,13 +356,13 @@ class RunTracker:
 
     def _entry(self, row: tuple[Any, ...]) -> RunInfo:
         values = dict(zip(RUN_COLUMNS, row, strict=True))
-        values |= {name: json.loads(values[name]) for name in JSON_COLUMNS}
+        values |= {name: parse_json(values[name]) for name in JSON_COLUMNS}
         uuid = values["uuid"]
         params = self._database.rows("SELECT key, value FROM param WHERE run = ?", (uuid,))
         sql = "SELECT name, path, sha256, bytes FROM artifact WHERE run = ?"
         made = tuple(Artifact(*each) for each in self._database.rows(sql, (uuid,)))
         return RunInfo(
-            **values, params={key: json.loads(text) for key, text in params}, artifacts=made
+            **values, params={key: parse_json(text) for key, text in params}, artifacts=made
         )
 
 

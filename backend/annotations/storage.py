@@ -20,7 +20,7 @@ from typing import Self
 
 import psutil
 
-from touchdown.backend.core import InputError, lock_file
+from touchdown.backend.core import InputError, lock_file, parse_json
 
 # error numbers of a full disk or an exhausted quota
 DISK_FULL_ERRNOS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
@@ -179,7 +179,7 @@ class WriterLock:
 def lock_holder(folder: Path) -> WriterInfo | None:
     """Return the last writer, or None if the file does not name one."""
     try:
-        return WriterInfo(**json.loads((folder / LOCK_NAME).read_text("utf-8")))
+        return WriterInfo(**parse_json((folder / LOCK_NAME).read_text("utf-8")))
     except (OSError, ValueError, TypeError):
         return None
 

@@ -26,19 +26,24 @@ from touchdown.backend.calibration.result import (
     CalibrationName,
 )
 from touchdown.backend.config import Settings
-from touchdown.backend.core import CalibrationMeasured, InputError, RefusedError, write_atomically
+from touchdown.backend.core import (
+    CalibrationMeasured,
+    InputError,
+    RefusedError,
+    parse_json,
+    write_atomically,
+)
 
 VERSION = 1
 MAX_CHARACTERS = 1_000_000
-Finite = Annotated[float, Field(allow_inf_nan=False)]
 Mode = Literal["simulated", "emulated", "hardware"]
 
 
 class CalibrationValue(Settings):
     """A number with its standard uncertainty and unit."""
 
-    value: Finite
-    sigma: Annotated[float, Field(ge=0, allow_inf_nan=False)]
+    value: float
+    sigma: Annotated[float, Field(ge=0)]
     unit: str
 
 
@@ -57,18 +62,18 @@ class CalibrationFile(Settings):
     what: CalibrationName
     mode: Mode
     values: dict[str, CalibrationValue]
-    residual: Finite
-    limit: Finite
+    residual: float
+    limit: float
     unit: str
     note: str = ""
     person: str = ""
-    date: datetime
-    expires_days: Annotated[int, Field(ge=1)]
+    date: Annotated[datetime, Field(strict=False)]
+    expires_days: Annotated[int, Field(ge=1, le=100_000)]
     devices: dict[str, DeviceName]
     about: str = ""  # piece and bottom, "" where neither matters
     # Gel fingerprints: by camera name as in ``devices``, u and v of the 63 dots at rest. Empty if
     # none was taken.
-    gels: dict[str, tuple[Finite, ...]] = Field(default_factory=dict)
+    gels: dict[str, tuple[float, ...]] = Field(default_factory=dict)
 
     @property
     def expires(self) -> datetime:
@@ -131,7 +136,7 @@ def _content(file: CalibrationFile) -> dict[str, object]:
 def read_record(path: Path) -> CalibrationRecord:
     """Read a calibration; raises ``InputError`` if it is damaged, changed or of a newer version."""
     try:
-        content = json.loads(_read_text(path))
+        content = parse_json(_read_text(path))
         given = content.pop("sha256")
         file = CalibrationFile.model_validate(content)
     except (OSError, ValueError, KeyError, AttributeError, TypeError, RecursionError) as error:

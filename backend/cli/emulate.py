@@ -35,7 +35,7 @@ from touchdown.backend.bench import (
 )
 from touchdown.backend.cli.output import VerbOutput, ctrl_c_cancels, text_table
 from touchdown.backend.config import first_error_message
-from touchdown.backend.core import FINGERS, InputError, round_robin_priority
+from touchdown.backend.core import FINGERS, InputError, round_robin_priority, write_atomically
 from touchdown.backend.devices import emulated_makes
 from touchdown.backend.devices.gelsight import SERIAL
 from touchdown.backend.emulation import (
@@ -267,7 +267,7 @@ def _bench(args: argparse.Namespace) -> tuple[EmulatedScene, Emulation]:
         if args.lab_file is not None:
             # The lab file is for this computer: its cameras are folders here.
             here = replace(emulation, bench=replace_host(emulation.bench, "127.0.0.1"))
-            args.lab_file.write_text(lab_toml(scene, here), "utf-8")
+            write_atomically(args.lab_file, lab_toml(scene, here).encode())
     except OSError as error:
         raise InputError(
             f"The bench cannot be made: {error.strerror or error}.",

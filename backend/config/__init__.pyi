@@ -39,6 +39,7 @@ from .simulation import SupportSettings as SupportSettings
 from .simulation import TactileSettings as TactileSettings
 from .simulation import WristSettings as WristSettings
 from .simulation import load_simulation as load_simulation
+from .toml_file import first_error as first_error
 from .toml_file import first_error_message as first_error_message
 from .toml_file import parse_settings as parse_settings
 from .toml_file import read_settings as read_settings
@@ -81,6 +82,7 @@ __all__ = [
     "WsgSettings",
     "bench_sha256",
     "describe_simulation",
+    "first_error",
     "first_error_message",
     "is_lab_file",
     "is_loopback",

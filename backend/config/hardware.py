@@ -17,7 +17,7 @@ from touchdown.backend.config.method import NonNegative, Positive, Settings
 Port = Annotated[int, Field(ge=1, le=65535)]
 Share = Annotated[float, Field(gt=0, le=1)]
 U16 = Annotated[int, Field(ge=0, le=0xFFFF)]
-Count = Annotated[int, Field(ge=1)]
+Count = Annotated[int, Field(ge=1, le=1_000_000)]
 Six = tuple[Positive, Positive, Positive, Positive, Positive, Positive]
 Row = tuple[float, float, float]
 ProgramName = Annotated[str, Field(pattern="^[A-Za-z0-9_]{1,12}$")]
@@ -54,7 +54,7 @@ class MxtSettings(Settings):
     allow_unlimited: bool = False  # stream even if the controller never ends a silent stream
     send_type_must_match: bool = True
     ends_on_servo_off: bool = True
-    mxttout: Annotated[int, Field(ge=-1)] = -1
+    mxttout: Annotated[int, Field(ge=-1, le=32_767)] = -1
     error_overspeed: U16 = 9901
     error_timeout: U16 = 9902
     step_fraction: Share = 0.5
@@ -210,7 +210,7 @@ class ForceTorqueSettings(Settings):
     latency_ms: NonNegative = 0.0
     silence_s: Positive = 0.2
     # After this many identical samples the signal counts as stuck.
-    stuck_after: Annotated[int, Field(ge=2)] = 5
+    stuck_after: Annotated[int, Field(ge=2, le=1000)] = 5
 
     @field_validator("rotation")
     @classmethod

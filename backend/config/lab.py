@@ -21,7 +21,7 @@ from pydantic import Field, model_validator
 
 from touchdown.backend.config.bench_description import BenchDescription, sha256_of_json, wrist_frame
 from touchdown.backend.config.hardware import HardwareSettings
-from touchdown.backend.config.method import NonNegative, Positive, Settings
+from touchdown.backend.config.method import Force, NonNegative, Positive, Settings, Speed
 from touchdown.backend.config.toml_file import parse_settings, read_toml
 from touchdown.backend.core import InputError, write_atomically
 
@@ -99,7 +99,7 @@ def _is_below(path: Path, folder: Path) -> bool:
 
 
 LAB_FILE_VERSION = 1
-Length = Annotated[float, Field(allow_inf_nan=False)]
+Age = Annotated[float, Field(gt=0, le=10)]  # s
 LabKind = Literal["hardware", "emulated"]
 # A file with one of these keys is a lab file; simulation settings have none.
 LAB_FILE_KEYS = frozenset({"version", "kind", "melfa", "wsg", "ft", "gelsight"})
@@ -112,30 +112,29 @@ class LimitSettings(Settings):
     """
 
     reach_mm: Positive = 150.0
-    least_x_mm: Length = -150.0
-    most_x_mm: Length = 150.0
-    least_y_mm: Length = -150.0
-    most_y_mm: Length = 150.0
-    lowest_mm: Length = 0.0
-    highest_mm: Length = 400.0
-    # Standards call 250 mm/s reduced speed.
-    speed_mm_s: Annotated[float, Field(gt=0, le=250)] = 50.0
-    contact_speed_mm_s: Positive = 2.0
-    contact_n: Positive = 1.0
-    press_n: Positive = 25.0
-    trip_n: Positive = 40.0
-    trip_at_once_n: Positive = 60.0
-    trip_nm: Positive = 1.5
-    probe_n: Positive = 30.0
-    jog_mm_s: Positive = 50.0
-    jog_guard_n: Positive = 15.0
+    least_x_mm: float = -150.0
+    most_x_mm: float = 150.0
+    least_y_mm: float = -150.0
+    most_y_mm: float = 150.0
+    lowest_mm: float = 0.0
+    highest_mm: float = 400.0
+    speed_mm_s: Speed = 50.0
+    contact_speed_mm_s: Speed = 2.0
+    contact_n: Force = 1.0
+    press_n: Force = 25.0
+    trip_n: Force = 40.0
+    trip_at_once_n: Force = 60.0
+    trip_nm: Annotated[float, Field(gt=0, le=50)] = 1.5
+    probe_n: Force = 30.0
+    jog_mm_s: Speed = 50.0
+    jog_guard_n: Force = 15.0
     near_mm: NonNegative = 10.0
-    recovery_mm_s: Positive = 5.0
+    recovery_mm_s: Speed = 5.0
     tilt_rad: Annotated[float, Field(gt=0, le=math.pi / 2)] = math.radians(15.0)
     turn_rad_s: Positive = math.radians(15.0)
     turn_clear_mm: NonNegative = 20.0
-    wrench_age_s: Positive = 0.3
-    frame_age_s: Positive = 0.5
+    wrench_age_s: Age = 0.3
+    frame_age_s: Age = 0.5
 
     @model_validator(mode="after")
     def _in_order(self) -> LimitSettings:
@@ -165,10 +164,10 @@ class MountingSettings(Settings):
     """Payload and position of the wrist sensor."""
 
     sensor_height_mm: Positive = 120.0  # sensor above the grasp pivot
-    sensor_yaw_rad: Length = 0.0  # remaining yaw after ``ft.rotation``
+    sensor_yaw_rad: float = 0.0  # remaining yaw after ``ft.rotation``
     payload_kg: NonNegative = 1.5  # gripper and fingers
     # Their centre of mass relative to the grasp pivot.
-    payload_com_mm: tuple[Length, Length, Length] = (0.0, 0.0, 60.0)
+    payload_com_mm: tuple[float, float, float] = (0.0, 0.0, 60.0)
 
 
 class SerialNumbers(Settings):

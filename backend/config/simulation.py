@@ -15,6 +15,8 @@ from touchdown.backend.config.method import NonNegative, Positive, Settings
 from touchdown.backend.config.toml_file import parse_settings, read_toml
 
 Share = Annotated[float, Field(ge=0, le=1)]
+Friction = Annotated[float, Field(gt=0, le=10)]
+Spread = Annotated[float, Field(ge=0, le=10)]  # relative standard deviation
 Preset: TypeAlias = Literal["mixed", "quiet", "hard", "off", "realistic", "bench-v1"]
 
 
@@ -48,7 +50,7 @@ class SupportSettings(Settings):
 
     rocks: bool = False  # bottoms tip about their edge when the press leaves their base
     slides: bool = False  # bottoms slide when the lateral force exceeds friction, and stay there
-    mu: Positive = 0.40  # friction of bottoms on the table and on each other [U]
+    mu: Friction = 0.40  # friction of bottoms on the table and on each other [U]
 
 
 class TactileSettings(Settings):
@@ -59,7 +61,7 @@ class TactileSettings(Settings):
     pitch_mm: Positive = 1.9  # marker pitch of the 7x9 large-dot gel
     # Distance along x and z at which the strain rolls off outside the gripped patch [U].
     roll_off_mm: tuple[Positive, Positive] = (7.0, 6.0)
-    dilation: NonNegative = 0.01  # growth of the field with the pad force [U]
+    dilation: Spread = 0.01  # growth of the field with the pad force [U]
     rate_hz: Positive = 25.0
     jitter_s: NonNegative = 0.005  # frame times are uniform within this of the regular grid
     drop_share: Share = 0.005
@@ -67,7 +69,9 @@ class TactileSettings(Settings):
     bias_px: NonNegative = 0.15  # reference error per probe, finger and axis; standard deviation
     drift_px_sqrt_s: NonNegative = 0.02  # random walk of the whole field per finger and axis
     lost_share: Share = 0.001  # share of lost marker-frames
-    lost_frames: Annotated[int, Field(ge=1)] = 10  # losses last 1 to this many frames, uniformly
+    lost_frames: Annotated[int, Field(ge=1, le=10_000)] = (
+        10  # losses last 1 to this many frames, uniformly
+    )
     # A marker centre nearer to the image border is not seen (batch). The tracker loses a dot of 7.6
     # px radius about 8 px from the border.
     border_px: NonNegative = 8.0
@@ -93,14 +97,14 @@ class WristSettings(Settings):
 class SpreadSettings(Settings):
     """Standard deviations of the nuisances drawn per mounting, grip or probe."""
 
-    gel: NonNegative = 0.10
-    mu_grip: NonNegative = 0.10
+    gel: Spread = 0.10
+    mu_grip: Spread = 0.10
     grip_force_n: NonNegative = 0.3
     grasp_offset_mm: NonNegative = 0.5
     jig_mm: NonNegative = 0.1  # the same if the piece is taken from a jig
     yaw_rad: NonNegative = 0.0175  # In-hand rotation about the vertical, 1 degree
-    gain: NonNegative = 0.05
-    mu: NonNegative = 0.15
+    gain: Spread = 0.05
+    mu: Spread = 0.15
     label_error_mm: NonNegative = 0.05
     tilt_rad: NonNegative = 0.004
     print_offset_mm: NonNegative = 0.1
@@ -124,9 +128,9 @@ class SimulationSettings(Settings):
     """
 
     preset: Preset = "mixed"
-    cycle_us: Annotated[int, Field(gt=0)] = 10_000
-    mu: Positive = 0.40  # mean face friction
-    mu_grip: Positive = 0.80  # mean friction of gel on piece [U]
+    cycle_us: Annotated[int, Field(gt=0, le=1_000_000)] = 10_000
+    mu: Friction = 0.40  # mean face friction
+    mu_grip: Friction = 0.80  # mean friction of gel on piece [U]
     # Shift of the centre of mass by opening fingers (sd); preset realistic: 0.5.
     release_disturbance_mm: NonNegative = 0.0
     grasp: GraspSettings = GraspSettings()

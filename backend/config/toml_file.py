@@ -12,7 +12,7 @@ from typing import Any, TypeGuard, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
-from touchdown.backend.core import InputError
+from touchdown.backend.core import InputError, parse_toml
 
 Model = TypeVar("Model", bound=BaseModel)
 MAX_BYTES = 1_000_000
@@ -25,20 +25,16 @@ def read_toml(path: Path) -> dict[str, Any]:
             raise InputError(
                 "The file is too large for a settings file.", str(path), "Use a file below 1 MB."
             )
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        return parse_toml(path.read_bytes())
     except OSError as error:
         reason = error.strerror or "unreadable"
         raise InputError(
             f"Cannot read the file: {reason}.", str(path), "Check the path."
         ) from error
-    except UnicodeDecodeError as error:
-        raise InputError(
-            "The file is not text in UTF-8.", str(path), "Give a TOML file."
-        ) from error
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(
-            f"The file is not valid TOML: {error}.", str(path), "Correct the named line."
-        ) from error
+    except ValueError as error:
+        is_syntax = isinstance(error, tomllib.TOMLDecodeError)
+        fix = "Correct the named line." if is_syntax else "Give a TOML file in UTF-8."
+        raise InputError(f"The file is not valid TOML: {error}.", str(path), fix) from error
 
 
 def parse_settings(model: type[Model], content: dict[str, Any], where: str) -> Model:
@@ -46,8 +42,7 @@ def parse_settings(model: type[Model], content: dict[str, Any], where: str) -> M
     try:
         return model.model_validate(content)
     except ValidationError as error:
-        first = error.errors()[0]
-        key = ".".join(str(part) for part in first["loc"]) or "(file)"
+        first, key = error.errors()[0], _key(error)
         if first["type"] == "extra_forbidden":
             near = _nearest(model, first["loc"])
             raise InputError(
@@ -58,6 +53,15 @@ def parse_settings(model: type[Model], content: dict[str, Any], where: str) -> M
         raise InputError(
             f"Bad value for '{key}': {first_error_message(error)}.", where, f"Correct '{key}'."
         ) from error
+
+
+def first_error(error: ValidationError) -> str:
+    """Return key and message of the first error."""
+    return f"'{_key(error)}': {first_error_message(error)}"
+
+
+def _key(error: ValidationError) -> str:
+    return ".".join(str(part) for part in error.errors()[0]["loc"]) or "(file)"
 
 
 def first_error_message(error: ValidationError) -> str:

@@ -52,6 +52,8 @@ from .faults import TouchdownError as TouchdownError
 from .files import lock_file as lock_file
 from .files import make_folder as make_folder
 from .files import package_version as package_version
+from .files import parse_json as parse_json
+from .files import parse_toml as parse_toml
 from .files import program_stamp as program_stamp
 from .files import read_json_lines as read_json_lines
 from .files import sync_folder as sync_folder
@@ -205,6 +207,8 @@ __all__ = [
     "make_folder",
     "marker_misfit",
     "package_version",
+    "parse_json",
+    "parse_toml",
     "pose_rotation",
     "program_stamp",
     "raised_priority",

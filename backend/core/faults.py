@@ -7,6 +7,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+MAX_MESSAGE = 600  # characters of a message about bad input
+
 
 class TouchdownError(Exception):
     """Base of all errors that Touchdown raises.
@@ -40,6 +42,8 @@ class InputError(TouchdownError):
     """
 
     def __init__(self, what: str, where: str, fix: str) -> None:
+        if len(what) > MAX_MESSAGE:  # text of a foreign file may be part of it
+            what = f"{what[:MAX_MESSAGE]} ..."
         super().__init__(f"{what} [{where}] {fix}")
         self.what, self.where, self.fix = what, where, fix
 

@@ -9,6 +9,8 @@ import errno
 import json
 import os
 import sys
+import tomllib
+from collections.abc import Callable
 from contextlib import suppress
 from functools import lru_cache
 from importlib.metadata import PackageNotFoundError, version
@@ -69,6 +71,44 @@ def write_atomically(path: Path, content: bytes) -> None:
     sync_folder(path.parent)
 
 
+MAX_DEPTH = 64  # levels of objects and arrays in a foreign file
+TOO_DEEP = f"it is nested deeper than {MAX_DEPTH} levels"
+
+
+def parse_json(content: bytes | str) -> Any:
+    """Parse JSON of any origin.
+
+    Raises ``ValueError`` in a few words if it is not JSON in UTF-8 or nested deeper than
+    ``MAX_DEPTH``.
+    """
+    return _parsed(json.loads, content, "utf-8-sig")
+
+
+def parse_toml(content: bytes | str) -> dict[str, Any]:
+    """Parse TOML of any origin; raises ``ValueError`` as ``parse_json``."""
+    return dict(_parsed(tomllib.loads, content, "utf-8"))
+
+
+def _parsed(parse: Callable[[str], Any], content: bytes | str, encoding: str) -> Any:
+    try:
+        text = content if isinstance(content, str) else content.decode(encoding)
+        found = parse(text)
+    except UnicodeDecodeError as error:
+        raise ValueError(f"byte {error.start} is not text in UTF-8") from None
+    except RecursionError:
+        raise ValueError(TOO_DEEP) from None
+    # Dotted keys of TOML nest without brackets.
+    marks = map(text.count, "[{." if parse is tomllib.loads else "[{")
+    level, depth = ([found] if sum(marks) > MAX_DEPTH else []), 0
+    while level:
+        depth += 1
+        if depth > MAX_DEPTH:
+            raise ValueError(TOO_DEEP)
+        inner = (v.values() if isinstance(v, dict) else v for v in level)
+        level = [v for values in inner for v in values if isinstance(v, dict | list)]
+    return found
+
+
 def read_json_lines(path: Path) -> list[dict[str, Any]]:
     """Return the objects of a file of JSON lines; empty if it does not exist.
 
@@ -83,7 +123,7 @@ def read_json_lines(path: Path) -> list[dict[str, Any]]:
     found = []
     for raw in content.splitlines():
         with suppress(ValueError):
-            if isinstance(line := json.loads(raw), dict):
+            if isinstance(line := parse_json(raw), dict):
                 found.append(line)
     return found
 

@@ -56,7 +56,6 @@ AMOUNTS = {
 }
 
 FaultShare = Annotated[float, Field(gt=0, le=1)]
-FiniteFloat = Annotated[float, Field(allow_inf_nan=False)]
 LONGEST_GARBAGE = 64
 
 
@@ -70,7 +69,7 @@ class PlannedFault(Settings):
     share: FaultShare = 1.0
     by_s: Positive = 0.1
     hz: Positive | None = None
-    n_per_s: FiniteFloat | None = None
+    n_per_s: float | None = None
 
     @model_validator(mode="after")
     def _known(self) -> PlannedFault:

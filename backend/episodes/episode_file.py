@@ -33,6 +33,7 @@ from touchdown.backend.core import (
     Recording,
     ScenePicture,
     TactileFrame,
+    parse_json,
     program_stamp,
     write_atomically,
 )
@@ -319,15 +320,15 @@ def _episode(contents: ChunkContents) -> Episode:
     observation = unpack_observation(contents.messages[OBSERVATION_TOPIC.name])
     if observation.shape != (SAMPLES_PER_PROBE, CHANNELS):
         raise ValueError(f"the observation has shape {observation.shape}, not (20, 258)")
-    quality = json.loads(facts["quality"])
+    quality = parse_json(facts["quality"])
     quality["reasons"] = tuple(quality["reasons"])
-    pairs = json.loads(contents.metadata["pairs"]["items"])
+    pairs = parse_json(contents.metadata["pairs"]["items"])
     return Episode(
         episode_id=facts["uuid"],
         piece=facts["grasped_piece"],
         observation=observation,
-        offset_mm=np.array(json.loads(facts["offset_mm"]), dtype=np.float64).reshape(2),
-        onset_s=float(json.loads(facts["onset_s"])),
+        offset_mm=np.array(parse_json(facts["offset_mm"]), dtype=np.float64).reshape(2),
+        onset_s=float(parse_json(facts["onset_s"])),
         quality=EpisodeQuality(**quality),
         recording=_recording(contents) if facts["recording"] == "native" else None,
         metadata=tuple((str(key), str(value)) for key, value in pairs),
@@ -344,7 +345,7 @@ def _recording(contents: ChunkContents) -> Recording:
         for number, t_s, image in _pictures(contents, IMAGE_TOPICS[finger])
     ]
     scene = (ScenePicture(t_s, image) for _, t_s, image in _pictures(contents, SCENE_TOPIC))
-    tare = json.loads(contents.metadata["calibration"]["tare"])
+    tare = parse_json(contents.metadata["calibration"]["tare"])
     return Recording(
         wrench_t_s=to_s(stamps_ns(wrench)),
         wrench=unpack_wrench(wrench),

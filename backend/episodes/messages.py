@@ -16,7 +16,7 @@ from importlib.resources import files
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.backend.core import GRID_COLS, GRID_ROWS, MARKERS, FloatArray
+from touchdown.backend.core import GRID_COLS, GRID_ROWS, MARKERS, FloatArray, parse_json
 
 ENCAPSULATION = b"\x00\x01\x00\x00"
 
@@ -263,7 +263,7 @@ def pack_json(content: Mapping[str, object]) -> bytes:
 
 def unpack_json(message: bytes | memoryview) -> dict[str, object]:
     """Unpack the message of ``pack_json``; raises ``ValueError`` for other content."""
-    content = json.loads(CdrReader(message).text())
+    content = parse_json(CdrReader(message).text())
     if not isinstance(content, dict):
         raise ValueError("a JSON object is expected")
     return content

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from touchdown.backend.annotations import Dataset, Label, Pair, content_hash
-from touchdown.backend.core import FloatArray, InputError
+from touchdown.backend.core import FloatArray, InputError, parse_json
 from touchdown.backend.exchange.exports import ExportJob
 from touchdown.backend.exchange.label_import import ImportedLabel, label_file
 from touchdown.backend.exchange.query import SelectedEpisode
@@ -144,7 +144,7 @@ def read_coco(source: Path, dataset: Dataset) -> Iterator[ImportedLabel]:
     """
     path = label_file(source, FILE)
     try:
-        content = json.loads(path.read_bytes())
+        content = parse_json(path.read_bytes())
         origins, scale = content["info"]["origin_px"], float(content["info"]["px_per_mm"])
         images = {image["id"]: image for image in content["images"]}
         for annotation in content["annotations"]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -16,7 +15,7 @@ from touchdown.backend.annotations import (
     merge_labels,
     read_operations,
 )
-from touchdown.backend.core import InputError
+from touchdown.backend.core import InputError, parse_json
 from touchdown.backend.exchange.exports import ExportJob
 from touchdown.backend.exchange.label_import import label_file
 from touchdown.backend.exchange.manifest import read_manifest
@@ -44,7 +43,7 @@ def read_jsonl(source: Path) -> list[Operation]:
     with path.open("rb") as file:
         for number, line in enumerate(file, start=1):
             try:
-                log.append(Operation(**json.loads(line)))
+                log.append(Operation(**parse_json(line)))
             except (ValueError, TypeError) as error:
                 raise InputError(
                     f"This is no operation: {error}.", f"{path}, line {number}", "Export it again."

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -10,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.backend.core import InputError
+from touchdown.backend.core import InputError, parse_json
 from touchdown.backend.exchange.features import PICTURES, ForeignEpisode, require_package
 
 VERSIONS = ("v3.0", "v2.1")
@@ -36,7 +35,7 @@ def _info(source: Path) -> dict[str, Any]:
         raise InputError(
             "This is no LeRobot dataset.", str(path), "Name the folder that holds meta/info.json."
         )
-    info: dict[str, Any] = json.loads(path.read_bytes())
+    info: dict[str, Any] = parse_json(path.read_bytes())
     version = info.get("codebase_version")
     if version not in VERSIONS:
         raise InputError(

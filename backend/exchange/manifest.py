@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from touchdown.backend.annotations import SCHEMA_VERSION, Dataset, file_sha256
-from touchdown.backend.core import InputError, program_stamp, write_atomically
+from touchdown.backend.core import InputError, parse_json, program_stamp, write_atomically
 from touchdown.backend.exchange.features import FPS, Feature
 from touchdown.backend.exchange.query import (
     ExportQuery,
@@ -123,7 +123,7 @@ def read_manifest(folder: Path) -> Manifest | None:
     try:
         if path.stat().st_size > MAX_BYTES:
             raise ValueError("it is too large")
-        manifest = json.loads(path.read_bytes())
+        manifest = parse_json(path.read_bytes())
         if manifest["version"] != VERSION:
             raise ValueError(f"its version is {manifest['version']}, not {VERSION}")
         _check_files(folder, manifest["files"])

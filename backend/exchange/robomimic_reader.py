@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -10,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.backend.core import InputError
+from touchdown.backend.core import InputError, parse_json
 from touchdown.backend.exchange.features import (
     ACTION,
     DEMOS,
@@ -32,7 +31,7 @@ def read(source: Path) -> Iterator[ForeignEpisode]:
         raise InputError("There is no such file.", str(path), "Name the HDF5 file.")
     with require_package("h5py").File(path, "r") as file:
         data = file["data"]
-        kwargs = json.loads(data.attrs.get("env_args", "{}")).get("env_kwargs", {})
+        kwargs = parse_json(data.attrs.get("env_args", "{}")).get("env_kwargs", {})
         sides = {
             name.decode(): side
             for side, names in file.get("mask", {}).items()

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from touchdown.backend.core import InputError, Outcome, write_atomically
+from touchdown.backend.core import InputError, Outcome, parse_json, write_atomically
 from touchdown.backend.episodes import patch_bits
 from touchdown.backend.experiments.comparison import (
     comparison_report,
@@ -528,7 +528,7 @@ def _read(file: Path, wanted: tuple[str, ...], fix: str) -> Json:
     try:
         if file.stat().st_size > MAX_BYTES:
             raise InputError(f"It has more than {MAX_BYTES >> 20} MB.", str(file), fix)
-        found = json.loads(file.read_bytes())
+        found = parse_json(file.read_bytes())
     except OSError as error:
         what = f"It cannot be read: {error.strerror or error}."
         raise InputError(what, str(file), fix) from error
@@ -666,5 +666,5 @@ def _stored_films(recipe: Recipe, store: JobStore) -> list[Json]:
             path = store.folder(spec.id) / FILM_FILE
             if path.is_file():
                 title = f"{piece.title()} on {' + '.join(bottoms)}"
-                films += [{"title": title, **film} for film in json.loads(path.read_bytes())]
+                films += [{"title": title, **film} for film in parse_json(path.read_bytes())]
     return films

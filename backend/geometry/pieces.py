@@ -26,8 +26,6 @@ from touchdown.backend.geometry import outlines
 from touchdown.backend.geometry.outlines import Outline, Point
 from touchdown.backend.geometry.tower import Body
 
-Number = Annotated[float, Field(allow_inf_nan=False)]
-
 
 class CircleFace(Settings):
     """A round face."""
@@ -69,7 +67,7 @@ class RegularFace(Settings):
     shape: Literal["regular"]
     sides: Annotated[int, Field(ge=3, le=64)]
     across_corners_mm: Positive
-    rotation_deg: Number = 0.0
+    rotation_deg: float = 0.0
 
     def outline(self) -> Outline:
         """Return the outline."""
@@ -82,7 +80,7 @@ class PolygonFace(Settings):
     """A convex polygon round the face centre, corners counter-clockwise."""
 
     shape: Literal["polygon"]
-    vertices_mm: tuple[tuple[Number, Number], ...]
+    vertices_mm: tuple[tuple[float, float], ...]
 
     @model_validator(mode="after")
     def _is_convex(self) -> Self:
@@ -113,7 +111,7 @@ class PieceFile(Settings):
     opposite: Face | None = None
     height_mm: Positive
     com_height_mm: Positive
-    com_xy_mm: tuple[Number, Number] = (0.0, 0.0)
+    com_xy_mm: tuple[float, float] = (0.0, 0.0)
     mass_g: NonNegative
     fixed: Annotated[bool, Field(validate_default=True)] = False
     grip_height_mm: Annotated[Positive | None, Field(validate_default=True)] = None

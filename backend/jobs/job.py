@@ -19,7 +19,13 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Any, Literal, Self
 
-from touchdown.backend.core import InputError, TouchdownError, sync_folder, write_atomically
+from touchdown.backend.core import (
+    InputError,
+    TouchdownError,
+    parse_json,
+    sync_folder,
+    write_atomically,
+)
 
 ID_DIGITS = 32
 
@@ -57,7 +63,7 @@ class JobSpec:
     @classmethod
     def parse(cls, text: str) -> Self:
         """Return the spec of a canonical text; raises ValueError or KeyError for anything else."""
-        facts = json.loads(text)
+        facts = parse_json(text)
         return cls(
             kind=str(facts["kind"]),
             params=dict(facts["params"]),
@@ -90,7 +96,7 @@ class JobStore:
         """Return the answer of a finished job; raises ``InputError`` naming a damaged file."""
         path = self.folder(job_id) / RESULT_FILE
         try:
-            answer = json.loads(path.read_bytes())
+            answer = parse_json(path.read_bytes())
         except (OSError, ValueError) as error:
             raise InputError(
                 f"There is no readable result: {error}.", str(path), "Delete the folder; run again."

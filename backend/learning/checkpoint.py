@@ -16,7 +16,7 @@ from safetensors import SafetensorError
 from safetensors.numpy import load as load_arrays
 from safetensors.numpy import save as save_arrays
 
-from touchdown.backend.config import SAMPLES_PER_PROBE, BenchDescription
+from touchdown.backend.config import SAMPLES_PER_PROBE, BenchDescription, first_error
 from touchdown.backend.core import InputError, write_atomically
 from touchdown.backend.learning.inference import (
     ARCHITECTURES,
@@ -180,13 +180,6 @@ def load_card(path: Path) -> ModelCard:
         if applies:
             raise _bad(where, f"The model does not fit this program: {problem}")
     return card
-
-
-def first_error(error: ValidationError) -> str:
-    """Return key and message of the first error in a card."""
-    first = error.errors()[0]
-    key = ".".join(str(part) for part in first["loc"]) or "(file)"
-    return f"'{key}': {first['msg']}"
 
 
 def parse_arrays(content: bytes, path: Path) -> dict[str, NDArray[Any]]:

@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.backend.core import FloatArray, InputError, write_atomically
+from touchdown.backend.core import FloatArray, InputError, parse_json, write_atomically
 from touchdown.backend.episodes import TrainingRows, patch_bits, patch_hex
 
 Bits = NDArray[np.bool_]
@@ -237,7 +237,7 @@ def load_samples(folder: Path) -> list[SamplePrediction]:
     try:
         if path.stat().st_size > MAX_BYTES:
             raise ValueError("the file is too large")
-        content = json.loads(path.read_bytes())
+        content = parse_json(path.read_bytes())
         return [_sample(line) for line in content["samples"]]
     except FileNotFoundError:
         return []

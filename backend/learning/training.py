@@ -25,7 +25,7 @@ from torch.nn.functional import binary_cross_entropy_with_logits
 from torch.optim.adam import adam
 
 from touchdown.backend.config import TrainingSettings
-from touchdown.backend.core import InputError, write_atomically
+from touchdown.backend.core import InputError, parse_json, write_atomically
 from touchdown.backend.episodes import Split, TrainingRows, split_rows
 from touchdown.backend.learning.checkpoint import Checkpoint
 from touchdown.backend.learning.inference import (
@@ -366,7 +366,7 @@ def load_training_state(path: Path, trainer: Trainer, data: str) -> None:
             if header.get("format") != FORMAT:
                 raise ValueError("foreign file")
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-        facts = json.loads(header["facts"])
+        facts = parse_json(header["facts"])
         settings = TrainingSettings.model_validate(facts["settings"])
         if settings != trainer.settings or facts["data"] != data:
             raise InputError("The saved training used other data or settings.", str(path), FIX)

@@ -10,12 +10,15 @@ from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
+import pydantic.dataclasses
+from pydantic import ConfigDict, Field, ValidationError
 
 from touchdown.backend.annotations import Dataset, EpisodeEntry, EpisodeFilter, items_deleted, uuid7
-from touchdown.backend.core import FloatArray, InputError, read_only, write_atomically
+from touchdown.backend.config import first_error
+from touchdown.backend.core import FloatArray, InputError, parse_json, read_only, write_atomically
 from touchdown.backend.episodes import (
     OBSERVATION_TOPIC,
     Coverage,
@@ -151,7 +154,9 @@ FOLDER = "campaigns"
 FORMAT = 1
 
 
-@dataclass(frozen=True, slots=True)
+@pydantic.dataclasses.dataclass(
+    frozen=True, slots=True, config=ConfigDict(strict=True, allow_inf_nan=False)
+)
 class Campaign:
     """Plan of a campaign.
 
@@ -163,11 +168,11 @@ class Campaign:
     piece: str
     bottom: str
     pattern: Pattern
-    seed: int
-    count: int
-    within_mm: float | None = None
-    skipped: tuple[int, ...] = ()
-    mountings: int = 0
+    seed: Annotated[int, Field(ge=0, lt=2**63)]
+    count: Annotated[int, Field(ge=1, le=10_000_000)]
+    within_mm: Annotated[float, Field(gt=0, le=1000)] | None = None
+    skipped: tuple[Annotated[int, Field(ge=0)], ...] = ()
+    mountings: Annotated[int, Field(ge=0, le=1_000_000)] = 0
 
     def todo(self, entries: Iterable[EpisodeEntry]) -> list[int]:
         """Return the items that are neither in ``entries`` nor skipped, in order."""
@@ -205,15 +210,16 @@ def read_campaign(dataset: Path, uuid: str) -> Campaign:
     """Read one campaign; raises ``InputError`` naming its file."""
     path = _path(dataset, uuid)
     try:
-        content = json.loads(path.read_text("utf-8"))
+        content = parse_json(path.read_bytes())
         if content.pop("format") != FORMAT or content["pattern"] not in PATTERNS:
             raise ValueError("it is of another version")
-        content["skipped"] = tuple(int(item) for item in content["skipped"])
+        content["skipped"] = tuple(content["skipped"])
         known = {field.name for field in fields(Campaign)}
         return Campaign(**{k: v for k, v in content.items() if k in known})
     except (OSError, ValueError, KeyError, TypeError) as error:
+        why = first_error(error) if isinstance(error, ValidationError) else error
         raise InputError(
-            f"The campaign cannot be read: {error}.", str(path), "Begin a new campaign."
+            f"The campaign cannot be read: {why}.", str(path), "Begin a new campaign."
         ) from error
 
 
@@ -277,7 +283,7 @@ def read_probe_summary(dataset: Dataset, entry: EpisodeEntry) -> ProbeSummary:
         contents = read_first(path)
         with input_errors(path):
             observation = unpack_observation(contents.messages[OBSERVATION_TOPIC.name])
-            commanded_mm = json.loads(contents.metadata["episode"]["offset_mm"])
+            commanded_mm = parse_json(contents.metadata["episode"]["offset_mm"])
     x_mm, y_mm = commanded_mm
     return ProbeSummary(
         ExaminedEpisode(entry.uuid, observation, label_mm, entry.quality), (x_mm, y_mm)

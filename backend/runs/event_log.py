@@ -62,6 +62,7 @@ from touchdown.backend.core import (
     TrialStarted,
     blocking_section,
     make_folder,
+    parse_json,
     sync_folder,
 )
 from touchdown.backend.devices import Limits
@@ -284,7 +285,7 @@ def read_events(run: Path) -> Iterator[Event]:
             if len(raw) > MAX_LINE_BYTES:
                 raise InputError("A line is too long.", where, "The event log is damaged.")
             try:
-                line = json.loads(raw)
+                line = parse_json(raw)
             except ValueError as error:
                 if number == 1:
                     raise InputError(NO_LOG, where, NO_LOG_FIX) from error

@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from touchdown.backend.core import FloatArray, ImageArray, InputError, read_only
+from touchdown.backend.core import FloatArray, ImageArray, InputError, parse_json, read_only
 from touchdown.backend.geometry import BOARD_DOTS_MM
 
 MIN_DOT_AREA_PX = 20
@@ -54,7 +54,7 @@ class Homography:
     def parse(cls, text: str) -> Homography:
         """Return the homography of a ``text``; raises ``InputError``."""
         try:
-            content = json.loads(text)
+            content = parse_json(text)
             matrix = np.array(content["matrix"], dtype=np.float64).reshape(3, 3)
             residual_px = float(content["residual_px"])
         except (ValueError, TypeError, KeyError) as error:

@@ -7,7 +7,6 @@ without force, pose or time.
 from __future__ import annotations
 
 import importlib
-import json
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -15,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from touchdown.backend.config import GelsightSettings, HardwareSettings
-from touchdown.backend.core import Finger, ImageArray, InputError, Stream, TactileFrame
+from touchdown.backend.core import Finger, ImageArray, InputError, Stream, TactileFrame, parse_json
 from touchdown.backend.devices.gelsight import TactileCamera
 from touchdown.backend.devices.protocols import Identity
 
@@ -76,7 +75,7 @@ def _maker(config: str, fields: str, where: str) -> Callable[[], Any]:
     """Return the factory of the camera of ``config`` ("module:Class") with ``fields`` (JSON)."""
     module, _, name = config.partition(":")
     try:
-        content = json.loads(fields)
+        content = parse_json(fields)
         kind = getattr(importlib.import_module(module), name)
         wanted = kind(**content)
         make = importlib.import_module("lerobot.cameras.utils").make_cameras_from_configs

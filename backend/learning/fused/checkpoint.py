@@ -17,8 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, ValidationError
 
+from touchdown.backend.config import first_error
 from touchdown.backend.core import InputError
-from touchdown.backend.learning.checkpoint import card_path, first_error, parse_arrays, read_limited
+from touchdown.backend.learning.checkpoint import card_path, parse_arrays, read_limited
 from touchdown.backend.learning.fused.features import ARCH, TICKS, FusedShape, expected_fused_arrays
 from touchdown.backend.learning.inference import VECTOR_ORDER
 

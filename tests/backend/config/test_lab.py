@@ -89,7 +89,6 @@ def test_a_file_without_a_version_is_refused(tmp_path):
     ("text", "key"),
     [
         ("[limits]\nspeed_mm_s = 300.0\n", "limits.speed_mm_s"),
-        ("[limits]\nleast_x_mm = nan\n", "limits.least_x_mm"),
         ("[limits]\ntrip_n = 70.0\n", "limits"),
         ("[limits]\nleast_y_mm = 10.0\nmost_y_mm = -10.0\n", "limits"),
         ("[limits]\nspeed = 1.0\n", "limits.speed"),

@@ -129,8 +129,6 @@ def test_the_hash_follows_the_content_not_the_text(tmp_path: Path) -> None:
     ("old", "new", "key"),
     [
         ("mass_g = 12.5", "mass_g = -1", "mass_g"),
-        ("mass_g = 12.5", 'mass_g = "heavy"', "mass_g"),
-        ("mass_g = 12.5", "mass_g = nan", "mass_g"),
         ("mass_g = 12.5", "mass_g = 0", "fixed"),
         ("mass_g = 12.5", "", "mass_g"),
         ("mass_g = 12.5", "mass_g = 12.5\nfixed = true", "fixed"),

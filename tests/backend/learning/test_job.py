@@ -171,7 +171,7 @@ def test_divergence_is_named_and_leaves_no_model(
         data=write_data(tmp_path / "data"),
         piece="pot",
         out=out,
-        settings=TrainingSettings(hidden=4, epochs=9, patience=1, learning_rate=1e20),
+        settings=TrainingSettings(hidden=4, epochs=9, patience=1, learning_rate=1e3),
         threads=1,
     )
     with pytest.raises(InputError, match="diverged"):

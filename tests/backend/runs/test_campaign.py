@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import json
 import shutil
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -252,6 +253,18 @@ def test_a_damaged_campaign_is_named(tmp_path, text) -> None:
     path.write_text(text)
     with pytest.raises(InputError, match=r"c\.json"):
         read_campaign(tmp_path, "c")
+
+
+@pytest.mark.parametrize("key", ["seed", "count", "within_mm", "skipped", "mountings"])
+@pytest.mark.parametrize("value", [float("nan"), float("inf"), 1e300, -1e300, True, "1"])
+def test_a_campaign_with_a_senseless_number_is_named(tmp_path, key, value) -> None:
+    campaign = new_campaign("pot", "short", "grid", 7, 12, 5.0).without(4)
+    campaign.save(tmp_path)
+    path = tmp_path / "campaigns" / f"{campaign.uuid}.json"
+    content = json.loads(path.read_text())
+    path.write_text(json.dumps(content | {key: [value] if key == "skipped" else value}))
+    with pytest.raises(InputError, match=rf"'{key}.*{campaign.uuid}"):
+        read_campaign(tmp_path, campaign.uuid)
 
 
 @pytest.mark.parametrize("wrong", [{"count": 0}, {"seed": -1}, {"within_mm": 0.0}])

@@ -1,0 +1,242 @@
+"""Files are complete or absent, and text of others is refused in one short sentence."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import stat
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.backend.annotations.conftest import context_for, small_episode
+from touchdown.backend.annotations.dataset import Dataset
+from touchdown.backend.annotations.geometry_records import GeometryStore
+from touchdown.backend.annotations.operation_log import read_journal
+from touchdown.backend.annotations.run_tracking import read_run_info
+from touchdown.backend.annotations.values import Label
+from touchdown.backend.calibration.records import read_record
+from touchdown.backend.cli.settings import load_method
+from touchdown.backend.config.lab import load_lab
+from touchdown.backend.config.simulation import load_simulation
+from touchdown.backend.core import files
+from touchdown.backend.core.faults import MAX_MESSAGE, InputError, RefusedError
+from touchdown.backend.core.files import MAX_DEPTH, parse_json, parse_toml, write_atomically
+from touchdown.backend.emulation.fault_plan import load_faults
+from touchdown.backend.exchange.coco import read_coco
+from touchdown.backend.exchange.jsonl import read_jsonl
+from touchdown.backend.exchange.manifest import read_manifest
+from touchdown.backend.geometry.pieces import read_piece
+from touchdown.backend.learning.checkpoint import load_card
+from touchdown.backend.learning.metrics import load_samples
+from touchdown.backend.runs.campaign import read_campaign
+from touchdown.backend.runs.event_log import read_events
+
+OLD, NEW = b"old" * 1000, b"new" * 5000
+
+# Counts the lines that run inside files.py and kills the process, as kill -9 does, at the n-th.
+CHILD = """
+import os, signal, sys
+from pathlib import Path
+from touchdown.backend.core import files
+
+left = int(sys.argv[2])
+
+def trace(frame, event, arg):
+    global left
+    if frame.f_code.co_filename != files.__file__:
+        return None
+    if event == "line":
+        left -= 1
+        if left == 0:
+            os.kill(os.getpid(), signal.SIGKILL)
+    return trace
+
+sys.settrace(trace)
+files.write_atomically(Path(sys.argv[1]), b"new" * 5000)
+sys.settrace(None)
+"""
+
+
+def _killed_at(line: int, path: Path) -> bool:
+    done = subprocess.run(
+        [sys.executable, "-c", CHILD, str(path), str(line)],
+        cwd=Path(files.__file__).parents[2],
+        check=False,
+    )
+    assert done.returncode in (0, -signal.SIGKILL)
+    return done.returncode != 0
+
+
+@pytest.mark.skipif(os.name != "posix", reason="SIGKILL")
+@pytest.mark.parametrize("before", [OLD, None], ids=["replacing", "first"])
+def test_killed_at_any_line_the_file_is_old_or_new(tmp_path, before):
+    path, seen, line = tmp_path / "episode.mcap", [], 1
+    while True:
+        path.unlink(missing_ok=True)
+        if before is not None:
+            path.write_bytes(before)
+        killed = _killed_at(line, path)
+        content = path.read_bytes() if path.exists() else None
+        assert content in (before, NEW)
+        seen.append(content)
+        if not killed:
+            break
+        line += 1
+    assert line > 8, "the writing was never interrupted"
+    assert seen[0] == before
+    assert seen[-1] == NEW
+    # Once new, never old again: the steps after the rename only make it durable.
+    assert seen == sorted(seen, key=lambda content: content == NEW)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="SIGKILL")
+def test_what_a_kill_left_behind_is_no_file_of_that_name_and_goes_with_the_next_write(tmp_path):
+    path, line = tmp_path / "run.json", 1
+    while not list(tmp_path.glob(".*.part")):
+        assert _killed_at(line, path)
+        line += 1
+    assert list(tmp_path.glob("*.json")) == []
+    write_atomically(path, NEW)
+    assert [p.name for p in tmp_path.iterdir()] == ["run.json"]
+
+
+def test_the_content_is_synced_before_the_rename_and_the_folder_after(tmp_path, monkeypatch):
+    steps = []
+    fsync, replace = os.fsync, Path.replace
+
+    def spy_fsync(descriptor):
+        folder = stat.S_ISDIR(os.fstat(descriptor).st_mode)
+        steps.append("folder synced" if folder else "content synced")
+        fsync(descriptor)
+
+    def spy_replace(self, target):
+        steps.append("renamed")
+        return replace(self, target)
+
+    monkeypatch.setattr(os, "fsync", spy_fsync)
+    monkeypatch.setattr(Path, "replace", spy_replace)
+    write_atomically(tmp_path / "a", NEW)
+    assert steps == ["content synced", "renamed", "folder synced"]
+
+
+def test_a_failed_write_keeps_the_old_content(tmp_path, monkeypatch):
+    path = tmp_path / "a"
+    write_atomically(path, OLD)
+
+    def full(descriptor):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(OSError, match="No space left"):
+        write_atomically(path, NEW)
+    assert path.read_bytes() == OLD
+
+
+def test_missing_folders_are_made(tmp_path):
+    write_atomically(tmp_path / "a" / "b" / "c", b"")
+    assert (tmp_path / "a" / "b" / "c").read_bytes() == b""
+
+
+def nested(levels: int) -> str:
+    return "[" * levels + "]" * levels
+
+
+def test_depth_is_counted_and_brackets_within_text_are_not() -> None:
+    assert parse_json(nested(MAX_DEPTH)) is not None
+    assert parse_json(json.dumps([nested(1000)] * 3)) == [nested(1000)] * 3
+    assert len(parse_json("[" + ",".join(["[]"] * 1000) + "]")) == 1000
+    for levels in (MAX_DEPTH + 1, 100_000):
+        with pytest.raises(ValueError, match="nested deeper than 64 levels"):
+            parse_json(nested(levels))
+        with pytest.raises(ValueError, match="nested deeper than 64 levels"):
+            parse_json('{"a":' * levels + "1" + "}" * levels)
+    with pytest.raises(ValueError, match="nested deeper"):
+        parse_toml("a." * 20_000 + "a = 1")
+
+
+READERS = {
+    "labels.jsonl": read_jsonl,
+    "journal.jsonl": lambda path: list(read_journal(path)),
+    "annotations.json": lambda path: list(read_coco(path, None)),
+    "dataset.json": lambda path: Dataset.open(path.parent, write=False),
+    "manifest.json": lambda path: read_manifest(path.parent),
+    "run.json": lambda path: read_run_info(path.parent),
+    "campaigns/c.json": lambda path: read_campaign(path.parent.parent, "c"),
+    "samples.json": lambda path: load_samples(path.parent),
+    "calibration.json": read_record,
+    "model.json": load_card,
+    "hash.json": lambda path: GeometryStore(path.parent).read("hash"),
+    "events.jsonl": lambda path: list(read_events(path.parent)),
+    "lab.toml": load_lab,
+    "method.toml": load_method,
+    "bench.toml": load_simulation,
+    "faults.toml": load_faults,
+    "piece.toml": read_piece,
+}
+
+
+@pytest.mark.promise("D8")
+@pytest.mark.parametrize("name", READERS)
+@pytest.mark.parametrize("what", ["deep", "deep arrays", "no text"])
+def test_foreign_text_is_refused_shortly(name: str, what: str, tmp_path: Path) -> None:
+    path = tmp_path / name
+    path.parent.mkdir(exist_ok=True)
+    is_toml = name.endswith("toml")
+    deep = b'{"a":' * 5000 + b"1" + b"}" * 5000
+    content = {
+        "deep": b"a." * 5000 + b"a = 1" if is_toml else deep,
+        "deep arrays": (b"a = " if is_toml else b"") + nested(5000).encode(),
+        "no text": (b"a = 1 # " if is_toml else b'{"') + b"\xff" + b"secret " * 2000,
+    }[what]  # fmt: skip
+    path.write_bytes(content + b"\n")
+    with pytest.raises((InputError, ValueError)) as refused:
+        READERS[name](path)
+    assert isinstance(refused.value, InputError) or name == "journal.jsonl"
+    assert len(str(refused.value)) < 1000
+    assert "secret" not in str(refused.value)
+
+
+def test_a_message_is_bounded() -> None:
+    error = InputError("x" * 100_000, "here", "Do this.")
+    assert len(error.what) < MAX_MESSAGE + 10
+    assert str(error).endswith("[here] Do this.")
+
+
+def test_a_dataset_of_a_newer_program_is_not_written_and_names_it(tmp_path: Path) -> None:
+    with Dataset.open(tmp_path) as dataset:
+        dataset.record(
+            small_episode(), Label(1, 2), source="commanded", context=context_for(dataset)
+        )
+    path = tmp_path / "dataset.json"
+    changes = {"schema_version": 99, "created_by": "touchdown 9.9", "home": "elsewhere:/moved"}
+    path.write_text(json.dumps(json.loads(path.read_text()) | changes))
+    before = path.read_bytes()
+    with Dataset.open(tmp_path) as newer:
+        assert not newer.writable
+        assert "was written by touchdown 9.9 (schema 99)" in newer.notices[0]
+        assert len(newer.episodes()) == 1
+        with pytest.raises(RefusedError, match="reading only"):
+            newer.labels.set("ann", newer.episodes()[0].uuid, Label(3, 4))
+    assert path.read_bytes() == before
+
+
+@pytest.mark.parametrize("wrong", ["99", 1e300, True, None])
+def test_a_schema_that_is_no_whole_number_is_refused(tmp_path: Path, wrong: object) -> None:
+    Dataset.open(tmp_path).close()
+    path = tmp_path / "dataset.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"schema_version": wrong}))
+    with pytest.raises(InputError, match="description"):
+        Dataset.open(tmp_path)
+
+
+def test_an_empty_catalogue_is_named_with_its_remedy(tmp_path: Path) -> None:
+    Dataset.open(tmp_path).close()
+    for path in tmp_path.glob("catalog.db*"):
+        path.unlink()
+    (tmp_path / "catalog.db").touch()
+    with pytest.raises(InputError, match=r"catalogue is empty.*dataset rebuild"):
+        Dataset.open(tmp_path, write=False)

@@ -29,6 +29,7 @@ import tests.isolation.sitecustomize  # noqa: F401 - refuses bare names
 from tests.leaks import leaks_since, snapshot
 from tests.warm import WarmStart
 from touchdown.backend.learning import training_runs
+from touchdown.backend.runs import campaign
 
 sys.dont_write_bytecode = False
 # Children refuse imports by bare names as well.
@@ -114,6 +115,13 @@ def warm_trainings() -> Iterator[None]:
     """Start trainings without importing torch for each, where a process can be forked safely."""
     yield
     _warm.close()
+
+
+@pytest.fixture(autouse=True)
+def known_seeds(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Draw 0, 1, 2 ... as the seeds of campaigns that name none."""
+    numbers = itertools.count()
+    monkeypatch.setattr(campaign, "DICE", SimpleNamespace(randrange=lambda _: next(numbers)))
 
 
 @pytest.fixture(autouse=True)

@@ -17,6 +17,7 @@ from touchdown.backend.runs import (
     CollectRequest,
     Pattern,
     RunState,
+    fresh_seed,
     hand_over_message,
     mounting_question,
 )
@@ -173,7 +174,7 @@ def collect_request(form: TargetForm, person: str, *, campaign: str = "") -> Col
         piece=form.piece,
         bottom=form.bottom,
         count=form.count,
-        seed=form.seed,
+        seed=form.seed or fresh_seed(),
         pattern=cast("Pattern", form.pattern),
         person=person,
         within_mm=form.within_mm or None,

@@ -51,6 +51,7 @@ from touchdown.backend.runs import (
     current_campaign,
     data_folder,
     dataset_folder,
+    fresh_seed,
     hand_over_message,
     labelled_coverage,
     mounting_question,
@@ -68,7 +69,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--count", type=int, default=20, help="probes to collect (default: 20)")
     parser.add_argument("--pattern", choices=("random", "grid", "adaptive"), default="random")
     parser.add_argument("--within", type=float, metavar="MM", help="largest displacement in x, y")
-    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--seed", type=int, help="of the displacements (default: a new one)")
     limits = CollectSettings()
     parser.add_argument(
         "--probes-per-grip", type=int,
@@ -195,7 +196,7 @@ def _request(args: argparse.Namespace, dataset: Dataset, person: str) -> Collect
         piece=args.piece,
         bottom=args.bottom,
         count=args.count,
-        seed=args.seed,
+        seed=fresh_seed() if args.seed is None else args.seed,
         pattern=args.pattern,
         person=person,
         within_mm=args.within,
@@ -230,10 +231,10 @@ def _report(
         screen.say(f"  {finding.kind}: {finding.text} {' '.join(finding.episodes)}".rstrip())
     if len(findings) > MAX_LISTED:
         screen.say(f"  ... and {len(findings) - MAX_LISTED} more (--json lists all)")
-    screen.say(f"Dataset {dataset.folder}, campaign {campaign.uuid}")
+    screen.say(f"Dataset {dataset.folder}, campaign {campaign.uuid}, seed {campaign.seed}")
     screen.result({
         "dataset": str(dataset.folder),
-        "campaign": campaign.uuid,
+        "campaign": campaign.uuid, "seed": campaign.seed,
         "piece": campaign.piece,
         "bottom": campaign.bottom,
         "simulated": session.simulated,

@@ -22,6 +22,7 @@ from .campaign import Campaign as Campaign
 from .campaign import Pattern as Pattern
 from .campaign import counts_for_coverage as counts_for_coverage
 from .campaign import current_campaign as current_campaign
+from .campaign import fresh_seed as fresh_seed
 from .campaign import labelled_coverage as labelled_coverage
 from .campaign import newest_campaign as newest_campaign
 from .campaign import read_campaign as read_campaign
@@ -135,6 +136,7 @@ __all__ = [
     "device_names",
     "event_log_path",
     "excluding_fault",
+    "fresh_seed",
     "hand_over_message",
     "keep_photo",
     "labelled_coverage",

@@ -6,6 +6,7 @@ A campaign continues after a restart.
 from __future__ import annotations
 
 import json
+import random
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from functools import lru_cache
@@ -191,6 +192,14 @@ class Campaign:
         """Write the campaign durably into its dataset."""
         content = {"format": FORMAT, **asdict(self)}
         write_atomically(_path(dataset, self.uuid), json.dumps(content, indent=1).encode())
+
+
+def fresh_seed() -> int:
+    """Return a random seed for a campaign, so that two campaigns do not press the same places."""
+    return DICE.randrange(1_000_000)
+
+
+DICE = random.SystemRandom()
 
 
 def new_campaign(

@@ -32,6 +32,7 @@ class TargetForm:
     """Settings of a campaign. ``within_mm`` 0: any displacement with enough overlap.
 
     ``probes_per_grip`` 0: automatic, so that the campaign has three grips or more; at most 50.
+    ``seed`` 0: a new one for each campaign.
     """
 
     piece: str = "pot"
@@ -89,7 +90,7 @@ class TargetPanel(Panel):
         self.within, self.count = decimal_box(0.0, WIDEST_MM), whole_box(1, 100_000)
         self.within.setSpecialValueText(NO_LIMIT)
         self.within.setSuffix(" mm")
-        self.per_grip, self.seed = whole_box(0, 1000, "auto"), whole_box(0, 999_999)
+        self.per_grip, self.seed = whole_box(0, 1000, "auto"), whole_box(0, 999_999, "new")
         self.person = NameField()
         self.origin = decimal_box(-100.0, 100.0, step=0.1), decimal_box(-100.0, 100.0, step=0.1)
         self.check_origin = QCheckBox("Touch the edges after every mounting")
@@ -141,7 +142,7 @@ class TargetPanel(Panel):
                 "Probes per grip",
                 "Largest number per grip; auto: at least three grips",
             ),
-            (self.seed, "Seed", "The same seed gives the same plan"),
+            (self.seed, "Seed", "new: another plan each time; the same seed gives the same plan"),
             (self.person, "Person", "Your name; stored with every episode"),
             (self.origin[0], "Origin x", "Centre of the bottom in arm coordinates, x (mm)"),
             (self.origin[1], "Origin y", "Centre of the bottom in arm coordinates, y (mm)"),

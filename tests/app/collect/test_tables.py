@@ -12,6 +12,7 @@ from PySide6.QtWidgets import QMenu
 
 from tests.app.collect.conftest import PROBES
 from tests.app.conftest import settle
+from touchdown.app.collect.requests import collect_request
 from touchdown.app.collect.workspace import LABEL_WORDS
 from touchdown.app.shell.errors import log_to
 from touchdown.backend.annotations.values import EpisodeFilter
@@ -20,11 +21,18 @@ from touchdown.backend.core.faults import Fault
 from touchdown.backend.episodes.quality import count_coverage
 from touchdown.backend.geometry.pieces import load_pieces
 from touchdown.backend.runs.requests import CollectRequest, RunState
+from touchdown.widgets.forms.collect_form import TargetForm
 from touchdown.widgets.lists.tables import DOWN, HEADS, TableArrangement
 from touchdown.widgets.plots.distribution import NEAR_PX
 from touchdown.widgets.shell.fault_cards import CardQuestion, CardText
 
 KEY = Qt.Key
+
+
+def test_campaigns_that_name_no_seed_have_different_ones() -> None:
+    first, second = (collect_request(TargetForm(), "Ann").seed for _ in range(2))
+    assert first != second
+    assert collect_request(TargetForm(seed=7), "Ann").seed == 7
 
 
 def test_start_hands_over_the_form_and_the_dataset(page):

@@ -235,6 +235,15 @@ def test_work_moves_from_queue_to_queue(dataset: Dataset, record: Record) -> Non
     labels.delete("ann", c, "test")
     assert dataset.queue("unlabelled", "ann") == [a]
     assert dataset.counts() == {"deleted": 1, "rejected": 1, "unlabelled": 1}
+    # What a person rejects of their own stays in sight, until the rejection is undone.
+    labels.reject("cleo", a, "tilt")
+    own = record().uuid
+    labels.set("cleo", own, MOVED)
+    labels.reject("cleo", own, "slip in grasp")
+    assert dataset.queue("returned", "cleo") == [own, a]
+    assert dataset.queue("returned", "ann") == [b]
+    labels.undo("cleo")
+    assert dataset.queue("returned", "cleo") == [a]
     with pytest.raises(InputError, match="no queue 'all'"):
         dataset.queue("all", "ann")
 

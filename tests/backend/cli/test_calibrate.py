@@ -280,6 +280,18 @@ def test_senseless_words_are_refused(capsys) -> None:
     assert main(["calibrate", "board", "--hand-over", "--json"]) == 2
 
 
+def test_each_campaign_has_a_seed_of_its_own_unless_one_is_named(data_set) -> None:
+    parser = ArgumentParser()
+    collect.add_arguments(parser)
+
+    def seed(*words: str) -> int:
+        with Dataset.open(data_set, write=False) as opened:
+            return collect._request(parser.parse_args(list(words)), opened, "ann").seed
+
+    assert seed() != seed()
+    assert (seed("--seed", "7"), seed("--seed", "0")) == (7, 0)
+
+
 @pytest.mark.slow
 def test_a_campaign_is_collected_and_resumed(tmp_path, capsys) -> None:
     bench = tmp_path / "bench.toml"
@@ -290,7 +302,7 @@ def test_a_campaign_is_collected_and_resumed(tmp_path, capsys) -> None:
     assert main(["collect", *given, *words, "--json", "--inject", "force_torque:stop@14"]) == 1
     first = json.loads(capsys.readouterr().out)
     assert first["ending"] == "failed"
-    assert first["faults"]
+    assert (first["faults"] != [], first["seed"]) == (True, 0)
     assert (first["collected"], first["count"], first["simulated"]) == (1, 2, True)
     assert main(["collect", "--resume", "--person", "bob", *words]) == 0
     second = capsys.readouterr().out

@@ -33,6 +33,22 @@ def parser() -> argparse.ArgumentParser:
     return made
 
 
+INSTALL = 'pip install "PySide6-Essentials>=6.8,!=6.9.1,<6.12"'
+
+
+def incompatibility(python: tuple[int, int], pyside: str) -> str | None:
+    """Return an error for an incompatible pair of Python and PySide6, else None.
+
+    6.12.0 loses reference counts of True and None on CPython before 3.12 and aborts; 6.9.1 draws no
+    curves (pyqtgraph issue 3326).
+    """
+    broken = pyside == "6.9.1" or (pyside == "6.12.0" and python < (3, 12))
+    if not broken:
+        return None
+    version = ".".join(map(str, python))
+    return f"PySide6 {pyside} does not work with Python {version}. Install another: {INSTALL}"
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Open the window; return the exit status. Status 3: this version of Qt cannot be used."""
     args = parser().parse_args(argv)
@@ -40,17 +56,26 @@ def main(argv: Sequence[str] | None = None) -> int:
         os.environ.setdefault("QT_QPA_PLATFORM", "offscreen")
     import PySide6
 
-    from touchdown.app.start import incompatibility
-
     wrong = incompatibility(sys.version_info[:2], PySide6.__version__)
     if wrong is None and not _display() and "QT_QPA_PLATFORM" not in os.environ:
         wrong = "There is no display. Without one use 'make demo' or 'touchdown stack'."
     if wrong is not None:
         sys.stderr.write(f"touchdown: {wrong}\n")
         return 3
+    from PySide6.QtWidgets import QApplication
+
+    from touchdown.app.splash import Splash
+
+    application = QApplication.instance() or QApplication(sys.argv[:1])
+    assert isinstance(application, QApplication)
+    application.setApplicationName("Touchdown")
+    application.setDesktopFileName("touchdown")
+    # Shown before the slow imports: seconds on a busy computer.
+    splash = Splash()
+    splash.tell("Loading the program")
     from touchdown.app.start import run
 
-    return run(args)
+    return run(args, application, splash)
 
 
 def _display() -> bool:

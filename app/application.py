@@ -238,6 +238,18 @@ class TouchdownApp(QObject):
     def _disk_refused(self, doing: str, error: OSError) -> None:
         self._box.exception(OSError, error, None, doing)
 
+    def warn_unwritable(self, folder: Path) -> None:
+        """Tell that nothing can be kept in the data folder."""
+        self.cards.show_card(
+            CardText(
+                "DATA-FOLDER",
+                f"The data folder {folder} cannot be written.",
+                "Runs, labels and the log of this session are not kept.",
+                "Make it writable, or start again with TOUCHDOWN_DATA set to another folder.",
+                reset=False,
+            )
+        )
+
     def quit_at_once(self, status: int = 0) -> None:
         """Close without a question (for screenshots and measurements)."""
         self._closing.allowed = True

@@ -22,6 +22,7 @@ from touchdown.app.shell import (
     log_to,
     settings_path,
 )
+from touchdown.app.splash import Splash
 from touchdown.backend.bench import Session
 from touchdown.backend.core import InputError
 from touchdown.backend.runs import calibrations_folder, data_folder, models_folder
@@ -32,21 +33,22 @@ from touchdown.backend.runs import calibrations_folder, data_folder, models_fold
 THREAD_SWITCH_S = 0.0005
 
 
-def run(args: argparse.Namespace) -> int:
+def run(args: argparse.Namespace, application: QApplication, splash: Splash) -> int:
     """Run the window until it is closed."""
     sys.setswitchinterval(THREAD_SWITCH_S)
-    application = QApplication(sys.argv[:1])
-    application.setApplicationName("Touchdown")
-    application.setDesktopFileName("touchdown")
+    splash.tell("Building the window")
     box = ErrorBox()
     restore = install_error_hooks(box)
-    log_to(data_folder() / "log")
+    writable = log_to(data_folder() / "log") is not None
     path = settings_path()
     if args.reset_layout:
         path.unlink(missing_ok=True)
     main = TouchdownApp(application, box, path, data_folder() / "runs")
+    if not writable:
+        main.warn_unwritable(data_folder())
     try:
         _show(main, args)
+        splash.close()
         if args.measure:
             Measurement(main, args.after, _print)
         elif args.grab is not None:
@@ -172,19 +174,3 @@ class _WindowGrab(QObject):
 
 def _print(figures: dict[str, float]) -> None:
     sys.stdout.write(json.dumps(figures) + "\n")
-
-
-INSTALL = 'pip install "PySide6-Essentials>=6.8,!=6.9.1,<6.12"'
-
-
-def incompatibility(python: tuple[int, int], pyside: str) -> str | None:
-    """Return an error for an incompatible pair of Python and PySide6, else None.
-
-    6.12.0 loses reference counts of True and None on CPython before 3.12 and aborts; 6.9.1 draws no
-    curves (pyqtgraph issue 3326).
-    """
-    broken = pyside == "6.9.1" or (pyside == "6.12.0" and python < (3, 12))
-    if not broken:
-        return None
-    version = ".".join(map(str, python))
-    return f"PySide6 {pyside} does not work with Python {version}. Install another: {INSTALL}"

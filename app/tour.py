@@ -40,6 +40,7 @@ class Tour(QObject):
         self._go, self._done = go, done
         self.stops: Sequence[TourStop] = ()
         self.at = -1
+        self._came_from = ""
         self._place: QWidget | None = None
         self.spotlight: Spotlight | None = None
         self.card: TourCard | None = None
@@ -54,7 +55,7 @@ class Tour(QObject):
         self.end()
         self.spotlight = Spotlight(self._theme, self._window)
         self.card = TourCard(self._window, self.turn, self.end)
-        self.stops, self.at = self._make(), 0
+        self.stops, self.at, self._came_from = self._make(), 0, self._window.front
         for followed in (self._window, self._cards):
             followed.installEventFilter(self)
         self._show()
@@ -69,7 +70,7 @@ class Tour(QObject):
             self._show()
 
     def end(self) -> None:
-        """End the tour. May be called twice."""
+        """End the tour where it began. May be called twice."""
         if not self.active or self.card is None or self.spotlight is None:
             return
         self.at = -1
@@ -79,6 +80,8 @@ class Tour(QObject):
             widget.hide()
             widget.deleteLater()
         self.card = self.spotlight = None
+        if self._window.front != self._came_from:
+            self._go(self._came_from)
         self._done()
 
     def eventFilter(self, _watched: QObject, event: QEvent) -> bool:

@@ -19,7 +19,7 @@ from touchdown.app.collect.requests import (
     collect_request,
     probe_text,
 )
-from touchdown.app.shell import SaveWorker, carry_out, error_card, is_run_active
+from touchdown.app.shell import SaveWorker, carry_out, error_card, is_run_active, lift_hand
 from touchdown.backend.annotations import Dataset, EpisodeEntry, EpisodeFilter, check_person
 from touchdown.backend.bench import Session
 from touchdown.backend.core import (
@@ -255,7 +255,6 @@ class CampaignProgress:
 
 
 GAUGE_S = 1.0
-LIFT_MM, LIFT_MM_S = 5.0, 5.0
 
 
 class CollectPresenter:
@@ -277,6 +276,7 @@ class CollectPresenter:
         self._asking = self._mine = False
         self._asked: HandOverAwaited | MountingAwaited | None = None
         self._campaign, self._go_on = "", ""
+        self.dataset_trouble = ""  # why the dataset could not be opened
         self._pace, self._gauge = CampaignPace(), RecorderGauge()
         self._progress = CampaignProgress()
         self._gauge_s = float("-inf")
@@ -355,9 +355,8 @@ class CollectPresenter:
 
     def lift(self) -> None:
         """Lift the arm out of contact, so that a run can start."""
-        if self.bench is not None and self.bench.hand is not None:
-            jog = self.bench.hand.jog
-            carry_out(lambda: jog.step("z", "XYZ", LIFT_MM, LIFT_MM_S), self._cards)
+        if self.bench is not None:
+            lift_hand(self.bench, self._cards)
 
     def pause_or_resume(self) -> None:
         """Pause at the next safe place, or resume."""
@@ -513,7 +512,9 @@ class CollectPresenter:
 
     def draw(self) -> None:
         """Redraw what changed."""
-        now = CampaignState(self.person, self.dataset, self._mine, self._go_on, self._asked)
+        now = CampaignState(
+            self.person, self.dataset, self._mine, self._go_on, self._asked, self.dataset_trouble
+        )
         wanted = campaign_buttons(self.bench, now)
         if wanted != self._buttons:
             self._buttons = wanted

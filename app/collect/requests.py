@@ -27,8 +27,9 @@ from touchdown.widgets.forms import ProbeText, TargetButtons, TargetForm
 def probe_text(held: ProbeRecord | None, *, asking: bool, running: bool, back: bool) -> ProbeText:
     """Return the description of a probe. ``back``: an older one is shown, or no run is active."""
     if held is None:
-        detail = "The first one is on its way." if running else "Press Start collecting (F5)."
-        return ProbeText("No probe yet", detail=detail)
+        if running:
+            return ProbeText("Probing", detail="The first probe is on its way.")
+        return ProbeText("No probe yet", detail="Press Start collecting (F5).")
     entry = held.entry
     accepted = entry.quality.accepted
     verdict, tone = ("\N{CHECK MARK} Observation", "good") if accepted else (
@@ -108,7 +109,8 @@ ANSWERS = "Mounted again", "As it was"  # answers to the question about the moun
 class CampaignState:
     """Everything that decides which buttons of the page are enabled.
 
-    ``mine``: the active run collects. ``go_on``: remaining work of the last campaign.
+    ``mine``: the active run collects. ``go_on``: remaining work of the last campaign. ``trouble``:
+    why the dataset could not be opened.
     """
 
     person: str
@@ -116,6 +118,7 @@ class CampaignState:
     mine: bool
     go_on: str
     asked: HandOverAwaited | MountingAwaited | None
+    trouble: str = ""
 
 
 def campaign_buttons(bench: Session | None, now: CampaignState) -> TargetButtons:
@@ -155,7 +158,7 @@ def campaign_obstacle(bench: Session | None, now: CampaignState) -> str:
     if not now.person:
         return "Say who collects: give your name above (Ctrl+U)"
     if now.dataset is None:
-        return "The dataset is being opened"
+        return f"No dataset: {now.trouble}" if now.trouble else "The dataset is being opened"
     return "" if now.dataset.writable else "The dataset is open for reading only"
 
 

@@ -104,6 +104,7 @@ class CollectWorkspace(Workspace):
         # Read-only dataset, open while no person is named.
         self._looked_at: Dataset | None = None
         self.label.opened = self._take_dataset
+        self.label.refused = self._miss_dataset
         self.label.person_changed = self._show_person
         halves = {COLLECT: self._commands(), LABEL: self.label.commands}
         self.commands = (
@@ -210,6 +211,9 @@ class CollectWorkspace(Workspace):
     def _take_dataset(self, opened: OpenedDataset) -> None:
         self.presenter.take_dataset(opened.dataset, read=self.page.front == COLLECT)
         self._stop_looking()
+
+    def _miss_dataset(self, why: str) -> None:
+        self.presenter.dataset_trouble = why
 
     def _look(self) -> None:
         """Show the dataset read-only while no person is named."""

@@ -237,6 +237,7 @@ class LabelWorkspace(Workspace):
         self.session = AnnotationSession()
         # Called when the dataset is open.
         self.opened: Callable[[OpenedDataset], None] = lambda _: None
+        self.refused: Callable[[str], None] = lambda _: None  # the dataset cannot be opened
         self.person_changed: Callable[[str], None] = lambda _: None
         self.worker: SaveWorker | None = None
         self.tools: LabelTools | None = None
@@ -362,9 +363,9 @@ class LabelWorkspace(Workspace):
 
     def _failed(self, error: Exception) -> None:
         self.label_page.say("No dataset is open.", bad=True)
-        self._context.cards.show_card(
-            error_card("DATASET", error, f"In {self.folder}.", "Look at the folder.")
-        )
+        card = error_card("DATASET", error, f"In {self.folder}.", "Look at the folder.")
+        self._context.cards.show_card(card)
+        self.refused(card.what)
 
     # -- who --------------------------------------------------------------------------------------
 

@@ -80,7 +80,10 @@ def error_card(code: str, error: Exception, where: str = "", fix: str = "") -> C
     """Return the card of a failed action. An ``InputError`` has a place and a fix of its own."""
     if isinstance(error, InputError):
         return CardText(code, error.what, where or f"In {error.where}.", error.fix, reset=False)
-    return CardText(code, str(error), where, fix, reset=False)
+    what = str(error)
+    if isinstance(error, OSError) and error.strerror:
+        what = ": ".join(str(part) for part in (error.strerror, error.filename) if part)
+    return CardText(code, what, where, fix, reset=False)
 
 
 def carry_out(order: Callable[[], object], cards: FaultCards, code: str = "INPUT") -> bool:

@@ -22,7 +22,7 @@ from touchdown.widgets.views import (
 )
 
 TRACES, SIDE = "Force and moment", "Bench from the side"
-SIDE_PX = 150  # minimum height of the side view
+SIDE_PX, BENCH_PX = 107, 66  # least heights of the side view, with and without its title
 
 
 class StackPage(LivePage):
@@ -53,6 +53,7 @@ class StackPage(LivePage):
         compare.clicked.connect(self.compare_requested)
         self.score.header.addWidget(compare)
         self.side = SideView(theme)
+        self.side.setMinimumHeight(BENCH_PX)
         self.side_panel = Panel(SIDE, self.side)
         self._arrange()
 

@@ -429,5 +429,5 @@ def _not_kept(runs: Path, error: OSError) -> InputError:
     return InputError(
         f"The run cannot be kept: {error.strerror or error}.",
         str(runs),
-        "Name a folder that can be written (--runs, or TOUCHDOWN_DATA).",
+        "Name a folder that can be written (TOUCHDOWN_DATA; without the window also --runs).",
     )

@@ -118,6 +118,22 @@ def test_the_header_of_the_trials_has_room_for_its_count(least, bench):
         assert line.shown() == line.text(), line.text()
 
 
+def test_the_bench_from_the_side_is_seen_and_one_headline_says_how_it_stands(least, bench):
+    least.go("stack")
+    settle(least)
+    page = least.workspaces["stack"].page
+    assert page.side.isVisible()
+    bench.tell_start(trials=3)
+    bench.tell_probe(1, (7.2, 3.1), -3.4)
+    settle(least)
+    assert page.side.isVisible()
+    assert page.score._count.text() == "No trial finished yet"
+    assert page.score._count.property("role") == "title"
+    bench.tell_end(Outcome.PLACED)
+    settle(least)
+    assert page.score._count.property("role") == "figure"
+
+
 def test_the_form_of_a_campaign_has_room_for_all_it_may_say(least):
     least.go("collect")
     settle(least)
@@ -193,6 +209,15 @@ def test_one_can_go_back_and_begin_again(live):
     live.tour.begin()
     assert live.tour.at == 0
     live.tour.end()
+
+
+def test_it_ends_where_it_began(live):
+    live.go("train")
+    live.tour.begin()
+    for _ in live.tour.stops:
+        live.tour.turn(1)
+    assert not live.tour.active
+    assert live.window.front == "train"
 
 
 def test_it_begins_by_itself_once_on_the_simulated_bench(main, bench, tmp_path):

@@ -182,11 +182,13 @@ class TracePlot(DrawnView):
         painter.drawText(QPointF(rect.left(), rect.top() - 0.5 * height), name)
         painter.setFont(ui_font(self._theme.scale, 0.85))
         left = painter.fontMetrics().horizontalAdvance(f"{name}   ")
+        # Up to the right edge: the values begin lower.
+        right = self.width() - 0.5 * height
         note = painter.fontMetrics().elidedText(
-            self._note, Qt.TextElideMode.ElideRight, int(rect.width() - left)
+            self._note, Qt.TextElideMode.ElideRight, int(right - rect.left() - left)
         )
         width = painter.fontMetrics().horizontalAdvance(note)
-        painter.drawText(QPointF(rect.right() - width, rect.top() - 0.5 * height), note)
+        painter.drawText(QPointF(right - width, rect.top() - 0.5 * height), note)
 
 
 def _next_limit(limit: float) -> float:

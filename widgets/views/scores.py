@@ -128,7 +128,11 @@ class ScorePanel(Panel):
         """Show the score."""
         placed = sum(o is Outcome.PLACED for o in score.outcomes)
         count = f"{placed} of {score.counted} placed" if score.outcomes else "No trial yet"
+        if not score.outcomes and score.trials:
+            count = "No trial finished yet"
         self._count.setText(count)
+        # Before the first outcome the verdict beside it is the only headline.
+        set_property(self._count, "role", "figure" if score.outcomes else "title")
         done = f"{len(score.outcomes)} of {score.trials}" if score.trials else ""
         aborted = sum(o is Outcome.ABORTED for o in score.outcomes)
         # Short: it shares the header with a button.
@@ -154,6 +158,7 @@ class ScorePanel(Panel):
     def show_facts(self, headline: str, text: str) -> None:
         """Describe a recording without trials: a headline and a small text."""
         self._count.setText(headline)
+        set_property(self._count, "role", "figure")
         self.detail.setText("")
         self._marks.hide()
         self._rate.hide()

@@ -49,7 +49,7 @@ def test_one_key_answers_for_the_last_probe(page, key, decision):
 def test_a_new_run_leaves_the_probes_of_the_one_before_alone(page):
     before = {e.uuid: (e.flagged, e.deleted) for e in page.presenter.dataset.episodes()}
     page.begin()
-    assert page.view.probe.verdict.text() == "No probe yet"
+    assert page.view.probe.verdict.text() == "Probing"
     assert not any(button.isEnabled() for button in page.view.probe.buttons.values())
     for key in (KEY.Key_Return, KEY.Key_Backspace, KEY.Key_X, KEY.Key_R, KEY.Key_S):
         page.press(key)

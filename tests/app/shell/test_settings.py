@@ -1,9 +1,13 @@
 """The frame: keys, names, sizes, settings that cannot break the start, errors that are shown."""
 
+import errno
 import json
+import subprocess
 import sys
 import threading
 from dataclasses import asdict
+from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,10 +17,11 @@ from PySide6.QtWidgets import QAbstractButton, QComboBox, QLabel, QPushButton, Q
 
 from tests.app.conftest import opened, settle
 from tests.app.stand_in import StandInBench
+from touchdown.app import __main__ as command_line
+from touchdown.app.__main__ import incompatibility
 from touchdown.app.shell.actions import EVERYWHERE_CONTEXT, STOP_BINDINGS, portable_key
 from touchdown.app.shell.errors import ErrorBox, install_error_hooks, log_to
 from touchdown.app.shell.settings import WindowSettings, load_settings, restore_form, save_settings
-from touchdown.app.start import incompatibility
 from touchdown.widgets.base.theme import THEMES
 from touchdown.widgets.forms.jogging import PoseReadout
 from touchdown.widgets.forms.run_form import RunForm
@@ -228,6 +233,41 @@ def test_the_guard_knows_the_bad_pairs(python, pyside, bad):
     if line:
         assert pyside in line
         assert "pip install" in line
+
+
+def test_a_splash_says_what_goes_on_before_the_slow_imports(qapp, monkeypatch):
+    told = []
+
+    def run(_args, _application, splash):
+        assert splash.isVisible()
+        told.append(splash.message())
+        splash.close()
+        return 0
+
+    monkeypatch.setitem(sys.modules, "touchdown.app.start", SimpleNamespace(run=run))
+    assert command_line.main([]) == 0
+    assert told == ["Touchdown\n\nLoading the program \N{HORIZONTAL ELLIPSIS}"]
+    imports = "import sys, touchdown.app.splash; print({'numpy', 'pydantic'} & set(sys.modules))"
+    found = subprocess.run([sys.executable, "-c", imports], capture_output=True, check=True)
+    assert found.stdout.decode().strip() == "set()"
+
+
+def test_a_data_folder_that_cannot_be_written_is_told_at_the_start_and_in_collect(live):
+    live.warn_unwritable(Path("/media/stick/touchdown"))
+    card = live.cards.card("DATA-FOLDER").text
+    assert "/media/stick/touchdown" in card.what
+    assert "TOUCHDOWN_DATA" in card.next_step
+    live.go("collect")
+    label = live.workspaces["collect"].label
+    label.session.person = "Ann"
+    label._failed(OSError(errno.EROFS, "Read-only file system", "/media/stick/dataset.toml"))
+    card = live.cards.card("DATASET").text
+    assert card.what == "Read-only file system: /media/stick/dataset.toml"
+    settle(live)
+    live.workspaces["collect"].presenter.person = "Ann"
+    settle(live)
+    said = live.workspaces["collect"].collect_page.target.why_not.text()
+    assert said == f"No dataset: {card.what}."
 
 
 @pytest.mark.promise("P6", "W7")

@@ -26,13 +26,13 @@ from touchdown.backend.core import (
     FaultError,
     Finger,
     ImageArray,
-    Pose,
     RefusedError,
     SampleStream,
     StaleSampleError,
     Stream,
     TactileFrame,
 )
+from touchdown.backend.devices.guarded_devices import GuardedArm
 from touchdown.backend.devices.interlock import Interlock
 from touchdown.backend.devices.protocols import Device, DeviceState, Gripper, Motion
 
@@ -306,7 +306,7 @@ class Supervision:
         now_s: float,
         gripper: Gripper | None = None,
         wrist: Device | None = None,
-        arm: CommandedArm | None = None,
+        arm: GuardedArm | None = None,
     ) -> None:
         """Restart for a new scene. ``gripper`` is monitored while it holds a piece; ``wrist``
         reports its usual rate as the field ``usual_hz``; ``arm`` is monitored while it moves.
@@ -471,21 +471,10 @@ class _PictureMonitor:
         return equal, dark
 
 
-class CommandedArm(Protocol):
-    """An arm that knows its last commanded motion."""
-
-    @property
-    def commanded(self) -> Motion | None:
-        """Last motion to a place, press or unloading; a jog is none of them."""
-
-    def pose(self, max_age_s: float) -> Pose:
-        """Measured pose of ``G``."""
-
-
 class StallMonitor:
     """Monitor of an arm while a motion is under way; a press may stand in contact."""
 
-    def __init__(self, arm: CommandedArm | None) -> None:
+    def __init__(self, arm: GuardedArm | None) -> None:
         self._arm = arm
         self._motion: Motion | None = None
         self._since_s = 0.0

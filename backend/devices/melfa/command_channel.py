@@ -13,6 +13,7 @@ import re
 import threading
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import Future
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from typing import Protocol
@@ -27,7 +28,6 @@ from touchdown.backend.devices.melfa.faults import (
     controller_fault,
     link_fault,
     other_arm_fault,
-    other_device_fault,
     starved_fault,
 )
 from touchdown.backend.devices.melfa.kinematics import MelfaPlacement, hand_of
@@ -56,38 +56,27 @@ PACE_S = 0.1  # minimum time between two exchanges while a controller program ru
 TIMEOUT_S, DOWN_S = 1.0, 3.0
 
 
-class PendingRequest:
-    """A sent or queued request: call ``wait``, then read ``answer``."""
+class PendingRequest(Future[R3Reply]):
+    """A sent or queued request: wait for it, then read ``answer``."""
 
     def __init__(self, request: R3Request, timeout_s: float) -> None:
+        super().__init__()
         self.request, self.timeout_s = request, timeout_s
         self.until_s = math.inf
-        self._ended = threading.Event()
-        self._reply: R3Reply | None = None
-        self._fault: Fault | None = None
 
-    @property
-    def done(self) -> bool:
-        """True when it is answered or has failed."""
-        return self._ended.is_set()
-
-    def wait(self, timeout_s: float) -> bool:
-        """Wait until it is done; return False after the time limit."""
-        return self._ended.wait(timeout_s)
-
-    def end(self, reply: R3Reply | None, fault: Fault | None = None) -> None:
-        """End with a reply or a fault."""
-        self._reply, self._fault = reply, fault
-        self._ended.set()
+    def fail(self, fault: Fault) -> None:
+        """End without a reply."""
+        self.set_exception(FaultError(fault))
 
     @property
     def answer(self) -> str:
         """Text after QoK; raises ``FaultError`` if the request was refused or not answered."""
-        if self._fault is not None or self._reply is None:
-            raise FaultError(self._fault or link_fault("The controller did not answer."))
-        if not self._reply.ok:
-            raise FaultError(controller_fault(self._reply.error))
-        return self._reply.answer
+        if not self.done():
+            raise FaultError(link_fault("The controller did not answer."))
+        reply = self.result()
+        if not reply.ok:
+            raise FaultError(controller_fault(reply.error))
+        return reply.answer
 
 
 class R3Client:
@@ -120,7 +109,7 @@ class R3Client:
         ticket = PendingRequest(request, timeout_s)
         with self._lock:
             if self._over is not None:
-                ticket.end(None, self._over)
+                ticket.fail(self._over)
             elif request.command == "STOP":
                 self._waiting.appendleft(ticket)
             else:
@@ -142,7 +131,7 @@ class R3Client:
         if current is not None and now_s >= current.until_s:
             self._current, self._owed = None, self._owed + 1
             name = current.request.command.rstrip("=")
-            current.end(None, self._missing(f"The controller did not answer to {name}."))
+            current.fail(self._missing(f"The controller did not answer to {name}."))
         if now_s - self._silent_since_s >= DOWN_S:
             fault = self._missing(f"The controller has been silent for {DOWN_S:.0f} s.")
             self.end(fault)
@@ -158,12 +147,12 @@ class R3Client:
             self._waiting.clear()
         for ticket in left:
             if ticket is not None:
-                ticket.end(None, fault)
+                ticket.fail(fault)
 
     def _missing(self, silent: str) -> Fault:
         """Return the fault of a missing reply: another device, unreadable, or ``silent``."""
         if not self._answered and (stranger := self._identify()):
-            return other_device_fault(stranger)
+            return link_fault(f"This is {stranger}, expected a MELFA controller.")
         if not self._nonsense:
             return link_fault(silent)
         log.info("not readable on the command channel: %s", self._unread.hex(" "))
@@ -183,7 +172,7 @@ class R3Client:
             self._owed -= 1
         elif self._current is not None:
             ticket, self._current = self._current, None
-            ticket.end(reply)
+            ticket.set_result(reply)
         self._ready_s = now_s + (PACE_S if self.paced else 0.0)
 
     def _send(self, now_s: float) -> bytes:
@@ -303,7 +292,7 @@ class ControllerPoller:
         program runs, requests are spaced, and most of them read the position.
         """
         if self._ticket is not None:
-            if not self._ticket.done:
+            if not self._ticket.done():
                 return
             self._read(self._ticket, streaming=streaming)
             self._ticket = None

@@ -327,11 +327,7 @@ class EmulatedCommands:
             "STPSIG": lambda _: f"0;{int(self._controller.emergency)}",
             "ATENA": lambda _: "0",
             "CALIB": lambda _: "N3F3F",
-            "TOOLSET=": self._set_tool,
             "TOOLRD": lambda _: str(self._controller.tool),
-            "MOVSP": self._move_to_safe_position,
-            "OUT=": self._set_outputs,
-            "OUT": lambda request: self._controller.outputs.get(request.argument, "0000"),
             "IN": lambda _: "0000",
             "PAR": self._parameter,
             "PNR": self._parameter,
@@ -377,21 +373,6 @@ class EmulatedCommands:
             r3.error_unknown: "Unknown command or argument",
         }
         return {**TEXTS, **own}.get(int(request.argument), "No text")
-
-    def _set_tool(self, request: R3Request) -> str:
-        self._controller.require(self)
-        self._controller.tool = int(request.argument)
-        return ""
-
-    def _set_outputs(self, request: R3Request) -> str:
-        head, bits = request.arguments
-        self._controller.outputs[head] = bits
-        return ""
-
-    def _move_to_safe_position(self, request: R3Request) -> str:
-        self._controller.require(self, servo=True, still=True)
-        self._controller.move(READY_RAD, straight=False, speed_share=self._speed_share)
-        return ""
 
     def _load(self, request: R3Request) -> str:
         self._controller.require(self, still=True)
@@ -508,15 +489,12 @@ class EmulatedCommands:
 
     def _shown_place(self) -> tuple[float, ...]:
         """Return position, mm, and angles, rad, of the tool in the coordinates that BASE sets."""
-        frame = frame_of(self._controller.joints.feedback_rad)
-        frame = self._frame("BASE") @ frame @ self._frame("TOOL")
+        base, tool = (self._frame(self._controller.frames[name]) for name in ("BASE", "TOOL"))
+        frame = base @ frame_of(self._controller.joints.feedback_rad) @ tool
         turned = angles_of(frame[:3, :3], self._controller.settings.euler)
         return (*frame[:3, 3].tolist(), *turned)
 
-    def _frame(self, name: str) -> FloatArray:
-        return self._frame_of(self._controller.frames[name])
-
-    def _frame_of(self, numbers: Sequence[float]) -> FloatArray:
+    def _frame(self, numbers: Sequence[float]) -> FloatArray:
         """Return the (4, 4) frame of six numbers, mm and degrees."""
         frame = np.eye(4)
         a, b, c = map(math.radians, numbers[3:])
@@ -589,15 +567,13 @@ class EmulatedCommands:
 
     def _move(self, numbers: tuple[float, ...], *, straight: bool) -> None:
         controller = self._controller
-        base, tool = (np.linalg.inv(self._frame(name)) for name in ("BASE", "TOOL"))
-        frame = base @ self._frame_of(numbers) @ tool
+        frames = controller.frames
+        base, tool = (np.linalg.inv(self._frame(frames[name])) for name in ("BASE", "TOOL"))
+        frame = base @ self._frame(numbers) @ tool
         target = solve(frame, controller.joints.command_rad)
         if target is None:
             raise RefusedCommandError(2602)
-        most_mm_s = self._speed_mm_s if straight else math.inf
-        controller.move(
-            target, straight=straight, speed_share=self._speed_share, most_mm_s=most_mm_s
-        )
+        controller.move(target, self._speed_share, self._speed_mm_s if straight else None)
 
 
 def _request(content: bytes) -> R3Request | None:

@@ -334,8 +334,8 @@ class EmulatedController:
         self._moving: ActiveMove | None = None
         self._probe: EmulatedProbe | None = None
         self.variables: dict[str, float] = {}  # variables of the force program
-        # Number of the tool; outputs by their head; positions, base and tool: six numbers, mm, deg.
-        self.tool, self.outputs = 0, dict[str, str]()
+        # Number of the tool; positions, base and tool as six numbers, mm and degrees.
+        self.tool = 0
         self.positions: dict[str, tuple[float, ...]] = {}
         self.frames: dict[str, tuple[float, ...]] = {"BASE": (0.0,) * 6, "TOOL": (0.0,) * 6}
         # Wrench on the tool (6,), N and N·m in base axes, for the controller's own sensor.
@@ -502,28 +502,22 @@ class EmulatedController:
         signs = [float((plus >> k & 1) - (minus >> k & 1)) for k in range(6)]
         self._jog = ActiveJog(mode, np.array(signs), self.now_s + JOG_S)
 
-    def move(
-        self,
-        target_rad: FloatArray,
-        *,
-        straight: bool,
-        speed_share: float,
-        most_mm_s: float = math.inf,
-    ) -> None:
-        """Start a move of EXEC to joints (6,), by a share of their top speeds, at most
-        ``most_mm_s``.
+    def move(self, target_rad: FloatArray, share: float, straight_mm_s: float | None) -> None:
+        """Start a move of EXEC to joints (6,), by a share of their top speeds; on a straight line
+        with at most ``straight_mm_s``.
         """
         start = self.joints.command_rad.copy()
         way = target_rad - start
-        share = max(speed_share * self.override / 100.0, 1e-3)
+        share = max(share * self.override / 100.0, 1e-3)
         lasts_s = max(float((np.abs(way) / SPEEDS_RAD_S).max()) / share, CYCLE_S)
         first, last = frame_of(start), frame_of(target_rad)
-        way_mm = float(np.linalg.norm(last[:3, 3] - first[:3, 3]))
-        lasts_s = max(lasts_s, way_mm / most_mm_s * 100.0 / self.override)
+        if straight_mm_s is not None:
+            way_mm = float(np.linalg.norm(last[:3, 3] - first[:3, 3]))
+            lasts_s = max(lasts_s, way_mm / straight_mm_s * 100.0 / self.override)
 
         def point(part: float) -> FloatArray | None:
             near = start + part * way
-            if not straight:
+            if straight_mm_s is None:
                 return np.asarray(near)
             frame = last.copy()
             frame[:3, 3] = first[:3, 3] + part * (last[:3, 3] - first[:3, 3])

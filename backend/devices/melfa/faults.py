@@ -66,23 +66,6 @@ class Refusal(Enum):
     )
 
 
-def unusable_fault(code: str, why: Refusal, effect: str) -> Fault:
-    """Return the fault of a stream whose replies cannot be used."""
-    what, step = why.value
-    return Fault(code, what, effect, f"{step} Then press Reset and connect the arm again.", ARM)
-
-
-def other_device_fault(found: str) -> Fault:
-    """Return the fault of another device on the command channel."""
-    return Fault(
-        "ARM-LINK",
-        f"This is {found}, expected a MELFA controller.",
-        NOTHING_MOVED,
-        "Correct melfa.host or melfa.r3.port in the bench file, or exchange the cables.",
-        ARM,
-    )
-
-
 def tilted_fault(degrees: float) -> Fault:
     """Return the fault of a hand that leans further than this program ever leaves it."""
     return Fault(

@@ -16,6 +16,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable
+from concurrent.futures import wait
 from pathlib import Path
 
 from touchdown.backend.config import MelfaSettings
@@ -186,7 +187,7 @@ class SocketLinks:
 
     def finish(self, ticket: PendingRequest) -> None:
         """Wait until the request is done; it fails by itself after its time limit."""
-        ticket.wait(FINISH_S)
+        wait([ticket], FINISH_S)
 
     def restart_timing(self) -> None:
         """Restart the count of ``times`` from the next cycle on."""

@@ -12,7 +12,7 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum, IntEnum
 
 import numpy as np
@@ -35,7 +35,6 @@ from touchdown.backend.devices.melfa.faults import (
     lost_fault,
     oversize_fault,
     tilted_fault,
-    unusable_fault,
 )
 from touchdown.backend.devices.melfa.kinematics import (
     STEPS_RAD,
@@ -308,7 +307,7 @@ class StreamCore:
             level = SilenceLevel.GO
         if level is SilenceLevel.FAULT:
             cycles = max(self.missed, int(silent_s / CYCLE_S))
-            return self._fail(self._lost("MXT-LOST", lost_fault(cycles)))
+            return self._fail(self._lost(lost_fault(cycles)))
         self._descend_ladder(level)
         if level is SilenceLevel.GO and self.phase is Phase.OPEN:
             refused = self._move(now_s, inbox)
@@ -332,7 +331,7 @@ class StreamCore:
     def _open(self, now_s: float, echo: AcceptedReply | None) -> StreamOutput:
         if echo is None:
             if now_s - self._begun_s > self._settings.mxt.start_timeout_s:
-                return self._fail(self._lost("MXT-START", START))
+                return self._fail(self._lost(START))
             self._counter += 1
             null = MxtRequest(MxtCommand.NONE, monitors=MONITORS, counter=self._counter)
             return StreamOutput(encode_mxt_request(null))
@@ -351,13 +350,15 @@ class StreamCore:
         self.phase, self._left = Phase.HOLDING, HELD_CYCLES
         return StreamOutput(self._packet(), self.measured_mm)
 
-    def _lost(self, code: str, silent: Fault) -> Fault:
+    def _lost(self, silent: Fault) -> Fault:
         """Return ``silent``, or the fault of replies that came and cannot be used."""
         why = self.replies.refusal
         if why is None:
             return silent
         log.info("refused on the real-time port: %s", self.replies.refused.hex(" "))
-        return unusable_fault(code, why, silent.consequence)
+        what, step = why.value
+        step = f"{step} Then press Reset and connect the arm again."
+        return replace(silent, what=what, next_step=step)
 
     def _hear(self, now_s: float, echo: AcceptedReply) -> None:
         self._heard_s, self.timeouts = now_s, echo.timeouts

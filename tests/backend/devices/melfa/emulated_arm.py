@@ -115,7 +115,7 @@ class SteppedWires:
         return self._client.ask(request, timeout_s)
 
     def finish(self, ticket: PendingRequest) -> None:
-        while not ticket.done and self._cycle is not None:
+        while not ticket.done() and self._cycle is not None:
             self.advance(CYCLE_US)
             self.meanwhile()
 

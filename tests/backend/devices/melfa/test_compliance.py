@@ -456,7 +456,7 @@ def test_one_request_is_on_the_wire_at_a_time(client):
     assert client.step(0.0, b"") == b"1;1;STATE\r"
     assert client.step(0.01, b"") == b""
     assert client.step(0.02, b"QoKa\r") == b"1;1;OVRD\r"
-    assert (first.answer, second.done) == ("a", False)
+    assert (first.answer, second.done()) == ("a", False)
     client.step(0.03, b"QoK50\r\n")
     assert second.answer == "50"
 
@@ -468,9 +468,9 @@ def test_replies_may_be_split_merged_or_without_an_end(client):
     client.step(0.001, b"Qo")
     client.step(0.002, b"K10\rQo")
     client.step(0.003, b"K20\r")
-    assert [t.done for t in tickets] == [True, True, False]
+    assert [t.done() for t in tickets] == [True, True, False]
     client.step(0.004, b"QoK30")
-    assert not tickets[2].done
+    assert not tickets[2].done()
     client.step(0.040, b"")
     assert [t.answer for t in tickets] == ["10", "20", "30"]
 
@@ -507,9 +507,9 @@ def test_three_seconds_of_silence_are_a_lost_link_for_all_that_wait(client):
     client.step(1.5, b"")
     with pytest.raises(FaultError, match="ARM-LINK"):
         client.step(3.0, b"")
-    assert all(ticket.done for ticket in tickets)
+    assert all(ticket.done() for ticket in tickets)
     after = client.ask(STATE)
-    assert after.done
+    assert after.done()
     with pytest.raises(FaultError):
         _ = after.answer
 
@@ -560,7 +560,7 @@ def test_garbage_is_counted_and_answers_nothing(client):
     client.step(0.0, b"")
     client.step(0.1, b"\x00\xff?\rnonsense\r")
     assert client.bad_replies == 2
-    assert not ticket.done
+    assert not ticket.done()
     client.step(0.2, b"QoKa\r")
     assert ticket.answer == "a"
 

@@ -352,7 +352,6 @@ def test_a_public_client_finishes_its_start_up_and_moves_in_its_own_coordinates(
         ("VALM_TOOL", "QoKM_TOOL=+0"),
         ("VALP_TOOL", "QoKP_TOOL=(+0.00,+0.00,+0.00,+0.00,+0.00,+0.00)(7,0)"),
         ("IN0", "QoK0000"),
-        ("OUT0", "QoK0000"),
         ("PNRMXTTOUT", "QoKMXTTOUT;57;1"),
         ("PNRNOTHING", "QeR9903"),
         ("PRGLOAD=TDMXT.MB6", "QoK"),

@@ -28,11 +28,12 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import ExitStack, suppress
 from dataclasses import asdict, dataclass
-from functools import cache
+from functools import cache, partial
 from math import inf
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import psutil
 
@@ -101,11 +102,11 @@ class Ending:
 
     row: str
     strikes: tuple[str, ...]
-    codes: tuple[str, ...]
-    within_s: float
-    then: str
-    must: bool
-    names: tuple[str, ...]
+    codes: tuple[str, ...] = ()
+    within_s: float = inf
+    then: str = "lift"
+    must: bool = False
+    names: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -162,10 +163,12 @@ def judge(rule: Ending, seen: Seen, load: Iterable[str] = ()) -> dict[str, bool]
 class Watch:
     """Session under one strike: strikes at its instant, notes the report, ends what goes on."""
 
-    def __init__(self, session: Session, blow: Callable[[], None], at_s: float) -> None:
+    def __init__(self, session: Session, blow: Callable[[], object], at_s: float) -> None:
         self.session, self._blow, self._at_s = session, blow, at_s
         self.facts: list[Event] = []
+        self.acting = True  # a strike after an activity proves nothing
         self.fault: Fault | None = None
+        self.before: Fault | None = None
         self.struck_s = self.reported_s = self.wall_s = inf
         self.openings = 0
         self._scene: object = None
@@ -180,8 +183,10 @@ class Watch:
         self.session.advance = self._step  # type: ignore[method-assign]
 
     def report(self, fault: Fault) -> None:
-        """Note the first fault after the strike."""
-        if self.struck_s < inf and self.fault is None:
+        """Note the first fault after the strike, and the last before it."""
+        if self.struck_s == inf:
+            self.before = fault
+        elif self.fault is None:
             self.fault = fault
             self.reported_s, self.wall_s = self.session.clock_s(), time.monotonic()
 
@@ -201,7 +206,7 @@ class Watch:
             self._begun_s = now_s
             self._watch_jaws()
         if self.struck_s == inf:
-            if now_s >= self._begun_s + self._at_s:
+            if self.acting and now_s >= self._begun_s + self._at_s:
                 self.struck_s = now_s
                 self._blow()
         elif self.fault is None and now_s > self.struck_s + LASTS_S + WATCH_S:
@@ -248,6 +253,7 @@ def observe(watch: Watch, activity: str, seed: int) -> None:
         watch.report(error.fault)
     except (TouchdownError, OSError) as error:
         watch.report(_fault_of(error))
+    watch.acting = False
     end_s = session.clock_s() + SETTLE_S
     while session._scene is not None and session.clock_s() < end_s:
         with suppress(TouchdownError):
@@ -271,16 +277,11 @@ def lost_records(facts: Iterable[Event], dataset: Dataset, runs: Path | None) ->
 # -- strikes --------------------------------------------------------------------------------------
 
 
-def clock_and_disk(kind: str, ends: ExitStack) -> Callable[[], None] | None:
+def clock_and_disk(kind: str, ends: ExitStack) -> Callable[[], object] | None:
     """Return the blow of what both benches have: the wall clock jumps, or the disk refuses."""
     if kind == "clock:jump":
         real = time.time
-
-        def jump() -> None:
-            time.time = lambda: real() + 3600.0
-            ends.callback(setattr, time, "time", real)
-
-        return jump
+        return lambda: ends.enter_context(patch("time.time", lambda: real() + 3600.0))
     if kind != "disk:full":
         return None
 
@@ -334,12 +335,12 @@ def strike_session(bench: str, kind: str, activity: str, seed: int, latest_s: fl
         if bench == "simulated":
             session = simulated_session(brisk_bench("quiet"), keep=keep, method=brisk_method())
             ends.callback(session.close)
-            watch = Watch(session, common or (lambda: simulated_blow(session, kind)), at_s)
+            blow = partial(simulated_blow, session, kind)
         else:
             wired = EmulatedBench(SimulatedBenchChoice(), keep=keep, method=brisk_method())
             ends.callback(wired.close)
-            session = wired.session
-            watch = Watch(session, common or (lambda: emulated_blow(wired, kind)), at_s)
+            session, blow = wired.session, partial(emulated_blow, wired, kind)
+        watch = Watch(session, common or blow, at_s)
         session.dataset = dataset
         observe(watch, activity, seed)
         travel = (0.0, 0.0, 0.0)
@@ -354,8 +355,9 @@ def strike_session(bench: str, kind: str, activity: str, seed: int, latest_s: fl
         watch.close()
         ended, fault = not session.engine.busy, watch.fault
         if fault is None:
-            struck = watch.struck_s < inf
-            return Seen(openings=watch.openings, lost=lost, ended=ended, struck=struck)
+            struck, before = watch.struck_s < inf, watch.before
+            told = ("", "", "" if struck or before is None else f"{before.code} before the strike")
+            return Seen("", None, told, watch.openings, travel, lost, ended, struck)
         message = (fault.what, fault.consequence, fault.next_step)
         after_s = watch.reported_s - watch.struck_s
         return Seen(fault.code, after_s, message, watch.openings, travel, lost, ended)
@@ -373,8 +375,8 @@ def strike_program(bench: str, kind: str, activity: str, seed: int) -> Seen:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         words = [*VERBS[activity], "--runs", str(folder / "runs"), "--seed", str(seed)]
-        words += ["--emulated"] if bench == "emulated" else []
-        words += ["--dataset", str(folder / "ds")] if activity == "collecting" else []
+        words += ["--emulated"] * (bench == "emulated")
+        words += ["--dataset", str(folder / "ds")] * (activity == "collecting")
         child = subprocess.Popen(
             [sys.executable, "-m", "touchdown", *words],
             stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
@@ -393,14 +395,11 @@ def strike_program(bench: str, kind: str, activity: str, seed: int) -> Seen:
         _, left = psutil.wait_procs(started, timeout=8.0)
         after_s = time.monotonic() - begun_s
         logs = [log.parent for log in (folder / "runs").rglob("journal.jsonl")]
-        facts = [fact for log in logs for fact in read_events(log)]
-        lost: tuple[str, ...] = ()
-        if activity == "collecting" and (folder / "ds").exists():
-            with Dataset.open(folder / "ds", person="campaign") as dataset:
-                lost = lost_records(facts, dataset, None)
+        with Dataset.open(folder / "ds", person="campaign") as dataset:
+            lost = [one for log in logs for one in lost_records(read_events(log), dataset, log)]
         for process in left:
             process.kill()
-        return Seen("ended", after_s, lost=lost, ended=not left)
+        return Seen("ended", after_s, lost=tuple(lost), ended=not left)
 
 
 def strike_driver(kind: str, seed: int) -> Seen:
@@ -461,7 +460,7 @@ def run_strike(number: int, bench: str, kind: str, activity: str) -> Row:
         elif bench == "stepped wire":
             seen = strike_driver(kind, seed)
         else:
-            for latest_s in (LATEST_S[bench], 2.0, 0.5):  # an activity may be over before
+            for latest_s in (LATEST_S[bench], 2.0, 0.5):  # an activity may end before
                 seen = strike_session(bench, kind, activity, seed, latest_s)
                 if seen.struck:
                     break
@@ -558,8 +557,7 @@ def summary(rows: Sequence[Row]) -> list[Figure]:
     found = []
     for name in CHECKS:
         broken = [row for row in rows if name in row["broken"]]
-        first = broken[0] if broken else {}
-        note = f"strike {first['number']}: {first['bench']} {first['strike']}" if broken else ""
+        note = ", ".join(f"{row['number']}: {row['bench']} {row['strike']}" for row in broken[:3])
         told = f"fault campaign, not held: {name}"
         found.append(failures(told, len(broken), f"of {len(rows)}", note))
     return found

@@ -82,7 +82,7 @@ class PendingRequest(Future[R3Reply]):
 class R3Client:
     """Request queue; call ``ask`` from any thread, ``step`` from the owner of the wire."""
 
-    def __init__(self, reply_gap_s: float, identify: Callable[[], str] = str) -> None:
+    def __init__(self, reply_gap_s: float, identify: Callable[[], str] = lambda: "") -> None:
         """``identify`` returns the description of another device on the wire, "" if unknown."""
         self._gap_s, self._identify = reply_gap_s, identify
         self._answered = False

@@ -9,7 +9,6 @@ import re
 import socket
 import struct
 import sys
-import threading
 import time
 from functools import reduce
 from pathlib import Path
@@ -199,19 +198,15 @@ class Console:
         return np.array(re.findall(r"J[1-6];([-0-9.]+)", self.ask("1;1;JPOSF")), dtype=float)
 
 
-def packet(command, kind, joints=(0.0,) * 6):
-    """Return one packet of the real-time stream that requests joint feedback."""
+def exchange(wire, command, kind, joints=(0.0,) * 6):
+    """Send one packet of the real-time stream that requests joint feedback; return the reply."""
     none = (0.0,) * 8 + (0, 0)
-    content = MXT.pack(
+    packet = MXT.pack(
         *(command, kind, 2, 0), *joints, 0.0, 0.0, 0, 0, *(0,) * 7, 8, 0, *none, *(0, 0), *none,
         *(0, 0), *none,
     )  # fmt: skip
-    assert len(content) == 196
-    return content
-
-
-def exchange(wire, command, kind, joints=(0.0,) * 6):
-    wire.send(packet(command, kind, joints))
+    assert len(packet) == 196
+    wire.send(packet)
     return None if command == 255 else MXT.unpack(wire.recv(300))
 
 
@@ -247,35 +242,6 @@ def test_an_arm_is_switched_on_and_streamed_to_by_text_and_one_struct(serve):
     assert console.ask("1;1;SRVOFF") == "QoK"
     client.close()
     wire.close()
-
-
-def test_the_stream_follows_its_first_caller_until_it_leaves(serve):
-    bench = serve("melfa").bench
-    client, heard = over_tcp(("127.0.0.1", bench["melfa.r3"]["port"]))
-    console = Console(client, heard)
-    for text in ("CNTLON", "SRVON"):
-        assert console.ask(f"1;1;{text}") == "QoK"
-    console.wait_for(0x20, on=True)
-    assert console.ask("1;1;RUNTDMXT;1") == "QoK"
-    first, second = (over_udp(("127.0.0.1", bench["melfa.mxt"]["port"])) for _ in range(2))
-    joints = exchange(first, 0, 0)[4:10]
-    # Positions are told to whoever asks, as long as nobody commands motion.
-    assert exchange(second, 0, 0)[4:10] == joints
-    exchange(first, 1, 2, joints)
-    for _ in range(5):
-        second.send(packet(0, 0))
-        second.send(packet(1, 2, (1.0,) * 6))
-        assert exchange(first, 1, 2, joints)[1:3] == (2, 2)
-    second.settimeout(0.02)
-    with pytest.raises(TimeoutError):
-        second.recv(300)
-    # Silent for longer than 100 ms, it has left.
-    second.settimeout(LIMIT_S)
-    threading.Event().wait(0.12)
-    assert exchange(second, 0, 0)[1:3] == (2, 2)
-    exchange(second, 255, 0)
-    for wire in (client, first, second):
-        wire.close()
 
 
 # -- wrist sensors ---------------------------------------------------------------------------------

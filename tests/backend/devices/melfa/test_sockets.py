@@ -12,6 +12,7 @@ from tests.backend.devices.melfa.emulated_arm import settings
 from tests.backend.devices.waiting import until
 from touchdown.backend.bench.emulator_registry import emulate
 from touchdown.backend.config.hardware import HardwareSettings
+from touchdown.backend.core.clock import ManualClock
 from touchdown.backend.core.faults import FaultError
 from touchdown.backend.core.streams import SampleStream
 from touchdown.backend.core.values import Pose
@@ -19,6 +20,14 @@ from touchdown.backend.devices.leptrino.emulator import EmulatedLeptrino
 from touchdown.backend.devices.melfa.driver import MelfaArm, MelfaPrograms
 from touchdown.backend.devices.melfa.emulated_controller import READY_RAD
 from touchdown.backend.devices.melfa.emulator import EmulatedMelfa, MelfaServer
+from touchdown.backend.devices.melfa.realtime_protocol import (
+    AxisValues,
+    BlockKind,
+    MxtCommand,
+    MxtRequest,
+    decode_mxt_reply,
+    encode_mxt_request,
+)
 from touchdown.backend.devices.melfa.sockets import SocketLinks
 from touchdown.backend.devices.protocols import DeviceState, RobotMode, SafetyMode
 from touchdown.backend.emulation.server import TcpServer
@@ -236,6 +245,44 @@ def test_nobody_at_the_address_is_one_fault():
         connect(arm)
     arm.stop()
     arm.close()
+
+
+def test_the_stream_follows_the_caller_that_commands_until_it_leaves():
+    clock, device = ManualClock(), EmulatedMelfa(settings(), streaming=True)
+    front = MelfaServer(device, clock=clock)
+    front.start()
+    first, second = (socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(2))
+
+    def asked(wire, command, joints=None):
+        target = joints and AxisValues(BlockKind.JOINT, (*joints, 0.0, 0.0))
+        wire.send(encode_mxt_request(MxtRequest(command, target, (2, 0, 0, 0))))
+
+    def exchange(wire, *asking):
+        asked(wire, *asking)
+        return decode_mxt_reply(wire.recv(300)).blocks[0].axes[:6]
+
+    try:
+        for wire in (first, second):
+            wire.settimeout(60.0)
+            wire.connect((front.settings.host, front.settings.mxt.port))
+        here = exchange(first, MxtCommand.NONE)
+        # Positions are told to whoever asks, as long as nobody commands motion.
+        assert exchange(second, MxtCommand.NONE) == here
+        exchange(first, MxtCommand.MOVE, here)
+        asked(second, MxtCommand.NONE)
+        asked(second, MxtCommand.MOVE, (1.0,) * 6)
+        assert exchange(first, MxtCommand.MOVE, here) == here
+        second.setblocking(False)
+        with pytest.raises(BlockingIOError):
+            second.recv(300)
+        assert (device.controller.error, device.stream.commands) == (0, 2)
+        second.settimeout(60.0)
+        clock.advance(101_000)
+        assert exchange(second, MxtCommand.NONE) == here
+    finally:
+        front.close()
+        first.close()
+        second.close()
 
 
 @pytest.mark.promise("S5")

@@ -38,7 +38,7 @@ from touchdown.backend.episodes.packs import (
     read_pack_metadata,
     write_packs,
 )
-from touchdown.backend.episodes.training_rows import load_rows, patch_bits, patch_hex
+from touchdown.backend.episodes.training_rows import join_rows, load_rows, patch_bits, patch_hex
 
 STAMP = np.array([1_700_000_000_123_456_789])
 HEAD = "00 01 00 00 00 f1 53 65 15 cd 5b 07"
@@ -474,6 +474,12 @@ def test_rows_of_the_named_piece_only(tmp_path: Path) -> None:
     assert (loaded.piece, loaded.geometry, len(loaded)) == ("barrel", "cd" * 32, 2)
     assert loaded.offset_mm[1].tolist() == [1.501, -0.25]
     assert loaded.grip_id == ("g0", "g0")
+    pot = load_rows(tmp_path, "pot")
+    taken, joined = pot.take(np.array([3, 0])), join_rows([pot, pot])
+    assert (taken.grip_id, [row["episode"] for row in taken.labels]) == (("g1", "g0"), ["e3", "e0"])
+    assert np.array_equal(taken.observation, pot.observation[[3, 0]])
+    assert (joined.grip_id, joined.labels) == (2 * pot.grip_id, 2 * pot.labels)
+    assert np.array_equal(joined.patch, np.concatenate([pot.patch, pot.patch]))
     with pytest.raises(InputError, match="barrel, pot"):
         load_rows(tmp_path)
     with pytest.raises(InputError, match="mushroom"):

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.backend.sensing.known_truth import (
+    SMEAR_BGR,
     Case,
     bump_field,
     rest_dots,
@@ -224,6 +226,26 @@ def test_dots_hidden_at_the_start_are_inferred_once_the_grid_is_certain() -> Non
     assert away.max() < 3.0
     assert (fields[-1].state == MarkerState.SEEN).all()
     assert np.linalg.norm(fields[-1].position_px - dots, axis=1).max() < 0.8
+
+
+def test_a_recalled_state_is_that_of_before(rest: tuple[np.ndarray, np.ndarray]) -> None:
+    image, dots = rest
+    tracker, same, hidden = MarkerTracker("left"), MarkerTracker("left"), image.copy()
+    for place in dots[COVERED]:
+        cv2.circle(hidden, tuple(map(int, place)), 12, SMEAR_BGR, -1)
+    for k in range(3):
+        tracker.track(frame(image, k))
+        same.track(frame(image, k))
+    memory = tracker.remember()
+    tracker.track(frame(hidden, 3))
+    assert tracker._restless > same._restless
+    tracker.recall(memory)
+    assert tracker._restless == same._restless
+    for k, picture in ((3, image), (4, hidden), (60, hidden)):
+        ours, theirs = tracker.track(frame(picture, k)), same.track(frame(picture, k))
+        assert np.array_equal(ours.position_px, theirs.position_px)
+        assert np.array_equal(ours.state, theirs.state)
+        assert ours.quality == theirs.quality
 
 
 def test_the_image_is_left_as_it_was(rest: tuple[np.ndarray, np.ndarray]) -> None:

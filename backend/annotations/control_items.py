@@ -149,7 +149,7 @@ class _ControlItems:
 
     def __init__(self, book: LabelStore) -> None:
         self._book = book
-        self.person = ""
+        self.person: str = ""
         self.shown: Mapping[str, ControlItemView] = {}
 
     def begin(self, person: str, views: Mapping[str, ControlItemView]) -> None:

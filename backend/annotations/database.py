@@ -200,7 +200,9 @@ class Database:
     """
 
     def __init__(self, connection: sqlite3.Connection, path: Path, *, writable: bool) -> None:
-        self._connection, self.path, self.writable = connection, path, writable
+        self._connection = connection
+        self.path: Path = path
+        self.writable: bool = writable
         self._lock = SharedLock()
 
     @classmethod

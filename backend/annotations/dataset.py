@@ -135,18 +135,20 @@ class Dataset:
         database: Database,
         lock: WriterLock | None,
     ) -> None:
-        self.folder, self.description, self.database = folder, description, database
+        self.folder: Path = folder
+        self.description: DatasetDescription = description
+        self.database: Database = database
         self._lock = lock
         self._checked = CheckedFolders()
         self.notices: tuple[str, ...] = ()
         self.problems: list[ConsistencyProblem] = []
-        self.geometry = GeometryStore(folder / "geometry")
-        self.journal = OperationJournal(folder / "labels")
-        self.labels = LabelStore(database, self.journal, description.site)
-        self.scores = ScoreStore(database)
-        self.runs = RunTracker(folder, database, self.labels.chain_heads)
-        self.backups = BackupStore(database, folder / "backup")
-        self.backup_trouble = ""
+        self.geometry: GeometryStore = GeometryStore(folder / "geometry")
+        self.journal: OperationJournal = OperationJournal(folder / "labels")
+        self.labels: LabelStore = LabelStore(database, self.journal, description.site)
+        self.scores: ScoreStore = ScoreStore(database)
+        self.runs: RunTracker = RunTracker(folder, database, self.labels.chain_heads)
+        self.backups: BackupStore = BackupStore(database, folder / "backup")
+        self.backup_trouble: str = ""
         self.labels.after_commit = partial(self._back_up, self.backups.hourly)
         before_bulk = partial(self.backups.if_changed, "bulk")
         self.labels.before_bulk = partial(self._back_up, before_bulk)

@@ -228,7 +228,7 @@ class LabelStore(LabelReader):
         self._stacks: dict[str, UndoStacks] = {}
         self.four_eyes = True
         self.frozen = ""
-        self.journal_trouble = ""
+        self.journal_trouble: str = ""
         self.after_commit: Callable[[], None] = lambda: None
         self.before_bulk: Callable[[], None] = lambda: None
 

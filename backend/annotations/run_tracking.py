@@ -132,7 +132,7 @@ class ActiveRun:
 
     def __init__(self, dataset: Path, about: RunInfo) -> None:
         self._dataset, self.about = dataset, about
-        self.folder = dataset / RUNS_FOLDER / about.uuid
+        self.folder: Path = dataset / RUNS_FOLDER / about.uuid
         make_folder(self.folder.parent)
         self.folder.mkdir()
         # Locked before the files exist, so that a parallel check does not take it for a crash.

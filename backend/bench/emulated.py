@@ -124,7 +124,7 @@ class EmulatedBench:
         self._models = BenchModels(registry, description, self._method.belief.pitch_mm)
         self._present = ExitStack()
         self._process = EmulatedProcess(lambda fault: self.session.interlock.raise_fault(fault))
-        self.session = Session(
+        self.session: Session = Session(
             self._make_stage,
             self._check,
             self._catalogue,

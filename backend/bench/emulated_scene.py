@@ -158,9 +158,9 @@ class EmulatedScene:
 
     def __init__(self, scene: Scene, settings: MelfaSettings) -> None:
         self.scene, self.world = scene, World(scene, still_px=STILL_PX)
-        self.frame = BenchFrame(settings)
+        self.frame: BenchFrame = BenchFrame(settings)
         start = self.frame.joints(self.world.drive.command_mm)
-        self.melfa = EmulatedMelfa(settings, start_rad=start)
+        self.melfa: EmulatedMelfa = EmulatedMelfa(settings, start_rad=start)
         self.world.drive.run(CarriedProgram(self))
         self.monitor = DriverMonitor(self.melfa)
         self.melfa.controller.felt = self._felt_in_base
@@ -170,7 +170,7 @@ class EmulatedScene:
         self._stop = threading.Event()
         self.priority = 0  # real-time priority of the world thread if permitted; 0: unchanged
         self._thread = threading.Thread(target=self._run, name="world", daemon=True)
-        self.late = 0  # skipped cycles
+        self.late: int = 0  # skipped cycles
         self.faults: dict[str, Faults] = {}  # of each device, for a strike
         self._commands: deque[tuple[float, FloatArray]] = deque(maxlen=KEPT_COMMANDS)
 
@@ -347,7 +347,7 @@ class SceneWsg(EmulatedWsg):
         super().__init__(part_mm=emulated.scene.piece.width_mm, faults=faults)
         self._world, self._piece_mm = emulated.world, emulated.scene.piece.width_mm
         self._held = self._in_hand = False
-        self.openings = 0
+        self.openings: int = 0
         emulated.monitor.gripper = self
 
     def due(self, now_s: float) -> bytes:

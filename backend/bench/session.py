@@ -176,17 +176,25 @@ class Session:
         keep: RecordingOptions,
         description: BenchDescription,
     ) -> None:
-        self._make_stage, self._check, self.catalogue = make_stage, check, catalogue
-        self.method, self.description = settings, description
-        self.simulated, self.name = description.mode == "simulated", ""
-        self.run_id, self.mode = "", ""  # of the last run
-        self.limits_source, self.usual = "the program itself", SceneChoice()
-        self.resources = ExitStack()  # closed after everything else
+        self._make_stage, self._check = make_stage, check
+        self.catalogue: PieceLibrary = catalogue
+        self.method: StackSettings = settings
+        self.description: BenchDescription = description
+        self.simulated: bool = description.mode == "simulated"
+        self.name: str = ""
+        self.run_id: str = ""  # of the last run
+        self.mode: str = ""  # of the last run
+        self.limits_source: str = "the program itself"
+        self.usual: SceneChoice = SceneChoice()
+        self.resources: ExitStack[bool | None] = ExitStack()  # closed after everything else
         # Devices that outlive every scene, None if each scene has its own
         self.connection: BenchConnection | None = None
-        self.events, self.interlock, self.prompt = EventBus(), Interlock(), OperatorPrompt()
-        self.repaint_hold = RepaintHold()  # holds repaints while a decision is computed
-        self.decisions = PendingDecision()
+        self.events: EventBus = EventBus()
+        self.interlock: Interlock = Interlock()
+        self.prompt: OperatorPrompt = OperatorPrompt()
+        # Holds repaints while a decision is computed.
+        self.repaint_hold: RepaintHold = RepaintHold()
+        self.decisions: PendingDecision = PendingDecision()
         self.dataset: Dataset | None = None  # collected episodes; set only between runs
         self.calibrations: CalibrationStore | None = None  # set before the first scene
         self._used: UsedCalibrations = {}
@@ -198,11 +206,13 @@ class Session:
         }
         samples = SampleStream("force_torque", 6, SAMPLE_CAPACITY)
         poses = SampleStream("arm", 3, SAMPLE_CAPACITY)
-        self.wrench = SampleStream("wrench", 6, SAMPLE_CAPACITY)
+        self.wrench: SampleStream = SampleStream("wrench", 6, SAMPLE_CAPACITY)
         commands = SampleStream("arm_command", 3, SAMPLE_CAPACITY)
-        self.raw = RawStreams(self.frames, samples, poses, commands)
+        self.raw: RawStreams = RawStreams(self.frames, samples, poses, commands)
         self._supervision = Supervision(self.interlock, self.wrench, self.frames)
-        self.engine = Engine(self.events, self.interlock, self.clock_s, self._supervision.unwell)
+        self.engine: Engine = Engine(
+            self.events, self.interlock, self.clock_s, self._supervision.unwell
+        )
         # Mode of recordings of a live bench
         self.live_mode = LIVE_MODES.get(description.mode, "lab")
         self._keep, self._recorder = keep, RunRecorder(keep, self.events, self.interlock)

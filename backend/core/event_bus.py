@@ -51,7 +51,7 @@ class EventQueue:
         self._events: deque[Event] = deque()
         self._capacity = capacity
         self._lock = threading.Lock()
-        self.dropped = 0
+        self.dropped: int = 0
 
     def __call__(self, event: Event) -> None:
         """Put ``event``; makes the queue a subscriber."""

@@ -45,7 +45,9 @@ class InputError(TouchdownError):
         if len(what) > MAX_MESSAGE:  # text of a foreign file may be part of it
             what = f"{what[:MAX_MESSAGE]} ..."
         super().__init__(f"{what} [{where}] {fix}")
-        self.what, self.where, self.fix = what, where, fix
+        self.what: str = what
+        self.where: str = where
+        self.fix: str = fix
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,8 +111,10 @@ class RefusedError(TouchdownError):
     """
 
     def __init__(self, reason: str, what: str, next_step: str = "") -> None:
-        self.reason, self.what, self.next_step = reason, what, next_step
-        self.detail = f"{what} {next_step}".rstrip()
+        self.reason: str = reason
+        self.what: str = what
+        self.next_step: str = next_step
+        self.detail: str = f"{what} {next_step}".rstrip()
         super().__init__(f"{self.detail} [{reason}]")
 
 

@@ -67,8 +67,8 @@ class ThreadStallDetector:
         self._status = Path("/proc") / str(process) / "task" / str(thread) / "status"
         self._switches: tuple[bytes, ...] = ()
         self._looked_s = 0.0
-        self.passed_s = 0.0  # time between the last two looks, at most MAX_LOOK_STEP_S
-        self.rested_s = 0.0
+        self.passed_s: float = 0.0  # time between the last two looks, at most MAX_LOOK_STEP_S
+        self.rested_s: float = 0.0
 
     def look(self, now_s: float) -> float:
         """Return the idle time in s at ``now_s``; 0 at first and after its end."""

@@ -322,7 +322,7 @@ class EpisodeImport:
         known = dataset.database.rows("SELECT uuid FROM episode")
         self._known = {uuid for (uuid,) in known}
         self._geometry = "" if self._named else self._own_pair()
-        self.total = len(self._named) or None
+        self.total: int | None = len(self._named) or None
 
     def survey(self, advance: Callable[[int], None] = lambda done: None) -> ImportSurvey:
         """Read everything and report problems; nothing is written."""

@@ -23,7 +23,7 @@ class RunningStats:
     """Statistics over the first axis of all blocks (Chan, Golub and LeVeque 1979)."""
 
     def __init__(self) -> None:
-        self.count = 0
+        self.count: int = 0
         self._least: NDArray[Any] = np.array(np.inf)
         self._greatest: NDArray[Any] = np.array(-np.inf)
         self._mean: NDArray[Any] = np.array(0.0)

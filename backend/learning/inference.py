@@ -152,7 +152,7 @@ class PatchForward:
         self._layers = [_Layer.of(arrays, layer) for layer in range(shape.layers)]
         self._head, self._bias = arrays["head.weight"], arrays["head.bias"]
         start = np.zeros((shape.layers, shape.hidden), np.float32)
-        self.start = LstmState(start, start)
+        self.start: LstmState = LstmState(start, start)
 
     def run(self, ticks: Array, after: LstmState) -> LstmState:
         """Return the state after further ``ticks`` (k, inputs) of raw channels, k >= 1.

@@ -96,8 +96,8 @@ class PatchNet(nn.Module):
         self.shape = shape
         self.register_buffer("mean", torch.zeros(shape.inputs))
         self.register_buffer("scale", torch.ones(shape.inputs))
-        self.lstm = nn.LSTM(shape.inputs, shape.hidden, shape.layers, batch_first=True)
-        self.head = nn.Linear(shape.hidden, shape.points)
+        self.lstm: nn.LSTM = nn.LSTM(shape.inputs, shape.hidden, shape.layers, batch_first=True)
+        self.head: nn.Linear = nn.Linear(shape.hidden, shape.points)
 
     def set_normaliser(self, normaliser: Normaliser) -> None:
         """Set mean and scale."""
@@ -218,12 +218,12 @@ class Trainer:
         self.model: PatchNet = new_model(shape, settings.seed).to(device)
         parts = (rows.inputs(index) for index in in_batches(train))
         self.model.set_normaliser(fit_normaliser_in_parts(parts, settings.modality))
-        self.optimiser = Adam(self.model.parameters(), settings.learning_rate)
-        self.base_rate = float(rows.patch[train].mean())
-        self.done = 0
+        self.optimiser: Adam = Adam(self.model.parameters(), settings.learning_rate)
+        self.base_rate: float = float(rows.patch[train].mean())
+        self.done: int = 0
         self.best_epoch, self.best_loss = 0, float("inf")
         self.best_figures = (0.0, 0.0)
-        self.best_state = self._weights()
+        self.best_state: dict[str, Tensor] = self._weights()
 
     def epochs(self, cancelled: Callable[[], bool] = lambda: False) -> Iterator[TrainingEpoch]:
         """Run the remaining epochs; stops without a report when ``cancelled`` returns True."""

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +30,7 @@ FIX = "Use the one that came with Touchdown, or train again with 'touchdown expe
 class FusedCard(BaseModel):
     """Card of the fusion network: sizes, training data and evaluation."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config: ClassVar[ConfigDict] = ConfigDict(frozen=True, extra="forbid")
     format: Literal["touchdown-fused/1"] = "touchdown-fused/1"
     arch: Literal["causal-attention-inset/1"] = ARCH
     hyper: FusedShape

@@ -49,7 +49,7 @@ class FusedNet(nn.Module):
         super().__init__()
         self.shape = shape
         generator = torch.Generator().manual_seed(seed)
-        self.weights = nn.ParameterDict()
+        self.weights: nn.ParameterDict = nn.ParameterDict()
         for name, size in weight_shapes(shape).items():
             drawn = torch.randn(size, generator=generator) / math.sqrt(size[-1])
             self.weights[_key(name)] = drawn if len(size) > 1 else torch.zeros(size)
@@ -224,10 +224,10 @@ class FusedTrainer:
         self._held_out = prepare_sequences(held_out, self.modes, mirror=False)
         rows = self._train.probes[self._train.there]
         self.mean, spread = rows.mean(dim=0), rows.std(dim=0)
-        self.scale = torch.where(spread > 1e-6, spread, torch.ones(()))
+        self.scale: Tensor = torch.where(spread > 1e-6, spread, torch.ones(()))
         self.scale[torch.from_numpy(unread_inputs(settings.without))] = UNREAD
         alone = settings.without == "others"
-        self.net = FusedNet(settings.shape, settings.seed, alone=alone).to(device)
+        self.net: FusedNet = FusedNet(settings.shape, settings.seed, alone=alone).to(device)
         learned = (weight for weight in self.net.parameters() if weight.requires_grad)
         self._adam = Adam(learned, settings.learning_rate)
         self._generator = torch.Generator().manual_seed(settings.seed + 1)

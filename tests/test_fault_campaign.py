@@ -105,3 +105,8 @@ def test_results_belong_to_one_state_of_the_sources(tmp_path, monkeypatch) -> No
     assert [one["number"] for one in content["strikes"]] == [7]
     assert campaign.stored("other") is None
     assert "1 strikes" in page.read_text("utf-8")
+
+
+def test_a_jog_is_struck_while_it_goes_on():
+    row = campaign.run_strike(67, "simulated", "force_torque:stop", "jogging")
+    assert (row["code"], row["struck"], row["broken"]) == ("FT-STALE", True, [])

@@ -56,7 +56,7 @@ from touchdown.backend.core.events import (
     Paused,
     ProbeCollected,
 )
-from touchdown.backend.core.faults import Fault, FaultError, TouchdownError
+from touchdown.backend.core.faults import Fault, FaultError, RefusedError, TouchdownError
 from touchdown.backend.core.files import write_atomically
 from touchdown.backend.devices.jog import JogOrder
 from touchdown.backend.emulation.disturbances import (
@@ -210,6 +210,7 @@ class Watch:
                 self.struck_s = now_s
                 self._blow()
         elif self.fault is None and now_s > self.struck_s + LASTS_S + WATCH_S:
+            self.acting = False
             session.stop()
 
     def _watch_jaws(self) -> None:
@@ -235,13 +236,19 @@ def act(watch: Watch, activity: str, seed: int) -> None:
     else:
         session.prepare(SceneChoice("pot", ("circle15",), seed))
         assert session.hand is not None
-        begun_s, sequence = session.clock_s(), 0
-        # The operator holds the button on for a while after the report.
-        while session.clock_s() < min(begun_s + JOG_S, watch.reported_s + INSIST_S):
+        begun_s, press, sequence = session.clock_s(), 1, 0
+        # The operator holds the button on for a while after the report, and presses it again.
+        while watch.acting and session.clock_s() < min(
+            begun_s + JOG_S, watch.reported_s + INSIST_S
+        ):
             now_s, sequence = session.clock_s(), sequence + 1
-            session.hand.jog.renew(JogOrder(1, sequence, now_s, "z", "XYZ", JOG_MM_S))
+            try:
+                if now_s > begun_s + SETTLE_S:  # there are samples to judge a jog by
+                    session.hand.jog.renew(JogOrder(press, sequence, now_s, "z", "XYZ", JOG_MM_S))
+            except RefusedError:
+                press += 1
             session.advance()
-        session.hand.jog.end(1)
+        session.hand.jog.end(press)
 
 
 def observe(watch: Watch, activity: str, seed: int) -> None:

@@ -223,7 +223,8 @@ class LabelStore(LabelReader):
 
     def __init__(self, database: Database, journal: OperationJournal, site: str) -> None:
         super().__init__(database)
-        self._journal, self.site = journal, site
+        self._journal = journal
+        self.site: str = site
         self._lock = SharedLock()
         self._stacks: dict[str, UndoStacks] = {}
         self.four_eyes = True

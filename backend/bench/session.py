@@ -214,7 +214,7 @@ class Session:
             self.events, self.interlock, self.clock_s, self._supervision.unwell
         )
         # Mode of recordings of a live bench
-        self.live_mode = LIVE_MODES.get(description.mode, "lab")
+        self.live_mode: str = LIVE_MODES.get(description.mode, "lab")
         self._keep, self._recorder = keep, RunRecorder(keep, self.events, self.interlock)
         self._teller = FaultNotifier(self.events, self.interlock, self.clock_s)
         self._scene: Bench | None = None  # assigned after the three below

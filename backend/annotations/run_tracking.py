@@ -131,7 +131,8 @@ class ActiveRun:
     """
 
     def __init__(self, dataset: Path, about: RunInfo) -> None:
-        self._dataset, self.about = dataset, about
+        self._dataset = dataset
+        self.about: RunInfo = about
         self.folder: Path = dataset / RUNS_FOLDER / about.uuid
         make_folder(self.folder.parent)
         self.folder.mkdir()

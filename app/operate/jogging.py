@@ -206,8 +206,7 @@ class ManualControlPresenter:
         recovering, turned = self._bench.interlock.recovering, rotation_angle_rad(pose) > 0.0
         note = "Recovery: jog away from contact" if recovering else ""
         if not note and hand.pressing_n and not is_run_active(self._bench):
-            force = f"{hand.pressing_n:.1f} N"
-            note = f"In contact with {force}: jog +Z to lift before you start a run"
+            note = f"In contact, {hand.pressing_n:.1f} N: lift first"
         note = note or self._bench.interlock.degraded
         warn = bool(note)
         if not note and rotation_angle_rad(pose) > LEVEL_TOLERANCE_RAD:

@@ -174,7 +174,9 @@ class JogPad(Panel):
         self.pace = JogPace(paces)
         self.speed = self.pace.speed
         self.lift = QPushButton()  # offered in contact
+        self.lift.setAccessibleName("Lift the hand out of contact")
         self.lift.setProperty("role", "primary")
+        self.lift.setProperty("low", "yes")
         self.lift.hide()
         self.joint = 1  # joint of the arrow keys in JOINT
         self._ready = self._turns = False
@@ -349,7 +351,7 @@ class JogPad(Panel):
         self._note.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Preferred)
         top = hbox((self._pose, 1), self.turn, self.frame)
         middle = hbox(1, (self._field, 1000), 1)
-        add_items(self.column, top, (middle, 1000), self.pace, self._note, self.lift, 1)
+        add_items(self.column, top, (middle, 1000), self.pace, hbox((self._note, 1), self.lift), 1)
 
 
 class _Pad(HoldButton):

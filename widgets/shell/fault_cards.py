@@ -205,7 +205,6 @@ class FaultCards(QWidget):
         self.folded = False  # True while the cards are one line in the foot of the window
         self.strip = FoldedCards(self, self._unfold_line, on_reset)
         self._column = vbox(parent=self, margins=(10, 0, 10, 8), spacing=6)
-        self.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Maximum)
         self.hide()
 
     @property

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from PySide6.QtCore import QPoint, QRect, QSize, Qt
 from PySide6.QtTest import QTest
-from PySide6.QtWidgets import QMenu
+from PySide6.QtWidgets import QApplication, QLabel, QMenu
 
 from tests.app.collect.conftest import PROBES
 from tests.app.conftest import settle
@@ -284,6 +284,12 @@ def test_state_and_stop_are_seen_and_all_else_is_reached_in_every_size(live, wid
         assert page.height() <= room.height() + reach.y()
         assert within.contains(QRect(*place(live.cards, live.window)))
         live.cards.withdraw()
+        live.stop()
+        live.cards.card("STOPPED").offer.show()
+        QApplication.processEvents()
+        for words in live.cards.card("STOPPED").findChildren(QLabel):
+            assert words.height() >= words.heightForWidth(words.width()), words.text()
+        live.reset()
 
 
 def test_a_card_as_high_as_its_words(live):

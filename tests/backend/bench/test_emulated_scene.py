@@ -146,10 +146,10 @@ def test_a_strike_reaches_its_device_and_commands_are_kept(tmp_path):
     joined, emulation = serve_bench(scene, tmp_path, FaultPlan())
     front = TcpServer(TruthServer(joined))
     for part in emulation.fronts:
-        part.faults.begin(0.0)
+        part.faults.begin(time.monotonic())
     front.start()
     truth = TruthClient(scene, front.address)
-    truth.strike("force_torque", "silent", 1e6)
+    truth.strike("force_torque", "silent", 1e4)
     assert joined.faults["force_torque"].active("silent", time.monotonic())
     assert not joined.faults["gripper"].active("silent", time.monotonic())
     joined.step()

@@ -19,7 +19,7 @@ from functools import partial
 from pathlib import Path
 from typing import Protocol
 
-from touchdown.backend.core import Clock, MonotonicClock, set_realtime_priority
+from touchdown.backend.core import MonotonicClock, set_realtime_priority
 from touchdown.backend.emulation.fault_plan import Faults
 
 TICK_S = 0.002  # longest sleep between two polls of the device; limits the timing of a stream
@@ -57,8 +57,8 @@ class DeviceServer(ABC):
     and returns the bytes to send.
     """
 
-    def __init__(self, clock: Clock | None = None, faults: Faults | None = None) -> None:
-        self._clock = clock or MonotonicClock()
+    def __init__(self, faults: Faults | None = None) -> None:
+        self._clock = MonotonicClock()
         self.faults = faults or Faults("")
         self._stop = threading.Event()
         self.log: deque[Exchange] = deque(maxlen=LOG_LENGTH)
@@ -122,10 +122,8 @@ class StreamServer(DeviceServer):
 
     tick_s = TICK_S
 
-    def __init__(
-        self, device: EmulatedDevice, clock: Clock | None = None, faults: Faults | None = None
-    ) -> None:
-        super().__init__(clock, faults)
+    def __init__(self, device: EmulatedDevice, faults: Faults | None = None) -> None:
+        super().__init__(faults)
         self._device = device
 
     def _serve(
@@ -156,10 +154,9 @@ class TcpServer(StreamServer):
         device: EmulatedDevice,
         host: str = "127.0.0.1",
         port: int = 0,
-        clock: Clock | None = None,
         faults: Faults | None = None,
     ) -> None:
-        super().__init__(device, clock, faults)
+        super().__init__(device, faults)
         self._listener = self._listen((host, port))
         self.address: tuple[str, int] = self._listener.getsockname()[:2]
 
@@ -204,13 +201,9 @@ class PtyServer(StreamServer):
     """
 
     def __init__(
-        self,
-        device: EmulatedDevice,
-        clock: Clock | None = None,
-        faults: Faults | None = None,
-        link: Path | None = None,
+        self, device: EmulatedDevice, faults: Faults | None = None, link: Path | None = None
     ) -> None:
-        super().__init__(device, clock, faults)
+        super().__init__(device, faults)
         self._link = link
         self.plugs = 0  # number of times it was plugged in
         self._plug()
@@ -292,10 +285,9 @@ class UdpServer(DeviceServer):
         device: EmulatedDatagrams,
         host: str = "127.0.0.1",
         port: int = 0,
-        clock: Clock | None = None,
         faults: Faults | None = None,
     ) -> None:
-        super().__init__(clock, faults)
+        super().__init__(faults)
         self._device = device
         self._socket = self._bind((host, port))
         self.address: tuple[str, int] = self._socket.getsockname()[:2]

@@ -16,7 +16,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from touchdown.backend.core import Clock, Decimator, Finger, ImageArray, InputError
+from touchdown.backend.core import Decimator, Finger, ImageArray, InputError
 from touchdown.backend.emulation import (
     BenchTables,
     DeviceServer,
@@ -49,10 +49,9 @@ class GelsightServer(DeviceServer):
         serial: str = SERIAL,
         *,
         rate_hz: float = RATE_HZ,
-        clock: Clock | None = None,
         faults: Faults | None = None,
     ) -> None:
-        super().__init__(clock, faults or Faults("tactile_left"))
+        super().__init__(faults or Faults("tactile_left"))
         self._pictures, self._folder, self._serial = pictures, folder, serial
         self._period_s = 1.0 / rate_hz
         self._last: bytes | None = None

@@ -13,7 +13,7 @@ from collections.abc import Callable
 from functools import partial
 
 from touchdown.backend.config import HardwareSettings, MelfaSettings
-from touchdown.backend.core import Clock, FloatArray
+from touchdown.backend.core import FloatArray
 from touchdown.backend.devices.melfa.emulated_channels import (
     TYPE_FORCE,
     EmulatedCommands,
@@ -70,11 +70,10 @@ class MelfaServer(DeviceServer):
         device: EmulatedMelfa,
         host: str = "127.0.0.1",
         ports: tuple[int, int, int] = (0, 0, 0),
-        clock: Clock | None = None,
         faults: Faults | None = None,
     ) -> None:
         """``ports``: commands, STOP, stream."""
-        super().__init__(clock, faults or Faults("arm"))
+        super().__init__(faults or Faults("arm"))
         self._device = device
         self._sources: list[socket.socket] = []
         self._host, self._ports = host, ports

@@ -53,16 +53,9 @@ _PICTURES = tuple(_picture(seed) for seed in range(3))
 _R3 = (
     r3_protocol.read_opened,
     r3_protocol.read_state,
-    r3_protocol.read_progress,
     r3_protocol.read_error,
-    r3_protocol.read_hands,
-    r3_protocol.read_stop_signals,
     r3_protocol.read_parameter,
-    r3_protocol.read_bits,
-    r3_protocol.read_origin,
-    r3_protocol.read_ports,
     r3_protocol.read_axes,
-    r3_protocol.read_variable,
 )
 READERS: dict[tuple[str, str], Reader] = {
     **{("r3-answer", read.__name__): _answer(read) for read in _R3},

@@ -12,8 +12,7 @@ import re
 from dataclasses import dataclass
 from enum import IntFlag
 
-from touchdown.backend.devices.framing import LineStream, ProtocolError, Wrench, wrench_of
-from touchdown.backend.devices.melfa.realtime_protocol import MelfaPose
+from touchdown.backend.devices.framing import LineStream, ProtocolError
 
 LONGEST_REQUEST, LONGEST_REPLY = 255, 4096
 
@@ -203,8 +202,6 @@ _ANGLES = re.compile(r"[ABC]|J[1-8]")
 _NAME = re.compile(r"[XYZABC]|J[1-8]|L[12]")
 _NUMBER = re.compile(r"[-+]?[0-9]{1,9}(?:\.[0-9]{1,9})?")
 _NO_FLAGS = "****,****"
-_VARIABLE_ASSIGNMENT = re.compile(r"([A-Za-z][A-Za-z0-9_]{0,15})=(.+)")
-_POSITION = re.compile(r"\(([^()]*)\)\(([0-9]{1,10}),([0-9]{1,10})\)")
 
 
 @dataclass(frozen=True, slots=True)
@@ -258,15 +255,6 @@ class PositionVariable:
     numbers: tuple[float, ...]
     flags: tuple[int, int]
 
-    def pose(self) -> MelfaPose:
-        """Return the variable as a pose: mm and rad."""
-        axes = (*self.numbers[:3], *map(math.radians, self.numbers[3:]), 0.0, 0.0)
-        return MelfaPose(axes, *self.flags)
-
-    def wrench(self) -> Wrench:
-        """Return the variable as a force such as ``P_FsCurD``: N and N·m."""
-        return wrench_of(self.numbers)
-
     def answer(self) -> str:
         """Return the printed form."""
         inner = ",".join(f"{value:+.2f}" for value in self.numbers)
@@ -284,20 +272,6 @@ class NumberVariable:
         """Return the printed form."""
         whole_number = math.isfinite(self.value) and self.value == int(self.value)
         return f"{self.name}={self.value:+.{0 if whole_number else 6}f}"
-
-
-def read_variable(answer: str) -> PositionVariable | NumberVariable:
-    """Return the variable of an answer to VAL; raises ``ProtocolError``."""
-    found = _VARIABLE_ASSIGNMENT.fullmatch(answer)
-    if found is None:
-        raise ProtocolError("fields", "r3 variable")
-    place = _POSITION.fullmatch(found[2])
-    if place is None:
-        return NumberVariable(found[1], number(found[2]))
-    numbers = tuple(map(number, place[1].split(",")))
-    if len(numbers) != 6:
-        raise ProtocolError("fields", "r3 variable", len(found[1]) + 1)
-    return PositionVariable(found[1], numbers, (int(place[2]), int(place[3])))
 
 
 def number(text: str) -> float:
@@ -438,12 +412,6 @@ def read_state(answer: str) -> ControllerState:
     )  # fmt: skip
 
 
-def read_progress(answer: str) -> ProgramProgress:
-    """Return the answer to DSTATE; raises ``ProtocolError``."""
-    parts = _parts(answer, 3, "r3 dstate")
-    return ProgramProgress(*_status(parts[0]), whole(parts[1]), whole(parts[2]))
-
-
 def read_error(answer: str) -> tuple[int, int]:
     """Return number and level (1 high, 2 low, 3 caution) of the active error; (0, 0) if none."""
     if not answer:
@@ -452,49 +420,10 @@ def read_error(answer: str) -> tuple[int, int]:
     return whole(error), whole(level)
 
 
-def read_hands(answer: str) -> tuple[tuple[int, int, int], ...]:
-    """Return (signal, 1 open or 2 closed, type) of each hand; -1 where there is none."""
-    texts = answer.split(";")
-    if len(texts) % 3 or not all(re.fullmatch(r"-1|[0-9]{1,5}", text) for text in texts):
-        raise ProtocolError("fields", "r3 hands")
-    numbers = list(map(int, texts))
-    return tuple(zip(numbers[::3], numbers[1::3], numbers[2::3], strict=True))
-
-
-def read_stop_signals(answer: str) -> tuple[int, int]:
-    """Return the stop and the emergency lines as bits."""
-    stop, emergency = _pair(answer, ";")
-    return whole(stop), whole(emergency)
-
-
 def read_parameter(answer: str) -> tuple[str, str, int]:
     """Return name, value and count of a parameter."""
     name, *value, count = _parts(answer, 3, "r3 parameter")
     return name, ";".join(value), whole(count)
-
-
-def read_bits(answer: str) -> int:
-    """Return 16 signals."""
-    if len(answer) != 4:
-        raise ProtocolError("fields", "r3 signals", len(answer))
-    return _hexadecimal(answer)
-
-
-def read_origin(answer: str) -> tuple[bool, int]:
-    """Return the origin flag, and the axes as bits."""
-    found = re.fullmatch(r"([A-Z])([0-9A-F]{2})([0-9A-F]{2})", answer)
-    if found is None:
-        raise ProtocolError("fields", "r3 origin")
-    return found[1] == "N", _hexadecimal(found[2])
-
-
-def read_ports(answer: str) -> tuple[int, tuple[int, ...]]:
-    """Return the real-time port and those of the command channels from OPSTSRD."""
-    realtime = re.search(r"PortNo\(R-time\) ([0-9]{1,5})", answer)
-    options = re.search(r"PortNo\(OPT[0-9-]+\) ([0-9]{1,5}(?:/[0-9]{1,5})*)", answer)
-    if realtime is None or options is None:
-        raise ProtocolError("fields", "r3 options")
-    return int(realtime[1]), tuple(map(int, options[1].split("/")))
 
 
 def _parts(answer: str, least: int, where: str) -> list[str]:

@@ -21,7 +21,6 @@ from touchdown.backend.devices.melfa.r3_protocol import (
     jog,
     read_axes,
     read_state,
-    read_variable,
 )
 from touchdown.backend.devices.melfa.r3_protocol import decode_reply as decode_answer
 from touchdown.backend.devices.melfa.realtime_protocol import (
@@ -377,8 +376,9 @@ def test_requests_of_other_clients_are_answered(request_, answer):
 def test_the_feedback_position_is_a_variable_in_degrees():
     client = Client().ready()
     x, y, z, *angles = read_axes(client.ask("1;1;PPOSF").removeprefix("QoK")).values
-    place = read_variable(client.ask("1;1;VALP_Fbc").removeprefix("QoK"))
-    assert place.numbers == pytest.approx((x, y, z, *map(math.degrees, angles)), abs=0.01)
+    told = re.fullmatch(r"QoKP_Fbc=\((.+)\)\(7,0\)", client.ask("1;1;VALP_Fbc"))[1].split(",")
+    degrees = map(math.degrees, angles)
+    assert list(map(float, told)) == pytest.approx([x, y, z, *degrees], abs=0.01)
 
 
 @pytest.mark.parametrize(("step_rad", "error"), [(0.0095, "9901"), (9.0, "2602")])

@@ -40,7 +40,7 @@ from touchdown.backend.devices.melfa.kinematics import (
     joints_for,
 )
 from touchdown.backend.devices.melfa.r3_protocol import R3Request
-from touchdown.backend.devices.melfa.realtime_protocol import MelfaPose, turns
+from touchdown.backend.devices.melfa.realtime_protocol import turns
 from touchdown.backend.devices.protocols import DeviceState
 
 
@@ -360,29 +360,12 @@ def test_degrees_become_rad_once():
     [
         *((r3_protocol.read_axes, f"pposf-reply{end}") for end in ("", "-6axis")),
         *((r3_protocol.read_axes, f"jposf-reply{end}") for end in ("", "-limit")),
-        *((r3_protocol.read_variable, f"{name}-reply") for name in ("val", "val-fscurd", "listp")),
         (r3_protocol.read_state, "state-reply"),
-        (r3_protocol.read_progress, "dstate-reply"),
     ],
 )
 def test_an_answer_prints_as_it_was_read(read, name):
     answer = r3_protocol.decode_reply(data(f"r3-{name}")).answer
     assert read(answer).answer() == answer
-
-
-def test_a_pose_survives_its_printed_form():
-    pose = MelfaPose((350.0, -0.5, 400.25, math.pi, 0.0, -math.pi / 2, 0.0, 0.0), 7, 0)
-    numbers = (350.0, -0.5, 400.25, 180.0, 0.0, -90.0)
-    printed = r3_protocol.PositionVariable("P1", numbers, (7, 0)).answer()
-    assert printed == "P1=(+350.00,-0.50,+400.25,+180.00,+0.00,-90.00)(7,0)"
-    back = r3_protocol.read_variable(printed).pose()
-    assert back.axes == pytest.approx(pose.axes)
-    assert (back.flag1, back.flag2) == (7, 0)
-
-
-def test_a_force_variable_is_a_wrench_and_not_degrees():
-    force = r3_protocol.read_variable("P_FsCurD=(+0.12,-0.34,+9.87,+0.01,+0.02,+0.00)(0,0)")
-    assert force.wrench() == ((0.12, -0.34, 9.87), (0.01, 0.02, 0.0))
 
 
 def test_turn_counts():

@@ -119,29 +119,6 @@ def test_frames_are_read_only_pictures_of_the_right_kind(bench: DevicesUnderTest
             frame.image[0, 0, 0] = 1
 
 
-@ONLY_SIMULATED
-def test_the_gripper_takes_the_piece_and_lets_it_go(bench: DevicesUnderTest) -> None:
-    bench.connect()
-    bench.rest(0.05)
-    wide = bench.gripper.status()
-    assert not wide.holding
-    grip = bench.gripper.grip(10.0)
-    assert grip.sent == {"force_n": 10.0}
-    bench.finish(grip)
-    grip.result()
-    held = bench.gripper.status()
-    assert held.holding
-    assert held.width_mm < wide.width_mm
-    assert held.force_n == pytest.approx(10.0, abs=1.5)
-    bench.finish(bench.arm.press(PRESS))
-    bench.finish(bench.arm.unload(1.0, 2.0))
-    opening = bench.gripper.open_to(held.width_mm + 4.0, 5.0)
-    bench.finish(opening)
-    opening.result()
-    assert not bench.gripper.status().holding
-    assert bench.gripper.status().width_mm == pytest.approx(held.width_mm + 4.0, abs=0.1)
-
-
 CYCLE_S = 0.02
 HELD = GripStatus(width_mm=20.0, force_n=10.0, holding=True)
 LOST = GripStatus(width_mm=20.0, force_n=0.0, holding=False)

@@ -198,12 +198,6 @@ class SupervisionWatched:
         return [(fault.code, fault.device) for fault in self.interlock.faults]
 
 
-def test_healthy_sensors_raise_nothing() -> None:
-    bench = SupervisionWatched()
-    bench.run(5.0, 8.0)
-    assert not bench.interlock.latched
-
-
 @pytest.mark.promise("C7")
 def test_a_camera_that_told_why_it_gives_no_picture_is_not_called_silent_too() -> None:
     bench = SupervisionWatched()
@@ -386,15 +380,6 @@ def test_a_sensor_is_degraded_before_it_is_a_fault_and_well_again_by_itself() ->
     bench.run(0.04)
     assert bench.supervision.degraded == ()
     assert not bench.interlock.latched
-
-
-def test_a_scene_that_begins_forgets_what_was_degraded() -> None:
-    bench = SupervisionWatched()
-    bench.run(2.0)
-    bench.run(0.2, None)
-    assert bench.supervision.degraded
-    bench.supervision.begin(bench.now_s)
-    assert bench.supervision.unwell() is None
 
 
 @pytest.mark.promise("S6")

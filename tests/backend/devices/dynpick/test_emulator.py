@@ -27,7 +27,6 @@ from touchdown.backend.devices.force_torque.driver import WrenchReading
 from touchdown.backend.devices.force_torque.reader import WrenchStamper
 from touchdown.backend.devices.framing import Wrench
 from touchdown.backend.devices.protocols import DeviceState
-from touchdown.backend.devices.supervision import RateMonitor
 from touchdown.backend.emulation.fault_plan import Faults, add_noise, apply_faults
 from touchdown.backend.emulation.server import PtyServer, TcpServer
 from touchdown.backend.sensing.episode import wrench_on_ticks
@@ -81,16 +80,6 @@ def test_start_up_and_shutdown_go_in_the_documented_order(front, driver):
     assert b"".join(e.data for e in front.log if e.incoming) == b"Ep1FSE"
 
 
-def test_it_opens_and_closes_any_number_of_times(driver):
-    for _ in range(2):
-        connect(driver)
-        connect(driver)
-        assert driver.state is DeviceState.READY
-        driver.close()
-        driver.close()
-        assert driver.state is DeviceState.CLOSED
-
-
 def test_a_lost_byte_costs_one_sample(front, driver):
     connect(driver)
     spoilt = threading.Event()
@@ -109,13 +98,6 @@ def test_a_lost_byte_costs_one_sample(front, driver):
     assert driver.health.lost >= 1
     assert np.all(np.abs(driver.samples.since(0).values - LOAD) <= 12 * LEAST)
     assert driver.describe()["resynchronised"] == 1
-
-
-def test_no_answer_at_all_fails_the_connect(front, driver):
-    front.damage = lambda out: b""
-    with pytest.raises(FaultError, match="is silent"):
-        driver.connect(0.3, threading.Event())
-    assert driver.state is not DeviceState.READY
 
 
 def test_a_sensor_that_tells_nonsense_is_not_scaled_by_it(front, driver):
@@ -231,20 +213,6 @@ def stream(*loads, tick=0):
     )
 
 
-def test_a_burst_is_spread_by_the_period():
-    stamps, values = samples().accept(5.0, stream(100, 200, 300))
-    assert stamps == pytest.approx([4.998, 4.999, 5.0])
-    assert values[:, 0] == pytest.approx([1.0, 2.0, 3.0])
-
-
-def test_stamps_rise_even_if_bursts_overlap():
-    reading = samples()
-    first, _ = reading.accept(5.0, stream(0))
-    second, _ = reading.accept(5.001, stream(*[0] * 8, tick=1))
-    assert np.all(np.diff(np.concatenate([first, second])) > 0)
-    assert second[-1] == 5.001
-
-
 def test_missing_ticks_are_counted():
     reading = samples()
     reading.accept(1.0, stream(0, 0))
@@ -285,32 +253,6 @@ def test_mounting_and_sign_turn_force_and_torque():
     content = encode_record(DynpickRecord(0, (ZERO + 100, ZERO, ZERO, ZERO + 100, ZERO, ZERO)))
     _, values = samples(rotation=quarter, sign=-1).accept(1.0, content)
     assert values[0] == pytest.approx([0.0, -1.0, 0.0, 0.0, -0.1, 0.0])
-
-
-def test_an_emulated_sensor_that_slows_down_is_slow_and_not_silent_and_gets_its_pace_back():
-    faults, now_s = Faults("force_torque"), 0.0
-    faults.begin(now_s)
-    rng = np.random.default_rng(4)
-    sensor = EmulatedDynpick(lambda now_s: (0.0, 0.0, rng.normal(-10.0, 0.1), 0.0, 0.0, 0.0))
-    sensor.pace.faults = faults
-    sensor.receive(now_s, b"S")
-    made, rate, oldest_s = samples(), RateMonitor(), 0.0
-
-    def deliver(seconds):
-        nonlocal now_s, oldest_s
-        for _ in range(round(100 * seconds)):
-            now_s += 0.01
-            stamps_s, _ = made.accept(now_s, sensor.due(now_s))
-            rate.note(float(stamps_s[-1]), len(stamps_s), lambda: 1.0 / DRIVER_PERIOD_S)
-            oldest_s = max(oldest_s, now_s - float(stamps_s[-1]))
-        return rate.slow_since_s
-
-    assert deliver(1.5) is None
-    faults.inject(now_s, "slow", 2.5, hz=450.0)
-    assert deliver(2.5) == pytest.approx(1.5, abs=0.6)
-    assert deliver(6.0) is None
-    assert made.readout._clock.period_s == pytest.approx(DRIVER_PERIOD_S, rel=1e-3)
-    assert oldest_s < 0.3, "no fault: it was never silent"
 
 
 @pytest.mark.promise("S8")

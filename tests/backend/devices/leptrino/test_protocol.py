@@ -37,7 +37,7 @@ from touchdown.backend.devices.optoforce import protocol as optoforce
 from touchdown.backend.devices.optoforce.emulator import EmulatedOptoforce
 from touchdown.backend.devices.protocols import DeviceState, Identity
 from touchdown.backend.devices.registry import emulated_makes
-from touchdown.backend.emulation.fault_plan import Faults, apply_faults
+from touchdown.backend.emulation.fault_plan import Faults
 from touchdown.backend.emulation.serving import EmulationChoice
 
 FORCE_TORQUE = [n for n, make in emulated_makes().items() if make.kind == "force_torque"]
@@ -173,18 +173,6 @@ def test_its_scale_is_told_by_page_and_channel():
     assert channel.receive(0.0, net_ft.TCP_REQUEST[:5]) == b""
     told = net_ft.decode_calibration(channel.receive(0.0, net_ft.TCP_REQUEST[5:]))
     assert (told.counts_per_n, told.counts_per_nm) == (1_000_000, 1_000_000)
-
-
-def test_a_frozen_load_stands_and_a_saturated_one_is_beyond_all_ranges():
-    faults = Faults("force_torque")
-    faults.begin(0.0)
-    felt = apply_faults(lambda now_s: (now_s,) * 6, faults)
-    assert felt(1.0) == (1.0,) * 6
-    faults.inject(2.0, "freeze", 1.0)
-    assert felt(2.5) == (1.0,) * 6
-    assert felt(3.5) == (3.5,) * 6
-    faults.inject(4.0, "saturate")
-    assert min(felt(5.0)) > 1e4
 
 
 @pytest.mark.parametrize("kind", FORCE_TORQUE)

@@ -4,7 +4,6 @@ The WSG in both of its protocols, binary and text, and behind the link of a rig.
 """
 
 import contextlib
-import socket
 import threading
 import time
 from functools import partial
@@ -607,15 +606,3 @@ def test_limits_are_the_published_ones():
     client = Client()
     out = client.gripper.receive(10.0, data("wsg-system-limits"))
     assert out == data("wsg-system-limits-reply")
-
-
-def test_over_tcp_a_torn_connection_latches_the_fast_stop():
-    gripper = EmulatedWsg()
-    front = TcpServer(gripper)
-    front.start()
-    for _ in range(2):
-        with socket.create_connection(front.address, timeout=60) as client:
-            client.sendall(data("wsg-state-once"))
-            reply = client.recv(100)
-    front.close()
-    assert protocol.replies().feed(reply)[0].values[0] & SystemFlag.FAST_STOP

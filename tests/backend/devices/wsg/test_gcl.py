@@ -2,7 +2,6 @@
 
 import pytest
 
-from tests.backend.devices.codecs.vectors import data
 from tests.backend.devices.wsg.stepped import Bench
 from touchdown.backend.core.faults import FaultError
 from touchdown.backend.devices.framing import ProtocolError
@@ -42,22 +41,9 @@ def test_a_width_in_mm_is_sent_without_an_exponent():
     assert gcl.encode(gcl.GclCall("MOVE", (1e-05, 100.5))) == b"MOVE(0.00001,100.5)\n"
 
 
-def test_an_error_may_carry_a_text():
-    assert gcl.decode(b"ERR MOVE 29 axis blocked") == gcl.GclError("MOVE", 29, "axis blocked")
-
-
 def test_text_answers_stay_as_they_stand():
     assert gcl.decode(b"VERSION=4.0.1") == gcl.GclAssignment("VERSION", "4.0.1")
     assert gcl.decode(b'TAG="left"') == gcl.GclAssignment("TAG", '"left"')
-
-
-def test_acknowledge_and_end_in_one_segment_are_two_messages():
-    out = gcl.lines().feed(data("gcl-move-ack") + data("gcl-move-fin"))
-    assert out == [gcl.GclAnswer("ACK", "MOVE"), gcl.GclAnswer("FIN", "MOVE")]
-
-
-def test_carriage_returns_are_taken():
-    assert gcl.lines().feed(b"FIN GRIP\r\n") == [gcl.GclAnswer("FIN", "GRIP")]
 
 
 BAD = b"|move(40)|MOVE(40|MOVE(40,)x|MOVE(4 0)|ACK|ERR MOVE|\xff\xfe|POS ?".split(b"|")

@@ -9,13 +9,7 @@ from tests.backend.devices.wsg.stepped import PART_MM, Bench
 from touchdown.backend.core.faults import FaultError
 from touchdown.backend.devices.framing import ProtocolError, crc_wsg
 from touchdown.backend.devices.wsg import protocol
-from touchdown.backend.devices.wsg.protocol import (
-    GraspState,
-    SystemFlag,
-    WsgCommand,
-    WsgRequest,
-    WsgStatus,
-)
+from touchdown.backend.devices.wsg.protocol import WsgCommand, WsgRequest, WsgStatus
 
 both = pytest.mark.parametrize("language", ["binary", "gcl"])
 
@@ -206,35 +200,11 @@ def test_a_false_header_in_one_segment_costs_no_request():
     assert [m for m in out if isinstance(m, WsgRequest)] == requests
 
 
-def test_an_unknown_command_reaches_the_gripper():
-    request = WsgRequest(0x90, (b"\x01\x02",))
-    assert protocol.requests().feed(protocol.encode_request(request)) == [request]
-
-
-def test_a_result_may_come_between_updates_in_one_segment():
-    names = ["wsg-grasp-pending", "wsg-width-reply", "wsg-force-reply", "wsg-grasp-ok"]
-    out = protocol.replies().feed(b"".join(map(data, names)))
-    assert [reply.command for reply in out] == [0x25, 0x43, 0x45, 0x25]
-    assert [reply.status for reply in out] == [WsgStatus.CMD_PENDING, 0, 0, 0]
-
-
 def test_a_false_header_that_promises_much_does_not_hold_up_the_replies():
     decoder = protocol.replies()
     assert decoder.feed(b"\xaa\xaa\xaa\x06\x00\x01") == []
     assert decoder.feed(data("wsg-width-reply")) == []
     assert [r.values for r in decoder.feed(data("wsg-force-reply"))] == [(20.5,), (9.75,)]
-
-
-def test_flags_and_states_read_as_words():
-    (state,) = protocol.replies().feed(data("wsg-state-reply-fast-stop"))
-    assert SystemFlag(state.values[0]) == SystemFlag.REFERENCED | SystemFlag.FAST_STOP
-    (grasp,) = protocol.replies().feed(data("wsg-grasp-state-lost"))
-    assert GraspState(grasp.values[0]) is GraspState.PART_LOST
-
-
-def test_an_unknown_status_stays_a_number():
-    (reply,) = protocol.replies().feed(frame(WsgCommand.GRASP, struct.pack("<H", 4711)))
-    assert reply.status == 4711
 
 
 def test_temperature_is_in_degrees():

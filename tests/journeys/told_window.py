@@ -21,7 +21,7 @@ from PySide6.QtWidgets import (
 
 from tests.backend.bench.brisk import brisk_method
 from touchdown.app import start
-from touchdown.app.__main__ import parser
+from touchdown.app.__main__ import main as command_line
 
 SPEED = {"look": None, "real": 1.0, "hurry": 1000.0}
 INSIDE_PX = 12
@@ -84,7 +84,6 @@ def words_of(widget: QWidget):
 def main():
     told = Told()
     start.open_simulated_bench = told.bench
-    args = parser().parse_args()
     made = start.TouchdownApp
 
     class TellingApp(made):
@@ -93,7 +92,7 @@ def main():
             told.listen()
 
     start.TouchdownApp = TellingApp
-    return start.run(args)
+    return command_line()
 
 
 if __name__ == "__main__":

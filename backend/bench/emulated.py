@@ -151,7 +151,7 @@ class EmulatedBench:
     def driver_observations(self) -> DriverObservations | None:
         """Return the driver behaviour that the devices observed, None before the first scene.
 
-        Raises ``OSError`` if the devices are gone.
+        Raises ``FaultError`` if the devices are gone.
         """
         return None if self._truth is None else self._truth.driver_observations()
 

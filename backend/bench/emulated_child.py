@@ -21,6 +21,7 @@ from typing import IO, Any
 from touchdown.backend.bench.assembly import make_scene
 from touchdown.backend.bench.emulated_scene import (
     EMULATOR_PRIORITY,
+    GONE,
     TruthServer,
     serve_bench,
     shorten_switch_interval,
@@ -153,12 +154,6 @@ class EmulatedProcess:
             self._still = still
 
 
-GONE = Fault(
-    "BENCH-GONE",
-    "The process of the emulated bench has ended.",
-    "All emulated devices are gone.",
-    "Start Touchdown again; the last output is on standard error.",
-)
 STILL = Fault(
     "BENCH-STILL",
     "The process of the emulated bench is stalled.",

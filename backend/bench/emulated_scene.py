@@ -30,6 +30,8 @@ from touchdown.backend.core import (
     FINGERS,
     IDENTITY_ROTATION,
     LEVEL_TOLERANCE_RAD,
+    Fault,
+    FaultError,
     Finger,
     FloatArray,
     ImageArray,
@@ -519,6 +521,14 @@ class TruthServer:
         """Do nothing."""
 
 
+GONE = Fault(
+    "BENCH-GONE",
+    "The process of the emulated bench has ended.",
+    "All emulated devices are gone.",
+    "Start Touchdown again; the last output is on standard error.",
+)
+
+
 class TruthClient:
     """Ground truth of ``scene``, which another process emulates at ``address``."""
 
@@ -526,32 +536,35 @@ class TruthClient:
         self.scene, self._address = scene, address
 
     def truth(self, *, animate: bool = False) -> SceneTruth:
-        """Return the ground truth; raises ``OSError``."""
+        """Return the ground truth; raises ``FaultError``."""
         answer = self._ask(TRUTH)
         x, y = answer.pop("offset_mm")
         return SceneTruth(offset_mm=(x, y), fall=None, **answer)
 
     def driver_observations(self) -> DriverObservations:
-        """Return the driver observations; raises ``OSError``."""
+        """Return the driver observations; raises ``FaultError``."""
         return DriverObservations(**self._ask(SEEN))
 
     def command_travel(self, since_s: float) -> tuple[float, float, float]:
-        """Return ``command_travel`` since a monotonic time; raises ``OSError``."""
+        """Return ``command_travel`` since a monotonic time; raises ``FaultError``."""
         side_mm, down_mm, up_mm = self._ask(AFTER + f"{since_s!r}\n".encode())
         return side_mm, down_mm, up_mm
 
     def strike(self, device: str, kind: str, for_s: float, **more: float) -> None:
-        """Start a fault of a device now; raises ``OSError``."""
+        """Start a fault of a device now; raises ``FaultError``."""
         fault = {"device": device, "kind": kind, "for_s": for_s, **more}
         self._ask(STRIKE + json.dumps(fault).encode() + b"\n")
 
     def _ask(self, question: bytes) -> Any:
-        with socket.create_connection(self._address, timeout=ANSWER_S) as line:
-            line.sendall(question)
-            received = b""
-            while not received.endswith(b"\n") and len(received) < LONGEST:
-                more = line.recv(LONGEST)
-                if not more:
-                    raise ConnectionResetError("the emulated bench is gone")
-                received += more
+        received = b""
+        try:
+            with socket.create_connection(self._address, timeout=ANSWER_S) as line:
+                line.sendall(question)
+                while not received.endswith(b"\n") and len(received) < LONGEST:
+                    more = line.recv(LONGEST)
+                    if not more:
+                        raise FaultError(GONE)
+                    received += more
+        except OSError as error:
+            raise FaultError(GONE) from error
         return json.loads(received)

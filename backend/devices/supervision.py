@@ -442,7 +442,7 @@ class Supervision:
 def _stale_fault(device: str, age_s: float) -> Fault:
     """Return the fault of a sensor whose newest valid sample is ``age_s`` old."""
     if device == "force_torque":
-        what = f"No valid force/torque sample for {age_s:.1f} s."
+        what = f"The force/torque sensor has sent no valid sample for {age_s:.1f} s."
         return Fault("FT-STALE", what, _KEPT, _LOOK, device)
     what = f"The {NAMES[device]} has been silent for {age_s:.1f} s."
     if device == "gripper":

@@ -355,7 +355,7 @@ def strike_session(bench: str, kind: str, activity: str, seed: int, latest_s: fl
             sent = session.raw.commands.window(watch.reported_s + BRAKE_S, inf)
             travel = command_travel(list(zip(sent.t_s, sent.values, strict=True)), -inf)
         elif watch.fault is not None:
-            with suppress(OSError):  # the devices are gone
+            with suppress(FaultError):  # the devices are gone
                 travel = wired._truth.command_travel(watch.wall_s + BRAKE_S)  # type: ignore[union-attr]
         disk.close()
         lost = lost_records(watch.facts, dataset, session.run_folder)

@@ -71,11 +71,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_scene_arguments(parser, BOTTOM, "board or bottom")
     add_hand_over_arguments(parser)
     parser.add_argument(
-        "--pitch", type=float, default=PITCH_MM, metavar="MM", help="of the dots (default: 1.9)"
+        "--pitch",
+        type=float,
+        default=PITCH_MM,
+        metavar="MM",
+        help="pitch of the dots (default: 1.9)",
     )
     parser.add_argument("--person", help="who accepts (default: the account's name)")
     parser.add_argument("--seed", type=int, default=0, help="of the simulated bench")
-    parser.add_argument("--calibrations", metavar="DIR", help="their folder (default: the bench's)")
+    parser.add_argument("--calibrations", metavar="DIR", help="folder (default: the bench's)")
     add_bench_arguments(parser)
 
 

@@ -73,16 +73,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     limits = CollectSettings()
     parser.add_argument(
         "--probes-per-grip", type=int,
-        help=f"at most (default: a third of the campaign, at most {limits.probes_per_grip})",
+        help=f"maximum (default: a third of the campaign, at most {limits.probes_per_grip})",
     )  # fmt: skip
     parser.add_argument(
         "--grips-per-mounting", type=int,
-        help=f"at most (default: a third of the grips, at most {limits.grips_per_mounting})",
+        help=f"maximum (default: a third of the grips, at most {limits.grips_per_mounting})",
     )  # fmt: skip
     add_hand_over_arguments(parser)
-    parser.add_argument("--origin-sigma", type=float, metavar="MM", help="its uncertainty")
     parser.add_argument(
-        "--check-origin", action="store_true", help="probe at known displacements first"
+        "--origin-sigma", type=float, metavar="MM", help="standard uncertainty of the origin"
+    )
+    parser.add_argument(
+        "--check-origin", action="store_true", help="probe the four edges after every mounting"
     )
     parser.add_argument("--dataset", metavar="DIR", help="dataset (default: in the data folder)")
     parser.add_argument("--person", help="who collects (default: the account's name)")

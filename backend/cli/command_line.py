@@ -40,12 +40,12 @@ VERBS = {
     "train": "train a contact-patch model",
     "models": "simulate, train and evaluate the shipped models",
     "evaluate": "evaluate a contact-patch model",
-    "experiment": "measure the paper's three tables on the simulated bench",
+    "experiment": "measure the paper's tables, and strategies beyond them, on the simulated bench",
     "track": "track the gel's markers in an image, video or folder",
-    "bench": "check a lab file, write a new one, or connect its devices once",
+    "bench": "write or check a lab file, connect its devices, or recover them from a fault",
     "emulate": "emulate a device over its real wire: arm, gripper, wrist sensor, camera",
     "settings": "show the settings of the method, or write them to a file",
-    "doctor": "check this computer, each finding with its fix",
+    "doctor": "check this computer, with a fix for each finding",
 }
 
 # Verbs whose module has another name.

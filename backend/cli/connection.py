@@ -67,7 +67,9 @@ def add_bench_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="through real drivers and wires to emulated devices, in real time",
     )
-    parser.add_argument("--preset", help="noise preset: mixed, quiet, hard, off, realistic")
+    parser.add_argument(
+        "--preset", help="noise preset: mixed, quiet, hard, off, realistic, bench-v1"
+    )
     parser.add_argument(
         "--inject",
         action="append",
@@ -96,7 +98,7 @@ def add_hand_over_arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument(
         "--hand-over", action="store_true",
-        help="hand the piece to the gripper if there is no jig; Enter confirms",
+        help="without a jig: the operator hands the piece over; Enter confirms",
     )  # fmt: skip
 
 

@@ -130,7 +130,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--host", default="127.0.0.1", help="address to listen on")
     parser.add_argument("--port", type=_port, help="port (default: a free one)")
     parser.add_argument(
-        "--tty", type=_absolute, metavar="LINK", help="name for the serial port of a wrist sensor"
+        "--tty", type=_absolute, metavar="LINK", help="link to the serial port of a wrist sensor"
     )
     parser.add_argument("--faults", type=Path, metavar="FILE", help="fault plan (TOML)")
     parser.add_argument(
@@ -159,7 +159,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--piece", default="pot", help="of a bench: the grasped piece")
     parser.add_argument("--bottom", default="short", help="of a bench: the bottom")
-    parser.add_argument("--preset", default="mixed", help="of a bench: nuisances")
+    parser.add_argument("--preset", default="mixed", help="of a bench: noise preset")
     parser.add_argument("--seed", type=int, default=1, help="of a bench")
     parser.add_argument(
         "--jig",

@@ -37,7 +37,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--dataset", metavar="DIR", help="dataset (default: in the data folder)")
     parser.add_argument(
         "--person", metavar="NAME",
-        help="whose labels these are (without: 'measured', entered by the account's name)",
+        help="author of the labels; needed for coco, csv and jsonl (episodes without it: measured "
+        "labels, entered under the account's name)",
     )  # fmt: skip
     parser.add_argument("--piece", help="grasped piece, if the file has none")
     parser.add_argument("--bottom", help="bottom, if the file has none")

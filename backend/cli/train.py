@@ -20,12 +20,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--threads",
         type=int,
-        help="processor threads, as many as there are free cores; another number gives other last "
-        "digits (default: 2 where there are two cores)",
+        help="processor threads, at most the free cores; the number changes the last digits of the "
+        "result (default: 2 where there are two cores)",
     )
     add_device(parser)
     parser.add_argument(
-        "--out", type=Path, help="model file (default: <piece>.safetensors in the present folder)"
+        "--out", type=Path, help="model file (default: <piece>.safetensors in the current folder)"
     )
     parser.add_argument(
         "--resume", action="store_true", help="resume an interrupted training of the same model"
@@ -52,13 +52,13 @@ def _add_data(parser: argparse.ArgumentParser) -> None:
         choices=("approved", "submitted", "drafts"),
         default="approved",
         help="which labels of a dataset count: approved ones; also those that wait for review; "
-        "also what a simulated bench noted itself (default: %(default)s)",
+        "also those measured by a simulated bench (default: %(default)s)",
     )
     parser.add_argument(
         "--divide-series",
         action="store_true",
-        help="hold out whole grips where there are fewer than 30 mountings: figures are then too "
-        "good, as validation knows the errors of the mounting (default: whole series)",
+        help="hold out whole grips where there are fewer than 30 mountings; the figures are then "
+        "too good, because both sides share the errors of a mounting (default: whole series)",
     )
 
 
@@ -94,8 +94,8 @@ def _add_training(parser: argparse.ArgumentParser, defaults: TrainingSettings) -
         "--precision",
         choices=("float32", "bfloat16"),
         default=defaults.precision,
-        help="of the products of a step; bfloat16 halves the time where the processor computes in "
-        "it, and is refused elsewhere (default: %(default)s)",
+        help="of the products of a step; bfloat16 halves the time on processors that support it, "
+        "and is refused on others (default: %(default)s)",
     )
 
 

@@ -70,10 +70,10 @@ def add_report_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of ``report`` and ``gap``."""
     report = parser.add_argument_group("report")
     report.add_argument("--tables", type=Path, metavar="JSON", help="the tables.json whose page is "
-                        "written anew, beside it (default: that of --out)")  # fmt: skip
+                        "written again, beside it (default: that of --out)")  # fmt: skip
     report.add_argument("--beyond", type=Path, nargs="+", default=[], metavar="JSON", help="its "
-                        "comparisons of strategies from now on: each a beyond.json of the same "
-                        "bench (default: those that it has); gap: those to count")  # fmt: skip
+                        "new comparisons of strategies, each a beyond.json of the same bench "
+                        "(default: the present ones); gap: the comparisons to use")  # fmt: skip
 
 
 @contextmanager
@@ -169,7 +169,7 @@ def add_fused_arguments(parser: argparse.ArgumentParser) -> None:
     fused.add_argument("--without", choices=ABLATIONS, help="an ablation: the wrench, the marker "
                        "fields, the other probes, or mirror images of the data")  # fmt: skip
     fused.add_argument("--rule-trials", type=int, default=0, help="trials of each piece on each of "
-                       "four bottoms of their own, under every rule of release "
+                       "four separate bottoms, for every rule of release "
                        "(default: %(default)s)")  # fmt: skip
 
 
@@ -236,10 +236,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "what",
         choices=("tables", "report", "beyond", "gap", "fused", *EVALUATIONS),
-        help="the paper's Tables I to III; their page anew, with other comparisons; strategies "
-        "beyond the paper, and the ceiling; the share of the way to it; train the network of "
-        "fusion; what exists in a second simulated world; or what each nuisance of the bench "
-        "costs",
+        help="tables: the paper's Tables I to III; report: write their page again, with other "
+        "comparisons; beyond: strategies beyond the paper, and the ceiling; gap: share of the gap "
+        "to the ceiling; fused: train the network of the strategy 'fused'; elsewhere: evaluate in "
+        "a second simulated world; sensitivity: effect of each nuisance of the bench",
     )
     scale = parser.add_mutually_exclusive_group()
     scale.add_argument(
@@ -248,7 +248,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     scale.add_argument(
         "--full", dest="scale", action="store_const", const="full", help="train as the paper does; "
-        "400 places and 100 trials per cell",
+        "400 positions and 100 trials per cell",
     )  # fmt: skip
     parser.set_defaults(scale="quick")
     parser.add_argument(
@@ -271,8 +271,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "half precision",
     )  # fmt: skip
     parser.add_argument(
-        "--against", type=Path, metavar="JSON", help="tell which 95 %% intervals miss the values "
-        "of another tables.json",
+        "--against", type=Path, metavar="JSON", help="name the cells whose 95 %% interval misses "
+        "the value of another tables.json",
     )  # fmt: skip
     add_device(parser)
     parser.add_argument("--executor", choices=EXECUTORS, default="local", help="default: local")
@@ -299,13 +299,14 @@ def _add_beyond_arguments(parser: argparse.ArgumentParser) -> None:
                         "short+long, short+hex20, short+rect12x28 "
                         "(default: %(default)s)")  # fmt: skip
     beyond.add_argument("--trials", type=int, default=50, help="of a cell (default: %(default)s)")
-    beyond.add_argument("--statics", type=int, default=0, metavar="GROUPS", help="also ask each "
-                        "strategy at so many places of a cell, after 1 to 5 probes")  # fmt: skip
-    beyond.add_argument("--entry-sigma", type=float, default=1.0, metavar="MM", help="how well the "
-                        "operator knows where the upper bottom of a tower stands "
+    beyond.add_argument("--statics", type=int, default=0, metavar="GROUPS", help="also "
+                        "evaluate each strategy at this number of positions of a cell, after 1 to "
+                        "5 probes")  # fmt: skip
+    beyond.add_argument("--entry-sigma", type=float, default=1.0, metavar="MM", help="standard "
+                        "uncertainty of the entered position of a tower's upper bottom "
                         "(default: %(default)s)")  # fmt: skip
-    beyond.add_argument("--no-entry", action="store_true", help="do not give strategies the "
-                        "lower bottom")  # fmt: skip
+    beyond.add_argument("--no-entry", action="store_true", help="enter no position of "
+                        "the upper bottom: strategies assume that it is centred")  # fmt: skip
 
 
 def run(args: argparse.Namespace, screen: VerbOutput) -> int:

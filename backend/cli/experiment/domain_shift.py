@@ -46,12 +46,12 @@ def add_evaluation_arguments(parser: argparse.ArgumentParser) -> None:
     asked.add_argument("--groups", type=int, default=20, help="of three probes, in each cell "
                        "(default: %(default)s)")  # fmt: skip
     asked.add_argument("--first", type=int, default=0, metavar="N", help="number of the first "
-                       "group and trial in each cell; choose on later ones than are reported "
-                       "(elsewhere, default: %(default)s)")  # fmt: skip
-    asked.add_argument("--train", metavar="NAMES", help="train FT+Tac first, as the paper may have "
-                       "done it, and ask it too: on probes of 120 mountings of the bench "
-                       "(mountings), or of as many with sizes of nuisances and laws of gel and "
-                       "friction drawn anew for each (randomised), or both with a comma between "
+                       "group and trial in each cell, to make choices on other ones than are "
+                       "reported (elsewhere, default: %(default)s)")  # fmt: skip
+    asked.add_argument("--train", metavar="NAMES", help="train FT+Tac first, with the assumed "
+                       "training of the paper, and evaluate it too: on probes of 120 mountings of "
+                       "the bench (mountings), of 120 mountings with random nuisances, gel and "
+                       "friction (randomised), or both, separated by a comma "
                        "(elsewhere)")  # fmt: skip
     asked.add_argument("--probes", type=int, default=2000, help="of --train on each of three "
                        "outlines (default: %(default)s)")  # fmt: skip

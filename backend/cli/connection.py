@@ -98,7 +98,7 @@ def add_hand_over_arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument(
         "--hand-over", action="store_true",
-        help="without a jig: the operator hands the piece over; Enter confirms",
+        help="the operator hands the piece over, without a jig; Enter confirms",
     )  # fmt: skip
 
 

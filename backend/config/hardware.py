@@ -7,10 +7,11 @@ No public source confirms the defaults. Drivers and emulators read the same sett
 from __future__ import annotations
 
 import re
-from typing import Annotated, Literal
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Field, field_validator
+from pydantic import Field, field_validator, model_validator
 
 from touchdown.backend.config.method import NonNegative, Positive, Settings
 
@@ -249,10 +250,17 @@ class SerialSettings(Settings):
 class BotaSettings(Settings):
     """Bota SensONE."""
 
-    quiet_in_config: bool = True
     # Filter length: sample period in steps of 19.53125 us.
-    sinc: Annotated[int, Field(ge=51, le=512)] = 51
+    sinc: Annotated[int, Field(ge=51, le=512)] = 64
     rated: Six = (500.0, 500.0, 1200.0, 15.0, 15.0, 12.0)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _without_retired(cls, content: Any) -> Any:
+        # Named by older lab files; it never had an effect.
+        if isinstance(content, Mapping):
+            return {key: value for key, value in content.items() if key != "quiet_in_config"}
+        return content
 
 
 class NetftSettings(Settings):

@@ -210,6 +210,11 @@ def test_keys_and_tables_that_are_missing_are_added(path):
     }
 
 
+def test_a_lab_file_with_a_setting_that_was_removed_still_opens(path):
+    path.write_text(f"{TEMPLATE}\n[bota]\nquiet_in_config = false\nsinc = 128\n", "utf-8")
+    assert load_lab(path).settings.bota.sinc == 128
+
+
 def test_what_is_the_same_is_not_written(path):
     before = path.stat()
     assert not save_lab(path, {"ft.driver": "dynpick"})

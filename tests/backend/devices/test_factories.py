@@ -94,7 +94,7 @@ def test_an_optoforce_counts_to_65535_and_tells_overload_and_failure():
 
 def test_a_bota_counts_by_its_microseconds_and_marks_what_is_no_measurement():
     language = BotaDriver(SETTINGS, "")
-    period_us = 51 * 19.53125
+    period_us = 64 * 19.53125
     begin = (1 << 32) - round(1.5 * period_us)
     frames = [
         protocol.BotaFrame(0, (0.0,) * 6, begin, 25.0),

@@ -56,7 +56,12 @@ def emulated_makes():
     return {make.name: name for name, make in makes if make.kind == "force_torque"}
 
 
-RATE_HZ = {**dict.fromkeys(emulated_makes(), 1000.0), "ft300": 100.0, "melfa": 1.0 / CYCLE_S}
+RATE_HZ = {
+    **dict.fromkeys(emulated_makes(), 1000.0),
+    "bota": 800.0,
+    "ft300": 100.0,
+    "melfa": 1.0 / CYCLE_S,
+}
 
 
 def emulation_of(kind, folder, wrench):

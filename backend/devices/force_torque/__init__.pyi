@@ -1,3 +1,4 @@
+from .driver import DatagramDriver as DatagramDriver
 from .driver import FramedDriver as FramedDriver
 from .driver import FrameErrors as FrameErrors
 from .driver import NotAnsweredError as NotAnsweredError
@@ -19,6 +20,7 @@ from .reader import require_plausible as require_plausible
 
 __all__ = [
     "LATE_S",
+    "DatagramDriver",
     "ForceTorqueReader",
     "FrameErrors",
     "FramedDriver",

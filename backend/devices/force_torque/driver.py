@@ -20,7 +20,7 @@ from urllib.parse import urlsplit
 import serial
 
 from touchdown.backend.core import TouchdownError
-from touchdown.backend.devices.framing import FrameStream, Message, Wrench
+from touchdown.backend.devices.framing import FrameStream, Message, ProtocolError, Wrench
 from touchdown.backend.devices.protocols import Identity
 
 CHUNK = 4096
@@ -334,3 +334,41 @@ class FramedDriver(Generic[Message]):
             return next(filter(fits, answers), None)
 
         return ask(link, cancel, request, find, limit_s=limit_s)
+
+
+NUMBER_TURN = 1 << 32
+
+
+class DatagramDriver:
+    """Base of the drivers with one message a datagram."""
+
+    def __init__(self) -> None:
+        self._bad = self._bad_in_a_row = self._discarded = 0
+        self._last: int | None = None  # number of the last sample
+
+    @property
+    def refusals(self) -> FrameErrors:
+        """Counts of invalid datagrams."""
+        return FrameErrors(self._bad, self._bad_in_a_row, self._discarded)
+
+    def decoded(self, data: bytes, decode: Callable[[bytes], AnswerT]) -> AnswerT | None:
+        """Return the message of a datagram, None for none or an invalid one."""
+        if not data:
+            return None
+        try:
+            message = decode(data)
+        except ProtocolError:
+            self._bad += 1
+            self._bad_in_a_row += 1
+            self._discarded += len(data)
+            return None
+        self._bad_in_a_row = 0
+        return message
+
+    def missed(self, number: int) -> int | None:
+        """Return how many samples were lost before ``number``; None if it is old or repeated."""
+        step = 1 if self._last is None else (number - self._last) % NUMBER_TURN
+        if step == 0 or step > NUMBER_TURN // 2:
+            return None
+        self._last = number
+        return step - 1

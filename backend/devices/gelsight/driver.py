@@ -293,16 +293,13 @@ class TactileCamera:
             self._fail(self._gate.fault)
         if image is not None:
             jpeg = isinstance(content, bytes)
-            self._deliver_picture(TactileFrame(self.finger, sequence, t_s, image, jpeg))
-
-    def _deliver_picture(self, frame: TactileFrame) -> None:
-        self.frames.put(frame.t_s, frame)
-        self._received += 1
-        self._arrivals.append(frame.t_s)
-        self.fault = None
-        self.state = DeviceState.READY
-        self.steps.reached("first sample")
-        self._first.set()
+            self.frames.put(t_s, TactileFrame(self.finger, sequence, t_s, image, jpeg))
+            self._received += 1
+            self._arrivals.append(t_s)
+            self.fault = None
+            self.state = DeviceState.READY
+            self.steps.reached("first sample")
+            self._first.set()
 
     @property
     def _why(self) -> Fault | None:

@@ -31,10 +31,8 @@ _FRAME = re.compile(rb"\x10\x02((?:[^\x10]|\x10\x10)*)\x10\x03(.)", re.DOTALL)
 class EmulatedLeptrino:
     """Emulated sensor; ``wrench(now_s)`` returns (6,) N and N·m in sensor axes."""
 
-    def __init__(
-        self, wrench: Callable[[float], Sequence[float]], rated: Sequence[float] = RATED
-    ) -> None:
-        self._wrench, self._rated = wrench, tuple(rated)
+    def __init__(self, wrench: Callable[[float], Sequence[float]]) -> None:
+        self._wrench = wrench
         self._commands = protocol.packets()
         self._bad = 0
         self.pace = SampleSchedule()
@@ -62,7 +60,7 @@ class EmulatedLeptrino:
         if command == LeptrinoCommand.INFO:
             return INFO
         if command == LeptrinoCommand.RATED:
-            return protocol.RatedLoads(self._rated)
+            return protocol.RatedLoads(RATED)
         if command == LeptrinoCommand.READ:
             return self._sample(now_s, LeptrinoCommand.READ)
         if command == LeptrinoCommand.GET_FILTER:
@@ -80,7 +78,7 @@ class EmulatedLeptrino:
         return PlainFrame(command)
 
     def _sample(self, now_s: float, command: LeptrinoCommand) -> protocol.LeptrinoSample:
-        pairs = zip(self._wrench(now_s), self._rated, strict=True)
+        pairs = zip(self._wrench(now_s), RATED, strict=True)
         raw = [round(value / load * protocol.FULL_SCALE) for value, load in pairs]
         over = (
             protocol.LeptrinoStatus.OVER_RATING if max(map(abs, raw)) > protocol.FULL_SCALE else 0

@@ -33,9 +33,6 @@ from touchdown.backend.devices.melfa.r3_protocol import (
     LONGEST_REQUEST,
     AxisReading,
     ControllerState,
-    NumberVariable,
-    PositionVariable,
-    ProgramProgress,
     R3Reply,
     R3Request,
 )
@@ -419,7 +416,7 @@ class EmulatedCommands:
 
     def _progress(self, request: R3Request) -> str:
         run, stop = self._controller.words()
-        return ProgramProgress(run, stop, self._controller.error, 1, 1).answer()
+        return f"{run:02X}{stop:02X}{self._controller.error};1;1"
 
     def _error(self, request: R3Request) -> str:
         error = self._controller.error
@@ -455,10 +452,9 @@ class EmulatedCommands:
         return ""
 
     def _value(self, request: R3Request) -> str:
-        if request.argument == FORCE:
-            numbers = ",".join(f"{number:+.2f}" for number in self._controller.felt())
-            return f"{FORCE}=({numbers})(0,0)"
         name, controller = request.argument, self._controller
+        if name == FORCE:
+            return _position_text(name, controller.felt().tolist(), (0, 0))
         status = {
             "M_SVO": float(controller.servo),
             "M_RSPD": round(controller.speed_mm_s, 2),
@@ -473,13 +469,13 @@ class EmulatedCommands:
             "P_BASE": controller.frames["BASE"],
         }
         if name.upper() in places:
-            return PositionVariable(name, places[name.upper()], FLAGS).answer()
+            return _position_text(name, places[name.upper()], FLAGS)
         if name.upper() in status:
-            return NumberVariable(name, status[name.upper()]).answer()
-        value = controller.variables.get(name)
-        if value is None:
+            value = status[name.upper()]
+            return f"{name}={value:+.{0 if value == int(value) else 6}f}"
+        if name not in controller.variables:
             raise RefusedCommandError(4340)
-        return f"{name}={value:+g}"
+        return f"{name}={controller.variables[name]:+g}"
 
     # -- positions and moves ----------------------------------------------------------------------
 
@@ -576,6 +572,11 @@ class EmulatedCommands:
         controller.move(target, self._speed_share, self._speed_mm_s if straight else None)
 
 
+def _position_text(name: str, numbers: Sequence[float], flags: tuple[int, int]) -> str:
+    inner = ",".join(f"{number:+.2f}" for number in numbers)
+    return f"{name}=({inner})({flags[0]},{flags[1]})"
+
+
 def _request(content: bytes) -> R3Request | None:
     """Return the request, None for an unknown one, which is answered with an error."""
     try:
@@ -591,10 +592,8 @@ COUNTER_TURN = 1 << 32
 class EmulatedMonitor:
     """Emulated monitor; ``wrench(now_s)`` returns (6,) N and N·m. Unknown types are zero blocks."""
 
-    def __init__(
-        self, wrench: Callable[[float], Sequence[float]], *, type_force: int = TYPE_FORCE
-    ) -> None:
-        self._wrench, self._force = wrench, type_force
+    def __init__(self, wrench: Callable[[float], Sequence[float]]) -> None:
+        self._wrench = wrench
         self.pace = SampleSchedule()
         self._types: DataTypes = (0, 0, 0, 0)
         self._counter = 0
@@ -621,14 +620,11 @@ class EmulatedMonitor:
     def _packet(self, now_s: float) -> bytes:
         self._counter = (self._counter + 1) % COUNTER_TURN
         first, second, third, fourth = (self._block(now_s, number) for number in self._types)
-        kinds = {
-            number: BlockKind.FORCE if number == self._force else BlockKind.NONE
-            for number in self._types
-        }
+        kinds = dict.fromkeys(self._types, BlockKind.NONE) | {TYPE_FORCE: BlockKind.FORCE}
         reply = MonitorReply(self._types, (first, second, third, fourth), self._counter)
         return realtime_protocol.encode_monitor_reply(reply, kinds)
 
     def _block(self, now_s: float, number: int) -> Block:
-        if number != self._force:
+        if number != TYPE_FORCE:
             return None
         return AxisValues(BlockKind.FORCE, tuple(self._wrench(now_s)))

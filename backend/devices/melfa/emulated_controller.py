@@ -80,8 +80,8 @@ class LocalSolver:
         return None
 
 
-def _slopes(joints_rad: FloatArray, step_rad: float = 1e-6) -> FloatArray:
-    here = frame_of(joints_rad)
+def _slopes(joints_rad: FloatArray) -> FloatArray:
+    here, step_rad = frame_of(joints_rad), 1e-6
     columns = [
         _apart(here, frame_of(joints_rad + step_rad * np.eye(6)[k])) / step_rad for k in range(6)
     ]
@@ -117,9 +117,9 @@ def angles_of(hand: FloatArray, euler: str) -> tuple[float, float, float]:
 class EmulatedJoints:
     """Command, filtered command and encoder feedback of six joints, in cycles."""
 
-    def __init__(self, start_rad: FloatArray, cycle_s: float, lag_s: float, seed: int = 1) -> None:
+    def __init__(self, start_rad: FloatArray, cycle_s: float, lag_s: float) -> None:
         self._cycle_s, self._lag_s = cycle_s, lag_s
-        self._rng = np.random.default_rng(seed)
+        self._rng = np.random.default_rng(1)
         self.command_rad = start_rad.copy()
         self.filtered_rad = start_rad.copy()
         self.true_rad = start_rad.copy()

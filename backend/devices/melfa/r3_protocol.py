@@ -247,33 +247,6 @@ def read_axes(answer: str) -> AxisReading:
     return AxisReading(names, values, _flags(tail[0]), whole(tail[1]), number(tail[2]), plus, minus)
 
 
-@dataclass(frozen=True, slots=True)
-class PositionVariable:
-    """A position variable: six numbers (mm and deg, or N and N·m) and two flags."""
-
-    name: str
-    numbers: tuple[float, ...]
-    flags: tuple[int, int]
-
-    def answer(self) -> str:
-        """Return the printed form."""
-        inner = ",".join(f"{value:+.2f}" for value in self.numbers)
-        return f"{self.name}=({inner})({self.flags[0]},{self.flags[1]})"
-
-
-@dataclass(frozen=True, slots=True)
-class NumberVariable:
-    """A number variable."""
-
-    name: str
-    value: float
-
-    def answer(self) -> str:
-        """Return the printed form."""
-        whole_number = math.isfinite(self.value) and self.value == int(self.value)
-        return f"{self.name}={self.value:+.{0 if whole_number else 6}f}"
-
-
 def number(text: str) -> float:
     """Return a decimal number without exponent; raises ``ProtocolError``."""
     if _NUMBER.fullmatch(text) is None:
@@ -371,21 +344,6 @@ class ControllerState:
         front = f"{self.program};{self.line};{self.override};{self.edit_status};{status}"
         tail = f"{self.task_program};{self.task_mode};{self.task_condition};{self.task_priority}"
         return f"{front};{self.step};{self.mechanism};;;;;;;;{tail};{self.mechanism_in_use}"
-
-
-@dataclass(frozen=True, slots=True)
-class ProgramProgress:
-    """Answer to DSTATE."""
-
-    run: RunStatus
-    stop: StopStatus
-    error: int
-    step: int
-    mechanism: int
-
-    def answer(self) -> str:
-        """Return the text of the answer."""
-        return f"{self.run:02X}{self.stop:02X}{self.error};{self.step};{self.mechanism}"
 
 
 def read_opened(answer: str) -> ControllerInfo:

@@ -11,7 +11,7 @@ import threading
 from touchdown.backend.config import HardwareSettings
 from touchdown.backend.core import InputError
 from touchdown.backend.devices.force_torque import (
-    FrameErrors,
+    DatagramDriver,
     SensorDescription,
     SensorLink,
     WrenchReading,
@@ -33,16 +33,16 @@ from touchdown.backend.devices.melfa.realtime_protocol import (
 from touchdown.backend.devices.protocols import Identity
 
 SETTLE_S = 0.05
-COUNTER_TURN = 1 << 32
 
 
-class MelfaWrenchDriver:
+class MelfaWrenchDriver(DatagramDriver):
     """Old and repeated packets are dropped by their counter; a gap counts as lost."""
 
     baud = 0
     chunk = PACKET_BYTES
 
     def __init__(self, settings: HardwareSettings, address: str) -> None:
+        super().__init__()
         number = settings.melfa.monitor.type_force
         if number is None:
             raise InputError(
@@ -54,8 +54,6 @@ class MelfaWrenchDriver:
         self._number, self._address = number, address
         own = settings.melfa.fs
         self._rated = (own.rated_n,) * 3 + (own.rated_nm,) * 3
-        self._last: int | None = None
-        self._bad = self._bad_in_a_row = self._discarded = 0
 
     @staticmethod
     def default_address(settings: HardwareSettings) -> str:
@@ -80,24 +78,13 @@ class MelfaWrenchDriver:
 
     def take(self, data: bytes) -> list[WrenchReading]:
         """Return the sample of one datagram, unless it is old."""
-        reply = self._reply(data)
-        if reply is None:
+        reply = self.decoded(data, self._decode)
+        missed = None if reply is None else self.missed(reply.counter)
+        if reply is None or missed is None:
             return []
-        missed, last = 0, self._last
-        if last is not None:
-            step = (reply.counter - last) % COUNTER_TURN
-            if step == 0 or step > COUNTER_TURN // 2:
-                return []
-            missed = step - 1
-        self._last = reply.counter
         block = reply.blocks[0]
         assert isinstance(block, AxisValues)
         return [WrenchReading(wrench_of(block.axes), missed)]
-
-    @property
-    def refusals(self) -> FrameErrors:
-        """Counts of invalid datagrams."""
-        return FrameErrors(self._bad, self._bad_in_a_row, self._discarded)
 
     def stop(self, link: SensorLink) -> None:
         """Stop the stream; sent three times, because a datagram may be lost."""
@@ -105,20 +92,10 @@ class MelfaWrenchDriver:
             link.write(realtime_protocol.encode_monitor_request(MonitorRequest(END)))
 
     def _started(self, data: bytes) -> bool | None:
-        return True if self._reply(data) is not None else None
+        return True if self.decoded(data, self._decode) is not None else None
 
-    def _reply(self, data: bytes) -> MonitorReply | None:
-        """Return the reply of one datagram, if it contains only the force."""
-        if not data:
-            return None
-        try:
-            reply = realtime_protocol.decode_monitor_reply(data, {self._number: BlockKind.FORCE})
-            if reply.types[0] != self._number:
-                raise ProtocolError("type", "monitor reply", 4)
-        except ProtocolError:
-            self._bad += 1
-            self._bad_in_a_row += 1
-            self._discarded += len(data)
-            return None
-        self._bad_in_a_row = 0
+    def _decode(self, data: bytes) -> MonitorReply:
+        reply = realtime_protocol.decode_monitor_reply(data, {self._number: BlockKind.FORCE})
+        if reply.types[0] != self._number:
+            raise ProtocolError("type", "monitor reply", 4)
         return reply

@@ -13,14 +13,13 @@ from urllib.parse import urlsplit
 
 from touchdown.backend.config import HardwareSettings
 from touchdown.backend.devices.force_torque import (
-    FrameErrors,
+    DatagramDriver,
     NotAnsweredError,
     SensorDescription,
     SensorLink,
     WrenchReading,
     pause,
 )
-from touchdown.backend.devices.framing import ProtocolError
 from touchdown.backend.devices.netft import protocol
 from touchdown.backend.devices.protocols import Identity
 
@@ -30,21 +29,19 @@ SETTLE_S = 0.05
 ANSWER_S = 2.0
 PAGE, PAGE_BYTES = "/netftapi2.xml", 100_000
 CALIBRATION_BYTES = 24
-SEQUENCE_TURN = 1 << 32
 
 
-class NetFtDriver:
+class NetFtDriver(DatagramDriver):
     """Old and repeated datagrams are dropped by their sequence number; a gap counts as lost."""
 
     baud = 0
     chunk = protocol.RECORD_BYTES
 
     def __init__(self, settings: HardwareSettings, address: str) -> None:
+        super().__init__()
         self._settings, self._address = settings.netft, address
         self._period_s = 1.0 / (settings.ft.rate_hz or RATE_HZ)
         self._counts: tuple[float, float] = (1.0, 1.0)
-        self._last: int | None = None
-        self._bad = self._bad_in_a_row = self._discarded = 0
 
     def start(self, link: SensorLink, cancel: threading.Event) -> SensorDescription:
         """Read the scale, stop an old stream, start."""
@@ -60,22 +57,8 @@ class NetFtDriver:
 
     def take(self, data: bytes) -> list[WrenchReading]:
         """Return the new samples of one datagram."""
-        if not data:
-            return []
-        try:
-            records = protocol.decode_records(data)
-        except ProtocolError:
-            self._bad += 1
-            self._bad_in_a_row += 1
-            self._discarded += len(data)
-            return []
-        self._bad_in_a_row = 0
+        records = self.decoded(data, protocol.decode_records) or ()
         return [reading for record in records if (reading := self._reading(record))]
-
-    @property
-    def refusals(self) -> FrameErrors:
-        """Counts of invalid datagrams."""
-        return FrameErrors(self._bad, self._bad_in_a_row, self._discarded)
 
     def stop(self, link: SensorLink) -> None:
         """Stop the stream; sent three times, because a datagram may be lost."""
@@ -83,12 +66,11 @@ class NetFtDriver:
             link.write(protocol.encode_request(protocol.RdtRequest(protocol.RdtCommand.STOP)))
 
     def _reading(self, record: protocol.RdtRecord) -> WrenchReading | None:
-        step = 1 if self._last is None else (record.rdt_sequence - self._last) % SEQUENCE_TURN
-        if step == 0 or step > SEQUENCE_TURN // 2:
+        missed = self.missed(record.rdt_sequence)
+        if missed is None:
             return None
-        self._last = record.rdt_sequence
         trouble = f"The sensor reports status {record.status:08X}h" if record.status else ""
-        return WrenchReading(record.wrench(*self._counts), step - 1, trouble=trouble)
+        return WrenchReading(record.wrench(*self._counts), missed, trouble=trouble)
 
     def _scale(self) -> tuple[float, float]:
         """Return counts per N and per N·m: from the page, the TCP channel, else the settings."""

@@ -19,6 +19,7 @@ from touchdown.backend.emulation import (
 
 COUNTS = (10_000.0, 10_000.0, 10_000.0, 10_000.0, 10_000.0, 10_000.0)
 CAPACITY = (200.0, 200.0, 200.0, 6.5, 6.5, 6.5)
+PER_UNIT = tuple(count / load for count, load in zip(COUNTS, CAPACITY, strict=True))
 COUNT_TURN = 1 << 16
 BAD_CONFIG = 1
 _LIMIT = 0x7FFF
@@ -26,19 +27,10 @@ _OVERLOAD_BITS = (9, 8, 7, 6, 5, 4)
 
 
 class EmulatedOptoforce:
-    """Emulated sensor; ``wrench(now_s)`` returns (6,) N and N·m, scaled by ``counts`` at
-    ``capacity``.
-    """
+    """Emulated sensor; ``wrench(now_s)`` returns (6,) N and N·m."""
 
-    def __init__(
-        self,
-        wrench: Callable[[float], Sequence[float]],
-        *,
-        counts: Sequence[float] = COUNTS,
-        capacity: Sequence[float] = CAPACITY,
-    ) -> None:
-        self._wrench, self._capacity = wrench, tuple(capacity)
-        self._per_unit = tuple(c / load for c, load in zip(counts, capacity, strict=True))
+    def __init__(self, wrench: Callable[[float], Sequence[float]]) -> None:
+        self._wrench = wrench
         self._requests = protocol.requests()
         self.pace = SampleSchedule()
         self._count = 0
@@ -69,16 +61,14 @@ class EmulatedOptoforce:
         return protocol.encode(protocol.OptoforceAck(0))
 
     def _raw(self, now_s: float) -> tuple[int, ...]:
-        pairs = zip(self._wrench(now_s), self._per_unit, strict=True)
+        pairs = zip(self._wrench(now_s), PER_UNIT, strict=True)
         return tuple(round(value * factor) for value, factor in pairs)
 
     def _frame(self, now_s: float) -> bytes:
         raw = self._raw(now_s)
         status = 0
-        for bit, count, factor, load in zip(
-            _OVERLOAD_BITS, raw, self._per_unit, self._capacity, strict=True
-        ):
-            status |= (abs(count) > factor * load) << bit
+        for bit, count, full in zip(_OVERLOAD_BITS, raw, COUNTS, strict=True):
+            status |= (abs(count) > full) << bit
         zeroed = (min(max(c - z, -_LIMIT), _LIMIT) for c, z in zip(raw, self._zero, strict=True))
         frame = protocol.OptoforceFrame(self._count, status, tuple(zeroed))
         self._count = (self._count + 1) % COUNT_TURN

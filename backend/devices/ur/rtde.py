@@ -20,13 +20,13 @@ from typing import Protocol
 from touchdown.backend.config import HardwareSettings
 from touchdown.backend.core import Fault, FaultError
 from touchdown.backend.devices.force_torque import (
-    FrameErrors,
+    DatagramDriver,
     NotAnsweredError,
     SensorDescription,
     SensorLink,
     WrenchReading,
 )
-from touchdown.backend.devices.framing import wrench_of
+from touchdown.backend.devices.framing import ProtocolError, wrench_of
 from touchdown.backend.devices.protocols import ARM, Identity
 
 
@@ -289,17 +289,24 @@ def open_rtde(settings: HardwareSettings, address: str) -> SensorLink:
         raise ConnectionRefusedError(str(error)) from error
 
 
-class UrWrenchDriver:
+def _decode_sample(data: bytes) -> tuple[float, ...]:
+    sample = SAMPLE.unpack(data)
+    if not all(map(math.isfinite, sample)):
+        raise ProtocolError("number", "sample of the robot")
+    return sample
+
+
+class UrWrenchDriver(DatagramDriver):
     """A gap in the robot's time stamps counts as lost samples."""
 
     baud = 0
     chunk = SAMPLE.size
 
     def __init__(self, settings: HardwareSettings, address: str) -> None:
+        super().__init__()
         self._settings, self._address = settings, address
         self._rated, self._period_s = settings.ur.rated, 1.0 / settings.ur.rate_hz
         self._told_s = math.nan
-        self._bad = self._bad_in_a_row = 0
 
     @staticmethod
     def default_address(settings: HardwareSettings) -> str:
@@ -321,22 +328,13 @@ class UrWrenchDriver:
 
     def take(self, data: bytes) -> list[WrenchReading]:
         """Return the sample; rejected if a number is not finite."""
-        if not data:
+        sample = self.decoded(data, _decode_sample)
+        if sample is None:
             return []
-        told_s, *values = SAMPLE.unpack(data)
-        if not all(map(math.isfinite, (told_s, *values))):
-            self._bad += 1
-            self._bad_in_a_row += 1
-            return []
-        self._bad_in_a_row = 0
+        told_s, *values = sample
         periods = round((told_s - self._told_s) / self._period_s) if self._told_s < told_s else 1
         self._told_s = told_s
         return [WrenchReading(wrench_of(values), max(periods - 1, 0))]
-
-    @property
-    def refusals(self) -> FrameErrors:
-        """Counts of invalid samples."""
-        return FrameErrors(self._bad, self._bad_in_a_row, self._bad * SAMPLE.size)
 
     def stop(self, link: SensorLink) -> None:
         """Do nothing: the robot always sends."""

@@ -144,13 +144,6 @@ class WsgLimits:
     acceleration_mm_s2: float
     force_sum_n: tuple[float, float]
 
-    @classmethod
-    def of_settings(cls, settings: WsgSettings) -> WsgLimits:
-        """Return the limits of a gripper that does not report its own."""
-        speeds = (settings.speed_min, settings.speed_max)
-        forces = (settings.force_min_n, settings.force_max_n)
-        return cls(settings.stroke_mm, speeds, settings.acceleration_mm_s2, forces)
-
     def speed(self, wanted_mm_s: float) -> float:
         """Return the nearest possible speed."""
         return min(max(wanted_mm_s, self.speed_mm_s[0]), self.speed_mm_s[1])
@@ -168,7 +161,10 @@ class WsgCore:
     def __init__(self, settings: WsgSettings) -> None:
         self._settings = settings
         self._fingers = 2.0 if settings.force_convention == "device" else 1.0
-        self.limits = WsgLimits.of_settings(settings)
+        # Those of the settings, until the gripper reports its own.
+        speeds = (settings.speed_min, settings.speed_max)
+        forces = (settings.force_min_n, settings.force_max_n)
+        self.limits = WsgLimits(settings.stroke_mm, speeds, settings.acceleration_mm_s2, forces)
         self.flags = SystemFlag(0)
         self.grasp_state = GraspState.IDLE
         self.width_mm = self.force_sum_n = 0.0
@@ -390,11 +386,6 @@ class WsgGripper:
     def homed(self) -> bool:
         """True if the origin of the jaws is known."""
         return SystemFlag.REFERENCED in self._core.flags
-
-    @property
-    def lost_parts(self) -> int:
-        """Number of lost pieces since the connection."""
-        return self._core.lost_parts
 
     @property
     def health(self) -> Health:

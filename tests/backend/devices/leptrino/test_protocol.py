@@ -4,6 +4,7 @@ import threading
 import time
 from itertools import pairwise
 
+import numpy as np
 import pytest
 
 from tests.backend.devices.codecs.vectors import data
@@ -34,7 +35,7 @@ from touchdown.backend.devices.netft.emulator import (
     EmulatedPage,
 )
 from touchdown.backend.devices.optoforce import protocol as optoforce
-from touchdown.backend.devices.optoforce.emulator import EmulatedOptoforce
+from touchdown.backend.devices.optoforce.emulator import PER_UNIT, EmulatedOptoforce
 from touchdown.backend.devices.protocols import DeviceState, Identity
 from touchdown.backend.devices.registry import emulated_makes
 from touchdown.backend.emulation.fault_plan import Faults
@@ -133,11 +134,8 @@ def test_a_bota_boots_streams_and_keeps_its_own_time():
 
 
 def test_an_optoforce_is_silent_until_it_is_configured_and_counts():
-    sensor = EmulatedOptoforce(
-        lambda now_s: (100.0, -200.0, -1050.0, 10.0, -20.0, 5.0),
-        counts=(2000.0,) * 6,
-        capacity=(2000.0,) * 6,
-    )
+    counts = (100.0, -200.0, -1050.0, 10.0, -20.0, 5.0)
+    sensor = EmulatedOptoforce(lambda now_s: np.divide(counts, PER_UNIT).tolist())
     assert sensor.due(0.0) == b""
     assert sensor.receive(0.0, data("optoforce-config-100hz-15hz")) == data("optoforce-config-ack")
     sensor.due(0.0)

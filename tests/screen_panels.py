@@ -77,7 +77,7 @@ class Hand:
     """Hand in air that can be jogged everywhere."""
 
     rotates, powered, active, holding, pressing_n = True, True, False, True, 0.0
-    switching = False
+    switching, surface_mm = False, 15.0
 
     def __init__(self) -> None:
         rooms = {f"{sign}{axis}": JogRange(24.0 if axis in "xyz" else 0.26)

@@ -1,6 +1,6 @@
 """Training processes that start in milliseconds: forked from one that has torch loaded already.
 
-What runs in them is ``touchdown.backend.learning.process`` as ever, in a process of its own,
+What runs in them is ``touchdown.backend.learning.training_child`` as ever, in a process of its own,
 with its own pipes and exit status. Only the 3 s of importing torch are saved, for each of about
 forty children.
 ``cold_start`` marks a test that takes the ordinary start.
@@ -21,7 +21,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import IO, Any
 
-MODULE = "touchdown.backend.learning.process"
+MODULE = "touchdown.backend.learning.training_child"
 LONGEST_BYTES = 1 << 16
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -136,7 +136,7 @@ def _reap(waiting: dict[int, int]) -> None:
 
 def _train(environment: dict[str, str], received: list[int]) -> None:
     """Be the training; never returns."""
-    from touchdown.backend.learning.process import main
+    from touchdown.backend.learning.training_child import main
 
     code = 1
     try:

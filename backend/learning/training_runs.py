@@ -70,7 +70,7 @@ class TrainingProcess:
         self._stderr = tempfile.TemporaryFile()  # noqa: SIM115 - closed by close()
         environment = IDLE_THREADS | os.environ
         self._child = subprocess.Popen(
-            [sys.executable, "-m", "touchdown.backend.learning.process"],
+            [sys.executable, "-m", "touchdown.backend.learning.training_child"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=self._stderr,

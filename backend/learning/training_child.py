@@ -1,4 +1,4 @@
-"""Child process of a training: ``python -m touchdown.backend.learning.process``.
+"""Child process of a training: ``python -m touchdown.backend.learning.training_child``.
 
 Reads one JSON line with the job from standard input and writes JSON lines to standard output. A
 further line, or the end of the input, cancels the training.

@@ -232,7 +232,9 @@ class CalibrationStore:
     """
 
     def __init__(self, folder: Path, mode: Mode, where: str = "") -> None:
-        self.folder, self.mode, self._where = folder, mode, where
+        self.folder: Path = folder
+        self.mode: Mode = mode
+        self._where = where
 
     def command(self, what: CalibrationName) -> str:
         """Return the command that measures and accepts a calibration of this bench."""

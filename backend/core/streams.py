@@ -94,7 +94,9 @@ class SampleStream:
     """A ring buffer of numeric samples (force/torque at 1 kHz, poses)."""
 
     def __init__(self, name: str, channels: int, capacity: int) -> None:
-        self.name, self.channels, self.capacity = name, channels, capacity
+        self.name: str = name
+        self.channels: int = channels
+        self.capacity: int = capacity
         self._t_s = np.zeros(capacity)
         self._values = np.zeros((capacity, channels))
         self._count = 0

@@ -327,7 +327,8 @@ class GuardedGripper(_Guarded):
     def __init__(self, gripper: Gripper, interlock: Interlock, now_s: Callable[[], float]) -> None:
         super().__init__(gripper)
         self._gripper, self._interlock, self._now_s = gripper, interlock, now_s
-        self.grips, self.letting_go = 0, False
+        self.grips: int = 0
+        self.letting_go: bool = False
         interlock.on_stop(gripper.stop)
 
     def status(self) -> GripStatus:

@@ -171,18 +171,18 @@ class Interlock:
     """
 
     def __init__(self, limits: Limits | None = None) -> None:
-        self.limits = limits or Limits()
+        self.limits: Limits = limits or Limits()
         _require_finite(self.limits)
         self._lock = threading.RLock()
         self._stoppers: list[tuple[Callable[[], None], Callable[[], None] | None]] = []
-        self.stopped_by = ""  # source of the stop, empty if not stopped
+        self.stopped_by: str = ""  # source of the stop, empty if not stopped
         self.faults: tuple[Fault, ...] = ()  # latched faults, oldest first
-        self.lease_until_s = -math.inf  # bench time until which motion is permitted
+        self.lease_until_s: float = -math.inf  # bench time until which motion is permitted
         # Factor of every commanded speed in air, ``LEAST_OVERRIDE`` to 1; presses are unaffected.
-        self.override = 1.0
+        self.override: float = 1.0
         # True from the reset of a fault until the wrist is free of contact: meanwhile the arm moves
         # by hand only, slowly and away from contact.
-        self.recovering = False
+        self.recovering: bool = False
         # Description of a late or slow device, empty if there is none. Meanwhile the arm moves by
         # hand only away from contact.
         self.degraded = ""

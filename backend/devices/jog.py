@@ -327,7 +327,7 @@ class Jog:
         self._step: tuple[Motion, Axis, Frame, float] | None = None
         self._held: Motion | None = None
         self._permit = JogPermission(arm, interlock, around)
-        self.state = JogState()
+        self.state: JogState = JogState()
         interlock.on_stop(self._stopped)
 
     @property

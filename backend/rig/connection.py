@@ -92,7 +92,7 @@ class BenchConnection:
         when_ready: Callable[[], None] = lambda: None,
         limit_s: float = CONNECT_S,
     ) -> None:
-        self.devices = dict(devices)
+        self.devices: dict[str, Device] = dict(devices)
         self.when_ready = when_ready
         # Called for each device but the arm, when all are connected and before the arm is switched
         # on. A ``FaultError`` rejects the device, which is then closed.

@@ -56,7 +56,7 @@ class ManualControl:
         self._orders: deque[tuple[Callable[[], str], float]] = deque(maxlen=WAITING)
         self._grip: Motion | None = None
         self._switch: threading.Thread | None = None
-        self.jog = Jog(scene.arm, interlock, around, self._refused)
+        self.jog: Jog = Jog(scene.arm, interlock, around, self._refused)
 
     @property
     def active(self) -> bool:

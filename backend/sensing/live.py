@@ -59,7 +59,9 @@ class LiveSensing:
         wrench: SampleStream,
         payload: FloatArray,
     ) -> None:
-        self.raw, self.fields, self.wrench = raw, fields, wrench
+        self.raw: RawStreams = raw
+        self.fields: Mapping[Finger, Stream[MarkerField]] = fields
+        self.wrench: SampleStream = wrench
         self._trackers = {finger: DamageCheckingTracker(finger) for finger in FINGERS}
         self._in_air: dict[Finger, TactileReference] = {}
         self._frame_cursor = {finger: raw.frames[finger].count for finger in FINGERS}
@@ -67,7 +69,7 @@ class LiveSensing:
         self._payload = payload
         self._tare = Tare(payload, np.zeros(WRENCH_CHANNELS))
         # Bench time of the last tare: a verdict reached before it belongs to a former probe.
-        self.tare_s = float("-inf")
+        self.tare_s: float = float("-inf")
         # What is known of the wrist sensor's, for any thread; None while that is too little.
         self.drift: WrenchDrift | None = None
 

@@ -259,7 +259,7 @@ class Stage:
     def _faults(self) -> Iterator[str]:
         main, bench = self.main, self.bench
         for what in (
-            "A folder was torn; its whole chunks were copied.",
+            "A folder was torn; its complete chunks were copied.",
             "The disk is nearly full.",
         ):
             main.cards.show_card(CardText("DATASET", what, "", "", reset=False, notice=True))

@@ -69,7 +69,7 @@ class EmptyState:
 
 
 NO_PERSON = EmptyState(
-    "No person is named yet", "What is to be labelled depends on who labels.",
+    "No person is named yet", "The queue depends on the person who labels.",
     "Give your name (Ctrl+U)", "person",
 )  # fmt: skip
 NO_PROBES = EmptyState(
@@ -83,7 +83,7 @@ UNREADABLE = EmptyState(
 )  # fmt: skip
 NOT_SCORED = EmptyState(
     "Nothing is in this queue",
-    "The model has not looked for such labels yet, or none is left.",
+    "The model has not scored the dataset yet, or no such label is left.",
     "Let the model score the dataset (Ctrl+M)",
     "score",
 )
@@ -101,7 +101,7 @@ EMPTY_QUEUES = {
         "Nothing waits for your review", "What you labelled is for others to review."
     ),
     "returned": empty_queue(
-        "Nothing of yours was rejected", "No label came back, and you rejected no probe."
+        "None of your labels was rejected", "No label came back, and you rejected no probe."
     ),
     "conflicts": empty_queue("There are no conflicts", "No merge left an episode two labels."),
     **dict.fromkeys(("doubt", "disagreement", "uncertainty", "duplicates"), NOT_SCORED),

@@ -236,7 +236,7 @@ class LabelPresenter:
             await self.read_queue(stay=False)
         elif self.walk.uuid == at:
             count = count_noun(len(left), "episode")
-            self._page.say(f"The end of the queue: {count} left, Ctrl+R reads it again.")
+            self._page.say(f"The end of the queue: {count} left. Ctrl+R reads it again.")
 
     def show_at(self, at: int, said: str) -> None:
         """Show another place of the queue with a message. There must be no unsaved edit."""

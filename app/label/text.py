@@ -220,10 +220,10 @@ def scene_evidence_text(edit: LabelDraft, item: LabelItem, *, hidden: bool) -> s
     if hidden:
         return ""
     if item.scene is None:
-        return "No scene picture: a slip in the grasp would be unseen."
+        return "No scene picture: a slip in the grasp is not detected."
     place = item.scene.place
     if place is None:
-        return "Scene camera: the rim of the face cannot be made out."
+        return "Scene camera: the rim of the face is not detected."
     far = _distance_text(sigmas_from_scene(edit, item))
     return f"Scene camera: {offset_text(place.offset_mm, place.sigma_mm)}{far}"
 

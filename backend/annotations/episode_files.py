@@ -308,7 +308,9 @@ def _torn_file(parts: DatasetParts, path: Path, row: EpisodeFileRow | None) -> C
         if row is not None:
             _mark(connection, [row.uuid], "quarantined")
 
-    message = f"{parts.name(path)} is torn: moved to quarantine, its whole chunks saved beside it."
+    message = (
+        f"{parts.name(path)} is torn: moved to quarantine, its complete chunks saved beside it."
+    )
     target = parts.name(path) if row is None else row.uuid
     return ConsistencyProblem("torn", target, message, repair)
 
@@ -327,7 +329,7 @@ def _leftover(
         if row is not None and file_sha256(final) == row.sha256:
             yield leftover(parts, part, "was left beside its finished file")
     elif not _is_reported(target, part):
-        message = f"{name} was never finished: its whole chunks are in quarantine."
+        message = f"{name} was never finished: its complete chunks are in quarantine."
         yield ConsistencyProblem("unfinished", name, message, lambda _: salvage_file(part, target))
 
 

@@ -160,7 +160,7 @@ def _damaged_journal(
 
     message = f"The journal of labels is damaged ({error})"
     if max(line_numbers(path), default=0) <= newest[0]:
-        message += ": written anew from the catalogue; the damaged file is in quarantine."
+        message += ": rewritten from the catalogue; the damaged file is in quarantine."
         return ConsistencyProblem("journal-damaged", site, message, write_anew)
     message += ", and it has operations that the catalogue lacks: take this file from a copy."
     return ConsistencyProblem("journal-damaged", site, message, lasting=True)
@@ -296,7 +296,7 @@ def _left_overs(parts: DatasetParts) -> Iterator[ConsistencyProblem]:
             # A training may be building a young cache.
             young = folder == "cache" and time.time() - path.stat().st_mtime < BUSY_S
             if not own and not young:
-                yield leftover(parts, path, "was left half-made")
+                yield leftover(parts, path, "was left incomplete")
 
 
 @dataclass(frozen=True, slots=True)

@@ -46,7 +46,7 @@ RECOVERY = {
     ),
     "acknowledge": (
         "acknowledge a fast stop or fault of the gripper",
-        f"{ON} The gripper takes motions again; it keeps what it holds.",
+        f"{ON} The gripper accepts motions again; it keeps a held piece.",
     ),
     "lift": ("lift the arm by 5 mm, out of contact", f"{ON} Then it rises by 5 mm."),
     "open-jaws": ("open the jaws, also on a held piece", ON),
@@ -202,7 +202,7 @@ def _recover(args: argparse.Namespace, action: str, screen: VerbOutput) -> int:
     from touchdown.backend.runs import check_connected
 
     if screen.json and not args.yes:
-        raise InputError("With --json nothing is asked.", f"--{action}", "Add --yes.")
+        raise InputError("With --json no question is asked.", f"--{action}", "Add --yes.")
     if not _agreed(args, RECOVERY[action][1], screen):
         return 1
     # Any gel is accepted: a recovery measures nothing.
@@ -243,7 +243,7 @@ def _agreed(args: argparse.Namespace, question: str, screen: VerbOutput) -> bool
 
 
 def _move(session: Session, action: str, args: argparse.Namespace, screen: VerbOutput) -> bool:
-    """Lift the arm or open the jaws; raises ``RefusedError`` as the window refuses it."""
+    """Lift the arm or open the jaws; raises ``RefusedError`` where the window refuses it."""
     hand = session.hand
     assert hand is not None
     _advance(session, SETTLE_S)

@@ -201,7 +201,7 @@ class JogPermission:
         if turns(axis):
             top, creep = limits.turn_rad_s * (1 + 1e-9), CREEP_RAD_S
         if not 0.0 < asked <= top:
-            raise RefusedError("SPEED", f"{distance_text(axis, asked)}/s is no jog speed.")
+            raise RefusedError("SPEED", f"{distance_text(axis, asked)}/s is not a jog speed.")
         wanted = speed = asked * override
         slow = "" if speed == asked else f"override {100 * override:.0f} %"
         if axis in AXES:

@@ -501,7 +501,7 @@ class StallMonitor:
             "ARM-STALLED",
             f"The arm has not moved for {STALLED_S:g} s although a motion is under way.",
             _KEPT,
-            "Look for what holds the arm, and at its controller; then press Reset.",
+            "Look for an obstacle and at the controller of the arm; then press Reset.",
             "arm",
         )
 

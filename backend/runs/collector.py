@@ -307,7 +307,7 @@ class Collector:
         check = yield from check_origin(bench, origin)
         x_mm, y_mm = check.residual_mm.tolist()
         felt = f"The bottom was found {x_mm:+.2f}, {y_mm:+.2f} mm off its origin"
-        fix = "." if check.agrees else ": set the origin again, the labels are off by this."
+        fix = "." if check.agrees else ": set the origin again, because the labels have this error."
         yield Said(bench.now_s(), f"{felt} (s.d. {check.sigma_mm:.2f}){fix}")
         found = {"residual_mm": [x_mm, y_mm], "sigma_mm": check.sigma_mm}
         return replace(context, bench={**context.bench, "origin_check": json.dumps(found)})

@@ -427,7 +427,7 @@ class RunRecorder:
 
 def _not_kept(runs: Path, error: OSError) -> InputError:
     return InputError(
-        f"The run cannot be kept: {error.strerror or error}.",
+        f"The run cannot be stored: {error.strerror or error}.",
         str(runs),
         "Name a folder that can be written (TOUCHDOWN_DATA; without the window also --runs).",
     )

@@ -257,7 +257,7 @@ class WrenchStamper:
     def _possible(self, reading: WrenchReading) -> WrenchReading:
         """Return the reading, with the reason if it cannot be a measurement."""
         if reading.missed * self.period_s > MOST_MISSED_S:
-            leap = f"The sample numbers leap by {reading.missed}: this is not one stream"
+            leap = f"The sample numbers jump by {reading.missed}: this is not one stream"
             return replace(reading, missed=0, trouble=reading.trouble or leap)
         values = (*reading.wrench.force_n, *reading.wrench.torque_nm)
         if all(map(math.isfinite, values)):
@@ -338,7 +338,7 @@ def other_device_fault(what: str) -> Fault:
 def unreadable_fault(driver: str, received: bytes, reason: str = "") -> Fault:
     """Return the fault of a sensor whose bytes have no meaning; the log gets the first of them."""
     LOG.info("wrist sensor, as %s: %s cannot be read. %s", driver, received.hex(" "), reason)
-    what = f"What the force/torque sensor sends cannot be read as that of the make '{driver}'."
+    what = f"The data of the force/torque sensor cannot be read as the make '{driver}'."
     next_step = (
         "Check ft.driver, the data rate and the wiring of the sensor; the log has the first bytes. "
         "Then connect it again."
@@ -346,7 +346,7 @@ def unreadable_fault(driver: str, received: bytes, reason: str = "") -> Fault:
     return ft_fault("FT-LINK", what, next_step)
 
 
-SILENT = "The force/torque sensor is silent: no byte came."
+SILENT = "The force/torque sensor is silent: no byte arrived."
 # Texts of a ``ProtocolError`` in an answer that can be read.
 WRONG_ANSWERS = {
     "unit": "The sensor is set to other units than N and N·m.",
@@ -357,7 +357,9 @@ WRONG_ANSWERS = {
 def driver_fault(error: Exception) -> Fault:
     """Return the fault of a driver that raised an unexpected exception."""
     what = f"The driver of the force/torque sensor failed: {type(error).__name__}: {error}."
-    next_step = "Report the text of the log to who wrote the driver; then connect the sensor again."
+    next_step = (
+        "Send the text of the log to the author of the driver; then connect the sensor again."
+    )
     return ft_fault("FT-DRIVER", what, next_step)
 
 
@@ -411,7 +413,7 @@ def implausible_text(values: FloatArray, rated: FloatArray) -> str:
     if 2 * len(valid) <= len(values):
         return f"{len(values) - len(valid)} of {len(values)} samples are not valid"
     if len(valid) > 1 and np.ptp(valid, axis=0).max() == 0:
-        return "It repeats one value"
+        return "they repeat one value"
     noise, offset = valid.std(axis=0), valid.mean(axis=0)
     axis = int(np.argmax(noise / rated))
     if noise[axis] > MOST_NOISE * rated[axis]:
@@ -582,7 +584,7 @@ class ForceTorqueReader:
         stuck, turn = self._readout.stuck, self._readout.turn
         refusal = implausible_text((values.reshape(-1, 2, 3) @ turn).reshape(-1, 6), self.rated)
         if stuck or refusal:
-            raise FaultError(implausible_fault("It repeats one value" if stuck else refusal))
+            raise FaultError(implausible_fault("they repeat one value" if stuck else refusal))
 
     def _other_device(self) -> str:
         """Return a sentence that names another device in place of the sensor, else ""."""
@@ -659,7 +661,7 @@ class ForceTorqueReader:
                 limit_s = self._settings.silence_s
                 ended = self._first.is_set() and now_s - good_s > limit_s
                 if ended and now_s - heard_s > 0.5 * limit_s:
-                    self._fail(link_fault("The force/torque sensor has fallen silent."))
+                    self._fail(link_fault("The force/torque sensor is silent."))
                 elif ended or driver.refusals.in_a_row >= BAD_LIMIT:
                     self._fail(unreadable_fault(self._settings.driver, self._junk))
             driver.stop(link)

@@ -156,7 +156,7 @@ class R3Client:
         if not self._nonsense:
             return link_fault(silent)
         log.info("not readable on the command channel: %s", self._unread.hex(" "))
-        return link_fault("What arrives on the command channel is no answer of a controller.")
+        return link_fault("The data on the command channel are not an answer of a controller.")
 
     def _receive(self, now_s: float, data: bytes) -> list[R3Reply]:
         if data:
@@ -256,7 +256,7 @@ def _require_readable() -> Iterator[None]:
         yield
     except ProtocolError as error:
         log.info("not readable in an answer: %s", error)
-        fault = link_fault("An answer of the controller has another form than expected.")
+        fault = link_fault("An answer of the controller has an unexpected form.")
         raise FaultError(fault) from error
 
 

@@ -53,7 +53,7 @@ class Refusal(Enum):
     """Reason why a datagram of the real-time port is not used, and the step for the operator."""
 
     UNREADABLE = (
-        "What arrives in place of the real-time replies cannot be read.",
+        "The data on the real-time port cannot be read.",
         "Check which device or program sends to this computer, and melfa.mxt.port.",
     )
     OTHER_DATA = (

@@ -76,7 +76,7 @@ M_PER_MM = 1e-3
 # Permitted lag of the arm: this time at its speed, plus a distance.
 LEAD_S, LEAD_MM = 0.25, 2.0
 LOOK_FOR_HOLD = (
-    "Look for what holds it, and at the speed slider of the teach pendant; then press Reset."
+    "Look for an obstacle and at the speed slider of the teach pendant; then press Reset."
 )
 STEP_MM = 1.5  # largest step of one cycle; at 125 Hz that is 187 mm/s
 

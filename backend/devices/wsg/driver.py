@@ -71,7 +71,7 @@ _STEPS = {
 FAST_STOP = Fault(
     "WSG-FAST-STOP",
     "The gripper is in fast stop.",
-    "It takes no motion; the grip is as it was.",
+    "It accepts no motion; the grip is unchanged.",
     "Look at the piece, then acknowledge the fast stop.",
     NAME,
 )

@@ -217,7 +217,7 @@ def test_an_empty_queue_says_so_once_and_offers_one_thing_to_do(desk):
     presenter.choose_queue("returned")
     desk.settle()
     assert page.nothing.isVisible()
-    assert page.nothing.title.text() == "Nothing of yours was rejected"
+    assert page.nothing.title.text() == "None of your labels was rejected"
     assert all(is_blank(view) for view in views)
     assert not page.view.isVisible()
     assert (page.message.text(), page.strip.saved) == ("", "")
@@ -255,7 +255,7 @@ def test_the_end_of_a_queue_shows_what_is_left_and_an_own_rejection_is_found_aga
     desk.settle()
     assert desk.uuid == second
     desk.do(KEY.Key_Return)
-    assert page.message.text() == "The end of the queue: 1 episode left, Ctrl+R reads it again."
+    assert page.message.text() == "The end of the queue: 1 episode left. Ctrl+R reads it again."
 
 
 @pytest.mark.parametrize(

@@ -523,7 +523,7 @@ def test_half_made_files_are_deleted_but_not_those_being_made(folder: Path) -> N
     for path in (old, new):
         path.write_bytes(b"half")
     os.utime(old, (1, 1))
-    assert "half-made" in mended(folder)[0]
+    assert "left incomplete" in mended(folder)[0]
     assert not old.exists()
     assert new.exists()
 

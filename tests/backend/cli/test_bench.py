@@ -141,7 +141,7 @@ def hardware(monkeypatch, lab):
         (["stack", "--mode", "auto"], "hardware"),
         (["stack", "--strategy", "pick-and-place"], "simulations only"),
         (["stack", "--bottom", "nope"], "no bottom piece 'nope'"),
-        (["stack", "--runs", "FILE"], "cannot be kept"),
+        (["stack", "--runs", "FILE"], "cannot be stored"),
         (["collect", "--count", "0"], "at least one probe"),
         (["collect", "--within", "0.001", "--pattern", "grid", "--count", "900"], "Not enough"),
         (["calibrate", "board", "--bottom", "nope"], "no bottom piece 'nope'"),

@@ -377,7 +377,7 @@ SWING = np.array([1.0, -1.0] * 20)  # of standard deviation 1
         (1, -59.0, 0.1, ""),
         (1, -61.0, 0.1, "Fy = -61.00 N, more than half of its range"),
         (5, 2.1, 0.01, "Tz = 2.10 N·m, more than half of its range"),
-        (0, 1.0, 0.0, "It repeats one value"),
+        (0, 1.0, 0.0, "they repeat one value"),
     ],
 )
 def test_still_air_is_judged_by_the_range_of_each_axis(axis, mean, noise, refused):
@@ -411,7 +411,7 @@ SERIAL = ("dynpick", "leptrino", "ft300", "bota", "optoforce")
 @pytest.mark.parametrize("kind", SERIAL)
 @pytest.mark.parametrize(
     ("content", "what"),
-    [(b"", "is silent: no byte came"), (b"PC LOAD LETTER\n", "cannot be read as that of the make")],
+    [(b"", "is silent: no byte arrived"), (b"PC LOAD LETTER\n", "cannot be read as the make")],
 )
 def test_silent_and_unreadable_are_told_apart_without_internal_names(
     kind, content, what, monkeypatch, caplog

@@ -274,8 +274,10 @@ def lost_records(facts: Iterable[Event], dataset: Dataset, runs: Path | None) ->
         try:
             if isinstance(fact, ProbeCollected):
                 dataset.read(fact.uuid)
+            elif isinstance(fact, EpisodeRecorded) and "/" in fact.path:  # in the dataset
+                read_episode(dataset.folder / fact.path)
             elif isinstance(fact, EpisodeRecorded) and fact.path and runs is not None:
-                read_episode(runs / "episodes" / Path(fact.path).name)
+                read_episode(runs / "episodes" / fact.path)
         except (TouchdownError, OSError, KeyError, ValueError) as error:
             lost.append(f"{type(error).__name__}: {error}")
     return tuple(lost)

@@ -382,11 +382,9 @@ class Dataset:
         head = self.labels.head(uuid)
         return self.geometry.patch(head.geometry, head.label)
 
-    def queue(
-        self, name: str, person: str, *, seed: int = 0, limit: int | None = None
-    ) -> list[str]:
+    def queue(self, name: str, person: str, *, seed: int = 0) -> list[str]:
         """Return the episodes of a review queue for ``person``, in order."""
-        return queues.episode_queue(self.database, name, person, seed=seed, limit=limit)
+        return queues.episode_queue(self.database, name, person, seed=seed)
 
     def uuids(self) -> set[str]:
         """Return the ids of all episodes that are not deleted."""

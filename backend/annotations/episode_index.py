@@ -50,24 +50,14 @@ def label_message(
     episode: Episode, label: Label, source: Source, context: EpisodeContext, recorded_ns: int
 ) -> dict[str, object]:
     """Return the label message of an episode file, with everything its row needs."""
+    circumstances = dataclasses.asdict(context)
+    del circumstances["bench"]
     return {
+        **dataclasses.asdict(label),
+        **circumstances,
         "episode": episode.episode_id,
-        "x_um": label.x_um,
-        "y_um": label.y_um,
-        "theta_mdeg": label.theta_mdeg,
-        "sigma_um": label.sigma_um,
-        "source": source,
-        "geometry": context.geometry,
-        "plan_item": context.plan_item,
         "piece": episode.piece,
-        "bottom": context.bottom,
-        "series": context.series,
-        "campaign": context.campaign,
-        "grip_id": context.grip_id,
-        "mounting_id": context.mounting_id,
-        "person": context.person,
-        "mode": context.mode,
-        "seed": context.seed,
+        "source": source,
         "recorded_ns": recorded_ns,
     }
 

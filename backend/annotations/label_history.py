@@ -80,11 +80,6 @@ class LabelReader:
         old = review.superseded_revisions(nodes, head.counting) if head else set[str]()
         return [replace(r, state="superseded") if r.rev_uuid in old else r for r in found]
 
-    def review_status(self, uuid: str) -> ReviewStatus:
-        """Return the review status of an episode, which determines the permitted actions."""
-        with self._database.reading() as connection:
-            return read_review_status(connection, uuid)
-
     def conflicting(self, uuid: str) -> list[Revision]:
         """Return the leaves of an episode, head last; more than one leaf is a conflict."""
         with self._database.reading() as connection:
@@ -113,20 +108,12 @@ class LabelReader:
             row = connection.execute(sql, (uuid,)).fetchone()
             return read_revision(connection, row[0]) if row and row[0] else None
 
-    def log(self, *, actor: str | None = None, episode: str | None = None,
-            text: str = "", limit: int = 500) -> list[Operation]:  # fmt: skip
-        """Return operations, newest first, filtered by person, episode or ``text``."""
-        terms, values = ["1"], list[object]()
-        if actor is not None:
-            terms.append("actor = ?")
-            values.append(actor)
-        for needle in filter(None, (episode, text)):
-            terms.append("instr(body || ' ' || verb || ' ' || actor, ?) > 0")
-            values.append(needle)
+    def log(self, *, text: str = "", limit: int = 500) -> list[Operation]:
+        """Return operations that contain ``text`` (person, verb, content), newest first."""
         rows = self._database.rows(
-            f"SELECT {COLUMNS} FROM op WHERE {' AND '.join(terms)}"  # noqa: S608
+            f"SELECT {COLUMNS} FROM op WHERE instr(body || ' ' || verb || ' ' || actor, ?) > 0"  # noqa: S608
             " ORDER BY lamport DESC, site DESC, seq DESC LIMIT ?",
-            (*values, limit),
+            (text, limit),
         )
         return [as_operation(row) for row in rows]
 

@@ -116,66 +116,6 @@ class BulkPreview:
                              | asdict(self.change)})  # fmt: skip
 
 
-def preview_bulk_change(
-    connection: sqlite3.Connection,
-    uuids: Iterable[str],
-    change: BulkChange,
-    person: str,
-    *,
-    four_eyes: bool,
-) -> BulkPreview:
-    """Return the effect of ``change`` on the heads of ``uuids``; nothing is written."""
-    if isinstance(change, SetState) and change.action == "set":
-        raise InputError("A state cannot be 'set'.", "action", "Use accept, approve or reject.")
-    rows, refused = [], []
-    for uuid in dict.fromkeys(uuids):
-        try:
-            head, status = _head_and_status(connection, uuid)
-            review.check_open(status)
-            if isinstance(change, SetState):
-                rows.append(_set_state(head, status, change, person, four_eyes))
-            else:
-                rows.append(_corrected(head, change))
-        except RefusedError as error:
-            refused.append((uuid, error.detail))
-    return BulkPreview(change, tuple(rows), tuple(refused))
-
-
-def fill_bulk_draft(
-    connection: sqlite3.Connection,
-    draft: OperationDraft,
-    wanted: BulkPreview,
-    person: str,
-    *,
-    four_eyes: bool,
-) -> None:
-    """Add the previewed changes to ``draft``; raises ``RefusedError`` if a label changed since."""
-    changed = []
-    for row in wanted.rows:
-        head, status = _head_and_status(connection, row.episode)
-        if head.rev_uuid != row.before.rev_uuid or status.conflict or status.deleted:
-            changed.append(head)
-        elif isinstance(wanted.change, SetState):
-            review.state_after(wanted.change.action, status, person, four_eyes=four_eyes)
-    if changed:
-        raise RefusedError(
-            "changed since the preview",
-            f"{len(changed)} of {len(wanted.rows)} labels changed since the preview, the first by"
-            f" {changed[0].person}: look at it again.",
-        )
-    change = wanted.change
-    for row in wanted.rows:
-        reason = row.before.reason if row.state == "rejected" else None
-        if isinstance(change, SetState) and change.action in ("approve", "reject"):
-            reason = change.reason or None
-            done = {"rev_uuid": row.before.rev_uuid, "decision": row.state, "reason": reason}
-            draft.reviews.append(done)
-        parent = row.before.rev_uuid
-        draft.revs.append(new_revision(row.episode, parent, row.after, row.state, reason))
-        if isinstance(change, MoveGeometry):
-            draft.marks.append(read_mark(connection, row.episode, GEOMETRY_CHANGED, present=True))
-
-
 def _set_state(
     head: Revision, status: ReviewStatus, change: SetState, person: str, four_eyes: bool
 ) -> BulkChangeRow:
@@ -372,8 +312,21 @@ class LabelStore(LabelReader):
     def preview(self, person: str, uuids: Iterable[str], change: BulkChange) -> BulkPreview:
         """Return the effect of ``change`` on these episodes; nothing is written."""
         name = check_person(person)
+        if isinstance(change, SetState) and change.action == "set":
+            raise InputError("A state cannot be 'set'.", "action", "Use accept, approve or reject.")
+        rows, refused = [], []
         with self._database.reading() as connection:
-            return preview_bulk_change(connection, uuids, change, name, four_eyes=self.four_eyes)
+            for uuid in dict.fromkeys(uuids):
+                try:
+                    head, status = _head_and_status(connection, uuid)
+                    review.check_open(status)
+                    if isinstance(change, SetState):
+                        rows.append(_set_state(head, status, change, name, self.four_eyes))
+                    else:
+                        rows.append(_corrected(head, change))
+                except RefusedError as error:
+                    refused.append((uuid, error.detail))
+        return BulkPreview(change, tuple(rows), tuple(refused))
 
     def bulk(self, person: str, wanted: BulkPreview) -> int:
         """Apply a previewed change as one operation; return the number of changed labels.
@@ -381,8 +334,33 @@ class LabelStore(LabelReader):
         Raises ``RefusedError`` and changes nothing if one of the labels changed since.
         """
         self.before_bulk()
+        change = wanted.change
         with self._act(person, "bulk") as (connection, draft, name):
-            fill_bulk_draft(connection, draft, wanted, name, four_eyes=self.four_eyes)
+            changed = []
+            for row in wanted.rows:
+                head, status = _head_and_status(connection, row.episode)
+                if head.rev_uuid != row.before.rev_uuid or status.conflict or status.deleted:
+                    changed.append(head)
+                elif isinstance(change, SetState):
+                    review.state_after(change.action, status, name, four_eyes=self.four_eyes)
+            if changed:
+                raise RefusedError(
+                    "changed since the preview",
+                    f"{len(changed)} of {len(wanted.rows)} labels changed since the preview, the"
+                    f" first by {changed[0].person}: look at it again.",
+                )
+            for row in wanted.rows:
+                before, reason = row.before.rev_uuid, row.before.reason
+                if isinstance(change, SetState) and change.action in ("approve", "reject"):
+                    reason = change.reason or None
+                    done = {"rev_uuid": before, "decision": row.state, "reason": reason}
+                    draft.reviews.append(done)
+                elif row.state != "rejected":
+                    reason = None
+                draft.revs.append(new_revision(row.episode, before, row.after, row.state, reason))
+                if isinstance(change, MoveGeometry):
+                    mark = read_mark(connection, row.episode, GEOMETRY_CHANGED, present=True)
+                    draft.marks.append(mark)
         return len(wanted.rows)
 
     def skip(self, person: str, uuid: str) -> None:

@@ -10,7 +10,6 @@ from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from hashlib import blake2b
-from typing import Literal, get_args
 
 from touchdown.backend.annotations import operation_log
 from touchdown.backend.annotations.database import Database
@@ -98,29 +97,17 @@ def disagreement(head: Revision, suggestion: Suggestion) -> float | None:
     return float(((a.x_um - b.x_um) ** 2 + (a.y_um - b.y_um) ** 2) ** 0.5 / sigma)
 
 
-QueueName = Literal[
-    "unlabelled",
-    "review",
-    "returned",
-    "doubt",
-    "disagreement",
-    "uncertainty",
-    "coverage",
-    "duplicates",
-    "conflicts",
-    "audit",
-    "gold",
-]
-QUEUES: tuple[QueueName, ...] = get_args(QueueName)
+QUEUES = (
+    "unlabelled", "review", "returned", "doubt", "disagreement", "uncertainty", "coverage",
+    "duplicates", "conflicts", "audit", "gold",
+)  # fmt: skip
 
 AUDIT_SHARE = 0.05  # share of submitted and approved labels in a random audit
 
 BIN_UM = 2000  # coverage is counted in squares of this size, per pair of pieces
 
 
-def episode_queue(
-    database: Database, name: str, person: str, *, seed: int = 0, limit: int | None = None
-) -> list[str]:
+def episode_queue(database: Database, name: str, person: str, *, seed: int = 0) -> list[str]:
     """Return the episodes of a queue for ``person``, in order, without deleted ones.
 
     - unlabelled: not yet accepted, oldest first, skipped ones last
@@ -136,12 +123,12 @@ def episode_queue(
     if name not in QUEUES:
         raise InputError(f"There is no queue '{name}'.", "queue", f"Use {', '.join(QUEUES)}.")
     if name == "coverage":
-        return _coverage(database)[:limit]
+        return _coverage(database)
     if name in ("audit", "gold"):
-        found = _drawn(_ids(database, _QUERIES[name], person, name, -1), seed)
+        found = _drawn(_ids(database, name, person), seed)
         answered = _answered(database, person) if name == "gold" else ()
-        return [uuid for uuid in found if uuid not in answered][:limit]
-    return _ids(database, _QUERIES[name], person, name, -1 if limit is None else limit)
+        return [uuid for uuid in found if uuid not in answered]
+    return _ids(database, name, person)
 
 
 def stage_counts(database: Database) -> dict[str, int]:
@@ -150,9 +137,9 @@ def stage_counts(database: Database) -> dict[str, int]:
     return dict(database.rows(sql))
 
 
-def _ids(database: Database, sql: str, person: str, name: str, limit: int) -> list[str]:
-    values = {"person": person, "author": f"\n{person}\n", "name": name, "limit": limit}
-    return [uuid for (uuid,) in database.rows(f"{sql} LIMIT :limit", values)]
+def _ids(database: Database, name: str, person: str) -> list[str]:
+    values: dict[str, object] = {"person": person, "author": f"\n{person}\n", "name": name}
+    return [uuid for (uuid,) in database.rows(_QUERIES[name], values)]
 
 
 def _coverage(database: Database) -> list[str]:

@@ -18,7 +18,6 @@ from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from hashlib import file_digest
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Literal, Self, get_args
 
 from touchdown.backend.annotations.consistency import ConsistencyProblem, DatasetParts, leftover
@@ -168,7 +167,7 @@ class ActiveRun:
         self._write(artifacts=(*self.about.artifacts, made))
 
     def set_manifest(self, manifest: str) -> None:
-        """Record the hash of the data, if it was not known at the start."""
+        """Record the hash of the data."""
         self._write(manifest=manifest)
 
     def finish(self) -> None:
@@ -186,9 +185,7 @@ class ActiveRun:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, _: TracebackType | None
-    ) -> None:
+    def __exit__(self, _: object, error: BaseException | None, __: object) -> None:
         if error is None or isinstance(error, KeyboardInterrupt):
             self.cancel()
         else:
@@ -311,17 +308,14 @@ class RunTracker:
     ) -> None:
         self._folder, self._database, self._heads = folder, database, heads
 
-    def begin(
-        self, kind: str, *, seed: int, settings: Mapping[str, Any], manifest: str = ""
-    ) -> ActiveRun:
+    def begin(self, kind: str, *, seed: int, settings: Mapping[str, Any]) -> ActiveRun:
         """Begin a run of ``kind`` ("train", "evaluate" ...); ``settings``: JSON values.
 
-        ``manifest``: hash of the data. Writes files only, so it works while another program has the
-        dataset open, and the run outlives this object.
+        Writes files only, so it works while another program has the dataset open, and the run
+        outlives this object.
         """
         about = RunInfo(
             uuid7(), kind, "running", time.time_ns(), seed, program_stamp(), dict(settings),
-            manifest,
             hardware=hardware_info(), environment=package_versions(), chain=self._heads(),
         )  # fmt: skip
         return ActiveRun(self._folder, about)

@@ -25,20 +25,17 @@ from touchdown.backend.core import InputError, lock_file, parse_json
 # error numbers of a full disk or an exhausted quota
 DISK_FULL_ERRNOS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 LEAST_BYTES = 1_000_000_000
-LEAST_EPISODES = 100
 # A run in progress pauses below this, since catalogue and journals still need space.
 LEAST_BYTES_RUNNING = 500_000_000
-# Size of an episode with JPEG images of real gels; simulated ones are smaller.
-EPISODE_BYTES = 3_700_000
 
 
-def check_free_space(folder: Path, bytes_each: int = EPISODE_BYTES) -> None:
-    """Raise ``InputError`` if the disk has less than 1 GB free, or less than 100 episodes need."""
+def check_free_space(folder: Path) -> None:
+    """Raise ``InputError`` if the disk has less than 1 GB free."""
     place, free = _free(folder)
-    needed = max(LEAST_BYTES, LEAST_EPISODES * bytes_each)
-    if free < needed:
+    if free < LEAST_BYTES:
         raise InputError(
-            f"Only {free / 1e9:.2f} GB are free; recording needs {needed / 1e9:.2f} GB to start.",
+            f"Only {free / 1e9:.2f} GB are free;"
+            f" recording needs {LEAST_BYTES / 1e9:.2f} GB to start.",
             str(place),
             "Free some space, or record on another disk.",
         )

@@ -10,7 +10,7 @@ import math
 import os
 import tempfile
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import closing, suppress
 from dataclasses import dataclass
 from hashlib import sha256
@@ -40,7 +40,7 @@ CACHE_VERSION = 1  # increment when the same file gives different numbers
 KEPT_CACHES = 3  # newest caches to keep
 LISTED = ("episode", "sha256", "revision", "x_um", "y_um", "pair")
 SHAPE = (SAMPLES_PER_PROBE, CHANNELS)
-Width = Literal["float16", "float32"]
+WIDTH = "float16"
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,7 +93,7 @@ class TrainingCache:
         self._asked[index] = True
 
 
-def cache_spec(rows: Sequence[CacheRow], width: Width = "float16") -> dict[str, object]:
+def cache_spec(rows: Sequence[CacheRow]) -> dict[str, object]:
     """Return everything a cache depends on; equal specs have equal numbers."""
     return {
         "episodes": [[row.episode, row.sha256, row.revision] for row in rows],
@@ -102,28 +102,23 @@ def cache_spec(rows: Sequence[CacheRow], width: Width = "float16") -> dict[str, 
         "channels": CHANNELS,
         "rate_hz": 10,
         "resampling": "markers linear between frames, wrench mean of 100 ms",
-        "dtype": width,
+        "dtype": WIDTH,
     }
 
 
-def open_cache(
-    dataset: Path,
-    rows: Sequence[CacheRow],
-    width: Width = "float16",
-    advance: Callable[[int], None] = lambda done: None,
-) -> TrainingCache:
+def open_cache(dataset: Path, rows: Sequence[CacheRow]) -> TrainingCache:
     """Open the cache of ``rows`` (by episode); build it if it does not exist.
 
-    ``advance`` receives the number of finished rows. Raises ``InputError`` for a damaged file.
+    Raises ``InputError`` for a damaged file.
     """
     ordered = sorted(rows, key=lambda row: row.episode)
-    spec = cache_spec(ordered, width)
+    spec = cache_spec(ordered)
     name = sha256(canonical_json(spec)).hexdigest()
     folder = dataset / "cache"
     path = folder / f"{name}.npy"
-    if not _fits(path, len(ordered), width):
+    if not _fits(path, len(ordered)):
         folder.mkdir(parents=True, exist_ok=True)
-        _write(path, dataset, ordered, width, advance)
+        _write(path, dataset, ordered)
         columns = {name: [getattr(row, name) for row in ordered] for name in LISTED}
         header = {"spec": {**spec, "episodes": len(ordered)}, **columns}
         write_atomically(path.with_suffix(".json"), json.dumps(header).encode())
@@ -131,33 +126,24 @@ def open_cache(
     return TrainingCache(path, ordered)
 
 
-def _fits(path: Path, count: int, width: Width) -> bool:
+def _fits(path: Path, count: int) -> bool:
     """Return True if the cache is complete: its ``.json`` is written last."""
     try:
         array = np.load(path, mmap_mode="r", allow_pickle=False)
     except (OSError, ValueError, EOFError):
         return False
-    whole = (array.shape, array.dtype.name) == ((count, *SHAPE), width)
+    whole = (array.shape, array.dtype.name) == ((count, *SHAPE), WIDTH)
     return whole and path.with_suffix(".json").exists()
 
 
-def _write(
-    path: Path,
-    dataset: Path,
-    rows: Sequence[CacheRow],
-    width: Width,
-    advance: Callable[[int], None],
-) -> None:
-    header = {"descr": np.dtype(width).str, "fortran_order": False, "shape": (len(rows), *SHAPE)}
+def _write(path: Path, dataset: Path, rows: Sequence[CacheRow]) -> None:
+    header = {"descr": np.dtype(WIDTH).str, "fortran_order": False, "shape": (len(rows), *SHAPE)}
     descriptor, part = tempfile.mkstemp(dir=path.parent, prefix=".", suffix=".tmp")
     try:
         with os.fdopen(descriptor, "wb") as file:
             np.lib.format.write_array_header_1_0(file, header)
-            for done, row in enumerate(rows):
-                file.write(read_observation(dataset, row).astype(width).tobytes())
-                if done % 64 == 0:
-                    advance(done)
-            advance(len(rows))
+            for row in rows:
+                file.write(read_observation(dataset, row).astype(WIDTH).tobytes())
             file.flush()
             os.fsync(file.fileno())
         Path(part).replace(path)
@@ -233,16 +219,12 @@ def is_dataset(folder: Path) -> bool:
 
 
 def load_training_set(
-    folder: Path,
-    piece: str | None = None,
-    labels: LabelChoice = "approved",
-    advance: Callable[[int], None] = lambda done: None,
+    folder: Path, piece: str | None = None, labels: LabelChoice = "approved"
 ) -> TrainingRows:
     """Return the labelled episodes of ``piece`` (None: the only one) in a dataset.
 
-    Works while another process writes the dataset. ``advance`` receives the number of episodes
-    copied into the cache, if it has to be built. Raises ``InputError`` if there are no episodes, or
-    episodes of several pieces.
+    Works while another process writes the dataset. Raises ``InputError`` if there are no episodes,
+    or episodes of several pieces.
     """
     with closing(Database.open(folder / CATALOGUE_FILE, write=False)) as database:
         listed = labelled_episodes(database, labels)
@@ -252,7 +234,7 @@ def load_training_set(
     geometry = {name: store.pair(name) for name in pairs}
     top = load_pieces().piece(chosen[0].piece)
     _check_face(top, geometry.values(), folder)
-    cache = open_cache(folder, [e.row for e in chosen], advance=advance)
+    cache = open_cache(folder, [e.row for e in chosen])
     return TrainingRows(
         top.name,
         top.sha256,
@@ -340,18 +322,14 @@ def _patches(
 
 
 def _label_facts(e: LabelledEpisode) -> dict[str, object]:
+    names = ("source", "piece", "bottom", "grip_id", "mounting_id", "mode")
     return {
         "episode": e.row.episode,
         "revision": e.row.revision,
         "x_um": e.label.x_um,
         "y_um": e.label.y_um,
         "sigma_um": e.label.sigma_um,
-        "source": e.source,
-        "piece": e.piece,
-        "bottom": e.bottom,
-        "grip_id": e.grip_id,
-        "mounting_id": e.mounting_id,
-        "mode": e.mode,
+        **{name: getattr(e, name) for name in names},
         "file": e.row.path,
         "file_sha256": e.row.sha256,
     }

@@ -147,16 +147,10 @@ def finger_lead_px(pushes: Sequence[SidePress]) -> FloatArray:
 
     Creep of the gels between presses is of similar size, so that presses must be repeated.
     """
-    moved = {
-        side: [
-            [abs(image_motion(push.rest_px[k], push.moved_px[k])[0][1]) for k in range(2)]
-            for push in pushes
-            if push.side == side
-        ]
-        for side in ("+y", "-y")
-    }
-    pairs = zip(moved["+y"], moved["-y"], strict=False)
-    return np.array([(there[1] - back[1]) - (there[0] - back[0]) for there, back in pairs])
+    there, back = (np.abs(_motions(pushes, side)[..., 1]) for side in ("+y", "-y"))
+    pairs = min(len(there), len(back))
+    excess = there[:pairs] - back[:pairs]
+    return np.asarray(excess[:, 1] - excess[:, 0])
 
 
 def fingers_distinguishable(pushes: Sequence[SidePress]) -> bool:
@@ -178,15 +172,15 @@ def find_arrangement(pushes: Sequence[SidePress]) -> CameraArrangement:
     """
     if {push.side for push in pushes} != set(SIDES):
         raise RefusedError("PUSHES", "Press at least once on each of the four sides.")
-    shift, turn = _by_side(pushes)
-    along_v = np.stack(list(shift.values()))[..., 1].mean(axis=0)
+    mean = {side: _motions(pushes, side).mean(axis=0) for side in SIDES}
+    along_v = np.mean([motion[:, 1] for motion in mean.values()], axis=0)
     if np.abs(along_v).min() < MIN_MOTION_PX:
         raise RefusedError("WEAK-PUSH", "The dots hardly move: press harder, or clean the gels.")
     flipped = along_v > 0.0
     # Displaced to +y the face touches on its -y side, the side of the right finger.
     lead_px = float(finger_lead_px(pushes).mean())
     # Displaced to +x the contact lifts the -x side: the left picture rotates from u to v.
-    turned = turn["+x"] - turn["-x"]
+    turned = mean["+x"][:, 2] - mean["-x"][:, 2]
     if not fingers_distinguishable(pushes) or np.abs(turned).min() < MIN_TURN_RAD:
         raise RefusedError("EVEN-PUSH", "Both fingers move equally: press farther off the centre.")
     exchanged = lead_px < 0.0
@@ -222,19 +216,14 @@ def estimate_cameras(pushes: Sequence[SidePress], pitch_mm: float) -> Calibratio
     )  # fmt: skip
 
 
-def _by_side(pushes: Sequence[SidePress]) -> tuple[dict[Side, FloatArray], dict[Side, FloatArray]]:
-    """Return mean shift (2, 2) and mean turn (2,) of both pictures, by side."""
-    shift: dict[Side, FloatArray] = {}
-    turn: dict[Side, FloatArray] = {}
-    for side in SIDES:
-        motions = [
-            [image_motion(push.rest_px[k], push.moved_px[k]) for k in range(2)]
-            for push in pushes
-            if push.side == side
-        ]
-        shift[side] = np.mean([[m[0] for m in pair] for pair in motions], axis=0)
-        turn[side] = np.mean([[m[1] for m in pair] for pair in motions], axis=0)
-    return shift, turn
+def _motions(pushes: Sequence[SidePress], side: Side) -> FloatArray:
+    """Return (n, 2, 3): shift in u and v, and rotation of both pictures in each press to a side."""
+    rows = []
+    for push in pushes:
+        if push.side == side:
+            both = (image_motion(push.rest_px[k], push.moved_px[k]) for k in range(2))
+            rows.append([[*shift, turn] for shift, turn in both])
+    return np.array(rows, dtype=np.float64).reshape(-1, 2, 3)
 
 
 FINGERPRINT_LIMIT_PX = 1.0  # the same gel rests within this (rms) of its fingerprint

@@ -5,16 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.backend.config import SAMPLES_PER_PROBE
-from touchdown.backend.core import CHANNELS, InputError
+from touchdown.backend.core import CHANNELS
 from touchdown.backend.episodes.mcap import (
-    DAMAGED_FILE_FIX,
     ChunkContents,
     McapWriter,
     input_errors,
@@ -65,13 +63,8 @@ class PackWriter:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self._writer.__exit__(kind, error, trace)
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        self._writer.__exit__(kind)
 
     def write(self, row: PackedEpisode) -> None:
         """Append one episode; raises ``ValueError`` for a shape other than (20, 258) or a NaN."""
@@ -120,14 +113,6 @@ def read_pack(path: Path) -> Iterator[PackedEpisode]:
             with input_errors(path):
                 row = _row(group)
             yield row
-
-
-def read_pack_metadata(path: Path) -> dict[str, str]:
-    """Return the record ``pack`` of a pack."""
-    for group in read_groups(path):
-        if "pack" in group.metadata:
-            return group.metadata["pack"]
-    raise InputError("The file is not a pack of episodes.", str(path), DAMAGED_FILE_FIX)
 
 
 def _row(group: ChunkContents) -> PackedEpisode:

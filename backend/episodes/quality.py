@@ -57,33 +57,27 @@ class Coverage:
 
     def with_offset(self, offset_mm: tuple[float, float]) -> Coverage:
         """Return the coverage with one more episode; offsets outside all bins are ignored."""
-        counts = self.counts + count_bins(np.array([offset_mm]), self.counts.shape, self.bin_mm)
-        return Coverage(counts, self.possible, self.bin_mm)
+        counts = self.counts + count_bins(np.array([offset_mm]), self.counts.shape)
+        return Coverage(counts, self.possible)
 
 
-def count_coverage(
-    offsets_mm: FloatArray,
-    face: Outline,
-    bottom: Outline,
-    bin_mm: float = BIN_MM,
-    min_overlap_mm2: float = MIN_OVERLAP_MM2,
-) -> Coverage:
+def count_coverage(offsets_mm: FloatArray, face: Outline, bottom: Outline) -> Coverage:
     """Count ``offsets_mm`` (n, 2) of ``face`` above ``bottom`` per bin."""
     reach = np.add(face.half_extents_mm, bottom.half_extents_mm)
-    columns, rows = (2 * np.ceil(reach / bin_mm).astype(int) + 1).tolist()
-    x = bin_mm * (np.arange(columns) - columns // 2)
-    y = bin_mm * (np.arange(rows) - rows // 2)
+    columns, rows = (2 * np.ceil(reach / BIN_MM).astype(int) + 1).tolist()
+    x = BIN_MM * (np.arange(columns) - columns // 2)
+    y = BIN_MM * (np.arange(rows) - rows // 2)
     centres = np.stack(np.meshgrid(x, y), axis=-1)
-    possible = overlap_area_mm2(face, centres, bottom) >= min_overlap_mm2
-    return Coverage(count_bins(offsets_mm, (rows, columns), bin_mm), possible, bin_mm)
+    possible = overlap_area_mm2(face, centres, bottom) >= MIN_OVERLAP_MM2
+    return Coverage(count_bins(offsets_mm, (rows, columns)), possible)
 
 
-def count_bins(offsets_mm: FloatArray, shape: tuple[int, ...], bin_mm: float) -> NDArray[np.intp]:
+def count_bins(offsets_mm: FloatArray, shape: tuple[int, ...]) -> NDArray[np.intp]:
     """Return the number of ``offsets_mm`` (n, 2) per bin, (ny, nx)."""
     counts = np.zeros(shape, dtype=np.intp)
     offsets = np.asarray(offsets_mm, dtype=np.float64).reshape(-1, 2)
     offsets = offsets[np.isfinite(offsets).all(axis=1)]
-    index = np.rint(offsets[:, ::-1] / bin_mm).astype(np.intp) + np.array(shape) // 2
+    index = np.rint(offsets[:, ::-1] / BIN_MM).astype(np.intp) + np.array(shape) // 2
     inside = ((index >= 0) & (index < shape)).all(axis=1)
     np.add.at(counts, tuple(index[inside].T), 1)
     return counts

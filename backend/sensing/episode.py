@@ -8,7 +8,7 @@ Values that were not measured are NaN: nothing is extrapolated, repeated or fill
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -36,13 +36,9 @@ from touchdown.backend.sensing.slip import press_slip_mm
 ROUNDING_S = 1e-7  # time stamps are whole microseconds; closer times are equal
 
 
-@dataclass(frozen=True, slots=True)
-class SyncLimits:
-    """Largest distances between measurements and ticks."""
-
-    nearest_frame_s: float = 0.060  # ticks farther from any frame are marked (reliability C5)
-    longest_hole_s: float = 0.200  # no interpolation between frames farther apart (reliability C5)
-    wrench_share: float = 0.8  # smallest share of the samples expected in the 100 ms before a tick
+NEAREST_FRAME_S = 0.060  # ticks farther from any frame are marked (reliability C5)
+LONGEST_HOLE_S = 0.200  # no interpolation between frames farther apart (reliability C5)
+WRENCH_SHARE = 0.8  # smallest share of the samples expected in the 100 ms before a tick
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,26 +97,19 @@ class SynchronisedProbe:
         return rows
 
 
-def synchronise(
-    recording: Recording, onset_s: float, limits: SyncLimits | None = None
-) -> SynchronisedProbe:
+def synchronise(recording: Recording, onset_s: float) -> SynchronisedProbe:
     """Resample ``recording`` at the ticks after ``onset_s``; never raises on missing data."""
-    limits = limits or SyncLimits()
     steps = np.arange(1, SAMPLES_PER_PROBE + 1, dtype=np.float64)
     tick_s = np.asarray(onset_s + TICK_S * steps, dtype=np.float64)
-    by_finger = {
-        finger: _finger_on_ticks(recording.fields, finger, tick_s, limits) for finger in FINGERS
-    }
-    wrench = wrench_on_ticks(recording.wrench_t_s, recording.wrench, tick_s, limits.wrench_share)
-    return SynchronisedProbe(tick_s, wrench, by_finger["left"], by_finger["right"])
+    left, right = (_finger_on_ticks(recording.fields, finger, tick_s) for finger in FINGERS)
+    wrench = wrench_on_ticks(recording.wrench_t_s, recording.wrench, tick_s)
+    return SynchronisedProbe(tick_s, wrench, left, right)
 
 
-def wrench_on_ticks(
-    t_s: FloatArray, wrench: FloatArray, tick_s: FloatArray, least_share: float
-) -> FloatArray:
+def wrench_on_ticks(t_s: FloatArray, wrench: FloatArray, tick_s: FloatArray) -> FloatArray:
     """Return (20, 6): the mean over (tick - 100 ms, tick] of ``wrench`` (n, 6) at ``t_s`` (n,).
 
-    NaN for a tick with fewer than ``least_share`` of the expected samples, or with one that is not
+    NaN for a tick with fewer than 80 % of the expected samples, or with one that is not
     finite. The expected number follows from the median distance of the samples.
     """
     means = np.full((len(tick_s), WRENCH_CHANNELS), np.nan)
@@ -134,13 +123,13 @@ def wrench_on_ticks(
     padded = np.concatenate((wrench, np.zeros((1, WRENCH_CHANNELS))))
     sums = np.add.reduceat(padded, np.stack((first, last), axis=1).ravel(), axis=0)[::2]
     count = last - first
-    whole = (count > 0) & (count >= least_share * expected) & np.isfinite(sums).all(axis=1)
+    whole = (count > 0) & (count >= WRENCH_SHARE * expected) & np.isfinite(sums).all(axis=1)
     means[whole] = sums[whole] / count[whole, None]
     return means
 
 
 def _finger_on_ticks(
-    fields: tuple[MarkerField, ...], finger: Finger, tick_s: FloatArray, limits: SyncLimits
+    fields: tuple[MarkerField, ...], finger: Finger, tick_s: FloatArray
 ) -> FingerTicks:
     own = [field for field in fields if field.finger == finger]
     dropped = _missing_numbers(own, tick_s)
@@ -150,14 +139,14 @@ def _finger_on_ticks(
     # A field with NaN counts as a missing frame.
     whole = np.isfinite(moved).all(axis=(1, 2))
     frame_s, moved, state = frame_s[whole], moved[whole], state[whole]
-    before, after, part, measured = _frames_around_ticks(frame_s, tick_s, limits.longest_hole_s)
+    before, after, part, measured = _frames_around_ticks(frame_s, tick_s)
     values = np.full((len(tick_s), MARKERS, 2), np.nan)
     worst = np.zeros((len(tick_s), MARKERS), dtype=np.uint8)
     share = part[measured, None, None]
     values[measured] = (1.0 - share) * moved[before[measured]] + share * moved[after[measured]]
     worst[measured] = np.maximum(state[before[measured]], state[after[measured]])
     skew_s = _nearest_frame_s(frame_s, tick_s)
-    near = (skew_s <= limits.nearest_frame_s + ROUNDING_S) & measured
+    near = (skew_s <= NEAREST_FRAME_S + ROUNDING_S) & measured
     inferred, lost = worst >= int(MarkerState.INFERRED), worst == int(MarkerState.LOST)
     return FingerTicks(
         values, near, inferred, lost, skew_s, _longest_hole_s(frame_s, tick_s), dropped
@@ -165,11 +154,11 @@ def _finger_on_ticks(
 
 
 def _frames_around_ticks(
-    frame_s: FloatArray, tick_s: FloatArray, longest_hole_s: float
+    frame_s: FloatArray, tick_s: FloatArray
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], FloatArray, NDArray[np.bool_]]:
     """Return per tick the frames before and after it, the fraction between, and ``measured``.
 
-    A tick is measured between frames at most ``longest_hole_s`` apart, or exactly at a frame.
+    A tick is measured between frames at most ``LONGEST_HOLE_S`` apart, or exactly at a frame.
     """
     if not len(frame_s):
         nothing = np.zeros(len(tick_s), dtype=np.intp)
@@ -183,7 +172,7 @@ def _frames_around_ticks(
     way_s = tick_s - frame_s[before]
     part = np.where(exact | (gap_s <= 0), 0.0, way_s / np.where(gap_s > 0, gap_s, 1.0))
     both_sides = (found > 0) & (found <= last)
-    measured = exact | (both_sides & (gap_s <= longest_hole_s + ROUNDING_S))
+    measured = exact | (both_sides & (gap_s <= LONGEST_HOLE_S + ROUNDING_S))
     return before, after, np.asarray(part, dtype=np.float64), measured
 
 
@@ -221,13 +210,12 @@ class EpisodeLimits:
 
     # Ticks per finger with a frame within 60 ms (reliability C5).
     least_ticks: int = SAMPLES_PER_PROBE - 1
-    longest_hole_s: float = 0.200  # longest time without a frame (reliability C5)
+    longest_hole_s: float = LONGEST_HOLE_S  # longest time without a frame
     inferred_share: float = 0.25  # upward shear moves one row of seven out of view: 14 % is normal
     # The tracker is tested with six covered dots (marker-tracking, occlusion).
     lost_markers: int = 6
     contact_n: float = 1.0  # smallest press force at the last tick: the contact threshold
     slip_mm: float = 0.3  # largest slip in the grasp, as in the release interlock
-    sync: SyncLimits = field(default_factory=SyncLimits)
 
 
 def assemble_episode(
@@ -236,7 +224,6 @@ def assemble_episode(
     onset_s: float,
     offset_mm: FloatArray,
     piece: str,
-    limits: EpisodeLimits | None = None,
     metadata: tuple[tuple[str, str], ...] = (),
 ) -> Episode:
     """Assemble the episode of one probe, accepted or not.
@@ -251,8 +238,6 @@ def assemble_episode(
         (2,) commanded displacement of ``F`` in ``O``, mm.
     piece
         Name of the grasped piece.
-    limits
-        Limits for accepting it; by default ``EpisodeLimits()``.
     metadata
         Further facts by name.
 
@@ -263,12 +248,11 @@ def assemble_episode(
         is not accepted, and its observation contains NaN. Never raises on missing data.
 
     """
-    limits = limits or EpisodeLimits()
-    ticks = synchronise(recording, onset_s, limits.sync)
+    ticks = synchronise(recording, onset_s)
     observation = ticks.observation()
     slip_mm = press_slip_mm(recording, onset_s, onset_s + SAMPLES_PER_PROBE * TICK_S)
     offset = np.array(offset_mm, dtype=np.float64)
-    quality = judge_quality(ticks, slip_mm, limits)
+    quality = judge_quality(ticks, slip_mm, EpisodeLimits())
     if quality.accepted and not (np.isfinite(offset).all() and np.isfinite(observation).all()):
         reasons = (*quality.reasons, "A value of the observation is not a finite number")
         quality = replace(quality, accepted=False, reasons=reasons)

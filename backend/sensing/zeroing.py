@@ -32,17 +32,14 @@ from touchdown.backend.core import (
 STANDARD_GRAVITY_M_S2 = 9.80665
 
 
-@dataclass(frozen=True, slots=True)
-class TareLimits:
-    """Limits of a tare. Forces in N, moments in N·m; set from noise measured in air."""
-
-    # Largest standard deviation (force, moment): 3 sigma of the air noise 0.1 N, 0.004 N·m.
-    noise: tuple[float, float] = (0.3, 0.012)
-    # Largest change between the halves of the window: the arm moves or the load changes.
-    motion: tuple[float, float] = (0.15, 0.006)
-    load_n: float = 3.0  # largest force beyond the payload; more is a contact (reliability S8)
-    least_samples: int = 10  # 200 ms hold 200 samples at 1 kHz
-    least_span_s: float = 0.15  # shortest time that the samples must span
+# Limits of a tare. Forces in N, moments in N·m; set from noise measured in air.
+# Largest standard deviation (force, moment): 3 sigma of the air noise 0.1 N, 0.004 N·m.
+TARE_NOISE = (0.3, 0.012)
+# Largest change between the halves of the window: the arm moves or the load changes.
+TARE_MOTION = (0.15, 0.006)
+TARE_LOAD_N = 3.0  # largest force beyond the payload; more is a contact (reliability S8)
+MIN_TARE_SAMPLES = 10  # 200 ms hold 200 samples at 1 kHz
+MIN_TARE_SPAN_S = 0.15  # shortest time that the samples must span
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,11 +52,6 @@ class Tare:
     def __post_init__(self) -> None:
         read_only(self.payload)
         read_only(self.offset)
-
-    @classmethod
-    def zero(cls) -> Tare:
-        """Return the tare that changes nothing."""
-        return cls(np.zeros(WRENCH_CHANNELS), np.zeros(WRENCH_CHANNELS))
 
     @property
     def total(self) -> FloatArray:
@@ -78,20 +70,14 @@ def gripper_payload(mass_kg: float, centre_mm: tuple[float, float, float]) -> Fl
     return np.array([0.0, 0.0, -weight_n, -y_m * weight_n, x_m * weight_n, 0.0])
 
 
-def take_tare(
-    t_s: FloatArray,
-    wrench: FloatArray,
-    payload: FloatArray | None = None,
-    limits: TareLimits | None = None,
-) -> Tare:
+def take_tare(t_s: FloatArray, wrench: FloatArray, payload: FloatArray | None = None) -> Tare:
     """Average still samples in air: ``t_s`` (n,) and raw ``wrench`` (n, 6).
 
     ``payload`` (6,): calibrated weight of the gripper; without it a contact is detected by motion
     and noise only. Raises ``FaultError`` "TARE-REFUSED" with the reason.
     """
-    limits = limits or TareLimits()
     base = np.zeros(WRENCH_CHANNELS) if payload is None else np.array(payload, dtype=np.float64)
-    refusal = _refusal(t_s, wrench - base, limits, weighed=payload is not None)
+    refusal = _refusal(t_s, wrench - base, weighed=payload is not None)
     if refusal:
         raise FaultError(
             Fault(
@@ -105,23 +91,20 @@ def take_tare(
     return Tare(base, np.asarray((wrench - base).mean(axis=0), dtype=np.float64))
 
 
-def _refusal(t_s: FloatArray, wrench: FloatArray, limits: TareLimits, *, weighed: bool) -> str:
+def _refusal(t_s: FloatArray, wrench: FloatArray, *, weighed: bool) -> str:
     """Return the reason for refusing these samples, or ""; NaN is refused."""
-    if len(t_s) < limits.least_samples or not float(t_s[-1] - t_s[0]) >= limits.least_span_s:
+    if len(t_s) < MIN_TARE_SAMPLES or not float(t_s[-1] - t_s[0]) >= MIN_TARE_SPAN_S:
         return f"{len(t_s)} samples are too few or span too short a time"
     if not np.isfinite(wrench).all():
         return "a sample is not a finite number"
     half = len(wrench) // 2
     noise = _largest(wrench.std(axis=0, ddof=1))
     motion = _largest(np.abs(wrench[half:].mean(axis=0) - wrench[:half].mean(axis=0)))
-    for kind, measured, allowed in (
-        ("noise", noise, limits.noise),
-        ("drift", motion, limits.motion),
-    ):
+    for kind, measured, allowed in (("noise", noise, TARE_NOISE), ("drift", motion, TARE_MOTION)):
         if not (measured[0] <= allowed[0] and measured[1] <= allowed[1]):
             return f"{kind} of {measured[0]:.2f} N, {measured[1]:.3f} N·m in still air"
     load_n = math.hypot(*wrench[:, :3].mean(axis=0))
-    if weighed and not load_n <= limits.load_n:
+    if weighed and not load_n <= TARE_LOAD_N:
         return f"{load_n:.1f} N beyond the payload: the piece touches something"
     return ""
 

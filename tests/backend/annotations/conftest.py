@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from touchdown.backend.annotations.dataset import Dataset
+from touchdown.backend.annotations.label_history import read_review_status
 from touchdown.backend.annotations.values import (
     NO_LABEL,
     EpisodeContext,
@@ -58,6 +59,12 @@ def add(
     return dataset.record(
         small_episode(**episode), label, source=source, context=context or context_for(dataset)
     )
+
+
+def authors(dataset: Dataset, uuid: str) -> tuple[str, ...]:
+    """Return the authors of a label."""
+    with dataset.database.reading() as connection:
+        return read_review_status(connection, uuid).authors
 
 
 def flip_byte(path: Path, at: float = 0.5) -> bytes:

@@ -85,7 +85,7 @@ def label_until_full(folder: Path) -> dict[str, object]:
 
 def collect_until_full(folder: Path) -> dict[str, object]:
     """Collect three probes; after the first one the disk is full until the run pauses."""
-    storage.LEAST_BYTES = storage.LEAST_EPISODES = storage.LEAST_BYTES_RUNNING = 0
+    storage.LEAST_BYTES = storage.LEAST_BYTES_RUNNING = 0
     ballast, facts = folder / "ballast", list[Event]()
     stored_when_paused: list[int] = []
     session = simulated_session(

@@ -19,7 +19,14 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from tests.backend.annotations.conftest import Record, add, context_for, flip_byte, small_episode
+from tests.backend.annotations.conftest import (
+    Record,
+    add,
+    authors,
+    context_for,
+    flip_byte,
+    small_episode,
+)
 from tests.backend.annotations.test_packs_in_datasets import write_pack
 from tests.backend.annotations.test_values import ACTIONS, FAST, PEOPLE, Step, act, contents
 from tests.backend.episodes.test_quality import (
@@ -779,7 +786,7 @@ def test_two_labels_are_a_conflict_until_a_person_resolves_it(copies: Copies) ->
     conflict = contents(ours)
     resolved = ours.labels.resolve("cleo", uuid, mine.rev_uuid)
     assert (resolved.label, resolved.state) == (mine.label, "submitted")
-    assert ours.labels.review_status(uuid).authors == ("ann",)
+    assert authors(ours, uuid) == ("ann",)
     assert ours.queue("conflicts", "ann") == []
     chosen = contents(ours)
     for _ in range(3):

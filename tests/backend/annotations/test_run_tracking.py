@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.backend.annotations.conftest import Record, context_for
+from tests.backend.annotations.conftest import Record, authors, context_for
 from tests.backend.annotations.filling import fill
 from touchdown.backend.annotations import episode_index
 from touchdown.backend.annotations.backups import list_backups, restore_backup
@@ -151,12 +151,12 @@ def test_rejected_work_goes_back_to_its_author(dataset: Dataset, record: Record)
         labels.reject("bob", uuid, " ")
     rejected = labels.reject("bob", uuid, "tilt")
     assert (rejected.state, rejected.reason) == ("rejected", "tilt")
-    assert labels.review_status(uuid).authors == ("ann",)
+    assert authors(dataset, uuid) == ("ann",)
     assert labels.counting(uuid) is None
     with pytest.raises(RefusedError, match="work of ann"):
         labels.set("bob", uuid, Label(1, 1))
     labels.take_over("bob", uuid)
-    assert labels.review_status(uuid).authors == ("ann", "bob")
+    assert authors(dataset, uuid) == ("ann", "bob")
     labels.set("bob", uuid, Label(1, 1))
     labels.accept("bob", uuid)
     with pytest.raises(RefusedError, match="another person"):
@@ -207,8 +207,8 @@ def test_the_log_can_be_searched(dataset: Dataset, record: Record) -> None:
     labels.set("ann", first, MOVED, note="bent corner")
     labels.flag("bob", second)
     assert [op.verb for op in labels.log()] == ["flag", "label.set", "record", "record"]
-    assert [op.verb for op in labels.log(actor="bob")] == ["flag"]
-    assert [op.verb for op in labels.log(episode=first)] == ["label.set", "record"]
+    assert [op.verb for op in labels.log(text="bob")] == ["flag"]
+    assert [op.verb for op in labels.log(text=first)] == ["label.set", "record"]
     assert [op.actor for op in labels.log(text="bent corner")] == ["ann"]
     assert labels.people() == ["ann", "bob", "cleo"]
     with pytest.raises(InputError, match="no such episode"):
@@ -220,7 +220,6 @@ def test_work_moves_from_queue_to_queue(dataset: Dataset, record: Record) -> Non
     assert dataset.queue("unlabelled", "ann") == [a, b, c]
     labels.skip("ann", a)
     assert dataset.queue("unlabelled", "ann") == [b, c, a]
-    assert dataset.queue("unlabelled", "ann", limit=1) == [b]
     labels.accept("ann", b)
     assert dataset.queue("unlabelled", "ann") == [c, a]
     assert dataset.queue("review", "ann") == []
@@ -279,12 +278,11 @@ def test_injected_errors_come_first_in_the_queue_of_disagreement(dataset: Datase
         assert value is not None
         values[uuid] = value
     dataset.scores.put("disagreement", values, "m")
-    first = dataset.queue("disagreement", "ann", limit=100)
+    first = dataset.queue("disagreement", "ann")[:100]
     precision = len(wrong & set(first)) / 100
     base_rate = len(wrong) / len(uuids)
     assert precision == 0.2 > 5 * base_rate
     assert set(first[:20]) == wrong
-    assert dataset.queue("disagreement", "ann")[:100] == first
     dataset.labels.set("ann", first[0], Label(1, 1))
     assert first[0] not in dataset.queue("disagreement", "ann")
     assert dataset.scores.of(first[1]) == {"disagreement": values[first[1]]}
@@ -359,7 +357,7 @@ SETTINGS = {"modality": "FT+Tac", "epochs": 2, "out": "pot.safetensors"}
 
 
 def begin(dataset: Dataset, **changes: object) -> ActiveRun:
-    return dataset.runs.begin("train", seed=7, settings=SETTINGS | changes, manifest="m" * 64)
+    return dataset.runs.begin("train", seed=7, settings=SETTINGS | changes)
 
 
 def test_a_run_is_told_while_it_goes_on_and_after(dataset: Dataset, tmp_path: Path) -> None:
@@ -375,6 +373,7 @@ def test_a_run_is_told_while_it_goes_on_and_after(dataset: Dataset, tmp_path: Pa
     model = tmp_path / "pot.safetensors"
     model.write_bytes(b"weights")
     live.artifact("model", model)
+    live.set_manifest("m" * 64)
     live.finish()
     entry = dataset.runs.entry(live.uuid)
     assert (entry.state, entry.kind, entry.seed, entry.manifest) == (

@@ -33,7 +33,7 @@ from touchdown.backend.core.faults import (
     StaleSampleError,
 )
 from touchdown.backend.episodes.episode_file import read_episode
-from touchdown.backend.episodes.packs import read_pack_metadata
+from touchdown.backend.episodes.mcap import read_whole
 from touchdown.backend.episodes.training_rows import find_packs, load_rows
 from touchdown.backend.experiments import collection, tables
 from touchdown.backend.geometry.outlines import face_points, true_patch
@@ -413,7 +413,7 @@ def test_files_do_not_depend_on_the_number_of_workers(written, tmp_path, capsys)
 
 
 def test_packs_name_the_settings_they_were_made_with(written) -> None:
-    metadata = read_pack_metadata(find_packs(written[0])[0])
+    metadata = read_whole(find_packs(written[0])[0]).metadata["pack"]
     assert metadata["simulated"] == "true"
     assert json.loads(metadata["settings"])["preset"] == "mixed"
     assert metadata["probes_per_grip"] == "3"

@@ -27,7 +27,7 @@ from touchdown.backend.devices.melfa.driver import MelfaArm
 from touchdown.backend.devices.protocols import PressCommand
 from touchdown.backend.geometry.pieces import load_pieces
 from touchdown.backend.runs.requests import SceneChoice
-from touchdown.backend.sensing.episode import SyncLimits, wrench_on_ticks
+from touchdown.backend.sensing.episode import wrench_on_ticks
 from touchdown.backend.simulation.scene import Scene
 from touchdown.backend.simulation.world import World
 
@@ -161,4 +161,4 @@ def _air(samples: SampleStream, now_s: float) -> FloatArray:
 def _on_ticks(samples: SampleStream, onset_s: float, tare: FloatArray) -> FloatArray:
     felt = samples.since(0)
     tick_s = onset_s + TICK_S * np.arange(1, SAMPLES_PER_PROBE + 1)
-    return wrench_on_ticks(felt.t_s, felt.values - tare, tick_s, SyncLimits().wrench_share)
+    return wrench_on_ticks(felt.t_s, felt.values - tare, tick_s)

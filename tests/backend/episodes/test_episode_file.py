@@ -30,14 +30,9 @@ from touchdown.backend.episodes.episode_file import (
     to_s,
     write_episode,
 )
+from touchdown.backend.episodes.mcap import read_whole
 from touchdown.backend.episodes.messages import CdrReader
-from touchdown.backend.episodes.packs import (
-    PackedEpisode,
-    PackWriter,
-    read_pack,
-    read_pack_metadata,
-    write_packs,
-)
+from touchdown.backend.episodes.packs import PackedEpisode, PackWriter, read_pack, write_packs
 from touchdown.backend.episodes.training_rows import join_rows, load_rows, patch_bits, patch_hex
 
 STAMP = np.array([1_700_000_000_123_456_789])
@@ -360,7 +355,7 @@ def test_episodes_come_back_bit_for_bit(tmp_path: Path) -> None:
     for got, sent in zip(back, rows(5), strict=True):
         assert np.array_equal(got.observation, sent.observation)
         assert dict(got.label) == dict(sent.label)
-    assert read_pack_metadata(path) == {"schema_version": "1", "seed": "7"}
+    assert read_whole(path).metadata["pack"] == {"schema_version": "1", "seed": "7"}
 
 
 def test_equal_rows_give_equal_files(tmp_path: Path) -> None:

@@ -16,7 +16,12 @@ from touchdown.backend.core.values import (
     MarkerState,
     Recording,
 )
-from touchdown.backend.sensing.episode import EpisodeLimits, assemble_episode, synchronise
+from touchdown.backend.sensing.episode import (
+    EpisodeLimits,
+    assemble_episode,
+    judge_quality,
+    synchronise,
+)
 
 ONSET_S = 5.0
 
@@ -142,16 +147,10 @@ def test_a_bridged_tick_is_named() -> None:
 
 
 @pytest.mark.promise("P1")
-def test_a_limit_of_nan_or_bad_position_refuses() -> None:
+def test_a_limit_or_position_of_nan_refuses() -> None:
     recording = record(frames())
-    strict = assemble_episode(
-        recording,
-        onset_s=ONSET_S,
-        offset_mm=np.zeros(2),
-        piece="pot",
-        limits=EpisodeLimits(contact_n=float("nan")),
-    )
-    assert not strict.quality.accepted
+    strict = judge_quality(synchronise(recording, ONSET_S), 0.0, EpisodeLimits(contact_n=np.nan))
+    assert not strict.accepted
     nowhere = assemble_episode(
         recording, onset_s=ONSET_S, offset_mm=np.array([0.0, np.nan]), piece="pot"
     )

@@ -16,8 +16,6 @@ from touchdown.backend.sensing.tracker import MarkerTracker
 from touchdown.backend.sensing.zeroing import (
     WARN_DRIFT_N,
     TactileReference,
-    Tare,
-    TareLimits,
     WrenchDrift,
     WrenchDriftEstimator,
     gripper_payload,
@@ -268,11 +266,6 @@ def test_tare_removes_payload_piece_and_offset() -> None:
     np.testing.assert_allclose(tare.total, tare.payload + tare.offset)
 
 
-def test_zero_tare_changes_nothing() -> None:
-    values = np.arange(12.0).reshape(2, 6)
-    np.testing.assert_array_equal(Tare.zero().apply(values), values)
-
-
 def test_still_air_is_never_refused() -> None:
     for seed in range(100):
         take_tare(T_S, air(seed, PAYLOAD), PAYLOAD)
@@ -311,10 +304,3 @@ def test_one_bad_sample_refuses(row: int, channel: int, bad: float) -> None:
     values[row, channel] = bad
     with pytest.raises(FaultError, match="not a finite number"):
         take_tare(T_S, values, PAYLOAD)
-
-
-def test_limits_are_settings() -> None:
-    noisy = air(4, PAYLOAD) + air(5, np.zeros(6))
-    with pytest.raises(FaultError):
-        take_tare(T_S, noisy, PAYLOAD, TareLimits(noise=(0.1, 0.004)))
-    take_tare(T_S, noisy, PAYLOAD)

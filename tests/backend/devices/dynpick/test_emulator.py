@@ -337,7 +337,7 @@ def test_no_tick_lacks_a_whole_reading_because_the_computer_was_busy():
     told_s = np.array(stream.told_s)
     ticks_s = np.arange(BEGUN_S + 0.5, stream.true_s[-1], 0.1)
     wrench = np.repeat(np.array(stream.true_s)[:, None], 6, axis=1)
-    means = wrench_on_ticks(told_s, wrench, ticks_s, LEAST_SHARE)
+    means = wrench_on_ticks(told_s, wrench, ticks_s)
     assert np.isfinite(means).all()
     assert np.abs(means[:, 0] - (ticks_s - 0.05)).max() < 0.005
 

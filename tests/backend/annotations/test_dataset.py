@@ -1,42 +1,24 @@
-"""Opening skips unchanged folders and still finds every change."""
+"""A dataset: opening and its checks, recording, append-only tables, refusals."""
 
 from __future__ import annotations
 
-import errno
 import json
 import os
 import shutil
 import signal
 import sqlite3
-import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
+from itertools import zip_longest
 from pathlib import Path
 
 import numpy as np
 import psutil
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 
-from tests.backend.annotations.conftest import (
-    Record,
-    add,
-    authors,
-    context_for,
-    flip_byte,
-    small_episode,
-)
+from tests.backend.annotations.conftest import Record, add, context_for, flip_byte, small_episode
 from tests.backend.annotations.test_packs_in_datasets import write_pack
-from tests.backend.annotations.test_values import ACTIONS, FAST, PEOPLE, Step, act, contents
-from tests.backend.episodes.test_quality import (
-    jumped_marker,
-    knocked,
-    late_gel,
-    never_touched,
-    simulated,
-    worse,
-)
+from tests.backend.episodes.test_quality import DISTURBED, simulated
 from touchdown.backend.annotations import consistency, episode_files, operation_log, review
 from touchdown.backend.annotations.backups import restore_backup
 from touchdown.backend.annotations.database import SCHEMA_VERSION, Database
@@ -45,7 +27,6 @@ from touchdown.backend.annotations.episode_index import SPLIT_TAG
 from touchdown.backend.annotations.operation_log import OperationJournal, read_journal
 from touchdown.backend.annotations.reconciliation import reconcile
 from touchdown.backend.annotations.storage import DatasetInUseError, check_local_disk, file_system
-from touchdown.backend.annotations.training_set import labelled_episodes
 from touchdown.backend.annotations.values import EpisodeFilter, Label
 from touchdown.backend.core.faults import FaultError, InputError, RefusedError
 from touchdown.backend.core.values import Episode
@@ -106,36 +87,14 @@ def notices(folder: Path) -> tuple[str, ...]:
         return dataset.notices
 
 
-def test_what_looks_as_it_did_is_not_looked_at(folder: Path, looked: set[str]) -> None:
+@pytest.mark.parametrize("crash", [False, True])
+def test_only_after_a_crash_everything_is_looked_at(
+    folder: Path, looked: set[str], crash: bool
+) -> None:
+    if crash:
+        die_open(folder)
     assert notices(folder) == ()
-    assert looked == {"raw"}
-
-
-def test_after_a_crash_everything_is_looked_at(folder: Path, looked: set[str]) -> None:
-    die_open(folder)
-    assert notices(folder) == ()
-    assert looked == {"raw", "raw/a", "raw/b", "raw/c"}
-
-
-def remove(folder: Path) -> None:
-    first(folder, "b").unlink()
-
-
-def remove_folder(folder: Path) -> None:
-    shutil.rmtree(folder / "raw" / "b")
-
-
-def rename(folder: Path) -> None:
-    first(folder, "b").rename(folder / "raw" / "b" / "other.mcap")
-
-
-def move(folder: Path) -> None:
-    path = first(folder, "b")
-    path.rename(folder / "raw" / "c" / path.name)
-
-
-def add_foreign(folder: Path) -> None:
-    (folder / "raw" / "b" / "foreign.mcap").write_bytes(b"no episode")
+    assert looked == {"raw"} | ({"raw/a", "raw/b", "raw/c"} if crash else set())
 
 
 def add_copy(folder: Path) -> None:
@@ -160,17 +119,30 @@ def replace_folder(folder: Path) -> None:
     os.utime(place, ns=(times.st_atime_ns, times.st_mtime_ns))
 
 
+CHANGES: dict[str, tuple[str, Callable[[Path], object]]] = {
+    "remove": ("missing", lambda folder: first(folder, "b").unlink()),
+    "remove folder": ("missing", lambda folder: shutil.rmtree(folder / "raw" / "b")),
+    "rename": ("was moved to", lambda folder: move(folder, "b", "other.mcap")),
+    "move": ("was moved to", lambda folder: move(folder, "c", "moved.mcap")),
+    "add foreign": ("torn", lambda folder: foreign(folder).write_bytes(b"no episode")),
+    "add copy": ("second file", add_copy),
+    "shorten": ("torn", replace_by_shorter),
+    "replace folder": ("missing", replace_folder),
+}
+
+
+def move(folder: Path, series: str, name: str) -> None:
+    first(folder, "b").rename(folder / "raw" / series / name)
+
+
+def foreign(folder: Path) -> Path:
+    return folder / "raw" / "b" / "foreign.mcap"
+
+
 @pytest.mark.parametrize("crash", [False, True], ids=["closed", "killed"])
-@pytest.mark.parametrize(
-    ("change", "said"),
-    [(remove, "missing"), (remove_folder, "missing"), (rename, "was moved to"),
-     (move, "was moved to"), (add_foreign, "torn"), (add_copy, "second file"),
-     (replace_by_shorter, "torn"), (replace_folder, "missing")],
-    ids=lambda value: getattr(value, "__name__", ""),
-)  # fmt: skip
-def test_whatever_comes_or_goes_is_found(
-    folder: Path, change: Callable[[Path], None], said: str, crash: bool
-) -> None:
+@pytest.mark.parametrize("name", CHANGES)
+def test_whatever_comes_or_goes_is_found(folder: Path, name: str, crash: bool) -> None:
+    said, change = CHANGES[name]
     if crash:
         die_open(folder)
     change(folder)
@@ -181,41 +153,24 @@ def test_whatever_comes_or_goes_is_found(
     with Dataset.open(folder) as dataset:
         for problems in (dataset.problems, reconcile(dataset.parts, whole=True)):
             assert all(problem.lasting for problem in problems)
-            assert bool(problems) == (said in ("missing", "torn") and change is not add_foreign)
+            assert bool(problems) == (said in ("missing", "torn") and name != "add foreign")
 
 
-def test_an_episode_that_comes_back_is_found(folder: Path) -> None:
-    path = first(folder, "b")
-    path.rename(folder / "kept")
-    assert len(notices(folder)) == 1
-    assert "is missing" in notices(folder)[0]
-    (folder / "kept").rename(path)
-    assert "is back" in notices(folder)[0]
-
-
-def cut(folder: Path) -> None:
+@pytest.mark.parametrize("way", ["crash", "verify", "a week"])
+def test_a_file_cut_in_place_is_found(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, way: str
+) -> None:
     path = first(folder, "b")
     os.truncate(path, path.stat().st_size - 100)
-
-
-def test_a_file_cut_in_place_is_found_after_a_crash(folder: Path) -> None:
-    cut(folder)
-    die_open(folder)
-    assert "torn" in notices(folder)[0]
-
-
-def test_a_file_cut_in_place_is_found_by_verify_after_a_clean_close(folder: Path) -> None:
-    cut(folder)
-    with Dataset.open(folder) as dataset:
-        assert dataset.notices == ()
-        assert [f.kind for f in reconcile(dataset.parts, whole=True)] == ["torn"]
-
-
-def test_a_file_cut_in_place_is_found_within_a_week(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    cut(folder)
-    monkeypatch.setattr(consistency, "WEEK_NS", 0)
+    if way == "crash":
+        die_open(folder)
+    elif way == "verify":
+        with Dataset.open(folder) as dataset:
+            assert dataset.notices == ()
+            assert [f.kind for f in reconcile(dataset.parts, whole=True)] == ["torn"]
+        return
+    else:
+        monkeypatch.setattr(consistency, "WEEK_NS", 0)
     assert "torn" in notices(folder)[0]
 
 
@@ -346,17 +301,6 @@ def test_a_restored_catalogue_knows_no_folder(folder: Path, looked: set[str]) ->
     assert looked == {"raw", "raw/a", "raw/b", "raw/c"}
 
 
-FAULTS: dict[str, Callable[[ExaminedEpisode], ExaminedEpisode]] = {
-    "jerk": knocked,
-    "no contact": never_touched,
-    "saturated markers": jumped_marker,
-    "clock skew": late_gel,
-    "lost markers": lambda row: worse(row, lost_markers=4),
-    "dropped frames": lambda row: worse(row, dropped_frames=5),
-    "slip": lambda row: worse(row, slip_mm=0.4),
-}
-
-
 def always(_done: int, _count: int) -> bool:
     return True
 
@@ -370,8 +314,8 @@ def rows() -> list[ExaminedEpisode]:
 def filled(dataset: Dataset, rows: list[ExaminedEpisode]) -> dict[str, str]:
     """Record the probes, each fault once; return the episode of each kind."""
     context, wrong, first = context_for(dataset, "pot", "circle25"), {}, ""
-    for row, kind in zip(rows, [*FAULTS, *[""] * (len(rows) - len(FAULTS))], strict=True):
-        seen = FAULTS[kind](row) if kind else row
+    for row, kind in zip_longest(rows, DISTURBED, fillvalue=""):
+        seen = DISTURBED[kind](row) if kind else row
         x_um, y_um = np.rint(1e3 * seen.offset_mm).astype(int).tolist()
         episode = Episode(row.uuid, "pot", seen.observation, seen.offset_mm, 0.5, seen.quality)
         entry = dataset.record(
@@ -384,7 +328,9 @@ def filled(dataset: Dataset, rows: list[ExaminedEpisode]) -> dict[str, str]:
     return wrong
 
 
-def test_each_fault_is_listed(dataset: Dataset, filled: dict[str, str]) -> None:
+def test_each_fault_of_what_is_not_deleted_is_listed(
+    dataset: Dataset, filled: dict[str, str]
+) -> None:
     health = check_dataset_quality(dataset, always)
     found = {(finding.kind, finding.episodes) for finding in health.findings}
     assert found >= {(kind, (uuid,)) for kind, uuid in filled.items()}
@@ -392,16 +338,10 @@ def test_each_fault_is_listed(dataset: Dataset, filled: dict[str, str]) -> None:
     assert (health.examined, health.count) == (30, 30)
     early = check_dataset_quality(dataset, lambda done, _: done < 3)
     assert (early.examined, early.count) == (3, 30)
-
-
-def test_a_damaged_file_is_a_finding(dataset: Dataset, filled: dict[str, str]) -> None:
     uuid = next(e.uuid for e in dataset.episodes() if e.uuid not in filled.values())
     flip_byte(dataset.path(uuid), 1 / 3)
     found = check_dataset_quality(dataset, always).findings
     assert [finding.episodes for finding in found if finding.kind == "unreadable"] == [(uuid,)]
-
-
-def test_deleted_episodes_are_not_looked_at(dataset: Dataset, filled: dict[str, str]) -> None:
     dataset.labels.delete("ann", filled["jerk"], "knocked")
     health = check_dataset_quality(dataset, always)
     assert health.count == 29
@@ -411,7 +351,7 @@ def test_deleted_episodes_are_not_looked_at(dataset: Dataset, filled: dict[str, 
 def test_a_pair_of_a_series_on_both_sides_is_a_finding(
     dataset: Dataset, filled: dict[str, str]
 ) -> None:
-    last = [entry for entry in dataset.episodes() if entry.mounting_id == f"m-{len(FAULTS)}"]
+    last = [entry for entry in dataset.episodes() if entry.mounting_id == f"m-{len(DISTURBED)}"]
     with dataset.labels.commit() as connection:
         mark = operation_log.read_mark(
             connection, last[0].uuid, f"{SPLIT_TAG}held_out", present=True
@@ -497,6 +437,10 @@ def test_a_copy_of_a_dataset_begins_a_chain_of_its_own(tmp_path: Path) -> None:
         assert moved.description.site != first.site
 
 
+OTHER_OP = """INSERT OR REPLACE INTO op SELECT 'other', site, seq, lamport, at_ns, actor, verb,
+    target_op, body, prev_hash, hash FROM op"""
+
+
 @pytest.mark.parametrize("table", ["op", "label_rev", "event", "review", "opinion"])
 def test_append_only_tables_refuse_update_delete_and_replace(
     dataset: Dataset, record: Record, table: str
@@ -512,6 +456,7 @@ def test_append_only_tables_refuse_update_delete_and_replace(
         "delete": f"DELETE FROM {table}",
         "replace": f"INSERT OR REPLACE INTO {table} SELECT * FROM {table} LIMIT 1",
         "ignore": f"INSERT OR IGNORE INTO {table} SELECT * FROM {table} LIMIT 1",
+        "another of its number": OTHER_OP,
     }
     before = dataset.database.rows(f"SELECT * FROM {table}")
     assert before
@@ -524,30 +469,10 @@ def test_append_only_tables_refuse_update_delete_and_replace(
     assert dataset.database.rows(f"SELECT * FROM {table}") == before
 
 
-def test_an_operation_cannot_be_replaced_by_another_of_its_number(
-    dataset: Dataset, record: Record
-) -> None:
-    record()
-    with (
-        pytest.raises(sqlite3.IntegrityError, match="append-only"),
-        dataset.database.transaction() as connection,
-    ):
-        connection.execute(
-            "INSERT OR REPLACE INTO op SELECT 'other', site, seq, lamport, at_ns, actor, verb,"
-            " target_op, body, prev_hash, hash FROM op"
-        )
-
-
 def test_commits_are_durable_by_the_settings_of_the_file(dataset: Dataset) -> None:
-    settings = {name: dataset.database.one(f"PRAGMA {name}")[0] for name in (
-        "journal_mode", "synchronous", "foreign_keys", "busy_timeout", "user_version")}  # fmt: skip
-    assert settings == {
-        "journal_mode": "wal",
-        "synchronous": 2,
-        "foreign_keys": 1,
-        "busy_timeout": 2000,
-        "user_version": SCHEMA_VERSION,
-    }
+    wanted = {"journal_mode": "wal", "synchronous": 2, "foreign_keys": 1, "busy_timeout": 2000,
+              "user_version": SCHEMA_VERSION}  # fmt: skip
+    assert {name: dataset.database.one(f"PRAGMA {name}")[0] for name in wanted} == wanted
 
 
 def test_a_newer_catalogue_opens_for_reading_with_a_notice(tmp_path: Path) -> None:
@@ -570,16 +495,18 @@ def test_a_catalogue_of_an_unreleased_schema_is_refused(tmp_path: Path, write: b
     assert "rebuild" in caught.value.fix
 
 
-@pytest.mark.parametrize("content", [b"no database at all" * 100, b""])
-def test_a_foreign_catalogue_is_one_input_error(tmp_path: Path, content: bytes) -> None:
-    (tmp_path / "catalog.db").write_bytes(content)
-    if not content:
-        Database.open(tmp_path / "catalog.db", write=True).close()
-        return
-    with pytest.raises(InputError, match="cannot be opened"):
+def test_a_foreign_catalogue_is_one_input_error_and_not_held_open(tmp_path: Path) -> None:
+    path = tmp_path / "catalog.db"
+    path.touch()
+    Database.open(path, write=True).close()
+    path.write_bytes(b"no database at all" * 100)
+    with pytest.raises(InputError, match="cannot be opened") as shown:
         Dataset.open(tmp_path)
-    (tmp_path / "catalog.db").unlink()
-    other = sqlite3.connect(tmp_path / "catalog.db")
+    # As long as the error is shown, it refers to the frames that opened the file.
+    assert shown.tb is not None
+    assert str(path) not in {file.path for file in psutil.Process().open_files()}
+    path.unlink()
+    other = sqlite3.connect(path)
     other.execute("CREATE TABLE mine (a)")
     other.close()
     with pytest.raises(InputError, match="not a catalogue"):
@@ -587,16 +514,6 @@ def test_a_foreign_catalogue_is_one_input_error(tmp_path: Path, content: bytes) 
     (tmp_path / "dataset.json").write_text(json.dumps({"uuid": 1}))
     with pytest.raises(InputError, match="description"):
         Dataset.open(tmp_path)
-
-
-def test_a_damaged_catalogue_is_not_held_open(tmp_path: Path) -> None:
-    path = tmp_path / "catalog.db"
-    path.write_bytes(b"no database at all" * 100)
-    with pytest.raises(InputError, match="cannot be opened") as shown:
-        Database.open(path, write=True)
-    # As long as the error is shown, it refers to the frames that opened the file.
-    assert shown.tb is not None
-    assert str(path) not in {file.path for file in psutil.Process().open_files()}
 
 
 def test_network_file_systems_are_refused(tmp_path: Path) -> None:
@@ -668,225 +585,3 @@ def test_a_torn_line_is_cut_off_and_written_again(
         with dataset.database.reading() as connection:
             OperationJournal(path.parent).catch_up(connection, site)
         assert path.read_bytes() == whole
-
-
-TABLES = ("op", "label_rev", "label_head", "closed", "mark", "review", "episode")
-MORE = (*(a for a in ACTIONS if a != "reopen"), "undo", "redo", "resolve")
-steps = st.lists(
-    st.tuples(
-        st.sampled_from(MORE), st.sampled_from(PEOPLE), st.integers(0, 1), st.integers(-3, 3)
-    ),
-    max_size=8,
-)
-
-
-def tables(dataset: Dataset) -> dict[str, list[tuple[object, ...]]]:
-    return {t: sorted(dataset.database.rows(f"SELECT * FROM {t}"), key=str) for t in TABLES}
-
-
-def play(dataset: Dataset, todo: list[Step], uuids: list[str]) -> None:
-    labels = dataset.labels
-    for step in todo:
-        action, person, index, number = step
-        try:
-            if action == "undo":
-                labels.undo(person)
-            elif action == "redo":
-                labels.redo(person)
-            elif action == "resolve":
-                leaves = labels.conflicting(uuids[index])
-                labels.resolve(person, uuids[index], leaves[number % len(leaves)].rev_uuid)
-            else:
-                act(dataset, step, [uuids[index], uuids[1 - index]])
-        except RefusedError:
-            continue
-
-
-def begin(folder: Path) -> list[str]:
-    with Dataset.open(folder) as dataset:
-        return [add(dataset, Label(k, -k, 0, 9)).uuid for k in range(2)]
-
-
-def merged(folder: Path, name: str, first: str, *others: str) -> Dataset:
-    """Return a fresh copy of ``first`` into which the others were merged in turn."""
-    shutil.copytree(folder / first, folder / name)
-    dataset = Dataset.open(folder / name)
-    for other in others:
-        dataset.merge("zoe", folder / other)
-    return dataset
-
-
-@settings(max_examples=12, deadline=None, suppress_health_check=list(HealthCheck))
-@given(a=steps, b=steps, c=steps, between=steps)
-def test_union_is_commutative_associative_and_idempotent(
-    a: list[Step], b: list[Step], c: list[Step], between: list[Step]
-) -> None:
-    with tempfile.TemporaryDirectory(dir=FAST) as name:
-        folder = Path(name)
-        uuids = begin(folder / "base")
-        for site, todo in (("a", a), ("b", b), ("c", c)):
-            shutil.copytree(folder / "base", folder / site)
-            with Dataset.open(folder / site) as dataset:
-                play(dataset, todo, uuids)
-        # B goes on after it has seen A: its operations refer to those of A.
-        with Dataset.open(folder / "b") as dataset:
-            dataset.merge("zoe", folder / "a")
-            play(dataset, between, uuids)
-        with (
-            merged(folder, "ab", "a", "b") as ab,
-            merged(folder, "ba", "b", "a") as ba,
-            merged(folder, "abc", "a", "b", "c") as abc,
-            merged(folder, "cba", "c", "b", "a") as cba,
-        ):
-            assert tables(ab) == tables(ba)
-            assert tables(abc) == tables(cba)
-            before = tables(abc)
-            assert abc.merge("zoe", folder / "b").operations == 0
-            assert abc.merge("zoe", folder / "c").operations == 0
-            assert tables(abc) == before
-        with merged(folder, "bc", "b", "c") as bc:
-            bc.merge("zoe", folder / "a")
-            assert tables(bc) == before
-            with bc.database.transaction() as connection:
-                review.rebuild_heads(connection)
-            assert tables(bc) == before
-        with Dataset.open(folder / "abc") as again:
-            assert tables(again) == before
-
-
-@pytest.fixture
-def copies(tmp_path: Path) -> Iterator[tuple[Dataset, Dataset, list[str]]]:
-    uuids = begin(tmp_path / "a")
-    shutil.copytree(tmp_path / "a", tmp_path / "b")
-    with Dataset.open(tmp_path / "a") as ours, Dataset.open(tmp_path / "b") as theirs:
-        yield ours, theirs, uuids
-
-
-Copies = tuple[Dataset, Dataset, list[str]]
-
-
-def test_two_labels_are_a_conflict_until_a_person_resolves_it(copies: Copies) -> None:
-    ours, theirs, (uuid, other) = copies
-    mine = ours.labels.accept("ann", uuid, Label(100, 0, 0, 50))
-    yours = theirs.labels.accept("bob", uuid, Label(900, 0, 0, 50))
-    theirs.labels.accept("bob", other, Label(5, 5, 0, 50))
-    done = ours.merge("ann", theirs.folder)
-    assert (done.operations, done.episodes, done.conflicts) == (2, 0, (uuid,))
-    assert ours.queue("conflicts", "ann") == [uuid]
-    assert ours.entry(uuid).conflict
-    assert ours.labels.head(other).label == Label(5, 5, 0, 50)
-    assert {leaf.rev_uuid for leaf in ours.labels.conflicting(uuid)} == {
-        mine.rev_uuid,
-        yours.rev_uuid,
-    }
-    with pytest.raises(RefusedError, match="resolve"):
-        ours.labels.approve("cleo", uuid)
-    with pytest.raises(RefusedError, match="bob changed this label since"):
-        ours.labels.undo("ann")
-    conflict = contents(ours)
-    resolved = ours.labels.resolve("cleo", uuid, mine.rev_uuid)
-    assert (resolved.label, resolved.state) == (mine.label, "submitted")
-    assert authors(ours, uuid) == ("ann",)
-    assert ours.queue("conflicts", "ann") == []
-    chosen = contents(ours)
-    for _ in range(3):
-        ours.labels.undo("cleo")
-        assert contents(ours) == conflict
-        ours.labels.redo("cleo")
-        assert contents(ours) == chosen
-    theirs.merge("bob", ours.folder)
-    assert contents(theirs) == chosen
-    ours.labels.approve("cleo", uuid)
-
-
-def test_two_reviews_of_one_label_are_a_conflict_that_its_author_cannot_settle(
-    copies: Copies,
-) -> None:
-    ours, theirs, (uuid, _) = copies
-    ours.labels.accept("ann", uuid, Label(100, 0, 0, 50))
-    theirs.merge("bob", ours.folder)
-    approved = ours.labels.approve("bob", uuid)
-    theirs.labels.reject("cleo", uuid, "tilt")
-    assert ours.merge("bob", theirs.folder).conflicts == (uuid,)
-    assert {leaf.state for leaf in ours.labels.conflicting(uuid)} == {"approved", "rejected"}
-    assert uuid not in [one.row.episode for one in labelled_episodes(ours.database, "drafts")]
-    with pytest.raises(RefusedError, match="ann wrote it"):
-        ours.labels.resolve("ann", uuid, approved.rev_uuid)
-    assert ours.labels.resolve("dora", uuid, approved.rev_uuid).state == "approved"
-    assert [one.row.episode for one in labelled_episodes(ours.database, "approved")] == [uuid]
-    ours.labels.undo("dora")
-    leaves = {leaf.state: leaf.rev_uuid for leaf in ours.labels.conflicting(uuid)}
-    with pytest.raises(RefusedError, match="ann wrote it"):
-        ours.labels.resolve("ann", uuid, leaves["approved"])
-    assert ours.labels.resolve("ann", uuid, leaves["rejected"]).state == "rejected"
-
-
-def test_a_merge_that_the_disk_refuses_says_so_and_goes_on_later(
-    copies: Copies, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    ours, theirs, (uuid, _) = copies
-    theirs.labels.accept("bob", uuid, Label(900, 0, 0, 50))
-    new = add(theirs, Label(1, 2), seed=9, source="measured").uuid
-    before = tables(ours)
-
-    def refuse(path: Path, content: bytes) -> None:
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-    with monkeypatch.context() as full:
-        full.setattr("touchdown.backend.annotations.reconciliation.write_atomically", refuse)
-        with pytest.raises(FaultError, match="No space left on device") as caught:
-            ours.merge("ann", theirs.folder)
-    assert caught.value.fault.code == "MERGE-WRITE"
-    assert tables(ours) == before
-    assert ours.merge("ann", theirs.folder).operations == 2
-    assert ours.read(new).episode_id == new
-
-
-def test_episodes_come_with_their_files(copies: Copies) -> None:
-    ours, theirs, _ = copies
-    entry = add(
-        theirs,
-        Label(1, 2),
-        seed=9,
-        source="measured",
-        context=context_for(theirs, "barrel", "hex20"),
-    )
-    done = ours.merge("ann", theirs.folder)
-    assert (done.episodes, done.operations) == (1, 1)
-    assert ours.entry(entry.uuid) == entry
-    assert ours.read(entry.uuid).episode_id == entry.uuid
-    assert ours.patch(entry.uuid).touching.any()
-    journal = list(read_journal(ours.journal.path(theirs.description.site)))
-    assert [operation.verb for operation in journal] == ["record"]
-    assert ours.database.one("SELECT actor, verb FROM event WHERE verb = 'merge'") == (
-        "ann",
-        "merge",
-    )
-
-
-def test_a_broken_or_foreign_log_changes_nothing(copies: Copies, tmp_path: Path) -> None:
-    ours, theirs, (uuid, _) = copies
-    theirs.labels.flag("bob", uuid)
-    theirs.labels.flag("bob", uuid, False)
-    with theirs.database.transaction() as connection:
-        connection.execute("DROP TRIGGER op_no_update")
-        connection.execute("UPDATE op SET actor = 'eve' WHERE actor = 'bob' AND seq = 1")
-    before = tables(ours)
-    with pytest.raises(InputError, match="broken at operation 1 of site"):
-        ours.merge("ann", theirs.folder)
-    begin(tmp_path / "other")
-    with pytest.raises(InputError, match="another dataset"):
-        ours.merge("ann", tmp_path / "other")
-    with pytest.raises(InputError, match="no dataset"):
-        ours.merge("ann", tmp_path / "nowhere")
-    assert tables(ours) == before
-
-
-def test_one_chain_continued_in_two_ways_is_refused(copies: Copies) -> None:
-    ours, theirs, (uuid, _) = copies
-    # A copy that was made to look as if it lay at the same place.
-    theirs.labels.site = ours.description.site
-    ours.labels.flag("ann", uuid)
-    theirs.labels.tag("bob", uuid, "gold")
-    with pytest.raises(InputError, match="differently"):
-        ours.merge("ann", theirs.folder)

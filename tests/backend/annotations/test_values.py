@@ -69,7 +69,7 @@ def operation(text: str, prev_hash: str, digest: str) -> Operation:
     return Operation(**json.loads(text), prev_hash=prev_hash, hash=digest)
 
 
-def test_both_links_of_the_published_chain() -> None:
+def test_the_published_chain_and_one_changed_character() -> None:
     first = operation(FIRST_OP, VALUES_FIRST_HASH, FIRST_HASH)
     second = operation(SECOND_OP, FIRST_HASH, SECOND_HASH)
     assert canonical_json(json.loads(FIRST_OP)) == FIRST_OP.encode()
@@ -77,10 +77,6 @@ def test_both_links_of_the_published_chain() -> None:
     assert operation_hash(first) == FIRST_HASH
     assert operation_hash(second) == SECOND_HASH
     assert first_broken_link([first, second]) is None
-
-
-def test_one_changed_character_is_found_and_located() -> None:
-    first = operation(FIRST_OP, VALUES_FIRST_HASH, FIRST_HASH)
     changed = operation(SECOND_OP.replace('"undo"', '"Undo"'), FIRST_HASH, SECOND_HASH)
     assert first_broken_link([first, changed]) == 2
     assert first_broken_link([changed]) == 1
@@ -196,17 +192,14 @@ def journal_of(dataset: Dataset, record: Record) -> tuple[OperationJournal, Path
     return journal, path, path.read_bytes().splitlines(keepends=True)
 
 
-def test_a_journal_that_ends_well_gets_nothing_twice(dataset: Dataset, record: Record) -> None:
+def test_a_journal_gets_what_lacks_behind_its_last_number(dataset: Dataset, record: Record) -> None:
     journal, path, lines = journal_of(dataset, record)
     damaged = b"".join([lines[0], b"?\n", *lines[2:]])
     path.write_bytes(damaged)
     with dataset.database.transaction() as connection:
         assert journal.catch_up(connection, dataset.description.site) == 0
     assert path.read_bytes() == damaged
-
-
-def test_a_last_line_without_a_number_is_no_obstacle(dataset: Dataset, record: Record) -> None:
-    journal, path, lines = journal_of(dataset, record)
+    journal = OperationJournal(path.parent)
     path.write_bytes(b"".join(lines[:-1]) + b"{}\n")
     with dataset.database.transaction() as connection:
         assert journal.catch_up(connection, dataset.description.site) == 1
@@ -278,12 +271,6 @@ def forget_row(folder: Path, uuid: str) -> None:
     journal.write_bytes(b"".join(kept))
 
 
-def test_a_clean_dataset_has_nothing_to_say(folder: Path) -> None:
-    assert mended(folder) == ()
-    with Dataset.open(folder) as dataset:
-        assert list(check_dataset(dataset.parts, whole=True)) == []
-
-
 def test_a_complete_file_without_a_row_is_adopted(tmp_path: Path) -> None:
     folder = tmp_path / "data"
     with Dataset.open(folder) as dataset:
@@ -309,6 +296,8 @@ def test_a_complete_file_without_a_row_is_adopted(tmp_path: Path) -> None:
 def test_a_changed_byte_is_found_by_the_whole_check(folder: Path) -> None:
     uuid = uuids(folder)[1]
     path = file_of(folder, uuid)
+    with Dataset.open(folder) as dataset:
+        assert list(check_dataset(dataset.parts, whole=True)) == []
     data = flip_byte(path)
     assert mended(folder) == ()
     with Dataset.open(folder) as dataset:
@@ -320,14 +309,21 @@ def test_a_changed_byte_is_found_by_the_whole_check(folder: Path) -> None:
     assert path.read_bytes() == data
 
 
-def test_a_file_of_another_size_is_damaged_until_it_is_put_back(folder: Path) -> None:
+@pytest.mark.parametrize(("loss", "state"), [("marked as damaged", "damaged"),
+                                             ("missing", "missing")])  # fmt: skip
+def test_a_changed_or_missing_file_keeps_its_label_and_comes_back(
+    folder: Path, loss: str, state: str
+) -> None:
     uuid = uuids(folder)[1]
     path = file_of(folder, uuid)
     good = path.read_bytes()
-    write_other_episode(path)
-    assert "marked as damaged" in mended(folder)[0]
+    if state == "missing":
+        path.unlink()
+    else:
+        write_other_episode(path)
+    assert loss in mended(folder)[0]
     with Dataset.open(folder) as dataset:
-        assert dataset.entry(uuid).file_state == "damaged"
+        assert dataset.entry(uuid).file_state == state
         assert dataset.labels.head(uuid).label == Label(1000, -500, 0, 150)
     path.write_bytes(good)
     assert "is back" in mended(folder)[0]
@@ -356,13 +352,6 @@ def test_a_torn_file_under_a_final_name_goes_to_quarantine(folder: Path) -> None
         assert dataset.labels.head(uuid).label == Label(2000, -500, 0, 150)
 
 
-def test_an_empty_part_file_is_deleted(folder: Path) -> None:
-    part = folder / "raw" / "series-1" / ".nothing.mcap.part"
-    part.touch()
-    assert "empty" in mended(folder)[0]
-    assert not part.exists()
-
-
 def test_an_unfinished_part_file_is_salvaged_and_stays(folder: Path) -> None:
     uuid = uuids(folder)[0]
     data = file_of(folder, uuid).read_bytes()
@@ -374,26 +363,17 @@ def test_an_unfinished_part_file_is_salvaged_and_stays(folder: Path) -> None:
     assert len(uuids(folder)) == 3
 
 
-def test_a_part_file_beside_its_finished_file_is_deleted(folder: Path) -> None:
-    uuid = uuids(folder)[0]
-    part = folder / "raw" / "series-1" / f".{uuid}.mcap.part"
-    part.write_bytes(b"half of it")
+def test_part_files_without_content_or_beside_the_finished_file_are_deleted(folder: Path) -> None:
+    parts = {name: folder / "raw" / "series-1" / f".{name}.mcap.part" for name in range(9)}
+    for part in parts.values():
+        part.touch()
+    (notice,) = mended(folder)
+    assert "9 times" in notice, "many findings of a kind are one line"
+    assert "empty" in notice
+    beside = folder / "raw" / "series-1" / f".{uuids(folder)[0]}.mcap.part"
+    beside.write_bytes(b"half of it")
     assert "finished file" in mended(folder)[0]
-    assert not part.exists()
-
-
-def test_a_missing_file_keeps_its_label_and_comes_back(folder: Path, tmp_path: Path) -> None:
-    uuid = uuids(folder)[0]
-    path, away = file_of(folder, uuid), tmp_path / "away.mcap"
-    shutil.move(path, away)
-    assert "missing" in mended(folder)[0]
-    with Dataset.open(folder) as dataset:
-        assert dataset.entry(uuid).file_state == "missing"
-        assert dataset.labels.head(uuid).label == Label(1234, 5, 0, 100)
-    shutil.move(away, path)
-    assert "is back" in mended(folder)[0]
-    with Dataset.open(folder) as dataset:
-        assert dataset.entry(uuid).file_state == "complete"
+    assert list(beside.parent.glob(".*.part")) == []
 
 
 def test_a_moved_file_is_found_again(folder: Path) -> None:
@@ -464,12 +444,14 @@ def test_what_only_the_journal_has_is_replayed(folder: Path, tmp_path: Path) -> 
         assert tables(dataset) == expected
 
 
-def tables(dataset: Dataset) -> dict[str, list[tuple[object, ...]]]:
+COLUMNS = "uuid, series, path, sha256, bytes, piece, bottom, geometry, person, state"
+
+
+def tables(dataset: Dataset, columns: str = COLUMNS) -> dict[str, list[tuple[object, ...]]]:
     listed = {}
     for name in ("op", "label_rev", "label_head", "mark", "review", "closed"):
         rows = dataset.database.rows(f"SELECT * FROM {name}")
         listed[name] = sorted(rows, key=repr)
-    columns = "uuid, series, path, sha256, bytes, piece, bottom, geometry, person, state"
     listed["episode"] = dataset.database.rows(f"SELECT {columns} FROM episode")
     return listed
 
@@ -533,13 +515,6 @@ def test_half_made_files_are_deleted_but_not_those_being_made(folder: Path) -> N
     assert "left incomplete" in mended(folder)[0]
     assert not old.exists()
     assert new.exists()
-
-
-def test_many_findings_of_a_kind_are_one_line(folder: Path) -> None:
-    for number in range(9):
-        (folder / "raw" / "series-1" / f".{number}.mcap.part").touch()
-    (notice,) = mended(folder)
-    assert "9 times" in notice
 
 
 def test_checking_changes_nothing(folder: Path) -> None:
@@ -734,11 +709,9 @@ def test_a_new_action_empties_redo_and_nothing_is_nothing(dataset: Dataset, reco
     assert not labels.can_redo("ann")
     assert labels.redo("ann") is None
 
-
-def test_a_recording_is_no_step_of_undo(dataset: Dataset, record: Record) -> None:
-    record()
-    assert not dataset.labels.can_undo("cleo")
-    assert dataset.labels.undo("cleo") is None
+    # A recording is no step of undo.
+    assert not labels.can_undo("cleo")
+    assert labels.undo("cleo") is None
 
 
 @pytest.mark.parametrize("which", ["the one that leads", "the other one"])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -86,63 +87,55 @@ def kinds(rows) -> set[tuple[str, tuple[str, ...]]]:
     return {(finding.kind, finding.episodes) for finding in check_quality(rows)}
 
 
-def seen(row: ExaminedEpisode) -> np.ndarray:
-    return row.observation.copy()
+def test_undisturbed_probes_and_none_have_no_findings(clean) -> None:
+    assert check_quality(clean) == check_quality([]) == []
 
 
-def test_undisturbed_probes_have_no_findings(clean) -> None:
-    assert check_quality(clean) == []
+def changed(row: ExaminedEpisode, index: object, values: object) -> ExaminedEpisode:
+    observation = row.observation.copy()
+    observation[index] = values
+    return replace(row, observation=observation)
 
 
 def knocked(row: ExaminedEpisode) -> ExaminedEpisode:
-    values = seen(row)
-    values[9, FZ] += 1.0
-    return replace(row, observation=values)
+    return changed(row, (9, FZ), row.observation[9, FZ] + 1.0)
 
 
 def never_touched(row: ExaminedEpisode) -> ExaminedEpisode:
-    values = seen(row)
-    values[:, FZ] = 0.2
-    return replace(row, observation=values)
+    return changed(row, (slice(None), FZ), 0.2)
 
 
 def deaf(row: ExaminedEpisode) -> ExaminedEpisode:
-    values = seen(row)
-    values[:, FZ] = np.nan
-    return replace(row, observation=values)
+    return changed(row, (slice(None), FZ), np.nan)
 
 
 def jumped_marker(row: ExaminedEpisode) -> ExaminedEpisode:
-    values = seen(row)
-    values[12:, 40] = 33.0
-    return replace(row, observation=values)
+    return changed(row, (slice(12, None), 40), 33.0)
 
 
 def late_gel(row: ExaminedEpisode) -> ExaminedEpisode:
     """Shift both gels 0.05 s behind the force."""
-    values = seen(row)
-    moving = np.concatenate([np.zeros((1, TACTILE_CHANNELS)), values[:, :TACTILE_CHANNELS]])
-    values[:, :TACTILE_CHANNELS] = 0.5 * (moving[:-1] + moving[1:])
-    return replace(row, observation=values)
+    gel = row.observation[:, :TACTILE_CHANNELS]
+    moving = np.concatenate([np.zeros((1, TACTILE_CHANNELS)), gel])
+    return changed(row, (slice(None), slice(TACTILE_CHANNELS)), 0.5 * (moving[:-1] + moving[1:]))
 
 
 def worse(row: ExaminedEpisode, **changes: float) -> ExaminedEpisode:
     return replace(row, quality=replace(row.quality, **changes))
 
 
-@pytest.mark.parametrize(
-    ("kind", "disturb"),
-    [
-        ("jerk", knocked),
-        ("no contact", never_touched),
-        ("no contact", deaf),
-        ("saturated markers", jumped_marker),
-        ("clock skew", late_gel),
-        ("lost markers", lambda row: worse(row, lost_markers=4)),
-        ("dropped frames", lambda row: worse(row, dropped_frames=5)),
-        ("slip", lambda row: worse(row, slip_mm=0.4)),
-    ],
-)
+DISTURBED: dict[str, Callable[[ExaminedEpisode], ExaminedEpisode]] = {
+    "jerk": knocked,
+    "no contact": never_touched,
+    "saturated markers": jumped_marker,
+    "clock skew": late_gel,
+    "lost markers": lambda row: worse(row, lost_markers=4),
+    "dropped frames": lambda row: worse(row, dropped_frames=5),
+    "slip": lambda row: worse(row, slip_mm=0.4),
+}
+
+
+@pytest.mark.parametrize(("kind", "disturb"), [*DISTURBED.items(), ("no contact", deaf)])
 @pytest.mark.parametrize("which", [0, 17, 42])
 def test_a_disturbed_probe_is_listed_by_its_kind(clean, kind, disturb, which) -> None:
     rows = [disturb(row) if k == which else row for k, row in enumerate(clean)]
@@ -174,10 +167,6 @@ def test_a_shifted_distribution_is_uneven_along_its_axis(clean) -> None:
     assert finding.kind == "asymmetry"
     assert "along y" in finding.text
     assert find_asymmetry(moved[:10]) == []
-
-
-def test_examining_nothing_finds_nothing() -> None:
-    assert check_quality([]) == []
 
 
 SERIES = [(f"m{m}", f"pot/{bottom}") for m in range(6) for bottom in ("short", "long")]

@@ -382,9 +382,11 @@ class Dataset:
         head = self.labels.head(uuid)
         return self.geometry.patch(head.geometry, head.label)
 
-    def queue(self, name: str, person: str, *, seed: int = 0) -> list[str]:
+    def queue(
+        self, name: str, person: str, *, seed: int = 0, limit: int | None = None
+    ) -> list[str]:
         """Return the episodes of a review queue for ``person``, in order."""
-        return queues.episode_queue(self.database, name, person, seed=seed)
+        return queues.episode_queue(self.database, name, person, seed=seed)[:limit]
 
     def uuids(self) -> set[str]:
         """Return the ids of all episodes that are not deleted."""

@@ -220,6 +220,7 @@ def test_work_moves_from_queue_to_queue(dataset: Dataset, record: Record) -> Non
     assert dataset.queue("unlabelled", "ann") == [a, b, c]
     labels.skip("ann", a)
     assert dataset.queue("unlabelled", "ann") == [b, c, a]
+    assert dataset.queue("unlabelled", "ann", limit=1) == [b]
     labels.accept("ann", b)
     assert dataset.queue("unlabelled", "ann") == [c, a]
     assert dataset.queue("review", "ann") == []
@@ -278,7 +279,7 @@ def test_injected_errors_come_first_in_the_queue_of_disagreement(dataset: Datase
         assert value is not None
         values[uuid] = value
     dataset.scores.put("disagreement", values, "m")
-    first = dataset.queue("disagreement", "ann")[:100]
+    first = dataset.queue("disagreement", "ann", limit=100)
     precision = len(wrong & set(first)) / 100
     base_rate = len(wrong) / len(uuids)
     assert precision == 0.2 > 5 * base_rate

@@ -14,6 +14,7 @@ from touchdown.backend.config.hardware import GelsightSettings
 from touchdown.backend.core.faults import FaultError
 from touchdown.backend.core.streams import SampleStream, Stream
 from touchdown.backend.core.values import MARKERS, MarkerState
+from touchdown.backend.devices.cameras import frames
 from touchdown.backend.devices.cameras.sources import FileSource
 from touchdown.backend.devices.gelsight.driver import TactileCamera
 from touchdown.backend.devices.gelsight.emulator import GelsightServer
@@ -174,7 +175,10 @@ def test_dark_pictures_at_the_start_are_dropped(cameras):
 
 
 @pytest.mark.promise("C7")
-def test_a_camera_that_stays_dark_is_refused_and_lamps_that_fail_later_are_a_fault(cameras):
+def test_a_camera_that_stays_dark_is_refused_and_lamps_that_fail_later_are_a_fault(
+    cameras, monkeypatch
+):
+    monkeypatch.setattr(frames, "DARK_S", 0.5)  # shorter than the time to connect
     cameras.fronts["left"].inject("dark")
     with pytest.raises(FaultError, match="stay dark") as error:
         cameras.driver.connect(2.0, threading.Event())
@@ -184,8 +188,8 @@ def test_a_camera_that_stays_dark_is_refused_and_lamps_that_fail_later_are_a_fau
     cameras.fronts["left"].inject("fade")
     until(lambda: cameras.driver.fault is not None)
     assert cameras.driver.fault.code == "CAMERA-DARK"
-    frames, _, _ = cameras.driver.frames.since(0)
-    assert all(frame.image.mean() >= cameras.settings.darkest_mean for frame in frames)
+    shown, _, _ = cameras.driver.frames.since(0)
+    assert all(frame.image.mean() >= cameras.settings.darkest_mean for frame in shown)
 
 
 @pytest.mark.promise("C6")

@@ -29,7 +29,7 @@ from touchdown.backend.devices.melfa.realtime_protocol import (
     encode_mxt_request,
 )
 from touchdown.backend.devices.melfa.sockets import SocketLinks
-from touchdown.backend.devices.protocols import DeviceState, RobotMode, SafetyMode
+from touchdown.backend.devices.protocols import DeviceState
 from touchdown.backend.emulation.server import TcpServer
 from touchdown.backend.emulation.serving import EmulationChoice
 
@@ -140,29 +140,6 @@ def test_the_rehearsal_controller_is_driven_by_the_bench_table_that_it_prints():
         served.close()
 
 
-def test_stop_goes_out_on_its_own_connection(front, arm):
-    motion = patiently(arm, lambda: rise(arm, 160.0, 61.0))
-    arm.stop()
-    assert motion.done
-    until(lambda: front.stops)
-    until(lambda: front._device.controller.program == "")
-    until(lambda: height(arm) == pytest.approx(front_z(front), abs=0.02))
-
-
-def front_z(front):
-    controller = front._device.controller
-    return MelfaPrograms(front.settings).placing.pivot_mm(controller.joints.true_rad)[2]
-
-
-@pytest.mark.promise("R9")
-def test_an_emergency_stop_is_told_and_ends_all_commands(front, arm):
-    patiently(arm)
-    front.inject("estop")
-    until(lambda: arm.state is DeviceState.FAULT and arm.fault.code == "HW-STOP")
-    assert arm.status().safety_mode is SafetyMode.HW_STOP
-    assert arm.status().robot_mode is RobotMode.SERVO_OFF
-
-
 def test_a_pulled_plug_is_a_fault_and_comes_back_by_hand(front, arm):
     patiently(arm)
     front.inject("unplug", for_s=0.3)
@@ -249,7 +226,8 @@ def test_nobody_at_the_address_is_one_fault():
 
 def test_the_stream_follows_the_caller_that_commands_until_it_leaves():
     clock, device = ManualClock(), EmulatedMelfa(settings(), streaming=True)
-    front = MelfaServer(device, clock=clock)
+    front = MelfaServer(device)
+    front._clock = clock
     front.start()
     first, second = (socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(2))
 

@@ -43,12 +43,9 @@ class DevicesUnderTest:
     tactile: Mapping[Finger, TactileSensor]
     now_s: Callable[[], float]
     advance: Callable[[int], None]
-    still_s: float = 0.02
-    """After a stop the arm stands within this time."""
-    still_mm: float = 1e-3
-    """As exactly as its position is told while it stands stopped."""
-    told_s: float = 0.0
-    """So late it is told that a motion ended, or in which state a device is."""
+    still_s: float = 0.02  # after a stop the arm stands within this time
+    still_mm: float = 1e-3  # as exactly as its position is told while it stands stopped
+    told_s: float = 0.0  # so late it is told that a motion ended, or in which state a device is
     senseless: type[Exception] | tuple[type[Exception], ...] = ValueError
     """What is raised for an order with a number that makes no sense."""
     truly_holding: Callable[[], bool] | None = None
@@ -85,8 +82,7 @@ class DevicesUnderTest:
         self.rest(0.3)
 
 
-FEW_HZ = 2.0
-"""Pictures a second where nobody looks at them: drawing them took longer than all else."""
+FEW_HZ = 2.0  # pictures a second where nobody looks at them: drawing them took longer than all else
 
 
 def _scene(rate_hz: float) -> Scene:

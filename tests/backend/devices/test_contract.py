@@ -17,6 +17,9 @@ from touchdown.backend.devices.supervision import STANDS_S, GripMonitor
 
 @EVERY
 def test_connections_open_and_close_any_number_of_times(bench: DevicesUnderTest) -> None:
+    names = ["arm", "gripper", "force_torque", "tactile_left", "tactile_right"]
+    assert [device.name for device in bench.all] == names
+    assert [sensor.finger for sensor in bench.tactile.values()] == list(FINGERS)
     for device in bench.all:
         assert device.state is DeviceState.CLOSED
         assert device.identity is None
@@ -26,22 +29,9 @@ def test_connections_open_and_close_any_number_of_times(bench: DevicesUnderTest)
             assert device.state is DeviceState.READY
         assert device.identity is not None
         assert device.identity.serial
-        assert device.name
         for _ in range(2):
             device.close()
             assert device.state is DeviceState.CLOSED
-
-
-@EVERY
-def test_names_are_those_the_bench_looks_them_up_by(bench: DevicesUnderTest) -> None:
-    assert [device.name for device in bench.all] == [
-        "arm",
-        "gripper",
-        "force_torque",
-        "tactile_left",
-        "tactile_right",
-    ]
-    assert [sensor.finger for sensor in bench.tactile.values()] == list(FINGERS)
 
 
 @EVERY
@@ -83,7 +73,9 @@ def test_there_is_no_pose_before_the_first_and_none_too_old(bench: DevicesUnderT
 
 
 @ONLY_SIMULATED
-def test_streams_run_in_order_of_time_at_their_rates(bench: DevicesUnderTest) -> None:
+def test_streams_run_in_order_at_their_rates_with_read_only_pictures(
+    bench: DevicesUnderTest,
+) -> None:
     bench.connect()
     bench.rest(4.0)
     samples = bench.force_torque.samples.since(0)
@@ -92,9 +84,13 @@ def test_streams_run_in_order_of_time_at_their_rates(bench: DevicesUnderTest) ->
     assert np.isfinite(samples.values).all()
     assert samples.t_s[-1] <= bench.now_s()
     assert bench.force_torque.health.rate_hz == pytest.approx(1000.0, rel=0.02)
-    for sensor in bench.tactile.values():
+    for finger, sensor in bench.tactile.items():
         frames, _, lost = sensor.frames.since(0)
         assert lost == 0
+        assert (frames[-1].finger, frames[-1].image.shape) == (finger, (240, 320, 3))
+        assert frames[-1].image.dtype == np.uint8
+        with pytest.raises(ValueError, match="read-only"):
+            frames[-1].image[0, 0, 0] = 1
         t_s = np.array([frame.t_s for frame in frames])
         assert np.all(np.diff(t_s) > 0.0)
         assert np.all(np.diff([frame.sequence for frame in frames]) >= 1)
@@ -103,20 +99,6 @@ def test_streams_run_in_order_of_time_at_their_rates(bench: DevicesUnderTest) ->
         assert sensor.health.received == len(frames)
         assert sensor.health.lost == frames[-1].sequence - frames[0].sequence + 1 - len(frames)
         assert 0.0 <= sensor.health.age_s < 0.1
-
-
-@ONLY_SIMULATED
-def test_frames_are_read_only_pictures_of_the_right_kind(bench: DevicesUnderTest) -> None:
-    bench.connect()
-    bench.rest(0.3)
-    for finger, sensor in bench.tactile.items():
-        frame = sensor.frames.newest()
-        assert frame is not None
-        assert frame.finger == finger
-        assert frame.image.shape == (240, 320, 3)
-        assert frame.image.dtype == np.uint8
-        with pytest.raises(ValueError, match="read-only"):
-            frame.image[0, 0, 0] = 1
 
 
 CYCLE_S = 0.02

@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 import subprocess
 import sys
-import threading
 import time
 from pathlib import Path
 from types import SimpleNamespace
@@ -178,13 +177,9 @@ def test_an_installed_language_is_made_with_settings_and_address(monkeypatch):
     assert made == [(content, "/dev/mine")]
 
 
-def test_an_installed_gripper_is_used(monkeypatch):
+def test_an_installed_gripper_is_used_and_replaces_none_that_ships(monkeypatch):
     offer(monkeypatch, "claw", lambda: lambda settings, now_s: "a claw")
     assert make_gripper(settings(wsg={"driver": "claw"}), time.monotonic) == "a claw"
-    assert isinstance(make_gripper(settings(), time.monotonic), WsgGripper)
-
-
-def test_a_driver_that_ships_is_not_replaced(monkeypatch):
     offer(monkeypatch, "wsg", lambda: pytest.fail("not asked for"))
     assert isinstance(make_gripper(settings(), time.monotonic), WsgGripper)
 
@@ -294,13 +289,6 @@ def wired(installed, tmp_path, monkeypatch):
 @pytest.mark.parametrize("clause", contract.CLAUSES, ids=lambda clause: clause.__name__[5:])
 def test_the_class_of_the_guide_keeps_the_contract(clause, wired):
     clause(wired)
-
-
-def test_it_is_the_outside_class_that_answers(wired):
-    assert make_force_torque is contract.make_force_torque
-    wired.driver.connect(5.0, threading.Event())
-    assert wired.driver.identity.maker == "My Lab"
-    assert "my_lab.my_sensor" in sys.modules
 
 
 LOAD = (1.0, -2.0, -10.5, 0.1, -0.2, 0.05)

@@ -99,8 +99,7 @@ class Wired:
         for front in self._served:
             front.start()
 
-    behind = 0
-    """So many samples may be in the stream that the health does not count yet."""
+    behind = 0  # so many samples may be in the stream that the health does not count yet
 
     @property
     def condition(self):

@@ -20,8 +20,7 @@ HERE = Pose(12.0, -7.0, 90.0)
 LEANT = replace(HERE, rx_rad=0.1, ry_rad=-0.05)
 PRESS = PressCommand(1.5, 0.5, 2.0, 2.0, 1.0, 10.0, (5.0, 7.0, 19.0))
 JOINTS = (0.1, -0.2, 0.3, 0.0, 0.5, -0.4)
-GOAL = (0.5, -0.2, 0.3, 0.0, 0.5, -0.4)
-"""From ``JOINTS`` the first joint turns by 0.4 rad."""
+GOAL = (0.5, -0.2, 0.3, 0.0, 0.5, -0.4)  # from ``JOINTS`` the first joint turns by 0.4 rad
 
 
 class NotedArm:

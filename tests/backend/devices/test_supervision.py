@@ -42,8 +42,7 @@ USUAL_S = 1.3
 class Watched:
     """The real reader and the supervision, by hand: bytes every ``lump_s``, a look every 20 ms."""
 
-    first_s: float | None = None
-    """When something was told for the first time."""
+    first_s: float | None = None  # when something was told for the first time
 
     def __init__(self, make: str, hz: float, lump_s: float) -> None:
         self.now_s, self._lump_s = 0.0, lump_s

@@ -25,8 +25,7 @@ PERIOD_S = 0.04
 SENT_BEFORE, SENT_DURING, SENT_AFTER = 5, 14, 6
 KINDS = ("frozen", "stuttering", "dark", "cut", "zeroed", "lost", "silent", "unplug", "burst")
 SETTINGS = GelsightSettings(crop_fraction=0.0, silence_s=0.3, right={"file": "a pipe"})
-PLUGGED = Path(__file__)
-"""A node that is there; who pulls the plug is told by the source."""
+PLUGGED = Path(__file__)  # A node that is there; who pulls the plug is told by the source
 CODES = {"frozen": "CAMERA-FROZEN", "silent": "CAMERA-LINK", "unplug": "CAMERA-LINK"}
 """What the operator is told while it lasts."""
 

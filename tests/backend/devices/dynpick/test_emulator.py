@@ -33,11 +33,9 @@ from touchdown.backend.sensing.episode import wrench_on_ticks
 from touchdown.backend.sensing.zeroing import WrenchDriftEstimator
 
 LOAD = (1.0, -2.0, -10.5, 0.1, -0.2, 0.05)
-LEAST = 1 / np.array([65.47, 65.44, 65.08, 1638.5, 1639.25, 1640.75])
-"""One count of each axis."""
+LEAST = 1 / np.array([65.47, 65.44, 65.08, 1638.5, 1639.25, 1640.75])  # one count of each axis
 
-TREMBLE = tuple(2.0 * LEAST)
-"""A living sensor never repeats itself."""
+TREMBLE = tuple(2.0 * LEAST)  # A living sensor never repeats itself
 
 
 def trembling(load=LOAD):
@@ -221,23 +219,19 @@ def test_missing_ticks_are_counted():
 
 
 @pytest.mark.promise("S2")
-def test_one_leap_is_left_out_and_counted():
+@pytest.mark.parametrize(
+    ("counts", "taken", "lost"),
+    [
+        ((0, 0, 5000, 0, 0), [0.0] * 4, 1),
+        ((0, 0, 5000, -5000, 0), [0.0] * 3, 2),
+        ((0, 0, 5000, 5001, 5002), [0.0, 0.0, 50.01, 50.02], 1),
+    ],
+)
+def test_a_leap_is_left_out_and_counted_unless_it_stays(counts, taken, lost):
     reading = samples()
-    _, values = reading.accept(1.0, stream(0, 0, 5000, 0, 0))
-    assert values[:, 0].tolist() == [0.0] * 4
-    assert reading.lost == 1
-
-
-@pytest.mark.promise("S2")
-def test_a_leap_that_stays_is_a_load():
-    _, values = samples().accept(1.0, stream(0, 0, 5000, 5001, 5002))
-    assert values[:, 0] == pytest.approx([0.0, 0.0, 50.01, 50.02])
-
-
-@pytest.mark.promise("S2")
-def test_two_different_leaps_are_both_left_out():
-    _, values = samples().accept(1.0, stream(0, 0, 5000, -5000, 0))
-    assert values[:, 0].tolist() == [0.0] * 3
+    _, values = reading.accept(1.0, stream(*counts))
+    assert values[:, 0] == pytest.approx(taken)
+    assert reading.lost == lost
 
 
 def test_the_ends_of_the_range_are_an_overload():

@@ -51,8 +51,7 @@ class Link:
     def __init__(self) -> None:
         self.rng = random.Random(5)
         self.loss = self.duplicate = self.garbage = 0.0
-        self.late: Callable[[], int] = lambda: 0
-        """Cycles that a reply is late."""
+        self.late: Callable[[], int] = lambda: 0  # cycles that a reply is late
         self.cut = False
         self._waiting: list[tuple[int, bytes]] = []
         self._cycle = 0
@@ -88,8 +87,7 @@ class SteppedWires:
         """Moves everything else, the clock included, on by so many microseconds."""
         self.meanwhile: Callable[[], None] = lambda: None
         """What goes on while an order waits for its answer."""
-        self.stalled = False
-        """The driver itself is stopped, as by a signal; the controller is not."""
+        self.stalled = False  # the driver itself is stopped, as by a signal; the controller is not
         self.unplugged = False
         """The cable is out: nothing goes to the controller, nothing comes from it."""
         self.stops = 0

@@ -257,22 +257,14 @@ def test_a_step_too_large_or_a_joint_too_far_ends_it_with_an_error(step_rad, err
     assert client.device.controller.error == error
     assert not client.device.controller.servo
     assert client.joints == pytest.approx(READY_RAD)
-    # Once the alarm is reset it goes on as before.
+    # 0.0095 rad in 3.5 ms, of a joint that may do 2.16421 rad/s.
+    share = 0.0095 / 0.0035 / 2.16421 if error == 9901 else 0.0
+    assert client.device.stream.largest_share == pytest.approx(share, rel=1e-4, abs=1e-3)
+    # Once the alarm is reset it goes on as before, and the largest step is remembered.
     assert [client.ask(f"1;1;{order}") for order in ("RSTALRM", "SLOTINIT")] == ["QoK", "QoK"]
     client.streaming()
     assert client.command(READY_RAD) is not None
-
-
-def test_the_largest_step_is_remembered_beyond_the_alarm_it_raised():
-    client = Client().streaming()
-    client.command(READY_RAD)
-    assert client.command(READY_RAD + np.array([0.0095, 0, 0, 0, 0, 0])) is None
-    # 0.0095 rad in 3.5 ms, of a joint that may do 2.16421 rad/s.
-    assert client.device.stream.largest_share == pytest.approx(0.0095 / 0.0035 / 2.16421, rel=1e-4)
-    client.ask("1;1;RSTALRM")
-    client.ask("1;1;SLOTINIT")
-    assert client.streaming().command(READY_RAD) is not None
-    assert client.device.stream.largest_share > 1.25
+    assert client.device.stream.largest_share >= 0.99 * share
 
 
 def test_a_client_of_another_maker_runs_the_stream_by_its_own_name():

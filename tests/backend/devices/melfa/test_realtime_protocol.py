@@ -14,9 +14,19 @@ from tests.backend.devices.codecs.codecs import MONITOR_KINDS
 from tests.backend.devices.codecs.vectors import VECTORS, data
 from tests.backend.devices.melfa.emulated_arm import Rig
 from tests.backend.devices.melfa.leaps import Leaping
-from tests.backend.devices.melfa.test_stream import FAR, LEAD_MM, SPEED_MM_S, doing, outage
+from tests.backend.devices.melfa.test_stream import (
+    FAR,
+    LEAD_MM,
+    SPEED_MM_S,
+    connected,
+    doing,
+    outage,
+    places,
+    requests,
+    steps_mm,
+)
 from touchdown.backend.core.faults import FaultError, RefusedError
-from touchdown.backend.core.values import FloatArray, Pose
+from touchdown.backend.core.values import Pose
 from touchdown.backend.devices.framing import ProtocolError
 from touchdown.backend.devices.melfa.kinematics import STEPS_RAD
 from touchdown.backend.devices.melfa.realtime_protocol import (
@@ -46,23 +56,8 @@ R3_PERIOD_S = 0.1
 ANSWER_CYCLES = 3  # from a question to the controller until the answer took effect
 
 
-def _rig() -> Rig:
-    rig = Rig()
-    rig.arm.connect(1.0, threading.Event())
-    rig.rest(0.1)
-    return rig
-
-
-def _commanded_mm(rig: Rig, since: int = 0) -> FloatArray:
-    """Return the positions commanded since a packet: (n, 3) mm."""
-    targets = [decode_mxt_request(data).target for _, data in rig.wires.packets[since:]]
-    axes = [np.array(target.axes[:6]) for target in targets if target is not None]
-    return np.array([rig.placing.pivot_mm(joints) for joints in axes]).reshape(-1, 3)
-
-
 def _moves(rig: Rig, since: int) -> int:
-    sent = [decode_mxt_request(data).command for _, data in rig.wires.packets[since:]]
-    return sent.count(MxtCommand.MOVE)
+    return [request.command for _, request in requests(rig, since)].count(MxtCommand.MOVE)
 
 
 def _starts_with_the_echo(rig: Rig) -> bool:
@@ -70,13 +65,13 @@ def _starts_with_the_echo(rig: Rig) -> bool:
     here_mm, since = rig.true_mm, len(rig.wires.packets)
     rig.arm.connect(1.0, threading.Event())
     rig.rest(0.1)
-    told = _commanded_mm(rig, since)
+    told = places(rig, since)
     return rig.arm.state is DeviceState.READY and float(np.abs(told - here_mm).max()) < 0.01
 
 
 @pytest.mark.promise("R2", "R3")
 def test_doubled_and_reordered_replies_cause_no_step_back() -> None:
-    rig, back = _rig(), 0
+    rig, back = connected(), 0
     link, ratio = rig.wires.link, 0.0
     link.duplicate = DOUBLED
     link.late = lambda: 2 * (link.rng.random() < REORDERED)
@@ -87,7 +82,7 @@ def test_doubled_and_reordered_replies_cause_no_step_back() -> None:
         while not motion.done:
             rig.rest(0.5)
         way = 1.0 if travels % 2 == 0 else -1.0
-        steps = np.diff(_commanded_mm(rig), axis=0)
+        steps = np.diff(places(rig), axis=0)
         back += int((way * steps[:, 2] < -1e-4).sum())
         ratio = max(ratio, float(np.linalg.norm(steps, axis=1).max()) / LEAD_MM)
         travels += 1
@@ -103,7 +98,7 @@ def test_doubled_and_reordered_replies_cause_no_step_back() -> None:
 @pytest.mark.promise("R2", "R3")
 @pytest.mark.parametrize(("late_s", "lost"), [(0.09, False), (LATE_S, True)])
 def test_replies_that_arrive_late_together_are_not_used(late_s: float, lost: bool) -> None:
-    rig = _rig()
+    rig = connected()
     link = rig.wires.link
     rig.arm.move_to(FAR, SPEED_MM_S)
     rig.rest(0.5)
@@ -111,7 +106,7 @@ def test_replies_that_arrive_late_together_are_not_used(late_s: float, lost: boo
     # The delayed replies arrive after five that were not delayed.
     link.late = lambda: until + 5 - link._cycle if link._cycle <= until else 0
     rig.rest(late_s + 0.5)
-    steps = np.linalg.norm(np.diff(_commanded_mm(rig, since - 1), axis=0), axis=1)
+    steps = steps_mm(rig, since - 1)
     assert (rig.arm.state is DeviceState.FAULT) is lost
     assert float(steps.max(initial=0.0)) <= 1.05 * LEAD_MM
     assert lost or rig.arm._core.replies.counts.old >= late_s / CYCLE_S - 2
@@ -119,7 +114,7 @@ def test_replies_that_arrive_late_together_are_not_used(late_s: float, lost: boo
 
 @pytest.mark.promise("R2", "R3")
 def test_replies_of_the_stream_before_are_not_used_by_the_next() -> None:
-    rig = _rig()
+    rig = connected()
     link = rig.wires.link
     rig.arm.move_to(FAR, SPEED_MM_S)
     rig.rest(0.5)
@@ -137,7 +132,7 @@ def test_replies_of_the_stream_before_are_not_used_by_the_next() -> None:
 @pytest.mark.parametrize("silent", ["replies", "this computer"])
 @pytest.mark.parametrize(("seconds", "lost"), OUTAGES_S.items())
 def test_an_outage_is_held_or_a_fault(seconds: float, lost: bool, silent: str, state: str) -> None:
-    rig = _rig()
+    rig = connected()
     doing(rig, state)
     rig.wires.advance(3500)
     since, here_mm = len(rig.wires.packets), rig.true_mm[2]
@@ -148,7 +143,7 @@ def test_an_outage_is_held_or_a_fault(seconds: float, lost: bool, silent: str, s
         rig.rest(seconds)
         rig.wires.stalled = False
     rig.rest(0.3)
-    steps = np.linalg.norm(np.diff(_commanded_mm(rig, since - 1), axis=0), axis=1)
+    steps = steps_mm(rig, since - 1)
     assert float(steps.max(initial=0.0)) <= MAX_JUMP_MM
     assert (rig.arm.state is DeviceState.FAULT) is lost
     assert lost or rig.arm._core.holds == 1
@@ -162,7 +157,7 @@ def test_an_outage_is_held_or_a_fault(seconds: float, lost: bool, silent: str, s
 @pytest.mark.parametrize("phase", range(4))
 @pytest.mark.parametrize("state", ["travel", "jog", "press"])
 def test_the_controller_stops_when_the_computer_dies(state: str, phase: int) -> None:
-    rig = _rig()
+    rig = connected()
     doing(rig, state)
     rig.rest(0.01 * phase)
     limit = rig.settings.mxt.mxttout
@@ -219,7 +214,7 @@ EVENTS: dict[str, Callable[[Rig], None]] = {
 def test_an_error_ends_all_commands_until_reset(state: str) -> None:
     broken, slowest_s = [], 0.0
     for name, happen in EVENTS.items():
-        rig = _rig()
+        rig = connected()
         _bring(rig, state)
         took_s, found = _ended(rig, happen, name)
         slowest_s = max(slowest_s, took_s)
@@ -271,7 +266,7 @@ def _ended(rig: Rig, happen: Callable[[Rig], None], name: str) -> tuple[float, l
 @pytest.mark.promise("R8")
 @pytest.mark.parametrize("state", STATES)
 def test_without_the_operation_right_no_stream_starts(state: str) -> None:
-    rig = _rig()
+    rig = connected()
     _bring(rig, state)
     rig.device.controller.right = "teaching box"
     rig.rest(0.4)

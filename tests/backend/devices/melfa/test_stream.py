@@ -31,12 +31,16 @@ LEAD_MM = 3 * CYCLE_S * SPEED_MM_S
 FAR = Pose(0.0, 0.0, 160.0)
 
 
-@pytest.fixture
-def rig():
+def connected():
     made = Rig()
     made.arm.connect(1.0, threading.Event())
     made.rest(0.1)
     return made
+
+
+@pytest.fixture
+def rig():
+    return connected()
 
 
 def requests(rig, since=0):
@@ -46,7 +50,7 @@ def requests(rig, since=0):
 def places(rig, since=0):
     """Where the commands since a packet put ``G``: (n, 3) mm."""
     told = [np.array(r.target.axes[:6]) for _, r in requests(rig, since) if r.target is not None]
-    return np.array([rig.placing.pivot_mm(joints) for joints in told])
+    return np.array([rig.placing.pivot_mm(joints) for joints in told]).reshape(-1, 3)
 
 
 def steps_mm(rig, since=0):

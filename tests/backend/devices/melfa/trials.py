@@ -5,11 +5,11 @@ from __future__ import annotations
 import random
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 
 from tests.backend.devices.melfa.emulated_arm import Rig
+from tests.backend.devices.trials import Ended
 from touchdown.backend.core.values import Pose
 from touchdown.backend.devices.melfa.realtime_protocol import (
     CYCLE_S,
@@ -24,16 +24,6 @@ PRESS = PressCommand(1.5, 1.5, 2.0, 2.0, 1.0, 6.0, (30.0, 30.0, 15.0))
 TOUCH_MM = 59.6
 ALARMS = (50, 61, 70, 2000, 2601, 4140, 4242, 6020)
 READY, FAULT = DeviceState.READY, DeviceState.FAULT
-
-
-@dataclass(frozen=True)
-class Ended:
-    """One trial: what was done, what went wrong, and which rows do not hold."""
-
-    seed: int
-    motion: str
-    fault: str
-    broken: tuple[str, ...]
 
 
 class Trial:

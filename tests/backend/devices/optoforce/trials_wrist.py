@@ -53,8 +53,7 @@ DATAGRAM_KINDS = (*(kind for kind in KINDS if kind != "flip"), "reorder")
 """The network's own checksum drops a datagram with a wrong bit."""
 SHORT_S, LONG_S = 0.1, 0.5
 STALL_S = 0.12
-BUFFER = 4096
-"""Bytes that the system keeps of a serial port that nobody reads."""
+BUFFER = 4096  # bytes that the system keeps of a serial port that nobody reads
 
 
 class Impatient:
@@ -170,9 +169,7 @@ class WristTrial:
         kind = {"mute": "silent"}.get(fault, fault)
         for_s = SHORT_S if fault == "silent" else LONG_S
         if fault != "stalled":
-            self.faults._planned.append(
-                _planned(at_s=begun_s, kind=kind, for_s=for_s, by_s=0.02, **share)
-            )
+            self.faults.inject(begun_s, kind, for_s, by_s=0.02, **share)
             return
         read = self.link.read
 
@@ -224,12 +221,6 @@ class WristTrial:
     def _zeroed(self) -> bool:
         offsets = getattr(self.sensor, "_offset", None) or getattr(self.sensor, "_bias", (0,))
         return any(offsets)
-
-
-def _planned(**content: object):
-    from touchdown.backend.emulation.fault_plan import PlannedFault
-
-    return PlannedFault.model_validate({"device": "force_torque", **content})
 
 
 def trial(seed: int, kind: str | None = None) -> Ended:

@@ -386,8 +386,7 @@ def test_contacts_2_to_5_times_too_stiff_are_found_to_swing(cycle_s: float) -> N
 
 
 SURFACE_MM, SPRING_N_MM = 20.0, 3.0
-AIR_N = np.array([0.5, -0.8, -14.0])
-"""What the untared wrist reads in air."""
+AIR_N = np.array([0.5, -0.8, -14.0])  # what the untared wrist reads in air
 COMMAND = PressCommand(1.5, 1.0, 2.0, 4.0, 1.0, 10.0, (30.0, 25.0, 15.0))
 
 

@@ -18,8 +18,7 @@ from touchdown.backend.simulation.devices.bench import SimulatedBench
 
 CYCLE_US = 8000
 LAG_S = 0.012
-DOWN = (math.pi, 0.0, 0.0)
-"""The rotation vector of a hand that points straight down."""
+DOWN = (math.pi, 0.0, 0.0)  # the rotation vector of a hand that points straight down
 
 
 class Robot:

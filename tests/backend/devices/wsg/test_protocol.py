@@ -207,11 +207,6 @@ def test_a_false_header_that_promises_much_does_not_hold_up_the_replies():
     assert [r.values for r in decoder.feed(data("wsg-force-reply"))] == [(20.5,), (9.75,)]
 
 
-def test_temperature_is_in_degrees():
-    (reply,) = protocol.replies().feed(frame(WsgCommand.TEMPERATURE, struct.pack("<Hh", 0, -55)))
-    assert reply.values == (-5.5,)
-
-
 @pytest.mark.parametrize("value", [float("nan"), float("inf"), 1e39])
 def test_a_width_that_is_no_float_is_refused(value):
     with pytest.raises(ProtocolError):

@@ -27,8 +27,7 @@ CODES = {
     "fast_stop": {"WSG-FAST-STOP"},
     "power": {"WSG-DEVICE"},
 }
-SILENT_S, MUTE_S = 1.0, 3.5
-"""Shorter, and longer, than what means a lost link."""
+SILENT_S, MUTE_S = 1.0, 3.5  # shorter, and longer, than what means a lost link
 
 
 class GripperTrial:

@@ -27,25 +27,27 @@ from touchdown.backend.core.values import FINGERS, MARKERS, MarkerField
 from touchdown.backend.exchange import exports
 from touchdown.backend.exchange.exports import EXPORTS, export, export_dataset, export_format
 from touchdown.backend.exchange.imports import EpisodeImport, ImportOptions
-from touchdown.backend.exchange.query import ExportQuery, ExportState, select_episodes
+from touchdown.backend.exchange.query import (
+    ExportQuery,
+    ExportState,
+    SelectedEpisode,
+    select_episodes,
+)
 
 EVERY: tuple[ExportState, ...] = ("approved", "submitted", "draft")
 
 
 @pytest.mark.parametrize("kind", EXPORTS)
-def test_the_same_query_gives_the_same_manifest(kind: str, hand: Hand) -> None:
-    one, two = (manifest_of(hand(kind, out).folder) for out in ("one", "two"))
+def test_the_manifest_names_every_file_by_its_hash_and_is_the_same_again(
+    kind: str, hand: Hand
+) -> None:
+    out = hand(kind, "one").folder
+    one, two = (manifest_of(folder) for folder in (out, hand(kind, "two").folder))
     assert one.pop("created_ns") < two.pop("created_ns")
     assert one == two
-    assert one["files"]
-
-
-@pytest.mark.parametrize("kind", EXPORTS)
-def test_the_manifest_names_every_file_by_its_hash(kind: str, hand: Hand) -> None:
-    out = hand(kind).folder
-    listed = {file["path"]: file["sha256"] for file in manifest_of(out)["files"]}
     files = [path for path in out.rglob("*") if path.is_file() and path.name != "manifest.json"]
-    assert listed == {
+    assert files
+    assert {file["path"]: file["sha256"] for file in one["files"]} == {
         path.relative_to(out).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
         for path in files
     }
@@ -64,14 +66,18 @@ def test_the_manifest_says_where_it_comes_from(dataset: Dataset, hand: Hand) -> 
     assert numbers == list(range(6))
 
 
+def apart(chosen: tuple[SelectedEpisode, ...], *names: str) -> bool:
+    """True if both sides have episodes, and share no value of these fields."""
+    train, held_out = (
+        {tuple(getattr(o.entry, name) for name in names) for o in chosen if o.split == side}
+        for side in ("train", "held_out")
+    )
+    return bool(train and held_out) and not train & held_out
+
+
 def test_grips_stay_on_one_side(dataset: Dataset) -> None:
     query = ExportQuery(states=EVERY, held_out=0.4, divide_series=True)
-    chosen = select_episodes(dataset, query).chosen
-    grips = {side: {o.entry.grip_id for o in chosen if o.split == side}
-             for side in ("train", "held_out")}  # fmt: skip
-    assert grips["train"]
-    assert grips["held_out"]
-    assert not grips["train"] & grips["held_out"]
+    assert apart(select_episodes(dataset, query).chosen, "grip_id")
 
 
 def tag(dataset: Dataset, uuids: list[str], side: str) -> None:
@@ -111,11 +117,7 @@ def test_whole_series_are_held_out(dataset: Dataset) -> None:
                            source="measured", context=grip)  # fmt: skip
     selection = select_episodes(dataset, ExportQuery(states=EVERY, held_out=0.3))
     assert selection.warnings == ()
-    of = {side: {(o.entry.mounting_id, o.entry.bottom) for o in selection.chosen if o.split == side}
-          for side in ("train", "held_out")}  # fmt: skip
-    assert of["train"]
-    assert of["held_out"]
-    assert not of["train"] & of["held_out"]
+    assert apart(selection.chosen, "mounting_id", "bottom")
 
 
 def test_states_choose_and_the_approved_label_counts(dataset: Dataset) -> None:

@@ -131,12 +131,8 @@ FEATURES = {
 }
 
 
-@pytest.fixture
-def out(hand: Hand) -> Path:
-    return hand("lerobot").folder
-
-
-def test_info_says_version_counts_paths_and_features(out: Path) -> None:
+def test_a_lerobot_dataset_is_complete_and_consistent(hand: Hand) -> None:
+    out = hand("lerobot").folder
     info = json.loads((out / "meta/info.json").read_text())
     assert {key: info[key] for key in INFO} == INFO
     assert isinstance(info["fps"], int)
@@ -147,9 +143,7 @@ def test_info_says_version_counts_paths_and_features(out: Path) -> None:
     ends = sorted(tuple(map(int, span.split(":"))) for span in info["splits"].values())
     assert (ends[0][0], ends[-1][1]) == (0, EPISODES)
     assert all(one[1] == other[0] for one, other in pairwise(ends))
-
-
-def test_rows_are_frames_and_a_row_group_is_an_episode(out: Path) -> None:
+    # One row group an episode, one row a frame.
     file = pq.ParquetFile(out / "data/chunk-000/file-000.parquet")
     assert file.num_row_groups == EPISODES
     column = file.metadata.row_group(0).column(0)
@@ -166,9 +160,7 @@ def test_rows_are_frames_and_a_row_group_is_an_episode(out: Path) -> None:
     assert [row.as_py() for row in table["episode_index"]] == [
         k for k in range(EPISODES) for _ in range(TICKS)
     ]
-
-
-def test_episodes_and_tasks_point_at_the_rows(out: Path) -> None:
+    # Episodes and tasks point at the rows.
     rows = pq.read_table(out / "meta/episodes/chunk-000/file-000.parquet").to_pylist()
     assert [row["episode_index"] for row in rows] == list(range(EPISODES))
     for k, row in enumerate(rows):

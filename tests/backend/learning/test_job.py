@@ -110,6 +110,8 @@ def test_preparing_never_changes_an_estimate(tmp_path: Path, pot: Piece) -> None
         assert np.array_equal(estimator.estimate(episode(rows)).probability, expected)
         estimator.prepare(rows[:19])
         assert np.array_equal(estimator.estimate(episode(rows)).probability, expected)
+    estimator.prepare(np.full((19, 258), np.nan, np.float32))
+    assert np.array_equal(estimator.estimate(episode(probes[2])).probability, plain[2])
     corrected = probes[2].copy()
     corrected[18, 257] += 1.0
     changed = estimator.estimate(episode(corrected)).probability
@@ -117,14 +119,6 @@ def test_preparing_never_changes_an_estimate(tmp_path: Path, pot: Piece) -> None
     assert np.array_equal(
         changed, Estimator.load(path, pot).estimate(episode(corrected)).probability
     )
-
-
-def test_early_ticks_that_are_missing_do_no_harm(tmp_path: Path, pot: Piece) -> None:
-    estimator = Estimator.load(write_model(tmp_path / "m.safetensors", pot), pot)
-    rows = np.zeros((20, 258), np.float32)
-    expected = estimator.estimate(episode(rows)).probability
-    estimator.prepare(np.full((19, 258), np.nan, np.float32))
-    assert np.array_equal(estimator.estimate(episode(rows)).probability, expected)
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
@@ -281,6 +275,7 @@ def test_wilson_intervals_as_published(k: int, n: int, low: float, high: float) 
 
 def test_hull_margin_agrees_with_shapely() -> None:
     rng = np.random.default_rng(8)
+    assert [hull_margin_mm(np.zeros((count, 2))) for count in range(3)] == [-math.inf] * 3
     for _ in range(300):
         points = rng.integers(-6, 7, (rng.integers(3, 12), 2)).astype(float)
         hull = MultiPoint(points).convex_hull
@@ -291,11 +286,6 @@ def test_hull_margin_agrees_with_shapely() -> None:
         distance = hull.exterior.distance(Point(0, 0))
         sign = 1 if hull.covers(Point(0, 0)) else -1
         assert got == pytest.approx(sign * distance, abs=1e-5)
-
-
-@pytest.mark.parametrize("count", [0, 1, 2])
-def test_few_points_never_support(count: int) -> None:
-    assert hull_margin_mm(np.zeros((count, 2))) == -math.inf
 
 
 def test_scores_of_a_known_case() -> None:
@@ -357,13 +347,6 @@ def test_bad_arguments_are_one_error(
     captured = capsys.readouterr()
     assert captured.out == ""
     assert json.loads(captured.err)["error"]["where"] == where
-
-
-def test_missing_data_is_one_error_naming_it(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["train", str(tmp_path / "none"), "--json"]) == 2
-    assert json.loads(capsys.readouterr().err)["error"]["where"] == str(tmp_path / "none")
 
 
 def test_a_script_gets_the_numbers_of_the_command_line(

@@ -36,19 +36,19 @@ TEMPLATE = "lab.toml"
 # keys of a new file without a usable default
 REQUIRED_KEYS = ("ft.address", "gelsight.left.serial", "gelsight.right.serial")
 
-ON = "All devices are connected and the arm is switched on; it stands."
+ON = "This connects all devices and switches the arm on; it stands."
 # Recovery without a window: help, and the question before it.
 RECOVERY = {
     "status": ("connect all devices, show their state and what to do", ON),
     "reset": (
         "connect all devices and reset their faults; nothing moves",
-        f"{ON} Faults are reset.",
+        f"{ON} It resets their faults.",
     ),
     "acknowledge": (
         "acknowledge a fast stop or fault of the gripper",
-        f"{ON} The gripper accepts motions again; it keeps a held piece.",
+        f"{ON} Then the gripper accepts motions again; it keeps a held piece.",
     ),
-    "lift": ("lift the arm by 5 mm, out of contact", f"{ON} Then it rises by 5 mm."),
+    "lift": ("lift the arm by 5 mm, out of contact", f"{ON} Then the arm rises by 5 mm."),
     "open-jaws": ("open the jaws, also on a held piece", ON),
 }
 LIFT_MM, LIFT_MM_S = 5.0, 5.0

@@ -132,7 +132,7 @@ def refuse_misplaced_arguments(args: argparse.Namespace) -> None:
     lab = at_lab(args)
     for name in ("preset", "inject", "emulated", "faults") if lab else ("home", "override"):
         if getattr(args, name):
-            bench = "the simulated bench" if lab else "real devices"
+            bench = "simulated and emulated benches" if lab else "benches with a lab file"
             fix = "Leave it out." if lab else "Name a lab file with --bench."
             raise InputError(f"This argument is for {bench} only.", f"--{name}", fix)
     if args.faults and not args.emulated:

@@ -163,5 +163,5 @@ def _nothing(dataset: Dataset, query: ExportQuery, left_out: Counter[str]) -> In
     fix = "Label and approve some"
     fix += f", or add --states {','.join((*query.states, *others))}." if others else "."
     why = "; ".join(f"{count}: {reason}" for reason, count in sorted(left_out.items()))
-    what = "No episode is fit to be handed on" + (f" ({why})." if why else ".")
+    what = "No episode can be exported" + (f" ({why})." if why else ".")
     return InputError(what, f"{dataset.folder}: {query.text()}", fix)

@@ -262,7 +262,8 @@ class CollectWorkspace(Workspace):
             self._told_keys = False
             self._context.say("")
 
-    def _be(self, name: str) -> None:
+    def _take_person(self) -> None:
+        name = self.collect_page.target.person.text()
         if name.strip() and name != self.presenter.person:
             self.label.be(name)
 
@@ -270,14 +271,14 @@ class CollectWorkspace(Workspace):
 
     def _wire(self) -> None:
         page, presenter = self.collect_page, self.presenter
-        page.target.start_requested.connect(presenter.start)
-        page.target.resume_requested.connect(presenter.go_on)
-        page.target.pause_requested.connect(presenter.pause_or_resume)
-        page.target.end_requested.connect(presenter.end)
-        page.target.person_entered.connect(self._be)
-        page.target.residual_requested.connect(presenter.take_origin)
-        page.target.origin_requested.connect(presenter.set_origin_here)
-        page.target.lift_requested.connect(presenter.lift)
+        page.target.start.clicked.connect(presenter.start)
+        page.target.go_on.clicked.connect(presenter.go_on)
+        page.target.pause.clicked.connect(presenter.pause_or_resume)
+        page.target.end.clicked.connect(presenter.end)
+        page.target.person.editingFinished.connect(self._take_person)
+        page.target.take.clicked.connect(presenter.take_origin)
+        page.target.here.clicked.connect(presenter.set_origin_here)
+        page.target.lift.clicked.connect(presenter.lift)
         page.target.pair_chosen.connect(presenter.choose_pair)
         page.decided.connect(presenter.decide)
         page.dot_chosen.connect(presenter.probes.choose_dot)

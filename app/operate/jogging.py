@@ -108,7 +108,7 @@ class ManualControlPresenter:
 
     def step(self, what: str) -> None:
         """Move by one step."""
-        step = self._page.jog.step
+        step = self._page.jog.pace.step
         if step is None:
             return
         distance = _sign(what) * (math.radians(step) if self._page.jog.turning else step)

@@ -165,7 +165,7 @@ class OperateWorkspace(Workspace):
         self.page = page = OperatePage(self._context.theme)
         yield
         yield from page.build(PACES, PHASES, self._renew)
-        page.jog.keys_toggled.connect(self._arm_keys)
+        page.jog.keys.toggled.connect(self._arm_keys)
         page.pause_toggled.connect(self._pause)
         page.scene_chosen.connect(self._set_scene)
         self.page.belief.show_scene(NO_RUN)
@@ -181,7 +181,7 @@ class OperateWorkspace(Workspace):
         self.probe = SingleProbePresenter(bench, page.probe, self._context.cards)
         page.jog.hold_ended.connect(self.hand.ended)
         page.jog.step_pressed.connect(self.hand.step)
-        page.jog.level_requested.connect(self.hand.level)
+        page.jog.level.clicked.connect(self.hand.level)
         page.grip_requested.connect(self.hand.grip)
         page.open_requested.connect(self.hand.open)
         page.zero_requested.connect(self.hand.zero)
@@ -256,14 +256,14 @@ class OperateWorkspace(Workspace):
             WindowCommand("arm", "Arm or disarm the jog keys", "J",
                           lambda: self.page.jog.keys.toggle()),
             WindowCommand("shorter", "Shorter step, down to hold-to-run", "[",
-                          lambda: self.page.jog.next_step(-1)),
-            WindowCommand("longer", "Longer step", "]", lambda: self.page.jog.next_step(1)),
+                          lambda: self.page.jog.pace.next_step(-1)),
+            WindowCommand("longer", "Longer step", "]", lambda: self.page.jog.pace.next_step(1)),
             WindowCommand("frame", "Jog in the next frame: XYZ, TOOL, JOINT", "F",
                           lambda: self.page.jog.next_frame()),
             WindowCommand("turn", "Jog: turn the hand, or move it", "T",
                           lambda: self.page.jog.turn.click()),
             WindowCommand("level", "Level the hand", "Shift+T",
-                          lambda: self.page.jog.level_requested.emit()),
+                          lambda: self.page.jog.level.clicked.emit()),
             WindowCommand("scene", "Set up a new scene on the simulated bench", "Ctrl+N",
                           lambda: self.page.scene.ask()),
             WindowCommand("freeze", "Hold the traces still", "Ctrl+P",

@@ -143,9 +143,9 @@ class ReportsPresenter:
         if self.sheet is None:
             self.sheet = sheet = ReportSheet(self._window)
             sheet.part_chosen.connect(self.show_part)
-            sheet.folder_requested.connect(self._open_folder)
-            sheet.browser_requested.connect(self._open_in_browser)
-            sheet.other_requested.connect(self.ask)
+            sheet.folder.clicked.connect(self._open_folder)
+            sheet.browser.clicked.connect(self._open_in_browser)
+            sheet.other.clicked.connect(self.ask)
         self.report, self._file = report, file
         self.sheet.show_head(
             report.title, report.banner, str(file), [s.title for s in report.sections]

@@ -25,14 +25,7 @@ from touchdown.backend.episodes import CompressedEpisode
 from touchdown.backend.geometry import rotated
 from touchdown.backend.placement import OffsetFit
 from touchdown.backend.sensing import Homography, observe_offset
-from touchdown.widgets.plots import (
-    Drawn,
-    PhaseDrawn,
-    PhaseSheet,
-    TraceSheet,
-    WrenchTrace,
-    has_moments,
-)
+from touchdown.widgets.plots import Drawn, PhaseSheet, TraceSheet, WrenchTrace, has_moments
 from touchdown.widgets.views import FilmTrack, PictureOutline, Reel, SceneShot, latest
 
 LIMIT_UM = 99_990  # largest displacement that can be typed or nudged
@@ -210,7 +203,7 @@ class PrerenderedItem:
 
     forces: Drawn
     moments: Drawn
-    phase: PhaseDrawn
+    phase: Drawn
 
     @property
     def bytes(self) -> int:

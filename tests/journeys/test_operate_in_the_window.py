@@ -97,7 +97,7 @@ def test_a_step_per_press_and_none_for_auto_repeat(desk):
     main, session = desk
     page = main.workspaces["operate"].page
     main.actions.action("operate.longer").trigger()
-    assert page.jog.step == 0.1
+    assert page.jog.pace.step == 0.1
     before = place(session)
     QTest.mousePress(page.jog.pads["-y"], Qt.MouseButton.LeftButton)
     turn(main, session, 0.5)
@@ -220,7 +220,7 @@ def test_a_refused_step_names_axis_and_way_left(desk):
     page = main.workspaces["operate"].page
     for _ in range(4):
         main.actions.action("operate.longer").trigger()
-    assert page.jog.step == 5.0
+    assert page.jog.pace.step == 5.0
     QTest.mousePress(page.jog.pads["+z"], Qt.MouseButton.LeftButton)
     assert not jog.active
     assert "+Z (XYZ): 3.0 mm left" in main.cards.card("LIMIT").text.what

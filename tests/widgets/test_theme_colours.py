@@ -1,7 +1,7 @@
 """Every token pair that is shown together can be read, with normal and with other colour vision."""
 
 import re
-from dataclasses import replace
+from dataclasses import asdict, replace
 from itertools import combinations
 from pathlib import Path
 from typing import get_args
@@ -11,6 +11,7 @@ import pytest
 from PySide6.QtGui import QColor, QPalette
 from PySide6.QtWidgets import QComboBox, QLineEdit, QListWidget, QPushButton, QSpinBox
 
+from touchdown.app import splash
 from touchdown.widgets.base.style_sheet import make_style_sheet
 from touchdown.widgets.base.theme import CONTRAST, DARK, LIGHT, load_resources
 from touchdown.widgets.shell.devices import ChipState, mark_colours
@@ -109,7 +110,7 @@ def rules_of(tokens) -> dict[str, dict[str, str]]:
     """Return the colours that the style sheet gives to each selector."""
     rules: dict[str, dict[str, str]] = {}
     for selectors, body in re.findall(
-        r"([^{}]+)\{([^{}]*)\}", make_style_sheet(tokens.as_dict(), 10.0)
+        r"([^{}]+)\{([^{}]*)\}", make_style_sheet(asdict(tokens), 10.0)
     ):
         told = dict(re.findall(r"(?:^|[;\s])(color|background)\s*:\s*(#[0-9A-Fa-f]{6})", body))
         for selector in selectors.split(","):
@@ -169,7 +170,7 @@ def test_in_high_contrast_a_disabled_control_has_a_broken_frame(qapp, qtbot, kin
     load_resources()
     control = kind()
     qtbot.addWidget(control)
-    control.setStyleSheet(make_style_sheet(CONTRAST.as_dict(), 10.0))
+    control.setStyleSheet(make_style_sheet(asdict(CONTRAST), 10.0))
     control.resize(120, 60)
 
     def share():
@@ -187,7 +188,7 @@ def test_in_high_contrast_a_disabled_control_has_a_broken_frame(qapp, qtbot, kin
 def test_hints_in_empty_fields_and_lists_can_be_read(qapp, qtbot, kind, tokens):
     field = kind()
     qtbot.addWidget(field)
-    field.setStyleSheet(make_style_sheet(tokens.as_dict(), 10.0))
+    field.setStyleSheet(make_style_sheet(asdict(tokens), 10.0))
     field.ensurePolished()
     hint = field.palette().color(QPalette.ColorRole.PlaceholderText)
     assert hint.alpha() == 255
@@ -235,7 +236,8 @@ def test_outlines_on_photographs_are_seen_and_differ():
 def test_every_colour_that_is_no_token_is_one_of_those_looked_at_here():
     """White and black are marks that lie on each other; the ground of the arrows is always dark."""
     known = {*BIN_COLOURS, *(colour for colour, _ in OUTLINE_STYLES.values())}
-    known |= {"#FFFFFF", "#000000", ARROWS_ON}
+    known |= {"#FFFFFF", "#000000", ARROWS_ON, splash.GROUND, splash.TEXT}
+    assert contrast_ratio(QColor(splash.GROUND), QColor(splash.TEXT)) >= 4.5
     theme, found = ROOT / "widgets" / "base" / "theme.py", set()
     for file in (*(ROOT / "widgets").rglob("*.py"), *(ROOT / "app").rglob("*.py")):
         if file != theme:

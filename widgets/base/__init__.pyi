@@ -18,12 +18,15 @@ from .panel import label as label
 from .panel import rule as rule
 from .panel import set_property as set_property
 from .panel import vbox as vbox
+from .rows import ENTER as ENTER
 from .rows import ROOT as ROOT
 from .rows import ModelIndex as ModelIndex
 from .rows import RowList as RowList
 from .rows import RowPainter as RowPainter
 from .rows import WrappedItemDelegate as WrappedItemDelegate
 from .rows import draw_elided_line as draw_elided_line
+from .rows import open_over as open_over
+from .rows import plain_table as plain_table
 from .theme import MAPS as MAPS
 from .theme import MAX_SCALE as MAX_SCALE
 from .theme import MIN_SCALE as MIN_SCALE
@@ -41,6 +44,7 @@ from .theme import map_colours as map_colours
 from .theme import ui_font as ui_font
 
 __all__ = [
+    "ENTER",
     "MAPS",
     "MAX_SCALE",
     "MIN_SCALE",
@@ -77,6 +81,8 @@ __all__ = [
     "label",
     "load_resources",
     "map_colours",
+    "open_over",
+    "plain_table",
     "rule",
     "scroll_into_view",
     "set_property",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from PySide6.QtCore import (
     QAbstractListModel,
+    QMargins,
     QModelIndex,
     QPersistentModelIndex,
     QRect,
@@ -18,6 +19,7 @@ from PySide6.QtWidgets import (
     QStyle,
     QStyledItemDelegate,
     QStyleOptionViewItem,
+    QTableView,
     QWidget,
 )
 
@@ -25,6 +27,27 @@ from touchdown.widgets.base.theme import Theme
 
 ModelIndex = QModelIndex | QPersistentModelIndex
 ROOT = QModelIndex()
+ENTER = (Qt.Key.Key_Return, Qt.Key.Key_Enter)
+
+
+def open_over(dialog: QWidget, window: QWidget, most: tuple[int, int], edge_px: int) -> None:
+    """Show a dialog over most of a window: at most ``most`` px, at least ``edge_px`` smaller."""
+    room = window.size().shrunkBy(QMargins(0, 0, edge_px, edge_px))
+    dialog.resize(room.boundedTo(QSize(*most)))
+    dialog.show()
+    dialog.raise_()
+    dialog.activateWindow()
+
+
+def plain_table(table: QTableView, name: str) -> None:
+    """Set up a read-only table without lines and row headers."""
+    table.setAccessibleName(name)
+    table.setEditTriggers(QTableView.EditTrigger.NoEditTriggers)
+    table.setShowGrid(False)
+    table.setWordWrap(False)
+    table.setTabKeyNavigation(False)
+    table.verticalHeader().hide()
+    table.horizontalHeader().setHighlightSections(False)
 
 
 class RowPainter(QStyledItemDelegate):
@@ -94,13 +117,11 @@ class WrappedItemDelegate(QStyledItemDelegate):
         # Rows differ in height: scrolling by rows would leave empty space below the last one.
         view.setVerticalScrollMode(QListWidget.ScrollMode.ScrollPerPixel)
 
-    def sizeHint(
-        self, option: QStyleOptionViewItem, index: QModelIndex | QPersistentModelIndex
-    ) -> QSize:
+    def sizeHint(self, _option: QStyleOptionViewItem, index: ModelIndex) -> QSize:
         """Return the height of the wrapped text."""
         width = max(self._view.viewport().width() - 2 * PAD_X, 1)
         text = str(index.data(Qt.ItemDataRole.DisplayRole))
         room = QRect(0, 0, width, 10_000)
-        metrics = self._view.fontMetrics()
-        drawn = metrics.boundingRect(room, int(Qt.TextFlag.TextWordWrap), text)
+        wrap = int(Qt.TextFlag.TextWordWrap)
+        drawn = self._view.fontMetrics().boundingRect(room, wrap, text)
         return QSize(2 * PAD_X, drawn.height() + 2 * PAD_Y)

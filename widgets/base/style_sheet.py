@@ -16,12 +16,10 @@ QFrame[role="rail"] {{ background: {panel}; border: none; border-right: 1px soli
 QFrame[role="card"] {{ background: {panel}; border: 1px solid {hairline}; border-radius: 6px; }}
 QFrame[role="rule"] {{ background: {hairline}; border: none; max-height: 1px; min-height: 1px; }}
 QFrame[role="chip"] {{ background: {raised}; border: 1px solid {hairline}; border-radius: 6px; }}
-QFrame[role="fault"] {{ background: {panel}; border: 1px solid {border};
-    border-left: 6px solid {pill_red}; border-radius: 4px; }}
-QFrame[role="notice"] {{ background: {panel}; border: 1px solid {border};
-    border-left: 6px solid {pill_yellow}; border-radius: 4px; }}
-QFrame[role="question"] {{ background: {panel}; border: 1px solid {border};
-    border-left: 6px solid {pill_blue}; border-radius: 4px; }}
+QFrame[role="fault"], QFrame[role="notice"], QFrame[role="question"] {{ background: {panel};
+    border: 1px solid {border}; border-left: 6px solid {pill_red}; border-radius: 4px; }}
+QFrame[role="notice"] {{ border-left-color: {pill_yellow}; }}
+QFrame[role="question"] {{ border-left-color: {pill_blue}; }}
 
 QLabel {{ background: transparent; color: {text}; }}
 QLabel[role="title"] {{ font-weight: 600; }}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import asdict, dataclass
 from functools import cache
 from importlib.resources import files
 from typing import Literal
@@ -71,10 +71,6 @@ class Tokens:
         """Return the colour of a token by name; raises AttributeError for an unknown one."""
         return QColor(getattr(self, token))
 
-    def as_dict(self) -> dict[str, str]:
-        """Return all tokens by name."""
-        return {f.name: getattr(self, f.name) for f in fields(self)}
-
 
 DARK = Tokens(
     name="dark", bg="#14181C", panel="#1C2127", raised="#262D35", hover="#303943",
@@ -97,20 +93,14 @@ CONTRAST = Tokens(
     axis_x="#00C8FF", axis_y="#FFFF00", axis_z="#FF8A7A", good="#68D9A1", bad="#F37B68",
     disabled="#808080",
 )  # fmt: skip
-_BY_NAME: dict[ThemeName, Tokens] = {"dark": DARK, "light": LIGHT, "contrast": CONTRAST}
-
-
-def tokens_of(name: ThemeName) -> Tokens:
-    """Return the tokens of a theme."""
-    return _BY_NAME[name]
+TOKENS: dict[ThemeName, Tokens] = {"dark": DARK, "light": LIGHT, "contrast": CONTRAST}
 
 
 class Theme:
     """Current tokens and font scale. Widgets keep it and read ``theme.tokens`` when they paint."""
 
     def __init__(self, name: ThemeName = "dark", scale: float = 1.0) -> None:
-        self.tokens = tokens_of(name)
-        self.scale = scale
+        self.tokens, self.scale = TOKENS[name], scale
 
     def choose(self, application: QApplication, name: ThemeName, scale: float) -> None:
         """Set theme and font scale before widgets are made; call ``apply`` afterwards.
@@ -136,7 +126,7 @@ class Theme:
         construction.
         """
         self._take(application, name, scale)
-        sheet = make_style_sheet(self.tokens.as_dict(), BASE_POINTS * self.scale)
+        sheet = make_style_sheet(asdict(self.tokens), BASE_POINTS * self.scale)
         dressed = application if window is None else window
         if sheet != dressed.styleSheet():
             if window is not None and window.styleSheet():
@@ -150,7 +140,7 @@ class Theme:
             widget.update()
 
     def _take(self, application: QApplication, name: ThemeName, scale: float) -> None:
-        self.tokens = tokens_of(name)
+        self.tokens = TOKENS[name]
         self.scale = min(max(scale, MIN_SCALE), MAX_SCALE)
         if not application.property(STYLED):
             application.setStyle("Fusion")
@@ -238,9 +228,8 @@ def pixmap(name: str, colour: QColor, size_px: int) -> QPixmap:
     kept, drawn = f"icon {name} {colour.name()} {size_px}", QPixmap()
     if QPixmapCache.find(kept, drawn):
         return drawn
-    source = (
-        files("touchdown.resources").joinpath("icons", f"{name}.svg").read_text(encoding="utf-8")
-    )
+    file = files("touchdown.resources").joinpath("icons", f"{name}.svg")
+    source = file.read_text(encoding="utf-8")
     renderer = QSvgRenderer(QByteArray(source.replace("currentColor", colour.name()).encode()))
     drawn = QPixmap(size_px, size_px)
     drawn.fill(Qt.GlobalColor.transparent)

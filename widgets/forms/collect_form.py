@@ -73,14 +73,6 @@ class TargetButtons:
 class TargetPanel(Panel):
     """Form of a campaign with its buttons and progress."""
 
-    start_requested = Signal()
-    resume_requested = Signal()
-    pause_requested = Signal()
-    end_requested = Signal()
-    person_entered = Signal(str)
-    residual_requested = Signal()
-    origin_requested = Signal()
-    lift_requested = Signal()
     pair_chosen = Signal()
 
     def __init__(self, theme: Theme) -> None:
@@ -113,39 +105,7 @@ class TargetPanel(Panel):
         self.bar.setFormat("%v of %m")
         self.start.setProperty("role", "primary")
         self.person.setMaxLength(64)
-        self._tips()
-        self._arrange()
-        self.start.clicked.connect(self.start_requested)
-        self.go_on.clicked.connect(self.resume_requested)
-        self.pause.clicked.connect(self.pause_requested)
-        self.end.clicked.connect(self.end_requested)
-        self.take.clicked.connect(self.residual_requested)
-        self.here.clicked.connect(self.origin_requested)
-        self.lift.clicked.connect(self.lift_requested)
-        self.person.editingFinished.connect(lambda: self.person_entered.emit(self.person.text()))
-        for combo in (self.piece, self.bottom):
-            combo.currentIndexChanged.connect(self.pair_chosen)
-        self.show_form(TargetForm())
-        self.show_residual("Origin not checked yet.", usable=False)
-        self.show_buttons(TargetButtons(start=False, pause=False, end=False, paused=False))
-        self.show_progress(0, 0, "")
-
-    def _tips(self) -> None:
         describe(
-            (self.piece, "Piece", "Piece to grasp, in its jig"),
-            (self.bottom, "Bottom or board", "Body to press on; its outline is known"),
-            (self.within, "Range", "Largest displacement along x and along y"),
-            (self.pattern, "Pattern", "Pattern of the displacements"),
-            (self.count, "Probes", "Number of probes to plan"),
-            (
-                self.per_grip,
-                "Probes per grip",
-                "Largest number per grip; auto: at least three grips",
-            ),
-            (self.seed, "Seed", "new: another plan each time; the same seed gives the same plan"),
-            (self.person, "Person", "Your name; stored with every episode"),
-            (self.origin[0], "Origin x", "Centre of the bottom in arm coordinates, x (mm)"),
-            (self.origin[1], "Origin y", "Centre of the bottom in arm coordinates, y (mm)"),
             (self.check_origin, "Check the origin", "Touch all four edges with the held piece"),
             (self.ask, "Ask after every probe", "The arm waits until you press a key"),
             (self.hand_over, "Hand over", "You hold the piece between the jaws and take it back"),
@@ -159,6 +119,13 @@ class TargetPanel(Panel):
             (self.end, "End the campaign for now", "Lift, store the finished probes, end"),
             (self.bar, "Progress", "Accepted probes of the campaign"),
         )
+        self._arrange()
+        for combo in (self.piece, self.bottom):
+            combo.currentIndexChanged.connect(self.pair_chosen)
+        self.show_form(TargetForm())
+        self.show_residual("Origin not checked yet.", usable=False)
+        self.show_buttons(TargetButtons(start=False, pause=False, end=False, paused=False))
+        self.show_progress(0, 0, "")
 
     def _arrange(self) -> None:
         # Compact: at the smallest window size a campaign in contact shows every row.
@@ -166,14 +133,25 @@ class TargetPanel(Panel):
         self.lift.setProperty("role", "header")
         fields = self._fields
         fields.add_wide(
-            0, ("Piece", self.piece), ("Bottom", self.bottom), ("Pattern", self.pattern),
-            ("Person", self.person),
-        )  # fmt: skip
+            0,
+            ("Piece", self.piece, "Piece to grasp, in its jig"),
+            ("Bottom", self.bottom, "Body to press on; its outline is known", "Bottom or board"),
+            ("Pattern", self.pattern, "Pattern of the displacements"),
+            ("Person", self.person, "Your name; stored with every episode"),
+        )
+        x, y = self.origin
+        per_grip = "Largest number per grip; auto: at least three grips"
+        seed = "new: another plan each time; the same seed gives the same plan"
+        within, within_tip = "Range \N{PLUS-MINUS SIGN}", "Largest displacement along x and along y"
         fields.add_halves(
-            4, ("Range \N{PLUS-MINUS SIGN}", self.within), ("Probes", self.count),
-            ("Per grip", self.per_grip), ("Seed", self.seed),
-            ("Origin x", self.origin[0]), ("y", self.origin[1]),
-        )  # fmt: skip
+            4,
+            (within, self.within, within_tip, "Range"),
+            ("Probes", self.count, "Number of probes to plan"),
+            ("Per grip", self.per_grip, per_grip, "Probes per grip"),
+            ("Seed", self.seed, seed),
+            ("Origin x", x, "Centre of the bottom in arm coordinates, x (mm)"),
+            ("y", y, "Centre of the bottom in arm coordinates, y (mm)", "Origin y"),
+        )
         self.person.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
         add_items(
             self.column, fields, hbox((self.here, 3), (self.take, 2)),

@@ -22,10 +22,12 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from touchdown.widgets.base import Theme, fit_icon, icon, label, set_property
+from touchdown.widgets.base import Theme, describe, fit_icon, icon, label, set_property
 
 INSET_PX = 6
 Field = QCheckBox | QComboBox | QDoubleSpinBox | QSpinBox
+# title, field, tool tip; accessible name, if it is not the title
+TitledField = tuple[str, QWidget, str] | tuple[str, QWidget, str, str]
 
 
 def field_label(text: str, field: QWidget) -> QLabel:
@@ -81,20 +83,22 @@ class _RefusedEntry(QObject):
             QTimer.singleShot(0, box, lambda: QToolTip.showText(place, words, box))
         self._typed = ""
 
+    @property
+    def _decimals(self) -> int:
+        return self._box.decimals() if isinstance(self._box, QDoubleSpinBox) else 0
+
     def _is_wrong(self) -> bool:
         box = self._box
         figures = self._typed.removeprefix(box.prefix()).removesuffix(box.suffix()).strip()
         number, is_number = box.locale().toDouble(figures)
         if box.specialValueText() and self._typed.strip() == box.specialValueText():
             return False
-        decimals = box.decimals() if isinstance(box, QDoubleSpinBox) else 0
-        fits = box.minimum() <= number <= box.maximum() and number == round(number, decimals)
+        fits = box.minimum() <= number <= box.maximum() and number == round(number, self._decimals)
         return not (is_number and fits)
 
     def _words(self) -> str:
         box = self._box
-        decimals = box.decimals() if isinstance(box, QDoubleSpinBox) else 0
-        low, high = (f"{value:.{decimals}f}" for value in (box.minimum(), box.maximum()))
+        low, high = (f"{value:.{self._decimals}f}" for value in (box.minimum(), box.maximum()))
         return f"{self._typed.strip()} is refused: {low} to {high}{box.suffix()} is allowed."
 
 
@@ -105,11 +109,15 @@ def let_shrink(*combos: QComboBox, letters: int = 8) -> None:
         combo.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
 
 
-def set_entries(combo: QComboBox, entries: Iterable[tuple[str, str]]) -> None:
-    """Replace the (key, title) entries of a combo box."""
+def set_entries(
+    combo: QComboBox, entries: Iterable[tuple[str, str]], chosen: str | None = None
+) -> None:
+    """Replace the (key, title) entries of a combo box; select ``chosen``, else the first."""
     combo.clear()
     for key, title in entries:
         combo.addItem(title, key)
+    if chosen is not None and combo.count():
+        combo.setCurrentIndex(max(combo.findData(chosen), 0))
 
 
 def select_key(combo: QComboBox, key: str) -> None:
@@ -157,17 +165,20 @@ class FormFields(QGridLayout):
             if not isinstance(field, QCheckBox):
                 field.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
 
-    def add_wide(self, row: int, *named: tuple[str, QWidget]) -> None:
-        """Add (title, field) rows from ``row`` on."""
-        for at, (title, field) in enumerate(named, start=row):
+    def add_wide(self, row: int, *fields: TitledField) -> None:
+        """Add a field a row from ``row`` on."""
+        for at, (title, field, tip, *name) in enumerate(fields, start=row):
+            describe((field, name[0] if name else title, tip))
             self.addWidget(field_label(title, field), at, 0)
             self.addWidget(field, at, 1, 1, 3)
 
-    def add_halves(self, row: int, *named: tuple[str, QWidget]) -> list[QLabel]:
-        """Add (title, field) halves from ``row`` on, two to a row; return their labels."""
-        titles = [field_label(title, field) for title, field in named]
-        for at, (title, (_, field)) in enumerate(zip(titles, named, strict=True)):
-            self.addWidget(title, row + at // 2, 2 * (at % 2))
+    def add_halves(self, row: int, *fields: TitledField) -> list[QLabel]:
+        """Add two fields a row from ``row`` on; return their labels."""
+        titles = []
+        for at, (title, field, tip, *name) in enumerate(fields):
+            describe((field, name[0] if name else title, tip))
+            titles.append(field_label(title, field))
+            self.addWidget(titles[-1], row + at // 2, 2 * (at % 2))
             self.addWidget(field, row + at // 2, 2 * (at % 2) + 1)
         return titles
 

@@ -145,8 +145,6 @@ class JogPad(Panel):
 
     hold_ended = Signal(str)
     step_pressed = Signal(str)
-    keys_toggled = Signal(bool)
-    level_requested = Signal()
 
     def __init__(self, paces: Sequence[JogUnit], renew: Callable[[str], bool]) -> None:
         """Create the pads.
@@ -182,8 +180,6 @@ class JogPad(Panel):
         self._ready = self._turns = False
         self._pose, self._note = ElidedLabel(""), label("", "small")
         self._field = QWidget()
-        self.keys.toggled.connect(self.keys_toggled)
-        self.level.clicked.connect(self.level_requested)
         self.level.setToolTip("Turn the hand to straight down, in place (Shift+T)")
         self.turn.setToolTip("Turn the hand about these axes instead of moving it (T)")
         self.level.setEnabled(False)
@@ -198,11 +194,6 @@ class JogPad(Panel):
     def turning(self) -> bool:
         """True while pads rotate: steps and speed are in degrees."""
         return self.frame.currentText() == "JOINT" or self.turn.isChecked()
-
-    @property
-    def step(self) -> float | None:
-        """Selected step, mm or degrees, None for hold-to-run."""
-        return self.pace.step
 
     @property
     def shown(self) -> tuple[str, ...]:
@@ -225,8 +216,7 @@ class JogPad(Panel):
     def show_armed(self, armed: bool) -> None:
         """Highlight the panel while keys move the arm."""
         set_property(self, "armed", "yes" if armed else "no")
-        if self.keys.isChecked() != armed:
-            self.keys.setChecked(armed)
+        self.keys.setChecked(armed)
         self.keys.setText("Keys armed" if armed else "Arm keys")
         self._mark_joint()
 
@@ -234,34 +224,29 @@ class JogPad(Panel):
         """Enable all pads, or disable them with the reason."""
         self._ready = ready
         for what, pad in self.pads.items():
-            if pad.isEnabled() != ready:
-                pad.setEnabled(ready)
+            pad.setEnabled(ready)
             pad.setToolTip(f"Jog {_signed(what)}" if ready else why)
-        if self.keys.isEnabled() != ready:
-            self.keys.setEnabled(ready)
+        self.keys.setEnabled(ready)
 
     def show_lift(self, words: str) -> None:
         """Offer to lift the hand; "" hides the button."""
         self.lift.setVisible(bool(words))
-        if words and self.lift.text() != words:
-            self.lift.setText(words)
+        self.lift.setText(words)
 
     def show_look(self, look: PoseReadout) -> None:
         """Show pose, remaining travel and note."""
         old = f"   ({look.age_s:.1f} s old)" if look.pose and look.age_s > 0.2 else ""
         pose = f"{look.pose}{old}" or "No pose yet"
-        for shown, text in ((self._pose, pose), (self._note, look.note)):
-            if shown.text() != text:
-                shown.setText(text)
-                self._pose.setToolTip(pose)
+        self._pose.setText(pose)
+        self._pose.setToolTip(pose)
+        self._note.setText(look.note)
         for what, room in look.rooms:
             text = f"{_signed(what)}\n{room}"
             if self.pads[what].text() != text:
                 self.pads[what].setText(text)
                 self.pads[what].setAccessibleDescription(room)
         set_property(self._note, "tone", "bad" if look.warn else "")
-        if self.level.isEnabled() != (look.turned and self._ready):
-            self.level.setEnabled(look.turned and self._ready)
+        self.level.setEnabled(look.turned and self._ready)
 
     def press_key(self, page: QWidget, what: str, key: int) -> None:
         """Step or hold by a key that means direction ``what``."""
@@ -278,10 +263,6 @@ class JogPad(Panel):
         self.hold.end("another joint was chosen")
         self.joint = joint
         self._mark_joint()
-
-    def next_step(self, by: int) -> None:
-        """Select the next longer or shorter step; hold-to-run precedes the shortest."""
-        self.pace.next_step(by)
 
     def next_frame(self) -> None:
         """Select the next available frame."""
@@ -331,7 +312,7 @@ class JogPad(Panel):
 
     def _pressed_step(self, what: str) -> bool:
         """Handle a press as one step if a step is selected."""
-        if self.step is None:
+        if self.pace.step is None:
             return False
         self.step_pressed.emit(what)
         return True

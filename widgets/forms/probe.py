@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from PySide6.QtCore import QRectF, QSize, Qt
 from PySide6.QtGui import QFontMetrics, QPainter, QPaintEvent, QPen
-from PySide6.QtWidgets import QDoubleSpinBox, QGridLayout, QPushButton, QSizePolicy, QWidget
+from PySide6.QtWidgets import QGridLayout, QPushButton, QSizePolicy, QWidget
 
 from touchdown.widgets.base import (
     ElidedLabel,
@@ -20,7 +20,7 @@ from touchdown.widgets.base import (
     set_property,
     ui_font,
 )
-from touchdown.widgets.forms.fields import field_label, inset_spin_boxes
+from touchdown.widgets.forms.fields import decimal_box, field_label, inset_spin_boxes
 
 PADDING = 3  # width added to a phase name, in letters
 
@@ -65,9 +65,8 @@ class PhaseStrip(QWidget):
             painter.setPen(t.colour("text" if done or present else "muted"))
             painter.setFont(ui_font(self._theme.scale, 0.8, 600 if present else 400))
             text = f"\N{CHECK MARK}{name}" if done else name
-            fitted = painter.fontMetrics().elidedText(
-                text, Qt.TextElideMode.ElideRight, round(box.width() - 2)
-            )
+            room, mode = round(box.width() - 2), Qt.TextElideMode.ElideRight
+            fitted = painter.fontMetrics().elidedText(text, mode, room)
             painter.drawText(box, int(Qt.AlignmentFlag.AlignCenter), fitted)
 
 
@@ -103,27 +102,19 @@ class ProbePanel(Panel):
 
     def show_buttons(self, *, probe: bool, cancel: bool, why: str) -> None:
         """Enable the buttons; ``why``: reason for a disabled one."""
-        if self.probe.isEnabled() != probe:
-            self.probe.setEnabled(probe)
-        if self.cancel.isEnabled() != cancel:
-            self.cancel.setEnabled(cancel)
+        self.probe.setEnabled(probe)
+        self.cancel.setEnabled(cancel)
         self.probe.setToolTip(why or "Press here with these values, record, and lift (F5)")
 
 
-DECISIONS: tuple[tuple[str, str, str], ...] = (
-    ("keep", "Keep", "Enter"),
-    ("discard", "Discard", "Backspace"),
-    ("flag", "Flag", "X"),
-    ("redo", "Redo", "R"),
-    ("skip", "Skip", "S"),
-)
-TIPS = {
-    "keep": "Keep the probe and go on (Enter, F5)",
-    "discard": "Delete it; probe the same place again at the end (Backspace)",
-    "flag": "Keep it and flag it for review (X)",
-    "redo": "Delete it and probe the same place again at once (R)",
-    "skip": "Delete it and skip its place (S)",
-}
+DECISIONS: tuple[tuple[str, str, str, str], ...] = (
+    ("keep", "Keep", "Enter", "Keep the probe and go on (Enter, F5)"),
+    ("discard", "Discard", "Backspace",
+     "Delete it; probe the same place again at the end (Backspace)"),
+    ("flag", "Flag", "X", "Keep it and flag it for review (X)"),
+    ("redo", "Redo", "R", "Delete it and probe the same place again at once (R)"),
+    ("skip", "Skip", "S", "Delete it and skip its place (S)"),
+)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,9 +141,9 @@ class LastProbePanel(Panel):
         self.buttons: dict[str, QPushButton] = {}
         grid = QGridLayout()
         grid.setSpacing(6)
-        for at, (name, text, key) in enumerate(DECISIONS):
+        for at, (name, text, key, tip) in enumerate(DECISIONS):
             button = QPushButton(f"{text}  ({key})")
-            describe((button, text, TIPS[name]))
+            describe((button, text, tip))
             button.setFocusPolicy(Qt.FocusPolicy.NoFocus)
             button.clicked.connect(lambda _=False, name=name: decide(name))
             self.buttons[name] = button
@@ -208,9 +199,7 @@ class GripperPanel(Panel):
     def __init__(self, on_grip: Callable[[], None], on_open: Callable[[], None]) -> None:
         super().__init__("Gripper")
         self.figures = label("No data yet")
-        self.force = QDoubleSpinBox()
-        self.force.setRange(LEAST_N, MOST_N)
-        self.force.setDecimals(1)
+        self.force = decimal_box(LEAST_N, MOST_N, decimals=1)
         self.force.setValue(USUAL_N)
         self.force.setSuffix(" N")
         inset_spin_boxes(self.force)
@@ -230,12 +219,9 @@ class GripperPanel(Panel):
     def show_status(self, width_mm: float, force_n: float, *, holding: bool, moving: bool) -> None:
         """Show width, force per finger and state."""
         word = "moving" if moving else "holding a piece" if holding else "empty"
-        text = f"{width_mm:.1f} mm   {force_n:.1f} N   {word}"
-        if text != self.figures.text():
-            self.figures.setText(text)
+        self.figures.setText(f"{width_mm:.1f} mm   {force_n:.1f} N   {word}")
 
     def show_ready(self, ready: bool) -> None:
         """Enable or disable the buttons."""
         for button in (self.grip, self.open):
-            if button.isEnabled() != ready:
-                button.setEnabled(ready)
+            button.setEnabled(ready)

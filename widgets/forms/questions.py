@@ -8,11 +8,10 @@ from PySide6.QtCore import QEvent, QKeyCombination, Qt
 from PySide6.QtGui import QFocusEvent, QKeyEvent, QKeySequence
 from PySide6.QtWidgets import QDialog, QFrame, QGridLayout, QLineEdit, QPushButton, QWidget
 
-from touchdown.widgets.base import hbox, label, scroll_into_view, vbox
+from touchdown.widgets.base import ENTER, hbox, label, scroll_into_view, vbox
 
 COLUMNS = 3
 LONG = 18  # answers longer than this, in letters, are laid out two to a row
-ENTER = (Qt.Key.Key_Return, Qt.Key.Key_Enter)
 ACTIVE_DURING_QUESTION = "beside"  # property of actions whose keys stay active during a question
 
 
@@ -36,6 +35,7 @@ class ChoiceBar(QFrame):
         vbox(self._title, self._grid, parent=self, margins=(14, 10, 14, 12))
         self._choices: dict[str, str] = {}
         self._offered: list[str] = []
+        self._buttons: list[QPushButton] = []
         self._marked = 0
         self._answer: Callable[[str], None] = _nothing
         self._typed: Callable[[str], None] = _nothing
@@ -140,26 +140,21 @@ class ChoiceBar(QFrame):
 
     def _mark(self, at: int) -> None:
         self._marked = at
-        for index in range(self._grid.count()):
-            item = self._grid.itemAt(index)
-            button = item.widget() if item is not None else None
-            if isinstance(button, QPushButton):
-                button.setCheckable(True)
-                button.setChecked(index == at)
+        for index, button in enumerate(self._buttons):
+            button.setCheckable(True)
+            button.setChecked(index == at)
 
     def _show(self, title: str, name: str, texts: Sequence[str], words: Sequence[str]) -> None:
         self._title.setText(title)
         self.setAccessibleName(name)
-        while self._grid.count():
-            item = self._grid.takeAt(0)
-            widget = item.widget() if item is not None else None
-            if widget is not None:
-                # Until it is deleted it would be drawn below the new answers.
-                widget.hide()
-                widget.deleteLater()
+        for button in self._buttons:
+            self._grid.removeWidget(button)
+            # Until it is deleted it would be drawn below the new answers.
+            button.hide()
+            button.deleteLater()
+        self._buttons = [QPushButton(text) for text in texts]
         columns = COLUMNS if max(map(len, texts), default=0) <= LONG else 2
-        for at, (text, word) in enumerate(zip(texts, words, strict=True)):
-            button = QPushButton(text)
+        for at, (button, word) in enumerate(zip(self._buttons, words, strict=True)):
             button.setFocusPolicy(Qt.FocusPolicy.NoFocus)
             button.clicked.connect(lambda _=False, word=word: self._take(word))
             self._grid.addWidget(button, at // columns, at % columns)

@@ -93,35 +93,35 @@ class RunPanel(Panel):
         self.cancel.clicked.connect(on_cancel)
         for combo in (self._piece, self._strategy):
             combo.currentIndexChanged.connect(lambda _: self.chosen.emit())
-        self._tips()
-        self._arrange()
-        self.show_buttons(RunButtons(False, False, cancel=False, paused=False, form=True))
-
-    def _tips(self) -> None:
         describe(
-            (self._piece, "Piece", "Piece in the gripper; its geometry is known"),
-            (self._bottom, "Bottom", "Body to stack on; its shape is unknown to the method"),
-            (self._under, "Below it", "Second body under the bottom, for a tower"),
-            (self._seed, "Seed", "Trial k uses seed + k; the same seed gives the same run"),
-            (self._trials, "Trials", "Number of trials"),
-            (self._strategy, "Strategy", "The paper's method, a variant, or no probing"),
-            (self._mode, "Mode", "Moves that wait for your approval"),
             (self.pause, "Pause", "Pause at the next safe point, arm lifted (P)"),
             (self.cancel, "Cancel", "End the run: lift the arm, keep the grip"),
         )
         self.start.setAccessibleName("Start stacking")
+        self._arrange()
+        self.show_buttons(RunButtons(False, False, cancel=False, paused=False, form=True))
 
     def _arrange(self) -> None:
         fields = self._fields
         fields.add_wide(
-            0, ("Piece", self._piece), ("Bottom", self._bottom), ("Below it", self._under)
+            0,
+            ("Piece", self._piece, "Piece in the gripper; its geometry is known"),
+            ("Bottom", self._bottom, "Body to stack on; its shape is unknown to the method"),
+            ("Below it", self._under, "Second body under the bottom, for a tower"),
         )
-        fields.add_halves(3, ("Seed", self._seed), ("Trials", self._trials))
+        fields.add_halves(
+            3,
+            ("Seed", self._seed, "Trial k uses seed + k; the same seed gives the same run"),
+            ("Trials", self._trials, "Number of trials"),
+        )
         fields.add_wide(
-            4, ("Strategy", self._strategy), ("Model", self._model), ("Mode", self._mode)
+            4,
+            ("Strategy", self._strategy, "The paper's method, a variant, or no probing"),
+            ("Model", self._model, ""),
+            ("Mode", self._mode, "Moves that wait for your approval"),
         )
         x, y = self._origin
-        self._origin_words = fields.add_halves(7, ("Origin x", x), ("y", y))
+        self._origin_words = fields.add_halves(7, ("Origin x", x, ""), ("y", y, "", "Origin y"))
         self.show_devices(False)
         self.column.addLayout(fields)
         self.column.addSpacing(2)
@@ -185,27 +185,25 @@ class ScenePanel(Panel):
         describe(
             (self.piece, "Piece", "Piece between the jaws"),
             (self.bottom, "Bottom", "Body below the piece"),
+            (
+                self.set,
+                "Set the bench",
+                "Reset both to their places on the simulated bench (Ctrl+N)",
+            ),
         )
-        tip = "Reset both to their places on the simulated bench (Ctrl+N)"
-        describe((self.set, "Set the bench", tip))
         let_shrink(self.piece, self.bottom, letters=6)
         self.set.clicked.connect(self.ask)
         self.column.addLayout(hbox((self.piece, 1), (self.bottom, 1), self.set))
 
     def show_catalogue(self, pieces: Entries, bottoms: Entries, chosen: tuple[str, str]) -> None:
         """Set the entries and select ``chosen`` (piece, bottom)."""
-        for combo, entries, name in (
-            (self.piece, pieces, chosen[0]),
-            (self.bottom, bottoms, chosen[1]),
-        ):
-            set_entries(combo, entries)
-            combo.setCurrentIndex(max(combo.findData(name), 0))
+        set_entries(self.piece, pieces, chosen[0])
+        set_entries(self.bottom, bottoms, chosen[1])
 
     def show_ready(self, ready: bool) -> None:
         """Enable or disable the controls."""
         for widget in (self.piece, self.bottom, self.set):
-            if widget.isEnabled() != ready:
-                widget.setEnabled(ready)
+            widget.setEnabled(ready)
 
     def ask(self) -> None:
         """Call ``on_set`` with the selection."""

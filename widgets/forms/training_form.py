@@ -61,12 +61,7 @@ class TrainingButtons:
 class TrainingFormPanel(Panel):
     """Form of a training with its buttons."""
 
-    start_requested = Signal()
-    cancel_requested = Signal()
-    resume_requested = Signal()
     changed = Signal()
-    folder_requested = Signal()
-    defaults_requested = Signal()
 
     def __init__(self, theme: Theme) -> None:
         super().__init__("Train")
@@ -98,13 +93,17 @@ class TrainingFormPanel(Panel):
         self.folder.setProperty("role", "field")
         set_entries(self.labels, LABEL_TITLES)
         set_entries(self.modality, MODALITIES)
-        self._tips()
+        describe(
+            (self.data, "Data", "A dataset, or a folder of simulated packs"),
+            (self.folder, "Choose another folder of data", "Choose another folder of data"),
+            (self.start, "Start training", "Train in a separate process (Ctrl+Return)"),
+            (self.cancel, "Cancel", "Stop; finished epochs are kept (Esc)"),
+            (self.resume, "Resume", "Continue the selected training (Ctrl+Shift+Return)"),
+            (self.divide, "Divide series", "Hold out grips instead of whole series (leakage)"),
+            (self.defaults, "Defaults", "Fill in the network and settings of the paper"),
+            (self.held_out, "Held out", "Share of the episodes for validation"),
+        )
         self._arrange()
-        self.start.clicked.connect(self.start_requested)
-        self.cancel.clicked.connect(self.cancel_requested)
-        self.resume.clicked.connect(self.resume_requested)
-        self.folder.clicked.connect(self.folder_requested)
-        self.defaults.clicked.connect(self.defaults_requested)
         for combo in (self.data, self.labels, self.piece, self.modality):
             combo.currentIndexChanged.connect(self.changed)
         for number in (*numbers, self.rate):
@@ -115,37 +114,26 @@ class TrainingFormPanel(Panel):
         self.divide.toggled.connect(self.changed)
         self.show_buttons(TrainingButtons(start=False, cancel=False, resume=False))
 
-    def _tips(self) -> None:
-        describe(
-            (self.data, "Data", "A dataset, or a folder of simulated packs"),
-            (self.folder, "Choose another folder of data", "Choose another folder of data"),
-            (self.labels, "Labels", "Labels to train on"),
-            (self.piece, "Piece", "Grasped piece; a model is for one piece"),
-            (self.modality, "Sees", "Inputs of the model"),
-            (self.start, "Start training", "Train in a separate process (Ctrl+Return)"),
-            (self.cancel, "Cancel", "Stop; finished epochs are kept (Esc)"),
-            (self.resume, "Resume", "Continue the selected training (Ctrl+Shift+Return)"),
-            (self.divide, "Divide series", "Hold out grips instead of whole series (leakage)"),
-            (self.defaults, "Defaults", "Fill in the network and settings of the paper"),
-            (self.layers, "Layers", "LSTM layers; the paper has 2"),
-            (self.hidden, "Units", "Units of each layer; the paper has 256"),
-            (self.epochs, "Epochs", "Passes over the training episodes"),
-            (self.batch, "Batch", "Episodes per step"),
-            (self.rate, "Rate", "Learning rate of the optimiser"),
-            (self.seed, "Seed", "Seed of initial weights, order and split"),
-            (self.held_out, "Held out", "Share of the episodes for validation"),
-        )
-
     def _arrange(self) -> None:
         fields = self._fields
         fields.addWidget(field_label("Data", self.data), 0, 0)
         fields.addLayout(hbox((self.data, 1), self.folder, spacing=4), 0, 1, 1, 3)
-        fields.add_wide(1, ("Labels", self.labels), ("Piece", self.piece), ("Sees", self.modality))
+        fields.add_wide(
+            1,
+            ("Labels", self.labels, "Labels to train on"),
+            ("Piece", self.piece, "Grasped piece; a model is for one piece"),
+            ("Sees", self.modality, "Inputs of the model"),
+        )
         # The held-out share stands beside the split.
         fields.add_halves(
-            4, ("Layers", self.layers), ("Units", self.hidden), ("Epochs", self.epochs),
-            ("Batch", self.batch), ("Rate", self.rate), ("Seed", self.seed),
-        )  # fmt: skip
+            4,
+            ("Layers", self.layers, "LSTM layers; the paper has 2"),
+            ("Units", self.hidden, "Units of each layer; the paper has 256"),
+            ("Epochs", self.epochs, "Passes over the training episodes"),
+            ("Batch", self.batch, "Episodes per step"),
+            ("Rate", self.rate, "Learning rate of the optimiser"),
+            ("Seed", self.seed, "Seed of initial weights, order and split"),
+        )
         self.detail.setText("support: p > 0.9")
         self.detail.setToolTip("A face point above this probability is support (delta)")
         self.header.addWidget(self.defaults)
@@ -156,13 +144,15 @@ class TrainingFormPanel(Panel):
 
     def show_data(self, entries: Sequence[tuple[str, str]], chosen: str) -> None:
         """Set the (folder, title) entries and select one, without emitting ``changed``."""
-        _refill(self.data, entries, chosen)
+        with QSignalBlocker(self.data):
+            set_entries(self.data, entries, chosen)
         for at, (folder, _) in enumerate(entries):
             self.data.setItemData(at, folder, Qt.ItemDataRole.ToolTipRole)
 
     def show_pieces(self, entries: Sequence[tuple[str, str]], chosen: str) -> None:
         """Set the (name, title) entries and select one, without emitting ``changed``."""
-        _refill(self.piece, entries, chosen)
+        with QSignalBlocker(self.piece):
+            set_entries(self.piece, entries, chosen)
 
     def show_form(self, form: TrainingForm) -> None:
         """Fill in the form without emitting ``changed``; unknown entries change nothing."""
@@ -187,9 +177,3 @@ class TrainingFormPanel(Panel):
     def draw_icons(self) -> None:
         """Draw the icon in the colours of the theme."""
         draw_run_icons(self._theme, self.start)
-
-
-def _refill(combo: QComboBox, entries: Sequence[tuple[str, str]], chosen: str) -> None:
-    with QSignalBlocker(combo):
-        set_entries(combo, entries)
-        combo.setCurrentIndex(max(combo.findData(chosen), 0) if entries else -1)

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from PySide6.QtCore import QAbstractListModel, QRectF, QSize, Qt
+from PySide6.QtCore import QAbstractListModel, QModelIndex, QRectF, QSize, Qt
 from PySide6.QtGui import QFontMetrics, QKeyEvent, QPainter, QPen
 from PySide6.QtWidgets import QListWidget, QPushButton, QStyleOptionViewItem, QWidget
 
@@ -45,16 +45,39 @@ class RecordingRow:
         return self.detail or self.title
 
 
-class RecordingList(RowList):
+class _NumberedList(RowList):
+    """List of ``_RowModel``. A row keeps its number however rows are sorted or filtered."""
+
+    def __init__(self, name: str) -> None:
+        super().__init__(name)
+        self._rows = _RowModel(self)
+
+    def show_row(self, number: int, row: Any) -> None:
+        """Update one row."""
+        if self._rows.rows[number] != row:
+            # ``dataChanged`` would lay out all rows again.
+            self._rows.rows[number] = row
+            self.update(self.index_of(number))
+
+    def rows(self) -> Sequence[Any]:
+        """Return all rows by number."""
+        return self._rows.rows
+
+    def index_of(self, number: int) -> QModelIndex:
+        """Return the place of a row, an invalid one if it is not shown."""
+        order = self._rows.order
+        return self._rows.index(order.index(number)) if number in order else QModelIndex()
+
+
+class RecordingList(_NumberedList):
     """List that can filter and sort its rows; ``chosen`` gets the number of the selected row.
 
-    A row keeps its number (its index in ``take``) however rows are sorted or filtered. The tool tip
-    shows a detail too long for its line.
+    The number of a row is its index in ``take``. The tool tip shows a detail too long for its line.
     """
 
     def __init__(self, theme: Theme, name: str, chosen: Callable[[int], None]) -> None:
         super().__init__(name)
-        self._rows, self._chosen = _RowModel(self), chosen
+        self._chosen = chosen
         self.current = -1  # number of the selected row, -1 for none; kept while it is filtered out
         self._telling = True
         self.draw_rows(self._rows, _RecordingPainter(theme, self))
@@ -73,33 +96,19 @@ class RecordingList(RowList):
             return
         self._telling = False
         self._rows.show(order)
-        if self.current in self._rows.order:
-            self.setCurrentIndex(self._rows.index(self._rows.order.index(self.current)))
-        self._telling = True
-
-    def show_row(self, number: int, row: RecordingRow) -> None:
-        """Update one row."""
-        if self._rows.rows[number] != row:
-            # ``dataChanged`` would lay out all rows again.
-            self._rows.rows[number] = row
-            if number in self._rows.order:
-                self.update(self._rows.index(self._rows.order.index(number)))
+        self.choose(self.current)
 
     def choose(self, number: int) -> None:
         """Select a recording without calling ``chosen``."""
         self._telling = False
         self.current = number
         if number in self._rows.order:
-            self.setCurrentIndex(self._rows.index(self._rows.order.index(number)))
+            self.setCurrentIndex(self.index_of(number))
         self._telling = True
 
     def choose_row(self, at: int) -> None:
         """Select the row at this visible position, like a click."""
         self.setCurrentIndex(self._rows.index(at))
-
-    def rows(self) -> Sequence[RecordingRow]:
-        """Return all rows by number."""
-        return self._rows.rows
 
     def shown(self) -> list[RecordingRow]:
         """Return the visible rows in their order."""
@@ -212,12 +221,11 @@ class LabelListRow:
     tip = text
 
 
-class LabelList(RowList):
+class LabelList(_NumberedList):
     """List of thousands of episodes; ``chosen`` gets the index of the clicked row."""
 
     def __init__(self, theme: Theme, chosen: Callable[[int], None]) -> None:
         super().__init__("Episodes of the queue")
-        self._rows = _RowModel(self)
         self.draw_rows(self._rows, _LabelPainter(theme, self))
         self.setMinimumWidth(170)
         self.clicked.connect(lambda index: chosen(index.row()))
@@ -227,22 +235,10 @@ class LabelList(RowList):
         self._rows.rows = rows if isinstance(rows, RowsOnDemand) else list(rows)
         self._rows.show(range(len(rows)))
 
-    def show_row(self, at: int, row: LabelListRow) -> None:
-        """Update one row."""
-        if self._rows.rows[at] != row:
-            # ``dataChanged`` would lay out all rows again.
-            self._rows.rows[at] = row
-            self.update(self._rows.index(at))
-
-    def rows(self) -> Sequence[LabelListRow]:
-        """Return all rows."""
-        return self._rows.rows
-
     def choose(self, at: int) -> None:
         """Select a row and scroll to it."""
-        index = self._rows.index(at)
-        self.setCurrentIndex(index)
-        self.scrollTo(index)
+        self.setCurrentIndex(self._rows.index(at))
+        self.scrollTo(self.currentIndex())
 
 
 class _LabelPainter(RowPainter):
@@ -332,8 +328,8 @@ class HistoryList(QWidget):
 def revision_text(row: HistoryRow) -> str:
     """Return the text of a revision."""
     holds = ", holds" if row.head else ""
-    lines = [f"{row.number}. {row.what}{holds}", row.who]
-    return "\n".join([*lines, row.difference] if row.difference else lines)
+    lines = (f"{row.number}. {row.what}{holds}", row.who, row.difference)
+    return "\n".join(lines).removesuffix("\n")
 
 
 class _KeylessListWidget(QListWidget):

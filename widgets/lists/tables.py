@@ -25,12 +25,14 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from touchdown.widgets.base import ROOT, ModelIndex, Theme, ui_font
+from touchdown.widgets.base import ENTER, ROOT, ModelIndex, Theme, plain_table, ui_font
 
 HEADS = ("No.", "Status", "Quality", "x, y (mm)", "Time", "Grip", "Person")
 RIGHT = frozenset((0, 3, 4))
 WIDTHS_EM = (2.9, 4.5, 3.8, 5.3, 4.1, 3.4, 4.6)
 NUMBER, QUALITY, TIME = 0, 2, 4
+ALIGN_LEFT = Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignVCenter
+ALIGN_RIGHT = Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter
 # Appended to the header that sorts: Qt's own indicator would cover the text.
 UP, DOWN = "\N{BLACK UP-POINTING SMALL TRIANGLE}", "\N{BLACK DOWN-POINTING SMALL TRIANGLE}"
 
@@ -56,8 +58,7 @@ class EpisodeTableRow:
 
     def cells(self) -> tuple[str, ...]:
         """Return the texts of the columns."""
-        flag = "\N{BLACK FLAG} " if self.flagged else ""
-        status = f"{flag}{self.status}"
+        status = f"\N{BLACK FLAG} {self.status}" if self.flagged else self.status
         return self.number, status, self.quality, self.where, self.time, self.grip, self.person
 
     def keys(self) -> tuple[float | str, ...]:
@@ -87,17 +88,10 @@ class EpisodeTable(QTableView):
         self._arrangement = TableArrangement()
         self._rows = _EpisodeModel(self)
         self.setModel(self._rows)
-        self.setAccessibleName("Episodes")
+        plain_table(self, "Episodes")
         self.setSelectionBehavior(QTableView.SelectionBehavior.SelectRows)
         self.setSelectionMode(QTableView.SelectionMode.SingleSelection)
-        self.setEditTriggers(QTableView.EditTrigger.NoEditTriggers)
-        self.setShowGrid(False)
-        self.setWordWrap(False)
-        self.setTabKeyNavigation(False)
-        self.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAsNeeded)
-        self.verticalHeader().hide()
         head = self.horizontalHeader()
-        head.setHighlightSections(False)
         head.setSectionResizeMode(QHeaderView.ResizeMode.Fixed)
         head.setSectionResizeMode(QUALITY, QHeaderView.ResizeMode.Stretch)
         head.setSectionsClickable(True)
@@ -170,13 +164,12 @@ class EpisodeTable(QTableView):
 
     def mark(self, uuid: str) -> None:
         """Select one row and scroll to it; an unknown uuid clears the selection."""
-        for at, row in enumerate(self._rows.rows):
-            if row.uuid == uuid:
-                index = self._rows.index(at, 0)
-                self.setCurrentIndex(index)
-                self.scrollTo(index)
-                return
-        self.clearSelection()
+        uuids = [row.uuid for row in self._rows.rows]
+        if uuid in uuids:
+            self.setCurrentIndex(self._rows.index(uuids.index(uuid), 0))
+            self.scrollTo(self.currentIndex())
+        else:
+            self.clearSelection()
 
     def fit_to_theme(self) -> None:
         """Adapt row height and column widths to the font scale."""
@@ -198,7 +191,7 @@ class EpisodeTable(QTableView):
 
     def keyPressEvent(self, event: QKeyEvent) -> None:
         """Leave letters and Enter to the page."""
-        if event.key() in (Qt.Key.Key_Return, Qt.Key.Key_Enter) or event.text().isprintable():
+        if event.key() in ENTER or event.text().isprintable():
             event.ignore()
         else:
             super().keyPressEvent(event)
@@ -220,7 +213,7 @@ class _EpisodeModel(QAbstractTableModel):
         if orientation is not Qt.Orientation.Horizontal:
             return None
         if role == Qt.ItemDataRole.TextAlignmentRole:
-            return _aligned(section)
+            return ALIGN_RIGHT if section in RIGHT else ALIGN_LEFT
         if role != Qt.ItemDataRole.DisplayRole:
             return None
         return f"{HEADS[section]} {self._mark}" if section == self._marked else HEADS[section]
@@ -232,7 +225,7 @@ class _EpisodeModel(QAbstractTableModel):
         if role == Qt.ItemDataRole.ToolTipRole:
             return ", ".join(row.cells())
         if role == Qt.ItemDataRole.TextAlignmentRole:
-            return _aligned(index.column())
+            return ALIGN_RIGHT if index.column() in RIGHT else ALIGN_LEFT
         if role == Qt.ItemDataRole.FontRole and row.deleted:
             font = ui_font()
             font.setStrikeOut(True)
@@ -249,14 +242,8 @@ class _EpisodeModel(QAbstractTableModel):
         self.endResetModel()
 
 
-def _aligned(column: int) -> int:
-    side = Qt.AlignmentFlag.AlignRight if column in RIGHT else Qt.AlignmentFlag.AlignLeft
-    return int(side | Qt.AlignmentFlag.AlignVCenter)
-
-
 MOST_COMPARED = 3
 LEAST_ROWS = 3  # rows that fit even at the smallest window size
-ALIGN_RIGHT = Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter
 
 
 class FigureTable(QTableWidget):
@@ -270,13 +257,8 @@ class FigureTable(QTableWidget):
     def __init__(self, theme: Theme, name: str, columns: Sequence[str]) -> None:
         super().__init__(0, len(columns))
         self._theme = theme
-        self.setAccessibleName(name)
-        self.setEditTriggers(QAbstractItemView.EditTrigger.NoEditTriggers)
+        plain_table(self, name)
         self.setSelectionMode(QAbstractItemView.SelectionMode.NoSelection)
-        self.setShowGrid(False)
-        self.setWordWrap(False)
-        self.setTabKeyNavigation(False)
-        self.verticalHeader().hide()
         self.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
         self.show_columns(columns)
 
@@ -285,13 +267,9 @@ class FigureTable(QTableWidget):
         self.setColumnCount(len(columns))
         for at, text in enumerate(columns):
             item = QTableWidgetItem(text)
-            if at:
-                item.setTextAlignment(ALIGN_RIGHT)
-            else:
-                item.setTextAlignment(Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignVCenter)
+            item.setTextAlignment(ALIGN_RIGHT if at else ALIGN_LEFT)
             self.setHorizontalHeaderItem(at, item)
         header = self.horizontalHeader()
-        header.setHighlightSections(False)
         header.setMinimumSectionSize(24)
         header.setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
         header.setSectionResizeMode(0, QHeaderView.ResizeMode.Stretch)
@@ -301,8 +279,8 @@ class FigureTable(QTableWidget):
         """Replace the rows; a row may have fewer cells than the table has columns."""
         self.setRowCount(len(rows))
         for r, row in enumerate(rows):
-            for c in range(self.columnCount()):
-                text = row[c] if c < len(row) else ""
+            padded = [*row, *[""] * (self.columnCount() - len(row))]
+            for c, text in enumerate(padded):
                 item = QTableWidgetItem(text)
                 item.setToolTip(text)
                 if c:

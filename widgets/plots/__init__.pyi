@@ -1,6 +1,7 @@
 from .axes import LineBuffer as LineBuffer
 from .axes import PictureCache as PictureCache
 from .axes import PlotArea as PlotArea
+from .axes import centred_square as centred_square
 from .axes import draw_message as draw_message
 from .axes import draw_mm_grid as draw_mm_grid
 from .axes import draw_stale_overlay as draw_stale_overlay
@@ -18,7 +19,6 @@ from .force_traces import TracesPanel as TracesPanel
 from .recorded_traces import CHANNEL_NAMES as CHANNEL_NAMES
 from .recorded_traces import NO_WRENCH as NO_WRENCH
 from .recorded_traces import Drawn as Drawn
-from .recorded_traces import PhaseDrawn as PhaseDrawn
 from .recorded_traces import PhasePlot as PhasePlot
 from .recorded_traces import PhaseSheet as PhaseSheet
 from .recorded_traces import RecordedTraces as RecordedTraces
@@ -44,7 +44,6 @@ __all__ = [
     "DistributionView",
     "Drawn",
     "LineBuffer",
-    "PhaseDrawn",
     "PhasePlot",
     "PhaseSheet",
     "PictureCache",
@@ -57,6 +56,7 @@ __all__ = [
     "TraceSheet",
     "TracesPanel",
     "WrenchTrace",
+    "centred_square",
     "draw_message",
     "draw_mm_grid",
     "draw_stale_overlay",

@@ -8,13 +8,13 @@ from dataclasses import dataclass
 from typing import Any, cast
 
 import numpy as np
-from PySide6.QtCore import QLineF, QPointF, QRect, QRectF, Qt
+from PySide6.QtCore import QLineF, QMarginsF, QPointF, QRect, QRectF, QSize, Qt
 from PySide6.QtGui import QColor, QPainter, QPen, QPixmap, QPolygonF
 from PySide6.QtWidgets import QWidget
 from shiboken6 import Shiboken, VoidPtr
 
 from touchdown.backend.core import FloatArray
-from touchdown.widgets.base import Theme, ui_font
+from touchdown.widgets.base import Theme, Tokens, ui_font
 
 
 def nice_step(span: float, count: int) -> float:
@@ -63,11 +63,30 @@ class PlotArea:
         """Return the pixel rows of an array of any shape."""
         return self.rect.bottom() - (y - self.y0) * (self.rect.height() / (self.y1 - self.y0))
 
+    def place(self, x: float, y: float) -> QPointF:
+        """Return the pixel position of a point."""
+        return QPointF(self.x(x), self.y(y))
+
+    def at(self, place: QPointF) -> tuple[float, float]:
+        """Return the values (x, y) at a pixel position."""
+        x = self.x0 + (place.x() - self.rect.left()) / self.rect.width() * (self.x1 - self.x0)
+        y = self.y1 - (place.y() - self.rect.top()) / self.rect.height() * (self.y1 - self.y0)
+        return x, y
+
     def polygon(self, x: FloatArray, y: FloatArray) -> QPolygonF:
         """Map values of shape (n,) and (n,) to a polyline."""
         points = np.empty((len(x), 2))
         points[:, 0], points[:, 1] = self.columns(x), self.rows(y)
         return polygon_of(points)
+
+
+def centred_square(size: QSize, margins: QMarginsF, least: float) -> QRectF:
+    """Return the largest square within ``margins`` of a widget, with sides of ``least`` or more."""
+    width = size.width() - margins.left() - margins.right()
+    height = size.height() - margins.top() - margins.bottom()
+    side = max(min(width, height), least)
+    left, top = margins.left() + (width - side) / 2, margins.top() + (height - side) / 2
+    return QRectF(left, top, side, side)
 
 
 def polygon_of(points: FloatArray) -> QPolygonF:
@@ -110,10 +129,7 @@ class TraceBuckets:
     def __init__(self, channels: int, span_s: float = 10.0, buckets: int = 500) -> None:
         self.span_s, self.buckets, self.channels = span_s, buckets, channels
         self._width_s = span_s / buckets
-        self._low = np.full((buckets, channels), np.nan)
-        self._high = np.full((buckets, channels), np.nan)
-        self._newest = -1
-        self.last: FloatArray = np.full(channels, np.nan)
+        self.clear()
 
     @property
     def empty(self) -> bool:
@@ -122,10 +138,10 @@ class TraceBuckets:
 
     def clear(self) -> None:
         """Remove all samples."""
-        self._low[:] = np.nan
-        self._high[:] = np.nan
+        self._low = np.full((self.buckets, self.channels), np.nan)
+        self._high = self._low.copy()
         self._newest = -1
-        self.last = np.full(self.channels, np.nan)
+        self.last: FloatArray = np.full(self.channels, np.nan)
 
     def add(self, t_s: FloatArray, values: FloatArray) -> None:
         """Add samples: ``t_s`` (n,) ascending, ``values`` (n, channels)."""
@@ -167,6 +183,20 @@ class TraceBuckets:
         both = np.stack([self._low, self._high])
         finite = np.abs(both[np.isfinite(both)])
         return float(finite.max()) if len(finite) else 0.0
+
+
+def finite_runs(values: FloatArray) -> list[tuple[int, int]]:
+    """Return the stretches (start, end) without a gap of ``values`` (n,)."""
+    edges = np.diff(np.isfinite(values).astype(np.int8), prepend=0, append=0)
+    return [(start, end) for start, end in np.flatnonzero(edges).reshape(-1, 2).tolist()]
+
+
+def thin_buckets(
+    t_s: FloatArray, low: FloatArray, high: FloatArray, columns: int
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Merge neighbouring samples or buckets to at most ``columns``."""
+    starts = np.arange(0, len(t_s), max(-(-len(t_s) // max(columns, 1)), 1))
+    return t_s[starts], np.fmin.reduceat(low, starts), np.fmax.reduceat(high, starts)
 
 
 LINE_GAP_PX = 5
@@ -267,27 +297,51 @@ class LineBuffer:
             painter.drawLines(self._lines[start:end])
 
 
+@dataclass(frozen=True, slots=True)
+class GridPainter:
+    """Draws grid lines in ``area`` and labels outside; ``line`` "" leaves out the lines."""
+
+    painter: QPainter
+    area: PlotArea
+    tokens: Tokens
+
+    def row(self, value: float, text: str, line: str = "grid") -> None:
+        """Draw a line across the area and its label at the left."""
+        rect, y = self.area.rect, self.area.y(value)
+        self._line(QPointF(rect.left(), y), QPointF(rect.right(), y), line)
+        height = self.painter.fontMetrics().height()
+        box = QRectF(0, y - height / 2, rect.left() - 5, height)
+        self.painter.drawText(box, int(Qt.AlignmentFlag.AlignRight), text)
+
+    def column(self, value: float, text: str, line: str = "grid", gap: float = 2.0) -> None:
+        """Draw a line down the area and its label below."""
+        rect, x = self.area.rect, self.area.x(value)
+        self._line(QPointF(x, rect.top()), QPointF(x, rect.bottom()), line)
+        height = self.painter.fontMetrics().height()
+        box = QRectF(x - 3 * height, rect.bottom() + gap, 6 * height, height)
+        self.painter.drawText(box, int(Qt.AlignmentFlag.AlignHCenter), text)
+
+    def grid(self, count: int, line: str = "grid", gap: float = 2.0) -> None:
+        """Draw about ``count`` lines each way with their values."""
+        area = self.area
+        step = nice_step(area.x1 - area.x0, count)
+        for value in ticks(area.x0, area.x1, count):
+            self.column(value, tick_text(value, step), line, gap)
+        for value in ticks(area.y0, area.y1, count):
+            self.row(value, tick_text(value, step), line)
+
+    def _line(self, start: QPointF, end: QPointF, token: str) -> None:
+        if token:
+            self.painter.setPen(QPen(self.tokens.colour(token), 1))
+            self.painter.drawLine(start, end)
+        self.painter.setPen(self.tokens.colour("muted"))
+
+
 def draw_mm_grid(painter: QPainter, area: PlotArea, theme: Theme, count: int = 6) -> None:
     """Draw a grid of about ``count`` lines each way, tick labels outside, axis names inside."""
-    t, rect = theme.tokens, area.rect
-    painter.fillRect(rect, t.colour("bg"))
-    height = painter.fontMetrics().height()
-    step = nice_step(area.x1 - area.x0, count)
-    for value in ticks(area.x0, area.x1, count):
-        x = area.x(value)
-        painter.setPen(QPen(t.colour("grid"), 1))
-        painter.drawLine(QPointF(x, rect.top()), QPointF(x, rect.bottom()))
-        painter.setPen(t.colour("muted"))
-        painter.drawText(QRectF(x - 30, rect.bottom() + 3, 60, height),
-                         int(Qt.AlignmentFlag.AlignHCenter), tick_text(value, step))  # fmt: skip
-    for value in ticks(area.y0, area.y1, count):
-        y = area.y(value)
-        painter.setPen(QPen(t.colour("grid"), 1))
-        painter.drawLine(QPointF(rect.left(), y), QPointF(rect.right(), y))
-        painter.setPen(t.colour("muted"))
-        painter.drawText(QRectF(rect.left() - 46, y - height / 2, 41, height),
-                         int(Qt.AlignmentFlag.AlignRight), tick_text(value, step))  # fmt: skip
-    corner = rect.adjusted(6, 4, -6, -4)
+    painter.fillRect(area.rect, theme.tokens.colour("bg"))
+    GridPainter(painter, area, theme.tokens).grid(count, gap=3)
+    corner = area.rect.adjusted(6, 4, -6, -4)
     low, right = Qt.AlignmentFlag.AlignBottom, Qt.AlignmentFlag.AlignRight
     painter.drawText(corner, int(low | right), "x (mm)")
     painter.drawText(corner, int(Qt.AlignmentFlag.AlignLeft), "y (mm)")

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from PySide6.QtCore import QPointF, QRectF, Qt
+from PySide6.QtCore import QMarginsF, QPointF, QRectF, Qt
 from PySide6.QtGui import QColor, QMouseEvent, QPainter, QPaintEvent, QPen
 
 from touchdown.backend.core import FloatArray
@@ -16,6 +16,7 @@ from touchdown.widgets.base import DrawnView, MapName, Theme, colour_table, map_
 from touchdown.widgets.plots.axes import (
     PictureCache,
     PlotArea,
+    centred_square,
     draw_message,
     draw_mm_grid,
     nice_step,
@@ -25,10 +26,6 @@ from touchdown.widgets.plots.axes import (
 
 NEAR_PX = 12.0  # a click farther than this from every dot selects none
 DOT_PX = 7.0
-
-
-def _no_points() -> FloatArray:
-    return np.zeros((0, 2))
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,8 +48,8 @@ class DistributionScene:
     values. ``title``: meaning of the colours, with unit.
     """
 
-    bottom: FloatArray = field(default_factory=_no_points)
-    points_mm: FloatArray = field(default_factory=_no_points)
+    bottom: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
+    points_mm: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
     values: FloatArray = field(default_factory=lambda: np.zeros(0))
     refused: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
     flagged: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
@@ -95,13 +92,9 @@ class DistributionView(DrawnView):
     def area(self) -> PlotArea:
         """Return the drawn square."""
         em = self.fontMetrics().height()
-        left, bottom, edge = 2.2 * em, 1.4 * em, 0.9 * em
-        right = 3.6 * em
-        side = max(min(self.width() - left - right, self.height() - bottom - edge), 40.0)
-        x = left + (self.width() - left - right - side) / 2
-        y = edge + (self.height() - bottom - edge - side) / 2
+        margins = QMarginsF(2.2 * em, 0.9 * em, 3.6 * em, 1.4 * em)
         reach = self.scene.reach_mm
-        return PlotArea(QRectF(x, y, side, side), -reach, reach, -reach, reach)
+        return PlotArea(centred_square(self.size(), margins, 40.0), -reach, reach, -reach, reach)
 
     def mousePressEvent(self, event: QMouseEvent) -> None:
         """Select the nearest dot."""
@@ -146,15 +139,11 @@ class DistributionView(DrawnView):
     def _draw_bins(self, painter: QPainter, area: PlotArea, bins: BinCounts) -> None:
         shades = map_colours(bins.counts / self.scene.span[1], self._map)
         hole = QPen(self._theme.tokens.colour("border"), 1, Qt.PenStyle.DotLine)
-        size = bins.bin_mm
+        (x_mm, y_mm), size = bins.first_mm, bins.bin_mm
         for row, column in np.argwhere(bins.possible | (bins.counts > 0)).tolist():
-            x0 = area.x(bins.first_mm[0] + (column - 0.5) * size)
-            y0 = area.y(bins.first_mm[1] + (row + 0.5) * size)
-            x1, y1 = (
-                area.x(bins.first_mm[0] + (column + 0.5) * size),
-                area.y(bins.first_mm[1] + (row - 0.5) * size),
-            )
-            box = QRectF(QPointF(x0, y0), QPointF(x1, y1)).adjusted(0.5, 0.5, -0.5, -0.5)
+            left, right = (area.x(x_mm + (column + side) * size) for side in (-0.5, 0.5))
+            bottom, top = (area.y(y_mm + (row + side) * size) for side in (-0.5, 0.5))
+            box = QRectF(QPointF(left + 0.5, top + 0.5), QPointF(right - 0.5, bottom - 0.5))
             if bins.counts[row, column]:
                 painter.fillRect(box, QColor(*shades[row, column].tolist()))
             else:
@@ -213,11 +202,6 @@ class DistributionView(DrawnView):
 
 def reach_of(bottom: FloatArray, points_mm: FloatArray) -> float:
     """Return the half width, a multiple of 5 mm, that holds the contour and all points."""
-    largest = max(
-        float(np.abs(part).max(initial=0.0)) for part in (bottom, points_mm[_finite(points_mm)])
-    )
+    finite = points_mm[np.isfinite(points_mm).all(axis=1)]
+    largest = float(np.abs(np.concatenate([bottom, finite])).max(initial=0.0))
     return 5.0 * math.ceil((largest + 1.0) / 5.0)
-
-
-def _finite(points: FloatArray) -> NDArray[np.bool_]:
-    return np.asarray(np.isfinite(points).all(axis=1))

@@ -13,19 +13,21 @@ from PySide6.QtWidgets import QWidget
 from touchdown.backend.core import FloatArray
 from touchdown.widgets.base import Age, DrawnView, Panel, Theme, flat_button, ui_font
 from touchdown.widgets.plots.axes import (
+    GridPainter,
     PictureCache,
     PlotArea,
     TraceBuckets,
     draw_message,
     draw_stale_overlay,
+    finite_runs,
     nice_step,
     polygon_of,
+    thin_buckets,
     tick_text,
     ticks,
 )
 
 AXES = ("x", "y", "z")
-LIMITS = (1.0, 2.0, 5.0)
 BUCKETS = 360
 ROW_EM = 1.4  # distance of the read-outs in text heights
 SPANS_S = (10.0, 30.0, 60.0)
@@ -96,8 +98,8 @@ class TracePlot(DrawnView):
         return f"{', '.join(parts)} {self._unit}; {largest}{note}"
 
     def _grow(self, magnitude: float) -> None:
-        while magnitude * 1.05 > self.limit:
-            self.limit = _next_limit(self.limit)
+        if magnitude * 1.05 > self.limit:
+            self.limit = nice_step(magnitude * 1.05, 1)
 
     def area(self) -> PlotArea:
         """Return the area of the traces."""
@@ -169,13 +171,8 @@ class TracePlot(DrawnView):
         span = int(self.buckets.span_s)
         widest = painter.fontMetrics().horizontalAdvance(f"{tick_text(-span, 1)} s")
         for value in range(-span, 1, span // (5 if rect.width() >= 7 * widest else 2)):
-            x = area.x(value)
-            painter.setPen(QPen(t.colour("grid"), 1))
-            painter.drawLine(QPointF(x, rect.top()), QPointF(x, rect.bottom()))
-            painter.setPen(t.colour("muted"))
-            box = QRectF(x - 3 * height, rect.bottom() + 3, 6 * height, height)
             text = "now" if value == 0 else f"{tick_text(value, 1)} s"
-            painter.drawText(box, int(Qt.AlignmentFlag.AlignHCenter), text)
+            GridPainter(painter, area, t).column(value, text, gap=3)
         painter.setPen(t.colour("muted"))
         painter.setFont(ui_font(self._theme.scale, 0.85, 500))
         name = f"{self._name} ({self._unit})"
@@ -191,30 +188,6 @@ class TracePlot(DrawnView):
         painter.drawText(QPointF(right - width, rect.top() - 0.5 * height), note)
 
 
-def _next_limit(limit: float) -> float:
-    """Return the next of 1, 2, 5, 10 ... above ``limit``."""
-    power = 10.0 ** np.floor(np.log10(limit) + 1e-9)
-    for mantissa in (2.0, 5.0, 10.0):
-        if mantissa * power > limit * (1 + 1e-9):
-            return float(mantissa * power)
-    return limit * 2
-
-
-def thin_buckets(
-    age_s: FloatArray, low: FloatArray, high: FloatArray, columns: int
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Merge neighbouring buckets to at most ``columns``."""
-    factor = -(-len(age_s) // max(columns, 1))
-    if factor <= 1:
-        return age_s, low, high
-    starts = np.arange(0, len(age_s), factor)
-    return (
-        age_s[starts],
-        np.fmin.reduceat(low, starts, axis=0),
-        np.fmax.reduceat(high, starts, axis=0),
-    )
-
-
 def _polylines(
     area: PlotArea, age_s: FloatArray, low: FloatArray, high: FloatArray
 ) -> list[list[QPolygonF]]:
@@ -223,15 +196,10 @@ def _polylines(
     points[..., 0] = area.columns(age_s)[:, None]
     for end, values in enumerate((low, high)):
         points[:, :, end, 1] = area.rows(np.clip(values, 2 * area.y0, 2 * area.y1)).T
-    good = np.isfinite(low)
-    if good.all():
-        return [[polygon_of(axis.reshape(-1, 2))] for axis in points]
-    edges = np.diff(np.pad(good, ((1, 1), (0, 0))).astype(np.int8), axis=0)
-    lines = []
-    for axis, edge in zip(points, edges.T, strict=True):
-        stretches = np.flatnonzero(edge).reshape(-1, 2).tolist()
-        lines.append([polygon_of(axis[start:end].reshape(-1, 2)) for start, end in stretches])
-    return lines
+    return [
+        [polygon_of(axis[start:end].reshape(-1, 2)) for start, end in finite_runs(values)]
+        for axis, values in zip(points, low.T, strict=True)
+    ]
 
 
 @lru_cache(maxsize=1024)

@@ -13,7 +13,16 @@ from PySide6.QtWidgets import QSizePolicy, QWidget
 
 from touchdown.backend.core import FloatArray
 from touchdown.widgets.base import DrawnView, Theme, Tokens, ui_font
-from touchdown.widgets.plots.axes import PlotArea, draw_message, nice_step, tick_text, ticks
+from touchdown.widgets.plots.axes import (
+    GridPainter,
+    PlotArea,
+    draw_message,
+    finite_runs,
+    nice_step,
+    thin_buckets,
+    tick_text,
+    ticks,
+)
 
 LEAST = {"N": 1.0, "N·m": 0.02}
 POINTS_PER_COLUMN = 2
@@ -112,17 +121,10 @@ class TraceSheet:
         t, area = self.paper.tokens, areas[self.units[0]]
         painter.fillRect(area.rect, t.colour("bg"))
         painter.setFont(ui_font(self.paper.scale, 0.85))
-        height = painter.fontMetrics().height()
         for side, unit in enumerate(self.units):
             self._draw_scale(painter, areas[unit], unit, right=side == 1)
         for value in ticks(area.x0, area.x1, 5):
-            x = area.x(value)
-            painter.setPen(QPen(t.colour("grid"), 1))
-            painter.drawLine(QPointF(x, area.rect.top()), QPointF(x, area.rect.bottom()))
-            painter.setPen(t.colour("muted"))
-            text = f"{tick_text(value, 0.5)} s"
-            painter.drawText(QRectF(x - 40, area.rect.bottom() + 2, 80, height),
-                             int(Qt.AlignmentFlag.AlignHCenter), text)  # fmt: skip
+            GridPainter(painter, area, t).column(value, f"{tick_text(value, 0.5)} s")
 
     def _draw_scale(self, painter: QPainter, area: PlotArea, unit: str, *, right: bool) -> None:
         t, rect = self.paper.tokens, area.rect
@@ -131,17 +133,13 @@ class TraceSheet:
         count = min(max(int(rect.height() / (1.4 * height)), 1), 4)
         step = nice_step(area.y1 - area.y0, count)
         for value in ticks(area.y0, area.y1, count):
-            y = area.y(value)
-            if not right:
-                painter.setPen(QPen(t.colour("border" if value == 0 else "grid"), 1))
-                painter.drawLine(QPointF(rect.left(), y), QPointF(rect.right(), y))
-            painter.setPen(t.colour("muted"))
             text = tick_text(value, step)
             if right:
-                painter.drawText(QPointF(rect.right() + 5, y + 0.35 * height), text)
+                painter.setPen(t.colour("muted"))
+                painter.drawText(QPointF(rect.right() + 5, area.y(value) + 0.35 * height), text)
             else:
-                box = QRectF(0, y - height / 2, rect.left() - 5, height)
-                painter.drawText(box, int(Qt.AlignmentFlag.AlignRight), text)
+                line = "border" if value == 0 else "grid"
+                GridPainter(painter, area, t).row(value, text, line)
         place = QRectF(0, rect.top() - height - 3, rect.left() - 5, height)
         if right:
             place.moveLeft(rect.right() + 5)
@@ -158,9 +156,7 @@ class TraceSheet:
             t_s, values = min_max_per_column(
                 trace.t_s, trace.values[:, channel], int(area.rect.width())
             )
-            good = np.isfinite(values)
-            edges = np.flatnonzero(np.diff(good.astype(np.int8), prepend=0, append=0))
-            for start, end in edges.reshape(-1, 2).tolist():
+            for start, end in finite_runs(values):
                 painter.drawPolyline(area.polygon(t_s[start:end], values[start:end]))
         painter.setClipping(False)
 
@@ -169,123 +165,10 @@ def min_max_per_column(
     t_s: FloatArray, values: FloatArray, columns: int
 ) -> tuple[FloatArray, FloatArray]:
     """Reduce to minimum and maximum per group: at most two points per pixel column."""
-    group = -(-len(t_s) // max(columns, 1))
-    if group <= POINTS_PER_COLUMN:
+    if len(t_s) <= POINTS_PER_COLUMN * columns:
         return t_s, values
-    starts = np.arange(0, len(t_s), group)
-    low, high = np.fmin.reduceat(values, starts), np.fmax.reduceat(values, starts)
-    both = np.stack([low, high], axis=1).ravel()
-    return np.repeat(t_s[starts], 2), both
-
-
-CHANNEL_NAMES = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")
-NO_WRENCH = "No wrench was recorded"
-Drawn = tuple[TraceSheet, QImage]  # a sheet and its picture, drawn in advance
-
-FONTS, GAP_PX = (0.85, 0.75, 0.68), 8  # font scales of the read-outs; the first that fits is used
-
-
-class RecordedTraces(DrawnView):
-    """Plot of the chosen channels; ``seek`` gets the clicked time."""
-
-    def __init__(self, theme: Theme, channels: tuple[int, ...], seek: Callable[[float], None]):
-        super().__init__(theme, "Force and moment of the probe", (200, 84), (420, 130))
-        self._seek = seek
-        self.channels = channels
-        self.trace: WrenchTrace | None = None
-        self.cursor_s = 0.0
-        self._why_empty = NO_WRENCH
-        self._drawn: Drawn | None = None
-
-    def show_trace(
-        self, trace: WrenchTrace | None, drawn: Drawn | None = None, why: str = NO_WRENCH
-    ) -> None:
-        """Show another probe, or the reason ``why`` there is none; uses ``drawn`` if it fits."""
-        self.trace, self._drawn, self._why_empty = trace, drawn, why
-        self.update()
-
-    def sheet(self) -> TraceSheet:
-        """Return the present sheet."""
-        return TraceSheet(sheet_style(self, self._theme), self.channels)
-
-    def show_channels(self, channels: tuple[int, ...]) -> None:
-        """Choose the channels."""
-        self.channels, self._drawn = channels, None
-        self.update()
-
-    def show_cursor(self, t_s: float) -> None:
-        """Move the cursor."""
-        self.cursor_s = t_s
-        self.setAccessibleDescription(self.summary())
-        self.update()
-
-    def at_cursor(self) -> FloatArray:
-        """Return the (6,) newest sample at or before the cursor; NaN before the first."""
-        if self.trace is None:
-            return np.full(6, np.nan)
-        index = int(np.searchsorted(self.trace.t_s, self.cursor_s, side="right")) - 1
-        return self.trace.values[index] if index >= 0 else np.full(6, np.nan)
-
-    def summary(self) -> str:
-        """Return the values at the cursor in words."""
-        values = self.at_cursor()
-        return ", ".join(_reading(c, values[c]) for c in self.channels)
-
-    def mousePressEvent(self, event: QMouseEvent) -> None:
-        """Move the cursor to the pressed or dragged time."""
-        if self.trace is None or not event.buttons() & Qt.MouseButton.LeftButton:
-            return
-        area = self.area("N")
-        share = (event.position().x() - area.rect.left()) / area.rect.width()
-        self._seek(area.x0 + min(max(share, 0.0), 1.0) * (area.x1 - area.x0))
-
-    mouseMoveEvent = mousePressEvent  # noqa: N815
-
-    def units(self) -> tuple[str, ...]:
-        """Units of the chosen channels, left axis first."""
-        return self.sheet().units
-
-    def area(self, unit: str) -> PlotArea:
-        """Return the plot area of ``unit``."""
-        return self.sheet().area(self.trace, unit)
-
-    def paintEvent(self, _event: QPaintEvent) -> None:
-        """Draw the cached curves, the cursor and the read-outs."""
-        painter = QPainter(self)
-        if self.trace is None or len(self.trace.t_s) < 2:
-            painter.fillRect(self.rect(), self._theme.tokens.colour("panel"))
-            draw_message(painter, self.rect(), self._theme, self._why_empty)
-            return
-        sheet = self.sheet()
-        if self._drawn is None or self._drawn[0] != sheet:
-            self._drawn = sheet, sheet.draw(self.trace)
-        painter.drawImage(0, 0, self._drawn[1])
-        self._draw_cursor(painter, sheet, self.trace)
-
-    def _draw_cursor(self, painter: QPainter, sheet: TraceSheet, trace: WrenchTrace) -> None:
-        t, area = self._theme.tokens, sheet.area(trace, sheet.units[0])
-        x = area.x(min(max(self.cursor_s, area.x0), area.x1))
-        painter.setPen(QPen(t.colour("text"), 1))
-        painter.drawLine(QPointF(x, area.rect.top()), QPointF(x, area.rect.bottom()))
-        values, left = self.at_cursor(), area.rect.left()
-        texts = [_reading(channel, values[channel]) for channel in self.channels]
-        room = self.width() - left - GAP_PX * len(texts)
-        for size in FONTS:
-            painter.setFont(ui_font(self._theme.scale, size, 500))
-            if sum(painter.fontMetrics().horizontalAdvance(text) for text in texts) <= room:
-                break
-        for channel, text in zip(self.channels, texts, strict=True):
-            painter.setPen(sheet.colour(channel))
-            painter.drawText(QPointF(left, area.rect.top() - 5), text)
-            left += painter.fontMetrics().horizontalAdvance(text) + GAP_PX
-
-
-def _reading(channel: int, value: float) -> str:
-    if math.isnan(value):
-        return f"{CHANNEL_NAMES[channel]} none"
-    decimals = 1 if channel < 3 else 3
-    text = f"{value:+.{decimals}f}".replace("-", "\N{MINUS SIGN}")
-    return f"{CHANNEL_NAMES[channel]} {text}"
+    starts_s, low, high = thin_buckets(t_s, values, values, columns)
+    return np.repeat(starts_s, 2), np.stack([low, high], axis=1).ravel()
 
 
 LEAST_NM = 0.02
@@ -331,19 +214,9 @@ class PhaseSheet:
         painter.fillRect(rect, t.colour("bg"))
         painter.setFont(ui_font(self.paper.scale, 0.8))
         height = painter.fontMetrics().height()
-        step = nice_step(area.x1 - area.x0, 4)
-        painter.setPen(t.colour("muted"))
-        for value in ticks(area.x0, area.x1, 4):
-            box = QRectF(area.x(value) - 30, rect.bottom() + 2, 60, height)
-            painter.drawText(box, int(Qt.AlignmentFlag.AlignHCenter), tick_text(value, step))
-        for value in ticks(area.y0, area.y1, 4):
-            box = QRectF(0, area.y(value) - height / 2, rect.left() - 5, height)
-            painter.drawText(box, int(Qt.AlignmentFlag.AlignRight), tick_text(value, step))
+        GridPainter(painter, area, t).grid(4, line="")
         above = QRectF(0, rect.top() - height - 3, self.paper.width, height)
         painter.drawText(above, int(Qt.AlignmentFlag.AlignLeft), "Ty over Tx (N·m)")
-
-
-PhaseDrawn = tuple[PhaseSheet, QImage]
 
 
 def has_moments(trace: WrenchTrace) -> bool:
@@ -356,48 +229,156 @@ def step_of(trace: WrenchTrace) -> int:
     return max(len(trace.t_s) // MOST_POINTS, 1)
 
 
-class PhasePlot(DrawnView):
+CHANNEL_NAMES = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")
+NO_WRENCH = "No wrench was recorded"
+Sheet = TraceSheet | PhaseSheet
+Drawn = tuple[Sheet, QImage]  # a sheet and its picture, drawn in advance
+
+FONTS, GAP_PX = (0.85, 0.75, 0.68), 8  # font scales of the read-outs; the first that fits is used
+
+
+class _SheetPlot(DrawnView):
+    """Plot of a recorded trace and a cursor. The sheet below the cursor may be drawn in advance."""
+
+    trace: WrenchTrace | None = None
+    cursor_s = 0.0
+    why_empty = NO_WRENCH
+    _drawn: Drawn | None = None
+
+    def show_trace(
+        self, trace: WrenchTrace | None, drawn: Drawn | None = None, why: str | None = None
+    ) -> None:
+        """Show another probe, or the reason ``why`` there is none; uses ``drawn`` if it fits."""
+        self.trace, self._drawn = trace, drawn
+        self.why_empty = type(self).why_empty if why is None else why
+        self.update()
+
+    def show_cursor(self, t_s: float) -> None:
+        """Move the cursor."""
+        self.cursor_s = t_s
+        self.update()
+
+    def paintEvent(self, _event: QPaintEvent) -> None:
+        """Draw the cached sheet and what depends on the cursor."""
+        painter, trace, sheet = QPainter(self), self.trace, self.sheet()
+        if trace is None or not self.can_show(trace):
+            painter.fillRect(self.rect(), self._theme.tokens.colour("panel"))
+            draw_message(painter, self.rect(), self._theme, self.why_empty)
+            return
+        if self._drawn is None or self._drawn[0] != sheet:
+            self._drawn = sheet, sheet.draw(trace)
+        painter.drawImage(0, 0, self._drawn[1])
+        self.draw_cursor(painter, trace)
+
+    def sheet(self) -> Sheet:
+        """Return the present sheet."""
+        raise NotImplementedError
+
+    def can_show(self, trace: WrenchTrace) -> bool:
+        """Return True if the trace has two samples to connect."""
+        return len(trace.t_s) >= 2
+
+    def draw_cursor(self, painter: QPainter, trace: WrenchTrace) -> None:
+        """Draw what depends on the cursor."""
+        raise NotImplementedError
+
+
+class RecordedTraces(_SheetPlot):
+    """Plot of the chosen channels; ``seek`` gets the clicked time."""
+
+    def __init__(self, theme: Theme, channels: tuple[int, ...], seek: Callable[[float], None]):
+        super().__init__(theme, "Force and moment of the probe", (200, 84), (420, 130))
+        self._seek, self.channels = seek, channels
+
+    def sheet(self) -> TraceSheet:
+        """Return the present sheet."""
+        return TraceSheet(sheet_style(self, self._theme), self.channels)
+
+    def show_channels(self, channels: tuple[int, ...]) -> None:
+        """Choose the channels."""
+        self.channels, self._drawn = channels, None
+        self.update()
+
+    def show_cursor(self, t_s: float) -> None:
+        """Move the cursor."""
+        super().show_cursor(t_s)
+        self.setAccessibleDescription(self.summary())
+
+    def at_cursor(self) -> FloatArray:
+        """Return the (6,) newest sample at or before the cursor; NaN before the first."""
+        if self.trace is None:
+            return np.full(6, np.nan)
+        index = int(np.searchsorted(self.trace.t_s, self.cursor_s, side="right")) - 1
+        return self.trace.values[index] if index >= 0 else np.full(6, np.nan)
+
+    def summary(self) -> str:
+        """Return the values at the cursor in words."""
+        values = self.at_cursor()
+        return ", ".join(_reading(c, values[c]) for c in self.channels)
+
+    def mousePressEvent(self, event: QMouseEvent) -> None:
+        """Move the cursor to the pressed or dragged time."""
+        if self.trace is None or not event.buttons() & Qt.MouseButton.LeftButton:
+            return
+        area = self.area("N")
+        self._seek(min(max(area.at(event.position())[0], area.x0), area.x1))
+
+    mouseMoveEvent = mousePressEvent  # noqa: N815
+
+    def area(self, unit: str) -> PlotArea:
+        """Return the plot area of ``unit``."""
+        return self.sheet().area(self.trace, unit)
+
+    def draw_cursor(self, painter: QPainter, trace: WrenchTrace) -> None:
+        """Draw the cursor and the read-outs."""
+        t, sheet = self._theme.tokens, self.sheet()
+        area = sheet.area(trace, sheet.units[0])
+        x = area.x(min(max(self.cursor_s, area.x0), area.x1))
+        painter.setPen(QPen(t.colour("text"), 1))
+        painter.drawLine(QPointF(x, area.rect.top()), QPointF(x, area.rect.bottom()))
+        values, left = self.at_cursor(), area.rect.left()
+        texts = [_reading(channel, values[channel]) for channel in self.channels]
+        room = self.width() - left - GAP_PX * len(texts)
+        for size in FONTS:
+            painter.setFont(ui_font(self._theme.scale, size, 500))
+            if sum(painter.fontMetrics().horizontalAdvance(text) for text in texts) <= room:
+                break
+        for channel, text in zip(self.channels, texts, strict=True):
+            painter.setPen(sheet.colour(channel))
+            painter.drawText(QPointF(left, area.rect.top() - 5), text)
+            left += painter.fontMetrics().horizontalAdvance(text) + GAP_PX
+
+
+def _reading(channel: int, value: float) -> str:
+    if math.isnan(value):
+        return f"{CHANNEL_NAMES[channel]} none"
+    decimals = 1 if channel < 3 else 3
+    text = f"{value:+.{decimals}f}".replace("-", "\N{MINUS SIGN}")
+    return f"{CHANNEL_NAMES[channel]} {text}"
+
+
+class PhasePlot(_SheetPlot):
     """Plot of the path (Tx, Ty): strong up to the cursor, faint after it."""
+
+    why_empty = "No moments"
 
     def __init__(self, theme: Theme) -> None:
         super().__init__(theme, "Moment Tx over moment Ty", (140, 110), (150, 150))
-        self._trace: WrenchTrace | None = None
-        self._cursor_s = 0.0
-        self._why_empty = "No moments"
-        self._drawn: PhaseDrawn | None = None
         self.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Expanding)
-
-    def show_trace(
-        self, trace: WrenchTrace | None, drawn: PhaseDrawn | None = None, why: str = "No moments"
-    ) -> None:
-        """Show another probe, or the reason ``why`` there is none; uses ``drawn`` if it fits."""
-        self._trace, self._drawn, self._why_empty = trace, drawn, why
-        self.update()
 
     def sheet(self) -> PhaseSheet:
         """Return the present sheet."""
         return PhaseSheet(sheet_style(self, self._theme))
 
-    def show_cursor(self, t_s: float) -> None:
-        """Move the cursor."""
-        self._cursor_s = t_s
-        self.update()
+    def can_show(self, trace: WrenchTrace) -> bool:
+        """Return True if the trace has a path to draw."""
+        return has_moments(trace)
 
-    def paintEvent(self, _event: QPaintEvent) -> None:
-        """Draw the cached sheet, the path up to the cursor and the present point."""
-        painter = QPainter(self)
-        trace = self._trace
-        if trace is None or not has_moments(trace):
-            painter.fillRect(self.rect(), self._theme.tokens.colour("panel"))
-            draw_message(painter, self.rect(), self._theme, self._why_empty)
-            return
-        sheet = self.sheet()
-        if self._drawn is None or self._drawn[0] != sheet:
-            self._drawn = sheet, sheet.draw(trace)
-        painter.drawImage(0, 0, self._drawn[1])
-        area = sheet.area(trace)
+    def draw_cursor(self, painter: QPainter, trace: WrenchTrace) -> None:
+        """Draw the path up to the cursor and the present point."""
+        area = self.sheet().area(trace)
         painter.setClipRect(area.rect)
-        until = int(np.searchsorted(trace.t_s, self._cursor_s, side="right"))
+        until = int(np.searchsorted(trace.t_s, self.cursor_s, side="right"))
         x, y, step = trace.values[:, 3], trace.values[:, 4], step_of(trace)
         t = self._theme.tokens
         painter.setPen(QPen(t.colour("axis_x"), 1))

@@ -12,8 +12,9 @@ from PySide6.QtCore import QPointF, QRectF, Qt
 from PySide6.QtGui import QColor, QFontMetrics, QPainter, QPaintEvent, QPen, QPolygonF
 
 from touchdown.backend.core import FloatArray
-from touchdown.widgets.base import DrawnView, Theme, map_colours, ui_font
+from touchdown.widgets.base import DrawnView, Theme, draw_elided_line, map_colours, ui_font
 from touchdown.widgets.plots.axes import (
+    GridPainter,
     PlotArea,
     draw_message,
     nice_step,
@@ -48,6 +49,11 @@ class _TrainingPlot(DrawnView):
         self._name = name
         self.lines: tuple[CurveLine, ...] = ()
 
+    def _show(self, lines: Sequence[CurveLine], words: Iterable[str]) -> None:
+        self.lines = tuple(lines)
+        self.setAccessibleDescription(", ".join(words) or "no epoch yet")
+        self.update()
+
     def _area(self, x: tuple[float, float], y: tuple[float, float], right: float) -> PlotArea:
         em = self.fontMetrics().height()
         top = 1.6 * em
@@ -66,22 +72,15 @@ class _TrainingPlot(DrawnView):
         height = painter.fontMetrics().height()
         rows = max(2, int(rect.height() / (1.7 * height)))
         step = nice_step(area.y1 - area.y0, rows)
+        grid = GridPainter(painter, area, t)
         for value in ticks(area.y0, area.y1, rows):
-            y = area.y(value)
-            painter.setPen(QPen(t.colour("grid"), 1))
-            painter.drawLine(QPointF(rect.left(), y), QPointF(rect.right(), y))
-            painter.setPen(t.colour("muted"))
-            box = QRectF(0, y - height / 2, rect.left() - 5, height)
-            painter.drawText(box, int(Qt.AlignmentFlag.AlignRight), tick_text(value, step))
+            grid.row(value, tick_text(value, step))
         count = max(2, int(rect.width() / (1.8 * height)))
         step = nice_step(area.x1 - area.x0, count)
         step = max(step, 1.0) if whole else step
         for value in ticks(area.x0, area.x1, count):
-            if whole and value != round(value):
-                continue
-            painter.setPen(t.colour("muted"))
-            box = QRectF(area.x(value) - 2 * height, rect.bottom() + 2, 4 * height, height)
-            painter.drawText(box, int(Qt.AlignmentFlag.AlignHCenter), tick_text(value, step))
+            if not whole or value == round(value):
+                grid.column(value, tick_text(value, step), line="")
         painter.setFont(ui_font(self._theme.scale, 0.85, 500))
         head = QRectF(rect.left(), 0, self.width() - rect.left(), rect.top() - 3)
         align = Qt.AlignmentFlag.AlignBottom | Qt.AlignmentFlag.AlignLeft
@@ -108,12 +107,8 @@ class CurvePlot(_TrainingPlot):
 
     def show_lines(self, lines: Sequence[CurveLine], epochs: int, best: int = 0) -> None:
         """Show curves up to ``epochs``; ``best``: epoch to mark, 0 for none."""
-        if (tuple(lines), epochs, best) == (self.lines, self.epochs, self.best):
-            return
-        self.lines, self.epochs, self.best = tuple(lines), epochs, best
-        ends = [f"{one.name} {one.points[-1][1]:.3f}" for one in lines if one.points]
-        self.setAccessibleDescription(", ".join(ends) or "no epoch yet")
-        self.update()
+        self.epochs, self.best = epochs, best
+        self._show(lines, (f"{one.name} {one.points[-1][1]:.3f}" for one in lines if one.points))
 
     def area(self) -> PlotArea:
         """Return the area of the curves, in epochs and values."""
@@ -160,10 +155,7 @@ class ReliabilityPlot(_TrainingPlot):
 
     def show_lines(self, lines: Sequence[CurveLine]) -> None:
         """Show one line per run: (mean predicted probability, share in contact)."""
-        if tuple(lines) != self.lines:
-            self.lines = tuple(lines)
-            self.setAccessibleDescription(", ".join(one.name for one in lines) or "no epoch yet")
-            self.update()
+        self._show(lines, (one.name for one in lines))
 
     def paintEvent(self, _event: QPaintEvent) -> None:
         """Draw the diagonal and the bins."""
@@ -258,9 +250,9 @@ class SampleStrip(DrawnView):
         for place, scene in enumerate(self.shown()):
             row, column = divmod(place, columns)
             x, y = column * (side + GAP), row * (side + GAP + CAPTION_LINES * em)
-            self._tile(painter, QRectF(x, y, side, side), scene)
+            self._draw_tile(painter, QRectF(x, y, side, side), scene)
 
-    def _tile(self, painter: QPainter, box: QRectF, scene: SampleScene) -> None:
+    def _draw_tile(self, painter: QPainter, box: QRectF, scene: SampleScene) -> None:
         t = self._theme.tokens
         painter.fillRect(box, t.colour("bg"))
         reach = float(np.abs(scene.points_mm).max()) + scene.pitch_mm
@@ -284,30 +276,23 @@ class SampleStrip(DrawnView):
 
     def _words(self, painter: QPainter, box: QRectF, scene: SampleScene) -> None:
         em = self.fontMetrics().height()
-        mode = Qt.TextElideMode.ElideRight
-        for row, (text, token, size) in enumerate(
-            ((scene.caption, "text", 0.88), (scene.detail, "muted", 0.82))
-        ):
-            painter.setFont(ui_font(self._theme.scale, size, 500 if row == 0 else 400))
-            painter.setPen(QPen(self._theme.tokens.colour(token)))
-            line = QRectF(box.left(), box.bottom() + 1 + 0.92 * em * row, box.width() + GAP - 2, em)
-            shown = painter.fontMetrics().elidedText(text, mode, int(line.width()))
-            painter.drawText(line, int(Qt.AlignmentFlag.AlignLeft), shown)
+        line = QRectF(box.left(), box.bottom() + 1, box.width() + GAP - 2, em)
+        for text, token, size, weight in (
+            (scene.caption, "text", 0.88, 500), (scene.detail, "muted", 0.82, 400)
+        ):  # fmt: skip
+            painter.setFont(ui_font(self._theme.scale, size, weight))
+            draw_elided_line(painter, line, text, self._theme.tokens.colour(token))
+            line.translate(0, 0.92 * em)
 
 
 def _edges(points_mm: FloatArray, pitch_mm: float) -> FloatArray:
     """Return (k, 2, 2) the outer sides of the lattice cells of ``points_mm``."""
     cells = {(round(x / pitch_mm), round(y / pitch_mm)) for x, y in points_mm.tolist()}
-    half = pitch_mm / 2
-    found = []
-    for i, j in sorted(cells):
-        x, y = i * pitch_mm, j * pitch_mm
-        for di, dj in ((1, 0), (-1, 0), (0, 1), (0, -1)):
-            if (i + di, j + dj) in cells:
-                continue
-            mid = (x + di * half, y + dj * half)
-            along = (abs(dj) * half, abs(di) * half)
-            found.append(
-                ((mid[0] - along[0], mid[1] - along[1]), (mid[0] + along[0], mid[1] + along[1]))
-            )
-    return np.asarray(found, dtype=np.float64).reshape(-1, 2, 2)
+    ends = [
+        (i + (di + s * dj) / 2, j + (dj + s * di) / 2)
+        for i, j in sorted(cells)
+        for di, dj in ((1, 0), (-1, 0), (0, 1), (0, -1))
+        if (i + di, j + dj) not in cells
+        for s in (-1, 1)
+    ]
+    return pitch_mm * np.reshape(np.asarray(ends, dtype=np.float64), (-1, 2, 2))

@@ -10,7 +10,17 @@ from PySide6.QtCore import QPoint, QPointF, QRectF, QSize, Qt, Signal
 from PySide6.QtGui import QColor, QFontMetrics, QKeyEvent, QMouseEvent, QPainter, QPaintEvent, QPen
 from PySide6.QtWidgets import QDialog, QGridLayout, QLabel, QPushButton, QSizePolicy, QWidget
 
-from touchdown.widgets.base import Theme, Tokens, hbox, label, rule, ui_font, vbox
+from touchdown.widgets.base import (
+    ENTER,
+    Theme,
+    Tokens,
+    draw_elided_line,
+    hbox,
+    label,
+    rule,
+    ui_font,
+    vbox,
+)
 from touchdown.widgets.shell.state import Colour, Shape, draw_shape
 
 ChipState = Literal["ready", "connecting", "degraded", "stale", "fault", "closed"]
@@ -98,14 +108,13 @@ class DeviceChip(QWidget):
 
     def mouseReleaseEvent(self, event: QMouseEvent) -> None:
         """Emit ``clicked`` if the button is released on the chip."""
-        if event.button() is Qt.MouseButton.LeftButton and self.rect().contains(
-            event.position().toPoint()
-        ):
+        inside = self.rect().contains(event.position().toPoint())
+        if event.button() is Qt.MouseButton.LeftButton and inside:
             self.clicked.emit()
 
     def keyPressEvent(self, event: QKeyEvent) -> None:
         """Emit ``clicked`` on Return; Space can mean STOP."""
-        if event.key() in (Qt.Key.Key_Return, Qt.Key.Key_Enter) and not event.isAutoRepeat():
+        if event.key() in ENTER and not event.isAutoRepeat():
             self.clicked.emit()
         else:
             super().keyPressEvent(event)
@@ -131,24 +140,19 @@ class DeviceChip(QWidget):
         middle, width = self.height() / 2, self.width() - left - 4
         painter.setPen(t.colour("text"))
         painter.setFont(ui_font(self._theme.scale, 0.86, 600))
-        low = int(Qt.AlignmentFlag.AlignBottom)
+        low, right = Qt.AlignmentFlag.AlignBottom, Qt.AlignmentFlag.AlignRight
         if self.short:
-            painter.drawText(QRectF(left, 0, width, self.height()),
-                             int(Qt.AlignmentFlag.AlignVCenter), self._name)  # fmt: skip
+            box, centre = QRectF(left, 0, width, self.height()), Qt.AlignmentFlag.AlignVCenter
+            painter.drawText(box, int(centre), self._name)
             return
-        painter.drawText(QRectF(left, 3, width, middle - 2), low, self._name)
+        painter.drawText(QRectF(left, 3, width, middle - 2), int(low), self._name)
         if self.value.lost:
             painter.setFont(ui_font(self._theme.scale, 0.8, 500))
-            painter.drawText(QRectF(left, 3, width - 4, middle - 2),
-                             low | int(Qt.AlignmentFlag.AlignRight),
-                             f"{self.value.lost} lost")  # fmt: skip
-        painter.setPen(t.colour("muted"))
+            box = QRectF(left, 3, width - 4, middle - 2)
+            painter.drawText(box, int(low | right), f"{self.value.lost} lost")
         painter.setFont(ui_font(self._theme.scale, 0.8))
-        detail = painter.fontMetrics().elidedText(
-            self.value.detail, Qt.TextElideMode.ElideRight, int(width)
-        )
-        painter.drawText(QRectF(left, middle, width, middle - 3), int(Qt.AlignmentFlag.AlignTop),
-                         detail)  # fmt: skip
+        box = QRectF(left, middle, width, middle - 3)
+        draw_elided_line(painter, box, self.value.detail, t.colour("muted"))
 
 
 Rows = Sequence[tuple[str, str]]
@@ -194,8 +198,7 @@ class DeviceInspector(QDialog):
             self._build(rows)
             return
         for field, value in rows:
-            if self._values[field].text() != value:
-                self._values[field].setText(value)
+            self._values[field].setText(value)
 
     def rows(self) -> dict[str, str]:
         """Return the shown values by field."""

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 
-from PySide6.QtCore import QEvent, QKeyCombination, QModelIndex, QObject, QPersistentModelIndex, Qt
+from PySide6.QtCore import QEvent, QKeyCombination, QObject, Qt
 from PySide6.QtGui import QColor, QKeyEvent, QKeySequence, QPainter, QPalette
 from PySide6.QtWidgets import (
     QDialog,
@@ -23,7 +23,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from touchdown.widgets.base import hbox, label, rule, vbox
+from touchdown.widgets.base import ENTER, ModelIndex, hbox, label, rule, vbox
 
 SHOWN = 200
 NAME, CHOICE = Qt.ItemDataRole.UserRole, Qt.ItemDataRole.UserRole + 1
@@ -64,23 +64,15 @@ def match_score(query: str, text: str) -> float | None:
 
 def best_matches(query: str, choices: Sequence[PaletteEntry]) -> list[PaletteEntry]:
     """Return the matching commands, best first; all in their order for an empty query."""
-    scored = []
-    for order, choice in enumerate(choices):
-        fits = match_score(query, f"{choice.text} {choice.where}")
-        if fits is not None:
-            scored.append((fits if query else 0.0, order, choice))
-    return [choice for _, _, choice in sorted(scored, key=lambda row: row[:2])][:SHOWN]
+    scored = [(match_score(query, f"{c.text} {c.where}"), c) for c in choices]
+    fits = [(score if query else 0.0, c) for score, c in scored if score is not None]
+    return [choice for _, choice in sorted(fits, key=lambda row: row[0])][:SHOWN]
 
 
 class _PaletteDelegate(QStyledItemDelegate):
     """Row with the command, its workspace, and its shortcut at the right."""
 
-    def paint(
-        self,
-        painter: QPainter,
-        option: QStyleOptionViewItem,
-        index: QModelIndex | QPersistentModelIndex,
-    ) -> None:
+    def paint(self, painter: QPainter, option: QStyleOptionViewItem, index: ModelIndex) -> None:
         choice = index.data(CHOICE)
         self.initStyleOption(option, index)
         option.text = ""
@@ -103,9 +95,6 @@ class _PaletteDelegate(QStyledItemDelegate):
             where = metrics.elidedText(choice.where, Qt.TextElideMode.ElideRight, room - used)
             painter.setPen(faint)
             painter.drawText(box.adjusted(used, 0, 0, 0), int(middle), where)
-
-
-ACCEPT_KEYS = (Qt.Key.Key_Return, Qt.Key.Key_Enter)  # run the command, on every page
 
 
 class CommandPalette(QDialog):
@@ -149,7 +138,7 @@ class CommandPalette(QDialog):
     def eventFilter(self, watched: QObject, event: QEvent) -> bool:
         """Let arrows and Return act on the list while the field has the focus."""
         if isinstance(event, QKeyEvent) and event.type() is QEvent.Type.ShortcutOverride:
-            if event.key() in ACCEPT_KEYS:
+            if event.key() in ENTER:
                 event.accept()
             return False
         if not isinstance(event, QKeyEvent) or event.type() is not QEvent.Type.KeyPress:
@@ -162,7 +151,7 @@ class CommandPalette(QDialog):
             self.list.setCurrentRow(min(max(row, 0), self.list.count() - 1))
             self._describe()
             return True
-        if event.key() in ACCEPT_KEYS:
+        if event.key() in ENTER:
             self._take(self.list.currentItem() if self.list.count() else None)
             return True
         return False

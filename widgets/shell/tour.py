@@ -9,11 +9,10 @@ from PySide6.QtCore import QEvent, QPoint, QRect, QSize, Qt
 from PySide6.QtGui import QColor, QKeyEvent, QPainter, QPaintEvent, QPen, QRegion
 from PySide6.QtWidgets import QFrame, QPushButton, QWidget
 
-from touchdown.widgets.base import Theme, hbox, label, vbox
+from touchdown.widgets.base import ENTER, Theme, hbox, label, vbox
 
 DIM = 110
 MARGIN_PX, RING_PX = 12, 4
-ENTER = (Qt.Key.Key_Return, Qt.Key.Key_Enter)
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,12 +107,8 @@ class TourCard(QFrame):
 
     def event(self, event: QEvent) -> bool:
         """Claim Enter and Esc before the shortcuts of the page."""
-        mine = (*ENTER, Qt.Key.Key_Escape)
-        if (
-            event.type() is QEvent.Type.ShortcutOverride
-            and isinstance(event, QKeyEvent)
-            and event.key() in mine
-        ):
+        is_key = isinstance(event, QKeyEvent) and event.key() in (*ENTER, Qt.Key.Key_Escape)
+        if is_key and event.type() is QEvent.Type.ShortcutOverride:
             event.accept()
             return True
         return super().event(event)

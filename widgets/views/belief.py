@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from PySide6.QtCore import QPointF, QRectF, QSize, Qt
+from PySide6.QtCore import QMarginsF, QPointF, QRectF, QSize, Qt
 from PySide6.QtGui import (
     QColor,
     QFontMetrics,
@@ -22,7 +22,13 @@ from PySide6.QtWidgets import QSizePolicy, QWidget
 
 from touchdown.backend.core import BeliefMap, FloatArray, Stability
 from touchdown.widgets.base import DrawnView, MapName, Theme, map_colours, ui_font
-from touchdown.widgets.plots import PictureCache, PlotArea, draw_message, draw_mm_grid
+from touchdown.widgets.plots import (
+    PictureCache,
+    PlotArea,
+    centred_square,
+    draw_message,
+    draw_mm_grid,
+)
 
 ENTRIES = (
     ("plus", "centre of mass"),
@@ -161,12 +167,12 @@ def draw_marks(
     """Draw all marks; ``small`` omits those too fine for a thumbnail."""
     painter.setBrush(Qt.BrushStyle.NoBrush)
     if scene.face is not None and scene.path and not small:
-        _outline(painter, area, scene.face, scene.path[-1], Qt.PenStyle.DotLine, 1.0)
+        _outline(painter, area, scene.face + scene.path[-1], Qt.PenStyle.DotLine, 1.0)
     if scene.truth is not None:
-        _outline(painter, area, scene.truth, (0.0, 0.0), Qt.PenStyle.DashLine, 1.6)
+        _outline(painter, area, scene.truth, Qt.PenStyle.DashLine, 1.6)
     if scene.stability is not None and len(scene.stability.hull_mm):
-        _outline(painter, area, scene.stability.hull_mm, (0.0, 0.0), Qt.PenStyle.SolidLine,
-                 1.4 if small else 2.0)  # fmt: skip
+        width = 1.4 if small else 2.0
+        _outline(painter, area, scene.stability.hull_mm, Qt.PenStyle.SolidLine, width)
     if not small:
         _path(painter, area, scene, theme)
     if scene.stability is not None:
@@ -174,7 +180,7 @@ def draw_marks(
         if all(map(math.isfinite, centre)):
             if scene.step_mm is not None and not small and scene.step_mm != (0.0, 0.0):
                 _step(painter, area, centre, scene)
-            draw_plus(painter, QPointF(area.x(centre[0]), area.y(centre[1])), 4 if small else 8)
+            draw_plus(painter, area.place(*centre), 4 if small else 8)
 
 
 def stroke_on_black(painter: QPainter, width: float, style: Qt.PenStyle, draw: Draw) -> None:
@@ -199,24 +205,15 @@ def draw_plus(painter: QPainter, at: QPointF, size: float) -> None:
 
 
 def _outline(
-    painter: QPainter,
-    area: PlotArea,
-    points: FloatArray,
-    shift: tuple[float, float],
-    style: Qt.PenStyle,
-    width: float,
+    painter: QPainter, area: PlotArea, points: FloatArray, style: Qt.PenStyle, width: float
 ) -> None:
-    polygon = QPolygonF(
-        [QPointF(area.x(x + shift[0]), area.y(y + shift[1])) for x, y in points.tolist()]
-    )
+    polygon = QPolygonF([area.place(x, y) for x, y in points.tolist()])
     stroke_on_black(painter, width, style, lambda: painter.drawPolygon(polygon))
 
 
 def _path(painter: QPainter, area: PlotArea, scene: BeliefScene, theme: Theme) -> None:
-    points = [QPointF(area.x(x), area.y(y)) for x, y in scene.path]
-    stroke_on_black(
-        painter, 1.0, Qt.PenStyle.SolidLine, lambda: painter.drawPolyline(QPolygonF(points))
-    )
+    points = [area.place(x, y) for x, y in scene.path]
+    stroke_on_black(painter, 1.0, Qt.PenStyle.SolidLine, lambda: painter.drawPolyline(points))
     painter.setFont(ui_font(theme.scale, 0.8, 600))
     # The newest probe is marked by the plus of the centre of mass, not by a number.
     for number, point in enumerate(points[:-1], start=1):
@@ -233,17 +230,13 @@ def _step(
     painter: QPainter, area: PlotArea, start: tuple[float, float], scene: BeliefScene
 ) -> None:
     step = scene.step_mm or (0.0, 0.0)
-    tail = QPointF(area.x(start[0]), area.y(start[1]))
-    tip = QPointF(area.x(start[0] + step[0]), area.y(start[1] + step[1]))
+    tail, tip = area.place(*start), area.place(start[0] + step[0], start[1] + step[1])
+    solid, dots = Qt.PenStyle.SolidLine, Qt.PenStyle.DotLine
     if scene.target_mm is not None and all(map(math.isfinite, scene.target_mm)):
-        target = QPointF(area.x(scene.target_mm[0]), area.y(scene.target_mm[1]))
+        target = area.place(*scene.target_mm)
         if scene.clipped:
-            stroke_on_black(
-                painter, 1.0, Qt.PenStyle.DotLine, lambda: painter.drawLine(tip, target)
-            )
-        stroke_on_black(
-            painter, 1.6, Qt.PenStyle.SolidLine, lambda: painter.drawEllipse(target, 6, 6)
-        )
+            stroke_on_black(painter, 1.0, dots, lambda: painter.drawLine(tip, target))
+        stroke_on_black(painter, 1.6, solid, lambda: painter.drawEllipse(target, 6, 6))
     along = tip - tail
     length = math.hypot(along.x(), along.y())
     if length < 1:
@@ -255,7 +248,7 @@ def _step(
         painter.drawLine(tip, tip - unit * 10 + across * 5)
         painter.drawLine(tip, tip - unit * 10 - across * 5)
 
-    stroke_on_black(painter, 2.2, Qt.PenStyle.SolidLine, stroke)
+    stroke_on_black(painter, 2.2, solid, stroke)
 
 
 class BeliefView(DrawnView):
@@ -288,26 +281,16 @@ class BeliefView(DrawnView):
         self.paints += 1
         QPainter(self).drawPixmap(0, 0, self._drawn.picture(self._draw))
 
-    def side_px(self, size: QSize) -> float:
-        """Return the side of the drawn square in a view of this size."""
-        left, top, right, bottom = self._margins()
-        return max(min(size.width() - left - right, size.height() - top - bottom), 10.0)
-
-    def _margins(self) -> tuple[float, float, float, float]:
-        """Return the margins for axes and colour bar: left, top, right, bottom."""
-        if self._thumbnail:
-            return 1.0, 1.0, 1.0, 1.0
+    def square(self, size: QSize) -> QRectF:
+        """Return the drawn square in a view of this size, beside axes and colour bar."""
         em = self.fontMetrics().height()
-        return 2.2 * em, 0.4 * em, 3.4 * em, 1.5 * em
+        margins = QMarginsF(2.2 * em, 0.4 * em, 3.4 * em, 1.5 * em)
+        return centred_square(size, QMarginsF(1, 1, 1, 1) if self._thumbnail else margins, 10.0)
 
     def area(self) -> PlotArea:
-        """Return the drawn square."""
-        left, top, right, bottom = self._margins()
-        side = self.side_px(self.size())
-        x = left + (self.width() - left - right - side) / 2
-        y = top + (self.height() - top - bottom - side) / 2
+        """Return the drawn square with its frame."""
         cx, cy, half = self.scene.frame_mm()
-        return PlotArea(QRectF(x, y, side, side), cx - half, cx + half, cy - half, cy + half)
+        return PlotArea(self.square(self.size()), cx - half, cx + half, cy - half, cy + half)
 
     def _draw(self, painter: QPainter) -> None:
         self.renders += 1
@@ -341,7 +324,7 @@ class BeliefView(DrawnView):
         half = belief.pitch_mm / 2
         x0, y0 = belief.origin_mm[0] - half, belief.origin_mm[1] - half
         x1, y1 = x0 + nx * belief.pitch_mm, y0 + ny * belief.pitch_mm
-        target = QRectF(QPointF(area.x(x0), area.y(y1)), QPointF(area.x(x1), area.y(y0)))
+        target = QRectF(area.place(x0, y1), area.place(x1, y0))
         painter.setRenderHint(QPainter.RenderHint.SmoothPixmapTransform, False)
         painter.drawImage(target, image)
 
@@ -359,19 +342,17 @@ class BeliefView(DrawnView):
             painter.drawText(QPointF(bar.right() + 5, y_text + painter.fontMetrics().ascent()),
                              f"{value:g}")  # fmt: skip
         y = bar.bottom() - self.scene.delta * bar.height()
-        painter.setPen(QPen(QColor("#000000"), 3))
-        painter.drawLine(QPointF(bar.left(), y), QPointF(bar.right(), y))
-        painter.setPen(QPen(QColor("#FFFFFF"), 1))
-        painter.drawLine(QPointF(bar.left(), y), QPointF(bar.right(), y))
+        for colour, width in ((BLACK, 3), (WHITE, 1)):
+            painter.setPen(QPen(colour, width))
+            painter.drawLine(QPointF(bar.left(), y), QPointF(bar.right(), y))
 
 
 def describe_scene(scene: BeliefScene) -> str:
     """Return the scene in one sentence, for screen readers."""
     if scene.belief is None:
         return scene.empty[0]
-    text = (
-        f"{scene.belief.probes} probes fused, largest support {scene.belief.probability.max():.2f}"
-    )
+    largest = scene.belief.probability.max()
+    text = f"{scene.belief.probes} probes fused, largest support {largest:.2f}"
     if scene.stability is not None:
         text += f", {scene.stability.support.value}, margin {scene.stability.margin_mm:.1f} mm"
     return text

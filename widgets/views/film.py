@@ -229,9 +229,8 @@ class TimeLine(QWidget):
     def mousePressEvent(self, event: QMouseEvent) -> None:
         """Move the cursor to the pressed or dragged time."""
         if event.buttons() & Qt.MouseButton.LeftButton:
-            area, (low, high) = self.area(), self.scene.span_s
-            share = (event.position().x() - area.rect.left()) / area.rect.width()
-            self._seek(min(max(area.x0 + share * (area.x1 - area.x0), low), high))
+            low, high = self.scene.span_s
+            self._seek(min(max(self.area().at(event.position())[0], low), high))
 
     mouseMoveEvent = mousePressEvent  # noqa: N815
 
@@ -244,11 +243,10 @@ class TimeLine(QWidget):
         painter.fillRect(area.rect, t.colour("bg"))
         shade = blend(t.colour("bg"), t.colour("axis_x"), 0.4)
         for start, end in self.scene.recorded_s:
-            left = area.x(start)
-            painter.fillRect(
-                QRectF(left, area.rect.top(), max(area.x(end) - left, 2.0), area.rect.height()),
-                shade,
-            )
+            left, rect = area.x(start), QRectF(area.rect)
+            rect.setLeft(left)
+            rect.setRight(max(area.x(end), left + 2.0))
+            painter.fillRect(rect, shade)
         painter.setPen(QPen(t.colour("border"), 1))
         painter.drawRect(area.rect)
         self._draw_marks(painter, area)

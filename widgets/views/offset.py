@@ -9,12 +9,18 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from PySide6.QtCore import QPointF, QRectF, Qt
+from PySide6.QtCore import QMarginsF, QPointF, QRectF, Qt
 from PySide6.QtGui import QColor, QMouseEvent, QPainter, QPaintEvent, QPen, QPixmap, QPolygonF
 
 from touchdown.backend.core import FloatArray, SupportKind
 from touchdown.widgets.base import DrawnView, Theme, blend, ui_font
-from touchdown.widgets.plots import PictureCache, PlotArea, draw_message, draw_mm_grid
+from touchdown.widgets.plots import (
+    PictureCache,
+    PlotArea,
+    centred_square,
+    draw_message,
+    draw_mm_grid,
+)
 from touchdown.widgets.views.belief import draw_plus
 
 GhostKind = Literal["commanded", "measured", "scene", "model"]
@@ -97,18 +103,12 @@ def offset_text(offset_mm: Point | None, sigma_mm: float = 0.0) -> str:
     return f"x {x}, y {y} mm{spread}"
 
 
-LINE_STYLES: dict[GhostKind, Qt.PenStyle] = {
-    "commanded": Qt.PenStyle.DashLine,
-    "measured": Qt.PenStyle.DotLine,
-    "scene": Qt.PenStyle.DashDotDotLine,
-    "model": Qt.PenStyle.DashDotLine,
-}
-# Angle on the outline at which a source is labelled, rad.
-LABEL_ANGLES: dict[GhostKind, float] = {
-    "commanded": 2.1,
-    "measured": 3.9,
-    "scene": 1.0,
-    "model": -0.6,
+# Line style of a source, and the angle on its outline at which it is labelled, rad.
+GHOST_STYLES: dict[GhostKind, tuple[Qt.PenStyle, float]] = {
+    "commanded": (Qt.PenStyle.DashLine, 2.1),
+    "measured": (Qt.PenStyle.DotLine, 3.9),
+    "scene": (Qt.PenStyle.DashDotDotLine, 1.0),
+    "model": (Qt.PenStyle.DashDotLine, -0.6),
 }
 SCALE_BAR_MM = 5.0
 THICKEN_PX = 0.3
@@ -130,10 +130,10 @@ def draw_bottom(painter: QPainter, area: PlotArea, scene: OffsetScene, theme: Th
     t = theme.tokens
     painter.setPen(QPen(t.colour("border"), 2))
     painter.setBrush(blend(t.colour("bg"), t.colour("border"), 0.22))
-    painter.drawPolygon(_placed(area, scene.bottom, (0.0, 0.0), 0.0))
+    painter.drawPolygon(area.polygon(*scene.bottom.T))
     painter.setBrush(Qt.BrushStyle.NoBrush)
     painter.setPen(QPen(t.colour("muted"), 1))
-    centre = QPointF(area.x(0.0), area.y(0.0))
+    centre = area.place(0.0, 0.0)
     for arm in (QPointF(4, 0), QPointF(0, 4)):
         painter.drawLine(centre - arm, centre + arm)
 
@@ -149,9 +149,7 @@ def draw_ghosts(painter: QPainter, area: PlotArea, scene: OffsetScene, theme: Th
     painter.setFont(ui_font(theme.scale, 0.85, 500))
     height = painter.fontMetrics().height()
     for row, ghost in enumerate(scene.ghosts):
-        pen = QPen(theme.tokens.colour("muted"), 1)
-        pen.setStyle(LINE_STYLES[ghost.kind])
-        painter.setPen(pen)
+        painter.setPen(QPen(theme.tokens.colour("muted"), 1, GHOST_STYLES[ghost.kind][0]))
         outline = _placed(area, scene.face, ghost.offset_mm, scene.yaw_rad)
         # Two thin lines: Qt takes ten times as long for a dashed line wider than 1 px.
         painter.drawPolygon(outline)
@@ -163,7 +161,7 @@ def draw_ghosts(painter: QPainter, area: PlotArea, scene: OffsetScene, theme: Th
 
 def _letters(painter: QPainter, area: PlotArea, scene: OffsetScene, ghost: Ghost) -> None:
     """Write the source beside its outline, each source on another side."""
-    turn = LABEL_ANGLES[ghost.kind]
+    turn = GHOST_STYLES[ghost.kind][1]
     radius = float(np.hypot(*scene.face.T).max())
     x = area.x(ghost.offset_mm[0] + radius * math.cos(turn))
     y = area.y(ghost.offset_mm[1] + radius * math.sin(turn))
@@ -195,12 +193,12 @@ def draw_face(painter: QPainter, area: PlotArea, scene: OffsetScene, theme: Them
     painter.setBrush(Qt.BrushStyle.NoBrush)
     if len(scene.hull_mm):
         painter.setPen(QPen(t.colour("good" if scene.margin_mm >= 0 else "bad"), 2))
-        painter.drawPolygon(_placed(area, scene.hull_mm, (0.0, 0.0), 0.0))
+        painter.drawPolygon(area.polygon(*scene.hull_mm.T))
     painter.setPen(QPen(t.colour("text"), 2))
     painter.drawPolygon(_placed(area, scene.face, scene.offset_mm, scene.yaw_rad))
     painter.setPen(QPen(t.colour("text"), 1))
     _sigma_circle(painter, area, scene.offset_mm, scene.sigma_mm)
-    draw_plus(painter, QPointF(area.x(scene.centre_mm[0]), area.y(scene.centre_mm[1])), 8)
+    draw_plus(painter, area.place(*scene.centre_mm), 8)
 
 
 def draw_names(painter: QPainter, area: PlotArea, scene: OffsetScene, theme: Theme) -> None:
@@ -210,8 +208,7 @@ def draw_names(painter: QPainter, area: PlotArea, scene: OffsetScene, theme: The
     away = np.array(scene.offset_mm)
     length = float(np.hypot(*away))
     way = away / length if length > 0 else np.array([1.0, 0.0])
-    centre = QPointF(area.x(0.0), area.y(0.0))
-    face = QPointF(area.x(scene.offset_mm[0]), area.y(scene.offset_mm[1]))
+    centre, face = area.place(0.0, 0.0), area.place(*scene.offset_mm)
     painter.setPen(QPen(theme.tokens.colour("text"), 1, Qt.PenStyle.DotLine))
     painter.drawLine(centre, face)
     draw_plus(painter, face, 6)
@@ -231,14 +228,13 @@ def _points(
     pen = QPen(colour, size)
     pen.setCapStyle(Qt.PenCapStyle.SquareCap)
     painter.setPen(pen)
-    painter.drawPoints(area.polygon(points[:, 0], points[:, 1]))
+    painter.drawPoints(area.polygon(*points.T))
 
 
 def _sigma_circle(painter: QPainter, area: PlotArea, at_mm: Point, sigma_mm: float) -> None:
     if sigma_mm > 0:
-        scale = area.rect.width() / (area.x1 - area.x0)
-        radius = sigma_mm * scale
-        painter.drawEllipse(QPointF(area.x(at_mm[0]), area.y(at_mm[1])), radius, radius)
+        radius = sigma_mm * area.rect.width() / (area.x1 - area.x0)
+        painter.drawEllipse(area.place(*at_mm), radius, radius)
 
 
 def _placed(area: PlotArea, outline: FloatArray, at_mm: Point, yaw_rad: float) -> QPolygonF:
@@ -284,12 +280,9 @@ class OffsetView(DrawnView):
     def area(self) -> PlotArea:
         """Return the drawn square; needs a scene."""
         em = self.fontMetrics().height()
-        left, bottom, edge = 2.4 * em, 1.5 * em, 0.4 * em
-        side = max(min(self.width() - left - edge, self.height() - bottom - edge), 60.0)
-        x = left + (self.width() - left - edge - side) / 2
-        y = edge + (self.height() - bottom - edge - side) / 2
+        margins = QMarginsF(2.4 * em, 0.4 * em, 0.4 * em, 1.5 * em)
         reach = self._reach_mm
-        return PlotArea(QRectF(x, y, side, side), -reach, reach, -reach, reach)
+        return PlotArea(centred_square(self.size(), margins, 60.0), -reach, reach, -reach, reach)
 
     def mousePressEvent(self, event: QMouseEvent) -> None:
         """Start to drag the face; without a label, put it at the pressed place."""
@@ -297,7 +290,7 @@ class OffsetView(DrawnView):
         if scene is None or not self.editable or event.button() is not Qt.MouseButton.LeftButton:
             return
         self._grasped = self.area()
-        at = self._at_mm(event.position())
+        at = self._grasped.at(event.position())
         offset = scene.offset_mm or at
         self._held_mm = (at[0] - offset[0], at[1] - offset[1])
         if scene.offset_mm is None:
@@ -305,21 +298,16 @@ class OffsetView(DrawnView):
 
     def mouseMoveEvent(self, event: QMouseEvent) -> None:
         """Report the dragged position."""
-        if self._held_mm is not None and event.buttons() & Qt.MouseButton.LeftButton:
-            at = self._at_mm(event.position())
-            self._moved((at[0] - self._held_mm[0], at[1] - self._held_mm[1]))
+        held_mm, grasped = self._held_mm, self._grasped
+        if held_mm and grasped and event.buttons() & Qt.MouseButton.LeftButton:
+            at = grasped.at(event.position())
+            self._moved((at[0] - held_mm[0], at[1] - held_mm[1]))
 
     def mouseReleaseEvent(self, _event: QMouseEvent) -> None:
         """End the drag, which is one undo step."""
         if self._held_mm is not None:
             self._held_mm = self._grasped = None
             self._dropped()
-
-    def _at_mm(self, at: QPointF) -> Point:
-        area = self._grasped or self.area()
-        x = area.x0 + (at.x() - area.rect.left()) / area.rect.width() * (area.x1 - area.x0)
-        y = area.y1 - (at.y() - area.rect.top()) / area.rect.height() * (area.y1 - area.y0)
-        return x, y
 
     def paintEvent(self, _event: QPaintEvent) -> None:
         """Draw the cached background, then face, points, hull and centre of mass."""

@@ -11,6 +11,7 @@ from PySide6.QtWidgets import QBoxLayout, QScrollArea, QSizePolicy, QWidget
 
 from touchdown.backend.core import Stability
 from touchdown.widgets.base import (
+    ENTER,
     MAPS,
     MapName,
     Panel,
@@ -74,7 +75,7 @@ class Thumbnail(QWidget):
 
     def keyPressEvent(self, event: QKeyEvent) -> None:
         """Select this probe with Return."""
-        if event.key() in (Qt.Key.Key_Return, Qt.Key.Key_Enter):
+        if event.key() in ENTER:
             self._on_click(self.index)
         else:
             super().keyPressEvent(event)
@@ -216,17 +217,16 @@ class MapAndStrip(QWidget):
     def resizeEvent(self, _event: QResizeEvent) -> None:
         """Move the strip to the side that leaves the larger map."""
         width, high = self.width(), self.height() - self._legend.sizeHint().height() - 6
-        below = self._view.side_px(QSize(width, high - self._strip.row_px() - 14))
-        aside = self._view.side_px(QSize(width - self._strip.column_px() - 6, high))
-        self._stand(aside >= GAIN * below)
+        below = self._view.square(QSize(width, high - self._strip.row_px() - 14))
+        aside = self._view.square(QSize(width - self._strip.column_px() - 6, high))
+        self._put_strip(beside=aside.width() >= GAIN * below.width())
 
-    def _stand(self, beside: bool) -> None:
-        if beside == self.beside:
-            return
-        direction = QBoxLayout.Direction
-        self._box.setDirection(direction.LeftToRight if beside else direction.TopToBottom)
-        self._line.setVisible(not beside)
-        self._strip.show_upright(beside)
+    def _put_strip(self, *, beside: bool) -> None:
+        if beside != self.beside:
+            direction = QBoxLayout.Direction
+            self._box.setDirection(direction.LeftToRight if beside else direction.TopToBottom)
+            self._line.setVisible(not beside)
+            self._strip.show_upright(beside)
 
 
 class BeliefPanel(Panel):

@@ -31,6 +31,7 @@ from touchdown.widgets.base import (
     WrappedItemDelegate,
     hbox,
     label,
+    open_over,
     ui_font,
     vbox,
 )
@@ -97,9 +98,6 @@ class ReportSheet(QDialog):
     """Non-modal window of a report: list of parts at the left, one part at the right."""
 
     part_chosen = Signal(int)
-    folder_requested = Signal()
-    browser_requested = Signal()
-    other_requested = Signal()
 
     def __init__(self, parent: QWidget) -> None:
         super().__init__(parent)
@@ -121,12 +119,6 @@ class ReportSheet(QDialog):
         self.folder = _button("Open run folder", "Folder of the run behind this cell")
         self.browser = _button("Open in browser", "Show this report as a web page")
         self.other = _button("Open another", "Open another report")
-        for button, requested in (
-            (self.folder, self.folder_requested),
-            (self.browser, self.browser_requested),
-            (self.other, self.other_requested),
-        ):
-            button.clicked.connect(requested)
         self.show_trace("", can_open=False)
         self._arrange()
 
@@ -140,11 +132,7 @@ class ReportSheet(QDialog):
 
     def open_large(self) -> None:
         """Show the sheet over most of its window."""
-        room = self._window.size()
-        self.resize(min(1400, room.width() - 60), min(900, room.height() - 60))
-        self.show()
-        self.raise_()
-        self.activateWindow()
+        open_over(self, self._window, (1400, 900), 60)
 
     def show_head(self, title: str, banner: str, file: str, parts: Sequence[str]) -> None:
         """Show title, banner, file and the names of the parts; select the first."""

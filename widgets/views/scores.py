@@ -17,6 +17,7 @@ from touchdown.widgets.base import (
     describe,
     hbox,
     label,
+    open_over,
     set_property,
     vbox,
 )
@@ -127,10 +128,8 @@ class ScorePanel(Panel):
     def show_score(self, score: Score) -> None:
         """Show the score."""
         placed = sum(o is Outcome.PLACED for o in score.outcomes)
-        count = f"{placed} of {score.counted} placed" if score.outcomes else "No trial yet"
-        if not score.outcomes and score.trials:
-            count = "No trial finished yet"
-        self._count.setText(count)
+        none = "No trial finished yet" if score.trials else "No trial yet"
+        self._count.setText(f"{placed} of {score.counted} placed" if score.outcomes else none)
         # Before the first outcome the verdict beside it is the only headline.
         set_property(self._count, "role", "figure" if score.outcomes else "title")
         done = f"{len(score.outcomes)} of {score.trials}" if score.trials else ""
@@ -262,16 +261,11 @@ class ComparisonSheet(QDialog):
 
     def offer(self, rivals: Sequence[tuple[str, str]], chosen: str) -> None:
         """Set the (key, title) strategies for the right side and select one."""
-        set_entries(self.against, rivals)
-        self.against.setCurrentIndex(self.against.findData(chosen))
+        set_entries(self.against, rivals, chosen)
 
     def open_large(self) -> None:
         """Show the sheet over most of its window."""
-        room = self._window.size()
-        self.resize(min(1040, room.width() - 120), min(640, room.height() - 120))
-        self.show()
-        self.raise_()
-        self.activateWindow()
+        open_over(self, self._window, (1040, 640), 120)
 
     def show_run(self, text: str, why_not: str) -> None:
         """Set label and availability of the run button; "" as ``text`` hides it."""

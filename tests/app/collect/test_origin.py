@@ -114,16 +114,17 @@ def test_progress_pause_and_end(page):
     assert target.bar.value() == 3
     assert target.eta.text().startswith("17 left")
     page.press(KEY.Key_P)
-    assert page.bench.engine.orders == ["pause"]
     settle(page.main)
     assert target.pause.text() == "Resume"
+    target.pause.click()
+    assert page.bench.engine.orders == ["pause", "resume"]
     target.end.click()
     page.bench.set_state(RunState.CANCELLING)
     settle(page.main)
     assert not any(field.isEnabled() for field in (target.piece, target.count, target.here))
     page.bench.set_state(RunState.IDLE)
     page.tell(RunFinished(2.0, "run", "cancelled", "cancelled by the operator"))
-    assert page.bench.engine.orders == ["pause", "cancel"]
+    assert page.bench.engine.orders == ["pause", "resume", "cancel"]
     assert target.start.isEnabled()
     assert target.eta.text() == "cancelled by the operator"
 
@@ -247,8 +248,9 @@ def test_a_hand_at_the_jaws_is_asked_for_and_confirmed_by_f5(page):
     assert len(page.bench.started) == 1
 
 
+@pytest.mark.parametrize("clicked", [True, False])
 @pytest.mark.parametrize("anew", [True, False])
-def test_a_campaign_that_goes_on_asks_for_its_mounting_and_takes_either_answer(page, anew):
+def test_a_campaign_that_goes_on_asks_for_its_mounting_and_takes_either_answer(page, anew, clicked):
     target = page.view.target
     page.begin()
     page.tell(MountingAwaited(0.5, "circle15", 2))
@@ -259,7 +261,10 @@ def test_a_campaign_that_goes_on_asks_for_its_mounting_and_takes_either_answer(p
     assert target.start.isEnabled()
     assert target.go_on.isEnabled()
     with_key = Qt.KeyboardModifier.NoModifier if anew else Qt.KeyboardModifier.ShiftModifier
-    page.press(KEY.Key_F5, with_key)
+    if clicked:
+        (target.start if anew else target.go_on).click()
+    else:
+        page.press(KEY.Key_F5, with_key)
     assert page.bench.answers == [anew]
     settle(page.main)
     assert (target.start.text(), target.go_on.text()) == ("Start collecting", "Continue")

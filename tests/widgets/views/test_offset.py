@@ -236,7 +236,7 @@ class TestTraces:
         qtbot.addWidget(plot)
         plot.resize(400, 200)
         plot.show_trace(trace)
-        assert plot.units() == ("N", "N·m")
+        assert plot.sheet().units == ("N", "N·m")
         assert plot.area("N").y1 != plot.area("N·m").y1
         assert count(plot, theme.tokens.colour("axis_x")) > 50
         assert count(plot, theme.tokens.colour("axis_z")) > 50

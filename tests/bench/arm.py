@@ -375,7 +375,7 @@ def pressed_in(bench: Bench, name: str, state: State) -> tuple[float, list[str]]
 
 
 SECONDS, BUSY, PRIORITY = 15.0, 1, 50
-WIRE_STOPS, TRIALS = 100, 500
+WIRE_STOPS = 100
 Times = dict[str, float | str]
 CHILD = [sys.executable, "-m", "tests.bench.children.arm"]
 

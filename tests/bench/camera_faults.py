@@ -34,7 +34,7 @@ MOST_OFF_PERCENT = {"cut off": 0.0, "one bit": 3.1, "64 bytes zeroed": 9.3, "1 K
 COUNT = {False: 1000, True: 200}
 CLIPS = (*(clip for clip, _ in SCENES), "artificial_strawberry_exp2_camera_0.avi")
 LIVE, NOISE_GREY = 10_000, 0.5
-CONNECTIONS, PATTERNS = 100, 500
+CONNECTIONS = 100
 CREEP_PX, LIGHT = 1.5, (0.8, 1.2)
 REST_FILE = "nocontact_train_sensor.png"
 

@@ -204,7 +204,3 @@ def two_hundred_kills() -> list[Figure]:
         Figure("slowest start after a kill", answer["slowest_restart_s"], "s",
                "<= 2 per 1,000 episodes", answer["slowest_restart_s"] <= 2.0),
     ]  # fmt: skip
-
-
-MUTANTS, HANG_S = 2000, 10.0
-HEADER_BYTES, REFUSED_S = 100_000_000, 1.0

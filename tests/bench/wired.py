@@ -159,10 +159,3 @@ def parts_of_the_first_probe(trials: int = TRIALS) -> list[Figure]:
         share("the same, world up to 60 ms behind", behind),
         share("wires, nearly no sensor noise: the arm's law", law),
     ]
-
-
-PROBES, DAY_ATTEMPTS = 4, 8
-# commanded; near the surface the speed is that of contact
-JOG_MM_S, JOG_S, LEAST_MM = 10.0, 1.0, 1.0
-# plugs pulled one after the other, during the probes of a scene
-PULLED, PULLED_AT_S, PULLED_S = ("force_torque", "tactile_left", "arm"), 14.0, 3.0

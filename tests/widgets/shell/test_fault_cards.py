@@ -89,13 +89,20 @@ def test_notices_of_one_start_are_cards_of_their_own_and_none_makes_room(cards):
     assert cards.codes.count("DATASET") == 1, "each is dismissed by itself"
 
 
-def test_folded_cards_are_a_line_elsewhere_until_something_new_comes(qtbot):
+def based(qtbot, width):
+    """Return a window with cards and their strip, and the list of resets."""
+    QApplication.instance().setStyleSheet("")  # of another test: a focus frame would move buttons
     base, resets = QWidget(), []
     qtbot.addWidget(base)
     cards = FaultCards(lambda: resets.append(1))
     vbox(1, cards, cards.strip, parent=base, margins=(0, 0, 0, 0))
-    base.resize(1180, 630)
+    base.resize(width, 630)
     base.show()
+    return base, cards, resets
+
+
+def test_folded_cards_are_a_line_elsewhere_until_something_new_comes(qtbot):
+    _, cards, resets = based(qtbot, 1180)
     cards.show_card(fault("FT-TRIP"))
     qtbot.waitUntil(lambda: cards.width() == 1180)
     assert not cards.strip.isVisible()
@@ -119,12 +126,8 @@ def test_folded_cards_are_a_line_elsewhere_until_something_new_comes(qtbot):
 
 
 def test_a_question_and_a_stop_are_one_queue_and_no_button_takes_the_place_of_another(qtbot):
-    base, answers, resets = QWidget(), [], []
-    qtbot.addWidget(base)
-    cards = FaultCards(lambda: resets.append(1))
-    vbox(1, cards, parent=base, margins=(0, 0, 0, 0))
-    base.resize(900, 400)
-    base.show()
+    base, cards, resets = based(qtbot, 900)
+    answers = []
 
     def buttons():
         qtbot.wait(1)
@@ -162,7 +165,6 @@ def bar(qapp, qtbot):
     """A bar at a font scale and width."""
     load_resources()
     theme = Theme()
-    made = []
 
     def build(scale, width):
         theme.apply(qapp, "dark", scale)
@@ -176,7 +178,6 @@ def bar(qapp, qtbot):
         bar.fit()
         bar.resize(width, bar.sizeHint().height())
         QApplication.processEvents()
-        made.append(bar)
         return bar
 
     yield build

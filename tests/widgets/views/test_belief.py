@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from PySide6.QtCore import Qt
-from PySide6.QtGui import QImage, QPainter
+from PySide6.QtGui import QColor, QImage, QPainter
 from PySide6.QtWidgets import QApplication
 
 from tests.app.stand_in import REST, action, belief, stability
@@ -37,15 +37,35 @@ def shown(qtbot, widget):
     return widget
 
 
-def coloured(widget, hexed, tolerance=30):
-    want = np.array([int(hexed[i : i + 2], 16) for i in (1, 3, 5)])
-    return int((np.abs(pixels(widget) - want).max(axis=2) < tolerance).sum())
+def is_colour(pixels, colour, tolerance=30):
+    """Return where pixels (h, w, 3) have about a colour."""
+    return np.abs(pixels - QColor(colour).getRgb()[:3]).max(axis=2) < tolerance
 
 
-def frame():
-    ramp = np.linspace(0, 255, 320)[None, :, None]
-    image = np.broadcast_to(ramp, (240, 320, 3)).astype(np.uint8)
+def coloured(widget, colour, tolerance=30):
+    return int(is_colour(pixels(widget), colour, tolerance).sum())
+
+
+def axis_colours(theme):
+    return [theme.tokens.colour(f"axis_{axis}") for axis in "xyz"]
+
+
+def force(qtbot, theme):
+    return shown(qtbot, TracePlot(theme, "Force", "F", "N", 10.0))
+
+
+def tactile(qtbot, theme):
+    view = shown(qtbot, TactileView(theme, "left"))
+    view.resize(320, 240)
+    return view
+
+
+def frame(grey):
+    image = np.broadcast_to(grey, (240, 320, 3)).astype(np.uint8)
     return TactileFrame("left", 1, 0.1, image)
+
+
+RAMP = np.linspace(0, 255, 320)[None, :, None]
 
 
 def field(displacement, state=None):
@@ -53,40 +73,30 @@ def field(displacement, state=None):
     return MarkerField("left", 1, 0.1, REST + displacement, displacement, state, 1.0)
 
 
-# -- tactile ---------------------------------------------------------------------------------------
-
-
 def test_tactile_without_a_frame_says_so(qtbot, theme):
-    view = shown(qtbot, TactileView(theme, "left"))
+    view = tactile(qtbot, theme)
     view.show_age(Age.NEVER, float("inf"), "The bench is being prepared.")
     assert pixels(view).std() > 5  # the sentence
     assert view.seen() == (0, 0)
 
 
 def test_tactile_shows_image_and_arrows(qtbot, theme):
-    view = shown(qtbot, TactileView(theme, "left"))
-    view.show_frame(frame(), None)
+    view = tactile(qtbot, theme)
+    view.show_frame(frame(RAMP), None)
     view.show_age(Age.FRESH, 0.0, "")
     assert pixels(view).std() > 20
     without = coloured(view, "#F5EA26")
-    view.show_frame(frame(), field(np.full((63, 2), 9.0)))
-    assert coloured(view, "#F5EA26") > without + 500
+    view.show_frame(frame(RAMP), field(np.full((63, 2), 9.0)))
+    assert coloured(view, "#F5EA26") > without + 300
     assert view.seen() == (63, 63)
-
-
-def test_tactile_dims_the_picture_to_70_percent(qtbot, theme):
-    view = shown(qtbot, TactileView(theme, "left"))
-    view.resize(320, 240)
-    view.show_frame(TactileFrame("left", 1, 0.1, np.full((240, 320, 3), 200, np.uint8)), None)
-    view.show_age(Age.FRESH, 0.0, "")
-    assert pixels(view)[20:200, 20:200].mean() == pytest.approx(140, abs=2)
 
 
 @pytest.mark.promise("W5")
 def test_a_stale_picture_is_dimmed_and_dated_then_removed(qtbot, theme):
-    view = shown(qtbot, TactileView(theme, "left"))
-    view.resize(320, 240)
-    view.show_frame(TactileFrame("left", 1, 0.1, np.full((240, 320, 3), 200, np.uint8)), None)
+    view = tactile(qtbot, theme)
+    view.show_frame(frame(200), None)
+    view.show_age(Age.FRESH, 0.0, "")
+    assert pixels(view)[20:200, 20:200].mean() == pytest.approx(140, abs=2), "dimmed to 70 %"
     view.show_age(Age.STALE, 0.3, "")
     assert pixels(view)[100:200, 20:200].mean() == pytest.approx(70, abs=2)
     assert coloured(view, "#F9C800") > 200
@@ -96,71 +106,65 @@ def test_a_stale_picture_is_dimmed_and_dated_then_removed(qtbot, theme):
 
 
 def test_inferred_and_lost_markers_and_nan_are_drawn_without_error(qtbot, theme):
-    view = shown(qtbot, TactileView(theme, "left"))
+    view = tactile(qtbot, theme)
     state = np.arange(63, dtype=np.uint8) % 3
     displacement = np.full((63, 2), 3.0)
     displacement[::5] = np.nan
-    view.show_frame(frame(), field(displacement, state))
+    view.show_frame(frame(RAMP), field(displacement, state))
     view.show_age(Age.FRESH, 0.0, "")
     assert coloured(view, "#FFFFFF", 20) > 100  # hollow rings and crosses
     assert view.seen() == (21, 63)
 
 
-# -- traces ----------------------------------------------------------------------------------------
-
-
 def test_traces_without_data_show_no_line(qtbot, theme):
-    plot = shown(qtbot, TracePlot(theme, "Force", "F", "N", 10.0))
-    for axis in ("x", "y", "z"):
-        assert coloured(plot, getattr(theme.tokens, f"axis_{axis}"), 4) == 0
+    plot = force(qtbot, theme)
+    for colour in axis_colours(theme):
+        assert coloured(plot, colour, 4) == 0
     assert plot.summary() == "Force: waiting for data"
 
 
 @pytest.mark.parametrize("count", [1, 1000])
 def test_traces_of_one_and_of_1000_values(qtbot, theme, count):
-    plot = shown(qtbot, TracePlot(theme, "Force", "F", "N", 10.0))
+    plot = force(qtbot, theme)
     t_s = 1e-3 * np.arange(count)
     plot.add(t_s, np.stack([np.full(count, v) for v in (-5.0, 2.0, 7.0)], axis=1))
     plot.show_age(Age.FRESH, 0.0, "")
-    for axis in ("x", "y", "z"):
-        assert coloured(plot, getattr(theme.tokens, f"axis_{axis}")) > 5
+    for colour in axis_colours(theme):
+        assert coloured(plot, colour) > 5
     assert "Fz 7.00" in plot.summary()
 
 
 def test_read_outs_keep_their_places_whatever_the_curves_do(qtbot, theme):
-    plot = shown(qtbot, TracePlot(theme, "Force", "F", "N", 10.0))
+    plot = force(qtbot, theme)
     places = []
     for t_s, values in ((0.0, (-5.0, 2.0, 7.0)), (1.0, (7.0, -5.0, 2.0))):
         plot.add(t_s + 1e-3 * np.arange(900), np.tile(values, (900, 1)))
         right = int(plot.area().rect.right()) + 5
-        column = pixels(plot)[:, right:].astype(int)
-        hexed = [getattr(theme.tokens, f"axis_{axis}") for axis in "xyz"]
-        want = [np.array([int(h[i : i + 2], 16) for i in (1, 3, 5)]) for h in hexed]
-        rows = [np.flatnonzero((np.abs(column - w).max(axis=2) < 30).any(axis=1)) for w in want]
+        column = pixels(plot)[:, right:]
+        rows = [np.flatnonzero(is_colour(column, c).any(axis=1)) for c in axis_colours(theme)]
         places.append([float(row.mean()) for row in rows])
     assert places[0] == pytest.approx(places[1], abs=1.5)
     assert places[0] == sorted(places[0])
 
 
 def test_traces_with_nan_break_the_line(qtbot, theme):
-    plot = shown(qtbot, TracePlot(theme, "Force", "F", "N", 10.0))
+    plot = force(qtbot, theme)
     values = np.full((4000, 3), 5.0)
     values[1000:3000] = np.nan
     plot.add(1e-3 * np.arange(4000), values)
     plot.grab()
-    whole = plot.points_drawn
-    assert 0 < whole <= 2 * 110  # the longer of two stretches of 1 s, 36 buckets a second
+    assert 0 < plot.points_drawn <= 2 * 110  # two stretches of 1 s, 36 buckets a second
 
 
 def test_a_live_curve_has_at_most_two_points_per_pixel_column(qtbot, theme):
-    plot = shown(qtbot, TracePlot(theme, "Force", "F", "N", 10.0))
+    plot = force(qtbot, theme)
     plot.add(1e-3 * np.arange(20_000), np.random.default_rng(0).normal(size=(20_000, 3)))
     plot.grab()
     assert 0 < plot.points_drawn <= 2 * plot.area().rect.width()
 
 
 def test_the_range_grows_in_round_steps_and_shrinks_only_on_fit(qtbot, theme):
-    plot = shown(qtbot, TracePlot(theme, "Force", "F", "N", 10.0))
+    plot = force(qtbot, theme)
     plot.add(np.array([0.0]), np.array([[12.0, 0, 0]]))
     assert plot.limit == 20.0
     plot.add(np.array([60.0]), np.array([[1.2, 0, 0]]))
@@ -169,42 +173,22 @@ def test_the_range_grows_in_round_steps_and_shrinks_only_on_fit(qtbot, theme):
     assert plot.limit == 2.0
 
 
-# -- belief ----------------------------------------------------------------------------------------
-
-
 def scene(margin=-1.0, **more):
     offset = (4.0, 2.0)
     return BeliefScene(belief(2, offset), stability(offset, margin), (offset,),
                        action(offset, margin).step_mm, (0.3, -0.2), True, **more)  # fmt: skip
 
 
-def test_belief_without_a_probe(qtbot, theme):
+def test_belief_shows_the_map_and_its_marks_and_the_truth_where_given(qtbot, theme):
     view = shown(qtbot, BeliefView(theme))
     assert pixels(view).std() > 3
     assert describe_scene(view.scene) == "No probe in this trial yet"
-
-
-def test_belief_shows_the_map_and_its_marks(qtbot, theme):
-    view = shown(qtbot, BeliefView(theme))
-    view.show_scene(scene())
-    assert pixels(view).std() > 20
-    assert coloured(view, "#FDE737", 30) > 500  # the bright end of cividis
-    assert "margin -1.0 mm" in view.accessibleDescription()
-
-
-def test_belief_is_drawn_once_per_scene(qtbot, theme):
-    view = shown(qtbot, BeliefView(theme))
     view.show_scene(scene())
     for _ in range(5):
-        view.grab()
-    assert view.renders == 1
-    assert view.paints == 5
-
-
-def test_the_truth_is_drawn_only_when_given(qtbot, theme):
-    view = shown(qtbot, BeliefView(theme))
-    view.show_scene(scene())
-    before = pixels(view)
+        before = pixels(view)
+    assert (view.renders, view.paints) == (2, 6), "drawn once a scene"
+    assert coloured(view, "#FDE737", 30) > 500  # the bright end of cividis
+    assert "margin -1.0 mm" in view.accessibleDescription()
     turn = np.linspace(0, 2 * np.pi, 40)
     view.show_scene(scene(truth=np.stack([10 * np.cos(turn), 10 * np.sin(turn)], 1)))
     assert np.abs(pixels(view) - before).max() > 100
@@ -225,9 +209,6 @@ def test_the_frame_holds_path_and_covered_cells():
     x, y, half = scene().frame_mm()
     centres = belief(2, (4.0, 2.0)).cell_centres_mm()[belief(2, (4.0, 2.0)).covered]
     assert (np.abs(centres - (x, y)) <= half).all()
-
-
-# -- words -----------------------------------------------------------------------------------------
 
 
 @pytest.mark.promise("W15")
@@ -252,15 +233,12 @@ def test_the_question_is_shown_only_when_asked(qtbot, theme):
     pressed = []
     panel = DecisionPanel(lambda: pressed.append("yes"), lambda: pressed.append("no"))
     qtbot.addWidget(panel)
-    assert panel.approve.isHidden() or not panel.approve.isVisibleTo(panel)
+    assert not panel.approve.isVisibleTo(panel)
     panel.show_question("Release here?")
     assert panel.approve.isVisibleTo(panel)
     panel.approve.click()
     panel.decline.click()
     assert pressed == ["yes", "no"]
-
-
-# -- the rest --------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("trials", [0, 1, 1000])
@@ -364,15 +342,12 @@ def test_words_of_an_empty_view_take_the_lines_they_need(qapp):
 def test_names_of_bottom_and_piece_can_be_read_in_every_theme(qtbot, theme):
     turn = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)
     disc = 9.0 * np.stack([np.cos(turn), np.sin(turn)], axis=1)
-    view = OffsetView(theme, lambda _at_mm: None, lambda: None)
-    qtbot.addWidget(view)
-    view.resize(*SIZE)
+    view = shown(qtbot, OffsetView(theme, lambda _at_mm: None, lambda: None))
     drawn = []
     for names in (None, ("short", "pot")):
         view.show_scene(OffsetScene(disc, disc, (6.0, -3.0), names=names))
         drawn.append(pixels(view))
-    text = np.array(theme.tokens.colour("text").getRgb()[:3], dtype=float)
     added = np.abs(drawn[1] - drawn[0]).max(axis=2) > 60
-    ink = added & (np.abs(drawn[1] - text).max(axis=2) < 60)
+    ink = added & is_colour(drawn[1], theme.tokens.colour("text"), 60)
     bottom = slice(SIZE[0] // 2 - 90, SIZE[0] // 2 - 5)
     assert ink[:, bottom].sum() > 30

@@ -4,11 +4,12 @@ import sys
 
 import numpy as np
 import pytest
-from PySide6.QtCore import QPoint, QPointF, Qt
-from PySide6.QtGui import QImage
+from PySide6.QtCore import QPointF, Qt
 from PySide6.QtTest import QTest
+from PySide6.QtWidgets import QWidget
 
 from tests.app.stand_in import REST
+from tests.widgets.views.test_belief import coloured
 from touchdown.backend.core.values import MarkerField, SupportKind
 from touchdown.backend.geometry.outlines import circle, face_points, square
 from touchdown.backend.placement.equilibrium import resting_contact
@@ -35,12 +36,7 @@ def scene(offset, ghosts=()):
 
 
 def count(widget, colour):
-    """Return how many pixels have about this colour."""
-    image = widget.grab().toImage().convertToFormat(QImage.Format.Format_RGB888)
-    rows = np.frombuffer(image.constBits(), np.uint8).reshape(image.height(), -1)
-    seen = rows[:, : 3 * image.width()].reshape(-1, 3).astype(int)
-    wanted = (colour.red(), colour.green(), colour.blue())
-    return int((np.abs(seen - wanted).max(axis=1) < 12).sum())
+    return coloured(widget, colour, 12)
 
 
 class TestOffsetView:
@@ -53,29 +49,30 @@ class TestOffsetView:
         made.show()
         return made
 
-    def at(self, view, x_mm, y_mm):
-        area = view.area()
-        return QPoint(round(area.x(x_mm)), round(area.y(y_mm)))
+    def press(self, view, *at_mm):
+        QTest.mousePress(view, Qt.MouseButton.LeftButton, pos=view.area().place(*at_mm).toPoint())
+
+    def drag(self, view, start_mm, end_mm):
+        self.press(view, *start_mm)
+        to = view.area().place(*end_mm).toPoint()
+        QTest.mouseMove(view, to)
+        QTest.mouseRelease(view, Qt.MouseButton.LeftButton, pos=to)
 
     def test_dragging_reports_where_the_face_is_wanted(self, view):
         view.show_scene(scene((2.0, 1.0)))
-        QTest.mousePress(view, Qt.MouseButton.LeftButton, pos=self.at(view, 3.0, 3.0))
-        QTest.mouseMove(view, self.at(view, 5.0, 0.0))
-        QTest.mouseRelease(view, Qt.MouseButton.LeftButton, pos=self.at(view, 5.0, 0.0))
+        self.drag(view, (3.0, 3.0), (5.0, 0.0))
         assert self.moves[-1] == pytest.approx((4.0, -2.0), abs=0.12)
         assert self.drops == [1]
 
     def test_a_face_without_a_place_is_called_to_the_press(self, view):
         view.show_scene(OffsetScene(BOTTOM, FACE))
-        QTest.mousePress(view, Qt.MouseButton.LeftButton, pos=self.at(view, -4.0, 2.0))
+        self.press(view, -4.0, 2.0)
         assert self.moves[0] == pytest.approx((-4.0, 2.0), abs=0.12)
 
     def test_what_may_not_be_changed_is_not_dragged(self, view):
         view.show_scene(scene((0.0, 0.0)))
         view.editable = False
-        QTest.mousePress(view, Qt.MouseButton.LeftButton, pos=self.at(view, 0.0, 0.0))
-        QTest.mouseMove(view, self.at(view, 4.0, 0.0))
-        QTest.mouseRelease(view, Qt.MouseButton.LeftButton, pos=self.at(view, 4.0, 0.0))
+        self.drag(view, (0.0, 0.0), (4.0, 0.0))
         assert (self.moves, self.drops) == ([], [])
 
     def test_more_contact_is_more_colour_and_the_hull_says_stands_or_falls(self, view, theme):
@@ -104,8 +101,8 @@ class TestOffsetView:
 
     def test_a_scale_that_grows_while_dragging_does_not_move_the_face(self, view):
         view.show_scene(scene((6.0, 0.0)))
-        QTest.mousePress(view, Qt.MouseButton.LeftButton, pos=self.at(view, 6.0, 0.0))
-        to = self.at(view, 14.0, 0.0)
+        self.press(view, 6.0, 0.0)
+        to = view.area().place(14.0, 0.0).toPoint()
         for _ in range(3):
             QTest.mouseMove(view, to)
             view.show_scene(scene(self.moves[-1]))
@@ -211,8 +208,8 @@ def test_the_newest_sample_not_later_than_the_cursor():
     assert [latest(stamps, t) for t in (-0.1, 0.0, 0.0399, 0.04, 0.5)] == [-1, 0, 0, 1, 2]
 
 
-def _traces(theme):
-    return RecordedTraces(theme, (0, 1), lambda t: None)
+def _traces(theme, *channels, seek=lambda _t_s: None):
+    return RecordedTraces(theme, channels or (0, 1), seek)
 
 
 class TestTraces:
@@ -222,7 +219,7 @@ class TestTraces:
         return WrenchTrace(t_s, np.stack([k + t_s for k in range(6)], axis=1))
 
     def test_readings_stand_at_the_cursor(self, theme, qtbot, trace):
-        plot = RecordedTraces(theme, (0, 1, 2), lambda t: None)
+        plot = _traces(theme, 0, 1, 2)
         qtbot.addWidget(plot)
         plot.show_trace(trace)
         plot.show_cursor(1.0)
@@ -232,7 +229,7 @@ class TestTraces:
         assert np.isnan(plot.at_cursor()).all()
 
     def test_two_units_have_two_axes(self, theme, qtbot, trace):
-        plot = RecordedTraces(theme, (2, 3), lambda t: None)
+        plot = _traces(theme, 2, 3)
         qtbot.addWidget(plot)
         plot.resize(400, 200)
         plot.show_trace(trace)
@@ -243,7 +240,7 @@ class TestTraces:
 
     def test_a_click_moves_the_cursor_to_its_time(self, theme, qtbot, trace):
         sought = []
-        plot = RecordedTraces(theme, (0,), sought.append)
+        plot = _traces(theme, 0, seek=sought.append)
         qtbot.addWidget(plot)
         plot.resize(400, 200)
         plot.show_trace(trace)
@@ -280,11 +277,12 @@ class TestTraces:
         assert kept.max() == 9.0
         assert len(kept) <= 200
 
-    def test_nothing_recorded_is_said(self, theme, qtbot):
-        for view in (RecordedTraces(theme, (0,), lambda t: None), PhasePlot(theme)):
-            qtbot.addWidget(view)
-            view.show_trace(None)
-            view.grab()
+    @pytest.mark.parametrize("kind", [_traces, PhasePlot])
+    def test_nothing_recorded_is_said(self, theme, qtbot, kind):
+        view = kind(theme)
+        qtbot.addWidget(view)
+        view.show_trace(None)
+        assert count(view, theme.tokens.colour("text")) > 10
 
     def test_the_phase_plot_follows_the_cursor(self, theme, qtbot, trace):
         plot = PhasePlot(theme)
@@ -297,14 +295,19 @@ class TestTraces:
         assert count(plot, theme.tokens.colour("axis_x")) > few
 
 
-def test_the_list_shows_ten_thousand_rows_and_picks_one(theme, qtbot):
-    chosen = []
+def label_list(theme, qtbot, chosen):
     rows = [LabelListRow(str(k), f"pot {k}", "now", "draft", ("flag",)) for k in range(10_000)]
     view = LabelList(theme, chosen.append)
     qtbot.addWidget(view)
     view.resize(240, 300)
     view.show_rows(rows)
     view.show()
+    return view
+
+
+def test_the_list_shows_ten_thousand_rows_and_picks_one(theme, qtbot):
+    chosen = []
+    view = label_list(theme, qtbot, chosen)
     view.choose(7000)
     box = view.visualRect(view.currentIndex())
     QTest.mouseClick(view.viewport(), Qt.MouseButton.LeftButton, pos=box.center())
@@ -314,12 +317,7 @@ def test_the_list_shows_ten_thousand_rows_and_picks_one(theme, qtbot):
 
 
 def test_a_row_that_changes_lays_out_no_other(theme, qtbot):
-    rows = [LabelListRow(str(k), f"pot {k}", "now", "draft") for k in range(10_000)]
-    view = LabelList(theme, lambda at: None)
-    qtbot.addWidget(view)
-    view.resize(240, 300)
-    view.show_rows(rows)
-    view.show()
+    view = label_list(theme, qtbot, [])
     view.choose(5000)
     before = view.grab().toImage()
     asked = []
@@ -348,8 +346,6 @@ def test_only_an_older_version_can_be_restored(theme, qtbot):
 
 
 def test_a_choice_answers_once_with_its_own_keys(theme, qtbot):
-    from PySide6.QtWidgets import QWidget
-
     parent = QWidget()
     qtbot.addWidget(parent)
     parent.resize(600, 400)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import threading
 import time
+from collections import deque
 from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, replace
@@ -65,7 +66,6 @@ from touchdown.backend.runs import (
     LiveThread,
     ManualControl,
     OperatorPrompt,
-    PendingDecision,
     Plan,
     RecordingOptions,
     Request,
@@ -194,7 +194,7 @@ class Session:
         self.prompt: OperatorPrompt = OperatorPrompt()
         # Holds repaints while a decision is computed.
         self.repaint_hold: RepaintHold = RepaintHold()
-        self.decisions: PendingDecision = PendingDecision()
+        self.decisions: deque[EpisodeDecision] = deque(maxlen=1)
         self.dataset: Dataset | None = None  # collected episodes; set only between runs
         self.calibrations: CalibrationStore | None = None  # set before the first scene
         self._used: UsedCalibrations = {}
@@ -377,7 +377,7 @@ class Session:
 
     def decide(self, decision: EpisodeDecision) -> None:
         """Keep, discard, redo, flag or skip the newest collected episode; never waits."""
-        self.decisions.give(decision)
+        self.decisions.append(decision)
 
     def prepare(self, choice: SceneChoice) -> None:
         """Set a scene without starting a run, for a live view."""

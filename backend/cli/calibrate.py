@@ -23,6 +23,7 @@ from touchdown.backend.calibration import (
     quantity_name,
 )
 from touchdown.backend.cli.connection import (
+    RunProgress,
     add_bench_arguments,
     add_hand_over_arguments,
     add_scene_arguments,
@@ -34,19 +35,9 @@ from touchdown.backend.cli.connection import (
     refuse_hidden_prompt,
     refuse_misplaced_arguments,
 )
-from touchdown.backend.cli.output import AdvanceFunction, VerbOutput, ctrl_c_cancels
+from touchdown.backend.cli.output import VerbOutput, ctrl_c_cancels
 from touchdown.backend.config import load_lab
-from touchdown.backend.core import (
-    CalibrationMeasured,
-    Event,
-    FaultRaised,
-    HandOverAwaited,
-    InputError,
-    Noticed,
-    Progress,
-    RunFinished,
-    Said,
-)
+from touchdown.backend.core import CalibrationMeasured, Event, HandOverAwaited, InputError, Progress
 from touchdown.backend.runs import (
     CalibrateRequest,
     RecordingOptions,
@@ -71,11 +62,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_scene_arguments(parser, BOTTOM, "board or bottom")
     add_hand_over_arguments(parser)
     parser.add_argument(
-        "--pitch",
-        type=float,
-        default=PITCH_MM,
-        metavar="MM",
-        help="pitch of the dots (default: 1.9)",
+        "--pitch", type=float, default=PITCH_MM, metavar="MM", help="pitch of the dots"
     )
     parser.add_argument("--person", help="who accepts (default: the account's name)")
     parser.add_argument("--seed", type=int, default=0, help="of the simulated bench")
@@ -112,34 +99,25 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
         return _report(args, session, told, screen)
 
 
-class _CalibrationProgress:
-    """Events of the run so far, and its progress bar."""
+class _CalibrationProgress(RunProgress):
+    """Events of a calibration so far."""
+
+    measured: CalibrationMeasured | None = None
 
     def __init__(self, screen: VerbOutput, bars: ExitStack, session: Session) -> None:
-        self._screen, self._bars, self._session = screen, bars, session
-        self._advance: AdvanceFunction | None = None
-        self.measured: CalibrationMeasured | None = None
-        self.ended: RunFinished | None = None
-        self.faults: list[str] = []
+        super().__init__("Calibrating", screen, bars)
+        self._session = session
 
     def take(self, fact: Event) -> None:
         """Handle one event."""
+        super().take(fact)
         if isinstance(fact, Progress):
-            if self._advance is None:
-                bar = self._screen.progress("Calibrating", fact.total)
-                self._advance = self._bars.enter_context(bar)
-            self._advance(fact.done, fact.text)
+            self.move(fact.done, fact.total, fact.text)
         elif isinstance(fact, HandOverAwaited):
-            self._screen.say(f"  {hand_over_message(fact)} Enter confirms.")
+            self.screen.say(f"  {hand_over_message(fact)} Enter confirms.")
             ask_yes_no_in_thread(self._session.answer)
-        elif isinstance(fact, Said | Noticed):
-            self._screen.say(f"  {fact.text}")
-        elif isinstance(fact, FaultRaised):
-            self.faults.append(fact.fault.code)
         elif isinstance(fact, CalibrationMeasured):
             self.measured = fact
-        elif isinstance(fact, RunFinished):
-            self.ended = fact
 
 
 def _report(

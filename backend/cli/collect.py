@@ -11,6 +11,7 @@ from pathlib import Path
 from touchdown.backend.annotations import Dataset, EpisodeFilter
 from touchdown.backend.bench import Session
 from touchdown.backend.cli.connection import (
+    RunProgress,
     add_bench_arguments,
     add_hand_over_arguments,
     add_scene_arguments,
@@ -22,27 +23,17 @@ from touchdown.backend.cli.connection import (
     refuse_misplaced_arguments,
     wait_for_disk_space,
 )
-from touchdown.backend.cli.output import (
-    AdvanceFunction,
-    VerbOutput,
-    ctrl_c_cancels,
-    require_positive,
-)
+from touchdown.backend.cli.output import VerbOutput, ctrl_c_cancels, require_positive
 from touchdown.backend.config import CollectSettings, StackSettings
 from touchdown.backend.core import (
     CampaignBegan,
     Event,
-    Fault,
-    FaultRaised,
     Gripped,
     HandOverAwaited,
     InputError,
     MountingAwaited,
-    Noticed,
     Paused,
     ProbeCollected,
-    RunFinished,
-    Said,
 )
 from touchdown.backend.episodes import Coverage, check_quality
 from touchdown.backend.runs import (
@@ -66,7 +57,7 @@ MAX_LISTED = 12  # printed findings; ``--json`` contains all
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
     add_scene_arguments(parser, BOTTOM, "bottom piece")
-    parser.add_argument("--count", type=int, default=20, help="probes to collect (default: 20)")
+    parser.add_argument("--count", type=int, default=20, help="probes to collect")
     parser.add_argument("--pattern", choices=("random", "grid", "adaptive"), default="random")
     parser.add_argument("--within", type=float, metavar="MM", help="largest displacement in x, y")
     parser.add_argument("--seed", type=int, help="of the displacements (default: a new one)")
@@ -132,60 +123,41 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
         return _report(dataset, session, told, screen)
 
 
-class _CollectionProgress:
-    """Events of the run so far, and its progress bar."""
+class _CollectionProgress(RunProgress):
+    """Events of a campaign so far."""
+
+    began: CampaignBegan | None = None
 
     def __init__(self, screen: VerbOutput, bars: ExitStack, session: Session) -> None:
-        self._screen, self._bars, self._confirm = screen, bars, session.answer
-        self._engine = session.engine
-        self.advance: AdvanceFunction | None = None
-        self.began: CampaignBegan | None = None
-        self.ended: RunFinished | None = None
-        self.collected: list[ProbeCollected] = []
-        self.faults: list[str] = []
+        super().__init__("Collecting", screen, bars)
+        self._confirm, self._engine = session.answer, session.engine
 
     def take(self, fact: Event) -> None:
         """Handle one event."""
+        super().take(fact)
+        if isinstance(fact, CampaignBegan | ProbeCollected):
+            self.move(fact.done, fact.total, f"of {fact.total}")
         if isinstance(fact, CampaignBegan):
             self.began = fact
-            if self.advance is None:
-                bar = self._screen.progress("Collecting", fact.total)
-                self.advance = self._bars.enter_context(bar)
-            self._move(fact.done, fact.total)
         elif isinstance(fact, ProbeCollected):
-            self.collected.append(fact)
-            self._move(fact.done, fact.total)
             if fact.reasons:
-                self._screen.say(f"  probe {fact.probe} is not an observation: {fact.reasons}")
+                self.screen.say(f"  probe {fact.probe} is not an observation: {fact.reasons}")
         elif isinstance(fact, Gripped):
             at = f"mounting {fact.mounting}, grip {fact.grip}"
-            self._screen.say(f"  {at}: {fact.mass_g:.1f} g held")
+            self.screen.say(f"  {at}: {fact.mass_g:.1f} g held")
         elif isinstance(fact, MountingAwaited):
-            self._screen.say(f"  {mounting_question(fact)} Type y for yes; Enter: no.")
+            self.screen.say(f"  {mounting_question(fact)} Type y for yes; Enter: no.")
             self._confirm(sys.stdin.readline().strip().lower() in ("y", "yes"))
         elif isinstance(fact, HandOverAwaited):
-            self._screen.say(f"  {hand_over_message(fact)} Enter confirms.")
+            self.screen.say(f"  {hand_over_message(fact)} Enter confirms.")
             self._confirm(sys.stdin.readline() != "")
         elif isinstance(fact, Paused):
-            self._wait_for_operator(fact.fault)
-        elif isinstance(fact, Said | Noticed):
-            self._screen.say(f"  {fact.text}")
-        elif isinstance(fact, FaultRaised):
-            self.faults.append(fact.fault.code)
-        elif isinstance(fact, RunFinished):
-            self.ended = fact
-
-    def _wait_for_operator(self, fault: Fault) -> None:
-        """Wait for the operator; without one the campaign ends and can be resumed."""
-        if wait_for_disk_space(fault, self._screen, "campaign"):
-            self._engine.resume()
-        else:
-            self.faults.append(fault.code)
-            self._engine.cancel()
-
-    def _move(self, done: int, total: int) -> None:
-        if self.advance is not None:
-            self.advance(done, f"of {total}")
+            if wait_for_disk_space(fact.fault, self.screen, "campaign"):
+                self._engine.resume()
+            else:
+                # Without an operator the campaign ends and can be resumed.
+                self.faults.append(fact.fault.code)
+                self._engine.cancel()
 
 
 def _request(args: argparse.Namespace, dataset: Dataset, person: str) -> CollectRequest:

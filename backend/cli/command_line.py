@@ -64,6 +64,17 @@ class Parser(argparse.ArgumentParser):
         )
 
 
+class DefaultsFormatter(argparse.HelpFormatter):
+    """Appends the default to the help of each option whose text names none."""
+
+    def _get_help_string(self, action: argparse.Action) -> str | None:
+        text, usual = action.help or "", action.default
+        shown = isinstance(usual, str | int | float | Path) and usual not in ("", argparse.SUPPRESS)
+        if shown and usual is not False and action.option_strings and "default" not in text:
+            text += " (default: %(default)s)"
+        return text
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one verb; ``argv`` without the name of the program (default: ``sys.argv``)."""
     words = list(sys.argv[1:] if argv is None else argv)
@@ -103,7 +114,10 @@ def _dispatch(words: list[str]) -> int:
         known = ", ".join(VERBS)
         raise InputError(f"There is no verb '{name}'.", "touchdown", f"Use one of: {known}.")
     verb = importlib.import_module(module_of(name))
-    parser = Parser(prog=f"touchdown {name}", description=VERBS[name], allow_abbrev=False)
+    parser = Parser(
+        prog=f"touchdown {name}", description=VERBS[name], allow_abbrev=False,
+        formatter_class=DefaultsFormatter,
+    )  # fmt: skip
     parser.add_argument(
         "--json", action="store_true", help="print one JSON object and nothing else"
     )

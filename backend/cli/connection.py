@@ -11,16 +11,20 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from touchdown.backend.cli.output import VerbOutput
+from touchdown.backend.cli.output import AdvanceFunction, VerbOutput
 from touchdown.backend.config import is_lab_file, load_lab
 from touchdown.backend.core import (
     Event,
     Fault,
+    FaultRaised,
     HandOverAwaited,
     InputError,
+    Noticed,
     Outcome,
     OutcomeAwaited,
     Paused,
+    RunFinished,
+    Said,
     SetUpAwaited,
     raised_priority,
 )
@@ -280,6 +284,31 @@ def ask_yes_no_in_thread(answer: Callable[[bool], None]) -> None:
     _read_line_in_thread(
         lambda line: answer(line != "" and line.strip().lower() in ("", "y", "yes"))
     )
+
+
+class RunProgress:
+    """Messages, faults, ending and progress bar of a run; a verb adds the events of its own."""
+
+    def __init__(self, title: str, screen: VerbOutput, bars: ExitStack) -> None:
+        self._title, self.screen, self._bars = title, screen, bars
+        self._advance: AdvanceFunction | None = None
+        self.ended: RunFinished | None = None
+        self.faults: list[str] = []
+
+    def take(self, fact: Event) -> None:
+        """Handle one event."""
+        if isinstance(fact, Said | Noticed):
+            self.screen.say(f"  {fact.text}")
+        elif isinstance(fact, FaultRaised):
+            self.faults.append(fact.fault.code)
+        elif isinstance(fact, RunFinished):
+            self.ended = fact
+
+    def move(self, done: int, total: int, text: str) -> None:
+        """Move the bar, which starts with the first step."""
+        if self._advance is None:
+            self._advance = self._bars.enter_context(self.screen.progress(self._title, total))
+        self._advance(done, text)
 
 
 OUTCOME_KEYS = {

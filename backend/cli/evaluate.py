@@ -24,17 +24,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "data", type=Path, help="a dataset, or the folder that 'touchdown simulate --out' wrote"
     )
     parser.add_argument(
-        "--labels",
-        choices=("approved", "submitted", "drafts"),
-        default="approved",
-        help="which labels of a dataset count (default: %(default)s)",
-    )
+        "--labels", choices=("approved", "submitted", "drafts"), default="approved",
+        help="which labels of a dataset count",
+    )  # fmt: skip
     parser.add_argument(
-        "--delta",
-        type=float,
-        default=StabilitySettings().delta,
-        help="a point supports above this probability (default: 0.9)",
-    )
+        "--delta", type=float, default=StabilitySettings().delta,
+        help="a point supports above this probability",
+    )  # fmt: skip
     parser.add_argument(
         "--pieces", type=Path, metavar="DIR", help="folder with further piece files"
     )

@@ -24,7 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         parser.add_argument(f"--{name}", help=text)
     parser.add_argument(
         "--states", default="approved", metavar="S,S",
-        help="label states: approved, submitted, draft (default: approved)",
+        help="label states: approved, submitted, draft",
     )  # fmt: skip
     parser.add_argument(
         "--video", choices=("sample", "all", "none"),
@@ -32,7 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument(
         "--held-out", type=float, default=0.2, metavar="SHARE",
-        help="held-out share, in whole series or mountings (default: 0.2)",
+        help="held-out share, in whole series or mountings",
     )  # fmt: skip
     parser.add_argument(
         "--tables", action="store_true",

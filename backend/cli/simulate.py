@@ -16,15 +16,11 @@ from touchdown.backend.simulation import BatchPlan
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
-    parser.add_argument("--piece", default="pot", help="grasped piece (default: pot)")
+    parser.add_argument("--piece", default="pot", help="grasped piece")
     parser.add_argument(
-        "--bottoms",
-        default="circle15,circle25,square15",
-        help="bottoms, separated by commas (default: the three of the training board)",
+        "--bottoms", default="circle15,circle25,square15", help="bottoms, separated by commas"
     )
-    parser.add_argument(
-        "--episodes", type=int, default=2000, help="episodes per bottom (default: 2000)"
-    )
+    parser.add_argument("--episodes", type=int, default=2000, help="episodes per bottom")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--out", metavar="DIR", required=True, help="folder for the pack files")
     parser.add_argument(
@@ -34,7 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--preset", help="mixed (default), quiet, hard, off, realistic, bench-v1")
     parser.add_argument("--bench", metavar="FILE", help="settings of the simulated bench (TOML)")
     parser.add_argument("--pieces", metavar="DIR", help="folder with further piece files")
-    parser.add_argument("--workers", type=int, default=2, help="processes (default: 2)")
+    parser.add_argument("--workers", type=int, default=2, help="processes")
 
 
 def run(args: argparse.Namespace, screen: VerbOutput) -> int:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -75,7 +74,7 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
         if args.overlay:
             overlay = stack.enter_context(OverlayVideo(args.overlay, DEFAULT_RATE_HZ))
         advance = stack.enter_context(screen.progress("Tracking", count_pictures(args.file)))
-        for item in track_images(args.file, reference):
+        for item in track_frames(read_pictures(args.file), reference, str(args.file)):
             tracked.append(item)
             if overlay is not None:
                 overlay.add(item.frame, item.field)
@@ -83,11 +82,6 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     _summarise(args.file, tracked, screen)
     screen.result({"grid": _GRID, "frames": [_as_json(item) for item in tracked]})
     return 0
-
-
-def track_images(path: Path, reference: TactileReference | None = None) -> Iterator[TrackedImage]:
-    """Yield the images of ``path`` with their markers; see ``track_frames``."""
-    return track_frames(read_pictures(path), reference, str(path))
 
 
 def rest_reference(path: Path, template: Path | None = None) -> TactileReference:

@@ -15,14 +15,45 @@ if TYPE_CHECKING:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
-    _add_data(parser)
-    _add_training(parser, TrainingSettings())
+    usual = TrainingSettings()
     parser.add_argument(
-        "--threads",
-        type=int,
+        "data", type=Path, help="a dataset, or the folder that 'touchdown simulate --out' wrote"
+    )
+    parser.add_argument("--piece", help="grasped piece (default: the only one in the data)")
+    parser.add_argument(
+        "--labels", choices=("approved", "submitted", "drafts"), default="approved",
+        help="which labels of a dataset count: approved ones; also those that wait for review; "
+        "also those measured by a simulated bench",
+    )  # fmt: skip
+    parser.add_argument(
+        "--divide-series", action="store_true",
+        help="hold out whole grips where there are fewer than 30 mountings; the figures are then "
+        "too good, because both sides share the errors of a mounting (default: whole series)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--modality", choices=("FT", "Tac", "FT+Tac"), default=usual.modality,
+        help="inputs of the model: wrench, markers or both",
+    )  # fmt: skip
+    parser.add_argument(
+        "--epochs", type=int, default=usual.epochs, help="epochs; the best weights are kept"
+    )
+    parser.add_argument("--batch", type=int, default=usual.batch, help="episodes a step")
+    parser.add_argument(
+        "--learning-rate", type=float, default=usual.learning_rate, help="step of the optimiser"
+    )
+    parser.add_argument(
+        "--seed", type=int, default=usual.seed, help="of initial weights, order and split"
+    )
+    parser.add_argument(
+        "--precision", choices=("float32", "bfloat16"), default=usual.precision,
+        help="of the products of a step; bfloat16 halves the time on processors that support it, "
+        "and is refused on others",
+    )  # fmt: skip
+    parser.add_argument(
+        "--threads", type=int,
         help="processor threads, at most the free cores; the number changes the last digits of the "
         "result (default: 2 where there are two cores)",
-    )
+    )  # fmt: skip
     add_device(parser)
     parser.add_argument(
         "--out", type=Path, help="model file (default: <piece>.safetensors in the current folder)"
@@ -35,68 +66,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def add_device(parser: argparse.ArgumentParser) -> None:
     """Add the argument ``--device``."""
     parser.add_argument(
-        "--device",
-        choices=("auto", "cpu", "cuda"),
-        default="auto",
-        help="cpu, cuda, or auto: a graphics processor if torch finds one (default: %(default)s)",
-    )
-
-
-def _add_data(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "data", type=Path, help="a dataset, or the folder that 'touchdown simulate --out' wrote"
-    )
-    parser.add_argument("--piece", help="grasped piece (default: the only one in the data)")
-    parser.add_argument(
-        "--labels",
-        choices=("approved", "submitted", "drafts"),
-        default="approved",
-        help="which labels of a dataset count: approved ones; also those that wait for review; "
-        "also those measured by a simulated bench (default: %(default)s)",
-    )
-    parser.add_argument(
-        "--divide-series",
-        action="store_true",
-        help="hold out whole grips where there are fewer than 30 mountings; the figures are then "
-        "too good, because both sides share the errors of a mounting (default: whole series)",
-    )
-
-
-def _add_training(parser: argparse.ArgumentParser, defaults: TrainingSettings) -> None:
-    parser.add_argument(
-        "--modality",
-        choices=("FT", "Tac", "FT+Tac"),
-        default=defaults.modality,
-        help="inputs of the model: wrench, markers or both (default: %(default)s)",
-    )
-    parser.add_argument(
-        "--epochs",
-        type=int,
-        default=defaults.epochs,
-        help="epochs; the best weights are kept (default: %(default)s)",
-    )
-    parser.add_argument(
-        "--batch", type=int, default=defaults.batch, help="episodes a step (default: %(default)s)"
-    )
-    parser.add_argument(
-        "--learning-rate",
-        type=float,
-        default=defaults.learning_rate,
-        help="step size of the optimiser (default: %(default)s)",
-    )
-    parser.add_argument(
-        "--seed",
-        type=int,
-        default=defaults.seed,
-        help="of initial weights, order and split (default: %(default)s)",
-    )
-    parser.add_argument(
-        "--precision",
-        choices=("float32", "bfloat16"),
-        default=defaults.precision,
-        help="of the products of a step; bfloat16 halves the time on processors that support it, "
-        "and is refused on others (default: %(default)s)",
-    )
+        "--device", choices=("auto", "cpu", "cuda"), default="auto",
+        help="cpu, cuda, or auto: a graphics processor if torch finds one",
+    )  # fmt: skip
 
 
 def run(args: argparse.Namespace, screen: VerbOutput) -> int:

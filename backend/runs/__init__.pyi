@@ -3,7 +3,6 @@ from .bench import Bench as Bench
 from .bench import NoEstimator as NoEstimator
 from .bench import OperatorPrompt as OperatorPrompt
 from .bench import PatchEstimator as PatchEstimator
-from .bench import PendingDecision as PendingDecision
 from .bench import ReleaseVerdict as ReleaseVerdict
 from .bench import SceneCheck as SceneCheck
 from .bench import SceneDevices as SceneDevices
@@ -97,7 +96,6 @@ __all__ = [
     "OperatorPrompt",
     "PatchEstimator",
     "Pattern",
-    "PendingDecision",
     "Plan",
     "ProbeRequest",
     "RecordingOptions",

@@ -6,7 +6,6 @@ import threading
 from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Protocol
 
 import numpy as np
@@ -21,7 +20,6 @@ from touchdown.backend.core import (
     Episode,
     EpisodeDecision,
     Fall,
-    Fault,
     FloatArray,
     ImageArray,
     InputError,
@@ -34,28 +32,9 @@ from touchdown.backend.core import (
 from touchdown.backend.devices import Arm, Device, Gripper, GuardedArm, GuardedGripper, Interlock
 from touchdown.backend.geometry import Outline, Piece, PieceLibrary
 from touchdown.backend.placement import SupportTower
+from touchdown.backend.runs.recorder import RunStore
 from touchdown.backend.runs.requests import RunStatus, SceneChoice
 from touchdown.backend.sensing import Homography, LiveSensing, RawStreams
-
-
-class PendingDecision:
-    """Latest decision of the operator about the newest collected episode."""
-
-    def __init__(self) -> None:
-        self._newest: deque[EpisodeDecision] = deque(maxlen=1)
-
-    @property
-    def given(self) -> bool:
-        """True if a decision is pending."""
-        return bool(self._newest)
-
-    def give(self, decision: EpisodeDecision) -> None:
-        """Set the decision; replaces one that is still pending."""
-        self._newest.append(decision)
-
-    def take(self) -> EpisodeDecision | None:
-        """Return the pending decision and clear it, None if there is none."""
-        return self._newest.pop() if self._newest else None
 
 
 class OperatorPrompt:
@@ -139,26 +118,6 @@ class NoEstimator:
         )
 
 
-class EpisodeStore(Protocol):
-    """Storage of the episodes of a run."""
-
-    def keep(self, episode: Episode) -> None:
-        """Start to write ``episode``; returns at once."""
-
-    @property
-    def written(self) -> bool:
-        """True if no write is in progress, so that ``settle`` returns or raises at once."""
-
-    def settle(self) -> Path | None:
-        """Wait until the last episode is durable; return its path, None if files are not kept.
-
-        Raises ``FaultError`` if the disk refused it; the next call writes it again.
-        """
-
-    def obstacle(self) -> Fault | None:
-        """Return the fault that prevents recording another probe, None if there is none."""
-
-
 @dataclass(frozen=True, slots=True)
 class SceneView:
     """Scene camera: ``picture`` returns (h, w, 3); ``homography`` maps the board to the picture."""
@@ -217,7 +176,7 @@ class Bench:
     estimator: PatchEstimator
     piece: Piece
     bottom: str
-    store: EpisodeStore
+    store: RunStore
     prompt: OperatorPrompt
     settings: StackSettings
     scoring: GroundTruth | None
@@ -271,11 +230,9 @@ class SceneDevices:
     real_time: bool = False
 
 
-class SceneFactory(Protocol):
-    """Builds the devices of a scene on the streams of a session."""
-
-    def __call__(self, choice: SceneChoice, raw: RawStreams) -> SceneDevices:
-        """Return the devices; raises ``InputError`` for an unknown piece, bottom or model."""
+# Builds the devices of a scene on the streams of a session. Raises ``InputError`` for an unknown
+# piece, bottom or model.
+SceneFactory = Callable[[SceneChoice, RawStreams], SceneDevices]
 
 
 class RunContext(Protocol):
@@ -286,7 +243,7 @@ class RunContext(Protocol):
     mode: str  # recorded with episodes: stepped, live simulation, emulated or lab
     description: BenchDescription  # recorded with episodes
     dataset: Dataset | None  # takes collected episodes
-    decisions: PendingDecision
+    decisions: deque[EpisodeDecision]  # newest decision on the newest episode, if pending
     catalogue: PieceLibrary
     method: StackSettings  # before the settings of the request
 

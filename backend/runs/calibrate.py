@@ -311,25 +311,19 @@ def _gels_at_rest(bench: Bench) -> Plan[tuple[tuple[float, ...], str]]:
 
     Retries while a marker is hidden: a fingerprint needs all of them.
     """
-    numbers, why = tuple[float, ...](), ""
+    why = ""
     for _ in range(LOOKS):
         yield from wait(bench, REST_S)
-        numbers, why = _dots_at_rest(bench)
-        if numbers:
-            break
-    return numbers, why
-
-
-def _dots_at_rest(bench: Bench) -> tuple[tuple[float, ...], str]:
-    now_s = bench.now_s()
-    numbers: list[float] = []
-    for finger in FINGERS:
-        fields = bench.sensing.fields[finger].between(now_s - REST_S, now_s)
+        now_s, numbers = bench.now_s(), list[float]()
         try:
-            numbers += dots_to_numbers(take_reference(fields).position_px)
+            for finger in FINGERS:
+                fields = bench.sensing.fields[finger].between(now_s - REST_S, now_s)
+                numbers += dots_to_numbers(take_reference(fields).position_px)
         except RefusedError as error:
-            return (), f"{finger}: {error.detail}"
-    return tuple(numbers), ""
+            why = f"{finger}: {error.detail}"
+        else:
+            return tuple(numbers), ""
+    return (), why
 
 
 def _side_presses(bench: Bench, request: CalibrateRequest) -> Plan[list[SidePress]]:

@@ -37,7 +37,7 @@ from touchdown.backend.core import (
 )
 from touchdown.backend.episodes import Coverage
 from touchdown.backend.runs import messages
-from touchdown.backend.runs.bench import Bench, PendingDecision, PressedProbe
+from touchdown.backend.runs.bench import Bench, PressedProbe
 from touchdown.backend.runs.campaign import Campaign, ProbeTarget, planned_displacement_mm, xy_mm
 from touchdown.backend.runs.jig import (
     approach_with_piece,
@@ -52,6 +52,7 @@ from touchdown.backend.runs.motions import (
     lift,
     move_to,
     wait,
+    wait_while_writing,
 )
 from touchdown.backend.runs.plan import PausePoint, Plan, Wait
 from touchdown.backend.runs.probe import press_once, scene_pictures
@@ -63,7 +64,6 @@ from touchdown.backend.runs.recorder import (
     refused_episode_fault,
     save_or_wait,
     wait_for_space,
-    wait_while_writing,
 )
 from touchdown.backend.runs.touch_probing import RESOLUTION_MM, edge_mm, find_height
 from touchdown.backend.sensing import EpisodeLimits
@@ -203,7 +203,7 @@ class Collector:
         self,
         campaign: Campaign,
         recorder: EpisodeRecorder,
-        decisions: PendingDecision,
+        decisions: deque[EpisodeDecision],
         seen: Coverage,
         entries: list[EpisodeEntry],
     ) -> None:
@@ -356,7 +356,7 @@ class Collector:
                 yield from self._settled(bench)
                 assert self._last is not None
                 yield DecisionAwaited(bench.now_s(), self._last[0].uuid, item)
-                yield Wait(lambda: self._decisions.given, OPERATOR_TIMEOUT_S, "the operator")
+                yield Wait(lambda: bool(self._decisions), OPERATOR_TIMEOUT_S, "the operator")
             slip_mm = pending.pressed.episode.quality.slip_mm
             why = ""
             if not slip_mm <= SLIP_MM:
@@ -415,7 +415,7 @@ class Collector:
 
         ``waits`` for space on a full disk; at the end of a run it does not.
         """
-        self._decision = decision = self._decisions.take() or self._decision
+        self._decision = decision = self._decisions.pop() if self._decisions else self._decision
         if decision is None or self._last is None:
             self._decision = None
             return

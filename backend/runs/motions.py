@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Generic, Literal, TypeVar
 
 import numpy as np
@@ -39,6 +40,7 @@ from touchdown.backend.geometry import Outline, overlap_polygon
 from touchdown.backend.runs.bench import Bench, JudgedProbe
 from touchdown.backend.runs.plan import (
     CancelledError,
+    PausePoint,
     Plan,
     StoppedError,
     Wait,
@@ -46,6 +48,7 @@ from touchdown.backend.runs.plan import (
     stale_fault,
     stopped_message,
 )
+from touchdown.backend.runs.recorder import DISK_FULL, refused_episode_fault
 from touchdown.backend.sensing import slip_since_loading
 
 
@@ -88,6 +91,7 @@ UNLEASED = ("NO-LEASE", "LEASE-LAPSED")  # codes of a lapsed motion lease
 # Largest age of the wrench at release beyond the sensor's own delay: 1.5 control cycles of 10 ms
 WRENCH_AGE_LIMIT_S = 0.015
 FRESH_S = 0.5  # time limit for a fresh wrench sample
+WRITE_S = 60.0  # time limit of an episode write
 REST_S = 1.0  # time limit for the arm to come to rest
 NO_PIECE = (
     "The gripper closed on nothing: no piece is between the jaws. Open them and hold one between "
@@ -284,6 +288,37 @@ def wait_fresh_wrench(bench: Bench) -> Plan[None]:
 
     if not is_fresh():
         yield Wait(lambda: is_fresh() or bench.now_s() >= until_s, 2.0 * FRESH_S, "a fresh wrench")
+
+
+def wait_while_writing(bench: Bench, written: Callable[[], bool]) -> Plan[None]:
+    """In real time, wait until ``written()`` while the sensors are read.
+
+    Otherwise a slow disk would leave a wrench too old for a lateral motion. A stepped bench does
+    not wait: no number may depend on the disk.
+    """
+    if bench.real_time and not written():
+        yield Wait(written, WRITE_S, "the episode to be on the disk")
+
+
+def wait_until_durable(bench: Bench) -> Plan[Path | None]:
+    """Return the file of the last episode; a full disk pauses the run until it is written.
+
+    Raises ``FaultError`` for other errors of the disk, and if the run ends while it waits; the
+    episode is then lost.
+    """
+    store = bench.store
+    while True:
+        yield from wait_while_writing(bench, lambda: store.written)
+        try:
+            return store.settle()
+        except FaultError as error:
+            if error.fault.code != DISK_FULL:
+                raise
+            refused = error
+        try:
+            yield PausePoint(refused_episode_fault(refused.fault))
+        except (CancelledError, StoppedError):
+            raise refused from None
 
 
 def release_evidence(

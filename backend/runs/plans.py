@@ -10,11 +10,16 @@ from touchdown.backend.runs.bench import Bench, NoEstimator, RunContext
 from touchdown.backend.runs.calibrate import calibrate_run
 from touchdown.backend.runs.collect import collect_run, prepare_campaign
 from touchdown.backend.runs.manual_control import refuse_simulated_only
-from touchdown.backend.runs.motions import lift, run_finished, run_to_end, take_piece
+from touchdown.backend.runs.motions import (
+    lift,
+    run_finished,
+    run_to_end,
+    take_piece,
+    wait_while_writing,
+)
 from touchdown.backend.runs.outcome import trial_start_mm
 from touchdown.backend.runs.plan import Plan
 from touchdown.backend.runs.probe import press_once
-from touchdown.backend.runs.recorder import wait_while_writing
 from touchdown.backend.runs.requests import (
     CalibrateRequest,
     CollectRequest,

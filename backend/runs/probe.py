@@ -12,9 +12,15 @@ from touchdown.backend.config import EARLY_TICKS, SAMPLES_PER_PROBE, TICK_S
 from touchdown.backend.core import Fault, FaultError, FloatArray, PhaseEntered, Said, ScenePicture
 from touchdown.backend.runs import messages
 from touchdown.backend.runs.bench import Bench, PressedProbe
-from touchdown.backend.runs.motions import lift, move_to, probe_command, retry_if_void, zero_sensors
+from touchdown.backend.runs.motions import (
+    lift,
+    move_to,
+    probe_command,
+    retry_if_void,
+    wait_until_durable,
+    zero_sensors,
+)
 from touchdown.backend.runs.plan import Plan, Wait
-from touchdown.backend.runs.recorder import wait_until_durable
 from touchdown.backend.sensing import TorsionSlipDetector, assemble_episode, synchronise
 
 BEFORE_ONSET_S = 0.3

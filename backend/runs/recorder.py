@@ -34,14 +34,12 @@ from touchdown.backend.core import (
 )
 from touchdown.backend.devices import Interlock
 from touchdown.backend.episodes import START_KEY, write_episode
-from touchdown.backend.runs.bench import Bench
 from touchdown.backend.runs.event_log import EventLog
-from touchdown.backend.runs.plan import CancelledError, PausePoint, Plan, StoppedError, Wait
+from touchdown.backend.runs.plan import PausePoint, Plan
 
 DISK_FULL = "DISK-FULL"
 CONSEQUENCE = "The run is paused, the arm stands lifted; every probe so far is safe."
 NEXT_STEP = "Make room on this disk, then resume (P)."
-WRITE_S = 60.0  # time limit of an episode write
 
 
 def wait_for_space(obstacle: Callable[[], Fault | None]) -> Plan[None]:
@@ -108,37 +106,6 @@ def decision_not_saved_fault(folder: Path, decision: EpisodeDecision, item: int)
         "Make room on this disk, press Reset, choose the probe and decide again.",
         "store",
     )
-
-
-def wait_while_writing(bench: Bench, written: Callable[[], bool]) -> Plan[None]:
-    """In real time, wait until ``written()`` while the sensors are read.
-
-    Otherwise a slow disk would leave a wrench too old for a lateral motion. A stepped bench does
-    not wait: no number may depend on the disk.
-    """
-    if bench.real_time and not written():
-        yield Wait(written, WRITE_S, "the episode to be on the disk")
-
-
-def wait_until_durable(bench: Bench) -> Plan[Path | None]:
-    """Return the file of the last episode; a full disk pauses the run until it is written.
-
-    Raises ``FaultError`` for other errors of the disk, and if the run ends while it waits; the
-    episode is then lost.
-    """
-    store = bench.store
-    while True:
-        yield from wait_while_writing(bench, lambda: store.written)
-        try:
-            return store.settle()
-        except FaultError as error:
-            if error.fault.code != DISK_FULL:
-                raise
-            refused = error
-        try:
-            yield PausePoint(refused_episode_fault(refused.fault))
-        except (CancelledError, StoppedError):
-            raise refused from None
 
 
 def data_folder() -> Path:

@@ -47,12 +47,13 @@ from touchdown.backend.runs.motions import (
     shift_piece,
     take_piece,
     wait,
+    wait_until_durable,
     zero_sensors,
 )
 from touchdown.backend.runs.outcome import TrialResult, judge_release, trial_finished
 from touchdown.backend.runs.plan import PausePoint, Plan, Wait, motion_done
 from touchdown.backend.runs.probe import probe_until_accepted
-from touchdown.backend.runs.recorder import wait_for_space, wait_until_durable
+from touchdown.backend.runs.recorder import wait_for_space
 from touchdown.backend.runs.requests import StackRequest, request_record
 
 

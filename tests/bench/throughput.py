@@ -16,10 +16,11 @@ from tests.backend.sensing.known_truth import known_truth
 from tests.bench.figures import Figure, at_least, figure
 from touchdown.backend.annotations.dataset import Dataset
 from touchdown.backend.bench.assembly import simulated_session
-from touchdown.backend.cli.track import track_images
 from touchdown.backend.core.values import MARKERS, MarkerState
 from touchdown.backend.runs.recorder import RecordingOptions
 from touchdown.backend.runs.requests import CollectRequest
+from touchdown.backend.sensing.picture_files import read_pictures
+from touchdown.backend.sensing.tracking import track_frames
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -98,7 +99,7 @@ def real_gels() -> list[Figure]:
     whole_at_start, seen = [], []
     cv2.setNumThreads(1)
     for path in sorted({*GELSIGHT.glob("*.avi"), *GELSIGHT.glob("*.png")} - set(SMALL_DOTS)):
-        for index, tracked in enumerate(track_images(path)):
+        for index, tracked in enumerate(track_frames(read_pictures(path), None, str(path))):
             count = int(np.sum(tracked.field.state == MarkerState.SEEN))
             if index == 0:
                 whole_at_start.append(count == MARKERS)

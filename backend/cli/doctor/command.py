@@ -18,7 +18,6 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
-from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 from importlib.resources import files
 from importlib.resources.abc import Traversable
@@ -325,27 +324,21 @@ def _child(code: str, extra: dict[str, str]) -> subprocess.CompletedProcess[str]
         return None
 
 
-DEVICES = ("force_torque", "tactile_left", "tactile_right", "gripper", "arm")
+LAB_CHECKS = 8  # the lab file, its placeholders, its cameras, and five devices
 
 
-def lab_checks(path: Path) -> Iterator[Callable[[], DoctorCheck]]:
-    """Yield the checks of a lab file; raises ``InputError`` if it cannot be read."""
+def lab_checks(path: Path) -> Iterator[DoctorCheck]:
+    """Check a lab file and its devices; raises ``InputError`` if it cannot be read."""
     from touchdown.backend.config import load_lab
     from touchdown.backend.rig import examine_devices
 
     lab = load_lab(path)
     settings = lab.settings
-    yield partial(DoctorCheck, "lab file", True, f"{settings.name} ({settings.kind}), {path}")
-    yield partial(_check_placeholders, settings)
-    yield partial(_check_fingers, lab)
-    findings = examine_devices(settings)
-
-    def next_device() -> DoctorCheck:
-        found = next(findings)
-        return DoctorCheck(found.device, found.ok, found.detail, found.fix)
-
-    for _ in DEVICES:
-        yield next_device
+    yield DoctorCheck("lab file", True, f"{settings.name} ({settings.kind}), {path}")
+    yield _check_placeholders(settings)
+    yield _check_fingers(lab)
+    for found in examine_devices(settings):
+        yield DoctorCheck(found.device, found.ok, found.detail, found.fix)
 
 
 def _check_placeholders(settings: LabSettings) -> DoctorCheck:
@@ -412,14 +405,15 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     if args.dataset is not None:
         folder = Path(args.dataset) if args.dataset else dataset_folder()
         return examine_only(folder, screen)
-    looks: list[CheckFunction] = [partial(_run_check, look) for look in EXAMINATIONS]
+    found: Iterator[DoctorCheck]
+    found, total = map(_run_check, EXAMINATIONS), len(EXAMINATIONS)
     if args.bench is not None:
-        looks = list(lab_checks(args.bench))
-    with screen.progress("Examining", len(looks)) as advance:
-        checks = []
-        for look in looks:
-            checks.append(look())
-            advance(len(checks), checks[-1].name)
+        found, total = lab_checks(args.bench), LAB_CHECKS
+    checks = []
+    with screen.progress("Examining", total) as advance:
+        for check in found:
+            checks.append(check)
+            advance(len(checks), check.name)
     rows = ((Text(c.word, COLOURS[c.word]), c.name, c.detail, c.fix) for c in checks)
     screen.table("touchdown doctor", ("", "check", "found", "what to do"), *rows)
     failed = [check for check in checks if not check.ok]

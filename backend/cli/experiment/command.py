@@ -156,21 +156,19 @@ ABLATIONS = ("wrench", "fields", "others", "mirrors")
 def add_fused_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of ``fused``."""
     fused = parser.add_argument_group("fused")
-    fused.add_argument("--parts", type=int, default=100, help="jobs of 240 sequences of five "
-                       "probes (default: %(default)s)")  # fmt: skip
-    fused.add_argument("--long-parts", type=int, default=0, help="of eight probes (default: "
-                       "%(default)s)")  # fmt: skip
-    fused.add_argument("--free-parts", type=int, default=0, help="of eight probes on bottoms that "
-                       "rock and slide (default: %(default)s)")  # fmt: skip
-    fused.add_argument("--steps", type=int, default=6000, help="of the training (default: "
-                       "%(default)s)")  # fmt: skip
-    fused.add_argument("--seed", type=int, default=0, help="of data and training (default: "
-                       "%(default)s)")  # fmt: skip
+    fused.add_argument(
+        "--parts", type=int, default=100, help="jobs of 240 sequences of five probes"
+    )
+    fused.add_argument("--long-parts", type=int, default=0, help="of eight probes")
+    fused.add_argument(
+        "--free-parts", type=int, default=0, help="of eight probes on bottoms that rock and slide"
+    )
+    fused.add_argument("--steps", type=int, default=6000, help="of the training")
+    fused.add_argument("--seed", type=int, default=0, help="of data and training")
     fused.add_argument("--without", choices=ABLATIONS, help="an ablation: the wrench, the marker "
                        "fields, the other probes, or mirror images of the data")  # fmt: skip
     fused.add_argument("--rule-trials", type=int, default=0, help="trials of each piece on each of "
-                       "four separate bottoms, for every rule of release "
-                       "(default: %(default)s)")  # fmt: skip
+                       "four separate bottoms, for every rule of release")  # fmt: skip
 
 
 def train_fused(
@@ -252,15 +250,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.set_defaults(scale="quick")
     parser.add_argument(
-        "--out",
-        type=Path,
-        default=Path("output/experiment"),
-        metavar="DIR",
-        help="folder of page, JSON and jobs; resumes there (default: %(default)s)",
-    )
-    parser.add_argument(
-        "--preset", default="bench-v1", help="preset of the bench (default: %(default)s)"
-    )
+        "--out", type=Path, default=Path("output/experiment"), metavar="DIR",
+        help="folder of page, JSON and jobs; resumes there",
+    )  # fmt: skip
+    parser.add_argument("--preset", default="bench-v1", help="preset of the bench")
     parser.add_argument("--bench", type=Path, metavar="FILE", help="settings of the bench (TOML)")
     parser.add_argument("--pieces", default="mushroom,barrel,pot", help="separated by commas")
     parser.add_argument(
@@ -275,13 +268,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "the value of another tables.json",
     )  # fmt: skip
     add_device(parser)
-    parser.add_argument("--executor", choices=EXECUTORS, default="local", help="default: local")
+    parser.add_argument("--executor", choices=EXECUTORS, default="local", help="where jobs run")
     parser.add_argument(
-        "--workers",
-        type=int,
-        default=max(1, (os.cpu_count() or 2) - 1),
-        help="processes of the local executor (default: %(default)s)",
-    )
+        "--workers", type=int, default=max(1, (os.cpu_count() or 2) - 1),
+        help="processes of the local executor",
+    )  # fmt: skip
     parser.add_argument("--cluster", metavar="ADDRESS", help="scheduler of the executor dask")
     parser.add_argument("--shard", metavar="i/n", help="run every n-th job only, for batch queues")
     _add_beyond_arguments(parser)
@@ -293,18 +284,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def _add_beyond_arguments(parser: argparse.ArgumentParser) -> None:
     beyond = parser.add_argument_group("beyond")
     beyond.add_argument("--strategies", default="paper,fused", help="or "
-                        "zero-wrench, ceiling, ceiling-diameter, pick-and-place "
-                        "(default: %(default)s)")  # fmt: skip
+                        "zero-wrench, ceiling, ceiling-diameter, pick-and-place")  # fmt: skip
     beyond.add_argument("--bottoms", default="short,long", help="or hex20, rect12x28, and towers "
-                        "short+long, short+hex20, short+rect12x28 "
-                        "(default: %(default)s)")  # fmt: skip
-    beyond.add_argument("--trials", type=int, default=50, help="of a cell (default: %(default)s)")
+                        "short+long, short+hex20, short+rect12x28")  # fmt: skip
+    beyond.add_argument("--trials", type=int, default=50, help="of a cell")
     beyond.add_argument("--statics", type=int, default=0, metavar="GROUPS", help="also "
                         "evaluate each strategy at this number of positions of a cell, after 1 to "
                         "5 probes")  # fmt: skip
     beyond.add_argument("--entry-sigma", type=float, default=1.0, metavar="MM", help="standard "
-                        "uncertainty of the entered position of a tower's upper bottom "
-                        "(default: %(default)s)")  # fmt: skip
+                        "uncertainty of the entered position of the upper bottom")  # fmt: skip
     beyond.add_argument("--no-entry", action="store_true", help="enter no position of "
                         "the upper bottom: strategies assume that it is centred")  # fmt: skip
 

@@ -43,19 +43,19 @@ Json: TypeAlias = dict[str, Any]
 def add_evaluation_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of ``elsewhere`` and ``sensitivity``."""
     asked = parser.add_argument_group("elsewhere, sensitivity")
-    asked.add_argument("--groups", type=int, default=20, help="of three probes, in each cell "
-                       "(default: %(default)s)")  # fmt: skip
+    asked.add_argument("--groups", type=int, default=20, help="of three probes, in each cell")
     asked.add_argument("--first", type=int, default=0, metavar="N", help="number of the first "
                        "group and trial in each cell, to make choices on other ones than are "
-                       "reported (elsewhere, default: %(default)s)")  # fmt: skip
+                       "reported (elsewhere)")  # fmt: skip
     asked.add_argument("--train", metavar="NAMES", help="train FT+Tac first, with the assumed "
                        "training of the paper, and evaluate it too: on probes of 120 mountings of "
                        "the bench (mountings), of 120 mountings with random nuisances, gel and "
                        "friction (randomised), or both, separated by a comma "
                        "(elsewhere)")  # fmt: skip
-    asked.add_argument("--probes", type=int, default=2000, help="of --train on each of three "
-                       "outlines (default: %(default)s)")  # fmt: skip
-    asked.add_argument("--epochs", type=int, default=30, help="of --train (default: %(default)s)")
+    asked.add_argument(
+        "--probes", type=int, default=2000, help="of --train on each of three outlines"
+    )
+    asked.add_argument("--epochs", type=int, default=30, help="of --train")
 
 
 def run_evaluation(

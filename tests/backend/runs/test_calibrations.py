@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -53,7 +54,6 @@ from touchdown.backend.episodes.quality import count_coverage
 from touchdown.backend.geometry.outlines import circle
 from touchdown.backend.geometry.pieces import load_pieces
 from touchdown.backend.runs import touch_probing
-from touchdown.backend.runs.bench import PendingDecision
 from touchdown.backend.runs.calibrate import measure_board
 from touchdown.backend.runs.calibrations import DriftMonitor, GelCheck, contact_height_mm
 from touchdown.backend.runs.campaign import Campaign
@@ -178,7 +178,7 @@ class Reached(Exception):  # noqa: N818
 
 def collector(*entries: Any) -> Collector:
     campaign = Campaign("c", "pot", "circle25", "random", 2, 5, skipped=(4,))
-    return Collector(campaign, None, PendingDecision(), SEEN, list(entries))  # type: ignore[arg-type]
+    return Collector(campaign, None, deque(maxlen=1), SEEN, list(entries))  # type: ignore[arg-type]
 
 
 def test_a_probe_goes_to_its_displacement_from_the_origin() -> None:

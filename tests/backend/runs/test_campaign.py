@@ -377,7 +377,7 @@ def test_a_probe_is_announced_in_full_though_the_run_is_cancelled_while_it_is(co
 
 def skip_the_probe(collector, bench):
     yield from collector._settled(bench)
-    collector._decisions.give("skip")
+    collector._decisions.append("skip")
     yield from collector._carry_out(bench)
 
 
@@ -441,7 +441,7 @@ def skipped_items(folder):
 def test_what_was_decided_just_before_a_cancel_is_carried_out(collect, tmp_path):
     def cancelled(collector, bench):
         yield from collector._settled(bench)
-        collector._decisions.give("skip")
+        collector._decisions.append("skip")
         raise CancelledError("by the operator")
 
     facts, _, _ = collect(cancelled)

@@ -25,13 +25,8 @@ from touchdown.backend.episodes.episode_file import read_episode
 from touchdown.backend.episodes.mcap import read_first
 from touchdown.backend.runs import recorder as store_module
 from touchdown.backend.runs.event_log import read_events
-from touchdown.backend.runs.recorder import (
-    CLOCK_SET,
-    RecordingOptions,
-    RunStore,
-    keep_photo,
-    wait_until_durable,
-)
+from touchdown.backend.runs.motions import wait_until_durable
+from touchdown.backend.runs.recorder import CLOCK_SET, RecordingOptions, RunStore, keep_photo
 from touchdown.backend.runs.requests import CollectRequest, SceneChoice
 
 PNG = b"\x89PNG\r\n\x1a\n"

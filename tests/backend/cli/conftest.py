@@ -20,3 +20,11 @@ def say(capfd):
         return code, json.loads(out or err)
 
     return call
+
+
+@pytest.fixture
+def lab(tmp_path, capsys):
+    path = tmp_path / "lab.toml"
+    assert main(["bench", str(path), "--new"]) == 0
+    capsys.readouterr()
+    return path

@@ -25,14 +25,6 @@ from touchdown.backend.runs.requests import ProbeRequest, SceneChoice
 
 
 @pytest.fixture
-def lab(tmp_path, capsys):
-    path = tmp_path / "lab.toml"
-    assert main(["bench", str(path), "--new"]) == 0
-    capsys.readouterr()
-    return path
-
-
-@pytest.fixture
 def recovering(monkeypatch, lab, capsys):
     """A lab with scripted connections and simulated devices; ``run`` runs its verb."""
     session, (devices, log) = brisk_session(), scripted()

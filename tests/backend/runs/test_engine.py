@@ -82,6 +82,8 @@ def test_facts_come_in_order_and_the_value_is_returned(rig: Rig) -> None:
 
 def test_pause_waits_for_a_checkpoint_and_resumes(rig: Rig) -> None:
     rig.engine.begin(two_steps(rig))
+    with pytest.raises(RefusedError, match="BUSY"):
+        rig.engine.begin(two_steps(rig))
     rig.tick()
     rig.engine.pause()
     assert rig.engine.status().state is RunState.PAUSING
@@ -148,6 +150,7 @@ def test_a_plan_may_end_itself_in_an_orderly_way_after_stop(rig: Rig) -> None:
     rig.tick()
     assert rig.texts() == ["stopped by F12"]
     assert not rig.engine.busy
+    assert stopped_message("") == "stopped", "after an early reset"
 
 
 def test_a_wait_that_never_ends_becomes_a_latched_fault(rig: Rig) -> None:
@@ -191,12 +194,6 @@ def test_the_lease_lives_while_a_plan_is_driven_and_not_after(rig: Rig) -> None:
     assert rig.interlock.has_lease(rig.clock.now_s())
     rig.tick(20)
     assert not rig.interlock.has_lease(rig.clock.now_s())
-
-
-def test_only_one_run_at_a_time(rig: Rig) -> None:
-    rig.engine.begin(two_steps(rig))
-    with pytest.raises(RefusedError, match="BUSY"):
-        rig.engine.begin(two_steps(rig))
 
 
 SLOW = Fault("DEGRADED", "The wrist sensor is slow.", "Paused.", "Look.", "force_torque")
@@ -292,8 +289,3 @@ def test_a_stopped_run_tells_how_its_trial_ended_also_out_of_a_pause(rig, paused
     rig.tick(2)
     assert rig.texts() == ["stopped by operator", "trial told"]
     assert rig.engine.status().state is RunState.IDLE
-
-
-def test_a_stop_that_was_reset_before_anybody_asked_names_nobody() -> None:
-    assert stopped_message("F12") == "stopped by F12"
-    assert stopped_message("") == "stopped"

@@ -556,15 +556,8 @@ def vector(bare):
     return np.array([at.rx_rad, at.ry_rad, at.rz_rad])
 
 
-def turn_order(bare, axis, speed=FIVE, frame="XYZ", sequence=1, hold=1):
-    return JogOrder(hold, sequence, bare.clock_s(), axis, frame, speed)
-
-
 def hold_turn(bare, seconds, axis, speed=FIVE, frame="XYZ", number=1):
-    for count in range(round(seconds / STEP_S)):
-        if count % 5 == 0:
-            bare.hand.jog.renew(turn_order(bare, axis, speed, frame, 1 + count // 5, number))
-        bare.advance()
+    hold(bare, seconds, axis=axis, speed=speed, frame=frame, hold=number)
 
 
 def steps(bare, axis, distance, frame="XYZ", speed=FAST):
@@ -642,7 +635,7 @@ def test_a_step_turns_exactly_so_far(raised):
 def test_low_over_the_surface_nothing_turns_and_the_way_up_is_told(bare):
     for number, (axis, frame) in enumerate((("rx", "XYZ"), ("j4", "JOINT")), 1):
         with pytest.raises(RefusedError, match=r"jog \+Z by 17\.\d mm first") as refused:
-            bare.hand.jog.renew(turn_order(bare, axis, frame=frame, hold=number))
+            bare.hand.jog.renew(order(bare, axis=axis, speed=FIVE, frame=frame, hold=number))
         assert refused.value.reason == "TURN-LOW"
         assert bare.hand.jog.rooms(frame)["+" + axis].why == "TURN-LOW"
 
@@ -733,21 +726,21 @@ def test_stop_ends_a_turn_and_latches(raised):
     turn(raised, 0.3)
     assert np.array_equal(at, vector(raised))
     with pytest.raises(RefusedError):
-        raised.hand.jog.renew(turn_order(raised, "rx", sequence=50))
+        raised.hand.jog.renew(order(raised, 50, axis="rx", speed=FIVE))
 
 
 def test_after_a_fault_nothing_turns(raised):
     raised.interlock.raise_fault(Fault("FT-TRIP", "Force.", "Stopped.", "Look.", "force_torque"))
     raised.reset()
     with pytest.raises(RefusedError, match="away from contact"):
-        raised.hand.jog.renew(turn_order(raised, "rz"))
+        raised.hand.jog.renew(order(raised, axis="rz", speed=FIVE))
 
 
 def test_no_turn_is_faster_than_its_limit(raised):
     scene = raised._scene
     for number, speed in enumerate((math.radians(15.1), math.nan, 0.0), 1):
         with pytest.raises(RefusedError):
-            raised.hand.jog.renew(turn_order(raised, "rz", speed, hold=number))
+            raised.hand.jog.renew(order(raised, axis="rz", speed=speed, hold=number))
         raised.interlock.renew_lease(raised.clock_s())
         with pytest.raises((RefusedError, ValueError)):
             scene.arm.jog((0.0, 0.0, 0.0), LEASE_S, (0.0, 0.0, speed))

@@ -28,19 +28,10 @@ GOOD, NOTE = DoctorCheck("a", True, "fine"), DoctorCheck("b", True, "none", "plu
 BAD = DoctorCheck("c", False, "broken [x]", "mend it")
 
 
-def test_absent_options_do_not_fail(monkeypatch):
+def test_only_what_stops_work_fails_and_people_see_words_and_fixes(monkeypatch):
     code, shown = _run(monkeypatch, GOOD, NOTE)
     assert code == 0
-    assert json.loads(shown)["checks"][1] == asdict(NOTE)
-
-
-def test_what_stops_work_fails(monkeypatch):
-    code, shown = _run(monkeypatch, GOOD, BAD)
-    assert code == 1
-    assert [check["ok"] for check in json.loads(shown)["checks"]] == [True, False]
-
-
-def test_people_see_words_and_fixes(monkeypatch):
+    assert json.loads(shown)["checks"] == [asdict(GOOD), asdict(NOTE)]
     code, shown = _run(monkeypatch, GOOD, NOTE, BAD, as_json=False)
     assert code == 1
     for word in ("OK", "NOTE", "FAIL", "broken [x]", "mend it", "1 to fix"):
@@ -149,8 +140,6 @@ libqoffscreen.so:
 
 
 def test_missing_libraries_are_read_from_ldd_and_become_packages():
-    assert missing_in(LDD) == ["libxcb-cursor.so.0", "libxcb-icccm.so.4"]
-    assert packages_for(missing_in(LDD)) == ["libxcb-cursor0", "libxcb-icccm4"]
     assert packages_for(["libunknown.so.7"]) == []
     assert packages_for(["libgthread-2.0.so.0", "libglib-2.0.so.0"]) == ["libglib2.0-0"]
     assert all(re.fullmatch(r"[a-z0-9.+-]+", package) for package in PACKAGES.values())
@@ -158,9 +147,9 @@ def test_missing_libraries_are_read_from_ldd_and_become_packages():
 
 def test_missing_libraries_give_the_apt_line(monkeypatch):
     monkeypatch.setattr(command, "missing_libraries", lambda: missing_in(LDD))
-    check = command.check_qt_libraries()
-    assert not check.ok
-    assert check.fix == "sudo apt-get install libxcb-cursor0 libxcb-icccm4"
+    fix = "sudo apt-get install libxcb-cursor0 libxcb-icccm4"
+    missing = "missing: libxcb-cursor.so.0, libxcb-icccm.so.4"
+    assert command.check_qt_libraries() == DoctorCheck("qt libraries", False, missing, fix)
 
 
 def test_cameras_are_listed_once_each(tmp_path):

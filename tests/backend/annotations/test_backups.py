@@ -23,6 +23,7 @@ from touchdown.backend.annotations.backups import (
 from touchdown.backend.annotations.database import CATALOGUE_FILE
 from touchdown.backend.annotations.dataset import Dataset
 from touchdown.backend.annotations.rebuild import rebuild_dataset
+from touchdown.backend.annotations.storage import DatasetInUseError
 from touchdown.backend.annotations.values import Label
 from touchdown.backend.core.faults import FaultError, InputError
 
@@ -280,6 +281,8 @@ def test_a_lost_catalogue_comes_back_from_files_and_journal(busy: Path, loss: st
 
 
 def test_an_open_dataset_is_not_rebuilt(busy: Path) -> None:
-    with Dataset.open(busy, person="cleo"), pytest.raises(InputError, match="cleo"):
-        rebuild_dataset(busy, replace=True)
+    with Dataset.open(busy, person="cleo"):
+        for replace in (False, True):
+            with pytest.raises(DatasetInUseError, match="cleo"):
+                rebuild_dataset(busy, replace=replace)
     assert json.loads((busy / "dataset.json").read_text())["site"]

@@ -3,24 +3,14 @@
 import json
 import subprocess
 import sys
-import tempfile
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 ROOT = Path(__file__).resolve().parents[3]
-MEMORY = Path("/dev/shm")
 
 pytestmark = pytest.mark.skipif(not hasattr(sys, "getdlopenflags"), reason="needs fork and SIGKILL")
-
-
-@pytest.fixture
-def place() -> Iterator[Path]:
-    """A folder in memory where there is one: a killed process loses no more there than on disk."""
-    with tempfile.TemporaryDirectory(dir=MEMORY if MEMORY.is_dir() else None) as folder:
-        yield Path(folder) / "data"
 
 
 def trials(*words: str) -> dict[str, Any]:
@@ -34,7 +24,7 @@ def trials(*words: str) -> dict[str, Any]:
 @pytest.mark.promise("D1", "D3", "W13")
 @pytest.mark.slow
 def test_death_at_every_step(place: Path) -> None:
-    answer = trials("steps", str(place))
+    answer = trials("steps", str(place / "data"))
     assert answer["wrong"] == []
     assert answer["deaths"] == len(answer["steps"]) > 40
     wanted = {"__init__", "add_chunk", "fsync", "check_counts", "replace", "COMMIT"}
@@ -43,7 +33,7 @@ def test_death_at_every_step(place: Path) -> None:
 
 @pytest.mark.promise("D1", "D3", "W13")
 def test_death_at_random(place: Path) -> None:
-    answer = trials("random", str(place), "10")
+    answer = trials("random", str(place / "data"), "10")
     assert answer["wrong"] == []
     assert answer["deaths"] == 10
     assert answer["episodes"] > 10

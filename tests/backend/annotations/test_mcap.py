@@ -36,8 +36,6 @@ from touchdown.backend.episodes.episode_file import (
     write_episode,
 )
 from touchdown.backend.episodes.mcap import MAGIC, Opcode, encode_record, encode_text, read_whole
-from touchdown.backend.episodes.packs import PackedEpisode, PackWriter, read_pack
-from touchdown.backend.episodes.training_rows import patch_hex
 from touchdown.backend.geometry.outlines import circle, face_points, true_patch
 from touchdown.backend.geometry.pieces import Piece, load_pieces
 
@@ -489,20 +487,6 @@ def test_a_huge_file_is_refused_without_reading_it(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="more than any"):
         read_whole(path)
     assert salvage_file(path, tmp_path / "saved.mcap").path is None
-
-
-def test_a_torn_pack_keeps_its_whole_episodes(tmp_path: Path) -> None:
-    path = tmp_path / "p.mcap"
-    with PackWriter(path, {"seed": "7"}) as pack:
-        for k in range(5):
-            label: dict[str, object] = {"episode": f"e{k}", "patch": patch_hex(np.ones(8, bool))}
-            pack.write(PackedEpisode(np.full((20, 258), k, np.float32), label))
-    data = path.read_bytes()
-    chunk_ends = [end for end in record_ends(data) if data[end] == Opcode.MESSAGE_INDEX]
-    saved = save(tmp_path, data[: chunk_ends[4]])
-    assert saved.path is not None
-    assert saved.chunks == 3
-    assert [row.label["episode"] for row in read_pack(saved.path)] == ["e0", "e1", "e2"]
 
 
 def test_a_foreign_file_saves_nothing(tmp_path: Path) -> None:

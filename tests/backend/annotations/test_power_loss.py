@@ -7,8 +7,6 @@ import os
 import shutil
 import subprocess
 import sys
-import tempfile
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -18,7 +16,6 @@ from tests.backend.annotations.disk_model import Disk, Done, Part, read_log
 
 HERE = Path(__file__).parent
 ROOT = HERE.parents[2]
-MEMORY = Path("/dev/shm")
 COMPILER = shutil.which("cc")
 PARTS = (Part(0.0, 0.0), Part(1.0, 0.0), Part(0.0, 1.0), Part(1.0, 1.0),
          Part(0.5, 0.5, 1), Part(0.5, 1.0, 2))  # fmt: skip
@@ -27,12 +24,6 @@ EPISODES = 2
 pytestmark = pytest.mark.skipif(
     not (sys.platform == "linux" and COMPILER), reason="needs Linux and a C compiler"
 )
-
-
-@pytest.fixture
-def place() -> Iterator[Path]:
-    with tempfile.TemporaryDirectory(dir=MEMORY if MEMORY.is_dir() else None) as folder:
-        yield Path(folder).resolve()
 
 
 def preloaded(place: Path, library: str, module: str, **variables: str) -> str:

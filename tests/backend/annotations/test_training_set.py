@@ -99,19 +99,9 @@ def test_an_equal_set_is_not_built_again(
     again = open_cache(tmp_path, rows[::-1])
     assert again.path == first.path
     again.close()
-    with pytest.raises(AssertionError):
-        open_cache(tmp_path, [replace(rows[0], revision="other"), *rows[1:]])
-
-
-@pytest.mark.parametrize("change", [{"sha256": "0" * 64}, {"revision": "r99"}])
-def test_another_file_or_revision_is_another_cache(
-    tmp_path: Path, rows: list[CacheRow], change: dict[str, str]
-) -> None:
-    first = open_cache(tmp_path, rows)
-    other = open_cache(tmp_path, [replace(rows[0], **change), *rows[1:]])
-    assert other.path != first.path
-    first.close()
-    other.close()
+    for change in ({"sha256": "0" * 64}, {"revision": "r99"}):
+        with pytest.raises(AssertionError):
+            open_cache(tmp_path, [replace(rows[0], **change), *rows[1:]])
 
 
 @pytest.mark.parametrize("damage", ["cut", "no json", "foreign"])

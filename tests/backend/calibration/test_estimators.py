@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -55,6 +57,9 @@ def felt_edges(
     return edges
 
 
+SQUARE = felt_edges((0.0, 0.0), 0.0)
+
+
 def test_the_plane_is_the_one_that_numpy_fits() -> None:
     rng = np.random.default_rng(0)
     touches = TOUCHES + np.array([0, 0, 0.05]) * rng.standard_normal(TOUCHES.shape)
@@ -69,18 +74,6 @@ def test_edges_of_a_board_that_is_off_and_turned_give_place_and_yaw() -> None:
     np.testing.assert_allclose(found.x[:2], [0.8, -1.3], atol=0.03)
     assert found.x[4] == pytest.approx(0.02, abs=2e-4)
     assert np.abs(found.residuals).max() < 0.02
-
-
-def test_the_place_covers_the_truth_as_often_as_it_says() -> None:
-    rng = np.random.default_rng(4)
-    edges = felt_edges((0.0, 0.0), 0.0)
-    scores = []
-    for _ in range(400):
-        noisy = [TouchedEdge(e.axis, e.side, e.along_mm, e.at_mm + EDGE_SIGMA_MM * n)
-                 for e, n in zip(edges, rng.standard_normal(8), strict=True)]  # fmt: skip
-        found = fit_edges(noisy, yaw=True)
-        scores.append((found.x[[0, 1, 4]]) / np.sqrt(np.diag(found.covariance)[[0, 1, 4]]))
-    assert (np.abs((np.abs(scores) < 1.0).mean(axis=0) - 0.683) < 0.093).all()
 
 
 def test_a_board_is_one_estimate_with_its_larger_residual() -> None:
@@ -117,6 +110,8 @@ MASS_KG, COM_MM = 1.5, np.array([3.0, -2.0, -60.0])
 BIAS = np.array([0.8, -1.2, 2.5, 0.03, -0.02, 0.01])
 LEANS = np.radians([[0, 0, 0], [20, 0, 0], [-20, 0, 0], [0, 20, 0], [0, -20, 0], [14, 14, 0]])
 TURNS = Rotation.from_rotvec(LEANS).as_matrix()
+LEVEL = np.tile(np.eye(3), (6, 1, 1))
+SIGMAS = np.repeat([FORCE_SIGMA_N, MOMENT_SIGMA_NM], 3)
 
 
 def readings(turns: np.ndarray) -> np.ndarray:
@@ -136,28 +131,12 @@ def test_perfect_readings_give_the_truth() -> None:
     assert found.acceptable
 
 
-def test_the_uncertainties_cover_the_truth_as_often_as_they_say() -> None:
-    rng = np.random.default_rng(1)
-    sigma = np.repeat([FORCE_SIGMA_N, MOMENT_SIGMA_NM], 3)
-    truth, perfect = np.array([MASS_KG, *COM_MM, *BIAS]), readings(TURNS)
-    scores = []
-    for _ in range(400):
-        found = estimate_payload(TURNS, perfect + sigma * rng.standard_normal(perfect.shape))
-        values = np.array([q.value for q in found.quantities])
-        scores.append((values - truth) / [q.sigma for q in found.quantities])
-    inside = (np.abs(scores) < 1.0).mean(axis=0)
-    # 68.3 %, give or take four standard deviations of 400 draws.
-    assert (np.abs(inside - 0.683) < 0.093).all()
-    assert np.abs(np.mean(scores, axis=0)).max() < 4.0 / np.sqrt(400)
-
-
 def test_the_covariance_is_that_of_repeated_measurements() -> None:
     rng = np.random.default_rng(2)
-    sigma = np.repeat([FORCE_SIGMA_N, MOMENT_SIGMA_NM], 3)
     perfect = readings(TURNS)
     values = [
         [q.value for q in estimate_payload(TURNS, noisy).quantities]
-        for noisy in perfect + sigma * rng.standard_normal((600, *perfect.shape))
+        for noisy in perfect + SIGMAS * rng.standard_normal((600, *perfect.shape))
     ]
     told = estimate_payload(TURNS, perfect).covariance
     size = np.sqrt(np.diag(told))
@@ -177,7 +156,7 @@ def test_a_cable_that_pulls_in_one_pose_is_not_accepted() -> None:
     ("turns", "reason"),
     [
         (TURNS[:5], "POSES"),
-        (np.tile(np.eye(3), (6, 1, 1)), "DEGENERATE"),
+        (LEVEL, "DEGENERATE"),
         # About the vertical nothing changes for gravity.
         (Rotation.from_euler("z", np.arange(6)[:, None]).as_matrix(), "DEGENERATE"),
     ],
@@ -202,29 +181,17 @@ def test_a_reading_that_is_no_number_is_refused() -> None:
 def test_a_wrong_sign_is_named() -> None:
     assert "ft.sign" in estimate_payload(TURNS, -readings(TURNS)).obstacle
     with pytest.raises(RefusedError, match=r"ft\.sign"):
-        estimate_level_payload(-readings(np.tile(np.eye(3), (6, 1, 1))))
+        estimate_level_payload(-readings(LEVEL))
 
 
 def test_a_level_hand_gives_mass_and_place_in_the_plane_and_says_what_it_leaves_open() -> None:
-    level = readings(np.tile(np.eye(3), (6, 1, 1))) - BIAS
+    level = readings(LEVEL) - BIAS
     found = estimate_level_payload(level)
     assert [q.name for q in found.quantities] == ["mass_kg", "com_x_mm", "com_y_mm"]
     np.testing.assert_allclose([q.value for q in found.quantities], [MASS_KG, *COM_MM[:2]])
     assert found.acceptable
     assert "height" in found.note
     assert not estimate_level_payload(level + BIAS).acceptable
-
-
-def test_the_covariance_of_a_level_hand_covers() -> None:
-    rng = np.random.default_rng(3)
-    sigma = np.repeat([FORCE_SIGMA_N, MOMENT_SIGMA_NM], 3)
-    level = readings(np.tile(np.eye(3), (6, 1, 1))) - BIAS
-    scores = []
-    for _ in range(400):
-        found = estimate_level_payload(level + sigma * rng.standard_normal(level.shape))
-        errors = np.array([q.value for q in found.quantities]) - [MASS_KG, *COM_MM[:2]]
-        scores.append(errors / [q.sigma for q in found.quantities])
-    assert (np.abs((np.abs(scores) < 1.0).mean(axis=0) - 0.683) < 0.093).all()
 
 
 FACE, BOTTOM = np.array([0.4, -0.3]), np.array([1.2, 2.5])
@@ -242,16 +209,6 @@ def leaning(yaw: float) -> np.ndarray:
 
 def scores_of(found: CalibrationEstimate, truth) -> list[float]:
     return [(q.value - t) / q.sigma for q, t in zip(found.quantities, truth, strict=True)]
-
-
-def test_the_face_centre_covers_the_truth_as_often_as_it_says() -> None:
-    rng = np.random.default_rng(6)
-    scores = []
-    for _ in range(400):
-        grips = BOTTOM - FACE + FELT_SIGMA_MM * rng.standard_normal((5, 2))
-        found = estimate_tool(BOTTOM + 0.1 * rng.standard_normal(2), 0.1, grips)
-        scores.append(scores_of(found, FACE))
-    assert (np.abs((np.abs(scores) < 1.0).mean(axis=0) - 0.683) < 0.093).all()
 
 
 def test_grips_that_scatter_are_not_accepted() -> None:
@@ -273,18 +230,51 @@ def test_a_turned_sensor_is_no_payload() -> None:
     assert not estimate_payload(TURNS, leaning(0.2)).acceptable
 
 
-def test_the_yaw_covers_the_truth_as_often_as_it_says() -> None:
-    rng = np.random.default_rng(7)
+def edges_with_noise(rng: np.random.Generator) -> np.ndarray:
+    noisy = [replace(edge, at_mm=edge.at_mm + EDGE_SIGMA_MM * rng.standard_normal())
+             for edge in SQUARE]  # fmt: skip
+    found = fit_edges(noisy, yaw=True)
+    return (found.x / np.sqrt(np.diag(found.covariance)))[[0, 1, 4]]
+
+
+def payload_with_noise(rng: np.random.Generator) -> list[float]:
+    perfect = readings(TURNS)
+    noisy = perfect + SIGMAS * rng.standard_normal(perfect.shape)
+    return scores_of(estimate_payload(TURNS, noisy), [MASS_KG, *COM_MM, *BIAS])
+
+
+def level_payload_with_noise(rng: np.random.Generator) -> list[float]:
+    level = readings(LEVEL) - BIAS
+    noisy = level + SIGMAS * rng.standard_normal(level.shape)
+    return scores_of(estimate_level_payload(noisy), [MASS_KG, *COM_MM[:2]])
+
+
+def grips_with_noise(rng: np.random.Generator) -> list[float]:
+    grips = BOTTOM - FACE + FELT_SIGMA_MM * rng.standard_normal((5, 2))
+    return scores_of(estimate_tool(BOTTOM + 0.1 * rng.standard_normal(2), 0.1, grips), FACE)
+
+
+def yaw_with_noise(rng: np.random.Generator) -> list[float]:
     perfect = leaning(0.02)
-    scores = []
-    for _ in range(400):
-        noisy = perfect + FORCE_SIGMA_N * rng.standard_normal(perfect.shape)
-        scores.append(scores_of(estimate_wrist(TURNS, noisy), [0.02, 1.5]))
+    noisy = perfect + FORCE_SIGMA_N * rng.standard_normal(perfect.shape)
+    return scores_of(estimate_wrist(TURNS, noisy), [0.02, 1.5])
+
+
+@pytest.mark.parametrize(
+    "draw",
+    [edges_with_noise, payload_with_noise, level_payload_with_noise, grips_with_noise,
+     yaw_with_noise],
+)  # fmt: skip
+def test_the_uncertainties_cover_the_truth_as_often_as_they_say(draw) -> None:
+    rng = np.random.default_rng(1)
+    scores = np.array([draw(rng) for _ in range(400)])
+    # 68.3 %, give or take four standard deviations of 400 draws.
     assert (np.abs((np.abs(scores) < 1.0).mean(axis=0) - 0.683) < 0.093).all()
+    assert np.abs(np.mean(scores, axis=0)).max() < 4.0 / np.sqrt(400)
 
 
 def test_too_little_is_refused_by_name() -> None:
-    edges, level = felt_edges((0, 0), 0.0), np.tile(np.eye(3), (6, 1, 1))
+    edges = SQUARE
     for call, reason in (
         (lambda: fit_plane(TOUCHES[:3]), "TOUCHES"),
         (lambda: fit_plane(TOUCHES[[0, 1, 4, 1]]), "DEGENERATE"),
@@ -293,7 +283,7 @@ def test_too_little_is_refused_by_name() -> None:
         (lambda: fit_edges(felt_edges((0, 0), 0.0, along=0.0), yaw=True), "DEGENERATE"),
         (lambda: estimate_tool(BOTTOM, 0.1, np.zeros((2, 2))), "GRIPS"),
         (lambda: estimate_wrist(TURNS[:5], leaning(0.0)[:5]), "POSES"),
-        (lambda: estimate_wrist(level, leaning(0.0)), "DEGENERATE"),
+        (lambda: estimate_wrist(LEVEL, leaning(0.0)), "DEGENERATE"),
     ):
         with pytest.raises(RefusedError) as refused:
             call()

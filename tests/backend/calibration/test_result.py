@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import sys
 from collections.abc import Callable
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
@@ -14,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.backend.annotations.test_packs_in_datasets import no_file_above
 from touchdown.backend.calibration.applied import UNCALIBRATED, calibrated_positions
 from touchdown.backend.calibration.cameras import (
     DOT_SIGMA_PX,
@@ -360,18 +360,10 @@ def test_what_cannot_be_applied_is_damaged_though_its_hash_fits(
         store.in_use(DEVICES, required=True, now=NOW)
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="needs limits of the size of files")
 def test_a_disk_that_takes_no_more_keeps_the_calibration_before(store: CalibrationStore) -> None:
-    import resource
-
     before = store.accept(of_kind("camera"), DEVICES, now=NOW).read_bytes()
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (100, hard))
-    try:
-        with pytest.raises(InputError):
-            store.accept(of_kind("camera"), DEVICES, now=NOW + timedelta(hours=1))
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    with no_file_above(100), pytest.raises(InputError):
+        store.accept(of_kind("camera"), DEVICES, now=NOW + timedelta(hours=1))
     standing = store.status("camera", DEVICES, NOW)
     assert standing.condition == "valid"
     kept = [path for path in store.folder.rglob("*") if path.is_file()]

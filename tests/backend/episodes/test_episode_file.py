@@ -356,11 +356,7 @@ def test_episodes_come_back_bit_for_bit(tmp_path: Path) -> None:
         assert np.array_equal(got.observation, sent.observation)
         assert dict(got.label) == dict(sent.label)
     assert read_whole(path).metadata["pack"] == {"schema_version": "1", "seed": "7"}
-
-
-def test_equal_rows_give_equal_files(tmp_path: Path) -> None:
-    a, b = write(tmp_path / "a.mcap"), write(tmp_path / "b.mcap")
-    assert a.read_bytes() == b.read_bytes()
+    assert write(tmp_path / "b.mcap", 5).read_bytes() == path.read_bytes()
 
 
 def test_the_reference_reader_decodes_every_message(tmp_path: Path) -> None:
@@ -423,16 +419,6 @@ def test_nothing_appears_when_writing_fails(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_every_truncation_is_refused_by_name(tmp_path: Path) -> None:
-    whole = write(tmp_path / "a.mcap").read_bytes()
-    cut = tmp_path / "cut.mcap"
-    for size in [0, 5, 60, 200, len(whole) // 2, len(whole) - 9, len(whole) - 1]:
-        cut.write_bytes(whole[:size])
-        with pytest.raises(InputError) as error:
-            list(read_pack(cut))
-        assert error.value.where == str(cut)
-
-
 def test_every_changed_byte_is_noticed_or_harmless(tmp_path: Path) -> None:
     whole = write(tmp_path / "a.mcap", 2).read_bytes()
     sent = list(rows(2))
@@ -453,7 +439,11 @@ def test_every_changed_byte_is_noticed_or_harmless(tmp_path: Path) -> None:
     assert refused > 0.9 * len(positions)
 
 
-def test_a_foreign_file_is_refused_by_name(tmp_path: Path) -> None:
+def test_a_foreign_file_is_refused_by_name_and_an_empty_folder_says_what_to_do(
+    tmp_path: Path,
+) -> None:
+    with pytest.raises(InputError, match="simulate"):
+        load_rows(tmp_path)
     foreign = tmp_path / "foreign.mcap"
     foreign.write_bytes(b"PK\x03\x04" * 100)
     with pytest.raises(InputError, match="not an MCAP file") as error:
@@ -491,11 +481,6 @@ def test_mixed_geometries_and_bad_labels_are_refused(tmp_path: Path) -> None:
         with pytest.raises(InputError) as error:
             load_rows(path)
         assert error.value.where == str(path)
-
-
-def test_an_empty_folder_says_what_to_do(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="simulate"):
-        load_rows(tmp_path)
 
 
 @pytest.mark.parametrize("points", [1, 7, 8, 177, 349, 505])

@@ -61,10 +61,14 @@ from touchdown.backend.simulation.scene_camera import camera_matrix, render_scen
 TRUE = camera_matrix()[:, [0, 1, 3]] / camera_matrix()[2, 3]
 
 
+def scene_of(piece: str, bottom: str):
+    choice = SceneChoice(piece, (bottom,), 3, jig=True)
+    return make_scene(load_pieces(), choice, SimulationSettings())
+
+
 @pytest.fixture(scope="module")
 def scene():
-    choice = SceneChoice("pot", ("circle25",), 3, jig=True)
-    return make_scene(load_pieces(), choice, SimulationSettings())
+    return scene_of("pot", "circle25")
 
 
 def test_exact_points_give_the_homography_and_its_inverse() -> None:
@@ -392,7 +396,7 @@ def ordered_independently(dots: np.ndarray) -> np.ndarray:
 
 def test_rest_frame_has_the_published_places() -> None:
     table = np.loadtxt(GELSIGHT / "rest_positions.csv", delimiter=",", skiprows=1)
-    frame = next(read_pictures(GELSIGHT / "nocontact_train_sensor.png"))
+    frame = next(read_pictures(REST_FRAME))
     field = MarkerTracker("left").track(frame)
     assert (field.state == MarkerState.SEEN).all()
     assert field.quality == 1.0
@@ -456,10 +460,10 @@ def test_sixty_starts_give_the_same_bits() -> None:
 
 @pytest.mark.parametrize("gain", [0.75, 1.25])
 def test_light_does_not_move_markers(gain: float, tmp_path: Path) -> None:
-    picture = cv2.imread(str(GELSIGHT / "nocontact_train_sensor.png"))
+    picture = cv2.imread(str(REST_FRAME))
     lit = tmp_path / "lit.png"
     cv2.imwrite(str(lit), np.clip(gain * picture, 0, 255).astype(np.uint8))
-    plain = next(read_pictures(GELSIGHT / "nocontact_train_sensor.png"))
+    plain = next(read_pictures(REST_FRAME))
     before = MarkerTracker("left").track(plain).position_px
     after = MarkerTracker("left").track(next(read_pictures(lit))).position_px
     assert np.sqrt(((after - before) ** 2).sum(axis=1).mean()) < 0.05
@@ -478,9 +482,7 @@ def board():
 
 def drawn(piece, bottom, at_mm):
     """Return a picture of the piece pressed at a known place."""
-    choice = SceneChoice(piece, (bottom,), 3, jig=True)
-    scene = make_scene(load_pieces(), choice, SimulationSettings())
-    return render_scene(scene, at_mm, 0.0, 0.0)
+    return render_scene(scene_of(piece, bottom), at_mm, 0.0, 0.0)
 
 
 @pytest.mark.parametrize("bottom", ["circle15", "square15", "rect12x28"])
@@ -508,12 +510,9 @@ def test_noise_and_blur_move_it_little(face, board):
     assert np.abs(seen.offset_mm - (4.0, 3.0)).max() < 0.35
 
 
-def test_without_a_piece_there_is_no_place(face, board):
+def test_a_piece_farther_off_than_it_is_looked_for_or_none_is_not_measured(face, board):
     plain = np.full((480, 640, 3), 128, np.uint8)
     assert observe_offset(plain, board, face, np.zeros(2)) is None
-
-
-def test_a_piece_that_is_farther_off_than_it_is_looked_for_is_not_measured_wrongly(face, board):
     image = drawn("pot", "circle15", (12.0, 0.0))
     seen = observe_offset(image, board, face, np.zeros(2))
     assert seen is None or np.hypot(*(seen.offset_mm - (12.0, 0.0))) < 3 * seen.sigma_mm

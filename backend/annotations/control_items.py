@@ -2,31 +2,29 @@
 
 from __future__ import annotations
 
-import time
+import sqlite3
 from bisect import bisect_right
 from collections import defaultdict
-from collections.abc import Container, Mapping, Sequence
+from collections.abc import Container, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from hashlib import blake2b
 from typing import Any
 
-from touchdown.backend.annotations import review
+from touchdown.backend.annotations import operation_log, review
 from touchdown.backend.annotations.dataset import Dataset
-from touchdown.backend.annotations.labels import LabelStore
-from touchdown.backend.annotations.review import BY_PROGRAM, Action, ReviewStatus, RevisionNode
+from touchdown.backend.annotations.labels import LabelEditor, LabelStore
+from touchdown.backend.annotations.operation_log import OperationDraft
+from touchdown.backend.annotations.review import BY_PROGRAM, ReviewStatus, RevisionNode
 from touchdown.backend.annotations.values import (
     AnswerContext,
     ControlItemStep,
     EpisodeEntry,
     Label,
-    LabelState,
     Operation,
     Revision,
-    Source,
-    Verdict,
-    uuid7,
 )
-from touchdown.backend.core import InputError, RefusedError
+from touchdown.backend.core import InputError
 
 CONTROL_ITEM_EVERY = 20
 BLOCK = CONTROL_ITEM_EVERY - 1
@@ -100,37 +98,39 @@ def preceding(order: Sequence[str], ordinary: set[str]) -> dict[str, str]:
     return found
 
 
-class ControlItemLabels:
-    """Labels of one annotation session; ``of`` keeps control items apart from the others.
+class ControlItemLabels(LabelEditor):
+    """Labels of the control items of one annotation session; ``of`` also serves other episodes.
 
-    Not thread-safe: a session saves one label after the other.
+    A decision about a control item is stored as an opinion, not as a label; a rejected or deleted
+    control item gives one without offset. Not thread-safe: a session saves one label after the
+    other.
     """
 
     def __init__(self, book: LabelStore) -> None:
-        self._book, self._items = book, _ControlItems(book)
+        self._book = book
+        self._person = ""
+        self._shown: Mapping[str, ControlItemView] = {}
 
     def begin(self, person: str, views: Mapping[str, ControlItemView]) -> None:
         """Set the control items in the queue of ``person``."""
-        self._items.begin(person, views)
+        self._person, self._shown = person, dict(views)
 
     def hides(self, uuid: str) -> bool:
         """Return True if an episode is a control item of the session."""
-        return uuid in self._items.shown
+        return uuid in self._shown
 
-    def of(self, uuid: str) -> LabelStore | _ControlItems:
+    def of(self, uuid: str) -> LabelStore | ControlItemLabels:
         """Return the object that reads and changes the label of an episode.
 
-        Both objects have the same methods. A decision about a control item is stored as an opinion;
-        a rejected or deleted control item gives one without offset. Undo and redo are those of
-        ``LabelStore`` for both.
+        Both objects have the same methods for it. Undo and redo are those of ``LabelStore``.
         """
-        return self._items if self.hides(uuid) else self._book
+        return self if self.hides(uuid) else self._book
 
     def entry(self, entry: EpisodeEntry) -> EpisodeEntry:
         """Return the entry as the page shows it."""
         if not self.hides(entry.uuid):
             return entry
-        now = self._items.now(entry.uuid)
+        now = self._now(entry.uuid)
         return replace(entry, state=now.version.state, conflict=False, deleted=bool(now.deleted))
 
     def log(self, *, text: str = "", limit: int = 500) -> list[Operation]:
@@ -138,138 +138,79 @@ class ControlItemLabels:
         return [op for op in self._book.log(text=text, limit=limit) if not self._tells(op)]
 
     def _tells(self, operation: Operation) -> bool:
-        if operation.verb in BY_PROGRAM or operation.actor == self._items.person:
+        if operation.verb in BY_PROGRAM or operation.actor == self._person:
             return False
         episodes = operation.episodes
         return bool(episodes) and all(self.hides(uuid) for uuid in episodes)
 
-
-class _ControlItems:
-    """Control items of one person. Their answers are not stored as labels."""
-
-    def __init__(self, book: LabelStore) -> None:
-        self._book = book
-        self.person: str = ""
-        self.shown: Mapping[str, ControlItemView] = {}
-
-    def begin(self, person: str, views: Mapping[str, ControlItemView]) -> None:
-        self.person, self.shown = person, dict(views)
-
-    def now(self, uuid: str) -> ControlItemStep:
+    def _now(self, uuid: str) -> ControlItemStep:
         """Return the entry as the person sees it."""
         return self._steps(uuid)[-1]
 
     def head(self, uuid: str) -> Revision:
+        """Return the label as the person sees it."""
         return self.history(uuid)[-1]
 
     def history(self, uuid: str) -> list[Revision]:
+        """Return the revisions as the person sees them, oldest first."""
         versions = {step.version.rev_uuid: step.version for step in reversed(self._steps(uuid))}
         return list(reversed(versions.values()))
 
-    def set(
-        self,
-        person: str,
-        uuid: str,
-        label: Label,
-        *,
-        source: Source | None = None,
-        verdict: Verdict | None = None,
-    ) -> Revision:
-        head, state = self.head(uuid), self._after("set", uuid, person)
-        revision = self._revision(person, uuid, label, state, source, verdict)
-        same = all(getattr(revision, n) == getattr(head, n) for n in ("label", "source", "verdict"))
-        return head if same and head.state == "draft" else self._add("label.set", revision)
-
-    def accept(
-        self,
-        person: str,
-        uuid: str,
-        label: Label,
-        *,
-        source: Source | None = None,
-        context: AnswerContext | None = None,
-    ) -> Revision:
-        state = None
-        if label != self.head(uuid).label:
-            state = self._after("set", uuid, person)
-        state = self._after("accept", uuid, person, state)
-        revision = self._revision(person, uuid, label, state, source)
-        return self._add("label.accept_next", revision, context)
-
-    def reject(
-        self, person: str, uuid: str, reason: str, *, context: AnswerContext | None = None
-    ) -> Revision:
-        state = self._after("reject", uuid, person)
-        revision = self._revision(person, uuid, self.head(uuid).label, state)
-        return self._add("reject", replace(revision, reason=reason), context)
-
-    def take_over(self, person: str, uuid: str) -> Revision:
-        head, status = self.head(uuid), self._review_status(uuid)
-        review.check_open(status)
-        if head.state not in ("draft", "rejected") or person in status.authors:
-            raise RefusedError("nothing to take over", "This is no draft of another person.")
-        return self._add("label.take_over", self._revision(person, uuid, head.label, "draft"))
-
     def restore_revision(self, person: str, uuid: str, rev_uuid: str) -> Revision:
+        """Write an old revision again as a draft."""
         for old in self.history(uuid):
             if old.rev_uuid == rev_uuid:
                 return self.set(person, uuid, old.label, source=old.source, verdict=old.verdict)
         raise InputError("The revision is of another episode.", rev_uuid, "Look at its history")
 
     def skip(self, person: str, uuid: str) -> None:
+        """Move an episode to the end of its queue."""
         review.check_open(self._review_status(uuid))
-        if not self.now(uuid).skipped:
+        if not self._now(uuid).skipped:
             self._mark(person, "skip", uuid, skipped=True)
 
     def delete(self, person: str, uuid: str, reason: str) -> None:
-        if self.now(uuid).deleted != reason:
+        """Hide an episode, with a reason."""
+        if self._now(uuid).deleted != reason:
             self._mark(person, "delete", uuid, deleted=reason)
 
     def _steps(self, uuid: str) -> list[ControlItemStep]:
         """Return the revisions of an episode as the person saw them, recording first."""
-        shown = self.shown[uuid]
+        shown = self._shown[uuid]
         begun = ControlItemStep(shown.recorded, beside=shown.beside)
-        return [begun, *self._book.control_item_steps(self.person, uuid)]
+        return [begun, *self._book.control_item_steps(self._person, uuid)]
 
-    def _review_status(self, uuid: str, state: LabelState | None = None) -> ReviewStatus:
+    def _head_and_status(
+        self, connection: sqlite3.Connection, uuid: str
+    ) -> tuple[Revision, ReviewStatus]:
+        return self.head(uuid), self._review_status(uuid)
+
+    def _review_status(self, uuid: str) -> ReviewStatus:
         steps = self._steps(uuid)
         head, nodes = steps[-1].version, [_node(steps[0], "record")]
         for step in steps:
             if step.version.rev_uuid not in {node.rev_uuid for node in nodes}:
                 nodes.append(_node(step, "label.set"))
-        authors = review.authors_of(nodes, head.rev_uuid) if state is None else (self.person,)
-        return ReviewStatus(state or head.state, authors, False, False, bool(steps[-1].deleted))
+        authors = review.authors_of(nodes, head.rev_uuid)
+        return ReviewStatus(head.state, authors, False, False, bool(steps[-1].deleted))
 
-    def _after(
-        self, action: Action, uuid: str, person: str, state: LabelState | None = None
-    ) -> LabelState:
-        """Return the state an ordinary label would get; raises ``RefusedError`` as it would."""
-        return review.state_after(action, self._review_status(uuid, state), person)
-
-    def _revision(
-        self,
-        person: str,
-        uuid: str,
-        label: Label,
-        state: LabelState,
-        source: Source | None = None,
-        verdict: Verdict | None = None,
-    ) -> Revision:
-        head = self.head(uuid)
-        moved = "human" if label != head.label else head.source
-        return replace(
-            head, rev_uuid=uuid7(), parent=head.rev_uuid, label=label, source=source or moved,
-            verdict=verdict or head.verdict, state=state, reason=None, person=person,
-            at_ns=time.time_ns(),
-        )  # fmt: skip
-
-    def _add(self, verb: str, version: Revision, context: AnswerContext | None = None) -> Revision:
-        step = replace(self.now(version.episode), version=version, copy_of=None)
-        self._book.record_control_item_step(version.person, verb, step, context=context)
-        return self.head(version.episode)
+    @contextmanager
+    def edit(
+        self, person: str, verb: str, context: AnswerContext | None = None
+    ) -> Iterator[tuple[sqlite3.Connection, OperationDraft, str]]:
+        """Store the changes of a draft as steps on control items, not as labels and reviews."""
+        with self._book.edit(person, verb, context) as (connection, draft, name):
+            yield connection, draft, name
+            for rev in draft.revs:
+                now = self._now(rev["episode"])
+                names = ("rev_uuid", "parent", "source", "state", "reason", "verdict")
+                label = Label(rev["x_um"], rev["y_um"], rev["theta_mdeg"], rev["sigma_um"])
+                version = replace(now.version, label=label, **{name: rev[name] for name in names})
+                operation_log.add_step(draft, replace(now, version=version, copy_of=None))
+            draft.revs, draft.reviews = [], []
 
     def _mark(self, person: str, verb: str, uuid: str, **what: Any) -> None:
-        self._book.record_control_item_step(person, verb, replace(self.now(uuid), **what))
+        self._book.record_control_item_step(person, verb, replace(self._now(uuid), **what))
 
 
 def _node(step: ControlItemStep, verb: str) -> RevisionNode:

@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import math
 import sqlite3
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import asdict, dataclass, replace
 
 from touchdown.backend.annotations import operation_log, review
@@ -154,24 +155,28 @@ def _moved(label: Label, change: ShiftOrigin | RotateFrame) -> Label:
     )
 
 
-class LabelStore(LabelReader):
-    """Labels of one dataset. ``site``: hash chain that new operations continue.
+class LabelEditor(ABC):
+    """Changes of single labels; a subclass reads and stores them.
 
-    ``four_eyes``: nobody may review their own work. ``frozen``: reason why labels are read-only,
-    set if the hash chain is broken; "" if they can be changed.
+    ``four_eyes``: nobody may review their own work.
     """
 
-    def __init__(self, database: Database, journal: OperationJournal, site: str) -> None:
-        super().__init__(database)
-        self._journal = journal
-        self.site: str = site
-        self._lock = SharedLock()
-        self._stacks: dict[str, UndoStacks] = {}
-        self.four_eyes = True
-        self.frozen = ""
-        self.journal_trouble: str = ""
-        self.after_commit: Callable[[], None] = lambda: None
-        self.before_bulk: Callable[[], None] = lambda: None
+    four_eyes: bool = True
+
+    @abstractmethod
+    def head(self, uuid: str) -> Revision:
+        """Return the valid revision of an episode."""
+
+    @abstractmethod
+    def edit(
+        self, person: str, verb: str, context: AnswerContext | None = None
+    ) -> AbstractContextManager[tuple[sqlite3.Connection, OperationDraft, str]]:
+        """Collect a draft and store it as one operation; an empty draft writes nothing."""
+
+    @abstractmethod
+    def _head_and_status(
+        self, connection: sqlite3.Connection, uuid: str
+    ) -> tuple[Revision, ReviewStatus]: ...
 
     def set(
         self,
@@ -188,8 +193,8 @@ class LabelStore(LabelReader):
         ``source`` None: ``human`` if the offset changed, else unchanged. ``verdict`` and ``note``
         None: unchanged. A draft or rejected label of another person has to be taken over first.
         """
-        with self._act(person, "label.set") as (connection, draft, name):
-            head, status = _head_and_status(connection, uuid)
+        with self.edit(person, "label.set") as (connection, draft, name):
+            head, status = self._head_and_status(connection, uuid)
             state = review.state_after("set", status, name)
             wanted = _edited(head, label, source, verdict, note)
             if wanted != head or head.state not in ("draft", state):
@@ -207,8 +212,8 @@ class LabelStore(LabelReader):
         context: AnswerContext | None = None,
     ) -> Revision:
         """Submit a draft for review; a differing ``label`` is set in the same operation."""
-        with self._act(person, "label.accept_next", context) as (connection, draft, name):
-            head, status = _head_and_status(connection, uuid)
+        with self.edit(person, "label.accept_next", context) as (connection, draft, name):
+            head, status = self._head_and_status(connection, uuid)
             wanted = _edited(head, label or head.label, source, verdict, None)
             if wanted.label != head.label:
                 edited = review.state_after("set", status, name)
@@ -219,17 +224,13 @@ class LabelStore(LabelReader):
 
     def take_over(self, person: str, uuid: str) -> Revision:
         """Turn a draft or rejected label of another person into a draft of ``person``."""
-        with self._act(person, "label.take_over") as (connection, draft, name):
-            head, status = _head_and_status(connection, uuid)
+        with self.edit(person, "label.take_over") as (connection, draft, name):
+            head, status = self._head_and_status(connection, uuid)
             review.check_open(status)
             if head.state not in ("draft", "rejected") or name in status.authors:
                 raise RefusedError("nothing to take over", "This is no draft of another person.")
             draft.revs.append(following(head, head, "draft"))
         return self.head(uuid)
-
-    def approve(self, person: str, uuid: str, *, context: AnswerContext | None = None) -> Revision:
-        """Approve a submitted label (or a changed one that was approved before)."""
-        return self._review(person, uuid, "approve", None, context)
 
     def reject(
         self, person: str, uuid: str, reason: str, *, context: AnswerContext | None = None
@@ -249,20 +250,43 @@ class LabelStore(LabelReader):
         reason: str | None,
         context: AnswerContext | None,
     ) -> Revision:
-        with self._act(person, action, context) as (connection, draft, name):
-            head, status = _head_and_status(connection, uuid)
+        with self.edit(person, action, context) as (connection, draft, name):
+            head, status = self._head_and_status(connection, uuid)
             state = review.state_after(action, status, name, four_eyes=self.four_eyes)
             draft.revs.append(following(head, replace(head, reason=reason), state))
             done = {"rev_uuid": head.rev_uuid, "decision": state, "reason": reason}
             draft.reviews.append(done)
         return self.head(uuid)
 
+
+class LabelStore(LabelReader, LabelEditor):
+    """Labels of one dataset. ``site``: hash chain that new operations continue.
+
+    ``frozen``: reason why labels are read-only, set if the hash chain is broken; "" if they can be
+    changed.
+    """
+
+    def __init__(self, database: Database, journal: OperationJournal, site: str) -> None:
+        super().__init__(database)
+        self._journal = journal
+        self.site: str = site
+        self._lock = SharedLock()
+        self._stacks: dict[str, UndoStacks] = {}
+        self.frozen = ""
+        self.journal_trouble: str = ""
+        self.after_commit: Callable[[], None] = lambda: None
+        self.before_bulk: Callable[[], None] = lambda: None
+
+    def approve(self, person: str, uuid: str, *, context: AnswerContext | None = None) -> Revision:
+        """Approve a submitted label (or a changed one that was approved before)."""
+        return self._review(person, uuid, "approve", None, context)
+
     def resolve(self, person: str, uuid: str, rev_uuid: str) -> Revision:
         """End a conflict: the leaf ``rev_uuid`` becomes valid, the others are closed.
 
         With ``four_eyes``, a person cannot prefer an approval of their own work to another review.
         """
-        with self._act(person, "resolve") as (connection, draft, name):
+        with self.edit(person, "resolve") as (connection, draft, name):
             nodes, closed = review.read_nodes(connection, uuid)
             ids = [leaf.rev_uuid for leaf in review.leaves_of(nodes, closed)]
             if len(ids) < 2 or rev_uuid not in ids:
@@ -287,7 +311,7 @@ class LabelStore(LabelReader):
 
         The latest answer counts. An opinion cannot be undone.
         """
-        with self._act(person, "label.opinion", context) as (connection, draft, _):
+        with self.edit(person, "label.opinion", context) as (connection, draft, _):
             read_review_status(connection, uuid)
             draft.opinions.append({"episode": uuid, "verdict": verdict} | asdict(label))
 
@@ -295,7 +319,7 @@ class LabelStore(LabelReader):
         self, person: str, verb: str, step: ControlItemStep, *, context: AnswerContext | None = None
     ) -> None:
         """Store a step on a control item; it can be undone but changes no label."""
-        with self._act(person, verb, context) as (connection, draft, _):
+        with self.edit(person, verb, context) as (connection, draft, _):
             read_review_status(connection, step.version.episode)
             operation_log.add_step(draft, step)
 
@@ -318,7 +342,7 @@ class LabelStore(LabelReader):
         with self._database.reading() as connection:
             for uuid in dict.fromkeys(uuids):
                 try:
-                    head, status = _head_and_status(connection, uuid)
+                    head, status = self._head_and_status(connection, uuid)
                     review.check_open(status)
                     if isinstance(change, SetState):
                         rows.append(_set_state(head, status, change, name, self.four_eyes))
@@ -335,10 +359,10 @@ class LabelStore(LabelReader):
         """
         self.before_bulk()
         change = wanted.change
-        with self._act(person, "bulk") as (connection, draft, name):
+        with self.edit(person, "bulk") as (connection, draft, name):
             changed = []
             for row in wanted.rows:
-                head, status = _head_and_status(connection, row.episode)
+                head, status = self._head_and_status(connection, row.episode)
                 if head.rev_uuid != row.before.rev_uuid or status.conflict or status.deleted:
                     changed.append(head)
                 elif isinstance(change, SetState):
@@ -389,7 +413,7 @@ class LabelStore(LabelReader):
 
     def _mark(self, person: str, verb: str, uuid: str, name: str, *,
               present: bool = True, note: str = "") -> None:  # fmt: skip
-        with self._act(person, verb) as (connection, draft, _):
+        with self.edit(person, verb) as (connection, draft, _):
             status = read_review_status(connection, uuid)
             if status.deleted and name != DELETED:
                 review.check_open(status)
@@ -467,11 +491,18 @@ class LabelStore(LabelReader):
             # The operation is stored in the catalogue; the next append completes the journal.
             self.journal_trouble = f"The journal of labels lags behind: {error}."
 
+    def _head_and_status(
+        self, connection: sqlite3.Connection, uuid: str
+    ) -> tuple[Revision, ReviewStatus]:
+        status, head = read_review_status(connection, uuid), read_head(connection, uuid)
+        assert head is not None  # its review status is read from the same row
+        return head, status
+
     @contextmanager
-    def _act(
+    def edit(
         self, person: str, verb: str, context: AnswerContext | None = None
     ) -> Iterator[tuple[sqlite3.Connection, OperationDraft, str]]:
-        """Collect a draft and commit it as one operation; an empty draft writes nothing."""
+        """Collect a draft and commit it as one operation."""
         name, draft = check_person(person), OperationDraft()
         if context is not None:
             draft.extra = {"seen_ms": context.seen_ms, "blind": context.blind}
@@ -496,12 +527,6 @@ class LabelStore(LabelReader):
         if operation.actor in self._stacks:
             stacks = self._stacks[operation.actor]
             stacks.apply(operation.op_uuid, operation.verb, operation.target_op)
-
-
-def _head_and_status(connection: sqlite3.Connection, uuid: str) -> tuple[Revision, ReviewStatus]:
-    status, head = read_review_status(connection, uuid), read_head(connection, uuid)
-    assert head is not None  # its review status is read from the same row
-    return head, status
 
 
 def _edited(head: Revision, label: Label, source: Source | None, verdict: Verdict | None,

@@ -51,10 +51,6 @@ class ScoreStore:
                 rows,
             )
 
-    def of(self, uuid: str) -> dict[str, float]:
-        """Return the scores of an episode by name."""
-        return dict(self._database.rows("SELECT name, value FROM score WHERE episode = ?", (uuid,)))
-
     def of_revision(self, name: str, uuid: str) -> tuple[str, float] | None:
         """Return a score and the revision it was computed for, None if there is none."""
         row = self._database.first(

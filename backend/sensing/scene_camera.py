@@ -41,11 +41,6 @@ class Homography:
         """Return (n, 2) px of board points (n, 2) in mm."""
         return _apply_homography(self.matrix, board_mm)
 
-    def to_mm(self, image_px: ArrayLike) -> FloatArray:
-        """Return (n, 2) mm on the board of image points (n, 2) in px."""
-        inverse: FloatArray = np.asarray(np.linalg.inv(self.matrix), dtype=np.float64)
-        return _apply_homography(inverse, image_px)
-
     def text(self) -> str:
         """Return the form stored in episodes."""
         return json.dumps({"matrix": self.matrix.tolist(), "residual_px": self.residual_px})

@@ -353,7 +353,7 @@ def test_gold_looks_like_the_rest_of_a_blind_audit_and_a_verdict_there_changes_n
     assert seen[0] == seen[1]
     assert [row.badges for row in page.list.rows()] == [("answered",)] * 2
     assert {uuid: desk.book.head(uuid) for uuid in heads} == heads
-    kept = desk.workspace.presenter.dataset.labels.log(actor="Ann", limit=2)
+    kept = desk.workspace.presenter.dataset.labels.log(text="Ann", limit=2)
     assert [o.body["opinions"][0]["verdict"] for o in kept] == ["stable", "stable"]
 
 

@@ -285,7 +285,8 @@ def test_injected_errors_come_first_in_the_queue_of_disagreement(dataset: Datase
     assert set(first[:20]) == wrong
     dataset.labels.set("ann", first[0], Label(1, 1))
     assert first[0] not in dataset.queue("disagreement", "ann")
-    assert dataset.scores.of(first[1]) == {"disagreement": values[first[1]]}
+    score = dataset.scores.of_revision("disagreement", first[1])
+    assert score == (dataset.labels.head(first[1]).rev_uuid, values[first[1]])
 
 
 def test_uncertain_and_duplicate_signals(dataset: Dataset, record: Record) -> None:

@@ -116,15 +116,6 @@ class R3Reply:
         return int(found[0]) if found else 0
 
 
-def jog(mode: int, minus_axes: int, plus_axes: int, inching: int = 0) -> R3Request:
-    """Return one jog command; the controller stops by itself 140 ms after the last.
-
-    ``mode``: 0 joint, 1 XYZ, 2 tool, 4 three-axis XYZ, 5 cylinder. Axis bits 1 X or J1 to 32 C
-    or J6. ``inching``: 0 off, 1 high, 2 low.
-    """
-    return R3Request("JOG", f"{mode:02d};00;{minus_axes:02X};{plus_axes:02X};{inching:02d}")
-
-
 def encode_request(request: R3Request) -> bytes:
     """Return the text without its end; raises ``ProtocolError`` for commands outside
     ``ALLOWED``.

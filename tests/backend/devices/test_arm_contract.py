@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,7 +11,17 @@ import pytest
 from tests.backend.devices.contract_bench import EVERY, PRESS, DevicesUnderTest
 from touchdown.backend.core.faults import FaultError, RefusedError
 from touchdown.backend.core.values import Pose
-from touchdown.backend.devices.protocols import STILL, RobotMode, SafetyMode
+from touchdown.backend.devices.protocols import STILL, Motion, RobotMode, SafetyMode
+
+
+def place(pose: Pose) -> tuple[float, float, float]:
+    return (pose.x_mm, pose.y_mm, pose.z_mm)
+
+
+def rising(bench: DevicesUnderTest) -> tuple[Pose, Motion]:
+    """Begin to move up by 60 mm; return the place and the motion."""
+    here = bench.arm.pose(0.1)
+    return here, bench.arm.move_to(replace(here, z_mm=here.z_mm + 60.0), 20.0)
 
 
 @EVERY
@@ -29,9 +40,7 @@ def test_a_move_arrives_reports_what_was_sent_and_keeps_its_speed(bench: Devices
     assert motion.sent["speed_mm_s"] == 20.0
     assert motion.sent["z_mm"] == target.z_mm
     end = bench.arm.pose(0.1)
-    assert (end.x_mm, end.y_mm, end.z_mm) == pytest.approx(
-        (target.x_mm, target.y_mm, target.z_mm), abs=0.05
-    )
+    assert place(end) == pytest.approx(place(target), abs=0.05)
     length = float(np.sqrt(6.0**2 + 2.0**2 + 10.0**2))
     assert bench.now_s() - begun_s >= length / 20.0
     poses = bench.arm.poses.window(begun_s, bench.now_s())
@@ -98,9 +107,7 @@ def test_stop_ends_a_press_in_every_phase(bench: DevicesUnderTest, after_s: floa
     still = bench.arm.pose(0.1)
     bench.rest(0.5)
     after = bench.arm.pose(0.1)
-    assert (still.x_mm, still.y_mm, still.z_mm) == pytest.approx(
-        (after.x_mm, after.y_mm, after.z_mm), abs=bench.still_mm
-    )
+    assert place(still) == pytest.approx(place(after), abs=bench.still_mm)
     assert bench.gripper.status().holding
 
 
@@ -129,8 +136,7 @@ def test_stop_is_legal_in_every_state(bench: DevicesUnderTest) -> None:
 @EVERY
 def test_stop_comes_through_from_another_thread(bench: DevicesUnderTest) -> None:
     bench.lifted_and_gripped()
-    here = bench.arm.pose(0.1)
-    motion = bench.arm.move_to(Pose(here.x_mm, here.y_mm, here.z_mm + 60.0), 20.0)
+    here, motion = rising(bench)
     bench.rest(0.2)
     thread = threading.Thread(target=bench.arm.stop)
     thread.start()
@@ -158,8 +164,7 @@ def test_a_newer_command_ends_the_older_one(bench: DevicesUnderTest) -> None:
 @EVERY
 def test_closing_the_connection_stops_motion_and_keeps_the_grip(bench: DevicesUnderTest) -> None:
     bench.lifted_and_gripped()
-    here = bench.arm.pose(0.1)
-    motion = bench.arm.move_to(Pose(here.x_mm, here.y_mm, here.z_mm + 60.0), 20.0)
+    _, motion = rising(bench)
     bench.rest(0.1)
     bench.arm.close()
     bench.gripper.close()
@@ -234,17 +239,14 @@ def test_a_jog_turns_without_an_end_and_stop_ends_it(bench: DevicesUnderTest) ->
     assert after.y_mm - before.y_mm > 0.5
     bench.rest(0.2)
     still = bench.arm.pose(0.1)
-    assert (still.x_mm, still.y_mm, still.z_mm) == pytest.approx(
-        (after.x_mm, after.y_mm, after.z_mm), abs=bench.still_mm
-    )
+    assert place(still) == pytest.approx(place(after), abs=bench.still_mm)
 
 
 @EVERY
 def test_halt_ends_a_move_and_the_next_one_begins_at_once(bench: DevicesUnderTest) -> None:
     bench.connect()
     bench.rest(0.1)
-    here = bench.arm.pose(0.1)
-    motion = bench.arm.move_to(Pose(here.x_mm, here.y_mm, here.z_mm + 60.0), 20.0)
+    here, motion = rising(bench)
     bench.rest(0.3)
     bench.arm.halt()
     bench.hear()
@@ -292,9 +294,7 @@ def test_the_hand_turns_on_the_way_and_back_and_presses_only_unturned(
     bench.rest(0.1)
     pose = bench.arm.pose(0.1)
     assert vector(pose) == pytest.approx(vector(there), abs=1e-4)
-    assert (pose.x_mm, pose.y_mm, pose.z_mm) == pytest.approx(
-        (there.x_mm, there.y_mm, there.z_mm), abs=0.05
-    )
+    assert place(pose) == pytest.approx(place(there), abs=0.05)
     with pytest.raises(RefusedError, match="level it first"):
         bench.arm.press(PRESS)
     level = bench.arm.move_to(up, 20.0, 0.2)
@@ -316,7 +316,7 @@ def test_a_turning_jog_keeps_its_pivot_and_ends_by_itself(bench: DevicesUnderTes
     pose = bench.arm.pose(0.1)
     # 2 rad/s^2 up to 0.1 rad/s, 0.24 s of it, and as much way down as was missed going up.
     assert vector(pose) == pytest.approx((0.0, 0.024, 0.0), abs=0.002)
-    assert (pose.x_mm, pose.y_mm, pose.z_mm) == pytest.approx((up.x_mm, up.y_mm, up.z_mm), abs=0.02)
+    assert place(pose) == pytest.approx(place(up), abs=0.02)
 
 
 @EVERY
@@ -337,9 +337,7 @@ def test_a_joint_jog_turns_that_joint_alone_and_stop_ends_it(bench: DevicesUnder
     assert 0.005 < after[5] - before[5] < 0.04
     told, pose = bench.arm.place_of(after), bench.arm.pose(0.1)
     assert vector(told) == pytest.approx(vector(pose), abs=1e-5)
-    assert (told.x_mm, told.y_mm, told.z_mm) == pytest.approx(
-        (pose.x_mm, pose.y_mm, pose.z_mm), abs=0.02
-    )
+    assert place(told) == pytest.approx(place(pose), abs=0.02)
     bench.rest(0.3)
     assert bench.arm.joints_rad(0.1) == pytest.approx(after, abs=1e-5)
 
@@ -368,8 +366,7 @@ def test_joints_go_to_their_ends_and_never_beyond_their_range(bench: DevicesUnde
 def test_servo_off_ends_motion_and_moves_nothing_until_it_is_on(bench: DevicesUnderTest) -> None:
     bench.connect()
     bench.rest(0.1)
-    here = bench.arm.pose(0.1)
-    motion = bench.arm.move_to(Pose(here.x_mm, here.y_mm, here.z_mm + 60.0), 20.0)
+    here, motion = rising(bench)
     bench.rest(0.3)
     bench.arm.servo(False)
     bench.hear()

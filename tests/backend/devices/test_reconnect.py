@@ -25,18 +25,13 @@ class Plugged:
         self.state = DeviceState.CLOSED
 
 
-def test_the_same_one_is_taken():
-    device = Plugged("A", "A")
+@pytest.mark.promise("C1")
+def test_the_same_one_is_taken_and_another_one_is_refused_and_named():
+    device = Plugged("A", "A", "B")
     device.connect(1.0, threading.Event())
     reconnect(device, 1.0, threading.Event())
     assert device.state is DeviceState.READY
     assert device.closes == 1
-
-
-@pytest.mark.promise("C1")
-def test_another_one_is_refused_and_named():
-    device = Plugged("A", "B")
-    device.connect(1.0, threading.Event())
     with pytest.raises(FaultError, match="Serial number B answers instead of A"):
         reconnect(device, 1.0, threading.Event())
     assert device.state is DeviceState.CLOSED

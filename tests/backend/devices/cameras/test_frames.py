@@ -256,13 +256,6 @@ def test_what_is_no_picture_is_counted_and_no_fault(content):
     assert (judge.invalid, judge.fault) == (1, None)
 
 
-@pytest.mark.promise("C1")
-def test_an_empty_buffer_that_is_called_a_picture_is_none():
-    judge = gate()
-    assert judge.judge(0.0, STILL) is not None
-    assert [judge.judge(0.04 * k, b"") for k in range(1, 4)] == [None] * 3
-
-
 def picture(seed, quality=90):
     rng = np.random.default_rng(seed)
     noise = np.kron(rng.integers(40, 200, (30, 40, 3)), np.ones((8, 8, 1))).astype(np.uint8)

@@ -146,7 +146,10 @@ r3_request = st.one_of(
     st.builds(
         r3_protocol.R3Request, st.sampled_from(["STATE", "STOP", "ERROR", "CLOSE", "STOPON"])
     ),
-    st.builds(r3_protocol.jog, st.integers(0, 5), u8, u8, st.integers(0, 2)),
+    st.builds(
+        lambda mode, a, b: r3_protocol.R3Request("JOG", f"0{mode};00;{a:02X};{b:02X};00"),
+        *(st.integers(0, 5), u8, u8),
+    ),
     st.builds(
         lambda place, robot, slot: r3_protocol.R3Request("EXEC", f"Mvs {place}", robot, slot),
         tuples(numbers, 6).map(lambda six: f"({','.join(six)})(7,0)"),

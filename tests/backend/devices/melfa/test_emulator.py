@@ -15,13 +15,7 @@ from touchdown.backend.devices.melfa.emulated_controller import (
     solve,
 )
 from touchdown.backend.devices.melfa.emulator import EmulatedMelfa
-from touchdown.backend.devices.melfa.r3_protocol import (
-    RunStatus,
-    StopStatus,
-    jog,
-    read_axes,
-    read_state,
-)
+from touchdown.backend.devices.melfa.r3_protocol import RunStatus, StopStatus, read_axes, read_state
 from touchdown.backend.devices.melfa.r3_protocol import decode_reply as decode_answer
 from touchdown.backend.devices.melfa.realtime_protocol import (
     CYCLE_S,
@@ -163,7 +157,7 @@ def test_an_emergency_stop_is_reset_only_when_it_is_released():
 @pytest.mark.promise("R13")
 def test_a_jog_ends_140_ms_after_the_last_command():
     client = Client().ready()
-    text = jog(0, 0, 0x01).argument
+    text = "00;00;00;01;00"
     assert client.ask(f"1;1;JOG{text}") == "QoK"
     client.wait(0.1)
     assert client.ask(f"1;1;JOG{text}") == "QoK"
@@ -177,7 +171,7 @@ def test_a_straight_jog_keeps_the_hand_and_follows_the_override():
     client = Client().ready()
     client.ask("1;1;OVRD=10")
     before = frame_of(client.joints)
-    client.ask(f"1;1;JOG{jog(1, 0x04, 0).argument}")
+    client.ask("1;1;JOG01;00;04;00;00")
     client.wait(0.3)
     after = frame_of(client.joints)
     assert after[:3, 3] - before[:3, 3] == pytest.approx([0.0, 0.0, -25.0 * 0.14], abs=0.1)

@@ -40,7 +40,6 @@ from touchdown.backend.devices.melfa.kinematics import (
     joints_for,
 )
 from touchdown.backend.devices.melfa.r3_protocol import R3Request
-from touchdown.backend.devices.melfa.realtime_protocol import turns
 from touchdown.backend.devices.protocols import DeviceState
 
 
@@ -315,11 +314,6 @@ def test_a_missing_address_counts_as_one():
             r3_protocol.decode_request(address + b"STATE")
 
 
-def test_jog_of_the_vectors():
-    content = r3_protocol.encode_request(r3_protocol.jog(1, minus_axes=1, plus_axes=0))
-    assert content == data("r3-jog-x-minus")
-
-
 @pytest.mark.parametrize("end", [b"\r", b"\n", b"\r\n"])
 def test_any_line_end_is_taken(end):
     decoder = r3_protocol.replies()
@@ -368,21 +362,12 @@ def test_an_answer_prints_as_it_was_read(read, name):
     assert read(answer).answer() == answer
 
 
-def test_turn_counts():
-    assert turns(15728640) == (0, 0, 0, 0, 0, -1, 0, 0)
-    assert turns(0x8000_000E) == (-2, 0, 0, 0, 0, 0, 0, -8)
-
-
 @pytest.mark.parametrize(
     "answer", ["", "X;1", "X;1;X;2;;7,0;100;0.00;00000000", "X;nan;;7,0;100;0.00;00000000", ";;;;"]
 )
 def test_other_position_texts_are_refused(answer):
     with pytest.raises(ProtocolError):
         r3_protocol.read_axes(answer)
-
-
-def test_no_active_error():
-    assert r3_protocol.read_error("") == (0, 0)
 
 
 @pytest.mark.parametrize(("press_n", "why"), [(math.nan, "FT-UNKNOWN"), (3.0, "DRAGGING")])

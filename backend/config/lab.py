@@ -33,7 +33,7 @@ DEVICES, MEMORY = Path("/dev"), Path("/dev/shm")  # noqa: S108 - only compared
 ARM_HOSTS = {"melfa": "melfa.host", "ur": "ur.host"}
 
 
-def require_matching_addresses(settings: HardwareSettings, kind: str, where: str) -> None:
+def _require_matching_addresses(settings: HardwareSettings, kind: str, where: str) -> None:
     """Raise ``InputError`` where ``kind`` ("hardware" or "emulated") and an address disagree."""
     for key, here in _addresses(settings):
         if kind == "emulated" and not here:
@@ -54,10 +54,8 @@ def require_matching_addresses(settings: HardwareSettings, kind: str, where: str
 
 def _addresses(settings: HardwareSettings) -> Iterator[tuple[str, bool]]:
     """Yield (key, True if it is a possible address of an emulated device)."""
-    if settings.melfa.driver == "ur":
-        yield "ur.host", is_loopback(settings.ur.host)
-    else:
-        yield "melfa.host", is_loopback(settings.melfa.host)
+    arm = "ur" if settings.melfa.driver == "ur" else "melfa"
+    yield f"{arm}.host", is_loopback(getattr(settings, arm).host)
     yield "wsg.host", is_loopback(settings.wsg.host)
     # Without an address these two are read through the controller of their arm.
     if settings.ft.driver not in ("melfa", "ur") or settings.ft.address:
@@ -234,12 +232,10 @@ def is_lab_file(path: Path) -> bool:
 
 def load_lab(path: Path) -> Lab:
     """Read a lab file; raises ``InputError`` naming file, key and reason."""
-    settings = parse_lab(read_toml(path), path)
-    require_matching_addresses(settings, settings.kind, str(path))
-    return Lab(path, settings)
+    return Lab(path, _parsed(read_toml(path), path))
 
 
-def parse_lab(content: dict[str, Any], path: Path) -> LabSettings:
+def _parsed(content: dict[str, Any], path: Path) -> LabSettings:
     """Return the settings of a lab file; raises ``InputError``, also for another version."""
     version = content.get("version")
     if version != LAB_FILE_VERSION or isinstance(version, bool):
@@ -248,7 +244,9 @@ def parse_lab(content: dict[str, Any], path: Path) -> LabSettings:
             str(path),
             f"Write 'version = {LAB_FILE_VERSION}', or use the Touchdown that wrote the file.",
         )
-    return parse_settings(LabSettings, content, str(path))
+    settings = parse_settings(LabSettings, content, str(path))
+    _require_matching_addresses(settings, settings.kind, str(path))
+    return settings
 
 
 LabValue = str | int
@@ -265,8 +263,7 @@ def save_lab(path: Path, values: Mapping[str, LabValue]) -> bool:
     after = edit_toml(before, values, str(path))
     if after == before:
         return False
-    settings = parse_lab(tomllib.loads(after), path)
-    require_matching_addresses(settings, settings.kind, str(path))
+    _parsed(tomllib.loads(after), path)
     write_atomically(path, after.encode())
     return True
 

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -149,28 +150,27 @@ def read_coco(source: Path, dataset: Dataset) -> Iterator[ImportedLabel]:
         images = {image["id"]: image for image in content["images"]}
         for annotation in content["annotations"]:
             image = images[annotation["image_id"]]
-            yield _row(annotation, image, _Scale(origins[image["pair"]], scale), dataset)
+            origin = np.array(origins[image["pair"]], dtype=np.float64).reshape(2)
+            yield _row(annotation, image, partial(_to_mm, origin, scale), dataset)
     except (OSError, ValueError, KeyError, TypeError, IndexError) as error:
         raise InputError(
             f"The annotations cannot be read: {error!r}.", str(path), "Export them again."
         ) from error
 
 
-class _Scale:
-    def __init__(self, origin_px: Any, px_per_mm: float) -> None:
-        self._origin = np.array(origin_px, dtype=np.float64).reshape(2)
-        self._px_per_mm = px_per_mm
-
-    def mm(self, points_px: Any) -> FloatArray:
-        """Return points (n, 2) in mm in the bottom frame."""
-        points = np.array(points_px, dtype=np.float64).reshape(-1, 2)
-        return np.asarray((points - self._origin) / self._px_per_mm * np.array([1.0, -1.0]))
+def _to_mm(origin_px: FloatArray, px_per_mm: float, points_px: Any) -> FloatArray:
+    """Return points (n, 2) in mm in the bottom frame."""
+    points = np.array(points_px, dtype=np.float64).reshape(-1, 2)
+    return np.asarray((points - origin_px) / px_per_mm * np.array([1.0, -1.0]))
 
 
 def _row(
-    annotation: Mapping[str, Any], image: Mapping[str, Any], scale: _Scale, dataset: Dataset
+    annotation: Mapping[str, Any],
+    image: Mapping[str, Any],
+    to_mm: Callable[[Any], FloatArray],
+    dataset: Dataset,
 ) -> ImportedLabel:
-    x_mm, y_mm = scale.mm(annotation["keypoints"][:2])[0].tolist()
+    x_mm, y_mm = to_mm(annotation["keypoints"][:2])[0].tolist()
     x_um, y_um = round(x_mm * 1e3), round(y_mm * 1e3)
     was = Label(**annotation["label"]) if "label" in annotation else None
     moved = was is None or (was.x_um, was.y_um) != (x_um, y_um)
@@ -180,7 +180,7 @@ def _row(
     warning = ""
     if annotation["segmentation"]:
         pair = dataset.geometry.pair(str(image["pair"]))
-        corners = scale.mm(annotation["segmentation"][0])
+        corners = to_mm(annotation["segmentation"][0])
         share = _iou(corners, label, pair, dataset)
         if share < MIN_IOU:
             warning = f"its polygon and the patch of its offset overlap by {share:.2f} only"

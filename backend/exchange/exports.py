@@ -211,7 +211,14 @@ def export_dataset(
         part.replace(out)
         sync_folder(out.parent)
     except OSError as error:
-        raise FaultError(_disk_fault(error, part)) from error
+        full = error.errno in DISK_FULL_ERRNOS
+        fault = Fault(
+            code="DISK-FULL" if full else "EXPORT-WRITE",
+            what="The disk is full." if full else f"The export cannot be written: {error}.",
+            consequence=f"The export is incomplete; {part.name} can be deleted.",
+            next_step="Make room, then export again.",
+        )
+        raise FaultError(fault) from error
     return ExportResult(out, len(job.chosen), manifest_sha256, tuple(described["warnings"]))
 
 
@@ -316,16 +323,6 @@ def _warnings(job: ExportJob, chosen_format: ExportFormat) -> list[str]:
         f"{action}; the orientation of the tool is fixed.",
         "All signals are at 10 Hz; native rates and time stamps are in the episode files only.",
     ]
-
-
-def _disk_fault(error: OSError, part: Path) -> Fault:
-    full = error.errno in DISK_FULL_ERRNOS
-    return Fault(
-        code="DISK-FULL" if full else "EXPORT-WRITE",
-        what="The disk is full." if full else f"The export cannot be written: {error}.",
-        consequence=f"The export is incomplete; {part.name} can be deleted.",
-        next_step="Make room, then export again.",
-    )
 
 
 TABLES = ("csv",)  # formats with optional tables of the recorded signals

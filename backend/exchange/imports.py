@@ -101,7 +101,14 @@ def read_foreign(
         try:
             watch = ProcessStallDetector(child.pid)
             if not (yield from _episodes(lines, watch, source, deadline_s)):
-                raise _crashed(source, stderr)
+                stderr.seek(0)
+                printed = stderr.read()[-2000:].decode("utf-8", "replace").splitlines()
+                last = f" ({printed[-1]})" if printed else ""
+                raise InputError(
+                    f"The reader crashed on this file{last}.",
+                    str(source),
+                    "It is damaged; use another copy.",
+                )
         finally:
             child.kill()
             child.wait()
@@ -151,15 +158,6 @@ def _episodes(
             raise InputError(answer["error"], answer["where"] or str(source), answer["fix"])
         else:
             return "done" in answer
-
-
-def _crashed(source: Path, stderr: IO[bytes]) -> InputError:
-    stderr.seek(0)
-    lines = stderr.read()[-2000:].decode("utf-8", "replace").splitlines()
-    last = f" ({lines[-1]})" if lines else ""
-    return InputError(
-        f"The reader crashed on this file{last}.", str(source), "It is damaged; use another copy."
-    )
 
 
 FRAME_SHAPE = (240, 320, 3)

@@ -37,6 +37,10 @@ def make_manifest(
     """Return the manifest of an export without its files and encoding."""
     chosen = selection.chosen
     revisions = [one.revision for one in chosen]
+    # The geometry records that the labels refer to.
+    geometry = {one.revision.geometry for one in chosen}
+    for record in [dataset.geometry.read(pair) for pair in geometry]:
+        geometry |= {str(record[name]) for name in ("face", "bottom", "grid")}
     resolved = {name: getattr(query, name) for name in ExportQuery.__slots__}
     return {
         "version": VERSION,
@@ -47,7 +51,7 @@ def make_manifest(
         "dataset_uuid": dataset.description.uuid,
         "query": {"text": query.text(), "resolved": resolved | {"states": list(query.states)}},
         "episodes": [_episode(one) for one in chosen],
-        "geometry": sorted(_geometry_records(dataset, chosen)),
+        "geometry": sorted(geometry),
         "label_states": dict(sorted(Counter(r.state for r in revisions).items())),
         "label_sources": dict(sorted(Counter(r.source for r in revisions).items())),
         "feature_spec": {
@@ -84,15 +88,6 @@ def _episode(one: SelectedEpisode) -> dict[str, object]:
         "state": revision.state,
         "verdict": revision.verdict,
     }
-
-
-def _geometry_records(dataset: Dataset, chosen: Sequence[SelectedEpisode]) -> set[str]:
-    """Return the hashes of all geometry records that the labels refer to."""
-    found: set[str] = set()
-    for pair in {one.revision.geometry for one in chosen}:
-        record = dataset.geometry.read(pair)
-        found |= {pair, *(str(record[name]) for name in ("face", "bottom", "grid"))}
-    return found
 
 
 def write_manifest(folder: Path, manifest: Manifest) -> str:

@@ -26,13 +26,7 @@ COARSE_SEGMENTS = 48  # corners of a circle while sampling: the area is at most 
 MAX_ROUNDS = 500  # draws before giving up; a few are usual
 
 
-def draw_offset(
-    rng: np.random.Generator,
-    face: Outline,
-    bottom: Outline,
-    count: int,
-    min_overlap_mm2: float = MIN_OVERLAP_MM2,
-) -> FloatArray:
+def draw_offset(rng: np.random.Generator, face: Outline, bottom: Outline, count: int) -> FloatArray:
     """Return (count, 2) offsets in mm, uniform over those with enough overlap.
 
     Raises ``InputError`` if such offsets are too rare.
@@ -44,26 +38,20 @@ def draw_offset(
             return found[:count]
         tried = rng.uniform(-reach, reach, size=(max(8, min(count, 256)), 2))
         area = overlap_area_mm2(face, tried, bottom, segments=COARSE_SEGMENTS)
-        found = np.concatenate([found, tried[area >= min_overlap_mm2]])
+        found = np.concatenate([found, tried[area >= MIN_OVERLAP_MM2]])
     raise InputError(
-        f"The two faces hardly overlap by {min_overlap_mm2:g} mm².",
+        f"The two faces hardly overlap by {MIN_OVERLAP_MM2:g} mm².",
         "piece and bottom",
         "Choose larger faces.",
     )
 
 
-def draw_start(
-    rng: np.random.Generator,
-    piece: Body,
-    bottoms: Tower,
-    min_overlap_mm2: float = MIN_OVERLAP_MM2,
-    margin_mm: float = START_MARGIN_MM,
-) -> tuple[float, float]:
+def draw_start(rng: np.random.Generator, piece: Body, bottoms: Tower) -> tuple[float, float]:
     """Return an offset of ``piece`` from the topmost bottom at which the stack would fall.
 
-    Uniform over offsets in mm (frame ``O``) with an overlap of at least ``min_overlap_mm2`` and a
-    margin of the stack of at most ``margin_mm``. Raises ``InputError`` if the bottoms cannot carry
-    a piece, do not stand, or no such offset is found.
+    Uniform over offsets in mm (frame ``O``) with an overlap of at least ``MIN_OVERLAP_MM2`` and a
+    margin of the stack of at most ``START_MARGIN_MM``. Raises ``InputError`` if the bottoms cannot
+    carry a piece, do not stand, or no such offset is found.
     """
     carrier = bottoms.bodies[-1]
     where = f"{piece.name} on {carrier.name}"
@@ -72,9 +60,9 @@ def draw_start(
     if not judge_tower(bottoms).stands:
         raise InputError("The bottoms do not stand by themselves.", where, "Move them.")
     for _ in range(MAX_ROUNDS):
-        x, y = draw_offset(rng, piece.lower, carrier.upper, 1, min_overlap_mm2)[0].tolist()
+        x, y = draw_offset(rng, piece.lower, carrier.upper, 1)[0].tolist()
         at = (carrier.at_mm[0] + x, carrier.at_mm[1] + y)
-        if judge_tower(bottoms.with_top(replace(piece, at_mm=at))).margin_mm <= margin_mm:
+        if judge_tower(bottoms.with_top(replace(piece, at_mm=at))).margin_mm <= START_MARGIN_MM:
             return x, y
     raise InputError("No unstable start was found.", where, "Choose another bottom.")
 

@@ -11,7 +11,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
 from pydantic import ValidationError
 
 from touchdown.backend.annotations import (
@@ -194,16 +193,13 @@ def training_set_overview(
     except InputError as error:
         pairs = tuple(PairCount(chosen, b, sum(o.bottom == b for o in mine), 0) for b in bottoms)
         return TrainingSetOverview(pieces, chosen, pairs, error=f"{error.what} {error.fix}")
-    pairs = tuple(_pair(mine, split, bottom) for bottom in bottoms)
+    train, held_out = (
+        Counter(mine[i].bottom for i in side.tolist()) for side in (split.train, split.held_out)
+    )
+    pairs = tuple(PairCount(chosen, name, train[name], held_out[name]) for name in bottoms)
     return TrainingSetOverview(
         pieces, chosen, pairs, split.kept_together, tuple(_warnings(mine, split, pairs))
     )
-
-
-def _pair(mine: Sequence[TrainingCandidate], split: Split, bottom: str) -> PairCount:
-    here = np.array([one.bottom == bottom for one in mine])
-    train, held_out = int(here[split.train].sum()), int(here[split.held_out].sum())
-    return PairCount(mine[0].piece, bottom, train, held_out)
 
 
 def _warnings(
@@ -211,7 +207,8 @@ def _warnings(
 ) -> Iterator[str]:
     train = [mine[i] for i in split.train.tolist()]
     held_out = [mine[i] for i in split.held_out.tolist()]
-    shared = _series(train) & _series(held_out)
+    series = [{(one.mounting_id, one.bottom) for one in side} for side in (train, held_out)]
+    shared = series[0] & series[1]
     if shared:
         words = "1 series is" if len(shared) == 1 else f"{len(shared)} series are"
         yield (
@@ -232,10 +229,6 @@ def _warnings(
     if 0 < len(held_out) < FEW:
         few = "1 episode is" if len(held_out) == 1 else f"{len(held_out)} episodes are"
         yield f"Only {few} held out: what they measure is uncertain."
-
-
-def _series(some: Sequence[TrainingCandidate]) -> set[tuple[str, str]]:
-    return {(one.mounting_id, one.bottom) for one in some}
 
 
 def _in_packs(folder: Path) -> Iterator[TrainingCandidate]:

@@ -67,7 +67,7 @@ class TrainingProcess:
     """
 
     def __init__(self, job: TrainingJob) -> None:
-        self._stderr = tempfile.TemporaryFile()  # noqa: SIM115 - closed by close()
+        self._stderr = tempfile.TemporaryFile()  # noqa: SIM115 - closed by __exit__
         environment = IDLE_THREADS | os.environ
         self._child = subprocess.Popen(
             [sys.executable, "-m", "touchdown.backend.learning.training_child"],
@@ -89,7 +89,17 @@ class TrainingProcess:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self.close()
+        """End the child and wait for it."""
+        for pipe in (self._child.stdin, self._child.stdout):
+            if pipe is not None:
+                with suppress(BrokenPipeError):
+                    pipe.close()
+        try:
+            self._child.wait(EXIT_WAIT_S)
+        except subprocess.TimeoutExpired:
+            self._child.kill()
+            self._child.wait()
+        self._stderr.close()
 
     def reports(self) -> Iterator[TrainingReport]:
         """Yield the reports of the child until it ends.
@@ -115,19 +125,6 @@ class TrainingProcess:
     def kill(self) -> None:
         """Kill the child; work since the last whole epoch is lost."""
         self._child.kill()
-
-    def close(self) -> None:
-        """End the child and wait for it."""
-        for pipe in (self._child.stdin, self._child.stdout):
-            if pipe is not None:
-                with suppress(BrokenPipeError):
-                    pipe.close()
-        try:
-            self._child.wait(EXIT_WAIT_S)
-        except subprocess.TimeoutExpired:
-            self._child.kill()
-            self._child.wait()
-        self._stderr.close()
 
     def _send(self, line: str) -> None:
         assert self._child.stdin is not None
@@ -545,7 +542,12 @@ class RecordedTraining:
         request, out = self._request, self._run.folder / MODEL
         if request.resumed_run is not None:
             shutil.copyfile(request.resumed_run.folder / RESUME, self._run.folder / RESUME)
-            _copy_curves(self._run, request.resumed_run)
+            for name, values in request.resumed_run.curves.items():
+                for step, value in values:
+                    self._run.metric(name, step, value)
+            for epoch, bins in request.resumed_run.reliability.items():
+                record_reliability(self._run, epoch, bins)
+            self._run.end_epoch()
         return TrainingJob(
             data=request.data,
             piece=request.piece,
@@ -575,12 +577,3 @@ def _begin(data: Path, settings: TrainingSettings, parameters: Mapping[str, Any]
             str(data),
             "Make room, or give the account the right to write there.",
         ) from error
-
-
-def _copy_curves(run: ActiveRun, former: TrainingRun) -> None:
-    for name, values in former.curves.items():
-        for step, value in values:
-            run.metric(name, step, value)
-    for epoch, bins in former.reliability.items():
-        record_reliability(run, epoch, bins)
-    run.end_epoch()

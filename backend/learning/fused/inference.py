@@ -51,7 +51,7 @@ class InsetDistribution:
     def exceeds(self, least_mm: float | FloatArray) -> FloatArray:
         """Return the probability of an inset above ``least_mm``, one number or (n,)."""
         z = (self.mean_mm - np.asarray(least_mm)[..., None]) / self.sd_mm
-        return np.asarray((self.weight * _normal_cdf(z)).sum(axis=-1))
+        return np.asarray((self.weight * np.interp(z, _STEPS, _NORMAL)).sum(axis=-1))
 
 
 class FusedForward:
@@ -130,9 +130,6 @@ def _rms_norm(x: FloatArray) -> FloatArray:
     return np.asarray(x / np.sqrt((x**2).mean(axis=-1, keepdims=True) + tiny))
 
 
-def _normal_cdf(z: FloatArray) -> FloatArray:
-    steps = np.linspace(-8.0, 8.0, 3201)
-    return np.asarray(np.interp(z, steps, _NORMAL), dtype=np.float64)
-
-
-_NORMAL = np.array([0.5 * (1.0 + erf(z / sqrt(2.0))) for z in np.linspace(-8.0, 8.0, 3201)])
+# Table of the normal distribution function.
+_STEPS = np.linspace(-8.0, 8.0, 3201)
+_NORMAL = np.array([0.5 * (1.0 + erf(z / sqrt(2.0))) for z in _STEPS])

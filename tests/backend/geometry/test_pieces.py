@@ -13,7 +13,7 @@ from scipy import stats
 from shapely.geometry import Point, Polygon
 
 from touchdown.backend.core.faults import InputError
-from touchdown.backend.geometry import outlines
+from touchdown.backend.geometry import outlines, sampling
 from touchdown.backend.geometry.outlines import overlap_area_mm2
 from touchdown.backend.geometry.pieces import load_pieces
 from touchdown.backend.geometry.sampling import draw_offset, draw_start
@@ -217,7 +217,7 @@ def test_the_same_seed_gives_the_same_start() -> None:
     assert first == second
 
 
-def test_impossible_starts_are_refused() -> None:
+def test_impossible_starts_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     catalogue = load_pieces()
     pot, short = catalogue.piece("pot").body(), catalogue.piece("short").body()
     rng = np.random.default_rng(0)
@@ -226,9 +226,10 @@ def test_impossible_starts_are_refused() -> None:
     with pytest.raises(InputError, match="carries nothing"):
         draw_start(rng, pot, Tower((pot,)))
     with pytest.raises(InputError, match="hardly overlap"):
-        draw_offset(rng, pot.lower, short.lower, 1, min_overlap_mm2=200.0)
+        draw_offset(rng, pot.lower, outlines.circle(2.0), 1)
+    monkeypatch.setattr(sampling, "MIN_OVERLAP_MM2", 170.0)
     with pytest.raises(InputError, match="No unstable start"):
-        draw_start(rng, pot, Tower((short,)), min_overlap_mm2=170.0)
+        draw_start(rng, pot, Tower((short,)))
 
 
 def cylinder(

@@ -50,7 +50,7 @@ test: setup ## all tests and their coverage: offscreen, no hardware, no network;
 	    exit $$code; }
 	@echo "coverage: $$($(BIN)/coverage report --format=total) % of the product's lines"
 
-check: lint types contracts test ## what continuous integration runs
+check: lint types contracts test ## all checks of continuous integration
 
 lint: setup ## formatting and lint
 	@$(BIN)/ruff format --check .
@@ -59,7 +59,7 @@ lint: setup ## formatting and lint
 types: setup ## mypy --strict
 	@$(BIN)/mypy
 
-contracts: setup ## who may import whom
+contracts: setup ## check the import contracts
 	@$(BIN)/lint-imports
 
 format: setup ## rewrite the sources in the house style
@@ -72,22 +72,22 @@ bench: setup ## measure every figure and write docs/measured.md (GROUP=name for 
 campaign: setup ## strike every device and process 600 times (40 min; resumes; writes docs/faults.md)
 	@QT_QPA_PLATFORM=offscreen OMP_NUM_THREADS=1 $(BIN)/python -m tests.bench.campaign
 
-fuzz: setup ## throw damaged bytes at every wire decoder (10 min each; MINUTES=1 for less)
+fuzz: setup ## feed damaged bytes to every wire decoder (10 min each; MINUTES=1 for less)
 	@OMP_NUM_THREADS=1 $(BIN)/python -m tests.fuzz.wire --minutes $(MINUTES)
 
 screens: setup ## render every workspace and state, in all themes, into output/screens
 	@QT_QPA_PLATFORM=offscreen OMP_NUM_THREADS=1 $(BIN)/python -m tests.screens 2>/dev/null
 
-pictures: setup ## make the pictures of README and guide anew, in docs/img
+pictures: setup ## make the pictures of README and guides, in docs/img
 	@QT_QPA_PLATFORM=offscreen OMP_NUM_THREADS=1 $(BIN)/python -m tests.pictures 2>/dev/null
 
-models: setup ## make the models that ship, from nothing (the longest target: about 50 min)
+models: setup ## train the shipped models from scratch (the longest target: about 50 min)
 	@$(BIN)/touchdown models --pieces pot,mushroom,mug --episodes 4000 --epochs 18 --seed 2
 	@$(BIN)/touchdown models --pieces barrel --episodes 8000 --epochs 22 --seed 3
 
-exchange-check: setup ## load an export with the real readers (installs them aside: several GB)
+exchange-check: setup ## load an export with the real readers (installs them separately: several GB)
 	@.ci/exchange-check
 
-clean: ## remove what the other targets made (not the data)
+clean: ## remove the results of the other targets (not the data)
 	@rm -rf .venv build *.egg-info .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis
 	@find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -20,6 +20,7 @@ from .serving import BenchTables as BenchTables
 from .serving import Emulation as Emulation
 from .serving import EmulationChoice as EmulationChoice
 from .serving import PictureFunction as PictureFunction
+from .serving import SerialSensor as SerialSensor
 from .serving import WrenchFunction as WrenchFunction
 from .serving import own_address as own_address
 from .serving import replace_host as replace_host
@@ -40,6 +41,7 @@ __all__ = [
     "PictureFunction",
     "PtyServer",
     "SampleSchedule",
+    "SerialSensor",
     "TcpServer",
     "UdpServer",
     "WrenchFunction",

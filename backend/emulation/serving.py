@@ -30,6 +30,16 @@ class StreamingSensor(EmulatedDevice, Protocol):
     pace: SampleSchedule
 
 
+class SerialSensor:
+    """Base of emulated wrist sensors; ``wrench(now_s)`` returns (6,) N and N·m, sensor axes."""
+
+    def __init__(self, wrench: WrenchFunction) -> None:
+        self._wrench, self.pace = wrench, SampleSchedule()
+
+    def closed(self, now_s: float) -> None:
+        """Do nothing: a sensor on a serial line does not notice."""
+
+
 @dataclass(frozen=True, slots=True)
 class EmulationChoice:
     """An emulated device and its wire.

@@ -5,14 +5,13 @@ Streams from power-on, is configured by text, counts microseconds.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-
 from touchdown.backend.devices.bota import protocol
 from touchdown.backend.emulation import (
     Emulation,
     EmulationChoice,
     Faults,
-    SampleSchedule,
+    SerialSensor,
+    WrenchFunction,
     apply_faults,
     serve_serial,
 )
@@ -23,13 +22,12 @@ DEFAULT_SINC = 512
 TIMESTAMP_TURN = 1 << 32
 
 
-class EmulatedBota:
+class EmulatedBota(SerialSensor):
     """Emulated sensor; ``wrench(now_s)`` returns (6,) N and N·m."""
 
-    def __init__(self, wrench: Callable[[float], Sequence[float]]) -> None:
-        self._wrench = wrench
+    def __init__(self, wrench: WrenchFunction) -> None:
+        super().__init__(wrench)
         self._requests = protocol.requests()
-        self.pace = SampleSchedule()
         self._sinc = DEFAULT_SINC
         self._booted = self._configuring = False
 

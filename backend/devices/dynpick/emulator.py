@@ -5,15 +5,14 @@ Commands in, records out: a function of time and bytes.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-
 from touchdown.backend.devices.dynpick import protocol
 from touchdown.backend.devices.dynpick.protocol import DynpickCommand
 from touchdown.backend.emulation import (
     Emulation,
     EmulationChoice,
     Faults,
-    SampleSchedule,
+    SerialSensor,
+    WrenchFunction,
     apply_faults,
     serve_serial,
 )
@@ -30,24 +29,17 @@ _DIVIDERS = {
 }
 
 
-class EmulatedDynpick:
+class EmulatedDynpick(SerialSensor):
     """Emulated sensor; ``wrench(now_s)`` returns (6,) N and N·m in sensor axes. Without
     ``tells_sensitivity`` it is an older type that does not answer ``p``.
     """
 
-    def __init__(
-        self, wrench: Callable[[float], Sequence[float]], *, tells_sensitivity: bool = True
-    ) -> None:
-        self._wrench, self._tells_sensitivity = wrench, tells_sensitivity
+    def __init__(self, wrench: WrenchFunction, *, tells_sensitivity: bool = True) -> None:
+        super().__init__(wrench)
+        self._tells_sensitivity = tells_sensitivity
         self._commands = protocol.command_stream()
         self._offset: tuple[int, ...] = (0,) * 6
         self._divider, self._tick = 1, 0
-        self.pace = SampleSchedule()
-
-    @property
-    def streaming(self) -> bool:
-        """True while the stream runs."""
-        return self.pace.running
 
     def receive(self, now_s: float, data: bytes) -> bytes:
         """Process commands; return the answers."""
@@ -58,9 +50,6 @@ class EmulatedDynpick:
         late, times = self.pace.due(now_s)
         self._tick = (self._tick + late) % 10
         return b"".join(map(self._record, times))
-
-    def closed(self, now_s: float) -> None:
-        """Do nothing: a sensor on a serial line does not notice."""
 
     def _answer(self, now_s: float, command: DynpickCommand) -> bytes:
         match command:
@@ -82,7 +71,7 @@ class EmulatedDynpick:
                 self._offset = self._counts(now_s)
             case _ if command in _DIVIDERS:
                 self._divider = _DIVIDERS[command]
-                if self.streaming:
+                if self.pace.running:
                     self.pace.begin(now_s, self._divider / RATE_HZ)
         return b""
 

@@ -5,14 +5,13 @@ Answers Modbus until the stream runs; then only bytes of FFh have an effect.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-
 from touchdown.backend.devices.ft300 import protocol
 from touchdown.backend.emulation import (
     Emulation,
     EmulationChoice,
     Faults,
-    SampleSchedule,
+    SerialSensor,
+    WrenchFunction,
     apply_faults,
     serve_serial,
 )
@@ -26,13 +25,12 @@ _READ = 3
 _LIMIT = 0x7FFF
 
 
-class EmulatedFt300:
+class EmulatedFt300(SerialSensor):
     """Emulated sensor; ``wrench(now_s)`` returns (6,) N and N·m in sensor axes."""
 
-    def __init__(self, wrench: Callable[[float], Sequence[float]]) -> None:
-        self._wrench = wrench
+    def __init__(self, wrench: WrenchFunction) -> None:
+        super().__init__(wrench)
         self._requests = protocol.requests()
-        self.pace = SampleSchedule()
 
     def receive(self, now_s: float, data: bytes) -> bytes:
         """Process requests; return the answers."""
@@ -43,9 +41,6 @@ class EmulatedFt300:
         """Return the frames of the stream up to now."""
         _, times = self.pace.due(now_s)
         return b"".join(protocol.encode(self._sample(t_s)) for t_s in times)
-
-    def closed(self, now_s: float) -> None:
-        """Do nothing: a sensor on a serial line does not notice."""
 
     def _answer(self, now_s: float, request: protocol.Ft300Request) -> protocol.Ft300Message | None:
         if isinstance(request, protocol.StreamStop):

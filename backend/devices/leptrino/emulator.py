@@ -6,7 +6,6 @@ Framed commands in, samples out: a function of time and bytes.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
 
 from touchdown.backend.devices.framing import xor8
 from touchdown.backend.devices.leptrino import protocol
@@ -15,7 +14,8 @@ from touchdown.backend.emulation import (
     Emulation,
     EmulationChoice,
     Faults,
-    SampleSchedule,
+    SerialSensor,
+    WrenchFunction,
     apply_faults,
     serve_serial,
 )
@@ -28,14 +28,13 @@ FILTERS = 4
 _FRAME = re.compile(rb"\x10\x02((?:[^\x10]|\x10\x10)*)\x10\x03(.)", re.DOTALL)
 
 
-class EmulatedLeptrino:
+class EmulatedLeptrino(SerialSensor):
     """Emulated sensor; ``wrench(now_s)`` returns (6,) N and N·m in sensor axes."""
 
-    def __init__(self, wrench: Callable[[float], Sequence[float]]) -> None:
-        self._wrench = wrench
+    def __init__(self, wrench: WrenchFunction) -> None:
+        super().__init__(wrench)
         self._commands = protocol.packets()
         self._bad = 0
-        self.pace = SampleSchedule()
 
     def receive(self, now_s: float, data: bytes) -> bytes:
         """Process commands; the answer is NAK for a wrong check, a code for a wrong length."""
@@ -51,9 +50,6 @@ class EmulatedLeptrino:
         """Return the samples of the stream up to now."""
         _, times = self.pace.due(now_s)
         return b"".join(protocol.encode(self._sample(t_s, LeptrinoCommand.START)) for t_s in times)
-
-    def closed(self, now_s: float) -> None:
-        """Do nothing: a sensor on a serial line does not notice."""
 
     def _answer(self, now_s: float, packet: protocol.Packet) -> protocol.Packet:
         command = getattr(packet, "command", None)

@@ -5,14 +5,13 @@ Silent until configured, then frames with a count.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-
 from touchdown.backend.devices.optoforce import protocol
 from touchdown.backend.emulation import (
     Emulation,
     EmulationChoice,
     Faults,
-    SampleSchedule,
+    SerialSensor,
+    WrenchFunction,
     apply_faults,
     serve_serial,
 )
@@ -26,13 +25,12 @@ _LIMIT = 0x7FFF
 _OVERLOAD_BITS = (9, 8, 7, 6, 5, 4)
 
 
-class EmulatedOptoforce:
+class EmulatedOptoforce(SerialSensor):
     """Emulated sensor; ``wrench(now_s)`` returns (6,) N and N·m."""
 
-    def __init__(self, wrench: Callable[[float], Sequence[float]]) -> None:
-        self._wrench = wrench
+    def __init__(self, wrench: WrenchFunction) -> None:
+        super().__init__(wrench)
         self._requests = protocol.requests()
-        self.pace = SampleSchedule()
         self._count = 0
         self._zero: tuple[int, ...] = (0,) * 6
 
@@ -45,9 +43,6 @@ class EmulatedOptoforce:
         late, times = self.pace.due(now_s)
         self._count = (self._count + late) % COUNT_TURN
         return b"".join(map(self._frame, times))
-
-    def closed(self, now_s: float) -> None:
-        """Do nothing: a sensor on a serial line does not notice."""
 
     def _answer(self, now_s: float, request: protocol.OptoforceConfig) -> bytes:
         if request.speed not in protocol.SPEED_HZ or request.filter not in protocol.FILTER_HZ:

@@ -94,10 +94,6 @@ class JpegStream:
                 return pictures
             seen = 0
 
-    def reset(self) -> None:
-        """Discard an incomplete picture; the counts stay."""
-        self._rest = b""
-
     def _skip(self, count: int) -> None:
         self.discarded += count
         self._rest = self._rest[count:]

@@ -320,14 +320,6 @@ def test_counts_and_leaks_are_there_before_training(desk):
     assert int(page.split.texts()[2][2]) > 2 * before
 
 
-def test_the_form_starts_with_the_paper(desk):
-    form = desk.page.form.form()
-    assert (form.modality, form.layers, form.hidden, form.learning_rate) == ("FT+Tac", 2, 256, 1e-3)
-    desk.tiny()
-    desk.page.form.defaults.click()
-    assert desk.page.form.form() == form
-
-
 @pytest.mark.slow
 def test_train_compare_promote_and_roll_back(desk):
     page = desk.page
@@ -506,7 +498,12 @@ def test_closing_the_window_ends_the_training(desk):
     assert (run.state, run.can_resume) == ("cancelled", True)
 
 
-def test_the_form_is_remembered_and_nonsense_is_named(desk):
+def test_the_form_starts_with_the_paper_is_remembered_and_nonsense_is_named(desk):
+    form = desk.page.form.form()
+    assert (form.modality, form.layers, form.hidden, form.learning_rate) == ("FT+Tac", 2, 256, 1e-3)
+    desk.tiny()
+    desk.page.form.defaults.click()
+    assert desk.page.form.form() == form
     desk.tiny()
     memory = desk.workspace.memory()
     assert (memory["hidden"], memory["folders"]) == (HIDDEN, [str(desk.data)])

@@ -184,23 +184,15 @@ def test_accepted_cameras_say_from_when_on_they_are_read_so(wizard, bench) -> No
     assert "until the bench is started again" in sheet.note.text()
 
 
-def test_an_expired_calibration_is_red_and_named(wizard, bench) -> None:
-    old = datetime(2020, 1, 1, tzinfo=UTC)
-    bench.calibrations.accept(GOOD, {}, now=old)
-    live = wizard
-    live.panels.calibrate.open()
-    sheet = shown(live)
-    assert sheet.conditions[0].text().startswith("Expired")
-    assert sheet.conditions[0].property("tone") == "bad"
-
-
-def test_a_page_says_when_and_by_whom_it_was_measured_last(wizard, bench, far_east) -> None:
+def test_an_expired_calibration_is_red_with_its_date_and_person(wizard, bench, far_east) -> None:
     assert shown(wizard).bars.empty == "Measure first."
     bench.calibrations.accept(GOOD, {}, "Ada", datetime(2020, 1, 1, 12, tzinfo=UTC))
     wizard.panels.calibrate.open()
     sheet = shown(wizard)
     assert sheet.bars.empty == "Last measured 2020-01-01 17:45 by Ada: 0.02 N."
     assert "Ada" in sheet.bars.accessibleDescription()
+    assert sheet.conditions[0].text().startswith("Expired")
+    assert sheet.conditions[0].property("tone") == "bad"
 
 
 def test_only_the_cameras_ask_for_the_pitch_of_the_dots(wizard) -> None:

@@ -16,6 +16,14 @@ from touchdown.backend.runs.requests import SceneChoice
 STEP_S = 0.02
 
 
+def brisk_session(folder, method=None):
+    """Return a simulated bench with its first scene, whose runs are kept without episodes."""
+    keep = RecordingOptions(folder / "runs", episodes=False)
+    session = simulated_session(brisk_bench(), keep=keep, method=method)
+    session.prepare(SceneChoice())
+    return session
+
+
 class SteppedSession:
     """A session whose time the test turns; everything else is the session itself."""
 
@@ -38,10 +46,7 @@ class SteppedSession:
 
 @pytest.fixture
 def desk(qapp, qtbot, tmp_path):
-    session = simulated_session(
-        brisk_bench(), keep=RecordingOptions(tmp_path / "runs", episodes=False)
-    )
-    session.prepare(SceneChoice())
+    session = brisk_session(tmp_path)
     motion = session._stage.arm.move_to(Pose(0.0, 0.0, 80.0), 50.0)
     while not motion.done:
         session.advance()

@@ -6,13 +6,11 @@ from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication
 
 from tests.app.conftest import opened
-from tests.backend.bench.brisk import brisk_bench, brisk_method
-from tests.journeys.operate_desk import SteppedSession
+from tests.backend.bench.brisk import brisk_method
+from tests.journeys.operate_desk import SteppedSession, brisk_session
 from touchdown.backend.annotations.dataset import Dataset
 from touchdown.backend.annotations.values import EpisodeFilter
-from touchdown.backend.bench.assembly import simulated_session
-from touchdown.backend.runs.recorder import RecordingOptions
-from touchdown.backend.runs.requests import RunState, SceneChoice
+from touchdown.backend.runs.requests import RunState
 
 KEY = Qt.Key
 pytestmark = pytest.mark.slow
@@ -20,12 +18,7 @@ pytestmark = pytest.mark.slow
 
 @pytest.fixture
 def desk(qapp, qtbot, tmp_path, isolated_settings):
-    session = simulated_session(
-        brisk_bench(),
-        keep=RecordingOptions(tmp_path / "runs", episodes=False),
-        method=brisk_method(),
-    )
-    session.prepare(SceneChoice())
+    session = brisk_session(tmp_path, brisk_method())
     with opened(tmp_path, SteppedSession(session), active=True) as main:
         press(main, KEY.Key_2, Qt.KeyboardModifier.ControlModifier)
         collect = main.workspaces["collect"]

@@ -82,14 +82,10 @@ def test_stop_ends_a_jog_and_no_pad_works_until_reset(desk):
     main.reset()
     turn(main, session, 0.1)
     assert page.jog.pads["+x"].isEnabled()
-
-
-def test_space_stops_a_jog(desk):
-    main, session = desk
-    QTest.mousePress(main.workspaces["operate"].page.jog.pads["+x"], Qt.MouseButton.LeftButton)
+    QTest.mousePress(page.jog.pads["+x"], Qt.MouseButton.LeftButton)
     turn(main, session, 0.1, held=True)
     press(main, Qt.Key.Key_Space)
-    assert session.interlock.latched
+    assert session.interlock.latched, "Space stops what moves"
 
 
 @pytest.mark.promise("W4")
@@ -110,28 +106,17 @@ def test_a_step_per_press_and_none_for_auto_repeat(desk):
     assert place(session) - before == pytest.approx([0, 0, 0], abs=1e-9)
 
 
-def test_keys_move_only_while_armed(desk):
-    main, session = desk
-    page, before = main.workspaces["operate"].page, place(session)
-    press(main, Qt.Key.Key_Right)
-    assert not session.hand.jog.active
-    release(main, Qt.Key.Key_Right)
-    main.actions.action("operate.arm").trigger()
-    assert page.jog.property("armed") == "yes"
-    press(main, Qt.Key.Key_Right)
-    turn(main, session, 0.3, held=True)
-    release(main, Qt.Key.Key_Right)
-    assert not session.hand.jog.active
-    assert (place(session) - before)[0] > 3.0
-
-
 @pytest.mark.parametrize(
     ("key", "axis", "sign"), [(Qt.Key.Key_Left, 0, -1), (Qt.Key.Key_PageUp, 2, 1)]
 )
 def test_a_key_of_the_window_system_moves_as_long_as_it_is_held(desk, key, axis, sign):
     """A platform sends ShortcutOverride before each press; ``sendEvent`` alone does not."""
     main, session = desk
+    QTest.keyPress(main.window.windowHandle(), key)
+    assert not session.hand.jog.active, "keys are not armed"
+    QTest.keyRelease(main.window.windowHandle(), key)
     main.actions.action("operate.arm").trigger()
+    assert main.workspaces["operate"].page.jog.property("armed") == "yes"
     before = place(session)
     QTest.keyPress(main.window.windowHandle(), key)
     turn(main, session, 0.3, held=True)

@@ -6,11 +6,9 @@ from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication
 
 from tests.app.conftest import opened
-from tests.backend.bench.brisk import brisk_bench, brisk_method
-from tests.journeys.operate_desk import SteppedSession
-from touchdown.backend.bench.assembly import simulated_session
-from touchdown.backend.runs.recorder import RecordingOptions
-from touchdown.backend.runs.requests import RunState, SceneChoice
+from tests.backend.bench.brisk import brisk_method
+from tests.journeys.operate_desk import SteppedSession, brisk_session
+from touchdown.backend.runs.requests import RunState
 
 KEY, CTRL, SHIFT = Qt.Key, Qt.KeyboardModifier.ControlModifier, Qt.KeyboardModifier.ShiftModifier
 PROBES = 2
@@ -78,16 +76,7 @@ def test_an_operators_day(day, tmp_path):
 
 
 def connect(day, tmp_path):
-    def make():
-        session = simulated_session(
-            brisk_bench(),
-            keep=RecordingOptions(tmp_path / "runs", episodes=False),
-            method=brisk_method(),
-        )
-        session.prepare(SceneChoice())
-        return SteppedSession(session)
-
-    day.main.connect_bench(make)
+    day.main.connect_bench(lambda: SteppedSession(brisk_session(tmp_path, brisk_method())))
     day.wait(lambda: day.main.bench is not None)
     day.until(lambda: day.main.bar.pill.state.word == "READY")
 

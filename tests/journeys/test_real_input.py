@@ -41,17 +41,9 @@ pytestmark = [
 def display():
     """An X server nobody else uses."""
     read_end, write_end = os.pipe()
-    words = [
-        "-displayfd",
-        str(write_end),
-        "-screen",
-        "0",
-        f"{WIDTH}x{HEIGHT}x24",
-        "-nolisten",
-        "tcp",
-    ]
+    words = ["-displayfd", f"{write_end}", "-screen", "0", f"{WIDTH}x{HEIGHT}x24"]
     server = subprocess.Popen(
-        ["Xvfb", *words], pass_fds=(write_end,), stdout=subprocess.DEVNULL,
+        ["Xvfb", *words, "-nolisten", "tcp"], pass_fds=(write_end,), stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
     )  # fmt: skip
     os.close(write_end)
@@ -71,7 +63,6 @@ class Operator:
             **os.environ, "DISPLAY": display, "QT_QPA_PLATFORM": "xcb", "HOME": str(home),
             "XDG_CONFIG_HOME": str(home / "config"), "TOUCHDOWN_DATA": str(self.data),
         }  # fmt: skip
-        self._settings = home / "config" / "touchdown" / "window.json"
         bench = home / "brisk.toml"
         bench.write_text(f'preset = "mixed"\n[tactile]\nrate_hz = {RATE_HZ}\n', "utf-8")
         words = ["--size", f"{WIDTH}x{HEIGHT}", "--bench", bench]
@@ -92,13 +83,9 @@ class Operator:
     # -- hands ------------------------------------------------------------------------------------
 
     def do(self, *words):
-        return subprocess.run(
-            ["xdotool", *map(str, words)],
-            env=self._env,
-            check=False,
-            capture_output=True,
-            text=True,
-        ).stdout
+        command = ["xdotool", *map(str, words)]
+        done = subprocess.run(command, env=self._env, check=False, capture_output=True, text=True)
+        return done.stdout
 
     def press(self, *keys):
         self.do("key", *keys)
@@ -159,9 +146,6 @@ class Operator:
         file = self.data / "log" / "app.log"
         return file.read_text("utf-8") if file.is_file() else ""
 
-    def settings(self):
-        return json.loads(self._settings.read_text("utf-8")) if self._settings.is_file() else {}
-
     def facts(self):
         """Return what the newest run told."""
         return list(read_events(max((self.data / "runs").iterdir())))
@@ -198,9 +182,9 @@ def arrive(operator):
     operator.until(lambda: operator.do("search", "--name", "SIMULATED"))
     # There is no window manager that would give it the focus.
     operator.do("search", "--name", "SIMULATED", "windowfocus", "--sync")
-    operator.until(lambda: operator.settings().get("toured"))
+    operator.until(lambda: operator.reads("End the tour"))
     operator.press(*["Return"] * TOUR_STOPS)
-    operator.until(lambda: operator.settings()["front"] == "review")
+    operator.until(lambda: not operator.reads("End the tour"))
 
 
 def jog_and_probe(operator):

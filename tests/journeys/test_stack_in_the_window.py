@@ -7,15 +7,14 @@ from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication
 
 from tests.app.conftest import opened
-from tests.backend.bench.brisk import brisk_bench, brisk_method
-from tests.journeys.operate_desk import SteppedSession
+from tests.backend.bench.brisk import brisk_method
+from tests.journeys.operate_desk import SteppedSession, brisk_session
 from touchdown.backend.bench import assembly
 from touchdown.backend.core.faults import RefusedError
 from touchdown.backend.core.values import ContactPatch, Outcome
 from touchdown.backend.geometry.outlines import face_points
 from touchdown.backend.learning.checkpoint import load_card
-from touchdown.backend.runs.recorder import RecordingOptions
-from touchdown.backend.runs.requests import ProbeRequest, RunState, SceneChoice
+from touchdown.backend.runs.requests import ProbeRequest, RunState
 from touchdown.widgets.forms.run_form import RunForm
 
 BOTTOM_RADIUS_MM = 10.0
@@ -43,10 +42,7 @@ def desk(qapp, qtbot, tmp_path, monkeypatch):
     monkeypatch.setattr(
         assembly.Estimator, "load", staticmethod(lambda path, piece: KnowsTheBottom(piece))
     )
-    keep = RecordingOptions(tmp_path / "runs", episodes=False)
-    session = assembly.simulated_session(brisk_bench(), keep=keep, method=brisk_method())
-    session.prepare(SceneChoice())
-    link = SteppedSession(session)
+    link = SteppedSession(brisk_session(tmp_path, brisk_method()))
     with opened(tmp_path, link) as main:
         main.window.show()
         qtbot.waitExposed(main.window, timeout=60_000)

@@ -177,7 +177,7 @@ def test_a_discarded_probe_can_be_collected_again_without_a_restart(page):
     assert target.go_on.isEnabled()
 
 
-def test_the_check_of_the_origin_is_dated_used_once_and_remembered(page, qapp, tmp_path):
+def test_the_check_of_the_origin_is_used_once_and_remembered_and_gone_with_the_origin(page):
     page.begin()
     page.tell(OriginChecked(1.0, (0.25, -0.5), 0.11, True))
     target = page.view.target
@@ -190,15 +190,8 @@ def test_the_check_of_the_origin_is_dated_used_once_and_remembered(page, qapp, t
     assert (target.origin[0].value(), target.origin[1].value()) == (0.25, -0.5)
     kept, dropped = restore_form(CollectMemory(), page.workspace.memory())
     assert (kept.origin, dropped) == (page.presenter.origin.note, [])
-
-
-def test_the_origin_is_set_where_the_arm_was_jogged_to(page):
-    page.begin()
-    page.tell(OriginChecked(1.0, (0.25, -0.5), 0.11, True))
-    page.bench.set_state(RunState.IDLE)
-    page.tell(RunFinished(2.0, "run", "finished", "done"))
     page.bench.turn(0.08)
-    (x_mm, y_mm, _), target = page.bench.devices["arm"].poses.since(0).values[-1], page.view.target
+    x_mm, y_mm, _ = page.bench.devices["arm"].poses.since(0).values[-1]
     target.here.click()
     assert [field.value() for field in target.origin] == [x_mm, y_mm]
     # A check of another origin says nothing about this one.
@@ -207,7 +200,7 @@ def test_the_origin_is_set_where_the_arm_was_jogged_to(page):
     page.bench.devices["arm"].poses.clear()
     target.origin[0].setValue(7.0)
     target.here.click()
-    assert target.origin[0].value() == 7.0
+    assert target.origin[0].value() == 7.0, "an old place of the arm is not used"
 
 
 def test_in_contact_nothing_starts_and_a_lift_is_offered(page):
@@ -234,7 +227,8 @@ def test_a_hand_at_the_jaws_is_asked_for_and_confirmed_by_f5(page):
     target = page.view.target
     target.hand_over.setChecked(True)
     page.press(KEY.Key_F5)
-    assert page.bench.started[0].hand_over
+    (asked,) = page.bench.started
+    assert (asked.hand_over, asked.ask, asked.within_mm) == (True, True, None)
     page.begin()
     page.tell(HandOverAwaited(0.5, "pot", gives=True))
     assert target.why_not.text() == "Hold the pot between the jaws: they close on it."

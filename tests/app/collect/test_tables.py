@@ -51,13 +51,6 @@ def test_start_hands_over_the_form_and_the_dataset(page):
     assert len(page.bench.started) == 1
 
 
-def test_the_first_range_is_any_displacement(page):
-    page.press(KEY.Key_F5)
-    (asked,) = page.bench.started
-    assert asked.within_mm is None
-    assert asked.ask
-
-
 def test_the_dataset_is_shown_before_anybody_is_named(unnamed, qtbot):
     page = unnamed
     qtbot.waitUntil(lambda: page.presenter.dataset is not None, timeout=60_000)
@@ -78,14 +71,6 @@ def test_a_pair_without_episodes_shows_its_bottom(unnamed):
     unnamed.settle()
     assert len(unnamed.view.coverage.scene.bottom)
     assert unnamed.view.table.rows() == []
-
-
-def test_each_half_has_its_own_key(page):
-    both = Qt.KeyboardModifier.ControlModifier | Qt.KeyboardModifier.ShiftModifier
-    page.press(KEY.Key_L, both)
-    assert page.workspace.page.front == "label"
-    page.press(KEY.Key_C, both)
-    assert page.workspace.page.front == "collect"
 
 
 def test_nobody_cannot_start(page):
@@ -179,14 +164,17 @@ def test_the_list_is_sorted_by_a_click_and_its_columns_are_chosen_and_remembered
     assert not all(table.isColumnHidden(column) for column in range(len(HEADS)))
 
 
-def test_keys_of_one_half_do_nothing_in_the_other(page):
-    page.workspace.page.show_half("label")
+def test_each_half_has_its_own_key_and_its_keys_do_nothing_in_the_other(page):
+    both = Qt.KeyboardModifier.ControlModifier | Qt.KeyboardModifier.ShiftModifier
+    page.press(KEY.Key_L, both)
+    assert page.workspace.page.front == "label"
     page.settle()
     page.press(KEY.Key_F5)
     page.press(KEY.Key_P)
     assert page.bench.started == []
     before = {e.uuid: e.state for e in page.presenter.dataset.episodes()}
-    page.workspace.page.show_half("collect")
+    page.press(KEY.Key_C, both)
+    assert page.workspace.page.front == "collect"
     for key in (KEY.Key_Left, KEY.Key_D, KEY.Key_PageDown, KEY.Key_V):
         page.press(key)
     page.settle()

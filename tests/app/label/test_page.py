@@ -170,9 +170,14 @@ def test_many_labels_change_by_keys_and_back_by_one(desk):
     desk.do(KEY.Key_Return)
     assert {u: desk.book.head(u).label for u in uuids} == before
     assert desk.page.choice.accessibleName() == f"{LABELLED} labels will change."
+    stay = f"{WITHOUT_LABEL} labels will stay. Reason: It has no offset."
+    assert stay in desk.page.bulk.found.text()
     desk.do(KEY.Key_1)
-    first = desk.book.head(uuids[0]).label
+    head = desk.book.head(uuids[0])
+    first = head.label
     assert (first.x_um, first.y_um) == (before[uuids[0]].x_um + 500, before[uuids[0]].y_um - 250)
+    assert head.source == "commanded"
+    assert sum(desk.book.head(u).label != before[u] for u in uuids) == LABELLED
     desk.do(KEY.Key_U)
     assert {u: desk.book.head(u).label for u in uuids} == before
 
@@ -201,6 +206,7 @@ def test_the_log_is_searched_and_left_by_keys(desk, qtbot):
     assert side.needle.text().lower() == "accept"
     side.needle.setText("accept")
     qtbot.waitUntil(lambda: side.log.count() == 1, timeout=60_000)
+    assert "Ann: accept next" in side.log.item(0).text()
     uuid = desk.uuid
     desk.do(KEY.Key_Return)  # leaves the line, decides nothing
     assert (desk.uuid, desk.book.head(uuid).state) == (uuid, "draft")
@@ -420,26 +426,15 @@ def test_a_finding_opens_its_episodes_as_a_queue(desk, qtbot):
     assert desk.page.queue.currentText() == standing
 
 
-@pytest.fixture
-def clock():
+def test_a_pause_of_more_than_a_minute_is_not_looking_and_each_episode_counts_for_itself():
     time_s = [100.0]
-    made = ViewingTimer(lambda: time_s[0])
-    made.pass_s = lambda s: time_s.__setitem__(0, time_s[0] + s)
-    return made
-
-
-def test_a_pause_of_more_than_a_minute_is_not_looking(clock):
+    clock = ViewingTimer(lambda: time_s[0])
     for seconds in (5.0, 60.0, 61.0, 3600.0, 2.0):
-        clock.pass_s(seconds)
+        time_s[0] += seconds
         clock.alive()
     assert clock.seen_ms() == 67_000
-
-
-def test_the_next_episode_begins_anew(clock):
-    clock.pass_s(7.0)
-    clock.alive()
     clock.restart()
-    clock.pass_s(3.0)
+    time_s[0] += 3.0
     assert clock.seen_ms() == 3_000
 
 
@@ -506,20 +501,6 @@ def test_the_former_episode_stays_in_sight_until_the_next_is_there(desk, monkeyp
     assert desk.book.head(first).state == "draft"
     assert desk.uuid == presenter.walk.order[31]
     assert page.film.views["left"]._frame is not frame
-
-
-def test_an_empty_queue_keeps_nothing_of_the_former_episode(desk):
-    page = desk.page
-    assert page.view_panel.detail.text()
-    assert page.basis.text()
-    assert page.forces.trace is not None
-    desk.workspace.presenter.choose_queue("conflicts")
-    desk.settle()
-    assert desk.workspace.presenter.walk.uuid is None
-    assert page.view.scene is None
-    assert page.forces.trace is None
-    for line in (page.view_panel.detail, page.verdict, page.basis, page.model_line):
-        assert line.text() == ""
 
 
 def test_where_nothing_was_in_sight_the_page_says_that_it_loads(desk, monkeypatch):

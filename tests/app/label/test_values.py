@@ -5,7 +5,7 @@ from contextlib import closing
 
 import pytest
 
-from tests.app.label.conftest import KEY, SHIFT
+from tests.app.label.conftest import CTRL, KEY, SHIFT
 from touchdown.backend.annotations.values import Label
 from touchdown.backend.core.faults import Fault, FaultError
 
@@ -125,7 +125,7 @@ def test_undo_and_redo_reach_back_over_restarts(start):
     desk = start()
     steps = 0
     while desk.book.can_undo("Ann"):
-        desk.do(KEY.Key_U)
+        desk.do((KEY.Key_Z, CTRL) if steps % 2 else KEY.Key_U)
         steps += 1
         if steps == 3:
             desk = start()

@@ -9,7 +9,6 @@ import pytest
 from tests.app.label.conftest import make_episode
 from touchdown.app.review.campaign import collected_run
 from touchdown.app.review.episodes import list_series
-from touchdown.app.review.timing import split_into_trials
 from touchdown.backend.annotations.dataset import Dataset
 from touchdown.backend.annotations.values import EpisodeContext, Label
 from touchdown.backend.core.events import (
@@ -21,7 +20,6 @@ from touchdown.backend.core.events import (
     RunFinished,
     RunStarted,
     Said,
-    TrialStarted,
 )
 from touchdown.backend.geometry.pieces import load_pieces
 from touchdown.backend.runs.campaign import new_campaign
@@ -71,12 +69,6 @@ def test_other_runs_are_no_collections():
     assert collected_run([started("stack")]) is None
     assert collected_run([]) is None
     assert collected_run([started(settings="no JSON")]).facts().count("?") == 1
-
-
-def test_a_single_probe_is_a_trial_of_its_own():
-    (trial,) = split_into_trials([started("probe"), Said(0.5, "felt")])
-    assert isinstance(trial.events[0], TrialStarted)
-    assert [type(fact) for fact in trial.events[1:]] == [Said]
 
 
 @pytest.fixture

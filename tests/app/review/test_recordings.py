@@ -160,6 +160,9 @@ def test_recordings_are_sorted_and_the_chosen_one_stays(main, qtbot, tmp_path):
     assert pieces() == ["pot"]
     assert not page.runs.selectedIndexes()
     page.filter.clear()
+    page.kind.setCurrentIndex(page.kind.findData("series"))
+    assert pieces() == []
+    page.kind.setCurrentIndex(page.kind.findData("all"))
     assert [index.row() for index in page.runs.selectedIndexes()] == [1]
     assert presenter.story.head.piece == "barrel"
     record(tmp_path / "runs" / "20261121-041509-703", [Outcome.FELL], piece="pot")

@@ -13,11 +13,18 @@ from pathlib import Path
 import pytest
 from PySide6.QtCore import QPoint, QRect, Qt
 from PySide6.QtTest import QTest
-from PySide6.QtWidgets import QAbstractSpinBox, QApplication, QComboBox, QLabel, QWidget
+from PySide6.QtWidgets import (
+    QAbstractButton,
+    QAbstractSpinBox,
+    QApplication,
+    QComboBox,
+    QLabel,
+    QSpinBox,
+    QWidget,
+)
 
 from tests.app.conftest import opened, settle
 from touchdown.app.shell.actions import is_plain_key, key_refusal
-from touchdown.app.shell.activity import inspector_rows
 from touchdown.app.shell.errors import (
     BOX_SIZE,
     REMEMBERED_TEXTS,
@@ -37,7 +44,11 @@ from touchdown.widgets.shell.keys import PaletteEntry, best_matches, match_score
 
 @pytest.mark.promise("W6")
 def test_a_click_on_a_chip_opens_its_device_and_follows_it(live, bench, qtbot):
-    bench.devices["gripper"].describe = lambda: {"kind": "stand-in", "width_mm": -1.25}
+    bench.devices["gripper"].describe = lambda: {
+        "kind": "stand-in",
+        "width_mm": -1.25,
+        "x_mm": -3.0,
+    }
     qtbot.mouseClick(live.bar.chips["gripper"], Qt.MouseButton.LeftButton)
     sheet = live.inspect.sheet
     assert sheet.isVisible()
@@ -47,6 +58,7 @@ def test_a_click_on_a_chip_opens_its_device_and_follows_it(live, bench, qtbot):
     assert shown["state"] == "ready"
     assert shown["kind"] == "stand-in"
     assert shown["width_mm"] == "\N{MINUS SIGN}1.25"
+    assert shown["x_mm"] == "\N{MINUS SIGN}3"
     received = int(shown["received"])
     bench.turn(0.4)
     live._chips._drawn_s = 0.0
@@ -69,18 +81,16 @@ def test_a_press_that_leaves_the_chip_opens_nothing(live, qtbot):
     live.inspect.sheet.close()
 
 
-def test_text_is_written_as_the_device_says_it(bench):
-    bench.devices["arm"].describe = lambda: {"gel": "large-dot", "x_mm": -3.0}
-    rows = dict(inspector_rows(bench.devices["arm"]))
-    assert rows["gel"] == "large-dot"
-    assert rows["x_mm"] == "\N{MINUS SIGN}3"
-
-
 def test_reconnect_runs_beside_the_window_and_says_how_it_went(live, bench, qtbot):
     device = bench.devices["gripper"]
     device.close = lambda: None
     device.connect = lambda timeout_s, cancel: None
     live.inspect.open("gripper")
+    bench.set_state(RunState.RUNNING)
+    live.inspect.draw()
+    assert not live.inspect.sheet.reconnect.isEnabled()
+    bench.set_state(RunState.IDLE)
+    live.inspect.draw()
     live.inspect.sheet.reconnect.click()
     qtbot.waitUntil(lambda: not live.inspect._connecting, timeout=60_000)
     settle(live)
@@ -103,13 +113,6 @@ def test_another_serial_number_is_a_card(live, bench, qtbot):
     assert "0002 answers instead of 0001" in live.cards.card("OTHER-DEVICE").text.what
 
 
-def test_nothing_is_reconnected_during_a_run(live, bench):
-    bench.set_state(RunState.RUNNING)
-    live.inspect.open("gripper")
-    live.inspect.draw()
-    assert not live.inspect.sheet.reconnect.isEnabled()
-
-
 @pytest.mark.promise("W8")
 def test_workspaces_have_their_keys_and_stand_in_the_order_of_the_rail(main):
     keys = [(name, main.actions.action(name).shortcut().toString()) for name in main.workspaces]
@@ -128,9 +131,8 @@ def test_which_keys_could_be_typed(key, typed):
     assert is_plain_key(key) is typed
 
 
-@pytest.mark.parametrize(
-    ("name", "key", "word"),
-    [
+def test_a_key_that_has_a_meaning_is_refused_by_name(main):
+    for name, key, word in (
         ("stack.pause", "A", "Approve"),
         ("stack.pause", "F12", "STOP"),
         ("stack.pause", "space", "STOP"),
@@ -138,20 +140,12 @@ def test_which_keys_could_be_typed(key, typed):
         ("stack.pause", "Nonsense+Q", "is no key"),
         ("theme", "P", "Pause"),
         ("nothing", "P", "no command"),
-    ],
-)
-def test_a_key_that_has_a_meaning_is_refused_by_name(main, name, key, word):
-    assert word in key_refusal(main.actions.rows, name, key)
-    assert main.actions.change_key(name, key) == key_refusal(main.actions.rows, name, key)
-
-
-def test_a_jog_key_cannot_be_given_away_in_operate(main):
-    assert "Jog" in key_refusal(main.actions.rows, "operate.probe", "Left")
-    assert key_refusal(main.actions.rows, "stack.pause", "Left") == ""
-
-
-def test_two_workspaces_may_use_one_key(main):
-    assert key_refusal(main.actions.rows, "stack.pause", "G") == ""
+        ("operate.probe", "Left", "Jog"),
+    ):
+        assert word in key_refusal(main.actions.rows, name, key), key
+        assert main.actions.change_key(name, key) == key_refusal(main.actions.rows, name, key)
+    for key in ("Left", "G"):  # keys of another workspace
+        assert key_refusal(main.actions.rows, "stack.pause", key) == ""
 
 
 @pytest.mark.promise("W11")
@@ -281,6 +275,14 @@ def test_every_widget_that_takes_the_focus_has_a_name(live):
             named = widget.accessibleName() or (callable(text) and text())
             if reached and not inside and not named and widget.objectName() != "frame":
                 nameless.append((name, type(widget).__name__))
+    nameless += [
+        widget
+        for widget in live.window.findChildren(QWidget)
+        if isinstance(widget, (QAbstractButton, QComboBox, QSpinBox))
+        and not (widget.accessibleName() or getattr(widget, "text", str)())
+        and not widget.objectName().startswith("qt_")
+        and not isinstance(widget.parent(), (QComboBox, QSpinBox))
+    ]
     assert nameless == []
 
 

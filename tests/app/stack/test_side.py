@@ -171,17 +171,6 @@ def test_facts_before_any_trial_are_harmless():
     assert story.outcomes == ()
 
 
-def test_a_new_run_forgets_the_old_one(live, bench):
-    bench.tell_start()
-    bench.tell_probe(1, (7.2, 3.1), -3.4)
-    settle(live)
-    bench.tell_start(piece="barrel")
-    settle(live)
-    assert live.workspaces["stack"].presenter.story.head.piece == "barrel"
-    assert len(live.workspaces["stack"].presenter.story.trials) == 1
-    assert live.workspaces["stack"].page.strip.thumbnails == []
-
-
 PAPER, BLIND = "paper", "pick-and-place"
 
 

@@ -19,7 +19,14 @@ from touchdown.app.collect.requests import (
     collect_request,
     probe_text,
 )
-from touchdown.app.shell import SaveWorker, carry_out, error_card, is_run_active, lift_hand
+from touchdown.app.shell import (
+    SaveWorker,
+    carry_out,
+    error_card,
+    is_run_active,
+    lift_hand,
+    pause_or_resume,
+)
 from touchdown.backend.annotations import Dataset, EpisodeEntry, EpisodeFilter, check_person
 from touchdown.backend.bench import Session
 from touchdown.backend.core import (
@@ -41,13 +48,7 @@ from touchdown.backend.core import (
 )
 from touchdown.backend.episodes import check_quality
 from touchdown.backend.geometry import PieceLibrary
-from touchdown.backend.runs import (
-    Campaign,
-    CollectRequest,
-    RunState,
-    current_campaign,
-    newest_campaign,
-)
+from touchdown.backend.runs import Campaign, CollectRequest, current_campaign, newest_campaign
 from touchdown.widgets.forms import ProbeText, TargetButtons
 from touchdown.widgets.shell import FaultCards
 
@@ -360,12 +361,8 @@ class CollectPresenter:
 
     def pause_or_resume(self) -> None:
         """Pause at the next safe place, or resume."""
-        if self.bench is None or not self._mine:
-            return
-        if self.bench.status().state in (RunState.PAUSED, RunState.PAUSING):
-            self.bench.engine.resume()
-        else:
-            self.bench.engine.pause()
+        if self.bench is not None and self._mine:
+            pause_or_resume(self.bench)
 
     def end(self) -> None:
         """End the run in order; the campaign can be continued later."""

@@ -8,7 +8,7 @@ from typing import cast
 import numpy as np
 
 from touchdown.app.collect.probes import ProbeRecord, displacement_text, quality_text, read_probe
-from touchdown.app.shell import ACTIVE_STATES, count_noun, start_obstacle
+from touchdown.app.shell import ACTIVE_STATES, count_noun, is_pressing, start_obstacle
 from touchdown.backend.annotations import Dataset
 from touchdown.backend.bench import Session
 from touchdown.backend.core import EpisodeDecision, HandOverAwaited, MountingAwaited
@@ -134,7 +134,7 @@ def campaign_buttons(bench: Session | None, now: CampaignState) -> TargetButtons
         paused=paused,
         go_on=now.go_on,
         why_not=why,
-        in_contact=not active and _in_contact(bench),
+        in_contact=bench is not None and not bench.interlock.latched and is_pressing(bench),
         ask=_open_question(now) if active else "",
         answers=ANSWERS if active and isinstance(now.asked, MountingAwaited) else None,
         form=not (now.mine and active),
@@ -154,21 +154,13 @@ def campaign_obstacle(bench: Session | None, now: CampaignState) -> str:
     if bench.status().state in ACTIVE_STATES:
         return "" if now.mine else "A run is going on"
     if why := start_obstacle(bench):
-        return "In contact: lift first" if _in_contact(bench) else why
+        pressing = not bench.interlock.latched and is_pressing(bench)
+        return "In contact: lift first" if pressing else why
     if not now.person:
         return "Say who collects: give your name above (Ctrl+U)"
     if now.dataset is None:
         return f"No dataset: {now.trouble}" if now.trouble else "The dataset is being opened"
     return "" if now.dataset.writable else "The dataset is open for reading only"
-
-
-def _in_contact(bench: Session | None) -> bool:
-    return (
-        bench is not None
-        and bench.hand is not None
-        and not bench.interlock.latched
-        and bool(bench.hand.pressing_n)
-    )
 
 
 def collect_request(form: TargetForm, person: str, *, campaign: str = "") -> CollectRequest:

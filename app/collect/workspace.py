@@ -22,6 +22,7 @@ from touchdown.app.shell import (
     WindowCommand,
     Workspace,
     WorkspaceContext,
+    piece_titles,
     portable_key,
     restore_form,
 )
@@ -134,10 +135,7 @@ class CollectWorkspace(Workspace):
             self.collect_page, self._context.cards, self.reader, catalogue
         )
         self._wire()
-        self.collect_page.target.show_catalogue(
-            [(name, catalogue.piece(name).title) for name in catalogue.tops],
-            [(name, catalogue.piece(name).title) for name in catalogue.bottoms],
-        )
+        self.collect_page.target.show_catalogue(*piece_titles(catalogue))
         self.page.half_shown.connect(self._half_came)
 
     # -- life -------------------------------------------------------------------------------------

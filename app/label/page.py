@@ -270,11 +270,6 @@ class LabelPage(QWidget):
         """Return the present sizes and theme of the curves."""
         return LabelSheets(self.forces.sheet(), self.moments.sheet(), self.phase.sheet())
 
-    @property
-    def typing(self) -> bool:
-        """True while an entry line is open."""
-        return self.entry.isVisible() or self.words.isVisible()
-
     def open_entry(self, first: str) -> None:
         """Open the entry of a displacement with its first characters."""
         if not self.entry.isVisible():

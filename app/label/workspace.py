@@ -38,7 +38,7 @@ from touchdown.backend.annotations import (
 from touchdown.backend.core import InputError, TouchdownError
 from touchdown.backend.learning import ModelRegistry, models_below
 from touchdown.backend.placement import score_labels
-from touchdown.backend.runs import data_folder, models_folder
+from touchdown.backend.runs import dataset_folder, models_folder
 from touchdown.widgets.base import Theme, hbox, vbox
 from touchdown.widgets.shell import CardText
 
@@ -208,11 +208,6 @@ class HalvesPage(WorkspacePage):
         self._buttons.button(at).setChecked(True)
 
 
-def default_folder() -> Path:
-    """Return the default folder of the dataset."""
-    return data_folder() / "dataset"
-
-
 @dataclass(frozen=True, slots=True)
 class LabelTools:
     """What acts on the open dataset."""
@@ -233,7 +228,7 @@ class LabelWorkspace(Workspace):
     page: HalvesPage
 
     def __init__(self, context: WorkspaceContext) -> None:
-        self._context, self.folder = context, default_folder()
+        self._context, self.folder = context, dataset_folder()
         self.session = AnnotationSession()
         # Called when the dataset is open.
         self.opened: Callable[[OpenedDataset], None] = lambda _: None

@@ -24,6 +24,7 @@ from touchdown.app.shell import (
     lift_hand,
     log,
     missing_scene_reason,
+    piece_titles,
 )
 from touchdown.backend.bench import Session
 from touchdown.backend.core import (
@@ -78,13 +79,10 @@ class ManualControlPresenter:
         self._hold = self._sequence = 0
         self._drawn_s = float("-inf")
         self._drawn_pads: tuple[str, ...] = ()
-        hand, shown = bench.hand, bench.catalogue
+        hand = bench.hand
         page.scene.setVisible(bench.simulated)
-        page.scene.show_catalogue(
-            [(name, shown.piece(name).title) for name in shown.tops],
-            [(name, shown.piece(name).title) for name in shown.bottoms],
-            (SceneChoice().piece, SceneChoice().bottoms[0]),
-        )
+        usual = SceneChoice()
+        page.scene.show_catalogue(*piece_titles(bench.catalogue), (usual.piece, usual.bottoms[0]))
         page.jog.lift.clicked.connect(self.lift)
         page.jog.show_turning("" if hand is not None and hand.rotates else NO_JOINTS)
 

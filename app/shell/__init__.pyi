@@ -12,10 +12,12 @@ from .activity import gripper_of as gripper_of
 from .activity import is_run_active as is_run_active
 from .activity import may_be_moving as may_be_moving
 from .activity import missing_scene_reason as missing_scene_reason
+from .activity import pause_or_resume as pause_or_resume
 from .activity import start_obstacle as start_obstacle
 from .bench_text import bench_caption as bench_caption
 from .bench_text import count_noun as count_noun
 from .bench_text import duration_text as duration_text
+from .bench_text import piece_titles as piece_titles
 from .bench_text import run_model_caption as run_model_caption
 from .bench_text import scene_model_caption as scene_model_caption
 from .cards import LIFT as LIFT

@@ -30,6 +30,14 @@ def is_run_active(bench: Session) -> bool:
     return bench.status().state in ACTIVE_STATES
 
 
+def pause_or_resume(bench: Session) -> None:
+    """Pause the run at the next safe place, or resume it."""
+    if bench.status().state in (RunState.PAUSED, RunState.PAUSING):
+        bench.engine.resume()
+    else:
+        bench.engine.pause()
+
+
 def may_be_moving(bench: Session) -> bool:
     """Return True if something may be moving. Space then means STOP."""
     status = bench.status()

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from touchdown.backend.bench import Session, model_in_use, shipped_model
 from touchdown.backend.core import InputError
+from touchdown.backend.geometry import PieceLibrary
 from touchdown.backend.learning import ModelCard, ModelRegistry, load_card
 from touchdown.backend.learning.fused import shipped_fused
 from touchdown.backend.runs import models_folder
@@ -33,6 +34,15 @@ def bench_caption(bench: Session) -> BenchCaption:
         name, tip = "EMULATED", "Real drivers and wires, emulated devices: no hardware moves."
     title = name if mode == "simulated" else f"{name}: {bench.name}"
     return BenchCaption(f"Touchdown ({title})", f"{name} BENCH", tip, True, name.lower())
+
+
+def piece_titles(catalogue: PieceLibrary) -> tuple[list[tuple[str, str]], list[tuple[str, str]]]:
+    """Return (name, title) of the pieces and of the bottoms, for lists to choose from."""
+    tops, bottoms = (
+        [(name, catalogue.piece(name).title) for name in names]
+        for names in (catalogue.tops, catalogue.bottoms)
+    )
+    return tops, bottoms
 
 
 MODALITY_NAMES = {"FT+Tac": "touch and wrench", "Tac": "touch", "FT": "the wrench"}

@@ -99,9 +99,7 @@ class RunStory:
         self._of_any = of_any
         self.head: RunStarted | None = None
         self.trials: list[TrialStory] = []
-        self.said = ""
         self.ended: RunFinished | None = None
-        self.awaiting: PlaceAction | None = None
         self.version = 0
         self._mine = True
 
@@ -133,27 +131,21 @@ class RunStory:
         """Follow an event that reports no probe; return False if it has no effect."""
         trial = self.trial
         if isinstance(event, RunStarted):
-            self.head, self.ended, self.awaiting, self.said = event, None, None, ""
+            self.head, self.ended = event, None
             self.trials.clear()
         elif isinstance(event, TrialStarted):
             self.trials.append(TrialStory(event.trial, event.seed, event.start_mm))
-        elif isinstance(event, ApprovalAwaited):
-            self.awaiting = event.action
         elif isinstance(event, RunFinished):
-            self.ended, self.awaiting = event, None
-        elif isinstance(event, Said):
-            self.said = event.text
-        elif isinstance(event, PhaseEntered):
-            self.awaiting = None
-            if trial is not None:
-                trial.phase = event.phase
-        elif isinstance(event, Released | TrialFinished):
-            if trial is not None and isinstance(event, Released):
-                trial.stands, trial.fall = event.stands, event.fall
-            elif trial is not None and isinstance(event, TrialFinished):
-                trial.finished = event
+            self.ended = event
+        elif trial is not None and isinstance(event, PhaseEntered):
+            trial.phase = event.phase
+        elif trial is not None and isinstance(event, Released):
+            trial.stands, trial.fall = event.stands, event.fall
+        elif trial is not None and isinstance(event, TrialFinished):
+            trial.finished = event
         else:
-            return False
+            # A question or a sentence changes the state of the bench, which is shown beside.
+            return isinstance(event, ApprovalAwaited | Said)
         return True
 
     def _note(self, probe: int, **known: object) -> None:

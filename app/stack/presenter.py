@@ -14,6 +14,7 @@ from touchdown.app.shell import (
     error_card,
     face_outlines,
     is_run_active,
+    pause_or_resume,
     run_model_caption,
     run_score,
     start_obstacle,
@@ -86,10 +87,7 @@ class StackPresenter:
 
     def pause_or_resume(self) -> None:
         """Pause or resume the run."""
-        if self._bench.status().state in (RunState.PAUSED, RunState.PAUSING):
-            self._bench.engine.resume()
-        else:
-            self._bench.engine.pause()
+        pause_or_resume(self._bench)
 
     def cancel(self) -> None:
         """End the run in order."""

@@ -12,6 +12,7 @@ from touchdown.app.shell import (
     WindowCommand,
     Workspace,
     WorkspaceContext,
+    piece_titles,
     restore_form,
 )
 from touchdown.app.stack.attended import OperatorPromptsPresenter
@@ -93,7 +94,7 @@ class StackWorkspace(Workspace):
 
     def attach(self, bench: Session) -> None:
         """Connect the page to a bench."""
-        page, shown = self.page, bench.catalogue
+        page = self.page
         self.live = LivePresenter(bench, page)
         self.presenter = StackPresenter(bench, page, self._context.cards)
         self.side = SideViewPresenter(bench, page.side, page.side_panel)
@@ -101,10 +102,7 @@ class StackWorkspace(Workspace):
         self.comparison = ComparisonPresenter(
             bench, self._context.theme, lambda: stack_request(page.run.form()), self.presenter.begin
         )
-        page.run.show_catalogue(
-            [(name, shown.piece(name).title) for name in shown.tops],
-            [(name, shown.piece(name).title) for name in shown.bottoms],
-        )
+        page.run.show_catalogue(*piece_titles(bench.catalogue))
         page.run.show_devices(not bench.simulated)
         page.run.show_form(self._form if bench.simulated else careful_form(self._form, bench.usual))
         page.decision.show_text(NO_DECISION)

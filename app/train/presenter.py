@@ -187,26 +187,14 @@ class TrainPresenter:
 
     def start(self) -> None:
         """Start the training of the form."""
-        if self.thread is not None or not self._can_start():
-            return
-        try:
-            request = training_request(self._page.form.form())
-        except InputError as error:
-            self._failed(error)
-            return
-        self._begin(request)
+        if self.thread is None and self._can_start():
+            self._begin(lambda: training_request(self._page.form.form()))
 
     def resume(self) -> None:
         """Resume the chosen unfinished training."""
         run = self._chosen_alone()
-        if self.thread is not None or run is None or not run.can_resume:
-            return
-        try:
-            request = resume_request(run, Path(self._page.form.form().data))
-        except InputError as error:
-            self._failed(error)
-            return
-        self._begin(request)
+        if self.thread is None and run is not None and run.can_resume:
+            self._begin(lambda: resume_request(run, Path(self._page.form.form().data)))
 
     def ask_cancel(self) -> None:
         """Ask for confirmation to cancel the training, which continues meanwhile."""
@@ -262,7 +250,12 @@ class TrainPresenter:
 
     # -- a training that goes on ------------------------------------------------------------------
 
-    def _begin(self, request: TrainingRequest) -> None:
+    def _begin(self, make: Callable[[], TrainingRequest]) -> None:
+        try:
+            request = make()
+        except InputError as error:
+            self._failed(error)
+            return
         self._epochs_s, self._cancelling = [], False
         self.thread = TrainingThread(
             request,

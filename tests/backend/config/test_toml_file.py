@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
+from functools import partial
 from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Literal, get_args, get_origin
@@ -155,6 +156,9 @@ def test_a_turned_sensor_is_accepted():
     assert parse_settings(HardwareSettings, content, "lab.toml").ft.rotation[0] == (0.0, -1.0, 0.0)
 
 
+METHOD = partial(read_settings, StackSettings)
+
+
 def _write(tmp_path, text):
     path = tmp_path / "bench.toml"
     path.write_text(text, encoding="utf-8")
@@ -179,22 +183,25 @@ def test_an_empty_file_is_the_paper(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("text", "key"),
+    ("read", "text", "key"),
     [
-        ("[probe]\ndepth_mm = -1.0\n", "probe.depth_mm"),
-        ('[probe]\ndepth_mm = "deep"\n', "probe.depth_mm"),
-        ("[probe]\nstiffness_n_mm = [30.0, 30.0]\n", "probe.stiffness_n_mm"),
-        ("[stability]\ndelta = 1.0\n", "stability.delta"),
-        ("[policy]\nmax_probes = 0\n", "policy.max_probes"),
-        ('strategy = "hope"\n', "strategy"),
-        ("[probe]\ndepth = 1.0\n", "probe.depth"),
-        ("probe = 3\n", "probe"),
+        (METHOD, "[probe]\ndepth_mm = -1.0\n", "probe.depth_mm"),
+        (METHOD, '[probe]\ndepth_mm = "deep"\n', "probe.depth_mm"),
+        (METHOD, "[probe]\nstiffness_n_mm = [30.0, 30.0]\n", "probe.stiffness_n_mm"),
+        (METHOD, "[stability]\ndelta = 1.0\n", "stability.delta"),
+        (METHOD, "[policy]\nmax_probes = 0\n", "policy.max_probes"),
+        (METHOD, 'strategy = "hope"\n', "strategy"),
+        (METHOD, "[probe]\ndepth = 1.0\n", "probe.depth"),
+        (METHOD, "probe = 3\n", "probe"),
+        (load_simulation, 'preset = "loud"', "preset"),
+        (load_simulation, "[grasp]\nshear_n_mm = -1", "grasp.shear_n_mm"),
+        (load_simulation, "[tactile]\nwhite = 1", "tactile.white"),
     ],
 )
-def test_the_error_names_file_and_key(tmp_path, text, key):
+def test_the_error_names_file_and_key(tmp_path, read, text, key):
     path = _write(tmp_path, text)
     with pytest.raises(InputError) as caught:
-        read_settings(StackSettings, path)
+        read(path)
     assert caught.value.where == str(path)
     assert f"'{key}" in caught.value.what
     assert caught.value.fix
@@ -209,10 +216,8 @@ def test_the_error_names_file_and_key(tmp_path, text, key):
     ],
 )
 def test_a_setting_that_nobody_knows_is_called_so_with_the_nearest_one(tmp_path, text, said, fix):
-    path = tmp_path / "bench.toml"
-    path.write_text(text, encoding="utf-8")
     with pytest.raises(InputError) as caught:
-        read_settings(HardwareSettings, path)
+        read_settings(HardwareSettings, _write(tmp_path, text))
     assert caught.value.what == said
     assert fix in caught.value.fix
 
@@ -255,16 +260,11 @@ def test_shipped_default_spells_out_the_defaults() -> None:
     assert load_simulation(BENCHES / "sim.toml") == SimulationSettings()
 
 
-@pytest.mark.parametrize(
-    ("name", "file"), [("quiet", "sim-quiet"), ("hard", "sim-hard"), ("bench-v1", "bench-v1")]
-)
-def test_shipped_file_is_its_preset(name, file) -> None:
-    assert load_simulation(BENCHES / f"{file}.toml") == load_simulation(preset=name)
-
-
-@pytest.mark.parametrize("name", sorted(PRESETS))
-def test_every_preset_is_valid_and_named(name) -> None:
-    assert load_simulation(preset=name).preset == name
+def test_every_preset_is_named_and_a_shipped_file_is_its_preset() -> None:
+    for name in PRESETS:
+        assert load_simulation(preset=name).preset == name
+    for name, file in (("quiet", "sim-quiet"), ("hard", "sim-hard"), ("bench-v1", "bench-v1")):
+        assert load_simulation(BENCHES / f"{file}.toml") == load_simulation(preset=name)
 
 
 def test_off_leaves_nothing_random() -> None:
@@ -279,23 +279,6 @@ def test_own_keys_win_over_the_preset() -> None:
     )
     assert (made.spread.tilt_rad, made.mu_grip) == (0.002, 0.5)
     assert made.spread.grasp_offset_mm == 1.0
-
-
-@pytest.mark.parametrize(
-    ("text", "key"),
-    [
-        ('preset = "loud"', "preset"),
-        ("[grasp]\nshear_n_mm = -1", "grasp.shear_n_mm"),
-        ("[tactile]\nwhite = 1", "tactile.white"),
-    ],
-)
-def test_a_bad_file_is_named_with_its_key(text, key, tmp_path) -> None:
-    file = tmp_path / "bench.toml"
-    file.write_text(text, encoding="utf-8")
-    with pytest.raises(InputError) as caught:
-        load_simulation(file)
-    assert caught.value.where == str(file)
-    assert key in caught.value.what
 
 
 def test_settings_survive_a_round_trip() -> None:

@@ -136,11 +136,6 @@ def test_a_failed_write_keeps_the_old_content(tmp_path, monkeypatch):
     assert path.read_bytes() == OLD
 
 
-def test_missing_folders_are_made(tmp_path):
-    write_atomically(tmp_path / "a" / "b" / "c", b"")
-    assert (tmp_path / "a" / "b" / "c").read_bytes() == b""
-
-
 def nested(levels: int) -> str:
     return "[" * levels + "]" * levels
 

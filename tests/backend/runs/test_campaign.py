@@ -267,12 +267,10 @@ def test_a_campaign_with_a_senseless_number_is_named(tmp_path, key, value) -> No
         read_campaign(tmp_path, campaign.uuid)
 
 
-@pytest.mark.parametrize("wrong", [{"count": 0}, {"seed": -1}, {"within_mm": 0.0}])
-def test_senseless_campaigns_are_refused(wrong) -> None:
-    given = {"piece": "pot", "bottom": "short", "pattern": "random", "seed": 0, "count": 5,
-             "within_mm": None}  # fmt: skip
+@pytest.mark.parametrize(("seed", "count", "within_mm"), [(0, 0, None), (-1, 5, None), (0, 5, 0.0)])
+def test_senseless_campaigns_are_refused(seed, count, within_mm) -> None:
     with pytest.raises(InputError):
-        new_campaign(**{**given, **wrong})
+        new_campaign("pot", "short", "random", seed, count, within_mm)
 
 
 def test_holes_are_those_of_all_campaigns_that_somebody_stands_for(stored: Dataset) -> None:
@@ -381,16 +379,21 @@ def skip_the_probe(collector, bench):
     yield from collector._carry_out(bench)
 
 
-def test_a_decision_waits_for_room_and_is_carried_out_then(collect, tmp_path, monkeypatch):
+def refuse_deletions(monkeypatch, times):
+    """Let the disk be full for the next deletions."""
     delete, refused = LabelStore.delete, []
 
     def full(self, *args):
-        if len(refused) < 2:
+        if len(refused) < times:
             refused.append(args)
             raise FaultError(Fault("DISK-FULL", "The disk is full.", "Not saved.", "Room."))
         delete(self, *args)
 
     monkeypatch.setattr(LabelStore, "delete", full)
+
+
+def test_a_decision_waits_for_room_and_is_carried_out_then(collect, tmp_path, monkeypatch):
+    refuse_deletions(monkeypatch, 2)
     facts, _, _ = collect(skip_the_probe, lambda session: session.engine.resume(), Paused)
     assert [fact.fault.code for fact in facts if isinstance(fact, Paused)] == ["DISK-FULL"] * 2
     assert [fact.decision for fact in facts if isinstance(fact, EpisodeDecided)] == ["skip"]
@@ -455,15 +458,7 @@ def test_a_cancel_while_a_skip_waits_for_room_does_not_lose_it(
     collect, tmp_path, monkeypatch, refusals
 ) -> None:
     """With space at the end, or without: then the fault names the next step."""
-    delete, refused = LabelStore.delete, []
-
-    def full(self, *args):
-        if len(refused) < refusals:
-            refused.append(args)
-            raise FaultError(Fault("DISK-FULL", "The disk is full.", "Not saved.", "Room."))
-        delete(self, *args)
-
-    monkeypatch.setattr(LabelStore, "delete", full)
+    refuse_deletions(monkeypatch, refusals)
     facts, (uuid,), _ = collect(skip_the_probe, lambda session: session.engine.cancel(), Paused)
     assert facts[-1].ending == "cancelled"
     decided = [fact.decision for fact in facts if isinstance(fact, EpisodeDecided)]

@@ -294,16 +294,10 @@ def written(folder: Path) -> Path:
     return folder
 
 
-def test_every_kind_of_fact_is_in_the_test() -> None:
-    kinds = {
-        value
-        for value in vars(events).values()
-        if isinstance(value, type) and issubclass(value, events.Event) and value is not events.Event
-    }
+def test_events_of_every_kind_come_back_equal(tmp_path: Path) -> None:
+    classes = [value for value in vars(events).values() if isinstance(value, type)]
+    kinds = {cls for cls in classes if issubclass(cls, events.Event)} - {events.Event}
     assert kinds == {type(fact) for fact in ALL}
-
-
-def test_all_facts_come_back_equal(tmp_path: Path) -> None:
     back = list(read_events(written(tmp_path / "run")))
     assert len(back) == len(ALL)
     for before, after in zip(ALL, back, strict=True):
@@ -319,36 +313,33 @@ def test_a_torn_last_line_costs_that_line_only(tmp_path: Path) -> None:
         assert len(list(read_events(folder))) == len(ALL) - 1
 
 
-def test_damage_in_the_middle_names_file_and_line(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (None, "line 6"),
+        *(({"dtype": "object"}, ""), ({"data": "not base64!"}, ""), ({"shape": [999]}, "")),
+    ],
+)
+def test_damage_and_forged_arrays_are_refused(tmp_path: Path, change, said) -> None:
     folder = written(tmp_path / "run")
     lines = (folder / EVENT_LOG_NAME).read_bytes().splitlines(keepends=True)
-    lines[5] = b'{"kind": "PatchEst\n'
+    if change is None:
+        lines[5] = b'{"kind": "PatchEst\n'
+    else:
+        line = json.loads(lines[6])
+        line["patch"]["probability"].update(change)
+        lines[6] = json.dumps(line).encode() + b"\n"
     (folder / EVENT_LOG_NAME).write_bytes(b"".join(lines))
-    with pytest.raises(InputError, match="line 6"):
+    with pytest.raises(InputError, match=said or "Damaged event PatchEstimated"):
         list(read_events(folder))
 
 
-@pytest.mark.parametrize("change", [{"dtype": "object"}, {"data": "not base64!"}, {"shape": [999]}])
-def test_a_forged_array_is_refused(tmp_path: Path, change: dict[str, object]) -> None:
-    folder = written(tmp_path / "run")
-    lines = (folder / EVENT_LOG_NAME).read_bytes().splitlines()
-    line = json.loads(lines[6])
-    line["patch"]["probability"].update(change)
-    lines[6] = json.dumps(line).encode()
-    (folder / EVENT_LOG_NAME).write_bytes(b"\n".join(lines) + b"\n")
-    with pytest.raises(InputError, match="Damaged event PatchEstimated"):
-        list(read_events(folder))
-
-
-def test_foreign_files_are_refused(tmp_path: Path) -> None:
+def test_foreign_files_are_refused_and_a_run_is_never_written_over(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no event log"):
         list(read_events(tmp_path))
     (tmp_path / EVENT_LOG_NAME).write_text('{"program": "other"}\n')
     with pytest.raises(InputError, match="not a Touchdown event log"):
         list(read_events(tmp_path))
-
-
-def test_an_existing_run_is_never_written_over(tmp_path: Path) -> None:
     written(tmp_path / "run")
     with pytest.raises(FileExistsError):
         EventLog(tmp_path / "run")
@@ -387,28 +378,20 @@ def session(tmp_path):
     made.close()
 
 
-def lines(folder):
-    return [json.loads(line) for line in (folder / LIMIT_LOG_NAME).read_text().splitlines()]
-
-
-def test_each_change_is_one_line_with_before_and_after(tmp_path):
-    log_limit_change(tmp_path, "Bench 2", "anna", Limits(), LOWER)
-    log_limit_change(tmp_path, "Bench 2", "ben", LOWER, replace(LOWER, press_n=20.0))
-    first, second = lines(tmp_path)
-    assert (first["bench"], first["person"]) == ("Bench 2", "anna")
-    assert first["changed"] == {"jog_mm_s": [50.0, 30.0]}
-    assert second["changed"] == {"press_n": [25.0, 20.0]}
-
-
-def test_a_change_holds_from_now_on_and_is_said(session, tmp_path):
+def test_a_change_holds_from_now_on_and_is_said_and_logged(session, tmp_path):
     said = []
-    session.events.subscribe(lambda fact: said.append(fact) if isinstance(fact, Said) else None)
+    on(session, Said, said.append)
     session.change_limits(LOWER, "anna")
     assert session.interlock.limits == LOWER
     assert "anna" in said[0].text
-    assert len(lines(tmp_path / "runs")) == 1
     with pytest.raises(RefusedError, match=r"40\.0 mm/s"):
         session.hand.jog.renew(JogOrder(1, 1, session.clock_s(), "z", "XYZ", 40.0))
+    log_limit_change(tmp_path / "runs", "Bench 2", "ben", LOWER, replace(LOWER, press_n=20.0))
+    log = (tmp_path / "runs" / LIMIT_LOG_NAME).read_text().splitlines()
+    first, second = map(json.loads, log)
+    assert (first["person"], first["changed"]) == ("anna", {"jog_mm_s": [50.0, 30.0]})
+    assert (second["bench"], second["person"]) == ("Bench 2", "ben")
+    assert second["changed"] == {"press_n": [25.0, 20.0]}
 
 
 def test_nothing_changes_while_the_arm_is_moved(session):
@@ -434,28 +417,17 @@ def one_probe() -> StackSettings:
     return brisk_method().model_copy(update={"policy": PolicySettings(max_probes=1)})
 
 
-def felt(bench: OracleSession) -> list[Episode]:
-    """Return the judged episodes."""
-    return bench.oracles[0].asked
-
-
 def last_trial(bench: OracleSession) -> TrialFinished:
     fact = bench.of(TrialFinished)[-1]
     assert isinstance(fact, TrialFinished)
     return fact
 
 
-@pytest.fixture(scope="module")
-def whole(tmp_path_factory: pytest.TempPathFactory) -> OracleSession:
+def test_places_the_piece_and_the_journal_gives_the_run_back(tmp_path: Path) -> None:
     """One undisturbed run, recorded with all its images."""
-    bench = OracleSession(runs=tmp_path_factory.mktemp("whole"), rate_hz=25.0)
+    bench = OracleSession(runs=tmp_path, rate_hz=25.0)
     bench.session.run(request())
     bench.session.close()
-    return bench
-
-
-def test_places_the_piece_and_tells_every_step(whole: OracleSession) -> None:
-    bench = whole
     end = last_trial(bench)
     assert end.outcome is Outcome.PLACED
     truth = bench.benches[-1].truth()
@@ -467,11 +439,7 @@ def test_places_the_piece_and_tells_every_step(whole: OracleSession) -> None:
     assert kinds[-2:] == [TrialFinished, RunFinished]
     assert [k for k in kinds if k in PROBE] == list(PROBE) * end.probes
     assert len(bench.of(EpisodeRecorded)) == end.probes
-    assert [f.kind for f in (a.action for a in bench.of(ActionChosen))][-1] == "release"
-
-
-def test_the_journal_gives_the_run_back_and_every_episode_is_on_disk(whole: OracleSession) -> None:
-    bench = whole
+    assert bench.of(ActionChosen)[-1].action.kind == "release"
     folder = bench.session.run_folder
     back = list(read_events(folder))
     assert [type(f) for f in back] == [type(f) for f in bench.facts]
@@ -497,7 +465,8 @@ def test_equal_seeds_give_equal_bits_live_and_stepped() -> None:
     other = OracleSession(method=one_probe())
     other.session.run(request(seed=8))
     assert any(line not in stepped.record() for line in other.record()[1:])
-    assert felt(other)[0].observation.tobytes() != felt(stepped)[0].observation.tobytes()
+    first, second = (bench.oracles[0].asked[0] for bench in (other, stepped))
+    assert first.observation.tobytes() != second.observation.tobytes()
 
 
 def test_pick_and_place_always_starts_unstable_and_falls() -> None:
@@ -506,14 +475,6 @@ def test_pick_and_place_always_starts_unstable_and_falls() -> None:
     ends = bench.of(TrialFinished)
     assert [e.outcome for e in ends] == [Outcome.FELL] * 3
     assert not bench.oracles[0].asked
-
-
-def test_gives_up_after_max_probes_and_never_opens_the_gripper() -> None:
-    bench = OracleSession(method=one_probe())
-    bench.session.run(request())
-    assert last_trial(bench).outcome is Outcome.GAVE_UP
-    assert bench.benches[-1].gripper.status().holding
-    assert not bench.of(Released)
 
 
 def height_mm(bench: OracleSession) -> float:
@@ -653,14 +614,11 @@ def test_approve_mode_moves_only_after_a_yes_and_judges_again() -> None:
     assert asked.count("release") == 1
     chosen = [f.action.kind for f in bench.of(ActionChosen)]
     assert chosen[-2:] == ["release", "release"]
-
-
-def test_a_no_keeps_the_piece() -> None:
-    bench = OracleSession()
-    on(bench.session, ApprovalAwaited, lambda _: bench.session.answer(False))
-    bench.session.run(request(mode="approve"))
-    assert last_trial(bench).outcome is Outcome.ABORTED
-    assert bench.benches[-1].gripper.status().holding
+    declined = OracleSession()
+    on(declined.session, ApprovalAwaited, lambda _: declined.session.answer(False))
+    declined.session.run(request(mode="approve"))
+    assert last_trial(declined).outcome is Outcome.ABORTED
+    assert declined.benches[-1].gripper.status().holding
 
 
 def test_stacks_on_a_tower_of_two() -> None:

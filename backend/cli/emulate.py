@@ -33,7 +33,7 @@ from touchdown.backend.bench import (
     serve_bench,
     shorten_switch_interval,
 )
-from touchdown.backend.cli.output import VerbOutput, ctrl_c_cancels, text_table
+from touchdown.backend.cli.output import VerbOutput, ctrl_c_cancels, text_table, write_errors
 from touchdown.backend.config import first_error_message
 from touchdown.backend.core import FINGERS, InputError, round_robin_priority, write_atomically
 from touchdown.backend.devices import emulated_makes
@@ -262,18 +262,13 @@ def _bench(args: argparse.Namespace) -> tuple[EmulatedScene, Emulation]:
     settings = SimulatedBenchChoice(preset=args.preset).settings()
     choice = SceneChoice(args.piece, (args.bottom,), args.seed, jig=args.jig)
     scene = make_scene(load_pieces(), choice, settings)
-    try:
+    where, fix = args.lab_file or args.folder, "Name another folder or --host."
+    with write_errors("The bench cannot be made", where, fix):
         world, emulation = serve_bench(scene, args.folder, plan, args.host)
         if args.lab_file is not None:
             # The lab file is for this computer: its cameras are folders here.
             here = replace(emulation, bench=replace_host(emulation.bench, "127.0.0.1"))
             write_atomically(args.lab_file, lab_toml(scene, here).encode())
-    except OSError as error:
-        raise InputError(
-            f"The bench cannot be made: {error.strerror or error}.",
-            str(args.lab_file or args.folder),
-            "Name another folder or --host.",
-        ) from error
     return world, emulation
 
 

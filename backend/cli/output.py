@@ -223,29 +223,30 @@ def ctrl_c_cancels(cancel: Callable[[], None]) -> Iterator[None]:
         signal.signal(signal.SIGINT, before)
 
 
+@contextmanager
+def write_errors(what: str, where: Path, fix: str) -> Iterator[None]:
+    """Raise ``InputError`` for an error of the disk; ``what`` ends without its full stop."""
+    try:
+        yield
+    except OSError as error:
+        place = str(error.filename or where)
+        raise InputError(f"{what}: {error.strerror or error}.", place, fix) from error
+
+
 def write_new(path: Path, text: str) -> None:
     """Write a new file; ``InputError`` if ``path`` exists or cannot be written."""
-    try:
-        with path.open("x", encoding="utf-8") as file:
-            file.write(text)
-    except OSError as error:
-        raise InputError(
-            f"The file cannot be written: {error.strerror or error}.",
-            str(path),
-            "Name a new file in a folder that can be written.",
-        ) from error
+    fix = "Name a new file in a folder that can be written."
+    with (
+        write_errors("The file cannot be written", path, fix),
+        path.open("x", encoding="utf-8") as file,
+    ):
+        file.write(text)
 
 
 def make_output_folder(folder: Path) -> None:
     """Create a folder for results; ``InputError`` if that fails."""
-    try:
+    with write_errors("The folder cannot be made", folder, "Name another folder."):
         folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(
-            f"The folder cannot be made: {error.strerror or error}.",
-            str(folder),
-            "Name another folder.",
-        ) from error
 
 
 def require_positive(args: argparse.Namespace, *names: str) -> None:

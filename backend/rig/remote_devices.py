@@ -386,18 +386,11 @@ class BenchDevices:
         ordered: dict[str, Device] = {"force_torque": self.force_torque, **cameras}
         return {**ordered, "gripper": self.gripper, "arm": self.arm}
 
-    def connect(
-        self,
-        cancel: threading.Event,
-        tell: Callable[[str], None] = lambda name: None,
-        limit_s: float = CONNECT_S,
-    ) -> None:
-        """Connect all, each within ``limit_s``; ``tell`` is called with the name of each before.
-        Raises the first ``FaultError``; connected devices stay connected. The arm depends on the
-        wrist sensor, so it comes last.
+    def connect(self, cancel: threading.Event, limit_s: float = CONNECT_S) -> None:
+        """Connect all, each within ``limit_s``. Raises the first ``FaultError``; connected devices
+        stay connected. The arm depends on the wrist sensor, so it comes last.
         """
-        for name, device in self.devices.items():
-            tell(name)
+        for device in self.devices.values():
             device.connect(limit_s, cancel)
 
     def home(self) -> None:

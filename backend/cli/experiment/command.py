@@ -5,8 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +16,12 @@ from touchdown.backend.cli.experiment.domain_shift import (
     add_evaluation_arguments,
     run_evaluation,
 )
-from touchdown.backend.cli.output import VerbOutput, make_output_folder, require_positive
+from touchdown.backend.cli.output import (
+    VerbOutput,
+    make_output_folder,
+    require_positive,
+    write_errors,
+)
 from touchdown.backend.cli.train import add_device
 from touchdown.backend.config import load_simulation
 from touchdown.backend.core import InputError, write_atomically
@@ -65,6 +69,9 @@ from touchdown.backend.jobs import (
     shard_of,
 )
 
+UNWRITTEN = "It could not be written"
+KEPT = "Free some space, or name another folder; finished jobs are kept."
+
 
 def add_report_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of ``report`` and ``gap``."""
@@ -76,23 +83,10 @@ def add_report_arguments(parser: argparse.ArgumentParser) -> None:
                         "(default: the present ones); gap: the comparisons to use")  # fmt: skip
 
 
-@contextmanager
-def report_write_errors(where: Path) -> Iterator[None]:
-    """Turn write errors into ``InputError``; files stay as they were or are complete."""
-    try:
-        yield
-    except OSError as error:
-        raise InputError(
-            f"It could not be written: {error.strerror or error}.",
-            str(error.filename or where),
-            "Free some space, or name another folder; finished jobs are kept.",
-        ) from error
-
-
 def rewrite_report(args: argparse.Namespace, screen: VerbOutput) -> Json:
     """Render the page and store the comparisons; raises ``InputError`` for a bad file."""
     file = args.tables or args.out / DATA
-    with report_write_errors(file):
+    with write_errors(UNWRITTEN, file, KEPT):
         page = rewrite_tables(file, args.beyond)
     screen.say(f"Written: {page}")
     return {"page": str(page), "file": str(file)}
@@ -142,7 +136,7 @@ def write_gap(args: argparse.Namespace, screen: VerbOutput) -> Json:
         "gaps": rows,
     }
     file = args.out / GAP_DATA
-    with report_write_errors(file):
+    with write_errors(UNWRITTEN, file, KEPT):
         args.out.mkdir(parents=True, exist_ok=True)
         write_atomically(args.out / GAP_TABLE, to_markdown([sheet]).encode())
         write_atomically(file, json.dumps(content, indent=1, sort_keys=True).encode() + b"\n")
@@ -319,10 +313,10 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     jobs = recipe.jobs()
     failed = _run_jobs(jobs, recipe.effort, args, screen, store)
     missing = sum(not store.has(spec.id) for spec in jobs)
-    with report_write_errors(args.out):
+    with write_errors(UNWRITTEN, args.out, KEPT):
         page, answer = write_tables(args.out, recipe, store)
     if args.keep_models:
-        with report_write_errors(args.keep_models):
+        with write_errors(UNWRITTEN, args.keep_models, KEPT):
             args.keep_models.mkdir(parents=True, exist_ok=True)
             kept = keep_models(store, recipe, args.keep_models)
         screen.say(f"{len(kept)} models: {args.keep_models}")
@@ -374,7 +368,7 @@ def _run_beyond(args: argparse.Namespace, screen: VerbOutput, store: JobStore) -
     failed = _run_jobs(jobs, plan.effort, args, screen, store)
     answer = plan.answer(store)
     missing = sum(not store.has(spec.id) for spec in jobs)
-    with report_write_errors(args.out):
+    with write_errors(UNWRITTEN, args.out, KEPT):
         path = write_comparison(args.out, answer)
     for sheet in comparison_tables(answer):
         screen.table(sheet.title, *sheet.texts())

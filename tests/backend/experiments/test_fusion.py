@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from touchdown.backend.cli.experiment.command import report_write_errors
+from touchdown.backend.cli.output import write_errors
 from touchdown.backend.config.method import FusedSettings, StackSettings
 from touchdown.backend.config.simulation import SimulationSettings, load_simulation
 from touchdown.backend.core.faults import InputError
@@ -491,7 +491,8 @@ def test_a_full_disk_is_one_clear_error_and_the_next_try_is_whole(
     full = OSError(errno.ENOSPC, "No space left on device")
     with monkeypatch.context() as patch:
         at_call(patch, "fsync", 4, full)
-        with pytest.raises(InputError, match="No space left"), report_write_errors(tmp_path):
+        written = write_errors("It could not be written", tmp_path, "Make room.")
+        with pytest.raises(InputError, match="No space left"), written:
             keep_models(stores[0], RECIPE, tmp_path)
     assert not list(tmp_path.glob(".*"))
     keep_models(stores[0], RECIPE, tmp_path)

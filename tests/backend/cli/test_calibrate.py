@@ -186,34 +186,9 @@ def test_status_says_what_lacks_and_what_to_do(capsys) -> None:
     assert [row["condition"] for row in rows] == ["valid"] + 4 * ["missing"]
 
 
-LAB = """version = 1
-name = "Here"
-kind = "emulated"
-[mounting]
-sensor_height_mm = 120.0
-sensor_yaw_rad = 0.0
-payload_kg = 1.5
-payload_com_mm = [0.0, 0.0, 60.0]
-[melfa]
-host = "127.0.0.1"
-[wsg]
-host = "127.0.0.1"
-[ft]
-driver = "dynpick"
-address = "socket://127.0.0.1:5000"
-[gelsight]
-by_id = "/srv/by-id"
-[gelsight.left]
-serial = "L"
-[gelsight.right]
-serial = "R"
-"""
-
-
-def test_the_command_that_status_names_works_as_it_is_pasted(tmp_path, capsys) -> None:
+def test_the_command_that_status_names_works_as_it_is_pasted(lab, capsys) -> None:
     """It homes a lab's gripper, and keeps what was asked for: bench, speed, place, folder."""
-    lab = tmp_path / "a lab.toml"
-    lab.write_text(LAB)
+    lab = lab.rename(lab.with_name("a lab.toml"))
     words = ["--bench", str(lab), "--override", "100", "--bottom", "square15",
              "--origin", "1.5", "-2", "--person", "Ada L"]  # fmt: skip
     assert main(["calibrate", "status", *words]) == 1
@@ -242,10 +217,8 @@ def test_status_of_another_simulated_bench_names_it(tmp_path, capsys) -> None:
 )
 @pytest.mark.parametrize("what", ["payload", "status"])
 def test_what_the_bench_has_no_use_for_is_refused_not_passed_over(
-    tmp_path, capsys, at_lab, flag, what
+    lab, capsys, at_lab, flag, what
 ) -> None:
-    lab = tmp_path / "lab.toml"
-    lab.write_text(LAB)
     assert main(["calibrate", what, flag, *(["--bench", str(lab)] if at_lab else [])]) == 2
     assert flag.split("=")[0] in capsys.readouterr().err
 
@@ -468,7 +441,7 @@ def test_rebuild_compares_and_replaces(data_set, say) -> None:
 @pytest.mark.parametrize(
     "words",
     [["dataset", "restore"], ["dataset", "verify", "x.db"], ["dataset", "burn"],
-     ["dataset", "restore", "none.db"]],
+     ["dataset", "restore", "none.db"], ["dataset", "merge"], ["dataset", "merge", "nowhere"]],
 )  # fmt: skip
 def test_bad_words_are_refused(data_set, say, words: list[str]) -> None:
     code, answer = say(*words, "--dataset", data_set)

@@ -119,12 +119,6 @@ def _raise(error):
     return run
 
 
-@pytest.mark.parametrize("code", [0, 1])
-def test_the_verb_s_own_code_is_the_exit_code(verb, code):
-    verb(lambda args, screen: code)
-    assert main(["stack"]) == code
-
-
 @pytest.mark.parametrize(
     "words", [*([name, "--help"] for name in VERBS), ["--help"], ["--version"]]
 )
@@ -252,13 +246,6 @@ def test_merge_brings_labels_and_tells_conflicts(copies, capsys) -> None:
     assert json.loads(capsys.readouterr().out)["conflicts"] == 1
     assert main(words) == 0
     assert json.loads(capsys.readouterr().out)["operations"] == 0
-
-
-@pytest.mark.parametrize("other", ["", "nowhere"])
-def test_merge_without_a_copy_is_bad_input(copies, other, capsys) -> None:
-    words = ["dataset", "merge", *([other] if other else []), "--dataset", str(copies[0])]
-    assert main(words) == 2
-    assert "fix:" in capsys.readouterr().err
 
 
 @pytest.fixture

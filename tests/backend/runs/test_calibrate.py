@@ -210,12 +210,6 @@ def test_the_face_is_found_in_the_hand_over_three_grips(near) -> None:
     assert np.abs(face_mm + np.mean(blind.centres_mm, axis=0)).max() <= 0.12
 
 
-def test_a_bottom_that_is_not_there_is_refused() -> None:
-    request = CalibrateRequest("board", origin_mm=(40.0, 0.0))
-    with pytest.raises(RefusedError, match="ORIGIN-FAR"):
-        measured(BlindBench(request.scene()), measure_board, request)
-
-
 @pytest.mark.promise("R5")
 @pytest.mark.parametrize(("voids", "fault"), [(2, UNFELT), (6, VOID)])
 def test_a_void_touch_is_made_again_but_not_for_ever(voids, fault, monkeypatch) -> None:

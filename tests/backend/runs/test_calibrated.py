@@ -186,11 +186,17 @@ def test_everything_else_begins_without_them(tmp_path) -> None:
         assert calibrations_for(asked, "hardware", empty, {}) == {}
 
 
-def test_a_simulated_bench_uses_what_it_has_and_its_episodes_say_so(tmp_path) -> None:
-    session = simulated_session(SimulatedBenchChoice(preset="off"), keep=RecordingOptions(None))
+@pytest.fixture
+def session():
+    choice = SimulatedBenchChoice(preset="off")
+    with simulated_session(choice, keep=RecordingOptions(None)) as made:
+        made.prepare(SceneChoice(estimates=False))
+        yield made
+
+
+def test_a_simulated_bench_uses_what_it_has_and_its_episodes_say_so(session, tmp_path) -> None:
     recorded = []
     on(session, EpisodeRecorded, recorded.append)
-    session.prepare(SceneChoice(estimates=False))
     store = session.calibrations = filled(tmp_path, session.devices, "simulated")
     session.prepare(SceneChoice(estimates=False))
     payload = payload_wrench(store, session.devices)
@@ -199,7 +205,6 @@ def test_a_simulated_bench_uses_what_it_has_and_its_episodes_say_so(tmp_path) ->
     np.testing.assert_allclose(payload, [*force, *np.cross([0.002, -0.001, 0.0], force)])
     np.testing.assert_array_equal(session._scene.sensing.tare.payload, payload)
     session.run(ProbeRequest())
-    session.close()
     told = dict(recorded[0].episode.metadata)
     for what in CALIBRATION_NAMES:
         standing = store.status(what, device_names(session.devices))
@@ -207,10 +212,8 @@ def test_a_simulated_bench_uses_what_it_has_and_its_episodes_say_so(tmp_path) ->
 
 
 def test_a_run_has_the_payload_it_was_checked_with_though_the_file_is_damaged_since(
-    tmp_path, monkeypatch
+    session, tmp_path, monkeypatch
 ) -> None:
-    session = simulated_session(SimulatedBenchChoice(preset="off"), keep=RecordingOptions(None))
-    session.prepare(SceneChoice(estimates=False))
     store = session.calibrations = filled(tmp_path, session.devices, "simulated")
     checked = payload_wrench(store, session.devices)
     make_stage = session._make_stage
@@ -224,19 +227,15 @@ def test_a_run_has_the_payload_it_was_checked_with_though_the_file_is_damaged_si
     session.run(StackRequest(strategy="pick-and-place"))
     assert payload_wrench(store, session.devices) is None
     np.testing.assert_array_equal(session._scene.sensing.tare.payload, checked)
-    session.close()
 
 
-def test_a_sensor_that_was_changed_needs_a_new_payload(tmp_path) -> None:
-    session = simulated_session(SimulatedBenchChoice(preset="off"), keep=RecordingOptions(None))
-    session.prepare(SceneChoice(estimates=False))
+def test_a_sensor_that_was_changed_needs_a_new_payload(session, tmp_path) -> None:
     store = filled(tmp_path, session.devices, "simulated")
     names = device_names(session.devices)
     assert names["force_torque"].model
     other = names["force_torque"].model_copy(update={"serial": "another"})
     standing = store.status("payload", {**names, "force_torque": other})
     assert standing.condition == "other device"
-    session.close()
 
 
 def test_a_lab_of_hardware_refuses_to_stack_and_looks_beside_its_file(

@@ -97,9 +97,7 @@ def empty_queue(title: str, why: str) -> EmptyState:
 LABELLED = "Every probe has a label that was accepted or rejected."
 EMPTY_QUEUES = {
     "unlabelled": empty_queue("Nothing is left to label", LABELLED),
-    "review": empty_queue(
-        "Nothing waits for your review", "What you labelled is for others to review."
-    ),
+    "review": empty_queue("Nothing waits for your review", "Other persons review your labels."),
     "returned": empty_queue(
         "None of your labels was rejected", "No label came back, and you rejected no probe."
     ),

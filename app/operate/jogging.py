@@ -214,7 +214,8 @@ class ManualControlPresenter:
             clear_mm = self._bench.interlock.limits.turn_clear_mm
             note = f"{above_mm:.1f} mm above the surface, {clear_mm:.0f} mm needed to turn: jog +Z"
         if not note and not math.isnan(above_mm):
-            note = f"{above_mm:.1f} mm above the surface"
+            side = "above" if above_mm >= 0.0 else "below"
+            note = f"{abs(above_mm):.1f} mm {side} the surface"
         if slow and hand.jog.state.order is not None:
             note = f"{self._jog_speed(hand)}: {slow}"
         age_s = max(self._bench.clock_s() - t_s, 0.0)

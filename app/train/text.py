@@ -71,7 +71,7 @@ def model_in_use_text(in_use: ModelInUse | None) -> str:
         return ""
     alone = autonomy_text(in_use.probes)
     if in_use.before is None:
-        return f"In use for {in_use.piece}: the model that ships. {alone}".strip()
+        return f"In use for {in_use.piece}: the shipped model. {alone}".strip()
     since = datetime.fromtimestamp(in_use.since_ns / 1e9)
     return (
         f"In use for {in_use.piece}: {_model(in_use.weights_sha256)} "

@@ -94,7 +94,7 @@ def rebuild(args: argparse.Namespace, folder: Path, screen: VerbOutput) -> int:
         )
         for name, rows in result.rows.items()
     ]
-    screen.table("catalogue made anew", ("table", *columns), *counts, right=columns)
+    screen.table("catalogue rebuilt", ("table", *columns), *counts, right=columns)
     for notice in result.notices:
         screen.say(notice)
     if not result.old_readable:

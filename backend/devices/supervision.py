@@ -161,7 +161,7 @@ class GripMonitor:
             return None
         if not status.holding:
             self._since_s = None
-            return _lost_fault("The gripper holds no piece any more, and nobody opened it.")
+            return _lost_fault("The gripper no longer holds a piece, and no command opened it.")
         if now_s - self._since_s <= STANDS_S:
             self._width_mm, self._force_n, self._weak_s = status.width_mm, status.force_n, None
             return None

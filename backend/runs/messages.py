@@ -62,7 +62,7 @@ def hand_over_message(awaited: HandOverAwaited) -> str:
 def mounting_question(awaited: MountingAwaited) -> str:
     """Return the question whether the last mounting of the campaign continues."""
     what = f"the {awaited.bottom} or the gels"
-    return f"Were {what} fitted anew since mounting {awaited.mounting} of this campaign?"
+    return f"Were {what} mounted again since mounting {awaited.mounting} of this campaign?"
 
 
 def rejected_message(probe: int, reasons: tuple[str, ...]) -> str:

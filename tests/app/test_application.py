@@ -298,7 +298,7 @@ def test_a_model_of_data_that_is_gone_is_rolled_back_by_its_key(qtbot, tmp_path)
         desk.press(KEY.Key_P, CTRL | SHIFT)
         desk.settle()
         assert registry.in_use("pot") is None
-        assert desk.page.in_use.text().startswith("In use for pot: the model that ships.")
+        assert desk.page.in_use.text().startswith("In use for pot: the shipped model.")
         assert not desk.page.roll_back.isEnabled()
         assert main.cards.codes == ()
 

@@ -462,7 +462,7 @@ class Console:
             self.ask("HOT", f"{program};{name}={value:g}")
             told = self.ask("VAL", name)
             if not re.fullmatch(rf"{name}=([-+0-9.Ee]+)", told):
-                raise FaultError(link_fault(f"The controller tells '{told}' of {name}."))
+                raise FaultError(link_fault(f"The controller answers '{told}' for {name}."))
             if not math.isclose(float(told.split("=")[1]), value, rel_tol=1e-3, abs_tol=1e-6):
                 raise FaultError(link_fault(f"The controller did not take {name} = {value:g}."))
         self._run(program, "The force program does not start.")

@@ -155,7 +155,7 @@ ENDED = Fault(
 LATE = Fault(
     "PROBE-LATE",
     "The controller's force program has not come to its end in time.",
-    "The program was told to lift by 2 mm; the gripper was not opened.",
+    "The program was ordered to lift by 2 mm; the gripper was not opened.",
     "Look at its speeds and at the override of the controller, then press Reset.",
     ARM,
 )

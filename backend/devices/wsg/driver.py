@@ -106,7 +106,7 @@ def link_fault(what: str) -> Fault:
     return Fault(
         "WSG-LINK",
         what,
-        "Whether the piece is still held is not known.",
+        "It is not known if the piece is still held.",
         "Look at the piece; check cable and power of the gripper, then connect it again.",
         NAME,
     )
@@ -544,7 +544,7 @@ class WsgGripper:
 
         stranger = identify_device(line.sendall, receive, self._settings.protocol)
         if not stranger:
-            return "What answers there is no WSG gripper."
+            return "The device at this address is not a WSG gripper."
         wanted = f"a WSG gripper (wsg.protocol is {self._settings.protocol})"
         return f"This is {stranger}, expected {wanted}."
 

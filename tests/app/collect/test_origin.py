@@ -249,7 +249,7 @@ def test_a_campaign_that_goes_on_asks_for_its_mounting_and_takes_either_answer(p
     page.begin()
     page.tell(MountingAwaited(0.5, "circle15", 2))
     assert target.why_not.text() == (
-        "Were the circle15 or the gels fitted anew since mounting 2 of this campaign?"
+        "Were the circle15 or the gels mounted again since mounting 2 of this campaign?"
     )
     assert (target.start.text(), target.go_on.text()) == ("Mounted again", "As it was")
     assert target.start.isEnabled()

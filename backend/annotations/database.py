@@ -180,11 +180,8 @@ KEYS = {
 }
 
 
-def statements() -> str:
-    """Return the SQL that creates an empty catalogue."""
-    guards = "".join(_guards(table, key) for table, key in KEYS.items())
-    return TABLES + guards + RUNS + CHECKED + APART
-
+GUARDS = "".join(_guards(table, key) for table, key in KEYS.items())
+SCHEMA = TABLES + GUARDS + RUNS + CHECKED + APART
 
 CATALOGUE_FILE = "catalog.db"
 BUSY_MS = 2000  # longest wait for a lock held by another program
@@ -364,7 +361,7 @@ def _create(connection: sqlite3.Connection) -> None:
     # SQLite allows this outside a transaction only.
     connection.execute("PRAGMA journal_mode = WAL")
     connection.executescript(
-        f"BEGIN IMMEDIATE;\n{statements()}"
+        f"BEGIN IMMEDIATE;\n{SCHEMA}"
         f"PRAGMA application_id = {APPLICATION_ID};\n"
         f"PRAGMA user_version = {SCHEMA_VERSION};\nCOMMIT;"
     )

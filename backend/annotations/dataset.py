@@ -311,13 +311,11 @@ class Dataset:
         self.labels.refuse_if_frozen()
         episode = episode_index.with_uuid(episode)
         message = episode_index.label_message(episode, label, source, context, time.time_ns())
-        written = episode_index.write_episode_file(
-            self.folder, episode, message, context, keep_frames
-        )
+        row = episode_index.write_episode_file(self.folder, episode, message, context, keep_frames)
         content = LabelContent(label, source, context.geometry)
         with self.labels.commit() as connection:
             site = self.description.site
-            episode_index.enter_episode(connection, site, written.row, content, "record")
+            episode_index.enter_episode(connection, site, row, content, "record")
         return self.entry(episode.episode_id)
 
     def __iter__(self) -> Iterator[EpisodeEntry]:

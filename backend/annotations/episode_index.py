@@ -192,14 +192,6 @@ def _conditions(wanted: EpisodeFilter) -> tuple[str, list[Any]]:
 RAW = "raw"
 
 
-@dataclass(frozen=True, slots=True)
-class WrittenEpisode:
-    """A complete and durable episode file, with the row that describes it."""
-
-    path: Path
-    row: Mapping[str, Any]
-
-
 def with_uuid(episode: Episode) -> Episode:
     """Return the episode with an id of the dataset; its former id moves to the metadata."""
     if is_uuid7(episode.episode_id):
@@ -214,23 +206,22 @@ def write_episode_file(
     message: Mapping[str, object],
     context: EpisodeContext,
     keep_frames: KeepFrames,
-) -> WrittenEpisode:
-    """Write the episode file, verify it and give it its final name; raises ``FaultError``.
+) -> dict[str, Any]:
+    """Write the episode file, verify it and give it its final name; return its row.
 
     After a write error the file is written once more under a new name, unless the disk is full. The
-    same file is never synced twice, since the system may have dropped its pages.
+    same file is never synced twice, since the system may have dropped its pages. Raises
+    ``FaultError``.
     """
     path = root / RAW / context.series / f"{episode.episode_id}.mcap"
     bench = {"mode": context.mode, "seed": "" if context.seed is None else str(context.seed)}
     for attempt in (1, 2):
         try:
             write_episode(path, episode, message, {**bench, **context.bench}, keep_frames)
-            row = episode_row(message, episode.quality, keep_frames, path, root)
+            return episode_row(message, episode.quality, keep_frames, path, root)
         except OSError as error:
             if error.errno in DISK_FULL_ERRNOS or attempt == 2:
                 raise FaultError(_not_recorded(error)) from error
-        else:
-            return WrittenEpisode(path, row)
     raise AssertionError("unreachable")
 
 
@@ -268,13 +259,11 @@ def _not_recorded(error: OSError) -> Fault:
 
 @dataclass(frozen=True, slots=True)
 class CampaignEntry:
-    """One campaign: completed items (accepted, not deleted) and all episodes. Times are UTC."""
+    """One campaign: completed items (accepted, not deleted) and all episodes."""
 
     uuid: str
     piece: str
     bottom: str
-    began_ns: int
-    last_ns: int
     episodes: int
     done: int
 
@@ -291,7 +280,7 @@ def items_deleted(database: Database, campaign: str, reason: str) -> set[int]:
 
 def list_campaigns(database: Database) -> list[CampaignEntry]:
     """Return the campaigns that have episodes, newest last."""
-    sql = "SELECT uuid, piece, bottom, began_ns, last_ns, episodes, done FROM campaign"
+    sql = "SELECT uuid, piece, bottom, episodes, done FROM campaign"
     return [CampaignEntry(*row) for row in database.rows(f"{sql} ORDER BY began_ns")]
 
 

@@ -141,14 +141,9 @@ def _compare(
             (rows[table],) = connection.execute(f"SELECT count(*) FROM {table}").fetchone()  # noqa: S608
             if readable:
                 new, old = (f"SELECT {columns} FROM {db}.{table}" for db in ("main", "old"))  # noqa: S608
-                only_new[table] = _count(connection, f"{new} EXCEPT {old}")
-                only_old[table] = _count(connection, f"{old} EXCEPT {new}")
+                only_new[table] = len(connection.execute(f"{new} EXCEPT {old}").fetchall())
+                only_old[table] = len(connection.execute(f"{old} EXCEPT {new}").fetchall())
     return RebuildReport(rows, only_old, only_new, readable, replaced, tuple(notices))
-
-
-def _count(connection: sqlite3.Connection, query: str) -> int:
-    (found,) = connection.execute(f"SELECT count(*) FROM ({query})").fetchone()  # noqa: S608
-    return int(found)
 
 
 def _delete(path: Path) -> None:

@@ -85,10 +85,6 @@ class PackWriter:
         self._writer.add_chunk([obs, label], compress=True)
         self.episodes += 1
 
-    def close(self) -> None:
-        """Finish the file."""
-        self._writer.close()
-
 
 def write_packs(
     folder: Path, stem: str, rows: Iterator[PackedEpisode], metadata: Mapping[str, str]

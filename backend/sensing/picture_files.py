@@ -36,11 +36,10 @@ def read_pictures(path: Path, finger: Finger = "left") -> Iterator[TactileFrame]
     if not path.exists():
         raise InputError("There is no such file or folder.", str(path), _FIX)
     rate_hz, pictures = _open_pictures(path)
-    count = 0
-    for picture in pictures:
-        yield TactileFrame(finger, count, count / rate_hz, resize_picture(picture, str(path)))
-        count += 1
-    if not count:
+    number = -1
+    for number, picture in enumerate(pictures):
+        yield TactileFrame(finger, number, number / rate_hz, resize_picture(picture, str(path)))
+    if number < 0:
         raise InputError("No picture could be read.", str(path), _FIX)
 
 

@@ -155,7 +155,15 @@ def take_reference(
     "frames" (too few or of two fingers), "markers" (not all seen), "motion" (more than three times
     the noise floor) or "contact".
     """
-    _check_frames(fields)
+    if len(fields) < MIN_REST_FRAMES or len({field.finger for field in fields}) > 1:
+        raise RefusedError(
+            "frames", f"A reference needs {MIN_REST_FRAMES} or more frames of one finger."
+        )
+    hidden = max(int((field.state != MarkerState.SEEN).sum()) for field in fields)
+    if hidden:
+        raise RefusedError(
+            "markers", f"{hidden} of the {MARKERS} markers are not seen; clean or check the gel."
+        )
     places = np.stack([field.position_px for field in fields])
     rest = places.mean(axis=0)
     motion_px = float(np.sqrt(((places - rest) ** 2).mean(axis=(1, 2)).max()))
@@ -188,18 +196,6 @@ def shape_change_px(position_px: FloatArray, rest_px: FloatArray) -> float:
     change = position_px - rest_px
     fitted = model @ np.linalg.lstsq(model, change, rcond=None)[0]
     return float(np.sqrt(((change - fitted) ** 2).sum(axis=1).mean()))
-
-
-def _check_frames(fields: Sequence[MarkerField]) -> None:
-    if len(fields) < MIN_REST_FRAMES or len({field.finger for field in fields}) > 1:
-        raise RefusedError(
-            "frames", f"A reference needs {MIN_REST_FRAMES} or more frames of one finger."
-        )
-    hidden = max(int((field.state != MarkerState.SEEN).sum()) for field in fields)
-    if hidden:
-        raise RefusedError(
-            "markers", f"{hidden} of the {MARKERS} markers are not seen; clean or check the gel."
-        )
 
 
 BLOCK_S = 0.5  # length of the blocks whose means are compared

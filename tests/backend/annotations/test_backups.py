@@ -103,7 +103,8 @@ def test_a_commit_makes_the_first_copy_and_closing_the_last(tmp_path: Path) -> N
 
 def test_retention_keeps_hours_days_and_months() -> None:
     made = [NOON - timedelta(minutes=30 * n) for n in range(400 * 48)]
-    kept = set(made) - {b.made for b in surplus_backups(made_backups(made))}
+    backups = [Backup(Path(f"/b/{m:%Y%m%d%H%M}"), m) for m in made]
+    kept = set(made) - {backup.made for backup in surplus_backups(backups)}
     assert NOON in kept
     hours = [m for m in kept if m > NOON - timedelta(hours=24)]
     assert len(hours) == 24
@@ -115,10 +116,6 @@ def test_retention_keeps_hours_days_and_months() -> None:
     assert len(kept) == 24 + 12 + 11
     last_of_april = max(m for m in kept if m.month == 4)
     assert last_of_april == datetime(2030, 4, 30, 23, 30, tzinfo=UTC)
-
-
-def made_backups(made: list[datetime]) -> list[Backup]:
-    return [Backup(Path(f"/b/{m:%Y%m%d%H%M}"), m) for m in made]
 
 
 def test_making_one_prunes_the_old(dataset: Dataset, record: Record) -> None:

@@ -51,15 +51,13 @@ ONE = ["yes"] * 25 + ["no"] * 25
 TWO = ["yes"] * 20 + ["no"] * 5 + ["yes"] * 10 + ["no"] * 15
 
 
-def test_bias_and_limits() -> None:
+def test_bias_limits_and_intraclass_correlation() -> None:
     found = agreement.agreement_limits([0.1, -0.2, 0.3, 0.0, 0.3], np.zeros(5))
     figures = (found.mean, found.deviation, found.lower, found.upper)
     assert figures == pytest.approx((0.1, 0.21213, -0.3158, 0.5158), abs=5e-5)
     assert math.isnan(agreement.agreement_limits([1.0], [0.0]).lower)
     assert math.isnan(agreement.agreement_limits([], []).mean)
-
-
-def test_icc_of_shrout_and_fleiss() -> None:
+    # Shrout and Fleiss (1979), table 2: ICC(2,1).
     assert agreement.intraclass_correlation(SHROUT_FLEISS) == pytest.approx(0.290, abs=5e-4)
     assert agreement.intraclass_correlation([[1, 1], [2, 2], [5, 5]]) == pytest.approx(1.0)
     assert math.isnan(agreement.intraclass_correlation([[1, 2]]))
@@ -230,7 +228,6 @@ def test_done_counts_items_once_and_neither_rejected_nor_deleted_ones(dataset: D
     entry = only(dataset)
     assert (entry.uuid, entry.piece, entry.bottom) == ("c", "pot", "circle15")
     assert (entry.episodes, entry.done) == (4, 2)
-    assert entry.began_ns == dataset.entry(first).recorded_ns < entry.last_ns
     dataset.labels.delete("ann", first, "slip")
     assert only(dataset).done == 2
     for done in dataset.episodes()[2:3]:

@@ -265,8 +265,10 @@ def test_long_holes_are_not_bridged() -> None:
     assert np.isfinite(ticks.right.displacement_px).all()
 
 
-def test_no_frames_at_all() -> None:
-    ticks = synchronise(ramps(left=[]), START_S)
+def test_no_frames_and_no_wrench_are_missing_not_zero() -> None:
+    nothing = np.zeros((0, 6))
+    ticks = synchronise(ramps(left=[], wrench_t_s=np.zeros(0), wrench=nothing), START_S)
+    assert np.isnan(ticks.wrench).all()
     assert np.isnan(ticks.left.displacement_px).all()
     assert not ticks.left.near.any()
     assert ticks.skew_s == np.inf
@@ -318,8 +320,3 @@ def test_wrench_needs_80_percent_and_finite_samples() -> None:
     values[np.flatnonzero(in_fifth)[50], 3] = np.nan
     ticks = synchronise(ramps(wrench_t_s=t_s, wrench=values), START_S)
     assert np.flatnonzero(np.isnan(ticks.wrench[:, 2])).tolist() == [4]
-
-
-def test_no_wrench_is_missing_not_zero() -> None:
-    ticks = synchronise(ramps(wrench_t_s=np.zeros(0), wrench=np.zeros((0, 6))), START_S)
-    assert np.isnan(ticks.wrench).all()

@@ -109,13 +109,10 @@ def test_the_face_is_drawn_where_the_homography_says(scene) -> None:
     assert abs(changed[:, 1].max() - lowest_px) < 1.5
 
 
-@pytest.mark.parametrize("points", [3, 0])
-def test_too_few_points_are_refused(points) -> None:
-    with pytest.raises(InputError, match="too few"):
-        fit_homography(np.zeros((points, 2)), np.zeros((points, 2)))
-
-
-def test_points_on_a_line_and_hidden_dots_are_refused(scene) -> None:
+def test_too_few_points_points_on_a_line_and_hidden_dots_are_refused(scene) -> None:
+    for points in (np.zeros((3, 2)), np.zeros((0, 2))):
+        with pytest.raises(InputError, match="too few"):
+            fit_homography(points, points)
     line = np.column_stack([np.arange(6.0), 2 * np.arange(6.0)])
     with pytest.raises(InputError, match="line"):
         fit_homography(line, line)
@@ -564,17 +561,14 @@ def test_one_that_turns_over_some_pictures_is_seen_as_well(gels):
 
 
 @pytest.mark.promise("G1")
-def test_a_press_that_turns_the_gels_slowly_is_none(gels):
-    assert not any(gels.show(0.0009 * k, 0.0009 * k) for k in range(40))
-
-
-def test_one_gel_alone_is_no_piece(gels):
-    assert not any(gels.show(0.02 * (k % 2), 0.0) for k in range(20))
-
-
-def test_gels_that_jump_one_after_the_other_are_no_piece(gels):
-    seen = [gels.show(0.02, 0.0) for _ in range(10)] + [gels.show(0.02, 0.02) for _ in range(10)]
-    assert not any(seen)
+@pytest.mark.parametrize(
+    "turns",
+    [[(0.0009 * k, 0.0009 * k) for k in range(40)], [(0.02 * (k % 2), 0.0) for k in range(20)],
+     [(0.02, 0.0)] * 10 + [(0.02, 0.02)] * 10],
+    ids=["a slow press", "one gel alone", "one gel after the other"],
+)  # fmt: skip
+def test_other_turns_of_the_gels_are_no_piece(gels, turns):
+    assert not any(gels.show(*both) for both in turns)
 
 
 def test_markers_that_are_lost_turn_nothing(gels):

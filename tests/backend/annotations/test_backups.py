@@ -193,7 +193,7 @@ def test_going_back_to_a_copy_loses_no_label(tmp_path: Path) -> None:
     aside = restore_backup(folder, keep)
     assert aside is not None
     with Dataset.open(folder) as dataset:
-        assert any("of the journal" in notice for notice in dataset.notices)
+        assert any("4 label operations of the journal" in notice for notice in dataset.notices)
         assert any("adopted" in notice for notice in dataset.notices)
         assert tables(dataset) == expected
         assert dataset.labels.head(uuid).state == "approved"

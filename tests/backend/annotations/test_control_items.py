@@ -11,7 +11,7 @@ import pytest
 
 from tests.backend.annotations.conftest import Record, add
 from touchdown.backend.annotations import operation_log
-from touchdown.backend.annotations.agreement import compare_with_control_items
+from touchdown.backend.annotations.agreement import AgreementReport, compare_with_control_items
 from touchdown.backend.annotations.control_items import (
     CONTROL_ITEM_EVERY,
     ControlItemLabels,
@@ -89,6 +89,10 @@ def sitting(dataset: Dataset, *uuids: str) -> ControlItemLabels:
     recorded = {uuid: dataset.labels.history(uuid)[0] for uuid in uuids}
     book.begin("ann", {uuid: ControlItemView(r, "") for uuid, r in recorded.items()})
     return book
+
+
+def measured(dataset: Dataset, person: str = "ann") -> AgreementReport:
+    return compare_with_control_items(dataset.database, dataset.geometry, person)
 
 
 def act(book: ControlItemLabels, dataset: Dataset, uuid: str, number: int) -> None:
@@ -228,7 +232,7 @@ def test_what_is_decided_is_an_opinion_that_undo_withdraws(
     book.of(plain).accept("ann", plain, Label(4000, 0, 0, 50))
     book.of(far).accept("ann", far, Label(2800, 0, 0, 50), context=AnswerContext(5000))
     book.of(none).reject("ann", none, "tilt")
-    found = compare_with_control_items(dataset.database, dataset.geometry, "ann")
+    found = measured(dataset)
     assert found.episodes == 3
     assert found.bias_x_mm.mean == pytest.approx((0.1 + 0.3) / 2)
     assert found.rms_mm == pytest.approx(((0.01 + 0.09) / 2) ** 0.5)
@@ -238,19 +242,17 @@ def test_what_is_decided_is_an_opinion_that_undo_withdraws(
         assert undone is not None
         assert undone.episodes == [uuid]
     assert labels.head(plain).state == "draft"
-    assert compare_with_control_items(
-        dataset.database, dataset.geometry, "ann"
-    ).rms_mm == pytest.approx(0.1)
+    assert measured(dataset).rms_mm == pytest.approx(0.1)
     labels.redo("ann")
     assert labels.head(plain).state == "submitted"
     labels.redo("ann")
-    again = compare_with_control_items(dataset.database, dataset.geometry, "ann")
+    again = measured(dataset)
     assert again.rms_mm == pytest.approx(found.rms_mm)
     assert again.seconds[0] == 4.0
     # The draw of each id decides whether the undone one is asked again.
     assert set(dataset.queue("gold", "ann")) <= {none}
     # Who approved or wrote the label is measured against nothing of their own.
-    assert compare_with_control_items(dataset.database, dataset.geometry, "bob").episodes == 0
+    assert measured(dataset, "bob").episodes == 0
 
 
 def test_deleting_what_was_answered_and_taking_that_back_keeps_the_answer(
@@ -260,11 +262,9 @@ def test_deleting_what_was_answered_and_taking_that_back_keeps_the_answer(
     book = sitting(dataset, gold)
     book.of(gold).accept("ann", gold, Label(1600, 0, 0, 50), context=AnswerContext(3000))
     book.of(gold).delete("ann", gold, "torn gel")
-    assert math.isnan(compare_with_control_items(dataset.database, dataset.geometry, "ann").rms_mm)
+    assert math.isnan(measured(dataset).rms_mm)
     dataset.labels.undo("ann")
-    assert compare_with_control_items(
-        dataset.database, dataset.geometry, "ann"
-    ).rms_mm == pytest.approx(0.1)
+    assert measured(dataset).rms_mm == pytest.approx(0.1)
 
 
 def test_a_disk_that_refuses_leaves_gold_to_be_done_again(
@@ -289,4 +289,4 @@ def test_a_disk_that_refuses_leaves_gold_to_be_done_again(
         monkeypatch.setattr(operation_log, "append_operation", mend)
         again("ann")
         assert book.of(uuid).head(uuid).state == state
-    assert compare_with_control_items(dataset.database, dataset.geometry, "ann").episodes == 1
+    assert measured(dataset).episodes == 1

@@ -285,9 +285,6 @@ def test_a_dataset_on_fat_says_what_a_power_cut_may_do(
     assert storage.disk_weakness(Path("/elsewhere"), mounts) == ""
 
 
-LOCKED_LABEL = Label(0, 0, 0, 9)
-
-
 @contextmanager
 def held(dataset: Dataset) -> Iterator[sqlite3.Connection]:
     """Another connection with a write transaction, as of another program."""
@@ -298,26 +295,22 @@ def held(dataset: Dataset) -> Iterator[sqlite3.Connection]:
             other.execute("ROLLBACK")
 
 
-def record_locked(dataset: Dataset) -> str:
-    return add(dataset, LOCKED_LABEL, source="measured").uuid
-
-
 @pytest.mark.promise("D4")
 def test_a_catalogue_that_stays_locked_is_one_fault_and_nothing_is_lost(dataset: Dataset) -> None:
-    first = record_locked(dataset)
+    first = record(dataset, 1)
     # As long as the settings of the connection say; the test has no time for it.
     assert dataset.database.one("PRAGMA busy_timeout")[0] == 2000
     dataset.database.first("PRAGMA busy_timeout = 20")
     with held(dataset):
         with pytest.raises(FaultError) as caught:
-            record_locked(dataset)
+            record(dataset, 1)
         assert caught.value.fault.code == "CATALOGUE-BUSY"
         with pytest.raises(FaultError, match="Another program"):
             dataset.labels.set("ann", first, Label(100, 0, 0, 9))
         # Readers go on meanwhile.
         assert [entry.uuid for entry in dataset.episodes()] == [first]
-        assert dataset.labels.head(first).label == LOCKED_LABEL
-    second = record_locked(dataset)
+        assert dataset.labels.head(first).label == Label(1, 0, 0, 1)
+    second = record(dataset, 1)
     dataset.labels.set("ann", first, Label(100, 0, 0, 9))
     assert [entry.uuid for entry in dataset.episodes()] == [first, second]
     assert dataset.labels.head(first).label.x_um == 100
@@ -326,11 +319,11 @@ def test_a_catalogue_that_stays_locked_is_one_fault_and_nothing_is_lost(dataset:
 
 @pytest.mark.promise("D4")
 def test_a_writer_waits_for_a_lock_that_is_let_go(dataset: Dataset) -> None:
-    first = record_locked(dataset)
+    first = record(dataset, 1)
     dataset.database.first("PRAGMA busy_timeout = 30000")
     with held(dataset) as other:
         done: list[str] = []
-        writer = threading.Thread(target=lambda: done.append(record_locked(dataset)))
+        writer = threading.Thread(target=lambda: done.append(record(dataset, 1)))
         writer.start()
         # It may not write before the other one has: that is seen from outside.
         writer.join(0.1)

@@ -203,11 +203,15 @@ def test_nothing_labelled_says_what_to_do(tmp_path: Path) -> None:
         load_training_set(folder, "barrel", "drafts")
 
 
+def with_pack(folder: Path, count: int) -> Path:
+    Dataset.open(folder).close()
+    write_pack(folder / "packs" / "a.mcap", count)
+    Dataset.open(folder).close()
+    return folder
+
+
 def test_a_pack_in_a_dataset_trains_as_it_does_alone(tmp_path: Path) -> None:
-    folder = tmp_path / "data"
-    Dataset.open(folder).close()
-    write_pack(folder / "packs" / "a.mcap", 20)
-    Dataset.open(folder).close()
+    folder = with_pack(tmp_path / "data", 20)
     alone, rows = load_rows(folder / "packs", "pot"), load_training_set(folder, "pot", "drafts")
     assert (rows.piece, rows.geometry) == (alone.piece, alone.geometry)
     order = [by_offset(alone)[key] for key in map(tuple, rows.offset_mm.tolist())]
@@ -235,10 +239,7 @@ def test_a_turned_label_has_a_turned_patch(tmp_path: Path) -> None:
 
 
 def test_the_train_verb_takes_a_dataset(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    folder = tmp_path / "data"
-    Dataset.open(folder).close()
-    write_pack(folder / "packs" / "a.mcap", 24)
-    Dataset.open(folder).close()
+    folder = with_pack(tmp_path / "data", 24)
     out = tmp_path / "pot.safetensors"
     words = ["train", str(folder), "--epochs", "1", "--out", str(out), "--json"]
     assert main(words) == 2

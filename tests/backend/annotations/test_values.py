@@ -423,27 +423,6 @@ def test_what_is_missing_in_the_journal_is_written(folder: Path) -> None:
     assert journal.read_bytes() == whole
 
 
-def test_what_only_the_journal_has_is_replayed(folder: Path, tmp_path: Path) -> None:
-    """A restored catalogue is older than journal and files: no label and no episode is lost."""
-    old = tmp_path / "old"
-    shutil.copytree(folder, old)
-    home = json.loads((folder / "dataset.json").read_text())["home"]
-    with Dataset.open(folder) as dataset:
-        dataset.labels.set("ann", dataset.episodes()[1].uuid, Label(42, 43, 0, 10))
-        dataset.labels.accept("ann", dataset.episodes()[1].uuid)
-        add(dataset, Label(9, 9, 0, 1), seed=8)
-        expected = tables(dataset)
-    for name in ("catalog.db", "catalog.db-wal", "catalog.db-shm"):
-        (folder / name).unlink(missing_ok=True)
-        if (old / name).exists():
-            shutil.copy(old / name, folder / name)
-    assert json.loads((folder / "dataset.json").read_text())["home"] == home
-    notices = mended(folder)
-    assert any("3 label operations of the journal" in notice for notice in notices)
-    with Dataset.open(folder) as dataset:
-        assert tables(dataset) == expected
-
-
 COLUMNS = "uuid, series, path, sha256, bytes, piece, bottom, geometry, person, state"
 
 

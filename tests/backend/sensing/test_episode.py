@@ -255,16 +255,6 @@ def test_nothing_is_extrapolated() -> None:
     assert np.isnan(ticks.left.displacement_px[0]).all()
 
 
-@pytest.mark.promise("C5")
-def test_long_holes_are_not_bridged() -> None:
-    kept = [field for field in ramp_fields() if not START_S + 0.72 < field.t_s < START_S + 1.18]
-    ticks = synchronise(ramps(left=kept), START_S)
-    in_hole = (TICKS_S > START_S + 0.72) & (TICKS_S < START_S + 1.18)
-    assert np.array_equal(np.isnan(ticks.left.displacement_px[:, 0, 0]), in_hole)
-    assert ticks.left.hole_s > 0.44
-    assert np.isfinite(ticks.right.displacement_px).all()
-
-
 def test_no_frames_and_no_wrench_are_missing_not_zero() -> None:
     nothing = np.zeros((0, 6))
     ticks = synchronise(ramps(left=[], wrench_t_s=np.zeros(0), wrench=nothing), START_S)

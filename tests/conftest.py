@@ -47,7 +47,6 @@ _give_back: Any = getattr(ctypes.CDLL(None), "malloc_trim", None) if os.name == 
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """Add the choice of tests by the row of a document."""
     parser.addoption(
         "--promise", metavar="ID", help="run the tests of a row of faults.md, window.md"
     )
@@ -102,7 +101,6 @@ def freed() -> Iterator[None]:
 
 @pytest.fixture(autouse=True, scope="session")
 def no_network() -> Iterator[None]:
-    """Refuse sockets to anything but this machine."""
     patch = pytest.MonkeyPatch()
     for name in ("connect", "connect_ex", "sendto"):
         patch.setattr(socket.socket, name, _guarded(name))

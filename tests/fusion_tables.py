@@ -95,7 +95,6 @@ def _said(answers: Json) -> str:
 
 
 def written(page: str, answers: dict[str, Json]) -> str:
-    """Return the page with its tables rendered."""
     for name, answer in answers.items():
         kind = statics if "statics" in name else loops
         block = re.compile(rf"(<!-- {name} -->\n).*?(\n<!-- end -->)", re.DOTALL)

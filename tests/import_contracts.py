@@ -22,7 +22,6 @@ FOLDERS = ("app", "backend", "resources", "widgets")
 
 
 def module_files(root: Path = ROOT) -> dict[str, Path]:
-    """Return the file of each product module by its dotted name."""
     files = {"touchdown": root / "touchdown" / "__init__.py"}
     paths = [p for folder in FOLDERS for p in (root / folder).rglob("*.py")]
     for path in paths:
@@ -66,7 +65,6 @@ def imports(root: Path = ROOT) -> dict[str, frozenset[str]]:
 
 
 def is_below(module: str, package: str) -> bool:
-    """Return True if ``module`` is ``package`` or lies in it."""
     return module == package or module.startswith(package + ".")
 
 
@@ -118,7 +116,6 @@ class DoorsContract(Contract):
         return ContractCheck(kept=not past, metadata={"past": past})
 
     def render_broken_contract(self, check: ContractCheck) -> None:
-        """Print each import past a package's ``__init__``."""
         for line in check.metadata["past"]:
             output.print_error(line)
 
@@ -136,7 +133,6 @@ def _named_in(path: Path, known: frozenset[str]) -> frozenset[str]:
 
 
 def _named(module: str, files: dict[str, Path]) -> frozenset[str]:
-    """Return the modules that the import statements of ``module`` name."""
     return _named_in(files[module], frozenset(files))
 
 
@@ -158,6 +154,5 @@ class ReachContract(Contract):
         return ContractCheck(kept=not chains, metadata={"chains": chains})
 
     def render_broken_contract(self, check: ContractCheck) -> None:
-        """Print each chain of imports."""
         for chain in check.metadata["chains"]:
             output.print_error(" -> ".join(chain))

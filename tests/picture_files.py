@@ -36,13 +36,11 @@ class PictureFiles:
             raise
 
     def put(self) -> None:
-        """Move all temporary files to their places."""
         for beside in self._kept:
             beside.replace(beside.with_suffix(""))
         self._kept.clear()
 
     def drop(self) -> None:
-        """Delete the temporary files."""
         for beside in self._kept:
             with contextlib.suppress(OSError):
                 beside.unlink(missing_ok=True)

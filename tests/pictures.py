@@ -76,7 +76,6 @@ class Day:
             follower._now_s = self.session.clock_s
 
     def until(self, there: Callable[[], bool]) -> None:
-        """Advance the bench until ``there`` returns True."""
         for count in range(STEPS):
             self.session.engine.tick()
             self.session.advance()
@@ -88,7 +87,6 @@ class Day:
         raise RuntimeError(f"The bench did not get there: {self.session.status()}")
 
     def wait(self, there: Callable[[], bool]) -> None:
-        """Wait for the threads of the window."""
         until = QDeadlineTimer(300_000)
         while not there():
             if until.hasExpired():
@@ -97,11 +95,9 @@ class Day:
             self.main.pump.tick()
 
     def idle(self) -> bool:
-        """Return True if no run is active."""
         return self.session.status().state is RunState.IDLE
 
     def go_on(self) -> None:
-        """Advance the bench by ``PRESSED_S``."""
         until_s = self.session.clock_s() + PRESSED_S
         self.until(lambda: self.session.clock_s() > until_s)
 
@@ -112,7 +108,6 @@ class Day:
         self.go_on()
 
     def grab(self, name: str, theme: str = "dark") -> None:
-        """Save the window in a theme."""
         self.main.look.show(theme, 1.0)
         for _ in range(20):
             self.main.pump.tick()
@@ -126,7 +121,6 @@ class Day:
         self.main.look.show("dark", 1.0)
 
     def stack(self) -> None:
-        """Stack once; the pictures show the third probe."""
         main, workspace = self.main, self.main.workspaces["stack"]
         main.go("stack")
         self.until(lambda: main.bar.pill.state.word == "READY")
@@ -139,7 +133,6 @@ class Day:
         self.go_on()
 
     def operate(self) -> None:
-        """Probe once by hand; the picture shows the press."""
         self.main.go("operate")
         self.until(lambda: self.main.bar.pill.state.word == "READY")
         self.main.actions.action("operate.probe").trigger()
@@ -170,7 +163,6 @@ class Day:
         workspace.page.show_half("collect")
 
     def train(self) -> None:
-        """Train twice on simulated packs; the picture shows the first training."""
         packs = self._folder / "packs"
         plan = "--piece pot --episodes 300 --probes-per-grip 10 --grips-per-mounting 1 --workers 1"
         if touchdown(["simulate", *plan.split(), "--out", str(packs)]):
@@ -188,7 +180,6 @@ class Day:
         self.grab("train")
 
     def review(self) -> None:
-        """Open the recorded stacking run."""
         self.main.go("review")
         workspace = self.main.workspaces["review"]
         self.wait(lambda: not workspace.presenter.recordings.describing)
@@ -197,7 +188,6 @@ class Day:
         self.grab("review")
 
     def close(self) -> None:
-        """Close window and bench."""
         self.main.quit_at_once()
         self.main.close()
 

@@ -92,7 +92,6 @@ class Hand:
 
 
 def train_models(folder: Path) -> None:
-    """Train two tiny models on tiny packs in ``folder``."""
     folder.mkdir()
     write_tiny_packs(folder)
     for modality, layers in (("FT+Tac", 1), ("FT", 2)):
@@ -213,7 +212,6 @@ def attended(stage: Stage) -> Iterator[str]:
 
 
 def _photo(stage: Stage) -> Iterator[str]:
-    """Photo of a trial: file dialog, then the stored photo."""
     asks, folder = stage.main.workspaces["stack"].attended, stage.folder / "photographed"
     folder.mkdir()
     stage.main.window.grab().save(str(folder / "bench.png"))
@@ -324,7 +322,6 @@ def sheets(stage: Stage, folder: Path) -> Iterator[str]:
 
 
 def _devices(stage: Stage, file: Path, name: str) -> Iterator[str]:
-    """Device wizard of a lab file."""
     bench = stage.bench
     source, bench.limits_source = bench.limits_source, str(file)
     file.write_text(LAB, "utf-8")

@@ -139,7 +139,6 @@ class Stage:
         self.settle()
 
     def grab(self) -> bytes:
-        """Return the window with open dialogs and menus as PNG."""
         window = self.main.window
         picture = window.grab()
         painter = QPainter(picture)
@@ -159,7 +158,6 @@ class Stage:
         self.main.deleteLater()
 
     def states(self) -> Iterator[str]:
-        """Bring the window into each state and yield the name of the state."""
         yield from self._without_a_bench()
         self.main.attach(self.bench)
         # Judge the age of data by the bench clock: rendering takes long.

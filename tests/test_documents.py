@@ -27,20 +27,16 @@ def _blocks(text, language):
     return re.findall(rf"```{language}\n(.*?)```", text, re.DOTALL)
 
 
-@pytest.mark.parametrize("path", DOCUMENTS, ids=_name)
-def test_links_lead_somewhere(path):
-    links = re.findall(r"\]\(([^)#\s]+)", path.read_text("utf-8"))
-    local = [link for link in links if "://" not in link and not link.startswith("mailto:")]
-    assert [link for link in local if not (path.parent / link).exists()] == []
-
-
 def _anchors(path):
     headings = re.findall(r"^#+ (.+)$", path.read_text("utf-8"), re.MULTILINE)
     return {re.sub(r"[^\w -]", "", text).strip().lower().replace(" ", "-") for text in headings}
 
 
 @pytest.mark.parametrize("path", DOCUMENTS, ids=_name)
-def test_links_name_headings_that_exist(path):
+def test_links_lead_somewhere(path):
+    links = re.findall(r"\]\(([^)#\s]+)", path.read_text("utf-8"))
+    local = [link for link in links if "://" not in link and not link.startswith("mailto:")]
+    assert [link for link in local if not (path.parent / link).exists()] == []
     links = re.findall(r"\]\(([^)#\s:]*)#([^)\s]+)\)", path.read_text("utf-8"))
     missing = [
         f"{file}#{anchor}"
@@ -67,15 +63,10 @@ def test_named_paths_exist(path):
     assert [each for each in named if not (ROOT / each).exists()] == []
 
 
-def test_json_examples_are_json():
-    blocks = _blocks(COMMANDS, "json")
-    assert len(blocks) >= 5
-    for block in blocks:
-        json.loads(block)
-
-
-def test_the_doctor_example_has_the_fields_of_a_check():
-    (example,) = [b for b in map(json.loads, _blocks(COMMANDS, "json")) if "checks" in b]
+def test_json_examples_are_json_and_that_of_doctor_has_the_fields_of_a_check():
+    examples = [json.loads(block) for block in _blocks(COMMANDS, "json")]
+    assert len(examples) >= 5
+    (example,) = [example for example in examples if "checks" in example]
     DoctorCheck(**example["checks"][0])
 
 

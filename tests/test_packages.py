@@ -21,7 +21,6 @@ LOADED = "import json; print(json.dumps(sorted(sys.modules)))"
 
 
 def run(code: str) -> str:
-    """Return what a fresh interpreter prints."""
     done = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=False
     )

@@ -45,27 +45,19 @@ def signature_of(name: str) -> list[str]:
 
 
 def snapshot() -> str:
-    """Return the whole API as text."""
     text = "\n".join(line for name in sorted(td.__all__) for line in signature_of(name)) + "\n"
     return re.sub(r" at 0x[0-9a-f]+", "", text)
 
 
-def test_the_number_of_names_is_one_that_a_reader_can_hold() -> None:
+def test_the_api_is_the_reviewed_one_that_a_reader_can_hold() -> None:
     assert 25 <= len(td.__all__) <= 35
-
-
-def test_the_api_is_the_reviewed_one() -> None:
     assert snapshot() == SNAPSHOT.read_text("utf-8")
-
-
-def test_every_name_is_listed_and_imported() -> None:
     assert set(td.__all__) <= set(dir(td))
     with pytest.raises(AttributeError):
         _ = td.no_such_name
 
 
 def sections(name: str) -> set[str]:
-    """Return the numpydoc sections of a public name."""
     text = inspect.getdoc(getattr(td, name)) or ""
     return set(re.findall(r"^([A-Z][A-Za-z ]+)\n-{3,}$", text, re.MULTILINE))
 

@@ -71,9 +71,6 @@ def uuids(dataset: Dataset) -> list[str]:
     return [entry.uuid for entry in dataset.episodes()]
 
 
-# The dataset
-
-
 def test_a_dataset_opens_without_a_finding(folder: Path) -> None:
     with Dataset.open(folder, create=False, write=False) as dataset:
         assert dataset.notices == ()
@@ -180,9 +177,6 @@ def test_the_catalogue_can_be_rebuilt_from_the_files(
     assert answer["rows"]["label_head"] == answer["rows"]["episode"] == 4
 
 
-# Trainings and models
-
-
 @pytest.fixture
 def trainings(folder: Path) -> dict[str, TrainingRun]:
     return {run.state: run for run in list_training_runs(folder)}
@@ -225,7 +219,7 @@ def test_a_dataset_lists_its_trainings(dataset: Dataset) -> None:
     assert {metric.name for metric in dataset.runs.metrics(finished.uuid)} >= {"iou", "train_loss"}
 
 
-def test_a_model_answers_as_it_did() -> None:
+def test_a_model_answers_as_it_did_and_its_history_is_known() -> None:
     registry = ModelRegistry(WRITTEN / "models")
     path = registry.in_use("pot")
     assert path is not None
@@ -240,10 +234,6 @@ def test_a_model_answers_as_it_did() -> None:
     assert said.shape == (1, 177)
     assert float(said.mean()) == pytest.approx(-0.04522, abs=1e-4)
     assert float(said[0, 0]) == pytest.approx(-0.56979, abs=1e-4)
-
-
-def test_the_history_of_models_in_use_is_known() -> None:
-    registry = ModelRegistry(WRITTEN / "models")
     uses = [(use.action, use.person, use.run) for use in registry.history("pot")]
     assert uses == [("promote", "ann", "first"), ("roll back", "bob", ""), ("promote", "ann", "")]
     assert registry.hardware_probes(registry.history("pot")[-1].weights_sha256) == 12
@@ -259,10 +249,7 @@ def test_a_simulated_pack_trains() -> None:
     assert rows.observation.mean() == pytest.approx(-3.01914, abs=1e-5)
 
 
-# Event logs
-
-
-def test_the_log_of_a_stacked_piece_is_read_to_its_end() -> None:
+def test_the_log_of_a_stacked_piece_is_read_to_its_end_with_what_the_method_thought() -> None:
     log = list(read_events(WRITTEN / "runs" / "stacked"))
     started, finished = log[0], log[-1]
     assert isinstance(started, events.RunStarted)
@@ -275,10 +262,6 @@ def test_the_log_of_a_stacked_piece_is_read_to_its_end() -> None:
     assert (trial.outcome, trial.probes, trial.seed) == (values.Outcome.PLACED, 2, 2)
     assert trial.margin_mm == pytest.approx(2.52938, abs=1e-4)
     assert len(log) == 31
-
-
-def test_the_log_keeps_what_the_method_thought() -> None:
-    log = list(read_events(WRITTEN / "runs" / "stacked"))
     actions = [event.action.kind for event in log if isinstance(event, events.ActionChosen)]
     assert actions == ["shift", "release"]
     beliefs = [event.belief for event in log if isinstance(event, events.BeliefUpdated)]
@@ -297,9 +280,6 @@ def test_every_kind_of_event_is_read() -> None:
     log = list(read_events(WRITTEN / "runs" / "every-kind"))
     assert len(log) == 34
     assert [event for event in log if not any(same(event, known) for known in ALL)] == []
-
-
-# Settings, lab and window
 
 
 def test_a_lab_file_opens() -> None:
@@ -359,9 +339,6 @@ def test_the_window_comes_up_as_it_was_left(qapp, qtbot, tmp_path: Path) -> None
         window.close()
         window.window.deleteLater()
         window.deleteLater()
-
-
-# Exports
 
 
 @pytest.mark.parametrize("kind", ["csv", "coco"])

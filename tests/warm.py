@@ -39,13 +39,11 @@ class WarmStart:
         return None if self._server is None else self._server.pid
 
     def popen(self, command: Sequence[str], **options: Any) -> Any:
-        """Start ``command``: warm if it is a training."""
         if list(command[1:]) != ["-m", MODULE]:
             return subprocess.Popen(command, **options)
         return WarmChild(self._connected(), options["env"], options["stderr"])
 
     def close(self) -> None:
-        """End the server."""
         if self._server is not None and self._control is not None:
             self._control.close()
             self._server.wait(60)
@@ -89,7 +87,6 @@ class WarmChild:
         return self.returncode
 
     def kill(self) -> None:
-        """End it at once."""
         if self.returncode is None:
             os.kill(self.pid, signal.SIGKILL)
 

@@ -99,7 +99,6 @@ class Bench:
         return (x, y, z + self.push_n(), *moments)
 
     def height_mm(self) -> float:
-        """Return where ``G`` truly is."""
         self.push_n()
         return float(self._place_mm[2])
 
@@ -167,7 +166,6 @@ class Bench:
     # -- STOP -------------------------------------------------------------------------------------
 
     def stop(self) -> float:
-        """Press STOP and return when (monotonic)."""
         pressed_s = time.monotonic()
         self.backend.interlock.stop()
         self.backend.arm.stop()
@@ -415,7 +413,6 @@ def share(found: Times) -> float:
 
 
 def note(found: Times) -> str:
-    """Return what else was counted."""
     skipped = 1.0 - float(found["wakes"]) / (SECONDS / CYCLE_S)
     fault = f", {found['fault']}" if found["fault"] else ""
     return (

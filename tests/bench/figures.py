@@ -51,22 +51,18 @@ class Figure:
 
 
 def at_most(name: str, value: float, unit: str, limit: float, note: str = "") -> Figure:
-    """Return a figure whose target is an upper limit."""
     return Figure(name, value, unit, f"<= {limit:g}", bool(value <= limit), note)
 
 
 def at_least(name: str, value: float, unit: str, limit: float, note: str = "") -> Figure:
-    """Return a figure whose target is a lower limit."""
     return Figure(name, value, unit, f">= {limit:g}", bool(value >= limit), note)
 
 
 def failures(name: str, count: int, unit: str = "", note: str = "") -> Figure:
-    """Return a figure that counts failures."""
     return Figure(name, count, unit, "0", not count, note)
 
 
 def stated(name: str, value: float | str, unit: str, note: str = "") -> Figure:
-    """Return a figure without a target."""
     return Figure(name, value, unit, "stated", None, note)
 
 
@@ -115,7 +111,6 @@ def merge_records(stored: Sequence[Record], new: Sequence[Record]) -> list[Recor
 
 
 def save(new: Sequence[Record]) -> None:
-    """Replace the records of what was measured and render the page."""
     records = merge_records(read_records(), new)
     lines = ",\n".join("  " + json.dumps(record, ensure_ascii=False) for record in records)
     content = f'{{\n "format": "{FORMAT}",\n "figures": [\n{lines}\n ]\n}}\n'
@@ -124,7 +119,6 @@ def save(new: Sequence[Record]) -> None:
 
 
 def page(text: str, records: Sequence[Record]) -> str:
-    """Return the page with its generated part replaced."""
     found, count = BLOCK.subn(lambda match: match[1] + tables(records) + match[2], text)
     if count != 1:
         raise ValueError(f"{count} places for the figures")
@@ -157,7 +151,6 @@ def tables(records: Sequence[Record]) -> str:
 
 
 def value(record: Record) -> str:
-    """Return the measured value with its unit."""
     number = record["value"]
     if isinstance(number, float):
         number = f"{number:,.0f}" if number >= 1000 else f"{number:.4g}"

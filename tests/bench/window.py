@@ -87,12 +87,10 @@ def window_start() -> list[Figure]:
 
 
 def _child(what: str, most_s: float) -> dict[str, float] | str:
-    """Return what a child process measured, or the reason why it did not."""
     return _answer([sys.executable, "-m", "tests.bench.children.window", what], most_s)
 
 
 def _measured(seconds: float) -> dict[str, float] | str:
-    """Return what the window measured of itself, or the reason why it did not."""
     command = [sys.executable, "-m", "touchdown.app", "--measure", "--after", f"{seconds:g}"]
     return _answer([*command, "--size", "1600x940"], START_S + seconds)
 

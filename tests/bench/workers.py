@@ -240,7 +240,6 @@ def closed(found: Found, close: Callable[[], object], before: set[psutil.Process
 
 
 def children() -> set[psutil.Process]:
-    """Return the processes of this one."""
     return set(psutil.Process().children(recursive=True))
 
 
@@ -372,7 +371,6 @@ def out_of_memory(number: int) -> None:
 
 
 def killed(number: int) -> None:
-    """Kill the process ``number``, as a system without memory does."""
     os.kill(number, signal.SIGKILL)
 
 

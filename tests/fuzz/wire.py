@@ -42,7 +42,6 @@ class Count:
 
 
 def seeds(key: Key) -> list[bytes]:
-    """The vectors of one decoder, good, bad and noisy."""
     if key in READERS:
         return list(READERS[key].seeds)
     return [
@@ -141,7 +140,6 @@ def wrong(codec: Codec, message: Any, content: bytes) -> str:
 
 
 def attempt(key: Key, content: bytes, cut: int | None, count: Count) -> None:
-    """Decode one input and note what came of it."""
     codec, started = ALL[key], time.perf_counter()
     try:
         messages = codec.messages(content, cut)
@@ -164,7 +162,6 @@ def inputs(key: Key, seed: int) -> Iterator[tuple[bytes, int | None]]:
 
 
 def fuzz(key: Key, seed: int, enough: Callable[[Count], bool]) -> Count:
-    """Feed one decoder until it is ``enough``."""
     count, armed_s = Count(), float("-inf")
     # By processor time, so that a computer that is busy elsewhere is no hang: told, then killed.
     faulthandler.register(signal.SIGVTALRM, chain=True)

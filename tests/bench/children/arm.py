@@ -36,7 +36,6 @@ def front() -> MelfaServer:
 
 
 def driver(wanted: MelfaSettings) -> MelfaArm:
-    """Return a driver that is connected to it."""
     wires = SocketLinks(wanted, time.monotonic)
     arm = MelfaArm(wires, SampleStream("force_torque", 6, 1000), wanted, time.monotonic)
     arm.connect(10.0, threading.Event())
@@ -60,7 +59,6 @@ def burn(stop: threading.Event) -> None:
 
 
 def drive(wanted: MelfaSettings, seconds: float, load: int, priority: int) -> None:
-    """Stream up and down, and print the times of the cycles."""
     wanted = wanted.model_copy(update={"realtime_priority": priority})
     stop = threading.Event()
     busy = [threading.Thread(target=burn, args=(stop,)) for _ in range(load)]

@@ -87,7 +87,6 @@ class Watched:
         return time.monotonic() - begun_s
 
     def close(self) -> float:
-        """Close it as its user does; return how long it took."""
         begun_s = time.monotonic()
         self.main.quit_at_once()
         self.main.close()
@@ -127,7 +126,6 @@ class Watched:
         return number
 
     def bench(self) -> Session:
-        """Attach a live simulated bench."""
         session = simulated_session(keep=RecordingOptions(self.folder / "runs"))
         session.prepare(SceneChoice())
         self.main.attach(session)
@@ -145,7 +143,6 @@ def failed_s(number: int, asked_s: float) -> float:
 
 
 def fail(window: Watched, kind: str, way: str) -> dict[str, object]:
-    """Let a worker fail; return what the window made of it."""
     before = set(psutil.Process().children(recursive=True))
     codes = window.main.cards.codes
     number = window.training() if kind == "training" else os.getpid()

@@ -80,7 +80,6 @@ class Ticks:
         self._timer.start(TICK_MS)
 
     def longest_ms(self, live: Callable[[], object]) -> float:
-        """Return the longest gap while ``live`` runs."""
         self._last_s, self._gap_s = time.monotonic(), 0.0
         live()
         self._tick()
@@ -118,7 +117,6 @@ class Sliced(Watched):
         self.live_for(WARM_UP_S)
 
     def live_for(self, for_s: float) -> None:
-        """Run the event loop for ``for_s`` seconds."""
         loop = QEventLoop()
         QTimer.singleShot(round(1e3 * for_s), loop.quit)
         loop.exec()
@@ -133,7 +131,6 @@ class Sliced(Watched):
         return time.monotonic() - begun_s
 
     def slice_of(self, for_s: float) -> Slice:
-        """Run for ``for_s`` seconds and measure."""
         before, thread_s, begun_s = self._shown(), time.thread_time(), time.monotonic()
         gap_ms = self.ticks.longest_ms(lambda: self.live_for(for_s))
         took_s = time.monotonic() - begun_s
@@ -150,7 +147,6 @@ class Sliced(Watched):
 
 
 def together(slices: Sequence[Slice]) -> Mapping[str, float]:
-    """Return the means of slices of one length, and their longest gap."""
     rows = [asdict(one) for one in slices]
     means = {name: float(np.mean([row[name] for row in rows])) for name in rows[0]}
     return means | {"gap_ms": max(row["gap_ms"] for row in rows)}

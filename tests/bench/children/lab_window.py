@@ -66,7 +66,6 @@ class LabWindow(Watched):
 
     @property
     def operate(self) -> OperateWorkspace:
-        """The workspace that jogs."""
         found = self.main.workspaces["operate"]
         assert isinstance(found, OperateWorkspace)
         return found
@@ -142,19 +141,10 @@ class LabWindow(Watched):
         hand.jog.renew = noted  # type: ignore[method-assign]
 
 
-def _freeze(_: LabWindow, __: QWidget) -> None:
-    threading.Event().wait(FROZEN_S)
-
-
 def _compute(_: LabWindow, __: QWidget) -> None:
     end_s = time.monotonic() + FROZEN_S
     while time.monotonic() < end_s:
         pass
-
-
-def _focus(window: LabWindow, _: QWidget) -> None:
-    page = window.operate.page
-    (page.jog.frame if page.jog.speed.hasFocus() else page.jog.speed).setFocus()
 
 
 def _other_window(window: LabWindow, _: QWidget) -> None:
@@ -187,37 +177,34 @@ def _minimised(window: LabWindow, _: QWidget) -> None:
     window.main.window.activateWindow()
 
 
-def _key(window: LabWindow, _: QWidget) -> None:
-    QTest.keyClick(window.main.window, Qt.Key.Key_A)
-
-
-def _pointer(_: LabWindow, pad: QWidget) -> None:
-    QTest.mouseMove(pad, QPoint(pad.width() + 200, pad.height() + 200))
-
-
 def _hidden(window: LabWindow, pad: QWidget) -> None:
     pad.hide()
     window.linger(0.3)
     pad.show()
 
 
-def _released(window: LabWindow, pad: QWidget) -> None:
-    window.release(pad)
+def _focus(window: LabWindow, _: QWidget) -> None:
+    jog = window.operate.page.jog
+    (jog.frame if jog.speed.hasFocus() else jog.speed).setFocus()
 
 
-def _nothing(window: LabWindow, _: QWidget) -> None:
-    """Go on: it is this process that something happens to."""
-    window.linger(1.0)
-
-
-STALLS = {"sleeps": _freeze, "computes": _compute}
+Way = Callable[[LabWindow, QWidget], object]
+STALLS: dict[str, Way] = {
+    "sleeps": lambda window, pad: threading.Event().wait(FROZEN_S),
+    "computes": _compute,
+}
 # ways in which a held pad can lose its operator
-LOSSES = {
+LOSSES: dict[str, Way] = {
     "focus moved": _focus, "other window": _other_window, "dialog": _dialog, "other page": _page,
-    "minimised": _minimised, "another key": _key, "pointer left": _pointer, "pad hidden": _hidden,
-    "released": _released,
+    "minimised": _minimised, "pad hidden": _hidden,
+    "another key": lambda window, pad: QTest.keyClick(window.main.window, Qt.Key.Key_A),
+    "pointer left": lambda window, pad: QTest.mouseMove(
+        pad, QPoint(pad.width() + 200, pad.height() + 200)
+    ),
+    "released": lambda window, pad: window.release(pad),
 }  # fmt: skip
-WAYS: dict[str, Callable[[LabWindow, QWidget], None]] = {**STALLS, **LOSSES, "nothing": _nothing}
+# "nothing": it is this process that something happens to
+WAYS = STALLS | LOSSES | {"nothing": lambda window, pad: window.linger(1.0)}
 
 
 def say(text: str) -> None:
@@ -226,7 +213,6 @@ def say(text: str) -> None:
 
 
 def jog(window: LabWindow, speed_mm_s: float, way: str) -> None:
-    """Make one jog that ends in ``way``."""
     end_s, held = time.monotonic() + PATIENCE_S, False
     while not held:
         assert time.monotonic() < end_s, f"no jog goes on: {window.main.cards.codes}"

@@ -76,7 +76,6 @@ class WatchedArm:
         self._answer()
 
     def rest(self) -> Rest:
-        """Ask when the arm came to rest."""
         assert self._child.stdin is not None
         self._child.stdin.write("\n")
         self._child.stdin.flush()

@@ -98,14 +98,12 @@ class _Pictures:
         self.in_front, self.steps = False, 0
 
     def turn(self, *, stack_in_front: bool) -> None:
-        """Register a change of the page."""
         counts = self._counts()
         if self.in_front:
             self._shown += counts - self._begun
         self._begun, self.in_front = counts, stack_in_front
 
     def per_second(self) -> dict[str, float]:
-        """Return the pictures per simulated second with the Stack page in front."""
         self.turn(stack_in_front=False)
         names = ("tactile_left_fps", "tactile_right_fps", "traces_fps")
         rates = self._shown / max(self.steps * STEP_S, STEP_S)
@@ -144,7 +142,6 @@ def start(application: QApplication, folder: Path) -> dict[str, float]:
 
 
 def _to_live(application: QApplication, folder: Path) -> float:
-    """Return the seconds until both fingers and the traces are drawn."""
     begun_s = time.monotonic()
     main = _window(application, folder)
     main.start()

@@ -90,7 +90,7 @@ class ReplayPresenter:
         span = self.span_s
         marks = () if self.trial is None else self.trial.marks()
         self._page.time_line.show_scene(TimeScene(span, recorded.spans_s, marks))
-        self._page.film.show_reel(recorded.reel, span, span[1])
+        self._page.film.take_reel(recorded.reel, span)
         self.seek(span[1])
 
     def seek(self, t_s: float) -> None:

@@ -180,7 +180,6 @@ class _ColumnEdge(QSplitterHandle):
     def __init__(self, columns: Columns) -> None:
         super().__init__(Qt.Orientation.Horizontal, columns)
         self.setAccessibleName("Edge between columns")
-        self.setToolTip("Drag, or Tab to it and press the arrows")
 
     def keyPressEvent(self, event: QKeyEvent) -> None:
         """Move the edge by one step."""
@@ -265,6 +264,12 @@ def describe(*rows: tuple[QWidget, str, str]) -> None:
         widget.setToolTip(tip)
 
 
+def _detail() -> ElidedLabel:
+    made = ElidedLabel("small")
+    made.setAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
+    return made
+
+
 HEADER_PX = 28  # height of every header, so that titles of neighbouring panels align
 
 
@@ -275,9 +280,7 @@ class Panel(QFrame):
         super().__init__()
         self.setProperty("role", "card")
         self.setAccessibleName(title)
-        self._title = label(title, "title")
-        self.detail = ElidedLabel("small")
-        self.detail.setAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
+        self._title, self.detail = label(title, "title"), _detail()
         self.header = hbox(self._title, (self.detail, 1))
         self.header.addStrut(HEADER_PX)
         self.column = vbox(self.header, parent=self, margins=(10, 2, 10, 10), spacing=6)
@@ -286,9 +289,8 @@ class Panel(QFrame):
 
     def rename(self, title: str) -> None:
         """Change the title."""
-        if title != self._title.text():
-            self._title.setText(title)
-            self.setAccessibleName(title)
+        self._title.setText(title)
+        self.setAccessibleName(title)
 
 
 class CaptionedView(QWidget):
@@ -296,8 +298,7 @@ class CaptionedView(QWidget):
 
     def __init__(self, title: str, body: QWidget) -> None:
         super().__init__()
-        self.detail = ElidedLabel("small")
-        self.detail.setAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
+        self.detail = _detail()
         line = hbox(label(title, "muted"), (self.detail, 1))
         vbox(line, (body, 1), parent=self, margins=(0, 0, 0, 0), spacing=4)
 

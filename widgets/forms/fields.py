@@ -347,9 +347,17 @@ class HoldState(QObject):
 class HoldButton(QPushButton):
     """Button that starts and ends a hold; takes no focus, so that Space cannot press it."""
 
-    def __init__(self, text: str, what: str, name: str, hold: HoldState) -> None:
+    def __init__(
+        self,
+        text: str,
+        what: str,
+        name: str,
+        hold: HoldState,
+        step: Callable[[str], bool] = lambda _: False,
+    ) -> None:
+        """``step`` handles a press in place of a hold; it returns False to let the hold start."""
         super().__init__(text)
-        self._what, self._hold = what, hold
+        self._what, self._hold, self._step = what, hold, step
         self.setProperty("role", "hold")
         self.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         self.setAutoRepeat(False)
@@ -360,8 +368,9 @@ class HoldButton(QPushButton):
         self.setToolTip(name)
 
     def begin(self, source: int) -> None:
-        """Start the hold."""
-        self._hold.press(self, self._what, source)
+        """Step, or start the hold."""
+        if not self._step(self._what):
+            self._hold.press(self, self._what, source)
 
     def event(self, event: QEvent) -> bool:
         """Handle touches like the mouse."""

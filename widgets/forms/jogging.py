@@ -306,7 +306,7 @@ class JogPad(Panel):
             set_property(self.pads[what], "chosen", "yes" if mark else "no")
 
     def _pad(self, what: str) -> HoldButton:
-        pad = _Pad(_signed(what), what, f"Jog {_signed(what)}", self.hold, self._pressed_step)
+        pad = HoldButton(_signed(what), what, f"Jog {_signed(what)}", self.hold, self._pressed_step)
         pad.setProperty("axis", what[-1] if what[1] != "j" else "")
         return pad
 
@@ -333,21 +333,6 @@ class JogPad(Panel):
         top = hbox((self._pose, 1), self.turn, self.frame)
         middle = hbox(1, (self._field, 1000), 1)
         add_items(self.column, top, (middle, 1000), self.pace, hbox((self._note, 1), self.lift), 1)
-
-
-class _Pad(HoldButton):
-    """Pad that steps or holds."""
-
-    def __init__(
-        self, text: str, what: str, name: str, hold: HoldState, step: Callable[[str], bool]
-    ) -> None:
-        super().__init__(text, what, name, hold)
-        self._as_step = step
-
-    def begin(self, source: int) -> None:
-        """Step, or start a hold."""
-        if not self._as_step(self._what):
-            super().begin(source)
 
 
 def _signed(what: str) -> str:

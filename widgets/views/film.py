@@ -84,11 +84,6 @@ class FilmView(QWidget):
         """True while the film plays."""
         return self._timer.isActive()
 
-    def show_reel(self, reel: Reel, span_s: tuple[float, float], cursor_s: float) -> None:
-        """Show another probe that covers ``span_s``."""
-        self.take_reel(reel, span_s)
-        self.show_cursor(cursor_s)
-
     def show_none(self) -> None:
         """Show an empty view: no probe is selected."""
         self.take_reel({}, (0.0, 2.0))

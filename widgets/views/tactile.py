@@ -130,15 +130,21 @@ def magnitude_picture(field: MarkerField, map_name: MapName) -> ImageArray:
     return np.ascontiguousarray(picture[:, :, ::-1])
 
 
+def _plate(size: QSize, ratio: float) -> QPixmap:
+    """Return a dark plate for a legend on a picture."""
+    drawn = QPixmap(size * ratio)
+    drawn.setDevicePixelRatio(ratio)
+    drawn.fill(QColor(0, 0, 0, 150))
+    return drawn
+
+
 def magnitude_scale(font: QFont, ratio: float, map_name: MapName = "cividis") -> QPixmap:
     """Return a colour bar labelled in mm; ``ratio``: device pixels per pixel."""
     metrics = QFontMetrics(font)
     low, high = "0", f"{FULL_PX * MM_PER_PX:.1f} mm"
     left, tall = metrics.horizontalAdvance(low) + 12, max(metrics.height() + 6, 22)
     size = QSize(left + SCALE_PX + metrics.horizontalAdvance(high) + 12, tall)
-    drawn = QPixmap(size * ratio)
-    drawn.setDevicePixelRatio(ratio)
-    drawn.fill(QColor(0, 0, 0, 150))
+    drawn = _plate(size, ratio)
     painter = QPainter(drawn)
     try:
         shades = colour_table(map_name)
@@ -198,13 +204,11 @@ class TactileView(DrawnView):
 
     def _fit_height(self) -> None:
         height = max(min(self.width() * IMAGE_H // IMAGE_W, self._limit_px), MIN_SIZE.height())
-        if height != self.minimumHeight() or height != self.maximumHeight():
-            self.setFixedHeight(height)
+        self.setFixedHeight(height)
 
     def show_frame(self, frame: TactileFrame, field: MarkerField | None) -> None:
         """Show this frame with the newest marker field, if any."""
-        self._frame = frame
-        self._field = field
+        self._frame, self._field = frame, field
         self.update()
 
     def show_look(self, look: Look) -> None:
@@ -283,7 +287,7 @@ class TactileView(DrawnView):
 def _draw_markers(painter: QPainter, field: MarkerField, scale: float, strokes: LineBuffer) -> None:
     displacement, state = field.displacement_px, field.state
     both = field.position_px + displacement
-    finite: NDArray[np.bool_] = np.asarray(np.isfinite(both).all(axis=1), dtype=np.bool_)
+    finite: NDArray[np.bool_] = np.asarray(np.isfinite(both).all(axis=1))
     rest = field.position_px - displacement
     shown = np.flatnonzero(finite & (state != MarkerState.LOST))
     bins = colour_bins(displacement[shown])
@@ -319,9 +323,7 @@ def _legend(width_px: float, font: QFont, ratio: float) -> QPixmap:
     metrics = QFontMetrics(font)
     text, high = metrics.horizontalAdvance("1 mm") + 14, max(metrics.height() + 6, 22)
     size = QSize(round(length) + text + 8, high)
-    drawn = QPixmap(size * ratio)
-    drawn.setDevicePixelRatio(ratio)
-    drawn.fill(QColor(0, 0, 0, 150))
+    drawn = _plate(size, ratio)
     painter = QPainter(drawn)
     try:
         painter.setPen(QPen(QColor("#FFFFFF"), 2))

@@ -167,7 +167,8 @@ class TestFilm:
         self.film = made
         reel = {"left": track("left", self.LEFT, self.LEFT, self.decoded),
                 "right": track("right", self.RIGHT, (0.01, 0.05, 0.11), self.decoded)}  # fmt: skip
-        made.show_reel(reel, (0.0, 0.12), 0.07)
+        made.take_reel(reel, (0.0, 0.12))
+        made.show_cursor(0.07)
         return made
 
     def seek(self, t_s):
@@ -198,7 +199,8 @@ class TestFilm:
 
     def test_without_pictures_the_arrows_say_so(self, film):
         bare = track("left", (), self.LEFT, self.decoded)
-        film.show_reel({"left": bare}, (0.0, 0.12), 0.07)
+        film.take_reel({"left": bare}, (0.0, 0.12))
+        film.show_cursor(0.07)
         assert film.notes["left"].text() == "left, no picture kept"
         assert film.views["right"]._age.value == "gone"
 

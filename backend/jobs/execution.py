@@ -291,10 +291,13 @@ def run_campaign(
             ahead.discard(spec.id)
             yield JobResult(spec.id, spec.kind, "done")
         while waiting or running:
-            for result in _failed_inputs(waiting, failed):
-                failed.add(result.id)
-                ahead.discard(result.id)
-                yield result
+            for spec in list(waiting.values()):
+                if cause := failed & set(spec.inputs):
+                    del waiting[spec.id]
+                    failed.add(spec.id)
+                    ahead.discard(spec.id)
+                    why = f"It needs the failed job {min(cause)}."
+                    yield JobResult(spec.id, spec.kind, "failed", error=why)
             ready = [spec for spec in waiting.values() if not ahead & set(spec.inputs)]
             for spec in ready[: max(executor.room(), 0)]:
                 del waiting[spec.id]
@@ -343,12 +346,3 @@ def independent_jobs(
             return list(chosen.values())
         outside |= blocked
         chosen = {k: spec for k, spec in chosen.items() if k not in blocked}
-
-
-def _failed_inputs(waiting: dict[str, JobSpec], failed: set[str]) -> Iterator[JobResult]:
-    for spec in list(waiting.values()):
-        cause = failed & set(spec.inputs)
-        if cause:
-            del waiting[spec.id]
-            why = f"It needs the failed job {min(cause)}."
-            yield JobResult(spec.id, spec.kind, "failed", error=why)

@@ -13,7 +13,7 @@ import time
 import traceback
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from hashlib import sha256
 from pathlib import Path
@@ -46,14 +46,7 @@ class JobSpec:
 
     def canonical(self) -> str:
         """Return the canonical JSON text: sorted keys, no spaces, no NaN (ValueError)."""
-        facts = {
-            "kind": self.kind,
-            "params": self.params,
-            "seed": self.seed,
-            "inputs": list(self.inputs),
-            "code": self.code,
-        }
-        return json.dumps(facts, sort_keys=True, separators=(",", ":"), allow_nan=False)
+        return json.dumps(asdict(self), sort_keys=True, separators=(",", ":"), allow_nan=False)
 
     @cached_property
     def id(self) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import errno
 import hashlib
 from dataclasses import replace
 from pathlib import Path
@@ -33,6 +34,7 @@ from touchdown.backend.exchange.query import (
     SelectedEpisode,
     select_episodes,
 )
+from touchdown.backend.exchange.robomimic import DiskFullSafeFile
 
 EVERY: tuple[ExportState, ...] = ("approved", "submitted", "draft")
 
@@ -277,6 +279,8 @@ def test_a_script_exports_a_folder_or_an_open_dataset(
         export(tmp_path / "none", "jsonl", tmp_path / "out")
     with pytest.raises(InputError, match="no format"):
         export(dataset, "hdf", tmp_path / "out")
+    with pytest.raises(InputError, match="holds no tables"):
+        export(dataset, "zarr", tmp_path / "out", tables=True)
 
 
 ALL = ExportQuery(states=("draft",))
@@ -338,11 +342,6 @@ def test_every_sample_is_in_its_table(tmp_path: Path) -> None:
         np.testing.assert_allclose(floats(part, "t_s")[:, 0] + onset_s, t_s, rtol=0, atol=1e-12)
 
 
-def test_other_formats_hold_no_tables() -> None:
-    with pytest.raises(InputError, match="holds no tables"):
-        export_format("zarr", tables=True)
-
-
 def test_without_recorded_signals_there_are_labels_only(tmp_path: Path) -> None:
     silent = replace(recorded_episode(3, frames=False), recording=None)
     with Dataset.open(tmp_path / "data") as dataset:
@@ -350,3 +349,35 @@ def test_without_recorded_signals_there_are_labels_only(tmp_path: Path) -> None:
         done = export_dataset(dataset, export_format("csv", tables=True), ALL, tmp_path / "out")
     assert (done.folder / "episodes.csv").is_file()
     assert not (done.folder / "signals").exists()
+
+
+FULL = Path("/dev/full")
+VALUES = np.random.default_rng(1).normal(size=(40, 300, 20))
+
+
+def fill(disk: DiskFullSafeFile) -> None:
+    """Write more than the caches of HDF5 hold, and look at it before it is closed."""
+    with h5py.File(disk, "w") as file:
+        for k, values in enumerate(VALUES):
+            file.create_dataset(f"demo_{k}/obs", data=values, compression=1)
+            file[f"demo_{k}"].attrs["name"] = "x" * 5000
+        for k, values in enumerate(VALUES):
+            np.testing.assert_array_equal(file[f"demo_{k}/obs"][...], values)
+
+
+@pytest.mark.skipif(not FULL.exists(), reason="the system has no /dev/full")
+def test_a_full_disk_is_told_after_hdf5_has_closed() -> None:
+    with DiskFullSafeFile(FULL) as disk:
+        fill(disk)
+        with pytest.raises(OSError, match="No space left") as caught:
+            disk.check()
+    assert caught.value.errno == errno.ENOSPC
+
+
+def test_with_room_it_is_a_file_like_any_other(tmp_path: Path) -> None:
+    with DiskFullSafeFile(tmp_path / "a.hdf5") as disk:
+        fill(disk)
+        disk.check()
+    with h5py.File(tmp_path / "a.hdf5") as file:
+        assert len(file) == len(VALUES)
+        np.testing.assert_array_equal(file["demo_7/obs"][...], VALUES[7])

@@ -65,7 +65,7 @@ def test_a_spec_without_a_number_has_no_name() -> None:
         assert JobSpec("a", {"x": float("nan")}).id
 
 
-def test_a_finished_job_is_not_done_again(tmp_path: Path) -> None:
+def test_a_finished_job_is_not_done_again_and_a_damaged_result_is_named(tmp_path: Path) -> None:
     store, spec = JobStore(tmp_path), draws(1)[0]
     assert run_job(spec, KINDS, store).state == "done"
     path = store.folder(spec.id) / RESULT_FILE
@@ -73,6 +73,9 @@ def test_a_finished_job_is_not_done_again(tmp_path: Path) -> None:
     assert run_job(spec, KINDS, store).state == "done"
     assert store.result(spec.id) == {"sum": 42.0}
     assert np.load(store.folder(spec.id) / "values.npy").shape == (5,)
+    path.write_text("{")
+    with pytest.raises(InputError, match="no readable result"):
+        store.result(spec.id)
 
 
 def test_a_failed_job_leaves_nothing_and_says_why(tmp_path: Path) -> None:
@@ -82,14 +85,6 @@ def test_a_failed_job_leaves_nothing_and_says_why(tmp_path: Path) -> None:
     assert "Never mind" in result.error
     assert list(tmp_path.iterdir()) == []
     assert "no job kind 'unheard'" in run_job(JobSpec("unheard"), KINDS, store).error
-
-
-def test_a_damaged_result_names_its_file(tmp_path: Path) -> None:
-    store, spec = JobStore(tmp_path), draws(1)[0]
-    run_job(spec, KINDS, store)
-    (store.folder(spec.id) / RESULT_FILE).write_text("{")
-    with pytest.raises(InputError, match="no readable result"):
-        store.result(spec.id)
 
 
 def test_a_campaign_respects_inputs_and_survives_a_failure(tmp_path: Path) -> None:

@@ -126,12 +126,15 @@ def test_auto_is_refused_and_step_is_not(tmp_path: Path, card: ModelCard) -> Non
     session.close()
 
 
+def other_arrays() -> dict[str, np.ndarray]:
+    """Weights unlike those of the shipped model."""
+    shipped = load_checkpoint(model_in_use("pot", None)).arrays
+    return {**shipped, "head.bias": shipped["head.bias"] + 1}
+
+
 def test_the_session_takes_the_model_in_use(tmp_path: Path, card: ModelCard) -> None:
-    checkpoint = load_checkpoint(model_in_use("pot", None))
-    arrays = {**checkpoint.arrays, "head.bias": checkpoint.arrays["head.bias"] + 1}
-    model = tmp_path / "pot.safetensors"
-    mine = save_checkpoint(model, arrays, card)
-    registry = ModelRegistry(tmp_path / "models")
+    model, registry = tmp_path / "pot.safetensors", ModelRegistry(tmp_path / "models")
+    mine = save_checkpoint(model, other_arrays(), card)
     models, piece = BenchModels(registry, HERE, 1.0), load_pieces().piece("pot")
 
     def in_use() -> str:
@@ -156,10 +159,8 @@ def test_the_session_takes_the_model_in_use(tmp_path: Path, card: ModelCard) -> 
 def test_a_run_keeps_its_model_though_the_file_is_damaged_and_the_next_is_refused(
     named: bool, tmp_path: Path, card: ModelCard
 ) -> None:
-    checkpoint = load_checkpoint(model_in_use("pot", None))
-    arrays = {**checkpoint.arrays, "head.bias": checkpoint.arrays["head.bias"] + 1}
     model, registry = tmp_path / "pot.safetensors", ModelRegistry(tmp_path / "models")
-    mine = save_checkpoint(model, arrays, card)
+    mine = save_checkpoint(model, other_arrays(), card)
     registry.promote(model)
     file = model if named else registry.in_use("pot")
     assert file is not None
@@ -181,15 +182,18 @@ def test_a_run_keeps_its_model_though_the_file_is_damaged_and_the_next_is_refuse
         assert shipped.card.weights_sha256 == card.weights_sha256
         return
     # Another model that was put in its place is read, and not the one in memory.
-    other = save_checkpoint(file, checkpoint.arrays, card)
+    shipped = load_checkpoint(model_in_use("pot", None))
+    other = save_checkpoint(file, shipped.arrays, card)
     os.utime(file, ns=(2, 2))
     again = models.check(choice, piece)
     assert again is not None
     assert again.card.weights_sha256 == other.weights_sha256 != mine.weights_sha256
 
 
-def save_small(path: Path) -> dict[str, np.ndarray]:
-    """Save a small new model with its card; return its arrays."""
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    """A small new model with its card."""
+    path = tmp_path / "pot.safetensors"
     model = new_model(NetworkShape(6, 8, 2, 5), 4)
     card = ModelCard(
         arch=ARCH, hyper=NetworkShape(6, 8, 2, 5), modality="FT",
@@ -197,13 +201,6 @@ def save_small(path: Path) -> dict[str, np.ndarray]:
         weights_sha256="",
     )  # fmt: skip
     save_checkpoint(path, model.arrays(), card)
-    return model.arrays()
-
-
-@pytest.fixture
-def path(tmp_path: Path) -> Path:
-    path = tmp_path / "pot.safetensors"
-    save_small(path)
     return path
 
 

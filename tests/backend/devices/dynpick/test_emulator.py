@@ -242,13 +242,6 @@ def test_the_ends_of_the_range_are_an_overload():
     assert reading.overload
 
 
-def test_mounting_and_sign_turn_force_and_torque():
-    quarter = ((0.0, -1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0))
-    content = encode_record(DynpickRecord(0, (ZERO + 100, ZERO, ZERO, ZERO + 100, ZERO, ZERO)))
-    _, values = samples(rotation=quarter, sign=-1).accept(1.0, content)
-    assert values[0] == pytest.approx([0.0, -1.0, 0.0, 0.0, -0.1, 0.0])
-
-
 @pytest.mark.promise("S8")
 def test_an_emulated_sensor_that_drifts_is_named_by_what_the_reader_reads():
     faults, now_s, watch = Faults("force_torque"), 0.0, WrenchDriftEstimator()

@@ -324,26 +324,22 @@ def test_an_unknown_monitor_type_is_refused_where_it_stands(slot, at):
     assert (refusal.value.what, refusal.value.offset) == ("type", at)
 
 
-def test_an_unknown_command_is_refused():
+CURRENT = AxisValues(BlockKind.CURRENT, (1, 2, 3, 4, 5, 6, 7, 8))
+
+
+@pytest.mark.parametrize(
+    ("encode", "packet"),
+    [
+        (encode_mxt_request, MxtRequest(MxtCommand.MOVE, CURRENT)),
+        (encode_mxt_request, MxtRequest(MxtCommand.NONE, counter=-1)),
+        (encode_mxt_request, MxtRequest(MxtCommand.NONE, counter=2**32)),
+        (encode_mxt_reply, MxtReply(MxtCommand.MOVE, 1, (1, 0, 0, 0), (JOINTS, *[None] * 3), 1)),
+        (decode_mxt_reply, b"\x02" + data("mxt-reply-joint")[1:]),  # unknown command
+    ],
+)
+def test_what_no_packet_can_carry_is_refused(encode, packet):
     with pytest.raises(ProtocolError):
-        decode_mxt_reply(b"\x02" + data("mxt-reply-joint")[1:])
-
-
-def test_a_target_of_a_kind_that_cannot_be_sent():
-    current = AxisValues(BlockKind.CURRENT, (1, 2, 3, 4, 5, 6, 7, 8))
-    with pytest.raises(ProtocolError):
-        encode_mxt_request(MxtRequest(MxtCommand.MOVE, current))
-
-
-def test_a_reply_whose_blocks_do_not_fit_its_types():
-    with pytest.raises(ProtocolError):
-        encode_mxt_reply(MxtReply(MxtCommand.MOVE, 1, (1, 0, 0, 0), (JOINTS, None, None, None), 1))
-
-
-@pytest.mark.parametrize("counter", [-1, 2**32])
-def test_a_counter_wraps_in_the_caller(counter):
-    with pytest.raises(ProtocolError):
-        encode_mxt_request(MxtRequest(MxtCommand.NONE, counter=counter))
+        encode(packet)
 
 
 def test_reserved_bytes_of_a_controller_are_not_held_against_it():

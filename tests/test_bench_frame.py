@@ -21,7 +21,7 @@ def _register(monkeypatch, **measures):
         monkeypatch.setitem(run.REGISTER, name, ("group " + name, measure))
 
 
-def test_all_met_is_0_and_all_are_shown(monkeypatch, capsys):
+def test_all_met_is_0_and_one_missed_is_1_and_all_are_shown(monkeypatch, capsys):
     _register(
         monkeypatch,
         a=lambda: [Figure("speed [ms]", 0.8214, "ms", "<= 1", True, "one thread")],
@@ -32,9 +32,6 @@ def test_all_met_is_0_and_all_are_shown(monkeypatch, capsys):
     for word in ("speed [ms]", "0.8214 ms", "<= 1 ms", "met", "one thread", "58 of 60", "stated"):
         assert word in shown
     assert "2 figures, 0 missed" in shown
-
-
-def test_one_missed_is_1(monkeypatch, capsys):
     _register(monkeypatch, a=lambda: [Figure("speed", 3.0, "ms", "<= 1", False)])
     assert run.main([]) == 1
     assert "missed" in capsys.readouterr().out
@@ -63,9 +60,7 @@ def test_groups_and_figures_are_chosen_by_name(name, monkeypatch, capsys):
     assert [f["name"] for f in json.loads(capsys.readouterr().out)["figures"]] == ["second"]
 
 
-def test_two_figures_of_one_name_are_a_defect(monkeypatch):
-    monkeypatch.setattr("tests.bench.figures.REGISTER", {})
-
+def test_two_figures_of_one_name_are_a_defect():
     def speed():
         return []
 

@@ -30,11 +30,8 @@ MODULES = tuple(
     )
 )  # fmt: skip
 
-WORDS = {
-    True: Text("met", "green"),
-    False: Text("missed", "bold red"),
-    None: Text("stated", "yellow"),
-}
+WORDS = {True: Text("met", "green"), False: Text("missed", "bold red"),
+         None: Text("stated", "yellow")}  # fmt: skip
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -43,12 +40,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     for module in MODULES:
         importlib.import_module(module)
     groups = sorted({group for group, _ in REGISTER.values()})
-    parser.add_argument(
-        "names",
-        nargs="*",
-        metavar="name",
-        help=f"measure these groups ({', '.join(groups)}) or single figures only",
-    )
+    told = f"measure these groups ({', '.join(groups)}) or single figures only"
+    parser.add_argument("names", nargs="*", metavar="name", help=told)
     parser.add_argument("--json", action="store_true", help="one JSON object and nothing else")
     parser.add_argument("--save", action="store_true", help="store and render the results")
     args = parser.parse_args(argv)

@@ -37,16 +37,17 @@ def test_what_was_found_once_stays_mended(key, content, cut):
     assert count.findings == []
 
 
-def test_a_check_that_is_missing_is_found(monkeypatch):
-    monkeypatch.setattr(protocol, "_summed", lambda frame: frame[:-2])
+@pytest.mark.parametrize(
+    ("name", "planted", "found"),
+    [
+        ("_summed", lambda frame: frame[:-2], "was never sent"),
+        ("_length", lambda data, at: data[at + 1], "raised IndexError"),
+    ],
+)
+def test_a_missing_check_and_a_crash_are_found(monkeypatch, name, planted, found):
+    monkeypatch.setattr(protocol, name, planted)
     count = fuzz(("optoforce", "device-to-pc"), 7, lambda count: count.inputs == SHORT)
-    assert any("was never sent" in finding for finding in count.findings)
-
-
-def test_a_crash_is_found(monkeypatch):
-    monkeypatch.setattr(protocol, "_length", lambda data, at: data[at + 1])
-    count = fuzz(("optoforce", "device-to-pc"), 7, lambda count: count.inputs == SHORT)
-    assert any("raised IndexError" in finding for finding in count.findings)
+    assert any(found in finding for finding in count.findings)
 
 
 def test_the_same_seed_gives_the_same_counts():

@@ -14,7 +14,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 
 import psutil
@@ -173,8 +173,7 @@ def ask(window: Watched, thread: str) -> None:
     """Let ``thread`` ask for the end, as soon as it is at work."""
 
     def leave() -> None:
-        sys.stdout.write(f"{time.monotonic()}\n")
-        sys.stdout.flush()
+        say(f"{time.monotonic()}")
         QMetaObject.invokeMethod(window.application, "quit", Qt.ConnectionType.QueuedConnection)
 
     if thread == "bench":
@@ -228,9 +227,9 @@ def _nothing(*_: object) -> None:
     pass
 
 
-def print_found(found: Mapping[str, object]) -> None:
-    """Print what a window of its own process measured, for who began that process."""
-    sys.stdout.write(json.dumps(found) + "\n")
+def say(text: str) -> None:
+    """Print a line for the process that began this one."""
+    sys.stdout.write(text + "\n")
     sys.stdout.flush()
 
 
@@ -238,7 +237,7 @@ def main(words: list[str]) -> int:
     with tempfile.TemporaryDirectory() as name:
         window = Watched(Path(name))
         if words[0] == "worker":
-            print_found(fail(window, *words[1:]))
+            say(json.dumps(fail(window, *words[1:])))
         else:
             ask(window, words[1])
             window.close()

@@ -7,6 +7,7 @@ Prints one JSON object after the window was closed.
 from __future__ import annotations
 
 import gc
+import json
 import math
 import os
 import subprocess
@@ -26,7 +27,7 @@ from PySide6.QtGui import QPaintEvent
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QPushButton, QWidget
 
-from tests.bench.children.failing_window import LIMIT_S, Watched, print_found
+from tests.bench.children.failing_window import LIMIT_S, Watched, say
 from tests.bench.children.lab_window import LabWindow
 from tests.bench.workers import MEMORY_FAILURES
 from touchdown.app.shell.cards import exit_after_timeout
@@ -473,7 +474,7 @@ def main(scenario: str, *lab: str) -> int:
         found = measure(window)
         found["asked_s"] = time.monotonic()
         window.close()
-        print_found(found)
+        say(json.dumps(found))
     exit_after_timeout()
     return 0
 

@@ -20,7 +20,7 @@ from PySide6.QtCore import QPoint, Qt
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QMessageBox, QWidget
 
-from tests.bench.children.failing_window import Watched
+from tests.bench.children.failing_window import Watched, say
 from tests.busy_computer import STARVED
 from touchdown.app.operate.workspace import OperateWorkspace
 from touchdown.app.start import THREAD_SWITCH_S, open_bench
@@ -205,11 +205,6 @@ LOSSES: dict[str, Way] = {
 }  # fmt: skip
 # "nothing": it is this process that something happens to
 WAYS = STALLS | LOSSES | {"nothing": lambda window, pad: window.linger(1.0)}
-
-
-def say(text: str) -> None:
-    sys.stdout.write(text + "\n")
-    sys.stdout.flush()
 
 
 def jog(window: LabWindow, speed_mm_s: float, way: str) -> None:

@@ -10,7 +10,6 @@ from __future__ import annotations
 import json
 import socket
 import struct
-import subprocess
 import sys
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -19,6 +18,7 @@ import numpy as np
 
 from tests.backend.devices.melfa.emulated_arm import settings as melfa_settings
 from tests.backend.rig.served import Served
+from tests.bench.children.watched_arm import LineChild
 from touchdown.backend.bench.emulated_scene import EMULATOR_PRIORITY, shorten_switch_interval
 from touchdown.backend.config.hardware import HardwareSettings
 from touchdown.backend.core.scheduling import round_robin_priority
@@ -104,26 +104,15 @@ def ahead_of(times_s: np.ndarray) -> float:
     return float((lead - np.minimum.accumulate(lead)).max())
 
 
-class LoggedArm:
-    """The parent's end; ``settings`` lead a driver to the devices."""
+class LoggedArm(LineChild):
+    """``settings`` lead a driver to the devices."""
 
     def __init__(self, host: str) -> None:
-        self._child = subprocess.Popen(
-            [sys.executable, "-m", __name__, host],
-            stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
-        )  # fmt: skip
-        assert self._child.stdout is not None
-        self.settings = HardwareSettings.model_validate_json(self._child.stdout.readline())
+        super().__init__(__name__, host)
+        self.settings = HardwareSettings.model_validate_json(self.first)
 
     def told(self) -> Told:
-        assert self._child.stdin is not None
-        assert self._child.stdout is not None
-        self._child.stdin.write("\n")
-        self._child.stdin.flush()
-        return Told(**json.loads(self._child.stdout.readline()))
-
-    def close(self) -> None:
-        self._child.communicate("", timeout=20.0)
+        return Told(**json.loads(self.ask()))
 
 
 def main(host: str) -> None:

@@ -62,24 +62,21 @@ def rest_of(joined: EmulatedScene) -> Rest:
     return Rest(rested_s, way_mm)
 
 
-class WatchedArm:
-    """The parent's end; ``lab`` is the lab file that leads to the bench."""
+class LineChild:
+    """The parent's end of a module that answers each line with one line; ``first`` came unasked."""
 
-    def __init__(self, folder: Path) -> None:
-        self.lab = folder / LAB
+    def __init__(self, module: str, *words: str) -> None:
         self._child = subprocess.Popen(
-            [sys.executable, "-m", __name__, str(folder)],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
-        )
-        self._answer()
+            [sys.executable, "-m", module, *words],
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
+        )  # fmt: skip
+        self.first = self._answer()
 
-    def rest(self) -> Rest:
+    def ask(self) -> str:
         assert self._child.stdin is not None
         self._child.stdin.write("\n")
         self._child.stdin.flush()
-        return Rest(**json.loads(self._answer()))
+        return self._answer()
 
     def close(self) -> None:
         self._child.communicate("", timeout=20.0)
@@ -87,6 +84,17 @@ class WatchedArm:
     def _answer(self) -> str:
         assert self._child.stdout is not None
         return self._child.stdout.readline()
+
+
+class WatchedArm(LineChild):
+    """``lab`` is the lab file that leads to the bench."""
+
+    def __init__(self, folder: Path) -> None:
+        self.lab = folder / LAB
+        super().__init__(__name__, str(folder))
+
+    def rest(self) -> Rest:
+        return Rest(**json.loads(self.ask()))
 
 
 @contextmanager

@@ -48,17 +48,14 @@ class EventQueue:
     """A bounded queue of events for a slow reader; the oldest are dropped and counted."""
 
     def __init__(self, capacity: int = 4096) -> None:
-        self._events: deque[Event] = deque()
-        self._capacity = capacity
+        self._events: deque[Event] = deque(maxlen=capacity)
         self._lock = threading.Lock()
         self.dropped: int = 0
 
     def __call__(self, event: Event) -> None:
         """Put ``event``; makes the queue a subscriber."""
         with self._lock:
-            if len(self._events) >= self._capacity:
-                self._events.popleft()
-                self.dropped += 1
+            self.dropped += len(self._events) == self._events.maxlen
             self._events.append(event)
 
     def take(self) -> Event | None:

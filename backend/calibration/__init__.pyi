@@ -1,5 +1,6 @@
 from .applied import UNCALIBRATED as UNCALIBRATED
 from .applied import CalibratedPositions as CalibratedPositions
+from .applied import HandPosition as HandPosition
 from .applied import calibrated_cameras as calibrated_cameras
 from .applied import calibrated_positions as calibrated_positions
 from .applied import camera_conflicts as camera_conflicts
@@ -61,6 +62,7 @@ __all__ = [
     "CalibrationStatus",
     "CalibrationStore",
     "DeviceName",
+    "HandPosition",
     "Side",
     "SidePress",
     "TouchedEdge",

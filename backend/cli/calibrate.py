@@ -48,6 +48,7 @@ from touchdown.backend.runs import (
 
 BOTTOM = "square15"
 PITCH_MM = 1.9
+REPORTED = ("residual", "limit", "unit", "acceptable", "note", "obstacle")
 TITLES: dict[str, str] = {kind.what: kind.title for kind in CALIBRATION_KINDS.values()}
 
 
@@ -166,12 +167,7 @@ def _as_json(found: CalibrationMeasured) -> dict[str, object]:
     rows = zip(found.names, found.values, found.sigmas, found.units, strict=True)
     return {
         "values": {n: {"value": v, "sigma": s, "unit": u} for n, v, s, u in rows},
-        "residual": found.residual,
-        "limit": found.limit,
-        "unit": found.unit,
-        "acceptable": found.acceptable,
-        "note": found.note,
-        "obstacle": found.obstacle,
+        **{name: getattr(found, name) for name in REPORTED},
     }
 
 

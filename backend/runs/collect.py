@@ -15,6 +15,7 @@ from touchdown.backend.annotations import (
     follow_uuid,
     uuid7,
 )
+from touchdown.backend.calibration import HandPosition
 from touchdown.backend.core import (
     CampaignBegan,
     FaultError,
@@ -35,11 +36,11 @@ from touchdown.backend.runs.campaign import (
     pair_coverage,
     planned_displacement_mm,
 )
-from touchdown.backend.runs.collector import BottomOrigin, Collector, EpisodeRecorder
+from touchdown.backend.runs.collector import Collector, EpisodeRecorder
 from touchdown.backend.runs.jig import wait_for_refit
 from touchdown.backend.runs.motions import PlanEnd, ask_operator, run_finished, run_to_end
 from touchdown.backend.runs.plan import Plan
-from touchdown.backend.runs.recorder import plan_not_saved_fault, save_or_wait
+from touchdown.backend.runs.recorder import not_saved_fault, save_or_wait
 from touchdown.backend.runs.requests import CollectRequest, request_record
 
 
@@ -191,8 +192,7 @@ def _one(
     sigma_mm = request.origin_sigma_mm
     if sigma_mm is None:
         sigma_mm = bench.settings.collect.origin_sigma_mm
-    at = bench.placed.origin(request.origin_mm, sigma_mm, bench.bottom)
-    origin = BottomOrigin(at.x_mm, at.y_mm, at.sigma_mm)
+    origin = bench.placed.origin(request.origin_mm, sigma_mm, bench.bottom)
     context = _context(session, request, bench, origin, collector.campaign, dataset)
     context = replace(context, series=mounting.series or context.series)
     yield CampaignBegan(
@@ -220,7 +220,14 @@ def _saved_after(collector: Collector, dataset: Dataset, *, waits: bool) -> Plan
     except OSError as error:
         if error.errno not in DISK_FULL_ERRNOS:
             raise
-        raise FaultError(plan_not_saved_fault(dataset.folder)) from error
+        fault = not_saved_fault(
+            dataset.folder,
+            "the plan of the campaign",
+            "Every probe and decision is safe; places given up after three refused probes are "
+            "tried again when it goes on.",
+            "then press Reset.",
+        )
+        raise FaultError(fault) from error
     return True
 
 
@@ -255,7 +262,7 @@ def _context(
     session: RunContext,
     request: CollectRequest,
     bench: Bench,
-    origin: BottomOrigin,
+    origin: HandPosition,
     campaign: Campaign,
     dataset: Dataset,
 ) -> EpisodeContext:

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.backend.annotations import Dataset, EpisodeContext, EpisodeEntry, Label, with_uuid
+from touchdown.backend.calibration import HandPosition
 from touchdown.backend.config import CollectSettings
 from touchdown.backend.core import (
     MARKERS,
@@ -59,8 +60,8 @@ from touchdown.backend.runs.probe import press_once, scene_pictures
 from touchdown.backend.runs.recorder import (
     DISK_FULL,
     DiskWriter,
-    decision_not_saved_fault,
     no_space_fault,
+    not_saved_fault,
     refused_episode_fault,
     save_or_wait,
     wait_for_space,
@@ -69,15 +70,6 @@ from touchdown.backend.runs.touch_probing import RESOLUTION_MM, edge_mm, find_he
 from touchdown.backend.sensing import EpisodeLimits
 
 MEASURED = "measured"
-
-
-@dataclass(frozen=True, slots=True)
-class BottomOrigin:
-    """Centre of the bottom in the arm's frame with its standard uncertainty, mm."""
-
-    x_mm: float
-    y_mm: float
-    sigma_mm: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +87,7 @@ class MeasuredOffset:
 
 
 def measure_offset(
-    episode: Episode, origin: BottomOrigin, settings: CollectSettings
+    episode: Episode, origin: HandPosition, settings: CollectSettings
 ) -> MeasuredOffset:
     """Return the position of the arm at contact onset relative to ``origin``.
 
@@ -144,23 +136,7 @@ class EpisodeRecorder(DiskWriter[EpisodeEntry]):
         )
 
 
-@dataclass(frozen=True, slots=True)
-class OriginCheck:
-    """Measured centre of the bottom minus the origin (2,), with its standard uncertainty, mm.
-
-    The uncertainty combines resolution, arm and grasp.
-    """
-
-    residual_mm: FloatArray
-    sigma_mm: float
-
-    @property
-    def agrees(self) -> bool:
-        """True if the residual is within three standard uncertainties on both axes."""
-        return bool(np.abs(self.residual_mm).max() <= 3.0 * self.sigma_mm)
-
-
-def check_origin(bench: Bench, origin: BottomOrigin) -> Plan[OriginCheck]:
+def check_origin(bench: Bench, origin: HandPosition) -> Plan[OriginChecked]:
     """Touch around all four edges with the held piece and return the residual of the origin.
 
     Raises ``RefusedError`` "ORIGIN-FAR" if an edge is too far off.
@@ -177,11 +153,12 @@ def check_origin(bench: Bench, origin: BottomOrigin) -> Plan[OriginCheck]:
         centre[axis] += 0.5 * (edges[0] + edges[1])
     collect = bench.settings.collect
     touch = math.hypot(RESOLUTION_MM / math.sqrt(12.0), collect.arm_sigma_mm) / math.sqrt(2.0)
-    check = OriginCheck(
-        centre - (origin.x_mm, origin.y_mm), math.hypot(touch, collect.grip_sigma_mm)
-    )
-    x_mm, y_mm = check.residual_mm.tolist()
-    yield OriginChecked(bench.now_s(), (x_mm, y_mm), check.sigma_mm, check.agrees)
+    # Combines resolution, arm and grasp
+    sigma_mm = math.hypot(touch, collect.grip_sigma_mm)
+    residual_mm = xy_mm(centre - (origin.x_mm, origin.y_mm))
+    agrees = all(abs(off_mm) <= 3.0 * sigma_mm for off_mm in residual_mm)
+    check = OriginChecked(bench.now_s(), residual_mm, sigma_mm, agrees)
+    yield check
     return check
 
 
@@ -224,7 +201,7 @@ class Collector:
         self,
         bench: Bench,
         target: ProbeTarget,
-        origin: BottomOrigin,
+        origin: HandPosition,
         context: EpisodeContext,
         after: int = 0,
     ) -> Plan[bool]:
@@ -301,11 +278,11 @@ class Collector:
             yield self._unpublished.popleft()
 
     def _checked(
-        self, bench: Bench, origin: BottomOrigin, context: EpisodeContext
+        self, bench: Bench, origin: HandPosition, context: EpisodeContext
     ) -> Plan[EpisodeContext]:
         """Check the origin; the result is stored with every episode of the mounting."""
         check = yield from check_origin(bench, origin)
-        x_mm, y_mm = check.residual_mm.tolist()
+        x_mm, y_mm = check.residual_mm
         felt = f"The bottom was found {x_mm:+.2f}, {y_mm:+.2f} mm off its origin"
         fix = "." if check.agrees else ": set the origin again, because the labels have this error."
         yield Said(bench.now_s(), f"{felt} (s.d. {check.sigma_mm:.2f}){fix}")
@@ -331,7 +308,7 @@ class Collector:
             yield PausePoint(obstacle)
 
     def _grip(
-        self, bench: Bench, target: ProbeTarget, origin: BottomOrigin, context: EpisodeContext
+        self, bench: Bench, target: ProbeTarget, origin: HandPosition, context: EpisodeContext
     ) -> Plan[None]:
         """Probe until the grip is used up: count, slip, or drift of the contact height."""
         settings = bench.settings.collect
@@ -372,7 +349,7 @@ class Collector:
         bench: Bench,
         item: int,
         wanted_mm: tuple[float, float],
-        origin: BottomOrigin,
+        origin: HandPosition,
         first_mm: float | None,
     ) -> Plan[_PendingEpisode]:
         """Move to the displacement, press and lift; the previous probe is settled on the way."""
@@ -431,8 +408,13 @@ class Collector:
         except FaultError as cause:
             if waits or cause.fault.code != DISK_FULL:
                 raise
-            folder = self.recorder.dataset.folder
-            raise FaultError(decision_not_saved_fault(folder, decision, item)) from cause
+            fault = not_saved_fault(
+                self.recorder.dataset.folder,
+                f"'{decision}' for item {item + 1}",
+                "The probe stays in the dataset as it was.",
+                "press Reset, choose the probe and decide again.",
+            )
+            raise FaultError(fault) from cause
         else:
             self._decision = None
             yield EpisodeDecided(bench.now_s(), entry.uuid, item, decision, entry.person)

@@ -20,7 +20,6 @@ from touchdown.backend.core import (
     DISK_TIMEOUT_S,
     ClockJumpDetector,
     Episode,
-    EpisodeDecision,
     Event,
     EventBus,
     Fault,
@@ -85,27 +84,10 @@ def save_or_wait(save: Callable[[], None]) -> Plan[bool]:
         yield PausePoint(replace(fault, consequence=CONSEQUENCE, next_step=NEXT_STEP))
 
 
-def plan_not_saved_fault(folder: Path) -> Fault:
-    """Return the fault of a campaign that ended without saving its skipped items."""
-    return Fault(
-        DISK_FULL,
-        f"The disk of {folder} is full: the plan of the campaign could not be saved.",
-        "Every probe and decision is safe; places given up after three refused probes are tried "
-        "again when it goes on.",
-        "Make room on this disk, then press Reset.",
-        "store",
-    )
-
-
-def decision_not_saved_fault(folder: Path, decision: EpisodeDecision, item: int) -> Fault:
-    """Return the fault of a run that ended without saving its last decision."""
-    return Fault(
-        DISK_FULL,
-        f"The disk of {folder} is full: '{decision}' for item {item + 1} could not be saved.",
-        "The probe stays in the dataset as it was.",
-        "Make room on this disk, press Reset, choose the probe and decide again.",
-        "store",
-    )
+def not_saved_fault(folder: Path, what: str, consequence: str, next_step: str) -> Fault:
+    """Return the fault of a run that ended on a full disk without saving ``what``."""
+    what = f"The disk of {folder} is full: {what} could not be saved."
+    return Fault(DISK_FULL, what, consequence, f"Make room on this disk, {next_step}", "store")
 
 
 def data_folder() -> Path:

@@ -15,7 +15,7 @@ from tests.backend.runs.blind_bench import BlindBench
 from tests.backend.runs.gel_bench import LOOKS, Gel, GelBench
 from tests.backend.runs.oracle_bench import Oracle, OracleSession, request
 from tests.backend.runs.skewed_arm import SkewedArm
-from touchdown.backend.calibration.applied import UNCALIBRATED, calibrated_positions
+from touchdown.backend.calibration.applied import UNCALIBRATED, HandPosition, calibrated_positions
 from touchdown.backend.calibration.estimators import BOARD_LIMIT_MM
 from touchdown.backend.calibration.records import CalibrationStore
 from touchdown.backend.calibration.result import CalibrationEstimate, Quantity
@@ -57,12 +57,7 @@ from touchdown.backend.runs import touch_probing
 from touchdown.backend.runs.calibrate import measure_board
 from touchdown.backend.runs.calibrations import DriftMonitor, GelCheck, contact_height_mm
 from touchdown.backend.runs.campaign import Campaign
-from touchdown.backend.runs.collector import (
-    BottomOrigin,
-    Collector,
-    last_signal_excerpt,
-    measure_offset,
-)
+from touchdown.backend.runs.collector import Collector, last_signal_excerpt, measure_offset
 from touchdown.backend.runs.jig import approach_with_piece, pick_piece, return_piece
 from touchdown.backend.runs.motions import REFERENCE_S, descent_start, release_evidence
 from touchdown.backend.runs.requests import CalibrateRequest, ProbeRequest, SceneChoice
@@ -154,7 +149,7 @@ def test_the_label_is_where_the_arm_was_at_contact_seen_from_the_origin() -> Non
     observation = np.zeros((20, 258), np.float32)
     episode = Episode("e", "pot", observation, np.array([7.0, 9.0]), 1.04, quality, recording)
     settings = CollectSettings(arm_sigma_mm=0.02, grip_sigma_mm=0.03)
-    found = measure_offset(episode, BottomOrigin(8.5, -1.25, 0.06), settings)
+    found = measure_offset(episode, HandPosition(8.5, -1.25, 0.06), settings)
     assert found.offset_mm == pytest.approx((1.62, -2.95))
     assert found.contact_mm == pytest.approx(20.92)
     assert found.sigma_mm == pytest.approx(0.07)
@@ -195,7 +190,7 @@ def test_a_probe_goes_to_its_displacement_from_the_origin() -> None:
         real_time=False,
         arm=SimpleNamespace(move_to=move_to),
     )
-    origin = BottomOrigin(10.0, -4.0, 0.1)
+    origin = HandPosition(10.0, -4.0, 0.1)
     with pytest.raises(Reached):
         list(collector()._probe(bench, 0, (1.5, -2.25), origin, 21.0))
     above_mm = StackSettings().probe.start_height_mm

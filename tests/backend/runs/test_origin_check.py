@@ -10,9 +10,10 @@ import pytest
 from tests.backend.bench.brisk import PROBE, brisk_method
 from tests.backend.runs.blind_bench import BlindBench
 from tests.backend.runs.test_collect import collecting
+from touchdown.backend.calibration.applied import HandPosition
 from touchdown.backend.core.events import OriginChecked, RunFinished
 from touchdown.backend.episodes.mcap import read_first
-from touchdown.backend.runs.collector import BottomOrigin, check_origin
+from touchdown.backend.runs.collector import check_origin
 from touchdown.backend.runs.motions import take_piece
 from touchdown.backend.runs.requests import SceneChoice
 from touchdown.backend.simulation.conditions import true_offset_mm
@@ -27,7 +28,7 @@ def test_an_origin_that_is_right_agrees() -> None:
 
     def grip_and_check(bench):
         yield from take_piece(bench)
-        return (yield from check_origin(bench, BottomOrigin(0.0, 0.0, 0.1)))
+        return (yield from check_origin(bench, HandPosition(0.0, 0.0, 0.1)))
 
     check = blind.run(grip_and_check)
     assert check.agrees

@@ -73,7 +73,9 @@ UNCALIBRATED = CalibratedPositions()
 
 def calibrated_positions(used: Mapping[CalibrationName, CalibrationRecord]) -> CalibratedPositions:
     """Return the positions of the calibrations in use."""
-    return CalibratedPositions(_board(used.get("board")), _face(used.get("tool")))
+    tool = used.get("tool")
+    face = None if tool is None else _place(tool, "face_x_mm", "face_y_mm")
+    return CalibratedPositions(_board(used.get("board")), face)
 
 
 def require_calibrated_bottom(
@@ -147,19 +149,16 @@ def _board(record: CalibrationRecord | None) -> BoardPosition | None:
         return None
     piece, bottom = record.file.about.split(ON_BOTTOM)
     values = record.file.values
-    x, y = values["x_mm"], values["y_mm"]
     return BoardPosition(
         piece,
         bottom,
-        HandPosition(x.value, y.value, max(x.sigma, y.sigma)),
+        _place(record, "x_mm", "y_mm"),
         values["z_mm"].value,
         values["slope_x_rad"].value,
         values["slope_y_rad"].value,
     )
 
 
-def _face(record: CalibrationRecord | None) -> HandPosition | None:
-    if record is None:
-        return None
-    x, y = record.file.values["face_x_mm"], record.file.values["face_y_mm"]
+def _place(record: CalibrationRecord, x_name: str, y_name: str) -> HandPosition:
+    x, y = record.file.values[x_name], record.file.values[y_name]
     return HandPosition(x.value, y.value, max(x.sigma, y.sigma))

@@ -136,7 +136,11 @@ def _content(file: CalibrationFile) -> dict[str, object]:
 def read_record(path: Path) -> CalibrationRecord:
     """Read a calibration; raises ``InputError`` if it is damaged, changed or of a newer version."""
     try:
-        content = parse_json(_read_text(path))
+        with path.open(encoding="utf-8") as stream:
+            text = stream.read(MAX_CHARACTERS + 1)
+        if len(text) > MAX_CHARACTERS:
+            raise ValueError(f"it is longer than {MAX_CHARACTERS} characters")
+        content = parse_json(text)
         given = content.pop("sha256")
         file = CalibrationFile.model_validate(content)
     except (OSError, ValueError, KeyError, AttributeError, TypeError, RecursionError) as error:
@@ -156,14 +160,6 @@ def read_record(path: Path) -> CalibrationRecord:
     if flaw := _find_flaw(file):
         raise InputError(flaw, str(path), "Calibrate again; the damaged file can be deleted.")
     return CalibrationRecord(file, given)
-
-
-def _read_text(path: Path) -> str:
-    with path.open(encoding="utf-8") as file:
-        text = file.read(MAX_CHARACTERS + 1)
-    if len(text) > MAX_CHARACTERS:
-        raise ValueError(f"it is longer than {MAX_CHARACTERS} characters")
-    return text
 
 
 def _find_flaw(file: CalibrationFile) -> str:

@@ -276,14 +276,11 @@ def _check_ends(data: bytes) -> None:
         raise ValueError("it has no footer")
     if crc and start and zlib.crc32(memoryview(data)[start : footer + 25]) != crc:
         raise ValueError("the checksum of its summary is wrong")
-    _check_data(memoryview(data), (start or footer) - DATA_END_BYTES)
-
-
-def _check_data(data: memoryview, end: int) -> None:
-    op, length, crc = struct.unpack_from("<BQI", data, max(end, 0))
+    end = max((start or footer) - DATA_END_BYTES, 0)
+    op, length, crc = struct.unpack_from("<BQI", data, end)
     if (op, length) != (Opcode.DATA_END, 4):
         raise ValueError("its data has no end")
-    if crc and zlib.crc32(data[:end]) != crc:
+    if crc and zlib.crc32(memoryview(data)[:end]) != crc:
         raise ValueError("the checksum of its data is wrong")
 
 
@@ -306,7 +303,13 @@ def _groups(body: memoryview) -> Iterator[ChunkContents]:
 def read_metadata(content: memoryview) -> tuple[str, dict[str, str]]:
     """Return (name, values) of a metadata record."""
     name, at = read_text(content, 0)
-    return name, _text_map(content, at)
+    (length,) = struct.unpack_from("<I", content, at)
+    at, end = at + 4, at + 4 + length
+    values: dict[str, str] = {}
+    while at < end:
+        key, at = read_text(content, at)
+        values[key], at = read_text(content, at)
+    return name, values
 
 
 def read_chunk_records(content: memoryview) -> bytes:
@@ -351,16 +354,6 @@ def read_text(content: memoryview, at: int) -> tuple[str, int]:
     if end > len(content):
         raise ValueError("a text is longer than its record")
     return str(content[at + 4 : end], "utf-8"), end
-
-
-def _text_map(content: memoryview, at: int) -> dict[str, str]:
-    (length,) = struct.unpack_from("<I", content, at)
-    at, end = at + 4, at + 4 + length
-    values: dict[str, str] = {}
-    while at < end:
-        key, at = read_text(content, at)
-        values[key], at = read_text(content, at)
-    return values
 
 
 LIBRARY = "touchdown"

@@ -273,10 +273,13 @@ def _best_lattice(blobs: Blobs) -> tuple[dict[Cell, int], float]:
     nearest_px = float(np.clip(np.median(gap.min(axis=1)), *_PITCH_RANGE_PX))
     best: dict[Cell, int] = {}
     best_pitch_px = nearest_px
+    # Whole blobs first, from the centre of the image outwards.
+    away = np.linalg.norm(blobs.centre_px - [WIDTH_PX / 2, HEIGHT_PX / 2], axis=1)
+    seeds = np.argsort(away + 1e6 * ~blobs.whole, kind="stable")[:_MAX_SEEDS].tolist()
     # With many false dots the nearest is not a neighbour: try the usual pitch too.
     for pitch_px in (nearest_px, _USUAL_PITCH_PX):
         tried: set[int] = set()
-        for seed in map(int, _seeds(blobs)):
+        for seed in seeds:
             if seed in tried:
                 continue  # it would grow the same lattice again
             grown = _grow(blobs.centre_px, seed, pitch_px)
@@ -287,13 +290,6 @@ def _best_lattice(blobs: Blobs) -> tuple[dict[Cell, int], float]:
         if len(best) >= MARKERS or abs(nearest_px - _USUAL_PITCH_PX) < 0.15 * _USUAL_PITCH_PX:
             break
     return best, best_pitch_px
-
-
-def _seeds(blobs: Blobs) -> NDArray[np.intp]:
-    """Return whole blobs in order of their distance from the image centre."""
-    middle = np.array([WIDTH_PX / 2, HEIGHT_PX / 2])
-    away = np.linalg.norm(blobs.centre_px - middle, axis=1) + 1e6 * ~blobs.whole
-    return np.argsort(away, kind="stable")[:_MAX_SEEDS]
 
 
 def _grow(dots: FloatArray, seed: int, pitch_px: float) -> dict[Cell, int]:

@@ -397,8 +397,7 @@ def test_a_recorded_episode_is_in_file_index_and_journal(dataset: Dataset) -> No
     assert message["person"] == "cleo"
     assert message["recorded_ns"] == entry.recorded_ns
 
-
-def test_an_episode_of_a_run_gets_an_id_of_the_dataset(dataset: Dataset) -> None:
+    # An episode of a run gets an id of the dataset.
     entry = add(dataset, Label(), name="run-7-probe-2")
     assert entry.state == "unlabelled"
     assert ("recorded_as", "run-7-probe-2") in dataset.read(entry.uuid).metadata

@@ -10,8 +10,7 @@ import time
 
 from PySide6.QtCore import QAbstractEventDispatcher, QObject
 
-SLOT_S = 0.050
-"""No turn of the window's loop may take longer."""
+SLOT_S = 0.050  # no turn of the window's loop may take longer
 
 
 class SlotWatch(QObject):

@@ -124,12 +124,9 @@ def test_no_piece_of_a_page_takes_long(window):
     assert max(best_s) <= yardstick.allowed_s(SLOT_S), best_s
 
 
-FASTER = 8.0
-"""The bench runs this much faster than real time, or as fast as it can."""
-VISITS = 3
-"""Each page is turned to this many times."""
-TIMES = 8
-"""So often the yardstick is measured before, and again after."""
+FASTER = 8.0  # the bench runs this much faster than real time, or as fast as it can
+VISITS = 3  # each page is turned to this many times
+TIMES = 8  # number of measurements of the yardstick, before and again after
 
 
 @pytest.fixture

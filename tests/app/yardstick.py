@@ -12,8 +12,7 @@ import time
 from PySide6.QtWidgets import QGridLayout, QLabel, QPushButton, QWidget
 
 ROWS, STEPS = 30, 20_000
-USUAL_S = 0.0055
-"""Of the work below, on the computer of docs/measured.md with nothing else running."""
+USUAL_S = 0.0055  # of the work below, on the computer of docs/measured.md with nothing else running
 
 
 class Yardstick:

@@ -32,12 +32,9 @@ CTRL, SHIFT = Qt.KeyboardModifier.ControlModifier, Qt.KeyboardModifier.ShiftModi
 ALT = Qt.KeyboardModifier.AltModifier
 TURN_MS = 3
 PATIENCE_S = 240.0
-QUEUES = {name: row for row, (name, _) in enumerate(LISTED)}
-"""Rows of the list that Ctrl+J opens."""
-WAYS = 7
-"""So many ways to come to a decision are taken in turn, by the place among all episodes."""
-REVIEWER_REJECTS = 8
-"""Bob rejects every so many-th label."""
+QUEUES = {name: row for row, (name, _) in enumerate(LISTED)}  # rows of the list that Ctrl+J opens
+WAYS = 7  # number of ways to decide, taken in turn by the place among all episodes
+REVIEWER_REJECTS = 8  # Bob rejects every eighth label
 
 Condition = Callable[[], object]
 Doing = Generator[Condition, None, None]

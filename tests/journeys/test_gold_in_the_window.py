@@ -20,8 +20,7 @@ from touchdown.backend.annotations.training_set import labelled_episodes
 from touchdown.backend.annotations.values import Label
 
 Told = dict[str, Any]
-WAITING = 21
-"""Ordinary episodes: enough for one of gold among them."""
+WAITING = 21  # ordinary episodes: enough for one of gold among them
 
 
 @pytest.fixture

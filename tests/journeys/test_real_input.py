@@ -22,11 +22,9 @@ from touchdown.backend.learning.training_runs import list_training_runs
 from touchdown.backend.runs.event_log import read_events
 
 WIDTH, HEIGHT = 1600, 940
-REST = (1100, 470)
-"""A place without a control on the page of jogging."""
+REST = (1100, 470)  # a place without a control on the page of jogging
 PROBES = 8
-LIMIT_S = 600.0
-"""Nothing takes so long, but on a machine with much else to do."""
+LIMIT_S = 600.0  # nothing takes so long, but on a machine with much else to do
 TOUR_STOPS = 10
 pytestmark = [
     pytest.mark.slow,

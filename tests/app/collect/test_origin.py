@@ -106,9 +106,11 @@ def test_what_a_run_decides_is_read_again(page):
     assert "flagged" in page.view.probe.verdict.text()
 
 
-def test_progress_pause_and_end(page):
-    page.begin()
+def test_progress_pause_and_end_with_the_focus_on_the_page(page):
     target = page.view.target
+    target.start.setFocus()
+    page.begin()
+    assert page.view.hasFocus()
     assert (target.bar.value(), target.bar.maximum()) == (2, 20)
     page.probed(page.uuids[-1], done=3)
     assert target.bar.value() == 3
@@ -127,6 +129,7 @@ def test_progress_pause_and_end(page):
     assert page.bench.engine.orders == ["pause", "resume", "cancel"]
     assert target.start.isEnabled()
     assert target.eta.text() == "cancelled by the operator"
+    assert page.view.hasFocus()
 
 
 def test_the_bar_counts_no_probe_that_was_discarded(page):
@@ -149,16 +152,6 @@ def test_the_bar_counts_no_probe_that_was_discarded(page):
     page.settle()
     assert not dataset.entry(older).deleted
     assert bar.value() == 2
-
-
-def test_after_a_campaign_the_focus_is_on_the_page(page):
-    target = page.view.target
-    target.start.setFocus()
-    page.begin()
-    assert page.view.hasFocus()
-    page.bench.set_state(RunState.IDLE)
-    page.tell(RunFinished(2.0, "run", "finished", "done"))
-    assert page.view.hasFocus()
 
 
 def test_a_discarded_probe_can_be_collected_again_without_a_restart(page):

@@ -51,10 +51,12 @@ def wait(bench):
     until(lambda: not bench.connection.busy)
 
 
-def test_the_forms_begin_with_what_is_on_the_bench(lab):
+@pytest.mark.promise("W15")
+def test_the_forms_begin_with_what_is_on_the_bench_and_each_move_is_asked_for(lab):
     """As the lab file has it, a tower with both of its bodies."""
     run, target = lab.workspaces["stack"].page.run.form(), lab.workspaces["collect"].presenter
     assert (run.piece, run.under, run.bottom) == ("barrel", "long", "hex20")
+    assert (run.mode, run.trials, run.strategy) == ("approve", 3, "paper")
     form = target._page.target.form()
     assert (form.piece, form.bottom) == ("barrel", "hex20")
     lab.panels.calibrate.open()
@@ -191,12 +193,6 @@ def test_after_stop_nothing_is_connected_before_reset(lab, bench):
     assert len(bench.connection.missing()) == len(LINES)
 
 
-@pytest.mark.promise("W15")
-def test_on_devices_each_move_is_asked_for(lab):
-    form = lab.workspaces["stack"].page.run.form()
-    assert (form.mode, form.trials, form.strategy) == ("approve", 3, "paper")
-
-
 def test_every_limit_is_shown_with_its_unit():
     assert {row.name for row in limit_rows(Limits())} == {*Limits.__dataclass_fields__}
     assert [limit_unit(n) for n in ("trip_nm", "trip_n", "jog_mm_s", "turn_rad_s", "tilt_rad")] == [
@@ -210,16 +206,12 @@ def limits_sheet(main):
     return main.panels.limits.sheet
 
 
-def test_limits_are_locked_and_say_where_they_come_from(lab):
+def test_limits_are_locked_and_change_on_the_second_word_only(lab, bench):
     sheet = limits_sheet(lab)
     assert sheet.source.text() == "From lab.toml."
     boxes = sheet.boxes.values()
     assert all(box.isReadOnly() and box.isEnabled() for box in boxes), "locked, yet legible"
     assert not sheet.take.isEnabled()
-
-
-def test_a_limit_changes_on_the_second_word_only(lab, bench):
-    sheet = limits_sheet(lab)
     sheet.edit.click()
     sheet.boxes["press_n"].setValue(20.0)
     sheet.take.click()

@@ -29,8 +29,7 @@ from touchdown.backend.core.values import (
 from touchdown.backend.geometry.pieces import load_pieces
 
 ITEMS = 54
-WITHOUT_LABEL = 4
-"""So many of the newest episodes have no displacement at all."""
+WITHOUT_LABEL = 4  # number of the newest episodes without a displacement
 KEY = Qt.Key
 CTRL, SHIFT = Qt.KeyboardModifier.ControlModifier, Qt.KeyboardModifier.ShiftModifier
 NONE = Qt.KeyboardModifier.NoModifier

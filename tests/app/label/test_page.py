@@ -104,8 +104,7 @@ BY_KEYS = {
     "finding_chosen": ("findings",),
 }
 """What a mouse can ask of the page, and the commands that ask for the same."""
-BY_HAND = {"play"}
-"""Space: the page takes it, a stop of the bench goes first."""
+BY_HAND = {"play"}  # Space: the page takes it, a stop of the bench goes first
 
 
 @pytest.mark.promise("W11")

@@ -172,25 +172,18 @@ def test_recordings_are_sorted_and_the_chosen_one_stays(main, qtbot, tmp_path):
     assert [index.row() for index in page.runs.selectedIndexes()] == [2]
 
 
-def test_only_the_newest_are_described_until_one_is_opened(main, qtbot, tmp_path, monkeypatch):
+def test_only_the_newest_are_described_until_one_is_asked_for(main, qtbot, tmp_path, monkeypatch):
     monkeypatch.setattr(recordings, "MOST_DESCRIBED", 1)
-    for number in (701, 702):
-        record(tmp_path / "runs" / f"20261121-041511-{number}", [Outcome.PLACED])
-    main.go("review")
-    described(main, qtbot)
-    assert texts(main) == [f"{TIME}\npot on short: placed", TIME]
-    main.workspaces["review"].page.runs.choose_row(1)
-    described(main, qtbot)
-    assert texts(main) == [f"{TIME}\npot on short: placed"] * 2
-
-
-def test_a_filter_finds_older_runs_that_were_not_described_yet(main, qtbot, tmp_path, monkeypatch):
-    monkeypatch.setattr(recordings, "MOST_DESCRIBED", 1)
-    for number, piece in ((701, "pot"), (702, "barrel"), (703, "pot")):
+    for number, piece in ((701, "barrel"), (702, "pot"), (703, "pot")):
         record(tmp_path / "runs" / f"20261121-041511-{number}", [Outcome.PLACED], piece=piece)
     main.go("review")
     described(main, qtbot)
-    main.workspaces["review"].page.filter.setText("barrel")
+    page, pot = main.workspaces["review"].page, f"{TIME}\npot on short: placed"
+    assert texts(main) == [pot, TIME, TIME]
+    page.runs.choose_row(1)
+    described(main, qtbot)
+    assert texts(main) == [pot, pot, TIME]
+    page.filter.setText("barrel")
     assert texts(main) == []
     described(main, qtbot)
     assert texts(main) == [f"{TIME}\nbarrel on short: placed"]

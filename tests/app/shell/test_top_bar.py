@@ -174,8 +174,15 @@ def test_what_lasts_keeps_the_start_disabled_and_says_why(live, bench):
     assert start.isEnabled()
 
 
-def test_a_silent_sensor_refuses_a_probe_is_degraded_then_a_fault():
-    choice = brisk_bench("quiet", faults=("force_torque:stop@1.5",))
+@pytest.mark.parametrize(
+    ("fault", "sensor", "end"),
+    [
+        ("force_torque:stop@1.5", "wrist sensor", "FAULT"),
+        ("tactile_left:stop@1.5+0.3", "left", "READY"),
+    ],
+)
+def test_a_silent_sensor_refuses_a_probe_until_it_comes_back_or_is_a_fault(fault, sensor, end):
+    choice = brisk_bench("quiet", faults=(fault,))
     session = simulated_session(choice, method=brisk_method())
     session.prepare(SceneChoice("pot", ("short",)))
     words = []
@@ -183,12 +190,12 @@ def test_a_silent_sensor_refuses_a_probe_is_degraded_then_a_fault():
         session.advance()
         word = pill_state(session).word
         if word == "DEGRADED" and "DEGRADED" not in words:
-            with pytest.raises(RefusedError, match="The wrist sensor has been silent") as refused:
+            with pytest.raises(RefusedError, match=f"{sensor}.* has been silent") as refused:
                 session.start(ProbeRequest())
             assert refused.value.reason == "DEGRADED"
         if word not in words[-1:]:
             words.append(word)
-    assert words == ["READY", "DEGRADED", "FAULT"]
+    assert words == ["READY", "DEGRADED", end]
     session.close()
 
 
@@ -217,19 +224,6 @@ def test_a_sensor_that_slows_down_is_yellow_on_the_pill_and_on_its_chip_alone(qt
     assert unwell["tactile_left"].startswith("slow 5 Hz")
     pill, unwell = look(6.0)
     assert (pill.word, unwell) == ("READY", {})
-    session.close()
-
-
-def test_a_sensor_that_comes_back_leaves_a_bench_that_is_ready():
-    choice = brisk_bench("quiet", faults=("tactile_left:stop@1.5+0.3",))
-    session = simulated_session(choice, method=brisk_method())
-    session.prepare(SceneChoice("pot", ("short",)))
-    words = []
-    while session.clock_s() < 2.2:
-        session.advance()
-        if (word := pill_state(session).word) not in words[-1:]:
-            words.append(word)
-    assert words == ["READY", "DEGRADED", "READY"]
     session.close()
 
 

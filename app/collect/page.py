@@ -82,8 +82,10 @@ class CollectPage(LivePage):
     def _arrange(self) -> None:
         self._left = column_of((self.target, 1))
         middle = vbox((self._live_panel(), 1), (self._maps_panel(), 1), spacing=8)
+        self.episodes = Panel("Episodes", self.table)
+        self.episodes.header.addWidget(self.deleted)
         self._right = column_of(
-            (self.probe, 0), (self._table_panel(), 1), (self.health, 0), (self._recorder_panel, 0)
+            (self.probe, 0), (self.episodes, 1), (self.health, 0), (self._recorder_panel, 0)
         )
         hbox(
             (self._left, 5), (middle, 12), (self._right, 9),
@@ -108,11 +110,6 @@ class CollectPage(LivePage):
         line = hbox((self.coverage_caption, 1), (self.distribution_caption, 1), spacing=16)
         self.maps.column.addLayout(line, 1)
         return self.maps
-
-    def _table_panel(self) -> Panel:
-        self.episodes = Panel("Episodes", self.table)
-        self.episodes.header.addWidget(self.deleted)
-        return self.episodes
 
 
 AGE_S = 1.0  # maximum age of an arm pose that is used as the origin

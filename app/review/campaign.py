@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -114,18 +114,12 @@ def event_text(event: Event) -> str:
         return f"The origin {agrees}: off by {offset_text(event.residual_mm, event.sigma_mm)}"
     if isinstance(event, EpisodeDecided):
         return f"{event.person or 'nobody named'}: {event.decision}, item {event.item}"
-    return _progress(event)
-
-
-def _progress(event: Event) -> str:
     if isinstance(event, CampaignBegan):
         return f"The campaign goes on at {event.done} of {event.total} probes"
     if isinstance(event, ProbeCollected):
         why = f": refused, {event.reasons}" if event.reasons else ""
         return f"Probe {event.done} of {event.total}{why}"
-    if isinstance(event, RunFinished):
-        return _ending(event)
-    return ""
+    return _ending(event) if isinstance(event, RunFinished) else ""
 
 
 def _ending(ended: RunFinished | None) -> str:
@@ -141,8 +135,3 @@ def _request(head: RunStarted) -> dict[str, Any]:
     except (ValueError, AttributeError):
         return {}
     return request if isinstance(request, dict) else {}
-
-
-def count_text(words: Sequence[str]) -> str:
-    """Return the count of each word, most frequent first."""
-    return ", ".join(f"{count} {word}" for word, count in Counter(words).most_common())

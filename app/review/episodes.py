@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
@@ -10,7 +11,6 @@ from pathlib import Path
 
 import numpy as np
 
-from touchdown.app.review.campaign import count_text
 from touchdown.app.review.timing import TrialTimeline
 from touchdown.app.shell import ModelPrelabeller, count_noun
 from touchdown.backend.annotations import Dataset, EpisodeEntry
@@ -129,11 +129,12 @@ class EpisodeSeries:
         mountings = len({e.mounting_id for e in self.entries})
         grips = len({(e.mounting_id, e.grip_id) for e in self.entries})
         refused = sum(not e.quality.accepted for e in self.entries)
+        states = Counter(e.state for e in self.entries).most_common()
         lines = [
             f"{first.piece} on {first.bottom}, {first.mode}",
             self.plan,
             f"recorded by {people}",
-            f"{count_text([e.state for e in self.entries])}; {refused} refused",
+            f"{', '.join(f'{count} {state}' for state, count in states)}; {refused} refused",
             f"{count_noun(grips, 'grip')} on {count_noun(mountings, 'mounting')}",
         ]
         return "\n".join(line for line in lines if line)

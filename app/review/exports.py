@@ -16,7 +16,6 @@ from PySide6.QtSvg import QSvgGenerator
 from PySide6.QtWidgets import QAbstractButton, QComboBox, QWidget
 
 from touchdown.app.review.timing import TrialTimeline
-from touchdown.backend.annotations import EpisodeEntry
 from touchdown.backend.core import write_atomically
 from touchdown.backend.geometry import Outline
 from touchdown.widgets.base import Theme, ui_font
@@ -54,18 +53,6 @@ def view_picture(view: QWidget, theme: Theme, caption: str) -> bytes:
     content.open(QIODevice.OpenModeFlag.WriteOnly)
     picture.save(content, "PNG")
     return bytes(content.data().data())
-
-
-def trial_caption(run: str, trial: TrialTimeline) -> str:
-    """Return the caption of a trial."""
-    whole = trial.story(float("inf"))
-    pair = f"{trial.head.piece} on {trial.head.bottom}"
-    return f"Run {run}: {pair}, trial {whole.trial}, seed {whole.seed}"
-
-
-def episode_caption(whole: str, entry: EpisodeEntry) -> str:
-    """Return the caption of an episode of ``whole`` (a series or a collecting run)."""
-    return f"{whole}: {entry.piece} on {entry.bottom}, episode {entry.uuid}"
 
 
 def _draw(device: QPaintDevice, view: QWidget, theme: Theme, caption: str) -> None:

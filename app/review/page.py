@@ -170,24 +170,18 @@ class ReviewPage(WorkspacePage):
         self.shown = QWidget()
         self.shown.setObjectName("frame")
         story = Panel("What happened", self.story)
+        self.belief_panel = Panel("Belief map", MapAndStrip(self.belief, self.legend, self.strip))
+        self.belief_panel.column.addWidget(self.estimate)
+        self.signals_panel = Panel("Signals")
+        add_items(self.signals_panel.column, self.film, (self.forces, 1), (self.moments, 1))
         views = hbox(
-            (vbox(self.decision, (self._belief_panel(), 1), spacing=8), 9),
-            (vbox((self._signals_panel(), 3), (story, 1), spacing=8), 8),
+            (vbox(self.decision, (self.belief_panel, 1), spacing=8), 9),
+            (vbox((self.signals_panel, 3), (story, 1), spacing=8), 8),
             spacing=8,
         )
         whole = (views, 1), self._time_panel()
         vbox(*whole, parent=self.shown, margins=(0, 0, 0, 0), spacing=8)
         hbox((left, 5), (self.shown, 17), parent=self, margins=(10, 8, 10, 8), spacing=8)
-
-    def _belief_panel(self) -> Panel:
-        self.belief_panel = Panel("Belief map", MapAndStrip(self.belief, self.legend, self.strip))
-        self.belief_panel.column.addWidget(self.estimate)
-        return self.belief_panel
-
-    def _signals_panel(self) -> Panel:
-        self.signals_panel = Panel("Signals")
-        add_items(self.signals_panel.column, self.film, (self.forces, 1), (self.moments, 1))
-        return self.signals_panel
 
     def _time_panel(self) -> Panel:
         panel = Panel("Time")

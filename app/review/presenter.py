@@ -12,7 +12,7 @@ from touchdown.app.review.episodes import (
     TrialRecording,
     read_trial_recording,
 )
-from touchdown.app.review.exports import episode_caption, probe_table, trial_caption
+from touchdown.app.review.exports import probe_table
 from touchdown.app.review.page import ReviewPage
 from touchdown.app.review.recordings import (
     ReadRun,
@@ -193,12 +193,11 @@ class ReviewPresenter:
     def _show_trial(self, trial: TrialTimeline) -> None:
         assert self._run is not None
         self.file = self._run / EVENT_LOG_NAME
-        self.caption = trial_caption(self._run.name, trial)
-        face, bottom = (
-            self.library.face(trial.head.piece),
-            self.library.face(trial.head.bottom.split("+")[-1]),
-        )
-        self.replay.show(trial, face, bottom)
+        head, whole = trial.head, trial.story(float("inf"))
+        pair = f"{head.piece} on {head.bottom}"
+        self.caption = f"Run {self._run.name}: {pair}, trial {whole.trial}, seed {whole.seed}"
+        faces = self.library.face(head.piece), self.library.face(head.bottom.split("+")[-1])
+        self.replay.show(trial, *faces)
         kept = [f.path for f in trial.episodes() if f.path]
         if not kept:
             self._page.signals_panel.detail.setText("no signals were kept")
@@ -220,7 +219,8 @@ class ReviewPresenter:
         entry = shown.entry
         self.file = self.library.folder / entry.path
         self.timed = [shown.trial]
-        self.caption = episode_caption(self._whole, entry)
+        pair = f"{entry.piece} on {entry.bottom}"
+        self.caption = f"{self._whole}: {pair}, episode {entry.uuid}"
         faces = self.library.face(entry.piece), self.library.face(entry.bottom)
         self.replay.show(shown.trial, *faces, told=self._told)
         self.replay.take(shown.recorded)

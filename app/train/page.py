@@ -81,8 +81,18 @@ class TrainPage(WorkspacePage):
         add_items(self.split_panel.header, *held_out)
         add_items(self.split_panel.column, self.leaks, self.form.divide)
         self._left = column_of((self.form, 0), (self.split_panel, 1))
-        middle = column_of((self._curves(), 3), (self._samples_panel(), 2))
-        right = column_of((self._runs_panel(), 4), (self._comparison(), 5))
+        self.samples_panel = Panel("Held-out probes, true patch outlined")
+        self.samples_panel.detail.setText("blue p = 0, yellow p = 1")
+        self.samples_panel.column.addWidget(self.samples, 1)
+        middle = column_of((self._curves(), 3), (self.samples_panel, 2))
+        self.runs_panel = Panel("Trainings", self.runs)
+        buttons = hbox((self.promote, 1), (self.roll_back, 1))
+        add_items(self.runs_panel.column, rule(), self.in_use, buttons)
+        self.comparison = Panel("Comparison")
+        # As high as its rows; the longer table below takes the rest.
+        self.figures.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Preferred)
+        add_items(self.comparison.column, self.figures, (self.differences, 1))
+        right = column_of((self.runs_panel, 4), (self.comparison, 5))
         self.columns = Columns(
             ((self._left, 5), (middle, 9), (right, 7)),
             {
@@ -102,22 +112,3 @@ class TrainPage(WorkspacePage):
             line = hbox(*((plot, 1) for plot in pair), spacing=10)
             self.curves_panel.column.addLayout(line, 1)
         return self.curves_panel
-
-    def _samples_panel(self) -> Panel:
-        self.samples_panel = Panel("Held-out probes, true patch outlined")
-        self.samples_panel.detail.setText("blue p = 0, yellow p = 1")
-        self.samples_panel.column.addWidget(self.samples, 1)
-        return self.samples_panel
-
-    def _runs_panel(self) -> Panel:
-        self.runs_panel = Panel("Trainings", self.runs)
-        buttons = hbox((self.promote, 1), (self.roll_back, 1))
-        add_items(self.runs_panel.column, rule(), self.in_use, buttons)
-        return self.runs_panel
-
-    def _comparison(self) -> Panel:
-        self.comparison = Panel("Comparison")
-        # As high as its rows; the longer table below takes the rest.
-        self.figures.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Preferred)
-        add_items(self.comparison.column, self.figures, (self.differences, 1))
-        return self.comparison

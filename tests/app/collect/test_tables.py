@@ -63,14 +63,11 @@ def test_the_dataset_is_shown_before_anybody_is_named(unnamed, qtbot):
     assert page.bench.started == []
     assert page.view.target.person.hasFocus()
     assert not page.main.cards.codes
-
-
-def test_a_pair_without_episodes_shows_its_bottom(unnamed):
-    target = unnamed.view.target
+    target = page.view.target
     target.bottom.setCurrentIndex(target.bottom.findData("circle25"))
-    unnamed.settle()
-    assert len(unnamed.view.coverage.scene.bottom)
-    assert unnamed.view.table.rows() == []
+    page.settle()
+    assert len(page.view.coverage.scene.bottom), "a pair without a probe shows its bottom"
+    assert page.view.table.rows() == []
 
 
 def test_nobody_cannot_start(page):

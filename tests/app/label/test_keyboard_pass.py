@@ -99,17 +99,6 @@ def test_the_uncertainty_is_assumed_told_and_stated_by_a_key(start):
     assert "sigma" not in desk.page.message.text()
 
 
-def test_the_first_nudge_is_saved_at_once_and_enter_after_it_accepts(start):
-    desk = start(sigma_mm=None)
-    uuid, before = desk.uuid, desk.book.head(desk.uuid).label
-    desk.do(KEY.Key_Right)
-    head = desk.book.head(uuid)
-    assert (head.state, head.label.x_um, head.label.sigma_um) == ("draft", before.x_um + 100, 200)
-    desk.do(KEY.Key_Return)
-    assert desk.book.head(uuid).state == "submitted"
-    assert desk.uuid != uuid
-
-
 def test_coordinates_typed_into_the_question_of_sigma_are_saved_whole_or_not_at_all(start):
     desk = start(sigma_mm=None)
     uuid = desk.uuid

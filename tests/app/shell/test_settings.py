@@ -11,9 +11,9 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from PySide6.QtCore import QRect, Qt, qWarning
+from PySide6.QtCore import QRect, qWarning
 from PySide6.QtGui import QAction, QImage
-from PySide6.QtWidgets import QAbstractButton, QComboBox, QLabel, QPushButton
+from PySide6.QtWidgets import QComboBox, QLabel, QPushButton
 
 from tests.app.conftest import opened, settle
 from tests.app.stand_in import StandInBench
@@ -25,7 +25,6 @@ from touchdown.app.shell.settings import WindowSettings, load_settings, restore_
 from touchdown.widgets.base.theme import THEMES
 from touchdown.widgets.forms.jogging import PoseReadout
 from touchdown.widgets.forms.run_form import RunForm
-from touchdown.widgets.shell.fault_cards import CardQuestion
 
 
 @pytest.mark.promise("W11")
@@ -309,15 +308,6 @@ def test_details_are_shown_and_copied(live, bench, qapp):
     assert card._details.isHidden()
     next(b for b in card.findChildren(QPushButton) if b.text() == "Details").click()
     assert not card._details.isHidden()
-
-
-def test_questions_do_not_block(live, qtbot):
-    answered = []
-    live.cards.ask(CardQuestion("Really?", (("Yes", lambda: answered.append(1)),)))
-    button = next(b for b in live.cards.findChildren(QAbstractButton) if b.text() == "Yes")
-    qtbot.mouseClick(button, Qt.MouseButton.LeftButton)
-    qtbot.waitUntil(lambda: answered == [1], timeout=60_000)
-    assert live.cards._question is None
 
 
 def test_the_override_of_the_bar_is_that_of_the_bench_and_hardware_starts_slowly(live, bench):

@@ -37,6 +37,7 @@ from touchdown.backend.rig.memory import (
     make,
 )
 from touchdown.backend.rig.messages import Channel, Message, read_error, read_fault
+from touchdown.backend.rig.safety import control_lost
 
 BEAT_S = 0.005
 # Real-time priority of the heartbeat thread, if permitted; below that of the rig.
@@ -388,20 +389,10 @@ class RigLink:
         self._answers.clear()
 
 
-def _lost(what: str) -> Fault:
-    return Fault(
-        "CONTROL-LOST",
-        what,
-        "The controllers stop the devices by their own rules; the gripper was not opened.",
-        "Look at the bench, press Reset, then connect arm, gripper and wrist sensor again.",
-        "arm",
-    )
-
-
-SILENT = _lost("The process that drives arm, gripper and wrist sensor is silent.")
-GONE = _lost("The process that drives arm, gripper and wrist sensor has ended.")
-NO_ANSWER = _lost("The process that drives arm, gripper and wrist sensor gives no answer.")
-NO_START = _lost("The process that drives arm, gripper and wrist sensor does not start.")
+SILENT = control_lost("The process that drives arm, gripper and wrist sensor is silent.")
+GONE = control_lost("The process that drives arm, gripper and wrist sensor has ended.")
+NO_ANSWER = control_lost("The process that drives arm, gripper and wrist sensor gives no answer.")
+NO_START = control_lost("The process that drives arm, gripper and wrist sensor does not start.")
 NOT_STARTED = Fault(
     "NOT-CONNECTED",
     "Arm, gripper and wrist sensor are not connected.",

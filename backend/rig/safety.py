@@ -46,6 +46,20 @@ LAPSED_S = 2.0 - LEASE_S
 WRENCH_SILENT_S = 0.3  # no new motion after a longer silence of the wrist sensor
 
 
+def control_lost(what: str) -> Fault:
+    """Return the fault of a rig process that is gone or does not answer."""
+    return Fault(
+        "CONTROL-LOST",
+        what,
+        "The controllers stop the devices by their own rules; the gripper was not opened.",
+        "Look at the bench, press Reset, then connect arm, gripper and wrist sensor again.",
+        "arm",
+    )
+
+
+ENDED = control_lost("The process that drives arm, gripper and wrist sensor was told to end.")
+
+
 @dataclass(frozen=True, slots=True)
 class FailsafeInput:
     """Inputs of a cycle: control words of the shared memory and state of the devices. ``moving`` is
@@ -111,7 +125,7 @@ class Failsafe:
         self._lease_until_s = inbox.lease_until_s
         self._wrench_s = max(self._wrench_s, inbox.wrench_s)
         if inbox.gone:
-            return FailsafeOutput(stop=True, leave=True)
+            return FailsafeOutput(stop=True, leave=True, why=ENDED)
         if inbox.stops > self._stops:
             self._stops = inbox.stops
             return FailsafeOutput(stop=True)

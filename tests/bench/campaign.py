@@ -25,7 +25,6 @@ import tomllib
 import traceback
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import ExitStack, suppress
 from dataclasses import asdict, dataclass
 from functools import cache, partial
@@ -459,6 +458,10 @@ def plan() -> list[tuple[int, str, str, str]]:
     return strikes
 
 
+def _run_planned(strike: tuple[int, str, str, str]) -> Row:
+    return run_strike(*strike)
+
+
 def run_strike(number: int, bench: str, kind: str, activity: str) -> Row:
     """Run one strike and judge it."""
     rules, load = endings()
@@ -512,10 +515,12 @@ def run(strikes: Sequence[tuple[int, str, str, str]], workers: int,
         keep: Callable[[list[Row]], None], rows: list[Row]) -> list[Row]:  # fmt: skip
     """Run what is missing in ``rows``; ``keep`` is called after each strike."""
     known = {row["number"] for row in rows}
-    with ProcessPoolExecutor(workers, get_context("spawn"), max_tasks_per_child=20) as pool:
-        waiting = [pool.submit(run_strike, *one) for one in strikes if one[0] not in known]
-        for done in as_completed(waiting):
-            rows.append(done.result())
+    waiting = [one for one in strikes if one[0] not in known]
+    # A fresh process for every 20 strikes. An executor with `max_tasks_per_child` can hang when
+    # all its processes are used up: https://github.com/python/cpython/issues/115634.
+    with get_context("spawn").Pool(workers, maxtasksperchild=20) as pool:
+        for row in pool.imap_unordered(_run_planned, waiting):
+            rows.append(row)
             keep(rows)
     return rows
 

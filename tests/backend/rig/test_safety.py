@@ -113,6 +113,8 @@ def test_the_word_and_the_message_of_one_stop_are_one():
 def test_without_a_backend_it_stops_and_leaves():
     out = core().step(0.004, FailsafeInput(1, 0, FOREVER, moving=True, gone=True))
     assert (out.stop, out.leave) == (True, True)
+    assert out.why is not None
+    assert out.why.code == "CONTROL-LOST"
 
 
 def test_nothing_moves_beside_a_wrist_that_is_not_felt():

@@ -518,8 +518,8 @@ def test_three_seconds_of_silence_are_a_lost_link_for_all_that_wait(client):
     ("data", "stranger", "said"),
     [
         (b"", "", "silent for 3 s"),
-        (b"\x00\xff nonsense\r", "", "no answer of a controller"),
-        (b"\xaa\xaa\xaa\x40 without an end", "", "no answer of a controller"),
+        (b"\x00\xff nonsense\r", "", "not an answer of a controller"),
+        (b"\xaa\xaa\xaa\x40 without an end", "", "not an answer of a controller"),
         (b"0200020002000\r\n", "a Dynpick sensor", "This is a Dynpick sensor, expected a MELFA"),
     ],
 )

@@ -97,7 +97,9 @@ class Tour(QObject):
         hole = QRect() if self._place is None else self._hole(self._place)
         cards = self._hole(self._cards, 0)
         self.spotlight.show_hole(hole, cards)
-        self.card.fit(hole, self._window.height() if cards.isEmpty() else cards.top())
+        bar = self._window.findChild(TopBar)
+        top = 0 if bar is None else bar.mapTo(self._window, bar.rect().bottomLeft()).y()
+        self.card.fit(hole, top, self._window.height() if cards.isEmpty() else cards.top())
         self.card.raise_()
 
     def _show(self) -> None:

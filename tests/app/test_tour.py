@@ -15,6 +15,7 @@ from touchdown.backend.sensing.zeroing import WrenchDrift
 from touchdown.widgets.base.panel import ElidedLabel, Panel
 from touchdown.widgets.forms.collect_form import TargetButtons
 from touchdown.widgets.lists.tables import LEAST_ROWS, FigureTable
+from touchdown.widgets.shell.top_bar import TopBar
 from touchdown.widgets.shell.tour import card_position
 from touchdown.widgets.views.tactile import TactileView
 
@@ -166,6 +167,9 @@ def test_every_stop_lights_its_place_and_the_card_stands_in_the_window(live, siz
         corner = place.mapTo(live.window, QPoint(0, 0))
         assert hole.contains(QRect(corner, place.size()).intersected(live.window.rect()))
         assert live.window.rect().contains(tour.card.geometry())
+        bar = live.window.findChild(TopBar)
+        stop = QRect(bar.stop.mapTo(live.window, QPoint(0, 0)), bar.stop.size())
+        assert not stop.intersects(tour.card.geometry()), "STOP stays in reach"
         assert tour.card.text.height() >= tour.card.text.heightForWidth(tour.card.text.width())
         pages.append(live.window.front)
         # Collect has a meaning of its own for Enter; the tour comes first.

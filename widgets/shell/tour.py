@@ -95,15 +95,15 @@ class TourCard(QFrame):
         self.raise_()
         self.next.setFocus()
 
-    def fit(self, hole: QRect, bottom: int) -> None:
-        """Place the card beside the highlight, inside the window and above ``bottom``."""
+    def fit(self, hole: QRect, top: int, bottom: int) -> None:
+        """Place the card beside the highlight, between ``top`` (STOP stays free) and ``bottom``."""
         em = self.fontMetrics().height()
         width = min(24 * em, self._window.width() - 2 * MARGIN_PX)
         self.setFixedWidth(width)
         high = max(self.heightForWidth(width), self.minimumSizeHint().height())
         self.resize(width, high)
         corner = card_position(hole, self.size(), self._window.rect())
-        self.move(corner.x(), max(min(corner.y(), bottom - high - MARGIN_PX), 0))
+        self.move(corner.x(), max(min(corner.y(), bottom - high - MARGIN_PX), top))
 
     def event(self, event: QEvent) -> bool:
         """Claim Enter and Esc before the shortcuts of the page."""

@@ -210,7 +210,7 @@ class HalvesPage(WorkspacePage):
 
 @dataclass(frozen=True, slots=True)
 class LabelTools:
-    """What acts on the open dataset."""
+    """Presenters and keys of the open dataset."""
 
     presenter: LabelPresenter
     decisions: LabelDecisions

@@ -14,7 +14,7 @@ from touchdown.backend.core.events import (
     RunStarted,
     TrialStarted,
 )
-from touchdown.backend.devices.supervision import DegradedDevice
+from touchdown.backend.devices.sensor_faults import DegradedDevice
 from touchdown.backend.runs.calibrations import drift_notice
 from touchdown.backend.runs.engine import Engine
 from touchdown.backend.runs.plan import CancelledError, PausePoint, Plan, Wait

@@ -1,4 +1,4 @@
-"""Device protocols, interlock, jog, supervision and the registry of makes."""
+"""Device protocols, interlock, jog, safety trips, sensor faults and the registry of makes."""
 
 from typing import TYPE_CHECKING
 
@@ -13,7 +13,8 @@ if TYPE_CHECKING:
         jog,
         protocols,
         registry,
-        supervision,
+        safety_trips,
+        sensor_faults,
     )
 
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

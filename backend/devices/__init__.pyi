@@ -64,12 +64,12 @@ from .protocols import servo_off_fault as servo_off_fault
 from .protocols import stopped_fault as stopped_fault
 from .registry import emulated_makes as emulated_makes
 from .registry import refuse_unknown_drivers as refuse_unknown_drivers
-from .supervision import NAMES as NAMES
-from .supervision import ArrivalMonitor as ArrivalMonitor
-from .supervision import DegradedDevice as DegradedDevice
-from .supervision import ReportsSlowness as ReportsSlowness
-from .supervision import Supervision as Supervision
-from .supervision import refuse_degraded as refuse_degraded
+from .safety_trips import Supervision as Supervision
+from .sensor_faults import NAMES as NAMES
+from .sensor_faults import ArrivalMonitor as ArrivalMonitor
+from .sensor_faults import DegradedDevice as DegradedDevice
+from .sensor_faults import ReportsSlowness as ReportsSlowness
+from .sensor_faults import refuse_degraded as refuse_degraded
 
 __all__ = [
     "CONNECTION_STEPS",

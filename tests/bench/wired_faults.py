@@ -35,7 +35,7 @@ from touchdown.backend.devices.gelsight.emulator import SERIAL as NUMBER
 from touchdown.backend.devices.gelsight.emulator import GelsightServer, encode
 from touchdown.backend.devices.interlock import Interlock
 from touchdown.backend.devices.protocols import DeviceState
-from touchdown.backend.devices.supervision import GRACE_S, Supervision
+from touchdown.backend.devices.safety_trips import GRACE_S, Supervision
 from touchdown.backend.emulation.fault_plan import Faults, add_noise, apply_faults
 from touchdown.backend.emulation.server import PtyServer
 

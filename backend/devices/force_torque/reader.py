@@ -35,7 +35,7 @@ from touchdown.backend.devices.force_torque.driver import (
 from touchdown.backend.devices.framing import NO_WRENCH, ProtocolError, Wrench
 from touchdown.backend.devices.identification import identify_device
 from touchdown.backend.devices.protocols import ConnectionSteps, DeviceState, Health, Identity
-from touchdown.backend.devices.supervision import ArrivalMonitor
+from touchdown.backend.devices.sensor_faults import ArrivalMonitor
 
 CHUNK_S = 0.25  # the arrival with the least delay is kept per interval of this length
 CHUNKS = 40

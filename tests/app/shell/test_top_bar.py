@@ -21,7 +21,7 @@ from touchdown.app.shell.window import CHOICES, Appearance, system_theme
 from touchdown.backend.bench.assembly import simulated_session
 from touchdown.backend.core.faults import RefusedError
 from touchdown.backend.core.streams import SampleStream
-from touchdown.backend.devices.supervision import DegradedDevice
+from touchdown.backend.devices.sensor_faults import DegradedDevice
 from touchdown.backend.runs.engine import LiveThread
 from touchdown.backend.runs.requests import ProbeRequest, RunState, SceneChoice
 from touchdown.widgets.base.theme import DARK, LIGHT, Theme

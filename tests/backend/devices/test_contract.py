@@ -12,7 +12,7 @@ from tests.backend.devices.contract_bench import EVERY, ONLY_SIMULATED, PRESS, D
 from touchdown.backend.core.faults import FaultError, StaleSampleError
 from touchdown.backend.core.values import FINGERS, Pose
 from touchdown.backend.devices.protocols import DeviceState, GripStatus, RobotMode
-from touchdown.backend.devices.supervision import STANDS_S, GripMonitor
+from touchdown.backend.devices.safety_trips import STANDS_S, GripMonitor
 
 
 @EVERY

@@ -25,6 +25,7 @@ from touchdown.backend.core.values import FINGERS, Pose
 from touchdown.backend.devices.guarded_devices import GuardedArm
 from touchdown.backend.devices.interlock import Interlock
 from touchdown.backend.devices.protocols import RETREAT_MM, RETREAT_MM_S, ArmPress, PressCommand
+from touchdown.backend.devices.safety_trips import Supervision
 from touchdown.backend.devices.streamed.arm import PressProgram
 from touchdown.backend.devices.streamed.compliance import (
     ACCELERATION_MM_S2,
@@ -41,7 +42,6 @@ from touchdown.backend.devices.streamed.compliance import (
     fastest_approach_mm_s,
 )
 from touchdown.backend.devices.streamed.motion_programs import CycleInput
-from touchdown.backend.devices.supervision import Supervision
 from touchdown.backend.runs.requests import StackRequest
 
 GAINS = (30.0, 30.0, 15.0)

@@ -27,13 +27,8 @@ from touchdown.backend.devices.protocols import (
     Health,
     Identity,
 )
-from touchdown.backend.devices.supervision import (
-    GRACE_S,
-    ArrivalMonitor,
-    DegradedDevice,
-    RateMonitor,
-    Supervision,
-)
+from touchdown.backend.devices.safety_trips import GRACE_S, Supervision
+from touchdown.backend.devices.sensor_faults import ArrivalMonitor, DegradedDevice, RateMonitor
 from touchdown.backend.emulation.fault_plan import Faults, add_noise, apply_faults, hanging_gripper
 
 USUAL_S = 1.3

@@ -28,7 +28,7 @@ from hypothesis import HealthCheck, settings
 import tests.isolation.sitecustomize  # noqa: F401 - refuses bare names
 from tests.leaks import leaks_since, snapshot
 from tests.warm import WarmStart
-from touchdown.backend.learning import training_runs
+from touchdown.backend.learning import training_process
 from touchdown.backend.runs import campaign
 
 sys.dont_write_bytecode = False
@@ -129,7 +129,7 @@ def warm_start(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) 
         like = SimpleNamespace(
             Popen=_warm.popen, PIPE=subprocess.PIPE, TimeoutExpired=subprocess.TimeoutExpired
         )
-        monkeypatch.setattr(training_runs, "subprocess", like)
+        monkeypatch.setattr(training_process, "subprocess", like)
 
 
 @pytest.fixture(autouse=True)

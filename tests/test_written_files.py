@@ -31,14 +31,14 @@ from touchdown.backend.cli.command_line import main
 from touchdown.backend.cli.settings import load_method
 from touchdown.backend.config.lab import load_lab
 from touchdown.backend.core import events, values
-from touchdown.backend.episodes.episode_file import read_label
+from touchdown.backend.episodes.episode_mcap import read_label
 from touchdown.backend.episodes.training_rows import load_rows
 from touchdown.backend.exchange import jsonl
 from touchdown.backend.learning.checkpoint import load_checkpoint
-from touchdown.backend.learning.job import TrainingEpoch
 from touchdown.backend.learning.metrics import load_samples
 from touchdown.backend.learning.registry import ModelRegistry
 from touchdown.backend.learning.training import load_network
+from touchdown.backend.learning.training_process import TrainingEpoch
 from touchdown.backend.learning.training_runs import (
     RecordedTraining,
     TrainingRun,

@@ -15,7 +15,6 @@ if TYPE_CHECKING:
         episode_files,
         episode_index,
         geometry_records,
-        label_history,
         labels,
         operation_log,
         queues,
@@ -25,6 +24,7 @@ if TYPE_CHECKING:
         run_tracking,
         storage,
         training_set,
+        undo,
         values,
     )
 

@@ -26,13 +26,13 @@ from .episode_index import list_campaigns as list_campaigns
 from .episode_index import tagged_sides as tagged_sides
 from .episode_index import with_uuid as with_uuid
 from .geometry_records import Pair as Pair
-from .label_history import read_review_status as read_review_status
 from .labels import BulkChange as BulkChange
 from .labels import BulkPreview as BulkPreview
 from .labels import MoveGeometry as MoveGeometry
 from .labels import RotateFrame as RotateFrame
 from .labels import SetState as SetState
 from .labels import ShiftOrigin as ShiftOrigin
+from .labels import read_review_status as read_review_status
 from .operation_log import OperationDraft as OperationDraft
 from .operation_log import append_operation as append_operation
 from .operation_log import new_revision as new_revision

@@ -1,10 +1,11 @@
-"""Editing of labels, one by one or in bulk. Each change is one operation that can be undone.
+"""Labels of a dataset: read, edit one by one or in bulk. Each change is one operation.
 
 A bulk change is previewed first, then applied as one operation.
 """
 
 from __future__ import annotations
 
+import json
 import math
 import sqlite3
 from abc import ABC, abstractmethod
@@ -12,25 +13,25 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import asdict, dataclass, replace
 
+import numpy as np
+
 from touchdown.backend.annotations import operation_log, review
 from touchdown.backend.annotations.database import Database
-from touchdown.backend.annotations.label_history import (
-    LabelReader,
-    UndoStacks,
-    following,
-    inverse_draft,
-    read_review_status,
-    read_undo_stacks,
-)
 from touchdown.backend.annotations.operation_log import (
+    COLUMNS,
     OperationDraft,
     OperationJournal,
+    as_operation,
+    following,
     new_revision,
+    newest_operations,
     read_head,
     read_mark,
     read_revision,
+    read_revisions,
 )
 from touchdown.backend.annotations.review import REJECT_REASONS, Action, ReviewStatus, check_person
+from touchdown.backend.annotations.undo import UndoStacks, inverse_draft, read_undo_stacks
 from touchdown.backend.annotations.values import (
     DELETED,
     FLAG,
@@ -47,7 +48,111 @@ from touchdown.backend.annotations.values import (
     Verdict,
     content_hash,
 )
-from touchdown.backend.core import InputError, RefusedError, SharedLock
+from touchdown.backend.core import FloatArray, InputError, RefusedError, SharedLock
+
+
+class LabelReader:
+    """Read access to the labels of one dataset."""
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+
+    def head(self, uuid: str) -> Revision:
+        """Return the valid revision; raises ``InputError`` if there is no such episode."""
+        with self._database.reading() as connection:
+            head = read_head(connection, uuid)
+        if head is None:
+            raise _unknown(uuid)
+        return head
+
+    def offsets_mm(self, uuids: Sequence[str]) -> FloatArray:
+        """Return the offsets (n, 2) of the valid revisions; NaN without offset."""
+        found: dict[str, tuple[float, float]] = {}
+        sql = (
+            "SELECT h.episode, r.x_um, r.y_um FROM label_head h JOIN label_rev r USING (rev_uuid)"
+            " WHERE r.x_um NOTNULL AND h.episode IN (SELECT value FROM json_each(?))"
+        )
+        for uuid, x_um, y_um in self._database.rows(sql, (json.dumps(list(uuids)),)):
+            found[uuid] = x_um / 1e3, y_um / 1e3
+        nowhere = (math.nan, math.nan)
+        places = [found.get(uuid, nowhere) for uuid in uuids]
+        return np.array(places, dtype=np.float64).reshape(-1, 2)
+
+    def history(self, uuid: str) -> list[Revision]:
+        """Return all revisions of an episode, oldest first, including branches of a merge.
+
+        An approved revision that a later approved one replaced has the state ``superseded``.
+        """
+        with self._database.reading() as connection:
+            found = read_revisions(connection, uuid)
+            nodes, closed = review.read_nodes(connection, uuid)
+        head = review.head_of(nodes, closed)
+        old = review.superseded_revisions(nodes, head.counting) if head else set[str]()
+        return [replace(r, state="superseded") if r.rev_uuid in old else r for r in found]
+
+    def conflicting(self, uuid: str) -> list[Revision]:
+        """Return the leaves of an episode, head last; more than one leaf is a conflict."""
+        with self._database.reading() as connection:
+            leaves = review.leaves_of(*review.read_nodes(connection, uuid))
+            return [read_revision(connection, leaf.rev_uuid) for leaf in leaves]
+
+    def marks(self, uuid: str) -> dict[str, str]:
+        """Return the marks of an episode (flag, deleted, tags) with their notes."""
+        sql = "SELECT name, note FROM mark WHERE episode = ? AND present ORDER BY name"
+        return dict(self._database.rows(sql, (uuid,)))
+
+    def control_item_steps(self, person: str, uuid: str) -> list[ControlItemStep]:
+        """Return the steps of ``person`` on one control item, oldest first."""
+        with self._database.reading() as connection:
+            return operation_log.read_steps(connection, person, uuid)
+
+    def last_control_item_steps(self, person: str) -> dict[str, ControlItemStep]:
+        """Return the latest step of ``person`` on each control item."""
+        with self._database.reading() as connection:
+            return operation_log.last_steps(connection, person)
+
+    def counting(self, uuid: str) -> Revision | None:
+        """Return the approved revision used for training, or None."""
+        sql = "SELECT counting FROM label_head WHERE episode = ? AND NOT conflict AND NOT deleted"
+        with self._database.reading() as connection:
+            row = connection.execute(sql, (uuid,)).fetchone()
+            return read_revision(connection, row[0]) if row and row[0] else None
+
+    def log(self, *, text: str = "", limit: int = 500) -> list[Operation]:
+        """Return operations that contain ``text`` (person, verb, content), newest first."""
+        rows = self._database.rows(
+            f"SELECT {COLUMNS} FROM op WHERE instr(body || ' ' || verb || ' ' || actor, ?) > 0"  # noqa: S608
+            " ORDER BY lamport DESC, site DESC, seq DESC LIMIT ?",
+            (text, limit),
+        )
+        return [as_operation(row) for row in rows]
+
+    def people(self) -> list[str]:
+        """Return the names of all persons who changed labels."""
+        return [name for (name,) in self._database.rows("SELECT DISTINCT actor FROM op ORDER BY 1")]
+
+    def chain_heads(self) -> dict[str, str]:
+        """Return the newest hash per site, for backups, manifests and training runs."""
+        with self._database.reading() as connection:
+            return {site: digest for site, (_, digest) in newest_operations(connection).items()}
+
+
+def read_review_status(connection: sqlite3.Connection, uuid: str) -> ReviewStatus:
+    """Return the review status; raises ``InputError`` if there is no such episode."""
+    row = connection.execute(
+        "SELECT state, authors, counting, conflict, deleted FROM label_head WHERE episode = ?",
+        (uuid,),
+    ).fetchone()
+    if row is None:
+        raise _unknown(uuid)
+    state, authors, counting, conflict, deleted = row
+    return ReviewStatus(
+        state, review.split_names(authors), counting is not None, bool(conflict), bool(deleted)
+    )
+
+
+def _unknown(uuid: str) -> InputError:
+    return InputError("There is no such episode.", uuid, "List the episodes of the dataset.")
 
 
 @dataclass(frozen=True, slots=True)

@@ -105,6 +105,19 @@ def new_revision(
     }
 
 
+def following(
+    parent: Revision, source: Revision, state: LabelState | None = None
+) -> dict[str, Any]:
+    """Return the columns of a revision after ``parent`` with the content of ``source``.
+
+    ``state`` None: state and reason are also those of ``source``.
+    """
+    content, reason = LabelContent.of(source), source.reason
+    if state not in (None, "rejected"):
+        reason = None
+    return new_revision(parent.episode, parent.rev_uuid, content, state or source.state, reason)
+
+
 def append_operation(
     connection: sqlite3.Connection,
     site: str,

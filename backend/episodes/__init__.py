@@ -6,8 +6,8 @@ import lazy_loader
 
 if TYPE_CHECKING:
     from touchdown.backend.episodes import (
-        episode_file,
-        mcap,
+        episode_mcap,
+        mcap_container,
         messages,
         packs,
         quality,

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from touchdown.backend.config import SAMPLES_PER_PROBE
 from touchdown.backend.core import CHANNELS
-from touchdown.backend.episodes.mcap import (
+from touchdown.backend.episodes.mcap_container import (
     ChunkContents,
     McapWriter,
     input_errors,

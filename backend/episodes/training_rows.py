@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.backend.core import FloatArray, InputError
-from touchdown.backend.episodes.mcap import DAMAGED_FILE_FIX
+from touchdown.backend.episodes.mcap_container import DAMAGED_FILE_FIX
 from touchdown.backend.episodes.packs import PackedEpisode, read_pack
 
 

@@ -9,11 +9,11 @@ if TYPE_CHECKING:
         checkpoint,
         fitting,
         inference,
-        job,
         metrics,
         registry,
         training,
         training_data,
+        training_process,
         training_runs,
     )
 

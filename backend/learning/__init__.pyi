@@ -16,11 +16,6 @@ from .inference import NetworkShape as NetworkShape
 from .inference import PatchForward as PatchForward
 from .inference import channel_groups as channel_groups
 from .inference import modality_columns as modality_columns
-from .job import DeviceName as DeviceName
-from .job import TrainingCancelled as TrainingCancelled
-from .job import TrainingEpoch as TrainingEpoch
-from .job import TrainingFinished as TrainingFinished
-from .job import TrainingLoaded as TrainingLoaded
 from .metrics import CONTACT_LEVEL as CONTACT_LEVEL
 from .metrics import Z_95 as Z_95
 from .metrics import EvaluationScores as EvaluationScores
@@ -45,6 +40,11 @@ from .training_data import TrainingCandidate as TrainingCandidate
 from .training_data import TrainingSetOverview as TrainingSetOverview
 from .training_data import training_candidates as training_candidates
 from .training_data import training_set_overview as training_set_overview
+from .training_process import DeviceName as DeviceName
+from .training_process import TrainingCancelled as TrainingCancelled
+from .training_process import TrainingEpoch as TrainingEpoch
+from .training_process import TrainingFinished as TrainingFinished
+from .training_process import TrainingLoaded as TrainingLoaded
 from .training_runs import Curve as Curve
 from .training_runs import RecordedTraining as RecordedTraining
 from .training_runs import TrainingRequest as TrainingRequest

@@ -24,13 +24,6 @@ from touchdown.backend.learning.checkpoint import (
     save_checkpoint,
 )
 from touchdown.backend.learning.inference import ARCH, modality_columns
-from touchdown.backend.learning.job import (
-    ReportCallback,
-    TrainingCancelled,
-    TrainingFinished,
-    TrainingJob,
-    TrainingLoaded,
-)
 from touchdown.backend.learning.metrics import (
     EvaluationScores,
     bottom_figures,
@@ -56,6 +49,13 @@ from touchdown.backend.learning.training_data import (
     only_simulated,
     read_benches,
     training_manifest,
+)
+from touchdown.backend.learning.training_process import (
+    ReportCallback,
+    TrainingCancelled,
+    TrainingFinished,
+    TrainingJob,
+    TrainingLoaded,
 )
 
 ALL = "all"

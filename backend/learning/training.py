@@ -34,8 +34,8 @@ from touchdown.backend.learning.inference import (
     fit_normaliser_in_parts,
     modality_columns,
 )
-from touchdown.backend.learning.job import DeviceName, TrainingEpoch
 from touchdown.backend.learning.metrics import CONTACT_LEVEL, iou, point_accuracy, reliability
+from touchdown.backend.learning.training_process import DeviceName, TrainingEpoch
 
 
 def select_device(asked: DeviceName) -> torch.device:

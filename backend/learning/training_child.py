@@ -15,7 +15,7 @@ from pydantic import BaseModel, ValidationError
 
 from touchdown.backend.core import InputError, lower_priority
 from touchdown.backend.learning.fitting import fit_model
-from touchdown.backend.learning.job import TrainingJob, TrainingRefused
+from touchdown.backend.learning.training_process import TrainingJob, TrainingRefused
 
 
 def _send(message: BaseModel) -> None:

@@ -7,10 +7,7 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import shutil
-import subprocess
-import sys
 import tempfile
 import threading
 import time
@@ -18,7 +15,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 from touchdown.backend.annotations import (
     METRICS_FILE,
@@ -36,11 +33,11 @@ from touchdown.backend.annotations import (
     uuid7,
 )
 from touchdown.backend.config import TrainingSettings, parse_settings
-from touchdown.backend.core import Fault, FaultError, InputError, program_stamp, read_json_lines
+from touchdown.backend.core import FaultError, InputError, program_stamp, read_json_lines
 from touchdown.backend.learning.checkpoint import ModelCard, load_card
 from touchdown.backend.learning.inference import Modality
-from touchdown.backend.learning.job import (
-    TRAINING_REPORT,
+from touchdown.backend.learning.metrics import ReliabilityBin, calibration_error
+from touchdown.backend.learning.training_process import (
     DeviceName,
     ReportCallback,
     TrainingCancelled,
@@ -48,101 +45,10 @@ from touchdown.backend.learning.job import (
     TrainingFinished,
     TrainingJob,
     TrainingLoaded,
-    TrainingRefused,
+    TrainingProcess,
     TrainingReport,
     default_threads,
 )
-from touchdown.backend.learning.metrics import ReliabilityBin, calibration_error
-
-EXIT_WAIT_S = 10.0
-# Waiting threads sleep. By default they spin: two threads then took 9 times the processor time of
-# one beside other load, asleep 1.04 times.
-IDLE_THREADS = {"OMP_WAIT_POLICY": "PASSIVE"}
-
-
-class TrainingProcess:
-    """Child process that runs one job at low priority; ends with the ``with`` block.
-
-    ``cancel`` may be called from another thread than ``reports``.
-    """
-
-    def __init__(self, job: TrainingJob) -> None:
-        self._stderr = tempfile.TemporaryFile()  # noqa: SIM115 - closed by __exit__
-        environment = IDLE_THREADS | os.environ
-        self._child = subprocess.Popen(
-            [sys.executable, "-m", "touchdown.backend.learning.training_child"],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=self._stderr,
-            env=environment,
-            text=True,
-            encoding="utf-8",
-        )
-        self._send(job.model_dump_json())
-
-    @property
-    def pid(self) -> int:
-        """Process id."""
-        return self._child.pid
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """End the child and wait for it."""
-        for pipe in (self._child.stdin, self._child.stdout):
-            if pipe is not None:
-                with suppress(BrokenPipeError):
-                    pipe.close()
-        try:
-            self._child.wait(EXIT_WAIT_S)
-        except subprocess.TimeoutExpired:
-            self._child.kill()
-            self._child.wait()
-        self._stderr.close()
-
-    def reports(self) -> Iterator[TrainingReport]:
-        """Yield the reports of the child until it ends.
-
-        Raises ``InputError`` for invalid input, ``FaultError`` if the child dies.
-        """
-        assert self._child.stdout is not None
-        last: object = None
-        for line in self._child.stdout:
-            report = TRAINING_REPORT.validate_json(line)
-            if isinstance(report, TrainingRefused):
-                raise InputError(report.what, report.where, report.fix)
-            last = report
-            yield report
-        self._child.wait(EXIT_WAIT_S)
-        if not isinstance(last, TrainingFinished | TrainingCancelled):
-            raise FaultError(self._death())
-
-    def cancel(self) -> None:
-        """Stop after the current batch; whole epochs are kept for a resume."""
-        self._send("cancel")
-
-    def kill(self) -> None:
-        """Kill the child; work since the last whole epoch is lost."""
-        self._child.kill()
-
-    def _send(self, line: str) -> None:
-        assert self._child.stdin is not None
-        with suppress(BrokenPipeError):
-            self._child.stdin.write(line + "\n")
-            self._child.stdin.flush()
-
-    def _death(self) -> Fault:
-        self._stderr.seek(0)
-        lines = self._stderr.read().decode("utf-8", "replace").strip().splitlines()
-        why = lines[-1] if lines else f"exit code {self._child.returncode}"
-        return Fault(
-            "TRAINING-DIED",
-            f"The training process ended early: {why}.",
-            "There is no new model; whole epochs are kept.",
-            "Free memory if it ran short, then train again with --resume.",
-        )
-
 
 KIND = "train"
 MODEL, RESUME, RELIABILITY = "model.safetensors", "model.resume.safetensors", "reliability.jsonl"

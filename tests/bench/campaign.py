@@ -64,7 +64,7 @@ from touchdown.backend.emulation.disturbances import (
     DisturbanceScript,
 )
 from touchdown.backend.emulation.fault_plan import DEVICE_KINDS, WIRE_KINDS
-from touchdown.backend.episodes.episode_file import read_episode
+from touchdown.backend.episodes.episode_mcap import read_episode
 from touchdown.backend.runs.engine import _fault_of
 from touchdown.backend.runs.event_log import read_events
 from touchdown.backend.runs.recorder import RecordingOptions

@@ -20,7 +20,7 @@ from tests.bench.figures import Figure, at_least, at_most, figure, stated
 from touchdown.backend.annotations.dataset import Dataset
 from touchdown.backend.annotations.training_set import CacheRow, TrainingCache, open_cache
 from touchdown.backend.annotations.values import EpisodeFilter, Label
-from touchdown.backend.episodes.mcap import read_chunks
+from touchdown.backend.episodes.mcap_container import read_chunks
 from touchdown.backend.episodes.packs import MAX_EPISODES, PackedEpisode, PackWriter
 
 EPISODES = 100_000

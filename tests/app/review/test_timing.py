@@ -32,7 +32,7 @@ from touchdown.backend.core.events import (
     RunStarted,
 )
 from touchdown.backend.core.values import FINGERS, ContactPatch, Outcome
-from touchdown.backend.episodes.episode_file import write_episode
+from touchdown.backend.episodes.episode_mcap import write_episode
 from touchdown.backend.geometry.pieces import load_pieces
 from touchdown.backend.runs.event_log import EventLog
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from touchdown.backend.annotations.dataset import Dataset
-from touchdown.backend.annotations.label_history import read_review_status
+from touchdown.backend.annotations.labels import read_review_status
 from touchdown.backend.annotations.values import (
     NO_LABEL,
     EpisodeContext,

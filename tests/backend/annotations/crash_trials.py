@@ -27,7 +27,8 @@ from touchdown.backend.annotations import database, episode_index
 from touchdown.backend.annotations.dataset import Dataset
 from touchdown.backend.annotations.reconciliation import check_dataset
 from touchdown.backend.annotations.values import EpisodeContext, Label
-from touchdown.backend.episodes import episode_file, mcap
+from touchdown.backend.episodes import episode_mcap
+from touchdown.backend.episodes.mcap_container import McapWriter
 
 EPISODES = 400
 LONGEST_S = 0.06
@@ -72,8 +73,8 @@ class Steps:
         database.sqlite3.connect = lambda *args, **words: connect(  # type: ignore[attr-defined,assignment]
             *args, factory=Watched, **words
         )
-        for owner, name in ((os, "fsync"), (os, "replace"), (episode_file, "check_counts"),
-                            (mcap.McapWriter, "add_chunk"), (mcap.McapWriter, "__init__"),
+        for owner, name in ((os, "fsync"), (os, "replace"), (episode_mcap, "check_counts"),
+                            (McapWriter, "add_chunk"), (McapWriter, "__init__"),
                             (episode_index, "enter_episode")):  # fmt: skip
             self.around(owner, name)
 

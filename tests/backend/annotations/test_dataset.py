@@ -30,8 +30,8 @@ from touchdown.backend.annotations.storage import DatasetInUseError, check_local
 from touchdown.backend.annotations.values import EpisodeFilter, Label
 from touchdown.backend.core.faults import FaultError, InputError, RefusedError
 from touchdown.backend.core.values import Episode
-from touchdown.backend.episodes import episode_file
-from touchdown.backend.episodes.episode_file import read_label
+from touchdown.backend.episodes import episode_mcap
+from touchdown.backend.episodes.episode_mcap import read_label
 from touchdown.backend.episodes.quality import ExaminedEpisode
 
 SERIES = ("a", "b", "c")
@@ -528,15 +528,15 @@ def test_a_disk_that_refuses_once_is_tried_again_and_twice_is_a_fault(
     dataset: Dataset, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     context, failures = context_for(dataset), [1]
-    original = episode_file.McapWriter.finish
+    original = episode_mcap.McapWriter.finish
 
-    def failing(writer: episode_file.McapWriter) -> dict[str, int]:
+    def failing(writer: episode_mcap.McapWriter) -> dict[str, int]:
         if failures[0]:
             failures[0] -= 1
             raise OSError(5, "Input/output error")
         return original(writer)
 
-    monkeypatch.setattr(episode_file.McapWriter, "finish", failing)
+    monkeypatch.setattr(episode_mcap.McapWriter, "finish", failing)
     kept = add(dataset, Label(1, 2))
     assert dataset.path(kept.uuid).is_file()
     failures[0] = 2

@@ -28,14 +28,20 @@ from touchdown.backend.annotations.labels import MoveGeometry, RotateFrame, SetS
 from touchdown.backend.annotations.values import GEOMETRY_CHANGED, Label, content_hash
 from touchdown.backend.core.faults import InputError, RefusedError
 from touchdown.backend.core.values import FINGERS, Episode, EpisodeQuality, Recording, TactileFrame
-from touchdown.backend.episodes.episode_file import (
+from touchdown.backend.episodes.episode_mcap import (
     SalvageResult,
     read_episode,
     read_label,
     salvage_file,
     write_episode,
 )
-from touchdown.backend.episodes.mcap import MAGIC, Opcode, encode_record, encode_text, read_whole
+from touchdown.backend.episodes.mcap_container import (
+    MAGIC,
+    Opcode,
+    encode_record,
+    encode_text,
+    read_whole,
+)
 from touchdown.backend.geometry.outlines import circle, face_points, true_patch
 from touchdown.backend.geometry.pieces import Piece, load_pieces
 

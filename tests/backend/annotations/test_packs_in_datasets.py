@@ -30,7 +30,7 @@ from touchdown.backend.annotations.storage import ReadOnlyFolderError, check_fre
 from touchdown.backend.annotations.values import EpisodeContext, EpisodeFilter, Label
 from touchdown.backend.core.faults import FaultError, InputError
 from touchdown.backend.core.values import Episode
-from touchdown.backend.episodes.episode_file import (
+from touchdown.backend.episodes.episode_mcap import (
     read_compressed_episode,
     read_episode,
     write_episode,

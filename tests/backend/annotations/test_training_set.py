@@ -24,8 +24,8 @@ from touchdown.backend.annotations.values import Label
 from touchdown.backend.cli.command_line import main
 from touchdown.backend.core.faults import InputError
 from touchdown.backend.core.values import Episode, EpisodeQuality
-from touchdown.backend.episodes.episode_file import write_episode
-from touchdown.backend.episodes.mcap import read_chunks
+from touchdown.backend.episodes.episode_mcap import write_episode
+from touchdown.backend.episodes.mcap_container import read_chunks
 from touchdown.backend.episodes.packs import PackedEpisode, PackWriter
 from touchdown.backend.episodes.training_rows import TrainingRows, load_rows, patch_hex
 from touchdown.backend.geometry.pieces import load_pieces

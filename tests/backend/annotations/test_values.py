@@ -45,7 +45,7 @@ from touchdown.backend.annotations.values import (
     uuid7_from_parts,
 )
 from touchdown.backend.core.faults import RefusedError
-from touchdown.backend.episodes.episode_file import read_episode, write_episode
+from touchdown.backend.episodes.episode_mcap import read_episode, write_episode
 from touchdown.backend.runs.campaign import new_campaign
 
 FIRST_OP = (

@@ -32,8 +32,8 @@ from touchdown.backend.core.faults import (
     RefusedError,
     StaleSampleError,
 )
-from touchdown.backend.episodes.episode_file import read_episode
-from touchdown.backend.episodes.mcap import read_whole
+from touchdown.backend.episodes.episode_mcap import read_episode
+from touchdown.backend.episodes.mcap_container import read_whole
 from touchdown.backend.episodes.training_rows import find_packs, load_rows
 from touchdown.backend.experiments import collection, tables
 from touchdown.backend.geometry.outlines import face_points, true_patch

@@ -21,23 +21,23 @@ from touchdown.backend.config.method import TrainingSettings
 from touchdown.backend.core.faults import FaultError, InputError
 from touchdown.backend.episodes.training_rows import load_rows
 from touchdown.backend.learning.checkpoint import load_card
-from touchdown.backend.learning.job import (
-    TrainingCancelled,
-    TrainingEpoch,
-    TrainingFinished,
-    TrainingJob,
-    TrainingLoaded,
-)
 from touchdown.backend.learning.metrics import calibration_error, load_samples, reliability
 from touchdown.backend.learning.training_data import (
     TrainingCandidate,
     training_candidates,
     training_set_overview,
 )
+from touchdown.backend.learning.training_process import (
+    TrainingCancelled,
+    TrainingEpoch,
+    TrainingFinished,
+    TrainingJob,
+    TrainingLoaded,
+    TrainingProcess,
+)
 from touchdown.backend.learning.training_runs import (
     CURVES,
     RecordedTraining,
-    TrainingProcess,
     TrainingRequest,
     list_training_runs,
     read_training_run,

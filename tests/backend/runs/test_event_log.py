@@ -52,7 +52,7 @@ from touchdown.backend.devices.interlock import Limits
 from touchdown.backend.devices.jog import JogOrder
 from touchdown.backend.devices.melfa.faults import VOID
 from touchdown.backend.devices.protocols import CommandedMotion, PressCommand
-from touchdown.backend.episodes.episode_file import read_episode
+from touchdown.backend.episodes.episode_mcap import read_episode
 from touchdown.backend.rig.safety import LAPSED
 from touchdown.backend.runs.event_log import (
     EVENT_LOG_NAME,

@@ -12,7 +12,7 @@ from tests.backend.runs.blind_bench import BlindBench
 from tests.backend.runs.test_collect import collecting
 from touchdown.backend.calibration.applied import HandPosition
 from touchdown.backend.core.events import OriginChecked, RunFinished
-from touchdown.backend.episodes.mcap import read_first
+from touchdown.backend.episodes.mcap_container import read_first
 from touchdown.backend.runs.collector import check_origin
 from touchdown.backend.runs.motions import take_piece
 from touchdown.backend.runs.requests import SceneChoice

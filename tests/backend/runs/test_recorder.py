@@ -21,8 +21,8 @@ from touchdown.backend.bench.assembly import SimulatedBenchChoice, simulated_ses
 from touchdown.backend.core.events import Event, PhaseEntered, Said
 from touchdown.backend.core.faults import Fault, InputError
 from touchdown.backend.devices.protocols import DeviceState
-from touchdown.backend.episodes.episode_file import read_episode
-from touchdown.backend.episodes.mcap import read_first
+from touchdown.backend.episodes.episode_mcap import read_episode
+from touchdown.backend.episodes.mcap_container import read_first
 from touchdown.backend.runs import recorder as store_module
 from touchdown.backend.runs.event_log import read_events
 from touchdown.backend.runs.motions import wait_until_durable

@@ -37,7 +37,7 @@ from touchdown.backend.core import (
     program_stamp,
     write_atomically,
 )
-from touchdown.backend.episodes.mcap import (
+from touchdown.backend.episodes.mcap_container import (
     DAMAGE,
     DAMAGED_FILE_FIX,
     MAGIC,

@@ -36,13 +36,6 @@ from touchdown.backend.learning.inference import (
     PatchForward,
     modality_columns,
 )
-from touchdown.backend.learning.job import (
-    TrainingEpoch,
-    TrainingFinished,
-    TrainingJob,
-    TrainingLoaded,
-    default_threads,
-)
 from touchdown.backend.learning.metrics import (
     hull_margin_mm,
     iou,
@@ -58,7 +51,15 @@ from touchdown.backend.learning.training import (
     new_model,
     resume_path,
 )
-from touchdown.backend.learning.training_runs import TrainingProcess, train_model
+from touchdown.backend.learning.training_process import (
+    TrainingEpoch,
+    TrainingFinished,
+    TrainingJob,
+    TrainingLoaded,
+    TrainingProcess,
+    default_threads,
+)
+from touchdown.backend.learning.training_runs import train_model
 from touchdown.backend.placement.estimator import Estimator
 
 

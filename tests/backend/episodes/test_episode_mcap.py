@@ -22,15 +22,15 @@ from touchdown.backend.core.values import (
     Recording,
     TactileFrame,
 )
-from touchdown.backend.episodes import episode_file, messages
-from touchdown.backend.episodes.episode_file import (
+from touchdown.backend.episodes import episode_mcap, messages
+from touchdown.backend.episodes.episode_mcap import (
     read_compressed_episode,
     read_episode,
     read_label,
     to_s,
     write_episode,
 )
-from touchdown.backend.episodes.mcap import read_whole
+from touchdown.backend.episodes.mcap_container import read_whole
 from touchdown.backend.episodes.messages import CdrReader
 from touchdown.backend.episodes.packs import PackedEpisode, PackWriter, read_pack, write_packs
 from touchdown.backend.episodes.training_rows import join_rows, load_rows, patch_bits, patch_hex
@@ -288,7 +288,7 @@ def test_a_failed_write_leaves_the_old_file_and_no_other(
     def full(*_: object) -> bytes:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(episode_file, "encode_image", full)
+    monkeypatch.setattr(episode_mcap, "encode_image", full)
     with pytest.raises(OSError, match="No space"):
         write_episode(path, episode(), None, {})
     assert path.read_bytes() == before
@@ -297,16 +297,16 @@ def test_a_failed_write_leaves_the_old_file_and_no_other(
 
 def test_whole_microseconds_survive_and_others_to_the_nanosecond() -> None:
     us = np.array([0, 1, 3, 7, 100_003, 2_000_001, 86_400_000_007])
-    assert np.array_equal(to_s(episode_file.to_ns(us * 1e-6)), us * 1e-6)
+    assert np.array_equal(to_s(episode_mcap.to_ns(us * 1e-6)), us * 1e-6)
     odd = np.array([0.1234567891, 12.000000001])
-    assert np.allclose(to_s(episode_file.to_ns(odd)), odd, rtol=0, atol=5e-10)
+    assert np.allclose(to_s(episode_mcap.to_ns(odd)), odd, rtol=0, atol=5e-10)
 
 
 def test_the_same_as_the_whole_episode(path, monkeypatch):
     write_episode(path, episode(), None, {})
     whole, decoded = read_episode(path), []
     with monkeypatch.context() as patch:
-        patch.setattr("touchdown.backend.episodes.episode_file.decode_image", decoded.append)
+        patch.setattr("touchdown.backend.episodes.episode_mcap.decode_image", decoded.append)
         film = read_compressed_episode(path)
     assert decoded == []
     assert np.array_equal(film.episode.observation, whole.observation)

@@ -21,7 +21,7 @@ from touchdown.backend.core import Fault, Finger, ImageArray, RefusedError, Stre
 LATE_SHARE = {"force_torque": 1 / 3, "tactile_left": 0.24, "tactile_right": 0.24}
 # A sensor is slow below this share of the usual rate, or of its best rate so far.
 SLOW_RATE_SHARE = 0.5
-RATE_WINDOW_S = 1.0
+RATE_STEP_S, RATE_STEPS = 0.25, 4  # the rate of the last second, four times a second
 NAMES = {
     "force_torque": "wrist sensor",
     "tactile_left": "left tactile camera",
@@ -57,32 +57,38 @@ class RateMonitor:
         self._best_hz = 0.0
         self._begun_s: float | None = None
         self._count = 0
+        # Spans in s with their counts; together one window.
+        self._steps: deque[tuple[float, int]] = deque(maxlen=RATE_STEPS)
         self.slow_since_s: float | None = None  # start of the low rate; None at the usual rate
 
     def begin(self) -> None:
         """Restart the count for a new scene; keeps the best rate."""
         self._begun_s, self._count, self.slow_since_s = None, 0, None
+        self._steps.clear()
 
     def note(
         self, newest_s: float, count: int, usual_hz: Callable[[], float] = lambda: 0.0
     ) -> None:
-        """Add ``count`` samples, the newest stamped ``newest_s``; evaluated once per second.
+        """Add ``count`` samples, the newest stamped ``newest_s``.
         ``usual_hz`` is the rate that the sensor reports, 0 if none.
         """
         if self._begun_s is None:
             self._begun_s = newest_s
             return
         self._count += count
-        span_s = newest_s - self._begun_s
-        if span_s < RATE_WINDOW_S:
+        if newest_s - self._begun_s < RATE_STEP_S:
             return
-        rate_hz = self._count / span_s
+        self._steps.append((newest_s - self._begun_s, self._count))
+        self._begun_s, self._count = newest_s, 0
+        if len(self._steps) < RATE_STEPS:
+            return
+        span_s, counted = map(sum, zip(*self._steps, strict=True))
+        rate_hz = counted / span_s
         self._best_hz = max(self._best_hz, rate_hz)
         if rate_hz >= SLOW_RATE_SHARE * max(self._best_hz, usual_hz()):
             self.slow_since_s = None
         elif self.slow_since_s is None:
-            self.slow_since_s = self._begun_s
-        self._begun_s, self._count = newest_s, 0
+            self.slow_since_s = newest_s - span_s
 
 
 def refuse_degraded(degraded: tuple[DegradedDevice, ...], now_s: float) -> None:

@@ -398,6 +398,15 @@ def test_less_than_half_of_the_usual_rate_is_degraded_until_it_is_back(
 
 
 @pytest.mark.promise("S6")
+@pytest.mark.parametrize("phase_s", [0.0, 0.2, 0.4, 0.6, 0.8])
+def test_a_low_rate_is_known_within_a_second_whenever_it_begins(phase_s: float) -> None:
+    rate, begun_s = RateMonitor(), 3.0 + phase_s
+    for ms in range(0, round(1000 * (begun_s + 1.0)), 20):
+        rate.note(ms / 1000, 20 if ms < 1000 * begun_s else 6)
+    assert rate.slow_since_s == pytest.approx(begun_s, abs=0.5)
+
+
+@pytest.mark.promise("S6")
 def test_a_sensor_that_is_slow_from_its_start_is_known_by_the_rate_that_it_tells() -> None:
     class Wrist:
         def describe(self) -> dict[str, str | float]:

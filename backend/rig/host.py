@@ -192,7 +192,9 @@ class RigHost:
             self._note(now_s, f"hold: {out.why.code if out.why else 'silent'}")
             self.devices.arm.halt()
         if out.why is not None:
-            for one in [one for one in self._motions if one.of_arm and one.motion.done]:
+            # The end of the process ends all motions, also those of the gripper.
+            ended = [one for one in self._motions if out.leave or (one.of_arm and one.motion.done)]
+            for one in ended:
                 self._end(one, out.why)
         if out.fault is not None:
             self._report_fault(now_s, out.fault)

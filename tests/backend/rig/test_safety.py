@@ -14,6 +14,7 @@ from touchdown.backend.core.faults import RefusedError, TouchdownError
 from touchdown.backend.devices.interlock import ByHand, JigEvidence, Limits, ReleaseEvidence
 from touchdown.backend.devices.melfa.emulated_controller import READY_RAD
 from touchdown.backend.devices.melfa.realtime_protocol import decode_mxt_request
+from touchdown.backend.devices.protocols import CommandedMotion, stopped_fault
 from touchdown.backend.rig.safety import (
     BACKEND_SILENT_S,
     Failsafe,
@@ -261,3 +262,13 @@ def test_no_right_with_a_senseless_number_or_without_a_condition_lets_go():
             told = replace(TOLD, **{name: False if name in conditions else bad})
         with pytest.raises(RefusedError):
             refuse_opening(told, measured)
+
+
+def test_a_rig_that_is_told_to_end_names_itself_in_every_motion(rig, monkeypatch):
+    closing = CommandedMotion({"width_mm": 30.0})
+    monkeypatch.setattr(rig.gripper, "grip", lambda *given: closing, raising=False)
+    monkeypatch.setattr(rig.gripper, "stop", lambda: closing.end(stopped_fault("gripper")))
+    motions = [rig.order("gripper.grip", force_n=10.0), rig.lift()]
+    rig.host.leave()
+    assert rig.rounds(0.1)
+    assert [rig.fault_of(motion).code for motion in motions] == ["CONTROL-LOST"] * 2

@@ -7,12 +7,12 @@ when it is used.
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
-from typing import Literal, cast
+from typing import Literal
 
 from touchdown.backend.annotations import DISK_FULL_ERRNOS, Dataset
 from touchdown.backend.core import Fault, FaultError, InputError, sync_folder, write_atomically
@@ -60,23 +60,30 @@ class ExportJob:
             self.advance(done + 1)
 
 
-# Writes a format into an empty folder; returns the encoding of the values, for the manifest.
-FormatWriter = Callable[[ExportJob, Path], Mapping[str, object]]
-
-
 @dataclass(frozen=True, slots=True)
 class ExportFormat:
-    """One export format.
+    """One export format, written by the function ``write(job, folder)`` of ``module``.
 
-    ``signals``: it holds arrays; otherwise labels only, with optional ``tables`` of the recorded
-    signals.
+    ``write`` fills an empty folder and returns the encoding of the values, for the manifest.
+    ``signals``: the format holds arrays; otherwise labels only, with optional ``tables`` of the
+    recorded signals. ``video``: images by default.
     """
 
-    name: str
-    write: FormatWriter
+    module: str
     signals: bool
     video: Video = "none"
     tables: bool = False
+
+
+FORMATS = {
+    "lerobot": ExportFormat("lerobot_v3", signals=True, video="sample"),
+    "robomimic": ExportFormat("robomimic", signals=True),
+    "zarr": ExportFormat("zarr_v3", signals=True),
+    "coco": ExportFormat("coco", signals=False),
+    "csv": ExportFormat("csv_tables", signals=False, tables=True),
+    "jsonl": ExportFormat("jsonl", signals=False),
+}
+EXPORTS = tuple(FORMATS)
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,70 +181,56 @@ def export(  # noqa: PLR0913 - each is a keyword of the public API
     1500
 
     """
+    if format not in FORMATS:
+        raise InputError(
+            f"There is no format '{format}'.", "format", f"Use one of: {', '.join(EXPORTS)}."
+        )
+    if tables and not FORMATS[format].tables:
+        raise InputError(
+            f"The format '{format}' holds no tables of signals.", "--tables", "Use csv."
+        )
     query = ExportQuery(
         piece, bottom, series, campaign, tuple(states), held_out, seed, divide_series
     )
-    chosen = export_format(format, tables=tables)
+    wanted, out = video or FORMATS[format].video, Path(out)
     with ExitStack() as stack:
         if not isinstance(dataset, Dataset):
             dataset = stack.enter_context(Dataset.open(dataset, create=False, write=False))
-        return export_dataset(dataset, chosen, query, Path(out), video, on_progress)
-
-
-def export_dataset(
-    dataset: Dataset,
-    chosen_format: ExportFormat,
-    query: ExportQuery,
-    out: Path,
-    video: Video | None = None,
-    advance: Callable[[int, int], None] = lambda done, total: None,
-) -> ExportResult:
-    """Write the episodes of ``query`` to the new folder ``out``; ``advance(done, total)``.
-
-    Raises ``InputError`` for an invalid query, ``FaultError`` if the disk fails.
-    """
-    wanted = chosen_format.video if video is None else video
-    selection = select_episodes(dataset, query)
-    _check_video(chosen_format, selection.chosen, wanted)
-    job = replace(_job(dataset, chosen_format, selection), tables=chosen_format.tables)
-    part = _begin(out)
-    try:
-        described = manifest.make_manifest(
-            dataset, chosen_format.name, query, selection, job.features
-        )
-        _write(job, chosen_format, described, wanted, part, advance)
-        manifest_sha256 = manifest.write_manifest(part, described)
-        (part / MARK).unlink()
-        part.replace(out)
-        sync_folder(out.parent)
-    except OSError as error:
-        full = error.errno in DISK_FULL_ERRNOS
-        fault = Fault(
-            code="DISK-FULL" if full else "EXPORT-WRITE",
-            what="The disk is full." if full else f"The export cannot be written: {error}.",
-            consequence=f"The export is incomplete; {part.name} can be deleted.",
-            next_step="Make room, then export again.",
-        )
-        raise FaultError(fault) from error
+        selection = select_episodes(dataset, query)
+        _check_video(format, selection.chosen, wanted)
+        job = _job(dataset, format, selection, tables=tables)
+        part = _begin(out)
+        try:
+            described = manifest.make_manifest(dataset, format, query, selection, job.features)
+            _write(job, format, described, wanted, part, on_progress)
+            manifest_sha256 = manifest.write_manifest(part, described)
+            (part / MARK).unlink()
+            part.replace(out)
+            sync_folder(out.parent)
+        except OSError as error:
+            full = error.errno in DISK_FULL_ERRNOS
+            fault = Fault(
+                code="DISK-FULL" if full else "EXPORT-WRITE",
+                what="The disk is full." if full else f"The export cannot be written: {error}.",
+                consequence=f"The export is incomplete; {part.name} can be deleted.",
+                next_step="Make room, then export again.",
+            )
+            raise FaultError(fault) from error
     return ExportResult(out, len(job.chosen), manifest_sha256, tuple(described["warnings"]))
 
 
-def _job(dataset: Dataset, chosen_format: ExportFormat, selection: Selection) -> ExportJob:
-    chosen = selection.chosen
-    if not chosen_format.signals:
-        return ExportJob(dataset, chosen, (), ExportSignals(False, False), False, lambda done: None)
-    signals = export_episode.common_signals(dataset, chosen)
-    listed = make_features(export_episode.face_points(dataset, chosen), native=signals.native)
-    return ExportJob(dataset, chosen, listed, signals, False, lambda done: None)
+def _job(dataset: Dataset, name: str, selection: Selection, *, tables: bool) -> ExportJob:
+    signals, features = ExportSignals(native=False, commanded=False), tuple[Feature, ...]()
+    if FORMATS[name].signals:
+        signals = export_episode.common_signals(dataset, selection.chosen)
+        points = export_episode.face_points(dataset, selection.chosen)
+        features = make_features(points, native=signals.native)
+    return ExportJob(dataset, selection.chosen, features, signals, False, lambda done: None, tables)
 
 
-def _check_video(
-    chosen_format: ExportFormat, chosen: Sequence[SelectedEpisode], video: Video
-) -> None:
-    if video != "none" and not chosen_format.signals:
-        raise InputError(
-            f"The format '{chosen_format.name}' holds no pictures.", "--video", "Leave it out."
-        )
+def _check_video(name: str, chosen: Sequence[SelectedEpisode], video: Video) -> None:
+    if video != "none" and not FORMATS[name].signals:
+        raise InputError(f"The format '{name}' holds no pictures.", "--video", "Leave it out.")
     without = len(chosen) - len(_filmed(chosen))
     if video == "all" and without:
         raise InputError(
@@ -275,7 +268,7 @@ def _begin(out: Path) -> Path:
 
 def _write(
     job: ExportJob,
-    chosen_format: ExportFormat,
+    name: str,
     described: manifest.Manifest,
     video: Video,
     part: Path,
@@ -285,23 +278,24 @@ def _write(
     filmed = _filmed(job.chosen)
     sample = _sample(filmed) if video == "sample" else ()
     total = len(job.chosen) + len(sample)
-    for name in described["geometry"]:
-        record = job.dataset.geometry.folder / f"{name}.json"
+    for pair in described["geometry"]:
+        record = job.dataset.geometry.folder / f"{pair}.json"
         write_atomically(part / manifest.GEOMETRY / record.name, record.read_bytes())
     whole = replace(job, pictures=video == "all", advance=lambda done: advance(done, total))
-    codec = {"": dict(chosen_format.write(whole, part))}
+    write = import_module(f"touchdown.backend.exchange.{FORMATS[name].module}").write
+    codec = {"": dict(write(whole, part))}
     if sample:
         before = len(job.chosen)
         sampled = replace(
             job, chosen=sample, pictures=True, advance=lambda done: advance(before + done, total)
         )
         (part / SAMPLE).mkdir()
-        codec[SAMPLE] = dict(chosen_format.write(sampled, part / SAMPLE))
+        codec[SAMPLE] = dict(write(sampled, part / SAMPLE))
     described["codec"] = codec
     if job.signals.native:
         described["feature_spec"]["action"] = COMMANDED if job.signals.commanded else MEASURED
     described["video"] = {"kind": video, "sampled": [one.entry.uuid for one in sample]}
-    described["warnings"] += _warnings(job, chosen_format)
+    described["warnings"] += _warnings(job, name)
 
 
 def _sample(filmed: Sequence[SelectedEpisode]) -> tuple[SelectedEpisode, ...]:
@@ -310,8 +304,8 @@ def _sample(filmed: Sequence[SelectedEpisode]) -> tuple[SelectedEpisode, ...]:
     return tuple(replace(one, index=index) for index, one in enumerate(picked))
 
 
-def _warnings(job: ExportJob, chosen_format: ExportFormat) -> list[str]:
-    if not chosen_format.signals:
+def _warnings(job: ExportJob, name: str) -> list[str]:
+    if not FORMATS[name].signals:
         return []
     if not job.signals.native:
         return ["Some episodes have no recorded signals: the export holds the observations only."]
@@ -323,34 +317,3 @@ def _warnings(job: ExportJob, chosen_format: ExportFormat) -> list[str]:
         f"{action}; the orientation of the tool is fixed.",
         "All signals are at 10 Hz; native rates and time stamps are in the episode files only.",
     ]
-
-
-TABLES = ("csv",)  # formats with optional tables of the recorded signals
-_MODULES: dict[str, tuple[str, bool, Video]] = {
-    "lerobot": ("lerobot_v3", True, "sample"),
-    "robomimic": ("robomimic", True, "none"),
-    "zarr": ("zarr_v3", True, "none"),
-    "coco": ("coco", False, "none"),
-    "csv": ("csv_tables", False, "none"),
-    "jsonl": ("jsonl", False, "none"),
-}
-EXPORTS = tuple(_MODULES)
-
-
-def export_format(name: str, *, tables: bool = False) -> ExportFormat:
-    """Return the format ``name``; raises ``InputError`` if it is unknown.
-
-    ``tables``: include the recorded signals of every episode (csv only).
-    """
-    if name not in _MODULES:
-        raise InputError(
-            f"There is no format '{name}'.", "format", f"Use one of: {', '.join(EXPORTS)}."
-        )
-    if tables and name not in TABLES:
-        raise InputError(
-            f"The format '{name}' holds no tables of signals.", "--tables",
-            f"Use {' or '.join(TABLES)}.",
-        )  # fmt: skip
-    module, signals, video = _MODULES[name]
-    write = cast("FormatWriter", import_module(f"touchdown.backend.exchange.{module}").write)
-    return ExportFormat(name, write, signals, video, tables)

@@ -6,6 +6,7 @@ import shutil
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,9 +15,9 @@ from tests.backend.annotations.conftest import context_for
 from touchdown.backend.annotations.dataset import Dataset
 from touchdown.backend.annotations.values import Label, uuid7
 from touchdown.backend.core.values import FINGERS, Episode, EpisodeQuality, Recording, TactileFrame
-from touchdown.backend.exchange.exports import ExportResult, Video, export_dataset, export_format
-from touchdown.backend.exchange.query import ExportQuery
+from touchdown.backend.exchange.exports import ExportResult, Video, export
 
+EVERY = ("approved", "submitted", "draft")
 GOOD = EpisodeQuality(True, (), 0, 0.0, 0, 5.0, 0.0)
 Hand = Callable[..., ExportResult]
 
@@ -81,17 +82,13 @@ def dataset(filled: Path, tmp_path: Path) -> Iterator[Dataset]:
 
 @pytest.fixture
 def hand(dataset: Dataset, tmp_path: Path) -> Hand:
-    """Export all labels of the dataset (or ``of``) to a new folder."""
+    """Export the dataset (or ``of``) to a new folder: as asked, or all labels with a split."""
 
     def make(
         name: str, out: str = "", of: Dataset | None = None, video: Video | None = "none",
-        query: ExportQuery | None = None,
+        **asked: Any,
     ) -> ExportResult:  # fmt: skip
-        wanted = query or ExportQuery(
-            states=("approved", "submitted", "draft"), held_out=0.4, divide_series=True
-        )
-        return export_dataset(
-            of or dataset, export_format(name), wanted, tmp_path / (out or name), video
-        )
+        wanted = asked or {"states": EVERY, "held_out": 0.4, "divide_series": True}
+        return export(of or dataset, name, tmp_path / (out or name), video=video, **wanted)
 
     return make

@@ -30,10 +30,9 @@ from touchdown.backend.annotations.values import Label
 from touchdown.backend.core.faults import Fault, FaultError, InputError
 from touchdown.backend.core.values import Recording
 from touchdown.backend.exchange import coco, csv_tables, jsonl
-from touchdown.backend.exchange.exports import export_dataset, export_format
+from touchdown.backend.exchange.exports import export
 from touchdown.backend.exchange.imports import EpisodeImport, ImportOptions, read_foreign
 from touchdown.backend.exchange.label_import import LabelImportResult, import_labels
-from touchdown.backend.exchange.query import ExportQuery
 
 NAMED = ImportOptions("dora", "dora", "pot", "circle15")
 FORMATS = ("lerobot", "robomimic")
@@ -368,7 +367,6 @@ def test_the_log_of_other_episodes_is_refused(hand: Hand, tmp_path: Path) -> Non
             jsonl.import_log(other, out / "labels.jsonl", "ann")
 
 
-ALL = ExportQuery(states=("draft",), held_out=0.0)
 WISH = ImportOptions("dora")
 FINITE = st.floats(width=32, allow_nan=False, allow_infinity=False)
 POSITION_MM = st.floats(-1e6, 1e6)
@@ -387,7 +385,7 @@ def probes(draw: st.DrawFn) -> tuple[Any, Any, Any, Label]:
 
 
 def out_of(dataset: Dataset, kind: str, out: Path) -> Path:
-    return export_dataset(dataset, export_format(kind), ALL, out, "none").folder
+    return export(dataset, kind, out, states=("draft",), held_out=0.0, video="none").folder
 
 
 def numbers(folder: Path, kind: str) -> Any:
@@ -669,8 +667,7 @@ def test_a_changed_file_does_not_pass_for_the_export(hand: Hand, tmp_path: Path)
 
 
 KEY = "observation.images.tac_left"
-TWO = ExportQuery(states=("submitted", "draft"), held_out=0.4, divide_series=True)
-"""Two of the six episodes."""
+TWO = ("submitted", "draft")  # states of two of the six episodes
 
 
 def test_pictures_stand_where_the_episode_says(dataset: Dataset, hand: Hand) -> None:
@@ -708,7 +705,7 @@ def test_a_sample_is_a_dataset_of_its_own(hand: Hand) -> None:
 def test_pictures_come_back_with_the_episodes(dataset: Dataset, hand: Hand, tmp_path: Path) -> None:
     compared = 0
     for kind, worst in (("robomimic", 3.0), ("lerobot", 5.0)):
-        out = hand(kind, video="all", query=TWO).folder
+        out = hand(kind, video="all", states=TWO, divide_series=True).folder
         with Dataset.open(tmp_path / f"back-{kind}") as back:
             EpisodeImport(back, kind, out, ImportOptions("dora")).write()
             for old, new in by_origin(back).items():

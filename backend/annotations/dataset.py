@@ -27,9 +27,14 @@ from touchdown.backend.annotations.consistency import (
     no_progress,
     problem_lines,
 )
-from touchdown.backend.annotations.database import CATALOGUE_FILE, SCHEMA_VERSION, Database
+from touchdown.backend.annotations.database import (
+    CATALOGUE_FILE,
+    SCHEMA_VERSION,
+    Database,
+    add_event,
+)
 from touchdown.backend.annotations.episode_files import LOSSES, check_losses, read_packed
-from touchdown.backend.annotations.episode_index import PairCount, tagged_sides
+from touchdown.backend.annotations.episode_index import PAGE, PairCount, tagged_sides
 from touchdown.backend.annotations.geometry_records import GeometryStore, TruePatch
 from touchdown.backend.annotations.labels import LabelStore
 from touchdown.backend.annotations.operation_log import OperationJournal
@@ -319,7 +324,10 @@ class Dataset:
         return self.entry(episode.episode_id)
 
     def __iter__(self) -> Iterator[EpisodeEntry]:
-        return episode_index.iter_episodes(self.database)
+        page = self.episodes(EpisodeFilter(limit=PAGE))
+        while page:
+            yield from page
+            page = self.episodes(EpisodeFilter(limit=PAGE, after=page[-1].uuid))
 
     def entry(self, uuid: str) -> EpisodeEntry:
         """Return one entry; raises ``InputError`` if there is no such episode."""
@@ -330,7 +338,11 @@ class Dataset:
 
     def entries(self, uuids: Iterable[str]) -> dict[str, EpisodeEntry]:
         """Return the entries of these episodes; unknown ids are left out."""
-        return episode_index.find_by_uuid(self.database, uuids)
+        columns, tables = episode_index.COLUMNS, episode_index.TABLES
+        listed = "(SELECT value FROM json_each(?))"
+        sql = f"SELECT {columns} FROM {tables} WHERE e.uuid IN {listed}"  # noqa: S608
+        rows = self.database.rows(sql, (json.dumps(list(uuids)),))
+        return {row[0]: episode_index.row_to_entry(row) for row in rows}
 
     def episodes(self, wanted: EpisodeFilter | None = None) -> list[EpisodeEntry]:
         """Return the entries that pass the filter (default: all but deleted), oldest first."""
@@ -392,12 +404,16 @@ class Dataset:
         return {uuid for (uuid,) in self.database.rows(sql)}
 
     def count_by_pair(self) -> list[PairCount]:
-        """Return the numbers of episodes by pair, label state and file state."""
-        return episode_index.count_by_pair(self.database)
+        """Return the numbers of episodes by pair, label state and file state, deleted included."""
+        state = "CASE WHEN h.deleted THEN 'deleted' ELSE h.state END"
+        columns = f"e.piece, e.bottom, {state}, e.state, count(*), sum(h.conflict)"
+        sql = f"SELECT {columns} FROM {episode_index.TABLES} GROUP BY 1, 2, 3, 4"  # noqa: S608
+        return [PairCount(*row) for row in self.database.rows(f"{sql} ORDER BY 1, 2, 3, 4")]
 
     def counts(self) -> dict[str, int]:
         """Return the number of episodes per stage: unlabelled, review, approved, rejected, ..."""
-        return queues.stage_counts(self.database)
+        sql = "SELECT stage, count(*) FROM label_head GROUP BY stage ORDER BY stage"
+        return dict(self.database.rows(sql))
 
     def merge(self, person: str, other: Path) -> MergeReport:
         """Merge labels and episodes of another copy of this dataset; that copy is not changed.
@@ -426,7 +442,9 @@ class Dataset:
                     connection, theirs.database, self.folder, missing
                 )
                 done = reconciliation.merge_labels(connection, log, str(other), episodes=count)
-                reconciliation.record_merge(connection, name, other, done)
+                body = {"operations": done.operations, "episodes": done.episodes}
+                body |= {"conflicts": len(done.conflicts)}
+                add_event(connection, name, "merge", str(other), body)
         self.labels.reload()
         return done
 

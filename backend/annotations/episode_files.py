@@ -460,7 +460,9 @@ def read_pack_chunks(path: Path) -> Iterator[PackEntry]:
         with input_errors(path):
             label = unpack_json(messages[0])
             label_of(label)
-            yield PackEntry(packed_uuid(chunk), chunk, label)
+            # The id derives from the content.
+            uuid = uuid7_from_parts(0, int(chunk.sha256, 16) >> (256 - RANDOM_BITS))
+            yield PackEntry(uuid, chunk, label)
 
 
 def read_packed(path: Path, chunk: tuple[int, int]) -> Episode:
@@ -471,11 +473,6 @@ def read_packed(path: Path, chunk: tuple[int, int]) -> Episode:
         observation = unpack_observation(group.messages[OBSERVATION_TOPIC.name])
         name, piece = str(label["episode"]), str(label["piece"])
         return Episode(name, piece, observation, label_of(label).offset_mm, 0.0, GOOD)
-
-
-def packed_uuid(chunk: StoredChunk) -> str:
-    """Return the id of a packed episode, derived from its content."""
-    return uuid7_from_parts(0, int(chunk.sha256, 16) >> (256 - RANDOM_BITS))
 
 
 def _compare_pack(

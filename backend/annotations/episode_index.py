@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import sqlite3
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from hashlib import sha256
@@ -104,30 +104,6 @@ def find_episodes(database: Database, wanted: EpisodeFilter) -> list[EpisodeEntr
         sql += " LIMIT ?"
         values.append(wanted.limit)
     return [row_to_entry(row) for row in database.rows(sql, values)]
-
-
-def iter_episodes(database: Database) -> Iterator[EpisodeEntry]:
-    """Yield the entries that are not deleted, oldest first, reading page by page."""
-    page = find_episodes(database, EpisodeFilter(limit=PAGE))
-    while page:
-        yield from page
-        page = find_episodes(database, EpisodeFilter(limit=PAGE, after=page[-1].uuid))
-
-
-def find_by_uuid(database: Database, uuids: Iterable[str]) -> dict[str, EpisodeEntry]:
-    """Return the entries of these episodes; unknown ids are left out."""
-    listed = "(SELECT value FROM json_each(?))"
-    sql = f"SELECT {COLUMNS} FROM {TABLES} WHERE e.uuid IN {listed}"  # noqa: S608
-    rows = database.rows(sql, (json.dumps(list(uuids)),))
-    return {row[0]: row_to_entry(row) for row in rows}
-
-
-def count_by_pair(database: Database) -> list[PairCount]:
-    """Return the numbers of episodes by pair, label state and file state, deleted ones included."""
-    state = "CASE WHEN h.deleted THEN 'deleted' ELSE h.state END"
-    columns = f"e.piece, e.bottom, {state}, e.state, count(*), sum(h.conflict)"
-    sql = f"SELECT {columns} FROM {TABLES} GROUP BY 1, 2, 3, 4 ORDER BY 1, 2, 3, 4"  # noqa: S608
-    return [PairCount(*row) for row in database.rows(sql)]
 
 
 class PairCount(NamedTuple):

@@ -93,8 +93,8 @@ class GeometryStore:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self._patch = lru_cache(maxsize=4096)(self._derive)
-        self._pair = lru_cache(maxsize=256)(self._load_pair)
+        self.patch = lru_cache(maxsize=4096)(self._patch)
+        self.pair = lru_cache(maxsize=256)(self._pair)
 
     def store_pair(self, piece: Piece, bottom: Piece) -> str:
         """Write the missing records of a pair; return the hash of the pair."""
@@ -104,14 +104,6 @@ class GeometryStore:
             if not path.exists():
                 write_atomically(path, canonical_json(record))
         return list(records)[-1]
-
-    def pair(self, sha256: str) -> Pair:
-        """Return a pair by its hash; raises ``InputError`` if it is missing or changed."""
-        return self._pair(sha256)
-
-    def patch(self, sha256: str, label: Label) -> TruePatch:
-        """Return the true patch of ``label`` for the pair ``sha256``; empty without offset."""
-        return self._patch(sha256, label)
 
     def read(self, sha256: str) -> Mapping[str, Any]:
         """Return one record; raises ``InputError`` if it is missing or its hash is wrong."""
@@ -127,7 +119,8 @@ class GeometryStore:
             raise _bad(path, "is not what its name says")
         return record
 
-    def _load_pair(self, sha256: str) -> Pair:
+    def _pair(self, sha256: str) -> Pair:
+        """Return a pair by its hash; raises ``InputError`` if it is missing or changed."""
         record = self.read(sha256)
         path = self.folder / f"{sha256}.json"
         if record.get("kind") != "pair" or record.get("rule") != INSIDE_OR_ON_EDGE:
@@ -141,7 +134,8 @@ class GeometryStore:
         except (KeyError, TypeError, ValueError) as error:
             raise _bad(path, f"cannot be used: {error}") from error
 
-    def _derive(self, sha256: str, label: Label) -> TruePatch:
+    def _patch(self, sha256: str, label: Label) -> TruePatch:
+        """Return the true patch of ``label`` for the pair ``sha256``; empty without offset."""
         pair = self.pair(sha256)
         if not label.is_set:
             touching = np.zeros(len(pair.points_mm), dtype=np.bool_)

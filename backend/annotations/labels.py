@@ -526,14 +526,6 @@ class LabelStore(LabelReader, LabelEditor):
             if mark["present"] != mark["was"] or mark["note"] != mark["was_note"]:
                 draft.marks.append(mark)
 
-    def can_undo(self, person: str) -> bool:
-        """Return True if ``person`` has an action to undo."""
-        return bool(self._stack(person).undo)
-
-    def can_redo(self, person: str) -> bool:
-        """Return True if ``person`` has an undo to revert."""
-        return bool(self._stack(person).redo)
-
     def undo(self, person: str) -> Operation | None:
         """Undo the latest action of ``person``; None if there is none.
 

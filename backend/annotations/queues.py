@@ -127,12 +127,6 @@ def episode_queue(database: Database, name: str, person: str, *, seed: int = 0) 
     return _ids(database, name, person)
 
 
-def stage_counts(database: Database) -> dict[str, int]:
-    """Return the number of episodes per stage: unlabelled, review, approved, rejected, ..."""
-    sql = "SELECT stage, count(*) FROM label_head GROUP BY stage ORDER BY stage"
-    return dict(database.rows(sql))
-
-
 def _ids(database: Database, name: str, person: str) -> list[str]:
     values: dict[str, object] = {"person": person, "author": f"\n{person}\n", "name": name}
     return [uuid for (uuid,) in database.rows(_QUERIES[name], values)]

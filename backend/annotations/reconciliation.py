@@ -407,14 +407,6 @@ def merge_labels(
     return MergeReport(after - before, episodes, conflicts)
 
 
-def record_merge(
-    connection: sqlite3.Connection, person: str, where: Path, done: MergeReport
-) -> None:
-    """Store the merge in the audit."""
-    body = {"operations": done.operations, "episodes": done.episodes}
-    add_event(connection, person, "merge", str(where), body | {"conflicts": len(done.conflicts)})
-
-
 def copy_fault(error: OSError, folder: Path) -> Fault:
     """Return the fault for files that could not be copied."""
     return Fault(

@@ -166,17 +166,9 @@ class ActiveRun:
         made = Artifact(name, place.as_posix(), digest, path.stat().st_size)
         self._write(artifacts=(*self.about.artifacts, made))
 
-    def set_manifest(self, manifest: str) -> None:
-        """Record the hash of the data."""
-        self._write(manifest=manifest)
-
-    def finish(self) -> None:
-        """End the run as finished."""
-        self._end("finished")
-
-    def fail(self, reason: str) -> None:
-        """End the run as failed; ``reason`` is a sentence."""
-        self._end("failed", reason)
+    def finish(self, manifest: str = "") -> None:
+        """End the run as finished; ``manifest`` is the hash of its data."""
+        self._end("finished", manifest=manifest)
 
     def cancel(self) -> None:
         """End the run as cancelled by a person."""
@@ -189,14 +181,14 @@ class ActiveRun:
         if error is None or isinstance(error, KeyboardInterrupt):
             self.cancel()
         else:
-            self.fail(str(error) or type(error).__name__)
+            self._end("failed", reason=str(error) or type(error).__name__)
 
-    def _end(self, state: RunState, reason: str = "") -> None:
+    def _end(self, state: RunState, **more: str) -> None:
         if self._alive is None:
             return
         self.end_epoch()
         self._metrics.close()
-        self._write(state=state, reason=reason, ended_ns=time.time_ns())
+        self._write(state=state, ended_ns=time.time_ns(), **more)
         os.close(self._alive)
         self._alive = None
 

@@ -20,6 +20,8 @@ from touchdown.backend.annotations.values import (
     uuid7,
 )
 from touchdown.backend.core.values import Episode, EpisodeQuality
+from touchdown.backend.episodes.mcap_container import read_whole
+from touchdown.backend.episodes.messages import LABEL_TOPIC, unpack_json
 from touchdown.backend.geometry.pieces import load_pieces
 
 Record = Callable[..., EpisodeEntry]
@@ -99,3 +101,9 @@ def place() -> Iterator[Path]:
     memory = Path("/dev/shm")
     with tempfile.TemporaryDirectory(dir=memory if memory.is_dir() else None) as folder:
         yield Path(folder).resolve()
+
+
+def stored_label(path: Path) -> dict[str, object] | None:
+    """Return the label in an episode file."""
+    messages = read_whole(path).messages.get(LABEL_TOPIC.name, [])
+    return unpack_json(messages[-1]) if messages else None

@@ -70,9 +70,7 @@ class Steps:
                 return answer
 
         connect = sqlite3.connect
-        database.sqlite3.connect = lambda *args, **words: connect(  # type: ignore[attr-defined,assignment]
-            *args, factory=Watched, **words
-        )
+        database.sqlite3.connect = lambda *args, **words: connect(*args, factory=Watched, **words)
         for owner, name in ((os, "fsync"), (os, "replace"), (episode_mcap, "check_counts"),
                             (McapWriter, "add_chunk"), (McapWriter, "__init__"),
                             (episode_index, "enter_episode")):  # fmt: skip

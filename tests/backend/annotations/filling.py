@@ -49,7 +49,7 @@ def _pass_on(dataset: Dataset, uuids: list[str], actor: str, verb: str, state: s
             row = connection.execute("SELECT rev_uuid FROM label_head WHERE episode = ?", (uuid,))
             head = operation_log.read_revision(connection, row.fetchone()[0])
             content = LabelContent.of(head)
-            revs.append(new_revision(uuid, head.rev_uuid, content, state))  # type: ignore[arg-type]
+            revs.append(new_revision(uuid, head.rev_uuid, content, state))
         site = dataset.description.site
         _, touched = operation_log.append_operation(
             connection, site, actor, verb, OperationDraft(revs=revs)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.backend.annotations.conftest import Record, add
+from tests.backend.annotations.conftest import add
 from tests.backend.annotations.test_packs_in_datasets import write_pack
 from tests.backend.annotations.test_values import tables
 from touchdown.backend.annotations import backups, operation_log
@@ -42,7 +42,7 @@ def copies(dataset: Dataset) -> list[Backup]:
     return list_backups(dataset.folder / "backup")
 
 
-def test_a_copy_has_what_is_still_in_the_wal(dataset: Dataset, record: Record) -> None:
+def test_a_copy_has_what_is_still_in_the_wal(dataset, record):
     entry = record()
     dataset.labels.set("ann", entry.uuid, Label(77, 0, 0, 1))
     path = dataset.backups.make("test")
@@ -66,7 +66,7 @@ def dataset_heads(dataset: Dataset) -> backups.Heads:
         return operation_log.newest_operations(connection)
 
 
-def test_hourly_while_labels_change(dataset: Dataset, record: Record) -> None:
+def test_hourly_while_labels_change(dataset, record):
     clock = Clock()
     keeper = BackupStore(dataset.database, dataset.folder / "b", clock)
     assert keeper.age is None
@@ -86,7 +86,7 @@ def test_hourly_while_labels_change(dataset: Dataset, record: Record) -> None:
     assert again.if_changed("close") is None
 
 
-def test_a_commit_makes_the_first_copy_and_closing_the_last(tmp_path: Path) -> None:
+def test_a_commit_makes_the_first_copy_and_closing_the_last(tmp_path):
     folder = tmp_path / "data"
     with Dataset.open(folder) as dataset:
         entry = add(dataset, Label(1, 2, 0, 3))
@@ -101,7 +101,7 @@ def test_a_commit_makes_the_first_copy_and_closing_the_last(tmp_path: Path) -> N
     assert list_backups(folder / "backup") == before
 
 
-def test_retention_keeps_hours_days_and_months() -> None:
+def test_retention_keeps_hours_days_and_months():
     made = [NOON - timedelta(minutes=30 * n) for n in range(400 * 48)]
     backups = [Backup(Path(f"/b/{m:%Y%m%d%H%M}"), m) for m in made]
     kept = set(made) - {backup.made for backup in surplus_backups(backups)}
@@ -118,7 +118,7 @@ def test_retention_keeps_hours_days_and_months() -> None:
     assert last_of_april == datetime(2030, 4, 30, 23, 30, tzinfo=UTC)
 
 
-def test_making_one_prunes_the_old(dataset: Dataset, record: Record) -> None:
+def test_making_one_prunes_the_old(dataset, record):
     record()
     clock, folder = Clock(), dataset.folder / "b"
     keeper = BackupStore(dataset.database, folder, clock)
@@ -133,7 +133,7 @@ def test_making_one_prunes_the_old(dataset: Dataset, record: Record) -> None:
 
 
 @pytest.mark.parametrize("damage", ["cut", "byte", "foreign", "empty"])
-def test_a_bad_copy_is_refused(dataset: Dataset, record: Record, damage: str) -> None:
+def test_a_bad_copy_is_refused(dataset, record, damage):
     record()
     path = dataset.backups.make("test")
     data = bytearray(path.read_bytes())
@@ -156,9 +156,7 @@ def test_a_bad_copy_is_refused(dataset: Dataset, record: Record, damage: str) ->
     assert len((dataset.folder / CATALOGUE_FILE).read_bytes()) >= len(before)
 
 
-def test_a_copy_that_is_not_good_does_not_stay(
-    dataset: Dataset, record: Record, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_copy_that_is_not_good_does_not_stay(dataset, record, monkeypatch):
     entry = record()
     held = copies(dataset)
 
@@ -176,7 +174,7 @@ def test_a_copy_that_is_not_good_does_not_stay(
     assert "could not be copied" in dataset.backup_trouble
 
 
-def test_going_back_to_a_copy_loses_no_label(tmp_path: Path) -> None:
+def test_going_back_to_a_copy_loses_no_label(tmp_path):
     folder = tmp_path / "data"
     with Dataset.open(folder) as dataset:
         for seed in range(3):
@@ -221,7 +219,7 @@ def busy(tmp_path: Path) -> Path:
     return folder
 
 
-def test_a_catalogue_made_anew_equals_the_old_one(busy: Path) -> None:
+def test_a_catalogue_made_anew_equals_the_old_one(busy):
     before = (busy / CATALOGUE_FILE).read_bytes()
     result = rebuild_dataset(busy, replace=False)
     assert result.equal, (result.only_old, result.only_new)
@@ -232,7 +230,7 @@ def test_a_catalogue_made_anew_equals_the_old_one(busy: Path) -> None:
     assert list(busy.glob(".rebuilt*")) == []
 
 
-def test_rows_of_files_that_are_gone_are_kept(busy: Path) -> None:
+def test_rows_of_files_that_are_gone_are_kept(busy):
     with Dataset.open(busy) as dataset:
         gone = dataset.episodes()[-1]
         (busy / gone.path).unlink()
@@ -243,7 +241,7 @@ def test_rows_of_files_that_are_gone_are_kept(busy: Path) -> None:
         assert dataset.entry(gone.uuid).file_state == "missing"
 
 
-def test_a_difference_is_counted(busy: Path) -> None:
+def test_a_difference_is_counted(busy):
     with Dataset.open(busy) as dataset, dataset.database.transaction() as connection:
         connection.execute("UPDATE episode SET bottom = 'square15' WHERE kind = 'file'")
     result = rebuild_dataset(busy, replace=False)
@@ -253,7 +251,7 @@ def test_a_difference_is_counted(busy: Path) -> None:
 
 
 @pytest.mark.parametrize("loss", ["deleted", "damaged", "chain"])
-def test_a_lost_catalogue_comes_back_from_files_and_journal(busy: Path, loss: str) -> None:
+def test_a_lost_catalogue_comes_back_from_files_and_journal(busy, loss):
     with Dataset.open(busy) as dataset:
         expected = tables(dataset)
         if loss == "chain":
@@ -277,7 +275,7 @@ def test_a_lost_catalogue_comes_back_from_files_and_journal(busy: Path, loss: st
         assert len(list((busy / "quarantine").glob("catalog-*.db"))) == 1
 
 
-def test_an_open_dataset_is_not_rebuilt(busy: Path) -> None:
+def test_an_open_dataset_is_not_rebuilt(busy):
     with Dataset.open(busy, person="cleo"):
         for replace in (False, True):
             with pytest.raises(DatasetInUseError, match="cleo"):

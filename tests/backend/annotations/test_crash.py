@@ -23,7 +23,7 @@ def trials(*words: str) -> dict[str, Any]:
 
 @pytest.mark.promise("D1", "D3", "W13")
 @pytest.mark.slow
-def test_death_at_every_step(place: Path) -> None:
+def test_death_at_every_step(place):
     answer = trials("steps", str(place / "data"))
     assert answer["wrong"] == []
     assert answer["deaths"] == len(answer["steps"]) > 40
@@ -32,7 +32,7 @@ def test_death_at_every_step(place: Path) -> None:
 
 
 @pytest.mark.promise("D1", "D3", "W13")
-def test_death_at_random(place: Path) -> None:
+def test_death_at_random(place):
     answer = trials("random", str(place / "data"), "10")
     assert answer["wrong"] == []
     assert answer["deaths"] == 10

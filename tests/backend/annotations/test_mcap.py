@@ -18,7 +18,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 
-from tests.backend.annotations.conftest import Record, context_for, small_episode
+from tests.backend.annotations.conftest import Record, context_for, small_episode, stored_label
 from tests.backend.annotations.test_values import contents
 from touchdown.backend.annotations import agreement
 from touchdown.backend.annotations.dataset import Dataset
@@ -31,7 +31,6 @@ from touchdown.backend.core.values import FINGERS, Episode, EpisodeQuality, Reco
 from touchdown.backend.episodes.episode_mcap import (
     SalvageResult,
     read_episode,
-    read_label,
     salvage_file,
     write_episode,
 )
@@ -57,7 +56,7 @@ ONE = ["yes"] * 25 + ["no"] * 25
 TWO = ["yes"] * 20 + ["no"] * 5 + ["yes"] * 10 + ["no"] * 15
 
 
-def test_bias_limits_and_intraclass_correlation() -> None:
+def test_bias_limits_and_intraclass_correlation():
     found = agreement.agreement_limits([0.1, -0.2, 0.3, 0.0, 0.3], np.zeros(5))
     figures = (found.mean, found.deviation, found.lower, found.upper)
     assert figures == pytest.approx((0.1, 0.21213, -0.3158, 0.5158), abs=5e-5)
@@ -69,7 +68,7 @@ def test_bias_limits_and_intraclass_correlation() -> None:
     assert math.isnan(agreement.intraclass_correlation([[1, 2]]))
 
 
-def test_kappa_and_alpha_of_one_table() -> None:
+def test_kappa_and_alpha_of_one_table():
     assert agreement.cohen_kappa(ONE, TWO) == pytest.approx(0.4)
     pairs = list(zip(ONE, TWO, strict=True))
     assert agreement.krippendorff_alpha(pairs) == pytest.approx(0.4)
@@ -77,7 +76,7 @@ def test_kappa_and_alpha_of_one_table() -> None:
     assert math.isnan(agreement.krippendorff_alpha([["a"], ["b"]]))
 
 
-def test_alpha_of_krippendorffs_own_example_with_gaps() -> None:
+def test_alpha_of_krippendorffs_own_example_with_gaps():
     # Krippendorff, "Computing Krippendorff's alpha-reliability" (2011), example C: 0.743.
     observers = [
         [1, 2, 3, 3, 2, 1, 4, 1, 2, None, None, None],
@@ -91,7 +90,7 @@ def test_alpha_of_krippendorffs_own_example_with_gaps() -> None:
     )
 
 
-def test_distance_and_overlap() -> None:
+def test_distance_and_overlap():
     assert agreement.rms_mm([[0, 0], [3, 4]], np.zeros((2, 2))) == pytest.approx(math.sqrt(12.5))
     a, b = np.array([1, 1, 0, 0], bool), np.array([0, 1, 1, 0], bool)
     assert agreement.patch_iou(a, b) == pytest.approx(1 / 3)
@@ -99,9 +98,7 @@ def test_distance_and_overlap() -> None:
 
 
 @given(st.lists(st.tuples(st.sampled_from("abc"), st.sampled_from("abc")), min_size=2, max_size=30))
-def test_figures_do_not_depend_on_who_is_first_nor_on_the_order(
-    pairs: list[tuple[str, str]],
-) -> None:
+def test_figures_do_not_depend_on_who_is_first_nor_on_the_order(pairs):
     one, two = (list(side) for side in zip(*pairs, strict=True))
     for figure in (
         lambda a, b: agreement.cohen_kappa(a, b),
@@ -118,9 +115,7 @@ def uuids(record: Record) -> list[str]:
     return [record(1000 * k, -500).uuid for k in range(5)]
 
 
-def test_a_shift_changes_what_was_previewed_and_one_undo_restores_all(
-    dataset: Dataset, uuids: list[str]
-) -> None:
+def test_a_shift_changes_what_was_previewed_and_one_undo_restores_all(dataset, uuids):
     labels = dataset.labels
     labels.accept("ann", uuids[0])
     labels.approve("bob", uuids[0])
@@ -140,13 +135,12 @@ def test_a_shift_changes_what_was_previewed_and_one_undo_restores_all(
         assert (head.label, head.state, head.source) == (row.after.label, "draft", "commanded")
         assert head.label.y_um == -540
     counting = labels.counting(uuids[0])
-    assert counting is not None
     assert counting.label.x_um == 0
     labels.undo("cleo")
     assert contents(dataset) == before
 
 
-def test_a_label_changed_since_the_preview_refuses_all(dataset: Dataset, uuids: list[str]) -> None:
+def test_a_label_changed_since_the_preview_refuses_all(dataset, uuids):
     labels = dataset.labels
     wanted = labels.preview("cleo", uuids, ShiftOrigin(1, 1))
     labels.set("ann", uuids[3], Label(5, 5, 0, 50))
@@ -160,7 +154,7 @@ def test_a_label_changed_since_the_preview_refuses_all(dataset: Dataset, uuids: 
     assert labels.bulk("cleo", again) == 5
 
 
-def test_a_quarter_turn_of_the_frame(dataset: Dataset, record: Record) -> None:
+def test_a_quarter_turn_of_the_frame(dataset, record):
     entry = record(3000, -1000)
     labels = dataset.labels
     labels.bulk("ann", labels.preview("ann", [entry.uuid], RotateFrame(90_000)))
@@ -169,9 +163,7 @@ def test_a_quarter_turn_of_the_frame(dataset: Dataset, record: Record) -> None:
     assert labels.head(entry.uuid).label == Label(3000, -1000, 0, 150)
 
 
-def test_labels_move_to_a_corrected_geometry_and_have_to_be_reviewed_again(
-    dataset: Dataset, uuids: list[str]
-) -> None:
+def test_labels_move_to_a_corrected_geometry_and_have_to_be_reviewed_again(dataset, uuids):
     labels = dataset.labels
     old, new = context_for(dataset).geometry, context_for(dataset, "pot", "circle25").geometry
     labels.accept("ann", uuids[0])
@@ -193,7 +185,7 @@ def test_labels_move_to_a_corrected_geometry_and_have_to_be_reviewed_again(
     assert not any(GEOMETRY_CHANGED in labels.marks(uuid) for uuid in uuids)
 
 
-def test_states_in_bulk_obey_the_same_rules(dataset: Dataset, uuids: list[str]) -> None:
+def test_states_in_bulk_obey_the_same_rules(dataset, uuids):
     labels = dataset.labels
     labels.bulk("ann", labels.preview("ann", uuids, SetState("accept")))
     own = labels.preview("ann", uuids, SetState("approve"))
@@ -224,7 +216,7 @@ def only(dataset: Dataset) -> CampaignEntry:
     return entry
 
 
-def test_done_counts_items_once_and_neither_rejected_nor_deleted_ones(dataset: Dataset) -> None:
+def test_done_counts_items_once_and_neither_rejected_nor_deleted_ones(dataset):
     assert list_campaigns(dataset.database) == []
     first = probe(dataset, "c", 0)
     probe(dataset, "c", 0)
@@ -243,7 +235,7 @@ def test_done_counts_items_once_and_neither_rejected_nor_deleted_ones(dataset: D
     assert only(dataset).done == 2
 
 
-def test_campaigns_stand_in_the_order_in_which_they_began(dataset: Dataset) -> None:
+def test_campaigns_stand_in_the_order_in_which_they_began(dataset):
     for name in ("late", "early", "late"):
         probe(dataset, name, 0)
     assert [entry.uuid for entry in list_campaigns(dataset.database)] == ["late", "early"]
@@ -256,12 +248,12 @@ def disc(name: str = "circle15") -> Piece:
     return PIECES.piece(name)
 
 
-def test_the_published_record_of_a_circle() -> None:
+def test_the_published_record_of_a_circle():
     expected = "1e539dbc6c5b2a1e36adca9ca8496f7049f62f099342ac2d4a8439cee539303b"
     assert content_hash(face_record(circle(15.0))) == expected
 
 
-def test_the_published_counts_of_points_in_contact(tmp_path: Path) -> None:
+def test_the_published_counts_of_points_in_contact(tmp_path):
     store = GeometryStore(tmp_path)
     pair = store.store_pair(disc(), disc())
     for x_um, y_um, touching in ((0, 0, 177), (5000, 0, 102), (8000, 0, 63), (15001, 0, 0)):
@@ -273,9 +265,7 @@ def test_the_published_counts_of_points_in_contact(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("piece", PIECES.tops)
 @pytest.mark.parametrize("bottom", PIECES.bottoms)
-def test_a_patch_from_records_equals_one_from_the_pieces(
-    tmp_path: Path, piece: str, bottom: str
-) -> None:
+def test_a_patch_from_records_equals_one_from_the_pieces(tmp_path, piece, bottom):
     store = GeometryStore(tmp_path)
     top, below = PIECES.top(piece), PIECES.bottom(bottom)
     pair = store.store_pair(top, below)
@@ -291,7 +281,7 @@ def test_a_patch_from_records_equals_one_from_the_pieces(
     assert found.centre_mm == pytest.approx(top.com_xy_mm, abs=5e-4)
 
 
-def test_a_corrected_dimension_is_another_pair_and_changes_nothing_old(tmp_path: Path) -> None:
+def test_a_corrected_dimension_is_another_pair_and_changes_nothing_old(tmp_path):
     store = GeometryStore(tmp_path)
     old = store.store_pair(disc(), disc())
     before = store.patch(old, Label(5000, 0, 0, 0)).touching.copy()
@@ -303,7 +293,7 @@ def test_a_corrected_dimension_is_another_pair_and_changes_nothing_old(tmp_path:
     assert len(list(tmp_path.glob("*.json"))) == 5
 
 
-def test_a_changed_missing_or_foreign_record_is_named(tmp_path: Path) -> None:
+def test_a_changed_missing_or_foreign_record_is_named(tmp_path):
     store = GeometryStore(tmp_path)
     records = pair_records(disc(), disc("square15"))
     pair = store.store_pair(disc(), disc("square15"))
@@ -325,7 +315,7 @@ def test_a_changed_missing_or_foreign_record_is_named(tmp_path: Path) -> None:
     assert store.pair(pair).face == circle(15.0)
 
 
-def test_the_patch_of_an_episode_follows_its_label(dataset: Dataset, record: Record) -> None:
+def test_the_patch_of_an_episode_follows_its_label(dataset, record):
     entry = record(0, 0)
     whole = dataset.patch(entry.uuid)
     dataset.labels.set("ann", entry.uuid, Label(14000, 0, 0, 100))
@@ -383,7 +373,7 @@ def verify(folder: Path, saved: SalvageResult) -> None:
         assert sum(1 for _ in reader.iter_messages()) == sum(found.values())
 
 
-def test_a_cut_at_every_record_keeps_the_chunks_before_it(tmp_path: Path, whole: bytes) -> None:
+def test_a_cut_at_every_record_keeps_the_chunks_before_it(tmp_path, whole):
     ends = list(record_ends(whole))
     kept = []
     for end in ends:
@@ -394,21 +384,16 @@ def test_a_cut_at_every_record_keeps_the_chunks_before_it(tmp_path: Path, whole:
     assert (kept[0], kept[-1]) == (0, 2)
 
 
-def test_the_low_rate_signals_survive_a_cut_through_the_images(
-    tmp_path: Path, whole: bytes
-) -> None:
+def test_the_low_rate_signals_survive_a_cut_through_the_images(tmp_path, whole):
     second = [m for m in range(len(whole)) if whole.startswith(b"\x06", m)]
     chunks = [at for at in second if at in {*record_ends(whole)}]
     saved = save(tmp_path, whole[: chunks[1] + 500])
-    assert saved.path is not None
     assert "inside a record" in saved.reason
     got, sent = read_episode(saved.path), an_episode()
     assert np.array_equal(got.observation, sent.observation)
-    assert got.recording is not None
-    assert sent.recording is not None
     assert np.array_equal(got.recording.wrench, sent.recording.wrench)
     assert got.recording.frames == ()
-    assert read_label(saved.path) == {"episode": "e1", "x_um": 7}
+    assert stored_label(saved.path) == {"episode": "e1", "x_um": 7}
     report = json.loads((tmp_path / "saved.mcap.json").read_text())
     assert (report["chunks"], report["from"], report["bytes"]) == (1, "torn.mcap", chunks[1] + 500)
 
@@ -429,7 +414,7 @@ def mutants(data: bytes, count: int) -> Iterator[bytes]:
 
 
 @pytest.mark.promise("D5")
-def test_mutants_give_a_typed_error_or_the_true_data(tmp_path: Path, whole: bytes) -> None:
+def test_mutants_give_a_typed_error_or_the_true_data(tmp_path, whole):
     truth = {topic: [bytes(m) for m in ms] for topic, ms in _messages(tmp_path, whole).items()}
     refused = 0
     for mutant in mutants(whole, 600):
@@ -455,7 +440,7 @@ def _messages(folder: Path, whole: bytes) -> dict[str, list[memoryview]]:
     return read_whole(path).messages
 
 
-def test_impossible_lengths_take_no_memory(tmp_path: Path, whole: bytes) -> None:
+def test_impossible_lengths_take_no_memory(tmp_path, whole):
     frame = zstandard.ZstdCompressor(level=1).compress(bytes(200_000_000))
     bombs = [
         MAGIC + struct.pack("<BQ", Opcode.CHUNK, 2**62),
@@ -483,7 +468,7 @@ def _chunk_head(size: int) -> bytes:
     return struct.pack("<QQQI", 0, 1, size, zlib.crc32(b"x")) + encode_text("zstd")
 
 
-def test_a_huge_file_is_refused_without_reading_it(tmp_path: Path) -> None:
+def test_a_huge_file_is_refused_without_reading_it(tmp_path):
     path = tmp_path / "huge.mcap"
     with path.open("wb") as file:
         file.truncate(5_000_000_000)
@@ -492,7 +477,7 @@ def test_a_huge_file_is_refused_without_reading_it(tmp_path: Path) -> None:
     assert salvage_file(path, tmp_path / "saved.mcap").path is None
 
 
-def test_a_foreign_file_saves_nothing(tmp_path: Path) -> None:
+def test_a_foreign_file_saves_nothing(tmp_path):
     saved = save(tmp_path, b"PK\x03\x04" * 50)
     assert saved.path is None
     assert "not an MCAP" in saved.reason

@@ -11,7 +11,7 @@ import signal
 import sqlite3
 import stat
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -20,7 +20,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from tests.backend.annotations.conftest import Record, add, context_for, flip_byte, small_episode
+from tests.backend.annotations.conftest import add, context_for, flip_byte, small_episode
 from touchdown.app.shell.datasets import open_dataset
 from touchdown.backend.annotations import storage
 from touchdown.backend.annotations.dataset import Dataset
@@ -72,7 +72,7 @@ def whole(dataset: Dataset, uuid: str, seed: int) -> bool:
 
 @pytest.mark.promise("D2")
 @pytest.mark.parametrize("limit", [1, 500, 5_000, 15_000])
-def test_a_full_disk_is_one_fault_and_costs_one_episode(tmp_path: Path, limit: int) -> None:
+def test_a_full_disk_is_one_fault_and_costs_one_episode(tmp_path, limit):
     folder = tmp_path / "data"
     with Dataset.open(folder) as dataset:
         first = record(dataset, 1)
@@ -91,15 +91,10 @@ def test_a_full_disk_is_one_fault_and_costs_one_episode(tmp_path: Path, limit: i
         assert dataset.database.one("PRAGMA integrity_check") == ("ok",)
 
 
-Refusal = Callable[[], None]
-
-
 @pytest.mark.promise("D1", "D3")
 @pytest.mark.parametrize("nth", range(1, 7))
 @pytest.mark.parametrize("name", ["fsync", "replace"])
-def test_the_nth_refusal_loses_nothing_acknowledged(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, nth: int
-) -> None:
+def test_the_nth_refusal_loses_nothing_acknowledged(tmp_path, monkeypatch, name, nth):
     folder = tmp_path / "data"
     acknowledged: dict[str, int] = {}
     with Dataset.open(folder) as dataset:
@@ -128,7 +123,7 @@ def test_the_nth_refusal_loses_nothing_acknowledged(
         assert dataset.notices == ()
 
 
-def test_a_commit_that_fails_leaves_the_file_to_be_adopted(tmp_path: Path) -> None:
+def test_a_commit_that_fails_leaves_the_file_to_be_adopted(tmp_path):
     folder = tmp_path / "data"
     with Dataset.open(folder) as dataset:
         record(dataset, 1)
@@ -149,9 +144,7 @@ def test_a_commit_that_fails_leaves_the_file_to_be_adopted(tmp_path: Path) -> No
         assert len(dataset.episodes()) == len(listed) + 2
 
 
-def test_a_catalogue_without_room_is_a_full_disk_and_what_is_tried_again_the_same_episode(
-    tmp_path: Path,
-) -> None:
+def test_a_catalogue_without_room_is_a_full_disk_and_what_is_tried_again_the_same_episode(tmp_path):
     folder = tmp_path / "data"
     with Dataset.open(folder) as dataset, closing(EpisodeRecorder(dataset)) as recorder:
         context, label = context_for(dataset), Label(1, 0, 0, 1)
@@ -196,7 +189,7 @@ def limit_pages(dataset: Dataset, pages: int) -> int:
     return int(before)
 
 
-def test_no_campaign_on_a_disk_nearly_full(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_campaign_on_a_disk_nearly_full(tmp_path, monkeypatch):
     usage = SimpleNamespace(free=1_001_000_000)
     monkeypatch.setattr(storage.shutil, "disk_usage", lambda place: usage)
     check_free_space(tmp_path / "not" / "yet")
@@ -236,9 +229,7 @@ def filled(folder: Path) -> list[str]:
 
 
 @pytest.mark.parametrize("code", [errno.EINVAL, errno.ENOTSUP])
-def test_where_no_folder_can_be_synced_everything_is_kept(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code: int
-) -> None:
+def test_where_no_folder_can_be_synced_everything_is_kept(tmp_path, monkeypatch, code):
     asked = refusing_folders(monkeypatch, code)
     uuids = filled(tmp_path / "data")
     picture = tmp_path / "p.png"
@@ -252,9 +243,7 @@ def test_where_no_folder_can_be_synced_everything_is_kept(
         assert dataset.film(uuids[1]).episode.episode_id == uuids[1]
 
 
-def test_a_disk_that_fails_to_sync_a_folder_is_no_such_disk(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_disk_that_fails_to_sync_a_folder_is_no_such_disk(tmp_path, monkeypatch):
     with Dataset.open(tmp_path / "data", person="cleo") as dataset:
         context = context_for(dataset)
         refusing_folders(monkeypatch, errno.EIO)
@@ -264,7 +253,7 @@ def test_a_disk_that_fails_to_sync_a_folder_is_no_such_disk(
         assert dataset.episodes() == []
 
 
-def test_all_names_of_a_dataset_are_told_apart_and_allowed_on_fat(tmp_path: Path) -> None:
+def test_all_names_of_a_dataset_are_told_apart_and_allowed_on_fat(tmp_path):
     filled(tmp_path / "data")
     names = [path.relative_to(tmp_path) for path in (tmp_path / "data").rglob("*")]
     assert len(names) > 15
@@ -274,9 +263,7 @@ def test_all_names_of_a_dataset_are_told_apart_and_allowed_on_fat(tmp_path: Path
         assert not name.name.endswith((".", " ")), name
 
 
-def test_a_dataset_on_fat_says_what_a_power_cut_may_do(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_dataset_on_fat_says_what_a_power_cut_may_do(tmp_path, monkeypatch):
     mounts = [("/", "ext4"), (str(tmp_path), "vfat")]
     monkeypatch.setattr(storage, "_mounts", lambda: mounts)
     with Dataset.open(tmp_path / "data") as dataset:
@@ -296,7 +283,7 @@ def held(dataset: Dataset) -> Iterator[sqlite3.Connection]:
 
 
 @pytest.mark.promise("D4")
-def test_a_catalogue_that_stays_locked_is_one_fault_and_nothing_is_lost(dataset: Dataset) -> None:
+def test_a_catalogue_that_stays_locked_is_one_fault_and_nothing_is_lost(dataset):
     first = record(dataset, 1)
     # As long as the settings of the connection say; the test has no time for it.
     assert dataset.database.one("PRAGMA busy_timeout")[0] == 2000
@@ -318,7 +305,7 @@ def test_a_catalogue_that_stays_locked_is_one_fault_and_nothing_is_lost(dataset:
 
 
 @pytest.mark.promise("D4")
-def test_a_writer_waits_for_a_lock_that_is_let_go(dataset: Dataset) -> None:
+def test_a_writer_waits_for_a_lock_that_is_let_go(dataset):
     first = record(dataset, 1)
     dataset.database.first("PRAGMA busy_timeout = 30000")
     with held(dataset) as other:
@@ -373,7 +360,7 @@ def calm(folder: Path) -> bool:
         return all(problem.lasting for problem in found)
 
 
-def test_a_pack_becomes_episodes_with_commanded_drafts(folder: Path) -> None:
+def test_a_pack_becomes_episodes_with_commanded_drafts(folder):
     with Dataset.open(folder) as dataset:
         assert "4 episodes of packs/a.mcap entered" in dataset.notices[0]
         assert dataset.episodes(EpisodeFilter(accepted=False)) == []
@@ -383,7 +370,7 @@ def test_a_pack_becomes_episodes_with_commanded_drafts(folder: Path) -> None:
             ("pot", "circle15", "mass", "draft", "none")
         }
         ops = dataset.labels.log()
-        assert [(op.verb, len(list(op.body["revs"]))) for op in ops] == [("adopt", 4)]  # type: ignore[call-overload]
+        assert [(op.verb, len(list(op.body["revs"]))) for op in ops] == [("adopt", 4)]
         heads = [dataset.labels.head(e.uuid) for e in entries]
         assert {head.source for head in heads} == {"commanded"}
         rng = np.random.default_rng(0)
@@ -395,7 +382,7 @@ def test_a_pack_becomes_episodes_with_commanded_drafts(folder: Path) -> None:
     assert calm(folder)
 
 
-def test_a_packed_episode_is_read_like_any_other(folder: Path) -> None:
+def test_a_packed_episode_is_read_like_any_other(folder):
     sent = {row.observation.tobytes(): row.label for row in read_pack(folder / "packs/a.mcap")}
     with Dataset.open(folder) as dataset:
         for entry in dataset.episodes():
@@ -412,7 +399,7 @@ def test_a_packed_episode_is_read_like_any_other(folder: Path) -> None:
     assert sent == {}
 
 
-def test_the_same_pack_elsewhere_is_the_same_episodes(folder: Path, tmp_path: Path) -> None:
+def test_the_same_pack_elsewhere_is_the_same_episodes(folder, tmp_path):
     with Dataset.open(folder) as dataset:
         before = [entry.uuid for entry in dataset.episodes()]
     other = tmp_path / "other"
@@ -422,7 +409,7 @@ def test_the_same_pack_elsewhere_is_the_same_episodes(folder: Path, tmp_path: Pa
         assert [entry.uuid for entry in dataset.episodes()] == before
 
 
-def test_a_renamed_pack_keeps_its_labels(folder: Path) -> None:
+def test_a_renamed_pack_keeps_its_labels(folder):
     with Dataset.open(folder) as dataset:
         uuid = dataset.episodes()[0].uuid
         dataset.labels.set("ann", uuid, Label(1, 2, 0, 3))
@@ -434,7 +421,7 @@ def test_a_renamed_pack_keeps_its_labels(folder: Path) -> None:
     assert calm(folder)
 
 
-def test_a_second_copy_goes_to_quarantine(folder: Path) -> None:
+def test_a_second_copy_goes_to_quarantine(folder):
     states(folder)
     shutil.copy(folder / "packs" / "a.mcap", folder / "packs" / "copy.mcap")
     assert states(folder) == ["complete"] * 4
@@ -442,7 +429,7 @@ def test_a_second_copy_goes_to_quarantine(folder: Path) -> None:
     assert calm(folder)
 
 
-def test_a_missing_pack_is_told_and_comes_back(folder: Path, tmp_path: Path) -> None:
+def test_a_missing_pack_is_told_and_comes_back(folder, tmp_path):
     states(folder)
     shutil.move(folder / "packs" / "a.mcap", tmp_path / "away.mcap")
     assert states(folder) == ["missing"] * 4
@@ -452,11 +439,8 @@ def test_a_missing_pack_is_told_and_comes_back(folder: Path, tmp_path: Path) -> 
     assert calm(folder)
 
 
-Tear = Callable[[bytes], bytes]
-
-
 @pytest.mark.parametrize("known", [True, False])
-def test_a_torn_pack_keeps_its_whole_episodes(folder: Path, known: bool) -> None:
+def test_a_torn_pack_keeps_its_whole_episodes(folder, known):
     if known:
         states(folder)
     pack = folder / "packs" / "a.mcap"
@@ -474,7 +458,7 @@ def test_a_torn_pack_keeps_its_whole_episodes(folder: Path, known: bool) -> None
     assert calm(folder)
 
 
-def test_a_changed_byte_costs_one_pack_check_and_keeps_the_rest(folder: Path) -> None:
+def test_a_changed_byte_costs_one_pack_check_and_keeps_the_rest(folder):
     states(folder)
     flip_byte(folder / "packs" / "a.mcap")
     with Dataset.open(folder) as dataset:
@@ -485,7 +469,7 @@ def test_a_changed_byte_costs_one_pack_check_and_keeps_the_rest(folder: Path) ->
     assert calm(folder)
 
 
-def test_a_pack_of_another_geometry_is_told_once(folder: Path) -> None:
+def test_a_pack_of_another_geometry_is_told_once(folder):
     write_pack(folder / "packs" / "b.mcap", seed=3, geometry="ab" * 32)
     with Dataset.open(folder) as dataset:
         assert any("was changed since" in notice for notice in dataset.notices)
@@ -494,7 +478,7 @@ def test_a_pack_of_another_geometry_is_told_once(folder: Path) -> None:
         assert dataset.notices == ()
 
 
-def test_other_files_among_the_packs_are_left(folder: Path) -> None:
+def test_other_files_among_the_packs_are_left(folder):
     write_episode(folder / "packs" / "single.mcap", small_episode(), None, {})
     with Dataset.open(folder) as dataset:
         assert any("single.mcap is no pack" in notice for notice in dataset.notices)
@@ -502,7 +486,7 @@ def test_other_files_among_the_packs_are_left(folder: Path) -> None:
     assert states(folder) == ["complete"] * 4
 
 
-def test_a_pack_read_as_one_episode_says_that_no_pictures_were_kept(tmp_path: Path) -> None:
+def test_a_pack_read_as_one_episode_says_that_no_pictures_were_kept(tmp_path):
     path = tmp_path / "a.mcap"
     write_pack(path, 3)
     for read in (read_compressed_episode, read_episode):
@@ -533,9 +517,7 @@ def read_only(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(os, "access", lambda path, mode: not mode & os.W_OK)
 
 
-def test_it_is_looked_at_and_nothing_appears_beside_the_catalogue(
-    closed: Path, read_only: None
-) -> None:
+def test_it_is_looked_at_and_nothing_appears_beside_the_catalogue(closed, read_only):
     before = sorted(closed.rglob("*"))
     with Dataset.open(closed, create=False, write=False) as dataset:
         assert len(dataset.episodes()) == 1
@@ -552,8 +534,8 @@ def test_it_is_looked_at_and_nothing_appears_beside_the_catalogue(
 
 
 def test_a_copy_of_an_open_dataset_is_not_shown_without_its_newest_labels(
-    dataset: Dataset, record: Record, tmp_path: Path, request: pytest.FixtureRequest
-) -> None:
+    dataset, record, tmp_path, request
+):
     record()
     copy = tmp_path / "copy"
     shutil.copytree(dataset.folder, copy)

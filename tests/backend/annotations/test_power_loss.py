@@ -60,7 +60,7 @@ def lay_out(root: Path, files: dict[str, bytes]) -> None:
 
 @pytest.mark.promise("D1", "D3")
 @pytest.mark.slow
-def test_power_lost_at_any_step_loses_nothing_acknowledged(place: Path) -> None:
+def test_power_lost_at_any_step_loses_nothing_acknowledged(place):
     trace = traced(place)
     root = place / "disk"
     disk, known = Disk(root), Known()
@@ -93,7 +93,7 @@ def test_power_lost_at_any_step_loses_nothing_acknowledged(place: Path) -> None:
 
 @pytest.mark.promise("D1", "D2", "D3")
 @pytest.mark.slow
-def test_a_disk_that_refuses_a_call_loses_nothing_acknowledged(place: Path) -> None:
+def test_a_disk_that_refuses_a_call_loses_nothing_acknowledged(place):
     root = str(place / "disk")
     answer = json.loads(preloaded(place, "disk_refusals.c", "refusing_disk", REFUSE_ROOT=root))
     assert answer["wrong"] == []
@@ -101,7 +101,7 @@ def test_a_disk_that_refuses_a_call_loses_nothing_acknowledged(place: Path) -> N
     assert {kind: count for kind, count in answer["refused"].items() if count < least[kind]} == {}
 
 
-def test_the_model_loses_what_was_not_synchronised(tmp_path: Path) -> None:
+def test_the_model_loses_what_was_not_synchronised(tmp_path):
     """A rename without its data is an empty file, a folder's entry alone is enough to lose all."""
     root = str(tmp_path)
     disk = Disk(tmp_path)

@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.backend.annotations.conftest import Record, authors, context_for
+from tests.backend.annotations.conftest import authors, context_for
 from tests.backend.annotations.filling import fill
 from touchdown.backend.annotations import episode_index
 from touchdown.backend.annotations.backups import list_backups, restore_backup
@@ -35,7 +35,7 @@ MOVED = Label(2000, 300, 0, 200)
 
 
 def standing(state: str, authors: tuple[str, ...] = ("ann",), before: bool = False) -> ReviewStatus:
-    return ReviewStatus(state, authors, before, conflict=False, deleted=False)  # type: ignore[arg-type]
+    return ReviewStatus(state, authors, before, conflict=False, deleted=False)
 
 
 TABLE = {
@@ -78,24 +78,24 @@ def outcome(wanted: str, call: Callable[[], str]) -> None:
 
 
 @pytest.mark.parametrize(("state", "action"), TABLE)
-def test_every_state_by_every_action(state: str, action: str) -> None:
+def test_every_state_by_every_action(state, action):
     found, key = standing(state), (state, action)
-    outcome(TABLE[key], lambda: state_after(action, found, "ann"))  # type: ignore[arg-type]
+    outcome(TABLE[key], lambda: state_after(action, found, "ann"))
     wanted = BY_ANOTHER.get(key, TABLE[key])
-    outcome(wanted, lambda: state_after(action, found, "bob"))  # type: ignore[arg-type]
+    outcome(wanted, lambda: state_after(action, found, "bob"))
 
 
 @pytest.mark.parametrize("action", ["set", "accept", "approve", "reject"])
 @pytest.mark.parametrize("state", ["unlabelled", *STATES])
-def test_nothing_is_done_to_what_is_deleted_or_in_conflict(state: str, action: str) -> None:
+def test_nothing_is_done_to_what_is_deleted_or_in_conflict(state, action):
     for closed, word in (({"deleted": True}, "deleted"), ({"conflict": True}, "two labels")):
         flags = {"conflict": False, "deleted": False} | closed
-        found = ReviewStatus(state, (), False, **flags)  # type: ignore[arg-type]
+        found = ReviewStatus(state, (), False, **flags)
         with pytest.raises(RefusedError, match=word):
-            state_after(action, found, "bob")  # type: ignore[arg-type]
+            state_after(action, found, "bob")
 
 
-def test_one_pair_of_eyes_may_be_allowed_and_a_changed_approved_draft_can_be_reviewed() -> None:
+def test_one_pair_of_eyes_may_be_allowed_and_a_changed_approved_draft_can_be_reviewed():
     assert state_after("approve", standing("submitted"), "ann", four_eyes=False) == "approved"
     assert state_after("approve", standing("draft", before=True), "bob") == "approved"
     with pytest.raises(RefusedError, match="ann wrote it"):
@@ -103,13 +103,13 @@ def test_one_pair_of_eyes_may_be_allowed_and_a_changed_approved_draft_can_be_rev
 
 
 @pytest.mark.parametrize("name", ["", "  ", "program", "a\nb", "x" * 81])
-def test_only_a_person_acts(dataset: Dataset, record: Record, name: str) -> None:
+def test_only_a_person_acts(dataset, record, name):
     with pytest.raises(InputError, match="name of a person"):
         dataset.labels.accept(name, record().uuid)
     assert check_person("  Jörg  ") == "Jörg"
 
 
-def test_the_way_of_a_label_from_the_campaign_to_approval(dataset: Dataset, record: Record) -> None:
+def test_the_way_of_a_label_from_the_campaign_to_approval(dataset, record):
     labels, uuid = dataset.labels, record().uuid
     assert labels.head(uuid).source == "commanded"
     assert labels.set("ann", uuid, MOVED).source == "human"
@@ -131,7 +131,7 @@ def test_the_way_of_a_label_from_the_campaign_to_approval(dataset: Dataset, reco
     assert reviews == [("bob", "approved", 900, 1), ("bob", "approved", None, None)]
 
 
-def test_accepting_a_changed_offset_is_one_revision(dataset: Dataset, record: Record) -> None:
+def test_accepting_a_changed_offset_is_one_revision(dataset, record):
     labels, uuid = dataset.labels, record().uuid
     revision = labels.accept("ann", uuid, MOVED)
     assert (revision.state, revision.source, revision.label) == ("submitted", "human", MOVED)
@@ -143,7 +143,7 @@ def test_accepting_a_changed_offset_is_one_revision(dataset: Dataset, record: Re
         labels.approve("ann", suggested)
 
 
-def test_rejected_work_goes_back_to_its_author(dataset: Dataset, record: Record) -> None:
+def test_rejected_work_goes_back_to_its_author(dataset, record):
     labels, uuid = dataset.labels, record().uuid
     labels.accept("ann", uuid, MOVED)
     with pytest.raises(InputError, match="reason"):
@@ -163,7 +163,7 @@ def test_rejected_work_goes_back_to_its_author(dataset: Dataset, record: Record)
     labels.approve("cleo", uuid)
 
 
-def test_the_source_of_an_untouched_offset_never_changes(dataset: Dataset, record: Record) -> None:
+def test_the_source_of_an_untouched_offset_never_changes(dataset, record):
     labels, entry = dataset.labels, record()
     before = labels.head(entry.uuid)
     assert labels.set("ann", entry.uuid, before.label) == before
@@ -177,7 +177,7 @@ def test_the_source_of_an_untouched_offset_never_changes(dataset: Dataset, recor
     assert sources == {"commanded"}
 
 
-def test_any_old_revision_can_be_written_again(dataset: Dataset, record: Record) -> None:
+def test_any_old_revision_can_be_written_again(dataset, record):
     labels, uuid = dataset.labels, record().uuid
     first = labels.head(uuid)
     labels.set("ann", uuid, MOVED)
@@ -188,7 +188,7 @@ def test_any_old_revision_can_be_written_again(dataset: Dataset, record: Record)
         labels.restore_revision("ann", record().uuid, first.rev_uuid)
 
 
-def test_deleting_hides_and_restoring_brings_back(dataset: Dataset, record: Record) -> None:
+def test_deleting_hides_and_restoring_brings_back(dataset, record):
     labels, entry = dataset.labels, record()
     content = dataset.path(entry.uuid).read_bytes()
     labels.delete("ann", entry.uuid, "wrong piece")
@@ -201,7 +201,7 @@ def test_deleting_hides_and_restoring_brings_back(dataset: Dataset, record: Reco
     assert dataset.path(entry.uuid).read_bytes() == content
 
 
-def test_the_log_can_be_searched(dataset: Dataset, record: Record) -> None:
+def test_the_log_can_be_searched(dataset, record):
     labels, first, second = dataset.labels, record().uuid, record().uuid
     labels.set("ann", first, MOVED, note="bent corner")
     labels.flag("bob", second)
@@ -214,7 +214,7 @@ def test_the_log_can_be_searched(dataset: Dataset, record: Record) -> None:
         labels.head("nothing")
 
 
-def test_work_moves_from_queue_to_queue(dataset: Dataset, record: Record) -> None:
+def test_work_moves_from_queue_to_queue(dataset, record):
     labels, (a, b, c) = dataset.labels, [record().uuid for _ in range(3)]
     assert dataset.queue("unlabelled", "ann") == [a, b, c]
     labels.skip("ann", a)
@@ -247,7 +247,7 @@ def test_work_moves_from_queue_to_queue(dataset: Dataset, record: Record) -> Non
         dataset.queue("all", "ann")
 
 
-def test_coverage_brings_the_emptiest_squares_first(dataset: Dataset, record: Record) -> None:
+def test_coverage_brings_the_emptiest_squares_first(dataset, record):
     labels = dataset.labels
     crowded = [record(100 * k, 100).uuid for k in range(4)]
     lonely = record(-100, 100).uuid
@@ -264,7 +264,7 @@ def test_coverage_brings_the_emptiest_squares_first(dataset: Dataset, record: Re
     assert dataset.queue("coverage", "ann") == [other_pair, *crowded[2:]]
 
 
-def test_injected_errors_come_first_in_the_queue_of_disagreement(dataset: Dataset) -> None:
+def test_injected_errors_come_first_in_the_queue_of_disagreement(dataset):
     uuids = fill(dataset, 1000)
     rng = np.random.default_rng(3)
     wrong = set(rng.choice(uuids, 20, replace=False).tolist())
@@ -275,7 +275,6 @@ def test_injected_errors_come_first_in_the_queue_of_disagreement(dataset: Datase
         x, y = head.label.offset_mm * 1e3 + noise
         guess = Suggestion(Label(round(x), round(y), 0, 150), "model:m", 0)
         value = disagreement(head, guess)
-        assert value is not None
         values[uuid] = value
     dataset.scores.put("disagreement", values, "m")
     first = dataset.queue("disagreement", "ann", limit=100)
@@ -289,7 +288,7 @@ def test_injected_errors_come_first_in_the_queue_of_disagreement(dataset: Datase
     assert score == (dataset.labels.head(first[1]).rev_uuid, values[first[1]])
 
 
-def test_uncertain_and_duplicate_signals(dataset: Dataset, record: Record) -> None:
+def test_uncertain_and_duplicate_signals(dataset, record):
     a, b, c = (record().uuid for _ in range(3))
     dataset.scores.put("uncertainty", {a: 0.1, b: 0.7, c: 0.4, "gone": 9.0}, "m")
     dataset.scores.put("duplicates", {a: 1.1, c: 7.5}, "m")
@@ -303,7 +302,7 @@ def test_uncertain_and_duplicate_signals(dataset: Dataset, record: Record) -> No
         dataset.scores.put("beauty", {a: 1.0}, "m")
 
 
-def test_a_random_audit_is_a_share_that_its_seed_repeats(dataset: Dataset) -> None:
+def test_a_random_audit_is_a_share_that_its_seed_repeats(dataset):
     uuids = fill(dataset, 2000, approved=2000)
     first = dataset.queue("audit", "ann", seed=1)
     assert first == dataset.queue("audit", "bob", seed=1)
@@ -312,7 +311,7 @@ def test_a_random_audit_is_a_share_that_its_seed_repeats(dataset: Dataset) -> No
     assert first != sorted(first)
 
 
-def test_gold_items_are_answered_once_and_never_by_their_author(dataset: Dataset) -> None:
+def test_gold_items_are_answered_once_and_never_by_their_author(dataset):
     fill(dataset, 500, approved=500)
     gold = dataset.queue("gold", "cleo", seed=4)
     assert gold
@@ -321,25 +320,22 @@ def test_gold_items_are_answered_once_and_never_by_their_author(dataset: Dataset
     assert dataset.queue("gold", "ann", seed=4) == []
 
 
-def test_every_queue_answers_on_an_empty_dataset(dataset: Dataset) -> None:
+def test_every_queue_answers_on_an_empty_dataset(dataset):
     for name in QUEUES:
         assert dataset.queue(name, "ann") == []
 
 
-def test_a_suggestion_is_no_label(dataset: Dataset, record: Record) -> None:
+def test_a_suggestion_is_no_label(dataset, record):
     entry = record()
     before = dataset.labels.history(entry.uuid)
     assert dataset.scores.suggestion(entry.uuid) is None
     dataset.scores.suggest({entry.uuid: Label(5, 6, 0, 700)}, "abc")
     found = dataset.scores.suggestion(entry.uuid)
-    assert found is not None
     assert (found.label, found.source) == (Label(5, 6, 0, 700), "model:abc")
     assert dataset.labels.history(entry.uuid) == before
 
 
-def test_entries_are_read_in_pages_and_counted_by_the_catalogue(
-    dataset: Dataset, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_entries_are_read_in_pages_and_counted_by_the_catalogue(dataset, monkeypatch):
     monkeypatch.setattr(episode_index, "PAGE", 7)
     uuids = fill(dataset, 30, approved=4)
     dataset.labels.delete("ann", uuids[3], "test")
@@ -361,7 +357,7 @@ def begin(dataset: Dataset, **changes: object) -> ActiveRun:
     return dataset.runs.begin("train", seed=7, settings=SETTINGS | changes)
 
 
-def test_a_run_is_told_while_it_goes_on_and_after(dataset: Dataset, tmp_path: Path) -> None:
+def test_a_run_is_told_while_it_goes_on_and_after(dataset, tmp_path):
     live = begin(dataset)
     assert dataset.runs.entry(live.uuid).state == "running"
     assert list(check_dataset(dataset.parts)) == [], "a run that lives is left alone"
@@ -375,14 +371,12 @@ def test_a_run_is_told_while_it_goes_on_and_after(dataset: Dataset, tmp_path: Pa
     model = tmp_path / "pot.safetensors"
     model.write_bytes(b"weights")
     live.artifact("model", model)
-    live.set_manifest("m" * 64)
-    live.finish()
+    live.finish("m" * 64)
     entry = dataset.runs.entry(live.uuid)
     assert (entry.state, entry.kind, entry.seed, entry.manifest) == (
         "finished", "train", 7, "m" * 64,
     )  # fmt: skip
     assert entry.params == SETTINGS
-    assert entry.ended_ns is not None
     assert entry.ended_ns >= entry.started_ns
     (made,) = entry.artifacts
     assert (made.path, made.bytes) == (str(model.resolve()), 7)
@@ -391,7 +385,7 @@ def test_a_run_is_told_while_it_goes_on_and_after(dataset: Dataset, tmp_path: Pa
     assert math.isnan(dataset.runs.metrics(live.uuid, "iou")[0].value)
 
 
-def test_runs_are_listed_by_kind_the_newest_first(dataset: Dataset) -> None:
+def test_runs_are_listed_by_kind_the_newest_first(dataset):
     with begin(dataset) as first:
         first.finish()
     with dataset.runs.begin("evaluate", seed=0, settings={}) as other:
@@ -404,7 +398,7 @@ def test_runs_are_listed_by_kind_the_newest_first(dataset: Dataset) -> None:
         dataset.runs.entry("elsewhere")
 
 
-def test_what_did_not_end_by_itself_failed_or_was_cancelled(dataset: Dataset) -> None:
+def test_what_did_not_end_by_itself_failed_or_was_cancelled(dataset):
     with pytest.raises(ValueError, match="too hot"), begin(dataset) as failed:
         raise ValueError("too hot")
     with pytest.raises(KeyboardInterrupt), begin(dataset) as stopped:
@@ -413,7 +407,7 @@ def test_what_did_not_end_by_itself_failed_or_was_cancelled(dataset: Dataset) ->
     assert states == {failed.uuid: ("failed", "too hot"), stopped.uuid: ("cancelled", "")}
 
 
-def test_a_run_needs_no_right_to_write_the_catalogue(dataset: Dataset) -> None:
+def test_a_run_needs_no_right_to_write_the_catalogue(dataset):
     with Dataset.open(dataset.folder, write=False) as reader:
         live = begin(reader)
         assert reader.runs.entries() == []
@@ -446,7 +440,7 @@ def die_running(folder: Path, lines: int) -> str:
     return uuid
 
 
-def test_a_killed_run_is_interrupted_at_the_next_start(tmp_path: Path) -> None:
+def test_a_killed_run_is_interrupted_at_the_next_start(tmp_path):
     Dataset.open(tmp_path / "data").close()
     uuid = die_running(tmp_path / "data", 3)
     with Dataset.open(tmp_path / "data", write=False) as reader:
@@ -462,9 +456,7 @@ def test_a_killed_run_is_interrupted_at_the_next_start(tmp_path: Path) -> None:
         assert list(check_dataset(dataset.parts, whole=True)) == []
 
 
-def test_a_folder_without_a_run_is_deleted_and_a_row_without_folder_is_kept(
-    dataset: Dataset,
-) -> None:
+def test_a_folder_without_a_run_is_deleted_and_a_row_without_folder_is_kept(dataset):
     live = begin(dataset)
     dataset.runs.entries()
     live.finish()
@@ -477,7 +469,7 @@ def test_a_folder_without_a_run_is_deleted_and_a_row_without_folder_is_kept(
         assert not (again.folder / RUNS_FOLDER / "begun").exists()
 
 
-def test_an_unreadable_run_is_told_once_and_harms_nothing(dataset: Dataset) -> None:
+def test_an_unreadable_run_is_told_once_and_harms_nothing(dataset):
     live = begin(dataset)
     live.finish()
     (dataset.folder / RUNS_FOLDER / live.uuid / "run.json").write_text("{")
@@ -488,7 +480,7 @@ def test_an_unreadable_run_is_told_once_and_harms_nothing(dataset: Dataset) -> N
         assert again.notices == ()
 
 
-def test_metrics_that_were_cut_are_read_anew(dataset: Dataset) -> None:
+def test_metrics_that_were_cut_are_read_anew(dataset):
     live = begin(dataset)
     for step in range(5):
         live.metric("loss", step, 1.0)
@@ -499,7 +491,7 @@ def test_metrics_that_were_cut_are_read_anew(dataset: Dataset) -> None:
     assert len(dataset.runs.metrics(live.uuid)) == 1
 
 
-def test_runs_come_back_after_a_rebuild_and_after_a_restore(dataset: Dataset) -> None:
+def test_runs_come_back_after_a_rebuild_and_after_a_restore(dataset):
     backup = dataset.backups.make("test")
     live = begin(dataset)
     live.metric("loss", 1, 0.5)
@@ -516,7 +508,7 @@ def test_runs_come_back_after_a_rebuild_and_after_a_restore(dataset: Dataset) ->
         assert again.runs.entry(live.uuid).params == SETTINGS
 
 
-def test_the_chain_of_labels_is_written_into_the_run(dataset: Dataset, record) -> None:  # type: ignore[no-untyped-def]
+def test_the_chain_of_labels_is_written_into_the_run(dataset, record):
     record()
     live = begin(dataset)
     live.finish()
@@ -530,7 +522,7 @@ SMALL = 'mount -t tmpfs -o size=48m none "$0" && exec "$@"'
 
 @pytest.mark.promise("D2")
 @pytest.mark.slow
-def test_labels_and_a_campaign_outlast_a_full_disk(tmp_path: Path) -> None:
+def test_labels_and_a_campaign_outlast_a_full_disk(tmp_path):
     try:
         allowed = subprocess.run(["unshare", "-Urm", "true"], check=False, capture_output=True)
     except FileNotFoundError:

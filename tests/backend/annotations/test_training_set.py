@@ -66,9 +66,7 @@ def numbers(opened: TrainingCache) -> list[int]:
     return [int(r.revision[1:]) for r in opened.rows]
 
 
-def test_a_cache_is_an_ordinary_array_of_half_precision_with_its_facts(
-    tmp_path: Path, rows: list[CacheRow]
-) -> None:
+def test_a_cache_is_an_ordinary_array_of_half_precision_with_its_facts(tmp_path, rows):
     opened = open_cache(tmp_path, rows)
     index = np.array([3, 0, 9, 3])
     got = opened.batch(index).astype(np.float32)
@@ -86,9 +84,7 @@ def test_a_cache_is_an_ordinary_array_of_half_precision_with_its_facts(
     assert facts["spec"]["rate_hz"] == 10
 
 
-def test_an_equal_set_is_not_built_again(
-    tmp_path: Path, rows: list[CacheRow], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_equal_set_is_not_built_again(tmp_path, rows, monkeypatch):
     first = open_cache(tmp_path, rows)
     first.close()
 
@@ -105,7 +101,7 @@ def test_an_equal_set_is_not_built_again(
 
 
 @pytest.mark.parametrize("damage", ["cut", "no json", "foreign"])
-def test_half_a_cache_is_built_again(tmp_path: Path, rows: list[CacheRow], damage: str) -> None:
+def test_half_a_cache_is_built_again(tmp_path, rows, damage):
     opened = open_cache(tmp_path, rows)
     opened.close()
     if damage == "cut":
@@ -119,7 +115,7 @@ def test_half_a_cache_is_built_again(tmp_path: Path, rows: list[CacheRow], damag
     again.close()
 
 
-def test_nothing_half_built_stays(tmp_path: Path, rows: list[CacheRow]) -> None:
+def test_nothing_half_built_stays(tmp_path, rows):
     data = bytearray((tmp_path / "packs/a.mcap").read_bytes())
     offset, length = rows[-1].chunk or (0, 0)
     data[offset + length - 30] ^= 0xFF
@@ -130,13 +126,13 @@ def test_nothing_half_built_stays(tmp_path: Path, rows: list[CacheRow]) -> None:
     assert list((tmp_path / "cache").iterdir()) == []
 
 
-def test_a_wrong_place_in_a_pack_is_refused(tmp_path: Path, rows: list[CacheRow]) -> None:
+def test_a_wrong_place_in_a_pack_is_refused(tmp_path, rows):
     for chunk in ((3, 500), (0, 5), (10**9, 100), (8, 2**40)):
         with pytest.raises(InputError):
             read_observation(tmp_path, replace(rows[-1], chunk=chunk))
 
 
-def test_only_the_newest_caches_stay(tmp_path: Path, rows: list[CacheRow]) -> None:
+def test_only_the_newest_caches_stay(tmp_path, rows):
     for count in range(6, 11):
         open_cache(tmp_path, rows[:count]).close()
     left = sorted(path.suffix for path in (tmp_path / "cache").iterdir())
@@ -181,7 +177,7 @@ def used(folder: Path, labels: LabelChoice) -> dict[int, float]:
     return dict(zip(seeds, rows.offset_mm[:, 0].tolist(), strict=True))
 
 
-def test_the_latest_approved_label_counts_and_others_where_wanted(folder: Path) -> None:
+def test_the_latest_approved_label_counts_and_others_where_wanted(folder):
     assert used(folder, "approved") == {2: 0.5, 3: 0.5}
     assert used(folder, "submitted") == {1: 0.5, 2: 0.5, 3: 0.5}
     assert used(folder, "drafts") == {0: 0.0, 1: 0.5, 2: 0.5, 3: 0.5, 7: 7.0, 8: 8.0}
@@ -192,7 +188,7 @@ def test_the_latest_approved_label_counts_and_others_where_wanted(folder: Path) 
     assert len(used(folder, "drafts")) == 5
 
 
-def test_nothing_labelled_says_what_to_do(tmp_path: Path) -> None:
+def test_nothing_labelled_says_what_to_do(tmp_path):
     folder = tmp_path / "data"
     with Dataset.open(folder) as dataset:
         add(dataset, Label(1, 1, 0, 1))
@@ -210,7 +206,7 @@ def with_pack(folder: Path, count: int) -> Path:
     return folder
 
 
-def test_a_pack_in_a_dataset_trains_as_it_does_alone(tmp_path: Path) -> None:
+def test_a_pack_in_a_dataset_trains_as_it_does_alone(tmp_path):
     folder = with_pack(tmp_path / "data", 20)
     alone, rows = load_rows(folder / "packs", "pot"), load_training_set(folder, "pot", "drafts")
     assert (rows.piece, rows.geometry) == (alone.piece, alone.geometry)
@@ -226,7 +222,7 @@ def by_offset(rows: TrainingRows) -> dict[tuple[float, float], int]:
     return {(float(x), float(y)): i for i, (x, y) in enumerate(rows.offset_mm)}
 
 
-def test_a_turned_label_has_a_turned_patch(tmp_path: Path) -> None:
+def test_a_turned_label_has_a_turned_patch(tmp_path):
     folder = tmp_path / "data"
     with Dataset.open(folder) as dataset:
         context = context_for(dataset, bottom="square15")
@@ -238,7 +234,7 @@ def test_a_turned_label_has_a_turned_patch(tmp_path: Path) -> None:
     assert rows.geometry == load_pieces().piece("pot").sha256
 
 
-def test_the_train_verb_takes_a_dataset(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_the_train_verb_takes_a_dataset(tmp_path, capfd):
     folder = with_pack(tmp_path / "data", 24)
     out = tmp_path / "pot.safetensors"
     words = ["train", str(folder), "--epochs", "1", "--out", str(out), "--json"]

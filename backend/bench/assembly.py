@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from importlib.metadata import version
 from importlib.resources import files
 from pathlib import Path
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -46,8 +46,11 @@ from touchdown.backend.runs import (
     models_folder,
 )
 from touchdown.backend.sensing import RawStreams, calibrate_scene_camera, gripper_payload
-from touchdown.backend.simulation import Scene, SceneTruth, start_command_mm, true_margin_mm
+from touchdown.backend.simulation import Scene, start_command_mm, true_margin_mm
 from touchdown.backend.simulation.devices import BenchStreams, SimulatedBench
+
+if TYPE_CHECKING:
+    from touchdown.backend.bench.emulated_scene import TruthClient
 
 TOWERS = 100  # most draws of a tower on which the piece can stand
 DIRECTIONS, MOST_STEPS = 32, 20  # rays and steps of the search for the least number of probes
@@ -85,22 +88,11 @@ class SimulatedBenchChoice:
         return SimulationSettings.model_validate({"preset": name})
 
 
-class SceneWithTruth(Protocol):
-    """Scene with known ground truth."""
-
-    @property
-    def scene(self) -> Scene:
-        """The scene as it was set."""
-
-    def truth(self, *, animate: bool = False) -> SceneTruth:
-        """Return the ground truth."""
-
-
 @dataclass
 class SimulatedScoring:
     """Ground truth of one scene for scoring and display, never for the method."""
 
-    bench: SceneWithTruth
+    bench: SimulatedBench | TruthClient
     longest_step_mm: float
     animate: bool
 

@@ -569,27 +569,19 @@ class Session:
             now_s, lease_clock_s, press_n, surface_mm, lambda: self.engine.busy
         )
         scene = Bench(
+            **stage.facts(),
             now_s=now_s,
             arm=arm,
             gripper=gripper,
             interlock=self.interlock,
             sensing=sensing,
-            estimator=stage.estimator,
-            piece=stage.piece,
-            bottom=stage.bottom,
             store=self._recorder.store,
             prompt=self.prompt,
             settings=self.method,
-            scoring=stage.scoring,
             wall_s=time.perf_counter,
             status=self.status,
             repaint_hold=self.repaint_hold,
-            outline=stage.outline,
-            jig=stage.jig,
-            scene_view=stage.scene_view,
-            wrench_late_s=stage.wrench_late_s,
             sensor_height_mm=self.description.sensor_height_mm,
-            real_time=stage.real_time,
             started_ns=time.time_ns() - round(1e9 * now_s()),
         )
         self._hand = ManualControl(scene, self.interlock, around, self.events.publish)

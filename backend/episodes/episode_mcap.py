@@ -78,7 +78,6 @@ from touchdown.backend.episodes.messages import (
     schema_text,
     stamps_ns,
     unpack_image,
-    unpack_json,
     unpack_markers,
     unpack_observation,
     unpack_pose_mm,
@@ -306,13 +305,6 @@ def episode_of(contents: ChunkContents, path: Path) -> Episode:
         raise InputError("The file holds no single episode.", str(path), DAMAGED_FILE_FIX)
     with input_errors(path):
         return _episode(contents)
-
-
-def read_label(path: Path) -> dict[str, object] | None:
-    """Return the label stored with an episode, or None."""
-    messages = read_whole(path).messages.get(LABEL_TOPIC.name, [])
-    with input_errors(path):
-        return unpack_json(messages[-1]) if messages else None
 
 
 def _episode(contents: ChunkContents) -> Episode:

@@ -20,7 +20,10 @@ MEMORY_BYTES = 8_000_000_000
 
 def main(kind: str, source: str, folder: str) -> None:
     """Read all episodes; every error becomes one line of output."""
-    _limit_memory()
+    if sys.platform != "win32":
+        import resource
+
+        resource.setrlimit(resource.RLIMIT_AS, (MEMORY_BYTES, MEMORY_BYTES))
     read = cast("ForeignReader", import_module(f"touchdown.backend.exchange.{READERS[kind]}").read)
     try:
         for number, episode in enumerate(read(Path(source))):
@@ -39,14 +42,6 @@ def main(kind: str, source: str, folder: str) -> None:
 def _tell(answer: dict[str, object]) -> None:
     sys.stdout.write(json.dumps(answer) + "\n")
     sys.stdout.flush()
-
-
-def _limit_memory() -> None:
-    try:
-        import resource
-    except ImportError:
-        return
-    resource.setrlimit(resource.RLIMIT_AS, (MEMORY_BYTES, MEMORY_BYTES))
 
 
 if __name__ == "__main__":

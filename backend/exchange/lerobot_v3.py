@@ -80,7 +80,11 @@ def write(job: ExportJob, folder: Path) -> Mapping[str, object]:
             rows.append({"episode_index": episode.chosen.index, "tasks": [task],
                          "length": SAMPLES_PER_PROBE, **row})  # fmt: skip
             _count(stats, episode, job.features)
-    _write_episodes(folder, rows)
+    pa, path = require_package("pyarrow"), folder / EPISODES_PATH
+    path.parent.mkdir(parents=True, exist_ok=True)
+    places = {"meta/episodes/chunk_index": 0, "meta/episodes/file_index": 0}
+    table = pa.Table.from_pylist([{**row, **places} for row in rows])
+    require_package("pyarrow.parquet").write_table(table, path, compression="snappy")
     _write_tasks(folder, tasks)
     _write_json(folder / "meta/info.json", _info(job, len(tasks)))
     _write_json(folder / "meta/stats.json", {key: one.result() for key, one in stats.items()})
@@ -173,15 +177,6 @@ def _count(
         by_channel = np.moveaxis(pixels, -1, 1).reshape(len(pixels), 3, -1)
         by_pixel = np.moveaxis(by_channel, 1, 2).reshape(-1, 3, 1, 1)
         stats.setdefault(key, RunningStats()).add(by_pixel)
-
-
-def _write_episodes(folder: Path, rows: Sequence[Mapping[str, Any]]) -> None:
-    pa = require_package("pyarrow")
-    path = folder / EPISODES_PATH
-    path.parent.mkdir(parents=True, exist_ok=True)
-    places = {"meta/episodes/chunk_index": 0, "meta/episodes/file_index": 0}
-    table = pa.Table.from_pylist([{**row, **places} for row in rows])
-    require_package("pyarrow.parquet").write_table(table, path, compression="snappy")
 
 
 def _write_tasks(folder: Path, tasks: Sequence[str]) -> None:

@@ -165,8 +165,7 @@ def record_report(run: ActiveRun, report: TrainingReport) -> None:
         case TrainingFinished():
             for name, path in (("model", report.out), ("card", report.out.with_suffix(".json"))):
                 run.artifact(name, path)
-            run.set_manifest(load_card(report.out).manifest_sha256)
-            run.finish()
+            run.finish(load_card(report.out).manifest_sha256)
         case TrainingCancelled():
             run.cancel()
 

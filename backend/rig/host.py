@@ -24,7 +24,6 @@ from touchdown.backend.devices import (
     HomingGripper,
     Limits,
     Motion,
-    ReleaseAuthorisation,
     RetreatingArm,
     TracedArm,
     recent_positions_mm,
@@ -142,7 +141,9 @@ class RigHost:
         self._core = Failsafe(now_s(), limits)
         self._lock = threading.RLock()
         self._showing, self._noting = threading.Lock(), threading.Lock()
-        self._orders = DriverCommands(devices.arm, devices.gripper, self._may_open)
+        self._orders = DriverCommands(
+            devices.arm, devices.gripper, lambda right: refuse_opening(right, self.measured())
+        )
         self._motions: list[_RunningMotion] = []
         self._cancel = threading.Event()
         self._gone = False
@@ -197,7 +198,9 @@ class RigHost:
             for one in ended:
                 self._end(one, out.why)
         if out.fault is not None:
-            self._report_fault(now_s, out.fault)
+            fault = out.fault
+            self._note(now_s, f"fault {fault.code}: {fault.what}")
+            self._say({"kind": "fault", "number": self._core.faults, "fault": as_row(fault)})
 
     def _stop(self, now_s: float, why: str) -> None:
         self._note(now_s, why)
@@ -211,10 +214,6 @@ class RigHost:
             arm.retreat()
         else:
             arm.stop()
-
-    def _report_fault(self, now_s: float, fault: Fault) -> None:
-        self._note(now_s, f"fault {fault.code}: {fault.what}")
-        self._say({"kind": "fault", "number": self._core.faults, "fault": as_row(fault)})
 
     # -- shared memory ----------------------------------------------------------------------------
 
@@ -398,9 +397,6 @@ class RigHost:
         return number
 
     # -- opening on a held piece ------------------------------------------------------------------
-
-    def _may_open(self, right: ReleaseAuthorisation) -> None:
-        refuse_opening(right, self.measured())
 
     def measured(self) -> RigMeasurement:
         """Return the present measurements of the rig."""

@@ -221,19 +221,11 @@ class RigLink:
             memory.beat(STOPS)
             channel.say({"kind": "stop", "stops": self._stops})
 
-    def retreat(self) -> None:
-        """Retreat the arm from its contact; does not wait."""
-        self._say("retreat")
+    def say(self, kind: str) -> None:
+        """Send a message without answer; does not wait.
 
-    def stop_gripper(self) -> None:
-        """Stop the jaws; does not wait."""
-        self._say("stop gripper")
-
-    def cancel(self) -> None:
-        """Cancel a connection in progress."""
-        self._say("cancel")
-
-    def _say(self, kind: str) -> None:
+        "retreat" of the arm from its contact, "stop gripper", or "cancel" of connecting.
+        """
         if self._channel is not None:
             self._channel.say({"kind": kind})
 
@@ -334,7 +326,9 @@ class RigLink:
             channel = self._channel
             if channel is not None:
                 self._forward_reset(channel)
-                self._tell_limits(channel)
+                if (limits := self._interlock.limits) is not self._limits:
+                    self._limits = limits
+                    channel.say({"kind": "limits", "limits": asdict(limits)})
             now_s = time.monotonic()
             if memory.count(RIG_BEAT) != beats:
                 beats, beat_s = memory.count(RIG_BEAT), now_s
@@ -358,12 +352,6 @@ class RigLink:
             if behind and not self._interlock.latched:
                 self._stops_reset, self._faults_reset = self._stops, self._faults
                 channel.say({"kind": "reset", "stops": self._stops, "faults": self._faults})
-
-    def _tell_limits(self, channel: Channel) -> None:
-        limits = self._interlock.limits
-        if limits is not self._limits:
-            self._limits = limits
-            channel.say({"kind": "limits", "limits": asdict(limits)})
 
     # -- loss -------------------------------------------------------------------------------------
 

@@ -145,7 +145,7 @@ class _Remote:
     def _forward_cancel(self, cancel: threading.Event, done: threading.Event) -> None:
         while not done.wait(0.02):
             if cancel.is_set():
-                self._link.cancel()
+                self._link.say("cancel")
                 return
 
 
@@ -235,7 +235,7 @@ class RigArm(_Remote):
 
     def retreat(self) -> None:
         """Retreat from the contact, then stand; does not wait."""
-        self._link.retreat()
+        self._link.say("retreat")
 
     def stop(self) -> None:
         """End the stream and stop the controller; does not wait."""
@@ -326,7 +326,7 @@ class RigGripper(_Remote):
 
     def stop(self) -> None:
         """Stop and keep the grip; does not wait."""
-        self._link.stop_gripper()
+        self._link.say("stop gripper")
 
 
 CONNECT_S = 10.0

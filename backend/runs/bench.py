@@ -5,8 +5,8 @@ from __future__ import annotations
 import threading
 from collections import deque
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from typing import Protocol
+from dataclasses import dataclass, fields
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -153,19 +153,42 @@ class GroundTruth(Protocol):
         """Judge the scene in its present state."""
 
 
-@dataclass(frozen=True, slots=True)
-class Bench:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SceneFacts:
+    """Properties of one scene, for its devices and for the bench of a run on it.
+
+    ``scoring`` is None where the truth is unknown. ``outline`` is the touched surface. ``jig`` is
+    the pose of ``G`` with the piece in its jig, None without a taught one. ``wrench_late_s`` is the
+    age of a wrench sample on arrival. ``real_time``: time passes by itself, so waits must let the
+    sensors be read.
+    """
+
+    estimator: PatchEstimator
+    piece: Piece
+    bottom: str
+    scoring: GroundTruth | None
+    outline: Outline
+    jig: Pose | None = None
+    scene_view: SceneView | None = None
+    wrench_late_s: float = 0.0
+    real_time: bool = False
+
+    def facts(self) -> dict[str, Any]:
+        """Return these properties by name."""
+        return {field.name: getattr(self, field.name) for field in fields(SceneFacts)}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Bench(SceneFacts):
     """Bench of one run on one scene.
 
     Attributes beyond their types: ``now_s`` returns the bench time, ``wall_s`` the wall clock (for
-    the decision latency only), ``status`` the progress of the run. ``scoring`` is None where the
-    truth is unknown. ``outline`` is the touched surface. ``jig`` is the pose of ``G`` with the
-    piece in its jig, or at the hand-over when ``handed`` is set. ``wrench_late_s`` is the age of a
-    wrench sample on arrival. ``calibrations`` are metadata of every episode. ``sensor_height_mm``
-    is the wrist sensor above the grasp pivot, None if unknown. ``below`` is the tower under the
-    touched surface as entered, None for a single bottom. ``placed`` holds the calibrated positions
-    of board and tool. ``real_time``: time passes by itself, so waits must let the sensors be read.
-    ``started_ns`` is the wall clock at bench time zero, ns since 1970.
+    the decision latency only), ``status`` the progress of the run. ``jig`` is the pose at the
+    hand-over when ``handed`` is set. ``calibrations`` are metadata of every episode.
+    ``sensor_height_mm`` is the wrist sensor above the grasp pivot, None if unknown. ``below`` is
+    the tower under the touched surface as entered, None for a single bottom. ``placed`` holds the
+    calibrated positions of board and tool. ``started_ns`` is the wall clock at bench time zero, ns
+    since 1970.
     """
 
     now_s: Callable[[], float]
@@ -173,26 +196,17 @@ class Bench:
     gripper: GuardedGripper
     interlock: Interlock
     sensing: LiveSensing
-    estimator: PatchEstimator
-    piece: Piece
-    bottom: str
     store: RunStore
     prompt: OperatorPrompt
     settings: StackSettings
-    scoring: GroundTruth | None
     wall_s: Callable[[], float]
     status: Callable[[], RunStatus]
     repaint_hold: RepaintHold
-    outline: Outline
-    jig: Pose | None
-    scene_view: SceneView | None = None
     handed: bool = False
-    wrench_late_s: float = 0.0
     calibrations: tuple[tuple[str, str], ...] = ()
     sensor_height_mm: float | None = None
     below: SupportTower | None = None
     placed: CalibratedPositions = UNCALIBRATED
-    real_time: bool = False
     started_ns: int = 0
 
 
@@ -202,32 +216,20 @@ SCENE_TIMEOUT_S = 120.0  # longest time to set a scene, with emulated devices to
 SceneCheck = Callable[[SceneChoice], Mapping[str, object]]
 
 
-@dataclass(frozen=True, slots=True)
-class SceneDevices:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SceneDevices(SceneFacts):
     """Unguarded devices of one scene, made by a kind of bench.
 
     ``devices`` has all five by name. ``advance`` moves the bench time by a number of microseconds.
-    ``scoring`` is None where the truth is unknown. ``payload`` (6,) is the calibrated weight below
-    the wrist sensor, N and N·m. ``outline`` is the touched surface. ``jig`` is the taught pose of
-    ``G`` with the piece in its jig, None without a jig. ``wrench_late_s`` is the age of a wrench
-    sample on arrival. ``real_time``: time passes by itself.
+    ``payload`` (6,) is the calibrated weight below the wrist sensor, N and N·m.
     """
 
     clock: Clock
     devices: Mapping[str, Device]
     arm: Arm
     gripper: Gripper
-    piece: Piece
-    bottom: str
     advance: Callable[[int], None]
-    scoring: GroundTruth | None
-    estimator: PatchEstimator
     payload: FloatArray
-    outline: Outline
-    jig: Pose | None = None
-    scene_view: SceneView | None = None
-    wrench_late_s: float = 0.0
-    real_time: bool = False
 
 
 # Builds the devices of a scene on the streams of a session. Raises ``InputError`` for an unknown

@@ -180,10 +180,6 @@ class Campaign:
         done = {e.plan_item for e in entries if e.quality.accepted and not e.deleted}
         return [k for k in range(self.count) if k not in done and k not in self.skipped]
 
-    def with_mounting(self) -> Campaign:
-        """Return the campaign with one more mounting."""
-        return replace(self, mountings=self.mountings + 1)
-
     def without(self, item: int) -> Campaign:
         """Return the campaign without ``item``."""
         return replace(self, skipped=tuple(sorted({*self.skipped, item})))

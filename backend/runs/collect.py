@@ -184,7 +184,7 @@ def _one(
     """Collect on one mounting, new or continued; the campaign is saved before and after."""
     dataset = collector.recorder.dataset
     if not mounting.goes_on:
-        begun = collector.campaign.with_mounting()
+        begun = replace(collector.campaign, mountings=collector.campaign.mountings + 1)
         kept = yield from run_to_end(bench, save_or_wait(lambda: begun.save(dataset.folder)))
         if not kept.value:
             return kept

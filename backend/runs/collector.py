@@ -366,7 +366,12 @@ class Collector:
         pressed = yield from press_once(bench, self._probes, np.array(wanted_mm))
         where = measure_offset(pressed.episode, origin, bench.settings.collect)
         yield from lift(bench, self._probes)
-        pressed = replace(pressed, episode=_with_outcome(pressed.episode, bench))
+        episode = pressed.episode
+        if episode.recording is not None:
+            # One more picture of the scene, after lifting.
+            scene = (*episode.recording.scene, *scene_pictures(bench))
+            recording = replace(episode.recording, scene=scene)
+            pressed = replace(pressed, episode=replace(episode, recording=recording))
         drift_mm = 0.0 if first_mm is None else abs(where.contact_mm - first_mm)
         return _PendingEpisode(pressed, item, where, drift_mm)
 
@@ -438,11 +443,3 @@ class Collector:
             self.todo.appendleft(item)
         else:
             self.campaign = self.campaign.without(item)
-
-
-def _with_outcome(episode: Episode, bench: Bench) -> Episode:
-    """Return the episode with one more picture of the scene, after lifting."""
-    if episode.recording is None:
-        return episode
-    scene = (*episode.recording.scene, *scene_pictures(bench))
-    return replace(episode, recording=replace(episode.recording, scene=scene))

@@ -61,7 +61,8 @@ class ManualControl:
     @property
     def active(self) -> bool:
         """True if something moves under manual control."""
-        return self.jog.active or self._gripping or self.switching
+        gripping = self._grip is not None and not self._grip.done
+        return self.jog.active or gripping or self.switching
 
     @property
     def switching(self) -> bool:
@@ -171,10 +172,6 @@ class ManualControl:
                 self._publish(Said(self._around.now_s(), text))
 
     # -- inside -----------------------------------------------------------------------------------
-
-    @property
-    def _gripping(self) -> bool:
-        return self._grip is not None and not self._grip.done
 
     def _take(self) -> None:
         """Raise ``RefusedError`` while something else moves, else renew the lease."""

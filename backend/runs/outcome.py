@@ -107,17 +107,6 @@ def set_up_scene(bench: Bench, request: StackRequest, at_mm: tuple[float, float]
     yield from approach_with_piece(bench, descent_start(bench, there))
 
 
-def ask_outcome(bench: Bench, probe: int) -> Plan[TrialResult]:
-    """Ask the operator for the outcome of a release, with the fingers raised."""
-    outcome, why = proposed_outcome(bench)
-    bench.prompt.ask()
-    yield OutcomeAwaited(bench.now_s(), outcome, why)
-    yield Wait(lambda: bench.prompt.seen is not None, OPERATOR_TIMEOUT_S, "the operator to judge")
-    assert bench.prompt.seen is not None
-    seen, reason = bench.prompt.seen
-    return TrialResult(seen, messages.seen_outcome_message(seen, reason), probe)
-
-
 def proposed_outcome(bench: Bench) -> tuple[Outcome, str]:
     """Return the outcome indicated by wrist and gripper, and why."""
     now_s, settings = bench.now_s(), bench.settings
@@ -156,7 +145,14 @@ def outcome_from_signals(
 def judge_release(bench: Bench, probe: int) -> Plan[TrialResult]:
     """Return and publish the outcome; without ground truth the operator is asked."""
     if bench.scoring is None:
-        ending = yield from ask_outcome(bench, probe)
+        # The fingers are raised.
+        (outcome, why), prompt = proposed_outcome(bench), bench.prompt
+        prompt.ask()
+        yield OutcomeAwaited(bench.now_s(), outcome, why)
+        yield Wait(lambda: prompt.seen is not None, OPERATOR_TIMEOUT_S, "the operator to judge")
+        assert prompt.seen is not None
+        seen, reason = prompt.seen
+        ending = TrialResult(seen, messages.seen_outcome_message(seen, reason), probe)
         yield Released(bench.now_s(), probe, ending.outcome is Outcome.PLACED, None, None)
         return ending
     verdict = bench.scoring.verdict()

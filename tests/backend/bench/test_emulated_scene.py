@@ -93,7 +93,7 @@ def test_a_bench_whose_process_is_dead_is_a_fault(monkeypatch):
 @pytest.mark.promise("P7", "P10")
 def test_a_process_that_never_sets_its_scene_is_a_fault_and_the_next_scene_gets_another(
     monkeypatch, tmp_path
-) -> None:
+):
     silent = tmp_path / "silent"
     silent.write_text("#!/bin/sh\nexec sleep 600\n")
     silent.chmod(0o755)

@@ -5,30 +5,18 @@ import io
 import itertools
 import threading
 from contextlib import ExitStack
+from dataclasses import replace
 
 from tests.backend.devices.melfa.emulated_arm import on_bench
-from touchdown.backend.bench.assembly import (
-    BenchModels,
-    SimulatedBenchChoice,
-    SimulatedScoring,
-    make_scene,
-)
-from touchdown.backend.bench.session import Session
-from touchdown.backend.config.bench_description import describe_simulation
-from touchdown.backend.config.method import StackSettings
+from touchdown.backend.bench.assembly import simulated_session
 from touchdown.backend.core.faults import FaultError
 from touchdown.backend.core.streams import SampleStream
 from touchdown.backend.devices.melfa.force_program import PLACE_LATE_S
-from touchdown.backend.geometry.pieces import load_pieces
 from touchdown.backend.rig.host import Devices, RigHost
 from touchdown.backend.rig.link import LATE_S, NOT_STARTED, RigMotion
 from touchdown.backend.rig.memory import BACKEND_BEAT, STOPS, drop, make
 from touchdown.backend.rig.messages import pack, read_error, read_fault, receive
 from touchdown.backend.rig.remote_devices import RigArm, RigForceTorque, RigGripper
-from touchdown.backend.runs.bench import SceneDevices
-from touchdown.backend.runs.recorder import RecordingOptions
-from touchdown.backend.sensing.zeroing import gripper_payload
-from touchdown.backend.simulation.devices.bench import BenchStreams, SimulatedBench
 
 ROUND_US = 4000
 
@@ -103,14 +91,8 @@ class InlineLink:
             self.memory.beat(STOPS)
             self.host.take({"kind": "stop", "stops": self._stops})
 
-    def cancel(self):
-        self.host.take({"kind": "cancel"})
-
-    def retreat(self):
-        self.host.take(through_json({"kind": "retreat"}))
-
-    def stop_gripper(self):
-        self.host.take({"kind": "stop gripper"})
+    def say(self, kind):
+        self.host.take({"kind": kind})
 
     def row(self, device):
         # While a state is being written the last one counts.
@@ -136,27 +118,20 @@ class InlineBench:
     """Holds the session; ``links`` are those of its scenes, ``mode`` the stiffness mode."""
 
     def __init__(self, method=None, mode="software"):
-        self._mode = mode
-        self._settings, self._method = SimulatedBenchChoice().settings(), method or StackSettings()
-        self._catalogue, description = load_pieces(None), describe_simulation(self._settings)
-        self._models = BenchModels(None, description, self._method.belief.pitch_mm)
-        self.links, self._ends = [], ExitStack()
-        self.session = Session(
-            self._make_stage, lambda choice: {}, self._catalogue,
-            settings=self._method, keep=RecordingOptions(None), description=description,
-        )  # fmt: skip
+        self._mode, self.links, self._ends = mode, [], ExitStack()
+        self.session = simulated_session(method=method)
+        self._make_simulated = self.session._make_stage
+        self.session._make_stage = self._make_stage
 
     def close(self):
         self.session.close()
         self._ends.close()
 
     def _make_stage(self, choice, raw):
-        scene = make_scene(self._catalogue, choice, self._settings)
+        # The poses come from the driver.
         unused = SampleStream("unused", 3, 1000)
-        bench = SimulatedBench(
-            scene, (), BenchStreams(raw.frames, raw.samples, unused, raw.commands)
-        )
-        now_s = bench.clock.now_s
+        stage = self._make_simulated(choice, replace(raw, poses=unused))
+        bench, now_s = stage.scoring.bench, stage.clock.now_s
         for device in (bench.force_torque, bench.gripper):
             device.connect(1.0, threading.Event())
         driver, wires = on_bench(bench, stiffness_mode=self._mode)
@@ -180,18 +155,7 @@ class InlineBench:
         arm.place_late_s = PLACE_LATE_S if self._mode == "controller" else 0.0
         gripper = RigGripper("gripper", link, now_s, open_ones)
         wrist = RigForceTorque("force_torque", link, now_s, open_ones)
-        loose = self._settings.wrist
-        return SceneDevices(
-            clock=bench.clock,
-            devices={**bench.devices, "arm": arm, "gripper": gripper, "force_torque": wrist},
-            arm=arm,
-            gripper=gripper,
-            piece=scene.piece,
-            bottom="+".join(choice.bottoms),
-            advance=advance,
-            scoring=SimulatedScoring(bench, self._method.policy.longest_step_mm, False),
-            estimator=self._models.of(choice, scene.piece),
-            payload=gripper_payload(loose.payload_kg, loose.payload_com_mm),
-            outline=scene.surface,
-            wrench_late_s=LATE_S,
+        named = {**bench.devices, "arm": arm, "gripper": gripper, "force_torque": wrist}
+        return replace(
+            stage, devices=named, arm=arm, gripper=gripper, advance=advance, wrench_late_s=LATE_S
         )

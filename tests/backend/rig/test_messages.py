@@ -569,7 +569,7 @@ def report() -> dict[str, SensorTiming]:
     return {one.name: one for one in measure_timing(streams, clock.now_s, wait, 2.0)}
 
 
-def test_each_sensor_is_told_by_its_rate_its_age_and_its_gaps(report) -> None:
+def test_each_sensor_is_told_by_its_rate_its_age_and_its_gaps(report):
     steady, late, holes = report["steady"], report["late"], report["holes"]
     assert steady.rate_hz == pytest.approx(250.0)
     assert (steady.spread_ms, steady.gap_ms) == pytest.approx((0.0, 4.0), abs=1e-6)
@@ -580,6 +580,6 @@ def test_each_sensor_is_told_by_its_rate_its_age_and_its_gaps(report) -> None:
     assert holes.age_ms == pytest.approx(0.0, abs=1e-6)
 
 
-def test_of_a_silent_sensor_nothing_is_told(report) -> None:
+def test_of_a_silent_sensor_nothing_is_told(report):
     assert report["silent"].samples == 0
     assert math.isnan(report["silent"].rate_hz)

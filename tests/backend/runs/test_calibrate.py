@@ -60,7 +60,7 @@ def measured(blind: BlindBench, measure, request: CalibrateRequest) -> Calibrati
     return found
 
 
-def test_a_leaning_hand_weighs_the_gripper() -> None:
+def test_a_leaning_hand_weighs_the_gripper():
     request = CalibrateRequest("payload", seed=3)
     wrist = {"payload_kg": 1.2, "payload_com_mm": (4.0, -3.0, 50.0)}
     blind = BlindBench(request.scene(), changes={"wrist": wrist})
@@ -73,7 +73,7 @@ def test_a_leaning_hand_weighs_the_gripper() -> None:
     assert blind.bench.arm.pose(1.0).rx_rad == pytest.approx(0.0, abs=1e-6)
 
 
-def test_a_turned_sensor_is_found_by_the_weight() -> None:
+def test_a_turned_sensor_is_found_by_the_weight():
     request = CalibrateRequest("wrist", seed=3)
     yaw = math.radians(5.0)
     blind = BlindBench(request.scene(), changes={"wrist": {"yaw_rad": yaw}})
@@ -82,7 +82,7 @@ def test_a_turned_sensor_is_found_by_the_weight() -> None:
     assert "5.0°" in found.obstacle
 
 
-def test_an_arm_that_keeps_level_gives_what_it_can_and_says_so(monkeypatch) -> None:
+def test_an_arm_that_keeps_level_gives_what_it_can_and_says_so(monkeypatch):
     monkeypatch.setattr(SimArm, "rotates", property(lambda _self: False))
     request = CalibrateRequest("payload")
     blind = BlindBench(request.scene())
@@ -93,7 +93,7 @@ def test_an_arm_that_keeps_level_gives_what_it_can_and_says_so(monkeypatch) -> N
         measured(BlindBench(request.scene()), measure_wrist, request)
 
 
-def test_a_move_may_take_as_long_as_the_override_makes_it() -> None:
+def test_a_move_may_take_as_long_as_the_override_makes_it():
     blind = BlindBench(CalibrateRequest("payload").scene())
     blind.interlock.override_speed(LEAST_OVERRIDE)
     here = blind.bench.arm.pose(1.0)
@@ -125,7 +125,7 @@ class Lapsing:
 
 
 @pytest.mark.parametrize("times", [LEASE_TRIES - 1, LEASE_TRIES])
-def test_a_move_whose_permission_lapsed_is_ordered_again_but_not_for_ever(times: int) -> None:
+def test_a_move_whose_permission_lapsed_is_ordered_again_but_not_for_ever(times):
     blind = BlindBench(CalibrateRequest("payload").scene(), arm=lambda arm: Lapsing(arm, times))
     here = blind.bench.arm.pose(1.0)
     high = replace(here, z_mm=here.z_mm + 5.0)
@@ -138,7 +138,7 @@ def test_a_move_whose_permission_lapsed_is_ordered_again_but_not_for_ever(times:
 
 
 @pytest.mark.parametrize("bursts", [1, 40])
-def test_a_spoilt_tare_of_the_empty_hand_is_taken_again_for_so_long(bursts: int) -> None:
+def test_a_spoilt_tare_of_the_empty_hand_is_taken_again_for_so_long(bursts):
     blind = BlindBench(CalibrateRequest("payload").scene())
     found = (Disturbance("force_torque", "nan", 0.2 + 0.15 * n, 0.1) for n in range(bursts))
     blind.simulated._script = DisturbanceScript(tuple(found))
@@ -150,7 +150,7 @@ def test_a_spoilt_tare_of_the_empty_hand_is_taken_again_for_so_long(bursts: int)
     assert (blind.bench.now_s() >= REFERENCE_S) == (bursts > 1)
 
 
-def test_a_held_piece_is_not_weighed_as_gripper() -> None:
+def test_a_held_piece_is_not_weighed_as_gripper():
     request = CalibrateRequest("payload")
     blind = BlindBench(request.scene())
 
@@ -162,7 +162,7 @@ def test_a_held_piece_is_not_weighed_as_gripper() -> None:
         blind.run(grip_first)
 
 
-def test_the_board_is_where_the_bench_was_built_with_it(near) -> None:
+def test_the_board_is_where_the_bench_was_built_with_it(near):
     request = CalibrateRequest("board", seed=5, origin_mm=(0.3, -0.2))
     blind = BlindBench(request.scene())
     found = measured(blind, measure_board, request)
@@ -177,7 +177,7 @@ def test_the_board_is_where_the_bench_was_built_with_it(near) -> None:
 
 
 @pytest.mark.parametrize(("wrong_mm", "rounds"), [(0.32, 2), (0.0, 1)])
-def test_a_board_beyond_its_limit_is_felt_once_more(near, monkeypatch, wrong_mm, rounds) -> None:
+def test_a_board_beyond_its_limit_is_felt_once_more(near, monkeypatch, wrong_mm, rounds):
     """One wrong edge spoils a round but not the calibration."""
     felt = []
     edge_mm = calibrate.edge_mm
@@ -200,7 +200,7 @@ def test_a_board_beyond_its_limit_is_felt_once_more(near, monkeypatch, wrong_mm,
     assert any("once more" in text for text in said) == (rounds == 2)
 
 
-def test_the_face_is_found_in_the_hand_over_three_grips(near) -> None:
+def test_the_face_is_found_in_the_hand_over_three_grips(near):
     request = CalibrateRequest("tool", bottom="circle15", seed=5)
     blind = BlindBench(request.scene())
     found = measured(blind, measure_tool, request)
@@ -212,7 +212,7 @@ def test_the_face_is_found_in_the_hand_over_three_grips(near) -> None:
 
 @pytest.mark.promise("R5")
 @pytest.mark.parametrize(("voids", "fault"), [(2, UNFELT), (6, VOID)])
-def test_a_void_touch_is_made_again_but_not_for_ever(voids, fault, monkeypatch) -> None:
+def test_a_void_touch_is_made_again_but_not_for_ever(voids, fault, monkeypatch):
     """With the faults of a real arm during a short dropout of replies or samples."""
     pressed = []
     press = SimArm.press
@@ -243,7 +243,7 @@ def test_a_void_touch_is_made_again_but_not_for_ever(voids, fault, monkeypatch) 
     ) * [(True, True)]
 
 
-def test_edges_are_felt_where_one_of_both_outlines_runs_along_the_other() -> None:
+def test_edges_are_felt_where_one_of_both_outlines_runs_along_the_other():
     round_on_square = along_edges(circle(15.0), rectangle(12.0, 28.0))
     assert (round_on_square.mm, round_on_square.yaw_of) == ((12.0, 4.0), "board")
     assert along_edges(square(30.0), circle(10.0)).yaw_of == "piece"
@@ -256,13 +256,13 @@ def test_edges_are_felt_where_one_of_both_outlines_runs_along_the_other() -> Non
         assert along_edges(face, bottom).yaw_of == ""
 
 
-def test_the_middle_of_an_overlap_is_its_centroid() -> None:
+def test_the_middle_of_an_overlap_is_its_centroid():
     middle = middle_of_overlap(square(10.0), square(10.0), np.array([4.0, -2.0]))
     np.testing.assert_allclose(middle, [2.0, -1.0], atol=1e-6)
 
 
 @pytest.mark.slow
-def test_pressing_at_the_rim_tells_how_the_cameras_sit(monkeypatch) -> None:
+def test_pressing_at_the_rim_tells_how_the_cameras_sit(monkeypatch):
     # A few pictures per second: every one of them is drawn and tracked. Each side is pressed once.
     monkeypatch.setattr(calibrate, "PUSH_ROUNDS", 1)
     looks = []

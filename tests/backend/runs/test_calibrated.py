@@ -113,7 +113,7 @@ def filled(folder, devices, mode="hardware", at=NOW) -> CalibrationStore:
 
 
 @pytest.mark.parametrize("request_", [StackRequest(), CollectRequest()])
-def test_campaigns_on_hardware_need_calibrations_that_hold(tmp_path, request_) -> None:
+def test_campaigns_on_hardware_need_calibrations_that_hold(tmp_path, request_):
     for store in (None, CalibrationStore(tmp_path / "none", "hardware")):
         with pytest.raises(RefusedError, match="CALIBRATION-MISSING"):
             calibrations_for(request_, "hardware", store, {})
@@ -124,7 +124,7 @@ def test_campaigns_on_hardware_need_calibrations_that_hold(tmp_path, request_) -
     assert set(calibrations_for(request_, "hardware", good, {})) == set(CALIBRATION_NAMES)
 
 
-def test_a_board_felt_on_another_bottom_is_no_board_of_this_one(tmp_path) -> None:
+def test_a_board_felt_on_another_bottom_is_no_board_of_this_one(tmp_path):
     store = filled(tmp_path, {})
     store.accept(FELT.to_event(0.0, "board", "pot on square15"), {}, now=NOW + timedelta(seconds=2))
     with pytest.raises(RefusedError, match=r"measured on square15, not on short.*--bottom short"):
@@ -133,7 +133,7 @@ def test_a_board_felt_on_another_bottom_is_no_board_of_this_one(tmp_path) -> Non
 
 
 @pytest.mark.promise("C6")
-def test_cameras_are_kept_as_they_sit_whatever_the_settings_were(tmp_path) -> None:
+def test_cameras_are_kept_as_they_sit_whatever_the_settings_were(tmp_path):
     devices = {
         f"tactile_{finger}": Camera(serial, mirror)
         for finger, serial, mirror in (("left", "AAAA-1111", "x"), ("right", "BBBB-2222", "none"))
@@ -178,7 +178,7 @@ def test_cameras_are_kept_as_they_sit_whatever_the_settings_were(tmp_path) -> No
     assert calibrated_cameras(other, record) == other
 
 
-def test_everything_else_begins_without_them(tmp_path) -> None:
+def test_everything_else_begins_without_them(tmp_path):
     empty = CalibrationStore(tmp_path, "hardware")
     for mode in ("simulated", "emulated"):
         assert calibrations_for(StackRequest(), mode, None, {}) == {}
@@ -194,7 +194,7 @@ def session():
         yield made
 
 
-def test_a_simulated_bench_uses_what_it_has_and_its_episodes_say_so(session, tmp_path) -> None:
+def test_a_simulated_bench_uses_what_it_has_and_its_episodes_say_so(session, tmp_path):
     recorded = []
     on(session, EpisodeRecorded, recorded.append)
     store = session.calibrations = filled(tmp_path, session.devices, "simulated")
@@ -213,7 +213,7 @@ def test_a_simulated_bench_uses_what_it_has_and_its_episodes_say_so(session, tmp
 
 def test_a_run_has_the_payload_it_was_checked_with_though_the_file_is_damaged_since(
     session, tmp_path, monkeypatch
-) -> None:
+):
     store = session.calibrations = filled(tmp_path, session.devices, "simulated")
     checked = payload_wrench(store, session.devices)
     make_stage = session._make_stage
@@ -229,7 +229,7 @@ def test_a_run_has_the_payload_it_was_checked_with_though_the_file_is_damaged_si
     np.testing.assert_array_equal(session._scene.sensing.tare.payload, checked)
 
 
-def test_a_sensor_that_was_changed_needs_a_new_payload(session, tmp_path) -> None:
+def test_a_sensor_that_was_changed_needs_a_new_payload(session, tmp_path):
     store = filled(tmp_path, session.devices, "simulated")
     names = device_names(session.devices)
     assert names["force_torque"].model
@@ -238,9 +238,7 @@ def test_a_sensor_that_was_changed_needs_a_new_payload(session, tmp_path) -> Non
     assert standing.condition == "other device"
 
 
-def test_a_lab_of_hardware_refuses_to_stack_and_looks_beside_its_file(
-    tmp_path, monkeypatch
-) -> None:
+def test_a_lab_of_hardware_refuses_to_stack_and_looks_beside_its_file(tmp_path, monkeypatch):
     template = files("touchdown.resources") / "benches" / "lab.toml"
     path = tmp_path / "lab.toml"
     path.write_text(template.read_text(encoding="utf-8"))
@@ -291,7 +289,7 @@ class Slowed(OracleSession):
 )
 def test_a_sensor_lost_while_its_run_stands_degraded_ends_it_and_keeps_the_probe(
     until, kind, tmp_path
-) -> None:
+):
     bench = Slowed(tmp_path)
     bench.go_on_until(until)
     (kept,) = bench.of(EpisodeRecorded)
@@ -313,7 +311,7 @@ def test_a_sensor_lost_while_its_run_stands_degraded_ends_it_and_keeps_the_probe
 
 
 @pytest.mark.promise("S6")
-def test_with_a_slow_sensor_the_arm_only_jogs_away_and_holds_what_it_holds() -> None:
+def test_with_a_slow_sensor_the_arm_only_jogs_away_and_holds_what_it_holds():
     made = simulated_session(
         brisk_bench(faults=("force_torque:slow=300@0",)), keep=RecordingOptions(None)
     )
@@ -339,7 +337,7 @@ def test_with_a_slow_sensor_the_arm_only_jogs_away_and_holds_what_it_holds() -> 
     made.close()
 
 
-def test_after_the_piece_was_let_go_a_probe_says_that_and_what_to_do() -> None:
+def test_after_the_piece_was_let_go_a_probe_says_that_and_what_to_do():
     session = brisk_session()
     session.prepare(SceneChoice(estimates=False))
     facts: list[Event] = []

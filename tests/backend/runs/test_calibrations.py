@@ -140,7 +140,7 @@ def test_the_hand_stands_off_a_known_bottom_by_the_face(tmp_path):
     assert at.sigma_mm == pytest.approx(np.hypot(0.2, 0.05))
 
 
-def test_the_label_is_where_the_arm_was_at_contact_seen_from_the_origin() -> None:
+def test_the_label_is_where_the_arm_was_at_contact_seen_from_the_origin():
     """The arm moves by (3, -5, -2) mm/s; contact lies between two poses."""
     t_s = np.array([0.9, 1.0, 1.1])
     pose_mm = np.array([10.0, -4.0, 21.0]) + np.outer(t_s - 1.0, [3.0, -5.0, -2.0])
@@ -157,7 +157,7 @@ def test_the_label_is_where_the_arm_was_at_contact_seen_from_the_origin() -> Non
     assert (label.x_um, label.y_um, label.theta_mdeg, label.sigma_um) == (1620, -2950, 0, 70)
 
 
-def test_the_signals_of_a_probe_are_its_largest_shifts_and_tx_ty_fz() -> None:
+def test_the_signals_of_a_probe_are_its_largest_shifts_and_tx_ty_fz():
     observation = np.zeros((20, 258), np.float32)
     observation[-1, [10, 70, 140, 200]] = 2.0, -3.0, -2.5, 1.5  # u, v of the left; of the right
     observation[-1, 252:] = 0.1, 0.2, 9.0, -0.04, 0.05, 0.06
@@ -173,10 +173,10 @@ class Reached(Exception):  # noqa: N818
 
 def collector(*entries: Any) -> Collector:
     campaign = Campaign("c", "pot", "circle25", "random", 2, 5, skipped=(4,))
-    return Collector(campaign, None, deque(maxlen=1), SEEN, list(entries))  # type: ignore[arg-type]
+    return Collector(campaign, None, deque(maxlen=1), SEEN, list(entries))
 
 
-def test_a_probe_goes_to_its_displacement_from_the_origin() -> None:
+def test_a_probe_goes_to_its_displacement_from_the_origin():
     ordered: list[Pose] = []
 
     def move_to(place: Pose, speed_mm_s: float) -> None:
@@ -197,7 +197,7 @@ def test_a_probe_goes_to_its_displacement_from_the_origin() -> None:
     assert ordered == [Pose(11.5, -6.25, 21.0 + above_mm)]
 
 
-def test_what_was_deleted_or_rejected_is_neither_done_nor_left_out() -> None:
+def test_what_was_deleted_or_rejected_is_neither_done_nor_left_out():
     def entry(item: int, accepted: bool, deleted: bool) -> Any:
         return SimpleNamespace(
             plan_item=item, quality=SimpleNamespace(accepted=accepted), deleted=deleted
@@ -258,7 +258,7 @@ def drifting() -> Bench:
     return made
 
 
-def test_a_drift_in_still_air_is_told_once_before_it_reaches_1_n(drifting: Bench) -> None:
+def test_a_drift_in_still_air_is_told_once_before_it_reaches_1_n(drifting):
     drifting.go(18.0, 0.05)
     (told,) = drifting.told
     assert told.fault.code == "FT-DRIFT"
@@ -267,7 +267,7 @@ def test_a_drift_in_still_air_is_told_once_before_it_reaches_1_n(drifting: Bench
 
 
 @pytest.mark.promise("S8")
-def test_what_creeps_in_contact_is_no_drift_however_long(drifting: Bench) -> None:
+def test_what_creeps_in_contact_is_no_drift_however_long(drifting):
     drifting.at = replace(drifting.at, z_mm=SURFACE_MM + 0.2)
     drifting.force_n += 8.0
     drifting.go(40.0, -0.05)
@@ -278,7 +278,7 @@ def test_what_creeps_in_contact_is_no_drift_however_long(drifting: Bench) -> Non
     assert drifting.sensing.drift.moved_n < 0.1
 
 
-def test_a_hand_that_turns_or_takes_another_piece_begins_anew(drifting: Bench) -> None:
+def test_a_hand_that_turns_or_takes_another_piece_begins_anew(drifting):
     drifting.go(10.0, 0.1, turn_rad_s=0.01)
     drifting.at = replace(drifting.at, rx_rad=0.0)
     drifting.go(3.0)
@@ -292,7 +292,7 @@ def test_a_hand_that_turns_or_takes_another_piece_begins_anew(drifting: Bench) -
     assert drifting.sensing.drift.moved_n < 0.15
 
 
-def test_the_simulated_sensor_drifts_on_demand_and_its_probe_keeps_how_far() -> None:
+def test_the_simulated_sensor_drifts_on_demand_and_its_probe_keeps_how_far():
     session = brisk_session(faults=("force_torque:drift=0.09@0.5",))
     told, episodes = list[Noticed](), list[EpisodeRecorded]()
     on(session, Noticed, told.append)
@@ -308,7 +308,7 @@ def test_the_simulated_sensor_drifts_on_demand_and_its_probe_keeps_how_far() -> 
 
 
 @pytest.mark.parametrize("preset", ["quiet", "hard"])
-def test_the_early_ticks_are_those_of_the_episode_bit_for_bit(preset: str) -> None:
+def test_the_early_ticks_are_those_of_the_episode_bit_for_bit(preset):
     bench = OracleSession(preset=preset)
     bench.session.run(request())
     decided = 0
@@ -322,7 +322,7 @@ def test_the_early_ticks_are_those_of_the_episode_bit_for_bit(preset: str) -> No
     assert decided == len(bench.of(ActionChosen)) > 0
 
 
-def test_nobody_draws_beside_a_decision(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_nobody_draws_beside_a_decision(monkeypatch):
     method = brisk_method().model_copy(update={"policy": PolicySettings(max_probes=1)})
     bench = OracleSession(preset="quiet", method=method)
     session, after = bench.session, []
@@ -455,7 +455,7 @@ def evidence(tare_s: float = 4.0, width_mm: float = 20.0, accepted: bool = True)
     return release_evidence(bench, judged, 20.0, approved=True)
 
 
-def test_all_of_it_is_read() -> None:
+def test_all_of_it_is_read():
     found = evidence()
     assert (found.verdict_stable, found.quality_accepted, found.holding) == (True, True, True)
     assert (found.margin_mm, found.verdict_age_s) == (1.25, 1.25)
@@ -467,16 +467,16 @@ def test_all_of_it_is_read() -> None:
 
 
 @pytest.mark.parametrize(("tare_s", "last"), [(JUDGED_S - 0.01, True), (JUDGED_S + 0.01, False)])
-def test_a_verdict_from_before_the_last_tare_is_not_of_the_last_probe(tare_s, last) -> None:
+def test_a_verdict_from_before_the_last_tare_is_not_of_the_last_probe(tare_s, last):
     assert evidence(tare_s=tare_s).verdict_of_last_probe is last
 
 
-def test_the_width_counts_from_the_grasp() -> None:
+def test_the_width_counts_from_the_grasp():
     assert evidence(width_mm=20.4).width_change_mm == pytest.approx(0.4)
     assert evidence(width_mm=19.9).width_change_mm == pytest.approx(-0.1)
 
 
-def test_a_mug_is_released_with_its_centre_of_mass_over_the_support() -> None:
+def test_a_mug_is_released_with_its_centre_of_mass_over_the_support():
     com = np.array(load_pieces().top("mug").com_xy_mm)
     bench = OracleSession(preset="quiet")
     bench.session.run(request(piece="mug"))
@@ -522,7 +522,7 @@ def approaches(bench: OracleSession) -> list[float]:
 
 
 @pytest.mark.promise("S8")
-def test_a_spoilt_tare_is_taken_again() -> None:
+def test_a_spoilt_tare_is_taken_again():
     bursts = 3
     bench = OracleSession()
     began = spoil(bench, bursts)
@@ -539,7 +539,7 @@ def test_a_spoilt_tare_is_taken_again() -> None:
 
 
 @pytest.mark.promise("S8")
-def test_a_tare_that_stays_spoilt_ends_the_run_before_a_probe() -> None:
+def test_a_tare_that_stays_spoilt_ends_the_run_before_a_probe():
     bench = OracleSession()
     began = spoil(bench, 40)
     bench.session.run(request(trials=1))

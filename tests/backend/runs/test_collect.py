@@ -80,7 +80,7 @@ def whole(tmp_path_factory):
         yield collected.run()
 
 
-def test_every_item_of_the_plan_is_an_episode_with_a_label(whole) -> None:
+def test_every_item_of_the_plan_is_an_episode_with_a_label(whole):
     assert [entry.plan_item for entry in whole.entries] == [0, 1, 2, 3, 4]
     assert whole.of(RunFinished)[-1].ending == "finished"
     assert [fact.done for fact in whole.of(ProbeCollected)] == [1, 2, 3, 4, 5]
@@ -92,7 +92,7 @@ def test_every_item_of_the_plan_is_an_episode_with_a_label(whole) -> None:
         assert head.label.sigma_um == 150
 
 
-def test_grips_and_mountings_are_counted(whole) -> None:
+def test_grips_and_mountings_are_counted(whole):
     for field, counts in (("grip_id", [2, 2, 1]), ("mounting_id", [4, 1]), ("series", [4, 1])):
         assert list(Counter(getattr(entry, field) for entry in whole.entries).values()) == counts
     assert [(f.mounting, f.grip) for f in whole.of(Gripped)] == [(1, 1), (1, 2), (2, 1)]
@@ -100,7 +100,7 @@ def test_grips_and_mountings_are_counted(whole) -> None:
     assert [f.mass_g for f in whole.of(Gripped)] == pytest.approx([15.0] * 3, abs=2.0)
 
 
-def test_the_label_is_measured_and_the_command_is_kept_apart(whole) -> None:
+def test_the_label_is_measured_and_the_command_is_kept_apart(whole):
     for entry, fact in zip(whole.entries, whole.of(ProbeCollected), strict=True):
         label = whole.dataset.labels.head(entry.uuid).label
         np.testing.assert_allclose(label.offset_mm, fact.measured_mm, atol=6e-4)
@@ -111,7 +111,7 @@ def test_the_label_is_measured_and_the_command_is_kept_apart(whole) -> None:
         assert len(episode.recording.frames) > 1.8 * 2 * RATE_HZ
 
 
-def test_where_the_arm_was_told_to_be_is_recorded_beside_where_it_was(whole) -> None:
+def test_where_the_arm_was_told_to_be_is_recorded_beside_where_it_was(whole):
     episode = whole.dataset.read(whole.entries[0].uuid)
     recording = episode.recording
     told_mm = [np.interp(recording.pose_t_s, recording.command_t_s, recording.command_mm[:, axis])
@@ -125,7 +125,7 @@ def test_where_the_arm_was_told_to_be_is_recorded_beside_where_it_was(whole) -> 
     assert 15.0 * off_mm[-5:, 2].mean() == pytest.approx(force_n, rel=0.25)
 
 
-def test_an_episode_names_what_its_displacements_count_from(whole) -> None:
+def test_an_episode_names_what_its_displacements_count_from(whole):
     first, second = (whole.dataset.read(entry.uuid) for entry in whole.entries[:2])
     for finger in ("left", "right"):
         named = [dict(e.metadata)[f"reference_{finger}"] for e in (first, second)]
@@ -138,7 +138,7 @@ def test_an_episode_names_what_its_displacements_count_from(whole) -> None:
         assert np.abs(moved[seen]).max() > 0.0
 
 
-def test_the_scene_camera_shows_contact_and_outcome(whole) -> None:
+def test_the_scene_camera_shows_contact_and_outcome(whole):
     entry = whole.entries[0]
     episode = whole.dataset.read(entry.uuid)
     pressed, lifted = episode.recording.scene
@@ -155,7 +155,7 @@ def test_the_scene_camera_shows_contact_and_outcome(whole) -> None:
     assert abs(np.mean(columns[rows > rows.max() - 6]) - near[near[:, 1].argmax(), 0]) <= 4
 
 
-def test_a_restarted_campaign_collects_only_what_is_missing(tmp_path) -> None:
+def test_a_restarted_campaign_collects_only_what_is_missing(tmp_path):
     with collecting(tmp_path / "ds") as first:
         on(first.session, ProbeCollected, lambda _: first.session.engine.cancel())
         first.run(count=2)
@@ -174,7 +174,7 @@ def test_a_restarted_campaign_collects_only_what_is_missing(tmp_path) -> None:
         assert second.of(CampaignBegan)[0].done == 1
 
 
-def test_decisions_are_carried_out_one_key_each(tmp_path) -> None:
+def test_decisions_are_carried_out_one_key_each(tmp_path):
     wanted = ["redo", "discard", "skip", "flag", "keep"]
     with collecting(tmp_path / "ds") as collected:
         session = collected.session
@@ -192,7 +192,7 @@ def test_decisions_are_carried_out_one_key_each(tmp_path) -> None:
         assert campaign.todo(collected.entries) == []
 
 
-def test_stop_works_while_a_decision_is_awaited(tmp_path) -> None:
+def test_stop_works_while_a_decision_is_awaited(tmp_path):
     with collecting(tmp_path / "ds") as collected:
         session = collected.session
         on(session, DecisionAwaited, lambda _: session.stop())
@@ -218,7 +218,7 @@ def refuse_second_episode(collected, monkeypatch, times):
 
 def test_a_disk_that_refuses_an_episode_pauses_the_campaign_and_loses_nothing(
     tmp_path, monkeypatch
-) -> None:
+):
     with collecting(tmp_path / "ds") as collected:
         session, states = collected.session, []
         refusals = refuse_second_episode(collected, monkeypatch, 2)
@@ -238,9 +238,7 @@ def test_a_disk_that_refuses_an_episode_pauses_the_campaign_and_loses_nothing(
         assert np.array_equal(kept.observation, refusals[0].observation)
 
 
-def test_a_campaign_pauses_before_the_next_probe_while_the_disk_has_no_room(
-    tmp_path, monkeypatch
-) -> None:
+def test_a_campaign_pauses_before_the_next_probe_while_the_disk_has_no_room(tmp_path, monkeypatch):
     with collecting(tmp_path / "ds") as collected:
         session, free = collected.session, [10**12]
         monkeypatch.setattr(
@@ -266,7 +264,7 @@ def test_a_campaign_pauses_before_the_next_probe_while_the_disk_has_no_room(
         assert [entry.plan_item for entry in collected.entries] == [0, 1]
 
 
-def test_a_campaign_is_refused_with_the_figure_below_1_gb(tmp_path, monkeypatch) -> None:
+def test_a_campaign_is_refused_with_the_figure_below_1_gb(tmp_path, monkeypatch):
     with collecting(tmp_path / "ds") as collected:
         usage = SimpleNamespace(free=900_000_000)
         monkeypatch.setattr(storage.shutil, "disk_usage", lambda _place: usage)
@@ -276,7 +274,7 @@ def test_a_campaign_is_refused_with_the_figure_below_1_gb(tmp_path, monkeypatch)
         assert collected.entries == []
 
 
-def test_a_campaign_cancelled_on_a_full_disk_goes_on_later(tmp_path, monkeypatch) -> None:
+def test_a_campaign_cancelled_on_a_full_disk_goes_on_later(tmp_path, monkeypatch):
     with collecting(tmp_path / "ds") as collected:
         session = collected.session
         refuse_second_episode(collected, monkeypatch, math.inf)
@@ -290,7 +288,7 @@ def test_a_campaign_cancelled_on_a_full_disk_goes_on_later(tmp_path, monkeypatch
         assert [entry.plan_item for entry in collected.entries] == [0, 1]
 
 
-def test_a_piece_of_another_weight_is_not_probed(tmp_path, monkeypatch) -> None:
+def test_a_piece_of_another_weight_is_not_probed(tmp_path, monkeypatch):
     with collecting(tmp_path / "ds", weight_tolerance_n=1e-4) as collected:
         collected.run(count=1, piece="mushroom")
         # Masses of the shipped pieces are nominal: told, and no reason to stop.
@@ -302,7 +300,7 @@ def test_a_piece_of_another_weight_is_not_probed(tmp_path, monkeypatch) -> None:
         assert len(collected.entries) == 1
 
 
-def test_a_grip_that_drifted_is_ended(tmp_path) -> None:
+def test_a_grip_that_drifted_is_ended(tmp_path):
     with collecting(tmp_path / "ds", drift_mm=1e-6) as collected:
         collected.run(count=3)
         assert len(collected.entries) == 3
@@ -310,7 +308,7 @@ def test_a_grip_that_drifted_is_ended(tmp_path) -> None:
         assert len(collected.of(Gripped)) == 2
 
 
-def test_what_cannot_be_collected_is_refused(tmp_path) -> None:
+def test_what_cannot_be_collected_is_refused(tmp_path):
     with collecting(tmp_path / "ds") as collected:
         with pytest.raises(InputError, match="No operator is named"):
             collected.run(person=" ")

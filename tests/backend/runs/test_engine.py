@@ -73,14 +73,14 @@ def two_steps(rig: Rig) -> Plan[str]:
     return "done"
 
 
-def test_facts_come_in_order_and_the_value_is_returned(rig: Rig) -> None:
+def test_facts_come_in_order_and_the_value_is_returned(rig):
     assert rig.engine.run(two_steps(rig), rig.advance) == "done"
     assert rig.texts() == ["one", "two"]
     assert rig.clock.now_s() == pytest.approx(0.2, abs=0.05)
     assert rig.engine.status().state is RunState.IDLE
 
 
-def test_pause_waits_for_a_checkpoint_and_resumes(rig: Rig) -> None:
+def test_pause_waits_for_a_checkpoint_and_resumes(rig):
     rig.engine.begin(two_steps(rig))
     with pytest.raises(RefusedError, match="BUSY"):
         rig.engine.begin(two_steps(rig))
@@ -97,7 +97,7 @@ def test_pause_waits_for_a_checkpoint_and_resumes(rig: Rig) -> None:
 
 
 @pytest.mark.parametrize("paused", [False, True])
-def test_cancel_lets_the_plan_clean_up(rig: Rig, paused: bool) -> None:
+def test_cancel_lets_the_plan_clean_up(rig, paused):
     rig.engine.begin(two_steps(rig))
     rig.tick()
     if paused:
@@ -111,7 +111,7 @@ def test_cancel_lets_the_plan_clean_up(rig: Rig, paused: bool) -> None:
 
 
 @pytest.mark.parametrize("before", ["preparing", "running", "pausing", "paused", "cancelling"])
-def test_stop_ends_the_run_from_every_state_without_clean_up(rig: Rig, before: str) -> None:
+def test_stop_ends_the_run_from_every_state_without_clean_up(rig, before):
     rig.engine.begin(two_steps(rig))
     if before != "preparing":
         rig.tick()
@@ -135,7 +135,7 @@ def test_stop_ends_the_run_from_every_state_without_clean_up(rig: Rig, before: s
     rig.engine.begin(two_steps(rig))
 
 
-def test_a_plan_may_end_itself_in_an_orderly_way_after_stop(rig: Rig) -> None:
+def test_a_plan_may_end_itself_in_an_orderly_way_after_stop(rig):
     def plan() -> Plan[str]:
         yield started()
         try:
@@ -153,7 +153,7 @@ def test_a_plan_may_end_itself_in_an_orderly_way_after_stop(rig: Rig) -> None:
     assert stopped_message("") == "stopped", "after an early reset"
 
 
-def test_a_wait_that_never_ends_becomes_a_latched_fault(rig: Rig) -> None:
+def test_a_wait_that_never_ends_becomes_a_latched_fault(rig):
     def plan() -> Plan[None]:
         yield started()
         yield Wait(lambda: False, 1.0, "a device that is dead")
@@ -165,7 +165,7 @@ def test_a_wait_that_never_ends_becomes_a_latched_fault(rig: Rig) -> None:
     assert isinstance(rig.facts[-1], RunFinished)
 
 
-def test_an_unforeseen_error_cannot_prevent_the_end_of_the_run(rig: Rig) -> None:
+def test_an_unforeseen_error_cannot_prevent_the_end_of_the_run(rig):
     def plan() -> Plan[None]:
         yield started()
         raise ValueError("broken maths")
@@ -177,7 +177,7 @@ def test_an_unforeseen_error_cannot_prevent_the_end_of_the_run(rig: Rig) -> None
     assert ending.ending == "failed"
 
 
-def test_bad_input_is_shown_and_does_not_latch(rig: Rig) -> None:
+def test_bad_input_is_shown_and_does_not_latch(rig):
     def plan() -> Plan[None]:
         raise InputError("No such piece.", "pieces/nope.toml", "Choose another.")
         yield started()
@@ -188,7 +188,7 @@ def test_bad_input_is_shown_and_does_not_latch(rig: Rig) -> None:
     assert any(isinstance(fact, FaultRaised) for fact in rig.facts)
 
 
-def test_the_lease_lives_while_a_plan_is_driven_and_not_after(rig: Rig) -> None:
+def test_the_lease_lives_while_a_plan_is_driven_and_not_after(rig):
     rig.engine.begin(two_steps(rig))
     rig.tick()
     assert rig.interlock.has_lease(rig.clock.now_s())
@@ -211,7 +211,7 @@ class Unwell(Rig):
         return [fact.fault for fact in self.facts if isinstance(fact, Paused)]
 
 
-def test_a_run_stands_for_a_sensor_that_is_soon_well_again() -> None:
+def test_a_run_stands_for_a_sensor_that_is_soon_well_again():
     rig = Unwell()
     rig.engine.begin(two_steps(rig))
     rig.tick(40)
@@ -223,7 +223,7 @@ def test_a_run_stands_for_a_sensor_that_is_soon_well_again() -> None:
     assert rig.paused() == []
 
 
-def test_a_sensor_that_stays_degraded_pauses_the_run_until_it_is_resumed() -> None:
+def test_a_sensor_that_stays_degraded_pauses_the_run_until_it_is_resumed():
     rig = Unwell()
     rig.engine.begin(two_steps(rig))
     rig.tick(60)
@@ -241,7 +241,7 @@ def test_a_sensor_that_stays_degraded_pauses_the_run_until_it_is_resumed() -> No
 
 
 @pytest.mark.parametrize("ticks", [10, 60])
-def test_a_run_that_stands_for_a_sensor_can_be_paused_cancelled_and_stopped(ticks: int) -> None:
+def test_a_run_that_stands_for_a_sensor_can_be_paused_cancelled_and_stopped(ticks):
     rig = Unwell()
     rig.engine.begin(two_steps(rig))
     rig.tick(ticks)
@@ -259,7 +259,7 @@ def test_a_run_that_stands_for_a_sensor_can_be_paused_cancelled_and_stopped(tick
     assert other.engine.status().state is RunState.IDLE
 
 
-def test_a_script_whose_sensor_stays_degraded_is_cancelled() -> None:
+def test_a_script_whose_sensor_stays_degraded_is_cancelled():
     rig = Unwell()
     assert rig.engine.run(two_steps(rig), rig.advance) == "cancelled"
     assert rig.clock.now_s() < 3.0
@@ -278,7 +278,7 @@ def told_to_its_end(rig: Rig) -> Plan[str]:
 
 
 @pytest.mark.parametrize("paused", [False, True])
-def test_a_stopped_run_tells_how_its_trial_ended_also_out_of_a_pause(rig, paused) -> None:
+def test_a_stopped_run_tells_how_its_trial_ended_also_out_of_a_pause(rig, paused):
     rig.engine.begin(told_to_its_end(rig))
     rig.tick()
     if paused:

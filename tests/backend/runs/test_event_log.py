@@ -109,7 +109,7 @@ def _stacked(folder: Path, seed: int, then: str) -> tuple[list[str], bool, list[
 
 @pytest.mark.promise("D2", "W18")
 @pytest.mark.skipif(sys.platform == "win32", reason="needs limits of POSIX")
-def test_a_full_disk_pauses_the_run_which_goes_on_and_loses_nothing(tmp_path: Path) -> None:
+def test_a_full_disk_pauses_the_run_which_goes_on_and_loses_nothing(tmp_path):
     codes, stands, told = _stacked(tmp_path, 3, "resume")
     assert codes == []
     assert stands is True
@@ -126,7 +126,7 @@ def test_a_full_disk_pauses_the_run_which_goes_on_and_loses_nothing(tmp_path: Pa
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="needs limits of POSIX")
-def test_what_was_placed_stays_placed_where_nobody_makes_room(tmp_path: Path) -> None:
+def test_what_was_placed_stays_placed_where_nobody_makes_room(tmp_path):
     # The second probe of this seed is the one that lets go: its episode is refused afterwards.
     codes, stands, told = _stacked(tmp_path, 7, "give up")
     assert codes == ["DISK-FULL"]
@@ -146,7 +146,7 @@ def test_what_was_placed_stays_placed_where_nobody_makes_room(tmp_path: Path) ->
 @pytest.mark.promise("D2", "W18")
 def test_a_run_is_refused_below_1_gb_and_pauses_before_the_next_probe_below_half_of_it(
     tmp_path, monkeypatch
-) -> None:
+):
     usage = SimpleNamespace(free=900_000_000)
     monkeypatch.setattr(storage.shutil, "disk_usage", lambda _place: usage)
     bench = OracleSession(runs=tmp_path)
@@ -177,9 +177,7 @@ def test_a_run_is_refused_below_1_gb_and_pauses_before_the_next_probe_below_half
 
 
 @pytest.mark.promise("D2")
-def test_a_journal_without_room_is_held_in_memory_and_written_in_order(
-    tmp_path, monkeypatch
-) -> None:
+def test_a_journal_without_room_is_held_in_memory_and_written_in_order(tmp_path, monkeypatch):
     bench = OracleSession(runs=tmp_path)
     plain, full = EventLog._append, []
 
@@ -294,7 +292,7 @@ def written(folder: Path) -> Path:
     return folder
 
 
-def test_events_of_every_kind_come_back_equal(tmp_path: Path) -> None:
+def test_events_of_every_kind_come_back_equal(tmp_path):
     classes = [value for value in vars(events).values() if isinstance(value, type)]
     kinds = {cls for cls in classes if issubclass(cls, events.Event)} - {events.Event}
     assert kinds == {type(fact) for fact in ALL}
@@ -304,7 +302,7 @@ def test_events_of_every_kind_come_back_equal(tmp_path: Path) -> None:
         assert same(before, after), type(before).__name__
 
 
-def test_a_torn_last_line_costs_that_line_only(tmp_path: Path) -> None:
+def test_a_torn_last_line_costs_that_line_only(tmp_path):
     folder = written(tmp_path / "run")
     content = (folder / EVENT_LOG_NAME).read_bytes()
     lines = content.splitlines(keepends=True)
@@ -320,7 +318,7 @@ def test_a_torn_last_line_costs_that_line_only(tmp_path: Path) -> None:
         *(({"dtype": "object"}, ""), ({"data": "not base64!"}, ""), ({"shape": [999]}, "")),
     ],
 )
-def test_damage_and_forged_arrays_are_refused(tmp_path: Path, change, said) -> None:
+def test_damage_and_forged_arrays_are_refused(tmp_path, change, said):
     folder = written(tmp_path / "run")
     lines = (folder / EVENT_LOG_NAME).read_bytes().splitlines(keepends=True)
     if change is None:
@@ -334,7 +332,7 @@ def test_damage_and_forged_arrays_are_refused(tmp_path: Path, change, said) -> N
         list(read_events(folder))
 
 
-def test_foreign_files_are_refused_and_a_run_is_never_written_over(tmp_path: Path) -> None:
+def test_foreign_files_are_refused_and_a_run_is_never_written_over(tmp_path):
     with pytest.raises(InputError, match="no event log"):
         list(read_events(tmp_path))
     (tmp_path / EVENT_LOG_NAME).write_text('{"program": "other"}\n')
@@ -345,7 +343,7 @@ def test_foreign_files_are_refused_and_a_run_is_never_written_over(tmp_path: Pat
         EventLog(tmp_path / "run")
 
 
-def test_each_fact_is_on_the_disk_before_the_next_one(tmp_path, monkeypatch) -> None:
+def test_each_fact_is_on_the_disk_before_the_next_one(tmp_path, monkeypatch):
     """Each line has its own sync, at which all previous lines are in the file."""
     path, synced = tmp_path / "run" / EVENT_LOG_NAME, []
     fsync = os.fsync
@@ -423,7 +421,7 @@ def last_trial(bench: OracleSession) -> TrialFinished:
     return fact
 
 
-def test_places_the_piece_and_the_journal_gives_the_run_back(tmp_path: Path) -> None:
+def test_places_the_piece_and_the_journal_gives_the_run_back(tmp_path):
     """One undisturbed run, recorded with all its images."""
     bench = OracleSession(runs=tmp_path, rate_hz=25.0)
     bench.session.run(request())
@@ -449,7 +447,7 @@ def test_places_the_piece_and_the_journal_gives_the_run_back(tmp_path: Path) -> 
         assert len(episode.recording.frames) >= 100
 
 
-def test_equal_seeds_give_equal_bits_live_and_stepped() -> None:
+def test_equal_seeds_give_equal_bits_live_and_stepped():
     stepped = OracleSession()
     stepped.session.run(request(trials=1))
     live = OracleSession()
@@ -469,7 +467,7 @@ def test_equal_seeds_give_equal_bits_live_and_stepped() -> None:
     assert first.observation.tobytes() != second.observation.tobytes()
 
 
-def test_pick_and_place_always_starts_unstable_and_falls() -> None:
+def test_pick_and_place_always_starts_unstable_and_falls():
     bench = OracleSession()
     bench.session.run(request(strategy="pick-and-place", trials=3))
     ends = bench.of(TrialFinished)
@@ -482,7 +480,7 @@ def height_mm(bench: OracleSession) -> float:
 
 
 @pytest.mark.promise("G4")
-def test_without_contact_only_a_strategy_that_asks_for_it_presses_elsewhere() -> None:
+def test_without_contact_only_a_strategy_that_asks_for_it_presses_elsewhere():
     above = brisk_method().probe.model_copy(update={"max_travel_mm": 0.01, "start_height_mm": 3.0})
     changes = {"probe": above, "policy": PolicySettings(max_probes=2)}
     bench = OracleSession(method=brisk_method().model_copy(update=changes))
@@ -509,13 +507,13 @@ def after(bench: OracleSession, kind: type[Event], phase: str, act: object) -> N
         match = isinstance(fact, kind) and getattr(fact, "phase", phase) == phase
         if match and not done.is_set():
             done.set()
-            act()  # type: ignore[operator]
+            act()
 
     bench.session.events.subscribe(listen)
 
 
 @pytest.mark.parametrize("phase", ["grip", "reference", "approach", "press", "hold", "lift"])
-def test_stop_in_every_phase_ends_the_run_and_keeps_the_piece(phase: str) -> None:
+def test_stop_in_every_phase_ends_the_run_and_keeps_the_piece(phase):
     bench = OracleSession()
     after(bench, PhaseEntered, phase, bench.session.stop)
     bench.session.run(request())
@@ -535,7 +533,7 @@ def test_stop_in_every_phase_ends_the_run_and_keeps_the_piece(phase: str) -> Non
     assert world.truth().stands is None
 
 
-def test_cancel_lifts_and_keeps_the_piece() -> None:
+def test_cancel_lifts_and_keeps_the_piece():
     bench = OracleSession()
     after(bench, PhaseEntered, "press", bench.session.engine.cancel)
     bench.session.run(request())
@@ -560,7 +558,7 @@ def test_cancel_lifts_and_keeps_the_piece() -> None:
         ("arm:stall@3.0", "ARM-STALLED", "arm"),
     ],
 )
-def test_a_failing_sensor_ends_in_one_clear_fault(fault, code, device, tmp_path) -> None:
+def test_a_failing_sensor_ends_in_one_clear_fault(fault, code, device, tmp_path):
     bench = OracleSession(fault, runs=tmp_path)
     bench.session.run(request())
     folder = bench.session.run_folder
@@ -579,7 +577,7 @@ def test_a_failing_sensor_ends_in_one_clear_fault(fault, code, device, tmp_path)
 
 
 @pytest.mark.promise("C7")
-def test_a_camera_that_is_dark_from_the_start_is_named_before_a_reference_fails() -> None:
+def test_a_camera_that_is_dark_from_the_start_is_named_before_a_reference_fails():
     bench = OracleSession("tactile_left:dark@0.0")
     bench.session.run(request())
     bench.session.close()
@@ -587,7 +585,7 @@ def test_a_camera_that_is_dark_from_the_start_is_named_before_a_reference_fails(
     assert [(fault.code, fault.device) for fault in faults] == [("CAMERA-DARK", "tactile_left")]
 
 
-def test_a_short_nan_burst_voids_the_probe_and_the_run_goes_on() -> None:
+def test_a_short_nan_burst_voids_the_probe_and_the_run_goes_on():
     bench = OracleSession("force_torque:nan@4.0+0.2")
     bench.session.run(request())
     end = last_trial(bench)
@@ -597,7 +595,7 @@ def test_a_short_nan_burst_voids_the_probe_and_the_run_goes_on() -> None:
     assert len(bench.oracles[0].asked) == end.probes
 
 
-def test_approve_mode_moves_only_after_a_yes_and_judges_again() -> None:
+def test_approve_mode_moves_only_after_a_yes_and_judges_again():
     bench = OracleSession()
     asked: list[str] = []
 
@@ -621,16 +619,14 @@ def test_approve_mode_moves_only_after_a_yes_and_judges_again() -> None:
     assert declined.benches[-1].gripper.status().holding
 
 
-def test_stacks_on_a_tower_of_two() -> None:
+def test_stacks_on_a_tower_of_two():
     bench = OracleSession()
     bench.session.run(request(piece="barrel", bottoms=("short", "long"), seed=5))
     assert last_trial(bench).outcome is Outcome.PLACED
 
 
 @pytest.mark.parametrize(("lean_mm", "carried"), [(0.0, True), (30.0, False)])
-def test_learned_fusion_lets_go_on_a_tower_only_where_the_entry_carries_it(
-    lean_mm, carried
-) -> None:
+def test_learned_fusion_lets_go_on_a_tower_only_where_the_entry_carries_it(lean_mm, carried):
     """Ready to let go of anything that the touched face might carry, it still asks the entry."""
     changes = {
         "policy": PolicySettings(max_probes=1),
@@ -646,7 +642,7 @@ def test_learned_fusion_lets_go_on_a_tower_only_where_the_entry_carries_it(
         assert bench.benches[-1].gripper.status().holding
 
 
-def test_a_verdict_that_comes_too_late_is_not_acted_on(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_verdict_that_comes_too_late_is_not_acted_on(monkeypatch):
     bench = OracleSession()
     plain = Oracle.estimate
 
@@ -666,7 +662,7 @@ def test_a_verdict_that_comes_too_late_is_not_acted_on(monkeypatch: pytest.Monke
 
 @pytest.mark.allow_leaks
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
-def test_a_dying_bench_thread_latches_a_fault_and_ends_the_run() -> None:
+def test_a_dying_bench_thread_latches_a_fault_and_ends_the_run():
     bench = OracleSession()
     ended = threading.Event()
     bench.session.events.subscribe(lambda f: ended.set() if isinstance(f, RunFinished) else None)
@@ -687,7 +683,7 @@ def test_a_dying_bench_thread_latches_a_fault_and_ends_the_run() -> None:
 @pytest.mark.parametrize("after_facts", [0, 5, 20])
 def test_a_disk_that_fails_stops_the_run_and_keeps_what_was_written(
     tmp_path, monkeypatch, after_facts
-) -> None:
+):
     bench = OracleSession(runs=tmp_path)
     plain = EventLog._append
     written: list[int] = []
@@ -713,7 +709,7 @@ def test_a_disk_that_fails_stops_the_run_and_keeps_what_was_written(
     ("voids", "fault", "outcome"),
     [(2, VOID, Outcome.PLACED), (2, LAPSED, Outcome.PLACED), (3, VOID, Outcome.ABORTED)],
 )
-def test_a_void_press_is_made_again_but_not_for_ever(voids, fault, outcome, monkeypatch) -> None:
+def test_a_void_press_is_made_again_but_not_for_ever(voids, fault, outcome, monkeypatch):
     """With the faults of a real arm during a dropout in mid-press, of the arm or the program."""
     pressing: list[CommandedMotion] = []
     press = SimArm.press

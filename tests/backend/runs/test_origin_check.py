@@ -23,7 +23,7 @@ pytestmark = pytest.mark.slow
 LOW = brisk_method().model_copy(update={"probe": PROBE.model_copy(update={"start_height_mm": 1.0})})
 
 
-def test_an_origin_that_is_right_agrees() -> None:
+def test_an_origin_that_is_right_agrees():
     blind = BlindBench(SceneChoice("pot", ("circle15",), seed=2), preset="quiet")
 
     def grip_and_check(bench):
@@ -38,7 +38,7 @@ def test_an_origin_that_is_right_agrees() -> None:
 OFF_MM = (0.8, -1.3)
 
 
-def test_the_felt_centre_is_where_the_bottom_is(tmp_path) -> None:
+def test_the_felt_centre_is_where_the_bottom_is(tmp_path):
     with collecting(tmp_path / "ds", method=LOW) as collected:
         truth = []
 
@@ -64,7 +64,7 @@ def test_the_felt_centre_is_where_the_bottom_is(tmp_path) -> None:
         )
 
 
-def test_a_bottom_far_away_is_refused(tmp_path) -> None:
+def test_a_bottom_far_away_is_refused(tmp_path):
     with collecting(tmp_path / "ds", method=LOW) as collected:
         collected.run(count=1, check_origin=True, origin_mm=(5.0, 0.0))
         ended = collected.of(RunFinished)[-1]

@@ -39,7 +39,7 @@ def picture(tmp_path: Path) -> Path:
     return path
 
 
-def test_a_picture_that_was_taken_away_leaves_the_others_in_place(tmp_path, picture) -> None:
+def test_a_picture_that_was_taken_away_leaves_the_others_in_place(tmp_path, picture):
     first, second = (keep_photo(tmp_path / "run", 3, picture) for _ in range(2))
     first.unlink()
     picture.write_bytes(PNG + b"third")
@@ -50,7 +50,7 @@ def test_a_picture_that_was_taken_away_leaves_the_others_in_place(tmp_path, pict
 
 
 @pytest.mark.parametrize("call", ["fsync", "replace"])
-def test_a_full_disk_is_said_and_leaves_nothing(tmp_path, picture, monkeypatch, call) -> None:
+def test_a_full_disk_is_said_and_leaves_nothing(tmp_path, picture, monkeypatch, call):
     kept = keep_photo(tmp_path / "run", 3, picture)
 
     def full(*_args: object, **_named: object) -> None:
@@ -156,7 +156,7 @@ def recorded(folder: Path, monkeypatch: pytest.MonkeyPatch, back_ns: int) -> tup
 @pytest.mark.promise("P2")
 def test_a_clock_set_back_by_an_hour_in_mid_press_changes_no_number_and_no_order(
     tmp_path, monkeypatch
-) -> None:
+):
     plain, _ = recorded(tmp_path / "plain", monkeypatch, 0)
     jumped, at_ns = recorded(tmp_path / "jumped", monkeypatch, HOUR_NS)
     assert jumped == plain
@@ -164,7 +164,7 @@ def test_a_clock_set_back_by_an_hour_in_mid_press_changes_no_number_and_no_order
     assert time.time_ns() - at_ns > HOUR_NS // 2
 
 
-def test_recordings_are_logged_by_the_wall_clock_and_keep_the_bench_clock(tmp_path) -> None:
+def test_recordings_are_logged_by_the_wall_clock_and_keep_the_bench_clock(tmp_path):
     before_ns = time.time_ns()
     with brisk_session() as session, Dataset.open(tmp_path / "ds") as dataset:
         session.dataset = dataset

@@ -126,7 +126,7 @@ def test_without_a_set_scene_nothing_moves(tmp_path):
 )
 def test_a_device_lost_while_the_scene_is_set_up_ends_the_run_before_a_probe(
     tmp_path, fault, code, asked
-) -> None:
+):
     """While the operator is prompted, or while the piece is carried to its start."""
     attended = Attended(tmp_path, faults=(fault,))
     attended.ready = None if asked else True
@@ -797,14 +797,14 @@ def test_only_a_turned_hand_is_kept_high():
     assert turned_descent_mm(Pose(0.0, 0.0, 50.0, 0.1), 40.0, LIMITS) == 0.0
 
 
-def test_the_centre_of_mass_comes_from_the_piece() -> None:
+def test_the_centre_of_mass_comes_from_the_piece():
     with simulated_session(SimulatedBenchChoice()) as session:
         scene = session._set_scene(SceneChoice(piece="mug", bottoms=("short",), estimates=False))
         held = grasped_piece(session._for_run(scene, StackSettings()))
         assert (held.com_xy_mm, held.grip_height_mm) == ((1.7, -0.9), 32.0)
 
 
-def test_the_height_of_the_sensor_and_the_tower_come_from_bench_and_entry() -> None:
+def test_the_height_of_the_sensor_and_the_tower_come_from_bench_and_entry():
     with simulated_session(SimulatedBenchChoice()) as session:
         tower = session._set_scene(SceneChoice(bottoms=("short", "long"), estimates=False))
         entry = TowerSettings(offset_mm=((2.0, -1.0),), sigma_mm=0.5)

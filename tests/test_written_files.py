@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 import torch
 
+from tests.backend.annotations.conftest import stored_label
 from tests.backend.runs.test_event_log import ALL, same
 from touchdown.app.application import TouchdownApp
 from touchdown.app.shell.errors import ErrorBox
@@ -31,7 +32,6 @@ from touchdown.backend.cli.command_line import main
 from touchdown.backend.cli.settings import load_method
 from touchdown.backend.config.lab import load_lab
 from touchdown.backend.core import events, values
-from touchdown.backend.episodes.episode_mcap import read_label
 from touchdown.backend.episodes.training_rows import load_rows
 from touchdown.backend.exchange import jsonl
 from touchdown.backend.learning.checkpoint import load_checkpoint
@@ -151,7 +151,7 @@ def test_an_episode_file_keeps_signals_pictures_and_label(
     assert picture.mean() == pytest.approx(89.3, abs=0.5)
     assert film.pictures["right"].packed == ()
     assert [scene.image.shape for scene in recording.scene] == [(480, 640, 3)]
-    label = read_label(dataset.path(uuids[0]))
+    label = stored_label(dataset.path(uuids[0]))
     assert (label["x_um"], label["y_um"], label["person"]) == (-1588, 8245, "cleo")
 
 

@@ -135,7 +135,7 @@ def arrive(me: Person) -> Doing:
     assert me.page.isVisible()
     tell(
         begun=list(me.presenter.walk.order), person=me.page.person.text(), first=first,
-        at=me.uuid, undo=me.presenter.book.can_undo("ann"),
+        at=me.uuid, undo=bool(me.presenter.book._stack("ann").undo),
     )  # fmt: skip
 
 

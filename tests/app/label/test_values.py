@@ -124,7 +124,7 @@ def test_undo_and_redo_reach_back_over_restarts(start):
     assert after != before
     desk = start()
     steps = 0
-    while desk.book.can_undo("Ann"):
+    while desk.book._stack("Ann").undo:
         desk.do((KEY.Key_Z, CTRL) if steps % 2 else KEY.Key_U)
         steps += 1
         if steps == 3:
@@ -132,7 +132,7 @@ def test_undo_and_redo_reach_back_over_restarts(start):
     assert content(desk) == before
     assert steps == 8
     desk = start()
-    while desk.book.can_redo("Ann"):
+    while desk.book._stack("Ann").redo:
         desk.do((KEY.Key_U, SHIFT))
     assert content(desk) == after
 

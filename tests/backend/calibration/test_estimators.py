@@ -60,7 +60,7 @@ def felt_edges(
 SQUARE = felt_edges((0.0, 0.0), 0.0)
 
 
-def test_the_plane_is_the_one_that_numpy_fits() -> None:
+def test_the_plane_is_the_one_that_numpy_fits():
     rng = np.random.default_rng(0)
     touches = TOUCHES + np.array([0, 0, 0.05]) * rng.standard_normal(TOUCHES.shape)
     ours = fit_plane(touches)
@@ -68,7 +68,7 @@ def test_the_plane_is_the_one_that_numpy_fits() -> None:
     np.testing.assert_allclose(ours.x, theirs)
 
 
-def test_edges_of_a_board_that_is_off_and_turned_give_place_and_yaw() -> None:
+def test_edges_of_a_board_that_is_off_and_turned_give_place_and_yaw():
     found = fit_edges(felt_edges((0.8, -1.3), 0.02), yaw=True)
     # The turned corner stands out by a part of the second order.
     np.testing.assert_allclose(found.x[:2], [0.8, -1.3], atol=0.03)
@@ -76,7 +76,7 @@ def test_edges_of_a_board_that_is_off_and_turned_give_place_and_yaw() -> None:
     assert np.abs(found.residuals).max() < 0.02
 
 
-def test_a_board_is_one_estimate_with_its_larger_residual() -> None:
+def test_a_board_is_one_estimate_with_its_larger_residual():
     edges = felt_edges((0.8, -1.3), 0.01)
     found = estimate_board(TOUCHES, edges, "board")
     assert found.acceptable
@@ -90,7 +90,7 @@ def test_a_board_is_one_estimate_with_its_larger_residual() -> None:
 
 
 @pytest.mark.parametrize(("yaw", "way"), [(0.05, " clockwise"), (-0.05, "counter-clockwise")])
-def test_a_bottom_that_is_turned_is_turned_back_not_accepted(yaw: float, way: str) -> None:
+def test_a_bottom_that_is_turned_is_turned_back_not_accepted(yaw, way):
     found = estimate_board(TOUCHES, felt_edges((0.0, 0.0), yaw), "board")
     assert found.residual <= found.limit
     assert not found.acceptable
@@ -100,7 +100,7 @@ def test_a_bottom_that_is_turned_is_turned_back_not_accepted(yaw: float, way: st
     assert estimate_board(TOUCHES, felt_edges((0.0, 0.0), yaw), "piece").obstacle == ""
 
 
-def test_round_edges_tell_no_yaw() -> None:
+def test_round_edges_tell_no_yaw():
     found = estimate_board(TOUCHES, felt_edges((0, 0), 0.0, along=0.0), "")
     assert "yaw_rad" not in [q.name for q in found.quantities]
     assert "No yaw" in found.note
@@ -123,7 +123,7 @@ def readings(turns: np.ndarray) -> np.ndarray:
     return np.array(rows)
 
 
-def test_perfect_readings_give_the_truth() -> None:
+def test_perfect_readings_give_the_truth():
     found = estimate_payload(TURNS, readings(TURNS))
     values = np.array([q.value for q in found.quantities])
     np.testing.assert_allclose(values, [MASS_KG, *COM_MM, *BIAS], atol=1e-9)
@@ -131,7 +131,7 @@ def test_perfect_readings_give_the_truth() -> None:
     assert found.acceptable
 
 
-def test_the_covariance_is_that_of_repeated_measurements() -> None:
+def test_the_covariance_is_that_of_repeated_measurements():
     rng = np.random.default_rng(2)
     perfect = readings(TURNS)
     values = [
@@ -144,7 +144,7 @@ def test_the_covariance_is_that_of_repeated_measurements() -> None:
                                told / np.outer(size, size), atol=0.18)  # fmt: skip
 
 
-def test_a_cable_that_pulls_in_one_pose_is_not_accepted() -> None:
+def test_a_cable_that_pulls_in_one_pose_is_not_accepted():
     pulled = readings(TURNS)
     pulled[2, 0] += 1.0
     found = estimate_payload(TURNS, pulled)
@@ -161,13 +161,13 @@ def test_a_cable_that_pulls_in_one_pose_is_not_accepted() -> None:
         (Rotation.from_euler("z", np.arange(6)[:, None]).as_matrix(), "DEGENERATE"),
     ],
 )
-def test_poses_that_do_not_tell_are_refused(turns, reason) -> None:
+def test_poses_that_do_not_tell_are_refused(turns, reason):
     with pytest.raises(RefusedError) as refused:
         estimate_payload(turns, readings(turns))
     assert refused.value.reason == reason
 
 
-def test_a_reading_that_is_no_number_is_refused() -> None:
+def test_a_reading_that_is_no_number_is_refused():
     broken = readings(TURNS)
     broken[0, 0] = np.nan
     for estimate in (
@@ -178,13 +178,13 @@ def test_a_reading_that_is_no_number_is_refused() -> None:
             estimate()
 
 
-def test_a_wrong_sign_is_named() -> None:
+def test_a_wrong_sign_is_named():
     assert "ft.sign" in estimate_payload(TURNS, -readings(TURNS)).obstacle
     with pytest.raises(RefusedError, match=r"ft\.sign"):
         estimate_level_payload(-readings(LEVEL))
 
 
-def test_a_level_hand_gives_mass_and_place_in_the_plane_and_says_what_it_leaves_open() -> None:
+def test_a_level_hand_gives_mass_and_place_in_the_plane_and_says_what_it_leaves_open():
     level = readings(LEVEL) - BIAS
     found = estimate_level_payload(level)
     assert [q.name for q in found.quantities] == ["mass_kg", "com_x_mm", "com_y_mm"]
@@ -211,13 +211,13 @@ def scores_of(found: CalibrationEstimate, truth) -> list[float]:
     return [(q.value - t) / q.sigma for q, t in zip(found.quantities, truth, strict=True)]
 
 
-def test_grips_that_scatter_are_not_accepted() -> None:
+def test_grips_that_scatter_are_not_accepted():
     scattered = BOTTOM - FACE + np.array([[0.0, 0.0], [0.6, 0.0], [0.0, -0.6]])
     assert not estimate_tool(BOTTOM, 0.1, scattered).acceptable
 
 
 @pytest.mark.parametrize("yaw", [0.0, 0.02, -0.5, 1.6, 3.0])
-def test_the_yaw_of_the_sensor_is_found_whatever_its_bias(yaw) -> None:
+def test_the_yaw_of_the_sensor_is_found_whatever_its_bias(yaw):
     found = estimate_wrist(TURNS, leaning(yaw))
     assert found.value("yaw_rad") == pytest.approx(yaw, abs=1e-9)
     assert found.value("mass_kg") == pytest.approx(1.5)
@@ -225,7 +225,7 @@ def test_the_yaw_of_the_sensor_is_found_whatever_its_bias(yaw) -> None:
     assert bool(found.obstacle) == (abs(yaw) > 0.1)
 
 
-def test_a_turned_sensor_is_no_payload() -> None:
+def test_a_turned_sensor_is_no_payload():
     assert estimate_payload(TURNS, leaning(0.0)).acceptable
     assert not estimate_payload(TURNS, leaning(0.2)).acceptable
 
@@ -265,7 +265,7 @@ def yaw_with_noise(rng: np.random.Generator) -> list[float]:
     [edges_with_noise, payload_with_noise, level_payload_with_noise, grips_with_noise,
      yaw_with_noise],
 )  # fmt: skip
-def test_the_uncertainties_cover_the_truth_as_often_as_they_say(draw) -> None:
+def test_the_uncertainties_cover_the_truth_as_often_as_they_say(draw):
     rng = np.random.default_rng(1)
     scores = np.array([draw(rng) for _ in range(400)])
     # 68.3 %, give or take four standard deviations of 400 draws.
@@ -273,7 +273,7 @@ def test_the_uncertainties_cover_the_truth_as_often_as_they_say(draw) -> None:
     assert np.abs(np.mean(scores, axis=0)).max() < 4.0 / np.sqrt(400)
 
 
-def test_too_little_is_refused_by_name() -> None:
+def test_too_little_is_refused_by_name():
     edges = SQUARE
     for call, reason in (
         (lambda: fit_plane(TOUCHES[:3]), "TOUCHES"),

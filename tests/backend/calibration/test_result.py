@@ -83,7 +83,7 @@ def exchanged(push: SidePress) -> SidePress:
     return SidePress(push.side, push.rest_px[::-1].copy(), push.moved_px[::-1].copy())
 
 
-def test_the_scale_is_that_of_the_gel() -> None:
+def test_the_scale_is_that_of_the_gel():
     found = estimate_cameras(pushes(), PITCH_MM)
     for finger, scale in zip(("left", "right"), SCALE, strict=True):
         for axis in "uv":
@@ -91,7 +91,7 @@ def test_the_scale_is_that_of_the_gel() -> None:
     assert found.acceptable
 
 
-def test_the_scale_covers_the_truth_as_often_as_it_says() -> None:
+def test_the_scale_covers_the_truth_as_often_as_it_says():
     rng = np.random.default_rng(5)
     scores = []
     for _ in range(400):
@@ -101,7 +101,7 @@ def test_the_scale_covers_the_truth_as_often_as_it_says() -> None:
     assert abs((np.abs(scores) < 1.0).mean() - 0.683) < 0.066
 
 
-def test_a_gel_with_another_pitch_or_a_lost_dot_is_not_accepted() -> None:
+def test_a_gel_with_another_pitch_or_a_lost_dot_is_not_accepted():
     bent = [SidePress(p.side, p.rest_px + 12.0 * (np.arange(63)[:, None] % 2), p.moved_px)
             for p in pushes()]  # fmt: skip
     assert not estimate_cameras(bent, PITCH_MM).acceptable
@@ -112,7 +112,7 @@ def test_a_gel_with_another_pitch_or_a_lost_dot_is_not_accepted() -> None:
 @pytest.mark.parametrize("swap", [False, True])
 @pytest.mark.parametrize("left", ["none", "x", "y", "both"])
 @pytest.mark.parametrize("right", ["none", "x", "y", "both"])
-def test_every_way_that_two_cameras_can_sit_is_found(swap, left, right) -> None:
+def test_every_way_that_two_cameras_can_sit_is_found(swap, left, right):
     seen = pushes()
     for camera, mirror in enumerate((left, right)):
         for axis, names in ((0, ("x", "both")), (1, ("y", "both"))):
@@ -132,7 +132,7 @@ def test_every_way_that_two_cameras_can_sit_is_found(swap, left, right) -> None:
     assert ("corrected" in estimate.note) == wrong
 
 
-def test_motion_of_a_picture_is_told_by_shift_and_turn() -> None:
+def test_motion_of_a_picture_is_told_by_shift_and_turn():
     rest, angle = GEL.rest_px[0], 0.03
     arm = rest - rest.mean(axis=0)
     moved = arm @ np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]]) - arm
@@ -155,7 +155,7 @@ def crept(rng: np.random.Generator, side: Side, lead_px: float, creep_px: float)
     return SidePress(side, np.stack([rest, rest]), moved)
 
 
-def test_gels_that_creep_by_as_much_as_the_fingers_differ_are_pressed_until_it_is_sure() -> None:
+def test_gels_that_creep_by_as_much_as_the_fingers_differ_are_pressed_until_it_is_sure():
     rng = np.random.default_rng(8)
     presses, wrong, even = [], 0, 0
     for _ in range(40):
@@ -183,7 +183,7 @@ def test_gels_that_creep_by_as_much_as_the_fingers_differ_are_pressed_until_it_i
         find_arrangement(alike)
 
 
-def test_presses_that_tell_nothing_are_refused_by_name() -> None:
+def test_presses_that_tell_nothing_are_refused_by_name():
     full = pushes()
     weak = [SidePress(p.side, p.rest_px, 0.01 * p.moved_px) for p in full]
     even = [SidePress(p.side, p.rest_px, full[0].moved_px) for p in full]
@@ -232,7 +232,7 @@ def store(tmp_path) -> CalibrationStore:
     return CalibrationStore(tmp_path / "calibrations", "hardware", "--bench lab.toml")
 
 
-def test_the_file_tells_everything_and_names_itself(store) -> None:
+def test_the_file_tells_everything_and_names_itself(store):
     path = store.accept(FOUND, DEVICES, "Ada", NOW)
     content = json.loads(path.read_text())
     told = content.pop("sha256")
@@ -247,7 +247,7 @@ def test_the_file_tells_everything_and_names_itself(store) -> None:
     assert read_record(path).sha256 == told
 
 
-def test_what_is_not_acceptable_is_not_written(store) -> None:
+def test_what_is_not_acceptable_is_not_written(store):
     for estimate, reason in (
         (replace(FOUND, residual=0.31), "RESIDUAL"),
         (replace(FOUND, residual=float("nan")), "RESIDUAL"),
@@ -259,7 +259,7 @@ def test_what_is_not_acceptable_is_not_written(store) -> None:
     assert not store.folder.exists()
 
 
-def test_the_newest_holds_until_it_expires(store) -> None:
+def test_the_newest_holds_until_it_expires(store):
     assert store.status("payload", DEVICES, NOW).condition == "missing"
     store.accept(FOUND, DEVICES, now=NOW)
     newer = store.accept(replace(FOUND, residual=0.2), DEVICES, now=NOW + timedelta(1))
@@ -271,7 +271,7 @@ def test_the_newest_holds_until_it_expires(store) -> None:
     assert late.fix == "Run 'touchdown calibrate payload --bench lab.toml --accept'."
 
 
-def test_a_calibration_belongs_to_its_devices_and_to_its_kind_of_bench(store) -> None:
+def test_a_calibration_belongs_to_its_devices_and_to_its_kind_of_bench(store):
     store.accept(FOUND, DEVICES, now=NOW)
     other = {**DEVICES, "force_torque": DeviceName(maker="W", model="Six", serial="F2")}
     assert store.status("payload", other, NOW).condition == "other device"
@@ -282,7 +282,7 @@ def test_a_calibration_belongs_to_its_devices_and_to_its_kind_of_bench(store) ->
     assert elsewhere.status("payload", DEVICES, NOW).condition == "missing"
 
 
-def test_a_device_that_tells_no_number_goes_by_the_name_of_its_port(store) -> None:
+def test_a_device_that_tells_no_number_goes_by_the_name_of_its_port(store):
     """The links of an emulated bench lie in another folder each time it is started."""
 
     def by_port(port: str) -> dict[str, DeviceName]:
@@ -296,7 +296,7 @@ def test_a_device_that_tells_no_number_goes_by_the_name_of_its_port(store) -> No
 
 
 @pytest.mark.promise("D13")
-def test_a_changed_or_broken_file_is_said_and_not_used(store) -> None:
+def test_a_changed_or_broken_file_is_said_and_not_used(store):
     path = store.accept(FOUND, DEVICES, now=NOW)
     good = path.read_text()
     for bad, said in (
@@ -324,9 +324,7 @@ def rewritten(path: Path, change: Callable[[dict[str, Any]], object]) -> None:
 
 @pytest.mark.promise("D13")
 @pytest.mark.parametrize("what", CALIBRATION_NAMES)
-def test_what_cannot_be_applied_is_damaged_though_its_hash_fits(
-    store: CalibrationStore, what: CalibrationName
-) -> None:
+def test_what_cannot_be_applied_is_damaged_though_its_hash_fits(store, what):
     path = store.accept(of_kind(what), DEVICES, now=NOW)
     whole = path.read_text()
     changes: list[Callable[[dict[str, Any]], object]] = [
@@ -360,7 +358,7 @@ def test_what_cannot_be_applied_is_damaged_though_its_hash_fits(
         store.in_use(DEVICES, required=True, now=NOW)
 
 
-def test_a_disk_that_takes_no_more_keeps_the_calibration_before(store: CalibrationStore) -> None:
+def test_a_disk_that_takes_no_more_keeps_the_calibration_before(store):
     before = store.accept(of_kind("camera"), DEVICES, now=NOW).read_bytes()
     with no_file_above(100), pytest.raises(InputError):
         store.accept(of_kind("camera"), DEVICES, now=NOW + timedelta(hours=1))
@@ -370,7 +368,7 @@ def test_a_disk_that_takes_no_more_keeps_the_calibration_before(store: Calibrati
     assert [path.read_bytes() for path in kept] == [before]
 
 
-def test_a_bench_that_needs_them_is_refused_by_name_with_the_fix(store) -> None:
+def test_a_bench_that_needs_them_is_refused_by_name_with_the_fix(store):
     def refusal(now: datetime, devices=DEVICES) -> RefusedError:
         with pytest.raises(RefusedError) as refused:
             store.in_use(devices, required=True, now=now)

@@ -256,24 +256,24 @@ def test_settings_cannot_be_changed_later():
 BENCHES = Path(str(files("touchdown.resources"))) / "benches"
 
 
-def test_shipped_default_spells_out_the_defaults() -> None:
+def test_shipped_default_spells_out_the_defaults():
     assert load_simulation(BENCHES / "sim.toml") == SimulationSettings()
 
 
-def test_every_preset_is_named_and_a_shipped_file_is_its_preset() -> None:
+def test_every_preset_is_named_and_a_shipped_file_is_its_preset():
     for name in PRESETS:
         assert load_simulation(preset=name).preset == name
     for name, file in (("quiet", "sim-quiet"), ("hard", "sim-hard"), ("bench-v1", "bench-v1")):
         assert load_simulation(BENCHES / f"{file}.toml") == load_simulation(preset=name)
 
 
-def test_off_leaves_nothing_random() -> None:
+def test_off_leaves_nothing_random():
     off = load_simulation(preset="off")
     assert set(off.spread.model_dump().values()) == {0.0}
     assert off.tactile.white_px == off.wrist.white_n == off.tactile.drop_share == 0.0
 
 
-def test_own_keys_win_over_the_preset() -> None:
+def test_own_keys_win_over_the_preset():
     made = SimulationSettings.model_validate(
         {"preset": "hard", "spread": {"tilt_rad": 0.002}, "mu_grip": 0.5}
     )
@@ -281,6 +281,6 @@ def test_own_keys_win_over_the_preset() -> None:
     assert made.spread.grasp_offset_mm == 1.0
 
 
-def test_settings_survive_a_round_trip() -> None:
+def test_settings_survive_a_round_trip():
     hard = load_simulation(preset="hard")
     assert SimulationSettings.model_validate_json(hard.model_dump_json()) == hard

@@ -163,7 +163,7 @@ def affine(rng: np.random.Generator) -> np.ndarray:
     return np.stack([np.ones(63), COL, ROW], axis=1) @ a
 
 
-def test_affine_fields_are_continued_exactly_even_beyond_the_border() -> None:
+def test_affine_fields_are_continued_exactly_even_beyond_the_border():
     rng = np.random.default_rng(1)
     truth = np.stack([affine(rng) for _ in range(200)])
     seen = rng.random((200, 63)) > rng.uniform(0.02, 0.6, (200, 1))
@@ -175,7 +175,7 @@ def test_affine_fields_are_continued_exactly_even_beyond_the_border() -> None:
     assert (filled[seen] == truth[seen]).all()
 
 
-def test_filling_bends_the_field_least() -> None:
+def test_filling_bends_the_field_least():
     """Independent truth: direct minimisation of the bending energy written out as differences."""
     rng = np.random.default_rng(2)
     seen = np.ones(63, dtype=bool)
@@ -197,7 +197,7 @@ def test_filling_bends_the_field_least() -> None:
     np.testing.assert_allclose(filled[:, 1], 2 * filled[:, 0], atol=1e-9)
 
 
-def test_too_few_markers_give_the_neighbour_value_and_none_gives_zero() -> None:
+def test_too_few_markers_give_the_neighbour_value_and_none_gives_zero():
     seen = np.zeros((2, 63), dtype=bool)
     seen[0, 30] = True
     field = np.full((2, 63, 2), 4.0)
@@ -206,7 +206,7 @@ def test_too_few_markers_give_the_neighbour_value_and_none_gives_zero() -> None:
     assert (filled[1] == 0.0).all()
 
 
-def test_each_frame_is_filled_by_itself() -> None:
+def test_each_frame_is_filled_by_itself():
     rng = np.random.default_rng(3)
     field = rng.normal(size=(40, 63, 2))
     seen = rng.random((40, 63)) > 0.1
@@ -217,12 +217,12 @@ def test_each_frame_is_filled_by_itself() -> None:
     np.testing.assert_allclose(together, alone, atol=1e-9)
 
 
-def test_wrong_shapes_are_refused() -> None:
+def test_wrong_shapes_are_refused():
     with pytest.raises(ValueError, match="63"):
         fill_unseen_markers(np.zeros((1, 62, 2)), np.ones((1, 62), dtype=bool))
 
 
-def test_misfit_is_the_error_of_leaving_one_marker_out() -> None:
+def test_misfit_is_the_error_of_leaving_one_marker_out():
     rng = np.random.default_rng(4)
     field = rng.normal(size=(63, 2))
     left_out = fill_unseen_markers(np.repeat(field[None], 63, axis=0), ~np.eye(63, dtype=bool))
@@ -247,21 +247,21 @@ def onset_of(force, t_s=T_S):
 
 
 @pytest.mark.parametrize("slope_n_s", [8.0, 10.0, 40.0])
-def test_a_clean_ramp_is_dated_to_its_foot(slope_n_s) -> None:
+def test_a_clean_ramp_is_dated_to_its_foot(slope_n_s):
     found, onset = onset_of(ramp(slope_n_s))
     assert onset[0] == pytest.approx(ONSET_S, abs=1e-9)
     crossing = np.flatnonzero(ramp(slope_n_s) > 1.0)[0]
     assert found[0] == crossing + 2
 
 
-def test_a_very_soft_grasp_is_still_found() -> None:
+def test_a_very_soft_grasp_is_still_found():
     # At 4 N/s contact has crept into the baseline window by the time it is declared.
     found, onset = onset_of(ramp(4.0))
     assert T_S[found[0]] - ONSET_S > 0.25
     assert onset[0] == pytest.approx(ONSET_S, abs=5e-3)
 
 
-def test_the_baseline_ends_200_ms_before_the_sample() -> None:
+def test_the_baseline_ends_200_ms_before_the_sample():
     force = np.zeros(600)
     force[100:300] = 5.0
     over = force_over_baseline(force)
@@ -271,21 +271,21 @@ def test_the_baseline_ends_200_ms_before_the_sample() -> None:
 
 
 @pytest.mark.promise("S8")
-def test_a_constant_load_and_a_slow_drift_are_no_contact() -> None:
+def test_a_constant_load_and_a_slow_drift_are_no_contact():
     force = 14.7 + 0.5 * T_S
     found, onset = onset_of(force)
     assert found[0] == -1
     assert np.isnan(onset[0])
 
 
-def test_two_high_samples_are_not_contact_three_are() -> None:
+def test_two_high_samples_are_not_contact_three_are():
     for length, wanted in ((2, -1), (3, 702)):
         force = np.zeros(1200)
         force[700 : 700 + length] = 2.0
         assert onset_of(force)[0][0] == wanted
 
 
-def test_noise_of_the_bench_neither_triggers_nor_biases_much() -> None:
+def test_noise_of_the_bench_neither_triggers_nor_biases_much():
     rng = np.random.default_rng(1)
     air = 0.1 * rng.standard_normal((50, 5000))
     assert (detect_contact(force_over_baseline(air)) == -1).all()
@@ -298,7 +298,7 @@ def test_noise_of_the_bench_neither_triggers_nor_biases_much() -> None:
     assert error_s.std() < 6e-3
 
 
-def test_rows_may_have_their_own_times() -> None:
+def test_rows_may_have_their_own_times():
     force = np.stack([ramp(10.0), ramp(6.0)])
     over = force_over_baseline(force)
     found = detect_contact(over)
@@ -307,7 +307,7 @@ def test_rows_may_have_their_own_times() -> None:
 
 
 @pytest.mark.parametrize("chunk", [1, 7, 10, 400, 1200])
-def test_the_stream_gives_what_the_whole_signal_gives(chunk) -> None:
+def test_the_stream_gives_what_the_whole_signal_gives(chunk):
     rng = np.random.default_rng(2)
     force = ramp(9.0) + 0.1 * rng.standard_normal(1200)
     found, onset = onset_of(force)
@@ -323,7 +323,7 @@ def test_the_stream_gives_what_the_whole_signal_gives(chunk) -> None:
     assert detector.onset_s == pytest.approx(onset[0], abs=1e-9)
 
 
-def test_the_stream_stays_bounded_and_quiet_in_air() -> None:
+def test_the_stream_stays_bounded_and_quiet_in_air():
     rng = np.random.default_rng(3)
     detector = OnsetDetector()
     for k in range(500):
@@ -333,7 +333,7 @@ def test_the_stream_stays_bounded_and_quiet_in_air() -> None:
     assert len(detector._force_n) <= 2 * RULE.lead
 
 
-def test_a_sample_that_is_no_number_is_not_contact() -> None:
+def test_a_sample_that_is_no_number_is_not_contact():
     force = ramp(10.0)
     force[600] = np.nan
     found, _ = onset_of(force)

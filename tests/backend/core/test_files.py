@@ -140,7 +140,7 @@ def nested(levels: int) -> str:
     return "[" * levels + "]" * levels
 
 
-def test_depth_is_counted_and_brackets_within_text_are_not() -> None:
+def test_depth_is_counted_and_brackets_within_text_are_not():
     assert parse_json(nested(MAX_DEPTH)) is not None
     assert parse_json(json.dumps([nested(1000)] * 3)) == [nested(1000)] * 3
     assert len(parse_json("[" + ",".join(["[]"] * 1000) + "]")) == 1000
@@ -177,7 +177,7 @@ READERS = {
 @pytest.mark.promise("D8")
 @pytest.mark.parametrize("name", READERS)
 @pytest.mark.parametrize("what", ["deep", "deep arrays", "no text"])
-def test_foreign_text_is_refused_shortly(name: str, what: str, tmp_path: Path) -> None:
+def test_foreign_text_is_refused_shortly(name, what, tmp_path):
     path = tmp_path / name
     path.parent.mkdir(exist_ok=True)
     is_toml = name.endswith("toml")
@@ -195,13 +195,13 @@ def test_foreign_text_is_refused_shortly(name: str, what: str, tmp_path: Path) -
     assert "secret" not in str(refused.value)
 
 
-def test_a_message_is_bounded() -> None:
+def test_a_message_is_bounded():
     error = InputError("x" * 100_000, "here", "Do this.")
     assert len(error.what) < MAX_MESSAGE + 10
     assert str(error).endswith("[here] Do this.")
 
 
-def test_a_dataset_of_a_newer_program_is_not_written_and_names_it(tmp_path: Path) -> None:
+def test_a_dataset_of_a_newer_program_is_not_written_and_names_it(tmp_path):
     with Dataset.open(tmp_path) as dataset:
         dataset.record(
             small_episode(), Label(1, 2), source="commanded", context=context_for(dataset)
@@ -220,7 +220,7 @@ def test_a_dataset_of_a_newer_program_is_not_written_and_names_it(tmp_path: Path
 
 
 @pytest.mark.parametrize("wrong", ["99", 1e300, True, None])
-def test_a_schema_that_is_no_whole_number_is_refused(tmp_path: Path, wrong: object) -> None:
+def test_a_schema_that_is_no_whole_number_is_refused(tmp_path, wrong):
     Dataset.open(tmp_path).close()
     path = tmp_path / "dataset.json"
     path.write_text(json.dumps(json.loads(path.read_text()) | {"schema_version": wrong}))
@@ -228,7 +228,7 @@ def test_a_schema_that_is_no_whole_number_is_refused(tmp_path: Path, wrong: obje
         Dataset.open(tmp_path)
 
 
-def test_an_empty_catalogue_is_named_with_its_remedy(tmp_path: Path) -> None:
+def test_an_empty_catalogue_is_named_with_its_remedy(tmp_path):
     Dataset.open(tmp_path).close()
     for path in tmp_path.glob("catalog.db*"):
         path.unlink()

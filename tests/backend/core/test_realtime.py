@@ -31,7 +31,7 @@ def of_a_new_thread() -> tuple[int, int, int]:
 
 
 @pytest.mark.parametrize("raise_it", [lambda: round_robin_priority(3), raised_priority])
-def test_threads_inherit_it_and_the_caller_has_its_own_again(raise_it: Raise) -> None:
+def test_threads_inherit_it_and_the_caller_has_its_own_again(raise_it):
     before = present()
     with raise_it() as given:
         if not given:
@@ -45,9 +45,7 @@ def test_threads_inherit_it_and_the_caller_has_its_own_again(raise_it: Raise) ->
 @pytest.mark.parametrize(
     "raise_it", [lambda: round_robin_priority(0), lambda: round_robin_priority(3), raised_priority]
 )
-def test_without_permission_nothing_changes(
-    raise_it: Raise, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_permission_nothing_changes(raise_it, monkeypatch):
     def refused(*_: object) -> None:
         raise PermissionError("not for this user")
 

@@ -70,7 +70,7 @@ print(os.nice(0))
 
 
 @pytest.mark.skipif(os.name != "posix", reason="only there is a niceness")
-def test_what_has_stepped_back_already_does_not_lower_priority_again() -> None:
+def test_what_has_stepped_back_already_does_not_lower_priority_again():
     told = subprocess.run([sys.executable, "-c", TWICE], capture_output=True, text=True, check=True)
     assert int(told.stdout) == max(NICENESS, min(os.nice(0) + 5, 19))
 
@@ -252,8 +252,8 @@ def test_a_reader_never_sees_a_torn_block():
 
 @pytest.mark.parametrize(("piece", "bottom", "seed"), CASES)
 def test_one_press_felt_by_the_devices_is_the_one_simulated_in_bulk(
-    piece: str, bottom: str, seed: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    piece, bottom, seed, monkeypatch
+):
     press = press_both_ways(piece, bottom, seed, monkeypatch)
     assert press.computed_mm == pytest.approx(press.felt_mm, abs=0.05)
     moved_px = float(np.sqrt(np.mean(press.computed[:, :TACTILE_CHANNELS] ** 2)))

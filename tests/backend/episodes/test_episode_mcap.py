@@ -11,6 +11,7 @@ import pytest
 from mcap.reader import make_reader
 from mcap.records import Statistics
 
+from tests.backend.annotations.conftest import stored_label
 from touchdown.backend.core.faults import InputError
 from touchdown.backend.core.files import program_stamp
 from touchdown.backend.core.values import (
@@ -26,7 +27,6 @@ from touchdown.backend.episodes import episode_mcap, messages
 from touchdown.backend.episodes.episode_mcap import (
     read_compressed_episode,
     read_episode,
-    read_label,
     to_s,
     write_episode,
 )
@@ -43,7 +43,7 @@ def doubles(*values: float) -> bytes:
     return struct.pack(f"<{len(values)}d", *values)
 
 
-def test_wrench_has_the_published_bytes() -> None:
+def test_wrench_has_the_published_bytes():
     wrench = np.array([[1, -2, 22.5, 0.01, -0.02, 0.003]])
     expected = bytes.fromhex(
         HEAD + "03 00 00 00 66 74 00 00"
@@ -57,7 +57,7 @@ def test_wrench_has_the_published_bytes() -> None:
     assert messages.stamps_ns([packed[0].tobytes()]).tolist() == STAMP.tolist()
 
 
-def test_pose_has_the_published_bytes() -> None:
+def test_pose_has_the_published_bytes():
     packed = messages.pack_pose(STAMP, np.array([[100.0, 200.0, 300.0]]))
     expected = bytes.fromhex(HEAD + "05 00 00 00 62 61 73 65 00 00 00 00 00 00 00 00")
     assert packed.tobytes() == expected + doubles(0.1, 0.2, 0.3, 0, 0, 0, 1)
@@ -65,7 +65,7 @@ def test_pose_has_the_published_bytes() -> None:
     assert np.allclose(messages.unpack_pose_mm([packed[0].tobytes()]), [[100, 200, 300]])
 
 
-def test_image_has_the_published_bytes() -> None:
+def test_image_has_the_published_bytes():
     packed = messages.pack_image(int(STAMP[0]), "tac_left", "jpeg", b"\xff\xd8\xff\xd9")
     assert packed == bytes.fromhex(
         HEAD + "09 00 00 00 74 61 63 5f 6c 65 66 74 00 00 00 00"
@@ -74,13 +74,13 @@ def test_image_has_the_published_bytes() -> None:
     assert messages.unpack_image(packed) == ("jpeg", b"\xff\xd8\xff\xd9")
 
 
-def test_text_has_the_published_bytes() -> None:
+def test_text_has_the_published_bytes():
     packed = messages.pack_json({"x_mm": 1.5})
     assert packed == bytes.fromhex("00 01 00 00 0d 00 00 00 7b 22 78 5f 6d 6d 22 3a 31 2e 35 7d 00")
     assert messages.unpack_json(packed) == {"x_mm": 1.5}
 
 
-def test_observation_fields_lie_where_cdr_puts_them() -> None:
+def test_observation_fields_lie_where_cdr_puts_them():
     values = np.arange(6, dtype=np.float32).reshape(2, 3)
     packed = messages.pack_observation(np.array([0, 100_000_000]), values)
     second = packed[1].tobytes()
@@ -89,13 +89,13 @@ def test_observation_fields_lie_where_cdr_puts_them() -> None:
     assert np.array_equal(messages.unpack_observation([m.tobytes() for m in packed]), values)
 
 
-def test_observation_out_of_order_is_refused() -> None:
+def test_observation_out_of_order_is_refused():
     packed = messages.pack_observation(np.array([0, 1]), np.zeros((2, 3), np.float32))
     with pytest.raises(ValueError, match="order"):
         messages.unpack_observation([packed[1].tobytes(), packed[0].tobytes()])
 
 
-def test_markers_come_back_bit_for_bit_and_are_stored_axis_first() -> None:
+def test_markers_come_back_bit_for_bit_and_are_stored_axis_first():
     rng = np.random.default_rng(3)
     rows = messages.MarkerRows(
         rng.normal(size=(4, MARKERS, 2)),
@@ -119,7 +119,7 @@ def test_markers_come_back_bit_for_bit_and_are_stored_axis_first() -> None:
 
 
 @pytest.mark.parametrize("cut", [0, 3, 7, 15, 30])
-def test_a_message_cut_short_is_refused(cut: int) -> None:
+def test_a_message_cut_short_is_refused(cut):
     packed = messages.pack_image(0, "tac_left", "jpeg", b"12345678")
     with pytest.raises(ValueError, match=r"CDR|shorter"):
         messages.unpack_image(packed[:cut])
@@ -169,7 +169,7 @@ def path(tmp_path: Path) -> Path:
     return tmp_path / "e.mcap"
 
 
-def test_every_native_sample_comes_back_bit_for_bit(path: Path) -> None:
+def test_every_native_sample_comes_back_bit_for_bit(path):
     sent = episode()
     write_episode(path, sent, {"x_um": 12}, {"mode": "stepped"})
     got = read_episode(path)
@@ -179,8 +179,6 @@ def test_every_native_sample_comes_back_bit_for_bit(path: Path) -> None:
     assert np.array_equal(got.offset_mm, sent.offset_mm)
     assert np.array_equal(got.observation, sent.observation)
     a, b = got.recording, sent.recording
-    assert a is not None
-    assert b is not None
     for name in ("wrench_t_s", "wrench", "pose_t_s", "tare", "command_t_s"):
         assert np.array_equal(getattr(a, name), getattr(b, name)), name
     assert np.allclose(a.pose_mm, b.pose_mm, rtol=1e-15)
@@ -191,28 +189,24 @@ def test_every_native_sample_comes_back_bit_for_bit(path: Path) -> None:
         assert np.array_equal(f.position_px, g.position_px)
         assert np.array_equal(f.displacement_px, g.displacement_px)
         assert np.array_equal(f.state, g.state)
-    assert read_label(path) == {"x_um": 12}
+    assert stored_label(path) == {"x_um": 12}
 
 
-def test_a_file_without_commanded_poses_is_read_as_before(path: Path) -> None:
+def test_a_file_without_commanded_poses_is_read_as_before(path):
     sent = episode()
-    assert sent.recording is not None
     silent = replace(sent.recording, command_t_s=np.zeros(0), command_mm=np.zeros((0, 3)))
     write_episode(path, replace(sent, recording=silent), None, {})
     got = read_episode(path).recording
-    assert got is not None
     assert (got.command_t_s.shape, got.command_mm.shape) == ((0,), (0, 3))
     assert np.array_equal(got.pose_t_s, silent.pose_t_s)
 
 
-def test_pictures_are_close_as_jpeg_and_exact_as_png(path: Path) -> None:
+def test_pictures_are_close_as_jpeg_and_exact_as_png(path):
     sent = episode()
-    assert sent.recording is not None
     worst = {}
     for keep in ("jpeg95_444", "png"):
-        write_episode(path, sent, None, {}, keep)  # type: ignore[arg-type]
+        write_episode(path, sent, None, {}, keep)
         got = read_episode(path).recording
-        assert got is not None
         worst[keep] = max(
             np.abs(a.image.astype(int) - b.image).mean()
             for a, b in zip(got.frames, sent.recording.frames, strict=True)
@@ -223,12 +217,11 @@ def test_pictures_are_close_as_jpeg_and_exact_as_png(path: Path) -> None:
     assert worst["jpeg95_444"] < 1.0
     write_episode(path, sent, None, {}, "none")
     got = read_episode(path).recording
-    assert got is not None
     assert got.frames == ()
-    assert read_label(path) is None
+    assert stored_label(path) is None
 
 
-def test_stored_jpegs_keep_full_colour_resolution(path: Path) -> None:
+def test_stored_jpegs_keep_full_colour_resolution(path):
     write_episode(path, episode(), None, {})
     with path.open("rb") as file:
         _, _, message = next(make_reader(file).iter_messages(topics=["/tac/left/image"]))
@@ -238,13 +231,11 @@ def test_stored_jpegs_keep_full_colour_resolution(path: Path) -> None:
     assert sampling == [0x11, 0x11, 0x11]
 
 
-def test_the_reference_reader_sees_streams_in_order_of_time(path: Path) -> None:
+def test_the_reference_reader_sees_streams_in_order_of_time(path):
     write_episode(path, episode(), {"x_um": 1}, {"mode": "stepped", "person": "ann"})
     with path.open("rb") as file:
         reader = make_reader(file, validate_crcs=True)
         summary = reader.get_summary()
-        assert summary is not None
-        assert summary.statistics is not None
         names = {c.topic: c.id for c in summary.channels.values()}
         counts = summary.statistics.channel_message_counts
         expected = {
@@ -264,7 +255,7 @@ def test_the_reference_reader_sees_streams_in_order_of_time(path: Path) -> None:
     assert json.loads(metadata["episode"]["quality"])["slip_mm"] == 0.0625
 
 
-def test_a_truncated_or_foreign_episode_is_refused_by_name(path: Path, tmp_path: Path) -> None:
+def test_a_truncated_or_foreign_episode_is_refused_by_name(path, tmp_path):
     write_episode(path, episode(), None, {})
     whole = path.read_bytes()
     for size in (0, 80, len(whole) // 3, len(whole) - 3):
@@ -279,9 +270,7 @@ def test_a_truncated_or_foreign_episode_is_refused_by_name(path: Path, tmp_path:
         read_episode(tmp_path / "none.mcap")
 
 
-def test_a_failed_write_leaves_the_old_file_and_no_other(
-    path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_failed_write_leaves_the_old_file_and_no_other(path, monkeypatch):
     write_episode(path, episode(with_recording=False), None, {})
     before = path.read_bytes()
 
@@ -295,7 +284,7 @@ def test_a_failed_write_leaves_the_old_file_and_no_other(
     assert [p.name for p in path.parent.iterdir()] == [path.name]
 
 
-def test_whole_microseconds_survive_and_others_to_the_nanosecond() -> None:
+def test_whole_microseconds_survive_and_others_to_the_nanosecond():
     us = np.array([0, 1, 3, 7, 100_003, 2_000_001, 86_400_000_007])
     assert np.array_equal(to_s(episode_mcap.to_ns(us * 1e-6)), us * 1e-6)
     odd = np.array([0.1234567891, 12.000000001])
@@ -319,7 +308,7 @@ def test_the_same_as_the_whole_episode(path, monkeypatch):
             assert np.array_equal(film.pictures[finger].picture(index), frame.image)
 
 
-def test_an_episode_without_recording(path: Path) -> None:
+def test_an_episode_without_recording(path):
     sent = episode(with_recording=False)
     write_episode(path, sent, None, {})
     film = read_compressed_episode(path)
@@ -348,7 +337,7 @@ def write(path: Path, count: int = 3, **changes: object) -> Path:
     return path
 
 
-def test_episodes_come_back_bit_for_bit(tmp_path: Path) -> None:
+def test_episodes_come_back_bit_for_bit(tmp_path):
     path = write(tmp_path / "a.mcap", 5)
     back = list(read_pack(path))
     assert len(back) == 5
@@ -359,13 +348,12 @@ def test_episodes_come_back_bit_for_bit(tmp_path: Path) -> None:
     assert write(tmp_path / "b.mcap", 5).read_bytes() == path.read_bytes()
 
 
-def test_the_reference_reader_decodes_every_message(tmp_path: Path) -> None:
+def test_the_reference_reader_decodes_every_message(tmp_path):
     path = write(tmp_path / "a.mcap", 4)
     with path.open("rb") as file:
         reader = make_reader(file, validate_crcs=True)
         assert reader.get_header().profile == "ros2"
         summary = reader.get_summary()
-        assert summary is not None
         assert isinstance(summary.statistics, Statistics)
         assert summary.statistics.message_count == 84
         found = list(reader.iter_messages(topics=["/obs"]))
@@ -375,7 +363,6 @@ def test_the_reference_reader_decodes_every_message(tmp_path: Path) -> None:
     stamps = [message.log_time for _, _, message in found]
     assert stamps == sorted(stamps)
     schema, channel, message = found[0]
-    assert schema is not None
     assert (schema.name, schema.encoding) == ("lab_msgs/msg/Observation", "ros2msg")
     assert channel.message_encoding == "cdr"
     assert channel.metadata == {"offered_qos_profiles": ""}
@@ -383,11 +370,10 @@ def test_the_reference_reader_decodes_every_message(tmp_path: Path) -> None:
     assert message.data[-258 * 4 :] == first.observation[0].tobytes()
 
 
-def test_one_chunk_alone_holds_its_schemas(tmp_path: Path) -> None:
+def test_one_chunk_alone_holds_its_schemas(tmp_path):
     path = write(tmp_path / "a.mcap", 3)
     with path.open("rb") as file:
         summary = make_reader(file).get_summary()
-        assert summary is not None
         index = summary.chunk_indexes[2]
         file.seek(index.chunk_start_offset)
         chunk = file.read(index.chunk_length)
@@ -403,13 +389,13 @@ def test_one_chunk_alone_holds_its_schemas(tmp_path: Path) -> None:
         assert len(list(make_reader(file).iter_messages(log_time_order=False))) == 21
 
 
-def test_packs_roll_over_at_500(tmp_path: Path) -> None:
+def test_packs_roll_over_at_500(tmp_path):
     assert write_packs(tmp_path, "w", rows(501), {}) == 501
     assert [p.name for p in sorted(tmp_path.iterdir())] == ["w-0000.mcap", "w-0001.mcap"]
     assert len(load_rows(tmp_path)) == 501
 
 
-def test_nothing_appears_when_writing_fails(tmp_path: Path) -> None:
+def test_nothing_appears_when_writing_fails(tmp_path):
     def broken() -> Iterator[PackedEpisode]:
         yield from rows(1)
         yield PackedEpisode(np.full((20, 258), np.nan, np.float32), {})
@@ -419,9 +405,7 @@ def test_nothing_appears_when_writing_fails(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_foreign_file_is_refused_by_name_and_an_empty_folder_says_what_to_do(
-    tmp_path: Path,
-) -> None:
+def test_a_foreign_file_is_refused_by_name_and_an_empty_folder_says_what_to_do(tmp_path):
     with pytest.raises(InputError, match="simulate"):
         load_rows(tmp_path)
     foreign = tmp_path / "foreign.mcap"
@@ -431,7 +415,7 @@ def test_a_foreign_file_is_refused_by_name_and_an_empty_folder_says_what_to_do(
     assert error.value.where == str(foreign)
 
 
-def test_rows_of_the_named_piece_only(tmp_path: Path) -> None:
+def test_rows_of_the_named_piece_only(tmp_path):
     write(tmp_path / "a.mcap", 4)
     write(tmp_path / "b.mcap", 2, piece="barrel", geometry="cd" * 32)
     assert len(load_rows(tmp_path, "pot")) == 4
@@ -451,7 +435,7 @@ def test_rows_of_the_named_piece_only(tmp_path: Path) -> None:
         load_rows(tmp_path, "mushroom")
 
 
-def test_mixed_geometries_and_bad_labels_are_refused(tmp_path: Path) -> None:
+def test_mixed_geometries_and_bad_labels_are_refused(tmp_path):
     write(tmp_path / "a.mcap", 2)
     path = write(tmp_path / "b.mcap", 2, geometry="ef" * 32)
     with pytest.raises(InputError, match="geometries"):
@@ -464,6 +448,6 @@ def test_mixed_geometries_and_bad_labels_are_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("points", [1, 7, 8, 177, 349, 505])
-def test_patch_text_round_trip(points: int) -> None:
+def test_patch_text_round_trip(points):
     patch = np.random.default_rng(points).random(points) < 0.4
     assert np.array_equal(patch_bits(patch_hex(patch), points), patch)

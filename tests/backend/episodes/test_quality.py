@@ -25,7 +25,7 @@ from touchdown.backend.simulation.batch import BatchPlan, simulate_episodes
 FACE, BOTTOM = circle(15.0), circle(25.0)
 
 
-def test_every_displacement_counts_in_its_own_bin() -> None:
+def test_every_displacement_counts_in_its_own_bin():
     rng = np.random.default_rng(4)
     offsets = rng.uniform(-19, 19, (300, 2))
     seen = count_coverage(offsets, FACE, BOTTOM)
@@ -36,7 +36,7 @@ def test_every_displacement_counts_in_its_own_bin() -> None:
         assert inside.sum() == seen.counts[row, column]
 
 
-def test_reachable_bins_are_those_with_overlap() -> None:
+def test_reachable_bins_are_those_with_overlap():
     seen = count_coverage(np.empty((0, 2)), FACE, BOTTOM)
     for row, column in np.ndindex(seen.possible.shape):
         area = overlap_area_mm2(FACE, seen.centre_mm(row, column), BOTTOM)
@@ -46,7 +46,7 @@ def test_reachable_bins_are_those_with_overlap() -> None:
 
 
 @pytest.mark.promise("W13")
-def test_one_more_displacement_fills_one_hole() -> None:
+def test_one_more_displacement_fills_one_hole():
     seen = count_coverage(np.empty((0, 2)), FACE, BOTTOM)
     more = seen.with_offset((3.9, -6.2))
     assert more.holes == seen.holes - 1
@@ -87,7 +87,7 @@ def kinds(rows) -> set[tuple[str, tuple[str, ...]]]:
     return {(finding.kind, finding.episodes) for finding in check_quality(rows)}
 
 
-def test_undisturbed_probes_and_none_have_no_findings(clean) -> None:
+def test_undisturbed_probes_and_none_have_no_findings(clean):
     assert check_quality(clean) == check_quality([]) == []
 
 
@@ -137,14 +137,14 @@ DISTURBED: dict[str, Callable[[ExaminedEpisode], ExaminedEpisode]] = {
 
 @pytest.mark.parametrize(("kind", "disturb"), [*DISTURBED.items(), ("no contact", deaf)])
 @pytest.mark.parametrize("which", [0, 17, 42])
-def test_a_disturbed_probe_is_listed_by_its_kind(clean, kind, disturb, which) -> None:
+def test_a_disturbed_probe_is_listed_by_its_kind(clean, kind, disturb, which):
     rows = [disturb(row) if k == which else row for k, row in enumerate(clean)]
     found = kinds(rows)
     assert (kind, (clean[which].uuid,)) in found
     assert {uuid for _, episodes in found for uuid in episodes} == {clean[which].uuid}
 
 
-def test_the_lag_of_a_late_gel_is_measured(clean) -> None:
+def test_the_lag_of_a_late_gel_is_measured(clean):
     for row in clean[:10]:
         late = list(lags_s(late_gel(row).observation))
         np.testing.assert_allclose(late, np.add(list(lags_s(row.observation)), 0.05), atol=0.005)
@@ -152,7 +152,7 @@ def test_the_lag_of_a_late_gel_is_measured(clean) -> None:
 
 
 @pytest.mark.promise("W13")
-def test_the_same_signals_under_other_labels_are_twins(clean) -> None:
+def test_the_same_signals_under_other_labels_are_twins(clean):
     rng = np.random.default_rng(2)
     copy = clean[5].observation + rng.normal(0, 0.01, (20, 258)).astype(np.float32)
     far = replace(clean[5], uuid="twin", observation=copy, offset_mm=clean[5].offset_mm + 6.0)
@@ -161,7 +161,7 @@ def test_the_same_signals_under_other_labels_are_twins(clean) -> None:
     assert kinds([*clean, near]) == set()
 
 
-def test_a_shifted_distribution_is_uneven_along_its_axis(clean) -> None:
+def test_a_shifted_distribution_is_uneven_along_its_axis(clean):
     moved = [replace(row, offset_mm=row.offset_mm + np.array([0.0, 5.0])) for row in clean]
     (finding,) = find_asymmetry(moved)
     assert finding.kind == "asymmetry"
@@ -175,7 +175,7 @@ PAIR = [pair for _, pair in SERIES for _ in range(10)]
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_no_pair_of_a_series_is_divided(seed: int) -> None:
+def test_no_pair_of_a_series_is_divided(seed):
     split = split_series(MOUNTING, PAIR, 0.25, seed)
     assert split.kept_together == "series"
     assert sorted([*split.train, *split.held_out]) == list(range(120))
@@ -185,7 +185,7 @@ def test_no_pair_of_a_series_is_divided(seed: int) -> None:
     assert not held_out & {groups[k] for k in split.train.tolist()}
 
 
-def test_many_mountings_are_held_out_whole() -> None:
+def test_many_mountings_are_held_out_whole():
     mountings = [f"m{k // 4}" for k in range(160)]
     pairs = [("pot/short", "pot/long")[k % 2] for k in range(160)]
     split = split_series(mountings, pairs, 0.1, 1)
@@ -202,9 +202,7 @@ def test_many_mountings_are_held_out_whole() -> None:
         (["m", "n"] * 4, ["pot on short", "pot on long"] * 4, "one series only of each pair"),
     ],
 )
-def test_a_pair_with_one_series_cannot_be_split(
-    mountings: list[str], pairs: list[str], named: str
-) -> None:
+def test_a_pair_with_one_series_cannot_be_split(mountings, pairs, named):
     with pytest.raises(InputError, match=named) as refused:
         split_series(mountings, pairs, 0.25, 0)
     assert "Collect another campaign" in refused.value.fix
@@ -212,7 +210,7 @@ def test_a_pair_with_one_series_cannot_be_split(
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_every_pair_keeps_a_series_to_train_on(seed: int) -> None:
+def test_every_pair_keeps_a_series_to_train_on(seed):
     mountings = ["a"] * 5 + ["b"] * 5 + ["c"] * 5 + ["d"] * 5
     pairs = ["pot on short"] * 10 + ["pot on long"] * 5 + ["pot on hex20"] * 5
     split = split_series(mountings, pairs, 0.9, seed)
@@ -220,14 +218,14 @@ def test_every_pair_keeps_a_series_to_train_on(seed: int) -> None:
     assert {pairs[k] for k in split.held_out.tolist()} == {"pot on short"}
 
 
-def test_a_short_series_is_held_out_rather_than_most_of_the_data() -> None:
+def test_a_short_series_is_held_out_rather_than_most_of_the_data():
     mountings = ["long"] * 98 + ["short"] * 2
     for seed in range(4):
         split = split_series(mountings, ["pot on short"] * 100, 0.1, seed)
         assert split.held_out.tolist() == [98, 99]
 
 
-def test_the_episodes_of_divided_groups_are_found() -> None:
+def test_the_episodes_of_divided_groups_are_found():
     sides = ["train", "train", "held_out", "held_out", "train"]
     groups = ["a", "b", "b", "c", "a"]
     np.testing.assert_array_equal(divided_indices(sides, groups), [1, 2])

@@ -17,7 +17,7 @@ from zarr.core.sync import cleanup_resources
 
 from tests.backend.annotations.conftest import context_for, small_episode
 from tests.backend.annotations.test_packs_in_datasets import write_pack
-from tests.backend.exchange.conftest import EVERY, Hand, recorded_episode
+from tests.backend.exchange.conftest import EVERY, recorded_episode
 from tests.backend.exchange.test_imports import manifest_of
 from touchdown.backend.annotations import operation_log, review
 from touchdown.backend.annotations.dataset import Dataset
@@ -33,9 +33,7 @@ from touchdown.backend.exchange.robomimic import DiskFullSafeFile
 
 
 @pytest.mark.parametrize("kind", EXPORTS)
-def test_the_manifest_names_every_file_by_its_hash_and_is_the_same_again(
-    kind: str, hand: Hand
-) -> None:
+def test_the_manifest_names_every_file_by_its_hash_and_is_the_same_again(kind, hand):
     out = hand(kind, "one").folder
     one, two = (manifest_of(folder) for folder in (out, hand(kind, "two").folder))
     assert one.pop("created_ns") < two.pop("created_ns")
@@ -48,7 +46,7 @@ def test_the_manifest_names_every_file_by_its_hash_and_is_the_same_again(
     }
 
 
-def test_the_manifest_says_where_it_comes_from(dataset: Dataset, hand: Hand) -> None:
+def test_the_manifest_says_where_it_comes_from(dataset, hand):
     content = manifest_of(hand("lerobot").folder)
     assert content["dataset_uuid"] == dataset.description.uuid
     assert content["site_heads"] == dataset.labels.chain_heads()
@@ -70,7 +68,7 @@ def apart(chosen: tuple[SelectedEpisode, ...], *names: str) -> bool:
     return bool(train and held_out) and not train & held_out
 
 
-def test_grips_stay_on_one_side(dataset: Dataset) -> None:
+def test_grips_stay_on_one_side(dataset):
     query = ExportQuery(states=EVERY, held_out=0.4, divide_series=True)
     assert apart(select_episodes(dataset, query).chosen, "grip_id")
 
@@ -84,9 +82,7 @@ def tag(dataset: Dataset, uuids: list[str], side: str) -> None:
         review.refresh_heads(connection, touched)
 
 
-def test_a_pair_of_a_series_is_divided_only_where_somebody_says_so(
-    dataset: Dataset, hand: Hand
-) -> None:
+def test_a_pair_of_a_series_is_divided_only_where_somebody_says_so(dataset, hand):
     alone = select_episodes(dataset, ExportQuery(states=EVERY, held_out=0.4))
     assert {one.split for one in alone.chosen} == {"train"}
     assert alone.warnings[0].startswith("Nothing is held out. There is one series only of")
@@ -103,7 +99,7 @@ def test_a_pair_of_a_series_is_divided_only_where_somebody_says_so(
     assert len(content["splits"]["held_out"]) == 2
 
 
-def test_whole_series_are_held_out(dataset: Dataset) -> None:
+def test_whole_series_are_held_out(dataset):
     for number, bottom in enumerate(("circle15", "circle15", "hex20")):
         context = replace(context_for(dataset, "pot", bottom), mounting_id=f"mounting-{number}")
         for k in range(3):
@@ -115,7 +111,7 @@ def test_whole_series_are_held_out(dataset: Dataset) -> None:
     assert apart(selection.chosen, "mounting_id", "bottom")
 
 
-def test_states_choose_and_the_approved_label_counts(dataset: Dataset) -> None:
+def test_states_choose_and_the_approved_label_counts(dataset):
     everything = [entry.uuid for entry in dataset.episodes()]
     chosen = select_episodes(dataset, ExportQuery()).chosen
     assert {o.entry.uuid for o in chosen} == set(everything[:4])
@@ -131,7 +127,7 @@ def test_states_choose_and_the_approved_label_counts(dataset: Dataset) -> None:
     assert "1 episodes are left out: its label is rejected." in selection.warnings
 
 
-def test_nothing_to_hand_on_says_why(tmp_path: Path) -> None:
+def test_nothing_to_hand_on_says_why(tmp_path):
     with Dataset.open(tmp_path / "d") as dataset:
         episode = small_episode(accepted=False)
         context = context_for(dataset)
@@ -140,7 +136,7 @@ def test_nothing_to_hand_on_says_why(tmp_path: Path) -> None:
             select_episodes(dataset, ExportQuery(states=("draft",)))
 
 
-def test_two_faces_need_a_piece(dataset: Dataset, hand: Hand) -> None:
+def test_two_faces_need_a_piece(dataset, hand):
     barrel = replace(recorded_episode(50), piece="barrel")
     context = context_for(dataset, "barrel")
     dataset.record(barrel, Label(1, 2, 0, 3), source="measured", context=context)
@@ -150,9 +146,7 @@ def test_two_faces_need_a_piece(dataset: Dataset, hand: Hand) -> None:
     assert hand("csv").episodes == 7
 
 
-def test_an_interrupted_export_is_never_complete(
-    dataset: Dataset, tmp_path: Path, hand: Hand
-) -> None:
+def test_an_interrupted_export_is_never_complete(dataset, tmp_path, hand):
     def stop(done: int, total: int) -> None:
         if done == 2:
             raise KeyboardInterrupt
@@ -170,9 +164,7 @@ def test_an_interrupted_export_is_never_complete(
     assert not part.exists()
 
 
-def test_a_full_disk_is_a_fault(
-    dataset: Dataset, hand: Hand, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_full_disk_is_a_fault(dataset, hand, monkeypatch):
     def full(folder: Path, content: object) -> str:
         raise OSError(28, "No space left on device")
 
@@ -181,7 +173,7 @@ def test_a_full_disk_is_a_fault(
         hand("csv")
 
 
-def test_no_folder_is_overwritten(dataset: Dataset, hand: Hand, tmp_path: Path) -> None:
+def test_no_folder_is_overwritten(dataset, hand, tmp_path):
     hand("csv")
     with pytest.raises(InputError, match="there already"):
         hand("csv")
@@ -192,25 +184,23 @@ def test_no_folder_is_overwritten(dataset: Dataset, hand: Hand, tmp_path: Path) 
     assert (tmp_path / "mine.partial" / "thesis.txt").exists()
 
 
-def test_zarr_holds_the_same_numbers(
-    dataset: Dataset, hand: Hand, request: pytest.FixtureRequest
-) -> None:
+def test_zarr_holds_the_same_numbers(dataset, hand, request):
     out = hand("zarr").folder
     request.addfinalizer(cleanup_resources)
     group = zarr.open_group(out / "episodes.zarr", mode="r")
     assert group.attrs["committed"] is True
-    uuids = list(group.attrs["episodes"])  # type: ignore[arg-type]
-    markers, wrench = (group[f"observation.{name}"][:] for name in ("markers", "ft"))  # type: ignore[index]
+    uuids = list(group.attrs["episodes"])
+    markers, wrench = (group[f"observation.{name}"][:] for name in ("markers", "ft"))
     for k, uuid in enumerate(uuids):
         mine = np.concatenate([markers[k], wrench[k]], 1)
         assert mine.tobytes() == dataset.read(str(uuid)).observation.tobytes()
     array = group["observation.markers"]
-    assert array.metadata.zarr_format == 3  # type: ignore[union-attr]
-    assert array.shards[0] == 100  # type: ignore[union-attr, index]
-    assert array.chunks[0] == 1  # type: ignore[union-attr, index]
+    assert array.metadata.zarr_format == 3
+    assert array.shards[0] == 100
+    assert array.chunks[0] == 1
 
 
-def test_packed_episodes_have_what_the_model_is_given(tmp_path: Path, hand: Hand) -> None:
+def test_packed_episodes_have_what_the_model_is_given(tmp_path, hand):
     folder = tmp_path / "packed"
     with Dataset.open(folder):
         pass
@@ -241,7 +231,7 @@ def test_packed_episodes_have_what_the_model_is_given(tmp_path: Path, hand: Hand
     assert mine == packed
 
 
-def test_pictures_are_refused_where_there_are_none(hand: Hand, dataset: Dataset) -> None:
+def test_pictures_are_refused_where_there_are_none(hand, dataset):
     with pytest.raises(InputError, match="holds no pictures"):
         hand("csv", video="all")
     dataset.record(recorded_episode(60, frames=False), Label(1, 2, 0, 3), source="measured",
@@ -251,9 +241,7 @@ def test_pictures_are_refused_where_there_are_none(hand: Hand, dataset: Dataset)
     assert hand("lerobot", video="sample").episodes == 7
 
 
-def test_a_script_exports_a_folder_or_an_open_dataset(
-    dataset: Dataset, filled: Path, tmp_path: Path
-) -> None:
+def test_a_script_exports_a_folder_or_an_open_dataset(dataset, filled, tmp_path):
     by_path = export(str(filled), "jsonl", str(tmp_path / "path"), held_out=0.0)
     assert by_path.episodes == 4
     seen: list[tuple[int, int]] = []
@@ -279,9 +267,8 @@ def floats(table: dict[str, list[str]], *names: str) -> np.ndarray[Any, Any]:
     return np.array([[float(text) for text in table[name]] for name in names]).T
 
 
-def test_every_sample_is_in_its_table(tmp_path: Path) -> None:
+def test_every_sample_is_in_its_table(tmp_path):
     episode = recorded_episode(3, frames=False)
-    assert episode.recording is not None
     rng = np.random.default_rng(8)
     fields = tuple(
         MarkerField(f, k, 1.0 + 0.04 * k, rng.normal(size=(MARKERS, 2)),
@@ -296,7 +283,6 @@ def test_every_sample_is_in_its_table(tmp_path: Path) -> None:
         done = export(dataset, "csv", tmp_path / "out", states=("draft",), tables=True)
         stored = dataset.read(entry.uuid)
     recording, onset_s = stored.recording, stored.onset_s
-    assert recording is not None
     place = done.folder / "signals" / entry.uuid
     ft = columns(place / "ft.csv")
     names = ("fx_n", "fy_n", "fz_n", "tx_nm", "ty_nm", "tz_nm")
@@ -325,7 +311,7 @@ def test_every_sample_is_in_its_table(tmp_path: Path) -> None:
         np.testing.assert_allclose(floats(part, "t_s")[:, 0] + onset_s, t_s, rtol=0, atol=1e-12)
 
 
-def test_without_recorded_signals_there_are_labels_only(tmp_path: Path) -> None:
+def test_without_recorded_signals_there_are_labels_only(tmp_path):
     silent = replace(recorded_episode(3, frames=False), recording=None)
     with Dataset.open(tmp_path / "data") as dataset:
         dataset.record(silent, Label(1, 2, 0, 3), source="measured", context=context_for(dataset))
@@ -349,7 +335,7 @@ def fill(disk: DiskFullSafeFile) -> None:
 
 
 @pytest.mark.skipif(not FULL.exists(), reason="the system has no /dev/full")
-def test_a_full_disk_is_told_after_hdf5_has_closed() -> None:
+def test_a_full_disk_is_told_after_hdf5_has_closed():
     with DiskFullSafeFile(FULL) as disk:
         fill(disk)
         with pytest.raises(OSError, match="No space left") as caught:
@@ -357,7 +343,7 @@ def test_a_full_disk_is_told_after_hdf5_has_closed() -> None:
     assert caught.value.errno == errno.ENOSPC
 
 
-def test_with_room_it_is_a_file_like_any_other(tmp_path: Path) -> None:
+def test_with_room_it_is_a_file_like_any_other(tmp_path):
     with DiskFullSafeFile(tmp_path / "a.hdf5") as disk:
         fill(disk)
         disk.check()

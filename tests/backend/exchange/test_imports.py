@@ -24,7 +24,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from tests.backend.annotations.conftest import context_for
-from tests.backend.exchange.conftest import Hand, recorded_episode
+from tests.backend.exchange.conftest import recorded_episode
 from touchdown.backend.annotations.dataset import Dataset
 from touchdown.backend.annotations.values import Label
 from touchdown.backend.core.faults import Fault, FaultError, InputError
@@ -67,7 +67,7 @@ def lerobot_21(folder: Path, fps: int = 10) -> Path:
     (folder / "meta/info.json").write_text(json.dumps(info))
     for k in range(2):
         columns: dict[str, Any] = {
-            key: rng.normal(size=(20, *f["shape"])).astype(np.float32).tolist()  # type: ignore[misc]
+            key: rng.normal(size=(20, *f["shape"])).astype(np.float32).tolist()
             for key, f in features.items()
         }
         columns |= {"episode_index": [k] * 20, "frame_index": list(range(20))}
@@ -83,7 +83,7 @@ def back(tmp_path: Path) -> Any:
         yield dataset
 
 
-def test_a_robomimic_file_of_others_comes_in(back: Dataset, tmp_path: Path) -> None:
+def test_a_robomimic_file_of_others_comes_in(back, tmp_path):
     path = robomimic_file(tmp_path / "demo.hdf5")
     survey = EpisodeImport(back, "robomimic", path, NAMED).survey()
     assert (survey.found, survey.fit, survey.problems) == (1, 1, ())
@@ -96,7 +96,7 @@ def test_a_robomimic_file_of_others_comes_in(back: Dataset, tmp_path: Path) -> N
     assert "split:valid" in back.labels.marks(uuid)
 
 
-def test_lerobot_21_comes_in(back: Dataset, tmp_path: Path) -> None:
+def test_lerobot_21_comes_in(back, tmp_path):
     written = EpisodeImport(back, "lerobot", lerobot_21(tmp_path / "old"), NAMED).write()
     assert len(written) == 2
     # All on the side "train" is no split.
@@ -111,9 +111,7 @@ def test_lerobot_21_comes_in(back: Dataset, tmp_path: Path) -> None:
         ({"markers": np.full((20, 252), np.nan)}, "not finite"),
     ],
 )
-def test_what_cannot_be_mapped_is_told_and_not_written(
-    changes: dict[str, Any], why: str, back: Dataset, tmp_path: Path
-) -> None:
+def test_what_cannot_be_mapped_is_told_and_not_written(changes, why, back, tmp_path):
     path = robomimic_file(tmp_path / "demo.hdf5", **changes)
     survey = EpisodeImport(back, "robomimic", path, NAMED).survey()
     assert survey.fit == 0
@@ -122,32 +120,32 @@ def test_what_cannot_be_mapped_is_told_and_not_written(
     assert back.episodes() == []
 
 
-def test_another_rate_is_not_taken_for_ours(back: Dataset, tmp_path: Path) -> None:
+def test_another_rate_is_not_taken_for_ours(back, tmp_path):
     survey = EpisodeImport(back, "lerobot", lerobot_21(tmp_path / "fast", fps=30), NAMED).survey()
     assert survey.problems == (("it has 30 ticks per second, not 10", 2),)
 
 
 @pytest.mark.parametrize("content", [b"", b"\x89HDF\r\n\x1a\n" + b"\x00" * 500, b"x" * 5000])
-def test_a_damaged_file_is_one_sentence(content: bytes, tmp_path: Path) -> None:
+def test_a_damaged_file_is_one_sentence(content, tmp_path):
     path = tmp_path / "demo.hdf5"
     path.write_bytes(content)
     with pytest.raises(InputError, match="damaged or foreign"):
         list(read_foreign("robomimic", path))
 
 
-def test_a_reader_that_takes_too_long_is_given_up(tmp_path: Path) -> None:
+def test_a_reader_that_takes_too_long_is_given_up(tmp_path):
     path = robomimic_file(tmp_path / "demo.hdf5")
     with pytest.raises(InputError, match="not read within"):
         list(read_foreign("robomimic", path, deadline_s=1e-3))
 
 
 @pytest.mark.promise("P7", "P10")
-def test_a_reader_that_dies_is_told(tmp_path: Path) -> None:
+def test_a_reader_that_dies_is_told(tmp_path):
     with pytest.raises(InputError, match="crashed"):
         list(read_foreign("no such reader", tmp_path))
 
 
-def test_newer_versions_are_refused(tmp_path: Path) -> None:
+def test_newer_versions_are_refused(tmp_path):
     folder = lerobot_21(tmp_path / "new")
     info = json.loads((folder / "meta/info.json").read_text())
     (folder / "meta/info.json").write_text(json.dumps(info | {"codebase_version": "v9.0"}))
@@ -177,27 +175,27 @@ def take(dataset: Dataset, out: Path, kind: str) -> LabelImportResult:
 
 
 @pytest.mark.parametrize("kind", ["csv", "coco"])
-def test_unchanged_labels_come_back_as_the_same(kind: str, hand: Hand, dataset: Dataset) -> None:
+def test_unchanged_labels_come_back_as_the_same(kind, hand, dataset):
     done = take(dataset, hand(kind).folder, kind)
     assert (done.changed, done.unchanged, done.refused, done.warnings) == (0, 6, (), ())
 
 
 @pytest.mark.promise("D9")
 @pytest.mark.parametrize("name", ["=1+1", "+cmd|'x'!A1", "-2", "@sum(a1)", "\t=1"])
-def test_a_cell_that_a_spreadsheet_would_calculate_is_text(name: str) -> None:
+def test_a_cell_that_a_spreadsheet_would_calculate_is_text(name):
     assert csv_tables.as_text(name) == f"'{name}"
     assert csv_tables.as_text(f"ann {name}") == f"ann {name}"
 
 
 @pytest.mark.promise("D9")
-def test_the_person_of_a_table_is_shown_as_written(hand: Hand, dataset: Dataset) -> None:
+def test_the_person_of_a_table_is_shown_as_written(hand, dataset):
     with dataset.database.transaction() as rows:
         rows.execute("UPDATE episode SET person = '=HYPERLINK(1)'")
     with (hand("csv").folder / "episodes.csv").open(newline="") as file:
         assert {row["person"] for row in csv.DictReader(file)} == {"'=HYPERLINK(1)"}
 
 
-def test_the_table_says_what_the_labels_say(hand: Hand, dataset: Dataset) -> None:
+def test_the_table_says_what_the_labels_say(hand, dataset):
     with (hand("csv").folder / "episodes.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     for row in rows:
@@ -214,7 +212,7 @@ def test_the_table_says_what_the_labels_say(hand: Hand, dataset: Dataset) -> Non
         assert row["stable"] == ("true" if margin > 0 else "false")
 
 
-def test_a_changed_row_is_a_draft_of_the_person(hand: Hand, dataset: Dataset) -> None:
+def test_a_changed_row_is_a_draft_of_the_person(hand, dataset):
     out = hand("csv").folder
 
     def move(rows: list[dict[str, str]]) -> None:
@@ -232,19 +230,17 @@ def test_a_changed_row_is_a_draft_of_the_person(hand: Hand, dataset: Dataset) ->
     head, counting = dataset.labels.head(uuid), dataset.labels.counting(uuid)
     assert (head.label.x_um, head.source, head.state) == (3250, "human", "draft")
     assert head.person == "ann"
-    assert counting is not None
     assert counting.label.x_um == -2501
     assert [op.verb for op in dataset.labels.log(limit=1)] == ["import"]
-    assert done.backup is not None
     with closing(sqlite3.connect(done.backup)) as kept:
         assert kept.execute("SELECT count(*) FROM op").fetchone() == operations
         assert kept.execute("SELECT count(*) FROM label_rev WHERE x_um = 3250").fetchone() == (0,)
     assert take(dataset, out, "csv").backup is None
 
 
-def test_rows_match_by_the_hash_of_the_file_too(hand: Hand, dataset: Dataset) -> None:
+def test_rows_match_by_the_hash_of_the_file_too(hand, dataset):
     out = hand("csv").folder
-    edit_csv(out / "episodes.csv", lambda rows: [row.update(uuid="") for row in rows])  # type: ignore[func-returns-value]
+    edit_csv(out / "episodes.csv", lambda rows: [row.update(uuid="") for row in rows])
     assert take(dataset, out, "csv").unchanged == 6
     edit_csv(out / "episodes.csv", lambda rows: rows[0].update(file_sha256="0" * 64))
     done = take(dataset, out, "csv")
@@ -256,7 +252,7 @@ def test_rows_match_by_the_hash_of_the_file_too(hand: Hand, dataset: Dataset) ->
     [("x_mm", "one", "no number"), ("y_mm", "0.0001", "finer than"), ("x_mm", "1e99", "too large"),
      ("x_mm", "", "no offset"), ("sigma_mm", "nan", "no number")],
 )  # fmt: skip
-def test_a_bad_row_is_named(column: str, text: str, why: str, hand: Hand, dataset: Dataset) -> None:
+def test_a_bad_row_is_named(column, text, why, hand, dataset):
     out = hand("csv").folder
     edit_csv(out / "episodes.csv", lambda rows: rows[1].update({column: text}))
     with pytest.raises(InputError, match=why) as error:
@@ -264,7 +260,7 @@ def test_a_bad_row_is_named(column: str, text: str, why: str, hand: Hand, datase
     assert "line 3" in error.value.where
 
 
-def test_polygons_are_the_overlap_of_the_outlines(hand: Hand, dataset: Dataset) -> None:
+def test_polygons_are_the_overlap_of_the_outlines(hand, dataset):
     out = hand("coco").folder
     content = json.loads((out / "annotations.json").read_text())
     images = {image["id"]: image for image in content["images"]}
@@ -280,7 +276,7 @@ def test_polygons_are_the_overlap_of_the_outlines(hand: Hand, dataset: Dataset) 
         assert (out / image["file_name"]).is_file()
 
 
-def test_a_moved_keypoint_is_a_new_offset_of_unknown_sigma(hand: Hand, dataset: Dataset) -> None:
+def test_a_moved_keypoint_is_a_new_offset_of_unknown_sigma(hand, dataset):
     out = hand("coco").folder
 
     def move(content: Any) -> None:
@@ -292,8 +288,6 @@ def test_a_moved_keypoint_is_a_new_offset_of_unknown_sigma(hand: Hand, dataset: 
     before = dataset.labels.head(uuid).label
     done = take(dataset, out, "coco")
     after = dataset.labels.head(uuid).label
-    assert before.x_um is not None
-    assert before.y_um is not None
     assert (after.x_um, after.y_um) == (before.x_um + 1000, before.y_um - 500)
     assert (after.theta_mdeg, after.sigma_um) == (before.theta_mdeg, None)
     assert done.changed == 1
@@ -301,14 +295,14 @@ def test_a_moved_keypoint_is_a_new_offset_of_unknown_sigma(hand: Hand, dataset: 
 
 
 @pytest.mark.parametrize("text", ["", "[]", '{"info": {}}', '{"annotations": 3}'])
-def test_bad_annotations_are_refused(text: str, hand: Hand, dataset: Dataset) -> None:
+def test_bad_annotations_are_refused(text, hand, dataset):
     out = hand("coco").folder
     (out / "annotations.json").write_text(text)
     with pytest.raises(InputError):
         take(dataset, out, "coco")
 
 
-def test_the_log_brings_the_work_of_a_copy(hand: Hand, dataset: Dataset, tmp_path: Path) -> None:
+def test_the_log_brings_the_work_of_a_copy(hand, dataset, tmp_path):
     shutil.copytree(dataset.folder, tmp_path / "copy")
     (tmp_path / "copy" / "lock").unlink(missing_ok=True)
     uuid = dataset.episodes()[0].uuid
@@ -322,12 +316,10 @@ def test_the_log_brings_the_work_of_a_copy(hand: Hand, dataset: Dataset, tmp_pat
 
 
 @pytest.mark.parametrize("kind", ["csv", "jsonl", "robomimic"])
-def test_without_its_backup_nothing_is_imported(
-    kind: str, hand: Hand, dataset: Dataset, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_its_backup_nothing_is_imported(kind, hand, dataset, monkeypatch):
     out = hand(kind).folder
     if kind == "csv":
-        edit_csv(out / "episodes.csv", lambda rows: [row.update(x_mm="3.250") for row in rows])  # type: ignore[func-returns-value]
+        edit_csv(out / "episodes.csv", lambda rows: [row.update(x_mm="3.250") for row in rows])
 
     # The copy that was made on closing does not have this.
     dataset.labels.flag("ann", dataset.episodes()[0].uuid)
@@ -347,7 +339,7 @@ def test_without_its_backup_nothing_is_imported(
     assert dataset.database.one("SELECT count(*) FROM op") == before
 
 
-def test_a_tampered_log_is_refused(hand: Hand, dataset: Dataset, tmp_path: Path) -> None:
+def test_a_tampered_log_is_refused(hand, dataset, tmp_path):
     path = tmp_path / "labels.jsonl"
     lines = (hand("jsonl").folder / "labels.jsonl").read_text().splitlines()
     path.write_text("\n".join([lines[0].replace("cleo", "eve"), *lines[1:]]) + "\n")
@@ -358,7 +350,7 @@ def test_a_tampered_log_is_refused(hand: Hand, dataset: Dataset, tmp_path: Path)
         jsonl.import_log(dataset, path, "ann")
 
 
-def test_the_log_of_other_episodes_is_refused(hand: Hand, tmp_path: Path) -> None:
+def test_the_log_of_other_episodes_is_refused(hand, tmp_path):
     out = hand("jsonl").folder
     with Dataset.open(tmp_path / "other") as other:
         with pytest.raises(InputError, match="not in this dataset"):
@@ -408,7 +400,7 @@ def numbers(folder: Path, kind: str) -> Any:
                            HealthCheck.data_too_large, HealthCheck.large_base_example],
 )  # fmt: skip
 @given(drawn=st.lists(probes(), min_size=2, max_size=3))
-def test_any_finite_probe_comes_back_bit_by_bit(kind: str, tmp_path: Path, drawn: Any) -> None:
+def test_any_finite_probe_comes_back_bit_by_bit(kind, tmp_path, drawn):
     place = tmp_path / "one"
     shutil.rmtree(place, ignore_errors=True)
     with Dataset.open(place / "here") as here, Dataset.open(place / "there") as there:
@@ -429,15 +421,13 @@ def test_any_finite_probe_comes_back_bit_by_bit(kind: str, tmp_path: Path, drawn
 
 
 @given(value=st.none() | st.integers(-(10**9), 10**9))
-def test_any_thousandth_is_read_as_it_was_written(value: int | None) -> None:
+def test_any_thousandth_is_read_as_it_was_written(value):
     written = csv_tables._thousandth(value)
     assert csv_tables._whole(written, "x_mm", Path("t.csv"), 2) == value
 
 
 @pytest.mark.parametrize("kind", FORMATS)
-def test_half_an_export_is_refused_with_and_without_its_manifest(
-    kind: str, hand: Hand, dataset: Dataset
-) -> None:
+def test_half_an_export_is_refused_with_and_without_its_manifest(kind, hand, dataset):
     out = hand(kind).folder
     name = "data/chunk-000/file-000.parquet" if kind == "lerobot" else "demos.hdf5"
     whole = (out / name).read_bytes()
@@ -453,7 +443,7 @@ def test_half_an_export_is_refused_with_and_without_its_manifest(
 
 
 @pytest.mark.parametrize("kind", ["csv", "coco", "jsonl"])
-def test_labels_of_a_file_that_was_cut_are_refused(kind: str, hand: Hand, dataset: Dataset) -> None:
+def test_labels_of_a_file_that_was_cut_are_refused(kind, hand, dataset):
     out = hand(kind).folder
     name = {"csv": csv_tables.FILE, "coco": "annotations.json", "jsonl": jsonl.FILE}[kind]
     whole = (out / name).read_bytes()
@@ -481,9 +471,7 @@ def by_origin(dataset: Dataset) -> dict[str, str]:
 
 
 @pytest.mark.parametrize("kind", FORMATS)
-def test_numbers_labels_and_splits_come_back(
-    kind: str, dataset: Dataset, hand: Hand, tmp_path: Path
-) -> None:
+def test_numbers_labels_and_splits_come_back(kind, dataset, hand, tmp_path):
     first = hand(kind)
     with Dataset.open(tmp_path / "back") as back:
         written = EpisodeImport(back, kind, first.folder, WISH).write()
@@ -514,14 +502,13 @@ def sides(folder: Path) -> dict[str, str]:
     return {episode["uuid"]: episode["split"] for episode in manifest_of(folder)["episodes"]}
 
 
-def test_parquet_rows_are_the_recorded_numbers(dataset: Dataset, hand: Hand) -> None:
+def test_parquet_rows_are_the_recorded_numbers(dataset, hand):
     """Read by pyarrow alone, compared with an interpolation of its own."""
     out = hand("lerobot").folder
     table = pq.read_table(out / "data/chunk-000/file-000.parquet").to_pydict()
     for listed in manifest_of(out)["episodes"]:
         rows = slice(20 * listed["export_index"], 20 * listed["export_index"] + 20)
         episode = dataset.read(listed["uuid"])
-        assert episode.recording is not None
         assert set(table["episode_index"][rows]) == {listed["export_index"]}
         markers = np.array(table["observation.markers"][rows], np.float32)
         wrench = np.array(table["observation.ft"][rows], np.float32)
@@ -547,12 +534,9 @@ def test_parquet_rows_are_the_recorded_numbers(dataset: Dataset, hand: Hand) -> 
 
 
 @pytest.mark.parametrize("kind", FORMATS)
-def test_positions_are_metres_in_the_file_and_mm_after_an_import(
-    kind: str, tmp_path: Path, hand: Hand
-) -> None:
+def test_positions_are_metres_in_the_file_and_mm_after_an_import(kind, tmp_path, hand):
     """The arm stands at (120, -45, 31) mm and is told to go to (125, -50, 29) mm."""
     still = recorded_episode(5)
-    assert still.recording is not None
     poses, told = (np.tile(at, (260, 1)) for at in ((120.0, -45.0, 31.0), (125.0, -50.0, 29.0)))
     still = replace(still, recording=replace(still.recording, pose_mm=poses, command_mm=told))
     with Dataset.open(tmp_path / "still") as dataset:
@@ -570,15 +554,12 @@ def test_positions_are_metres_in_the_file_and_mm_after_an_import(
     with Dataset.open(tmp_path / "back") as back:
         (uuid,) = EpisodeImport(back, kind, out, WISH).write()
         recording = back.read(uuid).recording
-        assert recording is not None
         np.testing.assert_allclose(recording.pose_mm[7], (120.0, -45.0, 31.0), atol=1e-4)
         np.testing.assert_allclose(recording.command_mm[7], (125.0, -50.0, 29.0), atol=1e-4)
         assert back.labels.head(uuid).label.offset_mm.tolist() == [1.5, -2.75]
 
 
-def test_without_commanded_poses_the_action_is_the_measured_one(
-    dataset: Dataset, hand: Hand
-) -> None:
+def test_without_commanded_poses_the_action_is_the_measured_one(dataset, hand):
     """One older episode makes it so for the whole export, and the manifest says it."""
     assert manifest_of(hand("lerobot", "told").folder)["feature_spec"]["action"] == "commanded"
     older = recorded_episode(70, commands=False)
@@ -591,9 +572,8 @@ def test_without_commanded_poses_the_action_is_the_measured_one(
     assert action[:-1].tolist() == state[1:].tolist()
 
 
-def test_actions_beyond_one_are_scaled_without_loss(tmp_path: Path, hand: Hand) -> None:
+def test_actions_beyond_one_are_scaled_without_loss(tmp_path, hand):
     far = recorded_episode(99)
-    assert far.recording is not None
     far.recording.command_mm.flags.writeable = True
     far.recording.command_mm[:, 2] += 5300.0
     with Dataset.open(tmp_path / "far") as dataset:
@@ -610,7 +590,7 @@ def test_actions_beyond_one_are_scaled_without_loss(tmp_path: Path, hand: Hand) 
     assert (actions * np.float32(scale)).tolist() == np.array(table["action"], np.float32).tolist()
 
 
-def test_importing_twice_adds_nothing(hand: Hand, tmp_path: Path, dataset: Dataset) -> None:
+def test_importing_twice_adds_nothing(hand, tmp_path, dataset):
     out = hand("robomimic").folder
     with Dataset.open(tmp_path / "back") as back:
         assert len(EpisodeImport(back, "robomimic", out, WISH).write()) == 6
@@ -621,9 +601,7 @@ def test_importing_twice_adds_nothing(hand: Hand, tmp_path: Path, dataset: Datas
     assert (survey.here, survey.fit) == (6, 0)
 
 
-def test_an_interrupted_import_goes_on(
-    hand: Hand, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_interrupted_import_goes_on(hand, tmp_path, monkeypatch):
     out = hand("lerobot").folder
 
     def stop(done: int) -> None:
@@ -638,7 +616,7 @@ def test_an_interrupted_import_goes_on(
 
 
 @pytest.mark.parametrize("kind", FORMATS)
-def test_without_a_manifest_the_pair_has_to_be_named(kind: str, hand: Hand, tmp_path: Path) -> None:
+def test_without_a_manifest_the_pair_has_to_be_named(kind, hand, tmp_path):
     out = hand(kind).folder
     (out / "manifest.json").unlink()
     with Dataset.open(tmp_path / "back") as back:
@@ -654,7 +632,7 @@ def test_without_a_manifest_the_pair_has_to_be_named(kind: str, hand: Hand, tmp_
         assert sources == {"measured"}
 
 
-def test_a_changed_file_does_not_pass_for_the_export(hand: Hand, tmp_path: Path) -> None:
+def test_a_changed_file_does_not_pass_for_the_export(hand, tmp_path):
     out = hand("robomimic").folder
     data = bytearray((out / "demos.hdf5").read_bytes())
     data[len(data) // 2] ^= 1
@@ -670,7 +648,7 @@ KEY = "observation.images.tac_left"
 TWO = ("submitted", "draft")  # states of two of the six episodes
 
 
-def test_pictures_stand_where_the_episode_says(dataset: Dataset, hand: Hand) -> None:
+def test_pictures_stand_where_the_episode_says(dataset, hand):
     out = hand("lerobot", video="all").folder
     rows = pq.read_table(out / "meta/episodes/chunk-000/file-000.parquet").to_pylist()
     with av.open(str(out / f"videos/{KEY}/chunk-000/file-000.mp4")) as film:
@@ -681,7 +659,6 @@ def test_pictures_stand_where_the_episode_says(dataset: Dataset, hand: Hand) -> 
         start = round(row[f"videos/{KEY}/from_timestamp"] * 10)
         assert row[f"videos/{KEY}/to_timestamp"] * 10 - start == 20
         episode = dataset.read(listed["uuid"])
-        assert episode.recording is not None
         mine = [f for f in episode.recording.frames if f.finger == "left"]
         for k in (0, 9, 19):
             tick_s = episode.onset_s + 0.1 * (k + 1)
@@ -693,7 +670,7 @@ def test_pictures_stand_where_the_episode_says(dataset: Dataset, hand: Hand) -> 
             assert gap[0] < min(gap[1:]) / 3
 
 
-def test_a_sample_is_a_dataset_of_its_own(hand: Hand) -> None:
+def test_a_sample_is_a_dataset_of_its_own(hand):
     out = hand("lerobot", video="sample").folder
     assert not (out / "videos").exists()
     assert len(list((out / "sample").rglob("*.mp4"))) == 2
@@ -702,7 +679,7 @@ def test_a_sample_is_a_dataset_of_its_own(hand: Hand) -> None:
     assert content["codec"]["sample"]["video"]["codec"] == "h264"
 
 
-def test_pictures_come_back_with_the_episodes(dataset: Dataset, hand: Hand, tmp_path: Path) -> None:
+def test_pictures_come_back_with_the_episodes(dataset, hand, tmp_path):
     compared = 0
     for kind, worst in (("robomimic", 3.0), ("lerobot", 5.0)):
         out = hand(kind, video="all", states=TWO, divide_series=True).folder
@@ -710,8 +687,6 @@ def test_pictures_come_back_with_the_episodes(dataset: Dataset, hand: Hand, tmp_
             EpisodeImport(back, kind, out, ImportOptions("dora")).write()
             for old, new in by_origin(back).items():
                 mine, theirs = dataset.read(old).recording, back.read(new).recording
-                assert mine is not None
-                assert theirs is not None
                 compared += 1
                 assert len(theirs.frames) == 40
                 last = [f for f in mine.frames if f.finger == "right"]

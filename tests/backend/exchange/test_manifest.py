@@ -13,8 +13,6 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from tests.backend.exchange.conftest import Hand
-from touchdown.backend.annotations.dataset import Dataset
 from touchdown.backend.annotations.reconciliation import copy_files
 from touchdown.backend.core.faults import InputError
 from touchdown.backend.exchange.manifest import MANIFEST_NAME, VERSION, read_manifest
@@ -27,11 +25,10 @@ def contents(folder: Path) -> dict[str, str]:
 
 def uuids(folder: Path) -> list[str]:
     manifest = read_manifest(folder)
-    assert manifest is not None
     return sorted(str(one["uuid"]) for one in manifest["episodes"])
 
 
-def test_delete_export_and_undo(dataset: Dataset, hand: Hand) -> None:
+def test_delete_export_and_undo(dataset, hand):
     raw = {e.uuid: dataset.path(e.uuid).read_bytes() for e in dataset.episodes()}
     first = hand("csv", "first").folder
     gone, before = uuids(first)[1], contents(first)
@@ -65,7 +62,7 @@ def snapshot(folder: Path) -> dict[str, bytes]:
 
 @pytest.mark.promise("D7")
 @pytest.mark.parametrize("name", HOSTILE)
-def test_an_export_names_only_files_of_its_own(name: str, place: Path) -> None:
+def test_an_export_names_only_files_of_its_own(name, place):
     listed = {"path": name, "bytes": 6, "sha256": hashlib.sha256(b"secret").hexdigest()}
     (place / MANIFEST_NAME).write_text(json.dumps({"version": VERSION, "files": [listed]}))
     with pytest.raises(InputError) as caught:
@@ -75,7 +72,7 @@ def test_an_export_names_only_files_of_its_own(name: str, place: Path) -> None:
 
 @pytest.mark.promise("D7")
 @pytest.mark.parametrize("name", HOSTILE)
-def test_a_merge_writes_nothing_outside_its_dataset(name: str, place: Path, tmp_path: Path) -> None:
+def test_a_merge_writes_nothing_outside_its_dataset(name, place, tmp_path):
     theirs = tmp_path / "theirs"
     theirs.mkdir()
     (tmp_path / "theirs" / "secret").write_bytes(b"other")
@@ -86,9 +83,7 @@ def test_a_merge_writes_nothing_outside_its_dataset(name: str, place: Path, tmp_
 
 
 @pytest.mark.promise("D7")
-def test_a_link_that_leads_out_of_the_other_dataset_is_not_followed(
-    place: Path, tmp_path: Path
-) -> None:
+def test_a_link_that_leads_out_of_the_other_dataset_is_not_followed(place, tmp_path):
     (place / "raw").mkdir()
     with pytest.raises(InputError, match="outside its dataset"):
         copy_files(place / "raw", place, ["link/secret"])
@@ -96,7 +91,7 @@ def test_a_link_that_leads_out_of_the_other_dataset_is_not_followed(
 
 
 @pytest.mark.promise("D7")
-def test_no_archive_is_unpacked_anywhere() -> None:
+def test_no_archive_is_unpacked_anywhere():
     texts = {path: path.read_text() for path in (ROOT / "backend").rglob("*.py")}
     assert len(texts) > 100
     assert [path for path, text in texts.items() if UNPACKING.search(text)] == []
@@ -131,7 +126,7 @@ FEATURES = {
 }
 
 
-def test_a_lerobot_dataset_is_complete_and_consistent(hand: Hand) -> None:
+def test_a_lerobot_dataset_is_complete_and_consistent(hand):
     out = hand("lerobot").folder
     info = json.loads((out / "meta/info.json").read_text())
     assert {key: info[key] for key in INFO} == INFO

@@ -9,9 +9,6 @@ from pathlib import Path
 
 import pytest
 
-from tests.backend.exchange.conftest import Hand
-from touchdown.backend.annotations.dataset import Dataset
-
 ROOT = Path(__file__).resolve().parents[3]
 READERS = Path(os.environ.get("READERS") or ROOT / ".venv-readers") / "bin" / "python"
 CHECKS = ROOT / ".ci" / "exchange_check"
@@ -24,7 +21,7 @@ pytestmark = [
 ]
 
 
-def test_real_readers_find_every_number(dataset: Dataset, hand: Hand, tmp_path: Path) -> None:
+def test_real_readers_find_every_number(dataset, hand, tmp_path):
     for kind in ("robomimic", "zarr", "coco"):
         hand(kind, f"exports/{kind}")
     hand("lerobot", "exports/lerobot", video="sample")

@@ -12,7 +12,6 @@ from shapely.geometry import Point, Polygon
 from touchdown.backend.core.values import FloatArray
 from touchdown.backend.geometry import outlines
 from touchdown.backend.geometry.outlines import (
-    Outline,
     face_points,
     overlap_area_mm2,
     overlap_polygon,
@@ -38,9 +37,7 @@ def oracle(first: FloatArray, second: FloatArray) -> Polygon:
 
 
 @given(outline, outline, place, yaw, place)
-def test_area_margin_and_ring_agree_with_shapely(
-    a: Outline, b: Outline, at: tuple[float, float], turn: float, point: tuple[float, float]
-) -> None:
+def test_area_margin_and_ring_agree_with_shapely(a, b, at, turn, point):
     first, second = a.placed(at, turn), b.polygon()
     expected = oracle(first, second)
     cut = outlines.overlap_edges(first, second)
@@ -58,14 +55,14 @@ def test_area_margin_and_ring_agree_with_shapely(
 
 
 @given(outline, yaw)
-def test_equal_outlines_keep_shared_edges_once(a: Outline, turn: float) -> None:
+def test_equal_outlines_keep_shared_edges_once(a, turn):
     corners = a.placed((3.0, -2.0), turn)
     assert float(
         outlines.enclosed_area_mm2(outlines.overlap_edges(corners, corners))
     ) == pytest.approx(Polygon(corners).area)
 
 
-def test_squares_that_share_a_side() -> None:
+def test_squares_that_share_a_side():
     square = outlines.square(10.0)
     shifted = square.placed((4.0, 0.0))
     assert float(
@@ -73,7 +70,7 @@ def test_squares_that_share_a_side() -> None:
     ) == pytest.approx(60)
 
 
-def test_batches_equal_single_overlaps() -> None:
+def test_batches_equal_single_overlaps():
     a, b = outlines.circle(15.0).polygon(), outlines.rectangle(12.0, 28.0).polygon()
     offsets = np.random.default_rng(3).uniform(-22, 22, size=(40, 2))
     batch = outlines.enclosed_area_mm2(outlines.overlap_edges(a + offsets[:, None, :], b))
@@ -83,7 +80,7 @@ def test_batches_equal_single_overlaps() -> None:
     assert (batch > 100.0).any()
 
 
-def test_without_overlap_there_is_no_support() -> None:
+def test_without_overlap_there_is_no_support():
     cut = outlines.overlap_edges(
         outlines.circle(15.0).placed((40.0, 0.0)), outlines.circle(25.0).polygon()
     )
@@ -92,7 +89,7 @@ def test_without_overlap_there_is_no_support() -> None:
     assert float(outlines.enclosed_area_mm2(cut)) == 0.0
 
 
-def test_margin_by_hand() -> None:
+def test_margin_by_hand():
     edges = outlines.polygon_edges(outlines.square(10.0).polygon())
     points = np.array([[0.0, 0.0], [4.0, 1.0], [7.0, 1.0], [8.0, 9.0]])
     assert outlines.signed_distances_mm(points, edges) == pytest.approx([5.0, 1.0, -2.0, -5.0])
@@ -101,7 +98,7 @@ def test_margin_by_hand() -> None:
 @pytest.mark.parametrize(
     "at", [(10.0, 0.0), (10.0, 4.0), (-10.0, 0.0), (10.0, 10.0), (10 - 5e-10, 0.0)]
 )
-def test_outlines_that_only_touch_hold_nothing(at: tuple[float, float]) -> None:
+def test_outlines_that_only_touch_hold_nothing(at):
     square = outlines.square(10.0)
     for first, second in (
         (square.polygon(), square.placed(at)),
@@ -113,7 +110,7 @@ def test_outlines_that_only_touch_hold_nothing(at: tuple[float, float]) -> None:
 
 
 @given(st.floats(-1e-8, 1e-8), st.floats(-1e-8, 1e-8))
-def test_nearly_equal_outlines_still_overlap(turn: float, shift: float) -> None:
+def test_nearly_equal_outlines_still_overlap(turn, shift):
     square = outlines.square(10.0)
     cut = outlines.overlap_edges(square.placed((shift, 0.0), turn), square.polygon())
     assert float(outlines.enclosed_area_mm2(cut)) == pytest.approx(100.0, abs=1e-5)
@@ -131,7 +128,7 @@ ALL = [
 
 
 @pytest.mark.parametrize("outline", ALL)
-def test_contains_agrees_with_shapely(outline: Outline) -> None:
+def test_contains_agrees_with_shapely(outline):
     points = np.random.default_rng(1).uniform(-16, 16, size=(2000, 2))
     if outline.kind == "circle":
         expected = [Point(0, 0).distance(Point(p)) <= outline.radius_mm for p in points]
@@ -143,20 +140,20 @@ def test_contains_agrees_with_shapely(outline: Outline) -> None:
 
 
 @pytest.mark.parametrize("outline", ALL)
-def test_edge_and_corners_count_as_inside(outline: Outline) -> None:
+def test_edge_and_corners_count_as_inside(outline):
     assert outline.contains(outline.polygon()).all()
     assert not outline.contains(outline.polygon() * 1.0001).any()
 
 
 @pytest.mark.parametrize("outline", ALL[1:])
-def test_area_and_extents_of_polygons(outline: Outline) -> None:
+def test_area_and_extents_of_polygons(outline):
     polygon = Polygon(outline.vertices_mm)
     assert outline.area_mm2 == pytest.approx(polygon.area)
     low_x, low_y, high_x, high_y = polygon.bounds
     assert outline.half_extents_mm == pytest.approx((max(-low_x, high_x), max(-low_y, high_y)))
 
 
-def test_closed_forms() -> None:
+def test_closed_forms():
     assert outlines.circle(15.0).area_mm2 == pytest.approx(176.7146)
     assert outlines.regular_polygon(6, 20.0).area_mm2 == pytest.approx(3 * math.sqrt(3) / 2 * 100)
     assert outlines.regular_polygon(6, 20.0).half_extents_mm == pytest.approx(
@@ -165,19 +162,19 @@ def test_closed_forms() -> None:
     assert outlines.circle(20.0).half_extents_mm == (10.0, 10.0)
 
 
-def test_circle_polygon_is_inscribed_within_4_um() -> None:
+def test_circle_polygon_is_inscribed_within_4_um():
     polygon = Polygon(outlines.circle(25.0).polygon())
     assert polygon.exterior.is_ccw
     inradius = polygon.exterior.distance(Point(0, 0))
     assert 12.5 - 0.004 < inradius < 12.5
 
 
-def test_placed_turns_then_moves() -> None:
+def test_placed_turns_then_moves():
     corners = outlines.rectangle(4.0, 2.0).placed((10.0, 5.0), math.pi / 2)
     assert corners == pytest.approx(np.array([[11, 3], [11, 7], [9, 7], [9, 3]]))
 
 
-def test_the_inset_is_the_distance_to_the_edge() -> None:
+def test_the_inset_is_the_distance_to_the_edge():
     points = np.array([[0.0, 0.0], [3.0, 0.0], [12.0, 0.0]])
     assert outlines.inset_mm(outlines.circle(20.0), points) == pytest.approx([10.0, 7.0, -2.0])
     hexagon = outlines.regular_polygon(6, 20.0)
@@ -185,7 +182,7 @@ def test_the_inset_is_the_distance_to_the_edge() -> None:
     assert outlines.inset_mm(hexagon, np.zeros((1, 2))) == pytest.approx(expected)
 
 
-def test_outlines_are_values() -> None:
+def test_outlines_are_values():
     assert outlines.circle(15.0) == outlines.circle(15.0)
     assert hash(outlines.square(15.0)) == hash(outlines.rectangle(15.0, 15.0))
     with pytest.raises(ValueError, match="read-only"):
@@ -203,13 +200,13 @@ def test_outlines_are_values() -> None:
         (tuple((math.cos(a), math.sin(a)) for a in np.arange(5) * 0.8 * math.pi), "only once"),
     ],
 )
-def test_bad_polygons_are_refused(vertices: tuple[tuple[float, float], ...], reason: str) -> None:
+def test_bad_polygons_are_refused(vertices, reason):
     with pytest.raises(ValueError, match=reason):
         outlines.convex_polygon(vertices)
 
 
 @pytest.mark.parametrize("diameter", [0.0, -1.0, math.nan, math.inf])
-def test_bad_circles_are_refused(diameter: float) -> None:
+def test_bad_circles_are_refused(diameter):
     with pytest.raises(ValueError, match="diameter"):
         outlines.circle(diameter)
 
@@ -218,7 +215,7 @@ BOTTOMS = [outlines.circle(20.0), outlines.square(15.0), outlines.regular_polygo
 
 
 @pytest.mark.parametrize(("diameter", "count"), [(15.0, 177), (21.2, 349), (25.4, 505)])
-def test_counts_of_the_method(diameter: float, count: int) -> None:
+def test_counts_of_the_method(diameter, count):
     points = face_points(outlines.circle(diameter))
     assert points.shape == (count, 2)
     assert (points == 0.0).all(axis=1).sum() == 1
@@ -226,7 +223,7 @@ def test_counts_of_the_method(diameter: float, count: int) -> None:
     assert points.tolist() == sorted(points.tolist(), key=lambda p: (p[1], p[0]))
 
 
-def test_lattice_reaches_the_edges_and_follows_the_pitch() -> None:
+def test_lattice_reaches_the_edges_and_follows_the_pitch():
     assert len(face_points(outlines.rectangle(12.0, 28.0))) == 13 * 29
     assert len(face_points(outlines.rectangle(12.0, 28.0), pitch_mm=2.0)) == 7 * 15
     assert len(face_points(outlines.square(0.3 * 10), pitch_mm=0.3)) == 11 * 11
@@ -242,15 +239,13 @@ def test_lattice_reaches_the_edges_and_follows_the_pitch() -> None:
         (21.2, outlines.square(15.0), {(9, 0): 121, (6, -8): 97}),
     ],
 )
-def test_overlap_cells_of_the_verification_vectors(
-    face: float, bottom: Outline, cells: dict[tuple[float, float], int]
-) -> None:
+def test_overlap_cells_of_the_verification_vectors(face, bottom, cells):
     patch = true_patch(face_points(outlines.circle(face)), list(cells), bottom)
     assert patch.sum(axis=1).tolist() == list(cells.values())
 
 
 @given(st.sampled_from(BOTTOMS), st.floats(-20, 20), st.floats(-20, 20), st.floats(-0.2, 0.2))
-def test_patch_and_area_agree_with_shapely(bottom: Outline, x: float, y: float, yaw: float) -> None:
+def test_patch_and_area_agree_with_shapely(bottom, x, y, yaw):
     face = outlines.rectangle(12.0, 20.0)
     points = face_points(face)
     below = Polygon(bottom.polygon(4096))
@@ -266,14 +261,14 @@ def test_patch_and_area_agree_with_shapely(bottom: Outline, x: float, y: float, 
 
 
 @given(st.floats(6, 30), st.floats(6, 30), st.floats(-32, 32), st.floats(-32, 32))
-def test_area_of_two_circles_agrees_with_clipping(a: float, b: float, x: float, y: float) -> None:
+def test_area_of_two_circles_agrees_with_clipping(a, b, x, y):
     first, second = outlines.circle(a), outlines.circle(b)
     clipped = Polygon(first.placed((x, y), 0.0, 512)).intersection(Polygon(second.polygon(512)))
     area = float(overlap_area_mm2(first, (x, y), second))
     assert clipped.area - 1e-6 <= area <= clipped.area + 0.001 * min(a, b) ** 2
 
 
-def test_area_of_two_circles_in_closed_form() -> None:
+def test_area_of_two_circles_in_closed_form():
     # Two circles of radius r whose centres lie r apart overlap in (2 pi / 3 - sqrt(3) / 2) r^2.
     circle = outlines.circle(20.0)
     exact = (2 * np.pi / 3 - np.sqrt(3) / 2) * 100
@@ -282,7 +277,7 @@ def test_area_of_two_circles_in_closed_form() -> None:
     assert areas == pytest.approx(np.array([circle.area_mm2, 0.0, 0.0]), abs=1e-9)
 
 
-def test_overlap_polygon_lies_in_the_bottom_frame() -> None:
+def test_overlap_polygon_lies_in_the_bottom_frame():
     ring = overlap_polygon(outlines.square(10.0), (8.0, 0.0), outlines.square(10.0))
     assert Polygon(ring).bounds == pytest.approx((3.0, -5.0, 5.0, 5.0))
     assert overlap_polygon(outlines.square(10.0), (20.0, 0.0), outlines.square(10.0)).shape == (

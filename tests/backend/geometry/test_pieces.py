@@ -3,7 +3,6 @@
 import math
 import re
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -38,7 +37,7 @@ across_corners_mm = 30.0
 """
 
 
-def test_shipped_pieces_have_the_nominal_sizes() -> None:
+def test_shipped_pieces_have_the_nominal_sizes():
     catalogue = load_pieces()
     assert catalogue.tops == ("barrel", "mug", "mushroom", "pot")
     assert set(catalogue.bottoms) == {
@@ -62,14 +61,14 @@ def test_shipped_pieces_have_the_nominal_sizes() -> None:
     assert catalogue.piece("square15").face == outlines.square(15.0)
 
 
-def test_the_centre_of_mass_of_the_mug_alone_is_off_its_middle() -> None:
+def test_the_centre_of_mass_of_the_mug_alone_is_off_its_middle():
     pieces = load_pieces().pieces
     off = {name: p.com_xy_mm for name, p in pieces.items() if p.com_xy_mm != (0.0, 0.0)}
     assert off == {"mug": (1.7, -0.9)}
     assert pieces["mug"].body((3.0, 4.0)).com_xy_mm == (1.7, -0.9)
 
 
-def test_only_the_board_is_fixed_and_measured() -> None:
+def test_only_the_board_is_fixed_and_measured():
     pieces = load_pieces().pieces.values()
     board = {"circle15", "circle25", "square15"}
     assert {p.name for p in pieces if p.fixed} == board
@@ -78,7 +77,7 @@ def test_only_the_board_is_fixed_and_measured() -> None:
     assert all(re.fullmatch("[0-9a-f]{64}", p.sha256) for p in pieces)
 
 
-def test_roles_are_kept_apart() -> None:
+def test_roles_are_kept_apart():
     catalogue = load_pieces()
     assert catalogue.bottom("short").name == "short"
     with pytest.raises(InputError, match=r"cannot be grasped.*barrel, mug, mushroom, pot"):
@@ -88,14 +87,14 @@ def test_roles_are_kept_apart() -> None:
     assert catalogue.piece("mushroom").body().upper is None
 
 
-def test_unknown_piece_names_file_and_known_ones() -> None:
+def test_unknown_piece_names_file_and_known_ones():
     with pytest.raises(InputError) as caught:
         load_pieces().piece("teapot")
     assert "teapot.toml" in caught.value.where
     assert "barrel" in caught.value.fix
 
 
-def test_an_operator_adds_and_replaces_pieces(tmp_path: Path) -> None:
+def test_an_operator_adds_and_replaces_pieces(tmp_path):
     (tmp_path / "cup.toml").write_text(CUP)
     (tmp_path / "pot.toml").write_text(CUP)
     catalogue = load_pieces(tmp_path)
@@ -107,7 +106,7 @@ def test_an_operator_adds_and_replaces_pieces(tmp_path: Path) -> None:
     assert (body.at_mm, body.yaw_rad, body.mass_g) == ((3.0, 4.0), 0.1, 12.5)
 
 
-def test_a_bottom_meets_the_piece_with_its_upper_face(tmp_path: Path) -> None:
+def test_a_bottom_meets_the_piece_with_its_upper_face(tmp_path):
     text = CUP.replace('"top", ', "").replace("grip_height_mm = 25.0", "")
     (tmp_path / "foot.toml").write_text(text)
     foot = load_pieces(tmp_path).piece("foot")
@@ -115,7 +114,7 @@ def test_a_bottom_meets_the_piece_with_its_upper_face(tmp_path: Path) -> None:
     assert foot.grip_height_mm is None
 
 
-def test_the_hash_follows_the_content_not_the_text(tmp_path: Path) -> None:
+def test_the_hash_follows_the_content_not_the_text(tmp_path):
     (tmp_path / "cup.toml").write_text(CUP)
     first = load_pieces(tmp_path).piece("cup").sha256
     (tmp_path / "cup.toml").write_text("# measured\n" + CUP.replace("50.0", "50"))
@@ -142,9 +141,7 @@ def test_the_hash_follows_the_content_not_the_text(tmp_path: Path) -> None:
         ("sides = 8", "sides = 2", "sides"),
     ],
 )
-def test_a_bad_file_gives_one_error_with_file_key_and_reason(
-    tmp_path: Path, old: str, new: str, key: str
-) -> None:
+def test_a_bad_file_gives_one_error_with_file_key_and_reason(tmp_path, old, new, key):
     path = tmp_path / "cup.toml"
     assert old in CUP
     path.write_text(CUP.replace(old, new, 1))
@@ -155,14 +152,14 @@ def test_a_bad_file_gives_one_error_with_file_key_and_reason(
     assert key in caught.value.fix
 
 
-def test_a_polygon_must_be_convex(tmp_path: Path) -> None:
+def test_a_polygon_must_be_convex(tmp_path):
     head, tail = CUP.split("[face]")[0], "vertices_mm = [[-5, -5], [5, -5], [-4, -4], [-5, 5]]\n"
     (tmp_path / "cup.toml").write_text(f'{head}[face]\nshape = "polygon"\n{tail}')
     with pytest.raises(InputError, match=r"face.*counter-clockwise"):
         load_pieces(tmp_path)
 
 
-def test_broken_toml_bad_name_and_missing_folder(tmp_path: Path) -> None:
+def test_broken_toml_bad_name_and_missing_folder(tmp_path):
     with pytest.raises(InputError, match="no such folder"):
         load_pieces(tmp_path / "none")
     (tmp_path / "My Cup.toml").write_text(CUP)
@@ -174,7 +171,7 @@ def test_broken_toml_bad_name_and_missing_folder(tmp_path: Path) -> None:
         load_pieces(tmp_path)
 
 
-def test_data_offsets_fill_the_region_evenly() -> None:
+def test_data_offsets_fill_the_region_evenly():
     face, bottom = outlines.circle(15.0), outlines.circle(25.0)
     offsets = draw_offset(np.random.default_rng(4), face, bottom, 1500)
     assert offsets.shape == (1500, 2)
@@ -189,7 +186,7 @@ def test_data_offsets_fill_the_region_evenly() -> None:
 
 
 @pytest.mark.parametrize("bottom", ["short", "rect12x28", "square15"])
-def test_starts_are_unstable_and_still_touch(bottom: str) -> None:
+def test_starts_are_unstable_and_still_touch(bottom):
     catalogue = load_pieces()
     piece = catalogue.piece("mushroom").body()
     below = catalogue.piece(bottom).body((40.0, -10.0))
@@ -202,7 +199,7 @@ def test_starts_are_unstable_and_still_touch(bottom: str) -> None:
     assert len(set(starts)) == 40
 
 
-def test_starts_of_a_leaning_tower_may_lie_inside_the_top_face() -> None:
+def test_starts_of_a_leaning_tower_may_lie_inside_the_top_face():
     catalogue = load_pieces()
     bottoms = Tower((catalogue.piece("short").body(), catalogue.piece("long").body((8.0, 0.0))))
     rng = np.random.default_rng(2)
@@ -210,14 +207,14 @@ def test_starts_of_a_leaning_tower_may_lie_inside_the_top_face() -> None:
     assert any(math.hypot(x, y) < 9.0 for x, y in starts)
 
 
-def test_the_same_seed_gives_the_same_start() -> None:
+def test_the_same_seed_gives_the_same_start():
     catalogue = load_pieces()
     piece, bottoms = catalogue.piece("pot").body(), Tower((catalogue.piece("hex20").body(),))
     first, second = (draw_start(np.random.default_rng(7), piece, bottoms) for _ in range(2))
     assert first == second
 
 
-def test_impossible_starts_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_impossible_starts_are_refused(monkeypatch):
     catalogue = load_pieces()
     pot, short = catalogue.piece("pot").body(), catalogue.piece("short").body()
     rng = np.random.default_rng(0)
@@ -250,7 +247,7 @@ def leaning(long_mm: float, mushroom_mm: float) -> Tower:
     )
 
 
-def test_pair_by_hand() -> None:
+def test_pair_by_hand():
     base = replace(cylinder("board", 15.0, 20.0, 0.0), fixed=True)
     verdict = judge_tower(Tower((base, cylinder("pot", 25.0, 40.0, 40.0, (5.0, 0.0)))))
     # The centre of mass is 2.5 mm inside the edge of the smaller circle.
@@ -264,7 +261,7 @@ def test_pair_by_hand() -> None:
 @pytest.mark.parametrize(
     ("long_mm", "threshold_mm"), [(0.0, 7.5), (9.0, 6.5625), (11.0, 2.8125), (11.0, -7.5)]
 )
-def test_tower_thresholds(long_mm: float, threshold_mm: float) -> None:
+def test_tower_thresholds(long_mm, threshold_mm):
     # Inward and centred the top face decides at 7.5 mm; outward the load of long and mushroom
     # leaves short's edge: (35 * 11 + 40 * (11 + e)) / 75 = 12.5 gives e = 2.8125.
     outward = math.copysign(0.02, threshold_mm)
@@ -272,14 +269,14 @@ def test_tower_thresholds(long_mm: float, threshold_mm: float) -> None:
     assert not judge_tower(leaning(long_mm, threshold_mm + outward)).stands
 
 
-def test_tower_that_the_top_face_alone_would_pass() -> None:
+def test_tower_that_the_top_face_alone_would_pass():
     verdict = judge_tower(leaning(11.0, 5.0))
     assert verdict.margins_mm[2] == pytest.approx(2.5, abs=0.004)
     assert verdict.margin_mm == pytest.approx(12.5 - (11 + 40 * 5 / 75), abs=0.004)
     assert verdict.weakest == "long on short"
 
 
-def test_free_base_tips_over_its_own_edge() -> None:
+def test_free_base_tips_over_its_own_edge():
     # Board of 10 mm width, load 3 mm beyond its edge on a wide cap: tips over the table.
     wide = Body("cap", outlines.square(10.0), outlines.square(60.0), 20.0, 10.0, 10.0)
     tower = Tower((wide, cylinder("load", 10.0, 20.0, 90.0, (8.0, 0.0))))
@@ -289,7 +286,7 @@ def test_free_base_tips_over_its_own_edge() -> None:
     assert verdict.margins_mm[1] == pytest.approx(5.0, abs=0.01)
 
 
-def test_centre_of_mass_turns_with_the_body() -> None:
+def test_centre_of_mass_turns_with_the_body():
     base = replace(cylinder("board", 40.0, 20.0, 0.0), fixed=True)
     top = Body(
         "top", outlines.square(10.0), None, 20.0, 10.0, 10.0, (4.0, 0.0), yaw_rad=math.pi / 2
@@ -300,7 +297,7 @@ def test_centre_of_mass_turns_with_the_body() -> None:
     assert judge_tower(Tower((base, heavy))).margin_mm == pytest.approx(-0.1)
 
 
-def test_disturbance_shifts_the_centre_of_mass_of_the_released_piece() -> None:
+def test_disturbance_shifts_the_centre_of_mass_of_the_released_piece():
     tower = leaning(11.0, 2.5)
     assert judge_tower(tower).stands
     kicked = judge_tower(tower, disturbance_mm=(0.6, 0.0))
@@ -311,13 +308,13 @@ def test_disturbance_shifts_the_centre_of_mass_of_the_released_piece() -> None:
     )
 
 
-def test_too_close_to_call() -> None:
+def test_too_close_to_call():
     assert judge_tower(leaning(0.0, 7.4)).too_close
     assert judge_tower(leaning(0.0, 7.6)).too_close
     assert not judge_tower(leaning(0.0, 7.2)).too_close
 
 
-def test_no_overlap_never_stands() -> None:
+def test_no_overlap_never_stands():
     verdict = judge_tower(leaning(0.0, 30.0))
     assert verdict.margin_mm == -math.inf
     assert not verdict.stands
@@ -340,9 +337,7 @@ OUTLINES = [
         max_size=4,
     )
 )  # fmt: skip
-def test_margins_agree_with_shapely(
-    rows: list[tuple[outlines.Outline, float, float, float, float]],
-) -> None:
+def test_margins_agree_with_shapely(rows):
     bodies = tuple(
         Body(f"b{i}", o, o, 30.0, mass, 15.0, at_mm=(x, y), yaw_rad=yaw)
         for i, (o, x, y, yaw, mass) in enumerate(rows)
@@ -358,7 +353,7 @@ def test_margins_agree_with_shapely(
         assert margin == pytest.approx(distance if hull.covers(load) else -distance, abs=1e-6)
 
 
-def test_impossible_towers_are_refused() -> None:
+def test_impossible_towers_are_refused():
     body = cylinder("a", 20.0, 30.0, 30.0)
     with pytest.raises(ValueError, match="needs a body"):
         Tower(())

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import warnings
-from pathlib import Path
 
 import pytest
 
@@ -16,7 +15,7 @@ pytestmark = [pytest.mark.optional, pytest.mark.slow]
 
 
 @pytest.mark.allow_leaks
-def test_two_dask_workers_give_the_numbers_of_one_process(tmp_path: Path) -> None:
+def test_two_dask_workers_give_the_numbers_of_one_process(tmp_path):
     distributed = pytest.importorskip("distributed")
     draws = [JobSpec("draw", {"n": 5}, seed) for seed in range(5)]
     total = JobSpec("add", inputs=tuple(spec.id for spec in draws))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -37,7 +36,7 @@ def run(specs: list[JobSpec], executor: Executor, store: JobStore) -> dict[str, 
     return {result.id: result for result in run_campaign(specs, executor, store)}
 
 
-def test_the_name_of_the_reference_job() -> None:
+def test_the_name_of_the_reference_job():
     spec = JobSpec("simulate", {"pair": ["Pot", "circle15"], "n": 50}, 7, (), "1.0.0")
     assert spec.canonical() == (
         '{"code":"1.0.0","inputs":[],"kind":"simulate",'
@@ -46,7 +45,7 @@ def test_the_name_of_the_reference_job() -> None:
     assert spec.id == "ba22d47cd86cd1759532ae5c1083af87"
 
 
-def test_every_part_of_a_spec_is_in_its_name() -> None:
+def test_every_part_of_a_spec_is_in_its_name():
     specs = [
         JobSpec("a"),
         JobSpec("b"),
@@ -60,12 +59,12 @@ def test_every_part_of_a_spec_is_in_its_name() -> None:
     assert all(JobSpec.parse(spec.canonical()).id == spec.id for spec in specs)
 
 
-def test_a_spec_without_a_number_has_no_name() -> None:
+def test_a_spec_without_a_number_has_no_name():
     with pytest.raises(ValueError, match="not JSON compliant"):
         assert JobSpec("a", {"x": float("nan")}).id
 
 
-def test_a_finished_job_is_not_done_again_and_a_damaged_result_is_named(tmp_path: Path) -> None:
+def test_a_finished_job_is_not_done_again_and_a_damaged_result_is_named(tmp_path):
     store, spec = JobStore(tmp_path), draws(1)[0]
     assert run_job(spec, KINDS, store).state == "done"
     path = store.folder(spec.id) / RESULT_FILE
@@ -78,7 +77,7 @@ def test_a_finished_job_is_not_done_again_and_a_damaged_result_is_named(tmp_path
         store.result(spec.id)
 
 
-def test_a_failed_job_leaves_nothing_and_says_why(tmp_path: Path) -> None:
+def test_a_failed_job_leaves_nothing_and_says_why(tmp_path):
     store, spec = JobStore(tmp_path), JobSpec("refuse")
     result = run_job(spec, KINDS, store)
     assert result.state == "failed"
@@ -87,7 +86,7 @@ def test_a_failed_job_leaves_nothing_and_says_why(tmp_path: Path) -> None:
     assert "no job kind 'unheard'" in run_job(JobSpec("unheard"), KINDS, store).error
 
 
-def test_a_campaign_respects_inputs_and_survives_a_failure(tmp_path: Path) -> None:
+def test_a_campaign_respects_inputs_and_survives_a_failure(tmp_path):
     store, parts = JobStore(tmp_path), draws(3)
     total = JobSpec("add", inputs=tuple(spec.id for spec in parts))
     bad = JobSpec("refuse")
@@ -98,7 +97,7 @@ def test_a_campaign_respects_inputs_and_survives_a_failure(tmp_path: Path) -> No
     assert bad.id in results[lost.id].error
 
 
-def test_a_resumed_campaign_does_only_what_is_missing(tmp_path: Path) -> None:
+def test_a_resumed_campaign_does_only_what_is_missing(tmp_path):
     store, specs = JobStore(tmp_path), draws(4)
     first = run_campaign(specs, SerialExecutor(KINDS, store), store)
     for _ in range(2):
@@ -112,7 +111,7 @@ def test_a_resumed_campaign_does_only_what_is_missing(tmp_path: Path) -> None:
     assert len(after) == 4
 
 
-def test_two_processes_give_the_numbers_of_one(tmp_path: Path) -> None:
+def test_two_processes_give_the_numbers_of_one(tmp_path):
     specs = draws(6)
     alone, shared = JobStore(tmp_path / "1"), JobStore(tmp_path / "2")
     run(specs, SerialExecutor(KINDS, alone), alone)
@@ -126,7 +125,7 @@ def test_two_processes_give_the_numbers_of_one(tmp_path: Path) -> None:
         assert shared.result(told.id)["nice"] == max(NICENESS, os.nice(0))
 
 
-def test_a_killed_worker_loses_no_finished_job(tmp_path: Path) -> None:
+def test_a_killed_worker_loses_no_finished_job(tmp_path):
     store = JobStore(tmp_path / "store")
     mortal = JobSpec("die", {"diary": str(tmp_path / "diary"), "times": 1})
     specs = [*draws(3), mortal]
@@ -140,7 +139,7 @@ def test_a_killed_worker_loses_no_finished_job(tmp_path: Path) -> None:
 
 
 @pytest.mark.promise("P7", "P10")
-def test_a_job_that_always_kills_its_worker_is_given_up(tmp_path: Path) -> None:
+def test_a_job_that_always_kills_its_worker_is_given_up(tmp_path):
     store = JobStore(tmp_path / "store")
     deadly = JobSpec("die", {"diary": str(tmp_path / "diary"), "times": 99})
     results = run([deadly], ProcessPool(KINDS, store, 1), store)
@@ -149,7 +148,7 @@ def test_a_job_that_always_kills_its_worker_is_given_up(tmp_path: Path) -> None:
     assert (tmp_path / "diary").read_text() == "x" * (MAX_WORKER_DEATHS + 1)
 
 
-def test_shards_are_a_partition(tmp_path: Path) -> None:
+def test_shards_are_a_partition(tmp_path):
     specs = draws(11)
     parts = [shard_of(specs, i, 3) for i in range(3)]
     assert sorted(s.id for part in parts for s in part) == sorted(s.id for s in specs)
@@ -165,7 +164,7 @@ def test_shards_are_a_partition(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("text", ["", "1", "2/2", "-1/2", "1/0", "a/b", "0/"])
-def test_a_bad_shard_is_bad_input(text: str) -> None:
+def test_a_bad_shard_is_bad_input(text):
     with pytest.raises(InputError, match="--shard"):
         parse_shard(text)
     assert parse_shard("1/2") == (1, 2)

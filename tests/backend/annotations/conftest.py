@@ -20,8 +20,7 @@ from touchdown.backend.annotations.values import (
     uuid7,
 )
 from touchdown.backend.core.values import Episode, EpisodeQuality
-from touchdown.backend.episodes.mcap_container import read_whole
-from touchdown.backend.episodes.messages import LABEL_TOPIC, unpack_json
+from touchdown.backend.episodes import LABEL_TOPIC, read_whole, unpack_json
 from touchdown.backend.geometry.pieces import load_pieces
 
 Record = Callable[..., EpisodeEntry]

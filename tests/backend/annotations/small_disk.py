@@ -12,15 +12,10 @@ from pathlib import Path
 
 from tests.backend.annotations.conftest import context_for, small_episode
 from tests.backend.bench.brisk import brisk_bench, brisk_method
-from touchdown.backend.annotations import storage
-from touchdown.backend.annotations.dataset import Dataset
-from touchdown.backend.annotations.reconciliation import check_dataset
-from touchdown.backend.annotations.values import Label
+from touchdown.backend.annotations import Dataset, Label, check_dataset, storage
 from touchdown.backend.bench.assembly import simulated_session
-from touchdown.backend.core.events import Event, Paused, ProbeCollected, RunFinished
-from touchdown.backend.core.faults import FaultError
-from touchdown.backend.runs.recorder import RecordingOptions
-from touchdown.backend.runs.requests import CollectRequest
+from touchdown.backend.core import Event, FaultError, Paused, ProbeCollected, RunFinished
+from touchdown.backend.runs import CollectRequest, RecordingOptions
 
 MOST = 4000  # more labels than fit into the free space
 LEFT_BYTES = 60_000

@@ -34,10 +34,8 @@ from touchdown.backend.annotations.operation_log import OperationJournal, read_j
 from touchdown.backend.annotations.reconciliation import reconcile
 from touchdown.backend.annotations.storage import DatasetInUseError, check_local_disk, file_system
 from touchdown.backend.annotations.values import EpisodeFilter, Label
-from touchdown.backend.core.faults import FaultError, InputError, RefusedError
-from touchdown.backend.core.values import Episode
-from touchdown.backend.episodes import episode_mcap
-from touchdown.backend.episodes.quality import ExaminedEpisode
+from touchdown.backend.core import Episode, FaultError, InputError, RefusedError
+from touchdown.backend.episodes import ExaminedEpisode, episode_mcap
 
 SERIES = ("a", "b", "c")
 EACH = 3

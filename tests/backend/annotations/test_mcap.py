@@ -41,8 +41,7 @@ from touchdown.backend.episodes.mcap_container import (
     encode_text,
     read_whole,
 )
-from touchdown.backend.geometry.outlines import circle, face_points, true_patch
-from touchdown.backend.geometry.pieces import Piece, load_pieces
+from touchdown.backend.geometry import Piece, circle, face_points, load_pieces, true_patch
 
 SHROUT_FLEISS = [
     [9, 2, 5, 8],

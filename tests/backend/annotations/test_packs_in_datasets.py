@@ -28,8 +28,7 @@ from touchdown.backend.annotations.rebuild import rebuild_dataset
 from touchdown.backend.annotations.reconciliation import check_dataset, reconcile
 from touchdown.backend.annotations.storage import ReadOnlyFolderError, check_free_space
 from touchdown.backend.annotations.values import EpisodeContext, EpisodeFilter, Label
-from touchdown.backend.core.faults import FaultError, InputError
-from touchdown.backend.core.values import Episode
+from touchdown.backend.core import Episode, FaultError, InputError
 from touchdown.backend.episodes.episode_mcap import (
     read_compressed_episode,
     read_episode,
@@ -37,8 +36,7 @@ from touchdown.backend.episodes.episode_mcap import (
 )
 from touchdown.backend.episodes.packs import PackedEpisode, PackWriter, read_pack
 from touchdown.backend.episodes.training_rows import patch_hex
-from touchdown.backend.geometry.outlines import face_points, true_patch
-from touchdown.backend.geometry.pieces import load_pieces
+from touchdown.backend.geometry import face_points, load_pieces, true_patch
 from touchdown.backend.runs.campaign import new_campaign
 from touchdown.backend.runs.collector import EpisodeRecorder
 from touchdown.backend.runs.recorder import keep_photo

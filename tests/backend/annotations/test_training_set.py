@@ -9,8 +9,7 @@ import pytest
 
 from tests.backend.annotations.conftest import add, context_for, small_episode
 from tests.backend.annotations.test_packs_in_datasets import write_pack
-from touchdown.backend.annotations import training_set
-from touchdown.backend.annotations.dataset import Dataset
+from touchdown.backend.annotations import Dataset, Label, training_set
 from touchdown.backend.annotations.training_set import (
     CacheRow,
     LabelChoice,
@@ -20,10 +19,8 @@ from touchdown.backend.annotations.training_set import (
     open_cache,
     read_observation,
 )
-from touchdown.backend.annotations.values import Label
 from touchdown.backend.cli.command_line import main
-from touchdown.backend.core.faults import InputError
-from touchdown.backend.core.values import Episode, EpisodeQuality
+from touchdown.backend.core import Episode, EpisodeQuality, InputError
 from touchdown.backend.episodes.episode_mcap import write_episode
 from touchdown.backend.episodes.mcap_container import read_chunks
 from touchdown.backend.episodes.packs import PackedEpisode, PackWriter

@@ -31,14 +31,11 @@ from touchdown.backend.bench.emulated_scene import (
     TruthServer,
     serve_bench,
 )
-from touchdown.backend.config.hardware import HardwareSettings
-from touchdown.backend.config.toml_file import read_settings
-from touchdown.backend.core.faults import FaultError
-from touchdown.backend.core.scheduling import round_robin_priority
+from touchdown.backend.config import HardwareSettings, read_settings
+from touchdown.backend.core import FaultError, round_robin_priority
 from touchdown.backend.devices.interlock import LEASE_S, Limits
 from touchdown.backend.devices.melfa.emulator import TIMEOUT_CYCLES
-from touchdown.backend.emulation.fault_plan import FaultPlan
-from touchdown.backend.emulation.server import TcpServer
+from touchdown.backend.emulation import FaultPlan, TcpServer
 from touchdown.backend.geometry.pieces import load_pieces
 from touchdown.backend.runs.requests import CollectRequest, SceneChoice
 

@@ -8,9 +8,7 @@ import pytest
 
 from tests.backend.bench.brisk import brisk_method, brisk_session, brisk_settings
 from tests.backend.rig.scripted import scripted
-from touchdown.backend.bench.assembly import simulated_bench
-from touchdown.backend.bench.laboratory import open_lab
-from touchdown.backend.bench.session import RunResult
+from touchdown.backend.bench import RunResult, open_lab, simulated_bench
 from touchdown.backend.core.events import EpisodeRecorded, TrialFinished
 from touchdown.backend.core.faults import FaultError, InputError, RefusedError
 from touchdown.backend.core.values import Outcome

@@ -36,8 +36,7 @@ from touchdown.backend.calibration.result import (
     Quantity,
     format_value,
 )
-from touchdown.backend.core.events import CalibrationMeasured
-from touchdown.backend.core.faults import InputError, RefusedError
+from touchdown.backend.core import CalibrationMeasured, InputError, RefusedError
 from touchdown.backend.runs.calibrate import MOST_PUSHES, next_side
 from touchdown.backend.runs.calibrations import payload_wrench
 from touchdown.backend.simulation.marker_fields import build_gel

@@ -29,8 +29,7 @@ from touchdown.backend.config.lab import (
     save_lab,
 )
 from touchdown.backend.core.faults import InputError, RefusedError
-from touchdown.backend.devices.interlock import Limits
-from touchdown.backend.devices.protocols import DeviceState
+from touchdown.backend.devices import DeviceState, Limits
 from touchdown.backend.runs.recorder import RecordingOptions
 from touchdown.backend.runs.requests import ProbeRequest, SceneChoice, SetRequest, StackRequest
 

@@ -13,27 +13,20 @@ from pathlib import Path
 import pytest
 
 from tests.backend.annotations.conftest import context_for, small_episode
-from touchdown.backend.annotations.dataset import Dataset
+from touchdown.backend.annotations import Dataset, Label, read_run_info
 from touchdown.backend.annotations.geometry_records import GeometryStore
 from touchdown.backend.annotations.operation_log import read_journal
-from touchdown.backend.annotations.run_tracking import read_run_info
-from touchdown.backend.annotations.values import Label
 from touchdown.backend.calibration.records import read_record
 from touchdown.backend.cli.settings import load_method
-from touchdown.backend.config.lab import load_lab
-from touchdown.backend.config.simulation import load_simulation
+from touchdown.backend.config import load_lab, load_simulation
 from touchdown.backend.core import files
 from touchdown.backend.core.faults import MAX_MESSAGE, InputError, RefusedError
 from touchdown.backend.core.files import MAX_DEPTH, parse_json, parse_toml, write_atomically
 from touchdown.backend.emulation.fault_plan import load_faults
-from touchdown.backend.exchange.coco import read_coco
-from touchdown.backend.exchange.jsonl import read_jsonl
-from touchdown.backend.exchange.manifest import read_manifest
+from touchdown.backend.exchange import read_coco, read_jsonl, read_manifest
 from touchdown.backend.geometry.pieces import read_piece
-from touchdown.backend.learning.checkpoint import load_card
-from touchdown.backend.learning.metrics import load_samples
-from touchdown.backend.runs.campaign import read_campaign
-from touchdown.backend.runs.event_log import read_events
+from touchdown.backend.learning import load_card, load_samples
+from touchdown.backend.runs import read_campaign, read_events
 
 OLD, NEW = b"old" * 1000, b"new" * 5000
 

@@ -8,8 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from touchdown.backend.core.faults import InputError
-from touchdown.backend.core.values import TACTILE_CHANNELS, EpisodeQuality
+from touchdown.backend.core import TACTILE_CHANNELS, EpisodeQuality, InputError
 from touchdown.backend.episodes.quality import (
     ExaminedEpisode,
     check_quality,
@@ -18,8 +17,7 @@ from touchdown.backend.episodes.quality import (
     lags_s,
 )
 from touchdown.backend.episodes.training_rows import divided_indices, split_series
-from touchdown.backend.geometry.outlines import circle, face_points, overlap_area_mm2
-from touchdown.backend.geometry.pieces import load_pieces
+from touchdown.backend.geometry import circle, face_points, load_pieces, overlap_area_mm2
 from touchdown.backend.simulation.batch import BatchPlan, simulate_episodes
 
 FACE, BOTTOM = circle(15.0), circle(25.0)

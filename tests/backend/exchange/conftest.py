@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 
 from tests.backend.annotations.conftest import context_for
-from touchdown.backend.annotations.dataset import Dataset
-from touchdown.backend.annotations.values import Label, uuid7
+from touchdown.backend.annotations import Dataset, Label, uuid7
 from touchdown.backend.core.values import FINGERS, Episode, EpisodeQuality, Recording, TactileFrame
 from touchdown.backend.exchange.exports import ExportResult, Video, export
 

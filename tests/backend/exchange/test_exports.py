@@ -19,15 +19,9 @@ from tests.backend.annotations.conftest import context_for, small_episode
 from tests.backend.annotations.test_packs_in_datasets import write_pack
 from tests.backend.exchange.conftest import EVERY, recorded_episode
 from tests.backend.exchange.test_imports import manifest_of
-from touchdown.backend.annotations import operation_log, review
-from touchdown.backend.annotations.dataset import Dataset
-from touchdown.backend.annotations.episode_index import SPLIT_TAG
-from touchdown.backend.annotations.values import Label
-from touchdown.backend.core.faults import FaultError, InputError
-from touchdown.backend.core.values import FINGERS, MARKERS, MarkerField
-from touchdown.backend.exchange import exports
-from touchdown.backend.exchange.exports import EXPORTS, export
-from touchdown.backend.exchange.imports import EpisodeImport, ImportOptions
+from touchdown.backend.annotations import SPLIT_TAG, Dataset, Label, operation_log, review
+from touchdown.backend.core import FINGERS, MARKERS, FaultError, InputError, MarkerField
+from touchdown.backend.exchange import EXPORTS, EpisodeImport, ImportOptions, export, exports
 from touchdown.backend.exchange.query import ExportQuery, SelectedEpisode, select_episodes
 from touchdown.backend.exchange.robomimic import DiskFullSafeFile
 

@@ -25,12 +25,9 @@ from hypothesis.extra.numpy import arrays
 
 from tests.backend.annotations.conftest import context_for
 from tests.backend.exchange.conftest import recorded_episode
-from touchdown.backend.annotations.dataset import Dataset
-from touchdown.backend.annotations.values import Label
-from touchdown.backend.core.faults import Fault, FaultError, InputError
-from touchdown.backend.core.values import Recording
-from touchdown.backend.exchange import coco, csv_tables, jsonl
-from touchdown.backend.exchange.exports import export
+from touchdown.backend.annotations import Dataset, Label
+from touchdown.backend.core import Fault, FaultError, InputError, Recording
+from touchdown.backend.exchange import coco, csv_tables, export, jsonl
 from touchdown.backend.exchange.imports import EpisodeImport, ImportOptions, read_foreign
 from touchdown.backend.exchange.label_import import LabelImportResult, import_labels
 

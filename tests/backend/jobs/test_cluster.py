@@ -7,9 +7,7 @@ import warnings
 import pytest
 
 from tests.backend.jobs.sample_kinds import KINDS
-from touchdown.backend.jobs.cluster import DaskCluster
-from touchdown.backend.jobs.execution import SerialExecutor, run_campaign
-from touchdown.backend.jobs.job import JobSpec, JobStore
+from touchdown.backend.jobs import DaskCluster, JobSpec, JobStore, SerialExecutor, run_campaign
 
 pytestmark = [pytest.mark.optional, pytest.mark.slow]
 

@@ -9,8 +9,7 @@ from dataclasses import replace
 
 from tests.backend.devices.melfa.emulated_arm import on_bench
 from touchdown.backend.bench.assembly import simulated_session
-from touchdown.backend.core.faults import FaultError
-from touchdown.backend.core.streams import SampleStream
+from touchdown.backend.core import FaultError, SampleStream
 from touchdown.backend.devices.melfa.force_program import PLACE_LATE_S
 from touchdown.backend.rig.host import Devices, RigHost
 from touchdown.backend.rig.link import LATE_S, NOT_STARTED, RigMotion

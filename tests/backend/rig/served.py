@@ -12,17 +12,14 @@ import numpy as np
 from tests.backend.devices.melfa.emulated_arm import settings as melfa_settings
 from tests.busy_computer import STARVED
 from touchdown.backend.config.hardware import HardwareSettings
-from touchdown.backend.core.faults import FaultError, RefusedError
-from touchdown.backend.core.streams import SampleStream
-from touchdown.backend.core.values import Pose
+from touchdown.backend.core import FaultError, Pose, RefusedError, SampleStream
 from touchdown.backend.devices.dynpick.emulator import EmulatedDynpick
 from touchdown.backend.devices.interlock import Interlock
 from touchdown.backend.devices.melfa.driver import MelfaPrograms
 from touchdown.backend.devices.melfa.emulated_controller import READY_RAD
 from touchdown.backend.devices.melfa.emulator import EmulatedMelfa, MelfaServer
 from touchdown.backend.devices.wsg.emulator import EmulatedWsg
-from touchdown.backend.emulation.fault_plan import Faults, add_noise, hanging_gripper
-from touchdown.backend.emulation.server import TcpServer
+from touchdown.backend.emulation import Faults, TcpServer, add_noise, hanging_gripper
 from touchdown.backend.rig.link import RigLink
 from touchdown.backend.rig.remote_devices import RigArm, RigForceTorque, RigGripper
 

@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 from tests.backend.rig.hosted import reason
-from touchdown.backend.core.events import FaultRaised, RunFinished, RunStarted
-from touchdown.backend.core.faults import FaultError
+from touchdown.backend.core import FaultError, FaultRaised, RunFinished, RunStarted
 from touchdown.backend.devices.protocols import DeviceState, GripStatus, RobotMode
 from touchdown.backend.rig.flight_recorder import RESERVED_BYTES, FlightRecorder, ReservedFile
 from touchdown.backend.rig.link import GONE

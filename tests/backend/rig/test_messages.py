@@ -22,9 +22,7 @@ from tests.backend.rig.hosted import Hosted
 from tests.backend.rig.scripted import LINES, held, scripted
 from touchdown.backend.bench.emulator_registry import emulate
 from touchdown.backend.config.hardware import HardwareSettings
-from touchdown.backend.core.clock import ManualClock
-from touchdown.backend.core.faults import InputError, RefusedError
-from touchdown.backend.core.streams import SampleStream
+from touchdown.backend.core import InputError, ManualClock, RefusedError, SampleStream
 from touchdown.backend.devices.interlock import Interlock
 from touchdown.backend.devices.melfa.driver import MelfaArm
 from touchdown.backend.emulation.serving import EmulationChoice

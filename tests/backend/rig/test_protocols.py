@@ -17,18 +17,13 @@ from tests.backend.rig.hosted import Hosted
 from tests.backend.rig.served import Backend, Served
 from tests.bench.children.logged_arm import ahead_of
 from touchdown.backend.config.hardware import HardwareSettings
-from touchdown.backend.core.faults import FaultError, InputError
-from touchdown.backend.core.streams import SampleStream, Stream
-from touchdown.backend.core.values import FINGERS, Pose
+from touchdown.backend.core import FINGERS, FaultError, InputError, Pose, SampleStream, Stream
+from touchdown.backend.devices import DeviceState, Interlock
 from touchdown.backend.devices.dynpick.emulator import EmulatedDynpick
-from touchdown.backend.devices.interlock import Interlock
 from touchdown.backend.devices.melfa.realtime_protocol import CYCLE_S
-from touchdown.backend.devices.protocols import DeviceState
-from touchdown.backend.emulation.fault_plan import add_noise, hanging_gripper
-from touchdown.backend.emulation.server import TcpServer
-from touchdown.backend.rig import process
+from touchdown.backend.emulation import TcpServer, add_noise, hanging_gripper
+from touchdown.backend.rig import BenchDevices, process
 from touchdown.backend.rig.host import DeviceWorkers
-from touchdown.backend.rig.remote_devices import BenchDevices
 
 
 @pytest.mark.promise("P4")

@@ -9,8 +9,7 @@ from tests.backend.rig.hosted import Wrist
 from tests.backend.rig.inline import InlineLink
 from tests.backend.rig.scripted import ScriptedDevice
 from touchdown.backend.core.streams import SampleStream
-from touchdown.backend.devices.interlock import Interlock
-from touchdown.backend.devices.protocols import ArmStatus, GripStatus, RobotMode, SafetyMode
+from touchdown.backend.devices import ArmStatus, GripStatus, Interlock, RobotMode, SafetyMode
 from touchdown.backend.rig.host import Devices
 from touchdown.backend.rig.remote_devices import RigForceTorque, RigGripper
 

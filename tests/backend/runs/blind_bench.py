@@ -9,15 +9,10 @@ from types import MappingProxyType
 import numpy as np
 
 from touchdown.backend.bench.assembly import SimulatedBenchChoice, simulated_session
-from touchdown.backend.config.method import ProbeSettings, StackSettings
-from touchdown.backend.config.simulation import SimulationSettings
-from touchdown.backend.core.events import Event
-from touchdown.backend.core.values import FINGERS, FloatArray
-from touchdown.backend.devices.interlock import Limits
-from touchdown.backend.devices.protocols import Arm
-from touchdown.backend.runs.bench import Bench
-from touchdown.backend.runs.plan import Plan
-from touchdown.backend.runs.requests import SceneChoice
+from touchdown.backend.config import ProbeSettings, SimulationSettings, StackSettings
+from touchdown.backend.core import FINGERS, Event, FloatArray
+from touchdown.backend.devices import Arm, Limits
+from touchdown.backend.runs import Bench, Plan, SceneChoice
 from touchdown.backend.simulation.conditions import true_offset_mm
 from touchdown.backend.simulation.gripper import HeldPiece
 

@@ -12,12 +12,10 @@ from functools import cache
 import numpy as np
 
 from tests.backend.rig.scripted import scripted
-from touchdown.backend.calibration.cameras import dots_to_numbers
-from touchdown.backend.calibration.records import CalibrationStore
+from touchdown.backend.calibration import CalibrationStore, dots_to_numbers
 from touchdown.backend.calibration.result import CalibrationEstimate, Quantity
 from touchdown.backend.config.hardware import GelsightSettings
-from touchdown.backend.core.streams import Stream
-from touchdown.backend.core.values import FINGERS, MARKERS, TactileFrame
+from touchdown.backend.core import FINGERS, MARKERS, Stream, TactileFrame
 from touchdown.backend.devices.cameras.frames import PictureFilter
 from touchdown.backend.devices.gelsight.emulator import encode
 from touchdown.backend.devices.protocols import GripStatus

@@ -10,12 +10,10 @@ import numpy as np
 from tests.backend.bench.brisk import RATE_HZ, brisk_bench, brisk_method
 from touchdown.backend.bench.assembly import simulated_session
 from touchdown.backend.config.method import StackSettings
-from touchdown.backend.core.events import Event
-from touchdown.backend.core.values import ContactPatch, Episode
+from touchdown.backend.core import ContactPatch, Episode, Event
 from touchdown.backend.geometry.outlines import face_points, true_patch
+from touchdown.backend.runs import RecordingOptions, StackRequest
 from touchdown.backend.runs.event_log import encode_event
-from touchdown.backend.runs.recorder import RecordingOptions
-from touchdown.backend.runs.requests import StackRequest
 from touchdown.backend.simulation.devices.bench import SimulatedBench
 
 

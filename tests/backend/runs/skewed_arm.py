@@ -6,9 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from touchdown.backend.core.rotations import rotation_from_vector
-from touchdown.backend.core.streams import Samples, SampleStream
-from touchdown.backend.core.values import FloatArray, Pose
+from touchdown.backend.core import FloatArray, Pose, Samples, SampleStream, rotation_from_vector
 from touchdown.backend.devices.protocols import Arm
 
 

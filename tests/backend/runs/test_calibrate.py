@@ -11,11 +11,9 @@ import pytest
 from tests.backend.bench.brisk import on
 from tests.backend.runs.blind_bench import BRISK, BlindBench
 from touchdown.backend.bench.assembly import SimulatedBenchChoice, simulated_session
-from touchdown.backend.calibration.cameras import FINGERPRINT_VALUES
-from touchdown.backend.calibration.result import CalibrationEstimate
+from touchdown.backend.calibration import FINGERPRINT_VALUES, CalibrationEstimate
 from touchdown.backend.config.simulation import SimulationSettings
-from touchdown.backend.core.events import CalibrationMeasured, Said
-from touchdown.backend.core.faults import FaultError, RefusedError
+from touchdown.backend.core import CalibrationMeasured, FaultError, RefusedError, Said
 from touchdown.backend.devices.interlock import LEAST_OVERRIDE, Limits
 from touchdown.backend.devices.melfa.faults import VOID
 from touchdown.backend.devices.protocols import Arm, CommandedMotion, Motion
@@ -23,7 +21,7 @@ from touchdown.backend.devices.streamed.arm import UNFELT
 from touchdown.backend.emulation.disturbances import Disturbance, DisturbanceScript
 from touchdown.backend.geometry.outlines import circle, rectangle, regular_polygon, square
 from touchdown.backend.rig.safety import LAPSED
-from touchdown.backend.runs import calibrate, touch_probing
+from touchdown.backend.runs import CalibrateRequest, RecordingOptions, calibrate, touch_probing
 from touchdown.backend.runs.calibrate import (
     along_edges,
     measure_board,
@@ -42,8 +40,6 @@ from touchdown.backend.runs.motions import (
     zero_wrench,
 )
 from touchdown.backend.runs.motions import move_to as motions_move_to
-from touchdown.backend.runs.recorder import RecordingOptions
-from touchdown.backend.runs.requests import CalibrateRequest
 from touchdown.backend.sensing.zeroing import take_reference
 from touchdown.backend.simulation.devices.arm import SimArm
 

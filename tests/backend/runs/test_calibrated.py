@@ -14,8 +14,7 @@ from tests.backend.bench.brisk import brisk_bench, brisk_session, on
 from tests.backend.runs.oracle_bench import OracleSession, request
 from tests.backend.runs.test_event_log import last_trial
 from tests.backend.runs.test_requests import hold, order, position
-from touchdown.backend.bench.assembly import SimulatedBenchChoice, simulated_session
-from touchdown.backend.bench.laboratory import LabChoice, lab_session
+from touchdown.backend.bench import LabChoice, SimulatedBenchChoice, lab_session, simulated_session
 from touchdown.backend.calibration.applied import calibrated_cameras, camera_conflicts
 from touchdown.backend.calibration.cameras import mirrored_dots, numbers_to_dots
 from touchdown.backend.calibration.records import CalibrationStore

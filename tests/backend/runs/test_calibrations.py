@@ -46,13 +46,11 @@ from touchdown.backend.core.values import (
     Pose,
     Recording,
 )
+from touchdown.backend.devices import GripStatus, ReleaseEvidence
 from touchdown.backend.devices.gelsight.emulator import other_gel, small_dots
-from touchdown.backend.devices.interlock import ReleaseEvidence
-from touchdown.backend.devices.protocols import GripStatus
 from touchdown.backend.emulation.disturbances import Disturbance, DisturbanceScript
 from touchdown.backend.episodes.quality import count_coverage
-from touchdown.backend.geometry.outlines import circle
-from touchdown.backend.geometry.pieces import load_pieces
+from touchdown.backend.geometry import circle, load_pieces
 from touchdown.backend.runs import touch_probing
 from touchdown.backend.runs.calibrate import measure_board
 from touchdown.backend.runs.calibrations import DriftMonitor, GelCheck, contact_height_mm

@@ -17,9 +17,8 @@ from tests.app.label.conftest import make_episode
 from tests.backend.annotations.conftest import context_for, small_episode
 from tests.backend.bench.brisk import brisk_session, on
 from touchdown.app.collect.requests import apply_decision
-from touchdown.backend.annotations.dataset import Dataset
+from touchdown.backend.annotations import Dataset, EpisodeFilter, Label
 from touchdown.backend.annotations.labels import LabelStore
-from touchdown.backend.annotations.values import EpisodeFilter, Label
 from touchdown.backend.config.method import StackSettings
 from touchdown.backend.core.events import (
     EpisodeDecided,
@@ -35,8 +34,7 @@ from touchdown.backend.core.events import (
 from touchdown.backend.core.faults import Fault, FaultError, InputError
 from touchdown.backend.emulation.disturbances import Disturbance, DisturbanceScript
 from touchdown.backend.episodes.quality import count_coverage
-from touchdown.backend.geometry.outlines import circle, overlap_area_mm2, rectangle
-from touchdown.backend.geometry.pieces import load_pieces
+from touchdown.backend.geometry import circle, load_pieces, overlap_area_mm2, rectangle
 from touchdown.backend.runs import campaign as campaigns
 from touchdown.backend.runs import collector as collecting
 from touchdown.backend.runs.bench import PressedProbe

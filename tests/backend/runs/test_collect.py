@@ -11,9 +11,7 @@ import numpy as np
 import pytest
 
 from tests.backend.bench.brisk import RATE_HZ, brisk_method, brisk_session, on
-from touchdown.backend.annotations import storage
-from touchdown.backend.annotations.dataset import Dataset
-from touchdown.backend.annotations.values import EpisodeFilter
+from touchdown.backend.annotations import Dataset, EpisodeFilter, storage
 from touchdown.backend.core.events import (
     CampaignBegan,
     DecisionAwaited,
@@ -25,9 +23,7 @@ from touchdown.backend.core.events import (
     RunFinished,
 )
 from touchdown.backend.core.faults import Fault, FaultError, InputError, RefusedError
-from touchdown.backend.runs import jig
-from touchdown.backend.runs.campaign import newest_campaign, read_campaign
-from touchdown.backend.runs.requests import CollectRequest, RunState
+from touchdown.backend.runs import CollectRequest, RunState, jig, newest_campaign, read_campaign
 from touchdown.backend.sensing.scene_camera import Homography
 
 pytestmark = pytest.mark.slow

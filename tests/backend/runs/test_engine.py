@@ -11,7 +11,7 @@ from touchdown.backend.core.event_bus import EventBus
 from touchdown.backend.core.events import Event, FaultRaised, Paused, RunFinished, RunStarted, Said
 from touchdown.backend.core.faults import Fault, InputError, RefusedError
 from touchdown.backend.devices.interlock import Interlock
-from touchdown.backend.runs.engine import Engine
+from touchdown.backend.runs import Engine, RunState
 from touchdown.backend.runs.plan import (
     CancelledError,
     PausePoint,
@@ -20,7 +20,6 @@ from touchdown.backend.runs.plan import (
     Wait,
     stopped_message,
 )
-from touchdown.backend.runs.requests import RunState
 
 
 class Rig:

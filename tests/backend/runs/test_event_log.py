@@ -48,12 +48,11 @@ from touchdown.backend.core.events import (
 )
 from touchdown.backend.core.faults import Fault, InputError, RefusedError
 from touchdown.backend.core.values import ContactPatch, Episode, Outcome
-from touchdown.backend.devices.interlock import Limits
-from touchdown.backend.devices.jog import JogOrder
+from touchdown.backend.devices import CommandedMotion, JogOrder, Limits, PressCommand
 from touchdown.backend.devices.melfa.faults import VOID
-from touchdown.backend.devices.protocols import CommandedMotion, PressCommand
 from touchdown.backend.episodes.episode_mcap import read_episode
 from touchdown.backend.rig.safety import LAPSED
+from touchdown.backend.runs import RecordingOptions, RunState, SceneChoice, excluding_fault
 from touchdown.backend.runs.event_log import (
     EVENT_LOG_NAME,
     LIMIT_LOG_NAME,
@@ -62,9 +61,6 @@ from touchdown.backend.runs.event_log import (
     log_limit_change,
     read_events,
 )
-from touchdown.backend.runs.outcome import excluding_fault
-from touchdown.backend.runs.recorder import RecordingOptions
-from touchdown.backend.runs.requests import RunState, SceneChoice
 from touchdown.backend.simulation.devices.arm import SimArm, SimPressMotion
 
 ROOT = Path(__file__).resolve().parents[3]

@@ -18,11 +18,9 @@ from tests.backend.bench.brisk import brisk_bench, brisk_method, brisk_session
 from tests.backend.runs.oracle_bench import OracleSession, request
 from touchdown.backend.annotations.dataset import Dataset
 from touchdown.backend.bench.assembly import SimulatedBenchChoice, simulated_session
-from touchdown.backend.core.events import Event, PhaseEntered, Said
-from touchdown.backend.core.faults import Fault, InputError
+from touchdown.backend.core import Event, Fault, InputError, PhaseEntered, Said
 from touchdown.backend.devices.protocols import DeviceState
-from touchdown.backend.episodes.episode_mcap import read_episode
-from touchdown.backend.episodes.mcap_container import read_first
+from touchdown.backend.episodes import read_episode, read_first
 from touchdown.backend.runs import recorder as store_module
 from touchdown.backend.runs.event_log import read_events
 from touchdown.backend.runs.motions import wait_until_durable

@@ -35,11 +35,9 @@ from touchdown.backend.devices.interlock import (
     turned_descent_mm,
 )
 from touchdown.backend.devices.jog import JOINTS, TOOL_SIGNS, TURNS, JogOrder, direction_of
-from touchdown.backend.geometry.pieces import load_pieces
-from touchdown.backend.geometry.tower import Tower, judge_tower
+from touchdown.backend.geometry import Tower, judge_tower, load_pieces
+from touchdown.backend.runs import ProbeRequest, RecordingOptions, SceneChoice, StackRequest
 from touchdown.backend.runs.outcome import outcome_from_signals
-from touchdown.backend.runs.recorder import RecordingOptions
-from touchdown.backend.runs.requests import ProbeRequest, SceneChoice, StackRequest
 from touchdown.backend.runs.stack import grasped_piece
 
 POT = load_pieces().piece("pot")

@@ -10,6 +10,7 @@ from touchdown.app.label.presenter import LabelPresenter
 from touchdown.backend.annotations import REJECT_REASONS, Operation, Verdict
 
 REVIEWING = ("review", "audit")  # queues in which Enter approves
+NO_DISPLACEMENT = "There is no displacement yet: type x,y or nudge. PgDown skips it, D rejects it."
 VERDICTS: tuple[tuple[str, str], ...] = (("S", "stable"), ("U", "unstable"), ("?", "unsure"))
 
 
@@ -29,6 +30,9 @@ class LabelDecisions:
     async def _accept(self) -> None:
         now, session = self._on.present, self._on.session
         if now is None:
+            # There is no decision on an episode that cannot be read.
+            if self._on.walk.uuid is not None:
+                self._on.go_on()
             return
         if session.opines:
             await self._answer_blind()
@@ -47,7 +51,7 @@ class LabelDecisions:
             fit = model.fit
             now.edit = now.edit.estimated(*fit.offset_mm, fit.sigma_mm, model.source)
         if not now.edit.label.is_set:
-            self._on.refuse("There is no displacement yet: type one as x,y, or nudge.")
+            self._on.refuse(NO_DISPLACEMENT)
             return
         self._on.editing.add_sigma()
         book, person = self._on.shown, session.person

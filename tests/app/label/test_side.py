@@ -1,16 +1,18 @@
 """What concerns many episodes: bulk changes, agreement, the log, scores, a second copy."""
 
 import shutil
+from dataclasses import replace
 
 import pytest
 
-from tests.app.label.conftest import CTRL, ITEMS, KEY, WITHOUT_LABEL
+from tests.app.label.conftest import CTRL, ITEMS, KEY, WITHOUT_LABEL, make_episode
 from tests.app.label.test_values import content
 from tests.backend.annotations.filling import fill
 from touchdown.app.label.session import AnnotationSession, QueueEntries, read_queue
 from touchdown.app.label.side import agreement_text
 from touchdown.backend.annotations.dataset import Dataset
-from touchdown.backend.annotations.values import Label
+from touchdown.backend.annotations.values import EpisodeContext, Label
+from touchdown.backend.core.values import EpisodeQuality
 from touchdown.widgets.lists.recordings import RowsOnDemand
 
 LABELLED = ITEMS - WITHOUT_LABEL
@@ -242,8 +244,39 @@ def test_a_damaged_file_costs_one_episode(start, folder):
     assert desk.now is None
     assert "cannot be read" in desk.page.nothing.title.text()
     assert "damaged" in desk.page.message.text()
-    desk.do(KEY.Key_PageDown)
-    assert desk.now is not None
+    uuid, walk = desk.workspace.presenter.walk.uuid, desk.workspace.presenter.walk
+    for key in (KEY.Key_PageDown, KEY.Key_Return):
+        desk.workspace.presenter.go_to(1)
+        desk.settle()
+        desk.do(key)
+        assert (desk.now is not None, walk.at) == (True, 2)
+    assert desk.book.head(uuid).state == "draft"
+
+
+def test_no_probe_keeps_the_annotator(start, folder):
+    with Dataset.open(folder, person="setup") as dataset:
+        known = dataset.episodes()[0]
+        context = EpisodeContext("series", "circle15", known.geometry, "setup", "g1", "m1")
+        lost = EpisodeQuality(False, ("The left camera has no frame.",), 1, 0.0, 0, 5.0, 0.01)
+        for seed, label in (
+            (90, Label(100, 200, 0, 300)),
+            (91, Label()),
+            (92, Label(1, 2, 0, 300)),
+        ):
+            episode = replace(make_episode(seed), quality=lost)
+            dataset.record(episode, label, source="commanded", context=context)
+    desk = start()
+    desk.workspace.session.hidden = True
+    desk.do(KEY.Key_End, KEY.Key_PageUp, KEY.Key_PageUp)
+    refused, empty, last = desk.workspace.presenter.walk.order[-3:]
+    desk.do(KEY.Key_Return)
+    assert desk.book.head(refused).state == "submitted"
+    desk.do(KEY.Key_Return)
+    assert desk.uuid == empty
+    assert "PgDown skips it, D rejects it" in desk.page.message.text()
+    desk.do(KEY.Key_PageDown, KEY.Key_Return)
+    assert desk.book.head(last).state == "submitted"
+    assert desk.book.head(empty).state == "unlabelled"
 
 
 def test_what_is_remembered_is_checked(start):

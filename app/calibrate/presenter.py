@@ -13,15 +13,7 @@ from PySide6.QtWidgets import QWidget
 from touchdown.app.calibrate.sheet import CalibrateSheet, CalibrationView, PlaceForm
 from touchdown.app.shell import arm_position_mm, carry_out, is_run_active, start_obstacle
 from touchdown.backend.bench import Session
-from touchdown.backend.calibration import (
-    CALIBRATION_KINDS,
-    CALIBRATION_NAMES,
-    CalibrationName,
-    CalibrationStatus,
-    format_residual,
-    format_value,
-    quantity_name,
-)
+from touchdown.backend.calibration import CALIBRATION_NAMES, CalibrationName, CalibrationStatus
 from touchdown.backend.core import (
     FINGERS,
     CalibrationMeasured,
@@ -37,50 +29,13 @@ from touchdown.backend.runs import (
     device_names,
     hand_over_message,
 )
-from touchdown.widgets.base import Age, Theme
+from touchdown.widgets.base import Age, Theme, true_minus
 from touchdown.widgets.shell import FaultCards
-
-STEPS: dict[CalibrationName, tuple[str, ...]] = {
-    "payload": (
-        "Empty the gripper and leave 60 mm of free height above it.",
-        "The hand rises, leans 14° in six poses and is weighed in each.",
-        "It levels again. Compare mass and centre with the data sheet, then accept.",
-    ),
-    "wrist": (
-        "Empty the gripper and leave 60 mm of free height above it.",
-        "The hand leans in six poses: gravity shows how the sensor is turned.",
-        "Beyond 2° the settings are wrong: correct ft.rotation, then repeat.",
-    ),
-    "board": (
-        "Fix the bottom. The piece waits in its jig, or is handed over.",
-        "The piece touches the bottom in five places and feels each edge twice.",
-        "It goes back. The residual shows if anything moved meanwhile.",
-    ),
-    "tool": (
-        "Fix a bottom whose place is known and give it as the origin.",
-        "The piece feels its four edges; three grips.",
-        "It goes back. The residual is the spread of the grips.",
-    ),
-    "camera": (
-        "Fix the bottom. The piece waits in its jig, or is handed over.",
-        "The piece is pressed at the rim on four sides: it leans, the dots follow.",
-        "Exchanged fingers and mirrored pictures are put right from the next start on.",
-    ),
-}
 
 # Message after accepting a result that needs another step.
 AFTER: dict[CalibrationName, str] = {
     "camera": ". The pictures stay as they are until the bench is started again: close the window "
     "and open it again."
-}
-
-# Figure of the residuals that the limit applies to.
-COUNTS: dict[CalibrationName, str] = {
-    "payload": "largest",
-    "wrist": "largest",
-    "board": "rms",
-    "tool": "rms",
-    "camera": "rms",
 }
 
 
@@ -123,16 +78,13 @@ class CalibratePresenter:
         """Show the calibration sheet."""
         if self.sheet is None:
             catalogue = self._bench.catalogue
-            self.sheet = CalibrateSheet(
-                self._window,
-                self._theme,
-                [CALIBRATION_KINDS[what].title for what in CALIBRATION_NAMES],
-                PlaceForm(catalogue.tops, catalogue.bottoms, self._usual()),
-            )
-            self.sheet.calibration_chosen.connect(self._choose)
-            self.sheet.measure_requested.connect(self._measure)
-            self.sheet.cancel_requested.connect(lambda: self._bench.engine.cancel())
-            self.sheet.accept_requested.connect(self._accept)
+            form = PlaceForm(catalogue.tops, catalogue.bottoms, self._usual())
+            self.sheet = CalibrateSheet(self._window, self._theme, form)
+            self.sheet.group.idClicked.connect(self._choose)
+            self.sheet.measure.clicked.connect(self._measure)
+            for button in (self.sheet.cancel, self.sheet.question.no):
+                button.clicked.connect(self._bench.engine.cancel)
+            self.sheet.accept_it.clicked.connect(self._accept)
         self._read_s = float("-inf")
         self.draw(at_once=True)
         self.sheet.present()
@@ -222,46 +174,19 @@ class CalibratePresenter:
             self._standings = {what: store.status(what, names) for what in CALIBRATION_NAMES}
 
     def _look(self) -> CalibrationView:
-        what, active = self._chosen, is_run_active(self._bench)
-        found = None if self._running == what else self._measured.get(what)
-        mine = self._running == what
-        note = self._said.get(what, "")
-        if found is not None:
-            note = " ".join(text for text in (found.obstacle, found.note) if text)
-        residual = "" if found is None else format_residual(found.residual, found.limit, found.unit)
+        what, active, mine = self._chosen, is_run_active(self._bench), self._running == self._chosen
         why = NO_STORE if self._bench.calibrations is None else start_obstacle(self._bench)
         return CalibrationView(
             rows=tuple(self._row(each) for each in CALIBRATION_NAMES),
-            chosen=CALIBRATION_NAMES.index(what),
-            title=CALIBRATION_KINDS[what].title,
-            steps=STEPS[what],
-            step=1 if mine else 2 if found is not None else 0,
-            takes_piece=self.sheet is not None and self.sheet.form.request(what).takes_piece,
-            shows_fingers=what == "camera",
+            what=what,
+            found=None if mine else self._measured.get(what),
+            progress=self._progress if mine else None,
             live=self._live(),
-            done=self._progress.done if mine else 0,
-            total=self._progress.total if mine else 1,
-            progress=self._progress.text if mine else "",
-            values=() if found is None else tuple(
-                (quantity_name(name), format_value(name, value, sigma, unit))
-                for name, value, sigma, unit in zip(
-                    found.names, found.values, found.sigmas, found.units, strict=True
-                )
-            ),
-            residuals=() if found is None else found.residuals,
-            limit=1.0 if found is None else found.limit,
-            unit="" if found is None else found.unit,
-            kind=COUNTS[what],
-            figure="" if found is None else f"Residual {residual}.",
             empty=self._empty(what),
-            within=None if found is None else found.residual <= found.limit,
-            note=note,
-            note_bad=found is not None and bool(found.obstacle),
-            running=mine,
+            said=self._said.get(what, ""),
             busy=active,
-            can_accept=found is not None and found.acceptable and not active,
             why="A run is going on" if active else why,
-        )  # fmt: skip
+        )
 
     def _empty(self, what: CalibrationName) -> str:
         """Return the text shown in place of residuals: the stored result and its date."""
@@ -297,7 +222,7 @@ class CalibratePresenter:
         at = arm_position_mm(self._bench, 1.0)
         if at is not None:
             text += "     hand at " + "  ".join(f"{v:.1f}" for v in at) + " mm"
-        return text.replace("-", "\N{MINUS SIGN}")
+        return true_minus(text)
 
     def _draw_fingers(self, sheet: CalibrateSheet) -> None:
         now_s = self._bench.clock_s()

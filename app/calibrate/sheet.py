@@ -4,91 +4,89 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 
-from PySide6.QtCore import QRectF, QSize, Qt, Signal
+from PySide6.QtCore import QRectF, QSize, Qt
 from PySide6.QtGui import QPainter, QPaintEvent, QPen
 from PySide6.QtWidgets import (
     QButtonGroup,
     QCheckBox,
     QComboBox,
-    QDoubleSpinBox,
-    QFrame,
     QGridLayout,
     QHBoxLayout,
     QProgressBar,
     QPushButton,
-    QScrollArea,
-    QSizePolicy,
     QVBoxLayout,
     QWidget,
 )
 
 from touchdown.app.shell import BenchSheet, QuestionRow
-from touchdown.backend.calibration import CalibrationName
-from touchdown.backend.core import FINGERS, Finger
+from touchdown.backend.calibration import (
+    CALIBRATION_KINDS,
+    CALIBRATION_NAMES,
+    CalibrationName,
+    format_residual,
+    format_value,
+    quantity_name,
+)
+from touchdown.backend.core import FINGERS, CalibrationMeasured, Finger, Progress
 from touchdown.backend.runs import CalibrateRequest
-from touchdown.widgets.base import CaptionedView, Theme, hbox, label, set_property, ui_font, vbox
-from touchdown.widgets.forms import inset_spin_boxes
+from touchdown.widgets.base import (
+    CaptionedView,
+    DrawnView,
+    Theme,
+    add_items,
+    hbox,
+    label,
+    scroll_area,
+    set_property,
+    ui_font,
+    vbox,
+)
+from touchdown.widgets.forms import decimal_box, field_label, inset_spin_boxes
 from touchdown.widgets.plots import draw_message
 from touchdown.widgets.views import MIN_SIZE, TactileView
 
 MOST_BARS = 126
 
 
-class ResidualBars(QWidget):
+class ResidualBars(DrawnView):
     """Bar chart of residuals; the dashed line is the limit of the checked figure."""
 
     def __init__(self, theme: Theme) -> None:
-        super().__init__()
-        self._theme = theme
+        super().__init__(theme, "Residuals", (200, 80))
         self._sizes: tuple[float, ...] = ()
         self._limit, self._unit, self._counts = 1.0, "", ""
         self.empty = ""
-        self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Expanding)
-        self.setAccessibleName("Residuals")
 
     def sizeHint(self) -> QSize:
         """Return the preferred size."""
         em = round(10 * self._theme.scale)
         return QSize(36 * em, 11 * em)
 
-    def minimumSizeHint(self) -> QSize:
-        """Return the smallest size in which bars can be distinguished."""
-        return QSize(200, 80)
+    def show_residuals(self, found: CalibrationMeasured | None, counts: str, empty: str) -> None:
+        """Show the magnitudes of the residuals of ``found``, or ``empty`` without one.
 
-    def show_residuals(
-        self, residuals: Sequence[float], limit: float, unit: str, counts: str
-    ) -> None:
-        """Show the magnitudes of ``residuals``; the limit applies to ``counts``."""
-        self._sizes = tuple(abs(value) for value in residuals[:MOST_BARS])
-        self._limit, self._unit, self._counts = limit, unit, counts
-        largest = max(self._sizes, default=0.0)
-        self.setAccessibleDescription(f"largest {largest:.3g} {unit}, limit {limit:g} {unit}")
+        The limit applies to ``counts``.
+        """
+        self._sizes, self._counts, self.empty = (), counts, empty
+        if found is not None:
+            self._sizes = tuple(abs(value) for value in found.residuals[:MOST_BARS])
+            self._limit, self._unit = found.limit, found.unit
+            largest = f"largest {max(self._sizes, default=0.0):.3g} {found.unit}"
+            empty = f"{largest}, limit {found.limit:g} {found.unit}"
+        self.setAccessibleDescription(empty)
         self.update()
-
-    def show_empty(self, text: str) -> None:
-        """Show ``text`` while there is nothing to draw."""
-        if text != self.empty:
-            self.empty = text
-            if not self._sizes:
-                self.setAccessibleDescription(text)
-            self.update()
 
     def paintEvent(self, event: QPaintEvent) -> None:
         """Draw the bars."""
-        painter = QPainter(self)
-        try:
+        with QPainter(self) as painter:
             painter.fillRect(self.rect(), self._theme.tokens.colour("bg"))
             painter.setFont(ui_font(self._theme.scale, 0.85))
-            if not self._sizes:
-                draw_message(
-                    painter, self.rect(), self._theme, "Not measured since the start", self.empty
-                )
-                return
-            self._draw(painter)
-        finally:
-            painter.end()
+            if self._sizes:
+                self._draw(painter)
+            else:
+                said = "Not measured since the start", self.empty
+                draw_message(painter, self.rect(), self._theme, *said)
 
     def _draw(self, painter: QPainter) -> None:
         tokens, metrics = self._theme.tokens, painter.fontMetrics()
@@ -128,13 +126,10 @@ class PlaceForm(QWidget):
         ):  # fmt: skip
             box.addItems(list(names))
             box.setCurrentText(name)
-        self.x_mm, self.y_mm, self.pitch_mm = (QDoubleSpinBox() for _ in range(3))
-        for spin in (self.x_mm, self.y_mm):
-            spin.setRange(-REACH_MM, REACH_MM)
-        self.pitch_mm.setRange(0.5, 5.0)
+        self.x_mm, self.y_mm = decimal_box(-REACH_MM, REACH_MM), decimal_box(-REACH_MM, REACH_MM)
+        self.pitch_mm = decimal_box(0.5, 5.0)
         self.pitch_mm.setValue(usual.pitch_mm)
         for spin in (self.x_mm, self.y_mm, self.pitch_mm):
-            spin.setDecimals(2)
             spin.setSuffix(" mm")
             inset_spin_boxes(spin)
         self.hand_over = QCheckBox("Hand the piece over (no jig)")
@@ -147,12 +142,9 @@ class PlaceForm(QWidget):
             (second, "Origin x", self.x_mm),
             (second, "y", self.y_mm),
         ):
-            title = label(text, "muted")
-            title.setBuddy(field)
-            self._titles[field] = title
+            self._titles[field] = field_label(text, field)
             field.setAccessibleName(text)
-            row.addWidget(title)
-            row.addWidget(field)
+            add_items(row, self._titles[field], field)
         second.addWidget(self.hand_over)
         for row in (first, second):
             row.addStretch(1)
@@ -179,61 +171,75 @@ MOST_VALUES = 10
 VALUE_COLUMNS = 2
 
 
+STEPS: dict[CalibrationName, tuple[str, ...]] = {
+    "payload": (
+        "Empty the gripper and leave 60 mm of free height above it.",
+        "The hand rises, leans 14° in six poses and is weighed in each.",
+        "It levels again. Compare mass and centre with the data sheet, then accept.",
+    ),
+    "wrist": (
+        "Empty the gripper and leave 60 mm of free height above it.",
+        "The hand leans in six poses: gravity shows how the sensor is turned.",
+        "Beyond 2° the settings are wrong: correct ft.rotation, then repeat.",
+    ),
+    "board": (
+        "Fix the bottom. The piece waits in its jig, or is handed over.",
+        "The piece touches the bottom in five places and feels each edge twice.",
+        "It goes back. The residual shows if anything moved meanwhile.",
+    ),
+    "tool": (
+        "Fix a bottom whose place is known and give it as the origin.",
+        "The piece feels its four edges; three grips.",
+        "It goes back. The residual is the spread of the grips.",
+    ),
+    "camera": (
+        "Fix the bottom. The piece waits in its jig, or is handed over.",
+        "The piece is pressed at the rim on four sides: it leans, the dots follow.",
+        "Exchanged fingers and mirrored pictures are put right from the next start on.",
+    ),
+}
+
+# Figure of the residuals that the limit applies to.
+COUNTS: dict[CalibrationName, str] = {
+    "payload": "largest",
+    "wrist": "largest",
+    "board": "rms",
+    "tool": "rms",
+    "camera": "rms",
+}
+
+
 @dataclass(frozen=True, slots=True)
 class CalibrationView:
     """State of the calibration sheet.
 
-    ``rows`` holds (condition, tone) per calibration and ``chosen`` the index of the selected one.
-    ``step`` is the index of the current step, -1 for none. ``figure`` is the residual as text and
-    ``within`` tells if it is inside its limit, None without a limit. ``kind`` names the checked
-    figure of the residuals. ``empty`` is shown while there are no residuals. ``why`` is the reason
-    why no measurement can start, "" if one can.
+    ``rows`` holds (condition, tone) per calibration, ``what`` is the selected one. ``found`` is its
+    result that waits to be accepted; ``empty`` is shown without one. ``progress`` is set while it
+    is measured. ``said`` is the last message. ``why`` is the reason why no measurement can start,
+    "" if one can.
     """
 
     rows: tuple[tuple[str, str], ...]
-    chosen: int
-    title: str
-    steps: tuple[str, ...]
-    step: int
-    takes_piece: bool
-    shows_fingers: bool
+    what: CalibrationName
+    found: CalibrationMeasured | None
+    progress: Progress | None
     live: str
-    done: int
-    total: int
-    progress: str
-    values: tuple[tuple[str, str], ...]
-    residuals: tuple[float, ...]
-    limit: float
-    unit: str
-    kind: str
-    figure: str
     empty: str
-    within: bool | None
-    note: str
-    note_bad: bool
-    running: bool
+    said: str
     busy: bool
-    can_accept: bool
     why: str
 
 
 class CalibrateSheet(BenchSheet):
     """List on the left; steps, live values, residual and buttons on the right."""
 
-    calibration_chosen = Signal(int)
-    measure_requested = Signal()
-    cancel_requested = Signal()
-    accept_requested = Signal()
-
-    def __init__(
-        self, parent: QWidget, theme: Theme, titles: Sequence[str], form: PlaceForm
-    ) -> None:
+    def __init__(self, parent: QWidget, theme: Theme, form: PlaceForm) -> None:
         super().__init__(parent, "Calibrate")
         self.form = form
         self._shown: CalibrationView | None = None
-        self.choices = [QPushButton(title) for title in titles]
-        self.conditions = [label("", "small") for _ in titles]
-        self._group = QButtonGroup(self)
+        self.choices = [QPushButton(CALIBRATION_KINDS[what].title) for what in CALIBRATION_NAMES]
+        self.conditions = [label("", "small") for _ in self.choices]
+        self.group = QButtonGroup(self)
         self.title = label("", "head")
         self.steps = [label("", wrap=True) for _ in range(3)]
         self.live = label("", "muted")
@@ -247,8 +253,9 @@ class CalibrateSheet(BenchSheet):
         self.measure, self.cancel = QPushButton("Measure"), QPushButton("Cancel")
         self.accept_it = QPushButton("Accept")
         self._pictures = QWidget()
+        self.cancel.setToolTip("End in an orderly way: lift, keep the piece")
+        self.accept_it.setToolTip("Keep the result as a file that expires")
         self._arrange()
-        self._wire()
 
     def show_look(self, look: CalibrationView) -> None:
         """Update the sheet."""
@@ -258,60 +265,61 @@ class CalibrateSheet(BenchSheet):
         for index, (words, tone) in enumerate(look.rows):
             self.conditions[index].setText(words)
             set_property(self.conditions[index], "tone", tone)
-        self.choices[look.chosen].setChecked(True)
-        self.title.setText(look.title)
-        for index, step in enumerate(self.steps):
-            step.setText(f"{index + 1}  {look.steps[index]}")
-            set_property(step, "role", "title" if index == look.step else "")
-        self.form.setVisible(look.takes_piece)
-        self.form.show_pitch(look.shows_fingers)
-        self._pictures.setVisible(look.shows_fingers)
+        self.choices[CALIBRATION_NAMES.index(look.what)].setChecked(True)
+        self.title.setText(CALIBRATION_KINDS[look.what].title)
+        now = 1 if look.progress is not None else 0 if look.found is None else 2
+        for index, (step, text) in enumerate(zip(self.steps, STEPS[look.what], strict=True)):
+            step.setText(f"{index + 1}  {text}")
+            set_property(step, "role", "title" if index == now else "")
+        self.form.setVisible(self.form.request(look.what).takes_piece)
+        self.form.show_pitch(look.what == "camera")
+        self._pictures.setVisible(look.what == "camera")
         self.live.setText(look.live)
-        self.progress.setVisible(look.running)
-        self.progress.setMaximum(max(look.total, 1))
-        self.progress.setValue(look.done)
-        self.progress.setFormat(look.progress)
-        self._show_values(look)
-        if before is None or before.residuals != look.residuals:
-            self.bars.show_residuals(look.residuals, look.limit, look.unit, look.kind)
-        self.bars.show_empty(look.empty)
+        self.progress.setVisible(look.progress is not None)
+        progress = look.progress or Progress(0.0, 0, 1, "")
+        self.progress.setMaximum(max(progress.total, 1))
+        self.progress.setValue(progress.done)
+        self.progress.setFormat(progress.text)
+        self._show_found(look.found, look.said)
+        if before is None or (before.found, before.empty) != (look.found, look.empty):
+            self.bars.show_residuals(look.found, COUNTS[look.what], look.empty)
         self._show_buttons(look)
 
     # -- inside -----------------------------------------------------------------------------------
 
-    def _show_values(self, look: CalibrationView) -> None:
-        for index in range(MOST_VALUES):
-            name, value = look.values[index] if index < len(look.values) else ("", "")
-            for widget, text in ((self.names[index], name), (self.values[index], value)):
-                widget.setText(text)
-                widget.setVisible(bool(name))
-        self.figure.setText(look.figure)
-        tone = "" if look.within is None else "good" if look.within else "bad"
+    def _show_found(self, found: CalibrationMeasured | None, said: str) -> None:
+        values, figure, tone = [], "", ""
+        if found is not None:
+            residual = format_residual(found.residual, found.limit, found.unit)
+            figure = f"Residual {residual}."
+            tone = "good" if found.residual <= found.limit else "bad"
+            said = " ".join(text for text in (found.obstacle, found.note) if text)
+            values = list(zip(found.names, found.values, found.sigmas, found.units, strict=True))
+        for index, (name, value) in enumerate(zip(self.names, self.values, strict=True)):
+            known = index < len(values)
+            name.setText(quantity_name(values[index][0]) if known else "")
+            value.setText(format_value(*values[index]) if known else "")
+            for widget in (name, value):
+                widget.setVisible(known)
+        self.figure.setText(figure)
         set_property(self.figure, "tone", tone)
-        self.note.setText(look.note)
-        set_property(self.note, "tone", "bad" if look.note_bad else "")
+        self.note.setText(said)
+        set_property(self.note, "tone", "bad" if found is not None and found.obstacle else "")
 
     def _show_buttons(self, look: CalibrationView) -> None:
-        self.measure.setText("Measure" if look.within is None else "Repeat")
+        self.measure.setText("Measure" if look.found is None else "Repeat")
         self.measure.setEnabled(not look.busy and not look.why)
         self.measure.setToolTip(look.why or "The arm moves. STOP works as ever.")
         self.cancel.setEnabled(look.busy)
-        self.accept_it.setEnabled(look.can_accept)
-        for button, leads in (
-            (self.accept_it, look.can_accept),
-            (self.measure, not look.can_accept),
-        ):
-            set_property(button, "role", "primary" if leads else "")
-        self.form.setEnabled(not look.busy)
-        for choice in self.choices:
-            choice.setEnabled(not look.busy)
+        can_accept = look.found is not None and look.found.acceptable and not look.busy
+        self.accept_it.setEnabled(can_accept)
+        set_property(self.accept_it, "role", "primary" if can_accept else "")
+        set_property(self.measure, "role", "" if can_accept else "primary")
+        for widget in (self.form, *self.choices):
+            widget.setEnabled(not look.busy)
 
     def _arrange(self) -> None:
-        scroll = QScrollArea()
-        scroll.setFrameShape(QFrame.Shape.NoFrame)
-        scroll.setWidgetResizable(True)
-        scroll.setWidget(self._right())
-        body = hbox(self._left(), (scroll, 1), spacing=20)
+        body = hbox(self._left(), (scroll_area(self._right()), 1), spacing=20)
         self.arrange((body, 1), foot=(self.measure, self.cancel, self.accept_it), spacing=10)
         self.resize_to_em(54, 38)
 
@@ -322,7 +330,7 @@ class CalibrateSheet(BenchSheet):
         for index, (choice, condition) in enumerate(rows):
             choice.setCheckable(True)
             choice.setAutoDefault(False)
-            self._group.addButton(choice, index)
+            self.group.addButton(choice, index)
             left.addWidget(choice)
             left.addWidget(condition)
             left.addSpacing(6)
@@ -354,13 +362,3 @@ class CalibrateSheet(BenchSheet):
         for side in range(VALUE_COLUMNS):
             grid.setColumnStretch(2 * side + 1, 1)
         return grid
-
-    def _wire(self) -> None:
-        self.question.no.clicked.connect(self.cancel_requested)
-        self.cancel.setToolTip("End in an orderly way: lift, keep the piece")
-        self.accept_it.setToolTip("Keep the result as a file that expires")
-        for index, choice in enumerate(self.choices):
-            choice.clicked.connect(partial(self.calibration_chosen.emit, index))
-        self.measure.clicked.connect(self.measure_requested)
-        self.cancel.clicked.connect(self.cancel_requested)
-        self.accept_it.clicked.connect(self.accept_requested)

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from touchdown.app.shell import duration_text
 from touchdown.backend.core import OriginChecked
+from touchdown.widgets.base import signed
 
 WINDOW_S = 120.0  # time window of the recording rate
 LOW_BYTES = 2_000_000_000
@@ -99,7 +100,7 @@ def residual_text(note: OriginCheckNote | None) -> str:
     """Return residual, uncertainty, judgement and date as text."""
     if note is None:
         return "Origin not checked yet."
-    x, y = (f"{v:+.2f}".replace("-", "\N{MINUS SIGN}") for v in note.residual_mm)
+    x, y = (signed(v) for v in note.residual_mm)
     spread = f"\N{PLUS-MINUS SIGN} {note.sigma_mm:.2f} mm"
     said = "agrees with the origin" if note.agrees else "does not agree with the origin"
     if note.used:

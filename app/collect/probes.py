@@ -18,6 +18,7 @@ from touchdown.backend.runs import (
     last_signal_excerpt,
     read_probe_summary,
 )
+from touchdown.widgets.base import signed
 from touchdown.widgets.lists import EpisodeTableRow
 from touchdown.widgets.plots import BinCounts, DistributionScene, reach_of
 
@@ -207,5 +208,5 @@ def displacement_text(at_mm: tuple[float, float], digits: int = 1, unit: str = "
     """Return a displacement such as "+1.5, +0.3", or "none"."""
     if not np.isfinite(at_mm).all():
         return "none"
-    x, y = (f"{v:+.{digits}f}".replace("-", "\N{MINUS SIGN}") for v in at_mm)
+    x, y = (signed(v, digits) for v in at_mm)
     return f"{x}, {y}{unit}"

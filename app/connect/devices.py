@@ -6,15 +6,16 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from PySide6.QtCore import Qt, Signal
+from PySide6.QtCore import Qt
 from PySide6.QtGui import QShowEvent
-from PySide6.QtWidgets import QComboBox, QGridLayout, QLineEdit, QPushButton, QScrollArea, QWidget
+from PySide6.QtWidgets import QComboBox, QGridLayout, QLineEdit, QPushButton, QWidget
 
 from touchdown.app.shell import BenchSheet
 from touchdown.backend.bench import Session
 from touchdown.backend.config import LabSettings, load_lab, save_lab
 from touchdown.backend.core import InputError
-from touchdown.widgets.base import label, rule, set_property
+from touchdown.widgets.base import label, rule, scroll_area, set_property
+from touchdown.widgets.forms import field_label
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,10 +36,6 @@ class DeviceField:
 class DevicesSheet(BenchSheet):
     """Form of the device settings. The presenter interprets the texts."""
 
-    look_requested = Signal()
-    swap_requested = Signal()
-    save_requested = Signal()
-
     def __init__(self, parent: QWidget, fields: Sequence[DeviceField]) -> None:
         super().__init__(parent, "Devices")
         self.source, self.said = label("", wrap=True), label("", wrap=True)
@@ -50,9 +47,6 @@ class DevicesSheet(BenchSheet):
         self.look.setToolTip("Look for serial ports and cameras that are plugged in")
         self.swap.setToolTip("Each camera to the other finger")
         self.save.setToolTip("Write the lab file; nothing is connected or moved")
-        self.look.clicked.connect(self.look_requested)
-        self.swap.clicked.connect(self.swap_requested)
-        self.save.clicked.connect(self.save_requested)
         self._arrange(fields)
 
     def values(self) -> dict[str, str]:
@@ -103,28 +97,20 @@ class DevicesSheet(BenchSheet):
             else:
                 editor.setPlaceholderText(one.empty)
             editor.setAccessibleName(f"{one.device}: {one.title}")
-            title = label(one.title, "muted")
-            title.setBuddy(editor)
             if one.device != device:
                 grid.addWidget(label(one.device, "title"), at, 0)
             device = one.device
-            grid.addWidget(title, at, 1)
+            grid.addWidget(field_label(one.title, editor), at, 1)
             grid.addWidget(editor, at, 2)
-        self.arrange(
-            label("Devices of this bench", "head"), self.source, rule(),
-            (self._scrolled(grid), 1), self.said, foot=(self.save, self.look, self.swap), spacing=8,
-        )  # fmt: skip
-        self.resize_to_em(48, 44)
-
-    def _scrolled(self, grid: QGridLayout) -> QScrollArea:
-        scroll = QScrollArea()
         grid.setContentsMargins(0, 0, 0, 0)
         self._form.setLayout(grid)
-        scroll.setWidget(self._form)
-        scroll.setWidgetResizable(True)
-        scroll.setFrameShape(QScrollArea.Shape.NoFrame)
+        scroll = scroll_area(self._form)
         scroll.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
-        return scroll
+        self.arrange(
+            label("Devices of this bench", "head"), self.source, rule(),
+            (scroll, 1), self.said, foot=(self.save, self.look, self.swap), spacing=8,
+        )  # fmt: skip
+        self.resize_to_em(48, 44)
 
 
 def _text(editor: QComboBox | QLineEdit) -> str:
@@ -163,9 +149,9 @@ class DevicesPresenter:
         """Show the present content of the file."""
         if self.sheet is None:
             self.sheet = DevicesSheet(self._window, FIELDS)
-            self.sheet.look_requested.connect(self._look)
-            self.sheet.swap_requested.connect(self._swap)
-            self.sheet.save_requested.connect(self._save)
+            self.sheet.look.clicked.connect(self._look)
+            self.sheet.swap.clicked.connect(self._swap)
+            self.sheet.save.clicked.connect(self._save)
             self.sheet.source.setText(f"In {self._path}. What else it says stays as it is.")
         try:
             self._settings = load_lab(self._path).settings

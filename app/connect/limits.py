@@ -17,7 +17,7 @@ from touchdown.backend.config import LimitSettings
 from touchdown.backend.devices import Limits
 from touchdown.backend.runs import changed_limits
 from touchdown.widgets.base import label, rule
-from touchdown.widgets.forms import inset_spin_boxes
+from touchdown.widgets.forms import decimal_box, field_label, inset_spin_boxes
 from touchdown.widgets.shell import FaultCards
 
 WIDEST = 2000.0
@@ -84,18 +84,15 @@ class LimitsSheet(BenchSheet):
     def _build(self, rows: Sequence[LimitRow]) -> None:
         high = -(-len(rows) // COLUMNS)
         for index, row in enumerate(rows):
-            box = self.boxes[row.name] = QDoubleSpinBox()
-            box.setRange(-WIDEST, WIDEST)
-            box.setDecimals(3 if row.unit.endswith(FINE) else 1)
+            decimals = 3 if row.unit.endswith(FINE) else 1
+            box = self.boxes[row.name] = decimal_box(-WIDEST, WIDEST, decimals)
             box.setSuffix(row.unit)
             box.setAccessibleName(row.title)
             box.setKeyboardTracking(False)
             inset_spin_boxes(box)
             box.setMinimumWidth(8 * self.fontMetrics().height())
-            title = label(row.title, "muted")
-            title.setBuddy(box)
             at, side = index % high, 2 * (index // high)
-            self._grid.addWidget(title, at, side)
+            self._grid.addWidget(field_label(row.title, box), at, side)
             self._grid.addWidget(box, at, side + 1)
 
     def _unlock(self, on: bool) -> None:

@@ -40,13 +40,13 @@ class ConnectPresenter:
         self._bench, self._connection, self._cards, self._now_s = bench, connection, cards, now_s
         self.devices = DevicesPresenter(bench, window)
         self.sheet = sheet = ConnectSheet(window, CONNECTION_STEPS)
-        sheet.connect_requested.connect(self._connect)
-        sheet.cancel_requested.connect(connection.cancel)
-        sheet.disconnect_requested.connect(lambda: self._ordered(lambda: self._leave(())))
+        sheet.connect_all.clicked.connect(self._connect)
+        sheet.cancel.clicked.connect(connection.cancel)
+        sheet.disconnect_all.clicked.connect(lambda: self._ordered(lambda: self._leave(())))
         sheet.row_pressed.connect(self._row)
         sheet.extra_pressed.connect(self._extra)
-        sheet.limits_requested.connect(limits.open)
-        sheet.devices_requested.connect(self.devices.open)
+        sheet.limits.clicked.connect(limits.open)
+        sheet.devices.clicked.connect(self.devices.open)
         self._drawn_s = float("-inf")
 
     def open(self) -> None:

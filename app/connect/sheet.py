@@ -66,13 +66,8 @@ class _DeviceRow:
 class ConnectSheet(BenchSheet):
     """Connection panel."""
 
-    connect_requested = Signal()
-    cancel_requested = Signal()
-    disconnect_requested = Signal()
     row_pressed = Signal(int)
     extra_pressed = Signal(int)
-    limits_requested = Signal()
-    devices_requested = Signal()
 
     def __init__(self, parent: QWidget, steps: Sequence[str]) -> None:
         super().__init__(parent, "Connect")
@@ -88,12 +83,15 @@ class ConnectSheet(BenchSheet):
         self.connect_all.setProperty("role", "primary")
         self.cancel, self.disconnect_all = QPushButton("Cancel"), QPushButton("Disconnect all")
         self.devices, self.limits = QPushButton("Devices"), QPushButton("Limits")
+        self.connect_all.setToolTip("One after the other, the arm last; nothing moves")
+        self.cancel.setToolTip("End connecting; what is connected stays so")
+        self.disconnect_all.setToolTip("The arm is switched off first; the gripper keeps its grip")
+        self.devices.setToolTip("Choose makes, ports and cameras, and save the lab file")
         foot = (self.connect_all, self.cancel, self.disconnect_all, self.devices, self.limits)
         self.arrange(
             self.head, self.text, rule(), self._grid, self.question, 1, foot=foot, spacing=10
         )
         self.give_width(64)
-        self._wire()
 
     def show_look(self, look: ConnectView) -> None:
         """Update the panel."""
@@ -115,17 +113,6 @@ class ConnectSheet(BenchSheet):
         return row.state.text(), row.text.text(), row.button, row.extra
 
     # -- inside -----------------------------------------------------------------------------------
-
-    def _wire(self) -> None:
-        self.connect_all.setToolTip("One after the other, the arm last; nothing moves")
-        self.cancel.setToolTip("End connecting; what is connected stays so")
-        self.disconnect_all.setToolTip("The arm is switched off first; the gripper keeps its grip")
-        self.devices.setToolTip("Choose makes, ports and cameras, and save the lab file")
-        self.connect_all.clicked.connect(self.connect_requested)
-        self.cancel.clicked.connect(self.cancel_requested)
-        self.disconnect_all.clicked.connect(self.disconnect_requested)
-        self.limits.clicked.connect(self.limits_requested)
-        self.devices.clicked.connect(self.devices_requested)
 
     def _build(self, looks: Sequence[DeviceRowView]) -> None:
         for column, step in enumerate(self._steps):

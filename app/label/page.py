@@ -23,6 +23,7 @@ from touchdown.widgets.base import (
     label,
     scroll_into_view,
     set_property,
+    signed,
     vbox,
 )
 from touchdown.widgets.forms import ChoiceBar
@@ -252,7 +253,7 @@ class LabelPage(QWidget):
         self.film.show_cursor(t_s)
         for view in (self.forces, self.moments, self.phase):
             view.show_cursor(t_s)
-        self.film_panel.detail.setText(f"{t_s:+.2f} s".replace("-", "\N{MINUS SIGN}"))
+        self.film_panel.detail.setText(f"{signed(t_s)} s")
 
     def show_queue(self, name: str, title: str = "") -> None:
         """Show the chosen queue; ``title`` names a queue that is not in the list."""

@@ -11,11 +11,9 @@ from PySide6.QtGui import QKeyEvent
 from PySide6.QtWidgets import (
     QButtonGroup,
     QComboBox,
-    QFrame,
     QLineEdit,
     QListWidget,
     QPushButton,
-    QScrollArea,
     QStackedWidget,
     QWidget,
 )
@@ -29,7 +27,15 @@ from touchdown.backend.annotations import (
     compare_with_control_items,
     suggestion_bias,
 )
-from touchdown.widgets.base import Panel, WrappedItemDelegate, hbox, label, vbox
+from touchdown.widgets.base import (
+    Panel,
+    WrappedItemDelegate,
+    hbox,
+    label,
+    scroll_area,
+    signed,
+    vbox,
+)
 from touchdown.widgets.lists import HistoryList
 
 LEAST = 2  # one common episode gives no agreement figures
@@ -63,9 +69,9 @@ def pair_agreement_text(first: str, second: str, c: AgreementReport) -> str:
     lines = [f"{first} minus {second}, {count_noun(c.episodes, 'episode')}"]
     for axis, bias, icc in (("x", c.bias_x_mm, c.icc_x), ("y", c.bias_y_mm, c.icc_y)):
         if not math.isnan(bias.mean):
-            limits = f", 95 % limits {_signed(bias.lower)} to {_signed(bias.upper)}"
+            limits = f", 95 % limits {signed(bias.lower)} to {signed(bias.upper)}"
             known = "" if math.isnan(bias.lower) else limits
-            lines.append(f"{axis}: bias {_signed(bias.mean)} mm{known}{_figure(', ICC', icc)}")
+            lines.append(f"{axis}: bias {signed(bias.mean)} mm{known}{_figure(', ICC', icc)}")
     rest = [
         _figure("RMS", c.rms_mm, " mm"),
         _figure("patch IoU", c.patch_iou),
@@ -74,7 +80,7 @@ def pair_agreement_text(first: str, second: str, c: AgreementReport) -> str:
     ]
     lines.append(", ".join(part for part in rest if part))
     if not any(map(math.isnan, c.drift_mm)):
-        lines.append(f"drift x {_signed(c.drift_mm[0])}, y {_signed(c.drift_mm[1])} mm")
+        lines.append(f"drift x {signed(c.drift_mm[0])}, y {signed(c.drift_mm[1])} mm")
     times = [f"{seconds:.1f} s" for seconds in c.seconds if not math.isnan(seconds)]
     if times and not math.isnan(c.seconds[0]):
         lines.append(f"time {' and '.join(times)} an episode")
@@ -85,18 +91,14 @@ def suggestion_bias_text(s: SuggestionBias) -> str:
     """Return the difference between blind labels and those made with the model visible."""
     lines = [f"Blind minus shown, {s.episodes} episodes"]
     for axis, bias in (("x", s.x_mm), ("y", s.y_mm)):
-        limits = f", 95 % limits {_signed(bias.lower)} to {_signed(bias.upper)}"
+        limits = f", 95 % limits {signed(bias.lower)} to {signed(bias.upper)}"
         known = "" if math.isnan(bias.lower) else limits
-        lines.append(f"{axis}: mean difference {_signed(bias.mean)} mm{known}")
+        lines.append(f"{axis}: mean difference {signed(bias.mean)} mm{known}")
     return "\n".join(lines)
 
 
 def _figure(name: str, value: float, unit: str = "") -> str:
     return "" if math.isnan(value) else f"{name} {value:.2f}{unit}"
-
-
-def _signed(value: float) -> str:
-    return f"{value:+.2f}".replace("-", "\N{MINUS SIGN}")
 
 
 class KeyboardLineEdit(QLineEdit):
@@ -194,10 +196,7 @@ def _top(widget: QWidget) -> QWidget:
     """Return a scroll area with a text at its top."""
     holder = QWidget()
     vbox(widget, 1, parent=holder, margins=(0, 0, 0, 0))
-    scroll = QScrollArea()
-    scroll.setWidget(holder)
-    scroll.setWidgetResizable(True)
-    scroll.setFrameShape(QFrame.Shape.NoFrame)
+    scroll = scroll_area(holder)
     scroll.setFocusPolicy(Qt.FocusPolicy.NoFocus)
     return scroll
 

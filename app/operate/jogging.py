@@ -47,6 +47,7 @@ from touchdown.backend.devices import (
     turns,
 )
 from touchdown.backend.runs import ManualControl, SceneChoice, SetRequest
+from touchdown.widgets.base import true_minus
 from touchdown.widgets.forms import JOINTS, JogPad, JogUnit, PoseReadout
 from touchdown.widgets.shell import CardQuestion, FaultCards
 
@@ -227,12 +228,12 @@ class ManualControlPresenter:
         jog = self._page.jog
         if self._frame() == "JOINT":
             angles = (f"{math.degrees(angle) + 0.0:.0f}" for angle in arm.joints_rad(float("inf")))
-            return _true_minus("  ".join(angles) + "\N{DEGREE SIGN}")
+            return true_minus("  ".join(angles) + "\N{DEGREE SIGN}")
         if jog.turning:
             turned = (math.degrees(v) for v in (pose.rx_rad, pose.ry_rad, pose.rz_rad))
             x, y, z = (f"{v + 0.0:.1f}" for v in turned)
-            return _true_minus(f"RX {x}   RY {y}   RZ {z}\N{DEGREE SIGN}")
-        return _true_minus(f"X {pose.x_mm:.1f}   Y {pose.y_mm:.1f}   Z {pose.z_mm:.1f} mm")
+            return true_minus(f"RX {x}   RY {y}   RZ {z}\N{DEGREE SIGN}")
+        return true_minus(f"X {pose.x_mm:.1f}   Y {pose.y_mm:.1f}   Z {pose.z_mm:.1f} mm")
 
     def _jog_speed(self, hand: ManualControl) -> str:
         state = hand.jog.state
@@ -268,10 +269,6 @@ def _room_words(what: str, room: JogRange) -> str:
     if turns(_axis(what)):
         return f"{math.degrees(room.left):.0f}\N{DEGREE SIGN}"
     return f"{room.left:.0f} mm"
-
-
-def _true_minus(text: str) -> str:
-    return text.replace("-", "\N{MINUS SIGN}")
 
 
 def _axis(what: str) -> Axis:

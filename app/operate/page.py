@@ -29,14 +29,7 @@ class OperatePage(LivePage):
     The page is complete after ``build`` has finished.
     """
 
-    grip_requested = Signal()
-    open_requested = Signal()
-    probe_requested = Signal()
-    cancel_requested = Signal()
-    zero_requested = Signal()
-    baseline_requested = Signal()
     span_chosen = Signal(float)
-    pause_toggled = Signal(bool)
     scene_chosen = Signal(str, str)
 
     def build(
@@ -45,10 +38,8 @@ class OperatePage(LivePage):
         """Create the widgets of the page, a few milliseconds per step."""
         theme = self._theme
         self.jog = JogPad(paces, renew)
-        self.gripper = GripperPanel(self.grip_requested.emit, self.open_requested.emit)
-        self.probe = ProbePanel(
-            theme, phases, self.probe_requested.emit, self.cancel_requested.emit
-        )
+        self.gripper = GripperPanel()
+        self.probe = ProbePanel(theme, phases)
         self.scene = ScenePanel(self.scene_chosen.emit)
         yield
         self.captions = {f: CaptionedView(f.capitalize(), self.tactile[f]) for f in FINGERS}
@@ -114,9 +105,6 @@ class OperatePage(LivePage):
         return panel
 
     def _wire(self) -> None:
-        self.zero.clicked.connect(self.zero_requested)
-        self.baseline.clicked.connect(self.baseline_requested)
-        self.pause.toggled.connect(self.pause_toggled)
         self.span.currentIndexChanged.connect(lambda at: self.span_chosen.emit(SPANS_S[at]))
         self.looks.currentIndexChanged.connect(self._choose_look)
 

@@ -166,7 +166,7 @@ class OperateWorkspace(Workspace):
         yield
         yield from page.build(PACES, PHASES, self._renew)
         page.jog.keys.toggled.connect(self._arm_keys)
-        page.pause_toggled.connect(self._pause)
+        page.pause.toggled.connect(self._pause)
         page.scene_chosen.connect(self._set_scene)
         self.page.belief.show_scene(NO_RUN)
         self.columns = self.lazy_pages = self.page.columns
@@ -182,12 +182,12 @@ class OperateWorkspace(Workspace):
         page.jog.hold_ended.connect(self.hand.ended)
         page.jog.step_pressed.connect(self.hand.step)
         page.jog.level.clicked.connect(self.hand.level)
-        page.grip_requested.connect(self.hand.grip)
-        page.open_requested.connect(self.hand.open)
-        page.zero_requested.connect(self.hand.zero)
-        page.baseline_requested.connect(self.hand.baseline)
-        page.probe_requested.connect(self.probe.start)
-        page.cancel_requested.connect(self.probe.cancel)
+        page.gripper.grip.clicked.connect(self.hand.grip)
+        page.gripper.open.clicked.connect(self.hand.open)
+        page.zero.clicked.connect(self.hand.zero)
+        page.baseline.clicked.connect(self.hand.baseline)
+        page.probe.probe.clicked.connect(self.probe.start)
+        page.probe.cancel.clicked.connect(self.probe.cancel)
         page.span_chosen.connect(self.live.show_span)
         self.parts = (*self.live.parts, self.hand.draw, self.probe.draw, self._draw_belief)
 
@@ -245,14 +245,16 @@ class OperateWorkspace(Workspace):
 
     def _commands(self) -> tuple[WindowCommand, ...]:
         return (
-            WindowCommand("probe", "Probe once", "F5", lambda: self.page.probe_requested.emit()),
-            WindowCommand("grip", "Grip the piece", "G", lambda: self.page.grip_requested.emit()),
+            WindowCommand("probe", "Probe once", "F5",
+                          lambda: self.page.probe.probe.clicked.emit()),
+            WindowCommand("grip", "Grip the piece", "G",
+                          lambda: self.page.gripper.grip.clicked.emit()),
             WindowCommand("open", "Open the gripper", "Shift+G",
-                          lambda: self.page.open_requested.emit()),
+                          lambda: self.page.gripper.open.clicked.emit()),
             WindowCommand("zero", "Zero force and moment", "Z",
-                          lambda: self.page.zero_requested.emit()),
+                          lambda: self.page.zero.clicked.emit()),
             WindowCommand("baseline", "Take a new tactile reference", "B",
-                          lambda: self.page.baseline_requested.emit()),
+                          lambda: self.page.baseline.clicked.emit()),
             WindowCommand("arm", "Arm or disarm the jog keys", "J",
                           lambda: self.page.jog.keys.toggle()),
             WindowCommand("shorter", "Shorter step, down to hold-to-run", "[",

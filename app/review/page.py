@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from PySide6.QtCore import Qt, Signal
-from PySide6.QtGui import QKeyEvent, QPainter, QPaintEvent, QPalette, QResizeEvent
-from PySide6.QtWidgets import QComboBox, QLineEdit, QListWidget, QToolButton, QWidget
+from PySide6.QtGui import QKeyEvent, QResizeEvent
+from PySide6.QtWidgets import QComboBox, QLineEdit, QToolButton, QWidget
 
 from touchdown.app.shell import WorkspacePage
 from touchdown.widgets.base import (
     ElidedLabel,
+    KeylessList,
     Panel,
     Theme,
-    WrappedItemDelegate,
     add_items,
     flat_button,
     hbox,
@@ -35,35 +35,8 @@ from touchdown.widgets.views import (
 KINDS = (("all", "All"), ("runs", "Runs"), ("series", "Series"))
 ORDERS = (("kind", "By kind"), ("newest", "Newest"), ("oldest", "Oldest"), ("pair", "By pair"))
 STORY_PX = 82  # height of three lines at the minimum window size
-NOTHING_FLAGS = Qt.AlignmentFlag.AlignCenter | Qt.TextFlag.TextWordWrap
 FILM_SHARE = 0.18  # maximum share of the page height for a picture
 FORCES, MOMENTS = (0, 1, 2), (3, 4, 5)
-
-
-class KeylessList(QListWidget):
-    """A list that passes letters and Space to its page. ``nothing`` is shown while it is empty."""
-
-    def __init__(self, name: str, nothing: str = "") -> None:
-        super().__init__()
-        self._nothing = nothing
-        self.setAccessibleName(name)
-        WrappedItemDelegate(self)
-
-    def paintEvent(self, event: QPaintEvent) -> None:
-        """Draw the lines, or the text of an empty list."""
-        super().paintEvent(event)
-        if self.count() == 0 and self._nothing:
-            painter = QPainter(self.viewport())
-            painter.setPen(self.palette().color(QPalette.ColorRole.PlaceholderText))
-            where = self.viewport().rect().adjusted(8, 8, -8, -8)
-            painter.drawText(where, NOTHING_FLAGS, self._nothing)
-
-    def keyPressEvent(self, event: QKeyEvent) -> None:
-        """Handle only keys that move the selection."""
-        if event.text() and event.text().isprintable():
-            event.ignore()
-        else:
-            super().keyPressEvent(event)
 
 
 class ReviewPage(WorkspacePage):
@@ -72,13 +45,7 @@ class ReviewPage(WorkspacePage):
     recording_chosen = Signal(int)
     probe_chosen = Signal(int)
     time_chosen = Signal(float)
-    play_requested = Signal()
     filter_changed = Signal()
-    picture_requested = Signal()
-    table_requested = Signal()
-    page_requested = Signal()
-    report_requested = Signal()
-    viewer_requested = Signal()
 
     def __init__(self, theme: Theme) -> None:
         super().__init__(theme)
@@ -95,7 +62,7 @@ class ReviewPage(WorkspacePage):
         self.belief, self.legend = BeliefView(theme), BeliefLegend(theme)
         self.belief.setMinimumHeight(170)
         self.story.setMinimumHeight(STORY_PX)
-        self.decision = DecisionPanel(lambda: None, lambda: None)
+        self.decision = DecisionPanel()
         self.strip = ProbeStrip(theme, self.probe_chosen.emit)
         self.score = ScorePanel(theme, "Outcomes")
         self.film = FilmView(theme, seek)
@@ -114,7 +81,7 @@ class ReviewPage(WorkspacePage):
     def keyPressEvent(self, event: QKeyEvent) -> None:
         """Play with Space. While the bench moves, Space stops it and does not arrive here."""
         if event.key() == Qt.Key.Key_Space and not event.isAutoRepeat():
-            self.play_requested.emit()
+            self.play.click()
         else:
             super().keyPressEvent(event)
 
@@ -151,12 +118,10 @@ class ReviewPage(WorkspacePage):
         for button in self.filter.findChildren(QToolButton):
             button.setAccessibleName("Clear the filter")
             button.setToolTip("Clear the filter")
-        self.experiments.clicked.connect(self.report_requested)
         self.play.setText("Play")
         self.play.setToolTip("Play from the cursor, or pause (Space, while nothing moves)")
         self.play.setAccessibleName("Play or pause")
         self.filter.textChanged.connect(self.filter_changed)
-        self.play.clicked.connect(self.play_requested)
         self.film.ran.connect(lambda on: self.play.setText("Pause" if on else "Play"))
 
     def _arrange(self) -> None:
@@ -187,14 +152,10 @@ class ReviewPage(WorkspacePage):
         panel = Panel("Time")
         panel.column.addLayout(hbox(self.play, (self.time_line, 1)))
         panel.header.addWidget(self.at)
-        for text, tip, requested in (
-            ("Picture", "Export what is shown as PNG and SVG (Ctrl+E)", self.picture_requested),
-            ("Table", "Export the probes as CSV (Ctrl+Shift+E)", self.table_requested),
-            ("Page", "Export picture and probes as one HTML page", self.page_requested),
-            ("Open file", "Open the file in the viewer of this computer (Ctrl+O)",
-             self.viewer_requested),
-        ):  # fmt: skip
-            button = flat_button(text, tip)
-            button.clicked.connect(requested)
-            panel.header.addWidget(button)
+        self.picture = flat_button("Picture", "Export what is shown as PNG and SVG (Ctrl+E)")
+        self.table = flat_button("Table", "Export the probes as CSV (Ctrl+Shift+E)")
+        self.html = flat_button("Page", "Export picture and probes as one HTML page")
+        viewer = "Open the file in the viewer of this computer (Ctrl+O)"
+        self.viewer = flat_button("Open file", viewer)
+        add_items(panel.header, self.picture, self.table, self.html, self.viewer)
         return panel

@@ -39,7 +39,8 @@ class ReviewWorkspace(Workspace):
         self.commands = (
             WindowCommand("refresh", "Look for new recordings", "Ctrl+R",
                     lambda: self.presenter.recordings.refresh()),
-            WindowCommand("play", "Play from the cursor, or pause (Space)", "", self._play),
+            WindowCommand("play", "Play from the cursor, or pause (Space)", "",
+                          lambda: self.page.film.play_or_pause()),
             WindowCommand("back", "One sample back", "Left",
                     lambda: self.presenter.replay.step(-1), repeats=True),
             WindowCommand("on", "One sample forward", "Right",
@@ -77,13 +78,13 @@ class ReviewWorkspace(Workspace):
         page.recording_chosen.connect(self.presenter.choose)
         page.probe_chosen.connect(self.presenter.replay.choose_probe)
         page.time_chosen.connect(self.presenter.replay.seek)
-        page.play_requested.connect(self._play)
+        page.play.clicked.connect(page.film.play_or_pause)
         page.filter_changed.connect(self.presenter.recordings.show)
-        page.picture_requested.connect(self._picture)
-        page.table_requested.connect(self._table)
-        page.page_requested.connect(self._report)
-        page.report_requested.connect(self.reports.ask)
-        page.viewer_requested.connect(self._open_outside)
+        page.picture.clicked.connect(self._picture)
+        page.table.clicked.connect(self._table)
+        page.html.clicked.connect(self._report)
+        page.experiments.clicked.connect(self.reports.ask)
+        page.viewer.clicked.connect(self._open_outside)
 
     def enter(self) -> None:
         """Look for new recordings."""
@@ -108,9 +109,6 @@ class ReviewWorkspace(Workspace):
         self.main_thread.close()
 
     # -- orders -----------------------------------------------------------------------------------
-
-    def _play(self) -> None:
-        self.page.film.play_or_pause()
 
     def _picture(self) -> None:
         if self.presenter.file is None:

@@ -15,6 +15,7 @@ from touchdown.backend.core import FaultError, Refused, Said, StaleSampleError
 from touchdown.backend.devices import NAMES, Arm, Device, Gripper, RobotMode
 from touchdown.backend.rig import reconnect
 from touchdown.backend.runs import RunState
+from touchdown.widgets.base import true_minus
 from touchdown.widgets.shell import DEVICE_CHIPS, DeviceInspector, TopBar
 
 DEGRADED_DELAY_S = 1.0  # a sensor degraded for longer keeps runs from starting
@@ -171,6 +172,5 @@ def inspector_rows(device: Device) -> list[tuple[str, str]]:
         rows += [("maker", who.maker), ("model", who.model), ("serial", who.serial),
                  ("firmware", who.firmware)]  # fmt: skip
     for field, value in device.describe().items():
-        text = value if isinstance(value, str) else f"{value:g}"
-        rows.append((field, text.replace("-", "\N{MINUS SIGN}") if text != value else text))
+        rows.append((field, value if isinstance(value, str) else true_minus(f"{value:g}")))
     return rows

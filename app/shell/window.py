@@ -32,6 +32,7 @@ from touchdown.widgets.base import (
     hbox,
     icon,
     label,
+    scroll_area,
     ui_font,
     vbox,
 )
@@ -100,7 +101,8 @@ class MainWindow(QMainWindow):
 
     def add_page(self, name: str, page: QWidget) -> None:
         """Add the page of a workspace."""
-        self._pages[name], self._scrolls[name] = page, _scrolled(page)
+        self._pages[name], self._scrolls[name] = page, scroll_area(page)
+        self._scrolls[name].setFocusPolicy(Qt.FocusPolicy.NoFocus)
         self._stack.addWidget(self._scrolls[name])
         self._fit_columns(page)
 
@@ -182,15 +184,6 @@ class MainWindow(QMainWindow):
             event.accept()
         else:
             event.ignore()
-
-
-def _scrolled(page: QWidget) -> QScrollArea:
-    scroll = QScrollArea()
-    scroll.setWidget(page)
-    scroll.setWidgetResizable(True)
-    scroll.setFrameShape(QFrame.Shape.NoFrame)
-    scroll.setFocusPolicy(Qt.FocusPolicy.NoFocus)
-    return scroll
 
 
 def _rail_button(text: str) -> QToolButton:

@@ -28,30 +28,21 @@ SIDE_PX, BENCH_PX = 107, 66  # least heights of the side view, with and without 
 class StackPage(LivePage):
     """The views of one stacking run."""
 
-    start_requested = Signal()
-    pause_requested = Signal()
-    cancel_requested = Signal()
-    approved = Signal()
-    declined = Signal()
     probe_chosen = Signal(int)
-    compare_requested = Signal()
 
     def __init__(self, theme: Theme) -> None:
         super().__init__(theme)
         self.captions = {f: Panel(f"Tactile {f[0].upper()}", self.tactile[f]) for f in FINGERS}
         self.traces_panel = TracesPanel("Force and moment at the wrist", self.force, self.moment)
-        self.decision = DecisionPanel(self.approved.emit, self.declined.emit)
+        self.decision = DecisionPanel()
         self.trial = TrialPanel(theme)
         self.strip = ProbeStrip(theme, self.probe_chosen.emit)
         self.belief_panel = BeliefPanel(theme, "Belief map", self.strip)
         self.belief, self.legend = self.belief_panel.view, self.belief_panel.legend
-        self.run = RunPanel(
-            theme, self.start_requested.emit, self.pause_requested.emit, self.cancel_requested.emit
-        )
+        self.run = RunPanel(theme)
         self.score = ScorePanel(theme)
-        compare = flat_button("Compare", "Compare the strategies on the same seed (Ctrl+D)")
-        compare.clicked.connect(self.compare_requested)
-        self.score.header.addWidget(compare)
+        self.compare = flat_button("Compare", "Compare the strategies on the same seed (Ctrl+D)")
+        self.score.header.addWidget(self.compare)
         self.side = SideView(theme)
         self.side.setMinimumHeight(BENCH_PX)
         self.side_panel = Panel(SIDE, self.side)

@@ -14,7 +14,6 @@ from touchdown.app.shell import (
     error_card,
     face_outlines,
     is_run_active,
-    pause_or_resume,
     run_model_caption,
     run_score,
     start_obstacle,
@@ -85,23 +84,10 @@ class StackPresenter:
             return True
         return False
 
-    def pause_or_resume(self) -> None:
-        """Pause or resume the run."""
-        pause_or_resume(self._bench)
-
-    def cancel(self) -> None:
-        """End the run in order."""
-        self._bench.engine.cancel()
-
-    def approve(self) -> None:
-        """Execute the proposed move."""
+    def answer(self, yes: bool) -> None:
+        """Execute the proposed move, or reject it."""
         if self._bench.status().awaiting is not None:
-            self._bench.answer(True)
-
-    def decline(self) -> None:
-        """Reject the proposed move."""
-        if self._bench.status().awaiting is not None:
-            self._bench.answer(False)
+            self._bench.answer(yes)
 
     def choose(self, index: int) -> None:
         """Show an earlier probe; choosing the newest one follows the run again."""

@@ -22,7 +22,7 @@ from touchdown.backend.core import (
     TrialStarted,
 )
 from touchdown.backend.geometry import Piece
-from touchdown.widgets.base import Panel
+from touchdown.widgets.base import Panel, signed
 from touchdown.widgets.views import (
     UPRIGHT,
     USUAL_SPAN_MM,
@@ -94,7 +94,7 @@ class SideViewPresenter:
 
     def _words(self, hand: tuple[float, float] | None) -> str:
         if self._let_go is None:
-            return "" if hand is None else f"x {hand[0]:+.1f} mm".replace("-", "\N{MINUS SIGN}")
+            return "" if hand is None else f"x {signed(hand[0], 1)} mm"
         if self._stands is None:
             return "let go"
         return f"trial {self._let_go_in}: {'stands' if self._stands else 'fell'}"

@@ -12,6 +12,7 @@ from touchdown.app.shell import (
     WindowCommand,
     Workspace,
     WorkspaceContext,
+    pause_or_resume,
     piece_titles,
     restore_form,
 )
@@ -65,11 +66,11 @@ class StackWorkspace(Workspace):
         self.commands = (
             WindowCommand("start", "Start stacking", "Ctrl+Return", self._start),
             WindowCommand("step", "Next step: carry out the move that waits", "N",
-                          lambda: self.page.approved.emit()),
+                          lambda: self.page.decision.approve.clicked.emit()),
             WindowCommand("approve", "Approve the move that waits", "A",
-                          lambda: self.page.approved.emit()),
+                          lambda: self.page.decision.approve.clicked.emit()),
             WindowCommand("pause", "Pause or resume", "P",
-                          lambda: self.page.pause_requested.emit()),
+                          lambda: self.page.run.pause.clicked.emit()),
             WindowCommand("compare", "Compare the strategies on the same seed", "Ctrl+D",
                           self._compare),
             WindowCommand("confirm", "Yes: the scene is set, the hand is there, as proposed", "Y",
@@ -79,7 +80,7 @@ class StackWorkspace(Workspace):
                 for name, text, key, outcome in SEEN
             ),
             WindowCommand("photo", "Add a picture of this trial", "",
-                          lambda: self.page.trial.photo_requested.emit()),
+                          lambda: self.page.trial.photo.clicked.emit()),
             WindowCommand("fit", "Fit the force and moment ranges", "Ctrl+F",
                     lambda: self.page.fit()),
         )  # fmt: skip
@@ -87,8 +88,8 @@ class StackWorkspace(Workspace):
     def build(self) -> Iterator[None]:
         """Create the page."""
         self.page = page = StackPage(self._context.theme)
-        page.start_requested.connect(self._start)
-        page.compare_requested.connect(self._compare)
+        page.run.start.clicked.connect(self._start)
+        page.compare.clicked.connect(self._compare)
         yield
         self.columns = self.lazy_pages = page.columns
 
@@ -96,27 +97,27 @@ class StackWorkspace(Workspace):
         """Connect the page to a bench."""
         page = self.page
         self.live = LivePresenter(bench, page)
-        self.presenter = StackPresenter(bench, page, self._context.cards)
+        self.presenter = presenter = StackPresenter(bench, page, self._context.cards)
         self.side = SideViewPresenter(bench, page.side, page.side_panel)
         self.attended = OperatorPromptsPresenter(bench, page, self._context.cards)
         self.comparison = ComparisonPresenter(
-            bench, self._context.theme, lambda: stack_request(page.run.form()), self.presenter.begin
+            bench, self._context.theme, lambda: stack_request(page.run.form()), presenter.begin
         )
         page.run.show_catalogue(*piece_titles(bench.catalogue))
         page.run.show_devices(not bench.simulated)
         page.run.show_form(self._form if bench.simulated else careful_form(self._form, bench.usual))
         page.decision.show_text(NO_DECISION)
-        self.presenter.show_model()
-        page.run.chosen.connect(self.presenter.show_model)
-        page.pause_requested.connect(self.presenter.pause_or_resume)
-        page.cancel_requested.connect(self.presenter.cancel)
-        page.approved.connect(self.presenter.approve)
-        page.declined.connect(self.presenter.decline)
-        page.probe_chosen.connect(self.presenter.choose)
+        presenter.show_model()
+        page.run.chosen.connect(presenter.show_model)
+        page.run.pause.clicked.connect(lambda: pause_or_resume(bench))
+        page.run.cancel.clicked.connect(bench.engine.cancel)
+        page.decision.approve.clicked.connect(lambda: presenter.answer(True))
+        page.decision.decline.clicked.connect(lambda: presenter.answer(False))
+        page.probe_chosen.connect(presenter.choose)
         page.trial.answered.connect(self.attended.answer)
         page.trial.judged.connect(self.attended.judge)
-        page.trial.photo_requested.connect(self.attended.ask_photo)
-        self.parts = (*self.live.parts, self.presenter.draw, self.side.draw, self.comparison.draw)
+        page.trial.photo.clicked.connect(self.attended.ask_photo)
+        self.parts = (*self.live.parts, presenter.draw, self.side.draw, self.comparison.draw)
 
     def enter(self) -> None:
         """Show the model in use, which may have changed."""

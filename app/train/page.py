@@ -27,8 +27,6 @@ class TrainPage(WorkspacePage):
     """Training runs on one dataset. The page is complete after ``build`` has finished."""
 
     runs_chosen = Signal(object)  # tuple of run identifiers
-    promote_requested = Signal()
-    roll_back_requested = Signal()
 
     def __init__(self, theme: Theme) -> None:
         super().__init__(theme)
@@ -59,8 +57,6 @@ class TrainPage(WorkspacePage):
             button.setEnabled(False)
         self.promote.setToolTip("Put the chosen model in use for its piece (Ctrl+P)")
         self.roll_back.setToolTip("Put the model before in use again (Ctrl+Shift+P)")
-        self.promote.clicked.connect(self.promote_requested)
-        self.roll_back.clicked.connect(self.roll_back_requested)
         yield
         self._arrange()
 

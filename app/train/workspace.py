@@ -65,8 +65,8 @@ class TrainWorkspace(Workspace):
         page.form.folder.clicked.connect(self._ask_folder)
         page.form.defaults.clicked.connect(self._defaults)
         page.runs_chosen.connect(lambda _: self._on(TrainPresenter.choose))
-        page.promote_requested.connect(self._order(TrainPresenter.promote))
-        page.roll_back_requested.connect(self._order(TrainPresenter.roll_back))
+        page.promote.clicked.connect(self._order(TrainPresenter.promote))
+        page.roll_back.clicked.connect(self._order(TrainPresenter.roll_back))
         self.columns = self.lazy_pages = self.page.columns
         self._show_folders(str(dataset_folder()))
         self.page.form.show_form(TrainingForm())

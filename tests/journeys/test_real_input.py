@@ -141,6 +141,10 @@ class Operator:
         """True if these words stand in the window."""
         return any(words in c["words"] for c in self.ask("look"))
 
+    def reads_like(self, pattern):
+        """True if words of this form stand in the window."""
+        return any(re.fullmatch(pattern, c["words"]) for c in self.ask("look"))
+
     def height_mm(self):
         (pose,) = (c["words"] for c in self.ask("look") if re.match("X .* Z ", c["words"]))
         return float(re.search("Z ([0-9.]+)", pose).group(1))
@@ -262,6 +266,8 @@ def review(operator):
     operator.press("ctrl+5")
     # As long as runs are looked for a click on the list chooses none.
     operator.until(lambda: operator.click("Recorded runs") or operator.reads(rate))
+    # Nothing plays before the films of the trial are read.
+    operator.until(lambda: operator.reads_like("[0-9]+ probes"))
     operator.press("space")
     operator.until(lambda: operator.reads("Pause"))
 

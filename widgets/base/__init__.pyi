@@ -16,10 +16,12 @@ from .panel import flat_button as flat_button
 from .panel import hbox as hbox
 from .panel import label as label
 from .panel import rule as rule
+from .panel import scroll_area as scroll_area
 from .panel import set_property as set_property
 from .panel import vbox as vbox
 from .rows import ENTER as ENTER
 from .rows import ROOT as ROOT
+from .rows import KeylessList as KeylessList
 from .rows import ModelIndex as ModelIndex
 from .rows import RowList as RowList
 from .rows import RowPainter as RowPainter
@@ -27,6 +29,8 @@ from .rows import WrappedItemDelegate as WrappedItemDelegate
 from .rows import draw_elided_line as draw_elided_line
 from .rows import open_over as open_over
 from .rows import plain_table as plain_table
+from .rows import signed as signed
+from .rows import true_minus as true_minus
 from .theme import MAPS as MAPS
 from .theme import MAX_SCALE as MAX_SCALE
 from .theme import MIN_SCALE as MIN_SCALE
@@ -58,6 +62,7 @@ __all__ = [
     "ElidedLabel",
     "EventPump",
     "Freshness",
+    "KeylessList",
     "MapName",
     "ModelIndex",
     "Panel",
@@ -84,8 +89,11 @@ __all__ = [
     "open_over",
     "plain_table",
     "rule",
+    "scroll_area",
     "scroll_into_view",
     "set_property",
+    "signed",
+    "true_minus",
     "ui_font",
     "vbox",
 ]

@@ -374,6 +374,16 @@ def set_property(widget: QWidget, name: str, value: str) -> None:
     widget.style().polish(widget)
 
 
+def scroll_area(widget: QWidget | None = None) -> QScrollArea:
+    """Return a scroll area without a frame; ``widget`` takes its width."""
+    made = QScrollArea()
+    made.setWidgetResizable(True)
+    made.setFrameShape(QFrame.Shape.NoFrame)
+    if widget is not None:
+        made.setWidget(widget)
+    return made
+
+
 LEAST_LINES = 2
 
 

@@ -12,7 +12,7 @@ from PySide6.QtCore import (
     QSize,
     Qt,
 )
-from PySide6.QtGui import QColor, QKeyEvent, QPainter
+from PySide6.QtGui import QColor, QKeyEvent, QPainter, QPaintEvent, QPalette
 from PySide6.QtWidgets import (
     QListView,
     QListWidget,
@@ -93,6 +93,16 @@ class RowList(QListView):
             super().keyPressEvent(event)
 
 
+def true_minus(text: str) -> str:
+    """Return a text of numbers with minus signs in place of hyphens."""
+    return text.replace("-", "\N{MINUS SIGN}")
+
+
+def signed(value: float, digits: int = 2) -> str:
+    """Return a number with its sign and so many decimals."""
+    return true_minus(f"{value:+.{digits}f}")
+
+
 def draw_elided_line(painter: QPainter, box: QRectF, words: str, colour: QColor) -> None:
     """Draw ``words`` at the top left of ``box``, elided to its width."""
     painter.setPen(colour)
@@ -125,3 +135,30 @@ class WrappedItemDelegate(QStyledItemDelegate):
         wrap = int(Qt.TextFlag.TextWordWrap)
         drawn = self._view.fontMetrics().boundingRect(room, wrap, text)
         return QSize(2 * PAD_X, drawn.height() + 2 * PAD_Y)
+
+
+class KeylessList(QListWidget):
+    """A list that passes letters and Space to its page. ``nothing`` is shown while it is empty."""
+
+    def __init__(self, name: str, nothing: str = "") -> None:
+        super().__init__()
+        self._nothing = nothing
+        self.setAccessibleName(name)
+        WrappedItemDelegate(self)
+
+    def paintEvent(self, event: QPaintEvent) -> None:
+        """Draw the lines, or the text of an empty list."""
+        super().paintEvent(event)
+        if self.count() == 0 and self._nothing:
+            painter = QPainter(self.viewport())
+            painter.setPen(self.palette().color(QPalette.ColorRole.PlaceholderText))
+            where = self.viewport().rect().adjusted(8, 8, -8, -8)
+            flags = Qt.AlignmentFlag.AlignCenter | Qt.TextFlag.TextWordWrap
+            painter.drawText(where, int(flags), self._nothing)
+
+    def keyPressEvent(self, event: QKeyEvent) -> None:
+        """Handle only keys that move the selection."""
+        if event.text() and event.text().isprintable():
+            event.ignore()
+        else:
+            super().keyPressEvent(event)

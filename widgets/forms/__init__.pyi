@@ -1,6 +1,7 @@
 from .collect_form import TargetButtons as TargetButtons
 from .collect_form import TargetForm as TargetForm
 from .collect_form import TargetPanel as TargetPanel
+from .fields import decimal_box as decimal_box
 from .fields import field_label as field_label
 from .fields import inset_spin_boxes as inset_spin_boxes
 from .fields import set_entries as set_entries
@@ -53,6 +54,7 @@ __all__ = [
     "TrainingButtons",
     "TrainingForm",
     "TrainingFormPanel",
+    "decimal_box",
     "field_label",
     "inset_spin_boxes",
     "set_entries",

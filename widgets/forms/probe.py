@@ -73,13 +73,7 @@ class PhaseStrip(QWidget):
 class ProbePanel(Panel):
     """Starts a single probe and shows its progress and result."""
 
-    def __init__(
-        self,
-        theme: Theme,
-        phases: Sequence[str],
-        on_probe: Callable[[], None],
-        on_cancel: Callable[[], None],
-    ) -> None:
+    def __init__(self, theme: Theme, phases: Sequence[str]) -> None:
         super().__init__("Probe")
         self.values, self.model = label("", "small", wrap=True), ElidedLabel("small")
         self.strip = PhaseStrip(theme, phases)
@@ -90,8 +84,6 @@ class ProbePanel(Panel):
             (self.probe, "Probe once", "Press here with these values, record, and lift (F5)"),
             (self.cancel, "Cancel the probe", "End the run: lift the arm, keep the grip"),
         )
-        self.probe.clicked.connect(on_probe)
-        self.cancel.clicked.connect(on_cancel)
         row = hbox((self.probe, 2), (self.cancel, 1))
         add_items(self.column, self.values, self.model, self.strip, self.result, row)
 
@@ -196,7 +188,7 @@ USUAL_N, LEAST_N, MOST_N = 10.0, 1.0, 40.0
 class GripperPanel(Panel):
     """Status of the gripper; buttons to grip and open."""
 
-    def __init__(self, on_grip: Callable[[], None], on_open: Callable[[], None]) -> None:
+    def __init__(self) -> None:
         super().__init__("Gripper")
         self.figures = label("No data yet")
         self.force = decimal_box(LEAST_N, MOST_N, decimals=1)
@@ -205,12 +197,11 @@ class GripperPanel(Panel):
         inset_spin_boxes(self.force)
         describe((self.force, "Grip force per finger", "Force per finger for the next grip"))
         self.grip, self.open = QPushButton("Grip"), QPushButton("Open")
-        for button, tip, slot in (
-            (self.grip, "Close on the piece with this force (G)", on_grip),
-            (self.open, "Open the jaws; asks first while a piece is held (Shift+G)", on_open),
-        ):
-            describe((button, f"{button.text()} the gripper", tip))
-            button.clicked.connect(slot)
+        asks = "Open the jaws; asks first while a piece is held (Shift+G)"
+        describe(
+            (self.grip, "Grip the gripper", "Close on the piece with this force (G)"),
+            (self.open, "Open the gripper", asks),
+        )
         row = hbox(
             field_label("Force", self.force), (self.force, 1), (self.grip, 1), (self.open, 1)
         )

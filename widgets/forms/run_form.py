@@ -63,13 +63,7 @@ class RunPanel(Panel):
 
     chosen = Signal()
 
-    def __init__(
-        self,
-        theme: Theme,
-        on_start: Callable[[], None],
-        on_pause: Callable[[], None],
-        on_cancel: Callable[[], None],
-    ) -> None:
+    def __init__(self, theme: Theme) -> None:
         super().__init__("Run")
         self._theme = theme
         self._piece, self._bottom, self._under = QComboBox(), QComboBox(), QComboBox()
@@ -88,9 +82,6 @@ class RunPanel(Panel):
         self.start.setProperty("role", "primary")
         self.pause = QPushButton("Pause")
         self.cancel = QPushButton("Cancel")
-        self.start.clicked.connect(on_start)
-        self.pause.clicked.connect(on_pause)
-        self.cancel.clicked.connect(on_cancel)
         for combo in (self._piece, self._strategy):
             combo.currentIndexChanged.connect(lambda _: self.chosen.emit())
         describe(

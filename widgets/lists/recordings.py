@@ -7,16 +7,16 @@ from dataclasses import dataclass
 from typing import Any
 
 from PySide6.QtCore import QAbstractListModel, QModelIndex, QRectF, QSize, Qt
-from PySide6.QtGui import QFontMetrics, QKeyEvent, QPainter, QPen
-from PySide6.QtWidgets import QListWidget, QPushButton, QStyleOptionViewItem, QWidget
+from PySide6.QtGui import QFontMetrics, QPainter, QPen
+from PySide6.QtWidgets import QPushButton, QStyleOptionViewItem, QWidget
 
 from touchdown.widgets.base import (
     ROOT,
+    KeylessList,
     ModelIndex,
     RowList,
     RowPainter,
     Theme,
-    WrappedItemDelegate,
     draw_elided_line,
     hbox,
     label,
@@ -297,9 +297,7 @@ class HistoryList(QWidget):
     def __init__(self, restore: Callable[[str], None]) -> None:
         super().__init__()
         self._rows: list[HistoryRow] = []
-        self.list = _KeylessListWidget()
-        self.list.setAccessibleName("Versions of the label")
-        WrappedItemDelegate(self.list)
+        self.list = KeylessList("Versions of the label")
         self.restore = QPushButton("Restore")
         self.restore.setToolTip("Make a new version with the content of the chosen one")
         self.count = label("", "small")
@@ -330,13 +328,3 @@ def revision_text(row: HistoryRow) -> str:
     holds = ", holds" if row.head else ""
     lines = (f"{row.number}. {row.what}{holds}", row.who, row.difference)
     return "\n".join(lines).removesuffix("\n")
-
-
-class _KeylessListWidget(QListWidget):
-    """List that leaves letters and digits to the page."""
-
-    def keyPressEvent(self, event: QKeyEvent) -> None:
-        if event.text() and event.text().isprintable():
-            event.ignore()
-        else:
-            super().keyPressEvent(event)

@@ -297,13 +297,12 @@ class FigureTable(QTableWidget):
         """Draw the rows, or ``empty``."""
         super().paintEvent(event)
         if self.empty and not self.rowCount():
-            painter = QPainter(self.viewport())
-            painter.setPen(self._theme.tokens.colour("muted"))
-            painter.setFont(ui_font(self._theme.scale, 0.92))
-            area = self.viewport().rect().adjusted(8, 2, -8, -2)
-            flags = Qt.AlignmentFlag.AlignCenter | Qt.TextFlag.TextWordWrap
-            painter.drawText(area, int(flags), self.empty)
-            painter.end()
+            with QPainter(self.viewport()) as painter:
+                painter.setPen(self._theme.tokens.colour("muted"))
+                painter.setFont(ui_font(self._theme.scale, 0.92))
+                area = self.viewport().rect().adjusted(8, 2, -8, -2)
+                flags = Qt.AlignmentFlag.AlignCenter | Qt.TextFlag.TextWordWrap
+                painter.drawText(area, int(flags), self.empty)
 
     def texts(self) -> list[list[str]]:
         """Return the shown texts by row."""

@@ -14,7 +14,7 @@ from PySide6.QtWidgets import QWidget
 from shiboken6 import Shiboken, VoidPtr
 
 from touchdown.backend.core import FloatArray
-from touchdown.widgets.base import Theme, Tokens, ui_font
+from touchdown.widgets.base import Theme, Tokens, true_minus, ui_font
 
 
 def nice_step(span: float, count: int) -> float:
@@ -34,7 +34,7 @@ def ticks(low: float, high: float, count: int) -> list[float]:
 def tick_text(value: float, step: float) -> str:
     """Format a tick with the decimals of its step and a true minus sign."""
     decimals = max(0, -math.floor(math.log10(step) + 1e-9))
-    return f"{value:.{decimals}f}".replace("-", "\N{MINUS SIGN}")
+    return true_minus(f"{value:.{decimals}f}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -262,11 +262,9 @@ class PictureCache:
             self._picture, self._key = QPixmap(size * ratio), whole
             self._picture.setDevicePixelRatio(ratio)
             self._picture.fill(theme.tokens.colour("panel"))
-            painter = QPainter(self._picture)
-            try:
+            # Qt aborts if a pixmap is destroyed while it is painted on.
+            with QPainter(self._picture) as painter:
                 draw(painter)
-            finally:
-                painter.end()  # Qt aborts if a pixmap is destroyed while it is painted on
         return self._picture
 
 

@@ -11,7 +11,7 @@ from PySide6.QtGui import QPainter, QPaintEvent, QPen, QPolygonF, QStaticText
 from PySide6.QtWidgets import QWidget
 
 from touchdown.backend.core import FloatArray
-from touchdown.widgets.base import Age, DrawnView, Panel, Theme, flat_button, ui_font
+from touchdown.widgets.base import Age, DrawnView, Panel, Theme, flat_button, true_minus, ui_font
 from touchdown.widgets.plots.axes import (
     GridPainter,
     PictureCache,
@@ -205,7 +205,7 @@ def _polylines(
 @lru_cache(maxsize=1024)
 def _laid_out(text: str, scale: float) -> QStaticText:
     """Return a read-out with cached text layout; most values recur."""
-    made = QStaticText(text.replace("-", "\N{MINUS SIGN}"))
+    made = QStaticText(true_minus(text))
     made.setTextFormat(Qt.TextFormat.PlainText)
     made.prepare(font=ui_font(scale, 0.92, 500))
     return made

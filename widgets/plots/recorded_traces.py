@@ -12,7 +12,7 @@ from PySide6.QtGui import QColor, QImage, QMouseEvent, QPainter, QPaintEvent, QP
 from PySide6.QtWidgets import QSizePolicy, QWidget
 
 from touchdown.backend.core import FloatArray
-from touchdown.widgets.base import DrawnView, Theme, Tokens, ui_font
+from touchdown.widgets.base import DrawnView, Theme, Tokens, signed, ui_font
 from touchdown.widgets.plots.axes import (
     GridPainter,
     PlotArea,
@@ -108,13 +108,10 @@ class TraceSheet:
     def draw(self, trace: WrenchTrace) -> QImage:
         """Return a picture of axes and curves."""
         image = self.paper.blank()
-        painter = QPainter(image)
-        try:
+        with QPainter(image) as painter:
             areas = {unit: self.area(trace, unit) for unit in self.units}
             self._draw_axes(painter, areas)
             self._draw_curves(painter, trace, areas)
-        finally:
-            painter.end()
         return image
 
     def _draw_axes(self, painter: QPainter, areas: dict[str, PlotArea]) -> None:
@@ -198,15 +195,12 @@ class PhaseSheet:
     def draw(self, trace: WrenchTrace) -> QImage:
         """Return a picture of axes and path of a trace with moments."""
         image, area = self.paper.blank(), self.area(trace)
-        painter = QPainter(image)
-        try:
+        with QPainter(image) as painter:
             self._draw_axes(painter, area)
             painter.setClipRect(area.rect)
             painter.setPen(QPen(self.paper.tokens.colour("border"), 1))
             step = step_of(trace)
             painter.drawPolyline(area.polygon(trace.values[::step, 3], trace.values[::step, 4]))
-        finally:
-            painter.end()
         return image
 
     def _draw_axes(self, painter: QPainter, area: PlotArea) -> None:
@@ -352,9 +346,7 @@ class RecordedTraces(_SheetPlot):
 def _reading(channel: int, value: float) -> str:
     if math.isnan(value):
         return f"{CHANNEL_NAMES[channel]} none"
-    decimals = 1 if channel < 3 else 3
-    text = f"{value:+.{decimals}f}".replace("-", "\N{MINUS SIGN}")
-    return f"{CHANNEL_NAMES[channel]} {text}"
+    return f"{CHANNEL_NAMES[channel]} {signed(value, 1 if channel < 3 else 3)}"
 
 
 class PhasePlot(_SheetPlot):

@@ -10,20 +10,18 @@ from PySide6.QtCore import QEvent, QKeyCombination, QObject, Qt
 from PySide6.QtGui import QColor, QKeyEvent, QKeySequence, QPainter, QPalette
 from PySide6.QtWidgets import (
     QDialog,
-    QFrame,
     QGridLayout,
     QLineEdit,
     QListWidget,
     QListWidgetItem,
     QPushButton,
-    QScrollArea,
     QStyle,
     QStyledItemDelegate,
     QStyleOptionViewItem,
     QWidget,
 )
 
-from touchdown.widgets.base import ENTER, ModelIndex, hbox, label, rule, vbox
+from touchdown.widgets.base import ENTER, ModelIndex, hbox, label, rule, scroll_area, vbox
 
 SHOWN = 200
 NAME, CHOICE = Qt.ItemDataRole.UserRole, Qt.ItemDataRole.UserRole + 1
@@ -191,9 +189,7 @@ class KeySheet(QDialog):
         super().__init__(parent)
         self._window = parent
         self.setWindowTitle("Keys")
-        self._scroll = QScrollArea()
-        self._scroll.setWidgetResizable(True)
-        self._scroll.setFrameShape(QFrame.Shape.NoFrame)
+        self._scroll = scroll_area()
         self._scroll.setAccessibleName("Keyboard shortcuts")
         close = QPushButton("Close")
         close.clicked.connect(self.close)

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 
 from PySide6.QtCore import Qt, Signal
 from PySide6.QtWidgets import QFrame, QGridLayout, QPushButton, QWidget
 
 from touchdown.backend.core import Outcome, PlaceAction, Stability, SupportKind
-from touchdown.widgets.base import Panel, Theme, add_items, hbox, label, set_property, vbox
+from touchdown.widgets.base import Panel, Theme, add_items, hbox, label, set_property, signed, vbox
 from touchdown.widgets.forms import NameField
 from touchdown.widgets.views.offset import OffsetScene, OffsetView
 
@@ -46,7 +45,6 @@ class TrialPanel(Panel):
 
     answered = Signal(bool)
     judged = Signal(object, str)  # outcome, written reason
-    photo_requested = Signal()
 
     def __init__(self, theme: Theme) -> None:
         super().__init__("Your turn")
@@ -67,7 +65,6 @@ class TrialPanel(Panel):
         self._arrange()
         self.yes.clicked.connect(lambda: self.answered.emit(True))
         self.no.clicked.connect(lambda: self.answered.emit(False))
-        self.photo.clicked.connect(self.photo_requested)
         self.no.setToolTip("End the run; nothing has moved")
         self.yes.setToolTip("Continue (Y)")
         self.reason.returnPressed.connect(lambda: self.judge(Outcome.ABORTED))
@@ -114,7 +111,6 @@ class TrialPanel(Panel):
         add_items(self.column, self.text, (self.picture, 1), self._ready, self._judging)
 
 
-MINUS = "\N{MINUS SIGN}"
 ESTIMATED_MARGIN, TRUE_MARGIN = "estimated margin", "true margin"
 
 
@@ -141,7 +137,7 @@ def signed_mm(value: float) -> str:
         return "no estimate"
     if math.isinf(value):
         return "no support"
-    return f"{value:+.1f} mm".replace("-", MINUS)
+    return f"{signed(value, 1)} mm"
 
 
 def decision_text(stability: Stability | None, action: PlaceAction | None) -> DecisionText:
@@ -161,7 +157,7 @@ def decision_text(stability: Stability | None, action: PlaceAction | None) -> De
 class DecisionPanel(QFrame):
     """Verdict and margin on one line, the reason below, then the question if there is one."""
 
-    def __init__(self, on_approve: Callable[[], None], on_decline: Callable[[], None]) -> None:
+    def __init__(self) -> None:
         super().__init__()
         self.setProperty("role", "card")
         self.setAccessibleName("Decision")
@@ -174,10 +170,8 @@ class DecisionPanel(QFrame):
         self.approve = QPushButton("Approve  A")
         self.approve.setProperty("role", "primary")
         self.approve.setToolTip("Make this move (A; N in step mode)")
-        self.approve.clicked.connect(on_approve)
         self.decline = QPushButton("Decline")
         self.decline.setToolTip("Do not move: the trial ends, the grip is kept")
-        self.decline.clicked.connect(on_decline)
         self._asking = QWidget()
         self._arrange()
         self.show_text(NO_DECISION)

@@ -13,7 +13,7 @@ from PySide6.QtCore import QMarginsF, QPointF, QRectF, Qt
 from PySide6.QtGui import QColor, QMouseEvent, QPainter, QPaintEvent, QPen, QPixmap, QPolygonF
 
 from touchdown.backend.core import FloatArray, SupportKind
-from touchdown.widgets.base import DrawnView, Theme, blend, ui_font
+from touchdown.widgets.base import DrawnView, Theme, blend, signed, ui_font
 from touchdown.widgets.plots import (
     PictureCache,
     PlotArea,
@@ -98,7 +98,7 @@ def offset_text(offset_mm: Point | None, sigma_mm: float = 0.0) -> str:
     """Format a displacement as "x +1.50, y +0.25 mm" with its uncertainty."""
     if offset_mm is None:
         return "no displacement"
-    x, y = (f"{v:+.2f}".replace("-", "\N{MINUS SIGN}") for v in offset_mm)
+    x, y = (signed(v) for v in offset_mm)
     spread = f" \N{PLUS-MINUS SIGN} {sigma_mm:.2f}" if sigma_mm else ""
     return f"x {x}, y {y} mm{spread}"
 
@@ -334,13 +334,10 @@ class OffsetView(DrawnView):
         key = (ground.cacheKey(), scene.yaw_rad, scene.ghosts, is_legend_left(scene))
         if self._behind is None or key != self._behind_key:
             self._behind, self._behind_key = QPixmap(ground), key
-            painter = QPainter(self._behind)
-            painter.setRenderHint(QPainter.RenderHint.Antialiasing)
-            painter.setClipRect(area.rect)
-            try:
+            with QPainter(self._behind) as painter:
+                painter.setRenderHint(QPainter.RenderHint.Antialiasing)
+                painter.setClipRect(area.rect)
                 draw_ghosts(painter, area, scene, self._theme)
-            finally:
-                painter.end()
         return self._behind
 
     def _draw_ground(self, painter: QPainter, scene: OffsetScene, area: PlotArea) -> None:

@@ -10,12 +10,10 @@ from PySide6.QtGui import QFont, QFontMetrics, QImage, QPainter, QPixmap, QResiz
 from PySide6.QtWidgets import (
     QAbstractItemView,
     QDialog,
-    QFrame,
     QHeaderView,
     QLabel,
     QListWidget,
     QPushButton,
-    QScrollArea,
     QStyle,
     QStyledItemDelegate,
     QStyleOptionViewItem,
@@ -32,6 +30,7 @@ from touchdown.widgets.base import (
     hbox,
     label,
     open_over,
+    scroll_area,
     ui_font,
     vbox,
 )
@@ -111,9 +110,7 @@ class ReportSheet(QDialog):
         self.parts.setFixedWidth(PARTS_PX)
         WrappedItemDelegate(self.parts)
         self.parts.currentRowChanged.connect(self.part_chosen)
-        self.room = QScrollArea()
-        self.room.setWidgetResizable(True)
-        self.room.setFrameShape(QFrame.Shape.NoFrame)
+        self.room = scroll_area()
         self.room.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
         self.trace = ElidedLabel("small")
         self.folder = _button("Open run folder", "Folder of the run behind this cell")

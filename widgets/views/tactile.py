@@ -145,8 +145,7 @@ def magnitude_scale(font: QFont, ratio: float, map_name: MapName = "cividis") ->
     left, tall = metrics.horizontalAdvance(low) + 12, max(metrics.height() + 6, 22)
     size = QSize(left + SCALE_PX + metrics.horizontalAdvance(high) + 12, tall)
     drawn = _plate(size, ratio)
-    painter = QPainter(drawn)
-    try:
+    with QPainter(drawn) as painter:
         shades = colour_table(map_name)
         for at in range(SCALE_PX):
             shade = QColor(*shades[255 * at // (SCALE_PX - 1)].tolist())
@@ -156,8 +155,6 @@ def magnitude_scale(font: QFont, ratio: float, map_name: MapName = "cividis") ->
         middle = Qt.AlignmentFlag.AlignVCenter
         painter.drawText(QRectF(6, 0, left, tall), int(middle), low)
         painter.drawText(QRectF(left + SCALE_PX + 6, 0, size.width(), tall), int(middle), high)
-    finally:
-        painter.end()
     return drawn
 
 
@@ -324,8 +321,7 @@ def _legend(width_px: float, font: QFont, ratio: float) -> QPixmap:
     text, high = metrics.horizontalAdvance("1 mm") + 14, max(metrics.height() + 6, 22)
     size = QSize(round(length) + text + 8, high)
     drawn = _plate(size, ratio)
-    painter = QPainter(drawn)
-    try:
+    with QPainter(drawn) as painter:
         painter.setPen(QPen(QColor("#FFFFFF"), 2))
         start = np.array([[text, high / 2]]) / scale
         stroke = np.array([[length, 0.0]]) / scale / GAIN
@@ -335,6 +331,4 @@ def _legend(width_px: float, font: QFont, ratio: float) -> QPixmap:
         painter.setFont(font)
         flags = Qt.AlignmentFlag.AlignVCenter | Qt.AlignmentFlag.AlignLeft
         painter.drawText(QRectF(6, 0, size.width(), high), int(flags), "1 mm")
-    finally:
-        painter.end()
     return drawn

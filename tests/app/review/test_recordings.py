@@ -11,12 +11,11 @@ from tests.app.slot_watch import SLOT_S, SlotWatch
 from tests.app.stand_in import StandInBench
 from touchdown.app.review import recordings
 from touchdown.app.review.episodes import EpisodeSeries
-from touchdown.app.review.page import KeylessList
 from touchdown.app.review.recordings import RunReader, read_run_summary
 from touchdown.backend.core.events import PhaseEntered, RunFinished, RunStarted, TrialFinished
 from touchdown.backend.core.values import Outcome
 from touchdown.backend.runs.event_log import EVENT_LOG_NAME, EventLog, read_events
-from touchdown.widgets.base.rows import WrappedItemDelegate
+from touchdown.widgets.base.rows import KeylessList, WrappedItemDelegate
 from touchdown.widgets.base.theme import Theme
 from touchdown.widgets.lists.recordings import RecordingList, RecordingRow
 

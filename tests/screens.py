@@ -162,7 +162,8 @@ class Stage:
         self.main.attach(self.bench)
         # Judge the age of data by the bench clock: rendering takes long.
         live = [getattr(ws, "live", None) for ws in self.main.workspaces.values()]
-        for follower in (self.main._chips, *filter(None, live)):
+        hand = self.main.workspaces["operate"].hand
+        for follower in (self.main._chips, hand, *filter(None, live)):
             follower._now_s = self.bench.clock_s
         yield from self._operate()
         yield from screen_panels.by_hand(self)

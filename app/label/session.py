@@ -261,15 +261,6 @@ class QueueCursor:
         at = self.at + 1
         return self._prefetch.get(self.order[at]) if at < len(self.order) else None
 
-    def held(self) -> tuple[str, ...]:
-        """Return the ids of the episodes in memory."""
-        return self._prefetch.held()
-
-    def size(self, uuid: str) -> int:
-        """Return the memory size of an episode in bytes, 0 if it is not in memory."""
-        item = self._prefetch.get(uuid)
-        return item.bytes if isinstance(item, LabelItem) else 0
-
     def cover(self, *, blind: bool, hides: bool) -> None:
         """Hide the states of the episodes (``blind``) or other evidence (``hides``)."""
         if (blind, hides) != (self._blind, self._hides):

@@ -105,37 +105,48 @@ def _film_track(films: Sequence[CompressedEpisode], finger: Finger) -> FilmTrack
 JUDGED_S = 2.0  # time after the contact onset at which the model reads a probe
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class EpisodeSeries:
-    """The episodes of one series of a dataset, oldest first. ``plan`` as text, "" if unknown."""
+    """One series of a dataset: its ``first`` episode, and what is counted over all of them.
 
-    name: str
-    entries: tuple[EpisodeEntry, ...]
+    ``episodes``: id and label state of each, oldest first. ``plan`` as text, "" if unknown.
+    """
+
+    first: EpisodeEntry
     plan: str = ""
+    episodes: list[tuple[str, str]] = field(default_factory=list)
+    people: set[str] = field(default_factory=set)
+    grips: set[tuple[str, str]] = field(default_factory=set)
+    refused: int = 0
+
+    def add(self, entry: EpisodeEntry) -> None:
+        """Count one more episode."""
+        self.episodes.append((entry.uuid, entry.state))
+        self.people.add(entry.person)
+        self.grips.add((entry.mounting_id, entry.grip_id))
+        self.refused += not entry.quality.accepted
 
     @property
     def title(self) -> str:
         """Date of the first episode, and the pair."""
-        first = self.entries[0]
+        first = self.first
         when = datetime.fromtimestamp(first.recorded_ns * 1e-9)
-        episodes = count_noun(len(self.entries), "episode")
+        episodes = count_noun(len(self.episodes), "episode")
         return f"{when:%Y-%m-%d  %H:%M:%S}\nseries: {first.piece} on {first.bottom}, {episodes}"
 
     @property
     def facts(self) -> str:
         """Pair, plan, person and progress, one line each."""
-        first = self.entries[0]
-        people = ", ".join(sorted({e.person for e in self.entries if e.person})) or "nobody named"
-        mountings = len({e.mounting_id for e in self.entries})
-        grips = len({(e.mounting_id, e.grip_id) for e in self.entries})
-        refused = sum(not e.quality.accepted for e in self.entries)
-        states = Counter(e.state for e in self.entries).most_common()
+        first = self.first
+        people = ", ".join(sorted(filter(None, self.people))) or "nobody named"
+        mountings = len({mounting for mounting, _ in self.grips})
+        states = Counter(state for _, state in self.episodes).most_common()
         lines = [
             f"{first.piece} on {first.bottom}, {first.mode}",
             self.plan,
             f"recorded by {people}",
-            f"{', '.join(f'{count} {state}' for state, count in states)}; {refused} refused",
-            f"{count_noun(grips, 'grip')} on {count_noun(mountings, 'mounting')}",
+            f"{', '.join(f'{count} {state}' for state, count in states)}; {self.refused} refused",
+            f"{count_noun(len(self.grips), 'grip')} on {count_noun(mountings, 'mounting')}",
         ]
         return "\n".join(line for line in lines if line)
 
@@ -151,14 +162,13 @@ class StoredEpisode:
 
 
 def list_series(dataset: Dataset) -> list[EpisodeSeries]:
-    """Return the series of a dataset, newest first."""
-    found: dict[str, list[EpisodeEntry]] = {}
-    for entry in dataset.episodes():
-        found.setdefault(entry.series, []).append(entry)
-    return [
-        EpisodeSeries(name, tuple(entries), plan_text(dataset, entries[0].campaign))
-        for name, entries in reversed(found.items())
-    ]
+    """Return the series of a dataset, newest first. Entries are read in pages and not kept."""
+    found: dict[str, EpisodeSeries] = {}
+    for entry in dataset:
+        if entry.series not in found:
+            found[entry.series] = EpisodeSeries(entry, plan_text(dataset, entry.campaign))
+        found[entry.series].add(entry)
+    return list(reversed(found.values()))
 
 
 def plan_text(dataset: Dataset, campaign: str) -> str:

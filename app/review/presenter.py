@@ -155,12 +155,14 @@ class ReviewPresenter:
     def _open_series(self, series: EpisodeSeries) -> None:
         self._drop_reading()
         self.story, self._run, self.timed, self._told = RunStory(), None, [], []
-        self._episodes = [entry.uuid for entry in series.entries]
-        self._whole = ", ".join((f"Series {series.name}", series.plan)).rstrip(", ")
-        count = len(series.entries)
+        self._episodes = [uuid for uuid, _ in series.episodes]
+        self._whole = ", ".join((f"Series {series.first.series}", series.plan)).rstrip(", ")
+        count = len(series.episodes)
         self._page.score.show_facts(count_noun(count, "episode"), series.facts)
         self._name_parts("Episodes", "of the series", "Series")
-        lines = [f"{at}.  {e.state}, {e.uuid[-8:]}" for at, e in enumerate(series.entries, 1)]
+        lines = [
+            f"{at}.  {state}, {uuid[-8:]}" for at, (uuid, state) in enumerate(series.episodes, 1)
+        ]
         self._fill(lines, count - 1)
 
     def _name_parts(self, title: str, detail: str, whole: str) -> None:

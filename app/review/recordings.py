@@ -185,9 +185,9 @@ class RecordingsPresenter:
 
     def _list(self, folders: list[Path], titles: list[str], series: list[EpisodeSeries]) -> None:
         chosen = self._page.runs.current
-        before: list[Path | str] = [*self.folders, *(one.name for one in self.series)]
+        before: list[Path | str] = [*self.folders, *(one.first.series for one in self.series)]
         self.folders, self._titles, self.series = folders, titles, series
-        now: list[Path | str] = [*folders, *(one.name for one in series)]
+        now: list[Path | str] = [*folders, *(one.first.series for one in series)]
         self._page.runs.take([
             *(RecordingRow(title, self._described.get(folder, (UNREAD, ""))[1])
               for folder, title in zip(folders, titles, strict=True)),

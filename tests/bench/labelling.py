@@ -98,7 +98,7 @@ def _walk(folder: Path) -> list[Figure]:
 
     def ready() -> bool:
         ahead = p.walk.order[p.walk.at + 1]
-        return ahead in p.walk.held() and not p.saving.busy
+        return ahead in p._prefetch.held() and not p.saving.busy
 
     def timed(act: Callable[[], None], done: Callable[[], bool]) -> float:
         start_s = time.perf_counter()
@@ -127,7 +127,7 @@ def _walk(folder: Path) -> list[Figure]:
             lambda before=before: p.present.item.entry.uuid != before,  # type: ignore[misc]
         ))  # fmt: skip
         working.append(1e3 * (time.thread_time() - start_s))
-    held = sum(p.walk.size(uuid) for uuid in p.walk.held())
+    held = sum(p._prefetch.get(uuid).bytes for uuid in p._prefetch.held())
     window.close()
     note = f"{len(p.walk.order)} episodes, offscreen"
     next_ms, nudge_ms = (float(np.percentile(v, 95)) for v in (looks, nudges))

@@ -221,11 +221,8 @@ def test_what_an_empty_queue_offers_is_what_would_fill_it(desk, queue, button):
 
 
 def test_reading_ahead_holds_no_more_than_seven_episodes(desk):
-    walk = desk.workspace.presenter.walk
-    for _ in range(20):
-        desk.do(KEY.Key_PageDown)
-        assert len(walk.held()) <= 7
-        assert desk.uuid in walk.held()
-    for _ in range(5):
-        desk.do(KEY.Key_PageUp)
-        assert len(walk.held()) <= 7
+    held = desk.workspace.presenter._prefetch.held
+    for key in [KEY.Key_PageDown] * 20 + [KEY.Key_PageUp] * 5:
+        desk.do(key)
+        assert len(held()) <= 7
+        assert desk.uuid in held()

@@ -9,9 +9,12 @@ from PySide6.QtCore import Qt
 
 from tests.app.slot_watch import SLOT_S, SlotWatch
 from tests.app.stand_in import StandInBench
+from tests.backend.annotations.filling import fill
 from touchdown.app.review import recordings
-from touchdown.app.review.episodes import EpisodeSeries
+from touchdown.app.review.episodes import EpisodeSeries, list_series
 from touchdown.app.review.recordings import RunReader, read_run_summary
+from touchdown.backend.annotations import episode_index
+from touchdown.backend.annotations.dataset import Dataset
 from touchdown.backend.core.events import PhaseEntered, RunFinished, RunStarted, TrialFinished
 from touchdown.backend.core.values import Outcome
 from touchdown.backend.runs.event_log import EVENT_LOG_NAME, EventLog, read_events
@@ -56,7 +59,18 @@ def test_the_times_of_runs_and_series_are_local(far_east):
     assert recordings.run_title("20261121-041511-7") == "2026-11-21  10:00:11"
     assert recordings.run_title("trial run") == "trial run"
     entry = SimpleNamespace(recorded_ns=0, piece="pot", bottom="short")
-    assert EpisodeSeries("s", (entry,)).title.startswith("1970-01-01  05:45:00\n")
+    assert EpisodeSeries(entry).title.startswith("1970-01-01  05:45:00\n")
+
+
+def test_series_are_counted_page_by_page(tmp_path, monkeypatch):
+    monkeypatch.setattr(episode_index, "PAGE", 3)
+    monkeypatch.setattr(Dataset, "episodes", None)  # all entries at once
+    with Dataset.open(tmp_path / "dataset", person="setup") as dataset:
+        uuids = fill(dataset, 7)
+        (series,) = list_series(dataset)
+    assert [uuid for uuid, _ in series.episodes] == sorted(uuids)
+    assert "7 episodes" in series.title
+    assert "7 draft; 0 refused" in series.facts
 
 
 @pytest.mark.parametrize(

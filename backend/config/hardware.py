@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field, field_validator, model_validator
@@ -36,18 +36,32 @@ CONTROL_NAMES: dict[str, tuple[str, ...]] = {
 }
 
 
-class MonitorSettings(Settings):
+class DeviceSettings(Settings):
+    """Settings of which an older lab file may name retired keys; these never had an effect."""
+
+    retired: ClassVar[frozenset[str]] = frozenset()
+
+    @model_validator(mode="before")
+    @classmethod
+    def _without_retired(cls, content: Any) -> Any:
+        if isinstance(content, Mapping):
+            return {key: value for key, value in content.items() if key not in cls.retired}
+        return content
+
+
+class MonitorSettings(DeviceSettings):
     """Real-time monitor of the controller; off without data type numbers."""
+
+    retired = frozenset({"type_robmon", "type_pose", "type_joint"})
 
     port: Port = 12000
     type_force: U16 | None = None
-    type_robmon: U16 | None = None
-    type_pose: U16 | None = None
-    type_joint: U16 | None = None
 
 
-class MxtSettings(Settings):
+class MxtSettings(DeviceSettings):
     """Real-time external control."""
+
+    retired = frozenset({"lost_limit"})
 
     position_type: Literal[0, 1, 2] = 1
     port: Port = 10000
@@ -59,7 +73,6 @@ class MxtSettings(Settings):
     error_overspeed: U16 = 9901
     error_timeout: U16 = 9902
     step_fraction: Share = 0.5
-    lost_limit: Count = 100
     start_timeout_s: Positive = 3.0
 
 
@@ -73,13 +86,13 @@ class R3Settings(Settings):
     reply_gap_ms: Positive = 30.0
 
 
-class ForceControlSettings(Settings):
+class ForceControlSettings(DeviceSettings):
     """The controller's force control."""
+
+    retired = frozenset({"limited_stiffness_mode", "off_on_reset"})
 
     # Controller program for presses with ``stiffness_mode`` controller.
     program: ProgramName = "TDPROBE"
-    limited_stiffness_mode: Annotated[int, Field(ge=0, le=9)] = 3
-    off_on_reset: bool = True
     damping: NonNegative = 0.0
     frame: Literal[0, 1] = 1
 
@@ -91,8 +104,10 @@ class ForceSensorSettings(Settings):
     rated_nm: Positive = 4.0
 
 
-class MelfaSettings(Settings):
+class MelfaSettings(DeviceSettings):
     """Arm and controller."""
+
+    retired = frozenset({"mxt_in_fsc"})
 
     # "melfa", "ur", or the name of an entry point.
     driver: Annotated[str, Field(min_length=1)] = "melfa"
@@ -111,7 +126,6 @@ class MelfaSettings(Settings):
     euler: Literal["Rz(C) Ry(B) Rx(A)", "Rx(A) Ry(B) Rz(C)"] = "Rz(C) Ry(B) Rx(A)"
     # Bits of Right, Above, NonFlip in the first structure flag.
     flags: tuple[Count, Count, Count] = (4, 2, 1)
-    mxt_in_fsc: bool = False
     # Compliance in a press by this computer over the stream, or by the controller.
     stiffness_mode: Literal["software", "controller"] = "software"
     servo_delay_s: NonNegative = 2.0
@@ -165,8 +179,10 @@ class UrSettings(Settings):
     rated: Six = (50.0, 50.0, 50.0, 10.0, 10.0, 10.0)
 
 
-class WsgSettings(Settings):
+class WsgSettings(DeviceSettings):
     """Gripper; the ranges apply only if the gripper does not report its own."""
+
+    retired = frozenset({"bad_crc_reply", "grasp_force_parameter"})
 
     driver: Annotated[str, Field(min_length=1)] = "wsg"  # "wsg", or the name of an entry point
     protocol: Literal["binary", "gcl"] = "binary"
@@ -182,9 +198,7 @@ class WsgSettings(Settings):
     grasp_speed_mm_s: Positive = 50.0
     # Commanded force: "device" sum over both fingers, "finger" each.
     force_convention: Literal["device", "finger"] = "device"
-    bad_crc_reply: Literal["CHECKSUM_ERROR", "none"] = "CHECKSUM_ERROR"
     temperature: Literal["i16, 0.1 degC"] = "i16, 0.1 degC"
-    grasp_force_parameter: Literal[False] = False
     # True if a piece stays held after an announced disconnect. Otherwise no disconnect is announced
     # while a piece is held, and the fast stop of the gripper keeps it.
     keeps_grip_after_07: bool = True
@@ -247,32 +261,27 @@ class SerialSettings(Settings):
     latency_ms: NonNegative = 16.0
 
 
-class BotaSettings(Settings):
+class BotaSettings(DeviceSettings):
     """Bota SensONE."""
+
+    retired = frozenset({"quiet_in_config"})
 
     # Filter length: sample period in steps of 19.53125 us.
     sinc: Annotated[int, Field(ge=51, le=512)] = 64
     rated: Six = (500.0, 500.0, 1200.0, 15.0, 15.0, 12.0)
 
-    @model_validator(mode="before")
-    @classmethod
-    def _without_retired(cls, content: Any) -> Any:
-        # Named by older lab files; it never had an effect.
-        if isinstance(content, Mapping):
-            return {key: value for key, value in content.items() if key != "quiet_in_config"}
-        return content
 
-
-class NetftSettings(Settings):
+class NetftSettings(DeviceSettings):
     """Net F/T."""
 
-    onrobot: bool = False  # 10 000 counts per N and 100 000 per N·m, and the two commands below
+    retired = frozenset({"onrobot_commands"})
+
+    onrobot: bool = False  # 10 000 counts per N and 100 000 per N·m
     http_port: Port = 80
     tcp_port: Port = 49151
     # Counts per N and per N·m, for a box that reports neither.
     counts: tuple[Positive, Positive] | None = None
     rated: Six = (130.0, 130.0, 400.0, 10.0, 10.0, 10.0)
-    onrobot_commands: tuple[U16, U16] = (0x82, 0x83)  # filter and speed
 
 
 class FingerCameraSettings(Settings):

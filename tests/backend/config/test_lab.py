@@ -20,6 +20,7 @@ from touchdown.backend.bench.laboratory import (
 )
 from touchdown.backend.calibration.records import DeviceName
 from touchdown.backend.cli.doctor.command import lab_checks
+from touchdown.backend.config.hardware import HardwareSettings
 from touchdown.backend.config.lab import (
     LAB_FILE_VERSION,
     LimitSettings,
@@ -199,9 +200,15 @@ def test_keys_and_tables_that_are_missing_are_added(path):
     }
 
 
-def test_a_lab_file_with_a_setting_that_was_removed_still_opens(path):
+def test_a_lab_file_with_settings_that_were_removed_still_opens(path):
     path.write_text(f"{TEMPLATE}\n[bota]\nquiet_in_config = false\nsinc = 128\n", "utf-8")
     assert load_lab(path).settings.bota.sinc == 128
+    monitor = {"type_robmon": 902, "type_pose": 903, "type_joint": 904, "type_force": 901}
+    force_control = {"limited_stiffness_mode": 4, "off_on_reset": False}
+    melfa = {"mxt_in_fsc": True, "monitor": monitor, "mxt": {"lost_limit": 7}, "fsc": force_control}
+    wsg = {"bad_crc_reply": "none", "grasp_force_parameter": False}
+    tables = {"melfa": melfa, "wsg": wsg, "netft": {"onrobot_commands": [130, 131]}}
+    assert HardwareSettings.model_validate(tables).melfa.monitor.type_force == 901
 
 
 def test_what_is_the_same_is_not_written(path):

@@ -73,7 +73,6 @@ def test_placeholders_are_called_so():
         ({"ft": {"rotation": [[1, 0, 0], [0, 1, 0], [0, 0, 2]]}}, "ft.rotation"),
         ({"ft": {"rotation": [[1, 0, 0], [0, 1, 0], [0, 0, -1]]}}, "ft.rotation"),
         ({"ft": {"sign": 0}}, "ft.sign"),
-        ({"wsg": {"grasp_force_parameter": True}}, "wsg.grasp_force_parameter"),
         ({"optoforce": {"counts": [1, 2, 3, 4, 5, 0]}}, "optoforce.counts.5"),
         ({"wsg": {"strok_mm": 60}}, "wsg.strok_mm"),
     ],

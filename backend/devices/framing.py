@@ -61,13 +61,10 @@ def two_in_a_row(take: TakeFrame[Message], data: bytes, at: int) -> bool:
     return False
 
 
-class FrameStream(Generic[Message]):
-    """Stream decoder of a protocol; ``take`` decodes one message at a position."""
+class MessageStream:
+    """Bytes of an incomplete message of a stream, and counts of what is no message."""
 
-    def __init__(
-        self, take: TakeFrame[Message], overtake: SkipUnfinished[Message] = two_in_a_row
-    ) -> None:
-        self._take, self._overtake = take, overtake
+    def __init__(self) -> None:
         self._rest = b""
         self.bad_frames = self.bad_in_a_row = self.discarded = 0
 
@@ -75,6 +72,20 @@ class FrameStream(Generic[Message]):
     def pending(self) -> int:
         """Number of bytes of an incomplete message."""
         return len(self._rest)
+
+    def reset(self) -> None:
+        """Discard an incomplete message; the counts stay."""
+        self._rest = b""
+
+
+class FrameStream(MessageStream, Generic[Message]):
+    """Stream decoder of a protocol; ``take`` decodes one message at a position."""
+
+    def __init__(
+        self, take: TakeFrame[Message], overtake: SkipUnfinished[Message] = two_in_a_row
+    ) -> None:
+        super().__init__()
+        self._take, self._overtake = take, overtake
 
     def feed(self, data: bytes) -> list[Message]:
         """Take the next bytes; return the messages they complete, oldest first."""
@@ -93,10 +104,6 @@ class FrameStream(Generic[Message]):
                 messages.append(step.message)
         self._rest = rest[at:]
         return messages
-
-    def reset(self) -> None:
-        """Discard an incomplete message; the counts stay."""
-        self._rest = b""
 
     def _count(self, step: FrameStep[Message]) -> None:
         if step.message is None:
@@ -195,22 +202,15 @@ def xor8(data: bytes) -> int:
     return reduce(xor, data, 0)
 
 
-class LineStream(Generic[Message]):
+class LineStream(MessageStream, Generic[Message]):
     """Stream decoder of lines of at most ``longest`` bytes; ``parse`` gets a line without its end.
 
     If a device sends no line end, call ``flush`` after a silence.
     """
 
     def __init__(self, parse: Callable[[bytes], Message], longest: int) -> None:
-        self._parse, self._longest = parse, longest
-        self._rest = b""
-        self._skipping = False
-        self.bad_frames = self.bad_in_a_row = self.discarded = 0
-
-    @property
-    def pending(self) -> int:
-        """Number of bytes of an incomplete line."""
-        return len(self._rest)
+        super().__init__()
+        self._parse, self._longest, self._skipping = parse, longest, False
 
     def feed(self, data: bytes) -> list[Message]:
         """Take the next bytes; return the messages they complete, oldest first."""
@@ -232,8 +232,9 @@ class LineStream(Generic[Message]):
         return messages
 
     def reset(self) -> None:
-        """Discard the incomplete line; the counts stay."""
-        self._rest, self._skipping = b"", False
+        """Discard an incomplete line; the counts stay."""
+        super().reset()
+        self._skipping = False
 
     def _finish(self, line: bytes, messages: list[Message]) -> None:
         skipping, self._skipping = self._skipping, False

@@ -7,7 +7,7 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Protocol
+from typing import Generic, Protocol, TypeVar
 
 from touchdown.backend.core import Finger, ImageArray, InputError
 from touchdown.backend.emulation.fault_plan import (
@@ -21,6 +21,7 @@ from touchdown.backend.emulation.server import DeviceServer, EmulatedDevice, Pty
 
 WrenchFunction = Callable[[float], Sequence[float]]  # time in s -> (6,) N and N·m
 PictureFunction = Callable[[float], ImageArray | None]  # time in s -> picture, None if no new one
+RequestT = TypeVar("RequestT")
 BenchTables = Mapping[str, Mapping[str, object]]  # tables of a bench file
 
 
@@ -30,14 +31,47 @@ class StreamingSensor(EmulatedDevice, Protocol):
     pace: SampleSchedule
 
 
-class SerialSensor:
-    """Base of emulated wrist sensors; ``wrench(now_s)`` returns (6,) N and N·m, sensor axes."""
+class RequestDecoder(Protocol[RequestT]):
+    """Stream decoder of the requests to a sensor."""
 
-    def __init__(self, wrench: WrenchFunction) -> None:
-        self._wrench, self.pace = wrench, SampleSchedule()
+    def feed(self, data: bytes) -> list[RequestT]:
+        """Take the next bytes; return the requests they complete, oldest first."""
+
+
+class SerialSensor(Generic[RequestT]):
+    """Base of emulated wrist sensors; ``wrench(now_s)`` returns (6,) N and N·m, sensor axes. A
+    subclass gives ``_answer`` to a request and the ``_frame`` of a sample.
+    """
+
+    def __init__(self, wrench: WrenchFunction, requests: RequestDecoder[RequestT]) -> None:
+        self._wrench, self._requests, self.pace = wrench, requests, SampleSchedule()
+
+    def receive(self, now_s: float, data: bytes) -> bytes:
+        """Process requests; return the answers."""
+        return b"".join(self._answer(now_s, request) for request in self._requests.feed(data))
+
+    def due(self, now_s: float) -> bytes:
+        """Return the frames of the stream up to now."""
+        lost, times_s = self.pace.due(now_s)
+        self._skip(lost)
+        return b"".join(map(self._frame, times_s))
 
     def closed(self, now_s: float) -> None:
         """Do nothing: a sensor on a serial line does not notice."""
+
+    def _answer(self, now_s: float, request: RequestT) -> bytes:
+        raise NotImplementedError
+
+    def _frame(self, now_s: float) -> bytes:
+        raise NotImplementedError
+
+    def _skip(self, lost: int) -> None:
+        """Count samples that are lost after a pause, if the sensor numbers its samples."""
+
+    def _counts(self, now_s: float, per_unit: Sequence[float]) -> tuple[int, ...]:
+        """Return the wrench in counts, by the counts per N and per N·m of each axis."""
+        pairs = zip(self._wrench(now_s), per_unit, strict=True)
+        return tuple(round(value * factor) for value, factor in pairs)
 
 
 @dataclass(frozen=True, slots=True)

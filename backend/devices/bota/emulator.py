@@ -22,32 +22,28 @@ DEFAULT_SINC = 512
 TIMESTAMP_TURN = 1 << 32
 
 
-class EmulatedBota(SerialSensor):
+class EmulatedBota(SerialSensor[protocol.BotaRequest]):
     """Emulated sensor; ``wrench(now_s)`` returns (6,) N and N·m."""
 
     def __init__(self, wrench: WrenchFunction) -> None:
-        super().__init__(wrench)
-        self._requests = protocol.requests()
+        super().__init__(wrench, protocol.requests())
         self._sinc = DEFAULT_SINC
         self._booted = self._configuring = False
 
     def receive(self, now_s: float, data: bytes) -> bytes:
         """Process text commands; return the answers, after the boot text for a new client."""
-        answers = (self._answer(now_s, request) for request in self._requests.feed(data))
-        return self._boot(now_s) + b"".join(answers)
+        return self._boot(now_s) + super().receive(now_s, data)
 
     def due(self, now_s: float) -> bytes:
         """Return the boot text once, then the frames up to now."""
-        boot = self._boot(now_s)
-        _, times = self.pace.due(now_s)
-        return boot + b"".join(map(self._frame, times))
+        return self._boot(now_s) + super().due(now_s)
 
     def closed(self, now_s: float) -> None:
         """Restart for the next client, like a sensor powered by its plug."""
         self._booted = self._configuring = False
         self._sinc = DEFAULT_SINC
         self.pace.end()
-        self._requests.reset()
+        self._requests = protocol.requests()
 
     def _boot(self, now_s: float) -> bytes:
         if self._booted:

@@ -29,32 +29,21 @@ _DIVIDERS = {
 }
 
 
-class EmulatedDynpick(SerialSensor):
+class EmulatedDynpick(SerialSensor[DynpickCommand]):
     """Emulated sensor; ``wrench(now_s)`` returns (6,) N and N·m in sensor axes. Without
     ``tells_sensitivity`` it is an older type that does not answer ``p``.
     """
 
     def __init__(self, wrench: WrenchFunction, *, tells_sensitivity: bool = True) -> None:
-        super().__init__(wrench)
+        super().__init__(wrench, protocol.command_stream())
         self._tells_sensitivity = tells_sensitivity
-        self._commands = protocol.command_stream()
         self._offset: tuple[int, ...] = (0,) * 6
         self._divider, self._tick = 1, 0
-
-    def receive(self, now_s: float, data: bytes) -> bytes:
-        """Process commands; return the answers."""
-        return b"".join(self._answer(now_s, command) for command in self._commands.feed(data))
-
-    def due(self, now_s: float) -> bytes:
-        """Return the records of the stream up to now."""
-        late, times = self.pace.due(now_s)
-        self._tick = (self._tick + late) % 10
-        return b"".join(map(self._record, times))
 
     def _answer(self, now_s: float, command: DynpickCommand) -> bytes:
         match command:
             case DynpickCommand.READ:
-                return self._record(now_s)
+                return self._frame(now_s)
             case DynpickCommand.SENSITIVITY if self._tells_sensitivity:
                 return protocol.encode_sensitivity(SENSITIVITY)
             case DynpickCommand.TEMPERATURE:
@@ -68,19 +57,18 @@ class EmulatedDynpick(SerialSensor):
             case DynpickCommand.STOP:
                 self.pace.end()
             case DynpickCommand.OFFSET_RESET:
-                self._offset = self._counts(now_s)
+                self._offset = self._counts(now_s, SENSITIVITY)
             case _ if command in _DIVIDERS:
                 self._divider = _DIVIDERS[command]
                 if self.pace.running:
                     self.pace.begin(now_s, self._divider / RATE_HZ)
         return b""
 
-    def _counts(self, now_s: float) -> tuple[int, ...]:
-        values = zip(self._wrench(now_s), SENSITIVITY, strict=True)
-        return tuple(round(value * per_unit) for value, per_unit in values)
+    def _skip(self, lost: int) -> None:
+        self._tick = (self._tick + lost) % 10
 
-    def _record(self, now_s: float) -> bytes:
-        pairs = zip(self._counts(now_s), self._offset, strict=True)
+    def _frame(self, now_s: float) -> bytes:
+        pairs = zip(self._counts(now_s, SENSITIVITY), self._offset, strict=True)
         counts = tuple(
             min(max(protocol.ZERO_COUNT + c - o, 0), protocol.TOP_COUNT) for c, o in pairs
         )

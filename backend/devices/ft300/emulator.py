@@ -17,6 +17,7 @@ from touchdown.backend.emulation import (
 )
 
 PERIOD_S = 0.01
+PER_UNIT = (100, 100, 100, 1000, 1000, 1000)
 # Of a hand that points down and stands, thousandths of g.
 ACCELERATION = (0, 0, -1000)
 SERIAL, FIRMWARE, YEAR = b"F-12345\x00", b"FTS-3\x00", 2021
@@ -25,39 +26,29 @@ _READ = 3
 _LIMIT = 0x7FFF
 
 
-class EmulatedFt300(SerialSensor):
+class EmulatedFt300(SerialSensor[protocol.Ft300Request]):
     """Emulated sensor; ``wrench(now_s)`` returns (6,) N and N·m in sensor axes."""
 
     def __init__(self, wrench: WrenchFunction) -> None:
-        super().__init__(wrench)
-        self._requests = protocol.requests()
+        super().__init__(wrench, protocol.requests())
 
-    def receive(self, now_s: float, data: bytes) -> bytes:
-        """Process requests; return the answers."""
-        answers = (self._answer(now_s, request) for request in self._requests.feed(data))
-        return b"".join(protocol.encode(answer) for answer in answers if answer is not None)
-
-    def due(self, now_s: float) -> bytes:
-        """Return the frames of the stream up to now."""
-        _, times = self.pace.due(now_s)
-        return b"".join(protocol.encode(self._sample(t_s)) for t_s in times)
-
-    def _answer(self, now_s: float, request: protocol.Ft300Request) -> protocol.Ft300Message | None:
+    def _answer(self, now_s: float, request: protocol.Ft300Request) -> bytes:
         if isinstance(request, protocol.StreamStop):
             self.pace.end()
-            return None
+            return b""
         if self.pace.running:
-            return None
+            return b""
         if isinstance(request, protocol.ReadRegisters):
-            return self._registers(now_s, request)
+            return protocol.encode(self._registers(now_s, request))
         wanted = request.value if isinstance(request, protocol.WriteRegister) else request.values[0]
         if request.register == protocol.STREAM_REGISTER and wanted == protocol.STREAM_ON:
             self.pace.begin(now_s, PERIOD_S)
-        return (
-            protocol.ModbusWritten(request.register, 1)
-            if isinstance(request, protocol.WriteRegisters)
-            else request
-        )
+        if isinstance(request, protocol.WriteRegisters):
+            return protocol.encode(protocol.ModbusWritten(request.register, 1))
+        return protocol.encode(request)
+
+    def _frame(self, now_s: float) -> bytes:
+        return protocol.encode(self._sample(now_s))
 
     def _registers(
         self, now_s: float, request: protocol.ReadRegisters
@@ -76,9 +67,7 @@ class EmulatedFt300(SerialSensor):
         return protocol.RegisterValues(tuple(block[: request.count]))
 
     def _sample(self, now_s: float) -> protocol.Ft300Sample:
-        per_unit = (100, 100, 100, 1000, 1000, 1000)
-        pairs = zip(self._wrench(now_s), per_unit, strict=True)
-        counts = (round(value * factor) for value, factor in pairs)
+        counts = self._counts(now_s, PER_UNIT)
         return protocol.Ft300Sample(tuple(min(max(count, -_LIMIT), _LIMIT) for count in counts))
 
 

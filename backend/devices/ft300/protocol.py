@@ -134,16 +134,6 @@ def _body(message: ReadRegisters | WriteRegister | WriteRegisters | Ft300Message
             return struct.pack(">BBB", SLAVE, function | 0x80, code)
 
 
-def decode(frame: bytes) -> Ft300Message:
-    """Return the message of one whole frame from the sensor; raises ``ProtocolError``."""
-    length = _incoming_length(frame, 0)
-    if length == 0:
-        raise ProtocolError("header", "ft300 frame")
-    if length is None or length != len(frame):
-        raise ProtocolError("length", "ft300 frame", len(frame))
-    return _incoming(frame)
-
-
 def incoming() -> FrameStream[Ft300Message]:
     """Return the decoder of the sensor's messages: answers and stream."""
     return FrameStream(_take)
@@ -180,7 +170,8 @@ def _incoming_length(data: bytes, at: int) -> int | None:
     return 5 + head[2] if head[2] in range(2, 2 * LARGEST_READ + 1, 2) else 0
 
 
-def _incoming(frame: bytes) -> Ft300Message:
+def decode(frame: bytes) -> Ft300Message:
+    """Return the message of one whole frame from the sensor; raises ``ProtocolError``."""
     body = _checked(frame)
     if body[:2] == STREAM_HEADER:
         return Ft300Sample(struct.unpack("<6h", body[2:]))
@@ -195,7 +186,7 @@ def _incoming(frame: bytes) -> Ft300Message:
 
 
 def _take(data: bytes, at: int) -> FrameStep[Ft300Message] | None:
-    return take_frame(data, at, _incoming_length(data, at), b"\x20\x09", _incoming)
+    return take_frame(data, at, _incoming_length(data, at), b"\x20\x09", decode)
 
 
 def _take_request(data: bytes, at: int) -> FrameStep[Ft300Request] | None:

@@ -28,30 +28,29 @@ FILTERS = 4
 _FRAME = re.compile(rb"\x10\x02((?:[^\x10]|\x10\x10)*)\x10\x03(.)", re.DOTALL)
 
 
-class EmulatedLeptrino(SerialSensor):
+class EmulatedLeptrino(SerialSensor[protocol.Packet]):
     """Emulated sensor; ``wrench(now_s)`` returns (6,) N and N·m in sensor axes."""
 
     def __init__(self, wrench: WrenchFunction) -> None:
-        super().__init__(wrench)
-        self._commands = protocol.packets()
+        self._decoder = protocol.packets()
+        super().__init__(wrench, self._decoder)
         self._bad = 0
 
     def receive(self, now_s: float, data: bytes) -> bytes:
         """Process commands; the answer is NAK for a wrong check, a code for a wrong length."""
-        out = b"".join(
-            protocol.encode(self._answer(now_s, packet)) for packet in self._commands.feed(data)
-        )
-        if self._commands.bad_frames > self._bad:
-            self._bad = self._commands.bad_frames
+        out = super().receive(now_s, data)
+        if self._decoder.bad_frames > self._bad:
+            self._bad = self._decoder.bad_frames
             out = protocol.encode(_refusal(data)) + out
         return out
 
-    def due(self, now_s: float) -> bytes:
-        """Return the samples of the stream up to now."""
-        _, times = self.pace.due(now_s)
-        return b"".join(protocol.encode(self._sample(t_s, LeptrinoCommand.START)) for t_s in times)
+    def _answer(self, now_s: float, packet: protocol.Packet) -> bytes:
+        return protocol.encode(self._reply(now_s, packet))
 
-    def _answer(self, now_s: float, packet: protocol.Packet) -> protocol.Packet:
+    def _frame(self, now_s: float) -> bytes:
+        return protocol.encode(self._sample(now_s, LeptrinoCommand.START))
+
+    def _reply(self, now_s: float, packet: protocol.Packet) -> protocol.Packet:
         command = getattr(packet, "command", None)
         if command == LeptrinoCommand.INFO:
             return INFO

@@ -143,18 +143,6 @@ def _content(
     return packet.command, 0, body
 
 
-def decode(frame: bytes) -> Packet:
-    """Return the message of one whole frame; raises ``ProtocolError``."""
-    step = _take(frame, 0)
-    if step is None or step.length != len(frame):
-        if step is not None and step.refused:
-            _unpack(*_unstuff(frame))
-        raise ProtocolError("length", "leptrino frame", len(frame))
-    if step.message is None:
-        raise ProtocolError("start", "leptrino frame")
-    return step.message
-
-
 def packets() -> FrameStream[Packet]:
     """Return a decoder of either direction."""
     return FrameStream(_take, never_skip)
@@ -179,17 +167,14 @@ def _take(data: bytes, at: int) -> FrameStep[Packet] | None:
     if len(tail) < 3:
         return None
     try:
-        return FrameStep(end + 3 - at, _unpack(*_unstuff(data[at : end + 3])))
+        return FrameStep(end + 3 - at, decode(data[at : end + 3]))
     except ProtocolError:
         return FrameStep(2, refused=True)
 
 
-def _unstuff(frame: bytes) -> tuple[bytes, int]:
-    return frame[2:-3].replace(b"\x10\x10", b"\x10"), frame[-1]
-
-
-def _unpack(data: bytes, check: int) -> Packet:
-    """Return the message of un-stuffed ``data``."""
+def decode(frame: bytes) -> Packet:
+    """Return the message of one whole frame; raises ``ProtocolError``."""
+    data, check = frame[2:-3].replace(b"\x10\x10", b"\x10"), frame[-1]
     if xor8(data) ^ ETX != check:
         raise ProtocolError("bcc", "leptrino frame", len(data))
     if len(data) < 4 or data[0] != len(data) or data[1] != 0xFF:

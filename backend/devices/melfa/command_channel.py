@@ -488,11 +488,11 @@ class Console:
             raise FaultError(link_fault("Connecting was cancelled."))
 
     def _identify(self) -> Identity:
-        opened = read_opened(self.ask("OPEN=", CLIENT))
+        robot_type, version = read_opened(self.ask("OPEN=", CLIENT))
         wanted = self._settings.robot_type
-        if not opened.robot_type.startswith(wanted):
-            raise FaultError(other_arm_fault(opened.robot_type, wanted))
-        return Identity("Mitsubishi", opened.robot_type, self._settings.host, opened.version)
+        if not robot_type.startswith(wanted):
+            raise FaultError(other_arm_fault(robot_type, wanted))
+        return Identity("Mitsubishi", robot_type, self._settings.host, version)
 
     def _reset_alarm(self) -> None:
         """Reset the error that refused the last connection, as announced then. The controller

@@ -161,8 +161,7 @@ class EmulatedStream:
         return None
 
     def _reply(self, request: MxtRequest) -> bytes:
-        first, second, third, fourth = map(self._block, request.monitors)
-        blocks = (first, second, third, fourth)
+        blocks = tuple(map(self._block, request.monitors))
         timeouts = self._timeouts if self._settings.mxt.mxttout >= 0 else 0
         command, types = request.command, request.monitors
         reply = MxtReply(command, types[0], types, blocks, self._counter, timeouts=timeouts)
@@ -290,14 +289,15 @@ class EmulatedCommands:
             return R3Reply("Qer" if controller.error else "QeR", str(refused.number))
         except KeyError:
             return R3Reply("QeR", str(controller.settings.r3.error_unknown))
-        return R3Reply("Qok" if controller.error else "QoK", answer)
+        return R3Reply("Qok" if controller.error else "QoK", answer or "")
 
     # -- answers ----------------------------------------------------------------------------------
 
-    def _table(self) -> dict[str, Callable[[R3Request], str]]:
+    def _table(self) -> dict[str, Callable[[R3Request], str | None]]:
+        """Return the action of each command: it returns the text of its answer, or nothing."""
         return {
             "OPEN=": lambda _: OPENED.format(robot=self._controller.settings.robot_type),
-            "CLOSE": lambda _: "",
+            "CLOSE": lambda _: None,
             "CNTL": self._right,
             "SRV": self._servo,
             "OVRD=": self._set_override,
@@ -332,7 +332,7 @@ class EmulatedCommands:
             "VAL": self._value,
         }
 
-    def _right(self, request: R3Request) -> str:
+    def _right(self, request: R3Request) -> None:
         controller = self._controller
         if request.argument == "OFF":
             controller.right = None if controller.right is self else controller.right
@@ -340,12 +340,10 @@ class EmulatedCommands:
             raise RefusedCommandError(6020)
         else:
             controller.right = self
-        return ""
 
-    def _servo(self, request: R3Request) -> str:
+    def _servo(self, request: R3Request) -> None:
         self._controller.require(self if request.argument == "ON" else None)
         self._controller.switch_servo(request.argument == "ON")
-        return ""
 
     def _set_override(self, request: R3Request) -> str:
         self._controller.require(self)
@@ -371,38 +369,32 @@ class EmulatedCommands:
         }
         return {**TEXTS, **own}.get(int(request.argument), "No text")
 
-    def _load(self, request: R3Request) -> str:
+    def _load(self, request: R3Request) -> None:
         self._controller.require(self, still=True)
         if self._controller.held:
             raise RefusedCommandError(5120)
         self._controller.loaded = self._controller.require_program(request.argument)
-        return ""
 
-    def _run(self, request: R3Request) -> str:
+    def _run(self, request: R3Request) -> None:
         self._controller.require(self, still=True)
         self._controller.run_program(request.arguments[0])
-        return ""
 
-    def _stop(self, request: R3Request) -> str:
+    def _stop(self, request: R3Request) -> None:
         self._controller.halt()
-        return ""
 
-    def _hold_stop(self, on: bool, request: R3Request) -> str:
+    def _hold_stop(self, on: bool, request: R3Request) -> None:
         self._controller.stop_on = on
         if on:
             self._controller.halt()
-        return ""
 
-    def _reset_slots(self, request: R3Request) -> str:
+    def _reset_slots(self, request: R3Request) -> None:
         self._controller.require(self, still=True)
         self._controller.held = False
-        return ""
 
-    def _reset_error(self, request: R3Request) -> str:
+    def _reset_error(self, request: R3Request) -> None:
         if self._controller.right is not self:
             raise RefusedCommandError(6020)
         self._controller.reset_error()
-        return ""
 
     def _state(self, request: R3Request) -> str:
         controller = self._controller
@@ -441,7 +433,7 @@ class EmulatedCommands:
         texts = (str(n) if isinstance(n, int) else f"{n:.2f}" for n in numbers)
         return f"{name};{', '.join(texts)};{len(numbers)}"
 
-    def _write(self, request: R3Request) -> str:
+    def _write(self, request: R3Request) -> None:
         program, assignment = request.arguments
         name, value = assignment.split("=")
         self._controller.require_program(program)
@@ -449,7 +441,6 @@ class EmulatedCommands:
             self._controller.variables[name] = float(value)
         except ValueError:
             raise RefusedCommandError(4340) from None
-        return ""
 
     def _value(self, request: R3Request) -> str:
         name, controller = request.argument, self._controller
@@ -503,13 +494,12 @@ class EmulatedCommands:
         values = tuple(self._controller.joints.feedback_rad.tolist())
         return AxisReading(names, values, None, self._controller.override, 0.0).answer()
 
-    def _jog(self, request: R3Request) -> str:
+    def _jog(self, request: R3Request) -> None:
         self._controller.require(self, servo=True, still=True)
         mode, _, minus, plus, *_ = request.arguments
         self._controller.jog(int(mode), int(minus, 16), int(plus, 16))
-        return ""
 
-    def _execute(self, request: R3Request) -> str:
+    def _execute(self, request: R3Request) -> None:
         controller, text = self._controller, request.argument
         moves = text[:3].upper() in ("MOV", "MVS")
         controller.require(self, servo=moves, still=True)
@@ -532,7 +522,6 @@ class EmulatedCommands:
             controller.positions[found[1].upper()] = self._numbers(found[2])
         else:
             raise RefusedCommandError(controller.settings.r3.error_unknown)
-        return ""
 
     def _set_speed(self, kind: str, text: str) -> None:
         if kind == "SPD":
@@ -619,9 +608,9 @@ class EmulatedMonitor:
 
     def _packet(self, now_s: float) -> bytes:
         self._counter = (self._counter + 1) % COUNTER_TURN
-        first, second, third, fourth = (self._block(now_s, number) for number in self._types)
+        blocks = tuple(self._block(now_s, number) for number in self._types)
         kinds = dict.fromkeys(self._types, BlockKind.NONE) | {TYPE_FORCE: BlockKind.FORCE}
-        reply = MonitorReply(self._types, (first, second, third, fourth), self._counter)
+        reply = MonitorReply(self._types, blocks, self._counter)
         return realtime_protocol.encode_monitor_reply(reply, kinds)
 
     def _block(self, now_s: float, number: int) -> Block:

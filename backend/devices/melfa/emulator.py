@@ -76,6 +76,8 @@ class MelfaServer(DeviceServer):
         super().__init__(faults or Faults("arm"))
         self._device = device
         self._sources: list[socket.socket] = []
+        self._sessions: dict[socket.socket, EmulatedCommands] = {}
+        self._selector: selectors.BaseSelector  # of the present connections
         self._host, self._ports = host, ports
         self._listen()
         self.stops: list[float] = []  # times of STOP on the server's clock
@@ -140,27 +142,27 @@ class MelfaServer(DeviceServer):
 
     def _serve_all(self) -> None:
         stream, *doors = self._sources
-        sessions: dict[socket.socket, EmulatedCommands] = {}
-        with selectors.DefaultSelector() as selector:
+        self._sessions.clear()
+        with selectors.DefaultSelector() as self._selector:
             for source in self._sources:
-                selector.register(source, selectors.EVENT_READ)
+                self._selector.register(source, selectors.EVENT_READ)
             while not self._stop.is_set() and not self._is_unplugged():
                 answers: list[bytes] = []
-                for key, _ in selector.select(self._until_due_s()):
+                for key, _ in self._selector.select(self._until_due_s()):
                     ready = key.fileobj
                     assert isinstance(ready, socket.socket)
                     if ready is stream:
                         self._take(stream, answers)
                     elif ready in doors:
-                        self._admit(ready, selector, sessions)
+                        self._admit(ready)
                     else:
-                        self._answer(ready, sessions[ready])
+                        self._answer(ready, self._sessions[ready])
                 now_s = self._clock.now_s()
                 self._apply_faults(now_s)
                 for out in self.faults.outgoing(now_s, answers):
                     self._send(stream, out)
-                self._serve_due(now_s, selector, sessions)
-        for client, session in sessions.items():
+                self._serve_due(now_s)
+        for client, session in self._sessions.items():
             session.closed(self._clock.now_s())
             client.close()
 
@@ -201,20 +203,15 @@ class MelfaServer(DeviceServer):
 
     # -- commands ---------------------------------------------------------------------------------
 
-    def _admit(
-        self,
-        door: socket.socket,
-        selector: selectors.BaseSelector,
-        sessions: dict[socket.socket, EmulatedCommands],
-    ) -> None:
+    def _admit(self, door: socket.socket) -> None:
         try:
             client, _ = door.accept()
         except BlockingIOError:
             return
         client.settimeout(1.0)
         client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        selector.register(client, selectors.EVENT_READ)
-        sessions[client] = self._device.session()
+        self._selector.register(client, selectors.EVENT_READ)
+        self._sessions[client] = self._device.session()
         self.clients += 1
 
     def _answer(self, client: socket.socket, session: EmulatedCommands) -> None:
@@ -230,21 +227,16 @@ class MelfaServer(DeviceServer):
             self.stops.append(now_s)
         self._reply(client, session, session.receive(now_s, data))
 
-    def _serve_due(
-        self,
-        now_s: float,
-        selector: selectors.BaseSelector,
-        sessions: dict[socket.socket, EmulatedCommands],
-    ) -> None:
+    def _serve_due(self, now_s: float) -> None:
         """Send unrequested data that are due; drop closed clients."""
         self._device.controller.advance(now_s)
-        for client, session in list(sessions.items()):
+        for client, session in list(self._sessions.items()):
             self._reply(client, session, session.due(now_s))
             if session.gone:
                 session.closed(now_s)
-                selector.unregister(client)
+                self._selector.unregister(client)
                 client.close()
-                del sessions[client]
+                del self._sessions[client]
 
     def _reply(self, client: socket.socket, session: EmulatedCommands, out: bytes) -> None:
         if not out or self.faults.active("silent", self._clock.now_s()):

@@ -290,27 +290,6 @@ class StopStatus(IntFlag):
 
 
 @dataclass(frozen=True, slots=True)
-class ControllerInfo:
-    """Answer to OPEN: identity of the controller. ``jog_speeds`` in %; axes as bits."""
-
-    xyz_axes: int
-    joint_axes: int
-    flags: tuple[int, int]
-    jog_speeds: tuple[int, ...]
-    program_ext: str
-    parameter_ext: str
-    robot_type: str
-    controller: str
-    series: str
-    date: str
-    version: str
-    language: str
-    robot_info: str
-    serial: str
-    taskmax: int
-
-
-@dataclass(frozen=True, slots=True)
 class ControllerState:
     """Answer to STATE; ``error`` 0 is none."""
 
@@ -337,17 +316,10 @@ class ControllerState:
         return f"{front};{self.step};{self.mechanism};;;;;;;;{tail};{self.mechanism_in_use}"
 
 
-def read_opened(answer: str) -> ControllerInfo:
-    """Return the answer to OPEN; raises ``ProtocolError``."""
+def read_opened(answer: str) -> tuple[str, str]:
+    """Return robot type and version from the answer to OPEN; raises ``ProtocolError``."""
     parts = _parts(answer, 16, "r3 open")
-    flag1, flag2 = (whole(part) for part in _pair(parts[2], ","))
-    axes = _hexadecimal(parts[0]), _hexadecimal(parts[1])
-    speeds = tuple(map(_hexadecimal, parts[3].split(",")))
-    program, parameter, robot, controller, series, date, version, language = parts[4:12]
-    return ControllerInfo(
-        *axes, (flag1, flag2), speeds, program, parameter, robot, controller, series, date, version,
-        language, parts[13], parts[14], whole(parts[15]),
-    )  # fmt: skip
+    return parts[6], parts[10]
 
 
 def read_state(answer: str) -> ControllerState:

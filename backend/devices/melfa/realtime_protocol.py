@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Iterable, Mapping
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 from enum import Enum, IntEnum
 
 from touchdown.backend.devices.framing import ProtocolError, require_length
@@ -21,7 +21,6 @@ _POSE = struct.Struct("<8f2I")
 _FLOATS = struct.Struct("<8f8x")
 _INTEGERS = struct.Struct("<8i8x")
 _FORCE = struct.Struct("<6f16x")
-_ROBMON = struct.Struct("<6f2h6shI")
 
 
 class BlockKind(Enum):
@@ -34,7 +33,6 @@ class BlockKind(Enum):
     CURRENT = "current"
     FORCE = "force"
     FLOATS = "float8"
-    ROBMON = "robmon"
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,28 +52,8 @@ class AxisValues:
     axes: tuple[float, ...]
 
 
-@dataclass(frozen=True, slots=True)
-class RobotMonitor:
-    """State of motion: speeds mm/s, distances mm, transport factor %.
-
-    ``accelerating``: 0 stopped, 1 accelerating, 2 constant, 3 decelerating.
-    """
-
-    speed_feedback_mm_s: float
-    remaining_feedback_mm: float
-    speed_command_mm_s: float
-    remaining_command_mm: float
-    gap: float
-    transport_factor: float
-    accelerating: int
-    step: int
-    program: str
-    temperature_c: float
-    cycle_counter: int
-
-
-Block = MelfaPose | AxisValues | RobotMonitor | None
-Blocks = tuple[Block, Block, Block, Block]
+Block = MelfaPose | AxisValues | None
+Blocks = tuple[Block, ...]  # four
 
 _LAYOUTS = {
     BlockKind.JOINT: _FLOATS,
@@ -90,9 +68,7 @@ def kind_of(block: Block) -> BlockKind:
     """Return the kind of ``block``."""
     if block is None:
         return BlockKind.NONE
-    if isinstance(block, MelfaPose):
-        return BlockKind.POSE
-    return block.kind if isinstance(block, AxisValues) else BlockKind.ROBMON
+    return BlockKind.POSE if isinstance(block, MelfaPose) else block.kind
 
 
 def encode_block(block: Block) -> bytes:
@@ -108,13 +84,7 @@ def _pack(block: Block) -> bytes:
         return bytes(BLOCK_BYTES)
     if isinstance(block, MelfaPose):
         return _POSE.pack(*_finite(block.axes), block.flag1, block.flag2)
-    if isinstance(block, AxisValues):
-        return _LAYOUTS[block.kind].pack(*_finite(block.axes))
-    *numbers, accelerating, step, program, celsius, counter = astuple(block)
-    name, tenths = program.encode("ascii"), round(celsius * 10)
-    if len(name) > 6:
-        raise ProtocolError("length", "melfa program name")
-    return _ROBMON.pack(*_finite(tuple(numbers)), accelerating, step, name, tenths, counter)
+    return _LAYOUTS[block.kind].pack(*_finite(block.axes))
 
 
 def decode_block(kind: BlockKind, data: bytes, where: str, offset: int) -> Block:
@@ -131,15 +101,7 @@ def _unpack(kind: BlockKind, data: bytes) -> Block:
     if kind is BlockKind.POSE:
         *axes, flag1, flag2 = _POSE.unpack(data)
         return MelfaPose(_finite(tuple(axes)), flag1, flag2)
-    if kind is not BlockKind.ROBMON:
-        return AxisValues(kind, _finite(_LAYOUTS[kind].unpack(data)))
-    *numbers, accelerating, step, name, tenths, counter = _ROBMON.unpack(data)
-    program = name.rstrip(b"\x00")
-    if not program.isascii() or b"\x00" in program:
-        raise ProtocolError("text", "melfa program name")
-    text = program.decode("ascii")
-    a, b, c, d, e, f = _finite(tuple(numbers))
-    return RobotMonitor(a, b, c, d, e, f, accelerating, step, text, tenths / 10, counter)
+    return AxisValues(kind, _finite(_LAYOUTS[kind].unpack(data)))
 
 
 def _finite(numbers: tuple[float, ...]) -> tuple[float, ...]:
@@ -184,25 +146,18 @@ class MxtCommand(IntEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class MxtSignals:
-    """Digital signals: direction codes 0 none, 1 output, 2 input; 16 bits from ``head``."""
-
-    send: int = 0
-    receive: int = 0
-    head: int = 0
-    mask: int = 0
-    bits: int = 0
-
-
-@dataclass(frozen=True, slots=True)
 class MxtRequest:
-    """Request to the controller: an absolute ``target`` and four monitor types."""
+    """Request to the controller: an absolute ``target`` and four monitor types.
+
+    ``signals``: digital signals: codes to send and receive (0 none, 1 output, 2 input), number of
+    the first one, mask, and bits.
+    """
 
     command: MxtCommand
     target: Block = None
     monitors: DataTypes = (0, 0, 0, 0)
     counter: int = 0
-    signals: MxtSignals = MxtSignals()
+    signals: tuple[int, ...] = (0,) * 5
     timeouts: int = 0
 
 
@@ -219,7 +174,7 @@ class MxtReply:
     monitors: DataTypes
     blocks: Blocks
     counter: int
-    signals: MxtSignals = MxtSignals()
+    signals: tuple[int, ...] = (0,) * 5
     timeouts: int = 0
 
 
@@ -241,17 +196,15 @@ def encode_mxt_reply(reply: MxtReply) -> bytes:
 
 
 def _encode_mxt(packet: MxtRequest | MxtReply, send_type: int, blocks: Blocks) -> bytes:
-    io = packet.signals
-    numbers = (io.send, io.receive, io.head, io.mask, io.bits, packet.timeouts, packet.counter)
     try:
-        signals = _MXT_SIGNALS.pack(*numbers)
+        signals = _MXT_SIGNALS.pack(*packet.signals, packet.timeouts, packet.counter)
         return _join_packet(packet.command, send_type, packet.monitors, blocks, signals)
     except struct.error as error:
         raise ProtocolError("range", "mxt packet") from error
 
 
 def _join_packet(
-    command: int, send_type: int, types: DataTypes, blocks: tuple[Block, ...], signals: bytes
+    command: int, send_type: int, types: DataTypes, blocks: Blocks, signals: bytes
 ) -> bytes:
     first, *others = types
     parts = [_HEAD.pack(command, send_type, first, 0), encode_block(blocks[0]), signals]
@@ -269,11 +222,8 @@ def _open_packet(data: bytes, where: str) -> tuple[int, int, DataTypes]:
 
 
 def _decode_blocks(data: bytes, kinds: Iterable[BlockKind], where: str) -> Blocks:
-    first, second, third, fourth = (
-        decode_block(kind, data[at : at + BLOCK_BYTES], where, at)
-        for kind, at in zip(kinds, _BLOCKS, strict=True)
-    )
-    return first, second, third, fourth
+    places = zip(kinds, _BLOCKS, strict=True)
+    return tuple(decode_block(kind, data[at : at + BLOCK_BYTES], where, at) for kind, at in places)
 
 
 def decode_mxt_request(data: bytes) -> MxtRequest:
@@ -292,7 +242,7 @@ def decode_mxt_reply(data: bytes) -> MxtReply:
     return MxtReply(command, send_type, monitors, blocks, counter, signals, timeouts)
 
 
-def _open_mxt_packet(data: bytes) -> tuple[MxtCommand, int, DataTypes, MxtSignals, int, int]:
+def _open_mxt_packet(data: bytes) -> tuple[MxtCommand, int, DataTypes, tuple[int, ...], int, int]:
     number, send_type, monitors = _open_packet(data, "mxt packet")
     try:
         command = MxtCommand(number)
@@ -302,7 +252,7 @@ def _open_mxt_packet(data: bytes) -> tuple[MxtCommand, int, DataTypes, MxtSignal
     for number, at in zip(monitors, (4, *_SLOTS), strict=True):
         if number not in MONITOR_KINDS:
             raise ProtocolError("type", "mxt packet", at)
-    return command, send_type, monitors, MxtSignals(*io), timeouts, counter
+    return command, send_type, monitors, tuple(io), timeouts, counter
 
 
 START, END = 1, 255
@@ -323,15 +273,14 @@ class MonitorRequest:
 
 @dataclass(frozen=True, slots=True)
 class MonitorReply:
-    """One cycle: four blocks, 32 input and output signals from their heads, and a counter."""
+    """One cycle: four blocks, a counter, and ``signals``: the numbers of the first input and the
+    first output, and 32 bits of each.
+    """
 
     types: DataTypes
     blocks: Blocks
     counter: int
-    input_head: int = 0
-    output_head: int = 0
-    inputs: int = 0
-    outputs: int = 0
+    signals: tuple[int, ...] = (0,) * 4
 
 
 def encode_monitor_request(request: MonitorRequest) -> bytes:
@@ -352,9 +301,8 @@ def encode_monitor_reply(reply: MonitorReply, kinds: BlockKinds) -> bytes:
     """Return the 196 bytes."""
     if tuple(map(kind_of, reply.blocks)) != tuple(_kind(kinds, number) for number in reply.types):
         raise ProtocolError("type", "monitor reply", 4)
-    heads = reply.input_head, reply.output_head
     try:
-        signals = _MONITOR_SIGNALS.pack(*heads, reply.inputs, reply.outputs, reply.counter)
+        signals = _MONITOR_SIGNALS.pack(*reply.signals, reply.counter)
         return _join_packet(START, 0, reply.types, reply.blocks, signals)
     except struct.error as error:
         raise ProtocolError("range", "monitor reply", 48) from error
@@ -366,8 +314,8 @@ def decode_monitor_reply(data: bytes, kinds: BlockKinds) -> MonitorReply:
     if command != START:
         raise ProtocolError("command", "monitor reply")
     blocks = _decode_blocks(data, (_kind(kinds, number) for number in types), "monitor reply")
-    input_head, output_head, inputs, outputs, counter = _MONITOR_SIGNALS.unpack_from(data, 48)
-    return MonitorReply(types, blocks, counter, input_head, output_head, inputs, outputs)
+    *signals, counter = _MONITOR_SIGNALS.unpack_from(data, 48)
+    return MonitorReply(types, blocks, counter, tuple(signals))
 
 
 def _kind(kinds: BlockKinds, number: int) -> BlockKind:
@@ -392,14 +340,13 @@ CYCLE_S = 0.0035  # control cycle of a CR800
 class Joint:
     """One joint: ``axis`` of rotation, ``rise_mm`` along z from the joint before it.
 
-    ``limit_rad`` in both directions, highest speed and acceleration.
+    ``limit_rad`` in both directions, highest speed.
     """
 
     axis: str
     rise_mm: float
     limit_rad: float
     speed_rad_s: float
-    acceleration_rad_s2: float
 
     @property
     def step_rad(self) -> float:
@@ -409,11 +356,11 @@ class Joint:
 
 # J1 to J6; at zero the arm stands straight up.
 JOINTS = (
-    Joint("z", 0.0, 4.18879, 2.16421, 6.0),
-    Joint("y", 254.0, 2.58309, 2.16421, 6.0),
-    Joint("y", 410.0, 2.61799, 2.16421, 6.0),
-    Joint("z", 0.0, 3.49066, 3.4383, 9.0),
-    Joint("y", 500.0, 2.0944, 6.21337, 18.0),
-    Joint("z", 0.0, 3.49066, 6.28318, 18.0),
+    Joint("z", 0.0, 4.18879, 2.16421),
+    Joint("y", 254.0, 2.58309, 2.16421),
+    Joint("y", 410.0, 2.61799, 2.16421),
+    Joint("z", 0.0, 3.49066, 3.4383),
+    Joint("y", 500.0, 2.0944, 6.21337),
+    Joint("z", 0.0, 3.49066, 6.28318),
 )
 FLANGE_MM = 125.0  # from the crossing of the wrist axes to the flange

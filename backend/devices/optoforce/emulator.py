@@ -25,29 +25,20 @@ _LIMIT = 0x7FFF
 _OVERLOAD_BITS = (9, 8, 7, 6, 5, 4)
 
 
-class EmulatedOptoforce(SerialSensor):
+class EmulatedOptoforce(SerialSensor[protocol.OptoforceConfig]):
     """Emulated sensor; ``wrench(now_s)`` returns (6,) N and N·m."""
 
     def __init__(self, wrench: WrenchFunction) -> None:
-        super().__init__(wrench)
-        self._requests = protocol.requests()
+        super().__init__(wrench, protocol.requests())
         self._count = 0
         self._zero: tuple[int, ...] = (0,) * 6
-
-    def receive(self, now_s: float, data: bytes) -> bytes:
-        """Process configurations; return their acknowledgements."""
-        return b"".join(self._answer(now_s, request) for request in self._requests.feed(data))
-
-    def due(self, now_s: float) -> bytes:
-        """Return the frames of the stream up to now."""
-        late, times = self.pace.due(now_s)
-        self._count = (self._count + late) % COUNT_TURN
-        return b"".join(map(self._frame, times))
 
     def _answer(self, now_s: float, request: protocol.OptoforceConfig) -> bytes:
         if request.speed not in protocol.SPEED_HZ or request.filter not in protocol.FILTER_HZ:
             return protocol.encode(protocol.OptoforceAck(BAD_CONFIG))
-        self._zero = self._raw(now_s) if request.zero == protocol.ZERO_NOW else (0,) * 6
+        self._zero = (
+            self._counts(now_s, PER_UNIT) if request.zero == protocol.ZERO_NOW else (0,) * 6
+        )
         rate_hz = protocol.SPEED_HZ[request.speed]
         if rate_hz:
             self.pace.begin(now_s, 1.0 / rate_hz)
@@ -55,12 +46,11 @@ class EmulatedOptoforce(SerialSensor):
             self.pace.end()
         return protocol.encode(protocol.OptoforceAck(0))
 
-    def _raw(self, now_s: float) -> tuple[int, ...]:
-        pairs = zip(self._wrench(now_s), PER_UNIT, strict=True)
-        return tuple(round(value * factor) for value, factor in pairs)
+    def _skip(self, lost: int) -> None:
+        self._count = (self._count + lost) % COUNT_TURN
 
     def _frame(self, now_s: float) -> bytes:
-        raw = self._raw(now_s)
+        raw = self._counts(now_s, PER_UNIT)
         status = 0
         for bit, count, full in zip(_OVERLOAD_BITS, raw, COUNTS, strict=True):
             status |= (abs(count) > full) << bit

@@ -109,11 +109,6 @@ def _body(message: OptoforceMessage | OptoforceConfig) -> bytes:
 
 def decode(frame: bytes) -> OptoforceMessage:
     """Return the message of one whole frame from the sensor; raises ``ProtocolError``."""
-    length = _length(frame, 0)
-    if length == 0:
-        raise ProtocolError("header", "optoforce frame")
-    if length is None or length != len(frame):
-        raise ProtocolError("length", "optoforce frame", len(frame))
     body = _summed(frame)
     if body[:4] == _ACK:
         return OptoforceAck(body[4])

@@ -181,12 +181,8 @@ class PeriodicUpdate:
         return True
 
 
-WsgAction = Callable[[WsgRequest], tuple[WsgStatus, tuple[Number, ...]]]
-
-
-def _unavailable(request: WsgRequest) -> tuple[WsgStatus, tuple[Number, ...]]:
-    """Answer a command of a script or a finger sensor: this gripper has neither."""
-    return WsgStatus.NOT_AVAILABLE, ()
+# Returns the values of a successful answer, or the status of another one.
+WsgAction = Callable[[WsgRequest], tuple[Number, ...] | WsgStatus | None]
 
 
 class EmulatedWsg:
@@ -213,14 +209,17 @@ class EmulatedWsg:
         self._leaving = False
         self._lost_mm: float | None = None
         self.barred = 0  # motion commands before a fault was acknowledged
-        none = dict.fromkeys((*protocol.SCRIPTS, *protocol.FINGERS, WsgCommand.TARE), _unavailable)
+        # This gripper has neither scripts nor fingers with sensors.
+        missing = (*protocol.SCRIPTS, *protocol.FINGERS, WsgCommand.TARE)
         self._actions: dict[int, WsgAction] = {
-            **none,
-            WsgCommand.LOOP: lambda request: (WsgStatus.SUCCESS, request.values),
+            **dict.fromkeys(missing, lambda _: WsgStatus.NOT_AVAILABLE),
+            WsgCommand.LOOP: lambda request: request.values,
             WsgCommand.SET_TAG: self._set_tag,
-            WsgCommand.GET_TAG: lambda _: (WsgStatus.SUCCESS, (self._tag,) if self._tag else ()),
+            WsgCommand.GET_TAG: lambda _: (self._tag,) if self._tag else (),
             WsgCommand.SET_SOFT_LIMITS: self._set_soft_limits,
-            WsgCommand.GET_SOFT_LIMITS: self._soft_limits,
+            WsgCommand.GET_SOFT_LIMITS: lambda _: (
+                self.jaws.soft_limits_mm or WsgStatus.NOT_AVAILABLE
+            ),
             WsgCommand.CLEAR_SOFT_LIMITS: self._clear_soft_limits,
             WsgCommand.OVERDRIVE: self._overdrive,
             WsgCommand.ACKNOWLEDGE: self._acknowledge,
@@ -290,7 +289,10 @@ class EmulatedWsg:
         action = self._actions.get(request.command)
         if action is None:
             return [WsgReply(request.command, WsgStatus.CMD_UNKNOWN)]
-        return [WsgReply(request.command, *action(request))]
+        told = action(request)
+        if isinstance(told, WsgStatus):
+            return [WsgReply(request.command, told)]
+        return [WsgReply(request.command, WsgStatus.SUCCESS, told or ())]
 
     def _move(self, now_s: float, command: WsgCommand, values: tuple[Number, ...]) -> WsgReply:
         jaws, refusal = self.jaws, WsgStatus.CMD_PENDING
@@ -331,56 +333,48 @@ class EmulatedWsg:
         self.jaws.flags |= SystemFlag.FAST_STOP
         return ended
 
-    def _acknowledge(self, request: WsgRequest) -> tuple[WsgStatus, tuple[Number, ...]]:
+    def _acknowledge(self, request: WsgRequest) -> WsgStatus:
         if request.values != (ACKNOWLEDGE_KEY,):
-            return WsgStatus.CMD_FORMAT_ERROR, ()
+            return WsgStatus.CMD_FORMAT_ERROR
         self.jaws.flags &= ~_BARRED
-        return WsgStatus.SUCCESS, ()
+        return WsgStatus.SUCCESS
 
-    def _set_acceleration(self, request: WsgRequest) -> tuple[WsgStatus, tuple[Number, ...]]:
+    def _set_acceleration(self, request: WsgRequest) -> None:
         low, high = self.jaws.profile.acceleration_mm_s2
         self._acceleration_mm_s2 = min(max(float(request.values[0]), low), high)
-        return WsgStatus.SUCCESS, ()
 
-    def _set_force_limit(self, request: WsgRequest) -> tuple[WsgStatus, tuple[Number, ...]]:
+    def _set_force_limit(self, request: WsgRequest) -> WsgStatus:
         low, high = self.jaws.profile.force_sum_n
         force_sum_n = float(request.values[0])
         if not low <= force_sum_n <= high:
-            return WsgStatus.RANGE_ERROR, ()
+            return WsgStatus.RANGE_ERROR
         self.jaws.force_limit_n = force_sum_n
-        return WsgStatus.SUCCESS, ()
+        return WsgStatus.SUCCESS
 
-    def _set_tag(self, request: WsgRequest) -> tuple[WsgStatus, tuple[Number, ...]]:
+    def _set_tag(self, request: WsgRequest) -> None:
         self._tag = b"".join(value for value in request.values if isinstance(value, bytes))
-        return WsgStatus.SUCCESS, ()
 
-    def _set_soft_limits(self, request: WsgRequest) -> tuple[WsgStatus, tuple[Number, ...]]:
+    def _set_soft_limits(self, request: WsgRequest) -> WsgStatus:
         low, high = (float(value) for value in request.values)
         if not 0.0 <= low < high <= self.jaws.profile.stroke_mm:
-            return WsgStatus.RANGE_ERROR, ()
+            return WsgStatus.RANGE_ERROR
         self.jaws.soft_limits_mm = low, high
-        return WsgStatus.SUCCESS, ()
+        return WsgStatus.SUCCESS
 
-    def _soft_limits(self, request: WsgRequest) -> tuple[WsgStatus, tuple[Number, ...]]:
-        limits = self.jaws.soft_limits_mm
-        return (WsgStatus.SUCCESS, limits) if limits else (WsgStatus.NOT_AVAILABLE, ())
-
-    def _clear_soft_limits(self, request: WsgRequest) -> tuple[WsgStatus, tuple[Number, ...]]:
+    def _clear_soft_limits(self, request: WsgRequest) -> None:
         self.jaws.soft_limits_mm = None
-        return WsgStatus.SUCCESS, ()
 
-    def _overdrive(self, request: WsgRequest) -> tuple[WsgStatus, tuple[Number, ...]]:
+    def _overdrive(self, request: WsgRequest) -> None:
         # The overdrive limit of this profile is the nominal force: only the flag changes.
         on = int(request.values[0]) & 1
         self.jaws.flags &= ~SystemFlag.OVERDRIVE_MODE
         self.jaws.flags |= SystemFlag.OVERDRIVE_MODE if on else SystemFlag(0)
-        return WsgStatus.SUCCESS, ()
 
-    def _statistics(self, request: WsgRequest) -> tuple[WsgStatus, tuple[Number, ...]]:
+    def _statistics(self, request: WsgRequest) -> tuple[Number, ...]:
         told = self.jaws.statistics
         if int(request.values[0]) & 1:
             self.jaws.statistics = (0, 0, 0)
-        return WsgStatus.SUCCESS, told
+        return told
 
     def _subscribe(self, now_s: float, request: WsgRequest) -> None:
         if len(request.values) != 2:

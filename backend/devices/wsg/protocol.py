@@ -296,10 +296,22 @@ def replies() -> FrameStream[WsgReply]:
 
 def decode_reply(frame: bytes) -> WsgReply:
     """Return the reply of one whole frame; raises ``ProtocolError``."""
-    size = _size(frame, 0)
-    if size == 0 or size is None or len(frame) != size:
-        raise ProtocolError("length", "wsg frame", len(frame))
-    return _reply(frame[3], _payload(frame))
+    command, payload = frame[3], _payload(frame)
+    if len(payload) < 2:
+        raise ProtocolError("size", "wsg reply", 4)
+    status, content = int.from_bytes(payload[:2], "little"), payload[2:]
+    if status != WsgStatus.SUCCESS or not content:
+        layouts = REPLIES.get(command, (NOTHING,))
+        needed = status == WsgStatus.SUCCESS and command not in TEXT and NOTHING not in layouts
+        if content or needed:
+            raise ProtocolError("size", "wsg reply", _HEAD + 2)
+        return WsgReply(command, status)
+    if command in (WsgCommand.LOOP, WsgCommand.GET_TAG):
+        return WsgReply(command, status, (content,))
+    values = _values(REPLIES.get(command, (NOTHING,))[-1], content)
+    if command == WsgCommand.TEMPERATURE:
+        values = (float(values[0]) / 10,)
+    return WsgReply(command, status, values)
 
 
 def _frame(command: int, payload: bytes) -> bytes:
@@ -353,24 +365,6 @@ def _values(layout: str, content: bytes) -> tuple[Number, ...]:
     return values
 
 
-def _reply(command: int, payload: bytes) -> WsgReply:
-    if len(payload) < 2:
-        raise ProtocolError("size", "wsg reply", 4)
-    status, content = int.from_bytes(payload[:2], "little"), payload[2:]
-    if status != WsgStatus.SUCCESS or not content:
-        layouts = REPLIES.get(command, (NOTHING,))
-        needed = status == WsgStatus.SUCCESS and command not in TEXT and NOTHING not in layouts
-        if content or needed:
-            raise ProtocolError("size", "wsg reply", _HEAD + 2)
-        return WsgReply(command, status)
-    if command in (WsgCommand.LOOP, WsgCommand.GET_TAG):
-        return WsgReply(command, status, (content,))
-    values = _values(REPLIES.get(command, (NOTHING,))[-1], content)
-    if command == WsgCommand.TEMPERATURE:
-        values = (float(values[0]) / 10,)
-    return WsgReply(command, status, values)
-
-
 def _frame_at(data: bytes, at: int) -> bytes | FrameStep[Any] | None:
     """Return the whole frame at ``at``, the noise before the next one, or None if unfinished."""
     size = _size(data, at)
@@ -384,7 +378,7 @@ def _take_reply(data: bytes, at: int) -> FrameStep[WsgReply] | None:
     if not isinstance(frame, bytes):
         return frame
     try:
-        return FrameStep(len(frame), _reply(frame[3], _payload(frame)))
+        return FrameStep(len(frame), decode_reply(frame))
     except ProtocolError:
         return FrameStep(1, refused=True)
 

@@ -16,12 +16,7 @@ from touchdown.backend.devices.optoforce import protocol as optoforce
 from touchdown.backend.devices.wsg import gcl
 from touchdown.backend.devices.wsg import protocol as wsg_binary
 
-MONITOR_KINDS = {
-    901: BlockKind.FORCE,
-    902: BlockKind.ROBMON,
-    903: BlockKind.POSE,
-    904: BlockKind.FLOATS,
-}
+MONITOR_KINDS = {901: BlockKind.FORCE, 903: BlockKind.POSE, 904: BlockKind.FLOATS}
 """Stand-ins of the vectors for the data type numbers that no source gives."""
 
 

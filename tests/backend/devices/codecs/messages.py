@@ -8,12 +8,7 @@ from touchdown.backend.devices.dynpick import protocol as dynpick
 from touchdown.backend.devices.ft300 import protocol as robotiq_ft300
 from touchdown.backend.devices.leptrino import protocol as leptrino
 from touchdown.backend.devices.melfa import r3_protocol, realtime_protocol
-from touchdown.backend.devices.melfa.realtime_protocol import (
-    AxisValues,
-    BlockKind,
-    MelfaPose,
-    RobotMonitor,
-)
+from touchdown.backend.devices.melfa.realtime_protocol import AxisValues, BlockKind, MelfaPose
 from touchdown.backend.devices.netft import protocol as net_ft
 from touchdown.backend.devices.optoforce import protocol as optoforce
 from touchdown.backend.devices.wsg import gcl as wsg_gcl
@@ -39,31 +34,17 @@ def values(kind):
     return st.builds(AxisValues, st.just(kind), tuples(item, 6 if kind is BlockKind.FORCE else 8))
 
 
-robmon = st.builds(
-    RobotMonitor,
-    *[f32] * 6,
-    i16,
-    i16,
-    st.text("ABC0123", max_size=6),
-    i16.map(lambda tenths: tenths / 10),
-    u32,
-)
-
-
-WHOLE = (BlockKind.POSE, BlockKind.ROBMON)
-
-
 def block(kind):
     if kind is BlockKind.NONE:
         return st.none()
-    return {BlockKind.POSE: pose, BlockKind.ROBMON: robmon}[kind] if kind in WHOLE else values(kind)
+    return pose if kind is BlockKind.POSE else values(kind)
 
 
 def blocks(numbers, kinds):
     return st.tuples(*(block(kinds.get(number, BlockKind.NONE)) for number in numbers))
 
 
-signals = st.builds(realtime_protocol.MxtSignals, u16, u16, u16, u16, u16)
+signals = tuples(u16, 5)
 command = st.sampled_from(realtime_protocol.MxtCommand)
 monitor_types = tuples(st.integers(0, 11), 4)
 target = st.one_of(st.none(), pose, values(BlockKind.JOINT), values(BlockKind.PULSE))
@@ -86,10 +67,7 @@ monitor_reply = data_types.flatmap(
         st.just(numbers),
         blocks(numbers, MONITOR_KINDS),
         u32,
-        u16,
-        u16,
-        u32,
-        u32,
+        st.tuples(u16, u16, u32, u32),
     )
 )
 wsg_request = st.one_of(

@@ -6,8 +6,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from tests.backend.devices.codecs import facts
-from tests.backend.devices.codecs.codecs import CODECS, IN, OUT
+from tests.backend.devices.codecs.codecs import CODECS
+from tests.backend.devices.codecs.facts import facts
 from tests.backend.devices.codecs.messages import MESSAGES
 from tests.backend.devices.codecs.vectors import CONTENT, VECTORS, data, only, same
 from touchdown.backend.devices import framing
@@ -298,31 +298,6 @@ def test_what_is_kept_of_noise_stays_small(key, content):
     assert decoder.pending == 0
 
 
-FACTS = {
-    ("melfa-mxt", OUT): facts.mxt_request,
-    ("melfa-mxt", IN): facts.mxt_reply,
-    ("melfa-monitor", OUT): facts.monitor_request,
-    ("melfa-monitor", IN): facts.monitor_reply,
-    ("melfa-r3", OUT): facts.r3_request,
-    ("melfa-r3", IN): facts.r3_reply,
-    ("wsg-binary", OUT): facts.wsg_request,
-    ("wsg-binary", IN): facts.wsg_reply,
-    ("wsg-gcl", OUT): facts.gcl,
-    ("wsg-gcl", IN): facts.gcl,
-    ("dynpick", OUT): lambda message, vector: {"command": message.value.decode()},
-    ("dynpick", IN): facts.dynpick_record,
-    ("leptrino", OUT): facts.leptrino_packet,
-    ("leptrino", IN): facts.leptrino_packet,
-    ("robotiq-ft300", OUT): facts.ft300,
-    ("robotiq-ft300", IN): facts.ft300,
-    ("bota", OUT): facts.bota_message,
-    ("bota", IN): facts.bota_message,
-    ("optoforce", OUT): facts.optoforce_message,
-    ("optoforce", IN): facts.optoforce_message,
-    ("netft", OUT): facts.rdt_request,
-    ("netft", IN): facts.rdt_record,
-}
-
 ALONE = {
     "dynpick-sensitivity-reply",
     "dynpick-temperature-reply",
@@ -362,7 +337,7 @@ def test_the_file_is_whole():
 @pytest.mark.parametrize("name", VECTORS_GOOD)
 def test_bytes_become_the_documented_fields_and_the_same_bytes_again(name):
     vector = VECTORS[name]
-    found = FACTS[vector["device"], vector["direction"]](decoded(name), vector)
+    found = facts(decoded(name), vector)
     assert same(vector["fields"], found), (vector["fields"], found)
     its = codec(name)
     assert its.encode(decoded(name)) == data(name)

@@ -24,7 +24,7 @@ def same(wanted, found):
     """True if two values of fields agree: numbers within 1e-9 relative, the rest exactly."""
     if isinstance(wanted, dict):
         return set(wanted) <= set(found) and all(same(wanted[k], found[k]) for k in wanted)
-    if isinstance(wanted, list):
+    if isinstance(wanted, list | tuple):
         return len(wanted) == len(found) and all(map(same, wanted, found))
     if isinstance(wanted, float) or (isinstance(found, float) and not isinstance(wanted, bool)):
         return math.isclose(wanted, found, rel_tol=1e-9, abs_tol=1e-12)

@@ -24,8 +24,7 @@ from tests.backend.devices.melfa.test_stream import (
     requests,
     steps_mm,
 )
-from touchdown.backend.core.faults import FaultError, RefusedError
-from touchdown.backend.core.values import Pose
+from touchdown.backend.core import FaultError, Pose, RefusedError
 from touchdown.backend.devices.framing import ProtocolError
 from touchdown.backend.devices.melfa.kinematics import STEPS_RAD
 from touchdown.backend.devices.melfa.realtime_protocol import (
@@ -349,7 +348,7 @@ def test_reserved_bytes_of_a_controller_are_not_held_against_it():
 
 
 def test_an_unnamed_data_type_of_the_monitor_is_refused():
-    content = data("monitor-stream-force-robmon-pose-float8")
+    content = data("monitor-stream-force-pose-float8")
     kinds = {number: kind for number, kind in MONITOR_KINDS.items() if number != 903}
     with pytest.raises(ProtocolError) as refusal:
         decode_monitor_reply(content, kinds)

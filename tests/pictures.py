@@ -25,13 +25,11 @@ from PySide6.QtWidgets import QApplication
 from tests.picture_files import PictureFiles, run_reporting
 from touchdown.app.application import TouchdownApp
 from touchdown.app.shell.errors import ErrorBox
-from touchdown.backend.bench.assembly import simulated_session
-from touchdown.backend.bench.session import Session
+from touchdown.backend.bench import Session, simulated_session
 from touchdown.backend.cli.command_line import main as touchdown
 from touchdown.backend.config.method import TrainingSettings
 from touchdown.backend.learning.training_runs import RecordedTraining, TrainingRequest
-from touchdown.backend.runs.recorder import RecordingOptions
-from touchdown.backend.runs.requests import RunState, SceneChoice
+from touchdown.backend.runs import RecordingOptions, RunState, SceneChoice
 
 SIZE = (1280, 720)
 PARTS = ("operate", "stack", "review", "collect", "train")

@@ -7,8 +7,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from touchdown.backend.bench.emulated_child import NOT_SET, STILL
-from touchdown.backend.core.events import FaultRaised
-from touchdown.backend.core.faults import Fault
+from touchdown.backend.core import Fault, FaultRaised
 from touchdown.backend.devices.force_torque.reader import driver_fault
 from touchdown.backend.devices.melfa.command_channel import RESETS
 from touchdown.backend.devices.melfa.faults import controller_fault, oversize_fault

@@ -19,9 +19,7 @@ from touchdown.app.connect.devices import DevicesPresenter
 from touchdown.app.connect.presenter import ConnectPresenter
 from touchdown.backend.bench.laboratory import calibrations_of, find_camera_conflicts
 from touchdown.backend.calibration.records import CalibrationStore, DeviceName
-from touchdown.backend.config.bench_description import BenchDescription
-from touchdown.backend.config.lab import load_lab
-from touchdown.backend.config.method import TrainingSettings
+from touchdown.backend.config import BenchDescription, TrainingSettings, load_lab
 from touchdown.backend.core.events import (
     CalibrationMeasured,
     HandOverAwaited,

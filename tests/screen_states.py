@@ -7,18 +7,11 @@ from types import SimpleNamespace
 from typing import TYPE_CHECKING
 
 from tests.screen_panels import Hand
-from touchdown.backend.core.events import (
-    Noticed,
-    PhaseEntered,
-    RunFinished,
-    RunStarted,
-    TrialStarted,
-)
+from touchdown.backend.core import Noticed, PhaseEntered, RunFinished, RunStarted, TrialStarted
 from touchdown.backend.devices.sensor_faults import DegradedDevice
+from touchdown.backend.runs import Engine, RunState
 from touchdown.backend.runs.calibrations import drift_notice
-from touchdown.backend.runs.engine import Engine
 from touchdown.backend.runs.plan import CancelledError, PausePoint, Plan, Wait
-from touchdown.backend.runs.requests import RunState
 from touchdown.backend.sensing.zeroing import WrenchDrift
 
 if TYPE_CHECKING:

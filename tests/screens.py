@@ -27,8 +27,7 @@ from tests.app.stand_in import StandInBench
 from tests.picture_files import PictureFiles, run_reporting
 from touchdown.app.application import TouchdownApp
 from touchdown.app.shell.errors import ErrorBox
-from touchdown.backend.annotations.dataset import Dataset
-from touchdown.backend.annotations.values import AnswerContext, EpisodeContext, Label
+from touchdown.backend.annotations import AnswerContext, Dataset, EpisodeContext, Label
 from touchdown.backend.core.values import Outcome, PlaceAction
 from touchdown.backend.geometry.pieces import load_pieces
 from touchdown.backend.runs.requests import RunState

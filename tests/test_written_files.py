@@ -20,13 +20,10 @@ import torch
 from tests.backend.annotations.conftest import stored_label
 from tests.backend.runs.test_event_log import ALL, same
 from touchdown.app.application import TouchdownApp
-from touchdown.app.shell.errors import ErrorBox
+from touchdown.app.shell import ErrorBox, load_settings
 from touchdown.app.shell.layouts import load_layouts
-from touchdown.app.shell.settings import load_settings
+from touchdown.backend.annotations import Dataset, EpisodeFilter, Label, check_dataset
 from touchdown.backend.annotations.backups import check_backup, list_backups, restore_backup
-from touchdown.backend.annotations.dataset import Dataset
-from touchdown.backend.annotations.reconciliation import check_dataset
-from touchdown.backend.annotations.values import EpisodeFilter, Label
 from touchdown.backend.calibration.records import CalibrationStore
 from touchdown.backend.cli.command_line import main
 from touchdown.backend.cli.settings import load_method

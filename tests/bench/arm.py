@@ -28,8 +28,7 @@ from tests.backend.rig.served import Backend, Served
 from tests.bench.children.arm import UP, driver, front
 from tests.bench.figures import Figure, at_most, failures, figure, stated
 from tests.busy_computer import STARVED
-from touchdown.backend.core.faults import Fault, FaultError, RefusedError
-from touchdown.backend.core.values import FloatArray, Pose
+from touchdown.backend.core import Fault, FaultError, FloatArray, Pose, RefusedError
 from touchdown.backend.devices.melfa.driver import MelfaPrograms
 from touchdown.backend.devices.melfa.emulated_channels import EmulatedCommands
 from touchdown.backend.devices.melfa.emulator import EmulatedMelfa, MelfaServer

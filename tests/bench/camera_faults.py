@@ -24,9 +24,8 @@ from touchdown.backend.calibration.cameras import HELD_LIMIT_PX, fingerprint_dis
 from touchdown.backend.config.hardware import GelsightSettings
 from touchdown.backend.core.values import FloatArray
 from touchdown.backend.devices.cameras.frames import PictureFilter
+from touchdown.backend.sensing import measure_rest, read_pictures
 from touchdown.backend.sensing.damaged_frames import DamageCheckingTracker
-from touchdown.backend.sensing.picture_files import read_pictures
-from touchdown.backend.sensing.tracker import measure_rest
 from touchdown.backend.simulation.finger_camera import GelAppearance
 
 MOST_OFF_PERCENT = {"cut off": 0.0, "one bit": 3.1, "64 bytes zeroed": 9.3, "1 KiB lost": 0.0}

@@ -44,10 +44,8 @@ from tests.backend.devices.trials_camera import trial as camera_trial
 from tests.backend.devices.wsg.trials_gripper import trial as gripper_trial
 from tests.bench.figures import DOCS, Figure, failures, figure
 from touchdown.backend.annotations.dataset import Dataset
-from touchdown.backend.bench.assembly import SimulatedBenchChoice, simulated_session
-from touchdown.backend.bench.emulated import EmulatedBench
+from touchdown.backend.bench import EmulatedBench, Session, SimulatedBenchChoice, simulated_session
 from touchdown.backend.bench.emulated_scene import command_travel
-from touchdown.backend.bench.session import Session
 from touchdown.backend.core.events import (
     EpisodeRecorded,
     Event,

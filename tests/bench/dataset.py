@@ -17,9 +17,8 @@ import numpy as np
 
 from tests.backend.annotations.filling import fill, make_files
 from tests.bench.figures import Figure, at_least, at_most, figure, stated
-from touchdown.backend.annotations.dataset import Dataset
+from touchdown.backend.annotations import Dataset, EpisodeFilter, Label
 from touchdown.backend.annotations.training_set import CacheRow, TrainingCache, open_cache
-from touchdown.backend.annotations.values import EpisodeFilter, Label
 from touchdown.backend.episodes.mcap_container import read_chunks
 from touchdown.backend.episodes.packs import MAX_EPISODES, PackedEpisode, PackWriter
 

@@ -20,8 +20,7 @@ from tests.backend.simulation.release_cases import SETS, ask_both
 from tests.bench.figures import Figure, at_least, at_most, failures, figure, stated
 from touchdown.backend.bench.assembly import SimulatedBenchChoice, simulated_session
 from touchdown.backend.config.simulation import SimulationSettings, load_simulation
-from touchdown.backend.core.events import ActionChosen, Event, TrialFinished
-from touchdown.backend.core.values import Outcome
+from touchdown.backend.core import ActionChosen, Event, Outcome, TrialFinished
 from touchdown.backend.episodes.training_rows import join_rows, load_rows
 from touchdown.backend.experiments.job_kinds import KINDS
 from touchdown.backend.experiments.tables import FULL, PIECES, Recipe, Scale, paper_training

@@ -30,17 +30,13 @@ from touchdown.app.shell.datasets import ModelPrelabeller, model_path_in_use
 from touchdown.app.shell.errors import ErrorBox
 from touchdown.app.shell.label_items import LabelDraft, item_reader
 from touchdown.app.start import THREAD_SWITCH_S
-from touchdown.backend.annotations.dataset import Dataset
-from touchdown.backend.annotations.labels import SetState
+from touchdown.backend.annotations import Dataset, EpisodeContext, Label, SetState
 from touchdown.backend.annotations.queues import SCORES
-from touchdown.backend.annotations.values import EpisodeContext, Label
 from touchdown.backend.bench.assembly import shipped_model, simulated_session
-from touchdown.backend.geometry.outlines import true_patch
-from touchdown.backend.geometry.pieces import load_pieces
+from touchdown.backend.geometry import load_pieces, true_patch
 from touchdown.backend.placement.estimator import NOTABLE_SIGMAS, Ensemble, Estimator, OffsetGrid
 from touchdown.backend.placement.label_review import score_labels
-from touchdown.backend.runs.recorder import RecordingOptions
-from touchdown.backend.runs.requests import CollectRequest
+from touchdown.backend.runs import CollectRequest, RecordingOptions
 from touchdown.backend.simulation import gripper
 from touchdown.backend.simulation.devices.bench import SimulatedBench
 

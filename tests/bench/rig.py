@@ -37,16 +37,13 @@ from tests.bench.children.watched_arm import WatchedArm, watched_arm
 from tests.bench.figures import Figure, at_most, failures, figure, stated
 from tests.bench.workers import hooked
 from tests.busy_computer import STARVED
-from touchdown.backend.bench.assembly import simulated_session
-from touchdown.backend.bench.session import Session
-from touchdown.backend.config.hardware import HardwareSettings
-from touchdown.backend.config.lab import is_loopback
+from touchdown.backend.bench import Session, simulated_session
+from touchdown.backend.config import HardwareSettings, is_loopback
 from touchdown.backend.core.events import Event, TrialFinished
 from touchdown.backend.core.faults import FaultError, RefusedError
 from touchdown.backend.core.scheduling import round_robin_priority
 from touchdown.backend.core.values import Pose
-from touchdown.backend.runs.recorder import RecordingOptions
-from touchdown.backend.runs.requests import StackRequest
+from touchdown.backend.runs import RecordingOptions, StackRequest
 
 STOPS, KILLS, OWN_CYCLES = 100, 10, 285
 SEEDS = range(7, 13)

@@ -17,10 +17,8 @@ from tests.bench.figures import Figure, at_least, figure
 from touchdown.backend.annotations.dataset import Dataset
 from touchdown.backend.bench.assembly import simulated_session
 from touchdown.backend.core.values import MARKERS, MarkerState
-from touchdown.backend.runs.recorder import RecordingOptions
-from touchdown.backend.runs.requests import CollectRequest
-from touchdown.backend.sensing.picture_files import read_pictures
-from touchdown.backend.sensing.tracking import track_frames
+from touchdown.backend.runs import CollectRequest, RecordingOptions
+from touchdown.backend.sensing import read_pictures, track_frames
 
 ROOT = Path(__file__).resolve().parents[2]
 

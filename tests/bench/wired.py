@@ -15,9 +15,7 @@ import numpy as np
 
 from tests.backend.emulators.wound import WoundWires, bursts, force_apart, simulated_press
 from tests.bench.figures import Figure, at_least, at_most, figure
-from touchdown.backend.bench.assembly import SimulatedBenchChoice, simulated_session
-from touchdown.backend.bench.emulated import EmulatedBench
-from touchdown.backend.bench.session import Session
+from touchdown.backend.bench import EmulatedBench, Session, SimulatedBenchChoice, simulated_session
 from touchdown.backend.config.simulation import SimulationSettings
 from touchdown.backend.core.events import (
     EpisodeRecorded,
@@ -29,8 +27,7 @@ from touchdown.backend.core.events import (
 )
 from touchdown.backend.core.faults import FaultError
 from touchdown.backend.core.values import TACTILE_CHANNELS, Episode, FloatArray
-from touchdown.backend.runs.recorder import RecordingOptions
-from touchdown.backend.runs.requests import StackRequest
+from touchdown.backend.runs import RecordingOptions, StackRequest
 
 FIRST_SEED, TRIALS = 300, 20
 BOTTOMS = ("short", "long")

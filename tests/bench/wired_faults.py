@@ -28,16 +28,13 @@ from touchdown.backend.config.hardware import ForceTorqueSettings, GelsightSetti
 from touchdown.backend.core.faults import FaultError
 from touchdown.backend.core.streams import SampleStream, Stream
 from touchdown.backend.core.values import FINGERS, ImageArray, TactileFrame
+from touchdown.backend.devices import DeviceState, Interlock, make_force_torque
 from touchdown.backend.devices.cameras.sources import PictureSource, UvcSource, open_source
-from touchdown.backend.devices.factories import make_force_torque
 from touchdown.backend.devices.gelsight.driver import TactileCamera
 from touchdown.backend.devices.gelsight.emulator import SERIAL as NUMBER
 from touchdown.backend.devices.gelsight.emulator import GelsightServer, encode
-from touchdown.backend.devices.interlock import Interlock
-from touchdown.backend.devices.protocols import DeviceState
 from touchdown.backend.devices.safety_trips import GRACE_S, Supervision
-from touchdown.backend.emulation.fault_plan import Faults, add_noise, apply_faults
-from touchdown.backend.emulation.server import PtyServer
+from touchdown.backend.emulation import Faults, PtyServer, add_noise, apply_faults
 
 SERIAL = [kind for kind in EMULATED if kind not in DATAGRAMS]
 PULLS, LIFTS, REPLUGS = 10, 10, 20

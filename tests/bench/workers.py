@@ -24,15 +24,11 @@ from tests.backend.exchange.test_imports import robomimic_file
 from tests.backend.rig.served import Backend, Served
 from tests.bench.children.failing_window import HOOKS, THREADS, WAYS, failed_s
 from tests.bench.figures import Figure, at_most, figure
-from touchdown.backend.bench.assembly import SimulatedBenchChoice
-from touchdown.backend.bench.emulated import EmulatedBench
-from touchdown.backend.core.faults import FaultError, InputError
-from touchdown.backend.core.files import lock_file
+from touchdown.backend.bench import EmulatedBench, SimulatedBenchChoice
+from touchdown.backend.core import FaultError, InputError, lock_file
 from touchdown.backend.exchange.imports import read_foreign
-from touchdown.backend.jobs.execution import ProcessPool
-from touchdown.backend.jobs.job import JobContext, JobSpec, JobStore
-from touchdown.backend.runs.recorder import RecordingOptions
-from touchdown.backend.runs.requests import SceneChoice
+from touchdown.backend.jobs import JobContext, JobSpec, JobStore, ProcessPool
+from touchdown.backend.runs import RecordingOptions, SceneChoice
 
 ASKED, KILLS = 100, 20
 TOLD_S, GONE_S, FREE_MS = 0.5, 3.0, 10.0

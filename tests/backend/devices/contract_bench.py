@@ -11,8 +11,7 @@ import pytest
 from tests.backend.bench.brisk import brisk_settings
 from tests.backend.devices.melfa.emulated_arm import on_bench
 from tests.backend.rig.inline import ROUND_US, InlineLink
-from touchdown.backend.core.faults import RefusedError
-from touchdown.backend.core.values import Finger
+from touchdown.backend.core import Finger, RefusedError
 from touchdown.backend.devices.interlock import Interlock, Limits
 from touchdown.backend.devices.protocols import (
     Arm,
@@ -23,8 +22,7 @@ from touchdown.backend.devices.protocols import (
     PressCommand,
     TactileSensor,
 )
-from touchdown.backend.geometry.pieces import load_pieces
-from touchdown.backend.geometry.tower import Tower
+from touchdown.backend.geometry import Tower, load_pieces
 from touchdown.backend.rig.host import Devices
 from touchdown.backend.rig.remote_devices import RigArm, RigForceTorque, RigGripper
 from touchdown.backend.simulation.devices.bench import SimulatedBench

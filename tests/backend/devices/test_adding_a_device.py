@@ -16,11 +16,8 @@ from touchdown.backend.bench.emulator_registry import bench_toml, emulate
 from touchdown.backend.cli.command_line import main
 from touchdown.backend.config.hardware import HardwareSettings
 from touchdown.backend.core.faults import FaultError
-from touchdown.backend.devices import registry
-from touchdown.backend.devices.discovery import choices
-from touchdown.backend.devices.factories import make_force_torque
-from touchdown.backend.emulation.fault_plan import add_noise
-from touchdown.backend.emulation.serving import EmulationChoice
+from touchdown.backend.devices import choices, make_force_torque, registry
+from touchdown.backend.emulation import EmulationChoice, add_noise
 
 PAGE = (Path(__file__).resolve().parents[3] / "docs" / "adding-a-device.md").read_text("utf-8")
 FILES = dict(re.findall(r"^`(\w+\.py)`:\n\n```py\n(.*?)```", PAGE, re.DOTALL | re.MULTILINE))

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from tests.backend.devices.contract_bench import EVERY, PRESS, DevicesUnderTest
-from touchdown.backend.core.faults import FaultError, RefusedError
-from touchdown.backend.core.values import Pose
+from touchdown.backend.core import FaultError, Pose, RefusedError
 from touchdown.backend.devices.protocols import STILL, Motion, RobotMode, SafetyMode
 
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 import pytest
 
 from tests.backend.devices.contract_bench import EVERY, PRESS, DevicesUnderTest
-from touchdown.backend.core.faults import FaultError
-from touchdown.backend.core.values import Pose
+from touchdown.backend.core import FaultError, Pose
 from touchdown.backend.devices.protocols import RetreatingArm, RobotMode
 
 

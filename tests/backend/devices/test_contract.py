@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from tests.backend.devices.contract_bench import EVERY, ONLY_SIMULATED, PRESS, DevicesUnderTest
-from touchdown.backend.core.faults import FaultError, StaleSampleError
-from touchdown.backend.core.values import FINGERS, Pose
+from touchdown.backend.core import FINGERS, FaultError, Pose, StaleSampleError
 from touchdown.backend.devices.protocols import DeviceState, GripStatus, RobotMode
 from touchdown.backend.devices.safety_trips import STANDS_S, GripMonitor
 

@@ -19,12 +19,11 @@ from tests.backend.devices.optoforce.trials_wrist import trial as trials_wrist_t
 from tests.backend.devices.wsg.trials_gripper import trial
 from touchdown.backend.config.hardware import ForceTorqueSettings, HardwareSettings
 from touchdown.backend.core.faults import InputError
-from touchdown.backend.devices import identification, registry
+from touchdown.backend.devices import identification, make_force_torque, make_gripper, registry
 from touchdown.backend.devices.bota import protocol
 from touchdown.backend.devices.bota.driver import BotaDriver
 from touchdown.backend.devices.dynpick import protocol as dynpick
 from touchdown.backend.devices.dynpick.emulator import EmulatedDynpick
-from touchdown.backend.devices.factories import make_force_torque, make_gripper
 from touchdown.backend.devices.force_torque.driver import WrenchReading
 from touchdown.backend.devices.force_torque.reader import WrenchStamper
 from touchdown.backend.devices.framing import Wrench

@@ -23,11 +23,9 @@ from tests.backend.devices.waiting import until
 from tests.backend.rig.ticking import TickingRig
 from touchdown.backend.bench.emulator_registry import bench_toml, emulate
 from touchdown.backend.config.hardware import ForceTorqueSettings, HardwareSettings
-from touchdown.backend.core.faults import FaultError, InputError
-from touchdown.backend.core.streams import SampleStream
-from touchdown.backend.devices import registry
+from touchdown.backend.core import FaultError, InputError, SampleStream
+from touchdown.backend.devices import DeviceState, make_force_torque, registry
 from touchdown.backend.devices.bota import driver as bota_driver
-from touchdown.backend.devices.factories import make_force_torque
 from touchdown.backend.devices.force_torque.driver import WrenchReading
 from touchdown.backend.devices.force_torque.reader import (
     WrenchStamper,
@@ -37,7 +35,6 @@ from touchdown.backend.devices.force_torque.reader import (
 from touchdown.backend.devices.framing import Wrench
 from touchdown.backend.devices.melfa.realtime_protocol import CYCLE_S
 from touchdown.backend.devices.netft import protocol as protocol_of_netft
-from touchdown.backend.devices.protocols import DeviceState
 from touchdown.backend.devices.wsg.emulator import EmulatedWsg
 from touchdown.backend.emulation.fault_plan import Faults, add_noise, apply_faults
 from touchdown.backend.emulation.server import PtyServer, TcpServer

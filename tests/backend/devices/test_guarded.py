@@ -8,8 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from touchdown.backend.core.faults import RefusedError
-from touchdown.backend.core.values import Pose
+from touchdown.backend.core import Pose, RefusedError
 from touchdown.backend.devices.guarded_devices import GuardedArm
 from touchdown.backend.devices.interlock import LEASE_S, Interlock, Limits
 from touchdown.backend.devices.jog import Jog, JogOrder, JogSurroundings, direction_of

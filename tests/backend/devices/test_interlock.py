@@ -11,9 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from touchdown.backend.core.faults import Fault, RefusedError
-from touchdown.backend.core.streams import SampleStream
-from touchdown.backend.core.values import Pose
+from touchdown.backend.core import Fault, Pose, RefusedError, SampleStream
 from touchdown.backend.devices.interlock import (
     LEASE_S,
     VERDICT_ROWS,

@@ -8,14 +8,11 @@ import numpy as np
 import pytest
 
 from touchdown.backend.config.hardware import ForceTorqueSettings, HardwareSettings
-from touchdown.backend.core.faults import RefusedError
-from touchdown.backend.core.streams import SampleStream, Stream
-from touchdown.backend.core.values import FINGERS, Pose, TactileFrame
+from touchdown.backend.core import FINGERS, Pose, RefusedError, SampleStream, Stream, TactileFrame
 from touchdown.backend.devices.cameras.frames import dark_fault
 from touchdown.backend.devices.dynpick.driver import DynpickDriver
 from touchdown.backend.devices.dynpick.emulator import EmulatedDynpick
-from touchdown.backend.devices.force_torque.driver import SensorDescription
-from touchdown.backend.devices.force_torque.reader import ForceTorqueReader
+from touchdown.backend.devices.force_torque import ForceTorqueReader, SensorDescription
 from touchdown.backend.devices.ft300.driver import Ft300Driver
 from touchdown.backend.devices.ft300.emulator import EmulatedFt300
 from touchdown.backend.devices.interlock import Interlock

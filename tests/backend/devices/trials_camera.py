@@ -15,8 +15,7 @@ import numpy as np
 
 from tests.backend.devices.trials import Ended
 from touchdown.backend.config.hardware import GelsightSettings
-from touchdown.backend.core.clock import ManualClock
-from touchdown.backend.core.streams import Stream
+from touchdown.backend.core import ManualClock, Stream
 from touchdown.backend.devices.gelsight.driver import TactileCamera
 from touchdown.backend.devices.gelsight.emulator import encode
 from touchdown.backend.devices.protocols import DeviceState

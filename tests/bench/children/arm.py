@@ -16,12 +16,9 @@ import numpy as np
 
 from tests.backend.devices.melfa.emulated_arm import settings
 from touchdown.backend.config.hardware import MelfaSettings
-from touchdown.backend.core.faults import FaultError
-from touchdown.backend.core.streams import SampleStream
-from touchdown.backend.core.values import Pose
+from touchdown.backend.core import FaultError, Pose, SampleStream
+from touchdown.backend.devices.melfa import READY_RAD, EmulatedMelfa, MelfaServer
 from touchdown.backend.devices.melfa.driver import MelfaArm, MelfaPrograms
-from touchdown.backend.devices.melfa.emulated_controller import READY_RAD
-from touchdown.backend.devices.melfa.emulator import EmulatedMelfa, MelfaServer
 from touchdown.backend.devices.melfa.sockets import SocketLinks
 
 UP, DOWN = Pose(0.0, 0.0, 120.0), Pose(0.0, 0.0, 60.0)

@@ -23,13 +23,10 @@ from PySide6.QtWidgets import QApplication
 
 from tests.app.tiny_packs import write_tiny_packs
 from touchdown.app.application import TouchdownApp
-from touchdown.app.shell.cards import exit_after_timeout
-from touchdown.app.shell.errors import ErrorBox, install_error_hooks
+from touchdown.app.shell import ErrorBox, exit_after_timeout, install_error_hooks
 from touchdown.app.train.workspace import TrainWorkspace
-from touchdown.backend.bench.assembly import simulated_session
-from touchdown.backend.bench.session import Session
-from touchdown.backend.runs.recorder import RecordingOptions
-from touchdown.backend.runs.requests import SceneChoice
+from touchdown.backend.bench import Session, simulated_session
+from touchdown.backend.runs import RecordingOptions, SceneChoice
 
 LIMIT_S = 180.0
 # failure of a process; the first, second and last by ``HOOKS`` inside it

@@ -30,20 +30,15 @@ from PySide6.QtWidgets import QPushButton, QWidget
 from tests.bench.children.failing_window import LIMIT_S, Watched, say
 from tests.bench.children.lab_window import LabWindow
 from tests.bench.workers import MEMORY_FAILURES
-from touchdown.app.shell.cards import exit_after_timeout
-from touchdown.app.shell.errors import log_to
+from touchdown.app.shell import exit_after_timeout, log_to
 from touchdown.app.stack.workspace import StackWorkspace
 from touchdown.app.start import THREAD_SWITCH_S, freeze_garbage
 from touchdown.backend.bench.assembly import simulated_session
-from touchdown.backend.core.events import FaultRaised
-from touchdown.backend.core.faults import Fault
-from touchdown.backend.core.values import ImageArray
+from touchdown.backend.core import Fault, FaultRaised, ImageArray
 from touchdown.backend.devices.cameras.sources import PictureSource
 from touchdown.backend.devices.gelsight.driver import TactileCamera
 from touchdown.backend.placement.strategies import ProbeObservation, make_strategy
-from touchdown.backend.runs import probe, stack
-from touchdown.backend.runs.recorder import RecordingOptions
-from touchdown.backend.runs.requests import StackRequest
+from touchdown.backend.runs import RecordingOptions, StackRequest, probe, stack
 
 TICK_MS, FLOOD_TICK_MS, KEY_MS = 10, 16, 15
 TRIALS, SEED = 500, 100  # more trials than any measurement needs

@@ -27,8 +27,7 @@ from touchdown.app.stack.workspace import StackWorkspace
 from touchdown.app.start import open_simulated_bench
 from touchdown.backend.bench.assembly import simulated_session
 from touchdown.backend.bench.session import STEP_US, Session
-from touchdown.backend.runs.recorder import RecordingOptions
-from touchdown.backend.runs.requests import RunState, SceneChoice, StackRequest
+from touchdown.backend.runs import RecordingOptions, RunState, SceneChoice, StackRequest
 from touchdown.widgets.base.freshness import PERIOD_MS
 
 STEP_S, MINUTES = 1e-6 * STEP_US, 30.0

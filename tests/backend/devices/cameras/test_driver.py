@@ -18,13 +18,10 @@ from tests.backend.devices.cameras.damage import GELSIGHT, SCENES, outcomes
 from tests.backend.devices.waiting import until
 from tests.backend.sensing.known_truth import rest_dots
 from touchdown.backend.config.hardware import GelsightSettings, HardwareSettings
-from touchdown.backend.core.faults import InputError
-from touchdown.backend.core.streams import Stream
-from touchdown.backend.core.values import MarkerState, TactileFrame
+from touchdown.backend.core import InputError, MarkerState, Stream, TactileFrame
+from touchdown.backend.devices import DeviceState, make_tactile
 from touchdown.backend.devices.cameras.sources import find_controls, lock_controls
-from touchdown.backend.devices.factories import make_tactile
 from touchdown.backend.devices.lerobot.driver import LeRobotSource, _maker
-from touchdown.backend.devices.protocols import DeviceState
 from touchdown.backend.sensing.damaged_frames import DamageCheckingTracker, neighbour_residual_px
 from touchdown.backend.sensing.picture_files import read_pictures
 

@@ -12,23 +12,20 @@ from tests.backend.devices.codecs.vectors import data
 from tests.backend.devices.waiting import until
 from touchdown.backend.config.hardware import ForceTorqueSettings, HardwareSettings
 from touchdown.backend.core.faults import FaultError
-from touchdown.backend.devices.dynpick import protocol
+from touchdown.backend.devices import DeviceState, make_force_torque
+from touchdown.backend.devices.dynpick import EmulatedDynpick, protocol
 from touchdown.backend.devices.dynpick.driver import PERIOD_S as DRIVER_PERIOD_S
 from touchdown.backend.devices.dynpick.driver import DynpickDriver
-from touchdown.backend.devices.dynpick.emulator import EmulatedDynpick
 from touchdown.backend.devices.dynpick.protocol import (
     RECORD_BYTES,
     DynpickCommand,
     DynpickRecord,
     encode_record,
 )
-from touchdown.backend.devices.factories import make_force_torque
 from touchdown.backend.devices.force_torque.driver import WrenchReading
 from touchdown.backend.devices.force_torque.reader import WrenchStamper
 from touchdown.backend.devices.framing import Wrench
-from touchdown.backend.devices.protocols import DeviceState
-from touchdown.backend.emulation.fault_plan import Faults, add_noise, apply_faults
-from touchdown.backend.emulation.server import PtyServer, TcpServer
+from touchdown.backend.emulation import Faults, PtyServer, TcpServer, add_noise, apply_faults
 from touchdown.backend.sensing.episode import wrench_on_ticks
 from touchdown.backend.sensing.zeroing import WrenchDriftEstimator
 

@@ -12,6 +12,7 @@ from tests.backend.devices.waiting import until
 from touchdown.backend.bench.emulator_registry import emulate
 from touchdown.backend.config.hardware import ForceTorqueSettings, HardwareSettings
 from touchdown.backend.core.faults import FaultError
+from touchdown.backend.devices import DeviceState, Identity, emulated_makes
 from touchdown.backend.devices.bota import protocol
 from touchdown.backend.devices.bota.emulator import EmulatedBota
 from touchdown.backend.devices.bota.protocol import BotaFrame
@@ -36,10 +37,7 @@ from touchdown.backend.devices.netft.emulator import (
 )
 from touchdown.backend.devices.optoforce import protocol as optoforce
 from touchdown.backend.devices.optoforce.emulator import PER_UNIT, EmulatedOptoforce
-from touchdown.backend.devices.protocols import DeviceState, Identity
-from touchdown.backend.devices.registry import emulated_makes
-from touchdown.backend.emulation.fault_plan import Faults
-from touchdown.backend.emulation.serving import EmulationChoice
+from touchdown.backend.emulation import EmulationChoice, Faults
 
 FORCE_TORQUE = [n for n, make in emulated_makes().items() if make.kind == "force_torque"]
 LOAD = (1.0, -2.0, -10.5, 0.1, -0.2, 0.05)

@@ -7,13 +7,13 @@ from collections.abc import Callable
 
 import numpy as np
 
-from touchdown.backend.config.hardware import HardwareSettings, MelfaSettings
-from touchdown.backend.config.method import ProbeSettings
+from touchdown.backend.config import HardwareSettings, MelfaSettings, ProbeSettings
 from touchdown.backend.core.clock import ManualClock
 from touchdown.backend.core.faults import Fault, FaultError
 from touchdown.backend.core.rotations import IDENTITY_ROTATION, LEVEL_TOLERANCE_RAD, rotation_vector
 from touchdown.backend.core.streams import SampleStream
 from touchdown.backend.core.values import FloatArray
+from touchdown.backend.devices.melfa import READY_RAD, EmulatedMelfa
 from touchdown.backend.devices.melfa.command_channel import (
     CycleFunction,
     CycleTimes,
@@ -21,8 +21,6 @@ from touchdown.backend.devices.melfa.command_channel import (
     R3Client,
 )
 from touchdown.backend.devices.melfa.driver import MelfaArm, MelfaPrograms
-from touchdown.backend.devices.melfa.emulated_controller import READY_RAD
-from touchdown.backend.devices.melfa.emulator import EmulatedMelfa
 from touchdown.backend.devices.melfa.r3_protocol import R3Request, encode_request
 from touchdown.backend.simulation.arm import ArmCycle as Cycle10
 from touchdown.backend.simulation.devices.bench import SimulatedBench

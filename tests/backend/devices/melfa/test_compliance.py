@@ -11,8 +11,7 @@ from tests.backend.devices import contract_bench, test_arm_contract
 from tests.backend.devices.contract_bench import PRESS as CONTRACT_BENCH_PRESS
 from tests.backend.devices.contract_bench import DevicesUnderTest
 from tests.backend.devices.melfa.emulated_arm import Rig, on_bench
-from touchdown.backend.core.faults import FaultError, RefusedError
-from touchdown.backend.core.values import Pose
+from touchdown.backend.core import FaultError, Pose, RefusedError
 from touchdown.backend.devices.melfa.command_channel import R3Client
 from touchdown.backend.devices.melfa.emulated_controller import WRITTEN
 from touchdown.backend.devices.melfa.faults import controller_fault, link_fault

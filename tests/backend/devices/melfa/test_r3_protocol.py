@@ -21,14 +21,11 @@ from tests.backend.devices.melfa.test_compliance import PRESS, TOUCH_MM
 from tests.backend.devices.melfa.trials import PRESS as TRIALS_PRESS
 from tests.backend.devices.melfa.trials import trial
 from touchdown.backend.config.hardware import MelfaSettings
-from touchdown.backend.core.faults import FaultError, RefusedError
-from touchdown.backend.core.values import Pose
+from touchdown.backend.core import FaultError, Pose, RefusedError
+from touchdown.backend.devices import DeviceState, GuardedArm, Interlock
 from touchdown.backend.devices.force_torque.reader import OVERLOAD
 from touchdown.backend.devices.framing import ProtocolError
-from touchdown.backend.devices.guarded_devices import GuardedArm
-from touchdown.backend.devices.interlock import Interlock
-from touchdown.backend.devices.melfa import emulated_controller, r3_protocol
-from touchdown.backend.devices.melfa.emulated_controller import READY_RAD
+from touchdown.backend.devices.melfa import READY_RAD, emulated_controller, r3_protocol
 from touchdown.backend.devices.melfa.kinematics import (
     LIMITS_RAD,
     STEPS_RAD,
@@ -40,7 +37,6 @@ from touchdown.backend.devices.melfa.kinematics import (
     joints_for,
 )
 from touchdown.backend.devices.melfa.r3_protocol import R3Request
-from touchdown.backend.devices.protocols import DeviceState
 
 
 def test_an_alarm_that_refused_a_connection_is_reset_by_the_next_and_no_other():

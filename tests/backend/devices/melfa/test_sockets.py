@@ -12,14 +12,10 @@ from tests.backend.devices.melfa.emulated_arm import settings
 from tests.backend.devices.waiting import until
 from touchdown.backend.bench.emulator_registry import emulate
 from touchdown.backend.config.hardware import HardwareSettings
-from touchdown.backend.core.clock import ManualClock
-from touchdown.backend.core.faults import FaultError
-from touchdown.backend.core.streams import SampleStream
-from touchdown.backend.core.values import Pose
+from touchdown.backend.core import FaultError, ManualClock, Pose, SampleStream
 from touchdown.backend.devices.leptrino.emulator import EmulatedLeptrino
+from touchdown.backend.devices.melfa import READY_RAD, EmulatedMelfa, MelfaServer
 from touchdown.backend.devices.melfa.driver import MelfaArm, MelfaPrograms
-from touchdown.backend.devices.melfa.emulated_controller import READY_RAD
-from touchdown.backend.devices.melfa.emulator import EmulatedMelfa, MelfaServer
 from touchdown.backend.devices.melfa.realtime_protocol import (
     AxisValues,
     BlockKind,
@@ -30,8 +26,7 @@ from touchdown.backend.devices.melfa.realtime_protocol import (
 )
 from touchdown.backend.devices.melfa.sockets import SocketLinks
 from touchdown.backend.devices.protocols import DeviceState
-from touchdown.backend.emulation.server import TcpServer
-from touchdown.backend.emulation.serving import EmulationChoice
+from touchdown.backend.emulation import EmulationChoice, TcpServer
 
 START = np.array([0.0, 0.0, 60.0])
 

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from tests.backend.devices.melfa.emulated_arm import Rig
-from touchdown.backend.core.faults import FaultError, RefusedError
-from touchdown.backend.core.values import Pose
+from touchdown.backend.core import FaultError, Pose, RefusedError
 from touchdown.backend.devices.melfa.realtime_protocol import (
     CYCLE_S,
     AxisValues,

@@ -12,8 +12,7 @@ import numpy as np
 
 from tests.backend.devices.trials import Ended
 from touchdown.backend.config.hardware import HardwareSettings
-from touchdown.backend.core.clock import ManualClock
-from touchdown.backend.core.faults import FaultError
+from touchdown.backend.core import FaultError, ManualClock
 from touchdown.backend.devices.bota.emulator import EmulatedBota
 from touchdown.backend.devices.dynpick.emulator import EmulatedDynpick
 from touchdown.backend.devices.force_torque.reader import ForceTorqueReader

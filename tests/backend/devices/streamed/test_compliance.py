@@ -22,10 +22,8 @@ from touchdown.backend.core.events import EpisodeRecorded, Event, FaultRaised, P
 from touchdown.backend.core.faults import FaultError, TouchdownError
 from touchdown.backend.core.streams import Stream
 from touchdown.backend.core.values import FINGERS, Pose
-from touchdown.backend.devices.guarded_devices import GuardedArm
-from touchdown.backend.devices.interlock import Interlock
+from touchdown.backend.devices import GuardedArm, Interlock, Supervision
 from touchdown.backend.devices.protocols import RETREAT_MM, RETREAT_MM_S, ArmPress, PressCommand
-from touchdown.backend.devices.safety_trips import Supervision
 from touchdown.backend.devices.streamed.arm import PressProgram
 from touchdown.backend.devices.streamed.compliance import (
     ACCELERATION_MM_S2,

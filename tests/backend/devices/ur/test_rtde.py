@@ -14,9 +14,7 @@ from tests.backend.devices.contract_bench import DevicesUnderTest
 from tests.backend.devices.ur.stand_in import UrWires, hand_leaning
 from tests.backend.devices.waiting import until
 from touchdown.backend.config.hardware import ForceTorqueSettings, HardwareSettings
-from touchdown.backend.core.faults import FaultError, RefusedError
-from touchdown.backend.core.streams import SampleStream
-from touchdown.backend.core.values import Pose
+from touchdown.backend.core import FaultError, Pose, RefusedError, SampleStream
 from touchdown.backend.devices.factories import make_arm, make_force_torque
 from touchdown.backend.devices.force_torque.reader import WrenchStamper
 from touchdown.backend.devices.protocols import DeviceState, RobotMode, SafetyMode

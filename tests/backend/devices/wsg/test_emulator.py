@@ -13,14 +13,11 @@ import pytest
 from tests.backend.devices.codecs.vectors import data
 from tests.backend.devices.waiting import until
 from tests.backend.rig.ticking import TickingRig, rounds_pass
-from touchdown.backend.config.hardware import HardwareSettings, WsgSettings
-from touchdown.backend.config.simulation import SimulationSettings
+from touchdown.backend.config import HardwareSettings, SimulationSettings, WsgSettings
 from touchdown.backend.core.faults import FaultError, RefusedError
-from touchdown.backend.devices.factories import make_gripper
+from touchdown.backend.devices import ByHand, DeviceState, make_gripper
 from touchdown.backend.devices.framing import crc_wsg
-from touchdown.backend.devices.interlock import ByHand
 from touchdown.backend.devices.leptrino.emulator import EmulatedLeptrino
-from touchdown.backend.devices.protocols import DeviceState
 from touchdown.backend.devices.wsg import protocol
 from touchdown.backend.devices.wsg.driver import WsgGripper
 from touchdown.backend.devices.wsg.emulator import EmulatedGcl, EmulatedWsg, GripperProfile
@@ -33,10 +30,8 @@ from touchdown.backend.devices.wsg.protocol import (
     WsgStatus,
     update,
 )
-from touchdown.backend.emulation.fault_plan import Faults
-from touchdown.backend.emulation.server import TcpServer
-from touchdown.backend.geometry.pieces import load_pieces
-from touchdown.backend.geometry.tower import Tower
+from touchdown.backend.emulation import Faults, TcpServer
+from touchdown.backend.geometry import Tower, load_pieces
 from touchdown.backend.simulation.devices.bench import SimulatedBench
 from touchdown.backend.simulation.scene import Scene
 

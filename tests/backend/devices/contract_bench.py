@@ -5,13 +5,14 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import pytest
 
 from tests.backend.bench.brisk import brisk_settings
 from tests.backend.devices.melfa.emulated_arm import on_bench
 from tests.backend.rig.inline import ROUND_US, InlineLink
-from touchdown.backend.core import Finger, RefusedError
+from touchdown.backend.core import Fault, FaultError, Finger, Pose, RefusedError
 from touchdown.backend.devices.interlock import Interlock, Limits
 from touchdown.backend.devices.protocols import (
     Arm,
@@ -29,6 +30,10 @@ from touchdown.backend.simulation.devices.bench import SimulatedBench
 from touchdown.backend.simulation.scene import Scene
 
 PRESS = PressCommand(1.5, 1.5, 2.0, 2.0, 1.0, 11.0, (30.0, 30.0, 15.0))
+
+
+def place(pose: Pose) -> tuple[float, float, float]:
+    return (pose.x_mm, pose.y_mm, pose.z_mm)
 
 
 @dataclass
@@ -68,11 +73,30 @@ class DevicesUnderTest:
     def rest(self, seconds: float) -> None:
         self.advance(round(seconds * 1e6))
 
+    def succeed(self, motion: Motion) -> None:
+        self.finish(motion)
+        motion.result()
+
     def finish(self, motion: Motion, limit_s: float = 20.0) -> None:
         until_s = self.now_s() + limit_s
         while not motion.done:
             assert self.now_s() < until_s, "the motion does not end"
             self.advance(10_000)
+
+    def stand_still(self) -> None:
+        """Hold that the arm stands as soon as it must after a stop."""
+        self.rest(self.still_s)
+        before = self.arm.pose(0.1)
+        self.rest(0.5)
+        after = self.arm.pose(0.1)
+        assert place(before) == pytest.approx(place(after), abs=self.still_mm)
+
+    def fail(self, motion: Motion) -> Fault:
+        """Return the fault of a motion that must have ended with one."""
+        assert motion.done
+        with pytest.raises(FaultError) as raised:
+            motion.result()
+        return raised.value.fault
 
     def lifted_and_gripped(self) -> None:
         self.connect()
@@ -90,16 +114,19 @@ def _scene(rate_hz: float) -> Scene:
     return Scene(catalogue.top("pot"), bottoms, (6.0, 3.0), 11, settings)
 
 
+def devices_of(
+    bench: SimulatedBench,
+    arm: Arm | None = None,
+    advance: Callable[[int], None] | None = None,
+    **more: Any,
+) -> DevicesUnderTest:
+    """Return the devices of ``bench``, with another arm whose time passes by ``advance``."""
+    own = bench.gripper, bench.force_torque, bench.tactile, bench.clock.now_s
+    return DevicesUnderTest(arm or bench.arm, *own, advance or bench.advance, **more)
+
+
 def simulated(rate_hz: float = FEW_HZ) -> DevicesUnderTest:
-    bench = SimulatedBench(_scene(rate_hz))
-    return DevicesUnderTest(
-        bench.arm,
-        bench.gripper,
-        bench.force_torque,
-        bench.tactile,
-        bench.clock.now_s,
-        bench.advance,
-    )
+    return devices_of(SimulatedBench(_scene(rate_hz)))
 
 
 def simulated_at_its_rates() -> DevicesUnderTest:
@@ -110,16 +137,7 @@ def emulated_arm() -> DevicesUnderTest:
     """The driver of the arm on an emulated controller; all else is simulated."""
     bench = SimulatedBench(_scene(FEW_HZ))
     arm, wires = on_bench(bench)
-    return DevicesUnderTest(
-        arm,
-        bench.gripper,
-        bench.force_torque,
-        bench.tactile,
-        bench.clock.now_s,
-        wires.advance,
-        still_s=0.2,
-        still_mm=0.02,
-    )
+    return devices_of(bench, arm, wires.advance, still_s=0.2, still_mm=0.02)
 
 
 def over_the_link() -> DevicesUnderTest:

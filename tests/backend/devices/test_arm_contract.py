@@ -1,4 +1,4 @@
-"""The part of the contract that every arm is held to: moves, presses, jogs, stops."""
+"""The part of the contract that every arm is held to: moves, presses, jogs, stops, retreats."""
 
 from __future__ import annotations
 
@@ -8,13 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.backend.devices.contract_bench import EVERY, PRESS, DevicesUnderTest
+from tests.backend.devices.contract_bench import EVERY, PRESS, DevicesUnderTest, place
 from touchdown.backend.core import FaultError, Pose, RefusedError
-from touchdown.backend.devices.protocols import STILL, Motion, RobotMode, SafetyMode
-
-
-def place(pose: Pose) -> tuple[float, float, float]:
-    return (pose.x_mm, pose.y_mm, pose.z_mm)
+from touchdown.backend.devices.protocols import STILL, Motion, RetreatingArm, RobotMode, SafetyMode
 
 
 def rising(bench: DevicesUnderTest) -> tuple[Pose, Motion]:
@@ -34,8 +30,7 @@ def test_a_move_arrives_reports_what_was_sent_and_keeps_its_speed(bench: Devices
         motion.result()
     bench.rest(0.05)
     assert bench.arm.status().robot_mode is RobotMode.MOVING
-    bench.finish(motion)
-    motion.result()
+    bench.succeed(motion)
     assert motion.sent["speed_mm_s"] == 20.0
     assert motion.sent["z_mm"] == target.z_mm
     end = bench.arm.pose(0.1)
@@ -58,8 +53,7 @@ def test_a_press_finds_contact_holds_and_unloads(bench: DevicesUnderTest) -> Non
     motion = bench.arm.press(PRESS)
     assert motion.onset_s is None
     assert motion.sent["depth_mm"] == 1.5
-    bench.finish(motion)
-    motion.result()
+    bench.succeed(motion)
     assert motion.onset_s is not None
     assert motion.detected_s is not None
     assert motion.onset_s <= motion.detected_s
@@ -67,8 +61,7 @@ def test_a_press_finds_contact_holds_and_unloads(bench: DevicesUnderTest) -> Non
     held = samples.window(bench.now_s() - 0.1, bench.now_s()).values.mean(axis=0) - air
     assert 4.0 < held[2] < 11.0
     unload = bench.arm.unload(1.0, 2.0)
-    bench.finish(unload)
-    unload.result()
+    bench.succeed(unload)
     bench.rest(0.2)
     left = samples.window(bench.now_s() - 0.1, bench.now_s()).values.mean(axis=0) - air
     assert 0.3 <= left[2] <= 2.0
@@ -83,9 +76,7 @@ def test_a_press_into_nothing_fails_with_a_fault(bench: DevicesUnderTest) -> Non
     bench.finish(bench.arm.move_to(Pose(here.x_mm, here.y_mm, here.z_mm + 20.0), 20.0))
     motion = bench.arm.press(PRESS)
     bench.finish(motion)
-    with pytest.raises(FaultError) as raised:
-        motion.result()
-    assert raised.value.fault.code == "NO-CONTACT"
+    assert bench.fail(motion).code == "NO-CONTACT"
     assert motion.onset_s is None
 
 
@@ -99,14 +90,8 @@ def test_stop_ends_a_press_in_every_phase(bench: DevicesUnderTest, after_s: floa
     assert not motion.done
     bench.arm.stop()
     bench.hear()
-    assert motion.done
-    with pytest.raises(FaultError):
-        motion.result()
-    bench.rest(bench.still_s)
-    still = bench.arm.pose(0.1)
-    bench.rest(0.5)
-    after = bench.arm.pose(0.1)
-    assert place(still) == pytest.approx(place(after), abs=bench.still_mm)
+    bench.fail(motion)
+    bench.stand_still()
     assert bench.gripper.status().holding
 
 
@@ -123,8 +108,7 @@ def test_stop_is_legal_in_every_state(bench: DevicesUnderTest) -> None:
     bench.rest(0.1)
     bench.gripper.stop()
     bench.hear()
-    with pytest.raises(FaultError):
-        grip.result()
+    bench.fail(grip)
     assert not bench.gripper.status().holding
     for device in bench.all:
         device.close()
@@ -154,10 +138,8 @@ def test_a_newer_command_ends_the_older_one(bench: DevicesUnderTest) -> None:
     bench.rest(0.1)
     second = bench.arm.move_to(Pose(here.x_mm, here.y_mm, here.z_mm + 5.0), 20.0)
     bench.hear()
-    with pytest.raises(FaultError):
-        first.result()
-    bench.finish(second)
-    second.result()
+    bench.fail(first)
+    bench.succeed(second)
 
 
 @EVERY
@@ -249,9 +231,7 @@ def test_halt_ends_a_move_and_the_next_one_begins_at_once(bench: DevicesUnderTes
     bench.rest(0.3)
     bench.arm.halt()
     bench.hear()
-    assert motion.done
-    with pytest.raises(FaultError):
-        motion.result()
+    bench.fail(motion)
     bench.rest(0.2)
     still = bench.arm.pose(0.02)
     bench.rest(0.1)
@@ -287,8 +267,7 @@ def test_the_hand_turns_on_the_way_and_back_and_presses_only_unturned(
     begun_s = bench.now_s()
     there = Pose(up.x_mm + 5.0, up.y_mm, up.z_mm, 0.10, -0.05, 0.2)
     motion = bench.arm.move_to(there, 20.0, 0.2)
-    bench.finish(motion)
-    motion.result()
+    bench.succeed(motion)
     assert bench.now_s() - begun_s >= float(np.linalg.norm(vector(there))) / 0.2
     bench.rest(0.1)
     pose = bench.arm.pose(0.1)
@@ -297,8 +276,7 @@ def test_the_hand_turns_on_the_way_and_back_and_presses_only_unturned(
     with pytest.raises(RefusedError, match="level it first"):
         bench.arm.press(PRESS)
     level = bench.arm.move_to(up, 20.0, 0.2)
-    bench.finish(level)
-    level.result()
+    bench.succeed(level)
     bench.rest(0.1)
     assert vector(bench.arm.pose(0.1)) == (0.0, 0.0, 0.0)
 
@@ -347,16 +325,13 @@ def test_joints_go_to_their_ends_and_never_beyond_their_range(bench: DevicesUnde
     before = bench.arm.joints_rad(0.1)
     target = (*before[:4], before[4] + 0.05, before[5] - 0.1)
     motion = bench.arm.move_joints(target, 0.2)
-    bench.finish(motion)
-    motion.result()
+    bench.succeed(motion)
     bench.rest(0.1)
     assert bench.arm.joints_rad(0.1) == pytest.approx(target, abs=1e-4)
     beyond = (*target[:5], bench.arm.joint_limits_rad[5][1] + 0.01)
     refused = bench.arm.move_joints(beyond, 6.0)
     bench.finish(refused)
-    with pytest.raises(FaultError) as raised:
-        refused.result()
-    assert raised.value.fault.code == "JOINT-RANGE"
+    assert bench.fail(refused).code == "JOINT-RANGE"
     low, high_rad = bench.arm.joint_limits_rad[5]
     assert low <= bench.arm.joints_rad(0.1)[5] <= high_rad
 
@@ -380,7 +355,48 @@ def test_servo_off_ends_motion_and_moves_nothing_until_it_is_on(bench: DevicesUn
     bench.arm.servo(True)
     bench.rest(0.2)
     back = bench.arm.move_to(here, 20.0)
-    bench.finish(back)
-    back.result()
+    bench.succeed(back)
     bench.hear()
     assert bench.arm.status().robot_mode is RobotMode.READY
+
+
+@pytest.mark.promise("G3")
+@EVERY
+def test_a_retreat_draws_back_from_contact_once_and_stands(bench: DevicesUnderTest) -> None:
+    bench.lifted_and_gripped()
+    assert isinstance(bench.arm, RetreatingArm)
+    samples = bench.force_torque.samples
+    air_n = samples.window(bench.now_s() - 0.2, bench.now_s()).values.mean(axis=0)[2]
+    motion = bench.arm.press(PRESS)
+    bench.finish(motion)
+    bench.rest(0.1)
+    before = bench.arm.pose(0.1)
+    bench.arm.retreat()
+    bench.rest(1.0)
+    after = bench.arm.pose(0.1)
+    assert 1.0 < after.z_mm - before.z_mm < 2.6
+    assert (after.x_mm, after.y_mm) == pytest.approx((before.x_mm, before.y_mm), abs=0.6)
+    left_n = samples.window(bench.now_s() - 0.1, bench.now_s()).values.mean(axis=0)[2] - air_n
+    assert abs(left_n) < 1.0
+    assert bench.gripper.status().holding
+    assert bench.arm.status().robot_mode is RobotMode.READY
+    bench.rest(0.3)
+    assert bench.arm.pose(0.1).z_mm == pytest.approx(after.z_mm, abs=0.02)
+
+
+@EVERY
+def test_a_retreat_ends_a_move_that_runs_into_something_and_stop_ends_a_retreat(
+    bench: DevicesUnderTest,
+) -> None:
+    bench.lifted_and_gripped()
+    assert isinstance(bench.arm, RetreatingArm)
+    here = bench.arm.pose(0.1)
+    motion = bench.arm.move_to(Pose(here.x_mm + 20.0, here.y_mm, here.z_mm + 5.0), 20.0)
+    bench.rest(0.3)
+    bench.arm.retreat()
+    bench.hear()
+    bench.fail(motion)
+    bench.rest(0.1)
+    bench.arm.stop()
+    # Two millimetres take 0.2 s: it was stopped on its way.
+    bench.stand_still()

@@ -9,7 +9,6 @@ import pytest
 
 from tests.backend.devices import contract_bench, test_arm_contract
 from tests.backend.devices.contract_bench import PRESS as CONTRACT_BENCH_PRESS
-from tests.backend.devices.contract_bench import DevicesUnderTest
 from tests.backend.devices.melfa.emulated_arm import Rig, on_bench
 from touchdown.backend.core import FaultError, Pose, RefusedError
 from touchdown.backend.devices.melfa.command_channel import R3Client
@@ -40,16 +39,7 @@ def made():
 @pytest.fixture
 def bench(made):
     simulated, arm, wires = made
-    return DevicesUnderTest(
-        arm,
-        simulated.gripper,
-        simulated.force_torque,
-        simulated.tactile,
-        simulated.clock.now_s,
-        wires.advance,
-        still_s=0.2,
-        still_mm=0.02,
-    )
+    return contract_bench.devices_of(simulated, arm, wires.advance, still_s=0.2, still_mm=0.02)
 
 
 @pytest.fixture
@@ -176,8 +166,7 @@ def test_a_wrist_without_numbers_ends_a_force_program_wherever_it_is(touched):
     program.numbers = False
     rig.rest(0.6)
     assert program.motion.done
-    with pytest.raises(FaultError, match="FT-STALE"):
-        program.motion.result()
+    assert ended_by(program.motion) == "FT-STALE"
     if touched:
         # It lifts by itself once it is told to.
         assert rig.true_mm[2] > program.touch_mm + 1.0
@@ -230,12 +219,29 @@ def finish(rig, motion, limit_s=6.0):
     raise AssertionError("the motion does not end")
 
 
-def pressed(rig):
-    """Press to the end; raise its fault."""
+def pressed(rig, fails=""):
+    """Press to the end; the press succeeds, or ``fails`` with this fault."""
     motion = rig.arm.press(PRESS)
     finish(rig, motion)
-    motion.result()
+    if fails:
+        assert ended_by(motion) == fails
+    else:
+        motion.result()
     return motion
+
+
+def touching(rig, after_s=1.2):
+    """Begin a press and wait until it has touched."""
+    motion = rig.arm.press(PRESS)
+    rig.rest(after_s)
+    assert motion.onset_s is not None
+    return motion
+
+
+def ended_by(motion):
+    with pytest.raises(FaultError) as raised:
+        motion.result()
+    return raised.value.fault.code
 
 
 @pytest.mark.parametrize("stiffness_n_mm", [3.0, 8.0])
@@ -272,10 +278,7 @@ def test_what_the_sensor_drifts_on_the_way_down_is_no_force_of_the_contact():
 def test_a_contact_that_is_too_stiff_is_found_and_calmed():
     """Ten times the stiffness that the damping is made for."""
     rig = ready(300.0)
-    motion = rig.arm.press(PRESS)
-    finish(rig, motion)
-    with pytest.raises(FaultError, match="CONTACT-SWINGS"):
-        motion.result()
+    motion = pressed(rig, fails="CONTACT-SWINGS")
     found_s = rig.wires.clock.now_s() - motion.onset_s
     assert found_s <= 12.0 * rig.arm._orders.level.loop.delay_s
     assert rig.wrench.since(0).values[:, 2].max() < 40.0
@@ -287,14 +290,11 @@ def test_a_contact_that_is_too_stiff_is_found_and_calmed():
 @pytest.mark.promise("G3")
 def test_a_force_over_the_trip_draws_the_arm_back():
     rig = ready(8.0)
-    motion = rig.arm.press(PRESS)
-    rig.rest(1.2)
-    assert motion.onset_s is not None
+    motion = touching(rig)
     height = rig.true_mm[2]
     rig.contact = lambda pivot: np.array([0.0, 0.0, 45.0 if pivot[2] < height + 1.0 else 0.0])
     finish(rig, motion)
-    with pytest.raises(FaultError, match="FT-TRIP"):
-        motion.result()
+    assert ended_by(motion) == "FT-TRIP"
     rig.rest(1.0)
     assert rig.true_mm[2] > height + 1.0
 
@@ -302,9 +302,7 @@ def test_a_force_over_the_trip_draws_the_arm_back():
 @pytest.mark.parametrize("stiffness_n_mm", [25.0, 60.0])
 def test_the_stiffness_of_the_contact_is_found_and_damped_for(stiffness_n_mm):
     rig = ready(stiffness_n_mm)
-    motion = rig.arm.press(PRESS)
-    finish(rig, motion)
-    motion.result()
+    pressed(rig)
     press = rig.arm._orders.level._press
     assert press.stiffness.found_n_mm == pytest.approx(stiffness_n_mm, rel=0.15)
     designed = 100.0 if stiffness_n_mm > 30.0 else 30.0
@@ -333,10 +331,7 @@ def test_the_slope_is_that_of_the_spring():
 @pytest.mark.parametrize("stiff_n_mm", [150.0, 200.0])
 def test_a_contact_without_a_gel_is_drawn_back_from(stiff_n_mm):
     rig = ready(stiff_n_mm)
-    motion = rig.arm.press(PRESS)
-    finish(rig, motion)
-    with pytest.raises(FaultError, match="CONTACT-STIFF"):
-        motion.result()
+    pressed(rig, fails="CONTACT-STIFF")
     assert rig.wrench.since(0).values[:, 2].max() < 40.0
     height_mm = rig.true_mm[2]
     rig.rest(1.0)
@@ -375,9 +370,7 @@ def test_a_press_with_a_senseless_number_cannot_be_made(bad):
 @pytest.mark.promise("S7")
 def test_the_arm_stands_while_the_wrench_is_no_number():
     rig = ready(8.0)
-    motion = rig.arm.press(PRESS)
-    rig.rest(1.2)
-    assert motion.onset_s is not None
+    touching(rig)
     rig.contact = lambda pivot: np.full(3, np.nan)
     rig.rest(0.15)
     give = rig.arm.describe()["z_mm"] - rig.arm._orders.level._press.compliance.reference_mm[2]
@@ -403,12 +396,6 @@ def test_the_detector_knows_a_swing_from_a_press():
     assert not any(detector.feed(0.0035 * k, f) for k, f in enumerate(ramp + noise))
 
 
-def ended_by(motion):
-    with pytest.raises(FaultError) as raised:
-        motion.result()
-    return raised.value.fault.code
-
-
 @pytest.mark.promise("S6")
 def test_a_wrist_that_falls_silent_on_the_way_down_ends_the_descent():
     rig = ready(8.0)
@@ -426,9 +413,7 @@ def test_a_wrist_that_falls_silent_on_the_way_down_ends_the_descent():
 @pytest.mark.promise("S4")
 def test_in_contact_the_arm_stands_without_a_wrench_and_then_draws_back():
     rig = ready(8.0)
-    motion = rig.arm.press(PRESS)
-    rig.rest(1.2)
-    assert motion.onset_s is not None
+    motion = touching(rig)
     rig.wires.also = rig.wires.clock.advance
     silent_s = rig.wires.clock.now_s()
     finish(rig, motion)
@@ -450,11 +435,15 @@ def client():
     return R3Client(0.03)
 
 
+def step(client, *came):
+    """Give the client (time, bytes) in turn; return what it sent each time."""
+    return [client.step(now_s, data) for now_s, data in came]
+
+
 def test_one_request_is_on_the_wire_at_a_time(client):
     first, second = client.ask(STATE), client.ask(OVERRIDE)
-    assert client.step(0.0, b"") == b"1;1;STATE\r"
-    assert client.step(0.01, b"") == b""
-    assert client.step(0.02, b"QoKa\r") == b"1;1;OVRD\r"
+    sent = step(client, (0.0, b""), (0.01, b""), (0.02, b"QoKa\r"))
+    assert sent == [b"1;1;STATE\r", b"", b"1;1;OVRD\r"]
     assert (first.answer, second.done()) == ("a", False)
     client.step(0.03, b"QoK50\r\n")
     assert second.answer == "50"
@@ -463,10 +452,7 @@ def test_one_request_is_on_the_wire_at_a_time(client):
 @pytest.mark.promise("R10")
 def test_replies_may_be_split_merged_or_without_an_end(client):
     tickets = [client.ask(OVERRIDE) for _ in range(3)]
-    client.step(0.0, b"")
-    client.step(0.001, b"Qo")
-    client.step(0.002, b"K10\rQo")
-    client.step(0.003, b"K20\r")
+    step(client, (0.0, b""), (0.001, b"Qo"), (0.002, b"K10\rQo"), (0.003, b"K20\r"))
     assert [t.done() for t in tickets] == [True, True, False]
     client.step(0.004, b"QoK30")
     assert not tickets[2].done()
@@ -480,10 +466,8 @@ def test_stop_goes_before_what_is_not_yet_sent_and_keeps_no_distance(client):
     client.step(0.0, b"")
     client.ask(OVERRIDE)
     client.ask(STOP)
-    assert client.step(0.01, b"QoKa\r") == b"1;1;STOP\r"
-    assert client.step(0.02, b"QoK\r") == b""
-    assert client.step(0.11, b"") == b""
-    assert client.step(0.121, b"") == b"1;1;OVRD\r"
+    sent = step(client, (0.01, b"QoKa\r"), (0.02, b"QoK\r"), (0.11, b""), (0.121, b""))
+    assert sent == [b"1;1;STOP\r", b"", b"", b"1;1;OVRD\r"]
 
 
 @pytest.mark.promise("R10")
@@ -502,8 +486,7 @@ def test_a_late_reply_is_not_taken_for_the_answer_of_the_next(client):
 @pytest.mark.promise("R10")
 def test_three_seconds_of_silence_are_a_lost_link_for_all_that_wait(client):
     tickets = [client.ask(STATE), client.ask(OVERRIDE)]
-    client.step(0.0, b"")
-    client.step(1.5, b"")
+    step(client, (0.0, b""), (1.5, b""))
     with pytest.raises(FaultError, match="ARM-LINK"):
         client.step(3.0, b"")
     assert all(ticket.done() for ticket in tickets)
@@ -538,8 +521,7 @@ def test_silence_nonsense_and_another_device_are_told_apart(data, stranger, said
 def test_a_controller_that_answered_once_is_never_asked_who_it_is():
     client = R3Client(0.03, lambda: "a gripper")
     client.ask(STATE)
-    client.step(0.0, b"")
-    client.step(0.1, b"QoKa\r")
+    step(client, (0.0, b""), (0.1, b"QoKa\r"))
     client.ask(STATE, 60.0)
     client.step(0.2, b"")
     with pytest.raises(FaultError, match="silent"):
@@ -548,16 +530,13 @@ def test_a_controller_that_answered_once_is_never_asked_who_it_is():
 
 def test_silence_counts_only_while_something_is_owed(client):
     ticket = client.ask(STATE)
-    client.step(0.0, b"")
-    client.step(0.1, b"QoKa\r")
-    client.step(60.0, b"")
+    step(client, (0.0, b""), (0.1, b"QoKa\r"), (60.0, b""))
     assert ticket.answer == "a"
 
 
 def test_garbage_is_counted_and_answers_nothing(client):
     ticket = client.ask(STATE)
-    client.step(0.0, b"")
-    client.step(0.1, b"\x00\xff?\rnonsense\r")
+    step(client, (0.0, b""), (0.1, b"\x00\xff?\rnonsense\r"))
     assert client.bad_replies == 2
     assert not ticket.done()
     client.step(0.2, b"QoKa\r")
@@ -566,8 +545,7 @@ def test_garbage_is_counted_and_answers_nothing(client):
 
 def test_a_refusal_is_a_fault_with_its_number(client):
     ticket = client.ask(STATE)
-    client.step(0.0, b"")
-    client.step(0.1, b"QeR6020\r")
+    step(client, (0.0, b""), (0.1, b"QeR6020\r"))
     with pytest.raises(FaultError) as raised:
         _ = ticket.answer
     assert raised.value.fault == controller_fault(6020)

@@ -16,7 +16,6 @@ from scipy.spatial.transform import Rotation
 
 from tests.backend.devices.codecs.vectors import data
 from tests.backend.devices.melfa.emulated_arm import CYCLE_US, Rig
-from tests.backend.devices.melfa.stop_meets import interrupted, still
 from tests.backend.devices.melfa.test_compliance import PRESS, TOUCH_MM
 from tests.backend.devices.melfa.trials import PRESS as TRIALS_PRESS
 from tests.backend.devices.melfa.trials import trial
@@ -387,6 +386,48 @@ def connected(**more):
     rig.arm.connect(1.0, threading.Event())
     rig.rest(0.3)
     return rig
+
+
+def interrupted(rig, order, wanted):
+    """Give an order and press STOP as ``wanted`` was answered; the code of its fault, "" if none.
+
+    ``wanted``: a request by its text, or by its number; None if the order asks no such request.
+    """
+    wires = rig.wires
+    ask, finish = wires.ask, wires.finish
+    tickets = []
+    pressed = False
+
+    def asked(request, timeout_s):
+        ticket = ask(request, timeout_s)
+        tickets.append((ticket, f"{request.command} {request.argument}".strip()))
+        return ticket
+
+    def finished(ticket):
+        nonlocal pressed
+        finish(ticket)
+        number = next(k for k, (one, _) in enumerate(tickets) if one is ticket)
+        if not pressed and wanted in (number, tickets[number][1]):
+            pressed = True
+            rig.arm.stop()
+
+    wires.ask, wires.finish = asked, finished
+    code = ""
+    try:
+        order()
+    except FaultError as error:
+        code = error.fault.code
+    finally:
+        wires.ask, wires.finish = ask, finish
+    return code if pressed else None
+
+
+def still(rig, for_s=0.2):
+    """True if the arm stands, after it has had time to brake."""
+    rig.rest(0.2)
+    before = rig.true_mm
+    rig.rest(for_s)
+    return bool(np.abs(rig.true_mm - before).max() < 0.01)
 
 
 @pytest.mark.promise("R14")

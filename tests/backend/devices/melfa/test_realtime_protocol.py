@@ -12,7 +12,6 @@ import pytest
 from tests.backend.devices.codecs.codecs import MONITOR_KINDS
 from tests.backend.devices.codecs.vectors import data
 from tests.backend.devices.melfa.emulated_arm import Rig
-from tests.backend.devices.melfa.leaps import Leaping
 from tests.backend.devices.melfa.test_stream import (
     FAR,
     LEAD_MM,
@@ -40,7 +39,7 @@ from touchdown.backend.devices.melfa.realtime_protocol import (
     encode_mxt_reply,
     encode_mxt_request,
 )
-from touchdown.backend.devices.protocols import DeviceState, RobotMode, SafetyMode
+from touchdown.backend.devices.protocols import CommandedMotion, DeviceState, RobotMode, SafetyMode
 
 MINUTE_S, DOUBLED, REORDERED = 60.0, 0.10, 0.05
 LATE_S = 0.5
@@ -274,6 +273,31 @@ def test_without_the_operation_right_no_stream_starts(state: str) -> None:
     assert rig.device.stream.commands == commands
     rig.device.controller.right = None
     assert _starts_with_the_echo(rig)
+
+
+class Leaping:
+    """A faulty motion: asks ``leaps`` times for ``step_mm`` (3,) at once, then stands."""
+
+    fragile = False
+    turn = None
+    speed_mm_s = 20.0
+
+    def __init__(self, step_mm, leaps):
+        self.motion = CommandedMotion({})
+        self._step_mm, self._left = step_mm, leaps
+
+    def next_mm(self, felt):
+        if self._left == 0:
+            self.motion.end()
+            return felt.command_mm
+        self._left -= 1
+        return np.asarray(felt.command_mm + self._step_mm)
+
+    def cut(self, command_mm):
+        pass
+
+    def still(self):
+        pass
 
 
 @pytest.mark.promise("R7")

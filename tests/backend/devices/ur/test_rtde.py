@@ -9,8 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from tests.backend.devices import contract_bench, test_arm_contract, test_arm_retreat
-from tests.backend.devices.contract_bench import DevicesUnderTest
+from tests.backend.devices import contract_bench, test_arm_contract
 from tests.backend.devices.ur.stand_in import UrWires, hand_leaning
 from tests.backend.devices.waiting import until
 from touchdown.backend.config.hardware import ForceTorqueSettings, HardwareSettings
@@ -27,7 +26,7 @@ from touchdown.backend.simulation.devices.bench import SimulatedBench
 TURNING = ("turn", "joint")
 CLAUSES = [
     clause
-    for name, clause in {**vars(test_arm_contract), **vars(test_arm_retreat)}.items()
+    for name, clause in vars(test_arm_contract).items()
     if name.startswith("test_")
     and list(inspect.signature(clause).parameters) == ["bench"]
     and not any(word in name for word in TURNING)
@@ -42,17 +41,8 @@ def wires():
 
 @pytest.fixture
 def bench(wires):
-    made = wires.bench
-    yield DevicesUnderTest(
-        wires.arm,
-        made.gripper,
-        made.force_torque,
-        made.tactile,
-        made.clock.now_s,
-        wires.advance,
-        still_s=0.3,
-        still_mm=0.05,
-    )
+    still = {"still_s": 0.3, "still_mm": 0.05}
+    yield contract_bench.devices_of(wires.bench, wires.arm, wires.advance, **still)
     wires.arm.close()
     until(lambda: not any(t.name == "ur-stop" for t in threading.enumerate()))
 

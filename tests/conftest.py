@@ -1,7 +1,5 @@
 """What holds for every test: no screen, no network, no operator's files, nothing left behind."""
 
-from __future__ import annotations
-
 import os
 
 os.environ.setdefault("QT_QPA_PLATFORM", "offscreen")

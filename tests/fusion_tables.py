@@ -4,8 +4,6 @@ Each table is between ``<!-- NAME -->`` and ``<!-- end -->`` and shows the compa
 ``docs/results/NAME.json``.
 """
 
-from __future__ import annotations
-
 import json
 import re
 import sys

@@ -6,8 +6,6 @@ A package exports names through its ``__init__``, from the modules that ``__init
 import of the module that defines it, not of everything that the package exports.
 """
 
-from __future__ import annotations
-
 import ast
 from collections import defaultdict, deque
 from functools import cache

@@ -1,7 +1,5 @@
 """What a test may leave behind: nothing. Cheap snapshots; costly work only where they differ."""
 
-from __future__ import annotations
-
 import gc
 import os
 import sys

@@ -1,7 +1,5 @@
 """Files of ``make screens`` and ``make pictures``: each picture is written whole or not at all."""
 
-from __future__ import annotations
-
 import contextlib
 import sys
 import tempfile

@@ -4,8 +4,6 @@ The bench clock is advanced by the program, so that the pictures are the same on
 except for dates and free disk space. No data of this computer are used.
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 import sys

@@ -4,8 +4,6 @@ The pump defers views that exceed its time budget, and presenters draw a few tim
 test of the window must not depend on either. A test of the pace itself is marked ``usual_pace``.
 """
 
-from __future__ import annotations
-
 import importlib
 from collections.abc import Iterator
 

@@ -4,8 +4,6 @@ The window runs on the stand-in bench and a small generated dataset. No data of 
 used.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import os

@@ -1,7 +1,5 @@
 """What importing a package loads, and that the method runs without simulation or window."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """The public API: its names, signatures, documentation and examples."""
 
-from __future__ import annotations
-
 import ast
 import doctest
 import inspect

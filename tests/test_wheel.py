@@ -1,7 +1,5 @@
 """The wheel adds ``touchdown`` alone, and runs beside folders of the same names as its parts."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

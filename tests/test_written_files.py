@@ -4,8 +4,6 @@ The files lie in ``tests/data/written_0_1`` (its README.md says how they were ma
 written anew: where a test fails, the program must learn to read the older file.
 """
 
-from __future__ import annotations
-
 import json
 import shutil
 from collections import Counter

@@ -6,8 +6,6 @@ forty children.
 ``cold_start`` marks a test that takes the ordinary start.
 """
 
-from __future__ import annotations
-
 import gc
 import json
 import os

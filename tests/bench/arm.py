@@ -5,8 +5,6 @@ Backend, rig process and wires are those of a lab day. The emulated controller, 
 of this computer, records when STOP reached it.
 """
 
-from __future__ import annotations
-
 import contextlib
 import json
 import math

@@ -6,8 +6,6 @@ and of those between 0.2 and 2 px at most half of what two gates leave (docs/fau
 dropped frames (C5) and gels refused at connection (C6).
 """
 
-from __future__ import annotations
-
 import tempfile
 from dataclasses import replace
 from functools import cache

@@ -6,8 +6,6 @@
 bench in real time over real wires. Strikes of ``make:`` feed one driver by stepped clock.
 """
 
-from __future__ import annotations
-
 import argparse
 import datetime
 import hashlib

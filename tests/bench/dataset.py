@@ -1,7 +1,5 @@
 """Speed and durability of a dataset."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

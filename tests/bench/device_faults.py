@@ -1,7 +1,5 @@
 """Damaged bytes on the lines of all devices."""
 
-from __future__ import annotations
-
 import random
 import time
 import tracemalloc

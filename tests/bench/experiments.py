@@ -3,8 +3,6 @@
 Stacking: 60 seeds (3 pieces, 2 bottoms, 10 each), started unstable.
 """
 
-from __future__ import annotations
-
 import tempfile
 import time
 from collections import defaultdict

@@ -11,8 +11,6 @@ A figure is a function in a module of this folder; ``MODULES`` of ``run.py`` nam
 measurements that it ran and renders the page.
 """
 
-from __future__ import annotations
-
 import datetime
 import json
 import os

@@ -4,8 +4,6 @@ The queue of the episodes of which the model is unsure looks at no label: it is 
 often the model itself is wrong there.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import os
 import shutil

@@ -4,8 +4,6 @@ Measurements with and without alternate, so that both sides meet the same load o
 docs/decisions gives the results, and what was removed because it showed no effect.
 """
 
-from __future__ import annotations
-
 import contextlib
 import subprocess
 import sys

@@ -6,8 +6,6 @@ backend the others. The lease is measured over real windows, drivers and a rig p
 freezes, loses what was held, is stopped, or is killed.
 """
 
-from __future__ import annotations
-
 import itertools
 import os
 import random
@@ -33,7 +31,7 @@ from tests.backend.rig.inline import InlineBench
 from tests.backend.rig.served import Backend, Served
 from tests.bench.children.lab_window import LOSSES, STALLS, Note
 from tests.bench.children.logged_arm import LoggedArm, Told
-from tests.bench.children.watched_arm import WatchedArm, watched_arm
+from tests.bench.children.watched_arm import LineChild, WatchedArm, watched_arm
 from tests.bench.figures import Figure, at_most, failures, figure, stated
 from tests.bench.workers import hooked
 from tests.busy_computer import STARVED
@@ -386,32 +384,23 @@ BETWEEN_S = 0.1
 Trials = dict[str, list[float]]
 
 
-class Child:
+class Child(LineChild):
     """The process of one window; ``note`` holds when the lease was last renewed."""
 
     def __init__(self, environment: Mapping[str, str], lab: Path, note: Path) -> None:
         self.note = Note(note)
-        command = [sys.executable, "-m", "tests.bench.children.lab_window", str(lab), str(note)]
-        self.process = subprocess.Popen(
-            command, env=environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-        )
-        self.hear("ready")
-
-    def hear(self, word: str) -> None:
-        assert self.process.stdout is not None
-        said = self.process.stdout.readline().strip()
-        if said != word:
-            raise ChildProcessError(f"the window said '{said}', not '{word}'")
+        words = "tests.bench.children.lab_window", str(lab), str(note)
+        super().__init__(*words, environment=environment)
+        expect("ready", self.first)
 
     def jog(self, speed_mm_s: float, way: str) -> None:
         """Begin a jog; returns when it is under way."""
-        assert self.process.stdin is not None
-        self.process.stdin.write(f"{speed_mm_s} {way}\n")
-        self.process.stdin.flush()
-        self.hear("going")
+        expect("going", self.ask(f"{speed_mm_s} {way}"))
 
-    def close(self) -> None:
-        self.process.communicate("", timeout=60.0)
+
+def expect(word: str, said: str) -> None:
+    if said != word:
+        raise ChildProcessError(f"the window said '{said}', not '{word}'")
 
 
 class Trial:
@@ -438,7 +427,7 @@ class Trial:
     def ends_by_itself(self, child: Child, kind: str, way: str) -> bool:
         """Let the window freeze or lose the hold; return whether the trial is valid."""
         said = self._measured(child, kind, way)
-        child.hear("over")
+        expect("over", child.answer())
         return said
 
     def is_stopped(self, child: Child) -> bool:
@@ -446,7 +435,7 @@ class Trial:
         said = self._measured(child, "stopped", "nothing", signal.SIGSTOP)
         self._pause.wait(STOP_S - LOOK_S)
         child.process.send_signal(signal.SIGCONT)
-        child.hear("over")
+        expect("over", child.answer())
         return said
 
     def is_killed(self) -> bool:

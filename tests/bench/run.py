@@ -5,8 +5,6 @@ and prints each as it comes; a whole group may take an hour. ``--save`` stores t
 renders ``docs/measured.md``. Exit code 0 if every measured figure meets its target, else 1.
 """
 
-from __future__ import annotations
-
 import argparse
 import importlib
 import sys

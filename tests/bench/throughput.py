@@ -1,7 +1,5 @@
 """Time of set-up, command line, mass simulation, collection and marker tracking."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Figures of the window: full load, beside decisions, start-up, half an hour."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

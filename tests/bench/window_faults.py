@@ -1,7 +1,5 @@
 """A real window while a camera blocks, code raises, a training dies or the catalogue is locked."""
 
-from __future__ import annotations
-
 import tempfile
 import time
 from collections.abc import Callable, Mapping

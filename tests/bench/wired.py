@@ -5,8 +5,6 @@ repeated, and a trial that a link fault ended is tried again. ``parts_of_the_fir
 stepped clock: noise of the sensor, law of the arm, and a world that falls behind.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field

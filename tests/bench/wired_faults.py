@@ -1,7 +1,5 @@
 """Pulled plugs of emulated wrist sensors and cameras, in real time."""
 
-from __future__ import annotations
-
 import random
 import sys
 import tempfile

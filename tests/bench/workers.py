@@ -1,7 +1,5 @@
 """Failing workers: killed, leaving, raising or stopped processes and threads, and held locks."""
 
-from __future__ import annotations
-
 import json
 import os
 import resource

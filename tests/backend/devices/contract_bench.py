@@ -1,7 +1,5 @@
 """The sets of devices that the contract is asked of, and how their time passes."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The part of the contract that every arm is held to: moves, presses, jogs, stops, retreats."""
 
-from __future__ import annotations
-
 import threading
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """One contract for every set of devices: whoever implements the Protocols is held to this."""
 
-from __future__ import annotations
-
 import threading
 from dataclasses import replace
 

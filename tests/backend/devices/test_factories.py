@@ -1,7 +1,5 @@
 """What each language makes of losses, damage and alarms of the sensor; and the readout of all."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys

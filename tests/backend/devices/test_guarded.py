@@ -1,7 +1,5 @@
 """What the guarded arm passes on and what it refuses, on an arm that only notes its orders."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """What is evidence that an arm stands: never one place alone."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """What one trial of a fault campaign hands back, whatever the device."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 

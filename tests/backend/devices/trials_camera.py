@@ -3,8 +3,6 @@
 The driver reads and judges as it does on its two threads, one picture after the other.
 """
 
-from __future__ import annotations
-
 import random
 import threading
 from functools import cache

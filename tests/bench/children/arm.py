@@ -4,8 +4,6 @@
 streams beside so many busy threads of this process and prints its cycle times.
 """
 
-from __future__ import annotations
-
 import contextlib
 import json
 import sys

@@ -5,8 +5,6 @@ one JSON object with the seconds until a card named it and until everything was 
 THREAD``: that thread asks for the end; prints when it did, and the process ends.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import signal

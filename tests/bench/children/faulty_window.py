@@ -4,8 +4,6 @@ A fault lasts for whole slices of time; the slices beside it are the same window
 Prints one JSON object after the window was closed.
 """
 
-from __future__ import annotations
-
 import gc
 import json
 import math

@@ -5,8 +5,6 @@ one jog that ends in that way; it prints ``going`` when the arm moves and the fa
 a file with the time of the lease's last renewal, which outlives this process.
 """
 
-from __future__ import annotations
-
 import mmap
 import struct
 import sys

@@ -5,8 +5,6 @@ each line is answered with what came since the last one. Packets are timed by th
 reach the socket, so that a late controller sees no burst that was none.
 """
 
-from __future__ import annotations
-
 import json
 import socket
 import struct

@@ -5,14 +5,12 @@ rest.
 ``ready``. The controller keeps its joints of the last second; it knows nothing of leases.
 """
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -65,25 +63,28 @@ def rest_of(joined: EmulatedScene) -> Rest:
 class LineChild:
     """The parent's end of a module that answers each line with one line; ``first`` came unasked."""
 
-    def __init__(self, module: str, *words: str) -> None:
-        self._child = subprocess.Popen(
-            [sys.executable, "-m", module, *words],
+    def __init__(
+        self, module: str, *words: str, environment: Mapping[str, str] | None = None
+    ) -> None:
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", module, *words], env=environment,
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
         )  # fmt: skip
-        self.first = self._answer()
+        self.first = self.answer()
 
-    def ask(self) -> str:
-        assert self._child.stdin is not None
-        self._child.stdin.write("\n")
-        self._child.stdin.flush()
-        return self._answer()
+    def ask(self, text: str = "") -> str:
+        assert self.process.stdin is not None
+        self.process.stdin.write(f"{text}\n")
+        self.process.stdin.flush()
+        return self.answer()
 
     def close(self) -> None:
-        self._child.communicate("", timeout=20.0)
+        self.process.communicate("", timeout=60.0)
 
-    def _answer(self) -> str:
-        assert self._child.stdout is not None
-        return self._child.stdout.readline()
+    def answer(self) -> str:
+        """Return the next line without its end."""
+        assert self.process.stdout is not None
+        return self.process.stdout.readline().strip()
 
 
 class WatchedArm(LineChild):

@@ -5,8 +5,6 @@ command to live pictures, then again in the same process with every module impor
 object.
 """
 
-from __future__ import annotations
-
 import gc
 import json
 import sys

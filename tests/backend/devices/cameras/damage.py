@@ -4,8 +4,6 @@ The stream runs through the gate of the driver and the checked tracker, as on a 
 what the same tracker makes of the undamaged picture.
 """
 
-from __future__ import annotations
-
 import copy
 import random
 from collections import Counter

@@ -1,7 +1,5 @@
 """The driver of the arm on an emulated controller, on a hand-wound clock: no socket, no thread."""
 
-from __future__ import annotations
-
 import random
 from collections.abc import Callable
 

@@ -1,7 +1,5 @@
 """Command channel: alarms, idle check, kinematics, permitted commands, answers, stops."""
 
-from __future__ import annotations
-
 import itertools
 import math
 import re

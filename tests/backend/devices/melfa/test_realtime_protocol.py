@@ -1,7 +1,5 @@
 """Late replies, outages and errors of the controller in every state, by stepped clock."""
 
-from __future__ import annotations
-
 import struct
 import threading
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """One motion with one fault at a random instant, and what must hold whatever the fault was."""
 
-from __future__ import annotations
-
 import random
 import threading
 from collections.abc import Callable

@@ -3,8 +3,6 @@
 The reader runs as it does on its thread, but on a wire whose reading lets the time pass.
 """
 
-from __future__ import annotations
-
 import random
 import threading
 

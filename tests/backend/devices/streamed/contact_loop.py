@@ -3,8 +3,6 @@
 The law alone is the shipped one.
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from dataclasses import dataclass, field

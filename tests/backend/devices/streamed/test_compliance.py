@@ -3,8 +3,6 @@
 Stiffness limits and peak forces are held to the published figures of the same law.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 import threading

@@ -1,8 +1,6 @@
 # ruff: noqa: N802
 """A Universal Robots arm as its package shows it, on a hand-wound clock: no robot, no socket."""
 
-from __future__ import annotations
-
 import math
 import threading
 from collections.abc import Callable

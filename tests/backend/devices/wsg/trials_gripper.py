@@ -1,7 +1,5 @@
 """One order to a gripper and one fault at a random instant, on a hand-wound clock."""
 
-from __future__ import annotations
-
 import random
 
 from tests.backend.devices.trials import Ended

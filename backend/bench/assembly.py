@@ -153,10 +153,10 @@ class BenchModels:
         self._stamps: dict[Path, tuple[int, int] | None] = {}
         self._checked: dict[str, Path] = {}
 
-    def of(self, choice: SceneChoice, piece: Piece) -> Estimator | None:
-        """Return the model of a scene, None if it needs none; raises ``InputError``."""
+    def of(self, choice: SceneChoice, piece: Piece) -> PatchEstimator:
+        """Return the model of a scene, ``NoEstimator`` if it needs none; raises ``InputError``."""
         if not choice.estimates:
-            return None
+            return NoEstimator()
         path = Path(choice.model) if choice.model else self._checked.get(choice.piece)
         return self._read(path or model_in_use(choice.piece, self._registry), piece)
 
@@ -289,7 +289,6 @@ def simulated_session(
         scene = make_scene(catalogue, choice, settings)
         streams = BenchStreams(raw.frames, raw.samples, raw.poses, raw.commands)
         bench = SimulatedBench(scene, script, streams)
-        estimator = estimate(bench) if estimate else models.of(choice, scene.piece)
         return SceneDevices(
             clock=bench.clock,
             devices=bench.devices,
@@ -299,7 +298,7 @@ def simulated_session(
             bottom="+".join(choice.bottoms),
             advance=bench.advance,
             scoring=SimulatedScoring(bench, method.policy.longest_step_mm, animate),
-            estimator=estimator or NoEstimator(),
+            estimator=estimate(bench) if estimate else models.of(choice, scene.piece),
             payload=gripper_payload(settings.wrist.payload_kg, settings.wrist.payload_com_mm),
             outline=scene.surface,
             jig=Pose(*start_command_mm(scene).tolist()) if scene.jig else None,

@@ -40,7 +40,6 @@ from touchdown.backend.geometry import load_pieces
 from touchdown.backend.learning import ModelRegistry
 from touchdown.backend.rig import LATE_S, BenchDevices, FlightRecorder
 from touchdown.backend.runs import (
-    NoEstimator,
     RecordingOptions,
     SceneChoice,
     SceneDevices,
@@ -164,7 +163,7 @@ class EmulatedBench:
     def _make_stage(self, choice: SceneChoice, raw: RawStreams) -> SceneDevices:
         self._present.close()
         scene = make_scene(self._catalogue, choice, self._settings)
-        estimator = self._models.of(choice, scene.piece) or NoEstimator()
+        estimator = self._models.of(choice, scene.piece)
         with ExitStack() as stack:
             folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
             address = self._process.set_scene(

@@ -28,7 +28,6 @@ from touchdown.backend.learning import ModelRegistry
 from touchdown.backend.rig import LATE_S, BenchConnection, BenchDevices, FlightRecorder
 from touchdown.backend.runs import (
     GelCheck,
-    NoEstimator,
     RecordingOptions,
     SceneChoice,
     SceneDevices,
@@ -218,7 +217,7 @@ class _LabBench:
             bottom="+".join(choice.bottoms),
             advance=self._clock.wait,
             scoring=None,
-            estimator=self._models.of(choice, piece) or NoEstimator(),
+            estimator=self._models.of(choice, piece),
             payload=gripper_payload(mounting.payload_kg, mounting.payload_com_mm),
             outline=self._catalogue.bottom(choice.bottoms[-1]).face,
             wrench_late_s=1e-3 * settings.ft.latency_ms + LATE_S,

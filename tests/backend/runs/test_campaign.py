@@ -5,9 +5,8 @@ from __future__ import annotations
 import errno
 import json
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -105,11 +104,10 @@ class Failing:
 
 
 @pytest.fixture
-def failing(tmp_path: Path) -> Iterator[Failing]:
-    with Dataset.open(tmp_path / "ds", person="ann") as dataset:
-        made = Failing(dataset)
-        yield made
-        made.session.close()
+def failing(stored):
+    made = Failing(stored)
+    yield made
+    made.session.close()
 
 
 @pytest.mark.slow
@@ -504,34 +502,32 @@ def collected(dataset: Dataset, answer: Callable[[Event], bool], **asked):
 
 
 @pytest.mark.slow
-def test_each_grip_is_handed_over_and_taken_back(tmp_path):
+def test_each_grip_is_handed_over_and_taken_back(stored):
     answers = iter([True, True, True, True, False])
-    with Dataset.open(tmp_path / "ds", person="ann") as dataset:
-        session, facts, asked_of = collected(
-            dataset, lambda _: next(answers), count=2, probes_per_grip=1
-        )
-        # Asked with open jaws before they close, and with the piece held before they open.
-        # Between two mountings somebody has to fit bottom and gels: the program says so.
-        assert asked_of == [
-            ("give", False), ("take", True), ("fit anew", False), ("give", False), ("take", True)
-        ]  # fmt: skip
-        # Nobody took it the last time: the jaws stay closed, and nothing is lost.
-        assert facts[-1].ending == "cancelled"
-        assert session.hand.holding
-        entries = dataset.episodes()
-        assert len({entry.grip_id for entry in entries}) == 2
-        assert len({entry.series for entry in entries}) == 2
-        # 0.05 mm arm, 0.1 mm origin, and 0.5 mm of the hand instead of 0.1 mm of a jig.
-        assert {dataset.labels.head(e.uuid).label.sigma_um for e in entries} == {512}
+    session, facts, asked_of = collected(
+        stored, lambda _: next(answers), count=2, probes_per_grip=1
+    )
+    # Asked with open jaws before they close, and with the piece held before they open.
+    # Between two mountings somebody has to fit bottom and gels: the program says so.
+    assert asked_of == [
+        ("give", False), ("take", True), ("fit anew", False), ("give", False), ("take", True)
+    ]  # fmt: skip
+    # Nobody took it the last time: the jaws stay closed, and nothing is lost.
+    assert facts[-1].ending == "cancelled"
+    assert session.hand.holding
+    entries = stored.episodes()
+    assert len({entry.grip_id for entry in entries}) == 2
+    assert len({entry.series for entry in entries}) == 2
+    # 0.05 mm arm, 0.1 mm origin, and 0.5 mm of the hand instead of 0.1 mm of a jig.
+    assert {stored.labels.head(e.uuid).label.sigma_um for e in entries} == {512}
 
 
-def test_the_jaws_do_not_close_on_a_no(tmp_path):
-    with Dataset.open(tmp_path / "ds", person="ann") as dataset:
-        session, facts, _ = collected(dataset, lambda _: False, count=1)
-        assert facts[-1].ending == "cancelled"
-        assert not session.hand.holding
-        assert [f.phase for f in facts if isinstance(f, PhaseEntered)] == ["shift"]
-        assert dataset.episodes() == []
+def test_the_jaws_do_not_close_on_a_no(stored):
+    session, facts, _ = collected(stored, lambda _: False, count=1)
+    assert facts[-1].ending == "cancelled"
+    assert not session.hand.holding
+    assert [f.phase for f in facts if isinstance(f, PhaseEntered)] == ["shift"]
+    assert stored.episodes() == []
 
 
 @pytest.fixture(scope="module")

@@ -192,10 +192,21 @@ STEP_S = 0.02
 MOST_S = 0.3
 
 
+def prepared(bench=None):
+    made = simulated_session(bench)
+    made.prepare(SceneChoice(estimates=False))
+    return made
+
+
+def raise_hand(session, z_mm):
+    motion = session._stage.arm.move_to(Pose(0.0, 0.0, z_mm), 50.0)
+    while not motion.done:
+        session.advance()
+
+
 @pytest.fixture
 def session():
-    made = simulated_session(brisk_bench(), keep=RecordingOptions(None))
-    made.prepare(SceneChoice(estimates=False))
+    made = prepared(brisk_bench())
     turn(made, 0.6)
     return made
 
@@ -203,10 +214,7 @@ def session():
 @pytest.fixture
 def high(session):
     """The hand far above the slow zone near the surface."""
-    stage = session._stage
-    motion = stage.arm.move_to(Pose(0.0, 0.0, 100.0), 50.0)
-    while not motion.done:
-        session.advance()
+    raise_hand(session, 100.0)
     return session
 
 
@@ -228,6 +236,17 @@ def hold(session, seconds, first=1, **what):
             session.hand.jog.renew(order(session, first + count // 5, sent_s=sent_s, **what))
         session.advance()
     return sent_s
+
+
+def last_motion_s(session, advance, times):
+    """Return when the arm moved last while ``advance`` was called so many times."""
+    moved_s = session.clock_s()
+    for _ in range(times):
+        before = position(session)
+        advance()
+        if not np.array_equal(before, position(session)):
+            moved_s = session.clock_s()
+    return moved_s
 
 
 def told(session):
@@ -262,13 +281,7 @@ def test_a_held_jog_moves_at_its_speed_and_a_release_ends_it_at_once(high):
 def test_a_frozen_window_stops_the_arm_within_the_lease(high):
     facts = told(high)
     last_s = hold(high, 0.4)
-    moved_s = last_s
-    for _ in range(100):
-        before = position(high)
-        high.advance()
-        if not np.array_equal(before, position(high)):
-            moved_s = high.clock_s()
-    assert 0.2 < moved_s - last_s <= MOST_S
+    assert 0.2 < last_motion_s(high, high.advance, 100) - last_s <= MOST_S
     (refused,) = [f for f in facts if isinstance(f, Refused)]
     assert refused.reason == "JOG-LEASE"
     assert "The window hung" in refused.text
@@ -324,22 +337,25 @@ def test_after_expiry_only_a_new_press_moves(high):
 
 def test_the_arm_stops_by_itself_when_nobody_ticks_the_lease(high):
     hold(high, 0.2)
-    stage = high._stage
-    last_s, moved_s = high.clock_s(), high.clock_s()
-    for _ in range(50):
-        before = position(high)
-        stage.advance(20_000)
-        if not np.array_equal(before, position(high)):
-            moved_s = high.clock_s()
+    last_s = high.clock_s()
+    moved_s = last_motion_s(high, lambda: high._stage.advance(20_000), 50)
     assert 0.0 < moved_s - last_s <= MOST_S
 
 
 @pytest.mark.promise("W3")
-@pytest.mark.parametrize("sequence", [1, 0, -5])
-def test_a_replayed_renewal_is_refused(session, sequence):
-    session.hand.jog.renew(order(session, 1))
-    with pytest.raises(RefusedError, match="JOG-REPLAYED"):
-        session.hand.jog.renew(order(session, sequence))
+@pytest.mark.parametrize(
+    ("second", "refusal"),
+    [
+        ({"sequence": 1}, "JOG-REPLAYED"),
+        ({"sequence": 0}, "JOG-REPLAYED"),
+        ({"sequence": -5}, "JOG-REPLAYED"),
+        ({"hold": 2, "axis": "x"}, "JOG-BUSY"),
+    ],
+)
+def test_a_replayed_renewal_and_a_second_hold_are_refused(session, second, refusal):
+    session.hand.jog.renew(order(session))
+    with pytest.raises(RefusedError, match=refusal):
+        session.hand.jog.renew(order(session, **second))
 
 
 @pytest.mark.promise("W3")
@@ -350,12 +366,6 @@ def test_a_renewal_of_another_time_is_refused(session, late_s):
     assert not session.hand.active
 
 
-def test_a_second_hold_cannot_take_over(session):
-    session.hand.jog.renew(order(session))
-    with pytest.raises(RefusedError, match="JOG-BUSY"):
-        session.hand.jog.renew(order(session, 1, hold=2, axis="x"))
-
-
 def test_one_renewal_waits_at_most(high):
     """Ten renewals between two bench steps move as far as one."""
     before = position(high)
@@ -363,16 +373,6 @@ def test_one_renewal_waits_at_most(high):
         high.hand.jog.renew(order(high, sequence))
     turn(high, 0.8)
     assert (position(high) - before)[2] <= 20.0 * MOST_S
-
-
-def test_stop_ends_a_jog_and_latches(high):
-    hold(high, 0.2)
-    high.stop()
-    at = position(high)
-    high.advance()
-    assert np.array_equal(position(high), at)
-    with pytest.raises(RefusedError):
-        high.hand.jog.renew(order(high, 50))
 
 
 def test_a_piece_that_presses_is_lifted_before_anything_starts(session):
@@ -525,8 +525,7 @@ FIVE, FAST = math.radians(5.0), math.radians(15.0)
 
 @pytest.fixture
 def bare():
-    made = simulated_session(keep=RecordingOptions(None))
-    made.prepare(SceneChoice(estimates=False))
+    made = prepared()
     for finger in FINGERS:
         # No picture is drawn that nobody looks at, and nobody waits for one.
         made.devices[f"tactile_{finger}"].close()
@@ -538,9 +537,7 @@ def bare():
 @pytest.fixture
 def raised(bare):
     """The hand far above the surface."""
-    motion = bare._stage.arm.move_to(Pose(0.0, 0.0, 120.0), 50.0)
-    while not motion.done:
-        bare.advance()
+    raise_hand(bare, 120.0)
     bare.advance()
     return bare
 
@@ -700,15 +697,14 @@ def test_the_room_of_a_joint_is_where_its_jog_ends(raised):
 
 
 def test_the_wrist_feels_the_weight_turn(raised):
-    turn(raised, 0.3)
-    level = raised._scene.sensing.raw.samples.window(
-        raised.clock_s() - 0.2, raised.clock_s()
-    ).values.mean(axis=0)
+    def felt():
+        turn(raised, 0.3)
+        samples, now_s = raised._scene.sensing.raw.samples, raised.clock_s()
+        return samples.window(now_s - 0.2, now_s).values.mean(axis=0)
+
+    level = felt()
     steps(raised, "ry", math.radians(10.0))
-    turn(raised, 0.3)
-    leant = raised._scene.sensing.raw.samples.window(
-        raised.clock_s() - 0.2, raised.clock_s()
-    ).values.mean(axis=0)
+    leant = felt()
     weight = -level[2]
     # Turned about +y, the tool's x points down by 10 degrees: gravity pulls along it.
     assert leant[0] - level[0] == pytest.approx(weight * math.sin(math.radians(10.0)), abs=0.1)
@@ -717,14 +713,16 @@ def test_the_wrist_feels_the_weight_turn(raised):
     assert abs(raised._scene.sensing.press_n(raised.clock_s(), 0.2)) < Limits().contact_n
 
 
-def test_stop_ends_a_turn_and_latches(raised):
-    hold_turn(raised, 0.3, "rx")
+@pytest.mark.parametrize(("axis", "speed"), [("z", 20.0), ("rx", FIVE)])
+def test_stop_ends_a_jog_at_once_and_latches(raised, axis, speed):
+    hold(raised, 0.3, axis=axis, speed=speed)
     raised.stop()
-    at = vector(raised)
+    ordered, at = position(raised), pose(raised)
     turn(raised, 0.3)
-    assert np.array_equal(at, vector(raised))
+    assert np.array_equal(position(raised), ordered)
+    assert pose(raised) == at
     with pytest.raises(RefusedError):
-        raised.hand.jog.renew(order(raised, 50, axis="rx", speed=FIVE))
+        raised.hand.jog.renew(order(raised, 50, axis=axis, speed=speed))
 
 
 def test_after_a_fault_nothing_turns(raised):

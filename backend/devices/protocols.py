@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import threading
+from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from enum import Enum
@@ -82,6 +83,29 @@ class Health:
     age_s: float
     received: int
     lost: int
+
+
+HEALTH_WINDOW_S = 1.0
+
+
+class ArrivalCounter:
+    """Counter of what arrives on one connection; written by one thread, read by any."""
+
+    def __init__(self) -> None:
+        self._arrivals: deque[tuple[float, int]] = deque(maxlen=8192)
+        self.received = 0
+        self.last_s = -math.inf  # time of the newest arrival
+
+    def note(self, now_s: float, count: int = 1) -> None:
+        """Add ``count`` samples that arrived at ``now_s``."""
+        self._arrivals.append((now_s, count))
+        self.received += count
+        self.last_s = now_s
+
+    def health(self, now_s: float, lost: int) -> Health:
+        """Return rate over the last second, age of the newest arrival, and the counts."""
+        recent = (n for t_s, n in self._arrivals.copy() if t_s > now_s - HEALTH_WINDOW_S)
+        return Health(sum(recent) / HEALTH_WINDOW_S, now_s - self.last_s, self.received, lost)
 
 
 class Device(Protocol):

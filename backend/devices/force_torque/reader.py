@@ -34,7 +34,13 @@ from touchdown.backend.devices.force_torque.driver import (
 )
 from touchdown.backend.devices.framing import NO_WRENCH, ProtocolError, Wrench
 from touchdown.backend.devices.identification import identify_device
-from touchdown.backend.devices.protocols import ConnectionSteps, DeviceState, Health, Identity
+from touchdown.backend.devices.protocols import (
+    ArrivalCounter,
+    ConnectionSteps,
+    DeviceState,
+    Health,
+    Identity,
+)
 from touchdown.backend.devices.sensor_faults import ArrivalMonitor
 
 CHUNK_S = 0.25  # the arrival with the least delay is kept per interval of this length
@@ -430,7 +436,6 @@ def _system_text(error: OSError) -> str:
 
 READ_S = 0.005  # longest wait for bytes
 BAD_LIMIT = 20
-RATE_WINDOW_S = 1.0
 STALE_S = 0.1
 CAPACITY = 32_768
 
@@ -462,9 +467,9 @@ class ForceTorqueReader:
         self._state = DeviceState.CLOSED
         self._description: SensorDescription | None = None
         self._readout = WrenchStamper(settings, 1.0)
-        self._received = self._resynchronised = 0
+        self._resynchronised = 0
         self._junk = b""  # first bytes since the last sample
-        self._arrivals: deque[tuple[float, int]] = deque(maxlen=8192)
+        self._arrivals = ArrivalCounter()
         self._pace = ArrivalMonitor(1.0)
         self.fault: Fault | None = None
 
@@ -491,10 +496,7 @@ class ForceTorqueReader:
     @property
     def health(self) -> Health:
         """Rate over the last second, age of the newest sample, counts."""
-        now_s, arrivals = self._now_s(), list(self._arrivals)
-        newest_s = arrivals[-1][0] if arrivals else float("-inf")
-        rate_hz = sum(n for t, n in arrivals if t > now_s - RATE_WINDOW_S) / RATE_WINDOW_S
-        return Health(rate_hz, now_s - newest_s, self._received, self._readout.lost)
+        return self._arrivals.health(self._now_s(), self._readout.lost)
 
     @property
     def condition(self) -> str:
@@ -570,7 +572,7 @@ class ForceTorqueReader:
         period_s, until_s = self._readout.period_s, time.monotonic() + timeout_s
         count = max(LEAST_STILL, round(STILL_S / period_s))
         while (
-            self._received < count
+            self._arrivals.received < count
             and self.fault is None
             and time.monotonic() < until_s
             and not cancel.wait(READ_S)
@@ -580,7 +582,7 @@ class ForceTorqueReader:
             if self._stop.is_set():
                 raise FaultError(self.fault)
             return
-        values = self._samples.since(self._samples.count - self._received).values
+        values = self._samples.since(self._samples.count - self._arrivals.received).values
         stuck, turn = self._readout.stuck, self._readout.turn
         refusal = implausible_text((values.reshape(-1, 2, 3) @ turn).reshape(-1, 6), self.rated)
         if stuck or refusal:
@@ -641,8 +643,8 @@ class ForceTorqueReader:
         )
         self._stop.clear()
         self._first.clear()
-        self._received = self._resynchronised = 0
-        self._arrivals.clear()
+        self._resynchronised = 0
+        self._arrivals = ArrivalCounter()
         self._pace = ArrivalMonitor(period_s)
 
     def _read(self, link: SensorLink, driver: WrenchDriver) -> None:
@@ -680,8 +682,7 @@ class ForceTorqueReader:
             self._pace.look(now_s)
             return False
         self._samples.put(stamps, values)
-        self._received += len(stamps)
-        self._arrivals.append((now_s, len(stamps)))
+        self._arrivals.note(now_s, len(stamps))
         self._pace.note(now_s, len(stamps))
         if self.fault is None and (readout.overload or readout.trouble):
             beyond, trouble = readout.overload, readout.trouble

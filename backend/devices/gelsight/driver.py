@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import re
 import threading
-from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,7 +18,13 @@ import numpy as np
 from touchdown.backend.config import GelsightSettings, HardwareSettings
 from touchdown.backend.core import Fault, FaultError, Finger, ImageArray, Stream, TactileFrame
 from touchdown.backend.devices.cameras import PictureFilter, PictureSource, link_fault, open_source
-from touchdown.backend.devices.protocols import ConnectionSteps, DeviceState, Health, Identity
+from touchdown.backend.devices.protocols import (
+    ArrivalCounter,
+    ConnectionSteps,
+    DeviceState,
+    Health,
+    Identity,
+)
 
 T = TypeVar("T")
 
@@ -108,7 +113,6 @@ READ_S = 0.05
 TAKE_S = 0.1
 JOIN_S = 1.0
 STALE_S = 0.12
-RATE_WINDOW_S = 1.0
 # A camera without its device is unplugged after this time without a valid picture.
 GONE_S = 0.045
 RETRY_S = (0.5, 1.0, 1.5)
@@ -142,8 +146,8 @@ class TactileCamera:
         self.state = DeviceState.CLOSED
         self.identity: Identity | None = None  # None before the first connection
         self._facts: Mapping[str, float] = {}
-        self._arrivals: deque[float] = deque(maxlen=512)
-        self._received = self._damaged = self.reopened = self._sequence = 0
+        self._arrivals = ArrivalCounter()
+        self._damaged = self.reopened = self._sequence = 0
         self._gate = self._new_gate()
         self.steps = ConnectionSteps()
         self.fault: Fault | None = None
@@ -153,11 +157,8 @@ class TactileCamera:
         """Delivered pictures per second, age of the newest, counts; ``lost`` are undelivered
         pictures.
         """
-        now_s, arrivals = self._now_s(), list(self._arrivals)
-        newest_s = arrivals[-1] if arrivals else float("-inf")
-        rate_hz = sum(t > now_s - RATE_WINDOW_S for t in arrivals) / RATE_WINDOW_S
         lost = self._damaged + self._gate.invalid + self._newest.skipped
-        return Health(rate_hz, now_s - newest_s, self._received, lost)
+        return self._arrivals.health(self._now_s(), lost)
 
     def describe(self) -> Mapping[str, str | float]:
         """Return condition, scale, and the camera's format and controls."""
@@ -182,9 +183,9 @@ class TactileCamera:
         self.state, self.fault = DeviceState.CONNECTING, None
         self.steps.begin()
         self._stop, self._first, self._newest = threading.Event(), threading.Event(), Mailbox()
-        self._received = self._damaged = self.reopened = self._sequence = 0
+        self._damaged = self.reopened = self._sequence = 0
         self._gate = self._new_gate()
-        self._arrivals.clear()
+        self._arrivals = ArrivalCounter()
         targets = (self._watch, self._deliver)
         self._threads = [
             threading.Thread(target=run, args=(self._stop,), name=self.name, daemon=True)
@@ -274,8 +275,7 @@ class TactileCamera:
             elif now_s - heard_s > self._settings.silence_s:
                 raise OSError(f"no picture for {now_s - heard_s:.1f} s")
             # A read from a removed camera may return data, or the last picture.
-            shown_s = max(begun_s, self._arrivals[-1] if self._arrivals else begun_s)
-            shown_s = min(shown_s, new_s)
+            shown_s = min(max(begun_s, self._arrivals.last_s), new_s)
             if self._given is None and now_s - shown_s > GONE_S and not node.exists():
                 raise OSError("it was unplugged")
 
@@ -294,8 +294,7 @@ class TactileCamera:
         if image is not None:
             jpeg = isinstance(content, bytes)
             self.frames.put(t_s, TactileFrame(self.finger, sequence, t_s, image, jpeg))
-            self._received += 1
-            self._arrivals.append(t_s)
+            self._arrivals.note(t_s)
             self.fault = None
             self.state = DeviceState.READY
             self.steps.reached("first sample")

@@ -18,7 +18,7 @@ from enum import Enum
 import numpy as np
 
 from touchdown.backend.config import MelfaSettings
-from touchdown.backend.core import FloatArray
+from touchdown.backend.core import FloatArray, rotation_from_vector, rotation_vector
 from touchdown.backend.devices.melfa.kinematics import LIMITS_RAD
 from touchdown.backend.devices.melfa.r3_protocol import EMERGENCY_ERRORS, RunStatus, StopStatus
 from touchdown.backend.devices.melfa.realtime_protocol import CYCLE_S, FLANGE_MM, JOINTS
@@ -90,18 +90,7 @@ def _slopes(joints_rad: FloatArray) -> FloatArray:
 
 def _apart(here: FloatArray, there: FloatArray) -> FloatArray:
     """Return displacement, mm, and turn, rad, from one frame to another, (6,)."""
-    turn = there[:3, :3] @ here[:3, :3].T
-    axis = np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
-    size = float(np.linalg.norm(axis))
-    angle = math.atan2(size, float(np.trace(turn)) - 1.0)
-    if size > 1e-12:
-        turned = axis * (angle / size)
-    elif angle > 1.0:  # half a turn, of which the antisymmetric part is zero
-        columns = turn + np.eye(3)
-        axis = columns[:, int(np.argmax(np.diag(columns)))]
-        turned = axis * (math.pi / np.linalg.norm(axis))
-    else:
-        turned = np.zeros(3)
+    turned = rotation_vector(there[:3, :3] @ here[:3, :3].T)
     return np.concatenate([there[:3, 3] - here[:3, 3], turned])
 
 
@@ -568,8 +557,5 @@ class EmulatedController:
         axes = frame[:3, :3] if jog.mode == TOOL else np.eye(3)
         frame[:3, 3] += axes @ jog.signs[:3] * JOG_MM_S * time_s
         turn = axes @ jog.signs[3:] * AXIS_TURN_RAD_S * time_s
-        x, y, z = turn.tolist()
-        small = np.array([[1.0, -z, y], [z, 1.0, -x], [-y, x, 1.0]])
-        unitary, _, right = np.linalg.svd(small @ frame[:3, :3])
-        frame[:3, :3] = unitary @ right
+        frame[:3, :3] = rotation_from_vector(turn) @ frame[:3, :3]
         return solve(frame, self.joints.command_rad)

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable
+from dataclasses import asdict
 from typing import Protocol
 
 import numpy as np
@@ -33,6 +34,7 @@ from touchdown.backend.devices.protocols import (
     RETREAT_MM_S,
     STOPPED,
     ArmPress,
+    ArrivalCounter,
     CommandedMotion,
     Health,
     PressCommand,
@@ -441,15 +443,9 @@ def air_before(wrench: SampleStream, now_s: float) -> tuple[FloatArray, FloatArr
 
 def press_fields(command: PressCommand) -> dict[str, float]:
     """Return the values of a press command by name."""
-    return {
-        "depth_mm": command.depth_mm,
-        "ramp_s": command.ramp_s,
-        "hold_s": command.hold_s,
-        "approach_mm_s": command.approach_mm_s,
-        "threshold_n": command.threshold_n,
-        "max_travel_mm": command.max_travel_mm,
-        "stiffness_z_n_mm": command.stiffness_n_mm[2],
-    }
+    fields = asdict(command)
+    *_, stiffness_z_n_mm = fields.pop("stiffness_n_mm")
+    return {**fields, "stiffness_z_n_mm": stiffness_z_n_mm}
 
 
 NOT_PRESSING = Fault(
@@ -461,7 +457,6 @@ NOT_PRESSING = Fault(
 )
 
 
-RATE_WINDOW_S = 1.0
 KEPT = 32_768
 
 
@@ -471,18 +466,16 @@ class PositionRecord:
     def __init__(self, now_s: Callable[[], float], poses: SampleStream | None = None) -> None:
         self._now_s = now_s
         self.poses = poses or SampleStream(ARM, 3, KEPT)
-        self.begin()
+        self._arrivals = ArrivalCounter()
 
     def begin(self) -> None:
         """Reset the counts for a new connection."""
-        self.received = 0
-        self._arrivals: deque[float] = deque(maxlen=512)
+        self._arrivals = ArrivalCounter()
 
     def put(self, now_s: float, place_mm: FloatArray) -> None:
         """Add the position of ``G`` (3,) measured at ``now_s``."""
         self.poses.put(np.array([now_s]), place_mm[None])
-        self.received += 1
-        self._arrivals.append(now_s)
+        self._arrivals.note(now_s)
 
     def latest_mm(self, max_age_s: float) -> tuple[float, float, float]:
         """Return the newest position; raises ``StaleSampleError`` if it is older."""
@@ -493,7 +486,4 @@ class PositionRecord:
         """Return rate over the last second, age of the newest sample, and counts including
         ``lost``.
         """
-        now_s, arrivals = self._now_s(), self._arrivals.copy()
-        rate_hz = sum(t_s > now_s - RATE_WINDOW_S for t_s in arrivals) / RATE_WINDOW_S
-        age_s = now_s - arrivals[-1] if arrivals else math.inf
-        return Health(rate_hz, age_s, self.received, lost)
+        return self._arrivals.health(self._now_s(), lost)

@@ -9,7 +9,6 @@ from __future__ import annotations
 import socket
 import threading
 import time
-from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -19,6 +18,7 @@ from touchdown.backend.core import Fault, FaultError
 from touchdown.backend.devices.identification import identify_device
 from touchdown.backend.devices.protocols import (
     NOTHING_MOVED,
+    ArrivalCounter,
     CommandedMotion,
     ConnectionSteps,
     DeviceState,
@@ -335,7 +335,6 @@ _STATES = frozenset(int(state) for state in GraspState)
 READ_S = 0.01
 ANSWER_S = 1.0
 CHUNK = 4096
-RATE_WINDOW_S = 1.0
 STALE_S = 1.0
 
 
@@ -365,8 +364,7 @@ class WsgGripper:
         self.steps = ConnectionSteps()
         self._state = DeviceState.CLOSED
         self.identity: Identity | None = None  # None before the first connection
-        self._received = 0
-        self._arrivals: deque[float] = deque(maxlen=512)
+        self._arrivals = ArrivalCounter()
         # True if a piece was held when the connection was lost: the operator must acknowledge the
         # stop.
         self.lost_holding = False
@@ -390,10 +388,7 @@ class WsgGripper:
     @property
     def health(self) -> Health:
         """Replies per second, age of the newest, counts; ``lost`` are damaged replies."""
-        now_s, arrivals = self._now_s(), list(self._arrivals)
-        newest_s = arrivals[-1] if arrivals else float("-inf")
-        rate_hz = sum(t > now_s - RATE_WINDOW_S for t in arrivals) / RATE_WINDOW_S
-        return Health(rate_hz, now_s - newest_s, self._received, self._language.bad_frames)
+        return self._arrivals.health(self._now_s(), self._language.bad_frames)
 
     def describe(self) -> Mapping[str, str | float]:
         """Return type, state of the grip, readings and losses."""
@@ -550,10 +545,9 @@ class WsgGripper:
 
     def _begin(self) -> None:
         self._stop.clear()
-        self._received = 0
-        self._arrivals.clear()
         now_s = self._now_s()
-        self._arrivals.append(now_s)
+        self._arrivals = ArrivalCounter()
+        self._arrivals.note(now_s, 0)
         with self._lock:
             requests = self._core.subscribe(now_s)
         self.steps.reached("configure")
@@ -570,9 +564,8 @@ class WsgGripper:
             while not self._stop.is_set():
                 for reply in self._heard(line):
                     now_s = self._now_s()
-                    self._received += 1
                     self.steps.reached("first sample")
-                    self._arrivals.append(now_s)
+                    self._arrivals.note(now_s)
                     with self._lock:
                         requests = self._core.feed(now_s, reply)
                     self._send(requests)

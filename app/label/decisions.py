@@ -10,7 +10,7 @@ from touchdown.app.label.presenter import LabelPresenter
 from touchdown.backend.annotations import REJECT_REASONS, Operation, Verdict
 
 REVIEWING = ("review", "audit")  # queues in which Enter approves
-NO_DISPLACEMENT = "There is no displacement yet: type x,y or nudge. PgDown skips it, D rejects it."
+NO_DISPLACEMENT = "No displacement yet: type x,y or nudge; PgDown skips, D rejects."
 VERDICTS: tuple[tuple[str, str], ...] = (("S", "stable"), ("U", "unstable"), ("?", "unsure"))
 
 

@@ -331,10 +331,8 @@ class ReviewDataset:
 
     def face(self, name: str) -> Outline | None:
         """Return the outline of a face, None for an unknown piece."""
-        try:
-            return self.catalogue.piece(name).face
-        except InputError:
-            return None
+        piece = self.catalogue.pieces.get(name)
+        return None if piece is None else piece.face
 
     def close(self) -> None:
         """Close the dataset."""

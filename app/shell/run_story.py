@@ -13,7 +13,6 @@ from touchdown.backend.core import (
     Event,
     Fall,
     FloatArray,
-    InputError,
     Outcome,
     PatchEstimated,
     PhaseEntered,
@@ -232,7 +231,5 @@ def face_outlines(
 
 
 def _outline(catalogue: PieceLibrary, name: str) -> FloatArray | None:
-    try:
-        return catalogue.piece(name).face.polygon(96)
-    except InputError:
-        return None
+    piece = catalogue.pieces.get(name)
+    return None if piece is None else piece.face.polygon(96)

@@ -14,7 +14,6 @@ from touchdown.backend.bench import Session
 from touchdown.backend.core import (
     Event,
     Fall,
-    InputError,
     PhaseEntered,
     Released,
     RunStarted,
@@ -60,9 +59,9 @@ class SideViewPresenter:
     def take(self, event: Event) -> None:
         """Update scene and released piece."""
         if isinstance(event, RunStarted):
-            self._piece = self._known(event.piece)
-            names = event.bottom.split("+")
-            self._stand_on([p for p in map(self._known, names) if p is not None])
+            known = self._bench.catalogue.pieces
+            self._piece = known.get(event.piece)
+            self._stand_on([known[name] for name in event.bottom.split("+") if name in known])
             self._let_go = None
         elif isinstance(event, TrialStarted):
             self._trial = event.trial
@@ -115,12 +114,6 @@ class SideViewPresenter:
         last = self._fallen(piece, at_end=True)
         x = np.concatenate([part[:, 0] for part in last.outlines_mm()])
         return min(-30.0, float(x.min()) - 8.0), max(30.0, float(x.max()) + 8.0)
-
-    def _known(self, name: str) -> Piece | None:
-        try:
-            return self._bench.catalogue.piece(name)
-        except InputError:
-            return None
 
     def _hand(self) -> tuple[float, float] | None:
         at = arm_position_mm(self._bench)

@@ -192,7 +192,7 @@ def test_blind_nobody_sees_nor_takes_the_model(desk):
     assert not any("model" in badge for row in rows for badge in row.badges)
     desk.do(KEY.Key_M, KEY.Key_Return)
     assert desk.book.head(uuid).state == "unlabelled"
-    assert "no displacement yet" in desk.page.message.text()
+    assert "No displacement yet: type" in desk.page.message.text()
     desk.do(KEY.Key_H, KEY.Key_H)  # blind mode is not lifted by showing
     assert desk.page.view.scene.ghosts == ()
     assert desk.page.verdict.text() == "No displacement yet"
@@ -212,16 +212,14 @@ def test_taking_the_model_keeps_its_name_until_a_person_moves_it(desk):
     desk.do(KEY.Key_M)
     head = desk.book.head(uuid)
     assert head.source.startswith("model:")
-    desk.press(KEY.Key_Right)
-    desk.settle()
+    desk.do(KEY.Key_Right)
     head = desk.book.head(uuid)
     assert (head.source, head.label.sigma_um) == ("human", 200)
 
 
 def test_the_page_says_what_a_label_rests_on(desk):
     assert "commanded displacement, sigma 0.30 mm" in desk.page.basis.text()
-    desk.press(KEY.Key_Right)
-    desk.settle()
+    desk.do(KEY.Key_Right)
     assert "set by Ann, sigma 0.20 mm" in desk.page.basis.text()
     assert [g.kind for g in desk.page.view.scene.ghosts] == ["commanded", "model"]
 
@@ -273,7 +271,7 @@ def test_no_probe_keeps_the_annotator(start, folder):
     assert desk.book.head(refused).state == "submitted"
     desk.do(KEY.Key_Return)
     assert desk.uuid == empty
-    assert "PgDown skips it, D rejects it" in desk.page.message.text()
+    assert "PgDown skips, D rejects" in desk.page.message.text()
     desk.do(KEY.Key_PageDown, KEY.Key_Return)
     assert desk.book.head(last).state == "submitted"
     assert desk.book.head(empty).state == "unlabelled"

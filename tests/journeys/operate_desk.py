@@ -6,7 +6,7 @@ from PySide6.QtGui import QKeyEvent
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication
 
-from tests.app.conftest import opened
+from tests.app.conftest import opened, settle
 from tests.backend.bench.brisk import brisk_bench
 from touchdown.backend.bench.assembly import simulated_session
 from touchdown.backend.core.values import Pose
@@ -72,6 +72,21 @@ def turn(main, session, seconds, held=False):
             main.pump.tick()
     for _ in range(12):
         main.pump.tick()
+
+
+def turn_until(main, session, done, steps=20_000, every=20):
+    """Let bench time pass until ``done``, which is looked at after so many steps."""
+    for count in range(steps):
+        session.engine.tick()
+        session.advance()
+        if count % every == 0:
+            main.pump.tick()
+            QApplication.processEvents()
+            if done():
+                settle(main)
+                return
+    told = [main.cards.card(code).text for code in main.cards.codes]
+    pytest.fail(f"it did not get there: {session.status()} {told}")
 
 
 def place(session):

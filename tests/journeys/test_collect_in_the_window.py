@@ -3,10 +3,10 @@
 import pytest
 from PySide6.QtCore import Qt
 from PySide6.QtTest import QTest
-from PySide6.QtWidgets import QApplication
 
-from tests.app.conftest import opened
+from tests.app.conftest import opened, settle
 from tests.backend.bench.brisk import brisk_method
+from tests.journeys import operate_desk
 from tests.journeys.operate_desk import SteppedSession, brisk_session
 from touchdown.backend.annotations.dataset import Dataset
 from touchdown.backend.annotations.values import EpisodeFilter
@@ -38,18 +38,9 @@ def press(main, key, modifiers=Qt.KeyboardModifier.NoModifier):
 def turn_until(desk, qtbot, done):
     """Let bench time pass until ``done``; results of the reader are waited for."""
     main, session, collect = desk
-    for count in range(20_000):
-        session.engine.tick()
-        session.advance()
-        if count % 20 == 0:
-            main.pump.tick()
-            QApplication.processEvents()
-            if done():
-                qtbot.waitUntil(lambda: not collect.reader.busy, timeout=60_000)
-                for _ in range(12):
-                    main.pump.tick()
-                return
-    pytest.fail(f"it did not get there: {session.status()}, {main.cards.codes}")
+    operate_desk.turn_until(main, session, done)
+    qtbot.waitUntil(lambda: not collect.reader.busy, timeout=60_000)
+    settle(main)
 
 
 def test_collect_discard_and_go_on_after_a_stop(desk, qtbot, isolated_settings):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from PySide6.QtCore import Qt
 from PySide6.QtTest import QTest
-from PySide6.QtWidgets import QApplication, QMessageBox, QPushButton
+from PySide6.QtWidgets import QPushButton
 
 from tests.journeys.operate_desk import desk, place, press, release, turn
 from touchdown.backend.core.values import Pose
@@ -47,24 +47,6 @@ def test_a_frozen_window_ends_the_motion_within_300_ms(desk):
     QTest.mousePress(main.workspaces["operate"].page.jog.pads["+x"], Qt.MouseButton.LeftButton)
     assert session.hand.jog.active
     assert main.cards.codes == (), "the next order that is carried out withdraws it"
-
-
-@pytest.mark.promise("H6", "H10")
-def test_a_dialog_and_another_page_end_a_jog(desk):
-    main, session = desk
-    page = main.workspaces["operate"].page
-    QTest.mousePress(page.jog.pads["+x"], Qt.MouseButton.LeftButton)
-    assert session.hand.jog.active
-    main.go("review")
-    assert not session.hand.jog.active
-    main.go("operate")
-    QTest.mousePress(page.jog.pads["+x"], Qt.MouseButton.LeftButton)
-    assert session.hand.jog.active
-    box = QMessageBox(QMessageBox.Icon.NoIcon, "t", "text", parent=main.window)
-    box.open()
-    QApplication.processEvents()
-    assert not session.hand.jog.active
-    box.close()
 
 
 @pytest.mark.promise("H11")

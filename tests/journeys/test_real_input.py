@@ -183,6 +183,7 @@ def test_an_operators_day_by_real_keys_and_mouse(operator):
     review(operator)
     stop_and_quit(operator)
     assert operator.said.read_text() == ""
+    assert not re.search("WARNING (fault|paused) ", operator.log())
 
 
 def arrive(operator):
@@ -233,7 +234,7 @@ def label(operator, dataset):
 
     def accepted():
         # Enter accepts and goes on to the next; while one is being read it does nothing.
-        if operator.reads("There is no displacement yet"):
+        if operator.reads("No displacement yet:"):
             operator.press("Next")
         operator.press("Return")
         return labelled()

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from PySide6.QtCore import Qt
 from PySide6.QtTest import QTest
-from PySide6.QtWidgets import QApplication
 
-from tests.app.conftest import opened
+from tests.app.conftest import opened, settle
 from tests.backend.bench.brisk import brisk_method
+from tests.journeys import operate_desk
 from tests.journeys.operate_desk import SteppedSession, brisk_session
 from touchdown.backend.bench import assembly
 from touchdown.backend.core.faults import RefusedError
@@ -46,24 +46,13 @@ def desk(qapp, qtbot, tmp_path, monkeypatch):
     with opened(tmp_path, link) as main:
         main.window.show()
         qtbot.waitExposed(main.window, timeout=60_000)
-        for _ in range(12):
-            main.pump.tick()
+        settle(main)
         yield main, link
 
 
-def turn_until(main, link, done, most=1500):
+def turn_until(main, link, done):
     """Turn bench and window together until ``done``."""
-    for step in range(most):
-        link.step()
-        if step % 2 == 0:
-            main.pump.tick()
-            QApplication.processEvents()
-        if done():
-            for _ in range(12):
-                main.pump.tick()
-            return
-    told = [main.cards.card(c).text for c in main.cards.codes]
-    pytest.fail(f"the run did not get there: {link.status()} {told}")
+    operate_desk.turn_until(main, link, done, steps=1500, every=2)
 
 
 @pytest.mark.promise("W15")

@@ -6,7 +6,7 @@ from PySide6.QtCore import Qt
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication, QMessageBox
 
-from tests.journeys.operate_desk import desk, press, release, turn
+from tests.journeys.operate_desk import desk, place, press, release, turn
 from touchdown.backend.core.rotations import rotation_vector
 from touchdown.backend.runs.requests import RunState
 
@@ -17,31 +17,38 @@ def turned(session):
     return rotation_vector(session._stage.arm._world.drive.turn)
 
 
-def test_whatever_ends_a_move_ends_a_turn(desk):
+def moved(session):
+    return np.concatenate([place(session), turned(session)])
+
+
+@pytest.mark.promise("H6", "H10")
+def test_the_same_ends_a_move_and_a_turn(desk):
     main, session = desk
     jog = main.workspaces["operate"].page.jog
     ends = {
         "+rx": "release", "-rz": "page", "+ry": "frozen", "+j4": "frame",
-        "-j5": "frozen", "-rx": "mode", "+j6": "stop", "+j1": "dialog",
+        "-j5": "frozen", "-rx": "mode", "+j6": "stop", "+j1": "dialog", "+x": "page",
+        "-x": "dialog",
     }  # fmt: skip
     for what, end in ends.items():
         main.go("operate")
         jog.frame.setCurrentIndex(2 if "j" in what else 0)
-        jog.turn.setChecked("j" not in what)
+        jog.turn.setChecked("r" in what)
         turn(main, session, 0.1)
-        pad, before = jog.pads[what], turned(session)
+        pad, before = jog.pads[what], moved(session)
         assert pad.isVisible()
-        assert "\N{DEGREE SIGN}" in pad.text(), "each way says how far it goes"
+        unit = "mm" if what[1] == "x" else "\N{DEGREE SIGN}"
+        assert unit in pad.text(), "each way says how far it goes"
         QTest.mousePress(pad, Qt.MouseButton.LeftButton)
         turn(main, session, 0.4, held=end != "frozen")
-        assert np.linalg.norm(turned(session) - before) > 0.004
+        assert np.linalg.norm(moved(session) - before) > 0.004
         end_it(main, pad, end)
         turn(main, session, 0.1, held=end == "frozen")
-        at = turned(session)
+        at = moved(session)
         assert not session.hand.jog.active, end
         assert not jog.hold.held, end
         turn(main, session, 0.2)
-        assert np.array_equal(at, turned(session)), end
+        assert np.array_equal(at, moved(session)), end
         if end == "stop":
             main.reset()
 
@@ -60,6 +67,8 @@ def end_it(main, pad, end):
         box.open()
         QApplication.processEvents()
         box.close()
+        main.window.activateWindow()
+        assert QTest.qWaitForWindowActive(main.window, 60_000)
 
 
 @pytest.mark.promise("W4")

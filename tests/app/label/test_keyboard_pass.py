@@ -137,8 +137,7 @@ def test_whoever_starts_first_is_asked_for_a_name(start):
     assert desk.page.nothing.title.text() == "No person is named yet"
     assert desk.page.nothing.button.text() == "Give your name (Ctrl+U)"
     desk.type("ANN")
-    desk.press(KEY.Key_Return)
-    desk.settle()
+    desk.do(KEY.Key_Return)
     assert desk.page.person.text().upper() == "ANN"
     assert desk.page.message.text() == ""
     assert desk.workspace.memory()["person"].upper() == "ANN"

@@ -226,8 +226,7 @@ def test_lines_to_type_have_captions_and_one_takes_the_number_of_a_place(desk):
     desk.settle()
     assert not page.caption.isVisible()
     assert QApplication.focusWidget() is page
-    desk.press(KEY.Key_3)
-    desk.settle()
+    desk.do(KEY.Key_3)
     assert "x,y in mm" in page.caption.text()
     desk.do(KEY.Key_Escape)
     assert not page.caption.isVisible()
@@ -372,11 +371,9 @@ def test_a_deleted_episode_comes_back_with_the_same_bytes_under_the_same_id(desk
     before = path.read_bytes()
     desk.press(KEY.Key_Delete)
     desk.type("torn")
-    desk.press(KEY.Key_Return)
-    desk.settle()
+    desk.do(KEY.Key_Return)
     assert dataset.entry(uuid).deleted
-    desk.press(KEY.Key_U)
-    desk.settle()
+    desk.do(KEY.Key_U)
     assert not dataset.entry(uuid).deleted
     assert dataset.path(uuid) == path
     assert path.read_bytes() == before

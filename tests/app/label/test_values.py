@@ -73,8 +73,7 @@ def test_what_the_database_raises_is_shown_as_well(desk, monkeypatch):
         raise sqlite3.OperationalError("disk I/O error")
 
     monkeypatch.setattr(desk.book, "set", fail)
-    desk.press(KEY.Key_Right)
-    desk.settle()
+    desk.do(KEY.Key_Right)
     assert "disk I/O error" in desk.page.banner.text.text()
 
 
@@ -172,8 +171,7 @@ def test_the_source_of_what_nobody_touched_never_changes(desk):
 
 def test_restoring_a_version_makes_a_new_one(desk):
     uuid, first = desk.uuid, desk.book.head(desk.uuid)
-    desk.press(KEY.Key_Up)
-    desk.settle()
+    desk.do(KEY.Key_Up)
     desk.page.side.history.choose(1)
     desk.page.side.history.restore.click()
     desk.settle()

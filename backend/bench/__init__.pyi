@@ -6,8 +6,6 @@ from .assembly import simulated_bench as simulated_bench
 from .assembly import simulated_session as simulated_session
 from .emulated import EmulatedBench as EmulatedBench
 from .emulated import emulated_bench as emulated_bench
-from .emulated import measure_lateness_s as measure_lateness_s
-from .emulated import real_time_notice as real_time_notice
 from .emulated_scene import EMULATOR_PRIORITY as EMULATOR_PRIORITY
 from .emulated_scene import EmulatedScene as EmulatedScene
 from .emulated_scene import lab_toml as lab_toml
@@ -37,10 +35,8 @@ __all__ = [
     "lab_session",
     "lab_toml",
     "make_scene",
-    "measure_lateness_s",
     "model_in_use",
     "open_lab",
-    "real_time_notice",
     "serve_bench",
     "shipped_model",
     "shorten_switch_interval",

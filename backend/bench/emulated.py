@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import tempfile
 import threading
-import time
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -22,9 +21,9 @@ from touchdown.backend.bench.assembly import (
 from touchdown.backend.bench.emulated_child import EmulatedProcess
 from touchdown.backend.bench.emulated_scene import (
     BENCH_FILE,
-    EMULATOR_PRIORITY,
     DriverObservations,
     TruthClient,
+    longest_delay_s,
 )
 from touchdown.backend.bench.session import Session
 from touchdown.backend.calibration import CalibrationStore
@@ -34,7 +33,7 @@ from touchdown.backend.config import (
     describe_simulation,
     read_settings,
 )
-from touchdown.backend.core import BenchClock, Pose, set_realtime_priority
+from touchdown.backend.core import BenchClock, Pose
 from touchdown.backend.emulation import FaultPlan
 from touchdown.backend.geometry import load_pieces
 from touchdown.backend.learning import ModelRegistry
@@ -49,35 +48,9 @@ from touchdown.backend.runs import (
 from touchdown.backend.sensing import RawStreams, gripper_payload
 from touchdown.backend.simulation import start_command_mm
 
-MEASURED_S, WAKE_S = 2.0, 0.004  # duration of the measurement, period of a wake-up
+MEASURED_S = 2.0  # duration of the measurement of delays
 # Later wake-ups void a press (replies of the arm), or cost it its permission to move (backend)
 REPLY_LATE_S, BACKEND_LATE_S = 0.035, 0.1
-
-
-def measure_lateness_s(seconds: float = MEASURED_S) -> tuple[float, float]:
-    """Return the longest delays of a device's and of an ordinary thread on this computer, s.
-
-    The first has the priority of emulated devices, the other that of the caller.
-    """
-    late_s, never = [0.0, 0.0], threading.Event()
-
-    def wake(at: int, priority: int) -> None:
-        set_realtime_priority(priority)
-        begun_s = now_s = time.monotonic()
-        while now_s - begun_s < seconds:
-            due_s = now_s + WAKE_S
-            never.wait(WAKE_S)
-            now_s = time.monotonic()
-            late_s[at] = max(late_s[at], now_s - due_s)
-
-    threads = [
-        threading.Thread(target=wake, args=args) for args in ((0, EMULATOR_PRIORITY), (1, 0))
-    ]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    return late_s[0], late_s[1]
 
 
 def real_time_notice(device_s: float, backend_s: float) -> str:
@@ -146,6 +119,19 @@ class EmulatedBench:
         self.session.close()
         self._present.close()
         self._process.close()
+
+    def measure_real_time(self, seconds: float = MEASURED_S) -> str:
+        """Return what this computer cannot keep up with at present, empty if nothing.
+
+        The process of the devices computes as much as it will during a run; this takes
+        ``seconds`` and the start of that process. Raises ``FaultError`` if it does not start.
+        """
+        backend_s: list[float] = []
+        thread = threading.Thread(target=lambda: backend_s.append(longest_delay_s(seconds)))
+        thread.start()
+        device_s = self._process.longest_delay_s(seconds)
+        thread.join()
+        return real_time_notice(device_s, *backend_s)
 
     def driver_observations(self) -> DriverObservations | None:
         """Return the driver behaviour that the devices observed, None before the first scene.

@@ -1,4 +1,5 @@
-"""Process of an emulated bench: scenes as lines of JSON on its standard input.
+"""Process of an emulated bench: scenes as lines of JSON on its standard input, or a measurement
+of its delays.
 
 A separate process, so that the 3.5 ms stream of the arm shares no interpreter with drivers and
 plans. It ends at the end of its input.
@@ -22,7 +23,9 @@ from touchdown.backend.bench.assembly import make_scene
 from touchdown.backend.bench.emulated_scene import (
     EMULATOR_PRIORITY,
     GONE,
+    WORK_S,
     TruthServer,
+    longest_delay_s,
     serve_bench,
     shorten_switch_interval,
 )
@@ -32,6 +35,7 @@ from touchdown.backend.core import (
     FaultError,
     ProcessStallDetector,
     ThreadStallDetector,
+    request_short_slices,
     round_robin_priority,
 )
 from touchdown.backend.emulation import FaultPlan, TcpServer
@@ -70,7 +74,6 @@ class EmulatedProcess:
         Raises ``FaultError`` if the process has died or does not respond.
         """
         self._serving.clear()
-        child = self._running()
         order = {
             "choice": asdict(choice),
             "settings": settings.model_dump(mode="json"),
@@ -78,19 +81,17 @@ class EmulatedProcess:
             "folder": str(folder),
             "pieces": None if pieces is None else str(pieces),
         }
-        assert child.stdin is not None
-        assert child.stdout is not None
-        try:
-            child.stdin.write(json.dumps(order) + "\n")
-            child.stdin.flush()
-        except BrokenPipeError as error:
-            raise FaultError(GONE) from error
-        answer = self._answer_of(child, child.stdout)
-        if not answer:
-            raise FaultError(GONE)
+        host, port = self._ask(order)
         self._serving.set()
-        host, port = json.loads(answer)
         return str(host), int(port)
+
+    def longest_delay_s(self, seconds: float) -> float:
+        """Return the longest delay of a thread of the process that works as its devices do.
+
+        Raises ``FaultError`` if the process has died or does not respond.
+        """
+        self._serving.clear()
+        return float(self._ask({"measure_s": seconds}))
 
     def end_if_still(self) -> None:
         """Kill a stalled process, so that nothing waits for its devices."""
@@ -113,6 +114,20 @@ class EmulatedProcess:
             child.kill()
             child.wait()
 
+    def _ask(self, order: dict[str, Any]) -> Any:
+        child = self._running()
+        assert child.stdin is not None
+        assert child.stdout is not None
+        try:
+            child.stdin.write(json.dumps(order) + "\n")
+            child.stdin.flush()
+        except BrokenPipeError as error:
+            raise FaultError(GONE) from error
+        answer = self._answer_of(child, child.stdout)
+        if not answer:
+            raise FaultError(GONE)
+        return json.loads(answer)
+
     def _answer_of(self, child: subprocess.Popen[str], answers: IO[str]) -> str:
         """Return the next line of the child, "" at its end; kills a stalled child."""
         rest, begun_s = ThreadStallDetector(child.pid, child.pid), time.monotonic()
@@ -134,6 +149,8 @@ class EmulatedProcess:
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 text=True,
+                # Linux shares processor time between sessions: the program takes none of it.
+                start_new_session=True,
             )
             name, self._over = "emulated bench watch", threading.Event()
             threading.Thread(
@@ -169,12 +186,14 @@ NOT_SET = Fault(
 
 
 def serve(orders: IO[str], answers: IO[str]) -> None:
-    """Emulate the scene of each line until the input ends."""
+    """Emulate the scene of each line, or measure delays, until the input ends."""
     with ExitStack() as present:
         for line in orders:
             present.close()
-            address = _set(json.loads(line), present)
-            answers.write(json.dumps(address) + "\n")
+            order = json.loads(line)
+            seconds = order.get("measure_s")
+            found = _set(order, present) if seconds is None else longest_delay_s(seconds, WORK_S)
+            answers.write(json.dumps(found) + "\n")
             answers.flush()
 
 
@@ -184,7 +203,7 @@ def _set(order: dict[str, Any], present: ExitStack) -> tuple[str, int]:
     settings = SimulationSettings.model_validate(order["settings"])
     scene = make_scene(load_pieces(pieces), SceneChoice(**chosen), settings)
     plan = FaultPlan.model_validate(order["plan"])
-    emulated, emulation = serve_bench(scene, Path(order["folder"]), plan)
+    emulated, emulation = serve_bench(scene, Path(order["folder"]), plan, terminal=False)
     truth = TcpServer(TruthServer(emulated))
     for ending in (truth.close, emulation.close, emulated.close):
         present.callback(ending)
@@ -197,5 +216,7 @@ def _set(order: dict[str, Any], present: ExitStack) -> tuple[str, int]:
 
 if __name__ == "__main__":
     # The threads share one interpreter lock, so none may be delayed by other programs.
-    with round_robin_priority(EMULATOR_PRIORITY):
+    with round_robin_priority(EMULATOR_PRIORITY) as granted:
+        if not granted:
+            request_short_slices()
         serve(sys.stdin, sys.stdout)

@@ -404,9 +404,29 @@ POLL_HZ = 100.0  # Poll rate of the cameras: once per cycle of the world
 EMULATOR_PRIORITY = 20
 # About one cycle of the arm, which senses once a cycle; each poll wakes sensor and driver
 SENSOR_TICK_S = 0.004
+GRIPPER_TICK_S = 0.01  # one cycle of the world; commands wake the gripper at once
 
 # The default of 5 ms, accumulated over threads, made the arm miss ten cycles at a time
 SWITCH_S = 0.0005
+
+
+# Period of a wake-up, and the work at each of emulated devices that follow a motion
+WAKE_S, WORK_S = 0.004, 0.001
+
+
+def longest_delay_s(seconds: float, work_s: float = 0.0) -> float:
+    """Return the longest delay of this thread, which computes for ``work_s`` every 4 ms."""
+    longest_s, never = 0.0, threading.Event()
+    begun_s = now_s = time.monotonic()
+    while now_s - begun_s < seconds:
+        due_s = now_s + WAKE_S
+        never.wait(WAKE_S)
+        work_end_s = time.thread_time() + work_s
+        while time.thread_time() < work_end_s:
+            pass
+        now_s = time.monotonic()
+        longest_s = max(longest_s, now_s - work_s - due_s)
+    return longest_s
 
 
 def shorten_switch_interval() -> None:
@@ -420,11 +440,13 @@ def shorten_switch_interval() -> None:
 
 
 def serve_bench(
-    scene: Scene, folder: Path, plan: FaultPlan, host: str = "127.0.0.1"
+    scene: Scene, folder: Path, plan: FaultPlan, host: str = "127.0.0.1", *, terminal: bool = True
 ) -> tuple[EmulatedScene, Emulation]:
     """Make arm, gripper, wrist sensor and both cameras of ``scene`` on free ports.
 
-    ``folder`` takes the links of sensor and cameras, and the bench file. Raises ``OSError``.
+    ``folder`` takes the links of sensor and cameras, and the bench file. The wrist sensor is on a
+    pseudo terminal or, without ``terminal``, on a TCP port: a thread of the system without
+    priority carries the bytes of a terminal, late on a busy computer. Raises ``OSError``.
     """
     settings = HardwareSettings.model_validate({"melfa": {"mxt": {"mxttout": TIMEOUT_CYCLES}}})
     emulated = EmulatedScene(scene, settings.melfa)
@@ -434,11 +456,11 @@ def serve_bench(
     gripper = TcpServer(SceneWsg(emulated, gripping), host, faults=gripping)
     felt = Faults("force_torque", plan)
     sensor: TcpServer | PtyServer
-    if sys.platform == "win32":
+    if sys.platform == "win32" or not terminal:
         sensor = TcpServer(SceneDynpick(emulated, felt), host, faults=felt)
     else:
         sensor = PtyServer(SceneDynpick(emulated, felt), faults=felt, link=folder / "force_torque")
-    sensor.tick_s = SENSOR_TICK_S
+    sensor.tick_s, gripper.tick_s = SENSOR_TICK_S, GRIPPER_TICK_S
     cameras = [
         GelsightServer(
             lambda now_s, finger=finger: emulated.picture(finger),  # type: ignore[misc]

@@ -164,8 +164,6 @@ def open_bench(
         LabChoice,
         SimulatedBenchChoice,
         lab_session,
-        measure_lateness_s,
-        real_time_notice,
         simulated_session,
     )
     from touchdown.backend.calibration import CalibrationStore
@@ -190,14 +188,14 @@ def open_bench(
         if args.emulated:
             # Before the first thread, as above.
             rest.enter_context(raised_priority())
-            if notice := real_time_notice(*measure_lateness_s()):
-                screen.say(notice)
             plan = load_faults(args.faults) if args.faults else FaultPlan()
             faults = (*plan.fault, *map(parse_fault, args.inject))
             plan = plan.model_copy(update={"fault": faults})
             scene = SimulatedBenchChoice(file, args.preset, (), pieces)
             bench = EmulatedBench(scene, keep=keep, method=method, registry=registry, plan=plan)
             session = rest.enter_context(bench).session
+            if notice := bench.measure_real_time():
+                screen.say(notice)
             store = CalibrationStore(calibrations_folder(), "emulated", "--emulated")
         else:
             scene = SimulatedBenchChoice(file, args.preset, tuple(args.inject), pieces)

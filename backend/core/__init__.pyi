@@ -76,6 +76,7 @@ from .scheduling import blocking_section as blocking_section
 from .scheduling import blocking_section_of as blocking_section_of
 from .scheduling import lower_priority as lower_priority
 from .scheduling import raised_priority as raised_priority
+from .scheduling import request_short_slices as request_short_slices
 from .scheduling import round_robin_priority as round_robin_priority
 from .scheduling import set_realtime_priority as set_realtime_priority
 from .streams import Decimator as Decimator
@@ -214,6 +215,7 @@ __all__ = [
     "raised_priority",
     "read_json_lines",
     "read_only",
+    "request_short_slices",
     "require_unrotated",
     "rotation_angle_rad",
     "rotation_from_vector",

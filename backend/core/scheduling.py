@@ -6,7 +6,10 @@ or a lock, which a watchdog would otherwise report as a stalled thread.
 
 from __future__ import annotations
 
+import ctypes
 import os
+import platform
+import struct
 import sys
 import threading
 import time
@@ -49,6 +52,28 @@ def round_robin_priority(priority: int) -> Iterator[bool]:
         yield True
     finally:
         os.sched_setscheduler(0, *before)
+
+
+# Request of processor time at a time; the system's default is 1 to 3 ms, its least 0.1 ms
+SLICE_NS = 100_000
+# Number of the system call sched_setattr, and struct sched_attr: size, policy, flags, niceness,
+# real-time priority, run time (the slice of a normal thread), deadline, period
+SCHED_SETATTR = {"x86_64": 314, "aarch64": 274}
+SCHED_ATTR = struct.Struct("<IIQiIQQQ")
+
+
+def request_short_slices() -> bool:
+    """Request processor time in short slices for the calling thread; return True if granted.
+
+    A thread that uses less than its share then runs soon after it wakes. Threads that it starts
+    inherit the request. Every user has the right to it. It has an effect from Linux 6.12 on.
+    """
+    call = SCHED_SETATTR.get(platform.machine()) if sys.platform == "linux" else None
+    if call is None or os.sched_getscheduler(0) != os.SCHED_OTHER:
+        return False
+    niceness = os.getpriority(os.PRIO_PROCESS, 0)
+    request = SCHED_ATTR.pack(SCHED_ATTR.size, os.SCHED_OTHER, 0, niceness, 0, SLICE_NS, 0, 0)
+    return bool(ctypes.CDLL(None).syscall(call, 0, request, 0) == 0)
 
 
 NICENESS, RAISED_NICENESS = 10, -10

@@ -24,6 +24,7 @@ from touchdown.backend.core import (
     FaultError,
     SampleStream,
     blocking_section,
+    request_short_slices,
     set_realtime_priority,
 )
 from touchdown.backend.devices import CommandedMotion, Interlock, Limits
@@ -143,6 +144,8 @@ class RigLink:
             [sys.executable, "-m", "touchdown.backend.rig.process"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
+            # Linux shares processor time between sessions: a busy backend takes none of the rig's.
+            start_new_session=True,
         )
         assert child.stdin is not None
         assert child.stdout is not None
@@ -317,7 +320,8 @@ class RigLink:
     # -- heartbeat thread -------------------------------------------------------------------------
 
     def _run_cycles(self, memory: SharedMemory, ended: threading.Event) -> None:
-        set_realtime_priority(min(PRIORITY, self._settings.melfa.realtime_priority))
+        if not set_realtime_priority(min(PRIORITY, self._settings.melfa.realtime_priority)):
+            request_short_slices()
         beats, beat_s = memory.count(RIG_BEAT), time.monotonic()
         while not ended.wait(BEAT_S):
             memory.permit(self._interlock.lease_until_s)

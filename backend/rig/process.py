@@ -21,7 +21,12 @@ from types import FrameType
 from typing import IO
 
 from touchdown.backend.config import HardwareSettings
-from touchdown.backend.core import InputError, SampleStream, set_realtime_priority
+from touchdown.backend.core import (
+    InputError,
+    SampleStream,
+    request_short_slices,
+    set_realtime_priority,
+)
 from touchdown.backend.devices import Limits, make_arm, make_force_torque, make_gripper
 from touchdown.backend.rig.host import Devices, RigHost
 from touchdown.backend.rig.memory import SharedMemory, attach
@@ -87,6 +92,8 @@ def _serve(
 
     # Before any thread starts: all inherit the priority, or one without it would delay the others.
     realtime = set_realtime_priority(priority)
+    if not realtime:
+        request_short_slices()
     parent = ParentProcess()
     host = RigHost(devices, Limits(**begin["limits"]), now_s, memory, say)
     channel = Channel(*pipes, host.take, host.abandon)
@@ -95,11 +102,12 @@ def _serve(
         host.leave()
 
     signal.signal(signal.SIGTERM, terminate)
-    channel.say(_hello(devices, realtime=realtime))
-    channel.start()
-    # Permanent objects: exclude them from garbage collection.
+    # Permanent objects: exclude them from garbage collection. The backend expects the first cycle
+    # within 250 ms of the greeting, less than a collection takes on a busy computer.
     gc.collect()
     gc.freeze()
+    channel.say(_hello(devices, realtime=realtime))
+    channel.start()
     log = logging.getLogger("touchdown")
     log.setLevel(logging.INFO)
     log.addHandler(_ForwardingHandler(say))

@@ -7,6 +7,7 @@ measured figures.
 import io
 import json
 import os
+import re
 import tempfile
 import time
 from pathlib import Path
@@ -20,23 +21,26 @@ from touchdown.backend.bench.emulated import (
     BACKEND_LATE_S,
     REPLY_LATE_S,
     EmulatedBench,
-    measure_lateness_s,
     real_time_notice,
 )
 from touchdown.backend.bench.emulated_child import EmulatedProcess, serve
 from touchdown.backend.bench.emulated_scene import (
     BENCH_FILE,
+    WORK_S,
     EmulatedScene,
     TruthClient,
     TruthServer,
+    longest_delay_s,
     serve_bench,
 )
 from touchdown.backend.config import HardwareSettings, read_settings
-from touchdown.backend.core import FaultError, round_robin_priority
-from touchdown.backend.devices.interlock import LEASE_S, Limits
+from touchdown.backend.core import FaultError, SampleStream, round_robin_priority
+from touchdown.backend.core.scheduling import SLICE_NS
+from touchdown.backend.devices.interlock import LEASE_S, Interlock, Limits
 from touchdown.backend.devices.melfa.emulator import TIMEOUT_CYCLES
 from touchdown.backend.emulation import FaultPlan, TcpServer
 from touchdown.backend.geometry.pieces import load_pieces
+from touchdown.backend.rig.link import RigLink
 from touchdown.backend.runs.requests import CollectRequest, SceneChoice
 
 SETTINGS = SimulatedBenchChoice(preset="quiet").settings()
@@ -128,7 +132,61 @@ def test_delays_that_real_time_does_not_bear_are_said_at_the_start():
     both = real_time_notice(0.05, 0.2)
     assert "50 ms late, limit 35 ms" in both
     assert "200 ms late, limit 100 ms" in both
-    assert min(measure_lateness_s(0.01)) >= 0.0
+
+
+def test_delays_are_measured_in_the_process_of_the_devices_at_the_work_of_a_run(monkeypatch):
+    begun_s = time.thread_time()
+    assert longest_delay_s(0.1, WORK_S) >= 0.0
+    assert time.thread_time() - begun_s >= 5 * WORK_S
+    answers = io.StringIO()
+    serve([json.dumps({"measure_s": 0.01}) + "\n"], answers)
+    assert float(answers.getvalue()) >= 0.0
+    bench = EmulatedBench(SimulatedBenchChoice(preset="quiet"))
+    monkeypatch.setattr(bench._process, "longest_delay_s", lambda seconds: 0.05)
+    assert "50 ms late, limit 35 ms" in bench.measure_real_time(0.01)
+    bench.close()
+
+
+def test_rig_and_emulated_devices_have_sessions_of_their_own_and_short_slices(tmp_path):
+    """Linux shares processor time between sessions, and wakes threads of short slices first."""
+    process = EmulatedProcess(lambda fault: None)
+    try:
+        process.set_scene(CHOICE, SETTINGS, FaultPlan(), tmp_path)
+        devices = process._child.pid
+        hardware = read_settings(HardwareSettings, tmp_path / BENCH_FILE)
+        link = RigLink(
+            hardware, time.monotonic, SampleStream("force_torque", 6, 99),
+            SampleStream("arm", 3, 99), Interlock(),
+        )  # fmt: skip
+        try:
+            link.start()
+            rig = link._child.pid
+            sessions = {os.getsid(pid) for pid in (0, devices, rig)}
+            slices = {slice_ns(pid) for pid in (devices, rig)}
+        finally:
+            link.close()
+    finally:
+        process.close()
+    assert len(sessions) == 3
+    assert slices <= {SLICE_NS, None}
+
+
+def slice_ns(pid: int) -> int | None:
+    """Return the slice of a thread in ns, None for one at real-time priority or if unknown."""
+    if os.sched_getscheduler(pid) != os.SCHED_OTHER or not Path(f"/proc/{pid}/sched").is_file():
+        return None
+    found = re.search(r"se\.slice\s*:\s*(\d+)", Path(f"/proc/{pid}/sched").read_text())
+    return None if found is None else int(found[1])
+
+
+def test_the_bytes_of_the_wrist_sensor_wait_for_no_thread_of_the_system(tmp_path):
+    process = EmulatedProcess(lambda fault: None)
+    try:
+        process.set_scene(CHOICE, SETTINGS, FaultPlan(), tmp_path)
+        hardware = read_settings(HardwareSettings, tmp_path / BENCH_FILE)
+    finally:
+        process.close()
+    assert hardware.ft.address.startswith("socket://")
 
 
 def test_a_busy_computer_changes_no_limit_of_a_device():

@@ -1,17 +1,28 @@
-"""A raised priority is inherited by threads and restored; nothing changes without permission."""
+"""A raised priority is inherited by threads and restored; nothing changes without permission.
+
+Short slices are inherited too.
+"""
 
 from __future__ import annotations
 
 import os
+import re
 import sys
 import threading
 from collections.abc import Callable
 from contextlib import AbstractContextManager
+from pathlib import Path
 
 import pytest
 
 from touchdown.backend.core import scheduling
-from touchdown.backend.core.scheduling import RAISED_NICENESS, raised_priority, round_robin_priority
+from touchdown.backend.core.scheduling import (
+    RAISED_NICENESS,
+    SLICE_NS,
+    raised_priority,
+    request_short_slices,
+    round_robin_priority,
+)
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="only Linux gives it to threads")
 Raise = Callable[[], AbstractContextManager[bool]]
@@ -55,3 +66,26 @@ def test_without_permission_nothing_changes(raise_it, monkeypatch):
     with raise_it() as given:
         assert not given
         assert present() == before
+
+
+def test_short_slices_need_no_permission_and_are_inherited() -> None:
+    found: list[str] = []
+    before = present()
+
+    def request() -> None:
+        if request_short_slices():
+            assert present() == before
+            later = threading.Thread(target=lambda: found.append(slices()))
+            later.start()
+            later.join()
+
+    def slices() -> str:
+        folder = Path(f"/proc/self/task/{threading.get_native_id()}/sched")
+        shown = re.search(r"se\.slice\s*:\s*(\d+)", folder.read_text())
+        return "" if shown is None else shown[1]
+
+    thread = threading.Thread(target=request)
+    thread.start()
+    thread.join()
+    if os.sched_getscheduler(0) == os.SCHED_OTHER and scheduling.platform.machine() == "x86_64":
+        assert found == [str(SLICE_NS)]

@@ -34,6 +34,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--pieces", type=Path, metavar="DIR", help="folder with further piece files"
     )
+    parser.add_argument(
+        "--calibrate", action="store_true", help="fit temperature, bias and prior of the strategy "
+        "paper-calibrated to these episodes and store them with the model; the mountings should "
+        "not be those of the training",
+    )  # fmt: skip
 
 
 def run(args: argparse.Namespace, screen: VerbOutput) -> int:
@@ -41,10 +46,12 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     # Imported here so that `touchdown --help` starts without torch.
     from touchdown.backend.learning import (
         ModelRegistry,
+        calibrate_model,
         evaluate,
         hardware_rows,
         load_checkpoint,
         load_episodes,
+        save_card,
     )
 
     checkpoint = load_checkpoint(args.model)
@@ -59,9 +66,22 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     trained_on = set(card.data.get("episodes", {}))
     kind = "simulated" if real is None else f"{len(real)} hardware probes"
     screen.show(score_table(f"{card.piece}, {card.modality} ({kind})", scores, trained_on))
+    fitted = card.calibration
+    if args.calibrate:
+        calibrated = calibrate_model(checkpoint, rows)
+        save_card(args.model, calibrated)
+        fitted = calibrated.calibration
+        assert fitted is not None
+        screen.say(
+            f"Calibration: temperature {fitted.temperature:.2f}, bias {fitted.bias:+.2f}, prior "
+            f"{fitted.prior:.3f}, of {fitted.probes} probes; expected calibration error "
+            f"{fitted.error_before:.3f} before, {fitted.error_after:.3f} after. Stored with "
+            f"{args.model}"
+        )
     screen.result(
         {
             "model": str(args.model),
+            "calibration": fitted and fitted.model_dump(),
             "piece": card.piece,
             "modality": card.modality,
             "delta": args.delta,

@@ -57,9 +57,9 @@ EARLY_TICKS = SAMPLES_PER_PROBE - 1
 TICK_S = 0.1  # period of the ticks, 1 / 10 Hz [P]
 
 
-# Choice of the next move: the paper's method, a network that reads all probes, release where the
-# push causes no moment, and release without a probe.
-StrategyName = Literal["paper", "fused", "zero-wrench", "pick-and-place"]
+# Choice of the next move: the paper's method, the same with calibrated probabilities, a network
+# that reads all probes, release where the push causes no moment, and release without a probe.
+StrategyName = Literal["paper", "paper-calibrated", "fused", "zero-wrench", "pick-and-place"]
 
 
 class Settings(BaseModel):

@@ -2,9 +2,10 @@
 
 The oracle share is the improvement of a strategy over the paper's method, relative to that of the
 oracle. One oracle knows the outline of the bottom, the other only that it is round. A share counts
-the trials and groups that paper, strategy and oracle have in common. Its interval is a bootstrap
-over seeds within each cell, the three always drawn together (Efron and Tibshirani, An Introduction
-to the Bootstrap, 1993, ch. 13).
+the trials and groups that paper, strategy and oracle have in common. A paired change is the
+difference of a strategy to the paper's method on common seeds. Intervals are a bootstrap over seeds
+within each cell, all strategies always drawn together (Efron and Tibshirani, An Introduction to the
+Bootstrap, 1993, ch. 13). A seed is one mounting in closed loops, a job of two mountings in groups.
 """
 
 from __future__ import annotations
@@ -40,6 +41,7 @@ from touchdown.backend.jobs import JobSpec, JobStore
 
 PAPER = "paper"
 BOOTSTRAP_DRAWS, INTERVAL_PERCENTILES = 4000, (2.5, 97.5)
+OUTCOME_QUANTITIES = (("placed", (Outcome.PLACED.value,)), ("unsafe", UNSAFE_OUTCOMES))
 Json = dict[str, Any]
 CountFunction = Callable[[Json], Sequence[float]]  # contribution of one trial or group to some sums
 
@@ -56,16 +58,73 @@ def oracle_shares(
     rows = []
     by_seed = {cell: {t["seed"]: t for t in some} for cell, some in trials.items()}
     for name, to in _compared_pairs(by_seed):
-        three = _shared(by_seed, name, to)
-        for what, outcomes in (("placed", (Outcome.PLACED.value,)), ("unsafe", UNSAFE_OUTCOMES)):
+        three = _shared(by_seed, (PAPER, name, to))
+        for what, outcomes in OUTCOME_QUANTITIES:
             counts = _counted(three, lambda t, among=outcomes: (float(t["outcome"] in among), 1.0))  # type: ignore[misc]
             rows.append({**_row(name, what, counts, _mean), "to": to})
     for name, to in _compared_pairs(answers):
-        three = _shared(answers, name, to)
+        three = _shared(answers, (PAPER, name, to))
         for n in map(str, PROBE_COUNTS):
             counts = _counted(three, lambda answer, n=n: _verdicts(answer, n))  # type: ignore[misc]
             rows.append({**_row(name, f"balanced, n = {n}", counts, _balanced), "to": to})
     return rows
+
+
+def paired_changes(
+    trials: Mapping[Cell, Sequence[Json]], answers: Mapping[Cell, Mapping[int, Json]]
+) -> list[Json]:
+    """Return one row per strategy and quantity: its ``change`` from the paper on common seeds.
+
+    ``only_paper`` and ``only_own`` count the trials with this result under one of both strategies.
+    The interval is None if no seed differs.
+    """
+    rows = []
+    by_seed = {cell: {t["seed"]: t for t in some} for cell, some in trials.items()}
+    for name in _others(by_seed):
+        pairs = _shared(by_seed, (PAPER, name))
+        for what, outcomes in OUTCOME_QUANTITIES:
+            counts = _counted(pairs, lambda t, among=outcomes: (float(t["outcome"] in among), 1.0))  # type: ignore[misc]
+            rows += _change(name, what, counts, _mean, trials=True)
+    for name in _others(answers):
+        pairs = _shared(answers, (PAPER, name))
+        for n in map(str, PROBE_COUNTS):
+            counts = _counted(pairs, lambda answer, n=n: _verdicts(answer, n))  # type: ignore[misc]
+            rows += _change(name, f"right, n = {n}", counts, _right)
+            rows += _change(name, f"balanced, n = {n}", counts, _balanced)
+    return rows
+
+
+def _others(found: Mapping[Cell, Any]) -> list[str]:
+    """Return the strategies to compare with the paper's."""
+    names = dict.fromkeys(strategy for strategy, _, _ in found)
+    return [name for name in names if name != PAPER] if PAPER in names else []
+
+
+def _change(
+    name: str,
+    what: str,
+    counts: Sequence[FloatArray],
+    value: Callable[[FloatArray], FloatArray],
+    *,
+    trials: bool = False,
+) -> list[Json]:
+    """Return the row of a change, none without common seeds."""
+    if not counts:
+        return []
+    every = np.concatenate(counts)
+    paper, own = value(every.sum(axis=0)).tolist()
+    row: Json = {"strategy": name, "what": what, "n": int(every[:, 0, -1].sum())}
+    row |= {"paper": paper, "own": own, "change": own - paper, "low": None, "high": None}
+    if (every[:, 0] != every[:, 1]).any():
+        drawn = value(_bootstrap_sums(counts))
+        row["low"], row["high"] = np.nanpercentile(
+            drawn[:, 1] - drawn[:, 0], INTERVAL_PERCENTILES
+        ).tolist()
+    if trials:
+        hits = every[..., 0] > 0.0
+        row["only_paper"] = int((hits[:, 0] & ~hits[:, 1]).sum())
+        row["only_own"] = int((hits[:, 1] & ~hits[:, 0]).sum())
+    return [row]
 
 
 def quantity_label(row: Mapping[str, Any]) -> str:
@@ -106,21 +165,21 @@ def _compared_pairs(found: Mapping[Cell, Any]) -> list[tuple[str, str]]:
 
 
 def _shared(
-    found: Mapping[Cell, Mapping[int, Json]], name: str, to: str
+    found: Mapping[Cell, Mapping[int, Json]], names: Sequence[str]
 ) -> list[list[tuple[Json, ...]]]:
-    """Return by cell the common results of paper, ``name`` and oracle, in this order."""
+    """Return by cell the results of seeds that all strategies ``names`` have, in their order."""
     cells = []
     for piece, bottom in dict.fromkeys((p, b) for _, p, b in found):
-        three = [found.get((s, piece, bottom), {}) for s in (PAPER, name, to)]
-        seeds = sorted(set(three[0]) & set(three[1]) & set(three[2]))
+        parts = [found.get((s, piece, bottom), {}) for s in names]
+        seeds = sorted(set.intersection(*map(set, parts)))
         if seeds:
-            cells.append([tuple(part[seed] for part in three) for seed in seeds])
+            cells.append([tuple(part[seed] for part in parts) for seed in seeds])
     return cells
 
 
 def _counted(cells: Sequence[Sequence[tuple[Json, ...]]], count: CountFunction) -> list[FloatArray]:
-    """Return an array (seeds, 3, sums) per cell."""
-    return [np.array([list(map(count, three)) for three in cell], np.float64) for cell in cells]
+    """Return an array (seeds, strategies, sums) per cell."""
+    return [np.array([list(map(count, some)) for some in cell], np.float64) for cell in cells]
 
 
 def _mean(sums: FloatArray) -> FloatArray:
@@ -141,6 +200,10 @@ def _verdicts(answer: Json, n: str) -> Sequence[float]:
 def _balanced(sums: FloatArray) -> FloatArray:
     with np.errstate(invalid="ignore"):
         return np.asarray(0.5 * (sums[..., 0] / sums[..., 1] + sums[..., 2] / sums[..., 3]))
+
+
+def _right(sums: FloatArray) -> FloatArray:
+    return np.asarray((sums[..., 0] + sums[..., 2]) / (sums[..., 1] + sums[..., 3]))
 
 
 def _row(
@@ -176,7 +239,7 @@ def _share_of_way(values: FloatArray, *, upwards: bool) -> FloatArray:
 
 
 def _bootstrap_sums(counts: Sequence[FloatArray]) -> FloatArray:
-    """Return (draws, 3, sums) over resampled seeds of every cell."""
+    """Return (draws, strategies, sums) over resampled seeds of every cell."""
     rng = np.random.default_rng(993)
     total = np.zeros((BOOTSTRAP_DRAWS, *counts[0].shape[1:]))
     for cell in counts:
@@ -206,6 +269,7 @@ class StrategyComparison:
         found = self.loops.table(store)
         answers = self.statics.answers(store) if self.statics else {}
         found["gaps"] = oracle_shares(self.loops.trials_of(store), answers)
+        found["changes"] = paired_changes(self.loops.trials_of(store), answers)
         if self.statics is not None:
             found["statics"] = self.statics.table(store)
         return found
@@ -244,6 +308,14 @@ def comparison_tables(answer: Mapping[str, Any]) -> list[ReportTable]:
         )
     if answer["gaps"]:
         found.append(oracle_share_table(answer["gaps"]))
+    if answer.get("changes"):
+        found.append(
+            ReportTable.of_texts(
+                "Change from paper, common seeds; 95 % intervals",
+                ("strategy", "of", "n", "paper %", "own %", "change", "only paper", "only own"),
+                map(_change_row, answer["changes"]),
+            )
+        )
     return found
 
 
@@ -287,6 +359,15 @@ def _oracle_share_row(row: Json) -> tuple[str, ...]:
     share = {"value": row["share"], "low": row["share_low"], "high": row["share_high"]}
     shown = _format_share(share) if share["low"] is not None else _format_percent(share["value"])
     return row["strategy"], quantity_label(row), str(row["n"]), *shares, shown
+
+
+def _change_row(row: Json) -> tuple[str, ...]:
+    shown = f"{100 * row['change']:+.1f}"
+    if row["low"] is not None:
+        shown += f" ({100 * row['low']:+.1f} to {100 * row['high']:+.1f})"
+    only = [str(row.get(key, "")) for key in ("only_paper", "only_own")]
+    shares = [_format_percent(row[key]) for key in ("paper", "own")]
+    return row["strategy"], row["what"], str(row["n"]), *shares, shown, *only
 
 
 def _name(cell: Json) -> str:

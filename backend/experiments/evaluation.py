@@ -92,7 +92,12 @@ def _times(value: Any, factor: float) -> Any:
 WORLDS: dict[str, type[BatchedTrials]] = {"bench": BatchedTrials, "elsewhere": SecondWorldTrials}
 PRESSES_SEED, TRIALS_SEED = 5_000_000, 6_000_000
 GROUPS_PER_JOB, PROBES, TRIALS_PER_JOB = 10, 3, 2
-EVALUATED_STRATEGIES = ("paper", "fused", "zero-wrench")  # the last two use no model of a piece
+EVALUATED_STRATEGIES = (
+    "paper",
+    "paper-calibrated",
+    "fused",
+    "zero-wrench",
+)  # the last two use no model of a piece
 Json = dict[str, Any]
 
 

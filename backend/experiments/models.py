@@ -19,6 +19,7 @@ from touchdown.backend.geometry import Piece, face_points
 from touchdown.backend.jobs import JobSpec, JobStore
 from touchdown.backend.learning import (
     Checkpoint,
+    ModelCard,
     card_path,
     load_card,
     load_checkpoint,
@@ -49,7 +50,7 @@ def adopt_models(store: JobStore, *folders: Path) -> dict[tuple[str, str], str]:
             if key in own:
                 what = f"There are two models for {' '.join(key)}."
                 raise InputError(what, str(path), "Remove one of them.")
-            own[key] = _adopt(store, path, card.weights_sha256)
+            own[key] = _adopt(store, path, card)
         if not own:
             raise InputError("There are no models here.", str(folder), "Name a folder of models.")
         found |= own
@@ -80,8 +81,10 @@ def load_model(source: str, store: JobStore) -> Checkpoint:
     return load_checkpoint(store.folder(source) / WEIGHTS)
 
 
-def _adopt(store: JobStore, path: Path, weights_sha256: str) -> str:
-    spec = JobSpec("model", {"weights_sha256": weights_sha256})
+def _adopt(store: JobStore, path: Path, card: ModelCard) -> str:
+    weights_sha256 = card.weights_sha256
+    fitted = {} if card.calibration is None else {"calibration": card.calibration.model_dump()}
+    spec = JobSpec("model", {"weights_sha256": weights_sha256, **fitted})
     if not store.has(spec.id):
         with store.writing(spec) as part:
             shutil.copyfile(path, part / WEIGHTS)
@@ -111,4 +114,4 @@ def batch_model(checkpoint: Checkpoint, piece: Piece) -> BatchModel:
     def probability(observation: NDArray[np.float32]) -> FloatArray:
         return predict(net, observation, part).astype(np.float64)
 
-    return BatchModel(probability, face_points(piece.face), card.base_rate)
+    return BatchModel(probability, face_points(piece.face), card.base_rate, card.calibration)

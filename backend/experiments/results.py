@@ -48,6 +48,8 @@ from touchdown.backend.experiments.statistics import estimate_rate
 from touchdown.backend.experiments.strategies import parse_trials, parse_verdicts
 from touchdown.backend.experiments.tables import (
     BEYOND_READABLE,
+    CALIBRATED,
+    COUNTS,
     TABLE_BOTTOMS,
     TABLES_FORMAT,
     TOWER,
@@ -65,6 +67,7 @@ PAPER = "paper"
 # Columns in this order; other strategies follow.
 TITLES = {
     PAPER: "Paper's",
+    "paper-calibrated": "Paper's, calibrated",
     "fused": "Learned fusion",
     "zero-wrench": "Zero wrench",
     "ceiling": "Ceiling",
@@ -330,11 +333,15 @@ def _table1(rows: Sequence[JsonMapping]) -> ReportSection:
 
 
 def _table2(rows: Sequence[JsonMapping]) -> ReportSection:
-    names = {"Implicit": "Implicit", **{n: f"Ours, n = {n}" for n in ("1", "2", "3", "5")}}
+    names = {"Implicit": "Implicit"}
+    for n in COUNTS:
+        names |= {n: f"Ours, n = {n}", f"{CALIBRATED} {n}": f"Ours, calibrated, n = {n}"}
     lines = []
     for row in rows:
         cells = [_stability_cell(cell) for cell in row["cells"]]
-        pooled = rate_entry(row["pooled"]["accuracy"], notes=_errors(row["pooled"]))
+        notes = [*_errors(row["pooled"])]
+        notes += [_change_note(*change) for change in row.get("changes", {}).items()]
+        pooled = rate_entry(row["pooled"]["accuracy"], notes=notes)
         lines.append((names[row["method"]], (*cells, pooled)))
     excluded = max(sum(cell.get("excluded", 0) for cell in row["cells"]) for row in rows)
     note = (
@@ -345,6 +352,11 @@ def _table2(rows: Sequence[JsonMapping]) -> ReportSection:
     title = "Right, %, on a sample with as many stable as unstable places"
     grid = ReportTable(title, _table_columns(rows[0]["cells"], "pooled"), tuple(lines), note)
     return ReportSection("Table 2: stability", (), (grid,))
+
+
+def _change_note(name: str, change: JsonMapping) -> str:
+    value, low, high = (100 * change[key] for key in ("change", "low", "high"))
+    return f"{name} {value:+.1f} ({low:+.1f} to {high:+.1f}) points against the paper's fusion"
 
 
 def _table3(rows: Sequence[JsonMapping]) -> ReportSection:

@@ -176,27 +176,35 @@ def score_fused_verdicts(
     """Fuse the first n probes of each group and judge the first place.
 
     Returns ``says`` per n, the reliability of all covered cells after three probes, and the IoU of
-    that map with the true support.
+    that map with the true support; with a calibration also ``calibrated``: per n, more likely
+    stable than not by calibrated fusion.
     """
     says: dict[str, list[bool]] = {str(n): [] for n in PROBE_COUNTS if n <= probability.shape[1]}
+    calibrated: dict[str, list[bool]] = {n: [] for n in says}
+    even = StabilitySettings(delta=CONTACT_LEVEL)
     promised, real = [], []
     iou: list[float] = []
     for g in range(len(probability)):
         first = pair_of(groups.offset_mm[g, 0])
         belief = Belief.unknown(BeliefSettings(), first, model.base_rate)
+        other = Belief.unknown(BeliefSettings(), first, model.base_rate, model.calibration)
         for k, p in enumerate(probability[g]):
             patch = ContactPatch(model.points_mm.copy(), p.copy())
             belief = belief.updated(patch, pair_of(groups.offset_mm[g, k]))
+            other = other.updated(patch, pair_of(groups.offset_mm[g, k]))
             if str(k + 1) in says:
                 com, rules = case.piece.com_xy_mm, StabilitySettings()
                 says[str(k + 1)].append(judge_stability(belief, patch, com, first, rules).stable)
+                likely = judge_stability(other, patch, com, first, even).stable
+                calibrated[str(k + 1)].append(likely)
             if k + 1 == RELIABLE_AFTER:
                 cells, support = _support(belief, groups, g, case)
                 promised.append(cells)
                 real.append(support)
                 iou.append(overlap_share(cells > CONTACT_LEVEL, support))
     chart = reliability_curve(np.concatenate(promised), np.concatenate(real))
-    return {"says": says, "map_iou": iou, "reliability": chart.as_json()}
+    found = {"says": says, "map_iou": iou, "reliability": chart.as_json()}
+    return found if model.calibration is None else {**found, "calibrated": calibrated}
 
 
 def _support(

@@ -92,6 +92,25 @@ class VerdictCounts:
         }
 
 
+def verdict_changes(paired: Sequence[tuple[bool, bool, bool]]) -> dict[str, dict[str, float]]:
+    """Return the change of plain and balanced accuracy between two verdicts on the same groups.
+
+    ``paired``: both verdicts and the truth of every group, a mounting of its own. The intervals are
+    normal ones over mountings; for balanced accuracy the stable and the unstable ones are strata.
+    """
+    before, after, truth = np.array(paired, dtype=bool).T
+    gain = (after == truth).astype(float) - (before == truth).astype(float)
+    strata = [gain[truth], gain[~truth]]
+    changes = {"accuracy": (float(gain.mean()), float(gain.var(ddof=1)) / len(gain))}
+    if min(map(len, strata)) > 1:
+        error = sum(float(part.var(ddof=1)) / len(part) for part in strata) / 4
+        changes["balanced"] = (0.5 * sum(float(part.mean()) for part in strata), error)
+    return {
+        name: {"change": c, "low": c - Z_95 * v**0.5, "high": c + Z_95 * v**0.5, "n": len(gain)}
+        for name, (c, v) in changes.items()
+    }
+
+
 BINS = 15
 
 

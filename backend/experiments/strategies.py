@@ -397,7 +397,7 @@ def _entered_tower_strategy(
         offset_mm = tuple((float(x), float(y)) for x, y in entered)
         entry = TowerSettings(offset_mm=offset_mm, sigma_mm=sigma_mm)
         below = SupportTower.entered(case.piece, case.bottoms, entry)
-        return make_strategy(grasped_piece_in(scene, model.base_rate, below), settings, at)
+        return make_strategy(grasped_piece_in(scene, model, below), settings, at)
 
     return create
 
@@ -508,7 +508,7 @@ def run_static_groups(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
         model = batch_model(load_model(spec.inputs[0], place.store), case.piece)
 
         def create(scene: Scene, at: XY) -> Strategy:
-            return make_strategy(grasped_piece_in(scene, model.base_rate), settings, at)
+            return make_strategy(grasped_piece_in(scene, model), settings, at)
 
     asked = VerdictCollector(case, believes=strategy not in STRATEGIES_WITHOUT_BELIEF)
     for g in range(len(groups.observation)):

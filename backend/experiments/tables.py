@@ -15,7 +15,12 @@ from typing import Any, Literal
 
 from touchdown.backend.config import SimulationSettings, TrainingSettings, bench_sha256
 from touchdown.backend.core import Outcome
-from touchdown.backend.experiments.statistics import VerdictCounts, estimate_mean, estimate_rate
+from touchdown.backend.experiments.statistics import (
+    VerdictCounts,
+    estimate_mean,
+    estimate_rate,
+    verdict_changes,
+)
 from touchdown.backend.geometry import TOO_CLOSE_MM
 from touchdown.backend.jobs import JobSpec, JobStore
 from touchdown.backend.learning import DeviceName
@@ -268,6 +273,8 @@ BEYOND_FORMAT = "touchdown-beyond/2"
 BEYOND_READABLE = ("touchdown-beyond/1", BEYOND_FORMAT)
 
 
+COUNTS = ("1", "2", "3", "5")  # numbers of probes in Table 2
+CALIBRATED = "calibrated"
 PATCH_MODELS = tuple(name for name, _, head in MODELS if head == "patch")
 OWN_MODEL = "FT+Tac"
 UNSAFE_OUTCOMES = (Outcome.FELL.value, Outcome.KNOCKED_OVER.value)
@@ -318,27 +325,47 @@ def _table1(recipe: Recipe, store: JobStore) -> list[Json]:
 
 
 def _table2(recipe: Recipe, store: JobStore) -> list[Json]:
-    """Return one row per method; each cell for the top interface alone, and for all interfaces."""
+    """Return one row per method; each cell for the top interface alone, and for all interfaces.
+
+    A row of calibrated fusion has the ``changes`` from the paper's on the same groups.
+    """
     rows = []
-    for method in ("Implicit", "1", "2", "3", "5"):
+    for method in ("Implicit", *COUNTS, *(f"{CALIBRATED} {n}" for n in COUNTS)):
         model = "Implicit" if method == "Implicit" else OWN_MODEL
-        n = "1" if method == "Implicit" else method
+        fusion, n = CALIBRATED if " " in method else "says", method.split()[-1]
+        n = "1" if method == "Implicit" else n
         cells = []
         pooled = VerdictCounts(0, 0, 0, 0)
+        paired: list[tuple[bool, bool, bool]] = []
         for piece, bottom in _cells(recipe):
             spec = recipe.static(piece, bottom)
             answer = _answer(spec, store) or {"models": {}}
-            printed = PAPER_STABILITY.get(method, {}).get((piece, bottom))
+            printed = PAPER_STABILITY.get(method.split()[-1], {}).get((piece, bottom))
             cell = _cell(piece, bottom, spec, None if printed is None else 0.01 * printed)
-            says = answer["models"].get(model, {}).get("says", {}).get(n)
+            verdicts = answer["models"].get(model, {})
+            says = verdicts.get(fusion, {}).get(n)
             if says:
                 every, cell["excluded"] = score_verdicts(says, answer["margin_mm"], interface=1)
                 top, _ = score_verdicts(says, answer["margin_mm"], interface=0)
                 cell |= {**every.as_json(), "top_interface": top.as_json()}
                 pooled += every
+                if fusion == CALIBRATED:
+                    paired += _paired(verdicts["says"][n], says, answer["margin_mm"])
             cells.append(cell)
-        rows.append({"method": method, "cells": cells, "pooled": pooled.as_json()})
+        row: Json = {"method": method, "cells": cells, "pooled": pooled.as_json()}
+        if paired:
+            row["changes"] = verdict_changes(paired)
+        rows.append(row)
     return rows
+
+
+def _paired(
+    paper: Sequence[bool], own: Sequence[bool], margins_mm: Sequence[Sequence[float | None]]
+) -> list[tuple[bool, bool, bool]]:
+    """Return the two verdicts and the truth of every group outside the tolerance."""
+    every = [(margin[1], a, b) for a, b, margin in zip(paper, own, margins_mm, strict=True)]
+    kept = [case for case in every if case[0] is None or abs(case[0]) >= TOO_CLOSE_MM]
+    return [(a, b, margin is not None and margin > 0.0) for margin, a, b in kept]
 
 
 def score_verdicts(

@@ -36,6 +36,7 @@ from touchdown.backend.geometry import (
     judge_tower,
     load_pieces,
 )
+from touchdown.backend.learning import PatchCalibration
 from touchdown.backend.placement import (
     GraspedPiece,
     ProbeObservation,
@@ -146,6 +147,7 @@ class BatchModel:
     predict: BatchPredict
     points_mm: FloatArray
     base_rate: float | None
+    calibration: PatchCalibration | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -243,7 +245,7 @@ def stack_in_lockstep(
     if create is None:
 
         def create(scene: Scene, at: XY) -> Strategy:
-            return make_strategy(grasped_piece_in(scene, model.base_rate), settings, at)
+            return make_strategy(grasped_piece_in(scene, model), settings, at)
 
     starts = zip(scenes, map(pair_of, bench.start_commands_mm()), strict=True)
     trials = [
@@ -262,11 +264,12 @@ def stack_in_lockstep(
 
 
 def grasped_piece_in(
-    scene: Scene, base_rate: float | None, below: SupportTower | None = None
+    scene: Scene, model: BatchModel | None, below: SupportTower | None = None
 ) -> GraspedPiece:
     """Return the properties of the grasped piece that a strategy may know."""
     height_mm, com = scene.settings.wrist.height_mm, scene.piece.com_xy_mm
-    return GraspedPiece(com, scene.grip_height_mm, base_rate, height_mm, below)
+    base_rate, calibration = (model.base_rate, model.calibration) if model else (None, None)
+    return GraspedPiece(com, scene.grip_height_mm, base_rate, height_mm, below, calibration)
 
 
 def pick_and_place_in_lockstep(

@@ -1,3 +1,5 @@
+from .calibration import PatchCalibration as PatchCalibration
+from .calibration import fit_calibration as fit_calibration
 from .checkpoint import Checkpoint as Checkpoint
 from .checkpoint import ModelCard as ModelCard
 from .checkpoint import card_path as card_path
@@ -6,6 +8,7 @@ from .checkpoint import load_checkpoint as load_checkpoint
 from .checkpoint import save_card as save_card
 from .checkpoint import save_checkpoint as save_checkpoint
 from .checkpoint import save_half_precision as save_half_precision
+from .fitting import calibrate_model as calibrate_model
 from .fitting import evaluate as evaluate
 from .fitting import evaluate_model as evaluate_model
 from .fitting import hardware_rows as hardware_rows
@@ -69,6 +72,7 @@ __all__ = [
     "ModelCard",
     "ModelRegistry",
     "NetworkShape",
+    "PatchCalibration",
     "PatchForward",
     "RecordedTraining",
     "SamplePrediction",
@@ -81,6 +85,7 @@ __all__ = [
     "TrainingRequest",
     "TrainingRun",
     "TrainingSetOverview",
+    "calibrate_model",
     "card_mismatches",
     "card_path",
     "channel_groups",
@@ -89,6 +94,7 @@ __all__ = [
     "evaluate",
     "evaluate_model",
     "fingerprint",
+    "fit_calibration",
     "hardware_rows",
     "list_training_runs",
     "load_card",

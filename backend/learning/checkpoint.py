@@ -18,6 +18,7 @@ from safetensors.numpy import save as save_arrays
 
 from touchdown.backend.config import SAMPLES_PER_PROBE, BenchDescription, first_error
 from touchdown.backend.core import InputError, write_atomically
+from touchdown.backend.learning.calibration import PatchCalibration
 from touchdown.backend.learning.inference import (
     ARCHITECTURES,
     VECTOR_ORDER,
@@ -51,6 +52,9 @@ class ModelCard(BaseModel):
         Share of face points in contact over the training data.
     weights_sha256 : str
         Hash of the weights.
+    calibration : PatchCalibration or None
+        Calibration of the probabilities, for the strategy ``paper-calibrated``; None in cards that
+        were written before there was one.
 
     Examples
     --------
@@ -90,6 +94,7 @@ class ModelCard(BaseModel):
     grid_mm: float = 1.0  # pitch of the face points
     # identifies the training set: episodes, files, label revisions and sides
     manifest_sha256: str = ""
+    calibration: PatchCalibration | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,12 +11,14 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from touchdown.backend.annotations import LabelChoice, is_dataset, load_training_set
 from touchdown.backend.config import BenchDescription, StabilitySettings
 from touchdown.backend.core import FloatArray, InputError, package_version, write_atomically
 from touchdown.backend.episodes import TrainingRows, load_rows
 from touchdown.backend.geometry import face_points, load_pieces
+from touchdown.backend.learning.calibration import PatchCalibration, fit_calibration
 from touchdown.backend.learning.checkpoint import (
     Checkpoint,
     ModelCard,
@@ -137,15 +139,37 @@ def evaluate_model(
             "points",
             "Simulate the episodes again with the present catalogue.",
         )
-    model, seen = load_network(checkpoint), modality_columns(card.modality)
-    parts = in_batches(np.arange(len(rows)))
-    probability = np.concatenate([predict(model, rows.inputs(part), seen) for part in parts])
+    probability = _predictions(checkpoint, rows)
     bottoms = np.array(rows.bottom)
     scores = {
         name: score(probability[bottoms == name], rows.patch[bottoms == name], points_mm, delta)
         for name in sorted(set(rows.bottom))
     }
     return {**scores, ALL: score(probability, rows.patch, points_mm, delta)}
+
+
+def _predictions(checkpoint: Checkpoint, rows: TrainingRows) -> NDArray[np.float32]:
+    model, seen = load_network(checkpoint), modality_columns(checkpoint.card.modality)
+    parts = in_batches(np.arange(len(rows)))
+    return np.concatenate([predict(model, rows.inputs(part), seen) for part in parts])
+
+
+def calibrate_model(checkpoint: Checkpoint, rows: TrainingRows) -> ModelCard:
+    """Return the card of ``checkpoint`` with a calibration fitted to ``rows``.
+
+    Use probes of mountings that were not trained on: probes of a known mounting share its errors,
+    so that the network appears surer than it is elsewhere. Raises ``InputError`` if the probes
+    determine no calibration.
+    """
+    try:
+        fitted = fit_calibration(_predictions(checkpoint, rows), rows.patch)
+    except ValueError as error:
+        raise InputError(
+            f"No calibration can be fitted to these episodes: {error}.",
+            f"model of '{checkpoint.card.piece}'",
+            "Use more episodes, over the whole range of displacements.",
+        ) from error
+    return checkpoint.card.model_copy(update={"calibration": fitted})
 
 
 DIVERGED_NATS = 2 * math.log(2)  # twice the loss of a constant prediction of 0.5
@@ -193,7 +217,7 @@ def fit_model(job: TrainingJob, tell: ReportCallback, cancelled: Callable[[], bo
             "Choose a smaller --learning-rate.",
         )
     probability = trainer.predict_held_out()
-    card = make_card(rows, trainer, data, read_benches(job.data, rows))
+    card = make_card(rows, trainer, data, read_benches(job.data, rows), probability)
     validation = card.metrics["validation"]
     validation["bottoms"] = bottom_figures(rows, trainer.split.held_out, probability)
     if job.keep is not None:
@@ -222,9 +246,16 @@ def load_episodes(data: Path, piece: str | None, labels: LabelChoice) -> Trainin
 
 
 def make_card(
-    rows: TrainingRows, trainer: Trainer, data: str, benches: tuple[BenchDescription, ...] = ()
+    rows: TrainingRows,
+    trainer: Trainer,
+    data: str,
+    benches: tuple[BenchDescription, ...] = (),
+    probability: NDArray[np.float32] | None = None,
 ) -> ModelCard:
-    """Return the card of a finished training; ``data`` is the fingerprint of ``rows``."""
+    """Return the card of a finished training; ``data`` is the fingerprint of ``rows``.
+
+    ``probability`` (n, N): predictions of the held-out episodes; None: predict them here.
+    """
     settings, best = trainer.settings, trainer.best_figures
     sources = sorted({str(label.get("source")) for label in rows.labels})
     return ModelCard(
@@ -264,4 +295,16 @@ def make_card(
         simulated=only_simulated(rows),
         benches=benches,
         manifest_sha256=sha256(training_manifest(rows, trainer.split)).hexdigest(),
+        calibration=_calibration(rows, trainer, probability),
     )
+
+
+def _calibration(
+    rows: TrainingRows, trainer: Trainer, probability: NDArray[np.float32] | None
+) -> PatchCalibration | None:
+    """Return the calibration on the held-out episodes; None if they determine none."""
+    held_out = trainer.predict_held_out() if probability is None else probability
+    try:
+        return fit_calibration(held_out, rows.patch[trainer.split.held_out])
+    except ValueError:
+        return None

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from touchdown.backend.config import BeliefSettings
 from touchdown.backend.core import BeliefMap, ContactPatch, FloatArray, InputError, read_only
+from touchdown.backend.learning import PatchCalibration
 from touchdown.backend.placement.equilibrium import convex_hull, inside_hull
 
 SNAP = 1e-6  # grids coincide below this fraction of the pitch
@@ -168,7 +169,8 @@ class Belief:
     """Belief map of one trial, with the evidence it was built from.
 
     ``visits``: offset of every probe, including replaced ones; ``evidence``: probes that count.
-    ``base_rate``: share of contact points in the training data.
+    ``base_rate``: share of contact points in the training data. ``calibration``: of the network;
+    None: probabilities are fused as the paper does.
     """
 
     settings: BeliefSettings
@@ -176,6 +178,7 @@ class Belief:
     evidence: tuple[CellEvidence, ...] = ()
     visits: tuple[tuple[float, float], ...] = ()
     base_rate: float = 0.5
+    calibration: PatchCalibration | None = None
 
     @classmethod
     def unknown(
@@ -183,6 +186,7 @@ class Belief:
         settings: BeliefSettings,
         origin_mm: tuple[float, float],
         base_rate: float | None = None,
+        calibration: PatchCalibration | None = None,
     ) -> Belief:
         """Return the belief before any probe: probability 0.5 everywhere.
 
@@ -200,7 +204,8 @@ class Belief:
         x_mm, y_mm = (at - reach * settings.pitch_mm for at in origin_mm)
         grid = CellGrid((x_mm, y_mm), settings.pitch_mm, (side, side))
         rate = 0.5 if base_rate is None else base_rate
-        return cls(settings, _fused(grid, (), settings.log_odds_limit), base_rate=rate)
+        blank = _fused(grid, (), settings.log_odds_limit)
+        return cls(settings, blank, base_rate=rate, calibration=calibration)
 
     def updated(self, patch: ContactPatch, offset_mm: tuple[float, float]) -> Belief:
         """Return the belief after a probe at ``offset_mm`` (commanded ``F``, frame of the map).
@@ -216,11 +221,18 @@ class Belief:
         least_mm = self.settings.min_shift_mm
         kept = tuple(e for e in self.evidence if math.dist(e.offset_mm, offset_mm) >= least_mm)
         evidence = (*kept, cover_cells(grid, patch.points_mm, values, offset_mm))
-        fused = _fused(grid, evidence, self.settings.log_odds_limit)
+        fused = _fused(grid, evidence, self.settings.log_odds_limit, self.prior_log_odds)
         return replace(self, map=fused, evidence=evidence, visits=visits)
 
+    @property
+    def prior_log_odds(self) -> float:
+        """Log odds of a covered cell before the evidence of any probe."""
+        return 0.0 if self.calibration is None else self.calibration.prior_log_odds
+
     def log_odds(self, probability: FloatArray) -> FloatArray:
-        """Convert ``probability`` (N,) to log odds with clipping, temperature and prior."""
+        """Convert ``probability`` (N,) to evidence: by the calibration, else by the settings."""
+        if self.calibration is not None:
+            return self.calibration.evidence(probability)
         clip = self.settings.clip
         p = np.clip(probability, clip, 1.0 - clip)
         evidence = np.log(p / (1.0 - p)) / self.settings.temperature
@@ -237,13 +249,19 @@ def is_finite(patch: ContactPatch) -> bool:
     return bool(((p >= 0.0) & (p <= 1.0)).all())
 
 
-def _fused(grid: CellGrid, evidence: tuple[CellEvidence, ...], limit: float) -> BeliefMap:
-    """Add all evidence, then limit the sum, so that the order of the probes does not matter."""
+def _fused(
+    grid: CellGrid, evidence: tuple[CellEvidence, ...], limit: float, prior_log_odds: float = 0.0
+) -> BeliefMap:
+    """Add all evidence, then limit the sum, so that the order of the probes does not matter.
+
+    The prior counts once in every covered cell; other cells stay unknown.
+    """
     log_odds = np.zeros(grid.shape)
     covered = np.zeros(grid.shape, dtype=np.bool_)
     for item in evidence:
         log_odds += item.log_odds
         covered |= item.covered
+    log_odds[covered] += prior_log_odds
     return BeliefMap(
         log_odds=np.clip(log_odds, -limit, limit),
         covered=covered,

@@ -24,6 +24,7 @@ from touchdown.backend.learning import (
     Checkpoint,
     LstmState,
     ModelCard,
+    PatchCalibration,
     PatchForward,
     load_checkpoint,
     modality_columns,
@@ -154,6 +155,11 @@ class Estimator:
     def base_rate(self) -> float:
         """Share of contact points in the training data."""
         return self.card.base_rate
+
+    @property
+    def calibration(self) -> PatchCalibration | None:
+        """Calibration of the probabilities, None if none was fitted."""
+        return self.card.calibration
 
     def prepare(self, early: NDArray[np.float32]) -> None:
         """Process the first ticks, (19, 258), of the probe that will be estimated next.

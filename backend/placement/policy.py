@@ -107,7 +107,8 @@ def _hull_on_face(
 ) -> FloatArray:
     """Return the hull of the latest patch alone, on the face points."""
     face = face_lattice(patch.points_mm, belief.map.pitch_mm)
-    hull = convex_hull(face.index[belief.log_odds(patch.probability) > log_odds_threshold(delta)])
+    log_odds = belief.prior_log_odds + belief.log_odds(patch.probability)
+    hull = convex_hull(face.index[log_odds > log_odds_threshold(delta)])
     corner = np.add(face.corner_mm, offset_mm)
     return np.asarray(corner + face.pitch_mm * hull, dtype=np.float64)
 

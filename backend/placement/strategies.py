@@ -1,8 +1,8 @@
 """Placement strategies: from the estimate of a probe to belief, stability and next action.
 
-``make_strategy`` selects one by name: paper, learned fusion, zero wrench. A strategy keeps the
-belief of one trial; it uses observations only, never the bottom. Zero wrench follows "Precise
-Object Placement Using Force-Torque Feedback" (arXiv 2404.17668).
+``make_strategy`` selects one by name: paper, paper with calibration, learned fusion, zero wrench. A
+strategy keeps the belief of one trial; it uses observations only, never the bottom. Zero wrench
+follows "Precise Object Placement Using Force-Torque Feedback" (arXiv 2404.17668).
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.backend.config import FusedSettings, StackSettings
+from touchdown.backend.config import FusedSettings, StabilitySettings, StackSettings
 from touchdown.backend.core import (
     TACTILE_CHANNELS,
     BeliefMap,
@@ -28,6 +28,7 @@ from touchdown.backend.core import (
     SupportKind,
 )
 from touchdown.backend.geometry import Outline, circle, inset_mm
+from touchdown.backend.learning import PatchCalibration
 from touchdown.backend.learning.fused import (
     TICKS,
     FusedCheckpoint,
@@ -154,7 +155,7 @@ class GraspedPiece:
     ``com_xy_mm``: centre of mass in ``F``; ``grip_height_mm``: pivot above the face; ``base_rate``:
     share of contact in the training data, None without a model. ``sensor_height_mm``: wrist sensor
     above the pivot, None if unknown. ``below``: entered tower under the touched surface, None if
-    there is none.
+    there is none. ``calibration``: that of the model's probabilities, None if it has none.
     """
 
     com_xy_mm: XY
@@ -162,6 +163,7 @@ class GraspedPiece:
     base_rate: float | None = None
     sensor_height_mm: float | None = None
     below: SupportTower | None = None
+    calibration: PatchCalibration | None = None
 
     def lever_mm(self) -> float:
         """Return the height of the sensor above the face; raises ``InputError`` if unknown."""
@@ -172,6 +174,17 @@ class GraspedPiece:
                 "Add it to the lab file, or choose another strategy.",
             )
         return self.grip_height_mm + self.sensor_height_mm
+
+    def known_calibration(self) -> PatchCalibration:
+        """Return the calibration of the model; raises ``InputError`` without one."""
+        if self.calibration is None:
+            raise InputError(
+                "The model has no calibration of its probabilities, which paper-calibrated needs.",
+                "strategy",
+                "Fit one to labelled probes (touchdown evaluate MODEL DATA --calibrate), or choose "
+                "the strategy paper.",
+            )
+        return self.calibration
 
 
 @dataclass(frozen=True, slots=True)
@@ -217,11 +230,17 @@ class SearchingStrategy(Strategy, Protocol):
 
 
 class PaperStrategy:
-    """Strategy of Ota et al.: independent cells, hull of the confident ones, step to its centre."""
+    """Strategy of Ota et al.: independent cells, hull of the confident ones, step to its centre.
+
+    ``paper`` adds the raw logits of all probes. ``paper-calibrated`` adds calibrated evidence to a
+    prior that counts once.
+    """
 
     def __init__(self, held: GraspedPiece, settings: StackSettings, origin_mm: XY) -> None:
         self._held, self._settings = held, settings
-        self._belief = Belief.unknown(settings.belief, origin_mm, held.base_rate)
+        calibrated = settings.strategy == "paper-calibrated"
+        calibration = held.known_calibration() if calibrated else None
+        self._belief = Belief.unknown(settings.belief, origin_mm, held.base_rate, calibration)
         self._patch: ContactPatch | None = None
 
     def conclude(self, touched: ProbeObservation) -> PlaceDecision:
@@ -236,14 +255,20 @@ class PaperStrategy:
 
     def stable_at(self, offset_mm: XY) -> bool:
         """Judge the map there; with ``judge_from`` "patch" the latest patch, shifted."""
-        if self._patch is None:
-            return False
-        com, rules = self._held.com_xy_mm, self._settings.stability
-        return judge_stability(self._belief, self._patch, com, offset_mm, rules).stable
+        return self._judge(offset_mm, self._settings.stability)
 
     def likely_at(self, offset_mm: XY) -> bool:
-        """Return ``stable_at``: this strategy has a single threshold."""
-        return self.stable_at(offset_mm)
+        """Judge calibrated probabilities by one half; others have a single threshold."""
+        rules = self._settings.stability
+        if self._belief.calibration is not None:
+            rules = rules.model_copy(update={"delta": EVEN})
+        return self._judge(offset_mm, rules)
+
+    def _judge(self, offset_mm: XY, rules: StabilitySettings) -> bool:
+        if self._patch is None:
+            return False
+        com = self._held.com_xy_mm
+        return judge_stability(self._belief, self._patch, com, offset_mm, rules).stable
 
 
 NO_ESTIMATE = (
@@ -491,7 +516,7 @@ def make_strategy(held: GraspedPiece, settings: StackSettings, origin_mm: XY) ->
     held : GraspedPiece
         Grasped piece, with centre of mass in frame ``F``.
     settings : StackSettings
-        Strategy ("paper", "fused" or "zero-wrench") and its settings.
+        Strategy ("paper", "paper-calibrated", "fused" or "zero-wrench") and its settings.
     origin_mm : tuple of float
         Offset of the first probe.
 
@@ -503,7 +528,8 @@ def make_strategy(held: GraspedPiece, settings: StackSettings, origin_mm: XY) ->
     Raises
     ------
     InputError
-        If the strategy does not probe, or lacks data such as the height of the sensor.
+        If the strategy does not probe, or lacks data such as the height of the sensor or the
+        calibration of the model.
 
     """
     if settings.strategy == "fused":

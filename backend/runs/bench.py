@@ -31,6 +31,7 @@ from touchdown.backend.core import (
 )
 from touchdown.backend.devices import Arm, Device, Gripper, GuardedArm, GuardedGripper, Interlock
 from touchdown.backend.geometry import Outline, Piece, PieceLibrary
+from touchdown.backend.learning import PatchCalibration
 from touchdown.backend.placement import SupportTower
 from touchdown.backend.runs.recorder import RunStore
 from touchdown.backend.runs.requests import RunStatus, SceneChoice
@@ -96,6 +97,10 @@ class PatchEstimator(Protocol):
     def base_rate(self) -> float | None:
         """Share of contact points in its training data, for the prior correction."""
 
+    @property
+    def calibration(self) -> PatchCalibration | None:
+        """Calibration of its probabilities, None if none was fitted."""
+
     def prepare(self, early: NDArray[np.float32]) -> None:
         """Process the first ticks of the probe in progress to shorten its estimate."""
 
@@ -107,6 +112,7 @@ class NoEstimator:
     """Placeholder for runs that need no model, such as data collection."""
 
     base_rate: float | None = None
+    calibration: PatchCalibration | None = None
 
     def prepare(self, early: NDArray[np.float32]) -> None:
         """Do nothing."""

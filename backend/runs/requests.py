@@ -54,8 +54,9 @@ class StackRequest:
         Trial k = 0, 1, ... uses ``seed + k``.
     trials : int, default: 1
         Number of trials.
-    strategy : {"paper", "fused", "zero-wrench", "pick-and-place"}, default: "paper"
-        Strategy of the decisions; "pick-and-place" on simulated benches only.
+    strategy : str, default: "paper"
+        Strategy of the decisions: "paper", "paper-calibrated", "fused", "zero-wrench", or, on
+        simulated benches only, "pick-and-place".
     mode : {"auto", "approve", "step"}, default: "auto"
         Moves without approval, or each after ``Session.answer(True)``.
     model : str, optional

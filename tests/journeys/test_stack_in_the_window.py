@@ -24,6 +24,7 @@ class KnowsTheBottom:
     """Estimates the contact of a face on the short bottom from the offset alone (no training)."""
 
     base_rate = 0.3
+    calibration = None
 
     def __init__(self, piece):
         self._points = face_points(piece.face)

@@ -21,6 +21,7 @@ from touchdown.widgets.forms.fields import (
 NO_BODY = "nothing"
 STRATEGIES = (
     ("paper", "Probe and believe"),
+    ("paper-calibrated", "Probe and believe, calibrated"),
     ("fused", "Learned fusion"),
     ("zero-wrench", "Release at zero wrench"),
     ("pick-and-place", "Pick and place"),

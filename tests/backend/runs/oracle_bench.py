@@ -21,6 +21,7 @@ class Oracle:
     """Returns the true patch with a probability of 95 % at every point."""
 
     base_rate = None
+    calibration = None
 
     def __init__(self, bench: SimulatedBench) -> None:
         self._bench, self._points = bench, face_points(bench.scene.piece.face)

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from touchdown.backend.config.method import FusedSettings, StackSettings
 from touchdown.backend.config.simulation import SimulationSettings, load_simulation
@@ -16,10 +17,12 @@ from touchdown.backend.experiments.comparison import (
     comparison_report,
     comparison_tables,
     oracle_shares,
+    paired_changes,
 )
 from touchdown.backend.experiments.document import report_page
 from touchdown.backend.experiments.models import adopt_models, shipped_model_folders
 from touchdown.backend.experiments.results import comparison_beside, write_comparison
+from touchdown.backend.experiments.statistics import verdict_changes
 from touchdown.backend.experiments.strategies import (
     FORMAT,
     PROBABILITY_STEPS,
@@ -128,6 +131,43 @@ def test_shares_of_the_way_count_what_all_three_did() -> None:
     rows = oracle_shares({}, said)
     assert [r["what"] for r in rows] == [f"balanced, n = {n}" for n in NS]
     assert (rows[0]["paper"], rows[0]["own"], rows[0]["share"]) == (0.5, 1.0, 1.0)
+
+
+def test_changes_are_paired_by_seed() -> None:
+    def cell(*outcomes: str) -> list[Json]:
+        return [{"seed": k, "outcome": word} for k, word in enumerate(outcomes)]
+
+    trials = {
+        ("paper", "pot", "short"): cell("fell", "placed", "fell", "gave_up", "placed"),
+        ("mine", "pot", "short"): cell("placed", "placed", "fell", "fell"),
+    }
+    placed, unsafe = paired_changes(trials, {})
+    assert (placed["n"], placed["paper"], placed["own"]) == (4, 0.25, 0.5)
+    assert (placed["only_paper"], placed["only_own"]) == (0, 1)
+    assert placed["low"] <= placed["change"] == 0.25 <= placed["high"]
+    assert (unsafe["change"], unsafe["only_paper"], unsafe["only_own"]) == (0.0, 1, 1)
+    same = {**trials, ("mine", "pot", "short"): trials["paper", "pot", "short"]}
+    assert paired_changes(same, {})[0]["low"] is None
+    said = {
+        ("paper", "pot", "short"): {1: answer([False] * 2, [False] * 2, [2.0, -2.0])},
+        ("mine", "pot", "short"): {1: answer([False] * 2, [True, False], [2.0, -2.0])},
+    }
+    rows = {row["what"]: row for row in paired_changes({}, said)}
+    assert rows["right, n = 3"]["change"] == rows["balanced, n = 3"]["change"] == 0.5
+    assert "only_own" not in rows["right, n = 3"]
+
+
+def test_changes_of_verdicts_have_the_interval_of_a_paired_statistic() -> None:
+    rng = np.random.default_rng(5)
+    truth = rng.random(200) < 0.5
+    before, after = (np.where(rng.random(200) < p, truth, ~truth) for p in (0.6, 0.75))
+    found = verdict_changes(list(zip(before, after, truth, strict=True)))
+    gain = (after == truth).astype(float) - (before == truth)
+    sem = stats.sem(gain)
+    assert found["accuracy"]["change"] == pytest.approx(gain.mean())
+    assert found["accuracy"]["high"] == pytest.approx(gain.mean() + stats.norm.ppf(0.975) * sem)
+    halves = [gain[truth].mean(), gain[~truth].mean()]
+    assert found["balanced"]["change"] == pytest.approx(np.mean(halves))
 
 
 def test_towers_have_the_seeds_of_table_3(bench_v1: SimulationSettings) -> None:

@@ -23,6 +23,7 @@ from touchdown.backend.geometry.pieces import Piece, load_pieces
 from touchdown.backend.learning.checkpoint import (
     Checkpoint,
     ModelCard,
+    card_path,
     load_card,
     load_checkpoint,
     save_checkpoint,
@@ -335,6 +336,30 @@ def test_train_then_evaluate(
 
     assert main(["evaluate", str(out), str(data)]) == 0
     assert "circle15" in capsys.readouterr().out
+
+
+def test_evaluate_adds_a_calibration_to_a_card_without_one(
+    tmp_path: Path, write_data: Data, capsys: pytest.CaptureFixture[str]
+) -> None:
+    data, out = write_data(tmp_path / "data", 36), tmp_path / "pot.safetensors"
+    words = ["train", str(data), "--out", str(out), "--epochs", "1", "--threads", "1"]
+    assert main([*words, "--batch", "16"]) == 0
+    trained = load_card(out)
+    assert trained.calibration is not None
+    assert trained.calibration.probes == trained.data["held_out"]
+    card = json.loads(card_path(out).read_text())
+    del card["calibration"]
+    card_path(out).write_text(json.dumps(card))
+    assert load_card(out).calibration is None
+
+    assert main(["evaluate", str(out), str(data), "--calibrate"]) == 0
+    assert "temperature" in capsys.readouterr().out
+    fitted = load_card(out).calibration
+    assert fitted is not None
+    assert fitted.probes == 36
+    assert load_card(out).model_copy(update={"calibration": None}) == trained.model_copy(
+        update={"calibration": None}
+    )
 
 
 @pytest.mark.parametrize(

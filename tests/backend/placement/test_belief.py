@@ -18,6 +18,7 @@ from touchdown.backend.config.method import BeliefSettings
 from touchdown.backend.core.faults import InputError
 from touchdown.backend.core.values import BeliefMap, ContactPatch, Episode
 from touchdown.backend.geometry.outlines import inset_mm, rectangle
+from touchdown.backend.learning.calibration import PatchCalibration
 from touchdown.backend.learning.fused.inference import InsetDistribution
 from touchdown.backend.placement import label_review
 from touchdown.backend.placement.belief import Belief, CellGrid, cover_cells
@@ -69,6 +70,21 @@ def test_published_vectors(
     covered = belief.map.log_odds[belief.map.covered]
     np.testing.assert_allclose(covered, log_odds, atol=5e-5)
     assert belief.map.probes == len(estimates)
+
+
+def test_a_calibrated_map_counts_the_prior_once_and_divides_by_the_temperature() -> None:
+    fitted = PatchCalibration(temperature=2.0, bias=0.1, prior=0.3)
+    belief = Belief.unknown(RAW, HERE, calibration=fitted)
+    before = belief.map.log_odds.copy()
+    for p in (0.7, 0.8, 0.4):
+        belief = belief.updated(uniform(p), HERE)
+    prior = math.log(0.3 / 0.7)
+    single = [math.log(p / (1 - p)) / 2 + 0.1 for p in (0.7, 0.8, 0.4)]
+    np.testing.assert_allclose(
+        belief.map.log_odds[belief.map.covered], sum(single) - 2 * prior, atol=1e-12
+    )
+    assert not before.any()
+    assert not belief.map.log_odds[~belief.map.covered].any()
 
 
 def test_unknown_is_one_half_everywhere() -> None:

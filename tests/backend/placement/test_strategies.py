@@ -30,6 +30,7 @@ from touchdown.backend.core.values import ContactPatch, FloatArray
 from touchdown.backend.geometry.outlines import Outline, circle, face_points, inset_mm, rectangle
 from touchdown.backend.geometry.pieces import PieceLibrary, load_pieces
 from touchdown.backend.geometry.tower import Body, Tower, judge_tower
+from touchdown.backend.learning.calibration import PatchCalibration
 from touchdown.backend.learning.fused.checkpoint import shipped_fused
 from touchdown.backend.learning.fused.features import GraspedFace, wrench_at_sensor
 from touchdown.backend.learning.fused.inference import InsetDistribution
@@ -540,6 +541,31 @@ def test_without_the_height_of_the_sensor_no_moment_can_be_read() -> None:
         make_strategy(
             GraspedPiece((0.0, 0.0), 30.0), StackSettings(strategy="zero-wrench"), (0.0, 0.0)
         )
+
+
+def test_calibrated_fusion_needs_a_calibration_and_names_the_command() -> None:
+    held = GraspedPiece((0.0, 0.0), 30.0, base_rate=0.3)
+    with pytest.raises(InputError, match="no calibration") as error:
+        make_strategy(held, StackSettings(strategy="paper-calibrated"), (0.0, 0.0))
+    assert "evaluate MODEL DATA --calibrate" in error.value.fix
+    assert make_strategy(held, StackSettings(), (0.0, 0.0))  # the paper's needs none
+
+
+def test_calibrated_fusion_releases_by_the_paper_s_threshold_and_predicts_by_one_half() -> None:
+    held = GraspedPiece(
+        (0.0, 0.0), 30.0, calibration=PatchCalibration(temperature=3.0, bias=0.0, prior=0.5)
+    )
+    patch = ContactPatch(FACE.copy(), np.full(len(FACE), 0.95))
+    seen = ProbeObservation(press((0.0, 0.0)), patch, (0.0, 0.0))
+    calibrated, paper = (
+        make_strategy(held, StackSettings(strategy=name), (0.0, 0.0))
+        for name in ("paper-calibrated", "paper")
+    )
+    # 0.95 is above 0.9; calibrated it is 0.73.
+    assert paper.conclude(seen).action.kind == "release"
+    assert calibrated.conclude(seen).action.kind == "shift"
+    assert not calibrated.stable_at((0.0, 0.0))
+    assert calibrated.likely_at((0.0, 0.0))
 
 
 def test_letting_go_untested_concludes_nothing() -> None:

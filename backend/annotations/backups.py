@@ -99,8 +99,8 @@ class BackupStore:
         """Return the newest backup, None if there is none."""
         return next((backup.path for backup in list_backups(self._folder)), None)
 
-    def make(self, reason: str) -> Path:
-        """Copy, verify and name the catalogue, then prune old backups.
+    def make(self, reason: str, *, prune: bool = True) -> Path:
+        """Copy, verify and name the catalogue, then ``prune`` old backups.
 
         Readers continue during the copy; writers wait. Raises ``FaultError`` if the copy fails.
         """
@@ -115,7 +115,7 @@ class BackupStore:
             finally:
                 part.unlink(missing_ok=True)
             sync_folder(self._folder)
-            for old in surplus_backups(list_backups(self._folder)):
+            for old in surplus_backups(list_backups(self._folder)) if prune else ():
                 old.path.unlink()
         self._last = made
         if self._database.writable:

@@ -139,7 +139,16 @@ class ConsistencyProblem:
     @property
     def is_damage(self) -> bool:
         """True if data were lost or damaged, False for ordinary work after a crash or a copy."""
-        return self.kind not in ("adopt", "back", "interrupted", "left-over", "moved")
+        return self.kind not in (
+            "adopt", "back", "behind", "interrupted", "left-over", "moved", "unfinished",
+        )  # fmt: skip
+
+    @property
+    def stays_listed(self) -> bool:
+        """True if its repair leaves no row that tells of it, so that its event does."""
+        return self.kind in ("double", "heads", "journal", "journal-damaged", "replay") or (
+            self.kind == "torn" and self.target.endswith(".mcap")
+        )
 
 
 def leftover(parts: DatasetParts, path: Path, why: str) -> ConsistencyProblem:

@@ -5,6 +5,7 @@ Transactions are explicit. A migration works on a copy, which then replaces the 
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import sqlite3
@@ -184,6 +185,7 @@ GUARDS = "".join(_guards(table, key) for table, key in KEYS.items())
 SCHEMA = TABLES + GUARDS + RUNS + CHECKED + APART
 
 CATALOGUE_FILE = "catalog.db"
+REBUILD = "'touchdown dataset rebuild --replace' rebuilds it from files and journal."
 BUSY_MS = 2000  # longest wait for a lock held by another program
 LEAST_ROOM = 1_000_000
 Row = tuple[Any, ...]
@@ -217,11 +219,7 @@ class Database:
             connection = _connect(path, mode)
             found = _examine(connection, path)
             if found == 0 and not write:
-                raise InputError(
-                    "The catalogue is empty.",
-                    str(path),
-                    "'touchdown dataset rebuild --replace' rebuilds it from files and journal.",
-                )
+                raise InputError("The catalogue is empty.", str(path), REBUILD)
             if found == 0:
                 _create(connection)
         except (sqlite3.Error, InputError) as error:
@@ -285,6 +283,11 @@ class Database:
             raise LookupError(f"no row: {sql}")
         return row
 
+    def damage(self) -> str:
+        """Return the first damage of the file that SQLite finds, "" if there is none."""
+        (verdict,) = self.one("PRAGMA integrity_check(1)")
+        return "" if verdict == "ok" else " ".join(str(verdict).split())
+
     def copy_to(self, target: Path) -> None:
         """Write a consistent copy to ``target``, including the WAL."""
         with closing(sqlite3.connect(target)) as copy, self._lock:
@@ -294,6 +297,15 @@ class Database:
         """Close the connection. A second call has no effect."""
         with self._lock:
             self._connection.close()
+
+
+@contextmanager
+def catalogue_errors(path: Path) -> Iterator[None]:
+    """Raise ``InputError`` if the catalogue ``path`` turns out to be unreadable."""
+    try:
+        yield
+    except (sqlite3.Error, json.JSONDecodeError) as error:
+        raise _open_error(path, error) from error
 
 
 def add_event(
@@ -350,9 +362,7 @@ def _examine(connection: sqlite3.Connection, path: Path) -> int:
         )
     if 0 < version < SCHEMA_VERSION:
         raise InputError(
-            f"The catalogue is of schema {version}, before the first release.",
-            str(path),
-            "'touchdown dataset rebuild --replace' rebuilds it from files and journal.",
+            f"The catalogue is of schema {version}, before the first release.", str(path), REBUILD
         )
     return version
 
@@ -367,9 +377,9 @@ def _create(connection: sqlite3.Connection) -> None:
     )
 
 
-def _open_error(path: Path, error: sqlite3.Error) -> InputError:
+def _open_error(path: Path, error: Exception) -> InputError:
     why = "The catalogue cannot be opened"
-    fix = "Check the folder; 'touchdown dataset rebuild' rebuilds it from files and journal."
+    fix = f"Check the folder. {REBUILD}"
     if shutil.disk_usage(path.parent).free < LEAST_ROOM:
         why += ", as its disk is full"
         fix = "Make room on it, then try again."

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import socket
+import sqlite3
 import time
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator
@@ -32,6 +33,7 @@ from touchdown.backend.annotations.database import (
     SCHEMA_VERSION,
     Database,
     add_event,
+    catalogue_errors,
 )
 from touchdown.backend.annotations.episode_files import LOSSES, check_losses, read_packed
 from touchdown.backend.annotations.episode_index import PAGE, PairCount, tagged_sides
@@ -39,7 +41,12 @@ from touchdown.backend.annotations.geometry_records import GeometryStore, TruePa
 from touchdown.backend.annotations.labels import LabelStore
 from touchdown.backend.annotations.operation_log import OperationJournal
 from touchdown.backend.annotations.queues import ScoreStore
-from touchdown.backend.annotations.reconciliation import MergeReport, check_dataset, reconcile
+from touchdown.backend.annotations.reconciliation import (
+    MergeReport,
+    check_dataset,
+    open_findings,
+    reconcile,
+)
 from touchdown.backend.annotations.review import check_person
 from touchdown.backend.annotations.run_tracking import RunTracker
 from touchdown.backend.annotations.storage import WriterLock, check_local_disk, disk_weakness
@@ -223,7 +230,8 @@ class Dataset:
             raise
         dataset = cls(folder, description, database, lock)
         try:
-            dataset._reconcile(progress)
+            with catalogue_errors(database.path):
+                dataset._reconcile(progress)
         except BaseException:
             dataset.close()
             raise
@@ -246,28 +254,41 @@ class Dataset:
                 "Touchdown that wrote it.",
             )
         else:
-            self.problems = list(check_losses(self.parts, whole=False))
+            self.problems = [*check_losses(self.parts, whole=False), *open_findings(self.parts)]
             self.notices = problem_lines(self.problems)
 
     def verify(self, progress: CheckProgress) -> list[ConsistencyProblem]:
         """Read every file and label operation, and return all damage until it is resolved.
 
         Damage is recorded if the dataset is open for writing. What opening repaired is returned
-        as well. ``progress`` receives what is checked, and numbers of checked and of all.
+        as well. ``progress`` receives what is checked, and numbers of checked and of all. Raises
+        ``InputError`` if the catalogue cannot be read.
         """
         parts = replace(self.parts, progress=progress)
-        if self.writable:
-            found = reconcile(parts, whole=True, again=True)
-        else:
-            found = list(check_dataset(parts, whole=True))
-        targets = {problem.target for problem in found}
-        # Losses of episodes are among the found ones, unless they were resolved since the opening.
-        before = [
-            problem
-            for problem in self.problems
-            if problem.target not in targets and not self.entries([problem.target])
-        ]
+        with catalogue_errors(self.database.path):
+            if self.writable:
+                found = reconcile(parts, whole=True, again=True)
+            else:
+                found = list(check_dataset(parts, whole=True))
+            targets = {problem.target for problem in found}
+            # Losses of episodes are among the found ones, unless resolved since the opening.
+            before = [
+                problem
+                for problem in self.problems
+                if problem.target not in targets and not self.entries([problem.target])
+            ]
         return [problem for problem in (*before, *found) if problem.is_damage]
+
+    def resolve(self, person: str, *kinds: str) -> list[ConsistencyProblem]:
+        """Mark repaired damage (default: of all kinds) as resolved by ``person``; return it.
+
+        It is not listed again. A lost recording stays listed until its file is back or the episode
+        is deleted.
+        """
+        done = reconciliation.resolve_findings(self.parts, check_person(person), *kinds)
+        closed = {(one.kind, one.target) for one in done}
+        self.problems = [p for p in self.problems if (p.kind, p.target) not in closed]
+        return done
 
     @property
     def parts(self) -> DatasetParts:
@@ -459,8 +480,8 @@ class Dataset:
     def close(self) -> None:
         """Back up, close the catalogue and release the lock. A second call has no effect."""
         if self._lock is not None:
-            self._back_up(partial(self.backups.if_changed, "close"))
-            with suppress(FaultError, RefusedError):
+            with suppress(FaultError, RefusedError, sqlite3.Error):
+                self._back_up(partial(self.backups.if_changed, "close"))
                 # Without it the next opening checks every folder.
                 self._checked.keep(self.database)
         self.database.close()

@@ -12,7 +12,7 @@ import time
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from hashlib import file_digest
+from hashlib import file_digest, sha256
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -41,6 +41,7 @@ from touchdown.backend.episodes import (
     DAMAGED_FILE_FIX,
     LABEL_TOPIC,
     OBSERVATION_TOPIC,
+    START_KEY,
     StoredChunk,
     input_errors,
     read_chunk,
@@ -460,9 +461,7 @@ def read_pack_chunks(path: Path) -> Iterator[PackEntry]:
         with input_errors(path):
             label = unpack_json(messages[0])
             label_of(label)
-            # The id derives from the content.
-            uuid = uuid7_from_parts(0, int(chunk.sha256, 16) >> (256 - RANDOM_BITS))
-            yield PackEntry(uuid, chunk, label)
+            yield PackEntry(_packed_uuid(chunk), chunk, label)
 
 
 def read_packed(path: Path, chunk: tuple[int, int]) -> Episode:
@@ -473,6 +472,15 @@ def read_packed(path: Path, chunk: tuple[int, int]) -> Episode:
         observation = unpack_observation(group.messages[OBSERVATION_TOPIC.name])
         name, piece = str(label["episode"]), str(label["piece"])
         return Episode(name, piece, observation, label_of(label).offset_mm, 0.0, GOOD)
+
+
+def _packed_uuid(chunk: StoredChunk) -> str:
+    """Return the id of a packed episode, derived from its content without its log times."""
+    digest = chunk.sha256
+    if START_KEY in chunk.contents.metadata.get("pack", {}):
+        topics = sorted(chunk.contents.messages.items())
+        digest = sha256(b"".join(row for _, rows in topics for row in rows)).hexdigest()
+    return uuid7_from_parts(0, int(digest, 16) >> (256 - RANDOM_BITS))
 
 
 def _compare_pack(

@@ -8,14 +8,15 @@ from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
-from touchdown.backend.annotations.backups import put_in_place
+from touchdown.backend.annotations.backups import BackupStore, put_in_place
 from touchdown.backend.annotations.consistency import DatasetParts, problem_lines
 from touchdown.backend.annotations.database import CATALOGUE_FILE, Database
 from touchdown.backend.annotations.dataset import Dataset, read_description
 from touchdown.backend.annotations.geometry_records import GeometryStore
 from touchdown.backend.annotations.operation_log import OperationJournal
-from touchdown.backend.annotations.reconciliation import reconcile
+from touchdown.backend.annotations.reconciliation import reconcile, resolve_findings
 from touchdown.backend.annotations.storage import NotWritableError, WriterLock
+from touchdown.backend.annotations.values import PROGRAM_ACTOR
 from touchdown.backend.core import InputError
 
 REBUILT = ".rebuilt.db"
@@ -78,7 +79,7 @@ def rebuild_dataset(folder: Path, *, replace: bool, person: str = "") -> Rebuild
         path = folder / REBUILT
         _delete(path)
         try:
-            notices = _make(folder, path, carry=readable)
+            notices = _make(folder, path, carry=readable, back_up=replace)
             result = _compare(folder, path, notices, readable, replace)
             if replace:
                 put_in_place(folder, path)
@@ -94,20 +95,24 @@ def _settle(folder: Path, person: str) -> bool:
     read_description(folder)
     try:
         with Dataset.open(folder, create=False, person=person) as dataset:
-            return not dataset.labels.frozen
+            return not dataset.labels.frozen and not dataset.database.damage()
     except NotWritableError:
         raise
     except InputError:
         return False
 
 
-def _make(folder: Path, path: Path, *, carry: bool) -> tuple[str, ...]:
+def _make(folder: Path, path: Path, *, carry: bool, back_up: bool) -> tuple[str, ...]:
     site = read_description(folder).site
     with closing(Database.open(path, write=True)) as database:
         journal, geometry = OperationJournal(folder / "labels"), GeometryStore(folder / "geometry")
         if carry:
             _carry_over(database, folder / CATALOGUE_FILE)
-        found = reconcile(DatasetParts(folder, database, journal, geometry, site))
+        parts = DatasetParts(folder, database, journal, geometry, site)
+        found = reconcile(parts)
+        resolve_findings(parts, PROGRAM_ACTOR, "replay")
+        if back_up:
+            BackupStore(database, folder / "backup").make("rebuild", prune=False)
     return problem_lines(finding for finding in found if finding.kind not in ("adopt", "replay"))
 
 

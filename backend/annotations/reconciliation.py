@@ -9,13 +9,17 @@ import sqlite3
 import time
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
+from contextlib import closing, suppress
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from functools import partial
+from itertools import zip_longest
 from pathlib import Path
 
 from touchdown.backend.annotations import operation_log, review
+from touchdown.backend.annotations.backups import list_backups
 from touchdown.backend.annotations.consistency import ConsistencyProblem, DatasetParts, leftover
-from touchdown.backend.annotations.database import Database, add_event
+from touchdown.backend.annotations.database import REBUILD, SCHEMA, Database, add_event
 from touchdown.backend.annotations.episode_files import (
     check_episode_files,
     check_losses,
@@ -77,11 +81,60 @@ def check_labels(parts: DatasetParts, *, whole: bool) -> Iterator[ConsistencyPro
     wrong = wrong_heads(parts, whole=whole)
     if wrong:
         message = f"{len(wrong)} label heads did not follow from the revisions: rebuilt."
-        yield ConsistencyProblem("heads", str(len(wrong)), message, review.rebuild_heads)
+        yield ConsistencyProblem("heads", parts.database.path.name, message, review.rebuild_heads)
+
+
+# Tables that follow from the operations.
+DERIVED = ("label_rev", "closed", "mark", "review", "opinion", "apart")
+# Columns of an episode file that never change.
+RECORDED = (
+    "series, campaign, plan_item, sha256, bytes, recorded_ns, piece, bottom, geometry, grip_id,"
+    " mounting_id, person, mode, quality, accepted, keep_frames"
+)
+
+
+def check_catalogue(parts: DatasetParts) -> list[ConsistencyProblem]:
+    """Return a problem if the file is damaged, or differs from operations or newest backup."""
+    damage = parts.database.damage()
+    if not damage:
+        with parts.database.reading() as connection:
+            connection.execute("BEGIN")
+            try:
+                damage = _difference(parts, connection)
+            finally:
+                connection.execute("ROLLBACK")
+    message = f"The catalogue is damaged ({damage}). {REBUILD}"
+    target = parts.database.path.name
+    return [ConsistencyProblem("catalogue", target, message, lasting=True)] if damage else []
+
+
+def _difference(parts: DatasetParts, connection: sqlite3.Connection) -> str:
+    """Return the first table that does not follow from the operations, "" if all do."""
+    with closing(sqlite3.connect(":memory:", isolation_level=None)) as expected:
+        expected.executescript(f"{SCHEMA} BEGIN")
+        try:
+            for operation in _counted(parts, read_operations(connection)):
+                store_operation(expected, operation)
+        except (KeyError, TypeError, ValueError, sqlite3.Error) as error:
+            return f"an operation: {error}"
+        for table in DERIVED:
+            sql = f"SELECT * FROM {table} ORDER BY 1, 2"  # noqa: S608
+            pairs = zip_longest(expected.execute(sql), connection.execute(sql))
+            if any(row != other for row, other in pairs):
+                return f"table {table} differs from the operations"
+    recorded = f"SELECT uuid, {RECORDED} FROM episode WHERE kind = 'file'"  # noqa: S608
+    for backup in list_backups(parts.folder / "backup")[:1]:
+        address = f"{backup.path.resolve().as_uri()}?mode=ro&immutable=1"
+        with suppress(sqlite3.Error), closing(sqlite3.connect(address, uri=True)) as copy:
+            old = {uuid: row for uuid, *row in copy.execute(recorded)}
+            for uuid, *row in connection.execute(recorded):
+                if old.get(uuid, row) != row:
+                    return f"the row of episode {uuid} differs from {backup.path.name}"
+    return ""
 
 
 def wrong_heads(parts: DatasetParts, *, whole: bool) -> list[str]:
-    """Return episodes whose head is missing, not a leaf, or (``whole``) not the valid revision."""
+    """Return episodes whose head is missing, not a leaf, or (``whole``) differs."""
     rows = parts.database.rows(
         "SELECT DISTINCT r.episode FROM label_rev r LEFT JOIN label_head h USING (episode)"
         " WHERE h.episode IS NULL"
@@ -93,14 +146,11 @@ def wrong_heads(parts: DatasetParts, *, whole: bool) -> list[str]:
     found = {episode for (episode,) in rows}
     if whole:
         with parts.database.reading() as connection:
-            heads = connection.execute("SELECT episode, rev_uuid, conflict FROM label_head")
-            listed = heads.fetchall()
-            for done, (episode, rev_uuid, conflict) in enumerate(listed):
-                parts.progress("Labels", done, len(listed))
-                head = review.head_of(*review.read_nodes(connection, episode))
-                expected = head and (head.node.rev_uuid, int(len(head.leaves) > 1))
-                if expected != (rev_uuid, conflict):
-                    found.add(episode)
+            heads = connection.execute("SELECT * FROM label_head").fetchall()
+            for done, row in enumerate(heads):
+                parts.progress("Labels", done, len(heads))
+                if review.head_row(connection, row[0]) != row:
+                    found.add(row[0])
     return sorted(found)
 
 
@@ -128,7 +178,10 @@ def _compare_journal(
                 f"{newest[0] - last[0]} label operations were missing in the journal: written."
             )
             catch_up = partial(parts.journal.catch_up, site=site)
-            return [], [ConsistencyProblem("journal", site, message, catch_up)]
+            # A crash leaves at most the newest one unwritten.
+            is_damage = parts.checked.looks or newest[0] - last[0] > 1
+            kind = "journal" if is_damage else "behind"
+            return [], [ConsistencyProblem(kind, site, message, catch_up)]
     try:
         operations = list(read_journal(path))
         if last == newest:
@@ -217,8 +270,14 @@ def check_dataset(parts: DatasetParts, *, whole: bool = False) -> Iterator[Consi
     ``whole`` reads every file and checks every operation. Otherwise the newest operations are
     checked, and the file sizes in folders that are not known to be in order.
     """
+    if whole and (damage := check_catalogue(parts)):
+        yield from damage
+        return
+    known: set[str] = set()
     for check in _checks(parts, whole):
-        yield from check
+        found = [problem for problem in check if not (problem.lasting and problem.target in known)]
+        known |= {problem.target for problem in found}
+        yield from found
 
 
 def _checks(parts: DatasetParts, whole: bool) -> Iterator[Iterator[ConsistencyProblem]]:
@@ -229,6 +288,7 @@ def _checks(parts: DatasetParts, whole: bool) -> Iterator[Iterator[ConsistencyPr
     yield check_runs(parts)
     yield _left_overs(parts)
     yield check_losses(parts, whole=whole)
+    yield open_findings(parts)
 
 
 def reconcile(
@@ -238,6 +298,8 @@ def reconcile(
 
     ``again`` also returns the problems for a person that were reported before.
     """
+    if whole and (damage := check_catalogue(parts)):
+        return damage
     reported: list[ConsistencyProblem] = []
     for check in _checks(parts, whole):
         known = {problem.target for problem in reported}
@@ -266,7 +328,7 @@ def _repaired(
             connection.execute("SAVEPOINT one")
             try:
                 finding.repair(connection)
-                body = {"said": finding.message}
+                body = {"said": finding.message, "open": finding.stays_listed}
                 add_event(connection, PROGRAM_ACTOR, finding.kind, finding.target, body)
                 reported.append(finding)
             except (InputError, OSError, sqlite3.IntegrityError) as error:
@@ -287,6 +349,36 @@ def _is_new(parts: DatasetParts, finding: ConsistencyProblem) -> bool:
     with parts.database.transaction() as connection:
         add_event(connection, PROGRAM_ACTOR, finding.kind, finding.target, body)
     return True
+
+
+def open_findings(parts: DatasetParts) -> Iterator[ConsistencyProblem]:
+    """Yield the repaired damage that no person has marked as resolved (``resolve_findings``)."""
+    rows = parts.database.rows(
+        "SELECT e.verb, e.target, max(e.at_ns), json_extract(e.body, '$.said') FROM event e"
+        " WHERE e.actor = ? AND e.body LIKE '%\"open\":true%'"
+        " AND NOT EXISTS (SELECT 1 FROM event r WHERE r.id > e.id AND r.verb = ?"
+        " AND r.target = e.target) GROUP BY e.verb, e.target ORDER BY e.id",
+        (PROGRAM_ACTOR, RESOLVED),
+    )
+    for kind, target, at_ns, said in rows:
+        found = datetime.fromtimestamp(at_ns / 1e9, UTC)
+        message = (
+            f"{found:%Y-%m-%d %H:%M} UTC: {said} 'touchdown dataset verify --resolve' marks this"
+            " as resolved."
+        )
+        yield ConsistencyProblem(kind, target, message, lasting=True)
+
+
+RESOLVED = "resolved"
+
+
+def resolve_findings(parts: DatasetParts, person: str, *kinds: str) -> list[ConsistencyProblem]:
+    """Take repaired damage (default: of all kinds) off the lists of problems; return it."""
+    found = [one for one in open_findings(parts) if not kinds or one.kind in kinds]
+    with parts.database.transaction() as connection:
+        for one in found:
+            add_event(connection, person, RESOLVED, one.target, {"said": one.message})
+    return found
 
 
 def _left_overs(parts: DatasetParts) -> Iterator[ConsistencyProblem]:

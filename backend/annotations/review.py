@@ -156,23 +156,28 @@ def read_nodes(
     return nodes, closed
 
 
+def head_row(connection: sqlite3.Connection, episode: str) -> tuple[object, ...] | None:
+    """Return the row of ``label_head`` that follows from the revisions, None without revisions."""
+    head = head_of(*read_nodes(connection, episode))
+    if head is None:
+        return None
+    sql = "SELECT name FROM mark WHERE episode = ? AND present"
+    names = {name for (name,) in connection.execute(sql, (episode,))}
+    conflict, deleted = len(head.leaves) > 1, DELETED in names
+    stage = stage_of(head.node.state, conflict=conflict, deleted=deleted)
+    return (
+        episode, head.node.rev_uuid, conflict, stage, head.node.state, head.counting,
+        join_names(head.authors), head.node.actor, FLAG in names, SKIPPED in names, deleted,
+    )  # fmt: skip
+
+
 def refresh_heads(connection: sqlite3.Connection, episodes: Iterable[str]) -> None:
     """Recompute the derived rows of ``episodes`` within the caller's transaction."""
-    for episode in sorted(set(episodes)):
-        head = head_of(*read_nodes(connection, episode))
-        if head is None:
-            continue
-        sql = "SELECT name FROM mark WHERE episode = ? AND present"
-        names = {name for (name,) in connection.execute(sql, (episode,))}
-        conflict, deleted = len(head.leaves) > 1, DELETED in names
-        stage = stage_of(head.node.state, conflict=conflict, deleted=deleted)
-        row = (
-            episode, head.node.rev_uuid, conflict, stage, head.node.state, head.counting,
-            join_names(head.authors), head.node.actor, FLAG in names, SKIPPED in names, deleted,
-        )  # fmt: skip
-        connection.execute(
-            "INSERT OR REPLACE INTO label_head VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)", row
-        )
+    rows = (head_row(connection, episode) for episode in sorted(set(episodes)))
+    connection.executemany(
+        "INSERT OR REPLACE INTO label_head VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
+        filter(None, rows),
+    )
 
 
 def rebuild_heads(connection: sqlite3.Connection) -> None:

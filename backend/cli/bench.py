@@ -26,7 +26,7 @@ from touchdown.backend.core import FaultError, InputError, RefusedError
 if TYPE_CHECKING:
     from touchdown.backend.bench import Session
     from touchdown.backend.core import SampleStream, Stream, TactileFrame
-    from touchdown.backend.devices import ForceTorqueSensor
+    from touchdown.backend.devices import Arm, ForceTorqueSensor, Gripper
     from touchdown.backend.rig import BenchConnection, NewestStamp, SensorTiming, StampsSince
 
 
@@ -52,6 +52,7 @@ RECOVERY = {
     "open-jaws": ("open the jaws, also on a held piece", ON),
 }
 LIFT_MM, LIFT_MM_S = 5.0, 5.0
+RISEN_MM = 0.2  # largest part of the lift that may be missing
 SETTLE_S = 0.5  # samples of all sensors have arrived
 
 
@@ -243,10 +244,15 @@ def _agreed(args: argparse.Namespace, question: str, screen: VerbOutput) -> bool
 
 
 def _move(session: Session, action: str, args: argparse.Namespace, screen: VerbOutput) -> bool:
-    """Lift the arm or open the jaws; raises ``RefusedError`` where the window refuses it."""
+    """Lift the arm or open the jaws, and print the result; return False if it was not reached.
+
+    Raises ``RefusedError`` where the window refuses it.
+    """
     hand = session.hand
     assert hand is not None
+    arm, gripper = cast("Arm", session.devices["arm"]), cast("Gripper", session.devices["gripper"])
     _advance(session, SETTLE_S)
+    z_mm, width_mm = arm.pose(max_age_s=1.0).z_mm, gripper.status().width_mm
     if not hand.powered:
         raise RefusedError("SERVO-OFF", "The servo of the arm is off: switch it on first.")
     holding = hand.holding
@@ -263,7 +269,14 @@ def _move(session: Session, action: str, args: argparse.Namespace, screen: VerbO
     if session.interlock.faults:
         raise FaultError(session.interlock.faults[0])
     session.interlock.refuse_latched()
-    return True
+    _advance(session, SETTLE_S)
+    if action == "open-jaws":
+        now_mm = gripper.status().width_mm
+        screen.say(f"The jaws opened from {width_mm:.1f} to {now_mm:.1f} mm.")
+        return not hand.holding and now_mm > width_mm
+    now_mm = arm.pose(max_age_s=1.0).z_mm
+    screen.say(f"The arm rose by {now_mm - z_mm:.1f} of {LIFT_MM:g} mm, to z = {now_mm:.1f} mm.")
+    return now_mm > z_mm + LIFT_MM - RISEN_MM
 
 
 def _bench_state(session: Session, screen: VerbOutput) -> dict[str, object]:

@@ -23,7 +23,12 @@ from touchdown.backend.cli.connection import (
     refuse_misplaced_arguments,
     wait_for_disk_space,
 )
-from touchdown.backend.cli.output import VerbOutput, ctrl_c_cancels, require_positive
+from touchdown.backend.cli.output import (
+    VerbOutput,
+    ctrl_c_cancels,
+    progress_lines,
+    require_positive,
+)
 from touchdown.backend.config import CollectSettings, StackSettings
 from touchdown.backend.core import (
     CampaignBegan,
@@ -98,7 +103,9 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     runs = Path(args.runs) if args.runs else data_folder() / "runs"
     keep = RecordingOptions(runs, episodes=False)
     person = args.person or getpass.getuser()
-    with Dataset.open(folder, create=not args.resume, person=person) as dataset:
+    with Dataset.open(
+        folder, create=not args.resume, person=person, progress=progress_lines()
+    ) as dataset:
         for notice in dataset.notices:
             screen.say(notice)
         request = _request(args, dataset, person)

@@ -6,7 +6,7 @@ import argparse
 import getpass
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 
 from touchdown.backend.annotations import (
@@ -14,7 +14,6 @@ from touchdown.backend.annotations import (
     Dataset,
     NotWritableError,
     WriterLock,
-    check_dataset,
     list_backups,
     list_campaigns,
     rebuild_dataset,
@@ -28,8 +27,7 @@ from touchdown.backend.runs import dataset_folder
 def examine_only(folder: Path, screen: VerbOutput) -> int:
     """Report findings without changes; return 1 if there are any."""
     with Dataset.open(folder, create=False, write=False) as dataset:
-        parts = replace(dataset.parts, progress=progress_lines())
-        found = list(check_dataset(parts, whole=True))
+        found = dataset.verify(progress_lines())
     copies = list_backups(folder / "backup")
     newest = copies[0].made.isoformat(timespec="seconds") if copies else None
     screen.say(f"{folder}, newest backup: {newest or 'none'}")
@@ -42,20 +40,30 @@ def verify(args: argparse.Namespace, folder: Path, screen: VerbOutput) -> int:
     try:
         dataset = Dataset.open(folder, create=False, progress=progress)
     except NotWritableError as error:
+        if args.resolve:
+            raise
         dataset = Dataset.open(folder, create=False, write=False)
         screen.say(f"{error.what} It is only read; nothing is recorded there.")
     with dataset:
         for notice in dataset.notices:
             screen.say(notice)
         found, noted = dataset.verify(progress), dataset.writable
+        resolved = dataset.resolve(_person(args)) if args.resolve else []
+        closed = [f"{one.kind} {one.target}" for one in resolved]
+        found = [one for one in found if f"{one.kind} {one.target}" not in closed]
         count = sum(one.episodes for one in dataset.count_by_pair() if one.state != "deleted")
     screen.say(f"{count} episodes read.")
-    return _report(found, screen, {"dataset": str(folder), "episodes": count, "noted": noted})
+    for name in closed:
+        screen.say(f"Resolved: {name}.")
+    facts: dict[str, object] = {"dataset": str(folder), "episodes": count, "noted": noted}
+    if args.resolve:
+        facts["resolved"] = closed
+    return _report(found, screen, facts)
 
 
 def backup(args: argparse.Namespace, folder: Path, screen: VerbOutput) -> int:
     """Make a verified copy of the catalogue now."""
-    with Dataset.open(folder, create=False) as dataset:
+    with Dataset.open(folder, create=False, progress=progress_lines()) as dataset:
         path = dataset.backups.make("by hand")
     screen.say(f"{path} ({path.stat().st_size / 1e6:.1f} MB), opened and checked.")
     screen.result({"dataset": str(folder), "backup": str(path), "bytes": path.stat().st_size})
@@ -73,8 +81,9 @@ def restore(args: argparse.Namespace, folder: Path, screen: VerbOutput) -> int:
         aside = restore_backup(folder, args.other)
     finally:
         lock.release()
-    with Dataset.open(folder, create=False) as dataset:
+    with Dataset.open(folder, create=False, progress=progress_lines()) as dataset:
         notices = dataset.notices
+        dataset.resolve(_person(args), "replay")
     for line in (*notices, f"Restored from {args.other}; the previous catalogue: {aside}."):
         screen.say(line)
     answer = {"dataset": str(folder), "restored": str(args.other), "former": str(aside)}
@@ -166,8 +175,8 @@ def merge(args: argparse.Namespace, folder: Path, screen: VerbOutput) -> int:
     """Merge labels and episodes of another copy of the dataset."""
     if args.other is None:
         raise InputError("Which copy?", "merge", "Name the folder of another copy of the dataset.")
-    person = args.person or getpass.getuser()
-    with Dataset.open(folder, create=False, person=person) as dataset:
+    person = _person(args)
+    with Dataset.open(folder, create=False, person=person, progress=progress_lines()) as dataset:
         notices = dataset.notices
         done = dataset.merge(person, args.other)
     for notice in notices:
@@ -179,6 +188,10 @@ def merge(args: argparse.Namespace, folder: Path, screen: VerbOutput) -> int:
     counts = {"operations": done.operations, "episodes": done.episodes}
     screen.result({**answer, **counts, "conflicts": list(done.conflicts)})
     return 0
+
+
+def _person(args: argparse.Namespace) -> str:
+    return str(args.person or getpass.getuser())
 
 
 DatasetAction = Callable[[argparse.Namespace, Path, VerbOutput], int]
@@ -200,7 +213,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "other", nargs="?", type=Path, help="the backup to restore, or the copy to merge"
     )
     parser.add_argument("--dataset", metavar="DIR", help="dataset (default: in the data folder)")
-    parser.add_argument("--person", help="who merges (default: the account's name)")
+    parser.add_argument("--person", help="who merges or resolves (default: the account)")
+    parser.add_argument(
+        "--resolve", action="store_true", help="verify: mark repaired damage as resolved"
+    )
     parser.add_argument("--replace", action="store_true", help="rebuild: replace the catalogue")
 
 

@@ -7,7 +7,7 @@ import getpass
 from pathlib import Path
 
 from touchdown.backend.annotations import Dataset
-from touchdown.backend.cli.output import VerbOutput
+from touchdown.backend.cli.output import VerbOutput, progress_lines
 from touchdown.backend.core import InputError
 from touchdown.backend.exchange import (
     EpisodeImport,
@@ -55,7 +55,9 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
         raise InputError("Labels need a person.", "--person", "Name who made them.")
     folder = Path(args.dataset) if args.dataset else dataset_folder()
     actor = args.person or getpass.getuser()
-    with Dataset.open(folder, create=args.format in EPISODES, person=actor) as dataset:
+    with Dataset.open(
+        folder, create=args.format in EPISODES, person=actor, progress=progress_lines()
+    ) as dataset:
         for notice in dataset.notices:
             screen.say(notice)
         if args.format in EPISODES:

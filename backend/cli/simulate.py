@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import time
+from datetime import UTC, datetime
 from pathlib import Path
 
 from touchdown.backend.cli.output import VerbOutput, make_output_folder, require_positive
@@ -31,6 +32,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--bench", metavar="FILE", help="settings of the simulated bench (TOML)")
     parser.add_argument("--pieces", metavar="DIR", help="folder with further piece files")
     parser.add_argument("--workers", type=int, default=2, help="processes")
+    parser.add_argument(
+        "--start", metavar="TIME",
+        help="time of the first episode, such as 2026-01-31T12:00:00+01:00 (default: now); the "
+        "same seed and start give the same files",
+    )  # fmt: skip
 
 
 def run(args: argparse.Namespace, screen: VerbOutput) -> int:
@@ -45,7 +51,9 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
         raise InputError(
             "The folder already holds episodes.", str(out), "Name a new or an empty folder."
         )
-    jobs = [job for plan, label in _plans(args) for job in split_jobs(plan, label, out)]
+    start = _start(args.start)
+    start_ns = int(start.timestamp() * 1e6) * 1000
+    jobs = [job for plan, label in _plans(args) for job in split_jobs(plan, label, out, start_ns)]
     make_output_folder(out)
     total = sum(job.episodes for job in jobs)
     began_s = time.monotonic()
@@ -55,8 +63,23 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     screen.say(
         f"{total} simulated episodes in {seconds:.1f} s, {rejected} probes drawn again: {out}"
     )
-    screen.result({"episodes": total, "seconds": round(seconds, 3), "out": str(out)})
+    facts = {"episodes": total, "seconds": round(seconds, 3), "start": start.isoformat()}
+    screen.result({**facts, "out": str(out)})
     return 0
+
+
+def _start(text: str | None) -> datetime:
+    """Return the start in UTC; a text without an offset is in UTC."""
+    try:
+        start = datetime.now(UTC) if text is None else datetime.fromisoformat(text)
+        start = (start if start.tzinfo else start.replace(tzinfo=UTC)).astimezone(UTC)
+        if not 1970 <= start.year < 2200:
+            raise ValueError(f"the year {start.year} is outside 1970 to 2199")
+    except (ValueError, OverflowError) as error:
+        raise InputError(
+            f"This is no start time: {error}.", "--start", "Give one such as 2026-01-31T12:00:00Z."
+        ) from error
+    return start
 
 
 def _plans(args: argparse.Namespace) -> list[tuple[BatchPlan, dict[str, object]]]:

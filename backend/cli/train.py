@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from touchdown.backend.cli.output import VerbOutput
+from touchdown.backend.cli.output import VerbOutput, progress_lines
 from touchdown.backend.config import TrainingSettings
 
 if TYPE_CHECKING:
@@ -130,7 +130,7 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
                     screen.say(f"Cancelled after epoch {report.done}; continue with --resume.")
                     answer |= {"cancelled": True, "done": report.done}
 
-        run_id = run_training(job, show, screen.say)
+        run_id = run_training(job, show, screen.say, progress_lines())
     if run_id is not None:
         answer["run"] = run_id
     screen.result({**answer, "curve": curve})

@@ -234,10 +234,13 @@ def read_chunks(path: Path) -> Iterator[StoredChunk]:
     with input_errors(path):
         data = read_bytes(path)
         _check_ends(data)
-        at = len(MAGIC)
+        at, metadata = len(MAGIC), dict[str, dict[str, str]]()
         for op, content in iter_records(memoryview(data)[at : -len(MAGIC)], "the file"):
+            if op == Opcode.METADATA:
+                name, values = read_metadata(content)
+                metadata[name] = values
             if op == Opcode.CHUNK:
-                plain, group = read_chunk_records(content), ChunkContents()
+                plain, group = read_chunk_records(content), ChunkContents(metadata)
                 _read_messages(plain, group)
                 yield StoredChunk(at, 9 + len(content), sha256(plain).hexdigest(), group)
             at += 9 + len(content)

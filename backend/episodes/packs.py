@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from touchdown.backend.config import SAMPLES_PER_PROBE
 from touchdown.backend.core import CHANNELS
+from touchdown.backend.episodes.episode_mcap import START_KEY
 from touchdown.backend.episodes.mcap_container import (
     ChunkContents,
     McapWriter,
@@ -51,12 +52,14 @@ class PackedEpisode:
 class PackWriter:
     """Writer of one pack; closing without error makes it complete and durable.
 
-    Time stamps start at zero with 3 s per episode, so equal seeds give equal files. ``metadata`` is
-    stored in the record ``pack``. The 501st episode raises ``ValueError``.
+    Headers hold the bench clock, which starts at zero, with 3 s per episode. Log times are on the
+    wall clock: the bench clock plus ``START_KEY`` of ``metadata``, which becomes the record
+    ``pack``. The 501st episode raises ``ValueError``.
     """
 
     def __init__(self, path: Path, metadata: Mapping[str, str]) -> None:
         self._writer = McapWriter(path, (OBSERVATION_TOPIC, LABEL_TOPIC))
+        self._writer.start_ns = int(metadata.get(START_KEY, 0))
         self._writer.add_metadata("pack", {"schema_version": SCHEMA_VERSION, **metadata})
         self.episodes = 0
 
@@ -78,10 +81,14 @@ class PackWriter:
         stamps = base + _TICKS_NS
         observation = pack_observation(stamps, row.observation)
         obs = message_rows(
-            self._writer.channel[OBSERVATION_TOPIC.name], stamps, _STEPS, observation
+            self._writer.channel[OBSERVATION_TOPIC.name],
+            self._writer.logged(stamps),
+            _STEPS,
+            observation,
         )
         channel = self._writer.channel[LABEL_TOPIC.name]
-        label = message_list(channel, [base], [self.episodes], [pack_json(row.label)])
+        log_ns = self._writer.logged([base])
+        label = message_list(channel, log_ns, [self.episodes], [pack_json(row.label)])
         self._writer.add_chunk([obs, label], compress=True)
         self.episodes += 1
 
@@ -89,12 +96,17 @@ class PackWriter:
 def write_packs(
     folder: Path, stem: str, rows: Iterator[PackedEpisode], metadata: Mapping[str, str]
 ) -> int:
-    """Write ``rows`` into ``<stem>-0000.mcap``, ``<stem>-0001.mcap`` ...; return their number."""
-    total = 0
+    """Write ``rows`` into ``<stem>-0000.mcap``, ``<stem>-0001.mcap`` ...; return their number.
+
+    With ``START_KEY`` in ``metadata``, each pack starts where the one before ends.
+    """
+    total, facts = 0, dict(metadata)
     row = next(rows, None)
     while row is not None:
         number = total // MAX_EPISODES
-        with PackWriter(folder / f"{stem}-{number:04d}.mcap", metadata) as pack:
+        if START_KEY in metadata:
+            facts[START_KEY] = str(int(metadata[START_KEY]) + total * _SPACING_NS)
+        with PackWriter(folder / f"{stem}-{number:04d}.mcap", facts) as pack:
             while row is not None and pack.episodes < MAX_EPISODES:
                 pack.write(row)
                 total += 1

@@ -18,7 +18,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.backend.core import CHANNELS, TACTILE_CHANNELS, FloatArray
-from touchdown.backend.episodes import PackedEpisode, TrainingRows, patch_hex, write_packs
+from touchdown.backend.episodes import (
+    START_KEY,
+    PackedEpisode,
+    TrainingRows,
+    patch_hex,
+    write_packs,
+)
 from touchdown.backend.learning import channel_groups
 from touchdown.backend.simulation import BatchPlan, EpisodeBatch, simulate_episodes
 
@@ -28,13 +34,18 @@ PROBES_PER_JOB = 128  # least number of probes of a job
 
 @dataclass(frozen=True, slots=True)
 class CollectionJob:
-    """Some grips of one plan, written to one or more pack files."""
+    """Some grips of one plan, written to one or more pack files.
+
+    ``start_ns``: wall clock at the zero of the bench clock; None leaves log times on the bench
+    clock.
+    """
 
     plan: BatchPlan
     grips: range
     label: Mapping[str, object]
     folder: Path
     stem: str
+    start_ns: int | None = None
 
     @property
     def episodes(self) -> int:
@@ -42,15 +53,22 @@ class CollectionJob:
         return sum(self.plan.probes_of(grip) for grip in self.grips)
 
 
-def split_jobs(plan: BatchPlan, label: Mapping[str, object], folder: Path) -> list[CollectionJob]:
+def split_jobs(
+    plan: BatchPlan, label: Mapping[str, object], folder: Path, start_ns: int | None = None
+) -> list[CollectionJob]:
     """Split a plan into jobs."""
     size = max(GRIPS_PER_JOB, -(-PROBES_PER_JOB // plan.probes_per_grip))
     stem = f"{plan.piece}-{plan.bottom}"
     return [
         CollectionJob(
-            plan, range(start, min(start + size, plan.grips)), label, folder, f"{stem}-{k:03d}"
+            plan,
+            range(first, min(first + size, plan.grips)),
+            label,
+            folder,
+            f"{stem}-{k:03d}",
+            start_ns,
         )
-        for k, start in enumerate(range(0, plan.grips, size))
+        for k, first in enumerate(range(0, plan.grips, size))
     ]
 
 
@@ -94,7 +112,7 @@ def pack_metadata(job: CollectionJob) -> dict[str, str]:
         "probes_per_grip": str(plan.probes_per_grip),
         "grips_per_mounting": str(plan.grips_per_mounting),
         "settings": plan.settings.model_dump_json(),
-    }
+    } | ({} if job.start_ns is None else {START_KEY: str(job.start_ns)})
 
 
 HOLD_TICKS = 5  # hold at the end of the press, with settled signals

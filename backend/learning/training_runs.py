@@ -21,6 +21,7 @@ from touchdown.backend.annotations import (
     METRICS_FILE,
     RUNS_FOLDER,
     ActiveRun,
+    CheckProgress,
     Dataset,
     LabelChoice,
     NotWritableError,
@@ -28,6 +29,7 @@ from touchdown.backend.annotations import (
     hardware_info,
     is_dataset,
     is_run_alive,
+    no_progress,
     package_versions,
     read_run_info,
     uuid7,
@@ -174,14 +176,15 @@ def run_training(
     job: TrainingJob,
     on_report: ReportCallback,
     on_notice: Callable[[str], None] = lambda text: None,
+    progress: CheckProgress = no_progress,
 ) -> str | None:
     """Train in a child process, recorded as a run of the dataset; return the id of the run.
 
     None for a folder of packs, which keeps no runs. ``on_notice`` receives the notices of the
-    dataset after the run. Raises ``InputError`` for invalid data, ``FaultError`` if the child
-    process dies.
+    dataset after the run, ``progress`` that of its opening. Raises ``InputError`` for invalid data,
+    ``FaultError`` if the child process dies.
     """
-    with record_training(job, on_notice) as run:
+    with record_training(job, on_notice, progress) as run:
         kept = job if run is None else job.model_copy(update={"keep": run.folder})
         with TrainingProcess(kept) as training:
             for report in training.reports():
@@ -325,12 +328,14 @@ def record_reliability(run: ActiveRun, epoch: int, bins: object) -> None:
 
 
 @contextmanager
-def record_training(job: TrainingJob, say: Callable[[str], None]) -> Iterator[ActiveRun | None]:
+def record_training(
+    job: TrainingJob, say: Callable[[str], None], progress: CheckProgress = no_progress
+) -> Iterator[ActiveRun | None]:
     """Record ``job`` as a run of the dataset ``job.data``; yields None for a folder of packs.
 
     The dataset may be open elsewhere. An exception ends the run as failed. Afterwards the catalogue
-    is updated and ``say`` receives the notices; if another program has the dataset open, that
-    program updates it.
+    is updated, with ``progress``, and ``say`` receives the notices; if another program has the
+    dataset open, that program updates it.
     """
     if not is_dataset(job.data):
         yield None
@@ -343,7 +348,10 @@ def record_training(job: TrainingJob, say: Callable[[str], None]) -> Iterator[Ac
         with run:
             yield run
     finally:
-        with suppress(NotWritableError), Dataset.open(job.data, create=False) as dataset:
+        with (
+            suppress(NotWritableError),
+            Dataset.open(job.data, create=False, progress=progress) as dataset,
+        ):
             for notice in dataset.notices:
                 say(notice)
 

@@ -3,12 +3,13 @@
 import json
 import os
 import shutil
+import sqlite3
 import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ import numpy as np
 from tests.backend.annotations.filling import fill, make_files
 from tests.bench.figures import Figure, at_least, at_most, figure, stated
 from touchdown.backend.annotations import Dataset, EpisodeFilter, Label
+from touchdown.backend.annotations.reconciliation import check_catalogue
 from touchdown.backend.annotations.training_set import CacheRow, TrainingCache, open_cache
 from touchdown.backend.episodes.mcap_container import read_chunks
 from touchdown.backend.episodes.packs import MAX_EPISODES, PackedEpisode, PackWriter
@@ -34,13 +36,15 @@ def catalogue_of_100_000() -> list[Figure]:
         with Dataset.open(folder) as dataset:
             uuids = fill(dataset, EPISODES, APPROVED, batch=1)
             make_files(dataset)
-        Dataset.open(folder).close()
+        with Dataset.open(folder) as dataset:
+            dataset.resolve("bench")  # the journal that ``fill`` did not write
         begin, begin_cpu = time.perf_counter(), time.process_time()
         dataset = Dataset.open(folder)
         open_s, cpu_s = time.perf_counter() - begin, time.process_time() - begin_cpu
         with dataset:
             opening = _opening(dataset, open_s, cpu_s)
-            return [opening, *_picking(dataset), *_committing(dataset, uuids)]
+            figures = [opening, *_picking(dataset), *_committing(dataset, uuids)]
+        return [*figures, *_cold_openings(folder)]
 
 
 def _opening(dataset: Dataset, open_s: float, cpu_s: float) -> Figure:
@@ -48,6 +52,30 @@ def _opening(dataset: Dataset, open_s: float, cpu_s: float) -> Figure:
     note = f"{cpu_s:.2f} s of processor; {size:.0f} MB; {len(dataset.notices)} notices"
     ok = open_s <= OPEN_S and not dataset.notices
     return Figure("catalogue of 100,000 episodes, open", open_s, "s", f"<= {OPEN_S:g}", ok, note)
+
+
+def _cold_openings(folder: Path) -> list[Figure]:
+    """Open with no file of the dataset in the page cache: after a clean close, and after a crash.
+
+    The entries of folders stay in memory.
+    """
+    found = []
+    for after in ("a clean close", "a crash"):
+        if after == "a crash":
+            with closing(sqlite3.connect(folder / "catalog.db")) as connection, connection:
+                connection.execute("DELETE FROM checked_folder")
+        for path in folder.rglob("*"):
+            if path.is_file():
+                drop(path)
+        begin = time.perf_counter()
+        with Dataset.open(folder) as dataset:
+            open_s = time.perf_counter() - begin
+            begin = time.perf_counter()
+            problems = len(check_catalogue(dataset.parts))
+            check_s = time.perf_counter() - begin
+        found.append(stated(f"catalogue of 100,000 episodes, cold open after {after}", open_s, "s"))
+    note = f"{problems} problems"
+    return [*found, stated("catalogue of 100,000 episodes, check by verify", check_s, "s", note)]
 
 
 def _picking(dataset: Dataset) -> list[Figure]:

@@ -88,7 +88,9 @@ def test_the_arm_is_lifted_out_of_contact_and_the_jaws_open_after_a_second_yes(r
     session.close = lambda: None
     assert session.hand.pressing_n > 2.0
     assert "lift first" in recovering.run("--status", "--yes")[1]
-    assert recovering.run("--lift", typed="y\n")[0] == 0
+    code, out, _ = recovering.run("--lift", typed="y\n")
+    assert code == 0
+    assert f"The arm rose by 5.0 of 5 mm, to z = {low_mm + 5.0:.1f} mm." in out
     assert session._stage.arm.pose(1.0).z_mm == pytest.approx(low_mm + 5.0, abs=0.01)
     assert session.hand.pressing_n == 0.0
     code, out, _ = recovering.run("--open-jaws", typed="y\nn\n")
@@ -96,6 +98,28 @@ def test_the_arm_is_lifted_out_of_contact_and_the_jaws_open_after_a_second_yes(r
     assert "Opening lets it go" in out
     code, out, _ = recovering.run("--open-jaws", typed="y\ny\n")
     assert (code, session.hand.holding) == (0, False)
+    width_mm = session._stage.gripper.status().width_mm
+    assert f"The jaws opened from {width_mm - 10.0:.1f} to {width_mm:.1f} mm." in out
+    close()
+
+
+def test_a_lift_that_ends_early_is_said_and_fails(recovering):
+    session = recovering.session
+    session.connect()
+    session.connection.when_ready = lambda: None
+    session.advance()
+    begun_mm = session._stage.arm.pose(1.0).z_mm
+    advance, close, session.close = session.advance, session.close, lambda: None
+
+    def interrupted():
+        advance()
+        if session._stage.arm.pose(1.0).z_mm > begun_mm + 2.0:
+            session._stage.arm.stop()
+
+    session.advance = interrupted
+    code, out, _ = recovering.run("--lift", "--yes")
+    assert code == 1
+    assert "The arm rose by 2.0 of 5 mm" in out
     close()
 
 

@@ -7,8 +7,10 @@ import io
 import json
 import re
 import shlex
+import sqlite3
 import sys
 from argparse import ArgumentParser
+from contextlib import closing
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -24,7 +26,7 @@ from touchdown.backend.annotations.dataset import Dataset
 from touchdown.backend.annotations.values import Label
 from touchdown.backend.calibration.records import CalibrationStore, read_record
 from touchdown.backend.calibration.result import CALIBRATION_NAMES, CalibrationEstimate, Quantity
-from touchdown.backend.cli import calibrate, collect, dataset, stack
+from touchdown.backend.cli import calibrate, collect, dataset, import_, stack, train
 from touchdown.backend.cli.bench import _timing_table
 from touchdown.backend.cli.collect import coverage_text
 from touchdown.backend.cli.command_line import main
@@ -387,12 +389,69 @@ def test_a_loss_is_listed_by_every_verification_until_it_is_resolved(data_set, s
     assert say("doctor", "--dataset", data_set)[0] == 0
 
 
+def test_a_repaired_journal_is_listed_until_a_person_resolves_it(data_set, say) -> None:
+    words = ("verify", "--resolve", "--person", "eve")
+    journal = next((data_set / "labels").glob("*.jsonl"))
+    flip_a_bit(journal)
+    for command in 3 * [("dataset", "verify")] + [("doctor",)]:
+        code, answer = say(*command, "--dataset", data_set)
+        assert code == 1
+        assert [(f["kind"], f["target"]) for f in answer["findings"]] == [
+            ("journal-damaged", journal.stem)
+        ]
+    with Dataset.open(data_set) as dataset:
+        assert "'touchdown dataset verify --resolve'" in dataset.notices[0]
+        assert say("dataset", *words, "--dataset", data_set)[0] == 2  # another program writes
+    code, answer = say("dataset", *words, "--dataset", data_set)
+    assert (code, answer["findings"]) == (0, [])
+    assert answer["resolved"] == [f"journal-damaged {journal.stem}"]
+    assert say("dataset", "verify", "--dataset", data_set)[0] == 0
+    assert say("doctor", "--dataset", data_set)[0] == 0
+
+
+def test_doctor_names_a_damaged_catalogue(data_set, say) -> None:
+    path = data_set / "catalog.db"
+    whole = bytearray(path.read_bytes())
+    at = whole.index(b"commanded") - 200
+    whole[at : at + 300] = bytes(300)
+    path.write_bytes(whole)
+    for command in (("doctor",), ("dataset", "verify")):
+        code, answer = say(*command, "--dataset", data_set)
+        assert code in (1, 2)
+        assert "dataset rebuild --replace" in str(answer)
+    assert say("dataset", "rebuild", "--replace", "--dataset", data_set)[0] == 0
+    assert say("doctor", "--dataset", data_set)[0] == 0
+
+
 def test_verify_reports_progress_on_standard_error(data_set, capfd, monkeypatch) -> None:
     monkeypatch.setattr(dataset, "progress_lines", lambda: progress_lines(every_s=0.0))
     assert main(["dataset", "verify", "--dataset", str(data_set), "--json"]) == 0
     out, err = capfd.readouterr()
     assert json.loads(out)["findings"] == []
     assert "Episode files: 2 of 3 ..." in err
+
+
+@pytest.mark.parametrize(
+    ("module", "words"),
+    [
+        (collect, ["collect", "--count", "0"]),
+        (import_, ["import", "csv", "rows.csv", "--person", "ann"]),
+        (train, ["train", "DATASET", "--piece", "pot", "--out", "OUT", "--epochs", "1"]),
+    ],
+)
+def test_an_opening_reports_its_progress_on_standard_error(
+    data_set, capfd, monkeypatch, tmp_path, module, words
+) -> None:
+    monkeypatch.setattr(module, "progress_lines", lambda: progress_lines(every_s=0.0))
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "rows.csv").write_text("episode\n", "utf-8")
+    with closing(sqlite3.connect(data_set / "catalog.db")) as connection, connection:
+        connection.execute("DELETE FROM checked_folder")  # as after a crash
+    names = {"DATASET": str(data_set), "OUT": str(tmp_path / "model")}
+    words = [names.get(word, word) for word in words]
+    where = [] if words[0] == "train" else ["--dataset", str(data_set)]
+    main([*words, *where, "--json"])
+    assert "Episode files: 2 of 3 ..." in capfd.readouterr().err
 
 
 def test_verify_looks_only_while_another_program_writes(data_set, say) -> None:

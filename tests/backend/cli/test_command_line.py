@@ -8,6 +8,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import time
 from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
@@ -15,6 +16,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from mcap.reader import make_reader
 
 from tests.backend.annotations.conftest import context_for, small_episode
 from tests.backend.bench.brisk import RATE_HZ
@@ -24,7 +26,7 @@ from touchdown.backend.annotations.values import Label
 from touchdown.backend.cli import command_line
 from touchdown.backend.cli.command_line import VERBS, main
 from touchdown.backend.cli.doctor.command import check_catalogue
-from touchdown.backend.core.events import RunStarted
+from touchdown.backend.core.events import CampaignBegan, ProbeCollected, RunStarted
 from touchdown.backend.core.faults import (
     Fault,
     FaultError,
@@ -34,6 +36,7 @@ from touchdown.backend.core.faults import (
 )
 from touchdown.backend.episodes.episode_mcap import read_episode
 from touchdown.backend.episodes.mcap_container import read_whole
+from touchdown.backend.episodes.messages import stamps_ns
 from touchdown.backend.episodes.training_rows import find_packs, load_rows
 from touchdown.backend.experiments import collection, tables
 from touchdown.backend.geometry.outlines import face_points, true_patch
@@ -338,13 +341,41 @@ def test_two_shards_make_one_experiment(tmp_path, capsys, monkeypatch) -> None:
 
 SMALL = ["simulate", "--piece", "pot", "--bottoms", "circle15,square15", "--episodes", "6"]
 SMALL += ["--probes-per-grip", "3", "--grips-per-mounting", "2", "--seed", "4", "--json"]
+START = ["--start", "2026-01-31T12:00:00+01:00"]
+START_NS = 1_769_857_200_000_000_000
+
+
+def test_packs_are_stamped_with_the_start_and_their_headers_with_the_bench_clock(
+    tmp_path, capsys
+) -> None:
+    small = ["simulate", "--bottoms", "circle15", "--episodes", "2", "--probes-per-grip", "1"]
+    spans, episodes = [], []
+    for name, start in (("now", []), ("then", START)):
+        assert main([*small, "--json", *start, "--out", str(tmp_path / name / "packs")]) == 0
+        (path,) = find_packs(tmp_path / name)
+        with path.open("rb") as file:
+            spans.append([message.log_time for *_, message in make_reader(file).iter_messages()])
+        whole = read_whole(path)
+        assert whole.metadata["pack"]["clock_start_ns"] == str(min(spans[-1]))
+        assert stamps_ns(whole.messages["/obs"])[0] == 100_000_000
+        with Dataset.open(tmp_path / name) as dataset:
+            episodes.append({entry.uuid for entry in dataset})
+    capsys.readouterr()
+    assert abs(min(spans[0]) - time.time_ns()) < 600e9
+    assert (min(spans[1]), max(spans[1])) == (START_NS, START_NS + 5_000_000_000)
+    # Equal content has the same ids whenever it was simulated.
+    assert len(episodes[0]) == 2
+    assert episodes[0] == episodes[1]
+    for wrong in ("yesterday", "1969-12-31", "2200-01-01"):
+        assert main([*small, "--start", wrong, "--out", str(tmp_path / "no")]) == 2
+        assert "--start" in capsys.readouterr().err
 
 
 def test_simulated_packs_are_complete_and_the_same_for_any_number_of_workers(
     tmp_path, capsys
 ) -> None:
     out, other = tmp_path / "data", tmp_path / "other"
-    assert main([*SMALL, "--workers", "1", "--out", str(out)]) == 0
+    assert main([*SMALL, *START, "--workers", "1", "--out", str(out)]) == 0
     answer = json.loads(capsys.readouterr().out)
     assert (answer["episodes"], answer["out"]) == (12, str(out))
     assert answer["seconds"] > 0
@@ -368,7 +399,7 @@ def test_simulated_packs_are_complete_and_the_same_for_any_number_of_workers(
     assert metadata["simulated"] == "true"
     assert json.loads(metadata["settings"])["preset"] == "mixed"
     assert metadata["probes_per_grip"] == "3"
-    assert main([*SMALL, "--workers", "2", "--out", str(other)]) == 0
+    assert main([*SMALL, *START, "--workers", "2", "--out", str(other)]) == 0
     for first, second in zip(find_packs(out), find_packs(other), strict=True):
         assert first.name == second.name
         assert first.read_bytes() == second.read_bytes()
@@ -599,6 +630,27 @@ def test_a_run_of_a_removed_strategy_still_replays(tmp_path, capsys) -> None:
     assert main(["replay", str(folder), "--json"]) == 0
     result = json.loads(capsys.readouterr().out)
     assert (result["piece"], result["facts"]) == ("pot", {"RunStarted": 1})
+
+
+def test_a_collection_replays_as_its_probes(tmp_path, capsys) -> None:
+    folder = tmp_path / "20260101-run"
+    journal = EventLog(folder)
+    journal(RunStarted(0.0, "run", "pot", "short", "", 7, 2, True, "{}", activity="collect"))
+    journal(CampaignBegan(0.0, "campaign-1", "series-1", "data/pot", 0, 2))
+    signals = (0.0,) * 5
+    for item, reasons in ((4, ""), (7, "slip in grasp")):
+        place = (item, 1, 1 + item // 5, 2, (1.5, -2.0), (1.45, -1.98), 0.12)
+        journal(ProbeCollected(1.0, f"uuid-{item}", *place, signals, 0.0, 0.0, reasons))
+    journal.close()
+    assert main(["replay", "latest", "--runs", str(tmp_path)]) == 0
+    words = " ".join(capsys.readouterr().out.split())
+    assert "Collection: 2 probes, 2 of 2 of campaign campaign-1, in data/pot" in words
+    assert "+1.50, -2.00" in words
+    assert "slip in grasp" in words
+    assert "placed" not in words
+    assert main(["replay", "latest", "--runs", str(tmp_path), "--json"]) == 0
+    answer = json.loads(capsys.readouterr().out)
+    assert (answer["activity"], [p["item"] for p in answer["probes"]]) == ("collect", [4, 7])
 
 
 def test_a_method_file_with_an_unknown_setting_is_one_error(tmp_path, capsys) -> None:

@@ -43,6 +43,7 @@ def test_the_same_ends_a_move_and_a_turn(desk):
         turn(main, session, 0.4, held=end != "frozen")
         assert np.linalg.norm(moved(session) - before) > 0.004
         end_it(main, pad, end)
+        assert not session.hand.jog.active, f"{end} ends it at once"
         turn(main, session, 0.1, held=end == "frozen")
         at = moved(session)
         assert not session.hand.jog.active, end

@@ -266,3 +266,29 @@ def test_mujoco_has_one_door():
     imports = re.compile(r"""import_module\(["']mujoco|^\s*(import|from) mujoco""", re.MULTILINE)
     doors = [_name(path) for path in CODE if imports.search(path.read_text("utf-8"))]
     assert doors == ["backend/simulation/release_mujoco.py"]
+
+
+# Who may read the truth of a press in the batch path, and what of it: to note outcomes and scores.
+TRUTH_READERS = {
+    "backend/experiments/trials.py note": {"offset_mm", "solved", "toppled"},
+    "backend/experiments/statics.py probe_groups": {"offset_mm", "slip_mm", "toppled"},
+    "backend/experiments/fusion.py simulate_sequences": {"offset_mm", "toppled"},
+}
+
+
+def test_the_batch_path_reads_the_truth_of_a_press_for_outcomes_alone() -> None:
+    """A name that holds ``press.truth`` counts as the truth."""
+    readers: dict[str, set[str]] = {}
+    for path in (ROOT / "backend" / "experiments").glob("*.py"):
+        functions = [n for n in _nodes(path) if isinstance(n, ast.FunctionDef)]
+        for function in functions:
+            for node in ast.walk(function):
+                if not isinstance(node, ast.Attribute):
+                    continue
+                owner = ast.unparse(node.value)
+                if owner == "truth" or owner.endswith(".truth"):
+                    readers.setdefault(f"{_name(path)} {function.name}", set()).add(node.attr)
+    assert readers == TRUTH_READERS
+    accepting = next(n for n in _nodes(ROOT / "backend/experiments/trials.py")
+                     if isinstance(n, ast.FunctionDef) and n.name == "refused_presses")  # fmt: skip
+    assert "truth" not in {n.attr for n in ast.walk(accepting) if isinstance(n, ast.Attribute)}

@@ -36,6 +36,7 @@ from touchdown.backend.experiments.trials import (
     BatchTrialResult,
     SceneSetup,
     grasped_piece_in,
+    refused_presses,
     stack_in_lockstep,
     start_scene,
 )
@@ -320,13 +321,12 @@ def simulate_sequences(
             wanted = next_places(offset[waiting, probe - 1], acted, rng)
             wanted = np.where(goes[:, None], wanted, free)
             press = bench.press(waiting.tolist(), wanted)
-            good = press.valid & (press.press_n >= limits.contact_n) & ~press.toppled
-            good &= press.slip_mm <= limits.slip_mm
+            good = ~press.truth.toppled & [not why for why in refused_presses(press, limits)]
             rows = waiting[good]
-            offset[rows, probe], true[rows, probe] = wanted[good], press.true_mm[good]
+            offset[rows, probe], true[rows, probe] = wanted[good], press.truth.offset_mm[good]
             seen[rows, probe] = press.observation[good][:, TICKS]
             count[rows] += 1
-            waiting = waiting[~good & ~press.toppled]
+            waiting = waiting[~good & ~press.truth.toppled]
     height = np.asarray(scenes[0].grip_height_mm)
     face = GraspedFace.of(face_points(piece.face), np.asarray(piece.com_xy_mm), height)
     return {

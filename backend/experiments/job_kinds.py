@@ -182,7 +182,7 @@ def run_stacking(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
     settings, limits = StackSettings(), EpisodeLimits()
     answer: dict[str, Any] = {"bench_sha256": bench_sha256(case.settings), "left_out": left_out}
     if p["strategy"] == "pick-and-place":
-        results = pick_and_place_in_lockstep(scenes, settings, limits)
+        results = pick_and_place_in_lockstep(scenes, settings)
     else:
         (source,) = spec.inputs
         checkpoint = load_model(source, place.store)

@@ -27,6 +27,7 @@ from touchdown.backend.experiments.trials import (
     balanced_offset,
     pair_of,
     probing_scene,
+    refused_presses,
     rounded_margins,
     uniform_offset,
 )
@@ -108,11 +109,12 @@ def probe_groups(
                 ]
             )
             press = bench.press(waiting, wanted)
-            good = press.valid & (press.press_n >= limits.contact_n) & ~press.toppled
-            good &= press.slip_mm <= limits.slip_mm
+            # Who sees the bottom topple sets it up again.
+            good = ~press.truth.toppled & [not why for why in refused_presses(press, limits)]
             rows = np.array(waiting)[good]
-            offset[rows, probe], true[rows, probe] = wanted[good], press.true_mm[good]
-            seen[rows, probe], slip[rows, probe] = press.observation[good], press.slip_mm[good]
+            offset[rows, probe], true[rows, probe] = wanted[good], press.truth.offset_mm[good]
+            seen[rows, probe] = press.observation[good]
+            slip[rows, probe] = press.truth.slip_mm[good]
             rejected += int((~good).sum())
             waiting = [g for g, ok in zip(waiting, good, strict=True) if not ok]
             if not waiting:

@@ -324,7 +324,7 @@ def run_closed_loop(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
     if not scenes:
         pass
     elif strategy == "pick-and-place":
-        results = pick_and_place_in_lockstep(scenes, method, limits)
+        results = pick_and_place_in_lockstep(scenes, method)
     elif strategy in ORACLES:
         create = oracle_factory(case, diameter_known=strategy == ORACLES[0])
         results = stack_in_lockstep(scenes, uninformed_model(case), method, limits, create)

@@ -1,7 +1,8 @@
 """Simulated stacking trials that run side by side, from a seeded scene to the outcome.
 
 The strategies are those of ``touchdown.backend.runs.stack``. Tare, reference, tracker and interlock
-of that plan are left out. Episodes are accepted by the same limits on press force and slip.
+of that plan are left out. Presses are accepted by the same rules on measured force and measured
+slip. The truth of a press is noted for the outcome and decides nothing else.
 ``start_scene`` builds the same scene as the device loop for a given seed.
 """
 
@@ -45,9 +46,10 @@ from touchdown.backend.placement import (
     SupportTower,
     make_strategy,
 )
-from touchdown.backend.sensing import EpisodeLimits
+from touchdown.backend.sensing import EpisodeLimits, refuse_observation
 from touchdown.backend.simulation import (
     BatchedTrials,
+    PressTruth,
     Scene,
     TrialPresses,
     release_kick_mm,
@@ -135,7 +137,8 @@ def displacement_rng(seed: int, probe: int, attempt: int) -> np.random.Generator
 
 # contact probabilities (k, N) of observations (k, 20, 258)
 BatchPredict = Callable[[NDArray[np.float32]], FloatArray]
-MAX_ATTEMPTS = 2  # an invalid press is repeated once, as on the bench
+MAX_ATTEMPTS = 2  # a refused press is repeated once, as on the bench
+NO_CONTACT = "No contact was found."
 TOPPLED_REASON = "The press tipped the bottom over its edge."
 XY = tuple[float, float]
 
@@ -165,7 +168,8 @@ class ProbeStep:
 class BatchTrialResult:
     """Result of a trial. ``verdict``: exact judge at the release, None without a release.
 
-    ``true_mm``: final displacement of the piece, None if it was never pressed.
+    ``true_mm``: final displacement of the piece, None if it was never pressed. ``unsolved``: number
+    of presses in which the simulation found no equilibrium at some instant.
     """
 
     seed: int
@@ -175,6 +179,7 @@ class BatchTrialResult:
     verdict: TowerVerdict | None
     true_mm: XY | None
     steps: tuple[ProbeStep, ...] = field(default=(), repr=False)
+    unsolved: int = 0
 
     def as_json(self) -> dict[str, Any]:
         """Return the stored form; a margin without support is None."""
@@ -183,6 +188,7 @@ class BatchTrialResult:
             "outcome": self.outcome.value,
             "reason": self.reason,
             "probes": self.probes,
+            "unsolved": self.unsolved,
             "margins_mm": self.verdict and rounded_margins(self.verdict.margins_mm),
         }
 
@@ -202,11 +208,26 @@ class _RunningTrial:
     tries: int = 0
     true_mm: XY | None = None
     end: BatchTrialResult | None = None
+    unsolved: int = 0
+
+    def note(self, truth: PressTruth, k: int) -> None:
+        """Note where the piece is after press ``k``, and the end of a trial that toppled."""
+        self.true_mm = pair_of(truth.offset_mm[k])
+        self.unsolved += not truth.solved[k]
+        if truth.toppled[k]:
+            self.close(Outcome.KNOCKED_OVER, TOPPLED_REASON)
 
     def close(self, outcome: Outcome, reason: str, verdict: TowerVerdict | None = None) -> None:
         steps = tuple(self.steps)
         self.end = BatchTrialResult(
-            self.scene.seed, outcome, reason, len(steps), verdict, self.true_mm, steps
+            self.scene.seed,
+            outcome,
+            reason,
+            len(steps),
+            verdict,
+            self.true_mm,
+            steps,
+            self.unsolved,
         )
 
 
@@ -273,7 +294,7 @@ def grasped_piece_in(
 
 
 def pick_and_place_in_lockstep(
-    scenes: Sequence[Scene], settings: StackSettings, limits: EpisodeLimits
+    scenes: Sequence[Scene], settings: StackSettings
 ) -> list[BatchTrialResult]:
     """Press once and release in any case: the paper's baseline."""
     bench = BatchedTrials(scenes, settings.probe)
@@ -282,52 +303,51 @@ def pick_and_place_in_lockstep(
     ends = []
     for k, scene in enumerate(scenes):
         trial = _RunningTrial(k, scene, pair_of(commands[k]))
-        trial.true_mm = pair_of(press.true_mm[k])
-        if press.toppled[k]:
-            trial.close(Outcome.KNOCKED_OVER, TOPPLED_REASON)
-        elif press.valid[k] and press.press_n[k] >= limits.contact_n:
+        trial.note(press.truth, k)
+        if trial.end is None and press.detected[k]:
             _release(trial, bench)
-        else:
-            trial.close(Outcome.ABORTED, "The press ended without a contact.")
+        elif trial.end is None:
+            trial.close(Outcome.ABORTED, NO_CONTACT)
         assert trial.end is not None
         ends.append(trial.end)
     return ends
 
 
+def refused_presses(press: TrialPresses, limits: EpisodeLimits) -> list[list[str]]:
+    """Return for each press the reasons for which a bench refuses it; from measurements alone."""
+    return [
+        refuse_observation(seen, travel_mm, limits) if found else [NO_CONTACT]
+        for seen, travel_mm, found in zip(
+            press.observation, press.travel_mm, press.detected, strict=True
+        )
+    ]
+
+
 def _accepted_presses(
     active: list[_RunningTrial], press: TrialPresses, limits: EpisodeLimits
 ) -> list[int]:
-    """Return the valid presses; a trial with two invalid presses is aborted, unless its strategy
-    can recover from a missed contact.
+    """Return the accepted presses. As on the bench, a trial is aborted after two refused presses,
+    and after one without contact unless its strategy can recover from it.
     """
     kept = []
-    for k, trial in enumerate(active):
-        trial.true_mm = pair_of(press.true_mm[k])
-        if press.toppled[k]:
-            trial.close(Outcome.KNOCKED_OVER, TOPPLED_REASON)
+    for k, (trial, reasons) in enumerate(zip(active, refused_presses(press, limits), strict=True)):
+        trial.note(press.truth, k)
+        if trial.end is not None:
             continue
-        reasons = []
-        if not press.valid[k]:
-            reasons.append("no contact was found")
-        if not press.press_n[k] >= limits.contact_n:
-            reasons.append(f"press force {press.press_n[k]:.1f} N")
-        touchless = bool(reasons)
-        if not press.slip_mm[k] <= limits.slip_mm:
-            reasons.append(f"slip {press.slip_mm[k]:.2f} mm")
         if not reasons:
             trial.tries = 0
             kept.append(k)
-            continue
-        trial.tries += 1
-        if trial.tries < MAX_ATTEMPTS:
-            continue
-        why = (
-            f"Probe {len(trial.steps) + 1} was rejected {MAX_ATTEMPTS} times: {'; '.join(reasons)}."
-        )
-        if isinstance(trial.strategy, SearchingStrategy) and touchless:
+        elif press.detected[k]:
+            trial.tries += 1
+            if trial.tries == MAX_ATTEMPTS:
+                probe, why = len(trial.steps) + 1, "; ".join(reasons)
+                trial.close(
+                    Outcome.ABORTED, f"Probe {probe} was rejected {MAX_ATTEMPTS} times: {why}."
+                )
+        elif isinstance(trial.strategy, SearchingStrategy):
             _recover_missed_contact(trial, trial.strategy)
         else:
-            trial.close(Outcome.ABORTED, why)
+            trial.close(Outcome.ABORTED, NO_CONTACT)
     return kept
 
 

@@ -2,6 +2,7 @@ from .detector import HEIGHT_PX as HEIGHT_PX
 from .detector import WIDTH_PX as WIDTH_PX
 from .episode import EpisodeLimits as EpisodeLimits
 from .episode import assemble_episode as assemble_episode
+from .episode import refuse_observation as refuse_observation
 from .episode import synchronise as synchronise
 from .live import LiveSensing as LiveSensing
 from .live import RawStreams as RawStreams
@@ -65,6 +66,7 @@ __all__ = [
     "observe_offset",
     "read_pictures",
     "refuse_contact",
+    "refuse_observation",
     "slip_since_loading",
     "synchronise",
     "take_reference",

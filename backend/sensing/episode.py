@@ -21,6 +21,7 @@ from touchdown.backend.core import (
     GRID_COLS,
     GRID_ROWS,
     MARKERS,
+    TACTILE_CHANNELS,
     WRENCH_CHANNELS,
     Episode,
     EpisodeQuality,
@@ -31,7 +32,7 @@ from touchdown.backend.core import (
     Recording,
     read_only,
 )
-from touchdown.backend.sensing.slip import press_slip_mm
+from touchdown.backend.sensing.slip import press_slip_mm, shortfall_mm
 
 ROUNDING_S = 1e-7  # time stamps are whole microseconds; closer times are equal
 
@@ -282,16 +283,7 @@ def judge_quality(
         reasons.append(f"{100 * inferred:.0f} % of the markers were not seen")
     if not lost <= limits.lost_markers:
         reasons.append(f"{lost} of {2 * MARKERS} markers were lost")
-    missing, press_n = int((~np.isfinite(ticks.wrench).all(axis=1)).sum()), ticks.wrench[-1, 2]
-    if missing:
-        count = len(ticks.wrench)
-        reasons.append(f"The force sensor has no whole reading at {missing} of {count} ticks")
-    elif not press_n >= limits.contact_n:
-        reasons.append(f"No contact: {press_n:.2f} N at the end of the press")
-    if not np.isfinite(slip_mm):
-        reasons.append("Slip in the grasp cannot be judged")
-    elif not 0 <= slip_mm <= limits.slip_mm:
-        reasons.append(f"The piece slipped by {slip_mm:.2f} mm in the grasp")
+    reasons += _press_reasons(ticks.wrench, slip_mm, limits)
     return EpisodeQuality(
         accepted=not reasons,
         reasons=tuple(reasons),
@@ -301,6 +293,43 @@ def judge_quality(
         skew_ms=1e3 * ticks.skew_s,
         slip_mm=slip_mm,
     )
+
+
+def refuse_observation(
+    observation: NDArray[np.float32], travel_mm: FloatArray, limits: EpisodeLimits
+) -> list[str]:
+    """Return the reasons for which a press is refused, from its model input alone.
+
+    These are the rules of ``judge_quality`` on force and slip, on signals at the ticks.
+
+    Parameters
+    ----------
+    observation
+        (20, 258) model input.
+    travel_mm
+        (20,) measured travel of the arm at the ticks, downwards from the onset.
+    limits
+        Limits for accepting a probe.
+    """
+    values = observation.astype(np.float64)
+    markers = values[:, :TACTILE_CHANNELS].reshape(len(values), len(FINGERS), 2, MARKERS)
+    slips = [shortfall_mm(travel_mm, shear) for shear in markers[:, :, 1].mean(axis=-1).T]
+    return _press_reasons(values[:, TACTILE_CHANNELS:], float(np.max(slips)), limits)
+
+
+def _press_reasons(wrench: FloatArray, slip_mm: float, limits: EpisodeLimits) -> list[str]:
+    """Judge ``wrench`` (20, 6) at the ticks and the slip; NaN slip is refused."""
+    reasons = []
+    missing, press_n = int((~np.isfinite(wrench).all(axis=1)).sum()), wrench[-1, 2]
+    if missing:
+        reasons.append(f"The force sensor has no whole reading at {missing} of {len(wrench)} ticks")
+    elif not press_n >= limits.contact_n:
+        reasons.append(f"No contact: {press_n:.2f} N at the end of the press")
+    if not np.isfinite(slip_mm):
+        reasons.append("Slip in the grasp cannot be judged")
+    elif not 0 <= slip_mm <= limits.slip_mm:
+        reasons.append(f"The piece slipped by {slip_mm:.2f} mm in the grasp")
+    return reasons
 
 
 def _frame_reasons(name: str, finger: FingerTicks, limits: EpisodeLimits) -> list[str]:

@@ -110,7 +110,15 @@ def _finger_slip_mm(recording: Recording, finger: Finger, onset_s: float, end_s:
     whole = np.isfinite(shear_px)
     shear_px, t_s = shear_px[whole], np.array([field.t_s for field in fields])[whole]
     height_mm = np.interp([onset_s, *t_s], recording.pose_t_s, recording.pose_mm[:, 2])
-    travel_mm = height_mm[0] - height_mm[1:]
+    return shortfall_mm(height_mm[0] - height_mm[1:], shear_px)
+
+
+def shortfall_mm(travel_mm: FloatArray, shear_px: FloatArray) -> float:
+    """Return by how much the shear of one gel stays behind the travel of the arm, in mm.
+
+    ``travel_mm`` (n,) measured, downwards from the onset; ``shear_px`` (n,) mean over the markers,
+    at the same instants. NaN with too few values, or too little travel.
+    """
     deepest_mm = float(travel_mm.max(initial=0.0))
     if not deepest_mm >= MIN_TRAVEL_MM:
         return math.nan
@@ -121,8 +129,8 @@ def _finger_slip_mm(recording: Recording, finger: Finger, onset_s: float, end_s:
     slope, start = _fit_line(travel_mm[fitted], shear_px[fitted])
     if not abs(slope) >= MIN_SLOPE_PX_MM:
         return math.nan
-    shortfall_mm = travel_mm - (shear_px - start) / slope
-    return float(max(0.0, np.median(shortfall_mm[-MIN_FRAMES:])))
+    behind_mm = travel_mm - (shear_px - start) / slope
+    return float(max(0.0, np.median(behind_mm[-MIN_FRAMES:])))
 
 
 def _fit_line(x: FloatArray, y: FloatArray) -> tuple[float, float]:

@@ -3,6 +3,7 @@ from .arm import SimProgram as SimProgram
 from .batch import BatchedTrials as BatchedTrials
 from .batch import BatchPlan as BatchPlan
 from .batch import EpisodeBatch as EpisodeBatch
+from .batch import PressTruth as PressTruth
 from .batch import SensorNoise as SensorNoise
 from .batch import TrialPresses as TrialPresses
 from .batch import draw_noise as draw_noise
@@ -48,6 +49,7 @@ __all__ = [
     "GraspHistory",
     "GripDraw",
     "MountingDraw",
+    "PressTruth",
     "ProbeDraw",
     "Region",
     "Scene",

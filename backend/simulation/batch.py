@@ -27,7 +27,6 @@ from touchdown.backend.simulation.gripper import scene_mounting, start_command_m
 from touchdown.backend.simulation.marker_fields import CameraDraw, Gel, gel_from_settings
 from touchdown.backend.simulation.mechanics import ContactState, GraspHistory, Region, begin_probes
 from touchdown.backend.simulation.pressing import (
-    TIMELINE_VALUES,
     PressBatch,
     PressCourse,
     noise_samples,
@@ -386,21 +385,32 @@ _SENSORS = 1
 
 
 @dataclass(frozen=True, slots=True)
-class TrialPresses:
-    """Result of k presses.
+class PressTruth:
+    """What no sensor of a bench measures in k presses: for outcomes and scores only.
 
-    ``observation`` (k, 20, 258) float32; ``true_mm`` (k, 2): displacement of the face afterwards,
-    slip in the hand and sliding of the bottom included; ``valid`` (k,): contact was found and the
-    solver converged; ``press_n`` (k,) at the end; ``slip_mm`` (k,): largest slip of a pad in this
-    press; ``toppled`` (k,): the supports will not return upright.
+    ``offset_mm`` (k, 2): displacement of the face afterwards, slip in the hand and sliding of the
+    bottom included; ``slip_mm`` (k,): largest slip of a pad in this press; ``toppled`` (k,): the
+    supports will not return upright; ``solved`` (k,): an equilibrium was found at every instant.
+    """
+
+    offset_mm: FloatArray
+    slip_mm: FloatArray
+    toppled: NDArray[np.bool_]
+    solved: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class TrialPresses:
+    """Result of k presses: measurements, and the ``truth``.
+
+    ``observation`` (k, 20, 258) float32; ``detected`` (k,): the arm found contact; ``travel_mm``
+    (k, 20): measured travel of the arm at the ticks, downwards from the onset.
     """
 
     observation: NDArray[np.float32]
-    true_mm: FloatArray
-    valid: NDArray[np.bool_]
-    press_n: FloatArray
-    slip_mm: FloatArray
-    toppled: NDArray[np.bool_]
+    detected: NDArray[np.bool_]
+    travel_mm: FloatArray
+    truth: PressTruth
 
 
 class BatchedTrials:
@@ -473,18 +483,19 @@ class BatchedTrials:
         noise = [draw_noise(settings, self._rule, self._sensor_rng(i)) for i in rows.tolist()]
         pressed = press_with_noise(state, noise, settings, self._probe, self._rule)
         slid = pressed.state.slip[:, :, :2] - carried.slip[:, :, :2]
-        valid = usable_presses(pressed, conditions, self._probe)
         after = GraspHistory(pressed.state.slip, pressed.state.relaxed)
         self._carried = self._carried.replaced(rows, after)
         self._slide(rows, pressed.state.pose.slide_mm)
-        last = pressed.timeline.values[:, -1, :TIMELINE_VALUES]
         return TrialPresses(
             observation=observe_presses(pressed, conditions, settings, noise, self._gel),
-            true_mm=true_offset_mm(commands_mm, conditions, after.slip) - self._slid_mm[rows],
-            valid=valid,
-            press_n=np.asarray(last[:, 2], dtype=np.float64),
-            slip_mm=np.asarray(np.hypot(slid[..., 0], slid[..., 1]).max(axis=1)),
-            toppled=pressed.state.toppled,
+            detected=pressed.detected,
+            travel_mm=pressed.travel_mm,
+            truth=PressTruth(
+                true_offset_mm(commands_mm, conditions, after.slip) - self._slid_mm[rows],
+                np.asarray(np.hypot(slid[..., 0], slid[..., 1]).max(axis=1)),
+                pressed.state.toppled,
+                pressed.state.residual <= RESIDUAL_LIMIT,
+            ),
         )
 
     def _stand(self, rows: NDArray[np.intp]) -> SupportStack | None:

@@ -75,12 +75,14 @@ FIRST_BLOCK, NEXT_BLOCK, MAX_CYCLES = 15, 3, 60
 @dataclass(frozen=True, slots=True)
 class PressCourse:
     """Course of B presses. ``ticks_s`` (B, 20): instants of the model input; ``air`` (B, 14):
-    values before the descent.
+    values before the descent. ``travel_mm`` (B, 20): travel of the arm at the ticks as it measures
+    it, downwards from the onset.
     """
 
     timeline: Timeline
     ticks_s: FloatArray
     air: FloatArray
+    travel_mm: FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,8 +165,10 @@ def press_batch(
     chosen = _state_at(descent.states, acted)
     command = _Ramp(probe, onset, first.t_s[:, -1], descent.lead_mm)
     later, chosen = _follow_ramp(chosen, command, ticks)
+    timeline = first.followed_by(later)
     return PressBatch(
-        timeline=first.followed_by(later),
+        timeline=timeline,
+        travel_mm=_measured_travel_mm(timeline, command, ticks, state.conditions.robot_n_mm),
         onset_s=onset,
         touch_s=descent.touch_s,
         ticks_s=ticks,
@@ -262,6 +266,18 @@ class _Ramp:
         command = np.zeros((len(t_s), 3))
         command[:, 2] = -(self.lead_mm + self.probe.approach_mm_s * self.onset_s + depth)
         return command
+
+
+def _measured_travel_mm(
+    timeline: Timeline, ramp: _Ramp, ticks_s: FloatArray, robot_n_mm: FloatArray
+) -> FloatArray:
+    """Return (B, 20) travel of the compliant arm under the contact force."""
+    t_s = np.concatenate([ramp.onset_s[:, None], ticks_s], axis=1)
+    command_mm = np.stack([ramp.command_mm(at)[:, 2] for at in t_s.T], axis=1)
+    # At the onset the arm is still in its descent.
+    command_mm[:, 0] = -(ramp.lead_mm + ramp.probe.approach_mm_s * ramp.onset_s)
+    height_mm = command_mm + timeline.at(t_s)[:, :, 2] / robot_n_mm[:, 2:]
+    return np.asarray(height_mm[:, :1] - height_mm[:, 1:])
 
 
 def _follow_ramp(

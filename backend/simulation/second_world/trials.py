@@ -33,6 +33,7 @@ from touchdown.backend.core import (
 )
 from touchdown.backend.simulation.batch import (
     BatchedTrials,
+    PressTruth,
     TrialPresses,
     draw_noise,
     observe_presses,
@@ -179,11 +180,12 @@ class DescentRecord:
     """``t_s`` (M,) from about first touch; ``values`` (M, 14) as in a timeline; ``air`` (14,).
 
     ``onset_s``: back-dated, NaN where no contact was declared. ``settled``: contact and springs
-    balance at the end. ``press_n`` at the end.
+    balance at the end. ``press_n`` at the end. ``height_mm`` (M,): of the arm, as it measures it.
     """
 
     t_s: FloatArray
     values: FloatArray
+    height_mm: FloatArray
     air: FloatArray
     onset_s: float
     settled: bool
@@ -193,6 +195,13 @@ class DescentRecord:
         """(20,) instants of the model's input."""
         onset = self.onset_s if np.isfinite(self.onset_s) else 0.0
         return np.asarray(onset + TICK_S * np.arange(1, SAMPLES_PER_PROBE + 1))
+
+    @property
+    def travel_mm(self) -> FloatArray:
+        """(20,) travel of the arm at the ticks, downwards from the onset."""
+        onset = self.onset_s if np.isfinite(self.onset_s) else 0.0
+        height = np.interp([onset, *self.ticks_s], self.t_s, self.height_mm)
+        return np.asarray(height[0] - height[1:], dtype=np.float64)
 
     @property
     def press_n(self) -> float:
@@ -213,6 +222,7 @@ class SecondWorldPress:
         self._mount, self._pads, self._probe = mounted, pads, probe
         self._stiffness = pad_stiffness(conditions)
         self._values: list[FloatArray] = []
+        self._height_mm: list[float] = []
         self._force_n: list[float] = []
 
     def run(
@@ -270,6 +280,7 @@ class SecondWorldPress:
         harder = np.array([pads.hardening, 1.0, *[pads.hardening] * 4])
         model.jnt_stiffness[HELD_JOINTS] = self._stiffness * harder
         self._values.append(self._now())
+        self._height_mm.append(1e3 * float(data.qpos[HAND_Z]))
 
     def _now(self) -> FloatArray:
         return np.concatenate(
@@ -296,7 +307,8 @@ class SecondWorldPress:
         first_s = STEP_S * float(touched[0]) if len(touched) else 0.0
         zero_s = cycle_s * np.floor(first_s / cycle_s)
         t_s = cycle_s * np.arange(1, len(self._values) + 1) - zero_s
-        return DescentRecord(t_s, np.array(self._values), air, onset_s - zero_s, self._settled())
+        values, height_mm = np.array(self._values), np.array(self._height_mm)
+        return DescentRecord(t_s, values, height_mm, air, onset_s - zero_s, self._settled())
 
     def _settled(self) -> bool:
         """Return True if contact forces of the engine and pad springs balance."""
@@ -345,15 +357,17 @@ class SecondWorldTrials(BatchedTrials):
             rows, GraspHistory(slip, np.zeros((len(rows), 2, 4)))
         )
         moved = slip[:, :, :2] - before[:, :, :2]
+        course = _join_presses(pressed)
         return TrialPresses(
-            observation=observe_presses(
-                _join_presses(pressed), conditions, settings, noise, self._gel
+            observation=observe_presses(course, conditions, settings, noise, self._gel),
+            detected=np.array([bool(np.isfinite(p.onset_s)) for p in pressed]),
+            travel_mm=course.travel_mm,
+            truth=PressTruth(
+                true_offset_mm(commands_mm, conditions, slip) - self._slid_mm[rows],
+                np.asarray(np.hypot(moved[..., 0], moved[..., 1]).max(axis=1)),
+                toppled,
+                np.array([p.settled for p in pressed]),
             ),
-            true_mm=true_offset_mm(commands_mm, conditions, slip) - self._slid_mm[rows],
-            valid=~toppled & [bool(np.isfinite(p.onset_s)) and p.settled for p in pressed],
-            press_n=np.array([p.press_n for p in pressed]),
-            slip_mm=np.asarray(np.hypot(moved[..., 0], moved[..., 1]).max(axis=1)),
-            toppled=toppled,
         )
 
 
@@ -368,4 +382,5 @@ def _join_presses(pressed: list[DescentRecord]) -> PressCourse:
         ),
         np.stack([p.ticks_s for p in pressed]),
         np.stack([p.air for p in pressed]),
+        np.stack([p.travel_mm for p in pressed]),
     )

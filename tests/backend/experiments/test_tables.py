@@ -459,7 +459,7 @@ def test_a_group_without_observations_is_left_out_and_counted(
 
     def deaf(self: BatchedTrials, trials: list[int], commands_mm: np.ndarray) -> TrialPresses:
         felt = real(self, trials, commands_mm)
-        return replace(felt, valid=felt.valid & (np.asarray(trials) != 1))
+        return replace(felt, detected=felt.detected & (np.asarray(trials) != 1))
 
     monkeypatch.setattr(BatchedTrials, "press", deaf)
     monkeypatch.setattr(statics, "ATTEMPTS", 2)

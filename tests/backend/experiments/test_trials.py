@@ -6,6 +6,7 @@ device path: rendered images, the tracker, cycles of 10 ms, unloading before the
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -17,22 +18,26 @@ from touchdown.backend.bench.assembly import make_scene, shipped_model
 from touchdown.backend.config.method import BeliefSettings, PolicySettings, StackSettings
 from touchdown.backend.config.simulation import PRESETS, SimulationSettings, load_simulation
 from touchdown.backend.core.events import ActionChosen, EpisodeRecorded, TrialFinished
-from touchdown.backend.core.values import FloatArray, Outcome
+from touchdown.backend.core.values import TACTILE_CHANNELS, FloatArray, Outcome
 from touchdown.backend.experiments.models import batch_model
+from touchdown.backend.experiments.statics import probe_groups
 from touchdown.backend.experiments.trials import (
     BatchModel,
     BatchTrialResult,
     SceneSetup,
     pick_and_place_in_lockstep,
+    refused_presses,
     stack_in_lockstep,
     start_scene,
 )
 from touchdown.backend.geometry.outlines import face_points
 from touchdown.backend.geometry.pieces import load_pieces
+from touchdown.backend.geometry.tower import Tower
 from touchdown.backend.learning.checkpoint import load_checkpoint
 from touchdown.backend.runs.requests import SceneChoice, StackRequest
 from touchdown.backend.sensing.episode import EpisodeLimits
-from touchdown.backend.simulation.batch import BatchedTrials
+from touchdown.backend.sensing.slip import shortfall_mm
+from touchdown.backend.simulation.batch import BatchedTrials, TrialPresses
 from touchdown.backend.simulation.scene import Scene
 
 MECHANICAL = {
@@ -82,16 +87,17 @@ def test_a_lone_trial_ends_as_it_does_in_a_crowd(settings: SimulationSettings) -
     crowd = together.press([0, 1, 2], commands)
     lone = alone.press([0], commands[1:2])
     assert lone.observation[0] == pytest.approx(crowd.observation[1], abs=1e-4)
-    assert lone.true_mm[0] == pytest.approx(crowd.true_mm[1], abs=1e-6)
+    assert lone.truth.offset_mm[0] == pytest.approx(crowd.truth.offset_mm[1], abs=1e-6)
+    assert lone.travel_mm[0] == pytest.approx(crowd.travel_mm[1], abs=1e-6)
 
 
 def test_the_start_of_a_scene_is_where_the_piece_is_pressed(settings: SimulationSettings) -> None:
     scene = three_scenes(settings)[0]
     bench = BatchedTrials([scene])
     felt = bench.press([0], bench.start_commands_mm())
-    assert felt.valid.all()
-    assert felt.true_mm[0] == pytest.approx(scene.start_mm, abs=0.3)
-    assert felt.press_n[0] > 1.0
+    assert felt.detected.all()
+    assert felt.truth.offset_mm[0] == pytest.approx(scene.start_mm, abs=0.3)
+    assert felt.observation[0, -1, TACTILE_CHANNELS + 2] > 1.0
 
 
 def _constant(probability: float, piece: str = "pot") -> BatchModel:
@@ -105,7 +111,7 @@ def test_one_who_is_always_sure_lets_it_fall(settings: SimulationSettings) -> No
         assert (end.outcome, end.probes) == (Outcome.FELL, 1)
         assert end.verdict is not None
         assert end.verdict.margin_mm < 0
-    for end in pick_and_place_in_lockstep(scenes, StackSettings(), EpisodeLimits()):
+    for end in pick_and_place_in_lockstep(scenes, StackSettings()):
         assert end.outcome is Outcome.FELL
 
 
@@ -151,11 +157,68 @@ def ended(strategy: str, most: int) -> BatchTrialResult:
 
 
 @pytest.mark.parametrize("strategy", ["paper", "zero-wrench"])
-def test_two_presses_without_contact_end_the_run(strategy: str) -> None:
+def test_a_press_without_contact_ends_the_run(strategy: str) -> None:
     end = ended(strategy, 2)
-    assert end.outcome is Outcome.ABORTED
-    assert end.reason.startswith("Probe 1 was rejected 2 times: no contact was found")
+    assert (end.outcome, end.reason) == (Outcome.ABORTED, "No contact was found.")
     assert end.probes == 0
+
+
+class FalseTruth(BatchedTrials):
+    """Trials that tell the truth about place and fall only: all slipped, none has a solution."""
+
+    def press(self, trials: Sequence[int], commands_mm: FloatArray) -> TrialPresses:
+        felt = super().press(trials, commands_mm)
+        k = len(felt.detected)
+        lie = replace(felt.truth, slip_mm=np.full(k, 9.0), solved=np.zeros(k, np.bool_))
+        return replace(felt, truth=lie)
+
+
+@pytest.mark.parametrize("strategy", ["paper", "fused", "zero-wrench"])
+def test_no_truth_decides_a_trial(settings: SimulationSettings, strategy: str) -> None:
+    """Presses are accepted by measured force and slip; the truth gives the outcome only."""
+    scenes, chosen = three_scenes(settings), StackSettings.model_validate({"strategy": strategy})
+    honest, lied = (
+        stack_in_lockstep(scenes, _constant(0.6), chosen, EpisodeLimits(), world=world)
+        for world in (BatchedTrials, FalseTruth)
+    )
+    courses = [
+        [(e.outcome, e.reason, e.true_mm, [step.offset_mm for step in e.steps]) for e in ends]
+        for ends in (honest, lied)
+    ]
+    assert courses[0] == courses[1]
+    assert all(end.unsolved >= end.probes > 0 for end in lied)
+
+
+def test_no_truth_chooses_the_probes_of_a_group() -> None:
+    case = SceneSetup.of(load_pieces(), "pot", ("short",), load_simulation(preset="bench-v1"))
+    honest, lied = (probe_groups(case, [70, 71], 2, w) for w in (BatchedTrials, FalseTruth))
+    assert lied.rejected == honest.rejected
+    np.testing.assert_array_equal(lied.observation, honest.observation)
+
+
+def test_slip_is_measured_in_the_batch_as_on_the_devices() -> None:
+    """Slip from the markers at the ticks, against the true slip; a weak grip slips."""
+    slips = {"grasp": {"slip": True}, "mu_grip": 0.33, "spread": {"mu_grip": 0.0}}
+    bench = load_simulation(preset="bench-v1").model_dump(mode="json")
+    for key, value in slips.items():
+        bench[key] = {**bench[key], **value} if isinstance(value, dict) else value
+    weak = SimulationSettings.model_validate(bench)
+    tower = Tower((load_pieces().bottom("short").body(),))
+    scenes = [Scene(load_pieces().top("pot"), tower, (0.0, 0.0), k, weak) for k in range(12)]
+    felt = BatchedTrials(scenes).press(range(12), np.zeros((12, 2)))
+    true_mm, measured_mm = felt.truth.slip_mm, measured_slips_mm(felt)
+    assert true_mm.max() > 0.3
+    np.testing.assert_allclose(measured_mm, true_mm, atol=0.08)
+    refused = [bool(why) for why in refused_presses(felt, EpisodeLimits())]
+    assert refused == [bool(slip > EpisodeLimits().slip_mm) for slip in measured_mm]
+
+
+def measured_slips_mm(felt: TrialPresses) -> FloatArray:
+    shear = felt.observation[:, :, :TACTILE_CHANNELS].reshape(len(felt.detected), 20, 2, 2, 63)
+    return np.array([
+        max(shortfall_mm(travel, one.astype(np.float64)) for one in shears[:, :, 1].mean(-1).T)
+        for travel, shears in zip(felt.travel_mm, shear, strict=True)
+    ])  # fmt: skip
 
 
 def test_learned_fusion_presses_elsewhere() -> None:

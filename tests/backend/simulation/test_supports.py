@@ -270,7 +270,7 @@ def test_no_press_on_free_bottoms_is_harder_than_a_spring_can_make_it() -> None:
     assert (
         wrench[:, :, 2].max() < LARGEST_FORCE_RATIO * 5.22 * 1.6
     )  # series stiffness times depth: reference 3.1
-    assert felt.valid.mean() > 0.85
+    assert (felt.detected & felt.truth.solved).mean() > 0.85
     assert (np.hypot(*np.moveaxis(seen[0].state.pose.rock_rad, -1, 0)) > 1e-4).mean() > 0.3
 
 
@@ -301,7 +301,7 @@ def test_devices_and_batch_rock_alike(monkeypatch: pytest.MonkeyPatch) -> None:
         values = holding.solve(command, 0.01)
     assert values[:3] == pytest.approx(seen[0].timeline.values[0, -1, :3], abs=0.02)
     assert holding._state.pose.rock_rad[0, 0] == pytest.approx(rock, abs=2e-5)
-    assert holding.offset_mm(command) == pytest.approx(felt.true_mm[0], abs=1e-3)
+    assert holding.offset_mm(command) == pytest.approx(felt.truth.offset_mm[0], abs=1e-3)
 
 
 def test_in_air_only_the_weights_are_felt() -> None:

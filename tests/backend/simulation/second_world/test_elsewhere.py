@@ -178,9 +178,9 @@ def test_draws_and_signals_are_those_of_the_scene_whatever_else_is_pressed() -> 
     together, alone = SecondWorldTrials(scenes), SecondWorldTrials(scenes[1:])
     at = np.array([[4.0, 2.0], [-6.0, 3.0]])
     both, one = together.press([0, 1], at), alone.press([0], at[1:])
-    assert both.valid.all()
+    assert (both.detected & both.truth.solved).all()
     np.testing.assert_array_equal(both.observation[1], one.observation[0])
     assert np.isfinite(both.observation).all()
     # What crept in the hand is carried to the next press.
     again = alone.press([0], at[1:])
-    assert again.true_mm[0] != pytest.approx(one.true_mm[0], abs=1e-9)
+    assert again.truth.offset_mm[0] != pytest.approx(one.truth.offset_mm[0], abs=1e-9)

@@ -31,6 +31,7 @@ from touchdown.backend.geometry import (
     draw_start,
     draw_tower,
     load_pieces,
+    start_generator,
 )
 from touchdown.backend.learning import ModelRegistry, card_mismatches, check_autonomous
 from touchdown.backend.placement import Estimator
@@ -238,7 +239,7 @@ def make_scene(catalogue: PieceLibrary, choice: SceneChoice, settings: Simulatio
     if seed < 0:
         raise InputError(f"The seed {seed} is negative.", "--seed", "Give 0 or a positive number.")
     piece = catalogue.top(choice.piece)
-    rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, 77])))
+    rng = start_generator(seed, choice.piece, *choice.bottoms)
     tower = make_tower(catalogue, choice, piece, rng)
     if not choice.jig:
         start = draw_start(rng, piece.body(), tower)

@@ -391,7 +391,7 @@ def _entered_tower_strategy(
     """
 
     def create(scene: Scene, at: XY) -> Strategy:
-        rng = np.random.default_rng([scene.seed, ENTRY_STREAM])
+        rng = np.random.default_rng([scene.seed, scene.number, ENTRY_STREAM])
         steps = np.diff([body.at_mm for body in scene.bottoms.bodies], axis=0)
         entered = steps + sigma_mm * rng.standard_normal(steps.shape)
         offset_mm = tuple((float(x), float(y)) for x, y in entered)

@@ -36,6 +36,7 @@ from touchdown.backend.geometry import (
     draw_tower,
     judge_tower,
     load_pieces,
+    start_generator,
 )
 from touchdown.backend.learning import PatchCalibration
 from touchdown.backend.placement import (
@@ -56,7 +57,7 @@ from touchdown.backend.simulation import (
     tower_with_piece,
 )
 
-_START, _DISPLACEMENT = 77, 78
+_DISPLACEMENT = 78
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,7 +91,7 @@ def start_scene(case: SceneSetup, seed: int) -> Scene | None:
 
     The device loop builds the same scene from the same seed.
     """
-    rng = np.random.default_rng([seed, _START])
+    rng = start_generator(seed, case.piece.name, *(bottom.name for bottom in case.bottoms))
     tower = draw_tower(rng, case.bottoms)
     if len(case.bottoms) > 1 and not can_be_placed(case.piece, tower):
         return None

@@ -27,6 +27,8 @@ from .sampling import can_be_placed as can_be_placed
 from .sampling import draw_offset as draw_offset
 from .sampling import draw_start as draw_start
 from .sampling import draw_tower as draw_tower
+from .sampling import scene_number as scene_number
+from .sampling import start_generator as start_generator
 from .tower import TOO_CLOSE_MM as TOO_CLOSE_MM
 from .tower import Body as Body
 from .tower import Tower as Tower
@@ -67,7 +69,9 @@ __all__ = [
     "polygon_edges",
     "rectangle",
     "rotated",
+    "scene_number",
     "signed_distances_mm",
     "square",
+    "start_generator",
     "true_patch",
 ]

@@ -7,6 +7,7 @@ Offsets are drawn by rejection sampling.
 from __future__ import annotations
 
 import math
+import zlib
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -24,6 +25,7 @@ START_MARGIN_MM = -0.2  # A trial starts clearly unstable, outside the band that
 COARSE_SEGMENTS = 48  # corners of a circle while sampling: the area is at most 0.3 % too small
 
 MAX_ROUNDS = 500  # draws before giving up; a few are usual
+_START = 77  # random stream of towers and starts
 
 
 def draw_offset(rng: np.random.Generator, face: Outline, bottom: Outline, count: int) -> FloatArray:
@@ -44,6 +46,19 @@ def draw_offset(rng: np.random.Generator, face: Outline, bottom: Outline, count:
         "piece and bottom",
         "Choose larger faces.",
     )
+
+
+def scene_number(piece: str, *bottoms: str) -> int:
+    """Return the number of a piece over bottoms (bottom-up) in seeds.
+
+    Scenes of one seed with other pieces or bottoms have other draws.
+    """
+    return zlib.crc32(f"{piece}/{'+'.join(bottoms)}".encode())
+
+
+def start_generator(seed: int, piece: str, *bottoms: str) -> np.random.Generator:
+    """Return the generator of tower and start of a trial, the same on all benches."""
+    return np.random.default_rng([seed, scene_number(piece, *bottoms), _START])
 
 
 def draw_start(rng: np.random.Generator, piece: Body, bottoms: Tower) -> tuple[float, float]:

@@ -17,7 +17,7 @@ from touchdown.backend.core import (
     SetUpAwaited,
     TrialFinished,
 )
-from touchdown.backend.geometry import Piece, Tower, draw_start
+from touchdown.backend.geometry import Piece, Tower, draw_start, start_generator
 from touchdown.backend.runs import messages
 from touchdown.backend.runs.bench import Bench, RunContext
 from touchdown.backend.runs.jig import approach_with_piece, pick_piece, with_handed_piece
@@ -73,7 +73,6 @@ def excluding_fault(finished: TrialFinished, last_phase: str) -> str:
 SIDE_N = 1.0  # lateral force that counts as contact with the opening fingers
 # Three standard deviations of the wrist's slow error; lighter pieces are not weighed
 WEIGHED_N = 0.75
-STARTS = 77  # random stream of start offsets, the same as on the simulated bench
 
 
 def trial_start_mm(session: RunContext, request: StackRequest, trial: int) -> tuple[float, float]:
@@ -85,8 +84,7 @@ def trial_start_mm(session: RunContext, request: StackRequest, trial: int) -> tu
     tower = Tower((first.body(),))
     for piece in others:
         tower = tower.with_top(piece.body())
-    seeds = np.random.SeedSequence([request.seed + trial, STARTS])
-    rng = np.random.Generator(np.random.PCG64(seeds))
+    rng = start_generator(request.seed + trial, request.piece, *request.bottoms)
     return draw_start(rng, session.catalogue.piece(request.piece).body(), tower)
 
 

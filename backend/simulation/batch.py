@@ -9,7 +9,6 @@ frame times, lost markers) differs, and nothing is rendered or tracked.
 
 from __future__ import annotations
 
-import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
@@ -18,7 +17,7 @@ from numpy.typing import NDArray
 
 from touchdown.backend.config import SAMPLES_PER_PROBE, ProbeSettings, SimulationSettings
 from touchdown.backend.core import CHANNELS, TACTILE_CHANNELS, FloatArray, OnsetRule
-from touchdown.backend.geometry import Outline, Tower, face_points
+from touchdown.backend.geometry import Outline, Tower, face_points, scene_number
 from touchdown.backend.simulation import conditions as nuisance
 from touchdown.backend.simulation import marker_fields
 from touchdown.backend.simulation.conditions import Conditions, SeedScope, true_offset_mm
@@ -74,7 +73,7 @@ class BatchPlan:
     @property
     def pair(self) -> int:
         """Number of the pair in seeds."""
-        return zlib.crc32(f"{self.piece}/{self.bottom}".encode())
+        return scene_number(self.piece, self.bottom)
 
     @property
     def grips(self) -> int:
@@ -433,7 +432,7 @@ class BatchedTrials:
             nuisance.draw_gripping(
                 s.settings,
                 force_n,
-                nuisance.scoped_generator(s.seed, SeedScope.GRIPPING, _MOUNTING, _GRIP),
+                nuisance.scoped_generator(s.seed, SeedScope.GRIPPING, s.number, _MOUNTING, _GRIP),
             )
             for s in scenes
         ]
@@ -516,7 +515,7 @@ class BatchedTrials:
             self._number[i] += 1
             scene = self.scenes[i]
             rng = nuisance.scoped_generator(
-                scene.seed, SeedScope.PROBE, _MOUNTING, _GRIP, self._number[i]
+                scene.seed, SeedScope.PROBE, scene.number, _MOUNTING, _GRIP, self._number[i]
             )
             each = nuisance.draw_probe(scene.settings, rng)
             draws.append((self._mountings[i], self.grippings[i], each))
@@ -526,5 +525,6 @@ class BatchedTrials:
         )
 
     def _sensor_rng(self, trial: int) -> np.random.Generator:
-        seed, number = self.scenes[trial].seed, self._number[trial]
-        return nuisance.scoped_generator(seed, SeedScope.PROBE, _MOUNTING, _GRIP, number, _SENSORS)
+        scene = self.scenes[trial]
+        place = (scene.number, _MOUNTING, _GRIP, self._number[trial], _SENSORS)
+        return nuisance.scoped_generator(scene.seed, SeedScope.PROBE, *place)

@@ -88,7 +88,10 @@ class SeedScope(IntEnum):
 
 
 def scoped_generator(seed: int, scope: SeedScope, *place: int) -> np.random.Generator:
-    """Return the generator of one ``place``: (mounting), (mounting, grip), (..., probe)."""
+    """Return the generator of one ``place``: (scene, mounting), (..., grip), (..., probe).
+
+    ``scene``: number of piece and bottoms, so that one seed gives each pair draws of its own.
+    """
     return np.random.default_rng([seed, scope, *place])
 
 

@@ -142,7 +142,7 @@ class HeldPiece:
         self._scene, self._grip = scene, grip
         self._bottoms = bottoms or scene.bottoms
         self.mounting = scene_mounting(scene)
-        rng = scoped_generator(scene.seed, SeedScope.GRIPPING, scene.mounting, grip)
+        rng = scoped_generator(scene.seed, SeedScope.GRIPPING, scene.number, scene.mounting, grip)
         self.gripping = draw_gripping(scene.settings, force_n, rng)
         self.probe = 0
         self.conditions = self._draw(ProbeSettings())
@@ -273,7 +273,8 @@ class HeldPiece:
 
     def _draw(self, probe: ProbeSettings) -> Conditions:
         scene = self._scene
-        rng = scoped_generator(scene.seed, SeedScope.PROBE, scene.mounting, self._grip, self.probe)
+        place = (scene.number, scene.mounting, self._grip, self.probe)
+        rng = scoped_generator(scene.seed, SeedScope.PROBE, *place)
         draw = draw_probe(scene.settings, rng)
         if self.probe == 0:
             # Before the first press the piece is at the start of the scene.
@@ -289,9 +290,8 @@ class HeldPiece:
 
 def scene_mounting(scene: Scene) -> MountingDraw:
     """Return the draw of the scene's mounting."""
-    return draw_mounting(
-        scene.settings, scoped_generator(scene.seed, SeedScope.MOUNTING, scene.mounting)
-    )
+    place = (scene.number, scene.mounting)
+    return draw_mounting(scene.settings, scoped_generator(scene.seed, SeedScope.MOUNTING, *place))
 
 
 def start_command_mm(scene: Scene) -> FloatArray:

@@ -11,7 +11,7 @@ import numpy as np
 
 from touchdown.backend.config import SimulationSettings
 from touchdown.backend.core import Fall
-from touchdown.backend.geometry import Outline, Piece, Tower, judge_tower
+from touchdown.backend.geometry import Outline, Piece, Tower, judge_tower, scene_number
 from touchdown.backend.simulation.release_mujoco import (
     contradicts_analysis,
     mujoco_available,
@@ -50,6 +50,11 @@ class Scene:
         """Nominal height of the grasp pivot above the face."""
         assert self.piece.grip_height_mm is not None
         return self.piece.grip_height_mm
+
+    @property
+    def number(self) -> int:
+        """Number of piece and bottoms, a part of the seed of every draw."""
+        return scene_number(self.piece.name, *(body.name for body in self.bottoms.bodies))
 
     @property
     def surface(self) -> Outline:
@@ -102,7 +107,7 @@ def true_margin_mm(
 def release_kick_mm(scene: Scene, release: int) -> tuple[float, float]:
     """Return the effect of the opening fingers as a random shift of the centre of mass."""
     sigma = scene.settings.release_disturbance_mm
-    x, y = sigma * np.random.default_rng([scene.seed, 5, release]).standard_normal(2)
+    x, y = sigma * np.random.default_rng([scene.seed, scene.number, 5, release]).standard_normal(2)
     return float(x), float(y)
 
 

@@ -76,7 +76,9 @@ class World:
         width_mm = scene.piece.width_mm
         self.jaws = SimulatedJaws(width_mm + OPEN_CLEARANCE_MM, width_mm)
         self._gel = gel_from_settings(settings)
-        seeds = np.random.SeedSequence([scene.seed, 7, scene.mounting]).generate_state(3)
+        seeds = np.random.SeedSequence(
+            [scene.seed, scene.number, 7, scene.mounting]
+        ).generate_state(3)
         self._wrist = WristSampler(settings.wrist, self.cycle_us, int(seeds[2]))
         self._cameras = _cameras(scene, seeds.tolist(), still_px)
         self._holding: HeldPiece | None = None

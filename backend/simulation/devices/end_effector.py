@@ -42,7 +42,7 @@ class SimGripper(SimDevice):
     def __init__(self, world: World, now_s: Callable[[], float]) -> None:
         self._world = world
         super().__init__("gripper", "simulated gripper", now_s)
-        self._rng = np.random.default_rng([world.scene.seed, 6])
+        self._rng = np.random.default_rng([world.scene.seed, world.scene.number, 6])
         self._status = GripStatus(world.jaws.width_mm, 0.0, False)
 
     def close(self) -> None:

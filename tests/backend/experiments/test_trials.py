@@ -15,7 +15,12 @@ import pytest
 from tests.backend.bench.brisk import RATE_HZ
 from tests.backend.experiments.device_loop import run_on_devices
 from touchdown.backend.bench.assembly import make_scene, shipped_model
-from touchdown.backend.config.method import BeliefSettings, PolicySettings, StackSettings
+from touchdown.backend.config.method import (
+    BeliefSettings,
+    PolicySettings,
+    ProbeSettings,
+    StackSettings,
+)
 from touchdown.backend.config.simulation import PRESETS, SimulationSettings, load_simulation
 from touchdown.backend.core.events import ActionChosen, EpisodeRecorded, TrialFinished
 from touchdown.backend.core.values import TACTILE_CHANNELS, FloatArray, Outcome
@@ -38,6 +43,7 @@ from touchdown.backend.runs.requests import SceneChoice, StackRequest
 from touchdown.backend.sensing.episode import EpisodeLimits
 from touchdown.backend.sensing.slip import shortfall_mm
 from touchdown.backend.simulation.batch import BatchedTrials, TrialPresses
+from touchdown.backend.simulation.gripper import HeldPiece, scene_mounting
 from touchdown.backend.simulation.scene import Scene
 
 MECHANICAL = {
@@ -98,6 +104,48 @@ def test_the_start_of_a_scene_is_where_the_piece_is_pressed(settings: Simulation
     assert felt.detected.all()
     assert felt.truth.offset_mm[0] == pytest.approx(scene.start_mm, abs=0.3)
     assert felt.observation[0, -1, TACTILE_CHANNELS + 2] > 1.0
+
+
+PAIRS = (("pot", "short"), ("pot", "long"), ("mushroom", "short"), ("barrel", "hex20"))
+
+
+def nuisances(piece: str, bottom: str, seeds: Sequence[int]) -> list[list[float]]:
+    """Return what each trial draws once: tilt, stiffness, grasp, gains."""
+    catalogue, bench = load_pieces(), load_simulation(preset="bench-v1")
+    tower = Tower((catalogue.bottom(bottom).body(),))
+    scenes = [Scene(catalogue.top(piece), tower, (0.0, 0.0), seed, bench) for seed in seeds]
+    drawn = []
+    for scene, grip in zip(scenes, BatchedTrials(scenes).grippings, strict=True):
+        mounting = scene_mounting(scene)
+        fixed = [*mounting.tilt_rad, float(np.log(mounting.foundation_n_mm3)), grip.gel_factor]
+        drawn.append([*fixed, grip.mu_grip, *grip.grasp_offset_mm, grip.yaw_rad, *grip.gain])
+    on_devices = HeldPiece(scenes[-1], 0, ProbeSettings().grip_force_n)
+    assert (on_devices.mounting, on_devices.gripping) == (mounting, grip)
+    return drawn
+
+
+def test_trials_of_one_seed_are_independent() -> None:
+    """Each piece, bottom and seed has draws of its own; the same three have the same draws."""
+    drawn = np.array([nuisances(*pair, range(150)) for pair in PAIRS])
+    assert len(np.unique(drawn[..., 2])) == drawn[..., 2].size
+    assert nuisances(*PAIRS[2], [149]) == drawn[2, 149:].tolist()
+    columns = [drawn[k, :, q] for q in range(drawn.shape[2]) for k in range(len(PAIRS))]
+    sideways = np.corrcoef(columns) - np.eye(len(columns))
+    # 780 coefficients with a standard deviation of 0.08
+    assert np.abs(sideways).max() < 0.36
+    following = [float(np.corrcoef(one[1:], one[:-1])[0, 1]) for one in columns]
+    assert np.abs(following).max() < 0.32
+
+
+@pytest.mark.parametrize("bottoms", [("short",), ("short", "long")])
+def test_batch_and_devices_build_the_same_scene(bottoms: tuple[str, ...]) -> None:
+    catalogue, bench = load_pieces(), load_simulation(preset="bench-v1")
+    case = SceneSetup.of(catalogue, "pot", bottoms, bench)
+    choices = [SceneChoice("pot", bottoms, seed=seed) for seed in (3, 4)]
+    made = [make_scene(catalogue, choice, bench) for choice in choices]
+    assert made == [start_scene(case, seed) for seed in (3, 4)]
+    other = make_scene(catalogue, SceneChoice("barrel", bottoms, seed=3), bench)
+    assert other.start_mm != made[0].start_mm
 
 
 def _constant(probability: float, piece: str = "pot") -> BatchModel:

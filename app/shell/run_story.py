@@ -27,7 +27,7 @@ from touchdown.backend.core import (
     TrialStarted,
 )
 from touchdown.backend.geometry import PieceLibrary, edges_to_polygon, overlap_edges
-from touchdown.backend.learning import wilson_interval
+from touchdown.backend.learning import rate_interval
 from touchdown.backend.runs import excluding_fault
 from touchdown.widgets.views import BeliefScene, Score
 
@@ -213,7 +213,7 @@ def run_score(trials: Sequence[TrialStory], planned: int, last: str) -> Score:
         last = f"{last} {said}".strip()
     placed = sum(outcome is Outcome.PLACED for outcome in outcomes)
     counted = len(outcomes) - excused
-    interval = wilson_interval(placed, counted) if counted else None
+    interval = rate_interval(placed, counted) if counted else None
     ended = [t.finished for t in done if t.finished is not None]
     void = tuple(
         f"Trial {one.trial}: {one.reason}" for one in ended if one.outcome is Outcome.ABORTED

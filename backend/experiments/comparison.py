@@ -38,6 +38,7 @@ from touchdown.backend.experiments.strategies import (
 )
 from touchdown.backend.experiments.tables import UNSAFE_OUTCOMES, score_verdicts
 from touchdown.backend.jobs import JobSpec, JobStore
+from touchdown.backend.learning import rate_interval
 
 PAPER = "paper"
 BOOTSTRAP_DRAWS, INTERVAL_PERCENTILES = 4000, (2.5, 97.5)
@@ -226,8 +227,25 @@ def _row(
     drawn = _share_of_way(value(_bootstrap_sums(counts)), upwards=upwards)
     known = drawn[~np.isnan(drawn)]
     if len(known) > (1.0 - INTERVAL_PERCENTILES[0] / 100.0) * BOOTSTRAP_DRAWS:
-        row["share_low"], row["share_high"] = np.percentile(known, INTERVAL_PERCENTILES).tolist()
+        ends = np.percentile(known, INTERVAL_PERCENTILES)
+        if value is _mean:
+            ends = np.r_[ends, _eventless_shares(total, values, upwards=upwards)]
+        row["share_low"], row["share_high"] = float(ends.min()), float(ends.max())
     return row
+
+
+def _eventless_shares(total: FloatArray, values: FloatArray, *, upwards: bool) -> FloatArray:
+    """Return the shares at the exact bounds of rates without events, which no draw of a bootstrap
+    changes.
+    """
+    found = []
+    for k, (events, n) in enumerate(total.astype(int).tolist()):
+        for bound in rate_interval(events, n) if events in (0, n) else ():
+            moved = values.copy()
+            moved[k] = bound
+            found.append(_share_of_way(moved, upwards=upwards))
+    shares = np.array(found, dtype=np.float64)
+    return np.asarray(shares[~np.isnan(shares)])
 
 
 def _share_of_way(values: FloatArray, *, upwards: bool) -> FloatArray:

@@ -1,6 +1,7 @@
 """Statistics of the experiments: rates, means, verdicts, paired changes, 95 % intervals.
 
-Rates have Wilson intervals, means have normal intervals over independent groups.
+Rates have Wilson intervals, and exact bounds without events. Means have normal intervals over
+independent groups.
 ``reliability_curve`` sorts probabilities into bins of equal mass; its ``ece`` is the expected
 calibration error. ``iou_change`` compares the same seeds group by group. ``compare_intervals``
 lists the cells of one ``tables.json`` whose interval misses the value of another one.
@@ -18,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.backend.core import FloatArray
-from touchdown.backend.learning import Z_95, wilson_interval
+from touchdown.backend.learning import Z_95, rate_interval
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,10 +37,10 @@ class IntervalEstimate:
 
 
 def estimate_rate(successes: int, trials: int) -> IntervalEstimate:
-    """Return a rate with its Wilson interval."""
+    """Return a rate of independent trials with its interval, see ``rate_interval``."""
     if not trials:
         return IntervalEstimate(None, None, None, 0)
-    low, high = wilson_interval(successes, trials)
+    low, high = rate_interval(successes, trials)
     return IntervalEstimate(successes / trials, low, high, trials)
 
 

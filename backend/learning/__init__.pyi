@@ -24,8 +24,8 @@ from .metrics import Z_95 as Z_95
 from .metrics import EvaluationScores as EvaluationScores
 from .metrics import SamplePrediction as SamplePrediction
 from .metrics import load_samples as load_samples
+from .metrics import rate_interval as rate_interval
 from .metrics import stable_flags as stable_flags
-from .metrics import wilson_interval as wilson_interval
 from .registry import HARDWARE_PROBES as HARDWARE_PROBES
 from .registry import SHIPPED_MODEL as SHIPPED_MODEL
 from .registry import ModelRegistry as ModelRegistry
@@ -107,6 +107,7 @@ __all__ = [
     "modality_columns",
     "models_below",
     "predict",
+    "rate_interval",
     "read_training_run",
     "resume_request",
     "run_training",
@@ -119,5 +120,4 @@ __all__ = [
     "training_candidates",
     "training_set_overview",
     "use_one_thread",
-    "wilson_interval",
 ]

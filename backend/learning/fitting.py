@@ -140,12 +140,15 @@ def evaluate_model(
             "Simulate the episodes again with the present catalogue.",
         )
     probability = _predictions(checkpoint, rows)
-    bottoms = np.array(rows.bottom)
-    scores = {
-        name: score(probability[bottoms == name], rows.patch[bottoms == name], points_mm, delta)
-        for name in sorted(set(rows.bottom))
-    }
-    return {**scores, ALL: score(probability, rows.patch, points_mm, delta)}
+    bottoms, mounting = np.array(rows.bottom), np.array(rows.mounting_id)
+
+    def scored(which: NDArray[np.bool_]) -> EvaluationScores:
+        return score(
+            probability[which], rows.patch[which], points_mm, delta, mounting[which].tolist()
+        )
+
+    scores = {name: scored(bottoms == name) for name in sorted(set(rows.bottom))}
+    return {**scores, ALL: scored(np.ones(len(rows), dtype=np.bool_))}
 
 
 def _predictions(checkpoint: Checkpoint, rows: TrainingRows) -> NDArray[np.float32]:

@@ -54,15 +54,52 @@ def stable_flags(patches: Bits, points_mm: FloatArray) -> Bits:
     return np.array([hull_margin_mm(points_mm[patch]) >= 0.0 for patch in patches], dtype=bool)
 
 
-def wilson_interval(successes: int, trials: int) -> tuple[float, float]:
-    """Return the 95 % Wilson interval of a success rate; (0, 1) without trials."""
+def wilson_interval(successes: float, trials: float, z: float = Z_95) -> tuple[float, float]:
+    """Return the Wilson interval of a success rate; (0, 1) without trials."""
     if trials == 0:
         return 0.0, 1.0
-    share, z2 = successes / trials, Z_95**2
+    share, z2 = successes / trials, z**2
     centre = (share + z2 / (2 * trials)) / (1 + z2 / trials)
-    half = Z_95 * math.sqrt(share * (1 - share) / trials + z2 / (4 * trials**2))
+    half = z * math.sqrt(share * (1 - share) / trials + z2 / (4 * trials**2))
     half /= 1 + z2 / trials
     return max(0.0, centre - half), min(1.0, centre + half)
+
+
+def rate_interval(successes: int, trials: int) -> tuple[float, float]:
+    """Return the 95 % interval of the rate of independent trials; (0, 1) without trials.
+
+    Wilson's. Without events on one side the exact one-sided bound (Clopper and Pearson, 1934): none
+    of 299 gives at most 1 %.
+    """
+    if trials and successes in (0, trials):
+        bound = 0.05 ** (1.0 / trials)
+        return (0.0, 1.0 - bound) if successes == 0 else (bound, 1.0)
+    return wilson_interval(successes, trials)
+
+
+def clustered_interval(right: NDArray[np.bool_], cluster: Sequence[str]) -> tuple[float, float]:
+    """Return the 95 % interval of the mean of ``right`` (n,), dependent within a ``cluster``.
+
+    Wilson's, of as many trials as the variance between clusters allows (Kish's design effect, at
+    least 1) and with Student's quantile. One cluster counts as one trial.
+    """
+    # Imported here: the window needs rates only.
+    from scipy.special import stdtrit
+
+    _, index = np.unique(np.array(cluster, dtype=str), return_inverse=True)
+    size = np.bincount(index)
+    count, n = len(size), len(right)
+    if count == n:
+        return rate_interval(int(right.sum()), n)
+    share = float(np.mean(right))
+    if count == 1:
+        return wilson_interval(share, 1)
+    if share in (0.0, 1.0):
+        return rate_interval(round(share * count), count)
+    off = np.bincount(index, right) - share * size
+    variance = count / (count - 1) * float(off @ off) / n**2
+    effect = max(1.0, variance * n / (share * (1.0 - share)))
+    return wilson_interval(share * n / effect, n / effect, float(stdtrit(count - 1, 0.975)))
 
 
 # mean predicted probability, share of points in contact, number of points
@@ -140,21 +177,28 @@ class EvaluationScores:
 
 
 def score(
-    probability: NDArray[np.floating], truth: Bits, points_mm: FloatArray, delta: float
+    probability: NDArray[np.floating],
+    truth: Bits,
+    points_mm: FloatArray,
+    delta: float,
+    mounting: Sequence[str],
 ) -> EvaluationScores:
-    """Score ``probability`` (n, N) against ``truth`` (n, N); support means p > ``delta``."""
+    """Score ``probability`` (n, N) against ``truth`` (n, N); support means p > ``delta``.
+
+    ``mounting`` (n,): the interval is by mounting.
+    """
     predicted = probability > CONTACT_LEVEL
     released = stable_flags(probability > delta, points_mm)
     stable = stable_flags(truth, points_mm)
-    right = int(np.sum(released == stable))
+    right = released == stable
     share = float(np.mean(stable))
     unsafe = float(np.mean(released[~stable])) if not stable.all() else math.nan
     return EvaluationScores(
         len(truth),
         iou(predicted, truth),
         point_accuracy(predicted, truth),
-        right / len(truth),
-        wilson_interval(right, len(truth)),
+        float(np.mean(right)),
+        clustered_interval(right, mounting),
         max(share, 1.0 - share),
         unsafe,
     )

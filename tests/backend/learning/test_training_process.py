@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from scipy.stats import binomtest, bootstrap
 from shapely import MultiPoint, Point
 
 from touchdown.backend.bench.assembly import shipped_model
@@ -38,9 +39,11 @@ from touchdown.backend.learning.inference import (
     modality_columns,
 )
 from touchdown.backend.learning.metrics import (
+    clustered_interval,
     hull_margin_mm,
     iou,
     point_accuracy,
+    rate_interval,
     score,
     stable_flags,
     wilson_interval,
@@ -275,6 +278,51 @@ def test_wilson_intervals_as_published(k: int, n: int, low: float, high: float) 
     assert wilson_interval(k, n) == pytest.approx((low, high), abs=5e-4)
 
 
+MOUNTINGS = [f"m{k}" for k in range(100)]
+
+
+@pytest.mark.parametrize("n", [1, 12, 60, 299, 2760])
+def test_without_events_the_bound_is_exact(n: int) -> None:
+    """Against scipy; none of 299 is at most 1 %."""
+    least = binomtest(0, n, alternative="less").proportion_ci(0.95, "exact")
+    most = binomtest(n, n, alternative="greater").proportion_ci(0.95, "exact")
+    assert rate_interval(0, n) == pytest.approx((0.0, least.high))
+    assert rate_interval(n, n) == pytest.approx((most.low, 1.0))
+    two_sided = binomtest(1, n + 1).proportion_ci(0.95, "wilson")
+    assert rate_interval(1, n + 1) == pytest.approx((two_sided.low, two_sided.high), abs=1e-6)
+    assert rate_interval(0, 299)[1] == pytest.approx(0.01, abs=5e-5)
+
+
+def test_an_interval_by_mounting_covers_the_rate() -> None:
+    """40 mountings of 12 presses, rates between mountings by a beta distribution.
+
+    The interval covers the rate in 95 % of the draws and is that of a bootstrap of mountings; one
+    over presses is too narrow.
+    """
+    rng = np.random.default_rng(8)
+    mounting = np.repeat(MOUNTINGS[:40], 12).tolist()
+    covered, naive = [], []
+    for _ in range(400):
+        right = rng.random(480) < np.repeat(rng.beta(3.0, 1.0, 40), 12)
+        low, high = clustered_interval(right, mounting)
+        covered.append(low <= 0.75 <= high)
+        low, high = rate_interval(int(right.sum()), 480)
+        naive.append(low <= 0.75 <= high)
+    assert 0.925 <= np.mean(covered) <= 0.98
+    assert np.mean(naive) < 0.8
+    share = right.reshape(40, 12).mean(axis=1)
+    oracle = bootstrap((share,), np.mean, n_resamples=4000, rng=9).confidence_interval
+    assert clustered_interval(right, mounting) == pytest.approx(oracle, abs=0.012)
+
+
+def test_mountings_of_one_press_are_independent_presses() -> None:
+    right = np.arange(40) < 30
+    assert clustered_interval(right, MOUNTINGS[:40]) == rate_interval(30, 40)
+    # One mounting tells no more than one trial, however often it was pressed.
+    assert clustered_interval(right, ["m"] * 40) == wilson_interval(0.75, 1)
+    assert clustered_interval(np.ones(40, np.bool_), ["m", "n"] * 20) == rate_interval(2, 2)
+
+
 def test_hull_margin_agrees_with_shapely() -> None:
     rng = np.random.default_rng(8)
     assert [hull_margin_mm(np.zeros((count, 2))) for count in range(3)] == [-math.inf] * 3
@@ -297,13 +345,13 @@ def test_scores_of_a_known_case() -> None:
     truth = np.stack([left, right, whole, whole])
     assert stable_flags(truth, points).tolist() == [False, False, True, True]
     probability = np.stack([whole, right, whole, left]) * 0.96 + 0.02
-    got = score(probability, truth, points, delta=0.9)
+    got = score(probability, truth, points, 0.9, MOUNTINGS[: len(truth)])
     assert got.stability_accuracy == 0.5
     assert got.unsafe == 0.5
     assert got.base_rate == 0.5
     assert got.iou == pytest.approx((3 / 9 + 1 + 1 + 3 / 9) / 4)
     # confident enough to be contact, not enough to be support
-    assert score(probability * 0.9, truth, points, delta=0.9).unsafe == 0.0
+    assert score(probability * 0.9, truth, points, 0.9, MOUNTINGS[: len(truth)]).unsafe == 0.0
 
 
 PRECISION = "bfloat16" if computes_bfloat16(torch.device("cpu")) else "float32"

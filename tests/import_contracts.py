@@ -15,6 +15,8 @@ from typing import Any
 from importlinter import Contract, ContractCheck, output
 from importlinter.domain import fields
 
+from touchdown.backend.jobs import lazy_exports
+
 ROOT = Path(__file__).resolve().parents[1]
 FOLDERS = ("app", "backend", "resources", "widgets")
 
@@ -28,25 +30,11 @@ def module_files(root: Path = ROOT) -> dict[str, Path]:
     return files
 
 
-def exports(init: Path, package: str) -> dict[str, str]:
-    """Return the defining module of each name that a package exports lazily."""
-    stub = init.with_suffix(".pyi")
-    if not stub.is_file():
-        return {}
-    tree = ast.parse(stub.read_text("utf-8"))
-    return {
-        alias.asname or alias.name: f"{package}.{node.module}"
-        for node in tree.body
-        if isinstance(node, ast.ImportFrom)
-        for alias in node.names
-    }
-
-
 @cache
 def imports(root: Path = ROOT) -> dict[str, frozenset[str]]:
     """Return the modules, inside and outside, that each product module imports by name."""
     files = module_files(root)
-    tables = {m: exports(p, m) for m, p in files.items() if p.name == "__init__.py"}
+    tables = {m: lazy_exports(p, m) for m, p in files.items() if p.name == "__init__.py"}
     found: dict[str, set[str]] = defaultdict(set)
     for module, path in files.items():
         if path.name == "__init__.py" and tables[module]:

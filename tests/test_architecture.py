@@ -15,7 +15,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.import_contracts import exports, imports, path_to
+from tests.import_contracts import imports, path_to
+from touchdown.backend.jobs import lazy_exports
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("app", "widgets", "backend", "touchdown")
@@ -122,7 +123,9 @@ def test_no_export_has_the_name_of_a_module_beside_it() -> None:
     clashes = []
     for init in (p for p in CODE if p.name == "__init__.py"):
         beside = {p.stem for p in init.parent.iterdir() if p.suffix == ".py" or p.is_dir()}
-        clashes += [f"{_package(init)}.{n}" for n in exports(init, _package(init)) if n in beside]
+        clashes += [
+            f"{_package(init)}.{n}" for n in lazy_exports(init, _package(init)) if n in beside
+        ]
     assert clashes == []
 
 
@@ -131,14 +134,14 @@ def test_no_export_comes_from_a_module_that_is_started() -> None:
     started = {_package(p) for p in CODE if '__name__ == "__main__"' in p.read_text("utf-8")}
     assert len(started) > 3
     for init in (p for p in CODE if p.name == "__init__.py"):
-        assert not started & set(exports(init, _package(init)).values()), _name(init)
+        assert not started & set(lazy_exports(init, _package(init)).values()), _name(init)
 
 
 def test_simulated_devices_are_exported_by_simulation_alone() -> None:
     for init in (p for p in CODE if p.name == "__init__.py"):
         package = _package(init)
         if not package.startswith("touchdown.backend.simulation"):
-            defined = exports(init, package).values()
+            defined = lazy_exports(init, package).values()
             assert not any(m.startswith("touchdown.backend.simulation") for m in defined), package
 
 

@@ -35,6 +35,7 @@ from touchdown.backend.experiments.statistics import (
 from touchdown.backend.experiments.strategies import count_outcomes
 from touchdown.backend.experiments.tables import (
     TRAINING_BOTTOMS,
+    job_code,
     paper_training,
     score_verdicts,
     training_job,
@@ -135,7 +136,7 @@ class RandomisedTraining:
             "grips_per_mounting": GRIPS_PER_MOUNTING,
             "bench": bench.model_dump(mode="json"),
         }
-        return JobSpec("simulate", params, seed, (), self.code)
+        return JobSpec("simulate", params, seed, (), job_code("simulate", self.code))
 
 
 def _factor(rng: np.random.Generator, limits: tuple[float, float]) -> float:

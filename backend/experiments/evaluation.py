@@ -17,7 +17,7 @@ from touchdown.backend.config import SimulationSettings, StackSettings, bench_sh
 from touchdown.backend.experiments.models import batch_model, load_model
 from touchdown.backend.experiments.statics import probe_groups, score_fused_verdicts, score_patches
 from touchdown.backend.experiments.strategies import least_probes, network_params
-from touchdown.backend.experiments.tables import CELL_SEEDS, PIECES, TABLE_BOTTOMS
+from touchdown.backend.experiments.tables import CELL_SEEDS, PIECES, TABLE_BOTTOMS, job_code
 from touchdown.backend.experiments.trials import SceneSetup, stack_in_lockstep, start_scene
 from touchdown.backend.jobs import JobContext, JobSpec
 from touchdown.backend.learning import use_one_thread
@@ -124,7 +124,7 @@ def press_jobs(
             | {"models": dict(models), "groups": min(GROUPS_PER_JOB, groups - k)},
             PRESSES_SEED + _cell(pair) + place.first + k,
             tuple(sorted(set(models.values()))),
-            code,
+            job_code("asked-presses", code),
         )
         for k in range(0, groups, GROUPS_PER_JOB)
     ]
@@ -141,7 +141,7 @@ def trial_jobs(
             _bench_params(place, pair) | params | {"trials": min(TRIALS_PER_JOB, trials - k)},
             TRIALS_SEED + _cell(pair) + place.first + k,
             (strategy[1],),
-            code,
+            job_code("asked-trials", code),
         )
         for k in range(0, trials, TRIALS_PER_JOB)
     ]

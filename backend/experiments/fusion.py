@@ -32,6 +32,7 @@ from touchdown.backend.config import (
 from touchdown.backend.core import CHANNELS, TACTILE_CHANNELS, FloatArray, Outcome
 from touchdown.backend.experiments.results import program_version
 from touchdown.backend.experiments.strategies import uninformed_model
+from touchdown.backend.experiments.tables import job_code
 from touchdown.backend.experiments.trials import (
     BatchTrialResult,
     SceneSetup,
@@ -409,7 +410,7 @@ def threshold_jobs(
             },
             THRESHOLD_SEED + CELL_SEEDS * (len(THRESHOLD_BOTTOMS) * number + at) + first,
             (network,),
-            code,
+            job_code("fused-trials", code),
         )
         for first in range(0, trials, TRIALS_PER_JOB)
         for number, piece in enumerate(THRESHOLD_PIECES)
@@ -581,7 +582,7 @@ class FusionRecipe:
             "device": self.device,
         }
         inputs = tuple(part.id for part in parts)
-        return [*parts, JobSpec("fuse", facts, self.seed, inputs, self.code)]
+        return [*parts, JobSpec("fuse", facts, self.seed, inputs, job_code("fuse", self.code))]
 
     def _part(self, portion: DataPortion, place: int) -> JobSpec:
         params = {
@@ -592,7 +593,7 @@ class FusionRecipe:
             "free": portion.free,
         }
         first = FIRST_SEED + SEEDS_PER_JOB * (1000 * self.seed + place)
-        return JobSpec("sequences", params, first, (), self.code)
+        return JobSpec("sequences", params, first, (), job_code("sequences", self.code))
 
     @staticmethod
     def effort(spec: JobSpec) -> int:

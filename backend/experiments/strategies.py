@@ -55,6 +55,7 @@ from touchdown.backend.experiments.tables import (
     STACKING_SEED,
     STATIC_SEED,
     UNSAFE_OUTCOMES,
+    job_code,
     score_verdicts,
 )
 from touchdown.backend.experiments.trials import (
@@ -261,7 +262,8 @@ class ClosedLoopComparison:
         if bottom in TOWERS:
             params["entry_sigma_mm"] = self.entry_sigma_mm
         seed = STACKING_SEED + CELL_SEEDS * cell + first
-        return JobSpec("beyond", params, seed, (source,) if source else (), self.code)
+        inputs = (source,) if source else ()
+        return JobSpec("beyond", params, seed, inputs, job_code("beyond", self.code))
 
 
 def network_params(strategy: str, method: StackSettings) -> Json:
@@ -488,7 +490,8 @@ class StaticComparison:
         params["groups"] = min(GROUPS_PER_JOB, self.groups - first)
         cell = 10 * PIECES.index(piece) + SINGLE_BOTTOMS.index(bottom)
         seed = STATIC_SEED + CELL_SEEDS * cell + first
-        return JobSpec("promises", params, seed, (source,) if source else (), self.code)
+        inputs = (source,) if source else ()
+        return JobSpec("promises", params, seed, inputs, job_code("promises", self.code))
 
 
 def run_static_groups(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:

@@ -22,7 +22,7 @@ from touchdown.backend.experiments.statistics import (
     verdict_changes,
 )
 from touchdown.backend.geometry import TOO_CLOSE_MM
-from touchdown.backend.jobs import JobSpec, JobStore
+from touchdown.backend.jobs import JobSpec, JobStore, source_hash
 from touchdown.backend.learning import DeviceName
 
 # columns of all three tables
@@ -74,6 +74,30 @@ MODELS: tuple[tuple[str, str, NetworkHead], ...] = (
 # The seed ranges of cells do not overlap.
 TRAINING_SEED, STATIC_SEED, STACKING_SEED = 21, 3_000_000, 4_000_000
 CELL_SEEDS = 10_000
+
+
+# Module below experiments and function of each kind of job.
+JOB_FUNCTIONS = {
+    "simulate": ("job_kinds", "simulate_collection"),
+    "train": ("job_kinds", "train_model"),
+    "static": ("job_kinds", "evaluate_static"),
+    "stack": ("job_kinds", "run_stacking"),
+    "devices": ("job_kinds", "run_on_devices"),
+    "twins": ("job_kinds", "describe_signals"),
+    "beyond": ("strategies", "run_closed_loop"),
+    "promises": ("strategies", "run_static_groups"),
+    "asked-presses": ("evaluation", "evaluate_presses"),
+    "asked-trials": ("evaluation", "evaluate_trials"),
+    "sequences": ("fusion", "probe_sequences"),
+    "fuse": ("fusion", "train_fusion"),
+    "fused-trials": ("fusion", "fused_trials"),
+}
+
+
+def job_code(kind: str, version: str) -> str:
+    """Return the version of a job: that of the program, and a hash of the sources it depends on."""
+    module, function = JOB_FUNCTIONS[kind]
+    return f"{version}+{source_hash(f'touchdown.backend.experiments.{module}', function)}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -183,7 +207,7 @@ class Recipe:
         if cell is None or not self.scale.repeated:
             return None
         params = {**cell.params, "trials": self.scale.repeated}
-        return JobSpec("devices", params, cell.seed, cell.inputs, self.code)
+        return JobSpec("devices", params, cell.seed, cell.inputs, job_code("devices", self.code))
 
     def twins(self) -> JobSpec:
         """Return the small collection that is searched for ambiguous presses."""
@@ -225,7 +249,7 @@ class Recipe:
 
     def _job(self, kind: str, seed: int, needs: tuple[str, ...] = (), **params: Any) -> JobSpec:
         params["bench"] = self.bench.model_dump(mode="json")
-        return JobSpec(kind, params, seed, needs, self.code)
+        return JobSpec(kind, params, seed, needs, job_code(kind, self.code))
 
     @staticmethod
     def _cell(piece: str, bottom: str) -> int:
@@ -246,7 +270,8 @@ def training_job(
         "training": settings.model_dump(mode="json"),
         "device": device,
     }
-    return JobSpec("train", params, settings.seed, tuple(spec.id for spec in data), code)
+    inputs = tuple(spec.id for spec in data)
+    return JobSpec("train", params, settings.seed, inputs, job_code("train", code))
 
 
 def paper_training(inputs: str, epochs: int) -> TrainingSettings:

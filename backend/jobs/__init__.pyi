@@ -10,6 +10,8 @@ from .job import JobContext as JobContext
 from .job import JobFunctions as JobFunctions
 from .job import JobSpec as JobSpec
 from .job import JobStore as JobStore
+from .sources import lazy_exports as lazy_exports
+from .sources import source_hash as source_hash
 
 __all__ = [
     "DaskCluster",
@@ -21,7 +23,9 @@ __all__ = [
     "ProcessPool",
     "SerialExecutor",
     "independent_jobs",
+    "lazy_exports",
     "parse_shard",
     "run_campaign",
     "shard_of",
+    "source_hash",
 ]

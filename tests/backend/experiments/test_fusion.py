@@ -130,7 +130,7 @@ def test_the_true_world_feels_what_the_bench_felt(scene: Scene) -> None:
     bench = BatchedTrials([scene])
     at = bench.start_commands_mm()
     pressed = bench.press([0], at)
-    row = true_world(scene, bench, pressed.true_mm[0] - at[0])
+    row = true_world(scene, bench, pressed.truth.offset_mm[0] - at[0])
     wrong = row.copy()
     wrong[oracle.TILT_X] += 2.0
     both = HypothesisEnsemble(np.stack([row, wrong]), GraspHistory.fresh(2))
@@ -192,7 +192,7 @@ def test_a_probe_tells_where_the_piece_is(scene: Scene, monkeypatch: pytest.Monk
 
     def error_mm() -> float:
         true = reasoner.worlds.value[:, :2] + at[0]
-        return float(np.hypot(*(true - pressed.true_mm[0]).T).mean())
+        return float(np.hypot(*(true - pressed.truth.offset_mm[0]).T).mean())
 
     before = error_mm()
     concluded = reasoner.conclude(ProbeObservation(pressed.observation[0], patch, here))
@@ -304,7 +304,7 @@ def test_side_by_side_each_presses_its_own_bottom(
     for k in range(2):
         alone = BatchedTrials(scenes[k : k + 1]).press([0], places[k : k + 1])
         np.testing.assert_allclose(together.observation[k], alone.observation[0], atol=2e-3)
-        np.testing.assert_allclose(together.true_mm[k], alone.true_mm[0], atol=1e-4)
+        np.testing.assert_allclose(together.truth.offset_mm[k], alone.truth.offset_mm[0], atol=1e-4)
     with pytest.raises(ValueError, match="share"):
         BatchedTrials(scenes)
 

@@ -52,6 +52,7 @@ from touchdown.backend.experiments.statistics import (
 )
 from touchdown.backend.experiments.tables import (
     FULL,
+    JOB_FUNCTIONS,
     MODELS,
     PIECES,
     QUICK,
@@ -60,6 +61,7 @@ from touchdown.backend.experiments.tables import (
     Recipe,
     Scale,
     agreement,
+    job_code,
     score_verdicts,
     stacking_cell,
 )
@@ -288,9 +290,9 @@ def test_an_empty_folder_of_models_is_bad_input(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("k", "n", "low", "high"), [(8, 10, 0.490, 0.943), (40, 60, 0.541, 0.773), (0, 60, 0.0, 0.060)]
+    ("k", "n", "low", "high"), [(8, 10, 0.490, 0.943), (40, 60, 0.541, 0.773), (0, 60, 0.0, 0.049)]
 )
-def test_wilson_as_printed_for_the_papers_counts(k: int, n: int, low: float, high: float) -> None:
+def test_intervals_of_the_papers_counts(k: int, n: int, low: float, high: float) -> None:
     found = estimate_rate(k, n)
     assert (found.low, found.high) == (pytest.approx(low, abs=6e-4), pytest.approx(high, abs=6e-4))
     assert estimate_rate(0, 0).value is None
@@ -499,3 +501,13 @@ def test_the_width_of_the_small_one_decides() -> None:
     narrow, wide = tables(0.5, 0.6, 0.7, 0.01), tables(0.55, 0.65, 0.75, 0.1)
     assert len(compare_intervals(narrow, wide).outside) == 3
     assert compare_intervals(wide, narrow).outside == ()
+
+
+def test_the_table_of_job_functions_names_those_that_run() -> None:
+    """The id of a job contains a hash of the sources of its function."""
+    run = {kind: (f.__module__, f.__qualname__) for kind, f in KINDS.items()}
+    module = "touchdown.backend.experiments."
+    assert {kind: (module + m, f) for kind, (m, f) in JOB_FUNCTIONS.items()} == run
+    codes = {kind: job_code(kind, "1") for kind in KINDS}
+    assert all(code.startswith("1+") for code in codes.values())
+    assert len(set(codes.values())) > 8

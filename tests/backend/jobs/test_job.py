@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,6 +13,7 @@ import pytest
 from tests.backend.jobs.sample_kinds import KINDS
 from touchdown.backend.core.faults import InputError
 from touchdown.backend.core.scheduling import NICENESS
+from touchdown.backend.jobs import sources
 from touchdown.backend.jobs.execution import (
     MAX_WORKER_DEATHS,
     Executor,
@@ -22,6 +25,7 @@ from touchdown.backend.jobs.execution import (
     shard_of,
 )
 from touchdown.backend.jobs.job import RESULT_FILE, JobResult, JobSpec, JobStore, run_job
+from touchdown.backend.jobs.sources import ROOT, source_files, source_hash
 
 
 def draws(count: int) -> list[JobSpec]:
@@ -168,3 +172,41 @@ def test_a_bad_shard_is_bad_input(text):
     with pytest.raises(InputError, match="--shard"):
         parse_shard(text)
     assert parse_shard("1/2") == (1, 2)
+
+
+def test_the_id_of_a_job_follows_its_sources(tmp_path: Path) -> None:
+    """A copy of the sources: a module that the job needs changes its hash, no other one does."""
+    copy = tmp_path / "backend"
+    shutil.copytree(ROOT, copy, ignore=shutil.ignore_patterns("__pycache__"))
+    asked = ("touchdown.backend.experiments.strategies", "run_closed_loop")
+
+    def now() -> str:
+        source_hash.cache_clear()
+        for cached in (sources._tree, sources._imports_of, sources._exports_of):
+            cached.cache_clear()
+        return source_hash(*asked, copy)
+
+    before = now()
+    assert before == now()
+    for unrelated in ("exchange/csv_tables.py", "cli/stack.py", "experiments/document.py"):
+        with (copy / unrelated).open("a") as file:
+            file.write("# changed\n")
+        assert now() == before, unrelated
+    for needed in ("simulation/mechanics.py", "sensing/slip.py", "experiments/strategies.py"):
+        with (copy / needed).open("a") as file:
+            file.write("# changed\n")
+        assert now() != before, needed
+        before = now()
+    piece = tmp_path / "resources" / "objects" / "short.toml"
+    piece.parent.mkdir(parents=True)
+    piece.write_text("height_mm = 1.0\n")
+    assert now() != before
+
+
+def test_only_what_a_function_uses_of_its_module_counts() -> None:
+    module = "touchdown.backend.experiments.job_kinds"
+    devices = source_files(module, "run_on_devices")
+    assert "touchdown.backend.bench.assembly" in devices
+    simulated = source_files(module, "simulate_collection")
+    assert "touchdown.backend.simulation.batch" in simulated
+    assert not any(name.startswith("touchdown.backend.bench") for name in simulated)

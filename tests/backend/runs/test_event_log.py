@@ -124,7 +124,7 @@ def test_a_full_disk_pauses_the_run_which_goes_on_and_loses_nothing(tmp_path):
 @pytest.mark.skipif(sys.platform == "win32", reason="needs limits of POSIX")
 def test_what_was_placed_stays_placed_where_nobody_makes_room(tmp_path):
     # The second probe of this seed is the one that lets go: its episode is refused afterwards.
-    codes, stands, told = _stacked(tmp_path, 7, "give up")
+    codes, stands, told = _stacked(tmp_path, 10, "give up")
     assert codes == ["DISK-FULL"]
     assert stands is True
     assert [type(fact) for fact in told[-4:]] == [Paused, FaultRaised, TrialFinished, RunFinished]

@@ -73,7 +73,7 @@ class Attended:
             self.session.prompt.see(*self.seen)
 
     def run(self, **asked):
-        self.session.run(StackRequest(piece="pot", bottoms=("short",), seed=7, **asked))
+        self.session.run(StackRequest(piece="pot", bottoms=("short",), seed=10, **asked))
         self.session.close()
         return self.of(TrialFinished)
 

@@ -42,9 +42,8 @@ GOOD = "320411F7D1D5520A41EB82052\r\n"
 
 
 def test_a_dynpick_field_above_14_bits_is_refused():
-    with pytest.raises(ProtocolError) as refusal:
+    with pytest.raises(ProtocolError, match=r"^range "):
         dynpick.decode_record(b"04000" + b"2000" * 5 + b"\r\n")
-    assert refusal.value.what == "range"
 
 
 def test_a_dynpick_record_with_a_digit_too_many_is_not_read_from_its_end():
@@ -148,9 +147,8 @@ def test_the_page_of_a_net_box():
     ],
 )
 def test_a_page_in_other_units_is_refused(fields, what):
-    with pytest.raises(ProtocolError) as refusal:
+    with pytest.raises(ProtocolError, match=f"^{what} "):
         net_ft.decode_page(PAGE.format(*fields).encode())
-    assert refusal.value.what == what
 
 
 def test_a_page_without_a_field_names_it():
@@ -161,9 +159,8 @@ def test_a_page_without_a_field_names_it():
 def test_a_calibration_in_pounds_is_refused():
     content = bytearray(data("netft-tcp-calibration-reply"))
     content[2] = 1
-    with pytest.raises(ProtocolError) as refusal:
+    with pytest.raises(ProtocolError, match=r"^unit "):
         net_ft.decode_calibration(bytes(content))
-    assert refusal.value.what == "unit"
 
 
 ALL = sorted(CODECS)

@@ -21,7 +21,6 @@ from touchdown.backend.devices.force_torque.reader import BAD_LIMIT, ForceTorque
 from touchdown.backend.devices.ft300 import protocol as robotiq_ft300
 from touchdown.backend.devices.ft300.emulator import EmulatedFt300
 from touchdown.backend.devices.leptrino import protocol as leptrino
-from touchdown.backend.devices.leptrino import protocol as leptrino_protocol
 from touchdown.backend.devices.leptrino.driver import LeptrinoDriver
 from touchdown.backend.devices.leptrino.emulator import EmulatedLeptrino
 from touchdown.backend.devices.leptrino.protocol import (
@@ -198,7 +197,7 @@ def test_a_slow_sensor_takes_so_many_samples_and_numbers_them_on():
 
 
 GOOD = [
-    leptrino_protocol.encode(LeptrinoSample(LeptrinoCommand.START, (number, 2, 3, 4, 5, 6), 0))
+    leptrino.encode(LeptrinoSample(LeptrinoCommand.START, (number, 2, 3, 4, 5, 6), 0))
     for number in range(2)
 ]
 BAD = GOOD[0][:-1] + bytes([GOOD[0][-1] ^ 1])

@@ -331,18 +331,16 @@ def test_a_target_that_is_no_number_is_never_sent(bad):
         encode_mxt_request(MxtRequest(MxtCommand.MOVE, target))
     content = bytearray(data("mxt-move-joint"))
     content[8:12] = struct.pack("<f", bad)
-    with pytest.raises(ProtocolError) as refusal:
+    with pytest.raises(ProtocolError, match=r"^number .*byte 8\]"):
         decode_mxt_request(bytes(content))
-    assert (refusal.value.what, refusal.value.offset) == ("number", 8)
 
 
 @pytest.mark.parametrize(("slot", "at"), [(0, 4), (1, 64), (2, 108), (3, 152)])
 def test_an_unknown_monitor_type_is_refused_where_it_stands(slot, at):
     content = bytearray(data("mxt-reply-joint"))
     content[at : at + 2] = (12).to_bytes(2, "little")
-    with pytest.raises(ProtocolError) as refusal:
+    with pytest.raises(ProtocolError, match=rf"^type .*byte {at}\]"):
         decode_mxt_reply(bytes(content))
-    assert (refusal.value.what, refusal.value.offset) == ("type", at)
 
 
 CURRENT = AxisValues(BlockKind.CURRENT, (1, 2, 3, 4, 5, 6, 7, 8))
@@ -372,6 +370,5 @@ def test_reserved_bytes_of_a_controller_are_not_held_against_it():
 def test_an_unnamed_data_type_of_the_monitor_is_refused():
     content = data("monitor-stream-force-pose-float8")
     kinds = {number: kind for number, kind in MONITOR_KINDS.items() if number != 903}
-    with pytest.raises(ProtocolError) as refusal:
+    with pytest.raises(ProtocolError, match=r"^type "):
         decode_monitor_reply(content, kinds)
-    assert refusal.value.what == "type"

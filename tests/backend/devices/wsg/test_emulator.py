@@ -328,6 +328,12 @@ class Client:
         content = b"".join(map(protocol.encode_request, requests))
         return self.replies.feed(self.gripper.receive(now_s, content))
 
+    def told(self, now_s, request):
+        """Return the status of the one reply to ``request``."""
+        (reply,) = self.send(now_s, request)
+        assert reply.command == request.command
+        return reply.status
+
     def wait(self, now_s):
         return self.replies.feed(self.gripper.due(now_s))
 
@@ -338,9 +344,7 @@ class Client:
 
 def test_a_motion_answers_twice_and_ends_when_it_really_ends():
     client = Client()
-    assert client.send(10.0, protocol.preposition(46, 20)) == [
-        WsgReply(WsgCommand.PREPOSITION, WsgStatus.CMD_PENDING)
-    ]
+    assert client.told(10.0, protocol.preposition(46, 20)) == WsgStatus.CMD_PENDING
     assert client.read(10.5, WsgCommand.WIDTH) == pytest.approx(56.0)
     assert client.read(10.5, WsgCommand.SYSTEM_STATE) & SystemFlag.MOVING
     assert client.wait(10.999) == []
@@ -350,10 +354,8 @@ def test_a_motion_answers_twice_and_ends_when_it_really_ends():
 
 def test_before_homing_only_homing_is_allowed():
     client = Client(homed=False)
-    assert client.send(0.0, protocol.grasp(20, 30)) == [
-        WsgReply(WsgCommand.GRASP, WsgStatus.NOT_INITIALIZED)
-    ]
-    assert client.send(0.0, protocol.preposition(20, 30))[0].status == WsgStatus.NOT_INITIALIZED
+    assert client.told(0.0, protocol.grasp(20, 30)) == WsgStatus.NOT_INITIALIZED
+    assert client.told(0.0, protocol.preposition(20, 30)) == WsgStatus.NOT_INITIALIZED
 
 
 def test_a_part_is_held_with_the_force_limit_and_may_be_lost():
@@ -469,15 +471,15 @@ def test_a_width_or_force_beyond_the_gripper_is_a_range_error_and_moves_nothing(
 
 def test_soft_limits_bound_the_targets_until_they_are_cleared():
     client, ask = Client(), WsgRequest(WsgCommand.GET_SOFT_LIMITS)
-    assert client.send(10.0, ask)[0].status == WsgStatus.NOT_AVAILABLE
+    assert client.told(10.0, ask) == WsgStatus.NOT_AVAILABLE
     beyond = WsgRequest(WsgCommand.SET_SOFT_LIMITS, (10, 67))
-    assert client.send(10.0, beyond)[0].status == WsgStatus.RANGE_ERROR
+    assert client.told(10.0, beyond) == WsgStatus.RANGE_ERROR
     client.send(10.0, WsgRequest(WsgCommand.SET_SOFT_LIMITS, (10, 50)))
     assert client.send(10.0, ask)[0].values == (10.0, 50.0)
     for width_mm in (9.0, 51.0):
-        assert client.send(10.0, protocol.preposition(width_mm, 50))[0].status == 28
+        assert client.told(10.0, protocol.preposition(width_mm, 50)) == 28
     client.send(10.0, WsgRequest(WsgCommand.CLEAR_SOFT_LIMITS))
-    assert client.send(10.0, protocol.preposition(9, 50))[0].status == WsgStatus.CMD_PENDING
+    assert client.told(10.0, protocol.preposition(9, 50)) == WsgStatus.CMD_PENDING
 
 
 @pytest.mark.parametrize("command", [*protocol.SCRIPTS, *protocol.FINGERS, WsgCommand.TARE])
@@ -543,9 +545,7 @@ def test_without_a_part_grasp_fails():
 def test_a_second_motion_is_refused_and_stop_ends_the_first():
     client = Client()
     client.send(10.0, protocol.preposition(10, 10))
-    assert client.send(10.1, protocol.release(60, 10)) == [
-        WsgReply(WsgCommand.RELEASE, WsgStatus.ALREADY_RUNNING)
-    ]
+    assert client.told(10.1, protocol.release(60, 10)) == WsgStatus.ALREADY_RUNNING
     assert client.send(10.2, WsgRequest(WsgCommand.STOP)) == [
         WsgReply(WsgCommand.PREPOSITION, WsgStatus.CMD_ABORTED),
         WsgReply(WsgCommand.STOP, WsgStatus.SUCCESS),
@@ -563,16 +563,16 @@ def test_a_block_ends_a_preposition():
 def test_a_fast_stop_holds_until_it_is_acknowledged():
     client = Client()
     client.send(10.0, WsgRequest(WsgCommand.FAST_STOP))
-    assert client.send(10.1, protocol.grasp(20, 30))[0].status == WsgStatus.ACCESS_DENIED
-    assert client.send(10.2, WsgRequest(WsgCommand.ACKNOWLEDGE, (b"nak",)))[0].status == 15
+    assert client.told(10.1, protocol.grasp(20, 30)) == WsgStatus.ACCESS_DENIED
+    assert client.told(10.2, WsgRequest(WsgCommand.ACKNOWLEDGE, (b"nak",))) == 15
     assert client.send(10.3, protocol.acknowledge()) == [WsgReply(WsgCommand.ACKNOWLEDGE, 0)]
-    assert client.send(10.4, protocol.grasp(20, 30))[0].status == WsgStatus.CMD_PENDING
+    assert client.told(10.4, protocol.grasp(20, 30)) == WsgStatus.CMD_PENDING
 
 
 def test_only_an_announced_end_leaves_no_fast_stop():
     client = Client()
     client.send(10.0, WsgRequest(WsgCommand.DISCONNECT))
-    assert client.send(10.0, WsgRequest(WsgCommand.TARE))[0].status == WsgStatus.ACCESS_DENIED
+    assert client.told(10.0, WsgRequest(WsgCommand.TARE)) == WsgStatus.ACCESS_DENIED
     client.gripper.closed(10.0)
     assert not client.read(10.1, WsgCommand.SYSTEM_STATE) & SystemFlag.FAST_STOP
     client.gripper.closed(10.2)

@@ -254,6 +254,9 @@ def test_faults_of_the_emulated_bench_are_texts_or_a_plan(monkeypatch, tmp_path,
         def __exit__(self, *_):
             session.close()
 
+        def measure_real_time(self):
+            return ""
+
     monkeypatch.setattr("touchdown.backend.bench.EmulatedBench", Emulated)
     (tmp_path / "plan.toml").write_text('[[fault]]\nat_s = 90.0\ndevice = "arm"\nkind = "alarm"\n')
     words = ["stack", "--emulated", "--strategy", "pick-and-place", "--runs", str(tmp_path / "r")]

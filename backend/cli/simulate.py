@@ -10,8 +10,8 @@ from pathlib import Path
 from touchdown.backend.cli.output import VerbOutput, make_output_folder, require_positive
 from touchdown.backend.config import load_simulation
 from touchdown.backend.core import InputError
-from touchdown.backend.experiments import run_jobs, split_jobs
-from touchdown.backend.geometry import Tower, face_points, load_pieces
+from touchdown.backend.experiments import batch_plan, run_jobs, split_jobs
+from touchdown.backend.geometry import load_pieces
 from touchdown.backend.simulation import BatchPlan
 
 
@@ -87,9 +87,6 @@ def _plans(args: argparse.Namespace) -> list[tuple[BatchPlan, dict[str, object]]
     catalogue = load_pieces(Path(args.pieces) if args.pieces else None)
     settings = load_simulation(Path(args.bench) if args.bench else None, args.preset)
     piece = catalogue.top(args.piece)
-    if piece.grip_height_mm is None:
-        what = f"'{piece.name}' cannot be grasped."
-        raise InputError(what, piece.source, "Set its grip_height_mm.")
     names = [name for name in args.bottoms.split(",") if name]
     if not names or len(set(names)) != len(names):
         raise InputError(
@@ -97,21 +94,9 @@ def _plans(args: argparse.Namespace) -> list[tuple[BatchPlan, dict[str, object]]
         )
     plans: list[tuple[BatchPlan, dict[str, object]]] = []
     for name in names:
-        bottom = catalogue.bottom(name)
-        plan = BatchPlan(
-            piece=piece.name,
-            bottom=bottom.name,
-            face=piece.face,
-            bottom_outline=bottom.upper or bottom.face,
-            face_points_mm=face_points(piece.face, settings.face.lattice_mm),
-            grip_height_mm=piece.grip_height_mm,
-            width_mm=piece.width_mm,
-            episodes=args.episodes,
-            seed=args.seed,
-            probes_per_grip=args.probes_per_grip,
-            grips_per_mounting=args.grips_per_mounting,
-            settings=settings,
-            bottoms=Tower((bottom.body(),)),
-        )
+        plan = batch_plan(
+            piece, catalogue.bottom(name), settings, args.episodes, args.seed,
+            args.probes_per_grip, args.grips_per_mounting,
+        )  # fmt: skip
         plans.append((plan, {"geometry": piece.sha256}))
     return plans

@@ -153,8 +153,9 @@ def read_coco(source: Path, dataset: Dataset) -> Iterator[ImportedLabel]:
             origin = np.array(origins[image["pair"]], dtype=np.float64).reshape(2)
             yield _row(annotation, image, partial(_to_mm, origin, scale), dataset)
     except (OSError, ValueError, KeyError, TypeError, IndexError) as error:
+        why = f"{error} is missing" if isinstance(error, KeyError) else error
         raise InputError(
-            f"The annotations cannot be read: {error!r}.", str(path), "Export them again."
+            f"The annotations cannot be read: {why}.", str(path), "Export them again."
         ) from error
 
 

@@ -1,3 +1,4 @@
+from .collection import batch_plan as batch_plan
 from .collection import run_jobs as run_jobs
 from .collection import split_jobs as split_jobs
 from .comparison import StrategyComparison as StrategyComparison
@@ -91,6 +92,7 @@ __all__ = [
     "StrategyComparison",
     "TableEntry",
     "adopt_models",
+    "batch_plan",
     "change_rows",
     "compare_intervals",
     "comparison_tables",

@@ -17,7 +17,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.backend.core import CHANNELS, TACTILE_CHANNELS, FloatArray
+from touchdown.backend.config import SimulationSettings
+from touchdown.backend.core import CHANNELS, TACTILE_CHANNELS, FloatArray, InputError
 from touchdown.backend.episodes import (
     START_KEY,
     PackedEpisode,
@@ -25,6 +26,7 @@ from touchdown.backend.episodes import (
     patch_hex,
     write_packs,
 )
+from touchdown.backend.geometry import Piece, Tower, face_points
 from touchdown.backend.learning import channel_groups
 from touchdown.backend.simulation import BatchPlan, EpisodeBatch, simulate_episodes
 
@@ -51,6 +53,36 @@ class CollectionJob:
     def episodes(self) -> int:
         """Number of episodes of this job."""
         return sum(self.plan.probes_of(grip) for grip in self.grips)
+
+
+def batch_plan(  # noqa: PLR0913 - each is a value of the plan
+    piece: Piece,
+    bottom: Piece,
+    settings: SimulationSettings,
+    episodes: int,
+    seed: int,
+    probes_per_grip: int,
+    grips_per_mounting: int,
+) -> BatchPlan:
+    """Return the plan of a pair; raises ``InputError`` for a piece that cannot be grasped."""
+    if piece.grip_height_mm is None:
+        what = f"'{piece.name}' cannot be grasped."
+        raise InputError(what, piece.source, "Set its grip_height_mm.")
+    return BatchPlan(
+        piece=piece.name,
+        bottom=bottom.name,
+        face=piece.face,
+        bottom_outline=bottom.upper or bottom.face,
+        face_points_mm=face_points(piece.face, settings.face.lattice_mm),
+        grip_height_mm=piece.grip_height_mm,
+        width_mm=piece.width_mm,
+        episodes=episodes,
+        seed=seed,
+        probes_per_grip=probes_per_grip,
+        grips_per_mounting=grips_per_mounting,
+        settings=settings,
+        bottoms=Tower((bottom.body(),)),
+    )
 
 
 def split_jobs(

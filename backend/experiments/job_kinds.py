@@ -25,6 +25,7 @@ from touchdown.backend.core import Event, FloatArray, TrialFinished
 from touchdown.backend.episodes import TrainingRows, join_rows, load_rows, patch_hex, write_packs
 from touchdown.backend.experiments import evaluation
 from touchdown.backend.experiments.collection import (
+    batch_plan,
     episode_rows,
     find_ambiguous_pairs,
     hold_signals,
@@ -50,7 +51,7 @@ from touchdown.backend.experiments.trials import (
     stack_in_lockstep,
     start_scene,
 )
-from touchdown.backend.geometry import Tower, face_points, load_pieces
+from touchdown.backend.geometry import face_points, load_pieces
 from touchdown.backend.jobs import JobContext, JobFunctions, JobSpec
 from touchdown.backend.learning import (
     CONTACT_LEVEL,
@@ -66,7 +67,7 @@ from touchdown.backend.learning import (
 )
 from touchdown.backend.runs import RecordingOptions, StackRequest
 from touchdown.backend.sensing import EpisodeLimits
-from touchdown.backend.simulation import BatchPlan, Scene
+from touchdown.backend.simulation import Scene
 from touchdown.backend.simulation import simulate_episodes as simulated
 
 GROUPS_PER_BATCH = 50
@@ -79,22 +80,10 @@ def simulate_collection(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
     p, catalogue = spec.params, load_pieces()
     piece, bottom = catalogue.top(p["piece"]), catalogue.bottom(p["bottom"])
     settings = _bench(p)
-    assert piece.grip_height_mm is not None
-    plan = BatchPlan(
-        piece=piece.name,
-        bottom=bottom.name,
-        face=piece.face,
-        bottom_outline=bottom.upper or bottom.face,
-        face_points_mm=face_points(piece.face, settings.face.lattice_mm),
-        grip_height_mm=piece.grip_height_mm,
-        width_mm=piece.width_mm,
-        episodes=p["episodes"],
-        seed=spec.seed,
-        probes_per_grip=p["probes_per_grip"],
-        grips_per_mounting=p["grips_per_mounting"],
-        settings=settings,
-        bottoms=Tower((bottom.body(),)),
-    )
+    plan = batch_plan(
+        piece, bottom, settings, p["episodes"], spec.seed, p["probes_per_grip"],
+        p["grips_per_mounting"],
+    )  # fmt: skip
     rejected, slipped, contact = 0, 0, 0.0
     for job in split_jobs(plan, {"geometry": piece.sha256}, place.folder):
         batches = list(simulated(plan, job.grips))

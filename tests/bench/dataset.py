@@ -55,18 +55,17 @@ def _opening(dataset: Dataset, open_s: float, cpu_s: float) -> Figure:
 
 
 def _cold_openings(folder: Path) -> list[Figure]:
-    """Open with no file of the dataset in the page cache: after a clean close, and after a crash.
+    """Open with neither catalogue nor journals in the page cache, after a clean close and a crash.
 
-    The entries of folders stay in memory.
+    Recordings are not read, and the entries of their folders stay in memory.
     """
     found = []
     for after in ("a clean close", "a crash"):
         if after == "a crash":
             with closing(sqlite3.connect(folder / "catalog.db")) as connection, connection:
                 connection.execute("DELETE FROM checked_folder")
-        for path in folder.rglob("*"):
-            if path.is_file():
-                drop(path)
+        for path in (folder / "catalog.db", *(folder / "labels").iterdir()):
+            drop(path)
         begin = time.perf_counter()
         with Dataset.open(folder) as dataset:
             open_s = time.perf_counter() - begin

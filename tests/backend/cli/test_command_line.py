@@ -407,6 +407,21 @@ def test_simulated_packs_are_complete_and_the_same_for_any_number_of_workers(
     assert [p.read_bytes() for p in find_packs(out)] == [p.read_bytes() for p in find_packs(other)]
 
 
+def test_nested_and_foreign_annotations_are_refused_in_plain_words(tmp_path, capsys) -> None:
+    Dataset.open(tmp_path / "data").close()
+    for content, why in (
+        (b"[" * 100 + b"]" * 100, "deeper than 64"),
+        (b"\xff", "UTF-8"),
+        (b"{}", "'info' is"),
+    ):
+        (tmp_path / "a.json").write_bytes(content)
+        words = ["import", "coco", str(tmp_path / "a.json"), "--person", "ann"]
+        assert main([*words, "--dataset", str(tmp_path / "data")]) == 2
+        said = capsys.readouterr().err
+        assert why in said
+        assert "Error(" not in said
+
+
 def test_jobs_cover_every_grip_once() -> None:
     from tests.backend.simulation.test_batch import plan
 

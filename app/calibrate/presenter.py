@@ -83,7 +83,7 @@ class CalibratePresenter:
             self.sheet.group.idClicked.connect(self._choose)
             self.sheet.measure.clicked.connect(self._measure)
             for button in (self.sheet.cancel, self.sheet.question.no):
-                button.clicked.connect(self._bench.engine.cancel)
+                button.clicked.connect(lambda: self._bench.engine.cancel())
             self.sheet.accept_it.clicked.connect(self._accept)
         self._read_s = float("-inf")
         self.draw(at_once=True)

@@ -110,7 +110,7 @@ class StackWorkspace(Workspace):
         presenter.show_model()
         page.run.chosen.connect(presenter.show_model)
         page.run.pause.clicked.connect(lambda: pause_or_resume(bench))
-        page.run.cancel.clicked.connect(bench.engine.cancel)
+        page.run.cancel.clicked.connect(lambda: bench.engine.cancel())
         page.decision.approve.clicked.connect(lambda: presenter.answer(True))
         page.decision.decline.clicked.connect(lambda: presenter.answer(False))
         page.probe_chosen.connect(presenter.choose)

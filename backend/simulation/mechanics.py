@@ -177,6 +177,7 @@ class TimeStep(Rows):
             self.pivot_mm,
             self.pose.slide_mm,
             self.pose.rock_rad,
+            np.zeros(len(zero)),
         )
 
 

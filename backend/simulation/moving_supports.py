@@ -48,8 +48,8 @@ class SolutionInputs(Rows):
     """Grasp and position of B probes during one solution.
 
     ``zero`` q° (B, 6) and ``stiffness`` (B, 6) of the grasp; ``pivot_mm`` (B, 2): the pivot over
-    ``O``; ``slid_mm``, ``leaned_rad`` (B, m, 2): sliding and rocking so far. ``drag_mm_rad``: shift
-    of the resultant per radian of further rocking.
+    ``O``; ``slid_mm``, ``leaned_rad`` (B, m, 2): sliding and rocking so far. ``drag_mm_rad``
+    (B,): shift of the resultant per radian of further rocking.
     """
 
     cells: ContactCells
@@ -60,7 +60,7 @@ class SolutionInputs(Rows):
     pivot_mm: FloatArray
     slid_mm: FloatArray
     leaned_rad: FloatArray
-    drag_mm_rad: float = 0.0
+    drag_mm_rad: FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,7 +93,7 @@ class SupportLaw(Rows):
         moment += stand.centre_nmm + weight_moment_growth(stand, pose)
         centre = moment / load[..., None]
         at = centre - polygon_drift_mm(stand, pose)
-        at -= held.drag_mm_rad * (pose.rock_rad - held.leaned_rad)
+        at -= held.drag_mm_rad[:, None, None] * (pose.rock_rad - held.leaned_rad)
         corner, slope = stand.area.nearest(at + ROCK_MM_RAD * pose.rock_rad)
         rock = np.where(stand.rocks[..., None], at - corner, pose.rock_rad * ROCK_MM_RAD)
         lateral = -now.wrench[:, None, :2]
@@ -142,7 +142,11 @@ MAX_ITERATIONS = 40
 HALVINGS = 12
 # The search ends when the residual has not fallen to PROGRESS within PATIENCE iterations.
 PATIENCE, PROGRESS = 8, 0.5
-DRAGS_MM_RAD = (1e8, 1e7, 1e6, 1e5, 1e4, 1e3, 1e2, 1e1)
+# Drag on the supports: the first, the factors after each step, and the largest and least in use.
+FIRST_DRAG_MM_RAD, LESS_DRAG, MORE_DRAG = 1e6, 0.2, 8.0
+MAX_DRAG_MM_RAD, NO_DRAG_MM_RAD = 1e9, 1.0
+AT_REST_MM = 0.01  # shift of the resultant by the drag that ends the motion
+MAX_DRAG_STEPS = 60
 VISCOUS = 1e-6  # keeps the Jacobian regular where face and table slide; not in the residual
 
 
@@ -183,7 +187,7 @@ def solve_on_supports(
     found = _solve_newton(loose, start.q[rows], start.pose.take(rows))
     lost = np.flatnonzero(~(found.residual <= TOLERANCE))
     if eased and len(lost):
-        again = _relaxed_drag(loose.take(lost), start.q[rows[lost]], start.pose.take(rows[lost]))
+        again = _search_with_drag(loose.take(lost), start.take(rows[lost]))
         found = found.replaced(lost, again)
     # Without an equilibrium the press continues on rigid supports.
     usable = np.flatnonzero(found.residual <= RESIDUAL_LIMIT)
@@ -209,19 +213,69 @@ def carried_motion(
     return ride
 
 
-def _relaxed_drag(held: SolutionInputs, q: FloatArray, pose: SupportMotion) -> SupportSolution:
-    """Solve with a drag on the supports that is reduced step by step.
+def _search_with_drag(held: SolutionInputs, start: SupportSolution) -> SupportSolution:
+    """Search with drag from the present supports, then from upright ones.
 
-    Sticking and sliding of the faces are 0.001 mm apart, a micro-radian of a tower; without drag
-    the search steps over it.
+    A face that loses its hold lets the supports fall back, and touches them again upright.
     """
-    now = SupportSolution(q, pose, np.full(len(q), np.inf))
-    for drag in DRAGS_MM_RAD:
+    found = _relaxed_drag(held, _motion_on_resting(held, start.q, start.pose), start.pose)
+    lost = np.flatnonzero(~(found.residual <= TOLERANCE))
+    if len(lost):
+        part, pose = held.take(lost), start.pose.take(lost)
+        upright = replace(pose, rock_rad=np.zeros_like(pose.rock_rad))
+        q = _motion_on_resting(part, part.zero, upright)
+        found = found.replaced(lost, _relaxed_drag(part, q, upright))
+    return found
+
+
+def _motion_on_resting(held: SolutionInputs, q: FloatArray, pose: SupportMotion) -> FloatArray:
+    """Return the motion (B, 6) in equilibrium on supports that rest at ``pose``.
+
+    The search from ``q`` can end where all cells slide. It is repeated from the unloaded grasp,
+    where the normal forces are large and the cells stick.
+    """
+    ride = carried_motion(held, pose)
+    zero = held.zero - ride
+    relative, _, residual = solve_equilibrium(
+        held.cells, held.anchor, q - ride, zero, held.stiffness
+    )
+    lost = np.flatnonzero(~(residual <= TOLERANCE))
+    if len(lost):
+        cells, anchor = held.cells.take(lost), held.anchor[:, lost]
+        again = solve_equilibrium(cells, anchor, zero[lost], zero[lost], held.stiffness[lost])
+        relative[lost] = again[0]
+    return relative + ride
+
+
+def _relaxed_drag(held: SolutionInputs, q: FloatArray, pose: SupportMotion) -> SupportSolution:
+    """Follow the supports while they give way against a viscous drag, until they are at rest.
+
+    Each pass is an implicit Euler step of duration 1 / drag. The drag falls after a step with a
+    solution and rises after one without. The equilibrium found is the one that a slow motion of the
+    supports reaches: a tower that tips about another edge passes states without equilibrium.
+    """
+    ends = SupportSolution(q, pose, np.full(len(q), np.inf))
+    rows, drag, now = np.arange(len(q)), np.full(len(q), FIRST_DRAG_MM_RAD), ends
+    for _ in range(MAX_DRAG_STEPS):
         slowly = replace(held, leaned_rad=now.pose.rock_rad, drag_mm_rad=drag)
         found = _solve_newton(slowly, now.q, now.pose)
-        there = np.flatnonzero(found.residual <= TOLERANCE)
-        now = now.replaced(there, found.take(there))
-    return _solve_newton(held, now.q, now.pose)
+        solved = found.residual <= TOLERANCE
+        pull_mm = np.abs(found.pose.rock_rad - now.pose.rock_rad).max(axis=(1, 2)) * drag
+        now = now.replaced(np.flatnonzero(solved), found.take(np.flatnonzero(solved)))
+        drag = drag * np.where(solved, LESS_DRAG, MORE_DRAG)
+        near = np.flatnonzero(solved & ((pull_mm < AT_REST_MM) | (drag < NO_DRAG_MM_RAD)))
+        going = drag <= MAX_DRAG_MM_RAD
+        if len(near):
+            free = _solve_newton(held.take(near), now.q[near], now.pose.take(near))
+            done = free.residual <= TOLERANCE
+            ends = ends.replaced(rows[near[done]], free.take(np.flatnonzero(done)))
+            going[near[done]] = False
+        left = np.flatnonzero(going)
+        if not len(left):
+            break
+        if len(left) < len(rows):
+            rows, drag, now, held = rows[left], drag[left], now.take(left), held.take(left)
+    return ends
 
 
 def _solve_newton(held: SolutionInputs, q: FloatArray, pose: SupportMotion) -> SupportSolution:
@@ -355,7 +409,7 @@ def _resultant_slope(
     slope[..., 6 + 2 * m :] += _for_both_axes(stand.moved_n)
     slope /= law.load_n[..., None, None]
     slope[..., 6 : 6 + 2 * m] -= _for_both_axes(
-        interface_heights_mm(stand) + held.drag_mm_rad * np.eye(m)
+        interface_heights_mm(stand) + held.drag_mm_rad[:, None, None] * np.eye(m)
     )
     slope[..., 6 + 2 * m :] -= _for_both_axes(np.broadcast_to(np.tri(m), (len(q), m, m)))
     return slope

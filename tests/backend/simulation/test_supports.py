@@ -8,20 +8,21 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.optimize import root
 
 from tests.backend.simulation.test_batch import everything, plan
 from touchdown.backend.config.method import ProbeSettings
-from touchdown.backend.config.simulation import SimulationSettings, SupportSettings
+from touchdown.backend.config.simulation import SimulationSettings, SupportSettings, load_simulation
 from touchdown.backend.core.values import GRID_COLS, GRID_ROWS
 from touchdown.backend.geometry.outlines import circle, face_points, rectangle
 from touchdown.backend.geometry.pieces import load_pieces
-from touchdown.backend.geometry.sampling import draw_offset
+from touchdown.backend.geometry.sampling import draw_offset, draw_start, draw_tower
 from touchdown.backend.geometry.tower import Body, Tower, judge_tower
 from touchdown.backend.placement.equilibrium import centre_of_pressure_mm
 from touchdown.backend.simulation import batch as lockstep
 from touchdown.backend.simulation import conditions as nuisance
 from touchdown.backend.simulation.batch import LARGEST_FORCE_RATIO, simulate_episodes
-from touchdown.backend.simulation.contact import RESIDUAL_LIMIT
+from touchdown.backend.simulation.contact import RESIDUAL_LIMIT, RESIDUAL_SCALE
 from touchdown.backend.simulation.gripper import HeldPiece, start_command_mm
 from touchdown.backend.simulation.marker_fields import build_gel
 from touchdown.backend.simulation.mechanics import (
@@ -29,6 +30,8 @@ from touchdown.backend.simulation.mechanics import (
     ProbeEquilibrium,
     advance_probes,
     begin_probes,
+    elastic_zero,
+    springs,
 )
 from touchdown.backend.simulation.pressing import press_batch
 from touchdown.backend.simulation.scene import Scene
@@ -272,6 +275,142 @@ def test_no_press_on_free_bottoms_is_harder_than_a_spring_can_make_it() -> None:
     )  # series stiffness times depth: reference 3.1
     assert (felt.detected & felt.truth.solved).mean() > 0.85
     assert (np.hypot(*np.moveaxis(seen[0].state.pose.rock_rad, -1, 0)) > 1e-4).mean() > 0.3
+
+
+FREE = load_simulation(preset="bench-v1")
+# Scenes in which the supports pass a state without equilibrium: they tip about another edge, or the
+# face loses its hold.
+SNAPPING = [(("short", "long"), 11), (("short", "long"), 40), (("long",), 42)]
+
+
+def unsteady_scene(bottoms: tuple[str, ...], seed: int) -> Scene:
+    catalogue, rng = load_pieces(), np.random.default_rng([seed, 77])
+    tower = draw_tower(rng, [catalogue.bottom(name) for name in bottoms])
+    piece = catalogue.top("barrel")
+    return Scene(piece, tower, draw_start(rng, piece.body(), tower), seed, FREE)
+
+
+@pytest.mark.parametrize(("bottoms", "seed"), SNAPPING)
+def test_a_press_beside_the_edge_ends_in_balance(bottoms, seed) -> None:
+    """On the devices, in cycles of 10 ms, and in the batch."""
+    scene = unsteady_scene(bottoms, seed)
+    holding = HeldPiece(scene, 0, ProbeSettings().grip_force_n)
+    holding.begin_probe(ProbeSettings())
+    command = start_command_mm(scene)
+    rocked = 0.0
+    for height in np.arange(0.1, -0.6, -0.02):
+        command[2] = holding.touch_height_mm + height
+        if holding._state is not None:
+            # Undivided steps: the sliders move once a cycle.
+            holding._state = replace(holding._state, splits=0)
+        before = holding._state
+        holding.solve(command, 0.01)
+        rocked = max(rocked, np.abs(holding._state.pose.rock_rad).max())
+        if before is not None and rocked > 0.0:
+            check_balance(scene.bottoms, before, holding._state, height)
+    assert holding.residual <= RESIDUAL_LIMIT
+    assert rocked > 1e-4
+    bench = lockstep.BatchedTrials([scene])
+    assert bench.press([0], bench.start_commands_mm()).valid[0]
+
+
+def check_balance(tower: Tower, before: ContactState, after: ContactState, height: float) -> None:
+    """Compare one step with the roots that scipy finds of statics written out for two discs.
+
+    The unknowns are the motion of the piece and the rocking; nothing slides in these presses.
+    """
+    assert np.abs(after.pose.slide_mm).max() < 1e-9
+    conditions, cells = before.conditions, before.cells
+    spring = springs(conditions, before.relaxed, 0.01)
+    unloaded = spring.hidden.copy()
+    unloaded[:, :, :3] += after.slip
+    zero = elastic_zero(np.array([[0.0, 0.0, height]]), unloaded, conditions.width_mm)[0]
+    origin = np.array(tower.bodies[-1].at_mm)
+    floors = np.cumsum([0.0, *(body.height_mm for body in tower.bodies)])
+    r = np.stack([cells.x[0], cells.y[0], np.full_like(cells.x[0], cells.r_z[0])], axis=1)
+    pivot = np.array([*before.pivot_mm[0], floors[-1] - cells.r_z[0]])
+    discs = []
+    for k, body in enumerate(tower.bodies):
+        below = tower.bodies[max(k - 1, 0)]
+        radii = body.lower.radius_mm, (below.upper if k else body.lower).radius_mm
+        discs.append(
+            [
+                (np.array(b.at_mm) - origin, radius)
+                for b, radius in zip((body, below), radii, strict=True)
+            ]
+        )
+
+    def left_over(x):
+        q, rocks = x[:6], x[6:].reshape(-1, 2) / 1e3
+        ride = np.zeros_like(r)
+        edges = [foremost(pair, rock) for pair, rock in zip(discs, rocks, strict=True)]
+        for rock, edge, floor in zip(rocks, edges, floors, strict=False):
+            about = np.array([-rock[1], rock[0], 0.0])
+            ride += np.cross(about, pivot + r - np.array([*edge, floor]))
+        u = q[:3] + np.cross(q[3:], r) - ride
+        normal = cells.normal[0] * np.maximum(cells.gap_mm[0] - u[:, 2], 0.0)
+        pull = -cells.tangential[0][:, None] * (u[:, :2] - before.anchor[:, 0].T)
+        size = np.maximum(np.hypot(*pull.T), 1e-12)
+        pull *= np.minimum(1.0, cells.mu[0] * normal / size)[:, None]
+        force = np.column_stack([pull, normal])
+        wrench = np.r_[force.sum(axis=0), np.cross(r, force).sum(axis=0)]
+        found = [(wrench - spring.matrix_diagonal[0] * (q - zero)) * RESIDUAL_SCALE]
+        # The face moves over the supports; the resultants are in the axes of the table.
+        shift = q[:2] + cells.r_z[0] * np.array([q[4], -q[3]])
+        points = pivot + r + np.array([*shift, 0.0])
+        for k, floor in enumerate(floors[:-1]):
+            arm = points - np.array([0.0, 0.0, floor])
+            load, moment = normal.sum(), np.cross(arm, -force).sum(axis=0)
+            for body, base in list(zip(tower.bodies, floors[:-1], strict=True))[k:]:
+                weight = 9.81e-3 * body.mass_g
+                lean = sum(
+                    rocks[i] * (base + body.com_height_mm - floors[i])
+                    for i in range(tower.bodies.index(body) + 1)
+                )
+                at = np.array(body.centre_mm) - origin + lean
+                load += weight
+                moment += np.cross([*at, 0.0], [0.0, 0.0, -weight])
+            centre = np.array([moment[1], -moment[0]]) / load
+            centre -= sum(rocks[i] * (floor - floors[i]) for i in range(k))
+            found.append(0.4 * (centre - nearest_in_both(discs[k], centre + 1e3 * rocks[k])))
+        return np.concatenate(found)
+
+    ours = np.r_[after.q[0], 1e3 * after.pose.rock_rad[0].ravel()]
+    assert np.linalg.norm(left_over(ours)) < 1e-4
+    found = root(left_over, ours + 1e-5 * np.cos(np.arange(len(ours))), tol=1e-10)
+    assert found.success
+    np.testing.assert_allclose(found.x, ours, atol=2e-4)
+
+
+def nearest_in_both(discs, point):
+    """Nearest point in the overlap of two discs."""
+    (a, r), (b, s) = discs
+
+    def onto(centre, radius):
+        away = point - centre
+        return centre + away * min(1.0, radius / max(np.hypot(*away), 1e-12))
+
+    for foot, (other, reach) in ((onto(a, r), (b, s)), (onto(b, s), (a, r))):
+        if np.hypot(*(foot - other)) <= reach + 1e-9:
+            return foot
+    return min(crossings(discs), key=lambda p: np.hypot(*(p - point)))
+
+
+def foremost(discs, direction):
+    """Point of the overlap of two discs that is farthest along ``direction``."""
+    size = np.hypot(*direction)
+    if size == 0.0:
+        return discs[0][0]
+    return nearest_in_both(discs, discs[0][0] + 1e7 * direction / size)
+
+
+def crossings(discs):
+    (a, r), (b, s) = discs
+    apart = np.hypot(*(b - a))
+    along = (b - a) / apart
+    near = (apart**2 + r**2 - s**2) / (2 * apart)
+    side = np.sqrt(r**2 - near**2) * np.array([-along[1], along[0]])
+    return [a + near * along + side, a + near * along - side]
 
 
 def test_devices_and_batch_rock_alike(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -3,6 +3,8 @@
 Stacking: 60 seeds (3 pieces, 2 bottoms, 10 each), started unstable.
 """
 
+import hashlib
+import os
 import tempfile
 import time
 from collections import defaultdict
@@ -21,9 +23,17 @@ from touchdown.backend.config.simulation import SimulationSettings, load_simulat
 from touchdown.backend.core import ActionChosen, Event, Outcome, TrialFinished
 from touchdown.backend.episodes.training_rows import join_rows, load_rows
 from touchdown.backend.experiments.job_kinds import KINDS
-from touchdown.backend.experiments.tables import FULL, PIECES, Recipe, Scale, paper_training
+from touchdown.backend.experiments.models import adopt_models
+from touchdown.backend.experiments.tables import (
+    FULL,
+    PIECES,
+    Recipe,
+    Scale,
+    agreement,
+    paper_training,
+)
 from touchdown.backend.jobs.execution import ProcessPool, run_campaign
-from touchdown.backend.jobs.job import JobStore, run_job
+from touchdown.backend.jobs.job import JobSpec, JobStore, run_job
 from touchdown.backend.learning.training import Trainer, use_one_thread
 from touchdown.backend.runs.requests import StackRequest, StrategyChoice
 from touchdown.backend.simulation.release_mujoco import (
@@ -32,6 +42,7 @@ from touchdown.backend.simulation.release_mujoco import (
     mujoco_available,
 )
 
+BACKEND = Path(__file__).resolve().parents[2] / "backend"
 FIRST_SEED = 100  # sixty seeds, ten per cell
 STACKING_PIECES, STACKING_BOTTOMS, TRIALS = ("pot", "mushroom", "barrel"), ("short", "long"), 10
 UNSAFE = (Outcome.FELL, Outcome.KNOCKED_OVER)
@@ -120,6 +131,56 @@ def judge_against_engine() -> list[Figure]:
         text = f"judge against MuJoCo, {name}: beyond {band_mm} mm"
         figures.append(failures(text, beyond, "cases", note))
     return figures
+
+
+TOWERS = (("short", "long"), ("short", "hex20"), ("short", "rect12x28"))
+# Four rounds of five trials for each piece and tower: 180 trials, each with its own mounting.
+TOWER_SEED, TOWER_ROUNDS, TOWER_TRIALS = 4_700_000, 4, 5
+
+
+@figure("towers")
+def towers_on_batch_and_devices() -> list[Figure]:
+    """Trials on two bottoms by the batch, and with devices, images and tracker.
+
+    ``TOUCHDOWN_ROUNDS`` lowers the number of rounds. Finished jobs are kept in ``output`` for as
+    long as no source of the backend changes.
+    """
+    rounds = int(os.environ.get("TOUCHDOWN_ROUNDS", TOWER_ROUNDS))
+    code = hashlib.sha256(b"".join(p.read_bytes() for p in sorted(BACKEND.rglob("*.py"))))
+    store = JobStore(BACKEND.parent / "output" / f"towers-{code.hexdigest()[:16]}")
+    models = adopt_models(store, BACKEND.parent / "resources" / "models")
+    bench = load_simulation(preset="bench-v1").model_dump(mode="json")
+    pairs: list[tuple[JobSpec, JobSpec]] = []
+    for k, piece, tower in product(range(rounds), PIECES, TOWERS):
+        seed = TOWER_SEED + 1000 * (10 * PIECES.index(piece) + TOWERS.index(tower)) + 100 * k
+        params = {"piece": piece, "bottoms": list(tower), "strategy": "paper", "bench": bench}
+        needs = (models[piece, "FT+Tac"],)
+        kinds = ("stack", "devices")
+        batch, devices = (
+            JobSpec(kind, params | {"trials": TOWER_TRIALS}, seed, needs, "bench") for kind in kinds
+        )
+        pairs.append((batch, devices))
+    jobs = [spec for pair in pairs for spec in pair]
+    for result in run_campaign(jobs, ProcessPool(KINDS, store, WORKERS), store):
+        assert result.state == "done", result.error
+    both = [[list(store.result(spec.id)["trials"]) for spec in pair] for pair in pairs]
+    batch_trials, device_trials = ([t for pair in both for t in pair[k]] for k in (0, 1))
+    found = agreement(batch_trials, device_trials)
+    untouched = sum("no contact" in trial["reason"] for trial in batch_trials)
+    note = f"{found['same_outcome']} of {found['trials']} trials; placed by the batch "
+    note += f"{found['placed_batch']}, on the devices {found['placed_devices']}"
+    unlike = [
+        f"{piece[0]['seed']} {piece[0]['outcome']} and {piece[1]['outcome']}"
+        for piece in zip(batch_trials, device_trials, strict=True)
+        if piece[0]["outcome"] != piece[1]["outcome"]
+    ]
+    if unlike:
+        note += f"; {', '.join(unlike)}"
+    alike = 100.0 * found["same_outcome"] / found["trials"]
+    return [
+        at_least("towers, batch and devices end alike", alike, "%", 95, note),
+        failures("towers, trials of the batch without contact", untouched, "trials"),
+    ]
 
 
 HARD = SimulationSettings.model_validate({"preset": "hard"})

@@ -9,7 +9,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeAlias
 
-from pydantic import Field, model_validator
+from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
 from touchdown.backend.config.method import NonNegative, Positive, Settings
 from touchdown.backend.config.toml_file import parse_settings, read_toml
@@ -43,6 +43,17 @@ class FaceSettings(Settings):
     foundation_range_n_mm3: tuple[Positive, Positive] | None = None
     tangential_n_mm3: Positive = 16.0  # tangential stiffness before sliding [U]
     lattice_mm: Positive = 1.0
+    # Points a side of each cell of the contact: 3 weighs a cell by its covered ninths and puts it
+    # at their centre; 1 counts whole cells by their centres.
+    subcells: Literal[1, 3, 5] = 1
+
+    @model_serializer(mode="wrap")
+    def _without_default(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Leave out ``subcells`` of 1, so that benches from before it keep their hash."""
+        content: dict[str, Any] = handler(self)
+        if content.get("subcells") == 1:
+            del content["subcells"]
+        return content
 
 
 class SupportSettings(Settings):

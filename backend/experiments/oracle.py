@@ -144,9 +144,10 @@ def predict_press(
     outline: Region = setting.bottom.face
     if not setting.diameter_known:
         outline = _Discs(0.5 * diameters_mm(setting, value)[:, None])
-    points = face_points(setting.piece.face, settings.face.lattice_mm)
-    lattice = settings.face.lattice_mm
-    state = begin_probes(points, outline, true, conditions, worlds.carried, lattice)
+    subcells = settings.face.subcells
+    lattice = settings.face.lattice_mm / subcells
+    points = face_points(setting.piece.face, lattice)
+    state = begin_probes(points, outline, true, conditions, worlds.carried, lattice, subcells)
     rule = onset_rule(settings, setting.probe)
     still = _errorless(settings)
     noise = [_noise(settings, still, setting.probe, rng) for _ in range(worlds.count)]

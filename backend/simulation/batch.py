@@ -158,6 +158,7 @@ class _BatchBench:
         self.gel = gel_from_settings(plan.settings)
         self.rule = onset_rule(plan.settings, plan.probe)
         tower = plan.bottoms
+        self.contact_mm = contact_points(plan.face, plan.settings, plan.face_points_mm)
         self.stand = None if tower is None else support_stack(tower, plan.settings.support)
 
     def gripping(self, grip: int) -> tuple[nuisance.MountingDraw, nuisance.GripDraw]:
@@ -237,12 +238,13 @@ class _BatchBench:
         commanded = np.stack([d.offset_mm for d in drawn])
         true = true_offset_mm(commanded, conditions, carried.slip)
         state = begin_probes(
-            plan.face_points_mm,
+            self.contact_mm,
             plan.bottom_outline,
             true,
             conditions,
             carried,
-            plan.settings.face.lattice_mm,
+            plan.settings.face.lattice_mm / plan.settings.face.subcells,
+            plan.settings.face.subcells,
         ).on(None if self.stand is None else join_support_stacks([self.stand] * len(drawn)))
         pressed = press_with_noise(
             state, [d.noise for d in drawn], plan.settings, plan.probe, self.rule
@@ -269,6 +271,15 @@ class _BatchBench:
             rejected=0,
         )
         return batch, after, usable_presses(pressed, conditions, plan.probe)
+
+
+def contact_points(
+    face: Outline, settings: SimulationSettings, lattice_mm: FloatArray
+) -> FloatArray:
+    """Return the points of the contact: ``lattice_mm`` (N, 2), or a finer lattice of ``face``."""
+    if settings.face.subcells == 1:
+        return lattice_mm
+    return face_points(face, settings.face.lattice_mm / settings.face.subcells)
 
 
 def onset_rule(settings: SimulationSettings, probe: ProbeSettings) -> OnsetRule:
@@ -424,7 +435,8 @@ class BatchedTrials:
             raise ValueError("trials in lockstep share piece, surface and settings")
         self.scenes, self._first = scenes, first
         self._probe = probe or ProbeSettings()
-        self._points_mm = face_points(first.piece.face, first.settings.face.lattice_mm)
+        points = face_points(first.piece.face, first.settings.face.lattice_mm)
+        self._points_mm = contact_points(first.piece.face, first.settings, points)
         self._rule = onset_rule(first.settings, self._probe)
         self._gel = gel_from_settings(first.settings)
         force_n = self._probe.grip_force_n
@@ -477,7 +489,8 @@ class BatchedTrials:
             true_offset_mm(commands_mm, conditions, carried.slip) - self._slid_mm[rows],
             conditions,
             carried,
-            settings.face.lattice_mm,
+            settings.face.lattice_mm / settings.face.subcells,
+            settings.face.subcells,
         ).on(self._stand(rows))
         noise = [draw_noise(settings, self._rule, self._sensor_rng(i)) for i in rows.tolist()]
         pressed = press_with_noise(state, noise, settings, self._probe, self._rule)

@@ -68,6 +68,26 @@ def pack_cells(
     return packed, np.arange(width) < count[:, None]
 
 
+def merge_points(
+    points_mm: FloatArray, cell_mm: float, placed_mm: FloatArray, inside: NDArray[np.bool_]
+) -> tuple[FloatArray, FloatArray]:
+    """Merge the points of each lattice cell; return centres (B, n, 2) and numbers of points (B, n).
+
+    ``points_mm`` (N, 2) on the face belong to the cells of ``cell_mm`` around whole multiples of
+    it. ``placed_mm`` (B, N, 2): the same points of each probe; those ``inside`` (B, N) count. The
+    centre of a cell is that of its points. Cells without points are packed last.
+    """
+    cell = np.round(points_mm / cell_mm)
+    order = np.lexsort(cell.T)
+    first = np.flatnonzero(np.append(True, np.diff(cell[order], axis=0).any(axis=1)))
+    weight = inside[:, order].astype(np.float64)
+    number = np.add.reduceat(weight, first, axis=1)
+    total = np.add.reduceat(weight[..., None] * placed_mm[:, order], first, axis=1)
+    packed, exists = pack_cells(total / np.maximum(number, 1.0)[..., None], number > 0.0)
+    front = np.argsort(number == 0.0, axis=1, kind="stable")[:, : exists.shape[1]]
+    return packed, np.take_along_axis(number, front, axis=1)
+
+
 def surface_motion(cells: ContactCells, q: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return u_x, u_y, u_z (B, n) of every cell."""
     p = (q[:, 0] + q[:, 4] * cells.r_z)[:, None]

@@ -146,7 +146,8 @@ class HeldPiece:
         self.gripping = draw_gripping(scene.settings, force_n, rng)
         self.probe = 0
         self.conditions = self._draw(ProbeSettings())
-        self._points_mm = face_points(scene.piece.face, scene.settings.face.lattice_mm)
+        face = scene.settings.face
+        self._points_mm = face_points(scene.piece.face, face.lattice_mm / face.subcells)
         self._state: mechanics.ContactState | None = None
         self._base_mm = np.zeros(2)
         self._fresh = True
@@ -262,13 +263,15 @@ class HeldPiece:
         self._fresh = False
         offset = np.array([self.offset_mm(command_mm)])
         self._bottoms = self.bottoms
+        face = self._scene.settings.face
         return mechanics.begin_probes(
             self._points_mm,
             self._scene.surface,
             offset,
             self.conditions,
             previous=state,
-            pitch_mm=self._scene.settings.face.lattice_mm,
+            pitch_mm=face.lattice_mm / face.subcells,
+            subcells=face.subcells,
         ).on(support_stack(self._bottoms, self._scene.settings.support))
 
     def _draw(self, probe: ProbeSettings) -> Conditions:

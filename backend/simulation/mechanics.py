@@ -367,31 +367,40 @@ class ProbeEquilibrium(Rows):
         return np.asarray(self.wrench_g[:, 2], dtype=np.float64)
 
 
-def begin_probes(
+def begin_probes(  # noqa: PLR0913 - two describe the lattice
     face_points_mm: FloatArray,
     outline: Region,
     offset_mm: FloatArray,
     conditions: Conditions,
     previous: ContactState | GraspHistory | None = None,
     pitch_mm: float = 1.0,
+    subcells: int = 1,
 ) -> ContactState:
     """Start B probes at the true displacements ``offset_mm`` (B, 2) above one bottom ``outline``.
 
-    ``face_points_mm`` (N, 2): lattice of ``pitch_mm`` on the face, in ``F``. Slip and gel state of
-    ``previous`` (same grip) are kept; the slider anchors are reset. The bottom is rigid; see
-    ``ContactState.on``.
+    ``face_points_mm`` (N, 2): lattice of ``pitch_mm`` on the face, in ``F``. With ``subcells`` k,
+    the k by k points around each k-th one form one cell, weighted by those that overlap. Slip and
+    gel state of ``previous`` (same grip) are kept; the slider anchors are reset. The bottom is
+    rigid; see ``ContactState.on``.
     """
     cos, sin = np.cos(conditions.yaw_rad)[:, None], np.sin(conditions.yaw_rad)[:, None]
     s_x = cos * face_points_mm[:, 0] - sin * face_points_mm[:, 1]
     s_y = sin * face_points_mm[:, 0] + cos * face_points_mm[:, 1]
     s = np.stack([s_x, s_y], axis=-1)
-    packed, exists = contact.pack_cells(s, outline.contains(s + offset_mm[:, None, :]))
+    inside = outline.contains(s + offset_mm[:, None, :])
+    if subcells > 1:
+        cell_mm = subcells * pitch_mm
+        packed, covered = contact.merge_points(face_points_mm, cell_mm, s, inside)
+        exists = covered > 0.0
+    else:
+        packed, exists = contact.pack_cells(s, inside)
+        covered = exists.astype(np.float64)
     x = packed[..., 0] - conditions.grasp_offset_mm[:, :1]
     y = packed[..., 1]
     tilt = conditions.tilt_rad
     gap = tilt[:, 1:] * packed[..., 0] - tilt[:, :1] * packed[..., 1]
     gap -= np.where(exists, gap, -np.inf).max(axis=1, initial=-1e9)[:, None]
-    area = np.where(exists, pitch_mm**2, 0.0)
+    area = pitch_mm**2 * covered
     cells = contact.ContactCells(
         x=x,
         y=y,

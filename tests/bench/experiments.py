@@ -19,8 +19,9 @@ from tests.backend.simulation.one_press import CASES, RMS_LIMIT_PX, press_both_w
 from tests.backend.simulation.release_cases import SETS, ask_both
 from tests.bench.figures import Figure, at_least, at_most, failures, figure, stated
 from touchdown.backend.bench.assembly import SimulatedBenchChoice, simulated_session
+from touchdown.backend.config.method import ProbeSettings
 from touchdown.backend.config.simulation import SimulationSettings, load_simulation
-from touchdown.backend.core import ActionChosen, Event, Outcome, TrialFinished
+from touchdown.backend.core import ActionChosen, Event, FloatArray, Outcome, TrialFinished
 from touchdown.backend.episodes.training_rows import join_rows, load_rows
 from touchdown.backend.experiments.job_kinds import KINDS
 from touchdown.backend.experiments.models import adopt_models
@@ -32,10 +33,16 @@ from touchdown.backend.experiments.tables import (
     agreement,
     paper_training,
 )
+from touchdown.backend.geometry.outlines import face_points
+from touchdown.backend.geometry.pieces import Piece, load_pieces
+from touchdown.backend.geometry.sampling import draw_offset
 from touchdown.backend.jobs.execution import ProcessPool, run_campaign
 from touchdown.backend.jobs.job import JobSpec, JobStore, run_job
 from touchdown.backend.learning.training import Trainer, use_one_thread
 from touchdown.backend.runs.requests import StackRequest, StrategyChoice
+from touchdown.backend.simulation import conditions
+from touchdown.backend.simulation.contact import RESIDUAL_LIMIT
+from touchdown.backend.simulation.mechanics import advance_probes, begin_probes
 from touchdown.backend.simulation.release_mujoco import (
     PAIR_BAND_MM,
     TOWER_BAND_MM,
@@ -180,6 +187,58 @@ def towers_on_batch_and_devices() -> list[Figure]:
     return [
         at_least("towers, batch and devices end alike", alike, "%", 95, note),
         failures("towers, trials of the batch without contact", untouched, "trials"),
+    ]
+
+
+PRESSES, REFERENCE = 40, (1.0 / 3.0, 1)
+
+
+def pressed_centres(piece: Piece, bottom: Piece, pitch_mm: float, subcells: int) -> FloatArray:
+    """Return the centres of pressure (n, 2) of random presses on bench-v1, rigid bottoms."""
+    settings, rng = load_simulation(preset="bench-v1"), np.random.default_rng(PRESSES)
+    draws = [
+        (
+            conditions.draw_mounting(settings, rng),
+            conditions.draw_gripping(settings, 10.0, rng),
+            conditions.draw_probe(settings, rng),
+        )
+        for _ in range(PRESSES)
+    ]
+    drawn = conditions.conditions_from_draws(settings, ProbeSettings(), 30.0, piece.width_mm, draws)
+    offsets = draw_offset(rng, piece.face, bottom.face, PRESSES)
+    points = face_points(piece.face, pitch_mm)
+    state = begin_probes(points, bottom.face, offsets, drawn, None, pitch_mm, subcells)
+    for tick in range(1, 21):
+        command = np.tile([0.0, 0.0, -1.5 * min(1.0, tick / 15)], (PRESSES, 1))
+        state, solved = advance_probes(state, command, 0.1)
+    assert (state.residual <= RESIDUAL_LIMIT).all()
+    return solved.cop_mm
+
+
+@figure("lattice")
+def centre_of_pressure_on_the_lattice() -> list[Figure]:
+    """Centres of pressure on 1 mm cells against cells of 1/3 mm, and the cost of merged cells.
+
+    Three pieces on four bottoms, positions uniform over the overlaps of the data collection.
+    """
+    catalogue = load_pieces()
+    errors_mm: dict[int, list[float]] = {1: [], 3: []}
+    spent_s = dict.fromkeys(errors_mm, 0.0)
+    for name, below in product(PIECES, ("short", "long", "hex20", "rect12x28")):
+        pair = catalogue.top(name), catalogue.bottom(below)
+        fine = pressed_centres(*pair, *REFERENCE)
+        for subcells, errors in errors_mm.items():
+            began_s = time.process_time()
+            found = pressed_centres(*pair, 1.0 / subcells, subcells)
+            spent_s[subcells] += time.process_time() - began_s
+            errors += np.hypot(*(found - fine).T).tolist()
+    whole, merged = (float(np.percentile(errors_mm[k], 95)) for k in (1, 3))
+    note = f"{len(errors_mm[3])} presses, worst {max(errors_mm[3]):.2f} mm"
+    times = f"{spent_s[1]:.2f} and {spent_s[3]:.2f} s of the processor"
+    return [
+        stated("centre of pressure, whole cells, p95", whole, "mm"),
+        at_most("centre of pressure, cells weighted by ninths, p95", merged, "mm", 0.15, note),
+        at_most("time, weighted over whole cells", spent_s[3] / spent_s[1], "", 1.5, times),
     ]
 
 

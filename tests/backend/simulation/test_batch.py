@@ -60,7 +60,9 @@ def test_no_value_ever_changes() -> None:
 
 def test_every_value_is_written_out_so_that_no_default_reaches_it() -> None:
     written = tomllib.loads(FILE.read_text("utf-8"))
-    assert set(leaves(written)) == set(leaves(BENCH.model_dump()))
+    # Whole cells are left out of the hash, which is older than the choice.
+    assert set(leaves(written)) == {*leaves(BENCH.model_dump()), "face.subcells"}
+    assert written["face"]["subcells"] == BENCH.face.subcells == 1
 
 
 def test_the_pieces_of_the_tables_are_those_of_the_freezing() -> None:

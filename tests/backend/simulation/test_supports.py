@@ -11,6 +11,7 @@ import pytest
 from scipy.optimize import root
 
 from tests.backend.simulation.test_batch import everything, plan
+from touchdown.backend.config.bench_description import bench_sha256
 from touchdown.backend.config.method import ProbeSettings
 from touchdown.backend.config.simulation import SimulationSettings, SupportSettings, load_simulation
 from touchdown.backend.core.values import GRID_COLS, GRID_ROWS
@@ -49,6 +50,8 @@ CENTRE = (GRID_ROWS // 2) * GRID_COLS + GRID_COLS // 2
 
 TABLE = Path(__file__).parents[2] / "data" / "mechanics-vectors.csv"
 WORDS = 2
+FREE = load_simulation(preset="bench-v1")
+FINER = SimulationSettings.model_validate({"preset": "bench-v1", "face": {"subcells": 3}})
 
 
 def read_vectors():
@@ -94,6 +97,64 @@ def test_discretisation_table(pitch_mm, f_x, press, shapes) -> None:
 def test_foundation_table(stiffness, f_x, press, shapes) -> None:
     _, solved = press(25.4, shapes[0](15.0), (9, 0), foundation_n_mm3=stiffness)
     assert solved[-1].wrench_g[0, 0] == pytest.approx(f_x, rel=0.01)
+
+
+@pytest.mark.parametrize("offset_mm", [(9.0, 0.0), (15.0, 8.0), (-12.4, 10.3), (3.3, -17.2)])
+def test_cells_weighted_by_ninths_press_like_fine_cells(offset_mm, press, shapes) -> None:
+    face, bottom = circle(25.4), circle(20.0)
+    rng = np.random.default_rng(1)
+    draws = (
+        nuisance.draw_mounting(FREE, rng),
+        nuisance.draw_gripping(FREE, 10.0, rng),
+        nuisance.draw_probe(FREE, rng),
+    )
+    drawn = nuisance.conditions_from_draws(FREE, ProbeSettings(), 33.0, 30.0, [draws])
+
+    def centre_mm(pitch_mm, subcells):
+        points = face_points(face, pitch_mm)
+        at = np.array([offset_mm])
+        state = begin_probes(points, bottom, at, drawn, None, pitch_mm, subcells)
+        for depth in np.linspace(0.1, 1.5, 15):
+            state, solved = advance_probes(state, np.array([[0.0, 0.0, -depth]]), 0.1)
+        return solved.cop_mm[0]
+
+    fine = centre_mm(1 / 3, 1)
+    assert np.abs(centre_mm(1 / 3, 3) - fine).max() < 0.12
+
+
+def test_subcells_change_the_hash_of_a_bench_only_where_they_are_used() -> None:
+    content = FREE.model_dump(mode="json")
+    assert "subcells" not in content["face"]
+    finer = SimulationSettings.model_validate(
+        {**content, "face": {**content["face"], "subcells": 3}}
+    )
+    assert finer.model_dump(mode="json")["face"]["subcells"] == 3
+    assert SimulationSettings.model_validate(finer.model_dump(mode="json")) == finer
+    assert bench_sha256(finer) != bench_sha256(FREE)
+
+
+@pytest.mark.parametrize("settings", [FREE, FINER], ids=["whole", "ninths"])
+def test_devices_and_batch_press_the_same_cells(settings) -> None:
+    catalogue = load_pieces()
+    piece = catalogue.top("pot")
+    scene = Scene(piece, Tower((catalogue.bottom("circle15").body(),)), (5.0, -3.0), 4, settings)
+    holding = HeldPiece(scene, 0, ProbeSettings().grip_force_n)
+    holding.begin_probe(ProbeSettings())
+    command = start_command_mm(scene)
+    command[2] = holding.touch_height_mm - 0.1
+    holding.solve(command, 0.01)
+    seen = []
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(
+            lockstep,
+            "press_batch",
+            lambda state, *rest: seen.append(state) or press_batch(state, *rest),
+        )
+        bench = lockstep.BatchedTrials([scene])
+        bench.press([0], bench.start_commands_mm())
+    mine, other = holding._state.cells, seen[0].cells
+    np.testing.assert_allclose(mine.normal, other.normal)
+    np.testing.assert_allclose((mine.x, mine.y), (other.x, other.y), atol=1e-9)
 
 
 BOTH = SupportSettings(rocks=True, slides=True)
@@ -277,7 +338,6 @@ def test_no_press_on_free_bottoms_is_harder_than_a_spring_can_make_it() -> None:
     assert (np.hypot(*np.moveaxis(seen[0].state.pose.rock_rad, -1, 0)) > 1e-4).mean() > 0.3
 
 
-FREE = load_simulation(preset="bench-v1")
 # Scenes in which the supports pass a state without equilibrium: they tip about another edge, or the
 # face loses its hold.
 SNAPPING = [(("short", "long"), 11), (("short", "long"), 40), (("long",), 42)]

@@ -13,7 +13,7 @@ from tests.backend.annotations.filling import fill
 from touchdown.app.review import recordings
 from touchdown.app.review.episodes import EpisodeSeries, list_series
 from touchdown.app.review.recordings import RunReader, read_run_summary
-from touchdown.backend.annotations import episode_index
+from touchdown.backend.annotations import dataset as dataset_module
 from touchdown.backend.annotations.dataset import Dataset
 from touchdown.backend.core.events import PhaseEntered, RunFinished, RunStarted, TrialFinished
 from touchdown.backend.core.values import Outcome
@@ -63,11 +63,18 @@ def test_the_times_of_runs_and_series_are_local(far_east):
 
 
 def test_series_are_counted_page_by_page(tmp_path, monkeypatch):
-    monkeypatch.setattr(episode_index, "PAGE", 3)
-    monkeypatch.setattr(Dataset, "episodes", None)  # all entries at once
+    read, pages = Dataset.episodes, []
+
+    def page(self, wanted=None):
+        pages.append(wanted.limit)
+        return read(self, wanted)
+
+    monkeypatch.setattr(dataset_module, "PAGE", 3)
+    monkeypatch.setattr(Dataset, "episodes", page)
     with Dataset.open(tmp_path / "dataset", person="setup") as dataset:
         uuids = fill(dataset, 7)
         (series,) = list_series(dataset)
+    assert set(pages) == {3}
     assert [uuid for uuid, _ in series.episodes] == sorted(uuids)
     assert "7 episodes" in series.title
     assert "7 draft; 0 refused" in series.facts

@@ -15,9 +15,9 @@ if TYPE_CHECKING:
         marker_interpolation,
         rotations,
         scheduling,
+        stalled_processes,
         streams,
         values,
-        watchdog,
     )
 
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

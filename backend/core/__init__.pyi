@@ -79,6 +79,8 @@ from .scheduling import raised_priority as raised_priority
 from .scheduling import request_short_slices as request_short_slices
 from .scheduling import round_robin_priority as round_robin_priority
 from .scheduling import set_realtime_priority as set_realtime_priority
+from .stalled_processes import ProcessStallDetector as ProcessStallDetector
+from .stalled_processes import ThreadStallDetector as ThreadStallDetector
 from .streams import Decimator as Decimator
 from .streams import Samples as Samples
 from .streams import SampleStream as SampleStream
@@ -109,8 +111,6 @@ from .values import Stability as Stability
 from .values import SupportKind as SupportKind
 from .values import TactileFrame as TactileFrame
 from .values import read_only as read_only
-from .watchdog import ProcessStallDetector as ProcessStallDetector
-from .watchdog import ThreadStallDetector as ThreadStallDetector
 
 __all__ = [
     "CHANNELS",

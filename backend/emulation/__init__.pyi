@@ -1,5 +1,3 @@
-from .disturbances import DisturbanceScript as DisturbanceScript
-from .disturbances import parse_script as parse_script
 from .fault_plan import AMOUNTS as AMOUNTS
 from .fault_plan import FaultPlan as FaultPlan
 from .fault_plan import Faults as Faults
@@ -25,6 +23,8 @@ from .serving import WrenchFunction as WrenchFunction
 from .serving import own_address as own_address
 from .serving import replace_host as replace_host
 from .serving import serve_serial as serve_serial
+from .simulated_disturbances import DisturbanceScript as DisturbanceScript
+from .simulated_disturbances import parse_script as parse_script
 
 __all__ = [
     "AMOUNTS",

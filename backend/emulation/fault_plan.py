@@ -30,7 +30,7 @@ from touchdown.backend.config import (
     read_settings,
 )
 from touchdown.backend.core import Decimator, InputError
-from touchdown.backend.emulation.disturbances import FAULT_FORM
+from touchdown.backend.emulation.simulated_disturbances import FAULT_FORM
 
 # lost: a message is missing; flip: one bit is wrong; garbage: random bytes before a message; cut:
 # its end is missing; duplicate: sent twice; late: sent ``by_s`` later; silent: nothing is sent, the

@@ -22,7 +22,7 @@ from touchdown.backend.core.scheduling import (
     raised_priority,
     round_robin_priority,
 )
-from touchdown.backend.core.watchdog import ProcessStallDetector
+from touchdown.backend.core.stalled_processes import ProcessStallDetector
 from touchdown.backend.runs.engine import ThreadWatchdog
 
 PAIRS, WAKES, PERIOD_S, FIFO = 10, 500, 0.004, 50

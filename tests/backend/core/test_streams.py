@@ -17,9 +17,9 @@ from hypothesis import strategies as st
 from tests.backend.simulation.one_press import CASES, RMS_LIMIT_PX, press_both_ways
 from touchdown.backend.core.faults import StaleSampleError
 from touchdown.backend.core.scheduling import NICENESS, RepaintHold
+from touchdown.backend.core.stalled_processes import STALLED_AFTER_S, ProcessStallDetector
 from touchdown.backend.core.streams import SampleStream, Stream
 from touchdown.backend.core.values import TACTILE_CHANNELS, BeliefMap, ContactPatch, TactileFrame
-from touchdown.backend.core.watchdog import STALLED_AFTER_S, ProcessStallDetector
 
 
 def test_arrays_of_values_are_read_only():

@@ -13,7 +13,7 @@ from touchdown.backend.bench.assembly import simulated_session
 from touchdown.backend.core import scheduling as doings
 from touchdown.backend.core.events import FaultRaised
 from touchdown.backend.core.scheduling import SharedLock, blocking_section, blocking_section_of
-from touchdown.backend.core.watchdog import MAX_LOOK_STEP_S, ThreadStallDetector
+from touchdown.backend.core.stalled_processes import MAX_LOOK_STEP_S, ThreadStallDetector
 from touchdown.backend.runs.engine import STILL_S, WATCH_PERIOD_S, WORKS_S, ThreadWatchdog
 from touchdown.backend.runs.requests import SceneChoice
 

@@ -18,7 +18,7 @@ from touchdown.backend.devices.interlock import LEAST_OVERRIDE, Limits
 from touchdown.backend.devices.melfa.faults import VOID
 from touchdown.backend.devices.protocols import Arm, CommandedMotion, Motion
 from touchdown.backend.devices.streamed.arm import UNFELT
-from touchdown.backend.emulation.disturbances import Disturbance, DisturbanceScript
+from touchdown.backend.emulation.simulated_disturbances import Disturbance, DisturbanceScript
 from touchdown.backend.geometry.outlines import circle, rectangle, regular_polygon, square
 from touchdown.backend.rig.safety import LAPSED
 from touchdown.backend.runs import CalibrateRequest, RecordingOptions, calibrate, touch_probing

@@ -37,7 +37,7 @@ from touchdown.backend.core.events import (
 from touchdown.backend.core.faults import RefusedError
 from touchdown.backend.core.values import Outcome
 from touchdown.backend.devices.protocols import Identity
-from touchdown.backend.emulation.disturbances import Disturbance, DisturbanceScript
+from touchdown.backend.emulation.simulated_disturbances import Disturbance, DisturbanceScript
 from touchdown.backend.episodes.episode_mcap import read_episode
 from touchdown.backend.rig.connection import BenchConnection
 from touchdown.backend.runs.calibrations import (

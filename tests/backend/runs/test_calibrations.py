@@ -48,7 +48,7 @@ from touchdown.backend.core.values import (
 )
 from touchdown.backend.devices import GripStatus, ReleaseEvidence
 from touchdown.backend.devices.gelsight.emulator import other_gel, small_dots
-from touchdown.backend.emulation.disturbances import Disturbance, DisturbanceScript
+from touchdown.backend.emulation.simulated_disturbances import Disturbance, DisturbanceScript
 from touchdown.backend.episodes.quality import count_coverage
 from touchdown.backend.geometry import circle, load_pieces
 from touchdown.backend.runs import touch_probing

@@ -31,7 +31,7 @@ from touchdown.backend.core.events import (
     ProbeCollected,
 )
 from touchdown.backend.core.faults import Fault, FaultError, InputError
-from touchdown.backend.emulation.disturbances import Disturbance, DisturbanceScript
+from touchdown.backend.emulation.simulated_disturbances import Disturbance, DisturbanceScript
 from touchdown.backend.episodes.quality import count_coverage
 from touchdown.backend.geometry import circle, load_pieces, overlap_area_mm2, rectangle
 from touchdown.backend.runs import campaign as campaigns

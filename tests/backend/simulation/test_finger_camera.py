@@ -12,7 +12,11 @@ from touchdown.backend.core.faults import InputError
 from touchdown.backend.core.streams import Decimator
 from touchdown.backend.core.values import MARKERS, FloatArray
 from touchdown.backend.devices.protocols import PressCommand
-from touchdown.backend.emulation.disturbances import Disturbance, parse_disturbance, parse_script
+from touchdown.backend.emulation.simulated_disturbances import (
+    Disturbance,
+    parse_disturbance,
+    parse_script,
+)
 from touchdown.backend.simulation.arm import (
     ArmCycle,
     ArmDrive,

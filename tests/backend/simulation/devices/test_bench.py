@@ -13,7 +13,7 @@ from touchdown.backend.core.faults import FaultError
 from touchdown.backend.core.streams import SampleStream
 from touchdown.backend.core.values import FINGERS, Pose
 from touchdown.backend.devices.protocols import PressCommand
-from touchdown.backend.emulation.disturbances import parse_script
+from touchdown.backend.emulation.simulated_disturbances import parse_script
 from touchdown.backend.geometry.pieces import load_pieces
 from touchdown.backend.geometry.tower import Tower
 from touchdown.backend.simulation.contact import RESIDUAL_LIMIT

@@ -1,4 +1,4 @@
-"""Scheduled disturbances of the devices of a bench, parsed from text.
+"""Scheduled disturbances of the devices of the simulated bench, parsed from text.
 
 Written as ``device:kind@start`` or ``device:kind@start+length`` in seconds of the bench clock, for
 example ``tactile_right:stop@2.5+1.0``. A sensor that slows down needs the rate as well, in Hz:

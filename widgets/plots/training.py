@@ -47,6 +47,7 @@ class _TrainingPlot(DrawnView):
     def __init__(self, theme: Theme, name: str) -> None:
         super().__init__(theme, name, (130, 96), (280, 170), opaque=False)
         self._name = name
+        self.setToolTip(name)
         self.lines: tuple[CurveLine, ...] = ()
 
     def _show(self, lines: Sequence[CurveLine], words: Iterable[str]) -> None:
@@ -84,7 +85,9 @@ class _TrainingPlot(DrawnView):
         painter.setFont(ui_font(self._theme.scale, 0.85, 500))
         head = QRectF(rect.left(), 0, self.width() - rect.left(), rect.top() - 3)
         align = Qt.AlignmentFlag.AlignBottom | Qt.AlignmentFlag.AlignLeft
-        painter.drawText(head, int(align), self._name)
+        elide, room = Qt.TextElideMode.ElideRight, int(head.width())
+        title = painter.fontMetrics().elidedText(self._name, elide, room)
+        painter.drawText(head, int(align), title)
 
     def _draw_line(self, painter: QPainter, area: PlotArea, line: CurveLine) -> None:
         pen = QPen(self._theme.tokens.colour(line.token), 1.6)

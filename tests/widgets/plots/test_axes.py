@@ -20,6 +20,7 @@ from touchdown.widgets.plots.axes import (
     tick_text,
     ticks,
 )
+from touchdown.widgets.plots.training import CurvePlot
 from touchdown.widgets.views import tactile
 from touchdown.widgets.views.tactile import DimmedPicture
 
@@ -184,6 +185,16 @@ def test_nothing_is_nan_not_zero():
     assert np.isnan([low, high]).all()
     assert age_s[-1] == 0.0
     assert traces.empty
+
+
+def test_a_title_without_room_ends_with_an_ellipsis(qtbot, theme):
+    plot = CurvePlot(theme, "Loss per epoch (nats a point)")
+    qtbot.addWidget(plot)
+    assert plot.toolTip() == plot.accessibleName()
+    for width in range(150, 190):
+        plot.resize(width, 120)
+        edge = pixels(plot)[: int(plot.area().rect.top()) - 3, -1]
+        assert (edge == edge[0]).all(), f"a letter is cut off at {width} px"
 
 
 def test_time_that_jumps_back_starts_anew():

@@ -273,7 +273,7 @@ def _move(session: Session, action: str, args: argparse.Namespace, screen: VerbO
     if action == "open-jaws":
         now_mm = gripper.status().width_mm
         screen.say(f"The jaws opened from {width_mm:.1f} to {now_mm:.1f} mm.")
-        return not hand.holding and now_mm > width_mm
+        return not hand.holding
     now_mm = arm.pose(max_age_s=1.0).z_mm
     screen.say(f"The arm rose by {now_mm - z_mm:.1f} of {LIFT_MM:g} mm, to z = {now_mm:.1f} mm.")
     return now_mm > z_mm + LIFT_MM - RISEN_MM

@@ -103,6 +103,13 @@ def test_the_arm_is_lifted_out_of_contact_and_the_jaws_open_after_a_second_yes(r
     close()
 
 
+def test_jaws_that_are_fully_open_already_are_no_failure(recovering, monkeypatch):
+    monkeypatch.setattr("touchdown.backend.runs.manual_control.CLEAR_MM", 0.0)
+    code, out, _ = recovering.run("--open-jaws", "--yes")
+    assert code == 0
+    assert "The jaws opened from" in out
+
+
 def test_a_lift_that_ends_early_is_said_and_fails(recovering):
     session = recovering.session
     session.connect()

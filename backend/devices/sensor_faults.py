@@ -21,7 +21,7 @@ from touchdown.backend.core import Fault, Finger, ImageArray, RefusedError, Stre
 LATE_SHARE = {"force_torque": 1 / 3, "tactile_left": 0.24, "tactile_right": 0.24}
 # A sensor is slow below this share of the usual rate, or of its best rate so far.
 SLOW_RATE_SHARE = 0.5
-RATE_STEP_S, RATE_STEPS = 0.25, 4  # the rate of the last second, four times a second
+RATE_WINDOW_S, RATE_STEP_S = 1.0, 0.25  # the rate of the last second, four times a second
 NAMES = {
     "force_torque": "wrist sensor",
     "tactile_left": "left tactile camera",
@@ -55,15 +55,14 @@ class RateMonitor:
 
     def __init__(self) -> None:
         self._best_hz = 0.0
-        self._begun_s: float | None = None
         self._count = 0
-        # Spans in s with their counts; together one window.
-        self._steps: deque[tuple[float, int]] = deque(maxlen=RATE_STEPS)
+        # Time and count at each step of the last second.
+        self._steps: deque[tuple[float, int]] = deque()
         self.slow_since_s: float | None = None  # start of the low rate; None at the usual rate
 
     def begin(self) -> None:
         """Restart the count for a new scene; keeps the best rate."""
-        self._begun_s, self._count, self.slow_since_s = None, 0, None
+        self._count, self.slow_since_s = 0, None
         self._steps.clear()
 
     def note(
@@ -72,23 +71,25 @@ class RateMonitor:
         """Add ``count`` samples, the newest stamped ``newest_s``.
         ``usual_hz`` is the rate that the sensor reports, 0 if none.
         """
-        if self._begun_s is None:
-            self._begun_s = newest_s
+        steps = self._steps
+        if not steps:
+            steps.append((newest_s, 0))
             return
         self._count += count
-        if newest_s - self._begun_s < RATE_STEP_S:
+        if newest_s - steps[-1][0] < RATE_STEP_S:
             return
-        self._steps.append((newest_s - self._begun_s, self._count))
-        self._begun_s, self._count = newest_s, 0
-        if len(self._steps) < RATE_STEPS:
+        steps.append((newest_s, self._count))
+        while newest_s - steps[1][0] >= RATE_WINDOW_S:
+            steps.popleft()
+        begun_s, before = steps[0]
+        if newest_s - begun_s < RATE_WINDOW_S:
             return
-        span_s, counted = map(sum, zip(*self._steps, strict=True))
-        rate_hz = counted / span_s
+        rate_hz = (self._count - before) / (newest_s - begun_s)
         self._best_hz = max(self._best_hz, rate_hz)
         if rate_hz >= SLOW_RATE_SHARE * max(self._best_hz, usual_hz()):
             self.slow_since_s = None
         elif self.slow_since_s is None:
-            self.slow_since_s = newest_s - span_s
+            self.slow_since_s = begun_s
 
 
 def refuse_degraded(degraded: tuple[DegradedDevice, ...], now_s: float) -> None:

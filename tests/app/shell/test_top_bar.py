@@ -201,7 +201,7 @@ def test_a_silent_sensor_refuses_a_probe_until_it_comes_back_or_is_a_fault(fault
 
 @pytest.mark.promise("S6")
 def test_a_sensor_that_slows_down_is_yellow_on_the_pill_and_on_its_chip_alone(qtbot):
-    faults = ("force_torque:slow=300@1.6+2.0", "tactile_left:slow=5@1.6+2.0")
+    faults = ("force_torque:slow=300@2.4+2.0", "tactile_left:slow=5@2.4+2.0")
     session = simulated_session(brisk_bench("quiet", faults=faults), method=brisk_method())
     session.prepare(SceneChoice("pot", ("short",)))
     bar = TopBar(Theme(), lambda: None)
@@ -215,14 +215,14 @@ def test_a_sensor_that_slows_down_is_yellow_on_the_pill_and_on_its_chip_alone(qt
         shown = {name: bar.chips[name].value for name in session.devices}
         return pill_state(session), {n: v.detail for n, v in shown.items() if v.state != "ready"}
 
-    assert look(1.6)[1] == {}
-    pill, unwell = look(3.5)
+    assert look(2.4)[1] == {}
+    pill, unwell = look(4.3)
     assert (pill.word, pill.colour) == ("DEGRADED", "yellow")
     assert re.fullmatch(r"F/T slow \d s \+1", pill.note)
     assert set(unwell) == {"force_torque", "tactile_left"}
     assert unwell["force_torque"].startswith("slow 300 Hz")
     assert unwell["tactile_left"].startswith("slow 5 Hz")
-    pill, unwell = look(6.0)
+    pill, unwell = look(6.6)
     assert (pill.word, unwell) == ("READY", {})
     session.close()
 

@@ -29,8 +29,11 @@ def brisk_method(**limits: object) -> StackSettings:
 
 
 def brisk_settings(preset: str = "mixed", rate_hz: float = RATE_HZ) -> SimulationSettings:
-    """Return the settings of ``preset`` with a lower image rate."""
-    given = {"preset": preset, "tactile": {"rate_hz": rate_hz}}
+    """Return the settings of ``preset`` with a lower image rate.
+
+    No image is dropped: at this rate a single one would leave a gap.
+    """
+    given = {"preset": preset, "tactile": {"rate_hz": rate_hz, "drop_share": 0.0}}
     return SimulationSettings.model_validate(given)
 
 

@@ -170,7 +170,7 @@ def test_three_presses_say_where_the_support_is(presses: list[TrialPresses]) -> 
     parted: list[float] = []
     for trial in range(MOUNTINGS):
         reasoner, found = concluded(presses, trial)
-        true = presses[-1].true_mm[trial] - PLACES[-1]
+        true = presses[-1].truth.offset_mm[trial] - PLACES[-1]
         middle: XY = (-float(true[0]), -float(true[1]))
         outside: XY = (middle[0] + 17.0, middle[1])
         right += reasoner.likely_at(middle)
@@ -279,7 +279,7 @@ def test_on_a_leaning_tower_it_neither_lets_go_nor_aims_where_the_lower_bottom_t
     wary, leaning = concluded(presses, 0, bold, replace(HELD, below=tower))
     assert leaning[-1].action.kind == "shift"
     assert leaning[-1].action.target_mm is not None
-    true = presses[-1].true_mm[0] - PLACES[-1]
+    true = presses[-1].truth.offset_mm[0] - PLACES[-1]
     middle: XY = (-float(true[0]), -float(true[1]))
     for at_mm, falls in ((4.0, True), (-4.0, False)):
         at = middle[0] + at_mm, middle[1]

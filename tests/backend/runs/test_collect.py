@@ -175,7 +175,7 @@ def test_decisions_are_carried_out_one_key_each(tmp_path):
     with collecting(tmp_path / "ds") as collected:
         session = collected.session
         on(session, DecisionAwaited, lambda _: session.decide(wanted.pop(0)))
-        collected.run(count=3, ask=True)
+        collected.run(count=3, ask=True, seed=3)  # no probe of it is refused
         assert wanted == []
         decided = [(f.item, f.decision) for f in collected.of(EpisodeDecided)]
         # Item 0 again at once, then put off to the end; item 1 left out.

@@ -135,6 +135,7 @@ class EmulatedProcess:
             while not select.select([answers], [], [], LOOK_S)[0]:
                 now_s = time.monotonic()
                 if rest.look(now_s) > REST_S or now_s - begun_s > SET_S:
+                    self._over.set()  # before the end: the watch tells of no end that is meant
                     child.kill()
                     self.close()
                     raise FaultError(NOT_SET)
@@ -162,7 +163,8 @@ class EmulatedProcess:
         watch = ProcessStallDetector(child.pid)
         while not over.wait(LOOK_S):
             if child.poll() is not None:
-                self._tell(GONE)
+                if not over.is_set():
+                    self._tell(GONE)
                 return
             # Between two scenes the child waits for input.
             still = watch.look(time.monotonic()) and self._serving.is_set()

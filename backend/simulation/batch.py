@@ -396,7 +396,7 @@ _SENSORS = 1
 
 @dataclass(frozen=True, slots=True)
 class PressTruth:
-    """What no sensor of a bench measures in k presses: for outcomes and scores only.
+    """Simulated truth of k presses, which no sensor measures: for outcomes and scores only.
 
     ``offset_mm`` (k, 2): displacement of the face afterwards, slip in the hand and sliding of the
     bottom included; ``slip_mm`` (k,): largest slip of a pad in this press; ``toppled`` (k,): the

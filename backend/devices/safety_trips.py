@@ -139,7 +139,7 @@ def _lost_fault(what: str) -> Fault:
 
 
 # An arm is stalled if it moves less than this in this time although a motion is under way.
-STALLED_S, STALLED_MM, STALLED_RAD = 1.5, 0.05, 1e-3
+STALLED_S, STALLED_MM, STALLED_RAD = 1.0, 0.05, 1e-3
 
 
 class StallMonitor:

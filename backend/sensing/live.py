@@ -23,7 +23,7 @@ from touchdown.backend.core import (
     Stream,
     TactileFrame,
 )
-from touchdown.backend.sensing.damaged_frames import DamageCheckingTracker
+from touchdown.backend.sensing.jpeg_damage import DamageCheckingTracker
 from touchdown.backend.sensing.zeroing import (
     TactileReference,
     Tare,

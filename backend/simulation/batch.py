@@ -23,6 +23,7 @@ from touchdown.backend.simulation import marker_fields
 from touchdown.backend.simulation.conditions import Conditions, SeedScope, true_offset_mm
 from touchdown.backend.simulation.contact import RESIDUAL_LIMIT
 from touchdown.backend.simulation.gripper import scene_mounting, start_command_mm
+from touchdown.backend.simulation.ground_truth import Scene
 from touchdown.backend.simulation.marker_fields import CameraDraw, Gel, gel_from_settings
 from touchdown.backend.simulation.mechanics import ContactState, GraspHistory, Region, begin_probes
 from touchdown.backend.simulation.pressing import (
@@ -31,7 +32,6 @@ from touchdown.backend.simulation.pressing import (
     noise_samples,
     press_batch,
 )
-from touchdown.backend.simulation.scene import Scene
 from touchdown.backend.simulation.supports import (
     SupportStack,
     join_support_stacks,

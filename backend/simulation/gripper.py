@@ -27,8 +27,8 @@ from touchdown.backend.simulation.conditions import (
     scoped_generator,
     true_offset_mm,
 )
+from touchdown.backend.simulation.ground_truth import Scene
 from touchdown.backend.simulation.pressing import TIMELINE_VALUES, pack_equilibrium
-from touchdown.backend.simulation.scene import Scene
 from touchdown.backend.simulation.supports import slide_bottoms, support_stack
 from touchdown.backend.simulation.wrist_sensor import held_piece_load
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from touchdown.backend.core import FloatArray, ImageArray
 from touchdown.backend.geometry import BOARD_DOT_RADIUS_MM, BOARD_DOTS_MM, Outline, rotated
-from touchdown.backend.simulation.scene import Scene
+from touchdown.backend.simulation.ground_truth import Scene
 
 WIDTH_PX, HEIGHT_PX, FOCAL_PX = 640, 480, 760.0
 EYE_MM = np.array([-70.0, -130.0, 150.0])

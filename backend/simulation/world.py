@@ -17,7 +17,7 @@ from touchdown.backend.config import ProbeSettings
 from touchdown.backend.core import FINGERS, IDENTITY_ROTATION, Finger, FloatArray
 from touchdown.backend.devices import PressCommand
 from touchdown.backend.emulation import DisturbanceScript
-from touchdown.backend.simulation import scene as scoring
+from touchdown.backend.simulation import ground_truth
 from touchdown.backend.simulation.arm import (
     ArmCycle,
     ArmDrive,
@@ -35,9 +35,9 @@ from touchdown.backend.simulation.finger_camera import (
     mirror_appearance,
 )
 from touchdown.backend.simulation.gripper import HeldPiece, SimulatedJaws, start_command_mm
+from touchdown.backend.simulation.ground_truth import Scene, SceneTruth
 from touchdown.backend.simulation.marker_fields import gel_from_settings
 from touchdown.backend.simulation.pressing import TIMELINE_VALUES
-from touchdown.backend.simulation.scene import Scene, SceneTruth
 from touchdown.backend.simulation.wrist_sensor import WristLoad, WristSampler
 
 OPEN_CLEARANCE_MM = 20.0  # at the start the jaws are wider than the piece by this much
@@ -179,7 +179,7 @@ class World:
         return SceneTruth(
             offset_mm=offset,
             yaw_rad=yaw,
-            margin_mm=scoring.true_margin_mm(self._scene_now(), offset, yaw),
+            margin_mm=ground_truth.true_margin_mm(self._scene_now(), offset, yaw),
             stands=False if self.knocked_over else None,
             fall=None,
             slip_mm=0.0 if self._holding is None else self._holding.slip_mm,
@@ -232,9 +232,9 @@ class World:
             self._holding = None
             return
         offset, yaw = holding.offset_mm(command), holding.gripping.yaw_rad
-        kick = scoring.release_kick_mm(self.scene, self._grips)
-        margin = scoring.true_margin_mm(self._scene_now(), offset, yaw, kick)
-        dropped = not holding.gap_mm(command) <= scoring.MAX_RELEASE_GAP_MM
+        kick = ground_truth.release_kick_mm(self.scene, self._grips)
+        margin = ground_truth.true_margin_mm(self._scene_now(), offset, yaw, kick)
+        dropped = not holding.gap_mm(command) <= ground_truth.MAX_RELEASE_GAP_MM
         stands = margin > 0.0 and not dropped and not self.knocked_over
         self._put_down = (offset, yaw)
         self._final = SceneTruth(
@@ -246,8 +246,8 @@ class World:
 
     def _with_opinion(self, final: SceneTruth) -> SceneTruth:
         if final.contradicted is None and not final.knocked_over:
-            kick = scoring.release_kick_mm(self.scene, self._grips)
-            opinion = scoring.mujoco_opinion(
+            kick = ground_truth.release_kick_mm(self.scene, self._grips)
+            opinion = ground_truth.mujoco_opinion(
                 self._scene_now(), final.offset_mm, final.yaw_rad, kick
             )
             if opinion is not None:

@@ -23,7 +23,7 @@ from touchdown.backend.config.hardware import GelsightSettings
 from touchdown.backend.core.values import FloatArray
 from touchdown.backend.devices.cameras.frames import PictureFilter
 from touchdown.backend.sensing import measure_rest, read_pictures
-from touchdown.backend.sensing.damaged_frames import DamageCheckingTracker
+from touchdown.backend.sensing.jpeg_damage import DamageCheckingTracker
 from touchdown.backend.simulation.finger_camera import GelAppearance
 
 MOST_OFF_PERCENT = {"cut off": 0.0, "one bit": 3.1, "64 bytes zeroed": 9.3, "1 KiB lost": 0.0}

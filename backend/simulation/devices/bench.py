@@ -24,7 +24,7 @@ from touchdown.backend.devices import Device, DeviceState
 from touchdown.backend.emulation import DisturbanceScript
 from touchdown.backend.simulation.devices.arm import SimArm
 from touchdown.backend.simulation.devices.end_effector import SimForceTorque, SimGripper, SimTactile
-from touchdown.backend.simulation.scene import Scene, SceneTruth
+from touchdown.backend.simulation.ground_truth import Scene, SceneTruth
 from touchdown.backend.simulation.scene_camera import render_scene
 from touchdown.backend.simulation.world import CycleRecord, World
 

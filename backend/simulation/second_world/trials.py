@@ -39,10 +39,10 @@ from touchdown.backend.simulation.batch import (
     observe_presses,
 )
 from touchdown.backend.simulation.conditions import Conditions, true_offset_mm
+from touchdown.backend.simulation.ground_truth import Scene
 from touchdown.backend.simulation.marker_fields import Gel
 from touchdown.backend.simulation.mechanics import SIGN, GraspHistory, elastic_zero
 from touchdown.backend.simulation.pressing import MAX_CYCLES, PressCourse, Timeline, air_samples
-from touchdown.backend.simulation.scene import Scene
 from touchdown.backend.simulation.second_world.model import (
     HAND_JOINTS,
     HELD_JOINTS,

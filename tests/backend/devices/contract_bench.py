@@ -25,7 +25,7 @@ from touchdown.backend.geometry import Tower, load_pieces
 from touchdown.backend.rig.host import Devices
 from touchdown.backend.rig.remote_devices import RigArm, RigForceTorque, RigGripper
 from touchdown.backend.simulation.devices.bench import SimulatedBench
-from touchdown.backend.simulation.scene import Scene
+from touchdown.backend.simulation.ground_truth import Scene
 
 PRESS = PressCommand(1.5, 1.5, 2.0, 2.0, 1.0, 11.0, (30.0, 30.0, 15.0))
 

@@ -28,7 +28,7 @@ from touchdown.backend.devices.protocols import PressCommand
 from touchdown.backend.geometry.pieces import load_pieces
 from touchdown.backend.runs.requests import SceneChoice
 from touchdown.backend.sensing.episode import wrench_on_ticks
-from touchdown.backend.simulation.scene import Scene
+from touchdown.backend.simulation.ground_truth import Scene
 from touchdown.backend.simulation.world import World
 
 PROBE = StackSettings().probe

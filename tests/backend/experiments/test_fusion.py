@@ -82,8 +82,8 @@ from touchdown.backend.placement.strategies import ProbeObservation
 from touchdown.backend.sensing.episode import EpisodeLimits
 from touchdown.backend.simulation.batch import BatchedTrials
 from touchdown.backend.simulation.gripper import scene_mounting
+from touchdown.backend.simulation.ground_truth import Scene
 from touchdown.backend.simulation.mechanics import GraspHistory
-from touchdown.backend.simulation.scene import Scene
 
 SEED = 51
 

@@ -40,7 +40,7 @@ from touchdown.backend.geometry.pieces import load_pieces
 from touchdown.backend.jobs.job import SPEC_FILE, JobSpec, JobStore, run_job
 from touchdown.backend.learning.checkpoint import save_checkpoint
 from touchdown.backend.learning.fused.checkpoint import shipped_fused
-from touchdown.backend.simulation.scene import Scene, true_margin_mm
+from touchdown.backend.simulation.ground_truth import Scene, true_margin_mm
 
 
 @pytest.mark.parametrize(("bottom", "trials"), [("long", 5), ("short+long", 23)])

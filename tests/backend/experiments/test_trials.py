@@ -44,7 +44,7 @@ from touchdown.backend.sensing.episode import EpisodeLimits
 from touchdown.backend.sensing.slip import shortfall_mm
 from touchdown.backend.simulation.batch import BatchedTrials, TrialPresses
 from touchdown.backend.simulation.gripper import HeldPiece, scene_mounting
-from touchdown.backend.simulation.scene import Scene
+from touchdown.backend.simulation.ground_truth import Scene
 
 MECHANICAL = {
     **PRESETS["off"],

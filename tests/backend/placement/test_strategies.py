@@ -52,7 +52,7 @@ from touchdown.backend.placement.strategies import (
 )
 from touchdown.backend.placement.support_tower import XY, SupportTower
 from touchdown.backend.simulation.batch import BatchedTrials, TrialPresses
-from touchdown.backend.simulation.scene import Scene
+from touchdown.backend.simulation.ground_truth import Scene
 
 FACE_RADIUS_MM = {"mushroom": 12.7, "barrel": 10.6, "pot": 7.5, "mug": 10.0}
 COM_MM = {"mug": (1.7, -0.9)}

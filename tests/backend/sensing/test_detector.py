@@ -38,9 +38,9 @@ from touchdown.backend.core.values import FINGERS, MarkerField, MarkerState, Rec
 from touchdown.backend.devices.gelsight.emulator import small_dots
 from touchdown.backend.runs.recorder import RecordingOptions
 from touchdown.backend.runs.requests import StackRequest
-from touchdown.backend.sensing.damaged_frames import DamageCheckingTracker, shifted_along_rows
 from touchdown.backend.sensing.detector import Blobs, Detector, order_grid
 from touchdown.backend.sensing.episode import assemble_episode
+from touchdown.backend.sensing.jpeg_damage import DamageCheckingTracker, shifted_along_rows
 from touchdown.backend.sensing.live import LiveSensing, RawStreams
 from touchdown.backend.sensing.picture_files import read_pictures
 from touchdown.backend.sensing.tracker import HiddenMarkers, nearest_dots

@@ -27,7 +27,7 @@ from touchdown.backend.simulation.batch import (
     simulate_episodes,
 )
 from touchdown.backend.simulation.conditions import SeedScope
-from touchdown.backend.simulation.scene import Scene
+from touchdown.backend.simulation.ground_truth import Scene
 
 BENCH = load_simulation(preset="bench-v1")
 FILE = files("touchdown.resources") / "benches" / "bench-v1.toml"

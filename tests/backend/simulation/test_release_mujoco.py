@@ -23,13 +23,14 @@ from touchdown.backend.geometry.pieces import load_pieces
 from touchdown.backend.geometry.tower import Body, Tower, TowerVerdict, judge_tower
 from touchdown.backend.runs import messages
 from touchdown.backend.runs.requests import StackRequest
-from touchdown.backend.simulation import scene as scoring
+from touchdown.backend.simulation import ground_truth
 from touchdown.backend.simulation.gripper import (
     CLOSING_TIME_S,
     SQUEEZE_TIME_S,
     JawEvents,
     SimulatedJaws,
 )
+from touchdown.backend.simulation.ground_truth import Scene
 from touchdown.backend.simulation.marker_fields import build_gel
 from touchdown.backend.simulation.mechanics import GraspHistory, advance_probes, begin_probes
 from touchdown.backend.simulation.pressing import (
@@ -44,7 +45,6 @@ from touchdown.backend.simulation.release_mujoco import (
     rim_points,
     simulate_release,
 )
-from touchdown.backend.simulation.scene import Scene
 
 GEL = build_gel((0.058, 0.058))
 NONE = np.zeros((1, 2, 3))
@@ -431,11 +431,11 @@ def scene() -> Scene:
 
 
 def test_a_centred_piece_stands_for_both() -> None:
-    assert scoring.mujoco_opinion(scene(), (0.0, 0.0), 0.0, STILL) == (None, False)
+    assert ground_truth.mujoco_opinion(scene(), (0.0, 0.0), 0.0, STILL) == (None, False)
 
 
 def test_a_piece_over_the_edge_falls_for_both_and_the_motion_is_shown() -> None:
-    opinion = scoring.mujoco_opinion(scene(), (12.0, 0.0), 0.0, STILL)
+    opinion = ground_truth.mujoco_opinion(scene(), (12.0, 0.0), 0.0, STILL)
     assert opinion is not None
     fall, contradicted = opinion
     assert fall is not None
@@ -446,27 +446,31 @@ def test_a_piece_over_the_edge_falls_for_both_and_the_motion_is_shown() -> None:
 
 def test_the_kick_of_the_fingers_counts_for_both() -> None:
     at = (9.0, 0.0)
-    assert scoring.true_margin_mm(scene(), at, 0.0) > 0.5
-    opinion = scoring.mujoco_opinion(scene(), at, 0.0, (3.0, 0.0))
+    assert ground_truth.true_margin_mm(scene(), at, 0.0) > 0.5
+    opinion = ground_truth.mujoco_opinion(scene(), at, 0.0, (3.0, 0.0))
     assert opinion is not None
     assert opinion[0] is not None
     assert not opinion[1]
 
 
 def test_a_disagreement_beyond_its_error_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    plain = scoring.simulate_release
-    monkeypatch.setattr(scoring, "simulate_release", lambda *a, **k: (True, plain(*a, **k)[1]))
-    opinion = scoring.mujoco_opinion(scene(), (0.0, 0.0), 0.0, STILL)
+    plain = ground_truth.simulate_release
+    monkeypatch.setattr(ground_truth, "simulate_release", lambda *a, **k: (True, plain(*a, **k)[1]))
+    opinion = ground_truth.mujoco_opinion(scene(), (0.0, 0.0), 0.0, STILL)
     assert opinion is not None
     assert opinion[1]
 
 
 def ended(margin_mm: float, fallen: bool, monkeypatch: pytest.MonkeyPatch) -> TrialFinished:
     """Pick and place at a true margin; the engine says ``fallen``."""
-    plain = scoring.simulate_release
-    monkeypatch.setattr(scoring, "simulate_release", lambda *a, **k: (fallen, plain(*a, **k)[1]))
-    monkeypatch.setattr(scoring, "true_margin_mm", lambda *_: margin_mm)
-    monkeypatch.setattr(scoring, "judge_tower", lambda *_: TowerVerdict((margin_mm,), ("pot",)))
+    plain = ground_truth.simulate_release
+    monkeypatch.setattr(
+        ground_truth, "simulate_release", lambda *a, **k: (fallen, plain(*a, **k)[1])
+    )
+    monkeypatch.setattr(ground_truth, "true_margin_mm", lambda *_: margin_mm)
+    monkeypatch.setattr(
+        ground_truth, "judge_tower", lambda *_: TowerVerdict((margin_mm,), ("pot",))
+    )
     session = simulated_session(brisk_bench(), method=brisk_method(), animate=True)
     ends: list[Event] = []
     session.events.subscribe(ends.append)
@@ -493,5 +497,5 @@ def test_a_trial_says_what_the_second_judge_contradicts(
 def test_without_the_engine_the_trial_says_that_nobody_was_asked(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(scoring, "mujoco_available", lambda: False)
+    monkeypatch.setattr(ground_truth, "mujoco_available", lambda: False)
     assert ended(1.0, True, monkeypatch).contradicted is None

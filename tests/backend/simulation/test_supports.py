@@ -25,6 +25,7 @@ from touchdown.backend.simulation import conditions as nuisance
 from touchdown.backend.simulation.batch import LARGEST_FORCE_RATIO, simulate_episodes
 from touchdown.backend.simulation.contact import RESIDUAL_LIMIT, RESIDUAL_SCALE
 from touchdown.backend.simulation.gripper import HeldPiece, start_command_mm
+from touchdown.backend.simulation.ground_truth import Scene
 from touchdown.backend.simulation.marker_fields import build_gel
 from touchdown.backend.simulation.mechanics import (
     ContactState,
@@ -35,7 +36,6 @@ from touchdown.backend.simulation.mechanics import (
     springs,
 )
 from touchdown.backend.simulation.pressing import press_batch
-from touchdown.backend.simulation.scene import Scene
 from touchdown.backend.simulation.supports import (
     SupportMotion,
     join_support_stacks,

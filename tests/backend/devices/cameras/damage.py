@@ -16,7 +16,7 @@ import numpy as np
 from touchdown.backend.config.hardware import GelsightSettings
 from touchdown.backend.core.values import TactileFrame
 from touchdown.backend.devices.cameras.frames import PictureFilter
-from touchdown.backend.sensing.damaged_frames import DamageCheckingTracker
+from touchdown.backend.sensing.jpeg_damage import DamageCheckingTracker
 from touchdown.backend.sensing.picture_files import read_pictures
 
 GELSIGHT = Path(__file__).resolve().parents[3] / "data" / "gelsight"

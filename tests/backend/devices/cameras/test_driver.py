@@ -22,7 +22,7 @@ from touchdown.backend.core import InputError, MarkerState, Stream, TactileFrame
 from touchdown.backend.devices import DeviceState, make_tactile
 from touchdown.backend.devices.cameras.sources import find_controls, lock_controls
 from touchdown.backend.devices.lerobot.driver import LeRobotSource, _maker
-from touchdown.backend.sensing.damaged_frames import DamageCheckingTracker, neighbour_residual_px
+from touchdown.backend.sensing.jpeg_damage import DamageCheckingTracker, neighbour_residual_px
 from touchdown.backend.sensing.picture_files import read_pictures
 
 NEWER = {

@@ -33,7 +33,7 @@ from touchdown.backend.devices.wsg.protocol import (
 from touchdown.backend.emulation import Faults, TcpServer
 from touchdown.backend.geometry import Tower, load_pieces
 from touchdown.backend.simulation.devices.bench import SimulatedBench
-from touchdown.backend.simulation.scene import Scene
+from touchdown.backend.simulation.ground_truth import Scene
 
 PART_MM = 30.0
 

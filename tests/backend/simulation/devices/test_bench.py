@@ -18,7 +18,7 @@ from touchdown.backend.geometry.pieces import load_pieces
 from touchdown.backend.geometry.tower import Tower
 from touchdown.backend.simulation.contact import RESIDUAL_LIMIT
 from touchdown.backend.simulation.devices.bench import BenchStreams, SimulatedBench
-from touchdown.backend.simulation.scene import Scene
+from touchdown.backend.simulation.ground_truth import Scene
 
 PRESS = PressCommand(1.5, 1.5, 2.0, 2.0, 1.0, 11.0, (30.0, 30.0, 15.0))
 CATALOGUE = load_pieces()

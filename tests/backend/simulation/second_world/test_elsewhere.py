@@ -12,8 +12,8 @@ from touchdown.backend.geometry.pieces import load_pieces
 from touchdown.backend.geometry.tower import Tower
 from touchdown.backend.simulation.batch import onset_rule
 from touchdown.backend.simulation.conditions import Conditions
+from touchdown.backend.simulation.ground_truth import Scene
 from touchdown.backend.simulation.release_mujoco import mujoco_available
-from touchdown.backend.simulation.scene import Scene
 from touchdown.backend.simulation.second_world.model import (
     HAND_JOINTS,
     HELD_JOINTS,

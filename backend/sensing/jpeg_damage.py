@@ -1,4 +1,4 @@
-"""Marker tracking that rejects frames damaged in transfer although they decode.
+"""Marker tracking that rejects JPEG pictures damaged in transfer although they decode.
 
 Damage to a JPEG changes blocks: a marker leaves its neighbours, looks different, and the picture
 around it is not the previous one in motion. Each of these alone is no proof, since real gels slip

@@ -1,6 +1,6 @@
-"""Scene of a simulated trial: set-up and ground truth.
+"""Ground truth of a simulated trial: the true scene, and the true margin at the release.
 
-The ground truth is used for scoring and for the display after a trial only.
+It is used for scoring and for the display after a trial only.
 """
 
 from __future__ import annotations

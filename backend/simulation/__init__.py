@@ -12,11 +12,11 @@ if TYPE_CHECKING:
         contact,
         finger_camera,
         gripper,
+        ground_truth,
         marker_fields,
         mechanics,
         pressing,
         release_mujoco,
-        scene,
         supports,
         world,
     )

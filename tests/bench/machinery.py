@@ -16,7 +16,7 @@ import numpy as np
 
 from tests.bench.arm import share, streamed
 from tests.bench.figures import Figure, figure, stated
-from tests.bench.window_faults import measured
+from tests.bench.worker_faults import measured_window
 from touchdown.backend.core.scheduling import (
     blocking_section,
     raised_priority,
@@ -136,7 +136,7 @@ def watchdogs() -> list[Figure]:
 @figure("machinery")
 def the_window() -> list[Figure]:
     """Decisions beside the window, full collections of garbage, and gaps of the window's ticks."""
-    found = measured("machinery")
+    found = measured_window("machinery")
     return [
         *compared("repaint hold: decision beside the window", "ms", *found["latency_ms"]),
         *compared("frozen objects: full collection of garbage", "ms", *found["collected_ms"]),

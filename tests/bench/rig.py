@@ -33,7 +33,7 @@ from tests.bench.children.lab_window import LOSSES, STALLS, Note
 from tests.bench.children.logged_arm import LoggedArm, Told
 from tests.bench.children.watched_arm import LineChild, WatchedArm, watched_arm
 from tests.bench.figures import Figure, at_most, failures, figure, stated
-from tests.bench.workers import hooked
+from tests.bench.worker_faults import hooked
 from tests.busy_computer import STARVED
 from touchdown.backend.bench import Session, simulated_session
 from touchdown.backend.config import HardwareSettings, is_loopback

@@ -23,8 +23,7 @@ MODULES = tuple(
     f"tests.bench.{name}"
     for name in (
         "throughput", "window", "experiments", "dataset", "labelling", "arm", "rig",
-        "device_faults", "camera_faults", "wired", "wired_faults", "campaign", "workers",
-        "window_faults", "machinery",
+        "device_faults", "wired", "campaign", "worker_faults", "machinery",
     )
 )  # fmt: skip
 

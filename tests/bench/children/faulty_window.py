@@ -8,6 +8,8 @@ import gc
 import json
 import math
 import os
+import resource
+import signal
 import subprocess
 import sys
 import tempfile
@@ -20,6 +22,7 @@ from typing import Any
 from unittest import mock
 
 import numpy as np
+import psutil
 from PySide6.QtCore import QEventLoop, QObject, Qt, QTimer, Signal
 from PySide6.QtGui import QPaintEvent
 from PySide6.QtTest import QTest
@@ -27,7 +30,6 @@ from PySide6.QtWidgets import QPushButton, QWidget
 
 from tests.bench.children.failing_window import LIMIT_S, Watched, say
 from tests.bench.children.lab_window import LabWindow
-from tests.bench.workers import MEMORY_FAILURES
 from touchdown.app.shell import exit_after_timeout, log_to
 from touchdown.app.stack.workspace import StackWorkspace
 from touchdown.app.start import THREAD_SWITCH_S, freeze_garbage
@@ -298,6 +300,26 @@ def error_in_every_frame(window: Sliced) -> dict[str, object]:
         window.main.cards.clear()
     log_bytes = sum(path.stat().st_size for path in folder.iterdir())
     return {"kinds": kinds, "raised": flood.raised, "log_bytes": log_bytes}
+
+
+ROOM_BYTES = 65_536  # memory left to the training: less than a batch
+
+
+def out_of_memory(number: int) -> None:
+    """Let the process ``number`` take next to nothing more."""
+    taken = psutil.Process(number).memory_info().vms
+    resource.prlimit(number, resource.RLIMIT_AS, (taken // 2, taken // 2))
+    resource.prlimit(number, resource.RLIMIT_DATA, (ROOM_BYTES, ROOM_BYTES))
+
+
+def killed(number: int) -> None:
+    os.kill(number, signal.SIGKILL)
+
+
+MEMORY_FAILURES: dict[str, Callable[[int], None]] = {
+    "no memory left": out_of_memory,
+    "killed": killed,
+}
 
 
 def dying_training(window: Sliced) -> dict[str, object]:

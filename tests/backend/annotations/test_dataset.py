@@ -209,12 +209,15 @@ def verified(folder):
         return {Path(error.where).name}
 
 
-def test_each_of_200_damages_is_found_by_every_verification(folder):
+DAMAGES = 45
+
+
+def test_each_damage_is_found_by_every_verification(folder):
     rng = np.random.default_rng(11)
     keep = folder.with_name("keep")
     shutil.copytree(folder, keep)
     (site,) = (path.stem for path in (folder / "labels").iterdir())
-    for number in range(200):
+    for number in range(DAMAGES):
         shutil.rmtree(folder)
         shutil.copytree(keep, folder)
         target, path = damage_at_random(folder, rng)
@@ -222,7 +225,7 @@ def test_each_of_200_damages_is_found_by_every_verification(folder):
         good = (keep / path.relative_to(folder)).read_bytes()
         # Operations that a new catalogue reads from the journal are listed by the site.
         expected = {site if removed and path.name == "catalog.db" else target}
-        for _ in range(3):
+        for _ in range(2):
             assert verified(folder) == expected, (number, path)
         if path.suffix == ".jsonl":
             assert path.read_bytes() == good

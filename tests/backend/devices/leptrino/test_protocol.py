@@ -16,6 +16,7 @@ from touchdown.backend.devices import DeviceState, Identity, emulated_makes
 from touchdown.backend.devices.bota import protocol
 from touchdown.backend.devices.bota.emulator import EmulatedBota
 from touchdown.backend.devices.bota.protocol import BotaFrame
+from touchdown.backend.devices.force_torque import reader as reader_of_wrenches
 from touchdown.backend.devices.force_torque.driver import SensorDescription
 from touchdown.backend.devices.force_torque.reader import BAD_LIMIT, ForceTorqueReader
 from touchdown.backend.devices.ft300 import protocol as robotiq_ft300
@@ -203,6 +204,13 @@ GOOD = [
 BAD = GOOD[0][:-1] + bytes([GOOD[0][-1] ^ 1])
 
 
+@pytest.fixture
+def judged_by_one_sample(monkeypatch):
+    """Connect as soon as one sample is there: the line gives no more."""
+    monkeypatch.setattr(reader_of_wrenches, "LEAST_STILL", 1)
+    monkeypatch.setattr(reader_of_wrenches, "STILL_S", 0.0)
+
+
 class Line:
     """Gives what was put into it, and nothing while that is empty."""
 
@@ -230,6 +238,7 @@ class Started(LeptrinoDriver):
 
 
 @pytest.mark.promise("S3")
+@pytest.mark.usefixtures("judged_by_one_sample")
 @pytest.mark.parametrize(("count", "ends"), [(BAD_LIMIT - 1, False), (BAD_LIMIT, True)])
 def test_twenty_refused_frames_in_a_row_are_a_lost_link(count, ends):
     line = Line()
@@ -265,6 +274,7 @@ class Broken(Started):
         return super().take(data)
 
 
+@pytest.mark.usefixtures("judged_by_one_sample")
 @pytest.mark.parametrize(
     ("where", "said"), [("start", "KeyError: 'serial'"), ("take", "IndexError: tuple index")]
 )

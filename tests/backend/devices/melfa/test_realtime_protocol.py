@@ -39,7 +39,7 @@ from touchdown.backend.devices.melfa.realtime_protocol import (
 )
 from touchdown.backend.devices.protocols import CommandedMotion, DeviceState, RobotMode, SafetyMode
 
-MINUTE_S, DOUBLED, REORDERED = 60.0, 0.10, 0.05
+TRAVEL_S, DOUBLED, REORDERED = 15.0, 0.10, 0.05
 LATE_S = 0.5
 # Length, and whether it is a fault. The fault comes with cycle 29; 28 cycles are about 100 ms.
 OUTAGES_S = {0.060: False, 28 * CYCLE_S: False, 0.200: True}
@@ -69,7 +69,7 @@ def test_doubled_and_reordered_replies_cause_no_step_back() -> None:
     link, ratio = rig.wires.link, 0.0
     link.duplicate = DOUBLED
     link.late = lambda: 2 * (link.rng.random() < REORDERED)
-    goals, travels, end_s = (160.0, 60.0), 0, rig.wires.clock.now_s() + MINUTE_S
+    goals, travels, end_s = (160.0, 60.0), 0, rig.wires.clock.now_s() + TRAVEL_S
     while rig.wires.clock.now_s() < end_s and rig.arm.state is DeviceState.READY:
         del rig.wires.packets[:]
         motion = rig.arm.move_to(Pose(0.0, 0.0, goals[travels % 2]), SPEED_MM_S)
@@ -82,8 +82,8 @@ def test_doubled_and_reordered_replies_cause_no_step_back() -> None:
         travels += 1
     counts = rig.arm._core.replies.counts
     assert rig.arm.state is DeviceState.READY
-    assert counts.repeated > 1000
-    assert counts.old > 500
+    assert counts.repeated > 250
+    assert counts.old > 125
     assert rig.arm.health.lost == counts.refused + counts.skipped
     assert back == 0
     assert ratio <= 1.05

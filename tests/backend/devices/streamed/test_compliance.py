@@ -185,7 +185,7 @@ def test_an_approach_is_as_fast_as_the_peak_allows():
     assert press(law, loop, DESIGN_N_MM, min(speed, 5.0)).peak_n < 40.0
 
 
-MISSES, EARLY = 2, 20
+MISSES, EARLY = 1, 8
 BACK_MM, ROSE_MM, SOON_MM, MAX_EARLY_CONTACT_N = 0.1, (1.6, 2.6), 0.01, 60.0
 START_MM, WANTED_MM, EARLY_MM, GEL_N_MM, ROUND_US = 80.0, 62.0, (5.0, 12.0), 8.0, 10_500
 

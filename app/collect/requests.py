@@ -32,15 +32,15 @@ def probe_text(held: ProbeRecord | None, *, asking: bool, running: bool, back: b
         return ProbeText("No probe yet", detail="Press Start collecting (F5).")
     entry = held.entry
     accepted = entry.quality.accepted
-    verdict, tone = ("\N{CHECK MARK} Observation", "good") if accepted else (
+    result, tone = ("\N{CHECK MARK} Observation", "good") if accepted else (
         "\N{MULTIPLICATION X} No observation", "bad"
     )  # fmt: skip
     if entry.deleted:
-        verdict, tone = "Discarded", ""
+        result, tone = "Discarded", ""
     elif entry.flagged:
-        verdict += ", flagged"
+        result += ", flagged"
     return ProbeText(
-        verdict,
+        result,
         tone,
         f"{_place_text(held)}, {entry.uuid[-8:]}",
         _detail_text(held, back=back, running=running),

@@ -105,8 +105,8 @@ class LabelDecisions:
             self._with_present(lambda person, uuid: self._on.book.flag(person, uuid, wanted))
 
     def verdict(self) -> None:
-        """Ask for the person's verdict on stability; the displacement keeps its source."""
-        self._ask("Would it stand? Your verdict", VERDICTS, self._say_verdict)
+        """Ask whether the piece would stand; the displacement keeps its source."""
+        self._ask("Would it stand?", VERDICTS, self._say_verdict)
 
     def _say_verdict(self, word: str) -> None:
         verdict, now = cast("Verdict", word), self._on.present

@@ -66,7 +66,7 @@ class AnnotationSession:
 
 @dataclass(slots=True)
 class PresentEpisode:
-    """The shown episode. ``verdict``: blind verdict, stored with the opinion."""
+    """The shown episode. ``verdict``: stability as judged blind, stored with the opinion."""
 
     item: LabelItem
     edit: LabelDraft

@@ -75,7 +75,7 @@ def pair_agreement_text(first: str, second: str, c: AgreementReport) -> str:
     rest = [
         _figure("RMS", c.rms_mm, " mm"),
         _figure("patch IoU", c.patch_iou),
-        _figure("verdicts: kappa", c.kappa),
+        _figure("stability: kappa", c.kappa),
         _figure("alpha", c.alpha),
     ]
     lines.append(", ".join(part for part in rest if part))

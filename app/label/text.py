@@ -120,7 +120,7 @@ def revision_difference(before: Revision | None, after: Revision) -> str:
     if before.source != after.source:
         parts.append(f"{source_text(before.source)} to {source_text(after.source)}")
     if before.verdict != after.verdict:
-        parts.append(f"verdict {after.verdict or 'none'}")
+        parts.append(f"stability {after.verdict or 'none'}")
     if before.geometry != after.geometry:
         parts.append("other geometry")
     return "; ".join(parts)

@@ -552,7 +552,7 @@ def label_commands(w: LabelWorkspace, context: WorkspaceContext) -> tuple[Window
            lambda t: t.presenter.editing.take_model()),
         on("sigma", "Say how sure you are of what you set", "S",
            lambda t: t.presenter.editing.ask_sigma()),
-        on("verdict", "Your verdict, then S, U or ?", "V", lambda t: t.decisions.verdict()),
+        on("verdict", "Would it stand: V, then S, U or ?", "V", lambda t: t.decisions.verdict()),
         on("take-over", "Take over another's draft", "T", lambda t: t.decisions.take_over()),
         on("resolve", "Resolve a conflict", "C", lambda t: t.decisions.resolve()),
         on("delete", "Delete the episode, with a reason", "Delete",

@@ -130,7 +130,7 @@ def values_text(probe: ProbeSettings) -> str:
 
 
 NO_RUN = BeliefScene(
-    empty=("No stacking run yet", "The map is fused over a run; one probe alone makes none.")
+    empty=("No stacking run yet", "The belief map shows the probes of a stacking run.")
 )
 
 

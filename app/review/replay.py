@@ -26,9 +26,9 @@ from touchdown.widgets.views import (
 
 SEGMENTS = 96
 NO_RECORDING = DecisionText("No recording chosen", "", "", "Choose one in the list.")
-NO_READING = DecisionText("No estimate", "", "", "No model has read a probe here.")
-NO_MAP = ("No belief map", "No model has read a probe here.")
-ONE_PROBE = ("No belief map", "The map is fused over a run; one probe alone makes none.")
+NO_READING = DecisionText("No estimate", "", "", "No model evaluated a probe here.")
+NO_MAP = ("No belief map", "No model evaluated a probe here.")
+ONE_PROBE = ("No belief map", "A belief map needs a stacking run; this is a single probe.")
 
 
 class ReplayPresenter:
@@ -78,7 +78,7 @@ class ReplayPresenter:
         self._page.story.clear()
         self._page.story.addItems([text for _, text in lines] or list(told))
         self._page.signals_panel.detail.setText("")
-        why = NO_WRENCH if trial is not None else NO_RECORDING.verdict
+        why = NO_WRENCH if trial is not None else NO_RECORDING.result
         for view in (self._page.forces, self._page.moments):
             view.show_trace(None, why=why)
         self._show_strip()

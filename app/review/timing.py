@@ -97,7 +97,7 @@ class TrialTimeline:
             elif isinstance(event, ActionChosen):
                 marks.append(TimeMark(event.t_s, event.action.kind.replace("_", " "), strong=True))
             elif isinstance(event, Released):
-                marks.append(TimeMark(event.t_s, "let go", strong=True))
+                marks.append(TimeMark(event.t_s, "released", strong=True))
             elif isinstance(event, TrialFinished):
                 marks.append(
                     TimeMark(event.t_s, event.outcome.name.lower().replace("_", " "), True)

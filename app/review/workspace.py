@@ -55,11 +55,12 @@ class ReviewWorkspace(Workspace):
                           self._picture),
             WindowCommand("table", "Export the probes as CSV", "Ctrl+Shift+E", self._table),
             WindowCommand("report", "Export picture and probes as one HTML page", "", self._report),
-            WindowCommand("cancel", "Read a long run no further", "Esc",
+            WindowCommand("cancel", "Stop reading a long run", "Esc",
                     lambda: self.presenter.cancel_reading()),
             WindowCommand("experiments", "Open a report of experiments", "Ctrl+Shift+O",
                     lambda: self.reports.ask()),
-            WindowCommand("viewer", "Open the file outside", "Ctrl+O", self._open_outside),
+            WindowCommand("viewer", "Open the file in its own program", "Ctrl+O",
+                          self._open_outside),
         )  # fmt: skip
 
     def build(self) -> Iterator[None]:

@@ -56,7 +56,7 @@ class ModelCaption:
     full: str
 
 
-UNPROBED = ModelCaption("none, nothing is probed", "The piece is let go as it came, untested.")
+UNPROBED = ModelCaption("none, nothing is probed", "The piece is released without a test.")
 WRENCH_ONLY = ModelCaption("none, the wrench decides", "No network reads the probes.")
 NONE_HERE = ModelCaption("none in this scene", "Collecting needs none.")
 

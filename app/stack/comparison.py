@@ -85,7 +85,7 @@ class StrategyRuns:
 
 BLIND: StrategyChoice = "pick-and-place"
 NOT_RUN = BeliefScene(empty=("Not run yet", "Run it with the same seed."))
-NO_MAP = BeliefScene(empty=("No belief", "This strategy lets go without a probe."))
+NO_MAP = BeliefScene(empty=("No belief", "This strategy releases without a probe."))
 
 
 class ComparisonPresenter:

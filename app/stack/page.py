@@ -52,10 +52,10 @@ class StackPage(LivePage):
         """Set the widths of the controls for the size of the text."""
         self._right.setMinimumWidth(round(16.5 * self.em))
 
-    def show_waiting(self, verdict: str, why: str) -> None:
+    def show_waiting(self, result: str, why: str) -> None:
         """Show why there are no data yet."""
         self.show_silent(why)
-        self.decision.show_text(DecisionText(verdict, "", "", why))
+        self.decision.show_text(DecisionText(result, "", "", why))
 
     def show_trial(self, look: TrialPrompt | None) -> None:
         """Show a question to the operator; its picture replaces the belief map."""

@@ -234,7 +234,7 @@ class StackPresenter:
         text = decision_text(look.stability, look.action)
         trial = self._shown_trial()
         if self._chosen is not None:
-            return DecisionText(text.verdict, text.tone, text.margin,
+            return DecisionText(text.result, text.tone, text.margin,
                                 f"Looking back at probe {look.probe}. {text.text}")  # fmt: skip
         if trial is None or trial.finished is None:
             return text
@@ -305,7 +305,7 @@ def _belief_detail(scene: BeliefScene, look: ProbeStory) -> str:
     largest = float(scene.belief.probability.max())
     text = f"probe {look.probe}, largest p {largest:.2f}"
     if look.stability is not None:
-        text += ", verdict from the patch" if look.stability.source == "patch" else ""
+        text += ", judged from the patch" if look.stability.source == "patch" else ""
     if look.latency_ms is not None:
         text += f", {look.latency_ms:.1f} ms"
     return text

@@ -95,7 +95,7 @@ class SideViewPresenter:
         if self._let_go is None:
             return "" if hand is None else f"x {signed(hand[0], 1)} mm"
         if self._stands is None:
-            return "let go"
+            return "released"
         return f"trial {self._let_go_in}: {'stands' if self._stands else 'fell'}"
 
     def _scene(self, hand: tuple[float, float] | None) -> SideScene:

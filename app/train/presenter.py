@@ -150,7 +150,7 @@ class TrainPresenter:
 
     # -- reading ----------------------------------------------------------------------------------
 
-    def look(self, *, anew: bool = False) -> None:
+    def look(self, *, refresh: bool = False) -> None:
         """Read datasets and training runs; a later call replaces an earlier one."""
         form = self._page.form.form()
         if not form.data:
@@ -160,7 +160,7 @@ class TrainPresenter:
         self._page.show_busy(True)
 
         def work() -> TrainingLookup | None:
-            return self._reading.look(form, anew=anew) if number == self._looks else None
+            return self._reading.look(form, refresh=refresh) if number == self._looks else None
 
         self._worker.submit(work, self._take_look, self._failed)
 

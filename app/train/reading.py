@@ -67,13 +67,13 @@ class TrainingReader:
         self._key: tuple[str, str] | None = None
         self._found: Sequence[TrainingCandidate] = ()
 
-    def look(self, form: TrainingForm, *, anew: bool) -> TrainingLookup:
+    def look(self, form: TrainingForm, *, refresh: bool) -> TrainingLookup:
         """Read data, training runs and registry."""
         data, trouble = Path(form.data), ""
         try:
             if not data.is_dir():
                 raise InputError("There are no data here yet.", str(data), NO_DATA_HINT)
-            found = self._candidates(form, anew=anew)
+            found = self._candidates(form, refresh=refresh)
             trouble = "" if found else _label_hint(form)
         except InputError as error:
             found, trouble = (), f"{error.what} {error.fix}"
@@ -114,9 +114,9 @@ class TrainingReader:
         self._registry.roll_back(piece)
         return self.in_use(piece)
 
-    def _candidates(self, form: TrainingForm, *, anew: bool) -> Sequence[TrainingCandidate]:
+    def _candidates(self, form: TrainingForm, *, refresh: bool) -> Sequence[TrainingCandidate]:
         key = (form.data, form.labels)
-        if anew or key != self._key:
+        if refresh or key != self._key:
             labels = next(name for name in LABEL_CHOICES if name == form.labels)
             self._found = training_candidates(Path(form.data), labels)
             self._key = key

@@ -133,7 +133,7 @@ class TrainWorkspace(Workspace):
         return lambda: self._on(order)
 
     def _reread(self) -> None:
-        self._on(lambda presenter: presenter.look(anew=True))
+        self._on(lambda presenter: presenter.look(refresh=True))
 
     def _defaults(self) -> None:
         form, default = self.page.form.form(), TrainingForm()

@@ -335,14 +335,16 @@ class OperationJournal:
         """Return the journal of ``site``."""
         return self.folder / f"{site}.jsonl"
 
-    def catch_up(self, connection: sqlite3.Connection, site: str, *, anew: bool = False) -> int:
+    def catch_up(
+        self, connection: sqlite3.Connection, site: str, *, rewritten: bool = False
+    ) -> int:
         """Append the operations that the journal of ``site`` lacks; return their number.
 
-        An incomplete last line is removed first. ``anew``: the file was moved away. Raises
+        An incomplete last line is removed first. ``rewritten``: the file was moved away. Raises
         ``OSError`` if the disk fails.
         """
         path = self.path(site)
-        last = None if anew else self._written.get(site)
+        last = None if rewritten else self._written.get(site)
         if last is None:
             last = _cut_torn_line(path)
         missing = read_operations(connection, "site = ? AND seq > ?", (site, last))

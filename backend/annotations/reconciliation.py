@@ -204,12 +204,12 @@ def _compare_journal(
 def _damaged_journal(
     parts: DatasetParts, site: str, newest: ChainPosition, error: Exception
 ) -> ConsistencyProblem:
-    """Return the problem; its repair writes the journal anew if the catalogue has all of it."""
+    """Return the problem; its repair writes the journal again if the catalogue has all of it."""
     path = parts.journal.path(site)
 
     def write_anew(connection: sqlite3.Connection) -> None:
         quarantine_file(parts, path)
-        parts.journal.catch_up(connection, site, anew=True)
+        parts.journal.catch_up(connection, site, rewritten=True)
 
     message = f"The journal of labels is damaged ({error})"
     if max(line_numbers(path), default=0) <= newest[0]:

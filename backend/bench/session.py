@@ -486,7 +486,7 @@ class Session:
         if self.engine.busy:
             raise RefusedError("BUSY", "A run is in progress: cancel it first.")
         if self.hand is not None and self.hand.active:
-            raise RefusedError("BY-HAND", "The bench is under manual control: let go first.")
+            raise RefusedError("BY-HAND", "The bench is under manual control: end it first.")
 
     def _plan(self, request: Request) -> Plan[None]:
         check_devices(self.connection, request)

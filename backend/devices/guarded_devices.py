@@ -345,7 +345,7 @@ class GuardedGripper(_Guarded):
         """Open while nothing is held; refused while a piece is held (see ``release``)."""
         self._interlock.require_motion(self._now_s())
         if self._gripper.status().holding:
-            raise RefusedError("HOLDING", "A piece is held: it is let go by a release only.")
+            raise RefusedError("HOLDING", "A piece is held: the gripper opens only for a release.")
         return self._gripper.open_to(width_mm, speed_mm_s)
 
     def open_by_hand(self, width_mm: float, speed_mm_s: float, *, confirmed: bool) -> Motion:

@@ -114,9 +114,9 @@ def release_refusal(evidence: ReleaseEvidence, *, untested: bool = False) -> tup
     """
     e = evidence
     rows = (
-        ("VERDICT-NOT-STABLE", e.verdict_stable, "The verdict of this probe is not 'stable'."),
-        ("VERDICT-NOT-LAST", e.verdict_of_last_probe, "The verdict is not of the last probe."),
-        ("VERDICT-OLD", 0 <= e.verdict_age_s <= MAX_VERDICT_AGE_S, "The verdict is too old."),
+        ("VERDICT-NOT-STABLE", e.verdict_stable, "This probe did not find the piece stable."),
+        ("VERDICT-NOT-LAST", e.verdict_of_last_probe, "The estimate is not of the last probe."),
+        ("VERDICT-OLD", 0 <= e.verdict_age_s <= MAX_VERDICT_AGE_S, "The estimate is too old."),
         (
             "MARGIN",
             e.margin_mm >= e.required_margin_mm and math.isfinite(e.margin_mm),
@@ -206,7 +206,9 @@ class Interlock:
         _require_finite(limits)
         with self._lock:
             if self.has_lease(now_s):
-                raise RefusedError("MOVING", "Limits change between motions only: let go first.")
+                raise RefusedError(
+                    "MOVING", "The limits cannot change during a motion: wait for its end."
+                )
             self.limits = limits
 
     def on_stop(

@@ -33,7 +33,9 @@ def _info(source: Path) -> dict[str, Any]:
     path = source / "meta/info.json"
     if not path.is_file() or path.stat().st_size > MAX_JSON_BYTES:
         raise InputError(
-            "This is no LeRobot dataset.", str(path), "Name the folder that holds meta/info.json."
+            "This is not a LeRobot dataset.",
+            str(path),
+            "Name the folder that holds meta/info.json.",
         )
     info: dict[str, Any] = parse_json(path.read_bytes())
     version = info.get("codebase_version")

@@ -308,8 +308,8 @@ def report_of(tables: JsonMapping) -> Report:
         (
             f"Preset {tables['bench']['preset']}, bench {tables['bench_sha256'][:16]}, program "
             f"{tables['code']}. A pad slipped by more than 0.02 mm in {slip} of the probes. In "
-            "brackets: 95 % interval (Wilson for rates; over grippings for means). Below each "
-            "value stands the paper's, of a real robot.",
+            "brackets: 95 % interval (rates: Wilson, exact at 0 and 100 %; means: over grippings). "
+            "Below each value stands the paper's, of a real robot.",
             "Every cell names its job; the folder of that name under jobs/ holds its settings "
             "(spec.json), inputs and answer.",
         ),

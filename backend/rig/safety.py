@@ -271,7 +271,10 @@ class DriverCommands:
                 return gripper.grip(given["force_n"])
             case "gripper.open_to":
                 if gripper.status().holding:
-                    raise RefusedError("HOLDING", "A piece is held: it is let go by a right only.")
+                    raise RefusedError(
+                        "HOLDING",
+                        "A piece is held: the gripper opens only for an authorised release.",
+                    )
                 return gripper.open_to(given["width_mm"], given["speed_mm_s"])
             case "gripper.open_held":
                 self.may_open(RIGHTS[given["right"]](**given["evidence"]))

@@ -22,7 +22,7 @@ CONTRADICTED = "The physics engine contradicts the static judge here; the static
 def decision_message(
     probe: int, patch: ContactPatch, stability: Stability, action: PlaceAction
 ) -> str:
-    """Return one line per probe: estimate, belief, verdict with signed margin, chosen move."""
+    """Return one line per probe: estimate, stability with signed margin, chosen move."""
     points = int((patch.probability > 0.5).sum())
     share = 100.0 * points / max(1, len(patch.probability))
     support = f"not stable, {stability.support.value}"
@@ -31,7 +31,7 @@ def decision_message(
         margin = f"{stability.margin_mm:+.{digits}f}".replace("-", "\N{MINUS SIGN}")
         support = f"{'stable' if stability.stable else 'not stable'}, margin {margin} mm"
     contact = f"contact on {share:.0f} % of the face ({points} points)"
-    return f"Probe {probe}: {contact}. Verdict: {support}. {action.reason}"
+    return f"Probe {probe}: {contact}. Estimate: {support}. {action.reason}"
 
 
 def release_message(stands: bool, margin_mm: float) -> str:

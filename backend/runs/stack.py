@@ -127,7 +127,7 @@ def place_piece(bench: Bench) -> Plan[TrialResult]:
         yield from lift(bench, probe)
         yield from _recorded(bench, pressed)
         if late:
-            text = f"The verdict took {held_s:.1f} s, too long to hold the press"
+            text = f"The estimate took {held_s:.1f} s, too long to hold the press"
             yield Said(bench.now_s(), f"{text}: lifted, probing again.")
             continue
         if judged.action.kind == "give_up":

@@ -273,7 +273,7 @@ def assemble_episode(
 def judge_quality(
     ticks: SynchronisedProbe, slip_mm: float, limits: EpisodeLimits
 ) -> EpisodeQuality:
-    """Return the verdict on a probe on the common clock, with the reasons."""
+    """Return the quality of a probe on the common clock, with the reasons."""
     inferred = float(np.mean([finger.inferred for finger in ticks.fingers]))
     lost = sum(int(finger.lost.any(axis=0).sum()) for finger in ticks.fingers)
     reasons: list[str] = []

@@ -113,7 +113,7 @@ DECISIONS: tuple[tuple[str, str, str, str], ...] = (
 class ProbeText:
     """Texts of a probe. ``tone``: good, bad or "". ``asking``: the run waits for a decision."""
 
-    verdict: str
+    result: str
     tone: str = ""
     where: str = ""
     detail: str = ""
@@ -122,11 +122,11 @@ class ProbeText:
 
 
 class LastProbePanel(Panel):
-    """Verdict and displacement of the last probe, one button per decision."""
+    """Result and displacement of the last probe, one button per decision."""
 
     def __init__(self, decide: Callable[[str], None]) -> None:
         super().__init__("Probe")
-        self.verdict = label("No probe yet", "head", wrap=True)
+        self.result = label("No probe yet", "head", wrap=True)
         self.where, self.words = ElidedLabel("small"), label("", "small", wrap=True)
         self.words.setAlignment(Qt.AlignmentFlag.AlignTop)
         self.words.setMinimumHeight(2 * self.fontMetrics().lineSpacing())
@@ -141,19 +141,19 @@ class LastProbePanel(Panel):
             self.buttons[name] = button
             row, column, span = (0, 3 * at, 3) if at < 2 else (1, 2 * (at - 2), 2)
             grid.addWidget(button, row, column, 1, span)
-        add_items(self.column, self.verdict, self.where, self.words, grid)
+        add_items(self.column, self.result, self.where, self.words, grid)
         self.show_words(ProbeText("No probe yet"))
 
     def show_words(self, words: ProbeText) -> None:
         """Show the texts of a probe; enable the ``allowed`` decisions."""
-        self.verdict.setText(words.verdict)
-        set_property(self.verdict, "tone", words.tone)
+        self.result.setText(words.result)
+        set_property(self.result, "tone", words.tone)
         self.where.setText(words.where)
         self.words.setText(words.detail)
         self.detail.setText("waiting for you" if words.asking else "")
         for name, button in self.buttons.items():
             button.setEnabled(name in words.allowed)
-        self.setAccessibleDescription(". ".join((words.verdict, words.where, words.detail)))
+        self.setAccessibleDescription(". ".join((words.result, words.where, words.detail)))
 
 
 class PairHealthPanel(Panel):

@@ -116,19 +116,19 @@ ESTIMATED_MARGIN, TRUE_MARGIN = "estimated margin", "true margin"
 
 @dataclass(frozen=True, slots=True)
 class DecisionText:
-    """Texts of a decision. ``tone``: "good", "bad" or "" (no verdict).
+    """Texts of a decision. ``tone``: "good", "bad" or "" (no result).
 
     ``caption``: kind of margin, estimated during a trial, true after a simulated one.
     """
 
-    verdict: str
+    result: str
     tone: str
     margin: str
     text: str
     caption: str = ESTIMATED_MARGIN
 
 
-NO_DECISION = DecisionText("No verdict yet", "", "", "Press Start stacking to begin.")
+NO_DECISION = DecisionText("No result yet", "", "", "Press Start stacking to begin.")
 
 
 def signed_mm(value: float) -> str:
@@ -141,27 +141,27 @@ def signed_mm(value: float) -> str:
 
 
 def decision_text(stability: Stability | None, action: PlaceAction | None) -> DecisionText:
-    """Return verdict and margin as text; the reason comes from the policy."""
+    """Return stability and margin as text; the reason comes from the policy."""
     if stability is None:
         return NO_DECISION
     if stability.support is SupportKind.NO_ESTIMATE or math.isnan(stability.margin_mm):
-        verdict, tone = "? No estimate", ""
+        result, tone = "? No estimate", ""
     elif stability.stable:
-        verdict, tone = "\N{CHECK MARK} Would stand", "good"
+        result, tone = "\N{CHECK MARK} Would stand", "good"
     else:
-        verdict, tone = "\N{MULTIPLICATION X} Would fall", "bad"
+        result, tone = "\N{MULTIPLICATION X} Would fall", "bad"
     reason = action.reason if action is not None else ""
-    return DecisionText(verdict, tone, signed_mm(stability.margin_mm), reason)
+    return DecisionText(result, tone, signed_mm(stability.margin_mm), reason)
 
 
 class DecisionPanel(QFrame):
-    """Verdict and margin on one line, the reason below, then the question if there is one."""
+    """Stability and margin on one line, the reason below, then the question if there is one."""
 
     def __init__(self) -> None:
         super().__init__()
         self.setProperty("role", "card")
         self.setAccessibleName("Decision")
-        self._verdict = label("", "figure")
+        self._result = label("", "figure")
         self._margin = label("", "figure")
         self._caption = label(ESTIMATED_MARGIN, "small")
         self._text = label("", wrap=True)
@@ -178,7 +178,7 @@ class DecisionPanel(QFrame):
         self.show_question("")
 
     def _arrange(self) -> None:
-        top = hbox(self._verdict, 1)
+        top = hbox(self._result, 1)
         top.addWidget(self._caption, 0, Qt.AlignmentFlag.AlignBottom)
         top.addWidget(self._margin)
         self._ask_text = label("", "title", wrap=True)
@@ -188,16 +188,16 @@ class DecisionPanel(QFrame):
 
     def show_text(self, text: DecisionText) -> None:
         """Show a decision."""
-        self._verdict.setText(text.verdict)
+        self._result.setText(text.result)
         self._margin.setText(text.margin)
         self._caption.setText(text.caption)
         self._caption.setVisible(bool(text.margin))
         self._text.setText(text.text)
         self._text.setToolTip(text.text)
-        for part in (self._verdict, self._margin):
+        for part in (self._result, self._margin):
             set_property(part, "tone", text.tone)
         margin = f"{text.caption} {text.margin}. " if text.margin else ""
-        self.setAccessibleDescription(f"{text.verdict}. {margin}{text.text}")
+        self.setAccessibleDescription(f"{text.result}. {margin}{text.text}")
 
     def keep_room(self, asks: bool) -> None:
         """Reserve room for a question in runs that ask, so that the views below do not move."""

@@ -80,7 +80,7 @@ class OffsetScene:
 
 
 def verdict_text(scene: OffsetScene) -> str:
-    """Return the predicted verdict with its margin."""
+    """Return the predicted stability with its margin."""
     if scene.offset_mm is None:
         return "No displacement yet"
     if scene.support is not SupportKind.AREA:

@@ -130,7 +130,7 @@ class ScorePanel(Panel):
         placed = sum(o is Outcome.PLACED for o in score.outcomes)
         none = "No trial finished yet" if score.trials else "No trial yet"
         self._count.setText(f"{placed} of {score.counted} placed" if score.outcomes else none)
-        # Before the first outcome the verdict beside it is the only headline.
+        # Before the first outcome the result beside it is the only headline.
         set_property(self._count, "role", "figure" if score.outcomes else "title")
         done = f"{len(score.outcomes)} of {score.trials}" if score.trials else ""
         aborted = sum(o is Outcome.ABORTED for o in score.outcomes)

@@ -49,7 +49,7 @@ def test_one_key_answers_for_the_last_probe(page, key, decision):
 def test_a_new_run_leaves_the_probes_of_the_one_before_alone(page):
     before = {e.uuid: (e.flagged, e.deleted) for e in page.presenter.dataset.episodes()}
     page.begin()
-    assert page.view.probe.verdict.text() == "Probing"
+    assert page.view.probe.result.text() == "Probing"
     assert not any(button.isEnabled() for button in page.view.probe.buttons.values())
     for key in (KEY.Key_Return, KEY.Key_Backspace, KEY.Key_X, KEY.Key_R, KEY.Key_S):
         page.press(key)
@@ -103,7 +103,7 @@ def test_what_a_run_decides_is_read_again(page):
     page.presenter.dataset.labels.flag("Ann", newest)
     page.tell(EpisodeDecided(1.0, newest, 0, "flag", "Ann"))
     assert page.view.distribution.scene.flagged[-1]
-    assert "flagged" in page.view.probe.verdict.text()
+    assert "flagged" in page.view.probe.result.text()
 
 
 def test_progress_pause_and_end_with_the_focus_on_the_page(page):

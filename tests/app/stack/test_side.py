@@ -106,7 +106,7 @@ def test_the_piece_stays_on_its_support_while_the_hand_rises(bench, seen):
     _draw(side)
     assert (view.scene.piece.x_mm, view.scene.piece.z_mm) == (2.5, 0.0)
     assert view.scene.hand_mm == (4.0, 27.0)
-    assert panel.detail.text() == "let go"
+    assert panel.detail.text() == "released"
     side.take(Released(1.0, 1, True, 2.0, None))
     _draw(side)
     assert (view.scene.piece.x_mm, view.scene.piece.z_mm) == (2.5, 0.0)

@@ -22,7 +22,7 @@ def test_labels_that_would_count_are_named_with_the_way_to_them(tmp_path):
     form = replace(TrainingForm(), data=str(tmp_path / "data"), labels="approved")
 
     def told(labels="approved"):
-        return reading.look(replace(form, labels=labels), anew=True).trouble
+        return reading.look(replace(form, labels=labels), refresh=True).trouble
 
     with Dataset.open(tmp_path / "data", person="ann") as dataset:
         assert told() == (
@@ -49,9 +49,9 @@ def test_labels_that_would_count_are_named_with_the_way_to_them(tmp_path):
 def test_a_promoted_model_can_be_rolled_back_without_data(tmp_path):
     registry = ModelRegistry(tmp_path / "models")
     reading, form = TrainingReader(registry), replace(TrainingForm(), data=str(tmp_path / "none"))
-    assert reading.look(form, anew=True).in_use is None
+    assert reading.look(form, refresh=True).in_use is None
     registry.promote(model_in_use("pot", None))
-    looked = reading.look(form, anew=True)
+    looked = reading.look(form, refresh=True)
     assert looked.trouble
     assert looked.in_use is not None
     assert (looked.in_use.piece, looked.in_use.before) == ("pot", SHIPPED_MODEL)

@@ -219,7 +219,7 @@ def test_the_decision_names_the_backend_numbers():
     assert "2.1 mm outside" in text.text
     good = decision_text(stability((1.0, 0.0), 1.6), action((1.0, 0.0), 1.6))
     assert good.tone == "good"
-    assert "Would stand" in good.verdict
+    assert "Would stand" in good.result
 
 
 def test_no_number_is_made_up():

@@ -3,6 +3,7 @@ from .outlines import BOARD_DOTS_MM as BOARD_DOTS_MM
 from .outlines import Outline as Outline
 from .outlines import Point as Point
 from .outlines import circle as circle
+from .outlines import contact_edges as contact_edges
 from .outlines import convex_polygon as convex_polygon
 from .outlines import edge_normals as edge_normals
 from .outlines import edges_to_polygon as edges_to_polygon
@@ -14,6 +15,7 @@ from .outlines import overlap_edges as overlap_edges
 from .outlines import overlap_polygon as overlap_polygon
 from .outlines import polygon_edges as polygon_edges
 from .outlines import rectangle as rectangle
+from .outlines import rings_of as rings_of
 from .outlines import rotated as rotated
 from .outlines import signed_distances_mm as signed_distances_mm
 from .outlines import square as square
@@ -21,6 +23,15 @@ from .outlines import true_patch as true_patch
 from .pieces import Piece as Piece
 from .pieces import PieceLibrary as PieceLibrary
 from .pieces import load_pieces as load_pieces
+from .regions import channel as channel
+from .regions import convex_cells as convex_cells
+from .regions import crescent as crescent
+from .regions import ell as ell
+from .regions import feet as feet
+from .regions import region as region
+from .regions import ring as ring
+from .regions import star as star
+from .regions import tee as tee
 from .sampling import COARSE_SEGMENTS as COARSE_SEGMENTS
 from .sampling import MIN_OVERLAP_MM2 as MIN_OVERLAP_MM2
 from .sampling import can_be_placed as can_be_placed
@@ -50,15 +61,21 @@ __all__ = [
     "Tower",
     "TowerVerdict",
     "can_be_placed",
+    "channel",
     "circle",
+    "contact_edges",
+    "convex_cells",
     "convex_polygon",
+    "crescent",
     "draw_offset",
     "draw_start",
     "draw_tower",
     "edge_normals",
     "edges_to_polygon",
+    "ell",
     "enclosed_area_mm2",
     "face_points",
+    "feet",
     "inset_mm",
     "interface_overlap",
     "judge_tower",
@@ -68,10 +85,15 @@ __all__ = [
     "overlap_polygon",
     "polygon_edges",
     "rectangle",
+    "region",
+    "ring",
+    "rings_of",
     "rotated",
     "scene_number",
     "signed_distances_mm",
     "square",
+    "star",
     "start_generator",
+    "tee",
     "true_patch",
 ]

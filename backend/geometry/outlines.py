@@ -1,11 +1,12 @@
-"""Flat convex outlines of contact faces: overlap, grid points, and the true contact patch.
+"""Flat outlines of contact faces: overlap, grid points, and the true contact patch.
 
 An outline is defined in its own face frame, origin at the centre of the face. Polygons are
-counter-clockwise. Overlaps are vectorised over edges and over batches of placements: the edge of an
-overlap consists of the parts of each outline inside the other. Each edge is clipped to the
-half-planes of the other polygon (Cyrus and Beck 1978); area and distance follow from these segments
-without ordering them. The true contact patch is the label of the method (Ota et al. 2023, section
-III): a face point is in contact if it lies inside the outline of the surface below.
+counter-clockwise. Overlaps of convex outlines are vectorised over edges and over batches of
+placements: the edge of an overlap consists of the parts of each outline inside the other. Each edge
+is clipped to the half-planes of the other polygon (Cyrus and Beck 1978); area and distance follow
+from these segments without ordering them. Regions have holes and several parts; shapely computes
+their overlaps. The true contact patch is the label of the method (Ota et al. 2023, section III): a
+face point is in contact if it lies inside the outline of the surface below.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from dataclasses import dataclass
 from functools import cache
 from itertools import pairwise
 from math import cos, hypot, pi, sin
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -25,19 +26,25 @@ EDGE_TOLERANCE_MM = 1e-9  # points this near to the edge count as inside, despit
 
 CIRCLE_SEGMENTS = 128  # corners of the polygon of a circle: 0.004 mm error at radius 12.5 mm
 
+LEAST_PART_MM2 = 1e-6  # smaller parts of the overlap of a region are round-off
+
 Point = tuple[float, float]
+Ring = tuple[Point, ...]
+Part = tuple[Ring, tuple[Ring, ...]]  # exterior and holes
 
 
 @dataclass(frozen=True, slots=True)
 class Outline:
-    """A convex outline; build it with ``circle``, ``rectangle``, ``regular`` or ``convex``.
+    """An outline; build it with ``circle``, ``rectangle``, ``convex_polygon`` or ``region``.
 
-    ``radius_mm`` is used by circles, ``vertices_mm`` (counter-clockwise) by polygons.
+    ``radius_mm`` is used by circles, ``vertices_mm`` (counter-clockwise) by convex polygons,
+    ``parts`` by regions: exteriors counter-clockwise, holes clockwise.
     """
 
-    kind: Literal["circle", "polygon"]
+    kind: Literal["circle", "polygon", "region"]
     radius_mm: float = 0.0
-    vertices_mm: tuple[Point, ...] = ()
+    vertices_mm: Ring = ()
+    parts: tuple[Part, ...] = ()
 
     def contains(self, points_mm: ArrayLike, /) -> NDArray[np.bool_]:
         """Return (...,) bool: True for points (..., 2) mm inside or on the edge."""
@@ -45,6 +52,8 @@ class Outline:
         if self.kind == "circle":
             reach = self.radius_mm + EDGE_TOLERANCE_MM
             return np.asarray((points**2).sum(axis=-1) <= reach**2)
+        if self.kind == "region":
+            return _covers(self, points)
         start, normal = edge_normals(self.polygon())
         outward = points @ normal.T - (start * normal).sum(axis=1)
         return np.asarray((outward <= EDGE_TOLERANCE_MM).all(axis=-1))
@@ -52,30 +61,50 @@ class Outline:
     def polygon(self, segments: int = CIRCLE_SEGMENTS) -> FloatArray:
         """Return (k, 2) corners in mm, counter-clockwise; read-only, shared between callers.
 
-        A circle becomes its inscribed polygon of ``segments`` corners, the first on +x.
+        A circle becomes its inscribed polygon of ``segments`` corners, the first on +x. The corners
+        of a region are those of its convex hull: ``path`` has all rings.
         """
         return _corners(self, segments)
+
+    def path(self, segments: int = CIRCLE_SEGMENTS) -> FloatArray:
+        """Return (k, 2) corners of all rings in mm, a row of NaN between two rings.
+
+        The inside is that of the odd-even rule. The path of a convex outline is its ``polygon``.
+        """
+        return _corners(self, segments) if self.kind != "region" else _path(self)
 
     def placed(
         self, at_mm: Point, yaw_rad: float = 0.0, segments: int = CIRCLE_SEGMENTS
     ) -> FloatArray:
-        """Return (k, 2) corners of the outline turned by ``yaw_rad`` and moved to ``at_mm``."""
+        """Return (k, 2): ``polygon`` turned by ``yaw_rad`` and moved to ``at_mm``."""
         return rotated(self.polygon(segments), yaw_rad) + np.asarray(at_mm, dtype=np.float64)
+
+    @property
+    def rings(self) -> tuple[Ring, ...]:
+        """Exteriors and holes; empty for a circle."""
+        if self.kind == "region":
+            return tuple(ring for exterior, holes in self.parts for ring in (exterior, *holes))
+        return (self.vertices_mm,) if self.vertices_mm else ()
 
     @property
     def half_extents_mm(self) -> Point:
         """Half extents along x and y, from the centre."""
         if self.kind == "circle":
             return self.radius_mm, self.radius_mm
-        return max(abs(x) for x, _ in self.vertices_mm), max(abs(y) for _, y in self.vertices_mm)
+        corners = [corner for ring in self.rings for corner in ring]
+        return max(abs(x) for x, _ in corners), max(abs(y) for _, y in corners)
 
     @property
     def area_mm2(self) -> float:
         """Exact area."""
         if self.kind == "circle":
             return pi * self.radius_mm**2
-        closed = (*self.vertices_mm, self.vertices_mm[0])
-        return 0.5 * sum(a[0] * b[1] - b[0] * a[1] for a, b in pairwise(closed))
+        return sum(_ring_area_mm2(ring) for ring in self.rings)
+
+
+def _ring_area_mm2(ring: Ring) -> float:
+    """Return the area within a ring, negative if it is clockwise."""
+    return 0.5 * sum(a[0] * b[1] - b[0] * a[1] for a, b in pairwise((*ring, ring[0])))
 
 
 @cache
@@ -83,10 +112,82 @@ def _corners(outline: Outline, segments: int) -> FloatArray:
     if outline.kind == "circle":
         angle = 2 * pi * np.arange(segments) / segments
         corners = outline.radius_mm * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    elif outline.kind == "region":
+        corners = hull_of(geometry_of(outline))
     else:
         corners = np.array(outline.vertices_mm, dtype=np.float64)
     corners.flags.writeable = False
     return np.asarray(corners, dtype=np.float64)
+
+
+@cache
+def _path(outline: Outline) -> FloatArray:
+    path = _joined([np.array(ring, dtype=np.float64) for ring in outline.rings])
+    path.flags.writeable = False
+    return path
+
+
+def _joined(rings: list[FloatArray]) -> FloatArray:
+    """Return rings as one path, (0, 2) without a ring."""
+    gap = np.full((1, 2), np.nan)
+    rows = [row for ring in rings for row in (gap, ring)][1:]
+    return np.concatenate(rows) if rows else np.empty((0, 2))
+
+
+def rings_of(path_mm: FloatArray) -> list[FloatArray]:
+    """Return the rings (k, 2) of a path whose rings are separated by rows of NaN."""
+    ends = [-1, *np.flatnonzero(np.isnan(path_mm[:, 0])).tolist(), len(path_mm)]
+    return [path_mm[a + 1 : b] for a, b in pairwise(ends) if b - a > 1]
+
+
+@cache
+def geometry_of(outline: Outline, segments: int = CIRCLE_SEGMENTS) -> Any:
+    """Return the outline as a polygon or multi-polygon of shapely."""
+    import shapely
+
+    if outline.kind != "region":
+        return shapely.Polygon(outline.polygon(segments))
+    parts = [shapely.Polygon(exterior, holes) for exterior, holes in outline.parts]
+    return parts[0] if len(parts) == 1 else shapely.MultiPolygon(parts)
+
+
+def hull_of(geometry: Any) -> FloatArray:
+    """Return the corners (k, 2) of the convex hull of a shapely geometry, counter-clockwise."""
+    import shapely
+
+    hull = shapely.orient_polygons(shapely.convex_hull(geometry))
+    return np.asarray(shapely.get_coordinates(hull)[:-1], dtype=np.float64)
+
+
+@cache
+def _tolerant(outline: Outline) -> Any:
+    """Return a region whose edges lie ``EDGE_TOLERANCE_MM`` farther out, prepared for queries."""
+    import shapely
+
+    grown = tuple(
+        (_grown(exterior), tuple(_grown(hole) for hole in holes))
+        for exterior, holes in outline.parts
+    )
+    geometry = geometry_of(Outline("region", parts=grown))
+    shapely.prepare(geometry)
+    shapely.intersects_xy(geometry, 0.0, 0.0)  # builds the index before other threads read it
+    return geometry
+
+
+def _grown(ring: Ring) -> Ring:
+    corners = np.array(ring, dtype=np.float64)
+    _, after = edge_normals(corners)
+    before = np.roll(after, 1, axis=0)
+    shared = np.maximum(1.0 + (before * after).sum(axis=1), 0.01)[:, None]
+    moved = corners + EDGE_TOLERANCE_MM * (before + after) / shared
+    return tuple((float(x), float(y)) for x, y in moved)
+
+
+def _covers(outline: Outline, points_mm: FloatArray) -> NDArray[np.bool_]:
+    import shapely
+
+    inside = shapely.intersects_xy(_tolerant(outline), points_mm[..., 0], points_mm[..., 1])
+    return np.asarray(inside, dtype=np.bool_)
 
 
 def rotated(points_mm: FloatArray, yaw_rad: float) -> FloatArray:
@@ -108,7 +209,8 @@ def edge_normals(polygon_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
 def inset_mm(outline: Outline, points_mm: FloatArray) -> FloatArray:
     """Return the distance (...,) of points (..., 2) to the nearest edge, negative outside.
 
-    Beside a corner it is the distance to the farther of its two lines.
+    Beside a corner it is the distance to the farther of its two lines. The edge of a region is that
+    of its convex hull: a ring supports what stands over its hole.
     """
     if outline.kind == "circle":
         return np.asarray(outline.radius_mm - np.hypot(points_mm[..., 0], points_mm[..., 1]))
@@ -313,8 +415,86 @@ def true_patch(
 def overlap_polygon(
     face: Outline, offset_mm: tuple[float, float], bottom: Outline, yaw_rad: float = 0.0
 ) -> FloatArray:
-    """Return the true overlap (k, 2) in frame ``O``, counter-clockwise; k = 0 without overlap."""
-    return edges_to_polygon(overlap_edges(face.placed(offset_mm, yaw_rad), bottom.polygon()))
+    """Return the true overlap (k, 2) in frame ``O``, counter-clockwise; k = 0 without overlap.
+
+    With a region it is a path: holes are clockwise, and a row of NaN separates two rings.
+    """
+    if not _has_region(face, bottom):
+        return edges_to_polygon(overlap_edges(face.placed(offset_mm, yaw_rad), bottom.polygon()))
+    import shapely
+
+    both = [
+        ring
+        for part in shapely.get_parts(_common(face, offset_mm, yaw_rad, bottom, (0.0, 0.0), 0.0))
+        for ring in (part.exterior, *part.interiors)
+    ]
+    return _joined([shapely.get_coordinates(ring)[:-1] for ring in both])
+
+
+def contact_edges(
+    face: Outline,
+    at_mm: Point,
+    yaw_rad: float,
+    below: Outline,
+    below_at_mm: Point = (0.0, 0.0),
+    below_yaw_rad: float = 0.0,
+) -> EdgeSegments:
+    """Return the edge of the convex hull of the contact of two placed outlines.
+
+    A rigid flat piece is supported within this hull. The overlap of two convex outlines is its own
+    hull.
+    """
+    if not _has_region(face, below):
+        return overlap_edges(face.placed(at_mm, yaw_rad), below.placed(below_at_mm, below_yaw_rad))
+    common = _common(face, at_mm, yaw_rad, below, below_at_mm, below_yaw_rad)
+    if common.is_empty:
+        return EdgeSegments(np.zeros((1, 2)), np.zeros((1, 2)), np.zeros(1, dtype=np.bool_))
+    return polygon_edges(hull_of(common))
+
+
+def _has_region(first: Outline, second: Outline) -> bool:
+    return "region" in (first.kind, second.kind)
+
+
+def _common(
+    first: Outline,
+    first_at_mm: Point,
+    first_yaw_rad: float,
+    second: Outline,
+    second_at_mm: Point,
+    second_yaw_rad: float,
+) -> Any:
+    """Return the common area of two placed outlines as polygons of shapely, round-off removed."""
+    import shapely
+
+    common = shapely.intersection(
+        _moved(geometry_of(first), first_at_mm, first_yaw_rad),
+        _moved(geometry_of(second), second_at_mm, second_yaw_rad),
+    )
+    parts = shapely.get_parts(common)
+    parts = shapely.orient_polygons(parts[shapely.area(parts) > LEAST_PART_MM2])
+    return shapely.multipolygons(parts)
+
+
+def _moved(geometry: Any, at_mm: Point, yaw_rad: float) -> Any:
+    import shapely
+
+    return shapely.transform(geometry, lambda xy: rotated(xy, yaw_rad) + np.asarray(at_mm))
+
+
+def _region_overlap_mm2(
+    face: Outline, offset_mm: FloatArray, bottom: Outline, yaw_rad: float, segments: int
+) -> FloatArray:
+    import shapely
+
+    at = offset_mm.reshape(-1, 2)
+    turned = _moved(geometry_of(face, segments), (0.0, 0.0), yaw_rad)
+    corners = shapely.get_coordinates(turned)
+    moved = shapely.set_coordinates(
+        np.repeat(turned, len(at)), (corners + at[:, None]).reshape(-1, 2)
+    )
+    area = shapely.area(shapely.intersection(moved, geometry_of(bottom, segments)))
+    return np.asarray(area.reshape(offset_mm.shape[:-1]), dtype=np.float64)
 
 
 def overlap_area_mm2(
@@ -333,6 +513,8 @@ def overlap_area_mm2(
         return _circle_overlap_mm2(
             np.hypot(offset[..., 0], offset[..., 1]), face.radius_mm, bottom.radius_mm
         )
+    if _has_region(face, bottom):
+        return _region_overlap_mm2(face, offset, bottom, yaw_rad, segments)
     moved = rotated(face.polygon(segments), yaw_rad) + offset[..., None, :]
     return enclosed_area_mm2(overlap_edges(moved, bottom.polygon(segments)))
 

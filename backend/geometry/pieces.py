@@ -22,7 +22,7 @@ from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from touchdown.backend.config import NonNegative, Positive, Settings, read_settings
 from touchdown.backend.core import InputError
-from touchdown.backend.geometry import outlines
+from touchdown.backend.geometry import outlines, regions
 from touchdown.backend.geometry.outlines import Outline, Point
 from touchdown.backend.geometry.tower import Body
 
@@ -92,8 +92,48 @@ class PolygonFace(Settings):
         return outlines.convex_polygon(self.vertices_mm)
 
 
+class RingFace(Settings):
+    """A round face with a round hole in its middle."""
+
+    shape: Literal["ring"]
+    outer_mm: Positive
+    inner_mm: Positive
+
+    @model_validator(mode="after")
+    def _is_ring(self) -> Self:
+        self.outline()
+        return self
+
+    def outline(self) -> Outline:
+        """Return the outline."""
+        return regions.ring(self.outer_mm, self.inner_mm)
+
+
+class RegionPart(Settings):
+    """One part of a region: exterior and holes, (x, y) in mm."""
+
+    exterior: tuple[tuple[float, float], ...]
+    holes: tuple[tuple[tuple[float, float], ...], ...] = ()
+
+
+class RegionFace(Settings):
+    """One or several parts with holes; the face centre lies inside their convex hull."""
+
+    shape: Literal["region"]
+    parts: tuple[RegionPart, ...]
+
+    @model_validator(mode="after")
+    def _is_valid(self) -> Self:
+        self.outline()
+        return self
+
+    def outline(self) -> Outline:
+        """Return the outline."""
+        return regions.region((part.exterior, part.holes) for part in self.parts)
+
+
 Face = Annotated[
-    CircleFace | RectangleFace | SquareFace | RegularFace | PolygonFace,
+    CircleFace | RectangleFace | SquareFace | RegularFace | PolygonFace | RingFace | RegionFace,
     Field(discriminator="shape"),
 ]
 

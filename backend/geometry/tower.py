@@ -1,8 +1,9 @@
 """Exact static analysis of a stack of flat-faced rigid bodies.
 
-At every interface k the weighted centre of mass of all bodies above must lie inside the convex
-overlap of the faces that meet there; for k = 0 inside the base of the lowest body. The condition is
-necessary and sufficient for a serial stack under gravity with enough friction.
+At every interface k the weighted centre of mass of all bodies above must lie inside the convex hull
+of the overlap of the faces that meet there; for k = 0 inside the hull of the base of the lowest
+body. The condition is necessary and sufficient for a serial stack under gravity with enough
+friction. A ring is thus stable over its hole.
 """
 
 from __future__ import annotations
@@ -134,10 +135,11 @@ def judge_tower(tower: Tower, disturbance_mm: Point = (0.0, 0.0)) -> TowerVerdic
 
 
 def interface_overlap(tower: Tower, k: int) -> outlines.EdgeSegments:
-    """Return the edge of the overlap under body ``k`` (its own base for k = 0)."""
+    """Return the edge of the hull of the overlap under body ``k`` (its own base for k = 0)."""
     body = tower.bodies[k]
-    base = body.lower.placed(body.at_mm, body.yaw_rad)
     below = tower.bodies[k - 1] if k else None
     if below is None or below.upper is None:
-        return outlines.polygon_edges(base)
-    return outlines.overlap_edges(base, below.upper.placed(below.at_mm, below.yaw_rad))
+        return outlines.polygon_edges(body.lower.placed(body.at_mm, body.yaw_rad))
+    return outlines.contact_edges(
+        body.lower, body.at_mm, body.yaw_rad, below.upper, below.at_mm, below.yaw_rad
+    )

@@ -6,15 +6,18 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from shapely import affinity
+from shapely import affinity, union_all
 from shapely.geometry import Point, Polygon
 
 from touchdown.backend.core.values import FloatArray
-from touchdown.backend.geometry import outlines
+from touchdown.backend.geometry import outlines, regions
 from touchdown.backend.geometry.outlines import (
+    contact_edges,
     face_points,
     overlap_area_mm2,
     overlap_polygon,
+    rings_of,
+    signed_distances_mm,
     true_patch,
 )
 
@@ -284,3 +287,198 @@ def test_overlap_polygon_lies_in_the_bottom_frame():
         0,
         2,
     )
+
+
+REGIONS = {
+    "ring": regions.ring(24.0, 12.0),
+    "frame": regions.region(
+        [
+            (
+                [(-9, -6), (9, -6), (9, 6), (-9, 6)],
+                [[(1, -3), (6, -3), (6, 3), (1, 3)], [(-6, -3), (-3, -3), (-3, 3), (-6, 3)]],
+            )
+        ]
+    ),
+    "crescent": regions.crescent(24.0, 18.0, 7.0),
+    "ell": regions.ell(20.0, 16.0, 6.0),
+    "tee": regions.tee(20.0, 18.0, 6.0),
+    "channel": regions.channel(20.0, 16.0, 5.0),
+    "star": regions.star(5, 26.0, 13.0),
+    "feet": regions.feet([(9.0, 0.0), (-4.5, 7.8), (-4.5, -7.8)], 6.0),
+}
+a_region = st.sampled_from(list(REGIONS.values()))
+
+
+def oracle_of(outline):
+    """Return the outline as built by shapely from its rings by the odd-even rule."""
+    shape = Polygon()
+    for ring in rings_of(outline.path()):
+        shape = shape.symmetric_difference(Polygon(ring))
+    return shape
+
+
+@pytest.mark.parametrize("outline", REGIONS.values(), ids=REGIONS)
+def test_regions_agree_with_shapely(outline):
+    oracle = oracle_of(outline)
+    assert outline.kind == "region"
+    assert outline.area_mm2 == pytest.approx(oracle.area)
+    low_x, low_y, high_x, high_y = oracle.bounds
+    assert outline.half_extents_mm == pytest.approx((max(-low_x, high_x), max(-low_y, high_y)))
+    points = np.random.default_rng(1).uniform(-14, 14, size=(2000, 2))
+    expected = [oracle.covers(Point(p)) for p in points]
+    assert 100 < sum(expected) < 1900
+    assert outline.contains(points).tolist() == expected
+    hull = oracle.convex_hull
+    assert Polygon(outline.polygon()).symmetric_difference(hull).area < 1e-9
+    inset = outlines.inset_mm(outline, points)
+    for point, at in zip(points[:200], inset[:200], strict=True):
+        if hull.covers(Point(point)):
+            assert at == pytest.approx(hull.exterior.distance(Point(point)))
+        else:
+            assert at < 1e-9
+
+
+@pytest.mark.parametrize("outline", REGIONS.values(), ids=REGIONS)
+def test_all_edges_of_a_region_count_as_inside(outline):
+    for ring in rings_of(outline.path()):
+        middle = 0.5 * (ring + np.roll(ring, 1, axis=0))
+        assert outline.contains(np.concatenate([ring, middle])).all()
+        turned = outlines.rotated(outlines.rotated(middle, 0.7), -0.7)
+        assert outline.contains(turned).all()
+    points = face_points(outline)
+    assert outline.contains(points).all()
+
+
+@given(a_region, st.one_of(a_region, outline), place, yaw, place)
+def test_overlap_and_contact_of_regions_agree_with_shapely(a, b, at, turn, point):
+    placed = affinity.translate(
+        affinity.rotate(oracle_of(a), turn, origin=(0, 0), use_radians=True), *at
+    )
+    common = placed.intersection(oracle_of(b))
+    assert float(overlap_area_mm2(a, at, b, turn)) == pytest.approx(common.area, abs=1e-6)
+    assert float(overlap_area_mm2(a, np.array([[at]] * 2), b, turn)[1, 0]) == pytest.approx(
+        common.area, abs=1e-6
+    )
+    drawn = Polygon()
+    for ring in rings_of(overlap_polygon(a, at, b, turn)):
+        drawn = drawn.symmetric_difference(Polygon(ring))
+    assert drawn.symmetric_difference(common).area < 1e-4
+    edges = contact_edges(a, at, turn, b)
+    margin = float(signed_distances_mm(np.array(point), edges))
+    parts = [p for p in getattr(common, "geoms", [common]) if p.area > 1e-5]
+    if not parts:
+        assert margin == -math.inf or common.area > 1e-6
+        return
+    if any(1e-7 < p.area <= 1e-5 for p in getattr(common, "geoms", [common])):
+        return
+    hull = union_all(parts).convex_hull
+    distance = hull.exterior.distance(Point(point))
+    assert margin == pytest.approx(distance if hull.covers(Point(point)) else -distance, abs=1e-6)
+
+
+def test_contact_of_convex_outlines_is_their_overlap():
+    hexagon, disc = outlines.regular_polygon(6, 20.0), outlines.circle(18.0)
+    edges = contact_edges(hexagon, (3.0, 1.0), 0.2, disc, (-1.0, 0.5), 0.1)
+    expected = outlines.overlap_edges(
+        hexagon.placed((3.0, 1.0), 0.2), disc.placed((-1.0, 0.5), 0.1)
+    )
+    assert np.array_equal(edges.start_mm, expected.start_mm)
+    assert np.array_equal(edges.kept, expected.kept)
+
+
+@pytest.mark.parametrize("outline", [*REGIONS.values(), *ALL])
+def test_convex_cells_fill_the_outline(outline):
+    cells = [Polygon(cell) for cell in regions.convex_cells(outline)]
+    assert all(cell.is_valid and cell.exterior.is_ccw for cell in cells)
+    assert all(cell.convex_hull.area == pytest.approx(cell.area) for cell in cells)
+    assert sum(cell.area for cell in cells) == pytest.approx(union_all(cells).area)
+    whole = oracle_of(outline)
+    assert union_all(cells).symmetric_difference(whole).area < 1e-6
+    assert len(cells) <= 2 * len(outline.path())
+
+
+def test_a_convex_region_is_a_polygon():
+    square = [(-5, -5), (-5, 5), (5, 5), (5, -5), (-5, -5)]
+    assert regions.region([(square, [])]) == outlines.convex_polygon(
+        ((5.0, -5.0), (5.0, 5.0), (-5.0, 5.0), (-5.0, -5.0))
+    )
+
+
+def test_the_rings_of_a_region_are_turned():
+    hole = [(1, -1), (-1, -1), (-1, 1), (1, 1)]
+    outer = [(4 * x, 4 * y) for x, y in hole]
+    outlines_of = [
+        regions.region([(a, [b])]) for a in (outer, outer[::-1]) for b in (hole, hole[::-1])
+    ]
+    for outline in outlines_of:
+        (exterior, (inner,)) = outline.parts[0]
+        assert Polygon(exterior).exterior.is_ccw
+        assert not Polygon(inner).exterior.is_ccw
+        assert outline.area_mm2 == 60.0
+
+
+def box(half, x=0.0, y=0.0):
+    return [(x - half, y - half), (x + half, y - half), (x + half, y + half), (x - half, y + half)]
+
+
+@pytest.mark.parametrize(
+    ("parts", "reason"),
+    [
+        ([], "at least one part"),
+        ([([(0, 0), (1, 0)], [])], "part 1 needs at least 3 corners"),
+        ([(box(5), [box(6)])], "part 1 is not a simple outline: hole lies outside shell"),
+        ([([(0, 0), (5, 5), (5, 0), (0, 5)], [])], r"self-intersection near \(2.5, 2.5\)"),
+        ([(box(5), []), (box(5, 9), [])], "two parts touch or overlap"),
+        ([(box(5), []), (box(5, 10), [])], "two parts touch or overlap"),
+        ([(box(5), []), (box(5, 10.1), [])], r"gap is narrower than 0.2 mm near \(5.0, "),
+        ([(box(5, 20), [box(2, 20)])], "inside the convex hull"),
+        ([(box(5), [box(4.95)])], "material is narrower than 0.2 mm"),
+        ([(box(5), [box(0.05)])], r"gap is narrower than 0.2 mm near \(0.0, 0.0\)"),
+        (
+            [([*box(5), (-5, 0.05), (-8, 0.05), (-8, -0.05), (-5, -0.05)], [])],
+            r"material .* near \(-7.0",
+        ),
+        ([([(-5, -5), (-0.2, -0.2), (5, -5), (5, 5), (-0.1, -0.15), (-5, 5)], [])], "material"),
+        ([([(0, 0), (math.nan, 1), (2, 2)], [])], r"part 1: \(nan, 1\) is not within 500 mm"),
+        ([(box(501), [])], "not within 500 mm"),
+    ],
+)
+def test_bad_regions_are_refused(parts, reason):
+    with pytest.raises(ValueError, match=reason):
+        regions.region(parts)
+
+
+@given(st.lists(place, min_size=3, max_size=7))
+def test_any_accepted_region_is_valid(corners):
+    try:
+        outline = regions.region([(corners, [])])
+    except ValueError:
+        return
+    assert Polygon(outline.rings[0]).is_valid
+    assert outline.area_mm2 > 0.0
+
+
+@pytest.mark.parametrize(
+    ("build", "reason"),
+    [
+        (lambda: regions.ring(10.0, 12.0), "inner diameter"),
+        (lambda: regions.crescent(20.0, 10.0, 1.0), "must cross"),
+        (lambda: regions.star(2, 20.0, 10.0), "at least 3 points"),
+    ],
+)
+def test_impossible_shapes_are_refused(build, reason):
+    with pytest.raises(ValueError, match=reason):
+        build()
+
+
+def test_the_closed_forms_of_regions():
+    n = 64
+    disc = 0.5 * n * math.sin(2 * math.pi / n)
+    assert regions.ring(24.0, 12.0).area_mm2 == pytest.approx(disc * (144 - 36))
+    assert regions.ell(20.0, 16.0, 6.0).area_mm2 == pytest.approx(20 * 6 + 10 * 6)
+    lens = float(overlap_area_mm2(outlines.circle(24.0), (7.0, 0.0), outlines.circle(18.0)))
+    crescent = regions.crescent(24.0, 18.0, 7.0)
+    assert crescent.area_mm2 == pytest.approx(math.pi * 144 - lens, rel=5e-3)
+    for name in ("ell", "tee", "channel", "crescent"):
+        centre = oracle_of(REGIONS[name]).centroid
+        assert (centre.x, centre.y) == pytest.approx((0.0, 0.0), abs=1e-9)

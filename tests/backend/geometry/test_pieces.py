@@ -42,6 +42,7 @@ def test_shipped_pieces_have_the_nominal_sizes():
     assert catalogue.tops == ("barrel", "mug", "mushroom", "pot")
     assert set(catalogue.bottoms) == {
         "short", "long", "hex20", "rect12x28", "circle15", "circle25", "square15", "barrel",
+        "ring24", "ell20", "channel20", "star26", "feet3",
     }  # fmt: skip
     tops = {
         name: (p.face.radius_mm * 2, p.height_mm, p.com_height_mm, p.mass_g, p.grip_height_mm)
@@ -157,6 +158,54 @@ def test_a_polygon_must_be_convex(tmp_path):
     (tmp_path / "cup.toml").write_text(f'{head}[face]\nshape = "polygon"\n{tail}')
     with pytest.raises(InputError, match=r"face.*counter-clockwise"):
         load_pieces(tmp_path)
+
+
+FRAME = """
+shape = "region"
+[[face.parts]]
+exterior = [[-8, -8], [8, -8], [8, 8], [-8, 8]]
+holes = [[[-4, -4], [4, -4], [4, 4], [-4, 4]]]
+"""
+
+
+def test_a_face_with_a_hole(tmp_path):
+    (tmp_path / "cup.toml").write_text(
+        CUP.replace('shape = "circle"\ndiameter_mm = 18.0', FRAME), encoding="utf-8"
+    )
+    face = load_pieces(tmp_path).piece("cup").face
+    assert face.area_mm2 == 192.0
+    assert not face.contains((0.0, 0.0))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "reason"),
+    [
+        ("-4, -4], [4, -4", "-9, -4], [4, -4", "part 1 is not a simple outline"),
+        ("-4, -4], [4, -4", "-7.9, -4], [4, -4", r"material is narrower .* near \(-7.9, -3.9\)"),
+        ("[8, 8]", "[inf, 8]", "parts.0.exterior.2.0': Input should be a finite"),
+    ],
+)
+def test_a_bad_region_is_refused_with_the_place(tmp_path, old, new, reason):
+    text = CUP.replace('shape = "circle"\ndiameter_mm = 18.0', FRAME.replace(old, new))
+    (tmp_path / "cup.toml").write_text(text, encoding="utf-8")
+    with pytest.raises(InputError, match=reason) as caught:
+        load_pieces(tmp_path)
+    assert "cup.toml" in caught.value.where
+
+
+def test_a_ring_carries_what_stands_over_its_hole():
+    catalogue = load_pieces()
+    ring = catalogue.piece("ring24")
+    assert ring.face.area_mm2 == pytest.approx(math.pi * 108.0, rel=2e-3)
+    tower = Tower((ring.body(), catalogue.piece("pot").body((1.0, 0.0))))
+    # The hull of the contact is the pot's face cut by the outer circle: all of it.
+    assert judge_tower(tower).margins_mm[1] == pytest.approx(7.5, abs=0.02)
+    alone = Tower((ring.body(), catalogue.piece("pot").body((9.0, 0.0))))
+    half = outlines.overlap_polygon(outlines.circle(15.0), (9.0, 0.0), ring.face)
+    expected = Polygon(half).convex_hull
+    assert not expected.equals(Polygon(half))
+    distance = expected.exterior.distance(Point(9.0, 0.0))
+    assert judge_tower(alone).margins_mm[1] == pytest.approx(distance, abs=1e-9)
 
 
 def test_broken_toml_bad_name_and_missing_folder(tmp_path):

@@ -17,7 +17,7 @@ from touchdown.backend.config.simulation import SimulationSettings, SupportSetti
 from touchdown.backend.core.values import GRID_COLS, GRID_ROWS
 from touchdown.backend.geometry.outlines import circle, face_points, rectangle
 from touchdown.backend.geometry.pieces import load_pieces
-from touchdown.backend.geometry.sampling import draw_offset, draw_start, draw_tower
+from touchdown.backend.geometry.sampling import draw_offset, draw_start, draw_tower, start_generator
 from touchdown.backend.geometry.tower import Body, Tower, judge_tower
 from touchdown.backend.placement.equilibrium import centre_of_pressure_mm
 from touchdown.backend.simulation import batch as lockstep
@@ -370,6 +370,17 @@ def test_a_press_beside_the_edge_ends_in_balance(bottoms, seed) -> None:
             check_balance(scene.bottoms, before, holding._state, height)
     assert holding.residual <= RESIDUAL_LIMIT
     assert rocked > 1e-4
+    bench = lockstep.BatchedTrials([scene])
+    assert bench.press([0], bench.start_commands_mm()).truth.solved[0]
+
+
+def test_the_whole_step_is_tried_where_its_halves_have_no_equilibrium() -> None:
+    catalogue = load_pieces()
+    piece = catalogue.top("pot")
+    bottoms = [catalogue.bottom("short"), catalogue.bottom("rect12x28")]
+    rng = start_generator(4_722_002, piece.name, *(bottom.name for bottom in bottoms))
+    tower = draw_tower(rng, bottoms)
+    scene = Scene(piece, tower, draw_start(rng, piece.body(), tower), 4_722_002, FREE)
     bench = lockstep.BatchedTrials([scene])
     assert bench.press([0], bench.start_commands_mm()).truth.solved[0]
 

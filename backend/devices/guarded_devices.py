@@ -6,6 +6,7 @@ import math
 import threading
 from collections.abc import Callable, Mapping
 from dataclasses import astuple, replace
+from typing import TypeVar
 
 from touchdown.backend.core import (
     LEVEL_TOLERANCE_RAD,
@@ -55,6 +56,7 @@ from touchdown.backend.devices.protocols import (
     Vector,
 )
 
+M = TypeVar("M", bound=Motion)
 PressForce = Callable[[], float]  # present press force in N (tared Fz), NaN if unknown
 
 
@@ -113,9 +115,11 @@ class GuardedArm(_Guarded):
         """
         super().__init__(arm)
         self._arm, self._interlock = arm, interlock
-        self._now_s, self._press_n, self._surface_mm = now_s, press_n, surface_mm
-        # Last motion to a place, press or unloading.
+        self._now_s, self.press_n, self._surface_mm = now_s, press_n, surface_mm
+        # Last motion, and its speed in mm/s and rad/s; infinite where the other limits it.
         self.commanded: Motion | None = None
+        self.press_command: PressCommand | None = None  # of the last press
+        self.commanded_speed = (math.inf, math.inf)
         interlock.on_stop(arm.stop, arm.retreat if isinstance(arm, RetreatingArm) else None)
 
     @property
@@ -157,12 +161,11 @@ class GuardedArm(_Guarded):
         self._refuse_dragging(target)
         turning = self._refuse_turned_move(target, turn_rad_s)
         override = self._interlock.override
+        speed_mm_s, turn_rad_s = speed_mm_s * override, turn_rad_s * override
         if turning:
-            motion = self._arm.move_to(target, speed_mm_s * override, turn_rad_s * override)
-        else:
-            motion = self._arm.move_to(target, speed_mm_s * override)
-        self.commanded = motion
-        return motion
+            motion = self._arm.move_to(target, speed_mm_s, turn_rad_s)
+            return self._command(motion, speed_mm_s, turn_rad_s)
+        return self._command(self._arm.move_to(target, speed_mm_s), speed_mm_s)
 
     def jog(self, velocity_mm_s: Vector, for_s: float, turn_rad_s: Vector = STILL) -> Motion:
         """Move at a velocity; refused if too fast, too long, outside the limits, or against a
@@ -179,19 +182,20 @@ class GuardedArm(_Guarded):
             way = (x, y, z)
             lock = self._interlock
             recovering, degraded = lock.recovering, lock.degraded
-            refuse_forced(self._press_n(), way, limits, recovering=recovering, degraded=degraded)
+            refuse_forced(self.press_n(), way, limits, recovering=recovering, degraded=degraded)
             left_mm = distance_to_limit_mm(here, way, limits)
             if z < 0:
                 left_mm = min(left_mm, turned_descent_mm(here, self._surface_mm(), limits) / -z)
             if not left_mm > 0:
                 raise RefusedError("LIMIT", "The arm is at the edge of its workspace.")
         if not turning:
-            return self._arm.jog(velocity_mm_s, for_s)
+            return self._command(self._arm.jog(velocity_mm_s, for_s), speed)
         self._refuse_turning_jog(here, turning)
         rx, ry, rz = (part / turning for part in turn_rad_s)
         if not turn_to_limit_rad(here, (rx, ry, rz), limits) > 0:
             raise RefusedError("LIMIT", "The hand leans as far as it may.")
-        return self._arm.jog(velocity_mm_s, for_s, turn_rad_s)
+        motion = self._arm.jog(velocity_mm_s, for_s, turn_rad_s)
+        return self._command(motion, speed or math.inf, turning)
 
     # -- joints -----------------------------------------------------------------------------------
 
@@ -224,7 +228,8 @@ class GuardedArm(_Guarded):
         there = self._arm.place_of(ahead)
         refuse_place(there, self._surface_mm(), self._interlock.limits)
         self._refuse_too_fast(here, there, for_s)
-        return self._arm.jog_joints(speeds_rad_s, for_s)
+        motion = self._arm.jog_joints(speeds_rad_s, for_s)
+        return self._command(motion, speed_rad_s=max(map(abs, speeds_rad_s)))
 
     def move_joints(self, target_rad: Joints, speed_rad_s: float) -> Motion:
         """Turn joints to ``target_rad``; refused unless the path stays inside the limits."""
@@ -238,8 +243,8 @@ class GuardedArm(_Guarded):
             refuse_place(there, self._surface_mm(), self._interlock.limits)
             self._refuse_too_fast(here, there, part * longest / speed_rad_s)
         speed_rad_s *= self._interlock.override
-        self.commanded = self._arm.move_joints(target_rad, speed_rad_s)
-        return self.commanded
+        motion = self._arm.move_joints(target_rad, speed_rad_s)
+        return self._command(motion, speed_rad_s=speed_rad_s)
 
     def halt(self) -> None:
         """Stand still without a latch, at the end of a jog."""
@@ -260,18 +265,21 @@ class GuardedArm(_Guarded):
                 f"{command.approach_mm_s:.1f} mm/s exceeds {limits.contact_speed_mm_s:.1f} mm/s.",
             )
         require_unrotated(pose_rotation(self._arm.pose(max_age_s=0.2)))
-        self.commanded = motion = self._arm.press(command)
-        return motion
+        self.press_command = command
+        return self._command(self._arm.press(command), command.approach_mm_s)
 
     def unload(self, force_n: float, speed_mm_s: float) -> Motion:
         """Lift to the press force ``force_n``."""
         self._require_motion()
-        self.commanded = self._arm.unload(force_n, speed_mm_s)
-        return self.commanded
+        return self._command(self._arm.unload(force_n, speed_mm_s), speed_mm_s)
 
     def stop(self) -> None:
         """Latch the interlock and stop."""
         self._interlock.stop()
+
+    def _command(self, motion: M, speed_mm_s: float = math.inf, speed_rad_s: float = math.inf) -> M:
+        self.commanded, self.commanded_speed = motion, (speed_mm_s, speed_rad_s)
+        return motion
 
     def _refuse_too_long(self, for_s: float) -> None:
         if not 0 < for_s <= LEASE_S:
@@ -295,7 +303,7 @@ class GuardedArm(_Guarded):
             raise _speed_refusal(math.degrees(speed_rad_s), math.degrees(most), "\N{DEGREE SIGN}/s")
         if interlock.recovering:
             raise RefusedError("RECOVERY", "After a fault: jog away from contact first.")
-        refuse_turning(here, self._surface_mm(), self._press_n(), interlock.limits)
+        refuse_turning(here, self._surface_mm(), self.press_n(), interlock.limits)
 
     def _refuse_too_fast(self, here: Pose, there: Pose, time_s: float) -> None:
         gone_mm = math.dist(astuple(here)[:3], astuple(there)[:3])
@@ -309,7 +317,7 @@ class GuardedArm(_Guarded):
     def _refuse_dragging(self, target: Pose) -> None:
         here = self._arm.pose(max_age_s=0.2)
         sideways = math.hypot(target.x_mm - here.x_mm, target.y_mm - here.y_mm)
-        force = self._press_n()
+        force = self.press_n()
         if sideways > 0.05 and not abs(force) <= self._interlock.limits.contact_n:
             refuse_unknown(force)
             raise RefusedError(

@@ -22,6 +22,7 @@ from touchdown.backend.core import (
     Fault,
     FaultError,
     Finger,
+    FloatArray,
     SampleStream,
     StaleSampleError,
     Stream,
@@ -29,7 +30,7 @@ from touchdown.backend.core import (
 )
 from touchdown.backend.devices.guarded_devices import GuardedArm
 from touchdown.backend.devices.interlock import Interlock
-from touchdown.backend.devices.protocols import Device, DeviceState, Gripper, Motion
+from touchdown.backend.devices.protocols import Device, DeviceState, Gripper
 from touchdown.backend.devices.sensor_faults import (
     LATE_SHARE,
     MOTION_STOPPED,
@@ -138,43 +139,73 @@ def _lost_fault(what: str) -> Fault:
     )
 
 
-# An arm is stalled if it moves less than this in this time although a motion is under way.
-STALLED_S, STALLED_MM, STALLED_RAD = 1.0, 0.05, 1e-3
+# An arm is stalled if, for this time in which it has to move, neither its position nor the press
+# force changes by this, and if this share of the commanded way is more than that.
+STALLED_S, STALLED_MM, STALLED_RAD, STALLED_N = 1.0, 0.05, 1e-3, 0.3
+STALLED_SHARE = 0.25
+LEAST_MOTION = (STALLED_MM, STALLED_RAD, STALLED_N)
 
 
 class StallMonitor:
-    """Monitor of an arm while a motion is under way; a press may stand in contact."""
+    """Monitor of an arm while a motion is under way; a press may stand while it holds."""
 
     def __init__(self, arm: GuardedArm | None) -> None:
         self._arm = arm
-        self._motion: Motion | None = None
-        self._since_s = 0.0
-        self._pose = np.zeros(6)
+        self._checked_s = 0.0
+        self._begin(np.zeros(7))
+
+    def _begin(self, place: FloatArray) -> None:
+        # Position and press force, how long they stand, and the commanded way in least motions.
+        self._place, self._stood_s, self._way, self._told = place, 0.0, 0.0, False
 
     def check(self, now_s: float) -> Fault | None:
         """Return the fault of an arm that does not move, once; otherwise None."""
-        motion = None if self._arm is None else self._arm.commanded
-        if self._arm is None or motion is None or motion.done:
-            self._motion = None
+        arm, passed_s, self._checked_s = self._arm, now_s - self._checked_s, now_s
+        motion = None if arm is None else arm.commanded
+        if arm is None or motion is None or motion.done:
+            self._begin(self._place)
             return None
+        onset_s = getattr(motion, "onset_s", None)
         try:
-            pose = np.array(astuple(self._arm.pose(STALLED_S)))
+            place = np.array([*astuple(arm.pose(STALLED_S)), arm.press_n()])
         except (StaleSampleError, FaultError):
             return None  # a silent arm has a fault of its own
-        away = np.abs(pose - self._pose)
-        moved = away[:3].max() > STALLED_MM or away[3:].max() > STALLED_RAD
-        if motion is not self._motion or moved or getattr(motion, "onset_s", None) is not None:
-            self._motion, self._since_s, self._pose = motion, now_s, pose
-        if now_s - self._since_s <= STALLED_S:
+        away = place - self._place
+        sizes = (np.linalg.norm(away[:3]), np.linalg.norm(away[3:6]), abs(away[6]))
+        if any(size > least for size, least in zip(sizes, LEAST_MOTION, strict=True)):
+            self._begin(place)
+        per_s = _commanded(arm, now_s, onset_s, getattr(motion, "detected_s", None))
+        self._stood_s += passed_s if per_s else 0.0
+        self._way += passed_s * per_s
+        if self._told or self._stood_s <= STALLED_S or self._way <= 1.0 / STALLED_SHARE:
             return None
-        self._since_s = math.inf
+        self._told = True
         return Fault(
             "ARM-STALLED",
-            f"The arm has not moved for {STALLED_S:g} s although a motion is under way.",
+            f"The arm has not moved for {self._stood_s:.1f} s although a motion is under way.",
             MOTION_STOPPED,
             "Look for an obstacle and at the controller of the arm; then press Reset.",
             "arm",
         )
+
+
+def _commanded(
+    arm: GuardedArm, now_s: float, onset_s: float | None, detected_s: float | None
+) -> float:
+    """Return the speed at which the arm has to move now, as least motions per second."""
+    speed_mm_s, speed_rad_s = arm.commanded_speed
+    if onset_s is None:
+        return min(speed_mm_s / STALLED_MM, speed_rad_s / STALLED_RAD)
+    press = arm.press_command
+    if press is None or now_s >= onset_s + press.hold_s:
+        return 1.0 / (STALLED_SHARE * STALLED_S)  # it should have ended
+    if now_s >= onset_s + press.ramp_s:
+        return 0.0
+    ramp_mm_s = press.depth_mm / press.ramp_s
+    passed_mm = speed_mm_s * ((detected_s or now_s) - onset_s)
+    if ramp_mm_s * (now_s - onset_s) <= passed_mm:
+        return 0.0  # it stands where the descent ended until the ramp reaches it
+    return ramp_mm_s * min(1.0 / STALLED_MM, press.stiffness_n_mm[2] / STALLED_N)
 
 
 # Time without a reading after which a gripper with a piece is late, and after which it is a fault.

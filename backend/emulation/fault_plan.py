@@ -41,13 +41,13 @@ DATAGRAM_KINDS = ("reorder",)  # two datagrams are swapped
 # kind or with 8 x 10 dots.
 CAMERA_KINDS = ("freeze", "dark", "slow", "fade", "other_gel", "small_dots")
 # Kinds by device. slow: at most ``hz`` samples per second; drift: Fz changes by ``n_per_s`` and
-# keeps its last value.
+# keeps its last value; stall: the motors of the arm do not move.
 DEVICE_KINDS: dict[str, tuple[str, ...]] = {
     "force_torque": ("freeze", "saturate", "slow", "drift"),
     "gripper": ("part_lost", "fast_stop", "power"),
     "tactile_left": CAMERA_KINDS,
     "tactile_right": CAMERA_KINDS,
-    "arm": ("alarm", "estop", "servo_off"),
+    "arm": ("alarm", "estop", "servo_off", "stall"),
 }
 # Fault kind -> required field, its meaning; not allowed for other kinds.
 AMOUNTS = {

@@ -114,7 +114,8 @@ class EmulatedJoints:
         self.true_rad = start_rad.copy()
         self.feedback_rad = start_rad.copy()
         self.filter_s = 0.010
-        self.frozen = False  # fault: the encoders do not change
+        # Faults: the encoders do not change, or the motors do not move.
+        self.frozen = self.stalled = False
 
     def cycle(self) -> None:
         """Advance by one control cycle."""
@@ -123,7 +124,8 @@ class EmulatedJoints:
         command = self.command_rad
         filtered, true = self.filtered_rad, self.true_rad
         self.filtered_rad = filtered + (command - filtered) * _share(t, self.filter_s)
-        self.true_rad = true + (command - true) * _share(t, self._lag_s)
+        if not self.stalled:
+            self.true_rad = true + (command - true) * _share(t, self._lag_s)
         if not self.frozen:
             noise = self._rng.normal(0.0, NOISE_RAD, 6)
             self.feedback_rad = self.true_rad + noise

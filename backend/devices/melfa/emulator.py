@@ -253,6 +253,7 @@ class MelfaServer(DeviceServer):
     def _apply_faults(self, now_s: float) -> None:
         """Start and end faults of the controller."""
         controller = self._device.controller
+        controller.joints.stalled = self.faults.active("stall", now_s)
         for kind, begin in self._begins.items():
             active = self.faults.active(kind, now_s)
             if active and kind not in self._on:

@@ -27,6 +27,15 @@ AT_ZERO = np.zeros(6)
 UNLOAD_MM = 10.0
 # A move ends when the measured position is this near to its end, or after this time.
 ARRIVED_MM, ARRIVED_S = 0.02, 0.3
+# At this multiple of that distance the arm has not arrived: 0.5 mm, 5e-4 rad of a joint.
+FAR = 25.0
+NOT_ARRIVED = Fault(
+    "ARM-STALLED",
+    "The arm stands although its motion was commanded to the end.",
+    HELD,
+    "Look for an obstacle and at the controller of the arm; then press Reset.",
+    ARM,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,14 +113,17 @@ class HandProgram:
 class Arrival:
     """Ends ``motion`` after its last command: when the arm is there, at the latest after 0.3 s."""
 
-    def __init__(self, motion: CommandedMotion) -> None:
-        self._motion, self._commanded_s = motion, math.inf
+    def __init__(self, motion: CommandedMotion, within: float) -> None:
+        """``within``: distance from the end at which the arm is there, mm or rad."""
+        self._motion, self._within, self._commanded_s = motion, within, math.inf
 
-    def check(self, now_s: float, *, arrived: bool) -> None:
-        """Check once per cycle from the last command on."""
+    def check(self, now_s: float, away: float) -> None:
+        """Check once per cycle from the last command on; an arm far ``away`` is a fault."""
         self._commanded_s = min(self._commanded_s, now_s)
-        if arrived or now_s - self._commanded_s >= ARRIVED_S:
+        if away <= self._within:
             self._motion.end()
+        elif now_s - self._commanded_s >= ARRIVED_S:
+            self._motion.end(None if away <= FAR * self._within else NOT_ARRIVED)
 
 
 class TravelProgram(HandProgram):
@@ -120,7 +132,7 @@ class TravelProgram(HandProgram):
     def __init__(self, motion: CommandedMotion, target_mm: FloatArray, speed_mm_s: float) -> None:
         self.motion, self.speed_mm_s = motion, speed_mm_s
         self._target_mm, self._now_mm_s = target_mm.copy(), 0.0
-        self._arrival = Arrival(motion)
+        self._arrival = Arrival(motion, ARRIVED_MM)
 
     def next_mm(self, felt: CycleInput) -> FloatArray:
         """Return the next point of the line."""
@@ -135,7 +147,7 @@ class TravelProgram(HandProgram):
         if left_mm - step_mm <= 1e-4:
             self._now_mm_s = 0.0
             away_mm = float(np.linalg.norm(felt.measured_mm - self._target_mm))
-            self._arrival.check(felt.now_s, arrived=away_mm <= ARRIVED_MM)
+            self._arrival.check(felt.now_s, away_mm)
             return self._target_mm.copy()
         self._now_mm_s = speed
         return np.asarray(felt.command_mm + way * (step_mm / left_mm))
@@ -240,7 +252,7 @@ class RotationTravelProgram(HandProgram):
         """``target``: (3,) mm and (3, 3) turn; ``speeds``: mm/s and rad/s."""
         self.motion, (self.speed_mm_s, self.speed_rad_s) = motion, speeds
         self._target_mm, self._target_turn = target
-        self._pace, self._arrival = 0.0, Arrival(motion)
+        self._pace, self._arrival = 0.0, Arrival(motion, ARRIVED_RAD)
 
     def next_mm(self, felt: CycleInput) -> FloatArray:
         """Return the next point of the path; ``turn`` is the turn there."""
@@ -255,8 +267,8 @@ class RotationTravelProgram(HandProgram):
         if left_s - pace * felt.cycle_s <= 1e-6:
             self._pace = 0.0
             self.turn = self._target_turn
-            behind = np.abs(felt.sent_rad - felt.measured_rad).max()
-            self._arrival.check(felt.now_s, arrived=bool(behind <= ARRIVED_RAD))
+            behind_rad = float(np.abs(felt.sent_rad - felt.measured_rad).max())
+            self._arrival.check(felt.now_s, behind_rad)
             return self._target_mm.copy()
         self._pace = pace
         share = pace * felt.cycle_s / left_s
@@ -316,7 +328,7 @@ class JointTravelProgram:
     def __init__(self, motion: CommandedMotion, target_rad: FloatArray, speed_rad_s: float) -> None:
         self.motion, self.speed_rad_s = motion, speed_rad_s
         self._target_rad, self._now_rad_s = target_rad.copy(), 0.0
-        self._arrival = Arrival(motion)
+        self._arrival = Arrival(motion, ARRIVED_RAD)
 
     def next_rad(self, felt: CycleInput) -> FloatArray:
         """Return the next joints (6,)."""
@@ -329,8 +341,8 @@ class JointTravelProgram:
         )
         if left - speed * felt.cycle_s <= 1e-7:
             self._now_rad_s = 0.0
-            behind = np.abs(self._target_rad - felt.measured_rad).max()
-            self._arrival.check(felt.now_s, arrived=bool(behind <= ARRIVED_RAD))
+            behind_rad = float(np.abs(self._target_rad - felt.measured_rad).max())
+            self._arrival.check(felt.now_s, behind_rad)
             return self._target_rad.copy()
         self._now_rad_s = speed
         return np.asarray(felt.sent_rad + way * (speed * felt.cycle_s / left))

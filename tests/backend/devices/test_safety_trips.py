@@ -1,6 +1,8 @@
 """A sensor that becomes slow is told at once, and none because its samples came in lumps."""
 
+import math
 import random
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -21,6 +23,7 @@ from touchdown.backend.devices.protocols import (
     GripStatus,
     Health,
     Identity,
+    PressCommand,
 )
 from touchdown.backend.devices.safety_trips import GRACE_S, Supervision
 from touchdown.backend.devices.sensor_faults import ArrivalMonitor, DegradedDevice, RateMonitor
@@ -231,10 +234,16 @@ class CommandedArm:
 
     def __init__(self) -> None:
         self.commanded: CommandedMotion | None = None
+        self.commanded_speed = (2.0, math.inf)
+        self.press_command: PressCommand | None = None
+        self.force_n = 0.0
         self.place = Pose(0.0, 0.0, 60.0)
 
     def pose(self, max_age_s: float) -> Pose:
         return self.place
+
+    def press_n(self) -> float:
+        return self.force_n
 
 
 @pytest.mark.promise("R16")
@@ -258,16 +267,70 @@ def test_an_arm_that_stands_during_a_motion_is_named_within_2_s(
     assert not stalled or "motion is under way" in bench.interlock.faults[0].what
 
 
-def test_an_arm_may_stand_after_its_motion_and_while_it_presses() -> None:
+@pytest.mark.promise("R16")
+@pytest.mark.parametrize(
+    ("speed", "step", "turn", "within_s"),
+    [
+        ((0.02, math.inf), 0.0004, 0.0, None),  # as slow as commanded
+        ((0.1, math.inf), 0.001, 0.0, None),  # in contact, slower than commanded
+        ((math.inf, 1e-3), 0.0, 1e-5, None),
+        ((0.1, math.inf), 0.0, 0.0, 2.1),
+        ((2.0, math.inf), 0.0, 0.0, 1.1),
+        ((math.inf, 0.01), 0.0, 0.0, 1.1),
+    ],
+)
+def test_a_slow_motion_is_no_stall(
+    speed: tuple[float, float], step: float, turn: float, within_s: float | None
+) -> None:
+    bench, arm = SupervisionWatched(), CommandedArm()
+    bench.supervision.begin(bench.now_s, arm=arm)
+    arm.commanded_speed = speed
+    begun_s = bench.now_s
+    while bench.now_s - begun_s < 6.0 and not bench.interlock.latched:
+        # A held jog: every renewal is a motion of its own.
+        arm.commanded = CommandedMotion({})
+        arm.place = replace(arm.place, z_mm=arm.place.z_mm - step, rx_rad=arm.place.rx_rad + turn)
+        bench.run(0.02)
+    assert bench.codes() == ([] if within_s is None else [("ARM-STALLED", "arm")])
+    assert within_s is None or bench.now_s - begun_s <= within_s
+
+
+def test_an_arm_may_stand_after_its_motion() -> None:
     bench, arm = SupervisionWatched(), CommandedArm()
     bench.supervision.begin(bench.now_s, arm=arm)
     arm.commanded = CommandedMotion({})
     arm.commanded.end()
     bench.run(3.0)
-    arm.commanded = ArmPress({})
-    arm.commanded.onset_s = bench.now_s
-    bench.run(5.0)
     assert not bench.interlock.latched
+
+
+@pytest.mark.promise("R16")
+@pytest.mark.parametrize("ramp_s", [1.5, 7.5])
+@pytest.mark.parametrize("share", [0.0, 0.5, 1.0])
+@pytest.mark.parametrize("at", [None, 0.0, 0.2, 0.5, 0.9, 1.1])
+def test_an_arm_that_stands_in_contact_is_named(
+    ramp_s: float, share: float, at: float | None
+) -> None:
+    """``share`` of the ramp moves the arm, the rest raises the force; it stalls ``at`` a time."""
+    bench, arm = SupervisionWatched(), CommandedArm()
+    bench.supervision.begin(bench.now_s, arm=arm)
+    arm.commanded_speed = (2.0, math.inf)
+    arm.press_command = press = PressCommand(1.5, ramp_s, ramp_s / 0.75, 2.0, 1.0, 8.0, (15.0,) * 3)
+    arm.commanded = motion = ArmPress({})
+    motion.onset_s, motion.detected_s = bench.now_s, bench.now_s + 0.1
+    while bench.now_s < motion.onset_s + press.hold_s + 2.0 and not bench.interlock.latched:
+        passed_s = bench.now_s - motion.onset_s
+        if at is None and passed_s >= press.hold_s:
+            break
+        if at is None or passed_s < at * ramp_s:
+            # The descent ends 0.2 mm deep and waits there for the ramp.
+            depth_mm = max(0.2, press.depth_mm * min(1.0, passed_s / ramp_s))
+            arm.place = replace(arm.place, z_mm=60.0 - share * depth_mm)
+            arm.force_n = (1.0 - share) * 15.0 * depth_mm
+        bench.run(0.02)
+    assert bench.codes() == ([] if at is None else [("ARM-STALLED", "arm")])
+    if at is not None and ramp_s == 1.5:
+        assert bench.now_s - motion.onset_s - at * ramp_s <= 2.0
 
 
 @pytest.mark.promise("C1")

@@ -1,9 +1,12 @@
-"""How far the air has moved until a contact, from samples of known steps."""
+"""How far the air has moved until a contact, from samples of known steps; ends of moves."""
 
 import numpy as np
 import pytest
 
+from touchdown.backend.core import FaultError
+from touchdown.backend.devices.protocols import CommandedMotion
 from touchdown.backend.devices.streamed.arm import AirTare
+from touchdown.backend.devices.streamed.motion_programs import CycleInput, TravelProgram
 
 STEP_N = np.array([0.1, -0.2, 0.3])
 
@@ -35,3 +38,22 @@ def test_with_too_few_samples_nothing_is_said():
     assert silent.moved_n(5.0) == pytest.approx(np.zeros(3))
     # What is older than a second is forgotten; its air is not told of a later onset.
     assert descended(3.5).moved_n(2.0) == pytest.approx(np.zeros(3))
+
+
+@pytest.mark.promise("R16")
+@pytest.mark.parametrize(("away_mm", "code"), [(0.01, ""), (0.3, ""), (3.0, "ARM-STALLED")])
+def test_a_move_whose_arm_stands_elsewhere_has_failed(away_mm: float, code: str) -> None:
+    motion, end_mm = CommandedMotion({}), np.array([0.0, 0.0, 60.0])
+    program, none = TravelProgram(motion, end_mm, 20.0), np.empty(0)
+    command_mm = end_mm - [0.0, 0.0, 3.0]
+    measured_mm = end_mm - [0.0, 0.0, away_mm]
+    for k in range(200):
+        felt = CycleInput(k * 3.5e-3, 3.5e-3, command_mm, measured_mm, none, np.empty((0, 3)))
+        command_mm = program.next_mm(felt)
+    assert motion.done
+    if code:
+        with pytest.raises(FaultError) as raised:
+            motion.result()
+        assert raised.value.fault.code == code
+    else:
+        motion.result()

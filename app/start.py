@@ -24,8 +24,8 @@ from touchdown.app.shell import (
 )
 from touchdown.app.splash import Splash
 from touchdown.backend.bench import Session
-from touchdown.backend.core import InputError
-from touchdown.backend.runs import calibrations_folder, data_folder, models_folder
+from touchdown.backend.core import InputError, data_folder
+from touchdown.backend.runs import calibrations_folder, models_folder
 
 # Switch interval of the interpreter. A decision makes hundreds of short library calls, each of
 # which waits for the interpreter lock. On two busy cores 2 ms gave a median of 20 ms per decision

@@ -82,6 +82,6 @@ def test_no_test_reaches_another_machine(method, data):
 
 
 def test_the_operator_s_folders_are_not_seen(isolated_settings, monkeypatch):
-    from touchdown.backend.runs.recorder import data_folder
+    from touchdown.backend.core import data_folder
 
     assert data_folder() == isolated_settings / "data"

@@ -39,13 +39,13 @@ from touchdown.backend.core import (
     MountingAwaited,
     Paused,
     ProbeCollected,
+    data_folder,
 )
 from touchdown.backend.episodes import Coverage, check_quality
 from touchdown.backend.runs import (
     CollectRequest,
     RecordingOptions,
     current_campaign,
-    data_folder,
     dataset_folder,
     fresh_seed,
     hand_over_message,

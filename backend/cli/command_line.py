@@ -33,6 +33,7 @@ VERBS = {
     "calibrate": "calibrate payload, board, tool, wrist and cameras, or show the status",
     "collect": "collect labelled probes into a dataset",
     "dataset": "show, check, back up, rebuild and merge datasets",
+    "piece": "add a piece from a CAD file, list the known pieces, or show one",
     "export": "export episodes and labels to the format of another program",
     "import": "import episodes or labels from the format of another program",
     "replay": "replay a recorded run",

@@ -18,9 +18,10 @@ from touchdown.backend.core import (
     RunFinished,
     RunStarted,
     TrialFinished,
+    data_folder,
 )
 from touchdown.backend.runs import EVENT_LOG_NAME as JOURNAL
-from touchdown.backend.runs import data_folder, read_events
+from touchdown.backend.runs import read_events
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

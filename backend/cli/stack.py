@@ -35,14 +35,9 @@ from touchdown.backend.core import (
     Said,
     TrialFinished,
     TrialStarted,
-)
-from touchdown.backend.runs import (
-    DecisionMode,
-    RecordingOptions,
-    StackRequest,
-    StrategyChoice,
     data_folder,
 )
+from touchdown.backend.runs import DecisionMode, RecordingOptions, StackRequest, StrategyChoice
 
 if TYPE_CHECKING:
     from touchdown.backend.bench import RunResult, Session

@@ -49,6 +49,7 @@ from .faults import InputError as InputError
 from .faults import RefusedError as RefusedError
 from .faults import StaleSampleError as StaleSampleError
 from .faults import TouchdownError as TouchdownError
+from .files import data_folder as data_folder
 from .files import lock_file as lock_file
 from .files import make_folder as make_folder
 from .files import package_version as package_version
@@ -200,6 +201,7 @@ __all__ = [
     "back_date_onset",
     "blocking_section",
     "blocking_section_of",
+    "data_folder",
     "detect_contact",
     "fill_unseen_markers",
     "force_over_baseline",

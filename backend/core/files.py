@@ -23,6 +23,14 @@ from touchdown.backend.core.faults import InputError
 UNSYNCABLE_ERRNOS = frozenset({errno.EINVAL, errno.ENOTSUP})
 
 
+def data_folder() -> Path:
+    """Return the operator's data folder: $TOUCHDOWN_DATA, else the XDG data folder."""
+    if chosen := os.environ.get("TOUCHDOWN_DATA"):
+        return Path(chosen)
+    base = os.environ.get("XDG_DATA_HOME") or str(Path.home() / ".local" / "share")
+    return Path(base) / "touchdown"
+
+
 def sync_folder(folder: Path) -> None:
     """Make renames in ``folder`` durable (a no-op where folders cannot be synced).
 

@@ -1,3 +1,13 @@
+from .cad import PIECE_SOURCES as PIECE_SOURCES
+from .cad import UNITS_MM as UNITS_MM
+from .cad import MeasuredPiece as MeasuredPiece
+from .cad import PieceEnd as PieceEnd
+from .cad import PieceImport as PieceImport
+from .cad import PieceRole as PieceRole
+from .cad import measure_piece as measure_piece
+from .cad import piece_name as piece_name
+from .cad import piece_svg as piece_svg
+from .cad import save_piece as save_piece
 from .outlines import BOARD_DOT_RADIUS_MM as BOARD_DOT_RADIUS_MM
 from .outlines import BOARD_DOTS_MM as BOARD_DOTS_MM
 from .outlines import Outline as Outline
@@ -23,6 +33,7 @@ from .outlines import true_patch as true_patch
 from .pieces import Piece as Piece
 from .pieces import PieceLibrary as PieceLibrary
 from .pieces import load_pieces as load_pieces
+from .pieces import pieces_folder as pieces_folder
 from .regions import channel as channel
 from .regions import convex_cells as convex_cells
 from .regions import crescent as crescent
@@ -52,11 +63,17 @@ __all__ = [
     "BOARD_DOT_RADIUS_MM",
     "COARSE_SEGMENTS",
     "MIN_OVERLAP_MM2",
+    "PIECE_SOURCES",
     "TOO_CLOSE_MM",
+    "UNITS_MM",
     "Body",
+    "MeasuredPiece",
     "Outline",
     "Piece",
+    "PieceEnd",
+    "PieceImport",
     "PieceLibrary",
+    "PieceRole",
     "Point",
     "Tower",
     "TowerVerdict",
@@ -80,15 +97,20 @@ __all__ = [
     "interface_overlap",
     "judge_tower",
     "load_pieces",
+    "measure_piece",
     "overlap_area_mm2",
     "overlap_edges",
     "overlap_polygon",
+    "piece_name",
+    "piece_svg",
+    "pieces_folder",
     "polygon_edges",
     "rectangle",
     "region",
     "ring",
     "rings_of",
     "rotated",
+    "save_piece",
     "scene_number",
     "signed_distances_mm",
     "square",

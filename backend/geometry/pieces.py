@@ -1,8 +1,8 @@
 """Library of pieces and bottoms, one TOML file each, identified by content.
 
-The name of a piece is the name of its file. A folder of the operator's own files extends the
-shipped pieces; a file of the same name replaces the shipped one. Every bad value is reported with
-its key.
+The name of a piece is the name of its file. ``touchdown piece add`` writes further pieces to the
+data folder. Another folder of the operator's own files extends both; a file of the same name
+replaces theirs. Every bad value is reported with its key.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from hashlib import sha256
 from importlib.resources import files
@@ -21,7 +21,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from touchdown.backend.config import NonNegative, Positive, Settings, read_settings
-from touchdown.backend.core import InputError
+from touchdown.backend.core import InputError, data_folder
 from touchdown.backend.geometry import outlines, regions
 from touchdown.backend.geometry.outlines import Outline, Point
 from touchdown.backend.geometry.tower import Body
@@ -233,13 +233,15 @@ class Piece:
 
 @dataclass(frozen=True, slots=True)
 class PieceLibrary:
-    """All known pieces by name."""
+    """All known pieces by name; ``broken``: errors of unusable files of the data folder."""
 
     pieces: Mapping[str, Piece]
     where: str
+    broken: Mapping[str, InputError] = field(default_factory=dict)
 
     def piece(self, name: str) -> Piece:
         """Return the piece; raises ``InputError`` naming the known ones."""
+        self._refuse_broken(name)
         if name not in self.pieces:
             raise InputError(
                 f"There is no piece '{name}'.",
@@ -256,7 +258,12 @@ class PieceLibrary:
         """Return a piece that can carry another; raises ``InputError``."""
         return self._with_role(name, "bottom", "cannot carry another piece", self.bottoms)
 
+    def _refuse_broken(self, name: str) -> None:
+        if name in self.broken and name not in self.pieces:
+            raise self.broken[name]
+
     def _with_role(self, name: str, role: str, lack: str, others: tuple[str, ...]) -> Piece:
+        self._refuse_broken(name)
         if name not in self.pieces:
             noun = "bottom piece" if role == "bottom" else "piece"
             raise InputError(
@@ -281,7 +288,10 @@ class PieceLibrary:
 
 
 def load_pieces(folder: Path | None = None) -> PieceLibrary:
-    """Read the shipped pieces and those of a folder.
+    """Read the shipped pieces, the operator's, and those of a folder.
+
+    Files of the data folder never replace a shipped piece, and an unusable one of them is reported
+    only when its piece is asked for.
 
     Parameters
     ----------
@@ -304,12 +314,30 @@ def load_pieces(folder: Path | None = None) -> PieceLibrary:
     ('barrel', 'mug', 'mushroom', 'pot')
 
     """
-    pieces = dict(_shipped_pieces())
+    own, broken = _own_pieces()
+    pieces = own | dict(_shipped_pieces())
     if folder is not None:
         if not folder.is_dir():
             raise InputError("There is no such folder of pieces.", str(folder), "Check the path.")
         pieces |= _read_folder(folder)
-    return PieceLibrary(pieces, str(folder or "resources/objects"))
+    return PieceLibrary(pieces, str(folder or "resources/objects"), broken)
+
+
+def pieces_folder() -> Path:
+    """Return the folder of the operator's pieces."""
+    return data_folder() / "pieces"
+
+
+def _own_pieces() -> tuple[dict[str, Piece], dict[str, InputError]]:
+    """Read the operator's pieces; return them, and the errors of unusable files."""
+    pieces: dict[str, Piece] = {}
+    broken: dict[str, InputError] = {}
+    for path in sorted(pieces_folder().glob("*.toml")):
+        try:
+            pieces[path.stem] = read_piece(path)
+        except InputError as error:
+            broken[path.stem] = error
+    return pieces, broken
 
 
 @cache

@@ -59,7 +59,6 @@ from .recorder import PHOTO_SUFFIXES as PHOTO_SUFFIXES
 from .recorder import RecordingOptions as RecordingOptions
 from .recorder import RunRecorder as RunRecorder
 from .recorder import calibrations_folder as calibrations_folder
-from .recorder import data_folder as data_folder
 from .recorder import dataset_folder as dataset_folder
 from .recorder import keep_photo as keep_photo
 from .recorder import models_folder as models_folder
@@ -128,7 +127,6 @@ __all__ = [
     "contact_height_mm",
     "counts_for_coverage",
     "current_campaign",
-    "data_folder",
     "dataset_folder",
     "decode_event",
     "device_names",

@@ -6,7 +6,6 @@ run pauses before the next probe.
 
 from __future__ import annotations
 
-import os
 import tempfile
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -28,6 +27,7 @@ from touchdown.backend.core import (
     Said,
     SharedLock,
     blocking_section,
+    data_folder,
     make_folder,
     write_atomically,
 )
@@ -88,14 +88,6 @@ def not_saved_fault(folder: Path, what: str, consequence: str, next_step: str) -
     """Return the fault of a run that ended on a full disk without saving ``what``."""
     what = f"The disk of {folder} is full: {what} could not be saved."
     return Fault(DISK_FULL, what, consequence, f"Make room on this disk, {next_step}", "store")
-
-
-def data_folder() -> Path:
-    """Return the operator's data folder: $TOUCHDOWN_DATA, else the XDG data folder."""
-    if chosen := os.environ.get("TOUCHDOWN_DATA"):
-        return Path(chosen)
-    base = os.environ.get("XDG_DATA_HOME") or str(Path.home() / ".local" / "share")
-    return Path(base) / "touchdown"
 
 
 def dataset_folder() -> Path:

@@ -24,7 +24,7 @@ from PySide6.QtWidgets import QApplication
 from touchdown.app import start
 from touchdown.app.application import TouchdownApp
 from touchdown.app.label.text import QUEUES as LISTED
-from touchdown.backend.runs.recorder import data_folder
+from touchdown.backend.core import data_folder
 
 KEY = Qt.Key
 NONE = Qt.KeyboardModifier.NoModifier

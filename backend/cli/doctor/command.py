@@ -28,7 +28,7 @@ from rich.text import Text
 
 from touchdown.backend.cli.doctor.qt_libraries import missing_libraries, packages_for
 from touchdown.backend.cli.output import VerbOutput
-from touchdown.backend.core import InputError
+from touchdown.backend.core import InputError, data_folder
 
 if TYPE_CHECKING:
     from touchdown.backend.config import Lab, LabSettings
@@ -107,7 +107,7 @@ def check_processors() -> DoctorCheck:
 def check_data_folder(folder: Path | None = None) -> DoctorCheck:
     """Check that the data folder can be written."""
     if folder is None:
-        folder = _data_folder()
+        folder = data_folder()
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder) as file:
@@ -121,7 +121,7 @@ def check_data_folder(folder: Path | None = None) -> DoctorCheck:
 
 def check_disk(folder: Path | None = None) -> DoctorCheck:
     """Check the free space of the data folder."""
-    place = folder or _data_folder()
+    place = folder or data_folder()
     while not place.exists():
         place = place.parent
     free_gb = shutil.disk_usage(place).free / 1e9
@@ -155,12 +155,6 @@ def check_catalogue(folder: Path | None = None) -> DoctorCheck:
         detail = f"no piece file for {', '.join(absent)}"
         return DoctorCheck("catalogue", False, detail, "Install Touchdown again.")
     return DoctorCheck("catalogue", True, ", ".join(sorted(catalogue.pieces)))
-
-
-def _data_folder() -> Path:
-    from touchdown.backend.runs import data_folder
-
-    return data_folder()
 
 
 QT_INSTALL = 'pip install --force-reinstall "PySide6-Essentials>=6.8,!=6.9.1,<6.12"'

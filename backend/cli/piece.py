@@ -1,0 +1,150 @@
+"""``touchdown piece``: add pieces from CAD files, list the known pieces, and show one."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import get_args
+
+from touchdown.backend.cli.output import VerbOutput
+from touchdown.backend.core import InputError
+from touchdown.backend.geometry import (
+    UNITS_MM,
+    MeasuredPiece,
+    Piece,
+    PieceEnd,
+    PieceImport,
+    PieceRole,
+    load_pieces,
+    measure_piece,
+    piece_name,
+    save_piece,
+)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments."""
+    parser.add_argument("action", choices=("add", "list", "show"), help="what to do")
+    parser.add_argument(
+        "source", nargs="?", help="add: mesh (STL, OBJ, PLY, OFF) or outline (SVG, DXF); show: name"
+    )
+    parser.add_argument(
+        "--face",
+        choices=get_args(PieceEnd),
+        help="side of the mesh that is the contact face (default: bottom; of a bottom: top)",
+    )
+    parser.add_argument(
+        "--role",
+        choices=get_args(PieceRole),
+        default="top",
+        help="top: is grasped and placed; bottom: is stacked upon; both",
+    )
+    parser.add_argument(
+        "--units",
+        choices=tuple(UNITS_MM),
+        help="unit of the file (default: the one it names, or mm)",
+    )
+    parser.add_argument("--density", type=float, metavar="G_CM3", help="uniform density")
+    parser.add_argument("--mass", type=float, metavar="G", help="mass, instead of a density")
+    parser.add_argument("--height", type=float, metavar="MM", help="height over a drawn outline")
+    parser.add_argument(
+        "--grip", type=float, metavar="MM",
+        help="height of the grip above the face (default: 0.7 of the height)",
+    )  # fmt: skip
+    parser.add_argument("--name", help="name of the piece (default: that of the file)")
+    parser.add_argument("--title", default="", help="title (default: from the name)")
+    parser.add_argument(
+        "--out", type=Path, metavar="FOLDER", help="folder (default: pieces in the data folder)"
+    )
+    parser.add_argument(
+        "--pieces", type=Path, metavar="DIR", help="folder with further piece files"
+    )
+
+
+def run(args: argparse.Namespace, screen: VerbOutput) -> int:
+    """Add, list or show; ``InputError`` for files and names that cannot be used."""
+    if args.action == "list":
+        return _list(args, screen)
+    if not args.source:
+        fix = "Name the file." if args.action == "add" else "See 'touchdown piece list'."
+        raise InputError(f"'piece {args.action}' needs an argument.", "touchdown piece", fix)
+    return _add(args, screen) if args.action == "add" else _show(args, screen)
+
+
+def _add(args: argparse.Namespace, screen: VerbOutput) -> int:
+    source = Path(args.source)
+    wanted = PieceImport(
+        args.face, args.role, args.units, args.density, args.mass, args.height, args.grip
+    )
+    measured = measure_piece(source, wanted)
+    name = args.name or piece_name(source)
+    written, picture = save_piece(measured, name, args.title, args.out)
+    screen.say(f"Piece '{name}' is written to {written}, its picture to {picture}.")
+    for line in (*_words(measured), *measured.notes):
+        screen.say(line)
+    where = f" --pieces {args.out}" if args.out else ""
+    option = "--bottom" if args.role == "bottom" else "--piece"
+    screen.say(f"Use it with 'touchdown stack {option} {name} --strategy fused{where}'.")
+    screen.result({
+        "piece": name, "written": str(written), "picture": str(picture), "role": measured.role,
+        "height_mm": measured.height_mm, "volume_mm3": measured.volume_mm3,
+        "area_mm2": measured.face.area, "mass_g": measured.mass_g, "com_mm": measured.com_mm,
+        "grip_height_mm": measured.grip_mm, "width_mm": measured.width_mm,
+        "parts": len(measured.face.geoms),
+        "holes": sum(len(part.interiors) for part in measured.face.geoms),
+        "notes": measured.notes,
+    })  # fmt: skip
+    return 0
+
+
+def _words(piece: MeasuredPiece) -> tuple[str, ...]:
+    x, y, z = piece.com_mm
+    holes = sum(len(part.interiors) for part in piece.face.geoms)
+    grip = "" if piece.width_mm is None else (
+        f"Grip: {piece.width_mm:.1f} mm wide, {piece.grip_mm:.1f} mm above the face."
+    )  # fmt: skip
+    lines = (
+        f"Face: {piece.face.area:.1f} mm², {len(piece.face.geoms)} part(s), {holes} hole(s).",
+        f"Height {piece.height_mm:.2f} mm, volume {1e-3 * piece.volume_mm3:.2f} cm³, "
+        f"mass {piece.mass_g:.1f} g.",
+        f"Centre of mass: {x:.2f}, {y:.2f} mm from the middle of the face, "
+        f"{z:.2f} mm above the underside.",
+        grip,
+    )
+    return tuple(line for line in lines if line)
+
+
+def _list(args: argparse.Namespace, screen: VerbOutput) -> int:
+    library = load_pieces(args.pieces)
+    pieces = [library.pieces[name] for name in sorted(library.pieces)]
+    rows = [
+        (p.name, p.title, ", ".join(p.roles), f"{p.height_mm:.1f}", f"{p.mass_g:.1f}", p.source)
+        for p in pieces
+    ]
+    header = ("name", "title", "roles", "height, mm", "mass, g", "file")
+    screen.table("Pieces", header, *rows, right=("height, mm", "mass, g"))
+    for name, error in library.broken.items():
+        screen.say(f"{name} cannot be used: {error.what} ({error.where})")
+    screen.result({
+        "pieces": [_facts(piece) for piece in pieces],
+        "broken": {name: error.what for name, error in library.broken.items()},
+    })  # fmt: skip
+    return 0
+
+
+def _show(args: argparse.Namespace, screen: VerbOutput) -> int:
+    piece = load_pieces(args.pieces).piece(args.source)
+    facts = _facts(piece)
+    screen.table(piece.title, ("", ""), *((key, str(value)) for key, value in facts.items()))
+    screen.result(facts)
+    return 0
+
+
+def _facts(piece: Piece) -> dict[str, object]:
+    return {
+        "name": piece.name, "title": piece.title, "roles": list(piece.roles),
+        "height_mm": piece.height_mm, "mass_g": piece.mass_g, "com_xy_mm": list(piece.com_xy_mm),
+        "com_height_mm": piece.com_height_mm, "area_mm2": round(piece.face.area_mm2, 3),
+        "grip_height_mm": piece.grip_height_mm, "width_mm": piece.width_mm,
+        "fixed": piece.fixed, "file": piece.source, "sha256": piece.sha256,
+    }  # fmt: skip

@@ -42,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--units",
         choices=tuple(UNITS_MM),
-        help="unit of the file (default: the one it names, or mm)",
+        help="unit of the file (default: the one named in it, mm)",
     )
     parser.add_argument("--density", type=float, metavar="G_CM3", help="uniform density")
     parser.add_argument("--mass", type=float, metavar="G", help="mass, instead of a density")

@@ -65,10 +65,10 @@ TURNS: dict[PieceEnd, FloatArray] = {
 class PieceImport:
     """How to read a file.
 
-    ``end``: side of the mesh that is the contact face. ``unit``: key of ``UNITS_MM``, by default the
-    unit that a drawing names, and mm. One of
-    ``density_g_cm3`` and ``mass_g`` is needed. ``height_mm`` is needed for drawings and refused for
-    meshes. ``grip_mm``: height of the grip above the face, by default ``GRIP_SHARE`` of the height.
+    ``end``: side of the mesh that is the contact face. ``unit``: key of ``UNITS_MM``, by default
+    the unit that a drawing names, else mm. One of ``density_g_cm3`` and ``mass_g`` is needed.
+    ``height_mm`` is needed for drawings and refused for meshes. ``grip_mm``: height of the grip
+    above the face, by default ``GRIP_SHARE`` of the height.
     """
 
     end: PieceEnd | None = None

@@ -38,8 +38,8 @@ IGNORED_DXF = {"TEXT", "MTEXT", "DIMENSION", "POINT", "HATCH", "VIEWPORT", "ATTD
 def read_drawing(path: Path, content: bytes, unit_mm: float | None = None) -> shapely.Geometry:
     """Return the area inside the closed curves of a drawing, mm, y up.
 
-    ``unit_mm``: length of a unit; by default the one that the file names. Raises ``InputError`` in one
-    sentence for a file that is unreadable or unsupported, and for curves that are open or cross.
+    ``unit_mm``: length of a unit; by default the one that the file names. Raises ``InputError`` in
+    one sentence for an unreadable or unsupported file, and for curves that are open or cross.
     """
     try:
         if path.suffix.lower() == ".svg":

@@ -130,12 +130,12 @@ class CollectWorkspace(Workspace):
         self.label.build_in(self.page)
         yield
         self.reader = SaveWorker(self.label.main_thread, "collect-reader")
-        catalogue = load_pieces()
+        self._catalogue = load_pieces()
         self.presenter = CollectPresenter(
-            self.collect_page, self._context.cards, self.reader, catalogue
+            self.collect_page, self._context.cards, self.reader, self._catalogue
         )
         self._wire()
-        self.collect_page.target.show_catalogue(*piece_titles(catalogue))
+        self.collect_page.target.show_catalogue(*piece_titles(self._catalogue))
         self.page.half_shown.connect(self._half_came)
 
     # -- life -------------------------------------------------------------------------------------
@@ -156,7 +156,12 @@ class CollectWorkspace(Workspace):
         self.collect_page.show_silent(why)
 
     def enter(self) -> None:
-        """Show the dataset; open it for writing if the person is known."""
+        """Show the dataset and pieces added since; open it for writing if the person is known."""
+        added = load_pieces().pieces.items() - self._catalogue.pieces.items()
+        for _, piece in sorted(added):
+            self._catalogue.add(piece)
+        if added:
+            self.collect_page.target.show_catalogue(*piece_titles(self._catalogue))
         self._half_came(self.page.front)
 
     def leave(self) -> None:

@@ -83,9 +83,18 @@ class ManualControlPresenter:
         hand = bench.hand
         page.scene.setVisible(bench.simulated)
         usual = SceneChoice()
-        page.scene.show_catalogue(*piece_titles(bench.catalogue), (usual.piece, usual.bottoms[0]))
+        self._titles = piece_titles(bench.catalogue)
+        page.scene.show_catalogue(*self._titles, (usual.piece, usual.bottoms[0]))
         page.jog.lift.clicked.connect(self.lift)
         page.jog.show_turning("" if hand is not None and hand.rotates else NO_JOINTS)
+
+    def show_pieces(self) -> None:
+        """Show the pieces that were added since; the selection is kept."""
+        titles, scene = piece_titles(self._bench.catalogue), self._page.scene
+        if titles != self._titles:
+            self._titles = titles
+            chosen = str(scene.piece.currentData()), str(scene.bottom.currentData())
+            scene.show_catalogue(*titles, chosen)
 
     # -- orders -----------------------------------------------------------------------------------
 

@@ -202,9 +202,11 @@ class OperateWorkspace(Workspace):
         self.page.show_waiting(why)
 
     def enter(self) -> None:
-        """Show the model in use, which may have changed."""
+        """Show the model in use and the known pieces, which may have changed."""
         if self.probe is not None:
             self.probe.show_model()
+        if self.hand is not None:
+            self.hand.show_pieces()
 
     def leave(self) -> None:
         """End manual motion and disarm the keys."""

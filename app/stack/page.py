@@ -41,6 +41,8 @@ class StackPage(LivePage):
         self.belief, self.legend = self.belief_panel.view, self.belief_panel.legend
         self.run = RunPanel(theme)
         self.score = ScorePanel(theme)
+        self.add_piece = flat_button("Add piece", "Add a piece from a CAD file")
+        self.run.header.addWidget(self.add_piece)
         self.compare = flat_button("Compare", "Compare the strategies on the same seed (Ctrl+D)")
         self.score.header.addWidget(self.compare)
         self.side = SideView(theme)

@@ -19,10 +19,12 @@ from touchdown.app.shell import (
 from touchdown.app.stack.attended import OperatorPromptsPresenter
 from touchdown.app.stack.comparison import ComparisonPresenter
 from touchdown.app.stack.page import StackPage
+from touchdown.app.stack.piece_import import FileDrop, PieceSheet
 from touchdown.app.stack.presenter import StackPresenter, stack_request
 from touchdown.app.stack.side import SideViewPresenter
 from touchdown.backend.bench import Session
 from touchdown.backend.core import Event, Outcome
+from touchdown.backend.geometry import PieceLibrary, load_pieces
 from touchdown.backend.runs import SceneChoice
 from touchdown.widgets.forms import RunForm
 from touchdown.widgets.views import NO_DECISION
@@ -62,6 +64,8 @@ class StackWorkspace(Workspace):
         self.side: SideViewPresenter | None = None
         self.comparison: ComparisonPresenter | None = None
         self.attended: OperatorPromptsPresenter | None = None
+        self.pieces: PieceSheet | None = None
+        self._catalogue: PieceLibrary | None = None
         self._form = RunForm()
         self.commands = (
             WindowCommand("start", "Start stacking", "Ctrl+Return", self._start),
@@ -79,6 +83,7 @@ class StackWorkspace(Workspace):
                 WindowCommand(name, text, key, partial(self._see, outcome))
                 for name, text, key, outcome in SEEN
             ),
+            WindowCommand("piece", "Add a piece from a CAD file", "", self._add_piece),
             WindowCommand("photo", "Add a picture of this trial", "",
                           lambda: self.page.trial.photo.clicked.emit()),
             WindowCommand("fit", "Fit the force and moment ranges", "Ctrl+F",
@@ -90,6 +95,8 @@ class StackWorkspace(Workspace):
         self.page = page = StackPage(self._context.theme)
         page.run.start.clicked.connect(self._start)
         page.compare.clicked.connect(self._compare)
+        page.add_piece.clicked.connect(self._add_piece)
+        FileDrop(page, lambda path: self._piece_sheet().take(path))
         yield
         self.columns = self.lazy_pages = page.columns
 
@@ -103,6 +110,7 @@ class StackWorkspace(Workspace):
         self.comparison = ComparisonPresenter(
             bench, self._context.theme, lambda: stack_request(page.run.form()), presenter.begin
         )
+        self._catalogue = bench.catalogue
         page.run.show_catalogue(*piece_titles(bench.catalogue))
         page.run.show_devices(not bench.simulated)
         page.run.show_form(self._form if bench.simulated else careful_form(self._form, bench.usual))
@@ -135,7 +143,9 @@ class StackWorkspace(Workspace):
             self.attended.take(event)
 
     def close(self) -> None:
-        """End the thread that stores pictures."""
+        """End the threads that store pictures and measure pieces."""
+        if self.pieces is not None:
+            self.pieces.close_worker()
         if self.attended is not None:
             self.attended.close()
 
@@ -169,6 +179,22 @@ class StackWorkspace(Workspace):
     def _compare(self) -> None:
         if self.comparison is not None:
             self.comparison.open(self.page.window())
+
+    def _piece_sheet(self) -> PieceSheet:
+        """Return the sheet that adds a piece, made on first use."""
+        if self.pieces is None:
+            self.pieces = PieceSheet(self.page.window(), self._context.theme, self._piece_added)
+        return self.pieces
+
+    def _add_piece(self) -> None:
+        self._piece_sheet().present()
+
+    def _piece_added(self, name: str) -> None:
+        """Let the new piece be chosen; without a bench, the next one knows it."""
+        if self._catalogue is not None:
+            self._catalogue.add(load_pieces().piece(name))
+            self.page.run.show_catalogue(*piece_titles(self._catalogue))
+        self._context.say(f"Piece '{name}' is added.")
 
     def _on_trial(self, order: Callable[[OperatorPromptsPresenter], None]) -> None:
         if self.attended is not None:

@@ -50,7 +50,10 @@ VERBS = {
 }
 
 # Verbs whose module has another name.
-_MODULES = {"import": "import_", "doctor": "doctor.command", "experiment": "experiment.command"}
+_MODULES = {
+    "import": "import_", "doctor": "doctor.command", "experiment": "experiment.command",
+    "models": "experiment.models",
+}  # fmt: skip
 
 DONE, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 

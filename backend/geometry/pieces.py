@@ -16,7 +16,7 @@ from hashlib import sha256
 from importlib.resources import files
 from math import radians
 from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal, Self, cast
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
@@ -276,15 +276,19 @@ class PieceLibrary:
             raise InputError(f"'{name}' {lack}.", piece.source, f"Use one of: {', '.join(others)}.")
         return piece
 
+    def add(self, piece: Piece) -> None:
+        """Make a piece known that was written while the library is in use."""
+        cast("dict[str, Piece]", self.pieces)[piece.name] = piece
+
     @property
     def tops(self) -> tuple[str, ...]:
         """Names of the pieces that can be grasped."""
-        return tuple(sorted(n for n, p in self.pieces.items() if "top" in p.roles))
+        return tuple(sorted(n for n, p in list(self.pieces.items()) if "top" in p.roles))
 
     @property
     def bottoms(self) -> tuple[str, ...]:
         """Names of the pieces that can carry another."""
-        return tuple(sorted(n for n, p in self.pieces.items() if "bottom" in p.roles))
+        return tuple(sorted(n for n, p in list(self.pieces.items()) if "bottom" in p.roles))
 
 
 def load_pieces(folder: Path | None = None) -> PieceLibrary:

@@ -1,6 +1,7 @@
 from .collect_form import TargetButtons as TargetButtons
 from .collect_form import TargetForm as TargetForm
 from .collect_form import TargetPanel as TargetPanel
+from .fields import FormFields as FormFields
 from .fields import decimal_box as decimal_box
 from .fields import field_label as field_label
 from .fields import inset_spin_boxes as inset_spin_boxes
@@ -34,6 +35,7 @@ __all__ = [
     "LABEL_TITLES",
     "STRATEGIES",
     "ChoiceBar",
+    "FormFields",
     "GripperPanel",
     "JogPad",
     "JogUnit",

@@ -1,0 +1,240 @@
+"""Sheet that adds a piece from a CAD file, by choosing or dropping the file."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import get_args
+
+from PySide6.QtCore import QEvent, QObject, QRectF, QTimer
+from PySide6.QtGui import QDragEnterEvent, QDropEvent, QPainter, QPaintEvent
+from PySide6.QtSvg import QSvgRenderer
+from PySide6.QtWidgets import QComboBox, QLineEdit, QPushButton, QWidget
+
+from touchdown.app.shell import BenchSheet, MainThreadQueue, SaveWorker, ask_path
+from touchdown.backend.core import InputError
+from touchdown.backend.geometry import (
+    PIECE_SOURCES,
+    UNITS_MM,
+    MeasuredPiece,
+    PieceEnd,
+    PieceImport,
+    measure_piece,
+    piece_name,
+    piece_svg,
+    save_piece,
+)
+from touchdown.widgets.base import DrawnView, Theme, hbox, label, set_property
+from touchdown.widgets.forms import FormFields, decimal_box, set_entries
+
+MEASURE_AFTER_MS = 300  # pause after an edit before the file is measured again
+ROLES = (("top", "is grasped"), ("bottom", "is stacked upon"), ("both", "both"))
+UNITS = (("", "as in the file, or mm"), *((unit, unit) for unit in UNITS_MM))
+DRAWN = "drawing"  # face of a file that holds only an outline
+FACES = (*((end, end) for end in get_args(PieceEnd)), (DRAWN, "drawn outline"))
+NO_FILE = "Choose a mesh (STL, OBJ, PLY, OFF) or an outline (SVG, DXF), or drop one here."
+
+
+class FileDrop(QObject):
+    """Accepts one dropped CAD file on a widget; ``take`` gets its path."""
+
+    def __init__(self, widget: QWidget, take: Callable[[Path], None]) -> None:
+        super().__init__(widget)
+        self._take = take
+        widget.setAcceptDrops(True)
+        widget.installEventFilter(self)
+
+    def eventFilter(self, watched: QObject, event: QEvent) -> bool:
+        """Accept a drag of one CAD file, and take it when it is dropped."""
+        if isinstance(event, QDragEnterEvent | QDropEvent):
+            paths = [Path(url.toLocalFile()) for url in event.mimeData().urls()]
+            if len(paths) == 1 and paths[0].suffix.lower() in PIECE_SOURCES:
+                event.acceptProposedAction()
+                if event.type() is QEvent.Type.Drop:
+                    self._take(paths[0])
+                return True
+        return super().eventFilter(watched, event)
+
+
+class PiecePicture(DrawnView):
+    """Picture of a measured piece, in the colours of the theme."""
+
+    def __init__(self, theme: Theme) -> None:
+        super().__init__(theme, "Picture of the piece", (220, 220), (300, 300))
+        self._piece: MeasuredPiece | None = None
+        self._title = ""
+
+    def show_piece(self, piece: MeasuredPiece | None, title: str) -> None:
+        """Show a piece, or nothing."""
+        self._piece, self._title = piece, title
+        self.update()
+
+    def paintEvent(self, _event: QPaintEvent) -> None:
+        """Draw the picture, as large as fits."""
+        painter = QPainter(self)
+        painter.fillRect(self.rect(), self._theme.tokens.colour("bg"))
+        if self._piece is None:
+            return
+        tokens = self._theme.tokens
+        svg = QSvgRenderer(piece_svg(self._piece, self._title, tokens.text, tokens.bg).encode())
+        size = svg.viewBoxF().size()
+        share = min(self.width() / size.width(), self.height() / size.height())
+        wide, high = share * size.width(), share * size.height()
+        x, y = (self.width() - wide) / 2, (self.height() - high) / 2
+        svg.render(painter, QRectF(x, y, wide, high))
+
+
+class PieceSheet(BenchSheet):
+    """Sheet with file, numbers and picture of a new piece; ``added`` gets its name.
+
+    The file is measured on a thread of its own.
+    """
+
+    def __init__(self, parent: QWidget, theme: Theme, added: Callable[[str], None]) -> None:
+        super().__init__(parent, "Add a piece")
+        self._added = added
+        self._path: Path | None = None
+        self._measured: MeasuredPiece | None = None
+        self._main_thread = MainThreadQueue(self)
+        self._worker: SaveWorker | None = None
+        self._asked = 0  # number of the newest measurement
+        self._delay = QTimer(self, interval=MEASURE_AFTER_MS, singleShot=True)
+        self._delay.timeout.connect(self.measure)
+        self.choose = QPushButton("Choose a file\N{HORIZONTAL ELLIPSIS}")
+        self.add = QPushButton("Add piece")
+        self.add.setProperty("role", "primary")
+        self.file, self.said = label(NO_FILE, wrap=True), label("", "small", wrap=True)
+        self.picture = PiecePicture(theme)
+        self.name, self.face, self.role, self.units = (
+            QLineEdit(), QComboBox(), QComboBox(), QComboBox()
+        )  # fmt: skip
+        self.density, self.mass = decimal_box(0.0, 25.0), decimal_box(0.0, 10_000.0)
+        self.height, self.grip = decimal_box(0.0, 300.0), decimal_box(0.0, 300.0)
+        for combo, entries in ((self.face, FACES), (self.role, ROLES), (self.units, UNITS)):
+            set_entries(combo, entries)
+            combo.currentIndexChanged.connect(self._delay.start)
+        for box, auto in ((self.mass, "by density"), (self.height, "measured"),
+                          (self.grip, "0.7 of the height")):  # fmt: skip
+            box.setSpecialValueText(auto)
+        self.density.setValue(1.24)
+        for box in (self.density, self.mass, self.height, self.grip):
+            box.valueChanged.connect(self._delay.start)
+        self.choose.clicked.connect(self._ask_file)
+        self.add.clicked.connect(self._save)
+        FileDrop(self, self.take)
+        self._arrange()
+        self._show(None, "")
+
+    def take(self, path: Path) -> None:
+        """Measure a file with the present numbers."""
+        self._path = path
+        self.file.setText(path.name)
+        self.file.setToolTip(str(path))
+        self.name.setText(piece_name(path))
+        drawn = path.suffix.lower() in (".svg", ".dxf")
+        if drawn is not (self.face.currentData() == DRAWN):
+            self.face.setCurrentIndex(self.face.findData(DRAWN if drawn else "bottom"))
+        self.present()
+        self.measure()
+
+    def measure(self) -> None:
+        """Measure the file on the thread; a newer measurement replaces an older one."""
+        self._delay.stop()
+        if self._path is None:
+            return
+        self._asked += 1
+        self._show(None, "Measuring\N{HORIZONTAL ELLIPSIS}")
+        work = partial(measure_piece, self._path, self._wanted())
+        self._submit(work, partial(self._measurement, self._asked))
+
+    def close_worker(self) -> None:
+        """End the thread."""
+        if self._worker is not None:
+            self._worker.close()
+            self._worker = None
+        self._main_thread.close()
+
+    # -- inside -----------------------------------------------------------------------------------
+
+    def _arrange(self) -> None:
+        fields = FormFields(
+            12, 6, face=self.face, role=self.role, units=self.units, density=self.density,
+            mass=self.mass, height=self.height, grip=self.grip,
+        )  # fmt: skip
+        fields.add_wide(
+            0,
+            ("Name", self.name, "Small letters, digits, '-' and '_'"),
+            ("Face", self.face, "Side of the mesh that is the contact face"),
+            ("Role", self.role, "The piece is grasped and placed, or stacked upon"),
+            ("Unit", self.units, "Length unit of the file"),
+            ("Density, g/cm³", self.density, "Uniform density, such as 1.24 of PLA"),
+            ("Mass, g", self.mass, "Mass of a weighed piece, instead of the density"),
+            ("Height, mm", self.height, "Height over a drawn outline"),
+            ("Grip, mm", self.grip, "Height of the grip above the face"),
+        )
+        left = QWidget()
+        left.setLayout(fields)
+        self.arrange(
+            hbox(self.choose, (self.file, 1)), hbox((left, 1), (self.picture, 1), spacing=14),
+            self.said, foot=(self.add,), spacing=10,
+        )  # fmt: skip
+        self.resize_to_em(46, 30)
+
+    def _wanted(self) -> PieceImport:
+        drawn, mass = self.face.currentData() == DRAWN, self.mass.value() or None
+        role = self.role.currentData()
+        return PieceImport(
+            end=None if drawn else self.face.currentData(),
+            role=role,
+            unit=self.units.currentData() or None,
+            density_g_cm3=None if mass else self.density.value(),
+            mass_g=mass,
+            height_mm=self.height.value() or None,
+            grip_mm=None if role == "bottom" else self.grip.value() or None,
+        )
+
+    def _ask_file(self) -> None:
+        kinds = " ".join(f"*{kind}" for kind in PIECE_SOURCES)
+        start = None if self._path is None else self._path.parent
+        ask_path(
+            self, "CAD file of the piece", self.take, start=start, names=f"CAD files ({kinds})"
+        )
+
+    def _submit(self, work: Callable[[], object], done: Callable[[object], None]) -> None:
+        if self._worker is None:
+            self._worker = SaveWorker(self._main_thread, "piece-import")
+        self._worker.submit(work, done, partial(self._failed, self._asked))
+
+    def _measurement(self, number: int, measured: object) -> None:
+        if number == self._asked and isinstance(measured, MeasuredPiece):
+            x, y, z = measured.com_mm
+            words = (
+                f"Face {measured.face.area:.1f} mm², height {measured.height_mm:.2f} mm, volume "
+                f"{1e-3 * measured.volume_mm3:.2f} cm³, mass {measured.mass_g:.1f} g, centre of "
+                f"mass {x:.2f}, {y:.2f}, {z:.2f} mm."
+            )
+            self._show(measured, " ".join((words, *measured.notes)))
+
+    def _failed(self, number: int, error: Exception) -> None:
+        if number == self._asked:
+            words = f"{error.what} {error.fix}" if isinstance(error, InputError) else str(error)
+            self._show(None, words, bad=True)
+
+    def _show(self, measured: MeasuredPiece | None, words: str, *, bad: bool = False) -> None:
+        self._measured = measured
+        self.add.setEnabled(measured is not None)
+        self.picture.show_piece(measured, self.name.text())
+        self.said.setText(words)
+        set_property(self.said, "tone", "bad" if bad else "")
+
+    def _save(self) -> None:
+        name = self.name.text().strip()
+        if self._measured is not None:
+            work = partial(save_piece, self._measured, name)
+            self._submit(work, lambda _: self._saved(name))
+
+    def _saved(self, name: str) -> None:
+        self._show(None, f"'{name}' is added.")
+        self._added(name)
+        self.close()

@@ -43,6 +43,7 @@ LEAST_AREA_MM2 = 1.0  # of a face, and of its parts
 LEAST_HOLE_MM2 = 0.05
 MIN_CIRCLE_CORNERS, CIRCLE_MM = 20, 0.01  # corners of a circle, and spread of their radii
 PAD_MM = 10.0  # half width of a pad along x
+PICTURE_PX = 480
 GRIP_OFF_MM = 0.5  # largest offset of the grip along y without a note
 GRIP_SHARE = 0.7  # usual height of the grip as a share of the height
 MAX_SEARCHED = 200_000  # triangles of a mesh that is searched for self-intersections
@@ -536,49 +537,47 @@ def piece_svg(
     if piece.grip_y_mm is not None:
         y_low, y_high = min(y_low, piece.grip_y_mm[0]), max(y_high, piece.grip_y_mm[1])
         x_low, x_high = min(x_low, -PAD_MM), max(x_high, PAD_MM)
-    size = max(x_high - x_low, y_high - y_low)
-    edge, line, text = 0.12 * size, 0.006 * size, 0.045 * size
-    left, top = x_low - edge, -y_high - edge
-    width, height = x_high - x_low + 2 * edge, y_high - y_low + 2 * edge + 5.5 * text
-    bar = next(b for b in (100.0, 50.0, 20.0, 10.0, 5.0, 2.0, 1.0) if b <= 0.6 * size)
-    x, y, z = piece.com_mm
-    cross, foot = 0.03 * size, -y_low + edge + text
-    pads = "".join(f"M{-PAD_MM:.3f} {-at:.3f}H{PAD_MM:.3f}" for at in piece.grip_y_mm or ())
+    size_mm = max(x_high - x_low, y_high - y_low)
+    px, edge = PICTURE_PX * 0.84 / size_mm, 0.08 * PICTURE_PX
+
+    def at(x_mm: float, y_mm: float) -> str:
+        middle = (x_high + x_low) / 2
+        return f"{PICTURE_PX / 2 + px * (x_mm - middle):.2f} {edge + px * (y_high - y_mm):.2f}"
+
+    def path(face: shapely.MultiPolygon | None, style: str) -> str:
+        rings = [] if face is None else [r for p in face.geoms for r in (p.exterior, *p.interiors)]
+        data = "".join(f"M{'L'.join(at(*c) for c in ring.coords[:-1])}Z" for ring in rings)
+        return f'<path d="{data}" {style}/>' if data else ""
+
+    def text(x: float, y: float, words: str) -> str:
+        return f'<text x="{x:.1f}" y="{y:.1f}">{escape(words)}</text>'
+
+    x, y, z = (round(value, 2) + 0.0 for value in piece.com_mm)
+    foot = edge + px * (y_high - y_low) + 28
+    bar_mm = next(b for b in (100.0, 50.0, 20.0, 10.0, 5.0, 2.0, 1.0) if b <= 0.6 * size_mm)
+    pads = "".join(
+        f'<path d="M{at(-PAD_MM, y_mm)}L{at(PAD_MM, y_mm)}" stroke="#8a8f98" stroke-width="6"/>'
+        for y_mm in piece.grip_y_mm or ()
+    )
     grip = "" if piece.width_mm is None else f"grip {piece.width_mm:.1f} mm wide, "
     words = (
         f"{title}: {piece.height_mm:.1f} mm high, {piece.mass_g:.1f} g",
         f"{grip}face {piece.face.area:.1f} mm²",
         f"centre of mass {x:.2f}, {y:.2f} mm, {z:.2f} mm above the underside",
     )
-    lines = "".join(
-        f'<text x="{left + text:.3f}" y="{foot + (1.4 * i + 1.6) * text:.3f}" '
-        f'font-size="{0.8 * text:.3f}" font-family="sans-serif" fill="{ink}">{escape(word)}</text>'
-        for i, word in enumerate(words)
-    )
+    dashed = 'stroke-dasharray="8"'
+    face = 'fill="#4c8bd6" fill-opacity="0.45" fill-rule="evenodd"'
     return (
-        f'<svg xmlns="http://www.w3.org/2000/svg" width="480" height="{480 * height / width:.0f}" '
-        f'viewBox="{left:.3f} {top:.3f} {width:.3f} {height:.3f}">'
-        f'<rect x="{left:.3f}" y="{top:.3f}" width="{width:.3f}" height="{height:.3f}" '
-        f'fill="{paper}"/>'
-        f'<g fill="none" stroke="{ink}" stroke-width="{line:.3f}">'
-        f'<path d="{_path(piece.face)}" fill="#4c8bd6" fill-opacity="0.45" fill-rule="evenodd"/>'
-        f'<path d="{_path(piece.opposite)}" stroke-dasharray="{4 * line:.3f}"/>'
-        f'<path d="{pads}" stroke="#8a8f98" stroke-width="{3 * line:.3f}"/>'
-        f'<path d="M{x - cross:.3f} {-y:.3f}h{2 * cross:.3f}'
-        f'M{x:.3f} {-y - cross:.3f}v{2 * cross:.3f}" '
-        f'stroke="#d6453d" stroke-width="{1.6 * line:.3f}"/>'
-        f'<path d="M{left + text:.3f} {foot:.3f}h{bar:.3f}" stroke-width="{2 * line:.3f}"/></g>'
-        f'<text x="{left + 1.5 * text + bar:.3f}" y="{foot + 0.3 * text:.3f}" '
-        f'font-size="{0.8 * text:.3f}" font-family="sans-serif" fill="{ink}">{bar:g} mm</text>'
-        f"{lines}</svg>\n"
-    )
-
-
-def _path(face: shapely.MultiPolygon | None) -> str:
-    """Return the path of a face, y up."""
-    rings = [] if face is None else [r for p in face.geoms for r in (p.exterior, *p.interiors)]
-    return "".join(
-        "M" + "L".join(f"{x:.3f} {-y:.3f}" for x, y in ring.coords[:-1]) + "Z" for ring in rings
+        f'<svg xmlns="http://www.w3.org/2000/svg" width="{PICTURE_PX}" height="{foot + 76:.0f}" '
+        f'viewBox="0 0 {PICTURE_PX} {foot + 76:.0f}">'
+        f'<rect width="{PICTURE_PX}" height="{foot + 76:.0f}" fill="{paper}"/>'
+        f'<g fill="none" stroke="{ink}" stroke-width="2">{path(piece.face, face)}'
+        f"{path(piece.opposite, dashed)}{pads}"
+        f'<path d="M{at(x, y)}m-12 0h24m-12 -12v24" stroke="#d6453d" stroke-width="3"/>'
+        f'<path d="M16 {foot:.1f}h{px * bar_mm:.2f}" stroke-width="4"/></g>'
+        f'<g font-family="sans-serif" font-size="14" fill="{ink}">'
+        f"{text(24 + px * bar_mm, foot + 5, f'{bar_mm:g} mm')}"
+        f"{''.join(text(16, foot + 26 + 20 * i, word) for i, word in enumerate(words))}</g></svg>\n"
     )
 
 

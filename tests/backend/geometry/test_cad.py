@@ -348,3 +348,24 @@ def test_names_of_files_become_names_of_pieces():
     assert [piece_name(cad.Path(p)) for p in ("a/My Part (2).STL", "2.stl", "ÄÖ.stl")] == [
         "my-part-2", "piece-2", "piece",
     ]  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", ["ring", "l", "feet"])
+def test_faces_with_holes_and_parts_are_read_back_as_they_were_measured(stl, tmp_path, kind):
+    triangles = {
+        "ring": lambda: prism(turning(12, 40), 20.0, turning(5, 40)),
+        "l": lambda: prism(L_BLOCK, 20.0),
+        "feet": lambda: np.concatenate([
+            *(prism([(x, 0), (x + 6, 0), (x + 6, 20), (x, 20)], 5.0) for x in (0, 24)),
+            prism([(0, 0), (30, 0), (30, 20), (0, 20)], 20.0, at=5.0),
+        ]),
+    }[kind]()  # fmt: skip
+    measured = measure_piece(stl(triangles), PLA)
+    written, _ = save_piece(measured, "part", folder=tmp_path / "own")
+    piece = load_pieces(tmp_path / "own").top("part")
+    assert written.exists()
+    assert piece.face.area_mm2 == pytest.approx(measured.face.area, abs=0.01)
+    rng = np.random.default_rng(3)
+    points = rng.uniform(-25, 25, (300, 2))
+    inside = [measured.face.contains(cad.shapely.Point(p)) for p in points]
+    assert piece.face.contains(points).tolist() == inside

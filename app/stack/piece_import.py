@@ -109,16 +109,16 @@ class PieceSheet(BenchSheet):
         self.name, self.face, self.role, self.units = (
             QLineEdit(), QComboBox(), QComboBox(), QComboBox()
         )  # fmt: skip
-        self.density, self.mass = decimal_box(0.0, 25.0), decimal_box(0.0, 10_000.0)
-        self.height, self.grip = decimal_box(0.0, 300.0), decimal_box(0.0, 300.0)
+        self.density, self.mass_g = decimal_box(0.0, 25.0), decimal_box(0.0, 10_000.0)
+        self.height_mm, self.grip_mm = decimal_box(0.0, 300.0), decimal_box(0.0, 300.0)
         for combo, entries in ((self.face, FACES), (self.role, ROLES), (self.units, UNITS)):
             set_entries(combo, entries)
             combo.currentIndexChanged.connect(self._delay.start)
-        for box, auto in ((self.mass, "by density"), (self.height, "measured"),
-                          (self.grip, "0.7 of the height")):  # fmt: skip
+        for box, auto in ((self.mass_g, "by density"), (self.height_mm, "measured"),
+                          (self.grip_mm, "0.7 of the height")):  # fmt: skip
             box.setSpecialValueText(auto)
         self.density.setValue(1.24)
-        for box in (self.density, self.mass, self.height, self.grip):
+        for box in (self.density, self.mass_g, self.height_mm, self.grip_mm):
             box.valueChanged.connect(self._delay.start)
         self.choose.clicked.connect(self._ask_file)
         self.add.clicked.connect(self._save)
@@ -160,7 +160,7 @@ class PieceSheet(BenchSheet):
     def _arrange(self) -> None:
         fields = FormFields(
             12, 6, face=self.face, role=self.role, units=self.units, density=self.density,
-            mass=self.mass, height=self.height, grip=self.grip,
+            mass=self.mass_g, height=self.height_mm, grip=self.grip_mm,
         )  # fmt: skip
         fields.add_wide(
             0,
@@ -169,9 +169,9 @@ class PieceSheet(BenchSheet):
             ("Role", self.role, "The piece is grasped and placed, or stacked upon"),
             ("Unit", self.units, "Length unit of the file"),
             ("Density, g/cm³", self.density, "Uniform density, such as 1.24 of PLA"),
-            ("Mass, g", self.mass, "Mass of a weighed piece, instead of the density"),
-            ("Height, mm", self.height, "Height over a drawn outline"),
-            ("Grip, mm", self.grip, "Height of the grip above the face"),
+            ("Mass, g", self.mass_g, "Mass of a weighed piece, instead of the density"),
+            ("Height, mm", self.height_mm, "Height over a drawn outline"),
+            ("Grip, mm", self.grip_mm, "Height of the grip above the face"),
         )
         left = QWidget()
         left.setLayout(fields)
@@ -182,7 +182,7 @@ class PieceSheet(BenchSheet):
         self.resize_to_em(46, 30)
 
     def _wanted(self) -> PieceImport:
-        drawn, mass = self.face.currentData() == DRAWN, self.mass.value() or None
+        drawn, mass = self.face.currentData() == DRAWN, self.mass_g.value() or None
         role = self.role.currentData()
         return PieceImport(
             end=None if drawn else self.face.currentData(),
@@ -190,8 +190,8 @@ class PieceSheet(BenchSheet):
             unit=self.units.currentData() or None,
             density_g_cm3=None if mass else self.density.value(),
             mass_g=mass,
-            height_mm=self.height.value() or None,
-            grip_mm=None if role == "bottom" else self.grip.value() or None,
+            height_mm=self.height_mm.value() or None,
+            grip_mm=None if role == "bottom" else self.grip_mm.value() or None,
         )
 
     def _ask_file(self) -> None:

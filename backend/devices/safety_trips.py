@@ -11,7 +11,7 @@ whose force falls, are losing it. A width that is not finite or impossible is ig
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import astuple
 from typing import Protocol, runtime_checkable
 
@@ -210,6 +210,7 @@ def _commanded(
 
 # Time without a reading after which a gripper with a piece is late, and after which it is a fault.
 GRIP_LATE_S, GRIP_LOST_S = 0.3, 1.0
+ARM_LOST_S = 1.0  # the same for the positions of an arm that may be moved
 GRACE_S = 1.0  # time for the first samples after the start of a scene
 
 
@@ -237,9 +238,10 @@ class Supervision:
         arm: GuardedArm | None = None,
     ) -> None:
         """Restart for a new scene. ``gripper`` is monitored while it holds a piece; ``wrist``
-        reports its usual rate as the field ``usual_hz``; ``arm`` is monitored while it moves.
+        reports its usual rate as the field ``usual_hz``; ``arm`` is monitored while it moves or
+        may be moved.
         """
-        self._gripper, self._wrist = gripper, wrist
+        self._gripper, self._wrist, self._arm = gripper, wrist, arm
         self._stall = StallMonitor(arm)
         self._grip = GripMonitor(gripper)
         self._begun_s = self._finite_s = now_s
@@ -330,6 +332,7 @@ class Supervision:
         for fault, one in self._check_grip(now_s):
             stale.extend(filter(None, (fault,)))
             late.append(one)
+        stale.extend(self._check_arm(now_s, explained))
         self._show(tuple(late), now_s)
         for fault in stale:
             self._interlock.raise_fault(fault)
@@ -346,6 +349,17 @@ class Supervision:
             lost = now_s - last_s > GRIP_LOST_S
             fault = stale_fault("gripper", now_s - last_s) if lost else None
             yield fault, DegradedDevice("gripper", "silent", last_s)
+
+    def _check_arm(self, now_s: float, explained: Collection[str]) -> Iterator[Fault]:
+        """Yield the fault of an arm that may be moved and has told no position for a while."""
+        if self._arm is None or "arm" in explained or not self._interlock.has_lease(now_s):
+            return
+        try:
+            self._arm.pose(ARM_LOST_S)
+        except StaleSampleError:
+            yield stale_fault("arm", ARM_LOST_S)
+        except FaultError:
+            return  # the link to the arm has reported why
 
     def _show(self, late: tuple[DegradedDevice, ...], now_s: float) -> None:
         self.degraded = late

@@ -208,10 +208,13 @@ def _equal(one: ImageArray, other: ImageArray) -> bool:
 
 
 def stale_fault(device: str, age_s: float) -> Fault:
-    """Return the fault of a sensor whose newest valid sample is ``age_s`` old."""
+    """Return the fault of a device whose newest valid sample is ``age_s`` old."""
     if device == "force_torque":
         what = f"The force/torque sensor has sent no valid sample for {age_s:.1f} s."
         return Fault("FT-STALE", what, MOTION_STOPPED, CHECK_DEVICE, device)
+    if device == "arm":
+        what = f"The arm has reported no position for {age_s:.1f} s."
+        return Fault("ARM-STALE", what, MOTION_STOPPED, CHECK_DEVICE, device)
     what = f"The {NAMES[device]} has been silent for {age_s:.1f} s."
     if device == "gripper":
         return Fault("GRIP-STALE", f"{what} It held a piece.", MOTION_STOPPED, CHECK_DEVICE, device)

@@ -8,7 +8,15 @@ import numpy as np
 import pytest
 
 from touchdown.backend.config.hardware import ForceTorqueSettings, HardwareSettings
-from touchdown.backend.core import FINGERS, Pose, RefusedError, SampleStream, Stream, TactileFrame
+from touchdown.backend.core import (
+    FINGERS,
+    Pose,
+    RefusedError,
+    SampleStream,
+    StaleSampleError,
+    Stream,
+    TactileFrame,
+)
 from touchdown.backend.devices.cameras.frames import dark_fault
 from touchdown.backend.devices.dynpick.driver import DynpickDriver
 from touchdown.backend.devices.dynpick.emulator import EmulatedDynpick
@@ -246,6 +254,13 @@ class CommandedArm:
         return self.force_n
 
 
+class SilentArm(CommandedArm):
+    """An arm without a position."""
+
+    def pose(self, max_age_s: float) -> Pose:
+        raise StaleSampleError("arm: no sample yet")
+
+
 @pytest.mark.promise("R16")
 @pytest.mark.parametrize(
     ("step", "turn", "stalled"), [(0.0, 0.0, True), (0.002, 0.0, False), (0.0, 1e-4, False)]
@@ -293,6 +308,19 @@ def test_a_slow_motion_is_no_stall(
         bench.run(0.02)
     assert bench.codes() == ([] if within_s is None else [("ARM-STALLED", "arm")])
     assert within_s is None or bench.now_s - begun_s <= within_s
+
+
+@pytest.mark.promise("R5")
+@pytest.mark.parametrize("leased", [True, False])
+def test_a_silent_arm_is_named_while_it_may_be_moved(leased: bool) -> None:
+    bench, arm = SupervisionWatched(), SilentArm()
+    bench.supervision.begin(bench.now_s, arm=arm)
+    until_s = bench.now_s + GRACE_S + 0.1
+    while bench.now_s < until_s:
+        if leased:
+            bench.interlock.renew_lease(bench.now_s)
+        bench.run(0.02)
+    assert bench.codes() == ([("ARM-STALE", "arm")] if leased else [])
 
 
 def test_an_arm_may_stand_after_its_motion() -> None:

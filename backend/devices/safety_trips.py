@@ -143,6 +143,7 @@ def _lost_fault(what: str) -> Fault:
 # force changes by this, and if this share of the commanded way is more than that.
 STALLED_S, STALLED_MM, STALLED_RAD, STALLED_N = 1.0, 0.05, 1e-3, 0.3
 STALLED_SHARE = 0.25
+CHECKED_S = 0.1  # longest time between two checks that counts
 LEAST_MOTION = (STALLED_MM, STALLED_RAD, STALLED_N)
 
 
@@ -161,6 +162,8 @@ class StallMonitor:
     def check(self, now_s: float) -> Fault | None:
         """Return the fault of an arm that does not move, once; otherwise None."""
         arm, passed_s, self._checked_s = self._arm, now_s - self._checked_s, now_s
+        # While this process did not run, it commanded no motion either.
+        passed_s = min(passed_s, CHECKED_S)
         motion = None if arm is None else arm.commanded
         if arm is None or motion is None or motion.done:
             self._begin(self._place)

@@ -323,6 +323,16 @@ def test_a_silent_arm_is_named_while_it_may_be_moved(leased: bool) -> None:
     assert bench.codes() == ([("ARM-STALE", "arm")] if leased else [])
 
 
+def test_time_without_a_check_is_no_stall() -> None:
+    bench, arm = SupervisionWatched(), CommandedArm()
+    bench.supervision.begin(bench.now_s, arm=arm)
+    arm.commanded = CommandedMotion({})
+    bench.run(0.4)
+    bench.now_s += 2.0
+    bench.run(0.4)
+    assert "ARM-STALLED" not in [code for code, _ in bench.codes()]
+
+
 def test_an_arm_may_stand_after_its_motion() -> None:
     bench, arm = SupervisionWatched(), CommandedArm()
     bench.supervision.begin(bench.now_s, arm=arm)

@@ -177,6 +177,8 @@ class PolicySettings(Settings):
     # Without confident support, or when stalled [U].
     fallback: Literal["best-cells", "spiral", "stop"] = "best-cells"
     max_probes: Annotated[int, Field(ge=1, le=1000)] = 8  # give up after this many probes [U]
+    # Release only after this many probes at different places [U]; 1 in the paper.
+    least_probes: Annotated[int, Field(ge=1, le=1000)] = 1
 
 
 class ZeroWrenchSettings(Settings):
@@ -203,6 +205,13 @@ class FusedSettings(Settings):
     risk: Probability = 0.07
     # Smallest distance of the centre of mass from the edge of the support [U].
     inset_mm: Annotated[float, Field(ge=0, le=50)] = 0.25
+    # A probe replaces former ones within this distance; 0: the network reads all [U].
+    merge_mm: Annotated[float, Field(ge=0, le=50)] = 0.0
+    # Largest standard deviation of the inset at a release; 0: no limit [U].
+    largest_sd_mm: Annotated[float, Field(ge=0, le=50)] = 0.0
+    # Release only if the centre of mass lies within the hull of the measured centres of pressure,
+    # by twice this standard deviation; for convex faces; 0: not required [U].
+    pressure_sd_mm: Annotated[float, Field(ge=0, le=50)] = 0.0
 
 
 class ReleaseSettings(Settings):

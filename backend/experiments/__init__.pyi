@@ -52,6 +52,8 @@ from .strategies import BOTTOMS as BOTTOMS
 from .strategies import STRATEGIES as STRATEGIES
 from .strategies import ClosedLoopComparison as ClosedLoopComparison
 from .strategies import StaticComparison as StaticComparison
+from .strategies import base_strategy as base_strategy
+from .strategies import method_of as method_of
 from .tables import BEYOND_FORMAT as BEYOND_FORMAT
 from .tables import PIECES as PIECES
 from .tables import SCALES as SCALES
@@ -92,6 +94,7 @@ __all__ = [
     "StrategyComparison",
     "TableEntry",
     "adopt_models",
+    "base_strategy",
     "batch_plan",
     "change_rows",
     "compare_intervals",
@@ -100,6 +103,7 @@ __all__ = [
     "keep_models",
     "load_model",
     "merged_oracle_shares",
+    "method_of",
     "oracle_share_table",
     "pieces_of",
     "press_rows",

@@ -3,7 +3,8 @@
 The oracle share is the improvement of a strategy over the paper's method, relative to that of the
 oracle. One oracle knows the outline of the bottom, the other only that it is round. A share counts
 the trials and groups that paper, strategy and oracle have in common. A paired change is the
-difference of a strategy to the paper's method on common seeds. Intervals are a bootstrap over seeds
+difference of a strategy to the paper's method on common seeds; a strategy with settings in its name
+is compared with the same strategy without them. Intervals are a bootstrap over seeds
 within each cell, all strategies always drawn together (Efron and Tibshirani, An Introduction to the
 Bootstrap, 1993, ch. 13). A seed is one mounting in closed loops, a job of two mountings in groups.
 """
@@ -33,6 +34,7 @@ from touchdown.backend.experiments.strategies import (
     Cell,
     ClosedLoopComparison,
     StaticComparison,
+    base_strategy,
     parse_trials,
     parse_verdicts,
 )
@@ -74,57 +76,70 @@ def oracle_shares(
 def paired_changes(
     trials: Mapping[Cell, Sequence[Json]], answers: Mapping[Cell, Mapping[int, Json]]
 ) -> list[Json]:
-    """Return one row per strategy and quantity: its ``change`` from the paper on common seeds.
+    """Return one row per strategy and quantity: its ``change`` from a reference on common seeds.
 
-    ``only_paper`` and ``only_own`` count the trials with this result under one of both strategies.
-    The interval is None if no seed differs.
+    ``reference``: the paper's strategy, or that without the settings in the name; its value is
+    ``paper``. ``only_paper`` and ``only_own`` count the trials with this result under one of both
+    strategies; ``p``: two-sided exact test on them (McNemar). If no trial differs, the interval is
+    the exact bound of the share of trials that do.
     """
     rows = []
     by_seed = {cell: {t["seed"]: t for t in some} for cell, some in trials.items()}
-    for name in _others(by_seed):
-        pairs = _shared(by_seed, (PAPER, name))
+    for name, reference in _compared_names(by_seed):
+        pairs = _shared(by_seed, (reference, name))
         for what, outcomes in OUTCOME_QUANTITIES:
             counts = _counted(pairs, lambda t, among=outcomes: (float(t["outcome"] in among), 1.0))  # type: ignore[misc]
-            rows += _change(name, what, counts, _mean, trials=True)
-    for name in _others(answers):
-        pairs = _shared(answers, (PAPER, name))
+            rows += _change((name, reference), what, counts, _mean, trials=True)
+    for name, reference in _compared_names(answers):
+        pairs = _shared(answers, (reference, name))
         for n in map(str, PROBE_COUNTS):
             counts = _counted(pairs, lambda answer, n=n: _verdicts(answer, n))  # type: ignore[misc]
-            rows += _change(name, f"right, n = {n}", counts, _right)
-            rows += _change(name, f"balanced, n = {n}", counts, _balanced)
+            rows += _change((name, reference), f"right, n = {n}", counts, _right)
+            rows += _change((name, reference), f"balanced, n = {n}", counts, _balanced)
     return rows
 
 
-def _others(found: Mapping[Cell, Any]) -> list[str]:
-    """Return the strategies to compare with the paper's."""
+def _compared_names(found: Mapping[Cell, Any]) -> list[tuple[str, str]]:
+    """Return the strategies to compare, each with its reference."""
     names = dict.fromkeys(strategy for strategy, _, _ in found)
-    return [name for name in names if name != PAPER] if PAPER in names else []
+    references = {n: base_strategy(n) if base_strategy(n) != n else PAPER for n in names}
+    return [(n, r) for n, r in references.items() if n != PAPER and r in names]
 
 
 def _change(
-    name: str,
+    names: tuple[str, str],
     what: str,
     counts: Sequence[FloatArray],
     value: Callable[[FloatArray], FloatArray],
     *,
     trials: bool = False,
 ) -> list[Json]:
-    """Return the row of a change, none without common seeds."""
+    """Return the row of a change, none without common seeds; ``names``: strategy, reference."""
     if not counts:
         return []
     every = np.concatenate(counts)
     paper, own = value(every.sum(axis=0)).tolist()
+    name, reference = names
     row: Json = {"strategy": name, "what": what, "n": int(every[:, 0, -1].sum())}
-    row |= {"paper": paper, "own": own, "change": own - paper, "low": None, "high": None}
+    row |= {"reference": reference, "paper": paper, "own": own, "change": own - paper}
+    row |= {"low": None, "high": None}
     if (every[:, 0] != every[:, 1]).any():
         drawn = value(_bootstrap_sums(counts))
         row["low"], row["high"] = np.nanpercentile(
             drawn[:, 1] - drawn[:, 0], INTERVAL_PERCENTILES
         ).tolist()
+    elif trials:
+        row["high"] = rate_interval(0, len(every))[1]
+        row["low"] = -row["high"]
     if trials:
+        # Imported here: the window shows stored comparisons only.
+        from scipy.stats import binomtest
+
         hits = every[..., 0] > 0.0
         row["only_paper"] = int((hits[:, 0] & ~hits[:, 1]).sum())
         row["only_own"] = int((hits[:, 1] & ~hits[:, 0]).sum())
+        apart = row["only_paper"] + row["only_own"]
+        row["p"] = float(binomtest(row["only_own"], apart).pvalue) if apart else 1.0
     return [row]
 
 
@@ -161,7 +176,8 @@ def _compared_pairs(found: Mapping[Cell, Any]) -> list[tuple[str, str]]:
     names = dict.fromkeys(strategy for strategy, _, _ in found)
     if PAPER not in names:
         return []
-    compared = [name for name in names if name not in (PAPER, *ORACLES)]
+    own = (name for name in names if base_strategy(name) == name)
+    compared = [name for name in own if name not in (PAPER, *ORACLES)]
     return [(name, to) for to in ORACLES if to in names for name in compared]
 
 
@@ -329,8 +345,19 @@ def comparison_tables(answer: Mapping[str, Any]) -> list[ReportTable]:
     if answer.get("changes"):
         found.append(
             ReportTable.of_texts(
-                "Change from paper, common seeds; 95 % intervals",
-                ("strategy", "of", "n", "paper %", "own %", "change", "only paper", "only own"),
+                "Change from the reference, common seeds; 95 % intervals",
+                (
+                    "strategy",
+                    "from",
+                    "of",
+                    "n",
+                    "reference %",
+                    "own %",
+                    "change",
+                    "only reference",
+                    "only own",
+                    "p",
+                ),
                 map(_change_row, answer["changes"]),
             )
         )
@@ -385,7 +412,9 @@ def _change_row(row: Json) -> tuple[str, ...]:
         shown += f" ({100 * row['low']:+.1f} to {100 * row['high']:+.1f})"
     only = [str(row.get(key, "")) for key in ("only_paper", "only_own")]
     shares = [_format_percent(row[key]) for key in ("paper", "own")]
-    return row["strategy"], row["what"], str(row["n"]), *shares, shown, *only
+    only.append(f"{row['p']:.2g}" if "p" in row else "")
+    names = row["strategy"], row.get("reference", PAPER)
+    return *names, row["what"], str(row["n"]), *shares, shown, *only
 
 
 def _name(cell: Json) -> str:

@@ -39,12 +39,14 @@ from touchdown.backend.experiments.run_report import FILM_FILE, belief_film
 from touchdown.backend.experiments.statics import (
     SLIPPED_MM,
     ProbeGroups,
+    jig_groups,
     join_groups,
     probe_groups,
     score_fused_verdicts,
     score_patches,
 )
 from touchdown.backend.experiments.strategies import run_closed_loop, run_static_groups
+from touchdown.backend.experiments.tables import PAPER_PROTOCOL
 from touchdown.backend.experiments.trials import (
     SceneSetup,
     pick_and_place_in_lockstep,
@@ -139,26 +141,41 @@ def evaluate_static(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
     p = spec.params
     case = SceneSetup.of_job(p, p["bottom"])
     use_one_thread()
-    seeds = [spec.seed + g for g in range(p["groups"])]
-    chunks = [seeds[k : k + GROUPS_PER_BATCH] for k in range(0, len(seeds), GROUPS_PER_BATCH)]
-    groups = join_groups([probe_groups(case, chunk, p["probes"]) for chunk in chunks])
+    judged = 1
+    if p.get("protocol") == PAPER_PROTOCOL:
+        seeds, size = range(spec.seed, spec.seed + p["mountings"]), GROUPS_PER_BATCH // p["grips"]
+        parts = [jig_groups(case, some, p["grips"], p["probes"]) for some in _chunks(seeds, size)]
+        judged = p["probes"]
+    else:
+        seeds = range(spec.seed, spec.seed + p["groups"])
+        chunks = _chunks(seeds, GROUPS_PER_BATCH)
+        parts = [probe_groups(case, list(some), p["probes"]) for some in chunks]
+    groups = join_groups(parts)
     models = {
-        name: _scores(load_model(source, place.store), case, groups)
+        name: _scores(load_model(source, place.store), case, groups, judged)
         for name, source in sorted(p["models"].items())
     }
-    return {**groups.as_json(case.settings), "models": models}
+    return {**groups.as_json(case.settings, judged), "models": models}
 
 
-def _scores(checkpoint: Checkpoint, case: SceneSetup, groups: ProbeGroups) -> dict[str, Any]:
+def _chunks(seeds: range, size: int) -> list[range]:
+    return [seeds[k : k + size] for k in range(0, len(seeds), size)]
+
+
+def _scores(
+    checkpoint: Checkpoint, case: SceneSetup, groups: ProbeGroups, judged: int
+) -> dict[str, Any]:
     model = batch_model(checkpoint, case.piece)
     probability = groups.predictions(model)
     about = {"weights_sha256": checkpoint.card.weights_sha256}
     if checkpoint.card.answers == "stability":
-        return {**about, "says": {"1": [bool(v) for v in probability[:, 0, 0] > CONTACT_LEVEL]}}
+        stable = (probability[:, :judged, 0] > CONTACT_LEVEL).T.ravel()
+        return {**about, "says": {"1": stable.tolist()}}
     return {
         **about,
-        "patch": score_patches(probability, groups),
-        **score_fused_verdicts(probability, groups, model, case),
+        # The first probe of a balanced sample is not a random one.
+        "patch": score_patches(probability, groups, first=int(judged == 1)),
+        **score_fused_verdicts(probability, groups, model, case, judged),
     }
 
 

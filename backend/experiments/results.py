@@ -50,6 +50,7 @@ from touchdown.backend.experiments.tables import (
     BEYOND_READABLE,
     CALIBRATED,
     COUNTS,
+    EVEN,
     TABLE_BOTTOMS,
     TABLES_FORMAT,
     TOWER,
@@ -296,7 +297,8 @@ def report_of(tables: JsonMapping) -> Report:
     figures = tables.get("figures") or {}
     sections = [
         _table1(tables["table1"]),
-        _table2(tables["table2"]),
+        _table2(tables["table2"], BALANCED_SAMPLE),
+        *_paper_protocol(tables.get("paper_protocol")),
         _table3(tables["table3"]),
         *strategy_sections(tables),
         _reliability(facts["after_three_probes"]),
@@ -307,7 +309,8 @@ def report_of(tables: JsonMapping) -> Report:
         f"Touchdown: the paper's experiments, {tables['scale']}",
         (
             f"Preset {tables['bench']['preset']}, bench {tables['bench_sha256'][:16]}, program "
-            f"{tables['code']}. A pad slipped by more than 0.02 mm in {slip} of the probes. In "
+            f"{tables['code']}{_made(tables)}. A pad slipped by more than 0.02 mm in {slip} of the "
+            "probes. In "
             "brackets: 95 % interval (rates: Wilson, exact at 0 and 100 %; means: over grippings). "
             "Below each value stands the paper's, of a real robot.",
             "Every cell names its job; the folder of that name under jobs/ holds its settings "
@@ -332,10 +335,40 @@ def _table1(rows: Sequence[JsonMapping]) -> ReportSection:
     return ReportSection("Table 1: contact patch from one probe", (note,), tuple(grids))
 
 
-def _table2(rows: Sequence[JsonMapping]) -> ReportSection:
+BALANCED_SAMPLE = "Right, %, on a sample with as many stable as unstable places"
+
+
+def _made(tables: JsonMapping) -> str:
+    """Return date and sources of a result; older files name none."""
+    sources = tables.get("sources") or {}
+    named = ", ".join(f"{kind} {digest}" for kind, digest in sources.items())
+    return f", {tables['date']}, sources: {named}" if named else ""
+
+
+def _paper_protocol(answer: JsonMapping | None) -> list[ReportSection]:
+    """Return Tables 1 and 2 in the paper's protocol; older files have none."""
+    if not answer:
+        return []
+    found = []
+    what = (
+        f"The piece is taken from a jig. {answer['mountings']} mountings of each bottom, "
+        f"{answer['interactions']} presses in all, at random over the whole range; the paper had "
+        "one mounting of each bottom. Intervals are by mounting."
+    )
+    for section in (
+        _table1(answer["table1"]),
+        _table2(answer["table2"], "Right, %, over the whole range; base: the larger class"),
+    ):
+        title = section.title.replace(":", ", paper's protocol:")
+        found.append(ReportSection(title, (what, *section.text), section.parts))
+    return found
+
+
+def _table2(rows: Sequence[JsonMapping], title: str) -> ReportSection:
     names = {"Implicit": "Implicit"}
     for n in COUNTS:
         names |= {n: f"Ours, n = {n}", f"{CALIBRATED} {n}": f"Ours, calibrated, n = {n}"}
+        names[f"{EVEN} {n}"] = f"Ours, judged at 0.5, n = {n}"
     lines = []
     for row in rows:
         cells = [_stability_cell(cell) for cell in row["cells"]]
@@ -349,7 +382,6 @@ def _table2(rows: Sequence[JsonMapping]) -> ReportSection:
         "random ones of the same gripping; the question is always asked for the place of the "
         "first. By every interface; the top one alone in the JSON."
     )
-    title = "Right, %, on a sample with as many stable as unstable places"
     grid = ReportTable(title, _table_columns(rows[0]["cells"], "pooled"), tuple(lines), note)
     return ReportSection("Table 2: stability", (), (grid,))
 

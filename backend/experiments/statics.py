@@ -1,13 +1,18 @@
-"""Groups of probes at random displacements, scored for Tables 1 and 2.
+"""Groups of probes at random displacements, scored for Tables 1 and 2 in two protocols.
 
-Every group is one gripping on its own mounting. Its first probe belongs to a balanced sample of
-stable and unstable places, the further ones are random. Groups are independent of each other.
+``balanced``: every group is one gripping on its own mounting. Its first probe belongs to a balanced
+sample of stable and unstable places, the further ones are random. Groups are independent.
+
+``paper``: a jig hands over the piece, so that its position in the grip varies by ``spread.jig_mm``
+only, and several grippings share a mounting. All probes are random over the whole range, and every
+probe is judged, together with the other ones of its gripping. A mounting is one repetition of the
+paper's experiment, which had one mounting for each bottom; intervals are by mounting.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -38,6 +43,7 @@ from touchdown.backend.sensing import EpisodeLimits
 from touchdown.backend.simulation import BatchedTrials, tower_with_piece
 
 ATTEMPTS = 30
+PER_GROUP = ("mounting", "rejected", "left_out")  # fields without an axis of probes
 SLIPPED_MM = 0.02  # larger motions of a pad in one press are slip
 
 
@@ -47,9 +53,10 @@ class ProbeGroups:
 
     ``observation`` (g, p, 20, 258); ``offset_mm`` (g, p, 2) commanded, ``true_mm`` (g, p, 2);
     ``label`` (g, p, N): patch at the commanded displacement, as data is labelled; ``truth`` (g, p,
-    N): true patch; ``slip_mm`` (g, p). ``margin_mm`` (g, 2): signed margin at the first place, for
-    the top interface and for all interfaces. ``rejected``: probes drawn again. ``left_out``: groups
-    with a probe that was invalid in all attempts.
+    N): true patch; ``slip_mm`` (g, p). ``margins_mm`` (g, p, 2): signed margin at each place, for
+    the top interface and for all interfaces. ``mounting`` (g,): seed of
+    the mounting. ``rejected``: probes drawn again. ``left_out``: groups with a probe that was
+    invalid in all attempts.
     """
 
     observation: NDArray[np.float32]
@@ -58,9 +65,20 @@ class ProbeGroups:
     label: NDArray[np.bool_]
     truth: NDArray[np.bool_]
     slip_mm: FloatArray
-    margin_mm: FloatArray
+    margins_mm: FloatArray
+    mounting: NDArray[np.intp]
     rejected: int
     left_out: int
+
+    @property
+    def margin_mm(self) -> FloatArray:
+        """Margins (g, 2) at the first place of each group."""
+        return self.margins_mm[:, 0]
+
+    def rotated(self, by: int) -> ProbeGroups:
+        """Return the groups with probe ``by`` as the first one, in cyclic order."""
+        names = [f.name for f in fields(self) if f.name not in PER_GROUP]
+        return replace(self, **{name: np.roll(getattr(self, name), -by, 1) for name in names})
 
     def predictions(self, model: BatchModel) -> FloatArray:
         """Return the contact probabilities (g, p, N) of a model."""
@@ -68,11 +86,18 @@ class ProbeGroups:
         flat = self.observation.reshape(g * p, *self.observation.shape[2:])
         return model.predict(flat).reshape(g, p, -1)
 
-    def as_json(self, bench: SimulationSettings) -> dict[str, Any]:
-        """Return margins, slip and counts; a margin without support is None."""
+    def as_json(self, bench: SimulationSettings, judged: int = 1) -> dict[str, Any]:
+        """Return margins, slip and counts; a margin without support is None.
+
+        ``judged``: number of probes of a group that are judged; with several the margins are those
+        of all groups at the first, then at the second, with the ``mounting`` of each.
+        """
+        margins = self.margins_mm[:, :judged].swapaxes(0, 1).reshape(-1, 2)
+        several = {"mounting": np.tile(self.mounting, judged).tolist()} if judged > 1 else {}
         return {
             "bench_sha256": bench_sha256(bench),
-            "margin_mm": [rounded_margins(pair) for pair in self.margin_mm],
+            **several,
+            "margin_mm": [rounded_margins(pair) for pair in margins],
             "slipped": float((self.slip_mm > SLIPPED_MM).mean()),
             "rejected": self.rejected,
             "left_out": self.left_out,
@@ -82,32 +107,56 @@ class ProbeGroups:
 def probe_groups(
     case: SceneSetup, seeds: list[int], probes: int, world: type[BatchedTrials] = BatchedTrials
 ) -> ProbeGroups:
-    """Press ``probes`` times in each of the grippings of ``seeds``.
+    """Press ``probes`` times in each of the grippings of ``seeds``, each on its own mounting.
 
     Half of the groups begin at a stable place. An invalid press is drawn again; a group without all
     its probes (for example, a grip that always slips) is left out and counted. ``world``: class of
     the simulation.
     """
-    scenes = [probing_scene(case, seed) for seed in seeds]
-    bench, limits = world(scenes), EpisodeLimits()
+
+    def draw(group: int, probe: int, attempt: int) -> FloatArray:
+        if probe:
+            return uniform_offset(case, seeds[group], probe, attempt)
+        return balanced_offset(case, seeds[group], attempt, stable=group % 2 == 0)
+
+    return _press_groups(case, world([probing_scene(case, s) for s in seeds]), probes, draw)
+
+
+def jig_groups(case: SceneSetup, seeds: Sequence[int], grips: int, probes: int) -> ProbeGroups:
+    """Press as in the paper's evaluation: ``grips`` grippings from a jig on each mounting.
+
+    ``seeds``: one for each mounting. All places are uniform over the whole range.
+    """
+    spread = case.settings.spread
+    spread = spread.model_copy(update={"grasp_offset_mm": spread.jig_mm})
+    case = replace(case, settings=case.settings.model_copy(update={"spread": spread}))
+    places = [(seed, grip) for seed in seeds for grip in range(grips)]
+    scenes = [probing_scene(case, seed) for seed, _ in places]
+    bench = BatchedTrials(scenes, grips=[grip for _, grip in places])
+
+    def draw(group: int, probe: int, attempt: int) -> FloatArray:
+        seed, grip = places[group]
+        return uniform_offset(case, seed, grip * probes + probe, attempt)
+
+    return _press_groups(case, bench, probes, draw)
+
+
+def _press_groups(
+    case: SceneSetup, bench: BatchedTrials, probes: int, draw: Callable[[int, int, int], FloatArray]
+) -> ProbeGroups:
+    """Press groups at the places (2,) that ``draw`` returns for group, probe and attempt."""
+    scenes, limits = bench.scenes, EpisodeLimits()
     points = face_points(case.piece.face)
-    shape = (len(seeds), probes)
+    shape = (len(scenes), probes)
     offset, true = np.zeros((*shape, 2)), np.zeros((*shape, 2))
     seen = np.zeros((*shape, 20, 258), np.float32)
     slip = np.zeros(shape)
     rejected = 0
-    going = list(range(len(seeds)))
+    going = list(range(len(scenes)))
     for probe in range(probes):
         waiting = going
         for attempt in range(ATTEMPTS):
-            wanted = np.stack(
-                [
-                    uniform_offset(case, seeds[g], probe, attempt)
-                    if probe
-                    else balanced_offset(case, seeds[g], attempt, stable=g % 2 == 0)
-                    for g in waiting
-                ]
-            )
+            wanted = np.stack([draw(g, probe, attempt) for g in waiting])
             press = bench.press(waiting, wanted)
             # Who sees the bottom topple sets it up again.
             good = ~press.truth.toppled & [not why for why in refused_presses(press, limits)]
@@ -125,9 +174,10 @@ def probe_groups(
     seen, offset, true, slip = seen[going], offset[going], true[going], slip[going]
     outline = case.bottoms[0].face
     verdicts = [
-        judge_tower(tower_with_piece(scenes[g], pair_of(at), bench.grippings[g].yaw_rad))
-        for g, at in zip(going, true[:, 0], strict=True)
-    ]
+        [judge_tower(tower_with_piece(scenes[g], pair_of(at), bench.grippings[g].yaw_rad))
+         for at in places]
+        for g, places in zip(going, true, strict=True)
+    ]  # fmt: skip
     return ProbeGroups(
         seen,
         offset,
@@ -135,9 +185,10 @@ def probe_groups(
         outline.contains(points + offset[:, :, None]),
         outline.contains(points + true[:, :, None]),
         slip,
-        np.array([[v.margins_mm[-1], v.margin_mm] for v in verdicts]),
+        np.array([[[v.margins_mm[-1], v.margin_mm] for v in group] for group in verdicts]),
+        np.array([scenes[g].seed for g in going]),
         rejected,
-        len(seeds) - len(going),
+        len(scenes) - len(going),
     )
 
 
@@ -156,57 +207,71 @@ RELIABLE_AFTER = 3
 DIGITS = 4
 
 
-def score_patches(probability: FloatArray, groups: ProbeGroups) -> dict[str, list[float]]:
-    """Return for each group the mean IoU and point accuracy of its random probes.
+def score_patches(
+    probability: FloatArray, groups: ProbeGroups, first: int = 1
+) -> dict[str, list[float]]:
+    """Return for each mounting the mean IoU and point accuracy of its random probes.
 
-    ``probability`` (g, p, N). The first probe belongs to a balanced sample and is left out.
-    ``..._true``: compared with the true patch instead of the label.
+    ``probability`` (g, p, N). ``first``: first random probe of a group; that of a balanced sample
+    is left out. ``..._true``: compared with the true patch instead of the label.
     """
-    predicted = probability[:, 1:] > CONTACT_LEVEL
+    predicted = probability[:, first:] > CONTACT_LEVEL
+    _, mounting = np.unique(groups.mounting, return_inverse=True)
     scores = {}
-    for name, patch in (("", groups.label[:, 1:]), ("_true", groups.truth[:, 1:])):
+    for name, patch in (("", groups.label[:, first:]), ("_true", groups.truth[:, first:])):
         both, either = (predicted & patch).sum(-1), (predicted | patch).sum(-1)
         iou = np.where(either == 0, 1.0, both / np.maximum(either, 1)).mean(axis=1)
-        scores["iou" + name] = _plain(iou)
-        scores["accuracy" + name] = _plain((predicted == patch).mean(axis=(1, 2)))
+        right = (predicted == patch).mean(axis=(1, 2))
+        for what, values in (("iou", iou), ("accuracy", right)):
+            scores[what + name] = _plain(np.bincount(mounting, values) / np.bincount(mounting))
     return scores
 
 
 def score_fused_verdicts(
-    probability: FloatArray, groups: ProbeGroups, model: BatchModel, case: SceneSetup
+    probability: FloatArray,
+    groups: ProbeGroups,
+    model: BatchModel,
+    case: SceneSetup,
+    judged: int = 1,
 ) -> dict[str, Any]:
-    """Fuse the first n probes of each group and judge the first place.
+    """Fuse n probes of each group and judge the place of the first.
 
-    Returns ``says`` per n, the reliability of all covered cells after three probes, and the IoU of
-    that map with the true support; with a calibration also ``calibrated``: per n, more likely
-    stable than not by calibrated fusion.
+    Returns ``says`` per n, ``even``: the same at the threshold one half, the reliability of all
+    covered cells after three probes, and the IoU of that map with the true support; with a
+    calibration also ``calibrated``: per n, more likely stable than not by calibrated fusion.
+    ``judged``: number of probes of a group that are first in turn, see ``ProbeGroups.as_json``.
     """
-    says: dict[str, list[bool]] = {str(n): [] for n in PROBE_COUNTS if n <= probability.shape[1]}
-    calibrated: dict[str, list[bool]] = {n: [] for n in says}
-    even = StabilitySettings(delta=CONTACT_LEVEL)
+    ns = [n for n in PROBE_COUNTS if n <= probability.shape[1]]
+    verdicts: dict[str, dict[str, list[bool]]] = {
+        name: {str(n): [] for n in ns} for name in ("says", "even", "calibrated")
+    }
+    even, com = StabilitySettings(delta=CONTACT_LEVEL), case.piece.com_xy_mm
     promised, real = [], []
     iou: list[float] = []
-    for g in range(len(probability)):
-        first = pair_of(groups.offset_mm[g, 0])
+    turned = [(groups.rotated(k), np.roll(probability, -k, 1)) for k in range(judged)]
+    for some, predicted, g in ((a, b, g) for a, b in turned for g in range(len(b))):
+        first = pair_of(some.offset_mm[g, 0])
         belief = Belief.unknown(BeliefSettings(), first, model.base_rate)
         other = Belief.unknown(BeliefSettings(), first, model.base_rate, model.calibration)
-        for k, p in enumerate(probability[g]):
+        for k, p in enumerate(predicted[g]):
             patch = ContactPatch(model.points_mm.copy(), p.copy())
-            belief = belief.updated(patch, pair_of(groups.offset_mm[g, k]))
-            other = other.updated(patch, pair_of(groups.offset_mm[g, k]))
-            if str(k + 1) in says:
-                com, rules = case.piece.com_xy_mm, StabilitySettings()
-                says[str(k + 1)].append(judge_stability(belief, patch, com, first, rules).stable)
-                likely = judge_stability(other, patch, com, first, even).stable
-                calibrated[str(k + 1)].append(likely)
+            belief = belief.updated(patch, pair_of(some.offset_mm[g, k]))
+            other = other.updated(patch, pair_of(some.offset_mm[g, k]))
+            if k + 1 in ns:
+                judged_by = {"says": (belief, StabilitySettings()), "even": (belief, even)}
+                judged_by["calibrated"] = (other, even)
+                for name, (source, rules) in judged_by.items():
+                    stable = judge_stability(source, patch, com, first, rules).stable
+                    verdicts[name][str(k + 1)].append(stable)
             if k + 1 == RELIABLE_AFTER:
-                cells, support = _support(belief, groups, g, case)
+                cells, support = _support(belief, some, g, case)
                 promised.append(cells)
                 real.append(support)
                 iou.append(overlap_share(cells > CONTACT_LEVEL, support))
     chart = reliability_curve(np.concatenate(promised), np.concatenate(real))
-    found = {"says": says, "map_iou": iou, "reliability": chart.as_json()}
-    return found if model.calibration is None else {**found, "calibrated": calibrated}
+    if model.calibration is None:
+        del verdicts["calibrated"]
+    return {**verdicts, "map_iou": iou, "reliability": chart.as_json()}
 
 
 def _support(

@@ -75,7 +75,7 @@ class VerdictCounts:
     def __add__(self, other: VerdictCounts) -> VerdictCounts:
         return VerdictCounts(*map(add, astuple(self), astuple(other)))
 
-    def as_json(self) -> dict[str, object]:
+    def as_json(self) -> dict[str, Any]:
         """Return accuracy, balanced accuracy, base rate, and the rates of both errors."""
         found = estimate_rate(self.both, self.both + self.missed)
         unsafe = estimate_rate(self.unsafe, self.unsafe + self.neither)
@@ -93,23 +93,40 @@ class VerdictCounts:
         }
 
 
-def verdict_changes(paired: Sequence[tuple[bool, bool, bool]]) -> dict[str, dict[str, float]]:
+def verdict_changes(
+    paired: Sequence[tuple[bool, bool, bool]], mountings: Sequence[str] | None = None
+) -> dict[str, dict[str, float]]:
     """Return the change of plain and balanced accuracy between two verdicts on the same groups.
 
-    ``paired``: both verdicts and the truth of every group, a mounting of its own. The intervals are
-    normal ones over mountings; for balanced accuracy the stable and the unstable ones are strata.
+    ``paired``: both verdicts and the truth of every group. ``mountings``: the one of each group; by
+    default each group has its own. The intervals are normal ones over mountings, from the linear
+    influence of every group (Taylor linearisation of a ratio; Cochran, Sampling Techniques, 1977).
     """
     before, after, truth = np.array(paired, dtype=bool).T
     gain = (after == truth).astype(float) - (before == truth).astype(float)
-    strata = [gain[truth], gain[~truth]]
-    changes = {"accuracy": (float(gain.mean()), float(gain.var(ddof=1)) / len(gain))}
-    if min(map(len, strata)) > 1:
-        error = sum(float(part.var(ddof=1)) / len(part) for part in strata) / 4
-        changes["balanced"] = (0.5 * sum(float(part.mean()) for part in strata), error)
-    return {
-        name: {"change": c, "low": c - Z_95 * v**0.5, "high": c + Z_95 * v**0.5, "n": len(gain)}
-        for name, (c, v) in changes.items()
-    }
+    names = range(len(gain)) if mountings is None else mountings
+    _, index = np.unique(np.array(names), return_inverse=True)
+    strata = {"accuracy": [np.ones(len(gain), bool)], "balanced": [truth, ~truth]}
+    changes = {}
+    for name, parts in strata.items():
+        if min(int(part.sum()) for part in parts) < 2:
+            continue
+        share = [float(gain[part].mean()) for part in parts]
+        influence = np.zeros(len(gain))
+        for part, centre in zip(parts, share, strict=True):
+            influence[part] = (gain[part] - centre) / (part.sum() * len(parts))
+        by_mounting = np.bincount(index, influence)
+        count = len(by_mounting)
+        error = float(np.sum(by_mounting**2)) * count / max(count - 1, 1)
+        change, half = sum(share) / len(parts), Z_95 * error**0.5
+        changes[name] = {
+            "change": change,
+            "low": change - half,
+            "high": change + half,
+            "n": len(gain),
+            "mountings": count,
+        }
+    return changes
 
 
 BINS = 15

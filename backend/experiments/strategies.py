@@ -7,7 +7,8 @@ A cell is one piece over one bottom under one strategy. It is split into jobs of
 groups, so that an interrupted experiment resumes and a table can be read at any time. All
 strategies, the oracle included, get the same presses. After n probes of a group each strategy gives
 two verdicts on the first place: whether it would release there, and whether the piece is more
-likely to stand than to fall.
+likely to stand than to fall. A name may carry settings of the method, as in
+``fused:policy.least_probes=2``.
 
 ``beyond.json`` stores one line per trial and group beside the counts. A trial: ``seed outcome
 probes least`` (``least`` as in ``least_probes``). A job of groups: the seed of its first group,
@@ -17,6 +18,7 @@ without support) and the two verdicts after each number of probes in ``PROBE_COU
 
 from __future__ import annotations
 
+import json
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -56,6 +58,7 @@ from touchdown.backend.experiments.tables import (
     STATIC_SEED,
     UNSAFE_OUTCOMES,
     job_code,
+    provenance,
     score_verdicts,
 )
 from touchdown.backend.experiments.trials import (
@@ -223,6 +226,7 @@ class ClosedLoopComparison:
             "format": FORMAT,
             "bench_sha256": bench_sha256(self.bench),
             "code": self.code,
+            **provenance(self.jobs(), store),
             "models": dict(self.models),
             "cells": [
                 {
@@ -266,9 +270,32 @@ class ClosedLoopComparison:
         return JobSpec("beyond", params, seed, inputs, job_code("beyond", self.code))
 
 
+def base_strategy(name: str) -> str:
+    """Return the strategy of a name with settings."""
+    return name.partition(":")[0]
+
+
+def method_of(name: str, method: StackSettings) -> StackSettings:
+    """Return ``method`` with the strategy and the settings of a name, as ``fused:fused.risk=0.05``.
+
+    Raises ``InputError`` for an unknown setting, or a value that is none.
+    """
+    strategy, *changes = name.split(":")
+    content = {**method.model_dump(), "strategy": strategy}
+    for change in changes:
+        key, _, text = change.partition("=")
+        group, _, field_name = key.partition(".")
+        try:
+            value = json.loads(text)
+        except ValueError:
+            value = text
+        content[group] = {**dict(content.get(group) or {}), field_name: value}
+    return parse_settings(StackSettings, content, name)
+
+
 def network_params(strategy: str, method: StackSettings) -> Json:
     """Return the job parameters that identify the network of ``strategy``."""
-    if strategy != "fused":
+    if base_strategy(strategy) != "fused":
         return {}
     return {"fused_sha256": load_network_of(method.fused).card.weights_sha256}
 
@@ -332,7 +359,7 @@ def run_closed_loop(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
         results = stack_in_lockstep(scenes, uninformed_model(case), method, limits, create)
     else:
         model = batch_model(load_model(spec.inputs[0], place.store), case.piece)
-        chosen = StackSettings.model_validate({**p["method"], "strategy": strategy})
+        chosen = method_of(strategy, method)
         sigma_mm = p.get("entry_sigma_mm")
         create = (
             None if sigma_mm is None else _entered_tower_strategy(case, sigma_mm, chosen, model)
@@ -503,7 +530,7 @@ def run_static_groups(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
     groups = probe_groups(case, seeds, PROBES_PER_GROUP)
     strategy = p["strategy"]
     configured = "paper" if strategy in ORACLES else strategy
-    settings = StackSettings.model_validate({**p["method"], "strategy": configured})
+    settings = method_of(configured, parse_settings(StackSettings, p["method"], "job"))
     if strategy in ORACLES:
         model = uninformed_model(case)
         create = oracle_factory(case, diameter_known=strategy == ORACLES[0])
@@ -513,7 +540,9 @@ def run_static_groups(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
         def create(scene: Scene, at: XY) -> Strategy:
             return make_strategy(grasped_piece_in(scene, model), settings, at)
 
-    asked = VerdictCollector(case, believes=strategy not in STRATEGIES_WITHOUT_BELIEF)
+    asked = VerdictCollector(
+        case, believes=base_strategy(strategy) not in STRATEGIES_WITHOUT_BELIEF
+    )
     for g in range(len(groups.observation)):
         asked.group(
             groups, g, create(probing_scene(case, seeds[g]), pair_of(groups.offset_mm[g, 0])), model

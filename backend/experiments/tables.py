@@ -10,8 +10,11 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from itertools import product
 from typing import Any, Literal
+
+import numpy as np
 
 from touchdown.backend.config import SimulationSettings, TrainingSettings, bench_sha256
 from touchdown.backend.core import Outcome
@@ -23,7 +26,7 @@ from touchdown.backend.experiments.statistics import (
 )
 from touchdown.backend.geometry import TOO_CLOSE_MM
 from touchdown.backend.jobs import JobSpec, JobStore, source_hash
-from touchdown.backend.learning import DeviceName
+from touchdown.backend.learning import DeviceName, clustered_interval
 
 # columns of all three tables
 PAPER_CELLS = tuple(product(("mushroom", "barrel", "pot"), ("short", "long")))
@@ -72,8 +75,10 @@ MODELS: tuple[tuple[str, str, NetworkHead], ...] = (
     ("Implicit", "FT+Tac", "stability"),
 )
 # The seed ranges of cells do not overlap.
-TRAINING_SEED, STATIC_SEED, STACKING_SEED = 21, 3_000_000, 4_000_000
+TRAINING_SEED, STATIC_SEED, STACKING_SEED, JIG_SEED = 21, 3_000_000, 4_000_000, 8_000_000
 CELL_SEEDS = 10_000
+# Samples of Tables 1 and 2, see ``statics``.
+BALANCED, PAPER_PROTOCOL = "balanced", "paper"
 
 
 # Module below experiments and function of each kind of job.
@@ -102,13 +107,18 @@ def job_code(kind: str, version: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Scale:
-    """Size of an experiment: ``probes`` for training per outline, groups and trials per cell."""
+    """Size of an experiment: ``probes`` for training per outline, groups and trials per cell.
+
+    ``mountings`` per cell of the paper's protocol, with ``grips`` grippings of ``fused`` probes.
+    """
 
     name: str
     probes: int
     epochs: int
     groups: int
     trials: int
+    mountings: int = 20
+    grips: int = 4
     probes_per_grip: int = 50
     grips_per_mounting: int = 40
     fused: int = 5
@@ -117,8 +127,10 @@ class Scale:
 
 
 FULL = Scale("full", probes=2000, epochs=30, groups=400, trials=100, repeated=20)
-QUICK = Scale("quick", probes=0, epochs=0, groups=40, trials=10, pictured=400)
-SCALES = {scale.name: scale for scale in (FULL, QUICK)}
+QUICK = Scale("quick", probes=0, epochs=0, groups=40, trials=10, mountings=4, pictured=400)
+# Tables 1 and 2 of models that exist
+STABILITY = Scale("stability", probes=0, epochs=0, groups=200, trials=0, mountings=40)
+SCALES = {scale.name: scale for scale in (FULL, QUICK, STABILITY)}
 
 
 @dataclass(frozen=True)
@@ -168,27 +180,32 @@ class Recipe:
         settings = paper_training(inputs, self.scale.epochs)
         return training_job((piece, head), settings, self.device, self.data(piece), self.code)
 
-    def static(self, piece: str, bottom: str) -> JobSpec | None:
+    def static(self, piece: str, bottom: str, protocol: str = BALANCED) -> JobSpec | None:
         """Return the evaluation of the models of ``piece`` over one bottom; None without any."""
         names = [name for name, _, _ in MODELS if self._source(piece, name)]
         if not names:
             return None
         sources = {name: self._source(piece, name) for name in names}
+        first, sample = STATIC_SEED, {"groups": self.scale.groups}
+        if protocol == PAPER_PROTOCOL:
+            first = JIG_SEED
+            sample = {"mountings": self.scale.mountings, "grips": self.scale.grips}
         return self._job(
             "static",
-            STATIC_SEED + CELL_SEEDS * self._cell(piece, bottom),
+            first + CELL_SEEDS * self._cell(piece, bottom),
             needs=tuple(sorted({s for s in sources.values() if s})),
             piece=piece,
             bottom=bottom,
             models=sources,
-            groups=self.scale.groups,
             probes=self.scale.fused,
+            **sample,
+            **({"protocol": protocol} if protocol != BALANCED else {}),
         )
 
     def stacking(self, piece: str, bottoms: tuple[str, ...], strategy: str) -> JobSpec | None:
-        """Return one cell of Table 3; None if its strategy needs a model and there is none."""
+        """Return one cell of Table 3; None without trials, or without a model that it needs."""
         source = self._source(piece, "FT+Tac") if strategy != "pick-and-place" else ""
-        if source is None:
+        if source is None or not self.scale.trials:
             return None
         tower = 5 if len(bottoms) > 1 else 0
         return self._job(
@@ -222,7 +239,8 @@ class Recipe:
         if spec.kind == "train":
             return scale.probes * scale.epochs // 2
         if spec.kind == "static":
-            return 5 * int(p["groups"]) * int(p["probes"]) // 2
+            groups = p["groups"] if "groups" in p else p["mountings"] * p["grips"]
+            return 5 * int(groups) * int(p["probes"]) // 2
         return (2000 if spec.kind == "devices" else 10) * int(p["trials"])
 
     def _all(self) -> Iterator[JobSpec]:
@@ -230,9 +248,11 @@ class Recipe:
             if self.scale.probes:
                 yield from self.data(piece)
                 yield from (self.training(piece, name) for name, _, _ in MODELS)
-        yield self.twins()
+        if self.scale.trials:
+            yield self.twins()
         for piece in self.pieces:
-            cells = [self.static(piece, bottom) for bottom in TABLE_BOTTOMS]
+            samples = product(TABLE_BOTTOMS, (BALANCED, PAPER_PROTOCOL))
+            cells = [self.static(piece, bottom, protocol) for bottom, protocol in samples]
             for bottom in TABLE_BOTTOMS:
                 cells += [self.stacking(piece, (bottom,), s) for s in ("pick-and-place", "paper")]
             cells.append(self.stacking(piece, TOWER, "paper"))
@@ -300,6 +320,7 @@ BEYOND_READABLE = ("touchdown-beyond/1", BEYOND_FORMAT)
 
 COUNTS = ("1", "2", "3", "5")  # numbers of probes in Table 2
 CALIBRATED = "calibrated"
+EVEN = "even"  # the paper's fusion, judged at one half
 PATCH_MODELS = tuple(name for name, _, head in MODELS if head == "patch")
 OWN_MODEL = "FT+Tac"
 UNSAFE_OUTCOMES = (Outcome.FELL.value, Outcome.KNOCKED_OVER.value)
@@ -312,14 +333,28 @@ def table_results(recipe: Recipe, store: JobStore) -> Json:
         "format": TABLES_FORMAT,
         "scale": recipe.scale.name,
         "code": recipe.code,
+        **provenance(recipe.jobs(), store),
         "bench": recipe.bench.model_dump(mode="json"),
         "bench_sha256": recipe.bench_id(),
         "simulated": True,
-        "table1": _table1(recipe, store),
-        "table2": _table2(recipe, store),
+        "table1": _table1(recipe, store, BALANCED),
+        "table2": _table2(recipe, store, BALANCED),
         "table3": _table3(recipe, store),
+        "paper_protocol": {
+            "mountings": recipe.scale.mountings,
+            "interactions": recipe.scale.mountings * recipe.scale.grips * recipe.scale.fused,
+            "table1": _table1(recipe, store, PAPER_PROTOCOL),
+            "table2": _table2(recipe, store, PAPER_PROTOCOL),
+        },
         "bench_facts": _bench_facts(recipe, store),
     }
+
+
+def provenance(jobs: Iterable[JobSpec], store: JobStore) -> Json:
+    """Return the date, and the source hash of each kind of the finished ``jobs``."""
+    codes = {spec.kind: spec.code for spec in jobs if store.has(spec.id)}
+    sources = {kind: code.partition("+")[2] for kind, code in sorted(codes.items())}
+    return {"date": datetime.now(UTC).date().isoformat(), "sources": sources}
 
 
 def _cells(recipe: Recipe) -> Iterable[tuple[str, str]]:
@@ -330,14 +365,14 @@ def _answer(spec: JobSpec | None, store: JobStore) -> Json | None:
     return store.result(spec.id) if spec is not None and store.has(spec.id) else None
 
 
-def _table1(recipe: Recipe, store: JobStore) -> list[Json]:
-    """Return one row per model and metric; intervals from the spread between grippings."""
+def _table1(recipe: Recipe, store: JobStore, protocol: str) -> list[Json]:
+    """Return one row per model and metric; intervals from the spread between mountings."""
     rows = []
     for metric, printed in (("iou", PAPER_IOU), ("accuracy", PAPER_POINT_ACCURACY)):
         for model in PATCH_MODELS:
             cells = []
             for piece, bottom in _cells(recipe):
-                spec = recipe.static(piece, bottom)
+                spec = recipe.static(piece, bottom, protocol)
                 scores = (_answer(spec, store) or {"models": {}})["models"].get(model)
                 cell = _cell(piece, bottom, spec, 0.01 * printed[model][piece, bottom])
                 if scores:
@@ -349,48 +384,84 @@ def _table1(recipe: Recipe, store: JobStore) -> list[Json]:
     return rows
 
 
-def _table2(recipe: Recipe, store: JobStore) -> list[Json]:
+def _table2(recipe: Recipe, store: JobStore, protocol: str) -> list[Json]:
     """Return one row per method; each cell for the top interface alone, and for all interfaces.
 
-    A row of calibrated fusion has the ``changes`` from the paper's on the same groups.
+    A row of another fusion than the paper's has the ``changes`` from it on the same groups. The
+    intervals are by mounting.
     """
     rows = []
-    for method in ("Implicit", *COUNTS, *(f"{CALIBRATED} {n}" for n in COUNTS)):
+    methods = product((CALIBRATED, EVEN), COUNTS)
+    for method in ("Implicit", *COUNTS, *map(" ".join, methods)):
         model = "Implicit" if method == "Implicit" else OWN_MODEL
-        fusion, n = CALIBRATED if " " in method else "says", method.split()[-1]
+        fusion, n = method.split() if " " in method else ("says", method)
         n = "1" if method == "Implicit" else n
         cells = []
-        pooled = VerdictCounts(0, 0, 0, 0)
-        paired: list[tuple[bool, bool, bool]] = []
+        pooled, paired = VerdictSample(), VerdictSample()
         for piece, bottom in _cells(recipe):
-            spec = recipe.static(piece, bottom)
+            spec = recipe.static(piece, bottom, protocol)
             answer = _answer(spec, store) or {"models": {}}
-            printed = PAPER_STABILITY.get(method.split()[-1], {}).get((piece, bottom))
-            cell = _cell(piece, bottom, spec, None if printed is None else 0.01 * printed)
+            printed = PAPER_STABILITY.get(n, {}) if model == OWN_MODEL else PAPER_STABILITY[model]
+            share = printed.get((piece, bottom))
+            cell = _cell(piece, bottom, spec, None if share is None else 0.01 * share)
             verdicts = answer["models"].get(model, {})
             says = verdicts.get(fusion, {}).get(n)
             if says:
-                every, cell["excluded"] = score_verdicts(says, answer["margin_mm"], interface=1)
+                mountings = answer.get("mounting", range(len(says)))
+                where = [f"{piece} {bottom} {k}" for k in mountings]
+                own = VerdictSample.of(says, answer["margin_mm"], where)
+                cell["excluded"] = len(says) - len(own.said)
                 top, _ = score_verdicts(says, answer["margin_mm"], interface=0)
-                cell |= {**every.as_json(), "top_interface": top.as_json()}
-                pooled += every
-                if fusion == CALIBRATED:
-                    paired += _paired(verdicts["says"][n], says, answer["margin_mm"])
+                cell |= {**own.as_json(), "top_interface": top.as_json()}
+                pooled += own
+                if fusion != "says":
+                    paired += VerdictSample.of(verdicts["says"][n], answer["margin_mm"], where)
             cells.append(cell)
         row: Json = {"method": method, "cells": cells, "pooled": pooled.as_json()}
-        if paired:
-            row["changes"] = verdict_changes(paired)
+        if paired.said:
+            row["changes"] = verdict_changes(
+                list(zip(paired.said, pooled.said, pooled.stands, strict=True)), pooled.mounting
+            )
         rows.append(row)
     return rows
 
 
-def _paired(
-    paper: Sequence[bool], own: Sequence[bool], margins_mm: Sequence[Sequence[float | None]]
-) -> list[tuple[bool, bool, bool]]:
-    """Return the two verdicts and the truth of every group outside the tolerance."""
-    every = [(margin[1], a, b) for a, b, margin in zip(paper, own, margins_mm, strict=True)]
-    kept = [case for case in every if case[0] is None or abs(case[0]) >= TOO_CLOSE_MM]
-    return [(a, b, margin is not None and margin > 0.0) for margin, a, b in kept]
+@dataclass(frozen=True, slots=True)
+class VerdictSample:
+    """Verdicts on cases outside the tolerance: said, true, and the mounting of each."""
+
+    said: tuple[bool, ...] = ()
+    stands: tuple[bool, ...] = ()
+    mounting: tuple[str, ...] = ()
+
+    @classmethod
+    def of(
+        cls,
+        says: Sequence[bool],
+        margins_mm: Sequence[Sequence[float | None]],
+        mountings: Sequence[str],
+    ) -> VerdictSample:
+        """Return the cases, judged by all interfaces; a margin of None means no support."""
+        every = zip(says, (margin[1] for margin in margins_mm), mountings, strict=True)
+        kept = [case for case in every if case[1] is None or abs(case[1]) >= TOO_CLOSE_MM]
+        return cls(
+            tuple(said for said, _, _ in kept),
+            tuple(margin is not None and margin > 0.0 for _, margin, _ in kept),
+            tuple(where for _, _, where in kept),
+        )
+
+    def __add__(self, other: VerdictSample) -> VerdictSample:
+        return VerdictSample(*(getattr(self, f) + getattr(other, f) for f in self.__slots__))
+
+    def as_json(self) -> Json:
+        """Return the counts; the interval of the accuracy is by mounting."""
+        counts = VerdictCounts.of(self.said, self.stands).as_json()
+        if self.said:
+            right = np.equal(self.said, self.stands)
+            low, high = clustered_interval(right, self.mounting)
+            counts["accuracy"] |= {"low": low, "high": high}
+            counts["mountings"] = len(set(self.mounting))
+        return counts
 
 
 def score_verdicts(

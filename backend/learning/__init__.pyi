@@ -23,6 +23,7 @@ from .metrics import CONTACT_LEVEL as CONTACT_LEVEL
 from .metrics import Z_95 as Z_95
 from .metrics import EvaluationScores as EvaluationScores
 from .metrics import SamplePrediction as SamplePrediction
+from .metrics import clustered_interval as clustered_interval
 from .metrics import load_samples as load_samples
 from .metrics import rate_interval as rate_interval
 from .metrics import stable_flags as stable_flags
@@ -90,6 +91,7 @@ __all__ = [
     "card_path",
     "channel_groups",
     "check_autonomous",
+    "clustered_interval",
     "device_name",
     "evaluate",
     "evaluate_model",

@@ -198,11 +198,14 @@ def choose_action(
     if stability.support is SupportKind.NO_ESTIMATE:
         return give_up("The model returned no usable estimate: giving up without a release.")
     situation = describe_situation(stability, judged_by.margin_mm)
-    if ended := release_or_give_up(stability, situation, len(belief.visits), settings.max_probes):
+    probes, places = len(belief.visits), count_places(belief)
+    if ended := release_or_give_up(stability, situation, probes, settings, places):
         return ended
     aim = _aim(stability, belief, offset_mm, settings, judged_by.delta)
     if aim is None:
         return give_up(f"{situation} and no better place is known: giving up.")
+    if stability.stable:
+        aim = ShiftTarget(aim.target_mm, too_few_probes(settings))
     return shift_towards(stability, aim, offset_mm, settings.longest_step_mm, judged_by.margin_mm)
 
 
@@ -272,17 +275,37 @@ def shift_towards(
 
 
 def release_or_give_up(
-    stability: Stability, situation: str, probes: int, most: int, more: str = ""
+    stability: Stability,
+    situation: str,
+    probes: int,
+    settings: PolicySettings,
+    places: int,
+    more: str = "",
 ) -> PlaceAction | None:
-    """Return the release of a stable piece, the end after ``most`` probes, or None.
+    """Return the release of a stable piece, the end after ``max_probes``, or None.
 
+    ``places``: number of different places with contact, at least ``least_probes`` for a release.
     ``more``: text after the reason of a release.
     """
-    if stability.stable:
+    if stability.stable and places >= settings.least_probes:
         return PlaceAction("release", (0.0, 0.0), None, False, f"{situation}: release.{more}")
-    if probes >= most:
+    if probes >= settings.max_probes:
         return give_up(f"{situation} after {probes} probes, the most allowed: giving up.")
     return None
+
+
+def too_few_probes(settings: PolicySettings) -> str:
+    """Return the reason for a shift from a stable place."""
+    return f"{settings.least_probes} probes are required"
+
+
+def count_places(belief: Belief) -> int:
+    """Return the number of probes at least ``min_shift_mm`` from all former ones."""
+    places: list[XY] = []
+    for visit in belief.visits:
+        if all(math.dist(visit, place) >= belief.settings.min_shift_mm for place in places):
+            places.append(visit)
+    return len(places)
 
 
 def give_up(reason: str) -> PlaceAction:

@@ -40,10 +40,11 @@ from touchdown.backend.learning.fused import (
     wrench_at_sensor,
 )
 from touchdown.backend.placement.belief import Belief
-from touchdown.backend.placement.equilibrium import pressed_at_mm
+from touchdown.backend.placement.equilibrium import convex_hull, pressed_at_mm, signed_margin_mm
 from touchdown.backend.placement.policy import (
     ShiftTarget,
     choose_action,
+    count_places,
     describe_situation,
     give_up,
     judge_stability,
@@ -51,6 +52,7 @@ from touchdown.backend.placement.policy import (
     release_or_give_up,
     shift_towards,
     support_hull_mm,
+    too_few_probes,
 )
 from touchdown.backend.placement.support_tower import XY, SupportTower, normal_draws
 
@@ -291,6 +293,7 @@ class FusedStrategy:
         self._belief = Belief.unknown(settings.belief, origin_mm, held.base_rate)
         self._seen: list[FloatArray] = []
         self._offset_mm: list[XY] = []
+        self._pressed_mm: list[FloatArray] = []
         self._missed_mm: list[XY] = []
         self._last: FloatArray | None = None
         self._lower: LowerSupport | None = None
@@ -299,8 +302,7 @@ class FusedStrategy:
         """Evaluate this position and the map, judge by the accepted risk, choose the action."""
         settings, here = self._settings, touched.offset_mm
         self._belief = self._belief.updated(touched.patch, here)
-        self._offset_mm.append(here)
-        self._seen.append(np.asarray(touched.observation[TICKS, :], dtype=np.float64))
+        self._record(touched)
         com, centre = self._held.com_xy_mm, self._com_at(here)
         known = self._last = self._state(touched.patch.points_mm)
         if known is None:
@@ -313,14 +315,42 @@ class FusedStrategy:
         near = np.hypot(*(cells - com).T) <= FARTHEST_MM
         reached, cells = InsetDistribution(*(part[near] for part in over.parts())), cells[near]
         face_centre = self._update_face_centre(reached, cells + here)
-        margin_mm = self._margin_mm(self._inset(known, np.array([com]), here), centre)
+        inset = self._inset(known, np.array([com]), here)
+        margin_mm, weak = self._margin_mm(inset, centre), self._weak_evidence(inset, centre)
         shown = self._probability_map(over)
-        stable = margin_mm >= settings.fused.inset_mm
+        stable = margin_mm >= settings.fused.inset_mm and not weak
         hull = support_hull_mm(replace(self._belief, map=shown), shown.log_odds > 0.0)
         stability = Stability(stable, margin_mm, SupportKind.AREA, hull, centre, "belief")
         target = deepest_shift(self._expected_mm(reached, cells + here), cells - com)
-        action = self._choose(stability, target, face_centre)
+        action = self._choose(stability, target, face_centre, weak)
         return PlaceDecision(shown, stability, action)
+
+    def _record(self, touched: ProbeObservation) -> None:
+        """Add a probe to the inputs of the network; it replaces those within ``merge_mm``."""
+        here, nearest_mm = touched.offset_mm, self._settings.fused.merge_mm
+        kept = [k for k, at in enumerate(self._offset_mm) if math.dist(at, here) >= nearest_mm]
+        seen = np.asarray(touched.observation[TICKS, :], dtype=np.float64)
+        self._offset_mm = [*(self._offset_mm[k] for k in kept), here]
+        self._seen = [*(self._seen[k] for k in kept), seen]
+        wrench = touched.observation[:, TACTILE_CHANNELS:].astype(np.float64)
+        if np.isfinite(wrench).all():
+            at = pressed_at_mm(wrench, self._held.lever_mm())
+            self._pressed_mm += [np.asarray(here) + at] if np.isfinite(at).all() else []
+
+    def _weak_evidence(self, inset: InsetDistribution, centre_mm: XY) -> str:
+        """Return the reason against a release that the settings name, or "".
+
+        ``inset``: of the centre of mass, at ``centre_mm``. Every centre of pressure lies in the
+        support and the face; if both are convex, so does the hull of all of them.
+        """
+        rules, sd_mm = self._settings.fused, sqrt(float(inset.variance_mm2()[0]))
+        if 0.0 < rules.largest_sd_mm < sd_mm:
+            return f"standard deviation {sd_mm:.1f} mm, {rules.largest_sd_mm:g} mm allowed"
+        if rules.pressure_sd_mm:
+            hull = convex_hull(np.array(self._pressed_mm))
+            if not signed_margin_mm(hull, centre_mm) >= 2.0 * rules.pressure_sd_mm:
+                return "the centres of pressure do not enclose it"
+        return ""
 
     def inset_at(self, offset_mm: XY) -> InsetDistribution | None:
         """Return the expected inset of the centre of mass there; None before a probe."""
@@ -343,7 +373,7 @@ class FusedStrategy:
         to = 0.5 * (last[0] + offset_mm[0]), 0.5 * (last[1] + offset_mm[1])
         where = "half way back"
         if math.dist(to, offset_mm) < self._settings.belief.min_shift_mm:
-            tried = replace(self._belief, visits=(*self._offset_mm, *self._missed_mm))
+            tried = replace(self._belief, visits=(*self._belief.visits, *self._missed_mm))
             first = self._offset_mm[0] if self._offset_mm else self._missed_mm[0]
             to, where = next_on_spiral(first, tried, policy), "looking around"
         step = to[0] - offset_mm[0], to[1] - offset_mm[1]
@@ -358,8 +388,9 @@ class FusedStrategy:
         inset = self.inset_at(offset_mm)
         if inset is None:
             return False
-        margin_mm = self._margin_mm(inset, self._com_at(offset_mm))
-        return margin_mm >= self._settings.fused.inset_mm
+        centre_mm = self._com_at(offset_mm)
+        reached = self._margin_mm(inset, centre_mm) >= self._settings.fused.inset_mm
+        return reached and not self._weak_evidence(inset, centre_mm)
 
     def likely_at(self, offset_mm: XY) -> bool:
         """Return True if the whole tower is more likely stable than unstable there."""
@@ -421,16 +452,19 @@ class FusedStrategy:
         lower = self._lower.insets_mm(places_mm).mean(axis=0)
         return np.asarray(np.minimum(over.expected_mm(), lower))
 
-    def _choose(self, stability: Stability, target: XY, face_centre: FaceCentre) -> PlaceAction:
+    def _choose(
+        self, stability: Stability, target: XY, face_centre: FaceCentre, weak: str
+    ) -> PlaceAction:
         here = self._offset_mm[-1]
         policy, required = self._settings.policy, self._settings.fused.inset_mm
         words, more = describe_situation(stability, required), f" {face_centre.describe(here)}"
-        probes = self._probes()
-        if ended := release_or_give_up(stability, words, probes, policy.max_probes, more):
+        probes, places = self._probes(), count_places(self._belief)
+        if ended := release_or_give_up(stability, words, probes, policy, places, more):
             return ended
-        aim = ShiftTarget((here[0] + target[0], here[1] + target[1]), "")
+        why = too_few_probes(policy) if stability.stable else weak
+        aim = ShiftTarget((here[0] + target[0], here[1] + target[1]), why)
         if np.hypot(*target) < self._settings.belief.min_shift_mm:
-            aim = ShiftTarget(next_on_spiral(here, self._belief, policy), "looking around")
+            aim = ShiftTarget(next_on_spiral(here, self._belief, policy), why or "looking around")
         return shift_towards(stability, aim, here, policy.longest_step_mm, required)
 
     def _probability_map(self, over: InsetDistribution) -> BeliefMap:
@@ -500,9 +534,10 @@ class ZeroWrenchStrategy:
 
     def _choose(self, stability: Stability, target: XY, here: XY) -> PlaceAction:
         policy, words = self._settings.policy, describe_situation(stability)
-        if ended := release_or_give_up(stability, words, len(self._felt), policy.max_probes):
+        probes, places = len(self._felt), count_places(self._belief)
+        if ended := release_or_give_up(stability, words, probes, policy, places):
             return ended
-        aim = ShiftTarget(target, "")
+        aim = ShiftTarget(target, too_few_probes(policy) if stability.stable else "")
         if math.dist(here, target) < self._settings.belief.min_shift_mm:
             aim = ShiftTarget(next_on_spiral(here, self._belief, policy), "looking around")
         return shift_towards(stability, aim, here, policy.longest_step_mm, 0.0)

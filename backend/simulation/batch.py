@@ -390,7 +390,7 @@ def _join_rows(
     return joined, GraspHistory(slip, np.stack([after.relaxed[k] for _, after, k in parts]))
 
 
-_MOUNTING = _GRIP = 0
+_MOUNTING = 0
 _SENSORS = 1
 
 
@@ -426,10 +426,17 @@ class TrialPresses:
 class BatchedTrials:
     """Trials with the same piece, touched outline and settings; scenes differ in seed and tower.
 
-    Raises ValueError for scenes of different pieces, surfaces, settings or numbers of free bodies.
+    ``grips``: number of the gripping in each scene, the first by default. Equal scenes with
+    different numbers are grippings on one mounting. Raises ValueError for scenes of different
+    pieces, surfaces, settings or numbers of free bodies.
     """
 
-    def __init__(self, scenes: Sequence[Scene], probe: ProbeSettings | None = None) -> None:
+    def __init__(
+        self,
+        scenes: Sequence[Scene],
+        probe: ProbeSettings | None = None,
+        grips: Sequence[int] | None = None,
+    ) -> None:
         first = scenes[0]
         if any(self.shared(s) != self.shared(first) for s in scenes):
             raise ValueError("trials in lockstep share piece, surface and settings")
@@ -440,13 +447,14 @@ class BatchedTrials:
         self._rule = onset_rule(first.settings, self._probe)
         self._gel = gel_from_settings(first.settings)
         force_n = self._probe.grip_force_n
+        self._grips = list(grips or [0] * len(scenes))
         self.grippings = [
             nuisance.draw_gripping(
                 s.settings,
                 force_n,
-                nuisance.scoped_generator(s.seed, SeedScope.GRIPPING, s.number, _MOUNTING, _GRIP),
+                nuisance.scoped_generator(s.seed, SeedScope.GRIPPING, s.number, _MOUNTING, grip),
             )
-            for s in scenes
+            for s, grip in zip(scenes, self._grips, strict=True)
         ]
         self._mountings = [scene_mounting(scene) for scene in scenes]
         self._carried = GraspHistory.fresh(len(scenes))
@@ -527,9 +535,8 @@ class BatchedTrials:
         for i in rows.tolist():
             self._number[i] += 1
             scene = self.scenes[i]
-            rng = nuisance.scoped_generator(
-                scene.seed, SeedScope.PROBE, scene.number, _MOUNTING, _GRIP, self._number[i]
-            )
+            place = (scene.number, _MOUNTING, self._grips[i], self._number[i])
+            rng = nuisance.scoped_generator(scene.seed, SeedScope.PROBE, *place)
             each = nuisance.draw_probe(scene.settings, rng)
             draws.append((self._mountings[i], self.grippings[i], each))
         piece = self._first.piece
@@ -539,5 +546,5 @@ class BatchedTrials:
 
     def _sensor_rng(self, trial: int) -> np.random.Generator:
         scene = self.scenes[trial]
-        place = (scene.number, _MOUNTING, _GRIP, self._number[trial], _SENSORS)
+        place = (scene.number, _MOUNTING, self._grips[trial], self._number[trial], _SENSORS)
         return nuisance.scoped_generator(scene.seed, SeedScope.PROBE, *place)

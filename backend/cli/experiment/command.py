@@ -23,7 +23,7 @@ from touchdown.backend.cli.output import (
     write_errors,
 )
 from touchdown.backend.cli.train import add_device
-from touchdown.backend.config import load_simulation
+from touchdown.backend.config import StackSettings, load_simulation
 from touchdown.backend.core import InputError, write_atomically
 from touchdown.backend.experiments import (
     BEYOND_FORMAT,
@@ -42,10 +42,12 @@ from touchdown.backend.experiments import (
     StaticComparison,
     StrategyComparison,
     adopt_models,
+    base_strategy,
     compare_intervals,
     comparison_tables,
     keep_models,
     merged_oracle_shares,
+    method_of,
     oracle_share_table,
     pieces_of,
     program_version,
@@ -242,6 +244,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--full", dest="scale", action="store_const", const="full", help="train as the paper does; "
         "400 positions and 100 trials per cell",
     )  # fmt: skip
+    scale.add_argument(
+        "--stability", dest="scale", action="store_const", const="stability", help="existing "
+        "models, Tables I and II alone: 200 groups, and 800 presses on 40 mountings per cell",
+    )  # fmt: skip
     parser.set_defaults(scale="quick")
     parser.add_argument(
         "--out", type=Path, default=Path("output/experiment"), metavar="DIR",
@@ -278,7 +284,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def _add_beyond_arguments(parser: argparse.ArgumentParser) -> None:
     beyond = parser.add_argument_group("beyond")
     beyond.add_argument("--strategies", default="paper,fused", help="or "
-                        "zero-wrench, ceiling, ceiling-diameter, pick-and-place")  # fmt: skip
+                        "zero-wrench, paper-calibrated, ceiling, ceiling-diameter, pick-and-place; "
+                        "settings follow a name: fused:policy.least_probes=2")  # fmt: skip
     beyond.add_argument("--bottoms", default="short,long", help="or hex20, rect12x28, and towers "
                         "short+long, short+hex20, short+rect12x28")  # fmt: skip
     beyond.add_argument("--trials", type=int, default=50, help="of a cell")
@@ -394,7 +401,7 @@ def _comparison_of(args: argparse.Namespace, store: JobStore) -> StrategyCompari
         models={piece: found[piece, "FT+Tac"] for piece in pieces},
         pieces=pieces,
         bottoms=_parse_names(args.bottoms, BOTTOMS, "--bottoms"),
-        strategies=_parse_names(args.strategies, STRATEGIES, "--strategies"),
+        strategies=_parse_strategies(args.strategies),
         trials=args.trials,
         entry_sigma_mm=None if args.no_entry else args.entry_sigma,
     )
@@ -414,6 +421,16 @@ def _parse_names(text: str, known: tuple[str, ...], where: str) -> tuple[str, ..
     return names
 
 
+def _parse_strategies(text: str) -> tuple[str, ...]:
+    """Return names of strategies, each with the settings behind it; raises ``InputError``."""
+    names = tuple(text.split(","))
+    _parse_names(",".join(map(base_strategy, names)), STRATEGIES, "--strategies")
+    for name in names:
+        if ":" in name:
+            method_of(name, StackSettings())
+    return names
+
+
 def _recipe(args: argparse.Namespace, store: JobStore) -> Recipe:
     pieces = pieces_of(args.pieces)
     if not pieces or len(pieces) != len(args.pieces.split(",")):
@@ -425,7 +442,7 @@ def _recipe(args: argparse.Namespace, store: JobStore) -> Recipe:
     scale = SCALES[args.scale]
     if args.keep_models and not scale.probes:
         raise InputError(
-            "--quick trains no models.", "--keep-models", "Leave it out or use --full."
+            f"--{args.scale} trains no models.", "--keep-models", "Leave it out or use --full."
         )
     if args.models and scale.probes:
         raise InputError(

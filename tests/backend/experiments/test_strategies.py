@@ -12,6 +12,7 @@ from scipy import stats
 
 from touchdown.backend.config.method import FusedSettings, StackSettings
 from touchdown.backend.config.simulation import SimulationSettings, load_simulation
+from touchdown.backend.core.faults import InputError
 from touchdown.backend.experiments.comparison import (
     StrategyComparison,
     comparison_report,
@@ -29,6 +30,7 @@ from touchdown.backend.experiments.strategies import (
     ClosedLoopComparison,
     StaticComparison,
     least_probes,
+    method_of,
     reliability_of_counts,
     run_closed_loop,
     run_static_groups,
@@ -147,7 +149,10 @@ def test_changes_are_paired_by_seed() -> None:
     assert placed["low"] <= placed["change"] == 0.25 <= placed["high"]
     assert (unsafe["change"], unsafe["only_paper"], unsafe["only_own"]) == (0.0, 1, 1)
     same = {**trials, ("mine", "pot", "short"): trials["paper", "pot", "short"]}
-    assert paired_changes(same, {})[0]["low"] is None
+    # No trial of five differs: the exact bound, 1 - 0.05 ** (1 / 5).
+    alike = paired_changes(same, {})[0]
+    assert (alike["low"], alike["high"]) == pytest.approx((-0.4507, 0.4507), abs=1e-4)
+    assert (placed["p"], unsafe["p"], alike["p"]) == (1.0, 1.0, 1.0)
     said = {
         ("paper", "pot", "short"): {1: answer([False] * 2, [False] * 2, [2.0, -2.0])},
         ("mine", "pot", "short"): {1: answer([False] * 2, [True, False], [2.0, -2.0])},
@@ -155,6 +160,28 @@ def test_changes_are_paired_by_seed() -> None:
     rows = {row["what"]: row for row in paired_changes({}, said)}
     assert rows["right, n = 3"]["change"] == rows["balanced, n = 3"]["change"] == 0.5
     assert "only_own" not in rows["right, n = 3"]
+
+
+def test_settings_in_a_name_are_compared_with_the_strategy_without_them() -> None:
+    def cell(*outcomes: str) -> list[Json]:
+        return [{"seed": k, "outcome": word} for k, word in enumerate(outcomes)]
+
+    name = "fused:policy.least_probes=2"
+    trials = {
+        ("paper", "pot", "short"): cell(*["fell"] * 6),
+        ("fused", "pot", "short"): cell(*["fell"] * 6),
+        (name, "pot", "short"): cell(*["placed"] * 6),
+    }
+    rows = [row for row in paired_changes(trials, {}) if row["strategy"] == name]
+    assert [row["reference"] for row in rows] == ["fused", "fused"]
+    # Six of six discordant pairs in one direction: 2 / 2 ** 6.
+    assert [row["p"] for row in rows] == [pytest.approx(0.03125)] * 2
+    assert [row["change"] for row in rows] == [1.0, -1.0]
+    method = method_of(f"{name}:fused.risk=0.05", StackSettings())
+    assert (method.strategy, method.policy.least_probes, method.fused.risk) == ("fused", 2, 0.05)
+    for wrong in ("fused:policy.least=2", "fused:nothing.risk=2", "fused:policy.least_probes=x"):
+        with pytest.raises(InputError):
+            method_of(wrong, StackSettings())
 
 
 def test_changes_of_verdicts_have_the_interval_of_a_paired_statistic() -> None:

@@ -43,12 +43,14 @@ from touchdown.backend.experiments.models import (
 )
 from touchdown.backend.experiments.results import DATA, PAGE, write_tables
 from touchdown.backend.experiments.run_report import write_run_report
+from touchdown.backend.experiments.statics import ProbeGroups
 from touchdown.backend.experiments.statistics import (
     VerdictCounts,
     compare_intervals,
     estimate_mean,
     estimate_rate,
     reliability_curve,
+    verdict_changes,
 )
 from touchdown.backend.experiments.tables import (
     FULL,
@@ -56,25 +58,35 @@ from touchdown.backend.experiments.tables import (
     MODELS,
     PIECES,
     QUICK,
+    STABILITY,
     TABLE_BOTTOMS,
     TRAINING_BOTTOMS,
     Recipe,
     Scale,
+    VerdictSample,
     agreement,
     job_code,
     score_verdicts,
     stacking_cell,
 )
-from touchdown.backend.experiments.trials import SceneSetup, balanced_offset, start_scene
+from touchdown.backend.experiments.trials import (
+    BatchModel,
+    SceneSetup,
+    balanced_offset,
+    start_scene,
+)
+from touchdown.backend.geometry.outlines import face_points
 from touchdown.backend.geometry.pieces import load_pieces
 from touchdown.backend.geometry.sampling import MAX_LEAN_MM
 from touchdown.backend.jobs.execution import SerialExecutor, run_campaign
 from touchdown.backend.jobs.job import SPEC_FILE, JobSpec, JobStore, run_job
 from touchdown.backend.runs.requests import SceneChoice
 from touchdown.backend.simulation.batch import BatchedTrials, TrialPresses
+from touchdown.backend.simulation.gripper import scene_mounting
 
 HARD = SimulationSettings.model_validate({"preset": "hard"})
-TINY = Scale("tiny", 30, 1, 4, 2, 5, 2, fused=3, pictured=40)
+TABLES = {"table1", "table2", "table3"}
+TINY = Scale("tiny", 30, 1, 4, 2, 2, 1, 5, 2, fused=3, pictured=40)
 
 
 def test_full_has_the_papers_counts() -> None:
@@ -84,13 +96,15 @@ def test_full_has_the_papers_counts() -> None:
         "simulate": 9,
         "train": 12,
         "twins": 1,
-        "static": 6,
+        "static": 12,
         "stack": 15,
         "devices": 9,
     }
     collected = [spec.params["episodes"] for spec in jobs if spec.kind == "simulate"]
     assert collected == [2000] * 9
     assert {spec.params["epochs"] for spec in jobs if "epochs" in spec.params} <= {30}
+    sample = [spec.params for spec in jobs if spec.params.get("protocol") == "paper"]
+    assert [p["mountings"] * p["grips"] * p["probes"] for p in sample] == [400] * 6
 
 
 def test_inputs_come_before_what_needs_them_and_no_job_twice() -> None:
@@ -116,11 +130,12 @@ def test_no_seed_of_an_evaluation_serves_twice_or_in_training() -> None:
     jobs = [s for s in Recipe(FULL, HARD, "1").jobs() if s.kind in ("static", "stack")]
     cells: dict[str, set[int]] = {}
     for spec in jobs:
-        count = spec.params.get("groups") or 2 * spec.params["trials"]
+        p = spec.params
+        count = p.get("groups") or p.get("mountings") or 2 * p["trials"]
         seeds = set(range(spec.seed, spec.seed + count))
         # Strategies are compared on the same trials; cells of other pairs share none.
         cell = f"{spec.kind} {spec.params['piece']} {spec.params.get('bottoms')}"
-        cell += str(spec.params.get("bottom"))
+        cell += f"{p.get('bottom')} {p.get('protocol')}"
         if cell in cells:
             assert cells[cell] == seeds
             continue
@@ -183,10 +198,16 @@ def test_a_tiny_campaign_gives_traced_tables_that_repeat(tmp_path: Path) -> None
     page = (tmp_path / "first" / PAGE).read_text("utf-8")
     assert "SIMULATED BENCH" in page
     assert "http" not in page.replace("http://www.w3.org", "")
-    for name in ("table1", "table2", "table3"):
-        for row in answers[0][name]:
-            for cell in row["cells"]:
-                assert_traced(cell, JobStore(tmp_path / "first" / "jobs"), recipe)
+    own = answers[0]["paper_protocol"]
+    kept = JobStore(tmp_path / "first" / "jobs")
+    for rows in (found[name] for found in (answers[0], own) for name in TABLES & set(found)):
+        for cell in (cell for row in rows for cell in row["cells"]):
+            assert_traced(cell, kept, recipe)
+    assert own["interactions"] == TINY.mountings * TINY.grips * TINY.fused
+    assert own["table1"][0]["cells"][0]["n"] == TINY.mountings
+    assert "Table 2, paper&#x27;s protocol: stability" in page
+    assert answers[0]["sources"]["static"] == job_code("static", "1").partition("+")[2]
+    assert f"static {answers[0]['sources']['static']}" in page
     assert answers[0]["table1"][0]["cells"][0]["n"] == TINY.groups
     methods = {row["method"]: row for row in answers[0]["table2"]}
     assert methods["Implicit"]["cells"][0]["accuracy"]["n"] <= TINY.groups
@@ -230,6 +251,8 @@ def test_quick_uses_models_that_exist_and_leaves_other_cells_empty(tmp_path: Pat
     only = {("pot", "FT+Tac"): models["pot", "FT+Tac"]}
     recipe = Recipe(replace(QUICK, groups=4, trials=2), HARD, "1", only, ("pot",))
     assert {spec.kind for spec in recipe.jobs()} == {"twins", "static", "stack"}
+    alone = Recipe(STABILITY, HARD, "1", only, ("pot",))
+    assert {spec.kind for spec in alone.jobs()} == {"static"}
     assert recipe.static("barrel", "short") is None
     names = {name for name, _, _ in MODELS}
     assert set(recipe.jobs()[1].params["models"]) < names
@@ -470,6 +493,82 @@ def test_a_group_without_observations_is_left_out_and_counted(
     assert groups.rejected == whole.rejected + 2
     np.testing.assert_array_equal(groups.true_mm, whole.true_mm[[0, 2, 3]])
     np.testing.assert_array_equal(groups.margin_mm, whole.margin_mm[[0, 2, 3]])
+
+
+@pytest.fixture(scope="module")
+def from_a_jig() -> ProbeGroups:
+    case = SceneSetup.of(load_pieces(), "pot", ("short",), load_simulation(preset="bench-v1"))
+    return statics.jig_groups(case, range(90, 93), grips=2, probes=3)
+
+
+def test_a_jig_gives_grippings_of_one_mounting(
+    from_a_jig: ProbeGroups, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert from_a_jig.mounting.tolist() == [90, 90, 91, 91, 92, 92]
+    assert len(np.unique(from_a_jig.offset_mm)) == from_a_jig.offset_mm.size
+    made: list[BatchedTrials] = []
+    case = SceneSetup.of(load_pieces(), "pot", ("short",), load_simulation(preset="bench-v1"))
+    monkeypatch.setattr(
+        statics, "_press_groups", lambda case, bench, probes, draw: made.append(bench)
+    )
+    statics.jig_groups(case, range(90, 190), grips=2, probes=3)
+    (bench,) = made
+    tilts = [scene_mounting(scene).tilt_rad for scene in bench.scenes]
+    assert tilts[0::2] == tilts[1::2]
+    assert len(set(tilts)) == 100
+    grasps = np.array([grip.grasp_offset_mm for grip in bench.grippings])
+    assert len(np.unique(grasps)) == grasps.size
+    # chi square of 400 normal values
+    assert grasps.std() == pytest.approx(case.settings.spread.jig_mm, rel=0.12)
+
+
+def test_each_press_from_a_jig_is_judged_with_the_others_of_its_gripping(
+    from_a_jig: ProbeGroups,
+) -> None:
+    case = SceneSetup.of(load_pieces(), "pot", ("short",), load_simulation(preset="bench-v1"))
+    exact = np.where(from_a_jig.truth, 0.999, 0.001)
+    model = _known_model(case)
+    found = statics.score_fused_verdicts(exact, from_a_jig, model, case, judged=3)
+    answer = from_a_jig.as_json(case.settings, judged=3)
+    assert answer["mounting"] == from_a_jig.mounting.tolist() * 3
+    clear = [abs(m[1] or 9.0) > 1.0 for m in answer["margin_mm"]]
+    stands = [(m[1] or -9.0) > 0.0 for m in answer["margin_mm"]]
+    assert len(stands) == 18
+    assert 0 < sum(stands) < 18
+    for name in ("says", "even"):
+        said = found[name]["1"]
+        assert [s for s, sure in zip(said, clear, strict=True) if sure] == [
+            s for s, sure in zip(stands, clear, strict=True) if sure
+        ]
+    again = from_a_jig.rotated(2)
+    np.testing.assert_array_equal(again.margin_mm, from_a_jig.margins_mm[:, 2])
+    assert len(statics.score_patches(exact, from_a_jig, first=0)["iou"]) == 3
+
+
+def _known_model(case: SceneSetup) -> BatchModel:
+    points = face_points(case.piece.face)
+    return BatchModel(lambda seen: np.zeros((len(seen), len(points))), points, 0.35)
+
+
+def test_copies_of_a_group_on_its_mounting_add_nothing() -> None:
+    """The interval is that of the mountings: each group four times on its mounting."""
+    rng = np.random.default_rng(8)
+    said, stands = rng.random((2, 60)) < 0.5
+    margins = [[None, 1.0 if one else -1.0] for one in stands]
+    alone = VerdictSample.of(said.tolist(), margins, [str(k) for k in range(60)])
+    copies = VerdictSample.of(
+        said.tolist() * 4, margins * 4, [str(k) for k in range(60)] * 4
+    ).as_json()
+    once = alone.as_json()
+    assert copies["mountings"] == once["mountings"] == 60
+    assert copies["accuracy"]["low"] == pytest.approx(once["accuracy"]["low"], abs=0.01)
+    other = rng.random(60) < 0.5
+    pairs = list(zip(said.tolist(), other.tolist(), stands.tolist(), strict=True))
+    by_four = verdict_changes(pairs * 4, [str(k) for k in range(60)] * 4)
+    for name, change in verdict_changes(pairs).items():
+        assert by_four[name]["low"] == pytest.approx(change["low"], abs=1e-9)
+        assert by_four[name]["high"] == pytest.approx(change["high"], abs=1e-9)
+        assert (by_four[name]["n"], by_four[name]["mountings"]) == (240, 60)
 
 
 def tables(iou: float, right: float, placed: float, half: float) -> dict[str, Any]:

@@ -189,6 +189,22 @@ def test_the_last_probe_may_still_release() -> None:
     assert act(belief, patch, policy=PolicySettings(max_probes=1))[1].kind == "release"
 
 
+def test_a_release_may_need_more_than_one_place() -> None:
+    belief, patch = probed(block((-3, 3), (-3, 3)))
+    two = PolicySettings(least_probes=2)
+    stability, action = act(belief, patch, policy=two)
+    assert stability.stable
+    assert action.kind == "shift"
+    assert "2 probes are required" in action.reason
+    # A repeat within belief.min_shift_mm is not a second place.
+    near = belief.updated(patch, (HERE[0] + 0.4, HERE[1]))
+    assert act(near, patch, policy=two)[1].kind == "shift"
+    far = belief.updated(patch, (HERE[0] + 1.0, HERE[1]))
+    assert act(far, patch, policy=two)[1].kind == "release"
+    last = PolicySettings(least_probes=2, max_probes=1)
+    assert act(belief, patch, policy=last)[1].kind == "give_up"
+
+
 def test_no_estimate_is_never_acted_on() -> None:
     belief, good = probed(block((-3, 3), (-3, 3)))
     p = good.probability.copy()

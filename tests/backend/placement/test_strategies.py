@@ -34,6 +34,7 @@ from touchdown.backend.learning.calibration import PatchCalibration
 from touchdown.backend.learning.fused.checkpoint import shipped_fused
 from touchdown.backend.learning.fused.features import GraspedFace, wrench_at_sensor
 from touchdown.backend.learning.fused.inference import InsetDistribution
+from touchdown.backend.placement import strategies
 from touchdown.backend.placement.strategies import (
     FARTHEST_MM,
     FaceCentre,
@@ -198,6 +199,49 @@ def test_a_release_needs_the_accepted_risk(presses: list[TrialPresses]) -> None:
     for conclusion in found[:2]:
         assert 0.0 < np.hypot(*conclusion.action.step_mm) <= 3.0 + 1e-9
         assert not conclusion.stability.stable
+
+
+@pytest.mark.parametrize(
+    ("policy", "fused", "why"),
+    [
+        ({"least_probes": 4}, {}, "4 probes are required"),
+        ({}, {"largest_sd_mm": 0.01}, "0.01 mm allowed"),
+        ({}, {"pressure_sd_mm": 0.01}, "centres of pressure do not enclose it"),
+    ],
+)
+def test_weak_evidence_is_not_released_on(
+    presses: list[TrialPresses], policy: dict[str, int], fused: dict[str, float], why: str
+) -> None:
+    bold = FusedSettings.model_validate({"risk": 0.9, "inset_mm": 0.0, **fused})
+    settings = StackSettings(belief=SMALL, fused=bold, policy=PolicySettings(**policy))
+    reasoner, found = concluded(presses, 0, settings)
+    assert found[-1].action.kind == "shift"
+    assert why in found[-1].action.reason
+    assert reasoner.stable_at(PLACES[-1]) is not bool(fused)
+    last = settings.model_copy(update={"policy": PolicySettings(**policy, max_probes=3)})
+    assert concluded(presses, 0, last)[1][-1].action.kind == "give_up"
+
+
+@pytest.mark.parametrize(("sd_mm", "kind"), [(1.4, "release"), (1.6, "shift")])
+def test_the_hull_of_the_centres_of_pressure_is_shrunk_by_two_deviations(
+    presses: list[TrialPresses], monkeypatch: pytest.MonkeyPatch, sd_mm: float, kind: str
+) -> None:
+    """They are the corners of a triangle around the centre of mass, its edges 3 mm away."""
+    corners = 6.0 * np.array([[np.cos(a), np.sin(a)] for a in (0.0, 2 * np.pi / 3, -2 * np.pi / 3)])
+    centres = iter(np.array(PLACES[-1]) + corners - np.array(PLACES))
+    monkeypatch.setattr(strategies, "pressed_at_mm", lambda wrench, lever_mm: next(centres))
+    bold = FusedSettings(risk=0.9, inset_mm=0.0, pressure_sd_mm=sd_mm)
+    assert concluded(presses, 0, StackSettings(belief=SMALL, fused=bold))[1][-1].action.kind == kind
+
+
+def test_a_press_replaces_one_at_the_same_place(presses: list[TrialPresses]) -> None:
+    merging = SETTINGS.model_copy(update={"fused": FusedSettings(merge_mm=0.5)})
+    there = ((2.0, 0.3), (2.3, 0.5), (2.0, 0.5))
+    merged = concluded(presses, 0, merging, places=there)[1][-1]
+    alone = concluded(presses[-1:], 0, places=there[-1:])[1][-1]
+    every = concluded(presses, 0, places=there)[1][-1]
+    assert merged.stability.margin_mm == alone.stability.margin_mm
+    assert merged.stability.margin_mm != every.stability.margin_mm
 
 
 def test_another_height_of_the_sensor_is_made_up_for(presses: list[TrialPresses]) -> None:

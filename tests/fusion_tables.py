@@ -1,7 +1,7 @@
-"""Render the tables of docs/learned-fusion.md: ``python -m tests.fusion_tables``.
+"""Render the tables of results in the documents: ``python -m tests.fusion_tables``.
 
-Each table is between ``<!-- NAME -->`` and ``<!-- end -->`` and shows the comparison
-``docs/results/NAME.json``.
+Each table is between ``<!-- NAME -->`` and ``<!-- end -->`` and shows ``docs/results/NAME.json``.
+The table of calibrations shows the cards of the shipped models.
 """
 
 import json
@@ -13,7 +13,10 @@ from typing import Any
 
 from touchdown.backend.experiments.statistics import estimate_rate
 
-PAGE = Path(__file__).parents[1] / "docs" / "learned-fusion.md"
+DOCS = Path(__file__).parents[1] / "docs"
+PAGES = tuple(DOCS / f"{name}.md" for name in ("learned-fusion", "experiments", "method-choices"))
+MODELS = DOCS.parent / "resources" / "models"
+CALIBRATIONS = "calibrations"
 WORDS = ("placed", "fell", "knocked_over", "gave_up", "aborted")
 TITLES = {
     "short": "Short",
@@ -92,11 +95,122 @@ def _said(answers: Json) -> str:
     return f"{100 * answers['balanced']:.1f}; {found:.0f}, {unsafe:.0f}"
 
 
+def compared(answer: Json) -> str:
+    """Return the counts of each strategy over all its cells, and the changes on common seeds."""
+    names = list(dict.fromkeys(cell["strategy"] for cell in answer["cells"]))
+    lines = [
+        "| strategy | trials | placed, % | unsafe, % | placed / fell / knocked over / gave up / "
+        "aborted | probes of the placed |",
+        "|---|---|---|---|---|---|",
+    ]
+    for name in names:
+        lines.append(_loop(f"`{name}`", [c for c in answer["cells"] if c["strategy"] == name]))
+    lines += ["", "| change, points | from | of | | only before | only after | p |"]
+    lines.append("|---|---|---|---|---|---|---|")
+    for row in answer["changes"]:
+        if "only_own" in row:
+            counts = f"{row['only_paper']} | {row['only_own']} | {row['p']:.2g}"
+            names_of = f"`{row['strategy']}` | `{row['reference']}` | {row['what']}"
+            lines.append(f"| {names_of} | {_points(row)} | {counts} |")
+    return "\n".join([*lines, "", _provenance(answer)])
+
+
+def _points(row: Json) -> str:
+    change, low, high = (100 * row[key] for key in ("change", "low", "high"))
+    return f"{change:+.1f} ({low:+.1f} to {high:+.1f})"
+
+
+def _provenance(answer: Json) -> str:
+    sources = ", ".join(f"{kind} `{digest}`" for kind, digest in answer["sources"].items())
+    return f"Computed on {answer['date']}; sources of the jobs: {sources}."
+
+
+FUSIONS = {"": "`paper`", "calibrated ": "`paper-calibrated`", "even ": "`paper`, judged at 0.5"}
+NUMBERS = ("1", "2", "3", "5")
+
+
+def stability(answer: Json) -> str:
+    """Return Table 2 in both protocols, and the cells of three probes in that of the paper."""
+    lines = []
+    protocols = {"Paper's protocol": answer["paper_protocol"], "Balanced sample": answer}
+    for title, tables in protocols.items():
+        rows = {row["method"]: row for row in tables["table2"]}
+        lines += [f"| {title} | n = 1 | 2 | 3 | 5 |", "|---|---|---|---|---|"]
+        if title != "Balanced sample":
+            printed = " | ".join(_printed(rows[n]) for n in NUMBERS)
+            lines.append(f"| the paper's robot | {printed} |")
+        for prefix, name in FUSIONS.items():
+            own = [rows[prefix + n] for n in NUMBERS]
+            lines.append(f"| {name} | {' | '.join(map(_right, own))} |")
+            balanced = (f"{100 * row['pooled']['balanced']:.1f}" for row in own)
+            lines.append(f"| {name}, balanced | {' | '.join(balanced)} |")
+            for key in ("accuracy", "balanced") if prefix else ():
+                shown = " | ".join(_points(row["changes"][key]) for row in own)
+                what = "plain" if key == "accuracy" else key
+                lines.append(f"| {name} against `paper`, {what}, points | {shown} |")
+        base = rows["1"]["pooled"]
+        said = f"Base rate {100 * base['base_rate']:.1f} %, {base['accuracy']['n']} places"
+        lines += ["", f"{said} on {base['mountings']} mountings.", ""]
+    rows = {row["method"]: row["cells"] for row in answer["paper_protocol"]["table2"]}
+    heads = [f"{c['piece']}, {c['bottom']}" for c in rows["3"]]
+    lines.append(f"| Paper's protocol, n = 3 | {' | '.join(heads)} |")
+    lines.append("|---" * (len(heads) + 1) + "|")
+    for name, key in (("the paper's robot", "paper"), ("base rate", "base_rate")):
+        lines.append(f"| {name} | {' | '.join(f'{100 * c[key]:.1f}' for c in rows['3'])} |")
+    for prefix, name in FUSIONS.items():
+        shown = (f"{100 * c['accuracy']['value']:.1f}" for c in rows[f"{prefix}3"])
+        lines.append(f"| {name} | {' | '.join(shown)} |")
+    return "\n".join([*lines, "", _provenance(answer)])
+
+
+def _printed(row: Json) -> str:
+    values = [cell["paper"] for cell in row["cells"] if cell["paper"] is not None]
+    return f"{100 * sum(values) / len(values):.1f}" if values else "-"
+
+
+def _right(row: Json) -> str:
+    value, low, high = (100 * row["pooled"]["accuracy"][key] for key in ("value", "low", "high"))
+    return f"{value:.1f} ({low:.1f} to {high:.1f})"
+
+
+def calibrations(cards: Json) -> str:
+    """Return one row for each shipped network that ``paper-calibrated`` uses."""
+    lines = [
+        "| network | temperature | bias | prior | expected calibration error before, after |",
+        "|---|---|---|---|---|",
+    ]
+    for bench, suffix in (("bench-v1", "-ft+tac"), ("mixed", "")):
+        for piece in ("pot", "barrel", "mushroom", "mug"):
+            card = cards.get(f"{bench}/{piece}{suffix}")
+            if card:
+                c = card["calibration"]
+                errors = f"{c['error_before']:.3f}, {c['error_after']:.3f}"
+                numbers = f"{c['temperature']:.2f} | {c['bias']:+.2f} | {c['prior']:.3f} | {errors}"
+                lines.append(f"| {piece}, {bench}, {card['modality']} | {numbers} |")
+    return "\n".join(lines)
+
+
+def model_cards() -> Json:
+    """Return the cards of the shipped models, by bench and name."""
+    found = {f"mixed/{path.stem}": path for path in MODELS.glob("*.json")}
+    found |= {f"bench-v1/{path.stem}": path for path in (MODELS / "bench-v1").glob("*.json")}
+    return {name: json.loads(path.read_text("utf-8")) for name, path in found.items()}
+
+
+def rendered(name: str, answer: Json) -> str:
+    if name == CALIBRATIONS:
+        return calibrations(answer)
+    if answer["format"].startswith("touchdown-tables"):
+        return stability(answer)
+    if "sources" in answer:
+        return compared(answer)
+    return statics(answer) if "statics" in name else loops(answer)
+
+
 def written(page: str, answers: dict[str, Json]) -> str:
     for name, answer in answers.items():
-        kind = statics if "statics" in name else loops
         block = re.compile(rf"(<!-- {name} -->\n).*?(\n<!-- end -->)", re.DOTALL)
-        made = kind(answer)
+        made = rendered(name, answer)
         page, count = block.subn(lambda m, made=made: m[1] + made + m[2], page)
         if count != 1:
             raise ValueError(f"{count} places for the table {name}")
@@ -104,17 +218,18 @@ def written(page: str, answers: dict[str, Json]) -> str:
 
 
 def named(page: str) -> dict[str, Json]:
-    """Return the comparisons that the page has places for."""
-    names = re.findall(r"<!-- ([\w-]+) -->\n", page)
-    folder = PAGE.parent / "results"
+    """Return the results that the page has places for."""
+    names = [name for name in re.findall(r"<!-- ([\w-]+) -->\n", page) if name != "end"]
     return {
-        name: json.loads((folder / f"{name}.json").read_text("utf-8"))
+        name: model_cards()
+        if name == CALIBRATIONS
+        else json.loads((DOCS / "results" / f"{name}.json").read_text("utf-8"))
         for name in names
-        if name != "end"
     }
 
 
 if __name__ == "__main__":
-    text = PAGE.read_text("utf-8")
-    PAGE.write_text(written(text, named(text)), "utf-8")
-    sys.stdout.write(f"{PAGE}\n")
+    for path in PAGES:
+        text = path.read_text("utf-8")
+        path.write_text(written(text, named(text)), "utf-8")
+        sys.stdout.write(f"{path}\n")

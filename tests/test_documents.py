@@ -10,7 +10,7 @@ import pytest
 
 from tests.bench import figures
 from tests.bench.run import MODULES
-from tests.fusion_tables import PAGE, loops, named, written
+from tests.fusion_tables import CALIBRATIONS, PAGES, loops, named, written
 from touchdown.backend.cli.command_line import VERBS
 from touchdown.backend.cli.doctor.command import DoctorCheck
 
@@ -132,11 +132,14 @@ def test_the_page_of_figures_is_rendered_from_its_data():
     assert len(names) == len(set(names))
 
 
-def test_the_tables_of_learned_fusion_are_rendered_from_their_results():
-    page = PAGE.read_text("utf-8")
-    answers = named(page)
-    assert {"beyond-fused", "beyond-fused-statics"} <= set(answers)
-    assert written(page, answers) == page
+def test_the_tables_of_results_are_rendered_from_their_data():
+    tables = set()
+    for path in PAGES:
+        page = path.read_text("utf-8")
+        answers = named(page)
+        assert written(page, answers) == page, path
+        tables |= set(answers)
+    assert {"beyond-fused", "beyond-fused-statics", CALIBRATIONS} <= tables
 
 
 def test_a_row_of_learned_fusion_counts_every_trial():

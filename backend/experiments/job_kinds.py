@@ -46,7 +46,7 @@ from touchdown.backend.experiments.statics import (
     score_patches,
 )
 from touchdown.backend.experiments.strategies import run_closed_loop, run_static_groups
-from touchdown.backend.experiments.tables import PAPER_PROTOCOL
+from touchdown.backend.experiments.tables import OWN_MODEL, PAPER_PROTOCOL
 from touchdown.backend.experiments.trials import (
     SceneSetup,
     pick_and_place_in_lockstep,
@@ -152,7 +152,7 @@ def evaluate_static(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
         parts = [probe_groups(case, list(some), p["probes"]) for some in chunks]
     groups = join_groups(parts)
     models = {
-        name: _scores(load_model(source, place.store), case, groups, judged)
+        name: _scores(load_model(source, place.store), case, groups, judged, name == OWN_MODEL)
         for name, source in sorted(p["models"].items())
     }
     return {**groups.as_json(case.settings, judged), "models": models}
@@ -163,20 +163,20 @@ def _chunks(seeds: range, size: int) -> list[range]:
 
 
 def _scores(
-    checkpoint: Checkpoint, case: SceneSetup, groups: ProbeGroups, judged: int
+    checkpoint: Checkpoint, case: SceneSetup, groups: ProbeGroups, judged: int, fuses: bool
 ) -> dict[str, Any]:
+    """Return the scores of one model; ``fuses``: with the verdicts of Table 2."""
     model = batch_model(checkpoint, case.piece)
     probability = groups.predictions(model)
-    about = {"weights_sha256": checkpoint.card.weights_sha256}
+    about: dict[str, Any] = {"weights_sha256": checkpoint.card.weights_sha256}
     if checkpoint.card.answers == "stability":
         stable = (probability[:, :judged, 0] > CONTACT_LEVEL).T.ravel()
         return {**about, "says": {"1": stable.tolist()}}
-    return {
-        **about,
-        # The first probe of a balanced sample is not a random one.
-        "patch": score_patches(probability, groups, first=int(judged == 1)),
-        **score_fused_verdicts(probability, groups, model, case, judged),
-    }
+    # The first probe of a balanced sample is not a random one.
+    about["patch"] = score_patches(probability, groups, first=int(judged == 1))
+    if fuses:
+        about |= score_fused_verdicts(probability, groups, model, case, judged)
+    return about
 
 
 def run_stacking(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:

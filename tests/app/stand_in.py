@@ -50,8 +50,7 @@ from touchdown.backend.devices.protocols import (
     SafetyMode,
 )
 from touchdown.backend.geometry.pieces import load_pieces
-from touchdown.backend.runs.bench import OperatorPrompt
-from touchdown.backend.runs.requests import RunState, RunStatus, SceneChoice
+from touchdown.backend.runs import OperatorPrompt, RunState, RunStatus, SceneChoice
 from touchdown.widgets.views.decision import signed_mm
 
 ROWS, COLS = np.mgrid[0:7, 0:9]

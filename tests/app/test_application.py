@@ -22,8 +22,7 @@ from touchdown.app.application import TouchdownApp
 from touchdown.app.shell.settings import load_settings
 from touchdown.app.workspaces import WORKSPACES
 from touchdown.backend.bench.assembly import model_in_use, simulated_session
-from touchdown.backend.learning.registry import ModelRegistry
-from touchdown.backend.learning.training_runs import list_training_runs
+from touchdown.backend.learning import ModelRegistry, list_training_runs
 from touchdown.backend.runs.recorder import RecordingOptions, models_folder
 from touchdown.backend.runs.requests import ProbeRequest, RunState, SceneChoice
 from touchdown.widgets.base.freshness import BUDGET_S

@@ -8,8 +8,7 @@ from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication, QTableView
 
 from tests.app.conftest import settle
-from touchdown.backend.core.events import Noticed
-from touchdown.backend.core.values import Outcome
+from touchdown.backend.core import Noticed, Outcome
 from touchdown.backend.runs.calibrations import drift_notice
 from touchdown.backend.sensing.zeroing import WrenchDrift
 from touchdown.widgets.base.panel import ElidedLabel, Panel

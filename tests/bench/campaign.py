@@ -54,12 +54,9 @@ from touchdown.backend.core.events import (
 from touchdown.backend.core.faults import Fault, FaultError, RefusedError, TouchdownError
 from touchdown.backend.core.files import write_atomically
 from touchdown.backend.devices.jog import JogOrder
+from touchdown.backend.emulation import DisturbanceScript
 from touchdown.backend.emulation.fault_plan import DEVICE_KINDS, WIRE_KINDS
-from touchdown.backend.emulation.simulated_disturbances import (
-    DISTURBANCE_KINDS,
-    Disturbance,
-    DisturbanceScript,
-)
+from touchdown.backend.emulation.simulated_disturbances import DISTURBANCE_KINDS, Disturbance
 from touchdown.backend.episodes.episode_mcap import read_episode
 from touchdown.backend.runs.engine import _fault_of
 from touchdown.backend.runs.event_log import read_events

@@ -52,9 +52,9 @@ from touchdown.backend.devices.dynpick.driver import PERIOD_S as DYNPICK_PERIOD_
 from touchdown.backend.devices.dynpick.driver import DynpickDriver
 from touchdown.backend.devices.dynpick.protocol import DynpickRecord, encode_record
 from touchdown.backend.devices.force_torque.reader import WrenchStamper
-from touchdown.backend.devices.gelsight.driver import TactileCamera
-from touchdown.backend.devices.gelsight.emulator import SERIAL as NUMBER
-from touchdown.backend.devices.gelsight.emulator import GelsightServer, encode
+from touchdown.backend.devices.gelsight import SERIAL as NUMBER
+from touchdown.backend.devices.gelsight import GelsightServer, TactileCamera
+from touchdown.backend.devices.gelsight.emulator import encode
 from touchdown.backend.devices.safety_trips import GRACE_S, Supervision
 from touchdown.backend.emulation import Faults, PtyServer, add_noise, apply_faults
 from touchdown.backend.sensing import measure_rest, read_pictures

@@ -19,35 +19,19 @@ from tests.backend.simulation.one_press import CASES, RMS_LIMIT_PX, press_both_w
 from tests.backend.simulation.release_cases import SETS, ask_both
 from tests.bench.figures import Figure, at_least, at_most, failures, figure, stated
 from touchdown.backend.bench.assembly import SimulatedBenchChoice, simulated_session
-from touchdown.backend.config.method import ProbeSettings
-from touchdown.backend.config.simulation import SimulationSettings, load_simulation
+from touchdown.backend.config import ProbeSettings, SimulationSettings, load_simulation
 from touchdown.backend.core import ActionChosen, Event, FloatArray, Outcome, TrialFinished
 from touchdown.backend.episodes.training_rows import join_rows, load_rows
-from touchdown.backend.experiments.job_kinds import KINDS
-from touchdown.backend.experiments.models import adopt_models
-from touchdown.backend.experiments.tables import (
-    FULL,
-    PIECES,
-    Recipe,
-    Scale,
-    agreement,
-    paper_training,
-)
-from touchdown.backend.geometry.outlines import face_points
-from touchdown.backend.geometry.pieces import Piece, load_pieces
-from touchdown.backend.geometry.sampling import draw_offset
+from touchdown.backend.experiments import KINDS, PIECES, Recipe, adopt_models
+from touchdown.backend.experiments.tables import FULL, Scale, agreement, paper_training
+from touchdown.backend.geometry import Piece, draw_offset, face_points, load_pieces
 from touchdown.backend.jobs.execution import ProcessPool, run_campaign
 from touchdown.backend.jobs.job import JobSpec, JobStore, run_job
 from touchdown.backend.learning.training import Trainer, use_one_thread
 from touchdown.backend.runs.requests import StackRequest, StrategyChoice
-from touchdown.backend.simulation import conditions
-from touchdown.backend.simulation.contact import RESIDUAL_LIMIT
-from touchdown.backend.simulation.mechanics import advance_probes, begin_probes
-from touchdown.backend.simulation.release_mujoco import (
-    PAIR_BAND_MM,
-    TOWER_BAND_MM,
-    mujoco_available,
-)
+from touchdown.backend.simulation import RESIDUAL_LIMIT, begin_probes, conditions, mujoco_available
+from touchdown.backend.simulation.mechanics import advance_probes
+from touchdown.backend.simulation.release_mujoco import PAIR_BAND_MM, TOWER_BAND_MM
 
 BACKEND = Path(__file__).resolve().parents[2] / "backend"
 FIRST_SEED = 100  # sixty seeds, ten per cell

@@ -10,8 +10,7 @@ from tests.app.conftest import opened, settle
 from tests.backend.bench.brisk import brisk_bench
 from touchdown.backend.bench.assembly import simulated_session
 from touchdown.backend.core.values import Pose
-from touchdown.backend.runs.recorder import RecordingOptions
-from touchdown.backend.runs.requests import SceneChoice
+from touchdown.backend.runs import RecordingOptions, SceneChoice
 
 STEP_S = 0.02
 

@@ -24,9 +24,7 @@ from typing import Any
 
 import pytest
 
-from touchdown.backend.annotations.dataset import Dataset
-from touchdown.backend.annotations.reconciliation import check_dataset
-from touchdown.backend.annotations.values import Revision
+from touchdown.backend.annotations import Dataset, Revision, check_dataset
 from touchdown.backend.cli.command_line import main
 from touchdown.backend.learning.training_runs import list_training_runs
 

@@ -8,8 +8,7 @@ from tests.app.conftest import opened, settle
 from tests.backend.bench.brisk import brisk_method
 from tests.journeys import operate_desk
 from tests.journeys.operate_desk import SteppedSession, brisk_session
-from touchdown.backend.annotations.dataset import Dataset
-from touchdown.backend.annotations.values import EpisodeFilter
+from touchdown.backend.annotations import Dataset, EpisodeFilter
 from touchdown.backend.runs.requests import RunState
 
 KEY = Qt.Key

@@ -15,8 +15,7 @@ import time
 import pytest
 
 from touchdown.backend.annotations.dataset import Dataset
-from touchdown.backend.core.events import ProbeCollected, TrialFinished
-from touchdown.backend.core.values import Outcome
+from touchdown.backend.core import Outcome, ProbeCollected, TrialFinished
 from touchdown.backend.learning.training_runs import list_training_runs
 from touchdown.backend.runs.event_log import read_events
 

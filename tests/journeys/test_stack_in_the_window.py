@@ -10,8 +10,7 @@ from tests.backend.bench.brisk import brisk_method
 from tests.journeys import operate_desk
 from tests.journeys.operate_desk import SteppedSession, brisk_session
 from touchdown.backend.bench import assembly
-from touchdown.backend.core.faults import RefusedError
-from touchdown.backend.core.values import ContactPatch, Outcome
+from touchdown.backend.core import ContactPatch, Outcome, RefusedError
 from touchdown.backend.geometry.outlines import face_points
 from touchdown.backend.learning.checkpoint import load_card
 from touchdown.backend.runs.requests import ProbeRequest, RunState

@@ -10,8 +10,7 @@ from PySide6.QtTest import QTest
 from tests.app.conftest import opened, settle
 from tests.app.label.conftest import make_episode
 from tests.app.stand_in import StandInBench
-from touchdown.backend.annotations.dataset import Dataset
-from touchdown.backend.annotations.values import EpisodeContext, Label
+from touchdown.backend.annotations import Dataset, EpisodeContext, Label
 from touchdown.backend.core.events import CampaignBegan, ProbeCollected, RunStarted
 from touchdown.backend.geometry.pieces import load_pieces
 from touchdown.backend.runs.requests import RunState

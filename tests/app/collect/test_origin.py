@@ -13,8 +13,7 @@ from touchdown.app.collect.origin import CampaignPace, OriginCheckNote, Recorder
 from touchdown.app.collect.probes import PairProbes, ProbeRecord, displacement_text, grip_text
 from touchdown.app.collect.requests import probe_text
 from touchdown.app.collect.workspace import CollectMemory
-from touchdown.app.shell.bench_text import duration_text
-from touchdown.app.shell.settings import restore_form
+from touchdown.app.shell import duration_text, restore_form
 from touchdown.backend.core.events import (
     DecisionAwaited,
     EpisodeDecided,

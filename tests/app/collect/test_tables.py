@@ -16,8 +16,7 @@ from touchdown.app.collect.requests import collect_request
 from touchdown.app.collect.workspace import LABEL_WORDS
 from touchdown.app.shell.errors import log_to
 from touchdown.backend.annotations.values import EpisodeFilter
-from touchdown.backend.core.events import Paused, PhaseEntered
-from touchdown.backend.core.faults import Fault
+from touchdown.backend.core import Fault, Paused, PhaseEntered
 from touchdown.backend.episodes.quality import count_coverage
 from touchdown.backend.geometry.pieces import load_pieces
 from touchdown.backend.runs.requests import CollectRequest, RunState

@@ -12,8 +12,7 @@ from PySide6.QtWidgets import QComboBox
 from tests.backend.rig.scripted import scripted
 from touchdown.app.connect.devices import FIELDS, LEFT, RIGHT
 from touchdown.backend import devices
-from touchdown.backend.config.bench_description import BenchDescription
-from touchdown.backend.config.lab import load_lab
+from touchdown.backend.config import BenchDescription, load_lab
 from touchdown.backend.rig.connection import BenchConnection
 
 NUMBERS = ("2D8Y-69GR", "AAAA-1111")

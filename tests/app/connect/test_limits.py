@@ -14,8 +14,7 @@ from touchdown.app.connect.presenter import device_row
 from touchdown.app.shell.bench_text import bench_caption
 from touchdown.backend.config.bench_description import BenchDescription
 from touchdown.backend.core.faults import Fault, RefusedError
-from touchdown.backend.devices.interlock import Limits
-from touchdown.backend.devices.protocols import DeviceState, Identity
+from touchdown.backend.devices import DeviceState, Identity, Limits
 from touchdown.backend.rig.connection import BenchConnection, DeviceStatus
 from touchdown.backend.runs.requests import SceneChoice
 

@@ -16,8 +16,7 @@ from PySide6.QtWidgets import QApplication
 from tests.app.conftest import opened
 from tests.app.stand_in import REST
 from touchdown.app.application import TouchdownApp
-from touchdown.backend.annotations.dataset import Dataset
-from touchdown.backend.annotations.values import EpisodeContext, Label
+from touchdown.backend.annotations import Dataset, EpisodeContext, Label
 from touchdown.backend.core.values import (
     FINGERS,
     Episode,

@@ -24,8 +24,7 @@ from touchdown.app.label.presenter import group_findings, health_text
 from touchdown.app.label.text import evidence_badges, model_evidence_text, scene_evidence_text
 from touchdown.app.shell.actions import portable_key
 from touchdown.app.shell.label_items import LabelDraft, ModelLabel, SceneObservation, scene_shots
-from touchdown.backend.annotations.dataset import QualityReport
-from touchdown.backend.annotations.values import Label
+from touchdown.backend.annotations import Label, QualityReport
 from touchdown.backend.bench.assembly import shipped_model
 from touchdown.backend.episodes.quality import QualityIssue
 from touchdown.backend.learning.checkpoint import load_checkpoint, save_checkpoint

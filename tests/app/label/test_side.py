@@ -10,8 +10,7 @@ from tests.app.label.test_values import content
 from tests.backend.annotations.filling import fill
 from touchdown.app.label.session import AnnotationSession, QueueEntries, read_queue
 from touchdown.app.label.side import agreement_text
-from touchdown.backend.annotations.dataset import Dataset
-from touchdown.backend.annotations.values import EpisodeContext, Label
+from touchdown.backend.annotations import Dataset, EpisodeContext, Label
 from touchdown.backend.core.values import EpisodeQuality
 from touchdown.widgets.lists.recordings import RowsOnDemand
 

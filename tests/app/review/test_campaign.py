@@ -9,8 +9,7 @@ import pytest
 from tests.app.label.conftest import make_episode
 from touchdown.app.review.campaign import collected_run
 from touchdown.app.review.episodes import list_series
-from touchdown.backend.annotations.dataset import Dataset
-from touchdown.backend.annotations.values import EpisodeContext, Label
+from touchdown.backend.annotations import Dataset, EpisodeContext, Label
 from touchdown.backend.core.events import (
     CampaignBegan,
     EpisodeDecided,

@@ -13,13 +13,11 @@ from tests.backend.annotations.filling import fill
 from touchdown.app.review import recordings
 from touchdown.app.review.episodes import EpisodeSeries, list_series
 from touchdown.app.review.recordings import RunReader, read_run_summary
+from touchdown.backend.annotations import Dataset
 from touchdown.backend.annotations import dataset as dataset_module
-from touchdown.backend.annotations.dataset import Dataset
-from touchdown.backend.core.events import PhaseEntered, RunFinished, RunStarted, TrialFinished
-from touchdown.backend.core.values import Outcome
+from touchdown.backend.core import Outcome, PhaseEntered, RunFinished, RunStarted, TrialFinished
 from touchdown.backend.runs.event_log import EVENT_LOG_NAME, EventLog, read_events
-from touchdown.widgets.base.rows import KeylessList, WrappedItemDelegate
-from touchdown.widgets.base.theme import Theme
+from touchdown.widgets.base import KeylessList, Theme, WrappedItemDelegate
 from touchdown.widgets.lists.recordings import RecordingList, RecordingRow
 
 TIME = "2026-11-21  04:15:11"

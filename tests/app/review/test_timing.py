@@ -22,8 +22,7 @@ from tests.app.label.conftest import make_episode
 from tests.app.stand_in import StandInBench
 from touchdown.app.review import exports
 from touchdown.app.review.timing import patch_score, split_into_trials
-from touchdown.backend.annotations.dataset import Dataset
-from touchdown.backend.annotations.values import EpisodeContext, Label
+from touchdown.backend.annotations import Dataset, EpisodeContext, Label
 from touchdown.backend.core.events import (
     EpisodeRecorded,
     PatchEstimated,

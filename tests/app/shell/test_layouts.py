@@ -24,18 +24,10 @@ from PySide6.QtWidgets import (
 )
 
 from tests.app.conftest import opened, settle
+from touchdown.app.shell import ErrorBox, log, log_to, move_on_screen
 from touchdown.app.shell.actions import is_plain_key, key_refusal
-from touchdown.app.shell.errors import (
-    BOX_SIZE,
-    REMEMBERED_TEXTS,
-    REPEAT_INTERVAL_S,
-    ErrorBox,
-    RepeatFilter,
-    log,
-    log_to,
-)
+from touchdown.app.shell.errors import BOX_SIZE, REMEMBERED_TEXTS, REPEAT_INTERVAL_S, RepeatFilter
 from touchdown.app.shell.layouts import SavedLayouts, load_layouts, save_layouts
-from touchdown.app.shell.window import move_on_screen
 from touchdown.backend.devices.protocols import Identity
 from touchdown.backend.runs.requests import RunState
 from touchdown.widgets.base.panel import ColumnArrangement, Columns

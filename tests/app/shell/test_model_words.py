@@ -5,8 +5,7 @@ import pytest
 from tests.app.conftest import settle
 from touchdown.app.shell.bench_text import model_card_in_use, run_model_caption, scene_model_caption
 from touchdown.backend.bench.assembly import model_in_use
-from touchdown.backend.learning.checkpoint import load_checkpoint, save_checkpoint
-from touchdown.backend.learning.registry import ModelRegistry
+from touchdown.backend.learning import ModelRegistry, load_checkpoint, save_checkpoint
 from touchdown.backend.runs.recorder import models_folder
 from touchdown.widgets.forms.run_form import RunForm
 

@@ -9,8 +9,7 @@ from tests.app.conftest import settle
 from tests.app.stand_in import action
 from touchdown.app.shell.settings import load_settings
 from touchdown.app.stack.presenter import stack_request
-from touchdown.backend.core.events import PhaseEntered, TrialFinished
-from touchdown.backend.core.values import Outcome
+from touchdown.backend.core import Outcome, PhaseEntered, TrialFinished
 from touchdown.backend.runs.requests import RunState, StackRequest
 from touchdown.widgets.forms.run_form import RunForm
 from touchdown.widgets.views.belief import NO_PROBE

@@ -23,8 +23,7 @@ from touchdown.app.shell.actions import EVERYWHERE_CONTEXT, STOP_BINDINGS, porta
 from touchdown.app.shell.errors import ErrorBox, install_error_hooks, log_to
 from touchdown.app.shell.settings import WindowSettings, load_settings, restore_form, save_settings
 from touchdown.widgets.base.theme import THEMES
-from touchdown.widgets.forms.jogging import PoseReadout
-from touchdown.widgets.forms.run_form import RunForm
+from touchdown.widgets.forms import PoseReadout, RunForm
 
 
 @pytest.mark.promise("W11")

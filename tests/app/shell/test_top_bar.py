@@ -19,11 +19,9 @@ from touchdown.app.shell.live import LivePresenter
 from touchdown.app.shell.top_bar import DeviceChipsPresenter, pill_state
 from touchdown.app.shell.window import CHOICES, Appearance, system_theme
 from touchdown.backend.bench.assembly import simulated_session
-from touchdown.backend.core.faults import RefusedError
-from touchdown.backend.core.streams import SampleStream
+from touchdown.backend.core import RefusedError, SampleStream
 from touchdown.backend.devices.sensor_faults import DegradedDevice
-from touchdown.backend.runs.engine import LiveThread
-from touchdown.backend.runs.requests import ProbeRequest, RunState, SceneChoice
+from touchdown.backend.runs import LiveThread, ProbeRequest, RunState, SceneChoice
 from touchdown.widgets.base.theme import DARK, LIGHT, Theme
 from touchdown.widgets.shell.top_bar import TopBar
 

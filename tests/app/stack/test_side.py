@@ -20,8 +20,7 @@ from touchdown.backend.core.events import (
 )
 from touchdown.backend.core.values import Fall, Outcome
 from touchdown.backend.runs.requests import RunState, StackRequest
-from touchdown.widgets.base.panel import Panel
-from touchdown.widgets.base.theme import Theme
+from touchdown.widgets.base import Panel, Theme
 from touchdown.widgets.views.scene import UPRIGHT, SideBody, SideView
 
 

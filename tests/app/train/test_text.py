@@ -8,8 +8,7 @@ import pytest
 from tests.backend.annotations.conftest import context_for, small_episode
 from touchdown.app.train.reading import TrainingReader
 from touchdown.app.train.text import autonomy_text, figure_rows, promotion_question
-from touchdown.backend.annotations.dataset import Dataset
-from touchdown.backend.annotations.values import Label
+from touchdown.backend.annotations import Dataset, Label
 from touchdown.backend.bench.assembly import model_in_use
 from touchdown.backend.learning.registry import HARDWARE_PROBES, SHIPPED_MODEL, ModelRegistry
 from touchdown.widgets.base.theme import Theme, load_resources

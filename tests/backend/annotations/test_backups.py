@@ -11,20 +11,18 @@ import pytest
 from tests.backend.annotations.conftest import add
 from tests.backend.annotations.test_packs_in_datasets import write_pack
 from tests.backend.annotations.test_values import tables
-from touchdown.backend.annotations import backups, operation_log
-from touchdown.backend.annotations.backups import (
-    Backup,
-    BackupStore,
-    check_backup,
+from touchdown.backend.annotations import (
+    CATALOGUE_FILE,
+    Dataset,
+    Label,
+    backups,
     list_backups,
+    operation_log,
+    rebuild_dataset,
     restore_backup,
-    surplus_backups,
 )
-from touchdown.backend.annotations.database import CATALOGUE_FILE
-from touchdown.backend.annotations.dataset import Dataset
-from touchdown.backend.annotations.rebuild import rebuild_dataset
+from touchdown.backend.annotations.backups import Backup, BackupStore, check_backup, surplus_backups
 from touchdown.backend.annotations.storage import DatasetInUseError
-from touchdown.backend.annotations.values import Label
 from touchdown.backend.core.faults import FaultError, InputError
 
 NOON = datetime(2030, 5, 31, 12, tzinfo=UTC)

@@ -28,19 +28,9 @@ from touchdown.backend.annotations.labels import MoveGeometry, RotateFrame, SetS
 from touchdown.backend.annotations.values import GEOMETRY_CHANGED, Label, content_hash
 from touchdown.backend.core.faults import InputError, RefusedError
 from touchdown.backend.core.values import FINGERS, Episode, EpisodeQuality, Recording, TactileFrame
-from touchdown.backend.episodes.episode_mcap import (
-    SalvageResult,
-    read_episode,
-    salvage_file,
-    write_episode,
-)
-from touchdown.backend.episodes.mcap_container import (
-    MAGIC,
-    Opcode,
-    encode_record,
-    encode_text,
-    read_whole,
-)
+from touchdown.backend.episodes import read_episode, read_whole, salvage_file, write_episode
+from touchdown.backend.episodes.episode_mcap import SalvageResult
+from touchdown.backend.episodes.mcap_container import MAGIC, Opcode, encode_record, encode_text
 from touchdown.backend.geometry import Piece, circle, face_points, load_pieces, true_patch
 
 SHROUT_FLEISS = [

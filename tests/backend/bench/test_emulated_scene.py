@@ -16,22 +16,21 @@ import numpy as np
 import pytest
 
 from tests.backend.devices.waiting import until
-from touchdown.backend.bench.assembly import SimulatedBenchChoice, make_scene
-from touchdown.backend.bench.emulated import (
-    BACKEND_LATE_S,
-    REPLY_LATE_S,
+from touchdown.backend.bench import (
     EmulatedBench,
-    real_time_notice,
+    EmulatedScene,
+    SimulatedBenchChoice,
+    make_scene,
+    serve_bench,
 )
+from touchdown.backend.bench.emulated import BACKEND_LATE_S, REPLY_LATE_S, real_time_notice
 from touchdown.backend.bench.emulated_child import EmulatedProcess, serve
 from touchdown.backend.bench.emulated_scene import (
     BENCH_FILE,
     WORK_S,
-    EmulatedScene,
     TruthClient,
     TruthServer,
     longest_delay_s,
-    serve_bench,
 )
 from touchdown.backend.config import HardwareSettings, read_settings
 from touchdown.backend.core import FaultError, SampleStream, round_robin_priority

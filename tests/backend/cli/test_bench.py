@@ -17,8 +17,7 @@ from touchdown.backend.calibration.records import CalibrationStore, DeviceName
 from touchdown.backend.cli.command_line import main
 from touchdown.backend.cli.connection import held_piece_reported
 from touchdown.backend.cli.output import VerbOutput, without_window
-from touchdown.backend.core.events import PhaseEntered
-from touchdown.backend.core.faults import Fault, FaultError, InputError
+from touchdown.backend.core import Fault, FaultError, InputError, PhaseEntered
 from touchdown.backend.emulation.fault_plan import parse_fault
 from touchdown.backend.rig.connection import BenchConnection
 from touchdown.backend.runs.requests import ProbeRequest, SceneChoice

@@ -21,19 +21,15 @@ from rich.console import Console
 
 from tests.backend.annotations.conftest import context_for, small_episode
 from tests.backend.bench.brisk import RATE_HZ
-from touchdown.backend.annotations.backups import list_backups
-from touchdown.backend.annotations.dataset import Dataset
-from touchdown.backend.annotations.values import Label
+from touchdown.backend.annotations import Dataset, Label, list_backups
 from touchdown.backend.calibration.records import CalibrationStore, read_record
 from touchdown.backend.calibration.result import CALIBRATION_NAMES, CalibrationEstimate, Quantity
-from touchdown.backend.cli import calibrate, collect, dataset, import_, stack, train
+from touchdown.backend.cli import calibrate, collect, dataset, import_, main, stack, train
 from touchdown.backend.cli.bench import _timing_table
 from touchdown.backend.cli.collect import coverage_text
-from touchdown.backend.cli.command_line import main
 from touchdown.backend.cli.connection import fill_in_scene, wait_for_disk_space
 from touchdown.backend.cli.output import VerbOutput, progress_lines
-from touchdown.backend.core.events import RunFinished
-from touchdown.backend.core.faults import Fault
+from touchdown.backend.core import Fault, RunFinished
 from touchdown.backend.episodes.quality import count_coverage
 from touchdown.backend.geometry.outlines import circle
 from touchdown.backend.rig.diagnostics import SensorTiming

@@ -21,8 +21,7 @@ from mcap.reader import make_reader
 from tests.backend.annotations.conftest import context_for, small_episode
 from tests.backend.bench.brisk import RATE_HZ
 from tests.backend.exchange.conftest import fill
-from touchdown.backend.annotations.dataset import Dataset
-from touchdown.backend.annotations.values import Label
+from touchdown.backend.annotations import Dataset, Label
 from touchdown.backend.cli import command_line
 from touchdown.backend.cli.command_line import VERBS, main
 from touchdown.backend.cli.doctor.command import check_catalogue
@@ -34,13 +33,10 @@ from touchdown.backend.core.faults import (
     RefusedError,
     StaleSampleError,
 )
-from touchdown.backend.episodes.episode_mcap import read_episode
-from touchdown.backend.episodes.mcap_container import read_whole
+from touchdown.backend.episodes import find_packs, load_rows, read_episode, read_whole
 from touchdown.backend.episodes.messages import stamps_ns
-from touchdown.backend.episodes.training_rows import find_packs, load_rows
 from touchdown.backend.experiments import collection, tables
-from touchdown.backend.geometry.outlines import face_points, true_patch
-from touchdown.backend.geometry.pieces import load_pieces
+from touchdown.backend.geometry import face_points, load_pieces, true_patch
 from touchdown.backend.runs.event_log import EVENT_LOG_NAME, EventLog
 from touchdown.backend.simulation.release_mujoco import mujoco_available
 

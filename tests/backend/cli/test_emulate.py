@@ -19,26 +19,18 @@ from rich.table import Table
 
 from touchdown.backend import bench
 from touchdown.backend.cli import bench as bench_verb
-from touchdown.backend.cli import emulate
-from touchdown.backend.cli.command_line import main
+from touchdown.backend.cli import emulate, main
 from touchdown.backend.cli.emulate import FaultPrompt
 from touchdown.backend.cli.output import VerbOutput
 from touchdown.backend.cli.settings import as_toml, load_method
 from touchdown.backend.cli.stack import trial_table
-from touchdown.backend.config.hardware import HardwareSettings
-from touchdown.backend.config.lab import load_lab
-from touchdown.backend.config.method import StackSettings
-from touchdown.backend.config.toml_file import read_settings
-from touchdown.backend.core.events import TrialFinished
-from touchdown.backend.core.values import Outcome
+from touchdown.backend.config import HardwareSettings, StackSettings, load_lab, read_settings
+from touchdown.backend.core import Outcome, TrialFinished
+from touchdown.backend.devices import emulated_makes, make_force_torque
 from touchdown.backend.devices.dynpick.emulator import EmulatedDynpick
-from touchdown.backend.devices.factories import make_force_torque
-from touchdown.backend.devices.registry import emulated_makes
-from touchdown.backend.devices.wsg import protocol
-from touchdown.backend.devices.wsg.emulator import EmulatedWsg
+from touchdown.backend.devices.wsg import EmulatedWsg, protocol
 from touchdown.backend.devices.wsg.protocol import WsgCommand, WsgRequest
-from touchdown.backend.emulation.fault_plan import Faults, add_noise
-from touchdown.backend.emulation.server import TcpServer
+from touchdown.backend.emulation import Faults, TcpServer, add_noise
 from touchdown.backend.rig.connection import BenchConnection
 from touchdown.backend.runs.event_log import EVENT_LOG_NAME
 

@@ -20,15 +20,14 @@ from touchdown.backend.bench.laboratory import (
 )
 from touchdown.backend.calibration.records import DeviceName
 from touchdown.backend.cli.doctor.command import lab_checks
-from touchdown.backend.config.hardware import HardwareSettings
-from touchdown.backend.config.lab import (
-    LAB_FILE_VERSION,
+from touchdown.backend.config import (
+    HardwareSettings,
     LimitSettings,
-    edit_toml,
     is_lab_file,
     load_lab,
     save_lab,
 )
+from touchdown.backend.config.lab import LAB_FILE_VERSION, edit_toml
 from touchdown.backend.core.faults import InputError, RefusedError
 from touchdown.backend.devices import DeviceState, Limits
 from touchdown.backend.runs.recorder import RecordingOptions

@@ -15,14 +15,13 @@ from pathlib import Path
 
 import pytest
 
-from touchdown.backend.core import scheduling
-from touchdown.backend.core.scheduling import (
-    RAISED_NICENESS,
-    SLICE_NS,
+from touchdown.backend.core import (
     raised_priority,
     request_short_slices,
     round_robin_priority,
+    scheduling,
 )
+from touchdown.backend.core.scheduling import RAISED_NICENESS, SLICE_NS
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="only Linux gives it to threads")
 Raise = Callable[[], AbstractContextManager[bool]]

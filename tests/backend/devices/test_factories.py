@@ -20,8 +20,8 @@ from touchdown.backend.core.faults import InputError
 from touchdown.backend.devices import identification, make_force_torque, make_gripper, registry
 from touchdown.backend.devices.bota import protocol
 from touchdown.backend.devices.bota.driver import BotaDriver
+from touchdown.backend.devices.dynpick import EmulatedDynpick
 from touchdown.backend.devices.dynpick import protocol as dynpick
-from touchdown.backend.devices.dynpick.emulator import EmulatedDynpick
 from touchdown.backend.devices.force_torque.driver import WrenchReading
 from touchdown.backend.devices.force_torque.reader import WrenchStamper
 from touchdown.backend.devices.framing import Wrench

@@ -9,8 +9,7 @@ import pytest
 from tests.backend.devices.waiting import until
 from touchdown.backend.core.faults import InputError
 from touchdown.backend.devices.dynpick.emulator import EmulatedDynpick
-from touchdown.backend.devices.gelsight.driver import find_cameras
-from touchdown.backend.devices.gelsight.emulator import GelsightServer
+from touchdown.backend.devices.gelsight import GelsightServer, find_cameras
 from touchdown.backend.emulation.fault_plan import FaultPlan, Faults, PlannedFault, load_faults
 
 MESSAGES = [b"abcdefgh", b"ijklmnop"]

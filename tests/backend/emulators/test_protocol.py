@@ -8,20 +8,18 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tests.backend.emulators.wound import WoundWires, bursts, force_apart, simulated_press
-from touchdown.backend.bench.assembly import SimulatedBenchChoice, make_scene
+from touchdown.backend.bench import EmulatedScene, SimulatedBenchChoice, make_scene
 from touchdown.backend.bench.emulated_scene import (
     LATENCY_S,
     REST_ROWS,
     BenchFrame,
     DriverMonitor,
     DriverObservations,
-    EmulatedScene,
     SceneDynpick,
     SceneWsg,
     TruthServer,
 )
-from touchdown.backend.config.hardware import HardwareSettings, MelfaSettings
-from touchdown.backend.config.simulation import SimulationSettings
+from touchdown.backend.config import HardwareSettings, MelfaSettings, SimulationSettings
 from touchdown.backend.devices.dynpick import protocol
 from touchdown.backend.devices.dynpick.emulator import SENSITIVITY
 from touchdown.backend.devices.dynpick.protocol import DynpickCommand

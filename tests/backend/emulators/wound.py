@@ -17,9 +17,7 @@ from touchdown.backend.bench.emulated_scene import LATENCY_S, EmulatedScene, Sce
 from touchdown.backend.config.hardware import HardwareSettings
 from touchdown.backend.config.method import SAMPLES_PER_PROBE, TICK_S, StackSettings
 from touchdown.backend.config.simulation import SimulationSettings
-from touchdown.backend.core.clock import ManualClock
-from touchdown.backend.core.streams import SampleStream
-from touchdown.backend.core.values import FloatArray
+from touchdown.backend.core import FloatArray, ManualClock, SampleStream
 from touchdown.backend.devices.dynpick.driver import PERIOD_S, DynpickDriver
 from touchdown.backend.devices.dynpick.protocol import DynpickCommand
 from touchdown.backend.devices.force_torque.reader import WrenchStamper
@@ -28,8 +26,7 @@ from touchdown.backend.devices.protocols import PressCommand
 from touchdown.backend.geometry.pieces import load_pieces
 from touchdown.backend.runs.requests import SceneChoice
 from touchdown.backend.sensing.episode import wrench_on_ticks
-from touchdown.backend.simulation.ground_truth import Scene
-from touchdown.backend.simulation.world import World
+from touchdown.backend.simulation import Scene, World
 
 PROBE = StackSettings().probe
 LAW = PressCommand(

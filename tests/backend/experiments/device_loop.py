@@ -5,8 +5,7 @@ from __future__ import annotations
 from touchdown.backend.bench.assembly import SimulatedBenchChoice, simulated_session
 from touchdown.backend.config.simulation import SimulationSettings
 from touchdown.backend.core.events import Event
-from touchdown.backend.runs.recorder import RecordingOptions
-from touchdown.backend.runs.requests import StackRequest
+from touchdown.backend.runs import RecordingOptions, StackRequest
 
 
 def run_on_devices(settings: SimulationSettings, request: StackRequest) -> list[Event]:

@@ -16,8 +16,7 @@ import pytest
 
 from tests.backend.experiments.test_tables import facts, page
 from touchdown.backend.cli.command_line import main
-from touchdown.backend.core.faults import InputError
-from touchdown.backend.core.values import Outcome
+from touchdown.backend.core import InputError, Outcome
 from touchdown.backend.experiments.comparison import comparison_report, comparison_tables
 from touchdown.backend.experiments.document import (
     Report,

@@ -13,30 +13,29 @@ import pytest
 from touchdown.backend.cli.command_line import main
 from touchdown.backend.config.simulation import SimulationSettings, SpreadSettings, load_simulation
 from touchdown.backend.core.faults import InputError
-from touchdown.backend.experiments.comparison import (
+from touchdown.backend.experiments import (
+    BEYOND_FORMAT,
+    KINDS,
+    DomainShift,
+    NuisanceSensitivity,
+    RandomisedTraining,
+    adopt_models,
     merged_oracle_shares,
-    oracle_shares,
-    quantity_label,
+    report_page,
+    sensitivity_report,
+    sensitivity_table,
+    shipped_model_folders,
 )
-from touchdown.backend.experiments.document import report_page
+from touchdown.backend.experiments.comparison import oracle_shares, quantity_label
 from touchdown.backend.experiments.domain_shift import (
     LAW_FACTORS,
     NUISANCE_FACTORS,
-    DomainShift,
-    RandomisedTraining,
     format_drop,
     format_interval,
     press_scores,
     randomise_bench,
 )
 from touchdown.backend.experiments.evaluation import FACTORS, FOUNDATION, NUISANCES, scale_nuisance
-from touchdown.backend.experiments.job_kinds import KINDS
-from touchdown.backend.experiments.models import adopt_models, shipped_model_folders
-from touchdown.backend.experiments.sensitivity import (
-    NuisanceSensitivity,
-    sensitivity_report,
-    sensitivity_table,
-)
 from touchdown.backend.experiments.statistics import format_change, iou_change
 from touchdown.backend.experiments.strategies import (
     group_lines,
@@ -44,12 +43,9 @@ from touchdown.backend.experiments.strategies import (
     parse_verdicts,
     trial_lines,
 )
-from touchdown.backend.experiments.tables import BEYOND_FORMAT
-from touchdown.backend.jobs.execution import SerialExecutor, run_campaign
-from touchdown.backend.jobs.job import JobStore
+from touchdown.backend.jobs import JobStore, SerialExecutor, run_campaign
 from touchdown.backend.learning.checkpoint import load_card
-from touchdown.backend.simulation import conditions
-from touchdown.backend.simulation.release_mujoco import mujoco_available
+from touchdown.backend.simulation import conditions, mujoco_available
 
 BY_NAME = {found.name: found for found in NUISANCES}
 

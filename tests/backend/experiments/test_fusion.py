@@ -15,8 +15,7 @@ import pytest
 from touchdown.backend.cli.output import write_errors
 from touchdown.backend.config.method import FusedSettings, StackSettings
 from touchdown.backend.config.simulation import SimulationSettings, load_simulation
-from touchdown.backend.core.faults import InputError
-from touchdown.backend.core.values import CHANNELS, TACTILE_CHANNELS, ContactPatch
+from touchdown.backend.core import CHANNELS, TACTILE_CHANNELS, ContactPatch, InputError
 from touchdown.backend.experiments import oracle
 from touchdown.backend.experiments.comparison import comparison_tables
 from touchdown.backend.experiments.fusion import (
@@ -80,10 +79,8 @@ from touchdown.backend.learning.checkpoint import card_path, load_checkpoint
 from touchdown.backend.learning.fused.checkpoint import load_fused, shipped_path
 from touchdown.backend.placement.strategies import ProbeObservation
 from touchdown.backend.sensing.episode import EpisodeLimits
-from touchdown.backend.simulation.batch import BatchedTrials
+from touchdown.backend.simulation import BatchedTrials, GraspHistory, Scene
 from touchdown.backend.simulation.gripper import scene_mounting
-from touchdown.backend.simulation.ground_truth import Scene
-from touchdown.backend.simulation.mechanics import GraspHistory
 
 SEED = 51
 

@@ -14,23 +14,21 @@ import pytest
 
 from touchdown.backend.bench.assembly import make_scene
 from touchdown.backend.config.simulation import SimulationSettings, load_simulation
-from touchdown.backend.core.events import (
+from touchdown.backend.core import (
+    CHANNELS,
     ActionChosen,
+    BeliefMap,
     BeliefUpdated,
     Event,
-    RunStarted,
-    StabilityJudged,
-    TrialFinished,
-    TrialStarted,
-)
-from touchdown.backend.core.faults import InputError
-from touchdown.backend.core.values import (
-    CHANNELS,
-    BeliefMap,
+    InputError,
     Outcome,
     PlaceAction,
+    RunStarted,
     Stability,
+    StabilityJudged,
     SupportKind,
+    TrialFinished,
+    TrialStarted,
 )
 from touchdown.backend.experiments import statics
 from touchdown.backend.experiments.collection import find_ambiguous_pairs, largest_marker_px

@@ -35,16 +35,13 @@ from touchdown.backend.experiments.trials import (
     stack_in_lockstep,
     start_scene,
 )
-from touchdown.backend.geometry.outlines import face_points
-from touchdown.backend.geometry.pieces import load_pieces
-from touchdown.backend.geometry.tower import Tower
+from touchdown.backend.geometry import Tower, face_points, load_pieces
 from touchdown.backend.learning.checkpoint import load_checkpoint
 from touchdown.backend.runs.requests import SceneChoice, StackRequest
 from touchdown.backend.sensing.episode import EpisodeLimits
 from touchdown.backend.sensing.slip import shortfall_mm
-from touchdown.backend.simulation.batch import BatchedTrials, TrialPresses
+from touchdown.backend.simulation import BatchedTrials, Scene, TrialPresses
 from touchdown.backend.simulation.gripper import HeldPiece, scene_mounting
-from touchdown.backend.simulation.ground_truth import Scene
 
 MECHANICAL = {
     **PRESETS["off"],

@@ -6,10 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from touchdown.backend.episodes.packs import PackedEpisode, write_packs
-from touchdown.backend.episodes.training_rows import patch_hex
-from touchdown.backend.geometry.outlines import face_points
-from touchdown.backend.geometry.pieces import Piece, load_pieces
+from touchdown.backend.episodes import PackedEpisode, patch_hex, write_packs
+from touchdown.backend.geometry import Piece, face_points, load_pieces
 
 
 @pytest.fixture

@@ -10,13 +10,8 @@ from scipy.optimize import minimize
 from scipy.special import expit, logit
 
 from touchdown.backend.bench import shipped_model
-from touchdown.backend.learning.calibration import (
-    LOGIT_LIMIT,
-    PatchCalibration,
-    fit_calibration,
-    limited_logit,
-)
-from touchdown.backend.learning.checkpoint import load_card
+from touchdown.backend.learning import PatchCalibration, fit_calibration, load_card
+from touchdown.backend.learning.calibration import LOGIT_LIMIT, limited_logit
 from touchdown.backend.learning.metrics import calibration_error, reliability
 
 

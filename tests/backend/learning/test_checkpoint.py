@@ -21,11 +21,9 @@ from touchdown.backend.bench.assembly import (
     simulated_session,
 )
 from touchdown.backend.cli.command_line import main
-from touchdown.backend.config.bench_description import BenchDescription, describe_simulation
-from touchdown.backend.config.simulation import SimulationSettings
+from touchdown.backend.config import BenchDescription, SimulationSettings, describe_simulation
 from touchdown.backend.core.faults import InputError
-from touchdown.backend.geometry.outlines import face_points
-from touchdown.backend.geometry.pieces import load_pieces
+from touchdown.backend.geometry import face_points, load_pieces
 from touchdown.backend.learning.checkpoint import (
     ModelCard,
     card_path,
@@ -44,8 +42,7 @@ from touchdown.backend.learning.registry import (
 )
 from touchdown.backend.learning.training import load_network, new_model
 from touchdown.backend.placement.estimator import Estimator
-from touchdown.backend.runs.recorder import RecordingOptions
-from touchdown.backend.runs.requests import SceneChoice, StackRequest
+from touchdown.backend.runs import RecordingOptions, SceneChoice, StackRequest
 
 HERE = describe_simulation(SimulationSettings())
 LAB = BenchDescription(

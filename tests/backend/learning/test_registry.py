@@ -8,14 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from touchdown.backend.annotations.dataset import Dataset
-from touchdown.backend.annotations.training_set import load_training_set
-from touchdown.backend.annotations.values import EpisodeContext, Label
+from touchdown.backend.annotations import Dataset, EpisodeContext, Label, load_training_set
 from touchdown.backend.cli.command_line import main
-from touchdown.backend.config.bench_description import BenchDescription, describe_simulation
-from touchdown.backend.config.simulation import SimulationSettings
-from touchdown.backend.core.faults import InputError
-from touchdown.backend.core.values import Episode, EpisodeQuality
+from touchdown.backend.config import BenchDescription, SimulationSettings, describe_simulation
+from touchdown.backend.core import Episode, EpisodeQuality, InputError
 from touchdown.backend.episodes.training_rows import split_rows
 from touchdown.backend.geometry.pieces import load_pieces
 from touchdown.backend.learning.checkpoint import ModelCard, load_checkpoint, save_checkpoint

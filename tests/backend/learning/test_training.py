@@ -17,26 +17,25 @@ from touchdown.backend.cli.command_line import main
 from touchdown.backend.config.method import TrainingSettings
 from touchdown.backend.core.faults import InputError
 from touchdown.backend.episodes.training_rows import TrainingRows, split_rows
-from touchdown.backend.learning.inference import (
-    MODALITIES,
+from touchdown.backend.learning import (
     NetworkShape,
-    channel_groups,
-    fit_normaliser_in_parts,
-    modality_columns,
-)
-from touchdown.backend.learning.training import (
-    Adam,
     Trainer,
-    computes_bfloat16,
+    channel_groups,
     device_name,
     fingerprint,
-    load_training_state,
-    new_model,
+    modality_columns,
     predict,
-    predict_logits,
-    save_training_state,
     select_device,
     use_one_thread,
+)
+from touchdown.backend.learning.inference import MODALITIES, fit_normaliser_in_parts
+from touchdown.backend.learning.training import (
+    Adam,
+    computes_bfloat16,
+    load_training_state,
+    new_model,
+    predict_logits,
+    save_training_state,
 )
 
 RATE = 0.01

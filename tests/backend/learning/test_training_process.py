@@ -17,53 +17,43 @@ from shapely import MultiPoint, Point
 from touchdown.backend.bench.assembly import shipped_model
 from touchdown.backend.cli.command_line import main
 from touchdown.backend.config.method import TrainingSettings
-from touchdown.backend.core.faults import InputError
-from touchdown.backend.core.values import Episode, EpisodeQuality
-from touchdown.backend.geometry.outlines import face_points
-from touchdown.backend.geometry.pieces import Piece, load_pieces
-from touchdown.backend.learning.checkpoint import (
+from touchdown.backend.core import Episode, EpisodeQuality, InputError
+from touchdown.backend.geometry import Piece, face_points, load_pieces
+from touchdown.backend.learning import (
     Checkpoint,
     ModelCard,
+    NetworkShape,
+    PatchForward,
+    TrainingEpoch,
+    TrainingFinished,
+    TrainingLoaded,
     card_path,
+    evaluate,
     load_card,
     load_checkpoint,
-    save_checkpoint,
-)
-from touchdown.backend.learning.fitting import evaluate, fit_model
-from touchdown.backend.learning.inference import (
-    ARCH,
-    Modality,
-    NetworkShape,
-    Normaliser,
-    PatchForward,
+    load_network,
     modality_columns,
+    rate_interval,
+    save_checkpoint,
+    stable_flags,
+    train_model,
 )
+from touchdown.backend.learning.fitting import fit_model
+from touchdown.backend.learning.inference import ARCH, Modality, Normaliser
 from touchdown.backend.learning.metrics import (
     clustered_interval,
     hull_margin_mm,
     iou,
     point_accuracy,
-    rate_interval,
     score,
-    stable_flags,
     wilson_interval,
 )
-from touchdown.backend.learning.training import (
-    PatchNet,
-    computes_bfloat16,
-    load_network,
-    new_model,
-    resume_path,
-)
+from touchdown.backend.learning.training import PatchNet, computes_bfloat16, new_model, resume_path
 from touchdown.backend.learning.training_process import (
-    TrainingEpoch,
-    TrainingFinished,
     TrainingJob,
-    TrainingLoaded,
     TrainingProcess,
     default_threads,
 )
-from touchdown.backend.learning.training_runs import train_model
 from touchdown.backend.placement.estimator import Estimator
 
 

@@ -14,37 +14,30 @@ import psutil
 import pytest
 
 from tests.backend.annotations.test_packs_in_datasets import write_pack
-from touchdown.backend.annotations.dataset import Dataset
-from touchdown.backend.annotations.run_tracking import RunInfo
+from touchdown.backend.annotations import Dataset, RunInfo
 from touchdown.backend.cli.command_line import main
 from touchdown.backend.config.method import TrainingSettings
 from touchdown.backend.core.faults import FaultError, InputError
 from touchdown.backend.episodes.training_rows import load_rows
-from touchdown.backend.learning.checkpoint import load_card
-from touchdown.backend.learning.metrics import calibration_error, load_samples, reliability
-from touchdown.backend.learning.training_data import (
+from touchdown.backend.learning import (
+    RecordedTraining,
+    TrainingCancelled,
     TrainingCandidate,
+    TrainingEpoch,
+    TrainingFinished,
+    TrainingLoaded,
+    TrainingRequest,
+    list_training_runs,
+    load_card,
+    load_samples,
+    read_training_run,
+    resume_request,
     training_candidates,
     training_set_overview,
 )
-from touchdown.backend.learning.training_process import (
-    TrainingCancelled,
-    TrainingEpoch,
-    TrainingFinished,
-    TrainingJob,
-    TrainingLoaded,
-    TrainingProcess,
-)
-from touchdown.backend.learning.training_runs import (
-    CURVES,
-    RecordedTraining,
-    TrainingRequest,
-    list_training_runs,
-    read_training_run,
-    record_report,
-    record_training,
-    resume_request,
-)
+from touchdown.backend.learning.metrics import calibration_error, reliability
+from touchdown.backend.learning.training_process import TrainingJob, TrainingProcess
+from touchdown.backend.learning.training_runs import CURVES, record_report, record_training
 
 Data = Callable[[Path, int], Path]
 SMALL = TrainingSettings(hidden=12, epochs=3, batch=8, validation_share=0.25)

@@ -12,11 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.backend.annotations.conftest import context_for, small_episode
-from touchdown.backend.annotations.dataset import Dataset
-from touchdown.backend.annotations.values import Label
+from touchdown.backend.annotations import Dataset, Label
 from touchdown.backend.config.method import BeliefSettings
-from touchdown.backend.core.faults import InputError
-from touchdown.backend.core.values import BeliefMap, ContactPatch, Episode
+from touchdown.backend.core import BeliefMap, ContactPatch, Episode, InputError
 from touchdown.backend.geometry.outlines import inset_mm, rectangle
 from touchdown.backend.learning.calibration import PatchCalibration
 from touchdown.backend.learning.fused.inference import InsetDistribution

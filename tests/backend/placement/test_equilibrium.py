@@ -14,8 +14,7 @@ from hypothesis import strategies as st
 from scipy.spatial import ConvexHull, QhullError
 from shapely.geometry import MultiPoint, Point
 
-from touchdown.backend.annotations.dataset import Dataset
-from touchdown.backend.annotations.values import EpisodeContext, Label
+from touchdown.backend.annotations import Dataset, EpisodeContext, Label
 from touchdown.backend.bench.assembly import shipped_model
 from touchdown.backend.core.values import (
     ContactPatch,
@@ -26,30 +25,29 @@ from touchdown.backend.core.values import (
 )
 from touchdown.backend.geometry.outlines import circle, face_points, rectangle, square, true_patch
 from touchdown.backend.geometry.pieces import load_pieces
-from touchdown.backend.placement.equilibrium import (
-    centre_of_pressure_mm,
-    convex_hull,
-    inside_hull,
-    pressed_at_mm,
-    resting_contact,
-    signed_margin_mm,
-)
-from touchdown.backend.placement.estimator import (
+from touchdown.backend.placement import (
     Ensemble,
     Estimator,
     OffsetFit,
     OffsetGrid,
-    mean_entropy,
-    mix_fits,
+    convex_hull,
+    resting_contact,
+    score_labels,
     sigmas_apart,
 )
+from touchdown.backend.placement.equilibrium import (
+    centre_of_pressure_mm,
+    inside_hull,
+    pressed_at_mm,
+    signed_margin_mm,
+)
+from touchdown.backend.placement.estimator import mean_entropy, mix_fits
 from touchdown.backend.placement.label_review import (
     ALIKE_FEWEST,
     DOUBT_FEWEST,
     FLOOR_MM,
     displacement_doubt,
     neighbour_residual,
-    score_labels,
     summarise_signals,
 )
 from touchdown.backend.simulation.batch import BatchPlan, simulate_episodes

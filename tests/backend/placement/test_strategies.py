@@ -25,8 +25,7 @@ from touchdown.backend.config.method import (
     TowerSettings,
 )
 from touchdown.backend.config.simulation import load_simulation
-from touchdown.backend.core.faults import InputError
-from touchdown.backend.core.values import ContactPatch, FloatArray
+from touchdown.backend.core import ContactPatch, FloatArray, InputError
 from touchdown.backend.geometry.outlines import Outline, circle, face_points, inset_mm, rectangle
 from touchdown.backend.geometry.pieces import PieceLibrary, load_pieces
 from touchdown.backend.geometry.tower import Body, Tower, judge_tower
@@ -52,8 +51,7 @@ from touchdown.backend.placement.strategies import (
     make_strategy,
 )
 from touchdown.backend.placement.support_tower import XY, SupportTower
-from touchdown.backend.simulation.batch import BatchedTrials, TrialPresses
-from touchdown.backend.simulation.ground_truth import Scene
+from touchdown.backend.simulation import BatchedTrials, Scene, TrialPresses
 
 FACE_RADIUS_MM = {"mushroom": 12.7, "barrel": 10.6, "pot": 7.5, "mug": 10.0}
 COM_MM = {"mug": (1.7, -0.9)}

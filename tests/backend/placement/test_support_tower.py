@@ -7,8 +7,7 @@ import pytest
 
 from touchdown.backend.config.method import TowerSettings
 from touchdown.backend.core.faults import InputError
-from touchdown.backend.geometry.pieces import PieceLibrary, load_pieces
-from touchdown.backend.geometry.tower import Tower, judge_tower
+from touchdown.backend.geometry import PieceLibrary, Tower, judge_tower, load_pieces
 from touchdown.backend.placement.support_tower import DRAWS, SupportTower, normal_draws
 
 EXACT = 1e-6

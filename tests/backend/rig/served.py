@@ -15,9 +15,8 @@ from touchdown.backend.config.hardware import HardwareSettings
 from touchdown.backend.core import FaultError, Pose, RefusedError, SampleStream
 from touchdown.backend.devices.dynpick.emulator import EmulatedDynpick
 from touchdown.backend.devices.interlock import Interlock
+from touchdown.backend.devices.melfa import READY_RAD, EmulatedMelfa, MelfaServer
 from touchdown.backend.devices.melfa.driver import MelfaPrograms
-from touchdown.backend.devices.melfa.emulated_controller import READY_RAD
-from touchdown.backend.devices.melfa.emulator import EmulatedMelfa, MelfaServer
 from touchdown.backend.devices.wsg.emulator import EmulatedWsg
 from touchdown.backend.emulation import Faults, TcpServer, add_noise, hanging_gripper
 from touchdown.backend.rig.link import RigLink

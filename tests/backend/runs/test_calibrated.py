@@ -40,20 +40,18 @@ from touchdown.backend.devices.protocols import Identity
 from touchdown.backend.emulation.simulated_disturbances import Disturbance, DisturbanceScript
 from touchdown.backend.episodes.episode_mcap import read_episode
 from touchdown.backend.rig.connection import BenchConnection
-from touchdown.backend.runs.calibrations import (
+from touchdown.backend.runs import (
+    CalibrateRequest,
+    CollectRequest,
+    ProbeRequest,
+    RecordingOptions,
+    RunState,
+    SceneChoice,
+    StackRequest,
     accept_calibration,
     calibrations_for,
     device_names,
     payload_wrench,
-)
-from touchdown.backend.runs.recorder import RecordingOptions
-from touchdown.backend.runs.requests import (
-    CalibrateRequest,
-    CollectRequest,
-    ProbeRequest,
-    RunState,
-    SceneChoice,
-    StackRequest,
 )
 from touchdown.backend.simulation.finger_camera import load_gel_appearance
 

@@ -25,26 +25,25 @@ from touchdown.backend.config.method import (
     PolicySettings,
     StackSettings,
 )
-from touchdown.backend.core.events import (
+from touchdown.backend.core import (
+    FINGERS,
     ActionChosen,
+    ContactPatch,
+    Episode,
+    EpisodeQuality,
     EpisodeRecorded,
     Event,
     FaultRaised,
     Noticed,
-    PhaseEntered,
-    StabilityJudged,
-    TrialFinished,
-)
-from touchdown.backend.core.scheduling import RepaintHold
-from touchdown.backend.core.streams import SampleStream, Stream
-from touchdown.backend.core.values import (
-    FINGERS,
-    ContactPatch,
-    Episode,
-    EpisodeQuality,
     Outcome,
+    PhaseEntered,
     Pose,
     Recording,
+    RepaintHold,
+    SampleStream,
+    StabilityJudged,
+    Stream,
+    TrialFinished,
 )
 from touchdown.backend.devices import GripStatus, ReleaseEvidence
 from touchdown.backend.devices.gelsight.emulator import other_gel, small_dots

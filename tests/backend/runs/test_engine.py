@@ -11,11 +11,10 @@ from touchdown.backend.core.event_bus import EventBus
 from touchdown.backend.core.events import Event, FaultRaised, Paused, RunFinished, RunStarted, Said
 from touchdown.backend.core.faults import Fault, InputError, RefusedError
 from touchdown.backend.devices.interlock import Interlock
-from touchdown.backend.runs import Engine, RunState
+from touchdown.backend.runs import Engine, Plan, RunState
 from touchdown.backend.runs.plan import (
     CancelledError,
     PausePoint,
-    Plan,
     StoppedError,
     Wait,
     stopped_message,

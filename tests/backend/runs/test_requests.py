@@ -27,14 +27,9 @@ from touchdown.backend.core.events import (
 from touchdown.backend.core.faults import Fault, InputError, RefusedError
 from touchdown.backend.core.rotations import pose_rotation, rotation_vector, tilt_rad
 from touchdown.backend.core.values import FINGERS, Outcome, Pose
-from touchdown.backend.devices.interlock import (
-    LEASE_S,
-    Limits,
-    refuse_place,
-    refuse_turning,
-    turned_descent_mm,
-)
-from touchdown.backend.devices.jog import JOINTS, TOOL_SIGNS, TURNS, JogOrder, direction_of
+from touchdown.backend.devices import LEASE_S, JogOrder, Limits
+from touchdown.backend.devices.interlock import refuse_place, refuse_turning, turned_descent_mm
+from touchdown.backend.devices.jog import JOINTS, TOOL_SIGNS, TURNS, direction_of
 from touchdown.backend.geometry import Tower, judge_tower, load_pieces
 from touchdown.backend.runs import ProbeRequest, RecordingOptions, SceneChoice, StackRequest
 from touchdown.backend.runs.outcome import outcome_from_signals

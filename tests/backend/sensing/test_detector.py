@@ -36,13 +36,10 @@ from touchdown.backend.core.faults import InputError, RefusedError
 from touchdown.backend.core.streams import SampleStream, Stream
 from touchdown.backend.core.values import FINGERS, MarkerField, MarkerState, Recording, TactileFrame
 from touchdown.backend.devices.gelsight.emulator import small_dots
-from touchdown.backend.runs.recorder import RecordingOptions
-from touchdown.backend.runs.requests import StackRequest
+from touchdown.backend.runs import RecordingOptions, StackRequest
+from touchdown.backend.sensing import LiveSensing, RawStreams, assemble_episode, read_pictures
 from touchdown.backend.sensing.detector import Blobs, Detector, order_grid
-from touchdown.backend.sensing.episode import assemble_episode
 from touchdown.backend.sensing.jpeg_damage import DamageCheckingTracker, shifted_along_rows
-from touchdown.backend.sensing.live import LiveSensing, RawStreams
-from touchdown.backend.sensing.picture_files import read_pictures
 from touchdown.backend.sensing.tracker import HiddenMarkers, nearest_dots
 
 LINE_FAST = np.concatenate([np.linspace(0, 30, 6), np.full(10, 30.0), np.linspace(30, 0, 6)])

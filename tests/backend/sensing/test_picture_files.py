@@ -27,8 +27,7 @@ from tests.backend.sensing.known_truth import (
 from touchdown.backend.bench.assembly import make_scene
 from touchdown.backend.cli import track
 from touchdown.backend.cli.output import VerbOutput
-from touchdown.backend.config.method import ProbeSettings
-from touchdown.backend.config.simulation import SimulationSettings
+from touchdown.backend.config import ProbeSettings, SimulationSettings
 from touchdown.backend.core.faults import InputError
 from touchdown.backend.core.streams import Stream
 from touchdown.backend.core.values import (
@@ -39,8 +38,7 @@ from touchdown.backend.core.values import (
     Recording,
     TactileFrame,
 )
-from touchdown.backend.geometry.outlines import BOARD_DOTS_MM
-from touchdown.backend.geometry.pieces import load_pieces
+from touchdown.backend.geometry import BOARD_DOTS_MM, load_pieces
 from touchdown.backend.runs.requests import SceneChoice
 from touchdown.backend.sensing.picture_files import count_pictures, draw_markers, read_pictures
 from touchdown.backend.sensing.scene_camera import (

@@ -19,14 +19,9 @@ from tests.backend.sensing.known_truth import (
     warp,
 )
 from touchdown.backend.core.values import MarkerField, MarkerState, TactileFrame
+from touchdown.backend.sensing import MarkerTracker, take_reference
 from touchdown.backend.sensing.detector import Blobs, Detector, order_grid
-from touchdown.backend.sensing.tracker import (
-    MarkerTracker,
-    assign_remaining,
-    misordered_markers,
-    nearest_dots,
-)
-from touchdown.backend.sensing.zeroing import take_reference
+from touchdown.backend.sensing.tracker import assign_remaining, misordered_markers, nearest_dots
 
 
 def lattice(rows: int, cols: int, pitch: float = 32.0) -> np.ndarray:

@@ -8,21 +8,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.backend.sensing.known_truth import GELSIGHT
-from touchdown.backend.core.faults import FaultError, RefusedError
-from touchdown.backend.core.values import MarkerField, TactileFrame
-from touchdown.backend.sensing.picture_files import read_pictures
-from touchdown.backend.sensing.slip import fit_rigid, slip_mm
-from touchdown.backend.sensing.tracker import MarkerTracker
-from touchdown.backend.sensing.zeroing import (
-    WARN_DRIFT_N,
+from touchdown.backend.core import FaultError, MarkerField, RefusedError, TactileFrame
+from touchdown.backend.sensing import (
+    MarkerTracker,
     TactileReference,
     WrenchDrift,
     WrenchDriftEstimator,
     gripper_payload,
-    shape_change_px,
+    read_pictures,
     take_reference,
-    take_tare,
 )
+from touchdown.backend.sensing.slip import fit_rigid, slip_mm
+from touchdown.backend.sensing.zeroing import WARN_DRIFT_N, shape_change_px, take_tare
 
 WEIGHT_N = np.array([0.3, -0.2, -15.2])
 NOISE_N = 0.1

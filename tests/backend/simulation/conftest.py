@@ -8,16 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from touchdown.backend.config.method import ProbeSettings
-from touchdown.backend.config.simulation import SimulationSettings
-from touchdown.backend.simulation import conditions
-from touchdown.backend.simulation.conditions import Conditions
-from touchdown.backend.simulation.mechanics import (
-    ContactState,
-    ProbeEquilibrium,
-    advance_probes,
-    begin_probes,
-)
+from touchdown.backend.config import ProbeSettings, SimulationSettings
+from touchdown.backend.simulation import Conditions, begin_probes, conditions
+from touchdown.backend.simulation.mechanics import ContactState, ProbeEquilibrium, advance_probes
 
 
 @dataclass(frozen=True)

@@ -12,12 +12,9 @@ import numpy as np
 import pytest
 
 from tests.backend.runs.oracle_bench import OracleSession, request
-from touchdown.backend.config.method import StackSettings
-from touchdown.backend.config.simulation import SimulationSettings
-from touchdown.backend.core.events import EpisodeRecorded, TrialStarted
-from touchdown.backend.core.values import TACTILE_CHANNELS, FloatArray
-from touchdown.backend.geometry.outlines import face_points
-from touchdown.backend.geometry.pieces import load_pieces
+from touchdown.backend.config import SimulationSettings, StackSettings
+from touchdown.backend.core import TACTILE_CHANNELS, EpisodeRecorded, FloatArray, TrialStarted
+from touchdown.backend.geometry import face_points, load_pieces
 from touchdown.backend.simulation import batch as episodes
 from touchdown.backend.simulation import conditions, gripper
 

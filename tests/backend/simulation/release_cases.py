@@ -8,9 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from touchdown.backend.geometry import outlines
-from touchdown.backend.geometry.outlines import Outline
-from touchdown.backend.geometry.tower import Body, Tower, TowerVerdict, judge_tower
+from touchdown.backend.geometry import Body, Outline, Tower, TowerVerdict, judge_tower, outlines
 from touchdown.backend.simulation.release_mujoco import contradicts_analysis, simulate_release
 
 # number of bodies, whether the lowest is fixed, number of cases

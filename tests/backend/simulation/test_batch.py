@@ -11,14 +11,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from touchdown.backend.config.bench_description import bench_sha256
-from touchdown.backend.config.simulation import SimulationSettings, load_simulation
+from touchdown.backend.config import SimulationSettings, bench_sha256, load_simulation
 from touchdown.backend.core.marker_interpolation import fill_unseen_markers
 from touchdown.backend.experiments import tables
 from touchdown.backend.experiments.strategies import BOTTOMS, SINGLE_BOTTOMS
-from touchdown.backend.geometry.outlines import face_points, true_patch
-from touchdown.backend.geometry.pieces import load_pieces
-from touchdown.backend.geometry.tower import Tower
+from touchdown.backend.geometry import Tower, face_points, load_pieces, true_patch
 from touchdown.backend.simulation import conditions, gripper, marker_fields
 from touchdown.backend.simulation.batch import (
     BatchedTrials,

@@ -8,30 +8,22 @@ import cv2
 import numpy as np
 import pytest
 
-from touchdown.backend.core.faults import InputError
-from touchdown.backend.core.streams import Decimator
-from touchdown.backend.core.values import MARKERS, FloatArray
+from touchdown.backend.core import MARKERS, Decimator, FloatArray, InputError
 from touchdown.backend.devices.protocols import PressCommand
 from touchdown.backend.emulation.simulated_disturbances import (
     Disturbance,
     parse_disturbance,
     parse_script,
 )
-from touchdown.backend.simulation.arm import (
+from touchdown.backend.simulation import (
     ArmCycle,
-    ArmDrive,
-    SimPress,
-    SimTravel,
-    SimUnload,
-    travelled_mm,
-)
-from touchdown.backend.simulation.contact import TRIALS_PER_CALL, halve_steps
-from touchdown.backend.simulation.finger_camera import (
-    DotRenderer,
     TactileRenderer,
     load_gel_appearance,
     mirror_appearance,
 )
+from touchdown.backend.simulation.arm import ArmDrive, SimPress, SimTravel, SimUnload, travelled_mm
+from touchdown.backend.simulation.contact import TRIALS_PER_CALL, halve_steps
+from touchdown.backend.simulation.finger_camera import DotRenderer
 
 LAW = PressCommand(1.5, 1.5, 2.0, 2.0, 1.0, 11.0, (15.0, 15.0, 15.0))
 CYCLE_S = 0.01

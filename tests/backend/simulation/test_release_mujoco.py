@@ -14,15 +14,9 @@ from tests.backend.simulation.conftest import Disc, lattice, plain
 from tests.backend.simulation.release_cases import SETS, ask_both
 from touchdown.backend.bench.assembly import simulated_session
 from touchdown.backend.config.method import ProbeSettings
-from touchdown.backend.core.contact_onset import OnsetRule
-from touchdown.backend.core.events import Event, TrialFinished
-from touchdown.backend.core.faults import InputError
-from touchdown.backend.core.values import Outcome
-from touchdown.backend.geometry import outlines
-from touchdown.backend.geometry.pieces import load_pieces
-from touchdown.backend.geometry.tower import Body, Tower, TowerVerdict, judge_tower
-from touchdown.backend.runs import messages
-from touchdown.backend.runs.requests import StackRequest
+from touchdown.backend.core import Event, InputError, OnsetRule, Outcome, TrialFinished
+from touchdown.backend.geometry import Body, Tower, TowerVerdict, judge_tower, load_pieces, outlines
+from touchdown.backend.runs import StackRequest, messages
 from touchdown.backend.simulation import ground_truth
 from touchdown.backend.simulation.gripper import (
     CLOSING_TIME_S,

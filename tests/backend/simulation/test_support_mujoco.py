@@ -7,8 +7,7 @@ import pytest
 
 from tests.backend.simulation.test_supports import block, pressed
 from touchdown.backend.config.simulation import SupportSettings
-from touchdown.backend.geometry.outlines import rectangle
-from touchdown.backend.geometry.tower import Body, Tower
+from touchdown.backend.geometry import Body, Tower, rectangle
 from touchdown.backend.simulation.release_mujoco import model_xml
 
 mujoco = pytest.importorskip("mujoco")

@@ -10,17 +10,16 @@ from PySide6.QtCore import QLineF, QRectF
 from PySide6.QtGui import QColor, QImage, QPainter, QPen
 
 from tests.widgets.views.test_belief import force, is_colour, pixels
-from touchdown.widgets.plots.axes import (
+from touchdown.widgets.plots import (
+    CurvePlot,
     LineBuffer,
     PlotArea,
-    TraceBuckets,
     nice_step,
     polygon_of,
-    spread_labels,
     tick_text,
     ticks,
 )
-from touchdown.widgets.plots.training import CurvePlot
+from touchdown.widgets.plots.axes import TraceBuckets, spread_labels
 from touchdown.widgets.views import tactile
 from touchdown.widgets.views.tactile import DimmedPicture
 

@@ -5,10 +5,8 @@ from PySide6.QtCore import QPoint, QRect, Qt
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication, QPushButton, QWidget
 
-from touchdown.widgets.base.panel import ElidedLabel, vbox
-from touchdown.widgets.base.theme import Theme, load_resources
-from touchdown.widgets.shell.fault_cards import STOPPED, CardQuestion, CardText, FaultCards
-from touchdown.widgets.shell.top_bar import TopBar
+from touchdown.widgets.base import ElidedLabel, Theme, load_resources, vbox
+from touchdown.widgets.shell import STOPPED, CardQuestion, CardText, FaultCards, TopBar
 
 
 @pytest.fixture

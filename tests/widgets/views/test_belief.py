@@ -8,10 +8,8 @@ from PySide6.QtWidgets import QApplication
 
 from tests.app.stand_in import REST, action, belief, stability
 from touchdown.backend.core.values import MarkerField, Outcome, Stability, SupportKind, TactileFrame
-from touchdown.widgets.base.freshness import Age
-from touchdown.widgets.base.theme import Theme
-from touchdown.widgets.plots.axes import draw_message
-from touchdown.widgets.plots.force_traces import TracePlot
+from touchdown.widgets.base import Age, Theme
+from touchdown.widgets.plots import TracePlot, draw_message
 from touchdown.widgets.shell.devices import ChipValue, DeviceChip
 from touchdown.widgets.shell.state import PillState, StatePill
 from touchdown.widgets.views.belief import BeliefScene, BeliefView, describe_scene

@@ -20,9 +20,9 @@ from touchdown.backend.devices.melfa.command_channel import (
 )
 from touchdown.backend.devices.melfa.driver import MelfaArm, MelfaPrograms
 from touchdown.backend.devices.melfa.r3_protocol import R3Request, encode_request
-from touchdown.backend.simulation.arm import ArmCycle as Cycle10
+from touchdown.backend.simulation import ArmCycle as Cycle10
+from touchdown.backend.simulation import World
 from touchdown.backend.simulation.devices.bench import SimulatedBench
-from touchdown.backend.simulation.world import World
 
 CYCLE_US = 3500
 STIFF_N_MM = 1000.0

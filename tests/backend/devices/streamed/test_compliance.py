@@ -22,6 +22,7 @@ from touchdown.backend.core.streams import Stream
 from touchdown.backend.core.values import FINGERS, Pose
 from touchdown.backend.devices import GuardedArm, Interlock, Supervision
 from touchdown.backend.devices.protocols import RETREAT_MM, RETREAT_MM_S, ArmPress, PressCommand
+from touchdown.backend.devices.streamed import CycleInput, LoopDelays
 from touchdown.backend.devices.streamed.arm import PressProgram
 from touchdown.backend.devices.streamed.compliance import (
     ACCELERATION_MM_S2,
@@ -30,14 +31,12 @@ from touchdown.backend.devices.streamed.compliance import (
     TRIP_N,
     AdmittanceLaw,
     Deflection,
-    LoopDelays,
     OscillationDetector,
     admittance_law,
     damping,
     deflect,
     fastest_approach_mm_s,
 )
-from touchdown.backend.devices.streamed.motion_programs import CycleInput
 from touchdown.backend.runs.requests import StackRequest
 
 GAINS = (30.0, 30.0, 15.0)

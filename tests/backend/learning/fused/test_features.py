@@ -20,8 +20,7 @@ from touchdown.backend.config.simulation import load_simulation
 from touchdown.backend.core.faults import InputError
 from touchdown.backend.experiments import oracle
 from touchdown.backend.experiments.oracle import HypothesisEnsemble, OracleSetting, predict_press
-from touchdown.backend.geometry.outlines import circle, face_points, inset_mm, rectangle
-from touchdown.backend.geometry.pieces import load_pieces
+from touchdown.backend.geometry import circle, face_points, inset_mm, load_pieces, rectangle
 from touchdown.backend.learning.checkpoint import save_checkpoint
 from touchdown.backend.learning.fused.checkpoint import FusedCard, load_fused
 from touchdown.backend.learning.fused.features import (

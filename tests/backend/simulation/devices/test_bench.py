@@ -9,16 +9,12 @@ import numpy as np
 import pytest
 
 from touchdown.backend.config.simulation import SimulationSettings
-from touchdown.backend.core.faults import FaultError
-from touchdown.backend.core.streams import SampleStream
-from touchdown.backend.core.values import FINGERS, Pose
+from touchdown.backend.core import FINGERS, FaultError, Pose, SampleStream
 from touchdown.backend.devices.protocols import PressCommand
 from touchdown.backend.emulation.simulated_disturbances import parse_script
-from touchdown.backend.geometry.pieces import load_pieces
-from touchdown.backend.geometry.tower import Tower
-from touchdown.backend.simulation.contact import RESIDUAL_LIMIT
+from touchdown.backend.geometry import Tower, load_pieces
+from touchdown.backend.simulation import RESIDUAL_LIMIT, Scene
 from touchdown.backend.simulation.devices.bench import BenchStreams, SimulatedBench
-from touchdown.backend.simulation.ground_truth import Scene
 
 PRESS = PressCommand(1.5, 1.5, 2.0, 2.0, 1.0, 11.0, (30.0, 30.0, 15.0))
 CATALOGUE = load_pieces()

@@ -6,14 +6,9 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from touchdown.backend.config.method import ProbeSettings
-from touchdown.backend.config.simulation import SimulationSettings, load_simulation
-from touchdown.backend.geometry.pieces import load_pieces
-from touchdown.backend.geometry.tower import Tower
-from touchdown.backend.simulation.batch import onset_rule
-from touchdown.backend.simulation.conditions import Conditions
-from touchdown.backend.simulation.ground_truth import Scene
-from touchdown.backend.simulation.release_mujoco import mujoco_available
+from touchdown.backend.config import ProbeSettings, SimulationSettings, load_simulation
+from touchdown.backend.geometry import Tower, load_pieces
+from touchdown.backend.simulation import Conditions, Scene, mujoco_available, onset_rule
 from touchdown.backend.simulation.second_world.model import (
     HAND_JOINTS,
     HELD_JOINTS,

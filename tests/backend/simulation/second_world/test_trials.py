@@ -7,10 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from touchdown.backend.config.method import ProbeSettings
-from touchdown.backend.config.simulation import load_simulation
+from touchdown.backend.config import ProbeSettings, load_simulation
+from touchdown.backend.simulation import Conditions
 from touchdown.backend.simulation import conditions as nuisance
-from touchdown.backend.simulation.conditions import Conditions
 from touchdown.backend.simulation.second_world import trials
 from touchdown.backend.simulation.second_world.trials import (
     CreepingPads,

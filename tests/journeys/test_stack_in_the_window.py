@@ -67,7 +67,7 @@ def test_stack_look_back_and_review(desk, qtbot, tmp_path):
     trial = main.workspaces["stack"].presenter.story.trial
     assert len(trial.probes) >= 2
     assert main.workspaces["stack"].page.score._count.text() == "1 of 1 placed"
-    assert "Placed" in main.workspaces["stack"].page.decision._verdict.text()
+    assert "Placed" in main.workspaces["stack"].page.decision._result.text()
     truth = main.workspaces["stack"].page.belief.scene.truth
     assert truth is not None
     assert main.workspaces["stack"].page.tactile["left"].seen()[1] == 63

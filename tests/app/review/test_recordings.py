@@ -410,7 +410,7 @@ def test_a_long_reading_says_how_far_it_is_and_can_be_given_up(main, qtbot, run,
 
     def words():
         main.pump.tick()
-        return page.decision._verdict.text(), page.decision._text.text()
+        return page.decision._result.text(), page.decision._text.text()
 
     qtbot.waitUntil(lambda: words()[1].startswith("25 % read, "), timeout=60_000)
     assert words()[0] == "Reading the run"

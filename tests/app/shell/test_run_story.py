@@ -69,7 +69,7 @@ def test_a_run_that_is_held_up_before_its_first_estimate_says_so_and_keeps_its_f
     ):
         bench.set_state(state)
         settle(live)
-        assert page.decision._verdict.text() == title
+        assert page.decision._result.text() == title
         assert not page.run._piece.isEnabled()
     bench.set_state(RunState.IDLE)
     settle(live)
@@ -113,7 +113,7 @@ def test_a_trial_without_a_verdict_still_says_how_it_ended(live, bench, page):
     bench.tell_start()
     bench.tell_end(Outcome.FELL, -2.0)
     settle(live)
-    assert page.decision._verdict.text().endswith("Trial 1 fell")
+    assert page.decision._result.text().endswith("Trial 1 fell")
     assert page.decision._margin.text() == "\N{MINUS SIGN}2.0 mm"
 
 
@@ -161,13 +161,13 @@ def test_an_outcome_stays_until_the_next_trial_has_a_map(live, bench, page):
     bench.tell_trial(2)
     settle(live)
     assert page.belief.scene.truth is not None
-    assert page.decision._verdict.text().endswith("Trial 1 placed")
+    assert page.decision._result.text().endswith("Trial 1 placed")
     assert page.decision._caption.text() == "true margin"
     bench.tell_probe(1, (5.0, 1.0), -2.0)
     settle(live)
     assert page.belief.scene.truth is None
     assert page.belief.scene.path == ((5.0, 1.0),)
-    assert page.decision._verdict.text().endswith("Would fall")
+    assert page.decision._result.text().endswith("Would fall")
     assert page.decision._caption.text() == "estimated margin"
 
 

@@ -6,7 +6,7 @@ SHELL := /bin/bash
 .PHONY: help setup run demo test check lint types contracts format bench campaign fuzz screens pictures models exchange-check clean
 
 export PYTHON
-# Compiled once, not by every process anew, also where the environment forbids to keep it.
+# Compiled once, not by every process again, also where the environment forbids to keep it.
 unexport PYTHONDONTWRITEBYTECODE
 BIN := .venv/bin
 TESTS ?= tests
@@ -41,7 +41,8 @@ test: setup ## all tests and their coverage: offscreen, no hardware, no network;
 	@export QT_QPA_PLATFORM=offscreen OMP_NUM_THREADS=1 COVERAGE_CORE="$$($(BIN)/python -c '$(CORE)')"; \
 	if [ -w /dev/shm ] && [ "$$(df -Pm /dev/shm | awk 'END { print $$4 }')" -ge $(MEMORY_MB) ]; then \
 	    export PYTEST_DEBUG_TEMPROOT=/dev/shm; fi; \
-	$(BIN)/pytest $(TESTS) -q -n $(WORKERS) --dist worksteal --cov --cov-report= || { \
+	$(BIN)/pytest $(TESTS) -q -n $(WORKERS) --dist worksteal --cov --cov-report= \
+	    --junitxml=output/tests.xml || { \
 	    code=$$?; [ $$code = 1 ] || exit $$code; \
 	    echo "test: what failed is run again, one by one:"; \
 	    if $(BIN)/pytest $(TESTS) -q --last-failed --last-failed-no-failures none --maxfail 9; \

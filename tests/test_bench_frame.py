@@ -1,10 +1,11 @@
 """``make bench``: exit code, choice of figures, and the stored results."""
 
 import json
+from types import SimpleNamespace
 
 import pytest
 
-from tests.bench import figures, run
+from tests.bench import figures, run, throughput
 from tests.bench.figures import Figure, figure
 from touchdown.backend.core.faults import InputError
 
@@ -94,3 +95,26 @@ def test_saved_figures_replace_those_of_their_function_and_the_page_shows_them(
     assert "| other | 7 of 9 |" in page
     assert page.startswith("Top")
     assert page.endswith("End")
+    figures.save([], ["other"])
+    assert [record["figure"] for record in figures.read_records()] == ["new"]
+    with pytest.raises(ValueError, match="there is no figure other"):
+        figures.save([], ["other"])
+
+
+def test_the_last_test_run_is_a_figure_unless_it_was_a_part(monkeypatch, tmp_path):
+    report = tmp_path / "tests.xml"
+    monkeypatch.setattr(throughput, "SUITE", report)
+    monkeypatch.setattr(throughput.subprocess, "run", lambda *_, **__: SimpleNamespace(stdout="94"))
+    with pytest.raises(InputError, match="no result of the tests"):
+        throughput.last_test_run()
+    line = '<testsuites><testsuite errors="0" failures="{}" skipped="5" tests="{}" time="{}"/>'
+    for failed, seconds, ok in ((0, 543.2, True), (1, 543.2, False), (0, 600.0, False)):
+        report.write_text(line.format(failed, 5792, seconds) + "</testsuites>", "utf-8")
+        suite, coverage = throughput.last_test_run()
+        assert suite.ok is ok
+        assert suite.note.startswith(f"{5787 - failed:,} passed, {failed} failed")
+        assert (coverage.value, coverage.unit) == (94, "%")
+    assert suite.value == "10 min 0 s"
+    report.write_text(line.format(0, 12, 3.0) + "</testsuites>", "utf-8")
+    with pytest.raises(InputError, match="Only 12 tests"):
+        throughput.last_test_run()

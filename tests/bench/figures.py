@@ -8,9 +8,10 @@ A figure is a function in a module of this folder; ``MODULES`` of ``run.py`` nam
 
 ``docs/results/measured.json`` holds one record a figure. ``python -m tests.bench.figures`` renders
 ``docs/measured.md`` from it; ``python -m tests.bench.run --save`` replaces the records of the
-measurements that it ran and renders the page.
+measurements that it ran and renders the page. Figures named after ``--remove`` are dropped.
 """
 
+import argparse
 import datetime
 import json
 import os
@@ -108,8 +109,13 @@ def merge_records(stored: Sequence[Record], new: Sequence[Record]) -> list[Recor
     return sorted((*kept, *new), key=lambda record: groups.index(record["group"]))
 
 
-def save(new: Sequence[Record]) -> None:
-    records = merge_records(read_records(), new)
+def save(new: Sequence[Record], removed: Iterable[str] = ()) -> None:
+    """Store the records, without the figures named in ``removed``, and render the page."""
+    stored = read_records()
+    if unknown := set(removed) - {record["figure"] for record in stored}:
+        raise ValueError(f"there is no figure {', '.join(sorted(unknown))}")
+    kept = [record for record in stored if record["figure"] not in set(removed)]
+    records = merge_records(kept, new)
     lines = ",\n".join("  " + json.dumps(record, ensure_ascii=False) for record in records)
     content = f'{{\n "format": "{FORMAT}",\n "figures": [\n{lines}\n ]\n}}\n'
     write_atomically(DATA, content.encode())
@@ -171,5 +177,7 @@ def _table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 
 
 if __name__ == "__main__":
-    save([])
+    parser = argparse.ArgumentParser(description="Render docs/measured.md.")
+    parser.add_argument("--remove", nargs="+", default=(), metavar="FIGURE")
+    save([], parser.parse_args().remove)
     sys.stdout.write(f"{PAGE}\n")

@@ -1,20 +1,22 @@
-"""Time of set-up, command line, mass simulation, collection and marker tracking."""
+"""Time of tests, set-up, command line, mass simulation, collection and marker tracking."""
 
 import json
+import platform
 import subprocess
 import sys
 import tempfile
 import time
 from pathlib import Path
+from xml.etree import ElementTree
 
 import cv2
 import numpy as np
 
 from tests.backend.sensing.known_truth import known_truth
-from tests.bench.figures import Figure, at_least, figure
+from tests.bench.figures import Figure, at_least, figure, stated
 from touchdown.backend.annotations.dataset import Dataset
 from touchdown.backend.bench.assembly import simulated_session
-from touchdown.backend.core.values import MARKERS, MarkerState
+from touchdown.backend.core import MARKERS, InputError, MarkerState
 from touchdown.backend.runs import CollectRequest, RecordingOptions
 from touchdown.backend.sensing import read_pictures, track_frames
 
@@ -25,6 +27,36 @@ def _seconds(command: list[str]) -> float:
     start = time.perf_counter()
     subprocess.run(command, cwd=ROOT, check=False, capture_output=True)
     return time.perf_counter() - start
+
+
+SUITE = ROOT / "output" / "tests.xml"
+LEAST_TESTS, SUITE_S = 5000, 600.0  # fewer tests are a part of the suite
+
+
+@figure("tests")
+def last_test_run() -> list[Figure]:
+    """Duration, result and coverage of the last ``make test``; runs no tests."""
+    if not SUITE.is_file():
+        raise InputError("There is no result of the tests.", str(SUITE), "Run make test first.")
+    suite = next(ElementTree.parse(SUITE).iter("testsuite"))
+    count, failed, skipped = (
+        sum(int(suite.attrib[name]) for name in names)
+        for names in (("tests",), ("failures", "errors"), ("skipped",))
+    )
+    if count < LEAST_TESTS:
+        raise InputError(
+            f"Only {count} tests were run.", str(SUITE), "Run make test without TESTS."
+        )
+    seconds = float(suite.attrib["time"])
+    note = f"{count - failed - skipped:,} passed, {failed} failed, {skipped} skipped"
+    name = f"all tests, CPython {platform.python_version()}"
+    took = f"{int(seconds / 60)} min {int(seconds % 60)} s"
+    words = [sys.executable, "-m", "coverage", "report", "--format=total"]
+    total = subprocess.run(words, cwd=ROOT, check=True, capture_output=True, text=True).stdout
+    return [
+        Figure(name, took, "", "< 10 min", not failed and seconds < SUITE_S, note),
+        stated("product lines covered by the tests", int(total), "%"),
+    ]
 
 
 @figure("setup")

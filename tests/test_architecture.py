@@ -156,11 +156,15 @@ def test_modules_do_not_import_each_other_in_a_circle() -> None:
     assert circles == []
 
 
+BARE = re.compile(r"\b(from|import)\b[^\n.]*\b(app|backend|widgets|resources)\b")
+
+
 def test_no_folder_is_imported_by_its_bare_name() -> None:
     """A class that is imported by two names exists twice."""
     bare = [
         f"{_name(path)}:{node.lineno}"
         for path in CODE + TESTS
+        if BARE.search(path.read_text("utf-8"))  # most files are not parsed for it
         for node in _nodes(path)
         for name in _imported(node)
         if name.split(".")[0] in {"app", "backend", "widgets", "resources"}

@@ -6,7 +6,7 @@ True contact patches are derived from them.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -93,8 +93,8 @@ class GeometryStore:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self.patch = lru_cache(maxsize=4096)(self._patch)
-        self.pair = lru_cache(maxsize=256)(self._pair)
+        self.patch: Callable[[str, Label], TruePatch] = lru_cache(maxsize=4096)(self._patch)
+        self.pair: Callable[[str], Pair] = lru_cache(maxsize=256)(self._pair)
 
     def store_pair(self, piece: Piece, bottom: Piece) -> str:
         """Write the missing records of a pair; return the hash of the pair."""

@@ -118,7 +118,7 @@ class Estimator:
     """
 
     def __init__(self, checkpoint: Checkpoint, points_mm: FloatArray) -> None:
-        self.card = checkpoint.card
+        self.card: ModelCard = checkpoint.card
         self._network = PatchForward(checkpoint.arrays, self.card.hyper)
         self._points_mm = points_mm
         self._columns = modality_columns(self.card.modality)
@@ -260,7 +260,7 @@ class Ensemble:
     def __init__(self, members: Sequence[Estimator]) -> None:
         if len({member.card.piece for member in members}) != 1:
             raise ValueError("an ensemble has members, all of one piece")
-        self.members = tuple(members)
+        self.members: tuple[Estimator, ...] = tuple(members)
 
     @property
     def weights(self) -> str:

@@ -185,9 +185,9 @@ class Collector:
         entries: list[EpisodeEntry],
     ) -> None:
         self.campaign, self.recorder, self._decisions = campaign, recorder, decisions
-        self.seen = seen
-        self.todo = deque(campaign.todo(entries))
-        self.done = sum(e.quality.accepted and not e.deleted for e in entries)
+        self.seen: Coverage = seen
+        self.todo: deque[int] = deque(campaign.todo(entries))
+        self.done: int = sum(e.quality.accepted and not e.deleted for e in entries)
         self.ask = self.check_origin = self.hand_over = False
         self._rejected: Counter[int] = Counter()
         self._probes = 0

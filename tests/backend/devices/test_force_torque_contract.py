@@ -24,7 +24,7 @@ from tests.backend.rig.ticking import TickingRig
 from touchdown.backend.bench.emulator_registry import bench_toml, emulate
 from touchdown.backend.config.hardware import ForceTorqueSettings, HardwareSettings
 from touchdown.backend.core import FaultError, InputError, SampleStream
-from touchdown.backend.devices import DeviceState, make_force_torque, registry
+from touchdown.backend.devices import DeviceState, identification, make_force_torque, registry
 from touchdown.backend.devices.bota import driver as bota_driver
 from touchdown.backend.devices.force_torque.driver import WrenchReading
 from touchdown.backend.devices.force_torque.reader import (
@@ -33,6 +33,7 @@ from touchdown.backend.devices.force_torque.reader import (
     require_plausible,
 )
 from touchdown.backend.devices.framing import Wrench
+from touchdown.backend.devices.ft300 import driver as ft300_driver
 from touchdown.backend.devices.melfa.realtime_protocol import CYCLE_S
 from touchdown.backend.devices.netft import protocol as protocol_of_netft
 from touchdown.backend.devices.wsg.emulator import EmulatedWsg
@@ -414,6 +415,9 @@ def test_silent_and_unreadable_are_told_apart_without_internal_names(
 ):
     caplog.set_level("INFO", "touchdown.devices")
     monkeypatch.setattr(bota_driver, "WAKE_S", 0.3)
+    monkeypatch.setattr(identification, "LISTEN_S", 0.02)
+    monkeypatch.setattr(ft300_driver, "PAUSE_S", 0.1)
+    monkeypatch.setattr(ft300_driver, "ANSWER_S", 0.1)
     front = TcpServer(Peer(content))
     tables = {
         "ft": {"driver": kind, "address": front.url},

@@ -207,7 +207,11 @@ EVENTS: dict[str, Callable[[Rig], None]] = {
 @pytest.mark.parametrize("state", STATES)
 def test_an_error_ends_all_commands_until_reset(state: str) -> None:
     broken, slowest_s = [], 0.0
+    # Every number while the arm stands; one alarm and one emergency in the other states.
+    few = {name for name in EVENTS if not name.isdigit()} | {str(ALARMS[0]), str(EMERGENCIES[0])}
     for name, happen in EVENTS.items():
+        if state != STATES[0] and name not in few:
+            continue
         rig = connected()
         _bring(rig, state)
         took_s, found = _ended(rig, happen, name)

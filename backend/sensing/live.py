@@ -92,11 +92,6 @@ class LiveSensing:
         if len(samples.t_s):
             self.wrench.put(samples.t_s, self._tare.apply(samples.values))
 
-    @property
-    def refused(self) -> Mapping[Finger, int]:
-        """Number of damaged pictures by finger; they have no field but are recorded."""
-        return {finger: one.refused for finger, one in self._trackers.items()}
-
     def zero_wrench(self, now_s: float, rest_s: float = 0.2) -> Tare:
         """Take the tare from the last ``rest_s`` of raw samples in air."""
         window = self.raw.samples.window(now_s - rest_s, now_s)

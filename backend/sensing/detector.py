@@ -1,9 +1,9 @@
 """Detection of the dark dots in a tactile image, and of the grid that they form.
 
-The image is first flattened: the brightest colour channel is divided by its local mean, which
-removes coloured light and flicker. Blobs are connected dark regions at half resolution. A centre is
-the fixed point of a Gaussian-weighted centroid at full resolution; it does not depend on a
-threshold or on the start of the search.
+The image is first flattened: the brightest colour channel is divided by its level around the dots,
+which removes coloured light, flicker and the shading of a contact. Blobs are connected dark regions
+at half resolution. A centre is the fixed point of a Gaussian-weighted centroid at full resolution,
+weighted by the contrast of the dot itself; it does not depend on the start of the search.
 
 The lattice of rows and columns grows outwards from one dot, each step predicted from the last local
 pitch; dots between the lattice points are ignored. The result does not depend on the order of
@@ -26,12 +26,16 @@ from touchdown.backend.core import GRID_COLS, GRID_ROWS, MARKERS, FloatArray, Im
 WIDTH_PX, HEIGHT_PX = 320, 240
 _HALF_WINDOW_PX = 10
 _SPAN = np.arange(-_HALF_WINDOW_PX, _HALF_WINDOW_PX + 1, dtype=np.float32)
-_BLUR_SIGMA_PX = 14.4
-_BLUR = cv2.getGaussianKernel(13, _BLUR_SIGMA_PX / 8, cv2.CV_32F)
+_CLOSING = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (7, 7))  # at a quarter of the size: 28 px
+_BLUR = cv2.getGaussianKernel(9, 8.0 / 4, cv2.CV_32F)
 _DARKEST = np.uint8(16)  # darker levels count as this one, so that noise in the dark is no dot
-_LIGHT_SHARE = 0.8  # pixels below this share of their surroundings have no weight in the local mean
-_BLOB_DEPTH = 0.25
-_RAMP = (0.15, 0.55)  # darkness of the background, and darkness at which the weight saturates
+# Darkness of a blob: this share of that of the dots, within limits.
+_BLOB_SHARE, _BLOB_RANGE = 0.45, (0.1, 0.25)
+_DOT_RANK = 0.05  # the darkest pixels belong to dots
+# Levels between core (0) and surroundings (1) of a dot where its weight ends, and where it is full.
+_RAMP = (0.8, 0.3)
+_MIN_CONTRAST = 0.06
+_CORE_SHARE, _RING_SHARE = 0.3, 0.5  # ranks of the levels that stand for core and surroundings
 _MIN_DARKNESS = np.float32(1e-9)  # keeps the centroid of an empty window at its centre
 _WEIGHT_SIGMA_PX = 5.0
 _BELL = np.float32(-0.5 / _WEIGHT_SIGMA_PX**2)
@@ -40,6 +44,8 @@ _SUMS = np.stack([np.ones_like(_U), _U, _V, _U * _U, _U * _V, _V * _V, _U], axis
 _SUMS *= np.exp(_BELL * (_U * _U + _V * _V))[:, None]
 # (441, 7) weights: moments of the bell about the centre of a window, and the plain sum.
 _SUMS[:, 6] = 1.0
+_CORE = np.flatnonzero(_U * _U + _V * _V <= 4.5**2)
+_RING = np.flatnonzero(np.abs(np.hypot(_U, _V) - _HALF_WINDOW_PX) < 0.5)
 _MIN_PULL = 0.2  # bounds the stride in an evenly dark window, which has no centre
 _TRIES = 3
 # Longest stride; after a shorter one than the second the window stays.
@@ -58,7 +64,10 @@ class Blobs:
 
 @dataclass(frozen=True, slots=True)
 class Centres:
-    """Centres ``position_px`` (n, 2); ``looks`` (n, 2): darkness under the bell and in all, px²."""
+    """Centres ``position_px`` (n, 2), and how the dots look.
+
+    ``looks`` (n, 3): area under the bell and in all, px², and contrast to the surroundings (0..1).
+    """
 
     position_px: FloatArray
     looks: FloatArray
@@ -76,10 +85,11 @@ class Detector:
         flat = self._flat
         self._border = (flat[:2], flat[-2:], flat[:, :2], flat[:, -2:])
         # Allocating large arrays for each frame (page faults) costs more than the arithmetic.
-        full, half, *smaller = ((HEIGHT_PX // by, WIDTH_PX // by) for by in (1, 2, 4, 8))
+        full, half, quarter = ((HEIGHT_PX // by, WIDTH_PX // by) for by in (1, 2, 4))
         self._channels = [np.empty(full, np.uint8) for _ in range(3)]
         self._brightest, self._per_mean = np.empty(full, np.uint8), np.empty(full, np.float32)
-        self._shrunk = [np.empty(size, np.uint8) for size in (half, *smaller)]
+        self._shrunk = [np.empty(size, np.uint8) for size in (half, quarter)]
+        self._depth = 0.0
         self._half_flat, self._dark = np.empty(half, np.float32), np.empty(half, np.bool_)
         self._mask, self._labels = np.empty(half, np.uint8), np.empty(half, np.uint16)
 
@@ -91,19 +101,23 @@ class Detector:
         for target in self._shrunk:
             _shrink(small, target)
             small = target
-        mean = _background(np.maximum(small, _DARKEST).astype(np.float32))
+        mean = _background(np.maximum(small, _DARKEST))
         cv2.resize(np.reciprocal(mean), (WIDTH_PX, HEIGHT_PX), self._per_mean)
         np.multiply(self._brightest, self._per_mean, out=self._flat)
+        levels = self._flat[::4, ::4].ravel()
+        at = int(_DOT_RANK * len(levels))
+        darkness = 1.0 - float(np.partition(levels, at)[at])
+        self._depth = min(max(_BLOB_SHARE * darkness, _BLOB_RANGE[0]), _BLOB_RANGE[1])
 
     @property
     def border_clear(self) -> bool:
         """True if no dot is cut by the border of the image."""
-        return all(float(line.min()) >= 1.0 - _BLOB_DEPTH for line in self._border)
+        return all(float(line.min()) >= 1.0 - self._depth for line in self._border)
 
     def blobs(self) -> Blobs:
         """Return the dark regions with the size and roundness of a dot."""
         _shrink(self._flat, self._half_flat)
-        dark = np.less(self._half_flat, 1.0 - _BLOB_DEPTH, out=self._dark).view(np.uint8)
+        dark = np.less(self._half_flat, 1.0 - self._depth, out=self._dark).view(np.uint8)
         mask = cv2.dilate(cv2.erode(dark, _OPENING, self._mask), _OPENING, dark)
         _, _, stats, centroids = cv2.connectedComponentsWithStats(
             mask, self._labels, connectivity=8, ltype=cv2.CV_16U
@@ -122,7 +136,7 @@ class Detector:
         position = start_px
         for _ in range(_TRIES):
             middle = np.minimum(np.maximum(np.rint(position), 0.0), _LAST_PIXEL)
-            weight = self._darkness(middle)
+            weight, contrast = self._darkness(middle)
             sums = (weight.reshape(-1, len(_SUMS)) @ _SUMS).astype(np.float64).T
             stride = _stride(sums)
             step = _apply_stride(stride, sums[1:3] / sums[0])
@@ -131,29 +145,42 @@ class Detector:
             if np.abs(step).max(initial=0.0) < _CONVERGED_PX:
                 break
         mass, shift = _moments(weight, step)
-        looks = np.stack([mass, sums[6]], axis=1)
+        looks = np.stack([mass, sums[6], np.maximum(contrast, 0.0)], axis=1)
         return Centres(position + _apply_stride(stride, shift).T, looks)
 
-    def _darkness(self, middle_px: FloatArray) -> NDArray[np.float32]:
-        """Return (n, 21, 21) darkness around whole pixels ``middle_px`` (n, 2)."""
+    def _darkness(self, middle_px: FloatArray) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Return (n, 21, 21) weights around whole pixels ``middle_px`` (n, 2), and contrast (n,).
+
+        The weight is 1 in the core of the dot and 0 in its surroundings, by its own contrast.
+        """
         column, row = middle_px.astype(np.intp).T
-        weight: NDArray[np.float32] = np.float32(1.0 - _RAMP[0]) - self._windows[row, column]
-        rows = weight.reshape(-1, len(_SPAN))
-        if len(rows):
-            cv2.threshold(rows, _RAMP[1] - _RAMP[0], 0.0, cv2.THRESH_TRUNC, rows)
-        return np.maximum(weight, _MIN_DARKNESS, out=weight)
+        weight: NDArray[np.float32] = self._windows[row, column]
+        rows = weight.reshape(-1, len(_U))
+        core, ring = _rank(rows, _CORE, _CORE_SHARE), _rank(rows, _RING, _RING_SHARE)
+        contrast = np.maximum(ring - core, np.float32(_MIN_CONTRAST))
+        steep = np.float32(1.0 / (_RAMP[0] - _RAMP[1])) / contrast
+        np.subtract((core + np.float32(_RAMP[0]) * contrast)[:, None], rows, out=rows)
+        rows *= steep[:, None]
+        np.minimum(rows, np.float32(1.0), out=rows)
+        np.maximum(rows, _MIN_DARKNESS, out=rows)
+        return weight, ring - core
 
 
-def _background(picture: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return the local mean of ``picture`` without its dark dots."""
-    light = picture / _blurred(picture) - np.float32(_LIGHT_SHARE)
-    np.maximum(light, np.float32(1e-3), out=light)
-    np.minimum(light, np.float32(1.0 - _LIGHT_SHARE), out=light)
-    return np.asarray(_blurred(light * picture) / _blurred(light), dtype=np.float32)
+def _rank(
+    rows: NDArray[np.float32], pixels: NDArray[np.intp], share: float
+) -> NDArray[np.float32]:
+    """Return the level (n,) of rank ``share`` among ``pixels`` of ``rows`` (n, 441)."""
+    at = int(share * len(pixels))
+    return np.partition(rows[:, pixels], at, axis=1)[:, at]
 
 
-def _blurred(picture: NDArray[np.float32]) -> NDArray[np.float32]:
-    return np.asarray(cv2.sepFilter2D(picture, cv2.CV_32F, _BLUR, _BLUR), dtype=np.float32)
+def _background(picture: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """Return ``picture`` (60, 80) without its dots.
+
+    Closing removes dark spots smaller than its kernel, and keeps larger dark areas.
+    """
+    closed = cv2.morphologyEx(picture, cv2.MORPH_CLOSE, _CLOSING, borderType=cv2.BORDER_REPLICATE)
+    return np.asarray(cv2.sepFilter2D(closed, cv2.CV_32F, _BLUR, _BLUR), dtype=np.float32)
 
 
 def _shrink(source: NDArray[np.generic], target: NDArray[np.generic]) -> None:

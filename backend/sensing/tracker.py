@@ -152,20 +152,20 @@ class HiddenMarkers:
         self._size = np.linalg.norm(smooth, axis=1)
 
 
-# Allowed ratio of darkness (centre, total) to the usual look of the same marker.
-OWN_RANGE = np.array([[0.7, 0.5], [1.45, 1.45]])
+# Allowed ratio of area (centre, total) and contrast to the usual look of the same marker.
+OWN_RANGE = np.array([[0.6, 0.5, 0.3], [1.6, 2.0, 2.5]])
 # Allowed ratio to the look of the others, for markers without a recent look of their own.
-COMMON_RANGE = np.array([[0.5, 0.5], [1.9, 1.9]])
+COMMON_RANGE = np.array([[0.5, 0.45, 0.25], [1.8, 2.2, 2.5]])
 APPEARANCE_MEMORY = 0.05
 
 
 class DotAppearance:
-    """Running mean of the darkness (centre, total) of each marker."""
+    """Running mean of area (centre, total) and contrast of each marker."""
 
     def __init__(self) -> None:
-        self._usual = np.zeros((MARKERS, 2))
+        self._usual = np.zeros((MARKERS, 3))
         # Of the last frame, of markers that looked like themselves.
-        self.newest: FloatArray = np.zeros((MARKERS, 2))
+        self.newest: FloatArray = np.zeros((MARKERS, 3))
 
     def recognise_all(self, looks: FloatArray) -> bool:
         """Return True if all 63 have their usual look, and update it then."""
@@ -181,7 +181,7 @@ class DotAppearance:
     ) -> NDArray[np.bool_]:
         """Return (n,) bool: ``markers`` with their usual look, which is updated for these.
 
-        ``looks``: (n, 2) of the assigned dots; ``stale``: (n,) True for markers unseen for so long
+        ``looks``: (n, 3) of the assigned dots; ``stale``: (n,) True for markers unseen for so long
         that their look may have changed.
         """
         if not len(markers):
@@ -208,6 +208,9 @@ REACH_PITCH = 0.4
 STRAY_PX = 5.0  # A step that differs this much from those of its neighbours is rejected
 SMOOTH_PX = 0.5  # A field with at most this frame-to-frame misfit (rms) has full quality
 _MAX_SHIFT_PX = 5.0  # A centre farther from its start belongs to another dot
+_WHOLE_PX = 8.0  # A dot nearer to the border than this is cut
+_APART_PX = 12.0  # Two markers closer than this are one dot
+_FAR_PX = np.array([WIDTH_PX - 1.0, HEIGHT_PX - 1.0])
 _MIN_SEEN = 32
 _REORDER_EVERY = 5
 _NO_BLOB = -1
@@ -256,7 +259,8 @@ class MarkerTracker:
     @property
     def looks(self) -> FloatArray:
         """(63, 2) darkness of each marker (centre, total), px², when last seen."""
-        return self._looks.newest
+        newest = self._looks.newest
+        return newest[:, :2] * newest[:, 2:]
 
     def remember(self) -> dict[str, Any]:
         """Return the present state, to be restored with ``recall`` after a damaged picture."""
@@ -361,14 +365,35 @@ class MarkerTracker:
         """Return (63,) seen, and the positions (63, 2) of those."""
         seen = owner >= 0
         position = self._position.copy()
-        start = blobs.centre_px[owner[seen]]
-        centres = self._detector.refine(start)
-        stale = t_s - self._last_seen_s[seen] > LOST_AFTER_S
-        good = self._looks.recognise(np.flatnonzero(seen), centres.looks, stale)
-        good &= np.abs(centres.position_px - start).max(axis=1, initial=0.0) < _MAX_SHIFT_PX
-        position[seen] = np.where(good[:, None], centres.position_px, position[seen])
-        seen[seen] = good
+        self._measure(np.flatnonzero(seen), blobs.centre_px[owner[seen]], position, seen, t_s)
+        if seen.any() and not seen.all():
+            # A dot that is no blob of its own, beside a shadow or in glare, still has a centre.
+            step = self._hidden.carry(position - self._position, seen)
+            missing = np.flatnonzero(~seen)
+            self._measure(missing, (self._position + step)[missing], position, seen, t_s)
         return seen, position
+
+    def _measure(
+        self,
+        markers: NDArray[np.intp],
+        start: FloatArray,
+        position: FloatArray,
+        seen: NDArray[np.bool_],
+        t_s: float,
+    ) -> None:
+        """Centre ``markers`` near ``start`` (n, 2); set ``seen``, and ``position`` of those seen."""
+        centres = self._detector.refine(start)
+        place, sought = centres.position_px, ~seen[markers]
+        good = np.abs(place - start).max(axis=1, initial=0.0) < _MAX_SHIFT_PX
+        if sought.any():
+            inside = (place >= _WHOLE_PX) & (place <= _FAR_PX - _WHOLE_PX)
+            others = np.concatenate([position[seen], place])
+            gap = np.sort(_distances(place, others), axis=1)
+            good &= inside.all(axis=1) & (gap[:, 1] > _APART_PX)
+        stale = t_s - self._last_seen_s[markers] > LOST_AFTER_S
+        good[good] = self._looks.recognise(markers[good], centres.looks[good], stale[good])
+        seen[markers] = good
+        position[markers[good]] = place[good]
 
     def _reject_strays(self, position: FloatArray, seen: NDArray[np.bool_]) -> float:
         """Mark markers that left their neighbours as unseen; return the rms misfit in px."""

@@ -33,9 +33,9 @@ _DARKEST = np.uint8(16)  # darker levels count as this one, so that noise in the
 _BLOB_SHARE, _BLOB_RANGE = 0.45, (0.1, 0.25)
 _DOT_RANK = 0.05  # the darkest pixels belong to dots
 # Levels between core (0) and surroundings (1) of a dot where its weight ends, and where it is full.
-_RAMP = (0.8, 0.3)
+_RAMP = (0.75, 0.3)
 _MIN_CONTRAST = 0.06
-_CORE_SHARE, _RING_SHARE = 0.3, 0.5  # ranks of the levels that stand for core and surroundings
+_CORE_SHARE, _RING_SHARE = 0.3, 0.45  # ranks of the levels that stand for core and surroundings
 _MIN_DARKNESS = np.float32(1e-9)  # keeps the centroid of an empty window at its centre
 _WEIGHT_SIGMA_PX = 5.0
 _BELL = np.float32(-0.5 / _WEIGHT_SIGMA_PX**2)
@@ -156,22 +156,21 @@ class Detector:
         column, row = middle_px.astype(np.intp).T
         weight: NDArray[np.float32] = self._windows[row, column]
         rows = weight.reshape(-1, len(_U))
-        core, ring = _rank(rows, _CORE, _CORE_SHARE), _rank(rows, _RING, _RING_SHARE)
-        contrast = np.maximum(ring - core, np.float32(_MIN_CONTRAST))
-        steep = np.float32(1.0 / (_RAMP[0] - _RAMP[1])) / contrast
-        np.subtract((core + np.float32(_RAMP[0]) * contrast)[:, None], rows, out=rows)
+        core, level = _rank(rows[:, _CORE], _CORE_SHARE), _rank(rows[:, _RING], _RING_SHARE)
+        contrast = level - core
+        range_ = np.maximum(contrast, np.float32(_MIN_CONTRAST))
+        steep = np.float32(1.0 / (_RAMP[0] - _RAMP[1])) / range_
+        np.subtract((core + np.float32(_RAMP[0]) * range_)[:, None], rows, out=rows)
         rows *= steep[:, None]
         np.minimum(rows, np.float32(1.0), out=rows)
         np.maximum(rows, _MIN_DARKNESS, out=rows)
-        return weight, ring - core
+        return weight, contrast
 
 
-def _rank(
-    rows: NDArray[np.float32], pixels: NDArray[np.intp], share: float
-) -> NDArray[np.float32]:
-    """Return the level (n,) of rank ``share`` among ``pixels`` of ``rows`` (n, 441)."""
-    at = int(share * len(pixels))
-    return np.partition(rows[:, pixels], at, axis=1)[:, at]
+def _rank(levels: NDArray[np.float32], share: float) -> NDArray[np.float32]:
+    """Return the level (n,) of rank ``share`` in each row of ``levels`` (n, m)."""
+    at = int(share * levels.shape[1])
+    return np.partition(levels, at, axis=1)[:, at]
 
 
 def _background(picture: NDArray[np.uint8]) -> NDArray[np.float32]:

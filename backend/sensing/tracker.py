@@ -190,7 +190,8 @@ class DotAppearance:
         fresh = (own[:, 0] > 0) & ~stale
         expected = own
         if not fresh.all():
-            typical = np.median(own[fresh] if fresh.any() else looks, axis=0)
+            known = self._usual[:, 0] > 0
+            typical = np.median(self._usual[known] if known.any() else looks, axis=0)
             expected = np.where(fresh[:, None], own, np.maximum(typical, 1e-6))
         ratio = looks / expected
         lowest = np.where(fresh[:, None], OWN_RANGE[0], COMMON_RANGE[0])
@@ -381,7 +382,7 @@ class MarkerTracker:
         seen: NDArray[np.bool_],
         t_s: float,
     ) -> None:
-        """Centre ``markers`` near ``start`` (n, 2); set ``seen``, and ``position`` of those seen."""
+        """Centre ``markers`` near ``start`` (n, 2), and update ``seen`` and ``position``."""
         centres = self._detector.refine(start)
         place, sought = centres.position_px, ~seen[markers]
         good = np.abs(place - start).max(axis=1, initial=0.0) < _MAX_SHIFT_PX

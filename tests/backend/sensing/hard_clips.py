@@ -2,13 +2,13 @@
 
 A frame of a real clip is warped by a known field, as a pyramid pressed in beside the border would
 do: the gel is pushed outwards and sheared around a point, and the whole image may turn. Flanks of
-the pyramid take the colour of their light and darken; glare, contrast, cover, motion blur, noise and
-MPEG-4 compression follow. Same clips on every call; about 2 s a clip.
+the pyramid take the colour of their light and darken. Glare, contrast, cover, motion blur, noise
+and MPEG-4 compression follow. Equal clips on every call; about 2 s a clip.
 
-Markers are found in the unwarped frame by the plain detector of ``known_truth`` and carried along by
-the field. A marker counts as visible if its whole dot lies in the image, without cover and with at
-its middle at least ``CONTRAST`` darker than the ring around it; as hidden if it is covered, or its centre is outside. The
-remaining ones, partly visible, are not scored.
+Markers are found in the unwarped frame by the plain detector of ``known_truth`` and carried along
+by the field. A marker counts as visible if its whole dot lies in the image, without cover and with
+its middle at least ``CONTRAST`` darker than the ring around it; as hidden if it is covered, or its
+centre is outside. The remaining ones, partly visible, are not scored.
 """
 
 from __future__ import annotations
@@ -22,10 +22,9 @@ import cv2
 import numpy as np
 
 from tests.backend.sensing.known_truth import GELSIGHT, plain_detector, row_major
-from touchdown.backend.core.values import MarkerState, TactileFrame
+from touchdown.backend.core import MarkerState, TactileFrame
+from touchdown.backend.sensing import MarkerTracker, read_pictures
 from touchdown.backend.sensing.detector import Detector
-from touchdown.backend.sensing.picture_files import read_pictures
-from touchdown.backend.sensing.tracker import MarkerTracker
 
 AVOCADO, BOX, DRIVER, PLUG, BERRY = (
     f"{name}.avi"
@@ -129,9 +128,10 @@ def carried(clip: HardClip, places: np.ndarray, level: float) -> np.ndarray:
     q = places.copy()
     for _ in range(12):
         residual = q + field(clip, q, level) - places
-        h = 1e-4
-        du = (field(clip, q + [h, 0], level) - field(clip, q - [h, 0], level)) / (2 * h)
-        dv = (field(clip, q + [0, h], level) - field(clip, q - [0, h], level)) / (2 * h)
+        du, dv = (
+            (field(clip, q + h, level) - field(clip, q - h, level)) / 2e-4
+            for h in (np.array([1e-4, 0.0]), np.array([0.0, 1e-4]))
+        )
         slope = np.stack([du, dv], axis=-1) + np.eye(2)
         q = q - np.linalg.solve(slope, residual[..., None])[..., 0]
     assert np.abs(q + field(clip, q, level) - places).max() < 1e-3, clip.name
@@ -199,7 +199,9 @@ def render(clip: HardClip) -> Scene:
             frame += moved * _light(clip, float(one)) / clip.blur
         place = carried(clip, rest, float(exposures.mean()))
         gone = (place < 0).any(axis=1) | (place > [WIDTH - 1, HEIGHT - 1]).any(axis=1)
-        seen = ((place >= RADIUS) & (place <= [WIDTH - 1 - RADIUS, HEIGHT - 1 - RADIUS])).all(axis=1)
+        seen = ((place >= RADIUS) & (place <= [WIDTH - 1 - RADIUS, HEIGHT - 1 - RADIUS])).all(
+            axis=1
+        )
         if clip.glare is not None:
             u, v, bright = clip.glare
             bell = np.exp(-np.sum((grid - [u, v]) ** 2, axis=-1) / (2 * 18.0**2))[..., None]
@@ -253,8 +255,8 @@ class HardScore:
     """Counts of markers and frames of one clip.
 
     ``seen``: visible ones reported as seen within 1 px; ``inferred``, ``lost``: visible ones
-    reported so; ``false``: reported as seen over 1.5 px off, or hidden. ``unseen_at`` (63,): visible
-    ones not seen, by marker.
+    reported so; ``false``: reported as seen over 1.5 px off, or hidden. ``unseen_at`` (63,):
+    visible ones not seen, by marker.
     """
 
     visible: int

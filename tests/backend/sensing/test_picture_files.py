@@ -409,10 +409,18 @@ def test_pressed_cuboid_frame_shows_63() -> None:
     assert np.linalg.norm(field.position_px - independent, axis=1).max() < 2.0
 
 
+def marked_dots(name: str) -> dict[int, np.ndarray]:
+    """Dots marked by eye (63, 2) in px, by frame; the head of the file says how."""
+    lines = (GELSIGHT / "marks.csv").read_text("utf-8").splitlines()
+    rows = [line.split(",") for line in lines if line.startswith(name)]
+    return {int(row[1]): np.array(row[2:], dtype=float).reshape(63, 2) for row in rows}
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", LARGE)
 def test_450_frames_without_a_swap(name: str) -> None:
-    tracker = MarkerTracker("left")
+    tracker, marked = MarkerTracker("left"), marked_dots(name)
+    assert len(marked) == 20
     seen, near, compared = [], 0, 0
     for frame in read_pictures(GELSIGHT / name):
         field = tracker.track(frame)
@@ -421,6 +429,10 @@ def test_450_frames_without_a_swap(name: str) -> None:
         grid = field.position_px.reshape(7, 9, 2)
         assert np.diff(grid[:, :, 0], axis=1).min() > 16
         assert np.diff(grid[:, :, 1], axis=0).min() > 16
+        if frame.sequence in marked:
+            assert (field.state == MarkerState.SEEN).all()
+            away = np.linalg.norm(field.position_px - marked[frame.sequence], axis=1)
+            assert away.max() < 2.0
         if frame.sequence % 10 == 0:
             dots = plain_detector(frame.image)
             own = field.position_px[field.state == MarkerState.SEEN]

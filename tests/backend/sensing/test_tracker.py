@@ -22,6 +22,7 @@ from touchdown.backend.core.values import MarkerField, MarkerState, TactileFrame
 from touchdown.backend.sensing import MarkerTracker, take_reference
 from touchdown.backend.sensing.detector import Blobs, Detector, order_grid
 from touchdown.backend.sensing.tracker import assign_remaining, misordered_markers, nearest_dots
+from touchdown.backend.simulation import TactileRenderer, load_gel_appearance
 
 
 def lattice(rows: int, cols: int, pitch: float = 32.0) -> np.ndarray:
@@ -262,3 +263,66 @@ def test_following_from_frame_to_frame_finds_what_a_look_at_the_whole_image_find
         anew = MarkerTracker("left").track(frame(shot.image, shot.k))
         assert (anew.state == MarkerState.SEEN).all()
         assert np.linalg.norm(followed - anew.position_px, axis=1).max() < 0.05
+
+
+def pressed_gel(
+    levels: np.ndarray, *, shade: float = 0.0, veil: float = 0.0, dim: float = 0.0
+) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Images of a simulated gel pressed beside its lower right corner, and the true places.
+
+    The gel is sheared by up to 14 px there. ``shade``: share of light lost on a square of 44 px;
+    ``veil``: grey levels of glare; ``dim``: share of contrast lost in the whole image.
+    """
+    look = load_gel_appearance()
+    renderer = TactileRenderer(look, seed=5)
+    away = look.rest_px - [276.0, 200.0]
+    shear = np.exp(-np.sum(away**2, axis=1) / 55.0**2)[:, None] * [10.0, 8.0]
+    square = np.zeros((240, 320, 1), np.float32)
+    square[170:214, 238:282] = 1.0
+    soft = cv2.GaussianBlur(square, (0, 0), 3.0)[..., None]
+    glare = np.zeros((240, 320, 1), np.float32)
+    cv2.circle(glare, (300, 150), 20, 1.0, -1)
+    bright = cv2.GaussianBlur(glare, (0, 0), 8.0)[..., None]
+    shown = []
+    for level in map(float, levels):
+        image = renderer.render(level * shear, np.zeros(63, dtype=bool)).astype(float)
+        image = image * (1.0 - shade * level * soft) + veil * level * bright
+        image = image.mean(axis=(0, 1)) + (1.0 - dim) * (image - image.mean(axis=(0, 1)))
+        shown.append((np.clip(image, 0, 255).astype(np.uint8), look.rest_px + level * shear))
+    return shown
+
+
+PRESS = np.concatenate([np.linspace(0.0, 1.0, 12), np.ones(3)])
+
+
+@pytest.mark.parametrize(
+    ("levels", "marks"),
+    [
+        (PRESS, {"shade": 0.5}),
+        (np.array([0.0, 0.5, 1.0, 1.0, 1.0]), {"shade": 0.5}),
+        (np.ones(4), {"shade": 0.5}),
+        (PRESS, {"veil": 110.0}),
+        (PRESS, {"dim": 0.6}),
+    ],
+    ids=["shaded", "shaded at once", "shaded from the start", "in glare", "of low contrast"],
+)
+def test_visible_markers_beside_a_strong_contact_are_seen(levels, marks) -> None:
+    tracker = MarkerTracker("left")
+    for k, (image, truth) in enumerate(pressed_gel(levels, **marks)):
+        field = tracker.track(frame(image, k))
+        assert field.quality > 0.0
+        np.testing.assert_array_equal(field.state, MarkerState.SEEN, f"frame {k}")
+        assert np.linalg.norm(field.position_px - truth, axis=1).max() < 1.5
+
+
+def test_a_covered_corner_beside_a_strong_contact_is_not_seen() -> None:
+    corner = np.array([5 * 9 + 7, 5 * 9 + 8, 6 * 9 + 7, 6 * 9 + 8])
+    tracker = MarkerTracker("left")
+    for k, (image, truth) in enumerate(pressed_gel(PRESS, shade=0.3)):
+        if k >= 5:
+            for u, v in truth[corner].astype(int).tolist():
+                cv2.circle(image, (u, v), 17, SMEAR_BGR, -1)
+        field = tracker.track(frame(image, k))
+        if k >= 5:
+            assert (field.state[corner] != MarkerState.SEEN).all()
+            assert (np.delete(field.state, corner) == MarkerState.SEEN).all()

@@ -1,6 +1,6 @@
 """Probes labelled by keys in the real window, killed twice, reviewed, handed on.
 
-Fourteen of them: each way to decide twice, two collected and the others simulated.
+Nine of them: each way to decide at least once, two collected and the others simulated.
 ``DAY_PROBES=100`` in the environment makes it a hundred.
 """
 
@@ -28,7 +28,7 @@ from touchdown.backend.annotations import Dataset, Revision, check_dataset
 from touchdown.backend.cli.command_line import main
 from touchdown.backend.learning.training_runs import list_training_runs
 
-PROBES = int(os.environ.get("DAY_PROBES", "14"))
+PROBES = int(os.environ.get("DAY_PROBES", "9"))
 COLLECTED, PACKED = 2, PROBES - 2
 """Probes through the devices of the bench, and from its mass simulation."""
 KILLS = ((PROBES * 4 // 25, PROBES * 8 // 25), (PROBES * 12 // 25, PROBES * 18 // 25))

@@ -184,7 +184,7 @@ def test_an_approach_is_as_fast_as_the_peak_allows():
     assert press(law, loop, DESIGN_N_MM, min(speed, 5.0)).peak_n < 40.0
 
 
-MISSES, EARLY = 1, 8
+MISSES, EARLY = 2, 8
 BACK_MM, ROSE_MM, SOON_MM, MAX_EARLY_CONTACT_N = 0.1, (1.6, 2.6), 0.01, 60.0
 START_MM, WANTED_MM, EARLY_MM, GEL_N_MM, ROUND_US = 80.0, 62.0, (5.0, 12.0), 8.0, 10_500
 
@@ -211,7 +211,8 @@ def test_a_descent_without_a_contact_ends_where_it_began() -> None:
         return float(scene.arm.pose(1.0).z_mm)
 
     bench.session.events.subscribe(hear)
-    off_mm, presses, seeds = list[float](), 0, itertools.count()
+    off_mm, presses = list[float](), 0
+    seeds = itertools.count(1, 2)  # the boards of even seeds stand high enough
     try:
         while len(off_mm) < MISSES:
             with suppress(TouchdownError):

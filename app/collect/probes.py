@@ -80,7 +80,7 @@ class PairProbes:
 
     def __init__(self, face: Outline, bottom: Outline, held: Iterable[ProbeRecord] = ()) -> None:
         self._face, self._bottom = face, bottom
-        self._outline = bottom.polygon(96)
+        self._outline = bottom.path(96)
         self._held = {h.entry.uuid: h for h in held}
         self._none = count_coverage(np.zeros((0, 2)), face, bottom)
         self._coverage: Coverage | None = None

@@ -10,7 +10,7 @@ from touchdown.app.review.episodes import TrialRecording
 from touchdown.app.review.page import ReviewPage
 from touchdown.app.review.timing import TOUCHING, PatchScore, TrialTimeline
 from touchdown.app.shell import TrialStory, belief_scene, true_patch_outline, unprobed_scene
-from touchdown.backend.core import FloatArray, Said, TrialFinished
+from touchdown.backend.core import Said, TrialFinished
 from touchdown.backend.geometry import Outline
 from touchdown.widgets.plots import NO_WRENCH
 from touchdown.widgets.views import (
@@ -24,7 +24,6 @@ from touchdown.widgets.views import (
     latest,
 )
 
-SEGMENTS = 96
 NO_RECORDING = DecisionText("No recording chosen", "", "", "Choose one in the list.")
 NO_READING = DecisionText("No estimate", "", "", "No model evaluated a probe here.")
 NO_MAP = ("No belief map", "No model evaluated a probe here.")
@@ -41,7 +40,6 @@ class ReplayPresenter:
         self.cursor_s = 0.0
         self._whole: TrialStory | None = None
         self._faces: tuple[Outline | None, Outline | None] = (None, None)
-        self._outlines: tuple[FloatArray | None, FloatArray | None] = (None, None)
         self._said_s = np.zeros(0)
         self._known = -1
 
@@ -69,9 +67,6 @@ class ReplayPresenter:
         ``told``: the messages of the whole run.
         """
         self.trial, self.recorded, self._faces = trial, TrialRecording(), (face, bottom)
-        self._outlines = tuple(  # type: ignore[assignment]
-            None if outline is None else outline.polygon(SEGMENTS) for outline in (face, bottom)
-        )
         self._whole = None if trial is None else trial.story(float("inf"))
         lines = [] if trial is None else [(f.t_s, text) for f in trial.events if (text := _line(f))]
         self._said_s = np.array([t_s for t_s, _ in lines])
@@ -157,9 +152,9 @@ class ReplayPresenter:
         return "" if score is None or score.probe != probe else f"\nIoU {score.iou:.2f}"
 
     def _scene(self, story: TrialStory, index: int) -> BeliefScene:
-        scene = belief_scene(story, index, *self._outlines)
+        scene = belief_scene(story, index, *self._faces)
         if scene.truth is None and self._whole is not None:
-            truth = true_patch_outline(self._whole, story.probes[index], *self._outlines)
+            truth = true_patch_outline(self._whole, story.probes[index], *self._faces)
             scene = BeliefScene(
                 scene.belief, scene.stability, scene.path, scene.step_mm, scene.target_mm,
                 scene.clipped, scene.face, truth,

@@ -285,7 +285,7 @@ def item_reader(
 
 def pair_outlines(pair: Pair) -> Outlines:
     """Return the outlines (k, 2) of face and bottom. Views identify a pair by these arrays."""
-    return pair.face.polygon(96), pair.bottom.polygon(96)
+    return pair.face.path(96), pair.bottom.path(96)
 
 
 def prerender(item: LabelItem, sheets: LabelSheets | None) -> LabelItem:
@@ -330,7 +330,7 @@ def make_item(
     }
     numbers = 0 if recording is None else recording.wrench.nbytes + recording.pose_mm.nbytes
     per_field = sum(len(x) for x in fields.values()) * 3 * 1024
-    scene = scene_observation(episode, pair, outlines[0])
+    scene = scene_observation(episode, pair, pair.face.polygon(96))
     return LabelItem(
         entry, episode, pair, *outlines, reel, trace, model,
         film.bytes + numbers + per_field + len(FINGERS) * KEPT_PICTURES * PICTURE_BYTES

@@ -26,12 +26,13 @@ from touchdown.backend.core import (
     TrialFinished,
     TrialStarted,
 )
-from touchdown.backend.geometry import PieceLibrary, edges_to_polygon, overlap_edges
+from touchdown.backend.geometry import Outline, PieceLibrary, overlap_polygon
 from touchdown.backend.learning import rate_interval
 from touchdown.backend.runs import excluding_fault
 from touchdown.widgets.views import BeliefScene, Score
 
 Offset = tuple[float, float]
+SEGMENTS = 96  # corners of a drawn circle
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,13 +161,14 @@ class RunStory:
 
 
 def true_patch_outline(
-    trial: TrialStory, look: ProbeStory, face: FloatArray | None, bottom: FloatArray | None
+    trial: TrialStory, look: ProbeStory, face: Outline | None, bottom: Outline | None
 ) -> FloatArray | None:
     """Return the (k, 2) outline of the true overlap at a probe, None if unknown."""
     shift = trial.frame_shift_mm()
     if shift is None or bottom is None or face is None:
         return None
-    return edges_to_polygon(overlap_edges(face + (look.offset_mm or (0.0, 0.0)), bottom + shift))
+    (x_mm, y_mm), (shift_x_mm, shift_y_mm) = look.offset_mm or (0.0, 0.0), shift
+    return overlap_polygon(face, (x_mm - shift_x_mm, y_mm - shift_y_mm), bottom) + shift
 
 
 def unprobed_scene(trial: TrialStory) -> BeliefScene:
@@ -177,11 +179,11 @@ def unprobed_scene(trial: TrialStory) -> BeliefScene:
 
 
 def belief_scene(
-    trial: TrialStory, index: int, face: FloatArray | None, bottom: FloatArray | None
+    trial: TrialStory, index: int, face: Outline | None, bottom: Outline | None
 ) -> BeliefScene:
     """Return the belief scene after probe ``index`` (from 0).
 
-    ``face``, ``bottom``: (k, 2) outlines. The true overlap is shown only after the trial.
+    The true overlap of ``face`` and ``bottom`` is shown only after the trial.
     """
     look = trial.probes[index]
     truth = None if trial.finished is None else true_patch_outline(trial, look, face, bottom)
@@ -193,7 +195,7 @@ def belief_scene(
         step_mm=action.step_mm if action is not None and action.kind == "shift" else None,
         target_mm=action.target_mm if action is not None and action.kind == "shift" else None,
         clipped=action.clipped if action is not None else False,
-        face=face,
+        face=None if face is None else face.path(SEGMENTS),
         truth=truth,
     )
 
@@ -223,13 +225,13 @@ def run_score(trials: Sequence[TrialStory], planned: int, last: str) -> Score:
 
 def face_outlines(
     catalogue: PieceLibrary, head: RunStarted | None
-) -> tuple[FloatArray | None, FloatArray | None]:
-    """Return the (k, 2) outlines of the piece's face and of the touched bottom, None if unknown."""
+) -> tuple[Outline | None, Outline | None]:
+    """Return the outlines of the piece's face and of the touched bottom, None if unknown."""
     if head is None:
         return None, None
     return _outline(catalogue, head.piece), _outline(catalogue, head.bottom.split("+")[-1])
 
 
-def _outline(catalogue: PieceLibrary, name: str) -> FloatArray | None:
+def _outline(catalogue: PieceLibrary, name: str) -> Outline | None:
     piece = catalogue.pieces.get(name)
-    return None if piece is None else piece.face.polygon(96)
+    return None if piece is None else piece.face

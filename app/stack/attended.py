@@ -126,8 +126,8 @@ class OperatorPromptsPresenter:
 
     def _scene(self, asked: SetUpAwaited) -> OffsetScene:
         catalogue = self._bench.catalogue
-        face = catalogue.piece(asked.piece).face.polygon(96)
-        bottom = catalogue.piece(asked.bottom.split("+")[-1]).face.polygon(96)
+        face = catalogue.piece(asked.piece).face.path(96)
+        bottom = catalogue.piece(asked.bottom.split("+")[-1]).face.path(96)
         return OffsetScene(bottom, face, asked.start_mm, names=(asked.bottom, asked.piece))
 
     def _refused(self, error: Exception) -> None:

@@ -6,7 +6,7 @@ True contact patches are derived from them.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -24,6 +24,7 @@ from touchdown.backend.geometry import (
     circle,
     convex_polygon,
     face_points,
+    region,
     true_patch,
 )
 
@@ -71,8 +72,13 @@ def face_record(outline: Outline, com_xy_mm: Point = (0.0, 0.0)) -> Record:
     record: Record = {"kind": "face", "v": VERSION, "com_um": [_um(value) for value in com_xy_mm]}
     if outline.kind == "circle":
         return record | {"shape": "circle", "d_um": _um(2 * outline.radius_mm)}
-    corners = [[_um(x), _um(y)] for x, y in outline.vertices_mm]
-    return record | {"shape": "polygon", "vertices_um": corners}
+    if outline.kind == "region":
+        parts = [
+            {"exterior": _ring_um(exterior), "holes": [_ring_um(hole) for hole in holes]}
+            for exterior, holes in outline.parts
+        ]
+        return record | {"shape": "region", "parts_um": parts}
+    return record | {"shape": "polygon", "vertices_um": _ring_um(outline.vertices_mm)}
 
 
 # Square lattice through the face's centre.
@@ -149,7 +155,20 @@ class GeometryStore:
 def _outline(record: Mapping[str, Any]) -> Outline:
     if record["shape"] == "circle":
         return circle(record["d_um"] / 1e3)
-    return convex_polygon(tuple((x / 1e3, y / 1e3) for x, y in record["vertices_um"]))
+    if record["shape"] == "region":
+        return region(
+            (_ring_mm(part["exterior"]), [_ring_mm(hole) for hole in part["holes"]])
+            for part in record["parts_um"]
+        )
+    return convex_polygon(_ring_mm(record["vertices_um"]))
+
+
+def _ring_um(ring: Sequence[Point]) -> list[list[int]]:
+    return [[_um(x), _um(y)] for x, y in ring]
+
+
+def _ring_mm(ring_um: Sequence[Sequence[int]]) -> tuple[Point, ...]:
+    return tuple((x / 1e3, y / 1e3) for x, y in ring_um)
 
 
 def _um(value_mm: float) -> int:

@@ -41,7 +41,7 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
             session.run(StackRequest(piece=piece, bottoms=(bottom,), seed=args.seed))
     finally:
         session.close()
-    outlines = {b: session.catalogue.piece(b).face.polygon() for _, b in SHOWN}
+    outlines = {b: session.catalogue.piece(b).face.path() for _, b in SHOWN}
     report = out / "report.html"
     write_run_report(report, runs, outlines)
     ended = [

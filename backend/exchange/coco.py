@@ -4,29 +4,30 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from touchdown.backend.annotations import Dataset, Label, Pair, content_hash
 from touchdown.backend.core import FloatArray, InputError, parse_json
 from touchdown.backend.exchange.exports import ExportJob
 from touchdown.backend.exchange.label_import import ImportedLabel, label_file
 from touchdown.backend.exchange.query import SelectedEpisode
-from touchdown.backend.geometry import overlap_polygon, rotated
+from touchdown.backend.geometry import overlap_polygon, rings_of, rotated
 
 FILE = "annotations.json"
 PX_PER_MM = 20.0
 MARGIN_MM = 12.0
 VISIBLE = 2
 DECIMALS = 4
+FLIP = np.array([1.0, -1.0])  # rows of an image run downwards
 MIN_IOU = 0.99
-EDGE_MM = 0.05  # one px: rounding of a polygon moves its edge by up to this
+EDGE_PX = 1.0  # rounding of a polygon moves its edge by up to this
 INK, PAPER = 60, 245
 
 
@@ -65,15 +66,16 @@ class Canvas:
 
     def px(self, points_mm: FloatArray) -> FloatArray:
         """Return points (n, 2) of the bottom frame in px."""
-        flipped = points_mm * np.array([1.0, -1.0]) * PX_PER_MM
+        flipped = points_mm * FLIP * PX_PER_MM
         centred = flipped + np.array(self.origin_px, dtype=np.float64)
         return np.asarray(np.round(centred, DECIMALS), dtype=np.float64)
 
     def draw(self, path: Path) -> None:
         """Draw the outline of the bottom."""
         picture = np.full((self.height, self.width), PAPER, dtype=np.uint8)
-        corners = np.rint(self.px(self.pair.bottom.polygon())).astype(np.int32)
-        cv2.polylines(picture, [corners], isClosed=True, color=INK, thickness=2)
+        rings = rings_of(self.px(self.pair.bottom.path()))
+        corners = [np.rint(ring).astype(np.int32) for ring in rings]
+        cv2.polylines(picture, corners, isClosed=True, color=INK, thickness=2)
         path.parent.mkdir(exist_ok=True)
         done, data = cv2.imencode(".png", picture)
         assert done
@@ -113,7 +115,7 @@ def _annotation(one: SelectedEpisode, canvas: Canvas) -> dict[str, object]:
         "id": one.index + 1,
         "image_id": one.index + 1,
         "category_id": 1,
-        **_shape(canvas.px(patch_mm)),
+        **_shape(rings_of(canvas.px(patch_mm)), (canvas.height, canvas.width)),
         "iscrowd": 0,
         "keypoints": points,
         "num_keypoints": 2,
@@ -124,18 +126,41 @@ def _annotation(one: SelectedEpisode, canvas: Canvas) -> dict[str, object]:
     }
 
 
-def _shape(polygon_px: FloatArray) -> dict[str, object]:
-    if not len(polygon_px):
+def _shape(rings_px: list[FloatArray], size: tuple[int, int]) -> dict[str, object]:
+    """Return segmentation, box and area of the rings.
+
+    The format has no holes in polygons: a patch with holes is run-length encoded.
+    """
+    if not rings_px:
         return {"segmentation": [], "bbox": [0, 0, 0, 0], "area": 0.0}
-    low, high = polygon_px.min(axis=0), polygon_px.max(axis=0)
-    x, y = polygon_px[:, 0], polygon_px[:, 1]
-    area = 0.5 * abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1)))
-    box = np.round([*low, *(high - low)], DECIMALS)
+    every = np.concatenate(rings_px)
+    low, high = every.min(axis=0), every.max(axis=0)
+    areas = [float(x @ np.roll(y, -1) - y @ np.roll(x, -1)) for x, y in (r.T for r in rings_px)]
+    holed = min(areas) * max(areas) < 0.0
+    segmentation: object = [ring.reshape(-1).tolist() for ring in rings_px]
+    if holed:
+        segmentation = {"size": list(size), "counts": _runs(rings_px, size)}
     return {
-        "segmentation": [polygon_px.reshape(-1).tolist()],
-        "bbox": box.tolist(),
-        "area": round(area, DECIMALS),
+        "segmentation": segmentation,
+        "bbox": np.round([*low, *(high - low)], DECIMALS).tolist(),
+        "area": round(0.5 * abs(sum(areas)), DECIMALS),
     }
+
+
+def _runs(rings_px: list[FloatArray], size: tuple[int, int]) -> list[int]:
+    """Return the run lengths, column by column, of the pixels whose centres are inside.
+
+    The first run is outside. Inside is by the odd-even rule.
+    """
+    crossed = np.zeros((size[1], size[0]), dtype=np.bool_)
+    for ring in rings_px:
+        for (x0, y0), (x1, y1) in zip(ring, np.roll(ring, -1, axis=0), strict=True):
+            columns = np.arange(math.ceil(min(x0, x1)), math.ceil(max(x0, x1)))
+            rows = np.ceil(y0 + (columns - x0) * (y1 - y0) / ((x1 - x0) or 1.0)).astype(np.intp)
+            crossed[columns, rows] ^= True
+    inside = np.logical_xor.accumulate(crossed, axis=1).reshape(-1)
+    ends = np.flatnonzero(np.diff(inside, prepend=False)).tolist()
+    return [int(run) for run in np.diff([0, *ends, inside.size])]
 
 
 def read_coco(source: Path, dataset: Dataset) -> Iterator[ImportedLabel]:
@@ -151,7 +176,7 @@ def read_coco(source: Path, dataset: Dataset) -> Iterator[ImportedLabel]:
         for annotation in content["annotations"]:
             image = images[annotation["image_id"]]
             origin = np.array(origins[image["pair"]], dtype=np.float64).reshape(2)
-            yield _row(annotation, image, partial(_to_mm, origin, scale), dataset)
+            yield _row(annotation, image, (origin, scale), dataset)
     except (OSError, ValueError, KeyError, TypeError, IndexError) as error:
         why = f"{error} is missing" if isinstance(error, KeyError) else error
         raise InputError(
@@ -159,19 +184,16 @@ def read_coco(source: Path, dataset: Dataset) -> Iterator[ImportedLabel]:
         ) from error
 
 
-def _to_mm(origin_px: FloatArray, px_per_mm: float, points_px: Any) -> FloatArray:
-    """Return points (n, 2) in mm in the bottom frame."""
-    points = np.array(points_px, dtype=np.float64).reshape(-1, 2)
-    return np.asarray((points - origin_px) / px_per_mm * np.array([1.0, -1.0]))
-
-
 def _row(
     annotation: Mapping[str, Any],
     image: Mapping[str, Any],
-    to_mm: Callable[[Any], FloatArray],
+    frame: tuple[FloatArray, float],
     dataset: Dataset,
 ) -> ImportedLabel:
-    x_mm, y_mm = to_mm(annotation["keypoints"][:2])[0].tolist()
+    """Return one offset; ``frame``: origin of the bottom frame in px, and px a mm."""
+    origin_px, px_per_mm = frame
+    at_px = np.array(annotation["keypoints"][:2], dtype=np.float64)
+    x_mm, y_mm = ((at_px - origin_px) / px_per_mm * FLIP).tolist()
     x_um, y_um = round(x_mm * 1e3), round(y_mm * 1e3)
     was = Label(**annotation["label"]) if "label" in annotation else None
     moved = was is None or (was.x_um, was.y_um) != (x_um, y_um)
@@ -181,25 +203,56 @@ def _row(
     warning = ""
     if annotation["segmentation"]:
         pair = dataset.geometry.pair(str(image["pair"]))
-        corners = to_mm(annotation["segmentation"][0])
-        share = _iou(corners, label, pair, dataset)
+        points = rotated(pair.points_mm, math.radians((label.theta_mdeg or 0) / 1e3))
+        points_px = (points + label.offset_mm) * FLIP * px_per_mm + origin_px
+        touching = dataset.geometry.patch(pair.sha256, label).touching
+        share = _iou(annotation["segmentation"], points_px, touching)
         if share < MIN_IOU:
             warning = f"its polygon and the patch of its offset overlap by {share:.2f} only"
     return ImportedLabel(str(image["episode"]), str(image.get("file_sha256", "")), label, warning)
 
 
-def _iou(corners_mm: FloatArray, label: Label, pair: Pair, dataset: Dataset) -> float:
-    """Return the overlap of the points within a convex polygon with the derived patch."""
-    touching = dataset.geometry.patch(pair.sha256, label).touching
-    yaw_rad = math.radians((label.theta_mdeg or 0) / 1e3)
-    points = rotated(pair.points_mm, yaw_rad) + label.offset_mm
-    along = np.roll(corners_mm, -1, axis=0) - corners_mm
-    x, y = corners_mm[:, 0], corners_mm[:, 1]
-    turn = 1.0 if float(x @ np.roll(y, -1) - y @ np.roll(x, -1)) > 0.0 else -1.0
-    away = points[:, None, :] - corners_mm
-    cross = turn * (along[:, 0] * away[..., 1] - along[:, 1] * away[..., 0])
-    depth_mm = (cross / np.maximum(np.hypot(along[:, 0], along[:, 1]), EDGE_MM)).min(axis=1)
-    # Rounding of the corners may move the edge, so points near it are not compared.
-    drawn = np.where(np.abs(depth_mm) < EDGE_MM, touching, depth_mm > 0.0)
+def _iou(segmentation: Any, points_px: FloatArray, touching: NDArray[np.bool_]) -> float:
+    """Return the overlap of the points (n, 2) within a drawn patch with the derived one (n,).
+
+    Rounding of the corners may move the edge, so points near it are not compared.
+    """
+    if isinstance(segmentation, Mapping):
+        inside, near = _within_runs(segmentation, points_px)
+    else:
+        rings = [np.array(ring, dtype=np.float64).reshape(-1, 2) for ring in segmentation]
+        inside, near = _within_rings(rings, points_px)
+    drawn = np.where(near, touching, inside)
     union = int((drawn | touching).sum())
     return int((drawn & touching).sum()) / union if union else 1.0
+
+
+Within = tuple[NDArray[np.bool_], NDArray[np.bool_]]  # inside, near the edge
+
+
+def _within_runs(runs: Mapping[str, Any], points_px: FloatArray) -> Within:
+    height, width = (int(n) for n in runs["size"])
+    counts = np.array(runs["counts"], dtype=np.intp)
+    flat = np.repeat(np.arange(len(counts)) % 2 == 1, counts)
+    mask = np.pad(flat.reshape(width, height), 2)
+    at = np.clip(np.rint(points_px).astype(np.intp), -1, [width, height]) + 2
+    around = np.stack(
+        [mask[at[:, 0] + i, at[:, 1] + j] for i in (-1, 0, 1) for j in (-1, 0, 1)], axis=1
+    )
+    inside = around[:, 4]
+    return inside, (around != inside[:, None]).any(axis=1)
+
+
+def _within_rings(rings_px: list[FloatArray], points_px: FloatArray) -> Within:
+    start = np.concatenate(rings_px)
+    along = np.concatenate([np.roll(ring, -1, axis=0) for ring in rings_px]) - start
+    away = points_px[:, None, :] - start
+    length2 = np.maximum((along**2).sum(axis=1), 1e-12)
+    share = np.clip((away * along).sum(axis=-1) / length2, 0.0, 1.0)
+    gap = away - share[..., None] * along
+    near = np.hypot(gap[..., 0], gap[..., 1]).min(axis=1) < EDGE_PX
+    # Crossings of the edges by the ray towards +x.
+    spans = (away[..., 1] >= 0.0) != (away[..., 1] - along[:, 1] >= 0.0)
+    rise = np.where(along[:, 1] == 0.0, 1.0, along[:, 1])
+    right = away[..., 0] < away[..., 1] * along[:, 0] / rise
+    return (spans & right).sum(axis=1) % 2 == 1, near

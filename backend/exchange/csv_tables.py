@@ -22,7 +22,7 @@ from touchdown.backend.exchange.exports import ExportJob
 from touchdown.backend.exchange.features import FT_NAMES
 from touchdown.backend.exchange.label_import import ImportedLabel, label_file
 from touchdown.backend.exchange.query import SelectedEpisode
-from touchdown.backend.geometry import overlap_edges, rotated, signed_distances_mm
+from touchdown.backend.geometry import contact_edges, rotated, signed_distances_mm
 
 SIGNALS = "signals"
 FT_FILE, MARKERS_FILE, POSES_FILE = "ft.csv", "markers.csv", "poses.csv"
@@ -96,13 +96,13 @@ def write(job: ExportJob, folder: Path) -> Mapping[str, object]:
 
 
 def margin_mm(pair: Pair, label: Label) -> float:
-    """Return the signed distance of the centre of mass to the edge of the true overlap.
+    """Return the signed distance of the centre of mass to the hull of the true overlap.
 
     Positive: stable; minus infinity: no contact.
     """
     yaw_rad = math.radians((label.theta_mdeg or 0) / 1e3)
     x_mm, y_mm = label.offset_mm.tolist()
-    cut = overlap_edges(pair.face.placed((x_mm, y_mm), yaw_rad), pair.bottom.polygon())
+    cut = contact_edges(pair.face, (x_mm, y_mm), yaw_rad, pair.bottom)
     centre_mm = label.offset_mm + rotated(np.array(pair.centre_mm), yaw_rad)
     return float(signed_distances_mm(centre_mm, cut))
 

@@ -4,7 +4,9 @@ A sequence is one gripping on one mounting with constant tilt and grasp. Most se
 trial does, by at most 3 mm towards the centre of pressure; the others probe at random places.
 Bottoms are circles, rectangles up to 1.5 to 1, rounded rectangles and random convex polygons in
 random orientations. An outline that overlaps a held-out one by more than ``SIMILAR_IOU``
-(intersection over union, aligned centroids, best of many orientations) is drawn again.
+(intersection over union, aligned centroids, best of many orientations) is drawn again. The wide
+family adds rings, crescents, L, U, stars and feet. Its training target is the margin: the signed
+distance of the centre of mass to the convex hull of the contact under the piece's own weight.
 
 Trials for the release threshold never release: the strategy moves on after every press, and its
 belief about the centre of mass is stored with the truth, so that all thresholds are compared on the
@@ -17,7 +19,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import pi
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,17 +49,25 @@ from touchdown.backend.geometry import (
     Piece,
     PieceLibrary,
     Tower,
+    channel,
     circle,
+    contact_margins_mm,
     convex_polygon,
+    crescent,
     draw_offset,
+    ell,
     enclosed_area_mm2,
     face_points,
+    feet,
     inset_mm,
     load_pieces,
     overlap_edges,
     rectangle,
+    region,
+    ring,
     rotated,
     square,
+    star,
 )
 from touchdown.backend.jobs import JobContext, JobFunctions, JobSpec
 from touchdown.backend.learning import (
@@ -68,6 +78,7 @@ from touchdown.backend.learning import (
     use_one_thread,
 )
 from touchdown.backend.learning.fused import (
+    MARGIN_REACH_MM,
     SENSOR_MM,
     TICKS,
     FusedCard,
@@ -100,26 +111,39 @@ WIDTH_MM, HEIGHT_MM = 30.0, 20.0
 HEIGHTS_MM, MASSES_G = (15.0, 45.0), (15.0, 60.0)  # of free bottoms
 
 
+OutlineKinds = Literal["convex", "any"]
+REGION_SHARE = 0.5  # of the bottoms of the wide family
+MARGIN_STEP_MM = 1.5  # between the nodes of the margins
+
+
 @dataclass(frozen=True, slots=True)
 class ShapeFamily:
-    """Random outlines that resemble none of ``unseen_bottoms`` and no face of ``unseen_faces``."""
+    """Random outlines that resemble none of ``unseen_bottoms`` and no face of ``unseen_faces``.
+
+    ``kinds``: of the bottoms, convex or any.
+    """
 
     unseen_bottoms: tuple[Outline, ...]
     unseen_faces: tuple[Outline, ...]
+    kinds: OutlineKinds = "convex"
 
     @classmethod
-    def of(cls, catalogue: PieceLibrary) -> ShapeFamily:
+    def of(cls, catalogue: PieceLibrary, kinds: OutlineKinds = "convex") -> ShapeFamily:
         """Return the family without the bottoms and pieces of the tables."""
         return cls(
             tuple(catalogue.bottom(name).face for name in UNSEEN_BOTTOMS),
             tuple(catalogue.top(name).face for name in UNSEEN_PIECES),
+            kinds,
         )
 
     def bottom(self, rng: np.random.Generator, *, free: bool = False) -> Body:
         """Return a random bottom: fixed to the table, or free to rock and slide, which is several
         times slower.
         """
-        face = _draw_outline(rng, SIZES_MM, self.unseen_bottoms)
+        if self.kinds == "any" and rng.random() < REGION_SHARE:
+            face = draw_region(rng, float(rng.uniform(LEAST_REGION_MM, SIZES_MM[1])))
+        else:
+            face = _draw_outline(rng, SIZES_MM, self.unseen_bottoms)
         if not free:
             return Body("bottom", face, face, HEIGHT_MM, 0.0, 0.5 * HEIGHT_MM, fixed=True)
         height, mass = float(rng.uniform(*HEIGHTS_MM)), float(rng.uniform(*MASSES_G))
@@ -212,6 +236,46 @@ def _polygon(rng: np.random.Generator, size_mm: float) -> Outline | None:
         return None  # nearly collinear corners
 
 
+LEAST_REGION_MM = 14.0
+
+
+def draw_region(rng: np.random.Generator, size_mm: float) -> Outline:
+    """Return a ring, crescent, L, U, star or set of feet about ``size_mm`` wide, turned at random.
+
+    T, frames and crosses are left to the tests.
+    """
+    while True:
+        kind, a, b = int(rng.integers(6)), float(rng.uniform()), float(rng.uniform())
+        wall = size_mm * (0.2 + 0.2 * a)
+        try:
+            if kind == 0:
+                outline = ring(size_mm, size_mm * (0.3 + 0.5 * a))
+            elif kind == 1:
+                outline = crescent(size_mm, size_mm * (0.7 + 0.3 * a), size_mm * (0.3 + 0.2 * b))
+            elif kind in (2, 3):
+                build = ell if kind == 2 else channel
+                outline = build(size_mm, size_mm * (0.7 + 0.3 * b), wall)
+            elif kind == 4:
+                outline = star(4 + int(4 * b), size_mm, size_mm * (0.4 + 0.3 * a))
+            else:
+                count = 2 + int(3 * b)
+                angle = 2.0 * pi * (np.arange(count) + 0.3 * rng.uniform(-1.0, 1.0, count)) / count
+                at = 0.5 * (size_mm - wall) * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+                outline = feet([(float(x), float(y)) for x, y in at], wall)
+            return _turned(outline, float(rng.uniform(0.0, 2.0 * pi)))
+        except ValueError:
+            continue  # too narrow, or the face centre is outside
+
+
+def _turned(outline: Outline, angle_rad: float) -> Outline:
+    def turn(corners: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
+        return [(float(x), float(y)) for x, y in rotated(np.array(corners), angle_rad)]
+
+    return region(
+        (turn(outside), [turn(hole) for hole in holes]) for outside, holes in outline.parts
+    )
+
+
 def _centred(polygon_mm: FloatArray) -> FloatArray:
     if len(polygon_mm) < 3:
         return polygon_mm
@@ -241,7 +305,8 @@ def probe_sequences(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
     p, catalogue = spec.params, load_pieces()
     settings = parse_settings(SimulationSettings, p["bench"], "job")
     use_one_thread()
-    family = ShapeFamily.of(catalogue)
+    kinds = p.get("outlines", "convex")
+    family = ShapeFamily.of(catalogue, kinds)
     rng = np.random.default_rng([spec.seed, _DRAWS])
     parts = []
     for number in range(p["pieces"]):
@@ -249,7 +314,10 @@ def probe_sequences(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
         seeds = list(range(first, first + p["sequences"]))
         bottoms = [family.bottom(rng, free=p["free"]) for _ in seeds]
         piece = family.piece(rng)
-        parts.append(simulate_sequences(piece, bottoms, settings, seeds, rng, p["probes"]))
+        part = simulate_sequences(piece, bottoms, settings, seeds, rng, p["probes"])
+        if kinds == "any":
+            part["margin_mm"] = np.stack([margin_field(piece, bottom.lower) for bottom in bottoms])
+        parts.append(part)
     joined = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     np.savez(place.folder / DATA, **joined)  # type: ignore[arg-type]
     return {
@@ -357,6 +425,14 @@ def next_places(last: FloatArray, acted: FloatArray, rng: np.random.Generator) -
     aim = np.where(rng.random((n, 1)) < RANDOM_STEP_SHARE, around, aim)
     length = np.hypot(aim[:, 0], aim[:, 1])[:, None]
     return np.asarray(last + aim * np.minimum(1.0, MAX_STEP_MM / np.maximum(length, 1e-9)))
+
+
+def margin_field(piece: Piece, bottom: Outline) -> NDArray[np.float16]:
+    """Return the margins (m, m) with the centre of mass at the nodes, row y and column x, mm."""
+    axis = np.arange(-MARGIN_REACH_MM, MARGIN_REACH_MM + 0.1, MARGIN_STEP_MM)
+    places = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
+    margin = contact_margins_mm(piece.face, piece.com_xy_mm, bottom, places)
+    return margin.reshape(len(axis), len(axis)).astype(np.float16)
 
 
 def corners_mm(outline: Outline) -> NDArray[np.float32]:
@@ -521,9 +597,10 @@ HELD_OUT = 16  # one job in HELD_OUT of each portion is held out: other pieces, 
 REPORTED = 500
 FAMILY_TEXT = (
     "faces and bottoms: circles, rectangles up to 1.5 to 1, rounded ones, random convex polygons; "
-    "bottoms of 8 to 32 mm, {stands}, faces of 10 to 30 mm; "
+    "{more}bottoms of 8 to 32 mm, {stands}, faces of 10 to 30 mm; "
     "nothing that covers a shape left out by more than 90 % (intersection over union)"
 )
+REGION_TEXT = "half of the bottoms rings, crescents, L, U, stars or feet; "
 SUPPORT_TEXTS = ("fixed to the table", "most fixed to the table, some free to rock and slide")
 
 
@@ -565,6 +642,7 @@ class FusionRecipe:
     without: InputPart | None = None  # input left out in an ablation
     device: DeviceName = "auto"
     portions: Mapping[str, DataPortion] = field(default_factory=lambda: PORTIONS)
+    outlines: OutlineKinds = "convex"  # of the bottoms
 
     def jobs(self) -> list[JobSpec]:
         """Return all jobs, the training last."""
@@ -580,6 +658,7 @@ class FusionRecipe:
             "counts": [n for name in self.portions if (n := self.counts.get(name, 0))],
             "without": self.without,
             "device": self.device,
+            **self._wide,
         }
         inputs = tuple(part.id for part in parts)
         return [*parts, JobSpec("fuse", facts, self.seed, inputs, job_code("fuse", self.code))]
@@ -591,9 +670,15 @@ class FusionRecipe:
             "sequences": portion.bottoms,
             "probes": portion.probes,
             "free": portion.free,
+            **self._wide,
         }
         first = FIRST_SEED + SEEDS_PER_JOB * (1000 * self.seed + place)
         return JobSpec("sequences", params, first, (), job_code("sequences", self.code))
+
+    @property
+    def _wide(self) -> Json:
+        """Parameters of the wide family; none for the convex one, whose jobs keep their ids."""
+        return {} if self.outlines == "convex" else {"outlines": self.outlines}
 
     @staticmethod
     def effort(spec: JobSpec) -> int:
@@ -621,7 +706,7 @@ def train_fusion(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
     use_one_thread()
     folders = [place.store.folder(source) for source in spec.inputs]
     train, held_out = map(load_sequences, split_folders(folders, spec.params["counts"]))
-    without = spec.params["without"]
+    without, kinds = spec.params["without"], spec.params.get("outlines", "convex")
     settings = FusedTraining(steps=spec.params["steps"], seed=spec.seed, without=without)
     device = select_device(spec.params["device"])
     trainer = FusedTrainer(train, held_out, settings, device)
@@ -632,7 +717,11 @@ def train_fusion(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
     }
     card = FusedCard(
         hyper=settings.shape,
-        family=FAMILY_TEXT.format(stands=SUPPORT_TEXTS[bool(spec.params["free"])]),
+        family=FAMILY_TEXT.format(
+            more=REGION_TEXT if kinds == "any" else "",
+            stands=SUPPORT_TEXTS[bool(spec.params["free"])],
+        ),
+        outlines=kinds,
         left_out=(*UNSEEN_PIECES, *UNSEEN_BOTTOMS),
         bench_sha256=spec.params["bench_sha256"],
         data_sha256=data_sha256(train),

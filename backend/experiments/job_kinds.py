@@ -194,7 +194,7 @@ def run_stacking(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
         checkpoint = load_model(source, place.store)
         answer["weights_sha256"] = checkpoint.card.weights_sha256
         results = stack_in_lockstep(scenes, batch_model(checkpoint, case.piece), settings, limits)
-        outline = case.bottoms[-1].face.polygon()
+        outline = case.bottoms[-1].face.path()
         films = [belief_film(end, outline) for end in results[:FILMS_PER_CELL]]
         (place.folder / FILM_FILE).write_text(json.dumps(films), encoding="utf-8")
     return {**answer, "trials": [end.as_json() for end in results]}

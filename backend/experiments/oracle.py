@@ -25,7 +25,15 @@ from touchdown.backend.core import (
     Stability,
     SupportKind,
 )
-from touchdown.backend.geometry import Piece, Tower, circle, draw_offset, face_points, inset_mm
+from touchdown.backend.geometry import (
+    Piece,
+    Tower,
+    circle,
+    contact_margins_mm,
+    draw_offset,
+    face_points,
+    inset_mm,
+)
 from touchdown.backend.placement import (
     XY,
     PlaceDecision,
@@ -312,7 +320,11 @@ class OracleStrategy:
         share = setting.piece.mass_g / (setting.piece.mass_g + setting.bottom.mass_g)
         if setting.diameter_known:
             face = setting.bottom.face
-            return np.minimum(inset_mm(face, true), inset_mm(face, share * true))
+            own = inset_mm(face, share * true)
+            piece = setting.piece
+            if "region" in (face.kind, piece.face.kind):
+                return np.minimum(contact_margins_mm(piece.face, piece.com_xy_mm, face, true), own)
+            return np.minimum(inset_mm(face, true), own)
         return np.asarray(0.5 * diameters_mm(setting, value) - np.hypot(true[:, 0], true[:, 1]))
 
     def _assimilate(self, touched: ProbeObservation) -> None:

@@ -43,6 +43,7 @@ from touchdown.backend.experiments.document import (
     report_page,
 )
 from touchdown.backend.experiments.trials import BatchTrialResult
+from touchdown.backend.geometry import rings_of
 
 WIDTH_PX = 230
 
@@ -95,11 +96,10 @@ def belief_svg(
 
 
 def _polygon(points_mm: FloatArray, colour: str, width: float, dash: str = "") -> str:
-    text = " ".join(f"{x:.2f},{-y:.2f}" for x, y in points_mm)
+    rings = [" ".join(f"{x:.2f},{-y:.2f}" for x, y in ring) for ring in rings_of(points_mm)]
     dashes = f' stroke-dasharray="{dash}"' if dash else ""
-    return (
-        f'<polygon points="{text}" fill="none" stroke="{colour}" stroke-width="{width}"{dashes}/>'
-    )
+    style = f'fill="none" stroke="{colour}" stroke-width="{width}"{dashes}'
+    return "".join(f'<polygon points="{text}" {style}/>' for text in rings)
 
 
 def wrench_svg(episode: Episode) -> str:

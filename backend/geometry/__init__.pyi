@@ -14,6 +14,7 @@ from .outlines import Outline as Outline
 from .outlines import Point as Point
 from .outlines import circle as circle
 from .outlines import contact_edges as contact_edges
+from .outlines import contact_margins_mm as contact_margins_mm
 from .outlines import convex_polygon as convex_polygon
 from .outlines import edge_normals as edge_normals
 from .outlines import edges_to_polygon as edges_to_polygon
@@ -81,6 +82,7 @@ __all__ = [
     "channel",
     "circle",
     "contact_edges",
+    "contact_margins_mm",
     "convex_cells",
     "convex_polygon",
     "crescent",

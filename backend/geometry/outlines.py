@@ -452,6 +452,26 @@ def contact_edges(
     return polygon_edges(hull_of(common))
 
 
+def contact_margins_mm(
+    face: Outline, com_xy_mm: Point, below: Outline, places_mm: FloatArray
+) -> FloatArray:
+    """Return the margin (n,) of a piece whose centre of mass is at each of ``places_mm`` (n, 2).
+
+    The signed distance of the place to the convex hull of the contact, positive inside. Without
+    contact it is the negative distance to ``below``.
+    """
+    import shapely
+
+    moved = _copies(geometry_of(face), places_mm - np.asarray(com_xy_mm))
+    at = shapely.points(places_mm)
+    hulls = shapely.convex_hull(shapely.intersection(moved, geometry_of(below)))
+    depth = shapely.distance(shapely.boundary(hulls), at)
+    beyond = shapely.distance(hulls, at)
+    margin = np.where(beyond > 0.0, -beyond, np.where(shapely.area(hulls) > 0.0, depth, 0.0))
+    apart = -shapely.distance(geometry_of(below), at)
+    return np.asarray(np.where(shapely.is_empty(hulls), apart, margin), dtype=np.float64)
+
+
 def _has_region(first: Outline, second: Outline) -> bool:
     return "region" in (first.kind, second.kind)
 
@@ -482,17 +502,22 @@ def _moved(geometry: Any, at_mm: Point, yaw_rad: float) -> Any:
     return shapely.transform(geometry, lambda xy: rotated(xy, yaw_rad) + np.asarray(at_mm))
 
 
+def _copies(geometry: Any, at_mm: FloatArray) -> NDArray[np.object_]:
+    """Return a copy of the geometry at each of ``at_mm`` (n, 2)."""
+    import shapely
+
+    corners = shapely.get_coordinates(geometry)
+    places = (corners + at_mm[:, None]).reshape(-1, 2)
+    return np.asarray(shapely.set_coordinates(np.repeat(geometry, len(at_mm)), places))
+
+
 def _region_overlap_mm2(
     face: Outline, offset_mm: FloatArray, bottom: Outline, yaw_rad: float, segments: int
 ) -> FloatArray:
     import shapely
 
-    at = offset_mm.reshape(-1, 2)
     turned = _moved(geometry_of(face, segments), (0.0, 0.0), yaw_rad)
-    corners = shapely.get_coordinates(turned)
-    moved = shapely.set_coordinates(
-        np.repeat(turned, len(at)), (corners + at[:, None]).reshape(-1, 2)
-    )
+    moved = _copies(turned, offset_mm.reshape(-1, 2))
     area = shapely.area(shapely.intersection(moved, geometry_of(bottom, segments)))
     return np.asarray(area.reshape(offset_mm.shape[:-1]), dtype=np.float64)
 

@@ -19,6 +19,7 @@ from .strategies import PlaceDecision as PlaceDecision
 from .strategies import ProbeObservation as ProbeObservation
 from .strategies import SearchingStrategy as SearchingStrategy
 from .strategies import Strategy as Strategy
+from .strategies import check_outlines as check_outlines
 from .strategies import load_network_of as load_network_of
 from .strategies import make_strategy as make_strategy
 from .support_tower import XY as XY
@@ -40,6 +41,7 @@ __all__ = [
     "ShiftTarget",
     "Strategy",
     "SupportTower",
+    "check_outlines",
     "convex_hull",
     "describe_situation",
     "give_up",

@@ -8,6 +8,7 @@ follows "Precise Object Placement Using Force-Torque Feedback" (arXiv 2404.17668
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from math import pi, sqrt
 from pathlib import Path
@@ -27,7 +28,7 @@ from touchdown.backend.core import (
     Stability,
     SupportKind,
 )
-from touchdown.backend.geometry import Outline, circle, inset_mm
+from touchdown.backend.geometry import Outline, Piece, circle, inset_mm
 from touchdown.backend.learning import PatchCalibration
 from touchdown.backend.learning.fused import (
     TICKS,
@@ -473,6 +474,20 @@ class FusedStrategy:
         with np.errstate(divide="ignore"):
             log_odds = np.clip(np.log(p) - np.log1p(-p), -limit, limit)
         return replace(self._belief.map, log_odds=log_odds)
+
+
+def check_outlines(settings: StackSettings, pieces: Iterable[Piece]) -> None:
+    """Raise ``InputError`` if the strategy was not made for the outline of one of ``pieces``."""
+    if settings.strategy != "fused" or load_network_of(settings.fused).card.outlines == "any":
+        return
+    for piece in pieces:
+        if "region" in (piece.face.kind, piece.lower.kind):
+            raise InputError(
+                f"The network of 'fused' knows convex outlines only; '{piece.name}' has holes, "
+                "notches or several parts.",
+                "strategy",
+                "Choose another strategy, such as paper.",
+            )
 
 
 def load_network_of(settings: FusedSettings) -> FusedCheckpoint:

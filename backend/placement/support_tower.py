@@ -16,7 +16,14 @@ import numpy as np
 
 from touchdown.backend.config import TowerSettings
 from touchdown.backend.core import FloatArray, InputError
-from touchdown.backend.geometry import Body, Piece, inset_mm
+from touchdown.backend.geometry import (
+    Body,
+    Outline,
+    Piece,
+    contact_edges,
+    inset_mm,
+    signed_distances_mm,
+)
 
 XY = tuple[float, float]
 DRAWS = 13  # sampled towers, for the uncertainty of the positions
@@ -64,8 +71,8 @@ class SupportTower:
         """Return the inset (DRAWS, ...) of the load in the weakest lower support.
 
         ``centre_mm`` (..., 2): centre of mass of the piece relative to the touched body. The inset
-        of an interface is the distance to its nearest edge, negative outside; the edges of the
-        overlap of two convex faces are edges of the faces.
+        of an interface is the distance to the nearest edge of the hull of its overlap, negative
+        outside; the edges of the overlap of two convex faces are edges of the faces.
         """
         draws = normal_draws(len(self.offset_mm))
         return np.stack([self._least(centre_mm, draw) for draw in draws])
@@ -85,11 +92,24 @@ class SupportTower:
             if body.fixed:
                 continue
             load = moment / mass
-            least = np.minimum(least, inset_mm(body.lower, load - at[k]))
             upper = self.bodies[k - 1].upper if k else None
+            if upper is not None and "region" in (body.lower.kind, upper.kind):
+                step_x, step_y = (at[k] - at[k - 1]).tolist()
+                inset = _hull_inset_mm(body.lower, (step_x, step_y), upper, load - at[k - 1])
+                least = np.minimum(least, inset)
+                continue
+            least = np.minimum(least, inset_mm(body.lower, load - at[k]))
             if upper is not None:
                 least = np.minimum(least, inset_mm(upper, load - at[k - 1]))
         return least
+
+
+def _hull_inset_mm(lower: Outline, at_mm: XY, upper: Outline, points_mm: FloatArray) -> FloatArray:
+    """Return the inset (...,) of points in the hull of the contact of two faces."""
+    return signed_distances_mm(points_mm, _contact_edges(lower, at_mm, 0.0, upper))
+
+
+_contact_edges = lru_cache(maxsize=256)(contact_edges)  # the draws of a tower stay the same
 
 
 @lru_cache(maxsize=4)

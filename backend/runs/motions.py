@@ -36,7 +36,7 @@ from touchdown.backend.devices import (
     recent_positions_mm,
     travelled_mm,
 )
-from touchdown.backend.geometry import Outline, overlap_polygon
+from touchdown.backend.geometry import Outline, overlap_polygon, rings_of
 from touchdown.backend.runs.bench import Bench, JudgedProbe
 from touchdown.backend.runs.plan import (
     CancelledError,
@@ -72,12 +72,13 @@ def middle_of_overlap(face: Outline, bottom: Outline, offset_mm: FloatArray) -> 
     Without overlap it is the centre of the bottom.
     """
     x_mm, y_mm = offset_mm.tolist()
-    ring = overlap_polygon(face, (x_mm, y_mm), bottom)
-    if len(ring) < 3:
-        return np.zeros(2)
-    after = np.roll(ring, -1, axis=0)
-    cross = ring[:, 0] * after[:, 1] - after[:, 0] * ring[:, 1]
-    return np.asarray(((ring + after) * cross[:, None]).sum(axis=0) / (3.0 * cross.sum()))
+    moment, area = np.zeros(2), 0.0
+    for ring in rings_of(overlap_polygon(face, (x_mm, y_mm), bottom)):
+        after = np.roll(ring, -1, axis=0)
+        cross = ring[:, 0] * after[:, 1] - after[:, 0] * ring[:, 1]
+        moment += ((ring + after) * cross[:, None]).sum(axis=0)
+        area += float(cross.sum())
+    return moment / (3.0 * area) if area > 0.0 else moment
 
 
 FIRST_POSES_S = 0.1  # a new scene has no arm pose before

@@ -29,7 +29,7 @@ from touchdown.backend.runs.requests import (
     StackRequest,
     request_record,
 )
-from touchdown.backend.runs.stack import stack_run
+from touchdown.backend.runs.stack import check_pieces, stack_run
 
 
 def set_scene_run(session: RunContext, request: SetRequest) -> Plan[None]:
@@ -92,6 +92,7 @@ def check_request(request: Request, session: RunContext) -> None:
         prepare_campaign(session, request)
     elif isinstance(request, StackRequest):
         session.check_scene(request.scene())
+        check_pieces(session, request)
         trial_start_mm(session, request, 0)
     elif isinstance(request, CalibrateRequest):
         session.check_scene(request.scene())

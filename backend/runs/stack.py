@@ -32,6 +32,7 @@ from touchdown.backend.placement import (
     ProbeObservation,
     SearchingStrategy,
     Strategy,
+    check_outlines,
     make_strategy,
 )
 from touchdown.backend.runs import messages, outcome
@@ -213,9 +214,17 @@ def _recorded(bench: Bench, pressed: PressedProbe) -> Plan[None]:
     yield EpisodeRecorded(bench.now_s(), episode, pressed.probe, "" if path is None else path.name)
 
 
+def check_pieces(session: RunContext, request: StackRequest) -> None:
+    """Raise ``InputError`` if the strategy cannot place this piece on these bottoms."""
+    names, catalogue = (request.piece, *request.bottoms), session.catalogue
+    known = [catalogue.pieces[name] for name in names if name in catalogue.pieces]
+    check_outlines(request.method(session.method), known)
+
+
 def stack_run(session: RunContext, request: StackRequest) -> Plan[None]:
     """Run all trials; ends early when cancelled, stopped or on a fault."""
     method = request.method(session.method)
+    check_pieces(session, request)
     settings = request_record(request, method, session.check_scene(request.scene()))
     session.open_record()
     yield RunStarted(

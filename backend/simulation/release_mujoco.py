@@ -3,7 +3,9 @@
 Optional. Shapes do not collide with each other. Each flat face has tiny massless spheres along its
 outline, tangent to the face from inside, and only spheres collide with shapes. The built-in contact
 of cylinders (MuJoCo 4.0) misplaces the toppling edge by up to 1.3 mm at a radius of 7.5 mm; this
-model by 0.06 mm. It never replaces the exact analysis of ``geometry.tower``.
+model by 0.06 mm. A face with holes or several parts is a set of convex prisms, and has spheres at
+the corners of its contact as well, where two outlines cross. It never replaces the exact analysis
+of ``geometry.tower``.
 """
 
 from __future__ import annotations
@@ -16,11 +18,24 @@ from typing import Any
 import numpy as np
 
 from touchdown.backend.core import Fall, InputError
-from touchdown.backend.geometry import Body, Outline, Point, Tower, TowerVerdict, rotated
+from touchdown.backend.geometry import (
+    Body,
+    Outline,
+    Point,
+    Tower,
+    TowerVerdict,
+    convex_cells,
+    overlap_polygon,
+    rings_of,
+    rotated,
+)
 
 SPHERES_PER_FACE = 32
 SPHERE_RADIUS_MM = 0.05
 FALLEN_DEG = 12.0  # A body tilted by more has fallen
+AT_REST_DEG = 5.0  # and one that ends tilted by more
+APART_MM = 0.3  # spheres at the corners of a contact are not nearer to each other
+CORNER_RAD = 0.35  # rings of a region turn by more at a corner
 
 PAIR_BAND_MM = 0.2
 TOWER_BAND_MM = 0.25
@@ -47,9 +62,9 @@ def simulate_release(
     """Simulate the release of a tower for ``seconds``.
 
     ``disturbance_mm``: effect of the opening fingers, as in ``judge_tower``. Returns True if a free
-    body tilted by more than 12 degrees, and the motion at ``frame_hz``: per body the centre of its
-    lower face (m; z = 0 at the base of the topmost body) and quaternion. Raises ``InputError``
-    without MuJoCo.
+    body tilted by more than 12 degrees or ends tilted by more than 5, and the motion at
+    ``frame_hz``: per body the centre of its lower face (m; z = 0 at the base of the topmost body)
+    and quaternion. Raises ``InputError`` without MuJoCo.
     """
     mujoco = import_mujoco()
     model = mujoco.MjModel.from_xml_string(model_xml(_kicked(tower, disturbance_mm)))
@@ -68,8 +83,10 @@ def simulate_release(
         poses[frame, :, 3:] = data.xquat[1:]
         # A fixed body never tilts.
         upright = float((1.0 - 2.0 * (poses[frame, :, 4] ** 2 + poses[frame, :, 5] ** 2)).min())
-        fallen = fallen or degrees(acos(max(-1.0, min(1.0, upright)))) > FALLEN_DEG
+        tilt_deg = degrees(acos(max(-1.0, min(1.0, upright))))
+        fallen = fallen or tilt_deg > FALLEN_DEG
     names = tuple(body.name for body in tower.bodies)
+    fallen = fallen or tilt_deg > AT_REST_DEG
     return fallen, Fall(np.arange(frames) / frame_hz, poses, names)
 
 
@@ -124,17 +141,20 @@ def model_xml(tower: Tower) -> str:
     meshes: list[str] = []
     bodies: list[str] = []
     for index, (body, height_mm) in enumerate(zip(tower.bodies, _heights_mm(tower), strict=True)):
-        bodies.append(_body_xml(body, f"b{index}", height_mm, meshes))
+        below = tower.bodies[index - 1] if index else None
+        bodies.append(_body_xml(body, below, f"b{index}", height_mm, meshes))
     return (
         f"{HEADER}<asset>{''.join(meshes)}</asset><worldbody>"
         f'<geom type="plane" size="1 1 0.1"/>{"".join(bodies)}</worldbody></mujoco>'
     )
 
 
-def _body_xml(body: Body, tag: str, height_mm: float, meshes: list[str]) -> str:
+def _body_xml(body: Body, below: Body | None, tag: str, height_mm: float, meshes: list[str]) -> str:
     at = format_metres(*body.at_mm, height_mm)
     quat = f"{cos(body.yaw_rad / 2)!r} 0 0 {sin(body.yaw_rad / 2)!r}"
-    parts = [_rim_xml(body.lower, SPHERE_RADIUS_MM)]
+    parts = [_spheres_xml(rim_points(body.lower), SPHERE_RADIUS_MM)]
+    if below is not None and below.upper is not None:
+        parts.append(_spheres_xml(contact_corners(body, below), SPHERE_RADIUS_MM))
     if body.upper is None or body.upper == body.lower:
         parts.append(shape_xml(body.lower, 0.0, body.height_mm, tag, meshes))
     else:
@@ -142,7 +162,8 @@ def _body_xml(body: Body, tag: str, height_mm: float, meshes: list[str]) -> str:
         parts.append(shape_xml(body.lower, 0.0, half, f"{tag}l", meshes))
         parts.append(shape_xml(body.upper, half, body.height_mm, f"{tag}u", meshes))
     # Spheres at both ends keep a fallen body from sinking into the floor.
-    parts.append(_rim_xml(body.upper or body.lower, body.height_mm - SPHERE_RADIUS_MM))
+    end = rim_points(body.upper or body.lower)
+    parts.append(_spheres_xml(end, body.height_mm - SPHERE_RADIUS_MM))
     free = "" if body.fixed else f"<freejoint/>{inertia_xml(body)}"
     return f'<body pos="{at}" quat="{quat}">{free}{"".join(parts)}</body>'
 
@@ -165,9 +186,9 @@ def inertia_xml(body: Body) -> str:
 
 
 def shape_xml(outline: Outline, low_mm: float, high_mm: float, tag: str, meshes: list[str]) -> str:
-    """Return the shape between two heights as cylinder, box, or prism mesh.
+    """Return the shape between two heights as cylinder, box, or prism meshes.
 
-    A prism is added to ``meshes`` under the name ``tag``.
+    Prisms are added to ``meshes`` under names that begin with ``tag``.
     """
     middle, half = (low_mm + high_mm) / 2, (high_mm - low_mm) / 2
     if outline.kind == "circle":
@@ -177,26 +198,77 @@ def shape_xml(outline: Outline, low_mm: float, high_mm: float, tag: str, meshes:
     if {(abs(a), abs(b)) for a, b in outline.vertices_mm} == {(x, y)}:
         centre, size = format_metres(0, 0, middle), format_metres(x, y, half)
         return f'<geom type="box" pos="{centre}" size="{size}"/>'
-    corners = " ".join(
-        format_metres(a, b, height) for height in (low_mm, high_mm) for a, b in outline.vertices_mm
-    )
-    meshes.append(f'<mesh name="{tag}" vertex="{corners}"/>')
-    return f'<geom type="mesh" mesh="{tag}"/>'
+    geoms = []
+    for number, cell in enumerate(convex_cells(outline)):
+        name = f"{tag}_{number}" if number else tag
+        corners = " ".join(
+            format_metres(a, b, height) for height in (low_mm, high_mm) for a, b in cell.tolist()
+        )
+        meshes.append(f'<mesh name="{name}" vertex="{corners}"/>')
+        geoms.append(f'<geom type="mesh" mesh="{name}"/>')
+    return "".join(geoms)
 
 
-def _rim_xml(outline: Outline, height_mm: float) -> str:
-    """Return the spheres along the outline."""
+def _spheres_xml(points_mm: list[Point], height_mm: float) -> str:
+    """Return spheres with their centres at ``points_mm`` and one height."""
     return "".join(
-        f'<geom class="rim" pos="{format_metres(x, y, height_mm)}"/>'
-        for x, y in rim_points(outline)
+        f'<geom class="rim" pos="{format_metres(x, y, height_mm)}"/>' for x, y in points_mm
     )
 
 
-def rim_points(outline: Outline, count: int = SPHERES_PER_FACE) -> list[tuple[float, float]]:
-    """Return the centres (mm) of about ``count`` rim spheres, one at each corner of a polygon."""
+def contact_corners(body: Body, below: Body) -> list[Point]:
+    """Return the corners (mm, in the frame of ``body``) of its contact with ``below``.
+
+    Empty for two convex faces, whose rims are near enough to all corners of the contact.
+    """
+    assert below.upper is not None
+    if "region" not in (body.lower.kind, below.upper.kind):
+        return []
+    away = np.subtract(body.at_mm, below.at_mm)
+    at = rotated(away, -below.yaw_rad)
+    turn = body.yaw_rad - below.yaw_rad
+    path = overlap_polygon(body.lower, (float(at[0]), float(at[1])), below.upper, turn)
+    kept: list[Point] = []
+    for x, y in rotated(np.concatenate([np.empty((0, 2)), *rings_of(path)]) - at, -turn).tolist():
+        if all(abs(x - a) + abs(y - b) > APART_MM for a, b in kept):
+            kept.append((x, y))
+    return kept
+
+
+def rim_points(outline: Outline, count: int = SPHERES_PER_FACE) -> list[Point]:
+    """Return the centres (mm) of about ``count`` rim spheres, one at each corner of a polygon.
+
+    Those of a region lie on all its rings, which may need more of them.
+    """
+    if outline.kind == "region":
+        return _ring_points(outline, count)
     corners = outline.polygon(count)
     per_side = max(1, round(count / len(corners)))
     ends = np.roll(corners, -1, axis=0)
     share = np.arange(per_side) / per_side
     points = corners[:, None] + share[:, None] * (ends - corners)[:, None]
     return [(float(x), float(y)) for x, y in points.reshape(-1, 2)]
+
+
+def _ring_points(outline: Outline, count: int) -> list[Point]:
+    rings = [np.array(ring) for ring in outline.rings]
+    spacing = perimeter_mm(outline) / count
+    found: list[Point] = []
+    for ring in rings:
+        along = np.roll(ring, -1, axis=0) - ring
+        bearing = np.arctan2(along[:, 1], along[:, 0])
+        turn = np.abs(np.angle(np.exp(1j * (bearing - np.roll(bearing, 1)))))
+        length = np.concatenate([[0.0], np.cumsum(np.hypot(along[:, 0], along[:, 1]))])
+        # Even places, and all corners.
+        places = np.arange(0.0, length[-1], spacing)
+        places = np.union1d(places, length[:-1][turn > CORNER_RAD])
+        closed = np.concatenate([ring, ring[:1]])
+        x, y = (np.interp(places, length, closed[:, k]) for k in range(2))
+        found += zip(x.tolist(), y.tolist(), strict=True)
+    return found
+
+
+def perimeter_mm(outline: Outline) -> float:
+    """Return the length of all edges of an outline; a circle counts as a polygon."""
+    rings = [np.array(ring) for ring in outline.rings] or [outline.polygon()]
+    return float(sum(np.hypot(*(np.roll(ring, -1, axis=0) - ring).T).sum() for ring in rings))

@@ -1,6 +1,7 @@
 """Rendered picture of the scene camera: board with dots, tower, and the piece above it.
 
-A pinhole camera without distortion; bodies are drawn as prisms, fingers and arm are left out.
+A pinhole camera without distortion; bodies are drawn as prisms, with their holes; fingers and arm
+are left out.
 """
 
 from __future__ import annotations
@@ -9,7 +10,13 @@ import cv2
 import numpy as np
 
 from touchdown.backend.core import FloatArray, ImageArray
-from touchdown.backend.geometry import BOARD_DOT_RADIUS_MM, BOARD_DOTS_MM, Outline, rotated
+from touchdown.backend.geometry import (
+    BOARD_DOT_RADIUS_MM,
+    BOARD_DOTS_MM,
+    Outline,
+    rings_of,
+    rotated,
+)
 from touchdown.backend.simulation.ground_truth import Scene
 
 WIDTH_PX, HEIGHT_PX, FOCAL_PX = 640, 480, 760.0
@@ -73,7 +80,7 @@ def _board(image: ImageArray) -> None:
 
 
 def _placed(outline: Outline, at_mm: tuple[float, float], yaw_rad: float) -> FloatArray:
-    return np.asarray(rotated(outline.polygon(64), yaw_rad) + at_mm)
+    return np.asarray(rotated(outline.path(64), yaw_rad) + at_mm)
 
 
 def _prism(
@@ -82,27 +89,40 @@ def _prism(
     high: tuple[FloatArray, float],
     colour: tuple[int, int, int],
 ) -> None:
-    """Draw the silhouette between two outlines, and the upper one lighter on top."""
+    """Draw the silhouette between two outlines, and the upper one lighter on top.
+
+    The sides of ends with holes, notches or several parts are drawn one by one.
+    """
     shade = (int(SHADE * colour[0]), int(SHADE * colour[1]), int(SHADE * colour[2]))
-    both = np.concatenate([_px(*low), _px(*high)]).astype(np.float32)
-    _paint(image, cv2.convexHull(both).reshape(-1, 2).astype(np.float64), shade)
+    lows, highs = (rings_of(_px(*end)) for end in (low, high))
+    convex = len(lows) == 1 and cv2.isContourConvex(lows[0].astype(np.float32))
+    if not convex and [len(ring) for ring in lows] == [len(ring) for ring in highs]:
+        for foot, head in zip(lows, highs, strict=True):
+            around = np.arange(len(foot)) - 1
+            for side in np.stack([foot, foot[around], head[around], head], axis=1):
+                _paint(image, [side], shade)
+        _fill(image, *low, shade)
+    else:
+        both = np.concatenate([*lows, *highs]).astype(np.float32)
+        _paint(image, [cv2.convexHull(both).reshape(-1, 2).astype(np.float64)], shade)
     _fill(image, *high, colour)
 
 
 def _fill(
     image: ImageArray, outline_mm: FloatArray, z_mm: float, colour: tuple[int, int, int]
 ) -> None:
-    _paint(image, _px(outline_mm, z_mm), colour)
+    _paint(image, rings_of(_px(outline_mm, z_mm)), colour)
 
 
 def _px(outline_mm: FloatArray, z_mm: float) -> FloatArray:
-    """Return (n, 2) px of an outline (n, 2) at height ``z_mm``."""
+    """Return (n, 2) px of an outline (n, 2) at height ``z_mm``; rows of NaN stay."""
     count = len(outline_mm)
     points = np.column_stack([outline_mm, np.full(count, z_mm), np.ones(count)])
     mapped = points @ camera_matrix().T
     return np.asarray(mapped[:, :2] / mapped[:, 2:])
 
 
-def _paint(image: ImageArray, corners_px: FloatArray, colour: tuple[int, int, int]) -> None:
-    fixed = np.rint(corners_px * (1 << FRACTION_BITS)).astype(np.int32)
-    cv2.fillPoly(image, [fixed.reshape(-1, 1, 2)], colour, cv2.LINE_8, FRACTION_BITS)
+def _paint(image: ImageArray, rings_px: list[FloatArray], colour: tuple[int, int, int]) -> None:
+    """Fill the rings (k, 2) by the odd-even rule."""
+    fixed = [np.rint(ring * (1 << FRACTION_BITS)).astype(np.int32) for ring in rings_px]
+    cv2.fillPoly(image, [f.reshape(-1, 1, 2) for f in fixed], colour, cv2.LINE_8, FRACTION_BITS)

@@ -4,9 +4,10 @@ Each interface of the bottoms (table below the lowest included) carries the pres
 above it. The body above rocks about the edge of the support polygon when the resultant leaves it,
 and slides when the lateral force exceeds friction. Derivation: docs/simulated-bench.md.
 
-The support area is the overlap of two convex faces. Each face is a polygon offset outwards by a
+The support area of two convex faces is their overlap. Each face is a polygon offset outwards by a
 radius (a disc is a point with an offset), so that the edge of a disc is smooth; Newton's method
-would stall at the corners of a 128-gon.
+would stall at the corners of a 128-gon. Where a face has holes or several parts, the support area
+is the convex hull of the overlap: the resultant of a rigid body can lie anywhere in it.
 """
 
 from __future__ import annotations
@@ -24,7 +25,9 @@ from touchdown.backend.geometry import (
     Body,
     Outline,
     Tower,
+    contact_edges,
     edges_to_polygon,
+    enclosed_area_mm2,
     interface_overlap,
     polygon_edges,
     signed_distances_mm,
@@ -33,6 +36,8 @@ from touchdown.backend.simulation.rows import Rows
 
 _UNIT = np.eye(2)
 ON_MM = 1e-7
+LEAST_ARC = 16  # corners of a circle
+SAME_HULL = 0.996  # share of the area from which two hulls count as equal
 CORNER_MM = 0.01  # A point this near to the edges of both faces is a corner of the overlap
 
 
@@ -116,20 +121,39 @@ class SupportArea(Rows):
 def interface_area(tower: Tower, k: int, origin_mm: FloatArray) -> SupportArea:
     """Return the area under body ``k`` of ``tower``, relative to ``origin_mm`` (2,)."""
     own, below = tower.bodies[k], tower.bodies[k - 1] if k else None
-    faces = [_face(own, own.lower, origin_mm)]
-    corners = np.empty((0, 2))
+    lower = _convex(own.lower)
+    faces, corners = [_face(own, lower, origin_mm)], np.empty((0, 2))
     if below is None or below.upper is None:
         faces = [*faces, *faces]
     else:
-        faces.append(_face(below, below.upper, origin_mm))
-        ring = edges_to_polygon(interface_overlap(tower, k)) - origin_mm
-        near = [_edge_distance_mm(core, grown, ring) < CORNER_MM for core, grown in faces]
-        corners = ring[near[0] & near[1]]
-        if own.lower.kind == below.upper.kind == "circle":
-            corners = _crossings(faces)
+        upper = _convex(below.upper)
+        faces.append(_face(below, upper, origin_mm))
+        cut = contact_edges(lower, own.at_mm, own.yaw_rad, upper, below.at_mm, below.yaw_rad)
+        ring = edges_to_polygon(cut) - origin_mm
+        regions = "region" in (own.lower.kind, below.upper.kind)
+        hull = interface_overlap(tower, k) if regions else cut
+        if enclosed_area_mm2(hull) < SAME_HULL * enclosed_area_mm2(cut) and hull.kept.any():
+            # The hulls of the faces overlap beyond the hull of the contact.
+            faces = 2 * [(edges_to_polygon(hull) - origin_mm, 0.0)]
+        else:
+            near = [_edge_distance_mm(core, grown, ring) < CORNER_MM for core, grown in faces]
+            corners = ring[near[0] & near[1]]
+            if lower.kind == upper.kind == "circle":
+                corners = _crossings(faces)
     widest = max(len(core) for core, _ in faces)
     cores = np.stack([np.pad(c, ((0, widest - len(c)), (0, 0)), "edge") for c, _ in faces])
     return SupportArea(cores, np.array([grown for _, grown in faces]), corners)
+
+
+def _convex(outline: Outline) -> Outline:
+    """Return the hull of a region, as a disc where all its corners lie on a circle."""
+    if outline.kind != "region":
+        return outline
+    hull = outline.polygon()
+    radius = np.hypot(hull[:, 0], hull[:, 1])
+    if len(hull) >= LEAST_ARC and np.ptp(radius) < ON_MM:
+        return Outline("circle", radius_mm=float(radius[0]))
+    return Outline("polygon", vertices_mm=tuple((float(x), float(y)) for x, y in hull))
 
 
 def _face(body: Body, outline: Outline, origin_mm: FloatArray) -> tuple[FloatArray, float]:

@@ -16,7 +16,7 @@ import pytest
 import torch
 
 from tests.backend.simulation.one_press import CASES, RMS_LIMIT_PX, press_both_ways
-from tests.backend.simulation.release_cases import SETS, ask_both
+from tests.backend.simulation.release_cases import SETS, SHAPES, ask_about_shape, ask_both
 from tests.bench.figures import Figure, at_least, at_most, failures, figure, stated
 from touchdown.backend.bench.assembly import SimulatedBenchChoice, simulated_session
 from touchdown.backend.config import ProbeSettings, SimulationSettings, load_simulation
@@ -121,9 +121,17 @@ def judge_against_engine() -> list[Figure]:
             note += f", up to {far_mm:.3f} mm from the edge"
         text = f"judge against MuJoCo, {name}: beyond {band_mm} mm"
         figures.append(failures(text, beyond, "cases", note))
+    for name in SHAPES:
+        asked = list(ask_about_shape(name, SHAPE_CASES))
+        unlike = sum(o.unlike for o in asked)
+        note = f"{len(asked)} cases, {sum(o.fallen for o in asked)} fall"
+        figures.append(
+            failures(f"judge against MuJoCo, {name}: beyond 0.5 mm", unlike, "cases", note)
+        )
     return figures
 
 
+SHAPE_CASES = 60
 TOWERS = (("short", "long"), ("short", "hex20"), ("short", "rect12x28"))
 # Four rounds of five trials for each piece and tower: 180 trials, each with its own mounting.
 TOWER_SEED, TOWER_ROUNDS, TOWER_TRIALS = 4_700_000, 4, 5

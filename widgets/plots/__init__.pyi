@@ -4,6 +4,7 @@ from .axes import PlotArea as PlotArea
 from .axes import centred_square as centred_square
 from .axes import draw_message as draw_message
 from .axes import draw_mm_grid as draw_mm_grid
+from .axes import draw_rings as draw_rings
 from .axes import draw_stale_overlay as draw_stale_overlay
 from .axes import nice_step as nice_step
 from .axes import polygon_of as polygon_of
@@ -59,6 +60,7 @@ __all__ = [
     "centred_square",
     "draw_message",
     "draw_mm_grid",
+    "draw_rings",
     "draw_stale_overlay",
     "has_moments",
     "nice_step",

@@ -9,11 +9,12 @@ from typing import Any, cast
 
 import numpy as np
 from PySide6.QtCore import QLineF, QMarginsF, QPointF, QRect, QRectF, QSize, Qt
-from PySide6.QtGui import QColor, QPainter, QPen, QPixmap, QPolygonF
+from PySide6.QtGui import QColor, QPainter, QPainterPath, QPen, QPixmap, QPolygonF
 from PySide6.QtWidgets import QWidget
 from shiboken6 import Shiboken, VoidPtr
 
 from touchdown.backend.core import FloatArray
+from touchdown.backend.geometry import rings_of
 from touchdown.widgets.base import Theme, Tokens, true_minus, ui_font
 
 
@@ -75,9 +76,13 @@ class PlotArea:
 
     def polygon(self, x: FloatArray, y: FloatArray) -> QPolygonF:
         """Map values of shape (n,) and (n,) to a polyline."""
+        return polygon_of(self.points(x, y))
+
+    def points(self, x: FloatArray, y: FloatArray) -> FloatArray:
+        """Map values of shape (n,) and (n,) to pixel positions (n, 2)."""
         points = np.empty((len(x), 2))
         points[:, 0], points[:, 1] = self.columns(x), self.rows(y)
-        return polygon_of(points)
+        return points
 
 
 def centred_square(size: QSize, margins: QMarginsF, least: float) -> QRectF:
@@ -99,6 +104,15 @@ def polygon_of(points: FloatArray) -> QPolygonF:
     memory: Any = VoidPtr(address, points.size * 8, True)  # type: ignore[call-arg]
     np.frombuffer(memory, dtype=np.float64)[:] = points.ravel()
     return polygon
+
+
+def draw_rings(painter: QPainter, points: FloatArray) -> None:
+    """Draw closed rings of pixel positions (n, 2), separated by rows of NaN; holes stay empty."""
+    path = QPainterPath()
+    for ring in rings_of(points):
+        path.addPolygon(polygon_of(ring))
+        path.closeSubpath()
+    painter.drawPath(path)
 
 
 def spread_labels(wanted: list[float], gap: float, low: float, high: float) -> list[float]:

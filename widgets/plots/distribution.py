@@ -19,6 +19,7 @@ from touchdown.widgets.plots.axes import (
     centred_square,
     draw_message,
     draw_mm_grid,
+    draw_rings,
     nice_step,
     tick_text,
     ticks,
@@ -129,7 +130,7 @@ class DistributionView(DrawnView):
         painter.setBrush(Qt.BrushStyle.NoBrush)
         painter.setPen(QPen(self._theme.tokens.colour("text"), 2))
         outline = self.scene.bottom
-        painter.drawPolygon(area.polygon(outline[:, 0], outline[:, 1]))
+        draw_rings(painter, area.points(outline[:, 0], outline[:, 1]))
         if self.scene.bins is None:
             self._draw_dots(painter, area)
         self._draw_chosen(painter, area)
@@ -203,5 +204,5 @@ class DistributionView(DrawnView):
 def reach_of(bottom: FloatArray, points_mm: FloatArray) -> float:
     """Return the half width, a multiple of 5 mm, that holds the contour and all points."""
     finite = points_mm[np.isfinite(points_mm).all(axis=1)]
-    largest = float(np.abs(np.concatenate([bottom, finite])).max(initial=0.0))
+    largest = float(np.nanmax(np.abs(np.concatenate([bottom, finite])), initial=0.0))
     return 5.0 * math.ceil((largest + 1.0) / 5.0)

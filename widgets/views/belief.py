@@ -8,16 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from PySide6.QtCore import QMarginsF, QPointF, QRectF, QSize, Qt
-from PySide6.QtGui import (
-    QColor,
-    QFontMetrics,
-    QImage,
-    QPainter,
-    QPaintEvent,
-    QPen,
-    QPolygonF,
-    QResizeEvent,
-)
+from PySide6.QtGui import QColor, QFontMetrics, QImage, QPainter, QPaintEvent, QPen, QResizeEvent
 from PySide6.QtWidgets import QSizePolicy, QWidget
 
 from touchdown.backend.core import BeliefMap, FloatArray, Stability
@@ -28,6 +19,7 @@ from touchdown.widgets.plots import (
     centred_square,
     draw_message,
     draw_mm_grid,
+    draw_rings,
 )
 
 ENTRIES = (
@@ -129,7 +121,8 @@ class BeliefScene:
 
     ``path``: face centres of the probes so far, oldest first. ``face``: (k, 2) outline of the piece
     around its face centre. ``truth``: (k, 2) outline of the true overlap, set only after the trial
-    on a simulated bench. ``empty``: title and detail shown without a map.
+    on a simulated bench. Both may have several rings, separated by rows of NaN.
+    ``empty``: title and detail shown without a map.
     """
 
     belief: BeliefMap | None = None
@@ -207,8 +200,8 @@ def draw_plus(painter: QPainter, at: QPointF, size: float) -> None:
 def _outline(
     painter: QPainter, area: PlotArea, points: FloatArray, style: Qt.PenStyle, width: float
 ) -> None:
-    polygon = QPolygonF([area.place(x, y) for x, y in points.tolist()])
-    stroke_on_black(painter, width, style, lambda: painter.drawPolygon(polygon))
+    placed = area.points(*points.T)
+    stroke_on_black(painter, width, style, lambda: draw_rings(painter, placed))
 
 
 def _path(painter: QPainter, area: PlotArea, scene: BeliefScene, theme: Theme) -> None:

@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 from PySide6.QtCore import QMarginsF, QPointF, QRectF, Qt
-from PySide6.QtGui import QColor, QMouseEvent, QPainter, QPaintEvent, QPen, QPixmap, QPolygonF
+from PySide6.QtGui import QColor, QMouseEvent, QPainter, QPaintEvent, QPen, QPixmap
 
 from touchdown.backend.core import FloatArray, SupportKind
 from touchdown.widgets.base import DrawnView, Theme, blend, signed, ui_font
@@ -20,6 +20,7 @@ from touchdown.widgets.plots import (
     centred_square,
     draw_message,
     draw_mm_grid,
+    draw_rings,
 )
 from touchdown.widgets.views.belief import draw_plus
 
@@ -69,8 +70,8 @@ class OffsetScene:
 
         Equal for all labels with the centre over the bottom, so that episodes can be compared.
         """
-        face = float(np.hypot(*self.face.T).max() if self.yaw_rad else np.abs(self.face).max())
-        usual = float(np.abs(self.bottom).max()) + face + EDGE_MM
+        face = float(np.nanmax(np.hypot(*self.face.T) if self.yaw_rad else np.abs(self.face)))
+        usual = float(np.nanmax(np.abs(self.bottom))) + face + EDGE_MM
         placed = [(ghost.offset_mm, ghost.sigma_mm) for ghost in self.ghosts]
         if self.offset_mm is not None:
             placed.append((self.offset_mm, self.sigma_mm))
@@ -130,7 +131,7 @@ def draw_bottom(painter: QPainter, area: PlotArea, scene: OffsetScene, theme: Th
     t = theme.tokens
     painter.setPen(QPen(t.colour("border"), 2))
     painter.setBrush(blend(t.colour("bg"), t.colour("border"), 0.22))
-    painter.drawPolygon(area.polygon(*scene.bottom.T))
+    draw_rings(painter, area.points(*scene.bottom.T))
     painter.setBrush(Qt.BrushStyle.NoBrush)
     painter.setPen(QPen(t.colour("muted"), 1))
     centre = area.place(0.0, 0.0)
@@ -152,8 +153,8 @@ def draw_ghosts(painter: QPainter, area: PlotArea, scene: OffsetScene, theme: Th
         painter.setPen(QPen(theme.tokens.colour("muted"), 1, GHOST_STYLES[ghost.kind][0]))
         outline = _placed(area, scene.face, ghost.offset_mm, scene.yaw_rad)
         # Two thin lines: Qt takes ten times as long for a dashed line wider than 1 px.
-        painter.drawPolygon(outline)
-        painter.drawPolygon(outline.translated(THICKEN_PX, THICKEN_PX))
+        draw_rings(painter, outline)
+        draw_rings(painter, outline + THICKEN_PX)
         _sigma_circle(painter, area, ghost.offset_mm, ghost.sigma_mm)
         _legend_line(painter, area, ghost, row, height, left=is_legend_left(scene))
         _letters(painter, area, scene, ghost)
@@ -162,7 +163,7 @@ def draw_ghosts(painter: QPainter, area: PlotArea, scene: OffsetScene, theme: Th
 def _letters(painter: QPainter, area: PlotArea, scene: OffsetScene, ghost: Ghost) -> None:
     """Write the source beside its outline, each source on another side."""
     turn = GHOST_STYLES[ghost.kind][1]
-    radius = float(np.hypot(*scene.face.T).max())
+    radius = float(np.nanmax(np.hypot(*scene.face.T)))
     x = area.x(ghost.offset_mm[0] + radius * math.cos(turn))
     y = area.y(ghost.offset_mm[1] + radius * math.sin(turn))
     outwards = QPointF(9 * math.cos(turn), -9 * math.sin(turn))
@@ -195,7 +196,7 @@ def draw_face(painter: QPainter, area: PlotArea, scene: OffsetScene, theme: Them
         painter.setPen(QPen(t.colour("good" if scene.margin_mm >= 0 else "bad"), 2))
         painter.drawPolygon(area.polygon(*scene.hull_mm.T))
     painter.setPen(QPen(t.colour("text"), 2))
-    painter.drawPolygon(_placed(area, scene.face, scene.offset_mm, scene.yaw_rad))
+    draw_rings(painter, _placed(area, scene.face, scene.offset_mm, scene.yaw_rad))
     painter.setPen(QPen(t.colour("text"), 1))
     _sigma_circle(painter, area, scene.offset_mm, scene.sigma_mm)
     draw_plus(painter, area.place(*scene.centre_mm), 8)
@@ -214,7 +215,9 @@ def draw_names(painter: QPainter, area: PlotArea, scene: OffsetScene, theme: The
     draw_plus(painter, face, 6)
     painter.setPen(theme.tokens.colour("text"))
     painter.setFont(ui_font(theme.scale, 1.0, 600))
-    reach = [0.55 * float(np.hypot(*outline.T).max()) for outline in (scene.bottom, scene.face)]
+    reach = [
+        0.55 * float(np.nanmax(np.hypot(*outline.T))) for outline in (scene.bottom, scene.face)
+    ]
     places = (-reach[0] * way, away + reach[1] * way)
     for (x, y), name in zip(places, scene.names, strict=True):
         box = QRectF(area.x(float(x)) - 80, area.y(float(y)) - 12, 160, 24)
@@ -237,11 +240,11 @@ def _sigma_circle(painter: QPainter, area: PlotArea, at_mm: Point, sigma_mm: flo
         painter.drawEllipse(area.place(*at_mm), radius, radius)
 
 
-def _placed(area: PlotArea, outline: FloatArray, at_mm: Point, yaw_rad: float) -> QPolygonF:
+def _placed(area: PlotArea, outline: FloatArray, at_mm: Point, yaw_rad: float) -> FloatArray:
     c, s = math.cos(yaw_rad), math.sin(yaw_rad)
     x = outline[:, 0] * c - outline[:, 1] * s + at_mm[0]
     y = outline[:, 0] * s + outline[:, 1] * c + at_mm[1]
-    return area.polygon(x, y)
+    return area.points(x, y)
 
 
 Moved = Callable[[Point], None]

@@ -12,7 +12,7 @@ from PySide6.QtGui import QColor, QImage, QPainter, QPaintEvent, QPen
 
 from touchdown.backend.core import FloatArray, ImageArray
 from touchdown.widgets.base import DrawnView, Theme, ui_font
-from touchdown.widgets.plots import draw_message, polygon_of
+from touchdown.widgets.plots import draw_message, draw_rings
 
 OutlineKind = Literal["bottom", "label", "scene"]
 # Line colours and styles on photographs, in every theme.
@@ -30,7 +30,7 @@ SHADOW = QColor(0, 0, 0, 150)
 
 @dataclass(frozen=True, slots=True)
 class PictureOutline:
-    """Outline in a picture; ``points_px`` (n, 2)."""
+    """Outline in a picture; ``points_px`` (n, 2), a row of NaN between two rings."""
 
     kind: OutlineKind
     points_px: FloatArray
@@ -88,11 +88,11 @@ class SceneShotView(DrawnView):
         line = painter.fontMetrics().height()
         for row, outline in enumerate(shot.outlines):
             colour, style = OUTLINE_STYLES[outline.kind]
-            polygon = polygon_of(scale * outline.points_px + shift)
+            points = scale * outline.points_px + shift
             painter.setPen(QPen(SHADOW, 3))
-            painter.drawPolygon(polygon)
+            draw_rings(painter, points)
             painter.setPen(QPen(QColor(colour), 1.5, style))
-            painter.drawPolygon(polygon)
+            draw_rings(painter, points)
             at = QPointF(left + 6, top + 4 + (row + 0.8) * line)
             painter.setPen(SHADOW)
             painter.drawText(at + QPointF(1, 1), outline.kind)
@@ -106,7 +106,7 @@ def picture_part(shot: SceneShot, aspect: float) -> QRectF:
     height, width = shot.image.shape[:2]
     corners = np.array([[0.0, 0.0], [width, height]])
     points = np.concatenate([o.points_px for o in shot.outlines] or [corners])
-    low, high = points.min(axis=0), points.max(axis=0)
+    low, high = np.nanmin(points, axis=0), np.nanmax(points, axis=0)
     across, down = (ROOM * (high - low)).tolist()
     across = min(max(across, aspect * down), width, aspect * height)
     down = across / aspect

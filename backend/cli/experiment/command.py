@@ -163,6 +163,8 @@ def add_fused_arguments(parser: argparse.ArgumentParser) -> None:
     fused.add_argument("--seed", type=int, default=0, help="of data and training")
     fused.add_argument("--without", choices=ABLATIONS, help="an ablation: the wrench, the marker "
                        "fields, the other probes, or mirror images of the data")  # fmt: skip
+    fused.add_argument("--outlines", choices=("convex", "any"), default="convex", help="of the "
+                       "bottoms; any: also rings, crescents, L, U, stars and feet")  # fmt: skip
     fused.add_argument("--rule-trials", type=int, default=0, help="trials of each piece on each of "
                        "four separate bottoms, for every rule of release")  # fmt: skip
 
@@ -189,7 +191,10 @@ def train_fused(
         )
     bench = load_simulation(args.bench, None if args.bench else args.preset)
     code = program_version()
-    recipe = FusionRecipe(bench, code, counts, args.steps, args.seed, args.without, args.device)
+    recipe = FusionRecipe(
+        bench, code, counts, args.steps, args.seed, args.without, args.device,
+        outlines=args.outlines,
+    )  # fmt: skip
     jobs = recipe.jobs()
     training = jobs[-1].id
     asked = threshold_jobs(bench, code, training, args.rule_trials)

@@ -10,11 +10,13 @@ from .features import acting_point_mm as acting_point_mm
 from .features import wrench_at_sensor as wrench_at_sensor
 from .inference import FusedForward as FusedForward
 from .inference import InsetDistribution as InsetDistribution
+from .training import MARGIN_REACH_MM as MARGIN_REACH_MM
 from .training import FusedTrainer as FusedTrainer
 from .training import FusedTraining as FusedTraining
 from .training import data_sha256 as data_sha256
 
 __all__ = [
+    "MARGIN_REACH_MM",
     "SENSOR_MM",
     "TICKS",
     "FusedCard",

@@ -38,6 +38,7 @@ class FusedCard(BaseModel):
     ticks: tuple[int, ...] = TICKS
     answers: str = "how far a point lies within the support, mm: a mixture of normal distributions"
     family: str = ""  # pieces and bottoms of the training, as text
+    outlines: Literal["convex", "any"] = "convex"  # kinds of outlines in the training
     left_out: tuple[str, ...] = ()  # pieces and bottoms that are not in the training
     bench_sha256: str
     data_sha256: str

@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
-from torch.nn.functional import linear, relu, rms_norm
+from torch.nn.functional import grid_sample, linear, relu, rms_norm
 
 from touchdown.backend.core import FloatArray
 from touchdown.backend.geometry import edge_normals
@@ -34,6 +34,7 @@ from touchdown.backend.learning.fused.features import (
 from touchdown.backend.learning.fused.inference import point_inputs
 from touchdown.backend.learning.training import Adam
 
+MARGIN_REACH_MM = 36.0  # outermost nodes of the margins of a sequence
 SQUARE_ROOT_OF_TWO_PI = math.sqrt(2.0 * math.pi)
 LEAST_LOG_SD, MOST_LOG_SD = -4.0, 2.0
 WEIGHT_AND_BIAS = ("weight", "bias")
@@ -137,6 +138,7 @@ class ProbeSequences:
 
     ``probes`` (n, P, inputs) not scaled; ``true_mm``, ``offset_mm`` (n, P, 2); ``com_mm`` (n, 2);
     ``normal`` (n, k, 2) and ``reach_mm`` (n, k): half planes of the support; ``there`` (n, P).
+    ``margin_mm`` (n, m, m): margins at nodes in the frame of the bottom, m = 0 for convex bottoms.
     """
 
     probes: Tensor
@@ -145,13 +147,27 @@ class ProbeSequences:
     com_mm: Tensor
     normal: Tensor
     reach_mm: Tensor
+    margin_mm: Tensor
     there: Tensor
 
     def inset_mm(self, rows: Tensor, points_mm: Tensor) -> Tensor:
-        """Return the inset (b, P, q) of ``points_mm`` (b, P, q, 2), given in the face frame."""
+        """Return the inset (b, P, q) of ``points_mm`` (b, P, q, 2), given in the face frame.
+
+        With margins it is the signed distance to the hull of the contact that the piece would have
+        with its centre of mass there.
+        """
         at = points_mm + self.true_mm[rows][:, :, None]
+        if self.margin_mm.shape[-1]:
+            return interpolate(self.margin_mm[rows], at / MARGIN_REACH_MM)
         along = torch.einsum("bpqx,bkx->bpqk", at, self.normal[rows])
         return (self.reach_mm[rows][:, None, None] - along).amin(dim=-1)
+
+
+def interpolate(nodes: Tensor, at: Tensor) -> Tensor:
+    """Return values (b, P, q) between ``nodes`` (b, m, m) at ``at`` (b, P, q, 2) from -1 to 1."""
+    return grid_sample(
+        nodes[:, None], at, mode="bilinear", padding_mode="border", align_corners=True
+    )[:, 0]
 
 
 def prepare_sequences(
@@ -185,6 +201,7 @@ def _prepared(
     inputs = probe_inputs(wrench, seen, offset, face, modes)
     piece = np.broadcast_to(face.inputs()[:, None], (*inputs.shape[:2], face.inputs().shape[-1]))
     normal, reach = half_planes(arrays["support_mm"].astype(np.float64))
+    margin = arrays.get("margin_mm", np.empty((len(offset), 0, 0)))
     columns = (
         np.concatenate([inputs, piece], axis=-1),
         arrays["true_mm"] * signs,
@@ -192,6 +209,7 @@ def _prepared(
         face.com_mm,
         normal * signs,
         reach,
+        margin[:, :: -1 if across_y else 1, :: -1 if across_x else 1],
     )
     there = np.arange(inputs.shape[1]) < arrays["count"][:, None]
     return (*(column.astype(np.float32) for column in columns), there)

@@ -24,6 +24,7 @@ from touchdown.backend.simulation.release_mujoco import (
     format_metres,
     import_mujoco,
     inertia_xml,
+    perimeter_mm,
     rim_points,
     shape_xml,
 )
@@ -92,9 +93,8 @@ class _SphereContact:
     def rim_xml(self, outline: Outline, height_mm: float, count: int) -> str:
         """Return spheres along ``outline`` with their centres at ``height_mm``."""
         points = rim_points(outline, count)
-        corners = outline.polygon()
-        round_mm = float(np.hypot(*(np.roll(corners, -1, axis=0) - corners).T).sum())
-        stiffness_n_m = 1e3 * RIM_SHARE_MM * self.foundation_n_mm3 * round_mm / len(points)
+        share_mm = perimeter_mm(outline) / len(points)
+        stiffness_n_m = 1e3 * RIM_SHARE_MM * self.foundation_n_mm3 * share_mm
         k = stiffness_n_m * MOBILITY_1_KG * (1.0 - IMPEDANCE) / IMPEDANCE
         how = (
             f'solref="{-k!r} {-2.0 * k**0.5!r}" '

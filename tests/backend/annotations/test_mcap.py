@@ -270,6 +270,16 @@ def test_a_patch_from_records_equals_one_from_the_pieces(tmp_path, piece, bottom
     assert found.centre_mm == pytest.approx(top.com_xy_mm, abs=5e-4)
 
 
+def test_records_of_old_outlines_are_unchanged_and_regions_have_their_own() -> None:
+    assert face_record(circle(20.0)) == {
+        "kind": "face", "v": 1, "com_um": [0, 0], "shape": "circle", "d_um": 20000,
+    }  # fmt: skip
+    assert face_record(PIECES.bottom("square15").face)["shape"] == "polygon"
+    record = face_record(PIECES.bottom("feet3").face)
+    assert record["shape"] == "region"
+    assert [len(part["exterior"]) for part in record["parts_um"]] == [4, 4, 4]
+
+
 def test_a_corrected_dimension_is_another_pair_and_changes_nothing_old(tmp_path):
     store = GeometryStore(tmp_path)
     old = store.store_pair(disc(), disc())

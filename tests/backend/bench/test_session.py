@@ -87,6 +87,22 @@ def test_bad_requests_and_settings_are_refused():
         simulated_bench(preset="loud")
 
 
+def test_a_strategy_trained_with_convex_outlines_refuses_others_before_anything_moves():
+    with brisk() as bench:
+        before = bench.clock_s()
+        with pytest.raises(InputError, match="'ring24' has holes, notches or several parts"):
+            bench.run(StackRequest(bottoms=("ring24",), strategy="fused"))
+        assert bench.clock_s() == before
+
+
+def test_a_piece_is_placed_on_a_ring():
+    with brisk() as bench:
+        result = bench.run(StackRequest(bottoms=("ring24",), strategy="pick-and-place", seed=7))
+    (trial,) = result.trials
+    assert trial.outcome in (Outcome.PLACED, Outcome.FELL)
+    assert (trial.outcome is Outcome.PLACED) == (trial.margin_mm > 0.0)
+
+
 def test_leaving_the_block_stops_the_live_thread():
     with brisk() as bench:
         bench.open()

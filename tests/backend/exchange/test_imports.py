@@ -25,11 +25,19 @@ from hypothesis.extra.numpy import arrays
 
 from tests.backend.annotations.conftest import context_for
 from tests.backend.exchange.conftest import recorded_episode
-from touchdown.backend.annotations import Dataset, Label
+from touchdown.backend.annotations import Dataset, Label, Pair
 from touchdown.backend.core import Fault, FaultError, InputError, Recording
 from touchdown.backend.exchange import coco, csv_tables, export, jsonl
 from touchdown.backend.exchange.imports import EpisodeImport, ImportOptions, read_foreign
 from touchdown.backend.exchange.label_import import LabelImportResult, import_labels
+from touchdown.backend.geometry import (
+    circle,
+    face_points,
+    load_pieces,
+    overlap_polygon,
+    rings_of,
+    true_patch,
+)
 
 NAMED = ImportOptions("dora", "dora", "pot", "circle15")
 FORMATS = ("lerobot", "robomimic")
@@ -271,6 +279,33 @@ def test_polygons_are_the_overlap_of_the_outlines(hand, dataset):
         drawn = shapely.Polygon(list(zip(*[iter(annotation["segmentation"][0])] * 2, strict=True)))
         assert drawn.area == pytest.approx(annotation["area"], rel=1e-6)
         assert (out / image["file_name"]).is_file()
+
+
+@pytest.mark.parametrize(("bottom", "parts"), [("ring24", 0), ("feet3", 3), ("channel20", 1)])
+def test_patches_with_holes_are_run_lengths_and_parts_are_polygons(bottom, parts):
+    below, face = load_pieces().bottom(bottom).face, circle(25.4)
+    canvas = coco.Canvas(Pair("", face, below, (0.0, 0.0), 1.0))
+    size, offset = (canvas.height, canvas.width), np.array([1.5, -0.7])
+    rings = rings_of(canvas.px(overlap_polygon(face, (1.5, -0.7), below)))
+    drawn = shapely.Polygon()
+    for ring in rings:
+        drawn ^= shapely.Polygon(ring)
+    shape = coco._shape(rings, size)
+    assert shape["area"] == pytest.approx(drawn.area, rel=1e-6)
+    points = face_points(face)
+    touching = true_patch(points, offset, below)
+    at_px = canvas.px(points + offset)
+    assert coco._iou(shape["segmentation"], at_px, touching) == 1.0
+    assert coco._iou(shape["segmentation"], at_px + 20.0, touching) < 0.9
+    if parts:
+        assert len(shape["segmentation"]) == parts
+        return
+    counts = shape["segmentation"]["counts"]
+    flat = np.repeat(np.arange(len(counts)) % 2 == 1, counts)
+    columns, rows = np.meshgrid(np.arange(size[1]), np.arange(size[0]), indexing="ij")
+    expected = shapely.contains_xy(drawn, columns.ravel(), rows.ravel())
+    assert flat.size == size[0] * size[1]
+    assert (flat != expected).sum() < 1e-3 * expected.sum()
 
 
 def test_a_moved_keypoint_is_a_new_offset_of_unknown_sigma(hand, dataset):

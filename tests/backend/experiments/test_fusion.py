@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import os
 import shutil
+from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -32,9 +33,11 @@ from touchdown.backend.experiments.fusion import (
     MixedBottomLockstep,
     ShapeFamily,
     count_under_threshold,
+    draw_region,
     held_out_setup,
     is_similar,
     load_sequences,
+    margin_field,
     next_places,
     record_trials,
     similarity,
@@ -70,9 +73,16 @@ from touchdown.backend.experiments.tables import (
     Recipe,
 )
 from touchdown.backend.experiments.trials import SceneSetup, stack_in_lockstep, start_scene
-from touchdown.backend.geometry.outlines import Outline, circle, face_points, rectangle, square
+from touchdown.backend.geometry.outlines import (
+    Outline,
+    circle,
+    contact_margins_mm,
+    face_points,
+    rectangle,
+    square,
+)
 from touchdown.backend.geometry.pieces import load_pieces
-from touchdown.backend.geometry.tower import Body, Tower
+from touchdown.backend.geometry.tower import Body, Tower, judge_tower
 from touchdown.backend.jobs.execution import SerialExecutor, run_campaign
 from touchdown.backend.jobs.job import JobStore, run_job
 from touchdown.backend.learning.checkpoint import card_path, load_checkpoint
@@ -349,6 +359,46 @@ def test_from_nothing_to_a_network_with_its_card(
     assert found.card.training["held_out_sequences"] == 3
     again = tiny(bench_v1, seed=1)
     assert not {job.seed for job in again.jobs()[:4]} & {job.seed for job in jobs[:4]}
+
+
+def test_the_wide_family_has_its_own_target_and_leaves_old_jobs_alone(
+    bench_v1: SimulationSettings, tmp_path: Path
+) -> None:
+    assert all("outlines" not in job.params for job in tiny(bench_v1).jobs())
+    store = JobStore(tmp_path)
+    recipe = replace(tiny(bench_v1, outlines="any"), counts={"short": 2})
+    jobs = recipe.jobs()
+    for result in run_campaign(jobs, SerialExecutor(FUSED_KINDS, store), store):
+        assert result.state == "done", result.error
+    assert load_sequences([store.folder(job.id) for job in jobs[:2]])["margin_mm"].shape[0] == 4
+    card = load_fused(store.folder(jobs[-1].id) / WEIGHTS).card
+    assert card.outlines == "any"
+    assert "crescents" in card.family
+
+
+def test_wide_bottoms_are_regions_of_all_classes_and_the_target_is_the_margin() -> None:
+    catalogue = load_pieces()
+    rng = np.random.default_rng(6)
+    drawn = [draw_region(rng, size) for size in rng.uniform(14.0, 32.0, 40)]
+    assert all(outline.kind == "region" for outline in drawn)
+    assert {len(outline.parts) for outline in drawn} >= {1, 3, 4}
+    assert any(outline.parts[0][1] for outline in drawn)
+    mug = catalogue.top("mug")
+    places = rng.uniform(-14.0, 14.0, (12, 2))
+    for bottom in drawn[:8]:
+        found = contact_margins_mm(mug.face, mug.com_xy_mm, bottom, places)
+        for place, margin in zip(places, found, strict=True):
+            x, y = (place - mug.com_xy_mm).tolist()
+            base = Body("bottom", bottom, bottom, 20.0, 0.0, 10.0, fixed=True)
+            exact = judge_tower(Tower((base, mug.body((x, y))))).margins_mm[1]
+            if np.isfinite(exact):
+                assert margin == pytest.approx(exact, abs=1e-6)
+            else:
+                assert margin < 0.0
+    field = margin_field(mug, drawn[0])
+    assert field.shape == (49, 49)
+    near = contact_margins_mm(mug.face, mug.com_xy_mm, drawn[0], np.array([[3.0, -1.5]]))
+    assert field[23, 26] == pytest.approx(float(near[0]), abs=0.01)
 
 
 def test_no_two_parts_share_a_seed_and_none_has_one_of_the_tables(

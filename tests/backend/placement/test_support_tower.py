@@ -30,11 +30,11 @@ def below_of(
 
 def test_what_is_known_exactly_is_judged_as_the_exact_judge_does(catalogue: PieceLibrary) -> None:
     rng = np.random.default_rng(8)
-    names = ("square15", "short", "rect12x28", "hex20")
+    names = ("square15", "short", "rect12x28", "ring24", "channel20", "hex20")
     bottoms = [catalogue.bottom(name) for name in names]
     inside = 0
     for _ in range(30):
-        steps = rng.uniform(-6.0, 6.0, (3, 2))
+        steps = rng.uniform(-4.0, 4.0, (5, 2))
         place = rng.uniform(-8.0, 8.0, 2)
         entry = TowerSettings(offset_mm=tuple(map(tuple, steps)), sigma_mm=EXACT)
         below = SupportTower.entered(catalogue.top("pot"), bottoms, entry)

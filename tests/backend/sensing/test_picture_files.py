@@ -38,7 +38,8 @@ from touchdown.backend.core.values import (
     Recording,
     TactileFrame,
 )
-from touchdown.backend.geometry import BOARD_DOTS_MM, load_pieces
+from touchdown.backend.geometry import BOARD_DOTS_MM, circle, load_pieces
+from touchdown.backend.geometry import face_points as lattice_points
 from touchdown.backend.runs.requests import SceneChoice
 from touchdown.backend.sensing.picture_files import count_pictures, draw_markers, read_pictures
 from touchdown.backend.sensing.scene_camera import (
@@ -54,7 +55,7 @@ from touchdown.backend.simulation import mechanics
 from touchdown.backend.simulation.finger_camera import load_gel_appearance
 from touchdown.backend.simulation.marker_fields import build_gel
 from touchdown.backend.simulation.mechanics import advance_probes, begin_probes
-from touchdown.backend.simulation.scene_camera import camera_matrix, render_scene
+from touchdown.backend.simulation.scene_camera import BOTTOM, camera_matrix, render_scene
 
 TRUE = camera_matrix()[:, [0, 1, 3]] / camera_matrix()[2, 3]
 
@@ -94,6 +95,22 @@ def test_a_picture_of_the_bench_is_a_calibration(scene) -> None:
     there = np.array([[0.0, 0.0], [12.5, 0.0], [0.0, -12.5], [-9.0, 9.0]])
     assert np.abs(fitted.to_px(there) - Homography(TRUE, 0.0).to_px(there)).max() < 0.5
     assert Homography.parse(fitted.text()).text() == fitted.text()
+
+
+def test_holes_and_gaps_of_a_bottom_are_drawn_open() -> None:
+    fitted = calibrate_scene_camera(render_scene(scene_of("pot", "circle25"), (-80, 0), 0.0, 3.0))
+    for bottom, open_mm in (("ring24", (0.0, 0.0)), ("feet3", (0.0, 0.0)), ("channel20", (0, 6))):
+        scene = scene_of("pot", bottom)
+        image = render_scene(scene, (500.0, 0.0), 0.0, 0.0)
+        face = scene.surface
+        lattice = lattice_points(circle(30.0))
+        at = np.rint(fitted.to_px(lattice)).astype(int)
+        lit = (image[at[:, 1], at[:, 0]] == BOTTOM).all(axis=1)
+        near = np.abs(np.stack([face.contains(lattice + d) for d in np.eye(2)]).sum(axis=0) - 1)
+        clear = near == 1
+        assert (lit == face.contains(lattice))[clear].mean() > 0.97
+        x_px, y_px = np.rint(fitted.to_px(np.array([open_mm]))[0]).astype(int)
+        assert tuple(image[y_px, x_px]) != BOTTOM
 
 
 def test_the_face_is_drawn_where_the_homography_says(scene) -> None:

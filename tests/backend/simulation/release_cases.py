@@ -8,11 +8,28 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from touchdown.backend.geometry import Body, Outline, Tower, TowerVerdict, judge_tower, outlines
+from touchdown.backend.geometry import (
+    Body,
+    Outline,
+    Tower,
+    TowerVerdict,
+    judge_tower,
+    outlines,
+    regions,
+)
 from touchdown.backend.simulation.release_mujoco import contradicts_analysis, simulate_release
 
 # number of bodies, whether the lowest is fixed, number of cases
 SETS = {"fixed pair": (2, True, 120), "free pair": (2, False, 90), "three bodies": (3, False, 90)}
+SHAPES = {
+    "ring": regions.ring(24.0, 14.0),
+    "crescent": regions.crescent(24.0, 18.0, 7.0),
+    "L": regions.ell(20.0, 16.0, 6.0),
+    "T": regions.tee(20.0, 18.0, 6.0),
+    "U": regions.channel(20.0, 16.0, 5.0),
+    "star": regions.star(5, 26.0, 12.0),
+    "feet": regions.feet([(9.0, 0.0), (-4.5, 7.8), (-4.5, -7.8)], 6.0),
+}
 CLEAR_MM = (
     0.5  # beyond this margin 0.7 s show the outcome; nearer to the edge a fall may take longer
 )
@@ -45,6 +62,34 @@ def ask_both(name: str, share: float = 1.0) -> Iterator[Opinions]:
         verdict = judge_tower(tower)
         near = abs(verdict.margin_mm) <= CLEAR_MM
         yield Opinions(verdict, simulate_release(tower, seconds=1.5 if near else 0.7)[0])
+
+
+def ask_about_shape(name: str, cases: int) -> Iterator[Opinions]:
+    """Yield the opinions on one of ``SHAPES`` above or below other faces, far from the threshold.
+
+    About half of the places are over the edge of the contact.
+    """
+    rng = np.random.default_rng([21, *name.encode()])
+    others = [*SHAPES.values(), outlines.circle(20.0), outlines.regular_polygon(6, 20.0)]
+    found = 0
+    while found < cases:
+        faces = [SHAPES[name], others[int(rng.integers(len(others)))]]
+        lower, upper = faces if rng.random() < 0.5 else faces[::-1]
+        height, (x, y) = float(rng.uniform(15.0, 50.0)), rng.uniform(-11.0, 11.0, 2).tolist()
+        tower = Tower(
+            (
+                Body("base", lower, lower, 30.0, 0.0, 15.0, fixed=True),
+                Body(
+                    "lid", upper, upper, height, float(rng.uniform(20.0, 60.0)), height / 2,
+                    com_xy_mm=(float(rng.uniform(-1.5, 1.5)), float(rng.uniform(-1.5, 1.5))),
+                    at_mm=(x, y), yaw_rad=float(rng.uniform(-math.pi, math.pi)),
+                ),
+            )
+        )  # fmt: skip
+        verdict = judge_tower(tower)
+        if abs(verdict.margin_mm) > CLEAR_MM:
+            found += 1
+            yield Opinions(verdict, simulate_release(tower, seconds=0.7)[0])
 
 
 def outline(rng: np.random.Generator) -> Outline:

@@ -11,7 +11,7 @@ import pytest
 
 from tests.backend.bench.brisk import brisk_bench, brisk_method
 from tests.backend.simulation.conftest import Disc, lattice, plain
-from tests.backend.simulation.release_cases import SETS, ask_both
+from tests.backend.simulation.release_cases import SETS, SHAPES, ask_about_shape, ask_both
 from touchdown.backend.bench.assembly import simulated_session
 from touchdown.backend.config.method import ProbeSettings
 from touchdown.backend.core import Event, InputError, OnsetRule, Outcome, TrialFinished
@@ -34,6 +34,7 @@ from touchdown.backend.simulation.pressing import (
     press_batch,
 )
 from touchdown.backend.simulation.release_mujoco import (
+    FALLEN_DEG,
     contradicts_analysis,
     mujoco_available,
     rim_points,
@@ -284,6 +285,34 @@ def test_judge_agrees_with_the_engine_but_at_the_edge(name: str) -> None:
         cases += 1
     assert 0.1 * cases < falls < 0.9 * cases
     assert unlike <= 0.05 * cases
+
+
+@needs
+@pytest.mark.parametrize("name", SHAPES)
+def test_both_judges_agree_on_holes_notches_and_feet(name: str) -> None:
+    asked = list(ask_about_shape(name, 3))
+    assert not any(opinions.unlike for opinions in asked)
+
+
+@needs
+def test_a_piece_over_the_hole_of_a_ring_stands() -> None:
+    catalogue = load_pieces()
+    ring, pot = catalogue.piece("ring24").body(), catalogue.piece("pot")
+    for x_mm, stands in ((0.0, True), (5.5, True), (13.0, False)):
+        tower = Tower((ring, pot.body((x_mm, 0.0))))
+        assert judge_tower(tower).stands == stands
+        assert simulate_release(tower)[0] != stands
+
+
+@needs
+def test_a_body_that_ends_tilted_has_fallen() -> None:
+    # The far end of the lid lands on the floor, 4 mm lower and 32 mm off the edge: 7 degrees.
+    low, long = outlines.rectangle(20.0, 20.0), outlines.rectangle(60.0, 20.0)
+    base = Body("base", low, low, 4.0, 0.0, 2.0, fixed=True)
+    tower = Tower((base, Body("lid", long, long, 5.0, 20.0, 2.5, at_mm=(12.0, 0.0))))
+    fallen, fall = simulate_release(tower)
+    assert fallen
+    assert np.degrees(2.0 * np.arccos(fall.pose[:, 1, 3])).max() < FALLEN_DEG
 
 
 def test_a_contradiction_counts_beyond_the_engine_error() -> None:

@@ -15,10 +15,11 @@ from touchdown.backend.config.bench_description import bench_sha256
 from touchdown.backend.config.method import ProbeSettings
 from touchdown.backend.config.simulation import SimulationSettings, SupportSettings, load_simulation
 from touchdown.backend.core.values import GRID_COLS, GRID_ROWS
-from touchdown.backend.geometry.outlines import circle, face_points, rectangle
+from touchdown.backend.geometry import regions
+from touchdown.backend.geometry.outlines import circle, face_points, rectangle, signed_distances_mm
 from touchdown.backend.geometry.pieces import load_pieces
 from touchdown.backend.geometry.sampling import draw_offset, draw_start, draw_tower, start_generator
-from touchdown.backend.geometry.tower import Body, Tower, judge_tower
+from touchdown.backend.geometry.tower import Body, Tower, interface_overlap, judge_tower
 from touchdown.backend.placement.equilibrium import centre_of_pressure_mm
 from touchdown.backend.simulation import batch as lockstep
 from touchdown.backend.simulation import conditions as nuisance
@@ -282,6 +283,34 @@ def test_a_face_of_its_own_carries_like_one_within_a_wider_face() -> None:
     points = np.random.default_rng(2).uniform(-25.0, 25.0, (200, 1, 2))
     for mine, other in zip(table.nearest(points), wider.nearest(points), strict=True):
         np.testing.assert_array_equal(mine, other)
+
+
+@pytest.mark.parametrize(
+    ("face", "diameter_mm", "at_mm", "corners"),
+    [
+        (regions.ring(24.0, 14.0), 20.0, (1.0, 0.5), 1),  # as smooth as the edge of a disc
+        (regions.ring(24.0, 14.0), 20.0, (4.0, 1.0), 40),
+        (regions.feet([(9.0, 0.0), (-4.5, 7.8), (-4.5, -7.8)], 6.0), 16.0, (5.0, 0.0), 20),
+        (regions.channel(20.0, 18.0, 5.0), 18.0, (3.0, -2.0), 4),
+    ],
+)
+def test_a_bottom_with_gaps_carries_within_the_hull_of_its_contact(
+    face, diameter_mm, at_mm, corners
+) -> None:
+    lower = Body("gaps", face, face, 30.0, 30.0, 15.0)
+    disc = circle(diameter_mm)
+    tower = Tower((lower, Body("disc", disc, disc, 30.0, 30.0, 15.0, at_mm=at_mm)))
+    stand = support_stack(tower, SupportSettings(rocks=True))
+    assert stand is not None
+    assert stand.area.core_mm.shape[-2] >= corners
+    if corners == 1:
+        assert stand.area.core_mm.shape[-2] == 1
+    cuts = [interface_overlap(tower, k) for k in range(2)]
+    for points in np.random.default_rng(4).uniform(-14.0, 14.0, (30, 1, 2, 2)):
+        foot, _ = stand.area.nearest(points)
+        away = np.hypot(*(foot - points)[0].T)
+        margins = [signed_distances_mm(points[0, k] + at_mm, cuts[k]) for k in range(2)]
+        assert away == pytest.approx(np.maximum(-np.array(margins), 0.0), abs=0.02)
 
 
 def test_fixed_bottoms_and_settings_that_are_off_have_no_stand() -> None:

@@ -221,6 +221,21 @@ def test_the_true_inset_is_that_of_the_outline() -> None:
     np.testing.assert_allclose(found, expected, atol=1e-4)
 
 
+def test_margins_replace_the_outline_and_are_mirrored_with_it() -> None:
+    arrays = made_up(2, 1)
+    axis = np.linspace(-36.0, 36.0, 25)
+    nodes = 0.5 * axis[None, :] - 0.25 * axis[:, None]
+    arrays["margin_mm"] = np.stack([nodes, 2.0 * nodes]).astype(np.float16)
+    data: ProbeSequences = prepare_sequences(arrays, field_components(arrays["field"]), mirror=True)
+    points = torch.tensor([[1.0, 2.0], [-3.0, 0.5]]).expand(8, 2, 2, 2)
+    found = data.inset_mm(torch.arange(8), points).numpy()
+    at = (points + data.true_mm[:, :, None]).numpy()
+    signs = np.repeat([[1.0, 1.0], [-1.0, 1.0], [1.0, -1.0], [-1.0, -1.0]], 2, axis=0)
+    at = at * signs[:, None, None]
+    expected = (0.5 * at[..., 0] - 0.25 * at[..., 1]) * np.tile([1.0, 2.0], 4)[:, None, None]
+    np.testing.assert_allclose(found, expected, atol=2e-2)
+
+
 def test_a_training_learns_and_is_the_same_again() -> None:
     settings = FusedTraining(100, 32, learning_rate=1e-2, seed=3, shape=SMALL)
     train, held_out = made_up(96, 1), made_up(32, 2)

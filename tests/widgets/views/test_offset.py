@@ -11,7 +11,7 @@ from PySide6.QtWidgets import QWidget
 from tests.app.stand_in import REST
 from tests.widgets.views.test_belief import coloured
 from touchdown.backend.core.values import MarkerField, SupportKind
-from touchdown.backend.geometry.outlines import circle, face_points, square
+from touchdown.backend.geometry import circle, face_points, ring, square
 from touchdown.backend.placement.equilibrium import resting_contact
 from touchdown.widgets.forms.questions import ChoiceBar
 from touchdown.widgets.lists.recordings import HistoryList, HistoryRow, LabelList, LabelListRow
@@ -93,6 +93,17 @@ class TestOffsetView:
             placed = outline + np.array([x, y])
             assert area.x0 < placed[:, 0].min() <= placed[:, 0].max() < area.x1
             assert area.y0 < placed[:, 1].min() <= placed[:, 1].max() < area.y1
+
+    def test_the_hole_of_a_bottom_is_not_filled(self, view):
+        colours = []
+        for outline in (circle(24.0), ring(24.0, 12.0)):
+            view.show_scene(OffsetScene(outline.path(96), FACE))
+            at = view.area().place(2.5, 2.5).toPoint()
+            colours.append(view.grab().toImage().pixelColor(at))
+        view.show_scene(OffsetScene(circle(2.0).path(96), FACE))
+        empty = view.grab().toImage().pixelColor(at)
+        assert colours[1] == empty
+        assert colours[0] != empty
 
     def test_the_scale_is_one_while_the_centre_is_over_the_bottom(self, view):
         reach = {scene((0.5 * k, 0.0)).reach_mm for k in range(-15, 16)}

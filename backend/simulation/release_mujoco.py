@@ -34,6 +34,7 @@ SPHERES_PER_FACE = 32
 SPHERE_RADIUS_MM = 0.05
 FALLEN_DEG = 12.0  # A body tilted by more has fallen
 AT_REST_DEG = 5.0  # and one that ends tilted by more
+SUNK_MM = 1.0  # and one that sank by more, such as feet between feet
 APART_MM = 0.3  # spheres at the corners of a contact are not nearer to each other
 CORNER_RAD = 0.35  # rings of a region turn by more at a corner
 
@@ -62,9 +63,9 @@ def simulate_release(
     """Simulate the release of a tower for ``seconds``.
 
     ``disturbance_mm``: effect of the opening fingers, as in ``judge_tower``. Returns True if a free
-    body tilted by more than 12 degrees or ends tilted by more than 5, and the motion at
-    ``frame_hz``: per body the centre of its lower face (m; z = 0 at the base of the topmost body)
-    and quaternion. Raises ``InputError`` without MuJoCo.
+    body tilted by more than 12 degrees, or ends tilted by more than 5 or lower by more than 1 mm,
+    and the motion at ``frame_hz``: per body the centre of its lower face (m; z = 0 at the base of
+    the topmost body) and quaternion. Raises ``InputError`` without MuJoCo.
     """
     mujoco = import_mujoco()
     model = mujoco.MjModel.from_xml_string(model_xml(_kicked(tower, disturbance_mm)))
@@ -86,7 +87,8 @@ def simulate_release(
         tilt_deg = degrees(acos(max(-1.0, min(1.0, upright))))
         fallen = fallen or tilt_deg > FALLEN_DEG
     names = tuple(body.name for body in tower.bodies)
-    fallen = fallen or tilt_deg > AT_REST_DEG
+    sunk_mm = 1e3 * float((poses[0, :, 2] - poses[-1, :, 2]).max())
+    fallen = fallen or tilt_deg > AT_REST_DEG or sunk_mm > SUNK_MM
     return fallen, Fall(np.arange(frames) / frame_hz, poses, names)
 
 

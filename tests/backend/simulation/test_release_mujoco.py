@@ -305,6 +305,16 @@ def test_a_piece_over_the_hole_of_a_ring_stands() -> None:
 
 
 @needs
+def test_feet_that_drop_between_feet_have_fallen() -> None:
+    feet = SHAPES["feet"]
+    base = Body("base", feet, feet, 30.0, 0.0, 15.0, fixed=True)
+    lid = Body("lid", feet, feet, 30.0, 40.0, 15.0, yaw_rad=math.pi / 3)
+    tower = Tower((base, lid))
+    assert not judge_tower(tower).stands
+    assert simulate_release(tower)[0]
+
+
+@needs
 def test_a_body_that_ends_tilted_has_fallen() -> None:
     # The far end of the lid lands on the floor, 4 mm lower and 32 mm off the edge: 7 degrees.
     low, long = outlines.rectangle(20.0, 20.0), outlines.rectangle(60.0, 20.0)

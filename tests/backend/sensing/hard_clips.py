@@ -255,8 +255,8 @@ class HardScore:
     """Counts of markers and frames of one clip.
 
     ``seen``: visible ones reported as seen within 1 px; ``inferred``, ``lost``: visible ones
-    reported so; ``false``: reported as seen over 1.5 px off, or hidden. ``unseen_at`` (63,):
-    visible ones not seen, by marker.
+    reported so; ``false``: reported as seen over 1.5 px off, or hidden (also ``hidden``).
+    ``unseen_at`` (63,): visible ones not seen within 1 px, by marker.
     """
 
     visible: int
@@ -264,6 +264,7 @@ class HardScore:
     inferred: int
     lost: int
     false: int
+    hidden: int
     unseen_at: np.ndarray
 
 
@@ -283,5 +284,6 @@ def score(scene: Scene) -> HardScore:
         inferred=int((scene.visible & (state == MarkerState.INFERRED)).sum()),
         lost=int((scene.visible & (state == MarkerState.LOST)).sum()),
         false=int((reported & ((off_px > WRONG_PX) | scene.hidden)).sum()),
+        hidden=int((reported & scene.hidden).sum()),
         unseen_at=np.asarray((scene.visible & ~right).sum(axis=0)),
     )

@@ -75,6 +75,7 @@ from .settings import restore_form as restore_form
 from .settings import save_settings as save_settings
 from .settings import settings_path as settings_path
 from .sheets import BenchSheet as BenchSheet
+from .sheets import FileDrop as FileDrop
 from .sheets import QuestionRow as QuestionRow
 from .sheets import ask_path as ask_path
 from .top_bar import DeviceChipsPresenter as DeviceChipsPresenter
@@ -104,6 +105,7 @@ __all__ = [
     "DeviceChipsPresenter",
     "DeviceInspectorPresenter",
     "ErrorBox",
+    "FileDrop",
     "LabelDraft",
     "LabelItem",
     "LabelSheets",

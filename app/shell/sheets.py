@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from pathlib import Path
 
-from PySide6.QtCore import QSize
+from PySide6.QtCore import QEvent, QObject, QSize
+from PySide6.QtGui import QDragEnterEvent, QDropEvent
 from PySide6.QtWidgets import QDialog, QFileDialog, QFrame, QLayout, QPushButton, QWidget
 
 from touchdown.widgets.base import hbox, label, rule, vbox
@@ -87,6 +88,29 @@ class BenchSheet(QDialog):
         em, parent = self.fontMetrics().height(), self.parentWidget()
         assert parent is not None
         self.resize(QSize(width * em, height * em).boundedTo(parent.size()))
+
+
+class FileDrop(QObject):
+    """Accepts one dropped file with one of ``suffixes`` on a widget; ``take`` gets its path."""
+
+    def __init__(
+        self, widget: QWidget, suffixes: Collection[str], take: Callable[[Path], None]
+    ) -> None:
+        super().__init__(widget)
+        self._suffixes, self._take = suffixes, take
+        widget.setAcceptDrops(True)
+        widget.installEventFilter(self)
+
+    def eventFilter(self, watched: QObject, event: QEvent) -> bool:
+        """Accept a drag of one such file, and take it when it is dropped."""
+        if isinstance(event, QDragEnterEvent | QDropEvent):
+            paths = [Path(url.toLocalFile()) for url in event.mimeData().urls()]
+            if len(paths) == 1 and paths[0].suffix.lower() in self._suffixes:
+                event.acceptProposedAction()
+                if event.type() is QEvent.Type.Drop:
+                    self._take(paths[0])
+                return True
+        return super().eventFilter(watched, event)
 
 
 def ask_path(

@@ -7,12 +7,12 @@ from functools import partial
 from pathlib import Path
 from typing import get_args
 
-from PySide6.QtCore import QEvent, QObject, QRectF, QTimer
-from PySide6.QtGui import QDragEnterEvent, QDropEvent, QPainter, QPaintEvent
+from PySide6.QtCore import QRectF, QTimer
+from PySide6.QtGui import QPainter, QPaintEvent
 from PySide6.QtSvg import QSvgRenderer
 from PySide6.QtWidgets import QComboBox, QLineEdit, QPushButton, QWidget
 
-from touchdown.app.shell import BenchSheet, MainThreadQueue, SaveWorker, ask_path
+from touchdown.app.shell import BenchSheet, FileDrop, MainThreadQueue, SaveWorker, ask_path
 from touchdown.backend.core import InputError
 from touchdown.backend.geometry import (
     PIECE_SOURCES,
@@ -34,27 +34,6 @@ UNITS = (("", "as in the file, or mm"), *((unit, unit) for unit in UNITS_MM))
 DRAWN = "drawing"  # face of a file that holds only an outline
 FACES = (*((end, end) for end in get_args(PieceEnd)), (DRAWN, "drawn outline"))
 NO_FILE = "Choose a mesh (STL, OBJ, PLY, OFF) or an outline (SVG, DXF), or drop one here."
-
-
-class FileDrop(QObject):
-    """Accepts one dropped CAD file on a widget; ``take`` gets its path."""
-
-    def __init__(self, widget: QWidget, take: Callable[[Path], None]) -> None:
-        super().__init__(widget)
-        self._take = take
-        widget.setAcceptDrops(True)
-        widget.installEventFilter(self)
-
-    def eventFilter(self, watched: QObject, event: QEvent) -> bool:
-        """Accept a drag of one CAD file, and take it when it is dropped."""
-        if isinstance(event, QDragEnterEvent | QDropEvent):
-            paths = [Path(url.toLocalFile()) for url in event.mimeData().urls()]
-            if len(paths) == 1 and paths[0].suffix.lower() in PIECE_SOURCES:
-                event.acceptProposedAction()
-                if event.type() is QEvent.Type.Drop:
-                    self._take(paths[0])
-                return True
-        return super().eventFilter(watched, event)
 
 
 class PiecePicture(DrawnView):
@@ -122,7 +101,7 @@ class PieceSheet(BenchSheet):
             box.valueChanged.connect(self._delay.start)
         self.choose.clicked.connect(self._ask_file)
         self.add.clicked.connect(self._save)
-        FileDrop(self, self.take)
+        FileDrop(self, PIECE_SOURCES, self.take)
         self._arrange()
         self._show(None, "")
 
@@ -219,6 +198,8 @@ class PieceSheet(BenchSheet):
     def _failed(self, number: int, error: Exception) -> None:
         if number == self._asked:
             words = f"{error.what} {error.fix}" if isinstance(error, InputError) else str(error)
+            # Options of the command line are fields of this sheet.
+            words = words.replace("--units", "the unit").replace("--", "")
             self._show(None, words, bad=True)
 
     def _show(self, measured: MeasuredPiece | None, words: str, *, bad: bool = False) -> None:

@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, replace
 from functools import partial
+from typing import TYPE_CHECKING
 
 from touchdown.app.shell import (
+    FileDrop,
     LivePresenter,
     Memory,
     WindowCommand,
@@ -19,15 +21,17 @@ from touchdown.app.shell import (
 from touchdown.app.stack.attended import OperatorPromptsPresenter
 from touchdown.app.stack.comparison import ComparisonPresenter
 from touchdown.app.stack.page import StackPage
-from touchdown.app.stack.piece_import import FileDrop, PieceSheet
 from touchdown.app.stack.presenter import StackPresenter, stack_request
 from touchdown.app.stack.side import SideViewPresenter
 from touchdown.backend.bench import Session
 from touchdown.backend.core import Event, Outcome
-from touchdown.backend.geometry import PieceLibrary, load_pieces
+from touchdown.backend.geometry import PIECE_SOURCES, PieceLibrary, load_pieces
 from touchdown.backend.runs import SceneChoice
 from touchdown.widgets.forms import RunForm
 from touchdown.widgets.views import NO_DECISION
+
+if TYPE_CHECKING:
+    from touchdown.app.stack.piece_import import PieceSheet
 
 
 def careful_form(form: RunForm, on_bench: SceneChoice) -> RunForm:
@@ -96,7 +100,7 @@ class StackWorkspace(Workspace):
         page.run.start.clicked.connect(self._start)
         page.compare.clicked.connect(self._compare)
         page.add_piece.clicked.connect(self._add_piece)
-        FileDrop(page, lambda path: self._piece_sheet().take(path))
+        FileDrop(page, PIECE_SOURCES, lambda path: self._piece_sheet().take(path))
         yield
         self.columns = self.lazy_pages = page.columns
 
@@ -183,6 +187,9 @@ class StackWorkspace(Workspace):
     def _piece_sheet(self) -> PieceSheet:
         """Return the sheet that adds a piece, made on first use."""
         if self.pieces is None:
+            # Reading of meshes is imported on first use.
+            from touchdown.app.stack.piece_import import PieceSheet
+
             self.pieces = PieceSheet(self.page.window(), self._context.theme, self._piece_added)
         return self.pieces
 

@@ -21,9 +21,12 @@ from .cameras import mirrored_dots as mirrored_dots
 from .cameras import numbers_to_dots as numbers_to_dots
 from .estimators import PAYLOAD_POSES as PAYLOAD_POSES
 from .estimators import TOOL_GRIPS as TOOL_GRIPS
+from .estimators import PoseReadings as PoseReadings
 from .estimators import TouchedEdge as TouchedEdge
+from .estimators import WeighedPiece as WeighedPiece
 from .estimators import YawOf as YawOf
 from .estimators import estimate_board as estimate_board
+from .estimators import estimate_held_piece as estimate_held_piece
 from .estimators import estimate_level_payload as estimate_level_payload
 from .estimators import estimate_payload as estimate_payload
 from .estimators import estimate_tool as estimate_tool
@@ -63,9 +66,11 @@ __all__ = [
     "CalibrationStore",
     "DeviceName",
     "HandPosition",
+    "PoseReadings",
     "Side",
     "SidePress",
     "TouchedEdge",
+    "WeighedPiece",
     "YawOf",
     "calibrated_cameras",
     "calibrated_positions",
@@ -73,6 +78,7 @@ __all__ = [
     "dots_to_numbers",
     "estimate_board",
     "estimate_cameras",
+    "estimate_held_piece",
     "estimate_level_payload",
     "estimate_payload",
     "estimate_tool",

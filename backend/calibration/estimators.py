@@ -297,6 +297,150 @@ def _centre_from_moments(x: FloatArray, covariance: FloatArray) -> tuple[FloatAr
     return values, change @ covariance @ change.T
 
 
+@dataclass(frozen=True, slots=True)
+class PoseReadings:
+    """Mean untared readings at rest in several poses of the hand.
+
+    ``t_s`` (n,): middle of each mean; ``turns`` (n, 3, 3): from the axes of the hand to those of
+    the bench; ``wrenches`` (n, 6): N and N·m in the axes of the hand; ``sigmas`` (n, 6): standard
+    uncertainty of each mean by the noise of its samples.
+    """
+
+    t_s: FloatArray
+    turns: FloatArray
+    wrenches: FloatArray
+    sigmas: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class WeighedPiece:
+    """Mass and centre of mass of a held piece with standard uncertainties.
+
+    ``com_mm`` (3,): x and y from the middle of the face, z above it; ``covariance`` (3, 3), mm².
+    """
+
+    mass_g: float
+    mass_sigma_g: float
+    com_mm: FloatArray
+    covariance: FloatArray
+
+    @property
+    def sigma_mm(self) -> FloatArray:
+        """(3,) standard uncertainty of the centre of mass."""
+        return np.sqrt(np.diag(self.covariance))
+
+    def words(self) -> str:
+        """Return the displayed form."""
+        (x, y, _), (x_sigma, y_sigma, _) = self.com_mm, self.sigma_mm
+        return (
+            f"The piece weighs {self.mass_g:.1f} ± {self.mass_sigma_g:.1f} g; its centre of mass "
+            f"is {x:+.2f} ± {x_sigma:.2f} mm along x and {y:+.2f} ± {y_sigma:.2f} mm along y from "
+            "the middle of the face"
+        )
+
+
+WEIGHED_COM_LIMIT_MM = 1.0
+# Standard uncertainties: drift of the sensor per square root of a minute, repeated tilt of the
+# hand, yaw of the sensor, and face in the grasp (along and across the pads; its height).
+DRIFT_SIGMA = (0.012, 0.0005)
+TILT_SIGMA_RAD, YAW_SIGMA_RAD = 2e-4, 0.0087
+GRASP_SIGMA_MM = (0.5, 0.1, 0.5)
+
+
+def estimate_held_piece(empty: PoseReadings, held: PoseReadings, lever_mm: float) -> WeighedPiece:
+    """Return mass and centre of mass of a held piece from readings without and with it.
+
+    Both readings are taken in the same poses. Their differences hold the weight of the piece and
+    the drift between them, a random walk: generalised least squares in the four unknowns m, m c,
+    with f = m g and t = (m c) x g. The gripper's share of small differences of the poses is
+    subtracted.
+
+    Parameters
+    ----------
+    empty, held : PoseReadings
+        Readings of n poses, six or more, in the same order.
+    lever_mm : float
+        Height of the sensor above the face.
+
+    Returns
+    -------
+    WeighedPiece
+        The covariance also holds the uncertainty of yaw and grasp. It is scaled up if the
+        readings scatter more than expected.
+
+    Raises
+    ------
+    RefusedError
+        "POSES" for fewer than six poses or unequal ones, "DEGENERATE" if they do not tilt the
+        hand about two axes, "TOO-LIGHT" if the centre of mass is uncertain by more than 1 mm.
+
+    """
+    count = _count_poses(empty.wrenches)
+    if len(held.wrenches) != count:
+        raise RefusedError("POSES", "The piece was weighed in other poses than the empty gripper.")
+    gripper = estimate_payload(empty.turns, empty.wrenches)
+    mass_kg = gripper.value("mass_kg")
+    moment = 1e-3 * mass_kg * np.array([gripper.value(f"com_{axis}_mm") for axis in "xyz"])
+    gravity, change = _gravity(held.turns), _gravity(held.turns) - _gravity(empty.turns)
+    left = held.wrenches - empty.wrenches
+    left = left - np.hstack([mass_kg * change, np.cross(moment, change)])
+    design = np.zeros((count, 6, 4))
+    design[:, :3, 0] = gravity
+    design[:, 3:, 1:] = -np.cross(np.eye(3), gravity[:, None])
+    weight_n = mass_kg * GRAVITY_M_S2
+    tilted = np.repeat([weight_n, GRAVITY_M_S2 * float(np.linalg.norm(moment))], 3)
+    walk = _shared_drift(empty.t_s, held.t_s)
+    rows, values = [], []
+    for channel in range(6):
+        noise = held.sigmas[:, channel] ** 2 + empty.sigmas[:, channel] ** 2
+        noise = noise + 2.0 * (TILT_SIGMA_RAD * tilted[channel]) ** 2
+        drift = DRIFT_SIGMA[channel // 3] ** 2 / 60.0
+        lower = np.linalg.cholesky(np.diag(noise) + drift * walk)
+        rows.append(np.linalg.solve(lower, design[:, channel]))
+        values.append(np.linalg.solve(lower, left[:, channel]))
+    found = solve_least_squares(
+        np.concatenate(rows), np.concatenate(values), np.ones(6 * count),
+        "The poses do not turn the hand enough: lean it by 10 degrees or more about two axes.",
+    )  # fmt: skip
+    scatter = max(1.0, float(found.residuals @ found.residuals) / (6 * count - 4))
+    return _weighed_piece(found.x, scatter * found.covariance, lever_mm)
+
+
+def _shared_drift(empty_s: FloatArray, held_s: FloatArray) -> FloatArray:
+    """Return the covariance (n, n) of the differences of a random walk of unit rate, in s."""
+    start = min(float(empty_s.min()), float(held_s.min()))
+    times = np.concatenate([held_s, empty_s]) - start
+    walk = np.minimum(times[:, None], times)
+    n = len(held_s)
+    return np.asarray(walk[:n, :n] - walk[:n, n:] - walk[n:, :n] + walk[n:, n:])
+
+
+def _weighed_piece(x: FloatArray, covariance: FloatArray, lever_mm: float) -> WeighedPiece:
+    """Return mass and centre of mass of m and m c, ``x`` (4,), in kg and kg·m."""
+    mass_kg = float(x[0])
+    mass_sigma_kg = math.sqrt(float(covariance[0, 0]))
+    if mass_kg <= 3.0 * mass_sigma_kg:
+        what = f"The hand carries {1e3 * mass_kg:.0f} g more than empty: nothing can be weighed."
+        raise RefusedError("TOO-LIGHT", what)
+    centre_mm = 1e3 * x[1:] / mass_kg
+    change = np.column_stack([-centre_mm / mass_kg, np.eye(3) * 1e3 / mass_kg])
+    spread = change @ covariance @ change.T
+    felt_mm = math.sqrt(float(np.diag(spread)[:2].max()))
+    across = YAW_SIGMA_RAD * np.array([-centre_mm[1], centre_mm[0], 0.0])
+    spread = spread + np.outer(across, across) + np.diag(GRASP_SIGMA_MM) ** 2
+    sigma_mm = math.sqrt(float(np.diag(spread)[:2].max()))
+    if not sigma_mm <= WEIGHED_COM_LIMIT_MM:
+        noise_nmm = felt_mm * mass_kg * GRAVITY_M_S2
+        raise RefusedError(
+            "TOO-LIGHT",
+            f"The piece weighs {1e3 * mass_kg:.0f} g: moments uncertain by {noise_nmm:.2f} N·mm "
+            f"leave its centre of mass uncertain by {sigma_mm:.1f} mm, more than "
+            f"{WEIGHED_COM_LIMIT_MM:g} mm.",
+        )
+    com_mm = centre_mm + np.array([0.0, 0.0, lever_mm])
+    return WeighedPiece(1e3 * mass_kg, 1e3 * mass_sigma_kg, com_mm, spread)
+
+
 def estimate_wrist(turns: FloatArray, wrenches: FloatArray) -> CalibrationEstimate:
     """Return the yaw of the sensor relative to the tool; positive from its x to the tool's y.
 

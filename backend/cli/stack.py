@@ -74,6 +74,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="of a tower: centre of the touched bottom from that of the one below it, as measured, "
         "and its standard uncertainty, mm (default: centred, by eye)",
     )  # fmt: skip
+    parser.add_argument(
+        "--weigh", action="store_true",
+        help="weigh the piece in six poses first, and judge by its measured centre of mass",
+    )  # fmt: skip
     add_bench_arguments(parser)
     parser.add_argument("--runs", metavar="DIR", help="folder for runs (default: data folder)")
     parser.add_argument("--no-episodes", action="store_true", help="store the journal only")
@@ -105,6 +109,7 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
         mode=mode,
         model=args.model,
         origin_mm=(args.origin[0], args.origin[1]),
+        weigh=args.weigh,
     )
     runs = Path(args.runs) if args.runs else data_folder() / "runs"
     keep = RecordingOptions(runs, episodes=not args.no_episodes)

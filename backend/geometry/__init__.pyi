@@ -1,4 +1,3 @@
-from .cad import PIECE_SOURCES as PIECE_SOURCES
 from .cad import UNITS_MM as UNITS_MM
 from .cad import MeasuredPiece as MeasuredPiece
 from .cad import PieceEnd as PieceEnd
@@ -31,6 +30,7 @@ from .outlines import rotated as rotated
 from .outlines import signed_distances_mm as signed_distances_mm
 from .outlines import square as square
 from .outlines import true_patch as true_patch
+from .pieces import PIECE_SOURCES as PIECE_SOURCES
 from .pieces import Piece as Piece
 from .pieces import PieceLibrary as PieceLibrary
 from .pieces import load_pieces as load_pieces

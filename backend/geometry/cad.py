@@ -24,11 +24,16 @@ from shapely.affinity import translate
 
 from touchdown.backend.config import parse_settings
 from touchdown.backend.core import FloatArray, InputError, parse_toml, write_atomically
-from touchdown.backend.geometry.drawings import DRAWINGS, read_drawing
-from touchdown.backend.geometry.pieces import PIECE_NAME, PieceFile, load_pieces, pieces_folder
+from touchdown.backend.geometry.drawings import read_drawing
+from touchdown.backend.geometry.pieces import (
+    DRAWINGS,
+    PIECE_NAME,
+    PIECE_SOURCES,
+    PieceFile,
+    load_pieces,
+    pieces_folder,
+)
 
-MESHES = (".stl", ".obj", ".ply", ".off")
-PIECE_SOURCES = (*MESHES, *DRAWINGS)
 MAX_BYTES = 64_000_000  # a binary STL of 1.2 million triangles
 MAX_CORNERS = 400  # of one outline
 SIZE_MM = (5.0, 300.0)  # least and largest plausible length of a piece
@@ -480,6 +485,7 @@ def _extent_y(section: Any, path: Path) -> tuple[float, float]:
 
 def _with_notes(piece: MeasuredPiece) -> MeasuredPiece:
     notes = list(piece.notes)
+    x, y, z = (round(value, 6) + 0.0 for value in piece.com_mm)
     if not piece.face.convex_hull.contains(shapely.Point(piece.com_mm[:2])):
         notes.append("The centre of mass lies outside the face: the piece does not stand on it.")
     if piece.grip_y_mm is not None:
@@ -488,7 +494,7 @@ def _with_notes(piece: MeasuredPiece) -> MeasuredPiece:
             notes.append(
                 f"The middle between the pads lies {off_mm:+.1f} mm along y from that of the face."
             )
-    return replace(piece, notes=tuple(notes))
+    return replace(piece, com_mm=(x, y, z), notes=tuple(notes))
 
 
 def piece_toml(piece: MeasuredPiece, title: str) -> str:

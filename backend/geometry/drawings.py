@@ -21,7 +21,6 @@ import shapely
 
 from touchdown.backend.core import FloatArray, InputError
 
-DRAWINGS = (".svg", ".dxf")
 CHORD_MM = 0.005
 MAX_CURVES = 500
 MAX_NUMBER = 1e9

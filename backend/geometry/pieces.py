@@ -184,6 +184,8 @@ class PieceFile(Settings):
         return value
 
 
+MESHES, DRAWINGS = (".stl", ".obj", ".ply", ".off"), (".svg", ".dxf")
+PIECE_SOURCES = (*MESHES, *DRAWINGS)  # suffixes of CAD files; ``cad`` reads them
 PIECE_NAME = re.compile(r"[a-z][a-z0-9_-]{0,39}")
 
 

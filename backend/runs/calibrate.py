@@ -19,6 +19,7 @@ from touchdown.backend.calibration import (
     TOOL_GRIPS,
     CalibrationEstimate,
     CalibrationName,
+    PoseReadings,
     Side,
     SidePress,
     TouchedEdge,
@@ -26,6 +27,7 @@ from touchdown.backend.calibration import (
     dots_to_numbers,
     estimate_board,
     estimate_cameras,
+    estimate_held_piece,
     estimate_level_payload,
     estimate_payload,
     estimate_tool,
@@ -239,6 +241,8 @@ LEANS = (
 # Positions (x, y) of a level hand; the pull of the cables differs between them
 LEVEL_MM = ((0.0, 0.0), (30.0, 0.0), (-30.0, 0.0), (0.0, 30.0), (0.0, -30.0), (0.0, 0.0))
 SETTLE_S, WEIGH_S = 0.5, 1.0
+MIN_SAMPLES = 10  # of one mean
+WEIGHED_SIGMAS = 2.0  # standard uncertainties of a weighed centre of mass in the required margin
 
 
 def measure_payload(bench: Bench, request: CalibrateRequest) -> Plan[CalibrationEstimate]:
@@ -246,27 +250,72 @@ def measure_payload(bench: Bench, request: CalibrateRequest) -> Plan[Calibration
 
     An arm that cannot tilt its hand stays level: mass and horizontal centre of mass only.
     """
-    turns, wrenches = yield from _weighed(bench)
-    rotates = bench.arm.rotates
-    return estimate_payload(turns, wrenches) if rotates else estimate_level_payload(wrenches)
+    found = yield from _weighed(bench)
+    if bench.arm.rotates:
+        return estimate_payload(found.turns, found.wrenches)
+    return estimate_level_payload(found.wrenches)
 
 
 def measure_wrist(bench: Bench, request: CalibrateRequest) -> Plan[CalibrationEstimate]:
     """Measure the yaw of the wrist sensor; raises ``RefusedError`` if the hand cannot tilt."""
     if not bench.arm.rotates:
         raise RefusedError("CANNOT-TURN", "This arm keeps its hand level: the yaw shows no weight.")
-    turns, wrenches = yield from _weighed(bench)
-    return estimate_wrist(turns, wrenches)
+    found = yield from _weighed(bench)
+    return estimate_wrist(found.turns, found.wrenches)
 
 
-def _weighed(bench: Bench) -> Plan[tuple[FloatArray, FloatArray]]:
-    """Return rotations (6, 3, 3) and mean untared wrenches (6, 6) of an empty gripper."""
+def _weighed(bench: Bench) -> Plan[PoseReadings]:
+    """Return the readings of an empty gripper in six poses."""
     if bench.gripper.status().holding:
         raise RefusedError("HOLDING", "A piece is held: put it away, the gripper is weighed empty.")
+    return (yield from read_poses(bench))
+
+
+def weigh_empty(bench: Bench) -> Plan[PoseReadings]:
+    """Read the wrist sensor in six poses of the empty hand, and move back.
+
+    Raises ``RefusedError`` if a piece is held or the hand cannot tilt.
+    """
+    if not bench.arm.rotates:
+        what = "This arm keeps its hand level: the centre of mass cannot be weighed."
+        raise RefusedError("CANNOT-TURN", what)
+    yield from wait(bench, FIRST_POSES_S)
+    here = bench.arm.pose(max_age_s=0.2)
+    empty = yield from _weighed(bench)
+    yield from move_to(bench, here)
+    return empty
+
+
+def weigh_held(bench: Bench, empty: PoseReadings) -> Plan[Bench]:
+    """Weigh the held piece in the same poses, and move back.
+
+    Returns the bench with the measured centre of mass; the required margins grow by
+    ``WEIGHED_SIGMAS`` standard uncertainties. Raises ``RefusedError`` as ``estimate_held_piece``,
+    with the piece held and the hand back where it was.
+    """
+    piece, here = bench.piece, bench.arm.pose(max_age_s=0.2)
+    held = yield from read_poses(bench)
+    yield from move_to(bench, here)
+    assert piece.grip_height_mm is not None
+    lever_mm = piece.grip_height_mm + (bench.sensor_height_mm or math.nan)
+    found = estimate_held_piece(empty, held, lever_mm)
+    more_mm = WEIGHED_SIGMAS * float(found.sigma_mm[:2].max())
+    yield Said(bench.now_s(), f"{found.words()}: the required margin is {more_mm:.1f} mm larger.")
+    x, y, _ = found.com_mm.tolist()
+    stability, fused = bench.settings.stability, bench.settings.fused
+    settings = bench.settings.model_copy(update={
+        "stability": stability.model_copy(update={"margin_mm": stability.margin_mm + more_mm}),
+        "fused": fused.model_copy(update={"inset_mm": fused.inset_mm + more_mm}),
+    })  # fmt: skip
+    return replace(bench, piece=replace(piece, com_xy_mm=(x, y)), settings=settings)
+
+
+def read_poses(bench: Bench) -> Plan[PoseReadings]:
+    """Return mean untared readings of the hand, high above the bench, in six poses."""
     # The change of wrench by tilting must not count as contact.
     yield from zero_wrench(bench)
     here = bench.arm.pose(max_age_s=0.2)
-    turns, wrenches = [], []
+    times, turns, wrenches, sigmas = [], [], [], []
     high_mm = here.z_mm + RAISE_MM
     if bench.arm.rotates:
         places = [Pose(here.x_mm, here.y_mm, high_mm, rx, ry) for rx, ry in LEANS]
@@ -281,10 +330,14 @@ def _weighed(bench: Bench) -> Plan[tuple[FloatArray, FloatArray]]:
         turns.append(pose_rotation(bench.arm.pose(max_age_s=0.2)))
         now_s = bench.now_s()
         rows = bench.sensing.raw.samples.window(now_s - WEIGH_S, now_s).values
-        wrenches.append(rows.mean(axis=0) if len(rows) else np.full(6, np.nan))
+        if len(rows) < MIN_SAMPLES:
+            rows = np.full((2, 6), np.nan)
+        times.append(now_s - 0.5 * WEIGH_S)
+        wrenches.append(rows.mean(axis=0))
+        sigmas.append(rows.std(axis=0, ddof=1) / math.sqrt(len(rows)))
     yield Progress(bench.now_s(), PAYLOAD_POSES, PAYLOAD_POSES, "back to level")
     yield from move_to(bench, Pose(here.x_mm, here.y_mm, high_mm), "the hand to level")
-    return np.stack(turns), np.stack(wrenches)
+    return PoseReadings(np.array(times), np.stack(turns), np.stack(wrenches), np.stack(sigmas))
 
 
 # Offset of the tool axis beyond the rim of the bottom, as a share of the half width of the face.

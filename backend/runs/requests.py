@@ -63,6 +63,9 @@ class StackRequest:
         Checkpoint file; the model in use otherwise.
     origin_mm : tuple of float, default: (0, 0)
         On devices: centre of the bottom in the arm's frame, mm.
+    weigh : bool, default: False
+        Weigh the piece in six poses before the first probe, and judge by the measured centre of
+        mass.
 
     Examples
     --------
@@ -80,6 +83,7 @@ class StackRequest:
     mode: DecisionMode = "auto"
     model: str | None = None
     origin_mm: tuple[float, float] = (0.0, 0.0)
+    weigh: bool = False
 
     def scene(self, trial: int = 0) -> SceneChoice:
         """Return the scene of trial 0, 1, ...; pick-and-place needs no model."""

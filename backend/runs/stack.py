@@ -37,6 +37,7 @@ from touchdown.backend.placement import (
 )
 from touchdown.backend.runs import messages, outcome
 from touchdown.backend.runs.bench import Bench, JudgedProbe, PressedProbe, RunContext
+from touchdown.backend.runs.calibrate import weigh_empty, weigh_held
 from touchdown.backend.runs.motions import (
     MOVE_S,
     ask_operator,
@@ -255,7 +256,11 @@ def stack_run(session: RunContext, request: StackRequest) -> Plan[None]:
 def _placing(
     bench: Bench, request: StackRequest, at_mm: tuple[float, float] | None
 ) -> Plan[TrialResult]:
+    empty = (yield from weigh_empty(bench)) if request.weigh else None
     if at_mm is not None:
         yield from outcome.set_up_scene(bench, request, at_mm)
+    if empty is not None:
+        yield from take_piece(bench)
+        bench = yield from weigh_held(bench, empty)
     plan = pick_and_place if request.strategy == "pick-and-place" else place_piece
     return (yield from plan(bench))

@@ -61,7 +61,9 @@ def test_a_mesh_that_cannot_be_used_says_why_until_the_numbers_fit(stack, block,
     mesh.export(block)
     assert drop(stack.page, block)
     sheet = stack.pieces
-    qtbot.waitUntil(lambda: "--units m (20 x 24 x 40 mm)" in sheet.said.text(), timeout=10_000)
+    qtbot.waitUntil(
+        lambda: "Give the unit m (20 x 24 x 40 mm)" in sheet.said.text(), timeout=10_000
+    )
     assert not sheet.add.isEnabled()
     sheet.units.setCurrentIndex(sheet.units.findData("m"))
     sheet.measure()

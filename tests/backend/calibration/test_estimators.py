@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -15,8 +16,10 @@ from touchdown.backend.calibration.estimators import (
     FELT_SIGMA_MM,
     FORCE_SIGMA_N,
     MOMENT_SIGMA_NM,
+    PoseReadings,
     TouchedEdge,
     estimate_board,
+    estimate_held_piece,
     estimate_level_payload,
     estimate_payload,
     estimate_tool,
@@ -25,8 +28,16 @@ from touchdown.backend.calibration.estimators import (
     fit_plane,
 )
 from touchdown.backend.calibration.result import CalibrationEstimate
+from touchdown.backend.config import WristSettings
+from touchdown.backend.core import Pose, pose_rotation
 from touchdown.backend.core.faults import RefusedError
-from touchdown.backend.simulation.wrist_sensor import wrist_wrench
+from touchdown.backend.simulation.wrist_sensor import (
+    Load,
+    WristLoad,
+    WristSampler,
+    held_piece_load,
+    wrist_wrench,
+)
 
 PLACES = np.array([[0, 0], [4, 4], [-4, 4], [4, -4], [-4, -4]], dtype=float)
 TOUCHES = np.column_stack([PLACES, 30.0 + 0.004 * PLACES[:, 0] - 0.002 * PLACES[:, 1]])
@@ -288,3 +299,90 @@ def test_too_little_is_refused_by_name():
         with pytest.raises(RefusedError) as refused:
             call()
         assert refused.value.reason == reason
+
+
+LEAN = math.radians(14.0)
+HELD_POSES = [(0, 0), (LEAN, 0), (-LEAN, 0), (0, LEAN), (0, -LEAN), (0.7 * LEAN, 0.7 * LEAN)]
+
+
+def read_poses(sampler, load, start_s, settings, rng):
+    """Return the readings of a sequence of poses, from samples of the simulated wrist sensor."""
+    now_us, rows = round(start_s * 1e6), []
+    turns = [pose_rotation(Pose(0.0, 0.0, 0.0, rx, ry)) for rx, ry in HELD_POSES]
+    for turn in turns:
+        # The pose is repeated with an error that the arm does not report.
+        real = pose_rotation(Pose(0.0, 0.0, 0.0, *rng.normal(0.0, 1e-4, 2))) @ turn
+        wrench = sampler.payload.wrench_g(real)
+        wrench = wrench if load is None else wrench + load.wrench_g(real)
+        strain = WristLoad(wrench, wrench, np.zeros(6))
+        for _ in range(6):  # move 2 s, settle and average 1 s
+            t_s, values = sampler.samples(now_us, now_us + 500_000, strain)
+            rows.append((t_s, values))
+            now_us += 500_000
+    means = [np.concatenate([v for _, v in rows[k + 4 : k + 6]]) for k in range(0, len(rows), 6)]
+    times = [rows[k + 4][0][-1] for k in range(0, len(rows), 6)]
+    return PoseReadings(
+        np.array(times), np.stack(turns), np.stack([m.mean(axis=0) for m in means]),
+        np.stack([m.std(axis=0, ddof=1) / math.sqrt(len(m)) for m in means]),
+    ), 1e-6 * now_us  # fmt: skip
+
+
+def weighed(seed, mass_g, com_mm, grasp_mm=0.5, gripper_mm=(4.0, -3.0, 60.0)):
+    """Weigh a piece of centre ``com_mm`` (from the face, grip 30 mm above it)."""
+    settings, rng = WristSettings(payload_com_mm=gripper_mm), np.random.default_rng(seed)
+    sampler = WristSampler(settings, 500_000, seed)
+    empty, now_s = read_poses(sampler, None, 0.0, settings, rng)
+    g_x, g_z = rng.normal(0.0, grasp_mm, 2)
+    load = held_piece_load(mass_g, com_mm, 30.0, (g_x, g_z))
+    held, _ = read_poses(sampler, load, now_s + 10.0, settings, rng)
+    return estimate_held_piece(empty, held, 30.0 + settings.height_mm)
+
+
+@pytest.mark.parametrize("mass_g", [100.0, 150.0, 300.0])
+def test_weighed_centres_of_mass_lie_within_two_sigma_of_the_truth(mass_g):
+    com = np.array([3.0, -2.0, 18.0])
+    found = [weighed(seed, mass_g, tuple(com)) for seed in range(100)]
+    sigma = np.array([one.sigma_mm for one in found])
+    errors = np.array([one.com_mm for one in found]) - com
+    assert sigma[:, :2].max() <= 1.0
+    assert errors[:, :2].std(axis=0).max() <= 1.0
+    within = (np.abs(errors) <= 2.0 * sigma).sum(axis=0)
+    assert within.min() >= 90
+    grams = np.array([(one.mass_g - mass_g) / one.mass_sigma_g for one in found])
+    assert (np.abs(grams) <= 2.0).sum() >= 90
+    # Neither too small nor far too large: the normalised errors have a variance near one.
+    assert 0.5 <= (errors[:, 0] / sigma[:, 0]).std() <= 1.2
+
+
+def test_a_light_piece_is_refused_with_its_weight_and_the_uncertainty():
+    with pytest.raises(RefusedError, match=r"weighs 2\d g.*leave its centre of mass uncertain"):
+        weighed(1, 24.0, (1.0, 0.0, 20.0))
+    with pytest.raises(RefusedError, match="nothing can be weighed"):
+        weighed(1, 0.01, (0.0, 0.0, 20.0))
+
+
+def test_poses_that_are_too_few_or_do_not_lean_are_refused():
+    turns = np.stack([np.eye(3)] * 6)
+    level = PoseReadings(np.arange(6.0), turns, np.ones((6, 6)), np.full((6, 6), 0.01))
+    with pytest.raises(RefusedError, match="DEGENERATE"):
+        estimate_held_piece(level, level, 150.0)
+    one = PoseReadings(np.arange(2.0), turns[:2], np.ones((2, 6)), np.full((2, 6), 0.01))
+    with pytest.raises(RefusedError, match="too few"):
+        estimate_held_piece(one, one, 150.0)
+
+
+def test_without_noise_the_piece_is_found_exactly(monkeypatch):
+    turns = np.stack([pose_rotation(Pose(0.0, 0.0, 0.0, rx, ry)) for rx, ry in HELD_POSES])
+    hand, piece = (
+        Load(1.5, (4.0, -3.0, 60.0)),
+        held_piece_load(120.0, (3.0, -2.0, 18.0), 30.0, (0, 0)),
+    )
+    sigma = np.full((6, 6), 1e-3)
+    alone = np.stack([wrist_wrench(hand.wrench_g(turn), 120.0) for turn in turns])
+    both = np.stack([wrist_wrench(hand.wrench_g(t) + piece.wrench_g(t), 120.0) for t in turns])
+    empty = PoseReadings(np.arange(6.0), turns, alone, sigma)
+    held = PoseReadings(10.0 + np.arange(6.0), turns, both, sigma)
+    found = estimate_held_piece(empty, held, 150.0)
+    assert found.mass_g == pytest.approx(120.0, abs=1e-6)
+    assert found.com_mm == pytest.approx((3.0, -2.0, 18.0), abs=1e-6)
+    assert "The piece weighs 120.0" in found.words()

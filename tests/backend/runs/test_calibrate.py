@@ -13,21 +13,30 @@ from tests.backend.runs.blind_bench import BRISK, BlindBench
 from touchdown.backend.bench.assembly import SimulatedBenchChoice, simulated_session
 from touchdown.backend.calibration import FINGERPRINT_VALUES, CalibrationEstimate
 from touchdown.backend.config.simulation import SimulationSettings
-from touchdown.backend.core import CalibrationMeasured, FaultError, RefusedError, Said
+from touchdown.backend.core import CalibrationMeasured, FaultError, Outcome, RefusedError, Said
 from touchdown.backend.devices.interlock import LEAST_OVERRIDE, Limits
 from touchdown.backend.devices.melfa.faults import VOID
 from touchdown.backend.devices.protocols import Arm, CommandedMotion, Motion
 from touchdown.backend.devices.streamed.arm import UNFELT
 from touchdown.backend.emulation.simulated_disturbances import Disturbance, DisturbanceScript
+from touchdown.backend.geometry import load_pieces, pieces_folder
 from touchdown.backend.geometry.outlines import circle, rectangle, regular_polygon, square
 from touchdown.backend.rig.safety import LAPSED
-from touchdown.backend.runs import CalibrateRequest, RecordingOptions, calibrate, touch_probing
+from touchdown.backend.runs import (
+    CalibrateRequest,
+    RecordingOptions,
+    StackRequest,
+    calibrate,
+    touch_probing,
+)
 from touchdown.backend.runs.calibrate import (
     along_edges,
     measure_board,
     measure_payload,
     measure_tool,
     measure_wrist,
+    weigh_empty,
+    weigh_held,
 )
 from touchdown.backend.runs.jig import pick_piece
 from touchdown.backend.runs.motions import (
@@ -292,3 +301,74 @@ def test_pressing_at_the_rim_tells_how_the_cameras_sit(monkeypatch):
         assert scales[f"{finger}_u_mm_px"] == pytest.approx(0.0585, rel=0.01)
         assert scales[f"{finger}_v_mm_px"] == pytest.approx(0.0602, rel=0.01)
     assert found.residual == pytest.approx(1.7, abs=0.4)
+
+
+HEAVY = """
+title = "Brick"
+roles = ["top"]
+height_mm = 40.0
+com_height_mm = 18.0
+com_xy_mm = [0.0, 0.0]
+mass_g = 150.0
+grip_height_mm = 28.0
+face = { shape = "rectangle", x_mm = 20.0, y_mm = 24.0 }
+"""
+
+
+def test_a_held_piece_is_weighed_and_its_uncertainty_widens_the_margin(monkeypatch):
+    pieces_folder().mkdir(parents=True)
+    (pieces_folder() / "brick.toml").write_text(HEAVY.replace("[0.0, 0.0]", "[2.5, -1.5]"))
+    blind = BlindBench(StackRequest(piece="brick", seed=5).scene())
+    # The method knows a file without the true centre of mass.
+    (pieces_folder() / "plain.toml").write_text(HEAVY)
+    plain = load_pieces().top("plain")
+
+    def plan(bench):
+        empty = yield from weigh_empty(bench)
+        yield from take_piece(bench)
+        return (yield from weigh_held(replace(bench, piece=plain), empty))
+
+    here = blind.bench.arm.pose(1.0)
+    before = blind.bench.settings
+    after = blind.run(plan)
+    (said,) = [
+        fact.text for fact in blind.facts if isinstance(fact, Said) and "weighs" in fact.text
+    ]
+    x, y = after.piece.com_xy_mm
+    more_mm = after.settings.stability.margin_mm - before.stability.margin_mm
+    assert 0.5 <= more_mm <= 2.0
+    assert abs(x - 2.5) <= more_mm
+    assert abs(y + 1.5) <= more_mm
+    assert after.settings.fused.inset_mm - before.fused.inset_mm == pytest.approx(more_mm)
+    assert "The piece weighs 1" in said
+    back = blind.bench.arm.pose(1.0)
+    assert (back.x_mm, back.y_mm, back.z_mm, back.rx_rad) == pytest.approx(
+        (here.x_mm, here.y_mm, here.z_mm, 0.0), abs=0.05
+    )
+
+
+def test_a_light_piece_cannot_be_weighed_and_stays_in_the_hand():
+    blind = BlindBench(StackRequest(piece="pot", seed=5).scene())
+
+    def plan(bench):
+        empty = yield from weigh_empty(bench)
+        yield from take_piece(bench)
+        yield from weigh_held(bench, empty)
+
+    with pytest.raises(RefusedError, match="TOO-LIGHT"):
+        blind.run(plan)
+    assert blind.bench.gripper.status().holding
+
+
+def test_a_run_that_weighs_a_light_piece_ends_its_trial_with_the_reason():
+    settings = SimulationSettings.model_validate({"tactile": {"rate_hz": 8.0}})
+    session = simulated_session(
+        SimulatedBenchChoice(given=settings), keep=RecordingOptions(None), method=BRISK
+    )
+    result = session.run(StackRequest(piece="pot", strategy="fused", weigh=True))
+    held = session.devices["gripper"].status().holding
+    session.close()
+    (trial,) = result.trials
+    assert trial.outcome is Outcome.ABORTED
+    assert "leave its centre of mass uncertain" in trial.reason
+    assert held

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
         results,
         run_report,
         sensitivity,
+        staged_release,
         statistics,
         strategies,
         tables,

@@ -47,6 +47,8 @@ from .run_report import write_run_report as write_run_report
 from .sensitivity import NuisanceSensitivity as NuisanceSensitivity
 from .sensitivity import sensitivity_report as sensitivity_report
 from .sensitivity import sensitivity_table as sensitivity_table
+from .staged_release import ReleaseStudy as ReleaseStudy
+from .staged_release import release_table as release_table
 from .statistics import compare_intervals as compare_intervals
 from .strategies import BOTTOMS as BOTTOMS
 from .strategies import STRATEGIES as STRATEGIES
@@ -87,6 +89,7 @@ __all__ = [
     "PictureGallery",
     "RandomisedTraining",
     "Recipe",
+    "ReleaseStudy",
     "Report",
     "ReportPicture",
     "ReportTable",
@@ -110,6 +113,7 @@ __all__ = [
     "program_version",
     "read_beyond",
     "read_report",
+    "release_table",
     "report_page",
     "rewrite_tables",
     "run_jobs",

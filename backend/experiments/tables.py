@@ -96,6 +96,7 @@ JOB_FUNCTIONS = {
     "sequences": ("fusion", "probe_sequences"),
     "fuse": ("fusion", "train_fusion"),
     "fused-trials": ("fusion", "fused_trials"),
+    "staged-release": ("staged_release", "simulate_releases"),
 }
 
 

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
         mechanics,
         pressing,
         release_mujoco,
+        staged_release,
         supports,
         world,
     )

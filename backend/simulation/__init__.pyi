@@ -32,6 +32,11 @@ from .mechanics import Region as Region
 from .mechanics import begin_probes as begin_probes
 from .release_mujoco import import_mujoco as import_mujoco
 from .release_mujoco import mujoco_available as mujoco_available
+from .staged_release import LoosePads as LoosePads
+from .staged_release import OpeningCourse as OpeningCourse
+from .staged_release import OpeningPlan as OpeningPlan
+from .staged_release import StandingPiece as StandingPiece
+from .staged_release import open_in_steps as open_in_steps
 from .supports import SupportStack as SupportStack
 from .supports import join_support_stacks as join_support_stacks
 from .supports import support_stack as support_stack
@@ -48,7 +53,10 @@ __all__ = [
     "EpisodeBatch",
     "GraspHistory",
     "GripDraw",
+    "LoosePads",
     "MountingDraw",
+    "OpeningCourse",
+    "OpeningPlan",
     "PressTruth",
     "ProbeDraw",
     "Region",
@@ -56,6 +64,7 @@ __all__ = [
     "SceneTruth",
     "SensorNoise",
     "SimProgram",
+    "StandingPiece",
     "SupportStack",
     "TactileRenderer",
     "TrialPresses",
@@ -71,6 +80,7 @@ __all__ = [
     "mujoco_available",
     "observe_presses",
     "onset_rule",
+    "open_in_steps",
     "press_with_noise",
     "release_kick_mm",
     "simulate_episodes",

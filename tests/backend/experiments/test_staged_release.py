@@ -1,0 +1,124 @@
+"""The study of releases in stages: drawn places, evidence of noise alone, ROC, command."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import mannwhitneyu
+
+from touchdown.backend.cli.command_line import main
+from touchdown.backend.config.simulation import load_simulation
+from touchdown.backend.experiments.staged_release import (
+    BEFORE,
+    DETECTORS,
+    STUDY_BOTTOMS,
+    alarm_scores,
+    draw_pads,
+    draw_standing,
+    place_with_margin,
+    roc_of,
+)
+from touchdown.backend.geometry.pieces import load_pieces
+from touchdown.backend.geometry.tower import Tower, judge_tower
+from touchdown.backend.simulation.staged_release import OpeningCourse, OpeningPlan, open_in_steps
+
+BENCH = load_simulation(preset="bench-v1")
+PLAN = OpeningPlan(steps=2, hold_s=0.6)
+
+
+@pytest.mark.parametrize("bottom", STUDY_BOTTOMS)
+@pytest.mark.parametrize("margin_mm", [-1.7, -0.2, 2.0])
+def test_a_place_has_the_margin_of_the_exact_judge(bottom, margin_mm) -> None:
+    catalogue = load_pieces()
+    top, below = catalogue.top("pot"), catalogue.bottom(bottom)
+    at = place_with_margin(top, below, margin_mm, 0.4)
+    exact = judge_tower(Tower((below.body(), top.body(at)))).margins_mm[1]
+    assert exact == pytest.approx(margin_mm, abs=0.01)
+
+
+def test_the_pads_are_half_the_width_beside_the_middle() -> None:
+    margins = np.array([-1.5, -0.2, 0.3, 2.0])
+    top = load_pieces().top("barrel")
+    standing = draw_standing(top, margins, 1.0, np.random.default_rng(3))
+    assert (standing.span_mm <= 2.0 * max(top.face.half_extents_mm) + 1e-6).all()
+    assert (standing.span_mm > 2.0 * np.maximum(margins, 0.0)).all()
+    np.testing.assert_allclose(standing.pads_mm.mean(axis=1), margins)
+    apart = 0.5 * (standing.pads_mm[:, 1] - standing.pads_mm[:, 0])
+    np.testing.assert_allclose(apart, 0.5 * top.width_mm * np.sin(standing.axis_rad))
+
+
+def still_course(count: int) -> OpeningCourse:
+    t_s = np.arange(0.0, PLAN.end_s + 1e-9, 0.01)
+    shape = (count, len(t_s))
+    return OpeningCourse(
+        t_s,
+        np.zeros(shape),
+        np.zeros((*shape, 2, 3)),
+        np.full((*shape, 2), 1.0),
+        np.zeros((*shape, 6)),
+    )
+
+
+def test_scores_of_noise_alone_follow_chi_square() -> None:
+    count = 400
+    scores = alarm_scores(
+        still_course(count), BENCH, PLAN, np.full(count, 10.0), np.random.default_rng(1)
+    )
+    freedom = dict(zip(DETECTORS, (7, 6, 13, 7, 6, 13), strict=True))
+    used = scores.values[:, :, -1] ** 2
+    for k, detector in enumerate(DETECTORS):
+        assert used[:, k].mean() == pytest.approx(freedom[detector], rel=0.25), detector
+    assert scores.t_s[0] > PLAN.starts_s[0] - 0.04
+    assert PLAN.starts_s[0] > BEFORE * 0.04
+
+
+def test_a_visible_turn_raises_the_scores() -> None:
+    count = 30
+    course = still_course(count)
+    turned = course.t_s > PLAN.starts_s[1] + 0.3
+    course.strain[:, turned, :, 2] = 0.02
+    scores = alarm_scores(course, BENCH, PLAN, np.full(count, 10.0), np.random.default_rng(1))
+    late = scores.t_s > PLAN.starts_s[1] + 0.4
+    for k, detector in enumerate(DETECTORS):
+        seen = scores.values[:, k][:, late].max(axis=1) > 8.0
+        assert seen.all() == ("wrench" not in detector)
+
+
+def test_the_roc_is_that_of_the_rank_test() -> None:
+    rng = np.random.default_rng(0)
+    stable, turning = rng.normal(0.0, 1.0, 40), rng.normal(1.0, 1.0, 25)
+    trials = [{"stable": True, "scores": {"wrench": x}} for x in stable]
+    trials += [{"stable": False, "scores": {"wrench": x}} for x in turning]
+    found = roc_of(trials, "wrench")
+    exact = mannwhitneyu(turning, stable).statistic / (25 * 40)
+    assert found["area"] == pytest.approx(exact, abs=1e-4)
+    assert (stable > found["threshold"]).sum() <= 2
+    assert found["caught"]["value"] == pytest.approx(
+        (turning > found["threshold"]).mean(), abs=0.04
+    )
+    assert roc_of(trials[:40], "wrench")["area"] is None
+
+
+def test_a_perfect_unloading_leaves_stable_pieces_unmoved() -> None:
+    rng = np.random.default_rng(5)
+    top = load_pieces().top("pot")
+    standing = draw_standing(top, np.array([0.5, 2.0]), 1.0, rng)
+    pads = draw_pads(BENCH, standing, top, rng)
+    course = open_in_steps(standing, replace(pads, strain=np.zeros_like(pads.strain)), PLAN)
+    assert not course.angle_rad.any()
+    assert not course.wrench_g[:, :, [0, 2, 3, 4, 5]].any()
+
+
+def test_the_command_writes_the_roc(tmp_path, capsys) -> None:
+    words = ["experiment", "release", "--pieces", "pot", "--unstable", "3", "--stable", "4"]
+    words += ["--weights", "1", "--jaw-steps", "2", "--hold", "0.6", "--executor", "serial"]
+    assert main([*words, "--out", str(tmp_path)]) == 0
+    answer = json.loads((tmp_path / "release.json").read_text())
+    assert len(answer["trials"]["margin_mm"]) == 7
+    assert sum(answer["trials"]["stable"]) == 4
+    assert {row["detector"] for row in answer["groups"]} == set(DETECTORS)
+    assert "Caught %" in capsys.readouterr().out
+    assert main([*words, "--weights", "x", "--out", str(tmp_path)]) == 2

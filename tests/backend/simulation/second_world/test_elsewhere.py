@@ -7,7 +7,7 @@ import pytest
 from scipy.optimize import brentq
 
 from touchdown.backend.config import ProbeSettings, SimulationSettings, load_simulation
-from touchdown.backend.geometry import Tower, load_pieces
+from touchdown.backend.geometry import Tower, contact_edges, load_pieces, signed_distances_mm
 from touchdown.backend.simulation import Conditions, Scene, mujoco_available, onset_rule
 from touchdown.backend.simulation.second_world.model import (
     HAND_JOINTS,
@@ -117,6 +117,20 @@ def test_the_resultant_stays_in_the_overlap() -> None:
         cop = np.array([-(m_y + 33.0 * f_x), m_x - 33.0 * f_y]) / f_z
         assert np.hypot(*(cop + at)) <= 7.5
         assert np.hypot(*cop) <= 12.7
+
+
+@pytest.mark.parametrize(("bottom", "at"), [("ring24", (9.0, 2.0)), ("feet3", (-3.0, 4.0))])
+def test_the_resultant_stays_in_the_hull_of_the_contact(
+    bottom: str, at: tuple[float, float]
+) -> None:
+    world = bench(bottom=bottom)
+    mounted = world.mounted(at)
+    lowered(mounted, 1.5)
+    f_x, f_y, f_z, m_x, m_y, _ = mounted.wrench_g()
+    cop = np.array([-(m_y + 33.0 * f_x), m_x - 33.0 * f_y]) / f_z
+    hull = contact_edges(world.scenes[0].piece.face, at, 0.0, world.scenes[0].surface)
+    assert f_z > 5.0
+    assert float(signed_distances_mm(cop + at, hull)) > -0.1
 
 
 @pytest.mark.parametrize("along", [0, 1])

@@ -22,6 +22,7 @@ from tests.backend.exchange.test_imports import manifest_of
 from touchdown.backend.annotations import SPLIT_TAG, Dataset, Label, operation_log, review
 from touchdown.backend.core import FINGERS, MARKERS, FaultError, InputError, MarkerField
 from touchdown.backend.exchange import EXPORTS, EpisodeImport, ImportOptions, export, exports
+from touchdown.backend.exchange.export_episode import STATE, common_signals, read_export
 from touchdown.backend.exchange.query import ExportQuery, SelectedEpisode, select_episodes
 from touchdown.backend.exchange.robomimic import DiskFullSafeFile
 
@@ -259,6 +260,19 @@ def columns(path: Path) -> dict[str, list[str]]:
 
 def floats(table: dict[str, list[str]], *names: str) -> np.ndarray[Any, Any]:
     return np.array([[float(text) for text in table[name]] for name in names]).T
+
+
+def test_positions_are_metres_in_arrays_and_mm_in_tables(dataset, hand):
+    chosen = select_episodes(dataset, ExportQuery(states=EVERY, divide_series=True)).chosen
+    values = read_export(dataset, chosen[0], common_signals(dataset, chosen)).values
+    episode = dataset.read(chosen[0].entry.uuid)
+    recording, last_s = episode.recording, episode.onset_s + 2.0
+    place_mm = [np.interp(last_s, recording.pose_t_s, mm) for mm in recording.pose_mm.T]
+    assert values[STATE][-1, :3] == pytest.approx(np.divide(place_mm, 1000.0), abs=1e-5)
+    table = columns(hand("csv").folder / "episodes.csv")
+    assert "-2.501" in table["x_mm"]
+    assert "0.137" in table["y_mm"]
+    assert set(table["sigma_mm"]) == {"0.150"}
 
 
 def test_every_sample_is_in_its_table(tmp_path):

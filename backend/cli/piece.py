@@ -83,8 +83,13 @@ def _add(args: argparse.Namespace, screen: VerbOutput) -> int:
     for line in (*_words(measured), *measured.notes):
         screen.say(line)
     where = f" --pieces {args.out}" if args.out else ""
-    option = "--bottom" if args.role == "bottom" else "--piece"
-    screen.say(f"Use it with 'touchdown stack {option} {name} --strategy fused{where}'.")
+    if args.role != "bottom":
+        screen.say(
+            f"A grasped piece needs a model: 'touchdown simulate --piece {name}{where}', then "
+            "'touchdown train', then 'touchdown stack --model FILE' (docs/formats.md)."
+        )
+    else:
+        screen.say(f"Use it with 'touchdown stack --bottom {name}{where}'.")
     screen.result({
         "piece": name, "written": str(written), "picture": str(picture), "role": measured.role,
         "height_mm": measured.height_mm, "volume_mm3": measured.volume_mm3,

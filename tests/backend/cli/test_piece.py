@@ -33,7 +33,7 @@ def test_a_bottom_is_written_to_a_folder_and_told_with_its_command(tmp_path, cap
     words = ["piece", "add", str(path), "--mass", "30", "--role", "bottom", "--out", str(out)]
     assert main(words) == 0
     said = capsys.readouterr().out
-    assert f"--bottom foot --strategy fused --pieces {out}" in said
+    assert f"--bottom foot --pieces {out}" in said
     assert load_pieces(out).bottom("foot").face.radius_mm == 12.0
     assert main(["piece", "list", "--pieces", str(out), "--json"]) == 0
     assert "foot" in [p["name"] for p in json.loads(capsys.readouterr().out)["pieces"]]

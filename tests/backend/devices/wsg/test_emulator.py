@@ -113,8 +113,8 @@ class OverTheLink(OverTheWire):
         self.gripper = self._rig.gripper
 
     def let_go(self, width_mm):
-        # Behind a rig a piece is let go by a right only.
-        with pytest.raises(RefusedError, match="by a right only"):
+        # Behind a rig a piece is let go only for an authorised release.
+        with pytest.raises(RefusedError, match="only for an authorised release"):
             super().let_go(width_mm)
         return self.gripper.open_held(ByHand(confirmed=True), width_mm, 20.0)
 

@@ -30,6 +30,7 @@ from touchdown.backend.core import (
     FaultRaised,
     FaultsReset,
     Finger,
+    InputError,
     MarkerField,
     RefusedError,
     RepaintHold,
@@ -502,6 +503,7 @@ class Session:
 
     def check_scene(self, choice: SceneChoice) -> Mapping[str, object]:
         """Return the settings a run on ``choice`` depends on, JSON-ready; raises ``InputError``."""
+        refuse_beyond_limits(self.method, self.interlock.limits)
         return {**self._check(choice), "limits": asdict(self.interlock.limits)}
 
     def open_record(self) -> None:
@@ -589,3 +591,21 @@ class Session:
         self._stage, self._scene = stage, scene
         self._supervision.begin(now_s(), gripper, stage.devices["force_torque"], arm)
         return scene
+
+
+def refuse_beyond_limits(method: StackSettings, limits: Limits) -> None:
+    """Raise ``InputError`` for a setting of the method that a limit of the bench would refuse."""
+    probe = method.probe
+    nominal_n = probe.stiffness_n_mm[2] * probe.depth_mm
+    for key, value, unit, limit in (
+        ("travel_mm_s", probe.travel_mm_s, "mm/s", "speed_mm_s"),
+        ("approach_mm_s", probe.approach_mm_s, "mm/s", "contact_speed_mm_s"),
+        ("depth_mm", nominal_n, "N (depth by stiffness)", "probe_n"),
+    ):
+        most = getattr(limits, limit)
+        if not value <= most:
+            raise InputError(
+                f"The method asks for {value:g} {unit}, the bench permits {most:g}.",
+                f"probe.{key}",
+                f"Lower it, or raise limits.{limit} in the lab file.",
+            )

@@ -103,6 +103,23 @@ def test_a_piece_is_placed_on_a_ring():
     assert (trial.outcome is Outcome.PLACED) == (trial.margin_mm > 0.0)
 
 
+@pytest.mark.parametrize(
+    ("key", "value", "limit"),
+    [
+        ("travel_mm_s", 200.0, "speed_mm_s"),
+        ("approach_mm_s", 5.0, "contact_speed_mm_s"),
+        ("depth_mm", 4.0, "probe_n"),
+    ],
+)
+def test_a_method_beyond_the_limits_is_refused_before_anything_moves(key, value, limit) -> None:
+    method = brisk_method()
+    method = method.model_copy(update={"probe": method.probe.model_copy(update={key: value})})
+    with simulated_bench(settings=brisk_settings(), method=method) as bench:
+        with pytest.raises(InputError, match=key) as raised:
+            bench.check(REQUEST)
+        assert limit in raised.value.fix
+
+
 def test_leaving_the_block_stops_the_live_thread():
     with brisk() as bench:
         bench.open()

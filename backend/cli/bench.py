@@ -21,7 +21,7 @@ from rich.table import Table
 
 from touchdown.backend.cli.output import VerbOutput, ctrl_c_cancels, write_new
 from touchdown.backend.config import PLACEHOLDERS, Lab, LabSettings, load_lab
-from touchdown.backend.core import FaultError, InputError, RefusedError
+from touchdown.backend.core import Event, FaultError, InputError, Refused, RefusedError
 
 if TYPE_CHECKING:
     from touchdown.backend.bench import Session
@@ -262,6 +262,7 @@ def _move(session: Session, action: str, args: argparse.Namespace, screen: VerbO
             return False
         hand.open(confirmed=holding)
     else:
+        session.events.subscribe(partial(_say_refusal, screen))
         hand.jog.step("z", "XYZ", LIFT_MM, LIFT_MM_S)
     with ctrl_c_cancels(session.stop):
         while hand.active and not session.interlock.latched:
@@ -277,6 +278,11 @@ def _move(session: Session, action: str, args: argparse.Namespace, screen: VerbO
     now_mm = arm.pose(max_age_s=1.0).z_mm
     screen.say(f"The arm rose by {now_mm - z_mm:.1f} of {LIFT_MM:g} mm, to z = {now_mm:.1f} mm.")
     return now_mm > z_mm + LIFT_MM - RISEN_MM
+
+
+def _say_refusal(screen: VerbOutput, event: Event) -> None:
+    if isinstance(event, Refused):
+        screen.say(f"The motion was ended: {event.text}")
 
 
 def _bench_state(session: Session, screen: VerbOutput) -> dict[str, object]:

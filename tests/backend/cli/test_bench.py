@@ -6,6 +6,7 @@ import io
 import json
 from datetime import timedelta
 from types import SimpleNamespace
+from unittest.mock import Mock
 
 import pytest
 
@@ -17,7 +18,7 @@ from touchdown.backend.calibration.records import CalibrationStore, DeviceName
 from touchdown.backend.cli.command_line import main
 from touchdown.backend.cli.connection import held_piece_reported
 from touchdown.backend.cli.output import VerbOutput, without_window
-from touchdown.backend.core import Fault, FaultError, InputError, PhaseEntered
+from touchdown.backend.core import Fault, FaultError, InputError, PhaseEntered, RefusedError
 from touchdown.backend.emulation.fault_plan import parse_fault
 from touchdown.backend.rig.connection import BenchConnection
 from touchdown.backend.runs.requests import ProbeRequest, SceneChoice
@@ -126,6 +127,26 @@ def test_a_lift_that_ends_early_is_said_and_fails(recovering):
     code, out, _ = recovering.run("--lift", "--yes")
     assert code == 1
     assert "The arm rose by 2.0 of 5 mm" in out
+    close()
+
+
+def test_a_lift_that_is_refused_on_its_way_says_why(recovering):
+    session = recovering.session
+    session.connect()
+    session.connection.when_ready = lambda: None
+    session.advance()
+    advance, close, session.close = session.advance, session.close, lambda: None
+    refused = RefusedError("FORCE-UNKNOWN", "The force is unknown.")
+
+    def interrupted():
+        advance()
+        if session.hand.jog.active:
+            session.hand.jog._permit.refuse = Mock(side_effect=refused)
+
+    session.advance = interrupted
+    code, out, _ = recovering.run("--lift", "--yes")
+    assert code == 1
+    assert "The motion was ended: The force is unknown." in out
     close()
 
 

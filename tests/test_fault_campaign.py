@@ -11,6 +11,7 @@ import pytest
 from tests.bench import campaign
 from tests.bench.campaign import ACTIVITIES, CHECKS, Ending, Seen, endings, judge, rendered
 from touchdown.backend.bench.emulated_scene import command_travel
+from touchdown.backend.core import Fault
 
 RULE = Ending("S6", ("a:b",), ("FT-STALE",), 0.6, "retreat", True, ("sensor",))
 GOOD = Seen(
@@ -102,6 +103,15 @@ def test_results_belong_to_one_state_of_the_sources(tmp_path, monkeypatch) -> No
     assert [one["number"] for one in content["strikes"]] == [7]
     assert campaign.stored("other") is None
     assert "1 strikes" in page.read_text("utf-8")
+
+
+def test_stored_messages_name_no_temporary_folder() -> None:
+    fault = Fault(
+        "DISK-FULL", "Full.", "Stopped.", "Make room on the disk of /tmp/tmpab/runs/1.", ""
+    )
+    assert (
+        campaign.stored_message(fault, "/tmp/tmpab")[2] == "Make room on the disk of DATA/runs/1."
+    )
 
 
 def test_a_jog_is_struck_while_it_goes_on():

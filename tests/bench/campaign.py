@@ -103,7 +103,7 @@ class Ending:
 
 @dataclass(frozen=True)
 class Seen:
-    """What a strike left behind: code of the reported fault ("" if none), time from the strike to
+    """Observations of a strike: code of the reported fault ("" if none), time from the strike to
     the report, message, openings of the jaws and travel of the commands after the report, lost
     records; whether the activity came to an end, and whether the fault struck it at all.
     """
@@ -359,9 +359,17 @@ def strike_session(bench: str, kind: str, activity: str, seed: int, latest_s: fl
             struck, before = watch.struck_s < inf, watch.before
             told = ("", "", "" if struck or before is None else f"{before.code} before the strike")
             return Seen("", None, told, watch.openings, travel, lost, ended, struck)
-        message = (fault.what, fault.consequence, fault.next_step)
         after_s = watch.reported_s - watch.struck_s
+        message = stored_message(fault, name)
         return Seen(fault.code, after_s, message, watch.openings, travel, lost, ended)
+
+
+def stored_message(fault: Fault, folder: str) -> tuple[str, str, str]:
+    """Return the message of ``fault``, with DATA for ``folder``, which every strike has anew."""
+    what, consequence, next_step = (
+        part.replace(folder, "DATA") for part in (fault.what, fault.consequence, fault.next_step)
+    )
+    return what, consequence, next_step
 
 
 VERBS = {

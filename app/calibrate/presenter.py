@@ -217,11 +217,11 @@ class CalibratePresenter:
         if not len(window.t_s):
             return "The wrist sensor is silent."
         force, moment = window.values[:, :3].mean(axis=0), window.values[:, 3:].mean(axis=0)
-        text = "F " + "  ".join(f"{v:+.2f}" for v in force) + " N     T "
-        text += "  ".join(f"{v:+.3f}" for v in moment) + " N\N{MIDDLE DOT}m"
+        text = "F " + "  ".join(f"{v:+z.2f}" for v in force) + " N     T "
+        text += "  ".join(f"{v:+z.3f}" for v in moment) + " N\N{MIDDLE DOT}m"
         at = arm_position_mm(self._bench, 1.0)
         if at is not None:
-            text += "     hand at " + "  ".join(f"{v:.1f}" for v in at) + " mm"
+            text += "     hand at " + "  ".join(f"{v:z.1f}" for v in at) + " mm"
         return true_minus(text)
 
     def _draw_fingers(self, sheet: CalibrateSheet) -> None:

@@ -22,6 +22,8 @@ from touchdown.widgets.forms import TrainingFormPanel
 from touchdown.widgets.lists import FigureTable, TrainingTable
 from touchdown.widgets.plots import CurvePlot, ReliabilityPlot, SampleStrip
 
+FIGURES = "IoU / right, %"  # head of the figures per bottom: mean IoU, share of points right
+
 
 class TrainPage(WorkspacePage):
     """Training runs on one dataset. The page is complete after ``build`` has finished."""
@@ -45,7 +47,7 @@ class TrainPage(WorkspacePage):
         yield
         self.runs = TrainingTable(theme, self.runs_chosen.emit)
         self.differences = FigureTable(theme, "What differs", ("setting", "A"))
-        self.figures = FigureTable(theme, "Figures per bottom", ("IoU / points right, %", "A"))
+        self.figures = FigureTable(theme, "Figures per bottom", (FIGURES, "A"))
         self.split.empty = "No episode that counts yet"
         self.runs.empty = "No training on these data yet. Fill in the form, then Start training."
         self.figures.empty = "Choose a finished training: its figures per bottom are shown here"

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from touchdown.app.shell import MainThreadQueue, SaveWorker, log
 from touchdown.app.train import text as words
-from touchdown.app.train.page import TrainPage
+from touchdown.app.train.page import FIGURES, TrainPage
 from touchdown.app.train.reading import ModelInUse, TrainingLookup, TrainingReader, sample_scenes
 from touchdown.backend.annotations import LABEL_CHOICES
 from touchdown.backend.config import TrainingSettings, parse_settings
@@ -373,7 +373,7 @@ class TrainPresenter:
         letters = words.LETTERS[: max(len(chosen), 1)] if len(chosen) > 1 else ("",)
         page.differences.show_columns(("what differs" if len(chosen) > 1 else "setting", *letters))
         page.differences.show_rows(words.difference_rows(chosen))
-        page.figures.show_columns(("IoU / points right, %", *letters))
+        page.figures.show_columns((FIGURES, *letters))
         page.figures.show_rows(words.figure_rows(chosen))
         self._show_samples()
 

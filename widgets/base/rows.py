@@ -99,8 +99,8 @@ def true_minus(text: str) -> str:
 
 
 def signed(value: float, digits: int = 2) -> str:
-    """Return a number with its sign and so many decimals."""
-    return true_minus(f"{value:+.{digits}f}")
+    """Return a number with its sign and so many decimals; zero is never negative."""
+    return true_minus(f"{value:+z.{digits}f}")
 
 
 def draw_elided_line(painter: QPainter, box: QRectF, words: str, colour: QColor) -> None:

@@ -35,7 +35,7 @@ def ticks(low: float, high: float, count: int) -> list[float]:
 def tick_text(value: float, step: float) -> str:
     """Format a tick with the decimals of its step and a true minus sign."""
     decimals = max(0, -math.floor(math.log10(step) + 1e-9))
-    return true_minus(f"{value:.{decimals}f}")
+    return true_minus(f"{value:z.{decimals}f}")
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,6 +10,7 @@ from PySide6.QtCore import QLineF, QRectF
 from PySide6.QtGui import QColor, QImage, QPainter, QPen
 
 from tests.widgets.views.test_belief import force, is_colour, pixels
+from touchdown.widgets.base import signed
 from touchdown.widgets.plots import (
     CurvePlot,
     LineBuffer,
@@ -59,6 +60,7 @@ def test_ticks_are_round_and_inside(half, count):
 def test_tick_text_has_a_true_minus_and_the_decimals_of_its_step():
     assert tick_text(-0.1, 0.05) == "\N{MINUS SIGN}0.10"
     assert tick_text(10, 5) == "10"
+    assert (tick_text(-0.001, 0.5), signed(-0.001)) == ("0.0", "+0.00")  # zero is not negative
 
 
 def test_the_area_maps_corners_to_corners():

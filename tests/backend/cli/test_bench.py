@@ -302,6 +302,6 @@ def test_a_fault_of_the_emulated_bench_is_written_as_text():
     assert (slow.device, slow.kind, slow.at_s, slow.for_s, slow.hz) == (
         "force_torque", "slow", 3.0, None, 300.0
     )  # fmt: skip
-    for text in ("arm:stall@1", "arm:alarm", "force_torque:slow@3", "door:open@1"):
+    for text in ("arm:freeze@1", "arm:alarm", "force_torque:slow@3", "door:open@1"):
         with pytest.raises(InputError):
             parse_fault(text)

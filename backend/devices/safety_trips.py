@@ -214,6 +214,7 @@ def _commanded(
 # Time without a reading after which a gripper with a piece is late, and after which it is a fault.
 GRIP_LATE_S, GRIP_LOST_S = 0.3, 1.0
 ARM_LOST_S = 1.0  # the same for the positions of an arm that may be moved
+ARM_LATE_S = 0.2  # time without a position after which other faults name the arm as well
 GRACE_S = 1.0  # time for the first samples after the start of a scene
 
 
@@ -367,4 +368,12 @@ class Supervision:
     def _show(self, late: tuple[DegradedDevice, ...], now_s: float) -> None:
         self.degraded = late
         self._interlock.degraded = late[0].what(now_s) if late else ""
-        self._interlock.late = {one.device: one.what(now_s) for one in late}
+        named = (*late, *self._silent_arm(now_s))
+        self._interlock.late = {one.device: one.what(now_s) for one in named}
+
+    def _silent_arm(self, now_s: float) -> Iterator[DegradedDevice]:
+        """Yield the arm if it is silent: a fault of another device names it as well."""
+        poses = None if self._arm is None else self._arm.poses
+        last = [] if poses is None else poses.since(poses.count - 1).t_s
+        if len(last) and now_s - last[0] > ARM_LATE_S:
+            yield DegradedDevice("arm", "silent", float(last[0]))

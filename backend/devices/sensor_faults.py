@@ -27,6 +27,7 @@ NAMES = {
     "tactile_left": "left tactile camera",
     "tactile_right": "right tactile camera",
     "gripper": "gripper",
+    "arm": "arm",
 }
 
 

@@ -245,6 +245,7 @@ class CommandedArm:
         self.commanded_speed = (2.0, math.inf)
         self.press_command: PressCommand | None = None
         self.force_n = 0.0
+        self.poses = SampleStream("poses", 3, 10)
         self.place = Pose(0.0, 0.0, 60.0)
 
     def pose(self, max_age_s: float) -> Pose:
@@ -617,12 +618,15 @@ def test_the_first_fault_names_every_device_that_was_lost_at_once() -> None:
     bench = SupervisionWatched()
     jaws = Jaws(bench)
     jaws.heard_s = 1.5
+    arm = CommandedArm()
+    bench.supervision.begin(bench.now_s, jaws, arm=arm)
+    arm.poses.put(np.array([1.5]), np.zeros((1, 3)))
     bench.run(1.5)
     bench.wait(0.4)
     (fault,) = bench.interlock.faults
     assert fault.code == "FT-STALE"
-    for name in ("force/torque", "left tactile camera", "right tactile camera", "gripper"):
-        assert name in fault.what
+    for name in ("force/torque", "left tactile camera", "right tactile camera", "gripper", "arm"):
+        assert name in fault.what, name
     bench.wait(1.2)
     codes = ["FT-STALE", "CAMERA-STALE", "CAMERA-STALE", "GRIP-STALE"]
     assert [code for code, _ in bench.codes()] == codes

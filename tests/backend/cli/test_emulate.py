@@ -118,7 +118,7 @@ def test_a_device_on_every_network_warns_and_tells_an_address_for_others(kind, c
 def test_bad_words_are_bad_input(words, capsys):
     assert main(["emulate", *words]) == 2
     assert "fix:" in capsys.readouterr().err
-    assert main(["stack", "--emulated", "--inject", "arm:stall@1"]) == 2
+    assert main(["stack", "--emulated", "--inject", "arm:freeze@1"]) == 2
 
 
 def test_a_folder_named_from_here_leads_to_the_bench_from_anywhere(tmp_path, monkeypatch):

@@ -27,11 +27,15 @@ def link_fault(name: str, what: str) -> Fault:
     )
 
 
+def _camera(name: str) -> str:
+    return f"{name.removeprefix('tactile_')} tactile camera"
+
+
 def frozen_fault(name: str) -> Fault:
     """Return the fault of a camera that repeats the same picture."""
     return Fault(
         "CAMERA-FROZEN",
-        "The camera sends the same picture again and again.",
+        f"The {_camera(name)} sends the same picture again and again.",
         "Its pictures are not used.",
         "Unplug the camera and plug it in again.",
         name,
@@ -42,7 +46,7 @@ def dark_fault(name: str) -> Fault:
     """Return the fault of a camera whose pictures stay dark."""
     return Fault(
         "CAMERA-DARK",
-        "The pictures stay dark.",
+        f"The pictures of the {_camera(name)} stay dark.",
         "No marker can be seen.",
         "Check the lamps of the sensor and its exposure.",
         name,

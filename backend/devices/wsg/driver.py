@@ -528,16 +528,22 @@ class WsgGripper:
         raise FaultError(link_fault(self._other_device(self._socket)))
 
     def _other_device(self, line: socket.socket) -> str:
-        """Return a sentence that names the device that answers instead."""
+        """Return a sentence that names the device that answers instead, if any does."""
+        answered = False
 
         def receive(limit_s: float) -> bytes:
+            nonlocal answered
             line.settimeout(limit_s)
             try:
-                return line.recv(CHUNK)
+                data = line.recv(CHUNK)
             except TimeoutError:
                 return b""
+            answered = answered or bool(data)
+            return data
 
         stranger = identify_device(line.sendall, receive, self._settings.protocol)
+        if not stranger and not answered:
+            return "The gripper is silent: its address accepts a connection, but no answer comes."
         if not stranger:
             return "The device at this address is not a WSG gripper."
         wanted = f"a WSG gripper (wsg.protocol is {self._settings.protocol})"

@@ -4,6 +4,7 @@ The WSG in both of its protocols, binary and text, and behind the link of a rig.
 """
 
 import contextlib
+import socket
 import threading
 import time
 from functools import partial
@@ -18,7 +19,7 @@ from touchdown.backend.core.faults import FaultError, RefusedError
 from touchdown.backend.devices import ByHand, DeviceState, make_gripper
 from touchdown.backend.devices.framing import crc_wsg
 from touchdown.backend.devices.leptrino.emulator import EmulatedLeptrino
-from touchdown.backend.devices.wsg import protocol
+from touchdown.backend.devices.wsg import driver, protocol
 from touchdown.backend.devices.wsg.driver import WsgGripper
 from touchdown.backend.devices.wsg.emulator import EmulatedGcl, EmulatedWsg, GripperProfile
 from touchdown.backend.devices.wsg.protocol import (
@@ -288,6 +289,15 @@ def test_another_device_is_refused_by_name():
         gripper.connect(1.0, threading.Event())
     assert gripper.state is DeviceState.CLOSED
     front.close()
+
+
+def test_an_address_that_never_answers_is_silent_and_no_other_device(monkeypatch):
+    monkeypatch.setattr(driver, "ANSWER_S", 0.05)
+    monkeypatch.setattr(driver, "identify_device", lambda _send, receive, _protocol: receive(0.01))
+    with socket.create_server(("127.0.0.1", 0)) as door:
+        gripper = WsgGripper(*door.getsockname(), WsgSettings(), time.monotonic)
+        with pytest.raises(FaultError, match="silent"):
+            gripper.connect(1.0, threading.Event())
 
 
 def test_nobody_there_is_a_fault():

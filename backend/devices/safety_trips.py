@@ -373,7 +373,9 @@ class Supervision:
 
     def _silent_arm(self, now_s: float) -> Iterator[DegradedDevice]:
         """Yield the arm if it is silent: a fault of another device names it as well."""
-        poses = None if self._arm is None else self._arm.poses
-        last = [] if poses is None else poses.since(poses.count - 1).t_s
-        if len(last) and now_s - last[0] > ARM_LATE_S:
-            yield DegradedDevice("arm", "silent", float(last[0]))
+        if self._arm is None:
+            return
+        poses = self._arm.poses
+        for last_s in poses.since(poses.count - 1).t_s.tolist():
+            if now_s - last_s > ARM_LATE_S:
+                yield DegradedDevice("arm", "silent", last_s)

@@ -107,10 +107,10 @@ def test_results_belong_to_one_state_of_the_sources(tmp_path, monkeypatch) -> No
 
 def test_stored_messages_name_no_temporary_folder() -> None:
     fault = Fault(
-        "DISK-FULL", "Full.", "Stopped.", "Make room on the disk of /tmp/tmpab/runs/1.", ""
+        "DISK-FULL", "Full.", "Stopped.", "Make room on the disk of /scratch/ab/runs/1.", ""
     )
     assert (
-        campaign.stored_message(fault, "/tmp/tmpab")[2] == "Make room on the disk of DATA/runs/1."
+        campaign.stored_message(fault, "/scratch/ab")[2] == "Make room on the disk of DATA/runs/1."
     )
 
 

@@ -365,6 +365,7 @@ def test_a_run_that_weighs_a_light_piece_ends_its_trial_with_the_reason():
     session = simulated_session(
         SimulatedBenchChoice(given=settings), keep=RecordingOptions(None), method=BRISK
     )
+    session.interlock.limits = Limits(contact_speed_mm_s=4.0)
     result = session.run(StackRequest(piece="pot", strategy="fused", weigh=True))
     held = session.devices["gripper"].status().holding
     session.close()

@@ -135,7 +135,7 @@ def test_silence_is_a_lost_link(language):
     bench = Bench(protocol=language)
     bench.held()
     bench.deaf = True
-    bench.advance(2.9)
+    bench.advance(1.9)
     assert bench.core.fault is None
     bench.advance(0.3)
     assert bench.core.fault.code == "WSG-LINK"

@@ -136,7 +136,18 @@ def _weighed(bench: Bench, weight_n: float) -> Plan[None]:
 def _vertical_n(bench: Bench) -> float:
     now_s = bench.now_s()
     window = bench.sensing.raw.samples.window(now_s - WEIGH_S, now_s)
-    return float(np.mean(window.values[:, 2])) if len(window.t_s) else math.nan
+    vertical_n = window.values[:, 2]
+    if not len(vertical_n) or not np.isfinite(vertical_n).all():
+        raise FaultError(
+            Fault(
+                "FT-STALE",
+                "The force/torque sensor sent no valid sample while the weight was measured.",
+                "Nothing was probed; the gripper was not opened.",
+                "Check the sensor and its cable, then press Reset.",
+                "force_torque",
+            )
+        )
+    return float(np.mean(vertical_n))
 
 
 def _evidence(bench: Bench, jig: Pose) -> JigEvidence:

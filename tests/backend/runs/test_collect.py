@@ -12,6 +12,7 @@ import pytest
 
 from tests.backend.bench.brisk import RATE_HZ, brisk_method, brisk_session, on
 from touchdown.backend.annotations import Dataset, EpisodeFilter, storage
+from touchdown.backend.core import SampleStream
 from touchdown.backend.core.events import (
     CampaignBegan,
     DecisionAwaited,
@@ -294,6 +295,18 @@ def test_a_piece_of_another_weight_is_not_probed(tmp_path, monkeypatch):
         assert collected.of(RunFinished)[-1].ending == "failed"
         assert collected.session.interlock.faults[0].code == "WRONG-WEIGHT"
         assert len(collected.entries) == 1
+
+
+@pytest.mark.parametrize("forces_n", [(), (1.0, math.nan)])
+def test_a_weight_without_valid_samples_names_the_sensor(forces_n):
+    samples = SampleStream("force_torque", 6, 8)
+    values = np.zeros((len(forces_n), 6))
+    values[:, 2] = forces_n
+    samples.put(np.full(len(forces_n), 1.0), values)
+    raw = SimpleNamespace(samples=samples)
+    bench = SimpleNamespace(now_s=lambda: 1.0, sensing=SimpleNamespace(raw=raw))
+    with pytest.raises(FaultError, match="FT-STALE"):
+        jig._vertical_n(bench)
 
 
 def test_a_grip_that_drifted_is_ended(tmp_path):

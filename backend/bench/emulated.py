@@ -24,6 +24,7 @@ from touchdown.backend.bench.emulated_scene import (
     DriverObservations,
     TruthClient,
     longest_delay_s,
+    processor_share,
 )
 from touchdown.backend.bench.session import Session
 from touchdown.backend.calibration import CalibrationStore
@@ -51,10 +52,15 @@ from touchdown.backend.simulation import start_command_mm
 MEASURED_S = 2.0  # duration of the measurement of delays
 # Later wake-ups void a press (replies of the arm), or cost it its permission to move (backend)
 REPLY_LATE_S, BACKEND_LATE_S = 0.035, 0.1
+# Least share of a core with which the program keeps up with the pictures of both cameras
+PICTURE_SHARE = 0.15
 
 
-def real_time_notice(device_s: float, backend_s: float) -> str:
-    """Return what a computer with these delays cannot keep up with, empty if nothing."""
+def real_time_notice(device_s: float, backend_s: float, share: float) -> str:
+    """Return what a computer with these delays cannot keep up with, empty if nothing.
+
+    ``share`` is the share of a processor core that a computing thread of this program gets.
+    """
     limits = (
         (device_s, REPLY_LATE_S, "the arm's replies, so that presses are void"),
         (backend_s, BACKEND_LATE_S, "the program's commands, so that motions are held"),
@@ -64,6 +70,11 @@ def real_time_notice(device_s: float, backend_s: float) -> str:
         for found_s, limit_s, what in limits
         if found_s > limit_s
     ]
+    if share < PICTURE_SHARE:
+        late.append(
+            "the tactile pictures, so that probes are no observation "
+            f"({share:.0%} of a core, needed {PICTURE_SHARE:.0%})"
+        )
     if not late:
         return ""
     return (
@@ -126,12 +137,16 @@ class EmulatedBench:
         The process of the devices computes as much as it will during a run; this takes
         ``seconds`` and the start of that process. Raises ``FaultError`` if it does not start.
         """
-        backend_s: list[float] = []
-        thread = threading.Thread(target=lambda: backend_s.append(longest_delay_s(seconds)))
+        found: list[float] = []
+
+        def measure() -> None:
+            found.extend((longest_delay_s(seconds / 2), processor_share(seconds / 2)))
+
+        thread = threading.Thread(target=measure)
         thread.start()
         device_s = self._process.longest_delay_s(seconds)
         thread.join()
-        return real_time_notice(device_s, *backend_s)
+        return real_time_notice(device_s, *found)
 
     def driver_observations(self) -> DriverObservations | None:
         """Return the driver behaviour that the devices observed, None before the first scene.

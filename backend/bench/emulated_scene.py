@@ -429,6 +429,14 @@ def longest_delay_s(seconds: float, work_s: float = 0.0) -> float:
     return longest_s
 
 
+def processor_share(seconds: float) -> float:
+    """Return the share of a processor core that this thread gets while it computes, 0 to 1."""
+    begun_s, used_s = time.monotonic(), time.thread_time()
+    while (passed_s := time.monotonic() - begun_s) < seconds:
+        pass
+    return (time.thread_time() - used_s) / passed_s
+
+
 def shorten_switch_interval() -> None:
     """Prepare the process that serves a bench for real time.
 

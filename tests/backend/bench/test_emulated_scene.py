@@ -31,6 +31,7 @@ from touchdown.backend.bench.emulated_scene import (
     TruthClient,
     TruthServer,
     longest_delay_s,
+    processor_share,
 )
 from touchdown.backend.config import HardwareSettings, read_settings
 from touchdown.backend.core import FaultError, SampleStream, round_robin_priority
@@ -126,9 +127,13 @@ def test_no_thread_of_the_emulated_bench_lacks_its_priority(tmp_path):
 
 
 def test_delays_that_real_time_does_not_bear_are_said_at_the_start():
-    assert real_time_notice(0.034, 0.09) == ""
-    assert "arm's replies, so that presses are void (36 ms late" in real_time_notice(0.036, 0.0)
-    both = real_time_notice(0.05, 0.2)
+    assert real_time_notice(0.034, 0.09, 0.5) == ""
+    late = real_time_notice(0.036, 0.0, 1.0)
+    assert "arm's replies, so that presses are void (36 ms late" in late
+    assert "pictures" not in late
+    assert "the tactile pictures" in real_time_notice(0.0, 0.0, 0.05)
+    assert "(5 % of a core" in real_time_notice(0.0, 0.0, 0.05).replace("%", " %")
+    both = real_time_notice(0.05, 0.2, 1.0)
     assert "50 ms late, limit 35 ms" in both
     assert "200 ms late, limit 100 ms" in both
 
@@ -137,6 +142,7 @@ def test_delays_are_measured_in_the_process_of_the_devices_at_the_work_of_a_run(
     begun_s = time.thread_time()
     assert longest_delay_s(0.1, WORK_S) >= 0.0
     assert time.thread_time() - begun_s >= 5 * WORK_S
+    assert 0.0 < processor_share(0.01) <= 1.0
     answers = io.StringIO()
     serve([json.dumps({"measure_s": 0.01}) + "\n"], answers)
     assert float(answers.getvalue()) >= 0.0

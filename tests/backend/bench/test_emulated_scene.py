@@ -130,8 +130,8 @@ def test_delays_that_real_time_does_not_bear_are_said_at_the_start():
     assert real_time_notice(0.034, 0.09, 0.5) == ""
     late = real_time_notice(0.036, 0.0, 1.0)
     assert "arm's replies, so that presses are void (36 ms late" in late
-    assert "pictures" not in late
-    assert "the tactile pictures" in real_time_notice(0.0, 0.0, 0.05)
+    assert "samples and pictures" not in late
+    assert "samples and pictures" in real_time_notice(0.0, 0.0, 0.05)
     assert "(5 % of a core" in real_time_notice(0.0, 0.0, 0.05).replace("%", " %")
     both = real_time_notice(0.05, 0.2, 1.0)
     assert "50 ms late, limit 35 ms" in both

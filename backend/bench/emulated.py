@@ -52,7 +52,7 @@ from touchdown.backend.simulation import start_command_mm
 MEASURED_S = 2.0  # duration of the measurement of delays
 # Later wake-ups void a press (replies of the arm), or cost it its permission to move (backend)
 REPLY_LATE_S, BACKEND_LATE_S = 0.035, 0.1
-# Least share of a core with which runs end as they should: beside 6 busy programs 25 %, beside 10 17 %
+# Runs end as they should with 25 % of a core (beside 6 busy programs), not with 17 % (beside 10).
 PROGRAM_SHARE = 0.2
 
 

@@ -69,7 +69,7 @@ TURNS: dict[PieceEnd, FloatArray] = {
 
 @dataclass(frozen=True, slots=True)
 class PieceImport:
-    """How to read a file.
+    """Options of reading a file.
 
     ``end``: side of the mesh that is the contact face. ``unit``: key of ``UNITS_MM``, by default
     the unit that a drawing names, else mm. One of ``density_g_cm3`` and ``mass_g`` is needed.

@@ -1,4 +1,4 @@
-"""How far the air has moved until a contact, from samples of known steps; ends of moves."""
+"""Motion in air until a contact, from samples of known steps; ends of moves."""
 
 import numpy as np
 import pytest

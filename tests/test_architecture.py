@@ -27,7 +27,7 @@ CODE = sorted(
     if not any(part.is_symlink() for part in path.parents)
 )
 TESTS = sorted((ROOT / "tests").rglob("*.py"))
-MODULES, LINES = 438, 102_500
+MODULES, LINES = 470, 108_000
 TEXT_FILES = ["*.md", "*.toml", "*.txt", "Makefile", ".ci/*", "docs/**/*.md", "resources/**/*.toml"]
 TEXTS = sorted(p for pattern in TEXT_FILES for p in ROOT.glob(pattern) if p.is_file())
 TOP = {"app", "widgets", "backend", "resources", "touchdown", "tests", "docs", ".ci"}

@@ -2,6 +2,7 @@ from .bench_description import BenchDescription as BenchDescription
 from .bench_description import BenchMode as BenchMode
 from .bench_description import bench_sha256 as bench_sha256
 from .bench_description import describe_simulation as describe_simulation
+from .bench_description import sha256_of_json as sha256_of_json
 from .hardware import PLACEHOLDERS as PLACEHOLDERS
 from .hardware import FingerCameraSettings as FingerCameraSettings
 from .hardware import ForceTorqueSettings as ForceTorqueSettings
@@ -26,6 +27,7 @@ from .method import FusedSettings as FusedSettings
 from .method import NonNegative as NonNegative
 from .method import PolicySettings as PolicySettings
 from .method import Positive as Positive
+from .method import Probability as Probability
 from .method import ProbeSettings as ProbeSettings
 from .method import Settings as Settings
 from .method import StabilitySettings as StabilitySettings
@@ -67,6 +69,7 @@ __all__ = [
     "NonNegative",
     "PolicySettings",
     "Positive",
+    "Probability",
     "ProbeSettings",
     "Settings",
     "SimulationSettings",
@@ -92,4 +95,5 @@ __all__ = [
     "read_settings",
     "read_toml",
     "save_lab",
+    "sha256_of_json",
 ]

@@ -3,8 +3,10 @@ from .collection import run_jobs as run_jobs
 from .collection import split_jobs as split_jobs
 from .comparison import StrategyComparison as StrategyComparison
 from .comparison import comparison_tables as comparison_tables
+from .comparison import decided_strategies as decided_strategies
 from .comparison import merged_oracle_shares as merged_oracle_shares
 from .comparison import oracle_share_table as oracle_share_table
+from .comparison import stopped_text as stopped_text
 from .document import BLUE as BLUE
 from .document import FAINT as FAINT
 from .document import INK as INK
@@ -50,6 +52,8 @@ from .sensitivity import sensitivity_table as sensitivity_table
 from .staged_release import ReleaseStudy as ReleaseStudy
 from .staged_release import release_table as release_table
 from .statistics import compare_intervals as compare_intervals
+from .statistics import evidence as evidence
+from .statistics import sequential_decision as sequential_decision
 from .strategies import BOTTOMS as BOTTOMS
 from .strategies import STRATEGIES as STRATEGIES
 from .strategies import ClosedLoopComparison as ClosedLoopComparison
@@ -102,6 +106,8 @@ __all__ = [
     "change_rows",
     "compare_intervals",
     "comparison_tables",
+    "decided_strategies",
+    "evidence",
     "job_effort",
     "keep_models",
     "load_model",
@@ -119,8 +125,10 @@ __all__ = [
     "run_jobs",
     "sensitivity_report",
     "sensitivity_table",
+    "sequential_decision",
     "shipped_model_folders",
     "split_jobs",
+    "stopped_text",
     "threshold_counts",
     "threshold_jobs",
     "to_markdown",

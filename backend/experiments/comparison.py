@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -27,6 +27,7 @@ from touchdown.backend.experiments.document import (
     reliability_gallery,
 )
 from touchdown.backend.experiments.statics import PROBE_COUNTS
+from touchdown.backend.experiments.statistics import evidence, sequential_decision
 from touchdown.backend.experiments.strategies import (
     IOU_AFTER,
     ORACLES,
@@ -43,6 +44,7 @@ from touchdown.backend.jobs import JobSpec, JobStore
 from touchdown.backend.learning import rate_interval
 
 PAPER = "paper"
+ROUND_TRIALS = 10  # trials of every cell between two looks at a comparison that may stop early
 BOOTSTRAP_DRAWS, INTERVAL_PERCENTILES = 4000, (2.5, 97.5)
 OUTCOME_QUANTITIES = (("placed", (Outcome.PLACED.value,)), ("unsafe", UNSAFE_OUTCOMES))
 Json = dict[str, Any]
@@ -97,6 +99,37 @@ def paired_changes(
             rows += _change((name, reference), f"right, n = {n}", counts, _right)
             rows += _change((name, reference), f"balanced, n = {n}", counts, _balanced)
     return rows
+
+
+def discordant_pairs(
+    trials: Mapping[Cell, Sequence[Json]], quantity: str
+) -> dict[str, tuple[int, int]]:
+    """Return for each strategy the trials with this result under it alone, and under its reference
+    alone, on common seeds of all cells.
+
+    ``quantity``: placed or unsafe. References are those of ``paired_changes``.
+    """
+    outcomes = dict(OUTCOME_QUANTITIES)[quantity]
+    by_seed = {cell: {t["seed"]: t for t in some} for cell, some in trials.items()}
+    found = {}
+    for name, reference in _compared_names(by_seed):
+        pairs = [
+            tuple(t["outcome"] in outcomes for t in pair)
+            for cell in _shared(by_seed, (reference, name))
+            for pair in cell
+        ]
+        found[name] = pairs.count((False, True)), pairs.count((True, False))
+    return found
+
+
+def decided_strategies(
+    trials: Mapping[Cell, Sequence[Json]], quantity: str
+) -> dict[str, Literal["more", "less"] | None]:
+    """Return for each strategy if it has the result more or less often than its reference, None
+    while that is open. May be looked at after any number of trials.
+    """
+    counts = discordant_pairs(trials, quantity)
+    return {name: sequential_decision(*pair, len(counts)) for name, pair in counts.items()}
 
 
 def _compared_names(found: Mapping[Cell, Any]) -> list[tuple[str, str]]:
@@ -289,6 +322,22 @@ class StrategyComparison:
     loops: ClosedLoopComparison
     statics: StaticComparison | None = None
 
+    def next_round(self, store: JobStore, quantity: str) -> list[JobSpec]:
+        """Return the jobs of the next ``ROUND_TRIALS`` trials of every cell, of the undecided
+        strategies and their references; none when all is decided or done.
+        """
+        found = decided_strategies(self.loops.trials_of(store), quantity)
+        names = {name for name, way in found.items() if way is None}
+        names |= {base_strategy(n) if base_strategy(n) != n else PAPER for n in names}
+        todo = [
+            job
+            for job in self.loops.jobs()
+            if job.params["strategy"] in names and not store.has(job.id)
+        ]
+        first = min((self.loops.first_trial(job) for job in todo), default=0)
+        last = ROUND_TRIALS * (first // ROUND_TRIALS + 1)
+        return [job for job in todo if self.loops.first_trial(job) < last]
+
     def jobs(self) -> list[JobSpec]:
         """Return the jobs of both."""
         return [*self.loops.jobs(), *(self.statics.jobs() if self.statics else ())]
@@ -298,14 +347,17 @@ class StrategyComparison:
         kind = ClosedLoopComparison if spec.kind == "beyond" else StaticComparison
         return kind.effort(spec)
 
-    def answer(self, store: JobStore) -> Json:
-        """Return all finished results."""
+    def answer(self, store: JobStore, quantity: str | None = None) -> Json:
+        """Return all finished results; ``quantity``: the one on which it may have stopped early."""
         found = self.loops.table(store)
         answers = self.statics.answers(store) if self.statics else {}
         found["gaps"] = oracle_shares(self.loops.trials_of(store), answers)
         found["changes"] = paired_changes(self.loops.trials_of(store), answers)
         if self.statics is not None:
             found["statics"] = self.statics.table(store)
+        if quantity is not None:
+            decided = decided_strategies(self.loops.trials_of(store), quantity)
+            found["stopped"] = {"quantity": quantity, "round": ROUND_TRIALS, "decided": decided}
         return found
 
 
@@ -357,6 +409,7 @@ def comparison_tables(answer: Mapping[str, Any]) -> list[ReportTable]:
                     "only reference",
                     "only own",
                     "p",
+                    "evidence",
                 ),
                 map(_change_row, answer["changes"]),
             )
@@ -413,8 +466,15 @@ def _change_row(row: Json) -> tuple[str, ...]:
     only = [str(row.get(key, "")) for key in ("only_paper", "only_own")]
     shares = [_format_percent(row[key]) for key in ("paper", "own")]
     only.append(f"{row['p']:.2g}" if "p" in row else "")
+    only.append(f"{_row_evidence(row):.3g}" if "p" in row else "")
     names = row["strategy"], row.get("reference", PAPER)
     return *names, row["what"], str(row["n"]), *shares, shown, *only
+
+
+def _row_evidence(row: Json) -> float:
+    """Return the larger evidence of both directions, halved as in a two-sided test."""
+    pair = row["only_own"], row["only_paper"]
+    return 0.5 * max(evidence(*pair), evidence(*reversed(pair)))
 
 
 def _name(cell: Json) -> str:
@@ -440,6 +500,16 @@ def _format_number(value: float | None) -> str:
     return "" if value is None else f"{value:.1f}"
 
 
+def stopped_text(stopped: Mapping[str, Any]) -> str:
+    """Return a sentence on a comparison that could stop early."""
+    quantity, words = stopped["quantity"], {"more": "more", "less": "less", None: "undecided"}
+    found = [f"{name} {words[way]}" for name, way in stopped["decided"].items()]
+    often = f"{quantity} more or less often than the reference"
+    return (
+        f"Looked at after every {stopped['round']} trials of a cell, {often}: {', '.join(found)}."
+    )
+
+
 def comparison_report(answer: Mapping[str, Any]) -> Report:
     """Return the report on a result of ``touchdown experiment beyond``."""
     text = (
@@ -455,6 +525,8 @@ def comparison_report(answer: Mapping[str, Any]) -> Report:
     ]
     if charts:
         parts.append(reliability_gallery("Calibration", RELIABILITY_LEGEND, charts))
+    if stopped := answer.get("stopped"):
+        text += f" {stopped_text(stopped)}"
     return Report(
         "Touchdown: strategies beyond the paper",
         (f"Bench {answer['bench_sha256'][:16]}, program {answer['code']}.",),

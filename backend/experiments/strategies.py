@@ -253,6 +253,11 @@ class ClosedLoopComparison:
         }
 
     @staticmethod
+    def first_trial(spec: JobSpec) -> int:
+        """Return the number of the first trial of a job in its cell, from 0."""
+        return (spec.seed - STACKING_SEED) % CELL_SEEDS
+
+    @staticmethod
     def effort(spec: JobSpec) -> int:
         """Return the relative duration of a job."""
         return int(spec.params["trials"]) * (100 if spec.params["strategy"] in ORACLES else 3)

@@ -46,6 +46,7 @@ from touchdown.backend.experiments import (
     base_strategy,
     compare_intervals,
     comparison_tables,
+    decided_strategies,
     keep_models,
     merged_oracle_shares,
     method_of,
@@ -57,6 +58,7 @@ from touchdown.backend.experiments import (
     release_table,
     rewrite_tables,
     shipped_model_folders,
+    stopped_text,
     threshold_counts,
     threshold_jobs,
     to_markdown,
@@ -357,6 +359,8 @@ def _add_beyond_arguments(parser: argparse.ArgumentParser) -> None:
     beyond.add_argument("--statics", type=int, default=0, metavar="GROUPS", help="also "
                         "evaluate each strategy at this number of positions of a cell, after 1 to "
                         "5 probes")  # fmt: skip
+    beyond.add_argument("--stop-early", choices=("placed", "unsafe"), help="end a comparison once "
+                        "it is decided on this quantity (error 5 %%, at any time)")  # fmt: skip
     beyond.add_argument("--entry-sigma", type=float, default=1.0, metavar="MM", help="standard "
                         "uncertainty of the entered position of the upper bottom")  # fmt: skip
     beyond.add_argument("--no-entry", action="store_true", help="enter no position of "
@@ -439,9 +443,14 @@ def _run_jobs(
 def _run_beyond(args: argparse.Namespace, screen: VerbOutput, store: JobStore) -> int:
     plan = _comparison_of(args, store)
     jobs = plan.jobs()
+    if args.stop_early:
+        jobs = _run_rounds(plan, args, screen, store)
+        jobs += plan.statics.jobs() if plan.statics else []
     failed = _run_jobs(jobs, plan.effort, args, screen, store)
-    answer = plan.answer(store)
+    answer = plan.answer(store, args.stop_early)
     missing = sum(not store.has(spec.id) for spec in jobs)
+    if args.stop_early:
+        screen.say(stopped_text(answer["stopped"]))
     with write_errors(UNWRITTEN, args.out, KEPT):
         path = write_comparison(args.out, answer)
     for sheet in comparison_tables(answer):
@@ -449,6 +458,27 @@ def _run_beyond(args: argparse.Namespace, screen: VerbOutput, store: JobStore) -
     screen.result({"file": str(path), "jobs": len(jobs),
                    "missing": missing, "failed": failed, "beyond": answer})  # fmt: skip
     return 1 if failed else 0
+
+
+def _run_rounds(
+    plan: StrategyComparison, args: argparse.Namespace, screen: VerbOutput, store: JobStore
+) -> list[JobSpec]:
+    """Run rounds of trials until all comparisons are decided; return the jobs that ran or failed.
+
+    Raises ``InputError`` if there is nothing to compare, or only a shard of the trials.
+    """
+    if args.shard or not decided_strategies(plan.loops.trials_of(store), args.stop_early):
+        raise InputError(
+            "A comparison stops early where one computer sees all trials of two strategies.",
+            "--stop-early",
+            "Leave out --shard, and name a strategy and its reference with --strategies.",
+        )
+    ran: list[JobSpec] = []
+    while jobs := plan.next_round(store, args.stop_early):
+        ran += jobs
+        if _run_jobs(jobs, plan.effort, args, screen, store):
+            break
+    return ran
 
 
 def _comparison_of(args: argparse.Namespace, store: JobStore) -> StrategyComparison:

@@ -5,6 +5,12 @@ from typing import TYPE_CHECKING
 import lazy_loader
 
 if TYPE_CHECKING:
-    from touchdown.backend.learning.fused import checkpoint, features, inference, training
+    from touchdown.backend.learning.fused import (
+        certificate,
+        checkpoint,
+        features,
+        inference,
+        training,
+    )
 
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

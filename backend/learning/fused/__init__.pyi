@@ -1,3 +1,17 @@
+from .certificate import Attempt as Attempt
+from .certificate import AttemptLog as AttemptLog
+from .certificate import CertificateStatus as CertificateStatus
+from .certificate import ReleaseCertificate as ReleaseCertificate
+from .certificate import ReleaseClaim as ReleaseClaim
+from .certificate import ReleaseCounts as ReleaseCounts
+from .certificate import attempt_error as attempt_error
+from .certificate import attempts_path as attempts_path
+from .certificate import certificate_of_attempt as certificate_of_attempt
+from .certificate import find_certificate as find_certificate
+from .certificate import method_sha256 as method_sha256
+from .certificate import releases_needed as releases_needed
+from .certificate import risk_bound as risk_bound
+from .certificate import write_certificate as write_certificate
 from .checkpoint import FusedCard as FusedCard
 from .checkpoint import FusedCheckpoint as FusedCheckpoint
 from .checkpoint import load_fused as load_fused
@@ -19,6 +33,9 @@ __all__ = [
     "MARGIN_REACH_MM",
     "SENSOR_MM",
     "TICKS",
+    "Attempt",
+    "AttemptLog",
+    "CertificateStatus",
     "FusedCard",
     "FusedCheckpoint",
     "FusedForward",
@@ -27,9 +44,20 @@ __all__ = [
     "GraspedFace",
     "InputPart",
     "InsetDistribution",
+    "ReleaseCertificate",
+    "ReleaseClaim",
+    "ReleaseCounts",
     "acting_point_mm",
+    "attempt_error",
+    "attempts_path",
+    "certificate_of_attempt",
     "data_sha256",
+    "find_certificate",
     "load_fused",
+    "method_sha256",
+    "releases_needed",
+    "risk_bound",
     "shipped_fused",
     "wrench_at_sensor",
+    "write_certificate",
 ]

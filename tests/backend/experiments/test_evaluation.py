@@ -192,6 +192,7 @@ def test_both_worlds_are_asked_the_same_and_only_once(
         (["beyond", "--strategies", "luck"], "--strategies"),
         (["beyond", "--bottoms", "table"], "--bottoms"),
         (["beyond", "--trials", "0"], "--trials"),
+        (["beyond", "--strategies", "fused", "--stop-early", "placed"], "--stop-early"),
     ],
 )
 def test_what_cannot_be_measured_is_refused(

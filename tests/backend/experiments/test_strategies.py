@@ -8,22 +8,31 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy import stats
+from numpy.typing import NDArray
+from scipy import special, stats
 
 from touchdown.backend.config.method import FusedSettings, StackSettings
 from touchdown.backend.config.simulation import SimulationSettings, load_simulation
+from touchdown.backend.core import FloatArray
 from touchdown.backend.core.faults import InputError
 from touchdown.backend.experiments.comparison import (
     StrategyComparison,
     comparison_report,
     comparison_tables,
+    decided_strategies,
     oracle_shares,
     paired_changes,
+    stopped_text,
 )
 from touchdown.backend.experiments.document import report_page
 from touchdown.backend.experiments.models import adopt_models, shipped_model_folders
 from touchdown.backend.experiments.results import comparison_beside, write_comparison
-from touchdown.backend.experiments.statistics import verdict_changes
+from touchdown.backend.experiments.statistics import (
+    SEQUENTIAL_ERROR,
+    evidence,
+    sequential_decision,
+    verdict_changes,
+)
 from touchdown.backend.experiments.strategies import (
     FORMAT,
     PROBABILITY_STEPS,
@@ -39,7 +48,7 @@ from touchdown.backend.experiments.strategies import (
 from touchdown.backend.experiments.tables import QUICK, TOWER, Recipe
 from touchdown.backend.experiments.trials import SceneSetup, start_scene
 from touchdown.backend.geometry.pieces import load_pieces
-from touchdown.backend.jobs.job import SPEC_FILE, JobSpec, JobStore, run_job
+from touchdown.backend.jobs.job import SPEC_FILE, JobContext, JobSpec, JobStore, run_job
 from touchdown.backend.learning.checkpoint import save_checkpoint
 from touchdown.backend.learning.fused.checkpoint import shipped_fused
 from touchdown.backend.simulation.ground_truth import Scene, true_margin_mm
@@ -317,3 +326,95 @@ def test_tables_show_the_comparison_beside_them_if_it_is_of_their_bench(tmp_path
     assert comparison_beside(tmp_path, "b" * 64) is None
     assert comparison_beside(tmp_path / "none", "a" * 64) is None
     assert "mine" in (tmp_path / "beyond.html").read_text("utf-8")
+
+
+@pytest.mark.parametrize(("more", "less"), [(0, 0), (1, 0), (0, 5), (3, 2), (40, 25), (2, 90)])
+def test_evidence_is_the_mean_capital_of_the_bettors(more: int, less: int) -> None:
+    bets, weights = np.polynomial.legendre.leggauss(60)
+    bets = 0.5 * (bets + 1.0)
+    capital = (1.0 + bets) ** more * (1.0 - bets) ** less
+    assert evidence(more, less) == pytest.approx(float(0.5 * weights @ capital), rel=1e-9)
+
+
+def evidence_table(n: int) -> FloatArray:
+    """Return the evidence of (more, less) below ``n``, from scipy's incomplete beta function."""
+    more, less = np.meshgrid(np.arange(n), np.arange(n), indexing="ij")
+    tail = special.betainc(less + 1.0, more + 1.0, 0.5)
+    with np.errstate(divide="ignore"):
+        logs = np.log(tail) + special.betaln(more + 1.0, less + 1.0)
+    return np.asarray(np.exp(logs + (more + less + 1.0) * np.log(2.0)))
+
+
+def crossed(paths: NDArray[np.bool_], table: FloatArray, level: float) -> NDArray[np.bool_]:
+    """Return the pairs (trials, steps) after which the evidence has reached ``level``."""
+    more = np.cumsum(paths, axis=1)
+    less = np.arange(1, paths.shape[1] + 1) - more
+    return np.asarray(np.maximum.accumulate(table[more, less] >= level, axis=1))
+
+
+def test_evidence_without_a_difference_is_a_martingale_of_mean_one() -> None:
+    table = evidence_table(61)
+    for n in (1, 7, 60):
+        weight = stats.binom.pmf(np.arange(n + 1), n, 0.5)
+        values = table[np.arange(n + 1), n - np.arange(n + 1)]
+        assert float(weight @ values) == pytest.approx(1.0, rel=1e-9)
+    assert evidence(30, 20) == pytest.approx(float(table[30, 20]), rel=1e-9)
+
+
+def test_looking_after_every_pair_keeps_the_error_and_the_bound_of_ville() -> None:
+    table = evidence_table(301)
+    pairs = np.random.default_rng(5).random((20_000, 300)) < 0.5
+    for level in (2.0, 5.0, 20.0):
+        assert crossed(pairs, table, level)[:, -1].mean() <= 1.0 / level
+    both = [crossed(own, table, 2.0 / SEQUENTIAL_ERROR)[:, -1] for own in (pairs, ~pairs)]
+    assert np.mean(both[0] | both[1]) <= SEQUENTIAL_ERROR
+
+
+def test_power_is_near_that_of_the_exact_test_and_it_stops_sooner() -> None:
+    # The exact test looks once, after all pairs; the sequential one after each.
+    n, share = 60, 0.75
+    pairs = np.random.default_rng(6).random((4000, n)) < share
+    reached = crossed(pairs, evidence_table(n + 1), 2.0 / SEQUENTIAL_ERROR)
+    wins = pairs.sum(axis=1)
+    p_value = 2.0 * np.minimum(stats.binom.sf(wins - 1, n, 0.5), 0.5)
+    exact = np.mean(p_value <= SEQUENTIAL_ERROR)
+    assert reached[:, -1].mean() >= exact - 0.10
+    decided_after = np.where(reached.any(axis=1), reached.argmax(axis=1) + 1, n)
+    assert decided_after.mean() < 0.7 * n
+
+
+@pytest.mark.parametrize(
+    ("more", "less", "comparisons", "found"),
+    [(8, 0, 1, "more"), (0, 8, 1, "less"), (7, 0, 1, None), (8, 0, 2, None), (50, 50, 1, None)],
+)
+def test_paired_trials_decide_a_direction(
+    more: int, less: int, comparisons: int, found: str | None
+) -> None:
+    assert sequential_decision(more, less, comparisons) == found
+
+
+def test_comparison_stops_when_it_is_decided(tmp_path: Path) -> None:
+    plan = ClosedLoopComparison(
+        load_simulation(preset="bench-v1"), "1", {"pot": "m"}, ("pot",), ("short",),
+        ("paper", "zero-wrench", "paper-calibrated"), 40,
+    )  # fmt: skip
+    whole, store = StrategyComparison(plan), JobStore(tmp_path)
+    word = {"paper": "fell", "zero-wrench": "placed", "paper-calibrated": "fell"}
+    ran: dict[str, int] = {}
+
+    def pretend(spec: JobSpec, _: JobContext) -> dict[str, Any]:
+        ran[spec.params["strategy"]] = ran.get(spec.params["strategy"], 0) + spec.params["trials"]
+        outcome = word[spec.params["strategy"]]
+        rows = [{"seed": spec.seed + k, "outcome": outcome} for k in range(spec.params["trials"])]
+        return {"trials": rows, "left_out": 0}
+
+    while jobs := whole.next_round(store, "placed"):
+        for job in jobs:
+            run_job(job, {"beyond": pretend}, store)
+    # Ten pairs in one direction decide one comparison; the other one needs all its trials.
+    assert ran == {"paper": 40, "zero-wrench": 10, "paper-calibrated": 40}
+    decided = decided_strategies(plan.trials_of(store), "placed")
+    assert decided == {"zero-wrench": "more", "paper-calibrated": None}
+    assert "zero-wrench more, paper-calibrated undecided" in stopped_text(
+        {"quantity": "placed", "round": 10, "decided": decided}
+    )

@@ -38,6 +38,7 @@ from .method import TrainingSettings as TrainingSettings
 from .simulation import PRESETS as PRESETS
 from .simulation import SimulationSettings as SimulationSettings
 from .simulation import SupportSettings as SupportSettings
+from .simulation import SurfaceSettings as SurfaceSettings
 from .simulation import TactileSettings as TactileSettings
 from .simulation import WristSettings as WristSettings
 from .simulation import load_simulation as load_simulation
@@ -77,6 +78,7 @@ __all__ = [
     "StackSettings",
     "StrategyName",
     "SupportSettings",
+    "SurfaceSettings",
     "TactileSettings",
     "TowerSettings",
     "TrainingSettings",

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from importlib.resources import files
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeAlias
+from typing import Annotated, Any, Literal, Self, TypeAlias
 
 from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
@@ -121,6 +121,30 @@ class SpreadSettings(Settings):
     print_offset_mm: NonNegative = 0.1
 
 
+class SurfaceSettings(Settings):
+    """Touched faces that are not flat, drawn once a scene, in ``simulate`` once a mounting.
+
+    The shares are those of inclined, stepped and domed faces; the others are flat. A bottom with a
+    surface of its own keeps it.
+    """
+
+    tilted_share: Share = 0.0
+    stepped_share: Share = 0.0
+    domed_share: Share = 0.0
+    # Largest inclination; uniform up to it, in any direction.
+    tilt_rad: Annotated[float, Field(gt=0, le=0.0524)] = 0.0524
+    # Largest step; uniform up to it, along a line through the face in any direction.
+    step_mm: Annotated[float, Field(gt=0, le=1)] = 1.0
+    # Least radius; the curvature is uniform up to its inverse.
+    dome_mm: Annotated[float, Field(ge=200)] = 200.0
+
+    @model_validator(mode="after")
+    def _shares_fit(self) -> Self:
+        if self.tilted_share + self.stepped_share + self.domed_share > 1.0 + 1e-9:
+            raise ValueError("the shares of tilted, stepped and domed faces exceed 1 together")
+        return self
+
+
 class SimulationSettings(Settings):
     """Settings of the simulated bench. ``preset`` gives the defaults, other keys override them.
 
@@ -150,6 +174,15 @@ class SimulationSettings(Settings):
     tactile: TactileSettings = TactileSettings()
     wrist: WristSettings = WristSettings()
     spread: SpreadSettings = SpreadSettings()
+    surface: SurfaceSettings = SurfaceSettings()
+
+    @model_serializer(mode="wrap")
+    def _without_flat_surface(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Leave out ``surface`` while all faces are flat: older benches keep their hash."""
+        content: dict[str, Any] = handler(self)
+        if self.surface == SurfaceSettings():
+            content.pop("surface", None)
+        return content
 
     @model_validator(mode="before")
     @classmethod

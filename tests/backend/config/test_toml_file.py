@@ -283,3 +283,24 @@ def test_own_keys_win_over_the_preset():
 def test_settings_survive_a_round_trip():
     hard = load_simulation(preset="hard")
     assert SimulationSettings.model_validate_json(hard.model_dump_json()) == hard
+
+
+def test_flat_faces_are_left_out_of_what_identifies_a_bench():
+    assert "surface" not in load_simulation(preset="bench-v1").model_dump(mode="json")
+    domed = SimulationSettings.model_validate({"surface": {"domed_share": 0.2}})
+    assert SimulationSettings.model_validate_json(domed.model_dump_json()) == domed
+    assert domed.surface.dome_mm == 200.0
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        {"tilted_share": 0.6, "domed_share": 0.5},
+        {"tilt_rad": 0.06},
+        {"step_mm": 1.1},
+        {"dome_mm": 150},
+    ],
+)
+def test_surfaces_beyond_the_limits_are_refused(given):
+    with pytest.raises(InputError):
+        parse_settings(SimulationSettings, {"surface": given}, "bench.toml")

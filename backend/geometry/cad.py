@@ -192,13 +192,12 @@ def _read_mesh(path: Path, content: bytes) -> trimesh.Trimesh:
         count = int((~np.isfinite(vertices).all(axis=1)).sum())
         raise InputError(f"{count} corners of the mesh are not numbers.", str(path), fix)
     # Corners of an STL are written once for each triangle; equal ones are one vertex.
-    step = max(float(np.ptp(vertices, axis=0).max()), 1e-12) * 1e-7
-    _, first, index = np.unique(
-        np.round(vertices / step).astype(np.int64), axis=0, return_index=True, return_inverse=True
-    )
-    faces = index.reshape(-1)[faces]
-    used = (faces != np.roll(faces, 1, axis=1)).all(axis=1)
-    return trimesh.Trimesh(vertices[first], faces[used], process=False)
+    size = max(float(np.ptp(vertices, axis=0).max()), 1e-12)
+    mesh = trimesh.Trimesh(vertices, faces, process=False)
+    mesh.merge_vertices(digits_vertex=7 - math.ceil(math.log10(size)))
+    faces = np.asarray(mesh.faces)
+    mesh.update_faces((faces != np.roll(faces, 1, axis=1)).all(axis=1))
+    return mesh
 
 
 def _measure_mesh(mesh: trimesh.Trimesh, path: Path, wanted: PieceImport) -> MeasuredPiece:
@@ -295,10 +294,7 @@ def _check_closed(mesh: trimesh.Trimesh, path: Path) -> None:
         what = f"The mesh is open: {wrong} of its edges border on one triangle only."
         fix = "Close its holes in the CAD program, and export it again."
         raise InputError(what, str(path), fix)
-    start, stop = np.asarray(mesh.edges, dtype=np.int64).T
-    count = len(mesh.vertices)
-    forth, back = np.sort(start * count + stop), np.sort(stop * count + start)
-    if not np.array_equal(forth, back) or not abs(mesh.volume) > 0.0:
+    if not mesh.is_winding_consistent or not abs(mesh.volume) > 0.0:
         what = "The triangles of the mesh are not oriented alike."
         raise InputError(what, str(path), "Recompute its normals, and export it again.")
 
@@ -455,22 +451,11 @@ def _grip_height(wanted: PieceImport, height_mm: float) -> float | None:
 
 def _grip(mesh: trimesh.Trimesh, z_mm: float, x_mm: float, path: Path) -> tuple[float, float]:
     """Return the extent along y between the pads at height ``z_mm``."""
-    corners = np.asarray(mesh.triangles, dtype=np.float64).copy()
-    corners[:, :, 2] -= z_mm
-    # No corner lies in the plane.
-    corners[:, :, 2] += np.where(np.abs(corners[:, :, 2]) < 1e-6, 2e-6, 0.0)
-    above = corners[:, :, 2] > 0.0
-    cut = (above.sum(axis=1) % 3) > 0
-    corners, above = corners[cut], above[cut]
-    # The corner that is alone on its side of the plane, and the two others.
-    alone = np.where(above.sum(axis=1) == 1, above.argmax(axis=1), above.argmin(axis=1))
-    order = (alone[:, None] + np.arange(3)) % 3
-    one, *others = np.moveaxis(np.take_along_axis(corners, order[:, :, None], axis=1), 1, 0)
-    ends = [
-        one[:, :2] + (one[:, 2] / (one[:, 2] - two[:, 2]))[:, None] * (two - one)[:, :2]
-        for two in others
-    ]
-    lines = shapely.linestrings(np.stack(ends, axis=1) - [x_mm, 0.0])
+    level = trimesh.intersections.mesh_plane(  # type: ignore[no-untyped-call]
+        mesh, (0.0, 0.0, 1.0), (0.0, 0.0, z_mm)
+    )
+    ends = np.asarray(level)[:, :, :2]
+    lines = shapely.linestrings(ends - [x_mm, 0.0])
     return _extent_y(shapely.GeometryCollection(list(np.atleast_1d(lines))), path)
 
 

@@ -4,6 +4,7 @@ import math
 
 import pytest
 import shapely
+import shapely.affinity
 
 from touchdown.backend.core import InputError
 from touchdown.backend.geometry.cad import PieceImport, measure_piece
@@ -27,10 +28,20 @@ def svg(body, w=100, h=100, box="0 0 100 100"):
     return SVG.format(w=w, h=h, box=box, body=body)
 
 
+# Subclass markers that the reference of the format requires.
+CLASSES = {"LWPOLYLINE": "AcDbPolyline", "SPLINE": "AcDbSpline", "CIRCLE": "AcDbCircle",
+           "LINE": "AcDbLine", "ARC": "AcDbCircle", "POLYLINE": "AcDb2dPolyline",
+           "VERTEX": "AcDbVertex", "INSERT": "AcDbBlockReference", "RAY": "AcDbRay"}  # fmt: skip
+
+
 def dxf(*entities, insunits=4):
-    head = f"0\nSECTION\n2\nHEADER\n9\n$INSUNITS\n70\n{insunits}\n0\nENDSEC\n"
-    rows = "".join(f"0\n{kind}\n" + "".join(f"{c}\n{v}\n" for c, v in pairs)
-                   for kind, *pairs in entities)  # fmt: skip
+    head = "0\nSECTION\n2\nHEADER\n9\n$ACADVER\n1\nAC1015\n"
+    head += f"9\n$INSUNITS\n70\n{insunits}\n0\nENDSEC\n"
+    rows = "".join(
+        f"0\n{kind}\n100\nAcDbEntity\n100\n{CLASSES.get(kind)}\n"
+        + "".join(f"{c}\n{v}\n" for c, v in pairs)
+        for kind, *pairs in entities
+    )
     return f"{head}0\nSECTION\n2\nENTITIES\n{rows}0\nENDSEC\n0\nEOF\n"
 
 
@@ -71,6 +82,23 @@ def test_svg_shapes_have_the_areas_of_their_closed_forms(area, name):
         assert found.centroid.coords[0] == pytest.approx(centre, abs=0.01)
 
 
+def test_transforms_agree_with_those_of_shapely(area):
+    disc = shapely.Point(3.0, -4.0).buffer(8.0, 200)
+    moves = {
+        "skewX(40)": (1.0, math.tan(math.radians(40)), 0.0, 1.0, 0.0, 0.0),
+        "matrix(0.6 -0.4 1.1 0.9 5 -2)": (0.6, 1.1, -0.4, 0.9, 5.0, -2.0),
+        "translate(7,2) rotate(-30) scale(2 0.5)": (
+            2 * math.cos(math.radians(30)), 0.5 * math.sin(math.radians(30)),
+            -2 * math.sin(math.radians(30)), 0.5 * math.cos(math.radians(30)), 7.0, 2.0,
+        ),
+    }  # fmt: skip
+    for text, matrix in moves.items():
+        found = area(svg(f'<g transform="{text}"><circle cx="3" cy="-4" r="8"/></g>'))
+        mirrored = shapely.affinity.scale(found, 1.0, -1.0, origin=(0, 0))
+        expected = shapely.affinity.affine_transform(disc, matrix)
+        assert shapely.hausdorff_distance(mirrored, expected) < 0.01
+
+
 def test_the_size_of_the_root_gives_the_unit_and_y_points_up(area):
     body = '<path d="M0 0H10V10H0Z"/>'
     assert area(svg(body, 20, 20, "0 0 10 10")).bounds == pytest.approx((0, -20, 20, 0))
@@ -92,6 +120,16 @@ def test_dxf_entities_have_the_areas_of_their_closed_forms(area):
     vertices = [("VERTEX", (10, x), (20, y)) for x, y in ((0, 0), (30, 0), (0, 30))]
     old = dxf(("POLYLINE", (70, 1)), *vertices, ("SEQEND",))
     assert area(old, "dxf").area == pytest.approx(450)
+    # Drawn from below: x is mirrored.
+    below = area(dxf(("CIRCLE", (10, 3), (20, 1), (40, 5), (210, 0), (220, 0),
+                       (230, -1))), "dxf")  # fmt: skip
+    assert below.centroid.coords[0] == pytest.approx((-3, 1), abs=1e-6)
+    # The parabola of the SVG shapes, as a spline of one segment.
+    knots = tuple((40, k) for k in (0, 0, 0, 1, 1, 1))
+    curve = ("SPLINE", (70, 8), (71, 2), (72, 6), (73, 3), *knots, (10, 0), (20, 0), (10, 15),
+             (20, 20), (10, 30), (20, 0))  # fmt: skip
+    chord = ("LINE", (10, 0), (20, 0), (11, 30), (21, 0))
+    assert area(dxf(curve, chord), "dxf").area == pytest.approx(200, rel=1e-3)
     # A half disc: an arc and the line that closes it, in inches.
     half = (("LINE", (10, 1), (20, 0), (11, -1), (21, 0)),
             ("ARC", (10, 0), (20, 0), (40, 1), (50, 0), (51, 180)))  # fmt: skip
@@ -110,7 +148,7 @@ REFUSED = {
     "text": ("<text>a</text>", "'text' elements are not supported"),
     "letters": ('<path d="M0 0B3 4"/>', "unknown"),
     "values": ('<path d="M0 0C3 4Z"/>', "has 2 values"),
-    "infinite": ('<path d="M0 0H1e999V3Z"/>', "1e999 is out of range"),
+    "infinite": ('<path d="M0 0H1e999V3Z"/>', "out of range"),
 }
 
 
@@ -125,9 +163,14 @@ def test_a_drawing_that_cannot_be_used_is_refused_in_one_sentence(area, name):
     ("content", "what"),
     [
         ("AutoCAD Binary DXF\r\n", "it is binary"),
-        ("0\nEOF\n", "no section ENTITIES"),
-        (dxf(("SPLINE", (70, 8))), "SPLINE entities are not supported"),
-        (dxf(("CIRCLE", (10, 0), (20, 0), (40, 5), (230, -1))), "drawn from below"),
+        ("0\nEOF\n", "holds no closed curve"),
+        (dxf(("INSERT", (2, "A"), (10, 0), (20, 0))), "Deleted entity INSERT"),
+        (dxf(("RAY", (10, 0), (20, 0), (11, 1), (21, 0))), "RAY entities are not supported"),
+        (dxf(("CIRCLE", (10, 0), (20, 0), (40, "1e400"))), "out of range|not a readable"),
+        (
+            dxf(("CIRCLE", (10, 0), (20, 0), (40, 5), (210, 1), (220, 0), (230, 1))),
+            "plane of the drawing",
+        ),
         (dxf(("LINE", (10, 0), (20, 0), (11, 5), (21, 0))), "The outline is open"),
     ],
 )

@@ -38,6 +38,7 @@ from touchdown.backend.experiments.strategies import (
     base_strategy,
     parse_trials,
     parse_verdicts,
+    released_unsafely,
 )
 from touchdown.backend.experiments.tables import UNSAFE_OUTCOMES, score_verdicts
 from touchdown.backend.jobs import JobSpec, JobStore
@@ -47,6 +48,7 @@ PAPER = "paper"
 ROUND_TRIALS = 10  # trials of every cell between two looks at a comparison that may stop early
 BOOTSTRAP_DRAWS, INTERVAL_PERCENTILES = 4000, (2.5, 97.5)
 OUTCOME_QUANTITIES = (("placed", (Outcome.PLACED.value,)), ("unsafe", UNSAFE_OUTCOMES))
+POOLED_NAMES = {"one": "one bottom", "two": "two bottoms", "fresh": "fresh outlines"}
 Json = dict[str, Any]
 CountFunction = Callable[[Json], Sequence[float]]  # contribution of one trial or group to some sums
 
@@ -130,6 +132,26 @@ def decided_strategies(
     """
     counts = discordant_pairs(trials, quantity)
     return {name: sequential_decision(*pair, len(counts)) for name, pair in counts.items()}
+
+
+def placed_of_ceiling(trials: Mapping[Cell, Sequence[Json]]) -> list[Json]:
+    """Return for each strategy and oracle the ratio of their placed trials, on common seeds."""
+    rows = []
+    by_seed = {cell: {t["seed"]: t for t in some} for cell, some in trials.items()}
+    names = dict.fromkeys(strategy for strategy, _, _ in by_seed)
+    for name in (name for name in names if name not in ORACLES):
+        for oracle in (o for o in ORACLES if o in names):
+            pairs = _shared(by_seed, (oracle, name))
+            counts = _counted(pairs, lambda t: (float(t["outcome"] == Outcome.PLACED.value), 1.0))
+            total = np.sum([cell.sum(axis=0) for cell in counts], axis=0)
+            if not counts or not total[0, 0]:
+                continue
+            drawn = _bootstrap_sums(counts)[..., 0]
+            ratio = drawn[:, 1] / np.maximum(drawn[:, 0], 1.0)
+            low, high = np.percentile(ratio, INTERVAL_PERCENTILES).tolist()
+            row = {"strategy": name, "ceiling": oracle, "n": int(total[0, -1])}
+            rows.append({**row, "value": total[1, 0] / total[0, 0], "low": low, "high": high})
+    return rows
 
 
 def _compared_names(found: Mapping[Cell, Any]) -> list[tuple[str, str]]:
@@ -353,6 +375,7 @@ class StrategyComparison:
         answers = self.statics.answers(store) if self.statics else {}
         found["gaps"] = oracle_shares(self.loops.trials_of(store), answers)
         found["changes"] = paired_changes(self.loops.trials_of(store), answers)
+        found["of_ceiling"] = placed_of_ceiling(self.loops.trials_of(store))
         if self.statics is not None:
             found["statics"] = self.statics.table(store)
         if quantity is not None:
@@ -363,13 +386,32 @@ class StrategyComparison:
 
 def comparison_tables(answer: Mapping[str, Any]) -> list[ReportTable]:
     """Return the tables of a result: two more with groups, one more with an oracle."""
+    classes = [row for row in answer["pooled"] if "outline" in row]
+    pooled = [row for row in answer["pooled"] if "outline" not in row]
     found = [
         ReportTable.of_texts(
             "Closed loop, simulated; 95 % intervals",
-            ("strategy", "trials", "placed %", "unsafe %", "outcomes", "probes", "spare"),
-            map(_closed_loop_row, (*answer["cells"], *answer["pooled"])),
+            (
+                "strategy",
+                "trials",
+                "placed %",
+                "unsafe % of trials",
+                "of released",
+                "outcomes",
+                "probes",
+                "spare",
+            ),
+            map(_closed_loop_row, (*answer["cells"], *pooled)),
         )
     ]
+    if classes:
+        found.append(
+            ReportTable.of_texts(
+                "Fresh outlines by class, all pieces; 95 % intervals",
+                ("strategy", "outline", "trials", "placed %", "unsafe % of trials", "of released"),
+                map(_class_row, classes),
+            )
+        )
     if "statics" in answer:
         cells = (*answer["statics"]["cells"], *answer["statics"]["pooled"])
         found.append(
@@ -390,6 +432,17 @@ def comparison_tables(answer: Mapping[str, Any]) -> list[ReportTable]:
                 "Calibration of the maps, covered cells",
                 ("strategy", *(f"ECE, n = {n}" for n in RELIABLE_AFTER), f"IoU %, n = {IOU_AFTER}"),
                 map(_reliability_row, cells),
+            )
+        )
+    if answer.get("of_ceiling"):
+        found.append(
+            ReportTable.of_texts(
+                "Placed, as a share of what the ceiling places; common trials, 95 % intervals",
+                ("strategy", "ceiling", "n", "share %"),
+                (
+                    (row["strategy"], row["ceiling"], str(row["n"]), _format_share(row))
+                    for row in answer["of_ceiling"]
+                ),
             )
         )
     if answer["gaps"]:
@@ -434,10 +487,17 @@ def _closed_loop_row(cell: Json) -> tuple[str, ...]:
         str(cell["placed"]["n"]),
         _format_share(cell["placed"]),
         _format_share(cell["unsafe"]),
+        _format_share(released_unsafely(cell["outcomes"]).as_json()),
         outcomes + (f"; {left} left out" if left else ""),
         _format_number(cell["probes"]),
         _format_number(cell["excess_probes_median"]),
     )
+
+
+def _class_row(cell: Json) -> tuple[str, ...]:
+    shares = cell["placed"], cell["unsafe"], cell["unsafe_of_released"]
+    count = str(cell["placed"]["n"])
+    return cell["strategy"], cell["outline"], count, *map(_format_share, shares)
 
 
 def _verdict_row(cell: Json) -> tuple[str, ...]:
@@ -479,9 +539,7 @@ def _row_evidence(row: Json) -> float:
 
 def _name(cell: Json) -> str:
     parts: Sequence[str] = (cell["strategy"], cell.get("piece", "pooled"))
-    over = cell.get("bottom") or {"one": "one bottom", "two": "two bottoms"}.get(
-        cell.get("tower", ""), ""
-    )
+    over = cell.get("bottom") or POOLED_NAMES.get(cell.get("tower", ""), "")
     return " ".join((*parts, over)).strip()
 
 
@@ -513,7 +571,8 @@ def stopped_text(stopped: Mapping[str, Any]) -> str:
 def comparison_report(answer: Mapping[str, Any]) -> Report:
     """Return the report on a result of ``touchdown experiment beyond``."""
     text = (
-        "Closed loops count every trial, whatever its outcome; unsafe: fell or knocked over; "
+        "Closed loops count every trial, whatever its outcome; unsafe: fell or knocked over, of "
+        "all trials (harm per trial), or fell, of the releases; "
         "spare: probes beyond the least number, median. Towers: the upper bottom stands off the "
         "lower one by 0 to 6 mm; those on which the piece has no stable place are left out."
     )

@@ -2,11 +2,9 @@
 
 A sequence is one gripping on one mounting with constant tilt and grasp. Most sequences step as a
 trial does, by at most 3 mm towards the centre of pressure; the others probe at random places.
-Bottoms are circles, rectangles up to 1.5 to 1, rounded rectangles and random convex polygons in
-random orientations. An outline that overlaps a held-out one by more than ``SIMILAR_IOU``
-(intersection over union, aligned centroids, best of many orientations) is drawn again. The wide
-family adds rings, crescents, L, U, stars and feet. Its training target is the margin: the signed
-distance of the centre of mass to the convex hull of the contact under the piece's own weight.
+Bottoms are drawn from a ``ShapeFamily``. The training target of the wide family is the margin:
+the signed distance of the centre of mass to the convex hull of the contact under the piece's own
+weight.
 
 Trials for the release threshold never release: the strategy moves on after every press, and its
 belief about the centre of mass is stored with the truth, so that all thresholds are compared on the
@@ -19,7 +17,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import pi
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +35,7 @@ from touchdown.backend.experiments.strategies import uninformed_model
 from touchdown.backend.experiments.tables import job_code
 from touchdown.backend.experiments.trials import (
     BatchTrialResult,
+    MixedBottomLockstep,
     SceneSetup,
     grasped_piece_in,
     refused_presses,
@@ -44,30 +43,22 @@ from touchdown.backend.experiments.trials import (
     start_scene,
 )
 from touchdown.backend.geometry import (
+    UNSEEN_BOTTOMS,
+    UNSEEN_PIECES,
     Body,
     Outline,
+    OutlineKinds,
     Piece,
-    PieceLibrary,
+    ShapeFamily,
     Tower,
-    channel,
     circle,
     contact_margins_mm,
-    convex_polygon,
-    crescent,
     draw_offset,
-    ell,
-    enclosed_area_mm2,
     face_points,
-    feet,
     inset_mm,
     load_pieces,
-    overlap_edges,
     rectangle,
-    region,
-    ring,
-    rotated,
     square,
-    star,
 )
 from touchdown.backend.jobs import JobContext, JobFunctions, JobSpec
 from touchdown.backend.learning import (
@@ -95,196 +86,11 @@ from touchdown.backend.placement import (
     GraspedPiece,
     PlaceDecision,
     ProbeObservation,
-    convex_hull,
 )
 from touchdown.backend.sensing import EpisodeLimits
-from touchdown.backend.simulation import BatchedTrials, Region, Scene
+from touchdown.backend.simulation import Scene
 
-UNSEEN_BOTTOMS = ("short", "long", "hex20", "rect12x28")
-UNSEEN_PIECES = ("pot", "barrel", "mushroom")
-SIMILAR_IOU = 0.90
-ROTATIONS = 36
-SIZES_MM = (8.0, 32.0)  # mean diameter of a bottom
-FACES_MM = (10.0, 30.0)
-MAX_ASPECT_RATIO = 1.5
-WIDTH_MM, HEIGHT_MM = 30.0, 20.0
-HEIGHTS_MM, MASSES_G = (15.0, 45.0), (15.0, 60.0)  # of free bottoms
-
-
-OutlineKinds = Literal["convex", "any"]
-REGION_SHARE = 0.5  # of the bottoms of the wide family
 MARGIN_STEP_MM = 1.5  # between the nodes of the margins
-
-
-@dataclass(frozen=True, slots=True)
-class ShapeFamily:
-    """Random outlines that resemble none of ``unseen_bottoms`` and no face of ``unseen_faces``.
-
-    ``kinds``: of the bottoms, convex or any.
-    """
-
-    unseen_bottoms: tuple[Outline, ...]
-    unseen_faces: tuple[Outline, ...]
-    kinds: OutlineKinds = "convex"
-
-    @classmethod
-    def of(cls, catalogue: PieceLibrary, kinds: OutlineKinds = "convex") -> ShapeFamily:
-        """Return the family without the bottoms and pieces of the tables."""
-        return cls(
-            tuple(catalogue.bottom(name).face for name in UNSEEN_BOTTOMS),
-            tuple(catalogue.top(name).face for name in UNSEEN_PIECES),
-            kinds,
-        )
-
-    def bottom(self, rng: np.random.Generator, *, free: bool = False) -> Body:
-        """Return a random bottom: fixed to the table, or free to rock and slide, which is several
-        times slower.
-        """
-        if self.kinds == "any" and rng.random() < REGION_SHARE:
-            face = draw_region(rng, float(rng.uniform(LEAST_REGION_MM, SIZES_MM[1])))
-        else:
-            face = _draw_outline(rng, SIZES_MM, self.unseen_bottoms)
-        if not free:
-            return Body("bottom", face, face, HEIGHT_MM, 0.0, 0.5 * HEIGHT_MM, fixed=True)
-        height, mass = float(rng.uniform(*HEIGHTS_MM)), float(rng.uniform(*MASSES_G))
-        return Body("bottom", face, face, height, mass, 0.5 * height)
-
-    def piece(self, rng: np.random.Generator) -> Piece:
-        """Return a random piece: face, grip height and a centre of mass within 2 mm."""
-        face = _draw_outline(rng, FACES_MM, self.unseen_faces, round_share=0.5)
-        reach = 2.0 * float(rng.random()) * bool(rng.random() < 0.5)
-        angle = float(rng.uniform(0.0, 2.0 * pi))
-        return Piece(
-            name="piece",
-            title="Piece",
-            roles=("top",),
-            face=face,
-            upper=None,
-            lower=face,
-            height_mm=45.0,
-            com_height_mm=22.0,
-            com_xy_mm=(reach * float(np.cos(angle)), reach * float(np.sin(angle))),
-            mass_g=20.0,
-            grip_height_mm=float(rng.uniform(27.0, 43.0)),
-            width_mm=WIDTH_MM,
-            fixed=False,
-            nominal=True,
-            sha256="",
-            source="family",
-        )
-
-
-def similarity(first: Outline, second: Outline) -> float:
-    """Return the intersection over union of two outlines: aligned centroids, best of many
-    orientations.
-    """
-    a, b = _centred(first.polygon(48)), _centred(second.polygon(48))
-    angles = 2.0 * pi * np.arange(ROTATIONS) / ROTATIONS
-    turns = np.stack([rotated(b, float(angle)) for angle in angles])
-    common = float(enclosed_area_mm2(overlap_edges(a[None], turns)).max())
-    return common / (area_mm2(a) + area_mm2(b) - common)
-
-
-def is_similar(first: Outline, second: Outline) -> bool:
-    """Return True if the similarity exceeds ``SIMILAR_IOU``; areas that differ too much decide
-    early.
-    """
-    areas = sorted((first.area_mm2, second.area_mm2))
-    return areas[0] > SIMILAR_IOU * areas[1] and similarity(first, second) > SIMILAR_IOU
-
-
-def area_mm2(polygon_mm: FloatArray) -> float:
-    """Return the area of an ordered polygon (k, 2)."""
-    x, y = polygon_mm.T
-    return 0.5 * abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1)))
-
-
-def _draw_outline(
-    rng: np.random.Generator,
-    sizes_mm: tuple[float, float],
-    unseen: tuple[Outline, ...],
-    round_share: float = 0.3,
-) -> Outline:
-    while True:
-        size = float(rng.uniform(*sizes_mm))
-        outline = circle(size) if rng.random() < round_share else _polygon(rng, size)
-        if outline is not None and not any(is_similar(outline, other) for other in unseen):
-            return outline
-
-
-def _polygon(rng: np.random.Generator, size_mm: float) -> Outline | None:
-    """Return a rectangle, a rounded one or a random convex polygon of the given mean diameter."""
-    kind = int(rng.integers(3))
-    ratio = float(rng.uniform(1.0, MAX_ASPECT_RATIO)) ** 0.5
-    if kind < 2:
-        half = 0.5 * 0.886 * size_mm * np.array([ratio, 1.0 / ratio])
-        radius = float(half.min() * rng.uniform(0.2, 0.8)) if kind else 0.0
-        corners = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * (half - radius)
-        around = 2.0 * pi * np.arange(32 if kind else 1) / (32 if kind else 1)
-        arcs = radius * np.stack([np.cos(around), np.sin(around)], axis=1)
-        points = (corners[:, None] + arcs).reshape(-1, 2)
-    else:
-        angle = np.sort(rng.uniform(0.0, 2.0 * pi, int(rng.integers(5, 12))))
-        points = 0.5 * size_mm * np.stack([ratio * np.cos(angle), np.sin(angle) / ratio], axis=1)
-    hull = _centred(convex_hull(rotated(points, float(rng.uniform(0.0, 2.0 * pi)))))
-    span = hull.max(axis=0) - hull.min(axis=0)
-    if len(hull) < 3 or span.min() < 0.5 * size_mm:
-        return None
-    try:
-        return convex_polygon(tuple((float(x), float(y)) for x, y in hull))
-    except ValueError:
-        return None  # nearly collinear corners
-
-
-LEAST_REGION_MM = 14.0
-
-
-def draw_region(rng: np.random.Generator, size_mm: float) -> Outline:
-    """Return a ring, crescent, L, U, star or set of feet about ``size_mm`` wide, turned at random.
-
-    T, frames and crosses are left to the tests.
-    """
-    while True:
-        kind, a, b = int(rng.integers(6)), float(rng.uniform()), float(rng.uniform())
-        wall = size_mm * (0.2 + 0.2 * a)
-        try:
-            if kind == 0:
-                outline = ring(size_mm, size_mm * (0.3 + 0.5 * a))
-            elif kind == 1:
-                outline = crescent(size_mm, size_mm * (0.7 + 0.3 * a), size_mm * (0.3 + 0.2 * b))
-            elif kind in (2, 3):
-                build = ell if kind == 2 else channel
-                outline = build(size_mm, size_mm * (0.7 + 0.3 * b), wall)
-            elif kind == 4:
-                outline = star(4 + int(4 * b), size_mm, size_mm * (0.4 + 0.3 * a))
-            else:
-                count = 2 + int(3 * b)
-                angle = 2.0 * pi * (np.arange(count) + 0.3 * rng.uniform(-1.0, 1.0, count)) / count
-                at = 0.5 * (size_mm - wall) * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-                outline = feet([(float(x), float(y)) for x, y in at], wall)
-            return _turned(outline, float(rng.uniform(0.0, 2.0 * pi)))
-        except ValueError:
-            continue  # too narrow, or the face centre is outside
-
-
-def _turned(outline: Outline, angle_rad: float) -> Outline:
-    def turn(corners: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
-        return [(float(x), float(y)) for x, y in rotated(np.array(corners), angle_rad)]
-
-    return region(
-        (turn(outside), [turn(hole) for hole in holes]) for outside, holes in outline.parts
-    )
-
-
-def _centred(polygon_mm: FloatArray) -> FloatArray:
-    if len(polygon_mm) < 3:
-        return polygon_mm
-    x, y = polygon_mm.T
-    cross = x * np.roll(y, -1) - np.roll(x, -1) * y
-    sums = polygon_mm + np.roll(polygon_mm, -1, axis=0)
-    return np.asarray(polygon_mm - (sums * cross[:, None]).sum(axis=0) / (3.0 * cross.sum()))
-
-
 PROBES = 5
 MAX_STEP_MM = 3.0
 # share of sequences at random places; share of steps in a random direction
@@ -325,30 +131,6 @@ def probe_sequences(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
         "sequences": len(joined["count"]),
         "probes": int(joined["count"].sum()),
     }
-
-
-class MixedBottomLockstep(BatchedTrials):
-    """Trials over different bottoms, either all fixed to the table or all free."""
-
-    @staticmethod
-    def shared(scene: Scene) -> tuple[object, ...]:
-        """Return the quantities that are equal in all scenes."""
-        return scene.piece, scene.settings, scene.bottoms.bodies[-1].fixed
-
-    def surfaces(self, rows: NDArray[np.intp]) -> Region:
-        """Return the outline of each trial's bottom."""
-        return _OutlinePerTrial(tuple(self.scenes[row].surface for row in rows.tolist()))
-
-
-@dataclass(frozen=True, slots=True)
-class _OutlinePerTrial:
-    """One outline per face of the batch."""
-
-    each: tuple[Outline, ...]
-
-    def contains(self, points_mm: FloatArray, /) -> NDArray[np.bool_]:
-        pairs = zip(self.each, points_mm, strict=True)
-        return np.stack([outline.contains(points) for outline, points in pairs])
 
 
 def simulate_sequences(
@@ -600,7 +382,7 @@ FAMILY_TEXT = (
     "{more}bottoms of 8 to 32 mm, {stands}, faces of 10 to 30 mm; "
     "nothing that covers a shape left out by more than 90 % (intersection over union)"
 )
-REGION_TEXT = "half of the bottoms rings, crescents, L, U, stars or feet; "
+REGION_TEXT = "half of the bottoms rings, crescents, L, U, stars, feet, triangles or slivers; "
 SUPPORT_TEXTS = ("fixed to the table", "most fixed to the table, some free to rock and slide")
 
 

@@ -10,17 +10,20 @@ two verdicts on the first place: whether it would release there, and whether the
 likely to stand than to fall. A name may carry settings of the method, as in
 ``fused:policy.least_probes=2``.
 
+On the bottom ``fresh`` every trial has an outline of its own, drawn by ``fresh_bottom``.
+
 ``beyond.json`` stores one line per trial and group beside the counts. A trial: ``seed outcome
-probes least`` (``least`` as in ``least_probes``). A job of groups: the seed of its first group,
-then for each group ``margin:likely:released``: the true margin of all interfaces in mm (``-``
-without support) and the two verdicts after each number of probes in ``PROBE_COUNTS``, 1 for yes.
+probes least`` (``least`` as in ``least_probes``), and the class of a fresh outline. A job of
+groups: the seed of its first group, then for each group ``margin:likely:released``: the true margin
+of all interfaces in mm (``-`` without support) and the two verdicts after each number of probes in
+``PROBE_COUNTS``, 1 for yes.
 """
 
 from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import ceil
 from typing import Any, get_args
@@ -45,6 +48,7 @@ from touchdown.backend.experiments.statics import (
     probe_groups,
 )
 from touchdown.backend.experiments.statistics import (
+    IntervalEstimate,
     VerdictCounts,
     estimate_mean,
     estimate_rate,
@@ -62,6 +66,8 @@ from touchdown.backend.experiments.tables import (
     score_verdicts,
 )
 from touchdown.backend.experiments.trials import (
+    FRESH,
+    FRESH_TRIAL_SEED,
     BatchModel,
     BatchTrialResult,
     SceneSetup,
@@ -73,7 +79,16 @@ from touchdown.backend.experiments.trials import (
     stack_in_lockstep,
     start_scene,
 )
-from touchdown.backend.geometry import Tower, face_points, inset_mm, judge_tower
+from touchdown.backend.geometry import (
+    FRESH_CLASSES,
+    FRESH_SEED,
+    UNTRAINED_CLASSES,
+    Tower,
+    contact_margins_mm,
+    face_points,
+    inset_mm,
+    judge_tower,
+)
 from touchdown.backend.jobs import JobContext, JobSpec, JobStore
 from touchdown.backend.learning import CONTACT_LEVEL, use_one_thread
 from touchdown.backend.placement import (
@@ -91,13 +106,12 @@ Json = dict[str, Any]
 Cell = tuple[str, str, str]  # strategy, piece, bottom
 NO_SUPPORT = "-"
 VERDICT_KINDS = ("likely", "says")
+TRIAL_WORDS = ("seed", "outcome", "probes", "least_probes", "outline")
 
 
 def trial_lines(trials: Iterable[Mapping[str, Any]]) -> list[str]:
     """Return one line per trial."""
-    return [
-        " ".join(str(t[k]) for k in ("seed", "outcome", "probes", "least_probes")) for t in trials
-    ]
+    return [" ".join(str(t[k]) for k in TRIAL_WORDS if k in t) for t in trials]
 
 
 def group_lines(answers: Mapping[int, Mapping[str, Any]]) -> list[str]:
@@ -113,9 +127,13 @@ def parse_trials(answer: Mapping[str, Any]) -> dict[Cell, list[Json]]:
     found: dict[Cell, list[Json]] = {}
     for cell in answer["cells"]:
         for line in cell.get("trials", ()):
-            seed, outcome, probes, least = line.split()
+            seed, outcome, probes, least, *outline = line.split()
             trial = {"seed": int(seed), "outcome": outcome, "probes": int(probes)}
-            found.setdefault(_cell(cell), []).append({**trial, "least_probes": int(least)})
+            trial |= {
+                "least_probes": int(least),
+                **dict(zip(TRIAL_WORDS[4:], outline, strict=False)),
+            }
+            found.setdefault(_cell(cell), []).append(trial)
     return found
 
 
@@ -158,17 +176,19 @@ FORMAT = BEYOND_FORMAT
 SINGLE_BOTTOMS = ("short", "long", "hex20", "rect12x28")
 # bottom-up; the first is that of the tables
 TOWERS = ("short+long", "short+hex20", "short+rect12x28")
-BOTTOMS = (*SINGLE_BOTTOMS, *TOWERS)
+BOTTOMS = (*SINGLE_BOTTOMS, *TOWERS, FRESH)
 TOWER_CELLS = 5  # offset of the cell number of a tower from that of its upper bottom
 # Both know the bench. The first knows the outline, the second only that the bottom is round.
 ORACLES = ("ceiling", "ceiling-diameter")
 STRATEGIES: tuple[str, ...] = (*get_args(StrategyName), *ORACLES)
 # ten parallel trials on towers take half the time of five times two
-TRIALS_PER_JOB, TOWER_TRIALS_PER_JOB = 2, 10
+TRIALS_PER_JOB, TOWER_TRIALS_PER_JOB = 2, 10  # the latter also on fresh outlines
 ENTRY_STREAM = 992  # random stream of the entry errors, separate from the bench
 EXACT_MM, GRID_MM = 1e-6, 0.25
 # for the least number of probes: longest step, inset from the edge of the stable region
 STEP_MM, SAFE_INSET_MM = 3.0, 0.2
+STABLE_GRID_MM = 0.5  # of places on a region
+MODEL_FREE = (*ORACLES, "fused", "pick-and-place")  # strategies without a model of the piece
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,7 +197,7 @@ class ClosedLoopComparison:
 
     ``models``: by piece the job or file of the model FT+Tac. ``entry_sigma_mm``: error of the
     simulated operator who measures the place of the upper bottom; None: the strategies are not
-    given the tower.
+    given the tower. ``outline_seed``: hexadecimal seed of the fresh outlines.
     """
 
     bench: SimulationSettings
@@ -189,6 +209,7 @@ class ClosedLoopComparison:
     trials: int = 50
     entry_sigma_mm: float | None = 1.0
     method: StackSettings = field(default_factory=StackSettings)
+    outline_seed: str = FRESH_SEED
 
     def jobs(self) -> list[JobSpec]:
         """Return all jobs; the first trials of every cell come first."""
@@ -241,14 +262,10 @@ class ClosedLoopComparison:
                 for (s, piece, bottom), trials in cells.items()
             ],
             "pooled": [
-                {"strategy": s, "tower": tower, **count_outcomes(trials)}
+                {"strategy": s, "tower": tower, **outline, **count_outcomes(trials)}
                 for s in self.strategies
-                for tower, bottoms in (("one", SINGLE_BOTTOMS), ("two", TOWERS))
-                if (
-                    trials := [
-                        t for c, own in cells.items() if c[0] == s and c[2] in bottoms for t in own
-                    ]
-                )
+                for tower, outline, trials in _pooled_groups(s, cells)
+                if trials
             ],
         }
 
@@ -263,14 +280,18 @@ class ClosedLoopComparison:
         return int(spec.params["trials"]) * (100 if spec.params["strategy"] in ORACLES else 3)
 
     def _job(self, piece: str, bottom: str, strategy: str, first: int) -> JobSpec:
-        source = "" if strategy in (*ORACLES, "pick-and-place") else self.models[piece]
-        touched = SINGLE_BOTTOMS.index(bottom.split("+")[-1])
-        cell = 10 * PIECES.index(piece) + touched + (TOWER_CELLS if bottom in TOWERS else 0)
+        source = "" if base_strategy(strategy) in MODEL_FREE else self.models[piece]
         params = _job_params(self, (strategy, piece, bottom))
+        if bottom == FRESH:
+            seed = FRESH_TRIAL_SEED + CELL_SEEDS * PIECES.index(piece) + first
+            params["outline_seed"] = self.outline_seed
+        else:
+            touched = SINGLE_BOTTOMS.index(bottom.split("+")[-1])
+            cell = 10 * PIECES.index(piece) + touched + (TOWER_CELLS if bottom in TOWERS else 0)
+            seed = STACKING_SEED + CELL_SEEDS * cell + first
         params["trials"] = min(_chunk(bottom), self.trials - first)
         if bottom in TOWERS:
             params["entry_sigma_mm"] = self.entry_sigma_mm
-        seed = STACKING_SEED + CELL_SEEDS * cell + first
         inputs = (source,) if source else ()
         return JobSpec("beyond", params, seed, inputs, job_code("beyond", self.code))
 
@@ -316,7 +337,21 @@ def _job_params(plan: ClosedLoopComparison | StaticComparison, cell: Cell) -> Js
 
 def _chunk(bottom: str) -> int:
     """Return the largest number of trials of a job."""
-    return TOWER_TRIALS_PER_JOB if bottom in TOWERS else TRIALS_PER_JOB
+    return TOWER_TRIALS_PER_JOB if bottom in (*TOWERS, FRESH) else TRIALS_PER_JOB
+
+
+def _pooled_groups(
+    strategy: str, cells: Mapping[Cell, list[Json]]
+) -> Iterator[tuple[str, Json, list[Json]]]:
+    """Yield the trials of a strategy by number of bottoms, and by class of fresh outlines."""
+    for tower, bottoms in (("one", SINGLE_BOTTOMS), ("two", TOWERS), (FRESH, (FRESH,))):
+        chosen = [
+            t for c, own in cells.items() if c[0] == strategy and c[2] in bottoms for t in own
+        ]
+        yield tower, {}, chosen
+    classes = {name: (name,) for name in FRESH_CLASSES} | {"never trained on": UNTRAINED_CLASSES}
+    for name, outlines in classes.items():
+        yield FRESH, {"outline": name}, [t for t in chosen if t["outline"] in outlines]
 
 
 def job_traces(jobs: Iterable[JobSpec], store: JobStore) -> dict[Cell, Json]:
@@ -340,17 +375,31 @@ def count_outcomes(trials: Sequence[Mapping[str, Any]]) -> Json:
         "unsafe": estimate_rate(
             sum(word in UNSAFE_OUTCOMES for word in outcomes), len(trials)
         ).as_json(),
+        "unsafe_of_released": released_unsafely(Counter(outcomes)).as_json(),
         "probes": float(np.mean([t["probes"] for t in placed])) if placed else None,
         "excess_probes_median": float(np.median(spare)) if spare else None,
     }
 
 
+def released_unsafely(outcomes: Mapping[str, int]) -> IntervalEstimate:
+    """Return the share of the releases after which the piece fell, from counts of outcomes."""
+    fell = outcomes.get(Outcome.FELL.value, 0)
+    return estimate_rate(fell, fell + outcomes.get(Outcome.PLACED.value, 0))
+
+
 def run_closed_loop(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
     """Run trials of one cell; every trial counts."""
     p = spec.params
-    case = SceneSetup.of_job(p, *p["bottom"].split("+"))
     use_one_thread()
-    scenes = [scene for k in range(p["trials"]) if (scene := start_scene(case, spec.seed + k))]
+    seeds = range(spec.seed, spec.seed + p["trials"])
+    cases = [SceneSetup.of_trial(p, seed) for seed in seeds]
+    case, world = cases[0], cases[0].world
+    pairs = [
+        (each, scene)
+        for each, seed in zip(cases, seeds, strict=True)
+        if (scene := start_scene(each, seed))
+    ]
+    scenes = [scene for _, scene in pairs]
     method, limits = parse_settings(StackSettings, p["method"], "job"), EpisodeLimits()
     strategy = p["strategy"]
     results: list[BatchTrialResult] = []
@@ -358,24 +407,31 @@ def run_closed_loop(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
     if not scenes:
         pass
     elif strategy == "pick-and-place":
-        results = pick_and_place_in_lockstep(scenes, method)
+        results = pick_and_place_in_lockstep(scenes, method, world)
     elif strategy in ORACLES:
-        create = oracle_factory(case, diameter_known=strategy == ORACLES[0])
-        results = stack_in_lockstep(scenes, uninformed_model(case), method, limits, create)
+        create = oracle_factory(pairs, diameter_known=strategy == ORACLES[0])
+        model = uninformed_model(case)
+        results = stack_in_lockstep(scenes, model, method, limits, create, world)
     else:
-        model = batch_model(load_model(spec.inputs[0], place.store), case.piece)
+        model = uninformed_model(case)
+        if spec.inputs:
+            model = batch_model(load_model(spec.inputs[0], place.store), case.piece)
         chosen = method_of(strategy, method)
         sigma_mm = p.get("entry_sigma_mm")
         create = (
             None if sigma_mm is None else _entered_tower_strategy(case, sigma_mm, chosen, model)
         )
-        results = stack_in_lockstep(scenes, model, chosen, limits, create)
+        results = stack_in_lockstep(scenes, model, chosen, limits, create, world)
     return {
         "bench_sha256": bench_sha256(case.settings),
         "left_out": p["trials"] - len(scenes),
         "trials": [
-            {**end.as_json(), "least_probes": least_probes(scene)}
-            for scene, end in zip(scenes, results, strict=True)
+            {
+                **end.as_json(),
+                "least_probes": least_probes(scene),
+                **({"outline": each.bottoms[0].title} if p["bottom"] == FRESH else {}),
+            }
+            for (each, scene), end in zip(pairs, results, strict=True)
         ],
     }
 
@@ -384,11 +440,13 @@ def least_probes(scene: Scene) -> int:
     """Return the number of probes that complete knowledge would need: one, and one more every 3 mm.
 
     The path leads to the centre of the bottom: the shortest one for round bottoms, nearly so for
-    others. On a tower it leads to the nearest grid point at which every interface holds.
+    others. On a region or a tower it leads to the nearest grid point where every interface holds.
     """
     start = np.asarray(scene.start_mm)
     if len(scene.bottoms.bodies) > 1:
         return 1 + ceil(_way_on_tower_mm(scene) / STEP_MM)
+    if scene.surface.kind == "region":
+        return 1 + ceil(_way_on_region_mm(scene) / STEP_MM)
     length = float(np.hypot(*start))
     towards = start / max(length, 1e-9)
     for way in np.arange(0.0, length, 0.05):
@@ -417,6 +475,18 @@ def _way_on_tower_mm(scene: Scene) -> float:
     return float(np.hypot(*(places - np.asarray(scene.start_mm)).T).min())
 
 
+def _way_on_region_mm(scene: Scene) -> float:
+    """Return the distance from the start to the nearest stable place; 0 if there is none."""
+    reach = max(scene.surface.half_extents_mm)
+    line = np.arange(-reach, reach + STABLE_GRID_MM, STABLE_GRID_MM)
+    com = np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2)
+    margins = contact_margins_mm(scene.piece.face, scene.piece.com_xy_mm, scene.surface, com)
+    places = com[margins >= SAFE_INSET_MM] - np.asarray(scene.piece.com_xy_mm)
+    if not len(places):
+        return 0.0
+    return float(np.hypot(*(places - np.asarray(scene.start_mm)).T).min())
+
+
 def _entered_tower_strategy(
     case: SceneSetup, sigma_mm: float, settings: StackSettings, model: BatchModel
 ) -> Callable[[Scene, XY], Strategy]:
@@ -436,10 +506,15 @@ def _entered_tower_strategy(
     return create
 
 
-def oracle_factory(case: SceneSetup, *, diameter_known: bool) -> Callable[[Scene, XY], Strategy]:
-    """Return the factory of the oracle strategy."""
-    setting = OracleSetting(case.piece, case.bottoms[0], case.settings, diameter_known)
-    return lambda scene, at: OracleStrategy(setting, at, scene.seed)
+def oracle_factory(
+    pairs: Iterable[tuple[SceneSetup, Scene]], *, diameter_known: bool
+) -> Callable[[Scene, XY], Strategy]:
+    """Return the factory of the oracle strategy for scenes and their set-ups."""
+    settings = {
+        scene.number: OracleSetting(case.piece, case.bottoms[0], case.settings, diameter_known)
+        for case, scene in pairs
+    }
+    return lambda scene, at: OracleStrategy(settings[scene.number], at, scene.seed)
 
 
 def uninformed_model(case: SceneSetup) -> BatchModel:
@@ -517,7 +592,7 @@ class StaticComparison:
         return GROUPS_PER_JOB * (200 if spec.params["strategy"] in ORACLES else 3)
 
     def _job(self, piece: str, bottom: str, strategy: str, first: int) -> JobSpec:
-        source = "" if strategy in ORACLES else self.models[piece]
+        source = "" if base_strategy(strategy) in MODEL_FREE else self.models[piece]
         params = _job_params(self, (strategy, piece, bottom))
         params["groups"] = min(GROUPS_PER_JOB, self.groups - first)
         cell = 10 * PIECES.index(piece) + SINGLE_BOTTOMS.index(bottom)
@@ -538,9 +613,12 @@ def run_static_groups(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
     settings = method_of(configured, parse_settings(StackSettings, p["method"], "job"))
     if strategy in ORACLES:
         model = uninformed_model(case)
-        create = oracle_factory(case, diameter_known=strategy == ORACLES[0])
+        scenes = [(case, probing_scene(case, seed)) for seed in seeds]
+        create = oracle_factory(scenes, diameter_known=strategy == ORACLES[0])
     else:
-        model = batch_model(load_model(spec.inputs[0], place.store), case.piece)
+        model = uninformed_model(case)
+        if spec.inputs:
+            model = batch_model(load_model(spec.inputs[0], place.store), case.piece)
 
         def create(scene: Scene, at: XY) -> Strategy:
             return make_strategy(grasped_piece_in(scene, model), settings, at)

@@ -26,6 +26,8 @@ from touchdown.backend.core import (
     Stability,
 )
 from touchdown.backend.geometry import (
+    FRESH_SOURCE,
+    Outline,
     Piece,
     PieceLibrary,
     Tower,
@@ -34,6 +36,7 @@ from touchdown.backend.geometry import (
     draw_offset,
     draw_start,
     draw_tower,
+    fresh_bottom,
     judge_tower,
     load_pieces,
     start_generator,
@@ -51,6 +54,7 @@ from touchdown.backend.sensing import EpisodeLimits, refuse_observation
 from touchdown.backend.simulation import (
     BatchedTrials,
     PressTruth,
+    Region,
     Scene,
     TrialPresses,
     release_kick_mm,
@@ -58,6 +62,8 @@ from touchdown.backend.simulation import (
 )
 
 _DISPLACEMENT = 78
+FRESH = "fresh"  # stands for one test outline per trial
+FRESH_TRIAL_SEED = 47_000_000  # of the trial on outline 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,6 +90,22 @@ class SceneSetup:
         """Return the set-up of a job with ``piece`` and ``bench`` in its parameters."""
         bench = parse_settings(SimulationSettings, params["bench"], "job")
         return cls.of(load_pieces(), params["piece"], bottoms, bench)
+
+    @classmethod
+    def of_trial(cls, params: Mapping[str, Any], seed: int) -> SceneSetup:
+        """Return the set-up of the trial ``seed`` of a job whose ``bottom`` may be ``FRESH``.
+
+        Its outline is then number ``seed`` - ``FRESH_TRIAL_SEED`` of ``outline_seed``.
+        """
+        if params["bottom"] != FRESH:
+            return cls.of_job(params, *params["bottom"].split("+"))
+        bottom = fresh_bottom(params["outline_seed"], seed - FRESH_TRIAL_SEED)
+        return replace(cls.of_job(params), bottoms=(bottom,))
+
+    @property
+    def world(self) -> type[BatchedTrials]:
+        """Class of the simulation; that of fresh outlines takes another bottom in each trial."""
+        return MixedBottomLockstep if self.bottoms[0].source == FRESH_SOURCE else BatchedTrials
 
 
 def start_scene(case: SceneSetup, seed: int) -> Scene | None:
@@ -134,6 +156,30 @@ def uniform_offset(case: SceneSetup, seed: int, probe: int, attempt: int) -> Flo
 def displacement_rng(seed: int, probe: int, attempt: int) -> np.random.Generator:
     """Return the random generator of the displacement of one probe of a trial."""
     return np.random.default_rng([seed, _DISPLACEMENT, probe + 1, attempt + 1])
+
+
+class MixedBottomLockstep(BatchedTrials):
+    """Trials over different bottoms, either all fixed to the table or all free."""
+
+    @staticmethod
+    def shared(scene: Scene) -> tuple[object, ...]:
+        """Return the quantities that are equal in all scenes."""
+        return scene.piece, scene.settings, scene.bottoms.bodies[-1].fixed
+
+    def surfaces(self, rows: NDArray[np.intp]) -> Region:
+        """Return the outline of each trial's bottom."""
+        return _OutlinePerTrial(tuple(self.scenes[row].surface for row in rows.tolist()))
+
+
+@dataclass(frozen=True, slots=True)
+class _OutlinePerTrial:
+    """One outline per face of the batch."""
+
+    each: tuple[Outline, ...]
+
+    def contains(self, points_mm: FloatArray, /) -> NDArray[np.bool_]:
+        pairs = zip(self.each, points_mm, strict=True)
+        return np.stack([outline.contains(points) for outline, points in pairs])
 
 
 # contact probabilities (k, N) of observations (k, 20, 258)
@@ -295,10 +341,10 @@ def grasped_piece_in(
 
 
 def pick_and_place_in_lockstep(
-    scenes: Sequence[Scene], settings: StackSettings
+    scenes: Sequence[Scene], settings: StackSettings, world: type[BatchedTrials] = BatchedTrials
 ) -> list[BatchTrialResult]:
     """Press once and release in any case: the paper's baseline."""
-    bench = BatchedTrials(scenes, settings.probe)
+    bench = world(scenes, settings.probe)
     commands = bench.start_commands_mm()
     press = bench.press(range(len(scenes)), commands)
     ends = []

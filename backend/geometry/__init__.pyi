@@ -7,6 +7,15 @@ from .cad import measure_piece as measure_piece
 from .cad import piece_name as piece_name
 from .cad import piece_svg as piece_svg
 from .cad import save_piece as save_piece
+from .families import FRESH_CLASSES as FRESH_CLASSES
+from .families import FRESH_SEED as FRESH_SEED
+from .families import FRESH_SOURCE as FRESH_SOURCE
+from .families import UNSEEN_BOTTOMS as UNSEEN_BOTTOMS
+from .families import UNSEEN_PIECES as UNSEEN_PIECES
+from .families import UNTRAINED_CLASSES as UNTRAINED_CLASSES
+from .families import OutlineKinds as OutlineKinds
+from .families import ShapeFamily as ShapeFamily
+from .families import fresh_bottom as fresh_bottom
 from .outlines import BOARD_DOT_RADIUS_MM as BOARD_DOT_RADIUS_MM
 from .outlines import BOARD_DOTS_MM as BOARD_DOTS_MM
 from .outlines import Outline as Outline
@@ -63,19 +72,27 @@ __all__ = [
     "BOARD_DOTS_MM",
     "BOARD_DOT_RADIUS_MM",
     "COARSE_SEGMENTS",
+    "FRESH_CLASSES",
+    "FRESH_SEED",
+    "FRESH_SOURCE",
     "MIN_OVERLAP_MM2",
     "PIECE_SOURCES",
     "TOO_CLOSE_MM",
     "UNITS_MM",
+    "UNSEEN_BOTTOMS",
+    "UNSEEN_PIECES",
+    "UNTRAINED_CLASSES",
     "Body",
     "MeasuredPiece",
     "Outline",
+    "OutlineKinds",
     "Piece",
     "PieceEnd",
     "PieceImport",
     "PieceLibrary",
     "PieceRole",
     "Point",
+    "ShapeFamily",
     "Tower",
     "TowerVerdict",
     "can_be_placed",
@@ -95,6 +112,7 @@ __all__ = [
     "enclosed_area_mm2",
     "face_points",
     "feet",
+    "fresh_bottom",
     "inset_mm",
     "interface_overlap",
     "judge_tower",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -65,6 +66,7 @@ from touchdown.backend.experiments import (
     write_comparison,
     write_tables,
 )
+from touchdown.backend.geometry import FRESH_SEED
 from touchdown.backend.jobs import (
     Executor,
     JobSpec,
@@ -353,8 +355,11 @@ def _add_beyond_arguments(parser: argparse.ArgumentParser) -> None:
     beyond.add_argument("--strategies", default="paper,fused", help="or "
                         "zero-wrench, paper-calibrated, ceiling, ceiling-diameter, pick-and-place; "
                         "settings follow a name: fused:policy.least_probes=2")  # fmt: skip
-    beyond.add_argument("--bottoms", default="short,long", help="or hex20, rect12x28, and towers "
-                        "short+long, short+hex20, short+rect12x28")  # fmt: skip
+    beyond.add_argument("--bottoms", default="short,long", help="or hex20, rect12x28, towers "
+                        "short+long, short+hex20, short+rect12x28, and fresh: another outline in "
+                        "each trial")  # fmt: skip
+    beyond.add_argument("--outline-seed", default=FRESH_SEED, metavar="HEX", help="of the fresh "
+                        "outlines, the hash of a commit (default: %(default).12s)")  # fmt: skip
     beyond.add_argument("--trials", type=int, default=50, help="of a cell")
     beyond.add_argument("--statics", type=int, default=0, metavar="GROUPS", help="also "
                         "evaluate each strategy at this number of positions of a cell, after 1 to "
@@ -490,6 +495,10 @@ def _comparison_of(args: argparse.Namespace, store: JobStore) -> StrategyCompari
         require_positive(args, "trials")
     if args.statics < 0:
         raise InputError("--statics is negative.", "--statics", "Give 0 or a positive number.")
+    if not re.fullmatch("[0-9a-f]{8,64}", args.outline_seed):
+        raise InputError(
+            f"'{args.outline_seed}' is not a hash.", "--outline-seed", "Give 8 to 64 hex digits."
+        )
     if not args.entry_sigma > 0.0:
         raise InputError("--entry-sigma must be positive.", "--entry-sigma", "Give it in mm.")
     loops = ClosedLoopComparison(
@@ -501,6 +510,7 @@ def _comparison_of(args: argparse.Namespace, store: JobStore) -> StrategyCompari
         strategies=_parse_strategies(args.strategies),
         trials=args.trials,
         entry_sigma_mm=None if args.no_entry else args.entry_sigma,
+        outline_seed=args.outline_seed,
     )
     said = None
     if args.statics:

@@ -22,6 +22,7 @@ from touchdown.backend.experiments.comparison import (
     decided_strategies,
     oracle_shares,
     paired_changes,
+    placed_of_ceiling,
     stopped_text,
 )
 from touchdown.backend.experiments.document import report_page
@@ -40,6 +41,8 @@ from touchdown.backend.experiments.strategies import (
     StaticComparison,
     least_probes,
     method_of,
+    parse_trials,
+    released_unsafely,
     reliability_of_counts,
     run_closed_loop,
     run_static_groups,
@@ -66,6 +69,47 @@ def test_no_two_trials_of_a_cell_have_the_same_seed(bottom: str, trials: int) ->
     for seeds in cells.values():
         assert seeds == list(range(seeds[0], seeds[0] + trials))
     assert not set(cells["pot"]) & set(cells["barrel"])
+
+
+def test_every_fresh_trial_has_an_outline_and_a_mounting_of_its_own(
+    bench_v1: SimulationSettings, store: JobStore
+) -> None:
+    plan = ClosedLoopComparison(
+        bench_v1, "1", {}, ("pot", "barrel"), ("fresh",), ("fused", "pick-and-place"), 12
+    )
+    jobs = plan.jobs()
+    assert [job.params["trials"] for job in jobs] == 4 * [10] + 4 * [2]
+    assert not any(job.inputs for job in jobs)
+    setups = [SceneSetup.of_trial(job.params, job.seed + k) for job in jobs[:4:2] for k in range(3)]
+    assert len({setup.bottoms[0].face for setup in setups}) == 6
+    other = replace(plan, outline_seed="0123456789").jobs()[0]
+    assert SceneSetup.of_trial(other.params, other.seed).bottoms != setups[0].bottoms
+    short = replace(plan, pieces=("pot",), strategies=("pick-and-place",), trials=2)
+    (job,) = short.jobs()
+    assert run_job(job, {"beyond": run_closed_loop}, store).state == "done"
+    answer = StrategyComparison(short).answer(store)
+    assert [t["outline"] for t in parse_trials(answer)["pick-and-place", "pot", "fresh"]] == [
+        "disc",
+        "rectangle",
+    ]
+    loops, classes = comparison_tables(answer)
+    assert [row[0] for row in loops.rows][1] == "pick-and-place pooled fresh outlines"
+    assert [row[1][0].value for row in classes.rows] == ["disc", "rectangle"]
+
+
+def test_the_placed_are_a_share_of_what_the_ceiling_places() -> None:
+    def cell(*outcomes: str) -> list[Json]:
+        return [{"seed": k, "outcome": word} for k, word in enumerate(outcomes)]
+
+    trials = {
+        ("ceiling", "pot", "fresh"): cell("placed", "placed", "fell", "placed", "placed"),
+        ("fused", "pot", "fresh"): cell("placed", "fell", "placed", "placed"),
+    }
+    (row,) = placed_of_ceiling(trials)
+    assert (row["n"], row["value"]) == (4, 1.0)
+    assert row["low"] < 1.0 < row["high"]
+    assert released_unsafely({"placed": 3, "fell": 1, "knocked_over": 4}).value == 0.25
+    assert placed_of_ceiling({k: v for k, v in trials.items() if k[0] == "fused"}) == []
 
 
 Json = dict[str, Any]

@@ -165,10 +165,11 @@ class EmulatedBench:
         self._present.close()
         scene = make_scene(self._catalogue, choice, self._settings)
         estimator = self._models.of(choice, scene.piece)
+        cancelled = self.session.engine.cancelled
         with ExitStack() as stack:
             folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
             address = self._process.set_scene(
-                choice, self._settings, self.plan, folder, self._pieces
+                choice, self._settings, self.plan, folder, self._pieces, cancelled
             )
             self._truth = truth = TruthClient(scene, address)
             hardware = read_settings(HardwareSettings, folder / BENCH_FILE)
@@ -177,8 +178,8 @@ class EmulatedBench:
                 self.session.interlock,
             )  # fmt: skip
             stack.callback(wired.close)
-            wired.connect(threading.Event())
-            wired.home()
+            wired.connect(cancelled)
+            wired.home(cancelled)
             self._present = stack.pop_all()
         wrist = self._settings.wrist
         return SceneDevices(

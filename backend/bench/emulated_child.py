@@ -66,12 +66,13 @@ class EmulatedProcess:
         settings: SimulationSettings,
         plan: FaultPlan,
         folder: Path,
-        pieces: Path | None = None,
+        pieces: Path | None,
+        cancel: threading.Event,
     ) -> tuple[str, int]:
         """Emulate a scene with the bench file in ``folder``; return the address of its ground
         truth.
 
-        Raises ``FaultError`` if the process has died or does not respond.
+        Raises ``FaultError`` if the process has died or does not respond, and after ``cancel``.
         """
         self._serving.clear()
         order = {
@@ -81,7 +82,7 @@ class EmulatedProcess:
             "folder": str(folder),
             "pieces": None if pieces is None else str(pieces),
         }
-        host, port = self._ask(order)
+        host, port = self._ask(order, cancel)
         self._serving.set()
         return str(host), int(port)
 
@@ -91,7 +92,7 @@ class EmulatedProcess:
         Raises ``FaultError`` if the process has died or does not respond.
         """
         self._serving.clear()
-        return float(self._ask({"measure_s": seconds}))
+        return float(self._ask({"measure_s": seconds}, threading.Event()))
 
     def end_if_still(self) -> None:
         """Kill a stalled process, so that nothing waits for its devices."""
@@ -114,7 +115,7 @@ class EmulatedProcess:
             child.kill()
             child.wait()
 
-    def _ask(self, order: dict[str, Any]) -> Any:
+    def _ask(self, order: dict[str, Any], cancel: threading.Event) -> Any:
         child = self._running()
         assert child.stdin is not None
         assert child.stdout is not None
@@ -123,18 +124,21 @@ class EmulatedProcess:
             child.stdin.flush()
         except BrokenPipeError as error:
             raise FaultError(GONE) from error
-        answer = self._answer_of(child, child.stdout)
+        answer = self._answer_of(child, child.stdout, cancel)
         if not answer:
             raise FaultError(GONE)
         return json.loads(answer)
 
-    def _answer_of(self, child: subprocess.Popen[str], answers: IO[str]) -> str:
-        """Return the next line of the child, "" at its end; kills a stalled child."""
+    def _answer_of(
+        self, child: subprocess.Popen[str], answers: IO[str], cancel: threading.Event
+    ) -> str:
+        """Return the next line of the child, "" at its end; kills a stalled or unwanted child."""
         rest, begun_s = ThreadStallDetector(child.pid, child.pid), time.monotonic()
         try:
             while not select.select([answers], [], [], LOOK_S)[0]:
                 now_s = time.monotonic()
-                if rest.look(now_s) > REST_S or now_s - begun_s > SET_S:
+                late = rest.look(now_s) > REST_S or now_s - begun_s > SET_S
+                if late or cancel.is_set():
                     self._over.set()  # before the end: the watch tells of no end that is meant
                     child.kill()
                     self.close()
@@ -195,8 +199,11 @@ def serve(orders: IO[str], answers: IO[str]) -> None:
             order = json.loads(line)
             seconds = order.get("measure_s")
             found = _set(order, present) if seconds is None else longest_delay_s(seconds, WORK_S)
-            answers.write(json.dumps(found) + "\n")
-            answers.flush()
+            try:
+                answers.write(json.dumps(found) + "\n")
+                answers.flush()
+            except BrokenPipeError:  # the program has ended meanwhile
+                return
 
 
 def _set(order: dict[str, Any], present: ExitStack) -> tuple[str, int]:

@@ -8,7 +8,6 @@ the same events.
 
 from __future__ import annotations
 
-import threading
 import time
 from collections import deque
 from collections.abc import Mapping
@@ -27,6 +26,7 @@ from touchdown.backend.core import (
     Event,
     EventBus,
     Fault,
+    FaultError,
     FaultRaised,
     FaultsReset,
     Finger,
@@ -61,6 +61,7 @@ from touchdown.backend.runs import (
     DEVICE_FAULTS,
     SCENE_TIMEOUT_S,
     Bench,
+    CancelledError,
     DriftMonitor,
     Engine,
     FaultNotifier,
@@ -545,10 +546,15 @@ class Session:
         raw = self.raw
         for samples in (raw.samples, raw.poses, raw.commands, self.wrench):
             samples.clear()
-        stage = self._make_stage(choice, raw)
-        cancel = threading.Event()
-        for device in stage.devices.values():
-            device.connect(5.0, cancel)
+        cancelled = self.engine.cancelled
+        try:
+            stage = self._make_stage(choice, raw)
+            for device in stage.devices.values():
+                device.connect(5.0, cancelled)
+        except FaultError:
+            if cancelled.is_set():
+                raise CancelledError("cancelled by the operator") from None
+            raise
         payload = payload_wrench(self.calibrations, stage.devices, used)
         payload = stage.payload if payload is None else payload
         sensing = LiveSensing(raw, self.fields, self.wrench, payload)

@@ -130,7 +130,10 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
         session.events.subscribe(take)
         with ctrl_c_cancels(session.engine.cancel), held_piece_reported(session, screen):
             result = session.run(request)
-    screen.show(trial_table(result.trials, bench=bench.removesuffix(" bench")))
+    if result.trials:
+        screen.show(trial_table(result.trials, bench=bench.removesuffix(" bench")))
+    else:
+        screen.say(f"No trial took place: {result.reason}")
     if result.run_folder is not None:
         screen.say(f"Kept in {result.run_folder}")
     screen.result({**_result(args, result, session), "bench": bench})

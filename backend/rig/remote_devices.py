@@ -393,15 +393,17 @@ class BenchDevices:
         for device in self.devices.values():
             device.connect(limit_s, cancel)
 
-    def home(self) -> None:
+    def home(self, cancel: threading.Event) -> None:
         """Home the gripper if it needs it; raises ``FaultError``. Only on the operator's command:
-        with a piece between the jaws the origin would be wrong.
+        with a piece between the jaws the origin would be wrong. ``cancel`` stops it.
         """
         if self.gripper.homed:
             return
-        motion, never = self.gripper.home(), threading.Event()
+        motion = self.gripper.home()
         while not motion.done:
-            never.wait(WAIT_S)
+            if cancel.wait(WAIT_S):
+                self.gripper.stop()
+                return
         motion.result()
 
     def close(self) -> None:

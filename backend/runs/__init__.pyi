@@ -52,6 +52,7 @@ from .messages import scene_to_set_message as scene_to_set_message
 from .motions import RunEnding as RunEnding
 from .outcome import DEVICE_FAULTS as DEVICE_FAULTS
 from .outcome import excluding_fault as excluding_fault
+from .plan import CancelledError as CancelledError
 from .plan import Plan as Plan
 from .plans import check_request as check_request
 from .plans import make_plan as make_plan

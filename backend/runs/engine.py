@@ -88,6 +88,8 @@ class Engine:
         self._obstacle: Fault | None = None  # reason of an automatic pause
         self._idle = threading.Event()
         self._idle.set()
+        # Set by ``cancel`` until the next run: ends work that blocks the plan, such as connecting
+        self.cancelled = threading.Event()
 
     # -- what the operator may ask, from any thread ---------------------------------------------
 
@@ -112,6 +114,7 @@ class Engine:
             self._result, self._error, self._stand_until_s = None, None, None
             self._status = RunStatus(RunState.PREPARING, text="Preparing")
             self._idle.clear()
+            self.cancelled.clear()
 
     def pause(self) -> None:
         """Pause at the next safe place (arm lifted)."""
@@ -127,6 +130,7 @@ class Engine:
             if self._status.state in _ACTIVE:
                 self._throw = CancelledError("cancelled by the operator")
                 self._status = replace(self._status, state=RunState.CANCELLING)
+                self.cancelled.set()
 
     def wait_idle(self, timeout_s: float) -> bool:
         """Block until no plan is running. For scripts, never for a window."""

@@ -9,6 +9,7 @@ import json
 import os
 import re
 import tempfile
+import threading
 import time
 from pathlib import Path
 
@@ -85,7 +86,7 @@ def test_a_bench_whose_process_is_dead_is_a_fault(monkeypatch):
     told = []
     process = EmulatedProcess(told.append)
     with pytest.raises(FaultError, match="has ended"):
-        process.set_scene(CHOICE, SETTINGS, FaultPlan(), Path("nowhere"))
+        process.set_scene(CHOICE, SETTINGS, FaultPlan(), Path("nowhere"), None, threading.Event())
     until(lambda: told)
     process.close()
     assert [fault.code for fault in told] == ["BENCH-GONE"]
@@ -104,10 +105,32 @@ def test_a_process_that_never_sets_its_scene_is_a_fault_and_the_next_scene_gets_
     process = EmulatedProcess(told.append)
     for _ in range(2):
         with pytest.raises(FaultError, match="SCENE-NOT-SET"):
-            process.set_scene(CHOICE, SETTINGS, FaultPlan(), Path("nowhere"))
+            process.set_scene(
+                CHOICE, SETTINGS, FaultPlan(), Path("nowhere"), None, threading.Event()
+            )
         assert process._child is None
     process.close()
     assert told == []
+
+
+def test_a_cancelled_start_does_not_wait_for_the_scene(monkeypatch, tmp_path):
+    silent = tmp_path / "silent"
+    silent.write_text("#!/bin/sh\nexec sleep 600\n")
+    silent.chmod(0o755)
+    monkeypatch.setattr("touchdown.backend.bench.emulated_child.sys.executable", str(silent))
+    process, cancel = EmulatedProcess(lambda fault: None), threading.Event()
+    cancel.set()
+    with pytest.raises(FaultError, match="SCENE-NOT-SET"):
+        process.set_scene(CHOICE, SETTINGS, FaultPlan(), tmp_path, None, cancel)
+    assert process._child is None
+
+
+def test_the_process_of_the_emulated_bench_ends_silently_after_the_program():
+    class Gone(io.StringIO):
+        def write(self, text):
+            raise BrokenPipeError
+
+    serve([json.dumps({"measure_s": 0.01}) + "\n"], Gone())
 
 
 @pytest.mark.skipif(not hasattr(os, "sched_getscheduler"), reason="needs priorities of Linux")
@@ -117,7 +140,7 @@ def test_no_thread_of_the_emulated_bench_lacks_its_priority(tmp_path):
         pass
     process = EmulatedProcess(lambda fault: None)
     try:
-        process.set_scene(CHOICE, SETTINGS, FaultPlan(), tmp_path)
+        process.set_scene(CHOICE, SETTINGS, FaultPlan(), tmp_path, None, threading.Event())
         tasks = Path(f"/proc/{process._child.pid}/task").iterdir()
         policies = {os.sched_getscheduler(int(task.name)) for task in tasks}
     finally:
@@ -156,7 +179,7 @@ def test_rig_and_emulated_devices_have_sessions_of_their_own_and_short_slices(tm
     """Linux shares processor time between sessions, and wakes threads of short slices first."""
     process = EmulatedProcess(lambda fault: None)
     try:
-        process.set_scene(CHOICE, SETTINGS, FaultPlan(), tmp_path)
+        process.set_scene(CHOICE, SETTINGS, FaultPlan(), tmp_path, None, threading.Event())
         devices = process._child.pid
         hardware = read_settings(HardwareSettings, tmp_path / BENCH_FILE)
         link = RigLink(
@@ -187,7 +210,7 @@ def slice_ns(pid: int) -> int | None:
 def test_the_bytes_of_the_wrist_sensor_wait_for_no_thread_of_the_system(tmp_path):
     process = EmulatedProcess(lambda fault: None)
     try:
-        process.set_scene(CHOICE, SETTINGS, FaultPlan(), tmp_path)
+        process.set_scene(CHOICE, SETTINGS, FaultPlan(), tmp_path, None, threading.Event())
         hardware = read_settings(HardwareSettings, tmp_path / BENCH_FILE)
     finally:
         process.close()

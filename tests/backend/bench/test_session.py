@@ -10,7 +10,7 @@ from tests.backend.bench.brisk import brisk_method, brisk_session, brisk_setting
 from tests.backend.rig.scripted import scripted
 from touchdown.backend.bench import RunResult, open_lab, simulated_bench
 from touchdown.backend.core.events import EpisodeRecorded, TrialFinished
-from touchdown.backend.core.faults import FaultError, InputError, RefusedError
+from touchdown.backend.core.faults import Fault, FaultError, InputError, RefusedError
 from touchdown.backend.core.values import Outcome
 from touchdown.backend.runs.event_log import read_events
 from touchdown.backend.runs.recorder import RecordingOptions
@@ -78,6 +78,23 @@ def test_a_cancelled_run_returns_what_it_has():
         result = bench.run(StackRequest(strategy="pick-and-place", trials=3))
         assert not bench.interlock.latched
     assert (len(result.trials), result.ending, result.faults) == (1, "cancelled", ())
+
+
+def test_a_run_cancelled_while_its_devices_connect_is_no_fault(monkeypatch):
+    lost = FaultError(Fault("FT-LINK", "The sensor does not answer.", "Nothing moved.", "Look."))
+
+    with brisk() as bench:
+
+        def connecting(*_scene):
+            bench.engine.cancel()
+            assert bench.engine.cancelled.is_set()
+            raise lost
+
+        monkeypatch.setattr(bench, "_make_stage", connecting)
+        result = bench.run(StackRequest(strategy="pick-and-place"))
+        assert not bench.interlock.latched
+    assert (result.ending, result.reason) == ("cancelled", "cancelled by the operator")
+    assert result.faults == ()
 
 
 def test_bad_requests_and_settings_are_refused():

@@ -61,10 +61,11 @@ class EmulatedFt300(SerialSensor[protocol.Ft300Request]):
             protocol.FIRMWARE_REGISTER: _words(FIRMWARE),
             protocol.YEAR_REGISTER: [YEAR],
         }
-        block = blocks.get(request.register, [])
-        if not 0 < request.count <= len(block):
+        held = {first + k: word for first, block in blocks.items() for k, word in enumerate(block)}
+        asked = range(request.register, request.register + request.count)
+        if not asked or not all(register in held for register in asked):
             return protocol.ModbusRefusal(_READ, BAD_REGISTER)
-        return protocol.RegisterValues(tuple(block[: request.count]))
+        return protocol.RegisterValues(tuple(held[register] for register in asked))
 
     def _sample(self, now_s: float) -> protocol.Ft300Sample:
         counts = self._counts(now_s, PER_UNIT)

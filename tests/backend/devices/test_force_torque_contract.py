@@ -34,6 +34,8 @@ from touchdown.backend.devices.force_torque.reader import (
 )
 from touchdown.backend.devices.framing import Wrench
 from touchdown.backend.devices.ft300 import driver as ft300_driver
+from touchdown.backend.devices.ft300 import protocol as ft300
+from touchdown.backend.devices.ft300.emulator import EmulatedFt300
 from touchdown.backend.devices.melfa.realtime_protocol import CYCLE_S
 from touchdown.backend.devices.netft import protocol as protocol_of_netft
 from touchdown.backend.devices.wsg.emulator import EmulatedWsg
@@ -467,3 +469,13 @@ def test_a_gripper_in_place_of_a_wrist_sensor_is_refused():
         driver.connect(2.0, threading.Event())
     assert driver.state is DeviceState.CLOSED
     front.close()
+
+
+@pytest.mark.parametrize(
+    ("first", "count", "values"),
+    [(190, 3, (0, 0, 64536)), (191, 2, (0, 64536)), (182, 1, (300,)), (192, 2, None), (0, 0, None)],
+)
+def test_the_emulated_ft300_answers_any_range_of_its_registers(first, count, values):
+    sensor = EmulatedFt300(lambda now_s: np.array([1.0, 2.0, 3.0, 0.0, 0.0, 0.0]))
+    answer = sensor._registers(0.0, ft300.ReadRegisters(first, count))
+    assert answer == (ft300.ModbusRefusal(3, 2) if values is None else ft300.RegisterValues(values))

@@ -72,7 +72,7 @@ def add_bench_arguments(parser: argparse.ArgumentParser) -> None:
         help="through real drivers and wires to emulated devices, in real time",
     )
     parser.add_argument(
-        "--preset", help="noise preset: mixed, quiet, hard, off, realistic, bench-v1"
+        "--preset", help="noise preset: mixed, quiet, hard, off, realistic, bench-v1, bench-v2"
     )
     parser.add_argument(
         "--inject",

@@ -28,7 +28,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--probes-per-grip", type=int, default=50, help="1: a new grip for every probe"
     )
     parser.add_argument("--grips-per-mounting", type=int, default=10)
-    parser.add_argument("--preset", help="mixed (default), quiet, hard, off, realistic, bench-v1")
+    parser.add_argument(
+        "--preset", help="mixed (default), quiet, hard, off, realistic, bench-v1, bench-v2"
+    )
     parser.add_argument("--bench", metavar="FILE", help="settings of the simulated bench (TOML)")
     parser.add_argument("--pieces", metavar="DIR", help="folder with further piece files")
     parser.add_argument("--workers", type=int, default=2, help="processes")

@@ -37,6 +37,7 @@ from .method import TowerSettings as TowerSettings
 from .method import TrainingSettings as TrainingSettings
 from .simulation import PRESETS as PRESETS
 from .simulation import SimulationSettings as SimulationSettings
+from .simulation import SpreadSettings as SpreadSettings
 from .simulation import SupportSettings as SupportSettings
 from .simulation import SurfaceSettings as SurfaceSettings
 from .simulation import TactileSettings as TactileSettings
@@ -74,6 +75,7 @@ __all__ = [
     "ProbeSettings",
     "Settings",
     "SimulationSettings",
+    "SpreadSettings",
     "StabilitySettings",
     "StackSettings",
     "StrategyName",

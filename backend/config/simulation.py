@@ -17,7 +17,7 @@ from touchdown.backend.config.toml_file import parse_settings, read_toml
 Share = Annotated[float, Field(ge=0, le=1)]
 Friction = Annotated[float, Field(gt=0, le=10)]
 Spread = Annotated[float, Field(ge=0, le=10)]  # relative standard deviation
-Preset: TypeAlias = Literal["mixed", "quiet", "hard", "off", "realistic", "bench-v1"]
+Preset: TypeAlias = Literal["mixed", "quiet", "hard", "off", "realistic", "bench-v1", "bench-v2"]
 
 
 class GraspSettings(Settings):
@@ -32,6 +32,11 @@ class GraspSettings(Settings):
     hysteresis: bool = False  # one Maxwell branch per gel spring
     hysteresis_share: Share = 0.1  # stiffness of the Maxwell branch relative to the spring [U]
     hysteresis_s: Positive = 0.5  # relaxation time of the Maxwell branch [U]
+    creep_share: Share = 0.0  # a second, slower Maxwell branch; 0: none
+    creep_s: Positive = 5.0  # its relaxation time [U]
+    # Width of the piece that the stiffness of a gel belongs to: the gripped area grows with the
+    # root of the width (line contact, Johnson, Contact Mechanics, eq. 4.43). 0: equal for all.
+    pad_width_mm: NonNegative = 0.0
 
 
 class FaceSettings(Settings):
@@ -46,14 +51,6 @@ class FaceSettings(Settings):
     # Points a side of each cell of the contact: 3 weighs a cell by its covered ninths and puts it
     # at their centre; 1 counts whole cells by their centres.
     subcells: Literal[1, 3, 5] = 1
-
-    @model_serializer(mode="wrap")
-    def _without_default(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Leave out ``subcells`` of 1, so that benches from before it keep their hash."""
-        content: dict[str, Any] = handler(self)
-        if content.get("subcells") == 1:
-            del content["subcells"]
-        return content
 
 
 class SupportSettings(Settings):
@@ -103,6 +100,7 @@ class WristSettings(Settings):
     offset_nm: NonNegative = 0.008
     drift_n_sqrt_min: NonNegative = 0.01
     drift_nm_sqrt_min: NonNegative = 0.0004
+    cable_height_mm: float = 0.0  # point where the cables pull, above the grasp pivot
 
 
 class SpreadSettings(Settings):
@@ -119,6 +117,17 @@ class SpreadSettings(Settings):
     label_error_mm: NonNegative = 0.05
     tilt_rad: NonNegative = 0.004
     print_offset_mm: NonNegative = 0.1
+    # Per probe: the piece moves (along and across the pads) and pitches in the grasp.
+    reseat_mm: NonNegative = 0.0
+    pitch_rad: NonNegative = 0.0
+    # Per day, which begins with each mounting: piece, wrist sensor and cables.
+    face_tilt_rad: NonNegative = 0.0  # face against its nominal plane, per axis
+    face_crown_rad: NonNegative = 0.0  # slope of a domed or hollow face at its rim
+    com_mm: NonNegative = 0.0  # centre of mass against the entered one, per axis
+    pad_area: Spread = 0.0  # gripped area of the gels, which depends on the piece; relative
+    wrist_yaw_rad: NonNegative = 0.0
+    wrist_lever_mm: NonNegative = 0.0  # position of the sensor against the pivot, per axis
+    cable_n_mm: NonNegative = 0.0  # force of the cables per travel of the hand, each of 9 entries
 
 
 class SurfaceSettings(Settings):
@@ -150,7 +159,7 @@ class SimulationSettings(Settings):
 
     Attributes
     ----------
-    preset : {"mixed", "quiet", "hard", "off", "realistic", "bench-v1"}
+    preset : {"mixed", "quiet", "hard", "off", "realistic", "bench-v1", "bench-v2"}
         Named set of nuisances.
     cycle_us : int
         Control cycle of the arm, microseconds.
@@ -176,14 +185,6 @@ class SimulationSettings(Settings):
     spread: SpreadSettings = SpreadSettings()
     surface: SurfaceSettings = SurfaceSettings()
 
-    @model_serializer(mode="wrap")
-    def _without_flat_surface(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Leave out ``surface`` while all faces are flat: older benches keep their hash."""
-        content: dict[str, Any] = handler(self)
-        if self.surface == SurfaceSettings():
-            content.pop("surface", None)
-        return content
-
     @model_validator(mode="before")
     @classmethod
     def _start_from_preset(cls, given: Any) -> Any:
@@ -193,7 +194,36 @@ class SimulationSettings(Settings):
         preset = PRESETS.get(str(given.get("preset", "mixed")))
         return given if preset is None else _overlay(preset, given)
 
+    @model_serializer(mode="wrap")
+    def _without_later_defaults(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Leave out flat faces, and keys of ``LATER_KEYS`` that are off here and in the preset.
 
+        Benches from before these keys keep their hash.
+        """
+        content: dict[str, Any] = handler(self)
+        if self.surface == SurfaceSettings():
+            content.pop("surface", None)
+        preset = PRESETS[self.preset]
+        for section, names in LATER_KEYS.items():
+            values = content.get(section, {})
+            fields = type(getattr(self, section)).model_fields
+            for name in names:
+                off = fields[name].default
+                if values.get(name) == off == preset.get(section, {}).get(name, off):
+                    del values[name]
+        return content
+
+
+# Keys added after bench-v1 was frozen. Each does nothing at its default.
+LATER_KEYS: dict[str, tuple[str, ...]] = {
+    "grasp": ("creep_share", "creep_s", "pad_width_mm"),
+    "face": ("subcells",),
+    "wrist": ("cable_height_mm",),
+    "spread": (
+        "reseat_mm", "pitch_rad", "face_tilt_rad", "face_crown_rad", "com_mm", "pad_area",
+        "wrist_yaw_rad", "wrist_lever_mm", "cable_n_mm",
+    ),
+}  # fmt: skip
 _BENCHES = Path(str(files("touchdown.resources"))) / "benches"
 _NO_DRIFT = {"drift_n_sqrt_min": 0.0, "drift_nm_sqrt_min": 0.0}
 PRESETS: dict[str, dict[str, Any]] = {
@@ -212,6 +242,7 @@ PRESETS: dict[str, dict[str, Any]] = {
     },
     # The paper's method performs here about as on its robot (docs/bench-v1.md); never changed.
     "bench-v1": read_toml(_BENCHES / "bench-v1.toml"),
+    "bench-v2": read_toml(_BENCHES / "bench-v2.toml"),  # never changed (docs/bench-v2.md)
     "hard": {
         "mu_grip": 0.45,
         "grasp": {"hysteresis": True},

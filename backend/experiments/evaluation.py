@@ -62,6 +62,19 @@ NUISANCES = (
     Nuisance("wrist-drift", "Wrist drift", ("wrist.drift_n_sqrt_min", "wrist.drift_nm_sqrt_min")),
 )
 
+# Those that bench-v1 does not draw.
+LATER_NUISANCES = (
+    Nuisance("reseat", "Re-seating in the grasp", ("spread.reseat_mm", "spread.pitch_rad")),
+    Nuisance("flatness", "Faces out of flat", ("spread.face_tilt_rad", "spread.face_crown_rad")),
+    Nuisance("com", "Centre of mass", ("spread.com_mm",), "2 mm"),
+    Nuisance("pad-area", "Gripped area", ("spread.pad_area",), "factor 1.65"),
+    Nuisance("wrist-yaw", "Yaw of the wrist sensor", ("spread.wrist_yaw_rad",)),
+    Nuisance("wrist-lever", "Place of the wrist sensor", ("spread.wrist_lever_mm",)),
+    Nuisance("cable", "Cable pull", ("spread.cable_n_mm",)),
+    Nuisance("creep", "Gel creep", ("grasp.creep_share",)),
+    Nuisance("release", "Disturbance at release", (".release_disturbance_mm",)),
+)
+
 
 def scale_nuisance(
     settings: SimulationSettings, nuisance: Nuisance, factor: float
@@ -75,7 +88,8 @@ def scale_nuisance(
     content = settings.model_dump(mode="json")
     for key in nuisance.keys:
         section, name = key.split(".")
-        content[section][name] = _times(content[section][name], factor)
+        values = content[section] if section else content
+        values[name] = _times(values.get(name, 0.0), factor)
     return SimulationSettings.model_validate(content)
 
 

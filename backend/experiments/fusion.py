@@ -88,7 +88,7 @@ from touchdown.backend.placement import (
     ProbeObservation,
 )
 from touchdown.backend.sensing import EpisodeLimits
-from touchdown.backend.simulation import Scene
+from touchdown.backend.simulation import Scene, true_com_xy_mm
 
 MARGIN_STEP_MM = 1.5  # between the nodes of the margins
 PROBES = 5
@@ -144,7 +144,8 @@ def simulate_sequences(
     """Return s sequences of one piece as arrays, one row per element of ``bottoms``.
 
     ``wrench`` (s, P, T, 6) in N and N·m, ``field`` (s, P, T, 252) in px at ``TICKS``, ``offset_mm``
-    commanded and ``true_mm`` (s, P, 2), the latter relative to the displaced bottom, ``count``
+    commanded and ``true_mm`` (s, P, 2), the latter relative to the displaced bottom, with the error
+    of the entered centre of mass added, so that margins are those of the true one, ``count``
     (s,): number of valid probes of P = ``probes``; the rest is zero. ``support_mm`` (s, 128, 2):
     outline of the bottom, its last corner repeated; ``reach_mm`` (s, 16), ``com_mm`` (s, 2),
     ``grip_height_mm`` (s,): the face.
@@ -179,12 +180,13 @@ def simulate_sequences(
             count[rows] += 1
             waiting = waiting[~good & ~press.truth.toppled]
     height = np.asarray(scenes[0].grip_height_mm)
+    com_error = np.array([true_com_xy_mm(scene) for scene in scenes]) - piece.com_xy_mm
     face = GraspedFace.of(face_points(piece.face), np.asarray(piece.com_xy_mm), height)
     return {
         "wrench": seen[..., TACTILE_CHANNELS:],
         "field": seen[..., :TACTILE_CHANNELS].astype(np.float16),
         "offset_mm": offset.astype(np.float32),
-        "true_mm": true.astype(np.float32),
+        "true_mm": (true + com_error[:, None]).astype(np.float32),
         "count": count,
         "support_mm": np.stack([corners_mm(bottom.lower) for bottom in bottoms]),
         "reach_mm": np.tile(face.reach_mm.astype(np.float32), (n, 1)),
@@ -310,8 +312,8 @@ def record_trials(case: SceneSetup, seeds: Sequence[int], weights: Path) -> list
 
     results = stack_in_lockstep(scenes, uninformed_model(case), settings, EpisodeLimits(), create)
     return [
-        _trial_record(case, end, one.exceeds_by_probe)
-        for end, one in zip(results, recorders, strict=True)
+        _trial_record(scene, end, one.exceeds_by_probe)
+        for scene, end, one in zip(scenes, results, recorders, strict=True)
     ]
 
 
@@ -332,11 +334,11 @@ class RecordingFusedStrategy(FusedStrategy):
 
 
 def _trial_record(
-    case: SceneSetup, end: BatchTrialResult, exceeds_by_probe: Sequence[Sequence[float]]
+    scene: Scene, end: BatchTrialResult, exceeds_by_probe: Sequence[Sequence[float]]
 ) -> Json:
-    com = np.asarray(case.piece.com_xy_mm)
+    com = np.asarray(true_com_xy_mm(scene))
     places = np.array([step.true_mm for step in end.steps]).reshape(-1, 2)
-    true = inset_mm(case.bottoms[0].face, places + com)
+    true = inset_mm(scene.surface, places + com)
     steps = [
         {"inset_mm": round(float(inset), 4), "exceeds": exceeds}
         for inset, exceeds in zip(true, exceeds_by_probe, strict=True)

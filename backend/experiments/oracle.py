@@ -44,7 +44,11 @@ from touchdown.backend.placement import (
     shift_towards,
 )
 from touchdown.backend.simulation import (
+    DAY_SCORES,
+    DAY_SPREADS,
     RESIDUAL_LIMIT,
+    SEAT_SCORES,
+    SEAT_SPREADS,
     Conditions,
     GraspHistory,
     GripDraw,
@@ -55,12 +59,14 @@ from touchdown.backend.simulation import (
     SupportStack,
     begin_probes,
     conditions_from_draws,
+    day_draw,
     draw_noise,
     gel_from_settings,
     join_support_stacks,
     observe_presses,
     onset_rule,
     press_with_noise,
+    seat_draw,
     support_stack,
 )
 
@@ -68,8 +74,11 @@ _Point = tuple[float, float]
 DIAMETERS_MM = (10.0, 30.0)  # of a round bottom with unknown diameter
 SHIFT_X, SHIFT_Y, TILT_X, TILT_Y, STIFFNESS, GEL, MU_GRIP, GRIP, GRASP_X, GRASP_Z = range(10)
 YAW, GAIN_LEFT, GAIN_RIGHT, MU, DIAMETER = range(10, 15)
-NORMAL = slice(TILT_X, DIAMETER + 1)  # columns that are standard normal before any probe
 COLUMNS = 15
+NORMAL = slice(TILT_X, COLUMNS)  # columns that are standard normal before any probe
+# More columns on a bench that draws piece, wrist sensor and grasp of each probe (bench-v2).
+DAY = slice(COLUMNS, COLUMNS + DAY_SCORES)
+SEAT = slice(DAY.stop, DAY.stop + SEAT_SCORES)
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,7 +99,8 @@ class OracleSetting:
 class HypothesisEnsemble:
     """Ensemble of n hypotheses.
 
-    ``value`` (n, 15): columns as named above, the first two in mm: true minus commanded place.
+    ``value`` (n, 15 or 37): columns as named above, the first two in mm: true minus commanded
+    place.
     ``carried``: slip and gel of each gripping so far.
     """
 
@@ -120,8 +130,9 @@ def draw_hypotheses(
     setting: OracleSetting, at_mm: _Point, count: int, rng: np.random.Generator
 ) -> HypothesisEnsemble:
     """Return hypotheses before any probe; all places with enough overlap are equally likely."""
-    value = np.zeros((count, COLUMNS))
+    value = np.zeros((count, SEAT.stop if _draws_more(setting.settings) else COLUMNS))
     value[:, NORMAL] = rng.standard_normal((count, COLUMNS - TILT_X))
+    value[:, COLUMNS:] = rng.spawn(1)[0].standard_normal((count, value.shape[1] - COLUMNS))
     if setting.diameter_known:
         places = draw_offset(rng, setting.piece.face, setting.bottom.face, count)
     else:
@@ -168,11 +179,25 @@ def predict_press(
     # The next probe draws its own friction and error of the arm.
     moved[:, MU] = rng.standard_normal(worlds.count)
     moved[:, :TILT_X] += settings.spread.label_error_mm * rng.standard_normal((worlds.count, 2))
+    if _draws_more(settings):
+        moved[:, SEAT] = rng.standard_normal((worlds.count, SEAT_SCORES))
+        moved[:, SHIFT_X] += _seat_shift_mm(setting, value) - _seat_shift_mm(setting, moved)
     after = HypothesisEnsemble(moved, GraspHistory(pressed.state.slip, pressed.state.relaxed))
     seen = observe_presses(pressed, conditions, still, noise, gel_from_settings(settings))
     return PredictedPress(
         seen, after, pressed.detected & (pressed.state.residual <= RESIDUAL_LIMIT)
     )
+
+
+def _draws_more(settings: SimulationSettings) -> bool:
+    return any(getattr(settings.spread, name) for name in (*DAY_SPREADS, *SEAT_SPREADS))
+
+
+def _seat_shift_mm(setting: OracleSetting, value: FloatArray) -> FloatArray:
+    """Return by how much the grasp of this probe moves the face along -x (n,)."""
+    spread, height_mm = setting.settings.spread, setting.piece.grip_height_mm or 0.0
+    seats = [seat_draw(spread, z) for z in value[:, SEAT]]
+    return np.array([seat["reseat_mm"][0] + height_mm * seat["pitch_rad"] for seat in seats])
 
 
 @dataclass(frozen=True, slots=True)
@@ -201,6 +226,7 @@ def _stand(setting: OracleSetting, value: FloatArray) -> SupportStack | None:
 
 def _conditions(setting: OracleSetting, value: FloatArray) -> Conditions:
     settings, spread = setting.settings, setting.settings.spread
+    more = _draws_more(settings)
     draws = []
     for v in value:
         tilt = np.clip(spread.tilt_rad * v[[TILT_X, TILT_Y]], -0.02, 0.02)
@@ -209,6 +235,8 @@ def _conditions(setting: OracleSetting, value: FloatArray) -> Conditions:
             low, high = np.log(settings.face.foundation_range_n_mm3)
             foundation = float(np.exp(low + (high - low) * _share(v[[STIFFNESS]])[0]))
         mounting = MountingDraw((float(tilt[0]), float(tilt[1])), (0.0, 0.0), foundation)
+        if more:
+            mounting = replace(mounting, **day_draw(spread, v[DAY]))
         grasp = np.clip(spread.grasp_offset_mm * v[[GRASP_X, GRASP_Z]], -2.0, 2.0)
         gain = np.clip(1.0 + spread.gain * v[[GAIN_LEFT, GAIN_RIGHT]], 0.8, 1.2)
         grip_n = setting.probe.grip_force_n + spread.grip_force_n * v[GRIP]
@@ -222,6 +250,8 @@ def _conditions(setting: OracleSetting, value: FloatArray) -> Conditions:
         )
         mu = float(np.clip(settings.mu * (1.0 + spread.mu * v[MU]), 0.2, 0.6))
         probe = ProbeDraw(mu, (0.0, 0.0), np.zeros((2, 2)), np.zeros(6))
+        if more:
+            probe = replace(probe, **seat_draw(spread, v[SEAT]))
         draws.append((mounting, gripping, probe))
     height = setting.piece.grip_height_mm
     assert height is not None
@@ -317,6 +347,9 @@ class OracleStrategy:
         """Return the stability margin at the commanded place in each hypothesis (n,)."""
         setting, value = self._setting, self.worlds.value
         true = value[:, :TILT_X] + np.asarray(here) + np.asarray(setting.piece.com_xy_mm)
+        if setting.settings.spread.com_mm:
+            # The entered centre of mass is wrong, and no probe tells by how much.
+            true += [day_draw(setting.settings.spread, z)["com_mm"] for z in value[:, DAY]]
         share = setting.piece.mass_g / (setting.piece.mass_g + setting.bottom.mass_g)
         if setting.diameter_known:
             face = setting.bottom.face

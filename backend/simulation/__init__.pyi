@@ -11,11 +11,17 @@ from .batch import observe_presses as observe_presses
 from .batch import onset_rule as onset_rule
 from .batch import press_with_noise as press_with_noise
 from .batch import simulate_episodes as simulate_episodes
+from .conditions import DAY_SCORES as DAY_SCORES
+from .conditions import DAY_SPREADS as DAY_SPREADS
+from .conditions import SEAT_SCORES as SEAT_SCORES
+from .conditions import SEAT_SPREADS as SEAT_SPREADS
 from .conditions import Conditions as Conditions
 from .conditions import GripDraw as GripDraw
 from .conditions import MountingDraw as MountingDraw
 from .conditions import ProbeDraw as ProbeDraw
 from .conditions import conditions_from_draws as conditions_from_draws
+from .conditions import day_draw as day_draw
+from .conditions import seat_draw as seat_draw
 from .contact import RESIDUAL_LIMIT as RESIDUAL_LIMIT
 from .finger_camera import TactileRenderer as TactileRenderer
 from .finger_camera import load_gel_appearance as load_gel_appearance
@@ -25,6 +31,7 @@ from .ground_truth import Scene as Scene
 from .ground_truth import SceneTruth as SceneTruth
 from .ground_truth import release_kick_mm as release_kick_mm
 from .ground_truth import tower_with_piece as tower_with_piece
+from .ground_truth import true_com_xy_mm as true_com_xy_mm
 from .ground_truth import true_margin_mm as true_margin_mm
 from .marker_fields import gel_from_settings as gel_from_settings
 from .mechanics import GraspHistory as GraspHistory
@@ -44,7 +51,11 @@ from .world import CycleRecord as CycleRecord
 from .world import World as World
 
 __all__ = [
+    "DAY_SCORES",
+    "DAY_SPREADS",
     "RESIDUAL_LIMIT",
+    "SEAT_SCORES",
+    "SEAT_SPREADS",
     "ArmCycle",
     "BatchPlan",
     "BatchedTrials",
@@ -71,6 +82,7 @@ __all__ = [
     "World",
     "begin_probes",
     "conditions_from_draws",
+    "day_draw",
     "draw_noise",
     "gel_from_settings",
     "import_mujoco",
@@ -83,9 +95,11 @@ __all__ = [
     "open_in_steps",
     "press_with_noise",
     "release_kick_mm",
+    "seat_draw",
     "simulate_episodes",
     "start_command_mm",
     "support_stack",
     "tower_with_piece",
+    "true_com_xy_mm",
     "true_margin_mm",
 ]

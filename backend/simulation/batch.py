@@ -15,15 +15,20 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.backend.config import SAMPLES_PER_PROBE, ProbeSettings, SimulationSettings
+from touchdown.backend.config import (
+    SAMPLES_PER_PROBE,
+    ProbeSettings,
+    SimulationSettings,
+    WristSettings,
+)
 from touchdown.backend.core import CHANNELS, TACTILE_CHANNELS, FloatArray, OnsetRule
 from touchdown.backend.geometry import Outline, Tower, face_points, scene_number
 from touchdown.backend.simulation import conditions as nuisance
 from touchdown.backend.simulation import marker_fields
 from touchdown.backend.simulation.conditions import Conditions, SeedScope, true_offset_mm
 from touchdown.backend.simulation.contact import RESIDUAL_LIMIT
-from touchdown.backend.simulation.gripper import scene_mounting, start_command_mm
-from touchdown.backend.simulation.ground_truth import Scene
+from touchdown.backend.simulation.gripper import start_command_mm
+from touchdown.backend.simulation.ground_truth import Scene, scene_mounting
 from touchdown.backend.simulation.marker_fields import CameraDraw, Gel, gel_from_settings
 from touchdown.backend.simulation.mechanics import ContactState, GraspHistory, Region, begin_probes
 from touchdown.backend.simulation.pressing import (
@@ -38,7 +43,7 @@ from touchdown.backend.simulation.supports import (
     slide_bottoms,
     support_stack,
 )
-from touchdown.backend.simulation.wrist_sensor import wrist_wrench
+from touchdown.backend.simulation.wrist_sensor import cable_wrench, wrist_wrench
 
 MAX_ATTEMPTS = 20
 MIN_OVERLAP_MM2 = 6.0
@@ -329,7 +334,7 @@ def observe_presses(
     fields = marker_fields.fields_at_ticks(
         pressed.timeline, pressed.air, pressed.ticks_s, [n.camera for n in noise], sight
     )
-    at_wrist = wrist_wrench(_mean_wrench(pressed), settings.wrist.height_mm, settings.wrist.yaw_rad)
+    at_wrist = _at_wrist(_mean_wrench(pressed), pressed.travel_mm, conditions, settings.wrist)
     at_wrist += conditions.ft_offset[:, None, :]
     at_wrist += np.stack([n.wrench for n in noise])
     count = len(noise)
@@ -338,6 +343,23 @@ def observe_presses(
     seen[:, :, :TACTILE_CHANNELS] = in_order
     seen[:, :, TACTILE_CHANNELS:] = at_wrist
     return seen
+
+
+TARE_HEIGHT_MM = 3.0  # height of the face above first touch at the tare
+
+
+def _at_wrist(
+    wrench_g: FloatArray, travel_mm: FloatArray, conditions: Conditions, wrist: WristSettings
+) -> FloatArray:
+    """Return (n, 20, 6) at the sensor, whose place differs; the cables pull since the tare."""
+    if conditions.cable_n_mm.any():
+        moved = np.zeros((*travel_mm.shape, 3))
+        moved[..., 2] = -TARE_HEIGHT_MM - travel_mm
+        pull = cable_wrench(conditions.cable_n_mm[:, None], moved, wrist.cable_height_mm)
+        wrench_g = wrench_g + pull
+    lever = conditions.wrist_lever_mm[:, None] if conditions.wrist_lever_mm.any() else None
+    yaw = wrist.yaw_rad + conditions.wrist_yaw_rad[:, None]
+    return wrist_wrench(wrench_g, wrist.height_mm, yaw, lever)
 
 
 def _mean_wrench(pressed: PressCourse) -> FloatArray:
@@ -368,7 +390,7 @@ def usable_presses(
     pressed: PressBatch, conditions: Conditions, probe: ProbeSettings
 ) -> NDArray[np.bool_]:
     """Return (n,) True for presses that converged, found contact, and are below the force bound."""
-    both = 2.0 * conditions.shear_n_mm * (1.0 + conditions.alpha)
+    both = 2.0 * conditions.shear_n_mm * (1.0 + conditions.alpha + conditions.creep)
     series = both * conditions.robot_n_mm[:, 2] / (both + conditions.robot_n_mm[:, 2])
     bound = LARGEST_FORCE_RATIO * series * (probe.depth_mm + 0.1)
     largest = pressed.timeline.values[:, :, 2].max(axis=1)

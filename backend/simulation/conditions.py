@@ -7,14 +7,14 @@ that draws do not depend on the division or order of the work.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from enum import IntEnum
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.backend.config import ProbeSettings, SimulationSettings
+from touchdown.backend.config import ProbeSettings, SimulationSettings, SpreadSettings
 from touchdown.backend.core import FloatArray
 from touchdown.backend.simulation.rows import Rows
 
@@ -27,10 +27,13 @@ class Conditions(Rows):
     finger; ``width_mm`` between the pads; ``robot_n_mm`` (B, 3); ``grip_height_mm`` pivot above
     the face; ``grasp_offset_mm`` (B, 2) = (g_x, g_z): the face sits at commanded minus g_x.
     Contact: ``mu``, ``foundation_n_mm3``, ``tangential_n_mm3``, ``tilt_rad`` (B, 2).
-    Hysteresis: ``alpha`` (0: off) and ``relax_s``. ``slips`` switches grip slip.
+    Hysteresis: ``alpha`` (0: off) and ``relax_s``; ``creep`` and ``creep_s`` of a slower branch.
+    ``slips`` switches grip slip. ``tilt_rad`` is that of board, face and pitch together;
+    ``crown_rad`` (B,): slope of the face at its rim, positive if domed.
     Position: ``print_offset_mm`` (B, 2) of the bottom, ``label_error_mm`` (B, 2) of the arm.
     Sensors: ``gain`` (B, 2) per finger; ``bias_px`` (B, 2, 2) finger, axis; ``ft_offset`` (B, 6)
-    in N and N·m.
+    in N and N·m; ``wrist_yaw_rad`` (B,) and ``wrist_lever_mm`` (B, 3): errors of the sensor's
+    place; ``cable_n_mm`` (B, 3, 3): force per travel.
     """
 
     shear_n_mm: FloatArray
@@ -47,15 +50,21 @@ class Conditions(Rows):
     yaw_rad: FloatArray
     alpha: FloatArray
     relax_s: FloatArray
+    creep: FloatArray
+    creep_s: FloatArray
     mu: FloatArray
     foundation_n_mm3: FloatArray
     tangential_n_mm3: FloatArray
     tilt_rad: FloatArray
+    crown_rad: FloatArray
     print_offset_mm: FloatArray
     label_error_mm: FloatArray
     gain: FloatArray
     bias_px: FloatArray
     ft_offset: FloatArray
+    wrist_yaw_rad: FloatArray
+    wrist_lever_mm: FloatArray
+    cable_n_mm: FloatArray
 
     @property
     def count(self) -> int:
@@ -97,11 +106,24 @@ def scoped_generator(seed: int, scope: SeedScope, *place: int) -> np.random.Gene
 
 @dataclass(frozen=True, slots=True)
 class MountingDraw:
-    """A bottom on the bench: tilt (rad), position error (mm), stiffness of the pair (N/mm³)."""
+    """A bottom on the bench: tilt (rad), position error (mm), stiffness of the pair (N/mm³).
+
+    The others are those of the day, which begins with each mounting. Piece: ``face_tilt_rad`` and
+    ``crown_rad`` of its face, ``com_mm`` true minus entered centre of mass, ``pad_area`` relative
+    gripped area of the gels. Bench: ``wrist_yaw_rad``, ``wrist_lever_mm`` (x, y, height) and
+    ``cable_n_mm`` (3, 3), the change of the force of the cables with the position of the hand.
+    """
 
     tilt_rad: tuple[float, float]
     print_offset_mm: tuple[float, float]
     foundation_n_mm3: float
+    face_tilt_rad: tuple[float, float] = (0.0, 0.0)
+    crown_rad: float = 0.0
+    com_mm: tuple[float, float] = (0.0, 0.0)
+    pad_area: float = 1.0
+    wrist_yaw_rad: float = 0.0
+    wrist_lever_mm: tuple[float, ...] = (0.0, 0.0, 0.0)
+    cable_n_mm: tuple[tuple[float, ...], ...] = ((0.0,) * 3,) * 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,12 +140,17 @@ class GripDraw:
 
 @dataclass(frozen=True, slots=True)
 class ProbeDraw:
-    """Draws of one probe; ``bias_px`` (2, 2), ``ft_offset`` (6,) in N and N·m."""
+    """Draws of one probe; ``bias_px`` (2, 2), ``ft_offset`` (6,) in N and N·m.
+
+    ``reseat_mm``: change of the grasp offset (g_x, g_z); ``pitch_rad`` of the piece in the grasp.
+    """
 
     mu: float
     label_error_mm: tuple[float, float]
     bias_px: FloatArray
     ft_offset: FloatArray
+    reseat_mm: tuple[float, float] = (0.0, 0.0)
+    pitch_rad: float = 0.0
 
 
 def _limited(rng: np.random.Generator, mean: float, sd: float, low: float, high: float) -> float:
@@ -139,7 +166,33 @@ def draw_mounting(settings: SimulationSettings, rng: np.random.Generator) -> Mou
     if settings.face.foundation_range_n_mm3 is not None:
         low, high = np.log(settings.face.foundation_range_n_mm3)
         foundation = float(np.exp(rng.uniform(low, high)))
-    return MountingDraw(_pair(tilt), _pair(print_offset), foundation)
+    drawn = MountingDraw(_pair(tilt), _pair(print_offset), foundation)
+    if not any(getattr(spread, name) for name in DAY_SPREADS):
+        return drawn
+    # A stream of its own: the draws above stay as they were.
+    return replace(drawn, **day_draw(spread, rng.spawn(1)[0].standard_normal(DAY_SCORES)))
+
+
+DAY_SPREADS = (
+    "face_tilt_rad", "face_crown_rad", "com_mm", "pad_area", "wrist_yaw_rad", "wrist_lever_mm",
+    "cable_n_mm",
+)  # fmt: skip
+SEAT_SPREADS = ("reseat_mm", "pitch_rad")
+DAY_SCORES, SEAT_SCORES = 19, 3
+
+
+def day_draw(spread: SpreadSettings, z: FloatArray) -> dict[str, Any]:
+    """Return piece, wrist sensor and cables of a day for standard normal ``z`` (19,)."""
+    cable = spread.cable_n_mm * z[10:].reshape(3, 3)
+    return {
+        "face_tilt_rad": _pair(np.clip(spread.face_tilt_rad * z[:2], -0.02, 0.02)),
+        "crown_rad": float(np.clip(spread.face_crown_rad * z[2], -0.02, 0.02)),
+        "com_mm": _pair(np.clip(spread.com_mm * z[3:5], -2.0, 2.0)),
+        "pad_area": float(np.exp(np.clip(spread.pad_area * z[5], -0.5, 0.5))),
+        "wrist_yaw_rad": spread.wrist_yaw_rad * float(z[6]),
+        "wrist_lever_mm": tuple((spread.wrist_lever_mm * z[7:10]).tolist()),
+        "cable_n_mm": tuple(map(tuple, cable.tolist())),
+    }
 
 
 def draw_gripping(
@@ -164,12 +217,22 @@ def draw_probe(settings: SimulationSettings, rng: np.random.Generator) -> ProbeD
     spread, wrist = settings.spread, settings.wrist
     label_error = np.clip(spread.label_error_mm * rng.standard_normal(2), -0.3, 0.3)
     scale = np.repeat([wrist.offset_n, wrist.offset_nm], 3)
-    return ProbeDraw(
+    drawn = ProbeDraw(
         mu=_limited(rng, settings.mu, settings.mu * spread.mu, 0.2, 0.6),
         label_error_mm=_pair(label_error),
         bias_px=np.clip(settings.tactile.bias_px * rng.standard_normal((2, 2)), -1.0, 1.0),
         ft_offset=scale * rng.standard_normal(6),
     )
+    if not any(getattr(spread, name) for name in SEAT_SPREADS):
+        return drawn
+    return replace(drawn, **seat_draw(spread, rng.spawn(1)[0].standard_normal(SEAT_SCORES)))
+
+
+def seat_draw(spread: SpreadSettings, z: FloatArray) -> dict[str, Any]:
+    """Return the change of the grasp before a probe for standard normal ``z`` (3,)."""
+    reseat = np.clip(spread.reseat_mm * z[:2], -0.5, 0.5)
+    pitch = float(np.clip(spread.pitch_rad * z[2], -0.02, 0.02))
+    return {"reseat_mm": _pair(reseat), "pitch_rad": pitch}
 
 
 def conditions_from_draws(
@@ -179,7 +242,10 @@ def conditions_from_draws(
     width_mm: float,
     draws: Sequence[tuple[MountingDraw, GripDraw, ProbeDraw]],
 ) -> Conditions:
-    """Join the draws of B probes with the fixed settings."""
+    """Join the draws of B probes with the fixed settings.
+
+    The pitch of a piece turns its face about the pivot: the face tilts and moves along x.
+    """
     mounting, gripping, each = zip(*draws, strict=True)
     count = len(draws)
     ones = np.ones(count)
@@ -189,19 +255,31 @@ def conditions_from_draws(
         for scope in (mounting, gripping, each)
         for field in fields(scope[0])
     }
-    gel = drawn.pop("gel_factor")
+    drawn.pop("com_mm")
+    gel, area = drawn.pop("gel_factor"), drawn.pop("pad_area")
+    if grasp.pad_width_mm:
+        area = area * np.sqrt(width_mm / grasp.pad_width_mm)
+    # A thin layer under a patch: k ~ A, torsion ~ A r² ~ A², lever of friction ~ r.
+    gel, torsion, lever = gel * area, gel * area**2, np.sqrt(area)
+    pitch, reseat = drawn.pop("pitch_rad"), drawn.pop("reseat_mm")
+    drawn["tilt_rad"] = drawn["tilt_rad"] + drawn.pop("face_tilt_rad")
+    drawn["tilt_rad"][:, 1] += pitch
+    drawn["grasp_offset_mm"] = drawn["grasp_offset_mm"] + reseat
+    drawn["grasp_offset_mm"][:, 0] += pitch * grip_height_mm
     return Conditions(
         **drawn,
         shear_n_mm=grasp.shear_n_mm * gel,
         normal_n_mm=grasp.normal_n_mm * gel,
-        torsion_nmm=grasp.torsion_nmm_rad * gel,
+        torsion_nmm=grasp.torsion_nmm_rad * torsion,
         width_mm=width_mm * ones,
         robot_n_mm=np.tile(np.array(probe.stiffness_n_mm), (count, 1)),
         grip_height_mm=grip_height_mm * ones,
-        limit_radius_mm=grasp.limit_radius_mm * ones,
+        limit_radius_mm=grasp.limit_radius_mm * lever,
         slips=np.full(count, grasp.slip),
         alpha=(grasp.hysteresis_share if grasp.hysteresis else 0.0) * ones,
         relax_s=grasp.hysteresis_s * ones,
+        creep=grasp.creep_share * ones,
+        creep_s=grasp.creep_s * ones,
         tangential_n_mm3=settings.face.tangential_n_mm3 * ones,
     )
 

@@ -18,16 +18,14 @@ from touchdown.backend.geometry import Tower, face_points
 from touchdown.backend.simulation import mechanics
 from touchdown.backend.simulation.conditions import (
     Conditions,
-    MountingDraw,
     SeedScope,
     conditions_from_draws,
     draw_gripping,
-    draw_mounting,
     draw_probe,
     scoped_generator,
     true_offset_mm,
 )
-from touchdown.backend.simulation.ground_truth import Scene
+from touchdown.backend.simulation.ground_truth import Scene, scene_mounting, true_com_xy_mm
 from touchdown.backend.simulation.pressing import TIMELINE_VALUES, pack_equilibrium
 from touchdown.backend.simulation.supports import slide_bottoms, support_stack
 from touchdown.backend.simulation.wrist_sensor import held_piece_load
@@ -156,7 +154,7 @@ class HeldPiece:
         self._values = self.air
         self.weight = held_piece_load(
             scene.piece.mass_g,
-            (*scene.piece.com_xy_mm, scene.piece.com_height_mm),
+            (*true_com_xy_mm(scene), scene.piece.com_height_mm),
             scene.grip_height_mm,
             self.gripping.grasp_offset_mm,
         )
@@ -180,7 +178,8 @@ class HeldPiece:
             self._lowered = True
         elif self._lowered:
             self.sensed = self._lowered = False
-        relaxing = self._state is not None and bool(self.conditions.alpha[0] > 0.0)
+        gives = self.conditions.alpha[0] + self.conditions.creep[0] > 0.0
+        relaxing = self._state is not None and bool(gives)
         if not near and not relaxing:
             self._values = self.air
             return self._values
@@ -199,7 +198,7 @@ class HeldPiece:
     @property
     def touch_height_mm(self) -> float:
         """Height of first touch without slip."""
-        return self._scene.grip_height_mm + self.gripping.grasp_offset_mm[1]
+        return self._scene.grip_height_mm + float(self.conditions.grasp_offset_mm[0, 1])
 
     @property
     def press_n(self) -> float:
@@ -281,7 +280,8 @@ class HeldPiece:
         draw = draw_probe(scene.settings, rng)
         if self.probe == 0:
             # Before the first press the piece is at the start of the scene.
-            draw = replace(draw, label_error_mm=(0.0, 0.0))
+            still = (0.0, 0.0)
+            draw = replace(draw, label_error_mm=still, reseat_mm=still, pitch_rad=0.0)
         return conditions_from_draws(
             scene.settings,
             probe,
@@ -289,12 +289,6 @@ class HeldPiece:
             scene.piece.width_mm,
             [(self.mounting, self.gripping, draw)],
         )
-
-
-def scene_mounting(scene: Scene) -> MountingDraw:
-    """Return the draw of the scene's mounting."""
-    place = (scene.number, scene.mounting)
-    return draw_mounting(scene.settings, scoped_generator(scene.seed, SeedScope.MOUNTING, *place))
 
 
 def start_command_mm(scene: Scene) -> FloatArray:

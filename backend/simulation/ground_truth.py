@@ -5,13 +5,15 @@ It is used for scoring and for the display after a trial only.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from touchdown.backend.config import SimulationSettings
 from touchdown.backend.core import Fall
 from touchdown.backend.geometry import Outline, Piece, Tower, judge_tower, scene_number
+from touchdown.backend.simulation import conditions
+from touchdown.backend.simulation.conditions import MountingDraw
 from touchdown.backend.simulation.release_mujoco import (
     contradicts_analysis,
     mujoco_available,
@@ -64,6 +66,22 @@ class Scene:
         return upper
 
 
+def scene_mounting(scene: Scene) -> MountingDraw:
+    """Return the draw of the scene's mounting."""
+    place = (scene.number, scene.mounting)
+    rng = conditions.scoped_generator(scene.seed, conditions.SeedScope.MOUNTING, *place)
+    return conditions.draw_mounting(scene.settings, rng)
+
+
+def true_com_xy_mm(scene: Scene) -> tuple[float, float]:
+    """Return the true centre of mass of the piece in ``F``; the entered one is only near it."""
+    x, y = scene.piece.com_xy_mm
+    if not scene.settings.spread.com_mm:
+        return x, y
+    dx, dy = scene_mounting(scene).com_mm
+    return x + dx, y + dy
+
+
 MAX_RELEASE_GAP_MM = 2.0  # released higher above the support, the piece counts as fallen
 
 
@@ -88,10 +106,11 @@ class SceneTruth:
 
 
 def tower_with_piece(scene: Scene, offset_mm: tuple[float, float], yaw_rad: float) -> Tower:
-    """Return the tower with the piece at ``offset_mm`` from its topmost bottom."""
+    """Return the true tower with the piece at ``offset_mm`` from its topmost bottom."""
     carrier = scene.bottoms.bodies[-1]
     at_mm = (carrier.at_mm[0] + offset_mm[0], carrier.at_mm[1] + offset_mm[1])
-    return scene.bottoms.with_top(scene.piece.body(at_mm, yaw_rad))
+    body = replace(scene.piece.body(at_mm, yaw_rad), com_xy_mm=true_com_xy_mm(scene))
+    return scene.bottoms.with_top(body)
 
 
 def true_margin_mm(

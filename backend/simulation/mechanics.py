@@ -57,11 +57,16 @@ class Springs(Rows):
 def springs(conditions: Conditions, relaxed: FloatArray, dt_s: float | FloatArray) -> Springs:
     """Return the equivalent springs of one implicit step of ``dt_s``.
 
-    ``relaxed`` (B, 2, 4): inner states v of the Maxwell branches (x, z, torsion, y).
+    ``relaxed`` (B, 2, 8): inner states v of the Maxwell branches (x, z, torsion, y), those of the
+    slower ones last; without creep (B, 2, 4) suffices.
     """
     b = 1.0 / (1.0 + dt_s / conditions.relax_s)
     share = conditions.alpha * b
     stiffer = 1.0 + share
+    slow = np.zeros_like(share)
+    if conditions.creep.any():
+        slow = conditions.creep / (1.0 + dt_s / conditions.creep_s)
+        stiffer = stiffer + slow
     shear, normal = conditions.shear_n_mm * stiffer, conditions.normal_n_mm * stiffer
     torsion = conditions.torsion_nmm * stiffer
     finger = np.stack([shear, shear, torsion, normal], axis=1)
@@ -69,7 +74,9 @@ def springs(conditions: Conditions, relaxed: FloatArray, dt_s: float | FloatArra
     series = both * conditions.robot_n_mm / (both + conditions.robot_n_mm)
     lever = 2.0 * shear * (0.5 * conditions.width_mm) ** 2
     rotation = np.stack([lever, 2.0 * torsion, lever], axis=1)
-    hidden = (share / stiffer)[:, None, None] * relaxed
+    hidden = (share / stiffer)[:, None, None] * relaxed[..., :4]
+    if slow.any():
+        hidden += (slow / stiffer)[:, None, None] * relaxed[..., 4:]
     return Springs(
         finger,
         series,
@@ -138,9 +145,16 @@ def returned_slip(
 def relax(
     relaxed: FloatArray, strain: FloatArray, conditions: Conditions, dt_s: float | FloatArray
 ) -> FloatArray:
-    """Return the Maxwell states v (B, 2, 4) after an implicit step of ``dt_s``."""
+    """Return the Maxwell states v (B, 2, 8) after an implicit step of ``dt_s``."""
+    after = np.empty_like(relaxed)
     b = (1.0 / (1.0 + dt_s / conditions.relax_s))[:, None, None]
-    return np.asarray(b * relaxed + (1.0 - b) * strain, dtype=np.float64)
+    after[..., :4] = b * relaxed[..., :4] + (1.0 - b) * strain
+    if conditions.creep.any():
+        b = (1.0 / (1.0 + dt_s / conditions.creep_s))[:, None, None]
+        after[..., 4:] = b * relaxed[..., 4:] + (1.0 - b) * strain
+    else:
+        after[..., 4:] = relaxed[..., 4:]
+    return after
 
 
 SLIP_TOLERANCE = 1e-5
@@ -297,7 +311,7 @@ class Region(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class GraspHistory(Rows):
-    """State of a grip between probes: ``slip`` (B, 2, 3) and ``relaxed`` (B, 2, 4)."""
+    """State of a grip between probes: ``slip`` (B, 2, 3) and ``relaxed`` (B, 2, 8)."""
 
     slip: FloatArray
     relaxed: FloatArray
@@ -305,14 +319,14 @@ class GraspHistory(Rows):
     @classmethod
     def fresh(cls, count: int) -> GraspHistory:
         """Return ``count`` grips without slip."""
-        return cls(np.zeros((count, 2, 3)), np.zeros((count, 2, 4)))
+        return cls(np.zeros((count, 2, 3)), np.zeros((count, 2, 8)))
 
 
 @dataclass(frozen=True, slots=True)
 class ContactState(Rows):
     """State of B probes between time steps.
 
-    ``q`` (B, 6) mm and rad; ``slip`` (B, 2, 3); ``anchor`` (2, B, n); ``relaxed`` (B, 2, 4);
+    ``q`` (B, 6) mm and rad; ``slip`` (B, 2, 3); ``anchor`` (2, B, n); ``relaxed`` (B, 2, 8);
     ``residual`` (B,): largest of the probe so far. ``depth_mm`` (B,): last command; ``slope``
     (B, 6): change of q per mm of it, for the initial guess of the next step. ``stand``: supports of
     the touched face, None if rigid; ``pose`` of them; ``pivot_mm`` (B, 2): ``G`` over ``O``;
@@ -399,6 +413,9 @@ def begin_probes(  # noqa: PLR0913 - two describe the lattice
     y = packed[..., 1]
     tilt = conditions.tilt_rad
     gap = tilt[:, 1:] * packed[..., 0] - tilt[:, :1] * packed[..., 1]
+    if conditions.crown_rad.any():
+        reach_mm = np.sqrt((face_points_mm**2).sum(axis=1).max())
+        gap -= (0.5 / reach_mm) * conditions.crown_rad[:, None] * (packed**2).sum(axis=-1)
     gap -= np.where(exists, gap, -np.inf).max(axis=1, initial=-1e9)[:, None]
     area = pitch_mm**2 * covered
     cells = contact.ContactCells(

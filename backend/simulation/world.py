@@ -38,7 +38,7 @@ from touchdown.backend.simulation.gripper import HeldPiece, SimulatedJaws, start
 from touchdown.backend.simulation.ground_truth import Scene, SceneTruth
 from touchdown.backend.simulation.marker_fields import gel_from_settings
 from touchdown.backend.simulation.pressing import TIMELINE_VALUES
-from touchdown.backend.simulation.wrist_sensor import WristLoad, WristSampler
+from touchdown.backend.simulation.wrist_sensor import WristLoad, WristSampler, cable_wrench
 
 OPEN_CLEARANCE_MM = 20.0  # at the start the jaws are wider than the piece by this much
 DRAG_MM = 1.0  # dragging a pressed piece farther than this knocks a free support over
@@ -79,7 +79,12 @@ class World:
         seeds = np.random.SeedSequence(
             [scene.seed, scene.number, 7, scene.mounting]
         ).generate_state(3)
-        self._wrist = WristSampler(settings.wrist, self.cycle_us, int(seeds[2]))
+        day = ground_truth.scene_mounting(scene)
+        self._wrist = WristSampler(
+            settings.wrist, self.cycle_us, int(seeds[2]), day.wrist_yaw_rad, day.wrist_lever_mm
+        )
+        self._cable = np.array(day.cable_n_mm) if np.any(day.cable_n_mm) else None
+        self._cable_from_mm = self.drive.command_mm.copy()
         self._cameras = _cameras(scene, seeds.tolist(), still_px)
         self._holding: HeldPiece | None = None
         self._bottoms = scene.bottoms
@@ -274,6 +279,10 @@ class World:
                 weights = weights + self._holding.weight.wrench_g(turn)
             return values[:6] + weights
         load = values[:6] + self._wrist.payload_g
+        if self._cable is not None:
+            travel = self.drive.command_mm - self._cable_from_mm
+            height_mm = self.scene.settings.wrist.cable_height_mm
+            load = load + cable_wrench(self._cable, travel, height_mm)
         return load if self._holding is None else load + self._holding.weight_g
 
     def _field(self, values: FloatArray) -> FloatArray:

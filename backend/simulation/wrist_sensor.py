@@ -37,16 +37,24 @@ def held_piece_load(
     return Load(1e-3 * mass_g, position)
 
 
-def wrist_wrench(wrench_g: FloatArray, height_mm: float, yaw_rad: float = 0.0) -> FloatArray:
+def wrist_wrench(
+    wrench_g: FloatArray,
+    height_mm: float,
+    yaw_rad: float | FloatArray = 0.0,
+    lever_mm: FloatArray | None = None,
+) -> FloatArray:
     """Return (..., 6) in N and N·m at the sensor ``height_mm`` above ``G``.
 
     ``wrench_g`` (..., 6) in N and N·mm, axes of ``G``; the sensor is rotated by ``yaw_rad``.
+    ``lever_mm`` (..., 3): ``G`` is this far along x and y, and farther below the sensor.
     """
     w = np.array(wrench_g, dtype=np.float64)
     w[..., 3] += height_mm * wrench_g[..., 1]
     w[..., 4] -= height_mm * wrench_g[..., 0]
+    if lever_mm is not None:
+        w[..., 3:] += np.cross(lever_mm * (1.0, 1.0, -1.0), wrench_g[..., :3])
     w[..., 3:] *= 1e-3
-    if yaw_rad == 0.0:
+    if not np.any(yaw_rad):
         return w
     cos, sin = np.cos(yaw_rad), np.sin(yaw_rad)
     turned = w.copy()
@@ -54,6 +62,16 @@ def wrist_wrench(wrench_g: FloatArray, height_mm: float, yaw_rad: float = 0.0) -
         turned[..., first] = cos * w[..., first] + sin * w[..., first + 1]
         turned[..., first + 1] = cos * w[..., first + 1] - sin * w[..., first]
     return turned
+
+
+def cable_wrench(cable_n_mm: FloatArray, travel_mm: FloatArray, height_mm: float) -> FloatArray:
+    """Return (..., 6) pull of the cables at ``G``, N and N·mm, ``height_mm`` above ``G``.
+
+    ``cable_n_mm`` (..., 3, 3): force per travel; ``travel_mm`` (..., 3) of the hand since the force
+    was zero.
+    """
+    force = (cable_n_mm @ travel_mm[..., None])[..., 0]
+    return np.concatenate([force, np.cross((0.0, 0.0, height_mm), force)], axis=-1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,9 +84,21 @@ class WristLoad:
 
 
 class WristSampler:
-    """Produces untared samples block by block."""
+    """Produces untared samples block by block.
 
-    def __init__(self, settings: WristSettings, cycle_us: int, seed: int) -> None:
+    ``yaw_rad`` and ``lever_mm`` (3,): errors of the place of the sensor, beside the settings.
+    """
+
+    def __init__(
+        self,
+        settings: WristSettings,
+        cycle_us: int,
+        seed: int,
+        yaw_rad: float = 0.0,
+        lever_mm: tuple[float, ...] = (0.0, 0.0, 0.0),
+    ) -> None:
+        self._yaw_rad = settings.yaw_rad + yaw_rad
+        self._lever_mm = np.array(lever_mm) if any(lever_mm) else None
         self._settings = settings
         self._count = round(settings.rate_hz * cycle_us * 1e-6)
         self._rng = np.random.default_rng([seed, 4])
@@ -86,7 +116,7 @@ class WristSampler:
         """Return times (n,) in s and samples (n, 6) in N and N·m of one cycle."""
         settings = self._settings
         wrench_g = strain.before_g + self._share * (strain.after_g - strain.before_g)
-        values = wrist_wrench(wrench_g, settings.height_mm, settings.yaw_rad)
+        values = wrist_wrench(wrench_g, settings.height_mm, self._yaw_rad, self._lever_mm)
         self._drift = self._drift + self._walk * self._rng.standard_normal(6)
         values += strain.offset + self._drift
         values += self._white * self._rng.standard_normal((self._count, 6))

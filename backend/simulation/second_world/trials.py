@@ -15,7 +15,7 @@ patch (Reissner and Sagoci), and gel pressed out sideways.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -354,7 +354,7 @@ class SecondWorldTrials(BatchedTrials):
             slide_mm, toppled[k] = bottoms_after_press(mounted, self.bottoms[trial])
             self._slide(rows[k : k + 1], slide_mm[None])
         self._carried = self._carried.replaced(
-            rows, GraspHistory(slip, np.zeros((len(rows), 2, 4)))
+            rows, replace(GraspHistory.fresh(len(rows)), slip=slip)
         )
         moved = slip[:, :, :2] - before[:, :, :2]
         course = _join_presses(pressed)

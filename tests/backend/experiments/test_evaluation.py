@@ -35,7 +35,13 @@ from touchdown.backend.experiments.domain_shift import (
     press_scores,
     randomise_bench,
 )
-from touchdown.backend.experiments.evaluation import FACTORS, FOUNDATION, NUISANCES, scale_nuisance
+from touchdown.backend.experiments.evaluation import (
+    FACTORS,
+    FOUNDATION,
+    LATER_NUISANCES,
+    NUISANCES,
+    scale_nuisance,
+)
 from touchdown.backend.experiments.statistics import format_change, iou_change
 from touchdown.backend.experiments.strategies import (
     group_lines,
@@ -51,13 +57,17 @@ BY_NAME = {found.name: found for found in NUISANCES}
 
 
 def test_every_spread_but_that_of_a_jig_is_a_nuisance() -> None:
-    keys = {key for found in NUISANCES for key in found.keys}
+    keys = {key for found in (*NUISANCES, *LATER_NUISANCES) for key in found.keys}
     assert {f"spread.{name}" for name in SpreadSettings.model_fields} - keys == {"spread.jig_mm"}
 
 
-@pytest.mark.parametrize("found", NUISANCES, ids=lambda found: found.name)
-def test_one_nuisance_grows_and_nothing_else(found) -> None:
-    bench = load_simulation(preset="bench-v1")
+@pytest.mark.parametrize(
+    ("found", "preset"),
+    [*((n, "bench-v1") for n in NUISANCES), *((n, "bench-v2") for n in LATER_NUISANCES)],
+    ids=lambda found: getattr(found, "name", ""),
+)
+def test_one_nuisance_grows_and_nothing_else(found, preset) -> None:
+    bench = load_simulation(preset=preset)
     assert scale_nuisance(bench, found, 1.0) == bench
     before, after = bench.model_dump(), scale_nuisance(bench, found, 3.0).model_dump()
     changed = {
@@ -66,11 +76,13 @@ def test_one_nuisance_grows_and_nothing_else(found) -> None:
         if isinstance(content, dict)
         for name, value in content.items()
         if after[section][name] != value
-    }
+    } | {f".{name}" for name, value in before.items()
+         if isinstance(value, float) and after[name] != value}  # fmt: skip
     assert changed == set(found.keys)
     for key in set(found.keys) - {"face.foundation_range_n_mm3"}:
         section, name = key.split(".")
-        assert after[section][name] == pytest.approx(3.0 * before[section][name])
+        new, old = (content[section] if section else content for content in (after, before))
+        assert new[name] == pytest.approx(3.0 * old[name])
 
 
 def test_a_range_keeps_its_middle() -> None:

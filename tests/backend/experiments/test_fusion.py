@@ -82,7 +82,7 @@ from touchdown.backend.learning.fused.checkpoint import load_fused, shipped_path
 from touchdown.backend.placement.strategies import ProbeObservation
 from touchdown.backend.sensing.episode import EpisodeLimits
 from touchdown.backend.simulation import BatchedTrials, GraspHistory, Scene
-from touchdown.backend.simulation.gripper import scene_mounting
+from touchdown.backend.simulation.ground_truth import scene_mounting
 
 SEED = 51
 

@@ -41,7 +41,8 @@ from touchdown.backend.runs.requests import SceneChoice, StackRequest
 from touchdown.backend.sensing.episode import EpisodeLimits
 from touchdown.backend.sensing.slip import shortfall_mm
 from touchdown.backend.simulation import BatchedTrials, Scene, TrialPresses
-from touchdown.backend.simulation.gripper import HeldPiece, scene_mounting
+from touchdown.backend.simulation.gripper import HeldPiece
+from touchdown.backend.simulation.ground_truth import scene_mounting
 
 MECHANICAL = {
     **PRESETS["off"],

@@ -52,8 +52,8 @@ class OnePress:
 
 def press_both_ways(piece: str, bottom: str, seed: int, patch: pytest.MonkeyPatch) -> OnePress:
     """Press once on the devices and once in the batch, with equal mechanical draws."""
+    patch.setattr(conditions, "draw_mounting", lambda *_: MOUNTING)
     for module in (gripper, conditions):
-        patch.setattr(module, "draw_mounting", lambda *_: MOUNTING)
         patch.setattr(module, "draw_gripping", lambda *_: GRIPPING)
         patch.setattr(module, "draw_probe", lambda *_: PROBE)
     devices = OracleSession(preset="off", method=ONE_PROBE, rate_hz=25.0)

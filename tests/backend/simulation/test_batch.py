@@ -1,34 +1,51 @@
-"""bench-v1 never changes: its values, its pieces, and the wrench of a press."""
+"""Frozen benches never change: their values, their pieces, and the wrench of a press."""
 
 from __future__ import annotations
 
 import tomllib
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
+from dataclasses import fields, replace
 from importlib.resources import files
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from touchdown.backend.config import SimulationSettings, bench_sha256, load_simulation
+from touchdown.backend.config import (
+    PRESETS,
+    ProbeSettings,
+    SimulationSettings,
+    bench_sha256,
+    load_simulation,
+)
+from touchdown.backend.config.simulation import LATER_KEYS
 from touchdown.backend.core.marker_interpolation import fill_unseen_markers
 from touchdown.backend.experiments import tables
 from touchdown.backend.experiments.strategies import BOTTOMS, SINGLE_BOTTOMS
+from touchdown.backend.experiments.trials import grasped_piece_in
 from touchdown.backend.geometry import Tower, face_points, load_pieces, true_patch
 from touchdown.backend.simulation import conditions, gripper, marker_fields
 from touchdown.backend.simulation.batch import (
+    TARE_HEIGHT_MM,
     BatchedTrials,
     BatchPlan,
     EpisodeBatch,
     simulate_episodes,
 )
 from touchdown.backend.simulation.conditions import SeedScope
-from touchdown.backend.simulation.ground_truth import Scene
+from touchdown.backend.simulation.gripper import HeldPiece
+from touchdown.backend.simulation.ground_truth import Scene, scene_mounting, tower_with_piece
+from touchdown.backend.simulation.world import World
+from touchdown.backend.simulation.wrist_sensor import wrist_wrench
 
 BENCH = load_simulation(preset="bench-v1")
-FILE = files("touchdown.resources") / "benches" / "bench-v1.toml"
-VALUES = "03b08d28746d933930486411c27c1a07f9008dc6be3d42fb07d1c2279d5e443b"
+SECOND = load_simulation(preset="bench-v2")
+BENCHES = files("touchdown.resources") / "benches"
+VALUES = {
+    "bench-v1": "03b08d28746d933930486411c27c1a07f9008dc6be3d42fb07d1c2279d5e443b",
+    "bench-v2": "e3fecfeee9723b6f4b4a06403c9c5cc1d089375d7325f1e354ecde6a2466934e",
+}
 PIECES = {
     "pot": "bdbb29d9d167befb",
     "barrel": "734642e984c6e208",
@@ -51,15 +68,138 @@ def leaves(values: Mapping[str, Any], under: str = "") -> Iterator[str]:
             yield under + key
 
 
-def test_no_value_ever_changes() -> None:
-    assert bench_sha256(BENCH) == VALUES
+@pytest.mark.parametrize("name", VALUES)
+def test_no_value_ever_changes(name: str) -> None:
+    assert bench_sha256(load_simulation(preset=name)) == VALUES[name]
+    assert f"`{VALUES[name]}`" in Path(f"docs/{name}.md").read_text("utf-8")
 
 
-def test_every_value_is_written_out_so_that_no_default_reaches_it() -> None:
-    written = tomllib.loads(FILE.read_text("utf-8"))
+@pytest.mark.parametrize("name", VALUES)
+def test_every_value_is_written_out_so_that_no_default_reaches_it(name: str) -> None:
+    written = tomllib.loads((BENCHES / f"{name}.toml").read_text("utf-8"))
     # Whole cells are left out of the hash, which is older than the choice.
-    assert set(leaves(written)) == {*leaves(BENCH.model_dump()), "face.subcells"}
-    assert written["face"]["subcells"] == BENCH.face.subcells == 1
+    dumped = load_simulation(preset=name).model_dump()
+    assert set(leaves(written)) == {*leaves(dumped), "face.subcells"}
+    assert written["face"]["subcells"] == {"bench-v1": 1, "bench-v2": 3}[name]
+
+
+def test_an_effect_switched_off_stays_off_in_the_stored_form() -> None:
+    later = {f"{section}.{key}" for section, keys in LATER_KEYS.items() for key in keys}
+    for preset in PRESETS:
+        bench = load_simulation(preset=preset)
+        assert later.isdisjoint(leaves(bench.model_dump())) == (preset != "bench-v2")
+    changed = {"preset": "bench-v2", "spread": {"com_mm": 0.0}, "face": {"subcells": 1}}
+    bench = SimulationSettings.model_validate(changed)
+    assert SimulationSettings.model_validate(bench.model_dump(mode="json")) == bench
+
+
+def test_the_draws_of_bench_v2_leave_the_others_as_they_are() -> None:
+    spread = SECOND.spread.model_copy(
+        update=dict.fromkeys((*conditions.DAY_SPREADS, *conditions.SEAT_SPREADS), 0.0)
+    )
+    without = SECOND.model_copy(update={"spread": spread})
+    for draw in (conditions.draw_mounting, conditions.draw_probe):
+        streams = [np.random.default_rng(5) for _ in range(2)]
+        more, less = draw(SECOND, streams[0]), draw(without, streams[1])
+        assert streams[0].random() == streams[1].random()
+        changed = {
+            f.name for f in fields(more)
+            if not np.array_equal(getattr(more, f.name), getattr(less, f.name))
+        }  # fmt: skip
+        assert changed == {
+            "draw_mounting": {
+                "face_tilt_rad", "crown_rad", "com_mm", "pad_area", "wrist_yaw_rad",
+                "wrist_lever_mm", "cable_n_mm",
+            },
+            "draw_probe": {"reseat_mm", "pitch_rad"},
+        }[draw.__name__]  # fmt: skip
+
+
+def test_a_pitched_piece_tilts_and_moves_its_face_and_a_wider_one_fills_the_pads() -> None:
+    settings = SimulationSettings(preset="off")
+    rng = np.random.default_rng(0)
+    mounting = replace(
+        conditions.draw_mounting(settings, rng), face_tilt_rad=(0.002, 0.001), pad_area=1.21
+    )
+    probe = replace(
+        conditions.draw_probe(settings, rng), reseat_mm=(0.2, -0.1), pitch_rad=0.004
+    )  # fmt: skip
+    grip = conditions.draw_gripping(settings, 10.0, rng)
+    made = conditions.conditions_from_draws(
+        settings, ProbeSettings(), 30.0, 30.0, [(mounting, grip, probe)]
+    )
+    assert made.tilt_rad[0] == pytest.approx([0.002, 0.005])
+    assert made.grasp_offset_mm[0] == pytest.approx([0.2 + 0.004 * 30.0, -0.1])
+    assert made.shear_n_mm[0] == pytest.approx(1.21 * 4.0)
+    assert made.torsion_nmm[0] == pytest.approx(1.21**2 * 128.0)
+    assert made.limit_radius_mm[0] == pytest.approx(1.1 * 3.8)
+    sized = SimulationSettings.model_validate({"preset": "off", "grasp": {"pad_width_mm": 15.0}})
+    mounting = replace(mounting, pad_area=1.0)
+    made = conditions.conditions_from_draws(
+        sized, ProbeSettings(), 30.0, 30.0, [(mounting, grip, probe)]
+    )
+    assert made.shear_n_mm[0] == pytest.approx(2**0.5 * 4.0)
+
+
+def second(**changes) -> Scene:
+    catalogue = load_pieces()
+    settings = SimulationSettings.model_validate({"preset": "bench-v2", **changes})
+    tower = Tower((catalogue.bottom("long").body(),))
+    return Scene(catalogue.top("mug"), tower, (1.0, 2.0), 3, settings)
+
+
+def test_the_judge_knows_the_true_centre_of_mass_and_the_method_the_entered_one() -> None:
+    scene = second()
+    error = scene_mounting(scene).com_mm
+    assert 0.05 < np.hypot(*error) < 2.5
+    entered = scene.piece.com_xy_mm
+    judged = tower_with_piece(scene, (1.0, 2.0), 0.0).bodies[-1]
+    assert judged.com_xy_mm == pytest.approx(np.add(entered, error))
+    assert grasped_piece_in(scene, None).com_xy_mm == entered
+    exact = second(spread={"com_mm": 0.0})
+    assert tower_with_piece(exact, (1.0, 2.0), 0.0).bodies[-1].com_xy_mm == entered
+    weight = HeldPiece(scene, 0, 10.0).weight.position_mm
+    plain_weight = HeldPiece(exact, 0, 10.0).weight.position_mm
+    assert np.subtract(weight, plain_weight)[:2] == pytest.approx(error)
+
+
+def test_batch_and_devices_draw_the_same_press_of_bench_v2() -> None:
+    scene = second()
+    bench, held = BatchedTrials([scene]), HeldPiece(scene, 0, 10.0)
+    for _ in range(2):
+        ours = bench._conditions(np.array([0]))
+        held.begin_probe(ProbeSettings())
+        for name in ours.__dataclass_fields__:
+            np.testing.assert_array_equal(getattr(ours, name), getattr(held.conditions, name))
+        assert held.touch_height_mm == scene.grip_height_mm + ours.grasp_offset_mm[0, 1]
+
+
+def test_cables_and_sensor_place_change_only_the_wrench_of_a_press() -> None:
+    off = {"cable_n_mm": 0.0, "wrist_yaw_rad": 0.0, "wrist_lever_mm": 0.0}
+    scenes = second(spread=off), second()
+    plain, real = (BatchedTrials([s]).press([0], np.array([[4.0, 1.0]])) for s in scenes)
+    np.testing.assert_array_equal(plain.truth.offset_mm, real.truth.offset_mm)
+    np.testing.assert_array_equal(plain.observation[..., :-6], real.observation[..., :-6])
+    day = scene_mounting(scenes[1])
+    moved = np.zeros((20, 3))
+    moved[:, 2] = -TARE_HEIGHT_MM - real.travel_mm[0]
+    pull = moved @ np.array(day.cable_n_mm).T
+    force = plain.observation[0, :, -6:-3].astype(np.float64)
+    turned = wrist_wrench(np.c_[force + pull, np.zeros((20, 3))], 0.0, day.wrist_yaw_rad)[:, :3]
+    difference = np.abs(turned - real.observation[0, :, -6:-3]).max()
+    assert difference < 0.02 < np.abs(force - real.observation[0, :, -6:-3]).max()
+
+
+def test_the_stepped_world_feels_cables_and_sensor_place() -> None:
+    scene = second()
+    day, world = scene_mounting(scene), World(scene)
+    assert world._wrist._yaw_rad == day.wrist_yaw_rad
+    assert tuple(world._wrist._lever_mm) == day.wrist_lever_mm
+    still = world._load(np.zeros(14))
+    world._cable_from_mm = world.drive.command_mm - np.array([5.0, 0.0, -2.0])
+    force = np.array(day.cable_n_mm) @ [5.0, 0.0, -2.0]
+    felt = world._load(np.zeros(14)) - still
+    np.testing.assert_allclose(felt, [*force, -60.0 * force[1], 60.0 * force[0], 0.0], atol=1e-9)
 
 
 def test_the_pieces_of_the_tables_are_those_of_the_freezing() -> None:
@@ -98,6 +238,24 @@ def test_a_press_on_it_feels_as_it_did(monkeypatch: pytest.MonkeyPatch) -> None:
     markers_px = [[-0.116, -9.962, -9.977], [-0.249, -10.008, -12.014]]
     assert felt.observation[:, -1, -6:-3] == pytest.approx(np.array(force_n), abs=2e-3)
     assert felt.observation[:, -1, -3:] == pytest.approx(np.array(moment_nm), abs=2e-4)
+    assert felt.observation[:, -1, [0, 100, 200]] == pytest.approx(np.array(markers_px), abs=5e-3)
+
+
+def test_a_press_on_bench_v2_feels_as_it_did() -> None:
+    catalogue = load_pieces()
+    tower = Tower((catalogue.bottom("long").body(),))
+    bench = BatchedTrials(
+        [Scene(catalogue.top("pot"), tower, (0.0, 0.0), seed, SECOND) for seed in (3, 4)]
+    )
+    felt = bench.press([0, 1], np.full((2, 2), (5.0, -3.0)))
+    assert felt.truth.offset_mm == pytest.approx(
+        np.array([[5.0023, -2.8388], [7.0583, -3.0649]]), abs=5e-4
+    )
+    force_n = [[0.7500, -0.0238, 5.8044], [1.1494, -0.7708, 7.3611]]
+    moment_nm = [[-0.0802, -0.0730, -0.0095], [-0.0435, -0.1092, -0.0054]]
+    assert felt.observation[:, -1, -6:-3] == pytest.approx(np.array(force_n), abs=2e-3)
+    assert felt.observation[:, -1, -3:] == pytest.approx(np.array(moment_nm), abs=2e-4)
+    markers_px = [[0.804, -11.953, -13.472], [0.468, -11.247, -11.588]]
     assert felt.observation[:, -1, [0, 100, 200]] == pytest.approx(np.array(markers_px), abs=5e-3)
 
 

@@ -108,6 +108,31 @@ def test_maxwell_step_equals_the_written_out_formula() -> None:
     assert force == pytest.approx(4.0 * (1.2 * e - 0.2 * v_new))
 
 
+def test_creep_adds_a_slower_branch_of_the_same_form() -> None:
+    made = plain(1, 30.0, alpha=0.2, relax_s=0.5, creep=0.05, creep_s=8.0)
+    fast, slow, e, dt = 0.3, -0.1, 0.7, 0.1
+    relaxed = np.repeat([[[fast, slow]] * 2], 4, axis=2).reshape(1, 2, 8)
+    after = [(v + dt / t * e) / (1 + dt / t) for v, t in ((fast, 0.5), (slow, 8.0))]
+    found = mechanics.relax(relaxed, np.full((1, 2, 4), e), made, dt)
+    np.testing.assert_allclose(found, np.repeat([[after] * 2], 4, axis=2).reshape(1, 2, 8))
+    spring = mechanics.springs(made, relaxed, dt)
+    force = spring.finger[0, 0] * (e - spring.hidden[0, 0, 0])
+    assert force == pytest.approx(4.0 * (1.25 * e - 0.2 * after[0] - 0.05 * after[1]))
+
+
+def test_a_domed_face_falls_away_with_the_square_of_the_radius() -> None:
+    made = plain(2, 33.0, crown_rad=0.006)
+    made.crown_rad[1] = -0.006
+    flat = begin_probes(POINTS, Disc(60), np.zeros((2, 2)), plain(2, 33.0))
+    domed = begin_probes(POINTS, Disc(60), np.zeros((2, 2)), made)
+    r2 = flat.cells.x**2 + flat.cells.y**2
+    reach = np.hypot(*POINTS.T).max()
+    fall = 0.5 * 0.006 * r2 / reach
+    np.testing.assert_allclose(domed.cells.gap_mm[0], -fall[0], atol=1e-12)
+    np.testing.assert_allclose(domed.cells.gap_mm[1], fall[1] - fall[1].max(), atol=1e-12)
+    assert not flat.cells.gap_mm.any()
+
+
 def test_hysteresis_is_carried_to_the_next_probe_and_fades_in_air() -> None:
     made = plain(1, 33.0, alpha=0.1)
     state, _ = drive(begin_probes(POINTS, BOTTOM, np.array([[5.0, 0.0]]), made), RAMP)
@@ -122,7 +147,7 @@ def test_hysteresis_is_carried_to_the_next_probe_and_fades_in_air() -> None:
 
 
 def test_carried_grips_are_taken_and_put_back_by_row() -> None:
-    kept = GraspHistory(np.arange(18.0).reshape(3, 2, 3), np.zeros((3, 2, 4)))
+    kept = GraspHistory(np.arange(18.0).reshape(3, 2, 3), np.zeros((3, 2, 8)))
     rows = np.array([2, 0])
     back = kept.replaced(rows, kept.take(rows))
     np.testing.assert_array_equal(back.slip, kept.slip)

@@ -44,7 +44,12 @@ from touchdown.backend.simulation.supports import (
     support_stack,
     topples,
 )
-from touchdown.backend.simulation.wrist_sensor import Load, held_piece_load, wrist_wrench
+from touchdown.backend.simulation.wrist_sensor import (
+    Load,
+    cable_wrench,
+    held_piece_load,
+    wrist_wrench,
+)
 
 TOPS = {"mushroom": 25.4, "barrel": 21.2, "pot": 15.0}
 CENTRE = (GRID_ROWS // 2) * GRID_COLS + GRID_COLS // 2
@@ -565,6 +570,21 @@ def test_a_turned_sensor_keeps_lengths_and_the_vertical() -> None:
     plain, turned = wrist_wrench(wrench, 120.0)[0], wrist_wrench(wrench, 120.0, np.pi / 2)[0]
     np.testing.assert_allclose(turned[:3], [plain[1], -plain[0], plain[2]], atol=1e-12)
     np.testing.assert_allclose(turned[3:], [plain[4], -plain[3], plain[5]], atol=1e-12)
+
+
+def test_a_sensor_out_of_place_measures_the_same_force_about_another_point() -> None:
+    force, torque = np.array([2.0, 3.0, 5.0]), np.array([10.0, 20.0, 30.0])
+    wrench, lever = np.concatenate([force, torque])[None], np.array([[0.7, -0.4, 1.5]])
+    found = wrist_wrench(wrench, 120.0, np.array([0.0]), lever)[0]
+    about = torque + np.cross([0.7, -0.4, -121.5], force)
+    np.testing.assert_allclose(found, [*force, *(1e-3 * about)])
+
+
+def test_cables_pull_by_their_stiffness_times_the_travel() -> None:
+    stiff = np.array([[0.01, 0.0, 0.002], [0.0, 0.0, -0.004], [0.0, 0.003, 0.005]])
+    found = cable_wrench(stiff, np.array([10.0, -20.0, -5.0]), 60.0)
+    force = np.array([0.09, 0.02, -0.085])
+    np.testing.assert_allclose(found, [*force, -60.0 * force[1], 60.0 * force[0], 0.0], atol=1e-12)
 
 
 def test_centre_of_pressure_of_a_single_force_is_its_point() -> None:

@@ -6,6 +6,7 @@ import lazy_loader
 
 if TYPE_CHECKING:
     from touchdown.backend.experiments import (
+        certification,
         collection,
         comparison,
         document,

@@ -1,3 +1,5 @@
+from .certification import LEAST_SCENES as LEAST_SCENES
+from .certification import Certification as Certification
 from .collection import batch_plan as batch_plan
 from .collection import run_jobs as run_jobs
 from .collection import split_jobs as split_jobs
@@ -77,6 +79,7 @@ __all__ = [
     "FAINT",
     "INK",
     "KINDS",
+    "LEAST_SCENES",
     "ORANGE",
     "PIECES",
     "PORTIONS",
@@ -85,6 +88,7 @@ __all__ = [
     "TABLE_BOTTOMS",
     "VIOLET",
     "WEIGHTS",
+    "Certification",
     "ClosedLoopComparison",
     "CollectionKind",
     "DomainShift",

@@ -24,6 +24,7 @@ from touchdown.backend.config import (
 from touchdown.backend.core import Event, FloatArray, TrialFinished
 from touchdown.backend.episodes import TrainingRows, join_rows, load_rows, patch_hex, write_packs
 from touchdown.backend.experiments import evaluation
+from touchdown.backend.experiments.certification import run_certified_scenes
 from touchdown.backend.experiments.collection import (
     batch_plan,
     episode_rows,
@@ -308,4 +309,5 @@ KINDS: JobFunctions = {
     "asked-trials": evaluation.evaluate_trials,
     "promises": run_static_groups,
     "staged-release": simulate_releases,
+    "certify": run_certified_scenes,
 }

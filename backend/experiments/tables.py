@@ -97,6 +97,7 @@ JOB_FUNCTIONS = {
     "fuse": ("fusion", "train_fusion"),
     "fused-trials": ("fusion", "fused_trials"),
     "staged-release": ("staged_release", "simulate_releases"),
+    "certify": ("certification", "run_certified_scenes"),
 }
 
 

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from touchdown.backend.cli.experiment.certify import add_certify_arguments, run_certify
 from touchdown.backend.cli.experiment.domain_shift import (
     EVALUATIONS,
     Json,
@@ -240,12 +241,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
     parser.add_argument(
         "what",
-        choices=("tables", "report", "beyond", "gap", "fused", *EVALUATIONS, "release"),
+        choices=("tables", "report", "beyond", "gap", "fused", *EVALUATIONS, "release", "certify"),
         help="tables: the paper's Tables I to III; report: write their page again, with other "
         "comparisons; beyond: strategies beyond the paper, and the ceiling; gap: share of the gap "
         "to the ceiling; fused: train the network of the strategy 'fused'; elsewhere: evaluate in "
         "a second simulated world; sensitivity: effect of each nuisance of the bench; release: how "
-        "early a piece is seen to turn while the jaws open in steps",
+        "early a piece is seen to turn while the jaws open in steps; certify: bound the unsafe "
+        "releases of a network of 'fused' on fresh scenes",
     )
     scale = parser.add_mutually_exclusive_group()
     scale.add_argument(
@@ -292,6 +294,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_fused_arguments(parser)
     add_report_arguments(parser)
     _add_release_arguments(parser)
+    add_certify_arguments(parser)
 
 
 def _add_release_arguments(parser: argparse.ArgumentParser) -> None:
@@ -387,8 +390,8 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
         return _run_beyond(args, screen, store)
     if args.what == "release":
         return _run_release(args, screen, store)
-    if args.what in ("fused", *EVALUATIONS):
-        asked = train_fused if args.what == "fused" else run_evaluation
+    if args.what in ("fused", "certify", *EVALUATIONS):
+        asked = {"fused": train_fused, "certify": run_certify}.get(args.what, run_evaluation)
         answer = asked(args, screen, store, lambda j, e: _run_jobs(j, e, args, screen, store))
         screen.result({**answer})
         return 1 if answer["failed"] else 0

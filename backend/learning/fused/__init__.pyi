@@ -1,3 +1,4 @@
+from .certificate import RISK_LIMIT as RISK_LIMIT
 from .certificate import Attempt as Attempt
 from .certificate import AttemptLog as AttemptLog
 from .certificate import CertificateStatus as CertificateStatus
@@ -16,6 +17,7 @@ from .checkpoint import FusedCard as FusedCard
 from .checkpoint import FusedCheckpoint as FusedCheckpoint
 from .checkpoint import load_fused as load_fused
 from .checkpoint import shipped_fused as shipped_fused
+from .checkpoint import shipped_path as shipped_path
 from .features import SENSOR_MM as SENSOR_MM
 from .features import TICKS as TICKS
 from .features import GraspedFace as GraspedFace
@@ -31,6 +33,7 @@ from .training import data_sha256 as data_sha256
 
 __all__ = [
     "MARGIN_REACH_MM",
+    "RISK_LIMIT",
     "SENSOR_MM",
     "TICKS",
     "Attempt",
@@ -58,6 +61,7 @@ __all__ = [
     "releases_needed",
     "risk_bound",
     "shipped_fused",
+    "shipped_path",
     "wrench_at_sensor",
     "write_certificate",
 ]

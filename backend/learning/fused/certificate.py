@@ -32,7 +32,7 @@ from touchdown.backend.config import (
 from touchdown.backend.core import InputError, make_folder, sync_folder, write_atomically
 
 TOTAL_ERROR = 0.05  # error probability of all attempts of one log together
-LIMIT = 0.01  # largest bound of a certificate of simulated scenes
+RISK_LIMIT = 0.01  # largest bound of a certificate of simulated scenes
 CERTIFICATE_SUFFIX, ATTEMPTS_SUFFIX = ".certificate.json", ".attempts.jsonl"
 MAX_BYTES = 2_000_000
 BISECTIONS = 80

@@ -1,0 +1,124 @@
+"""``touchdown experiment certify``: the certificate of a network on fresh scenes."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+
+from touchdown.backend.cli.experiment.domain_shift import Json, RunJobs
+from touchdown.backend.cli.output import VerbOutput, write_errors
+from touchdown.backend.config import load_simulation
+from touchdown.backend.core import InputError, write_atomically
+from touchdown.backend.experiments import LEAST_SCENES, PIECES, Certification, program_version
+from touchdown.backend.jobs import JobStore
+
+UNWRITTEN = "It could not be written"
+KEPT = "Free some space, or copy the model to another folder; finished jobs are kept."
+
+
+def add_certify_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of ``certify``."""
+    group = parser.add_argument_group("certify")
+    group.add_argument("--model", type=Path, metavar="FILE", help="network of 'fused' (default: "
+                       "the one that ships); the certificate and the log of attempts lie "
+                       "beside it")  # fmt: skip
+    group.add_argument("--level", default="", metavar="RISK", help="accepted risk, chosen before "
+                       "on other scenes; several separated by commas share the error")  # fmt: skip
+    group.add_argument("--scenes", type=int, default=LEAST_SCENES, metavar="N", help="fresh "
+                       f"scenes of each level, at least {LEAST_SCENES:,}")  # fmt: skip
+
+
+def run_certify(
+    args: argparse.Namespace, screen: VerbOutput, store: JobStore, done: RunJobs
+) -> Json:
+    """Run an attempt, write its counts to the log, and the certificate if its bound holds.
+
+    Raises ``InputError`` for a missing level or too few scenes.
+    """
+    # Imported here so that `--help` starts without torch.
+    from touchdown.backend.learning.fused import (
+        AttemptLog,
+        attempts_path,
+        certificate_of_attempt,
+        shipped_path,
+        write_certificate,
+    )
+
+    plan = _plan(args, args.model or shipped_path())
+    log = AttemptLog(attempts_path(plan.weights))
+    attempt = plan.begin(log)
+    screen.say(
+        f"Attempt {attempt.number}, error {100 * attempt.error:.3g} % for each risk, seeds from "
+        f"{attempt.seed}. It is spent, whatever comes out."
+    )
+    jobs = plan.jobs(attempt)
+    failed = done(jobs, plan.effort)
+    counts = plan.counts(attempt, store)
+    file = None
+    if counts and attempt.state == "begun":
+        attempt = log.end(attempt, counts)
+        found = certificate_of_attempt(attempt, log, simulated=True, pieces=PIECES)
+        with write_errors(UNWRITTEN, plan.weights.parent, KEPT):
+            if found is not None:
+                file = write_certificate(plan.weights.parent, plan.weights.stem, found)
+        screen.say(
+            "The bound exceeds 1 %: no certificate." if found is None
+            else f"Certificate: {found.summary()}. It is in {file}."
+        )  # fmt: skip
+    answer = {
+        "attempt": json.loads(attempt.model_dump_json()),
+        "by_piece": plan.by_piece(attempt, store),
+    }
+    path = args.out / "certify.json"
+    with write_errors(UNWRITTEN, path, KEPT):
+        write_atomically(path, json.dumps(answer, indent=1, sort_keys=True).encode() + b"\n")
+    _show(answer, screen)
+    return {
+        "file": str(path),
+        "certificate": None if file is None else str(file),
+        "jobs": len(jobs),
+        "missing": sum(not store.has(spec.id) for spec in jobs),
+        "failed": failed,
+        **answer,
+    }
+
+
+def _plan(args: argparse.Namespace, weights: Path) -> Certification:
+    try:
+        risks = tuple(float(text) for text in args.level.split(","))
+        if not all(0.0 < risk < 1.0 for risk in risks) or len(set(risks)) < len(risks):
+            raise ValueError
+    except ValueError as error:
+        raise InputError(
+            "A certificate is of a risk that was chosen before.",
+            "--level",
+            "Give a probability between 0 and 1, such as 0.03, or several different ones.",
+        ) from error
+    if args.scenes < LEAST_SCENES:
+        raise InputError(
+            f"{args.scenes} scenes are too few.", "--scenes", f"Give at least {LEAST_SCENES}."
+        )
+    bench = load_simulation(args.bench, None if args.bench else args.preset)
+    name = args.bench.stem if args.bench else bench.preset
+    return Certification(bench, name, weights.resolve(), risks, args.scenes, program_version())
+
+
+def _show(answer: Json, screen: VerbOutput) -> None:
+    """Print the outcomes by piece, then the bounds."""
+    rows = [
+        (
+            f"{100 * row['risk']:g}",
+            row["piece"],
+            str(row["scenes"]),
+            ", ".join(f"{w.replace('_', ' ')} {n}" for w, n in sorted(row["outcomes"].items())),
+        )
+        for row in answer["by_piece"]
+    ]
+    screen.table("Fresh scenes", ("risk %", "piece", "scenes", "outcomes"), *rows)
+    for found in answer["attempt"]["counts"]:
+        screen.say(
+            f"At a risk of {100 * found['risk']:g} %: {found['unsafe']:,} of "
+            f"{found['releases']:,} releases unsafe, at most {100 * found['bound']:.2f} %; harm in "
+            f"{found['harmed']:,} of {found['scenes']:,} scenes."
+        )

@@ -24,6 +24,7 @@ from touchdown.app.shell import (
     LayoutMenu,
     LayoutsPresenter,
     MainWindow,
+    PersonCalls,
     ServoSwitch,
     SpeedOverride,
     StopKeyFilter,
@@ -49,7 +50,7 @@ from touchdown.app.shell import (
 from touchdown.app.tour import Tour, tour_stops
 from touchdown.app.workspaces import FIRST, Workspaces
 from touchdown.backend.bench import Session
-from touchdown.backend.core import Event, EventQueue
+from touchdown.backend.core import CommandNotifier, Event, EventQueue
 from touchdown.widgets.base import EventPump, load_resources
 from touchdown.widgets.shell import STOPPED, CardText, FaultCards, PillState, TopBar, TourStop
 
@@ -117,7 +118,12 @@ class TouchdownApp(QObject):
     _holds: Callable[[], bool] | None = None
 
     def __init__(
-        self, application: QApplication, box: ErrorBox, settings_file: Path, runs: Path
+        self,
+        application: QApplication,
+        box: ErrorBox,
+        settings_file: Path,
+        runs: Path,
+        notifier: CommandNotifier | None = None,
     ) -> None:
         super().__init__()
         self._application, self._box, self._settings_file = application, box, settings_file
@@ -136,6 +142,7 @@ class TouchdownApp(QObject):
         self.workspaces = Workspaces(context, settings.pages, self._place, self._warn)
         self.window = MainWindow(self.theme, self.bar, self.cards, self.workspaces.all)
         self.window.may_close = lambda: self._closing.may_close(self.bench)
+        self.calls = PersonCalls(self.window, settings.calls, notifier)
         self._closing = CloseConfirmation(self.cards, self.stop, self.window.close)
         self._arrival, self._mailbox = BenchLoader(), EventQueue()
         self.actions = ActionRegistry(
@@ -228,6 +235,7 @@ class TouchdownApp(QObject):
             front=self.window.front,
             keys=self.actions.changed,
             toured=self.toured,
+            calls=self.calls.on,
             pages=self.workspaces.memory(),
         )
         try:
@@ -331,6 +339,8 @@ class TouchdownApp(QObject):
             WindowCommand("keys", "Key sheet", "F1", self._show_keys),
             WindowCommand("palette", "Find a command", "Ctrl+K",
                           lambda: self.dialogs.show_palette()),
+            WindowCommand("calls", "Sound and desktop notification: on or off", "",
+                          self._toggle_calls),
             *self._speed.commands,
             WindowCommand("fullscreen", "Full screen", "F11", self._full_screen),
             WindowCommand("tour", "Tour of the window", "Ctrl+F1", lambda: self.tour.begin()),
@@ -375,6 +385,11 @@ class TouchdownApp(QObject):
     def _next_theme(self) -> None:
         self.look.next_theme()
         self.say(f"Theme: {self.look.words()}.")
+
+    def _toggle_calls(self) -> None:
+        self.calls.on = not self.calls.on
+        self.say(f"Sound and desktop notification: {'on' if self.calls.on else 'off'}.")
+        self.remember()
 
     def _stops(self) -> tuple[TourStop, ...]:
         return tour_stops(self.window, self.bar, self.workspaces)
@@ -434,6 +449,7 @@ class TouchdownApp(QObject):
         self.workspaces.take(event)
         self.panels.calibrate.take(event)
         log_event(event)
+        self.calls.take(event)
         show_event(event, self.bench, self.cards, self.say)
 
     def _show_connecting(self) -> None:

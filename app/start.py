@@ -24,13 +24,14 @@ from touchdown.app.shell import (
 )
 from touchdown.app.splash import Splash
 from touchdown.backend.bench import Session
-from touchdown.backend.core import InputError, data_folder
+from touchdown.backend.core import CommandNotifier, InputError, data_folder
 from touchdown.backend.runs import calibrations_folder, models_folder
 
 # Switch interval of the interpreter. A decision makes hundreds of short library calls, each of
 # which waits for the interpreter lock. On two busy cores 2 ms gave a median of 20 ms per decision
 # and 40 ms of lag (p99), 0.5 ms gave 13 ms and 23 ms.
 THREAD_SWITCH_S = 0.0005
+NOTIFY_S = 3.0  # a command that calls a person may take so long while the window closes
 
 
 def run(args: argparse.Namespace, application: QApplication, splash: Splash) -> int:
@@ -43,7 +44,8 @@ def run(args: argparse.Namespace, application: QApplication, splash: Splash) -> 
     path = settings_path()
     if args.reset_layout:
         path.unlink(missing_ok=True)
-    main = TouchdownApp(application, box, path, data_folder() / "runs")
+    notifier = CommandNotifier(args.notify) if args.notify else None
+    main = TouchdownApp(application, box, path, data_folder() / "runs", notifier)
     if not writable:
         main.warn_unwritable(data_folder())
     try:
@@ -56,6 +58,8 @@ def run(args: argparse.Namespace, application: QApplication, splash: Splash) -> 
         return application.exec()
     finally:
         main.close()
+        if notifier is not None:
+            notifier.close(NOTIFY_S)
         # Threads that still hang hold no labels and move nothing.
         exit_after_timeout()
         restore()

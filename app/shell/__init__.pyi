@@ -23,6 +23,7 @@ from .bench_text import scene_model_caption as scene_model_caption
 from .cards import LIFT as LIFT
 from .cards import LIFT_MM as LIFT_MM
 from .cards import CloseConfirmation as CloseConfirmation
+from .cards import PersonCalls as PersonCalls
 from .cards import carry_out as carry_out
 from .cards import error_card as error_card
 from .cards import exit_after_timeout as exit_after_timeout
@@ -118,6 +119,7 @@ __all__ = [
     "Memory",
     "ModelPrelabeller",
     "OpenedDataset",
+    "PersonCalls",
     "PrelabelFunction",
     "ProbeStory",
     "QuestionRow",

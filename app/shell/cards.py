@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import os
+import shutil
 import threading
 from collections.abc import Callable
 from dataclasses import replace
 from datetime import datetime
 
+from PySide6.QtWidgets import QApplication, QWidget
+
 from touchdown.app.shell.activity import is_run_active, start_obstacle
 from touchdown.app.shell.errors import log
 from touchdown.backend.bench import Session
 from touchdown.backend.core import (
+    CommandNotifier,
     Event,
     Fault,
     FaultError,
@@ -26,6 +30,7 @@ from touchdown.backend.core import (
     RunFinished,
     RunStarted,
     Said,
+    person_call,
 )
 from touchdown.widgets.shell import STOPPED, CardQuestion, CardText, FaultCards
 
@@ -234,3 +239,27 @@ class CloseConfirmation:
     def _close_now(self) -> None:
         self.allowed = True
         self._close()
+
+
+class PersonCalls:
+    """Calls a person when an event needs one; ``on``: by sound and desktop notification.
+
+    The window shows each of these events, so both are used only while another program is in front.
+    The command of ``--notify`` runs always.
+    """
+
+    def __init__(self, window: QWidget, on: bool, command: CommandNotifier | None) -> None:
+        self._window, self.on, self._command = window, on, command
+        # The usual program of Linux desktops; without it there is the sound alone.
+        desktop = shutil.which("notify-send")
+        self._desktop = CommandNotifier(f"{desktop} --app-name=Touchdown") if desktop else None
+
+    def take(self, event: Event) -> None:
+        """Call a person if ``event`` needs one; returns at once."""
+        if self._command is not None:
+            self._command.take(event)
+        if self.on and not self._window.isActiveWindow() and person_call(event) is not None:
+            QApplication.beep()
+            QApplication.alert(self._window)
+            if self._desktop is not None:
+                self._desktop.take(event)

@@ -28,7 +28,8 @@ class WindowSettings:
     """``geometry``: x, y, width, height of the normal window, None if unknown.
 
     ``front``: the workspace in front. ``keys``: changed keys by command. ``toured``: the tour was
-    shown. ``pages``: stored settings of each workspace, validated by the workspace.
+    shown. ``calls``: sound and desktop notification call a person. ``pages``: stored settings of
+    each workspace, validated by the workspace.
     """
 
     theme: ThemeChoice = "dark"
@@ -37,6 +38,7 @@ class WindowSettings:
     front: str = ""
     keys: dict[str, str] = field(default_factory=dict)
     toured: bool = False
+    calls: bool = True
     pages: dict[str, Json] = field(default_factory=dict)
 
 

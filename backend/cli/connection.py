@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 from touchdown.backend.cli.output import AdvanceFunction, VerbOutput
 from touchdown.backend.config import is_lab_file, load_lab
 from touchdown.backend.core import (
+    CommandNotifier,
     Event,
     Fault,
     FaultRaised,
@@ -85,6 +86,12 @@ def add_bench_arguments(parser: argparse.ArgumentParser) -> None:
         "--faults", type=Path, metavar="FILE", help="with --emulated: fault plan (TOML)"
     )
     parser.add_argument("--pieces", metavar="DIR", help="folder with further piece files")
+    parser.add_argument(
+        "--notify",
+        metavar="COMMAND",
+        help="call a person on a fault, on a question and at the end: the command gets a title and "
+        "a text as its last arguments (for example notify-send)",
+    )
 
 
 def add_scene_arguments(parser: argparse.ArgumentParser, bottom: str, of_bottom: str) -> None:
@@ -173,6 +180,7 @@ def open_bench(
     file = None if args.bench is None else Path(args.bench)
     pieces = Path(args.pieces) if args.pieces else None
     with ExitStack() as rest:
+        notifier = _notifier(args, screen, rest)
         if file is not None and at_lab(args):
             # Before the first thread, so that all threads inherit it.
             rest.enter_context(raised_priority())
@@ -183,6 +191,7 @@ def open_bench(
             request = prepare(session)
             session.check(request)
             _connect(session, request, args, screen)
+            session.events.subscribe(notifier)
             yield session
             return
         if args.emulated:
@@ -205,7 +214,19 @@ def open_bench(
             rest.enter_context(session)
             store = CalibrationStore(calibrations_folder(), "simulated")
         session.calibrations = store
+        session.events.subscribe(notifier)
         yield session
+
+
+def _notifier(
+    args: argparse.Namespace, screen: VerbOutput, rest: ExitStack
+) -> Callable[[Event], None]:
+    """Return what calls a person; raises ``InputError`` for a command that cannot be run."""
+    if not args.notify:
+        return lambda event: None
+    notifier = CommandNotifier(args.notify, screen.say)
+    rest.callback(notifier.close)
+    return notifier.take
 
 
 def _connect(

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
         faults,
         files,
         marker_interpolation,
+        notification,
         rotations,
         scheduling,
         stalled_processes,

@@ -14,6 +14,7 @@ from dataclasses import replace
 from typing import Literal
 
 from touchdown.backend.core import (
+    QUESTIONS,
     ActionChosen,
     ApprovalAwaited,
     Event,
@@ -21,10 +22,7 @@ from touchdown.backend.core import (
     Fault,
     FaultError,
     FaultRaised,
-    HandOverAwaited,
     InputError,
-    MountingAwaited,
-    OutcomeAwaited,
     PatchEstimated,
     Paused,
     PhaseEntered,
@@ -33,7 +31,6 @@ from touchdown.backend.core import (
     RunFinished,
     RunStarted,
     Said,
-    SetUpAwaited,
     StaleSampleError,
     ThreadStallDetector,
     TouchdownError,
@@ -53,12 +50,6 @@ from touchdown.backend.runs.plan import (
 )
 from touchdown.backend.runs.requests import RunState, RunStatus
 
-_ASKS: dict[type[Event], str] = {
-    SetUpAwaited: "set the scene",
-    HandOverAwaited: "a hand at the jaws",
-    MountingAwaited: "confirm the mounting",
-    OutcomeAwaited: "say the outcome",
-}
 DEGRADED_WAIT_S = 1.0  # A run waits this long at a checkpoint for a degraded sensor, then it pauses
 _ACTIVE = {RunState.RUNNING, RunState.PAUSING, RunState.PAUSED, RunState.PREPARING}
 
@@ -319,8 +310,8 @@ def _next_status(status: RunStatus, event: Event) -> RunStatus:
         )
     if isinstance(event, PhaseEntered):
         return replace(status, phase=event.phase, probe=event.probe, awaiting=None, asks="")
-    if type(event) in _ASKS or isinstance(event, Released):
-        return replace(status, asks=_ASKS.get(type(event), ""))
+    if type(event) in QUESTIONS or isinstance(event, Released):
+        return replace(status, asks=QUESTIONS.get(type(event), ""))
     if isinstance(event, PatchEstimated):
         return replace(status, estimated=event.probe)
     if isinstance(event, ActionChosen):

@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from PySide6.QtCore import QEventLoop, Qt, QTimer
@@ -22,6 +23,7 @@ from touchdown.app.application import TouchdownApp
 from touchdown.app.shell.settings import load_settings
 from touchdown.app.workspaces import WORKSPACES
 from touchdown.backend.bench.assembly import model_in_use, simulated_session
+from touchdown.backend.core import RunFinished, Said
 from touchdown.backend.learning import ModelRegistry, list_training_runs
 from touchdown.backend.runs.recorder import RecordingOptions, models_folder
 from touchdown.backend.runs.requests import ProbeRequest, RunState, SceneChoice
@@ -59,6 +61,25 @@ def test_a_page_that_comes_late_knows_bench_facts_and_why_there_was_none(main):
     assert late._story.trial.trial == 1
     main.workspaces["train"], main.workspaces["review"]
     assert main.workspaces._events == []
+
+
+def test_sound_and_notification_call_to_a_window_behind_others_until_switched_off(
+    main, monkeypatch, tmp_path
+):
+    beeps, shown = [], []
+    monkeypatch.setattr(QApplication, "beep", lambda: beeps.append(1))
+    monkeypatch.setattr(main.calls, "_desktop", SimpleNamespace(take=shown.append))
+    ended = RunFinished(1.0, "id", "finished", "")
+    main.calls.take(Said(1.0, "Probe 1"))
+    main.calls.take(ended)
+    assert (beeps, shown) == ([1], [ended])
+    monkeypatch.setattr(main.window, "isActiveWindow", lambda: True)
+    main.calls.take(ended)
+    assert beeps == [1]
+    monkeypatch.undo()
+    main.actions.action("calls").trigger()
+    assert not main.calls.on
+    assert not load_settings(tmp_path / "window.json")[0].calls
 
 
 def test_what_was_remembered_of_a_page_nobody_saw_is_kept(window, tmp_path):

@@ -565,6 +565,19 @@ def test_ctrl_c_lifts_tells_the_result_and_closes_the_journal(tmp_path, bench, c
     assert told["trials"][-1]["outcome"] == "aborted"
 
 
+def test_a_run_calls_a_person_by_a_command(tmp_path, capsys) -> None:
+    called = tmp_path / "called"
+    path = tmp_path / "call.sh"
+    path.write_text(f'#!/bin/sh\necho "$1: $2" >> {called}\n')
+    path.chmod(0o755)
+    words = ("stack", "--strategy", "pick-and-place", "--runs", str(tmp_path / "runs"))
+    assert call(capsys, *words, "--notify", str(path))[0] == 1
+    assert called.read_text().startswith("Touchdown: end: The run ended (finished)")
+    status, _, err = call(capsys, *words, "--notify", "no-such-program-at-all")
+    assert status == 2
+    assert "There is no program 'no-such-program-at-all'" in err
+
+
 def own_piece(tmp_path, shipped, name):
     """Return a folder with a shipped piece under another name."""
     (tmp_path / "pieces").mkdir()

@@ -38,8 +38,8 @@ class WindowSettings:
     front: str = ""
     keys: dict[str, str] = field(default_factory=dict)
     toured: bool = False
-    calls: bool = True
     pages: dict[str, Json] = field(default_factory=dict)
+    calls: bool = True
 
 
 Form = TypeVar("Form")

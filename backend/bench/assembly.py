@@ -47,7 +47,7 @@ from touchdown.backend.runs import (
     models_folder,
 )
 from touchdown.backend.sensing import RawStreams, calibrate_scene_camera, gripper_payload
-from touchdown.backend.simulation import Scene, start_command_mm, true_margin_mm
+from touchdown.backend.simulation import Scene, judge_release, start_command_mm
 from touchdown.backend.simulation.devices import BenchStreams, SimulatedBench
 
 if TYPE_CHECKING:
@@ -112,7 +112,7 @@ class SimulatedScoring:
                 for part in (1.0, 0.75, 0.5, 0.25) if steps else (1.0,):
                     reach = radius - (1.0 - part) * self.longest_step_mm
                     at = (x + reach * float(np.cos(angle)), y + reach * float(np.sin(angle)))
-                    if true_margin_mm(scene, at, 0.0) > 0.0:
+                    if judge_release(scene, at, 0.0, sign_only=True).stands:
                         return 1 + steps
         return 1 + MOST_STEPS
 

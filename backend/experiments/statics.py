@@ -36,11 +36,11 @@ from touchdown.backend.experiments.trials import (
     rounded_margins,
     uniform_offset,
 )
-from touchdown.backend.geometry import face_points, judge_tower
+from touchdown.backend.geometry import face_points
 from touchdown.backend.learning import CONTACT_LEVEL
 from touchdown.backend.placement import Belief, judge_stability
 from touchdown.backend.sensing import EpisodeLimits
-from touchdown.backend.simulation import BatchedTrials, tower_with_piece
+from touchdown.backend.simulation import BatchedTrials, judge_release
 
 ATTEMPTS = 30
 PER_GROUP = ("mounting", "rejected", "left_out")  # fields without an axis of probes
@@ -174,7 +174,7 @@ def _press_groups(
     seen, offset, true, slip = seen[going], offset[going], true[going], slip[going]
     outline = case.bottoms[0].face
     verdicts = [
-        [judge_tower(tower_with_piece(scenes[g], pair_of(at), bench.grippings[g].yaw_rad))
+        [judge_release(scenes[g], pair_of(at), bench.grippings[g].yaw_rad)
          for at in places]
         for g, places in zip(going, true, strict=True)
     ]  # fmt: skip

@@ -57,8 +57,8 @@ from touchdown.backend.simulation import (
     Region,
     Scene,
     TrialPresses,
+    judge_release,
     release_kick_mm,
-    tower_with_piece,
 )
 
 _DISPLACEMENT = 78
@@ -430,7 +430,7 @@ def _release(trial: _RunningTrial, bench: BatchedTrials) -> None:
     kick = release_kick_mm(trial.scene, 1)
     yaw = bench.grippings[trial.number].yaw_rad
     scene = replace(trial.scene, bottoms=bench.bottoms[trial.number])
-    verdict = judge_tower(tower_with_piece(scene, trial.true_mm, yaw), kick)
+    verdict = judge_release(scene, trial.true_mm, yaw, kick)
     outcome = Outcome.PLACED if verdict.stands else Outcome.FELL
     trial.close(outcome, f"Margin {verdict.margin_mm:+.2f} mm.", verdict)
 

@@ -28,11 +28,13 @@ from .outlines import edge_normals as edge_normals
 from .outlines import edges_to_polygon as edges_to_polygon
 from .outlines import enclosed_area_mm2 as enclosed_area_mm2
 from .outlines import face_points as face_points
+from .outlines import geometry_of as geometry_of
 from .outlines import inset_mm as inset_mm
 from .outlines import overlap_area_mm2 as overlap_area_mm2
 from .outlines import overlap_edges as overlap_edges
 from .outlines import overlap_polygon as overlap_polygon
 from .outlines import polygon_edges as polygon_edges
+from .outlines import polygon_of as polygon_of
 from .outlines import rectangle as rectangle
 from .outlines import rings_of as rings_of
 from .outlines import rotated as rotated
@@ -61,17 +63,25 @@ from .sampling import draw_start as draw_start
 from .sampling import draw_tower as draw_tower
 from .sampling import scene_number as scene_number
 from .sampling import start_generator as start_generator
+from .surfaces import FLAT as FLAT
+from .surfaces import PieceOnSurface as PieceOnSurface
+from .surfaces import Surface as Surface
+from .surfaces import spread_points as spread_points
+from .surfaces import step_levels as step_levels
+from .surfaces import surface_heights_mm as surface_heights_mm
 from .tower import TOO_CLOSE_MM as TOO_CLOSE_MM
 from .tower import Body as Body
 from .tower import Tower as Tower
 from .tower import TowerVerdict as TowerVerdict
 from .tower import interface_overlap as interface_overlap
 from .tower import judge_tower as judge_tower
+from .tower import piece_on_surface as piece_on_surface
 
 __all__ = [
     "BOARD_DOTS_MM",
     "BOARD_DOT_RADIUS_MM",
     "COARSE_SEGMENTS",
+    "FLAT",
     "FRESH_CLASSES",
     "FRESH_SEED",
     "FRESH_SOURCE",
@@ -90,9 +100,11 @@ __all__ = [
     "PieceEnd",
     "PieceImport",
     "PieceLibrary",
+    "PieceOnSurface",
     "PieceRole",
     "Point",
     "ShapeFamily",
+    "Surface",
     "Tower",
     "TowerVerdict",
     "can_be_placed",
@@ -113,6 +125,7 @@ __all__ = [
     "face_points",
     "feet",
     "fresh_bottom",
+    "geometry_of",
     "inset_mm",
     "interface_overlap",
     "judge_tower",
@@ -122,9 +135,11 @@ __all__ = [
     "overlap_edges",
     "overlap_polygon",
     "piece_name",
+    "piece_on_surface",
     "piece_svg",
     "pieces_folder",
     "polygon_edges",
+    "polygon_of",
     "rectangle",
     "region",
     "ring",
@@ -133,9 +148,12 @@ __all__ = [
     "save_piece",
     "scene_number",
     "signed_distances_mm",
+    "spread_points",
     "square",
     "star",
     "start_generator",
+    "step_levels",
+    "surface_heights_mm",
     "tee",
     "true_patch",
 ]

@@ -151,6 +151,13 @@ def geometry_of(outline: Outline, segments: int = CIRCLE_SEGMENTS) -> Any:
     return parts[0] if len(parts) == 1 else shapely.MultiPolygon(parts)
 
 
+def polygon_of(corners_mm: FloatArray) -> Any:
+    """Return corners (k, 2) as a polygon of shapely."""
+    import shapely
+
+    return shapely.Polygon(corners_mm)
+
+
 def hull_of(geometry: Any) -> FloatArray:
     """Return the corners (k, 2) of the convex hull of a shapely geometry, counter-clockwise."""
     import shapely
@@ -425,7 +432,9 @@ def overlap_polygon(
 
     both = [
         ring
-        for part in shapely.get_parts(_common(face, offset_mm, yaw_rad, bottom, (0.0, 0.0), 0.0))
+        for part in shapely.get_parts(
+            common_area(face, offset_mm, yaw_rad, bottom, (0.0, 0.0), 0.0)
+        )
         for ring in (part.exterior, *part.interiors)
     ]
     return _joined([shapely.get_coordinates(ring)[:-1] for ring in both])
@@ -446,7 +455,7 @@ def contact_edges(
     """
     if not _has_region(face, below):
         return overlap_edges(face.placed(at_mm, yaw_rad), below.placed(below_at_mm, below_yaw_rad))
-    common = _common(face, at_mm, yaw_rad, below, below_at_mm, below_yaw_rad)
+    common = common_area(face, at_mm, yaw_rad, below, below_at_mm, below_yaw_rad)
     if common.is_empty:
         return EdgeSegments(np.zeros((1, 2)), np.zeros((1, 2)), np.zeros(1, dtype=np.bool_))
     return polygon_edges(hull_of(common))
@@ -476,7 +485,7 @@ def _has_region(first: Outline, second: Outline) -> bool:
     return "region" in (first.kind, second.kind)
 
 
-def _common(
+def common_area(
     first: Outline,
     first_at_mm: Point,
     first_yaw_rad: float,
@@ -487,11 +496,19 @@ def _common(
     """Return the common area of two placed outlines as polygons of shapely, round-off removed."""
     import shapely
 
-    common = shapely.intersection(
-        _moved(geometry_of(first), first_at_mm, first_yaw_rad),
-        _moved(geometry_of(second), second_at_mm, second_yaw_rad),
+    return large_parts(
+        shapely.intersection(
+            _moved(geometry_of(first), first_at_mm, first_yaw_rad),
+            _moved(geometry_of(second), second_at_mm, second_yaw_rad),
+        )
     )
-    parts = shapely.get_parts(common)
+
+
+def large_parts(geometry: Any) -> Any:
+    """Return the polygons of a geometry of shapely without round-off."""
+    import shapely
+
+    parts = shapely.get_parts(geometry)
     parts = shapely.orient_polygons(parts[shapely.area(parts) > LEAST_PART_MM2])
     return shapely.multipolygons(parts)
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from functools import cache
 from hashlib import sha256
 from importlib.resources import files
-from math import radians
+from math import hypot, radians
 from pathlib import Path
 from typing import Annotated, Literal, Self, cast
 
@@ -24,6 +24,7 @@ from touchdown.backend.config import NonNegative, Positive, Settings, read_setti
 from touchdown.backend.core import InputError, data_folder
 from touchdown.backend.geometry import outlines, regions
 from touchdown.backend.geometry.outlines import Outline, Point
+from touchdown.backend.geometry.surfaces import FLAT, Surface
 from touchdown.backend.geometry.tower import Body
 
 
@@ -138,11 +139,42 @@ Face = Annotated[
 ]
 
 
+class StepFile(Settings):
+    """A step along a line through the face; the part beyond the line is higher."""
+
+    height_mm: Annotated[float, Field(gt=0, le=1)]
+    angle_deg: float = 0.0  # normal of the line, towards the higher part
+    distance_mm: float = 0.0  # of the line from the centre of the face
+
+
+class SurfaceFile(Settings):
+    """Heights of the upper face of a bottom that is not flat."""
+
+    tilt_deg: tuple[float, float] = (0.0, 0.0)  # rotations about x and y, together at most 3
+    step: StepFile | None = None
+    dome_mm: Annotated[float, Field(ge=200)] | None = None  # radius, apex at the centre
+
+    @field_validator("tilt_deg")
+    @classmethod
+    def _is_small(cls, value: tuple[float, float]) -> tuple[float, float]:
+        if hypot(*value) > 3.0:
+            raise ValueError("a face is tilted by at most 3 degrees")
+        return value
+
+    def surface(self) -> Surface:
+        """Return the surface."""
+        x_deg, y_deg = self.tilt_deg
+        step = self.step or StepFile.model_construct(height_mm=0.0)
+        line = radians(step.angle_deg), step.distance_mm
+        return Surface((radians(x_deg), radians(y_deg)), step.height_mm, line, self.dome_mm or 0.0)
+
+
 class PieceFile(Settings):
     """One piece: a top that can be grasped (``grip_height_mm``), a bottom, or both.
 
     ``face`` is the contact face: the underside of a grasped piece, the upper surface of a bottom.
     ``opposite`` is the other end. Without it a bottom has equal ends, and nothing stands on a top.
+    ``surface``: heights of the face of a bottom that is never grasped.
     """
 
     title: Annotated[str, Field(min_length=1, max_length=60)]
@@ -157,6 +189,14 @@ class PieceFile(Settings):
     grip_height_mm: Annotated[Positive | None, Field(validate_default=True)] = None
     width_mm: Positive = 30.0
     nominal: bool = True
+    surface: Annotated[SurfaceFile | None, Field(validate_default=True)] = None
+
+    @field_validator("surface")
+    @classmethod
+    def _is_below(cls, value: SurfaceFile | None, info: ValidationInfo) -> SurfaceFile | None:
+        if value is not None and "top" in info.data.get("roles", ()):
+            raise ValueError("a piece with the role top has a flat face")
+        return value
 
     @field_validator("com_height_mm")
     @classmethod
@@ -198,6 +238,7 @@ class Piece:
     above the underside as it stands. ``grip_height_mm`` (face to grasp pivot) is None if it is
     never grasped; ``width_mm`` between the pads. ``fixed``: cannot topple. ``nominal``: sizes are
     not measured. ``sha256`` of the content, so that data and models know what they belong to.
+    ``surface``: heights of ``upper``.
     """
 
     name: str
@@ -216,6 +257,7 @@ class Piece:
     nominal: bool
     sha256: str
     source: str
+    surface: Surface = FLAT
 
     def body(self, at_mm: Point = (0.0, 0.0), yaw_rad: float = 0.0) -> Body:
         """Return the piece as a body standing with its face centre at ``at_mm``."""
@@ -230,6 +272,7 @@ class Piece:
             at_mm=at_mm,
             yaw_rad=yaw_rad,
             fixed=self.fixed,
+            surface=self.surface,
         )
 
 
@@ -390,10 +433,13 @@ def read_piece(path: Path) -> Piece:
         nominal=content.nominal,
         sha256=_digest(content),
         source=str(path),
+        surface=content.surface.surface() if content.surface else FLAT,
     )
 
 
 def _digest(content: PieceFile) -> str:
     """Return a hash independent of order, comments and title of the file."""
     facts = content.model_dump(mode="json", exclude={"title", "nominal"})
+    if content.surface is None:
+        del facts["surface"]  # pieces from before it keep their hash
     return sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()

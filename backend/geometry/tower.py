@@ -1,21 +1,24 @@
-"""Exact static analysis of a stack of flat-faced rigid bodies.
+"""Exact static analysis of a stack of rigid bodies.
 
 At every interface k the weighted centre of mass of all bodies above must lie inside the convex hull
 of the overlap of the faces that meet there; for k = 0 inside the hull of the base of the lowest
 body. The condition is necessary and sufficient for a serial stack under gravity with enough
-friction. A ring is thus stable over its hole.
+friction. A ring is thus stable over its hole. Only the topmost body can rest on a face that is not
+flat (``surfaces``).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
+from math import inf
 
 import numpy as np
 
 from touchdown.backend.core import FloatArray, InputError
 from touchdown.backend.geometry import outlines
 from touchdown.backend.geometry.outlines import Outline, Point, rotated
+from touchdown.backend.geometry.surfaces import FLAT, PieceOnSurface, Surface
 
 TOO_CLOSE_MM = 0.2  # smaller margins are displayed but not scored
 
@@ -24,10 +27,11 @@ FLOOR = "table"
 
 @dataclass(frozen=True, slots=True)
 class Body:
-    """One placed body. ``lower`` and ``upper``: its flat ends; ``upper`` None carries nothing.
+    """One placed body. ``lower`` and ``upper``: its ends; ``upper`` None carries nothing.
 
     ``at_mm``: centre of its faces in the frame of the tower; ``yaw_rad``: rotation about it.
-    ``com_xy_mm`` is in the body's own frame. A ``fixed`` body cannot move.
+    ``com_xy_mm`` is in the body's own frame. A ``fixed`` body cannot move. ``surface``: heights of
+    the upper end; the lower end is flat.
     """
 
     name: str
@@ -40,6 +44,7 @@ class Body:
     at_mm: Point = (0.0, 0.0)
     yaw_rad: float = 0.0
     fixed: bool = False
+    surface: Surface = FLAT
 
     @property
     def centre_mm(self) -> FloatArray:
@@ -74,6 +79,13 @@ class Tower:
                     f"'{below.name}' carries nothing: it has no flat upper end.",
                     where,
                     "Choose another piece below.",
+                )
+        for body in self.bodies[:-2]:
+            if not body.surface.flat:
+                raise InputError(
+                    f"'{body.name}' is not flat: only the held piece can be put on it.",
+                    f"tower on {body.name}",
+                    "Choose a flat bottom below others.",
                 )
 
     def with_top(self, body: Body) -> Tower:
@@ -112,15 +124,21 @@ class TowerVerdict:
         return abs(self.margin_mm) < TOO_CLOSE_MM
 
 
-def judge_tower(tower: Tower, disturbance_mm: Point = (0.0, 0.0)) -> TowerVerdict:
+def judge_tower(
+    tower: Tower, disturbance_mm: Point = (0.0, 0.0), mu: float = inf, *, sign_only: bool = False
+) -> TowerVerdict:
     """Return the margin of each interface of ``tower``.
 
     ``disturbance_mm``: effect of the opening fingers, as a shift of the top body's centre of mass.
+    ``mu``: friction of a face that is not flat. ``sign_only``: the margin on such a face, whose
+    search takes time, is infinite.
     """
     bodies = tower.bodies
     masses = np.array([body.mass_g for body in bodies])
     centres = np.array([body.centre_mm for body in bodies])
     centres[-1] += disturbance_mm
+    resting_mm, shift_mm = _rest_on_surface(tower, centres[-1], mu, sign_only=sign_only)
+    centres[-1] += shift_mm
     margins: list[float] = []
     names: list[str] = []
     for k, body in enumerate(bodies):
@@ -129,9 +147,43 @@ def judge_tower(tower: Tower, disturbance_mm: Point = (0.0, 0.0)) -> TowerVerdic
         if body.fixed:
             margins.append(float("inf"))
             continue
+        if resting_mm is not None and k == len(bodies) - 1:
+            margins.append(resting_mm)
+            continue
         load = masses[k:] @ centres[k:] / masses[k:].sum()
         margins.append(float(outlines.signed_distances_mm(load, interface_overlap(tower, k))))
     return TowerVerdict(tuple(margins), tuple(names))
+
+
+def _rest_on_surface(
+    tower: Tower, centre_mm: FloatArray, mu: float, *, sign_only: bool
+) -> tuple[float | None, FloatArray]:
+    """Return how the topmost body rests on a face that is not flat.
+
+    ``centre_mm`` (2,): its centre of mass while upright. Returns the margin, None on a flat face,
+    and the motion (2,) of the centre of mass on the way to rest, zero if it does not rest.
+    """
+    if len(tower.bodies) < 2 or tower.bodies[-2].surface.flat:
+        return None, np.zeros(2)
+    below, body = tower.bodies[-2:]
+    placed = piece_on_surface(tower, mu)
+    own = rotated(centre_mm - np.asarray(below.at_mm), -below.yaw_rad)
+    slope = placed.rest_slope(own)
+    shift = np.zeros(2) if slope is None else -body.com_height_mm * rotated(slope, below.yaw_rad)
+    if sign_only:
+        return (-inf if slope is None else inf), shift
+    return placed.margin_mm(own), shift
+
+
+def piece_on_surface(tower: Tower, mu: float = inf) -> PieceOnSurface:
+    """Return the topmost body of a tower over the face below it, in the frame of that face."""
+    below, body = tower.bodies[-2:]
+    assert below.upper is not None
+    x, y = rotated(np.subtract(body.at_mm, below.at_mm), -below.yaw_rad).tolist()
+    turn = body.yaw_rad - below.yaw_rad
+    return PieceOnSurface.over(
+        body.lower, (x, y), turn, below.upper, below.surface, body.com_height_mm, mu
+    )
 
 
 def interface_overlap(tower: Tower, k: int) -> outlines.EdgeSegments:

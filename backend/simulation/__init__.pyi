@@ -29,6 +29,7 @@ from .finger_camera import mirror_appearance as mirror_appearance
 from .gripper import start_command_mm as start_command_mm
 from .ground_truth import Scene as Scene
 from .ground_truth import SceneTruth as SceneTruth
+from .ground_truth import judge_release as judge_release
 from .ground_truth import release_kick_mm as release_kick_mm
 from .ground_truth import tower_with_piece as tower_with_piece
 from .ground_truth import true_com_xy_mm as true_com_xy_mm
@@ -87,6 +88,7 @@ __all__ = [
     "gel_from_settings",
     "import_mujoco",
     "join_support_stacks",
+    "judge_release",
     "load_gel_appearance",
     "mirror_appearance",
     "mujoco_available",

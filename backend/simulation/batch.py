@@ -22,7 +22,7 @@ from touchdown.backend.config import (
     WristSettings,
 )
 from touchdown.backend.core import CHANNELS, TACTILE_CHANNELS, FloatArray, OnsetRule
-from touchdown.backend.geometry import Outline, Tower, face_points, scene_number
+from touchdown.backend.geometry import FLAT, Outline, Surface, Tower, face_points, scene_number
 from touchdown.backend.simulation import conditions as nuisance
 from touchdown.backend.simulation import marker_fields
 from touchdown.backend.simulation.conditions import Conditions, SeedScope, true_offset_mm
@@ -57,7 +57,8 @@ class BatchPlan:
 
     ``face_points_mm`` (N, 2): lattice of the face; ``width_mm``: distance of the pads.
     ``bottoms``: tower of the touched outline if it can rock and slide; None: rigid. It is reset
-    before each probe, as by an operator.
+    before each probe, as by an operator. A flat bottom gets the heights that the settings draw for
+    each mounting.
     """
 
     piece: str
@@ -179,6 +180,17 @@ class _BatchBench:
             nuisance.draw_gripping(plan.settings, plan.probe.grip_force_n, at_grip),
         )
 
+    def surface(self, grip: int) -> Surface:
+        """Return the heights of the bottom in the mounting of ``grip``."""
+        plan = self.plan
+        own = plan.bottoms.bodies[-1].surface if plan.bottoms else FLAT
+        if not own.flat:
+            return own
+        mounting = grip // plan.grips_per_mounting
+        rng = nuisance.scoped_generator(plan.seed, SeedScope.SURFACE, plan.pair, mounting)
+        half_mm = max(plan.bottom_outline.half_extents_mm)
+        return nuisance.draw_surface(plan.settings.surface, half_mm, rng)
+
     def probe(
         self,
         grips: list[int],
@@ -250,6 +262,7 @@ class _BatchBench:
             carried,
             plan.settings.face.lattice_mm / plan.settings.face.subcells,
             plan.settings.face.subcells,
+            [self.surface(grip) for grip in grips],
         ).on(None if self.stand is None else join_support_stacks([self.stand] * len(drawn)))
         pressed = press_with_noise(
             state, [d.noise for d in drawn], plan.settings, plan.probe, self.rule
@@ -521,6 +534,7 @@ class BatchedTrials:
             carried,
             settings.face.lattice_mm / settings.face.subcells,
             settings.face.subcells,
+            [self.bottoms[i].bodies[-1].surface for i in rows.tolist()],
         ).on(self._stand(rows))
         noise = [draw_noise(settings, self._rule, self._sensor_rng(i)) for i in rows.tolist()]
         pressed = press_with_noise(state, noise, settings, self._probe, self._rule)

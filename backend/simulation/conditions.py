@@ -14,8 +14,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.backend.config import ProbeSettings, SimulationSettings, SpreadSettings
+from touchdown.backend.config import (
+    ProbeSettings,
+    SimulationSettings,
+    SpreadSettings,
+    SurfaceSettings,
+)
 from touchdown.backend.core import FloatArray
+from touchdown.backend.geometry import FLAT, Surface
 from touchdown.backend.simulation.rows import Rows
 
 
@@ -88,12 +94,16 @@ def true_offset_mm(
     return np.asarray(moved, dtype=np.float64)
 
 
+STEP_REACH = 0.6  # largest distance of a step from the centre over the half extent of the face
+
+
 class SeedScope(IntEnum):
     """Scope of a generator (part of its seed)."""
 
     MOUNTING = 1
     GRIPPING = 2
     PROBE = 3
+    SURFACE = 4
 
 
 def scoped_generator(seed: int, scope: SeedScope, *place: int) -> np.random.Generator:
@@ -193,6 +203,21 @@ def day_draw(spread: SpreadSettings, z: FloatArray) -> dict[str, Any]:
         "wrist_lever_mm": tuple((spread.wrist_lever_mm * z[7:10]).tolist()),
         "cable_n_mm": tuple(map(tuple, cable.tolist())),
     }
+
+
+def draw_surface(settings: SurfaceSettings, half_mm: float, rng: np.random.Generator) -> Surface:
+    """Draw the heights of a touched face with the half extent ``half_mm``."""
+    kind, size, angle, share = rng.random(4).tolist()
+    bearing = 2.0 * np.pi * angle
+    if kind < settings.tilted_share:
+        tilt = size * settings.tilt_rad
+        return Surface(tilt_rad=(tilt * np.cos(bearing), tilt * np.sin(bearing)))
+    if kind < settings.tilted_share + settings.stepped_share:
+        line = bearing, STEP_REACH * half_mm * (2.0 * share - 1.0)
+        return Surface(step_mm=(1.0 - size) * settings.step_mm, step_line=line)
+    if kind < settings.tilted_share + settings.stepped_share + settings.domed_share:
+        return Surface(dome_mm=settings.dome_mm / (1.0 - size))
+    return FLAT
 
 
 def draw_gripping(

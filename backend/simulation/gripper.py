@@ -271,6 +271,7 @@ class HeldPiece:
             previous=state,
             pitch_mm=face.lattice_mm / face.subcells,
             subcells=face.subcells,
+            surfaces=[self._bottoms.bodies[-1].surface],
         ).on(support_stack(self._bottoms, self._scene.settings.support))
 
     def _draw(self, probe: ProbeSettings) -> Conditions:

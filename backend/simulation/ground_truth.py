@@ -11,9 +11,18 @@ import numpy as np
 
 from touchdown.backend.config import SimulationSettings
 from touchdown.backend.core import Fall
-from touchdown.backend.geometry import Outline, Piece, Tower, judge_tower, scene_number
+from touchdown.backend.geometry import (
+    FLAT,
+    Outline,
+    Piece,
+    Surface,
+    Tower,
+    TowerVerdict,
+    judge_tower,
+    scene_number,
+)
 from touchdown.backend.simulation import conditions
-from touchdown.backend.simulation.conditions import MountingDraw
+from touchdown.backend.simulation.conditions import MountingDraw, SeedScope, draw_surface
 from touchdown.backend.simulation.release_mujoco import (
     contradicts_analysis,
     mujoco_available,
@@ -46,6 +55,16 @@ class Scene:
             raise ValueError(f"{self.piece.name} cannot be grasped")
         if self.bottoms.bodies[-1].upper is None:
             raise ValueError(f"{self.bottoms.bodies[-1].name} carries nothing")
+        *below, top = self.bottoms.bodies
+        if top.surface.flat and (surface := self._drawn_surface()) is not FLAT:
+            drawn = Tower((*below, replace(top, surface=surface)))
+            object.__setattr__(self, "bottoms", drawn)
+        # Refuses towers with a face that is not flat below another bottom.
+        self.bottoms.with_top(self.piece.body())
+
+    def _drawn_surface(self) -> Surface:
+        rng = conditions.scoped_generator(self.seed, SeedScope.SURFACE, self.number)
+        return draw_surface(self.settings.surface, max(self.surface.half_extents_mm), rng)
 
     @property
     def grip_height_mm(self) -> float:
@@ -120,7 +139,23 @@ def true_margin_mm(
     kick_mm: tuple[float, float] = (0.0, 0.0),
 ) -> float:
     """Return the signed margin of the whole tower; ``kick_mm`` moves the top's centre of mass."""
-    return judge_tower(tower_with_piece(scene, offset_mm, yaw_rad), kick_mm).margin_mm
+    return judge_release(scene, offset_mm, yaw_rad, kick_mm).margin_mm
+
+
+def judge_release(
+    scene: Scene,
+    offset_mm: tuple[float, float],
+    yaw_rad: float,
+    kick_mm: tuple[float, float] = (0.0, 0.0),
+    *,
+    sign_only: bool = False,
+) -> TowerVerdict:
+    """Return the margins of the tower with the piece released at ``offset_mm``.
+
+    ``sign_only``: infinite on a face that is not flat, without the search for the margin.
+    """
+    tower = tower_with_piece(scene, offset_mm, yaw_rad)
+    return judge_tower(tower, kick_mm, scene.settings.mu, sign_only=sign_only)
 
 
 def release_kick_mm(scene: Scene, release: int) -> tuple[float, float]:
@@ -141,4 +176,5 @@ def mujoco_opinion(
         return None
     tower = tower_with_piece(scene, offset_mm, yaw_rad)
     fallen, motion = simulate_release(tower, disturbance_mm=kick_mm)
-    return (motion if fallen else None), contradicts_analysis(judge_tower(tower, kick_mm), fallen)
+    verdict = judge_release(scene, offset_mm, yaw_rad, kick_mm)
+    return (motion if fallen else None), contradicts_analysis(verdict, fallen)

@@ -11,6 +11,7 @@ rotation about the jaw axis (rad).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol
 
@@ -18,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.backend.core import FloatArray
+from touchdown.backend.geometry import Surface, surface_heights_mm
 from touchdown.backend.simulation import contact
 from touchdown.backend.simulation.conditions import Conditions
 from touchdown.backend.simulation.contact import (
@@ -303,7 +305,7 @@ MAX_SPLITS = 2  # A step without equilibrium is halved this often
 
 
 class Region(Protocol):
-    """A flat outline (``touchdown.backend.geometry.outlines.Outline`` is one)."""
+    """An outline (``touchdown.backend.geometry.outlines.Outline`` is one)."""
 
     def contains(self, points_mm: FloatArray, /) -> NDArray[np.bool_]:
         """Return True for points (..., 2) inside."""
@@ -389,13 +391,14 @@ def begin_probes(  # noqa: PLR0913 - two describe the lattice
     previous: ContactState | GraspHistory | None = None,
     pitch_mm: float = 1.0,
     subcells: int = 1,
+    surfaces: Sequence[Surface] = (),
 ) -> ContactState:
     """Start B probes at the true displacements ``offset_mm`` (B, 2) above one bottom ``outline``.
 
     ``face_points_mm`` (N, 2): lattice of ``pitch_mm`` on the face, in ``F``. With ``subcells`` k,
     the k by k points around each k-th one form one cell, weighted by those that overlap. Slip and
-    gel state of ``previous`` (same grip) are kept; the slider anchors are reset. The bottom is
-    rigid; see ``ContactState.on``.
+    gel state of ``previous`` (same grip) are kept; the slider anchors are reset. ``surfaces``:
+    heights of each bottom, all flat by default. The bottom is rigid; see ``ContactState.on``.
     """
     cos, sin = np.cos(conditions.yaw_rad)[:, None], np.sin(conditions.yaw_rad)[:, None]
     s_x = cos * face_points_mm[:, 0] - sin * face_points_mm[:, 1]
@@ -416,6 +419,8 @@ def begin_probes(  # noqa: PLR0913 - two describe the lattice
     if conditions.crown_rad.any():
         reach_mm = np.sqrt((face_points_mm**2).sum(axis=1).max())
         gap -= (0.5 / reach_mm) * conditions.crown_rad[:, None] * (packed**2).sum(axis=-1)
+    if not all(surface.flat for surface in surfaces):
+        gap += surface_heights_mm(surfaces, packed + offset_mm[:, None, :])
     gap -= np.where(exists, gap, -np.inf).max(axis=1, initial=-1e9)[:, None]
     area = pitch_mm**2 * covered
     cells = contact.ContactCells(

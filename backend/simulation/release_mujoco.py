@@ -4,8 +4,9 @@ Optional. Shapes do not collide with each other. Each flat face has tiny massles
 outline, tangent to the face from inside, and only spheres collide with shapes. The built-in contact
 of cylinders (MuJoCo 4.0) misplaces the toppling edge by up to 1.3 mm at a radius of 7.5 mm; this
 model by 0.06 mm. A face with holes or several parts is a set of convex prisms, and has spheres at
-the corners of its contact as well, where two outlines cross. It never replaces the exact analysis
-of ``geometry.tower``.
+the corners of its contact as well, where two outlines cross. A face that is not flat is made of
+convex prisms and has spheres of its own; until the fingers are open (GUIDED_S) the piece turns
+against a viscous drag. It never replaces the exact analysis of ``geometry.tower``.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from touchdown.backend.core import Fall, InputError
+from touchdown.backend.core import Fall, FloatArray, InputError
 from touchdown.backend.geometry import (
     Body,
     Outline,
@@ -25,9 +26,14 @@ from touchdown.backend.geometry import (
     Tower,
     TowerVerdict,
     convex_cells,
+    geometry_of,
     overlap_polygon,
+    piece_on_surface,
+    polygon_of,
     rings_of,
     rotated,
+    spread_points,
+    step_levels,
 )
 
 SPHERES_PER_FACE = 32
@@ -41,6 +47,9 @@ CORNER_RAD = 0.35  # rings of a region turn by more at a corner
 PAIR_BAND_MM = 0.2
 TOWER_BAND_MM = 0.25
 STEP_S = 0.001
+GUIDED_S = 0.7  # the opening fingers guide a piece on a face that is not flat
+GUIDE_MM = 10.0  # lever of its weight that turns it by 1 rad/s meanwhile
+EDGE_MM = 1.0  # spacing of the spheres along the edges of such a face
 
 HEADER = f"""
 <mujoco>
@@ -74,7 +83,10 @@ def simulate_release(
     frames = int(seconds * frame_hz) + 1
     poses = np.empty((frames, len(tower.bodies), 7))
     fallen = False
+    relief_mm = float(np.ptp(_touchable_mm(tower)[:, 2]))
     for frame in range(frames):
+        if frame / frame_hz > GUIDED_S:
+            model.dof_damping[:] = 0.0
         due = round(frame / frame_hz / STEP_S) - round(data.time / STEP_S)
         if due > 0:
             mujoco.mj_step(model, data, nstep=due)
@@ -88,7 +100,7 @@ def simulate_release(
         fallen = fallen or tilt_deg > FALLEN_DEG
     names = tuple(body.name for body in tower.bodies)
     sunk_mm = 1e3 * float((poses[0, :, 2] - poses[-1, :, 2]).max())
-    fallen = fallen or tilt_deg > AT_REST_DEG or sunk_mm > SUNK_MM
+    fallen = fallen or tilt_deg > AT_REST_DEG or sunk_mm > SUNK_MM + relief_mm
     return fallen, Fall(np.arange(frames) / frame_hz, poses, names)
 
 
@@ -131,11 +143,21 @@ def _kicked(tower: Tower, disturbance_mm: Point) -> Tower:
 
 
 def _heights_mm(tower: Tower) -> list[float]:
-    """Return the height of every body's lower face above the floor."""
+    """Return the height of every body's lower face above the floor, at first touch."""
     heights = [0.0]
     for body in tower.bodies[:-1]:
         heights.append(heights[-1] + body.height_mm)
+    heights[-1] += float(_touchable_mm(tower)[:, 2].max())
     return heights
+
+
+def _touchable_mm(tower: Tower) -> FloatArray:
+    """Return the points (n, 3) that the topmost body can touch; on a flat face the centre."""
+    if len(tower.bodies) > 1 and not tower.bodies[-2].surface.flat:
+        placed = piece_on_surface(tower)
+        if len(placed.points_mm):
+            return np.column_stack([placed.points_mm, placed.heights_mm])
+    return np.zeros((1, 3))
 
 
 def model_xml(tower: Tower) -> str:
@@ -157,17 +179,52 @@ def _body_xml(body: Body, below: Body | None, tag: str, height_mm: float, meshes
     parts = [_spheres_xml(rim_points(body.lower), SPHERE_RADIUS_MM)]
     if below is not None and below.upper is not None:
         parts.append(_spheres_xml(contact_corners(body, below), SPHERE_RADIUS_MM))
-    if body.upper is None or body.upper == body.lower:
+    if body.upper is not None and not body.surface.flat:
+        parts.append(shape_xml(body.lower, 0.0, body.height_mm / 2, f"{tag}l", meshes))
+        parts.append(_surface_xml(body, tag, meshes))
+    elif body.upper is None or body.upper == body.lower:
         parts.append(shape_xml(body.lower, 0.0, body.height_mm, tag, meshes))
     else:
         half = body.height_mm / 2
         parts.append(shape_xml(body.lower, 0.0, half, f"{tag}l", meshes))
         parts.append(shape_xml(body.upper, half, body.height_mm, f"{tag}u", meshes))
     # Spheres at both ends keep a fallen body from sinking into the floor.
-    end = rim_points(body.upper or body.lower)
-    parts.append(_spheres_xml(end, body.height_mm - SPHERE_RADIUS_MM))
-    free = "" if body.fixed else f"<freejoint/>{inertia_xml(body)}"
+    if body.surface.flat:
+        end = rim_points(body.upper or body.lower)
+        parts.append(_spheres_xml(end, body.height_mm - SPHERE_RADIUS_MM))
+    guide = 0.0
+    if below is not None and not below.surface.flat:
+        guide = 1e-6 * 9.81 * body.mass_g * GUIDE_MM
+    joint = f'<joint type="free" damping="{guide!r}"/>'
+    free = "" if body.fixed else f"{joint if guide else '<freejoint/>'}{inertia_xml(body)}"
     return f'<body pos="{at}" quat="{quat}">{free}{"".join(parts)}</body>'
+
+
+def _surface_xml(body: Body, tag: str, meshes: list[str]) -> str:
+    """Return the upper half of a body whose upper face is not flat: prisms, and spheres on them."""
+    assert body.upper is not None
+    level, found = replace(body.surface, step_mm=0.0), []
+    for part, lift_mm in step_levels(geometry_of(body.upper), body.surface):
+        points = spread_points(part, EDGE_MM, inside=bool(body.surface.dome_mm))
+        found.append(np.column_stack([points, level.heights_mm(points) + lift_mm]))
+    geoms = []
+    for number, cell in enumerate(convex_cells(body.upper)):
+        for part, lift_mm in step_levels(polygon_of(cell), body.surface):
+            top = spread_points(part, EDGE_MM, inside=bool(body.surface.dome_mm))
+            if not len(top):
+                continue
+            high = body.height_mm + level.heights_mm(top) + lift_mm
+            corners = [(x, y, body.height_mm / 2) for x, y in top.tolist()]
+            corners += np.column_stack([top, high]).tolist()
+            name = f"{tag}u{number}{'h' if lift_mm else ''}"
+            places = " ".join(format_metres(*corner) for corner in corners)
+            meshes.append(f'<mesh name="{name}" vertex="{places}"/>')
+            geoms.append(f'<geom type="mesh" mesh="{name}"/>')
+    spheres = "".join(
+        _spheres_xml([(x, y)], body.height_mm + z - SPHERE_RADIUS_MM)
+        for x, y, z in np.concatenate(found).tolist()
+    )
+    return "".join(geoms) + spheres
 
 
 def format_metres(*lengths_mm: float) -> str:

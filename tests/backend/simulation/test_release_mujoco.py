@@ -502,7 +502,7 @@ def ended(margin_mm: float, fallen: bool, monkeypatch: pytest.MonkeyPatch) -> Tr
     )
     monkeypatch.setattr(ground_truth, "true_margin_mm", lambda *_: margin_mm)
     monkeypatch.setattr(
-        ground_truth, "judge_tower", lambda *_: TowerVerdict((margin_mm,), ("pot",))
+        ground_truth, "judge_tower", lambda *_, **__: TowerVerdict((margin_mm,), ("pot",))
     )
     session = simulated_session(brisk_bench(), method=brisk_method(), animate=True)
     ends: list[Event] = []

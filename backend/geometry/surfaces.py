@@ -1,0 +1,262 @@
+"""Upper faces that are not flat (inclined, stepped, domed), and how a rigid piece rests on them.
+
+Angles are small: horizontal positions do not change while the piece turns, and its centre of mass,
+``h`` above the face, moves by ``-h s`` for the slope ``s`` of the face. The piece touches where
+height minus plane is largest over the overlap. Released upright and guided by the opening fingers,
+it turns slowly about the point of the hull of its contacts that is nearest to its centre of mass,
+until that lies inside the hull. The face then rests on a facet of the convex hull of the heights.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import cos, hypot, inf, pi, radians, sin, tan
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchdown.backend.core import FloatArray
+from touchdown.backend.geometry.outlines import (
+    NO_SUPPORT,
+    Outline,
+    Point,
+    common_area,
+    hull_of,
+    large_parts,
+    rotated,
+)
+
+MAX_TURN = tan(radians(5.0))  # slope beyond which a released piece counts as turned
+PITCH_MM = 1.0  # of the points that stand for a dome
+TOUCH_MM = 1e-9  # points this near to the plane touch it
+MAX_EVENTS = 1000  # new contacts until the piece rests
+DIRECTIONS = 32  # in which the margin is searched
+# Distances beyond the hull at which a place of rest is searched, mm.
+REACHES_MM = (0.1, 0.25, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0)
+MARGIN_MM = 1e-3  # resolution of the margin
+
+
+@dataclass(frozen=True, slots=True)
+class Surface:
+    """Heights of an upper face in its own frame, above a level face through its centre.
+
+    Attributes
+    ----------
+    tilt_rad : tuple of float
+        Small rotations about x and y, rad: the face rises by ``tilt_x y - tilt_y x``.
+    step_mm : float
+        Height of the part beyond the step line.
+    step_line : tuple of float
+        Direction (rad) of the normal of the step line, towards the higher part, and its distance
+        (mm) from the centre of the face.
+    dome_mm : float
+        Radius of a dome with its apex at the centre of the face; 0 without a dome.
+
+    Examples
+    --------
+    >>> Surface(step_mm=0.5).heights_mm(np.array([[-3.0, 0.0], [3.0, 0.0]])).tolist()
+    [0.0, 0.5]
+
+    """
+
+    tilt_rad: Point = (0.0, 0.0)
+    step_mm: float = 0.0
+    step_line: Point = (0.0, 0.0)
+    dome_mm: float = 0.0
+
+    @property
+    def flat(self) -> bool:
+        """True if all heights are 0."""
+        return not (any(self.tilt_rad) or self.step_mm or self.dome_mm)
+
+    @property
+    def slope(self) -> Point:
+        """Rise per mm along x and y due to the tilt."""
+        return -self.tilt_rad[1], self.tilt_rad[0]
+
+    @property
+    def coefficients(self) -> tuple[float, ...]:
+        """Slopes, curvature, step, and normal and distance of its line."""
+        angle, distance = self.step_line
+        curvature = 1.0 / self.dome_mm if self.dome_mm else 0.0
+        return (*self.slope, curvature, self.step_mm, cos(angle), sin(angle), distance)
+
+    def heights_mm(self, points_mm: FloatArray) -> FloatArray:
+        """Return the heights (n,) at the points (n, 2)."""
+        return np.asarray(surface_heights_mm([self], points_mm[None])[0], dtype=np.float64)
+
+
+FLAT = Surface()
+
+
+def surface_heights_mm(surfaces: Sequence[Surface], points_mm: FloatArray) -> FloatArray:
+    """Return the heights (B, n) of B surfaces at their points (B, n, 2)."""
+    x, y = points_mm[..., 0], points_mm[..., 1]
+    values = np.array([surface.coefficients for surface in surfaces]).T[..., None]
+    slope_x, slope_y, curvature, step, cos_n, sin_n, distance = values
+    heights = slope_x * x + slope_y * y - 0.5 * curvature * (x * x + y * y)
+    return np.asarray(heights + step * (cos_n * x + sin_n * y >= distance), dtype=np.float64)
+
+
+@dataclass(frozen=True, slots=True)
+class PieceOnSurface:
+    """A flat face above the overlap with a surface, in the frame of the surface.
+
+    ``points_mm`` (n, 2), ``heights_mm`` (n,): points that the face can touch. ``com_height_mm``:
+    centre of mass above the face. ``max_turn``: slope beyond which the piece does not count as
+    resting, or slides.
+    """
+
+    points_mm: FloatArray
+    heights_mm: FloatArray
+    com_height_mm: float
+    max_turn: float = MAX_TURN
+
+    @classmethod
+    def over(  # noqa: PLR0913 - three place the face
+        cls,
+        face: Outline,
+        at_mm: Point,
+        yaw_rad: float,
+        below: Outline,
+        surface: Surface,
+        com_height_mm: float,
+        mu: float = inf,
+    ) -> PieceOnSurface:
+        """Return ``face`` at ``at_mm``, rotated by ``yaw_rad``, over ``surface`` of ``below``."""
+        points, heights = _touchable(
+            common_area(face, at_mm, yaw_rad, below, (0.0, 0.0), 0.0), surface
+        )
+        return cls(points, heights, com_height_mm, min(MAX_TURN, mu))
+
+    def rest_slope(self, centre_mm: FloatArray) -> FloatArray | None:
+        """Return the slope (2,) at which the piece comes to rest, None if it does not.
+
+        ``centre_mm`` (2,): centre of mass above the upright face.
+        """
+        if not len(self.points_mm):
+            return None
+        slope = np.zeros(2)
+        gap = self.heights_mm.max() - self.heights_mm
+        for _ in range(MAX_EVENTS):
+            centre = centre_mm - self.com_height_mm * slope
+            foot = _nearest(self.points_mm[gap <= TOUCH_MM], centre)
+            way = foot - centre
+            length = hypot(*way)
+            if length <= TOUCH_MM:
+                return slope
+            # The foot stays, and the centre moves away from it, until the next point touches.
+            rate = (self.points_mm - foot) @ (way / length)
+            nears = rate < -TOUCH_MM
+            nears &= gap > TOUCH_MM
+            turn = (gap[nears] / -rate[nears]).min(initial=inf)
+            slope = slope + min(turn, 1.0) * way / length
+            if hypot(*slope) > self.max_turn:
+                return None
+            gap = np.maximum(gap + turn * rate, 0.0)
+        return None
+
+    def margin_mm(self, centre_mm: FloatArray) -> float:
+        """Return the shortest shift of the centre of mass that changes the result of a release.
+
+        Positive if the piece comes to rest, negative if not, ``NO_SUPPORT`` without overlap. The
+        shift is searched along 32 directions, so that it is up to 0.5 % too long.
+        """
+        if not len(self.points_mm):
+            return NO_SUPPORT
+        angles = 2.0 * pi * np.arange(DIRECTIONS) / DIRECTIONS
+        rays = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+        if self.rest_slope(centre_mm) is not None:
+            least = 1.0 + float(np.hypot(*(self.points_mm - centre_mm).T).max())
+            for ray in rays:
+                least = self._crossing_mm(centre_mm, ray, least, rests=True)
+            return least
+        outside = float(np.hypot(*(_nearest(self.points_mm, centre_mm) - centre_mm)))
+        for reach in REACHES_MM:
+            least = outside + reach
+            ends = centre_mm + least * rays
+            near = [r for r, at in zip(rays, ends, strict=True) if self.rest_slope(at) is not None]
+            for ray in near:
+                least = self._crossing_mm(centre_mm, ray, least, rests=False)
+            if near:
+                break
+        return -least
+
+    def _crossing_mm(
+        self, centre_mm: FloatArray, ray: FloatArray, far: float, *, rests: bool
+    ) -> float:
+        """Return the distance along ``ray`` at which the result changes, at most ``far``."""
+        low, high = 0.0, far
+        if (self.rest_slope(centre_mm + far * ray) is not None) is rests:
+            return far
+        while high - low > MARGIN_MM:
+            tried = 0.5 * (low + high)
+            alike = (self.rest_slope(centre_mm + tried * ray) is not None) is rests
+            low, high = (tried, high) if alike else (low, tried)
+        return high
+
+
+def _touchable(area: Any, surface: Surface) -> tuple[FloatArray, FloatArray]:
+    """Return the points (n, 2) of an overlap that a flat face can touch, and their heights (n,)."""
+    import shapely
+
+    found: list[tuple[FloatArray, FloatArray]] = [(np.empty((0, 2)), np.empty(0))]
+    level = Surface(surface.tilt_rad, dome_mm=surface.dome_mm)
+    for part, lift_mm in step_levels(area, surface):
+        if shapely.is_empty(part):
+            continue
+        points = hull_of(part) if not surface.dome_mm else spread_points(part)
+        found.append((points, level.heights_mm(points) + lift_mm))
+    points, heights = (np.concatenate(values) for values in zip(*found, strict=True))
+    return points, heights
+
+
+def step_levels(area: Any, surface: Surface) -> list[tuple[Any, float]]:
+    """Return the parts of the overlap on both sides of the step, and their lifts."""
+    import shapely
+
+    if not surface.step_mm or shapely.is_empty(area):
+        return [(area, 0.0)]
+    angle, distance = surface.step_line
+    far = 2.0 * max(map(abs, (*shapely.bounds(area).tolist(), distance, 1.0)))
+    box = np.array([(distance, -far), (distance + far, -far), (distance + far, far)])
+    box = np.concatenate([box, [(distance, far)]])
+    high = shapely.Polygon(rotated(box, angle))
+    return [
+        (large_parts(shapely.intersection(area, high)), surface.step_mm),
+        (large_parts(shapely.difference(area, high)), 0.0),
+    ]
+
+
+def spread_points(area: Any, spacing_mm: float = PITCH_MM, *, inside: bool = True) -> FloatArray:
+    """Return points (n, 2) along the edges of an area of shapely, and on a lattice ``inside``."""
+    import shapely
+
+    edge = shapely.get_coordinates(shapely.segmentize(area, spacing_mm))
+    if not inside or not len(edge):
+        return np.asarray(edge, dtype=np.float64)
+    low_x, low_y, high_x, high_y = shapely.bounds(area)
+    axes = (np.arange(a, b, spacing_mm) for a, b in ((low_x, high_x), (low_y, high_y)))
+    lattice = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
+    return np.concatenate([edge, lattice[shapely.contains_xy(area, *lattice.T)]])
+
+
+def _nearest(points_mm: FloatArray, at_mm: FloatArray) -> FloatArray:
+    """Return the point of the convex hull of points (k, 2) that is nearest to ``at_mm`` (2,)."""
+    away = points_mm - at_mm
+    if len(away) > 2 and _surrounds(away):
+        return at_mm
+    first, second = (rows.ravel() for rows in np.indices((len(away), len(away))))
+    along = away[second] - away[first]
+    length2 = np.maximum((along**2).sum(axis=1), TOUCH_MM**2)
+    share = np.clip(-(away[first] * along).sum(axis=1) / length2, 0.0, 1.0)
+    feet = away[first] + share[:, None] * along
+    return np.asarray(at_mm + feet[(feet**2).sum(axis=1).argmin()], dtype=np.float64)
+
+
+def _surrounds(away_mm: FloatArray) -> bool:
+    """Return True if the hull of points (k, 2) contains the origin."""
+    bearing: NDArray[np.float64] = np.sort(np.arctan2(away_mm[:, 1], away_mm[:, 0]))
+    return bool(np.diff(bearing, append=bearing[0] + 2.0 * pi).max() <= pi)

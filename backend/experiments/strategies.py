@@ -452,7 +452,8 @@ def least_probes(scene: Scene) -> int:
     for way in np.arange(0.0, length, 0.05):
         x, y = start - way * towards
         body = scene.piece.body((float(x), float(y)))
-        if judge_tower(Tower((*scene.bottoms.bodies, body))).margin_mm >= SAFE_INSET_MM:
+        tower = Tower((*scene.bottoms.bodies, body))
+        if judge_tower(tower, sign_only=True).margin_mm >= SAFE_INSET_MM:
             return 1 + ceil(way / STEP_MM)
     return 1 + ceil(length / STEP_MM)
 

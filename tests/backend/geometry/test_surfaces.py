@@ -85,7 +85,7 @@ def test_on_a_dome_a_piece_rolls_until_the_contact_is_below_its_centre(x_mm: flo
     # Points 1 mm apart stand for the dome: their facets differ by 1 / 200 rad.
     assert slope[0] == pytest.approx(-x_mm / (radius_mm - HEIGHT_MM), abs=0.003)
     assert math.hypot(*slope) < math.tan(math.radians(5.0))
-    edge_mm = 10.0 * (1.0 - HEIGHT_MM / radius_mm) if x_mm else 7.5 * (1.0 - HEIGHT_MM / radius_mm)
+    edge_mm = min(10.0, abs(x_mm) + 7.5) * (1.0 - HEIGHT_MM / radius_mm)
     assert placed.margin_mm(centre) == pytest.approx(edge_mm - abs(x_mm), abs=0.1)
 
 

@@ -15,7 +15,6 @@ from math import cos, hypot, inf, pi, radians, sin, tan
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.backend.core import FloatArray
 from touchdown.backend.geometry.outlines import (
@@ -245,18 +244,8 @@ def spread_points(area: Any, spacing_mm: float = PITCH_MM, *, inside: bool = Tru
 
 def _nearest(points_mm: FloatArray, at_mm: FloatArray) -> FloatArray:
     """Return the point of the convex hull of points (k, 2) that is nearest to ``at_mm`` (2,)."""
-    away = points_mm - at_mm
-    if len(away) > 2 and _surrounds(away):
-        return at_mm
-    first, second = (rows.ravel() for rows in np.indices((len(away), len(away))))
-    along = away[second] - away[first]
-    length2 = np.maximum((along**2).sum(axis=1), TOUCH_MM**2)
-    share = np.clip(-(away[first] * along).sum(axis=1) / length2, 0.0, 1.0)
-    feet = away[first] + share[:, None] * along
-    return np.asarray(at_mm + feet[(feet**2).sum(axis=1).argmin()], dtype=np.float64)
+    import shapely
 
-
-def _surrounds(away_mm: FloatArray) -> bool:
-    """Return True if the hull of points (k, 2) contains the origin."""
-    bearing: NDArray[np.float64] = np.sort(np.arctan2(away_mm[:, 1], away_mm[:, 0]))
-    return bool(np.diff(bearing, append=bearing[0] + 2.0 * pi).max() <= pi)
+    hull = shapely.convex_hull(shapely.multipoints(points_mm))
+    way = shapely.shortest_line(hull, shapely.Point(at_mm))
+    return np.asarray(shapely.get_coordinates(way)[0], dtype=np.float64)

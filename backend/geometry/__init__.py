@@ -13,6 +13,7 @@ if TYPE_CHECKING:
         pieces,
         regions,
         sampling,
+        surfaces,
         tower,
     )
 

@@ -12,7 +12,7 @@ Bootstrap, 1993, ch. 13). A seed is one mounting in closed loops, a job of two m
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -339,10 +339,22 @@ def _bootstrap_sums(counts: Sequence[FloatArray]) -> FloatArray:
 
 @dataclass(frozen=True, slots=True)
 class StrategyComparison:
-    """Closed loops ``loops`` and optional verdicts on groups ``statics``."""
+    """Closed loops ``loops`` and optional verdicts on groups ``statics``.
+
+    ``band``: number of benches around that of ``loops`` on which its trials are repeated.
+    """
 
     loops: ClosedLoopComparison
     statics: StaticComparison | None = None
+    band: int = 0
+
+    def band_loops(self) -> list[tuple[dict[str, float], ClosedLoopComparison]]:
+        """Return the factors of the nuisances and the closed loops of each bench of the band."""
+        # Imported here: the window shows stored comparisons only.
+        from touchdown.backend.experiments.evaluation import band_benches
+
+        benches = band_benches(self.loops.bench, self.band) if self.band else []
+        return [(factors, replace(self.loops, bench=bench)) for factors, bench in benches]
 
     def next_round(self, store: JobStore, quantity: str) -> list[JobSpec]:
         """Return the jobs of the next ``ROUND_TRIALS`` trials of every cell, of the undecided
@@ -361,8 +373,10 @@ class StrategyComparison:
         return [job for job in todo if self.loops.first_trial(job) < last]
 
     def jobs(self) -> list[JobSpec]:
-        """Return the jobs of both."""
-        return [*self.loops.jobs(), *(self.statics.jobs() if self.statics else ())]
+        """Return the jobs of all."""
+        said = self.statics.jobs() if self.statics else ()
+        around = [job for _, loops in self.band_loops() for job in loops.jobs()]
+        return [*self.loops.jobs(), *said, *around]
 
     def effort(self, spec: JobSpec) -> int:
         """Return the relative duration of a job."""
@@ -378,10 +392,20 @@ class StrategyComparison:
         found["of_ceiling"] = placed_of_ceiling(self.loops.trials_of(store))
         if self.statics is not None:
             found["statics"] = self.statics.table(store)
+        if self.band:
+            found["band"] = [
+                _band_row(factors, loops, store) for factors, loops in self.band_loops()
+            ]
         if quantity is not None:
             decided = decided_strategies(self.loops.trials_of(store), quantity)
             found["stopped"] = {"quantity": quantity, "round": ROUND_TRIALS, "decided": decided}
         return found
+
+
+def _band_row(factors: Mapping[str, float], loops: ClosedLoopComparison, store: JobStore) -> Json:
+    """Return factors, hash and pooled counts of one bench of the band."""
+    table = loops.table(store)
+    return {"factors": factors, **{k: table[k] for k in ("bench_sha256", "sources", "pooled")}}
 
 
 def comparison_tables(answer: Mapping[str, Any]) -> list[ReportTable]:
@@ -434,6 +458,8 @@ def comparison_tables(answer: Mapping[str, Any]) -> list[ReportTable]:
                 map(_reliability_row, cells),
             )
         )
+    if answer.get("band"):
+        found.append(_band_table(answer))
     if answer.get("of_ceiling"):
         found.append(
             ReportTable.of_texts(
@@ -468,6 +494,30 @@ def comparison_tables(answer: Mapping[str, Any]) -> list[ReportTable]:
             )
         )
     return found
+
+
+def _band_table(answer: Mapping[str, Any]) -> ReportTable:
+    """Return placed and unsafe over the benches of the band: least, median, most."""
+    pooled = [row for row in answer["pooled"] if "outline" not in row]
+    rows = []
+    for own in pooled:
+        same = [
+            row
+            for bench in answer["band"]
+            for row in bench["pooled"]
+            if _name(row) == _name(own) and "outline" not in row
+        ]
+        texts = []
+        for quantity in ("placed", "unsafe", "unsafe_of_released"):
+            texts.append(_format_percent(own[quantity]["value"]))
+            values = [v for row in same if (v := row[quantity]["value"]) is not None]
+            ends = np.percentile(values, (0, 50, 100)) if values else ()
+            texts.append(" / ".join(map(_format_percent, ends)))
+        trials = sum(row["placed"]["n"] for row in same)
+        rows.append((_name(own), str(len(same)), str(trials), *texts))
+    head = ("placed %", "band", "unsafe % of trials", "band", "of released", "band")
+    title = f"Bench, and {len(answer['band'])} benches around it: least / median / most"
+    return ReportTable.of_texts(title, ("strategy", "benches", "trials", *head), rows)
 
 
 def oracle_share_table(rows: Sequence[Json]) -> ReportTable:

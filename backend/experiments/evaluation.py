@@ -93,6 +93,38 @@ def scale_nuisance(
     return SimulationSettings.model_validate(content)
 
 
+BAND_SEED, BAND_FACTOR = 994, 2.0  # magnitudes from half to twice those of the bench
+
+
+def band_benches(
+    bench: SimulationSettings, count: int
+) -> list[tuple[dict[str, float], SimulationSettings]]:
+    """Return ``count`` benches around ``bench``, each with its factor of every nuisance by name.
+
+    Factors are log-uniform from 1 / ``BAND_FACTOR`` to ``BAND_FACTOR``, a Latin hypercube over the
+    nuisances that the bench draws; the same ones for the same ``count``.
+    """
+    # Imported here: scipy is slow to load.
+    from scipy.stats.qmc import LatinHypercube
+
+    content = bench.model_dump(mode="json")
+
+    def drawn(key: str) -> bool:
+        section, name = key.split(".")
+        return bool((content[section] if section else content).get(name))
+
+    chosen = [n for n in (*NUISANCES, *LATER_NUISANCES) if any(map(drawn, n.keys))]
+    cube = LatinHypercube(len(chosen), seed=BAND_SEED).random(count)
+    found = []
+    for factors in (BAND_FACTOR ** (2.0 * cube - 1.0)).tolist():
+        one = bench
+        for nuisance, factor in zip(chosen, factors, strict=True):
+            one = scale_nuisance(one, nuisance, factor)
+        by_name = {n.name: f for n, f in zip(chosen, factors, strict=True)}
+        found.append((by_name, one))
+    return found
+
+
 def _times(value: Any, factor: float) -> Any:
     if isinstance(value, (int, float)):
         return factor * value

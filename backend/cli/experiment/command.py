@@ -367,6 +367,8 @@ def _add_beyond_arguments(parser: argparse.ArgumentParser) -> None:
     beyond.add_argument("--statics", type=int, default=0, metavar="GROUPS", help="also "
                         "evaluate each strategy at this number of positions of a cell, after 1 to "
                         "5 probes")  # fmt: skip
+    beyond.add_argument("--band", type=int, default=0, metavar="N", help="repeat the trials on N "
+                        "benches with every nuisance half to twice as large")  # fmt: skip
     beyond.add_argument("--stop-early", choices=("placed", "unsafe"), help="end a comparison once "
                         "it is decided on this quantity (error 5 %%, at any time)")  # fmt: skip
     beyond.add_argument("--entry-sigma", type=float, default=1.0, metavar="MM", help="standard "
@@ -496,8 +498,9 @@ def _comparison_of(args: argparse.Namespace, store: JobStore) -> StrategyCompari
     found = adopt_models(store, *folders)
     if args.trials or not args.statics:
         require_positive(args, "trials")
-    if args.statics < 0:
-        raise InputError("--statics is negative.", "--statics", "Give 0 or a positive number.")
+    for name in ("statics", "band"):
+        if getattr(args, name) < 0:
+            raise InputError(f"--{name} is negative.", f"--{name}", "Give 0 or a positive number.")
     if not re.fullmatch("[0-9a-f]{8,64}", args.outline_seed):
         raise InputError(
             f"'{args.outline_seed}' is not a hash.", "--outline-seed", "Give 8 to 64 hex digits."
@@ -520,7 +523,7 @@ def _comparison_of(args: argparse.Namespace, store: JobStore) -> StrategyCompari
         said = StaticComparison(
             bench, loops.code, loops.models, pieces, loops.bottoms, loops.strategies, args.statics
         )
-    return StrategyComparison(loops, said)
+    return StrategyComparison(loops, said, args.band)
 
 
 def _parse_names(text: str, known: tuple[str, ...], where: str) -> tuple[str, ...]:

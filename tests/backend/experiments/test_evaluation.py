@@ -40,6 +40,7 @@ from touchdown.backend.experiments.evaluation import (
     FOUNDATION,
     LATER_NUISANCES,
     NUISANCES,
+    band_benches,
     scale_nuisance,
 )
 from touchdown.backend.experiments.statistics import format_change, iou_change
@@ -90,6 +91,23 @@ def test_a_range_keeps_its_middle() -> None:
     low, high = scale_nuisance(bench, BY_NAME["foundation"], 0.5).face.foundation_range_n_mm3
     assert low * high == pytest.approx(5.0 * 50.0)
     assert high / low == pytest.approx((50.0 / 5.0) ** 0.5)
+
+
+def test_a_band_is_a_latin_hypercube_of_the_nuisances_that_a_bench_draws() -> None:
+    bench = load_simulation(preset="bench-v2")
+    found = band_benches(bench, 16)
+    assert found == band_benches(bench, 16)
+    names = {n.name for n in (*NUISANCES, *LATER_NUISANCES)}
+    for name in names:
+        log2 = np.sort([np.log2(factors[name]) for factors, _ in found])
+        # One in each sixteenth of the range from a half to two.
+        assert np.floor(8.0 * (log2 + 1.0)).tolist() == list(range(16))
+    for factors, one in found:
+        assert one.spread.com_mm == pytest.approx(0.5 * factors["com"])
+        assert one.release_disturbance_mm == pytest.approx(0.5 * factors["release"])
+        assert one.mu == bench.mu
+    plain, _ = band_benches(load_simulation(preset="bench-v1"), 2)[0]
+    assert set(plain) == {n.name for n in NUISANCES}
 
 
 def test_without_tilt_no_board_is_tilted() -> None:

@@ -462,3 +462,32 @@ def test_comparison_stops_when_it_is_decided(tmp_path: Path) -> None:
     assert "zero-wrench more, paper-calibrated undecided" in stopped_text(
         {"quantity": "placed", "round": 10, "decided": decided}
     )
+
+
+def test_a_band_repeats_the_trials_on_benches_around_the_bench(tmp_path: Path) -> None:
+    plan = ClosedLoopComparison(
+        load_simulation(preset="bench-v2"), "1", {"pot": "m"}, ("pot",), ("short",), ("paper",), 2
+    )
+    whole, store = StrategyComparison(plan, band=4), JobStore(tmp_path)
+    jobs = whole.jobs()
+    assert len(jobs) == len({job.id for job in jobs}) == 5
+    assert len({job.seed for job in jobs}) == 1
+    words = iter(["placed"] * 2 + ["placed", "fell"] * 3 + ["fell"] * 2)
+
+    def pretend(spec: JobSpec, _: JobContext) -> dict[str, Any]:
+        rows = [
+            {"seed": spec.seed + k, "outcome": next(words), "probes": 3, "least_probes": 1}
+            for k in range(2)
+        ]
+        return {"trials": rows, "left_out": 0}
+
+    for job in jobs:
+        run_job(job, {"beyond": pretend}, store)
+    found = whole.answer(store)
+    assert len({row["bench_sha256"] for row in found["band"]} | {found["bench_sha256"]}) == 5
+    band = next(table for table in comparison_tables(found) if "benches around" in table.title)
+    _, rows = band.texts()[0], band.texts()[1:]
+    assert list(rows[0]) == [
+        "paper pooled one bottom", "4", "8", "100.0", "0.0 / 50.0 / 50.0",
+        "0.0", "50.0 / 50.0 / 100.0", "0.0", "50.0 / 50.0 / 100.0",
+    ]  # fmt: skip

@@ -302,3 +302,9 @@ class StackSettings(Settings):
     collect: CollectSettings = CollectSettings()
     strategy: StrategyName = "paper"
     mode: Literal["auto", "approve", "step"] = "auto"
+
+    @property
+    def required_margin_mm(self) -> float:
+        """Least margin at a release; that of ``zero-wrench`` is minus the distance of the push."""
+        allowed = self.zero_wrench.release_mm if self.strategy == "zero-wrench" else 0.0
+        return self.stability.margin_mm - allowed

@@ -545,7 +545,7 @@ class ZeroWrenchStrategy:
         return self.stable_at(offset_mm)
 
     def _vanishes(self, apart_mm: float) -> bool:
-        return apart_mm <= self._settings.zero_wrench.release_mm
+        return -apart_mm >= self._settings.required_margin_mm
 
     def _choose(self, stability: Stability, target: XY, here: XY) -> PlaceAction:
         policy, words = self._settings.policy, describe_situation(stability)

@@ -341,7 +341,7 @@ def release_evidence(
         verdict_of_last_probe=bench.sensing.tare_s < judged.at_s,
         verdict_age_s=now_s - judged.at_s,
         margin_mm=judged.stability.margin_mm,
-        required_margin_mm=bench.settings.stability.margin_mm,
+        required_margin_mm=bench.settings.required_margin_mm,
         quality_accepted=judged.pressed.episode.quality.accepted,
         slip_mm=slip_mm,
         press_n=press_n,

@@ -578,6 +578,20 @@ def test_zero_wrench_needs_a_push_and_gives_up_in_the_end() -> None:
     assert last.action.kind == "give_up"
 
 
+@pytest.mark.parametrize(("away_mm", "more_mm", "releases"), [(0.9, 0.0, True), (0.9, 0.3, False)])
+def test_the_interlock_accepts_every_release_of_zero_wrench(away_mm, more_mm, releases) -> None:
+    """Its margin is negative: the distance of the push from the centre of mass."""
+    settings = StackSettings.model_validate(
+        {"strategy": "zero-wrench", "stability": {"margin_mm": more_mm}}
+    )
+    held = GraspedPiece((0.0, 0.0), 30.0, sensor_height_mm=120.0)
+    patch = ContactPatch(FACE.copy(), np.full(len(FACE), 0.9))
+    seen = ProbeObservation(press((away_mm, 0.0)), patch, (0.0, 0.0))
+    concluded = make_strategy(held, settings, (0.0, 0.0)).conclude(seen)
+    assert (concluded.action.kind == "release") is releases
+    assert (concluded.stability.margin_mm >= settings.required_margin_mm) is releases
+
+
 def test_without_the_height_of_the_sensor_no_moment_can_be_read() -> None:
     with pytest.raises(InputError, match="height of the wrist sensor"):
         make_strategy(

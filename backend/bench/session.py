@@ -8,6 +8,7 @@ the same events.
 
 from __future__ import annotations
 
+import math
 import time
 from collections import deque
 from collections.abc import Mapping
@@ -359,6 +360,7 @@ class Session:
         (``connected``) the calibrations.
         """
         if connected:
+            refuse_beyond_gripper(self.method, self.devices.get("gripper"))
             calibrations_for(request, self.description.mode, self.calibrations, self.devices)
             return
         check_request(request, self)
@@ -505,6 +507,7 @@ class Session:
     def check_scene(self, choice: SceneChoice) -> Mapping[str, object]:
         """Return the settings a run on ``choice`` depends on, JSON-ready; raises ``InputError``."""
         refuse_beyond_limits(self.method, self.interlock.limits)
+        refuse_beyond_gripper(self.method, self.devices.get("gripper"))
         return {**self._check(choice), "limits": asdict(self.interlock.limits)}
 
     def open_record(self) -> None:
@@ -597,6 +600,19 @@ class Session:
         self._stage, self._scene = stage, scene
         self._supervision.begin(now_s(), gripper, stage.devices["force_torque"], arm)
         return scene
+
+
+def refuse_beyond_gripper(method: StackSettings, gripper: Device | None) -> None:
+    """Raise ``InputError`` for a grip force that the gripper reports to be too large for it."""
+    most_n = math.inf if gripper is None else gripper.describe().get("most_force_n", math.inf)
+    asked_n = method.probe.grip_force_n
+    if not asked_n <= float(most_n):
+        raise InputError(
+            f"The method asks for {asked_n:g} N per finger, the gripper grips with up to "
+            f"{most_n:g} N.",
+            "probe.grip_force_n",
+            "Lower it. If the gripper does not report its range, set wsg.force_max_n.",
+        )
 
 
 def refuse_beyond_limits(method: StackSettings, limits: Limits) -> None:

@@ -179,6 +179,11 @@ class WsgCore:
         holding = self.grasp_state is GraspState.HOLDING
         return GripStatus(self.width_mm, self.force_sum_n / self._fingers, holding)
 
+    @property
+    def most_force_n(self) -> float:
+        """Largest grip force per finger, N."""
+        return self.limits.force_sum_n[1] / self._fingers
+
     def subscribe(self, now_s: float) -> list[WsgRequest]:
         """Return the requests for all readings; they keep the connection alive as well."""
         self._heard_s = now_s
@@ -401,6 +406,7 @@ class WsgGripper:
             "homed": "yes" if self.homed else "no",
             "width_mm": status.width_mm,
             "force_n": status.force_n,
+            "most_force_n": core.most_force_n,
             "lost_parts": core.lost_parts,
         }
 

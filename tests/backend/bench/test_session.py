@@ -2,7 +2,9 @@
 
 import shutil
 import threading
+from contextlib import nullcontext
 from importlib.resources import files
+from types import SimpleNamespace
 
 import pytest
 
@@ -135,6 +137,15 @@ def test_a_method_beyond_the_limits_is_refused_before_anything_moves(key, value,
         with pytest.raises(InputError, match=key) as raised:
             bench.check(REQUEST)
         assert limit in raised.value.fix
+
+
+def test_a_grip_force_beyond_the_gripper_is_refused_before_anything_moves(monkeypatch) -> None:
+    with brisk() as bench:
+        for most_n, refused in ((8.0, True), (20.0, False)):
+            gripper = SimpleNamespace(describe=lambda most_n=most_n: {"most_force_n": most_n})
+            monkeypatch.setattr(type(bench), "devices", {"gripper": gripper})
+            with pytest.raises(InputError, match="grip_force_n") if refused else nullcontext():
+                bench.check(REQUEST)
 
 
 def test_leaving_the_block_stops_the_live_thread():

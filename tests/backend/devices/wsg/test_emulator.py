@@ -273,6 +273,8 @@ def test_readings_go_on_and_a_lost_piece_is_seen(wired):
     finish(wired, wired.gripper.grip(10.0))
     before = wired.gripper.health.received
     until(lambda: wired.gripper.health.received > before + 5)
+    most_n = 0.5 * wired.emulated.jaws.profile.force_sum_n[1]
+    assert wired.gripper.describe()["most_force_n"] == pytest.approx(most_n)
     wired.emulated.jaws.part_mm = None
     until(lambda: not wired.gripper.status().holding)
     until(lambda: wired.gripper.describe()["lost_parts"] == 1)

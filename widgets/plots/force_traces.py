@@ -91,7 +91,9 @@ class TracePlot(DrawnView):
         """Return the newest values in words, for screen readers."""
         if self.buckets.empty:
             return f"{self._name}: waiting for data"
-        parts = (f"{self._symbol}{a} {v:.2f}" for a, v in zip(AXES, self.buckets.last, strict=True))
+        parts = (
+            f"{self._symbol}{a} {v:z.2f}" for a, v in zip(AXES, self.buckets.last, strict=True)
+        )
         span = f"{self.buckets.span_s:.0f} s"
         note = f"; {self._note}" if self._note else ""
         largest = f"largest {self.buckets.largest():.2f} in {span}"
@@ -146,7 +148,7 @@ class TracePlot(DrawnView):
             painter.setPen(self._theme.tokens.colour(f"axis_{name}"))
             y = top + ROW_EM * height * row
             symbol = _laid_out(f"{self._symbol}{name}", self._theme.scale)
-            text = _laid_out(f"{value:+.{decimals}f}", self._theme.scale)
+            text = _laid_out(f"{value:+z.{decimals}f}", self._theme.scale)
             painter.drawStaticText(QPointF(left, y), symbol)
             painter.drawStaticText(QPointF(right - text.size().width(), y), text)
 

@@ -42,7 +42,7 @@ def lost_fault(cycles: int) -> Fault:
     """Return the fault of a stream without replies."""
     return Fault(
         "MXT-LOST",
-        f"No real-time reply for {cycles} cycles.",
+        f"The arm sent no real-time reply for {cycles} cycles.",
         f"The stream was ended. {HELD}",
         "Check the cable and the load of this computer, press Reset, then connect the arm again.",
         ARM,

@@ -132,6 +132,15 @@ def test_traces_of_one_and_of_1000_values(qtbot, theme, count):
     assert "Fz 7.00" in plot.summary()
 
 
+def test_a_force_of_zero_has_no_negative_sign(qtbot, theme):
+    plot, pictures = force(qtbot, theme), []
+    for zero in (-0.001, 0.001):
+        plot.add(np.zeros(1) + 2.0 + zero, np.array([[3.0, zero, 7.0]]))
+        assert "Fy 0.00" in plot.summary()
+        pictures.append(pixels(plot)[:, int(plot.area().rect.right()) + 5 :])
+    np.testing.assert_array_equal(*pictures)
+
+
 def test_read_outs_keep_their_places_whatever_the_curves_do(qtbot, theme):
     plot = force(qtbot, theme)
     places = []

@@ -344,7 +344,7 @@ def test_replies_that_come_and_cannot_be_used_are_told_from_silence(datagram, sa
         rig.rest(0.1)
         rig.wires.link.back = lambda reply: came
         rig.rest(0.3)
-        fault, silent = rig.arm.fault, "No real-time reply for 29 cycles"
+        fault, silent = rig.arm.fault, "The arm sent no real-time reply for 29 cycles"
         assert fault.code == "MXT-LOST"
     else:
         rig.wires.link.back = lambda reply: came

@@ -278,8 +278,8 @@ def test_mujoco_has_one_door():
 # Who may read the truth of a press in the batch path, and what of it: to note outcomes and scores.
 TRUTH_READERS = {
     "backend/experiments/trials.py note": {"offset_mm", "solved", "toppled"},
-    "backend/experiments/statics.py _press_groups": {"offset_mm", "slip_mm", "toppled"},
-    "backend/experiments/fusion.py simulate_sequences": {"offset_mm", "toppled"},
+    "backend/experiments/statics.py _press_groups": {"offset_mm", "slip_mm", "solved", "toppled"},
+    "backend/experiments/fusion.py simulate_sequences": {"offset_mm"},
 }
 
 

@@ -60,12 +60,18 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     total = sum(job.episodes for job in jobs)
     began_s = time.monotonic()
     with screen.progress(f"Simulating {total} episodes", total) as advance:
-        rejected = run_jobs(jobs, args.workers, advance)
+        redraws = run_jobs(jobs, args.workers, advance)
     seconds = time.monotonic() - began_s
     screen.say(
-        f"{total} simulated episodes in {seconds:.1f} s, {rejected} probes drawn again: {out}"
+        f"{total} simulated episodes in {seconds:.1f} s, {redraws.drawn_again} probes drawn again, "
+        f"{redraws.unsolved} of them without a balance in the simulation: {out}"
     )
-    facts = {"episodes": total, "seconds": round(seconds, 3), "start": start.isoformat()}
+    facts = {
+        "episodes": total,
+        **redraws._asdict(),
+        "seconds": round(seconds, 3),
+        "start": start.isoformat(),
+    }
     screen.result({**facts, "out": str(out)})
     return 0
 

@@ -13,6 +13,7 @@ from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from dataclasses import dataclass
 from multiprocessing.sharedctypes import Synchronized
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -235,7 +236,16 @@ def find_ambiguous_pairs(
 POLL_S = 0.2
 
 
-def run_jobs(jobs: Sequence[CollectionJob], workers: int, advance: Callable[[int], None]) -> int:
+class Redraws(NamedTuple):
+    """Number of probes ``drawn_again``; of these ``unsolved`` had no balance in the simulation."""
+
+    drawn_again: int
+    unsolved: int
+
+
+def run_jobs(
+    jobs: Sequence[CollectionJob], workers: int, advance: Callable[[int], None]
+) -> Redraws:
     """Run all jobs of a collection.
 
     Parameters
@@ -249,29 +259,29 @@ def run_jobs(jobs: Sequence[CollectionJob], workers: int, advance: Callable[[int
 
     Returns
     -------
-    int
-        Number of probes that were drawn again. An error in one job stops all and is raised.
+    Redraws
+        Probes that were drawn again. An error in one job stops all and is raised.
     """
     workers = min(workers, len(jobs))
     if workers == 1:
         return _run_here(jobs, advance)
     context = multiprocessing.get_context("spawn")
     finished = context.Value("q", 0)
-    rejected = 0
+    parts: list[Redraws] = []
     with ProcessPoolExecutor(workers, context, initializer=_count_in, initargs=(finished,)) as pool:
         waiting = {pool.submit(run_job, job) for job in jobs}
         try:
             while waiting:
                 done, waiting = wait(waiting, timeout=POLL_S, return_when=FIRST_COMPLETED)
-                rejected += sum(future.result() for future in done)
+                parts += [future.result() for future in done]
                 advance(int(finished.value))
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             raise
-    return rejected
+    return _total(parts)
 
 
-def _run_here(jobs: Sequence[CollectionJob], advance: Callable[[int], None]) -> int:
+def _run_here(jobs: Sequence[CollectionJob], advance: Callable[[int], None]) -> Redraws:
     """Run in this process, which has everything imported."""
     finished = 0
 
@@ -280,11 +290,11 @@ def _run_here(jobs: Sequence[CollectionJob], advance: Callable[[int], None]) -> 
         finished += episodes
         advance(finished)
 
-    return sum(run_job(job, count) for job in jobs)
+    return _total([run_job(job, count) for job in jobs])
 
 
-def run_job(job: CollectionJob, count: Callable[[int], None] | None = None) -> int:
-    """Simulate and write one job; return the number of repeated probes.
+def run_job(job: CollectionJob, count: Callable[[int], None] | None = None) -> Redraws:
+    """Simulate and write one job; return the numbers of repeated probes.
 
     ``count`` gets the size of each batch; the default is the counter of this worker.
     """
@@ -293,7 +303,11 @@ def run_job(job: CollectionJob, count: Callable[[int], None] | None = None) -> i
         batches.append(batch)
         (count or _count)(len(batch.episode))
     write_packs(job.folder, job.stem, episode_rows(job, batches), pack_metadata(job))
-    return sum(batch.rejected for batch in batches)
+    return _total([Redraws(batch.rejected, batch.unsolved) for batch in batches])
+
+
+def _total(parts: Sequence[Redraws]) -> Redraws:
+    return Redraws(sum(p.drawn_again for p in parts), sum(p.unsolved for p in parts))
 
 
 _finished: Synchronized[int] | None = None

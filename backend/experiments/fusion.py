@@ -173,12 +173,12 @@ def simulate_sequences(
             wanted = next_places(offset[waiting, probe - 1], acted, rng)
             wanted = np.where(goes[:, None], wanted, free)
             press = bench.press(waiting.tolist(), wanted)
-            good = ~press.truth.toppled & [not why for why in refused_presses(press, limits)]
+            good = np.array([not why for why in refused_presses(press, limits)])
             rows = waiting[good]
             offset[rows, probe], true[rows, probe] = wanted[good], press.truth.offset_mm[good]
             seen[rows, probe] = press.observation[good][:, TICKS]
             count[rows] += 1
-            waiting = waiting[~good & ~press.truth.toppled]
+            waiting = waiting[~good]
     height = np.asarray(scenes[0].grip_height_mm)
     com_error = np.array([true_com_xy_mm(scene) for scene in scenes]) - piece.com_xy_mm
     face = GraspedFace.of(face_points(piece.face), np.asarray(piece.com_xy_mm), height)
@@ -337,11 +337,12 @@ def _trial_record(
     scene: Scene, end: BatchTrialResult, exceeds_by_probe: Sequence[Sequence[float]]
 ) -> Json:
     com = np.asarray(true_com_xy_mm(scene))
-    places = np.array([step.true_mm for step in end.steps]).reshape(-1, 2)
+    upright = [step for step in end.steps if not step.toppled]
+    places = np.array([step.true_mm for step in upright]).reshape(-1, 2)
     true = inset_mm(scene.surface, places + com)
     steps = [
         {"inset_mm": round(float(inset), 4), "exceeds": exceeds}
-        for inset, exceeds in zip(true, exceeds_by_probe, strict=True)
+        for inset, exceeds in zip(true, exceeds_by_probe[: len(true)], strict=True)
     ]
     return {"seed": end.seed, "outcome": end.outcome.value, "steps": steps}
 

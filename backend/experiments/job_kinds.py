@@ -88,11 +88,12 @@ def simulate_collection(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
         piece, bottom, settings, p["episodes"], spec.seed, p["probes_per_grip"],
         p["grips_per_mounting"],
     )  # fmt: skip
-    rejected, slipped, contact = 0, 0, 0.0
+    rejected, unsolved, slipped, contact = 0, 0, 0, 0.0
     for job in split_jobs(plan, {"geometry": piece.sha256}, place.folder):
         batches = list(simulated(plan, job.grips))
         write_packs(job.folder, job.stem, episode_rows(job, batches), pack_metadata(job))
         rejected += sum(batch.rejected for batch in batches)
+        unsolved += sum(batch.unsolved for batch in batches)
         slipped += sum(int((batch.slip_mm > SLIPPED_MM).sum()) for batch in batches)
         contact += sum(float(batch.patch.mean(axis=1).sum()) for batch in batches)
     n = plan.episodes
@@ -100,6 +101,7 @@ def simulate_collection(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
         "bench_sha256": bench_sha256(settings),
         "episodes": n,
         "rejected": rejected,
+        "unsolved": unsolved,
         "slipped": slipped / n,
         "base_rate": contact / n,
     }

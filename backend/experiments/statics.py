@@ -43,7 +43,8 @@ from touchdown.backend.sensing import EpisodeLimits
 from touchdown.backend.simulation import BatchedTrials, judge_release
 
 ATTEMPTS = 30
-PER_GROUP = ("mounting", "rejected", "left_out")  # fields without an axis of probes
+COUNTS = ("rejected", "left_out", "toppled", "unsolved")
+PER_GROUP = ("mounting", *COUNTS)  # fields without an axis of probes
 SLIPPED_MM = 0.02  # larger motions of a pad in one press are slip
 
 
@@ -56,7 +57,8 @@ class ProbeGroups:
     N): true patch; ``slip_mm`` (g, p). ``margins_mm`` (g, p, 2): signed margin at each place, for
     the top interface and for all interfaces. ``mounting`` (g,): seed of
     the mounting. ``rejected``: probes drawn again. ``left_out``: groups with a probe that was
-    invalid in all attempts.
+    invalid in all attempts. Of the accepted presses ``toppled`` ones toppled the bottom and
+    ``unsolved`` ones had no balance in the simulation at some instant: counted, not drawn again.
     """
 
     observation: NDArray[np.float32]
@@ -69,6 +71,8 @@ class ProbeGroups:
     mounting: NDArray[np.intp]
     rejected: int
     left_out: int
+    toppled: int = 0
+    unsolved: int = 0
 
     @property
     def margin_mm(self) -> FloatArray:
@@ -99,8 +103,7 @@ class ProbeGroups:
             **several,
             "margin_mm": [rounded_margins(pair) for pair in margins],
             "slipped": float((self.slip_mm > SLIPPED_MM).mean()),
-            "rejected": self.rejected,
-            "left_out": self.left_out,
+            **{name: getattr(self, name) for name in COUNTS},
         }
 
 
@@ -151,20 +154,21 @@ def _press_groups(
     offset, true = np.zeros((*shape, 2)), np.zeros((*shape, 2))
     seen = np.zeros((*shape, 20, 258), np.float32)
     slip = np.zeros(shape)
-    rejected = 0
+    rejected = toppled = unsolved = 0
     going = list(range(len(scenes)))
     for probe in range(probes):
         waiting = going
         for attempt in range(ATTEMPTS):
             wanted = np.stack([draw(g, probe, attempt) for g in waiting])
             press = bench.press(waiting, wanted)
-            # Who sees the bottom topple sets it up again.
-            good = ~press.truth.toppled & [not why for why in refused_presses(press, limits)]
+            good = np.array([not why for why in refused_presses(press, limits)])
             rows = np.array(waiting)[good]
             offset[rows, probe], true[rows, probe] = wanted[good], press.truth.offset_mm[good]
             seen[rows, probe] = press.observation[good]
             slip[rows, probe] = press.truth.slip_mm[good]
             rejected += int((~good).sum())
+            toppled += int(press.truth.toppled[good].sum())
+            unsolved += int((~press.truth.solved[good]).sum())
             waiting = [g for g, ok in zip(waiting, good, strict=True) if not ok]
             if not waiting:
                 break
@@ -189,17 +193,18 @@ def _press_groups(
         np.array([scenes[g].seed for g in going]),
         rejected,
         len(scenes) - len(going),
+        toppled,
+        unsolved,
     )
 
 
 def join_groups(parts: Sequence[ProbeGroups]) -> ProbeGroups:
     """Return all groups in order."""
-    counts = ("rejected", "left_out")
-    names = [f.name for f in fields(ProbeGroups) if f.name not in counts]
+    names = [f.name for f in fields(ProbeGroups) if f.name not in COUNTS]
     joined: dict[str, Any] = {
         name: np.concatenate([getattr(part, name) for part in parts]) for name in names
     }
-    return ProbeGroups(**joined, **{name: sum(getattr(p, name) for p in parts) for name in counts})
+    return ProbeGroups(**joined, **{name: sum(getattr(p, name) for p in parts) for name in COUNTS})
 
 
 PROBE_COUNTS = (1, 2, 3, 5)

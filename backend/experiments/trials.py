@@ -2,7 +2,8 @@
 
 The strategies are those of ``touchdown.backend.runs.stack``. Tare, reference, tracker and interlock
 of that plan are left out. Presses are accepted by the same rules on measured force and measured
-slip. The truth of a press is noted for the outcome and decides nothing else.
+slip. The truth of a press is noted for the outcome and decides nothing else: a trial goes on after
+a press that topples the bottom, as long as its signals are accepted, and ends as knocked over.
 ``start_scene`` builds the same scene as the device loop for a given seed.
 """
 
@@ -202,18 +203,23 @@ class BatchModel:
 
 @dataclass(frozen=True, slots=True)
 class ProbeStep:
-    """One probe of a trial: commanded place, true place ``true_mm``, belief and decision."""
+    """One probe of a trial: commanded place, true place ``true_mm``, belief and decision.
+
+    ``toppled``: a press so far toppled the bottom; like the true place for scores only.
+    """
 
     offset_mm: XY
     true_mm: XY
     map: BeliefMap
     stability: Stability
     action: PlaceAction
+    toppled: bool = False
 
 
 @dataclass(frozen=True, slots=True)
 class BatchTrialResult:
-    """Result of a trial. ``verdict``: exact judge at the release, None without a release.
+    """Result of a trial. ``verdict``: exact judge at the release, None without a release and after
+    a press that toppled the bottom.
 
     ``true_mm``: final displacement of the piece, None if it was never pressed. ``unsolved``: number
     of presses in which the simulation found no equilibrium at some instant.
@@ -256,15 +262,17 @@ class _RunningTrial:
     true_mm: XY | None = None
     end: BatchTrialResult | None = None
     unsolved: int = 0
+    toppled: bool = False
 
     def note(self, truth: PressTruth, k: int) -> None:
-        """Note where the piece is after press ``k``, and the end of a trial that toppled."""
+        """Note the truth of press ``k``, for the outcome."""
         self.true_mm = pair_of(truth.offset_mm[k])
         self.unsolved += not truth.solved[k]
-        if truth.toppled[k]:
-            self.close(Outcome.KNOCKED_OVER, TOPPLED_REASON)
+        self.toppled |= bool(truth.toppled[k])
 
     def close(self, outcome: Outcome, reason: str, verdict: TowerVerdict | None = None) -> None:
+        if self.toppled:
+            outcome, reason, verdict = Outcome.KNOCKED_OVER, f"{TOPPLED_REASON} {reason}", None
         steps = tuple(self.steps)
         self.end = BatchTrialResult(
             self.scene.seed,
@@ -351,9 +359,9 @@ def pick_and_place_in_lockstep(
     for k, scene in enumerate(scenes):
         trial = _RunningTrial(k, scene, pair_of(commands[k]))
         trial.note(press.truth, k)
-        if trial.end is None and press.detected[k]:
+        if press.detected[k]:
             _release(trial, bench)
-        elif trial.end is None:
+        else:
             trial.close(Outcome.ABORTED, NO_CONTACT)
         assert trial.end is not None
         ends.append(trial.end)
@@ -379,8 +387,6 @@ def _accepted_presses(
     kept = []
     for k, (trial, reasons) in enumerate(zip(active, refused_presses(press, limits), strict=True)):
         trial.note(press.truth, k)
-        if trial.end is not None:
-            continue
         if not reasons:
             trial.tries = 0
             kept.append(k)
@@ -414,8 +420,8 @@ def _decide(trial: _RunningTrial, touched: ProbeObservation, bench: BatchedTrial
     assert trial.true_mm is not None
     concluded = trial.strategy.conclude(touched)
     action = concluded.action
-    step = ProbeStep(here, trial.true_mm, concluded.map, concluded.stability, action)
-    trial.steps.append(step)
+    found = (concluded.map, concluded.stability, action, trial.toppled)
+    trial.steps.append(ProbeStep(here, trial.true_mm, *found))
     if action.kind == "release":
         _release(trial, bench)
     elif action.kind == "give_up":

@@ -5,7 +5,7 @@ Trials that a device fault ended before the release are excluded from the succes
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -162,6 +162,16 @@ def judge_release(bench: Bench, probe: int) -> Plan[TrialResult]:
     if verdict.contradicted:
         reason = f"{reason} {messages.CONTRADICTED}"
     return TrialResult(outcome, reason, probe)
+
+
+def with_toppled_support(bench: Bench, ending: TrialResult) -> TrialResult:
+    """Return the outcome of a trial; one that knocked its support over has no other outcome."""
+    if bench.scoring is None or not bench.scoring.verdict().knocked_over:
+        return ending
+    if ending.outcome is Outcome.KNOCKED_OVER:
+        return ending
+    reason = f"The support was knocked over. {ending.reason}"
+    return replace(ending, outcome=Outcome.KNOCKED_OVER, reason=reason)
 
 
 def trial_finished(bench: Bench, trial: int, seed: int, ending: TrialResult) -> TrialFinished:

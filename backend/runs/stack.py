@@ -244,6 +244,8 @@ def stack_run(session: RunContext, request: StackRequest) -> Plan[None]:
             ending = TrialResult(Outcome.ABORTED, ended.reason, bench.status().estimated)
         elif ending.fault is not None:
             run_ending = "failed"
+        if run_ending is None:
+            ending = outcome.with_toppled_support(bench, ending)
         yield trial_finished(bench, trial + 1, seed, ending)
         if run_ending is not None:
             reason = ending.reason if ending.fault is None else ending.fault.what

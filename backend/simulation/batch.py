@@ -10,7 +10,7 @@ frame times, lost markers) differs, and nothing is rendered or tracked.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -98,7 +98,8 @@ class EpisodeBatch:
     ``observation`` (n, 20, 258) float32; ``offset_mm`` (n, 2) commanded, ``true_offset_mm`` (n, 2);
     ``patch`` (n, N) bool, overlap at the commanded displacement (the label); ``onset_error_s``,
     ``slip_mm`` (largest change of shear slip in this probe), ``residual``: (n,); ``episode``,
-    ``grip``, ``mounting``: (n,) numbers within the plan; ``rejected``: probes drawn again.
+    ``grip``, ``mounting``: (n,) numbers within the plan; ``rejected``: probes drawn again, of which
+    ``unsolved`` found contact and had no balance in the simulation.
     """
 
     observation: NDArray[np.float32]
@@ -112,6 +113,7 @@ class EpisodeBatch:
     grip: NDArray[np.intp]
     mounting: NDArray[np.intp]
     rejected: int
+    unsolved: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,8 +144,9 @@ def simulate_episodes(
 ) -> Iterator[EpisodeBatch]:
     """Yield the episodes of ``grips`` (default: all), one probe of each grip at a time.
 
-    Probes that do not converge, find no contact or exceed the force bound are drawn again and
-    counted. Raises ``RuntimeError`` if a probe fails ``MAX_ATTEMPTS`` times.
+    Probes without contact are drawn again and counted, and so are probes that do not converge or
+    exceed the force bound: errors of the simulation, which no device reports. Raises
+    ``RuntimeError`` if a probe fails ``MAX_ATTEMPTS`` times.
     """
     chosen = list(range(plan.grips) if grips is None else grips)
     bench = _BatchBench(plan)
@@ -201,7 +204,7 @@ class _BatchBench:
         """Simulate probe ``number`` of each of the ``grips``; failed ones are repeated."""
         parts: dict[int, tuple[EpisodeBatch, GraspHistory, int]] = {}
         waiting = np.arange(len(grips))
-        rejected = 0
+        rejected = unsolved = 0
         for attempt in range(MAX_ATTEMPTS):
             names = [grips[i] for i in waiting]
             drawn = [self._draw(grip, number, attempt) for grip in names]
@@ -211,9 +214,11 @@ class _BatchBench:
             for k in np.flatnonzero(good):
                 parts[int(waiting[k])] = (batch, after, int(k))
             rejected += int((~good).sum())
+            unsolved += batch.unsolved
             waiting = waiting[~good]
             if not len(waiting):
-                return _join_rows([parts[i] for i in range(len(grips))], rejected)
+                batch, after = _join_rows([parts[i] for i in range(len(grips))])
+                return replace(batch, rejected=rejected, unsolved=unsolved), after
         raise RuntimeError(
             f"{len(waiting)} probes of {self.plan.piece} failed {MAX_ATTEMPTS} times"
         )
@@ -273,6 +278,7 @@ class _BatchBench:
         slid = np.hypot(after.slip[..., 0], after.slip[..., 1]).max(axis=1) > REGRASP_MM
         after = after.replaced(np.flatnonzero(slid), GraspHistory.fresh(int(slid.sum())))
         mounting = np.array(grips) // plan.grips_per_mounting
+        usable = usable_presses(pressed, conditions, plan.probe)
         batch = EpisodeBatch(
             observation=observe_presses(
                 pressed, conditions, plan.settings, [d.noise for d in drawn], self.gel
@@ -287,8 +293,9 @@ class _BatchBench:
             grip=np.array(grips),
             mounting=mounting,
             rejected=0,
+            unsolved=int((pressed.detected & ~usable).sum()),
         )
-        return batch, after, usable_presses(pressed, conditions, plan.probe)
+        return batch, after, usable
 
 
 def contact_points(
@@ -412,15 +419,15 @@ def usable_presses(
 
 
 def _join_rows(
-    parts: list[tuple[EpisodeBatch, GraspHistory, int]], rejected: int
+    parts: list[tuple[EpisodeBatch, GraspHistory, int]],
 ) -> tuple[EpisodeBatch, GraspHistory]:
     """Pick row k of each part, in order."""
 
     def pick(name: str) -> NDArray[np.generic]:
         return np.stack([getattr(batch, name)[k] for batch, _, k in parts])
 
-    names = [n for n in EpisodeBatch.__dataclass_fields__ if n != "rejected"]
-    joined = EpisodeBatch(**{n: pick(n) for n in names}, rejected=rejected)  # type: ignore[arg-type]
+    names = [n for n in EpisodeBatch.__dataclass_fields__ if n not in ("rejected", "unsolved")]
+    joined = EpisodeBatch(**{n: pick(n) for n in names}, rejected=0)  # type: ignore[arg-type]
     slip = np.stack([after.slip[k] for _, after, k in parts])
     return joined, GraspHistory(slip, np.stack([after.relaxed[k] for _, after, k in parts]))
 

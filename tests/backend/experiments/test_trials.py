@@ -210,12 +210,13 @@ def test_a_press_without_contact_ends_the_run(strategy: str) -> None:
 
 
 class FalseTruth(BatchedTrials):
-    """Trials that tell the truth about place and fall only: all slipped, none has a solution."""
+    """Trials with a true place only: all slipped and toppled, none has a solution."""
 
     def press(self, trials: Sequence[int], commands_mm: FloatArray) -> TrialPresses:
         felt = super().press(trials, commands_mm)
         k = len(felt.detected)
-        lie = replace(felt.truth, slip_mm=np.full(k, 9.0), solved=np.zeros(k, np.bool_))
+        no = np.zeros(k, np.bool_)
+        lie = replace(felt.truth, slip_mm=np.full(k, 9.0), solved=no, toppled=~no)
         return replace(felt, truth=lie)
 
 
@@ -228,10 +229,14 @@ def test_no_truth_decides_a_trial(settings: SimulationSettings, strategy: str) -
         for world in (BatchedTrials, FalseTruth)
     )
     courses = [
-        [(e.outcome, e.reason, e.true_mm, [step.offset_mm for step in e.steps]) for e in ends]
+        [(e.true_mm, [(step.offset_mm, step.action) for step in e.steps]) for e in ends]
         for ends in (honest, lied)
     ]
     assert courses[0] == courses[1]
+    # Only the judge knows that the bottom was toppled.
+    assert {end.outcome for end in lied} == {Outcome.KNOCKED_OVER}
+    assert all(b.reason.endswith(a.reason) for a, b in zip(honest, lied, strict=True))
+    assert all(step.toppled for end in lied for step in end.steps)
     assert all(end.unsolved >= end.probes > 0 for end in lied)
 
 
@@ -239,6 +244,8 @@ def test_no_truth_chooses_the_probes_of_a_group() -> None:
     case = SceneSetup.of(load_pieces(), "pot", ("short",), load_simulation(preset="bench-v1"))
     honest, lied = (probe_groups(case, [70, 71], 2, w) for w in (BatchedTrials, FalseTruth))
     assert lied.rejected == honest.rejected
+    assert (honest.toppled, honest.unsolved) == (0, 0)
+    assert (lied.toppled, lied.unsolved) == (4, 4)
     np.testing.assert_array_equal(lied.observation, honest.observation)
 
 

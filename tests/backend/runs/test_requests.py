@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -32,7 +33,7 @@ from touchdown.backend.devices.interlock import refuse_place, refuse_turning, tu
 from touchdown.backend.devices.jog import JOINTS, TOOL_SIGNS, TURNS, direction_of
 from touchdown.backend.geometry import Tower, judge_tower, load_pieces
 from touchdown.backend.runs import ProbeRequest, RecordingOptions, SceneChoice, StackRequest
-from touchdown.backend.runs.outcome import outcome_from_signals
+from touchdown.backend.runs.outcome import TrialResult, outcome_from_signals, with_toppled_support
 from touchdown.backend.runs.stack import grasped_piece
 
 POT = load_pieces().piece("pot")
@@ -809,3 +810,14 @@ def test_the_height_of_the_sensor_and_the_tower_come_from_bench_and_entry():
             session._for_run(tower, StackSettings(tower=wrong))
         single = session._set_scene(SceneChoice(bottoms=("short",), estimates=False))
         assert grasped_piece(session._for_run(single, StackSettings())).below is None
+
+
+@pytest.mark.parametrize(
+    ("knocked", "outcome"), [(True, Outcome.KNOCKED_OVER), (False, Outcome.GAVE_UP)]
+)
+def test_a_trial_that_knocked_its_support_over_has_no_other_outcome(knocked, outcome) -> None:
+    verdict = SimpleNamespace(knocked_over=knocked)
+    bench = SimpleNamespace(scoring=SimpleNamespace(verdict=lambda: verdict))
+    found = with_toppled_support(bench, TrialResult(Outcome.GAVE_UP, "Enough.", 3))
+    assert (found.outcome, found.probes) == (outcome, 3)
+    assert found.reason.endswith("Enough.")

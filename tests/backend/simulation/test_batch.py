@@ -25,6 +25,7 @@ from touchdown.backend.experiments import tables
 from touchdown.backend.experiments.strategies import BOTTOMS, FRESH, SINGLE_BOTTOMS
 from touchdown.backend.experiments.trials import grasped_piece_in
 from touchdown.backend.geometry import Tower, face_points, load_pieces, true_patch
+from touchdown.backend.simulation import batch as batch_module
 from touchdown.backend.simulation import conditions, gripper, marker_fields
 from touchdown.backend.simulation.batch import (
     TARE_HEIGHT_MM,
@@ -36,6 +37,7 @@ from touchdown.backend.simulation.batch import (
 from touchdown.backend.simulation.conditions import SeedScope
 from touchdown.backend.simulation.gripper import HeldPiece
 from touchdown.backend.simulation.ground_truth import Scene, scene_mounting, tower_with_piece
+from touchdown.backend.simulation.pressing import PressBatch
 from touchdown.backend.simulation.world import World
 from touchdown.backend.simulation.wrist_sensor import wrist_wrench
 
@@ -281,10 +283,11 @@ def plan(piece: str = "pot", bottom: str = "circle25", **changes) -> BatchPlan:
 
 def everything(batches) -> EpisodeBatch:
     parts = list(batches)
-    names = [n for n in EpisodeBatch.__dataclass_fields__ if n != "rejected"]
+    counts = ("rejected", "unsolved")
+    names = [n for n in EpisodeBatch.__dataclass_fields__ if n not in counts]
     order = np.argsort(np.concatenate([b.episode for b in parts]))
     whole = {n: np.concatenate([getattr(b, n) for b in parts])[order] for n in names}
-    return EpisodeBatch(**whole, rejected=sum(b.rejected for b in parts))
+    return EpisodeBatch(**whole, **{n: sum(getattr(b, n) for b in parts) for n in counts})
 
 
 @pytest.fixture(scope="module")
@@ -403,6 +406,27 @@ def test_probes_that_miss_are_drawn_again_and_counted() -> None:
     batch = everything(simulate_episodes(made))
     assert len(batch.episode) == 400
     assert 0 < batch.rejected < 40
+    assert batch.unsolved < batch.rejected
+
+
+def test_a_press_without_a_balance_is_drawn_again_and_counted_apart(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """It is an error of the simulation; a miss is an observation."""
+    real, calls = batch_module.usable_presses, []
+
+    def once_unsolved(pressed: PressBatch, *others: Any) -> np.ndarray:
+        calls.append(len(pressed.detected))
+        good = real(pressed, *others)
+        if len(calls) == 1:
+            good[0], pressed.detected[0] = False, True
+            good[1], pressed.detected[1] = False, False
+        return good
+
+    monkeypatch.setattr(batch_module, "usable_presses", once_unsolved)
+    made = plan("pot", "circle15", episodes=4, probes_per_grip=1)
+    batch = everything(simulate_episodes(made))
+    assert (batch.rejected, batch.unsolved, calls[:2]) == (2, 1, [4, 2])
 
 
 def test_a_gripping_stays_the_same_and_the_next_differs() -> None:

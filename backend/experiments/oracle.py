@@ -341,7 +341,9 @@ class OracleStrategy:
 
     def _at_risk_mm(self, here: XY) -> float:
         margin = self.margins_mm(here)
-        return float(margin.mean() - RISK_SD * margin.std())
+        # The opening fingers shift the piece by a distance that no probe shows.
+        sd = np.hypot(margin.std(), self._setting.settings.release_disturbance_mm)
+        return float(margin.mean() - RISK_SD * sd)
 
     def margins_mm(self, here: XY) -> FloatArray:
         """Return the stability margin at the commanded place in each hypothesis (n,)."""

@@ -38,8 +38,10 @@ from touchdown.backend.experiments.fusion import (
 from touchdown.backend.experiments.models import WEIGHTS as MODELS_WEIGHTS
 from touchdown.backend.experiments.models import adopt_models, keep_models
 from touchdown.backend.experiments.oracle import (
+    ENSEMBLE_SIZE,
     FIRST_STEPS,
     NEXT_STEPS,
+    SEAT,
     HypothesisEnsemble,
     OracleSetting,
     OracleStrategy,
@@ -82,6 +84,12 @@ from touchdown.backend.learning.fused.checkpoint import load_fused, shipped_path
 from touchdown.backend.placement.strategies import ProbeObservation
 from touchdown.backend.sensing.episode import EpisodeLimits
 from touchdown.backend.simulation import BatchedTrials, GraspHistory, Scene
+from touchdown.backend.simulation.conditions import (
+    DAY_SCORES,
+    SEAT_SCORES,
+    SeedScope,
+    scoped_generator,
+)
 from touchdown.backend.simulation.ground_truth import scene_mounting
 
 SEED = 51
@@ -122,10 +130,17 @@ def true_world(scene: Scene, bench: BatchedTrials, shift_mm: np.ndarray) -> np.n
     )
     row[oracle.YAW] = gripping.yaw_rad / spread.yaw_rad
     row[[oracle.GAIN_LEFT, oracle.GAIN_RIGHT]] = (np.array(gripping.gain) - 1.0) / spread.gain
-    return row
+    if not spread.com_mm:
+        return row
+    places = ((SeedScope.MOUNTING, 0), (SeedScope.PROBE, 0, 0, 1))
+    streams = [scoped_generator(scene.seed, s, scene.number, *p).spawn(1)[0] for s, *p in places]
+    counts = DAY_SCORES, SEAT_SCORES
+    return np.r_[row, *(r.standard_normal(n) for r, n in zip(streams, counts, strict=True))]
 
 
-def test_the_true_world_feels_what_the_bench_felt(scene: Scene) -> None:
+@pytest.mark.parametrize("preset", ["bench-v1", "bench-v2"])
+def test_the_true_world_feels_what_the_bench_felt(scene: Scene, preset: str) -> None:
+    scene = replace(scene, settings=load_simulation(preset=preset))
     bench = BatchedTrials([scene])
     at = bench.start_commands_mm()
     pressed = bench.press([0], at)
@@ -480,3 +495,21 @@ def test_a_full_disk_is_one_clear_error_and_the_next_try_is_whole(
     assert not list(tmp_path.glob(".*"))
     keep_models(stores[0], RECIPE, tmp_path)
     assert len(adopt_models(JobStore(tmp_path / "other"), tmp_path)) == 2
+
+
+def test_the_oracle_counts_on_the_errors_of_bench_v2_that_no_probe_shows() -> None:
+    bench = load_simulation(preset="bench-v2")
+    scene = start_scene(SceneSetup.of(load_pieces(), "pot", ("short",), bench), SEED)
+    assert scene is not None
+    exact = {"release_disturbance_mm": 0.0, "spread": bench.spread.model_copy(update={"com_mm": 0})}
+    risks = []
+    for one in (bench, bench.model_copy(update=exact)):
+        oracle = OracleStrategy(replace(setting_of(scene), settings=one), (0.0, 0.0), SEED)
+        value = oracle.worlds.value
+        assert value.shape == (ENSEMBLE_SIZE, SEAT.stop)
+        value[:, :2] = 0.0  # every hypothesis knows the place
+        risks.append(oracle._at_risk_mm((0.0, 0.0)))
+    # Pot (15 mm) in the middle of a disc of 20 mm: 10 mm without errors; with them about
+    # 0.6 mm less on average (the length of a normal pair) and 2.33 standard deviations.
+    assert risks[1] == pytest.approx(10.0, abs=0.05)
+    assert risks[1] - 3.0 < risks[0] < risks[1] - 1.5

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import get_args
 
@@ -21,6 +21,7 @@ from touchdown.app.shell import (
 )
 from touchdown.backend.bench import Session
 from touchdown.backend.core import Event, Outcome, RunStarted, TrialFinished
+from touchdown.backend.experiments import sequential_decision
 from touchdown.backend.runs import StackRequest, StrategyChoice
 from touchdown.widgets.base import Theme
 from touchdown.widgets.forms import STRATEGIES
@@ -198,6 +199,7 @@ class ComparisonPresenter:
         for panel, strategy, story in zip(sheet.panels, self._pair, stories, strict=True):
             panel.show_look(self._look(titles[strategy], story, trials, at))
         missing = self._missing(self._question)
+        sheet.show_pairs(paired_text([titles[name] for name in self._pair], stories))
         text = "" if active else "Run both" if len(missing) == 2 else "Run the other one"
         if not missing:
             text = "" if active else "Run both again"
@@ -233,6 +235,25 @@ class ComparisonPresenter:
     def _choose(self, _trial: int) -> None:
         self._drawn = ()
         self.draw()
+
+
+def paired_text(titles: Sequence[str], stories: Sequence[RunStory | None]) -> str:
+    """Return what the trials on equal seeds decide so far, "" before the first pair."""
+    ends = [[t.finished for t in story.trials] for story in stories if story is not None]
+    pairs = list(zip(*ends, strict=False)) if len(ends) == len(titles) == 2 else []
+    placed = [tuple(end.outcome is Outcome.PLACED for end in pair if end) for pair in pairs]
+    counted = [pair for pair in placed if len(pair) == 2]
+    if not counted:
+        return ""
+    only = counted.count((True, False)), counted.count((False, True))
+    text = (
+        f"Placed by {titles[0]} alone: {only[0]}, by {titles[1]} alone: {only[1]}, of "
+        f"{count_noun(len(counted), 'pair')}."
+    )
+    better = {"more": titles[0], "less": titles[1], None: ""}[sequential_decision(*only)]
+    if better:
+        return f"{text} {better} places more often (error at most 5 %)."
+    return f"{text} Undecided; more trials may follow."
 
 
 def compared_strategies(request: StackRequest) -> tuple[StrategyChoice, StrategyChoice]:

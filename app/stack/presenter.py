@@ -23,7 +23,13 @@ from touchdown.app.stack.comparison import strategy_by_name
 from touchdown.app.stack.page import StackPage
 from touchdown.backend.bench import Session
 from touchdown.backend.core import Event, InputError, Outcome, RefusedError, TrialFinished
-from touchdown.backend.runs import DecisionMode, RunState, RunStatus, StackRequest
+from touchdown.backend.runs import (
+    DecisionMode,
+    RunState,
+    RunStatus,
+    StackRequest,
+    certificate_status,
+)
 from touchdown.widgets.forms import RunButtons, RunForm
 from touchdown.widgets.shell import CardText, FaultCards
 from touchdown.widgets.views import (
@@ -99,10 +105,17 @@ class StackPresenter:
     # -- showing ----------------------------------------------------------------------------------
 
     def show_model(self) -> None:
-        """Show the model that a run of the form would use."""
-        form = self._page.run.form()
+        """Show the model that a run of the form would use, and its certificate."""
+        form, run = self._page.run.form(), self._page.run
         words = run_model_caption(form.piece, form.strategy)
-        self._page.run.show_model(words.short, words.full)
+        run.show_model(words.short, words.full)
+        bench = self._bench
+        try:
+            status = certificate_status(bench.identity, bench.method, stack_request(form))
+        except InputError as error:
+            run.show_certificate(error.what, error.fix)
+        else:
+            run.show_certificate(status.message, status.scope)
 
     def take(self, event: Event) -> None:
         """Handle one event; it is drawn with the next tick."""

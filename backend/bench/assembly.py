@@ -16,8 +16,10 @@ from touchdown.backend.calibration import CalibrationStore
 from touchdown.backend.config import (
     PRESETS,
     BenchDescription,
+    BenchIdentity,
     SimulationSettings,
     StackSettings,
+    bench_sha256,
     describe_simulation,
     read_settings,
 )
@@ -314,7 +316,7 @@ def simulated_session(
         bench = {"simulation": settings.model_dump(mode="json"), "disturbances": [*disturbances]}
         return run_record(bench, loaded)
 
-    return Session(
+    session = Session(
         make_stage,
         check,
         catalogue,
@@ -322,6 +324,9 @@ def simulated_session(
         keep=keep or RecordingOptions(),
         description=description,
     )
+    if not disturbances:
+        session.identity = BenchIdentity(settings.preset, bench_sha256(settings))
+    return session
 
 
 def simulated_bench(

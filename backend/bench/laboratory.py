@@ -76,6 +76,7 @@ def lab_session(
         bench.make_stage, bench.check, catalogue,
         settings=method, keep=keep or RecordingOptions(), description=lab.facts,
     )  # fmt: skip
+    session.identity = written.identity
     bench.wire(session, any_gels=choice.any_gels).notices = find_camera_conflicts(written)
     return session
 

@@ -20,7 +20,7 @@ from typing import Self
 
 from touchdown.backend.annotations import Dataset
 from touchdown.backend.calibration import CalibrationStore, calibrated_positions
-from touchdown.backend.config import BenchDescription, StackSettings
+from touchdown.backend.config import BenchDescription, BenchIdentity, StackSettings
 from touchdown.backend.core import (
     FINGERS,
     EpisodeDecision,
@@ -183,6 +183,7 @@ class Session:
         self.catalogue: PieceLibrary = catalogue
         self.method: StackSettings = settings
         self.description: BenchDescription = description
+        self.identity: BenchIdentity = BenchIdentity()  # for certificates; set before the first run
         self.simulated: bool = description.mode == "simulated"
         self.name: str = ""
         self.run_id: str = ""  # of the last run

@@ -1,14 +1,17 @@
 """``touchdown calibrate``: measure the parts of a bench, accept the results.
 
-Parts: payload, board, tool, wrist, cameras.
+Parts: payload, board, tool, wrist, cameras. ``risk`` bounds the unsafe releases of a laboratory
+from its own trials; nothing moves.
 """
 
 from __future__ import annotations
 
 import argparse
 import getpass
+import json
 import shlex
 from contextlib import ExitStack
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -37,7 +40,14 @@ from touchdown.backend.cli.connection import (
 )
 from touchdown.backend.cli.output import VerbOutput, ctrl_c_cancels
 from touchdown.backend.config import load_lab
-from touchdown.backend.core import CalibrationMeasured, Event, HandOverAwaited, InputError, Progress
+from touchdown.backend.core import (
+    CalibrationMeasured,
+    Event,
+    HandOverAwaited,
+    InputError,
+    Progress,
+    data_folder,
+)
 from touchdown.backend.runs import (
     CalibrateRequest,
     RecordingOptions,
@@ -46,6 +56,7 @@ from touchdown.backend.runs import (
     hand_over_message,
 )
 
+RISK = "risk"
 BOTTOM = "square15"
 PITCH_MM = 1.9
 REPORTED = ("residual", "limit", "unit", "acceptable", "note", "obstacle")
@@ -55,8 +66,17 @@ TITLES: dict[str, str] = {kind.what: kind.title for kind in CALIBRATION_KINDS.va
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
     parser.add_argument(
-        "what", choices=(*CALIBRATION_NAMES, "status"), help="what to measure, or 'status'"
-    )
+        "what", choices=(*CALIBRATION_NAMES, "status", RISK), help="what to measure; 'status'; or "
+        "'risk': bound the unsafe releases of a laboratory from its trials",
+    )  # fmt: skip
+    parser.add_argument(
+        "runs", nargs="?", type=Path, metavar="DATASET",
+        help="of 'risk': folder of recorded runs (default: the data folder's)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--limit", type=float, metavar="SHARE", help="of 'risk': largest bound of a certificate "
+        "(default: 0.05)",
+    )  # fmt: skip
     parser.add_argument(
         "--accept", action="store_true", help="store the result if it is acceptable"
     )
@@ -79,6 +99,10 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     if not args.pitch > 0:
         raise InputError("The pitch must be positive.", "--pitch", "Give it in mm, such as 1.9.")
     refuse_misplaced_arguments(args)
+    if args.what == RISK:
+        return _risk(args, screen)
+    if args.runs is not None or args.limit is not None:
+        raise InputError("This is of 'risk' only.", "DATASET, --limit", "Leave it out.")
     if args.what == "status":
         return _status(_store_of(args), screen)
     what: CalibrationName = args.what
@@ -206,6 +230,45 @@ def _status(store: CalibrationStore, screen: VerbOutput) -> int:
             screen.say(f"{title}: {standing.notice}.")
     screen.result({"folder": str(store.folder), "calibrations": rows})
     return 0 if all(standing.condition == "valid" for standing in standings) else 1
+
+
+def _risk(args: argparse.Namespace, screen: VerbOutput) -> int:
+    """Bound the unsafe releases of a laboratory; return 0 if the certificate was written."""
+    if not at_lab(args):
+        raise InputError(
+            "The risk is that of the trials of a laboratory.", "--bench", "Name its lab file."
+        )
+    # Imported here: measuring needs no torch.
+    from touchdown.backend.experiments import LABORATORY_LIMIT, certify_laboratory, labelled_trials
+
+    limit = LABORATORY_LIMIT if args.limit is None else args.limit
+    if not 0.0 < limit < 1.0:
+        raise InputError("The limit is no share.", "--limit", "Give it between 0 and 1.")
+    bench = load_lab(Path(args.bench)).identity
+    if args.calibrations:
+        bench = replace(bench, calibrations=Path(args.calibrations))
+    folder = args.runs or data_folder() / "runs"
+    if not folder.is_dir():
+        raise InputError("There is no such folder.", str(folder), "Name the folder of the runs.")
+    found = certify_laboratory(list(labelled_trials(folder)), bench, limit)
+    (counts,) = found.attempt.counts
+    screen.say(
+        f"Attempt {found.attempt.number}: {counts.unsafe} of {counts.releases} releases unsafe, "
+        f"at most {100 * counts.bound:.1f} %."
+    )
+    for why, number in found.left_out.items():
+        screen.say(f"Left out: {number} trials {why}.")
+    if found.certificate is None:
+        screen.say(f"That exceeds {100 * limit:g} %: no certificate. The trials are used up.")
+    else:
+        screen.say(f"Certificate: {found.certificate.summary()}. It is in {found.path}.")
+    screen.result({
+        "what": RISK,
+        "attempt": json.loads(found.attempt.model_dump_json(exclude={"trials"})),
+        "left_out": dict(found.left_out),
+        "certificate": None if found.path is None else str(found.path),
+    })  # fmt: skip
+    return 0 if found.certificate is not None else 1
 
 
 def _store_of(args: argparse.Namespace) -> CalibrationStore:

@@ -37,7 +37,13 @@ from touchdown.backend.core import (
     TrialStarted,
     data_folder,
 )
-from touchdown.backend.runs import DecisionMode, RecordingOptions, StackRequest, StrategyChoice
+from touchdown.backend.runs import (
+    DecisionMode,
+    RecordingOptions,
+    StackRequest,
+    StrategyChoice,
+    certificate_status,
+)
 
 if TYPE_CHECKING:
     from touchdown.backend.bench import RunResult, Session
@@ -136,7 +142,7 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
         screen.say(f"No trial took place: {result.reason}")
     if result.run_folder is not None:
         screen.say(f"Kept in {result.run_folder}")
-    screen.result({**_result(args, result, session), "bench": bench})
+    screen.result({**_result(request, result, session), "bench": bench})
     placed = [t for t in result.trials if t.outcome is Outcome.PLACED]
     return 0 if len(placed) == request.trials and not result.faults else 1
 
@@ -191,13 +197,14 @@ def trial_table(
     return text_table(f"{placed} of {len(trials)} placed ({bench})", header, *rows)
 
 
-def _result(args: argparse.Namespace, result: RunResult, session: Session) -> dict[str, object]:
+def _result(request: StackRequest, result: RunResult, session: Session) -> dict[str, object]:
     return {
-        "piece": args.piece,
-        "bottom": args.bottom,
-        "strategy": args.strategy,
+        "piece": request.piece,
+        "bottom": "+".join(request.bottoms),
+        "strategy": request.strategy,
         "simulated": session.simulated,
         "run": None if result.run_folder is None else str(result.run_folder),
+        "certificate": certificate_status(session.identity, session.method, request).text,
         "faults": [fault.code for fault in result.faults],
         "trials": [
             {key: value for key, value in asdict(t).items() if key not in ("t_s", "trial")}

@@ -1,4 +1,5 @@
 from .bench_description import BenchDescription as BenchDescription
+from .bench_description import BenchIdentity as BenchIdentity
 from .bench_description import BenchMode as BenchMode
 from .bench_description import bench_sha256 as bench_sha256
 from .bench_description import describe_simulation as describe_simulation
@@ -57,6 +58,7 @@ __all__ = [
     "TICK_S",
     "BeliefSettings",
     "BenchDescription",
+    "BenchIdentity",
     "BenchMode",
     "CollectSettings",
     "FingerCameraSettings",

@@ -6,7 +6,9 @@ A bench reports them and a model card records them, so that a model is used only
 from __future__ import annotations
 
 import json
+from dataclasses import dataclass
 from hashlib import sha256
+from pathlib import Path
 from typing import Any, Literal
 
 from touchdown.backend.config.method import Positive, Settings
@@ -29,6 +31,18 @@ class BenchDescription(Settings):
     mm_per_px: tuple[Positive, Positive] | None = None
     ft_frame: str = ""  # reference frame of the wrench
     sensor_height_mm: Positive | None = None  # wrist sensor above the grasp pivot
+
+
+@dataclass(frozen=True, slots=True)
+class BenchIdentity:
+    """Bench as named by a certificate of releases; ``sha256`` is "" for a bench that can have none.
+
+    ``calibrations``: folder of a laboratory, None where the bench has none of its own.
+    """
+
+    name: str = ""
+    sha256: str = ""
+    calibrations: Path | None = None
 
 
 def describe_simulation(settings: SimulationSettings) -> BenchDescription:

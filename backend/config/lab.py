@@ -19,7 +19,12 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
-from touchdown.backend.config.bench_description import BenchDescription, sha256_of_json, wrist_frame
+from touchdown.backend.config.bench_description import (
+    BenchDescription,
+    BenchIdentity,
+    sha256_of_json,
+    wrist_frame,
+)
 from touchdown.backend.config.hardware import HardwareSettings
 from touchdown.backend.config.method import Force, NonNegative, Positive, Settings, Speed
 from touchdown.backend.config.toml_file import parse_settings, read_toml
@@ -202,6 +207,11 @@ class Lab:
     def calibrations(self) -> Path:
         """Folder of its calibrations."""
         return self.path.parent / self.settings.calibrations
+
+    @property
+    def identity(self) -> BenchIdentity:
+        """Bench as named by a certificate; the file decides, not later calibrations."""
+        return BenchIdentity(self.settings.name, self.facts.sha256, self.calibrations)
 
     @property
     def facts(self) -> BenchDescription:

@@ -1,5 +1,8 @@
+from .certification import LABORATORY_LIMIT as LABORATORY_LIMIT
 from .certification import LEAST_SCENES as LEAST_SCENES
 from .certification import Certification as Certification
+from .certification import certify_laboratory as certify_laboratory
+from .certification import labelled_trials as labelled_trials
 from .collection import batch_plan as batch_plan
 from .collection import run_jobs as run_jobs
 from .collection import split_jobs as split_jobs
@@ -79,6 +82,7 @@ __all__ = [
     "FAINT",
     "INK",
     "KINDS",
+    "LABORATORY_LIMIT",
     "LEAST_SCENES",
     "ORANGE",
     "PIECES",
@@ -107,6 +111,7 @@ __all__ = [
     "adopt_models",
     "base_strategy",
     "batch_plan",
+    "certify_laboratory",
     "change_rows",
     "compare_intervals",
     "comparison_tables",
@@ -114,6 +119,7 @@ __all__ = [
     "evidence",
     "job_effort",
     "keep_models",
+    "labelled_trials",
     "load_model",
     "merged_oracle_shares",
     "method_of",

@@ -5,12 +5,15 @@ seeds of an attempt follow from the hash of model, bench, method and outlines an
 the attempt, so that nobody can choose them. A scene with an outline on which the piece has no
 stable place is drawn again. Every scene counts, whatever its outcome; the bound is that of the
 unsafe ones among the releases.
+
+A laboratory uses its own trials instead: runs on its devices whose outcomes a person entered.
 """
 
 from __future__ import annotations
 
+import json
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -21,13 +24,27 @@ from typing import Any
 
 import numpy as np
 
-from touchdown.backend.config import SimulationSettings, StackSettings, bench_sha256, parse_settings
-from touchdown.backend.core import InputError, Outcome
+from touchdown.backend.config import (
+    BenchIdentity,
+    SimulationSettings,
+    StackSettings,
+    bench_sha256,
+    parse_settings,
+)
+from touchdown.backend.core import (
+    InputError,
+    Outcome,
+    PhaseEntered,
+    RunStarted,
+    TrialFinished,
+    TrialStarted,
+)
 from touchdown.backend.experiments.results import program_version
 from touchdown.backend.experiments.strategies import uninformed_model
 from touchdown.backend.experiments.tables import PIECES, job_code
 from touchdown.backend.experiments.trials import (
     FRESH,
+    BatchTrialResult,
     MixedBottomLockstep,
     SceneSetup,
     stack_in_lockstep,
@@ -49,10 +66,16 @@ from touchdown.backend.learning.fused import (
     RISK_LIMIT,
     Attempt,
     AttemptLog,
+    ReleaseCertificate,
     ReleaseCounts,
+    attempt_error,
+    certificate_of_attempt,
     load_fused,
     method_sha256,
+    releases_needed,
+    write_certificate,
 )
+from touchdown.backend.runs import EVENT_LOG_NAME, read_events
 from touchdown.backend.sensing import EpisodeLimits
 from touchdown.backend.simulation import Scene
 
@@ -167,15 +190,17 @@ class Certification:
         found = []
         for level, risk in enumerate(self.risks):
             trials = [t for job in jobs[level :: len(self.risks)] for t in _trials(store, job)]
-            words = Counter(t["outcome"] for t in trials)
+            released = [t["outcome"] for t in trials if t["released"]]
+            placed = released.count(Outcome.PLACED.value)
+            toppled = [t["outcome"] for t in trials if not t["released"]]
             found.append(
                 ReleaseCounts.of(
                     risk,
                     attempt.error,
                     scenes=len(trials),
-                    placed=words[Outcome.PLACED.value],
-                    unsafe=words[Outcome.FELL.value],
-                    toppled=words[Outcome.KNOCKED_OVER.value],
+                    placed=placed,
+                    unsafe=len(released) - placed,
+                    toppled=toppled.count(Outcome.KNOCKED_OVER.value),
                 )
             )
         return found
@@ -215,4 +240,168 @@ def run_certified_scenes(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
     scenes = [fresh_scene(piece, seed, bench, p["outlines"]) for seed in seeds]
     model = uninformed_model(SceneSetup(piece, (), bench))
     results = stack_in_lockstep(scenes, model, method, EpisodeLimits(), world=MixedBottomLockstep)
-    return {"bench_sha256": bench_sha256(bench), "trials": [end.as_json() for end in results]}
+    # A release over a bottom that a press toppled is unsafe, whatever became of the piece.
+    trials = [{**end.as_json(), "released": _was_released(end)} for end in results]
+    return {"bench_sha256": bench_sha256(bench), "trials": trials}
+
+
+def _was_released(end: BatchTrialResult) -> bool:
+    return bool(end.steps) and end.steps[-1].action.kind == "release"
+
+
+LABORATORY_LIMIT = 0.05  # default bound of a certificate of a laboratory's own trials
+LABORATORY_NAME = "release-risk"
+
+
+@dataclass(frozen=True, slots=True)
+class LabelledTrial:
+    """Trial of a laboratory: ``released`` once the jaws opened, and the outcome a person entered.
+
+    ``outcome`` is None if the run ended before it was entered. ``about``: the part ``release`` of
+    the run's record.
+    """
+
+    name: str
+    piece: str
+    bottom: str
+    released: bool
+    outcome: Outcome | None
+    about: Mapping[str, Any]
+
+    @property
+    def unsafe(self) -> bool:
+        """True for a release without a piece that stands; a void or missing outcome is one."""
+        return self.released and self.outcome is not Outcome.PLACED
+
+
+def labelled_trials(folder: Path) -> Iterator[LabelledTrial]:
+    """Yield the trials of ``fused`` on devices in the runs of a folder, oldest first.
+
+    Runs on a simulated or emulated bench, and those of a program that did not record what a
+    certificate needs, have none. Raises ``InputError`` for a damaged log.
+    """
+    for log in sorted(folder.rglob(EVENT_LOG_NAME)):
+        yield from _trials_of(log)
+
+
+def _trials_of(log: Path) -> Iterator[LabelledTrial]:
+    head: RunStarted | None = None
+    about: Mapping[str, Any] = {}
+    trial, released = 0, False
+
+    def ended(outcome: Outcome | None) -> LabelledTrial:
+        assert head is not None
+        name = f"{head.run_id} {trial}"
+        return LabelledTrial(name, head.piece, head.bottom, released, outcome, about)
+
+    for event in read_events(log):
+        if isinstance(event, RunStarted):
+            head, about = event, json.loads(event.settings).get("release") or {}
+            if event.simulated or not about.get("bench_sha256") or about["weighed"]:
+                return
+        elif isinstance(event, TrialStarted):
+            trial, released = event.trial, False
+        elif isinstance(event, PhaseEntered) and event.phase == "release":
+            released = True
+        elif isinstance(event, TrialFinished):
+            yield ended(event.outcome)
+            trial = 0
+    if trial and released:
+        yield ended(None)
+
+
+@dataclass(frozen=True, slots=True)
+class LaboratoryRisk:
+    """Result of ``certify_laboratory``: the attempt, and the certificate if its bound holds."""
+
+    attempt: Attempt
+    certificate: ReleaseCertificate | None
+    path: Path | None
+    left_out: Mapping[str, int]
+
+
+def certify_laboratory(
+    trials: Sequence[LabelledTrial], bench: BenchIdentity, limit: float = LABORATORY_LIMIT
+) -> LaboratoryRisk:
+    """Bound the unsafe releases on a laboratory's bench from its own trials.
+
+    The trials are those of the newest run's model, risk and settings that no earlier attempt used.
+    They count as independent: each is set up and handed over anew. Their number must not depend on
+    their outcomes.
+
+    Parameters
+    ----------
+    trials : sequence of LabelledTrial
+        Trials in order of time.
+    bench : BenchIdentity
+        Bench of the laboratory, with the folder of its calibrations.
+    limit : float, default: 0.05
+        Largest bound of a certificate.
+
+    Returns
+    -------
+    LaboratoryRisk
+        The attempt with its counts, and the certificate.
+
+    Raises
+    ------
+    InputError
+        If there are too few releases for ``limit``, before an attempt is spent.
+
+    """
+    assert bench.calibrations is not None
+    log = AttemptLog(bench.calibrations / f"{LABORATORY_NAME}.attempts.jsonl")
+    attempts = log.attempts()
+    used = {name for attempt in attempts for name in attempt.trials}
+    here = [t for t in trials if t.about["bench_sha256"] == bench.sha256]
+    newest = _settings_of(here[-1]) if here else None
+    own = [t for t in here if _settings_of(t) == newest and t.name not in used]
+    left_out = Counter(
+        "of another bench" if t.about["bench_sha256"] != bench.sha256
+        else "of an earlier attempt" if t.name in used else "of another model or method"
+        for t in trials if t not in own
+    )  # fmt: skip
+    released = [t for t in own if t.released]
+    error = attempt_error(len(attempts) + 1)
+    needed = releases_needed(limit, error)
+    if newest is None or len(released) < needed:
+        others = "".join(f" {n} trials are {why}." for why, n in sorted(left_out.items()))
+        raise InputError(
+            f"{len(released)} releases with an outcome cannot show at most {100 * limit:g} %: "
+            f"attempt {len(attempts) + 1} needs {needed}, none of them unsafe.{others}",
+            bench.name,
+            "Run 'touchdown stack' with --strategy fused on this bench, and enter each outcome.",
+        )
+    weights, method, risk = newest
+    bottoms = sorted({t.bottom for t in released})
+    attempt = log.begin(
+        Attempt(
+            number=1,
+            bench=bench.name,
+            bench_sha256=bench.sha256,
+            weights_sha256=weights,
+            method_sha256=method,
+            family=", ".join(bottoms),
+            risks=(risk,),
+            limit=limit,
+            scenes=len(own),
+            trials=tuple(t.name for t in own),
+            date=datetime.now(UTC),
+            program_version=program_version(),
+        )
+    )
+    unsafe = sum(t.unsafe for t in released)
+    placed = len(released) - unsafe
+    counts = ReleaseCounts.of(
+        risk, attempt.error, scenes=len(own), placed=placed, unsafe=unsafe, toppled=0
+    )
+    attempt = log.end(attempt, [counts])
+    pieces = sorted({t.piece for t in released})
+    found = certificate_of_attempt(attempt, log, simulated=False, pieces=pieces, bottoms=bottoms)
+    path = None if found is None else write_certificate(bench.calibrations, LABORATORY_NAME, found)
+    return LaboratoryRisk(attempt, found, path, left_out)
+
+
+def _settings_of(trial: LabelledTrial) -> tuple[str, str, float]:
+    about = trial.about
+    return about["weights_sha256"], about["method_sha256"], float(about["risk"])

@@ -74,6 +74,7 @@ from .requests import SceneChoice as SceneChoice
 from .requests import SetRequest as SetRequest
 from .requests import StackRequest as StackRequest
 from .requests import StrategyChoice as StrategyChoice
+from .stack import certificate_status as certificate_status
 
 __all__ = [
     "DECISION_WORDS",
@@ -119,6 +120,7 @@ __all__ = [
     "calibration_metadata",
     "calibrations_folder",
     "calibrations_for",
+    "certificate_status",
     "changed_limits",
     "check_connected",
     "check_devices",

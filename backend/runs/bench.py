@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from touchdown.backend.annotations import Dataset
 from touchdown.backend.calibration import UNCALIBRATED, CalibratedPositions
-from touchdown.backend.config import BenchDescription, StackSettings
+from touchdown.backend.config import BenchDescription, BenchIdentity, StackSettings
 from touchdown.backend.core import (
     Clock,
     ContactPatch,
@@ -250,6 +250,7 @@ class RunContext(Protocol):
     simulated: bool
     mode: str  # recorded with episodes: stepped, live simulation, emulated or lab
     description: BenchDescription  # recorded with episodes
+    identity: BenchIdentity  # the one that a certificate must name
     dataset: Dataset | None  # takes collected episodes
     decisions: deque[EpisodeDecision]  # newest decision on the newest episode, if pending
     catalogue: PieceLibrary

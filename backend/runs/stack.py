@@ -8,7 +8,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
+from touchdown.backend.config import BenchIdentity, StackSettings
 from touchdown.backend.core import (
     ActionChosen,
     ApprovalAwaited,
@@ -27,12 +30,20 @@ from touchdown.backend.core import (
     TrialStarted,
 )
 from touchdown.backend.devices import ReleaseEvidence
+from touchdown.backend.learning.fused import (
+    CertificateStatus,
+    ReleaseClaim,
+    find_certificate,
+    method_sha256,
+    shipped_path,
+)
 from touchdown.backend.placement import (
     GraspedPiece,
     ProbeObservation,
     SearchingStrategy,
     Strategy,
     check_outlines,
+    load_network_of,
     make_strategy,
 )
 from touchdown.backend.runs import messages, outcome
@@ -222,16 +233,67 @@ def check_pieces(session: RunContext, request: StackRequest) -> None:
     check_outlines(request.method(session.method), known)
 
 
+def certificate_status(
+    bench: BenchIdentity, base: StackSettings, request: StackRequest
+) -> CertificateStatus:
+    """Return the certificate that covers a run, or the reason why none does.
+
+    Certificates lie beside the checkpoint, and in the calibrations of a laboratory. Raises
+    ``InputError`` if the network cannot be read.
+    """
+    if request.strategy != "fused":
+        return CertificateStatus(None, "only learned fusion can have one")
+    if request.weigh:
+        return CertificateStatus(None, "none covers a weighed centre of mass")
+    method = request.method(base)
+    weights = Path(method.fused.weights) if method.fused.weights else shipped_path()
+    own = () if bench.calibrations is None else (bench.calibrations,)
+    claim = ReleaseClaim(
+        bench.name,
+        bench.sha256,
+        load_network_of(method.fused).card.weights_sha256,
+        method,
+        request.piece,
+        request.bottoms,
+        (weights.parent, *own),
+    )
+    return find_certificate(claim)
+
+
+def release_record(
+    bench: BenchIdentity, base: StackSettings, request: StackRequest, found: CertificateStatus
+) -> dict[str, Any]:
+    """Return the part of a run's record that a certificate of its trials is made from."""
+    method = request.method(base)
+    return {
+        "bench": bench.name,
+        "bench_sha256": bench.sha256,
+        "weights_sha256": load_network_of(method.fused).card.weights_sha256,
+        "method_sha256": method_sha256(method),
+        "risk": method.fused.risk,
+        "weighed": request.weigh,
+        "certificate": found.text,
+        "scope": found.scope,
+    }
+
+
 def stack_run(session: RunContext, request: StackRequest) -> Plan[None]:
     """Run all trials; ends early when cancelled, stopped or on a fault."""
     method = request.method(session.method)
     check_pieces(session, request)
-    settings = request_record(request, method, session.check_scene(request.scene()))
+    record = {**session.check_scene(request.scene())}
+    certified = request.strategy == "fused"
+    if certified:
+        status = certificate_status(session.identity, session.method, request)
+        record["release"] = release_record(session.identity, session.method, request, status)
+    settings = request_record(request, method, record)
     session.open_record()
     yield RunStarted(
         0.0, session.run_id, request.piece, "+".join(request.bottoms), request.strategy,
         request.seed, request.trials, session.simulated, settings,
     )  # fmt: skip
+    if certified:
+        yield Said(0.0, status.message)
     for trial in range(request.trials):
         bench = session.set_scene(request.scene(trial), method)
         seed = request.seed + trial

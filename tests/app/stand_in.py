@@ -7,7 +7,8 @@ from functools import cache
 
 import numpy as np
 
-from touchdown.backend.config.bench_description import BenchDescription
+from touchdown.backend.config.bench_description import BenchDescription, BenchIdentity
+from touchdown.backend.config.method import StackSettings
 from touchdown.backend.core.event_bus import EventBus
 from touchdown.backend.core.events import (
     ActionChosen,
@@ -109,6 +110,7 @@ class StandInBench:
 
     simulated = True
     description = BenchDescription(mode="simulated")
+    identity, method = BenchIdentity("stand-in"), StackSettings()
     name, limits_source, connection = "", "the program itself", None
     usual, hand, model, dataset = SceneChoice(), None, None, None
     calibrations = None

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from PySide6.QtCore import Signal
 from PySide6.QtWidgets import QComboBox, QPushButton
 
-from touchdown.widgets.base import ElidedLabel, Panel, Theme, add_items, describe, hbox
+from touchdown.widgets.base import ElidedLabel, Panel, Theme, add_items, describe, hbox, label
 from touchdown.widgets.forms.fields import (
     FormFields,
     decimal_box,
@@ -60,7 +60,7 @@ class RunButtons:
 
 
 class RunPanel(Panel):
-    """Form and buttons of a run; ``chosen`` is emitted on another piece or strategy."""
+    """Form and buttons of a run; ``chosen`` is emitted on another piece, bottom or strategy."""
 
     chosen = Signal()
 
@@ -77,13 +77,15 @@ class RunPanel(Panel):
             origin_x_mm=self._origin[0], origin_y_mm=self._origin[1],
         )  # fmt: skip
         self._model = ElidedLabel("small")
+        self._certificate = label("", "small", wrap=True)
+        self._certificate.setAccessibleName("Certificate")
         set_entries(self._strategy, STRATEGIES)
         set_entries(self._mode, MODES)
         self.start = QPushButton("Start stacking")
         self.start.setProperty("role", "primary")
         self.pause = QPushButton("Pause")
         self.cancel = QPushButton("Cancel")
-        for combo in (self._piece, self._strategy):
+        for combo in (self._piece, self._bottom, self._under, self._strategy):
             combo.currentIndexChanged.connect(lambda _: self.chosen.emit())
         describe(
             (self.pause, "Pause", "Pause at the next safe point, arm lifted (P)"),
@@ -116,6 +118,7 @@ class RunPanel(Panel):
         self._origin_words = fields.add_halves(7, ("Origin x", x, ""), ("y", y, "", "Origin y"))
         self.show_devices(False)
         self.column.addLayout(fields)
+        add_items(self.column, self._certificate)
         self.column.addSpacing(2)
         add_items(self.column, self.start, hbox((self.pause, 1), (self.cancel, 1)))
 
@@ -134,6 +137,12 @@ class RunPanel(Panel):
         self._model.setText(short)
         self._model.setToolTip(full)
         self._model.setAccessibleName(f"Model: {short}")
+
+    def show_certificate(self, text: str, scope: str) -> None:
+        """Show what is known about the risk of a release; the tool tip has its scope."""
+        self._certificate.setText(text)
+        self._certificate.setToolTip(scope)
+        self._certificate.setAccessibleDescription(f"{text} {scope}")
 
     def show_devices(self, devices: bool) -> None:
         """Show the origin fields, needed by real devices only."""

@@ -233,6 +233,7 @@ class ComparisonSheet(QDialog):
         self._window = parent
         self.setWindowTitle("Strategies on the same seed")
         self.head = label("", "head", wrap=True)
+        self._pairs = label("", "muted", wrap=True)
         self.panels = StrategyPanel(theme), StrategyPanel(theme)
         self.trial = QSpinBox()
         self.trial.setRange(1, 1)
@@ -256,12 +257,16 @@ class ComparisonSheet(QDialog):
             field_label("Trial", self.trial), self.trial,
         )  # fmt: skip
         columns = hbox(*((panel, 1) for panel in self.panels), spacing=8)
-        foot = hbox(1, close, self.run)
+        foot = hbox((self._pairs, 1), close, self.run)
         vbox(top, (columns, 1), foot, parent=self, margins=(14, 12, 14, 12), spacing=8)
 
     def offer(self, rivals: Sequence[tuple[str, str]], chosen: str) -> None:
         """Set the (key, title) strategies for the right side and select one."""
         set_entries(self.against, rivals, chosen)
+
+    def show_pairs(self, text: str) -> None:
+        """Show what the trials on equal seeds decide."""
+        self._pairs.setText(text)
 
     def open_large(self) -> None:
         """Show the sheet over most of its window."""

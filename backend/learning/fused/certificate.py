@@ -37,6 +37,7 @@ CERTIFICATE_SUFFIX, ATTEMPTS_SUFFIX = ".certificate.json", ".attempts.jsonl"
 MAX_BYTES = 2_000_000
 BISECTIONS = 80
 NO_CERTIFICATE = "no certificate for this bench"
+LIMITS = "It covers no other shape, laboratory or robot by itself."
 Count = Annotated[int, Field(ge=0)]
 Digest = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 Date = Annotated[datetime, Field(strict=False)]
@@ -423,7 +424,7 @@ class ReleaseClaim:
 
 @dataclass(frozen=True, slots=True)
 class CertificateStatus:
-    """Certificate of a run, or the reason in words why there is none."""
+    """Certificate of a run, or the ``reason`` why there is none, as the end of a sentence."""
 
     certificate: ReleaseCertificate | None
     reason: str = ""
@@ -437,12 +438,17 @@ class CertificateStatus:
     def scope(self) -> str:
         """What the statement covers, or why there is none."""
         if self.certificate is None:
-            return self.reason
+            return f"{self.reason[:1].upper()}{self.reason[1:]}."
         return (
             f"For {', '.join(self.certificate.pieces)} on {self.certificate.family}, at a risk of "
-            f"{100 * self.certificate.counts.risk:g} %. It covers no other shape, laboratory or "
-            "robot by itself."
+            f"{100 * self.certificate.counts.risk:g} %."
         )
+
+    @property
+    def message(self) -> str:
+        """Statement and its limits, or the reason why there is none."""
+        text = f"{self.text[:1].upper()}{self.text[1:]}"
+        return f"{text}: {self.reason}." if self.certificate is None else f"{text}. {LIMITS}"
 
 
 def find_certificate(claim: ReleaseClaim) -> CertificateStatus:
@@ -453,13 +459,13 @@ def find_certificate(claim: ReleaseClaim) -> CertificateStatus:
             try:
                 certificate = read_certificate(path)
             except InputError as error:
-                nearest = max(nearest, (0, error.what.rstrip(".")))
+                nearest = max(nearest, (0, error.what[:1].lower() + error.what[1:].rstrip(".")))
                 continue
             passed, why = _mismatch(certificate, claim)
             if not why:
                 return CertificateStatus(certificate)
             nearest = max(nearest, (passed, why))
-    return CertificateStatus(None, nearest[1][:1].upper() + nearest[1][1:] + ".")
+    return CertificateStatus(None, nearest[1])
 
 
 def _mismatch(certificate: ReleaseCertificate, claim: ReleaseClaim) -> tuple[int, str]:

@@ -1,5 +1,6 @@
 """The fall is drawn as it was recorded; the story keeps what was told, in any order of repeats."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -225,6 +226,8 @@ def test_what_is_missing_is_run_one_after_the_other(live, bench, comparing):
     assert blind.trial.text().startswith("Fell")
     assert blind.belief.scene.belief is None
     assert sheet.run.text() == "Run both again"
+    assert sheet._pairs.text().startswith("Placed by Probe and believe alone: 1, by Pick and place")
+    assert sheet._pairs.text().endswith("of 1 pair. Undecided; more trials may follow.")
 
 
 def test_any_strategy_can_stand_on_the_right_and_keeps_its_answer(live, bench, comparing):
@@ -313,3 +316,14 @@ def test_only_the_newest_questions_are_kept():
         True,
         True,
     ]
+
+
+def test_certificate_of_the_form_is_shown_with_its_reason(live, bench):
+    live.go("stack")
+    run = live.workspaces["stack"].page.run
+    shown = run._certificate
+    assert shown.text() == "No certificate for this bench: only learned fusion can have one."
+    run.show_form(replace(run.form(), strategy="fused"))
+    assert shown.text() == "No certificate for this bench: none was made."
+    run.show_certificate("Unsafe \u2264 1.0 % of releases.", "For pot.")
+    assert (shown.toolTip(), shown.accessibleName()) == ("For pot.", "Certificate")

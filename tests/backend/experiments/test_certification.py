@@ -1,9 +1,10 @@
-"""Certification: fresh scenes of an attempt, and the command with its files."""
+"""Certification: fresh scenes of an attempt, trials of a laboratory, commands and files."""
 
 from __future__ import annotations
 
 import json
 import shutil
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,20 +12,39 @@ import numpy as np
 import pytest
 
 from touchdown.backend.cli import main
-from touchdown.backend.config import load_simulation
+from touchdown.backend.config import BenchIdentity, StackSettings, load_lab, load_simulation
+from touchdown.backend.core import (
+    Event,
+    InputError,
+    Outcome,
+    PhaseEntered,
+    RunStarted,
+    TrialFinished,
+    TrialStarted,
+)
 from touchdown.backend.experiments.certification import (
     FAMILIES,
     Certification,
+    certify_laboratory,
     fresh_scene,
+    labelled_trials,
     run_certified_scenes,
 )
 from touchdown.backend.experiments.job_kinds import KINDS
 from touchdown.backend.experiments.tables import PIECES
 from touchdown.backend.geometry import load_pieces
 from touchdown.backend.jobs import JobContext, JobSpec, JobStore
-from touchdown.backend.learning.fused import AttemptLog, attempts_path
+from touchdown.backend.learning.fused import (
+    AttemptLog,
+    attempts_path,
+    method_sha256,
+    risk_bound,
+    shipped_fused,
+)
 from touchdown.backend.learning.fused.certificate import read_certificate
 from touchdown.backend.learning.fused.checkpoint import shipped_path
+from touchdown.backend.runs import StackRequest, certificate_status
+from touchdown.backend.runs.event_log import EVENT_LOG_NAME, FORMAT, encode_event
 from touchdown.backend.simulation import true_margin_mm
 
 BENCH = load_simulation(preset="bench-v1")
@@ -65,12 +85,12 @@ def test_a_seed_decides_its_scene_and_no_two_share_an_outline(family: str) -> No
 
 
 def test_scenes_run_with_the_network_of_the_attempt(weights: Path, tmp_path: Path) -> None:
-    plan = Certification(BENCH, "bench-v1", weights, (0.07,), 2)
+    plan = Certification(BENCH, "bench-v1", weights, (0.07,), 1)
     job = plan.jobs(plan.begin(AttemptLog(attempts_path(weights))))[0]
     store = JobStore(tmp_path / "jobs")
     found = run_certified_scenes(job, JobContext(tmp_path, store))
-    assert [t["seed"] for t in found["trials"]] == [job.seed, job.seed + 1]
-    assert {t["outcome"] for t in found["trials"]} <= {"placed", "fell", "gave_up", "aborted"}
+    assert [t["seed"] for t in found["trials"]] == [job.seed]
+    assert all(t["released"] for t in found["trials"] if t["outcome"] in ("placed", "fell"))
 
 
 def certify(folder: Path, weights: Path, *more: str) -> int:
@@ -86,8 +106,17 @@ def pretend(unsafe_share: float) -> Any:
     def run(spec: JobSpec, _: JobContext) -> dict[str, Any]:
         n = spec.params["trials"]
         fell = round(unsafe_share * n)
-        words = ["fell"] * fell + ["gave_up"] * 4 + ["placed"] * (n - fell - 4)
-        return {"trials": [{"seed": spec.seed + k, "outcome": w} for k, w in enumerate(words)]}
+        words = (
+            ["fell", "knocked_over"] * (fell // 2)
+            + ["fell"] * (fell % 2)
+            + ["gave_up"] * 4
+            + ["placed"] * (n - fell - 4)
+        )
+        rows = [
+            {"seed": spec.seed + k, "outcome": word, "released": word != "gave_up"}
+            for k, word in enumerate(words)
+        ]
+        return {"trials": rows}
 
     return run
 
@@ -154,3 +183,120 @@ def test_refused_attempts_are_not_spent(
     assert certify(tmp_path / "out", weights, *more) == 2
     assert where in capsys.readouterr().err
     assert not attempts_path(weights).exists()
+
+
+METHOD = StackSettings(strategy="fused")
+LAB = "c" * 64
+End = Outcome | None  # None: the run ended between release and answer
+
+
+def release_of(**changed: object) -> dict[str, object]:
+    return {
+        "bench": "lab 3", "bench_sha256": LAB, "method_sha256": method_sha256(METHOD),
+        "weights_sha256": shipped_fused().card.weights_sha256, "risk": METHOD.fused.risk,
+        "weighed": False, **changed,
+    }  # fmt: skip
+
+
+def record_run(
+    folder: Path, name: str, ends: Sequence[End], *, simulated: bool = False, **changed: object
+) -> None:
+    """Write the log of a run whose trials end that way; a trial that gave up released nothing."""
+    settings = json.dumps({"release": release_of(**changed)})
+    events: list[Event] = [
+        RunStarted(0.0, name, "pot", "short", "fused", 1, len(ends), simulated, settings)
+    ]
+    for trial, end in enumerate(ends, start=1):
+        events.append(TrialStarted(0.0, trial, trial, None))
+        if end is not Outcome.GAVE_UP:
+            events.append(PhaseEntered(1.0, "release", 2))
+        if end is not None:
+            events.append(TrialFinished(2.0, trial, trial, end, "", 2, None, None))
+    lines = [{"format": FORMAT, "program": "touchdown"}, *map(encode_event, events)]
+    (folder / name).mkdir(parents=True)
+    text = "".join(json.dumps(line) + "\n" for line in lines)
+    (folder / name / EVENT_LOG_NAME).write_text(text)
+
+
+def lab_bench(folder: Path, sha256: str = LAB) -> BenchIdentity:
+    return BenchIdentity("lab 3", sha256, folder / "calibrations")
+
+
+def test_certificate_of_a_laboratory_comes_from_its_labelled_releases(tmp_path: Path) -> None:
+    runs, bench = tmp_path / "runs", lab_bench(tmp_path)
+    ends: list[End] = [Outcome.PLACED] * 149 + [Outcome.FELL, Outcome.GAVE_UP]
+    record_run(runs, "1", ends)
+    record_run(runs, "2", [Outcome.FELL] * 9, simulated=True)
+    record_run(runs, "3", [Outcome.FELL] * 9, bench_sha256="")
+    found = certify_laboratory(list(labelled_trials(runs)), bench)
+    (counts,) = found.attempt.counts
+    assert (counts.scenes, counts.releases, counts.unsafe) == (151, 150, 1)
+    assert counts.bound == risk_bound(1, 150, 0.025)
+    assert found.path is not None
+    assert found.certificate == read_certificate(found.path)
+    status = certificate_status(bench, METHOD, StackRequest(strategy="fused"))
+    assert status.text == "unsafe ≤ 3.7 % of releases (95 %), 1 of 150 on lab 3"
+    other = certificate_status(bench, METHOD, StackRequest(strategy="fused", bottoms=("long",)))
+    assert other.message == ("No certificate for this bench: it does not cover the bottom 'long'.")
+
+
+def test_void_and_unanswered_releases_count_as_unsafe(tmp_path: Path) -> None:
+    record_run(tmp_path, "1", [Outcome.PLACED, Outcome.ABORTED, Outcome.GAVE_UP])
+    record_run(tmp_path, "2", [Outcome.KNOCKED_OVER, None])
+    trials = list(labelled_trials(tmp_path))
+    assert [t.unsafe for t in trials] == [False, True, False, True, True]
+
+
+@pytest.mark.parametrize(("placed", "needed"), [(58, 72), (71, 72)])
+def test_too_few_releases_are_refused_before_an_attempt_is_spent(
+    tmp_path: Path, placed: int, needed: int
+) -> None:
+    record_run(tmp_path, "1", [Outcome.PLACED] * placed)
+    record_run(tmp_path, "2", [Outcome.PLACED] * 5, bench_sha256="d" * 64)
+    with pytest.raises(InputError) as refused:
+        certify_laboratory(list(labelled_trials(tmp_path)), lab_bench(tmp_path))
+    assert refused.value.what == (
+        f"{placed} releases with an outcome cannot show at most 5 %: attempt 1 needs {needed}, "
+        "none of them unsafe. 5 trials are of another bench."
+    )
+    assert not (tmp_path / "calibrations").exists()
+
+
+def test_trials_of_an_attempt_are_not_used_again(tmp_path: Path) -> None:
+    runs, bench = tmp_path / "runs", lab_bench(tmp_path)
+    record_run(runs, "1", [Outcome.PLACED] * 100 + [Outcome.FELL] * 8)
+    first = certify_laboratory(list(labelled_trials(runs)), bench)
+    assert (first.certificate, first.path) == (None, None)
+    record_run(runs, "2", [Outcome.PLACED] * 90)
+    second = certify_laboratory(list(labelled_trials(runs)), bench)
+    assert (second.attempt.number, second.attempt.counts[0].releases) == (2, 90)
+    assert second.left_out == {"of an earlier attempt": 108}
+    assert second.certificate is not None
+
+
+def test_only_the_newest_model_and_method_count(tmp_path: Path) -> None:
+    record_run(tmp_path, "1", [Outcome.FELL] * 30, risk=0.2)
+    record_run(tmp_path, "2", [Outcome.FELL] * 30, weights_sha256="e" * 64)
+    record_run(tmp_path, "3", [Outcome.PLACED] * 80)
+    found = certify_laboratory(list(labelled_trials(tmp_path)), lab_bench(tmp_path))
+    assert found.attempt.counts[0].unsafe == 0
+    assert found.left_out == {"of another model or method": 60}
+
+
+def test_command_writes_the_certificate_beside_the_calibrations(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lab_file = tmp_path / "lab.toml"
+    assert main(["bench", str(lab_file), "--new", "--json"]) == 0
+    capsys.readouterr()
+    bench = load_lab(lab_file).identity
+    runs, words = tmp_path / "runs", ["calibrate", "risk", str(tmp_path / "runs"), "--json"]
+    record_run(runs, "1", [Outcome.PLACED] * 80, bench=bench.name, bench_sha256=bench.sha256)
+    assert main([*words, "--bench", str(lab_file)]) == 0
+    path = Path(json.loads(capsys.readouterr().out)["certificate"])
+    assert path.parent == bench.calibrations
+    assert read_certificate(path).simulated is False
+    assert main([*words, "--bench", str(lab_file)]) == 2
+    assert "80 trials are of an earlier attempt" in capsys.readouterr().err
+    assert main(words) == 2
+    assert "--bench" in capsys.readouterr().err

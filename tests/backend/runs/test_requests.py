@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from dataclasses import replace
 from types import SimpleNamespace
@@ -21,6 +22,7 @@ from touchdown.backend.core.events import (
     PhaseEntered,
     Refused,
     RunFinished,
+    RunStarted,
     Said,
     SetUpAwaited,
     TrialFinished,
@@ -34,7 +36,7 @@ from touchdown.backend.devices.jog import JOINTS, TOOL_SIGNS, TURNS, direction_o
 from touchdown.backend.geometry import Tower, judge_tower, load_pieces
 from touchdown.backend.runs import ProbeRequest, RecordingOptions, SceneChoice, StackRequest
 from touchdown.backend.runs.outcome import TrialResult, outcome_from_signals, with_toppled_support
-from touchdown.backend.runs.stack import grasped_piece
+from touchdown.backend.runs.stack import certificate_status, grasped_piece, stack_run
 
 POT = load_pieces().piece("pot")
 HEAVY = replace(POT, mass_g=200.0)
@@ -821,3 +823,28 @@ def test_a_trial_that_knocked_its_support_over_has_no_other_outcome(knocked, out
     found = with_toppled_support(bench, TrialResult(Outcome.GAVE_UP, "Enough.", 3))
     assert (found.outcome, found.probes) == (outcome, 3)
     assert found.reason.endswith("Enough.")
+
+
+def test_run_on_a_bench_says_if_a_certificate_covers_it() -> None:
+    session = simulated_session(
+        SimulatedBenchChoice(preset="bench-v1"), keep=RecordingOptions(None)
+    )
+    with session:
+        plan = stack_run(session, StackRequest(strategy="fused"))
+        started, said = next(plan), next(plan)
+        assert isinstance(started, RunStarted)
+        kept = json.loads(started.settings)["release"]
+        assert (kept["bench"], kept["bench_sha256"]) == ("bench-v1", session.identity.sha256)
+        assert kept["certificate"] == "no certificate for this bench"
+        assert said == Said(0.0, "No certificate for this bench: none was made.")
+        paper = stack_run(session, StackRequest())
+        first = next(paper)
+        assert isinstance(first, RunStarted)
+        assert "release" not in json.loads(first.settings)
+        status = certificate_status(
+            session.identity, StackSettings(strategy="fused"), StackRequest()
+        )
+        assert status.scope == "Only learned fusion can have one."
+    scripted = SimulatedBenchChoice(preset="bench-v1", disturbances=("tactile_left:stop@3.0",))
+    with simulated_session(scripted, keep=RecordingOptions(None)) as disturbed:
+        assert disturbed.identity.sha256 == ""

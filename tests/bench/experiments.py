@@ -16,7 +16,14 @@ import pytest
 import torch
 
 from tests.backend.simulation.one_press import CASES, RMS_LIMIT_PX, press_both_ways
-from tests.backend.simulation.release_cases import SETS, SHAPES, ask_about_shape, ask_both
+from tests.backend.simulation.release_cases import (
+    SETS,
+    SHAPES,
+    SURFACES,
+    ask_about_shape,
+    ask_about_surface,
+    ask_both,
+)
 from tests.bench.figures import Figure, at_least, at_most, failures, figure, stated
 from touchdown.backend.bench.assembly import SimulatedBenchChoice, simulated_session
 from touchdown.backend.config import ProbeSettings, SimulationSettings, load_simulation
@@ -128,10 +135,22 @@ def judge_against_engine() -> list[Figure]:
         figures.append(
             failures(f"judge against MuJoCo, {name}: beyond 0.5 mm", unlike, "cases", note)
         )
+    figures += [_judges_on_surfaces(kind) for kind in SURFACES]
     return figures
 
 
+def _judges_on_surfaces(kind: str) -> Figure:
+    asked = list(ask_about_surface(kind, SURFACE_CASES))
+    unlike = [o for o in asked if o.unlike]
+    note = f"{len(asked)} cases on all outlines, {sum(o.fallen for o in asked)} fall"
+    note += f"; {len(unlike)} disagree nearer to the edge" if unlike else ""
+    beyond = sum(o.beyond for o in asked)
+    text = f"judge against MuJoCo, {kind} faces: beyond {PAIR_BAND_MM} mm"
+    return failures(text, beyond, "cases", note)
+
+
 SHAPE_CASES = 60
+SURFACE_CASES = 200  # twenty on each outline
 TOWERS = (("short", "long"), ("short", "hex20"), ("short", "rect12x28"))
 # Four rounds of five trials for each piece and tower: 180 trials, each with its own mounting.
 TOWER_SEED, TOWER_ROUNDS, TOWER_TRIALS = 4_700_000, 4, 5

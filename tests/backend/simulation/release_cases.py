@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from touchdown.backend.config import SurfaceSettings
 from touchdown.backend.geometry import (
     Body,
     Outline,
@@ -15,8 +16,10 @@ from touchdown.backend.geometry import (
     TowerVerdict,
     judge_tower,
     outlines,
+    piece_on_surface,
     regions,
 )
+from touchdown.backend.simulation.conditions import draw_surface
 from touchdown.backend.simulation.release_mujoco import contradicts_analysis, simulate_release
 
 # number of bodies, whether the lowest is fixed, number of cases
@@ -30,6 +33,9 @@ SHAPES = {
     "star": regions.star(5, 26.0, 12.0),
     "feet": regions.feet([(9.0, 0.0), (-4.5, 7.8), (-4.5, -7.8)], 6.0),
 }
+PLAIN = (
+    outlines.circle(20.0), outlines.rectangle(12.0, 24.0), outlines.regular_polygon(3, 24.0)
+)  # fmt: skip
 CLEAR_MM = (
     0.5  # beyond this margin 0.7 s show the outcome; nearer to the edge a fall may take longer
 )
@@ -90,6 +96,36 @@ def ask_about_shape(name: str, cases: int) -> Iterator[Opinions]:
         if abs(verdict.margin_mm) > CLEAR_MM:
             found += 1
             yield Opinions(verdict, simulate_release(tower, seconds=0.7)[0])
+
+
+SURFACES = ("tilted", "stepped", "domed")
+
+
+def ask_about_surface(kind: str, cases: int) -> Iterator[Opinions]:
+    """Yield the opinions on all outlines over faces that are tilted, stepped or domed.
+
+    Each case has another outline below. Every second place is unstable.
+    """
+    rng = np.random.default_rng([21, *kind.encode()])
+    settings = SurfaceSettings.model_validate({f"{kind}_share": 1.0})
+    every = [*SHAPES.values(), *PLAIN]
+    found = 0
+    while found < cases:
+        lower, upper = every[found % len(every)], every[int(rng.integers(len(every)))]
+        surface = draw_surface(settings, max(lower.half_extents_mm), rng)
+        base = Body("base", lower, lower, 30.0, 0.0, 15.0, fixed=True, surface=surface)
+        height, (x, y) = float(rng.uniform(15.0, 50.0)), rng.uniform(-11.0, 11.0, 2).tolist()
+        lid = Body(
+            "lid", upper, upper, height, float(rng.uniform(20.0, 60.0)), height / 2,
+            com_xy_mm=(float(rng.uniform(-1.5, 1.5)), float(rng.uniform(-1.5, 1.5))),
+            at_mm=(x, y), yaw_rad=float(rng.uniform(-math.pi, math.pi)),
+        )  # fmt: skip
+        tower = Tower((base, lid))
+        if len(piece_on_surface(tower).points_mm) and judge_tower(tower, sign_only=True).stands == (
+            found % 2 == 0
+        ):
+            found += 1
+            yield Opinions(judge_tower(tower), simulate_release(tower, seconds=1.5)[0])
 
 
 def outline(rng: np.random.Generator) -> Outline:

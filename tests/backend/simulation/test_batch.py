@@ -16,17 +16,19 @@ from touchdown.backend.config import (
     PRESETS,
     ProbeSettings,
     SimulationSettings,
+    SurfaceSettings,
     bench_sha256,
     load_simulation,
 )
 from touchdown.backend.config.simulation import LATER_KEYS
+from touchdown.backend.core import InputError
 from touchdown.backend.core.marker_interpolation import fill_unseen_markers
 from touchdown.backend.experiments import tables
 from touchdown.backend.experiments.strategies import BOTTOMS, FRESH, SINGLE_BOTTOMS
 from touchdown.backend.experiments.trials import grasped_piece_in
-from touchdown.backend.geometry import Tower, face_points, load_pieces, true_patch
+from touchdown.backend.geometry import Surface, Tower, face_points, load_pieces, true_patch
 from touchdown.backend.simulation import batch as batch_module
-from touchdown.backend.simulation import conditions, gripper, marker_fields
+from touchdown.backend.simulation import conditions, gripper, marker_fields, mechanics
 from touchdown.backend.simulation.batch import (
     TARE_HEIGHT_MM,
     BatchedTrials,
@@ -491,3 +493,62 @@ def test_lost_markers_are_filled_in(monkeypatch: pytest.MonkeyPatch) -> None:
     error = (filled.observation - whole.observation)[:, :, :252]
     assert np.abs(error).max() < 1.5
     assert np.count_nonzero(np.abs(error) > 1e-4) > 0
+
+
+BENT = BENCH.model_copy(update={"surface": SurfaceSettings(tilted_share=0.5, stepped_share=0.4)})
+
+
+def bent_scene(seed: int, settings: SimulationSettings = BENT) -> Scene:
+    catalogue = load_pieces()
+    tower = Tower((catalogue.bottom("short").body(),))
+    return Scene(catalogue.top("pot"), tower, (4.0, 0.0), seed, settings)
+
+
+def test_a_scene_draws_the_face_of_its_bottom_and_nothing_else_changes() -> None:
+    surfaces = [bent_scene(seed).bottoms.bodies[-1].surface for seed in range(60)]
+    assert len(set(surfaces)) > 50
+    assert 15 < sum(bool(any(s.tilt_rad)) for s in surfaces) < 45
+    assert max(np.hypot(*s.tilt_rad) for s in surfaces) <= 0.0524
+    assert max(s.step_mm for s in surfaces) <= 1.0
+    assert sum(s.flat for s in surfaces) < 20
+    bent, flat = bent_scene(3), bent_scene(3, BENCH)
+    assert bent_scene(3) == bent
+    assert replace(bent, mounting=1).bottoms == bent.bottoms
+    assert flat.bottoms.bodies[-1].surface.flat
+    assert scene_mounting(bent) == scene_mounting(flat)
+    assert HeldPiece(bent, 0, 10.0).gripping == HeldPiece(flat, 0, 10.0).gripping
+    # A bottom with a surface of its own keeps it.
+    own = replace(flat.bottoms.bodies[-1], surface=Surface(dome_mm=300.0))
+    assert replace(bent, bottoms=Tower((own,))).bottoms.bodies == (own,)
+
+
+def test_a_bent_bottom_below_another_is_refused() -> None:
+    scene = bent_scene(3)
+    with pytest.raises(InputError, match="not flat"):
+        replace(scene, bottoms=scene.bottoms.with_top(scene.bottoms.bodies[0]))
+
+
+def test_devices_and_batch_touch_the_face_of_the_scene(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = bent_scene(3)
+    touched: list[Any] = []
+    begin = mechanics.begin_probes
+
+    def note(*args: Any, surfaces: Any = None, **rest: Any) -> Any:
+        touched.append(tuple(surfaces if surfaces is not None else args[7]))
+        return begin(*args, **({"surfaces": surfaces} if surfaces is not None else {}), **rest)
+
+    monkeypatch.setattr(mechanics, "begin_probes", note)
+    monkeypatch.setattr("touchdown.backend.simulation.batch.begin_probes", note)
+    held = HeldPiece(scene, 0, 10.0)
+    held.solve(np.array([0.0, 0.0, held.touch_height_mm]), 0.01)
+    trials = BatchedTrials([scene])
+    trials.press([0], trials.start_commands_mm())
+    assert touched == 2 * [(scene.bottoms.bodies[-1].surface,)]
+
+
+def test_every_mounting_of_a_collection_has_a_face_of_its_own() -> None:
+    made = plan(settings=BENT, grips_per_mounting=2)
+    bench = batch_module._BatchBench(made)
+    drawn = [bench.surface(grip) for grip in range(8)]
+    assert drawn[0::2] == drawn[1::2]
+    assert len(set(drawn[0::2])) == 4

@@ -9,6 +9,7 @@ import pytest
 from scipy.spatial import ConvexHull
 
 from tests.backend.simulation.conftest import RAMP, Disc, Square, drive, lattice, plain
+from touchdown.backend.geometry import FLAT, Surface
 from touchdown.backend.simulation import contact, mechanics
 from touchdown.backend.simulation.contact import RESIDUAL_LIMIT
 from touchdown.backend.simulation.mechanics import GraspHistory, advance_probes, begin_probes
@@ -330,3 +331,35 @@ def test_sideways_drag_in_contact_meets_friction(press, shapes) -> None:
         state, dragged = advance_probes(state, np.array([[x, 0.0, -1.5]]), 0.1)
     force = dragged.wrench_g[0]
     assert force[0] == pytest.approx(-0.4 * force[2], rel=1e-6)
+
+
+def gaps(offset_mm, surface: Surface, **changes):
+    made = plain(1, 33.0, **changes)
+    state = begin_probes(POINTS, Disc(60), np.array([offset_mm]), made, surfaces=[surface])
+    return state.cells.gap_mm[0]
+
+
+def test_a_tilted_support_is_felt_as_the_opposite_tilt_of_the_piece() -> None:
+    tilted = gaps((4.0, -3.0), Surface(tilt_rad=(0.02, -0.01)))
+    np.testing.assert_allclose(
+        tilted, gaps((4.0, -3.0), FLAT, tilt_rad=(-0.02, 0.01)), rtol=0.0, atol=1e-12
+    )
+
+
+def test_a_step_and_a_dome_lie_where_the_support_is() -> None:
+    at = POINTS + np.array([4.0, -3.0])
+    step = gaps((4.0, -3.0), Surface(step_mm=0.4, step_line=(np.pi / 2, 0.5)))
+    np.testing.assert_allclose(step, np.where(at[:, 1] >= 0.5, 0.0, -0.4), atol=1e-12)
+    dome = gaps((4.0, -3.0), Surface(dome_mm=200.0))
+    np.testing.assert_allclose(dome, -(at**2).sum(axis=1) / 400.0, atol=1e-12)
+
+
+def test_the_pressure_is_on_the_higher_part_and_near_the_apex() -> None:
+    made = plain(3, 33.0)
+    surfaces = [FLAT, Surface(step_mm=0.5, step_line=(0.0, 6.5)), Surface(dome_mm=200.0)]
+    state = begin_probes(POINTS, Disc(60), np.full((3, 2), (4.0, 0.0)), made, surfaces=surfaces)
+    _, solved = drive(state, [0.1, 0.2, 0.3])
+    flat, step, dome = solved[-1].cop_mm[:, 0]
+    assert flat == pytest.approx(0.0, abs=0.3)
+    assert step > 1.9
+    assert dome < flat - 0.5

@@ -11,11 +11,26 @@ import pytest
 
 from tests.backend.bench.brisk import brisk_bench, brisk_method
 from tests.backend.simulation.conftest import Disc, lattice, plain
-from tests.backend.simulation.release_cases import SETS, SHAPES, ask_about_shape, ask_both
+from tests.backend.simulation.release_cases import (
+    SETS,
+    SHAPES,
+    SURFACES,
+    ask_about_shape,
+    ask_about_surface,
+    ask_both,
+)
 from touchdown.backend.bench.assembly import simulated_session
 from touchdown.backend.config.method import ProbeSettings
 from touchdown.backend.core import Event, InputError, OnsetRule, Outcome, TrialFinished
-from touchdown.backend.geometry import Body, Tower, TowerVerdict, judge_tower, load_pieces, outlines
+from touchdown.backend.geometry import (
+    Body,
+    Surface,
+    Tower,
+    TowerVerdict,
+    judge_tower,
+    load_pieces,
+    outlines,
+)
 from touchdown.backend.runs import StackRequest, messages
 from touchdown.backend.simulation import ground_truth
 from touchdown.backend.simulation.gripper import (
@@ -302,6 +317,30 @@ def test_a_piece_over_the_hole_of_a_ring_stands() -> None:
         tower = Tower((ring, pot.body((x_mm, 0.0))))
         assert judge_tower(tower).stands == stands
         assert simulate_release(tower)[0] != stands
+
+
+@needs
+@pytest.mark.parametrize("kind", SURFACES)
+def test_both_judges_agree_on_faces_that_are_not_flat(kind: str) -> None:
+    asked = list(ask_about_surface(kind, 4))
+    assert not any(opinions.beyond for opinions in asked), asked
+
+
+@needs
+def test_a_piece_turns_onto_a_tilted_face_and_rolls_on_a_dome() -> None:
+    lid, base = outlines.circle(15.0), outlines.circle(20.0)
+    for surface, turn_rad in (
+        (Surface(tilt_rad=(0.0, 0.04)), 0.04),
+        (Surface(dome_mm=200.0), 4.0 / (200.0 - 20.0)),
+    ):
+        tower = Tower((
+            Body("board", base, base, 20.0, 0.0, 10.0, fixed=True, surface=surface),
+            Body("lid", lid, lid, 40.0, 40.0, 20.0, at_mm=(4.0, 0.0)),
+        ))  # fmt: skip
+        fallen, motion = simulate_release(tower)
+        assert not fallen
+        assert motion.pose[0, 1, 3] == 1.0
+        assert 2.0 * np.arccos(motion.pose[-1, 1, 3]) == pytest.approx(turn_rad, abs=0.004)
 
 
 @needs

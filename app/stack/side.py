@@ -34,6 +34,7 @@ from touchdown.widgets.views import (
 
 HOLD_S = 3.0  # time for which the end of a release stays visible, also into the next trial
 EVERY = 2  # draw every second tick: 15 pictures a second look smooth
+PROFILE_POINTS = 41  # of an upper face that is not flat
 
 
 class SideViewPresenter:
@@ -179,7 +180,19 @@ class SideViewPresenter:
         for piece in reversed(pieces):
             half = piece.face.half_extents_mm[0]
             top_mm -= piece.height_mm
-            bodies.append(SideBody(piece.name, half, half, piece.height_mm, 0.0, top_mm))
+            profile = _profile_mm(piece, half)
+            bodies.append(
+                SideBody(piece.name, half, half, piece.height_mm, 0.0, top_mm, UPRIGHT, profile)
+            )
         self._bottoms, self._table_mm = tuple(reversed(bodies)), top_mm
         titles = [p.title for p in reversed(pieces)]
         self._names = " on ".join([self._piece.title, *titles] if self._piece else titles)
+
+
+def _profile_mm(piece: Piece, half_mm: float) -> tuple[tuple[float, float], ...]:
+    """Return the heights of a bottom that is not flat, along x through its centre."""
+    if piece.surface.flat:
+        return ()
+    x = np.linspace(-half_mm, half_mm, PROFILE_POINTS)
+    heights = piece.surface.heights_mm(np.column_stack([x, np.zeros_like(x)]))
+    return tuple(zip(x.tolist(), heights.tolist(), strict=True))

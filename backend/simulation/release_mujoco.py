@@ -23,6 +23,7 @@ from touchdown.backend.geometry import (
     Body,
     Outline,
     Point,
+    Surface,
     Tower,
     TowerVerdict,
     convex_cells,
@@ -181,7 +182,11 @@ def _body_xml(body: Body, below: Body | None, tag: str, height_mm: float, meshes
         parts.append(_spheres_xml(contact_corners(body, below), SPHERE_RADIUS_MM))
     if body.upper is not None and not body.surface.flat:
         parts.append(shape_xml(body.lower, 0.0, body.height_mm / 2, f"{tag}l", meshes))
-        parts.append(_surface_xml(body, tag, meshes))
+        parts.append(surface_prisms_xml(body, tag, meshes))
+        parts += [
+            _spheres_xml([(x, y)], body.height_mm + z - SPHERE_RADIUS_MM)
+            for x, y, z in surface_points(body.upper, body.surface).tolist()
+        ]
     elif body.upper is None or body.upper == body.lower:
         parts.append(shape_xml(body.lower, 0.0, body.height_mm, tag, meshes))
     else:
@@ -200,31 +205,39 @@ def _body_xml(body: Body, below: Body | None, tag: str, height_mm: float, meshes
     return f'<body pos="{at}" quat="{quat}">{free}{"".join(parts)}</body>'
 
 
-def _surface_xml(body: Body, tag: str, meshes: list[str]) -> str:
-    """Return the upper half of a body whose upper face is not flat: prisms, and spheres on them."""
+def surface_points(outline: Outline, surface: Surface) -> FloatArray:
+    """Return the points (n, 3) that stand for a face that is not flat: edges, and a dome."""
+    found = []
+    for part, lift_mm in step_levels(geometry_of(outline), surface):
+        points, heights = _on_level(part, surface)
+        found.append(np.column_stack([points, heights + lift_mm]))
+    return np.concatenate(found)
+
+
+def _on_level(part: Any, surface: Surface) -> tuple[FloatArray, FloatArray]:
+    points = spread_points(part, EDGE_MM, inside=bool(surface.dome_mm))
+    return points, replace(surface, step_mm=0.0).heights_mm(points)
+
+
+def surface_prisms_xml(body: Body, tag: str, meshes: list[str]) -> str:
+    """Return the upper half of a body whose upper face is not flat, as prisms.
+
+    They are added to ``meshes`` under names that begin with ``tag``.
+    """
     assert body.upper is not None
-    level, found = replace(body.surface, step_mm=0.0), []
-    for part, lift_mm in step_levels(geometry_of(body.upper), body.surface):
-        points = spread_points(part, EDGE_MM, inside=bool(body.surface.dome_mm))
-        found.append(np.column_stack([points, level.heights_mm(points) + lift_mm]))
     geoms = []
     for number, cell in enumerate(convex_cells(body.upper)):
         for part, lift_mm in step_levels(polygon_of(cell), body.surface):
-            top = spread_points(part, EDGE_MM, inside=bool(body.surface.dome_mm))
+            top, heights = _on_level(part, body.surface)
             if not len(top):
                 continue
-            high = body.height_mm + level.heights_mm(top) + lift_mm
-            corners = [(x, y, body.height_mm / 2) for x, y in top.tolist()]
-            corners += np.column_stack([top, high]).tolist()
+            ends = np.full(len(top), body.height_mm / 2), body.height_mm + heights + lift_mm
+            corners = np.concatenate([np.column_stack([top, end]) for end in ends]).tolist()
             name = f"{tag}u{number}{'h' if lift_mm else ''}"
             places = " ".join(format_metres(*corner) for corner in corners)
             meshes.append(f'<mesh name="{name}" vertex="{places}"/>')
             geoms.append(f'<geom type="mesh" mesh="{name}"/>')
-    spheres = "".join(
-        _spheres_xml([(x, y)], body.height_mm + z - SPHERE_RADIUS_MM)
-        for x, y, z in np.concatenate(found).tolist()
-    )
-    return "".join(geoms) + spheres
+    return "".join(geoms)
 
 
 def format_metres(*lengths_mm: float) -> str:

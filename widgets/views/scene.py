@@ -27,6 +27,8 @@ class SideBody:
 
     ``face_mm``: half width of the lower face, ``top_mm``: half width above it. ``turn``: rotation
     about that centre, as a quaternion w x y z.
+    ``profile_mm``: points (x, height above the nominal one) of an upper face that is not flat, from
+    left to right.
     """
 
     name: str
@@ -36,9 +38,14 @@ class SideBody:
     x_mm: float
     z_mm: float
     turn: Quaternion = UPRIGHT
+    profile_mm: tuple[tuple[float, float], ...] = ()
 
     def outlines_mm(self) -> tuple[FloatArray, ...]:
-        """Return the outlines of upper part and foot, convex (k, 2)."""
+        """Return the outlines of upper part and foot (k, 2)."""
+        if self.profile_mm:
+            top = [(x, 0.0, self.height_mm + rise) for x, rise in reversed(self.profile_mm)]
+            ring = np.array([(-self.face_mm, 0.0, 0.0), (self.face_mm, 0.0, 0.0), *top])
+            return (ring @ rotation(self.turn)[[0, 2]].T + (self.x_mm, self.z_mm),)
         if self.top_mm == self.face_mm:
             return (self._seen(self.face_mm, 0.0, self.height_mm),)
         foot = min(0.2 * self.height_mm, 6.0)

@@ -18,15 +18,18 @@ import numpy as np
 
 from touchdown.backend.config import SupportSettings
 from touchdown.backend.core import FloatArray
-from touchdown.backend.geometry import Outline, Piece, Tower
+from touchdown.backend.geometry import FLAT, Outline, Piece, Surface, Tower
 from touchdown.backend.simulation.conditions import Conditions
 from touchdown.backend.simulation.release_mujoco import (
+    EDGE_MM,
     format_metres,
     import_mujoco,
     inertia_xml,
     perimeter_mm,
     rim_points,
     shape_xml,
+    surface_points,
+    surface_prisms_xml,
 )
 
 STEP_S = 0.002
@@ -90,10 +93,17 @@ class _SphereContact:
     mu: float
     foundation_n_mm3: float
 
-    def rim_xml(self, outline: Outline, height_mm: float, count: int) -> str:
-        """Return spheres along ``outline`` with their centres at ``height_mm``."""
-        points = rim_points(outline, count)
+    def rim_xml(
+        self, outline: Outline, height_mm: float, count: int, surface: Surface = FLAT
+    ) -> str:
+        """Return spheres along ``outline`` with their centres at ``height_mm``.
+
+        A surface that is not flat has them along its step and all over its dome as well.
+        """
+        points = [(x, y, 0.0) for x, y in rim_points(outline, count)]
         share_mm = perimeter_mm(outline) / len(points)
+        if not surface.flat:
+            points, share_mm = list(map(tuple, surface_points(outline, surface).tolist())), EDGE_MM
         stiffness_n_m = 1e3 * RIM_SHARE_MM * self.foundation_n_mm3 * share_mm
         k = stiffness_n_m * MOBILITY_1_KG * (1.0 - IMPEDANCE) / IMPEDANCE
         how = (
@@ -101,7 +111,8 @@ class _SphereContact:
             f'friction="{self.mu!r} {self.mu * TORSION_MM * 1e-3!r} 0"'
         )
         return "".join(
-            f'<geom class="rim" pos="{format_metres(x, y, height_mm)}" {how}/>' for x, y in points
+            f'<geom class="rim" pos="{format_metres(x, y, height_mm + z)}" {how}/>'
+            for x, y, z in points
         )
 
 
@@ -136,9 +147,12 @@ def build_model(
         joint = f"<freejoint/>{inertia_xml(body)}" if moves else ""
         upper = face if body is bottoms.bodies[-1] else foot
         outline = body.upper or body.lower
-        inside = shape_xml(outline, 0.0, body.height_mm, f"b{k}", meshes)
+        if body.surface.flat:
+            inside = shape_xml(outline, 0.0, body.height_mm, f"b{k}", meshes)
+        else:
+            inside = surface_prisms_xml(body, f"b{k}", meshes)
         inside += foot.rim_xml(body.lower, SPHERE_MM, FOOT_SPHERES)
-        inside += upper.rim_xml(outline, body.height_mm - SPHERE_MM, RIM_SPHERES)
+        inside += upper.rim_xml(outline, body.height_mm - SPHERE_MM, RIM_SPHERES, body.surface)
         parts.append(f'<body pos="{format_metres(*at)}" {quat}>{joint}{inside}</body>')
         height_mm += body.height_mm
     model = mujoco.MjModel.from_xml_string(

@@ -43,6 +43,7 @@ from touchdown.backend.simulation.ground_truth import Scene
 from touchdown.backend.simulation.marker_fields import Gel
 from touchdown.backend.simulation.mechanics import SIGN, GraspHistory, elastic_zero
 from touchdown.backend.simulation.pressing import MAX_CYCLES, PressCourse, Timeline, air_samples
+from touchdown.backend.simulation.release_mujoco import surface_points
 from touchdown.backend.simulation.second_world.model import (
     HAND_JOINTS,
     HELD_JOINTS,
@@ -345,6 +346,9 @@ class SecondWorldTrials(BatchedTrials):
             mounted = build_model(first.piece, self.bottoms[trial], own, true[k], settings.support)
             pads = CreepingPads(own, before[k])
             high_mm = START_CLEARANCE_MM + float(np.hypot(*own.tilt_rad[0])) * reach_mm
+            surface = self.bottoms[trial].bodies[-1].surface
+            if not surface.flat:
+                high_mm += max(0.0, float(surface_points(first.surface, surface)[:, 2].max()))
             high_mm += self._probe.approach_mm_s * noise[k].phase_s
             press = SecondWorldPress(mounted, pads, own, self._probe)
             pressed.append(

@@ -20,6 +20,7 @@ from touchdown.backend.core.events import (
     TrialStarted,
 )
 from touchdown.backend.core.values import Fall, Outcome
+from touchdown.backend.geometry import Surface, load_pieces
 from touchdown.backend.runs.requests import RunState, StackRequest
 from touchdown.widgets.base import Panel, Theme
 from touchdown.widgets.views.scene import UPRIGHT, SideBody, SideView
@@ -42,6 +43,14 @@ def test_a_fall_towards_the_viewer_shows_the_round_end():
     turn = (np.cos(np.pi / 4), np.sin(np.pi / 4), 0.0, 0.0)
     above, _ = SideBody("pot", 7.5, 15.0, 38.0, 0.0, 0.0, turn).outlines_mm()
     assert np.hypot(*above.T) == pytest.approx(15.0, abs=1e-4)
+
+
+def test_a_bottom_that_is_not_flat_shows_the_profile_of_its_face(seen):
+    bent = replace(load_pieces().bottom("short"), surface=Surface(step_mm=0.8))
+    seen.side._stand_on([bent])
+    (outline,) = seen.side._bottoms[0].outlines_mm()
+    assert outline[:, 1].max() == pytest.approx(0.8)
+    assert outline[outline[:, 0] < -0.6, 1].max() == pytest.approx(0.0)
 
 
 def fall():

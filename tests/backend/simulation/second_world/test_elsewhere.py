@@ -2,12 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.optimize import brentq
 
 from touchdown.backend.config import ProbeSettings, SimulationSettings, load_simulation
-from touchdown.backend.geometry import Tower, contact_edges, load_pieces, signed_distances_mm
+from touchdown.backend.geometry import (
+    FLAT,
+    Surface,
+    Tower,
+    contact_edges,
+    load_pieces,
+    signed_distances_mm,
+)
 from touchdown.backend.simulation import Conditions, Scene, mujoco_available, onset_rule
 from touchdown.backend.simulation.second_world.model import (
     HAND_JOINTS,
@@ -131,6 +140,28 @@ def test_the_resultant_stays_in_the_hull_of_the_contact(
     hull = contact_edges(world.scenes[0].piece.face, at, 0.0, world.scenes[0].surface)
     assert f_z > 5.0
     assert float(signed_distances_mm(cop + at, hull)) > -0.1
+
+
+@pytest.mark.parametrize(
+    ("surface", "low_mm", "high_mm"),
+    [
+        (FLAT, -0.3, 0.3),
+        (Surface(tilt_rad=(0.0, -0.03)), 1.0, 7.5),  # rises along x
+        (Surface(step_mm=0.5, step_line=(0.0, 3.0)), 2.9, 7.5),
+        (Surface(dome_mm=200.0), -0.3, 0.3),
+    ],
+)
+def test_a_face_that_is_not_flat_is_pressed_where_it_is_high(
+    surface: Surface, low_mm: float, high_mm: float
+) -> None:
+    world = bench()
+    body = replace(world.bottoms[0].bodies[0], surface=surface)
+    world.bottoms[0] = Tower((body,))
+    mounted = world.mounted((0.0, 0.0))
+    lowered(mounted, 1.5)
+    f_x, _, f_z, _, m_y, _ = mounted.wrench_g()
+    assert f_z > 5.0
+    assert low_mm < -(m_y + 33.0 * f_x) / f_z < high_mm
 
 
 @pytest.mark.parametrize("along", [0, 1])

@@ -146,7 +146,7 @@ def test_the_resultant_stays_in_the_hull_of_the_contact(
     ("surface", "low_mm", "high_mm"),
     [
         (FLAT, -0.3, 0.3),
-        (Surface(tilt_rad=(0.0, -0.03)), 1.0, 7.5),  # rises along x
+        (Surface(tilt_rad=(0.0, -0.03)), 1.0, 8.0),  # rises along x, to the rim at 7.5
         (Surface(step_mm=0.5, step_line=(0.0, 3.0)), 2.9, 7.5),
         (Surface(dome_mm=200.0), -0.3, 0.3),
     ],

@@ -78,6 +78,14 @@ def test_no_value_ever_changes(name: str) -> None:
     assert f"`{VALUES[name]}`" in Path(f"docs/{name}.md").read_text("utf-8")
 
 
+def test_bench_v2_has_a_variant_with_faces_that_are_not_flat() -> None:
+    uneven = load_simulation(Path(str(BENCHES / "bench-v2-surfaces.toml")))
+    sha256 = "5abbe7ba9b9cfd3ff86cd6fb6d311de43f0269e49e15a669861c55e44054363d"
+    assert bench_sha256(uneven) == sha256
+    assert f"`{sha256}`" in Path("docs/bench-v2.md").read_text("utf-8")
+    assert uneven.model_copy(update={"surface": SECOND.surface}) == SECOND
+
+
 @pytest.mark.parametrize("name", VALUES)
 def test_every_value_is_written_out_so_that_no_default_reaches_it(name: str) -> None:
     written = tomllib.loads((BENCHES / f"{name}.toml").read_text("utf-8"))

@@ -6,6 +6,7 @@ import argparse
 import getpass
 import sys
 from contextlib import ExitStack
+from importlib.resources import files
 from pathlib import Path
 
 from touchdown.backend.annotations import Dataset, EpisodeFilter
@@ -29,7 +30,7 @@ from touchdown.backend.cli.output import (
     progress_lines,
     require_positive,
 )
-from touchdown.backend.config import CollectSettings, StackSettings
+from touchdown.backend.config import CollectSettings, RecordingPlan, StackSettings, read_settings
 from touchdown.backend.core import (
     CampaignBegan,
     Event,
@@ -62,7 +63,10 @@ MAX_LISTED = 12  # printed findings; ``--json`` contains all
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
     add_scene_arguments(parser, BOTTOM, "bottom piece")
-    parser.add_argument("--count", type=int, default=20, help="probes to collect")
+    parser.add_argument("--count", type=int, help="probes to collect (default: 20)")
+    parser.add_argument(
+        "--plan", metavar="PLAN", help="recording for identify: rest, gel, contact, or a TOML file"
+    )
     parser.add_argument("--pattern", choices=("random", "grid", "adaptive"), default="random")
     parser.add_argument("--within", type=float, metavar="MM", help="largest displacement in x, y")
     parser.add_argument("--seed", type=int, help="of the displacements (default: a new one)")
@@ -96,6 +100,7 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     require_positive(args, "probes_per_grip", "grips_per_mounting")
     refuse_misplaced_arguments(args)
     fill_in_scene(args, BOTTOM)
+    plan = _plan(args)
     # A real bench has no jig: the operator hands the piece over.
     args.hand_over |= at_lab(args)
     refuse_hidden_prompt(args, screen)
@@ -108,7 +113,7 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     ) as dataset:
         for notice in dataset.notices:
             screen.say(notice)
-        request = _request(args, dataset, person)
+        request = _request(args, plan, dataset, person)
 
         def prepare(session: Session) -> CollectRequest:
             session.dataset = dataset
@@ -167,13 +172,34 @@ class _CollectionProgress(RunProgress):
                 self._engine.cancel()
 
 
-def _request(args: argparse.Namespace, dataset: Dataset, person: str) -> CollectRequest:
+PLANS = Path(str(files("touchdown.resources"))) / "recordings"
+
+
+def _plan(args: argparse.Namespace) -> RecordingPlan | None:
+    """Return the recording plan; other arguments override its numbers of probes and grips."""
+    if args.plan is None:
+        args.count = 20 if args.count is None else args.count
+        return None
+    shipped = PLANS / f"{args.plan}.toml"
+    plan = read_settings(RecordingPlan, shipped if shipped.is_file() else Path(args.plan))
+    for name in ("count", "probes_per_grip", "grips_per_mounting"):
+        if getattr(args, name) is None:
+            setattr(args, name, getattr(plan, name))
+    args.within = plan.within_mm if args.within is None else args.within
+    return plan
+
+
+def _request(
+    args: argparse.Namespace, plan: RecordingPlan | None, dataset: Dataset, person: str
+) -> CollectRequest:
     campaign = newest_campaign(dataset.folder) if args.resume else ""
     if campaign is None:
         raise InputError(
             "This dataset has no campaign.", str(dataset.folder), "Collect without --resume."
         )
+    named = {"stage", "rest_s", "depth_mm", "ramp_fraction", "grip_force_n"}
     return CollectRequest(
+        **({} if plan is None else plan.model_dump(include=named)),
         piece=args.piece,
         bottom=args.bottom,
         count=args.count,

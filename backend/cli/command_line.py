@@ -32,6 +32,7 @@ VERBS = {
     "demo": "stack three pieces without a window and write a report",
     "calibrate": "calibrate payload, board, tool, wrist and cameras, or show the status",
     "collect": "collect labelled probes into a dataset",
+    "identify": "identify a bench from recordings, and write it as a bench file with a report",
     "dataset": "show, check, back up, rebuild and merge datasets",
     "piece": "add a piece from a CAD file, list the known pieces, or show one",
     "export": "export episodes and labels to the format of another program",

@@ -30,6 +30,7 @@ from .method import PolicySettings as PolicySettings
 from .method import Positive as Positive
 from .method import Probability as Probability
 from .method import ProbeSettings as ProbeSettings
+from .method import RecordingPlan as RecordingPlan
 from .method import Settings as Settings
 from .method import StabilitySettings as StabilitySettings
 from .method import StackSettings as StackSettings
@@ -75,6 +76,7 @@ __all__ = [
     "Positive",
     "Probability",
     "ProbeSettings",
+    "RecordingPlan",
     "Settings",
     "SimulationSettings",
     "SpreadSettings",

@@ -274,6 +274,25 @@ class CollectSettings(Settings):
     origin_sigma_mm: Sigma = 0.1
 
 
+class RecordingPlan(Settings):
+    """A recording for ``touchdown identify``: the probes of one campaign, and time at rest before.
+
+    ``stage``: what the recording serves; ``note``: what it needs of the bench. ``rest_s``: the held
+    piece hangs still in air for this long before the first probe of each mounting.
+    """
+
+    stage: Literal["rest", "gel", "contact"]
+    note: str = ""
+    count: Annotated[int, Field(ge=1, le=100_000)] = 54
+    probes_per_grip: Annotated[int, Field(ge=1, le=100_000)] = 6
+    grips_per_mounting: Annotated[int, Field(ge=1, le=100_000)] = 3
+    within_mm: Travel | None = None
+    rest_s: Annotated[float, Field(ge=0, le=3600)] = 0.0
+    depth_mm: Travel | None = None  # None: as in the settings of the method
+    ramp_fraction: Probability | None = None
+    grip_force_n: Force | None = None
+
+
 class StackSettings(Settings):
     """Settings of the stacking loop, recorded with every run.
 

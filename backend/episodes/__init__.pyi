@@ -1,3 +1,4 @@
+from .episode_mcap import REST_KEY as REST_KEY
 from .episode_mcap import START_KEY as START_KEY
 from .episode_mcap import CompressedEpisode as CompressedEpisode
 from .episode_mcap import CompressedImages as CompressedImages
@@ -49,6 +50,7 @@ __all__ = [
     "LABEL_TOPIC",
     "MIN_MOUNTINGS",
     "OBSERVATION_TOPIC",
+    "REST_KEY",
     "START_KEY",
     "CompressedEpisode",
     "CompressedImages",

@@ -117,6 +117,7 @@ def decode_image(data: bytes) -> ImageArray:
 
 
 SCHEMA_VERSION = "1"
+REST_KEY = "rest"  # pair of an episode that was recorded at rest, without a press
 START_KEY = "clock_start_ns"  # wall clock at the zero of the bench clock, ns since 1970
 TOPICS = (
     OBSERVATION_TOPIC,

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
         domain_shift,
         evaluation,
         fusion,
+        identification_report,
         job_kinds,
         models,
         results,

@@ -37,6 +37,7 @@ from .fusion import WEIGHTS as WEIGHTS
 from .fusion import FusionRecipe as FusionRecipe
 from .fusion import threshold_counts as threshold_counts
 from .fusion import threshold_jobs as threshold_jobs
+from .identification_report import identification_page as identification_page
 from .job_kinds import KINDS as KINDS
 from .models import adopt_models as adopt_models
 from .models import keep_models as keep_models
@@ -117,6 +118,7 @@ __all__ = [
     "comparison_tables",
     "decided_strategies",
     "evidence",
+    "identification_page",
     "job_effort",
     "keep_models",
     "labelled_trials",

@@ -285,6 +285,41 @@ def paired_traces(first: FloatArray, second: FloatArray, title: str, unit: str) 
     return _frame(title, axis_line + "".join(lines) + note)
 
 
+def curves_chart(
+    title: str, x: FloatArray, curves: Mapping[str, FloatArray], note: str, *, log: bool = False
+) -> str:
+    """Return named ``curves`` (n,) over ``x`` (n,), on logarithmic axes if ``log``.
+
+    Colours go by their order: blue, orange, violet. ``note``: units of the axes.
+    """
+
+    def scaled(values: FloatArray) -> FloatArray:
+        return np.log10(np.maximum(values, 1e-30)) if log else values
+
+    across = scaled(x)
+    heights = {name: scaled(np.asarray(values)) for name, values in curves.items()}
+    low = min(float(np.nanmin(h)) for h in heights.values())
+    high = max(float(np.nanmax(h)) for h in heights.values())
+    width, height = max(float(np.ptp(across)), 1e-12), max(high - low, 1e-12)
+    lines = []
+    for k, ((name, values), colour) in enumerate(
+        zip(heights.items(), (BLUE, ORANGE, VIOLET), strict=False)
+    ):
+        points = " ".join(
+            f"{_unit((a - across[0]) / width):.1f},{_unit(1.0 - (v - low) / height):.1f}"
+            for a, v in zip(across, values, strict=True)
+            if np.isfinite(v)
+        )
+        lines.append(f'<polyline points="{points}" fill="none" stroke="{colour}"/>')
+        lines.append(
+            f'<text x="{PAD}" y="{28 + 11 * k}" font-size="9" fill="{colour}">{escape(name)}</text>'
+        )
+    ends = [f"{10.0**v if log else v:.3g}" for v in (low, high)]
+    axis = f'<path d="M{PAD} {PAD}V{SIDE - PAD}H{SIDE - PAD}" stroke="{FAINT}" fill="none"/>'
+    ticks = _text(PAD - 14, SIDE - PAD, ends[0]) + _text(PAD - 14, PAD, ends[1])
+    return _frame(title, axis + "".join(lines) + ticks + _text(SIDE / 2, SIDE - 8, note))
+
+
 def _x(mm: float, reach_mm: float) -> float:
     return _unit(0.5 + 0.5 * mm / reach_mm)
 

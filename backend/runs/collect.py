@@ -141,7 +141,7 @@ def _mountings(
     planned_displacement_mm(campaign.pattern, target, campaign.seed, 0, campaign.count, seen)
     collector = Collector(campaign, recorder, session.decisions, seen, entries)
     collector.ask, collector.check_origin = request.ask, request.check_origin
-    collector.hand_over = request.hand_over
+    collector.hand_over, collector.rest_s = request.hand_over, request.rest_s
     begun = PlanEnd(NEW_MOUNTING)
     if campaign.mountings and _by_hand(request, bench):
         # Only a mounting fitted by hand may be continued.
@@ -283,6 +283,8 @@ def _context(
             "run": session.run_id,
             "origin": json.dumps(calibration),
             "facts": session.description.model_dump_json(),
+            "probe": bench.settings.probe.model_dump_json(),
+            "stage": request.stage,
             START_KEY: str(bench.started_ns),
         },
     )

@@ -15,7 +15,14 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.backend.annotations import Dataset, EpisodeContext, EpisodeEntry, Label, with_uuid
+from touchdown.backend.annotations import (
+    NO_LABEL,
+    Dataset,
+    EpisodeContext,
+    EpisodeEntry,
+    Label,
+    with_uuid,
+)
 from touchdown.backend.calibration import HandPosition
 from touchdown.backend.config import CollectSettings
 from touchdown.backend.core import (
@@ -36,7 +43,7 @@ from touchdown.backend.core import (
     RefusedError,
     Said,
 )
-from touchdown.backend.episodes import Coverage
+from touchdown.backend.episodes import REST_KEY, Coverage, KeepFrames
 from touchdown.backend.runs import messages
 from touchdown.backend.runs.bench import Bench, PressedProbe
 from touchdown.backend.runs.campaign import Campaign, ProbeTarget, planned_displacement_mm, xy_mm
@@ -54,6 +61,7 @@ from touchdown.backend.runs.motions import (
     move_to,
     wait,
     wait_while_writing,
+    zero_sensors,
 )
 from touchdown.backend.runs.plan import PausePoint, Plan, Wait
 from touchdown.backend.runs.probe import press_once, scene_pictures
@@ -67,9 +75,11 @@ from touchdown.backend.runs.recorder import (
     wait_for_space,
 )
 from touchdown.backend.runs.touch_probing import RESOLUTION_MM, edge_mm, find_height
-from touchdown.backend.sensing import EpisodeLimits
+from touchdown.backend.sensing import EpisodeLimits, assemble_episode
 
 MEASURED = "measured"
+REST_BLOCK_S = 5.0  # length of an episode at rest; the streams hold 7.7 s of images
+AT_REST = "Rest in air, no press"
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,12 +136,23 @@ class EpisodeRecorder(DiskWriter[EpisodeEntry]):
         super().__init__("collect-writer")
         self.dataset = dataset
 
-    def record(self, episode: Episode, label: Label, context: EpisodeContext) -> None:
+    def record(
+        self,
+        episode: Episode,
+        label: Label,
+        context: EpisodeContext,
+        keep_frames: KeepFrames = "jpeg95_444",
+    ) -> None:
         """Start to write an episode; the previous one must be settled."""
         # The id is fixed here, so that a repeated write makes the same file.
         self.begin(
             partial(
-                self.dataset.record, with_uuid(episode), label, source=MEASURED, context=context
+                self.dataset.record,
+                with_uuid(episode),
+                label,
+                source=MEASURED,
+                context=context,
+                keep_frames=keep_frames,
             )
         )
 
@@ -189,6 +210,7 @@ class Collector:
         self.todo: deque[int] = deque(campaign.todo(entries))
         self.done: int = sum(e.quality.accepted and not e.deleted for e in entries)
         self.ask = self.check_origin = self.hand_over = False
+        self.rest_s = 0.0
         self._rejected: Counter[int] = Counter()
         self._probes = 0
         self._pending: _PendingEpisode | None = None
@@ -222,6 +244,8 @@ class Collector:
             if self.check_origin and grip == first:
                 context = yield from self._checked(bench, origin, context)
             held = replace(context, grip_id=f"{context.mounting_id}/grip-{grip}")
+            if self.rest_s and grip == first:
+                yield from self._rest(bench, held)
             yield from self._grip(bench, target, origin, held)
             yield from return_piece(bench)
             yield from self._settled(bench)
@@ -288,6 +312,29 @@ class Collector:
         yield Said(bench.now_s(), f"{felt} (s.d. {check.sigma_mm:.2f}){fix}")
         found = {"residual_mm": [x_mm, y_mm], "sigma_mm": check.sigma_mm}
         return replace(context, bench={**context.bench, "origin_check": json.dumps(found)})
+
+    def _rest(self, bench: Bench, context: EpisodeContext) -> Plan[None]:
+        """Record the held piece at rest in air, in blocks; they belong to no campaign."""
+        yield from self._settled(bench)
+        yield from zero_sensors(bench, self._probes)
+        yield Said(bench.now_s(), f"Recording {self.rest_s:g} s at rest; do not touch the bench.")
+        context = replace(context, campaign="", plan_item=None)
+        end_s = bench.now_s() + self.rest_s
+        while bench.now_s() < end_s:
+            yield PausePoint()
+            yield from wait_for_space(lambda: no_space_fault(self.recorder.dataset.folder))
+            start_s = bench.now_s()
+            yield from wait(bench, min(REST_BLOCK_S, end_s - start_s))
+            block = assemble_episode(
+                bench.sensing.recording(start_s, bench.now_s()),
+                onset_s=start_s,
+                offset_mm=np.zeros(2),
+                piece=bench.piece.name,
+                metadata=((REST_KEY, "air"),),
+            )
+            still = replace(block.quality, accepted=False, reasons=(AT_REST,), slip_mm=0.0)
+            self.recorder.record(replace(block, quality=still), NO_LABEL, context, "png")
+            yield from self._durable(bench, waits=True)
 
     # -- inside -----------------------------------------------------------------------------------
 

@@ -145,6 +145,13 @@ class CollectRequest:
     hand_over : bool, default: False
         The operator hands the piece to the gripper and refits each mounting, as on every bench
         without a taught jig.
+    stage : str, optional
+        Stage of an identification that the recording serves; stored with every episode.
+    rest_s : float, default: 0
+        Time at rest in air with the held piece before the first probe of each mounting, recorded
+        with lossless images.
+    depth_mm, ramp_fraction, grip_force_n : float, optional
+        Settings of the press in place of those of the method.
 
     Examples
     --------
@@ -168,6 +175,11 @@ class CollectRequest:
     probes_per_grip: int | None = None
     grips_per_mounting: int | None = None
     hand_over: bool = False
+    stage: str = ""
+    rest_s: float = 0.0
+    depth_mm: float | None = None
+    ramp_fraction: float | None = None
+    grip_force_n: float | None = None
 
     def method(self, base: StackSettings) -> StackSettings:
         """Return ``base`` with the settings of this run."""
@@ -178,7 +190,14 @@ class CollectRequest:
             in_all = -(-self.count // probes)
             grips = min(most.grips_per_mounting, max(1, in_all // MOUNTINGS))
         limits = {"probes_per_grip": probes, "grips_per_mounting": grips}
-        return base.model_copy(update={"collect": most.model_copy(update=limits)})
+        names = ("depth_mm", "ramp_fraction", "grip_force_n")
+        press = {n: value for n in names if (value := getattr(self, n)) is not None}
+        return base.model_copy(
+            update={
+                "collect": most.model_copy(update=limits),
+                "probe": base.probe.model_copy(update=press),
+            }
+        )
 
     def scene(self, mounting: int = 0) -> SceneChoice:
         """Return the scene of a mounting: the piece in its jig, no model."""

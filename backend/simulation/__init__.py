@@ -20,6 +20,7 @@ if TYPE_CHECKING:
         staged_release,
         supports,
         world,
+        wrist_sensor,
     )
 
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

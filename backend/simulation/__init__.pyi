@@ -34,9 +34,11 @@ from .ground_truth import release_kick_mm as release_kick_mm
 from .ground_truth import tower_with_piece as tower_with_piece
 from .ground_truth import true_com_xy_mm as true_com_xy_mm
 from .ground_truth import true_margin_mm as true_margin_mm
+from .marker_fields import build_gel as build_gel
 from .marker_fields import gel_from_settings as gel_from_settings
 from .mechanics import GraspHistory as GraspHistory
 from .mechanics import Region as Region
+from .mechanics import advance_probes as advance_probes
 from .mechanics import begin_probes as begin_probes
 from .release_mujoco import import_mujoco as import_mujoco
 from .release_mujoco import mujoco_available as mujoco_available
@@ -50,6 +52,7 @@ from .supports import join_support_stacks as join_support_stacks
 from .supports import support_stack as support_stack
 from .world import CycleRecord as CycleRecord
 from .world import World as World
+from .wrist_sensor import wrist_wrench as wrist_wrench
 
 __all__ = [
     "DAY_SCORES",
@@ -81,7 +84,9 @@ __all__ = [
     "TactileRenderer",
     "TrialPresses",
     "World",
+    "advance_probes",
     "begin_probes",
+    "build_gel",
     "conditions_from_draws",
     "day_draw",
     "draw_noise",
@@ -104,4 +109,5 @@ __all__ = [
     "tower_with_piece",
     "true_com_xy_mm",
     "true_margin_mm",
+    "wrist_wrench",
 ]

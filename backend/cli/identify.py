@@ -1,0 +1,85 @@
+"""``touchdown identify``: identify a bench from the recordings of a dataset."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from pathlib import Path
+
+from touchdown.backend.annotations import Dataset
+from touchdown.backend.cli.output import VerbOutput, progress_lines, write_errors
+from touchdown.backend.config import load_simulation
+from touchdown.backend.core import InputError, write_atomically
+from touchdown.backend.experiments import identification_page
+from touchdown.backend.geometry import load_pieces
+from touchdown.backend.identification import identify, read_recordings, write_identification
+
+KEPT = "Free some space, or name another file; finished stages are kept."
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments."""
+    parser.add_argument("dataset", metavar="DATASET", help="dataset with recordings of one bench")
+    parser.add_argument(
+        "--out", type=Path, metavar="FILE", default=Path("lab-bench.toml"),
+        help="bench file to write; figures (.json) and report (.html) beside it",
+    )  # fmt: skip
+    parser.add_argument("--preset", help="nominal bench: mixed (default), bench-v1, ...")
+    parser.add_argument("--bench", metavar="FILE", help="nominal bench: settings file (TOML)")
+    parser.add_argument("--pieces", metavar="DIR", help="folder with further piece files")
+
+
+def run(args: argparse.Namespace, screen: VerbOutput) -> int:
+    """Identify; return 0 if the bench was accepted, 1 if the replay gate refused it."""
+    nominal = load_simulation(Path(args.bench) if args.bench else None, args.preset)
+    library = load_pieces(Path(args.pieces) if args.pieces else None)
+    out: Path = args.out
+    if out.suffix != ".toml":
+        raise InputError("The bench file is TOML.", str(out), "Name a file that ends with .toml.")
+    with Dataset.open(Path(args.dataset), write=False, progress=progress_lines()) as dataset:
+        reading = progress_lines()
+        recordings = read_recordings(dataset, lambda done, of: reading("Reading", done, of))
+    with write_errors("The result cannot be written", out, KEPT):
+        out.parent.mkdir(parents=True, exist_ok=True)
+        found = identify(recordings, nominal, library, out.with_suffix(".stages"), _Eta())
+        source = str(args.dataset)
+        figures = write_identification(found, out, source)
+        page = out.with_suffix(".html")
+        write_atomically(page, identification_page(found, source).encode())
+    rows = [
+        (e.key, f"{e.value:.4g}", f"{e.sigma:.2g}", e.unit, "yes" if e.key in found.used else "no")
+        for e in found.estimates
+    ]
+    header = ("parameter", "value", "standard uncertainty", "unit", "used")
+    screen.table("Identified bench", header, *rows, right=("value", "standard uncertainty"))
+    screen.say(found.reason)
+    screen.say(f"Report: {page}. " + (f"Bench file: {out}." if found.gate.accepted else ""))
+    screen.result({
+        "accepted": found.gate.accepted, "reason": found.reason, "share": found.gate.share,
+        "bench": str(out) if found.gate.accepted else None, "report": str(page),
+        "figures": str(figures), "used": list(found.used),
+        "estimates": {e.key: [e.value, e.sigma] for e in found.estimates},
+    })  # fmt: skip
+    return 0 if found.gate.accepted else 1
+
+
+class _Eta:
+    """Progress of the stages on standard error, with the time left of the present one."""
+
+    def __init__(self, every_s: float = 2.0) -> None:
+        self._every_s = every_s
+        self._stage, self._began_s, self._told_s = "", 0.0, 0.0
+
+    def __call__(self, stage: str, done: int, total: int) -> None:
+        now_s = time.monotonic()
+        if stage != self._stage:
+            self._stage, self._began_s, self._told_s = stage, now_s, 0.0
+        if now_s - self._told_s < self._every_s:
+            return
+        self._told_s = now_s
+        left = (
+            f", about {(now_s - self._began_s) * (total - done) / done:.0f} s left" if done else ""
+        )
+        sys.stderr.write(f"{stage}: {done} of {total}{left}\n")
+        sys.stderr.flush()

@@ -1,0 +1,131 @@
+"""Report page of an identification: decision, parameters, replay of held-out presses, noise."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from touchdown.backend.config import TICK_S
+from touchdown.backend.experiments.document import (
+    SIMULATED,
+    PictureGallery,
+    Report,
+    ReportPicture,
+    ReportSection,
+    ReportTable,
+    TableEntry,
+    curves_chart,
+    report_page,
+)
+from touchdown.backend.identification import (
+    CONTACT,
+    GATE_CHANNELS,
+    GEL,
+    PHASES,
+    REST,
+    Estimate,
+    Identification,
+    identifiable,
+)
+
+STAGES = {1: "Sensors at rest", 2: "Arm and grasp", 3: "Gel", 4: "Contact"}
+MEASURED = "Recordings of devices: these figures hold for this set-up"
+
+
+def identification_page(found: Identification, source: str) -> str:
+    """Return the self-contained HTML page of an identification of the dataset ``source``."""
+    return report_page(identification_report(found, source))
+
+
+def identification_report(found: Identification, source: str) -> Report:
+    """Return the report of an identification."""
+    about = (
+        found.reason,
+        f"{found.presses} presses in {found.grips} grippings of {source}. Mean square of the "
+        f"residuals over their noise: {found.misfit:.2f}; uncertainties are scaled by it.",
+        "The model is that of the simulated bench: what it does not contain is part of the values. "
+        "A parameter is used if its standard uncertainty is below half of that of its prior range.",
+    )
+    banner = SIMULATED if found.simulated else MEASURED
+    return Report("Identified bench", about, tuple(_sections(found)), banner)
+
+
+def _sections(found: Identification) -> Iterator[ReportSection]:
+    for stage, title in STAGES.items():
+        rows = [e for e in found.estimates if e.stage == stage]
+        parts: list[ReportTable | PictureGallery] = [_parameters(rows, found)] if rows else []
+        if stage == 1 and found.facts:
+            parts.append(ReportTable.of_texts("Further figures", ("figure", "value"), found.facts))
+            parts.append(_spectra(found))
+        text = () if rows else ("Not recorded; see the last section.",)
+        yield ReportSection(f"{stage}. {title}", text, tuple(parts))
+    yield ReportSection(
+        "Replay of held-out presses", (found.reason,), (_gate(found), _example(found))
+    )
+    yield ReportSection("Correlations", (), (_correlations(found),))
+    plans = [(plan, ", ".join(identifiable(plan))) for plan in (REST, GEL, CONTACT)]
+    missing = ("parameter", "recording that identifies it")
+    tables = (
+        ReportTable.of_texts("Missing", missing, found.missing),
+        ReportTable.of_texts("Identifiable by each recording", ("recording", "parameters"), plans),
+    )
+    yield ReportSection("What was not identified", (), tables)
+
+
+def _parameters(rows: list[Estimate], found: Identification) -> ReportTable:
+    columns = (("value", "95 % interval"), ("standard uncertainty", "share of the prior's"),
+               ("prior", ""), ("unit", ""), ("in the bench file", ""))  # fmt: skip
+    entries = tuple(
+        (e.key, (
+            TableEntry(f"{e.value:.4g}", f"({e.low:.4g} to {e.high:.4g})"),
+            TableEntry(f"{e.sigma:.2g}", f"{e.sharpness:.2f}"),
+            TableEntry(f"{e.prior[0]:g} to {e.prior[1]:g}"),
+            TableEntry(e.unit),
+            TableEntry("yes" if e.key in found.used else "no"),
+        ))
+        for e in rows
+    )  # fmt: skip
+    return ReportTable("Parameters", columns, entries, corner="parameter")
+
+
+def _spectra(found: Identification) -> PictureGallery:
+    pictures = []
+    for s in found.spectra:
+        note = f"{s.unit}²/Hz over Hz"
+        chart = curves_chart(s.name, s.f_hz, {"density": s.density}, note, log=True)
+        pictures.append(ReportPicture(chart))
+    return PictureGallery("Noise spectra at rest", tuple(pictures))
+
+
+def _gate(found: Identification) -> ReportTable:
+    gate = found.gate
+    columns = tuple((name, "nominal, identified") for name in GATE_CHANNELS)
+    rows = tuple(
+        (phase, tuple(
+            TableEntry(f"{gate.nominal[p, c]:.1f}", f"{gate.identified[p, c]:.1f}")
+            for c in range(len(GATE_CHANNELS))
+        ))
+        for p, phase in enumerate(PHASES)
+    )  # fmt: skip
+    note = "Root mean square of predicted less measured, over the noise; 1 is noise alone."
+    return ReportTable("Residuals of the replay", columns, rows, note, "phase")
+
+
+def _example(found: Identification) -> PictureGallery:
+    t_s = TICK_S * np.arange(1, found.gate.example.shape[1] + 1)
+    pictures = []
+    for channel, (name, unit) in enumerate((("Fz", "N"), ("shear of the left gel", "px"))):
+        measured, nominal, identified = found.gate.example[:, :, channel]
+        curves = {"measured": measured, "nominal": nominal, "identified": identified}
+        pictures.append(ReportPicture(curves_chart(name, t_s, curves, f"{unit} over s")))
+    return PictureGallery("One held-out press", tuple(pictures))
+
+
+def _correlations(found: Identification) -> ReportTable:
+    header = ("", *found.names)
+    rows = [
+        (name, *(f"{value:.2f}" for value in row))
+        for name, row in zip(found.names, found.correlation, strict=True)
+    ]
+    return ReportTable.of_texts("Unknowns of the press model; means over grippings", header, rows)

@@ -1,0 +1,295 @@
+"""Identification of a bench from the recordings of a dataset, and its result as a bench file."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from touchdown.backend.config import SimulationSettings, parse_settings
+from touchdown.backend.core import FloatArray, write_atomically
+from touchdown.backend.geometry import PieceLibrary
+from touchdown.backend.identification.estimates import (
+    CONTACT,
+    GEL,
+    OTHER_RECORDINGS,
+    REST,
+    Estimate,
+    identifiable,
+    mean_estimate,
+    spread_estimate,
+)
+from touchdown.backend.identification.press_model import field_basis, project_fields
+from touchdown.backend.identification.recordings import (
+    PressRecording,
+    Recordings,
+    refuse_unusable,
+    sample_presses,
+)
+from touchdown.backend.identification.sensors import (
+    GOOD_REST_S,
+    LEAST_REST_S,
+    RestResult,
+    Spectrum,
+    arm_compliance,
+    delay_estimates,
+    estimate_delays,
+    identify_air,
+    identify_rest,
+)
+from touchdown.backend.identification.stages import (
+    Gate,
+    Json,
+    StageStore,
+    Tell,
+    correlations,
+    fit_mechanics,
+    fit_pad_friction,
+    mechanics_estimates,
+    replay_gate,
+    split_grips,
+    stage_key,
+    usable_gel,
+)
+
+# A parameter replaces the nominal one if its uncertainty is below this share of the prior's.
+USEFUL_SHARPNESS = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class Identification:
+    """Result of an identification.
+
+    Attributes
+    ----------
+    settings : SimulationSettings
+        The identified bench; the nominal one if the replay gate refused it.
+    estimates : tuple of Estimate
+        All identified parameters.
+    used : tuple of str
+        Keys of the estimates that are part of ``settings``.
+    gate : Gate
+        Comparison with the nominal bench on presses that were held out.
+    names, correlation
+        Names and correlation matrix of the unknowns of the press model.
+    spectra, facts
+        Noise at rest, and further figures of name and text.
+    missing : tuple of (str, str)
+        What was not identified, and the recording that would identify it.
+    misfit : float
+        Mean square of the fitted residuals over their noise.
+
+    """
+
+    settings: SimulationSettings
+    nominal: SimulationSettings
+    estimates: tuple[Estimate, ...]
+    used: tuple[str, ...]
+    gate: Gate
+    names: tuple[str, ...]
+    correlation: FloatArray
+    spectra: tuple[Spectrum, ...]
+    facts: tuple[tuple[str, str], ...]
+    missing: tuple[tuple[str, str], ...]
+    misfit: float
+    presses: int
+    grips: int
+    simulated: bool
+
+    @property
+    def reason(self) -> str:
+        """One sentence on the decision of the replay gate."""
+        gate = self.gate
+        return (
+            f"{'Accepted' if gate.accepted else 'Refused, nothing was changed'}: on {gate.presses} "
+            f"presses of {gate.grips} held-out grippings the error above the noise is "
+            f"{100 * gate.share:.0f} % of that of the nominal bench; {gate.better} of the "
+            "grippings are predicted better."
+        )
+
+    def ranges(self) -> dict[str, list[float]]:
+        """Return the 95 % interval of each parameter in use, as ranges for randomisation."""
+        return {e.key: [max(e.low, 0.0), e.high] for e in self.estimates if e.key in self.used}
+
+
+def identify(
+    recordings: Recordings,
+    nominal: SimulationSettings,
+    library: PieceLibrary,
+    folder: Path,
+    tell: Tell = lambda _stage, _done, _of: None,
+) -> Identification:
+    """Identify a bench.
+
+    Parameters
+    ----------
+    recordings : Recordings
+        From ``read_recordings``. No simulated truth is read.
+    nominal : SimulationSettings
+        Start of the fit, and the bench to be surpassed.
+    library : PieceLibrary
+        Pieces of the recordings.
+    folder : Path
+        Folder for the results of finished stages; an interrupted identification continues there.
+    tell : callable
+        Receives stage, finished and all steps.
+
+    Returns
+    -------
+    Identification
+
+    Raises
+    ------
+    InputError
+        If the recordings are unusable, with what is missing and how to record it.
+
+    """
+    store = StageStore(folder, stage_key(recordings, nominal))
+    gel = usable_gel(recordings)
+    refuse_unusable(gel.presses, library, "recordings")
+    rest, missing = _rest(recordings, nominal)
+    drift = {e.key: e.value for e in rest.estimates}
+    drifts = np.array([
+        drift.get("wrist.drift_n_sqrt_min", nominal.wrist.drift_n_sqrt_min) / np.sqrt(60.0),
+        drift.get("wrist.drift_nm_sqrt_min", nominal.wrist.drift_nm_sqrt_min) / np.sqrt(60.0),
+        drift.get("tactile.drift_px_sqrt_s", nominal.tactile.drift_px_sqrt_s),
+    ])  # fmt: skip
+    found = store.get("delays", lambda: _delays(gel.presses, tell))
+    delayed, taken = delay_estimates({k: np.array(v, dtype=float) for k, v in found.items()})
+    presses = sample_presses(gel.presses, taken)
+    fitted_rows, held_rows = split_grips(presses)
+    train, held = presses.take(fitted_rows), presses.take(held_rows)
+    mechanics = fit_mechanics(train, nominal, library, drifts, store, tell)
+    friction = store.get(
+        "friction", lambda: fit_pad_friction(recordings, mechanics, nominal, library, taken, tell)
+    )
+    tell("replay of held-out presses", 0, 1)
+    roll_off = (float(mechanics.roll_off_mm[0]), float(mechanics.roll_off_mm[1]))
+    basis = field_basis(nominal.tactile.pitch_mm, roll_off)
+    _, misfit = project_fields(held.field_px[:, :1], held.seen[:, :1], basis)
+    marker_px = (float(np.sqrt(np.median(misfit))), float(drifts[2]))
+    gate = replay_gate(held, mechanics, train, nominal, library, marker_px)
+    pads, lacking = _friction_estimates(friction)
+    estimates = (
+        *rest.estimates,
+        *identify_air(presses, nominal, rest=bool(rest.estimates)),
+        *delayed, *arm_compliance(gel.presses[:40]),
+        *mechanics_estimates(mechanics, train), *pads,
+    )  # fmt: skip
+    names, correlation = correlations(mechanics)
+    settings, used = identified_settings(nominal, estimates) if gate.accepted else (nominal, ())
+    weak = [(e.key, f"more of `{GEL}`: its uncertainty is {e.sharpness:.0%} of the prior's")
+            for e in estimates if e.sharpness >= USEFUL_SHARPNESS]  # fmt: skip
+    return Identification(
+        settings, nominal, estimates, used, gate, names, correlation, rest.spectra, rest.facts,
+        (*missing, *lacking, *weak, *OTHER_RECORDINGS), mechanics.fit.misfit, len(presses),
+        len(presses.grips), recordings.simulated,
+    )  # fmt: skip
+
+
+def _rest(
+    recordings: Recordings, nominal: SimulationSettings
+) -> tuple[RestResult, list[tuple[str, str]]]:
+    names = ", ".join(identifiable(REST))
+    rest = recordings.rest
+    if rest is None or rest.length_s < LEAST_REST_S:
+        length = 0.0 if rest is None else rest.length_s
+        text = f"`{REST}`: {length:.0f} s at rest, {LEAST_REST_S:.0f} s are needed"
+        return RestResult((), (), ()), [(names, text)]
+    found = identify_rest(rest, nominal)
+    missing = []
+    if rest.length_s < GOOD_REST_S:
+        missing.append(("slow drift", f"`{REST}`: only {rest.length_s:.0f} s at rest"))
+    return found, missing
+
+
+def _delays(presses: tuple[PressRecording, ...], tell: Tell) -> Json:
+    tell("delays", 0, 1)
+    return {name: values.tolist() for name, values in estimate_delays(presses).items()}
+
+
+def _friction_estimates(friction: Json) -> tuple[list[Estimate], list[tuple[str, str]]]:
+    mu, sigma = np.array(friction["mu"]), np.array(friction["sigma"])
+    if len(mu) < 3:
+        of = f": {len(mu)} of {friction['presses']} presses slipped" if friction["presses"] else ""
+        return [], [(", ".join(identifiable(CONTACT)), f"`{CONTACT}`{of}")]
+    mean = mean_estimate("mu_grip", mu, mu * sigma)
+    spread = spread_estimate("spread.mu_grip", mu / mean.value - 1.0, sigma, len(mu) - 1)
+    return [mean, spread], []
+
+
+def identified_settings(
+    nominal: SimulationSettings, estimates: tuple[Estimate, ...]
+) -> tuple[SimulationSettings, tuple[str, ...]]:
+    """Return ``nominal`` with the usefully sharp estimates, and their keys."""
+    content: dict[str, Any] = nominal.model_dump(mode="json")
+    used = []
+    for one in estimates:
+        *groups, last = one.key.split(".")
+        place: Any = content
+        for name in groups:
+            place = place.get(name) if isinstance(place, dict) else None
+        if place is None or one.sharpness >= USEFUL_SHARPNESS or not np.isfinite(one.value):
+            continue
+        value = float(f"{max(one.value, 0.0):.6g}")
+        if isinstance(place, list) and last.isdigit():
+            place[int(last)] = value
+        elif isinstance(place, dict) and last in place:
+            place[last] = value
+        else:
+            continue
+        used.append(one.key)
+    share = next((e for e in estimates if e.key == "grasp.hysteresis_share"), None)
+    if share is not None and "grasp.hysteresis_share" in used:
+        content["grasp"]["hysteresis"] = bool(share.low > 0.0)
+    if "face.foundation_n_mm3" in used:
+        content["face"]["foundation_range_n_mm3"] = None
+    return parse_settings(SimulationSettings, content, "identified bench"), tuple(used)
+
+
+def bench_file(found: Identification, source: str) -> str:
+    """Return the text of the bench file; ``source`` names the dataset."""
+    content = found.settings.model_dump(mode="json", exclude_none=True)
+    lines = [f"# Bench identified from {source}: {found.reason}"]
+    lines += [f"{key} = {json.dumps(v)}" for key, v in content.items() if not isinstance(v, dict)]
+    by_key = {e.key: e for e in found.estimates if e.key in found.used}
+    for group, values in content.items():
+        if not isinstance(values, dict):
+            continue
+        lines += ["", f"[{group}]"]
+        for key, value in values.items():
+            one = by_key.get(f"{group}.{key}")
+            note = "" if one is None else f"  # ± {one.sigma:.2g}"
+            lines.append(f"{key} = {json.dumps(value)}{note}")
+    return "\n".join(lines) + "\n"
+
+
+def write_identification(found: Identification, out: Path, source: str) -> Path:
+    """Write the bench file, if the gate accepted it, and all figures beside it as JSON.
+
+    Returns the path of the JSON file.
+    """
+    if found.gate.accepted:
+        write_atomically(out, bench_file(found, source).encode())
+    data = {
+        "format": 1,
+        "source": source,
+        "accepted": found.gate.accepted,
+        "reason": found.reason,
+        "estimates": [asdict(one) for one in found.estimates],
+        "used": list(found.used),
+        "randomisation": found.ranges(),
+        "correlation": {"names": list(found.names), "matrix": found.correlation.tolist()},
+        "gate": {
+            "share": found.gate.share, "better": found.gate.better, "grips": found.gate.grips,
+            "nominal": found.gate.nominal.tolist(), "identified": found.gate.identified.tolist(),
+        },
+        "misfit": found.misfit,
+        "missing": [list(pair) for pair in found.missing],
+    }  # fmt: skip
+    path = out.with_suffix(".json")
+    write_atomically(path, json.dumps(data, indent=1).encode() + b"\n")
+    return path

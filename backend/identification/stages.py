@@ -1,0 +1,461 @@
+"""The stages of an identification: fits, split by gripping, replay gate, results on disk.
+
+Each stage stores its result under the hash of its inputs, so that a cancelled identification
+continues.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchdown.backend.config import SAMPLES_PER_PROBE, TICK_S, SimulationSettings, bench_sha256
+from touchdown.backend.core import FloatArray, InputError, parse_json, write_atomically
+from touchdown.backend.geometry import PieceLibrary
+from touchdown.backend.identification.estimates import (
+    Estimate,
+    estimate,
+    log_estimate,
+    mean_estimate,
+    spread_estimate,
+)
+from touchdown.backend.identification.fitting import ChannelNoise, FitResult, GlsFit, Layout
+from touchdown.backend.identification.press_model import (
+    CHANNELS,
+    PressModel,
+    Unknown,
+    field_basis,
+    fit_roll_off,
+    measured_channels,
+    project_fields,
+    unknowns_of,
+)
+from touchdown.backend.identification.recordings import (
+    CONTACT_STAGE,
+    GEL_STAGES,
+    Delays,
+    PressSet,
+    Recordings,
+    sample_presses,
+)
+
+Json = dict[str, Any]
+Tell = Callable[[str, int, int], None]  # stage, done, total
+VERSION = 1  # of the stored results; raised when a stage computes something else
+STARTS, START_PRESSES = 3, 36
+HELD_OUT = 3  # every third gripping is held out
+SYSTEMATIC = 0.005  # relative error of tracker and model that no scatter shows
+
+
+@dataclass(frozen=True, slots=True)
+class StageStore:
+    """Results of stages below ``folder``, by name and hash of ``key``."""
+
+    folder: Path
+    key: str
+
+    def get(self, name: str, compute: Callable[[], Json]) -> Json:
+        """Return the stored result, or compute and store it."""
+        digest = hashlib.sha256(f"{VERSION} {name} {self.key}".encode()).hexdigest()[:20]
+        path = self.folder / f"{name}-{digest}.json"
+        if path.is_file():
+            found: Json = parse_json(path.read_bytes())
+            return found
+        result = compute()
+        self.folder.mkdir(parents=True, exist_ok=True)
+        write_atomically(path, json.dumps(result).encode())
+        return result
+
+
+def stage_key(recordings: Recordings, nominal: SimulationSettings) -> str:
+    """Return the text that identifies the inputs of all stages."""
+    return " ".join([bench_sha256(nominal), *recordings.sha256])
+
+
+def split_grips(presses: PressSet) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return the presses to fit and those held out: whole grippings, from each mounting some.
+
+    A gripping is never held out if its mounting would have no other.
+    """
+    held: list[int] = []
+    for mounting in np.unique(presses.mounting):
+        grips = np.unique(presses.grip[presses.mounting == mounting])
+        held += [int(g) for k, g in enumerate(grips) if k % HELD_OUT == HELD_OUT - 1]
+    if not held:
+        raise InputError(
+            "No gripping can be held out: each mounting has fewer than three.", "recordings",
+            "Record more with `touchdown collect --plan gel`.",
+        )  # fmt: skip
+    out = np.isin(presses.grip, held)
+    return np.flatnonzero(~out), np.flatnonzero(out)
+
+
+def channel_noise(
+    presses: PressSet, basis: FloatArray, drift_n: FloatArray, drift_px: float
+) -> ChannelNoise:
+    """Return the noise of the channels, from the air before contact and the drift at rest.
+
+    ``drift_n`` (2,): of force and moment per √s.
+    """
+    sd = presses.air_sd.mean(axis=0)
+    early = presses.field_px[:, :1]
+    _, misfit = project_fields(early, presses.seen[:, :1], basis)
+    marker_px = float(np.sqrt(np.median(misfit)))
+    # Amplitude errors of a uniform shift and of independent markers
+    energy = (basis[0, :3] ** 2).sum(axis=(1, 2))
+    shift = np.array([basis[0, 0, :, 0].sum(), abs(basis[0, 1, :, 1].sum()), 0.0]) / energy
+    white = marker_px / np.sqrt(energy)
+    return ChannelNoise(
+        white=np.r_[sd / 10.0, white, white],
+        base=np.r_[sd / np.sqrt(250.0), white / 2.0, white / 2.0],
+        walk=np.r_[np.repeat(drift_n, 3), shift * drift_px, shift * drift_px],
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Mechanics:
+    """Fit of the gel presses: solution, layout and basis."""
+
+    unknowns: tuple[Unknown, ...]
+    layout: Layout
+    fit: FitResult
+    roll_off_mm: FloatArray
+    roll_off_cov: FloatArray
+
+    def values(self, name: str) -> FloatArray:
+        """Return the fitted values of one unknown, one per mounting or grip."""
+        unknown = next(u for u in self.unknowns if u.name == name)
+        return np.asarray(unknown.outer(self.fit.x[self.layout.parts[name]]))
+
+    def errors(self, name: str) -> FloatArray:
+        """Return their standard uncertainties; relative ones for logarithms."""
+        return np.asarray(self.fit.sigma[self.layout.parts[name]])
+
+
+def fit_mechanics(
+    presses: PressSet, nominal: SimulationSettings, library: PieceLibrary, drift: FloatArray,
+    store: StageStore, tell: Tell,
+) -> Mechanics:  # fmt: skip
+    """Fit the press model to ``presses`` from several starts; ``drift`` (3,): N, N·m, px per √s."""
+    pitch = nominal.tactile.pitch_mm
+
+    def shape() -> Json:
+        tell("shape of the marker field", 0, 1)
+        found, covariance = fit_roll_off(presses, pitch, nominal.tactile.roll_off_mm)
+        return {"roll_off_mm": found.tolist(), "covariance": covariance.tolist()}
+
+    marker_field = store.get("field", shape)
+    roll_off = np.array(marker_field["roll_off_mm"])
+    basis = field_basis(pitch, (float(roll_off[0]), float(roll_off[1])))
+    unknowns = unknowns_of(nominal)
+
+    def prepared(part: PressSet, name: str, evaluations: int) -> tuple[GlsFit, Layout]:
+        layout = Layout(unknowns, part.mounting, part.grip)
+        noise = channel_noise(part, basis, drift[:2], float(drift[2]))
+        total, done = evaluations * (len(unknowns) + 5) + 10, [0]
+
+        def count() -> None:
+            done[0] += 1
+            tell(name, min(done[0], total), total)
+
+        model = PressModel(part, nominal, library)
+        return GlsFit(model, layout, measured_channels(part, basis), noise, tell=count), layout
+
+    few = _spread_rows(presses, START_PRESSES)
+
+    def search(number: int) -> Json:
+        fit, layout = prepared(presses.take(few), f"start {number + 1} of {STARTS}", 6)
+        begin = _start(presses.take(few), layout, basis, np.random.default_rng([7, number]), number)
+        found = fit.run(begin, rounds=1, evaluations=5)
+        common = {
+            u.name: float(found.x[layout.parts[u.name]][0]) for u in unknowns if u.scope == "common"
+        }
+        return {"cost": found.cost, "common": common}
+
+    starts = [store.get(f"start{k}", lambda k=k: search(k)) for k in range(STARTS)]  # type: ignore[misc]
+    best = min(starts, key=lambda one: one["cost"])
+
+    def final() -> Json:
+        fit, layout = prepared(presses, "gel and grasp", 14)
+        begin = _start(presses, layout, basis, np.random.default_rng(0), 0)
+        for name, value in best["common"].items():
+            begin[layout.parts[name]] = value
+        found = fit.run(begin, rounds=2, evaluations=7)
+        return {name: np.asarray(value).tolist() for name, value in asdict(found).items()}
+
+    done = store.get("mechanics", final)
+    fit = FitResult(**{k: np.array(v) if isinstance(v, list) else v for k, v in done.items()})  # type: ignore[arg-type]
+    layout = Layout(unknowns, presses.mounting, presses.grip)
+    return Mechanics(unknowns, layout, fit, roll_off, np.array(marker_field["covariance"]))
+
+
+def _spread_rows(presses: PressSet, most: int) -> NDArray[np.intp]:
+    """Return at most ``most`` presses, evenly from all grippings."""
+    order = np.argsort(
+        [np.flatnonzero(presses.grip[: k + 1] == g).size for k, g in enumerate(presses.grip)],
+        kind="stable",
+    )
+    return np.sort(order[:most])
+
+
+def _start(
+    presses: PressSet, layout: Layout, basis: FloatArray, rng: np.random.Generator, number: int
+) -> FloatArray:
+    """Return a start: stiffness and scales from the slopes, the rest nominal or drawn."""
+
+    def begin(u: Unknown) -> float:
+        if number == 0 or u.scope != "common":
+            return float(u.inner(u.start))
+        return rng.uniform(float(u.inner(u.low)), float(u.inner(u.high)))
+
+    x = layout.vector(begin)
+    channels = measured_channels(presses, basis)
+    travel = -presses.motion_mm[:, -1, 2]
+    slope = channels[:, -1, 2] / travel
+    for name, values in (
+        ("shear", 0.5 * slope), ("scale_left", channels[:, -1, 7] / travel),
+        ("scale_right", channels[:, -1, 10] / travel),
+    ):  # fmt: skip
+        column = layout.column(name)
+        for place in np.unique(column):
+            x[place] = np.log(max(float(np.median(np.abs(values[column == place]))), 1e-3))
+    return x
+
+
+def mechanics_estimates(found: Mechanics, presses: PressSet) -> list[Estimate]:
+    """Return the parameters of the population of grippings and mountings, and their spreads."""
+    shear, errors = found.values("shear"), found.errors("shear")
+    grips = len(shear)
+    mean = mean_estimate("grasp.shear_n_mm", shear, shear * np.hypot(errors, SYSTEMATIC))
+    result = [mean]
+    for key, name in (
+        ("grasp.normal_n_mm", "normal_ratio"),
+        ("grasp.torsion_nmm_rad", "torsion_ratio"),
+    ):
+        ratio, spread = float(found.values(name)[0]), float(found.errors(name)[0])
+        scatter = mean.sigma / mean.value
+        freedom = grips - 1 if spread < scatter else 1000
+        result.append(
+            log_estimate(key, mean.value * ratio, float(np.hypot(scatter, spread)), freedom)
+        )
+    for key, name, floor in (
+        ("grasp.hysteresis_s", "relax_s", 0.05), ("face.foundation_n_mm3", "foundation", 0.03),
+    ):  # fmt: skip
+        relative = float(np.hypot(found.errors(name)[0], floor))
+        result.append(log_estimate(key, float(found.values(name)[0]), relative))
+    sigma = np.hypot(found.errors("alpha")[0], 0.01)
+    result.append(estimate("grasp.hysteresis_share", found.values("alpha")[0], sigma))
+    for k, value in enumerate(found.roll_off_mm):
+        sigma = np.hypot(np.sqrt(found.roll_off_cov[k, k]), 0.003 * value)
+        result.append(estimate(f"tactile.roll_off_mm.{k}", value, sigma))
+    gains = []
+    for k, name in enumerate(("scale_left", "scale_right")):
+        scale = found.values(name)
+        one = mean_estimate("", scale, scale * np.hypot(found.errors(name), SYSTEMATIC))
+        inverse = one.sigma / one.value**2
+        result.append(estimate(f"tactile.mm_per_px.{k}", 1.0 / one.value, inverse, grips - 1))
+        gains.append(scale / one.value - 1.0)
+    tilts, tilt_errors = (
+        np.concatenate([of("tilt_x"), of("tilt_y")]) for of in (found.values, found.errors)
+    )
+    prints, print_errors = found.values("print_y"), found.errors("print_y")
+    names = np.unique(presses.grip)
+    height = {g: float(np.median(presses.contact_mm[presses.grip == g])) for g in names}
+    heights = np.array(list(height.values()))
+    within = presses.contact_mm - np.array([height[g] for g in presses.grip])
+    handed = float(np.median([r.sigma_mm for r in presses.recordings])) > 0.3
+    seat = "spread.grasp_offset_mm" if handed else "spread.jig_mm"
+    return [
+        *result,
+        spread_estimate("spread.gel", shear / mean.value - 1.0, errors, grips - 1),
+        spread_estimate(
+            "spread.gain", np.stack(gains), found.errors("scale_left"), 2 * (grips - 1)
+        ),
+        spread_estimate("spread.tilt_rad", tilts, tilt_errors, len(tilts)),
+        spread_estimate("spread.print_offset_mm", prints, print_errors, len(prints)),
+        spread_estimate(seat, heights - heights.mean(), np.full(1, 0.03), grips - 1),
+        spread_estimate("arm.repeatability_mm", within, np.zeros(1), len(within) - grips),
+    ]
+
+
+def correlations(found: Mechanics) -> tuple[tuple[str, ...], FloatArray]:
+    """Return names and correlation matrix of common unknowns and means over grippings."""
+    names = tuple(u.name for u in found.unknowns if u.scope != "mounting")
+    rows = np.zeros((len(names), found.layout.size))
+    for k, name in enumerate(names):
+        rows[k, found.layout.parts[name]] = 1.0 / len(found.layout.parts[name])
+    covariance = rows @ found.fit.covariance @ rows.T
+    sd = np.sqrt(np.maximum(np.diag(covariance), 1e-30))
+    return names, covariance / np.outer(sd, sd)
+
+
+@dataclass(frozen=True, slots=True)
+class Gate:
+    """Comparison of predictions of held-out presses by the identified and the nominal bench.
+
+    ``nominal``, ``identified``: root mean square residuals over the noise, by phase and channel
+    (3, 8). ``share``: what is left of the nominal error above noise, as a ratio of rms; ``better``:
+    number of held-out grippings that the identified bench predicts better, of ``grips``.
+    ``example``: measured, nominal and identified Fz (20,) and left shear (20,) of one press.
+    """
+
+    nominal: FloatArray
+    identified: FloatArray
+    share: float
+    better: int
+    grips: int
+    presses: int
+    example: FloatArray
+
+    @property
+    def accepted(self) -> bool:
+        """True if the identified bench predicts the held-out presses better."""
+        return bool(self.share < 1.0 and 2 * self.better > self.grips)
+
+
+PHASES = ("touch", "ramp", "hold")
+GATE_CHANNELS = (*CHANNELS[:6], "left markers", "right markers")
+
+
+def replay_gate(
+    held: PressSet, found: Mechanics, presses: PressSet, nominal: SimulationSettings,
+    library: PieceLibrary, marker_noise_px: tuple[float, float],
+) -> Gate:  # fmt: skip
+    """Predict the ``held`` presses by both benches; ``presses`` are those of the fit.
+
+    A gripping that was not fitted has the mean values of the population.
+    ``marker_noise_px``: white noise and drift per √s of a marker.
+    """
+    model = PressModel(held, nominal, library)
+    known = {m: k for k, m in enumerate(np.unique(presses.mounting))}
+    fitted = {}
+    for unknown in found.unknowns:
+        values = found.values(unknown.name)
+        if unknown.scope == "mounting":
+            fitted[unknown.name] = np.array([values[known[m]] for m in held.mounting])
+        else:
+            mean = 0.0 if unknown.name == "grasp_x" else float(values.mean())
+            fitted[unknown.name] = np.full(len(held), mean)
+    plain = {u.name: np.full(len(held), u.start) for u in found.unknowns}
+    if not nominal.grasp.hysteresis:
+        plain["alpha"] = np.zeros(len(held))
+    pitch, usual = nominal.tactile.pitch_mm, nominal.tactile.roll_off_mm
+    own = (float(found.roll_off_mm[0]), float(found.roll_off_mm[1]))
+    squares, series = [], []
+    for bench, roll_off in ((plain, usual), (fitted, own)):
+        square, channels = _normalised(model, bench, field_basis(pitch, roll_off), marker_noise_px)
+        squares.append(square)
+        series.append(channels)
+    phase = _phases(held)
+    tables = [
+        np.stack([np.sqrt(np.nanmean(np.where((phase == p)[..., None], s, np.nan), axis=(0, 1)))
+                  for p in range(len(PHASES))]) for s in squares
+    ]  # fmt: skip
+    per_grip = np.array(
+        [[np.nanmean(s[held.grip == g]) for g in np.unique(held.grip)] for s in squares]
+    )
+    above = [max(float(np.nanmean(s)) - 1.0, 1e-9) for s in squares]
+    first = int(np.nanargmax(held.wrench[:, -1, 2]))
+    measured = measured_channels(held, field_basis(pitch, own))
+    pair = [2, 7]
+    example = np.stack(
+        [measured[first][:, pair], series[0][first][:, pair], series[1][first][:, pair]]
+    )
+    return Gate(
+        tables[0], tables[1], float(np.sqrt(above[1] / above[0])),
+        int((per_grip[1] < per_grip[0]).sum()), per_grip.shape[1], len(held), example,
+    )  # fmt: skip
+
+
+def _normalised(
+    model: PressModel, values: dict[str, FloatArray], basis: FloatArray, noise: tuple[float, float]
+) -> tuple[FloatArray, FloatArray]:
+    """Return mean squares (B, 20, 8) of the residuals over the noise, and the prediction."""
+    held = model.presses
+    predicted = model.predict(values)
+    t_s = TICK_S * np.arange(1, SAMPLES_PER_PROBE + 1)
+    sd = held.air_sd.mean(axis=0) * np.sqrt(1.0 / 100.0 + 1.0 / 250.0)
+    wrench = ((held.wrench - predicted[..., :6]) / sd) ** 2
+    amplitude = predicted[..., 6:].reshape(len(held), SAMPLES_PER_PROBE, 2, 3)
+    field = np.einsum("btfi,fima->btfma", amplitude, basis[:, :3])
+    variance = noise[0] ** 2 + noise[1] ** 2 * t_s + 0.03**2
+    left = ((held.field_px - field) ** 2).mean(axis=-1) * held.seen
+    mean = left.sum(axis=-1) / np.maximum(held.seen.sum(axis=-1), 1)
+    return np.concatenate([wrench, mean / variance[:, None]], axis=2), predicted
+
+
+def _phases(presses: PressSet) -> NDArray[np.intp]:
+    """Return (B, 20): phase of each tick."""
+    t_s = TICK_S * np.arange(1, SAMPLES_PER_PROBE + 1)
+    ramp_s = np.array([r.probe.ramp_fraction * r.probe.duration_s for r in presses.recordings])
+    return np.where(t_s <= 0.2 + 1e-9, 0, np.where(t_s <= ramp_s[:, None] + 1e-9, 1, 2))
+
+
+def fit_pad_friction(
+    recordings: Recordings, found: Mechanics, nominal: SimulationSettings, library: PieceLibrary,
+    delays: Delays, tell: Tell,
+) -> Json:  # fmt: skip
+    """Return the friction of the pads of each press that slipped: ``mu`` and ``sigma``.
+
+    Stiffness and depth of each press are fitted with it. The force limit is friction times grip
+    force, so an error of the grip force is part of the friction.
+    """
+    chosen = recordings.of_stage(CONTACT_STAGE)
+    if not chosen:
+        return {"mu": [], "sigma": [], "presses": 0}
+    presses = sample_presses(chosen, delays)
+    model = PressModel(presses, nominal, library)
+    count = len(presses)
+    values = {u.name: np.full(count, float(found.values(u.name).mean())) for u in found.unknowns}
+    for name in ("tilt_x", "tilt_y", "print_x", "print_y", "grasp_x"):
+        values[name] = np.zeros(count)
+    end = presses.wrench[:, -1, 2]
+    ratio = np.maximum(end, 0.5) / (2.0 * model.grip_force_n)
+    x = np.stack([np.log(ratio), np.log(values["shear"]), np.zeros(count)], axis=1)
+    sd = np.hypot(presses.air_sd[:, 2].mean() / 10.0, 0.03)
+    prior = np.array([1.0, 0.15, 0.1])
+    centre = x.copy()
+
+    def predict(at: FloatArray) -> FloatArray:
+        now = {
+            **values,
+            "mu_grip": np.exp(at[:, 0]),
+            "shear": np.exp(at[:, 1]),
+            "deeper_mm": at[:, 2],
+        }
+        return np.nan_to_num(model.predict(now)[..., 2], nan=0.0)
+
+    hessian = np.zeros((count, 3, 3))
+    for done in range(6):
+        tell("friction of the pads", done, 6)
+        at = predict(x)
+        steps = np.array([0.02, 0.01, 0.01])
+        slopes = (
+            np.stack([(predict(x + steps * np.eye(3)[k]) - at) / steps[k] for k in range(3)], 2)
+            / sd
+        )
+        left = (presses.wrench[..., 2] - at) / sd
+        hessian = np.einsum("btp,btq->bpq", slopes, slopes) + np.diag(1.0 / prior**2)
+        gradient = np.einsum("btp,bt->bp", slopes, left) + (centre - x) / prior**2
+        x = x + np.clip(np.linalg.solve(hessian, gradient[..., None])[..., 0], -0.3, 0.3)
+    sigma = np.sqrt(np.linalg.inv(hessian)[:, 0, 0])
+    slipped = sigma < 0.1
+    return {
+        "mu": np.exp(x[slipped, 0]).tolist(),
+        "sigma": sigma[slipped].tolist(),
+        "presses": count,
+    }
+
+
+def usable_gel(recordings: Recordings) -> Recordings:
+    """Return the recordings with the accepted presses of stages 2 and 3 only."""
+    return replace(
+        recordings, presses=tuple(p for p in recordings.of_stage(*GEL_STAGES) if p.accepted)
+    )

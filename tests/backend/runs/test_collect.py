@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections import Counter
 from contextlib import contextmanager
@@ -24,6 +25,7 @@ from touchdown.backend.core.events import (
     RunFinished,
 )
 from touchdown.backend.core.faults import Fault, FaultError, InputError, RefusedError
+from touchdown.backend.episodes import REST_KEY, read_first
 from touchdown.backend.runs import CollectRequest, RunState, jig, newest_campaign, read_campaign
 from touchdown.backend.sensing.scene_camera import Homography
 
@@ -150,6 +152,22 @@ def test_the_scene_camera_shows_contact_and_outcome(whole):
     rows, columns = np.nonzero(changed)
     assert abs(rows.max() - near[:, 1].max()) <= 3
     assert abs(np.mean(columns[rows > rows.max() - 6]) - near[near[:, 1].argmax(), 0]) <= 4
+
+
+def test_rest_is_recorded_before_the_first_probe_and_belongs_to_no_campaign(tmp_path):
+    with collecting(tmp_path / "ds") as collected:
+        collected.run(count=1, stage="rest", rest_s=0.6, ramp_fraction=0.4, grip_force_n=8.0)
+        rest, probe = collected.entries
+        assert (rest.campaign, rest.keep_frames, rest.state) == ("", "png", "unlabelled")
+        assert rest.quality.reasons == ("Rest in air, no press",)
+        still = collected.dataset.read(rest.uuid)
+        assert dict(still.metadata)[REST_KEY] == "air"
+        assert np.ptp(still.recording.wrench_t_s) == pytest.approx(0.6, abs=0.05)
+        assert len(still.recording.frames) > 0.4 * 2 * RATE_HZ
+        facts = read_first(collected.dataset.path(probe.uuid)).metadata["bench"]
+        assert facts["stage"] == "rest"
+        assert json.loads(facts["probe"])["grip_force_n"] == 8.0
+        assert collected.of(ProbeCollected)[-1].done == 1
 
 
 def test_a_restarted_campaign_collects_only_what_is_missing(tmp_path):

@@ -13,7 +13,7 @@ from touchdown.backend.config import load_simulation
 from touchdown.backend.core import InputError, write_atomically
 from touchdown.backend.experiments import identification_page
 from touchdown.backend.geometry import load_pieces
-from touchdown.backend.identification import identify, read_recordings, write_identification
+from touchdown.backend.identification import identify_bench, read_recordings, write_identification
 
 KEPT = "Free some space, or name another file; finished stages are kept."
 
@@ -42,7 +42,7 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
         recordings = read_recordings(dataset, lambda done, of: reading("Reading", done, of))
     with write_errors("The result cannot be written", out, KEPT):
         out.parent.mkdir(parents=True, exist_ok=True)
-        found = identify(recordings, nominal, library, out.with_suffix(".stages"), _Eta())
+        found = identify_bench(recordings, nominal, library, out.with_suffix(".stages"), _Eta())
         source = str(args.dataset)
         figures = write_identification(found, out, source)
         page = out.with_suffix(".html")

@@ -5,7 +5,7 @@ from .estimates import Estimate as Estimate
 from .estimates import identifiable as identifiable
 from .identify import Identification as Identification
 from .identify import bench_file as bench_file
-from .identify import identify as identify
+from .identify import identify_bench as identify_bench
 from .identify import write_identification as write_identification
 from .recordings import Recordings as Recordings
 from .recordings import read_recordings as read_recordings
@@ -23,7 +23,7 @@ __all__ = [
     "Recordings",
     "bench_file",
     "identifiable",
-    "identify",
+    "identify_bench",
     "read_recordings",
     "write_identification",
 ]

@@ -115,7 +115,7 @@ class Identification:
         return {e.key: [max(e.low, 0.0), e.high] for e in self.estimates if e.key in self.used}
 
 
-def identify(
+def identify_bench(
     recordings: Recordings,
     nominal: SimulationSettings,
     library: PieceLibrary,

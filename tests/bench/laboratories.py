@@ -23,7 +23,7 @@ from touchdown.backend.annotations import Dataset
 from touchdown.backend.bench.assembly import SimulatedBenchChoice, simulated_session
 from touchdown.backend.config import SimulationSettings, load_simulation
 from touchdown.backend.geometry import load_pieces
-from touchdown.backend.identification import identify, read_recordings
+from touchdown.backend.identification import identify_bench, read_recordings
 from touchdown.backend.runs import CollectRequest, RecordingOptions
 
 # Setting: low, high, and whether the logarithm is uniform
@@ -125,7 +125,9 @@ def run_laboratory(seed: int, out: Path) -> dict[str, Any]:
         recorded = time.process_time()
         with Dataset.open(folder / "dataset", write=False) as dataset:
             recordings = read_recordings(dataset)
-        found_bench = identify(recordings, load_simulation(), load_pieces(), folder / "stages")
+        found_bench = identify_bench(
+            recordings, load_simulation(), load_pieces(), folder / "stages"
+        )
         result = {
             "seed": seed,
             "accepted": found_bench.gate.accepted,

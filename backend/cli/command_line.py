@@ -53,7 +53,7 @@ VERBS = {
 # Verbs whose module has another name.
 _MODULES = {
     "import": "import_", "doctor": "doctor.command", "experiment": "experiment.command",
-    "models": "experiment.models",
+    "models": "experiment.models", "identify": "experiment.identify",
 }  # fmt: skip
 
 DONE, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130

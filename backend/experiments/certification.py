@@ -205,18 +205,6 @@ class Certification:
             )
         return found
 
-    def by_piece(self, attempt: Attempt, store: JobStore) -> list[dict[str, Any]]:
-        """Return the outcomes of all finished scenes by risk and piece."""
-        rows: dict[tuple[float, str], Counter[str]] = {}
-        for job in self.jobs(attempt):
-            if store.has(job.id):
-                key = job.params["method"]["fused"]["risk"], job.params["piece"]
-                rows.setdefault(key, Counter()).update(t["outcome"] for t in _trials(store, job))
-        return [
-            {"risk": risk, "piece": piece, "scenes": words.total(), "outcomes": dict(words)}
-            for (risk, piece), words in sorted(rows.items())
-        ]
-
 
 def _trials(store: JobStore, job: JobSpec) -> Sequence[Mapping[str, Any]]:
     trials: Sequence[Mapping[str, Any]] = store.result(job.id)["trials"]

@@ -66,14 +66,16 @@ def run_certify(
             "The bound exceeds 1 %: no certificate." if found is None
             else f"Certificate: {found.summary()}. It is in {file}."
         )  # fmt: skip
-    answer = {
-        "attempt": json.loads(attempt.model_dump_json()),
-        "by_piece": plan.by_piece(attempt, store),
-    }
+    for level in counts:
+        screen.say(
+            f"At a risk of {100 * level.risk:g} %: {level.unsafe:,} of {level.releases:,} releases "
+            f"unsafe, at most {100 * level.bound:.2f} %; {level.placed:,} of {level.scenes:,} "
+            f"scenes placed, harm in {level.harmed:,}."
+        )
+    answer = {"attempt": json.loads(attempt.model_dump_json())}
     path = args.out / "certify.json"
     with write_errors(UNWRITTEN, path, KEPT):
         write_atomically(path, json.dumps(answer, indent=1, sort_keys=True).encode() + b"\n")
-    _show(answer, screen)
     return {
         "file": str(path),
         "certificate": None if file is None else str(file),
@@ -102,23 +104,3 @@ def _plan(args: argparse.Namespace, weights: Path) -> Certification:
     bench = load_simulation(args.bench, None if args.bench else args.preset)
     name = args.bench.stem if args.bench else bench.preset
     return Certification(bench, name, weights.resolve(), risks, args.scenes, program_version())
-
-
-def _show(answer: Json, screen: VerbOutput) -> None:
-    """Print the outcomes by piece, then the bounds."""
-    rows = [
-        (
-            f"{100 * row['risk']:g}",
-            row["piece"],
-            str(row["scenes"]),
-            ", ".join(f"{w.replace('_', ' ')} {n}" for w, n in sorted(row["outcomes"].items())),
-        )
-        for row in answer["by_piece"]
-    ]
-    screen.table("Fresh scenes", ("risk %", "piece", "scenes", "outcomes"), *rows)
-    for found in answer["attempt"]["counts"]:
-        screen.say(
-            f"At a risk of {100 * found['risk']:g} %: {found['unsafe']:,} of "
-            f"{found['releases']:,} releases unsafe, at most {100 * found['bound']:.2f} %; harm in "
-            f"{found['harmed']:,} of {found['scenes']:,} scenes."
-        )

@@ -305,36 +305,32 @@ def _bad_log(where: str, what: str) -> InputError:
 
 
 class ReleaseCertificate(Settings):
-    """File beside a checkpoint: bound of unsafe releases of one model, risk and bench.
+    """File beside a checkpoint: the attempt that bounds the unsafe releases at one ``risk``.
 
-    ``pieces`` and ``bottoms`` are the covered names; no bottoms: any of ``family``. ``error`` of
-    ``counts`` follows from the number of the attempt and of its risks. ``attempts_sha256``: hash of
-    the log with this attempt.
+    ``pieces`` and ``bottoms`` are the covered names; no bottoms: any of the family.
+    ``attempts_sha256``: hash of the log with this attempt.
     """
 
     format: Literal["touchdown-certificate/1"] = "touchdown-certificate/1"
-    bench: str
-    bench_sha256: Digest
-    weights_sha256: Digest
-    method_sha256: Digest
+    attempt: Attempt
+    risk: Probability
     simulated: bool
-    family: str
     pieces: tuple[str, ...]
     bottoms: tuple[str, ...] = ()
-    counts: ReleaseCounts
-    limit: Probability
-    attempt: Annotated[int, Field(ge=1, le=40)]
-    levels: Annotated[int, Field(ge=1)] = 1
     attempts_sha256: Digest
-    date: Date
-    sources: str
-    program_version: str
+
+    @property
+    def counts(self) -> ReleaseCounts:
+        """Counts at the risk."""
+        return next(counts for counts in self.attempt.counts if counts.risk == self.risk)
 
     @model_validator(mode="after")
     def _holds(self) -> Self:
-        if self.counts.bound > self.limit:
-            raise ValueError(f"the bound {self.counts.bound:.4f} exceeds {self.limit:g}")
-        if not math.isclose(self.counts.error, attempt_error(self.attempt, self.levels)):
+        if self.risk not in [counts.risk for counts in self.attempt.counts]:
+            raise ValueError("it has no counts at its risk")
+        if self.counts.bound > self.attempt.limit:
+            raise ValueError(f"the bound {self.counts.bound:.4f} exceeds {self.attempt.limit:g}")
+        if not math.isclose(self.counts.error, self.attempt.error):
             raise ValueError("the error probability is not that of the attempt")
         return self
 
@@ -344,7 +340,7 @@ class ReleaseCertificate(Settings):
         bound = math.ceil(1000.0 * counts.bound - 1e-9) / 10.0
         return (
             f"unsafe \N{LESS-THAN OR EQUAL TO} {bound:.1f} % of releases (95 %), "
-            f"{counts.unsafe:,} of {counts.releases:,} on {self.bench}"
+            f"{counts.unsafe:,} of {counts.releases:,} on {self.attempt.bench}"
         )
 
 
@@ -361,22 +357,12 @@ def certificate_of_attempt(
     if not good:
         return None
     return ReleaseCertificate(
-        bench=attempt.bench,
-        bench_sha256=attempt.bench_sha256,
-        weights_sha256=attempt.weights_sha256,
-        method_sha256=attempt.method_sha256,
+        attempt=attempt,
+        risk=max(good, key=lambda counts: counts.placed).risk,
         simulated=simulated,
-        family=attempt.family,
         pieces=tuple(pieces),
         bottoms=tuple(bottoms),
-        counts=max(good, key=lambda counts: counts.placed),
-        limit=attempt.limit,
-        attempt=attempt.number,
-        levels=len(attempt.risks),
         attempts_sha256=log.sha256(),
-        date=attempt.date,
-        sources=attempt.sources,
-        program_version=attempt.program_version,
     )
 
 
@@ -387,7 +373,7 @@ def attempts_path(weights: Path) -> Path:
 
 def write_certificate(folder: Path, name: str, certificate: ReleaseCertificate) -> Path:
     """Write ``<name>-<bench>.certificate.json`` to ``folder`` and return its path."""
-    path = folder / f"{name}-{certificate.bench_sha256[:12]}{CERTIFICATE_SUFFIX}"
+    path = folder / f"{name}-{certificate.attempt.bench_sha256[:12]}{CERTIFICATE_SUFFIX}"
     content = json.loads(certificate.model_dump_json())
     write_atomically(path, json.dumps(content, indent=1).encode() + b"\n")
     return path
@@ -440,8 +426,8 @@ class CertificateStatus:
         if self.certificate is None:
             return f"{self.reason[:1].upper()}{self.reason[1:]}."
         return (
-            f"For {', '.join(self.certificate.pieces)} on {self.certificate.family}, at a risk of "
-            f"{100 * self.certificate.counts.risk:g} %."
+            f"For {', '.join(self.certificate.pieces)} on {self.certificate.attempt.family}, at a "
+            f"risk of {100 * self.certificate.risk:g} %."
         )
 
     @property
@@ -470,22 +456,17 @@ def find_certificate(claim: ReleaseClaim) -> CertificateStatus:
 
 def _mismatch(certificate: ReleaseCertificate, claim: ReleaseClaim) -> tuple[int, str]:
     """Return the number of conditions that hold, and the first that does not, or ""."""
-    found, risk = certificate, claim.method.fused.risk
+    found, own, wanted = certificate.attempt, certificate.risk, claim.method.fused.risk
+    bottoms, settings = certificate.bottoms, method_sha256(claim.method)
     conditions = (
         (found.bench_sha256 == claim.bench_sha256, f"the present one is of {found.bench}"),
         (found.weights_sha256 == claim.weights_sha256, "the present one is of another model"),
-        (
-            found.counts.risk == risk,
-            f"it holds for a risk of {100 * found.counts.risk:g} %, not of {100 * risk:g} %",
-        ),
-        (
-            found.method_sha256 == method_sha256(claim.method),
-            "it holds for other settings of the method",
-        ),
-        (claim.piece in found.pieces, f"it does not cover the piece '{claim.piece}'"),
+        (own == wanted, f"it holds for a risk of {100 * own:g} %, not of {100 * wanted:g} %"),
+        (found.method_sha256 == settings, "it holds for other settings of the method"),
+        (claim.piece in certificate.pieces, f"it does not cover the piece '{claim.piece}'"),
         (len(claim.bottoms) == 1, "it does not cover towers"),
         (
-            not found.bottoms or claim.bottoms[-1] in found.bottoms,
+            not bottoms or claim.bottoms[-1] in bottoms,
             f"it does not cover the bottom '{claim.bottoms[-1]}'",
         ),
     )

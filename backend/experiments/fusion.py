@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import zip_longest
 from math import pi
 from pathlib import Path
 from typing import Any
@@ -60,7 +61,7 @@ from touchdown.backend.geometry import (
     rectangle,
     square,
 )
-from touchdown.backend.jobs import JobContext, JobFunctions, JobSpec
+from touchdown.backend.jobs import SPEC_FILE, JobContext, JobFunctions, JobSpec, JobStore
 from touchdown.backend.learning import (
     DeviceName,
     device_name,
@@ -122,7 +123,11 @@ def probe_sequences(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
         piece = family.piece(rng)
         part = simulate_sequences(piece, bottoms, settings, seeds, rng, p["probes"])
         if kinds == "any":
-            part["margin_mm"] = np.stack([margin_field(piece, bottom.lower) for bottom in bottoms])
+            fields = [
+                margin_field(piece.face, (float(x), float(y)), bottom.lower)
+                for (x, y), bottom in zip(part["true_com_mm"], bottoms, strict=True)
+            ]
+            part["margin_mm"] = np.stack(fields)
         parts.append(part)
     joined = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     np.savez(place.folder / DATA, **joined)  # type: ignore[arg-type]
@@ -148,7 +153,7 @@ def simulate_sequences(
     of the entered centre of mass added, so that margins are those of the true one, ``count``
     (s,): number of valid probes of P = ``probes``; the rest is zero. ``support_mm`` (s, 128, 2):
     outline of the bottom, its last corner repeated; ``reach_mm`` (s, 16), ``com_mm`` (s, 2),
-    ``grip_height_mm`` (s,): the face.
+    ``grip_height_mm`` (s,): the face. ``true_com_mm`` (s, 2): true centre of mass in ``F``.
     """
     scenes = [
         Scene(piece, Tower((bottom,)), (0.0, 0.0), seed, settings)
@@ -180,7 +185,8 @@ def simulate_sequences(
             count[rows] += 1
             waiting = waiting[~good]
     height = np.asarray(scenes[0].grip_height_mm)
-    com_error = np.array([true_com_xy_mm(scene) for scene in scenes]) - piece.com_xy_mm
+    true_com = np.array([true_com_xy_mm(scene) for scene in scenes])
+    com_error = true_com - piece.com_xy_mm
     face = GraspedFace.of(face_points(piece.face), np.asarray(piece.com_xy_mm), height)
     return {
         "wrench": seen[..., TACTILE_CHANNELS:],
@@ -192,6 +198,7 @@ def simulate_sequences(
         "reach_mm": np.tile(face.reach_mm.astype(np.float32), (n, 1)),
         "com_mm": np.tile(face.com_mm.astype(np.float32), (n, 1)),
         "grip_height_mm": np.full(n, face.grip_height_mm, np.float32),
+        "true_com_mm": true_com,
     }
 
 
@@ -211,11 +218,11 @@ def next_places(last: FloatArray, acted: FloatArray, rng: np.random.Generator) -
     return np.asarray(last + aim * np.minimum(1.0, MAX_STEP_MM / np.maximum(length, 1e-9)))
 
 
-def margin_field(piece: Piece, bottom: Outline) -> NDArray[np.float16]:
+def margin_field(face: Outline, com_xy_mm: XY, bottom: Outline) -> NDArray[np.float16]:
     """Return the margins (m, m) with the centre of mass at the nodes, row y and column x, mm."""
     axis = np.arange(-MARGIN_REACH_MM, MARGIN_REACH_MM + 0.1, MARGIN_STEP_MM)
     places = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
-    margin = contact_margins_mm(piece.face, piece.com_xy_mm, bottom, places)
+    margin = contact_margins_mm(face, com_xy_mm, bottom, places)
     return margin.reshape(len(axis), len(axis)).astype(np.float16)
 
 
@@ -402,22 +409,27 @@ class DataPortion:
     pieces: int
     bottoms: int
     probes: int
-    free: bool  # bottoms rock and slide, as in a trial; such a press takes five times longer
+    free: bool  # bottoms rock and slide, as in a trial; such a press takes three times longer
 
 
-# The first two are alike, so that two machines can start at once.
+# The first two are alike, so that two machines can start at once. The others press 120 bottoms side
+# by side: a press on a free bottom takes 6 ms then, with 30 side by side 42 ms.
 PORTIONS = {
     "short": DataPortion(0, 60, 3, 80, 5, free=False),
     "more": DataPortion(60, 60, 3, 80, 5, free=False),
-    "free": DataPortion(500, 100, 8, 30, 8, free=True),
-    "long": DataPortion(600, 400, 8, 30, 8, free=False),
+    "free": DataPortion(500, 100, 2, 120, 8, free=True),
+    "long": DataPortion(600, 400, 2, 120, 8, free=False),
 }
 COUNTS = {"short": 50, "more": 50}
 
 
 @dataclass(frozen=True, slots=True)
 class FusionRecipe:
-    """Jobs of each of ``portions``, followed by a training of ``steps`` steps."""
+    """Jobs of each of ``portions``, followed by a training of ``steps`` steps; none with 0.
+
+    ``ready``: finished jobs of sequences, perhaps of an earlier version of the program, by portion.
+    They replace the portions.
+    """
 
     bench: SimulationSettings
     code: str
@@ -428,24 +440,28 @@ class FusionRecipe:
     device: DeviceName = "auto"
     portions: Mapping[str, DataPortion] = field(default_factory=lambda: PORTIONS)
     outlines: OutlineKinds = "convex"  # of the bottoms
+    ready: Mapping[str, Sequence[JobSpec]] = field(default_factory=dict)
 
     def jobs(self) -> list[JobSpec]:
-        """Return all jobs, the training last."""
-        parts = [
-            self._part(portion, portion.first + k)
+        """Return the data in turn from each portion, then the training."""
+        portions = self.ready or {
+            name: [self._part(portion, portion.first + k) for k in range(self.counts.get(name, 0))]
             for name, portion in self.portions.items()
-            for k in range(self.counts.get(name, 0))
-        ]
+        }
+        turns = zip_longest(*portions.values()) if not self.ready else ()
+        parts = [part for turn in turns for part in turn if part is not None]
+        if not self.steps:
+            return parts
         facts = {
             "bench_sha256": bench_sha256(self.bench),
             "steps": self.steps,
-            "free": self.counts.get("free", 0),
-            "counts": [n for name in self.portions if (n := self.counts.get(name, 0))],
+            "free": len(portions.get("free", ())),
+            "counts": [len(some) for some in portions.values() if some],
             "without": self.without,
             "device": self.device,
             **self._wide,
         }
-        inputs = tuple(part.id for part in parts)
+        inputs = tuple(part.id for some in portions.values() for part in some)
         return [*parts, JobSpec("fuse", facts, self.seed, inputs, job_code("fuse", self.code))]
 
     def _part(self, portion: DataPortion, place: int) -> JobSpec:
@@ -473,6 +489,30 @@ class FusionRecipe:
         if spec.kind == "fused-trials":
             return int(spec.params["trials"])
         return max(1, int(spec.params["steps"]) // 100)
+
+
+def ready_sequences(
+    store: JobStore, bench: SimulationSettings, outlines: OutlineKinds
+) -> dict[str, list[JobSpec]]:
+    """Return the finished jobs of sequences of a bench and a family, by portion, by seed.
+
+    Of jobs with the same seed, made by several versions of the program, one is taken.
+    """
+    wanted = bench.model_dump(mode="json")
+    found: dict[str, dict[int, JobSpec]] = {name: {} for name in PORTIONS}
+    for path in sorted(store.root.glob(f"*/{SPEC_FILE}")):
+        spec = JobSpec.parse(path.read_text(encoding="utf-8"))
+        p = spec.params
+        if spec.kind != "sequences" or p["bench"] != wanted:
+            continue
+        sizes = p["pieces"], p["sequences"], p["probes"], p["free"]
+        for name, portion in PORTIONS.items():
+            own = portion.pieces, portion.bottoms, portion.probes, portion.free
+            place = (spec.seed - FIRST_SEED) // SEEDS_PER_JOB % 1000 - portion.first
+            inside = 0 <= place < portion.most
+            if inside and sizes == own and p.get("outlines", "convex") == outlines:
+                found[name][spec.seed] = spec
+    return {name: [some[seed] for seed in sorted(some)] for name, some in found.items()}
 
 
 def split_folders(folders: Sequence[Path], counts: Sequence[int]) -> tuple[list[Path], list[Path]]:

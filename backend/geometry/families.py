@@ -47,14 +47,15 @@ TALL_MM = 65.0  # greatest height of a free bottom of the wide family
 
 
 OutlineKinds = Literal["convex", "any"]
-REGION_SHARE = 0.5  # of the bottoms of the wide family
+REGION_SHARE, REGION_FACE_SHARE = 0.5, 0.25  # of bottoms and faces of the wide family
+WIDTHS_MM = (20.0, 45.0)  # of its pieces between the pads
 
 
 @dataclass(frozen=True, slots=True)
 class ShapeFamily:
     """Random outlines that resemble none of ``unseen_bottoms`` and no face of ``unseen_faces``.
 
-    ``kinds``: of the bottoms, convex or any.
+    ``kinds``: of the outlines, convex or any.
     """
 
     unseen_bottoms: tuple[Outline, ...]
@@ -87,7 +88,7 @@ class ShapeFamily:
 
     def piece(self, rng: np.random.Generator) -> Piece:
         """Return a random piece: face, grip height and a centre of mass within 2 mm."""
-        face = _draw_outline(rng, FACES_MM, self.unseen_faces, round_share=0.5)
+        face, width = self._face(rng)
         reach = 2.0 * float(rng.random()) * bool(rng.random() < 0.5)
         angle = float(rng.uniform(0.0, 2.0 * pi))
         return Piece(
@@ -102,12 +103,21 @@ class ShapeFamily:
             com_xy_mm=(reach * float(np.cos(angle)), reach * float(np.sin(angle))),
             mass_g=20.0,
             grip_height_mm=float(rng.uniform(27.0, 43.0)),
-            width_mm=WIDTH_MM,
+            width_mm=width,
             fixed=False,
             nominal=True,
             sha256="",
             source="family",
         )
+
+    def _face(self, rng: np.random.Generator) -> tuple[Outline, float]:
+        """Return face and width of a piece; in the wide family both vary more."""
+        if self.kinds == "convex":
+            return _draw_outline(rng, FACES_MM, self.unseen_faces, round_share=0.5), WIDTH_MM
+        width = float(rng.uniform(*WIDTHS_MM))
+        if rng.random() < REGION_FACE_SHARE:
+            return draw_region(rng, float(rng.uniform(LEAST_REGION_MM, FACES_MM[1]))), width
+        return _draw_outline(rng, FACES_MM, self.unseen_faces, round_share=0.5), width
 
 
 def similarity(first: Outline, second: Outline) -> float:
@@ -257,8 +267,7 @@ FreshClass = Literal[
 ]
 FRESH_CLASSES: tuple[FreshClass, ...] = get_args(FreshClass)
 UNTRAINED_CLASSES: tuple[FreshClass, ...] = ("frame", "bars", "tee")
-# Hash of the commit that was the newest when the test outlines were fixed.
-FRESH_SEED = "62b60783d6ca95e0030bf676c132cce519d576ec"
+FRESH_SEED = "b151a540c14f9b0cc66a92d3b1683025bbe7204e"  # the commit that froze bench-v2
 FRESH_SOURCE = "fresh outlines"
 FRESH_SIZES_MM = (14.0, 30.0)  # longest side, or diameter
 FRESH_RATIO = 2.0  # greatest ratio of the sides

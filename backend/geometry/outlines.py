@@ -471,14 +471,20 @@ def contact_margins_mm(
     """
     import shapely
 
-    moved = _copies(geometry_of(face), places_mm - np.asarray(com_xy_mm))
-    at = shapely.points(places_mm)
-    hulls = shapely.convex_hull(shapely.intersection(moved, geometry_of(below)))
-    depth = shapely.distance(shapely.boundary(hulls), at)
-    beyond = shapely.distance(hulls, at)
-    margin = np.where(beyond > 0.0, -beyond, np.where(shapely.area(hulls) > 0.0, depth, 0.0))
-    apart = -shapely.distance(geometry_of(below), at)
-    return np.asarray(np.where(shapely.is_empty(hulls), apart, margin), dtype=np.float64)
+    support, at = geometry_of(below), shapely.points(places_mm)
+    margin = np.asarray(-shapely.distance(support, at), dtype=np.float64)
+    centre = places_mm - np.asarray(com_xy_mm)
+    gap = shapely.distance(support, shapely.points(centre))
+    near = np.flatnonzero(gap <= np.hypot(*face.half_extents_mm))
+    moved = _copies(geometry_of(face), centre[near])
+    hulls = shapely.convex_hull(shapely.intersection(moved, support))
+    touching = np.flatnonzero(~shapely.is_empty(hulls))
+    near, hulls = near[touching], hulls[touching]
+    depth = shapely.distance(shapely.boundary(hulls), at[near])
+    beyond = shapely.distance(hulls, at[near])
+    inside = np.where(shapely.area(hulls) > 0.0, depth, 0.0)
+    margin[near] = np.where(beyond > 0.0, -beyond, inside)
+    return margin
 
 
 def _has_region(first: Outline, second: Outline) -> bool:

@@ -7,6 +7,7 @@ import json
 import os
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -57,6 +58,7 @@ from touchdown.backend.experiments import (
     program_version,
     read_beyond,
     read_report,
+    ready_sequences,
     release_table,
     rewrite_tables,
     shipped_model_folders,
@@ -166,7 +168,9 @@ def add_fused_arguments(parser: argparse.ArgumentParser) -> None:
     fused.add_argument(
         "--free-parts", type=int, default=0, help="of eight probes on bottoms that rock and slide"
     )
-    fused.add_argument("--steps", type=int, default=6000, help="of the training")
+    fused.add_argument("--steps", type=int, default=6000, help="of the training; 0: data only")
+    fused.add_argument("--ready", action="store_true", help="train on the finished sequences of "
+                       "--out, also of earlier versions of the program; simulate none")  # fmt: skip
     fused.add_argument("--seed", type=int, default=0, help="of data and training")
     fused.add_argument("--without", choices=ABLATIONS, help="an ablation: the wrench, the marker "
                        "fields, the other probes, or mirror images of the data")  # fmt: skip
@@ -190,11 +194,13 @@ def train_fused(
     counts = {"short": args.parts - half, "more": half}
     counts |= {"free": args.free_parts, "long": args.long_parts}
     known = all(n == 0 or 2 <= n <= PORTIONS[name].most for name, n in counts.items())
-    if not known or args.parts < 4 or args.steps < 1 or min(args.seed, args.rule_trials) < 0:
+    known &= args.parts >= 4 or (args.parts == 0 and args.long_parts > 0)
+    if not known or min(args.steps, args.seed, args.rule_trials) < 0:
         raise InputError(
             "The number of parts, steps or trials is out of range, or the seed is negative.",
             "--parts, --long-parts, --free-parts, --steps, --rule-trials, --seed",
-            "Give 4 to 120 parts, none or 2 to 400 long and 2 to 100 free ones, at least 1 step.",
+            "Give 4 to 120 parts, none or 2 to 400 long and 2 to 100 free ones; with long ones "
+            "also no others.",
         )
     bench = load_simulation(args.bench, None if args.bench else args.preset)
     code = program_version()
@@ -202,7 +208,20 @@ def train_fused(
         bench, code, counts, args.steps, args.seed, args.without, args.device,
         outlines=args.outlines,
     )  # fmt: skip
+    if args.ready:
+        recipe = replace(recipe, ready=ready_sequences(store, bench, args.outlines))
+        if any(len(some) == 1 for some in recipe.ready.values()) or not any(recipe.ready.values()):
+            raise InputError(
+                "There are too few finished sequences of this bench and family.",
+                str(store.root),
+                "Simulate at least two jobs of each portion, with --steps 0.",
+            )
     jobs = recipe.jobs()
+    if not args.steps:
+        failed = done(jobs, recipe.effort)
+        missing = sum(not store.has(spec.id) for spec in jobs)
+        return {"file": None, "jobs": len(jobs), "missing": missing, "failed": failed,
+                "fused": None, "rules": []}  # fmt: skip
     training = jobs[-1].id
     asked = threshold_jobs(bench, code, training, args.rule_trials)
     failed = done([*jobs, *asked], recipe.effort)

@@ -311,7 +311,7 @@ def test_from_nothing_to_a_network_with_its_card(
     jobs = tiny(bench_v1).jobs()
     for result in run_campaign(jobs, SerialExecutor(FUSED_KINDS, store), store):
         assert result.state == "done", result.error
-    data = load_sequences([store.folder(job.id) for job in (jobs[0], jobs[2])])
+    data = load_sequences([store.folder(job.id) for job in jobs[:2]])
     # Two sequences of two presses and one of three, all padded to three.
     assert data["wrench"].shape == (3, 3, 8, CHANNELS - TACTILE_CHANNELS)
     assert data["count"].tolist()[:2] == [2, 2]
@@ -346,7 +346,7 @@ def test_the_wide_family_has_its_own_target_and_leaves_old_jobs_alone(
 
 def test_nodes_of_the_target_are_the_margins_there() -> None:
     mug, bottom = load_pieces().top("mug"), ell(20.0, 16.0, 5.0)
-    field = margin_field(mug, bottom)
+    field = margin_field(mug.face, mug.com_xy_mm, bottom)
     assert field.shape == (49, 49)
     near = contact_margins_mm(mug.face, mug.com_xy_mm, bottom, np.array([[3.0, -1.5]]))
     assert field[23, 26] == pytest.approx(float(near[0]), abs=0.01)

@@ -205,6 +205,8 @@ class FusedSettings(Settings):
     risk: Probability = 0.07
     # Smallest distance of the centre of mass from the edge of the support [U].
     inset_mm: Annotated[float, Field(ge=0, le=50)] = 0.25
+    # Probability of a release by several networks: that of the least confident one, or their mean.
+    ensemble: Literal["minimum", "mixture"] = "minimum"
     # A probe replaces former ones within this distance; 0: the network reads all [U].
     merge_mm: Annotated[float, Field(ge=0, le=50)] = 0.0
     # Largest standard deviation of the inset at a release; 0: no limit [U].

@@ -80,6 +80,8 @@ from touchdown.backend.learning.fused import (
     InputPart,
     acting_point_mm,
     data_sha256,
+    join_networks,
+    load_fused,
 )
 from touchdown.backend.placement import (
     XY,
@@ -386,6 +388,7 @@ def count_under_threshold(trials: Iterable[Json], risk: float, at: int) -> Json:
 
 FIRST_SEED, SEEDS_PER_JOB = 40_000_000, 1000  # disjoint from the seeds of all tables
 HELD_OUT = 16  # one job in HELD_OUT of each portion is held out: other pieces, bottoms, mountings
+NETWORK_SEEDS = 1000  # between the trainings of an ensemble
 REPORTED = 500
 FAMILY_TEXT = (
     "faces and bottoms: circles, rectangles up to 1.5 to 1, rounded ones, random convex polygons; "
@@ -441,6 +444,7 @@ class FusionRecipe:
     portions: Mapping[str, DataPortion] = field(default_factory=lambda: PORTIONS)
     outlines: OutlineKinds = "convex"  # of the bottoms
     ready: Mapping[str, Sequence[JobSpec]] = field(default_factory=dict)
+    networks: int = 1  # of an ensemble, each with a bootstrap of the data
 
     def jobs(self) -> list[JobSpec]:
         """Return the data in turn from each portion, then the training."""
@@ -460,9 +464,18 @@ class FusionRecipe:
             "without": self.without,
             "device": self.device,
             **self._wide,
+            **({"kick_mm": kick} if (kick := self.bench.release_disturbance_mm) else {}),
+            **({"bootstrap": True} if self.networks > 1 else {}),
         }
         inputs = tuple(part.id for some in portions.values() for part in some)
-        return [*parts, JobSpec("fuse", facts, self.seed, inputs, job_code("fuse", self.code))]
+        code = job_code("fuse", self.code)
+        seeds = [self.seed + NETWORK_SEEDS * k for k in range(self.networks)]
+        trained = [JobSpec("fuse", facts, seed, inputs, code) for seed in seeds]
+        if self.networks == 1:
+            return [*parts, *trained]
+        members = tuple(job.id for job in trained)
+        code = job_code("fuse-join", self.code)
+        return [*parts, *trained, JobSpec("fuse-join", {}, self.seed, members, code)]
 
     def _part(self, portion: DataPortion, place: int) -> JobSpec:
         params = {
@@ -485,10 +498,10 @@ class FusionRecipe:
     def effort(spec: JobSpec) -> int:
         """Return the relative duration of a job."""
         if spec.kind == "sequences":
-            return 8 if spec.params["free"] else 1
+            return 2 if spec.params["free"] else 1
         if spec.kind == "fused-trials":
             return int(spec.params["trials"])
-        return max(1, int(spec.params["steps"]) // 100)
+        return max(1, int(spec.params.get("steps", 0)) // 100)
 
 
 def ready_sequences(
@@ -532,7 +545,13 @@ def train_fusion(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
     folders = [place.store.folder(source) for source in spec.inputs]
     train, held_out = map(load_sequences, split_folders(folders, spec.params["counts"]))
     without, kinds = spec.params["without"], spec.params.get("outlines", "convex")
-    settings = FusedTraining(steps=spec.params["steps"], seed=spec.seed, without=without)
+    settings = FusedTraining(
+        steps=spec.params["steps"],
+        seed=spec.seed,
+        without=without,
+        bootstrap=spec.params.get("bootstrap", False),
+        kick_mm=spec.params.get("kick_mm", 0.0),
+    )
     device = select_device(spec.params["device"])
     trainer = FusedTrainer(train, held_out, settings, device)
     losses = list(trainer.steps())
@@ -560,6 +579,8 @@ def train_fusion(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
             "learning_rate": settings.learning_rate,
             "without": without,
             "device": device_name(device),
+            "bootstrap": settings.bootstrap,
+            "kick_mm": settings.kick_mm,
         },
         metrics=metrics,
         program_version=program_version(),
@@ -568,8 +589,17 @@ def train_fusion(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
     return {"weights_sha256": card.weights_sha256, **metrics}
 
 
+def join_trained(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
+    """Join the networks of the input jobs to an ensemble."""
+    members = [load_fused(place.store.folder(source) / WEIGHTS) for source in spec.inputs]
+    joined = join_networks(members)
+    card = save_checkpoint(place.folder / WEIGHTS, joined.arrays, joined.card)
+    return {"weights_sha256": card.weights_sha256, **card.metrics}
+
+
 FUSED_KINDS: JobFunctions = {
     "sequences": probe_sequences,
     "fuse": train_fusion,
+    "fuse-join": join_trained,
     "fused-trials": fused_trials,
 }

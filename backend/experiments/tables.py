@@ -95,6 +95,7 @@ JOB_FUNCTIONS = {
     "asked-trials": ("evaluation", "evaluate_trials"),
     "sequences": ("fusion", "probe_sequences"),
     "fuse": ("fusion", "train_fusion"),
+    "fuse-join": ("fusion", "join_trained"),
     "fused-trials": ("fusion", "fused_trials"),
     "staged-release": ("staged_release", "simulate_releases"),
     "certify": ("certification", "run_certified_scenes"),

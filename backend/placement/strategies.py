@@ -58,6 +58,7 @@ from touchdown.backend.placement.policy import (
 from touchdown.backend.placement.support_tower import XY, SupportTower, normal_draws
 
 SEARCH_RADIUS_MM = 10.0  # around the deepest point, for the face centre
+SEARCHED = slice(None, None, 3)  # points of the first search
 # Points this near the edge determine the uncertainty of the centre.
 EDGE_MM = 4.0
 NUDGE_MM = 0.05
@@ -100,15 +101,21 @@ class LowerSupport:
 
 
 def holding_probability(
-    top: InsetDistribution, lower: LowerSupport | None, centre_mm: XY, least_mm: FloatArray
+    top: InsetDistribution,
+    lower: LowerSupport | None,
+    centre_mm: XY,
+    least_mm: FloatArray,
+    *,
+    agreed: bool = False,
 ) -> FloatArray:
     """Return the probability (n,) that the load is deeper than ``least_mm`` (n,) in all supports.
 
     ``top``: inset of the centre of mass, at ``centre_mm``, in the touched face. With ``lower`` this
     is a lower bound: failure probabilities are added, whatever the correlation of the interfaces.
+    ``agreed``: take the probability of the least confident network.
     """
-    repeated = InsetDistribution(*(np.repeat(part, len(least_mm), axis=0) for part in top.parts()))
-    reached = repeated.exceeds(least_mm)
+    repeated = top.at(np.zeros(len(least_mm), dtype=np.intp))
+    reached = repeated.surely_exceeds(least_mm) if agreed else repeated.exceeds(least_mm)
     if lower is None:
         return reached
     insets = np.sort(lower.insets_mm(np.array([centre_mm])).ravel())
@@ -126,7 +133,8 @@ def fit_face_centre(over: InsetDistribution, points_mm: FloatArray, face: Outlin
     start = points_mm[int(expected.argmax())]
     steps = np.arange(-SEARCH_RADIUS_MM, SEARCH_RADIUS_MM + 1.0)
     around = start + np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
-    misfit = (inset_mm(face, points_mm - around[:, None]) - expected) ** 2 @ weight
+    insets = inset_mm(face, points_mm[SEARCHED] - around[:, None])
+    misfit = (insets - expected[SEARCHED]) ** 2 @ weight[SEARCHED]
     at = around[int(np.argmin(misfit))]
     for _ in range(REFINED):
         # Gradient of the inset with respect to the position of the centre.
@@ -312,13 +320,16 @@ class FusedStrategy:
             )
             return PlaceDecision(self._belief.map, nothing, give_up(NO_ESTIMATE))
         cells = (self._belief.map.cell_centres_mm() - np.asarray(here)).reshape(-1, 2)
-        over = self._inset(known, cells, here)
         near = np.hypot(*(cells - com).T) <= FARTHEST_MM
-        reached, cells = InsetDistribution(*(part[near] for part in over.parts())), cells[near]
+        seen = near | self._belief.map.covered.ravel()
+        over = self._inset(known, cells[seen], here)
+        supported = np.full(len(cells), EVEN)
+        supported[seen] = over.exceeds(0.0)
+        reached, cells = over.at(near[seen]), cells[near]
         face_centre = self._update_face_centre(reached, cells + here)
         inset = self._inset(known, np.array([com]), here)
         margin_mm, weak = self._margin_mm(inset, centre), self._weak_evidence(inset, centre)
-        shown = self._probability_map(over)
+        shown = self._probability_map(supported)
         stable = margin_mm >= settings.fused.inset_mm and not weak
         hull = support_hull_mm(replace(self._belief, map=shown), shown.log_odds > 0.0)
         stability = Stability(stable, margin_mm, SupportKind.AREA, hull, centre, "belief")
@@ -439,8 +450,11 @@ class FusedStrategy:
 
     def _margin_mm(self, top: InsetDistribution, centre_mm: XY) -> float:
         """Return the inset of one position that is exceeded with the required probability."""
-        holds = holding_probability(top, self._lower, centre_mm, STEPS_MM)
-        kept = np.flatnonzero(holds >= 1.0 - self._settings.fused.risk)
+        rules = self._settings.fused
+        holds = holding_probability(
+            top, self._lower, centre_mm, STEPS_MM, agreed=rules.ensemble == "minimum"
+        )
+        kept = np.flatnonzero(holds >= 1.0 - rules.risk)
         return float(STEPS_MM[kept[-1]]) if len(kept) else float(STEPS_MM[0])
 
     def _expected_mm(self, over: InsetDistribution, places_mm: FloatArray) -> FloatArray:
@@ -468,9 +482,9 @@ class FusedStrategy:
             aim = ShiftTarget(next_on_spiral(here, self._belief, policy), why or "looking around")
         return shift_towards(stability, aim, here, policy.longest_step_mm, required)
 
-    def _probability_map(self, over: InsetDistribution) -> BeliefMap:
+    def _probability_map(self, supported: FloatArray) -> BeliefMap:
         limit, shape = self._settings.belief.log_odds_limit, self._belief.map.log_odds.shape
-        p = over.exceeds(0.0).reshape(shape)
+        p = supported.reshape(shape)
         with np.errstate(divide="ignore"):
             log_odds = np.clip(np.log(p) - np.log1p(-p), -limit, limit)
         return replace(self._belief.map, log_odds=log_odds)

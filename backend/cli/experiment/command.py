@@ -155,6 +155,7 @@ def write_gap(args: argparse.Namespace, screen: VerbOutput) -> Json:
     return {"file": str(file), "gaps": rows}
 
 
+MOST_NETWORKS = 8
 ABLATIONS = ("wrench", "fields", "others", "mirrors")
 
 
@@ -169,6 +170,8 @@ def add_fused_arguments(parser: argparse.ArgumentParser) -> None:
         "--free-parts", type=int, default=0, help="of eight probes on bottoms that rock and slide"
     )
     fused.add_argument("--steps", type=int, default=6000, help="of the training; 0: data only")
+    fused.add_argument("--networks", type=int, default=1, metavar="N", help="to train, each on "
+                       "sequences drawn with replacement; all must agree on a release")  # fmt: skip
     fused.add_argument("--ready", action="store_true", help="train on the finished sequences of "
                        "--out, also of earlier versions of the program; simulate none")  # fmt: skip
     fused.add_argument("--seed", type=int, default=0, help="of data and training")
@@ -194,19 +197,20 @@ def train_fused(
     counts = {"short": args.parts - half, "more": half}
     counts |= {"free": args.free_parts, "long": args.long_parts}
     known = all(n == 0 or 2 <= n <= PORTIONS[name].most for name, n in counts.items())
+    known &= 1 <= args.networks <= MOST_NETWORKS
     known &= args.parts >= 4 or (args.parts == 0 and args.long_parts > 0)
     if not known or min(args.steps, args.seed, args.rule_trials) < 0:
         raise InputError(
-            "The number of parts, steps or trials is out of range, or the seed is negative.",
-            "--parts, --long-parts, --free-parts, --steps, --rule-trials, --seed",
-            "Give 4 to 120 parts, none or 2 to 400 long and 2 to 100 free ones; with long ones "
-            "also no others.",
+            "A number of parts, networks, steps or trials, or the seed, is out of range.",
+            "--parts, --long-parts, --free-parts, --networks, --steps, --rule-trials, --seed",
+            "Give 4 to 120 parts, none or 2 to 400 long and 2 to 100 free ones (with long ones "
+            f"also no others), and 1 to {MOST_NETWORKS} networks.",
         )
     bench = load_simulation(args.bench, None if args.bench else args.preset)
     code = program_version()
     recipe = FusionRecipe(
         bench, code, counts, args.steps, args.seed, args.without, args.device,
-        outlines=args.outlines,
+        outlines=args.outlines, networks=args.networks,
     )  # fmt: skip
     if args.ready:
         recipe = replace(recipe, ready=ready_sequences(store, bench, args.outlines))

@@ -15,6 +15,7 @@ from .certificate import risk_bound as risk_bound
 from .certificate import write_certificate as write_certificate
 from .checkpoint import FusedCard as FusedCard
 from .checkpoint import FusedCheckpoint as FusedCheckpoint
+from .checkpoint import join_networks as join_networks
 from .checkpoint import load_fused as load_fused
 from .checkpoint import shipped_fused as shipped_fused
 from .checkpoint import shipped_path as shipped_path
@@ -56,6 +57,7 @@ __all__ = [
     "certificate_of_attempt",
     "data_sha256",
     "find_certificate",
+    "join_networks",
     "load_fused",
     "method_sha256",
     "releases_needed",

@@ -6,8 +6,8 @@ Loading runs no code.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib.resources import files
 from pathlib import Path
@@ -20,10 +20,16 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from touchdown.backend.config import first_error
 from touchdown.backend.core import InputError
 from touchdown.backend.learning.checkpoint import card_path, parse_arrays, read_limited
-from touchdown.backend.learning.fused.features import ARCH, TICKS, FusedShape, expected_fused_arrays
+from touchdown.backend.learning.fused.features import (
+    ARCH,
+    TICKS,
+    FusedShape,
+    expected_fused_arrays,
+    shared_arrays,
+)
 from touchdown.backend.learning.inference import VECTOR_ORDER
 
-MAX_BYTES = 2_000_000
+MAX_BYTES = 10_000_000
 FIX = "Use the one that came with Touchdown, or train again with 'touchdown experiment fused'."
 
 
@@ -82,6 +88,31 @@ def load_fused(path: Path) -> FusedCheckpoint:
     if not (found.arrays["scale"] > 0).all():
         raise _bad(path, "'scale' holds values that are not positive")
     return found
+
+
+def join_networks(networks: Sequence[FusedCheckpoint]) -> FusedCheckpoint:
+    """Return the ensemble of networks of equal sizes, trained on the same data.
+
+    Raises ``InputError`` if their sizes, data or scaling differ.
+    """
+    first, shared = networks[0], shared_arrays()
+    for other in networks[1:]:
+        same = all(np.array_equal(other.arrays[name], first.arrays[name]) for name in shared)
+        cards = other.card.hyper == first.card.hyper, other.card.data_sha256
+        if cards != (True, first.card.data_sha256) or not same or first.card.hyper.networks > 1:
+            raise InputError("The networks have different sizes or data.", "ensemble", FIX)
+    hyper = replace(first.card.hyper, networks=len(networks))
+    arrays = {
+        name: array if name in shared else np.stack([one.arrays[name] for one in networks])
+        for name, array in first.arrays.items()
+    }
+    metrics = {
+        name: round(float(np.mean([one.card.metrics[name] for one in networks])), 4)
+        for name in first.card.metrics
+    }
+    training = {**first.card.training, "seeds": [one.card.seed for one in networks]}
+    about = {"hyper": hyper, "metrics": metrics, "training": training}
+    return FusedCheckpoint(arrays, first.card.model_copy(update=about))
 
 
 def shipped_path() -> Path:

@@ -162,7 +162,8 @@ class FusedShape:
     """Sizes of the network.
 
     ``layers`` of attention of ``width`` and ``heads`` over the probes, each followed by ``inner``
-    units; the answer for a point is a mixture of ``parts`` normal distributions.
+    units; the answer for a point is a mixture of ``parts`` normal distributions. ``networks`` of
+    these sizes form an ensemble.
     """
 
     width: Size = 96
@@ -170,20 +171,27 @@ class FusedShape:
     layers: Annotated[int, Field(ge=1, le=8)] = 2
     inner: Size = 192
     parts: Annotated[int, Field(ge=1, le=16)] = 3
+    networks: Annotated[int, Field(ge=1, le=8)] = 1
 
 
 def expected_fused_arrays(shape: FusedShape) -> Mapping[str, tuple[int, ...]]:
-    """Return name and shape of every array in a checkpoint: weights and three of the data."""
-    return {
-        "mean": (PROBE_INPUTS + PIECE_INPUTS,),
-        "scale": (PROBE_INPUTS + PIECE_INPUTS,),
-        "modes": (2, MODES, 126),
-        **weight_shapes(shape),
-    }
+    """Return name and shape of every array in a checkpoint: weights and three of the data.
+
+    The weights of an ensemble have a first axis of networks.
+    """
+    first = (shape.networks,) if shape.networks > 1 else ()
+    weights = {name: (*first, *size) for name, size in weight_shapes(shape).items()}
+    return {**shared_arrays(), **weights}
+
+
+def shared_arrays() -> dict[str, tuple[int, ...]]:
+    """Return name and shape of the arrays of the data, which all networks share."""
+    inputs = PROBE_INPUTS + PIECE_INPUTS
+    return {"mean": (inputs,), "scale": (inputs,), "modes": (2, MODES, 126)}
 
 
 def weight_shapes(shape: FusedShape) -> Mapping[str, tuple[int, ...]]:
-    """Return name and shape of the trained weights."""
+    """Return name and shape of the trained weights of one network."""
     width, inner = shape.width, shape.inner
     arrays: dict[str, tuple[int, ...]] = {}
 

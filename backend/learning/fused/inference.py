@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from math import erf, sqrt
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,8 @@ from touchdown.backend.learning.fused.features import (
     FusedShape,
     GraspedFace,
     probe_inputs,
+    shared_arrays,
+    weight_shapes,
 )
 
 Array = NDArray[np.float32]
@@ -22,18 +25,20 @@ LEAST_LOG_SD, MOST_LOG_SD = -4.0, 2.0
 # Inputs farther than this from their training mean are refused, in standard deviations. None of
 # 14,000 training probes exceeded 40.
 FARTHEST_SD = 100.0
+POINT_LAYERS = ("about", "point", "both", "answer")
 
 
 @dataclass(frozen=True, slots=True)
 class InsetDistribution:
     """Distribution of the inset of points (n,) in the support: a mixture of normal distributions.
 
-    ``weight``, ``mean_mm``, ``sd_mm``: (n, parts).
+    ``weight``, ``mean_mm``, ``sd_mm``: (n, parts), the parts of each of ``networks`` together.
     """
 
     weight: FloatArray
     mean_mm: FloatArray
     sd_mm: FloatArray
+    networks: int = 1
 
     def expected_mm(self) -> FloatArray:
         """Return the mean (n,)."""
@@ -44,74 +49,102 @@ class InsetDistribution:
         squared = (self.weight * (self.mean_mm**2 + self.sd_mm**2)).sum(axis=-1)
         return np.asarray(squared - self.expected_mm() ** 2)
 
-    def parts(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return weight, mean and sd."""
-        return self.weight, self.mean_mm, self.sd_mm
+    def at(self, points: NDArray[np.intp] | NDArray[np.bool_]) -> InsetDistribution:
+        """Return the distribution at some of the points."""
+        weight, mean_mm, sd_mm = (x[points] for x in (self.weight, self.mean_mm, self.sd_mm))
+        return InsetDistribution(weight, mean_mm, sd_mm, self.networks)
 
     def exceeds(self, least_mm: float | FloatArray) -> FloatArray:
         """Return the probability of an inset above ``least_mm``, one number or (n,)."""
+        return np.asarray(self._by_network(least_mm).mean(axis=-1))
+
+    def surely_exceeds(self, least_mm: float | FloatArray) -> FloatArray:
+        """Return the probability that the least confident network gives, see ``exceeds``."""
+        return np.asarray(self._by_network(least_mm).min(axis=-1))
+
+    def _by_network(self, least_mm: float | FloatArray) -> FloatArray:
         z = (self.mean_mm - np.asarray(least_mm)[..., None]) / self.sd_mm
-        return np.asarray((self.weight * np.interp(z, _STEPS, _NORMAL)).sum(axis=-1))
+        share = self.weight * np.interp(z, _STEPS, _NORMAL)
+        each = share.reshape(len(share), self.networks, -1).sum(axis=-1)
+        return np.asarray(self.networks * each)
 
 
 class FusedForward:
-    """Weights prepared for use; stateless."""
+    """Weights prepared for use; stateless. Networks of an ensemble run in one pass."""
 
     def __init__(self, arrays: Mapping[str, Array], shape: FusedShape) -> None:
-        self._arrays = {name: array.astype(np.float64) for name, array in arrays.items()}
-        self._shape = shape
+        shared, self._shape = shared_arrays(), shape
+        self._mean, self._scale = (arrays[name].astype(np.float64) for name in ("mean", "scale"))
+        self._modes = arrays["modes"]
+        every = {
+            name: array.astype(np.float64).reshape(shape.networks, *weight_shapes(shape)[name])
+            for name, array in arrays.items()
+            if name not in shared
+        }
+        # (networks, inputs, outputs) and (networks, 1, outputs)
+        self._arrays: dict[str, NDArray[np.floating]] = {
+            name: array.swapaxes(-1, -2).copy() if array.ndim == 3 else array[:, None]
+            for name, array in every.items()
+        }
+        # Many points are evaluated: their layers compute in single precision.
+        for name in self._arrays:
+            if name.split(".")[0] in POINT_LAYERS:
+                self._arrays[name] = self._arrays[name].astype(np.float32)
 
     def known(
         self, wrench: Array, field: Array, offset_mm: FloatArray, face: GraspedFace
     ) -> FloatArray:
-        """Return the state (P, width) after each probe of one grasp so far.
+        """Return the state (P, networks, width) after each probe of one grasp so far.
 
         ``wrench`` (P, 8, 6) in N and N·m, ``field`` (P, 8, 252) in px, ``offset_mm`` (P, 2). NaN
         from the first probe that differs too much from the training data.
         """
-        modes = self._arrays["modes"].astype(np.float32)
-        probes = probe_inputs(wrench, field, offset_mm, face, modes)
+        probes = probe_inputs(wrench, field, offset_mm, face, self._modes)
         piece = np.broadcast_to(face.inputs(), (len(probes), face.inputs().shape[-1]))
         x = np.concatenate([probes, piece], axis=-1)
-        x = (x - self._arrays["mean"]) / self._arrays["scale"]
-        x = np.where(np.abs(x) <= FARTHEST_SD, x, np.nan)
+        x = (x - self._mean) / self._scale
+        x = np.where(np.abs(x) <= FARTHEST_SD, x, np.nan)[None]
         x = self._linear("probe2", _relu(self._linear("probe", x)))
         for layer in range(self._shape.layers):
             x = x + self._attended(layer, _rms_norm(x))
             x = x + self._linear(f"{layer}.down", _relu(self._linear(f"{layer}.up", _rms_norm(x))))
-        return _rms_norm(x)
+        return _rms_norm(x).swapaxes(0, 1)
 
     def inset(
         self, known: FloatArray, points_mm: FloatArray, from_first_mm: FloatArray
     ) -> InsetDistribution:
         """Return the inset of ``points_mm`` (n, 2), relative to the last offset, in the support.
 
-        ``known`` (width,) after the last probe; ``from_first_mm`` (2,): its offset from the first.
+        ``known`` (networks, width) after the last probe; ``from_first_mm`` (2,): its offset from
+        the first.
         """
-        points = point_inputs(points_mm, from_first_mm)
-        about = self._linear("about", known) + self._linear("point", points)
-        answer = self._linear("answer", _relu(self._linear("both", _relu(about))))
-        weight, mean, log_sd = np.split(answer, 3, axis=-1)
+        points = point_inputs(points_mm, from_first_mm)[None].astype(np.float32)
+        about = self._linear("about", known[:, None].astype(np.float32))
+        x = _relu(about + self._linear("point", points))
+        answer = self._linear("answer", _relu(self._linear("both", x)))
+        weight, mean, log_sd = np.split(answer.astype(np.float64), 3, axis=-1)
         weight = np.exp(weight - weight.max(axis=-1, keepdims=True))
+        share = weight / weight.sum(axis=-1, keepdims=True) / len(known)
         sd = np.exp(np.clip(log_sd, LEAST_LOG_SD, MOST_LOG_SD))
-        share = weight / weight.sum(axis=-1, keepdims=True)
-        return InsetDistribution(share, LENGTH_MM * mean, LENGTH_MM * sd)
+        parts = (share, LENGTH_MM * mean, LENGTH_MM * sd)
+        joined = (part.swapaxes(0, 1).reshape(len(points_mm), -1) for part in parts)
+        return InsetDistribution(*joined, len(known))
 
     def _attended(self, layer: int, x: FloatArray) -> FloatArray:
-        count, width = x.shape
+        networks, count, width = x.shape
         heads = self._shape.heads
-        asked = self._linear(f"{layer}.asks", x).reshape(count, 3, heads, width // heads)
-        query, key, value = asked.transpose(1, 2, 0, 3)
+        asked = self._linear(f"{layer}.asks", x)
+        asked = asked.reshape(networks, count, 3, heads, width // heads)
+        query, key, value = asked.transpose(2, 0, 3, 1, 4)
         score = query @ key.swapaxes(-1, -2) / sqrt(width // heads)
-        score[:, np.triu(np.ones((count, count), dtype=np.bool_), k=1)] = -np.inf
+        score[..., np.triu(np.ones((count, count), dtype=np.bool_), k=1)] = -np.inf
         share = np.exp(score - score.max(axis=-1, keepdims=True))
         share /= share.sum(axis=-1, keepdims=True)
-        joined = (share @ value).transpose(1, 0, 2).reshape(count, width)
+        joined = (share @ value).swapaxes(1, 2).reshape(networks, count, width)
         return self._linear(f"{layer}.joins", joined)
 
-    def _linear(self, name: str, x: FloatArray) -> FloatArray:
-        weight, bias = self._arrays[f"{name}.weight"], self._arrays[f"{name}.bias"]
-        return np.asarray(x @ weight.T + bias, dtype=np.float64)
+    def _linear(self, name: str, x: NDArray[Any]) -> NDArray[Any]:
+        return np.asarray(x @ self._arrays[f"{name}.weight"] + self._arrays[f"{name}.bias"])
 
 
 def point_inputs(points_mm: FloatArray, from_first_mm: FloatArray) -> FloatArray:
@@ -121,8 +154,8 @@ def point_inputs(points_mm: FloatArray, from_first_mm: FloatArray) -> FloatArray
     return np.asarray(joined / LENGTH_MM, dtype=np.float64)
 
 
-def _relu(x: FloatArray) -> FloatArray:
-    return np.maximum(x, 0.0)
+def _relu(x: NDArray[Any]) -> NDArray[Any]:
+    return np.asarray(np.maximum(x, 0.0, dtype=x.dtype))
 
 
 def _rms_norm(x: FloatArray) -> FloatArray:

@@ -116,6 +116,7 @@ def checkpoint_arrays(net: FusedNet) -> dict[str, Tensor]:
 POINTS = 8  # points evaluated after each probe: the centre of mass, four near it, three anywhere
 NEAR_MM, ANYWHERE_MM = 2.5, 16.0
 MIRRORS = ((False, False), (True, False), (False, True), (True, True))
+MIRROR_SIGNS = tuple((-1.0 if x else 1.0, -1.0 if y else 1.0) for x, y in MIRRORS)
 FIRST_OF_FIELDS = AT_ONCE = 2000
 Arrays = Mapping[str, NDArray[Any]]
 
@@ -130,6 +131,8 @@ class FusedTraining:
     seed: int = 0
     shape: FusedShape = field(default_factory=FusedShape)
     without: InputPart | None = None  # inputs left out by an ablation
+    bootstrap: bool = False  # train on sequences drawn with replacement, as a network of several
+    kick_mm: float = 0.0  # sd per axis of the shift of the centre of mass at a release
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,7 +141,8 @@ class ProbeSequences:
 
     ``probes`` (n, P, inputs) not scaled; ``true_mm``, ``offset_mm`` (n, P, 2); ``com_mm`` (n, 2);
     ``normal`` (n, k, 2) and ``reach_mm`` (n, k): half planes of the support; ``there`` (n, P).
-    ``margin_mm`` (n, m, m): margins at nodes in the frame of the bottom, m = 0 for convex bottoms.
+    ``margin_mm`` (n / 4 or n, m, m): margins at nodes in the frame of the bottom, without mirror
+    images, m = 0 for convex bottoms.
     """
 
     probes: Tensor
@@ -158,7 +162,9 @@ class ProbeSequences:
         """
         at = points_mm + self.true_mm[rows][:, :, None]
         if self.margin_mm.shape[-1]:
-            return interpolate(self.margin_mm[rows], at / MARGIN_REACH_MM)
+            own = len(self.margin_mm)
+            signs = torch.tensor(MIRROR_SIGNS)[rows // own][:, None, None]
+            return interpolate(self.margin_mm[rows % own].float(), signs * at / MARGIN_REACH_MM)
         along = torch.einsum("bpqx,bkx->bpqk", at, self.normal[rows])
         return (self.reach_mm[rows][:, None, None] - along).amin(dim=-1)
 
@@ -183,13 +189,18 @@ def prepare_sequences(
         for across_x, across_y in (MIRRORS if mirror else MIRRORS[:1])
         for first in range(0, len(arrays["count"]), AT_ONCE)
     ]  # fmt: skip
-    return ProbeSequences(*(torch.from_numpy(np.concatenate(c)) for c in zip(*parts, strict=True)))
+    columns = [torch.from_numpy(np.concatenate(c)) for c in zip(*parts, strict=True)]
+    margin = torch.from_numpy(arrays.get("margin_mm", np.empty((len(arrays["count"]), 0, 0))))
+    return ProbeSequences(*columns[:-1], margin, columns[-1])
 
 
 def _prepared(
     arrays: Arrays, modes: NDArray[np.float32], *, across_x: bool, across_y: bool
 ) -> tuple[NDArray[Any], ...]:
-    """Return the columns of ``ProbeSequences`` for a block, mirrored in x, y, both or not."""
+    """Return the columns of ``ProbeSequences`` for a block, mirrored in x, y, both or not.
+
+    The margins are left out.
+    """
     signs = np.array([-1.0 if across_x else 1.0, -1.0 if across_y else 1.0])
     wrench, seen = mirror_signals(
         arrays["wrench"], arrays["field"], across_x=across_x, across_y=across_y
@@ -201,7 +212,6 @@ def _prepared(
     inputs = probe_inputs(wrench, seen, offset, face, modes)
     piece = np.broadcast_to(face.inputs()[:, None], (*inputs.shape[:2], face.inputs().shape[-1]))
     normal, reach = half_planes(arrays["support_mm"].astype(np.float64))
-    margin = arrays.get("margin_mm", np.empty((len(offset), 0, 0)))
     columns = (
         np.concatenate([inputs, piece], axis=-1),
         arrays["true_mm"] * signs,
@@ -209,7 +219,6 @@ def _prepared(
         face.com_mm,
         normal * signs,
         reach,
-        margin[:, :: -1 if across_y else 1, :: -1 if across_x else 1],
     )
     there = np.arange(inputs.shape[1]) < arrays["count"][:, None]
     return (*(column.astype(np.float32) for column in columns), there)
@@ -249,6 +258,11 @@ class FusedTrainer:
         learned = (weight for weight in self.net.parameters() if weight.requires_grad)
         self._adam = Adam(learned, settings.learning_rate)
         self._generator = torch.Generator().manual_seed(settings.seed + 1)
+        self._rows = torch.arange(len(self._train.probes))
+        if settings.bootstrap:
+            count = len(train["count"])
+            drawn = torch.randint(count, (count,), generator=self._generator)
+            self._rows = (self._rows.view(-1, count)[:, :1] + drawn).flatten()
 
     def steps(self) -> Iterator[float]:
         """Yield the loss (nats a point) of each step."""
@@ -258,7 +272,7 @@ class FusedTrainer:
             share = 0.5 * (1.0 + math.cos(math.pi * step / settings.steps))
             self._adam.rate = settings.learning_rate * warm * share
             size = (settings.batch,)
-            rows = torch.randint(len(self._train.probes), size, generator=self._generator)
+            rows = self._rows[torch.randint(len(self._rows), size, generator=self._generator)]
             loss = self._loss(self._train, rows, self._generator)
             self._adam.zero_grad()
             loss.backward()  # type: ignore[no-untyped-call]
@@ -280,7 +294,9 @@ class FusedTrainer:
 
     def _loss(self, data: ProbeSequences, rows: Tensor, generator: torch.Generator) -> Tensor:
         points = _points(data, rows, generator)
-        inset = data.inset_mm(rows, points) / LENGTH_MM
+        kick = self._settings.kick_mm
+        moved = points + kick * torch.randn(points.shape, generator=generator) if kick else points
+        inset = data.inset_mm(rows, moved) / LENGTH_MM
         away = (data.offset_mm[rows] - data.offset_mm[rows][:, :1])[:, :, None]
         asked = point_inputs(points.numpy(), away.numpy()).astype(np.float32)
         probes = (data.probes[rows] - self.mean) / self.scale

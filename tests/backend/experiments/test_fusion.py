@@ -32,6 +32,7 @@ from touchdown.backend.experiments.fusion import (
     load_sequences,
     margin_field,
     next_places,
+    ready_sequences,
     record_trials,
     threshold_jobs,
 )
@@ -342,6 +343,31 @@ def test_the_wide_family_has_its_own_target_and_leaves_old_jobs_alone(
     card = load_fused(store.folder(jobs[-1].id) / WEIGHTS).card
     assert card.outlines == "any"
     assert "crescents" in card.family
+
+
+def test_finished_data_of_any_version_train_an_ensemble(
+    bench_v1: SimulationSettings, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("touchdown.backend.experiments.fusion.PORTIONS", TINY)
+    store = JobStore(tmp_path)
+    data = replace(tiny(bench_v1), steps=0)
+    jobs = [replace(job, code="an earlier one") for job in data.jobs()]
+    assert [job.params["free"] for job in jobs] == [False, True, False, True]
+    for job in jobs:
+        assert run_job(job, FUSED_KINDS, store).state == "done"
+    ready = ready_sequences(store, bench_v1, "convex")
+    assert ready == {"short": jobs[::2], "free": jobs[1::2]}
+    assert not any(ready_sequences(store, bench_v1, "any").values())
+    recipe = replace(data, steps=2, ready=ready, networks=2)
+    training = recipe.jobs()
+    assert [job.kind for job in training] == ["fuse", "fuse", "fuse-join"]
+    for result in run_campaign(training, SerialExecutor(FUSED_KINDS, store), store):
+        assert result.state == "done", result.error
+    found = load_fused(store.folder(training[-1].id) / WEIGHTS)
+    assert found.card.hyper.networks == 2
+    assert found.card.training["seeds"] == [0, 1000]
+    first, second = found.arrays["answer.weight"]
+    assert not np.array_equal(first, second)
 
 
 def test_nodes_of_the_target_are_the_margins_there() -> None:

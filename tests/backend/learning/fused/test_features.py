@@ -7,6 +7,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,12 @@ from touchdown.backend.experiments import oracle
 from touchdown.backend.experiments.oracle import HypothesisEnsemble, OracleSetting, predict_press
 from touchdown.backend.geometry import circle, face_points, inset_mm, load_pieces, rectangle
 from touchdown.backend.learning.checkpoint import save_checkpoint
-from touchdown.backend.learning.fused.checkpoint import FusedCard, load_fused
+from touchdown.backend.learning.fused.checkpoint import (
+    FusedCard,
+    FusedCheckpoint,
+    join_networks,
+    load_fused,
+)
 from touchdown.backend.learning.fused.features import (
     TICKS,
     FusedShape,
@@ -33,8 +39,9 @@ from touchdown.backend.learning.fused.features import (
     field_components,
     mirror_signals,
     probe_inputs,
+    shared_arrays,
 )
-from touchdown.backend.learning.fused.inference import FusedForward, point_inputs
+from touchdown.backend.learning.fused.inference import FusedForward, InsetDistribution, point_inputs
 from touchdown.backend.learning.fused.training import (
     FusedNet,
     FusedTrainer,
@@ -117,6 +124,45 @@ def test_a_mixture_exceeds_what_draws_from_it_exceed() -> None:
     assert inset.expected_mm()[0] == pytest.approx(drawn.mean(), abs=0.3)
     middle = float(np.median(drawn))
     assert inset.exceeds(middle)[0] == pytest.approx(0.5, abs=0.02)
+
+
+def test_an_ensemble_is_its_networks_together_and_trusts_the_least_confident() -> None:
+    rng, members = np.random.default_rng(4), [weights(seed) for seed in (1, 2, 3)]
+    shared = {name: members[0][name] for name in shared_arrays()}
+    checkpoints = [
+        FusedCheckpoint({**own, **shared}, FusedCard(
+            hyper=SMALL, bench_sha256="b", data_sha256="d", seed=k, program_version="0",
+            metrics={"held_out_loss": float(k)},
+        ))
+        for k, own in enumerate(members)
+    ]  # fmt: skip
+    joined = join_networks(checkpoints)
+    assert joined.card.hyper.networks == 3
+    assert joined.card.metrics == {"held_out_loss": 1.0}
+    expected = expected_fused_arrays(joined.card.hyper)
+    assert {name: array.shape for name, array in joined.arrays.items()} == expected
+    wrench, field = signals(rng, 3)
+    offset, points = rng.normal(size=(3, 2)), 5.0 * rng.normal(size=(6, 2))
+
+    def insets(found: FusedCheckpoint) -> InsetDistribution:
+        forward = FusedForward(found.arrays, found.card.hyper)
+        known = forward.known(wrench, field, offset, FACE)
+        return forward.inset(known[-1], points, offset[-1] - offset[0])
+
+    alone = [insets(one) for one in checkpoints]
+    together = insets(joined)
+    each = np.stack([one.exceeds(0.5) for one in alone])
+    np.testing.assert_allclose(together.exceeds(0.5), each.mean(axis=0), atol=1e-6)
+    np.testing.assert_allclose(together.surely_exceeds(0.5), each.min(axis=0), atol=1e-6)
+    means = np.stack([one.expected_mm() for one in alone])
+    np.testing.assert_allclose(together.expected_mm(), means.mean(axis=0), atol=1e-5)
+    # Networks that differ are less certain together than on average.
+    assert (together.variance_mm2() > np.mean([o.variance_mm2() for o in alone], axis=0)).all()
+    other = replace(
+        checkpoints[1], card=checkpoints[1].card.model_copy(update={"data_sha256": "x"})
+    )
+    with pytest.raises(InputError, match="different sizes or data"):
+        join_networks([checkpoints[0], other])
 
 
 @pytest.mark.parametrize(("across_x", "across_y"), [(True, False), (False, True), (True, True)])
@@ -252,6 +298,20 @@ def test_a_training_learns_and_is_the_same_again() -> None:
     assert all(np.array_equal(first[name], second[name]) for name in first)
 
 
+def test_a_bootstrap_draws_whole_sequences_and_a_kick_blurs_the_target() -> None:
+    train, held_out = made_up(96, 1), made_up(32, 2)
+    settings = FusedTraining(3, 48, seed=3, shape=SMALL, bootstrap=True, kick_mm=0.5)
+    trainer = FusedTrainer(train, held_out, settings)
+    rows = trainer._rows.view(4, 96)
+    assert 40 < len(set(rows[0].tolist())) < 80
+    assert torch.equal(rows[3], rows[0] + 288)
+    assert torch.equal(trainer._rows, FusedTrainer(train, held_out, settings)._rows)
+    plain = FusedTrainer(train, held_out, replace(settings, bootstrap=False, kick_mm=0.0))
+    assert torch.equal(plain._rows, torch.arange(384))
+    assert trainer.held_out_loss() != plain.held_out_loss()
+    assert torch.equal(trainer.mean, plain.mean)
+
+
 @pytest.fixture
 def kept(tmp_path: Path) -> Path:
     card = FusedCard(hyper=SMALL, bench_sha256="b", data_sha256="d", seed=1, program_version="0")
@@ -278,7 +338,7 @@ def test_a_bad_file_is_refused_by_name(kept: Path, what: str) -> None:
     elif what == "other ticks":
         card["ticks"] = [0, 1, 2, 3, 4, 5, 6, 7]
     else:
-        content += bytes(2_000_000)
+        content += bytes(10_000_000)
     kept.write_bytes(bytes(content))
     kept.with_suffix(".json").write_text(json.dumps(card))
     with pytest.raises(InputError) as refused:

@@ -127,8 +127,8 @@ class FusedForward:
         share = weight / weight.sum(axis=-1, keepdims=True) / len(known)
         sd = np.exp(np.clip(log_sd, LEAST_LOG_SD, MOST_LOG_SD))
         parts = (share, LENGTH_MM * mean, LENGTH_MM * sd)
-        joined = (part.swapaxes(0, 1).reshape(len(points_mm), -1) for part in parts)
-        return InsetDistribution(*joined, len(known))
+        shares, means, sds = (p.swapaxes(0, 1).reshape(len(points_mm), -1) for p in parts)
+        return InsetDistribution(shares, means, sds, len(known))
 
     def _attended(self, layer: int, x: FloatArray) -> FloatArray:
         networks, count, width = x.shape

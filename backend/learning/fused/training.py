@@ -189,9 +189,9 @@ def prepare_sequences(
         for across_x, across_y in (MIRRORS if mirror else MIRRORS[:1])
         for first in range(0, len(arrays["count"]), AT_ONCE)
     ]  # fmt: skip
-    columns = [torch.from_numpy(np.concatenate(c)) for c in zip(*parts, strict=True)]
-    margin = torch.from_numpy(arrays.get("margin_mm", np.empty((len(arrays["count"]), 0, 0))))
-    return ProbeSequences(*columns[:-1], margin, columns[-1])
+    columns = [np.concatenate(column) for column in zip(*parts, strict=True)]
+    margin = arrays.get("margin_mm", np.empty((len(arrays["count"]), 0, 0)))
+    return ProbeSequences(*map(torch.from_numpy, (*columns[:-1], margin, columns[-1])))
 
 
 def _prepared(

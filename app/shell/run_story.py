@@ -16,6 +16,7 @@ from touchdown.backend.core import (
     Outcome,
     PatchEstimated,
     PhaseEntered,
+    PieceWeighed,
     PlaceAction,
     Released,
     RunFinished,
@@ -59,6 +60,7 @@ class TrialStory:
     finished: TrialFinished | None = None
     stands: bool | None = None
     fall: Fall | None = None
+    weighed: PieceWeighed | None = None
 
     @property
     def excuse(self) -> str:
@@ -141,6 +143,8 @@ class RunStory:
             trial.phase = event.phase
         elif trial is not None and isinstance(event, Released):
             trial.stands, trial.fall = event.stands, event.fall
+        elif trial is not None and isinstance(event, PieceWeighed):
+            trial.weighed = event
         elif trial is not None and isinstance(event, TrialFinished):
             trial.finished = event
         else:
@@ -174,8 +178,18 @@ def true_patch_outline(
 def unprobed_scene(trial: TrialStory) -> BeliefScene:
     """Return the scene of a trial without an estimate, with the reason."""
     if trial.finished is None:
-        return BeliefScene()
+        return BeliefScene() if trial.weighed is None else BeliefScene(empty=_weight(trial.weighed))
     return BeliefScene(empty=("No probe in this trial", "It ended before the first estimate."))
+
+
+def _weight(found: PieceWeighed) -> tuple[str, str]:
+    """Return title and detail of the result of a weighing."""
+    (x, y), (x_sigma, y_sigma) = found.com_xy_mm, found.sigma_mm
+    return (
+        f"Centre of mass {x:+.1f} \N{PLUS-MINUS SIGN} {x_sigma:.1f}, "
+        f"{y:+.1f} \N{PLUS-MINUS SIGN} {y_sigma:.1f} mm",
+        f"The piece weighs {found.mass_g:.0f} g. The first press fills the map.",
+    )
 
 
 def belief_scene(
@@ -197,6 +211,7 @@ def belief_scene(
         clipped=action.clipped if action is not None else False,
         face=None if face is None else face.path(SEGMENTS),
         truth=truth,
+        com_sigma_mm=None if trial.weighed is None else trial.weighed.sigma_mm,
     )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
+from math import isnan
 from pathlib import Path
 from typing import get_args
 
@@ -30,6 +31,7 @@ from touchdown.widgets.forms import FormFields, decimal_box, set_entries
 
 MEASURE_AFTER_MS = 300  # pause after an edit before the file is measured again
 ROLES = (("top", "is grasped"), ("bottom", "is stacked upon"), ("both", "both"))
+COMS = (("", "automatic"), ("uniform", "uniform density"), ("unknown", "unknown: weigh in the run"))
 UNITS = (("", "as in the file, or mm"), *((unit, unit) for unit in UNITS_MM))
 DRAWN = "drawing"  # face of a file that holds only an outline
 FACES = (*((end, end) for end in get_args(PieceEnd)), (DRAWN, "drawn outline"))
@@ -85,12 +87,13 @@ class PieceSheet(BenchSheet):
         self.add.setProperty("role", "primary")
         self.file, self.said = label(NO_FILE, wrap=True), label("", "small", wrap=True)
         self.picture = PiecePicture(theme)
-        self.name, self.face, self.role, self.units = (
-            QLineEdit(), QComboBox(), QComboBox(), QComboBox()
+        self.name, self.face, self.role, self.units, self.com = (
+            QLineEdit(), QComboBox(), QComboBox(), QComboBox(), QComboBox()
         )  # fmt: skip
         self.density, self.mass_g = decimal_box(0.0, 25.0), decimal_box(0.0, 10_000.0)
         self.height_mm, self.grip_mm = decimal_box(0.0, 300.0), decimal_box(0.0, 300.0)
-        for combo, entries in ((self.face, FACES), (self.role, ROLES), (self.units, UNITS)):
+        for combo, entries in ((self.face, FACES), (self.role, ROLES), (self.units, UNITS),
+                               (self.com, COMS)):  # fmt: skip
             set_entries(combo, entries)
             combo.currentIndexChanged.connect(self._delay.start)
         for box, auto in ((self.mass_g, "by density"), (self.height_mm, "measured"),
@@ -139,7 +142,7 @@ class PieceSheet(BenchSheet):
     def _arrange(self) -> None:
         fields = FormFields(
             12, 6, face=self.face, role=self.role, units=self.units, density=self.density,
-            mass=self.mass_g, height=self.height_mm, grip=self.grip_mm,
+            mass=self.mass_g, com=self.com, height=self.height_mm, grip=self.grip_mm,
         )  # fmt: skip
         fields.add_wide(
             0,
@@ -149,6 +152,7 @@ class PieceSheet(BenchSheet):
             ("Unit", self.units, "Length unit of the file"),
             ("Density, g/cm³", self.density, "Uniform density, such as 1.24 of PLA"),
             ("Mass, g", self.mass_g, "Mass of a weighed piece, instead of the density"),
+            ("Centre of mass", self.com, "Of a uniform density, or measured by each run"),
             ("Height, mm", self.height_mm, "Height over a drawn outline"),
             ("Grip, mm", self.grip_mm, "Height of the grip above the face"),
         )
@@ -171,6 +175,7 @@ class PieceSheet(BenchSheet):
             mass_g=mass,
             height_mm=self.height_mm.value() or None,
             grip_mm=None if role == "bottom" else self.grip_mm.value() or None,
+            com=self.com.currentData() or None,
         )
 
     def _ask_file(self) -> None:
@@ -188,10 +193,10 @@ class PieceSheet(BenchSheet):
     def _measurement(self, number: int, measured: object) -> None:
         if number == self._asked and isinstance(measured, MeasuredPiece):
             x, y, z = measured.com_mm
+            com = "" if isnan(x) else f", centre of mass {x:.2f}, {y:.2f}, {z:.2f} mm"
             words = (
                 f"Face {measured.face.area:.1f} mm², height {measured.height_mm:.2f} mm, volume "
-                f"{1e-3 * measured.volume_mm3:.2f} cm³, mass {measured.mass_g:.1f} g, centre of "
-                f"mass {x:.2f}, {y:.2f}, {z:.2f} mm."
+                f"{1e-3 * measured.volume_mm3:.2f} cm³, mass {measured.mass_g:.1f} g{com}."
             )
             self._show(measured, " ".join((words, *measured.notes)))
 

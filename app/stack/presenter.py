@@ -225,7 +225,9 @@ class StackPresenter:
             detail, changed = _belief_detail(scene, look), belief.scene is not scene
         if changed:
             belief.show_scene(scene)
-        self._page.legend.show_truth(scene.truth is not None)
+        self._page.legend.show_truth(
+            scene.truth is not None, weighed=scene.com_sigma_mm is not None
+        )
         self._page.belief_panel.detail.setText(detail)
 
     def _draw_strip(self) -> None:
@@ -309,6 +311,7 @@ def stack_request(form: RunForm) -> StackRequest:
         strategy=strategy,
         mode=cast("DecisionMode", form.mode),
         origin_mm=(form.origin_x_mm, form.origin_y_mm),
+        weigh=form.weigh,
     )
 
 

@@ -34,6 +34,7 @@ from touchdown.backend.geometry import (
     draw_tower,
     load_pieces,
     start_generator,
+    with_true_com,
 )
 from touchdown.backend.learning import ModelRegistry, card_mismatches, check_autonomous
 from touchdown.backend.placement import Estimator
@@ -240,7 +241,7 @@ def make_scene(catalogue: PieceLibrary, choice: SceneChoice, settings: Simulatio
     seed = choice.seed
     if seed < 0:
         raise InputError(f"The seed {seed} is negative.", "--seed", "Give 0 or a positive number.")
-    piece = catalogue.top(choice.piece)
+    piece = with_true_com(catalogue.top(choice.piece), seed)
     rng = start_generator(seed, choice.piece, *choice.bottoms)
     tower = make_tower(catalogue, choice, piece, rng)
     if not choice.jig:
@@ -297,7 +298,7 @@ def simulated_session(
             devices=bench.devices,
             arm=bench.arm,
             gripper=bench.gripper,
-            piece=scene.piece,
+            piece=catalogue.top(choice.piece),  # without a drawn centre of mass
             bottom="+".join(choice.bottoms),
             advance=bench.advance,
             scoring=SimulatedScoring(bench, method.policy.longest_step_mm, animate),

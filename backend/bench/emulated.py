@@ -187,7 +187,7 @@ class EmulatedBench:
             devices=wired.devices,
             arm=wired.arm,
             gripper=wired.gripper,
-            piece=scene.piece,
+            piece=self._catalogue.top(choice.piece),  # without a drawn centre of mass
             bottom="+".join(choice.bottoms),
             advance=self._clock.wait,
             scoring=SimulatedScoring(truth, self._method.policy.longest_step_mm, False),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from math import isnan
 from pathlib import Path
 from typing import get_args
 
@@ -10,6 +11,7 @@ from touchdown.backend.cli.output import VerbOutput
 from touchdown.backend.core import InputError
 from touchdown.backend.geometry import (
     UNITS_MM,
+    CentreOfMass,
     MeasuredPiece,
     Piece,
     PieceEnd,
@@ -51,6 +53,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--grip", type=float, metavar="MM",
         help="height of the grip above the face (default: 0.7 of the height)",
     )  # fmt: skip
+    parser.add_argument(
+        "--com", choices=get_args(CentreOfMass),
+        help="centre of mass: uniform density, or unknown and weighed by each run (default: "
+        "uniform, but unknown for an outline with --mass)",
+    )  # fmt: skip
     parser.add_argument("--name", help="name of the piece (default: that of the file)")
     parser.add_argument("--title", default="", help="title (default: from the name)")
     parser.add_argument(
@@ -74,7 +81,7 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
 def _add(args: argparse.Namespace, screen: VerbOutput) -> int:
     source = Path(args.source)
     wanted = PieceImport(
-        args.face, args.role, args.units, args.density, args.mass, args.height, args.grip
+        args.face, args.role, args.units, args.density, args.mass, args.height, args.grip, args.com
     )
     measured = measure_piece(source, wanted)
     name = args.name or piece_name(source)
@@ -93,7 +100,8 @@ def _add(args: argparse.Namespace, screen: VerbOutput) -> int:
     screen.result({
         "piece": name, "written": str(written), "picture": str(picture), "role": measured.role,
         "height_mm": measured.height_mm, "volume_mm3": measured.volume_mm3,
-        "area_mm2": measured.face.area, "mass_g": measured.mass_g, "com_mm": measured.com_mm,
+        "area_mm2": measured.face.area, "mass_g": measured.mass_g,
+        "com_mm": [None if isnan(value) else value for value in measured.com_mm],
         "grip_height_mm": measured.grip_mm, "width_mm": measured.width_mm,
         "parts": len(measured.face.geoms),
         "holes": sum(len(part.interiors) for part in measured.face.geoms),
@@ -112,7 +120,9 @@ def _words(piece: MeasuredPiece) -> tuple[str, ...]:
         f"Face: {piece.face.area:.1f} mm², {len(piece.face.geoms)} part(s), {holes} hole(s).",
         f"Height {piece.height_mm:.2f} mm, volume {1e-3 * piece.volume_mm3:.2f} cm³, "
         f"mass {piece.mass_g:.1f} g.",
-        f"Centre of mass: {x:.2f}, {y:.2f} mm from the middle of the face, "
+        ""
+        if isnan(x)
+        else f"Centre of mass: {x:.2f}, {y:.2f} mm from the middle of the face, "
         f"{z:.2f} mm above the underside.",
         grip,
     )
@@ -148,7 +158,8 @@ def _show(args: argparse.Namespace, screen: VerbOutput) -> int:
 def _facts(piece: Piece) -> dict[str, object]:
     return {
         "name": piece.name, "title": piece.title, "roles": list(piece.roles),
-        "height_mm": piece.height_mm, "mass_g": piece.mass_g, "com_xy_mm": list(piece.com_xy_mm),
+        "height_mm": piece.height_mm, "mass_g": piece.mass_g,
+        "com_xy_mm": list(piece.com_xy_mm) if piece.com_known else "unknown",
         "com_height_mm": piece.com_height_mm, "area_mm2": round(piece.face.area_mm2, 3),
         "grip_height_mm": piece.grip_height_mm, "width_mm": piece.width_mm,
         "fixed": piece.fixed, "file": piece.source, "sha256": piece.sha256,

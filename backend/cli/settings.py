@@ -12,7 +12,7 @@ from touchdown.backend.core import InputError
 
 # Tables that 0.1.0 wrote for strategies that are gone.
 REMOVED_TABLES = {"looking", "outlines", "pressure"}
-RUN_ARGUMENTS = {"strategy", "mode"}  # arguments of each run, not stored in the file
+RUN_ARGUMENTS = {"strategy", "mode", "weigh"}  # arguments of each run, not stored in the file
 HEAD = """\
 # Settings of the method for `touchdown stack --method`; what is left out keeps its default.
 # Reasons: docs/method-choices.md.

@@ -323,6 +323,8 @@ class StackSettings(Settings):
     collect: CollectSettings = CollectSettings()
     strategy: StrategyName = "paper"
     mode: Literal["auto", "approve", "step"] = "auto"
+    # Weigh the held piece first, and judge by its measured centre of mass.
+    weigh: bool = False
 
     @property
     def required_margin_mm(self) -> float:

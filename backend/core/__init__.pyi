@@ -32,6 +32,7 @@ from .events import PatchEstimated as PatchEstimated
 from .events import Paused as Paused
 from .events import PhaseEntered as PhaseEntered
 from .events import PhotoKept as PhotoKept
+from .events import PieceWeighed as PieceWeighed
 from .events import ProbeCollected as ProbeCollected
 from .events import Progress as Progress
 from .events import Refused as Refused
@@ -174,6 +175,7 @@ __all__ = [
     "Paused",
     "PhaseEntered",
     "PhotoKept",
+    "PieceWeighed",
     "PlaceAction",
     "Pose",
     "ProbeCollected",

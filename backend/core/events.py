@@ -232,6 +232,19 @@ class OriginChecked(Event):
 
 
 @dataclass(frozen=True, slots=True)
+class PieceWeighed(Event):
+    """The held piece was weighed: mass, and centre of mass from the face centre along x and y.
+
+    The standard uncertainties of both enter the decisions of the trial.
+    """
+
+    mass_g: float
+    mass_sigma_g: float
+    com_xy_mm: tuple[float, float]
+    sigma_mm: tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True)
 class CalibrationMeasured(Event):
     """A calibration was measured; it becomes valid when a person accepts it.
 

@@ -41,6 +41,7 @@ from touchdown.backend.geometry import (
     judge_tower,
     load_pieces,
     start_generator,
+    with_true_com,
 )
 from touchdown.backend.learning import PatchCalibration
 from touchdown.backend.placement import (
@@ -84,7 +85,8 @@ class SceneSetup:
         settings: SimulationSettings,
     ) -> SceneSetup:
         """Return the set-up of the named pieces; raises ``InputError``."""
-        return cls(catalogue.top(piece), tuple(map(catalogue.bottom, bottoms)), settings)
+        top = with_true_com(catalogue.top(piece), 0)
+        return cls(top, tuple(map(catalogue.bottom, bottoms)), settings)
 
     @classmethod
     def of_job(cls, params: Mapping[str, Any], *bottoms: str) -> SceneSetup:

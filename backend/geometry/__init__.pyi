@@ -1,4 +1,5 @@
 from .cad import UNITS_MM as UNITS_MM
+from .cad import CentreOfMass as CentreOfMass
 from .cad import MeasuredPiece as MeasuredPiece
 from .cad import PieceEnd as PieceEnd
 from .cad import PieceImport as PieceImport
@@ -41,6 +42,7 @@ from .outlines import rotated as rotated
 from .outlines import signed_distances_mm as signed_distances_mm
 from .outlines import square as square
 from .outlines import true_patch as true_patch
+from .pieces import LEAST_WEIGHED_G as LEAST_WEIGHED_G
 from .pieces import PIECE_SOURCES as PIECE_SOURCES
 from .pieces import Piece as Piece
 from .pieces import PieceLibrary as PieceLibrary
@@ -63,6 +65,7 @@ from .sampling import draw_start as draw_start
 from .sampling import draw_tower as draw_tower
 from .sampling import scene_number as scene_number
 from .sampling import start_generator as start_generator
+from .sampling import with_true_com as with_true_com
 from .surfaces import FLAT as FLAT
 from .surfaces import PieceOnSurface as PieceOnSurface
 from .surfaces import Surface as Surface
@@ -85,6 +88,7 @@ __all__ = [
     "FRESH_CLASSES",
     "FRESH_SEED",
     "FRESH_SOURCE",
+    "LEAST_WEIGHED_G",
     "MIN_OVERLAP_MM2",
     "PIECE_SOURCES",
     "TOO_CLOSE_MM",
@@ -93,6 +97,7 @@ __all__ = [
     "UNSEEN_PIECES",
     "UNTRAINED_CLASSES",
     "Body",
+    "CentreOfMass",
     "MeasuredPiece",
     "Outline",
     "OutlineKinds",
@@ -156,4 +161,5 @@ __all__ = [
     "surface_heights_mm",
     "tee",
     "true_patch",
+    "with_true_com",
 ]

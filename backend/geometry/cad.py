@@ -27,6 +27,7 @@ from touchdown.backend.core import FloatArray, InputError, parse_toml, write_ato
 from touchdown.backend.geometry.drawings import read_drawing
 from touchdown.backend.geometry.pieces import (
     DRAWINGS,
+    LEAST_WEIGHED_G,
     PIECE_NAME,
     PIECE_SOURCES,
     PieceFile,
@@ -56,6 +57,7 @@ MAX_PAIRS = 60_000_000  # pairs of triangles whose boxes are compared
 DENSITIES = "PLA 1.24, ABS 1.04, PETG 1.27, aluminium 2.70, steel 7.85"
 PieceEnd = Literal["bottom", "top", "+x", "-x", "+y", "-y"]
 PieceRole = Literal["top", "bottom", "both"]
+CentreOfMass = Literal["uniform", "unknown"]
 # Rotations that turn the named side of the mesh downwards.
 TURNS: dict[PieceEnd, FloatArray] = {
     "bottom": np.eye(3),
@@ -74,7 +76,8 @@ class PieceImport:
     ``end``: side of the mesh that is the contact face. ``unit``: key of ``UNITS_MM``, by default
     the unit that a drawing names, else mm. One of ``density_g_cm3`` and ``mass_g`` is needed.
     ``height_mm`` is needed for drawings and refused for meshes. ``grip_mm``: height of the grip
-    above the face, by default ``GRIP_SHARE`` of the height.
+    above the face, by default ``GRIP_SHARE`` of the height. ``com``: centre of mass of a uniform
+    density, or unknown; by default unknown for a drawing with a mass, which gives no density.
     """
 
     end: PieceEnd | None = None
@@ -84,6 +87,7 @@ class PieceImport:
     mass_g: float | None = None
     height_mm: float | None = None
     grip_mm: float | None = None
+    com: CentreOfMass | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,8 +95,8 @@ class MeasuredPiece:
     """Geometry of one piece, mm in the frame of its face: z up as it stands, origin at the centre.
 
     ``face`` and ``opposite``: polygons with holes and parts; ``com_mm`` (x, y, height above the
-    underside); ``grip_y_mm``: extent between the pads along y, None for a bottom; ``notes``:
-    sentences for the operator.
+    underside), x and y NaN if unknown; ``grip_y_mm``: extent between the pads along y, None for a
+    bottom; ``notes``: sentences for the operator.
     """
 
     role: PieceRole
@@ -158,6 +162,9 @@ def measure_piece(path: Path, wanted: PieceImport) -> MeasuredPiece:
 
 
 def _check_numbers(wanted: PieceImport) -> None:
+    if wanted.com == "unknown" and wanted.role != "top":
+        fix = "Leave out --com, or give --role top."
+        raise InputError("A bottom cannot be weighed by the hand.", "--com", fix)
     if (wanted.density_g_cm3 is None) == (wanted.mass_g is None):
         fix = f"Give --mass (g), or --density in g/cm³ ({DENSITIES})."
         raise InputError("A piece needs either a mass or a density.", "--mass, --density", fix)
@@ -221,6 +228,8 @@ def _measure_mesh(mesh: trimesh.Trimesh, path: Path, wanted: PieceImport) -> Mea
         other = "end opposite to the face, on which it stands or which carries the next piece"
         opposite = _flat_end(mesh, 0.0 if carries else height_mm, other, path)
     com = np.asarray(mesh.center_mass, dtype=np.float64)
+    if wanted.com == "unknown":
+        com[:2] = math.nan
     mass_g = wanted.mass_g or 1e-3 * volume_mm3 * (wanted.density_g_cm3 or 0.0)
     x, y = _centre(face)
     grip_mm = _grip_height(wanted, height_mm)
@@ -253,6 +262,9 @@ def _measure_drawing(path: Path, content: bytes, wanted: PieceImport) -> Measure
     if grip_mm is not None:
         grip = _extent_y(face, path)
     com = face.centroid.x, face.centroid.y, 0.5 * wanted.height_mm
+    drawn = "unknown" if wanted.role == "top" and wanted.mass_g is not None else "uniform"
+    if (wanted.com or drawn) == "unknown":
+        com = math.nan, math.nan, com[2]
     opposite = None if wanted.role == "top" else face
     return _with_notes(MeasuredPiece(
         wanted.role, face, opposite, wanted.height_mm, volume_mm3, mass_g, com, grip_mm, grip
@@ -471,7 +483,14 @@ def _extent_y(section: Any, path: Path) -> tuple[float, float]:
 def _with_notes(piece: MeasuredPiece) -> MeasuredPiece:
     notes = list(piece.notes)
     x, y, z = (round(value, 6) + 0.0 for value in piece.com_mm)
-    if not piece.face.convex_hull.contains(shapely.Point(piece.com_mm[:2])):
+    if math.isnan(x):
+        notes.append(
+            "The centre of mass is unknown: a run weighs the piece first (--weigh)."
+            if piece.mass_g >= LEAST_WEIGHED_G
+            else "The centre of mass is unknown, and a piece lighter than "
+            f"{LEAST_WEIGHED_G:g} g cannot be weighed: enter com_xy_mm in its file."
+        )
+    elif not piece.face.convex_hull.contains(shapely.Point(piece.com_mm[:2])):
         notes.append("The centre of mass lies outside the face: the piece does not stand on it.")
     if piece.grip_y_mm is not None:
         off_mm = sum(piece.grip_y_mm) / 2
@@ -485,12 +504,13 @@ def _with_notes(piece: MeasuredPiece) -> MeasuredPiece:
 def piece_toml(piece: MeasuredPiece, title: str) -> str:
     """Return the content of a piece file."""
     x, y, z = (round(value, 4) + 0.0 for value in piece.com_mm)
+    com = '"unknown"' if math.isnan(x) else f"[{x:.4f}, {y:.4f}]"
     lines = [
         f"title = {json.dumps(title, ensure_ascii=False)}",
         f"roles = {json.dumps(['top', 'bottom'] if piece.role == 'both' else [piece.role])}",
         f"height_mm = {piece.height_mm:.4f}",
         f"com_height_mm = {min(z, piece.height_mm):.4f}",
-        f"com_xy_mm = [{x:.4f}, {y:.4f}]",
+        f"com_xy_mm = {com}",
         f"mass_g = {piece.mass_g:.3f}",
     ]
     if piece.grip_mm is not None and piece.width_mm is not None:
@@ -554,8 +574,13 @@ def piece_svg(
     words = (
         f"{title}: {piece.height_mm:.1f} mm high, {piece.mass_g:.1f} g",
         f"{grip}face {piece.face.area:.1f} mm²",
-        f"centre of mass {x:.2f}, {y:.2f} mm, {z:.2f} mm above the underside",
+        "centre of mass unknown"
+        if math.isnan(x)
+        else f"centre of mass {x:.2f}, {y:.2f} mm, {z:.2f} mm above the underside",
     )
+    cross = "" if math.isnan(x) else (
+        f'<path d="M{at(x, y)}m-12 0h24m-12 -12v24" stroke="#d6453d" stroke-width="3"/>'
+    )  # fmt: skip
     dashed = 'stroke-dasharray="8"'
     face = 'fill="#4c8bd6" fill-opacity="0.45" fill-rule="evenodd"'
     return (
@@ -563,8 +588,7 @@ def piece_svg(
         f'viewBox="0 0 {PICTURE_PX} {foot + 76:.0f}">'
         f'<rect width="{PICTURE_PX}" height="{foot + 76:.0f}" fill="{paper}"/>'
         f'<g fill="none" stroke="{ink}" stroke-width="2">{path(piece.face, face)}'
-        f"{path(piece.opposite, dashed)}{pads}"
-        f'<path d="M{at(x, y)}m-12 0h24m-12 -12v24" stroke="#d6453d" stroke-width="3"/>'
+        f"{path(piece.opposite, dashed)}{pads}{cross}"
         f'<path d="M16 {foot:.1f}h{px * bar_mm:.2f}" stroke-width="4"/></g>'
         f'<g font-family="sans-serif" font-size="14" fill="{ink}">'
         f"{text(24 + px * bar_mm, foot + 5, f'{bar_mm:g} mm')}"

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from functools import cache
 from hashlib import sha256
 from importlib.resources import files
-from math import hypot, radians
+from math import hypot, isfinite, nan, radians
 from pathlib import Path
 from typing import Annotated, Literal, Self, cast
 
@@ -174,7 +174,8 @@ class PieceFile(Settings):
 
     ``face`` is the contact face: the underside of a grasped piece, the upper surface of a bottom.
     ``opposite`` is the other end. Without it a bottom has equal ends, and nothing stands on a top.
-    ``surface``: heights of the face of a bottom that is never grasped.
+    ``surface``: heights of the face of a bottom that is never grasped. ``com_xy_mm`` may be
+    "unknown" for a top: a run must weigh it.
     """
 
     title: Annotated[str, Field(min_length=1, max_length=60)]
@@ -183,7 +184,7 @@ class PieceFile(Settings):
     opposite: Face | None = None
     height_mm: Positive
     com_height_mm: Positive
-    com_xy_mm: tuple[float, float] = (0.0, 0.0)
+    com_xy_mm: tuple[float, float] | Literal["unknown"] = (0.0, 0.0)
     mass_g: NonNegative
     fixed: Annotated[bool, Field(validate_default=True)] = False
     grip_height_mm: Annotated[Positive | None, Field(validate_default=True)] = None
@@ -203,6 +204,13 @@ class PieceFile(Settings):
     def _com_is_within(cls, value: float, info: ValidationInfo) -> float:
         if value > info.data.get("height_mm", value):
             raise ValueError("the centre of mass lies above the piece (height_mm)")
+        return value
+
+    @field_validator("com_xy_mm")
+    @classmethod
+    def _com_may_be_unknown(cls, value: Point | str, info: ValidationInfo) -> Point | str:
+        if value == "unknown" and "bottom" in info.data.get("roles", ()):
+            raise ValueError("a piece with the role bottom cannot be weighed: give its com_xy_mm")
         return value
 
     @field_validator("fixed")
@@ -226,6 +234,7 @@ class PieceFile(Settings):
 
 MESHES, DRAWINGS = (".stl", ".obj", ".ply", ".off"), (".svg", ".dxf")
 PIECE_SOURCES = (*MESHES, *DRAWINGS)  # suffixes of CAD files; ``cad`` reads them
+LEAST_WEIGHED_G = 100.0  # a run refuses to weigh lighter pieces
 PIECE_NAME = re.compile(r"[a-z][a-z0-9_-]{0,39}")
 
 
@@ -238,7 +247,8 @@ class Piece:
     above the underside as it stands. ``grip_height_mm`` (face to grasp pivot) is None if it is
     never grasped; ``width_mm`` between the pads. ``fixed``: cannot topple. ``nominal``: sizes are
     not measured. ``sha256`` of the content, so that data and models know what they belong to.
-    ``surface``: heights of ``upper``.
+    ``surface``: heights of ``upper``. An unknown ``com_xy_mm`` is NaN, with which no position is
+    judged stable.
     """
 
     name: str
@@ -259,8 +269,16 @@ class Piece:
     source: str
     surface: Surface = FLAT
 
+    @property
+    def com_known(self) -> bool:
+        """True if the file gives the centre of mass, or it was weighed."""
+        return isfinite(sum(self.com_xy_mm))
+
     def body(self, at_mm: Point = (0.0, 0.0), yaw_rad: float = 0.0) -> Body:
-        """Return the piece as a body standing with its face centre at ``at_mm``."""
+        """Return the piece as a body standing with its face centre at ``at_mm``.
+
+        An unknown centre of mass is taken to be above the face centre.
+        """
         return Body(
             name=self.name,
             lower=self.lower,
@@ -268,7 +286,7 @@ class Piece:
             height_mm=self.height_mm,
             mass_g=self.mass_g,
             com_height_mm=self.com_height_mm,
-            com_xy_mm=self.com_xy_mm,
+            com_xy_mm=self.com_xy_mm if self.com_known else (0.0, 0.0),
             at_mm=at_mm,
             yaw_rad=yaw_rad,
             fixed=self.fixed,
@@ -425,7 +443,7 @@ def read_piece(path: Path) -> Piece:
         lower=lower,
         height_mm=content.height_mm,
         com_height_mm=content.com_height_mm,
-        com_xy_mm=content.com_xy_mm,
+        com_xy_mm=(nan, nan) if content.com_xy_mm == "unknown" else content.com_xy_mm,
         mass_g=content.mass_g,
         grip_height_mm=content.grip_height_mm,
         width_mm=content.width_mm,

@@ -25,7 +25,8 @@ START_MARGIN_MM = -0.2  # A trial starts clearly unstable, outside the band that
 COARSE_SEGMENTS = 48  # corners of a circle while sampling: the area is at most 0.3 % too small
 
 MAX_ROUNDS = 500  # draws before giving up; a few are usual
-_START = 77  # random stream of towers and starts
+_START, _COM = 77, 79  # random streams of towers and starts, and of unknown centres of mass
+COM_SHARE = 0.3  # largest distance of an unknown centre of mass, as a share of the half extents
 
 
 def draw_offset(rng: np.random.Generator, face: Outline, bottom: Outline, count: int) -> FloatArray:
@@ -59,6 +60,18 @@ def scene_number(piece: str, *bottoms: str) -> int:
 def start_generator(seed: int, piece: str, *bottoms: str) -> np.random.Generator:
     """Return the generator of tower and start of a trial, the same on all benches."""
     return np.random.default_rng([seed, scene_number(piece, *bottoms), _START])
+
+
+def with_true_com(piece: Piece, seed: int) -> Piece:
+    """Return ``piece`` as simulated: an unknown centre of mass is drawn from the seed.
+
+    Uniform within ``COM_SHARE`` of the half extents of the face along x and y.
+    """
+    if piece.com_known:
+        return piece
+    rng = np.random.default_rng([seed, scene_number(piece.name), _COM])
+    x, y = (rng.uniform(-COM_SHARE, COM_SHARE, 2) * piece.face.half_extents_mm).tolist()
+    return replace(piece, com_xy_mm=(x, y))
 
 
 def draw_start(rng: np.random.Generator, piece: Body, bottoms: Tower) -> tuple[float, float]:

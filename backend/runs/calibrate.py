@@ -23,6 +23,7 @@ from touchdown.backend.calibration import (
     Side,
     SidePress,
     TouchedEdge,
+    WeighedPiece,
     YawOf,
     dots_to_numbers,
     estimate_board,
@@ -34,10 +35,13 @@ from touchdown.backend.calibration import (
     estimate_wrist,
     fingers_distinguishable,
 )
+from touchdown.backend.config import StackSettings
 from touchdown.backend.core import (
     FINGERS,
     FloatArray,
+    InputError,
     PhaseEntered,
+    PieceWeighed,
     Pose,
     Progress,
     RefusedError,
@@ -45,7 +49,7 @@ from touchdown.backend.core import (
     Said,
     pose_rotation,
 )
-from touchdown.backend.geometry import Outline
+from touchdown.backend.geometry import LEAST_WEIGHED_G, Outline, Piece
 from touchdown.backend.runs.bench import Bench, RunContext
 from touchdown.backend.runs.jig import pick_piece, return_piece, with_handed_piece
 from touchdown.backend.runs.motions import (
@@ -72,7 +76,7 @@ from touchdown.backend.runs.touch_probing import (
     touch_height_mm,
     void_touch,
 )
-from touchdown.backend.sensing import take_reference
+from touchdown.backend.sensing import STANDARD_GRAVITY_M_S2, take_reference
 
 INSET_MM = 2.0  # distance of a probed point from the ends of an edge
 CORNERS = ((0.0, 0.0), (1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0))
@@ -243,6 +247,7 @@ LEVEL_MM = ((0.0, 0.0), (30.0, 0.0), (-30.0, 0.0), (0.0, 30.0), (0.0, -30.0), (0
 SETTLE_S, WEIGH_S = 0.5, 1.0
 MIN_SAMPLES = 10  # of one mean
 WEIGHED_SIGMAS = 2.0  # standard uncertainties of a weighed centre of mass in the required margin
+MOMENT_NMM = 0.3  # standard uncertainty of a moment of the held piece [U]
 
 
 def measure_payload(bench: Bench, request: CalibrateRequest) -> Plan[CalibrationEstimate]:
@@ -269,6 +274,35 @@ def _weighed(bench: Bench) -> Plan[PoseReadings]:
     if bench.gripper.status().holding:
         raise RefusedError("HOLDING", "A piece is held: put it away, the gripper is weighed empty.")
     return (yield from read_poses(bench))
+
+
+def check_weighing(piece: Piece, settings: StackSettings) -> None:
+    """Raise ``InputError`` for a piece too light to be weighed, or unknown and not weighed."""
+    unknown = not piece.com_known and settings.strategy != "pick-and-place"
+    if settings.weigh and piece.mass_g < LEAST_WEIGHED_G:
+        spread_mm = MOMENT_NMM / (1e-3 * piece.mass_g * STANDARD_GRAVITY_M_S2)
+        what = (
+            f"'{piece.name}' is too light to be weighed: the wrist sensor knows moments to "
+            f"{MOMENT_NMM:g} N·mm, which is {spread_mm:.1f} mm times the weight of "
+            f"{piece.mass_g:g} g."
+        )
+        fix = f"Weigh pieces of {LEAST_WEIGHED_G:g} g or more"
+        fix += "; enter com_xy_mm in the piece file." if unknown else "; run without weighing."
+        raise InputError(what, piece.source, fix)
+    if unknown and not settings.weigh:
+        what = f"The centre of mass of '{piece.name}' is unknown."
+        fix = "Weigh it before the first probe (--weigh), or enter com_xy_mm in the piece file."
+        raise InputError(what, piece.source, fix)
+
+
+def widen_margins(settings: StackSettings, found: WeighedPiece) -> StackSettings:
+    """Return settings whose margins grow by ``WEIGHED_SIGMAS`` of a weighed centre of mass."""
+    more_mm = WEIGHED_SIGMAS * float(found.sigma_mm[:2].max())
+    stability, fused = settings.stability, settings.fused
+    return settings.model_copy(update={
+        "stability": stability.model_copy(update={"margin_mm": stability.margin_mm + more_mm}),
+        "fused": fused.model_copy(update={"inset_mm": fused.inset_mm + more_mm}),
+    })  # fmt: skip
 
 
 def weigh_empty(bench: Bench) -> Plan[PoseReadings]:
@@ -299,14 +333,12 @@ def weigh_held(bench: Bench, empty: PoseReadings) -> Plan[Bench]:
     assert piece.grip_height_mm is not None
     lever_mm = piece.grip_height_mm + (bench.sensor_height_mm or math.nan)
     found = estimate_held_piece(empty, held, lever_mm)
-    more_mm = WEIGHED_SIGMAS * float(found.sigma_mm[:2].max())
+    settings = widen_margins(bench.settings, found)
+    more_mm = settings.fused.inset_mm - bench.settings.fused.inset_mm
     yield Said(bench.now_s(), f"{found.words()}: the required margin is {more_mm:.1f} mm larger.")
     x, y, _ = found.com_mm.tolist()
-    stability, fused = bench.settings.stability, bench.settings.fused
-    settings = bench.settings.model_copy(update={
-        "stability": stability.model_copy(update={"margin_mm": stability.margin_mm + more_mm}),
-        "fused": fused.model_copy(update={"inset_mm": fused.inset_mm + more_mm}),
-    })  # fmt: skip
+    x_sigma, y_sigma, _ = found.sigma_mm.tolist()
+    yield PieceWeighed(bench.now_s(), found.mass_g, found.mass_sigma_g, (x, y), (x_sigma, y_sigma))
     return replace(bench, piece=replace(piece, com_xy_mm=(x, y)), settings=settings)
 
 

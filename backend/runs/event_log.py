@@ -58,6 +58,7 @@ _RECORDED: dict[str, type[Event]] = {
     "CampaignBegan": core.CampaignBegan,
     "Gripped": core.Gripped,
     "OriginChecked": core.OriginChecked,
+    "PieceWeighed": core.PieceWeighed,
     "CalibrationMeasured": core.CalibrationMeasured,
     "DecisionAwaited": core.DecisionAwaited,
     "HandOverAwaited": core.HandOverAwaited,

@@ -65,7 +65,7 @@ class StackRequest:
         On devices: centre of the bottom in the arm's frame, mm.
     weigh : bool, default: False
         Weigh the piece in six poses before the first probe, and judge by the measured centre of
-        mass.
+        mass. Needed for a piece whose centre of mass is unknown; refused below 100 g.
 
     Examples
     --------
@@ -95,7 +95,8 @@ class StackRequest:
 
     def method(self, base: StackSettings) -> StackSettings:
         """Return ``base`` with the settings of this run."""
-        return base.model_copy(update={"strategy": self.strategy, "mode": self.mode})
+        given = {"strategy": self.strategy, "mode": self.mode, "weigh": self.weigh or base.weigh}
+        return base.model_copy(update=given)
 
 
 @dataclass(frozen=True, slots=True)

@@ -48,7 +48,7 @@ from touchdown.backend.placement import (
 )
 from touchdown.backend.runs import messages, outcome
 from touchdown.backend.runs.bench import Bench, JudgedProbe, PressedProbe, RunContext
-from touchdown.backend.runs.calibrate import weigh_empty, weigh_held
+from touchdown.backend.runs.calibrate import check_weighing, weigh_empty, weigh_held
 from touchdown.backend.runs.motions import (
     MOVE_S,
     ask_operator,
@@ -227,10 +227,17 @@ def _recorded(bench: Bench, pressed: PressedProbe) -> Plan[None]:
 
 
 def check_pieces(session: RunContext, request: StackRequest) -> None:
-    """Raise ``InputError`` if the strategy cannot place this piece on these bottoms."""
+    """Raise ``InputError`` if the strategy cannot place this piece on these bottoms.
+
+    Also if the centre of mass is unknown and not weighed, or is to be weighed and the piece is
+    too light.
+    """
     names, catalogue = (request.piece, *request.bottoms), session.catalogue
     known = [catalogue.pieces[name] for name in names if name in catalogue.pieces]
-    check_outlines(request.method(session.method), known)
+    method = request.method(session.method)
+    check_outlines(method, known)
+    if request.piece in catalogue.pieces:
+        check_weighing(catalogue.pieces[request.piece], method)
 
 
 def certificate_status(
@@ -320,7 +327,7 @@ def stack_run(session: RunContext, request: StackRequest) -> Plan[None]:
 def _placing(
     bench: Bench, request: StackRequest, at_mm: tuple[float, float] | None
 ) -> Plan[TrialResult]:
-    empty = (yield from weigh_empty(bench)) if request.weigh else None
+    empty = (yield from weigh_empty(bench)) if bench.settings.weigh else None
     if at_mm is not None:
         yield from outcome.set_up_scene(bench, request, at_mm)
     if empty is not None:

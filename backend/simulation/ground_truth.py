@@ -53,6 +53,8 @@ class Scene:
     def __post_init__(self) -> None:
         if self.piece.grip_height_mm is None:
             raise ValueError(f"{self.piece.name} cannot be grasped")
+        if not self.piece.com_known:
+            raise ValueError(f"the centre of mass of {self.piece.name} is unknown")
         if self.bottoms.bodies[-1].upper is None:
             raise ValueError(f"{self.bottoms.bodies[-1].name} carries nothing")
         *below, top = self.bottoms.bodies

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from PySide6.QtCore import Signal
-from PySide6.QtWidgets import QComboBox, QPushButton
+from PySide6.QtWidgets import QCheckBox, QComboBox, QPushButton
 
 from touchdown.widgets.base import ElidedLabel, Panel, Theme, add_items, describe, hbox, label
 from touchdown.widgets.forms.fields import (
@@ -34,6 +34,7 @@ class RunForm:
     """Settings of a run. ``under``: body below the bottom, "" for none.
 
     ``origin_x_mm``, ``origin_y_mm``: centre of the bottom in arm coordinates, for real devices.
+    ``weigh``: measure the centre of mass first.
     """
 
     piece: str = "pot"
@@ -43,6 +44,7 @@ class RunForm:
     trials: int = 3
     strategy: str = "paper"
     mode: str = "auto"
+    weigh: bool = False
     origin_x_mm: float = 0.0
     origin_y_mm: float = 0.0
 
@@ -71,9 +73,10 @@ class RunPanel(Panel):
         self._seed, self._trials = whole_box(0, 999_999), whole_box(1, 100)
         self._origin = decimal_box(-300.0, 300.0), decimal_box(-300.0, 300.0)
         self._strategy, self._mode = QComboBox(), QComboBox()
+        self._weigh = QCheckBox("Weigh first")
         self._fields = FormFields(
             12, 6, piece=self._piece, bottom=self._bottom, under=self._under, seed=self._seed,
-            trials=self._trials, strategy=self._strategy, mode=self._mode,
+            trials=self._trials, strategy=self._strategy, mode=self._mode, weigh=self._weigh,
             origin_x_mm=self._origin[0], origin_y_mm=self._origin[1],
         )  # fmt: skip
         self._model = ElidedLabel("small")
@@ -114,8 +117,11 @@ class RunPanel(Panel):
             ("Model", self._model, ""),
             ("Mode", self._mode, "Moves that wait for your approval"),
         )
+        describe((self._weigh, "Weigh first", "Measure the centre of mass of the held piece in six "
+                  "poses, and judge by it; for pieces of 100 g or more"))  # fmt: skip
+        fields.addWidget(self._weigh, 7, 1, 1, 3)
         x, y = self._origin
-        self._origin_words = fields.add_halves(7, ("Origin x", x, ""), ("y", y, "", "Origin y"))
+        self._origin_words = fields.add_halves(8, ("Origin x", x, ""), ("y", y, "", "Origin y"))
         self.show_devices(False)
         self.column.addLayout(fields)
         add_items(self.column, self._certificate)

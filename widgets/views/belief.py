@@ -30,6 +30,7 @@ ENTRIES = (
     ("ring", "target"),
 )
 TRUTH = ("dashes", "true overlap")
+WEIGHED = ("dots", "2 \N{GREEK SMALL LETTER SIGMA} of the weighing")
 
 
 class BeliefLegend(QWidget):
@@ -38,14 +39,15 @@ class BeliefLegend(QWidget):
     def __init__(self, theme: Theme) -> None:
         super().__init__()
         self._theme = theme
-        self._truth = False
+        self._more: tuple[tuple[str, str], ...] = ()
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
         self.setAccessibleName("Legend of the belief map")
 
-    def show_truth(self, shown: bool) -> None:
-        """Show or hide the entry of the true overlap."""
-        if shown != self._truth:
-            self._truth = shown
+    def show_truth(self, shown: bool, *, weighed: bool = False) -> None:
+        """Show or hide the entries of the true overlap and of a weighed centre of mass."""
+        more = (TRUTH,) * shown + (WEIGHED,) * weighed
+        if more != self._more:
+            self._more = more
             self.updateGeometry()
             self.update()
 
@@ -83,7 +85,7 @@ class BeliefLegend(QWidget):
         """Return (mark, text, x, row) per entry."""
         metrics = QFontMetrics(ui_font(self._theme.scale, 0.88))
         x, row, places = 0.0, 0, []
-        for kind, text in (*ENTRIES, TRUTH) if self._truth else ENTRIES:
+        for kind, text in (*ENTRIES, *self._more):
             width = 22 + metrics.horizontalAdvance(text) + 12
             if x > 0 and x + width - 12 > self.width():
                 x, row = 0.0, row + 1
@@ -122,7 +124,8 @@ class BeliefScene:
     ``path``: face centres of the probes so far, oldest first. ``face``: (k, 2) outline of the piece
     around its face centre. ``truth``: (k, 2) outline of the true overlap, set only after the trial
     on a simulated bench. Both may have several rings, separated by rows of NaN.
-    ``empty``: title and detail shown without a map.
+    ``com_sigma_mm``: standard uncertainty of a weighed centre of mass along x and y. ``empty``:
+    title and detail shown without a map.
     """
 
     belief: BeliefMap | None = None
@@ -133,6 +136,7 @@ class BeliefScene:
     clipped: bool = False
     face: FloatArray | None = None
     truth: FloatArray | None = None
+    com_sigma_mm: tuple[float, float] | None = None
     delta: float = 0.9
     empty: tuple[str, str] = NO_PROBE
 
@@ -173,6 +177,8 @@ def draw_marks(
         if all(map(math.isfinite, centre)):
             if scene.step_mm is not None and not small and scene.step_mm != (0.0, 0.0):
                 _step(painter, area, centre, scene)
+            if scene.com_sigma_mm is not None and not small:
+                _uncertainty(painter, area, centre, scene.com_sigma_mm)
             draw_plus(painter, area.place(*centre), 4 if small else 8)
 
 
@@ -195,6 +201,16 @@ def draw_plus(painter: QPainter, at: QPointF, size: float) -> None:
         painter.drawLine(at - QPointF(0, size), at + QPointF(0, size))
 
     stroke_on_black(painter, 2.6, Qt.PenStyle.SolidLine, stroke)
+
+
+def _uncertainty(
+    painter: QPainter, area: PlotArea, centre: tuple[float, float], sigma_mm: tuple[float, float]
+) -> None:
+    """Draw the ellipse of two standard uncertainties."""
+    (x, y), (x_sigma, y_sigma) = centre, sigma_mm
+    box = QRectF(area.place(x - 2 * x_sigma, y + 2 * y_sigma),
+                 area.place(x + 2 * x_sigma, y - 2 * y_sigma))  # fmt: skip
+    stroke_on_black(painter, 1.2, Qt.PenStyle.DotLine, lambda: painter.drawEllipse(box))
 
 
 def _outline(

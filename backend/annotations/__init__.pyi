@@ -26,6 +26,7 @@ from .episode_index import list_campaigns as list_campaigns
 from .episode_index import tagged_sides as tagged_sides
 from .episode_index import with_uuid as with_uuid
 from .geometry_records import Pair as Pair
+from .geometry_records import pair_records as pair_records
 from .labels import BulkChange as BulkChange
 from .labels import BulkPreview as BulkPreview
 from .labels import MoveGeometry as MoveGeometry
@@ -165,6 +166,7 @@ __all__ = [
     "new_revision",
     "no_progress",
     "package_versions",
+    "pair_records",
     "patch_iou",
     "read_mark",
     "read_observation",

@@ -86,7 +86,13 @@ GRID: Record = {"kind": "grid", "v": VERSION, "pitch_um": GRID_UM, "origin_um": 
 
 
 def pair_records(piece: Piece, bottom: Piece) -> dict[str, Record]:
-    """Return the records of ``piece`` above ``bottom`` by hash; the pair comes last."""
+    """Return the records of ``piece`` above ``bottom`` by hash; the pair comes last.
+
+    Raises ``InputError`` if the centre of mass of ``piece`` is unknown.
+    """
+    if not piece.com_known:
+        what = f"The centre of mass of '{piece.name}' is unknown, but labels of stability need it."
+        raise InputError(what, piece.source, "Enter com_xy_mm in the piece file.")
     parts = [face_record(piece.face, piece.com_xy_mm), face_record(bottom.face), GRID]
     face, below, grid = (content_hash(part) for part in parts)
     pair: Record = {"kind": "pair", "v": VERSION, "rule": INSIDE_OR_ON_EDGE}

@@ -62,6 +62,9 @@ from .statistics import compare_intervals as compare_intervals
 from .statistics import evidence as evidence
 from .statistics import sequential_decision as sequential_decision
 from .strategies import BOTTOMS as BOTTOMS
+from .strategies import COMPARED_PIECES as COMPARED_PIECES
+from .strategies import MODEL_FREE as MODEL_FREE
+from .strategies import ORACLES as ORACLES
 from .strategies import STRATEGIES as STRATEGIES
 from .strategies import ClosedLoopComparison as ClosedLoopComparison
 from .strategies import StaticComparison as StaticComparison
@@ -78,6 +81,7 @@ __all__ = [
     "BEYOND_FORMAT",
     "BLUE",
     "BOTTOMS",
+    "COMPARED_PIECES",
     "CONTENT_ERRORS",
     "DATA",
     "EVALUATED_STRATEGIES",
@@ -86,6 +90,8 @@ __all__ = [
     "KINDS",
     "LABORATORY_LIMIT",
     "LEAST_SCENES",
+    "MODEL_FREE",
+    "ORACLES",
     "ORANGE",
     "PIECES",
     "PORTIONS",

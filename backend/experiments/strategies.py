@@ -24,12 +24,13 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import ceil
 from typing import Any, get_args
 
 import numpy as np
 
+from touchdown.backend.calibration import PoseReadings, WeighedPiece, estimate_held_piece
 from touchdown.backend.config import (
     SimulationSettings,
     StackSettings,
@@ -38,7 +39,7 @@ from touchdown.backend.config import (
     bench_sha256,
     parse_settings,
 )
-from touchdown.backend.core import BeliefMap, ContactPatch, FloatArray, Outcome
+from touchdown.backend.core import BeliefMap, ContactPatch, FloatArray, Outcome, Pose, pose_rotation
 from touchdown.backend.experiments.models import batch_model, load_model
 from touchdown.backend.experiments.oracle import OracleSetting, OracleStrategy
 from touchdown.backend.experiments.statics import (
@@ -99,8 +100,9 @@ from touchdown.backend.placement import (
     load_network_of,
     make_strategy,
 )
+from touchdown.backend.runs import LEANS
 from touchdown.backend.sensing import EpisodeLimits
-from touchdown.backend.simulation import Scene
+from touchdown.backend.simulation import Scene, simulate_weighing
 
 Json = dict[str, Any]
 Cell = tuple[str, str, str]  # strategy, piece, bottom
@@ -183,6 +185,7 @@ ORACLES = ("ceiling", "ceiling-diameter")
 STRATEGIES: tuple[str, ...] = (*get_args(StrategyName), *ORACLES)
 # ten parallel trials on towers take half the time of five times two
 TRIALS_PER_JOB, TOWER_TRIALS_PER_JOB = 2, 10  # the latter also on fresh outlines
+COMPARED_PIECES = (*PIECES, "brick")  # the last one is heavy enough to be weighed
 ENTRY_STREAM = 992  # random stream of the entry errors, separate from the bench
 EXACT_MM, GRID_MM = 1e-6, 0.25
 # for the least number of probes: longest step, inset from the edge of the stable region
@@ -283,11 +286,12 @@ class ClosedLoopComparison:
         source = "" if base_strategy(strategy) in MODEL_FREE else self.models[piece]
         params = _job_params(self, (strategy, piece, bottom))
         if bottom == FRESH:
-            seed = FRESH_TRIAL_SEED + CELL_SEEDS * PIECES.index(piece) + first
+            seed = FRESH_TRIAL_SEED + CELL_SEEDS * COMPARED_PIECES.index(piece) + first
             params["outline_seed"] = self.outline_seed
         else:
             touched = SINGLE_BOTTOMS.index(bottom.split("+")[-1])
-            cell = 10 * PIECES.index(piece) + touched + (TOWER_CELLS if bottom in TOWERS else 0)
+            cell = 10 * COMPARED_PIECES.index(piece) + touched
+            cell += TOWER_CELLS * (bottom in TOWERS)
             seed = STACKING_SEED + CELL_SEEDS * cell + first
         params["trials"] = min(_chunk(bottom), self.trials - first)
         if bottom in TOWERS:
@@ -302,7 +306,8 @@ def base_strategy(name: str) -> str:
 
 
 def method_of(name: str, method: StackSettings) -> StackSettings:
-    """Return ``method`` with the strategy and the settings of a name, as ``fused:fused.risk=0.05``.
+    """Return ``method`` with the strategy and the settings of a name, as ``fused:fused.risk=0.05``
+    or ``fused:weigh=true``.
 
     Raises ``InputError`` for an unknown setting, or a value that is none.
     """
@@ -315,7 +320,8 @@ def method_of(name: str, method: StackSettings) -> StackSettings:
             value = json.loads(text)
         except ValueError:
             value = text
-        content[group] = {**dict(content.get(group) or {}), field_name: value}
+        whole = {**dict(content.get(group) or {}), field_name: value} if field_name else value
+        content[group] = whole
     return parse_settings(StackSettings, content, name)
 
 
@@ -417,10 +423,7 @@ def run_closed_loop(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
         if spec.inputs:
             model = batch_model(load_model(spec.inputs[0], place.store), case.piece)
         chosen = method_of(strategy, method)
-        sigma_mm = p.get("entry_sigma_mm")
-        create = (
-            None if sigma_mm is None else _entered_tower_strategy(case, sigma_mm, chosen, model)
-        )
+        create = _informed_strategy(case, p.get("entry_sigma_mm"), chosen, model)
         results = stack_in_lockstep(scenes, model, chosen, limits, create, world)
     return {
         "bench_sha256": bench_sha256(case.settings),
@@ -488,23 +491,40 @@ def _way_on_region_mm(scene: Scene) -> float:
     return float(np.hypot(*(places - np.asarray(scene.start_mm)).T).min())
 
 
-def _entered_tower_strategy(
-    case: SceneSetup, sigma_mm: float, settings: StackSettings, model: BatchModel
+def _informed_strategy(
+    case: SceneSetup, sigma_mm: float | None, settings: StackSettings, model: BatchModel
 ) -> Callable[[Scene, XY], Strategy]:
-    """Create strategies that are given the place of the tower with the error of a simulated
-    operator.
+    """Create strategies that know what an operator enters and what a weighing measures.
+
+    ``sigma_mm``: error of the entered place of the tower, None if it is not entered.
     """
 
     def create(scene: Scene, at: XY) -> Strategy:
-        rng = np.random.default_rng([scene.seed, scene.number, ENTRY_STREAM])
-        steps = np.diff([body.at_mm for body in scene.bottoms.bodies], axis=0)
-        entered = steps + sigma_mm * rng.standard_normal(steps.shape)
-        offset_mm = tuple((float(x), float(y)) for x, y in entered)
-        entry = TowerSettings(offset_mm=offset_mm, sigma_mm=sigma_mm)
-        below = SupportTower.entered(case.piece, case.bottoms, entry)
-        return make_strategy(grasped_piece_in(scene, model, below), settings, at)
+        below = None
+        if sigma_mm is not None:
+            rng = np.random.default_rng([scene.seed, scene.number, ENTRY_STREAM])
+            steps = np.diff([body.at_mm for body in scene.bottoms.bodies], axis=0)
+            entered = steps + sigma_mm * rng.standard_normal(steps.shape)
+            offset_mm = tuple((float(x), float(y)) for x, y in entered)
+            entry = TowerSettings(offset_mm=offset_mm, sigma_mm=sigma_mm)
+            below = SupportTower.entered(case.piece, case.bottoms, entry)
+        held = grasped_piece_in(scene, model, below)
+        if settings.weigh:
+            found = weighed_piece(scene)
+            sigma = float(found.sigma_mm[:2].max())
+            held = replace(held, com_xy_mm=pair_of(found.com_mm), com_sigma_mm=sigma)
+        return make_strategy(held, settings, at)
 
     return create
+
+
+def weighed_piece(scene: Scene) -> WeighedPiece:
+    """Return the result of weighing the piece of a scene, by the estimator of the bench."""
+    turns = np.stack([pose_rotation(Pose(0.0, 0.0, 0.0, rx, ry)) for rx, ry in LEANS])
+    rows = zip(*simulate_weighing(scene, turns), strict=True)
+    empty, held = (PoseReadings(t_s, turns, wrenches, sigmas) for t_s, wrenches, sigmas in rows)
+    lever_mm = scene.grip_height_mm + scene.settings.wrist.height_mm
+    return estimate_held_piece(empty, held, lever_mm)
 
 
 def oracle_factory(
@@ -596,7 +616,7 @@ class StaticComparison:
         source = "" if base_strategy(strategy) in MODEL_FREE else self.models[piece]
         params = _job_params(self, (strategy, piece, bottom))
         params["groups"] = min(GROUPS_PER_JOB, self.groups - first)
-        cell = 10 * PIECES.index(piece) + SINGLE_BOTTOMS.index(bottom)
+        cell = 10 * COMPARED_PIECES.index(piece) + SINGLE_BOTTOMS.index(bottom)
         seed = STATIC_SEED + CELL_SEEDS * cell + first
         inputs = (source,) if source else ()
         return JobSpec("promises", params, seed, inputs, job_code("promises", self.code))

@@ -16,9 +16,16 @@ from hashlib import sha256
 from importlib.resources import files
 from math import hypot, isfinite, nan, radians
 from pathlib import Path
-from typing import Annotated, Literal, Self, cast
+from typing import Annotated, Any, Literal, Self, cast
 
-from pydantic import Field, ValidationInfo, field_validator, model_validator
+from pydantic import (
+    Field,
+    ValidationError,
+    ValidationInfo,
+    ValidatorFunctionWrapHandler,
+    field_validator,
+    model_validator,
+)
 
 from touchdown.backend.config import NonNegative, Positive, Settings, read_settings
 from touchdown.backend.core import InputError, data_folder
@@ -206,12 +213,17 @@ class PieceFile(Settings):
             raise ValueError("the centre of mass lies above the piece (height_mm)")
         return value
 
-    @field_validator("com_xy_mm")
+    @field_validator("com_xy_mm", mode="wrap")
     @classmethod
-    def _com_may_be_unknown(cls, value: Point | str, info: ValidationInfo) -> Point | str:
+    def _com_may_be_unknown(
+        cls, value: Any, check: ValidatorFunctionWrapHandler, info: ValidationInfo
+    ) -> Any:
         if value == "unknown" and "bottom" in info.data.get("roles", ()):
-            raise ValueError("a piece with the role bottom cannot be weighed: give its com_xy_mm")
-        return value
+            raise ValueError("a piece with the role bottom cannot be weighed: give [x, y] in mm")
+        try:
+            return check(value)
+        except ValidationError as error:
+            raise ValueError('give [x, y] in mm, or "unknown"') from error
 
     @field_validator("fixed")
     @classmethod
@@ -378,7 +390,7 @@ def load_pieces(folder: Path | None = None) -> PieceLibrary:
     Examples
     --------
     >>> load_pieces().tops
-    ('barrel', 'mug', 'mushroom', 'pot')
+    ('barrel', 'brick', 'mug', 'mushroom', 'pot')
 
     """
     own, broken = _own_pieces()

@@ -167,6 +167,7 @@ class GraspedPiece:
     share of contact in the training data, None without a model. ``sensor_height_mm``: wrist sensor
     above the pivot, None if unknown. ``below``: entered tower under the touched surface, None if
     there is none. ``calibration``: that of the model's probabilities, None if it has none.
+    ``com_sigma_mm``: standard uncertainty of a weighed centre of mass.
     """
 
     com_xy_mm: XY
@@ -175,6 +176,7 @@ class GraspedPiece:
     sensor_height_mm: float | None = None
     below: SupportTower | None = None
     calibration: PatchCalibration | None = None
+    com_sigma_mm: float = 0.0
 
     def lever_mm(self) -> float:
         """Return the height of the sensor above the face; raises ``InputError`` if unknown."""
@@ -248,7 +250,9 @@ class PaperStrategy:
     """
 
     def __init__(self, held: GraspedPiece, settings: StackSettings, origin_mm: XY) -> None:
-        self._held, self._settings = held, settings
+        margin_mm = settings.stability.margin_mm + COM_SIGMAS * held.com_sigma_mm
+        judged = settings.stability.model_copy(update={"margin_mm": margin_mm})
+        self._held, self._settings = held, settings.model_copy(update={"stability": judged})
         calibrated = settings.strategy == "paper-calibrated"
         calibration = held.known_calibration() if calibrated else None
         self._belief = Belief.unknown(settings.belief, origin_mm, held.base_rate, calibration)
@@ -285,6 +289,7 @@ class PaperStrategy:
 NO_ESTIMATE = (
     "The signals are not finite or outside the training data: giving up without a release."
 )
+COM_SIGMAS = 2.0  # standard uncertainties of a weighed centre of mass in the paper's margin
 NO_CONTACT = "No contact was found"
 EVEN = 0.5
 FARTHEST_MM = 14.0  # positions farther from the last probe are outside of the training data
@@ -434,7 +439,8 @@ class FusedStrategy:
 
     def _inset(self, known: FloatArray, points_mm: FloatArray, here: XY) -> InsetDistribution:
         away = np.subtract(here, self._offset_mm[0])
-        return self._forward.inset(known, points_mm, away)
+        found = self._forward.inset(known, points_mm, away)
+        return replace(found, sd_mm=np.hypot(found.sd_mm, self._held.com_sigma_mm))
 
     def _update_face_centre(self, over: InsetDistribution, places_mm: FloatArray) -> FaceCentre:
         """Return the centre of the touched face in the frame of the map; keep the lower support.

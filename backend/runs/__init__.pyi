@@ -8,6 +8,8 @@ from .bench import SceneCheck as SceneCheck
 from .bench import SceneDevices as SceneDevices
 from .bench import SceneFactory as SceneFactory
 from .bench import SceneView as SceneView
+from .calibrate import LEANS as LEANS
+from .calibrate import check_weighing as check_weighing
 from .calibrations import DriftMonitor as DriftMonitor
 from .calibrations import GelCheck as GelCheck
 from .calibrations import UsedCalibrations as UsedCalibrations
@@ -80,6 +82,7 @@ __all__ = [
     "DECISION_WORDS",
     "DEVICE_FAULTS",
     "EVENT_LOG_NAME",
+    "LEANS",
     "PHOTO_SUFFIXES",
     "SCENE_TIMEOUT_S",
     "Bench",
@@ -126,6 +129,7 @@ __all__ = [
     "check_devices",
     "check_no_contact",
     "check_request",
+    "check_weighing",
     "connect_stop",
     "contact_height_mm",
     "counts_for_coverage",

@@ -191,10 +191,10 @@ class Bench(SceneFacts):
     Attributes beyond their types: ``now_s`` returns the bench time, ``wall_s`` the wall clock (for
     the decision latency only), ``status`` the progress of the run. ``jig`` is the pose at the
     hand-over when ``handed`` is set. ``calibrations`` are metadata of every episode.
-    ``sensor_height_mm`` is the wrist sensor above the grasp pivot, None if unknown. ``below`` is
-    the tower under the touched surface as entered, None for a single bottom. ``placed`` holds the
-    calibrated positions of board and tool. ``started_ns`` is the wall clock at bench time zero, ns
-    since 1970.
+    ``com_sigma_mm`` is the standard uncertainty of a weighed centre of mass. ``sensor_height_mm``
+    is the wrist sensor above the grasp pivot, None if unknown. ``below`` is the tower under the
+    touched surface as entered, None for a single bottom. ``placed`` holds the calibrated positions
+    of board and tool. ``started_ns`` is the wall clock at bench time zero, ns since 1970.
     """
 
     now_s: Callable[[], float]
@@ -211,6 +211,7 @@ class Bench(SceneFacts):
     handed: bool = False
     calibrations: tuple[tuple[str, str], ...] = ()
     sensor_height_mm: float | None = None
+    com_sigma_mm: float = 0.0
     below: SupportTower | None = None
     placed: CalibratedPositions = UNCALIBRATED
     started_ns: int = 0

@@ -23,7 +23,6 @@ from touchdown.backend.calibration import (
     Side,
     SidePress,
     TouchedEdge,
-    WeighedPiece,
     YawOf,
     dots_to_numbers,
     estimate_board,
@@ -246,7 +245,6 @@ LEANS = (
 LEVEL_MM = ((0.0, 0.0), (30.0, 0.0), (-30.0, 0.0), (0.0, 30.0), (0.0, -30.0), (0.0, 0.0))
 SETTLE_S, WEIGH_S = 0.5, 1.0
 MIN_SAMPLES = 10  # of one mean
-WEIGHED_SIGMAS = 2.0  # standard uncertainties of a weighed centre of mass in the required margin
 MOMENT_NMM = 0.3  # standard uncertainty of a moment of the held piece [U]
 
 
@@ -295,16 +293,6 @@ def check_weighing(piece: Piece, settings: StackSettings) -> None:
         raise InputError(what, piece.source, fix)
 
 
-def widen_margins(settings: StackSettings, found: WeighedPiece) -> StackSettings:
-    """Return settings whose margins grow by ``WEIGHED_SIGMAS`` of a weighed centre of mass."""
-    more_mm = WEIGHED_SIGMAS * float(found.sigma_mm[:2].max())
-    stability, fused = settings.stability, settings.fused
-    return settings.model_copy(update={
-        "stability": stability.model_copy(update={"margin_mm": stability.margin_mm + more_mm}),
-        "fused": fused.model_copy(update={"inset_mm": fused.inset_mm + more_mm}),
-    })  # fmt: skip
-
-
 def weigh_empty(bench: Bench) -> Plan[PoseReadings]:
     """Read the wrist sensor in six poses of the empty hand, and move back.
 
@@ -323,9 +311,8 @@ def weigh_empty(bench: Bench) -> Plan[PoseReadings]:
 def weigh_held(bench: Bench, empty: PoseReadings) -> Plan[Bench]:
     """Weigh the held piece in the same poses, and move back.
 
-    Returns the bench with the measured centre of mass; the required margins grow by
-    ``WEIGHED_SIGMAS`` standard uncertainties. Raises ``RefusedError`` as ``estimate_held_piece``,
-    with the piece held and the hand back where it was.
+    Returns the bench with the measured centre of mass and its uncertainty. Raises ``RefusedError``
+    as ``estimate_held_piece``, with the piece held and the hand back where it was.
     """
     piece, here = bench.piece, bench.arm.pose(max_age_s=0.2)
     held = yield from read_poses(bench)
@@ -333,13 +320,12 @@ def weigh_held(bench: Bench, empty: PoseReadings) -> Plan[Bench]:
     assert piece.grip_height_mm is not None
     lever_mm = piece.grip_height_mm + (bench.sensor_height_mm or math.nan)
     found = estimate_held_piece(empty, held, lever_mm)
-    settings = widen_margins(bench.settings, found)
-    more_mm = settings.fused.inset_mm - bench.settings.fused.inset_mm
-    yield Said(bench.now_s(), f"{found.words()}: the required margin is {more_mm:.1f} mm larger.")
+    yield Said(bench.now_s(), f"{found.words()}.")
     x, y, _ = found.com_mm.tolist()
     x_sigma, y_sigma, _ = found.sigma_mm.tolist()
     yield PieceWeighed(bench.now_s(), found.mass_g, found.mass_sigma_g, (x, y), (x_sigma, y_sigma))
-    return replace(bench, piece=replace(piece, com_xy_mm=(x, y)), settings=settings)
+    known = replace(piece, com_xy_mm=(x, y))
+    return replace(bench, piece=known, com_sigma_mm=max(x_sigma, y_sigma))
 
 
 def read_poses(bench: Bench) -> Plan[PoseReadings]:

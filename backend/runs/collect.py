@@ -13,6 +13,7 @@ from touchdown.backend.annotations import (
     EpisodeFilter,
     check_free_space,
     follow_uuid,
+    pair_records,
     uuid7,
 )
 from touchdown.backend.calibration import HandPosition
@@ -119,6 +120,7 @@ def prepare_campaign(
     )  # fmt: skip
     session.check_scene(request.scene())
     piece, bottom = session.catalogue.top(campaign.piece), session.catalogue.bottom(campaign.bottom)
+    pair_records(piece, bottom)
     target = ProbeTarget(piece.face, bottom.upper or bottom.face, request.within_mm)
     seen = pair_coverage(dataset, campaign, target)
     planned_displacement_mm(campaign.pattern, target, campaign.seed, 0, campaign.count, seen)

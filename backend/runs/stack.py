@@ -162,7 +162,7 @@ def grasped_piece(bench: Bench) -> GraspedPiece:
     assert piece.grip_height_mm is not None
     return GraspedPiece(
         piece.com_xy_mm, piece.grip_height_mm, bench.estimator.base_rate, bench.sensor_height_mm,
-        bench.below, bench.estimator.calibration,
+        bench.below, bench.estimator.calibration, bench.com_sigma_mm,
     )  # fmt: skip
 
 

@@ -26,6 +26,7 @@ from .contact import RESIDUAL_LIMIT as RESIDUAL_LIMIT
 from .finger_camera import TactileRenderer as TactileRenderer
 from .finger_camera import load_gel_appearance as load_gel_appearance
 from .finger_camera import mirror_appearance as mirror_appearance
+from .gripper import simulate_weighing as simulate_weighing
 from .gripper import start_command_mm as start_command_mm
 from .ground_truth import Scene as Scene
 from .ground_truth import SceneTruth as SceneTruth
@@ -104,6 +105,7 @@ __all__ = [
     "release_kick_mm",
     "seat_draw",
     "simulate_episodes",
+    "simulate_weighing",
     "start_command_mm",
     "support_stack",
     "tower_with_piece",

@@ -28,10 +28,12 @@ from touchdown.backend.simulation.conditions import (
 from touchdown.backend.simulation.ground_truth import Scene, scene_mounting, true_com_xy_mm
 from touchdown.backend.simulation.pressing import TIMELINE_VALUES, pack_equilibrium
 from touchdown.backend.simulation.supports import slide_bottoms, support_stack
-from touchdown.backend.simulation.wrist_sensor import held_piece_load
+from touchdown.backend.simulation.wrist_sensor import WristLoad, WristSampler, held_piece_load
 
 CLOSING_TIME_S = 0.5  # time to reach the piece from the open position
 SQUEEZE_TIME_S = 0.1  # time from touching the piece to full force
+WEIGH_CYCLE_US = 1_000_000
+POSE_CYCLES = 6  # from one pose of a weighing to the next, as long as the simulated arm needs
 LET_GO_MM = 0.1  # the piece is released when the jaws are wider than it by this much
 
 
@@ -303,3 +305,47 @@ def start_command_mm(scene: Scene) -> FloatArray:
     true = true_offset_mm(np.zeros((1, 2)), holding.conditions)[0]
     x, y = scene.start_mm
     return np.array([x - true[0], y - true[1], scene.grip_height_mm + scene.start_height_mm])
+
+
+def simulate_weighing(scene: Scene, turns: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the readings of the wrist sensor with the empty hand, then with the held piece.
+
+    Grasp, noise, drift and place of the sensor are those of the scene. The pull of the cables is
+    left out: it is the same with and without the piece.
+
+    Parameters
+    ----------
+    scene : Scene
+        Scene with its first gripping.
+    turns : ndarray, shape (n, 3, 3)
+        Rotations of the hand.
+
+    Returns
+    -------
+    t_s : ndarray, shape (2, n)
+        Middle of each mean over 1 s.
+    wrenches, sigmas : ndarray, shape (2, n, 6)
+        Mean untared wrench, N and N·m in the axes of the hand, and its standard error.
+
+    """
+    held, day = HeldPiece(scene, 0, ProbeSettings().grip_force_n), scene_mounting(scene)
+    sampler = WristSampler(
+        scene.settings.wrist, WEIGH_CYCLE_US, scene.seed, day.wrist_yaw_rad, day.wrist_lever_mm
+    )
+    times, means, errors = [], [], []
+    cycle = 0
+    for load in (None, held.weight):
+        for turn in turns:
+            weight = sampler.payload.wrench_g(turn)
+            weight = weight if load is None else weight + load.wrench_g(turn)
+            strain = WristLoad(weight, weight, np.zeros(6))
+            for _ in range(POSE_CYCLES):  # only the last one is read
+                start_us, cycle = cycle * WEIGH_CYCLE_US, cycle + 1
+                _, rows = sampler.samples(start_us, cycle * WEIGH_CYCLE_US, strain)
+            times.append(1e-6 * (start_us + 0.5 * WEIGH_CYCLE_US))
+            means.append(rows.mean(axis=0))
+            errors.append(rows.std(axis=0, ddof=1) / math.sqrt(len(rows)))
+    shape = 2, len(turns), 6
+    return (
+        np.reshape(times, shape[:2]), np.reshape(means, shape), np.reshape(errors, shape)
+    )  # fmt: skip

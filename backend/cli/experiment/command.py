@@ -31,9 +31,12 @@ from touchdown.backend.core import InputError, write_atomically
 from touchdown.backend.experiments import (
     BEYOND_FORMAT,
     BOTTOMS,
+    COMPARED_PIECES,
     CONTENT_ERRORS,
     DATA,
     KINDS,
+    MODEL_FREE,
+    ORACLES,
     PIECES,
     PORTIONS,
     SCALES,
@@ -69,7 +72,7 @@ from touchdown.backend.experiments import (
     write_comparison,
     write_tables,
 )
-from touchdown.backend.geometry import FRESH_SEED
+from touchdown.backend.geometry import FRESH_SEED, load_pieces
 from touchdown.backend.jobs import (
     Executor,
     JobSpec,
@@ -79,6 +82,7 @@ from touchdown.backend.jobs import (
     run_campaign,
     shard_of,
 )
+from touchdown.backend.runs import check_weighing
 
 UNWRITTEN = "It could not be written"
 KEPT = "Free some space, or name another folder; finished jobs are kept."
@@ -515,10 +519,14 @@ def _run_rounds(
 
 
 def _comparison_of(args: argparse.Namespace, store: JobStore) -> StrategyComparison:
-    pieces = _parse_names(args.pieces, PIECES, "--pieces")
+    pieces = _parse_names(args.pieces, COMPARED_PIECES, "--pieces")
     bench = load_simulation(args.bench, None if args.bench else args.preset)
     folders = [args.models] if args.models else shipped_model_folders(bench.preset)
     found = adopt_models(store, *folders)
+    strategies = _parse_strategies(args.strategies)
+    for piece in pieces:
+        for name in strategies:
+            _check_cell(piece, name, known=(piece, "FT+Tac") in found)
     if args.trials or not args.statics:
         require_positive(args, "trials")
     for name in ("statics", "band"):
@@ -533,10 +541,10 @@ def _comparison_of(args: argparse.Namespace, store: JobStore) -> StrategyCompari
     loops = ClosedLoopComparison(
         bench=bench,
         code=program_version(),
-        models={piece: found[piece, "FT+Tac"] for piece in pieces},
+        models={piece: found.get((piece, "FT+Tac"), "") for piece in pieces},
         pieces=pieces,
         bottoms=_parse_names(args.bottoms, BOTTOMS, "--bottoms"),
-        strategies=_parse_strategies(args.strategies),
+        strategies=strategies,
         trials=args.trials,
         entry_sigma_mm=None if args.no_entry else args.entry_sigma,
         outline_seed=args.outline_seed,
@@ -547,6 +555,16 @@ def _comparison_of(args: argparse.Namespace, store: JobStore) -> StrategyCompari
             bench, loops.code, loops.models, pieces, loops.bottoms, loops.strategies, args.statics
         )
     return StrategyComparison(loops, said, args.band)
+
+
+def _check_cell(piece: str, name: str, *, known: bool) -> None:
+    """Raise ``InputError`` if a strategy cannot serve a piece; ``known``: it has a model."""
+    strategy = base_strategy(name)
+    if not known and strategy not in MODEL_FREE:
+        fix = f"Choose from {', '.join(MODEL_FREE)}."
+        raise InputError(f"There is no model of '{piece}', which '{strategy}' needs.", name, fix)
+    if strategy not in ORACLES:
+        check_weighing(load_pieces().top(piece), method_of(name, StackSettings()))
 
 
 def _parse_names(text: str, known: tuple[str, ...], where: str) -> tuple[str, ...]:

@@ -9,7 +9,7 @@ from tests.app.conftest import settle
 from tests.app.stand_in import action
 from touchdown.app.shell.settings import load_settings
 from touchdown.app.stack.presenter import stack_request
-from touchdown.backend.core import Outcome, PhaseEntered, TrialFinished
+from touchdown.backend.core import Outcome, PhaseEntered, PieceWeighed, TrialFinished
 from touchdown.backend.runs.requests import RunState, StackRequest
 from touchdown.widgets.forms.run_form import RunForm
 from touchdown.widgets.views.belief import NO_PROBE
@@ -39,6 +39,19 @@ def test_start_hands_over_what_is_filled_in_and_remembers_it(live, bench, page, 
     kept, _ = load_settings(tmp_path / "window.json")
     assert kept.pages["stack"]["mode"] == "step", "a crash does not bring the automatic mode back"
     assert stack_request(RunForm(bottom="short", under="")).bottoms == ("short",)
+    assert stack_request(RunForm(weigh=True)).weigh
+
+
+def test_a_weighed_centre_of_mass_is_shown_before_the_first_probe_and_on_the_map(live, bench, page):
+    bench.tell_start()
+    bench.set_state(RunState.RUNNING)
+    bench.events.publish(PieceWeighed(3.0, 150.2, 0.4, (2.41, -1.58), (0.55, 0.24)))
+    settle(live)
+    assert page.belief.scene.empty[0] == "Centre of mass +2.4 \u00b1 0.6, -1.6 \u00b1 0.2 mm"
+    bench.tell_probe(1, (7.2, 3.1), -3.4)
+    settle(live)
+    assert page.belief.scene.com_sigma_mm == (0.55, 0.24)
+    assert "2 \u03c3 of the weighing" in [text for _, text, *_ in page.legend._places()]
 
 
 def test_buttons_follow_the_state(live, bench, page):

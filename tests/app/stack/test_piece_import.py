@@ -70,6 +70,18 @@ def test_a_mesh_that_cannot_be_used_says_why_until_the_numbers_fit(stack, block,
     qtbot.waitUntil(sheet.add.isEnabled, timeout=10_000)
 
 
+def test_the_centre_of_mass_can_be_left_to_a_weighing(stack, block, qtbot):
+    assert drop(stack.page, block)
+    sheet = stack.pieces
+    sheet.mass_g.setValue(180.0)
+    sheet.com.setCurrentIndex(sheet.com.findData("unknown"))
+    sheet.measure()
+    qtbot.waitUntil(lambda: "a run weighs the piece" in sheet.said.text(), timeout=10_000)
+    sheet.add.click()
+    qtbot.waitUntil(lambda: not sheet.isVisible(), timeout=10_000)
+    assert not load_pieces().top("my-block").com_known
+
+
 def test_other_files_are_not_accepted(stack, block, tmp_path):
     assert not drop(stack.page, tmp_path / "notes.txt")
     assert not drop(stack.page, block, block)

@@ -47,6 +47,7 @@ from touchdown.backend.experiments.strategies import (
     run_closed_loop,
     run_static_groups,
     static_scores,
+    weighed_piece,
 )
 from touchdown.backend.experiments.tables import QUICK, TOWER, Recipe
 from touchdown.backend.experiments.trials import SceneSetup, start_scene
@@ -232,9 +233,22 @@ def test_settings_in_a_name_are_compared_with_the_strategy_without_them() -> Non
     assert [row["change"] for row in rows] == [1.0, -1.0]
     method = method_of(f"{name}:fused.risk=0.05", StackSettings())
     assert (method.strategy, method.policy.least_probes, method.fused.risk) == ("fused", 2, 0.05)
-    for wrong in ("fused:policy.least=2", "fused:nothing.risk=2", "fused:policy.least_probes=x"):
+    assert method_of("fused:weigh=true", StackSettings()).weigh
+    for wrong in ("policy.least=2", "weigh=2", "nothing.risk=2", "policy.least_probes=x"):
         with pytest.raises(InputError):
-            method_of(wrong, StackSettings())
+            method_of(f"fused:{wrong}", StackSettings())
+
+
+def test_a_heavy_piece_is_weighed_with_the_noise_of_the_sensor_and_the_grasp() -> None:
+    case = SceneSetup.of(load_pieces(), "brick", ("short",), load_simulation())
+    scenes = [start_scene(case, seed) for seed in range(60)]
+    found = [weighed_piece(scene) for scene in scenes if scene is not None]
+    off = np.array([piece.com_mm[:2] for piece in found]) - case.piece.com_xy_mm
+    sigma = np.array([piece.sigma_mm[:2] for piece in found])
+    assert (np.abs(off) <= 2.0 * sigma).mean(axis=0).min() >= 0.9
+    assert np.std(off, axis=0).max() <= 1.0
+    masses = [piece.mass_g for piece in found]
+    assert np.mean(masses) == pytest.approx(150.0, abs=0.3)
 
 
 def test_changes_of_verdicts_have_the_interval_of_a_paired_statistic() -> None:

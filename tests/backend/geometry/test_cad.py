@@ -162,6 +162,12 @@ def test_the_turn_of_each_side_is_a_rotation_that_points_it_down():
         assert turn @ turn.T == pytest.approx(np.eye(3))
 
 
+def test_the_centre_of_mass_of_a_mesh_may_be_unknown(stl):
+    found = measure_piece(stl(BLOCK), PieceImport(mass_g=150.0, com="unknown"))
+    assert np.isnan(found.com_mm[:2]).all()
+    assert found.com_mm[2] == pytest.approx(20.0)
+
+
 def test_feet_are_parts_of_one_face(stl):
     feet = [prism([(x, y), (x + 6, y), (x + 6, y + 6), (x, y + 6)], 5.0)
             for x, y in ((0, 0), (24, 0), (12, 20))]  # fmt: skip

@@ -7,8 +7,9 @@ import shapely
 import shapely.affinity
 
 from touchdown.backend.core import InputError
-from touchdown.backend.geometry.cad import PieceImport, measure_piece
+from touchdown.backend.geometry.cad import PieceImport, measure_piece, save_piece
 from touchdown.backend.geometry.drawings import read_drawing
+from touchdown.backend.geometry.pieces import load_pieces
 
 SVG = (
     '<svg xmlns="http://www.w3.org/2000/svg" width="{w}mm" height="{h}mm" viewBox="{box}">'
@@ -196,6 +197,22 @@ def test_a_drawing_is_the_prism_over_its_outline(tmp_path):
     assert found.com_mm == pytest.approx((0, 0, 20))
     assert found.width_mm == pytest.approx(30)
     assert found.face.equals(shapely.MultiPolygon([shapely.box(-10, -15, 10, 15)]))
+    # A mass says nothing about its distribution.
+    heavy = measure_piece(path, PieceImport(mass_g=120.0, height_mm=40.0))
+    assert heavy.notes == (
+        "The centre of mass is unknown: a run weighs the piece first (--weigh).",
+    )
+    light = measure_piece(path, PieceImport(mass_g=20.0, height_mm=40.0)).notes
+    assert "cannot be weighed: enter com_xy_mm" in light[0]
+    written, picture = save_piece(heavy, "heavy", folder=tmp_path / "own")
+    assert not load_pieces(tmp_path / "own").top("heavy").com_known
+    assert "centre of mass unknown" in picture.read_text()
+    assert 'com_xy_mm = "unknown"' in written.read_text()
+    uniform = PieceImport(mass_g=20.0, height_mm=40.0, com="uniform")
+    assert measure_piece(path, uniform).com_mm == pytest.approx((0, 0, 20))
+    for role in ("bottom", "both"):
+        with pytest.raises(InputError, match="cannot be weighed"):
+            measure_piece(path, PieceImport(role=role, mass_g=9.0, height_mm=4.0, com="unknown"))
     path.write_text('<svg><rect width="0.02" height="0.03"/></svg>')
     with pytest.raises(InputError, match=r"0\.00529 x 0\.00794 mm, which is unlikely") as refused:
         measure_piece(path, PieceImport(mass_g=9.0, height_mm=40.0))

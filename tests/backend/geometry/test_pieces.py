@@ -39,7 +39,7 @@ across_corners_mm = 30.0
 
 def test_shipped_pieces_have_the_nominal_sizes():
     catalogue = load_pieces()
-    assert catalogue.tops == ("barrel", "mug", "mushroom", "pot")
+    assert catalogue.tops == ("barrel", "brick", "mug", "mushroom", "pot")
     assert set(catalogue.bottoms) == {
         "short", "long", "hex20", "rect12x28", "circle15", "circle25", "square15", "barrel",
         "ring24", "ell20", "channel20", "star26", "feet3",
@@ -47,6 +47,7 @@ def test_shipped_pieces_have_the_nominal_sizes():
     tops = {
         name: (p.face.radius_mm * 2, p.height_mm, p.com_height_mm, p.mass_g, p.grip_height_mm)
         for name in catalogue.tops
+        if name != "brick"
         for p in [catalogue.piece(name)]
     }
     assert tops == {
@@ -62,11 +63,38 @@ def test_shipped_pieces_have_the_nominal_sizes():
     assert catalogue.piece("square15").face == outlines.square(15.0)
 
 
-def test_the_centre_of_mass_of_the_mug_alone_is_off_its_middle():
+def test_the_centre_of_mass_of_mug_and_brick_is_off_their_middle():
     pieces = load_pieces().pieces
     off = {name: p.com_xy_mm for name, p in pieces.items() if p.com_xy_mm != (0.0, 0.0)}
-    assert off == {"mug": (1.7, -0.9)}
+    assert off == {"mug": (1.7, -0.9), "brick": (2.4, -1.6)}
     assert pieces["mug"].body((3.0, 4.0)).com_xy_mm == (1.7, -0.9)
+
+
+def test_an_unknown_centre_of_mass_is_no_number_and_drawn_for_the_simulated_bench(tmp_path):
+    top = CUP.replace('["top", "bottom"]', '["top"]').replace(
+        "mass_g", 'com_xy_mm = "unknown"\nmass_g'
+    )
+    (tmp_path / "cup.toml").write_text(top)
+    cup = load_pieces(tmp_path).top("cup")
+    assert not cup.com_known
+    assert cup.body().com_xy_mm == (0.0, 0.0)
+    drawn = np.array([sampling.with_true_com(cup, seed).com_xy_mm for seed in range(200)])
+    assert np.abs(drawn).max() <= sampling.COM_SHARE * 9.0
+    assert np.std(drawn, axis=0) == pytest.approx(0.3 * 9.0 / math.sqrt(3), rel=0.1)
+    assert sampling.with_true_com(cup, 3) == sampling.with_true_com(cup, 3)
+    pot = load_pieces().top("pot")
+    assert sampling.with_true_com(pot, 3) is pot
+
+
+@pytest.mark.parametrize(
+    ("value", "what"),
+    [('"unknown"', "role bottom cannot be weighed"), ('"unknwn"', r"give \[x, y\] in mm, or"),
+     ("[1.0]", r"give \[x, y\] in mm, or")],
+)  # fmt: skip
+def test_a_wrong_centre_of_mass_is_refused_by_its_key(tmp_path, value, what):
+    (tmp_path / "cup.toml").write_text(CUP.replace("mass_g", f"com_xy_mm = {value}\nmass_g"))
+    with pytest.raises(InputError, match=f"Bad value for 'com_xy_mm': .*{what}"):
+        load_pieces(tmp_path)
 
 
 def test_only_the_board_is_fixed_and_measured():
@@ -81,7 +109,7 @@ def test_only_the_board_is_fixed_and_measured():
 def test_roles_are_kept_apart():
     catalogue = load_pieces()
     assert catalogue.bottom("short").name == "short"
-    with pytest.raises(InputError, match=r"cannot be grasped.*barrel, mug, mushroom, pot"):
+    with pytest.raises(InputError, match=r"cannot be grasped.*barrel, brick, mug, mushroom, pot"):
         catalogue.top("short")
     with pytest.raises(InputError, match="cannot carry another piece"):
         catalogue.bottom("pot")

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 from shapely import contains_xy
 from shapely.affinity import translate
 from shapely.geometry import Point, Polygon, box
@@ -382,6 +383,32 @@ def test_the_centre_of_mass_of_a_mug_is_judged_and_brought_over_the_middle() -> 
     assert over is not None
     assert over.expected_mm() == pytest.approx(DISC_MM)
     assert touch(reasoner, there).action.kind == "release"
+
+
+def test_the_uncertainty_of_a_weighed_centre_of_mass_enters_the_release() -> None:
+    sure, _ = one_who_knows(HELD)
+    weighed, _ = one_who_knows(replace(HELD, com_sigma_mm=0.7))
+    risk = SETTINGS.fused.risk
+    for reasoner, sd_mm in ((sure, 0.2), (weighed, math.hypot(0.2, 0.7))):
+        found = touch(reasoner, MIDDLE_MM).stability.margin_mm
+        assert found == pytest.approx(DISC_MM + sd_mm * float(norm.ppf(risk)), abs=0.06)
+    # The paper's rule knows no probability: its margin grows by two standard uncertainties.
+    paper = StackSettings(belief=SMALL)
+    patch = ContactPatch(FACE.copy(), np.full(len(FACE), 0.98))
+    seen = ProbeObservation(np.zeros((20, 258), np.float32), patch, (0.0, 0.0))
+    margin_mm = PaperStrategy(HELD, paper, (0.0, 0.0)).conclude(seen).stability.margin_mm
+    for sigma_mm, stable in ((0.0, True), (0.49 * margin_mm, True), (0.51 * margin_mm, False)):
+        held = replace(HELD, com_sigma_mm=sigma_mm)
+        assert PaperStrategy(held, paper, (0.0, 0.0)).conclude(seen).stability.stable is stable
+
+
+@pytest.mark.parametrize("strategy", ["paper", "fused", "zero-wrench"])
+def test_an_unknown_centre_of_mass_is_never_released(strategy: Any) -> None:
+    held = replace(HELD, com_xy_mm=(math.nan, math.nan))
+    settings = StackSettings(strategy=strategy, belief=SMALL)
+    patch = ContactPatch(FACE.copy(), np.full(len(FACE), 0.98))
+    seen = ProbeObservation(press((0.0, 0.0)), patch, (0.0, 0.0))
+    assert not make_strategy(held, settings, (0.0, 0.0)).conclude(seen).stability.stable
 
 
 def test_no_place_is_aimed_at_that_is_farther_than_it_was_asked_in_training() -> None:

@@ -13,17 +13,25 @@ from tests.backend.runs.blind_bench import BRISK, BlindBench
 from touchdown.backend.bench.assembly import SimulatedBenchChoice, simulated_session
 from touchdown.backend.calibration import FINGERPRINT_VALUES, CalibrationEstimate
 from touchdown.backend.config.simulation import SimulationSettings
-from touchdown.backend.core import CalibrationMeasured, FaultError, Outcome, RefusedError, Said
+from touchdown.backend.core import (
+    CalibrationMeasured,
+    FaultError,
+    InputError,
+    PieceWeighed,
+    RefusedError,
+    Said,
+)
 from touchdown.backend.devices.interlock import LEAST_OVERRIDE, Limits
 from touchdown.backend.devices.melfa.faults import VOID
 from touchdown.backend.devices.protocols import Arm, CommandedMotion, Motion
 from touchdown.backend.devices.streamed.arm import UNFELT
 from touchdown.backend.emulation.simulated_disturbances import Disturbance, DisturbanceScript
-from touchdown.backend.geometry import load_pieces, pieces_folder
+from touchdown.backend.geometry import load_pieces, pieces_folder, with_true_com
 from touchdown.backend.geometry.outlines import circle, rectangle, regular_polygon, square
 from touchdown.backend.rig.safety import LAPSED
 from touchdown.backend.runs import (
     CalibrateRequest,
+    NoEstimator,
     RecordingOptions,
     StackRequest,
     calibrate,
@@ -49,6 +57,7 @@ from touchdown.backend.runs.motions import (
     zero_wrench,
 )
 from touchdown.backend.runs.motions import move_to as motions_move_to
+from touchdown.backend.runs.stack import grasped_piece
 from touchdown.backend.sensing.zeroing import take_reference
 from touchdown.backend.simulation.devices.arm import SimArm
 
@@ -304,42 +313,45 @@ def test_pressing_at_the_rim_tells_how_the_cameras_sit(monkeypatch):
 
 
 HEAVY = """
-title = "Brick"
+title = "Block"
 roles = ["top"]
 height_mm = 40.0
 com_height_mm = 18.0
-com_xy_mm = [0.0, 0.0]
+com_xy_mm = "unknown"
 mass_g = 150.0
 grip_height_mm = 28.0
 face = { shape = "rectangle", x_mm = 20.0, y_mm = 24.0 }
 """
 
 
-def test_a_held_piece_is_weighed_and_its_uncertainty_widens_the_margin(monkeypatch):
+@pytest.fixture
+def block() -> None:
+    """Add a heavy piece whose centre of mass is unknown."""
     pieces_folder().mkdir(parents=True)
-    (pieces_folder() / "brick.toml").write_text(HEAVY.replace("[0.0, 0.0]", "[2.5, -1.5]"))
-    blind = BlindBench(StackRequest(piece="brick", seed=5).scene())
-    # The method knows a file without the true centre of mass.
-    (pieces_folder() / "plain.toml").write_text(HEAVY)
-    plain = load_pieces().top("plain")
+    (pieces_folder() / "block.toml").write_text(HEAVY)
+
+
+def test_an_unknown_centre_of_mass_is_weighed_with_its_uncertainty(block):
+    blind = BlindBench(StackRequest(piece="block", seed=5).scene())
+    assert not blind.bench.piece.com_known
+    true_mm = with_true_com(load_pieces().top("block"), 5).com_xy_mm
 
     def plan(bench):
         empty = yield from weigh_empty(bench)
         yield from take_piece(bench)
-        return (yield from weigh_held(replace(bench, piece=plain), empty))
+        return (yield from weigh_held(bench, empty))
 
     here = blind.bench.arm.pose(1.0)
-    before = blind.bench.settings
     after = blind.run(plan)
     (said,) = [
         fact.text for fact in blind.facts if isinstance(fact, Said) and "weighs" in fact.text
     ]
-    x, y = after.piece.com_xy_mm
-    more_mm = after.settings.stability.margin_mm - before.stability.margin_mm
-    assert 0.5 <= more_mm <= 2.0
-    assert abs(x - 2.5) <= more_mm
-    assert abs(y + 1.5) <= more_mm
-    assert after.settings.fused.inset_mm - before.fused.inset_mm == pytest.approx(more_mm)
+    assert 0.25 <= after.com_sigma_mm <= 1.0
+    assert np.hypot(*np.subtract(after.piece.com_xy_mm, true_mm)) <= 2.0 * after.com_sigma_mm
+    assert grasped_piece(after).com_sigma_mm == after.com_sigma_mm
+    (weighed,) = [fact for fact in blind.facts if isinstance(fact, PieceWeighed)]
+    assert weighed.com_xy_mm == after.piece.com_xy_mm
+    assert weighed.mass_g == pytest.approx(150.0, abs=4.0 * weighed.mass_sigma_g)
     assert "The piece weighs 1" in said
     back = blind.bench.arm.pose(1.0)
     assert (back.x_mm, back.y_mm, back.z_mm, back.rx_rad) == pytest.approx(
@@ -360,16 +372,21 @@ def test_a_light_piece_cannot_be_weighed_and_stays_in_the_hand():
     assert blind.bench.gripper.status().holding
 
 
-def test_a_run_that_weighs_a_light_piece_ends_its_trial_with_the_reason():
-    settings = SimulationSettings.model_validate({"tactile": {"rate_hz": 8.0}})
+@pytest.mark.parametrize(
+    ("piece", "weigh", "what", "fix"),
+    [
+        ("pot", True, "'pot' is too light to be weighed: the wrist sensor knows", "without weigh"),
+        ("light", True, "too light to be weighed.*2.0 mm times the weight of 15 g", "com_xy_mm in"),
+        ("block", False, "The centre of mass of 'block' is unknown", "--weigh"),
+    ],
+)
+def test_what_cannot_be_weighed_or_is_not_is_refused_before_the_run(block, piece, weigh, what, fix):
+    light = HEAVY.replace("mass_g = 150.0", "mass_g = 15.0")
+    (pieces_folder() / "light.toml").write_text(light)
     session = simulated_session(
-        SimulatedBenchChoice(given=settings), keep=RecordingOptions(None), method=BRISK
+        SimulatedBenchChoice(), keep=RecordingOptions(None), estimate=lambda _: NoEstimator()
     )
-    session.interlock.limits = Limits(contact_speed_mm_s=4.0)
-    result = session.run(StackRequest(piece="pot", strategy="fused", weigh=True))
-    held = session.devices["gripper"].status().holding
+    with pytest.raises(InputError, match=what) as refused:
+        session.run(StackRequest(piece=piece, strategy="fused", weigh=weigh))
+    assert fix in refused.value.fix
     session.close()
-    (trial,) = result.trials
-    assert trial.outcome is Outcome.ABORTED
-    assert "leave its centre of mass uncertain" in trial.reason
-    assert held

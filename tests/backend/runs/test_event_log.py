@@ -243,6 +243,7 @@ ALL = [
     events.Released(0.9, 1, False, -1.25, FALL),
     events.Released(0.9, 1, True, None, None),
     events.TrialFinished(1.0, 1, 7, values.Outcome.FELL, "because", 3, None, -1.25),
+    events.PieceWeighed(2.8, 150.2, 0.4, (2.4, -1.6), (0.5, 0.2)),
     events.CalibrationMeasured(
         2.9, "payload", ("mass_kg",), (1.5,), (0.01,), ("kg",), (0.1, 0.05), 0.1, 0.3, "N", "", ""
     ),

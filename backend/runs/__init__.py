@@ -7,6 +7,7 @@ import lazy_loader
 if TYPE_CHECKING:
     from touchdown.backend.runs import (
         bench,
+        calibrate,
         calibrations,
         campaign,
         collector,

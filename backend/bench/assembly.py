@@ -32,6 +32,7 @@ from touchdown.backend.geometry import (
     can_be_placed,
     draw_start,
     draw_tower,
+    face_points,
     load_pieces,
     start_generator,
     with_true_com,
@@ -161,14 +162,16 @@ class BenchModels:
         """Return the model of a scene, ``NoEstimator`` if it needs none; raises ``InputError``."""
         if not choice.estimates:
             return NoEstimator()
-        path = Path(choice.model) if choice.model else self._checked.get(choice.piece)
-        return self._read(path or model_in_use(choice.piece, self._registry), piece)
+        path = self._path(choice, self._checked.get(choice.piece))
+        return NoEstimator(face_points(piece.face)) if path is None else self._read(path, piece)
 
     def check(self, choice: SceneChoice, piece: Piece) -> Estimator | None:
         """Return the model of a new run; ``InputError`` if it must not run without approval."""
         if not choice.estimates:
             return None
-        path = Path(choice.model or model_in_use(choice.piece, self._registry))
+        path = self._path(choice)
+        if path is None:
+            return None
         if self._stamps.get(path) != _stamp(path):
             self._loaded = {key: one for key, one in self._loaded.items() if key[0] != path}
         loaded = self._read(path, piece)
@@ -182,6 +185,17 @@ class BenchModels:
             found = card_mismatches(card, self._description, piece.sha256, self._grid_mm, probes)
             check_autonomous(card, found, f"model {card.weights_sha256[:12]}")
         return loaded
+
+    def _path(self, choice: SceneChoice, checked: Path | None = None) -> Path | None:
+        """Return the file of the model, None if the piece has none and needs none."""
+        if choice.model or checked:
+            return Path(choice.model) if choice.model else checked
+        try:
+            return model_in_use(choice.piece, self._registry)
+        except InputError:
+            if choice.optional:
+                return None
+            raise
 
     def _read(self, path: Path, piece: Piece) -> Estimator:
         if (path, piece.name) not in self._loaded:

@@ -329,7 +329,8 @@ def network_params(strategy: str, method: StackSettings) -> Json:
     """Return the job parameters that identify the network of ``strategy``."""
     if base_strategy(strategy) != "fused":
         return {}
-    return {"fused_sha256": load_network_of(method.fused).card.weights_sha256}
+    rules = method_of(strategy, method).fused
+    return {"fused_sha256": load_network_of(rules).card.weights_sha256}
 
 
 def _job_params(plan: ClosedLoopComparison | StaticComparison, cell: Cell) -> Json:

@@ -109,19 +109,28 @@ class PatchEstimator(Protocol):
 
 
 class NoEstimator:
-    """Placeholder for runs that need no model, such as data collection."""
+    """Placeholder for runs that need no model, such as data collection.
+
+    ``points_mm`` (N, 2): lattice of the face. With it every point of a patch is as likely in
+    contact as not, for strategies that read the signals themselves.
+    """
 
     base_rate: float | None = None
     calibration: PatchCalibration | None = None
+
+    def __init__(self, points_mm: FloatArray | None = None) -> None:
+        self._points_mm = points_mm
 
     def prepare(self, early: NDArray[np.float32]) -> None:
         """Do nothing."""
 
     def estimate(self, episode: Episode) -> ContactPatch:
-        """Raise ``InputError``."""
-        raise InputError(
-            f"No model of '{episode.piece}' is loaded.", "model", "Train one, or name one."
-        )
+        """Return the unknown patch; raises ``InputError`` without a face."""
+        if self._points_mm is None:
+            raise InputError(
+                f"No model of '{episode.piece}' is loaded.", "model", "Train one, or name one."
+            )
+        return ContactPatch(self._points_mm.copy(), np.full(len(self._points_mm), 0.5))
 
 
 @dataclass(frozen=True, slots=True)

@@ -24,6 +24,7 @@ class SceneChoice:
     """Scene of a bench: ``piece`` above ``bottoms`` (bottom-up; the last one is touched).
 
     ``model`` is a checkpoint file, None for the one in use; without ``estimates`` none is loaded.
+    ``optional``: a piece without a model is served too, by a strategy with a network of its own.
     ``alone``: no move needs approval, so the model must fit the bench. With ``jig`` the piece is
     taken from its jig beside the bottom; ``mounting`` counts the fittings of bottom and gels.
     ``handed``: the operator hands the piece over there, with less precision.
@@ -38,6 +39,7 @@ class SceneChoice:
     jig: bool = False
     mounting: int = 0
     handed: bool = False
+    optional: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,7 +92,7 @@ class StackRequest:
         estimates = self.strategy != "pick-and-place" or self.model is not None
         return SceneChoice(
             self.piece, self.bottoms, self.seed + trial, self.model, estimates,
-            alone=self.mode == "auto",
+            alone=self.mode == "auto", optional=self.strategy == "fused",
         )  # fmt: skip
 
     def method(self, base: StackSettings) -> StackSettings:

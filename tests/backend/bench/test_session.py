@@ -4,14 +4,16 @@ import shutil
 import threading
 from contextlib import nullcontext
 from importlib.resources import files
+from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from tests.backend.bench.brisk import brisk_method, brisk_session, brisk_settings
 from tests.backend.rig.scripted import scripted
 from touchdown.backend.bench import RunResult, open_lab, simulated_bench
-from touchdown.backend.core.events import EpisodeRecorded, TrialFinished
+from touchdown.backend.core.events import BeliefUpdated, EpisodeRecorded, TrialFinished
 from touchdown.backend.core.faults import Fault, FaultError, InputError, RefusedError
 from touchdown.backend.core.values import Outcome
 from touchdown.backend.runs.event_log import read_events
@@ -104,6 +106,25 @@ def test_bad_requests_and_settings_are_refused():
         bench.run(StackRequest(piece="teapot"))
     with pytest.raises(InputError, match="preset"):
         simulated_bench(preset="loud")
+
+
+def test_a_piece_without_a_model_is_served_by_the_network_of_fused(tmp_path) -> None:
+    folder = tmp_path / "pieces"
+    folder.mkdir()
+    barrel = str(files("touchdown.resources") / "objects" / "barrel.toml")
+    (folder / "keg.toml").write_text(
+        Path(barrel).read_text().replace("21.2", "19.0").replace("Barrel", "Keg")
+    )
+    method = brisk_method()
+    with simulated_bench(settings=brisk_settings(), method=method, pieces=folder) as bench:
+        with pytest.raises(InputError, match="No model ships for piece 'keg'"):
+            bench.run(StackRequest(piece="keg", seed=7))
+        maps = []
+        bench.events.subscribe(lambda e: maps.append(e) if isinstance(e, BeliefUpdated) else None)
+        result = bench.run(StackRequest(piece="keg", strategy="fused", seed=7))
+    assert [trial.outcome for trial in result.trials] == [Outcome.PLACED]
+    # The map shows what the network says, not the patches that no model estimates.
+    assert np.ptp(maps[-1].belief.log_odds) > 1.0
 
 
 def test_a_strategy_trained_with_convex_outlines_refuses_others_before_anything_moves():

@@ -150,7 +150,7 @@ def identify_bench(
     store = StageStore(folder, stage_key(recordings, nominal))
     gel = usable_gel(recordings)
     refuse_unusable(gel.presses, library, "recordings")
-    rest, missing = _rest(recordings, nominal)
+    rest, missing = _rest(recordings)
     drift = {e.key: e.value for e in rest.estimates}
     drifts = np.array([
         drift.get("wrist.drift_n_sqrt_min", nominal.wrist.drift_n_sqrt_min) / np.sqrt(60.0),
@@ -190,16 +190,14 @@ def identify_bench(
     )  # fmt: skip
 
 
-def _rest(
-    recordings: Recordings, nominal: SimulationSettings
-) -> tuple[RestResult, list[tuple[str, str]]]:
+def _rest(recordings: Recordings) -> tuple[RestResult, list[tuple[str, str]]]:
     names = ", ".join(identifiable(REST))
     rest = recordings.rest
     if rest is None or rest.length_s < LEAST_REST_S:
         length = 0.0 if rest is None else rest.length_s
         text = f"`{REST}`: {length:.0f} s at rest, {LEAST_REST_S:.0f} s are needed"
         return RestResult((), (), ()), [(names, text)]
-    found = identify_rest(rest, nominal)
+    found = identify_rest(rest)
     missing = []
     if rest.length_s < GOOD_REST_S:
         missing.append(("slow drift", f"`{REST}`: only {rest.length_s:.0f} s at rest"))

@@ -62,6 +62,13 @@ class RestRecording:
     levels: tuple[FloatArray, FloatArray]
     lossless: bool
 
+    @classmethod
+    def joined(cls, parts: Sequence[RestRecording]) -> RestRecording:
+        """Return the recordings ``parts`` as one."""
+        left, right = (np.concatenate([part.levels[k] for part in parts]) for k in range(2))
+        blocks = tuple(block for part in parts for block in part.blocks)
+        return cls(blocks, (left, right), all(part.lossless for part in parts))
+
     @property
     def length_s(self) -> float:
         """Total length in s."""
@@ -89,9 +96,7 @@ def read_recordings(dataset: Dataset, progress: Progress = lambda _done, _of: No
     """Read presses and rest of a dataset; raises ``InputError`` for a damaged episode."""
     entries = [e for e in dataset.episodes(EpisodeFilter()) if e.mode not in ("mass", "imported")]
     presses: list[PressRecording] = []
-    blocks: list[Recording] = []
-    levels: tuple[list[float], list[float]] = ([], [])
-    lossless = True
+    rests: dict[str, list[RestRecording]] = {}
     for done, entry in enumerate(entries):
         progress(done, len(entries))
         compressed = read_compressed_episode(dataset.folder / entry.path)
@@ -99,21 +104,22 @@ def read_recordings(dataset: Dataset, progress: Progress = lambda _done, _of: No
         if episode.recording is None:
             continue
         if dict(episode.metadata).get(REST_KEY):
-            blocks.append(episode.recording)
-            lossless &= entry.keep_frames == "png"
-            for into, finger in zip(levels, FINGERS, strict=True):
-                film = compressed.pictures[finger]
-                into += [float(film.picture(k).mean()) for k in range(0, len(film.packed), 5)]
+            films = [compressed.pictures[finger] for finger in FINGERS]
+            left, right = (
+                np.array([film.picture(k).mean() for k in range(0, len(film.packed), 5)])
+                for film in films
+            )
+            block = RestRecording((episode.recording,), (left, right), entry.keep_frames == "png")
+            rests.setdefault(entry.mounting_id, []).append(block)
             continue
         facts = read_first(dataset.folder / entry.path).metadata["bench"]
         slipped = all("slipped" in reason for reason in episode.quality.reasons)
         if episode.quality.accepted or (slipped and facts.get("stage") == CONTACT_STAGE):
             presses.append(_press(dataset, entry, facts, episode.recording, episode.onset_s))
-    rest = None
-    if blocks:
-        left, right = (np.array(values) for values in levels)
-        rest = RestRecording(tuple(blocks), (left, right), lossless)
     simulated = all(entry.mode != "lab" for entry in entries)
+    # The clock starts anew with each mounting: only the longest rest is used.
+    longest = max(rests.values(), key=len, default=[])
+    rest = RestRecording.joined(longest) if longest else None
     return Recordings(tuple(presses), rest, tuple(entry.sha256 for entry in entries), simulated)
 
 

@@ -6,8 +6,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.interpolate import make_interp_spline
+from scipy.ndimage import uniform_filter1d
 from scipy.optimize import least_squares, minimize_scalar
-from scipy.signal import welch
+from scipy.signal import lfilter, welch
 
 from touchdown.backend.config import SimulationSettings
 from touchdown.backend.core import FINGERS, FloatArray, Recording
@@ -72,7 +74,7 @@ def walk_rate(means: FloatArray, white_var: float, block_s: float) -> tuple[floa
     return rate, rate / np.sqrt(max(curvature, 1e-3))
 
 
-def identify_rest(rest: RestRecording, nominal: SimulationSettings) -> RestResult:
+def identify_rest(rest: RestRecording) -> RestResult:
     """Return noise, drift and timing of wrist sensor and cameras at rest in air."""
     blocks = rest.blocks
     wrench = np.concatenate([block.wrench for block in blocks])
@@ -112,9 +114,8 @@ def flicker(levels: FloatArray, *, lossless: bool) -> str:
     if len(levels) < 10:
         return "not recorded: the recording has no images"
     share = 100.0 * float(levels.std() / levels.mean())
-    return (
-        f"{share:.3f} % of the level" if lossless else f"at least {share:.3f} %: compressed images"
-    )
+    text = f"{share:.3f} % of the level"
+    return text if lossless else f"at least {text}: compressed images"
 
 
 def _cameras(blocks: Sequence[Recording]) -> tuple[list[Estimate], list[tuple[str, str]], Spectrum]:
@@ -136,10 +137,9 @@ def _cameras(blocks: Sequence[Recording]) -> tuple[list[Estimate], list[tuple[st
         weight = seen[..., None].astype(float)
         series.append((weight * moved).sum(axis=1) / np.maximum(weight.sum(axis=1), 1.0))
     per_block = max(round(BLOCK_S / period), 1)
-    means = np.concatenate(
-        [s[: len(s) // per_block * per_block].reshape(-1, per_block, 2).mean(axis=1) for s in
-         (s[: min(map(len, series))] for s in series)], axis=1,
-    )  # fmt: skip
+    length = min(map(len, series)) // per_block * per_block
+    blocked = [s[:length].reshape(-1, per_block, 2).mean(axis=1) for s in series]
+    means = np.concatenate(blocked, axis=1)
     both = float(np.mean(white))
     shift = float(np.mean([np.diff(s, axis=0).std() / np.sqrt(2.0) for s in series]))
     rate, sd = walk_rate(means, shift**2 / per_block, BLOCK_S)
@@ -164,12 +164,14 @@ def identify_air(presses: PressSet, nominal: SimulationSettings, *, rest: bool) 
     Without a recording at ``rest`` also the white noise of the wrist sensor.
     """
     air, px = presses.air_wrench, presses.air_px.reshape(len(presses), -1)
+    # Tare (200 samples) and reference (10 frames, 1.5 s of drift) add to the draw of a probe.
+    tare = presses.air_sd.mean(axis=0) * np.sqrt(1.0 / 200.0 + 1.0 / 250.0)
+    shift = np.hypot(1.2 * nominal.tactile.drift_px_sqrt_s, 0.01)
     result = []
-    for key, part in (
-        ("wrist.offset_n", air[:, :3]), ("wrist.offset_nm", air[:, 3:]), ("tactile.bias_px", px),
+    for key, part, extra in (
+        ("wrist.offset_n", air[:, :3], tare[:3]), ("wrist.offset_nm", air[:, 3:], tare[3:]),
+        ("tactile.bias_px", px, np.full(1, shift)),
     ):  # fmt: skip
-        # Tare, reference and drift add to the draw of a probe.
-        extra = np.full(1, _reference_noise(key, presses, nominal))
         freedom = part.size - part.shape[1]
         result.append(spread_estimate(key, part - part.mean(axis=0), extra, freedom))
     for key, first in () if rest else (("wrist.white_n", 0), ("wrist.white_nm", 3)):
@@ -177,16 +179,6 @@ def identify_air(presses: PressSet, nominal: SimulationSettings, *, rest: bool) 
         value = float(np.sqrt((sd**2).mean()))
         result.append(estimate(key, value, sd.std() / np.sqrt(sd.size) + 0.005 * value))
     return result
-
-
-def _reference_noise(key: str, presses: PressSet, nominal: SimulationSettings) -> float:
-    """Return the standard deviation that tare or reference adds to the level in air."""
-    if key == "tactile.bias_px":
-        # Drift of about 1.5 s, noise of the mean of ten frames
-        return float(np.hypot(1.2 * nominal.tactile.drift_px_sqrt_s, 0.01))
-    part = slice(0, 3) if key == "wrist.offset_n" else slice(3, 6)
-    white = float(presses.air_sd[:, part].mean())
-    return white * float(np.sqrt(1.0 / 200.0 + 1.0 / 250.0))
 
 
 def estimate_delays(presses: Sequence[PressRecording], most: int = 40) -> dict[str, FloatArray]:
@@ -210,7 +202,8 @@ def _delays_of(press: PressRecording) -> tuple[float, float, float]:
     s, onset_s = press.signals, press.onset_s
     t_s = np.arange(onset_s - 0.15, onset_s + 1.9, 0.004)
     depth = float(np.interp(onset_s, s.pose_t_s, s.pose_mm[:, 2])) - s.pose_mm[:, 2]
-    force = _smooth(s.wrench_t_s, s.wrench[:, 2], t_s)
+    width = max(round(0.004 / float(np.median(np.diff(s.wrench_t_s)))), 1)
+    force = np.interp(t_s, s.wrench_t_s, uniform_filter1d(s.wrench[:, 2], width))
     lag = np.nan
     if len(s.command_t_s) > 2:
         air = (s.pose_t_s < onset_s - 0.02) & (s.pose_t_s > onset_s - 0.25)
@@ -257,22 +250,9 @@ def _left_over(columns: list[FloatArray], target: FloatArray) -> FloatArray:
     return np.asarray(target - matrix @ found)
 
 
-def _smooth(t_s: FloatArray, values: FloatArray, at_s: FloatArray) -> FloatArray:
-    """Return the means of ``values`` over ±2 ms at ``at_s``."""
-    total = np.concatenate([[0.0], np.cumsum(values)])
-    first = np.searchsorted(t_s, at_s - 0.002)
-    last = np.maximum(np.searchsorted(t_s, at_s + 0.002), first + 1)
-    last = np.minimum(last, len(values))
-    first = np.minimum(first, last - 1)
-    return np.asarray((total[last] - total[first]) / (last - first))
-
-
 def _low_pass(values: FloatArray, share: float) -> FloatArray:
-    result, state = np.empty_like(values), float(values[0])
-    for k, value in enumerate(values):
-        state += share * (float(value) - state)
-        result[k] = state
-    return result
+    follow = lfilter([share], [1.0, share - 1.0], values - values[0])
+    return np.asarray(values[0] + follow)
 
 
 def _mean_shear(press: PressRecording) -> tuple[FloatArray, FloatArray]:
@@ -306,34 +286,25 @@ def delay_estimates(series: dict[str, FloatArray]) -> tuple[list[Estimate], Dela
 
 def arm_compliance(presses: Sequence[PressRecording]) -> list[Estimate]:
     """Return the stiffness of the arm along x, y and z, N/mm, from command, pose and wrench."""
-    gaps: list[FloatArray] = []
-    forces: list[FloatArray] = []
-    for press in presses:
-        s = press.signals
-        t_s = press.onset_s + np.arange(0.2, 2.0, 0.1)
-        if len(s.command_t_s) < 2:
-            return []
-        pose = np.stack([np.interp(t_s, s.pose_t_s, s.pose_mm[:, k]) for k in range(3)], axis=1)
-        command = np.stack(
-            [np.interp(t_s, s.command_t_s, s.command_mm[:, k]) for k in range(3)], axis=1
-        )
-        air = s.wrench[s.wrench_t_s < press.onset_s - 0.04, :3].mean(axis=0)
-        width = 0.02
-        mean = [s.wrench[np.abs(s.wrench_t_s - t) < width, :3].mean(axis=0) - air for t in t_s]
-        gaps.append(pose - command)
-        forces.append(np.stack(mean))
-    result = []
-    for axis, name in enumerate("xyz"):
-        slopes = np.array([
-            float((f[:, axis] * g[:, axis]).sum() / max((f[:, axis] ** 2).sum(), 1e-9))
-            for f, g in zip(forces, gaps, strict=True)
-        ])  # fmt: skip
-        weight = np.array([float((f[:, axis] ** 2).sum()) for f in forces])
-        mean_slope = float((weight * slopes).sum() / weight.sum())
-        spread = float(np.sqrt((weight * (slopes - mean_slope) ** 2).sum() / weight.sum()))
-        if mean_slope <= 0.0:
-            continue
-        value = 1.0 / mean_slope
-        sigma = spread / np.sqrt(len(slopes)) * value**2 + 0.005 * value
-        result.append(estimate(f"arm.stiffness_{name}", value, sigma))
-    return result
+    if any(len(press.signals.command_t_s) < 2 for press in presses):
+        return []
+    gap, force = (np.stack(part) for part in zip(*map(_yielding, presses), strict=True))
+    work = np.maximum((force**2).sum(axis=1), 1e-9)
+    slope = (force * gap).sum(axis=1) / work
+    mean = (work * slope).sum(axis=0) / work.sum(axis=0)
+    spread = np.sqrt((work * (slope - mean) ** 2).sum(axis=0) / work.sum(axis=0) / len(slope))
+    return [
+        estimate(f"arm.stiffness_{axis}", 1.0 / m, sd / m**2 + 0.005 / m)
+        for axis, m, sd in zip("xyz", mean.tolist(), spread.tolist(), strict=True)
+        if m > 0.0
+    ]
+
+
+def _yielding(press: PressRecording) -> tuple[FloatArray, FloatArray]:
+    """Return pose less command (18, 3) and force (18, 3) in contact."""
+    s, t_s = press.signals, press.onset_s + np.arange(0.2, 2.0, 0.1)
+    pose = make_interp_spline(s.pose_t_s, s.pose_mm, k=1)(t_s)
+    command = make_interp_spline(s.command_t_s, s.command_mm, k=1)(t_s)
+    air = s.wrench[s.wrench_t_s < press.onset_s - 0.04, :3].mean(axis=0)
+    means = [s.wrench[np.abs(s.wrench_t_s - t) < 0.02, :3].mean(axis=0) for t in t_s]
+    return pose - command, np.stack(means) - air

@@ -319,7 +319,7 @@ class Collector:
         yield from zero_sensors(bench, self._probes)
         yield Said(bench.now_s(), f"Recording {self.rest_s:g} s at rest; do not touch the bench.")
         context = replace(context, campaign="", plan_item=None)
-        end_s = bench.now_s() + self.rest_s
+        end_s, writing = bench.now_s() + self.rest_s, False
         while bench.now_s() < end_s:
             yield PausePoint()
             yield from wait_for_space(lambda: no_space_fault(self.recorder.dataset.folder))
@@ -333,7 +333,12 @@ class Collector:
                 metadata=((REST_KEY, "air"),),
             )
             still = replace(block.quality, accepted=False, reasons=(AT_REST,), slip_mm=0.0)
+            # A block is written while the next one is recorded, so that they follow each other.
+            if writing:
+                yield from self._durable(bench, waits=True)
             self.recorder.record(replace(block, quality=still), NO_LABEL, context, "png")
+            writing = True
+        if writing:
             yield from self._durable(bench, waits=True)
 
     # -- inside -----------------------------------------------------------------------------------

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from tests.backend.identification.made import made_press
-from touchdown.backend.config import SimulationSettings
 from touchdown.backend.core import MarkerField, Recording
 from touchdown.backend.identification.estimates import mean_estimate, spread_estimate
 from touchdown.backend.identification.recordings import RestRecording
@@ -72,7 +71,7 @@ def test_rest_gives_noise_timing_and_losses():
             )
     rest = Recording(t_s, wrench, tuple(fields), (), t_s[:2], np.zeros((2, 3)), np.zeros(6))
     levels = (np.full(20, 100.0), 100.0 * (1.0 + 0.01 * (-1.0) ** np.arange(20)))
-    found = identify_rest(RestRecording((rest,), levels, lossless=True), SimulationSettings())
+    found = identify_rest(RestRecording((rest,), levels, lossless=True))
     true = {"wrist.white_n": 0.07, "wrist.white_nm": 0.003, "tactile.white_px": 0.04,
             "tactile.jitter_s": 0.005, "tactile.rate_hz": 25.0, "wrist.rate_hz": 500.0}  # fmt: skip
     for one in found.estimates:

@@ -74,7 +74,7 @@ def test_a_fit_recovers_stiffness_scale_and_tilt():
     noise = ChannelNoise(np.repeat([0.01, 4e-4, 0.02, 0.02], 3), np.full(12, 1e-4), np.zeros(12))
     fit = GlsFit(model, layout, model.predict(layout.values(true)), noise)
     found = fit.run(start, rounds=1, evaluations=4)
-    for name, tolerance in (("shear", 0.05), ("scale_left", 0.01), ("tilt_x", 3e-3)):
+    for name, tolerance in (("shear", 0.05), ("scale_left", 0.05), ("tilt_x", 3e-3)):
         part = layout.parts[name]
         np.testing.assert_allclose(found.x[part], true[part], atol=tolerance)
     assert (found.sigma[layout.parts["shear"]] < 0.02).all()

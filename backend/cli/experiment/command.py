@@ -483,7 +483,8 @@ def _run_beyond(args: argparse.Namespace, screen: VerbOutput, store: JobStore) -
     if args.stop_early:
         jobs = _run_rounds(plan, args, screen, store)
         jobs += plan.statics.jobs() if plan.statics else []
-    failed = _run_jobs(jobs, plan.effort, args, screen, store)
+    todo = [spec for spec in jobs if not store.has(spec.id)] if args.stop_early else jobs
+    failed = _run_jobs(todo, plan.effort, args, screen, store) if todo else []
     answer = plan.answer(store, args.stop_early)
     missing = sum(not store.has(spec.id) for spec in jobs)
     if args.stop_early:

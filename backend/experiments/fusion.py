@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from hashlib import sha256
 from itertools import zip_longest
 from math import pi
 from pathlib import Path
@@ -35,6 +36,8 @@ from touchdown.backend.experiments.results import program_version
 from touchdown.backend.experiments.strategies import uninformed_model
 from touchdown.backend.experiments.tables import job_code
 from touchdown.backend.experiments.trials import (
+    FRESH,
+    FRESH_TRIAL_SEED,
     BatchTrialResult,
     MixedBottomLockstep,
     SceneSetup,
@@ -44,6 +47,7 @@ from touchdown.backend.experiments.trials import (
     start_scene,
 )
 from touchdown.backend.geometry import (
+    FRESH_CLASSES,
     UNSEEN_BOTTOMS,
     UNSEEN_PIECES,
     Body,
@@ -56,7 +60,6 @@ from touchdown.backend.geometry import (
     contact_margins_mm,
     draw_offset,
     face_points,
-    inset_mm,
     load_pieces,
     rectangle,
     square,
@@ -91,7 +94,7 @@ from touchdown.backend.placement import (
     ProbeObservation,
 )
 from touchdown.backend.sensing import EpisodeLimits
-from touchdown.backend.simulation import Scene, true_com_xy_mm
+from touchdown.backend.simulation import Scene, release_kick_mm, true_com_xy_mm
 
 MARGIN_STEP_MM = 1.5  # between the nodes of the margins
 PROBES = 5
@@ -259,27 +262,46 @@ THRESHOLD_PIECES = ("mushroom", "barrel", "pot")
 THRESHOLD_SEED, CELL_SEEDS = 45_000_000, 10_000
 TRIALS_PER_JOB = 8
 INSETS_MM = (0.0, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0)
-RISKS = (0.1, 0.07, 0.05, 0.03, 0.02, 0.01)
+RISKS = (0.1, 0.07, 0.05, 0.03, 0.02, 0.01, 0.005)
+RULE_SEED = sha256(b"choice of the release rule").hexdigest()  # of fresh outlines
 NEVER_MM = 50.0
 Json = dict[str, Any]
 
 
 def threshold_jobs(
-    bench: SimulationSettings, code: str, network: str, trials: int
+    bench: SimulationSettings,
+    code: str,
+    network: str,
+    trials: int,
+    outlines: OutlineKinds = "convex",
 ) -> list[JobSpec]:
-    """Return the jobs of ``trials`` trials of every piece on every bottom."""
+    """Return the jobs of ``trials`` trials of every piece on every bottom.
+
+    With any outlines the bottoms are fresh ones, ``trials`` of each class, of a seed that serves
+    the choice of a rule alone.
+    """
+    code = job_code("fused-trials", code)
+    params: Json = {"bench": bench.model_dump(mode="json")}
+    if outlines == "any":
+        params |= {"bottom": FRESH, "outline_seed": RULE_SEED, "trials": len(FRESH_CLASSES)}
+        return [
+            JobSpec("fused-trials", {**params, "piece": piece}, seed, (network,), code)
+            for first in range(trials)
+            for number, piece in enumerate(THRESHOLD_PIECES)
+            for seed in [FRESH_TRIAL_SEED + CELL_SEEDS * number + len(FRESH_CLASSES) * first]
+        ]
     return [
         JobSpec(
             "fused-trials",
             {
-                "bench": bench.model_dump(mode="json"),
+                **params,
                 "piece": piece,
                 "bottom": bottom,
                 "trials": min(TRIALS_PER_JOB, trials - first),
             },
             THRESHOLD_SEED + CELL_SEEDS * (len(THRESHOLD_BOTTOMS) * number + at) + first,
             (network,),
-            job_code("fused-trials", code),
+            code,
         )
         for first in range(0, trials, TRIALS_PER_JOB)
         for number, piece in enumerate(THRESHOLD_PIECES)
@@ -288,13 +310,16 @@ def threshold_jobs(
 
 
 def fused_trials(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
-    """Run trials of one piece on one bottom with the network of the input job."""
+    """Run trials of one piece on one bottom, or on fresh ones, with the network of the input."""
     use_one_thread()
-    weights = place.store.folder(spec.inputs[0]) / WEIGHTS
-    bench = parse_settings(SimulationSettings, spec.params["bench"], "job")
-    case = held_out_setup(spec.params["piece"], spec.params["bottom"], bench)
-    seeds = [spec.seed + k for k in range(spec.params["trials"])]
-    return {"trials": record_trials(case, seeds, weights)}
+    p, weights = spec.params, place.store.folder(spec.inputs[0]) / WEIGHTS
+    seeds = [spec.seed + k for k in range(p["trials"])]
+    if p["bottom"] == FRESH:
+        cases = [SceneSetup.of_trial(p, seed) for seed in seeds]
+    else:
+        bench = parse_settings(SimulationSettings, p["bench"], "job")
+        cases = [held_out_setup(p["piece"], p["bottom"], bench)] * len(seeds)
+    return {"trials": record_trials(cases, seeds, weights)}
 
 
 def held_out_setup(piece: str, bottom: str, bench: SimulationSettings) -> SceneSetup:
@@ -305,12 +330,13 @@ def held_out_setup(piece: str, bottom: str, bench: SimulationSettings) -> SceneS
     return SceneSetup(catalogue.top(piece), (below,), bench)
 
 
-def record_trials(case: SceneSetup, seeds: Sequence[int], weights: Path) -> list[Json]:
+def record_trials(cases: Sequence[SceneSetup], seeds: Sequence[int], weights: Path) -> list[Json]:
     """Run one trial per seed; record each press with belief and truth.
 
     ``exceeds``: probability that the centre of mass lies further inside than each of ``INSETS_MM``.
     """
-    scenes = [scene for seed in seeds if (scene := start_scene(case, seed)) is not None]
+    pairs = zip(cases, seeds, strict=True)
+    scenes = [scene for case, seed in pairs if (scene := start_scene(case, seed)) is not None]
     never = FusedSettings(weights=str(weights), inset_mm=NEVER_MM)
     settings = StackSettings(strategy="fused", fused=never)
     recorders: list[RecordingFusedStrategy] = []
@@ -319,7 +345,8 @@ def record_trials(case: SceneSetup, seeds: Sequence[int], weights: Path) -> list
         recorders.append(RecordingFusedStrategy(grasped_piece_in(scene, None), settings, at))
         return recorders[-1]
 
-    results = stack_in_lockstep(scenes, uninformed_model(case), settings, EpisodeLimits(), create)
+    model, world = uninformed_model(cases[0]), cases[0].world
+    results = stack_in_lockstep(scenes, model, settings, EpisodeLimits(), create, world)
     return [
         _trial_record(scene, end, one.exceeds_by_probe)
         for scene, end, one in zip(scenes, results, recorders, strict=True)
@@ -345,10 +372,12 @@ class RecordingFusedStrategy(FusedStrategy):
 def _trial_record(
     scene: Scene, end: BatchTrialResult, exceeds_by_probe: Sequence[Sequence[float]]
 ) -> Json:
-    com = np.asarray(true_com_xy_mm(scene))
+    # The disturbance of a release moves the centre of mass alone.
+    com = np.add(true_com_xy_mm(scene), release_kick_mm(scene, 1))
     upright = [step for step in end.steps if not step.toppled]
-    places = np.array([step.true_mm for step in upright]).reshape(-1, 2)
-    true = inset_mm(scene.surface, places + com)
+    places = np.array([step.true_mm for step in upright]).reshape(-1, 2) + com
+    x, y = com.tolist()
+    true = contact_margins_mm(scene.piece.face, (x, y), scene.surface, places)
     steps = [
         {"inset_mm": round(float(inset), 4), "exceeds": exceeds}
         for inset, exceeds in zip(true, exceeds_by_probe[: len(true)], strict=True)

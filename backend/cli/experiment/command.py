@@ -184,7 +184,8 @@ def add_fused_arguments(parser: argparse.ArgumentParser) -> None:
     fused.add_argument("--outlines", choices=("convex", "any"), default="convex", help="of the "
                        "bottoms; any: also rings, crescents, L, U, stars and feet")  # fmt: skip
     fused.add_argument("--rule-trials", type=int, default=0, help="trials of each piece on each of "
-                       "four separate bottoms, for every rule of release")  # fmt: skip
+                       "four separate bottoms, or of each class of outlines, for every rule of "
+                       "release")  # fmt: skip
 
 
 def train_fused(
@@ -231,7 +232,7 @@ def train_fused(
         return {"file": None, "jobs": len(jobs), "missing": missing, "failed": failed,
                 "fused": None, "rules": []}  # fmt: skip
     training = jobs[-1].id
-    asked = threshold_jobs(bench, code, training, args.rule_trials)
+    asked = threshold_jobs(bench, code, training, args.rule_trials, args.outlines)
     failed = done([*jobs, *asked], recipe.effort)
     made = store.has(training)
     out = args.out / WEIGHTS

@@ -23,6 +23,7 @@ from touchdown.backend.experiments.fusion import (
     FUSED_KINDS,
     INSETS_MM,
     PORTIONS,
+    RULE_SEED,
     THRESHOLD_BOTTOMS,
     WEIGHTS,
     DataPortion,
@@ -73,7 +74,7 @@ from touchdown.backend.experiments.trials import (
     stack_in_lockstep,
     start_scene,
 )
-from touchdown.backend.geometry.families import UNSEEN_BOTTOMS, UNSEEN_PIECES
+from touchdown.backend.geometry.families import FRESH_SEED, UNSEEN_BOTTOMS, UNSEEN_PIECES
 from touchdown.backend.geometry.outlines import circle, contact_margins_mm, face_points, square
 from touchdown.backend.geometry.pieces import load_pieces
 from touchdown.backend.geometry.regions import ell
@@ -418,7 +419,7 @@ def test_a_rule_counts_what_trials_under_it_come_to() -> None:
     )
     case, seeds = held_out_setup("pot", "disc 22", settings), range(70, 73)
     found = count_under_threshold(
-        record_trials(case, seeds, shipped_path()), 0.1, INSETS_MM.index(0.5)
+        record_trials([case] * 3, seeds, shipped_path()), 0.1, INSETS_MM.index(0.5)
     )
     rule = StackSettings(strategy="fused", fused=FusedSettings(risk=0.1, inset_mm=0.5))
     scenes = [scene for seed in seeds if (scene := start_scene(case, seed)) is not None]
@@ -426,6 +427,31 @@ def test_a_rule_counts_what_trials_under_it_come_to() -> None:
     words = [end.outcome.value for end in ends]
     assert words.count("placed") == found["placed"]
     assert words.count("fell") == found["unsafe"]
+
+
+def test_rules_for_any_outline_are_counted_on_fresh_ones_of_another_seed(
+    bench_v1: SimulationSettings,
+) -> None:
+    jobs = threshold_jobs(bench_v1, "test", "n", 2, "any")
+    assert [job.params["piece"] for job in jobs] == 2 * ["mushroom", "barrel", "pot"]
+    assert len({job.seed + k for job in jobs for k in range(10)}) == 60
+    assert {job.params["outline_seed"] for job in jobs} == {RULE_SEED} != {FRESH_SEED}
+    settings = SimulationSettings.model_validate(
+        {"preset": "off", "support": {"rocks": False, "slides": False}, "release_disturbance_mm": 1}
+    )
+    params = {**jobs[0].params, "bench": settings.model_dump(mode="json")}
+    # A ring, three feet or more, and two bars: the margins are those of the exact judge.
+    seeds = [jobs[0].seed + k for k in (4, 6, 7)]
+    cases = [SceneSetup.of_trial(params, seed) for seed in seeds]
+    rule = StackSettings(strategy="fused", fused=FusedSettings(risk=0.5, inset_mm=0.0))
+    scenes = [scene for c, s in zip(cases, seeds, strict=True) if (scene := start_scene(c, s))]
+    model, limits = uninformed_model(cases[0]), EpisodeLimits()
+    ends = stack_in_lockstep(scenes, model, rule, limits, world=cases[0].world)
+    recorded = record_trials(cases, seeds, shipped_path())
+    for end, trial in zip(ends, recorded, strict=True):
+        assert end.verdict is not None
+        margin = trial["steps"][end.probes - 1]["inset_mm"]
+        assert margin == pytest.approx(end.verdict.margin_mm, abs=0.05)
 
 
 @pytest.mark.parametrize("name", THRESHOLD_BOTTOMS)

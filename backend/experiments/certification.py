@@ -340,31 +340,35 @@ def certify_laboratory(
     assert bench.calibrations is not None
     log = AttemptLog(bench.calibrations / f"{LABORATORY_NAME}.attempts.jsonl")
     attempts = log.attempts()
-    used = {name for attempt in attempts for name in attempt.trials}
+    open_one = attempts[-1] if attempts and attempts[-1].state == "begun" else None
+    used = {name for a in attempts if a.state == "ended" for name in a.trials}
     here = [t for t in trials if t.about["bench_sha256"] == bench.sha256]
+    if open_one is not None:  # a crash interrupted it: finish it with its own trials
+        here = [t for t in here if t.name in open_one.trials]
     newest = _settings_of(here[-1]) if here else None
     own = [t for t in here if _settings_of(t) == newest and t.name not in used]
     left_out = Counter(
         "of another bench" if t.about["bench_sha256"] != bench.sha256
-        else "of an earlier attempt" if t.name in used else "of another model or method"
+        else "of an earlier attempt" if t.name in used
+        else "of another model or method" if open_one is None else "for the next attempt"
         for t in trials if t not in own
     )  # fmt: skip
     released = [t for t in own if t.released]
-    error = attempt_error(len(attempts) + 1)
-    needed = releases_needed(limit, error)
+    number = len(attempts) + (open_one is None)
+    needed = releases_needed(limit, attempt_error(number))
     if newest is None or len(released) < needed:
         others = "".join(f" {n} trials are {why}." for why, n in sorted(left_out.items()))
         raise InputError(
             f"{len(released)} releases with an outcome cannot show at most {100 * limit:g} %: "
-            f"attempt {len(attempts) + 1} needs {needed}, none of them unsafe.{others}",
+            f"attempt {number} needs {needed}, none of them unsafe.{others}",
             bench.name,
             "Run 'touchdown stack' with --strategy fused on this bench, and enter each outcome.",
         )
     weights, method, risk = newest
     bottoms = sorted({t.bottom for t in released})
-    attempt = log.begin(
+    attempt = open_one or log.begin(
         Attempt(
-            number=1,
+            number=number,
             bench=bench.name,
             bench_sha256=bench.sha256,
             weights_sha256=weights,
@@ -383,10 +387,11 @@ def certify_laboratory(
     counts = ReleaseCounts.of(
         risk, attempt.error, scenes=len(own), placed=placed, unsafe=unsafe, toppled=0
     )
-    attempt = log.end(attempt, [counts])
+    attempt = log.closed(attempt, [counts])
     pieces = sorted({t.piece for t in released})
-    found = certificate_of_attempt(attempt, log, simulated=False, pieces=pieces, bottoms=bottoms)
+    found = certificate_of_attempt(attempt, simulated=False, pieces=pieces, bottoms=bottoms)
     path = None if found is None else write_certificate(bench.calibrations, LABORATORY_NAME, found)
+    log.append(attempt)
     return LaboratoryRisk(attempt, found, path, left_out)
 
 

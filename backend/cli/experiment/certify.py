@@ -57,11 +57,13 @@ def run_certify(
     counts = plan.counts(attempt, store)
     file = None
     if counts and attempt.state == "begun":
-        attempt = log.end(attempt, counts)
-        found = certificate_of_attempt(attempt, log, simulated=True, pieces=PIECES)
+        attempt = log.closed(attempt, counts)
+        found = certificate_of_attempt(attempt, simulated=True, pieces=PIECES)
+        # The log last: an attempt that is interrupted here is continued.
         with write_errors(UNWRITTEN, plan.weights.parent, KEPT):
             if found is not None:
                 file = write_certificate(plan.weights.parent, plan.weights.stem, found)
+        log.append(attempt)
         screen.say(
             "The bound exceeds 1 %: no certificate." if found is None
             else f"Certificate: {found.summary()}. It is in {file}."

@@ -225,7 +225,7 @@ class AttemptLog:
                 line = Attempt.model_validate_json(raw)
             except ValidationError as error:
                 raise _bad_log(where, f"The line is damaged: {first_error(error)}") from error
-            if line.previous != sha256(before).hexdigest() or not raw.endswith(b"\n"):
+            if line.previous != sha256(before).hexdigest():
                 raise _bad_log(where, "A line before this one was changed or removed")
             begun = found.get(line.number)
             new = line.state == "begun" and line.number == len(found) + 1
@@ -258,25 +258,27 @@ class AttemptLog:
                     str(self.path),
                     "Use fresh seeds, or new trials.",
                 )
-        return self._append(new)
+        return self.append(self._next_line(new))
 
-    def end(self, attempt: Attempt, counts: Sequence[ReleaseCounts]) -> Attempt:
-        """Write the counts of an attempt that ran to its end, once; raises ``InputError``."""
+    def closed(self, attempt: Attempt, counts: Sequence[ReleaseCounts]) -> Attempt:
+        """Return the open attempt with its counts, for ``append``; raises ``InputError``."""
         last = self.attempts()[-1]
         if last.state == "ended" or last.number != attempt.number:
             raise _bad_log(str(self.path), "The attempt is not the open one")
-        return self._append(last.model_copy(update={"state": "ended", "counts": tuple(counts)}))
+        return self._next_line(last.model_copy(update={"state": "ended", "counts": tuple(counts)}))
 
-    def sha256(self) -> str:
-        """Return the hash of the whole log."""
-        return sha256(self._content()).hexdigest()
+    def _next_line(self, line: Attempt) -> Attempt:
+        previous = sha256(self._content()).hexdigest()
+        update = {"previous": previous, "date": datetime.now(UTC).replace(microsecond=0)}
+        return Attempt.model_validate(line.model_copy(update=update).model_dump())
 
-    def _append(self, line: Attempt) -> Attempt:
-        update = {"previous": self.sha256(), "date": datetime.now(UTC).replace(microsecond=0)}
-        line = Attempt.model_validate(line.model_copy(update=update).model_dump())
+    def append(self, line: Attempt) -> Attempt:
+        """Write a line and return it; raises ``InputError``."""
         try:
             make_folder(self.path.parent)
-            with self.path.open("ab") as file:
+            with self.path.open("r+b" if self.path.exists() else "xb") as file:
+                # A crash may have left a part of a line, which was never acknowledged.
+                file.truncate(file.seek(len(self._content())))
                 file.write(line.model_dump_json().encode() + b"\n")
                 file.flush()
                 os.fsync(file.fileno())
@@ -285,13 +287,14 @@ class AttemptLog:
             raise InputError(
                 f"The attempt cannot be written: {error.strerror or error}.",
                 str(self.path),
-                "Copy the model to a folder that can be written; nothing was run.",
+                "Make room, or copy the model to a folder that can be written, and try again.",
             ) from error
         return line
 
     def _content(self) -> bytes:
         try:
-            return self.path.read_bytes() if self.path.exists() else b""
+            content = self.path.read_bytes() if self.path.exists() else b""
+            return content[: content.rfind(b"\n") + 1]
         except OSError as error:
             raise _bad_log(str(self.path), f"It cannot be read: {error.strerror}") from error
 
@@ -308,7 +311,6 @@ class ReleaseCertificate(Settings):
     """File beside a checkpoint: the attempt that bounds the unsafe releases at one ``risk``.
 
     ``pieces`` and ``bottoms`` are the covered names; no bottoms: any of the family.
-    ``attempts_sha256``: hash of the log with this attempt.
     """
 
     format: Literal["touchdown-certificate/1"] = "touchdown-certificate/1"
@@ -317,7 +319,6 @@ class ReleaseCertificate(Settings):
     simulated: bool
     pieces: tuple[str, ...]
     bottoms: tuple[str, ...] = ()
-    attempts_sha256: Digest
 
     @property
     def counts(self) -> ReleaseCounts:
@@ -345,12 +346,7 @@ class ReleaseCertificate(Settings):
 
 
 def certificate_of_attempt(
-    attempt: Attempt,
-    log: AttemptLog,
-    *,
-    simulated: bool,
-    pieces: Iterable[str],
-    bottoms: Iterable[str] = (),
+    attempt: Attempt, *, simulated: bool, pieces: Iterable[str], bottoms: Iterable[str] = ()
 ) -> ReleaseCertificate | None:
     """Return the certificate of the tested risk with the most placed scenes; None if none holds."""
     good = [counts for counts in attempt.counts if counts.bound <= attempt.limit]
@@ -362,7 +358,6 @@ def certificate_of_attempt(
         simulated=simulated,
         pieces=tuple(pieces),
         bottoms=tuple(bottoms),
-        attempts_sha256=log.sha256(),
     )
 
 

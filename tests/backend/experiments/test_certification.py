@@ -300,3 +300,24 @@ def test_command_writes_the_certificate_beside_the_calibrations(
     assert "80 trials are of an earlier attempt" in capsys.readouterr().err
     assert main(words) == 2
     assert "--bench" in capsys.readouterr().err
+
+
+def test_interrupted_attempt_of_a_laboratory_ends_with_its_own_trials(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    runs, bench = tmp_path / "runs", lab_bench(tmp_path)
+    record_run(runs, "1", [Outcome.PLACED] * 80)
+
+    def killed(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    trials = list(labelled_trials(runs))
+    with monkeypatch.context() as patch:
+        patch.setattr(AttemptLog, "closed", killed)
+        with pytest.raises(KeyboardInterrupt):
+            certify_laboratory(trials, bench)
+    record_run(runs, "2", [Outcome.FELL] * 5)
+    found = certify_laboratory(list(labelled_trials(runs)), bench)
+    assert (found.attempt.number, found.attempt.state, found.attempt.scenes) == (1, "ended", 80)
+    assert found.certificate is not None
+    assert found.left_out == {"for the next attempt": 5}

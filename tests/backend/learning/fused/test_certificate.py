@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -98,11 +99,15 @@ def counts(attempt: Attempt, unsafe: int, risk: float = 0.03) -> ReleaseCounts:
     )
 
 
+def end(log: AttemptLog, attempt: Attempt, found: Sequence[ReleaseCounts]) -> Attempt:
+    return log.append(log.closed(attempt, found))
+
+
 def certified(folder: Path) -> tuple[ReleaseCertificate, Path]:
     log = AttemptLog(attempts_path(folder / "fused.safetensors"))
     begun = log.begin(planned())
-    ended = log.end(begun, [counts(begun, 15)])
-    found = certificate_of_attempt(ended, log, simulated=True, pieces=("pot", "barrel"))
+    ended = end(log, begun, [counts(begun, 15)])
+    found = certificate_of_attempt(ended, simulated=True, pieces=("pot", "barrel"))
     assert found is not None
     return found, write_certificate(folder, "fused", found)
 
@@ -111,19 +116,19 @@ def test_attempts_are_numbered_kept_and_spend_less_each_time(tmp_path: Path) -> 
     log = AttemptLog(tmp_path / "fused.attempts.jsonl")
     first = log.begin(planned())
     assert log.begin(planned()) == first  # continued, not begun again
-    log.end(first, [counts(first, 60)])
+    end(log, first, [counts(first, 60)])
     second = log.begin(planned(seed=4000))
     assert (first.error, second.number, second.error) == (0.025, 2, 0.0125)
     assert [attempt.state for attempt in log.attempts()] == ["ended", "begun"]
     with pytest.raises(InputError, match="not the open one"):
-        log.end(first, [counts(first, 0)])
+        end(log, first, [counts(first, 0)])
 
 
 @pytest.mark.parametrize("seed", [1000, 3999, 999])
 def test_used_seeds_are_refused_also_after_a_failed_attempt(tmp_path: Path, seed: int) -> None:
     log = AttemptLog(tmp_path / "log")
     first = log.begin(planned())
-    log.end(first, [counts(first, 60)])
+    end(log, first, [counts(first, 60)])
     before = log.path.read_bytes()
     with pytest.raises(InputError, match=r"Attempt 1 of .* already used"):
         log.begin(planned(seed))
@@ -141,7 +146,7 @@ def test_used_trials_of_a_laboratory_are_refused(tmp_path: Path) -> None:
 def test_removed_or_changed_lines_of_the_log_are_found(tmp_path: Path) -> None:
     log = AttemptLog(tmp_path / "log")
     first = log.begin(planned())
-    log.end(first, [counts(first, 60)])
+    end(log, first, [counts(first, 60)])
     log.begin(planned(seed=9000))
     lines = log.path.read_bytes().splitlines(keepends=True)
     for changed in (
@@ -164,16 +169,16 @@ def test_certificate_is_of_the_attempt_and_reads_back(tmp_path: Path) -> None:
 def test_no_certificate_beyond_the_limit(tmp_path: Path) -> None:
     log = AttemptLog(tmp_path / "log")
     begun = log.begin(planned())
-    ended = log.end(begun, [counts(begun, 30)])
-    assert certificate_of_attempt(ended, log, simulated=True, pieces=("pot",)) is None
+    ended = end(log, begun, [counts(begun, 30)])
+    assert certificate_of_attempt(ended, simulated=True, pieces=("pot",)) is None
 
 
 def test_of_several_levels_the_one_that_places_most_is_certified(tmp_path: Path) -> None:
     log = AttemptLog(tmp_path / "log")
     begun = log.begin(planned(risks=(0.01, 0.03)))
     careful = ReleaseCounts.of(0.01, begun.error, scenes=3000, placed=2500, unsafe=2, toppled=0)
-    ended = log.end(begun, [careful, counts(begun, 12)])
-    found = certificate_of_attempt(ended, log, simulated=True, pieces=("pot",))
+    ended = end(log, begun, [careful, counts(begun, 12)])
+    found = certificate_of_attempt(ended, simulated=True, pieces=("pot",))
     assert found is not None
     assert (found.risk, found.counts.error) == (0.03, 0.0125)
 
@@ -226,3 +231,14 @@ def test_without_a_file_or_with_a_damaged_one_there_is_no_certificate(tmp_path: 
     (tmp_path / "fused-x.certificate.json").write_text("{}")
     assert "cannot be used" in find_certificate(claim).scope
     assert find_certificate(claim).message.startswith("No certificate for this bench: the cert")
+
+
+def test_line_that_a_crash_cut_off_was_never_written(tmp_path: Path) -> None:
+    log = AttemptLog(tmp_path / "log")
+    first = log.begin(planned())
+    whole = log.path.read_bytes()
+    log.path.write_bytes(whole + whole[:100])
+    assert log.attempts() == [first]
+    end(log, first, [counts(first, 60)])
+    assert log.path.read_bytes().startswith(whole)
+    assert [attempt.state for attempt in log.attempts()] == ["ended"]

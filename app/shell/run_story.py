@@ -185,9 +185,10 @@ def unprobed_scene(trial: TrialStory) -> BeliefScene:
 def _weight(found: PieceWeighed) -> tuple[str, str]:
     """Return title and detail of the result of a weighing."""
     (x, y), (x_sigma, y_sigma) = found.com_xy_mm, found.sigma_mm
+    title = f"Centre of mass {x:+.1f} \N{PLUS-MINUS SIGN} {x_sigma:.1f}, "
+    title += f"{y:+.1f} \N{PLUS-MINUS SIGN} {y_sigma:.1f} mm"
     return (
-        f"Centre of mass {x:+.1f} \N{PLUS-MINUS SIGN} {x_sigma:.1f}, "
-        f"{y:+.1f} \N{PLUS-MINUS SIGN} {y_sigma:.1f} mm",
+        title.replace("-", "\N{MINUS SIGN}"),
         f"The piece weighs {found.mass_g:.0f} g. The first press fills the map.",
     )
 

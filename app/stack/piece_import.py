@@ -8,7 +8,7 @@ from math import isnan
 from pathlib import Path
 from typing import get_args
 
-from PySide6.QtCore import QRectF, QTimer
+from PySide6.QtCore import QRectF, Qt, QTimer
 from PySide6.QtGui import QPainter, QPaintEvent
 from PySide6.QtSvg import QSvgRenderer
 from PySide6.QtWidgets import QComboBox, QLineEdit, QPushButton, QWidget
@@ -16,6 +16,7 @@ from PySide6.QtWidgets import QComboBox, QLineEdit, QPushButton, QWidget
 from touchdown.app.shell import BenchSheet, FileDrop, MainThreadQueue, SaveWorker, ask_path
 from touchdown.backend.core import InputError
 from touchdown.backend.geometry import (
+    PICTURE_PX,
     PIECE_SOURCES,
     UNITS_MM,
     MeasuredPiece,
@@ -31,7 +32,7 @@ from touchdown.widgets.forms import FormFields, decimal_box, set_entries
 
 MEASURE_AFTER_MS = 300  # pause after an edit before the file is measured again
 ROLES = (("top", "is grasped"), ("bottom", "is stacked upon"), ("both", "both"))
-COMS = (("", "automatic"), ("uniform", "uniform density"), ("unknown", "unknown: weigh in the run"))
+COMS = (("", "automatic"), ("uniform", "uniform density"), ("unknown", "unknown, weighed"))
 UNITS = (("", "as in the file, or mm"), *((unit, unit) for unit in UNITS_MM))
 DRAWN = "drawing"  # face of a file that holds only an outline
 FACES = (*((end, end) for end in get_args(PieceEnd)), (DRAWN, "drawn outline"))
@@ -44,11 +45,10 @@ class PiecePicture(DrawnView):
     def __init__(self, theme: Theme) -> None:
         super().__init__(theme, "Picture of the piece", (220, 220), (300, 300))
         self._piece: MeasuredPiece | None = None
-        self._title = ""
 
-    def show_piece(self, piece: MeasuredPiece | None, title: str) -> None:
+    def show_piece(self, piece: MeasuredPiece | None) -> None:
         """Show a piece, or nothing."""
-        self._piece, self._title = piece, title
+        self._piece = piece
         self.update()
 
     def paintEvent(self, _event: QPaintEvent) -> None:
@@ -58,7 +58,9 @@ class PiecePicture(DrawnView):
         if self._piece is None:
             return
         tokens = self._theme.tokens
-        svg = QSvgRenderer(piece_svg(self._piece, self._title, tokens.text, tokens.bg).encode())
+        letter_px = 0.7 * self.fontMetrics().height() * PICTURE_PX / max(self.width(), 1)
+        text = piece_svg(self._piece, "", tokens.text, tokens.bg, letter_px)
+        svg = QSvgRenderer(text.encode())
         size = svg.viewBoxF().size()
         share = min(self.width() / size.width(), self.height() / size.height())
         wide, high = share * size.width(), share * size.height()
@@ -156,13 +158,17 @@ class PieceSheet(BenchSheet):
             ("Height, mm", self.height_mm, "Height over a drawn outline"),
             ("Grip, mm", self.grip_mm, "Height of the grip above the face"),
         )
+        fields.setContentsMargins(0, 0, 0, 0)
         left = QWidget()
         left.setLayout(fields)
         self.arrange(
             hbox(self.choose, (self.file, 1)), hbox((left, 1), (self.picture, 1), spacing=14),
             self.said, foot=(self.add,), spacing=10,
         )  # fmt: skip
-        self.resize_to_em(46, 30)
+        # Room for two lines, so that a longer answer does not squeeze the fields.
+        self.said.setMinimumHeight(2 * self.said.fontMetrics().lineSpacing())
+        self.said.setAlignment(Qt.AlignmentFlag.AlignTop)
+        self.resize_to_em(46, 36)
 
     def _wanted(self) -> PieceImport:
         drawn, mass = self.face.currentData() == DRAWN, self.mass_g.value() or None
@@ -198,7 +204,8 @@ class PieceSheet(BenchSheet):
                 f"Face {measured.face.area:.1f} mm², height {measured.height_mm:.2f} mm, volume "
                 f"{1e-3 * measured.volume_mm3:.2f} cm³, mass {measured.mass_g:.1f} g{com}."
             )
-            self._show(measured, " ".join((words, *measured.notes)))
+            notes = " ".join((words, *measured.notes))
+            self._show(measured, notes.replace("(--weigh)", "(Weigh first)"))
 
     def _failed(self, number: int, error: Exception) -> None:
         if number == self._asked:
@@ -210,7 +217,7 @@ class PieceSheet(BenchSheet):
     def _show(self, measured: MeasuredPiece | None, words: str, *, bad: bool = False) -> None:
         self._measured = measured
         self.add.setEnabled(measured is not None)
-        self.picture.show_piece(measured, self.name.text())
+        self.picture.show_piece(measured)
         self.said.setText(words)
         set_property(self.said, "tone", "bad" if bad else "")
 

@@ -1,3 +1,4 @@
+from .cad import PICTURE_PX as PICTURE_PX
 from .cad import UNITS_MM as UNITS_MM
 from .cad import CentreOfMass as CentreOfMass
 from .cad import MeasuredPiece as MeasuredPiece
@@ -90,6 +91,7 @@ __all__ = [
     "FRESH_SOURCE",
     "LEAST_WEIGHED_G",
     "MIN_OVERLAP_MM2",
+    "PICTURE_PX",
     "PIECE_SOURCES",
     "TOO_CLOSE_MM",
     "UNITS_MM",

@@ -541,9 +541,16 @@ def _points(corners: Any) -> str:
 
 
 def piece_svg(
-    piece: MeasuredPiece, title: str, ink: str = "#1b1f24", paper: str = "#ffffff"
+    piece: MeasuredPiece,
+    title: str,
+    ink: str = "#1b1f24",
+    paper: str = "#ffffff",
+    letter_px: float = 14.0,
 ) -> str:
-    """Return a picture: face with holes, opposite end, pads, centre of mass and scale bar."""
+    """Return a picture: face with holes, opposite end, pads, centre of mass and scale bar.
+
+    Without a ``title`` there are no sentences below it. Its width is ``PICTURE_PX``.
+    """
     x_low, y_low, x_high, y_high = piece.face.bounds
     if piece.grip_y_mm is not None:
         y_low, y_high = min(y_low, piece.grip_y_mm[0]), max(y_high, piece.grip_y_mm[1])
@@ -564,7 +571,7 @@ def piece_svg(
         return f'<text x="{x:.1f}" y="{y:.1f}">{escape(words)}</text>'
 
     x, y, z = (round(value, 2) + 0.0 for value in piece.com_mm)
-    foot = edge + px * (y_high - y_low) + 28
+    foot = edge + px * (y_high - y_low) + 14 + letter_px
     bar_mm = next(b for b in (100.0, 50.0, 20.0, 10.0, 5.0, 2.0, 1.0) if b <= 0.6 * size_mm)
     pads = "".join(
         f'<path d="M{at(-PAD_MM, y_mm)}L{at(PAD_MM, y_mm)}" stroke="#8a8f98" stroke-width="6"/>'
@@ -581,18 +588,21 @@ def piece_svg(
     cross = "" if math.isnan(x) else (
         f'<path d="M{at(x, y)}m-12 0h24m-12 -12v24" stroke="#d6453d" stroke-width="3"/>'
     )  # fmt: skip
+    words = words if title else ()
+    high = f"{foot + (len(words) + 0.7) * (letter_px + 6):.0f}"
+    lines = [text(16, foot + (1.3 + i) * (letter_px + 6), word) for i, word in enumerate(words)]
     dashed = 'stroke-dasharray="8"'
     face = 'fill="#4c8bd6" fill-opacity="0.45" fill-rule="evenodd"'
     return (
-        f'<svg xmlns="http://www.w3.org/2000/svg" width="{PICTURE_PX}" height="{foot + 76:.0f}" '
-        f'viewBox="0 0 {PICTURE_PX} {foot + 76:.0f}">'
-        f'<rect width="{PICTURE_PX}" height="{foot + 76:.0f}" fill="{paper}"/>'
+        f'<svg xmlns="http://www.w3.org/2000/svg" width="{PICTURE_PX}" height="{high}" '
+        f'viewBox="0 0 {PICTURE_PX} {high}">'
+        f'<rect width="{PICTURE_PX}" height="{high}" fill="{paper}"/>'
         f'<g fill="none" stroke="{ink}" stroke-width="2">{path(piece.face, face)}'
         f"{path(piece.opposite, dashed)}{pads}{cross}"
         f'<path d="M16 {foot:.1f}h{px * bar_mm:.2f}" stroke-width="4"/></g>'
-        f'<g font-family="sans-serif" font-size="14" fill="{ink}">'
-        f"{text(24 + px * bar_mm, foot + 5, f'{bar_mm:g} mm')}"
-        f"{''.join(text(16, foot + 26 + 20 * i, word) for i, word in enumerate(words))}</g></svg>\n"
+        f'<g font-family="sans-serif" font-size="{letter_px:.1f}" fill="{ink}">'
+        f"{text(24 + px * bar_mm, foot + 0.35 * letter_px, f'{bar_mm:g} mm')}"
+        f"{''.join(lines)}</g></svg>\n"
     )
 
 

@@ -30,7 +30,7 @@ ENTRIES = (
     ("ring", "target"),
 )
 TRUTH = ("dashes", "true overlap")
-WEIGHED = ("dots", "2 \N{GREEK SMALL LETTER SIGMA} of the weighing")
+WEIGHED = ("halo", "2 \N{GREEK SMALL LETTER SIGMA} of the weighing")
 
 
 class BeliefLegend(QWidget):
@@ -100,7 +100,9 @@ def _mark(painter: QPainter, kind: str, at: QPointF) -> None:
     if kind == "plus":
         painter.drawLine(at - QPointF(5, 0), at + QPointF(5, 0))
         painter.drawLine(at - QPointF(0, 5), at + QPointF(0, 5))
-    elif kind == "ring":
+    elif kind in ("ring", "halo"):
+        pen.setStyle(Qt.PenStyle.SolidLine if kind == "ring" else Qt.PenStyle.DotLine)
+        painter.setPen(pen)
         painter.drawEllipse(at, 5, 5)
     elif kind == "arrow":
         painter.drawLine(left, right)

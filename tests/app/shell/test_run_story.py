@@ -47,7 +47,7 @@ def test_a_weighed_centre_of_mass_is_shown_before_the_first_probe_and_on_the_map
     bench.set_state(RunState.RUNNING)
     bench.events.publish(PieceWeighed(3.0, 150.2, 0.4, (2.41, -1.58), (0.55, 0.24)))
     settle(live)
-    assert page.belief.scene.empty[0] == "Centre of mass +2.4 \u00b1 0.6, -1.6 \u00b1 0.2 mm"
+    assert page.belief.scene.empty[0] == "Centre of mass +2.4 \u00b1 0.6, \u22121.6 \u00b1 0.2 mm"
     bench.tell_probe(1, (7.2, 3.1), -3.4)
     settle(live)
     assert page.belief.scene.com_sigma_mm == (0.55, 0.24)

@@ -76,7 +76,12 @@ def test_the_centre_of_mass_can_be_left_to_a_weighing(stack, block, qtbot):
     sheet.mass_g.setValue(180.0)
     sheet.com.setCurrentIndex(sheet.com.findData("unknown"))
     sheet.measure()
-    qtbot.waitUntil(lambda: "a run weighs the piece" in sheet.said.text(), timeout=10_000)
+    qtbot.waitUntil(lambda: "first (Weigh first)" in sheet.said.text(), timeout=10_000)
+    # Two lines of text leave every field its whole height.
+    assert all(
+        box.height() >= box.minimumSizeHint().height() for box in (sheet.name, sheet.grip_mm)
+    )
+    assert sheet.grip_mm.mapTo(sheet, sheet.grip_mm.rect().bottomLeft()).y() < sheet.said.y()
     sheet.add.click()
     qtbot.waitUntil(lambda: not sheet.isVisible(), timeout=10_000)
     assert not load_pieces().top("my-block").com_known

@@ -578,7 +578,7 @@ def piece_svg(
         for y_mm in piece.grip_y_mm or ()
     )
     grip = "" if piece.width_mm is None else f"grip {piece.width_mm:.1f} mm wide, "
-    words = (
+    words: tuple[str, ...] = (
         f"{title}: {piece.height_mm:.1f} mm high, {piece.mass_g:.1f} g",
         f"{grip}face {piece.face.area:.1f} mm²",
         "centre of mass unknown"

@@ -3,7 +3,8 @@
 The image is first flattened: the brightest colour channel is divided by its level around the dots,
 which removes coloured light, flicker and the shading of a contact. Blobs are connected dark regions
 at half resolution. A centre is the fixed point of a Gaussian-weighted centroid at full resolution,
-weighted by the contrast of the dot itself; it does not depend on the start of the search.
+weighted by the contrast of the dot itself; it does not depend on the start of the search. Shading
+pulls it off the dot; a dot that is shaded is centred by its outline, compared with the one at rest.
 
 The lattice of rows and columns grows outwards from one dot, each step predicted from the last local
 pitch; dots between the lattice points are ignored. The result does not depend on the order of
@@ -46,10 +47,21 @@ _SUMS *= np.exp(_BELL * (_U * _U + _V * _V))[:, None]
 _SUMS[:, 6] = 1.0
 _CORE = np.flatnonzero(_U * _U + _V * _V <= 4.5**2)
 _RING = np.flatnonzero(np.abs(np.hypot(_U, _V) - _HALF_WINDOW_PX) < 0.5)
+_RING_U, _RING_V = (np.asarray(axis[_RING[::3]], np.intp) + _HALF_WINDOW_PX for axis in (_U, _V))
+_RING_SLOPE = np.linalg.pinv(np.stack([_U, _V, _U**0], axis=1)[_RING[::3]])[:2].T * _HALF_WINDOW_PX
 _MIN_PULL = 0.2  # bounds the stride in an evenly dark window, which has no centre
 _TRIES = 3
 # Longest stride; after a shorter one than the second the window stays.
 _MAX_STRIDE_PX, _CONVERGED_PX = 3.0, 1.5
+_TURN = np.linspace(0.0, 2.0 * np.pi, 32, endpoint=False)
+_RADII_PX = np.arange(3.0, 14.1, 0.5, dtype=np.float32)
+_RAYS_PX = np.stack([np.cos(_TURN), np.sin(_TURN)])[:, :, None] * _RADII_PX  # (2, 32, 23)
+_USUAL_RADIUS_PX, _RADIUS_SPREAD_PX, _RADIUS_RANGE_PX = 8.0, 6.0, (4.0, 13.0)
+# Change of an outline: size, motion in u and v, and the two axes of a stretch, which is damped.
+_CHANGE = np.stack([_TURN**0, *(f(k * _TURN) for k in (1, 2) for f in (np.cos, np.sin))], axis=1)
+_CHANGE_SQUARED = (_CHANGE[:, :, None] * _CHANGE[:, None]).reshape(len(_TURN), -1)
+_DAMPING = np.diag([1e-6, 1e-6, 1e-6, 0.3, 0.3])
+_OUTLINE_TRIES, _FIT_TRIES, _OUTLIERS, _LEAST_OUTLIER_PX = 3, 3, 3.0, 0.2
 _LAST_PIXEL = np.array([WIDTH_PX - 1.0, HEIGHT_PX - 1.0])
 _OPENING = np.ones((3, 3), np.uint8)
 
@@ -89,7 +101,7 @@ class Detector:
         self._channels = [np.empty(full, np.uint8) for _ in range(3)]
         self._brightest, self._per_mean = np.empty(full, np.uint8), np.empty(full, np.float32)
         self._shrunk = [np.empty(size, np.uint8) for size in (half, quarter)]
-        self._depth = 0.0
+        self._depth, self._soft = 0.0, np.empty((0, 0), np.float32)
         self._half_flat, self._dark = np.empty(half, np.float32), np.empty(half, np.bool_)
         self._mask, self._labels = np.empty(half, np.uint8), np.empty(half, np.uint16)
 
@@ -104,6 +116,7 @@ class Detector:
         mean = _background(np.maximum(small, _DARKEST))
         cv2.resize(np.reciprocal(mean), (WIDTH_PX, HEIGHT_PX), self._per_mean)
         np.multiply(self._brightest, self._per_mean, out=self._flat)
+        self._soft = self._soft[:0]
         levels = self._flat[::4, ::4].ravel()
         at = int(_DOT_RANK * len(levels))
         darkness = 1.0 - float(np.partition(levels, at)[at])
@@ -148,6 +161,49 @@ class Detector:
         looks = np.stack([mass, sums[6], np.maximum(contrast, 0.0)], axis=1)
         return Centres(position + _apply_stride(stride, shift).T, looks)
 
+    def slopes(self, centre_px: FloatArray) -> FloatArray:
+        """Return the slope (n, 2) of the level around dots at ``centre_px``, over half a window."""
+        middle = np.minimum(np.maximum(np.rint(centre_px), 0.0), _LAST_PIXEL)
+        column, row = middle.astype(np.intp).T
+        around = self._windows[row[:, None], column[:, None], _RING_V, _RING_U]
+        return np.asarray(around @ _RING_SLOPE, dtype=np.float64)
+
+    def outlines(
+        self, centre_px: FloatArray, near_px: FloatArray | float = _USUAL_RADIUS_PX
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return the radius (n, 32) of the steepest rise on 32 rays from ``centre_px`` (n, 2), near
+        the radius ``near_px``, and the rise.
+        """
+        if not len(self._soft):
+            self._soft = np.asarray(cv2.GaussianBlur(self._flat, (5, 5), 0.8), np.float32)
+        u, v = np.moveaxis((centre_px[:, :, None, None] + _RAYS_PX).astype(np.float32), 1, 0)
+        shape, rows = u.shape, (-1, len(_RADII_PX))
+        level = cv2.remap(
+            self._soft, u.reshape(rows), v.reshape(rows), cv2.INTER_LINEAR,
+            borderMode=cv2.BORDER_CONSTANT, borderValue=1.0,
+        ).reshape(shape)  # fmt: skip
+        off = (_RADII_PX[1:-1] - np.asarray(near_px)[..., None]) / _RADIUS_SPREAD_PX
+        rise = (level[..., 2:] - level[..., :-2]) * np.exp(-0.5 * off * off)
+        best = np.clip(rise.argmax(axis=-1), 1, rise.shape[-1] - 2)[..., None]
+        low, top, high = (np.take_along_axis(rise, best + k, axis=-1)[..., 0] for k in (-1, 0, 1))
+        bend = np.minimum(low - 2.0 * top + high, -1e-6)
+        part = np.clip(0.5 * (low - high) / bend, -1.0, 1.0)
+        return _RADII_PX[1:-1][best[..., 0]] + 0.5 * part, np.maximum(top, 1e-6)
+
+    def refine_by_outline(self, start_px: FloatArray, rest_px: FloatArray) -> FloatArray:
+        """Return the centres (n, 2) of dots near ``start_px`` whose outlines ``rest_px`` (n, 32)
+        moved, grew and stretched; parts of an outline that do not fit have little weight.
+        """
+        position, near = start_px, rest_px
+        for _ in range(_OUTLINE_TRIES):
+            radius, rise = self.outlines(position, near)
+            change = _fit_change(radius - rest_px, np.sqrt(rise))
+            position = position + np.clip(change[:, 1:3], -2.0, 2.0)
+            shape = change.copy()
+            shape[:, 1:3] = 0.0
+            near = np.clip(rest_px + shape @ _CHANGE.T, *_RADIUS_RANGE_PX)
+        return position
+
     def _darkness(self, middle_px: FloatArray) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Return (n, 21, 21) weights around whole pixels ``middle_px`` (n, 2), and contrast (n,).
 
@@ -165,6 +221,19 @@ class Detector:
         np.minimum(rows, np.float32(1.0), out=rows)
         np.maximum(rows, _MIN_DARKNESS, out=rows)
         return weight, contrast
+
+
+def _fit_change(moved_px: FloatArray, weight: FloatArray) -> FloatArray:
+    """Return the change (n, 5) that fits ``moved_px`` (n, 32) best, without outliers."""
+    own = weight
+    for _ in range(_FIT_TRIES):
+        size = weight.sum(axis=1)[:, None, None]
+        square = (weight @ _CHANGE_SQUARED).reshape(-1, 5, 5) + size * _DAMPING
+        change = np.linalg.solve(square, ((weight * moved_px) @ _CHANGE)[..., None])[..., 0]
+        left = moved_px - change @ _CHANGE.T
+        scale = _OUTLIERS * np.median(np.abs(left), axis=1)[:, None] + _LEAST_OUTLIER_PX
+        weight = own / (1.0 + (left / scale) ** 2)
+    return np.asarray(change, dtype=np.float64)
 
 
 def _rank(levels: NDArray[np.float32], share: float) -> NDArray[np.float32]:

@@ -215,11 +215,18 @@ _FAR_PX = np.array([WIDTH_PX - 1.0, HEIGHT_PX - 1.0])
 _MIN_SEEN = 32
 _REORDER_EVERY = 5
 _NO_BLOB = -1
+# Changes from which the shading of a dot may move its centre, and by which it surely does: of the
+# contrast, as a logarithm, and of the slope around it over the contrast.
+_SHADED = (0.3, 0.4)
+_SHADING_EVERY = 4  # frames between two measurements
+# A contrast this far from the median, as a logarithm, is not that of a dot at rest.
+_UNUSUAL = 0.35
 
 
 # Attributes of a tracker that change from frame to frame.
 _STATE = (
     "grid", "_locked", "_position", "_looks", "_last_seen_s", "_was_seen", "_hidden", "_restless",
+    "_shading", "_since_shading",
 )  # fmt: skip
 
 
@@ -242,6 +249,10 @@ class MarkerTracker:
         self._was_seen = np.zeros(MARKERS, dtype=bool)
         self._hidden = HiddenMarkers(self._position)
         self._restless = 0
+        # Outlines (63, 32), contrast (63,) and slope (63, 2) when the grid was found, else NaN.
+        self._outline_px = np.full((MARKERS, 32), np.nan)
+        self._rest_contrast, self._rest_slope = np.full(MARKERS, np.nan), np.zeros((MARKERS, 2))
+        self._shading, self._since_shading = np.zeros(MARKERS), 0
         if reference is not None:
             self.set_reference(reference)
 
@@ -284,6 +295,7 @@ class MarkerTracker:
             if owner is None:
                 return self._blind(frame)
             seen, position = self._centre(blobs, owner, frame.t_s)
+        self._correct_shaded(position, seen)
         rough_px = self._reject_strays(position, seen)
         self._settle(position, seen, frame.t_s)
         share = float(np.count_nonzero(seen)) / MARKERS
@@ -331,7 +343,37 @@ class MarkerTracker:
         if not ordered.report.usable:
             return None
         self._locked = True
-        return self._adopt(blobs, ordered.index)
+        owner = self._adopt(blobs, ordered.index)
+        seen, found = owner >= 0, self._looks.newest[:, 2]
+        self._outline_px, self._rest_contrast = self._detector.outlines(self._position)[0], found
+        self._rest_slope = self._detector.slopes(self._position)
+        usual = float(np.median(found[seen])) if seen.any() else 1.0
+        known = seen & (np.abs(np.log(np.maximum(found, 1e-6) / usual)) < _UNUSUAL)
+        # A dot that is shaded already is compared with the others.
+        if known.any():
+            self._outline_px[~known] = np.median(self._outline_px[known], axis=0)
+        self._rest_contrast = np.where(known, found, usual)
+        self._rest_slope[~known] = 0.0
+        self._since_shading = _SHADING_EVERY
+        return owner
+
+    def _correct_shaded(self, position: FloatArray, seen: NDArray[np.bool_]) -> None:
+        """Centre seen markers by their outlines where the light has changed since the start."""
+        self._since_shading += 1
+        if self._since_shading >= _SHADING_EVERY:
+            self._since_shading, self._shading = 0, self._measure_shading(position)
+        rows = np.flatnonzero((self._shading > _SHADED[0]) & seen)
+        if len(rows):
+            start = position[rows]
+            found = self._detector.refine_by_outline(start, self._outline_px[rows])
+            share = (self._shading[rows] - _SHADED[0]) / (_SHADED[1] - _SHADED[0])
+            position[rows] = start + np.minimum(share, 1.0)[:, None] * (found - start)
+
+    def _measure_shading(self, position: FloatArray) -> FloatArray:
+        """Return the change (63,) of the light on each dot since the grid was found."""
+        contrast = np.maximum(self._looks.newest[:, 2], 1e-6)
+        slope = (self._detector.slopes(position) - self._rest_slope) / contrast[:, None]
+        return np.asarray(np.abs(np.log(contrast / self._rest_contrast)) + np.hypot(*slope.T))
 
     def _reordered(self, blobs: Blobs, owner: NDArray[np.intp]) -> NDArray[np.intp]:
         """Return the order from the grid geometry if certain, else ``owner``."""

@@ -26,17 +26,37 @@ from tests.backend.simulation.release_cases import (
 )
 from tests.bench.figures import Figure, at_least, at_most, failures, figure, stated
 from touchdown.backend.bench.assembly import SimulatedBenchChoice, simulated_session
-from touchdown.backend.config import ProbeSettings, SimulationSettings, load_simulation
+from touchdown.backend.config import (
+    ProbeSettings,
+    SimulationSettings,
+    StackSettings,
+    load_simulation,
+)
 from touchdown.backend.core import ActionChosen, Event, FloatArray, Outcome, TrialFinished
 from touchdown.backend.episodes.training_rows import join_rows, load_rows
 from touchdown.backend.experiments import KINDS, PIECES, Recipe, adopt_models
+from touchdown.backend.experiments.models import batch_model
 from touchdown.backend.experiments.tables import FULL, Scale, agreement, paper_training
+from touchdown.backend.experiments.trials import (
+    BatchTrialResult,
+    SceneSetup,
+    stack_in_lockstep,
+    start_scene,
+)
 from touchdown.backend.geometry import Piece, draw_offset, face_points, load_pieces
 from touchdown.backend.jobs.execution import ProcessPool, run_campaign
 from touchdown.backend.jobs.job import JobSpec, JobStore, run_job
+from touchdown.backend.learning.checkpoint import load_checkpoint
 from touchdown.backend.learning.training import Trainer, use_one_thread
 from touchdown.backend.runs.requests import StackRequest, StrategyChoice
-from touchdown.backend.simulation import RESIDUAL_LIMIT, begin_probes, conditions, mujoco_available
+from touchdown.backend.sensing import EpisodeLimits
+from touchdown.backend.simulation import (
+    RESIDUAL_LIMIT,
+    BatchedTrials,
+    begin_probes,
+    conditions,
+    mujoco_available,
+)
 from touchdown.backend.simulation.mechanics import advance_probes
 from touchdown.backend.simulation.release_mujoco import PAIR_BAND_MM, TOWER_BAND_MM
 
@@ -207,6 +227,41 @@ def towers_on_batch_and_devices() -> list[Figure]:
         at_least("towers, batch and devices end alike", alike, "%", 95, note),
         failures("towers, trials of the batch without contact", untouched, "trials"),
     ]
+
+
+class OtherNoise(BatchedTrials):
+    """The same trials with other noise of the sensors."""
+
+    def _sensor_rng(self, trial: int) -> np.random.Generator:
+        return np.random.default_rng(super()._sensor_rng(trial).integers(2**63))
+
+
+@figure("towers")
+def towers_under_other_noise() -> list[Figure]:
+    """Trials on two bottoms by the batch with two draws of sensor noise, all else equal.
+
+    So many end alike without any difference of the method; ``TOUCHDOWN_ROUNDS`` as above.
+    """
+    use_one_thread()
+    rounds = int(os.environ.get("TOUCHDOWN_ROUNDS", TOWER_ROUNDS))
+    bench = load_simulation(preset="bench-v1")
+    ends: list[tuple[BatchTrialResult, ...]] = []
+    for k, piece, tower in product(range(rounds), PIECES, TOWERS):
+        seed = TOWER_SEED + 1000 * (10 * PIECES.index(piece) + TOWERS.index(tower)) + 100 * k
+        case = SceneSetup.of(load_pieces(), piece, tower, bench)
+        scenes = [scene for n in range(TOWER_TRIALS) if (scene := start_scene(case, seed + n))]
+        weights = BACKEND.parent / "resources" / "models" / f"{piece}.safetensors"
+        model = batch_model(load_checkpoint(weights), case.piece)
+        ends += zip(
+            *(
+                stack_in_lockstep(scenes, model, StackSettings(), EpisodeLimits(), world=world)
+                for world in (BatchedTrials, OtherNoise)
+            ),
+            strict=True,
+        )
+    same = sum(a.outcome == b.outcome for a, b in ends)
+    note = f"{same} of {len(ends)} trials"
+    return [stated("towers, batch and batch end alike", 100.0 * same / len(ends), "%", note)]
 
 
 PRESSES, REFERENCE = 40, (1.0 / 3.0, 1)

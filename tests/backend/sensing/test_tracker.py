@@ -326,3 +326,23 @@ def test_a_covered_corner_beside_a_strong_contact_is_not_seen() -> None:
         if k >= 5:
             assert (field.state[corner] != MarkerState.SEEN).all()
             assert (np.delete(field.state, corner) == MarkerState.SEEN).all()
+
+
+def test_a_shaded_dot_is_centred_by_its_outline(rest: tuple[np.ndarray, np.ndarray]) -> None:
+    """A shadow beside the dot pulls the centroid off by 3 px; the outline stays where it was."""
+    image, tracker = rest[0], MarkerTracker("left")
+    start = tracker.track(frame(image, 0)).position_px
+    grid = np.stack(np.meshgrid(np.arange(320), np.arange(240)), axis=-1)
+    shaded = [32, 40]
+    shadow = sum(
+        np.exp(-(((grid - start[m] + [9.0, 0.0]) / [6.0, 8.0]) ** 2).sum(axis=-1)) for m in shaded
+    )
+    dark = (image * (1.0 - 0.6 * shadow[..., None])).astype(np.uint8)
+    fields = [tracker.track(frame(dark, k)) for k in range(1, 5)]
+    off_px = np.linalg.norm(fields[-1].position_px - start, axis=1)
+    assert (off_px[shaded] < 0.6).all()
+    assert np.median(off_px) < 0.05
+    assert (fields[-1].state == MarkerState.SEEN).all()
+    # The light goes, and with it the correction.
+    fields = [tracker.track(frame(image, k)) for k in range(5, 10)]
+    assert np.linalg.norm(fields[-1].position_px - start, axis=1).max() < 0.05

@@ -344,6 +344,8 @@ def replay_gate(
             mean = 0.0 if unknown.name == "grasp_x" else float(values.mean())
             fitted[unknown.name] = np.full(len(held), mean)
     plain = {u.name: np.full(len(held), u.start) for u in found.unknowns}
+    # Tilt and position of a mounting are no part of a bench file: both benches get them.
+    plain |= {u.name: fitted[u.name] for u in found.unknowns if u.scope == "mounting"}
     if not nominal.grasp.hysteresis:
         plain["alpha"] = np.zeros(len(held))
     pitch, usual = nominal.tactile.pitch_mm, nominal.tactile.roll_off_mm

@@ -286,11 +286,16 @@ def paired_traces(first: FloatArray, second: FloatArray, title: str, unit: str) 
 
 
 def curves_chart(
-    title: str, x: FloatArray, curves: Mapping[str, FloatArray], note: str, *, log: bool = False
+    title: str,
+    x: FloatArray,
+    curves: Mapping[str, FloatArray],
+    units: tuple[str, str],
+    *,
+    log: bool = False,
 ) -> str:
     """Return named ``curves`` (n,) over ``x`` (n,), on logarithmic axes if ``log``.
 
-    Colours go by their order: blue, orange, violet. ``note``: units of the axes.
+    Colours go by their order: blue, orange, violet. ``units``: of ``x`` and of the curves.
     """
 
     def scaled(values: FloatArray) -> FloatArray:
@@ -314,10 +319,13 @@ def curves_chart(
         lines.append(
             f'<text x="{PAD}" y="{28 + 11 * k}" font-size="9" fill="{colour}">{escape(name)}</text>'
         )
-    ends = [f"{10.0**v if log else v:.3g}" for v in (low, high)]
     axis = f'<path d="M{PAD} {PAD}V{SIDE - PAD}H{SIDE - PAD}" stroke="{FAINT}" fill="none"/>'
-    ticks = _text(PAD - 14, SIDE - PAD, ends[0]) + _text(PAD - 14, PAD, ends[1])
-    return _frame(title, axis + "".join(lines) + ticks + _text(SIDE / 2, SIDE - 8, note))
+    ends = [10.0**v if log else v for v in (across[0], across[-1], low, high)]
+    spans = [
+        f"{a:.2g} to {b:.2g} {u}" for a, b, u in zip(ends[::2], ends[1::2], units, strict=True)
+    ]
+    note = _text(SIDE / 2, SIDE - 20, spans[0]) + _text(SIDE / 2, SIDE - 7, spans[1])
+    return _frame(title, axis + "".join(lines) + note)
 
 
 def _x(mm: float, reach_mm: float) -> float:

@@ -92,8 +92,8 @@ def _parameters(rows: list[Estimate], found: Identification) -> ReportTable:
 def _spectra(found: Identification) -> PictureGallery:
     pictures = []
     for s in found.spectra:
-        note = f"{s.unit}²/Hz over Hz"
-        chart = curves_chart(s.name, s.f_hz, {"density": s.density}, note, log=True)
+        units = ("Hz", f"{s.unit}²/Hz")
+        chart = curves_chart(s.name, s.f_hz, {"density": s.density}, units, log=True)
         pictures.append(ReportPicture(chart))
     return PictureGallery("Noise spectra at rest", tuple(pictures))
 
@@ -118,7 +118,7 @@ def _example(found: Identification) -> PictureGallery:
     for channel, (name, unit) in enumerate((("Fz", "N"), ("shear of the left gel", "px"))):
         measured, nominal, identified = found.gate.example[:, :, channel]
         curves = {"measured": measured, "nominal": nominal, "identified": identified}
-        pictures.append(ReportPicture(curves_chart(name, t_s, curves, f"{unit} over s")))
+        pictures.append(ReportPicture(curves_chart(name, t_s, curves, ("s", unit))))
     return PictureGallery("One held-out press", tuple(pictures))
 
 

@@ -91,8 +91,8 @@ def identify_rest(rest: RestRecording) -> RestResult:
         walk = np.sqrt(60.0) * np.array(walk_rate(means, value**2 / length, BLOCK_S))
         estimates.append(estimate(f"wrist.drift_{name}_sqrt_min", walk[0], walk[1]))
         f_hz, density = welch(own, rate_hz, nperseg=min(4096, len(own)), axis=0)
-        mean = density[1:].mean(axis=1)
-        spectra.append(Spectrum(f"wrist, {unit}", unit, f_hz[1:], mean))
+        mean = density[1:-1].mean(axis=1)
+        spectra.append(Spectrum(f"wrist, {unit}", unit, f_hz[1:-1], mean))
         peak, ratio = f_hz[1 + int(mean.argmax())], float(mean.max() / np.median(mean))
         facts.append((f"quantisation of the wrist sensor, {unit}", f"{quantum(own):.3g}"))
         facts.append((f"strongest line, {unit}", f"{peak:.1f} Hz, {ratio:.1f} times the floor"))
@@ -154,7 +154,7 @@ def _cameras(blocks: Sequence[Recording]) -> tuple[list[Estimate], list[tuple[st
         estimate("tactile.lost_share", float(np.mean(lost)), float(np.ptp(lost)) / 2 + 2e-4),
     ]
     f_hz, density = welch(series[0], 1.0 / period, nperseg=min(512, len(series[0])), axis=0)
-    spectrum = Spectrum("mean marker, px", "px", f_hz[1:], density[1:].mean(axis=1))
+    spectrum = Spectrum("mean marker, px", "px", f_hz[1:-1], density[1:-1].mean(axis=1))
     return estimates, [("frames", f"{frames}, {dropped} dropped")], spectrum
 
 

@@ -35,12 +35,12 @@ from touchdown.backend.experiments.trials import (
     stack_in_lockstep,
     start_scene,
 )
-from touchdown.backend.geometry import Tower, face_points, load_pieces
+from touchdown.backend.geometry import Tower, face_points, judge_tower, load_pieces
 from touchdown.backend.learning.checkpoint import load_checkpoint
 from touchdown.backend.runs.requests import SceneChoice, StackRequest
 from touchdown.backend.sensing.episode import EpisodeLimits
 from touchdown.backend.sensing.slip import shortfall_mm
-from touchdown.backend.simulation import BatchedTrials, Scene, TrialPresses
+from touchdown.backend.simulation import BatchedTrials, Scene, TrialPresses, judge_release
 from touchdown.backend.simulation.gripper import HeldPiece
 from touchdown.backend.simulation.ground_truth import scene_mounting
 
@@ -102,6 +102,20 @@ def test_the_start_of_a_scene_is_where_the_piece_is_pressed(settings: Simulation
     assert felt.detected.all()
     assert felt.truth.offset_mm[0] == pytest.approx(scene.start_mm, abs=0.3)
     assert felt.observation[0, -1, TACTILE_CHANNELS + 2] > 1.0
+
+
+def test_a_release_is_judged_on_the_face_of_the_scene() -> None:
+    bench = SimulationSettings.model_validate({"preset": "off", "surface": {"tilted_share": 1.0}})
+    catalogue = load_pieces()
+    tower = Tower((catalogue.bottom("short").body(),))
+    scene = Scene(catalogue.top("pot"), tower, (3.0, 1.0), 5, bench)
+    (end,) = pick_and_place_in_lockstep([scene], StackSettings())
+    assert end.verdict is not None
+    assert end.true_mm is not None
+    assert end.verdict == judge_release(scene, end.true_mm, 0.0)
+    flat = judge_tower(tower.with_top(scene.piece.body(end.true_mm)))
+    # The piece turns onto the face and weighs on the table elsewhere.
+    assert abs(end.verdict.margins_mm[0] - flat.margins_mm[0]) > 0.1
 
 
 PAIRS = (("pot", "short"), ("pot", "long"), ("mushroom", "short"), ("barrel", "hex20"))

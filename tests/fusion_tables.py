@@ -11,10 +11,13 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
+from touchdown.backend.experiments.comparison import comparison_tables
+from touchdown.backend.experiments.document import to_markdown
 from touchdown.backend.experiments.statistics import estimate_rate
 
 DOCS = Path(__file__).parents[1] / "docs"
-PAGES = tuple(DOCS / f"{name}.md" for name in ("learned-fusion", "experiments", "method-choices"))
+PAGE_NAMES = ("learned-fusion", "experiments", "method-choices", "bench-v2")
+PAGES = tuple(DOCS / f"{name}.md" for name in PAGE_NAMES)
 MODELS = DOCS.parent / "resources" / "models"
 CALIBRATIONS = "calibrations"
 WORDS = ("placed", "fell", "knocked_over", "gave_up", "aborted")
@@ -112,6 +115,9 @@ def compared(answer: Json) -> str:
             counts = f"{row['only_paper']} | {row['only_own']} | {row['p']:.2g}"
             names_of = f"`{row['strategy']}` | `{row['reference']}` | {row['what']}"
             lines.append(f"| {names_of} | {_points(row)} | {counts} |")
+    if "band" in answer:
+        around = [t for t in comparison_tables(answer) if "benches around" in t.title]
+        lines += ["", to_markdown(around).strip()]
     return "\n".join([*lines, "", _provenance(answer)])
 
 

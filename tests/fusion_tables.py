@@ -208,9 +208,28 @@ def rendered(name: str, answer: Json) -> str:
         return calibrations(answer)
     if answer["format"].startswith("touchdown-tables"):
         return stability(answer)
+    if "fresh" in name:
+        return fresh(answer)
     if "sources" in answer:
         return compared(answer)
     return statics(answer) if "statics" in name else loops(answer)
+
+
+def fresh(answer: Json) -> str:
+    """Return the counts on fresh outlines: a row for each piece, each class, and all of them."""
+    lines = [
+        "| | trials | placed, % | unsafe, % of the trials | unsafe, % of the releases |",
+        "|---|---|---|---|---|",
+    ]
+    rows = [(cell["piece"], cell) for cell in answer["cells"]]
+    pooled = [row for row in answer["pooled"] if row["tower"] == "fresh"]
+    rows += [(row["outline"], row) for row in pooled if "outline" in row]
+    rows += [("**all**", row) for row in pooled if "outline" not in row]
+    for name, row in rows:
+        counts = [row[key] for key in ("placed", "unsafe", "unsafe_of_released")]
+        shares = " | ".join(_share(round(c["value"] * c["n"]), c["n"]) for c in counts)
+        lines.append(f"| {name} | {counts[0]['n']} | {shares} |")
+    return "\n".join([*lines, "", _provenance(answer)])
 
 
 def written(page: str, answers: dict[str, Json]) -> str:

@@ -170,7 +170,7 @@ class StackPresenter:
         self._page.decision.keep_room(self._page.run.form().mode != "auto")
         if status.awaiting is not None and self._has_heard(status):
             kind = status.awaiting.kind
-            asking = {"release": "Release here?", "shift": "Take this step?"}.get(kind, "Continue?")
+            asking = {"release": "Release here?", "shift": "Take this step?"}.get(kind, "Go on?")
             if self._page.run.form().mode == "step":
                 button = "Next step  N"
         if asking != self._asking:

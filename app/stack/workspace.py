@@ -120,6 +120,7 @@ class StackWorkspace(Workspace):
         page.run.show_form(self._form if bench.simulated else careful_form(self._form, bench.usual))
         page.decision.show_text(NO_DECISION)
         presenter.show_model()
+        bench.prompt.attended = True
         page.run.chosen.connect(presenter.show_model)
         page.run.pause.clicked.connect(lambda: pause_or_resume(bench))
         page.run.cancel.clicked.connect(lambda: bench.engine.cancel())

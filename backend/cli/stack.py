@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -128,12 +129,16 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
         def take(fact: Event) -> None:
             narrate(fact, screen, bench)
             if isinstance(fact, ApprovalAwaited):
-                step = ", ".join(f"{value:+.1f} mm" for value in fact.action.step_mm)
-                screen.say(f"  {fact.action.kind} ({step})? Enter or y: yes; anything else: no.")
-                ask_yes_no_in_thread(session.answer)
+                action = fact.action
+                step = ", ".join(f"{value:+.1f} mm" for value in action.step_mm)
+                text = action.reason if action.kind == "ask" else f"{action.kind} ({step})?"
+                screen.say(f"  {text} Enter or y: yes; anything else: no.")
+                number = session.prompt.number
+                ask_yes_no_in_thread(lambda yes: session.prompt.answer(yes, number))
             answer_prompt(fact, session, screen)
 
         session.events.subscribe(take)
+        session.prompt.attended = sys.stdin.isatty() and not screen.json
         with ctrl_c_cancels(session.engine.cancel), held_piece_reported(session, screen):
             result = session.run(request)
     if result.trials:

@@ -451,11 +451,11 @@ class Stability:
 
 @dataclass(frozen=True, slots=True)
 class PlaceAction:
-    """Next action of the policy: release, shift and probe again, or give up.
+    """Next action of the policy: release, shift and probe again, ask the operator, or give up.
 
     Attributes
     ----------
-    kind : {"release", "shift", "give_up"}
+    kind : {"release", "shift", "ask", "give_up"}
         Action.
     step_mm : tuple of float
         Commanded shift in x and y, mm, at most 3 mm long (paper, section III); zero unless ``kind``
@@ -474,7 +474,7 @@ class PlaceAction:
 
     """
 
-    kind: Literal["release", "shift", "give_up"]
+    kind: Literal["release", "shift", "ask", "give_up"]
     step_mm: tuple[float, float]
     target_mm: tuple[float, float] | None
     clipped: bool
@@ -493,7 +493,9 @@ class Outcome(Enum):
     KNOCKED_OVER
         A probe or move knocked over the bottoms.
     GAVE_UP
-        The policy ended the trial without a release.
+        The policy, or the operator it asked, ended the trial without a release.
+    ASKED
+        A question to the operator was not answered; nothing was released.
     ABORTED
         Stop, fault or cancel.
 
@@ -508,6 +510,7 @@ class Outcome(Enum):
     FELL = "fell"
     KNOCKED_OVER = "knocked_over"
     GAVE_UP = "gave_up"
+    ASKED = "asked"
     ABORTED = "aborted"
 
 

@@ -151,8 +151,11 @@ def format_percent(share: float | None) -> str:
 
 
 def format_outcomes(outcomes: Mapping[str, int]) -> str:
-    """Format the counts as placed / fell / knocked over / gave up / aborted."""
-    return " / ".join(str(outcomes.get(outcome.value, 0)) for outcome in Outcome)
+    """Format the counts as placed / fell / knocked over / gave up / aborted, then those asked."""
+    asked = outcomes.get(Outcome.ASKED.value, 0)
+    columns = (outcome for outcome in Outcome if outcome is not Outcome.ASKED)
+    counts = " / ".join(str(outcomes.get(outcome.value, 0)) for outcome in columns)
+    return f"{counts}, {asked} asked" if asked else counts
 
 
 SVG_ELEMENTS = frozenset(

@@ -189,6 +189,7 @@ class _OutlinePerTrial:
 BatchPredict = Callable[[NDArray[np.float32]], FloatArray]
 MAX_ATTEMPTS = 2  # a refused press is repeated once, as on the bench
 NO_CONTACT = "No contact was found."
+UNRELEASED = {"ask": Outcome.ASKED, "give_up": Outcome.GAVE_UP}  # nobody answers in a batch
 TOPPLED_REASON = "The press tipped the bottom over its edge."
 XY = tuple[float, float]
 
@@ -409,8 +410,8 @@ def _accepted_presses(
 def _recover_missed_contact(trial: _RunningTrial, strategy: SearchingStrategy) -> None:
     """Move on to the place that the strategy proposes after a missed contact."""
     action = strategy.missed(trial.here)
-    if action.kind == "give_up":
-        trial.close(Outcome.GAVE_UP, action.reason)
+    if action.kind in UNRELEASED:
+        trial.close(UNRELEASED[action.kind], action.reason)
     else:
         trial.here = (trial.here[0] + action.step_mm[0], trial.here[1] + action.step_mm[1])
         trial.tries = 0
@@ -426,8 +427,8 @@ def _decide(trial: _RunningTrial, touched: ProbeObservation, bench: BatchedTrial
     trial.steps.append(ProbeStep(here, trial.true_mm, *found))
     if action.kind == "release":
         _release(trial, bench)
-    elif action.kind == "give_up":
-        trial.close(Outcome.GAVE_UP, action.reason)
+    elif action.kind in UNRELEASED:
+        trial.close(UNRELEASED[action.kind], action.reason)
     else:
         trial.here = (here[0] + action.step_mm[0], here[1] + action.step_mm[1])
 

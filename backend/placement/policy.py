@@ -275,20 +275,14 @@ def shift_towards(
 
 
 def release_or_give_up(
-    stability: Stability,
-    situation: str,
-    probes: int,
-    settings: PolicySettings,
-    places: int,
-    more: str = "",
+    stability: Stability, situation: str, probes: int, settings: PolicySettings, places: int
 ) -> PlaceAction | None:
     """Return the release of a stable piece, the end after ``max_probes``, or None.
 
     ``places``: number of different places with contact, at least ``least_probes`` for a release.
-    ``more``: text after the reason of a release.
     """
     if stability.stable and places >= settings.least_probes:
-        return PlaceAction("release", (0.0, 0.0), None, False, f"{situation}: release.{more}")
+        return release(situation)
     if probes >= settings.max_probes:
         return give_up(f"{situation} after {probes} probes, the most allowed: giving up.")
     return None
@@ -306,6 +300,18 @@ def count_places(belief: Belief) -> int:
         if all(math.dist(visit, place) >= belief.settings.min_shift_mm for place in places):
             places.append(visit)
     return len(places)
+
+
+def release(situation: str, more: str = "") -> PlaceAction:
+    """Return the release of the piece; ``more``: text after the reason."""
+    return PlaceAction("release", (0.0, 0.0), None, False, f"{situation}: release.{more}")
+
+
+def ask_whether(further: PlaceAction, situation: str, probes: int) -> PlaceAction:
+    """Return the question whether to go on probing with ``further`` after ``probes`` probes."""
+    count, step_mm = f"{probes} probe{'s' * (probes != 1)}", math.hypot(*further.step_mm)
+    reason = f"{situation} after {count}: go on probing {step_mm:.1f} mm away?"
+    return PlaceAction("ask", (0.0, 0.0), further.target_mm, False, reason)
 
 
 def give_up(reason: str) -> PlaceAction:

@@ -44,12 +44,14 @@ from touchdown.backend.placement.belief import Belief
 from touchdown.backend.placement.equilibrium import convex_hull, pressed_at_mm, signed_margin_mm
 from touchdown.backend.placement.policy import (
     ShiftTarget,
+    ask_whether,
     choose_action,
     count_places,
     describe_situation,
     give_up,
     judge_stability,
     next_on_spiral,
+    release,
     release_or_give_up,
     shift_towards,
     support_hull_mm,
@@ -57,6 +59,7 @@ from touchdown.backend.placement.policy import (
 )
 from touchdown.backend.placement.support_tower import XY, SupportTower, normal_draws
 
+Array = NDArray[np.float32]
 SEARCH_RADIUS_MM = 10.0  # around the deepest point, for the face centre
 SEARCHED = slice(None, None, 3)  # points of the first search
 # Points this near the edge determine the uncertainty of the centre.
@@ -236,10 +239,13 @@ class Strategy(Protocol):
 
 @runtime_checkable
 class SearchingStrategy(Strategy, Protocol):
-    """Strategy that continues after a position without contact."""
+    """Strategy that continues without contact, and asks where it is unsure."""
 
     def missed(self, offset_mm: XY) -> PlaceAction:
-        """Record that there was no contact at ``offset_mm``; return a shift or the end."""
+        """Record that there was no contact at ``offset_mm``; return a shift or a question."""
+
+    def go_on(self) -> PlaceAction:
+        """Allow as many probes again after the operator's yes; return the next shift."""
 
 
 class PaperStrategy:
@@ -311,6 +317,7 @@ class FusedStrategy:
         self._missed_mm: list[XY] = []
         self._last: FloatArray | None = None
         self._lower: LowerSupport | None = None
+        self._allowed, self._further = settings.policy.max_probes, give_up(NO_ESTIMATE)
 
     def conclude(self, touched: ProbeObservation) -> PlaceDecision:
         """Evaluate this position and the map, judge by the accepted risk, choose the action."""
@@ -318,7 +325,8 @@ class FusedStrategy:
         self._belief = self._belief.updated(touched.patch, here)
         self._record(touched)
         com, centre = self._held.com_xy_mm, self._com_at(here)
-        known = self._last = self._state(touched.patch.points_mm)
+        self._points_mm = touched.patch.points_mm
+        known = self._last = self._state()
         if known is None:
             nothing = Stability(
                 False, np.nan, SupportKind.NO_ESTIMATE, np.zeros((0, 2)), centre, "belief"
@@ -384,8 +392,6 @@ class FusedStrategy:
         """
         policy = self._settings.policy
         self._missed_mm.append(offset_mm)
-        if self._probes() >= policy.max_probes:
-            return give_up(f"{NO_CONTACT} after {self._probes()} probes, the most allowed.")
         last = self._offset_mm[-1] if self._offset_mm else offset_mm
         to = 0.5 * (last[0] + offset_mm[0]), 0.5 * (last[1] + offset_mm[1])
         where = "half way back"
@@ -398,7 +404,19 @@ class FusedStrategy:
         part = policy.longest_step_mm / math.hypot(*step) if clipped else 1.0
         step = step[0] * part, step[1] * part
         words = f"{NO_CONTACT} ({where}): move {math.hypot(*step):.1f} mm."
-        return PlaceAction("shift", step, to, clipped, words)
+        return self._shift_or_ask(PlaceAction("shift", step, to, clipped, words), NO_CONTACT)
+
+    def go_on(self) -> PlaceAction:
+        """Allow as many probes again; return the shift that the question was about."""
+        self._allowed += self._settings.policy.max_probes
+        return self._further
+
+    def _shift_or_ask(self, shift: PlaceAction, situation: str) -> PlaceAction:
+        """Return ``shift``; after the most probes allowed, the question whether to take it."""
+        if self._probes() < self._allowed:
+            return shift
+        self._further = shift
+        return ask_whether(shift, situation, self._probes())
 
     def stable_at(self, offset_mm: XY) -> bool:
         """Evaluate another position of the face."""
@@ -424,17 +442,19 @@ class FusedStrategy:
     def _probes(self) -> int:
         return len(self._belief.visits) + len(self._missed_mm)
 
-    def _state(self, points_mm: FloatArray) -> FloatArray | None:
-        """Return the state after all probes; None if a signal is outside the training data."""
-        seen = np.stack(self._seen).astype(np.float32)
-        if not np.isfinite(seen).all():
-            return None
-        held = self._held
+    def _signals(self) -> tuple[Array, Array, FloatArray, GraspedFace]:
+        """Return wrench, marker fields and offsets of all probes, and the face."""
+        seen, held = np.stack(self._seen).astype(np.float32), self._held
         com = np.asarray(held.com_xy_mm, dtype=np.float64)
-        face = GraspedFace.of(points_mm, com, np.asarray(held.grip_height_mm))
-        fields = seen[..., :TACTILE_CHANNELS]
+        face = GraspedFace.of(self._points_mm, com, np.asarray(held.grip_height_mm))
         wrench = wrench_at_sensor(seen[..., TACTILE_CHANNELS:], self._sensor_mm)
-        known = self._forward.known(wrench, fields, np.array(self._offset_mm), face)
+        return wrench, seen[..., :TACTILE_CHANNELS], np.array(self._offset_mm), face
+
+    def _state(self) -> FloatArray | None:
+        """Return the state after all probes; None if a signal is outside the training data."""
+        if not np.isfinite(self._seen).all():
+            return None
+        known = self._forward.known(*self._signals())
         return np.asarray(known[-1], dtype=np.float64) if np.isfinite(known).all() else None
 
     def _inset(self, known: FloatArray, points_mm: FloatArray, here: XY) -> InsetDistribution:
@@ -479,14 +499,14 @@ class FusedStrategy:
         here = self._offset_mm[-1]
         policy, required = self._settings.policy, self._settings.fused.inset_mm
         words, more = describe_situation(stability, required), f" {face_centre.describe(here)}"
-        probes, places = self._probes(), count_places(self._belief)
-        if ended := release_or_give_up(stability, words, probes, policy, places, more):
-            return ended
+        if stability.stable and count_places(self._belief) >= policy.least_probes:
+            return release(words, more)
         why = too_few_probes(policy) if stability.stable else weak
         aim = ShiftTarget((here[0] + target[0], here[1] + target[1]), why)
         if np.hypot(*target) < self._settings.belief.min_shift_mm:
             aim = ShiftTarget(next_on_spiral(here, self._belief, policy), why or "looking around")
-        return shift_towards(stability, aim, here, policy.longest_step_mm, required)
+        shift = shift_towards(stability, aim, here, policy.longest_step_mm, required)
+        return self._shift_or_ask(shift, words)
 
     def _probability_map(self, supported: FloatArray) -> BeliefMap:
         limit, shape = self._settings.belief.log_odds_limit, self._belief.map.log_odds.shape

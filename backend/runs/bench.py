@@ -44,6 +44,9 @@ class OperatorPrompt:
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._asked = False
+        # A window or a terminal shows questions of a run that was to need none
+        self.attended = False
+        self.number = 0  # of the last question
         # Reply to the last question, None before it
         self.reply: bool | None = None
         self.seen: tuple[Outcome, str] | None = None  # observed outcome and its reason
@@ -52,12 +55,19 @@ class OperatorPrompt:
         """Open a question and clear the previous answer."""
         with self._lock:
             self._asked, self.reply, self.seen = True, None, None
+            self.number += 1
 
-    def answer(self, yes: bool) -> None:
-        """Answer the open question; ignored without one."""
+    def answer(self, yes: bool, number: int | None = None) -> None:
+        """Answer the open question, or the question ``number``; ignored if it is not open."""
         with self._lock:
-            if self._asked:
+            if self._asked and number in (None, self.number):
                 self._asked, self.reply = False, yes
+
+    def withdraw(self) -> bool | None:
+        """Close the open question; return its reply, None without one."""
+        with self._lock:
+            self._asked = False
+            return self.reply
 
     def see(self, outcome: Outcome, reason: str) -> None:
         """Answer the open question with the observed outcome; ignored without one."""

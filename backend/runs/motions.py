@@ -150,12 +150,22 @@ def probe_command(bench: Bench) -> PressCommand:
     return press_command(bench, probe.depth_mm, ramp_s, probe.duration_s)
 
 
-def ask_operator(bench: Bench, question: Event, what: str) -> Plan[bool]:
-    """Publish ``question`` and wait for the operator's yes or no; ``what`` names the wait."""
-    bench.prompt.ask()
+def ask_operator(
+    bench: Bench, question: Event, what: str, patience_s: float = math.inf
+) -> Plan[bool | None]:
+    """Publish ``question`` and return the operator's yes or no; ``what`` names the wait.
+
+    None if no answer came within ``patience_s``; a later one has no effect.
+    """
+    prompt, until_s = bench.prompt, bench.now_s() + patience_s
+    prompt.ask()
     yield question
-    yield Wait(lambda: bench.prompt.reply is not None, OPERATOR_TIMEOUT_S, what)
-    return bench.prompt.reply is True
+
+    def is_over() -> bool:
+        return prompt.reply is not None or bench.now_s() >= until_s
+
+    yield Wait(is_over, OPERATOR_TIMEOUT_S, what)
+    return prompt.withdraw()
 
 
 def take_piece(bench: Bench) -> Plan[None]:

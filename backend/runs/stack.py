@@ -108,14 +108,18 @@ def pick_and_place(bench: Bench) -> Plan[TrialResult]:
 
 
 DECLINED = "The operator declined the next move."
+PATIENCE_S = 600.0  # a run that was to need no operator waits this long for one
+NOBODY = "Nobody is there to ask: the piece stays in the gripper."
+UNANSWERED = f"No answer within {PATIENCE_S / 60:.0f} min: the piece stays in the gripper."
+REFUSED = "The operator answered no: giving up, the piece stays in the gripper."
 
 
 def place_piece(bench: Bench) -> Plan[TrialResult]:
-    """Place the piece by the strategy; it is placed, fell, was knocked over or given up."""
+    """Place the piece by the strategy; else the trial ends knocked over, asked or given up."""
     yield from take_piece(bench)
     here = bench.arm.pose(max_age_s=0.2)
     strategy = make_strategy(grasped_piece(bench), bench.settings, (here.x_mm, here.y_mm))
-    approved = bench.settings.mode == "auto"
+    approved = False
     probe = 0
     while True:
         yield PausePoint()
@@ -125,35 +129,33 @@ def place_piece(bench: Bench) -> Plan[TrialResult]:
         if isinstance(pressed, PlaceAction):
             yield Said(bench.now_s(), f"Probe {probe}: {pressed.reason}")
             yield from lift(bench, probe)
-            if pressed.kind == "give_up":
-                return TrialResult(Outcome.GAVE_UP, pressed.reason, probe)
-            if not (yield from _approved(bench, pressed, probe)):
-                return TrialResult(Outcome.ABORTED, DECLINED, probe)
-            yield from shift_piece(bench, pressed.step_mm, probe)
+            ended = yield from _unapproved(bench, pressed, probe)
+            if ended is not None:
+                return ended
+            yield from _shift(bench, strategy, pressed, probe)
             continue
         judged = yield from _judge(bench, pressed, strategy)
+        action = judged.action
         bench.store.keep(pressed.episode)
         held_s = judged.at_s - pressed.ended_s
         late = held_s > bench.settings.probe.verdict_wait_s
-        if judged.action.kind == "release" and approved and not late:
-            return (yield from _let_go(bench, judged, approved=approved))
+        if action.kind == "release" and not late and (approved or not _asks(bench, action)):
+            return (yield from _let_go(bench, judged, approved=True))
         yield from lift(bench, probe)
         yield from _recorded(bench, pressed)
         if late:
             text = f"The estimate took {held_s:.1f} s, too long to hold the press"
             yield Said(bench.now_s(), f"{text}: lifted, probing again.")
             continue
-        if judged.action.kind == "give_up":
-            return TrialResult(Outcome.GAVE_UP, judged.action.reason, probe)
-        if not (yield from _approved(bench, judged.action, probe)):
-            return TrialResult(Outcome.ABORTED, DECLINED, probe)
-        if judged.action.kind == "release":
-            # An approval covers piece, pose and run: press and judge again, then release.
-            approved = True
+        ended = yield from _unapproved(bench, action, probe)
+        if ended is not None:
+            return ended
+        # An approval covers piece, pose and run: press and judge again, then release.
+        approved = action.kind == "release"
+        if approved:
             probe -= 1
         else:
-            approved = bench.settings.mode == "auto"
-            yield from shift_piece(bench, judged.action.step_mm, probe)
+            yield from _shift(bench, strategy, action, probe)
 
 
 def grasped_piece(bench: Bench) -> GraspedPiece:
@@ -211,12 +213,36 @@ def _probe_or_search(
     return strategy.missed((here.x_mm, here.y_mm))
 
 
-def _approved(bench: Bench, action: PlaceAction, probe: int) -> Plan[bool]:
-    """Wait for the operator's approval in approve and step mode, with the arm lifted."""
-    if bench.settings.mode == "auto":
-        return True
+def _asks(bench: Bench, action: PlaceAction) -> bool:
+    """Return True if ``action`` needs the operator's yes."""
+    return action.kind == "ask" or bench.settings.mode != "auto"
+
+
+def _unapproved(bench: Bench, action: PlaceAction, probe: int) -> Plan[TrialResult | None]:
+    """Return the end of the trial, None if ``action`` may be carried out; the arm is lifted."""
+    if action.kind == "give_up":
+        return TrialResult(Outcome.GAVE_UP, action.reason, probe)
+    if not _asks(bench, action):
+        return None
+    alone = bench.settings.mode == "auto"
+    if alone and not bench.prompt.attended:
+        return TrialResult(Outcome.ASKED, f"{action.reason} {NOBODY}", probe)
+    patience_s = PATIENCE_S if alone else math.inf
     question = ApprovalAwaited(bench.now_s(), action, probe)
-    return (yield from ask_operator(bench, question, "the operator"))
+    reply = yield from ask_operator(bench, question, "the operator", patience_s)
+    if reply is None:
+        return TrialResult(Outcome.ASKED, f"{action.reason} {UNANSWERED}", probe)
+    if not reply and (alone or action.kind == "ask"):
+        return TrialResult(Outcome.GAVE_UP, f"{action.reason} {REFUSED}", probe)
+    return None if reply else TrialResult(Outcome.ABORTED, DECLINED, probe)
+
+
+def _shift(bench: Bench, strategy: Strategy, action: PlaceAction, probe: int) -> Plan[None]:
+    """Move to the next place; after the operator's yes to go on, to the one asked about."""
+    if action.kind == "ask":
+        assert isinstance(strategy, SearchingStrategy)
+        action = strategy.go_on()
+    yield from shift_piece(bench, action.step_mm, probe)
 
 
 def _recorded(bench: Bench, pressed: PressedProbe) -> Plan[None]:

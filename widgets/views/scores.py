@@ -30,6 +30,7 @@ OUTCOME_WORDS: dict[Outcome, str] = {
     Outcome.FELL: "fell",
     Outcome.KNOCKED_OVER: "knocked over",
     Outcome.GAVE_UP: "gave up",
+    Outcome.ASKED: "asked",
     Outcome.ABORTED: "aborted",
 }
 

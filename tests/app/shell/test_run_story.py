@@ -133,7 +133,7 @@ def test_a_trial_without_a_verdict_still_says_how_it_ended(live, bench, page):
 @pytest.mark.parametrize("outcome", list(Outcome))
 def test_a_margin_stands_beside_an_outcome_only_after_a_release(live, bench, outcome, page):
     told(live, bench, outcome)
-    released = outcome not in (Outcome.GAVE_UP, Outcome.ABORTED)
+    released = outcome not in (Outcome.GAVE_UP, Outcome.ASKED, Outcome.ABORTED)
     assert page.decision._margin.text() == ("+1.6 mm" if released else "")
     assert page.decision._caption.isVisible() == released
     assert page.strip.thumbnails[1].caption.text() == "2: est. \N{MINUS SIGN}1.1 mm"

@@ -430,7 +430,7 @@ def test_jobs_cover_every_grip_once() -> None:
 
 
 TRIAL_KEYS = {"seed", "outcome", "reason", "probes", "excess_probes", "margin_mm", "contradicted"}
-OUTCOMES = {"placed", "fell", "knocked_over", "gave_up", "aborted"}
+OUTCOMES = {"placed", "fell", "knocked_over", "gave_up", "asked", "aborted"}
 
 
 @pytest.fixture

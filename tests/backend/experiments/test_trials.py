@@ -290,7 +290,7 @@ def measured_slips_mm(felt: TrialPresses) -> FloatArray:
 
 def test_learned_fusion_presses_elsewhere() -> None:
     end = ended("fused", 2)
-    assert end.outcome is Outcome.GAVE_UP
+    assert end.outcome is Outcome.ASKED
     assert end.probes == 1
     assert end.steps[0].offset_mm == pytest.approx((BESIDE_MM + 3.0, 0.0))
     assert ended("fused", 1).reason == "No contact was found after 1 probes, the most allowed."

@@ -197,10 +197,37 @@ def test_a_release_needs_the_accepted_risk(presses: list[TrialPresses]) -> None:
     )
     assert concluded(presses, 0, bold)[1][-1].action.kind == "release"
     _, found = concluded(presses, 0, shy)
-    assert [c.action.kind for c in found] == ["shift", "shift", "give_up"]
+    assert [c.action.kind for c in found] == ["shift", "shift", "ask"]
     for conclusion in found[:2]:
         assert 0.0 < np.hypot(*conclusion.action.step_mm) <= 3.0 + 1e-9
         assert not conclusion.stability.stable
+
+
+def test_where_it_stays_unsure_it_probes_elsewhere_then_asks_whether_to_go_on(
+    presses: list[TrialPresses],
+) -> None:
+    shy = StackSettings(
+        belief=SMALL,
+        fused=FusedSettings(risk=1e-6, inset_mm=6.0),
+        policy=PolicySettings(max_probes=2),
+    )
+    reasoner, found = concluded(presses[:2], 0, shy, places=PLACES[:2])
+    assert isinstance(reasoner, SearchingStrategy)
+    assert not isinstance(PaperStrategy(HELD, SETTINGS, (0.0, 0.0)), SearchingStrategy)
+    first, second = (each.action for each in found)
+    assert (first.kind, second.kind) == ("shift", "ask")
+    assert second.step_mm == (0.0, 0.0)
+    shift = reasoner.go_on()
+    step_mm = float(np.hypot(*shift.step_mm))
+    assert shift.kind == "shift"
+    assert second.reason.endswith(f"after 2 probes: go on probing {step_mm:.1f} mm away?")
+    patch = ContactPatch(FACE.copy(), np.full(len(FACE), 0.5))
+    observation = presses[2].observation[0]
+    kinds = [
+        reasoner.conclude(ProbeObservation(observation, patch, (0.0, 3.0 * k))).action.kind
+        for k in range(2)
+    ]
+    assert kinds == ["shift", "ask"], "as many probes again"
 
 
 @pytest.mark.parametrize(
@@ -221,7 +248,7 @@ def test_weak_evidence_is_not_released_on(
     assert why in found[-1].action.reason
     assert reasoner.stable_at(PLACES[-1]) is not bool(fused)
     last = settings.model_copy(update={"policy": PolicySettings(**policy, max_probes=3)})
-    assert concluded(presses, 0, last)[1][-1].action.kind == "give_up"
+    assert concluded(presses, 0, last)[1][-1].action.kind == "ask"
 
 
 @pytest.mark.parametrize(("sd_mm", "kind"), [(1.4, "release"), (1.6, "shift")])
@@ -294,7 +321,7 @@ def test_a_place_without_contact_sends_it_half_way_back(presses: list[TrialPress
         assert min(np.hypot(here[0] - x, here[1] - y) for x, y in been) > 1.0
         been.append(here)
     assert begun.missed(here).kind == "shift"
-    assert begun.missed(here).kind == "give_up"
+    assert begun.missed(here).kind == "ask"
     reasoner, _ = concluded(presses[:1], 0, places=PLACES[:1])
     last = PLACES[0]
     for way in (1.5, 0.75):

@@ -1,0 +1,77 @@
+"""Questions of a run where it stays unsure."""
+
+import pytest
+
+from tests.backend.bench.brisk import brisk_method, on
+from tests.backend.runs.oracle_bench import OracleSession, request
+from touchdown.backend.config.method import FusedSettings, PolicySettings
+from touchdown.backend.core import ApprovalAwaited, Outcome, Released, RunFinished, TrialFinished
+from touchdown.backend.runs import stack
+
+SHY = {"risk": 1e-6, "inset_mm": 6.0}  # never does
+
+
+def fused_bench(fused, *, attended=False):
+    """Return a bench on which ``fused`` decides after one probe."""
+    changes = {"policy": PolicySettings(max_probes=1), "fused": FusedSettings(**fused)}
+    bench = OracleSession(method=brisk_method().model_copy(update=changes))
+    bench.session.prompt.attended = attended
+    return bench
+
+
+def trial_of(bench):
+    """Run one trial and return its end; without a release the piece stays in the gripper."""
+    bench.session.run(request(strategy="fused"))
+    (end,) = bench.of(TrialFinished)
+    assert bench.benches[-1].gripper.status().holding is not bool(bench.of(Released))
+    return end
+
+
+def test_stop_works_while_the_question_is_open_and_no_answer_opens_the_jaws_after_it():
+    bench = fused_bench(SHY, attended=True)
+
+    def stop(_: ApprovalAwaited) -> None:
+        bench.session.stop()
+        bench.session.answer(True)
+
+    on(bench.session, ApprovalAwaited, stop)
+    end = trial_of(bench)
+    assert (end.outcome, end.reason) == (Outcome.ABORTED, "stopped by operator")
+    assert [event.ending for event in bench.of(RunFinished)] == ["stopped"]
+
+
+def test_without_an_answer_the_question_ends_and_a_late_yes_has_no_effect(monkeypatch):
+    monkeypatch.setattr(stack, "PATIENCE_S", 1.0)
+    bench = fused_bench(SHY, attended=True)
+    end = trial_of(bench)
+    assert end.outcome is Outcome.ASKED
+    assert "No answer within" in end.reason
+    bench.session.answer(True)
+    assert bench.session.prompt.reply is None
+    assert not bench.session.interlock.latched, "no fault"
+
+
+@pytest.mark.parametrize("attended", [False, True])
+def test_where_no_place_is_sure_it_asks_whether_to_go_on(attended):
+    bench = fused_bench(SHY, attended=attended)
+    answers = iter((True, False))
+    on(bench.session, ApprovalAwaited, lambda _: bench.session.answer(next(answers)))
+    end = trial_of(bench)
+    if not attended:
+        assert end.outcome is Outcome.ASKED
+        assert "after 1 probe: go on probing" in end.reason
+        return
+    assert (end.outcome, end.probes) == (Outcome.GAVE_UP, 2)
+    assert end.reason.endswith("answered no: giving up, the piece stays in the gripper.")
+    assert [asked.action.kind for asked in bench.of(ApprovalAwaited)] == ["ask", "ask"]
+
+
+def test_an_answer_counts_for_its_own_question_only():
+    prompt = OracleSession().session.prompt
+    prompt.ask()
+    first = prompt.number
+    prompt.ask()
+    prompt.answer(True, first)
+    assert prompt.reply is None
+    prompt.answer(True, prompt.number)
+    assert prompt.withdraw() is True

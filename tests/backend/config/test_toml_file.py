@@ -99,6 +99,8 @@ def filled(kind, value):
     if get_origin(kind) is tuple:
         shape = [filled(a, value) for a in arguments if a is not Ellipsis]
         return None if None in shape else shape
+    # A text may stand for a number, as "unknown" does for a centre of mass.
+    arguments = [a for a in arguments if get_origin(a) is not Literal or filled(a, value)]
     return filled(arguments[0], value) if len(arguments) == 1 else None
 
 

@@ -19,7 +19,6 @@ if TYPE_CHECKING:
         results,
         run_report,
         sensitivity,
-        staged_release,
         statistics,
         strategies,
         tables,

@@ -56,8 +56,6 @@ from .run_report import write_run_report as write_run_report
 from .sensitivity import NuisanceSensitivity as NuisanceSensitivity
 from .sensitivity import sensitivity_report as sensitivity_report
 from .sensitivity import sensitivity_table as sensitivity_table
-from .staged_release import ReleaseStudy as ReleaseStudy
-from .staged_release import release_table as release_table
 from .statistics import compare_intervals as compare_intervals
 from .statistics import evidence as evidence
 from .statistics import sequential_decision as sequential_decision
@@ -109,7 +107,6 @@ __all__ = [
     "PictureGallery",
     "RandomisedTraining",
     "Recipe",
-    "ReleaseStudy",
     "Report",
     "ReportPicture",
     "ReportTable",
@@ -139,7 +136,6 @@ __all__ = [
     "read_beyond",
     "read_report",
     "ready_sequences",
-    "release_table",
     "report_page",
     "rewrite_tables",
     "run_jobs",

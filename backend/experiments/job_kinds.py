@@ -37,7 +37,6 @@ from touchdown.backend.experiments.collection import (
 from touchdown.backend.experiments.fusion import FUSED_KINDS
 from touchdown.backend.experiments.models import WEIGHTS, batch_model, load_model
 from touchdown.backend.experiments.run_report import FILM_FILE, belief_film
-from touchdown.backend.experiments.staged_release import simulate_releases
 from touchdown.backend.experiments.statics import (
     SLIPPED_MM,
     ProbeGroups,
@@ -310,6 +309,5 @@ KINDS: JobFunctions = {
     "asked-presses": evaluation.evaluate_presses,
     "asked-trials": evaluation.evaluate_trials,
     "promises": run_static_groups,
-    "staged-release": simulate_releases,
     "certify": run_certified_scenes,
 }

@@ -97,7 +97,6 @@ JOB_FUNCTIONS = {
     "fuse": ("fusion", "train_fusion"),
     "fuse-join": ("fusion", "join_trained"),
     "fused-trials": ("fusion", "fused_trials"),
-    "staged-release": ("staged_release", "simulate_releases"),
     "certify": ("certification", "run_certified_scenes"),
 }
 

@@ -37,7 +37,6 @@ from touchdown.backend.experiments import (
     KINDS,
     MODEL_FREE,
     ORACLES,
-    PIECES,
     PORTIONS,
     SCALES,
     STRATEGIES,
@@ -45,7 +44,6 @@ from touchdown.backend.experiments import (
     ClosedLoopComparison,
     FusionRecipe,
     Recipe,
-    ReleaseStudy,
     StaticComparison,
     StrategyComparison,
     adopt_models,
@@ -62,7 +60,6 @@ from touchdown.backend.experiments import (
     read_beyond,
     read_report,
     ready_sequences,
-    release_table,
     rewrite_tables,
     shipped_model_folders,
     stopped_text,
@@ -269,13 +266,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
     parser.add_argument(
         "what",
-        choices=("tables", "report", "beyond", "gap", "fused", *EVALUATIONS, "release", "certify"),
+        choices=("tables", "report", "beyond", "gap", "fused", *EVALUATIONS, "certify"),
         help="tables: the paper's Tables I to III; report: write their page again, with other "
         "comparisons; beyond: strategies beyond the paper, and the ceiling; gap: share of the gap "
         "to the ceiling; fused: train the network of the strategy 'fused'; elsewhere: evaluate in "
-        "a second simulated world; sensitivity: effect of each nuisance of the bench; release: how "
-        "early a piece is seen to turn while the jaws open in steps; certify: bound the unsafe "
-        "releases of a network of 'fused' on fresh scenes",
+        "a second simulated world; sensitivity: effect of each nuisance of the bench; certify: "
+        "bound the unsafe releases of a network of 'fused' on fresh scenes",
     )
     scale = parser.add_mutually_exclusive_group()
     scale.add_argument(
@@ -321,64 +317,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_evaluation_arguments(parser)
     add_fused_arguments(parser)
     add_report_arguments(parser)
-    _add_release_arguments(parser)
     add_certify_arguments(parser)
-
-
-def _add_release_arguments(parser: argparse.ArgumentParser) -> None:
-    release = parser.add_argument_group("release")
-    release.add_argument("--unstable", type=int, default=70, metavar="N", help="releases of each "
-                         "piece and weight with the centre of mass outside")  # fmt: skip
-    release.add_argument("--stable", type=int, default=170, metavar="N", help="and with it inside")
-    release.add_argument("--weights", default="1,10", metavar="FACTORS", help="of the weight of "
-                         "the pieces")  # fmt: skip
-    release.add_argument("--jaw-step", type=float, default=0.1, metavar="MM", help="of the width")
-    release.add_argument("--jaw-steps", type=int, default=8, metavar="N", help="number of them")
-    release.add_argument("--hold", type=float, default=1.0, metavar="S", help="after each step, "
-                         "at least 0.2")  # fmt: skip
-    release.add_argument("--left", type=float, default=1.0, metavar="FACTOR", help="of the load "
-                         "that the unloading leaves in the pads (0: none)")  # fmt: skip
-
-
-def _run_release(args: argparse.Namespace, screen: VerbOutput, store: JobStore) -> int:
-    require_positive(args, "unstable", "stable", "jaw_steps")
-    try:
-        weights = tuple(float(text) for text in args.weights.split(","))
-        if not all(0.0 < weight < float("inf") for weight in weights):
-            raise ValueError
-        if not (0.0 <= args.left < float("inf") and args.hold >= 0.2 and 0.0 < args.jaw_step <= 1):
-            raise ValueError
-    except ValueError as error:
-        raise InputError(
-            "A factor, the step or the hold is not a number, or out of range.",
-            "--weights, --left, --jaw-step, --hold",
-            "Give positive weights separated by commas, --left 0 or more, a step up to 1 mm and a "
-            "hold from 0.2 s on.",
-        ) from error
-    plan = ReleaseStudy(
-        bench=load_simulation(args.bench, None if args.bench else args.preset),
-        code=program_version(),
-        pieces=_parse_names(args.pieces, PIECES, "--pieces"),
-        unstable=args.unstable,
-        stable=args.stable,
-        weights=weights,
-        step_mm=args.jaw_step,
-        steps=args.jaw_steps,
-        hold_s=args.hold,
-        left=args.left,
-    )
-    jobs = plan.jobs()
-    failed = _run_jobs(jobs, lambda _: 1, args, screen, store)
-    answer = plan.answer(store)
-    file = args.out / "release.json"
-    with write_errors(UNWRITTEN, file, KEPT):
-        write_atomically(file, json.dumps(answer, sort_keys=True).encode() + b"\n")
-    table = release_table(answer)
-    screen.table(table.title, *table.texts())
-    missing = sum(not store.has(spec.id) for spec in jobs)
-    counts = {"jobs": len(jobs), "missing": missing, "failed": failed}
-    screen.result({"file": str(file), **counts, "release": answer})
-    return 1 if failed else 0
 
 
 def _add_beyond_arguments(parser: argparse.ArgumentParser) -> None:
@@ -418,8 +357,6 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     store = JobStore(args.out / "jobs")
     if args.what == "beyond":
         return _run_beyond(args, screen, store)
-    if args.what == "release":
-        return _run_release(args, screen, store)
     if args.what in ("fused", "certify", *EVALUATIONS):
         asked = {"fused": train_fused, "certify": run_certify}.get(args.what, run_evaluation)
         answer = asked(args, screen, store, lambda j, e: _run_jobs(j, e, args, screen, store))

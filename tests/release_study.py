@@ -1,5 +1,6 @@
-"""Detectability of a piece that begins to turn while the jaws open in stages (a study).
+"""Detectability of a piece that begins to turn while the jaws open in stages.
 
+``python -m tests.release_study --out DIR`` writes ``release.json`` and prints a table; it resumes.
 Each trial puts a piece down at a random place with a drawn margin, as after an unloading until the
 support carries the weight. The jaws open in small held steps. Frames and wrench are compared with
 those before the step, or with the first ones after it. A piece counts as caught if the alarm leaves
@@ -9,21 +10,38 @@ model is ``touchdown.backend.simulation.staged_release``.
 
 from __future__ import annotations
 
+import argparse
+import json
+import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import rankdata
 
-from touchdown.backend.config import ProbeSettings, SimulationSettings, bench_sha256, parse_settings
-from touchdown.backend.core import FloatArray
+from touchdown.backend.config import (
+    ProbeSettings,
+    SimulationSettings,
+    bench_sha256,
+    load_simulation,
+    parse_settings,
+)
+from touchdown.backend.core import FloatArray, write_atomically
+from touchdown.backend.experiments import PIECES, program_version
 from touchdown.backend.experiments.document import ReportTable
 from touchdown.backend.experiments.statistics import estimate_rate
-from touchdown.backend.experiments.tables import PIECES, job_code
 from touchdown.backend.geometry import Piece, load_pieces, overlap_polygon
-from touchdown.backend.jobs import JobContext, JobSpec, JobStore
+from touchdown.backend.jobs import (
+    JobContext,
+    JobSpec,
+    JobStore,
+    ProcessPool,
+    run_campaign,
+    source_hash,
+)
 from touchdown.backend.simulation import (
     LoosePads,
     OpeningCourse,
@@ -34,6 +52,7 @@ from touchdown.backend.simulation import (
 )
 
 FORMAT = "touchdown-staged-release/1"
+MODEL = "touchdown.backend.simulation.staged_release"
 STUDY_BOTTOMS = ("short", "long", "hex20", "rect12x28")
 SEED = 8_000_000
 UNSTABLE_MM, STABLE_MM = (-2.0, 0.0), (0.0, 4.0)  # ranges of the drawn margins
@@ -88,7 +107,7 @@ class ReleaseStudy:
                 },
                 SEED + PIECES.index(piece),
                 (),
-                job_code("staged-release", self.code),
+                f"{self.code}+{source_hash(MODEL, 'open_in_steps')}",
             )
             for piece in self.pieces
             for factor in self.weights
@@ -429,3 +448,49 @@ def release_table(answer: Json) -> ReportTable:
         ("group", "unstable", "stable", *DETECTORS),
         rows,
     )
+
+
+KINDS = {"staged-release": simulate_releases}
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run the study; return 1 if a job failed."""
+    parser = argparse.ArgumentParser(description=__doc__, prog="python -m tests.release_study")
+    parser.add_argument("--out", type=Path, default=Path("output/release"))
+    parser.add_argument("--pieces", default=",".join(PIECES))
+    parser.add_argument("--unstable", type=int, default=70, help="of each piece and weight")
+    parser.add_argument("--stable", type=int, default=170)
+    parser.add_argument("--weights", default="1,10", help="factors of the weight of the pieces")
+    parser.add_argument("--jaw-step", type=float, default=0.1, help="mm of the width")
+    parser.add_argument("--jaw-steps", type=int, default=8)
+    parser.add_argument("--hold", type=float, default=1.0, help="s after each step")
+    parser.add_argument("--left", type=float, default=1.0,
+                        help="factor of what the unloading leaves in the pads")  # fmt: skip
+    parser.add_argument("--workers", type=int, default=1)
+    args = parser.parse_args(argv)
+    plan = ReleaseStudy(
+        load_simulation(preset="bench-v1"),
+        program_version(),
+        tuple(args.pieces.split(",")),
+        args.unstable,
+        args.stable,
+        tuple(float(text) for text in args.weights.split(",")),
+        args.jaw_step,
+        args.jaw_steps,
+        args.hold,
+        args.left,
+    )
+    store = JobStore(args.out / "jobs")
+    for result in run_campaign(plan.jobs(), ProcessPool(KINDS, store, args.workers), store):
+        sys.stdout.write(f"{result.kind}: {result.state}\n")
+    answer = plan.answer(store)
+    text = json.dumps(answer, sort_keys=True).encode() + b"\n"
+    write_atomically(args.out / "release.json", text)
+    table = release_table(answer)
+    lines = [table.title, " | ".join(table.texts()[0]), *map(" | ".join, table.texts()[1])]
+    sys.stdout.write("\n".join(lines) + "\n")
+    return 0 if all(store.has(spec.id) for spec in plan.jobs()) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

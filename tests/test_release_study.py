@@ -9,18 +9,18 @@ import numpy as np
 import pytest
 from scipy.stats import mannwhitneyu
 
-from touchdown.backend.cli.command_line import main
-from touchdown.backend.config.simulation import load_simulation
-from touchdown.backend.experiments.staged_release import (
+from tests.release_study import (
     BEFORE,
     DETECTORS,
     STUDY_BOTTOMS,
     alarm_scores,
     draw_pads,
     draw_standing,
+    main,
     place_with_margin,
     roc_of,
 )
+from touchdown.backend.config.simulation import load_simulation
 from touchdown.backend.geometry.pieces import load_pieces
 from touchdown.backend.geometry.tower import Tower, judge_tower
 from touchdown.backend.simulation.staged_release import OpeningCourse, OpeningPlan, open_in_steps
@@ -113,12 +113,11 @@ def test_a_perfect_unloading_leaves_stable_pieces_unmoved() -> None:
 
 
 def test_the_command_writes_the_roc(tmp_path, capsys) -> None:
-    words = ["experiment", "release", "--pieces", "pot", "--unstable", "3", "--stable", "4"]
-    words += ["--weights", "1", "--jaw-steps", "2", "--hold", "0.6", "--executor", "serial"]
+    words = ["--pieces", "pot", "--unstable", "3", "--stable", "4"]
+    words += ["--weights", "1", "--jaw-steps", "2", "--hold", "0.6"]
     assert main([*words, "--out", str(tmp_path)]) == 0
     answer = json.loads((tmp_path / "release.json").read_text())
     assert len(answer["trials"]["margin_mm"]) == 7
     assert sum(answer["trials"]["stable"]) == 4
     assert {row["detector"] for row in answer["groups"]} == set(DETECTORS)
     assert "Caught %" in capsys.readouterr().out
-    assert main([*words, "--weights", "x", "--out", str(tmp_path)]) == 2

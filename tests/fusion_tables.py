@@ -11,6 +11,7 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
+from tests.guard_study import guard_table
 from touchdown.backend.experiments.comparison import comparison_tables
 from touchdown.backend.experiments.document import to_markdown
 from touchdown.backend.experiments.statistics import estimate_rate
@@ -203,9 +204,28 @@ def model_cards() -> Json:
     return {name: json.loads(path.read_text("utf-8")) for name, path in found.items()}
 
 
+def guarded(answer: Json) -> str:
+    """Return the alarms of a guard, and the outcomes in the second world."""
+    known = ", ".join(f"{count} {piece}" for piece, count in sorted(answer["calibration"].items()))
+    there = answer["elsewhere"]
+    counts = [
+        ", ".join(f"{there[key][word]} {word.replace('_', ' ')}" for word in sorted(there[key]))
+        for key in ("outcomes", "before_alarm")
+    ]
+    text = (
+        f"Calibration on {answer['bench']}: trials with {known}. Trials in the second world: "
+        f"{counts[0]}; those before the alarms: {counts[1] or 'none'}. Sources of the jobs: "
+        f"`{answer['code']}`."
+    )
+    table = to_markdown([guard_table(answer)]).partition("\n\n")[2].strip()
+    return f"{table}\n\n{text}"
+
+
 def rendered(name: str, answer: Json) -> str:
     if name == CALIBRATIONS:
         return calibrations(answer)
+    if answer["format"].startswith("touchdown-guard"):
+        return guarded(answer)
     if answer["format"].startswith("touchdown-tables"):
         return stability(answer)
     if "fresh" in name:

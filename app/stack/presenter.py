@@ -109,18 +109,24 @@ class StackPresenter:
         form, run = self._page.run.form(), self._page.run
         words = run_model_caption(form.piece, form.strategy)
         run.show_model(words.short, words.full)
-        bench = self._bench
+        bench, request = self._bench, stack_request(form)
         try:
-            status = certificate_status(bench.identity, bench.method, stack_request(form))
+            status = certificate_status(bench.identity, bench.method, request)
+            guard = bench.guard_of(request.method(bench.method))
         except InputError as error:
             run.show_certificate(error.what, error.fix)
-        else:
-            run.show_certificate(status.message, status.scope)
+            return
+        withdrawn = guard is not None and guard.withdrawn and status.certificate is not None
+        text = "Certificate withdrawn." if withdrawn else status.message
+        run.show_certificate(text, status.message if withdrawn else status.scope)
+        run.show_signals("" if guard is None else guard.describe())
 
     def take(self, event: Event) -> None:
         """Handle one event; it is drawn with the next tick."""
         trials = len(self.story.trials)
         self.story.take(event)
+        if isinstance(event, TrialFinished):
+            self.show_model()
         if len(self.story.trials) != trials:
             self._chosen = None
             self._scenes.clear()

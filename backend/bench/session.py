@@ -42,6 +42,7 @@ from touchdown.backend.core import (
     TactileFrame,
     TrialFinished,
     blocking_section,
+    data_folder,
 )
 from touchdown.backend.devices import (
     DegradedDevice,
@@ -56,7 +57,8 @@ from touchdown.backend.devices import (
 )
 from touchdown.backend.geometry import PieceLibrary
 from touchdown.backend.learning import ModelCard
-from touchdown.backend.placement import Estimator, SupportTower
+from touchdown.backend.learning.fused import Guard, open_guard, shipped_path
+from touchdown.backend.placement import Estimator, SupportTower, load_network_of
 from touchdown.backend.rig import BenchConnection
 from touchdown.backend.runs import (
     DEVICE_FAULTS,
@@ -201,6 +203,8 @@ class Session:
         self.decisions: deque[EpisodeDecision] = deque(maxlen=1)
         self.dataset: Dataset | None = None  # collected episodes; set only between runs
         self.calibrations: CalibrationStore | None = None  # set before the first scene
+        # Folder of the states of guards; without kept runs no signals are compared
+        self._guards = None if keep.runs is None else data_folder() / "guards"
         self._used: UsedCalibrations = {}
         self.frames: Mapping[Finger, Stream[TactileFrame]] = {
             finger: Stream(f"tactile_{finger}", FRAME_CAPACITY) for finger in FINGERS
@@ -504,6 +508,14 @@ class Session:
         return make_plan(request, self)
 
     # -- for plans --------------------------------------------------------------------------------
+
+    def guard_of(self, method: StackSettings) -> Guard | None:
+        """Return the guard of the network of ``method``, None without a calibration here."""
+        if self._guards is None or method.strategy != "fused" or not self.identity.sha256:
+            return None
+        weights = Path(method.fused.weights) if method.fused.weights else shipped_path()
+        card = load_network_of(method.fused).card
+        return open_guard(weights, card.weights_sha256, self.identity.sha256, self._guards)
 
     def check_scene(self, choice: SceneChoice) -> Mapping[str, object]:
         """Return the settings a run on ``choice`` depends on, JSON-ready; raises ``InputError``."""

@@ -82,6 +82,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "and its standard uncertainty, mm (default: centred, by eye)",
     )  # fmt: skip
     parser.add_argument(
+        "--reset-guard", metavar="REASON", help="of fused: compare the signals anew"
+    )
+    parser.add_argument(
         "--weigh", action="store_true",
         help="weigh the piece in six poses first, and judge by its measured centre of mass",
     )  # fmt: skip
@@ -139,6 +142,12 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
 
         session.events.subscribe(take)
         session.prompt.attended = sys.stdin.isatty() and not screen.json
+        if args.reset_guard is not None:
+            guard = session.guard_of(request.method(session.method))
+            if guard is None:
+                fix = "Leave it out, or name the strategy and bench of a calibrated network."
+                raise InputError("No signals are compared in this run.", "--reset-guard", fix)
+            guard.reset(args.reset_guard)
         with ctrl_c_cancels(session.engine.cancel), held_piece_reported(session, screen):
             result = session.run(request)
     if result.trials:

@@ -239,13 +239,16 @@ class Strategy(Protocol):
 
 @runtime_checkable
 class SearchingStrategy(Strategy, Protocol):
-    """Strategy that continues without contact, and asks where it is unsure."""
+    """Strategy that continues without contact, asks where it is unsure, compares its signals."""
 
     def missed(self, offset_mm: XY) -> PlaceAction:
         """Record that there was no contact at ``offset_mm``; return a shift or a question."""
 
     def go_on(self) -> PlaceAction:
         """Allow as many probes again after the operator's yes; return the next shift."""
+
+    def signal_distances(self) -> tuple[float, float]:
+        """Return how far the signals of the trial are from the training data."""
 
 
 class PaperStrategy:
@@ -456,6 +459,10 @@ class FusedStrategy:
             return None
         known = self._forward.known(*self._signals())
         return np.asarray(known[-1], dtype=np.float64) if np.isfinite(known).all() else None
+
+    def signal_distances(self) -> tuple[float, float]:
+        """Return how far the signals of all probes are from the training data."""
+        return self._forward.distances(*self._signals())
 
     def _inset(self, known: FloatArray, points_mm: FloatArray, here: XY) -> InsetDistribution:
         away = np.subtract(here, self._offset_mm[0])

@@ -32,6 +32,7 @@ from touchdown.backend.core import (
 from touchdown.backend.devices import Arm, Device, Gripper, GuardedArm, GuardedGripper, Interlock
 from touchdown.backend.geometry import Outline, Piece, PieceLibrary
 from touchdown.backend.learning import PatchCalibration
+from touchdown.backend.learning.fused import Guard
 from touchdown.backend.placement import SupportTower
 from touchdown.backend.runs.recorder import RunStore
 from touchdown.backend.runs.requests import RunStatus, SceneChoice
@@ -214,6 +215,7 @@ class Bench(SceneFacts):
     is the wrist sensor above the grasp pivot, None if unknown. ``below`` is the tower under the
     touched surface as entered, None for a single bottom. ``placed`` holds the calibrated positions
     of board and tool. ``started_ns`` is the wall clock at bench time zero, ns since 1970.
+    ``guard``: comparison of the signals with a calibration.
     """
 
     now_s: Callable[[], float]
@@ -234,6 +236,7 @@ class Bench(SceneFacts):
     below: SupportTower | None = None
     placed: CalibratedPositions = UNCALIBRATED
     started_ns: int = 0
+    guard: Guard | None = None
 
 
 SCENE_TIMEOUT_S = 120.0  # longest time to set a scene, with emulated devices to start
@@ -281,6 +284,9 @@ class RunContext(Protocol):
 
     def open_record(self) -> None:
         """Open event log and episode store of the run; raises ``InputError``."""
+
+    def guard_of(self, method: StackSettings) -> Guard | None:
+        """Return the guard of the network of ``method`` here, None without a calibration."""
 
     def set_scene(self, choice: SceneChoice, method: StackSettings) -> Bench:
         """Build a new scene, whose clock starts at zero, and return its bench."""

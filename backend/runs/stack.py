@@ -36,6 +36,7 @@ from touchdown.backend.learning.fused import (
     find_certificate,
     method_sha256,
     shipped_path,
+    signal_score,
 )
 from touchdown.backend.placement import (
     GraspedPiece,
@@ -119,7 +120,7 @@ def place_piece(bench: Bench) -> Plan[TrialResult]:
     yield from take_piece(bench)
     here = bench.arm.pose(max_age_s=0.2)
     strategy = make_strategy(grasped_piece(bench), bench.settings, (here.x_mm, here.y_mm))
-    approved = False
+    approved, counted = False, False
     probe = 0
     while True:
         yield PausePoint()
@@ -136,6 +137,9 @@ def place_piece(bench: Bench) -> Plan[TrialResult]:
             continue
         judged = yield from _judge(bench, pressed, strategy)
         action = judged.action
+        if not counted and action.kind != "shift":
+            counted = True
+            yield from _count_signals(bench, strategy)
         bench.store.keep(pressed.episode)
         held_s = judged.at_s - pressed.ended_s
         late = held_s > bench.settings.probe.verdict_wait_s
@@ -215,7 +219,9 @@ def _probe_or_search(
 
 def _asks(bench: Bench, action: PlaceAction) -> bool:
     """Return True if ``action`` needs the operator's yes."""
-    return action.kind == "ask" or bench.settings.mode != "auto"
+    withdrawn = bench.guard is not None and bench.guard.withdrawn
+    unsure = action.kind == "ask" or (action.kind == "release" and withdrawn)
+    return unsure or bench.settings.mode != "auto"
 
 
 def _unapproved(bench: Bench, action: PlaceAction, probe: int) -> Plan[TrialResult | None]:
@@ -225,6 +231,8 @@ def _unapproved(bench: Bench, action: PlaceAction, probe: int) -> Plan[TrialResu
     if not _asks(bench, action):
         return None
     alone = bench.settings.mode == "auto"
+    if alone and bench.guard is not None and bench.guard.withdrawn:
+        action = replace(action, reason=f"{action.reason} {bench.guard.describe()}")
     if alone and not bench.prompt.attended:
         return TrialResult(Outcome.ASKED, f"{action.reason} {NOBODY}", probe)
     patience_s = PATIENCE_S if alone else math.inf
@@ -243,6 +251,16 @@ def _shift(bench: Bench, strategy: Strategy, action: PlaceAction, probe: int) ->
         assert isinstance(strategy, SearchingStrategy)
         action = strategy.go_on()
     yield from shift_piece(bench, action.step_mm, probe)
+
+
+def _count_signals(bench: Bench, strategy: Strategy) -> Plan[None]:
+    """Compare the signals of the trial so far with those of the calibration, once a trial."""
+    if bench.guard is None or not isinstance(strategy, SearchingStrategy):
+        return
+    withdrawn = bench.guard.withdrawn
+    bench.guard.observe(bench.piece.name, signal_score(strategy.signal_distances()))
+    if bench.guard.withdrawn and not withdrawn:
+        yield Said(bench.now_s(), bench.guard.describe())
 
 
 def _recorded(bench: Bench, pressed: PressedProbe) -> Plan[None]:
@@ -314,6 +332,7 @@ def stack_run(session: RunContext, request: StackRequest) -> Plan[None]:
     """Run all trials; ends early when cancelled, stopped or on a fault."""
     method = request.method(session.method)
     check_pieces(session, request)
+    guard = session.guard_of(method)
     record = {**session.check_scene(request.scene())}
     certified = request.strategy == "fused"
     if certified:
@@ -327,13 +346,17 @@ def stack_run(session: RunContext, request: StackRequest) -> Plan[None]:
     )  # fmt: skip
     if certified:
         yield Said(0.0, status.message)
+    if guard is not None:
+        yield Said(0.0, guard.describe())
     for trial in range(request.trials):
-        bench = session.set_scene(request.scene(trial), method)
+        bench = replace(session.set_scene(request.scene(trial), method), guard=guard)
         seed = request.seed + trial
         start_mm = None if bench.scoring is None else bench.scoring.start_mm()
         yield TrialStarted(bench.now_s(), trial + 1, seed, start_mm)
         at_mm = outcome.trial_start_mm(session, request, trial) if bench.scoring is None else None
         ended = yield from run_to_end(bench, _placing(bench, request, at_mm))
+        if guard is not None and (problem := guard.save()):
+            yield Said(bench.now_s(), problem)
         ending, run_ending = ended.value, ended.run_ending
         if ending is None:
             ending = TrialResult(Outcome.ABORTED, ended.reason, bench.status().estimated)

@@ -113,7 +113,7 @@ class StandInBench:
     identity, method = BenchIdentity("stand-in"), StackSettings()
     name, limits_source, connection = "", "the program itself", None
     usual, hand, model, dataset = SceneChoice(), None, None, None
-    calibrations = None
+    calibrations = guard = None
     degraded = ()
     drift = None
 
@@ -169,6 +169,9 @@ class StandInBench:
 
     def answer(self, yes):
         self.answers.append(yes)
+
+    def guard_of(self, method):
+        return self.guard if method.strategy == "fused" else None
 
     def decide(self, decision):
         self.decisions.append(decision)

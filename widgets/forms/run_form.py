@@ -82,6 +82,7 @@ class RunPanel(Panel):
         self._model = ElidedLabel("small")
         self._certificate = label("", "small", wrap=True)
         self._certificate.setAccessibleName("Certificate")
+        self._signals = label("", "small", wrap=True)
         set_entries(self._strategy, STRATEGIES)
         set_entries(self._mode, MODES)
         self.start = QPushButton("Start stacking")
@@ -124,7 +125,7 @@ class RunPanel(Panel):
         self._origin_words = fields.add_halves(8, ("Origin x", x, ""), ("y", y, "", "Origin y"))
         self.show_devices(False)
         self.column.addLayout(fields)
-        add_items(self.column, self._certificate)
+        add_items(self.column, self._certificate, self._signals)
         self.column.addSpacing(2)
         add_items(self.column, self.start, hbox((self.pause, 1), (self.cancel, 1)))
 
@@ -149,6 +150,11 @@ class RunPanel(Panel):
         self._certificate.setText(text)
         self._certificate.setToolTip(scope)
         self._certificate.setAccessibleDescription(f"{text} {scope}")
+
+    def show_signals(self, text: str) -> None:
+        """Show how the signals compare with their calibration; "" hides the line."""
+        self._signals.setText(text)
+        self._signals.setVisible(bool(text))
 
     def show_devices(self, devices: bool) -> None:
         """Show the origin fields, needed by real devices only."""

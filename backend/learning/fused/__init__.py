@@ -9,6 +9,7 @@ if TYPE_CHECKING:
         certificate,
         checkpoint,
         features,
+        guard,
         inference,
         training,
     )

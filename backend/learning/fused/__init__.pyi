@@ -25,6 +25,15 @@ from .features import GraspedFace as GraspedFace
 from .features import InputPart as InputPart
 from .features import acting_point_mm as acting_point_mm
 from .features import wrench_at_sensor as wrench_at_sensor
+from .guard import ALARM as ALARM
+from .guard import Guard as Guard
+from .guard import GuardCalibration as GuardCalibration
+from .guard import GuardFile as GuardFile
+from .guard import PowerMartingale as PowerMartingale
+from .guard import ScoreRanks as ScoreRanks
+from .guard import guard_path as guard_path
+from .guard import open_guard as open_guard
+from .guard import signal_score as signal_score
 from .inference import FusedForward as FusedForward
 from .inference import InsetDistribution as InsetDistribution
 from .training import MARGIN_REACH_MM as MARGIN_REACH_MM
@@ -33,6 +42,7 @@ from .training import FusedTraining as FusedTraining
 from .training import data_sha256 as data_sha256
 
 __all__ = [
+    "ALARM",
     "MARGIN_REACH_MM",
     "RISK_LIMIT",
     "SENSOR_MM",
@@ -46,24 +56,32 @@ __all__ = [
     "FusedTrainer",
     "FusedTraining",
     "GraspedFace",
+    "Guard",
+    "GuardCalibration",
+    "GuardFile",
     "InputPart",
     "InsetDistribution",
+    "PowerMartingale",
     "ReleaseCertificate",
     "ReleaseClaim",
     "ReleaseCounts",
+    "ScoreRanks",
     "acting_point_mm",
     "attempt_error",
     "attempts_path",
     "certificate_of_attempt",
     "data_sha256",
     "find_certificate",
+    "guard_path",
     "join_networks",
     "load_fused",
     "method_sha256",
+    "open_guard",
     "releases_needed",
     "risk_bound",
     "shipped_fused",
     "shipped_path",
+    "signal_score",
     "wrench_at_sensor",
     "write_certificate",
 ]

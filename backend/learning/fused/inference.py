@@ -13,8 +13,10 @@ from numpy.typing import NDArray
 from touchdown.backend.core import FloatArray
 from touchdown.backend.learning.fused.features import (
     LENGTH_MM,
+    PROBE_INPUTS,
     FusedShape,
     GraspedFace,
+    centre_fields,
     probe_inputs,
     shared_arrays,
     weight_shapes,
@@ -26,6 +28,8 @@ LEAST_LOG_SD, MOST_LOG_SD = -4.0, 2.0
 # 14,000 training probes exceeded 40.
 FARTHEST_SD = 100.0
 POINT_LAYERS = ("about", "point", "both", "answer")
+LARGEST_SD = 4.0  # limit of one input in the distance from the training data
+LATE = 5  # first of the eight ticks at which the marker fields are large
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,16 +103,35 @@ class FusedForward:
         ``wrench`` (P, 8, 6) in N and N·m, ``field`` (P, 8, 252) in px, ``offset_mm`` (P, 2). NaN
         from the first probe that differs too much from the training data.
         """
-        probes = probe_inputs(wrench, field, offset_mm, face, self._modes)
-        piece = np.broadcast_to(face.inputs(), (len(probes), face.inputs().shape[-1]))
-        x = np.concatenate([probes, piece], axis=-1)
-        x = (x - self._mean) / self._scale
+        x = self._standardised(wrench, field, offset_mm, face)
         x = np.where(np.abs(x) <= FARTHEST_SD, x, np.nan)[None]
         x = self._linear("probe2", _relu(self._linear("probe", x)))
         for layer in range(self._shape.layers):
             x = x + self._attended(layer, _rms_norm(x))
             x = x + self._linear(f"{layer}.down", _relu(self._linear(f"{layer}.up", _rms_norm(x))))
         return _rms_norm(x).swapaxes(0, 1)
+
+    def distances(
+        self, wrench: Array, field: Array, offset_mm: FloatArray, face: GraspedFace
+    ) -> tuple[float, float]:
+        """Return mean square of the standardised inputs, and share of field energy it cannot see.
+
+        Arguments as for ``known``. NaN for signals that are not finite.
+        """
+        inputs = self._standardised(wrench, field, offset_mm, face)[:, :PROBE_INPUTS]
+        fields, modes = centre_fields(field), self._modes.astype(np.float64)
+        seen = (fields @ modes.swapaxes(-1, -2)) @ modes
+        late = np.s_[:, :, LATE:]
+        unseen = float(((fields - seen)[late] ** 2).sum() / (fields[late] ** 2).sum())
+        return float((np.clip(inputs, -LARGEST_SD, LARGEST_SD) ** 2).mean()), unseen
+
+    def _standardised(
+        self, wrench: Array, field: Array, offset_mm: FloatArray, face: GraspedFace
+    ) -> FloatArray:
+        probes = probe_inputs(wrench, field, offset_mm, face, self._modes)
+        piece = np.broadcast_to(face.inputs(), (len(probes), face.inputs().shape[-1]))
+        x = np.concatenate([probes, piece], axis=-1)
+        return np.asarray((x - self._mean) / self._scale)
 
     def inset(
         self, known: FloatArray, points_mm: FloatArray, from_first_mm: FloatArray

@@ -17,10 +17,12 @@ from touchdown.backend.core.events import (
     RunFinished,
     RunStarted,
     StabilityJudged,
+    TrialFinished,
     TrialStarted,
 )
 from touchdown.backend.core.values import Fall, Outcome
 from touchdown.backend.geometry import Surface, load_pieces
+from touchdown.backend.learning.fused import Guard, GuardCalibration
 from touchdown.backend.runs.requests import RunState, StackRequest
 from touchdown.widgets.base import Panel, Theme
 from touchdown.widgets.views.scene import UPRIGHT, SideBody, SideView
@@ -336,3 +338,25 @@ def test_certificate_of_the_form_is_shown_with_its_reason(live, bench):
     assert shown.text() == "No certificate for this bench: none was made."
     run.show_certificate("Unsafe \u2264 1.0 % of releases.", "For pot.")
     assert (shown.toolTip(), shown.accessibleName()) == ("For pot.", "Certificate")
+
+
+def test_signals_that_differ_are_shown_until_the_operator_resets_the_guard(live, bench):
+    bench.guard = Guard(GuardCalibration(
+        bench="b", bench_sha256="b", code="c", date="2026-01-01", scores={"pot": (1.0,) * 99}
+    ))  # fmt: skip
+    live.go("stack")
+    page, presenter = live.workspaces["stack"].page, live.workspaces["stack"].presenter
+    run = page.run
+    assert run._signals.isHidden(), "the paper's strategy has no guard"
+    run.show_form(replace(run.form(), strategy="fused"))
+    assert run._signals.text() == "Signals look as in calibration (0 trials compared)."
+    for _ in range(5):
+        bench.guard.observe("pot", 9.0)
+    presenter.take(TrialFinished(9.0, 1, 7, Outcome.ASKED, "why", 2, None, None))
+    assert run._signals.text().startswith(
+        "Signals differ from calibration: each release is asked ("
+    )
+    bench.guard.reset("new gels")
+    presenter.show_model()
+    assert run._signals.text() == "Signals look as in calibration (0 trials compared)."
+    assert bench.prompt.attended

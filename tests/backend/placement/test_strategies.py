@@ -230,6 +230,23 @@ def test_where_it_stays_unsure_it_probes_elsewhere_then_asks_whether_to_go_on(
     assert kinds == ["shift", "ask"], "as many probes again"
 
 
+def test_signals_outside_the_typical_marker_fields_are_far_from_the_training_data(
+    presses: list[TrialPresses],
+) -> None:
+    usual, _ = concluded(presses, 0)
+    inputs, unseen = usual.signal_distances()
+    assert 0.1 < inputs < 4.0
+    assert unseen < 0.002
+    rng = np.random.default_rng(3)
+    torn = []
+    for felt in presses:
+        observation = felt.observation.copy()
+        observation[..., :252] += rng.normal(scale=8.0, size=252)
+        torn.append(replace(felt, observation=observation))
+    strange, _ = concluded(torn, 0)
+    assert strange.signal_distances()[1] > 0.02
+
+
 @pytest.mark.parametrize(
     ("policy", "fused", "why"),
     [

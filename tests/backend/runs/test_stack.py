@@ -1,22 +1,44 @@
-"""Questions of a run where it stays unsure."""
+"""Questions of a run where it is unsure: signals that differ from calibration, no place found."""
 
 import pytest
 
 from tests.backend.bench.brisk import brisk_method, on
 from tests.backend.runs.oracle_bench import OracleSession, request
 from touchdown.backend.config.method import FusedSettings, PolicySettings
-from touchdown.backend.core import ApprovalAwaited, Outcome, Released, RunFinished, TrialFinished
+from touchdown.backend.core import (
+    ActionChosen,
+    ApprovalAwaited,
+    Outcome,
+    Released,
+    RunFinished,
+    Said,
+    TrialFinished,
+)
+from touchdown.backend.learning.fused import Guard, GuardCalibration
 from touchdown.backend.runs import stack
 
+BOLD = {"risk": 0.999, "inset_mm": 0.0}  # releases at the first place
 SHY = {"risk": 1e-6, "inset_mm": 6.0}  # never does
 
 
-def fused_bench(fused, *, attended=False):
-    """Return a bench on which ``fused`` decides after one probe."""
+def fused_bench(fused, guard=None, *, attended=False):
+    """Return a bench on which ``fused`` decides after one probe, with a guard."""
     changes = {"policy": PolicySettings(max_probes=1), "fused": FusedSettings(**fused)}
     bench = OracleSession(method=brisk_method().model_copy(update=changes))
+    bench.session.guard_of = lambda method: guard
     bench.session.prompt.attended = attended
     return bench
+
+
+def withdrawn_guard():
+    scores = {"pot": tuple(float(k) for k in range(100))}
+    guard = Guard(
+        GuardCalibration(bench="b", bench_sha256="b", code="c", date="2026-01-01", scores=scores)
+    )
+    for _ in range(5):
+        guard.observe("pot", 1e9)
+    assert guard.withdrawn
+    return guard
 
 
 def trial_of(bench):
@@ -27,8 +49,29 @@ def trial_of(bench):
     return end
 
 
+def test_without_a_person_a_release_after_the_alarm_ends_as_asked():
+    guard = withdrawn_guard()
+    bench = fused_bench(BOLD, guard)
+    end = trial_of(bench)
+    assert end.outcome is Outcome.ASKED
+    assert "Signals differ from calibration: each release is asked" in end.reason
+    assert end.reason.endswith("Nobody is there to ask: the piece stays in the gripper.")
+    assert not bench.of(ApprovalAwaited)
+    assert len(guard.state.observed) == 6, "the trial itself is counted"
+    assert any(said.text == guard.describe() for said in bench.of(Said)), "in the run log"
+
+
+def test_a_yes_presses_and_judges_again_before_the_jaws_open():
+    bench = fused_bench(BOLD, withdrawn_guard(), attended=True)
+    on(bench.session, ApprovalAwaited, lambda _: bench.session.answer(True))
+    end = trial_of(bench)
+    assert end.outcome in (Outcome.PLACED, Outcome.FELL)
+    assert [asked.action.kind for asked in bench.of(ApprovalAwaited)] == ["release"]
+    assert [chosen.action.kind for chosen in bench.of(ActionChosen)] == ["release"] * 2
+
+
 def test_stop_works_while_the_question_is_open_and_no_answer_opens_the_jaws_after_it():
-    bench = fused_bench(SHY, attended=True)
+    bench = fused_bench(BOLD, withdrawn_guard(), attended=True)
 
     def stop(_: ApprovalAwaited) -> None:
         bench.session.stop()
@@ -42,7 +85,7 @@ def test_stop_works_while_the_question_is_open_and_no_answer_opens_the_jaws_afte
 
 def test_without_an_answer_the_question_ends_and_a_late_yes_has_no_effect(monkeypatch):
     monkeypatch.setattr(stack, "PATIENCE_S", 1.0)
-    bench = fused_bench(SHY, attended=True)
+    bench = fused_bench(BOLD, withdrawn_guard(), attended=True)
     end = trial_of(bench)
     assert end.outcome is Outcome.ASKED
     assert "No answer within" in end.reason

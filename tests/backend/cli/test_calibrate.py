@@ -239,7 +239,7 @@ def test_each_campaign_has_a_seed_of_its_own_unless_one_is_named(data_set) -> No
 
     def seed(*words: str) -> int:
         with Dataset.open(data_set, write=False) as opened:
-            return collect._request(parser.parse_args(list(words)), opened, "ann").seed
+            return collect._request(parser.parse_args(list(words)), None, opened, "ann").seed
 
     assert seed() != seed()
     assert (seed("--seed", "7"), seed("--seed", "0")) == (7, 0)

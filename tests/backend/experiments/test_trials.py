@@ -293,4 +293,6 @@ def test_learned_fusion_presses_elsewhere() -> None:
     assert end.outcome is Outcome.ASKED
     assert end.probes == 1
     assert end.steps[0].offset_mm == pytest.approx((BESIDE_MM + 3.0, 0.0))
-    assert ended("fused", 1).reason == "No contact was found after 1 probes, the most allowed."
+    assert (
+        ended("fused", 1).reason == "No contact was found after 1 probe: go on probing 3.0 mm away?"
+    )

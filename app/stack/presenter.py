@@ -23,6 +23,7 @@ from touchdown.app.stack.comparison import strategy_by_name
 from touchdown.app.stack.page import StackPage
 from touchdown.backend.bench import Session
 from touchdown.backend.core import Event, InputError, Outcome, RefusedError, TrialFinished
+from touchdown.backend.geometry import LEAST_WEIGHED_G
 from touchdown.backend.runs import (
     DecisionMode,
     RunState,
@@ -109,7 +110,15 @@ class StackPresenter:
         form, run = self._page.run.form(), self._page.run
         words = run_model_caption(form.piece, form.strategy)
         run.show_model(words.short, words.full)
-        bench, request = self._bench, stack_request(form)
+        bench = self._bench
+        pieces = bench.catalogue.pieces
+        heavy = form.piece in pieces and pieces[form.piece].mass_g >= LEAST_WEIGHED_G
+        run.show_weigh(heavy)
+        if form.strategy != "fused":
+            run.show_certificate("", "")
+            run.show_signals("")
+            return
+        request = stack_request(run.form())
         try:
             status = certificate_status(bench.identity, bench.method, request)
             guard = bench.guard_of(request.method(bench.method))

@@ -26,7 +26,7 @@ STRATEGIES = (
     ("zero-wrench", "Release at zero wrench"),
     ("pick-and-place", "Pick and place"),
 )
-MODES = (("auto", "Auto: no questions"), ("approve", "Approve each move"), ("step", "Step by step"))
+MODES = (("auto", "Auto: asks if unsure"), ("approve", "Approve each move"), ("step", "Step by step"))
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,10 +146,20 @@ class RunPanel(Panel):
         self._model.setAccessibleName(f"Model: {short}")
 
     def show_certificate(self, text: str, scope: str) -> None:
-        """Show what is known about the risk of a release; the tool tip has its scope."""
+        """Show what is known about the risk of a release; the tool tip has its scope.
+
+        "" hides the line.
+        """
         self._certificate.setText(text)
+        self._certificate.setVisible(bool(text))
         self._certificate.setToolTip(scope)
         self._certificate.setAccessibleDescription(f"{text} {scope}")
+
+    def show_weigh(self, possible: bool) -> None:
+        """Offer to weigh the piece first; ``possible``: it is heavy enough."""
+        self._weigh.setVisible(possible)
+        if not possible:
+            self._weigh.setChecked(False)
 
     def show_signals(self, text: str) -> None:
         """Show how the signals compare with their calibration; "" hides the line."""

@@ -333,11 +333,23 @@ def test_certificate_of_the_form_is_shown_with_its_reason(live, bench):
     live.go("stack")
     run = live.workspaces["stack"].page.run
     shown = run._certificate
-    assert shown.text() == "No certificate for this bench: only learned fusion can have one."
+    assert (shown.text(), shown.isVisibleTo(run)) == ("", False)
     run.show_form(replace(run.form(), strategy="fused"))
     assert shown.text() == "No certificate for this bench: none was made."
     run.show_certificate("Unsafe \u2264 1.0 % of releases.", "For pot.")
     assert (shown.toolTip(), shown.accessibleName()) == ("For pot.", "Certificate")
+    assert shown.isVisibleTo(run)
+
+
+def test_weighing_is_offered_for_a_piece_that_is_heavy_enough(live, bench):
+    live.go("stack")
+    run = live.workspaces["stack"].page.run
+    assert not run._weigh.isVisibleTo(run)
+    run.show_form(replace(run.form(), piece="brick", weigh=True))
+    assert run._weigh.isVisibleTo(run)
+    assert run.form().weigh
+    run._piece.setCurrentIndex(run._piece.findData("pot"))
+    assert not run.form().weigh
 
 
 def test_signals_that_differ_are_shown_until_the_operator_resets_the_guard(live, bench):

@@ -1,0 +1,397 @@
+"""Identification: recordings, sensors, press model, fit, replay gate and bench file."""
+
+import json
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from touchdown.backend.annotations import Dataset
+from touchdown.backend.cli.command_line import main
+from touchdown.backend.config import ProbeSettings, load_simulation
+from touchdown.backend.core import InputError, MarkerField, Recording
+from touchdown.backend.experiments import identification_page
+from touchdown.backend.experiments.document import SIMULATED, check_svg
+from touchdown.backend.geometry import load_pieces
+from touchdown.backend.identification import read_recordings
+from touchdown.backend.identification.estimates import estimate, mean_estimate, spread_estimate
+from touchdown.backend.identification.fitting import ChannelNoise, GlsFit, Layout
+from touchdown.backend.identification.identify import (
+    Identification,
+    identified_settings,
+    write_identification,
+)
+from touchdown.backend.identification.press_model import (
+    PressModel,
+    field_basis,
+    project_fields,
+    unknowns_of,
+)
+from touchdown.backend.identification.recordings import (
+    STEPS,
+    Delays,
+    PressRecording,
+    PressSet,
+    RestRecording,
+    refuse_unusable,
+    sample_presses,
+)
+from touchdown.backend.identification.sensors import (
+    Spectrum,
+    arm_compliance,
+    delay_estimates,
+    estimate_delays,
+    flicker,
+    identify_rest,
+    quantum,
+    walk_rate,
+)
+from touchdown.backend.identification.stages import Gate, StageStore, split_grips
+from touchdown.backend.simulation import build_gel
+
+ONSET_S = 0.3
+
+
+def made_press(number=0, *, k_n_mm=5.0, wrench_late_s=0.0, markers_late_s=0.0, **changes):
+    """Return a press at a force of ``k_n_mm`` per mm of travel, with 17 px of shear per mm."""
+    t_s = np.arange(0.0, 2.4, 1e-3)
+    command_t = np.arange(0.0, 2.4, 1e-2)
+    rng = np.random.default_rng(number)
+
+    def depth(at_s):
+        after = np.clip(at_s - ONSET_S, 0.0, None)
+        fast = np.minimum(after, 0.1)
+        return 2.0 * fast + np.clip(after - 0.3, 0.0, 0.8)
+
+    wrench = np.zeros((len(t_s), 6))
+    wrench[:, 2] = k_n_mm * depth(t_s - wrench_late_s)
+    wrench += 0.02 * rng.standard_normal(wrench.shape)
+    pose = np.zeros((len(command_t), 3))
+    pose[:, 2] = 30.0 - np.where(command_t < ONSET_S, 2.0 * (command_t - ONSET_S), depth(command_t))
+    fields = []
+    for finger, phase in (("left", 0.003), ("right", 0.021)):
+        for k, at in enumerate(np.arange(phase, 2.4, 0.04)):
+            moved = np.zeros((63, 2))
+            moved[:, 1] = -17.0 * depth(at - wrench_late_s - markers_late_s)
+            moved += 0.02 * rng.standard_normal(moved.shape)
+            fields.append(
+                MarkerField(finger, k, at, 100.0 + moved, moved, np.zeros(63, np.uint8), 1.0, 0.0)
+            )
+    signals = {
+        "wrench_t_s": t_s, "wrench": wrench, "fields": tuple(sorted(fields, key=lambda f: f.t_s)),
+        "frames": (), "pose_t_s": command_t, "pose_mm": pose, "tare": np.zeros(6),
+        "command_t_s": command_t, "command_mm": pose,
+    }  # fmt: skip
+    facts = {
+        "uuid": f"u{number}", "grip": f"g{number // 4}", "mounting": f"m{number // 12}",
+        "piece": "pot", "bottom": "square15", "stage": "gel", "accepted": True,
+        "offset_mm": rng.uniform(-6, 6, 2), "sigma_mm": 0.15, "onset_s": ONSET_S,
+        "probe": ProbeSettings(),
+    }  # fmt: skip
+    signals |= {key: changes.pop(key) for key in list(changes) if key in signals}
+    return PressRecording(**{**facts, **changes}, signals=Recording(**signals))
+
+
+def made_set(offsets_mm, motion_mm, *, piece="mushroom", bottom="circle15", grips=None):
+    """Return presses along one path ``motion_mm`` (40, 3), without signals."""
+    count = len(offsets_mm)
+    grip = np.zeros(count, int) if grips is None else np.array(grips)
+    recordings = tuple(made_press(k, piece=piece, bottom=bottom) for k in range(count))
+    sd = np.repeat([0.1, 0.004], 3)
+    return PressSet(
+        recordings,
+        tuple(f"g{g}" for g in np.unique(grip)),
+        ("m0",),
+        grip,
+        mounting=np.zeros(count, int),
+        offset_mm=np.array(offsets_mm, float),
+        contact_mm=np.full(count, 33.0),
+        motion_mm=np.tile(motion_mm, (count, 1, 1)),
+        wrench=np.zeros((count, 20, 6)),
+        field_px=np.zeros((count, 20, 2, 63, 2)),
+        seen=np.ones((count, 20, 2, 63), bool),
+        air_wrench=np.zeros((count, 6)),
+        air_sd=np.tile(sd, (count, 1)),
+        air_px=np.zeros((count, 2, 2)),
+    )
+
+
+LIBRARY = load_pieces()
+
+
+@pytest.fixture(scope="module")
+def presses():
+    return [made_press(k) for k in range(24)]
+
+
+def test_good_presses_are_not_refused(presses):
+    refuse_unusable(presses, LIBRARY, "here")
+
+
+@pytest.mark.parametrize(
+    ("changes", "what"),
+    [
+        ({"grip": "one"}, "1 grippings"),
+        ({"mounting": "one"}, "1 mountings"),
+        ({"bottom": "short"}, "The bottom short can move"),
+        ({"offset_mm": np.zeros(2)}, "within 4 mm"),
+        ({"wrench_t_s": np.arange(2400) * 0.02}, "50 Hz"),
+        ({"pose_mm": np.zeros((240, 3))}, "the arm does not move"),
+        ({"wrench": np.full((2400, 6), 9.0)}, "saturated at 9.0 N"),
+        ({"fields": ()}, "the left camera gives fewer"),
+    ],
+)
+def test_unusable_recordings_are_refused_with_what_is_missing(changes, what):
+    bad = [made_press(k, **changes) for k in range(24)]
+    with pytest.raises(InputError) as refused:
+        refuse_unusable(bad, LIBRARY, "here")
+    assert what in refused.value.what
+    assert "ecord" in refused.value.fix
+
+
+def test_too_few_presses_are_refused(presses):
+    with pytest.raises(InputError, match="3 presses"):
+        refuse_unusable(presses[:3], LIBRARY, "here")
+
+
+def test_an_empty_dataset_has_no_recordings(tmp_path):
+    with Dataset.open(tmp_path / "ds", person="ann") as dataset:
+        found = read_recordings(dataset)
+    assert (found.presses, found.rest) == ((), None)
+
+
+def test_signals_count_from_the_air_before_contact():
+    late = made_press(0, wrench_late_s=0.02, markers_late_s=0.03)
+    found = sample_presses([late], Delays(0.02, 0.05))
+    depth = 1.0  # of the hand at the end: 0.2 mm of descent, 0.8 mm of ramp
+    assert found.motion_mm[0, -1, 2] == pytest.approx(-depth, abs=1e-9)
+    assert found.wrench[0, -1, 2] == pytest.approx(5.0 * depth, abs=0.02)
+    assert found.field_px[0, -1, 0, :, 1].mean() == pytest.approx(-17.0 * depth, abs=0.05)
+    assert found.contact_mm[0] == pytest.approx(30.0)
+
+
+def test_the_rate_of_a_random_walk_lies_within_its_uncertainty():
+    pulls = []
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        walk = 0.02 * np.cumsum(rng.standard_normal((4000, 3)), axis=0) / np.sqrt(20.0)
+        values = walk + 0.05 * rng.standard_normal(walk.shape)
+        means = values.reshape(200, 20, 3).mean(axis=1)
+        rate, sd = walk_rate(means, 0.05**2 / 20, 1.0)
+        pulls.append((rate - 0.02) / sd)
+    assert np.mean(np.abs(pulls) < 1.96) >= 0.9
+    assert abs(np.mean(pulls)) < 0.5
+
+
+@pytest.mark.parametrize(("wrench_s", "markers_s"), [(0.0, 0.0), (0.03, 0.02), (0.008, 0.06)])
+def test_delays_are_recovered(wrench_s, markers_s):
+    made = [made_press(k, wrench_late_s=wrench_s, markers_late_s=markers_s) for k in range(6)]
+    estimates, taken = delay_estimates(estimate_delays(made))
+    found = {e.key: e for e in estimates}
+    assert found["delay.pose_wrench"].value == pytest.approx(wrench_s, abs=0.003)
+    assert found["delay.wrench_markers"].value == pytest.approx(markers_s, abs=0.004)
+    assert taken.markers_s == pytest.approx(wrench_s + markers_s, abs=0.005)
+
+
+def test_the_stiffness_of_the_arm_follows_from_command_pose_and_force():
+    def yielding(press):
+        s = press.signals
+        force = np.interp(s.pose_t_s, s.wrench_t_s, s.wrench[:, 2])
+        command = s.pose_mm - np.stack([0 * force, 0 * force, force / 15.0], axis=1)
+        return replace(press, signals=replace(s, command_mm=command))
+
+    found = {e.key: e for e in arm_compliance([yielding(made_press(k)) for k in range(6)])}
+    one = found["arm.stiffness_z"]
+    assert one.low < 15.0 < one.high
+
+
+def test_rest_gives_noise_timing_and_losses():
+    rng = np.random.default_rng(3)
+    t_s = np.arange(0.0, 60.0, 2e-3)
+    wrench = rng.standard_normal((len(t_s), 6)) * np.repeat([0.07, 0.003], 3)
+    fields = []
+    for finger in ("left", "right"):
+        for k in range(1500):
+            if k % 100 == 7:
+                continue
+            moved = 0.04 * rng.standard_normal((63, 2))
+            at = 0.04 * k + rng.uniform(-0.005, 0.005)
+            fields.append(
+                MarkerField(finger, k, at, moved, moved, np.zeros(63, np.uint8), 1.0, 0.0)
+            )
+    rest = Recording(t_s, wrench, tuple(fields), (), t_s[:2], np.zeros((2, 3)), np.zeros(6))
+    levels = (np.full(20, 100.0), 100.0 * (1.0 + 0.01 * (-1.0) ** np.arange(20)))
+    found = identify_rest(RestRecording((rest,), levels, lossless=True))
+    true = {"wrist.white_n": 0.07, "wrist.white_nm": 0.003, "tactile.white_px": 0.04,
+            "tactile.jitter_s": 0.005, "tactile.rate_hz": 25.0, "wrist.rate_hz": 500.0}  # fmt: skip
+    for one in found.estimates:
+        if one.key in true:
+            assert one.value == pytest.approx(true[one.key], rel=0.03), one.key
+    shares = {one.key: one.value for one in found.estimates}
+    assert shares["tactile.drop_share"] == pytest.approx(0.01, abs=1e-3)
+    assert shares["wrist.drift_n_sqrt_min"] < 0.01
+    assert dict(found.facts)["flicker, right"].startswith("1.000 %")
+
+
+def test_compressed_images_give_a_bound_only():
+    assert flicker(np.full(20, 100.0), lossless=False).startswith("at least")
+    assert "not recorded" in flicker(np.zeros(0), lossless=True)
+
+
+def test_a_quantised_signal_shows_its_step():
+    rng = np.random.default_rng(0)
+    values = np.round(rng.standard_normal((5000, 1)) / 0.05) * 0.05
+    assert quantum(values) == pytest.approx(0.05)
+    assert quantum(rng.standard_normal((5000, 1))) == 0.0
+
+
+def test_intervals_of_means_and_spreads_cover_the_truth():
+    covered = np.zeros(2)
+    for seed in range(400):
+        rng = np.random.default_rng(seed)
+        draws = 4.0 * (1.0 + 0.1 * rng.standard_normal(8))
+        seen = draws + 0.1 * rng.standard_normal(8)
+        mean = mean_estimate("grasp.shear_n_mm", seen, np.full(8, 0.1))
+        spread = spread_estimate("spread.gel", seen / seen.mean() - 1.0, np.full(8, 0.025), 7)
+        covered += (mean.low < 4.0 < mean.high, spread.low < 0.1 < spread.high)
+    assert (covered / 400 >= 0.93).all()
+
+
+NOMINAL, LIBRARY = load_simulation(), load_pieces()
+RAMP = np.minimum(1.0, np.arange(1, STEPS + 1) / 30.0)[:, None]
+
+
+# Fx, Fz and T at the wrist of the mushroom on circle15, docs/bench-physics 3.8: end of the hold
+@pytest.mark.parametrize(
+    ("offset", "force", "moment"),
+    [
+        ((9, 0), (0.794, 0.0, 7.699), (0.0, -0.0943)),
+        ((7, 7), (0.589, 0.795, 7.692), (0.0918, -0.0699)),
+    ],
+)
+def test_the_model_agrees_with_the_published_vectors(offset, force, moment):
+    # The table commands 1.5 mm to an arm of 30, 30, 15 N/mm; here the hand itself is prescribed.
+    hand = np.array([force[0] / 30.0, force[1] / 30.0, force[2] / 15.0 - 1.5])
+    presses = made_set([offset], RAMP * hand)
+    values = {u.name: np.full(1, u.start) for u in unknowns_of(NOMINAL)} | {"alpha": np.zeros(1)}
+    found = PressModel(presses, NOMINAL, LIBRARY).predict(values)[0, -1]
+    assert found[:3] == pytest.approx(force, rel=0.01, abs=0.01)
+    assert found[3:5] == pytest.approx(moment, rel=0.02, abs=5e-4)
+
+
+def test_amplitudes_of_a_field_are_found_without_its_hidden_markers():
+    gel = build_gel((1 / 17.0, 1 / 16.0), 1.9, (7.0, 6.0), 0.01)
+    strain = np.array([[[0.1, -0.9, 0.01], [0.2, -0.8, -0.02]]])
+    field = gel.displacement_px(strain, np.full((1, 2), 11.0), np.full(1, 10.0))
+    seen = np.ones((1, 2, 63), bool)
+    seen[:, :, :9] = False
+    field[:, :, :9] = 99.0
+    found, misfit = project_fields(field, seen, field_basis(1.9, (7.0, 6.0)))
+    scale = np.array([17.0, 16.0])[:, None]
+    np.testing.assert_allclose(found[0, :, :3], scale * strain[0], atol=1e-6)
+    assert misfit.max() < 1e-9
+
+
+@pytest.mark.slow
+def test_a_fit_recovers_stiffness_and_scale():
+    offsets = [(5, 1), (-4, 3), (2, -6), (-6, -3)]
+    path = RAMP * (0.0, 0.0, -1.0)
+    presses = made_set(offsets, path, piece="pot", bottom="square15", grips=[0, 0, 1, 1])
+    presses = replace(presses, contact_mm=np.full(4, 30.0))
+    unknowns = unknowns_of(NOMINAL)
+    layout = Layout(unknowns, presses.mounting, presses.grip)
+    model = PressModel(presses, NOMINAL, LIBRARY)
+    start = layout.vector(lambda u: float(u.inner(u.start)))
+    true = start.copy()
+    true[layout.parts["shear"]] = np.log([5.5, 3.0])
+    true[layout.parts["scale_left"]] = np.log([15.0, 18.0])
+    noise = ChannelNoise(np.repeat([0.01, 4e-4, 0.02, 0.02], 3), np.full(12, 1e-4), np.zeros(12))
+    fit = GlsFit(model, layout, model.predict(layout.values(true)), noise)
+    found = fit.run(start, rounds=1, evaluations=4)
+    for name in ("shear", "scale_left", "scale_right"):
+        part = layout.parts[name]
+        np.testing.assert_allclose(found.x[part], true[part], atol=0.05)
+    assert (found.sigma[layout.parts["shear"]] < 0.02).all()
+
+
+def test_whole_grippings_are_held_out_from_every_mounting():
+    recordings = [made_press(k) for k in range(24)]
+    presses = made_set(np.zeros((24, 2)), RAMP * (0.0, 0.0, -1.0), grips=np.arange(24) // 4)
+    presses = replace(presses, recordings=tuple(recordings), mounting=np.arange(24) // 12)
+    fitted, held = split_grips(presses)
+    assert set(presses.grip[held]) == {2, 5}
+    assert not set(presses.grip[held]) & set(presses.grip[fitted])
+    with pytest.raises(InputError, match="held out"):
+        split_grips(presses.take(np.arange(8)))
+
+
+def test_a_finished_stage_is_not_computed_again(tmp_path):
+    store = StageStore(tmp_path / "stages", "inputs")
+    assert store.get("gel", lambda: {"x": [1.0]}) == {"x": [1.0]}
+    assert store.get("gel", lambda: pytest.fail("computed twice")) == {"x": [1.0]}
+    assert StageStore(tmp_path / "stages", "others").get("gel", lambda: {"x": []}) == {"x": []}
+
+
+def test_a_bench_that_predicts_no_better_is_refused():
+    table = np.ones((3, 8))
+    gate = Gate(table, table, 0.4, 3, 4, 20, np.zeros((3, 20, 2)))
+    assert gate.accepted
+    assert not replace(gate, share=1.2).accepted
+    assert not replace(gate, better=2).accepted
+
+
+def test_only_sharp_estimates_enter_the_bench():
+    estimates = (
+        estimate("grasp.shear_n_mm", 5.0, 0.2), estimate("tactile.mm_per_px.1", 0.061, 0.001),
+        estimate("grasp.torsion_nmm_rad", 300.0, 90.0), estimate("mu_grip", 0.6, 0.02),
+        estimate("delay.pose_wrench", 0.02, 1e-3), estimate("grasp.hysteresis_share", 0.2, 0.01),
+    )  # fmt: skip
+    found, used = identified_settings(NOMINAL, estimates)
+    assert used == ("grasp.shear_n_mm", "tactile.mm_per_px.1", "mu_grip", "grasp.hysteresis_share")
+    assert (found.grasp.shear_n_mm, found.mu_grip) == (5.0, 0.6)
+    assert found.grasp.hysteresis
+    assert found.tactile.mm_per_px == (0.058, 0.061)
+    assert found.grasp.torsion_nmm_rad == NOMINAL.grasp.torsion_nmm_rad
+
+
+def made_identification(share):
+    series = np.ones((3, 20, 2)) * np.arange(1.0, 4.0)[:, None, None]
+    gate = Gate(np.full((3, 8), 9.0), np.full((3, 8), 2.0), share, 3, 3, 18, series)
+    estimates = (estimate("grasp.shear_n_mm", 5.0, 0.2), estimate("wrist.white_n", 0.07, 1e-3))
+    settings, used = identified_settings(NOMINAL, estimates)
+    spectra = (Spectrum("wrist, N", "N", np.arange(1.0, 9.0), np.arange(1.0, 9.0)),)
+    return Identification(
+        settings, NOMINAL, estimates, used, gate, ("shear",), np.ones((1, 1)), spectra,
+        (("frames", "10"),), (("mu", "a drag"),), 1.2, 54, 9, simulated=True,
+    )  # fmt: skip
+
+
+def test_the_result_is_a_bench_file_figures_and_a_page(tmp_path):
+    found = made_identification(0.3)
+    figures = write_identification(found, tmp_path / "lab.toml", "LAB")
+    bench = load_simulation(tmp_path / "lab.toml")
+    assert bench == found.settings
+    assert bench.grasp.shear_n_mm == 5.0
+    stored = json.loads(figures.read_text())
+    assert stored["accepted"]
+    assert stored["randomisation"]["grasp.shear_n_mm"] == pytest.approx([4.608, 5.392], abs=1e-3)
+    page = identification_page(found, "LAB")
+    for text in (found.reason, "grasp.shear_n_mm", "a drag", "Noise spectra", SIMULATED):
+        assert text in page
+    for svg in re.findall(r"<svg.*?</svg>", page, re.DOTALL):
+        check_svg(svg)
+
+
+def test_a_refused_bench_is_not_written(tmp_path):
+    write_identification(made_identification(1.4), tmp_path / "lab.toml", "LAB")
+    assert [path.name for path in tmp_path.iterdir()] == ["lab.json"]
+
+
+def test_a_dataset_without_presses_is_refused_by_the_command(tmp_path, capsys):
+    Dataset.open(tmp_path / "ds", person="ann").close()
+    words = ["identify", str(tmp_path / "ds"), "--out", str(tmp_path / "lab.toml")]
+    assert main(words) == 2
+    error = capsys.readouterr().err
+    assert "0 presses" in error
+    assert "collect --plan gel" in error

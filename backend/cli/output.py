@@ -206,12 +206,16 @@ def without_window(text: str, lab: str = "") -> str:
 
 
 @contextmanager
-def ctrl_c_cancels(cancel: Callable[[], None]) -> Iterator[None]:
-    """Call ``cancel`` at the first Ctrl-C; the second one interrupts."""
+def ctrl_c_cancels(cancel: Callable[[], object]) -> Iterator[None]:
+    """Call ``cancel`` at the first Ctrl-C; the second one interrupts.
+
+    The first one interrupts as well if ``cancel`` returns False: there is nothing to cancel yet.
+    """
 
     def once(_signal: int, _frame: FrameType | None) -> None:
         signal.signal(signal.SIGINT, before)
-        cancel()
+        if cancel() is False:
+            raise KeyboardInterrupt
 
     if threading.current_thread() is not threading.main_thread():
         yield

@@ -115,13 +115,14 @@ class Engine:
         """Continue after a pause."""
         self._change({RunState.PAUSING, RunState.PAUSED}, RunState.RUNNING)
 
-    def cancel(self) -> None:
-        """End the run in order: lift, keep the piece."""
+    def cancel(self) -> bool:
+        """End the run in order: lift, keep the piece. Return False if none is in progress."""
         with self._lock:
             if self._status.state in _ACTIVE:
                 self._throw = CancelledError("cancelled by the operator")
                 self._status = replace(self._status, state=RunState.CANCELLING)
                 self.cancelled.set()
+            return self._status.state is not RunState.IDLE
 
     def wait_idle(self, timeout_s: float) -> bool:
         """Block until no plan is running. For scripts, never for a window."""

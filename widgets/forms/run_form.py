@@ -26,7 +26,11 @@ STRATEGIES = (
     ("zero-wrench", "Release at zero wrench"),
     ("pick-and-place", "Pick and place"),
 )
-MODES = (("auto", "Auto: asks if unsure"), ("approve", "Approve each move"), ("step", "Step by step"))
+MODES = (
+    ("auto", "Auto: asks if unsure"),
+    ("approve", "Approve each move"),
+    ("step", "Step by step"),
+)
 
 
 @dataclass(frozen=True, slots=True)

@@ -25,6 +25,7 @@ from touchdown.backend.annotations import Dataset, Label
 from touchdown.backend.cli import command_line
 from touchdown.backend.cli.command_line import VERBS, main
 from touchdown.backend.cli.doctor.command import check_catalogue
+from touchdown.backend.cli.output import ctrl_c_cancels
 from touchdown.backend.core.events import CampaignBegan, ProbeCollected, RunStarted
 from touchdown.backend.core.faults import (
     Fault,
@@ -552,6 +553,13 @@ def test_a_run_killed_in_the_middle_replays_to_its_last_fact(tmp_path, bench, ca
     lines = [json.loads(line) for line in (folder / EVENT_LOG_NAME).read_bytes().splitlines()[1:]]
     told_ids = {f["episode"]["episode_id"] for f in lines if f["kind"] == "EpisodeRecorded"}
     assert told_ids <= kept
+
+
+def test_ctrl_c_before_a_run_has_begun_interrupts() -> None:
+    with pytest.raises(KeyboardInterrupt), ctrl_c_cancels(lambda: False):
+        signal.raise_signal(signal.SIGINT)
+    with ctrl_c_cancels(lambda: True):
+        signal.raise_signal(signal.SIGINT)
 
 
 def test_ctrl_c_lifts_tells_the_result_and_closes_the_journal(tmp_path, bench, capsys) -> None:

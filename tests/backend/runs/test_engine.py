@@ -101,11 +101,12 @@ def test_cancel_lets_the_plan_clean_up(rig, paused):
     if paused:
         rig.engine.pause()
         rig.tick(20)
-    rig.engine.cancel()
+    assert rig.engine.cancel()
     assert rig.engine.status().state is RunState.CANCELLING
     rig.tick(20)
     assert rig.texts() == ["one", "lifted", "clean"]
     assert not rig.engine.busy
+    assert not rig.engine.cancel()
 
 
 @pytest.mark.parametrize("before", ["preparing", "running", "pausing", "paused", "cancelling"])

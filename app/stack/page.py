@@ -69,6 +69,10 @@ class StackPage(LivePage):
         self.trial.setSizePolicy(QSizePolicy.Policy.Preferred, high)
         self.belief_panel.setVisible(not pictured and not self.columns.hides("Belief map"))
 
+    def make_room(self) -> None:
+        """Arrange the column again after the form has become higher or lower."""
+        self._leave_room()
+
     def _leave_room(self) -> None:
         """Hide the side view where the controls need its room."""
         super()._leave_room()

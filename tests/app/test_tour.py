@@ -1,6 +1,7 @@
 """What the window shows of a wrist sensor that drifts: read-out, chip, inspector, card."""
 
 import json
+from dataclasses import replace
 
 import pytest
 from PySide6.QtCore import QPoint, QRect, QSize, Qt
@@ -132,6 +133,16 @@ def test_the_bench_from_the_side_is_seen_and_one_headline_says_how_it_stands(lea
     bench.tell_end(Outcome.PLACED)
     settle(least)
     assert page.score._count.property("role") == "figure"
+
+
+def test_a_form_with_more_lines_is_not_squeezed(least, bench):
+    least.go("stack")
+    settle(least)
+    page = least.workspaces["stack"].page
+    page.run.show_form(replace(page.run.form(), piece="brick", strategy="fused"))
+    settle(least)
+    assert page.run.height() >= page.run.sizeHint().height()
+    assert page.side.isHidden() or not page.side.isVisible()
 
 
 def test_the_form_of_a_campaign_has_room_for_all_it_may_say(least):

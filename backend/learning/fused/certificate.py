@@ -417,7 +417,7 @@ class CertificateStatus:
 
     @property
     def scope(self) -> str:
-        """What the statement covers, or why there is none."""
+        """Range of the statement, or the reason for its absence."""
         if self.certificate is None:
             return f"{self.reason[:1].upper()}{self.reason[1:]}."
         return (

@@ -156,13 +156,13 @@ def refuse_unusable(presses: Sequence[PressRecording], library: PieceLibrary, wh
     grips = {press.grip for press in presses}
     mountings = {press.mounting for press in presses}
     numbers = (
-        ("presses", len(presses), LEAST_PRESSES),
-        ("grippings", len(grips), LEAST_GRIPS),
-        ("mountings", len(mountings), LEAST_MOUNTINGS),
+        ("valid presses", len(presses), LEAST_PRESSES),
+        ("grippings with valid presses", len(grips), LEAST_GRIPS),
+        ("mountings with valid presses", len(mountings), LEAST_MOUNTINGS),
     )
     for what, count, least in numbers:
         if count < least:
-            text = f"{count} {what} with a valid press; an identification needs {least}."
+            text = f"The dataset has {count} {what}; an identification needs {least}."
             raise InputError(text, where, RECORD_GEL)
     free = sorted({p.bottom for p in presses if not library.bottom(p.bottom).fixed})
     if free:

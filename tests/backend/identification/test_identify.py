@@ -151,7 +151,7 @@ def test_unusable_recordings_are_refused_with_what_is_missing(changes, what):
 
 
 def test_too_few_presses_are_refused(presses):
-    with pytest.raises(InputError, match="3 presses"):
+    with pytest.raises(InputError, match="3 valid presses"):
         refuse_unusable(presses[:3], LIBRARY, "here")
 
 
@@ -393,5 +393,5 @@ def test_a_dataset_without_presses_is_refused_by_the_command(tmp_path, capsys):
     words = ["identify", str(tmp_path / "ds"), "--out", str(tmp_path / "lab.toml")]
     assert main(words) == 2
     error = capsys.readouterr().err
-    assert "0 presses" in error
+    assert "0 valid presses" in error
     assert "collect --plan gel" in error

@@ -103,19 +103,21 @@ def test_an_init_holds_docstring_imports_and_the_lazy_table() -> None:
     assert others == []
 
 
-def test_exports_are_repeated_for_the_import_contracts() -> None:
-    """import-linter does not read stubs: each module of a stub is imported for typing as well."""
+def test_an_export_is_one_line_of_the_stub() -> None:
+    """Only the root repeats its packages: chains of import-linter may lead through it."""
     for init in (p for p in CODE if p.name == "__init__.py" and p.with_suffix(".pyi").is_file()):
-        package = _package(init)
-        stub = ast.parse(init.with_suffix(".pyi").read_text("utf-8"))
-        listed = {f"{package}.{n.module}" for n in stub.body if isinstance(n, ast.ImportFrom)}
+        stub = _tree(init.with_suffix(".pyi")).body
+        names = [a.asname for n in stub if isinstance(n, ast.ImportFrom) for a in n.names]
+        assert len(names) == len(set(names)), _name(init)
+        assert not [n for n in stub if isinstance(n, ast.Assign)], _name(init)
         typed = {
-            name
+            f"{node.module}.{alias.name}"
             for node in _nodes(init)
-            if isinstance(node, ast.ImportFrom)
-            for name in (node.module, *(f"{node.module}.{alias.name}" for alias in node.names))
+            if isinstance(node, ast.ImportFrom) and node.module == "touchdown.backend"
+            for alias in node.names
         }
-        assert listed <= typed, _name(init)
+        listed = {f"touchdown.{n.module}" for n in stub if isinstance(n, ast.ImportFrom)}
+        assert typed == (listed if _package(init) == "touchdown" else set()), _name(init)
 
 
 def test_no_export_has_the_name_of_a_module_beside_it() -> None:

@@ -1,3 +1,1 @@
 from .presenter import CalibratePresenter as CalibratePresenter
-
-__all__ = ["CalibratePresenter"]

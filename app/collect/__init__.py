@@ -1,10 +1,5 @@
 """Collect workspace: record labelled probes."""
 
-from typing import TYPE_CHECKING
-
 import lazy_loader
-
-if TYPE_CHECKING:
-    from touchdown.app.collect import workspace
 
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

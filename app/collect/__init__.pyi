@@ -1,4 +1,2 @@
 from .workspace import COLLECT as COLLECT
 from .workspace import CollectWorkspace as CollectWorkspace
-
-__all__ = ["COLLECT", "CollectWorkspace"]

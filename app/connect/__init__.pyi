@@ -1,3 +1,1 @@
 from .presenter import BenchDialogs as BenchDialogs
-
-__all__ = ["BenchDialogs"]

@@ -1,4 +1,2 @@
 from .workspace import HalvesPage as HalvesPage
 from .workspace import LabelWorkspace as LabelWorkspace
-
-__all__ = ["HalvesPage", "LabelWorkspace"]

@@ -1,10 +1,5 @@
 """Operate workspace: jog the arm and probe."""
 
-from typing import TYPE_CHECKING
-
 import lazy_loader
-
-if TYPE_CHECKING:
-    from touchdown.app.operate import workspace
 
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,3 +1,1 @@
 from .workspace import OperateWorkspace as OperateWorkspace
-
-__all__ = ["OperateWorkspace"]

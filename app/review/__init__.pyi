@@ -1,3 +1,1 @@
 from .workspace import ReviewWorkspace as ReviewWorkspace
-
-__all__ = ["ReviewWorkspace"]

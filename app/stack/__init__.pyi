@@ -1,3 +1,1 @@
 from .workspace import StackWorkspace as StackWorkspace
-
-__all__ = ["StackWorkspace"]

@@ -1,3 +1,1 @@
 from .workspace import TrainWorkspace as TrainWorkspace
-
-__all__ = ["TrainWorkspace"]

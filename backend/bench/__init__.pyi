@@ -19,27 +19,3 @@ from .laboratory import lab_session as lab_session
 from .laboratory import open_lab as open_lab
 from .session import RunResult as RunResult
 from .session import Session as Session
-
-__all__ = [
-    "EMULATOR_PRIORITY",
-    "EmulatedBench",
-    "EmulatedScene",
-    "LabChoice",
-    "RunResult",
-    "Session",
-    "SimulatedBenchChoice",
-    "bench_toml",
-    "emulate",
-    "emulated_bench",
-    "find_camera_conflicts",
-    "lab_session",
-    "lab_toml",
-    "make_scene",
-    "model_in_use",
-    "open_lab",
-    "serve_bench",
-    "shipped_model",
-    "shorten_switch_interval",
-    "simulated_bench",
-    "simulated_session",
-]

@@ -1,3 +1,1 @@
 from .command_line import main as main
-
-__all__ = ["main"]

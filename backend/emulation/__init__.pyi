@@ -25,33 +25,3 @@ from .serving import replace_host as replace_host
 from .serving import serve_serial as serve_serial
 from .simulated_disturbances import DisturbanceScript as DisturbanceScript
 from .simulated_disturbances import parse_script as parse_script
-
-__all__ = [
-    "AMOUNTS",
-    "CHUNK",
-    "EVERY_ADDRESS",
-    "BenchTables",
-    "DeviceServer",
-    "DisturbanceScript",
-    "EmulatedDevice",
-    "Emulation",
-    "EmulationChoice",
-    "FaultPlan",
-    "Faults",
-    "PictureFunction",
-    "PtyServer",
-    "SampleSchedule",
-    "SerialSensor",
-    "TcpServer",
-    "UdpServer",
-    "WrenchFunction",
-    "add_noise",
-    "apply_faults",
-    "hanging_gripper",
-    "load_faults",
-    "own_address",
-    "parse_fault",
-    "parse_script",
-    "replace_host",
-    "serve_serial",
-]

@@ -11,19 +11,3 @@ from .label_import import import_labels as import_labels
 from .manifest import read_manifest as read_manifest
 from .query import EXPORT_STATES as EXPORT_STATES
 from .query import ExportState as ExportState
-
-__all__ = [
-    "EXPORTS",
-    "EXPORT_STATES",
-    "EpisodeImport",
-    "ExportResult",
-    "ExportState",
-    "ImportOptions",
-    "export",
-    "import_labels",
-    "import_log",
-    "read_coco",
-    "read_csv",
-    "read_jsonl",
-    "read_manifest",
-]

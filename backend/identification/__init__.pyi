@@ -11,19 +11,3 @@ from .recordings import Recordings as Recordings
 from .recordings import read_recordings as read_recordings
 from .stages import GATE_CHANNELS as GATE_CHANNELS
 from .stages import PHASES as PHASES
-
-__all__ = [
-    "CONTACT",
-    "GATE_CHANNELS",
-    "GEL",
-    "PHASES",
-    "REST",
-    "Estimate",
-    "Identification",
-    "Recordings",
-    "bench_file",
-    "identifiable",
-    "identify_bench",
-    "read_recordings",
-    "write_identification",
-]

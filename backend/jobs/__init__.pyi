@@ -13,21 +13,3 @@ from .job import JobSpec as JobSpec
 from .job import JobStore as JobStore
 from .sources import lazy_exports as lazy_exports
 from .sources import source_hash as source_hash
-
-__all__ = [
-    "SPEC_FILE",
-    "DaskCluster",
-    "Executor",
-    "JobContext",
-    "JobFunctions",
-    "JobSpec",
-    "JobStore",
-    "ProcessPool",
-    "SerialExecutor",
-    "independent_jobs",
-    "lazy_exports",
-    "parse_shard",
-    "run_campaign",
-    "shard_of",
-    "source_hash",
-]

@@ -72,7 +72,7 @@ def _file(root: Path, module: str) -> Path:
 @cache
 def _imports_of(path: Path, root: Path) -> tuple[str, ...]:
     if path.name == "__init__.py" and path.with_suffix(".pyi").is_file():
-        return ()  # its imports repeat the stub, for type checkers
+        return ()  # each name is resolved by the stub
     return tuple(_imported(ast.walk(_tree(path)), root))
 
 

@@ -24,32 +24,3 @@ from .strategies import load_network_of as load_network_of
 from .strategies import make_strategy as make_strategy
 from .support_tower import XY as XY
 from .support_tower import SupportTower as SupportTower
-
-__all__ = [
-    "NOTABLE_SIGMAS",
-    "XY",
-    "Belief",
-    "Ensemble",
-    "Estimator",
-    "FusedStrategy",
-    "GraspedPiece",
-    "OffsetFit",
-    "OffsetGrid",
-    "PlaceDecision",
-    "ProbeObservation",
-    "SearchingStrategy",
-    "ShiftTarget",
-    "Strategy",
-    "SupportTower",
-    "check_outlines",
-    "convex_hull",
-    "describe_situation",
-    "give_up",
-    "judge_stability",
-    "load_network_of",
-    "make_strategy",
-    "resting_contact",
-    "score_labels",
-    "shift_towards",
-    "sigmas_apart",
-]

@@ -11,19 +11,3 @@ from .diagnostics import measure_timing as measure_timing
 from .flight_recorder import FlightRecorder as FlightRecorder
 from .link import LATE_S as LATE_S
 from .remote_devices import BenchDevices as BenchDevices
-
-__all__ = [
-    "LATE_S",
-    "BenchConnection",
-    "BenchDevices",
-    "DeviceFinding",
-    "DeviceStatus",
-    "FlightRecorder",
-    "NewestStamp",
-    "SensorTiming",
-    "StampsSince",
-    "examine_devices",
-    "fault_of",
-    "measure_timing",
-    "reconnect",
-]

@@ -28,36 +28,3 @@ from .training_form import LABEL_TITLES as LABEL_TITLES
 from .training_form import TrainingButtons as TrainingButtons
 from .training_form import TrainingForm as TrainingForm
 from .training_form import TrainingFormPanel as TrainingFormPanel
-
-__all__ = [
-    "ACTIVE_DURING_QUESTION",
-    "JOINTS",
-    "LABEL_TITLES",
-    "STRATEGIES",
-    "ChoiceBar",
-    "FormFields",
-    "GripperPanel",
-    "JogPad",
-    "JogUnit",
-    "LastProbePanel",
-    "NameDialog",
-    "NameField",
-    "PairHealthPanel",
-    "PoseReadout",
-    "ProbePanel",
-    "ProbeText",
-    "RunButtons",
-    "RunForm",
-    "RunPanel",
-    "ScenePanel",
-    "TargetButtons",
-    "TargetForm",
-    "TargetPanel",
-    "TrainingButtons",
-    "TrainingForm",
-    "TrainingFormPanel",
-    "decimal_box",
-    "field_label",
-    "inset_spin_boxes",
-    "set_entries",
-]

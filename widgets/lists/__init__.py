@@ -1,10 +1,5 @@
 """Lists and tables."""
 
-from typing import TYPE_CHECKING
-
 import lazy_loader
-
-if TYPE_CHECKING:
-    from touchdown.widgets.lists import recordings, tables
 
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

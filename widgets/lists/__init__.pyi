@@ -12,20 +12,3 @@ from .tables import FigureTable as FigureTable
 from .tables import TableArrangement as TableArrangement
 from .tables import TrainingRow as TrainingRow
 from .tables import TrainingTable as TrainingTable
-
-__all__ = [
-    "STATE_COLOURS",
-    "EpisodeTable",
-    "EpisodeTableRow",
-    "FigureTable",
-    "HistoryList",
-    "HistoryRow",
-    "LabelList",
-    "LabelListRow",
-    "RecordingList",
-    "RecordingRow",
-    "RowsOnDemand",
-    "TableArrangement",
-    "TrainingRow",
-    "TrainingTable",
-]

@@ -21,29 +21,3 @@ from .tour import RING_PX as RING_PX
 from .tour import Spotlight as Spotlight
 from .tour import TourCard as TourCard
 from .tour import TourStop as TourStop
-
-__all__ = [
-    "DEVICE_CHIPS",
-    "RING_PX",
-    "STOPPED",
-    "BenchBanner",
-    "CardQuestion",
-    "CardText",
-    "ChipState",
-    "ChipValue",
-    "Colour",
-    "CommandPalette",
-    "DeviceInspector",
-    "FaultCards",
-    "KeyDialog",
-    "KeySheet",
-    "PaletteEntry",
-    "PillState",
-    "Shape",
-    "Spotlight",
-    "StateStrip",
-    "TopBar",
-    "TourCard",
-    "TourStop",
-    "UnsavedBanner",
-]

@@ -2,5 +2,3 @@ from .frames import PictureFilter as PictureFilter
 from .frames import link_fault as link_fault
 from .sources import PictureSource as PictureSource
 from .sources import open_source as open_source
-
-__all__ = ["PictureFilter", "PictureSource", "link_fault", "open_source"]

@@ -1,3 +1,1 @@
 from .emulator import EmulatedDynpick as EmulatedDynpick
-
-__all__ = ["EmulatedDynpick"]

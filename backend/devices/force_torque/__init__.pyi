@@ -17,25 +17,3 @@ from .reader import implausible_text as implausible_text
 from .reader import overload_fault as overload_fault
 from .reader import range_text as range_text
 from .reader import require_plausible as require_plausible
-
-__all__ = [
-    "LATE_S",
-    "DatagramDriver",
-    "ForceTorqueReader",
-    "FrameErrors",
-    "FramedDriver",
-    "NotAnsweredError",
-    "SensorDescription",
-    "SensorLink",
-    "UnansweredError",
-    "WrenchDriver",
-    "WrenchReading",
-    "ask",
-    "implausible_text",
-    "listen",
-    "open_link",
-    "overload_fault",
-    "pause",
-    "range_text",
-    "require_plausible",
-]

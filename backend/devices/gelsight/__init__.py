@@ -1,10 +1,5 @@
 """GelSight Mini camera."""
 
-from typing import TYPE_CHECKING
-
 import lazy_loader
-
-if TYPE_CHECKING:
-    from touchdown.backend.devices.gelsight import driver, emulator
 
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

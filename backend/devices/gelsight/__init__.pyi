@@ -3,5 +3,3 @@ from .driver import find_cameras as find_cameras
 from .emulator import SERIAL as SERIAL
 from .emulator import GelsightServer as GelsightServer
 from .emulator import camera_tables as camera_tables
-
-__all__ = ["SERIAL", "GelsightServer", "TactileCamera", "camera_tables", "find_cameras"]

@@ -10,18 +10,3 @@ from .force_program import PLACE_LATE_S as PLACE_LATE_S
 from .kinematics import JOINT_RANGES as JOINT_RANGES
 from .kinematics import MelfaPlacement as MelfaPlacement
 from .kinematics import check_joints as check_joints
-
-__all__ = [
-    "JOINT_RANGES",
-    "PLACE_LATE_S",
-    "READY_RAD",
-    "TIMEOUT_CYCLES",
-    "EmulatedMelfa",
-    "MelfaArm",
-    "MelfaPlacement",
-    "MelfaServer",
-    "check_joints",
-    "frame_of",
-    "melfa_tables",
-    "solve",
-]

@@ -24,32 +24,3 @@ from .motion_programs import RotationJogProgram as RotationJogProgram
 from .motion_programs import RotationTravelProgram as RotationTravelProgram
 from .motion_programs import TravelProgram as TravelProgram
 from .motion_programs import not_unloaded_fault as not_unloaded_fault
-
-__all__ = [
-    "ACCELERATION_MM_S2",
-    "ACCELERATION_RAD_S2",
-    "AIR_WINDOW_S",
-    "NOT_PRESSING",
-    "OLD_S",
-    "TRIPPED",
-    "UNFELT",
-    "UNLOAD_MM",
-    "CycleInput",
-    "JogProgram",
-    "JointJogProgram",
-    "JointProgram",
-    "JointTravelProgram",
-    "LoopDelays",
-    "MotionProgram",
-    "PositionRecord",
-    "RotationJogProgram",
-    "RotationTravelProgram",
-    "StreamedPrograms",
-    "TravelProgram",
-    "TripDetector",
-    "air_before",
-    "jog_motion",
-    "no_contact_fault",
-    "not_unloaded_fault",
-    "press_fields",
-]

@@ -1,10 +1,5 @@
 """Weiss Robotics WSG gripper."""
 
-from typing import TYPE_CHECKING
-
 import lazy_loader
-
-if TYPE_CHECKING:
-    from touchdown.backend.devices.wsg import emulator
 
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

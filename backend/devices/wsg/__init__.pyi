@@ -1,3 +1,1 @@
 from .emulator import EmulatedWsg as EmulatedWsg
-
-__all__ = ["EmulatedWsg"]

@@ -1,10 +1,5 @@
 """Simulated devices behind the device protocols."""
 
-from typing import TYPE_CHECKING
-
 import lazy_loader
-
-if TYPE_CHECKING:
-    from touchdown.backend.simulation.devices import bench
 
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,4 +1,2 @@
 from .bench import BenchStreams as BenchStreams
 from .bench import SimulatedBench as SimulatedBench
-
-__all__ = ["BenchStreams", "SimulatedBench"]

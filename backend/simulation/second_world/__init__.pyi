@@ -1,3 +1,1 @@
 from .trials import SecondWorldTrials as SecondWorldTrials
-
-__all__ = ["SecondWorldTrials"]

@@ -35,6 +35,7 @@ from .evaluation import job_effort as job_effort
 from .fusion import PORTIONS as PORTIONS
 from .fusion import WEIGHTS as WEIGHTS
 from .fusion import FusionRecipe as FusionRecipe
+from .fusion import best_rules as best_rules
 from .fusion import ready_sequences as ready_sequences
 from .fusion import threshold_counts as threshold_counts
 from .fusion import threshold_jobs as threshold_jobs

@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 
 from touchdown.backend.config import (
     FusedSettings,
+    PolicySettings,
     SimulationSettings,
     StackSettings,
     bench_sha256,
@@ -265,7 +266,10 @@ INSETS_MM = (0.0, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0)
 RISKS = (0.1, 0.07, 0.05, 0.03, 0.02, 0.01, 0.005)
 RULE_SEED = sha256(b"choice of the release rule").hexdigest()  # of fresh outlines
 NEVER_MM = 50.0
+RULE_PROBES = (8, 12)
+ENSEMBLES = ("minimum", "mixture")
 Json = dict[str, Any]
+Exceeds = Mapping[str, Sequence[float]]
 
 
 def threshold_jobs(
@@ -333,12 +337,14 @@ def held_out_setup(piece: str, bottom: str, bench: SimulationSettings) -> SceneS
 def record_trials(cases: Sequence[SceneSetup], seeds: Sequence[int], weights: Path) -> list[Json]:
     """Run one trial per seed; record each press with belief and truth.
 
-    ``exceeds``: probability that the centre of mass lies further inside than each of ``INSETS_MM``.
+    ``exceeds``: probability that the centre of mass lies further inside than each of ``INSETS_MM``,
+    by the mixture and by the least confident network.
     """
     pairs = zip(cases, seeds, strict=True)
     scenes = [scene for case, seed in pairs if (scene := start_scene(case, seed)) is not None]
     never = FusedSettings(weights=str(weights), inset_mm=NEVER_MM)
-    settings = StackSettings(strategy="fused", fused=never)
+    policy = PolicySettings(max_probes=max(RULE_PROBES))
+    settings = StackSettings(strategy="fused", fused=never, policy=policy)
     recorders: list[RecordingFusedStrategy] = []
 
     def create(scene: Scene, at: XY) -> RecordingFusedStrategy:
@@ -358,20 +364,21 @@ class RecordingFusedStrategy(FusedStrategy):
 
     def __init__(self, held: GraspedPiece, settings: StackSettings, origin_mm: XY) -> None:
         super().__init__(held, settings, origin_mm)
-        self.exceeds_by_probe: list[list[float]] = []
+        self.exceeds_by_probe: list[Exceeds] = []
 
     def conclude(self, touched: ProbeObservation) -> PlaceDecision:
         """Return the decision of the fused strategy and record its belief."""
         found = super().conclude(touched)
         inset = self.inset_at(touched.offset_mm)
         if inset is not None:
-            self.exceeds_by_probe.append([round(float(inset.exceeds(x)[0]), 5) for x in INSETS_MM])
+            by_rule = {"mixture": inset.exceeds, "minimum": inset.surely_exceeds}
+            self.exceeds_by_probe.append(
+                {name: [round(float(p(x)[0]), 5) for x in INSETS_MM] for name, p in by_rule.items()}
+            )
         return found
 
 
-def _trial_record(
-    scene: Scene, end: BatchTrialResult, exceeds_by_probe: Sequence[Sequence[float]]
-) -> Json:
+def _trial_record(scene: Scene, end: BatchTrialResult, exceeds_by_probe: Sequence[Exceeds]) -> Json:
     # The disturbance of a release moves the centre of mass alone.
     com = np.add(true_com_xy_mm(scene), release_kick_mm(scene, 1))
     upright = [step for step in end.steps if not step.toppled]
@@ -386,28 +393,45 @@ def _trial_record(
 
 
 def threshold_counts(trials: Sequence[Json]) -> list[Json]:
-    """Return the outcome counts for every rule: ``risk`` and required inset."""
+    """Return the outcome counts for every rule: ensemble, most probes, inset and ``risk``."""
     return [
-        count_under_threshold(trials, risk, at) for at in range(len(INSETS_MM)) for risk in RISKS
+        count_under_threshold(trials, risk, at, ensemble, most)
+        for ensemble in ENSEMBLES
+        for most in RULE_PROBES
+        for at in range(len(INSETS_MM))
+        for risk in RISKS
     ]
 
 
-def count_under_threshold(trials: Iterable[Json], risk: float, at: int) -> Json:
-    """Count the outcomes of the trials under one rule, ``INSETS_MM[at]`` and ``risk``."""
+def best_rules(rules: Sequence[Json]) -> list[Json]:
+    """Return the rules with the most placed among those with at most as many unsafe trials."""
+    best: list[Json] = []
+    for rule in sorted(rules, key=lambda rule: (rule["unsafe"], -rule["placed"])):
+        if not best or rule["placed"] > best[-1]["placed"]:
+            best.append(rule)
+    return best
+
+
+def count_under_threshold(
+    trials: Iterable[Json], risk: float, at: int, ensemble: str = "mixture", most: int = 8
+) -> Json:
+    """Count the outcomes under one rule: ``INSETS_MM[at]``, ``risk``, at most ``most`` probes."""
     placed, unsafe, other, probes = 0, 0, 0, 0
     for trial in trials:
-        steps = enumerate(trial["steps"], start=1)
-        let_go = next(((n, s) for n, s in steps if s["exceeds"][at] >= 1.0 - risk), None)
+        steps = enumerate(trial["steps"][:most], start=1)
+        let_go = next(((n, s) for n, s in steps if s["exceeds"][ensemble][at] >= 1 - risk), None)
         if let_go is None:
-            fell = trial["outcome"] == Outcome.KNOCKED_OVER.value
+            fell = trial["outcome"] == Outcome.KNOCKED_OVER.value and len(trial["steps"]) < most
             unsafe, other = unsafe + fell, other + (not fell)
         elif let_go[1]["inset_mm"] > 0.0:
             placed, probes = placed + 1, probes + let_go[0]
         else:
             unsafe += 1
     return {
-        "risk": risk,
+        "ensemble": ensemble,
+        "most_probes": most,
         "inset_mm": INSETS_MM[at],
+        "risk": risk,
         "placed": placed,
         "unsafe": unsafe,
         "not_released": other,
@@ -451,6 +475,7 @@ PORTIONS = {
     "more": DataPortion(60, 60, 3, 80, 5, free=False),
     "free": DataPortion(500, 100, 2, 120, 8, free=True),
     "long": DataPortion(600, 400, 2, 120, 8, free=False),
+    "longest": DataPortion(300, 200, 2, 120, 12, free=False),
 }
 COUNTS = {"short": 50, "more": 50}
 

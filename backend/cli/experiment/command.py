@@ -48,6 +48,7 @@ from touchdown.backend.experiments import (
     StrategyComparison,
     adopt_models,
     base_strategy,
+    best_rules,
     compare_intervals,
     comparison_tables,
     decided_strategies,
@@ -167,6 +168,7 @@ def add_fused_arguments(parser: argparse.ArgumentParser) -> None:
         "--parts", type=int, default=100, help="jobs of 240 sequences of five probes"
     )
     fused.add_argument("--long-parts", type=int, default=0, help="of eight probes")
+    fused.add_argument("--longest-parts", type=int, default=0, help="of twelve probes")
     fused.add_argument(
         "--free-parts", type=int, default=0, help="of eight probes on bottoms that rock and slide"
     )
@@ -197,16 +199,17 @@ def train_fused(
 
     half = args.parts // 2
     counts = {"short": args.parts - half, "more": half}
-    counts |= {"free": args.free_parts, "long": args.long_parts}
+    counts |= {"free": args.free_parts, "long": args.long_parts, "longest": args.longest_parts}
     known = all(n == 0 or 2 <= n <= PORTIONS[name].most for name, n in counts.items())
     known &= 1 <= args.networks <= MOST_NETWORKS
-    known &= args.parts >= 4 or (args.parts == 0 and args.long_parts > 0)
+    known &= args.parts >= 4 or (args.parts == 0 and args.long_parts + args.longest_parts > 0)
     if not known or min(args.steps, args.seed, args.rule_trials) < 0:
         raise InputError(
             "A number of parts, networks, steps or trials, or the seed, is out of range.",
-            "--parts, --long-parts, --free-parts, --networks, --steps, --rule-trials, --seed",
-            "Give 4 to 120 parts, none or 2 to 400 long and 2 to 100 free ones (with long ones "
-            f"also no others), and 1 to {MOST_NETWORKS} networks.",
+            "--parts, --long-parts, --longest-parts, --free-parts, --networks, --steps, "
+            "--rule-trials, --seed",
+            "Give 4 to 120 parts, none or 2 to 400 long, 2 to 200 longest and 2 to 100 free ones "
+            f"(with long or longest ones also no others), and 1 to {MOST_NETWORKS} networks.",
         )
     bench = load_simulation(args.bench, None if args.bench else args.preset)
     code = program_version()
@@ -254,8 +257,8 @@ def _rules(screen: VerbOutput, store: JobStore, asked: list[JobSpec]) -> list[di
     if not trials:
         return []
     found = threshold_counts(trials)
-    title = f"Rules of release, {len(trials)} trials on bottoms of their own"
-    screen.table(title, list(found[0]), *(map(str, row.values()) for row in found))
+    title = f"Best rules of release, {len(trials)} trials on bottoms of their own"
+    screen.table(title, list(found[0]), *(map(str, row.values()) for row in best_rules(found)))
     return found
 
 

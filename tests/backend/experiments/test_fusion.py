@@ -395,7 +395,13 @@ def test_no_two_parts_share_a_seed_and_none_has_one_of_the_tables(
 
 
 def trial(outcome: str, *steps: tuple[float, float]) -> dict[str, Any]:
-    said = [{"inset_mm": inset, "exceeds": len(INSETS_MM) * [p]} for inset, p in steps]
+    said = [
+        {
+            "inset_mm": inset,
+            "exceeds": {"mixture": len(INSETS_MM) * [p], "minimum": len(INSETS_MM) * [0.9 * p]},
+        }
+        for inset, p in steps
+    ]
     return {"outcome": outcome, "steps": said}
 
 
@@ -410,6 +416,10 @@ def test_counted_by_hand() -> None:
     assert (bold["placed"], bold["unsafe"], bold["not_released"], bold["probes"]) == (1, 2, 1, 2.0)
     assert (shy["placed"], shy["unsafe"], shy["not_released"], shy["probes"]) == (2, 1, 1, 2.5)
     assert (never["placed"], never["unsafe"], never["not_released"]) == (0, 1, 3)
+    once = count_under_threshold(trials, 0.1, 0, "mixture", most=1)
+    assert (once["placed"], once["unsafe"], once["not_released"]) == (0, 1, 3)
+    least = count_under_threshold(trials, 0.11, 0, "minimum")
+    assert (least["placed"], least["unsafe"], least["not_released"]) == (2, 1, 1)
 
 
 def test_a_rule_counts_what_trials_under_it_come_to() -> None:

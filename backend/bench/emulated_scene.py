@@ -534,7 +534,7 @@ class TruthServer:
             elif line.startswith(STRIKE):
                 fault = json.loads(line[len(STRIKE) :])
                 self._emulated.faults[fault.pop("device")].inject(now_s, **fault)
-                answer += b"{}\n"
+                answer += json.dumps(time.monotonic()).encode() + b"\n"
             elif line == SEEN:
                 answer += json.dumps(asdict(self._emulated.driver_observations())).encode() + b"\n"
             elif line.endswith(b"\n"):
@@ -580,10 +580,13 @@ class TruthClient:
         side_mm, down_mm, up_mm = self._ask(AFTER + f"{since_s!r}\n".encode())
         return side_mm, down_mm, up_mm
 
-    def strike(self, device: str, kind: str, for_s: float, **more: float) -> None:
-        """Start a fault of a device now; raises ``FaultError``."""
+    def strike(self, device: str, kind: str, for_s: float, **more: float) -> float:
+        """Start a fault of a device now; return the monotonic time of its start.
+
+        Raises ``FaultError``.
+        """
         fault = {"device": device, "kind": kind, "for_s": for_s, **more}
-        self._ask(STRIKE + json.dumps(fault).encode() + b"\n")
+        return float(self._ask(STRIKE + json.dumps(fault).encode() + b"\n"))
 
     def _ask(self, question: bytes) -> Any:
         received = b""

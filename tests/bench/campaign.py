@@ -199,8 +199,9 @@ class Watch:
             self._watch_jaws()
         if self.struck_s == inf:
             if self.acting and now_s >= self._begun_s + self._at_s:
-                self.struck_s = now_s
-                self._blow()
+                self.struck_s, at_s = now_s, self._blow()
+                if isinstance(at_s, float):  # the process of the devices was late
+                    self.struck_s = session.clock_s() - (time.monotonic() - at_s)
         elif self.fault is None and now_s > self.struck_s + LASTS_S + WATCH_S:
             self.acting = False
             session.stop()
@@ -308,8 +309,11 @@ def simulated_blow(session: Session, kind: str) -> None:
         part._script = DisturbanceScript((begun,))
 
 
-def emulated_blow(bench: EmulatedBench, kind: str) -> None:
-    """Start a fault of an emulated device, or send a signal to a process."""
+def emulated_blow(bench: EmulatedBench, kind: str) -> float | None:
+    """Start a fault of an emulated device, or send a signal to a process.
+
+    Return the monotonic time at which the process of the devices started the fault.
+    """
     device, what = kind.split(":")
     assert bench._truth is not None
     if device == "rig":
@@ -322,7 +326,8 @@ def emulated_blow(bench: EmulatedBench, kind: str) -> None:
         amount = {"slow": {"hz": 300.0 if device == "force_torque" else 8.0}}
         more = amount | {"drift": {"n_per_s": 1.0}, "late": {"share": 0.2, "by_s": 0.05}}
         more |= {wire: {"share": 0.2} for wire in ("lost", "flip", "garbage", "cut", "duplicate")}
-        bench._truth.strike(device, what, LASTS_S, **more.get(what, {}))
+        return bench._truth.strike(device, what, LASTS_S, **more.get(what, {}))
+    return None
 
 
 def strike_session(bench: str, kind: str, activity: str, seed: int, latest_s: float) -> Seen:

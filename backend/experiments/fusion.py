@@ -498,7 +498,7 @@ class FusionRecipe:
     portions: Mapping[str, DataPortion] = field(default_factory=lambda: PORTIONS)
     outlines: OutlineKinds = "convex"  # of the bottoms
     ready: Mapping[str, Sequence[JobSpec]] = field(default_factory=dict)
-    networks: int = 1  # of an ensemble, each with a bootstrap of the data
+    networks: int = 1  # of an ensemble, each with its own initial weights and order of the data
 
     def jobs(self) -> list[JobSpec]:
         """Return the data in turn from each portion, then the training."""
@@ -519,7 +519,6 @@ class FusionRecipe:
             "device": self.device,
             **self._wide,
             **({"kick_mm": kick} if (kick := self.bench.release_disturbance_mm) else {}),
-            **({"bootstrap": True} if self.networks > 1 else {}),
         }
         inputs = tuple(part.id for some in portions.values() for part in some)
         code = job_code("fuse", self.code)
@@ -603,7 +602,6 @@ def train_fusion(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
         steps=spec.params["steps"],
         seed=spec.seed,
         without=without,
-        bootstrap=spec.params.get("bootstrap", False),
         kick_mm=spec.params.get("kick_mm", 0.0),
     )
     device = select_device(spec.params["device"])
@@ -633,7 +631,6 @@ def train_fusion(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
             "learning_rate": settings.learning_rate,
             "without": without,
             "device": device_name(device),
-            "bootstrap": settings.bootstrap,
             "kick_mm": settings.kick_mm,
         },
         metrics=metrics,

@@ -173,8 +173,8 @@ def add_fused_arguments(parser: argparse.ArgumentParser) -> None:
         "--free-parts", type=int, default=0, help="of eight probes on bottoms that rock and slide"
     )
     fused.add_argument("--steps", type=int, default=6000, help="of the training; 0: data only")
-    fused.add_argument("--networks", type=int, default=1, metavar="N", help="to train, each on "
-                       "sequences drawn with replacement; all must agree on a release")  # fmt: skip
+    fused.add_argument("--networks", type=int, default=1, metavar="N", help="to train; "
+                       "all must agree on a release")  # fmt: skip
     fused.add_argument("--ready", action="store_true", help="train on the finished sequences of "
                        "--out, also of earlier versions of the program; simulate none")  # fmt: skip
     fused.add_argument("--seed", type=int, default=0, help="of data and training")

@@ -131,7 +131,6 @@ class FusedTraining:
     seed: int = 0
     shape: FusedShape = field(default_factory=FusedShape)
     without: InputPart | None = None  # inputs left out by an ablation
-    bootstrap: bool = False  # train on sequences drawn with replacement, as a network of several
     kick_mm: float = 0.0  # sd per axis of the shift of the centre of mass at a release
 
 
@@ -258,11 +257,6 @@ class FusedTrainer:
         learned = (weight for weight in self.net.parameters() if weight.requires_grad)
         self._adam = Adam(learned, settings.learning_rate)
         self._generator = torch.Generator().manual_seed(settings.seed + 1)
-        self._rows = torch.arange(len(self._train.probes))
-        if settings.bootstrap:
-            count = len(train["count"])
-            drawn = torch.randint(count, (count,), generator=self._generator)
-            self._rows = (self._rows.view(-1, count)[:, :1] + drawn).flatten()
 
     def steps(self) -> Iterator[float]:
         """Yield the loss (nats a point) of each step."""
@@ -272,7 +266,7 @@ class FusedTrainer:
             share = 0.5 * (1.0 + math.cos(math.pi * step / settings.steps))
             self._adam.rate = settings.learning_rate * warm * share
             size = (settings.batch,)
-            rows = self._rows[torch.randint(len(self._rows), size, generator=self._generator)]
+            rows = torch.randint(len(self._train.probes), size, generator=self._generator)
             loss = self._loss(self._train, rows, self._generator)
             self._adam.zero_grad()
             loss.backward()  # type: ignore[no-untyped-call]

@@ -4,7 +4,7 @@ A sequence is one gripping on one mounting with constant tilt and grasp. Most se
 trial does, by at most 3 mm towards the centre of pressure; the others probe at random places.
 Bottoms are drawn from a ``ShapeFamily``. The training target of the wide family is the margin:
 the signed distance of the centre of mass to the convex hull of the contact under the piece's own
-weight.
+weight; on a face that is not flat, the shortest shift that changes the result of a release.
 
 Trials for the release threshold never release: the strategy moves on after every press, and its
 belief about the centre of mass is stored with the truth, so that all thresholds are compared on the
@@ -29,6 +29,7 @@ from touchdown.backend.config import (
     PolicySettings,
     SimulationSettings,
     StackSettings,
+    SurfaceSettings,
     bench_sha256,
     parse_settings,
 )
@@ -51,14 +52,11 @@ from touchdown.backend.geometry import (
     FRESH_CLASSES,
     UNSEEN_BOTTOMS,
     UNSEEN_PIECES,
-    Body,
     Outline,
     OutlineKinds,
-    Piece,
     ShapeFamily,
     Tower,
     circle,
-    contact_margins_mm,
     draw_offset,
     face_points,
     load_pieces,
@@ -95,7 +93,7 @@ from touchdown.backend.placement import (
     ProbeObservation,
 )
 from touchdown.backend.sensing import EpisodeLimits
-from touchdown.backend.simulation import Scene, release_kick_mm, true_com_xy_mm
+from touchdown.backend.simulation import Scene, release_kick_mm, touched_margins_mm, true_com_xy_mm
 
 MARGIN_STEP_MM = 1.5  # between the nodes of the margins
 PROBES = 5
@@ -113,10 +111,14 @@ _DRAWS = 79
 def probe_sequences(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
     """Simulate sequences of ``pieces`` random pieces, each over its own bottoms, into one file.
 
-    ``free``: the bottoms rock and slide, as in a trial; ``probes``: length of a sequence.
+    ``free``: the bottoms rock and slide, as in a trial; ``probes``: length of a sequence;
+    ``surface``: shares of faces that are not flat, with pieces of any height of the centre of mass.
     """
     p, catalogue = spec.params, load_pieces()
     settings = parse_settings(SimulationSettings, p["bench"], "job")
+    if "surface" in p:
+        uneven = SurfaceSettings.model_validate(p["surface"])
+        settings = settings.model_copy(update={"surface": uneven})
     use_one_thread()
     kinds = p.get("outlines", "convex")
     family = ShapeFamily.of(catalogue, kinds)
@@ -127,13 +129,15 @@ def probe_sequences(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
         seeds = list(range(first, first + p["sequences"]))
         bottoms = [family.bottom(rng, free=p["free"]) for _ in seeds]
         piece = family.piece(rng)
-        part = simulate_sequences(piece, bottoms, settings, seeds, rng, p["probes"])
+        if "surface" in p:
+            piece = replace(piece, com_height_mm=float(rng.uniform(*COM_HEIGHTS_MM)))
+        scenes = [
+            Scene(piece, Tower((bottom,)), (0.0, 0.0), seed, settings)
+            for bottom, seed in zip(bottoms, seeds, strict=True)
+        ]
+        part = simulate_sequences(scenes, rng, p["probes"])
         if kinds == "any":
-            fields = [
-                margin_field(piece.face, (float(x), float(y)), bottom.lower)
-                for (x, y), bottom in zip(part["true_com_mm"], bottoms, strict=True)
-            ]
-            part["margin_mm"] = np.stack(fields)
+            part["margin_mm"] = np.stack(list(map(margin_field, scenes)))
         parts.append(part)
     joined = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     np.savez(place.folder / DATA, **joined)  # type: ignore[arg-type]
@@ -145,14 +149,9 @@ def probe_sequences(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
 
 
 def simulate_sequences(
-    piece: Piece,
-    bottoms: Sequence[Body],
-    settings: SimulationSettings,
-    seeds: Sequence[int],
-    rng: np.random.Generator,
-    probes: int = PROBES,
+    scenes: Sequence[Scene], rng: np.random.Generator, probes: int = PROBES
 ) -> dict[str, NDArray[Any]]:
-    """Return s sequences of one piece as arrays, one row per element of ``bottoms``.
+    """Return s sequences of one piece as arrays, one row per scene.
 
     ``wrench`` (s, P, T, 6) in N and N·m, ``field`` (s, P, T, 252) in px at ``TICKS``, ``offset_mm``
     commanded and ``true_mm`` (s, P, 2), the latter relative to the displaced bottom, with the error
@@ -161,11 +160,8 @@ def simulate_sequences(
     outline of the bottom, its last corner repeated; ``reach_mm`` (s, 16), ``com_mm`` (s, 2),
     ``grip_height_mm`` (s,): the face. ``true_com_mm`` (s, 2): true centre of mass in ``F``.
     """
-    scenes = [
-        Scene(piece, Tower((bottom,)), (0.0, 0.0), seed, settings)
-        for bottom, seed in zip(bottoms, seeds, strict=True)
-    ]
     bench, limits, n = MixedBottomLockstep(scenes), EpisodeLimits(), len(scenes)
+    piece = scenes[0].piece
     anywhere = rng.random(n) < RANDOM_SEQUENCE_SHARE
     lever = np.asarray(scenes[0].grip_height_mm + SENSOR_MM)
     offset, true = np.zeros((n, probes, 2)), np.zeros((n, probes, 2))
@@ -176,8 +172,8 @@ def simulate_sequences(
         for _ in range(MAX_ATTEMPTS):
             if not len(waiting):
                 break
-            lowers = [bottoms[k].lower for k in waiting.tolist()]
-            free = np.stack([draw_offset(rng, piece.face, lower, 1)[0] for lower in lowers])
+            below = [scenes[k].surface for k in waiting.tolist()]
+            free = np.stack([draw_offset(rng, piece.face, outline, 1)[0] for outline in below])
             goes = ~anywhere[waiting] & (probe > 0)
             wrench = seen[waiting, probe - 1, :, TACTILE_CHANNELS:]
             acted = acting_point_mm((wrench[:, -1] - wrench[:, 0]).astype(np.float64), lever)
@@ -200,7 +196,7 @@ def simulate_sequences(
         "offset_mm": offset.astype(np.float32),
         "true_mm": (true + com_error[:, None]).astype(np.float32),
         "count": count,
-        "support_mm": np.stack([corners_mm(bottom.lower) for bottom in bottoms]),
+        "support_mm": np.stack([corners_mm(scene.surface) for scene in scenes]),
         "reach_mm": np.tile(face.reach_mm.astype(np.float32), (n, 1)),
         "com_mm": np.tile(face.com_mm.astype(np.float32), (n, 1)),
         "grip_height_mm": np.full(n, face.grip_height_mm, np.float32),
@@ -224,11 +220,11 @@ def next_places(last: FloatArray, acted: FloatArray, rng: np.random.Generator) -
     return np.asarray(last + aim * np.minimum(1.0, MAX_STEP_MM / np.maximum(length, 1e-9)))
 
 
-def margin_field(face: Outline, com_xy_mm: XY, bottom: Outline) -> NDArray[np.float16]:
+def margin_field(scene: Scene) -> NDArray[np.float16]:
     """Return the margins (m, m) with the centre of mass at the nodes, row y and column x, mm."""
     axis = np.arange(-MARGIN_REACH_MM, MARGIN_REACH_MM + 0.1, MARGIN_STEP_MM)
     places = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
-    margin = contact_margins_mm(face, com_xy_mm, bottom, places)
+    margin = touched_margins_mm(scene, true_com_xy_mm(scene), places)
     return margin.reshape(len(axis), len(axis)).astype(np.float16)
 
 
@@ -384,7 +380,7 @@ def _trial_record(scene: Scene, end: BatchTrialResult, exceeds_by_probe: Sequenc
     upright = [step for step in end.steps if not step.toppled]
     places = np.array([step.true_mm for step in upright]).reshape(-1, 2) + com
     x, y = com.tolist()
-    true = contact_margins_mm(scene.piece.face, (x, y), scene.surface, places)
+    true = touched_margins_mm(scene, (x, y), places)
     steps = [
         {"inset_mm": round(float(inset), 4), "exceeds": exceeds}
         for inset, exceeds in zip(true, exceeds_by_probe[: len(true)], strict=True)
@@ -448,6 +444,7 @@ FAMILY_TEXT = (
     "{more}bottoms of 8 to 32 mm, {stands}, faces of 10 to 30 mm; "
     "nothing that covers a shape left out by more than 90 % (intersection over union)"
 )
+SURFACE_TEXT = ", some tilted, stepped or domed"
 REGION_TEXT = "half of the bottoms rings, crescents, L, U, stars, feet, triangles or slivers; "
 SUPPORT_TEXTS = ("fixed to the table", "most fixed to the table, some free to rock and slide")
 
@@ -466,6 +463,7 @@ class DataPortion:
     bottoms: int
     probes: int
     free: bool  # bottoms rock and slide, as in a trial; such a press takes three times longer
+    uneven: bool = False  # tilted, stepped or domed
 
 
 # The first two are alike, so that two machines can start at once. The others press 120 bottoms side
@@ -476,7 +474,11 @@ PORTIONS = {
     "free": DataPortion(500, 100, 2, 120, 8, free=True),
     "long": DataPortion(600, 400, 2, 120, 8, free=False),
     "longest": DataPortion(300, 200, 2, 120, 12, free=False),
+    "surface": DataPortion(120, 180, 2, 120, 8, free=False, uneven=True),
 }
+# As in resources/benches/bench-v2-surfaces.toml.
+UNEVEN = {"tilted_share": 0.3333, "stepped_share": 0.3333, "domed_share": 0.3334}
+COM_HEIGHTS_MM = (15.0, 35.0)  # above the face, of the pieces on them
 COUNTS = {"short": 50, "more": 50}
 
 
@@ -515,6 +517,7 @@ class FusionRecipe:
             "steps": self.steps,
             "free": len(portions.get("free", ())),
             "counts": [len(some) for some in portions.values() if some],
+            **({"surfaces": len(portions["surface"])} if portions.get("surface") else {}),
             "without": self.without,
             "device": self.device,
             **self._wide,
@@ -537,6 +540,7 @@ class FusionRecipe:
             "sequences": portion.bottoms,
             "probes": portion.probes,
             "free": portion.free,
+            **({"surface": UNEVEN} if portion.uneven else {}),
             **self._wide,
         }
         first = FIRST_SEED + SEEDS_PER_JOB * (1000 * self.seed + place)
@@ -615,7 +619,8 @@ def train_fusion(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
         hyper=settings.shape,
         family=FAMILY_TEXT.format(
             more=REGION_TEXT if kinds == "any" else "",
-            stands=SUPPORT_TEXTS[bool(spec.params["free"])],
+            stands=SUPPORT_TEXTS[bool(spec.params["free"])]
+            + SURFACE_TEXT * ("surfaces" in spec.params),
         ),
         outlines=kinds,
         left_out=(*UNSEEN_PIECES, *UNSEEN_BOTTOMS),

@@ -73,6 +73,7 @@ from .surfaces import Surface as Surface
 from .surfaces import spread_points as spread_points
 from .surfaces import step_levels as step_levels
 from .surfaces import surface_heights_mm as surface_heights_mm
+from .surfaces import surface_margins_mm as surface_margins_mm
 from .tower import TOO_CLOSE_MM as TOO_CLOSE_MM
 from .tower import Body as Body
 from .tower import Tower as Tower

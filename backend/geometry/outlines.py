@@ -469,6 +469,13 @@ def contact_margins_mm(
     The signed distance of the place to the convex hull of the contact, positive inside. Without
     contact it is the negative distance to ``below``.
     """
+    return hull_margins_mm(face, com_xy_mm, below, places_mm)[0]
+
+
+def hull_margins_mm(
+    face: Outline, com_xy_mm: Point, below: Outline, places_mm: FloatArray
+) -> tuple[FloatArray, NDArray[np.intp], NDArray[np.object_]]:
+    """Return the margins of ``contact_margins_mm``, the rows with contact, and the areas there."""
     import shapely
 
     support, at = geometry_of(below), shapely.points(places_mm)
@@ -476,15 +483,15 @@ def contact_margins_mm(
     centre = places_mm - np.asarray(com_xy_mm)
     gap = shapely.distance(support, shapely.points(centre))
     near = np.flatnonzero(gap <= np.hypot(*face.half_extents_mm))
-    moved = _copies(geometry_of(face), centre[near])
-    hulls = shapely.convex_hull(shapely.intersection(moved, support))
-    touching = np.flatnonzero(~shapely.is_empty(hulls))
-    near, hulls = near[touching], hulls[touching]
+    areas = shapely.intersection(_copies(geometry_of(face), centre[near]), support)
+    touching = np.flatnonzero(~shapely.is_empty(areas))
+    near, areas = near[touching], areas[touching]
+    hulls = shapely.convex_hull(areas)
     depth = shapely.distance(shapely.boundary(hulls), at[near])
     beyond = shapely.distance(hulls, at[near])
     inside = np.where(shapely.area(hulls) > 0.0, depth, 0.0)
     margin[near] = np.where(beyond > 0.0, -beyond, inside)
-    return margin
+    return margin, near, areas
 
 
 def _has_region(first: Outline, second: Outline) -> bool:

@@ -10,18 +10,22 @@ until that lies inside the hull. The face then rests on a facet of the convex hu
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import cos, hypot, inf, pi, radians, sin, tan
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from touchdown.backend.core import FloatArray
 from touchdown.backend.geometry.outlines import (
+    LEAST_PART_MM2,
     NO_SUPPORT,
     Outline,
     Point,
     common_area,
+    geometry_of,
+    hull_margins_mm,
     hull_of,
     large_parts,
     rotated,
@@ -249,3 +253,177 @@ def _nearest(points_mm: FloatArray, at_mm: FloatArray) -> FloatArray:
     hull = shapely.convex_hull(shapely.multipoints(points_mm))
     way = shapely.shortest_line(hull, shapely.Point(at_mm))
     return np.asarray(shapely.get_coordinates(way)[0], dtype=np.float64)
+
+
+COARSE_MM, SIMPLE_MM = 2.0, 0.02  # points on a dome, and error of outlines, of many margins
+RAYS, NEAR_MM = 16, 0.06  # directions in which each of many margins is searched, and resolution
+TOO_DEEP_MM = -1e3
+# Points that n faces can touch: x, y and distance below the highest point of each face, (n, k) mm.
+Touchable = tuple[FloatArray, FloatArray, FloatArray]
+Rows = NDArray[np.intp]
+
+
+def surface_margins_mm(
+    face: Outline,
+    com_xy_mm: Point,
+    com_height_mm: float,
+    below: Outline,
+    surface: Surface,
+    places_mm: FloatArray,
+) -> FloatArray:
+    """Return the margins (n,) of ``contact_margins_mm`` on the ``surface`` of a face ``below``.
+
+    Where the faces overlap it is the margin of ``PieceOnSurface``, to about 0.1 mm: many pieces are
+    turned side by side, on coarser points, and 16 directions are searched.
+    """
+    import shapely
+
+    margin, rows, areas = hull_margins_mm(face, com_xy_mm, below, places_mm)
+    large = shapely.area(areas) > LEAST_PART_MM2
+    if large.any() and not surface.flat:
+        rows, areas, at = rows[large], areas[large], places_mm[rows[large]]
+        points = _touchable_points(face, at - np.asarray(com_xy_mm), below, surface, areas)
+        hulls = shapely.convex_hull(areas)
+        margin[rows] = _search_margins(points, com_height_mm, hulls, at, margin[rows])
+    return margin
+
+
+def _touchable_points(
+    face: Outline, at_mm: FloatArray, below: Outline, surface: Surface, areas: NDArray[np.object_]
+) -> Touchable:
+    import shapely
+
+    level, support = replace(surface, step_mm=0.0), geometry_of(below)
+    found = []
+    for part, lift_mm in step_levels(support, surface):
+        shared = shapely.intersection(areas, part) if surface.step_mm else areas
+        if not surface.dome_mm:
+            shared = shapely.convex_hull(shared)
+        edges = shapely.simplify(shared, SIMPLE_MM)
+        if surface.dome_mm:
+            edges = shapely.segmentize(edges, COARSE_MM)
+        points, owner = shapely.get_coordinates(edges, return_index=True)
+        found.append((points, owner, level.heights_mm(points) + lift_mm))
+    if surface.dome_mm:
+        lattice = spread_points(support, COARSE_MM)
+        owner, point = np.nonzero(face.contains(lattice - at_mm[:, None]))
+        found.append((lattice[point], owner, surface.heights_mm(lattice)[point]))
+    points, owner, heights = map(np.concatenate, zip(*found, strict=True))
+    order = np.argsort(owner, kind="stable")
+    count = np.bincount(owner, minlength=len(areas))
+    column = np.arange(len(order)) - np.repeat(np.cumsum(count) - count, count)
+    packed = np.zeros((3, len(areas), count.max()))
+    packed[2] = TOO_DEEP_MM
+    packed[:, owner[order], column] = *points[order].T, heights[order]
+    x, y, height = packed
+    return x, y, height.max(axis=1, keepdims=True) - height
+
+
+def _come_to_rest(
+    points: Touchable, rows: Rows, centre_mm: FloatArray, com_height_mm: float
+) -> NDArray[np.bool_]:
+    """Return (m,): True if ``PieceOnSurface.rest_slope`` exists for the piece ``rows[i]``."""
+    found, left = np.zeros(len(rows), np.bool_), np.arange(len(rows))
+    (x, y, gap), slope = (values[rows] for values in points), np.zeros((len(rows), 2))
+    for _ in range(MAX_EVENTS):
+        if not len(left):
+            break
+        centre = centre_mm[left] - com_height_mm * slope
+        way = _ways_to_hulls(x, y, gap <= TOUCH_MM, centre)
+        length = np.hypot(*way.T)
+        found[left[length <= TOUCH_MM]] = True
+        along = way / np.maximum(length, TOUCH_MM)[:, None]
+        rate = x * along[:, :1] + y * along[:, 1:]
+        rate -= ((centre + way) * along).sum(axis=1)[:, None]
+        nears = (rate < -TOUCH_MM) & (gap > TOUCH_MM)
+        turn = np.divide(gap, -rate, out=np.ones_like(gap), where=nears).min(axis=1)
+        slope = slope + turn[:, None] * along
+        gap = np.maximum(gap + turn[:, None] * rate, 0.0)
+        on = (length > TOUCH_MM) & (np.hypot(*slope.T) <= MAX_TURN)
+        x, y, gap, slope, left = x[on], y[on], gap[on], slope[on], left[on]
+    return found
+
+
+def _search_margins(
+    points: Touchable,
+    com_height_mm: float,
+    hulls: NDArray[np.object_],
+    at_mm: FloatArray,
+    flat_mm: FloatArray,
+) -> FloatArray:
+    """Return the distances (n,) at which the results change, negative without rest.
+
+    ``flat_mm``: distances of the centres of mass ``at_mm`` (n, 2) to the hulls; a piece whose
+    centre of mass is outside never rests. The first ray leads to the nearest edge of the hull.
+    """
+    import shapely
+
+    rests = _come_to_rest(points, np.arange(len(at_mm)), at_mm, com_height_mm)
+    ways = shapely.shortest_line(shapely.boundary(hulls), shapely.points(at_mm))
+    towards = shapely.get_coordinates(ways)[::2] - at_mm
+    angle = np.arctan2(towards[:, 1], towards[:, 0])[:, None] + 2.0 * pi / RAYS * np.arange(RAYS)
+    rays = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+
+    def changed(tried: NDArray[np.bool_], radius_mm: FloatArray) -> NDArray[np.bool_]:
+        """Return (n, RAYS): True where the result at the end of a ray of ``tried`` differs."""
+        rows, ray = np.nonzero(tried)
+        ends = at_mm[rows] + radius_mm[rows, None] * rays[rows, ray]
+        now = shapely.intersects_xy(hulls[rows], *ends.T)
+        now[now] = _come_to_rest(points, rows[now], ends[now], com_height_mm)
+        found = np.zeros_like(tried)
+        found[rows, ray] = now != rests[rows]
+        return found
+
+    outside = np.maximum(-flat_mm, 0.0)
+    low, high = np.where(rests, 0.0, outside), np.where(rests, flat_mm, outside)
+    play = changed(np.repeat(rests[:, None], RAYS, axis=1), high)
+    for reach in REACHES_MM[2::2]:
+        waits = ~rests & ~play.any(axis=1)
+        low, high = np.where(waits, high, low), np.where(waits, outside + reach, high)
+        play |= changed(np.repeat(waits[:, None], RAYS, axis=1), high)
+    low = np.where(play.any(axis=1), low, high)
+    while (wide := high - low > NEAR_MM).any():
+        middle = 0.5 * (low + high)
+        now = changed(play & wide[:, None], middle)
+        some = now.any(axis=1)
+        low, high = np.where(wide & ~some, middle, low), np.where(some, middle, high)
+        play = np.where(now.any(axis=1, keepdims=True), now, play)
+    return np.asarray(np.where(rests, 0.5, -0.5) * (low + high))
+
+
+def _ways_to_hulls(
+    x: FloatArray, y: FloatArray, among: NDArray[np.bool_], at_mm: FloatArray
+) -> FloatArray:
+    """Return the ways (m, 2) from ``at_mm`` to the hulls of the points ``among`` (m, k), 0 inside.
+
+    Gilbert, Johnson and Keerthi 1988, in the plane.
+    """
+    rows, column = np.nonzero(among)
+    count = np.bincount(rows)
+    first = np.cumsum(count) - count
+    index = np.arange(count.max())
+    index = first[:, None] + np.where(index < count[:, None], index, 0)  # repeats the first point
+    points = (np.stack([x[rows, column], y[rows, column]], axis=1) - at_mm[rows])[index]
+    one = np.arange(len(points))
+    a = b = way = points[one, (points**2).sum(axis=-1).argmin(axis=1)]
+    for _ in range(2 * points.shape[1]):
+        c = points[one, (points @ way[:, :, None])[..., 0].argmin(axis=1)]
+        closer = ((way * (way - c)).sum(axis=1) > TOUCH_MM * np.hypot(*way.T))[:, None]
+        if not closer.any():
+            break
+        turns = [p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0] for p, q in ((a, b), (b, c), (c, a))]
+        within = np.abs(np.sign(turns).sum(axis=0)) == 3.0
+        on_a, on_b = _nearest_of_segments(a, c), _nearest_of_segments(b, c)
+        takes_a = ((on_a**2).sum(axis=1) < (on_b**2).sum(axis=1))[:, None]
+        better = np.where(within[:, None], 0.0, np.where(takes_a, on_a, on_b))
+        a, b = np.where(closer & ~takes_a, b, a), np.where(closer, c, b)
+        way = np.where(closer, better, way)
+    return np.asarray(way)
+
+
+def _nearest_of_segments(start: FloatArray, end: FloatArray) -> FloatArray:
+    """Return the points (m, 2) of segments that are nearest to the origin."""
+    along = end - start
+    length2 = np.maximum((along**2).sum(axis=1), TOUCH_MM**2)
+    share = np.clip(-(start * along).sum(axis=1) / length2, 0.0, 1.0)
+    return np.asarray(start + share[:, None] * along)

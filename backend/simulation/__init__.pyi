@@ -32,6 +32,7 @@ from .ground_truth import Scene as Scene
 from .ground_truth import SceneTruth as SceneTruth
 from .ground_truth import judge_release as judge_release
 from .ground_truth import release_kick_mm as release_kick_mm
+from .ground_truth import touched_margins_mm as touched_margins_mm
 from .ground_truth import tower_with_piece as tower_with_piece
 from .ground_truth import true_com_xy_mm as true_com_xy_mm
 from .ground_truth import true_margin_mm as true_margin_mm

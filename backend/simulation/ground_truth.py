@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from touchdown.backend.config import SimulationSettings
-from touchdown.backend.core import Fall
+from touchdown.backend.core import Fall, FloatArray
 from touchdown.backend.geometry import (
     FLAT,
     Outline,
@@ -20,6 +20,7 @@ from touchdown.backend.geometry import (
     TowerVerdict,
     judge_tower,
     scene_number,
+    surface_margins_mm,
 )
 from touchdown.backend.simulation import conditions
 from touchdown.backend.simulation.conditions import MountingDraw, SeedScope, draw_surface
@@ -101,6 +102,19 @@ def true_com_xy_mm(scene: Scene) -> tuple[float, float]:
         return x, y
     dx, dy = scene_mounting(scene).com_mm
     return x + dx, y + dy
+
+
+def touched_margins_mm(
+    scene: Scene, com_xy_mm: tuple[float, float], places_mm: FloatArray
+) -> FloatArray:
+    """Return the margins (n,) on the touched face alone with the centre of mass at ``places_mm``.
+
+    ``com_xy_mm``: centre of mass in ``F``. The piece is not rotated.
+    """
+    piece, top = scene.piece, scene.bottoms.bodies[-1]
+    return surface_margins_mm(
+        piece.face, com_xy_mm, piece.com_height_mm, scene.surface, top.surface, places_mm
+    )
 
 
 MAX_RELEASE_GAP_MM = 2.0  # released higher above the support, the piece counts as fallen

@@ -172,6 +172,8 @@ def add_fused_arguments(parser: argparse.ArgumentParser) -> None:
     fused.add_argument(
         "--free-parts", type=int, default=0, help="of eight probes on bottoms that rock and slide"
     )
+    fused.add_argument("--surface-parts", type=int, default=0, help="of eight probes on tilted, "
+                       "stepped and domed bottoms; needs --outlines any")  # fmt: skip
     fused.add_argument("--steps", type=int, default=6000, help="of the training; 0: data only")
     fused.add_argument("--networks", type=int, default=1, metavar="N", help="to train; "
                        "all must agree on a release")  # fmt: skip
@@ -200,16 +202,20 @@ def train_fused(
     half = args.parts // 2
     counts = {"short": args.parts - half, "more": half}
     counts |= {"free": args.free_parts, "long": args.long_parts, "longest": args.longest_parts}
+    counts["surface"] = args.surface_parts
     known = all(n == 0 or 2 <= n <= PORTIONS[name].most for name, n in counts.items())
     known &= 1 <= args.networks <= MOST_NETWORKS
-    known &= args.parts >= 4 or (args.parts == 0 and args.long_parts + args.longest_parts > 0)
+    others = args.long_parts + args.longest_parts + args.surface_parts
+    known &= args.parts >= 4 or (args.parts == 0 and others > 0)
+    known &= args.surface_parts == 0 or args.outlines == "any"
     if not known or min(args.steps, args.seed, args.rule_trials) < 0:
         raise InputError(
             "A number of parts, networks, steps or trials, or the seed, is out of range.",
-            "--parts, --long-parts, --longest-parts, --free-parts, --networks, --steps, "
-            "--rule-trials, --seed",
-            "Give 4 to 120 parts, none or 2 to 400 long, 2 to 200 longest and 2 to 100 free ones "
-            f"(with long or longest ones also no others), and 1 to {MOST_NETWORKS} networks.",
+            "--parts, --long-parts, --longest-parts, --free-parts, --surface-parts, --networks, "
+            "--steps, --rule-trials, --seed",
+            "Give 4 to 120 parts, none or 2 to 400 long, 2 to 200 longest, 2 to 100 free and, with "
+            "--outlines any, 2 to 180 on uneven bottoms (with one of them but free ones also no "
+            f"others), and 1 to {MOST_NETWORKS} networks.",
         )
     bench = load_simulation(args.bench, None if args.bench else args.preset)
     code = program_version()

@@ -78,11 +78,14 @@ from touchdown.backend.geometry.families import FRESH_SEED, UNSEEN_BOTTOMS, UNSE
 from touchdown.backend.geometry.outlines import circle, contact_margins_mm, face_points, square
 from touchdown.backend.geometry.pieces import load_pieces
 from touchdown.backend.geometry.regions import ell
+from touchdown.backend.geometry.surfaces import Surface
 from touchdown.backend.geometry.tower import Body, Tower
 from touchdown.backend.jobs.execution import SerialExecutor, run_campaign
 from touchdown.backend.jobs.job import JobStore, run_job
 from touchdown.backend.learning.checkpoint import card_path, load_checkpoint
 from touchdown.backend.learning.fused.checkpoint import load_fused, shipped_path
+from touchdown.backend.learning.fused.features import field_components
+from touchdown.backend.learning.fused.training import prepare_sequences
 from touchdown.backend.placement.strategies import ProbeObservation
 from touchdown.backend.sensing.episode import EpisodeLimits
 from touchdown.backend.simulation import BatchedTrials, GraspHistory, Scene
@@ -299,6 +302,7 @@ def test_a_step_knows_only_where_the_press_acted() -> None:
 TINY = {
     "short": DataPortion(0, 60, pieces=1, bottoms=2, probes=2, free=False),
     "free": DataPortion(500, 100, pieces=1, bottoms=1, probes=3, free=True),
+    "surface": DataPortion(120, 180, pieces=1, bottoms=2, probes=2, free=False, uneven=True),
 }
 
 
@@ -332,18 +336,36 @@ def test_from_nothing_to_a_network_with_its_card(
 
 
 def test_the_wide_family_has_its_own_target_and_leaves_old_jobs_alone(
-    bench_v1: SimulationSettings, tmp_path: Path
+    bench_v1: SimulationSettings, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert all("outlines" not in job.params for job in tiny(bench_v1).jobs())
     store = JobStore(tmp_path)
-    recipe = replace(tiny(bench_v1, outlines="any"), counts={"short": 2})
+    recipe = replace(tiny(bench_v1, outlines="any"), counts={"short": 2, "surface": 2})
     jobs = recipe.jobs()
+    assert ["surface" in job.params for job in jobs[:4]] == [False, True, False, True]
     for result in run_campaign(jobs, SerialExecutor(FUSED_KINDS, store), store):
         assert result.state == "done", result.error
-    assert load_sequences([store.folder(job.id) for job in jobs[:2]])["margin_mm"].shape[0] == 4
+    data = load_sequences([store.folder(job.id) for job in jobs[:4]])
+    assert data["margin_mm"].shape == (8, 49, 49)
     card = load_fused(store.folder(jobs[-1].id) / WEIGHTS).card
     assert card.outlines == "any"
     assert "crescents" in card.family
+    assert "stepped" in card.family
+    monkeypatch.setattr("touchdown.backend.experiments.fusion.PORTIONS", TINY)
+    ready = ready_sequences(store, bench_v1, "any")
+    assert {name: len(some) for name, some in ready.items()} == {
+        "short": 2,
+        "free": 0,
+        "surface": 2,
+    }
+    # No input of the network depends on the truth.
+    truths = {
+        name: data[name] + 1 for name in ("margin_mm", "true_mm", "support_mm", "true_com_mm")
+    }
+    modes = field_components(data["field"])
+    both = (prepare_sequences(some, modes, mirror=False) for some in (data, {**data, **truths}))
+    first, second = (sequences.probes.numpy() for sequences in both)
+    np.testing.assert_array_equal(first, second)
 
 
 def test_finished_data_of_any_version_train_an_ensemble(
@@ -357,7 +379,7 @@ def test_finished_data_of_any_version_train_an_ensemble(
     for job in jobs:
         assert run_job(job, FUSED_KINDS, store).state == "done"
     ready = ready_sequences(store, bench_v1, "convex")
-    assert ready == {"short": jobs[::2], "free": jobs[1::2]}
+    assert ready == {"short": jobs[::2], "free": jobs[1::2], "surface": []}
     assert not any(ready_sequences(store, bench_v1, "any").values())
     recipe = replace(data, steps=2, ready=ready, networks=2)
     training = recipe.jobs()
@@ -372,11 +394,17 @@ def test_finished_data_of_any_version_train_an_ensemble(
 
 
 def test_nodes_of_the_target_are_the_margins_there() -> None:
-    mug, bottom = load_pieces().top("mug"), ell(20.0, 16.0, 5.0)
-    field = margin_field(mug.face, mug.com_xy_mm, bottom)
+    mug, outline = load_pieces().top("mug"), ell(20.0, 16.0, 5.0)
+    bottom = Body("bottom", outline, outline, 20.0, 0.0, 10.0, fixed=True)
+    off = SimulationSettings.model_validate({"preset": "off"})
+    field = margin_field(Scene(mug, Tower((bottom,)), (0.0, 0.0), 1, off))
     assert field.shape == (49, 49)
-    near = contact_margins_mm(mug.face, mug.com_xy_mm, bottom, np.array([[3.0, -1.5]]))
+    near = contact_margins_mm(mug.face, mug.com_xy_mm, outline, np.array([[3.0, -1.5]]))
     assert field[23, 26] == pytest.approx(float(near[0]), abs=0.01)
+    # On an inclined bottom the centre of mass moves by the tangent times its height.
+    bottom = replace(bottom, surface=Surface((0.0, -0.05)))
+    moved = margin_field(Scene(mug, Tower((bottom,)), (0.0, 0.0), 1, off))
+    assert 0.3 < float(np.abs(moved - field)[field > 0.5].max()) < 0.05 * mug.com_height_mm + 0.2
 
 
 def test_no_two_parts_share_a_seed_and_none_has_one_of_the_tables(

@@ -9,11 +9,13 @@ import numpy as np
 import pytest
 from scipy.spatial import ConvexHull
 
+from touchdown.backend.config import SurfaceSettings
 from touchdown.backend.core import InputError
 from touchdown.backend.geometry import (
     FLAT,
     Body,
     PieceOnSurface,
+    ShapeFamily,
     Surface,
     Tower,
     circle,
@@ -23,7 +25,9 @@ from touchdown.backend.geometry import (
     rectangle,
     ring,
     surface_heights_mm,
+    surface_margins_mm,
 )
+from touchdown.backend.simulation.conditions import draw_surface
 
 HEIGHT_MM = 30.0  # of the centre of mass
 FACE, BELOW = circle(15.0), circle(20.0)
@@ -124,6 +128,27 @@ def test_a_piece_rests_on_the_facet_of_the_hull_below_its_centre_of_mass(seed: i
         foot = centre - HEIGHT_MM * slope
         assert (base.equations[:, :2] @ foot + base.equations[:, 2] < 1e-6).all()
     assert found
+
+
+@pytest.mark.parametrize("kind", ["tilted", "stepped", "domed"])
+def test_margins_of_many_places_are_those_of_the_judge(kind: str) -> None:
+    rng, family = np.random.default_rng(5), ShapeFamily.of(load_pieces(), "any")
+    settings = SurfaceSettings.model_validate({f"{kind}_share": 1.0})
+    stable = 0
+    for _ in range(4):
+        below, piece, height_mm = family.bottom(rng).lower, family.piece(rng), rng.uniform(15, 35)
+        surface = draw_surface(settings, max(below.half_extents_mm), rng)
+        com = np.asarray(piece.com_xy_mm)
+        places = com + rng.uniform(-0.7, 0.7, (3, 2)) * below.half_extents_mm
+        found = surface_margins_mm(piece.face, piece.com_xy_mm, height_mm, below, surface, places)
+        for place, margin in zip(places, found, strict=True):
+            at = tuple((place - com).tolist())
+            judge = PieceOnSurface.over(piece.face, at, 0.0, below, surface, height_mm)
+            exact = judge.margin_mm(place)
+            assert margin == pytest.approx(exact, abs=0.2)
+            assert (margin > 0.0) == (exact > 0.0)
+            stable += exact > 0.0
+    assert 2 < stable < 12
 
 
 def test_only_the_held_piece_can_stand_on_a_face_that_is_not_flat() -> None:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from PySide6.QtCore import QRectF, QSize, Qt
-from PySide6.QtGui import QPainter, QPaintEvent, QPen
+from PySide6.QtGui import QPainter, QPen
 from PySide6.QtWidgets import (
     QButtonGroup,
     QCheckBox,
@@ -32,7 +32,6 @@ from touchdown.backend.core import FINGERS, CalibrationMeasured, Finger, Progres
 from touchdown.backend.runs import CalibrateRequest
 from touchdown.widgets.base import (
     CaptionedView,
-    DrawnView,
     Theme,
     add_items,
     hbox,
@@ -43,13 +42,13 @@ from touchdown.widgets.base import (
     vbox,
 )
 from touchdown.widgets.forms import decimal_box, field_label, inset_spin_boxes
-from touchdown.widgets.plots import draw_message
+from touchdown.widgets.plots import PictureView, draw_message
 from touchdown.widgets.views import MIN_SIZE, TactileView
 
 MOST_BARS = 126
 
 
-class ResidualBars(DrawnView):
+class ResidualBars(PictureView):
     """Bar chart of residuals; the dashed line is the limit of the checked figure."""
 
     def __init__(self, theme: Theme) -> None:
@@ -77,16 +76,15 @@ class ResidualBars(DrawnView):
         self.setAccessibleDescription(empty)
         self.update()
 
-    def paintEvent(self, event: QPaintEvent) -> None:
+    def paint(self, painter: QPainter) -> None:
         """Draw the bars."""
-        with QPainter(self) as painter:
-            painter.fillRect(self.rect(), self._theme.tokens.colour("bg"))
-            painter.setFont(ui_font(self._theme.scale, 0.85))
-            if self._sizes:
-                self._draw(painter)
-            else:
-                said = "Not measured since the start", self.empty
-                draw_message(painter, self.rect(), self._theme, *said)
+        painter.fillRect(self.rect(), self._theme.tokens.colour("bg"))
+        painter.setFont(ui_font(self._theme.scale, 0.85))
+        if self._sizes:
+            self._draw(painter)
+        else:
+            said = "Not measured since the start", self.empty
+            draw_message(painter, self.rect(), self._theme, *said)
 
     def _draw(self, painter: QPainter) -> None:
         tokens, metrics = self._theme.tokens, painter.fontMetrics()

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import get_args
 
 from PySide6.QtCore import QRectF, Qt, QTimer
-from PySide6.QtGui import QPainter, QPaintEvent
+from PySide6.QtGui import QPainter
 from PySide6.QtSvg import QSvgRenderer
 from PySide6.QtWidgets import QComboBox, QLineEdit, QPushButton, QWidget
 
@@ -27,8 +27,9 @@ from touchdown.backend.geometry import (
     piece_svg,
     save_piece,
 )
-from touchdown.widgets.base import DrawnView, Theme, hbox, label, set_property
+from touchdown.widgets.base import Theme, hbox, label, set_property
 from touchdown.widgets.forms import FormFields, decimal_box, set_entries
+from touchdown.widgets.plots import PictureView
 
 MEASURE_AFTER_MS = 300  # pause after an edit before the file is measured again
 ROLES = (("top", "is grasped"), ("bottom", "is stacked upon"), ("both", "both"))
@@ -39,7 +40,7 @@ FACES = (*((end, end) for end in get_args(PieceEnd)), (DRAWN, "drawn outline"))
 NO_FILE = "Choose a mesh (STL, OBJ, PLY, OFF) or an outline (SVG, DXF), or drop one here."
 
 
-class PiecePicture(DrawnView):
+class PiecePicture(PictureView):
     """Picture of a measured piece, in the colours of the theme."""
 
     def __init__(self, theme: Theme) -> None:
@@ -51,9 +52,8 @@ class PiecePicture(DrawnView):
         self._piece = piece
         self.update()
 
-    def paintEvent(self, _event: QPaintEvent) -> None:
+    def paint(self, painter: QPainter) -> None:
         """Draw the picture, as large as fits."""
-        painter = QPainter(self)
         painter.fillRect(self.rect(), self._theme.tokens.colour("bg"))
         if self._piece is None:
             return

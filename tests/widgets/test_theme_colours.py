@@ -13,8 +13,10 @@ from PySide6.QtWidgets import QComboBox, QLineEdit, QListWidget, QPushButton, QS
 
 from touchdown.app import splash
 from touchdown.widgets.base.style_sheet import make_style_sheet
-from touchdown.widgets.base.theme import CONTRAST, DARK, LIGHT, load_resources
+from touchdown.widgets.base.theme import CONTRAST, DARK, LIGHT, MAPS, load_resources
+from touchdown.widgets.plots.distribution import legible_colours
 from touchdown.widgets.shell.devices import ChipState, mark_colours
+from touchdown.widgets.views.offset import GHOST_STYLES
 from touchdown.widgets.views.scene_camera import OUTLINE_STYLES
 from touchdown.widgets.views.tactile import BIN_COLOURS
 
@@ -225,6 +227,20 @@ def test_ticks_and_arrows_of_controls_are_seen(tokens):
         assert inks
         for ink in inks:
             assert contrast_ratio(QColor(ink), tokens.colour("bg")) >= 3.0
+
+
+@pytest.mark.parametrize("tokens", THEMES, ids=IDS)
+@pytest.mark.parametrize("name", MAPS)
+def test_every_dot_of_a_distribution_is_seen_on_its_ground(tokens, name):
+    for shade in legible_colours(np.linspace(0, 1, 33), name, tokens).tolist():
+        assert contrast_ratio(QColor(*shade), tokens.colour("bg")) >= 3.0
+
+
+@pytest.mark.parametrize("tokens", THEMES, ids=IDS)
+def test_the_lines_of_the_sources_are_seen_and_told_apart(tokens):
+    colours = [getattr(tokens, token) for _, token, _ in GHOST_STYLES.values()]
+    assert min(contrast_ratio(QColor(c), tokens.colour("bg")) for c in colours) >= 3.0
+    assert smallest_distance(colours) >= 10
 
 
 def test_the_distance_test_can_fail():

@@ -5,7 +5,6 @@ from .freshness import scroll_into_view as scroll_into_view
 from .panel import CaptionedView as CaptionedView
 from .panel import ColumnArrangement as ColumnArrangement
 from .panel import Columns as Columns
-from .panel import DrawnView as DrawnView
 from .panel import ElidedLabel as ElidedLabel
 from .panel import Panel as Panel
 from .panel import ScrollingNote as ScrollingNote

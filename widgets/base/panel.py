@@ -25,8 +25,6 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from touchdown.widgets.base.theme import Theme
-
 _Box = TypeVar("_Box", bound=QBoxLayout)
 GAP_PX, NUDGE_PX = 8, 16
 LEAST_SHARE = 0.02
@@ -228,33 +226,6 @@ class ElidedLabel(QLabel):
         painter = QPainter(self)
         painter.setPen(self.palette().color(self.foregroundRole()))
         painter.drawText(QRectF(self.rect()), int(self.alignment()), self.shown())
-
-
-class DrawnView(QWidget):
-    """Widget that paints itself in the colours of a theme and grows with its page.
-
-    ``usual_px`` is the size hint; an ``opaque`` view paints every pixel.
-    """
-
-    def __init__(
-        self,
-        theme: Theme,
-        name: str,
-        least_px: tuple[int, int],
-        usual_px: tuple[int, int] = (-1, -1),
-        *,
-        opaque: bool = True,
-    ) -> None:
-        super().__init__()
-        self._theme, self._usual_px = theme, QSize(*usual_px)
-        self.setAccessibleName(name)
-        self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Expanding)
-        self.setMinimumSize(*least_px)
-        self.setAttribute(Qt.WidgetAttribute.WA_OpaquePaintEvent, opaque)
-
-    def sizeHint(self) -> QSize:
-        """Return the usual size."""
-        return self._usual_px
 
 
 def describe(*rows: tuple[QWidget, str, str]) -> None:

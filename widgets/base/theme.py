@@ -56,6 +56,7 @@ class Tokens:
     axis_z: str
     good: str
     bad: str
+    scene: str  # position seen by the scene camera
     disabled: str
     pill_grey: str = "#5A6570"
     pill_blue: str = "#1565C0"
@@ -77,21 +78,21 @@ DARK = Tokens(
     text="#E3E8ED", muted="#A3AEBA", border="#7A8794", hairline="#2E363F", grid="#2A323A",
     focus="#7CC4FF", selection="#1F6FB2", selection_text="#FFFFFF",
     axis_x="#4FA8FF", axis_y="#F0E442", axis_z="#FF6E5E", good="#6CEAAB", bad="#FF8370",
-    disabled="#7A8794",
+    scene="#7CF2FF", disabled="#7A8794",
 )  # fmt: skip
 LIGHT = Tokens(
     name="light", bg="#FFFFFF", panel="#F2F4F6", raised="#FFFFFF", hover="#E6EAEE",
     text="#1B2127", muted="#55606B", border="#76818C", hairline="#D5DBE0", grid="#E2E7EB",
     focus="#0B5CAD", selection="#1F6FB2", selection_text="#FFFFFF",
     axis_x="#005FCC", axis_y="#C04A00", axis_z="#3A0D3F", good="#11784D", bad="#AA180E",
-    disabled="#76818C",
+    scene="#0284C7", disabled="#76818C",
 )  # fmt: skip
 CONTRAST = Tokens(
     name="contrast", bg="#000000", panel="#000000", raised="#000000", hover="#2B2B2B",
     text="#FFFFFF", muted="#FFFFFF", border="#FFFFFF", hairline="#FFFFFF", grid="#4A4A4A",
     focus="#FFFF00", selection="#FFFF00", selection_text="#000000",
     axis_x="#00C8FF", axis_y="#FFFF00", axis_z="#FF8A7A", good="#68D9A1", bad="#F37B68",
-    disabled="#808080",
+    scene="#7CF2FF", disabled="#808080",
 )  # fmt: skip
 TOKENS: dict[ThemeName, Tokens] = {"dark": DARK, "light": LIGHT, "contrast": CONTRAST}
 

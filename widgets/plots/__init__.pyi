@@ -17,6 +17,7 @@ from .distribution import reach_of as reach_of
 from .force_traces import SPANS_S as SPANS_S
 from .force_traces import TracePlot as TracePlot
 from .force_traces import TracesPanel as TracesPanel
+from .pictures import PictureView as PictureView
 from .recorded_traces import CHANNEL_NAMES as CHANNEL_NAMES
 from .recorded_traces import NO_WRENCH as NO_WRENCH
 from .recorded_traces import Drawn as Drawn

@@ -9,10 +9,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 from PySide6.QtCore import QMarginsF, QPointF, QRectF, Qt
-from PySide6.QtGui import QColor, QMouseEvent, QPainter, QPaintEvent, QPen
+from PySide6.QtGui import QColor, QMouseEvent, QPainter, QPen
 
 from touchdown.backend.core import FloatArray
-from touchdown.widgets.base import DrawnView, MapName, Theme, colour_table, map_colours, ui_font
+from touchdown.widgets.base import MapName, Theme, Tokens, map_colours, ui_font
 from touchdown.widgets.plots.axes import (
     PictureCache,
     PlotArea,
@@ -24,9 +24,12 @@ from touchdown.widgets.plots.axes import (
     tick_text,
     ticks,
 )
+from touchdown.widgets.plots.pictures import PictureView
 
 NEAR_PX = 12.0  # a click farther than this from every dot selects none
 DOT_PX = 7.0
+# Part of a colour map with a contrast of 3 : 1 at least on a dark and on a light ground.
+ON_DARK, ON_LIGHT = (0.42, 1.0), (0.0, 0.58)
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,7 +74,7 @@ class DistributionScene:
         return (low, high) if high > low else (low - 0.5, high + 0.5)
 
 
-class DistributionView(DrawnView):
+class DistributionView(PictureView):
     """Plot of a ``DistributionScene``; ``choose`` gets the index of the clicked dot."""
 
     def __init__(self, theme: Theme, name: str, choose: Callable[[int], None]) -> None:
@@ -95,10 +98,12 @@ class DistributionView(DrawnView):
         em = self.fontMetrics().height()
         margins = QMarginsF(2.2 * em, 0.9 * em, 3.6 * em, 1.4 * em)
         reach = self.scene.reach_mm
-        return PlotArea(centred_square(self.size(), margins, 40.0), -reach, reach, -reach, reach)
+        square = centred_square(self.size(), margins, 40.0)
+        return self.zoom.of(PlotArea(square, -reach, reach, -reach, reach))
 
     def mousePressEvent(self, event: QMouseEvent) -> None:
         """Select the nearest dot."""
+        super().mousePressEvent(event)
         points = self.scene.points_mm
         if event.button() is not Qt.MouseButton.LeftButton or not len(points):
             return
@@ -109,14 +114,13 @@ class DistributionView(DrawnView):
         if away[nearest] <= NEAR_PX:
             self._choose(nearest)
 
-    def paintEvent(self, _event: QPaintEvent) -> None:
-        """Draw the cached picture; render it again if the scene, size or theme changed."""
-        painter = QPainter(self)
+    def paint(self, painter: QPainter) -> None:
+        """Draw the cached picture; render it again if the scene, part, size or theme changed."""
         if not len(self.scene.bottom):
             painter.fillRect(self.rect(), self._theme.tokens.colour("panel"))
             draw_message(painter, self.rect(), self._theme, "Nothing yet", "No pair is chosen.")
             return
-        painter.drawPixmap(0, 0, self._cache.picture(self._draw, id(self.scene)))
+        painter.drawPixmap(0, 0, self._cache.picture(self._draw, id(self.scene), self.zoom))
 
     def _draw(self, painter: QPainter) -> None:
         area = self.area()
@@ -138,7 +142,7 @@ class DistributionView(DrawnView):
         self._draw_scale(painter, area)
 
     def _draw_bins(self, painter: QPainter, area: PlotArea, bins: BinCounts) -> None:
-        shades = map_colours(bins.counts / self.scene.span[1], self._map)
+        shades = legible_colours(bins.counts / self.scene.span[1], self._map, self._theme.tokens)
         hole = QPen(self._theme.tokens.colour("border"), 1, Qt.PenStyle.DotLine)
         (x_mm, y_mm), size = bins.first_mm, bins.bin_mm
         for row, column in np.argwhere(bins.possible | (bins.counts > 0)).tolist():
@@ -154,7 +158,7 @@ class DistributionView(DrawnView):
     def _draw_dots(self, painter: QPainter, area: PlotArea) -> None:
         scene, t = self.scene, self._theme.tokens
         low, high = scene.span
-        shades = map_colours((scene.values - low) / (high - low), self._map)
+        shades = legible_colours((scene.values - low) / (high - low), self._map, t)
         x, y = area.columns(scene.points_mm[:, 0]), area.rows(scene.points_mm[:, 1])
         rim = QPen(t.colour("border"), 1)
         for k in range(len(x)):
@@ -184,10 +188,9 @@ class DistributionView(DrawnView):
     def _draw_scale(self, painter: QPainter, area: PlotArea) -> None:
         t, (low, high) = self._theme.tokens, self.scene.span
         bar = QRectF(area.rect.right() + 10, area.rect.top(), 10, area.rect.height())
-        lut = colour_table(self._map)
-        for k in range(int(bar.height())):
-            shade = lut[int(255 * (1.0 - k / bar.height()))]
-            painter.fillRect(QRectF(bar.left(), bar.top() + k, 10, 1.5), QColor(*shade.tolist()))
+        ramp = legible_colours(np.linspace(1.0, 0.0, int(bar.height())), self._map, t)
+        for k, shade in enumerate(ramp.tolist()):
+            painter.fillRect(QRectF(bar.left(), bar.top() + k, 10, 1.5), QColor(*shade))
         painter.setPen(QPen(t.colour("border"), 1))
         painter.drawRect(bar)
         whole = self.scene.bins is not None
@@ -199,6 +202,12 @@ class DistributionView(DrawnView):
                 continue
             box = QRectF(bar.right() + 4, scale.y(value) - height / 2, 60, height)
             painter.drawText(box, int(Qt.AlignmentFlag.AlignVCenter), tick_text(value, step))
+
+
+def legible_colours(share: FloatArray, name: MapName, tokens: Tokens) -> NDArray[np.uint8]:
+    """Map shares in 0..1 to colours that are seen on the ground of the theme."""
+    low, high = ON_DARK if tokens.colour("bg").lightness() < 128 else ON_LIGHT
+    return map_colours(low + (high - low) * share, name)
 
 
 def reach_of(bottom: FloatArray, points_mm: FloatArray) -> float:

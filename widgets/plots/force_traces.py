@@ -7,11 +7,11 @@ from functools import lru_cache
 
 import numpy as np
 from PySide6.QtCore import QPointF, QRectF, Qt
-from PySide6.QtGui import QPainter, QPaintEvent, QPen, QPolygonF, QStaticText
+from PySide6.QtGui import QPainter, QPen, QPolygonF, QStaticText
 from PySide6.QtWidgets import QWidget
 
 from touchdown.backend.core import FloatArray
-from touchdown.widgets.base import Age, DrawnView, Panel, Theme, flat_button, true_minus, ui_font
+from touchdown.widgets.base import Age, Panel, Theme, flat_button, signed, true_minus, ui_font
 from touchdown.widgets.plots.axes import (
     GridPainter,
     PictureCache,
@@ -26,6 +26,7 @@ from touchdown.widgets.plots.axes import (
     tick_text,
     ticks,
 )
+from touchdown.widgets.plots.pictures import PictureView
 
 AXES = ("x", "y", "z")
 BUCKETS = 360
@@ -33,8 +34,10 @@ ROW_EM = 1.4  # distance of the read-outs in text heights
 SPANS_S = (10.0, 30.0, 60.0)
 
 
-class TracePlot(DrawnView):
+class TracePlot(PictureView):
     """Three traces of one unit. The range grows in round steps and shrinks only with ``fit``."""
+
+    unit = ""
 
     def __init__(self, theme: Theme, name: str, symbol: str, unit: str, limit: float) -> None:
         super().__init__(theme, f"{name} traces", (240, 110))
@@ -44,7 +47,6 @@ class TracePlot(DrawnView):
         self._age, self._age_s, self._reason = Age.NEVER, 0.0, ""
         self._note = ""
         self._ground = PictureCache(self, theme)
-        self.paints = 0
         self.points_drawn = 0
 
     def add(self, t_s: FloatArray, values: FloatArray) -> None:
@@ -108,14 +110,20 @@ class TracePlot(DrawnView):
         em = self.fontMetrics().height()
         top = 1.7 * em
         rect = QRectF(2.9 * em, top, self.width() - 8.9 * em, self.height() - top - 1.6 * em)
-        return PlotArea(rect, -self.buckets.span_s, 0.0, -self.limit, self.limit)
+        return self.zoom.of(PlotArea(rect, -self.buckets.span_s, 0.0, -self.limit, self.limit))
 
-    def paintEvent(self, _event: QPaintEvent) -> None:
+    def reading(self, x: float, y: float) -> str:
+        """Return the time and the values of the traces then."""
+        age_s, low, high = self.buckets.ordered()
+        values = (low + high)[int(np.argmin(np.abs(age_s - x)))] / 2
+        texts = (signed(value, 1 if self._unit == "N" else 3) for value in values)
+        said = (f"{self._symbol}{name} {text}" for name, text in zip(AXES, texts, strict=True))
+        return f"{signed(x)} s: {', '.join(said)} {self._unit}"
+
+    def paint(self, painter: QPainter) -> None:
         """Draw the cached background and the traces."""
-        self.paints += 1
-        painter = QPainter(self)
-        area = self.area()
-        painter.drawPixmap(0, 0, self._ground.picture(self._draw_background, self.limit))
+        area, ground = self.area(), self._draw_background
+        painter.drawPixmap(0, 0, self._ground.picture(ground, self.limit, self.zoom))
         if self.buckets.empty:
             draw_message(painter, area.rect, self._theme, "Waiting for data", self._reason)
             return
@@ -160,8 +168,8 @@ class TracePlot(DrawnView):
         height = painter.fontMetrics().height()
         # Low plots label only the middle and the ends.
         count = 4 if rect.height() >= 7 * height else 2
-        step = nice_step(2 * self.limit, count)
-        for value in ticks(-self.limit, self.limit, count):
+        step = nice_step(area.y1 - area.y0, count)
+        for value in ticks(area.y0, area.y1, count):
             y = area.y(value)
             painter.setPen(QPen(t.colour("border" if value == 0 else "grid"), 1))
             painter.drawLine(QPointF(rect.left(), y), QPointF(rect.right(), y))
@@ -170,11 +178,12 @@ class TracePlot(DrawnView):
             y = min(y, rect.bottom() - 0.35 * height)
             box = QRectF(0, y - height / 2, rect.left() - 6, height)
             painter.drawText(box, int(Qt.AlignmentFlag.AlignRight), tick_text(value, step))
-        span = int(self.buckets.span_s)
-        widest = painter.fontMetrics().horizontalAdvance(f"{tick_text(-span, 1)} s")
-        for value in range(-span, 1, span // (5 if rect.width() >= 7 * widest else 2)):
-            text = "now" if value == 0 else f"{tick_text(value, 1)} s"
-            GridPainter(painter, area, t).column(value, text, gap=3)
+        widest = painter.fontMetrics().horizontalAdvance(f"{tick_text(-60, 1)} s")
+        count = 5 if rect.width() >= 7 * widest else 2
+        step = nice_step(area.x1 - area.x0, count)
+        for at_s in ticks(area.x0, area.x1, count):
+            text = "now" if at_s == 0 else f"{tick_text(at_s, step)} s"
+            GridPainter(painter, area, t).column(at_s, text, gap=3)
         painter.setPen(t.colour("muted"))
         painter.setFont(ui_font(self._theme.scale, 0.85, 500))
         name = f"{self._name} ({self._unit})"
@@ -196,8 +205,9 @@ def _polylines(
     """Return per axis one polyline for each stretch without a gap; a bucket adds two points."""
     points = np.empty((low.shape[1], len(age_s), 2, 2))
     points[..., 0] = area.columns(age_s)[:, None]
+    room = area.y1 - area.y0
     for end, values in enumerate((low, high)):
-        points[:, :, end, 1] = area.rows(np.clip(values, 2 * area.y0, 2 * area.y1)).T
+        points[:, :, end, 1] = area.rows(np.clip(values, area.y0 - room, area.y1 + room)).T
     return [
         [polygon_of(axis[start:end].reshape(-1, 2)) for start, end in finite_runs(values)]
         for axis, values in zip(points, low.T, strict=True)

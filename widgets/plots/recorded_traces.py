@@ -8,11 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from PySide6.QtCore import QPointF, QRectF, Qt
-from PySide6.QtGui import QColor, QImage, QMouseEvent, QPainter, QPaintEvent, QPen
+from PySide6.QtGui import QColor, QImage, QMouseEvent, QPainter, QPen
 from PySide6.QtWidgets import QSizePolicy, QWidget
 
 from touchdown.backend.core import FloatArray
-from touchdown.widgets.base import DrawnView, Theme, Tokens, signed, ui_font
+from touchdown.widgets.base import Theme, Tokens, signed, ui_font
 from touchdown.widgets.plots.axes import (
     GridPainter,
     PlotArea,
@@ -23,6 +23,7 @@ from touchdown.widgets.plots.axes import (
     tick_text,
     ticks,
 )
+from touchdown.widgets.plots.pictures import WHOLE, PictureView, Zoom
 
 LEAST = {"N": 1.0, "N·m": 0.02}
 POINTS_PER_COLUMN = 2
@@ -73,6 +74,7 @@ class TraceSheet:
 
     paper: SheetStyle
     channels: tuple[int, ...]
+    zoom: Zoom = WHOLE
 
     @property
     def units(self) -> tuple[str, ...]:
@@ -94,7 +96,8 @@ class TraceSheet:
         if trace is None or not len(trace.t_s):
             return PlotArea(rect, 0.0, 2.0, -1.0, 1.0)
         low, high = self._range(trace, unit)
-        return PlotArea(rect, float(trace.t_s[0]), float(trace.t_s[-1]), low, high)
+        span_s = float(trace.t_s[0]), float(trace.t_s[-1])
+        return self.zoom.of(PlotArea(rect, *span_s, low, high))
 
     def _range(self, trace: WrenchTrace, unit: str) -> tuple[float, float]:
         values = trace.values[:, [c for c in self.channels if unit_of(c) == unit]]
@@ -120,8 +123,9 @@ class TraceSheet:
         painter.setFont(ui_font(self.paper.scale, 0.85))
         for side, unit in enumerate(self.units):
             self._draw_scale(painter, areas[unit], unit, right=side == 1)
+        step = min(nice_step(area.x1 - area.x0, 5), 0.5)
         for value in ticks(area.x0, area.x1, 5):
-            GridPainter(painter, area, t).column(value, f"{tick_text(value, 0.5)} s")
+            GridPainter(painter, area, t).column(value, f"{tick_text(value, step)} s")
 
     def _draw_scale(self, painter: QPainter, area: PlotArea, unit: str, *, right: bool) -> None:
         t, rect = self.paper.tokens, area.rect
@@ -150,8 +154,10 @@ class TraceSheet:
             area = areas[unit_of(channel)]
             painter.setClipRect(area.rect)
             painter.setPen(QPen(self.colour(channel), 1))
+            first, last = np.searchsorted(trace.t_s, (area.x0, area.x1)).tolist()
+            seen = slice(max(first - 1, 0), last + 1)
             t_s, values = min_max_per_column(
-                trace.t_s, trace.values[:, channel], int(area.rect.width())
+                trace.t_s[seen], trace.values[seen, channel], int(area.rect.width())
             )
             for start, end in finite_runs(values):
                 painter.drawPolyline(area.polygon(t_s[start:end], values[start:end]))
@@ -231,9 +237,10 @@ Drawn = tuple[Sheet, QImage]  # a sheet and its picture, drawn in advance
 FONTS, GAP_PX = (0.85, 0.75, 0.68), 8  # font scales of the read-outs; the first that fits is used
 
 
-class _SheetPlot(DrawnView):
+class _SheetPlot(PictureView):
     """Plot of a recorded trace and a cursor. The sheet below the cursor may be drawn in advance."""
 
+    unit = ""
     trace: WrenchTrace | None = None
     cursor_s = 0.0
     why_empty = NO_WRENCH
@@ -252,9 +259,9 @@ class _SheetPlot(DrawnView):
         self.cursor_s = t_s
         self.update()
 
-    def paintEvent(self, _event: QPaintEvent) -> None:
+    def paint(self, painter: QPainter) -> None:
         """Draw the cached sheet and what depends on the cursor."""
-        painter, trace, sheet = QPainter(self), self.trace, self.sheet()
+        trace, sheet = self.trace, self.sheet()
         if trace is None or not self.can_show(trace):
             painter.fillRect(self.rect(), self._theme.tokens.colour("panel"))
             draw_message(painter, self.rect(), self._theme, self.why_empty)
@@ -280,13 +287,15 @@ class _SheetPlot(DrawnView):
 class RecordedTraces(_SheetPlot):
     """Plot of the chosen channels; ``seek`` gets the clicked time."""
 
+    editable = True
+
     def __init__(self, theme: Theme, channels: tuple[int, ...], seek: Callable[[float], None]):
         super().__init__(theme, "Force and moment of the probe", (200, 84), (420, 130))
         self._seek, self.channels = seek, channels
 
     def sheet(self) -> TraceSheet:
         """Return the present sheet."""
-        return TraceSheet(sheet_style(self, self._theme), self.channels)
+        return TraceSheet(sheet_style(self, self._theme), self.channels, self.zoom)
 
     def show_channels(self, channels: tuple[int, ...]) -> None:
         """Choose the channels."""
@@ -300,9 +309,12 @@ class RecordedTraces(_SheetPlot):
 
     def at_cursor(self) -> FloatArray:
         """Return the (6,) newest sample at or before the cursor; NaN before the first."""
+        return self._at(self.cursor_s)
+
+    def _at(self, t_s: float) -> FloatArray:
         if self.trace is None:
             return np.full(6, np.nan)
-        index = int(np.searchsorted(self.trace.t_s, self.cursor_s, side="right")) - 1
+        index = int(np.searchsorted(self.trace.t_s, t_s, side="right")) - 1
         return self.trace.values[index] if index >= 0 else np.full(6, np.nan)
 
     def summary(self) -> str:
@@ -310,26 +322,36 @@ class RecordedTraces(_SheetPlot):
         values = self.at_cursor()
         return ", ".join(_reading(c, values[c]) for c in self.channels)
 
+    def reading(self, x: float, y: float) -> str:
+        """Return the time and the values of the curves then."""
+        values = self._at(x)
+        return f"{signed(x)} s: {', '.join(_reading(c, values[c]) for c in self.channels)}"
+
     def mousePressEvent(self, event: QMouseEvent) -> None:
-        """Move the cursor to the pressed or dragged time."""
-        if self.trace is None or not event.buttons() & Qt.MouseButton.LeftButton:
-            return
-        area = self.area("N")
-        self._seek(min(max(area.at(event.position())[0], area.x0), area.x1))
+        """Move the cursor to the pressed time."""
+        super().mousePressEvent(event)
+        self.mouseMoveEvent(event)
 
-    mouseMoveEvent = mousePressEvent  # noqa: N815
+    def mouseMoveEvent(self, event: QMouseEvent) -> None:
+        """Move the cursor to the dragged time."""
+        super().mouseMoveEvent(event)
+        left = event.buttons() & Qt.MouseButton.LeftButton
+        if self.trace is not None and left and self._grip is None:
+            area = self.area()
+            self._seek(min(max(area.at(event.position())[0], area.x0), area.x1))
 
-    def area(self, unit: str) -> PlotArea:
-        """Return the plot area of ``unit``."""
-        return self.sheet().area(self.trace, unit)
+    def area(self, unit: str = "") -> PlotArea:
+        """Return the plot area of ``unit``, by default that of the left axis."""
+        return self.sheet().area(self.trace, unit or self.sheet().units[0])
 
     def draw_cursor(self, painter: QPainter, trace: WrenchTrace) -> None:
         """Draw the cursor and the read-outs."""
         t, sheet = self._theme.tokens, self.sheet()
         area = sheet.area(trace, sheet.units[0])
-        x = area.x(min(max(self.cursor_s, area.x0), area.x1))
+        x = area.x(min(max(self.cursor_s, float(trace.t_s[0])), float(trace.t_s[-1])))
         painter.setPen(QPen(t.colour("text"), 1))
-        painter.drawLine(QPointF(x, area.rect.top()), QPointF(x, area.rect.bottom()))
+        if area.rect.left() - 1 <= x <= area.rect.right() + 1:
+            painter.drawLine(QPointF(x, area.rect.top()), QPointF(x, area.rect.bottom()))
         values, left = self.at_cursor(), area.rect.left()
         texts = [_reading(channel, values[channel]) for channel in self.channels]
         room = self.width() - left - GAP_PX * len(texts)

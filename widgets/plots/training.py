@@ -9,10 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from PySide6.QtCore import QPointF, QRectF, Qt
-from PySide6.QtGui import QColor, QFontMetrics, QPainter, QPaintEvent, QPen, QPolygonF
+from PySide6.QtGui import QColor, QFontMetrics, QPainter, QPen, QPolygonF
 
 from touchdown.backend.core import FloatArray
-from touchdown.widgets.base import DrawnView, Theme, draw_elided_line, map_colours, ui_font
+from touchdown.widgets.base import Theme, draw_elided_line, map_colours, ui_font
 from touchdown.widgets.plots.axes import (
     GridPainter,
     PlotArea,
@@ -22,6 +22,7 @@ from touchdown.widgets.plots.axes import (
     tick_text,
     ticks,
 )
+from touchdown.widgets.plots.pictures import PictureView
 from touchdown.widgets.views import stroke_on_black
 
 LEAST_EPOCHS = 4
@@ -41,8 +42,10 @@ class CurveLine:
     dashed: bool = False
 
 
-class _TrainingPlot(DrawnView):
+class _TrainingPlot(PictureView):
     """Axes and lines; small enough to be drawn without a cache."""
+
+    unit = ""
 
     def __init__(self, theme: Theme, name: str) -> None:
         super().__init__(theme, name, (130, 96), (280, 170), opaque=False)
@@ -59,7 +62,8 @@ class _TrainingPlot(DrawnView):
         em = self.fontMetrics().height()
         top = 1.6 * em
         width, height = self.width() - 2.6 * em - right, self.height() - top - 1.5 * em
-        return PlotArea(QRectF(2.6 * em, top, max(width, 20), max(height, 20)), *x, *y)
+        rect = QRectF(2.6 * em, top, max(width, 20), max(height, 20))
+        return self.zoom.of(PlotArea(rect, *x, *y))
 
     def _beside(self, endings: Iterable[str] = ()) -> float:
         """Return the width of the texts right of the curves."""
@@ -94,10 +98,12 @@ class _TrainingPlot(DrawnView):
         if line.dashed:
             pen.setStyle(Qt.PenStyle.DashLine)
         painter.setPen(pen)
+        painter.setClipRect(area.rect.adjusted(-3, -3, 3, 3))
         points = [QPointF(area.x(x), area.y(y)) for x, y in line.points if math.isfinite(y)]
         if len(points) == 1:
             painter.drawEllipse(points[0], 2.5, 2.5)
         painter.drawPolyline(QPolygonF(points))
+        painter.setClipping(False)
 
 
 class CurvePlot(_TrainingPlot):
@@ -124,9 +130,8 @@ class CurvePlot(_TrainingPlot):
         room = self._beside(_ending(one) for one in self.lines if one.points)
         return self._area((1.0, float(max(self.epochs, LEAST_EPOCHS))), (low, high), room)
 
-    def paintEvent(self, _event: QPaintEvent) -> None:
+    def paint(self, painter: QPainter) -> None:
         """Draw axes, curves, and the names at their ends."""
-        painter = QPainter(self)
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
         area = self.area()
         self._draw_axes(painter, area, whole=True)
@@ -160,9 +165,8 @@ class ReliabilityPlot(_TrainingPlot):
         """Show one line per run: (mean predicted probability, share in contact)."""
         self._show(lines, (one.name for one in lines))
 
-    def paintEvent(self, _event: QPaintEvent) -> None:
+    def paint(self, painter: QPainter) -> None:
         """Draw the diagonal and the bins."""
-        painter = QPainter(self)
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
         area = self._area((0.0, 1.0), (0.0, 1.0), 14.0)
         self._draw_axes(painter, area, whole=False)
@@ -204,7 +208,7 @@ class SampleScene:
     pitch_mm: float = 1.0
 
 
-class SampleStrip(DrawnView):
+class SampleStrip(PictureView):
     """Tiles of samples from best to worst, as many as fit."""
 
     def __init__(self, theme: Theme) -> None:
@@ -242,9 +246,8 @@ class SampleStrip(DrawnView):
         places = np.linspace(0, len(self.scenes) - 1, count).round().astype(int)
         return [self.scenes[k] for k in places.tolist()]
 
-    def paintEvent(self, _event: QPaintEvent) -> None:
+    def paint(self, painter: QPainter) -> None:
         """Draw the tiles."""
-        painter = QPainter(self)
         if not self.scenes:
             draw_message(painter, self.rect(), self._theme, "No samples", self._why)
             return

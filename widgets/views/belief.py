@@ -12,9 +12,10 @@ from PySide6.QtGui import QColor, QFontMetrics, QImage, QPainter, QPaintEvent, Q
 from PySide6.QtWidgets import QSizePolicy, QWidget
 
 from touchdown.backend.core import BeliefMap, FloatArray, Stability
-from touchdown.widgets.base import DrawnView, MapName, Theme, map_colours, ui_font
+from touchdown.widgets.base import MapName, Theme, map_colours, ui_font
 from touchdown.widgets.plots import (
     PictureCache,
+    PictureView,
     PlotArea,
     centred_square,
     draw_message,
@@ -248,6 +249,11 @@ def _step(
         if scene.clipped:
             stroke_on_black(painter, 1.0, dots, lambda: painter.drawLine(tip, target))
         stroke_on_black(painter, 1.6, solid, lambda: painter.drawEllipse(target, 6, 6))
+    draw_arrow(painter, tail, tip)
+
+
+def draw_arrow(painter: QPainter, tail: QPointF, tip: QPointF) -> None:
+    """Draw the arrow of a step."""
     along = tip - tail
     length = math.hypot(along.x(), along.y())
     if length < 1:
@@ -259,20 +265,22 @@ def _step(
         painter.drawLine(tip, tip - unit * 10 + across * 5)
         painter.drawLine(tip, tip - unit * 10 - across * 5)
 
-    stroke_on_black(painter, 2.2, solid, stroke)
+    stroke_on_black(painter, 2.2, Qt.PenStyle.SolidLine, stroke)
 
 
-class BeliefView(DrawnView):
+class BeliefView(PictureView):
     """View of a ``BeliefScene``; rendered again only if the scene, size or theme changes."""
 
     def __init__(self, theme: Theme, *, thumbnail: bool = False) -> None:
         least_px = (40, 40) if thumbnail else (240, 200)
         super().__init__(theme, "Belief map", least_px, (480, 480), opaque=False)
         self._thumbnail = thumbnail
+        if thumbnail:
+            self.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         self.scene = BeliefScene()
         self.map_name: MapName = "cividis"
         self._drawn = PictureCache(self, theme)
-        self.paints = self.renders = 0
+        self.renders = 0
 
     def show_scene(self, scene: BeliefScene) -> None:
         """Show another scene."""
@@ -287,10 +295,9 @@ class BeliefView(DrawnView):
         self._drawn.clear()
         self.update()
 
-    def paintEvent(self, _event: QPaintEvent) -> None:
+    def paint(self, painter: QPainter) -> None:
         """Draw the cached picture, rendered again if needed."""
-        self.paints += 1
-        QPainter(self).drawPixmap(0, 0, self._drawn.picture(self._draw))
+        painter.drawPixmap(0, 0, self._drawn.picture(self._draw, self.zoom))
 
     def square(self, size: QSize) -> QRectF:
         """Return the drawn square in a view of this size, beside axes and colour bar."""
@@ -299,9 +306,19 @@ class BeliefView(DrawnView):
         return centred_square(size, QMarginsF(1, 1, 1, 1) if self._thumbnail else margins, 10.0)
 
     def area(self) -> PlotArea:
-        """Return the drawn square with its frame."""
+        """Return the drawn square with the visible part of its frame."""
         cx, cy, half = self.scene.frame_mm()
-        return PlotArea(self.square(self.size()), cx - half, cx + half, cy - half, cy + half)
+        square = self.square(self.size())
+        return self.zoom.of(PlotArea(square, cx - half, cx + half, cy - half, cy + half))
+
+    def reading(self, x: float, y: float) -> str:
+        """Return the place and the probability of its cell."""
+        belief, text = self.scene.belief, super().reading(x, y)
+        if belief is None:
+            return text
+        far = np.abs(belief.cell_centres_mm() - (x, y)).max(axis=-1)
+        known = belief.covered & (far <= belief.pitch_mm / 2)
+        return f"{text}; p {belief.probability[known][0]:.2f}" if known.any() else text
 
     def _draw(self, painter: QPainter) -> None:
         self.renders += 1

@@ -4,23 +4,26 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from PySide6.QtCore import QMarginsF, QPointF, QRectF, Qt
-from PySide6.QtGui import QColor, QMouseEvent, QPainter, QPaintEvent, QPen, QPixmap
+from PySide6.QtCore import QMarginsF, QPointF, QRectF, QSize, Qt
+from PySide6.QtGui import QColor, QMouseEvent, QPainter, QPaintEvent, QPen, QPixmap, QResizeEvent
+from PySide6.QtWidgets import QCheckBox
 
 from touchdown.backend.core import FloatArray, SupportKind
-from touchdown.widgets.base import DrawnView, Theme, blend, signed, ui_font
+from touchdown.widgets.base import Theme, blend, signed, ui_font
 from touchdown.widgets.plots import (
     PictureCache,
+    PictureView,
     PlotArea,
     centred_square,
     draw_message,
     draw_mm_grid,
     draw_rings,
+    nice_step,
 )
 from touchdown.widgets.views.belief import draw_plus
 
@@ -104,26 +107,28 @@ def offset_text(offset_mm: Point | None, sigma_mm: float = 0.0) -> str:
     return f"x {x}, y {y} mm{spread}"
 
 
-# Line style of a source, and the angle on its outline at which it is labelled, rad.
-GHOST_STYLES: dict[GhostKind, tuple[Qt.PenStyle, float]] = {
-    "commanded": (Qt.PenStyle.DashLine, 2.1),
-    "measured": (Qt.PenStyle.DotLine, 3.9),
-    "scene": (Qt.PenStyle.DashDotDotLine, 1.0),
-    "model": (Qt.PenStyle.DashDotLine, -0.6),
+# Line style and colour of a source, and the angle on its outline at which it is labelled, rad.
+GHOST_STYLES: dict[GhostKind, tuple[Qt.PenStyle, str, float]] = {
+    "commanded": (Qt.PenStyle.DashLine, "muted", 2.1),
+    "measured": (Qt.PenStyle.DotLine, "axis_y", 3.9),
+    "scene": (Qt.PenStyle.DashDotDotLine, "scene", 1.0),
+    "model": (Qt.PenStyle.DashDotLine, "axis_z", -0.6),
 }
-SCALE_BAR_MM = 5.0
+SCALE_BARS = 7  # of them fill the width
+SAMPLE_PX = 30  # line of a source in the legend
 THICKEN_PX = 0.3
 
 
 def draw_scale_bar(painter: QPainter, area: PlotArea, theme: Theme) -> None:
-    """Draw a bar of 5 mm at the lower left."""
-    length = SCALE_BAR_MM * area.rect.width() / (area.x1 - area.x0)
+    """Draw a bar of a round length at the lower left."""
+    length_mm = nice_step(area.x1 - area.x0, SCALE_BARS)
+    length = length_mm * area.rect.width() / (area.x1 - area.x0)
     left, y = area.rect.left() + 10, area.rect.bottom() - 10
     painter.setPen(QPen(theme.tokens.colour("text"), 2))
     painter.drawLine(QPointF(left, y), QPointF(left + length, y))
     for x in (left, left + length):
         painter.drawLine(QPointF(x, y - 4), QPointF(x, y + 4))
-    painter.drawText(QPointF(left, y - 8), f"{SCALE_BAR_MM:g} mm")
+    painter.drawText(QPointF(left, y - 8), f"{length_mm:g} mm")
 
 
 def draw_bottom(painter: QPainter, area: PlotArea, scene: OffsetScene, theme: Theme) -> None:
@@ -148,21 +153,19 @@ def draw_ghosts(painter: QPainter, area: PlotArea, scene: OffsetScene, theme: Th
     """Draw the face positions of other sources: outline, uncertainty, name."""
     painter.setBrush(Qt.BrushStyle.NoBrush)
     painter.setFont(ui_font(theme.scale, 0.85, 500))
-    height = painter.fontMetrics().height()
-    for row, ghost in enumerate(scene.ghosts):
-        painter.setPen(QPen(theme.tokens.colour("muted"), 1, GHOST_STYLES[ghost.kind][0]))
+    for ghost in scene.ghosts:
+        painter.setPen(ghost_pen(ghost.kind, theme))
         outline = _placed(area, scene.face, ghost.offset_mm, scene.yaw_rad)
         # Two thin lines: Qt takes ten times as long for a dashed line wider than 1 px.
         draw_rings(painter, outline)
         draw_rings(painter, outline + THICKEN_PX)
         _sigma_circle(painter, area, ghost.offset_mm, ghost.sigma_mm)
-        _legend_line(painter, area, ghost, row, height, left=is_legend_left(scene))
         _letters(painter, area, scene, ghost)
 
 
 def _letters(painter: QPainter, area: PlotArea, scene: OffsetScene, ghost: Ghost) -> None:
     """Write the source beside its outline, each source on another side."""
-    turn = GHOST_STYLES[ghost.kind][1]
+    turn = GHOST_STYLES[ghost.kind][2]
     radius = float(np.nanmax(np.hypot(*scene.face.T)))
     x = area.x(ghost.offset_mm[0] + radius * math.cos(turn))
     y = area.y(ghost.offset_mm[1] + radius * math.sin(turn))
@@ -171,17 +174,34 @@ def _letters(painter: QPainter, area: PlotArea, scene: OffsetScene, ghost: Ghost
     painter.drawText(box, int(Qt.AlignmentFlag.AlignCenter), ghost.kind[:2].capitalize())
 
 
-def _legend_line(
-    painter: QPainter, area: PlotArea, ghost: Ghost, row: int, height: float, *, left: bool
-) -> None:
-    """Draw a legend entry in an upper corner; at the left below the axis name."""
-    text = f"{ghost.kind[:2].capitalize()}  {ghost.kind}"
-    width = painter.fontMetrics().horizontalAdvance(text)
-    y = area.rect.top() + 4 + (row + (1.5 if left else 0.5)) * (height + 2)
-    at = area.rect.left() + 42 if left else area.rect.right() - 8 - width
-    box = QRectF(at, y - height / 2, width, height)
-    painter.drawText(box, int(Qt.AlignmentFlag.AlignLeft), text)
-    painter.drawLine(QPointF(box.left() - 34, y), QPointF(box.left() - 6, y))
+def ghost_pen(kind: GhostKind, theme: Theme) -> QPen:
+    """Return the pen of a source."""
+    style, token, _ = GHOST_STYLES[kind]
+    return QPen(theme.tokens.colour(token), 1, style)
+
+
+class SourceBox(QCheckBox):
+    """Legend of one source, letters, name and line; shows or hides its outline."""
+
+    def __init__(self, theme: Theme, kind: GhostKind, view: OffsetView) -> None:
+        super().__init__(f"{kind[:2].capitalize()}  {kind}", view)
+        self._theme, self._kind = theme, kind
+        self.setAccessibleName(f"Show the {kind} position")
+        self.setFocusPolicy(Qt.FocusPolicy.TabFocus)
+        self.setChecked(True)
+        self.toggled.connect(view.update)
+
+    def sizeHint(self) -> QSize:
+        """Return the usual size and the length of the line."""
+        return super().sizeHint() + QSize(SAMPLE_PX + 8, 0)
+
+    def paintEvent(self, event: QPaintEvent) -> None:
+        """Draw the line after the name."""
+        super().paintEvent(event)
+        painter, middle = QPainter(self), self.height() // 2
+        painter.setPen(ghost_pen(self._kind, self._theme))
+        for y in (middle, middle + 1):
+            painter.drawLine(self.width() - SAMPLE_PX, y, self.width(), y)
 
 
 def draw_face(painter: QPainter, area: PlotArea, scene: OffsetScene, theme: Theme) -> None:
@@ -250,7 +270,7 @@ def _placed(area: PlotArea, outline: FloatArray, at_mm: Point, yaw_rad: float) -
 Moved = Callable[[Point], None]
 
 
-class OffsetView(DrawnView):
+class OffsetView(PictureView):
     """View of an ``OffsetScene`` with a draggable face; the background is cached."""
 
     def __init__(self, theme: Theme, moved: Moved, dropped: Callable[[], None]) -> None:
@@ -266,7 +286,7 @@ class OffsetView(DrawnView):
         # Keeps the outlines alive, whose ids are part of the key.
         self._pair: tuple[object, object] | None = None
         self._behind_key: tuple[object, ...] = ()
-        self.paints = 0
+        self.legend = {kind: SourceBox(theme, kind, self) for kind in GHOST_STYLES}
 
     def show_scene(self, scene: OffsetScene | None) -> None:
         """Show another displacement or episode."""
@@ -278,19 +298,39 @@ class OffsetView(DrawnView):
             self._reach_mm = scene.reach_mm
             words = offset_text(scene.offset_mm, scene.sigma_mm)
             self.setAccessibleDescription(f"{words}. {verdict_text(scene)}.")
+        self._place_legend()
         self.update()
 
+    def resizeEvent(self, _event: QResizeEvent) -> None:
+        """Keep the legend in its corner."""
+        self._place_legend()
+
+    def _place_legend(self) -> None:
+        """List the sources in an upper corner; at the left below the axis name."""
+        kinds = {ghost.kind for ghost in self.scene.ghosts} if self.scene else set()
+        left = self.scene is not None and is_legend_left(self.scene)
+        rect = self.area().rect
+        y = rect.top() + (1.3 * self.fontMetrics().height() if left else 4)
+        width = max(box.sizeHint().width() for box in self.legend.values())
+        x = rect.left() + 6 if left else rect.right() - 6 - width
+        for kind, box in self.legend.items():
+            box.setVisible(kind in kinds)
+            box.setGeometry(round(x), round(y), width, box.sizeHint().height())
+            y += box.height() * (kind in kinds)
+
     def area(self) -> PlotArea:
-        """Return the drawn square; needs a scene."""
+        """Return the drawn square with its visible part."""
         em = self.fontMetrics().height()
         margins = QMarginsF(2.4 * em, 0.4 * em, 0.4 * em, 1.5 * em)
         reach = self._reach_mm
-        return PlotArea(centred_square(self.size(), margins, 60.0), -reach, reach, -reach, reach)
+        square = centred_square(self.size(), margins, 60.0)
+        return self.zoom.of(PlotArea(square, -reach, reach, -reach, reach))
 
     def mousePressEvent(self, event: QMouseEvent) -> None:
         """Start to drag the face; without a label, put it at the pressed place."""
-        scene = self.scene
-        if scene is None or not self.editable or event.button() is not Qt.MouseButton.LeftButton:
+        super().mousePressEvent(event)
+        scene, left = self.scene, event.button() is Qt.MouseButton.LeftButton
+        if self._grip is not None or scene is None or not self.editable or not left:
             return
         self._grasped = self.area()
         at = self._grasped.at(event.position())
@@ -301,21 +341,21 @@ class OffsetView(DrawnView):
 
     def mouseMoveEvent(self, event: QMouseEvent) -> None:
         """Report the dragged position."""
+        super().mouseMoveEvent(event)
         held_mm, grasped = self._held_mm, self._grasped
         if held_mm and grasped and event.buttons() & Qt.MouseButton.LeftButton:
             at = grasped.at(event.position())
             self._moved((at[0] - held_mm[0], at[1] - held_mm[1]))
 
-    def mouseReleaseEvent(self, _event: QMouseEvent) -> None:
+    def mouseReleaseEvent(self, event: QMouseEvent) -> None:
         """End the drag, which is one undo step."""
+        super().mouseReleaseEvent(event)
         if self._held_mm is not None:
             self._held_mm = self._grasped = None
             self._dropped()
 
-    def paintEvent(self, _event: QPaintEvent) -> None:
+    def paint(self, painter: QPainter) -> None:
         """Draw the cached background, then face, points, hull and centre of mass."""
-        self.paints += 1
-        painter = QPainter(self)
         if self.scene is None:
             painter.fillRect(self.rect(), self._theme.tokens.colour("panel"))
             draw_message(painter, self.rect(), self._theme, "No episode")
@@ -331,16 +371,17 @@ class OffsetView(DrawnView):
         """Return the background with the ghosts; rendered once per episode."""
         ground = self._ground.picture(
             lambda painter: self._draw_ground(painter, scene, area),
-            id(scene.bottom), id(scene.face), self._reach_mm,
+            id(scene.bottom), id(scene.face), self._reach_mm, self.zoom,
         )  # fmt: skip
         self._pair = scene.bottom, scene.face
-        key = (ground.cacheKey(), scene.yaw_rad, scene.ghosts, is_legend_left(scene))
+        shown = tuple(ghost for ghost in scene.ghosts if self.legend[ghost.kind].isChecked())
+        key = (ground.cacheKey(), scene.yaw_rad, shown)
         if self._behind is None or key != self._behind_key:
             self._behind, self._behind_key = QPixmap(ground), key
             with QPainter(self._behind) as painter:
                 painter.setRenderHint(QPainter.RenderHint.Antialiasing)
                 painter.setClipRect(area.rect)
-                draw_ghosts(painter, area, scene, self._theme)
+                draw_ghosts(painter, area, replace(scene, ghosts=shown), self._theme)
         return self._behind
 
     def _draw_ground(self, painter: QPainter, scene: OffsetScene, area: PlotArea) -> None:

@@ -8,11 +8,11 @@ from typing import Literal
 
 import numpy as np
 from PySide6.QtCore import QPointF, QRectF, Qt
-from PySide6.QtGui import QColor, QImage, QPainter, QPaintEvent, QPen
+from PySide6.QtGui import QColor, QImage, QPainter, QPen
 
 from touchdown.backend.core import FloatArray, ImageArray
-from touchdown.widgets.base import DrawnView, Theme, ui_font
-from touchdown.widgets.plots import draw_message, draw_rings
+from touchdown.widgets.base import Theme, ui_font
+from touchdown.widgets.plots import PictureView, draw_message, draw_rings
 
 OutlineKind = Literal["bottom", "label", "scene"]
 # Line colours and styles on photographs, in every theme.
@@ -44,7 +44,7 @@ class SceneShot:
     outlines: tuple[PictureOutline, ...]
 
 
-class SceneShotView(DrawnView):
+class SceneShotView(PictureView):
     """Pictures side by side, cut to the same part around the outlines of the first."""
 
     def __init__(self, theme: Theme) -> None:
@@ -59,9 +59,8 @@ class SceneShotView(DrawnView):
         self.setAccessibleDescription(f"{len(self.shots)} pictures, outlines: {kinds or 'none'}")
         self.update()
 
-    def paintEvent(self, _event: QPaintEvent) -> None:
+    def paint(self, painter: QPainter) -> None:
         """Draw pictures and outlines."""
-        painter = QPainter(self)
         painter.fillRect(self.rect(), self._theme.tokens.colour("bg"))
         if not self.shots:
             text = NO_PICTURE_DETAIL if self._why_empty == NO_PICTURE else ""

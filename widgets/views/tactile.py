@@ -2,23 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from typing import Literal
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 from PySide6.QtCore import QPointF, QRectF, QSize, Qt
-from PySide6.QtGui import (
-    QColor,
-    QFont,
-    QFontMetrics,
-    QImage,
-    QPainter,
-    QPaintEvent,
-    QPen,
-    QPixmap,
-    QResizeEvent,
-)
+from PySide6.QtGui import QColor, QFont, QFontMetrics, QImage, QPainter, QPen, QPixmap, QResizeEvent
 from PySide6.QtWidgets import QSizePolicy
 
 from touchdown.backend.core import (
@@ -29,16 +20,14 @@ from touchdown.backend.core import (
     MarkerState,
     TactileFrame,
 )
-from touchdown.widgets.base import (
-    Age,
-    DrawnView,
-    MapName,
-    Theme,
-    colour_table,
-    map_colours,
-    ui_font,
+from touchdown.widgets.base import Age, MapName, Theme, colour_table, map_colours, ui_font
+from touchdown.widgets.plots import (
+    LineBuffer,
+    PictureView,
+    PlotArea,
+    draw_message,
+    draw_stale_overlay,
 )
-from touchdown.widgets.plots import LineBuffer, draw_message, draw_stale_overlay
 
 
 class DimmedPicture:
@@ -104,6 +93,7 @@ ROWS, COLUMNS = 7, 9
 FULL_PX = 12.0  # displacement at the end of the colour map (0.7 mm)
 IMAGE_W, IMAGE_H = 320, 240
 SCALE_PX = 64
+LEGEND_MM, LEGEND_PX = (1.0, 0.5, 0.2, 0.1, 0.05, 0.02, 0.01), 200.0
 
 
 def magnitude_px(field: MarkerField) -> FloatArray:
@@ -172,8 +162,10 @@ LOOKS: tuple[tuple[Look, str], ...] = (
 )
 
 
-class TactileView(DrawnView):
+class TactileView(PictureView):
     """Newest image and marker field of one finger."""
+
+    unit = "px"
 
     def __init__(self, theme: Theme, finger: Finger) -> None:
         name, least_px = f"Tactile image, {finger} finger", (MIN_SIZE.width(), MIN_SIZE.height())
@@ -185,7 +177,6 @@ class TactileView(DrawnView):
         self._legend: QPixmap | None = None
         self._legend_key: tuple[object, ...] = ()
         self.look: Look = "both"
-        self.paints = 0
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Preferred)
         self._limit_px = self.maximumHeight()
         self.never, self.gone = "No camera yet", "No live picture"  # titles of the empty view
@@ -200,8 +191,9 @@ class TactileView(DrawnView):
         self._fit_height()
 
     def _fit_height(self) -> None:
-        height = max(min(self.width() * IMAGE_H // IMAGE_W, self._limit_px), MIN_SIZE.height())
-        self.setFixedHeight(height)
+        if self.enlarged is None:
+            usual = min(self.width() * IMAGE_H // IMAGE_W, self._limit_px)
+            self.setFixedHeight(max(usual, MIN_SIZE.height()))
 
     def show_frame(self, frame: TactileFrame, field: MarkerField | None) -> None:
         """Show this frame with the newest marker field, if any."""
@@ -228,48 +220,64 @@ class TactileView(DrawnView):
             return 0, 0
         return int((self._field.state == MarkerState.SEEN).sum()), len(self._field.state)
 
-    def paintEvent(self, _event: QPaintEvent) -> None:
+    def area(self) -> PlotArea:
+        """Return the visible part of the image in its pixels, y downwards."""
+        return self.zoom.of(PlotArea(self._target(), 0, IMAGE_W, IMAGE_H, 0))
+
+    def reading(self, x: float, y: float) -> str:
+        """Return the place, and the displacement of the nearest marker."""
+        text, field = super().reading(x, y), self._field
+        if field is None:
+            return text
+        far = np.hypot(*(field.position_px - (x, y)).T)
+        near = int(np.argmin(np.where(np.isfinite(far), far, np.inf)))
+        shift = float(np.hypot(*field.displacement_px[near]))
+        return f"{text}; marker {shift:.1f} px, {shift * MM_PER_PX:.2f} mm"
+
+    def paint(self, painter: QPainter) -> None:
         """Draw image, arrows, legend and age."""
-        self.paints += 1
-        painter = QPainter(self)
         painter.fillRect(self.rect(), self._theme.tokens.colour("bg"))
         if self._frame is None or self._age in (Age.NEVER, Age.GONE):
             text = self.never if self._frame is None else self.gone
             draw_message(painter, self.rect(), self._theme, text, self._reason)
             return
-        target = self._target()
-        self._draw_picture(painter, target, self._frame)
+        area = self.area()
+        target, scale = area.rect, area.rect.width() / (area.x1 - area.x0)
         painter.save()
         painter.setClipRect(target)
-        painter.translate(target.topLeft())
-        scale = target.width() / IMAGE_W
+        self._draw_picture(painter, area, self._frame)
+        painter.translate(area.place(0, 0))
         if self._field is not None and self.look in ("both", "arrows"):
             _draw_markers(painter, self._field, scale, self._strokes)
         painter.restore()
         if self.look != "image":
-            self._draw_legend(painter, target)
+            self._draw_legend(painter, target, scale)
         if self._age is Age.STALE:
             draw_stale_overlay(painter, target, self._theme, self._age_s)
 
-    def _draw_picture(self, painter: QPainter, target: QRectF, frame: TactileFrame) -> None:
+    def _draw_picture(self, painter: QPainter, area: PlotArea, frame: TactileFrame) -> None:
         """Draw the layer below the arrows: the image, a plain ground or the magnitudes."""
         ratio = self.devicePixelRatioF()
         if self.look == "arrows":
             # Dark in every theme, as the colours of the arrows require.
-            painter.fillRect(target, QColor("#14181C"))
-        elif self.look == "magnitude" and self._field is not None:
-            sizes = magnitude_picture(self._field, "cividis")
-            self._picture.draw(painter, target, sizes, ratio, 1.0)
-        else:
-            bright = BRIGHTNESS if self.look == "both" else 1.0
-            self._picture.draw(painter, target, frame.image, ratio, bright)
+            painter.fillRect(area.rect, QColor("#14181C"))
+            return
+        image, bright = frame.image, BRIGHTNESS if self.look == "both" else 1.0
+        if self.look == "magnitude" and self._field is not None:
+            image = magnitude_picture(self._field, "cividis")
+        # Only the visible pixels are enlarged.
+        left, top = max(int(area.x0), 0), max(int(area.y1), 0)
+        seen = image[top : math.ceil(area.y0), left : math.ceil(area.x1)]
+        end = area.place(left + seen.shape[1], top + seen.shape[0])
+        target = QRectF(area.place(left, top), end)
+        self._picture.draw(painter, target, seen, ratio, bright)
 
-    def _draw_legend(self, painter: QPainter, target: QRectF) -> None:
+    def _draw_legend(self, painter: QPainter, target: QRectF, scale: float) -> None:
         sizes, ratio = self.look == "magnitude", self.devicePixelRatioF()
-        key = (target.width(), self._theme.scale, ratio, sizes)
+        key = (scale, self._theme.scale, ratio, sizes)
         if self._legend is None or key != self._legend_key:
             font = ui_font(self._theme.scale, 0.85)
-            drawn = magnitude_scale(font, ratio) if sizes else _legend(target.width(), font, ratio)
+            drawn = magnitude_scale(font, ratio) if sizes else _legend(scale, font, ratio)
             self._legend, self._legend_key = drawn, key
         size = self._legend.deviceIndependentSize()
         at = target.bottomRight() - QPointF(size.width() + 4, size.height() + 4)
@@ -313,12 +321,12 @@ def _draw_uncertain(
         painter.drawLine(QPointF(x - 4, y + 4), QPointF(x + 4, y - 4))
 
 
-def _legend(width_px: float, font: QFont, ratio: float) -> QPixmap:
-    """Return an arrow of 1 mm with its label, for an image of this width."""
-    scale = width_px / IMAGE_W
-    length = GAIN / MM_PER_PX * scale
-    metrics = QFontMetrics(font)
-    text, high = metrics.horizontalAdvance("1 mm") + 14, max(metrics.height() + 6, 22)
+def _legend(scale: float, font: QFont, ratio: float) -> QPixmap:
+    """Return an arrow of 1 mm with its label, of less in an image drawn at a large scale."""
+    length_mm = next(mm for mm in LEGEND_MM if mm * GAIN / MM_PER_PX * scale <= LEGEND_PX)
+    length = length_mm * GAIN / MM_PER_PX * scale
+    metrics, words = QFontMetrics(font), f"{length_mm:g} mm"
+    text, high = metrics.horizontalAdvance(words) + 14, max(metrics.height() + 6, 22)
     size = QSize(round(length) + text + 8, high)
     drawn = _plate(size, ratio)
     with QPainter(drawn) as painter:
@@ -330,5 +338,5 @@ def _legend(width_px: float, font: QFont, ratio: float) -> QPixmap:
         lines.draw(painter, 0, 3)
         painter.setFont(font)
         flags = Qt.AlignmentFlag.AlignVCenter | Qt.AlignmentFlag.AlignLeft
-        painter.drawText(QRectF(6, 0, size.width(), high), int(flags), "1 mm")
+        painter.drawText(QRectF(6, 0, size.width(), high), int(flags), words)
     return drawn

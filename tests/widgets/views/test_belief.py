@@ -325,7 +325,7 @@ def test_chip_and_side_view(qtbot, theme):
     for tilt in (0.0, 1.2):
         turn = (np.cos(tilt / 2), 0.0, np.sin(tilt / 2), 0.0)
         piece = SideBody("pot", 7.5, 15, 38, 2.0, 0.0, turn)
-        hand = None if tilt else (2.0, 30.0)
+        hand = None if tilt else (2.0, 1.0, 30.0)
         view.show_scene(SideScene((bottom,), piece, hand, 15.0, -24.0, "Pot on Short"))
         assert np.abs(pixels(view) - empty).max() > 60
 

@@ -4,7 +4,7 @@ import sys
 
 import numpy as np
 import pytest
-from PySide6.QtCore import QPointF, Qt
+from PySide6.QtCore import QPoint, QPointF, Qt
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QWidget
 
@@ -23,7 +23,14 @@ from touchdown.widgets.plots.recorded_traces import (
 )
 from touchdown.widgets.shell.state import StateStrip
 from touchdown.widgets.views.film import FilmTrack, FilmView, latest
-from touchdown.widgets.views.offset import Ghost, OffsetScene, OffsetView, offset_text, verdict_text
+from touchdown.widgets.views.offset import (
+    Ghost,
+    OffsetScene,
+    OffsetView,
+    ghost_pen,
+    offset_text,
+    verdict_text,
+)
 
 POT = face_points(circle(15.0))
 FACE, BOTTOM = circle(15.0).polygon(96), square(15.0).polygon()
@@ -119,6 +126,38 @@ class TestOffsetView:
             view.show_scene(scene(self.moves[-1]))
         assert view.scene.reach_mm > scene((6.0, 0.0)).reach_mm
         assert self.moves[-1] == pytest.approx((14.0, 0.0), abs=0.12)
+
+    def test_each_source_has_its_colour_and_a_box_that_hides_it(self, view, theme):
+        kinds = ("commanded", "measured", "scene", "model")
+        view.show_scene(
+            scene(
+                (8.0, 0.0), tuple(Ghost(k, (-9.0 + 3 * n, 6.0), 0.0) for n, k in enumerate(kinds))
+            )
+        )
+        colours = {kind: ghost_pen(kind, theme).color() for kind in kinds}
+        assert len({colour.name() for colour in colours.values()}) == len(kinds)
+        assert len({ghost_pen(kind, theme).style() for kind in kinds}) == len(kinds)
+        for kind, box in view.legend.items():
+            assert kind in box.text()
+            assert kind in box.accessibleName()
+            seen = count(view, colours[kind])
+            box.click()
+            # What stays is the line in the legend.
+            assert count(view, colours[kind]) < seen - 40
+        view.show_scene(scene((8.0, 0.0)))
+        assert not any(box.isVisible() for box in view.legend.values())
+
+    def test_a_zoomed_face_is_still_dragged_and_the_middle_button_moves_the_picture(self, view):
+        view.show_scene(scene((2.0, 1.0)))
+        view.zoom_by(2.0)
+        self.drag(view, (3.0, 3.0), (5.0, 0.0))
+        assert self.moves[-1] == pytest.approx((4.0, -2.0), abs=0.12)
+        before, at = view.area(), view.area().rect.center().toPoint()
+        QTest.mousePress(view, Qt.MouseButton.MiddleButton, pos=at)
+        QTest.mouseMove(view, at + QPoint(20, 0))
+        QTest.mouseRelease(view, Qt.MouseButton.MiddleButton, pos=at)
+        assert view.area().x0 < before.x0
+        assert self.drops == [1]
 
     def test_the_ground_is_drawn_once_and_the_ghosts_when_they_change(self, view, monkeypatch):
         drawn = []

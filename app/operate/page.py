@@ -18,9 +18,9 @@ from touchdown.widgets.base import (
 )
 from touchdown.widgets.forms import GripperPanel, JogPad, JogUnit, ProbePanel, ScenePanel
 from touchdown.widgets.plots import SPANS_S, TracesPanel
-from touchdown.widgets.views import LOOKS, BeliefPanel
+from touchdown.widgets.views import LOOKS, BeliefPanel, SideView
 
-TRACES = "Force and moment"
+TRACES, BENCH = "Force and moment", "Bench to scale"
 
 
 class OperatePage(LivePage):
@@ -43,7 +43,9 @@ class OperatePage(LivePage):
         self.scene = ScenePanel(self.scene_chosen.emit)
         yield
         self.captions = {f: CaptionedView(f.capitalize(), self.tactile[f]) for f in FINGERS}
-        self.belief_panel = BeliefPanel(theme, "Belief of the last run")
+        self.belief_panel = BeliefPanel(theme, "Belief")
+        self.side = SideView(theme)
+        self.side_panel = Panel(BENCH, self.side)
         self.belief, self.legend = self.belief_panel.view, self.belief_panel.legend
         self.maps = self.belief_panel.maps
         self.looks = compact_combo_box([text for _, text in LOOKS], "What the tactile views show")
@@ -76,7 +78,7 @@ class OperatePage(LivePage):
     def _arrange(self) -> None:
         self.tactile_panel = self._tactile_panel()
         feel = column_of((self.tactile_panel, 0), (self.traces_panel, 1))
-        middle = column_of((self.belief_panel, 1), (self.probe, 0))
+        middle = column_of((self.belief_panel, 5), (self.side_panel, 2), (self.probe, 0))
         self._right = column_of((self.jog, 1), (self.gripper, 0), (self.scene, 0))
         self.stand_in(
             Columns(
@@ -85,6 +87,7 @@ class OperatePage(LivePage):
                     "Tactile": self.tactile_panel,
                     TRACES: self.traces_panel,
                     "Belief": self.belief_panel,
+                    BENCH: self.side_panel,
                     "Probe": self.probe,
                     "Jog": self.jog,
                     "Gripper": self.gripper,

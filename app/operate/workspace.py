@@ -6,14 +6,18 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from typing import Annotated
 
+import numpy as np
 from pydantic import Field
 
 from touchdown.app.operate.jogging import PACES, ROWS, JogKeyFilter, ManualControlPresenter
 from touchdown.app.operate.page import OperatePage
 from touchdown.app.shell import (
+    BenchViewPresenter,
     LivePresenter,
     Memory,
+    ProbeStory,
     RunStory,
+    TrialStory,
     WindowCommand,
     Workspace,
     WorkspaceContext,
@@ -36,12 +40,13 @@ from touchdown.backend.core import (
     RunFinished,
     RunStarted,
 )
+from touchdown.backend.placement import GraspedPiece, ProbeObservation, make_strategy
 from touchdown.backend.runs import ProbeRequest
 from touchdown.widgets.base import MAPS
 from touchdown.widgets.forms import ProbePanel
 from touchdown.widgets.plots import SPANS_S
 from touchdown.widgets.shell import FaultCards
-from touchdown.widgets.views import LOOKS, BeliefScene
+from touchdown.widgets.views import LOOKS, BeliefScene, signed_mm
 
 PHASES = ("grip", "reference", "approach", "press", "hold", "lift")
 
@@ -53,7 +58,8 @@ class SingleProbePresenter:
         self._bench, self._panel, self._cards = bench, panel, cards
         self._mine = False
         self._felt: list[str] = []
-        self._piece, self._model = bench.usual.piece, bench.model
+        self.patch: PatchEstimated | None = None  # of the last probe, None after other runs
+        self.piece, self._model = bench.usual.piece, bench.model
         panel.values.setText(values_text(ProbeSettings()))
         self.show_model()
 
@@ -69,15 +75,15 @@ class SingleProbePresenter:
 
     def show_model(self) -> None:
         """Show the model that reads the next probe."""
-        words = scene_model_caption(self._model, self._piece, simulated=self._bench.simulated)
+        words = scene_model_caption(self._model, self.piece, simulated=self._bench.simulated)
         self._panel.show_model(f"Model: {words.short}", words.full)
 
     def take(self, event: Event) -> None:
         """Follow the events of a probe run."""
         if isinstance(event, RunStarted):
-            self._piece = event.piece
+            self.piece = event.piece
             self._mine = event.activity == "probe"
-            self._felt = []
+            self._felt, self.patch = [], None
             if self._mine:
                 self._panel.strip.show_phase(-1)
                 self._panel.result.setText("Probing.")
@@ -91,10 +97,23 @@ class SingleProbePresenter:
             if not episode.quality.accepted:
                 self._felt.append(f"not an observation: {'; '.join(episode.quality.reasons)}")
         elif isinstance(event, PatchEstimated):
-            share = float((event.patch.probability > 0.5).mean())
+            share, self.patch = float((event.patch.probability > 0.5).mean()), event
             self._felt.append(f"contact on {100 * share:.0f} % of the face")
         elif isinstance(event, RunFinished):
             self._end(event)
+
+    def story(self) -> TrialStory | None:
+        """Return the last probe as the paper's strategy reads it, None without a patch."""
+        event, piece = self.patch, self._bench.catalogue.pieces.get(self.piece)
+        if event is None or piece is None:
+            return None
+        held, here = GraspedPiece(piece.com_xy_mm, piece.grip_height_mm or 0.0), event.offset_mm
+        method = self._bench.method.model_copy(update={"strategy": "paper"})
+        # The paper's strategy reads the patch alone.
+        felt = ProbeObservation(np.zeros((20, 258), np.float32), event.patch, here)
+        found = make_strategy(held, method, here).conclude(felt)
+        look = ProbeStory(1, here, found.map, found.stability, found.action)
+        return TrialStory(1, 0, None, [look])
 
     def draw(self) -> None:
         """Enable the buttons that are allowed now."""
@@ -130,7 +149,7 @@ def values_text(probe: ProbeSettings) -> str:
 
 
 NO_RUN = BeliefScene(
-    empty=("No stacking run yet", "The belief map shows the probes of a stacking run.")
+    empty=("No probe yet", "The map shows the patch of a single probe, or the last stacking run.")
 )
 
 
@@ -157,7 +176,8 @@ class OperateWorkspace(Workspace):
         self.hand: ManualControlPresenter | None = None
         self.probe: SingleProbePresenter | None = None
         self._bench: Session | None = None
-        self._story, self._shown = RunStory(), -1
+        self._story, self._shown = RunStory(), (-1, 0)
+        self.view: BenchViewPresenter | None = None
         self.commands = self._commands()
 
     def build(self) -> Iterator[None]:
@@ -179,6 +199,7 @@ class OperateWorkspace(Workspace):
         self.live = LivePresenter(bench, page)
         self.hand = ManualControlPresenter(bench, page, self._context.cards)
         self.probe = SingleProbePresenter(bench, page.probe, self._context.cards)
+        self.view = BenchViewPresenter(bench, page.side, page.side_panel)
         page.jog.hold_ended.connect(self.hand.ended)
         page.jog.step_pressed.connect(self.hand.step)
         page.jog.level.clicked.connect(self.hand.level)
@@ -189,13 +210,15 @@ class OperateWorkspace(Workspace):
         page.probe.probe.clicked.connect(self.probe.start)
         page.probe.cancel.clicked.connect(self.probe.cancel)
         page.span_chosen.connect(self.live.show_span)
-        self.parts = (*self.live.parts, self.hand.draw, self.probe.draw, self._draw_belief)
+        draws = self.hand.draw, self.probe.draw, self._draw_belief, self.view.draw
+        self.parts = (*self.live.parts, *draws)
 
     def take(self, event: Event) -> None:
         """Handle one event of the bench."""
         self._story.take(event)
-        if self.probe is not None:
+        if self.probe is not None and self.view is not None:
             self.probe.take(event)
+            self.view.take(event)
 
     def show_waiting(self, word: str, why: str) -> None:
         """Show why no bench is connected yet."""
@@ -292,15 +315,27 @@ class OperateWorkspace(Workspace):
             self.live.paused = paused
 
     def _draw_belief(self) -> None:
-        if self._shown == self._story.version or self._bench is None:
+        """Show the single probe, if it is newer than the last stacking run, else that run."""
+        if self._bench is None or self.probe is None or self.view is None:
             return
-        self._shown, trial = self._story.version, self._story.trial
+        now = self._story.version, id(self.probe.patch)
+        if now == self._shown:
+            return
+        self._shown, single = now, self.probe.story()
+        trial, panel = single or self._story.trial, self.page.belief_panel
+        panel.rename("Contact patch" if single else "Belief of the last run")
         if trial is None or not trial.probes:
             self.page.belief.show_scene(NO_RUN if trial is None else unprobed_scene(trial))
-            self.page.belief_panel.detail.setText("")
+            panel.detail.setText("")
             return
         face, bottom = face_outlines(self._bench.catalogue, self._story.head)
+        if single:
+            face, bottom = self._bench.catalogue.piece(self.probe.piece).face, None
         scene = belief_scene(trial, len(trial.probes) - 1, face, bottom)
         self.page.belief.show_scene(scene)
         self.page.legend.show_truth(scene.truth is not None)
-        self.page.belief_panel.detail.setText(f"trial {trial.trial}, probe {len(trial.probes)}")
+        panel.detail.setText(f"trial {trial.trial}, probe {len(trial.probes)}")
+        if single and scene.stability is not None:
+            panel.detail.setText(f"margin {signed_mm(scene.stability.margin_mm)}")
+            (x, y), (dx, dy) = scene.path[0], scene.step_mm or (0.0, 0.0)
+            self.view.next_mm = None if scene.step_mm is None else (x + dx, y + dy)

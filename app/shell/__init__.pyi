@@ -20,6 +20,7 @@ from .bench_text import duration_text as duration_text
 from .bench_text import piece_titles as piece_titles
 from .bench_text import run_model_caption as run_model_caption
 from .bench_text import scene_model_caption as scene_model_caption
+from .bench_view import BenchViewPresenter as BenchViewPresenter
 from .cards import LIFT as LIFT
 from .cards import LIFT_MM as LIFT_MM
 from .cards import CloseConfirmation as CloseConfirmation

@@ -21,8 +21,8 @@ from touchdown.widgets.views import (
     TrialPrompt,
 )
 
-TRACES, SIDE = "Force and moment", "Bench from the side"
-SIDE_PX, BENCH_PX = 107, 66  # least heights of the side view, with and without its title
+TRACES, SIDE = "Force and moment", "Bench from the side"  # SIDE: as recorded in layouts
+SIDE_PX = 107  # least height of the bench with its title
 
 
 class StackPage(LivePage):
@@ -46,8 +46,7 @@ class StackPage(LivePage):
         self.compare = flat_button("Compare", "Compare the strategies on the same seed (Ctrl+D)")
         self.score.header.addWidget(self.compare)
         self.side = SideView(theme)
-        self.side.setMinimumHeight(BENCH_PX)
-        self.side_panel = Panel(SIDE, self.side)
+        self.side_panel = Panel("Bench to scale", self.side)
         self._arrange()
 
     def fit_to_theme(self) -> None:

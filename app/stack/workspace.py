@@ -8,6 +8,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from touchdown.app.shell import (
+    BenchViewPresenter,
     FileDrop,
     LivePresenter,
     Memory,
@@ -22,7 +23,6 @@ from touchdown.app.stack.attended import OperatorPromptsPresenter
 from touchdown.app.stack.comparison import ComparisonPresenter
 from touchdown.app.stack.page import StackPage
 from touchdown.app.stack.presenter import StackPresenter, stack_request
-from touchdown.app.stack.side import SideViewPresenter
 from touchdown.backend.bench import Session
 from touchdown.backend.core import Event, Outcome
 from touchdown.backend.geometry import PIECE_SOURCES, PieceLibrary, load_pieces
@@ -65,7 +65,7 @@ class StackWorkspace(Workspace):
         self._context = context
         self.live: LivePresenter | None = None
         self.presenter: StackPresenter | None = None
-        self.side: SideViewPresenter | None = None
+        self.side: BenchViewPresenter | None = None
         self.comparison: ComparisonPresenter | None = None
         self.attended: OperatorPromptsPresenter | None = None
         self.pieces: PieceSheet | None = None
@@ -109,7 +109,7 @@ class StackWorkspace(Workspace):
         page = self.page
         self.live = LivePresenter(bench, page)
         self.presenter = presenter = StackPresenter(bench, page, self._context.cards)
-        self.side = SideViewPresenter(bench, page.side, page.side_panel)
+        self.side = BenchViewPresenter(bench, page.side, page.side_panel)
         self.attended = OperatorPromptsPresenter(bench, page, self._context.cards)
         self.comparison = ComparisonPresenter(
             bench, self._context.theme, lambda: stack_request(page.run.form()), presenter.begin

@@ -5,6 +5,7 @@ import pytest
 from PySide6.QtCore import Qt
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QPushButton
+from shapely import MultiPoint, Point
 
 from tests.journeys.operate_desk import desk, place, press, release, turn
 from touchdown.backend.core.values import Pose
@@ -167,6 +168,21 @@ def test_grip_probe_once_and_open_with_a_question(desk):
     assert page.probe.result.text().startswith("Contact on")
     assert "largest Fz" in page.probe.result.text()
     assert main.workspaces["stack"].presenter.story.head is None, "a probe is no stacking run"
+    patch, shown = main.workspaces["operate"].probe.patch, page.belief.scene
+    where = np.array(patch.offset_mm)
+    cells = shown.belief.cell_centres_mm()[shown.belief.covered]
+    found = shown.belief.probability[shown.belief.covered]
+    order, points = np.lexsort(cells.T), patch.patch.points_mm + where
+    assert cells[order] == pytest.approx(points[np.lexsort(points.T)])
+    felt = np.clip(patch.patch.probability[np.lexsort(points.T)], 0.02, 0.98)
+    assert found[order] == pytest.approx(felt)
+    hull = MultiPoint(points[patch.patch.probability > 0.9]).convex_hull
+    assert shown.stability.margin_mm == pytest.approx(
+        hull.exterior.distance(Point(where)), abs=1e-6
+    )
+    assert page.belief_panel.detail.text().startswith("margin ")
+    bench = page.side.scene
+    assert (bench.piece.x_mm, bench.piece.y_mm) == pytest.approx(where, abs=0.3)
     page.gripper.open.click()
     assert session.devices["gripper"].status().holding
     answers = [

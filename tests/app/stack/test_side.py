@@ -8,9 +8,9 @@ import pytest
 
 from tests.app.conftest import settle
 from tests.app.stand_in import stability
+from touchdown.app.shell.bench_view import HOLD_S, BenchViewPresenter
 from touchdown.app.shell.run_story import RunStory
 from touchdown.app.stack.comparison import MAX_QUESTIONS, StrategyRuns, stack_question
-from touchdown.app.stack.side import HOLD_S, SideViewPresenter
 from touchdown.backend.core.events import (
     PhaseEntered,
     Released,
@@ -25,7 +25,7 @@ from touchdown.backend.geometry import Surface, load_pieces
 from touchdown.backend.learning.fused import Guard, GuardCalibration
 from touchdown.backend.runs.requests import RunState, StackRequest
 from touchdown.widgets.base import Panel, Theme
-from touchdown.widgets.views.scene import UPRIGHT, SideBody, SideView
+from touchdown.widgets.views.scene import ABOVE, SIDE, UPRIGHT, SideBody, SideView
 
 
 @pytest.mark.parametrize("angle", [0.0, 0.3, -1.2, 1.57, 2.5])
@@ -74,7 +74,7 @@ def seen(bench, qtbot):
     qtbot.addWidget(panel)
     panel.show()
     qtbot.waitExposed(panel, timeout=60_000)
-    side = SideViewPresenter(bench, view, panel, lambda: now_s[0])
+    side = BenchViewPresenter(bench, view, panel, lambda: now_s[0])
     return SimpleNamespace(side=side, view=view, panel=panel, now_s=now_s)
 
 
@@ -116,7 +116,7 @@ def test_the_piece_stays_on_its_support_while_the_hand_rises(bench, seen):
     bench.turn(0.04)
     _draw(side)
     assert (view.scene.piece.x_mm, view.scene.piece.z_mm) == (2.5, 0.0)
-    assert view.scene.hand_mm == (4.0, 27.0)
+    assert view.scene.hand_mm == (4.0, 1.0, 27.0)
     assert panel.detail.text() == "released"
     side.take(Released(1.0, 1, True, 2.0, None))
     _draw(side)
@@ -132,7 +132,7 @@ def test_a_turned_hand_is_drawn_turned_with_its_piece(bench, seen, tilt_deg):
     bench.turn(0.04)
     bench.devices["arm"].turn_rad = (0.0, np.radians(tilt_deg), 0.0)
     _draw(side)
-    hand = np.array(view.scene.hand_mm)
+    hand = np.array(view.scene.hand_mm)[[0, 2]]
     grip_mm = bench.catalogue.piece("pot").grip_height_mm
     cos, sin = np.cos(np.radians(tilt_deg)), np.sin(np.radians(tilt_deg))
     piece = view.scene.piece
@@ -140,11 +140,13 @@ def test_a_turned_hand_is_drawn_turned_with_its_piece(bench, seen, tilt_deg):
     assert (piece.x_mm, piece.z_mm) == pytest.approx(
         hand - (grip_mm * sin, grip_mm * cos), abs=0.02
     )
-    left, right = view.scene.fingers_mm()
-    along = left[3] - left[0]
-    assert np.degrees(np.arctan2(along[0], along[1])) == pytest.approx(tilt_deg, abs=0.05)
-    gap = right[0] - left[0]
-    assert np.hypot(*gap) == pytest.approx(2 * view.scene.jaws_mm, abs=0.01)
+    _, left, right = view.scene.hand_parts_mm(SIDE)
+    assert left == pytest.approx(right), "one finger is behind the other, along y"
+    along = left - hand
+    across = along @ (cos, -sin)
+    assert (across.min(), across.max()) == pytest.approx((-12.5, 12.5), abs=0.01)
+    _, low, high = view.scene.hand_parts_mm(ABOVE)
+    assert high[:, 1].min() - low[:, 1].max() == pytest.approx(2 * view.scene.jaws_mm, abs=1e-3)
 
 
 def test_nothing_fallen_is_drawn_below_the_table(bench, seen):

@@ -1,17 +1,18 @@
-"""Side panel of the stack workspace."""
+"""Bench to scale, as shown on Operate and Stack."""
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from touchdown.app.shell import arm_of, arm_position_mm, gripper_of
+from touchdown.app.shell.activity import arm_of, arm_position_mm, gripper_of
 from touchdown.backend.bench import Session
 from touchdown.backend.core import (
+    ActionChosen,
     Event,
     Fall,
     PhaseEntered,
@@ -35,10 +36,13 @@ from touchdown.widgets.views import (
 HOLD_S = 3.0  # time for which the end of a release stays visible, also into the next trial
 EVERY = 2  # draw every second tick: 15 pictures a second look smooth
 PROFILE_POINTS = 41  # of an upper face that is not flat
+OUTLINE_POINTS = 48  # of a drawn circle
+# The shown width grows in steps, to a limit, once the hand is farther from the bottom.
+NEAR_MM, SPAN_STEP_MM, MOST_MM = 40.0, 40.0, 160.0
 
 
-class SideViewPresenter:
-    """Shows the arm from the side; after a release also the motion of the piece."""
+class BenchViewPresenter:
+    """Shows hand, piece, bottoms and next step; after a release also the motion of the piece."""
 
     def __init__(
         self,
@@ -56,14 +60,19 @@ class SideViewPresenter:
         self._fall_s = 0.0
         self._stands: bool | None = None
         self._tick = self._trial = self._let_go_in = 0
+        self.next_mm: tuple[float, float] | None = None  # where the face goes next
+        self._set(bench.usual.piece, bench.usual.bottoms)
 
     def take(self, event: Event) -> None:
         """Update scene and released piece."""
+        if isinstance(event, RunStarted | TrialStarted | Released):
+            self.next_mm = None
         if isinstance(event, RunStarted):
-            known = self._bench.catalogue.pieces
-            self._piece = known.get(event.piece)
-            self._stand_on([known[name] for name in event.bottom.split("+") if name in known])
-            self._let_go = None
+            self._set(event.piece, event.bottom.split("+"))
+        elif isinstance(event, ActionChosen):
+            held, (dx_mm, dy_mm) = self._held(), event.action.step_mm or (0.0, 0.0)
+            if held is not None and event.action.kind == "shift":
+                self.next_mm = held.x_mm + dx_mm, held.y_mm + dy_mm
         elif isinstance(event, TrialStarted):
             self._trial = event.trial
         elif isinstance(event, PhaseEntered) and event.phase == "rise":
@@ -72,6 +81,12 @@ class SideViewPresenter:
             if self._let_go is None or self._let_go_in != self._trial:
                 self._leave()
             self._stands, self._fall, self._fall_s = event.stands, event.fall, self._now_s()
+
+    def _set(self, piece: str, bottoms: Sequence[str]) -> None:
+        """Show another piece above other bottoms."""
+        known = self._bench.catalogue.pieces
+        self._piece, self._let_go = known.get(piece), None
+        self._stand_on([known[name] for name in bottoms if name in known])
 
     def _leave(self) -> None:
         """Leave the piece in place while the hand rises."""
@@ -92,33 +107,40 @@ class SideViewPresenter:
         self._panel.detail.setText(self._words(hand))
         self._view.show_scene(self._scene(hand))
 
-    def _words(self, hand: tuple[float, float] | None) -> str:
+    def _words(self, hand: tuple[float, ...] | None) -> str:
         if self._let_go is None:
-            return "" if hand is None else f"x {signed(hand[0], 1)} mm"
+            return "" if hand is None else f"x {signed(hand[0], 1)}, y {signed(hand[1], 1)} mm"
         if self._stands is None:
             return "released"
         return f"trial {self._let_go_in}: {'stands' if self._stands else 'fell'}"
 
-    def _scene(self, hand: tuple[float, float] | None) -> SideScene:
+    def _scene(self, hand: tuple[float, ...] | None) -> SideScene:
         assert self._piece is not None
-        bottoms, piece, span = self._bottoms, self._let_go or self._held(), USUAL_SPAN_MM
+        gripper, span, bottoms = gripper_of(self._bench), USUAL_SPAN_MM, self._bottoms
+        holds = gripper is None or gripper.status().holding
+        piece = self._let_go or (self._held() if holds else None)
+        if hand is not None:
+            off = max(abs(hand[0]), abs(hand[1])) - NEAR_MM
+            more = min(max(SPAN_STEP_MM * math.ceil(off / SPAN_STEP_MM), 0.0), MOST_MM)
+            span = span[0] - more, span[1] + more
         if self._let_go is not None and self._fall is not None and piece is not None:
             piece = self._fallen(piece)
             bottoms = tuple(self._fallen(body) for body in bottoms)
             span = self._span(piece)
         return SideScene(
-            bottoms, piece, hand, self._jaws(), self._table_mm, self._names, span, self._turn()
-        )
+            bottoms, piece, hand, self._jaws(), self._table_mm, self._names, span, self._turn(),
+            self.next_mm,
+        )  # fmt: skip
 
     def _span(self, piece: SideBody) -> tuple[float, float]:
-        """Return the half width of the view that includes the fallen piece."""
+        """Return the span of the view that includes the fallen piece."""
         last = self._fallen(piece, at_end=True)
         x = np.concatenate([part[:, 0] for part in last.outlines_mm()])
         return min(-30.0, float(x.min()) - 8.0), max(30.0, float(x.max()) + 8.0)
 
-    def _hand(self) -> tuple[float, float] | None:
+    def _hand(self) -> tuple[float, ...] | None:
         at = arm_position_mm(self._bench)
-        return None if at is None else (round(float(at[0]), 2), round(float(at[2]), 2))
+        return None if at is None else tuple(round(float(v), 2) for v in at)
 
     def _held(self) -> SideBody | None:
         hand, piece = self._hand(), self._piece
@@ -126,10 +148,11 @@ class SideViewPresenter:
             return None
         turn = self._turn()
         # The centre of the face lies below the grasp pivot, along the hand.
-        down = rotation(turn)[[0, 2], 2] * (piece.grip_height_mm or 0.0)
-        x_mm, z_mm = (round(float(v), 2) for v in np.subtract(hand, down))
+        down = rotation(turn)[:, 2] * (piece.grip_height_mm or 0.0)
+        x_mm, y_mm, z_mm = (round(float(v), 2) for v in np.subtract(hand, down))
         return SideBody(piece.name, piece.face.half_extents_mm[0], 0.5 * piece.width_mm,
-                        piece.height_mm, x_mm, z_mm, turn)  # fmt: skip
+                        piece.height_mm, x_mm, z_mm, turn, y_mm=y_mm,
+                        face=piece.face.path(OUTLINE_POINTS))  # fmt: skip
 
     def _turn(self) -> Quaternion:
         """Return the rotation of the hand from straight down."""
@@ -165,11 +188,12 @@ class SideViewPresenter:
             return still
         elapsed_s = math.inf if at_end else self._now_s() - self._fall_s
         index = min(int(np.searchsorted(fall.t_s - fall.t_s[0], elapsed_s)), len(fall.t_s) - 1)
-        x_m, _, z_m, *turn = fall.pose[index, fall.names.index(still.name)].tolist()
+        x_m, y_m, z_m, *turn = fall.pose[index, fall.names.index(still.name)].tolist()
         w, x, y, z = (round(part, 4) for part in turn)
         moved = replace(
-            still, x_mm=round(1e3 * x_m, 2), z_mm=round(1e3 * z_m, 2), turn=(w, x, y, z)
-        )
+            still, x_mm=round(1e3 * x_m, 2), y_mm=round(1e3 * y_m, 2), z_mm=round(1e3 * z_m, 2),
+            turn=(w, x, y, z),
+        )  # fmt: skip
         lowest = min(float(part[:, 1].min()) for part in moved.outlines_mm())
         return replace(moved, z_mm=moved.z_mm + max(0.0, self._table_mm - lowest))
 
@@ -180,10 +204,9 @@ class SideViewPresenter:
         for piece in reversed(pieces):
             half = piece.face.half_extents_mm[0]
             top_mm -= piece.height_mm
-            profile = _profile_mm(piece, half)
-            bodies.append(
-                SideBody(piece.name, half, half, piece.height_mm, 0.0, top_mm, UPRIGHT, profile)
-            )
+            profile, face = _profile_mm(piece, half), piece.face.path(OUTLINE_POINTS)
+            sizes = half, half, piece.height_mm
+            bodies.append(SideBody(piece.name, *sizes, 0.0, top_mm, UPRIGHT, profile, face=face))
         self._bottoms, self._table_mm = tuple(reversed(bodies)), top_mm
         titles = [p.title for p in reversed(pieces)]
         self._names = " on ".join([self._piece.title, *titles] if self._piece else titles)

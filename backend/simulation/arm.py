@@ -24,9 +24,14 @@ from touchdown.backend.core import (
     rotation_vector,
 )
 from touchdown.backend.devices import PressCommand
-
-ACCELERATION_MM_S2 = 500.0
-_NOT_OPENED = "The arm stands still; the gripper was not opened."
+from touchdown.backend.devices.streamed import (
+    ACCELERATION_MM_S2,
+    ACCELERATION_RAD_S2,
+    UNLOAD_MM,
+    JogVelocity,
+    no_contact_fault,
+    not_unloaded_fault,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,13 +81,6 @@ def travelled_mm(
     return speed * (elapsed_s - 0.5 * rise_s)
 
 
-def limit_change(now: FloatArray, wanted: FloatArray, most: float) -> FloatArray:
-    """Return the next velocity: ``wanted``, but at most ``most`` from ``now``."""
-    change = wanted - now
-    size = float(np.linalg.norm(change))
-    return wanted.copy() if size <= most else np.asarray(now + change * (most / size))
-
-
 class SimTravel(SimProgram):
     """A straight move with a trapezoidal speed profile."""
 
@@ -106,22 +104,17 @@ class SimJog(SimProgram):
     """Follows a velocity until it expires, then brakes. A renewal continues without a jerk."""
 
     def __init__(self) -> None:
-        self._asked: tuple[FloatArray, float] = (np.zeros(3), -math.inf)
-        self._velocity_mm_s = np.zeros(3)
+        self._velocity = JogVelocity(np.zeros(3), ACCELERATION_MM_S2)
 
     def renew(self, velocity_mm_s: FloatArray, until_s: float) -> None:
         """Set another velocity (3,), valid until ``until_s`` on the bench clock."""
-        self._asked = (velocity_mm_s.copy(), until_s)
+        self._velocity.renew(velocity_mm_s, until_s)
 
     def next_mm(self, command_mm: FloatArray, cycle: ArmCycle) -> FloatArray:
         """Return the next point; the acceleration is limited."""
-        asked, until_s = self._asked
-        over = cycle.start_s >= until_s
-        wanted = np.zeros(3) if over else asked
         dt_s = cycle.end_s - cycle.start_s
-        self._velocity_mm_s = limit_change(self._velocity_mm_s, wanted, ACCELERATION_MM_S2 * dt_s)
-        self.done = over and not self._velocity_mm_s.any()
-        return np.asarray(command_mm + self._velocity_mm_s * dt_s)
+        self.done = self._velocity.step(cycle.start_s, dt_s)
+        return np.asarray(command_mm + self._velocity.now * dt_s)
 
 
 class SimPress(SimProgram):
@@ -164,7 +157,7 @@ class SimPress(SimProgram):
         if onset_s is None:
             after[2] -= law.approach_mm_s * (cycle.end_s - cycle.start_s)
             if self._start_z_mm - after[2] > law.max_travel_mm:
-                self._miss()
+                self.done, self.failure = True, no_contact_fault(law.max_travel_mm)
                 return command_mm
         else:
             if self._zero_mm is None:
@@ -176,21 +169,9 @@ class SimPress(SimProgram):
         self._way.append((cycle.end_s, float(after[2])))
         return after
 
-    def _miss(self) -> None:
-        self.done = True
-        self.failure = Fault(
-            "NO-CONTACT",
-            f"No contact on {self._law.max_travel_mm:.1f} mm of descent.",
-            _NOT_OPENED,
-            "Check the height of the support and the force/torque sensor.",
-            "arm",
-        )
-
 
 class SimUnload(SimProgram):
     """Rises while pressing until the force over ``tare_n`` has fallen to ``force_n``."""
-
-    LONGEST_MM = 10.0
 
     def __init__(self, force_n: float, tare_n: float, speed_mm_s: float, start_z_mm: float) -> None:
         self._force_n, self._tare_n = force_n, tare_n
@@ -206,15 +187,8 @@ class SimUnload(SimProgram):
             return command_mm
         after = command_mm.copy()
         after[2] += self._speed_mm_s * (cycle.end_s - cycle.start_s)
-        if after[2] - self._start_z_mm > self.LONGEST_MM:
-            self.done = True
-            self.failure = Fault(
-                "NOT-UNLOADED",
-                f"{press_n:.1f} N press force after rising {self.LONGEST_MM:.0f} mm.",
-                _NOT_OPENED,
-                "Check the force/torque sensor.",
-                "arm",
-            )
+        if after[2] - self._start_z_mm > UNLOAD_MM:
+            self.done, self.failure = True, not_unloaded_fault(press_n)
         return after
 
 
@@ -260,7 +234,6 @@ class ArmDrive:
             return self._command_mm.copy()
 
 
-ACCELERATION_RAD_S2 = 2.0
 # Position (3,) of ``G``, mm, and rotation (3, 3) of the hand.
 HandPose = tuple[FloatArray, FloatArray]
 PoseCheck = Callable[[HandPose], Fault | None]
@@ -331,26 +304,22 @@ class SimRotationJog(_CheckedProgram):
 
     def __init__(self, start: HandPose, allowed: PoseCheck) -> None:
         super().__init__(start, allowed)
-        self._asked: tuple[FloatArray, FloatArray, float] = (np.zeros(3), np.zeros(3), -math.inf)
-        self._mm_s, self._rad_s = np.zeros(3), np.zeros(3)
+        self._velocity = JogVelocity(np.zeros(3), ACCELERATION_MM_S2)
+        self._turning = JogVelocity(np.zeros(3), ACCELERATION_RAD_S2)
 
     def renew(self, velocity_mm_s: FloatArray, turn_rad_s: FloatArray, until_s: float) -> None:
         """Set another velocity (3,) and rate (3,), valid until ``until_s`` on the bench clock."""
-        self._asked = (velocity_mm_s.copy(), turn_rad_s.copy(), until_s)
+        self._velocity.renew(velocity_mm_s, until_s)
+        self._turning.renew(turn_rad_s, until_s)
 
     def next_mm(self, command_mm: FloatArray, cycle: ArmCycle) -> FloatArray:
         """Return the next point; both accelerations are limited."""
-        velocity, turning, until_s = self._asked
-        over, dt_s = cycle.start_s >= until_s, cycle.end_s - cycle.start_s
-        rest = np.zeros(3)
-        self._mm_s = limit_change(self._mm_s, rest if over else velocity, ACCELERATION_MM_S2 * dt_s)
-        self._rad_s = limit_change(
-            self._rad_s, rest if over else turning, ACCELERATION_RAD_S2 * dt_s
-        )
-        self.done = over and not self._mm_s.any() and not self._rad_s.any()
+        dt_s = cycle.end_s - cycle.start_s
+        stands = self._velocity.step(cycle.start_s, dt_s)
+        self.done = self._turning.step(cycle.start_s, dt_s) and stands
         assert self.turn is not None
-        turn = rotation_from_vector(self._rad_s * dt_s) @ self.turn
-        return self._go(command_mm, (command_mm + self._mm_s * dt_s, turn))
+        turn = rotation_from_vector(self._turning.now * dt_s) @ self.turn
+        return self._go(command_mm, (command_mm + self._velocity.now * dt_s, turn))
 
 
 class SimJointTravel(_CheckedProgram):
@@ -380,21 +349,17 @@ class SimJointJog(_CheckedProgram):
     def __init__(self, start_rad: FloatArray, how: JointKinematics) -> None:
         super().__init__(how.chain(start_rad), how.allowed)
         self._joints, self._how = start_rad.copy(), how
-        self._asked: tuple[FloatArray, float] = (np.zeros(6), -math.inf)
-        self._rad_s = np.zeros(6)
+        self._speeds = JogVelocity(np.zeros(6), ACCELERATION_RAD_S2)
 
     def renew(self, speeds_rad_s: FloatArray, until_s: float) -> None:
         """Take other joint speeds (6,), good until ``until_s`` on the bench clock."""
-        self._asked = (speeds_rad_s.copy(), until_s)
+        self._speeds.renew(speeds_rad_s, until_s)
 
     def next_mm(self, command_mm: FloatArray, cycle: ArmCycle) -> FloatArray:
         """Return where the next joints put ``G``."""
-        asked, until_s = self._asked
-        over, dt_s = cycle.start_s >= until_s, cycle.end_s - cycle.start_s
-        wanted = np.zeros(6) if over else asked
-        self._rad_s = limit_change(self._rad_s, wanted, ACCELERATION_RAD_S2 * dt_s)
-        self.done = over and not self._rad_s.any()
-        joints = self._joints + self._rad_s * dt_s
+        dt_s = cycle.end_s - cycle.start_s
+        self.done = self._speeds.step(cycle.start_s, dt_s)
+        joints = self._joints + self._speeds.now * dt_s
         after = self._go(command_mm, self._how.chain(joints))
         if self.failure is None:
             self._joints = joints

@@ -16,6 +16,7 @@ from .motion_programs import ACCELERATION_RAD_S2 as ACCELERATION_RAD_S2
 from .motion_programs import UNLOAD_MM as UNLOAD_MM
 from .motion_programs import CycleInput as CycleInput
 from .motion_programs import JogProgram as JogProgram
+from .motion_programs import JogVelocity as JogVelocity
 from .motion_programs import JointJogProgram as JointJogProgram
 from .motion_programs import JointProgram as JointProgram
 from .motion_programs import JointTravelProgram as JointTravelProgram

@@ -23,7 +23,7 @@ from touchdown.backend.devices.protocols import ARM, HELD, CommandedMotion
 from touchdown.backend.devices.streamed.compliance import Compliance
 
 ACCELERATION_MM_S2 = 500.0
-AT_ZERO = np.zeros(6)
+AT_REST, AT_ZERO = np.zeros(3), np.zeros(6)
 UNLOAD_MM = 10.0
 # A move ends when the measured position is this near to its end, or after this time.
 ARRIVED_MM, ARRIVED_S = 0.02, 0.3
@@ -93,11 +93,28 @@ def braking_speed(acceleration: float, left: float, cycle_s: float) -> float:
     return 0.5 * a_t * (math.sqrt(1.0 + 8.0 * left / (a_t * cycle_s)) - 1.0)
 
 
-def limit_change(now: FloatArray, wanted: FloatArray, most: float) -> FloatArray:
-    """Return the next velocity towards ``wanted``, changed by at most ``most``."""
-    change = wanted - now
-    size = float(np.linalg.norm(change))
-    return wanted.copy() if size <= most else np.asarray(now + change * (most / size))
+class JogVelocity:
+    """Velocity (n,) of a jog: as requested until that expires, then zero; acceleration limited."""
+
+    def __init__(self, now: FloatArray, acceleration: float) -> None:
+        """``now`` (n,): initial velocity; ``acceleration``: limit of its change per second."""
+        self.now, self._acceleration = now.copy(), acceleration
+        self._asked = (np.zeros_like(now), -math.inf)
+
+    def renew(self, velocity: FloatArray, until_s: float) -> None:
+        """Request a velocity (n,) until ``until_s``."""
+        self._asked = (velocity.copy(), until_s)
+
+    def step(self, now_s: float, cycle_s: float) -> bool:
+        """Change ``now`` by one cycle; return True if the request has expired and ``now`` is 0."""
+        wanted, until_s = self._asked
+        over = now_s >= until_s
+        if over:
+            wanted = np.zeros_like(self.now)
+        change, most = wanted - self.now, self._acceleration * cycle_s
+        size = float(np.linalg.norm(change))
+        self.now = wanted.copy() if size <= most else np.asarray(self.now + change * (most / size))
+        return over and not self.now.any()
 
 
 class HandProgram:
@@ -160,30 +177,26 @@ class TravelProgram(HandProgram):
 class JogProgram(HandProgram):
     """Motion at a velocity until its time is up, then braking. A renewal is smooth."""
 
-    def __init__(self, motion: CommandedMotion, velocity_mm_s: FloatArray | None = None) -> None:
+    def __init__(self, motion: CommandedMotion, velocity_mm_s: FloatArray = AT_REST) -> None:
         """``velocity_mm_s`` is the initial velocity; the arm brakes unless renewed."""
         self.motion = motion
-        self._asked_mm_s, self._until_s = np.zeros(3), -math.inf
-        self._now_mm_s = np.zeros(3) if velocity_mm_s is None else velocity_mm_s.copy()
-        self.speed_mm_s = float(np.linalg.norm(self._now_mm_s))
+        self._velocity = JogVelocity(velocity_mm_s, ACCELERATION_MM_S2)
+        self.speed_mm_s = float(np.linalg.norm(velocity_mm_s))
 
     def renew(self, velocity_mm_s: FloatArray, until_s: float) -> None:
         """Set a new velocity (3,), valid until ``until_s``."""
-        self._asked_mm_s, self._until_s = velocity_mm_s.copy(), until_s
+        self._velocity.renew(velocity_mm_s, until_s)
         self.speed_mm_s = max(self.speed_mm_s, float(np.linalg.norm(velocity_mm_s)))
 
     def next_mm(self, felt: CycleInput) -> FloatArray:
         """Return the next point."""
-        over = felt.now_s >= self._until_s
-        wanted = np.zeros(3) if over else self._asked_mm_s
-        self._now_mm_s = limit_change(self._now_mm_s, wanted, ACCELERATION_MM_S2 * felt.cycle_s)
-        if over and not self._now_mm_s.any():
+        if self._velocity.step(felt.now_s, felt.cycle_s):
             self.motion.end()
-        return np.asarray(felt.command_mm + self._now_mm_s * felt.cycle_s)
+        return np.asarray(felt.command_mm + self._velocity.now * felt.cycle_s)
 
     def still(self) -> None:
         """Restart from zero speed."""
-        self._now_mm_s = np.zeros(3)
+        self._velocity.now = np.zeros(3)
 
 
 class UnloadProgram(HandProgram):
@@ -284,40 +297,34 @@ class RotationJogProgram(HandProgram):
     """Motion at a velocity and turn rate until its time is up, then braking."""
 
     def __init__(
-        self, motion: CommandedMotion, now: tuple[FloatArray, FloatArray] | None = None
+        self, motion: CommandedMotion, now: tuple[FloatArray, FloatArray] = (AT_REST, AT_REST)
     ) -> None:
         """``now`` is the initial velocity (3,) and turn rate (3,); the arm brakes unless
         renewed.
         """
         self.motion = motion
-        self._mm_s, self._rad_s = now or (np.zeros(3), np.zeros(3))
-        self._asked = (np.zeros(3), np.zeros(3), -math.inf)
-        self.speed_mm_s = float(np.linalg.norm(self._mm_s))
-        self.speed_rad_s = float(np.linalg.norm(self._rad_s))
+        self._velocity = JogVelocity(now[0], ACCELERATION_MM_S2)
+        self._turning = JogVelocity(now[1], ACCELERATION_RAD_S2)
+        self.speed_mm_s, self.speed_rad_s = (float(np.linalg.norm(part)) for part in now)
 
     def renew(self, velocity_mm_s: FloatArray, turn_rad_s: FloatArray, until_s: float) -> None:
         """Set a new velocity (3,) and turn rate (3,), valid until ``until_s``."""
-        self._asked = (velocity_mm_s.copy(), turn_rad_s.copy(), until_s)
+        self._velocity.renew(velocity_mm_s, until_s)
+        self._turning.renew(turn_rad_s, until_s)
         self.speed_mm_s = max(self.speed_mm_s, float(np.linalg.norm(velocity_mm_s)))
         self.speed_rad_s = max(self.speed_rad_s, float(np.linalg.norm(turn_rad_s)))
 
     def next_mm(self, felt: CycleInput) -> FloatArray:
         """Return the next point; ``turn`` is the turn there."""
-        velocity, turning, until_s = self._asked
-        over = felt.now_s >= until_s
-        cycle_s = felt.cycle_s
-        if over:
-            velocity = turning = np.zeros(3)
-        self._mm_s = limit_change(self._mm_s, velocity, ACCELERATION_MM_S2 * cycle_s)
-        self._rad_s = limit_change(self._rad_s, turning, ACCELERATION_RAD_S2 * cycle_s)
-        if over and not self._mm_s.any() and not self._rad_s.any():
+        stands = self._velocity.step(felt.now_s, felt.cycle_s)
+        if self._turning.step(felt.now_s, felt.cycle_s) and stands:
             self.motion.end()
-        self.turn = rotation_from_vector(self._rad_s * cycle_s) @ felt.turn
-        return np.asarray(felt.command_mm + self._mm_s * cycle_s)
+        self.turn = rotation_from_vector(self._turning.now * felt.cycle_s) @ felt.turn
+        return np.asarray(felt.command_mm + self._velocity.now * felt.cycle_s)
 
     def still(self) -> None:
         """Restart from zero speed."""
-        self._mm_s, self._rad_s = np.zeros(3), np.zeros(3)
+        self._velocity.now = self._turning.now = np.zeros(3)
 
 
 class JointTravelProgram:
@@ -357,30 +364,26 @@ class JointJogProgram:
 
     fragile = False
 
-    def __init__(self, motion: CommandedMotion, now_rad_s: FloatArray | None = None) -> None:
+    def __init__(self, motion: CommandedMotion, now_rad_s: FloatArray = AT_ZERO) -> None:
         """``now_rad_s`` are the initial joint speeds (6,); the arm brakes unless renewed."""
         self.motion = motion
-        self._now_rad_s = np.zeros(6) if now_rad_s is None else now_rad_s.copy()
-        self._asked_rad_s, self._until_s = np.zeros(6), -math.inf
-        self.speed_rad_s = float(np.abs(self._now_rad_s).max())
+        self._speeds = JogVelocity(now_rad_s, ACCELERATION_RAD_S2)
+        self.speed_rad_s = float(np.abs(now_rad_s).max())
 
     def renew(self, speeds_rad_s: FloatArray, until_s: float) -> None:
         """Set new joint speeds (6,), valid until ``until_s``."""
-        self._asked_rad_s, self._until_s = speeds_rad_s.copy(), until_s
+        self._speeds.renew(speeds_rad_s, until_s)
         self.speed_rad_s = max(self.speed_rad_s, float(np.abs(speeds_rad_s).max()))
 
     def next_rad(self, felt: CycleInput) -> FloatArray:
         """Return the next joints (6,)."""
-        over = felt.now_s >= self._until_s
-        wanted = np.zeros(6) if over else self._asked_rad_s
-        self._now_rad_s = limit_change(self._now_rad_s, wanted, ACCELERATION_RAD_S2 * felt.cycle_s)
-        if over and not self._now_rad_s.any():
+        if self._speeds.step(felt.now_s, felt.cycle_s):
             self.motion.end()
-        return np.asarray(felt.sent_rad + self._now_rad_s * felt.cycle_s)
+        return np.asarray(felt.sent_rad + self._speeds.now * felt.cycle_s)
 
     def still(self) -> None:
         """Restart from zero speed."""
-        self._now_rad_s = np.zeros(6)
+        self._speeds.now = np.zeros(6)
 
 
 JointProgram = JointTravelProgram | JointJogProgram

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import threading
 from collections.abc import Callable, Mapping
-from dataclasses import asdict
 from functools import partial
 from typing import TypeVar
 
@@ -42,6 +41,7 @@ from touchdown.backend.devices import (
     stopped_fault,
 )
 from touchdown.backend.devices.melfa import JOINT_RANGES, MelfaPlacement, check_joints
+from touchdown.backend.devices.streamed import press_fields
 from touchdown.backend.simulation.arm import (
     HandPose,
     JointKinematics,
@@ -274,11 +274,9 @@ class SimArm(SimDevice):
         """Press compliantly straight down; refused if the hand is rotated."""
         self._require_power()
         require_unrotated(self._world.drive.turn)
-        sent = asdict(command)
-        sent["stiffness_z_n_mm"] = sent.pop("stiffness_n_mm")[2]
         with self._lock:
             program = self._world.press(command)
-            motion = SimPressMotion(sent, program)
+            motion = SimPressMotion(press_fields(command), program)
             self._take(motion, program)
             return motion
 

@@ -15,6 +15,7 @@ from touchdown.backend.emulation.fault_plan import (
     Faults,
     SampleSchedule,
     add_noise,
+    apply_faults,
     hanging_gripper,
 )
 from touchdown.backend.emulation.server import DeviceServer, EmulatedDevice, PtyServer, TcpServer
@@ -165,7 +166,7 @@ def replace_host(tables: BenchTables, address: str) -> BenchTables:
 
 
 def serve_serial(
-    sensor: StreamingSensor,
+    emulated: Callable[[WrenchFunction], StreamingSensor],
     choice: EmulationChoice,
     faults: Faults,
     tables: BenchTables | None = None,
@@ -174,8 +175,8 @@ def serve_serial(
 
     Parameters
     ----------
-    sensor
-        Emulated sensor; its wrench function applies ``faults`` (``apply_faults``).
+    emulated
+        Class of the emulated sensor; its wrench function applies ``faults``.
     choice
         Port or link to use.
     faults
@@ -184,6 +185,7 @@ def serve_serial(
         Tables of the bench file beyond ``[ft]``.
 
     """
+    sensor = emulated(apply_faults(choice.wrench, faults))
     sensor.pace.faults = faults
     front: DeviceServer
     if choice.port is not None or sys.platform == "win32":

@@ -5,16 +5,10 @@ Streams from power-on, is configured by text, counts microseconds.
 
 from __future__ import annotations
 
+from functools import partial
+
 from touchdown.backend.devices.bota import protocol
-from touchdown.backend.emulation import (
-    Emulation,
-    EmulationChoice,
-    Faults,
-    SerialSensor,
-    WrenchFunction,
-    apply_faults,
-    serve_serial,
-)
+from touchdown.backend.emulation import SerialSensor, WrenchFunction, serve_serial
 
 RATED = (500.0, 500.0, 1200.0, 15.0, 15.0, 12.0)
 TEMPERATURE_C = 27.5
@@ -77,6 +71,4 @@ class EmulatedBota(SerialSensor[protocol.BotaRequest]):
         return protocol.encode(protocol.BotaFrame(status, values, timestamp_us, TEMPERATURE_C))
 
 
-def emulate_bota(choice: EmulationChoice, faults: Faults) -> Emulation:
-    """Serve the sensor on a pseudo terminal or TCP port."""
-    return serve_serial(EmulatedBota(apply_faults(choice.wrench, faults)), choice, faults)
+emulate_bota = partial(serve_serial, EmulatedBota)

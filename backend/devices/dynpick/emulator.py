@@ -5,17 +5,11 @@ Commands in, records out: a function of time and bytes.
 
 from __future__ import annotations
 
+from functools import partial
+
 from touchdown.backend.devices.dynpick import protocol
 from touchdown.backend.devices.dynpick.protocol import DynpickCommand
-from touchdown.backend.emulation import (
-    Emulation,
-    EmulationChoice,
-    Faults,
-    SerialSensor,
-    WrenchFunction,
-    apply_faults,
-    serve_serial,
-)
+from touchdown.backend.emulation import SerialSensor, WrenchFunction, serve_serial
 
 RATE_HZ = 1000.0
 SENSITIVITY = (65.47, 65.44, 65.08, 1638.5, 1639.25, 1640.75)
@@ -77,6 +71,4 @@ class EmulatedDynpick(SerialSensor[DynpickCommand]):
         return protocol.encode_record(record)
 
 
-def emulate_dynpick(choice: EmulationChoice, faults: Faults) -> Emulation:
-    """Serve the sensor on a pseudo terminal or TCP port."""
-    return serve_serial(EmulatedDynpick(apply_faults(choice.wrench, faults)), choice, faults)
+emulate_dynpick = partial(serve_serial, EmulatedDynpick)

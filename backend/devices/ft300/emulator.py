@@ -5,16 +5,10 @@ Answers Modbus until the stream runs; then only bytes of FFh have an effect.
 
 from __future__ import annotations
 
+from functools import partial
+
 from touchdown.backend.devices.ft300 import protocol
-from touchdown.backend.emulation import (
-    Emulation,
-    EmulationChoice,
-    Faults,
-    SerialSensor,
-    WrenchFunction,
-    apply_faults,
-    serve_serial,
-)
+from touchdown.backend.emulation import SerialSensor, WrenchFunction, serve_serial
 
 PERIOD_S = 0.01
 PER_UNIT = (100, 100, 100, 1000, 1000, 1000)
@@ -76,6 +70,4 @@ def _words(content: bytes) -> list[int]:
     return [int.from_bytes(content[at : at + 2], "big") for at in range(0, len(content), 2)]
 
 
-def emulate_ft300(choice: EmulationChoice, faults: Faults) -> Emulation:
-    """Serve the sensor on a pseudo terminal or TCP port."""
-    return serve_serial(EmulatedFt300(apply_faults(choice.wrench, faults)), choice, faults)
+emulate_ft300 = partial(serve_serial, EmulatedFt300)

@@ -3,22 +3,13 @@
 Framed commands in, samples out: a function of time and bytes.
 """
 
-from __future__ import annotations
-
 import re
+from functools import partial
 
 from touchdown.backend.devices.framing import xor8
 from touchdown.backend.devices.leptrino import protocol
 from touchdown.backend.devices.leptrino.protocol import LeptrinoCommand, PlainFrame
-from touchdown.backend.emulation import (
-    Emulation,
-    EmulationChoice,
-    Faults,
-    SerialSensor,
-    WrenchFunction,
-    apply_faults,
-    serve_serial,
-)
+from touchdown.backend.emulation import SerialSensor, WrenchFunction, serve_serial
 
 RATED = (250.0, 250.0, 250.0, 6.0, 6.0, 6.0)
 INFO = protocol.SensorInfo("PFS080YA501A6", "00012345", "1.13")
@@ -91,6 +82,4 @@ def _refusal(data: bytes) -> protocol.Packet:
     return PlainFrame(content[2], LENGTH) if whole else protocol.LeptrinoNak()
 
 
-def emulate_leptrino(choice: EmulationChoice, faults: Faults) -> Emulation:
-    """Serve the sensor on a pseudo terminal or TCP port."""
-    return serve_serial(EmulatedLeptrino(apply_faults(choice.wrench, faults)), choice, faults)
+emulate_leptrino = partial(serve_serial, EmulatedLeptrino)

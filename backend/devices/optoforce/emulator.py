@@ -5,16 +5,10 @@ Silent until configured, then frames with a count.
 
 from __future__ import annotations
 
+from functools import partial
+
 from touchdown.backend.devices.optoforce import protocol
-from touchdown.backend.emulation import (
-    Emulation,
-    EmulationChoice,
-    Faults,
-    SerialSensor,
-    WrenchFunction,
-    apply_faults,
-    serve_serial,
-)
+from touchdown.backend.emulation import SerialSensor, WrenchFunction, serve_serial
 
 COUNTS = (10_000.0, 10_000.0, 10_000.0, 10_000.0, 10_000.0, 10_000.0)
 CAPACITY = (200.0, 200.0, 200.0, 6.5, 6.5, 6.5)
@@ -60,8 +54,6 @@ class EmulatedOptoforce(SerialSensor[protocol.OptoforceConfig]):
         return protocol.encode(frame)
 
 
-def emulate_optoforce(choice: EmulationChoice, faults: Faults) -> Emulation:
-    """Serve the sensor on a pseudo terminal or TCP port; the bench file gets its data sheet."""
-    sensor = EmulatedOptoforce(apply_faults(choice.wrench, faults))
-    tables = {"optoforce": {"counts": list(COUNTS), "capacity": list(CAPACITY)}}
-    return serve_serial(sensor, choice, faults, tables)
+# The data sheet of the sensor for the bench file.
+_TABLES = {"optoforce": {"counts": list(COUNTS), "capacity": list(CAPACITY)}}
+emulate_optoforce = partial(serve_serial, EmulatedOptoforce, tables=_TABLES)

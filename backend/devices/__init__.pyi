@@ -40,6 +40,7 @@ from .protocols import TURN_RAD_S as TURN_RAD_S
 from .protocols import VOID_PRESS as VOID_PRESS
 from .protocols import Arm as Arm
 from .protocols import ArmStatus as ArmStatus
+from .protocols import ArrivalCounter as ArrivalCounter
 from .protocols import CommandedMotion as CommandedMotion
 from .protocols import ConnectionSteps as ConnectionSteps
 from .protocols import Device as Device
@@ -59,6 +60,7 @@ from .protocols import RobotMode as RobotMode
 from .protocols import SafetyMode as SafetyMode
 from .protocols import TracedArm as TracedArm
 from .protocols import Vector as Vector
+from .protocols import not_connected_fault as not_connected_fault
 from .protocols import replaced_fault as replaced_fault
 from .protocols import servo_off_fault as servo_off_fault
 from .protocols import stopped_fault as stopped_fault

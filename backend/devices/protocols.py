@@ -13,6 +13,7 @@ from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from enum import Enum
+from itertools import takewhile
 from typing import Literal, Protocol, runtime_checkable
 
 from touchdown.backend.core import (
@@ -104,8 +105,11 @@ class ArrivalCounter:
 
     def health(self, now_s: float, lost: int) -> Health:
         """Return rate over the last second, age of the newest arrival, and the counts."""
-        recent = (n for t_s, n in self._arrivals.copy() if t_s > now_s - HEALTH_WINDOW_S)
-        return Health(sum(recent) / HEALTH_WINDOW_S, now_s - self.last_s, self.received, lost)
+        newest = reversed(self._arrivals.copy())
+        recent = takewhile(lambda arrival: arrival[0] > now_s - HEALTH_WINDOW_S, newest)
+        return Health(
+            sum(n for _, n in recent) / HEALTH_WINDOW_S, now_s - self.last_s, self.received, lost
+        )
 
 
 class Device(Protocol):
@@ -484,6 +488,17 @@ def servo_off_fault(device: str) -> Fault:
     )
 
 
+def not_connected_fault(device: str) -> Fault:
+    """Return the fault of a command without a connection."""
+    return Fault(
+        "NOT-CONNECTED",
+        f"The device '{device}' is not connected.",
+        "Nothing was moved.",
+        "Connect the device first.",
+        device,
+    )
+
+
 ARM = "arm"
 HELD = "The arm stands still; the gripper was not opened."
 NOTHING_MOVED = "Nothing was moved."
@@ -498,13 +513,7 @@ class ArmPress(CommandedMotion):
 
 STOPPED = replace(stopped_fault(ARM), consequence=HELD)
 REPLACED = replace(replaced_fault(ARM), consequence="The arm follows the newer command.")
-NOT_CONNECTED = Fault(
-    "NOT-CONNECTED",
-    "The device 'arm' is not connected.",
-    NOTHING_MOVED,
-    "Connect the device first.",
-    ARM,
-)
+NOT_CONNECTED = not_connected_fault(ARM)
 NO_WRENCH = Fault(
     "FT-STALE",
     "No force was measured within the last second.",

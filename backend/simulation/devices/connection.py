@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 import threading
-from collections import deque
 from collections.abc import Callable
+from dataclasses import replace
 
 from touchdown.backend.core import Fault, FaultError
-from touchdown.backend.devices import CommandedMotion, DeviceState, Health, Identity, replaced_fault
-
-RATE_WINDOW_S = 1.0
+from touchdown.backend.devices import (
+    ArrivalCounter,
+    CommandedMotion,
+    DeviceState,
+    Health,
+    Identity,
+    not_connected_fault,
+    replaced_fault,
+)
 
 
 class SimDevice:
@@ -19,9 +25,7 @@ class SimDevice:
         self.name, self._model, self._now_s = name, model, now_s
         self.state = DeviceState.CLOSED
         self.identity: Identity | None = None  # None before the first connection
-        self._received, self._lost, self._recent = 0, 0, 0
-        self._newest_s = float("-inf")
-        self._arrivals: deque[tuple[float, int]] = deque()
+        self._arrivals, self._lost = ArrivalCounter(), 0
         self._counting, self._lock = threading.Lock(), threading.Lock()
         self._motion: CommandedMotion | None = None
 
@@ -36,9 +40,7 @@ class SimDevice:
             if self.ready:
                 return
             self.identity = Identity("Touchdown", self._model, f"SIM-{self.name}", "simulated")
-            self._received, self._lost, self._recent = 0, 0, 0
-            self._newest_s = float("-inf")
-            self._arrivals.clear()
+            self._arrivals, self._lost = ArrivalCounter(), 0
             self.state = DeviceState.READY
 
     def close(self) -> None:
@@ -48,28 +50,16 @@ class SimDevice:
     def arrived(self, t_s: float, count: int, lost: int = 0) -> None:
         """Count ``count`` samples, the newest stamped ``t_s``, and ``lost`` before them."""
         with self._counting:
-            self._received += count
+            self._arrivals.note(t_s, count)
             self._lost += lost
-            self._recent += count
-            self._newest_s = t_s
-            self._arrivals.append((t_s, count))
-            self._forget(t_s)
 
     @property
     def health(self) -> Health:
         """Rate over the last second of bench time, age of the newest sample, counts."""
         now_s = self._now_s()
-        with self._counting:
-            self._forget(now_s)
-            newest_s, recent = self._newest_s, self._recent
-            received, lost = self._received, self._lost
-        span_s = min(RATE_WINDOW_S, max(now_s, 1e-6))
-        return Health(recent / span_s, now_s - newest_s, received, lost)
-
-    def _forget(self, now_s: float) -> None:
-        """Remove arrivals older than the rate window."""
-        while self._arrivals and self._arrivals[0][0] <= now_s - RATE_WINDOW_S:
-            self._recent -= self._arrivals.popleft()[1]
+        health = self._arrivals.health(now_s, self._lost)
+        # Just after the start of the bench clock, the rate is that since the start.
+        return replace(health, rate_hz=health.rate_hz / min(1.0, max(now_s, 1e-6)))
 
     def _end_motion(self, fault: Fault | None = None) -> None:
         if self._motion is not None:
@@ -84,12 +74,4 @@ class SimDevice:
     def require_ready(self) -> None:
         """Raise ``FaultError`` unless connected."""
         if not self.ready:
-            raise FaultError(
-                Fault(
-                    "NOT-CONNECTED",
-                    f"The device '{self.name}' is not connected.",
-                    "Nothing was moved.",
-                    "Connect the device first.",
-                    self.name,
-                )
-            )
+            raise FaultError(not_connected_fault(self.name))

@@ -504,6 +504,11 @@ HELD = "The arm stands still; the gripper was not opened."
 NOTHING_MOVED = "Nothing was moved."
 
 
+def arm_fault(code: str, what: str, next_step: str, consequence: str = HELD) -> Fault:
+    """Return a fault of the arm."""
+    return Fault(code, what, consequence, next_step, ARM)
+
+
 class ArmPress(CommandedMotion):
     """A press with its contact times on the bench clock."""
 
@@ -514,15 +519,14 @@ class ArmPress(CommandedMotion):
 STOPPED = replace(stopped_fault(ARM), consequence=HELD)
 REPLACED = replace(replaced_fault(ARM), consequence="The arm follows the newer command.")
 NOT_CONNECTED = not_connected_fault(ARM)
-NO_WRENCH = Fault(
+NO_WRENCH = arm_fault(
     "FT-STALE",
     "No force was measured within the last second.",
-    NOTHING_MOVED,
     "Check the force/torque sensor, then press again.",
-    ARM,
+    NOTHING_MOVED,
 )
 
 
 def refused_fault(error: RefusedError) -> Fault:
     """Return the fault of a motion whose next command is not permitted."""
-    return Fault(error.reason, error.detail, HELD, "Choose another way or place.", ARM)
+    return arm_fault(error.reason, error.detail, "Choose another way or place.")

@@ -47,7 +47,7 @@ from touchdown.backend.devices.melfa.r3_protocol import (
 )
 from touchdown.backend.devices.melfa.realtime_protocol import CYCLE_S
 from touchdown.backend.devices.melfa.stream import FAULT_CYCLES, HOLD_CYCLES
-from touchdown.backend.devices.protocols import STOPPED, ConnectionStep, Identity
+from touchdown.backend.devices.protocols import STOPPED, ConnectionStep, Identity, arm_fault
 
 log = logging.getLogger("touchdown.app.melfa")
 
@@ -325,12 +325,10 @@ class ControllerPoller:
         return self._placing.from_flange(np.array([x, y, z]), hand_of(a, b, c, self._euler))
 
 
-ENDED = Fault(
+ENDED = arm_fault(
     "MXT-ENDED",
     "The controller's real-time program has ended by itself.",
-    "The arm stands still; the gripper was not opened.",
     "Look at the controller, press Reset, then connect the arm again.",
-    "arm",
 )
 
 

@@ -11,41 +11,37 @@ from touchdown.backend.devices.melfa.r3_protocol import (
     OUT_OF_RANGE_ERRORS,
     REJECTED_ERRORS,
 )
-from touchdown.backend.devices.protocols import ARM, HELD, NOTHING_MOVED, VOID_PRESS
+from touchdown.backend.devices.protocols import HELD, NOTHING_MOVED, VOID_PRESS, arm_fault
 
-START = Fault(
+START = arm_fault(
     "MXT-START",
     "The controller's program runs, but no real-time reply comes.",
-    NOTHING_MOVED,
     "Check the address of this computer in the program TDMXT, and the firewall.",
-    ARM,
+    NOTHING_MOVED,
 )
 
-UNLIMITED = Fault(
+UNLIMITED = arm_fault(
     "MXTTOUT",
     "The controller does not end a real-time stream that falls silent (MXTTOUT is -1).",
-    NOTHING_MOVED,
     "Set MXTTOUT to 57 in the controller, or allow it with melfa.mxt.allow_unlimited.",
-    ARM,
+    NOTHING_MOVED,
 )
 
-VOID = Fault(
+VOID = arm_fault(
     VOID_PRESS,
     "Replies of the controller stayed away for 35 ms during a press.",
-    "The arm stood still meanwhile; the episode does not count.",
     "Press again. If it happens often, look at the load of this computer and at the network.",
-    ARM,
+    "The arm stood still meanwhile; the episode does not count.",
 )
 
 
 def lost_fault(cycles: int) -> Fault:
     """Return the fault of a stream without replies."""
-    return Fault(
+    return arm_fault(
         "MXT-LOST",
         f"The arm sent no real-time reply for {cycles} cycles.",
-        f"The stream was ended. {HELD}",
         "Check the cable and the load of this computer, press Reset, then connect the arm again.",
-        ARM,
+        f"The stream was ended. {HELD}",
     )
 
 
@@ -66,25 +62,13 @@ class Refusal(Enum):
     )
 
 
-def tilted_fault(degrees: float) -> Fault:
-    """Return the fault of a hand that leans further than this program ever leaves it."""
-    return Fault(
-        "TILTED",
-        f"The hand leans {degrees:.1f}° away from straight down.",
-        NOTHING_MOVED,
-        "Point it down with the teaching box, then connect again.",
-        ARM,
-    )
-
-
 def link_fault(what: str) -> Fault:
     """Return the fault of a missing or lost command channel."""
-    return Fault(
+    return arm_fault(
         "ARM-LINK",
         what,
-        "The arm is not commanded.",
         "Check cable, address and the controller's port settings, then connect the arm again.",
-        ARM,
+        "The arm is not commanded.",
     )
 
 
@@ -93,7 +77,7 @@ def controller_fault(number: int, text: str = "") -> Fault:
     said = f"The controller reports error {number}" + (f": {text}." if text else ".")
     if number in EMERGENCY_ERRORS:
         step = "Release the emergency stop, press Reset, then connect the arm again."
-        return Fault("HW-STOP", said, "The hardware has stopped the arm.", step, ARM)
+        return arm_fault("HW-STOP", said, step, "The hardware has stopped the arm.")
     code, step = "CONTROLLER", "Look at the controller, press Reset, then connect the arm again."
     if number in OUT_OF_RANGE_ERRORS:
         code, step = "OUT-OF-RANGE", "Move the arm back with the teaching box, then press Reset."
@@ -101,38 +85,34 @@ def controller_fault(number: int, text: str = "") -> Fault:
         code, step = "NOT-READY", "Automatic mode? Remote operation? Servo on? Then connect again."
     elif number in REJECTED_ERRORS:
         code, step = "REJECTED", "Load the programs of resources/melfa into the controller."
-    return Fault(code, said, HELD, step, ARM)
+    return arm_fault(code, said, step)
 
 
 def oversize_fault(cycles: int) -> Fault:
     """Return the fault of a motion with too large steps in several cycles in a row."""
-    return Fault(
+    return arm_fault(
         "STEPS-TOO-LARGE",
         f"A motion asked for steps too large for its speed, {cycles} cycles in a row.",
-        HELD,
         "This is an error of the program: keep its log, press Reset, then connect the arm again.",
-        ARM,
     )
 
 
 def starved_fault(gap_s: float, watched_s: float) -> Fault:
     """Return the fault of a computer that is too busy for a stream."""
-    return Fault(
+    return arm_fault(
         "RIG-STARVED",
         f"This computer left the arm without a cycle for {1e3 * gap_s:.0f} ms, watched for "
         f"{watched_s:g} s before the stream was opened.",
-        NOTHING_MOVED,
         "End what else keeps it busy, or allow real-time priority; then connect the arm again.",
-        ARM,
+        NOTHING_MOVED,
     )
 
 
 def other_arm_fault(found: str, wanted: str) -> Fault:
     """Return the fault of another robot type at this address."""
-    return Fault(
+    return arm_fault(
         "OTHER-ARM",
         f"The controller says its arm is {found}, not {wanted}.",
-        NOTHING_MOVED,
         "Correct the address, or melfa.robot_type in the bench file.",
-        ARM,
+        NOTHING_MOVED,
     )

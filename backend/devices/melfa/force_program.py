@@ -23,7 +23,7 @@ from touchdown.backend.core import (
 from touchdown.backend.devices.melfa.command_channel import Console, ControllerLinks
 from touchdown.backend.devices.melfa.r3_protocol import R3Request
 from touchdown.backend.devices.melfa.stream import END
-from touchdown.backend.devices.protocols import ARM, HELD, ArmPress, CommandedMotion, PressCommand
+from touchdown.backend.devices.protocols import ArmPress, CommandedMotion, PressCommand, arm_fault
 from touchdown.backend.devices.streamed import (
     AIR_WINDOW_S,
     NOT_PRESSING,
@@ -145,19 +145,16 @@ class ControllerPress:
         return self._trip.feed(values)
 
 
-ENDED = Fault(
+ENDED = arm_fault(
     "PROBE-ENDED",
     "The controller's force program has ended in the middle of a press.",
-    HELD,
     "Look at the controller and its program TDPROBE, then press Reset.",
-    ARM,
 )
-LATE = Fault(
+LATE = arm_fault(
     "PROBE-LATE",
     "The controller's force program has not come to its end in time.",
-    "The program was ordered to lift by 2 mm; the gripper was not opened.",
     "Look at its speeds and at the override of the controller, then press Reset.",
-    ARM,
+    "The program was ordered to lift by 2 mm; the gripper was not opened.",
 )
 
 

@@ -32,7 +32,7 @@ from touchdown.backend.devices.melfa.faults import link_fault
 from touchdown.backend.devices.melfa.r3_protocol import R3Request, encode_request
 from touchdown.backend.devices.melfa.realtime_protocol import CYCLE_S, PACKET_BYTES
 from touchdown.backend.devices.melfa.stream import END
-from touchdown.backend.devices.protocols import ARM, NOTHING_MOVED
+from touchdown.backend.devices.protocols import NOTHING_MOVED, arm_fault
 
 PREFIX, SUFFIX = "touchdown-arm-", ".lock"
 # Retries: the deletion of old files locks each of them for an instant.
@@ -52,7 +52,7 @@ class ControllerLock:
         except OSError as error:
             what = f"Another program on this computer drives the controller at {host}:{port}."
             step = "Close the arm there first."
-            raise FaultError(Fault("ARM-TAKEN", what, NOTHING_MOVED, step, ARM)) from error
+            raise FaultError(arm_fault("ARM-TAKEN", what, step, NOTHING_MOVED)) from error
 
     def close(self) -> None:
         """Release the lock."""

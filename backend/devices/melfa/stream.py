@@ -28,14 +28,7 @@ from touchdown.backend.core import (
     tilt_rad,
 )
 from touchdown.backend.devices.framing import ProtocolError
-from touchdown.backend.devices.melfa.faults import (
-    START,
-    VOID,
-    Refusal,
-    lost_fault,
-    oversize_fault,
-    tilted_fault,
-)
+from touchdown.backend.devices.melfa.faults import START, VOID, Refusal, lost_fault, oversize_fault
 from touchdown.backend.devices.melfa.kinematics import (
     STEPS_RAD,
     MelfaPlacement,
@@ -60,6 +53,7 @@ from touchdown.backend.devices.streamed import (
     JointTravelProgram,
     MotionProgram,
     RotationJogProgram,
+    tilted_fault,
 )
 
 log = logging.getLogger("touchdown.app.melfa")
@@ -337,7 +331,7 @@ class StreamCore:
             return StreamOutput(encode_mxt_request(null))
         turn = self._placing.turn(echo.command_rad)
         if not tilt_rad(turn) <= TILT_RAD:
-            return self._fail(tilted_fault(math.degrees(tilt_rad(turn))))
+            return self._fail(tilted_fault(tilt_rad(turn), "teaching box"))
         # The first command is the position replied by the controller.
         self.sent_rad = echo.command_rad
         self.turn = (

@@ -25,3 +25,4 @@ from .motion_programs import RotationJogProgram as RotationJogProgram
 from .motion_programs import RotationTravelProgram as RotationTravelProgram
 from .motion_programs import TravelProgram as TravelProgram
 from .motion_programs import not_unloaded_fault as not_unloaded_fault
+from .motion_programs import tilted_fault as tilted_fault

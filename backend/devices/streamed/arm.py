@@ -27,7 +27,6 @@ from touchdown.backend.core import (
 )
 from touchdown.backend.devices.protocols import (
     ARM,
-    HELD,
     NO_WRENCH,
     NOTHING_MOVED,
     RETREAT_MM,
@@ -38,6 +37,7 @@ from touchdown.backend.devices.protocols import (
     CommandedMotion,
     Health,
     PressCommand,
+    arm_fault,
 )
 from touchdown.backend.devices.streamed.compliance import (
     DESIGN_N_MM,
@@ -292,45 +292,39 @@ class PressProgram:
 
 def no_contact_fault(travel_mm: float) -> Fault:
     """Return the fault of a descent without contact."""
-    return Fault(
+    return arm_fault(
         "NO-CONTACT",
         f"No contact on {travel_mm:.1f} mm of descent.",
-        HELD,
         "Check the height of the support and the force/torque sensor.",
-        ARM,
     )
 
 
 def _too_stiff_fault(found_n_mm: float) -> Fault:
-    return Fault(
+    return arm_fault(
         "CONTACT-STIFF",
         f"The contact has {found_n_mm:.0f} N/mm: there is no gel in the path.",
-        "The arm draws back by 2 mm; the gripper was not opened.",
         "Does the gripper itself touch the board?",
-        ARM,
+        "The arm draws back by 2 mm; the gripper was not opened.",
     )
 
 
-UNFELT = Fault(
+UNFELT = arm_fault(
     "FT-STALE",
     "The wrist sensor fell silent while the arm was pressing.",
-    "The press is void; in contact the arm draws back by 2 mm. The gripper was not opened.",
     "Check the force/torque sensor and its cable, then press again.",
-    ARM,
+    "The press is void; in contact the arm draws back by 2 mm. The gripper was not opened.",
 )
-TRIPPED = Fault(
+TRIPPED = arm_fault(
     "FT-TRIP",
     "The force went over the trip limit while pressing.",
-    "The arm draws back by 2 mm; the gripper was not opened.",
     "Check the piece and the support, then press Reset.",
-    ARM,
+    "The arm draws back by 2 mm; the gripper was not opened.",
 )
-SWINGING = Fault(
+SWINGING = arm_fault(
     "CONTACT-SWINGS",
     "The contact is stiffer than the arm can hold: the force swings.",
-    "The press is void; the arm is damped, and draws back if that does not calm it.",
     "Is there a gel between gripper and support? Press more slowly.",
-    ARM,
+    "The press is void; the arm is damped, and draws back if that does not calm it.",
 )
 
 
@@ -448,12 +442,11 @@ def press_fields(command: PressCommand) -> dict[str, float]:
     return {**fields, "stiffness_z_n_mm": stiffness_z_n_mm}
 
 
-NOT_PRESSING = Fault(
+NOT_PRESSING = arm_fault(
     "NOT-PRESSING",
     "There is no press to unload: the last one felt no contact, or the arm has moved since.",
-    NOTHING_MOVED,
     "Press first.",
-    ARM,
+    NOTHING_MOVED,
 )
 
 

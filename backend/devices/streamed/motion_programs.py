@@ -19,7 +19,7 @@ from touchdown.backend.core import (
     rotation_from_vector,
     rotation_vector,
 )
-from touchdown.backend.devices.protocols import ARM, HELD, CommandedMotion
+from touchdown.backend.devices.protocols import NOTHING_MOVED, CommandedMotion, arm_fault
 from touchdown.backend.devices.streamed.compliance import Compliance
 
 ACCELERATION_MM_S2 = 500.0
@@ -29,12 +29,10 @@ UNLOAD_MM = 10.0
 ARRIVED_MM, ARRIVED_S = 0.02, 0.3
 # At this multiple of that distance the arm has not arrived: 0.5 mm, 5e-4 rad of a joint.
 FAR = 25.0
-NOT_ARRIVED = Fault(
+NOT_ARRIVED = arm_fault(
     "ARM-STALLED",
     "The arm stands although its motion was commanded to the end.",
-    HELD,
     "Look for an obstacle and at the controller of the arm; then press Reset.",
-    ARM,
 )
 
 
@@ -240,12 +238,20 @@ class UnloadProgram(HandProgram):
 
 def not_unloaded_fault(press_n: float) -> Fault:
     """Return the fault of a lift that did not reduce the force."""
-    return Fault(
+    return arm_fault(
         "NOT-UNLOADED",
         f"{press_n:.1f} N press force after rising {UNLOAD_MM:.0f} mm.",
-        HELD,
         "Check the force/torque sensor.",
-        ARM,
+    )
+
+
+def tilted_fault(lean_rad: float, pendant: str) -> Fault:
+    """Return the fault of a hand that does not point straight down; ``pendant``: of this arm."""
+    return arm_fault(
+        "TILTED",
+        f"The hand leans {math.degrees(lean_rad):.1f}° away from straight down.",
+        f"Point it down with the {pendant}, then connect again.",
+        NOTHING_MOVED,
     )
 
 

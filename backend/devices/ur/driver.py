@@ -29,9 +29,7 @@ from touchdown.backend.core import (
 )
 from touchdown.backend.devices.protocols import (
     ARM,
-    HELD,
     NOT_CONNECTED,
-    NOTHING_MOVED,
     REPLACED,
     STILL,
     STOPPED,
@@ -48,6 +46,7 @@ from touchdown.backend.devices.protocols import (
     RobotMode,
     SafetyMode,
     Vector,
+    arm_fault,
     servo_off_fault,
 )
 from touchdown.backend.devices.streamed import (
@@ -59,6 +58,7 @@ from touchdown.backend.devices.streamed import (
     StreamedPrograms,
     TravelProgram,
     air_before,
+    tilted_fault,
 )
 from touchdown.backend.devices.ur.rtde import (
     NORMAL,
@@ -148,11 +148,11 @@ class ServoCore:
         step_mm = float(np.linalg.norm(after_mm - self.command_mm))
         if not step_mm <= STEP_MM:
             what = f"A command would be {step_mm:.1f} mm from the last one."
-            raise FaultError(Fault("STEP", what, HELD, "Move more slowly.", ARM))
+            raise FaultError(arm_fault("STEP", what, "Move more slowly."))
         behind_mm = float(np.linalg.norm(after_mm - measured_mm))
         if not behind_mm <= self.program.speed_mm_s * LEAD_S + LEAD_MM:
             what = f"The arm is {behind_mm:.1f} mm behind its command."
-            raise FaultError(Fault("UR-BEHIND", what, HELD, LOOK_FOR_HOLD, ARM))
+            raise FaultError(arm_fault("UR-BEHIND", what, LOOK_FOR_HOLD))
         self._velocity_mm_s = (after_mm - self.command_mm) / cycle_s
         self.command_mm = after_mm
         return after_mm
@@ -160,31 +160,17 @@ class ServoCore:
 
 def link_fault(what: str) -> Fault:
     """Return the fault of a missing or lost connection."""
-    return Fault(
+    return arm_fault(
         "UR-LINK",
         what,
-        "The controller stops the arm by itself; the gripper was not opened.",
         "Check cable, address and remote control of the robot, then connect it again.",
-        ARM,
+        "The controller stops the arm by itself; the gripper was not opened.",
     )
 
 
 def robot_fault(what: str, code: str = "UR-STOPPED") -> Fault:
     """Return the fault that the robot reports."""
-    return Fault(
-        code, f"{what}.", HELD, "Clear it at the teach pendant, then connect the arm again.", ARM
-    )
-
-
-def leaning_fault(degrees: float) -> Fault:
-    """Return the fault of a hand that does not point straight down."""
-    return Fault(
-        "TILTED",
-        f"The hand leans {degrees:.1f}° away from straight down.",
-        NOTHING_MOVED,
-        "Point it down with the teach pendant, then connect again.",
-        ARM,
-    )
+    return arm_fault(code, f"{what}.", "Clear it at the teach pendant, then connect the arm again.")
 
 
 NO_TURNS = "this arm does not turn its hand"
@@ -338,7 +324,7 @@ class UrArm:
         cosine = -float(rotation_from_vector(self._rotation)[2, 2])
         lean_rad = math.acos(max(-1.0, min(1.0, cosine)))
         if lean_rad > LEVEL_TOLERANCE_RAD:
-            raise FaultError(leaning_fault(math.degrees(lean_rad)))
+            raise FaultError(tilted_fault(lean_rad, "teach pendant"))
         self._core.begin(self._placing.pivot_mm(pose))
         self.steps.reached("configure")
         self._cursor = self._wrench.count

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from touchdown.backend.config import HardwareSettings
-from touchdown.backend.core import Fault, FaultError
+from touchdown.backend.core import FaultError
 from touchdown.backend.devices.force_torque import (
     DatagramDriver,
     NotAnsweredError,
@@ -27,7 +27,7 @@ from touchdown.backend.devices.force_torque import (
     WrenchReading,
 )
 from touchdown.backend.devices.framing import ProtocolError, wrench_of
-from touchdown.backend.devices.protocols import ARM, Identity
+from touchdown.backend.devices.protocols import Identity, arm_fault
 
 
 class StopConnection:
@@ -223,12 +223,11 @@ def identity_of(dashboard: DashboardInterface, host: str) -> Identity:
     )
 
 
-MISSING = Fault(
+MISSING = arm_fault(
     "UR-PACKAGE",
     "The package 'ur_rtde' is not installed.",
-    "The arm cannot be reached.",
     'Install it: pip install "touchdown[ur]".',
-    ARM,
+    "The arm cannot be reached.",
 )
 
 

@@ -119,16 +119,10 @@ class PairCount(NamedTuple):
 
 def row_to_entry(row: tuple[Any, ...]) -> EpisodeEntry:
     """Return the entry of a row of ``COLUMNS``."""
-    (
-        uuid, series, campaign, plan_item, path, recorded_ns, piece, bottom, geometry, grip_id,
-        mounting_id, person, mode, quality, keep_frames, digest, size, file_state, adopted, state,
-        conflict, flagged, deleted,
-    ) = row  # fmt: skip
-    return EpisodeEntry(
-        uuid, series, campaign, plan_item, path, recorded_ns, piece, bottom, geometry, grip_id,
-        mounting_id, person, mode, _quality(quality), keep_frames, digest, size, file_state,
-        bool(adopted), state, bool(conflict), bool(flagged), bool(deleted),
-    )  # fmt: skip
+    *facts, quality, keep_frames, digest, size, file_state, adopted, state = row[:-3]
+    stored = (_quality(quality), keep_frames, digest, size, file_state, bool(adopted), state)
+    values = (*facts, *stored, *map(bool, row[-3:]))
+    return EpisodeEntry(*values)
 
 
 @lru_cache(maxsize=10_000)

@@ -280,12 +280,8 @@ _REVISIONS = f"SELECT {REVISION} FROM label_rev r JOIN op o USING (op_uuid)"  # 
 
 def as_revision(row: tuple[Any, ...]) -> Revision:
     """Return the revision of a row of ``REVISION``."""
-    rev_uuid, op_uuid, episode, parent, *label, source, state = row[:10]
-    reason, verdict, geometry, note, person, at_ns = row[10:]
-    return Revision(
-        rev_uuid, op_uuid, episode, parent, Label(*label), source, state, reason, verdict, geometry,
-        note, person, at_ns,
-    )  # fmt: skip
+    values = (*row[:4], Label(*row[4:8]), *row[8:])
+    return Revision(*values)
 
 
 def read_revisions(connection: sqlite3.Connection, episode: str) -> list[Revision]:

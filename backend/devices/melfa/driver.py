@@ -59,11 +59,12 @@ from touchdown.backend.devices.protocols import (
     servo_off_fault,
 )
 from touchdown.backend.devices.streamed import (
+    AT_REST,
+    JogProgram,
     JointJogProgram,
     JointTravelProgram,
     LoopDelays,
     PositionRecord,
-    RotationJogProgram,
     RotationTravelProgram,
     StreamedPrograms,
     TravelProgram,
@@ -112,10 +113,10 @@ class MelfaPrograms:
             return self.level.follow(core, velocity_mm_s, until_s)
         program = core.program
         self.level.leave()
-        if not isinstance(program, RotationJogProgram) or program.motion.done:
-            program = RotationJogProgram(jog_motion(velocity_mm_s, turn_rad_s))
+        if not isinstance(program, JogProgram) or not program.turns or program.motion.done:
+            program = JogProgram(jog_motion(velocity_mm_s, turn_rad_s), turn_rad_s=AT_REST)
             core.run(program)
-        program.renew(velocity_mm_s, turn_rad_s, until_s)
+        program.renew(velocity_mm_s, until_s, turn_rad_s)
         return program.motion
 
     def jog_joints(

@@ -52,7 +52,6 @@ from touchdown.backend.devices.streamed import (
     JointProgram,
     JointTravelProgram,
     MotionProgram,
-    RotationJogProgram,
     tilted_fault,
 )
 
@@ -267,9 +266,8 @@ class StreamCore:
     def _braking(self, motion: CommandedMotion) -> MotionProgram | JointProgram:
         if isinstance(self.program, JointTravelProgram | JointJogProgram):
             return JointJogProgram(motion, self._joints_rad_s)
-        if self.turn is IDENTITY_ROTATION:
-            return JogProgram(motion, self.velocity_mm_s)
-        return RotationJogProgram(motion, (self.velocity_mm_s, self._turning_rad_s))
+        level = self.turn is IDENTITY_ROTATION
+        return JogProgram(motion, self.velocity_mm_s, None if level else self._turning_rad_s)
 
     def stop(self, fault: Fault = STOPPED) -> None:
         """End the stream at once: only end packets follow."""

@@ -13,6 +13,7 @@ from .compliance import LoopDelays as LoopDelays
 from .compliance import TripDetector as TripDetector
 from .motion_programs import ACCELERATION_MM_S2 as ACCELERATION_MM_S2
 from .motion_programs import ACCELERATION_RAD_S2 as ACCELERATION_RAD_S2
+from .motion_programs import AT_REST as AT_REST
 from .motion_programs import UNLOAD_MM as UNLOAD_MM
 from .motion_programs import CycleInput as CycleInput
 from .motion_programs import JogProgram as JogProgram
@@ -21,7 +22,6 @@ from .motion_programs import JointJogProgram as JointJogProgram
 from .motion_programs import JointProgram as JointProgram
 from .motion_programs import JointTravelProgram as JointTravelProgram
 from .motion_programs import MotionProgram as MotionProgram
-from .motion_programs import RotationJogProgram as RotationJogProgram
 from .motion_programs import RotationTravelProgram as RotationTravelProgram
 from .motion_programs import TravelProgram as TravelProgram
 from .motion_programs import not_unloaded_fault as not_unloaded_fault

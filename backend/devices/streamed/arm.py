@@ -371,7 +371,7 @@ class StreamedPrograms:
         """Move at a velocity (3,) until the given time, or continue with a new one."""
         self.leave()
         program = core.program
-        if not isinstance(program, JogProgram) or program.motion.done:
+        if not isinstance(program, JogProgram) or program.turns or program.motion.done:
             program = JogProgram(jog_motion(velocity_mm_s))
             core.run(program)
         program.renew(velocity_mm_s, until_s)

@@ -22,7 +22,7 @@ from touchdown.backend.core import (
 from touchdown.backend.devices.protocols import NOTHING_MOVED, CommandedMotion, arm_fault
 from touchdown.backend.devices.streamed.compliance import Compliance
 
-ACCELERATION_MM_S2 = 500.0
+ACCELERATION_MM_S2, ACCELERATION_RAD_S2 = 500.0, 2.0
 AT_REST, AT_ZERO = np.zeros(3), np.zeros(6)
 UNLOAD_MM = 10.0
 # A move ends when the measured position is this near to its end, or after this time.
@@ -175,26 +175,41 @@ class TravelProgram(HandProgram):
 class JogProgram(HandProgram):
     """Motion at a velocity until its time is up, then braking. A renewal is smooth."""
 
-    def __init__(self, motion: CommandedMotion, velocity_mm_s: FloatArray = AT_REST) -> None:
-        """``velocity_mm_s`` is the initial velocity; the arm brakes unless renewed."""
-        self.motion = motion
+    def __init__(
+        self,
+        motion: CommandedMotion,
+        velocity_mm_s: FloatArray = AT_REST,
+        turn_rad_s: FloatArray | None = None,
+    ) -> None:
+        """``velocity_mm_s`` and ``turn_rad_s`` (3,) are the initial velocity and turn rate; None
+        keeps the turn. The arm brakes unless renewed.
+        """
+        self.motion, self.turns = motion, turn_rad_s is not None
         self._velocity = JogVelocity(velocity_mm_s, ACCELERATION_MM_S2)
+        rate_rad_s = AT_REST if turn_rad_s is None else turn_rad_s
+        self._turning = JogVelocity(rate_rad_s, ACCELERATION_RAD_S2)
         self.speed_mm_s = float(np.linalg.norm(velocity_mm_s))
 
-    def renew(self, velocity_mm_s: FloatArray, until_s: float) -> None:
-        """Set a new velocity (3,), valid until ``until_s``."""
+    def renew(
+        self, velocity_mm_s: FloatArray, until_s: float, turn_rad_s: FloatArray = AT_REST
+    ) -> None:
+        """Set a new velocity (3,) and turn rate (3,), valid until ``until_s``."""
         self._velocity.renew(velocity_mm_s, until_s)
+        self._turning.renew(turn_rad_s, until_s)
         self.speed_mm_s = max(self.speed_mm_s, float(np.linalg.norm(velocity_mm_s)))
 
     def next_mm(self, felt: CycleInput) -> FloatArray:
-        """Return the next point."""
-        if self._velocity.step(felt.now_s, felt.cycle_s):
+        """Return the next point; ``turn`` is the turn there."""
+        stands = self._velocity.step(felt.now_s, felt.cycle_s)
+        if self._turning.step(felt.now_s, felt.cycle_s) and stands:
             self.motion.end()
+        if self.turns:
+            self.turn = rotation_from_vector(self._turning.now * felt.cycle_s) @ felt.turn
         return np.asarray(felt.command_mm + self._velocity.now * felt.cycle_s)
 
     def still(self) -> None:
         """Restart from zero speed."""
-        self._velocity.now = np.zeros(3)
+        self._velocity.now = self._turning.now = np.zeros(3)
 
 
 class UnloadProgram(HandProgram):
@@ -255,7 +270,6 @@ def tilted_fault(lean_rad: float, pendant: str) -> Fault:
     )
 
 
-ACCELERATION_RAD_S2 = 2.0
 ARRIVED_RAD = 2e-5
 
 
@@ -297,40 +311,6 @@ class RotationTravelProgram(HandProgram):
     def still(self) -> None:
         """Restart from zero speed."""
         self._pace = 0.0
-
-
-class RotationJogProgram(HandProgram):
-    """Motion at a velocity and turn rate until its time is up, then braking."""
-
-    def __init__(
-        self, motion: CommandedMotion, now: tuple[FloatArray, FloatArray] = (AT_REST, AT_REST)
-    ) -> None:
-        """``now`` is the initial velocity (3,) and turn rate (3,); the arm brakes unless
-        renewed.
-        """
-        self.motion = motion
-        self._velocity = JogVelocity(now[0], ACCELERATION_MM_S2)
-        self._turning = JogVelocity(now[1], ACCELERATION_RAD_S2)
-        self.speed_mm_s, self.speed_rad_s = (float(np.linalg.norm(part)) for part in now)
-
-    def renew(self, velocity_mm_s: FloatArray, turn_rad_s: FloatArray, until_s: float) -> None:
-        """Set a new velocity (3,) and turn rate (3,), valid until ``until_s``."""
-        self._velocity.renew(velocity_mm_s, until_s)
-        self._turning.renew(turn_rad_s, until_s)
-        self.speed_mm_s = max(self.speed_mm_s, float(np.linalg.norm(velocity_mm_s)))
-        self.speed_rad_s = max(self.speed_rad_s, float(np.linalg.norm(turn_rad_s)))
-
-    def next_mm(self, felt: CycleInput) -> FloatArray:
-        """Return the next point; ``turn`` is the turn there."""
-        stands = self._velocity.step(felt.now_s, felt.cycle_s)
-        if self._turning.step(felt.now_s, felt.cycle_s) and stands:
-            self.motion.end()
-        self.turn = rotation_from_vector(self._turning.now * felt.cycle_s) @ felt.turn
-        return np.asarray(felt.command_mm + self._velocity.now * felt.cycle_s)
-
-    def still(self) -> None:
-        """Restart from zero speed."""
-        self._velocity.now = self._turning.now = np.zeros(3)
 
 
 class JointTravelProgram:

@@ -39,6 +39,7 @@ from .protocols import TRACE_NAMES as TRACE_NAMES
 from .protocols import TURN_RAD_S as TURN_RAD_S
 from .protocols import VOID_PRESS as VOID_PRESS
 from .protocols import Arm as Arm
+from .protocols import ArmPress as ArmPress
 from .protocols import ArmStatus as ArmStatus
 from .protocols import ArrivalCounter as ArrivalCounter
 from .protocols import CommandedMotion as CommandedMotion

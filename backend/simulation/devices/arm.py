@@ -30,6 +30,7 @@ from touchdown.backend.devices import (
     RETREAT_MM_S,
     STILL,
     TURN_RAD_S,
+    ArmPress,
     ArmStatus,
     CommandedMotion,
     Joints,
@@ -55,25 +56,6 @@ from touchdown.backend.simulation.arm import (
 )
 from touchdown.backend.simulation.devices.connection import SimDevice
 from touchdown.backend.simulation.world import World
-
-
-class SimPressMotion(CommandedMotion):
-    """A press with its contact times."""
-
-    def __init__(self, sent: Mapping[str, float], press: SimPress) -> None:
-        super().__init__(sent)
-        self._press = press
-
-    @property
-    def detected_s(self) -> float | None:
-        """When contact was declared."""
-        return self._press.detected_s
-
-    @property
-    def onset_s(self) -> float | None:
-        """Back-dated time of first contact."""
-        return self._press.onset_s
-
 
 # Lowest height of a rotated hand; contact is simulated for a level face only.
 MIN_TURNED_HEIGHT_MM = 10.0
@@ -270,13 +252,13 @@ class SimArm(SimDevice):
 
     # -- contact ----------------------------------------------------------------------------------
 
-    def press(self, command: PressCommand) -> SimPressMotion:
+    def press(self, command: PressCommand) -> ArmPress:
         """Press compliantly straight down; refused if the hand is rotated."""
         self._require_power()
         require_unrotated(self._world.drive.turn)
         with self._lock:
             program = self._world.press(command)
-            motion = SimPressMotion(press_fields(command), program)
+            motion = ArmPress(press_fields(command))
             self._take(motion, program)
             return motion
 
@@ -316,8 +298,11 @@ class SimArm(SimDevice):
             self._commands.put(at_s, self._world.drive.command_mm[None])
             self.arrived(t_s, 1)
         with self._lock:
-            if self._motion is not None and self._program is not None and self._program.done:
-                self._end_motion(self._program.failure)
+            program, motion = self._program, self._motion
+            if isinstance(program, SimPress) and isinstance(motion, ArmPress):
+                motion.detected_s, motion.onset_s = program.detected_s, program.onset_s
+            if motion is not None and program is not None and program.done:
+                self._end_motion(program.failure)
                 self._program = None
 
     def _place(self) -> HandPose:

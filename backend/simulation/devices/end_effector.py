@@ -180,7 +180,6 @@ class SimForceTorque(SimDevice):
     def connect(self, timeout_s: float, cancel: threading.Event) -> None:
         """Connect immediately; ends a fault."""
         self.fault = None
-        self.fault = None if not self.ready else self.fault
         super().connect(timeout_s, cancel)
 
     @property

@@ -48,7 +48,7 @@ from touchdown.backend.core.events import (
 )
 from touchdown.backend.core.faults import Fault, InputError, RefusedError
 from touchdown.backend.core.values import ContactPatch, Episode, Outcome
-from touchdown.backend.devices import CommandedMotion, JogOrder, Limits, PressCommand
+from touchdown.backend.devices import ArmPress, CommandedMotion, JogOrder, Limits, PressCommand
 from touchdown.backend.devices.melfa.faults import VOID
 from touchdown.backend.episodes.episode_mcap import read_episode
 from touchdown.backend.rig.safety import LAPSED
@@ -61,7 +61,7 @@ from touchdown.backend.runs.event_log import (
     log_limit_change,
     read_events,
 )
-from touchdown.backend.simulation.devices.arm import SimArm, SimPressMotion
+from touchdown.backend.simulation.devices.arm import SimArm
 
 ROOT = Path(__file__).resolve().parents[3]
 CHILD = """
@@ -711,7 +711,7 @@ def test_a_void_press_is_made_again_but_not_for_ever(voids, fault, outcome, monk
     pressing: list[CommandedMotion] = []
     press = SimArm.press
 
-    def remembered(arm: SimArm, command: PressCommand) -> SimPressMotion:
+    def remembered(arm: SimArm, command: PressCommand) -> ArmPress:
         pressing.append(press(arm, command))
         return pressing[-1]
 

@@ -51,6 +51,7 @@ from touchdown.backend.devices.melfa import (
 )
 from touchdown.backend.devices.wsg import EmulatedWsg
 from touchdown.backend.emulation import (
+    EmulatedDevice,
     Emulation,
     FaultPlan,
     Faults,
@@ -516,7 +517,7 @@ TRUTH, SEEN, AFTER, STRIKE = b"?\n", b"seen\n", b"after ", b"strike "
 TRUTH_FIELDS = ("offset_mm", "yaw_rad", "margin_mm", "stands", "slip_mm", "knocked_over")
 
 
-class TruthServer:
+class TruthServer(EmulatedDevice):
     """Answers each line with a line of JSON: ground truth, driver observations or command travel;
     starts a fault.
     """
@@ -542,13 +543,6 @@ class TruthServer:
                 fields = {name: getattr(truth, name) for name in TRUTH_FIELDS}
                 answer += json.dumps(fields).encode() + b"\n"
         return answer
-
-    def due(self, now_s: float) -> bytes:
-        """Return nothing: it only answers."""
-        return b""
-
-    def closed(self, now_s: float) -> None:
-        """Do nothing."""
 
 
 GONE = Fault(

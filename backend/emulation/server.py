@@ -35,10 +35,12 @@ class EmulatedDevice(Protocol):
         """Process received bytes; return the immediate answer."""
 
     def due(self, now_s: float) -> bytes:
-        """Return the bytes that the device sends by itself up to now."""
+        """Return the bytes that the device sends by itself up to now; none by default."""
+        return b""
 
     def closed(self, now_s: float) -> None:
-        """Handle the end of a client's connection."""
+        """Handle the end of a client's connection; does nothing by default."""
+        return
 
 
 @dataclass(frozen=True, slots=True)

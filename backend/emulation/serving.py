@@ -39,7 +39,7 @@ class RequestDecoder(Protocol[RequestT]):
         """Take the next bytes; return the requests they complete, oldest first."""
 
 
-class SerialSensor(Generic[RequestT]):
+class SerialSensor(EmulatedDevice, Generic[RequestT]):
     """Base of emulated wrist sensors; ``wrench(now_s)`` returns (6,) N and N·m, sensor axes. A
     subclass gives ``_answer`` to a request and the ``_frame`` of a sample.
     """
@@ -56,9 +56,6 @@ class SerialSensor(Generic[RequestT]):
         lost, times_s = self.pace.due(now_s)
         self._skip(lost)
         return b"".join(map(self._frame, times_s))
-
-    def closed(self, now_s: float) -> None:
-        """Do nothing: a sensor on a serial line does not notice."""
 
     def _answer(self, now_s: float, request: RequestT) -> bytes:
         raise NotImplementedError

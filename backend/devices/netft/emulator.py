@@ -19,6 +19,7 @@ from touchdown.backend.devices.netft.protocol import (
 )
 from touchdown.backend.emulation import (
     BenchTables,
+    EmulatedDevice,
     Emulation,
     EmulationChoice,
     Faults,
@@ -85,15 +86,11 @@ class EmulatedNetFt:
         return RdtRecord(self._sequence, self._ft_sequence, status, counts)
 
 
-class _Answering:
+class _Answering(EmulatedDevice):
     """A device that answers whole requests and sends nothing by itself."""
 
     def __init__(self) -> None:
         self._heard = b""
-
-    def due(self, now_s: float) -> bytes:
-        """Return nothing."""
-        return b""
 
     def closed(self, now_s: float) -> None:
         """Discard an incomplete request."""

@@ -84,11 +84,19 @@ class MotionProgram(Protocol):
         """Handle a standstill: restart from zero speed."""
 
 
-def braking_speed(acceleration: float, left: float, cycle_s: float) -> float:
-    """Return the highest speed from which whole cycles of braking end within ``left``."""
-    a_t = acceleration * cycle_s
-    # Whole cycles of braking from v cover v (v + a T) / 2 a: solved for v.
-    return 0.5 * a_t * (math.sqrt(1.0 + 8.0 * left / (a_t * cycle_s)) - 1.0)
+class TravelSpeed:
+    """Speed along a path: at most ``most``, with braking in whole cycles to its end."""
+
+    def __init__(self, most: float, acceleration: float) -> None:
+        self.now, self._most, self._acceleration = 0.0, most, acceleration
+
+    def step(self, left: float, cycle_s: float) -> float:
+        """Change ``now`` by one cycle; return the way of this cycle. ``left``: rest of the path."""
+        a_t = self._acceleration * cycle_s
+        # Whole cycles of braking from v cover v (v + a T) / 2 a: solved for v.
+        braking = 0.5 * a_t * (math.sqrt(1.0 + 8.0 * left / (a_t * cycle_s)) - 1.0)
+        self.now = min(self.now + a_t, self._most, braking)
+        return self.now * cycle_s
 
 
 class JogVelocity:
@@ -146,30 +154,25 @@ class TravelProgram(HandProgram):
 
     def __init__(self, motion: CommandedMotion, target_mm: FloatArray, speed_mm_s: float) -> None:
         self.motion, self.speed_mm_s = motion, speed_mm_s
-        self._target_mm, self._now_mm_s = target_mm.copy(), 0.0
+        self._target_mm = target_mm.copy()
+        self._speed = TravelSpeed(speed_mm_s, ACCELERATION_MM_S2)
         self._arrival = Arrival(motion, ARRIVED_MM)
 
     def next_mm(self, felt: CycleInput) -> FloatArray:
         """Return the next point of the line."""
         way = self._target_mm - felt.command_mm
         left_mm = float(np.linalg.norm(way))
-        speed = min(
-            self._now_mm_s + ACCELERATION_MM_S2 * felt.cycle_s,
-            self.speed_mm_s,
-            braking_speed(ACCELERATION_MM_S2, left_mm, felt.cycle_s),
-        )
-        step_mm = speed * felt.cycle_s
+        step_mm = self._speed.step(left_mm, felt.cycle_s)
         if left_mm - step_mm <= 1e-4:
-            self._now_mm_s = 0.0
+            self._speed.now = 0.0
             away_mm = float(np.linalg.norm(felt.measured_mm - self._target_mm))
             self._arrival.check(felt.now_s, away_mm)
             return self._target_mm.copy()
-        self._now_mm_s = speed
         return np.asarray(felt.command_mm + way * (step_mm / left_mm))
 
     def still(self) -> None:
         """Restart from zero speed."""
-        self._now_mm_s = 0.0
+        self._speed.now = 0.0
 
 
 class JogProgram(HandProgram):
@@ -285,32 +288,30 @@ class RotationTravelProgram(HandProgram):
         """``target``: (3,) mm and (3, 3) turn; ``speeds``: mm/s and rad/s."""
         self.motion, (self.speed_mm_s, self.speed_rad_s) = motion, speeds
         self._target_mm, self._target_turn = target
-        self._pace, self._arrival = 0.0, Arrival(motion, ARRIVED_RAD)
+        # In shares of the full speed per second, so that both motions end together.
+        per_s = min(ACCELERATION_MM_S2 / speeds[0], ACCELERATION_RAD_S2 / speeds[1])
+        self._pace, self._arrival = TravelSpeed(1.0, per_s), Arrival(motion, ARRIVED_RAD)
 
     def next_mm(self, felt: CycleInput) -> FloatArray:
         """Return the next point of the path; ``turn`` is the turn there."""
         way_mm = self._target_mm - felt.command_mm
         way_rad = rotation_vector(self._target_turn @ felt.turn.T)
         left_mm, left_rad = float(np.linalg.norm(way_mm)), float(np.linalg.norm(way_rad))
-        # In seconds at full speed, so that both motions end together.
-        left_s = max(left_mm / self.speed_mm_s, left_rad / self.speed_rad_s)
-        per_s = min(ACCELERATION_MM_S2 / self.speed_mm_s, ACCELERATION_RAD_S2 / self.speed_rad_s)
-        braking = braking_speed(per_s, left_s, felt.cycle_s)
-        pace = min(self._pace + per_s * felt.cycle_s, 1.0, braking)
-        if left_s - pace * felt.cycle_s <= 1e-6:
-            self._pace = 0.0
+        left_s = max(left_mm / self.speed_mm_s, left_rad / self.speed_rad_s)  # at full speed
+        step_s = self._pace.step(left_s, felt.cycle_s)
+        if left_s - step_s <= 1e-6:
+            self._pace.now = 0.0
             self.turn = self._target_turn
             behind_rad = float(np.abs(felt.sent_rad - felt.measured_rad).max())
             self._arrival.check(felt.now_s, behind_rad)
             return self._target_mm.copy()
-        self._pace = pace
-        share = pace * felt.cycle_s / left_s
+        share = step_s / left_s
         self.turn = rotation_from_vector(share * way_rad) @ felt.turn
         return np.asarray(felt.command_mm + share * way_mm)
 
     def still(self) -> None:
         """Restart from zero speed."""
-        self._pace = 0.0
+        self._pace.now = 0.0
 
 
 class JointTravelProgram:
@@ -320,29 +321,25 @@ class JointTravelProgram:
 
     def __init__(self, motion: CommandedMotion, target_rad: FloatArray, speed_rad_s: float) -> None:
         self.motion, self.speed_rad_s = motion, speed_rad_s
-        self._target_rad, self._now_rad_s = target_rad.copy(), 0.0
+        self._target_rad = target_rad.copy()
+        self._speed = TravelSpeed(speed_rad_s, ACCELERATION_RAD_S2)
         self._arrival = Arrival(motion, ARRIVED_RAD)
 
     def next_rad(self, felt: CycleInput) -> FloatArray:
         """Return the next joints (6,)."""
         way = self._target_rad - felt.sent_rad
         left = float(np.abs(way).max())
-        speed = min(
-            self._now_rad_s + ACCELERATION_RAD_S2 * felt.cycle_s,
-            self.speed_rad_s,
-            braking_speed(ACCELERATION_RAD_S2, left, felt.cycle_s),
-        )
-        if left - speed * felt.cycle_s <= 1e-7:
-            self._now_rad_s = 0.0
+        step_rad = self._speed.step(left, felt.cycle_s)
+        if left - step_rad <= 1e-7:
+            self._speed.now = 0.0
             behind_rad = float(np.abs(self._target_rad - felt.measured_rad).max())
             self._arrival.check(felt.now_s, behind_rad)
             return self._target_rad.copy()
-        self._now_rad_s = speed
-        return np.asarray(felt.sent_rad + way * (speed * felt.cycle_s / left))
+        return np.asarray(felt.sent_rad + way * (step_rad / left))
 
     def still(self) -> None:
         """Restart from zero speed."""
-        self._now_rad_s = 0.0
+        self._speed.now = 0.0
 
 
 class JointJogProgram:

@@ -14,7 +14,6 @@ from enum import IntEnum
 
 from touchdown.backend.devices.framing import ProtocolError, Wrench, require_length, wrench_of
 
-RDT_PORT, TCP_PORT = 49152, 49151
 HEADER = 0x1234
 RECORD_BYTES = 36
 TCP_REQUEST = b"\x01" + bytes(19)  # request for the calibration on the TCP channel

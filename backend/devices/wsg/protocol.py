@@ -187,7 +187,6 @@ REPLIES: dict[int, tuple[str, ...]] = {
 }
 
 
-PORT = 1000
 PREAMBLE = b"\xaa\xaa\xaa"
 ACKNOWLEDGE_KEY = b"ack"
 

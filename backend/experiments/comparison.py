@@ -436,6 +436,15 @@ def comparison_tables(answer: Mapping[str, Any]) -> list[ReportTable]:
                 map(_class_row, classes),
             )
         )
+    if uneven := [row for row in answer["pooled"] if "possible" in row]:
+        found.append(
+            ReportTable.of_texts(
+                "Faces that are not flat: trials in which a place has a margin of 1 mm, and placed "
+                "of them; 95 % intervals",
+                ("strategy", "bottoms", "trials", "possible %", "placed of possible %"),
+                map(_uneven_row, uneven),
+            )
+        )
     if "statics" in answer:
         cells = (*answer["statics"]["cells"], *answer["statics"]["pooled"])
         found.append(
@@ -548,6 +557,12 @@ def _class_row(cell: Json) -> tuple[str, ...]:
     shares = cell["placed"], cell["unsafe"], cell["unsafe_of_released"]
     count = str(cell["placed"]["n"])
     return cell["strategy"], cell["outline"], count, *map(_format_share, shares)
+
+
+def _uneven_row(cell: Json) -> tuple[str, ...]:
+    bottoms = cell.get("outline") or POOLED_NAMES[cell["tower"]]
+    shares = _format_share(cell["possible"]), _format_share(cell["there"])
+    return cell["strategy"], bottoms, str(cell["possible"]["n"]), *shares
 
 
 def _verdict_row(cell: Json) -> tuple[str, ...]:

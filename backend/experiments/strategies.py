@@ -13,7 +13,8 @@ likely to stand than to fall. A name may carry settings of the method, as in
 On the bottom ``fresh`` every trial has an outline of its own, drawn by ``fresh_bottom``.
 
 ``beyond.json`` stores one line per trial and group beside the counts. A trial: ``seed outcome
-probes least`` (``least`` as in ``least_probes``), and the class of a fresh outline. A job of
+probes least`` (``least`` as in ``least_probes``), and the class of a fresh outline; on a face that
+is not flat the outline, its kind and the largest margin of any place (``best_margin_mm``). A job of
 groups: the seed of its first group, then for each group ``margin:likely:released``: the true margin
 of all interfaces in mm (``-`` without support) and the two verdicts after each number of probes in
 ``PROBE_COUNTS``, 1 for yes.
@@ -72,6 +73,7 @@ from touchdown.backend.experiments.trials import (
     BatchModel,
     BatchTrialResult,
     SceneSetup,
+    bottom_facts,
     grasped_piece_in,
     pair_of,
     pick_and_place_in_lockstep,
@@ -85,7 +87,6 @@ from touchdown.backend.geometry import (
     FRESH_SEED,
     UNTRAINED_CLASSES,
     Tower,
-    contact_margins_mm,
     face_points,
     inset_mm,
     judge_tower,
@@ -102,13 +103,15 @@ from touchdown.backend.placement import (
 )
 from touchdown.backend.runs import LEANS
 from touchdown.backend.sensing import EpisodeLimits
-from touchdown.backend.simulation import Scene, simulate_weighing
+from touchdown.backend.simulation import Scene, simulate_weighing, touched_margins_mm
 
 Json = dict[str, Any]
 Cell = tuple[str, str, str]  # strategy, piece, bottom
 NO_SUPPORT = "-"
 VERDICT_KINDS = ("likely", "says")
-TRIAL_WORDS = ("seed", "outcome", "probes", "least_probes", "outline")
+TRIAL_WORDS = ("seed", "outcome", "probes", "least_probes", "outline", "surface", "best_mm")
+SURFACE_KINDS = ("tilted", "stepped", "domed")
+POSSIBLE_MM = 1.0  # margin of a place at which a piece can be expected to be placed
 
 
 def trial_lines(trials: Iterable[Mapping[str, Any]]) -> list[str]:
@@ -359,6 +362,8 @@ def _pooled_groups(
     classes = {name: (name,) for name in FRESH_CLASSES} | {"never trained on": UNTRAINED_CLASSES}
     for name, outlines in classes.items():
         yield FRESH, {"outline": name}, [t for t in chosen if t["outline"] in outlines]
+    for kind in SURFACE_KINDS:
+        yield FRESH, {"outline": kind}, [t for t in chosen if t.get("surface") == kind]
 
 
 def job_traces(jobs: Iterable[JobSpec], store: JobStore) -> dict[Cell, Json]:
@@ -376,7 +381,11 @@ def count_outcomes(trials: Sequence[Mapping[str, Any]]) -> Json:
     outcomes = [trial["outcome"] for trial in trials]
     placed = [trial for trial in trials if trial["outcome"] == Outcome.PLACED.value]
     spare = [t["probes"] - t["least_probes"] for t in placed]
+    possible = [t for t in trials if float(t.get("best_mm", 0.0)) >= POSSIBLE_MM]
+    there = estimate_rate(sum(t in placed for t in possible), len(possible)).as_json()
+    uneven = {"possible": estimate_rate(len(possible), len(trials)).as_json(), "there": there}
     return {
+        **(uneven if any("best_mm" in t for t in trials) else {}),
         "outcomes": {word: outcomes.count(word) for word in sorted(set(outcomes))},
         "placed": estimate_rate(len(placed), len(trials)).as_json(),
         "unsafe": estimate_rate(
@@ -433,7 +442,7 @@ def run_closed_loop(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
             {
                 **end.as_json(),
                 "least_probes": least_probes(scene),
-                **({"outline": each.bottoms[0].title} if p["bottom"] == FRESH else {}),
+                **bottom_facts(p["bottom"], each, scene),
             }
             for (each, scene), end in zip(pairs, results, strict=True)
         ],
@@ -485,7 +494,7 @@ def _way_on_region_mm(scene: Scene) -> float:
     reach = max(scene.surface.half_extents_mm)
     line = np.arange(-reach, reach + STABLE_GRID_MM, STABLE_GRID_MM)
     com = np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2)
-    margins = contact_margins_mm(scene.piece.face, scene.piece.com_xy_mm, scene.surface, com)
+    margins = touched_margins_mm(scene, scene.piece.com_xy_mm, com)
     places = com[margins >= SAFE_INSET_MM] - np.asarray(scene.piece.com_xy_mm)
     if not len(places):
         return 0.0

@@ -38,6 +38,7 @@ from touchdown.backend.geometry import (
     draw_start,
     draw_tower,
     fresh_bottom,
+    inset_mm,
     judge_tower,
     load_pieces,
     start_generator,
@@ -61,6 +62,9 @@ from touchdown.backend.simulation import (
     TrialPresses,
     judge_release,
     release_kick_mm,
+    touched_margins_mm,
+    true_com_xy_mm,
+    true_margin_mm,
 )
 
 _DISPLACEMENT = 78
@@ -122,6 +126,34 @@ def start_scene(case: SceneSetup, seed: int) -> Scene | None:
         return None
     start = draw_start(rng, case.piece.body(), tower)
     return Scene(case.piece, tower, start, seed, case.settings)
+
+
+def bottom_facts(bottom: str, case: SceneSetup, scene: Scene) -> dict[str, Any]:
+    """Return the facts about the bottom of a trial by which trials are counted.
+
+    The class of a fresh outline; on a face that is not flat also its kind, and ``best_margin_mm``.
+    """
+    surface = scene.bottoms.bodies[-1].surface
+    outline = {"outline": case.bottoms[0].title if bottom == FRESH else bottom}
+    if not surface.flat:
+        return {**outline, "surface": surface.kind, "best_mm": best_margin_mm(scene)}
+    return outline if bottom == FRESH else {}
+
+
+def best_margin_mm(scene: Scene) -> float:
+    """Return the margin that the exact judge finds at the best place of a grid of 1 mm."""
+    piece, top = scene.piece, scene.bottoms.bodies[-1]
+    reach = np.ceil(max(scene.surface.half_extents_mm))
+    line = np.arange(-reach, reach + 1.0)
+    com = np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2)
+    true_com = true_com_xy_mm(scene)
+    margins = touched_margins_mm(scene, true_com, com)
+    if not top.fixed:
+        # The bottom must not tip either.
+        load = piece.mass_g * com + top.mass_g * np.asarray(top.com_xy_mm)
+        margins = np.minimum(margins, inset_mm(top.lower, load / (piece.mass_g + top.mass_g)))
+    place = pair_of(com[margins.argmax()] - true_com)
+    return round(true_margin_mm(scene, place, 0.0), 2)
 
 
 def probing_scene(case: SceneSetup, seed: int) -> Scene:

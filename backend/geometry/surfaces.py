@@ -75,6 +75,12 @@ class Surface:
         return not (any(self.tilt_rad) or self.step_mm or self.dome_mm)
 
     @property
+    def kind(self) -> str:
+        """The first that it is of domed, stepped, tilted and flat."""
+        sizes = {"domed": self.dome_mm, "stepped": self.step_mm, "tilted": any(self.tilt_rad)}
+        return next((name for name, size in sizes.items() if size), "flat")
+
+    @property
     def slope(self) -> Point:
         """Rise per mm along x and y due to the tilt."""
         return -self.tilt_rad[1], self.tilt_rad[0]

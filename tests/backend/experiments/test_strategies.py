@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -37,8 +38,10 @@ from touchdown.backend.experiments.statistics import (
 from touchdown.backend.experiments.strategies import (
     FORMAT,
     PROBABILITY_STEPS,
+    SURFACE_KINDS,
     ClosedLoopComparison,
     StaticComparison,
+    count_outcomes,
     least_probes,
     method_of,
     parse_trials,
@@ -96,6 +99,40 @@ def test_every_fresh_trial_has_an_outline_and_a_mounting_of_its_own(
     loops, classes = comparison_tables(answer)
     assert [row[0] for row in loops.rows][1] == "pick-and-place pooled fresh outlines"
     assert [row[1][0].value for row in classes.rows] == ["disc", "rectangle"]
+
+
+def test_on_uneven_faces_the_trials_in_which_a_good_place_exists_are_counted(
+    store: JobStore,
+) -> None:
+    bench = load_simulation(
+        Path(str(files("touchdown.resources"))) / "benches/bench-v2-surfaces.toml"
+    )
+    plan = ClosedLoopComparison(bench, "1", {}, ("pot",), ("fresh",), ("pick-and-place",), 1)
+    (job,) = plan.jobs()
+    assert run_job(job, {"beyond": run_closed_loop}, store).state == "done"
+    answer = StrategyComparison(plan).answer(store)
+    (trial,) = parse_trials(answer)["pick-and-place", "pot", "fresh"]
+    scene = start_scene(SceneSetup.of_trial(job.params, job.seed), job.seed)
+    assert scene is not None
+    assert scene.bottoms.bodies[-1].surface.kind == trial["surface"] in SURFACE_KINDS
+    uneven = comparison_tables(answer)[2]
+    names = [row[1][0].value for row in uneven.rows]
+    assert names == ["fresh outlines", "disc", trial["surface"]]
+    places = np.random.default_rng(4).uniform(-4.0, 4.0, (5, 2)).tolist()
+    others = [true_margin_mm(scene, (x, y), 0.0) for x, y in places]
+    assert 0.0 < max(others) < float(trial["best_mm"]) + 0.5
+
+
+def test_placed_of_possible() -> None:
+    ends = (("placed", "2.5"), ("fell", "1.0"), ("placed", "0.9"), ("gave_up", "-inf"))
+    trials = [
+        {"outcome": word, "probes": 2, "least_probes": 1, "best_mm": best, "seed": k}
+        for k, (word, best) in enumerate(ends)
+    ]
+    counts = count_outcomes(trials)
+    assert (counts["possible"]["value"], counts["there"]["value"]) == (0.5, 0.5)
+    del trials[0]["best_mm"]
+    assert "possible" not in count_outcomes(trials[:1])
 
 
 def test_the_placed_are_a_share_of_what_the_ceiling_places() -> None:

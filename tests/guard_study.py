@@ -29,7 +29,6 @@ from touchdown.backend.config import (
 from touchdown.backend.experiments import PIECES, program_version
 from touchdown.backend.experiments.certification import CONVEX, fresh_scene
 from touchdown.backend.experiments.document import ReportTable
-from touchdown.backend.experiments.evaluation import WORLDS
 from touchdown.backend.experiments.statistics import estimate_rate
 from touchdown.backend.experiments.strategies import (
     SINGLE_BOTTOMS,
@@ -38,6 +37,7 @@ from touchdown.backend.experiments.strategies import (
 )
 from touchdown.backend.experiments.trials import (
     FRESH,
+    WORLDS,
     XY,
     SceneSetup,
     grasped_piece_in,

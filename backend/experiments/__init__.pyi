@@ -24,14 +24,14 @@ from .document import ReportTable as ReportTable
 from .document import TableEntry as TableEntry
 from .document import report_page as report_page
 from .document import to_markdown as to_markdown
-from .domain_shift import CollectionKind as CollectionKind
-from .domain_shift import DomainShift as DomainShift
-from .domain_shift import RandomisedTraining as RandomisedTraining
-from .domain_shift import change_rows as change_rows
-from .domain_shift import press_rows as press_rows
-from .domain_shift import trial_rows as trial_rows
 from .evaluation import EVALUATED_STRATEGIES as EVALUATED_STRATEGIES
-from .evaluation import job_effort as job_effort
+from .evaluation import CollectionKind as CollectionKind
+from .evaluation import DomainShift as DomainShift
+from .evaluation import NuisanceSensitivity as NuisanceSensitivity
+from .evaluation import RandomisedTraining as RandomisedTraining
+from .evaluation import sensitivity_report as sensitivity_report
+from .evaluation import sensitivity_table as sensitivity_table
+from .evaluation import shift_tables as shift_tables
 from .fusion import PORTIONS as PORTIONS
 from .fusion import WEIGHTS as WEIGHTS
 from .fusion import FusionRecipe as FusionRecipe
@@ -54,9 +54,6 @@ from .results import rewrite_tables as rewrite_tables
 from .results import write_comparison as write_comparison
 from .results import write_tables as write_tables
 from .run_report import write_run_report as write_run_report
-from .sensitivity import NuisanceSensitivity as NuisanceSensitivity
-from .sensitivity import sensitivity_report as sensitivity_report
-from .sensitivity import sensitivity_table as sensitivity_table
 from .statistics import compare_intervals as compare_intervals
 from .statistics import evidence as evidence
 from .statistics import sequential_decision as sequential_decision
@@ -74,4 +71,3 @@ from .tables import PIECES as PIECES
 from .tables import SCALES as SCALES
 from .tables import TABLE_BOTTOMS as TABLE_BOTTOMS
 from .tables import Recipe as Recipe
-from .tables import pieces_of as pieces_of

@@ -11,7 +11,7 @@ Bootstrap, 1993, ch. 13). A seed is one mounting in closed loops, a job of two m
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -24,8 +24,11 @@ from touchdown.backend.experiments.document import (
     Report,
     ReportSection,
     ReportTable,
+    format_estimate,
+    format_percent,
     reliability_gallery,
 )
+from touchdown.backend.experiments.nuisances import band_benches
 from touchdown.backend.experiments.statics import PROBE_COUNTS
 from touchdown.backend.experiments.statistics import evidence, sequential_decision
 from touchdown.backend.experiments.strategies import (
@@ -47,86 +50,86 @@ from touchdown.backend.learning import rate_interval
 PAPER = "paper"
 ROUND_TRIALS = 10  # trials of every cell between two looks at a comparison that may stop early
 BOOTSTRAP_DRAWS, INTERVAL_PERCENTILES = 4000, (2.5, 97.5)
-OUTCOME_QUANTITIES = (("placed", (Outcome.PLACED.value,)), ("unsafe", UNSAFE_OUTCOMES))
+OUTCOME_QUANTITIES = {"placed": (Outcome.PLACED.value,), "unsafe": UNSAFE_OUTCOMES}
 POOLED_NAMES = {"one": "one bottom", "two": "two bottoms", "fresh": "fresh outlines"}
 Json = dict[str, Any]
-CountFunction = Callable[[Json], Sequence[float]]  # contribution of one trial or group to some sums
+Trials = Mapping[Cell, Sequence[Json]]  # finished trials of each cell
+Answers = Mapping[Cell, Mapping[int, Json]]  # finished groups of each cell, by the first seed
+Sums = Mapping[Cell, Mapping[int, Sequence[float]]]  # contributions of a trial or group, by seed
+ValueFunction = Callable[[FloatArray], FloatArray]  # value of a quantity from its sums
 
 
-def oracle_shares(
-    trials: Mapping[Cell, Sequence[Json]], answers: Mapping[Cell, Mapping[int, Json]]
-) -> list[Json]:
-    """Return one row per strategy, oracle (``to``) and quantity.
+def _outcome_sums(trials: Trials, quantity: str) -> Sums:
+    among = OUTCOME_QUANTITIES[quantity]
+    return {
+        cell: {t["seed"]: (float(t["outcome"] in among), 1.0) for t in some}
+        for cell, some in trials.items()
+    }
 
-    ``trials``: finished trials of each cell; ``answers``: finished groups, by the seed of the
-    first. ``share`` is None if the oracle is not better than the paper; its interval is None if
-    that happens in more bootstrap draws than lie beyond one end of it.
+
+def _quantities(trials: Trials, answers: Answers) -> Iterator[tuple[str, ValueFunction, Sums]]:
+    """Yield name, value and contributions of every quantity."""
+    for quantity in OUTCOME_QUANTITIES:
+        yield quantity, _mean, _outcome_sums(trials, quantity)
+    for n in map(str, PROBE_COUNTS):
+        sums = {
+            cell: {seed: _verdicts(answer, n) for seed, answer in some.items()}
+            for cell, some in answers.items()
+        }
+        yield f"right, n = {n}", _right, sums
+        yield f"balanced, n = {n}", _balanced, sums
+
+
+def oracle_shares(trials: Trials, answers: Answers) -> list[Json]:
+    """Return one row per quantity, strategy and oracle (``to``).
+
+    ``share`` is None if the oracle is not better than the paper; its interval is None if that
+    happens in more bootstrap draws than lie beyond one end of it.
     """
-    rows = []
-    by_seed = {cell: {t["seed"]: t for t in some} for cell, some in trials.items()}
-    for name, to in _compared_pairs(by_seed):
-        three = _shared(by_seed, (PAPER, name, to))
-        for what, outcomes in OUTCOME_QUANTITIES:
-            counts = _counted(three, lambda t, among=outcomes: (float(t["outcome"] in among), 1.0))  # type: ignore[misc]
-            rows.append({**_row(name, what, counts, _mean), "to": to})
-    for name, to in _compared_pairs(answers):
-        three = _shared(answers, (PAPER, name, to))
-        for n in map(str, PROBE_COUNTS):
-            counts = _counted(three, lambda answer, n=n: _verdicts(answer, n))  # type: ignore[misc]
-            rows.append({**_row(name, f"balanced, n = {n}", counts, _balanced), "to": to})
-    return rows
+    return [
+        {**_row(name, what, _shared(sums, (PAPER, name, to)), value), "to": to}
+        for what, value, sums in _quantities(trials, answers)
+        if value is not _right
+        for name, to in _compared_pairs(sums)
+    ]
 
 
-def paired_changes(
-    trials: Mapping[Cell, Sequence[Json]], answers: Mapping[Cell, Mapping[int, Json]]
-) -> list[Json]:
-    """Return one row per strategy and quantity: its ``change`` from a reference on common seeds.
+def paired_changes(trials: Trials, answers: Answers) -> list[Json]:
+    """Return one row per quantity and strategy: its ``change`` from a reference on common seeds.
 
     ``reference``: the paper's strategy, or that without the settings in the name; its value is
     ``paper``. ``only_paper`` and ``only_own`` count the trials with this result under one of both
     strategies; ``p``: two-sided exact test on them (McNemar). If no trial differs, the interval is
     the exact bound of the share of trials that do.
     """
-    rows = []
-    by_seed = {cell: {t["seed"]: t for t in some} for cell, some in trials.items()}
-    for name, reference in _compared_names(by_seed):
-        pairs = _shared(by_seed, (reference, name))
-        for what, outcomes in OUTCOME_QUANTITIES:
-            counts = _counted(pairs, lambda t, among=outcomes: (float(t["outcome"] in among), 1.0))  # type: ignore[misc]
-            rows += _change((name, reference), what, counts, _mean, trials=True)
-    for name, reference in _compared_names(answers):
-        pairs = _shared(answers, (reference, name))
-        for n in map(str, PROBE_COUNTS):
-            counts = _counted(pairs, lambda answer, n=n: _verdicts(answer, n))  # type: ignore[misc]
-            rows += _change((name, reference), f"right, n = {n}", counts, _right)
-            rows += _change((name, reference), f"balanced, n = {n}", counts, _balanced)
-    return rows
+    return [
+        row
+        for what, value, sums in _quantities(trials, answers)
+        for name, reference in _compared_names(sums)
+        for row in _change((name, reference), what, _shared(sums, (reference, name)), value)
+    ]
 
 
-def discordant_pairs(
-    trials: Mapping[Cell, Sequence[Json]], quantity: str
-) -> dict[str, tuple[int, int]]:
+def discordant_pairs(trials: Trials, quantity: str) -> dict[str, tuple[int, int]]:
     """Return for each strategy the trials with this result under it alone, and under its reference
     alone, on common seeds of all cells.
 
     ``quantity``: placed or unsafe. References are those of ``paired_changes``.
     """
-    outcomes = dict(OUTCOME_QUANTITIES)[quantity]
-    by_seed = {cell: {t["seed"]: t for t in some} for cell, some in trials.items()}
-    found = {}
-    for name, reference in _compared_names(by_seed):
-        pairs = [
-            tuple(t["outcome"] in outcomes for t in pair)
-            for cell in _shared(by_seed, (reference, name))
-            for pair in cell
-        ]
-        found[name] = pairs.count((False, True)), pairs.count((True, False))
-    return found
+    sums = _outcome_sums(trials, quantity)
+    return {
+        name: _discordant(_shared(sums, (reference, name)))
+        for name, reference in _compared_names(sums)
+    }
 
 
-def decided_strategies(
-    trials: Mapping[Cell, Sequence[Json]], quantity: str
-) -> dict[str, Literal["more", "less"] | None]:
+def _discordant(counts: Sequence[FloatArray]) -> tuple[int, int]:
+    """Return the numbers of pairs with an event under the second and under the first alone."""
+    differ = [cell[:, 1, 0] - cell[:, 0, 0] for cell in counts]
+    return sum(int((d > 0).sum()) for d in differ), sum(int((d < 0).sum()) for d in differ)
+
+
+def decided_strategies(trials: Trials, quantity: str) -> dict[str, Literal["more", "less"] | None]:
     """Return for each strategy if it has the result more or less often than its reference, None
     while that is open. May be looked at after any number of trials.
     """
@@ -134,15 +137,14 @@ def decided_strategies(
     return {name: sequential_decision(*pair, len(counts)) for name, pair in counts.items()}
 
 
-def placed_of_ceiling(trials: Mapping[Cell, Sequence[Json]]) -> list[Json]:
+def placed_of_ceiling(trials: Trials) -> list[Json]:
     """Return for each strategy and oracle the ratio of their placed trials, on common seeds."""
     rows = []
-    by_seed = {cell: {t["seed"]: t for t in some} for cell, some in trials.items()}
-    names = dict.fromkeys(strategy for strategy, _, _ in by_seed)
+    sums = _outcome_sums(trials, "placed")
+    names = dict.fromkeys(strategy for strategy, _, _ in sums)
     for name in (name for name in names if name not in ORACLES):
         for oracle in (o for o in ORACLES if o in names):
-            pairs = _shared(by_seed, (oracle, name))
-            counts = _counted(pairs, lambda t: (float(t["outcome"] == Outcome.PLACED.value), 1.0))
+            counts = _shared(sums, (oracle, name))
             total = np.sum([cell.sum(axis=0) for cell in counts], axis=0)
             if not counts or not total[0, 0]:
                 continue
@@ -162,12 +164,7 @@ def _compared_names(found: Mapping[Cell, Any]) -> list[tuple[str, str]]:
 
 
 def _change(
-    names: tuple[str, str],
-    what: str,
-    counts: Sequence[FloatArray],
-    value: Callable[[FloatArray], FloatArray],
-    *,
-    trials: bool = False,
+    names: tuple[str, str], what: str, counts: Sequence[FloatArray], value: ValueFunction
 ) -> list[Json]:
     """Return the row of a change, none without common seeds; ``names``: strategy, reference."""
     if not counts:
@@ -183,16 +180,14 @@ def _change(
         row["low"], row["high"] = np.nanpercentile(
             drawn[:, 1] - drawn[:, 0], INTERVAL_PERCENTILES
         ).tolist()
-    elif trials:
+    elif value is _mean:
         row["high"] = rate_interval(0, len(every))[1]
         row["low"] = -row["high"]
-    if trials:
+    if value is _mean:
         # Imported here: the window shows stored comparisons only.
         from scipy.stats import binomtest
 
-        hits = every[..., 0] > 0.0
-        row["only_paper"] = int((hits[:, 0] & ~hits[:, 1]).sum())
-        row["only_own"] = int((hits[:, 1] & ~hits[:, 0]).sum())
+        row["only_own"], row["only_paper"] = _discordant(counts)
         apart = row["only_paper"] + row["only_own"]
         row["p"] = float(binomtest(row["only_own"], apart).pvalue) if apart else 1.0
     return [row]
@@ -236,22 +231,15 @@ def _compared_pairs(found: Mapping[Cell, Any]) -> list[tuple[str, str]]:
     return [(name, to) for to in ORACLES if to in names for name in compared]
 
 
-def _shared(
-    found: Mapping[Cell, Mapping[int, Json]], names: Sequence[str]
-) -> list[list[tuple[Json, ...]]]:
-    """Return by cell the results of seeds that all strategies ``names`` have, in their order."""
+def _shared(sums: Sums, names: Sequence[str]) -> list[FloatArray]:
+    """Return by cell an array (seeds, strategies, sums) of the seeds that all strategies have."""
     cells = []
-    for piece, bottom in dict.fromkeys((p, b) for _, p, b in found):
-        parts = [found.get((s, piece, bottom), {}) for s in names]
+    for piece, bottom in dict.fromkeys((p, b) for _, p, b in sums):
+        parts = [sums.get((s, piece, bottom), {}) for s in names]
         seeds = sorted(set.intersection(*map(set, parts)))
         if seeds:
-            cells.append([tuple(part[seed] for part in parts) for seed in seeds])
+            cells.append(np.array([[part[seed] for part in parts] for seed in seeds], np.float64))
     return cells
-
-
-def _counted(cells: Sequence[Sequence[tuple[Json, ...]]], count: CountFunction) -> list[FloatArray]:
-    """Return an array (seeds, strategies, sums) per cell."""
-    return [np.array([list(map(count, some)) for some in cell], np.float64) for cell in cells]
 
 
 def _mean(sums: FloatArray) -> FloatArray:
@@ -278,9 +266,7 @@ def _right(sums: FloatArray) -> FloatArray:
     return np.asarray((sums[..., 0] + sums[..., 2]) / (sums[..., 1] + sums[..., 3]))
 
 
-def _row(
-    name: str, what: str, counts: Sequence[FloatArray], value: Callable[[FloatArray], FloatArray]
-) -> Json:
+def _row(name: str, what: str, counts: Sequence[FloatArray], value: ValueFunction) -> Json:
     row: Json = dict.fromkeys(("paper", "own", "ceiling", "share", "share_low", "share_high"))
     row.update(strategy=name, what=what, n=0)
     if not counts:
@@ -350,9 +336,6 @@ class StrategyComparison:
 
     def band_loops(self) -> list[tuple[dict[str, float], ClosedLoopComparison]]:
         """Return the factors of the nuisances and the closed loops of each bench of the band."""
-        # Imported here: the window shows stored comparisons only.
-        from touchdown.backend.experiments.evaluation import band_benches
-
         benches = band_benches(self.loops.bench, self.band) if self.band else []
         return [(factors, replace(self.loops, bench=bench)) for factors, bench in benches]
 
@@ -475,7 +458,7 @@ def comparison_tables(answer: Mapping[str, Any]) -> list[ReportTable]:
                 "Placed, as a share of what the ceiling places; common trials, 95 % intervals",
                 ("strategy", "ceiling", "n", "share %"),
                 (
-                    (row["strategy"], row["ceiling"], str(row["n"]), _format_share(row))
+                    (row["strategy"], row["ceiling"], str(row["n"]), format_estimate(row))
                     for row in answer["of_ceiling"]
                 ),
             )
@@ -518,10 +501,10 @@ def _band_table(answer: Mapping[str, Any]) -> ReportTable:
         ]
         texts = []
         for quantity in ("placed", "unsafe", "unsafe_of_released"):
-            texts.append(_format_percent(own[quantity]["value"]))
+            texts.append(format_percent(own[quantity]["value"]))
             values = [v for row in same if (v := row[quantity]["value"]) is not None]
             ends = np.percentile(values, (0, 50, 100)) if values else ()
-            texts.append(" / ".join(map(_format_percent, ends)))
+            texts.append(" / ".join(map(format_percent, ends)))
         trials = sum(row["placed"]["n"] for row in same)
         rows.append((_name(own), str(len(same)), str(trials), *texts))
     head = ("placed %", "band", "unsafe % of trials", "band", "of released", "band")
@@ -544,9 +527,9 @@ def _closed_loop_row(cell: Json) -> tuple[str, ...]:
     return (
         _name(cell),
         str(cell["placed"]["n"]),
-        _format_share(cell["placed"]),
-        _format_share(cell["unsafe"]),
-        _format_share(released_unsafely(cell["outcomes"]).as_json()),
+        format_estimate(cell["placed"]),
+        format_estimate(cell["unsafe"]),
+        format_estimate(released_unsafely(cell["outcomes"]).as_json()),
         outcomes + (f"; {left} left out" if left else ""),
         _format_number(cell["probes"]),
         _format_number(cell["excess_probes_median"]),
@@ -556,7 +539,7 @@ def _closed_loop_row(cell: Json) -> tuple[str, ...]:
 def _class_row(cell: Json) -> tuple[str, ...]:
     shares = cell["placed"], cell["unsafe"], cell["unsafe_of_released"]
     count = str(cell["placed"]["n"])
-    return cell["strategy"], cell["outline"], count, *map(_format_share, shares)
+    return cell["strategy"], cell["outline"], count, *map(format_estimate, shares)
 
 
 def _uneven_row(cell: Json) -> tuple[str, ...]:
@@ -567,21 +550,20 @@ def _uneven_row(cell: Json) -> tuple[str, ...]:
 
 def _verdict_row(cell: Json) -> tuple[str, ...]:
     kinds = cell["likely"], cell["released"]
-    balanced = [_format_percent(by_n[str(n)]["balanced"]) for by_n in kinds for n in PROBE_COUNTS]
-    return _name(cell), str(cell["groups"]), *balanced, _format_share(kinds[1]["3"]["unsafe"])
+    balanced = [format_percent(by_n[str(n)]["balanced"]) for by_n in kinds for n in PROBE_COUNTS]
+    return _name(cell), str(cell["groups"]), *balanced, format_estimate(kinds[1]["3"]["unsafe"])
 
 
 def _reliability_row(cell: Json) -> tuple[str, ...]:
     charts = [cell["reliability"].get(str(n)) for n in RELIABLE_AFTER]
     ece = ["" if chart is None else f"{chart['ece']:.3f}" for chart in charts]
-    return _name(cell), *ece, _format_share(cell["iou"])
+    return _name(cell), *ece, format_estimate(cell["iou"])
 
 
 def _oracle_share_row(row: Json) -> tuple[str, ...]:
-    shares = [_format_percent(row[key]) for key in ("paper", "own", "ceiling")]
+    shares = [format_percent(row[key]) for key in ("paper", "own", "ceiling")]
     share = {"value": row["share"], "low": row["share_low"], "high": row["share_high"]}
-    shown = _format_share(share) if share["low"] is not None else _format_percent(share["value"])
-    return row["strategy"], quantity_label(row), str(row["n"]), *shares, shown
+    return row["strategy"], quantity_label(row), str(row["n"]), *shares, format_estimate(share)
 
 
 def _change_row(row: Json) -> tuple[str, ...]:
@@ -589,7 +571,7 @@ def _change_row(row: Json) -> tuple[str, ...]:
     if row["low"] is not None:
         shown += f" ({100 * row['low']:+.1f} to {100 * row['high']:+.1f})"
     only = [str(row.get(key, "")) for key in ("only_paper", "only_own")]
-    shares = [_format_percent(row[key]) for key in ("paper", "own")]
+    shares = [format_percent(row[key]) for key in ("paper", "own")]
     only.append(f"{row['p']:.2g}" if "p" in row else "")
     only.append(f"{_row_evidence(row):.3g}" if "p" in row else "")
     names = row["strategy"], row.get("reference", PAPER)
@@ -606,17 +588,6 @@ def _name(cell: Json) -> str:
     parts: Sequence[str] = (cell["strategy"], cell.get("piece", "pooled"))
     over = cell.get("bottom") or POOLED_NAMES.get(cell.get("tower", ""), "")
     return " ".join((*parts, over)).strip()
-
-
-def _format_share(estimate: Json) -> str:
-    if estimate["value"] is None:
-        return ""
-    value, low, high = (100 * estimate[key] for key in ("value", "low", "high"))
-    return f"{value:.1f} ({low:.1f} to {high:.1f})"
-
-
-def _format_percent(value: float | None) -> str:
-    return "" if value is None else f"{100 * value:.1f}"
 
 
 def _format_number(value: float | None) -> str:

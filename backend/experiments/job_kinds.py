@@ -23,7 +23,6 @@ from touchdown.backend.config import (
 )
 from touchdown.backend.core import Event, FloatArray, TrialFinished
 from touchdown.backend.episodes import TrainingRows, join_rows, load_rows, patch_hex, write_packs
-from touchdown.backend.experiments import evaluation
 from touchdown.backend.experiments.certification import run_certified_scenes
 from touchdown.backend.experiments.collection import (
     batch_plan,
@@ -49,6 +48,7 @@ from touchdown.backend.experiments.statics import (
 from touchdown.backend.experiments.strategies import run_closed_loop, run_static_groups
 from touchdown.backend.experiments.tables import OWN_MODEL, PAPER_PROTOCOL
 from touchdown.backend.experiments.trials import (
+    WORLDS,
     SceneSetup,
     pick_and_place_in_lockstep,
     stack_in_lockstep,
@@ -152,10 +152,11 @@ def evaluate_static(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
     else:
         seeds = range(spec.seed, spec.seed + p["groups"])
         chunks = _chunks(seeds, GROUPS_PER_BATCH)
-        parts = [probe_groups(case, list(some), p["probes"]) for some in chunks]
-    groups = join_groups(parts)
+        world = WORLDS[p.get("world", "bench")]
+        parts = [probe_groups(case, list(some), p["probes"], world) for some in chunks]
+    groups, fused = join_groups(parts), p.get("fused", [OWN_MODEL])
     models = {
-        name: _scores(load_model(source, place.store), case, groups, judged, name == OWN_MODEL)
+        name: _scores(load_model(source, place.store), case, groups, judged, name in fused)
         for name, source in sorted(p["models"].items())
     }
     return {**groups.as_json(case.settings, judged), "models": models}
@@ -306,8 +307,6 @@ KINDS: JobFunctions = {
     "devices": run_on_devices,
     "twins": describe_signals,
     "beyond": run_closed_loop,
-    "asked-presses": evaluation.evaluate_presses,
-    "asked-trials": evaluation.evaluate_trials,
     "promises": run_static_groups,
     "certify": run_certified_scenes,
 }

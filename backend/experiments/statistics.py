@@ -244,12 +244,17 @@ def iou_change(pairs: Sequence[tuple[PressResult, PressResult]], before: str, af
         new - old
         for then, now in pairs
         if then["left_out"] == now["left_out"] == 0
-        for old, new in zip(then["models"][before]["iou"], now["models"][after]["iou"], strict=True)
+        for old, new in zip(_iou(then, before), _iou(now, after), strict=True)
     ]
     if len(change) < 2:
         return {"value": None, "low": None, "high": None, "n": len(change)}
     centre, half = float(np.mean(change)), Z_95 * float(np.std(change, ddof=1)) / len(change) ** 0.5
     return {"value": centre, "low": centre - half, "high": centre + half, "n": len(change)}
+
+
+def _iou(part: PressResult, model: str) -> Sequence[float]:
+    found: Sequence[float] = part["models"][model]["patch"]["iou"]
+    return found
 
 
 def format_change(change: Json | None) -> str:

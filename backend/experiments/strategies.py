@@ -70,6 +70,7 @@ from touchdown.backend.experiments.tables import (
 from touchdown.backend.experiments.trials import (
     FRESH,
     FRESH_TRIAL_SEED,
+    WORLDS,
     BatchModel,
     BatchTrialResult,
     SceneSetup,
@@ -409,7 +410,8 @@ def run_closed_loop(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
     use_one_thread()
     seeds = range(spec.seed, spec.seed + p["trials"])
     cases = [SceneSetup.of_trial(p, seed) for seed in seeds]
-    case, world = cases[0], cases[0].world
+    case = cases[0]
+    world = WORLDS[p["world"]] if "world" in p else case.world
     pairs = [
         (each, scene)
         for each, seed in zip(cases, seeds, strict=True)

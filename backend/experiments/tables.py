@@ -91,8 +91,6 @@ JOB_FUNCTIONS = {
     "twins": ("job_kinds", "describe_signals"),
     "beyond": ("strategies", "run_closed_loop"),
     "promises": ("strategies", "run_static_groups"),
-    "asked-presses": ("evaluation", "evaluate_presses"),
-    "asked-trials": ("evaluation", "evaluate_trials"),
     "sequences": ("fusion", "probe_sequences"),
     "fuse": ("fusion", "train_fusion"),
     "fuse-join": ("fusion", "join_trained"),
@@ -590,9 +588,3 @@ def _means(cells: Sequence[Json]) -> Json:
         "mean": sum(values) / len(values) if len(values) == len(cells) else None,
         "paper_mean": sum(printed) / len(printed),
     }
-
-
-def pieces_of(text: str) -> tuple[str, ...]:
-    """Return the pieces named in a comma-separated text, in the order of the tables."""
-    wanted = set(filter(None, text.split(",")))
-    return tuple(piece for piece in PIECES if piece in wanted)

@@ -66,10 +66,13 @@ from touchdown.backend.simulation import (
     true_com_xy_mm,
     true_margin_mm,
 )
+from touchdown.backend.simulation.second_world import SecondWorldTrials
 
 _DISPLACEMENT = 78
 FRESH = "fresh"  # stands for one test outline per trial
 FRESH_TRIAL_SEED = 47_000_000  # of the trial on outline 0
+# Simulated worlds by name
+WORLDS: dict[str, type[BatchedTrials]] = {"bench": BatchedTrials, "elsewhere": SecondWorldTrials}
 
 
 @dataclass(frozen=True, slots=True)

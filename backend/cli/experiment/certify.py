@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import json
 from pathlib import Path
 
-from touchdown.backend.cli.experiment.domain_shift import Json, RunJobs
-from touchdown.backend.cli.output import VerbOutput, write_errors
-from touchdown.backend.config import load_simulation
-from touchdown.backend.core import InputError, write_atomically
+from touchdown.backend.cli.experiment.campaign import UNWRITTEN, ExperimentRun, Json, write_json
+from touchdown.backend.cli.output import write_errors
+from touchdown.backend.core import InputError
 from touchdown.backend.experiments import LEAST_SCENES, PIECES, Certification, program_version
-from touchdown.backend.jobs import JobStore
 
-UNWRITTEN = "It could not be written"
 KEPT = "Free some space, or copy the model to another folder; finished jobs are kept."
 
 
@@ -29,9 +25,7 @@ def add_certify_arguments(parser: argparse.ArgumentParser) -> None:
                        f"scenes of each level, at least {LEAST_SCENES:,}")  # fmt: skip
 
 
-def run_certify(
-    args: argparse.Namespace, screen: VerbOutput, store: JobStore, done: RunJobs
-) -> Json:
+def run_certify(run: ExperimentRun) -> Json:
     """Run an attempt, write its counts to the log, and the certificate if its bound holds.
 
     Raises ``InputError`` for a missing level or too few scenes.
@@ -45,16 +39,16 @@ def run_certify(
         write_certificate,
     )
 
-    plan = _plan(args, args.model or shipped_path())
+    screen = run.screen
+    plan = _plan(run, run.args.model or shipped_path())
     log = AttemptLog(attempts_path(plan.weights))
     attempt = plan.begin(log)
     screen.say(
         f"Attempt {attempt.number}, error {100 * attempt.error:.3g} % for each risk, seeds from "
         f"{attempt.seed}. It is spent, whatever comes out."
     )
-    jobs = plan.jobs(attempt)
-    failed = done(jobs, plan.effort)
-    counts = plan.counts(attempt, store)
+    run.run(plan.jobs(attempt), plan.effort)
+    counts = plan.counts(attempt, run.store)
     file = None
     if counts and attempt.state == "begun":
         attempt = log.closed(attempt, counts)
@@ -74,21 +68,15 @@ def run_certify(
             f"unsafe, at most {100 * level.bound:.2f} %; {level.placed:,} of {level.scenes:,} "
             f"scenes placed, harm in {level.harmed:,}."
         )
-    answer = {"attempt": json.loads(attempt.model_dump_json())}
-    path = args.out / "certify.json"
-    with write_errors(UNWRITTEN, path, KEPT):
-        write_atomically(path, json.dumps(answer, indent=1, sort_keys=True).encode() + b"\n")
-    return {
-        "file": str(path),
-        "certificate": None if file is None else str(file),
-        "jobs": len(jobs),
-        "missing": sum(not store.has(spec.id) for spec in jobs),
-        "failed": failed,
-        **answer,
-    }
+    answer = {"attempt": attempt.model_dump(mode="json")}
+    path = run.args.out / "certify.json"
+    write_json(path, answer)
+    certificate = None if file is None else str(file)
+    return {"file": str(path), "certificate": certificate, **run.counts(), **answer}
 
 
-def _plan(args: argparse.Namespace, weights: Path) -> Certification:
+def _plan(run: ExperimentRun, weights: Path) -> Certification:
+    args, bench = run.args, run.bench()
     try:
         risks = tuple(float(text) for text in args.level.split(","))
         if not all(0.0 < risk < 1.0 for risk in risks) or len(set(risks)) < len(risks):
@@ -103,6 +91,5 @@ def _plan(args: argparse.Namespace, weights: Path) -> Certification:
         raise InputError(
             f"{args.scenes} scenes are too few.", "--scenes", f"Give at least {LEAST_SCENES}."
         )
-    bench = load_simulation(args.bench, None if args.bench else args.preset)
     name = args.bench.stem if args.bench else bench.preset
     return Certification(bench, name, weights.resolve(), risks, args.scenes, program_version())

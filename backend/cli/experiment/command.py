@@ -3,30 +3,28 @@
 from __future__ import annotations
 
 import argparse
-import json
-import os
 import re
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from touchdown.backend.cli.experiment.certify import add_certify_arguments, run_certify
-from touchdown.backend.cli.experiment.domain_shift import (
-    EVALUATIONS,
+from touchdown.backend.cli.experiment.campaign import (
+    KEPT,
+    UNWRITTEN,
+    ExperimentRun,
     Json,
-    RunJobs,
+    add_campaign_arguments,
+    parse_names,
+    write_json,
+)
+from touchdown.backend.cli.experiment.certify import add_certify_arguments, run_certify
+from touchdown.backend.cli.experiment.evaluation import (
+    EVALUATIONS,
     add_evaluation_arguments,
     run_evaluation,
 )
-from touchdown.backend.cli.output import (
-    VerbOutput,
-    make_output_folder,
-    require_positive,
-    write_errors,
-)
-from touchdown.backend.cli.train import add_device
-from touchdown.backend.config import StackSettings, load_simulation
+from touchdown.backend.cli.output import VerbOutput, require_positive, write_errors
+from touchdown.backend.config import StackSettings
 from touchdown.backend.core import InputError, write_atomically
 from touchdown.backend.experiments import (
     BEYOND_FORMAT,
@@ -34,9 +32,9 @@ from touchdown.backend.experiments import (
     COMPARED_PIECES,
     CONTENT_ERRORS,
     DATA,
-    KINDS,
     MODEL_FREE,
     ORACLES,
+    PIECES,
     PORTIONS,
     SCALES,
     STRATEGIES,
@@ -46,7 +44,6 @@ from touchdown.backend.experiments import (
     Recipe,
     StaticComparison,
     StrategyComparison,
-    adopt_models,
     base_strategy,
     best_rules,
     compare_intervals,
@@ -56,13 +53,11 @@ from touchdown.backend.experiments import (
     merged_oracle_shares,
     method_of,
     oracle_share_table,
-    pieces_of,
     program_version,
     read_beyond,
     read_report,
     ready_sequences,
     rewrite_tables,
-    shipped_model_folders,
     stopped_text,
     threshold_counts,
     threshold_jobs,
@@ -71,19 +66,8 @@ from touchdown.backend.experiments import (
     write_tables,
 )
 from touchdown.backend.geometry import FRESH_SEED, load_pieces
-from touchdown.backend.jobs import (
-    Executor,
-    JobSpec,
-    JobStore,
-    independent_jobs,
-    parse_shard,
-    run_campaign,
-    shard_of,
-)
+from touchdown.backend.jobs import JobSpec, JobStore
 from touchdown.backend.runs import check_weighing
-
-UNWRITTEN = "It could not be written"
-KEPT = "Free some space, or name another folder; finished jobs are kept."
 
 
 def add_report_arguments(parser: argparse.ArgumentParser) -> None:
@@ -150,9 +134,8 @@ def write_gap(args: argparse.Namespace, screen: VerbOutput) -> Json:
     }
     file = args.out / GAP_DATA
     with write_errors(UNWRITTEN, file, KEPT):
-        args.out.mkdir(parents=True, exist_ok=True)
         write_atomically(args.out / GAP_TABLE, to_markdown([sheet]).encode())
-        write_atomically(file, json.dumps(content, indent=1, sort_keys=True).encode() + b"\n")
+    write_json(file, content)
     screen.say(f"Written: {file} and {GAP_TABLE}")
     return {"file": str(file), "gaps": rows}
 
@@ -189,9 +172,7 @@ def add_fused_arguments(parser: argparse.ArgumentParser) -> None:
                        "release")  # fmt: skip
 
 
-def train_fused(
-    args: argparse.Namespace, screen: VerbOutput, store: JobStore, done: RunJobs
-) -> dict[str, Any]:
+def train_fused(run: ExperimentRun) -> Json:
     """Train the network; copy it with its card to the folder of the experiment when it is done.
 
     Raises ``InputError`` for counts that leave no training or held-out data.
@@ -199,6 +180,7 @@ def train_fused(
     # Imported here so that `--help` starts without torch.
     from touchdown.backend.learning import card_path
 
+    args, store = run.args, run.store
     half = args.parts // 2
     counts = {"short": args.parts - half, "more": half}
     counts |= {"free": args.free_parts, "long": args.long_parts, "longest": args.longest_parts}
@@ -217,8 +199,7 @@ def train_fused(
             "--outlines any, 2 to 180 on uneven bottoms (with one of them but free ones also no "
             f"others), and 1 to {MOST_NETWORKS} networks.",
         )
-    bench = load_simulation(args.bench, None if args.bench else args.preset)
-    code = program_version()
+    bench, code = run.bench(), program_version()
     recipe = FusionRecipe(
         bench, code, counts, args.steps, args.seed, args.without, args.device,
         outlines=args.outlines, networks=args.networks,
@@ -232,30 +213,21 @@ def train_fused(
                 "Simulate at least two jobs of each portion, with --steps 0.",
             )
     jobs = recipe.jobs()
+    answer: Json = {"file": None, "fused": None, "rules": []}
     if not args.steps:
-        failed = done(jobs, recipe.effort)
-        missing = sum(not store.has(spec.id) for spec in jobs)
-        return {"file": None, "jobs": len(jobs), "missing": missing, "failed": failed,
-                "fused": None, "rules": []}  # fmt: skip
+        run.run(jobs, recipe.effort)
+        return {**answer, **run.counts()}
     training = jobs[-1].id
     asked = threshold_jobs(bench, code, training, args.rule_trials, args.outlines)
-    failed = done([*jobs, *asked], recipe.effort)
-    made = store.has(training)
+    run.run([*jobs, *asked], recipe.effort)
     out = args.out / WEIGHTS
-    if made:
+    if store.has(training):
         weights = store.folder(training) / WEIGHTS
         for made_there, wanted in ((card_path(weights), card_path(out)), (weights, out)):
             write_atomically(wanted, made_there.read_bytes())
-        screen.say(f"The network is in {out}.")
-    missing = sum(not store.has(spec.id) for spec in [*jobs, *asked])
-    return {
-        "file": str(out) if made else None,
-        "jobs": len(jobs) + len(asked),
-        "missing": missing,
-        "failed": failed,
-        "fused": store.result(training) if made else None,
-        "rules": _rules(screen, store, asked),
-    }
+        run.screen.say(f"The network is in {out}.")
+        answer |= {"file": str(out), "fused": store.result(training)}
+    return {**answer, **run.counts(), "rules": _rules(run.screen, store, asked)}
 
 
 def _rules(screen: VerbOutput, store: JobStore, asked: list[JobSpec]) -> list[dict[str, Any]]:
@@ -266,9 +238,6 @@ def _rules(screen: VerbOutput, store: JobStore, asked: list[JobSpec]) -> list[di
     title = f"Best rules of release, {len(trials)} trials on bottoms of their own"
     screen.table(title, list(found[0]), *(map(str, row.values()) for row in best_rules(found)))
     return found
-
-
-EXECUTORS = ("serial", "local", "dask")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -297,31 +266,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.set_defaults(scale="quick")
     parser.add_argument(
-        "--out", type=Path, default=Path("output/experiment"), metavar="DIR",
-        help="folder of page, JSON and jobs; resumes there",
-    )  # fmt: skip
-    parser.add_argument("--preset", default="bench-v1", help="preset of the bench")
-    parser.add_argument("--bench", type=Path, metavar="FILE", help="settings of the bench (TOML)")
-    parser.add_argument("--pieces", default="mushroom,barrel,pot", help="separated by commas")
-    parser.add_argument(
-        "--models", type=Path, metavar="DIR", help="models for --quick (default: those that ship)"
-    )
-    parser.add_argument(
-        "--keep-models", type=Path, metavar="DIR", help="write the models that --full trained, in "
-        "half precision",
-    )  # fmt: skip
-    parser.add_argument(
         "--against", type=Path, metavar="JSON", help="name the cells whose 95 %% interval misses "
         "the value of another tables.json",
     )  # fmt: skip
-    add_device(parser)
-    parser.add_argument("--executor", choices=EXECUTORS, default="local", help="where jobs run")
-    parser.add_argument(
-        "--workers", type=int, default=max(1, (os.cpu_count() or 2) - 1),
-        help="processes of the local executor",
-    )  # fmt: skip
-    parser.add_argument("--cluster", metavar="ADDRESS", help="scheduler of the executor dask")
-    parser.add_argument("--shard", metavar="i/n", help="run every n-th job only, for batch queues")
+    add_campaign_arguments(parser)
     _add_beyond_arguments(parser)
     add_evaluation_arguments(parser)
     add_fused_arguments(parser)
@@ -355,122 +303,78 @@ def _add_beyond_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     """Run all unfinished jobs, then write the page; return 0 if no job failed."""
-    require_positive(args, "workers")
     if args.what in ("report", "gap"):
         way = rewrite_report if args.what == "report" else write_gap
         screen.result({**way(args, screen)})
         return 0
     # Read before the first job, to report a wrong file early.
     other = None if args.against is None else read_report(args.against)[0]
-    make_output_folder(args.out / "jobs")
-    store = JobStore(args.out / "jobs")
-    if args.what == "beyond":
-        return _run_beyond(args, screen, store)
-    if args.what in ("fused", "certify", *EVALUATIONS):
-        asked = {"fused": train_fused, "certify": run_certify}.get(args.what, run_evaluation)
-        answer = asked(args, screen, store, lambda j, e: _run_jobs(j, e, args, screen, store))
-        screen.result({**answer})
-        return 1 if answer["failed"] else 0
-    recipe = _recipe(args, store)
-    jobs = recipe.jobs()
-    failed = _run_jobs(jobs, recipe.effort, args, screen, store)
-    missing = sum(not store.has(spec.id) for spec in jobs)
+    this = ExperimentRun(args, screen)
+    answer = WAYS.get(args.what, run_evaluation)(this)
+    if other is not None and "tables" in answer:
+        compare_tables(answer["tables"], other, args.against, screen)
+    screen.result(answer)
+    return 1 if this.failed else 0
+
+
+def run_tables(run: ExperimentRun) -> Json:
+    """Run the jobs of the paper's tables; write the page and the file of the results."""
+    args = run.args
+    recipe = _recipe(run)
+    run.run(recipe.jobs(), recipe.effort)
     with write_errors(UNWRITTEN, args.out, KEPT):
-        page, answer = write_tables(args.out, recipe, store)
+        page, answer = write_tables(args.out, recipe, run.store)
     if args.keep_models:
         with write_errors(UNWRITTEN, args.keep_models, KEPT):
             args.keep_models.mkdir(parents=True, exist_ok=True)
-            kept = keep_models(store, recipe, args.keep_models)
-        screen.say(f"{len(kept)} models: {args.keep_models}")
-    screen.say(f"{len(jobs) - missing} of {len(jobs)} jobs are done: {page}")
-    if other is not None:
-        compare_tables(answer, other, args.against, screen)
-    screen.result(
-        {
-            "page": str(page),
-            "jobs": len(jobs),
-            "missing": missing,
-            "failed": failed,
-            "tables": answer,
-        }
-    )
-    return 1 if failed else 0
+            kept = keep_models(run.store, recipe, args.keep_models)
+        run.screen.say(f"{len(kept)} models: {args.keep_models}")
+    counts = run.counts()
+    done = counts["jobs"] - counts["missing"]
+    run.screen.say(f"{done} of {counts['jobs']} jobs are done: {page}")
+    return {"page": str(page), **counts, "tables": answer}
 
 
-def _run_jobs(
-    jobs: list[JobSpec],
-    effort_of: Callable[[JobSpec], int],
-    args: argparse.Namespace,
-    screen: VerbOutput,
-    store: JobStore,
-) -> list[str]:
-    """Run the unfinished jobs, or those of one shard; return the ids of failed jobs."""
-    part = jobs
-    if args.shard:
-        part = independent_jobs(jobs, shard_of(jobs, *parse_shard(args.shard)), store)
-    else:
-        store.sweep()
-    effort = sum(map(effort_of, part))
-    failed: list[str] = []
-    done = 0
-    with screen.progress(f"{len(part)} jobs", effort) as advance:
-        by_id = {spec.id: spec for spec in part}
-        for result in run_campaign(part, _executor(args, store, screen.say), store):
-            done += effort_of(by_id[result.id])
-            advance(done, _job_name(by_id[result.id]))
-            if result.state == "failed":
-                failed.append(result.id)
-                screen.say(f"{_job_name(by_id[result.id])} failed: {result.error.strip()}")
-    return failed
-
-
-def _run_beyond(args: argparse.Namespace, screen: VerbOutput, store: JobStore) -> int:
-    plan = _comparison_of(args, store)
-    jobs = plan.jobs()
+def run_beyond(run: ExperimentRun) -> Json:
+    """Run the trials of a comparison of strategies; write its page, its tables and its file."""
+    args, screen = run.args, run.screen
+    plan = _comparison_of(run)
     if args.stop_early:
-        jobs = _run_rounds(plan, args, screen, store)
-        jobs += plan.statics.jobs() if plan.statics else []
-    todo = [spec for spec in jobs if not store.has(spec.id)] if args.stop_early else jobs
-    failed = _run_jobs(todo, plan.effort, args, screen, store) if todo else []
-    answer = plan.answer(store, args.stop_early)
-    missing = sum(not store.has(spec.id) for spec in jobs)
+        _run_rounds(plan, run)
+    rest = plan.statics.jobs() if plan.statics else []
+    if jobs := rest if args.stop_early else plan.jobs():
+        run.run(jobs, plan.effort)
+    answer = plan.answer(run.store, args.stop_early)
     if args.stop_early:
         screen.say(stopped_text(answer["stopped"]))
     with write_errors(UNWRITTEN, args.out, KEPT):
         path = write_comparison(args.out, answer)
     for sheet in comparison_tables(answer):
         screen.table(sheet.title, *sheet.texts())
-    screen.result({"file": str(path), "jobs": len(jobs),
-                   "missing": missing, "failed": failed, "beyond": answer})  # fmt: skip
-    return 1 if failed else 0
+    return {"file": str(path), **run.counts(), "beyond": answer}
 
 
-def _run_rounds(
-    plan: StrategyComparison, args: argparse.Namespace, screen: VerbOutput, store: JobStore
-) -> list[JobSpec]:
-    """Run rounds of trials until all comparisons are decided; return the jobs that ran or failed.
+def _run_rounds(plan: StrategyComparison, run: ExperimentRun) -> None:
+    """Run rounds of trials until all comparisons are decided, or a job failed.
 
     Raises ``InputError`` if there is nothing to compare, or only a shard of the trials.
     """
+    args, store = run.args, run.store
     if args.shard or not decided_strategies(plan.loops.trials_of(store), args.stop_early):
         raise InputError(
             "A comparison stops early where one computer sees all trials of two strategies.",
             "--stop-early",
             "Leave out --shard, and name a strategy and its reference with --strategies.",
         )
-    ran: list[JobSpec] = []
     while jobs := plan.next_round(store, args.stop_early):
-        ran += jobs
-        if _run_jobs(jobs, plan.effort, args, screen, store):
+        if not run.run(jobs, plan.effort):
             break
-    return ran
 
 
-def _comparison_of(args: argparse.Namespace, store: JobStore) -> StrategyComparison:
-    pieces = _parse_names(args.pieces, COMPARED_PIECES, "--pieces")
-    bench = load_simulation(args.bench, None if args.bench else args.preset)
-    folders = [args.models] if args.models else shipped_model_folders(bench.preset)
-    found = adopt_models(store, *folders)
+def _comparison_of(run: ExperimentRun) -> StrategyComparison:
+    args, bench = run.args, run.bench()
+    pieces = parse_names(args.pieces, COMPARED_PIECES, "--pieces")
+    found = run.models(bench)
     strategies = _parse_strategies(args.strategies)
     for piece in pieces:
         for name in strategies:
@@ -491,7 +395,7 @@ def _comparison_of(args: argparse.Namespace, store: JobStore) -> StrategyCompari
         code=program_version(),
         models={piece: found.get((piece, "FT+Tac"), "") for piece in pieces},
         pieces=pieces,
-        bottoms=_parse_names(args.bottoms, BOTTOMS, "--bottoms"),
+        bottoms=parse_names(args.bottoms, BOTTOMS, "--bottoms"),
         strategies=strategies,
         trials=args.trials,
         entry_sigma_mm=None if args.no_entry else args.entry_sigma,
@@ -515,32 +419,20 @@ def _check_cell(piece: str, name: str, *, known: bool) -> None:
         check_weighing(load_pieces().top(piece), method_of(name, StackSettings()))
 
 
-def _parse_names(text: str, known: tuple[str, ...], where: str) -> tuple[str, ...]:
-    """Return the names in a comma-separated text; raises ``InputError`` for an unknown one."""
-    names = tuple(text.split(","))
-    if unknown := [name for name in names if name not in known]:
-        raise InputError(f"'{unknown[0]}' is not known.", where, f"Name some of {','.join(known)}.")
-    return names
-
-
 def _parse_strategies(text: str) -> tuple[str, ...]:
     """Return names of strategies, each with the settings behind it; raises ``InputError``."""
     names = tuple(text.split(","))
-    _parse_names(",".join(map(base_strategy, names)), STRATEGIES, "--strategies")
+    parse_names(",".join(map(base_strategy, names)), STRATEGIES, "--strategies")
     for name in names:
         if ":" in name:
             method_of(name, StackSettings())
     return names
 
 
-def _recipe(args: argparse.Namespace, store: JobStore) -> Recipe:
-    pieces = pieces_of(args.pieces)
-    if not pieces or len(pieces) != len(args.pieces.split(",")):
-        raise InputError(
-            f"'{args.pieces}' names other pieces than those of the tables.",
-            "--pieces",
-            "Name some of mushroom,barrel,pot.",
-        )
+def _recipe(run: ExperimentRun) -> Recipe:
+    args, bench = run.args, run.bench()
+    wanted = parse_names(args.pieces, PIECES, "--pieces")
+    pieces = tuple(piece for piece in PIECES if piece in wanted)
     scale = SCALES[args.scale]
     if args.keep_models and not scale.probes:
         raise InputError(
@@ -550,29 +442,8 @@ def _recipe(args: argparse.Namespace, store: JobStore) -> Recipe:
         raise InputError(
             "--full trains its own models.", "--models", "Leave it out or use --quick."
         )
-    bench = load_simulation(args.bench, None if args.bench else args.preset)
-    models = {}
-    if not scale.probes:
-        folders = [args.models] if args.models else shipped_model_folders(bench.preset)
-        models = adopt_models(store, *folders)
+    models = {} if scale.probes else run.models(bench)
     return Recipe(scale, bench, program_version(), models, pieces, args.device)
 
 
-def _executor(args: argparse.Namespace, store: JobStore, tell: Callable[[str], None]) -> Executor:
-    from touchdown.backend.jobs import DaskCluster, ProcessPool, SerialExecutor
-
-    if args.executor == "serial":
-        return SerialExecutor(KINDS, store)
-    if args.executor == "local":
-        return ProcessPool(KINDS, store, args.workers, tell)
-    if not args.cluster:
-        raise InputError("The executor dask needs a scheduler.", "--cluster", "Give its address.")
-    return DaskCluster.at(KINDS, store, args.cluster)
-
-
-def _job_name(spec: JobSpec) -> str:
-    p = spec.params
-    over = "+".join(p["bottoms"]) if "bottoms" in p else p.get("bottom", "")
-    training = p.get("training", {}).get("modality", "")
-    words = (spec.kind, p.get("piece", ""), over, training, p.get("strategy", ""))
-    return " ".join(word for word in words if word)
+WAYS = {"tables": run_tables, "beyond": run_beyond, "fused": train_fused, "certify": run_certify}

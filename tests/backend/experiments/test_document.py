@@ -25,8 +25,8 @@ from touchdown.backend.experiments.document import (
     report_page,
     to_markdown,
 )
+from touchdown.backend.experiments.evaluation import sensitivity_report
 from touchdown.backend.experiments.results import read_report, report_of
-from touchdown.backend.experiments.sensitivity import sensitivity_report
 
 ROOT = Path(__file__).resolve().parents[3]
 RESULTS, GOLDEN = ROOT / "docs" / "results", ROOT / "tests" / "data" / "golden" / "reports"

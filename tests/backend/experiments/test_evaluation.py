@@ -27,20 +27,15 @@ from touchdown.backend.experiments import (
     shipped_model_folders,
 )
 from touchdown.backend.experiments.comparison import oracle_shares, quantity_label
-from touchdown.backend.experiments.domain_shift import (
-    LAW_FACTORS,
-    NUISANCE_FACTORS,
-    format_drop,
-    format_interval,
-    press_scores,
-    randomise_bench,
-)
-from touchdown.backend.experiments.evaluation import (
-    FACTORS,
+from touchdown.backend.experiments.evaluation import FACTORS, press_scores, shift_tables
+from touchdown.backend.experiments.nuisances import (
     FOUNDATION,
     LATER_NUISANCES,
+    LAW_FACTORS,
+    NUISANCE_FACTORS,
     NUISANCES,
     band_benches,
+    randomise_bench,
     scale_nuisance,
 )
 from touchdown.backend.experiments.statistics import format_change, iou_change
@@ -117,7 +112,8 @@ def test_without_tilt_no_board_is_tilted() -> None:
 
 
 def _part(iou: list[float], says: list[bool], margins: list[float], left_out: int = 0) -> dict:
-    score = {"iou": iou, "accuracy": iou, "iou_true": iou, "says": dict.fromkeys("123", says)}
+    patch = dict.fromkeys(("iou", "accuracy", "iou_true"), iou)
+    score = {"patch": patch, "says": dict.fromkeys("123", says)}
     return {
         "models": {"M": score},
         "margin_mm": [[m, m] for m in margins],
@@ -143,10 +139,18 @@ def test_figures_of_presses_join_their_parts() -> None:
 
 
 def test_a_drop_is_told_in_points() -> None:
-    here, there = ({"value": v, "low": v - 0.1, "high": v + 0.1} for v in (0.8, 0.65))
-    assert format_drop(here, there) == "-15.0"
-    assert format_interval(here) == "80.0 (70 to 90)"
-    assert format_drop(here, {"value": None}) == ""
+    here, there = (
+        {"world": world, "bottom": "short", "model": "M", **press_scores([part], "M")}
+        for world, part in (
+            ("bench", _part([0.8, 0.8], [True], [3.0])),
+            ("elsewhere", _part([0.65, 0.65], [True], [0.1])),
+        )
+    )
+    presses, changes, trials = shift_tables({"presses": [here, there], "changes": [], "trials": []})
+    (row,) = presses.texts()[1:]
+    assert row[:4] == ("M short", "80.0 (80.0 to 80.0)", "65.0 (65.0 to 65.0)", "-15.0")
+    assert row[5:7] == ("-", "")  # too close to call
+    assert len(changes.rows) == len(trials.rows) == 0
 
 
 def test_sensitivity_is_asked_once_for_the_bench_itself(tmp_path: Path) -> None:
@@ -414,7 +418,8 @@ def test_a_collection_is_one_job_a_mounting_and_as_large_as_the_paper_s() -> Non
 
 def test_changes_are_paired_by_group_and_jobs_that_lost_one_do_not_count() -> None:
     def part(first: list[float], second: list[float], left_out: int = 0) -> dict:
-        return {"models": {"A": {"iou": first}, "B": {"iou": second}}, "left_out": left_out}
+        models = {"A": {"patch": {"iou": first}}, "B": {"patch": {"iou": second}}}
+        return {"models": models, "left_out": left_out}
 
     there = [part([0.2, 0.6], [0.3, 0.8]), part([0.1], [0.9], left_out=1)]
     found = iou_change([(p, p) for p in there], "A", "B")
@@ -433,8 +438,8 @@ def test_both_worlds_begin_where_they_are_told_to_and_wait_for_the_training() ->
     )
     jobs = plan.jobs()
     assert [spec.kind for spec in jobs[:7]] == ["simulate"] * 6 + ["train"]
-    pressed = [spec for spec in jobs[7:] if spec.kind == "asked-presses"]
-    tried = [spec for spec in jobs[7:] if spec.kind == "asked-trials"]
+    pressed = [spec for spec in jobs[7:] if spec.kind == "static"]
+    tried = [spec for spec in jobs[7:] if spec.kind == "beyond"]
     assert {spec.seed % 100 for spec in (*pressed, *tried)} == {40}
     assert all(own.training().id in spec.inputs for spec in pressed)
     # Strategies read the first given model and the trained one; fusion reads none of a piece.

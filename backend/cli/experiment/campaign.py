@@ -1,0 +1,146 @@
+"""Campaign of an experiment: its arguments, bench and models, and the jobs that ran and failed."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+from typing import Any, TypeAlias
+
+from touchdown.backend.cli.output import (
+    VerbOutput,
+    make_output_folder,
+    require_positive,
+    write_errors,
+)
+from touchdown.backend.cli.train import add_device
+from touchdown.backend.config import SimulationSettings, load_simulation
+from touchdown.backend.core import InputError, write_atomically
+from touchdown.backend.experiments import KINDS, adopt_models, shipped_model_folders
+from touchdown.backend.jobs import (
+    Executor,
+    JobSpec,
+    JobStore,
+    independent_jobs,
+    parse_shard,
+    run_campaign,
+    shard_of,
+)
+
+UNWRITTEN = "It could not be written"
+KEPT = "Free some space, or name another folder; finished jobs are kept."
+EXECUTORS = ("serial", "local", "dask")
+Json: TypeAlias = dict[str, Any]
+
+
+def add_campaign_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of bench, models and jobs."""
+    parser.add_argument(
+        "--out", type=Path, default=Path("output/experiment"), metavar="DIR",
+        help="folder of page, JSON and jobs; resumes there",
+    )  # fmt: skip
+    parser.add_argument("--preset", default="bench-v1", help="preset of the bench")
+    parser.add_argument("--bench", type=Path, metavar="FILE", help="settings of the bench (TOML)")
+    parser.add_argument("--pieces", default="mushroom,barrel,pot", help="separated by commas")
+    parser.add_argument(
+        "--models", type=Path, metavar="DIR", help="models for --quick (default: those that ship)"
+    )
+    parser.add_argument(
+        "--keep-models", type=Path, metavar="DIR", help="write the models that --full trained, in "
+        "half precision",
+    )  # fmt: skip
+    add_device(parser)
+    parser.add_argument("--executor", choices=EXECUTORS, default="local", help="where jobs run")
+    parser.add_argument(
+        "--workers", type=int, default=max(1, (os.cpu_count() or 2) - 1),
+        help="processes of the local executor",
+    )  # fmt: skip
+    parser.add_argument("--cluster", metavar="ADDRESS", help="scheduler of the executor dask")
+    parser.add_argument("--shard", metavar="i/n", help="run every n-th job only, for batch queues")
+
+
+def parse_names(text: str, known: Iterable[str], where: str) -> tuple[str, ...]:
+    """Return the names in a comma-separated text; raises ``InputError`` for an unknown one."""
+    names, known = tuple(text.split(",")), tuple(known)
+    if unknown := [name for name in names if name not in known]:
+        raise InputError(f"'{unknown[0]}' is not known.", where, f"Name some of {','.join(known)}.")
+    return names
+
+
+def write_json(path: Path, content: Mapping[str, Any]) -> None:
+    """Write a result file; raises ``InputError`` if it cannot be written."""
+    with write_errors(UNWRITTEN, path, KEPT):
+        write_atomically(path, json.dumps(content, indent=1, sort_keys=True).encode() + b"\n")
+
+
+class ExperimentRun:
+    """One call of an experiment. ``jobs``: all that it needs; ``failed``: ids of failed ones.
+
+    The constructor raises ``InputError`` if the folder of the jobs cannot be made.
+    """
+
+    def __init__(self, args: argparse.Namespace, screen: VerbOutput) -> None:
+        require_positive(args, "workers")
+        make_output_folder(args.out / "jobs")
+        self.args, self.screen = args, screen
+        self.store: JobStore = JobStore(args.out / "jobs")
+        self.jobs: dict[str, JobSpec] = {}
+        self.failed: list[str] = []
+
+    def bench(self) -> SimulationSettings:
+        """Return the bench of the arguments."""
+        return load_simulation(self.args.bench, None if self.args.bench else self.args.preset)
+
+    def models(self, bench: SimulationSettings) -> dict[tuple[str, str], str]:
+        """Return the ids of the models of the arguments, by piece and table name."""
+        own = self.args.models
+        return adopt_models(self.store, *([own] if own else shipped_model_folders(bench.preset)))
+
+    def run(self, jobs: list[JobSpec], effort_of: Callable[[JobSpec], int]) -> bool:
+        """Run the unfinished jobs, or those of one shard; return True if none failed."""
+        self.jobs |= {spec.id: spec for spec in jobs}
+        part, before = jobs, len(self.failed)
+        if self.args.shard:
+            part = shard_of(jobs, *parse_shard(self.args.shard))
+            part = independent_jobs(jobs, part, self.store)
+        else:
+            self.store.sweep()
+        done = 0
+        with self.screen.progress(f"{len(part)} jobs", sum(map(effort_of, part))) as advance:
+            for result in run_campaign(part, self._executor(), self.store):
+                spec = self.jobs[result.id]
+                done += effort_of(spec)
+                advance(done, _job_name(spec))
+                if result.state == "failed":
+                    self.failed.append(result.id)
+                    self.screen.say(f"{_job_name(spec)} failed: {result.error.strip()}")
+        return len(self.failed) == before
+
+    def counts(self) -> Json:
+        """Return the numbers of all and of missing jobs, and the failed ones."""
+        missing = sum(not self.store.has(name) for name in self.jobs)
+        return {"jobs": len(self.jobs), "missing": missing, "failed": self.failed}
+
+    def _executor(self) -> Executor:
+        from touchdown.backend.jobs import DaskCluster, ProcessPool, SerialExecutor
+
+        args = self.args
+        if args.executor == "serial":
+            return SerialExecutor(KINDS, self.store)
+        if args.executor == "local":
+            return ProcessPool(KINDS, self.store, args.workers, self.screen.say)
+        if not args.cluster:
+            raise InputError(
+                "The executor dask needs a scheduler.", "--cluster", "Give its address."
+            )
+        return DaskCluster.at(KINDS, self.store, args.cluster)
+
+
+def _job_name(spec: JobSpec) -> str:
+    p = spec.params
+    over = "+".join(p["bottoms"]) if "bottoms" in p else p.get("bottom", "")
+    training = p.get("training", {}).get("modality", "")
+    words = (spec.kind, p.get("piece", ""), over, training, p.get("strategy", ""))
+    return " ".join(word for word in words if word)

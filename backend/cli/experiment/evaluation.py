@@ -1,0 +1,143 @@
+"""``touchdown experiment elsewhere`` and ``sensitivity``: existing models on other benches."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping
+from typing import get_args
+
+from touchdown.backend.cli.experiment.campaign import (
+    KEPT,
+    UNWRITTEN,
+    ExperimentRun,
+    Json,
+    parse_names,
+    write_json,
+)
+from touchdown.backend.cli.output import write_errors
+from touchdown.backend.config import SimulationSettings
+from touchdown.backend.core import InputError, write_atomically
+from touchdown.backend.experiments import (
+    EVALUATED_STRATEGIES,
+    PIECES,
+    TABLE_BOTTOMS,
+    CollectionKind,
+    DomainShift,
+    NuisanceSensitivity,
+    RandomisedTraining,
+    load_model,
+    program_version,
+    report_page,
+    sensitivity_report,
+    sensitivity_table,
+    shift_tables,
+)
+
+EVALUATIONS = ("elsewhere", "sensitivity")
+
+
+def add_evaluation_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of ``elsewhere`` and ``sensitivity``."""
+    asked = parser.add_argument_group("elsewhere, sensitivity")
+    asked.add_argument("--groups", type=int, default=20, help="of three probes, in each cell")
+    asked.add_argument("--first", type=int, default=0, metavar="N", help="number of the first "
+                       "group and trial in each cell, to make choices on other ones than are "
+                       "reported (elsewhere)")  # fmt: skip
+    asked.add_argument("--train", metavar="NAMES", help="train FT+Tac first, with the assumed "
+                       "training of the paper, and evaluate it too: on probes of 120 mountings of "
+                       "the bench (mountings), of 120 mountings with random nuisances, gel and "
+                       "friction (randomised), or both, separated by a comma "
+                       "(elsewhere)")  # fmt: skip
+    asked.add_argument(
+        "--probes", type=int, default=2000, help="of --train on each of three outlines"
+    )
+    asked.add_argument("--epochs", type=int, default=30, help="of --train")
+
+
+def run_evaluation(run: ExperimentRun) -> Json:
+    """Run ``elsewhere`` or ``sensitivity``; write a JSON file, and a page for the sensitivity.
+
+    Raises ``InputError`` for counts without work, for unknown names, and if the second world lacks
+    its engine.
+    """
+    args, bench = run.args, run.bench()
+    if args.groups < 1 or args.trials < 0:
+        raise InputError(
+            "The counts give no presses.", "--groups, --trials", "Give a positive number of groups."
+        )
+    (piece, *others) = parse_names(args.pieces, PIECES, "--pieces")
+    if others:
+        raise InputError("Only one piece is evaluated.", "--pieces", "Name one piece.")
+    bottoms = parse_names(args.bottoms, TABLE_BOTTOMS, "--bottoms")
+    strategies = parse_names(args.strategies, EVALUATED_STRATEGIES, "--strategies")
+    found = run.models(bench)
+    models = {n: found[piece, n] for n in ("FT+Tac", "FT") if (piece, n) in found}
+    plan: DomainShift | NuisanceSensitivity
+    if args.what == "elsewhere":
+        plan = _domain_shift(args, bench, piece, models)
+    else:
+        plan = NuisanceSensitivity(
+            bench, program_version(), piece, models["FT+Tac"], bottoms, strategies[0],
+            args.groups, args.trials,
+        )  # fmt: skip
+    run.run(plan.jobs(), plan.effort)
+    answer = plan.answer(run.store)
+    if isinstance(plan, DomainShift):
+        tables = shift_tables(answer)
+        _keep_trained(run, plan)
+    else:
+        tables = [sensitivity_table(answer)]
+        page = args.out / "sensitivity.html"
+        with write_errors(UNWRITTEN, page, KEPT):
+            write_atomically(page, report_page(sensitivity_report(answer)).encode())
+    for table in tables:
+        run.screen.table(table.title, *table.texts())
+    path = args.out / f"{args.what}.json"
+    write_json(path, answer)
+    return {"file": str(path), **run.counts(), args.what: answer}
+
+
+def _domain_shift(
+    args: argparse.Namespace, bench: SimulationSettings, piece: str, models: Mapping[str, str]
+) -> DomainShift:
+    from touchdown.backend.simulation import import_mujoco
+
+    import_mujoco()
+    if args.first < 0 or args.epochs < 1 or args.probes < 10:
+        raise InputError(
+            "A number is out of range.",
+            "--first, --epochs, --probes",
+            "Give --first 0 or more, --epochs 1 or more, --probes 10 or more.",
+        )
+    names: tuple[CollectionKind, ...] = get_args(CollectionKind)
+    wanted = parse_names(args.train, names, "--train") if args.train else ()
+    code = program_version()
+    return DomainShift(
+        bench=bench,
+        code=code,
+        piece=piece,
+        models=models,
+        bottoms=tuple(args.bottoms.split(",")),
+        strategies=tuple(args.strategies.split(",")),
+        groups=args.groups,
+        trials=args.trials,
+        trained=tuple(
+            RandomisedTraining(bench, code, piece, name, args.probes, args.epochs, args.device)
+            for name in names
+            if name in wanted
+        ),
+        first=args.first,
+    )
+
+
+def _keep_trained(run: ExperimentRun, plan: DomainShift) -> None:
+    """Write the trained models, each to its own folder for ``--models``."""
+    from touchdown.backend.learning import save_half_precision
+
+    for made in plan.trained if run.args.keep_models else ():
+        source = made.training().id
+        if run.store.has(source):
+            path = run.args.keep_models / made.collected / f"{made.piece}-ft+tac.safetensors"
+            path.parent.mkdir(parents=True, exist_ok=True)
+            save_half_precision(path, load_model(source, run.store))
+            run.screen.say(f"A model: {path}")

@@ -50,6 +50,7 @@ from .faults import InputError as InputError
 from .faults import RefusedError as RefusedError
 from .faults import StaleSampleError as StaleSampleError
 from .faults import TouchdownError as TouchdownError
+from .files import append_line as append_line
 from .files import data_folder as data_folder
 from .files import lock_file as lock_file
 from .files import make_folder as make_folder

@@ -117,6 +117,21 @@ def _parsed(parse: Callable[[str], Any], content: bytes | str, encoding: str) ->
     return found
 
 
+def append_line(path: Path, line: bytes) -> None:
+    """Append a line to a file durably, and make its folder.
+
+    An incomplete last line, which a crash may have left, is cut off. Raises ``OSError``.
+    """
+    make_folder(path.parent)
+    with path.open("a+b") as file:
+        file.seek(0)
+        file.truncate(file.read().rfind(b"\n") + 1)
+        file.write(line + b"\n")
+        file.flush()
+        os.fsync(file.fileno())
+    sync_folder(path.parent)
+
+
 def read_json_lines(path: Path) -> list[dict[str, Any]]:
     """Return the objects of a file of JSON lines; empty if it does not exist.
 

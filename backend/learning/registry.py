@@ -7,17 +7,18 @@ only if no field of its card contradicts the bench.
 from __future__ import annotations
 
 import json
-import os
 import re
 import threading
 import time
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-from touchdown.backend.config import BenchDescription
-from touchdown.backend.core import InputError, read_json_lines, sync_folder, write_atomically
+from pydantic import Field, ValidationError
+
+from touchdown.backend.config import BenchDescription, Settings
+from touchdown.backend.core import InputError, append_line, read_json_lines, write_atomically
 from touchdown.backend.learning.checkpoint import ModelCard, load_card, load_checkpoint, save_card
 
 HARDWARE_PROBES = 50  # hardware probes required for a model trained on simulation only
@@ -98,14 +99,13 @@ SHIPPED_MODEL = ""  # the shipped model, in use until another one is promoted
 _SHA256 = re.compile(r"[0-9a-f]{64}")
 
 
-@dataclass(frozen=True, slots=True)
-class ModelUse:
+class ModelUse(Settings):
     """One change of the model in use; ``run`` is the training that made it."""
 
-    piece: str
+    piece: Annotated[str, Field(pattern=r"^[\w-][\w.-]*$")]
     action: Literal["promote", "roll back"]
-    weights_sha256: str
-    at_ns: int
+    weights_sha256: Annotated[str, Field(pattern=r"^([0-9a-f]{64})?$")]  # "": the shipped model
+    at_ns: int = 0
     person: str = ""
     run: str = ""
 
@@ -129,9 +129,11 @@ class ModelRegistry:
 
     def history(self, piece: str | None = None) -> list[ModelUse]:
         """Return all changes, oldest first; raises ``InputError`` for a damaged line."""
-        uses = [
-            _use(line, self.folder / HISTORY) for line in read_json_lines(self.folder / HISTORY)
-        ]
+        path = self.folder / HISTORY
+        try:
+            uses = [ModelUse.model_validate(line) for line in read_json_lines(path)]
+        except ValidationError as error:
+            raise _damaged(path) from error
         return [use for use in uses if piece is None or use.piece == piece]
 
     def promote(self, model: Path, person: str = "", run: str = "") -> ModelUse:
@@ -144,8 +146,9 @@ class ModelRegistry:
             write_atomically(copy, model.read_bytes())
             save_card(copy, card)
             return self._append(
-                ModelUse(card.piece, "promote", card.weights_sha256, 0, person, run)
-            )
+                piece=card.piece, action="promote", weights_sha256=card.weights_sha256,
+                person=person, run=run,
+            )  # fmt: skip
 
     def roll_back(self, piece: str, person: str = "") -> ModelUse:
         """Restore the previous model; raises ``InputError`` if there is none."""
@@ -157,7 +160,9 @@ class ModelRegistry:
                     str(self.folder / HISTORY),
                     "Promote another model first.",
                 )
-            return self._append(ModelUse(piece, "roll back", before, 0, person))
+            return self._append(
+                piece=piece, action="roll back", weights_sha256=before, person=person
+            )
 
     def ensemble(self, piece: str) -> tuple[Path, ...]:
         """Return the models that pre-label ``piece`` together, if any were chosen."""
@@ -217,10 +222,10 @@ class ModelRegistry:
                 stack.pop()
         return stack
 
-    def _append(self, use: ModelUse) -> ModelUse:
-        line = {**asdict(use), "at_ns": time.time_ns()}
-        _append_line(self.folder / HISTORY, line)
-        return _use(line, self.folder / HISTORY)
+    def _append(self, **change: Any) -> ModelUse:
+        use = ModelUse(at_ns=time.time_ns(), **change)
+        _append_line(self.folder / HISTORY, use.model_dump())
+        return use
 
 
 def models_below(folder: Path, piece: str) -> list[Path]:
@@ -240,30 +245,8 @@ def _is_sha256(text: object) -> bool:
     return isinstance(text, str) and _SHA256.fullmatch(text) is not None
 
 
-def _append_line(path: Path, line: dict[str, Any]) -> None:
-    """Append a line durably; an incomplete line before it is terminated and later skipped."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    text = json.dumps(line, sort_keys=True, ensure_ascii=False).encode() + b"\n"
-    with path.open("a+b") as file:
-        if file.tell():
-            file.seek(-1, os.SEEK_END)
-            text = text if file.read(1) == b"\n" else b"\n" + text
-        file.write(text)
-        file.flush()
-        os.fsync(file.fileno())
-    sync_folder(path.parent)
-
-
-def _use(line: dict[str, Any], path: Path) -> ModelUse:
-    try:
-        use = ModelUse(**line)
-    except TypeError as error:
-        raise _damaged(path) from error
-    known = use.weights_sha256 == SHIPPED_MODEL or _SHA256.fullmatch(use.weights_sha256)
-    plain = re.fullmatch(r"[\w.-]+", use.piece) and not use.piece.startswith(".")
-    if not known or not plain or use.action not in ("promote", "roll back"):
-        raise _damaged(path)
-    return use
+def _append_line(path: Path, line: Mapping[str, object]) -> None:
+    append_line(path, json.dumps(line, sort_keys=True, ensure_ascii=False).encode())
 
 
 def _damaged(path: Path) -> InputError:

@@ -30,6 +30,7 @@ from touchdown.backend.core import (
     DISK_TIMEOUT_S,
     Event,
     InputError,
+    append_line,
     blocking_section,
     make_folder,
     parse_json,
@@ -290,12 +291,7 @@ def log_limit_change(folder: Path, bench: str, person: str, before: Limits, afte
     }
     path = folder / LIMIT_LOG_NAME
     try:
-        make_folder(folder)
-        with path.open("ab") as file:
-            file.write(json.dumps(line, allow_nan=False).encode() + b"\n")
-            file.flush()
-            os.fsync(file.fileno())
-        sync_folder(folder)
+        append_line(path, json.dumps(line, allow_nan=False).encode())
     except OSError as error:
         raise InputError(
             f"The change of limits cannot be written: {error.strerror or error}.",

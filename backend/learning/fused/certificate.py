@@ -9,9 +9,7 @@ together with a probability of 95 %.
 
 from __future__ import annotations
 
-import json
 import math
-import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -19,7 +17,6 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
-import numpy as np
 from pydantic import Field, ValidationError, model_validator
 
 from touchdown.backend.config import (
@@ -29,13 +26,12 @@ from touchdown.backend.config import (
     first_error,
     sha256_of_json,
 )
-from touchdown.backend.core import InputError, make_folder, sync_folder, write_atomically
+from touchdown.backend.core import InputError, append_line, write_atomically
 
 TOTAL_ERROR = 0.05  # error probability of all attempts of one log together
 RISK_LIMIT = 0.01  # largest bound of a certificate of simulated scenes
 CERTIFICATE_SUFFIX, ATTEMPTS_SUFFIX = ".certificate.json", ".attempts.jsonl"
 MAX_BYTES = 2_000_000
-BISECTIONS = 80
 NO_CERTIFICATE = "no certificate for this bench"
 LIMITS = "It covers no other shape, laboratory or robot by itself."
 Count = Annotated[int, Field(ge=0)]
@@ -72,19 +68,10 @@ def risk_bound(unsafe: int, releases: int, error: float = TOTAL_ERROR) -> float:
         raise ValueError("counts or error probability out of range")
     if unsafe == releases:
         return 1.0
-    # Logarithms of the binomial coefficients of 0 to `unsafe` events.
-    k = np.arange(unsafe + 1)
-    ratios = np.log(releases - k[1:] + 1.0) - np.log(k[1:])
-    coefficient = np.concatenate([[0.0], np.cumsum(ratios)])
-    low, high = unsafe / releases, 1.0
-    for _ in range(BISECTIONS):
-        p = 0.5 * (low + high)
-        terms = coefficient + k * math.log(p) + (releases - k) * math.log1p(-p)
-        if np.logaddexp.reduce(terms) > math.log(error):
-            low = p
-        else:
-            high = p
-    return high
+    # Imported here: the window reads certificates seldom.
+    from scipy.special import betainccinv
+
+    return float(betainccinv(unsafe + 1, releases - unsafe, error))
 
 
 def releases_needed(limit: float, error: float = TOTAL_ERROR) -> int:
@@ -275,14 +262,7 @@ class AttemptLog:
     def append(self, line: Attempt) -> Attempt:
         """Write a line and return it; raises ``InputError``."""
         try:
-            make_folder(self.path.parent)
-            with self.path.open("r+b" if self.path.exists() else "xb") as file:
-                # A crash may have left a part of a line, which was never acknowledged.
-                file.truncate(file.seek(len(self._content())))
-                file.write(line.model_dump_json().encode() + b"\n")
-                file.flush()
-                os.fsync(file.fileno())
-            sync_folder(self.path.parent)
+            append_line(self.path, line.model_dump_json().encode())
         except OSError as error:
             raise InputError(
                 f"The attempt cannot be written: {error.strerror or error}.",
@@ -369,8 +349,7 @@ def attempts_path(weights: Path) -> Path:
 def write_certificate(folder: Path, name: str, certificate: ReleaseCertificate) -> Path:
     """Write ``<name>-<bench>.certificate.json`` to ``folder`` and return its path."""
     path = folder / f"{name}-{certificate.attempt.bench_sha256[:12]}{CERTIFICATE_SUFFIX}"
-    content = json.loads(certificate.model_dump_json())
-    write_atomically(path, json.dumps(content, indent=1).encode() + b"\n")
+    write_atomically(path, certificate.model_dump_json(indent=1).encode() + b"\n")
     return path
 
 

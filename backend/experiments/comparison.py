@@ -24,6 +24,7 @@ from touchdown.backend.experiments.document import (
     Report,
     ReportSection,
     ReportTable,
+    TableEntry,
     format_estimate,
     format_percent,
     reliability_gallery,
@@ -463,7 +464,7 @@ def comparison_tables(answer: Mapping[str, Any]) -> list[ReportTable]:
                 ),
             )
         )
-    if answer["gaps"]:
+    if answer.get("gaps"):
         found.append(oracle_share_table(answer["gaps"]))
     if answer.get("changes"):
         found.append(
@@ -521,13 +522,17 @@ def oracle_share_table(rows: Sequence[Json]) -> ReportTable:
     )
 
 
-def _closed_loop_row(cell: Json) -> tuple[str, ...]:
+def _traced(cell: Json, text: str) -> TableEntry:
+    return TableEntry(text, jobs=tuple(cell.get("jobs", ())), seed=cell.get("seed"))
+
+
+def _closed_loop_row(cell: Json) -> tuple[str | TableEntry, ...]:
     outcomes = ", ".join(f"{w.replace('_', ' ')} {n}" for w, n in cell["outcomes"].items())
     left = cell.get("left_out", 0)
     return (
         _name(cell),
         str(cell["placed"]["n"]),
-        format_estimate(cell["placed"]),
+        _traced(cell, format_estimate(cell["placed"])),
         format_estimate(cell["unsafe"]),
         format_estimate(released_unsafely(cell["outcomes"]).as_json()),
         outcomes + (f"; {left} left out" if left else ""),
@@ -544,14 +549,15 @@ def _class_row(cell: Json) -> tuple[str, ...]:
 
 def _uneven_row(cell: Json) -> tuple[str, ...]:
     bottoms = cell.get("outline") or POOLED_NAMES[cell["tower"]]
-    shares = _format_share(cell["possible"]), _format_share(cell["there"])
+    shares = map(format_estimate, (cell["possible"], cell["there"]))
     return cell["strategy"], bottoms, str(cell["possible"]["n"]), *shares
 
 
-def _verdict_row(cell: Json) -> tuple[str, ...]:
+def _verdict_row(cell: Json) -> tuple[str | TableEntry, ...]:
     kinds = cell["likely"], cell["released"]
     balanced = [format_percent(by_n[str(n)]["balanced"]) for by_n in kinds for n in PROBE_COUNTS]
-    return _name(cell), str(cell["groups"]), *balanced, format_estimate(kinds[1]["3"]["unsafe"])
+    groups = _traced(cell, str(cell["groups"]))
+    return _name(cell), groups, *balanced, format_estimate(kinds[1]["3"]["unsafe"])
 
 
 def _reliability_row(cell: Json) -> tuple[str, ...]:
@@ -622,8 +628,11 @@ def comparison_report(answer: Mapping[str, Any]) -> Report:
         parts.append(reliability_gallery("Calibration", RELIABILITY_LEGEND, charts))
     if stopped := answer.get("stopped"):
         text += f" {stopped_text(stopped)}"
+    names = dict.fromkeys(cell["strategy"] for cell in answer["cells"])
+    networks = ", ".join(f"{piece} {source[:8]}" for piece, source in answer["models"].items())
+    source = f"Program {answer['code']}, networks: {networks or 'none'}."
     return Report(
         "Touchdown: strategies beyond the paper",
-        (f"Bench {answer['bench_sha256'][:16]}, program {answer['code']}.",),
-        (ReportSection("Beyond the paper", (text,), tuple(parts)),),
+        (f"Bench {answer['bench_sha256'][:16]}.",),
+        (ReportSection(f"Strategies: {', '.join(names)}", (text, source), tuple(parts)),),
     )

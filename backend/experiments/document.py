@@ -63,11 +63,15 @@ class ReportTable:
 
     @classmethod
     def of_texts(
-        cls, title: str, header: Sequence[str], rows: Iterable[Sequence[str]]
+        cls, title: str, header: Sequence[str], rows: Iterable[Sequence[str | TableEntry]]
     ) -> ReportTable:
-        """Return a table of plain texts; the first column holds the row names."""
+        """Return a table of texts or entries; the first column holds the row names."""
         columns = tuple((name, "") for name in header[1:])
-        entries = tuple((row[0], tuple(map(TableEntry, row[1:]))) for row in rows)
+        lines = [
+            [text if isinstance(text, TableEntry) else TableEntry(text) for text in row]
+            for row in rows
+        ]
+        entries = tuple((name.value, tuple(line)) for name, *line in lines)
         return cls(title, columns, entries, corner=header[0])
 
     def texts(self) -> list[tuple[str, ...]]:

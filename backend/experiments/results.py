@@ -6,25 +6,24 @@ A file of another format and a damaged file raise ``InputError``.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from touchdown.backend.core import InputError, Outcome, parse_json, write_atomically
+from touchdown.backend.core import InputError, parse_json, write_atomically
 from touchdown.backend.episodes import patch_bits
 from touchdown.backend.experiments.comparison import (
     comparison_report,
     comparison_tables,
     merged_oracle_shares,
-    quantity_label,
+    oracle_share_table,
 )
 from touchdown.backend.experiments.document import (
     FILM_LEGEND,
-    RELIABILITY_LEGEND,
     PictureGallery,
     Report,
     ReportPicture,
@@ -32,7 +31,6 @@ from touchdown.backend.experiments.document import (
     ReportTable,
     TableEntry,
     check_svg,
-    format_interval,
     format_outcomes,
     format_percent,
     paired_traces,
@@ -44,7 +42,6 @@ from touchdown.backend.experiments.document import (
     to_markdown,
 )
 from touchdown.backend.experiments.run_report import FILM_FILE
-from touchdown.backend.experiments.statistics import estimate_rate
 from touchdown.backend.experiments.strategies import parse_trials, parse_verdicts
 from touchdown.backend.experiments.tables import (
     BEYOND_READABLE,
@@ -54,7 +51,6 @@ from touchdown.backend.experiments.tables import (
     TABLE_BOTTOMS,
     TABLES_FORMAT,
     TOWER,
-    UNSAFE_OUTCOMES,
     Recipe,
     table_results,
 )
@@ -62,231 +58,15 @@ from touchdown.backend.geometry import TOO_CLOSE_MM
 from touchdown.backend.jobs import JobStore
 
 JsonMapping = Mapping[str, Any]
-# by piece and bottom, then by strategy; the largest of several results
-Cells = dict[tuple[str, str], dict[str, JsonMapping]]
-PAPER = "paper"
-# Columns in this order; other strategies follow.
-TITLES = {
-    PAPER: "Paper's",
-    "paper-calibrated": "Paper's, calibrated",
-    "fused": "Learned fusion",
-    "zero-wrench": "Zero wrench",
-    "ceiling": "Ceiling",
-    "ceiling-diameter": "Ceiling, diameter unknown",
-    "pick-and-place": "Pick and place",
-}
-TABLE_2_PROBES = "3"  # number of probes in Table 2 by strategy
 
 
-def strategy_sections(tables: JsonMapping) -> list[ReportSection]:
-    """Return the sections on strategies; none if the tables hold no comparison."""
+def comparison_sections(tables: JsonMapping) -> list[ReportSection]:
+    """Return the sections on comparisons of strategies, and the oracle shares over several."""
     answers = tables.get("beyond") or ()
-    if not answers:
-        return []
-    shares = tables.get("gaps")
-    if shares is None:
-        shares = [row for answer in answers for row in answer.get("gaps") or ()]
-    found = [
-        _stacking_section(
-            _stacking_cells(tables, answers), tuple(_source(one) for one in answers if one["cells"])
-        ),
-        _static_section(_static_cells(tables, answers)),
-        _oracle_share_section(shares),
-        _strategy_reliability(answers),
-    ]
-    return [section for section in found if section is not None]
-
-
-def _stacking_cells(tables: JsonMapping, answers: Iterable[JsonMapping]) -> Cells:
-    cells: Cells = {}
-    for row in tables["table3"]:
-        for cell in row["cells"]:
-            if row["strategy"] == PAPER and "outcomes" in cell:
-                unsafe = estimate_rate(cell["unsafe_releases"], cell["n"]).as_json()
-                same = {**cell, "placed": cell, "unsafe": unsafe, "jobs": (cell["job"],)}
-                _keep_larger(cells, PAPER, same, cell["n"])
-    for answer in answers:
-        for cell in answer["cells"]:
-            _keep_larger(cells, cell["strategy"], cell, cell["placed"]["n"])
-    return cells
-
-
-def _static_cells(tables: JsonMapping, answers: Iterable[JsonMapping]) -> Cells:
-    cells: Cells = {}
-    rows = {row["method"]: row["cells"] for row in tables["table2"] if row["method"].isdigit()}
-    for k, cell in enumerate(rows.get(TABLE_2_PROBES, ())):
-        if "accuracy" in cell:
-            by_n = {n: same[k] for n, same in rows.items() if "accuracy" in same[k]}
-            own = {**cell, "likely": by_n, "released": by_n, "jobs": (cell["job"],)}
-            _keep_larger(cells, PAPER, own, cell["accuracy"]["n"])
-    for answer in answers:
-        for cell in answer.get("statics", {}).get("cells", ()):
-            _keep_larger(cells, cell["strategy"], cell, cell["groups"])
-    return cells
-
-
-def _keep_larger(cells: Cells, strategy: str, cell: JsonMapping, n: int) -> None:
-    place = cells.setdefault((cell["piece"], cell["bottom"]), {})
-    if n > place.get(strategy, {"count": 0})["count"]:
-        place[strategy] = {**cell, "count": n}
-
-
-def _names(cells: Cells) -> list[str]:
-    found = {name for place in cells.values() for name in place}
-    order = list(TITLES)
-    return sorted(found, key=lambda name: (order.index(name) if name in order else 99, name))
-
-
-def _stacking_section(cells: Cells, sources: Sequence[str]) -> ReportSection:
-    names = _names(cells)
-    rows = _cell_rows(cells, names, _loop)
-    for title, tower in (("Pooled, one bottom", False), ("Pooled, two bottoms", True)):
-        some = [own for (_, bottom), own in cells.items() if ("+" in bottom) is tower]
-        if some:
-            rows.append((title, tuple(_pooled_loop(some, name) for name in names)))
-    text = (
-        "Whole trials; every one counts. Unsafe: fell or knocked over. Counts: placed / fell / "
-        "knocked over / gave up / aborted. Spare: probes beyond the least number, median.",
-        "The seeds of a cell are the same for all strategies, from the first on; how many were "
-        "run differs. Pooled over the cells that a strategy did; below it the paper's strategy in "
-        "the same cells.",
-        *sources,
-    )
-    grid = ReportTable("Placed, %", _strategy_columns(names), tuple(rows))
-    return ReportSection("Table 3 by strategy", text, (grid,))
-
-
-def _source(answer: JsonMapping) -> str:
-    """Return a sentence with strategies, program version and networks of a result."""
-    names = dict.fromkeys(cell["strategy"] for cell in answer["cells"])
-    models = "networks: " * bool(answer.get("models")) + ", ".join(
-        f"{piece} {source[:8]}" for piece, source in answer.get("models", {}).items()
-    )
-    return f"Counts of {', '.join(names)}: program {answer['code']}; {models or 'no network'}."
-
-
-def _loop(cell: JsonMapping) -> TableEntry:
-    notes = [f"unsafe {format_percent(cell['unsafe']['value'])} {format_interval(cell['unsafe'])}"]
-    notes.append(format_outcomes(cell["outcomes"]))
-    if cell["probes"] is not None:
-        spare = cell.get("excess_probes_median")
-        more = "" if spare is None else f", {spare:.0f} spare"
-        notes.append(f"{cell['probes']:.1f} probes{more}")
-    return rate_entry(cell["placed"], None, notes, cell)
-
-
-def _pooled_loop(places: Sequence[Mapping[str, JsonMapping]], name: str) -> TableEntry:
-    own = [place for place in places if name in place]
-    if not own:
-        return TableEntry("")
-    placed, unsafe = _shares([place[name] for place in own])
-    notes = [
-        f"unsafe {format_percent(unsafe['value'])} {format_interval(unsafe)}",
-        f"{placed['n']} trials",
-    ]
-    if name != PAPER and all(PAPER in place for place in own):
-        theirs, fell = _shares([place[PAPER] for place in own])
-        notes.append(
-            f"paper's {format_percent(theirs['value'])}, unsafe {format_percent(fell['value'])}"
-        )
-    return rate_entry(placed, None, notes)
-
-
-def _shares(cells: Sequence[JsonMapping]) -> tuple[JsonMapping, JsonMapping]:
-    """Return the placed and unsafe rates over all trials of some cells."""
-    ended = [cell["outcomes"] for cell in cells]
-    trials = sum(sum(one.values()) for one in ended)
-    placed = sum(one.get(Outcome.PLACED.value, 0) for one in ended)
-    unsafe = sum(one.get(word, 0) for one in ended for word in UNSAFE_OUTCOMES)
-    return estimate_rate(placed, trials).as_json(), estimate_rate(unsafe, trials).as_json()
-
-
-def _static_section(cells: Cells) -> ReportSection | None:
-    if not any(name != PAPER for place in cells.values() for name in place):
-        return None
-    names = _names(cells)
-    rows = tuple(_cell_rows(cells, names, _verdict))
-    text = (
-        f"Does it rather stand than fall at the place of the first probe, after {TABLE_2_PROBES}? "
-        "Right, %; below it the balanced accuracy after 1, 2, 3 and 5 probes, and what would be "
-        "released: how many of the places that stand, and of those that fall (unsafe).",
-    )
-    return ReportSection(
-        "Table 2 by strategy", text, (ReportTable("Right, %", _strategy_columns(names), rows),)
-    )
-
-
-def _verdict(cell: JsonMapping) -> TableEntry:
-    likely, released = cell["likely"], cell["released"][TABLE_2_PROBES]
-    balanced = ", ".join(format_percent(likely[n]["balanced"]) for n in sorted(likely, key=int))
-    found, unsafe = released["found"]["value"], released["unsafe"]["value"]
-    notes = (
-        f"balanced {balanced}",
-        f"released {format_percent(found)}, unsafe {format_percent(unsafe)}",
-        f"{cell['count']} places",
-    )
-    return rate_entry(likely[TABLE_2_PROBES]["accuracy"], None, notes, cell)
-
-
-def _oracle_share_section(rows: Sequence[JsonMapping]) -> ReportSection | None:
-    if not rows:
-        return None
-    lines = tuple(
-        (
-            f"{TITLES.get(row['strategy'], row['strategy'])}, {quantity_label(row)}",
-            (
-                TableEntry(str(row["n"])),
-                *(TableEntry(format_percent(row[key])) for key in ("paper", "own", "ceiling")),
-                TableEntry(format_percent(row["share"]), _interval(row)),
-            ),
-        )
-        for row in rows
-    )
-    columns = tuple((name, "") for name in ("n", "paper, %", "own, %", "ceiling, %", "share, %"))
-    text = "From the paper's strategy to a ceiling, on trials common to all three."
-    return ReportSection(
-        "Share of the improvement up to the ceiling", (text,), (ReportTable("", columns, lines),)
-    )
-
-
-def _interval(row: JsonMapping) -> str:
-    low, high = row.get("share_low"), row.get("share_high")
-    return "" if low is None or high is None else f"({format_percent(low)}-{format_percent(high)})"
-
-
-def _strategy_reliability(answers: Iterable[JsonMapping]) -> ReportSection | None:
-    largest: dict[str, JsonMapping] = {}
-    for answer in answers:
-        for pooled in answer.get("statics", {}).get("pooled", ()):
-            known = largest.get(pooled["strategy"])
-            if pooled["reliability"] and (known is None or pooled["groups"] > known["groups"]):
-                largest[pooled["strategy"]] = pooled
-    charts = [
-        (TITLES.get(name, "other"), f"n = {n}, ECE {chart['ece']:.3f}", chart)
-        for name, pooled in largest.items()
-        for n, chart in pooled["reliability"].items()
-    ]
-    if not charts:
-        return None
-    gallery = reliability_gallery("", "", charts)
-    return ReportSection("Calibration by strategy", (RELIABILITY_LEGEND,), (gallery,))
-
-
-def _strategy_columns(names: Sequence[str]) -> tuple[tuple[str, str], ...]:
-    return tuple((TITLES.get(name, name), "") for name in names)
-
-
-def _cell_rows(
-    cells: Cells, names: Sequence[str], entry: Callable[[JsonMapping], TableEntry]
-) -> list[tuple[str, tuple[TableEntry, ...]]]:
-    """Return one row per piece and bottom, with an entry per strategy."""
-    return [
-        (
-            f"{piece.title()} on {' on '.join(reversed(bottom.split('+')))}",
-            tuple(entry(own[name]) if name in own else TableEntry("") for name in names),
-        )
-        for (piece, bottom), own in cells.items()
-    ]
+    sections = [part for answer in answers for part in comparison_report(answer).sections]
+    if len(answers) > 1 and tables.get("gaps"):
+        sections.append(ReportSection("", (), (oracle_share_table(tables["gaps"]),)))
+    return sections
 
 
 def report_of(tables: JsonMapping) -> Report:
@@ -300,7 +80,7 @@ def report_of(tables: JsonMapping) -> Report:
         _table2(tables["table2"], BALANCED_SAMPLE),
         *_paper_protocol(tables.get("paper_protocol")),
         _table3(tables["table3"]),
-        *strategy_sections(tables),
+        *comparison_sections(tables),
         _reliability(facts["after_three_probes"]),
         _distribution(figures.get("twins")),
         _film_section(figures.get("films") or ()),
@@ -561,7 +341,7 @@ def read_beyond(file: Path) -> Json:
     fix = "Name a beyond.json, as `touchdown experiment beyond` writes it."
     found = _read(file, BEYOND_READABLE, fix)
     with _checked_content(file, fix):
-        strategy_sections({"table2": [], "table3": [], "beyond": [found]})
+        comparison_report(found)
         str(found["bench_sha256"])
         parse_trials(found)
         parse_verdicts(found)
@@ -650,13 +430,10 @@ def rewrite_tables(file: Path, compared: Sequence[Path]) -> Path:
             raise InputError("It belongs to another bench.", str(path), f"Leave it out of {file}.")
     if answers:
         found["beyond"] = answers
-        try:
-            found["gaps"] = merged_oracle_shares(
-                list(zip(map(str, compared), answers, strict=True))
-            )
-        except InputError:
-            # Files that share a cell: the shares of each.
-            found["gaps"] = [row for answer in answers for row in answer.get("gaps") or ()]
+        found["gaps"] = []
+        with suppress(InputError):  # files that share a cell: each has shares of its own
+            named = zip(map(str, compared), answers, strict=True)
+            found["gaps"] = merged_oracle_shares(list(named))
     return _written(file, found)
 
 

@@ -116,32 +116,26 @@ def test_the_paper_stands_below_each_value_and_the_job_with_it(full: Json) -> No
     assert len(entries) == len(grid.columns) == 7
 
 
-def test_each_strategy_has_its_column_and_the_largest_count_of_it(full: Json) -> None:
-    small = compared("fused", "short", placed=1, fell=1)
-    large = compared("fused", "short", placed=6, fell=2, gave_up=2)
+def test_each_comparison_has_its_section_and_names_the_jobs_of_its_cells(full: Json) -> None:
+    small = compared("fused", "short", placed=6, fell=2, gave_up=2)
     tower = compared("pressure", "short+long", placed=3, aborted=1)
-    report = report_of({**full, "beyond": [answer(small, tower), answer(large)]})
-    grid = grid_of(report, "Table 3 by strategy")
-    names = [name for name, _ in grid.columns]
-    assert names == ["Paper's", "Learned fusion", "pressure"]
+    report = report_of({**full, "beyond": [answer(small, tower), answer(small)]})
+    found = [s for s in report.sections if s.title.startswith("Strategies")]
+    assert [s.title for s in found] == ["Strategies: fused, pressure", "Strategies: fused"]
+    assert "networks: pot cccccccc" in found[0].text[1]
+    grid = found[0].parts[0]
+    assert isinstance(grid, ReportTable)
     rows = dict(grid.rows)
-    fused = rows["Pot on short"][1]
-    assert fused.value == "60.0"
-    assert fused.notes[0].startswith("unsafe 20.0")
-    assert fused.notes[1] == "6 / 2 / 0 / 2 / 0"
-    assert fused.trace == f"job {'a' * 32} and 1 more, seed 7"
-    assert rows["Pot on long on short"][2].value == "75.0"
-    # The paper's strategy in the same cell: its own pooled value is over more of them.
-    paper = next(
-        c for c in full["table3"][1]["cells"] if (c["piece"], c["bottom"]) == ("pot", "short")
-    )
-    assert f"paper's {100 * paper['value']:.1f}" in rows["Pooled, one bottom"][1].notes[-1]
-    assert rows["Pooled, one bottom"][0].notes[1] == "600 trials"
+    placed = rows["fused pot short"][1]
+    assert placed.value == "60.0 (10.0 to 90.0)"
+    assert placed.trace == f"job {'a' * 32} and 1 more, seed 7"
+    assert rows["fused pot short"][4].value == "fell 2, gave up 2, placed 6"
+    assert rows["pressure pot short+long"][1].value.startswith("75.0")
 
 
 def test_without_a_comparison_there_are_no_columns_by_strategy(full: Json) -> None:
     bare = {key: value for key, value in full.items() if key != "beyond"}
-    assert not [s for s in report_of(bare).sections if "strategy" in s.title]
+    assert not [s for s in report_of(bare).sections if s.title.startswith("Strategies")]
 
 
 class Tags(HTMLParser):
@@ -185,7 +179,8 @@ def test_the_published_report_is_what_its_data_give_and_names_a_job_for_every_ce
     assert len(cells) == 36 + 30 + 15
     assert all(re.fullmatch("[0-9a-f]{32}", cell["job"]) and cell["seed"] for cell in cells)
     titles = [section.title for section in report.sections]
-    assert {"Table 3 by strategy", "Table 2 by strategy", "Belief maps by probe"} <= set(titles)
+    assert {"Table 3: stacking", "Belief maps by probe"} <= set(titles)
+    assert any(title.startswith("Strategies: paper") for title in titles)
 
 
 @pytest.mark.parametrize(

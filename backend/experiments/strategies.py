@@ -194,7 +194,7 @@ ENTRY_STREAM = 992  # random stream of the entry errors, separate from the bench
 EXACT_MM, GRID_MM = 1e-6, 0.25
 # for the least number of probes: longest step, inset from the edge of the stable region
 STEP_MM, SAFE_INSET_MM = 3.0, 0.2
-STABLE_GRID_MM = 0.5  # of places on a region
+REGION_GRID_MM = 0.5  # of places on a region
 MODEL_FREE = (*ORACLES, "fused", "pick-and-place")  # strategies without a model of the piece
 
 
@@ -418,25 +418,13 @@ def run_closed_loop(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
         if (scene := start_scene(each, seed))
     ]
     scenes = [scene for _, scene in pairs]
-    method, limits = parse_settings(StackSettings, p["method"], "job"), EpisodeLimits()
-    strategy = p["strategy"]
     results: list[BatchTrialResult] = []
-    create: Callable[[Scene, XY], Strategy] | None
-    if not scenes:
-        pass
-    elif strategy == "pick-and-place":
+    if p["strategy"] == "pick-and-place" and scenes:
+        method = parse_settings(StackSettings, p["method"], "job")
         results = pick_and_place_in_lockstep(scenes, method, world)
-    elif strategy in ORACLES:
-        create = oracle_factory(pairs, diameter_known=strategy == ORACLES[0])
-        model = uninformed_model(case)
-        results = stack_in_lockstep(scenes, model, method, limits, create, world)
-    else:
-        model = uninformed_model(case)
-        if spec.inputs:
-            model = batch_model(load_model(spec.inputs[0], place.store), case.piece)
-        chosen = method_of(strategy, method)
-        create = _informed_strategy(case, p.get("entry_sigma_mm"), chosen, model)
-        results = stack_in_lockstep(scenes, model, chosen, limits, create, world)
+    elif scenes:
+        method, model, create = _strategy_of(spec, place, pairs)
+        results = stack_in_lockstep(scenes, model, method, EpisodeLimits(), create, world)
     return {
         "bench_sha256": bench_sha256(case.settings),
         "left_out": p["trials"] - len(scenes),
@@ -451,6 +439,21 @@ def run_closed_loop(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
     }
 
 
+def _strategy_of(
+    spec: JobSpec, place: JobContext, pairs: Sequence[tuple[SceneSetup, Scene]]
+) -> tuple[StackSettings, BatchModel, Callable[[Scene, XY], Strategy]]:
+    """Return method, model and factory of the strategy of a job, for scenes and their set-ups."""
+    p, case = spec.params, pairs[0][0]
+    method, name = parse_settings(StackSettings, p["method"], "job"), p["strategy"]
+    if name in ORACLES:
+        known = name == ORACLES[0]
+        return method, uninformed_model(case), oracle_factory(pairs, diameter_known=known)
+    method, model = method_of(name, method), uninformed_model(case)
+    if spec.inputs:
+        model = batch_model(load_model(spec.inputs[0], place.store), case.piece)
+    return method, model, _informed_strategy(case, p.get("entry_sigma_mm"), method, model)
+
+
 def least_probes(scene: Scene) -> int:
     """Return the number of probes that complete knowledge would need: one, and one more every 3 mm.
 
@@ -458,10 +461,8 @@ def least_probes(scene: Scene) -> int:
     others. On a region or a tower it leads to the nearest grid point where every interface holds.
     """
     start = np.asarray(scene.start_mm)
-    if len(scene.bottoms.bodies) > 1:
-        return 1 + ceil(_way_on_tower_mm(scene) / STEP_MM)
-    if scene.surface.kind == "region":
-        return 1 + ceil(_way_on_region_mm(scene) / STEP_MM)
+    if len(scene.bottoms.bodies) > 1 or scene.surface.kind == "region":
+        return 1 + ceil(_way_on_grid_mm(scene) / STEP_MM)
     length = float(np.hypot(*start))
     towards = start / max(length, 1e-9)
     for way in np.arange(0.0, length, 0.05):
@@ -473,31 +474,21 @@ def least_probes(scene: Scene) -> int:
     return 1 + ceil(length / STEP_MM)
 
 
-def _way_on_tower_mm(scene: Scene) -> float:
+def _way_on_grid_mm(scene: Scene) -> float:
     """Return the distance from the start to the nearest stable place; 0 if there is none."""
-    bodies = scene.bottoms.bodies
-    steps = np.diff([body.at_mm for body in bodies], axis=0)
-    offset_mm = tuple((float(x), float(y)) for x, y in steps)
-    below = SupportTower(bodies, offset_mm, EXACT_MM, scene.piece.mass_g)
-    touched = bodies[-1].upper
-    assert touched is not None
-    reach = max(touched.half_extents_mm)
-    line = np.arange(-reach, reach + GRID_MM, GRID_MM)
-    com = np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2)
-    least = np.minimum(inset_mm(touched, com), below.insets_mm(com).min(axis=0))
-    places = com[least >= SAFE_INSET_MM] - np.asarray(scene.piece.com_xy_mm)
-    if not len(places):
-        return 0.0
-    return float(np.hypot(*(places - np.asarray(scene.start_mm)).T).min())
-
-
-def _way_on_region_mm(scene: Scene) -> float:
-    """Return the distance from the start to the nearest stable place; 0 if there is none."""
+    bodies, own_mm = scene.bottoms.bodies, scene.piece.com_xy_mm
     reach = max(scene.surface.half_extents_mm)
-    line = np.arange(-reach, reach + STABLE_GRID_MM, STABLE_GRID_MM)
+    pitch = GRID_MM if len(bodies) > 1 else REGION_GRID_MM
+    line = np.arange(-reach, reach + pitch, pitch)
     com = np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2)
-    margins = touched_margins_mm(scene, scene.piece.com_xy_mm, com)
-    places = com[margins >= SAFE_INSET_MM] - np.asarray(scene.piece.com_xy_mm)
+    if len(bodies) > 1:
+        steps = np.diff([body.at_mm for body in bodies], axis=0)
+        offset_mm = tuple((float(x), float(y)) for x, y in steps)
+        below = SupportTower(bodies, offset_mm, EXACT_MM, scene.piece.mass_g)
+        inset = np.minimum(inset_mm(scene.surface, com), below.insets_mm(com).min(axis=0))
+    else:
+        inset = touched_margins_mm(scene, own_mm, com)
+    places = com[inset >= SAFE_INSET_MM] - np.asarray(own_mm)
     if not len(places):
         return 0.0
     return float(np.hypot(*(places - np.asarray(scene.start_mm)).T).min())
@@ -641,28 +632,14 @@ def run_static_groups(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
     use_one_thread()
     seeds = [spec.seed + g for g in range(p["groups"])]
     groups = probe_groups(case, seeds, PROBES_PER_GROUP)
+    scenes = [probing_scene(case, seed) for seed in seeds]
+    _, model, create = _strategy_of(spec, place, [(case, scene) for scene in scenes])
     strategy = p["strategy"]
-    configured = "paper" if strategy in ORACLES else strategy
-    settings = method_of(configured, parse_settings(StackSettings, p["method"], "job"))
-    if strategy in ORACLES:
-        model = uninformed_model(case)
-        scenes = [(case, probing_scene(case, seed)) for seed in seeds]
-        create = oracle_factory(scenes, diameter_known=strategy == ORACLES[0])
-    else:
-        model = uninformed_model(case)
-        if spec.inputs:
-            model = batch_model(load_model(spec.inputs[0], place.store), case.piece)
-
-        def create(scene: Scene, at: XY) -> Strategy:
-            return make_strategy(grasped_piece_in(scene, model), settings, at)
-
     asked = VerdictCollector(
         case, believes=base_strategy(strategy) not in STRATEGIES_WITHOUT_BELIEF
     )
     for g in range(len(groups.observation)):
-        asked.group(
-            groups, g, create(probing_scene(case, seeds[g]), pair_of(groups.offset_mm[g, 0])), model
-        )
+        asked.group(groups, g, create(scenes[g], pair_of(groups.offset_mm[g, 0])), model)
     margins = [rounded_margins(pair) for pair in groups.margin_mm]
     return {"margin_mm": margins, "left_out": groups.left_out, **asked.as_json()}
 

@@ -440,9 +440,14 @@ class VerdictSample:
         says: Sequence[bool],
         margins_mm: Sequence[Sequence[float | None]],
         mountings: Sequence[str],
+        interface: int = 1,
     ) -> VerdictSample:
-        """Return the cases, judged by all interfaces; a margin of None means no support."""
-        every = zip(says, (margin[1] for margin in margins_mm), mountings, strict=True)
+        """Return the cases, judged by all interfaces or the top one (0).
+
+        A margin of None means no support.
+        """
+        margins = (margin[interface] for margin in margins_mm)
+        every = zip(says, margins, mountings, strict=True)
         kept = [case for case in every if case[1] is None or abs(case[1]) >= TOO_CLOSE_MM]
         return cls(
             tuple(said for said, _, _ in kept),
@@ -467,17 +472,9 @@ class VerdictSample:
 def score_verdicts(
     says: Sequence[bool], margins_mm: Sequence[Sequence[float | None]], interface: int
 ) -> tuple[VerdictCounts, int]:
-    """Count verdicts against margins; cases within the tolerance around zero are left out.
-
-    A margin of None means no support. Returns the counts and the number of cases left out.
-    """
-    kept = [
-        (said, margin[interface])
-        for said, margin in zip(says, margins_mm, strict=True)
-        if margin[interface] is None or abs(margin[interface] or 0.0) >= TOO_CLOSE_MM
-    ]
-    stands = [margin is not None and margin > 0.0 for _, margin in kept]
-    return VerdictCounts.of([said for said, _ in kept], stands), len(says) - len(kept)
+    """Return the counts of verdicts against margins, and the number of cases left out."""
+    sample = VerdictSample.of(says, margins_mm, [""] * len(says), interface)
+    return VerdictCounts.of(sample.said, sample.stands), len(says) - len(sample.said)
 
 
 def _table3(recipe: Recipe, store: JobStore) -> list[Json]:

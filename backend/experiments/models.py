@@ -21,6 +21,7 @@ from touchdown.backend.learning import (
     Checkpoint,
     ModelCard,
     card_path,
+    check_face,
     load_card,
     load_checkpoint,
     load_network,
@@ -103,12 +104,7 @@ def shipped_model_folders(preset: str) -> list[Path]:
 def batch_model(checkpoint: Checkpoint, piece: Piece) -> BatchModel:
     """Return ``checkpoint`` for batches; raises ``InputError`` if it belongs to another piece."""
     card = checkpoint.card
-    if card.piece != piece.name or card.geometry != piece.sha256:
-        raise InputError(
-            f"The model is of '{card.piece}', not of this version of '{piece.name}'.",
-            card.weights_sha256[:12],
-            "Train a model for this piece.",
-        )
+    check_face(card, piece.name, piece.sha256, card.weights_sha256[:12])
     net, part = load_network(checkpoint), modality_columns(card.modality)
 
     def probability(observation: NDArray[np.float32]) -> FloatArray:

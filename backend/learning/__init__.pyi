@@ -3,6 +3,7 @@ from .calibration import fit_calibration as fit_calibration
 from .checkpoint import Checkpoint as Checkpoint
 from .checkpoint import ModelCard as ModelCard
 from .checkpoint import card_path as card_path
+from .checkpoint import check_face as check_face
 from .checkpoint import load_card as load_card
 from .checkpoint import load_checkpoint as load_checkpoint
 from .checkpoint import save_card as save_card

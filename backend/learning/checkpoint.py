@@ -187,6 +187,22 @@ def load_card(path: Path) -> ModelCard:
     return card
 
 
+def check_face(
+    card: ModelCard, piece: str, geometry: str, where: str, points: int | None = None
+) -> None:
+    """Raise ``InputError`` unless a model is of a face: piece, hash, and number of points."""
+    if card.piece != piece:
+        what = f"The model is of '{card.piece}', not of '{piece}'."
+    elif card.geometry != geometry:
+        what = f"The model was trained for another version of '{piece}' (content hash differs)."
+    elif points not in (None, card.hyper.points):
+        what = f"The model knows {card.hyper.points} face points, '{piece}' has {points}."
+    else:
+        return
+    fix = f"Choose the model of '{piece}', or train one: touchdown train --piece {piece}."
+    raise InputError(what, where, fix)
+
+
 def parse_arrays(content: bytes, path: Path) -> dict[str, NDArray[Any]]:
     """Parse safetensors bytes; raises ``InputError`` with ``path``."""
     try:

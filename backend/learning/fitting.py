@@ -22,6 +22,7 @@ from touchdown.backend.learning.calibration import PatchCalibration, fit_calibra
 from touchdown.backend.learning.checkpoint import (
     Checkpoint,
     ModelCard,
+    check_face,
     load_checkpoint,
     save_checkpoint,
 )
@@ -126,19 +127,8 @@ def evaluate_model(
     different faces.
     """
     card = checkpoint.card
-    if card.piece != rows.piece or card.geometry != rows.geometry:
-        raise InputError(
-            f"The model of '{card.piece}' and the episodes of '{rows.piece}' are not of one face.",
-            "geometry",
-            "Evaluate on episodes of the piece, in the version, that the model was trained for.",
-        )
-    if not card.hyper.points == rows.patch.shape[1] == len(points_mm):
-        raise InputError(
-            f"The model has {card.hyper.points} points, the labels {rows.patch.shape[1]}, "
-            f"the face {len(points_mm)}.",
-            "points",
-            "Simulate the episodes again with the present catalogue.",
-        )
+    for count, where in ((rows.patch.shape[1], "labels"), (len(points_mm), "face of the piece")):
+        check_face(card, rows.piece, rows.geometry, where, count)
     probability = _predictions(checkpoint, rows)
     bottoms, mounting = np.array(rows.bottom), np.array(rows.mounting_id)
 

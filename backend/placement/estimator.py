@@ -26,6 +26,7 @@ from touchdown.backend.learning import (
     ModelCard,
     PatchCalibration,
     PatchForward,
+    check_face,
     load_checkpoint,
     modality_columns,
 )
@@ -148,7 +149,7 @@ class Estimator:
         """
         checkpoint = load_checkpoint(path)
         points = face_points(piece.face)
-        _check_fit(checkpoint.card, piece, len(points), str(path))
+        check_face(checkpoint.card, piece.name, piece.sha256, str(path), len(points))
         return cls(checkpoint, points)
 
     @property
@@ -222,21 +223,6 @@ class Estimator:
 
     def _after(self, early: NDArray[np.float32]) -> LstmState:
         return self._network.run(early[:, self._columns], self._network.start)
-
-
-def _check_fit(card: ModelCard, piece: Piece, points: int, where: str) -> None:
-    fix = f"Choose the model of '{piece.name}', or train one: touchdown train --piece {piece.name}."
-    if card.piece != piece.name:
-        what = f"The model is of '{card.piece}', not of '{piece.name}'."
-    elif card.hyper.points != points:
-        what = f"The model knows {card.hyper.points} face points, '{piece.name}' has {points}."
-    elif card.geometry != piece.sha256:
-        what = (
-            f"The model was trained for another version of '{piece.name}' (content hash differs)."
-        )
-    else:
-        return
-    raise InputError(what, where, fix)
 
 
 @dataclass(frozen=True, slots=True)

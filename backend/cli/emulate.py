@@ -33,9 +33,15 @@ from touchdown.backend.bench import (
     serve_bench,
     shorten_switch_interval,
 )
-from touchdown.backend.cli.output import VerbOutput, ctrl_c_cancels, text_table, write_errors
+from touchdown.backend.cli.output import VerbOutput, ctrl_c_cancels, text_table
 from touchdown.backend.config import first_error_message
-from touchdown.backend.core import FINGERS, InputError, round_robin_priority, write_atomically
+from touchdown.backend.core import (
+    FINGERS,
+    InputError,
+    disk_errors,
+    round_robin_priority,
+    write_atomically,
+)
 from touchdown.backend.devices import emulated_makes
 from touchdown.backend.devices.gelsight import SERIAL
 from touchdown.backend.emulation import (
@@ -263,7 +269,7 @@ def _bench(args: argparse.Namespace) -> tuple[EmulatedScene, Emulation]:
     choice = SceneChoice(args.piece, (args.bottom,), args.seed, jig=args.jig)
     scene = make_scene(load_pieces(), choice, settings)
     where, fix = args.lab_file or args.folder, "Name another folder or --host."
-    with write_errors("The bench cannot be made", where, fix):
+    with disk_errors("The bench cannot be made", where, fix):
         world, emulation = serve_bench(scene, args.folder, plan, args.host)
         if args.lab_file is not None:
             # The lab file is for this computer: its cameras are folders here.

@@ -34,7 +34,7 @@ from rich.progress import (
 from rich.table import Table
 from rich.text import Text
 
-from touchdown.backend.core import InputError
+from touchdown.backend.core import InputError, disk_errors
 
 AdvanceFunction = Callable[..., None]
 JSON_VERSION = 1  # of the objects of all verbs
@@ -227,21 +227,11 @@ def ctrl_c_cancels(cancel: Callable[[], object]) -> Iterator[None]:
         signal.signal(signal.SIGINT, before)
 
 
-@contextmanager
-def write_errors(what: str, where: Path, fix: str) -> Iterator[None]:
-    """Raise ``InputError`` for an error of the disk; ``what`` ends without its full stop."""
-    try:
-        yield
-    except OSError as error:
-        place = str(error.filename or where)
-        raise InputError(f"{what}: {error.strerror or error}.", place, fix) from error
-
-
 def write_new(path: Path, text: str) -> None:
     """Write a new file; ``InputError`` if ``path`` exists or cannot be written."""
     fix = "Name a new file in a folder that can be written."
     with (
-        write_errors("The file cannot be written", path, fix),
+        disk_errors("The file cannot be written", path, fix),
         path.open("x", encoding="utf-8") as file,
     ):
         file.write(text)
@@ -249,7 +239,7 @@ def write_new(path: Path, text: str) -> None:
 
 def make_output_folder(folder: Path) -> None:
     """Create a folder for results; ``InputError`` if that fails."""
-    with write_errors("The folder cannot be made", folder, "Name another folder."):
+    with disk_errors("The folder cannot be made", folder, "Name another folder."):
         folder.mkdir(parents=True, exist_ok=True)
 
 

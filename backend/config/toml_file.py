@@ -12,7 +12,7 @@ from typing import Any, TypeGuard, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
-from touchdown.backend.core import InputError, parse_toml
+from touchdown.backend.core import InputError, parse_toml, read_limited
 
 Model = TypeVar("Model", bound=BaseModel)
 MAX_BYTES = 1_000_000
@@ -20,17 +20,9 @@ MAX_BYTES = 1_000_000
 
 def read_toml(path: Path) -> dict[str, Any]:
     """Parse ``path``; raises ``InputError`` if it is missing, too large or not TOML."""
+    content = read_limited(path, MAX_BYTES, "Check the path; a settings file is below 1 MB.")
     try:
-        if path.stat().st_size > MAX_BYTES:
-            raise InputError(
-                "The file is too large for a settings file.", str(path), "Use a file below 1 MB."
-            )
-        return parse_toml(path.read_bytes())
-    except OSError as error:
-        reason = error.strerror or "unreadable"
-        raise InputError(
-            f"Cannot read the file: {reason}.", str(path), "Check the path."
-        ) from error
+        return parse_toml(content)
     except ValueError as error:
         is_syntax = isinstance(error, tomllib.TOMLDecodeError)
         fix = "Correct the named line." if is_syntax else "Give a TOML file in UTF-8."

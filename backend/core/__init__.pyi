@@ -52,6 +52,7 @@ from .faults import StaleSampleError as StaleSampleError
 from .faults import TouchdownError as TouchdownError
 from .files import append_line as append_line
 from .files import data_folder as data_folder
+from .files import disk_errors as disk_errors
 from .files import lock_file as lock_file
 from .files import make_folder as make_folder
 from .files import package_version as package_version
@@ -59,6 +60,7 @@ from .files import parse_json as parse_json
 from .files import parse_toml as parse_toml
 from .files import program_stamp as program_stamp
 from .files import read_json_lines as read_json_lines
+from .files import read_limited as read_limited
 from .files import sync_folder as sync_folder
 from .files import write_atomically as write_atomically
 from .marker_interpolation import fill_unseen_markers as fill_unseen_markers

@@ -10,8 +10,8 @@ import json
 import os
 import sys
 import tomllib
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from functools import lru_cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -117,6 +117,25 @@ def _parsed(parse: Callable[[str], Any], content: bytes | str, encoding: str) ->
     return found
 
 
+@contextmanager
+def disk_errors(what: str, where: Path, fix: str) -> Iterator[None]:
+    """Raise ``InputError`` for an error of the disk; ``what`` ends without its full stop."""
+    try:
+        yield
+    except OSError as error:
+        place = str(error.filename or where)
+        raise InputError(f"{what}: {error.strerror or error}.", place, fix) from error
+
+
+def read_limited(path: Path, limit: int, fix: str) -> bytes:
+    """Return a file of at most ``limit`` bytes; raises ``InputError`` with ``fix``."""
+    with disk_errors("Cannot read the file", path, fix):
+        if path.stat().st_size > limit:
+            what = f"The file is too large: more than {limit / 1e6:g} MB."
+            raise InputError(what, str(path), fix)
+        return path.read_bytes()
+
+
 def append_line(path: Path, line: bytes) -> None:
     """Append a line to a file durably, and make its folder.
 
@@ -137,12 +156,8 @@ def read_json_lines(path: Path) -> list[dict[str, Any]]:
 
     Incomplete lines are skipped. Raises ``InputError`` if the file cannot be read.
     """
-    try:
+    with disk_errors("The file cannot be read", path, "Check its permissions."):
         content = path.read_bytes() if path.is_file() else b""
-    except OSError as error:
-        raise InputError(
-            f"The file cannot be read: {error.strerror}.", str(path), "Check its permissions."
-        ) from error
     found = []
     for raw in content.splitlines():
         with suppress(ValueError):

@@ -15,7 +15,14 @@ from pathlib import Path
 from typing import Literal
 
 from touchdown.backend.annotations import DISK_FULL_ERRNOS, Dataset
-from touchdown.backend.core import Fault, FaultError, InputError, sync_folder, write_atomically
+from touchdown.backend.core import (
+    Fault,
+    FaultError,
+    InputError,
+    disk_errors,
+    sync_folder,
+    write_atomically,
+)
 from touchdown.backend.exchange import export_episode, manifest
 from touchdown.backend.exchange.export_episode import ExportEpisode, ExportSignals
 from touchdown.backend.exchange.features import COMMANDED, MEASURED, Feature, make_features
@@ -254,15 +261,10 @@ def _begin(out: Path) -> Path:
         if not ((part / MARK).is_file() or (part / manifest.MANIFEST_NAME).is_file()):
             raise InputError("This is no interrupted export.", str(part), "Move it away.")
         shutil.rmtree(part)
-    try:
+    fix = "Name a folder on a disk with room that can be written."
+    with disk_errors("Nothing can be written there", part, fix):
         part.mkdir(parents=True)
         (part / MARK).touch()
-    except OSError as error:
-        raise InputError(
-            f"Nothing can be written there: {error.strerror or error}.",
-            str(part),
-            "Name a folder on a disk with room that can be written.",
-        ) from error
     return part
 
 

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from touchdown.backend.core import InputError, parse_json, write_atomically
+from touchdown.backend.core import InputError, parse_json, read_limited, write_atomically
 from touchdown.backend.episodes import patch_bits
 from touchdown.backend.experiments.comparison import (
     comparison_report,
@@ -349,14 +349,10 @@ def read_beyond(file: Path) -> Json:
 
 
 def _read(file: Path, wanted: tuple[str, ...], fix: str) -> Json:
+    content = read_limited(file, MAX_BYTES, fix)
     try:
-        if file.stat().st_size > MAX_BYTES:
-            raise InputError(f"It has more than {MAX_BYTES >> 20} MB.", str(file), fix)
-        found = parse_json(file.read_bytes())
-    except OSError as error:
-        what = f"It cannot be read: {error.strerror or error}."
-        raise InputError(what, str(file), fix) from error
-    except (ValueError, RecursionError) as error:
+        found = parse_json(content)
+    except ValueError as error:
         raise InputError("It is not JSON, or damaged.", str(file), fix) from error
     file_format = found.get("format") if isinstance(found, dict) else None
     if file_format not in wanted:

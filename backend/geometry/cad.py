@@ -23,7 +23,14 @@ from numpy.typing import NDArray
 from shapely.affinity import translate
 
 from touchdown.backend.config import parse_settings
-from touchdown.backend.core import FloatArray, InputError, parse_toml, write_atomically
+from touchdown.backend.core import (
+    FloatArray,
+    InputError,
+    disk_errors,
+    parse_toml,
+    read_limited,
+    write_atomically,
+)
 from touchdown.backend.geometry.drawings import read_drawing
 from touchdown.backend.geometry.pieces import (
     DRAWINGS,
@@ -144,14 +151,8 @@ def measure_piece(path: Path, wanted: PieceImport) -> MeasuredPiece:
         known = ", ".join(PIECE_SOURCES)
         fix = f"Export the piece as one of {known}."
         raise InputError(f"Pieces cannot be read from '{kind or path.name}' files.", str(path), fix)
-    try:
-        if path.stat().st_size > MAX_BYTES:
-            fix = f"Export it coarser, below {MAX_BYTES // 1_000_000} MB."
-            raise InputError("The file is too large for a piece.", str(path), fix)
-        content = path.read_bytes()
-    except OSError as error:
-        what = f"Cannot read the file: {error.strerror or 'unreadable'}."
-        raise InputError(what, str(path), "Check the path.") from error
+    limit = MAX_BYTES // 1_000_000
+    content = read_limited(path, MAX_BYTES, f"Check the path, or export it below {limit} MB.")
     if kind in DRAWINGS:
         return _measure_drawing(path, content, wanted)
     if wanted.height_mm is not None:
@@ -642,11 +643,8 @@ def save_piece(
     title = title or name.replace("-", " ").replace("_", " ").capitalize()
     text = piece_toml(piece, title)
     parse_settings(PieceFile, parse_toml(text), str(written))
-    try:
+    fix = "Name another folder (--out), or make room."
+    with disk_errors("The piece cannot be written", place, fix):
         write_atomically(picture, piece_svg(piece, title).encode())
         write_atomically(written, text.encode())
-    except OSError as error:
-        what = f"The piece cannot be written: {error.strerror or error}."
-        fix = "Name another folder (--out), or make room."
-        raise InputError(what, str(error.filename or place), fix) from error
     return written, picture

@@ -17,7 +17,7 @@ from safetensors.numpy import load as load_arrays
 from safetensors.numpy import save as save_arrays
 
 from touchdown.backend.config import SAMPLES_PER_PROBE, BenchDescription, first_error
-from touchdown.backend.core import InputError, write_atomically
+from touchdown.backend.core import InputError, read_limited, write_atomically
 from touchdown.backend.learning.calibration import PatchCalibration
 from touchdown.backend.learning.inference import (
     ARCHITECTURES,
@@ -154,7 +154,7 @@ def load_checkpoint(path: Path) -> Checkpoint:
         values of a tensor, or length and order of the input. The error names the file.
 
     """
-    content = read_limited(path, MAX_WEIGHT_BYTES)
+    content = read_limited(path, MAX_WEIGHT_BYTES, FIX)
     if content.startswith(_PICKLES) and content[8:9] != b"{":
         raise _bad(path, "This is a pickled PyTorch file; such files can run code and are refused")
     card = load_card(path)
@@ -168,7 +168,7 @@ def load_checkpoint(path: Path) -> Checkpoint:
 def load_card(path: Path) -> ModelCard:
     """Load and check the card of the weights ``path``."""
     where = card_path(path)
-    content = read_limited(where, MAX_CARD_BYTES)
+    content = read_limited(where, MAX_CARD_BYTES, FIX)
     try:
         card = ModelCard.model_validate_json(content)
     except ValidationError as error:
@@ -225,17 +225,6 @@ def _check_arrays(arrays: dict[str, NDArray[Any]], shape: NetworkShape, path: Pa
             raise _bad(path, f"Tensor '{name}' holds values that are not finite")
     if not (arrays["scale"] > 0).all():
         raise _bad(path, "Tensor 'scale' holds values that are not positive")
-
-
-def read_limited(path: Path, limit: int, fix: str = FIX) -> bytes:
-    """Return a file of at most ``limit`` bytes; raises ``InputError`` with ``fix``."""
-    try:
-        if path.stat().st_size > limit:
-            raise InputError("The file is too large for a model.", str(path), fix)
-        return path.read_bytes()
-    except OSError as error:
-        reason = error.strerror or "unreadable"
-        raise InputError(f"Cannot read the file: {reason}.", str(path), fix) from error
 
 
 def _bad(path: Path, what: str) -> InputError:

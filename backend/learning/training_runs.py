@@ -35,7 +35,13 @@ from touchdown.backend.annotations import (
     uuid7,
 )
 from touchdown.backend.config import TrainingSettings, parse_settings
-from touchdown.backend.core import FaultError, InputError, program_stamp, read_json_lines
+from touchdown.backend.core import (
+    FaultError,
+    InputError,
+    disk_errors,
+    program_stamp,
+    read_json_lines,
+)
 from touchdown.backend.learning.checkpoint import ModelCard, load_card
 from touchdown.backend.learning.inference import Modality
 from touchdown.backend.learning.metrics import ReliabilityBin, calibration_error
@@ -309,15 +315,12 @@ def _checked_model_file(out: Path) -> Path:
     if out.is_dir():
         raise InputError("This is a folder, not a file.", str(out), "Name a .safetensors file.")
     folder = next(place for place in out.parents if place.exists())
-    try:
-        with tempfile.TemporaryFile(dir=folder) as file:
-            file.write(b"touchdown")
-    except OSError as error:
-        raise InputError(
-            f"The model cannot be written there: {error.strerror or 'not writable'}.",
-            str(folder),
-            "Name a file in a folder that you may write to (--out).",
-        ) from error
+    fix = "Name a file in a folder that you may write to (--out)."
+    with (
+        disk_errors("The model cannot be written there", folder, fix),
+        tempfile.TemporaryFile(dir=folder) as file,
+    ):
+        file.write(b"touchdown")
     return out
 
 
@@ -475,7 +478,8 @@ class RecordedTraining:
 def _begin(data: Path, settings: TrainingSettings, parameters: Mapping[str, Any]) -> ActiveRun:
     """Begin a run of the dataset, or of the folder of packs, ``data``."""
     params = {**parameters, **settings.model_dump(mode="json")}
-    try:
+    fix = "Make room, or give the account the right to write there."
+    with disk_errors("No run can be kept there", data, fix):
         if is_dataset(data):
             with Dataset.open(data, create=False, write=False) as dataset:
                 return dataset.runs.begin(KIND, seed=settings.seed, settings=params)
@@ -484,9 +488,3 @@ def _begin(data: Path, settings: TrainingSettings, parameters: Mapping[str, Any]
             hardware=hardware_info(), environment=package_versions(),
         )  # fmt: skip
         return ActiveRun(data, about)
-    except OSError as error:
-        raise InputError(
-            f"No run can be kept there: {error.strerror or error}.",
-            str(data),
-            "Make room, or give the account the right to write there.",
-        ) from error

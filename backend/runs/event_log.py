@@ -32,6 +32,7 @@ from touchdown.backend.core import (
     InputError,
     append_line,
     blocking_section,
+    disk_errors,
     make_folder,
     parse_json,
     sync_folder,
@@ -290,11 +291,6 @@ def log_limit_change(folder: Path, bench: str, person: str, before: Limits, afte
         "changed": {name: list(pair) for name, pair in changed_limits(before, after).items()},
     }
     path = folder / LIMIT_LOG_NAME
-    try:
+    fix = "Make room or name another folder (TOUCHDOWN_DATA); the former limits hold."
+    with disk_errors("The change of limits cannot be written", path, fix):
         append_line(path, json.dumps(line, allow_nan=False).encode())
-    except OSError as error:
-        raise InputError(
-            f"The change of limits cannot be written: {error.strerror or error}.",
-            str(path),
-            "Make room or name another folder (TOUCHDOWN_DATA); the former limits hold.",
-        ) from error

@@ -28,6 +28,7 @@ from touchdown.backend.core import (
     SharedLock,
     blocking_section,
     data_folder,
+    disk_errors,
     make_folder,
     write_atomically,
 )
@@ -39,6 +40,8 @@ from touchdown.backend.runs.plan import PausePoint, Plan
 DISK_FULL = "DISK-FULL"
 CONSEQUENCE = "The run is paused, the arm stands lifted; every probe so far is safe."
 NEXT_STEP = "Make room on this disk, then resume (P)."
+NOT_KEPT = "The run cannot be stored"
+NOT_KEPT_FIX = "Name a folder that can be written (TOUCHDOWN_DATA; without the window also --runs)."
 
 
 def wait_for_space(obstacle: Callable[[], Fault | None]) -> Plan[None]:
@@ -270,12 +273,10 @@ class RunRecorder:
         """Raise ``InputError`` if the next run could not be kept."""
         if self._keep.runs is None:
             return
-        try:
+        with disk_errors(NOT_KEPT, self._keep.runs, NOT_KEPT_FIX):
             make_folder(self._keep.runs)
             with tempfile.TemporaryFile(dir=self._keep.runs):
                 pass
-        except OSError as error:
-            raise _not_kept(self._keep.runs, error) from error
         if self._keep.episodes:
             check_free_space(self._keep.runs)
 
@@ -289,10 +290,8 @@ class RunRecorder:
             if self._keep.episodes:
                 episodes = self.folder / "episodes"
                 check_free_space(episodes)
-            try:
+            with disk_errors(NOT_KEPT, self.folder.parent, NOT_KEPT_FIX):
                 self._log = EventLog(self.folder)
-            except OSError as error:
-                raise _not_kept(self.folder.parent, error) from error
             self._leave = self._hub.subscribe(self._record)
         self.store = RunStore(episodes, {"run": run_id, "mode": mode}, self.obstacle)
 
@@ -364,11 +363,3 @@ class RunRecorder:
                 "store",
             )
         )
-
-
-def _not_kept(runs: Path, error: OSError) -> InputError:
-    return InputError(
-        f"The run cannot be stored: {error.strerror or error}.",
-        str(runs),
-        "Name a folder that can be written (TOUCHDOWN_DATA; without the window also --runs).",
-    )

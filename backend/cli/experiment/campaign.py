@@ -9,15 +9,10 @@ from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from touchdown.backend.cli.output import (
-    VerbOutput,
-    make_output_folder,
-    require_positive,
-    write_errors,
-)
+from touchdown.backend.cli.output import VerbOutput, make_output_folder, require_positive
 from touchdown.backend.cli.train import add_device
 from touchdown.backend.config import SimulationSettings, load_simulation
-from touchdown.backend.core import InputError, write_atomically
+from touchdown.backend.core import InputError, disk_errors, write_atomically
 from touchdown.backend.experiments import KINDS, adopt_models, shipped_model_folders
 from touchdown.backend.jobs import (
     Executor,
@@ -71,7 +66,7 @@ def parse_names(text: str, known: Iterable[str], where: str) -> tuple[str, ...]:
 
 def write_json(path: Path, content: Mapping[str, Any]) -> None:
     """Write a result file; raises ``InputError`` if it cannot be written."""
-    with write_errors(UNWRITTEN, path, KEPT):
+    with disk_errors(UNWRITTEN, path, KEPT):
         write_atomically(path, json.dumps(content, indent=1, sort_keys=True).encode() + b"\n")
 
 

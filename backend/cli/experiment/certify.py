@@ -6,8 +6,7 @@ import argparse
 from pathlib import Path
 
 from touchdown.backend.cli.experiment.campaign import UNWRITTEN, ExperimentRun, Json, write_json
-from touchdown.backend.cli.output import write_errors
-from touchdown.backend.core import InputError
+from touchdown.backend.core import InputError, disk_errors
 from touchdown.backend.experiments import LEAST_SCENES, PIECES, Certification, program_version
 
 KEPT = "Free some space, or copy the model to another folder; finished jobs are kept."
@@ -54,7 +53,7 @@ def run_certify(run: ExperimentRun) -> Json:
         attempt = log.closed(attempt, counts)
         found = certificate_of_attempt(attempt, simulated=True, pieces=PIECES)
         # The log last: an attempt that is interrupted here is continued.
-        with write_errors(UNWRITTEN, plan.weights.parent, KEPT):
+        with disk_errors(UNWRITTEN, plan.weights.parent, KEPT):
             if found is not None:
                 file = write_certificate(plan.weights.parent, plan.weights.stem, found)
         log.append(attempt)

@@ -23,9 +23,9 @@ from touchdown.backend.cli.experiment.evaluation import (
     add_evaluation_arguments,
     run_evaluation,
 )
-from touchdown.backend.cli.output import VerbOutput, require_positive, write_errors
+from touchdown.backend.cli.output import VerbOutput, require_positive
 from touchdown.backend.config import StackSettings
-from touchdown.backend.core import InputError, write_atomically
+from touchdown.backend.core import InputError, disk_errors, write_atomically
 from touchdown.backend.experiments import (
     BEYOND_FORMAT,
     BOTTOMS,
@@ -83,7 +83,7 @@ def add_report_arguments(parser: argparse.ArgumentParser) -> None:
 def rewrite_report(args: argparse.Namespace, screen: VerbOutput) -> Json:
     """Render the page and store the comparisons; raises ``InputError`` for a bad file."""
     file = args.tables or args.out / DATA
-    with write_errors(UNWRITTEN, file, KEPT):
+    with disk_errors(UNWRITTEN, file, KEPT):
         page = rewrite_tables(file, args.beyond)
     screen.say(f"Written: {page}")
     return {"page": str(page), "file": str(file)}
@@ -133,7 +133,7 @@ def write_gap(args: argparse.Namespace, screen: VerbOutput) -> Json:
         "gaps": rows,
     }
     file = args.out / GAP_DATA
-    with write_errors(UNWRITTEN, file, KEPT):
+    with disk_errors(UNWRITTEN, file, KEPT):
         write_atomically(args.out / GAP_TABLE, to_markdown([sheet]).encode())
     write_json(file, content)
     screen.say(f"Written: {file} and {GAP_TABLE}")
@@ -322,10 +322,10 @@ def run_tables(run: ExperimentRun) -> Json:
     args = run.args
     recipe = _recipe(run)
     run.run(recipe.jobs(), recipe.effort)
-    with write_errors(UNWRITTEN, args.out, KEPT):
+    with disk_errors(UNWRITTEN, args.out, KEPT):
         page, answer = write_tables(args.out, recipe, run.store)
     if args.keep_models:
-        with write_errors(UNWRITTEN, args.keep_models, KEPT):
+        with disk_errors(UNWRITTEN, args.keep_models, KEPT):
             args.keep_models.mkdir(parents=True, exist_ok=True)
             kept = keep_models(run.store, recipe, args.keep_models)
         run.screen.say(f"{len(kept)} models: {args.keep_models}")
@@ -347,7 +347,7 @@ def run_beyond(run: ExperimentRun) -> Json:
     answer = plan.answer(run.store, args.stop_early)
     if args.stop_early:
         screen.say(stopped_text(answer["stopped"]))
-    with write_errors(UNWRITTEN, args.out, KEPT):
+    with disk_errors(UNWRITTEN, args.out, KEPT):
         path = write_comparison(args.out, answer)
     for sheet in comparison_tables(answer):
         screen.table(sheet.title, *sheet.texts())

@@ -14,9 +14,8 @@ from touchdown.backend.cli.experiment.campaign import (
     parse_names,
     write_json,
 )
-from touchdown.backend.cli.output import write_errors
 from touchdown.backend.config import SimulationSettings
-from touchdown.backend.core import InputError, write_atomically
+from touchdown.backend.core import InputError, disk_errors, write_atomically
 from touchdown.backend.experiments import (
     EVALUATED_STRATEGIES,
     PIECES,
@@ -88,7 +87,7 @@ def run_evaluation(run: ExperimentRun) -> Json:
     else:
         tables = [sensitivity_table(answer)]
         page = args.out / "sensitivity.html"
-        with write_errors(UNWRITTEN, page, KEPT):
+        with disk_errors(UNWRITTEN, page, KEPT):
             write_atomically(page, report_page(sensitivity_report(answer)).encode())
     for table in tables:
         run.screen.table(table.title, *table.texts())

@@ -8,9 +8,9 @@ import time
 from pathlib import Path
 
 from touchdown.backend.annotations import Dataset
-from touchdown.backend.cli.output import VerbOutput, progress_lines, write_errors
+from touchdown.backend.cli.output import VerbOutput, progress_lines
 from touchdown.backend.config import load_simulation
-from touchdown.backend.core import InputError, write_atomically
+from touchdown.backend.core import InputError, disk_errors, write_atomically
 from touchdown.backend.experiments import identification_page
 from touchdown.backend.geometry import load_pieces
 from touchdown.backend.identification import identify_bench, read_recordings, write_identification
@@ -40,7 +40,7 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     with Dataset.open(Path(args.dataset), write=False, progress=progress_lines()) as dataset:
         reading = progress_lines()
         recordings = read_recordings(dataset, lambda done, of: reading("Reading", done, of))
-    with write_errors("The result cannot be written", out, KEPT):
+    with disk_errors("The result cannot be written", out, KEPT):
         out.parent.mkdir(parents=True, exist_ok=True)
         found = identify_bench(recordings, nominal, library, out.with_suffix(".stages"), _Eta())
         source = str(args.dataset)

@@ -26,12 +26,20 @@ from touchdown.backend.config import (
     first_error,
     sha256_of_json,
 )
-from touchdown.backend.core import InputError, append_line, write_atomically
+from touchdown.backend.core import (
+    InputError,
+    append_line,
+    disk_errors,
+    read_limited,
+    write_atomically,
+)
 
 TOTAL_ERROR = 0.05  # error probability of all attempts of one log together
 RISK_LIMIT = 0.01  # largest bound of a certificate of simulated scenes
 CERTIFICATE_SUFFIX, ATTEMPTS_SUFFIX = ".certificate.json", ".attempts.jsonl"
 MAX_BYTES = 2_000_000
+LOG_FIX = "Restore the log of attempts from its repository."
+UNWRITTEN_FIX = "Make room, or copy the model to a folder that can be written, and try again."
 NO_CERTIFICATE = "no certificate for this bench"
 LIMITS = "It covers no other shape, laboratory or robot by itself."
 Count = Annotated[int, Field(ge=0)]
@@ -261,22 +269,14 @@ class AttemptLog:
 
     def append(self, line: Attempt) -> Attempt:
         """Write a line and return it; raises ``InputError``."""
-        try:
+        with disk_errors("The attempt cannot be written", self.path, UNWRITTEN_FIX):
             append_line(self.path, line.model_dump_json().encode())
-        except OSError as error:
-            raise InputError(
-                f"The attempt cannot be written: {error.strerror or error}.",
-                str(self.path),
-                "Make room, or copy the model to a folder that can be written, and try again.",
-            ) from error
         return line
 
     def _content(self) -> bytes:
-        try:
+        with disk_errors("It cannot be read", self.path, LOG_FIX):
             content = self.path.read_bytes() if self.path.exists() else b""
-            return content[: content.rfind(b"\n") + 1]
-        except OSError as error:
-            raise _bad_log(str(self.path), f"It cannot be read: {error.strerror}") from error
+        return content[: content.rfind(b"\n") + 1]
 
 
 def _overlap(a: range, b: range) -> bool:
@@ -284,7 +284,7 @@ def _overlap(a: range, b: range) -> bool:
 
 
 def _bad_log(where: str, what: str) -> InputError:
-    return InputError(f"{what}.", where, "Restore the log of attempts from its repository.")
+    return InputError(f"{what}.", where, LOG_FIX)
 
 
 class ReleaseCertificate(Settings):
@@ -355,14 +355,13 @@ def write_certificate(folder: Path, name: str, certificate: ReleaseCertificate) 
 
 def read_certificate(path: Path) -> ReleaseCertificate:
     """Read a certificate and check its bound; raises ``InputError`` for a damaged file."""
+    fix = "Certify the model again."
+    content = read_limited(path, MAX_BYTES, fix)
     try:
-        with path.open("rb") as file:
-            return ReleaseCertificate.model_validate_json(file.read(MAX_BYTES))
-    except (OSError, ValidationError) as error:
-        why = first_error(error) if isinstance(error, ValidationError) else str(error.strerror)
-        raise InputError(
-            f"The certificate cannot be used: {why}.", str(path), "Certify the model again."
-        ) from error
+        return ReleaseCertificate.model_validate_json(content)
+    except ValidationError as error:
+        what = f"The certificate cannot be used: {first_error(error)}."
+        raise InputError(what, str(path), fix) from error
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from touchdown.backend.config import first_error
-from touchdown.backend.core import InputError
-from touchdown.backend.learning.checkpoint import card_path, parse_arrays, read_limited
+from touchdown.backend.core import InputError, read_limited
+from touchdown.backend.learning.checkpoint import card_path, parse_arrays
 from touchdown.backend.learning.fused.features import (
     ARCH,
     TICKS,

@@ -21,8 +21,13 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from touchdown.backend.config import first_error
-from touchdown.backend.core import DISK_TIMEOUT_S, InputError, blocking_section, write_atomically
-from touchdown.backend.learning.checkpoint import read_limited
+from touchdown.backend.core import (
+    DISK_TIMEOUT_S,
+    InputError,
+    blocking_section,
+    read_limited,
+    write_atomically,
+)
 
 ALARM = 20.0  # at most 5 % false alarms, over any number of trials
 UNSEEN_SHARE = 0.01  # of the field energy, counts as much as inputs one standard deviation off

@@ -13,10 +13,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from touchdown.backend.cli.output import write_errors
 from touchdown.backend.config.method import FusedSettings, StackSettings
 from touchdown.backend.config.simulation import SimulationSettings, load_simulation
-from touchdown.backend.core import CHANNELS, TACTILE_CHANNELS, ContactPatch, InputError
+from touchdown.backend.core import CHANNELS, TACTILE_CHANNELS, ContactPatch, InputError, disk_errors
 from touchdown.backend.experiments import oracle
 from touchdown.backend.experiments.comparison import comparison_tables
 from touchdown.backend.experiments.fusion import (
@@ -579,7 +578,7 @@ def test_a_full_disk_is_one_clear_error_and_the_next_try_is_whole(
     full = OSError(errno.ENOSPC, "No space left on device")
     with monkeypatch.context() as patch:
         at_call(patch, "fsync", 4, full)
-        written = write_errors("It could not be written", tmp_path, "Make room.")
+        written = disk_errors("It could not be written", tmp_path, "Make room.")
         with pytest.raises(InputError, match="No space left"), written:
             keep_models(stores[0], RECIPE, tmp_path)
     assert not list(tmp_path.glob(".*"))

@@ -629,7 +629,9 @@ def comparison_report(answer: Mapping[str, Any]) -> Report:
     if stopped := answer.get("stopped"):
         text += f" {stopped_text(stopped)}"
     names = dict.fromkeys(cell["strategy"] for cell in answer["cells"])
-    networks = ", ".join(f"{piece} {source[:8]}" for piece, source in answer["models"].items())
+    networks = ", ".join(
+        f"{piece} {source[:8]}" for piece, source in answer.get("models", {}).items()
+    )
     source = f"Program {answer['code']}, networks: {networks or 'none'}."
     return Report(
         "Touchdown: strategies beyond the paper",

@@ -106,7 +106,8 @@ class BenchStudy:
 
     def _jobs(self, bench: str, bottom: str, name: str) -> Iterator[JobSpec]:
         world, settings = self.benches[bench]
-        params = {"bench": settings.model_dump(mode="json"), "piece": self.piece, "bottom": bottom}
+        dumped = settings.model_dump(mode="json")
+        params: Json = {"bench": dumped, "piece": self.piece, "bottom": bottom}
         if world != "bench":
             params["world"] = world
         cell = CELL_SEEDS * (10 * PIECES.index(self.piece) + TABLE_BOTTOMS.index(bottom))

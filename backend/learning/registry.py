@@ -13,11 +13,11 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from touchdown.backend.config import BenchDescription, Settings
+from touchdown.backend.config import BenchDescription
 from touchdown.backend.core import InputError, append_line, read_json_lines, write_atomically
 from touchdown.backend.learning.checkpoint import ModelCard, load_card, load_checkpoint, save_card
 
@@ -99,9 +99,10 @@ SHIPPED_MODEL = ""  # the shipped model, in use until another one is promoted
 _SHA256 = re.compile(r"[0-9a-f]{64}")
 
 
-class ModelUse(Settings):
+class ModelUse(BaseModel):
     """One change of the model in use; ``run`` is the training that made it."""
 
+    model_config: ClassVar[ConfigDict] = ConfigDict(frozen=True, extra="forbid")
     piece: Annotated[str, Field(pattern=r"^[\w-][\w.-]*$")]
     action: Literal["promote", "roll back"]
     weights_sha256: Annotated[str, Field(pattern=r"^([0-9a-f]{64})?$")]  # "": the shipped model

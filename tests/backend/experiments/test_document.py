@@ -129,7 +129,7 @@ def test_each_comparison_has_its_section_and_names_the_jobs_of_its_cells(full: J
     placed = rows["fused pot short"][1]
     assert placed.value == "60.0 (10.0 to 90.0)"
     assert placed.trace == f"job {'a' * 32} and 1 more, seed 7"
-    assert rows["fused pot short"][4].value == "fell 2, gave up 2, placed 6"
+    assert rows["fused pot short"][4].value == "placed 6, fell 2, gave up 2"
     assert rows["pressure pot short+long"][1].value.startswith("75.0")
 
 

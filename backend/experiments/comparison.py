@@ -628,7 +628,8 @@ def comparison_report(answer: Mapping[str, Any]) -> Report:
         parts.append(reliability_gallery("Calibration", RELIABILITY_LEGEND, charts))
     if stopped := answer.get("stopped"):
         text += f" {stopped_text(stopped)}"
-    names = dict.fromkeys(cell["strategy"] for cell in answer["cells"])
+    cells = (*answer["cells"], *answer.get("statics", {}).get("cells", ()))
+    names = dict.fromkeys(cell["strategy"] for cell in cells)
     networks = ", ".join(
         f"{piece} {source[:8]}" for piece, source in answer.get("models", {}).items()
     )

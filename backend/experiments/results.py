@@ -6,7 +6,7 @@ A file of another format and a damaged file raise ``InputError``.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -20,7 +20,6 @@ from touchdown.backend.experiments.comparison import (
     comparison_report,
     comparison_tables,
     merged_oracle_shares,
-    oracle_share_table,
 )
 from touchdown.backend.experiments.document import (
     FILM_LEGEND,
@@ -58,15 +57,46 @@ from touchdown.backend.geometry import TOO_CLOSE_MM
 from touchdown.backend.jobs import JobStore
 
 JsonMapping = Mapping[str, Any]
+CELL_KEYS = ("piece", "bottom", "tower", "outline", "strategy")
 
 
 def comparison_sections(tables: JsonMapping) -> list[ReportSection]:
-    """Return the sections on comparisons of strategies, and the oracle shares over several."""
+    """Return the section on the comparisons of strategies; none if the tables hold none."""
     answers = tables.get("beyond") or ()
-    sections = [part for answer in answers for part in comparison_report(answer).sections]
-    if len(answers) > 1 and tables.get("gaps"):
-        sections.append(ReportSection("", (), (oracle_share_table(tables["gaps"]),)))
-    return sections
+    return list(comparison_report(joined_comparison(answers, tables)).sections) if answers else []
+
+
+def joined_comparison(answers: Sequence[JsonMapping], tables: JsonMapping) -> Json:
+    """Return several comparisons as one: the largest result of each cell, side by side."""
+    statics = [answer["statics"] for answer in answers if "statics" in answer]
+    rows = {
+        name: [row for answer in answers for row in answer.get(name) or ()]
+        for name in ("changes", "of_ceiling", "gaps", "band")
+    }
+    return {
+        **rows,
+        "gaps": tables.get("gaps") or rows["gaps"],
+        "bench_sha256": answers[0]["bench_sha256"],
+        "code": ", ".join(dict.fromkeys(answer["code"] for answer in answers)),
+        "models": {p: m for answer in answers for p, m in answer.get("models", {}).items()},
+        "cells": _largest(answers, "cells"),
+        "pooled": _largest(answers, "pooled"),
+        "statics": {name: _largest(statics, name) for name in ("cells", "pooled")},
+    }
+
+
+def _largest(parts: Iterable[JsonMapping], name: str) -> list[JsonMapping]:
+    """Return the largest of the rows ``name`` of each cell, sorted by cell and strategy."""
+
+    def size(row: JsonMapping) -> int:
+        return int(row["groups"] if "groups" in row else row["placed"]["n"])
+
+    found: dict[tuple[str, ...], JsonMapping] = {}
+    for row in (row for part in parts for row in part[name]):
+        cell = tuple(str(row.get(key, "")) for key in CELL_KEYS)
+        if cell not in found or size(row) > size(found[cell]):
+            found[cell] = row
+    return [found[cell] for cell in sorted(found)]
 
 
 def report_of(tables: JsonMapping) -> Report:

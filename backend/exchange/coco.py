@@ -244,15 +244,10 @@ def _within_runs(runs: Mapping[str, Any], points_px: FloatArray) -> Within:
 
 
 def _within_rings(rings_px: list[FloatArray], points_px: FloatArray) -> Within:
-    start = np.concatenate(rings_px)
-    along = np.concatenate([np.roll(ring, -1, axis=0) for ring in rings_px]) - start
-    away = points_px[:, None, :] - start
-    length2 = np.maximum((along**2).sum(axis=1), 1e-12)
-    share = np.clip((away * along).sum(axis=-1) / length2, 0.0, 1.0)
-    gap = away - share[..., None] * along
-    near = np.hypot(gap[..., 0], gap[..., 1]).min(axis=1) < EDGE_PX
-    # Crossings of the edges by the ray towards +x.
-    spans = (away[..., 1] >= 0.0) != (away[..., 1] - along[:, 1] >= 0.0)
-    rise = np.where(along[:, 1] == 0.0, 1.0, along[:, 1])
-    right = away[..., 0] < away[..., 1] * along[:, 0] / rise
-    return (spans & right).sum(axis=1) % 2 == 1, near
+    import shapely
+
+    rings = [shapely.Polygon(ring) for ring in rings_px]
+    edges = shapely.MultiLineString([ring.exterior for ring in rings])
+    near = shapely.distance(edges, shapely.points(points_px)) < EDGE_PX
+    inside = sum(shapely.contains_xy(ring, *points_px.T).astype(int) for ring in rings)
+    return inside % 2 == 1, near

@@ -412,10 +412,6 @@ def _tidied(area: Any, path: Path) -> shapely.MultiPolygon:
     return shapely.orient_polygons(shapely.MultiPolygon(parts))
 
 
-def _enclosed(ring: Any) -> float:
-    return float(shapely.Polygon(ring).area)
-
-
 def _centre(face: shapely.MultiPolygon) -> tuple[float, float]:
     """Return the origin of the frame of a face: the middle of its extents, or its centroid.
 

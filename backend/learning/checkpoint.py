@@ -193,10 +193,10 @@ def check_face(
     """Raise ``InputError`` unless a model is of a face: piece, hash, and number of points."""
     if card.piece != piece:
         what = f"The model is of '{card.piece}', not of '{piece}'."
-    elif card.geometry != geometry:
-        what = f"The model was trained for another version of '{piece}' (content hash differs)."
     elif points not in (None, card.hyper.points):
         what = f"The model knows {card.hyper.points} face points, '{piece}' has {points}."
+    elif card.geometry != geometry:
+        what = f"The model was trained for another version of '{piece}' (content hash differs)."
     else:
         return
     fix = f"Choose the model of '{piece}', or train one: touchdown train --piece {piece}."

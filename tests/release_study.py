@@ -5,7 +5,7 @@ Each trial puts a piece down at a random place with a drawn margin, as after an 
 support carries the weight. The jaws open in small held steps. Frames and wrench are compared with
 those before the step, or with the first ones after it. A piece counts as caught if the alarm leaves
 time to close the jaws before it has turned too far; an alarm at a stable piece is a false stop. The
-model is ``touchdown.backend.simulation.staged_release``.
+model is ``tests.staged_release``.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import json
 import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import rankdata
 
+from tests import staged_release
+from tests.staged_release import LoosePads, OpeningCourse, OpeningPlan, StandingPiece, open_in_steps
 from touchdown.backend.config import (
     ProbeSettings,
     SimulationSettings,
@@ -34,25 +37,11 @@ from touchdown.backend.experiments import PIECES, program_version
 from touchdown.backend.experiments.document import ReportTable
 from touchdown.backend.experiments.statistics import estimate_rate
 from touchdown.backend.geometry import Piece, load_pieces, overlap_polygon
-from touchdown.backend.jobs import (
-    JobContext,
-    JobSpec,
-    JobStore,
-    ProcessPool,
-    run_campaign,
-    source_hash,
-)
-from touchdown.backend.simulation import (
-    LoosePads,
-    OpeningCourse,
-    OpeningPlan,
-    StandingPiece,
-    gel_from_settings,
-    open_in_steps,
-)
+from touchdown.backend.jobs import JobContext, JobSpec, JobStore, ProcessPool, run_campaign
+from touchdown.backend.simulation import gel_from_settings
 
 FORMAT = "touchdown-staged-release/1"
-MODEL = "touchdown.backend.simulation.staged_release"
+MODEL = Path(staged_release.__file__)
 STUDY_BOTTOMS = ("short", "long", "hex20", "rect12x28")
 SEED = 8_000_000
 UNSTABLE_MM, STABLE_MM = (-2.0, 0.0), (0.0, 4.0)  # ranges of the drawn margins
@@ -107,7 +96,7 @@ class ReleaseStudy:
                 },
                 SEED + PIECES.index(piece),
                 (),
-                f"{self.code}+{source_hash(MODEL, 'open_in_steps')}",
+                f"{self.code}+{sha256(MODEL.read_bytes()).hexdigest()[:16]}",
             )
             for piece in self.pieces
             for factor in self.weights

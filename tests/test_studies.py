@@ -32,10 +32,10 @@ from tests.release_study import (
     place_with_margin,
     roc_of,
 )
+from tests.staged_release import OpeningCourse, OpeningPlan, open_in_steps
 from touchdown.backend.config import load_simulation
 from touchdown.backend.geometry.pieces import load_pieces
 from touchdown.backend.geometry.tower import Tower, judge_tower
-from touchdown.backend.simulation.staged_release import OpeningCourse, OpeningPlan, open_in_steps
 
 CELLS = (("pot", "short"), ("pot", "long"), ("barrel", "short"))
 

@@ -44,11 +44,6 @@ from .mechanics import advance_probes as advance_probes
 from .mechanics import begin_probes as begin_probes
 from .release_mujoco import import_mujoco as import_mujoco
 from .release_mujoco import mujoco_available as mujoco_available
-from .staged_release import LoosePads as LoosePads
-from .staged_release import OpeningCourse as OpeningCourse
-from .staged_release import OpeningPlan as OpeningPlan
-from .staged_release import StandingPiece as StandingPiece
-from .staged_release import open_in_steps as open_in_steps
 from .supports import SupportStack as SupportStack
 from .supports import join_support_stacks as join_support_stacks
 from .supports import support_stack as support_stack

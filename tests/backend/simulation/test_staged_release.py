@@ -8,10 +8,7 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from touchdown.backend.geometry.outlines import circle, rectangle
-from touchdown.backend.geometry.tower import Body, Tower
-from touchdown.backend.simulation.release_mujoco import mujoco_available, simulate_release
-from touchdown.backend.simulation.staged_release import (
+from tests.staged_release import (
     FALLEN_RAD,
     SUPPORTED_S,
     LoosePads,
@@ -19,6 +16,9 @@ from touchdown.backend.simulation.staged_release import (
     StandingPiece,
     open_in_steps,
 )
+from touchdown.backend.geometry.outlines import circle, rectangle
+from touchdown.backend.geometry.tower import Body, Tower
+from touchdown.backend.simulation.release_mujoco import mujoco_available, simulate_release
 
 WEIGHT_N, HEIGHT_MM, GRIP_MM, HALF_MM = 0.2, 25.0, 30.0, 15.0
 SHORT = OpeningPlan(steps=4, hold_s=0.2)

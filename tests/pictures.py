@@ -133,6 +133,7 @@ class Day:
         self.until(lambda: self.main.bar.pill.state.word == "READY")
         self.main.actions.action("operate.probe").trigger()
         self.press(1)
+        self.until(lambda: self.session.status().phase == "lift")
         self.grab("operate")
         self.until(self.idle)
 

@@ -43,7 +43,7 @@ class OperatePage(LivePage):
         self.scene = ScenePanel(self.scene_chosen.emit)
         yield
         self.captions = {f: CaptionedView(f.capitalize(), self.tactile[f]) for f in FINGERS}
-        self.belief_panel = BeliefPanel(theme, "Belief")
+        self.belief_panel = BeliefPanel(theme, "Contact patch")
         self.side = SideView(theme)
         self.side_panel = Panel(BENCH, self.side)
         self.belief, self.legend = self.belief_panel.view, self.belief_panel.legend

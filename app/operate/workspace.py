@@ -323,7 +323,7 @@ class OperateWorkspace(Workspace):
             return
         self._shown, single = now, self.probe.story()
         trial, panel = single or self._story.trial, self.page.belief_panel
-        panel.rename("Contact patch" if single else "Belief of the last run")
+        panel.rename("Belief of the last run" if trial and not single else "Contact patch")
         if trial is None or not trial.probes:
             self.page.belief.show_scene(NO_RUN if trial is None else unprobed_scene(trial))
             panel.detail.setText("")

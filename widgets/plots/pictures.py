@@ -14,6 +14,7 @@ from PySide6.QtGui import (
     QPainter,
     QPaintEvent,
     QPen,
+    QPixmap,
     QWheelEvent,
 )
 from PySide6.QtWidgets import QFileDialog, QMessageBox, QSizePolicy, QStackedWidget, QWidget
@@ -23,7 +24,6 @@ from touchdown.widgets.plots.axes import PlotArea
 
 WHEEL_STEP, MENU_STEP, MOVE_SHARE, LEAST_SHARE = 1.25, 1.6, 0.1, 0.02
 UNLIMITED_PX = 16_777_215  # largest size of a widget in Qt
-MM_PER_INCH = 25.4
 Span = tuple[float, float]  # start and length in shares of the whole
 
 
@@ -69,6 +69,7 @@ class PictureView(QWidget):
     editable = False
     enlarged: QWidget | None = None  # keeps the place of the view while it is enlarged
     paints = 0
+    _plain = False  # without crosshair, frame and hint
 
     def __init__(
         self,
@@ -136,8 +137,8 @@ class PictureView(QWidget):
         if area is not None:
             off = (area.rect.center() if at is None else at) - area.rect.bottomLeft()
             x = _closer(self.zoom.x, off.x() / area.rect.width(), across)
-            up = across if up is None else up
-            self.show_zoom(x, _closer(self.zoom.y, -off.y() / area.rect.height(), up))
+            y = _closer(self.zoom.y, -off.y() / area.rect.height(), up or across)
+            self.show_zoom(x, y)
 
     def move_by(self, across: float, up: float) -> None:
         """Move the visible part by shares of itself."""
@@ -148,7 +149,7 @@ class PictureView(QWidget):
         """Show one pixel of an image on one of the screen, or one mm as one mm."""
         area = self.area()
         if area is not None and self.unit:
-            dots = self.screen().physicalDotsPerInch() / MM_PER_INCH
+            dots = self.screen().physicalDotsPerInch() / 25.4
             wanted = 1.0 / self.devicePixelRatioF() if self.unit == "px" else dots
             factor = wanted * abs(area.x1 - area.x0) / area.rect.width()
             parts = (
@@ -185,18 +186,23 @@ class PictureView(QWidget):
 
     def copy(self) -> None:
         """Put the picture on the clipboard."""
-        self._pointer = None
-        QGuiApplication.clipboard().setPixmap(self.grab())
+        QGuiApplication.clipboard().setPixmap(self._grab())
 
     def save(self) -> None:
         """Save the picture as a file."""
-        self._pointer, picture = None, self.grab()
+        picture = self._grab()
         path, _ = QFileDialog.getSaveFileName(
             self, "Save picture", f"{self.accessibleName()}.png", "Pictures (*.png *.jpg)",
             options=QFileDialog.Option.DontUseNativeDialog,
         )  # fmt: skip
         if path and not picture.save(path):
             QMessageBox.warning(self, "Save picture", f"{path} cannot be written. Choose another.")
+
+    def _grab(self) -> QPixmap:
+        self._plain = True
+        picture = self.grab()
+        self._plain = False
+        return picture
 
     def eventFilter(self, watched: QObject, event: QEvent) -> bool:
         """Keep the size of the page while enlarged."""
@@ -236,7 +242,9 @@ class PictureView(QWidget):
     def mouseMoveEvent(self, event: QMouseEvent) -> None:
         """Move the picture or the crosshair."""
         area, at = self.area(), event.position()
-        if self._grip is not None and area is not None:
+        if area is None:
+            return
+        if self._grip is not None:
             by, self._grip = self._grip - at, at
             self.move_by(by.x() / area.rect.width(), -by.y() / area.rect.height())
         self._pointer = None if event.buttons() else at
@@ -262,6 +270,8 @@ class PictureView(QWidget):
             painter.save()
             self.paint(painter)
             painter.restore()
+            if self._plain:
+                return
             if self.hasFocus():
                 painter.setPen(QPen(self._theme.tokens.colour("focus"), 2))
                 painter.drawRect(self.rect().adjusted(1, 1, -1, -1))
@@ -281,7 +291,6 @@ class PictureView(QWidget):
         painter.setFont(ui_font(self._theme.scale, 0.85))
         text, metrics = self.reading(*area.at(at)), painter.fontMetrics()
         width, height = metrics.horizontalAdvance(text) + 12, metrics.height() + 6
-        # Beside the pointer, on the side where the text fits.
         x = at.x() + 8 if at.x() + 8 + width <= self.width() else max(at.x() - 8 - width, 0.0)
         y = at.y() + 8 if at.y() + 8 + height <= self.height() else at.y() - 8 - height
         box = QRectF(x, y, width, height)

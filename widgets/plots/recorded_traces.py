@@ -96,8 +96,7 @@ class TraceSheet:
         if trace is None or not len(trace.t_s):
             return PlotArea(rect, 0.0, 2.0, -1.0, 1.0)
         low, high = self._range(trace, unit)
-        span_s = float(trace.t_s[0]), float(trace.t_s[-1])
-        return self.zoom.of(PlotArea(rect, *span_s, low, high))
+        return self.zoom.of(PlotArea(rect, float(trace.t_s[0]), float(trace.t_s[-1]), low, high))
 
     def _range(self, trace: WrenchTrace, unit: str) -> tuple[float, float]:
         values = trace.values[:, [c for c in self.channels if unit_of(c) == unit]]
@@ -307,13 +306,11 @@ class RecordedTraces(_SheetPlot):
         super().show_cursor(t_s)
         self.setAccessibleDescription(self.summary())
 
-    def at_cursor(self) -> FloatArray:
-        """Return the (6,) newest sample at or before the cursor; NaN before the first."""
-        return self._at(self.cursor_s)
-
-    def _at(self, t_s: float) -> FloatArray:
+    def at_cursor(self, t_s: float | None = None) -> FloatArray:
+        """Return the (6,) newest sample until ``t_s``, by default the cursor; NaN without one."""
         if self.trace is None:
             return np.full(6, np.nan)
+        t_s = self.cursor_s if t_s is None else t_s
         index = int(np.searchsorted(self.trace.t_s, t_s, side="right")) - 1
         return self.trace.values[index] if index >= 0 else np.full(6, np.nan)
 
@@ -324,7 +321,7 @@ class RecordedTraces(_SheetPlot):
 
     def reading(self, x: float, y: float) -> str:
         """Return the time and the values of the curves then."""
-        values = self._at(x)
+        values = self.at_cursor(x)
         return f"{signed(x)} s: {', '.join(_reading(c, values[c]) for c in self.channels)}"
 
     def mousePressEvent(self, event: QMouseEvent) -> None:

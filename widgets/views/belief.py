@@ -275,8 +275,7 @@ class BeliefView(PictureView):
         least_px = (40, 40) if thumbnail else (240, 200)
         super().__init__(theme, "Belief map", least_px, (480, 480), opaque=False)
         self._thumbnail = thumbnail
-        if thumbnail:
-            self.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+        self.setFocusPolicy(Qt.FocusPolicy.NoFocus if thumbnail else Qt.FocusPolicy.TabFocus)
         self.scene = BeliefScene()
         self.map_name: MapName = "cividis"
         self._drawn = PictureCache(self, theme)
@@ -314,11 +313,11 @@ class BeliefView(PictureView):
     def reading(self, x: float, y: float) -> str:
         """Return the place and the probability of its cell."""
         belief, text = self.scene.belief, super().reading(x, y)
-        if belief is None:
-            return text
-        far = np.abs(belief.cell_centres_mm() - (x, y)).max(axis=-1)
-        known = belief.covered & (far <= belief.pitch_mm / 2)
-        return f"{text}; p {belief.probability[known][0]:.2f}" if known.any() else text
+        if belief is not None:
+            far = np.abs(belief.cell_centres_mm() - (x, y)).max(axis=-1)
+            here = belief.covered & (far <= belief.pitch_mm / 2)
+            text += "".join(f"; p {p:.2f}" for p in belief.probability[here][:1])
+        return text
 
     def _draw(self, painter: QPainter) -> None:
         self.renders += 1

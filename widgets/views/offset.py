@@ -144,11 +144,6 @@ def draw_bottom(painter: QPainter, area: PlotArea, scene: OffsetScene, theme: Th
         painter.drawLine(centre - arm, centre + arm)
 
 
-def is_legend_left(scene: OffsetScene) -> bool:
-    """Return True if the legend of sources belongs to the upper left, away from the face."""
-    return scene.offset_mm is not None and scene.offset_mm[0] > 0
-
-
 def draw_ghosts(painter: QPainter, area: PlotArea, scene: OffsetScene, theme: Theme) -> None:
     """Draw the face positions of other sources: outline, uncertainty, name."""
     painter.setBrush(Qt.BrushStyle.NoBrush)
@@ -306,9 +301,9 @@ class OffsetView(PictureView):
         self._place_legend()
 
     def _place_legend(self) -> None:
-        """List the sources in an upper corner; at the left below the axis name."""
+        """List the sources in the upper corner away from the face; at the left below "y (mm)"."""
         kinds = {ghost.kind for ghost in self.scene.ghosts} if self.scene else set()
-        left = self.scene is not None and is_legend_left(self.scene)
+        left = bool(self.scene and self.scene.offset_mm and self.scene.offset_mm[0] > 0)
         rect = self.area().rect
         y = rect.top() + (1.3 * self.fontMetrics().height() if left else 4)
         width = max(box.sizeHint().width() for box in self.legend.values())

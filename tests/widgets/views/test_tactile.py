@@ -182,9 +182,11 @@ def test_the_crosshair_has_the_values_and_no_picture_that_is_kept(
     picture, at, said, monkeypatch, tmp_path
 ):
     assert said in picture.reading(*at)
-    plain = picture.grab().toImage()
+    picture.setFocus()
+    framed, plain = picture.grab().toImage(), picture._grab().toImage()
+    assert framed != plain, "the frame of the focus is seen but not kept"
     QTest.mouseMove(picture, picture.area().place(*at).toPoint())
-    assert picture.grab().toImage() != plain
+    assert picture.grab().toImage() != framed
     picture.copy()
     assert QGuiApplication.clipboard().pixmap().toImage() == plain
     paths, warned = [tmp_path / "a.png", tmp_path / "no" / "a.png"], []

@@ -264,7 +264,7 @@ def test_a_hardware_emergency_stop_is_told_as_far_as_it_is_known(
 ):
     arm = bench.devices["arm"]
     status = replace(arm.status(), safety_mode=safety)
-    monkeypatch.setattr(type(arm), "status", lambda _: status)
+    monkeypatch.setattr(arm, "status", lambda: status)
     monkeypatch.setattr(bench, "simulated", simulated)
     live._chips._drawn_s = float("-inf")
     settle(live)

@@ -159,11 +159,11 @@ def test_a_trial_stopped_in_its_first_press_tells_one_story(live, bench, page):
     assert page.score._count.text() == "0 of 1 placed"
 
 
-def test_operate_has_no_map_before_a_stacking_run(live, bench):
+def test_operate_has_no_map_before_a_probe_or_stacking_run(live, bench):
     live.go("operate")
     settle(live)
     belief = live.workspaces["operate"].page.belief
-    assert belief.scene.empty[0] == "No stacking run yet"
+    assert belief.scene.empty[0] == "No probe yet"
     bench.tell_start()
     settle(live)
     assert belief.scene.empty == NO_PROBE

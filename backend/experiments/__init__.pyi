@@ -55,7 +55,6 @@ from .results import write_comparison as write_comparison
 from .results import write_tables as write_tables
 from .run_report import write_run_report as write_run_report
 from .statistics import compare_intervals as compare_intervals
-from .statistics import evidence as evidence
 from .statistics import sequential_decision as sequential_decision
 from .strategies import BOTTOMS as BOTTOMS
 from .strategies import COMPARED_PIECES as COMPARED_PIECES

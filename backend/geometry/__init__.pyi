@@ -33,7 +33,6 @@ from .outlines import face_points as face_points
 from .outlines import geometry_of as geometry_of
 from .outlines import inset_mm as inset_mm
 from .outlines import overlap_area_mm2 as overlap_area_mm2
-from .outlines import overlap_edges as overlap_edges
 from .outlines import overlap_polygon as overlap_polygon
 from .outlines import polygon_edges as polygon_edges
 from .outlines import polygon_of as polygon_of
@@ -49,15 +48,10 @@ from .pieces import Piece as Piece
 from .pieces import PieceLibrary as PieceLibrary
 from .pieces import load_pieces as load_pieces
 from .pieces import pieces_folder as pieces_folder
-from .regions import channel as channel
 from .regions import convex_cells as convex_cells
-from .regions import crescent as crescent
-from .regions import ell as ell
 from .regions import feet as feet
 from .regions import region as region
 from .regions import ring as ring
-from .regions import star as star
-from .regions import tee as tee
 from .sampling import COARSE_SEGMENTS as COARSE_SEGMENTS
 from .sampling import MIN_OVERLAP_MM2 as MIN_OVERLAP_MM2
 from .sampling import can_be_placed as can_be_placed

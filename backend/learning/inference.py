@@ -48,7 +48,6 @@ def expected_arrays(shape: NetworkShape) -> Mapping[str, tuple[int, ...]]:
 
 
 Modality = Literal["FT", "Tac", "FT+Tac"]
-MODALITIES: tuple[Modality, ...] = ("FT", "Tac", "FT+Tac")
 VECTOR_ORDER = "[sensor][axis][row][column] 2x2x7x9, then Fx Fy Fz Tx Ty Tz"
 _COLUMNS: dict[Modality, slice] = {
     "FT": slice(TACTILE_CHANNELS, CHANNELS),

@@ -23,7 +23,7 @@ from touchdown.backend.learning.metrics import ReliabilityBin
 
 # ``auto``: CUDA if torch finds it, else the processor
 DeviceName = Literal["auto", "cpu", "cuda"]
-DEVICES: tuple[DeviceName, ...] = ("auto", "cpu", "cuda")
+
 # not measured above; the same number gives the same results on all machines
 MOST_THREADS = 2
 

@@ -59,23 +59,6 @@ def fit_rigid(rest_px: FloatArray, displacement_px: FloatArray) -> RigidMotion:
     return RigidMotion(np.array([shift.real, shift.imag]), turn, residual)
 
 
-def slip_mm(before: MarkerField, after: MarkerField, mm_per_px: float) -> float:
-    """Return the slip of the held piece between two fields at the same load, in mm.
-
-    The largest motion of a marker seen in both, from a rigid fit of the change of displacement.
-    NaN without such markers.
-    """
-    seen = (before.state == MarkerState.SEEN) & (after.state == MarkerState.SEEN)
-    if not seen.any():
-        return float("nan")
-    rest = before.position_px[seen]
-    change = after.displacement_px[seen] - before.displacement_px[seen]
-    motion = fit_rigid(rest, change)
-    arm = rest - rest.mean(axis=0)
-    swirl = motion.turn_rad * np.stack([-arm[:, 1], arm[:, 0]], axis=1)
-    return mm_per_px * float(np.linalg.norm(motion.shift_px + swirl, axis=1).max())
-
-
 def _complex(points_px: FloatArray) -> NDArray[np.complex128]:
     """Return (n,) u + iv of (n, 2) points."""
     return np.ascontiguousarray(points_px).view(np.complex128)[:, 0]

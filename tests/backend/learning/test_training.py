@@ -7,6 +7,7 @@ import math
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -28,7 +29,7 @@ from touchdown.backend.learning import (
     select_device,
     use_one_thread,
 )
-from touchdown.backend.learning.inference import MODALITIES, fit_normaliser_in_parts
+from touchdown.backend.learning.inference import Modality, fit_normaliser_in_parts
 from touchdown.backend.learning.training import (
     Adam,
     computes_bfloat16,
@@ -117,13 +118,13 @@ def test_parameter_counts_of_the_method(inputs: int, points: int, layer_1: int, 
 
 
 def test_modalities_cover_the_vector() -> None:
-    sizes = {m: modality_columns(m).stop - modality_columns(m).start for m in MODALITIES}
+    sizes = {m: modality_columns(m).stop - modality_columns(m).start for m in get_args(Modality)}
     assert sizes == {"FT": 6, "Tac": 252, "FT+Tac": 258}
     groups = channel_groups()
     assert np.bincount(groups).tolist() == [63, 63, 63, 63, 1, 1, 1, 1, 1, 1]
 
 
-@pytest.mark.parametrize("modality", MODALITIES)
+@pytest.mark.parametrize("modality", get_args(Modality))
 def test_standardised_channels_have_zero_mean_and_unit_scale_per_group(modality: str) -> None:
     rng = np.random.default_rng(1)
     spread = np.geomspace(1e-3, 1e3, 258)

@@ -18,7 +18,7 @@ from touchdown.backend.sensing import (
     read_pictures,
     take_reference,
 )
-from touchdown.backend.sensing.slip import fit_rigid, slip_mm
+from touchdown.backend.sensing.slip import fit_rigid
 from touchdown.backend.sensing.zeroing import WARN_DRIFT_N, shape_change_px, take_tare
 
 WEIGHT_N = np.array([0.3, -0.2, -15.2])
@@ -227,13 +227,6 @@ def test_rigid_fit_leaves_shear_as_residual() -> None:
         for a in np.linspace(-0.02, 0.02, 4001)
     )
     assert fit_rigid(GRID, shear).residual_px == pytest.approx(best, rel=1e-3)
-
-
-def test_slip_is_the_movement_between_two_fields_in_mm() -> None:
-    before, after = made(GRID + np.array([1.0, 0.5])), made(GRID + np.array([4.0, 4.5]))
-    assert slip_mm(before, after, 0.06) == pytest.approx(0.06 * 5.0)
-    assert slip_mm(before, before, 0.06) == 0.0
-    assert np.isnan(slip_mm(before, made(GRID, hidden=63), 0.06))
 
 
 AIR = np.array([0.1, 0.1, 0.1, 0.004, 0.004, 0.004])

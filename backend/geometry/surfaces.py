@@ -367,7 +367,10 @@ def _search_margins(
     rests = _come_to_rest(points, np.arange(len(at_mm)), at_mm, com_height_mm)
     ways = shapely.shortest_line(shapely.boundary(hulls), shapely.points(at_mm))
     towards = shapely.get_coordinates(ways)[::2] - at_mm
-    angle = np.arctan2(towards[:, 1], towards[:, 0])[:, None] + 2.0 * pi / RAYS * np.arange(RAYS)
+    # From outside the hull half a circle of rays meets all of it.
+    between = np.where(flat_mm < 0.0, 1.0, 2.0) * pi / RAYS
+    angle = np.arctan2(towards[:, 1], towards[:, 0])[:, None]
+    angle = angle + between[:, None] * (np.arange(RAYS) - RAYS // 2)
     rays = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
 
     def changed(tried: NDArray[np.bool_], radius_mm: FloatArray) -> NDArray[np.bool_]:

@@ -76,6 +76,12 @@ def test_the_help_parts_every_verb_from_its_line(capsys) -> None:
         assert f" {text}\n" in said
 
 
+def test_training_data_on_uneven_bottoms_need_the_wide_family(tmp_path, capsys) -> None:
+    data = ["experiment", "fused", "--parts", "0", "--surface-parts", "2", "--out", str(tmp_path)]
+    assert main(data) == 2
+    assert "with --outlines any" in capsys.readouterr().err
+
+
 def test_settings_that_are_no_text_name_no_line(tmp_path, capsys) -> None:
     (tmp_path / "bench.toml").write_bytes(b"\x00\xff\xfe")
     assert main(["stack", "--bench", str(tmp_path / "bench.toml")]) == 2

@@ -135,7 +135,7 @@ def test_margins_of_many_places_are_those_of_the_judge(kind: str) -> None:
     rng, family = np.random.default_rng(5), ShapeFamily.of(load_pieces(), "any")
     settings = SurfaceSettings.model_validate({f"{kind}_share": 1.0})
     stable = 0
-    for _ in range(4):
+    for _ in range(3):
         below, piece, height_mm = family.bottom(rng).lower, family.piece(rng), rng.uniform(15, 35)
         surface = draw_surface(settings, max(below.half_extents_mm), rng)
         com = np.asarray(piece.com_xy_mm)
@@ -148,7 +148,7 @@ def test_margins_of_many_places_are_those_of_the_judge(kind: str) -> None:
             assert margin == pytest.approx(exact, abs=0.2)
             assert (margin > 0.0) == (exact > 0.0)
             stable += exact > 0.0
-    assert 2 < stable < 12
+    assert 0 < stable < 9
 
 
 def test_only_the_held_piece_can_stand_on_a_face_that_is_not_flat() -> None:

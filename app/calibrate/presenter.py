@@ -10,6 +10,7 @@ from datetime import UTC, datetime
 
 from PySide6.QtWidgets import QWidget
 
+from touchdown.app.calibrate.identify import IdentifySheet
 from touchdown.app.calibrate.sheet import CalibrateSheet, CalibrationView, PlaceForm
 from touchdown.app.shell import arm_position_mm, carry_out, is_run_active, start_obstacle
 from touchdown.backend.bench import Session
@@ -66,6 +67,7 @@ class CalibratePresenter:
         self._bench, self._theme, self._window, self._cards = bench, theme, window, cards
         self._person, self._now_s = person, now_s
         self.sheet: CalibrateSheet | None = None
+        self.identify: IdentifySheet | None = None
         self._chosen: CalibrationName = CALIBRATION_NAMES[0]
         self._running: CalibrationName | None = None
         self._progress = Progress(0.0, 0, 1, "")
@@ -85,6 +87,7 @@ class CalibratePresenter:
             for button in (self.sheet.cancel, self.sheet.question.no):
                 button.clicked.connect(lambda: self._bench.engine.cancel())
             self.sheet.accept_it.clicked.connect(self._accept)
+            self.sheet.identify.clicked.connect(self._identify)
         self._read_s = float("-inf")
         self.draw(at_once=True)
         self.sheet.present()
@@ -164,6 +167,11 @@ class CalibratePresenter:
 
         if carry_out(accept, self._cards, "CALIBRATE"):
             self.draw(at_once=True)
+
+    def _identify(self) -> None:
+        if self.identify is None:
+            self.identify = IdentifySheet(self._window, self._theme)
+        self.identify.present()
 
     # -- showing ----------------------------------------------------------------------------------
 

@@ -249,10 +249,11 @@ class CalibrateSheet(BenchSheet):
         self.figure, self.note = label("", "title", wrap=True), label("", wrap=True)
         self.question = QuestionRow()
         self.measure, self.cancel = QPushButton("Measure"), QPushButton("Cancel")
-        self.accept_it = QPushButton("Accept")
+        self.accept_it, self.identify = QPushButton("Accept"), QPushButton("Identify")
         self._pictures = QWidget()
         self.cancel.setToolTip("End in an orderly way: lift, keep the piece")
         self.accept_it.setToolTip("Keep the result as a file that expires")
+        self.identify.setToolTip("Fit the simulated bench to recorded presses")
         self._arrange()
 
     def show_look(self, look: CalibrationView) -> None:
@@ -318,7 +319,9 @@ class CalibrateSheet(BenchSheet):
 
     def _arrange(self) -> None:
         body = hbox(self._left(), (scroll_area(self._right()), 1), spacing=20)
-        self.arrange((body, 1), foot=(self.measure, self.cancel, self.accept_it), spacing=10)
+        self.arrange(
+            (body, 1), foot=(self.measure, self.cancel, self.accept_it, self.identify), spacing=10
+        )
         self.resize_to_em(54, 38)
 
     def _left(self) -> QVBoxLayout:

@@ -127,17 +127,24 @@ class VerbOutput:
 
 
 def progress_lines(every_s: float = 2.0) -> Callable[[str, int, int], None]:
-    """Return a function that reports progress on standard error, at most every ``every_s``.
+    """Return a function that reports progress and the time left on standard error.
 
-    It takes what is done, and numbers of finished and of all steps.
+    It takes what is done, and numbers of finished and of all steps; it writes at most every
+    ``every_s``.
     """
     last_s = time.monotonic()
+    begun = 0, 0, last_s  # total, done and time of its first report
 
     def advance(what: str, done: int, total: int) -> None:
-        nonlocal last_s
-        if time.monotonic() - last_s >= every_s:
-            last_s = time.monotonic()
-            sys.stderr.write(f"{what}: {done:,} of {total:,} ...\n")
+        nonlocal last_s, begun
+        now_s = time.monotonic()
+        if total != begun[0]:
+            begun = total, done, now_s
+        if now_s - last_s >= every_s:
+            last_s, gained = now_s, done - begun[1]
+            left_min = (now_s - begun[2]) * (total - done) / max(gained, 1) / 60.0
+            left = f" about {left_min:.1f} min left" if gained > 0 else ""
+            sys.stderr.write(f"{what}: {done:,} of {total:,} ...{left}\n")
             sys.stderr.flush()
 
     return advance

@@ -12,14 +12,21 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solve_triangular
 from scipy.optimize import least_squares
 
 from touchdown.backend.config import SAMPLES_PER_PROBE, TICK_S
 from touchdown.backend.core import FloatArray
-from touchdown.backend.identification.press_model import CHANNELS, PressModel, Unknown
+from touchdown.backend.identification.press_model import (
+    CHANNELS,
+    PressModel,
+    Unknown,
+    field_basis,
+    project_fields,
+)
+from touchdown.backend.identification.recordings import PressSet
 
 DEPTH_SD_MM = 0.08  # of the contact height from the onset
+HOLD = slice(14, None)  # ticks with the largest strain, for the shape of the field
 STEP_SHARE = 0.02  # step of a numerical derivative relative to the width of the prior
 # The face touches on cells of 1 mm, so that a prediction changes in steps with the position.
 POSITIONS, POSITION_STEP_MM = ("print_x", "print_y", "grasp_x"), 0.5
@@ -75,7 +82,7 @@ class GlsFit:
     """Fit of ``measured`` (B, 20, 12) by ``model``; call ``run`` for the solution.
 
     ``sigma_mm``: standard uncertainty of the position of a press. ``tell`` is called after every
-    evaluation and may raise to cancel.
+    prediction and may raise to cancel.
     """
 
     model: PressModel
@@ -84,16 +91,17 @@ class GlsFit:
     noise: ChannelNoise
     sigma_mm: float = 0.05
     tell: Callable[[], None] = lambda: None
-    _roots: FloatArray = field(default_factory=lambda: np.zeros(0))
+    _whitening: FloatArray = field(default_factory=lambda: np.zeros(0))
 
-    def run(self, start: FloatArray, rounds: int = 2, evaluations: int = 8) -> FitResult:
-        """Fit from ``start``; the covariance of the presses is renewed before each round."""
+    def run(self, start: FloatArray, evaluations: int = 8) -> FitResult:
+        """Fit from ``start`` with the covariance of the presses there."""
         layout = self.layout
         prior = layout.vector(lambda u: u.prior_sd)
         centre = layout.vector(lambda u: u.prior_mean)
         low = layout.vector(lambda u: float(u.inner(u.low)) if u.low or not u.log else -20.0)
         high = layout.vector(lambda u: float(u.inner(u.high)))
-        x = np.clip(start, low + 1e-6, high - 1e-6)
+        begin = np.clip(start, low + 1e-6, high - 1e-6)
+        self._whitening = self._press_whitening(begin)
 
         def left(v: FloatArray) -> FloatArray:
             return np.concatenate([self._whitened(self._left(v)).ravel(), (v - centre) / prior])
@@ -101,26 +109,20 @@ class GlsFit:
         def slopes(v: FloatArray) -> FloatArray:
             return np.concatenate([self._jacobian(v), np.diag(1.0 / prior)])
 
-        for _ in range(rounds):
-            self._roots = self._press_roots(x)
-            found = least_squares(
-                left,
-                x,
-                slopes,
-                (low, high),
-                x_scale=prior,
-                max_nfev=evaluations,
-                ftol=1e-4,
-                xtol=1e-5,
-            )
-            x = found.x
+        found = least_squares(
+            left, begin, slopes, (low, high), x_scale=prior, max_nfev=evaluations, ftol=1e-4,
+            xtol=1e-5,
+        )  # fmt: skip
         used = self.measured.size
         jacobian, residual = np.asarray(found.jac), np.asarray(found.fun)
-        curvature = jacobian.T @ jacobian
-        inverse = np.linalg.pinv(curvature)
+        inverse = np.linalg.pinv(jacobian.T @ jacobian)
         misfit = float((residual[:used] ** 2).sum() / max(used - layout.size, 1))
-        clustered = _sandwich(jacobian[:used], residual[:used], self.model.presses.grip, inverse)
-        return FitResult(x, inverse * max(misfit, 1.0), clustered, float(found.cost), misfit)
+        clustered = sandwich(jacobian[:used], residual[:used], self.model.presses.grip, inverse)
+        sigma = np.sqrt(np.maximum(np.diag(inverse) * max(misfit, 1.0), np.diag(clustered)))
+        moved = float(np.max(np.abs(found.x - begin) / sigma))
+        return FitResult(
+            found.x, inverse * max(misfit, 1.0), sigma, float(found.cost), misfit, moved
+        )
 
     def _left(self, x: FloatArray) -> FloatArray:
         self.tell()
@@ -128,13 +130,7 @@ class GlsFit:
         return np.nan_to_num(left, nan=0.0)
 
     def _whitened(self, left: FloatArray) -> FloatArray:
-        flat = left.reshape(len(left), -1, 1)
-        return np.stack(
-            [
-                solve_triangular(r, f, lower=True)[:, 0]
-                for r, f in zip(self._roots, flat, strict=True)
-            ]
-        )
+        return np.asarray(self._whitening @ left.reshape(len(left), -1, 1))[..., 0]
 
     def _derivatives(self, x: FloatArray, names: list[str]) -> dict[str, FloatArray]:
         """Return the derivative (B, 20, 12) of the prediction by the unknowns of each press."""
@@ -179,24 +175,19 @@ class GlsFit:
             result[np.arange(len(whitened)), :, self.layout.column(name)] = -whitened
         return result.reshape(-1, self.layout.size)
 
-    def _press_roots(self, x: FloatArray) -> FloatArray:
-        """Return (B, 240, 240): lower Cholesky factors of the covariance of each press."""
+    def _press_whitening(self, x: FloatArray) -> FloatArray:
+        """Return (B, 240, 240): inverse Cholesky factors of the covariance of each press."""
         slopes = self._derivatives(x, ["deeper_mm", "print_x", "print_y"])
         sds = (DEPTH_SD_MM, self.sigma_mm, self.sigma_mm)
-        roots = []
-        noise = noise_covariance(self.noise)
-        for k in range(len(self.measured)):
-            covariance = noise.copy()
-            for slope, sd in zip(slopes.values(), sds, strict=True):
-                column = sd * slope[k].ravel()
-                covariance += np.outer(column, column)
-            # One scale error per channel
-            for channel in range(len(CHANNELS)):
-                column = np.zeros_like(self.measured[k])
-                column[:, channel] = MODEL_SHARE * self.measured[k][:, channel]
-                covariance += np.outer(column.ravel(), column.ravel())
-            roots.append(np.linalg.cholesky(covariance))
-        return np.stack(roots)
+        # One scale error per channel
+        scales = MODEL_SHARE * self.measured[..., None] * np.eye(len(CHANNELS))
+        columns = np.concatenate(
+            [scales.reshape(len(self.measured), -1, len(CHANNELS)),
+             *(sd * slope.reshape(len(slope), -1, 1)
+               for slope, sd in zip(slopes.values(), sds, strict=True))], axis=2,
+        )  # fmt: skip
+        covariance = noise_covariance(self.noise) + columns @ columns.swapaxes(1, 2)
+        return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)))
 
 
 def noise_covariance(noise: ChannelNoise) -> FloatArray:
@@ -215,32 +206,52 @@ def noise_covariance(noise: ChannelNoise) -> FloatArray:
 
 @dataclass(frozen=True, slots=True)
 class FitResult:
-    """Solution ``x`` with covariances: from the noise, and from the scatter between grippings.
+    """Solution ``x`` with the ``covariance`` from the noise.
 
-    ``misfit``: mean square of the whitened residuals, 1 for a perfect model.
+    ``sigma``: standard uncertainties, the larger of those from the noise and from the scatter
+    between grippings. ``misfit``: mean square of the whitened residuals, 1 for a perfect model.
+    ``moved``: largest distance from the start of the fit, in ``sigma``.
     """
 
     x: FloatArray
     covariance: FloatArray
-    clustered: FloatArray
+    sigma: FloatArray
     cost: float
     misfit: float
-
-    @property
-    def sigma(self) -> FloatArray:
-        """Standard uncertainties: the larger of both estimates."""
-        variances = np.maximum(np.diag(self.covariance), np.diag(self.clustered))
-        return np.sqrt(np.maximum(variances, 0.0))
+    moved: float
 
 
-def _sandwich(
+def sandwich(
     jacobian: FloatArray, residual: FloatArray, grip: NDArray[np.intp], inverse: FloatArray
 ) -> FloatArray:
-    """Return the covariance that is robust to errors common to a gripping."""
+    """Return the covariance that is robust to errors common to a gripping.
+
+    Rows of ``jacobian`` are those of the presses of ``grip`` (B,) in order; ``inverse`` is that of
+    its normal matrix.
+    """
     per_press = jacobian.reshape(len(grip), -1, jacobian.shape[1])
     scores = np.einsum("bkp,bk->bp", per_press, residual.reshape(len(grip), -1))
-    names = np.unique(grip)
-    total = np.stack([scores[grip == name].sum(axis=0) for name in names])
-    count = len(names)
-    scatter = inverse @ (total.T @ total) @ inverse
-    return np.asarray(scatter * count / max(count - 1, 1))
+    total = np.stack([scores[grip == name].sum(axis=0) for name in np.unique(grip)])
+    return np.asarray(inverse @ (total.T @ total) @ inverse * len(total) / max(len(total) - 1, 1))
+
+
+def fit_roll_off(
+    presses: PressSet, pitch_mm: float, start_mm: tuple[float, float]
+) -> tuple[FloatArray, FloatArray]:
+    """Return roll-off (2,) along x and z, mm, and its covariance (2, 2), scattered by gripping.
+
+    Amplitudes are projected out of the fields of the hold (variable projection).
+    """
+    field_px, seen = presses.field_px[:, HOLD], presses.seen[:, HOLD]
+
+    def left(roll_off: FloatArray) -> FloatArray:
+        basis = field_basis(pitch_mm, (float(roll_off[0]), float(roll_off[1])))
+        found, _ = project_fields(field_px, seen, basis)
+        rest = field_px - np.einsum("...fi,fima->...fma", found, basis)
+        # Mean over the ticks of the hold, whose noise is correlated.
+        return np.asarray((seen[..., None] * rest).mean(axis=1).ravel())
+
+    fit = least_squares(left, start_mm, bounds=([2.0, 2.0], [40.0, 40.0]))
+    jacobian = np.asarray(fit.jac)
+    inverse = np.linalg.inv(jacobian.T @ jacobian)
+    return fit.x, sandwich(jacobian, np.asarray(fit.fun), presses.grip, inverse)

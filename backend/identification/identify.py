@@ -19,12 +19,11 @@ from touchdown.backend.identification.estimates import (
     REST,
     Estimate,
     identifiable,
-    mean_estimate,
-    spread_estimate,
 )
 from touchdown.backend.identification.press_model import field_basis, project_fields
 from touchdown.backend.identification.recordings import (
-    PressRecording,
+    CONTACT_STAGE,
+    GEL_STAGES,
     Recordings,
     refuse_unusable,
     sample_presses,
@@ -48,11 +47,11 @@ from touchdown.backend.identification.stages import (
     correlations,
     fit_mechanics,
     fit_pad_friction,
+    friction_estimates,
     mechanics_estimates,
     replay_gate,
     split_grips,
     stage_key,
-    usable_gel,
 )
 
 # A parameter replaces the nominal one if its uncertainty is below this share of the prior's.
@@ -81,6 +80,8 @@ class Identification:
         What was not identified, and the recording that would identify it.
     misfit : float
         Mean square of the fitted residuals over their noise.
+    converged : bool
+        False if the fit still moved in its last round.
 
     """
 
@@ -98,16 +99,18 @@ class Identification:
     presses: int
     grips: int
     simulated: bool
+    converged: bool
 
     @property
     def reason(self) -> str:
-        """One sentence on the decision of the replay gate."""
+        """The decision of the replay gate, and a fit that did not converge."""
         gate = self.gate
+        open_end = "" if self.converged else " The fit did not converge: its values are doubtful."
         return (
             f"{'Accepted' if gate.accepted else 'Refused, nothing was changed'}: on {gate.presses} "
             f"presses of {gate.grips} held-out grippings the error above the noise is "
             f"{100 * gate.share:.0f} % of that of the nominal bench; {gate.better} of the "
-            "grippings are predicted better."
+            f"grippings are predicted better.{open_end}"
         )
 
     def ranges(self) -> dict[str, list[float]]:
@@ -148,8 +151,8 @@ def identify_bench(
 
     """
     store = StageStore(folder, stage_key(recordings, nominal))
-    gel = usable_gel(recordings)
-    refuse_unusable(gel.presses, library, "recordings")
+    gel = [p for p in recordings.of_stage(*GEL_STAGES) if p.accepted]
+    refuse_unusable(gel, library, "recordings")
     rest, missing = _rest(recordings)
     drift = {e.key: e.value for e in rest.estimates}
     drifts = np.array([
@@ -157,36 +160,42 @@ def identify_bench(
         drift.get("wrist.drift_nm_sqrt_min", nominal.wrist.drift_nm_sqrt_min) / np.sqrt(60.0),
         drift.get("tactile.drift_px_sqrt_s", nominal.tactile.drift_px_sqrt_s),
     ])  # fmt: skip
-    found = store.get("delays", lambda: _delays(gel.presses, tell))
+    tell("delays", 0, 1)
+    found = store.get("delays", lambda: {k: v.tolist() for k, v in estimate_delays(gel).items()})
     delayed, taken = delay_estimates({k: np.array(v, dtype=float) for k, v in found.items()})
-    presses = sample_presses(gel.presses, taken)
+    presses = sample_presses(gel, taken)
     fitted_rows, held_rows = split_grips(presses)
-    train, held = presses.take(fitted_rows), presses.take(held_rows)
-    mechanics = fit_mechanics(train, nominal, library, drifts, store, tell)
-    friction = store.get(
-        "friction", lambda: fit_pad_friction(recordings, mechanics, nominal, library, taken, tell)
-    )
-    tell("replay of held-out presses", 0, 1)
+    held = presses.take(held_rows)
+    mechanics = fit_mechanics(presses.take(fitted_rows), nominal, library, drifts, store, tell)
+    slips = recordings.of_stage(CONTACT_STAGE)
+
+    def slipped() -> Json:
+        contact = sample_presses(slips, taken)
+        return fit_pad_friction(contact, mechanics, nominal, library)
+
+    friction = store.get("friction", slipped) if slips else {"mu": [], "sigma": []}
+    pads = friction_estimates(np.array(friction["mu"]), np.array(friction["sigma"]))
     roll_off = (float(mechanics.roll_off_mm[0]), float(mechanics.roll_off_mm[1]))
     basis = field_basis(nominal.tactile.pitch_mm, roll_off)
     _, misfit = project_fields(held.field_px[:, :1], held.seen[:, :1], basis)
     marker_px = (float(np.sqrt(np.median(misfit))), float(drifts[2]))
-    gate = replay_gate(held, mechanics, train, nominal, library, marker_px)
-    pads, lacking = _friction_estimates(friction)
+    gate = replay_gate(held, mechanics, nominal, library, marker_px)
     estimates = (
-        *rest.estimates,
-        *identify_air(presses, nominal, rest=bool(rest.estimates)),
-        *delayed, *arm_compliance(gel.presses[:40]),
-        *mechanics_estimates(mechanics, train), *pads,
+        *rest.estimates, *identify_air(presses, float(drifts[2]), rest=bool(rest.estimates)),
+        *delayed, *arm_compliance(gel[:40]), *mechanics_estimates(mechanics),
+        *pads,
     )  # fmt: skip
+    if not pads:
+        count = f": {len(friction['mu'])} of {len(slips)} presses slipped" if slips else ""
+        missing.append((", ".join(identifiable(CONTACT)), f"`{CONTACT}`{count}"))
     names, correlation = correlations(mechanics)
     settings, used = identified_settings(nominal, estimates) if gate.accepted else (nominal, ())
-    weak = [(e.key, f"more of `{GEL}`: its uncertainty is {e.sharpness:.0%} of the prior's")
-            for e in estimates if e.sharpness >= USEFUL_SHARPNESS]  # fmt: skip
+    missing += [(e.key, f"more of `{GEL}`: its uncertainty is {e.sharpness:.0%} of the prior's")
+                for e in estimates if e.sharpness >= USEFUL_SHARPNESS]  # fmt: skip
     return Identification(
         settings, nominal, estimates, used, gate, names, correlation, rest.spectra, rest.facts,
-        (*missing, *lacking, *weak, *OTHER_RECORDINGS), mechanics.fit.misfit, len(presses),
-        len(presses.grips), recordings.simulated,
+        (*missing, *OTHER_RECORDINGS), mechanics.fit.misfit, len(presses), len(presses.grips),
+        recordings.simulated, mechanics.converged,
     )  # fmt: skip
 
 
@@ -202,21 +211,6 @@ def _rest(recordings: Recordings) -> tuple[RestResult, list[tuple[str, str]]]:
     if rest.length_s < GOOD_REST_S:
         missing.append(("slow drift", f"`{REST}`: only {rest.length_s:.0f} s at rest"))
     return found, missing
-
-
-def _delays(presses: tuple[PressRecording, ...], tell: Tell) -> Json:
-    tell("delays", 0, 1)
-    return {name: values.tolist() for name, values in estimate_delays(presses).items()}
-
-
-def _friction_estimates(friction: Json) -> tuple[list[Estimate], list[tuple[str, str]]]:
-    mu, sigma = np.array(friction["mu"]), np.array(friction["sigma"])
-    if len(mu) < 3:
-        of = f": {len(mu)} of {friction['presses']} presses slipped" if friction["presses"] else ""
-        return [], [(", ".join(identifiable(CONTACT)), f"`{CONTACT}`{of}")]
-    mean = mean_estimate("mu_grip", mu, mu * sigma)
-    spread = spread_estimate("spread.mu_grip", mu / mean.value - 1.0, sigma, len(mu) - 1)
-    return [mean, spread], []
 
 
 def identified_settings(
@@ -266,12 +260,10 @@ def bench_file(found: Identification, source: str) -> str:
 
 
 def write_identification(found: Identification, out: Path, source: str) -> Path:
-    """Write the bench file, if the gate accepted it, and all figures beside it as JSON.
+    """Write all figures as JSON, then the bench file beside them, if the gate accepted it.
 
     Returns the path of the JSON file.
     """
-    if found.gate.accepted:
-        write_atomically(out, bench_file(found, source).encode())
     data = {
         "format": 1,
         "source": source,
@@ -286,8 +278,11 @@ def write_identification(found: Identification, out: Path, source: str) -> Path:
             "nominal": found.gate.nominal.tolist(), "identified": found.gate.identified.tolist(),
         },
         "misfit": found.misfit,
+        "converged": found.converged,
         "missing": [list(pair) for pair in found.missing],
     }  # fmt: skip
     path = out.with_suffix(".json")
     write_atomically(path, json.dumps(data, indent=1).encode() + b"\n")
+    if found.gate.accepted:
+        write_atomically(out, bench_file(found, source).encode())
     return path

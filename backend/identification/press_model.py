@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 
 from touchdown.backend.config import SAMPLES_PER_PROBE, SimulationSettings
 from touchdown.backend.core import FloatArray
@@ -30,8 +29,8 @@ from touchdown.backend.simulation import (
 
 CHANNELS = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz", "left x", "left z", "left turn",
             "right x", "right z", "right turn")  # fmt: skip
+SUBCELLS = 3  # whole cells of 1 mm would make the prediction a step function of the position
 STIFF_ARM_N_MM = 1e6  # the measured hand does not yield
-HOLD = slice(14, None)  # ticks with the largest strain, for the shape of the field
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,7 +101,8 @@ class PressModel:
         self, presses: PressSet, nominal: SimulationSettings, library: PieceLibrary
     ) -> None:
         self.presses, self.nominal, self.library = presses, nominal, library
-        lattice = nominal.face.lattice_mm / nominal.face.subcells
+        self._subcells = max(nominal.face.subcells, SUBCELLS)
+        lattice = nominal.face.lattice_mm / self._subcells
         pairs = [(r.piece, r.bottom) for r in presses.recordings]
         self._groups: list[tuple[Any, Any, FloatArray, NDArray[np.intp]]] = []
         for piece, bottom in dict.fromkeys(pairs):
@@ -114,12 +114,10 @@ class PressModel:
         heights = np.array([library.top(r.piece).grip_height_mm or 0.0 for r in presses.recordings])
         self.grasp_z_mm: FloatArray = presses.contact_mm - heights
         self.grasp_z_mm = self.grasp_z_mm - np.median(self.grasp_z_mm)
-        self.failed = 0  # presses without equilibrium in the last prediction
 
     def predict(self, values: Values) -> FloatArray:
         """Return (B, 20, 12); NaN for a press without equilibrium."""
         result = np.full((len(self.presses), SAMPLES_PER_PROBE, len(CHANNELS)), np.nan)
-        self.failed = 0
         for top, outline, points, rows in self._groups:
             own = {name: np.broadcast_to(v, len(self.presses))[rows] for name, v in values.items()}
             result[rows] = self._press(top, outline, points, rows, own)
@@ -134,7 +132,7 @@ class PressModel:
         conditions = self._conditions(top, rows, v)
         state = begin_probes(
             points, outline, self.presses.offset_mm[rows] - shift, conditions, None,
-            face.lattice_mm / face.subcells, face.subcells,
+            face.lattice_mm / self._subcells, self._subcells,
         )  # fmt: skip
         path = self.presses.motion_mm[rows].copy()
         path[:, :, 2] -= v.get("deeper_mm", zero)[:, None]
@@ -143,8 +141,6 @@ class PressModel:
         for step in range(STEPS):
             state, solved = advance_probes(state, path[:, step], STEP_S)
             wrench[:, step + 1], strain[:, step + 1] = solved.wrench_g, solved.strain
-        lost = ~(state.residual <= RESIDUAL_LIMIT)
-        self.failed += int(lost.sum())
         last = slice(STEPS_PER_TICK, None, STEPS_PER_TICK)
         mean = 0.25 * wrench[:, :-2:2] + 0.5 * wrench[:, 1:-1:2] + 0.25 * wrench[:, last]
         wrist = self.nominal.wrist
@@ -154,7 +150,7 @@ class PressModel:
             [wrist_wrench(mean, wrist.height_mm, wrist.yaw_rad), amplitude.reshape(count, -1, 6)],
             axis=2,
         )
-        result[lost] = np.nan
+        result[~(state.residual <= RESIDUAL_LIMIT)] = np.nan
         return result
 
     def _conditions(self, top: Any, rows: NDArray[np.intp], v: Values) -> Conditions:
@@ -225,32 +221,3 @@ def measured_channels(presses: PressSet, basis: FloatArray) -> FloatArray:
     found, _ = project_fields(presses.field_px, presses.seen, basis)
     flat = found[..., :3].reshape(len(presses), SAMPLES_PER_PROBE, 6)
     return np.concatenate([presses.wrench, flat], axis=2)
-
-
-def fit_roll_off(
-    presses: PressSet, pitch_mm: float, start_mm: tuple[float, float]
-) -> tuple[FloatArray, FloatArray]:
-    """Return roll-off (2,) along x and z, mm, and its covariance (2, 2), scattered by gripping.
-
-    Amplitudes are projected out of the fields of the hold (variable projection).
-    """
-    field, seen = presses.field_px[:, HOLD], presses.seen[:, HOLD]
-
-    def left(roll_off: FloatArray, rows: NDArray[np.intp] | slice) -> FloatArray:
-        basis = field_basis(pitch_mm, (float(roll_off[0]), float(roll_off[1])))
-        part, weight = field[rows], seen[rows].astype(np.float64)
-        found, _ = project_fields(part, seen[rows], basis)
-        rest = part - np.einsum("...fi,fima->...fma", found, basis)
-        # Mean over the ticks of the hold, whose noise is correlated.
-        return np.asarray((weight[..., None] * rest).mean(axis=1).ravel())
-
-    grips = np.unique(presses.grip)
-    bounds = ([2.0, 2.0], [40.0, 40.0])
-    fits = [
-        least_squares(left, start_mm, bounds=bounds, args=(rows,), x_scale=(1.0, 1.0)).x
-        for rows in [slice(None)] + [np.flatnonzero(presses.grip != g) for g in grips]
-    ]
-    scatter = np.stack(fits[1:]) - np.mean(fits[1:], axis=0)
-    # Jackknife over grippings
-    covariance = (len(grips) - 1) / len(grips) * scatter.T @ scatter
-    return np.asarray(fits[0]), np.asarray(covariance)

@@ -149,6 +149,7 @@ LEAST_WRENCH_HZ, LEAST_FRAMES_HZ = 100.0, 10.0
 LEAST_TRAVEL_MM, LEAST_RANGE_MM = 0.5, 4.0
 SATURATED_SHARE = 0.2  # equal extreme values of a channel in contact
 RECORD_GEL = "Record more with `touchdown collect --plan gel`."
+RECORD_WHOLE = "Record whole presses, from the air to 2 s after contact: `collect --plan gel`."
 
 
 def refuse_unusable(presses: Sequence[PressRecording], library: PieceLibrary, where: str) -> None:
@@ -176,33 +177,39 @@ def refuse_unusable(presses: Sequence[PressRecording], library: PieceLibrary, wh
             f"All presses lie within {LEAST_RANGE_MM:g} mm of each other.", where,
             "Record displacements over the whole face, without --within.",
         )  # fmt: skip
-    reasons = [text for press in presses if (text := _press_problem(press))]
-    if 2 * len(reasons) > len(presses):
-        common = max(set(reasons), key=reasons.count)
-        raise InputError(f"{len(reasons)} of {len(presses)} presses: {common}.", where, RECORD_GEL)
+    problems = [found for press in presses if (found := _press_problem(press)) is not None]
+    if 2 * len(problems) > len(presses):
+        common = max(problems, key=problems.count)
+        what = f"{len(problems)} of {len(presses)} presses cannot be used: {common[0]}."
+        raise InputError(what, where, common[1])
 
 
-def _press_problem(press: PressRecording) -> str:
-    """Return why a press cannot be used, "" if it can."""
+def _press_problem(press: PressRecording) -> tuple[str, str] | None:
+    """Return why a press cannot be used, and what to record; None if it can."""
     signals, onset_s = press.signals, press.onset_s
     if len(signals.wrench_t_s) < 2 or len(signals.pose_t_s) < 2:
-        return "wrench or pose is missing"
+        return "wrench or pose is missing", "Record with wrist sensor and arm connected."
     wrench_hz = 1.0 / float(np.median(np.diff(signals.wrench_t_s)))
     if not wrench_hz >= LEAST_WRENCH_HZ:
-        return f"the wrist sensor gives {wrench_hz:.0f} Hz; {LEAST_WRENCH_HZ:g} Hz are needed"
+        what = f"the wrist sensor gives {wrench_hz:.0f} Hz"
+        return what, f"Set it to at least {LEAST_WRENCH_HZ:g} Hz and record again."
     for finger in FINGERS:
         t_s = np.array([field.t_s for field in signals.fields if field.finger == finger])
         if len(t_s) < 2 or not np.median(np.diff(t_s)) <= 1.0 / LEAST_FRAMES_HZ:
-            return f"the {finger} camera gives fewer than {LEAST_FRAMES_HZ:g} frames a second"
-    if float(np.ptp(signals.pose_mm[:, 2])) < LEAST_TRAVEL_MM:
-        return "the arm does not move"
-    pressed = signals.wrench[signals.wrench_t_s > onset_s + 0.5]
-    top = np.abs(pressed[:, 2])
-    if len(top) and float((top == top.max()).mean()) > SATURATED_SHARE:
-        return f"the press force is saturated at {float(top.max()):.1f} N"
+            what = f"the {finger} camera gives fewer than {LEAST_FRAMES_HZ:g} frames a second"
+            return what, "Raise its frame rate and record again."
+    held_s = float(min(signals.wrench_t_s[-1], signals.pose_t_s[-1])) - onset_s
+    if held_s < SAMPLES_PER_PROBE * TICK_S - 1e-6:
+        return f"it ends {max(held_s, 0.0):.1f} s after contact", RECORD_WHOLE
     if signals.wrench_t_s[0] > onset_s - LEAST_AIR_S:
-        return "the time in air before contact is missing"
-    return ""
+        return "the time in air before contact is missing", RECORD_WHOLE
+    if float(np.ptp(signals.pose_mm[:, 2])) < LEAST_TRAVEL_MM:
+        return "the arm does not move", "Record presses with the arm, and its measured pose."
+    top = np.abs(signals.wrench[signals.wrench_t_s > onset_s + 0.5, 2])
+    if len(top) and float((top == top.max()).mean()) > SATURATED_SHARE:
+        what = f"the press force is saturated at {float(top.max()):.1f} N"
+        return what, "Widen the range of the wrist sensor, or record a plan of less depth_mm."
+    return None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -254,7 +261,7 @@ def sample_presses(presses: Sequence[PressRecording], delays: Delays) -> PressSe
     """Sample the usable ``presses``; ``delays`` are taken out of the time stamps."""
     kept, parts = [], []
     for press in presses:
-        if not _press_problem(press):
+        if _press_problem(press) is None:
             part = _sampled(press, delays)
             if all(np.isfinite(value).all() for value in part.values()):
                 kept.append(press)
@@ -286,16 +293,25 @@ def _sampled(press: PressRecording, delays: Delays) -> dict[str, FloatArray]:
     ticks = synchronise(signals, onset_s)
     air_end_s = onset_s - AIR_END_S
     air = signals.wrench[signals.wrench_t_s < air_end_s]
+    path = make_interp_spline(signals.pose_t_s, signals.pose_mm, k=1)
+    hand = path(onset_s + STEP_S * np.arange(STEPS + 1))
+
+    def travel(t_s: FloatArray) -> FloatArray:
+        inside = np.clip(t_s, signals.pose_t_s[0], signals.pose_t_s[-1])
+        return np.asarray(np.maximum(hand[0, 2] - path(inside)[:, 2], 0.0) + 1e-3)
+
     field, seen, still = [], [], []
     for finger, at_ticks in zip(FINGERS, ticks.fingers, strict=True):
         own = [f for f in signals.fields if f.finger == finger and f.t_s < air_end_s]
         moved = np.array([f.displacement_px for f in own]).reshape(-1, MARKERS, 2)
         rest = moved.mean(axis=0) if len(own) else np.full((MARKERS, 2), np.nan)
-        field.append(at_ticks.displacement_px - rest)
+        # Between two frames the markers follow the travel, which is no straight line at touch and
+        # at the end of the ramp.
+        t_s = np.array([f.t_s for f in signals.fields if f.finger == finger])
+        share = travel(ticks.tick_s) / np.interp(ticks.tick_s, t_s, travel(t_s))
+        field.append((at_ticks.displacement_px - rest) * share[:, None, None])
         seen.append(~at_ticks.inferred)
         still.append(rest.mean(axis=0))
-    path = make_interp_spline(signals.pose_t_s, signals.pose_mm, k=1)
-    hand = path(onset_s + STEP_S * np.arange(STEPS + 1))
     return {
         "contact_mm": np.asarray(hand[0, 2]),
         "motion_mm": hand[1:] - hand[0],

@@ -11,7 +11,6 @@ from scipy.ndimage import uniform_filter1d
 from scipy.optimize import least_squares, minimize_scalar
 from scipy.signal import lfilter, welch
 
-from touchdown.backend.config import SimulationSettings
 from touchdown.backend.core import FINGERS, FloatArray, Recording
 from touchdown.backend.identification.estimates import Estimate, estimate, spread_estimate
 from touchdown.backend.identification.recordings import (
@@ -158,15 +157,16 @@ def _cameras(blocks: Sequence[Recording]) -> tuple[list[Estimate], list[tuple[st
     return estimates, [("frames", f"{frames}, {dropped} dropped")], spectrum
 
 
-def identify_air(presses: PressSet, nominal: SimulationSettings, *, rest: bool) -> list[Estimate]:
+def identify_air(presses: PressSet, drift_px: float, *, rest: bool) -> list[Estimate]:
     """Return the errors after tare and reference, from the air before each press.
 
-    Without a recording at ``rest`` also the white noise of the wrist sensor.
+    ``drift_px``: of the markers per √s. Without a recording at ``rest`` also the white noise of the
+    wrist sensor.
     """
     air, px = presses.air_wrench, presses.air_px.reshape(len(presses), -1)
     # Tare (200 samples) and reference (10 frames, 1.5 s of drift) add to the draw of a probe.
     tare = presses.air_sd.mean(axis=0) * np.sqrt(1.0 / 200.0 + 1.0 / 250.0)
-    shift = np.hypot(1.2 * nominal.tactile.drift_px_sqrt_s, 0.01)
+    shift = np.hypot(1.2 * drift_px, 0.01)
     result = []
     for key, part, extra in (
         ("wrist.offset_n", air[:, :3], tare[:3]), ("wrist.offset_nm", air[:, 3:], tare[3:]),

@@ -9,7 +9,9 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from contextlib import suppress
+from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -26,30 +28,31 @@ from touchdown.backend.identification.estimates import (
     mean_estimate,
     spread_estimate,
 )
-from touchdown.backend.identification.fitting import ChannelNoise, FitResult, GlsFit, Layout
+from touchdown.backend.identification.fitting import (
+    ChannelNoise,
+    FitResult,
+    GlsFit,
+    Layout,
+    fit_roll_off,
+)
 from touchdown.backend.identification.press_model import (
     CHANNELS,
     PressModel,
     Unknown,
     field_basis,
-    fit_roll_off,
     measured_channels,
     project_fields,
     unknowns_of,
 )
-from touchdown.backend.identification.recordings import (
-    CONTACT_STAGE,
-    GEL_STAGES,
-    Delays,
-    PressSet,
-    Recordings,
-    sample_presses,
-)
+from touchdown.backend.identification.recordings import STEPS_PER_TICK, PressSet, Recordings
 
 Json = dict[str, Any]
 Tell = Callable[[str, int, int], None]  # stage, done, total
 VERSION = 1  # of the stored results; raised when a stage computes something else
-STARTS, START_PRESSES = 3, 36
+STARTS, START_PRESSES, ROUNDS, EVALUATIONS = 3, 36, 5, 6
+SETTLED = 0.3  # a round that moves no unknown by more of its uncertainty is the last
+EARLY = 4  # tick of the slopes for the start
+SLIPPED = 0.1  # largest relative error of the friction of a press that slipped
 HELD_OUT = 3  # every third gripping is held out
 SYSTEMATIC = 0.005  # relative error of tracker and model that no scatter shows
 
@@ -65,7 +68,7 @@ class StageStore:
         """Return the stored result, or compute and store it."""
         digest = hashlib.sha256(f"{VERSION} {name} {self.key}".encode()).hexdigest()[:20]
         path = self.folder / f"{name}-{digest}.json"
-        if path.is_file():
+        with suppress(OSError, ValueError):  # not there, or damaged: computed again
             found: Json = parse_json(path.read_bytes())
             return found
         result = compute()
@@ -80,10 +83,7 @@ def stage_key(recordings: Recordings, nominal: SimulationSettings) -> str:
 
 
 def split_grips(presses: PressSet) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return the presses to fit and those held out: whole grippings, from each mounting some.
-
-    A gripping is never held out if its mounting would have no other.
-    """
+    """Return the presses to fit and those held out: whole grippings of each mounting."""
     held: list[int] = []
     for mounting in np.unique(presses.mounting):
         grips = np.unique(presses.grip[presses.mounting == mounting])
@@ -121,79 +121,88 @@ def channel_noise(
 
 @dataclass(frozen=True, slots=True)
 class Mechanics:
-    """Fit of the gel presses: solution, layout and basis."""
+    """Fit of ``presses``: solution, layout, basis. ``converged``: the last round moved little."""
 
+    presses: PressSet
     unknowns: tuple[Unknown, ...]
     layout: Layout
     fit: FitResult
     roll_off_mm: FloatArray
     roll_off_cov: FloatArray
+    converged: bool
 
-    def values(self, name: str) -> FloatArray:
-        """Return the fitted values of one unknown, one per mounting or grip."""
+    def of(self, name: str) -> tuple[FloatArray, FloatArray]:
+        """Return the values of one unknown, one per mounting or grip, and their errors.
+
+        The standard uncertainties of logarithms are relative.
+        """
         unknown = next(u for u in self.unknowns if u.name == name)
-        return np.asarray(unknown.outer(self.fit.x[self.layout.parts[name]]))
-
-    def errors(self, name: str) -> FloatArray:
-        """Return their standard uncertainties; relative ones for logarithms."""
-        return np.asarray(self.fit.sigma[self.layout.parts[name]])
+        place = self.layout.parts[name]
+        return np.asarray(unknown.outer(self.fit.x[place])), self.fit.sigma[place]
 
 
 def fit_mechanics(
     presses: PressSet, nominal: SimulationSettings, library: PieceLibrary, drift: FloatArray,
     store: StageStore, tell: Tell,
 ) -> Mechanics:  # fmt: skip
-    """Fit the press model to ``presses`` from several starts; ``drift`` (3,): N, N·m, px per √s."""
+    """Fit the press model to ``presses`` from several starts; ``drift`` (3,): N, N·m, px per √s.
+
+    Each round renews the covariance of the presses and is stored; rounds end when one moves no
+    unknown by more than ``SETTLED`` of its uncertainty.
+    """
     pitch = nominal.tactile.pitch_mm
 
     def shape() -> Json:
-        tell("shape of the marker field", 0, 1)
         found, covariance = fit_roll_off(presses, pitch, nominal.tactile.roll_off_mm)
         return {"roll_off_mm": found.tolist(), "covariance": covariance.tolist()}
 
     marker_field = store.get("field", shape)
     roll_off = np.array(marker_field["roll_off_mm"])
     basis = field_basis(pitch, (float(roll_off[0]), float(roll_off[1])))
+    few = presses.take(_spread_rows(presses, START_PRESSES))
     unknowns = unknowns_of(nominal)
+    work = np.r_[np.repeat(len(few), STARTS), np.repeat(len(presses), ROUNDS)] * EVALUATIONS
 
-    def prepared(part: PressSet, name: str, evaluations: int) -> tuple[GlsFit, Layout]:
-        layout = Layout(unknowns, part.mounting, part.grip)
+    def fit(part: PressSet, layout: Layout, begin: FloatArray, step: int, name: str) -> Json:
+        """Fit one start or round, the number ``step`` of all."""
         noise = channel_noise(part, basis, drift[:2], float(drift[2]))
-        total, done = evaluations * (len(unknowns) + 5) + 10, [0]
+        done = [0.0]
 
         def count() -> None:
-            done[0] += 1
-            tell(name, min(done[0], total), total)
+            done[0] = min(done[0] + len(part) / (len(unknowns) + 5), float(work[step]))
+            tell(name, int(work[:step].sum() + done[0]), int(work.sum()))
 
         model = PressModel(part, nominal, library)
-        return GlsFit(model, layout, measured_channels(part, basis), noise, tell=count), layout
+        run = GlsFit(model, layout, measured_channels(part, basis), noise, tell=count)
+        found = asdict(run.run(begin, EVALUATIONS))
+        return {key: np.asarray(value).tolist() for key, value in found.items()}
 
-    few = _spread_rows(presses, START_PRESSES)
+    layout = Layout(unknowns, few.mounting, few.grip)
+    common = layout.parts
 
-    def search(number: int) -> Json:
-        fit, layout = prepared(presses.take(few), f"start {number + 1} of {STARTS}", 6)
-        begin = _start(presses.take(few), layout, basis, np.random.default_rng([7, number]), number)
-        found = fit.run(begin, rounds=1, evaluations=5)
-        common = {
-            u.name: float(found.x[layout.parts[u.name]][0]) for u in unknowns if u.scope == "common"
-        }
-        return {"cost": found.cost, "common": common}
+    def search(k: int) -> Json:
+        rng = np.random.default_rng([7, k]) if k else None
+        begin = _start(few, layout, basis=basis, rng=rng)
+        return fit(few, layout, begin, k, f"start {k + 1} of {STARTS}")
 
-    starts = [store.get(f"start{k}", lambda k=k: search(k)) for k in range(STARTS)]  # type: ignore[misc]
-    best = min(starts, key=lambda one: one["cost"])
-
-    def final() -> Json:
-        fit, layout = prepared(presses, "gel and grasp", 14)
-        begin = _start(presses, layout, basis, np.random.default_rng(0), 0)
-        for name, value in best["common"].items():
-            begin[layout.parts[name]] = value
-        found = fit.run(begin, rounds=2, evaluations=7)
-        return {name: np.asarray(value).tolist() for name, value in asdict(found).items()}
-
-    done = store.get("mechanics", final)
-    fit = FitResult(**{k: np.array(v) if isinstance(v, list) else v for k, v in done.items()})  # type: ignore[arg-type]
+    starts = [store.get(f"start{k}", partial(search, k)) for k in range(STARTS)]
+    best = np.array(min(starts, key=lambda one: float(one["cost"]))["x"])
     layout = Layout(unknowns, presses.mounting, presses.grip)
-    return Mechanics(unknowns, layout, fit, roll_off, np.array(marker_field["covariance"]))
+    x = _start(presses, layout, basis=basis, rng=None)
+    for u in unknowns:
+        if u.scope == "common":
+            x[layout.parts[u.name]] = best[common[u.name]]
+    for k in range(ROUNDS):
+        name = f"fit, round {k + 1}"
+        found = store.get(f"round{k}", partial(fit, presses, layout, x, STARTS + k, name))
+        stored: Json = {k: np.array(v) if isinstance(v, list) else v for k, v in found.items()}
+        result = FitResult(**stored)
+        x = result.x
+        if result.moved < SETTLED:
+            break
+    covariance = np.array(marker_field["covariance"])
+    settled = result.moved < SETTLED
+    return Mechanics(presses, unknowns, layout, result, roll_off, covariance, settled)
 
 
 def _spread_rows(presses: PressSet, most: int) -> NDArray[np.intp]:
@@ -206,83 +215,88 @@ def _spread_rows(presses: PressSet, most: int) -> NDArray[np.intp]:
 
 
 def _start(
-    presses: PressSet, layout: Layout, basis: FloatArray, rng: np.random.Generator, number: int
+    presses: PressSet, layout: Layout, *, basis: FloatArray, rng: np.random.Generator | None
 ) -> FloatArray:
     """Return a start: stiffness and scales from the slopes, the rest nominal or drawn."""
 
     def begin(u: Unknown) -> float:
-        if number == 0 or u.scope != "common":
+        if rng is None or u.scope != "common":
             return float(u.inner(u.start))
         return rng.uniform(float(u.inner(u.low)), float(u.inner(u.high)))
 
     x = layout.vector(begin)
-    channels = measured_channels(presses, basis)
-    travel = -presses.motion_mm[:, -1, 2]
-    slope = channels[:, -1, 2] / travel
-    for name, values in (
-        ("shear", 0.5 * slope), ("scale_left", channels[:, -1, 7] / travel),
-        ("scale_right", channels[:, -1, 10] / travel),
-    ):  # fmt: skip
+    channels = measured_channels(presses, basis)[:, EARLY]
+    travel = -presses.motion_mm[:, (EARLY + 1) * STEPS_PER_TICK - 1, 2]
+    guesses = {
+        "shear": 0.5 * channels[:, 2] / travel, "scale_left": channels[:, 7] / travel,
+        "scale_right": channels[:, 10] / travel,
+    }  # fmt: skip
+    for name, values in guesses.items():
         column = layout.column(name)
         for place in np.unique(column):
             x[place] = np.log(max(float(np.median(np.abs(values[column == place]))), 1e-3))
     return x
 
 
-def mechanics_estimates(found: Mechanics, presses: PressSet) -> list[Estimate]:
+def mechanics_estimates(found: Mechanics) -> list[Estimate]:
     """Return the parameters of the population of grippings and mountings, and their spreads."""
-    shear, errors = found.values("shear"), found.errors("shear")
+    presses = found.presses
+    shear, errors = found.of("shear")
     grips = len(shear)
     mean = mean_estimate("grasp.shear_n_mm", shear, shear * np.hypot(errors, SYSTEMATIC))
     result = [mean]
     for key, name in (
-        ("grasp.normal_n_mm", "normal_ratio"),
-        ("grasp.torsion_nmm_rad", "torsion_ratio"),
-    ):
-        ratio, spread = float(found.values(name)[0]), float(found.errors(name)[0])
+        ("grasp.normal_n_mm", "normal_ratio"), ("grasp.torsion_nmm_rad", "torsion_ratio"),
+    ):  # fmt: skip
+        (ratio,), (error,) = found.of(name)
         scatter = mean.sigma / mean.value
-        freedom = grips - 1 if spread < scatter else 1000
+        freedom = grips - 1 if error < scatter else 1000
         result.append(
-            log_estimate(key, mean.value * ratio, float(np.hypot(scatter, spread)), freedom)
+            log_estimate(key, mean.value * ratio, float(np.hypot(scatter, error)), freedom)
         )
     for key, name, floor in (
         ("grasp.hysteresis_s", "relax_s", 0.05), ("face.foundation_n_mm3", "foundation", 0.03),
     ):  # fmt: skip
-        relative = float(np.hypot(found.errors(name)[0], floor))
-        result.append(log_estimate(key, float(found.values(name)[0]), relative))
-    sigma = np.hypot(found.errors("alpha")[0], 0.01)
-    result.append(estimate("grasp.hysteresis_share", found.values("alpha")[0], sigma))
-    for k, value in enumerate(found.roll_off_mm):
-        sigma = np.hypot(np.sqrt(found.roll_off_cov[k, k]), 0.003 * value)
+        (value,), (error,) = found.of(name)
+        result.append(log_estimate(key, value, float(np.hypot(error, floor))))
+    (value,), (error,) = found.of("alpha")
+    result.append(estimate("grasp.hysteresis_share", value, float(np.hypot(error, 0.01))))
+    for k, value in enumerate(found.roll_off_mm.tolist()):
+        sigma = float(np.hypot(np.sqrt(found.roll_off_cov[k, k]), 0.003 * value))
         result.append(estimate(f"tactile.roll_off_mm.{k}", value, sigma))
-    gains = []
+    gains, gain_errors = [], []
     for k, name in enumerate(("scale_left", "scale_right")):
-        scale = found.values(name)
-        one = mean_estimate("", scale, scale * np.hypot(found.errors(name), SYSTEMATIC))
+        scale, relative = found.of(name)
+        one = mean_estimate("", scale, scale * np.hypot(relative, SYSTEMATIC))
         inverse = one.sigma / one.value**2
         result.append(estimate(f"tactile.mm_per_px.{k}", 1.0 / one.value, inverse, grips - 1))
         gains.append(scale / one.value - 1.0)
-    tilts, tilt_errors = (
-        np.concatenate([of("tilt_x"), of("tilt_y")]) for of in (found.values, found.errors)
-    )
-    prints, print_errors = found.values("print_y"), found.errors("print_y")
-    names = np.unique(presses.grip)
-    height = {g: float(np.median(presses.contact_mm[presses.grip == g])) for g in names}
+        gain_errors.append(relative)
+    tilts, tilt_errors = np.concatenate([found.of("tilt_x"), found.of("tilt_y")], axis=1)
+    prints, print_errors = found.of("print_y")
+    height = {g: float(np.median(presses.contact_mm[presses.grip == g])) for g in presses.grip}
     heights = np.array(list(height.values()))
     within = presses.contact_mm - np.array([height[g] for g in presses.grip])
     handed = float(np.median([r.sigma_mm for r in presses.recordings])) > 0.3
     seat = "spread.grasp_offset_mm" if handed else "spread.jig_mm"
-    return [
-        *result,
+    gain = np.stack(gains), np.stack(gain_errors), 2 * (grips - 1)
+    result += [
         spread_estimate("spread.gel", shear / mean.value - 1.0, errors, grips - 1),
-        spread_estimate(
-            "spread.gain", np.stack(gains), found.errors("scale_left"), 2 * (grips - 1)
-        ),
+        spread_estimate("spread.gain", *gain),
         spread_estimate("spread.tilt_rad", tilts, tilt_errors, len(tilts)),
         spread_estimate("spread.print_offset_mm", prints, print_errors, len(prints)),
         spread_estimate(seat, heights - heights.mean(), np.full(1, 0.03), grips - 1),
         spread_estimate("arm.repeatability_mm", within, np.zeros(1), len(within) - grips),
     ]
+    return result
+
+
+def friction_estimates(mu: FloatArray, sigma: FloatArray) -> list[Estimate]:
+    """Return friction of the pads and its spread; nothing from fewer than three presses."""
+    if len(mu) < 3:
+        return []
+    one = mean_estimate("mu_grip", mu, mu * sigma)
+    return [one, spread_estimate("spread.mu_grip", mu / one.value - 1.0, sigma, len(mu) - 1)]
 
 
 def correlations(found: Mechanics) -> tuple[tuple[str, ...], FloatArray]:
@@ -325,24 +339,25 @@ GATE_CHANNELS = (*CHANNELS[:6], "left markers", "right markers")
 
 
 def replay_gate(
-    held: PressSet, found: Mechanics, presses: PressSet, nominal: SimulationSettings,
-    library: PieceLibrary, marker_noise_px: tuple[float, float],
+    held: PressSet, found: Mechanics, nominal: SimulationSettings, library: PieceLibrary,
+    marker_noise_px: tuple[float, float],
 ) -> Gate:  # fmt: skip
-    """Predict the ``held`` presses by both benches; ``presses`` are those of the fit.
+    """Predict the ``held`` presses by both benches.
 
     A gripping that was not fitted has the mean values of the population.
     ``marker_noise_px``: white noise and drift per √s of a marker.
     """
     model = PressModel(held, nominal, library)
-    known = {m: k for k, m in enumerate(np.unique(presses.mounting))}
+    known = {m: k for k, m in enumerate(np.unique(found.presses.mounting))}
     fitted = {}
     for unknown in found.unknowns:
-        values = found.values(unknown.name)
+        name = unknown.name
         if unknown.scope == "mounting":
-            fitted[unknown.name] = np.array([values[known[m]] for m in held.mounting])
+            values = unknown.outer(found.fit.x[found.layout.parts[name]])
+            fitted[name] = values[[known[m] for m in held.mounting]]
         else:
-            mean = 0.0 if unknown.name == "grasp_x" else float(values.mean())
-            fitted[unknown.name] = np.full(len(held), mean)
+            mean = 0.0 if name == "grasp_x" else float(found.of(name)[0].mean())
+            fitted[name] = np.full(len(held), mean)
     plain = {u.name: np.full(len(held), u.start) for u in found.unknowns}
     # Tilt and position of a mounting are no part of a bench file: both benches get them.
     plain |= {u.name: fitted[u.name] for u in found.unknowns if u.scope == "mounting"}
@@ -401,63 +416,34 @@ def _phases(presses: PressSet) -> NDArray[np.intp]:
 
 
 def fit_pad_friction(
-    recordings: Recordings, found: Mechanics, nominal: SimulationSettings, library: PieceLibrary,
-    delays: Delays, tell: Tell,
-) -> Json:  # fmt: skip
-    """Return the friction of the pads of each press that slipped: ``mu`` and ``sigma``.
+    presses: PressSet, found: Mechanics, nominal: SimulationSettings, library: PieceLibrary
+) -> Json:
+    """Return the friction of the pads of each press that slipped: ``mu`` and relative ``sigma``.
 
-    Stiffness and depth of each press are fitted with it. The force limit is friction times grip
-    force, so an error of the grip force is part of the friction.
+    Stiffness and depth of each press are fitted with it by Gauss-Newton steps. The force limit is
+    friction times grip force, so an error of the grip force is part of the friction.
     """
-    chosen = recordings.of_stage(CONTACT_STAGE)
-    if not chosen:
-        return {"mu": [], "sigma": [], "presses": 0}
-    presses = sample_presses(chosen, delays)
-    model = PressModel(presses, nominal, library)
-    count = len(presses)
-    values = {u.name: np.full(count, float(found.values(u.name).mean())) for u in found.unknowns}
+    model, count = PressModel(presses, nominal, library), len(presses)
+    values = {u.name: np.full(count, float(found.of(u.name)[0].mean())) for u in found.unknowns}
     for name in ("tilt_x", "tilt_y", "print_x", "print_y", "grasp_x"):
         values[name] = np.zeros(count)
-    end = presses.wrench[:, -1, 2]
-    ratio = np.maximum(end, 0.5) / (2.0 * model.grip_force_n)
-    x = np.stack([np.log(ratio), np.log(values["shear"]), np.zeros(count)], axis=1)
+    ratio = np.maximum(presses.wrench[:, -1, 2], 0.5) / (2.0 * model.grip_force_n)
+    centre = np.stack([np.log(ratio), np.log(values["shear"]), np.zeros(count)], axis=1)
     sd = np.hypot(presses.air_sd[:, 2].mean() / 10.0, 0.03)
-    prior = np.array([1.0, 0.15, 0.1])
-    centre = x.copy()
+    weight, steps = 1.0 / np.array([1.0, 0.15, 0.1]) ** 2, np.diag([0.02, 0.01, 0.01])
 
     def predict(at: FloatArray) -> FloatArray:
-        now = {
-            **values,
-            "mu_grip": np.exp(at[:, 0]),
-            "shear": np.exp(at[:, 1]),
-            "deeper_mm": at[:, 2],
-        }
-        return np.nan_to_num(model.predict(now)[..., 2], nan=0.0)
+        own = {"mu_grip": np.exp(at[:, 0]), "shear": np.exp(at[:, 1]), "deeper_mm": at[:, 2]}
+        return np.asarray(np.nan_to_num(model.predict({**values, **own})[..., 2], nan=0.0) / sd)
 
-    hessian = np.zeros((count, 3, 3))
-    for done in range(6):
-        tell("friction of the pads", done, 6)
+    x = centre
+    for _ in range(6):
         at = predict(x)
-        steps = np.array([0.02, 0.01, 0.01])
-        slopes = (
-            np.stack([(predict(x + steps * np.eye(3)[k]) - at) / steps[k] for k in range(3)], 2)
-            / sd
-        )
-        left = (presses.wrench[..., 2] - at) / sd
-        hessian = np.einsum("btp,btq->bpq", slopes, slopes) + np.diag(1.0 / prior**2)
-        gradient = np.einsum("btp,bt->bp", slopes, left) + (centre - x) / prior**2
+        slopes = np.stack([(predict(x + step) - at) / step.sum() for step in steps], axis=2)
+        hessian = np.einsum("btp,btq->bpq", slopes, slopes) + np.diag(weight)
+        left = presses.wrench[..., 2] / sd - at
+        gradient = np.einsum("btp,bt->bp", slopes, left) + (centre - x) * weight
         x = x + np.clip(np.linalg.solve(hessian, gradient[..., None])[..., 0], -0.3, 0.3)
     sigma = np.sqrt(np.linalg.inv(hessian)[:, 0, 0])
-    slipped = sigma < 0.1
-    return {
-        "mu": np.exp(x[slipped, 0]).tolist(),
-        "sigma": sigma[slipped].tolist(),
-        "presses": count,
-    }
-
-
-def usable_gel(recordings: Recordings) -> Recordings:
-    """Return the recordings with the accepted presses of stages 2 and 3 only."""
-    return replace(
-        recordings, presses=tuple(p for p in recordings.of_stage(*GEL_STAGES) if p.accepted)
-    )
+    slipped = sigma < SLIPPED
+    return {"mu": np.exp(x[slipped, 0]).tolist(), "sigma": sigma[slipped].tolist()}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import importlib
+import json
 import re
 import subprocess
 import sys
@@ -92,6 +93,44 @@ def test_it_opens_with_what_holds_and_what_to_do(wizard) -> None:
     assert not sheet.form.isVisible()
     assert sheet.live.text().startswith("F ")
     assert not sheet.accept_it.isEnabled()
+
+
+def test_identify_shows_progress_verdict_and_keeps_what_is_accepted(wizard, tmp_path, monkeypatch):
+    monkeypatch.setenv("TOUCHDOWN_DATA", str(tmp_path))
+    wizard.wizard.identify.click()
+    sheet = wizard.panels.calibrate.identify
+    assert sheet.isVisible()
+    assert not sheet.accept_it.isEnabled()
+    sheet.show_line("fit, round 1: 523 of 1,104 ... about 1.5 min left")
+    assert sheet.progress.value() == 523
+    assert sheet.progress.text().startswith("fit, round 1: 47 % ... about 1.5 min left")
+    sheet.show_end(2, "")
+    assert sheet.verdict.text().startswith("Cancelled")
+    sheet.show_line(json.dumps({"error": {"what": "3 presses.", "where": "x", "fix": "Record."}}))
+    sheet.show_end(2, "")
+    assert sheet.verdict.text() == "3 presses. Record."
+    found = {"accepted": True, "reason": "Accepted: 30 %.", "used": ["mu_grip"],
+             "report": str(tmp_path / "bench.html"),
+             "estimates": {"mu_grip": [0.7, 0.01], "wrist.white_n": [0.1, 0.001]}}  # fmt: skip
+    sheet.show_end(0, json.dumps(found))
+    assert (sheet.verdict.text(), sheet.table.rowCount()) == ("Accepted: 30 %.", 2)
+    sheet._draft = tmp_path / "draft.toml"
+    sheet._draft.write_text("preset = 'mixed'\n")
+    sheet.accept_it.click()
+    (kept,) = (tmp_path / "benches").iterdir()
+    assert kept.read_text() == "preset = 'mixed'\n"
+    assert str(kept) in sheet.note.text()
+    assert not sheet.accept_it.isEnabled()
+
+
+def test_a_refused_identification_can_not_be_accepted(wizard):
+    wizard.wizard.identify.click()
+    sheet = wizard.panels.calibrate.identify
+    found = {"accepted": False, "reason": "Refused.", "used": [], "report": "/x.html",
+             "estimates": {}}  # fmt: skip
+    sheet.show_end(1, json.dumps(found))
+    assert not sheet.accept_it.isEnabled()
+    assert sheet.verdict.property("tone") == "bad"
 
 
 def test_measuring_asks_the_bench_for_what_is_chosen(wizard, bench) -> None:

@@ -1,31 +1,35 @@
 """Hidden laboratories: benches drawn from wide ranges, recorded, identified, and judged.
 
-``python -m tests.bench.laboratories --count 20 --out FOLDER``. Only this judge knows the drawn
-values. Recordings come from ``collect`` on the simulated bench, through the dataset, with half the
-usual images and fast free moves. The laboratories share the model of the identification, so this
-checks for errors, not for realism. Finished laboratories are kept in ``FOLDER``.
+``python -m tests.bench.laboratories --count 20``. Only this judge knows the drawn values. Their
+recordings come from ``collect`` on the simulated bench, through the dataset, with half the usual
+images and fast free moves; with ``--drivers`` from the emulated bench: real drivers on real wires,
+in real time. The laboratories share the model of the identification, so this checks for errors, not
+for realism. Finished laboratories are kept in ``--out``.
 """
 
 import argparse
 import json
 import shutil
 import sys
-import tempfile
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from unittest import mock
 
 import numpy as np
 
-from tests.backend.bench.brisk import RATE_HZ, brisk_method
+from tests.backend.bench.brisk import RATE_HZ, brisk_method, on
+from tests.bench.figures import Figure, at_least, at_most, figure, stated
 from touchdown.backend.annotations import Dataset
-from touchdown.backend.bench.assembly import SimulatedBenchChoice, simulated_session
+from touchdown.backend.bench import EmulatedBench, Session, SimulatedBenchChoice, simulated_session
 from touchdown.backend.config import SimulationSettings, load_simulation
+from touchdown.backend.core import FaultError, Paused
 from touchdown.backend.geometry import load_pieces
 from touchdown.backend.identification import identify_bench, read_recordings
-from touchdown.backend.runs import CollectRequest, RecordingOptions
+from touchdown.backend.runs import CollectRequest, RecordingOptions, newest_campaign
 
 # Setting: low, high, and whether the logarithm is uniform
 RANGES: dict[str, tuple[float, float, bool]] = {
@@ -58,15 +62,18 @@ RANGES: dict[str, tuple[float, float, bool]] = {
     "spread.jig_mm": (0.05, 0.25, False),
 }
 GEL, CONTACT = (36, 4, 3), (2, 1, 6)  # presses, per grip, grips per mounting
-REST_S = 31.0
+REST_S, TRIES = 31.0, 20
 
 
-def draw_laboratory(seed: int) -> tuple[SimulationSettings, dict[str, float]]:
-    """Return the bench of a laboratory and its drawn values."""
+def draw_laboratory(
+    seed: int, *, drivers: bool = False
+) -> tuple[SimulationSettings, dict[str, float]]:
+    """Return the bench of a laboratory and its drawn values; drivers see all images."""
     rng = np.random.default_rng([20, 22, seed])
     content = load_simulation().model_dump(mode="json")
     content["grasp"]["hysteresis"] = True
-    content["tactile"].update(rate_hz=RATE_HZ, drop_share=0.0)
+    if not drivers:
+        content["tactile"].update(rate_hz=RATE_HZ, drop_share=0.0)
     truth = {}
     for key, (low, high, log) in RANGES.items():
         value = float(
@@ -81,23 +88,48 @@ def draw_laboratory(seed: int) -> tuple[SimulationSettings, dict[str, float]]:
     return SimulationSettings.model_validate(content), truth
 
 
-def record_laboratory(bench: SimulationSettings, folder: Path, seed: int) -> None:
-    """Record the plans of an identification, shortened."""
+@contextmanager
+def opened(bench: SimulationSettings, *, drivers: bool) -> Iterator[Session]:
+    """Open the simulated bench, or the emulated one with its drivers."""
+    choice, keep = SimulatedBenchChoice(given=bench), RecordingOptions(None)
+    if drivers:
+        with EmulatedBench(choice, keep=keep) as emulated:
+            yield emulated.session
+        return
+    session = simulated_session(choice, keep=keep, method=brisk_method())
+    yield session
+    session.close()
+
+
+def record_laboratory(
+    bench: SimulationSettings, folder: Path, seed: int, gel: tuple[int, int, int] = GEL, *,
+    drivers: bool = False,
+) -> None:  # fmt: skip
+    """Record the plans of an identification, shortened; continue a campaign that a fault ended."""
+    numbers = "count", "probes_per_grip", "grips_per_mounting"
+    plans: tuple[dict[str, Any], ...] = (
+        {**dict(zip(numbers, gel, strict=True)), "stage": "gel", "ramp_fraction": 0.4},
+        {"count": 1, "probes_per_grip": 1, "stage": "rest", "rest_s": REST_S},
+        {**dict(zip(numbers, CONTACT, strict=True)), "stage": "contact", "within_mm": 2.0,
+         "depth_mm": 1.9, "ramp_fraction": 0.6, "grip_force_n": 4.0},
+    )  # fmt: skip
     common = {"piece": "pot", "bottom": "square15", "person": "judge"}
-    gel = dict(zip(("count", "probes_per_grip", "grips_per_mounting"), GEL, strict=True))
-    slip = dict(zip(("count", "probes_per_grip", "grips_per_mounting"), CONTACT, strict=True))
-    with mock.patch("os.fsync"), Dataset.open(folder, person="judge") as dataset:
-        for number, asked in enumerate((
-            {**gel, "stage": "gel", "ramp_fraction": 0.4},
-            {"count": 1, "probes_per_grip": 1, "stage": "rest", "rest_s": REST_S},
-            {**slip, "stage": "contact", "within_mm": 2.0, "depth_mm": 1.9, "ramp_fraction": 0.6,
-             "grip_force_n": 4.0},
-        )):  # fmt: skip
-            choice = SimulatedBenchChoice(given=bench)
-            session = simulated_session(choice, keep=RecordingOptions(None), method=brisk_method())
-            session.dataset = dataset
-            session.run(CollectRequest(**common, seed=100 * seed + number, **asked))  # type: ignore[arg-type]
-            session.close()
+    with (
+        mock.patch("os.fsync"),
+        Dataset.open(folder, person="judge") as dataset,
+        opened(bench, drivers=drivers) as session,
+    ):
+        session.dataset = dataset
+        # A pause waits for an operator: end the campaign and continue it.
+        on(session, Paused, lambda _: session.engine.cancel())
+        for number, plan in enumerate(plans):
+            request = CollectRequest(**common, seed=100 * seed + number, **plan)
+            for _ in range(TRIES):
+                with suppress(FaultError):
+                    if session.run(request).ending == "finished":
+                        break
+                session.reset()
+                request = replace(request, campaign=newest_campaign(folder) or "")
 
 
 def judge(estimates: Mapping[str, Any], truth: Mapping[str, float]) -> dict[str, Any]:
@@ -112,36 +144,37 @@ def judge(estimates: Mapping[str, Any], truth: Mapping[str, float]) -> dict[str,
     }  # fmt: skip
 
 
-def run_laboratory(seed: int, out: Path) -> dict[str, Any]:
-    """Return the result of one laboratory, from ``out`` if it is there."""
-    file = out / f"laboratory-{seed}.json"
+def run_laboratory(
+    seed: int, out: Path, gel: tuple[int, int, int] = GEL, *, drivers: bool = False
+) -> dict[str, Any]:
+    """Return the result of one laboratory, from ``out`` if it is there; its parts are kept too."""
+    file = out / f"laboratory-{seed}{'-drivers' if drivers else ''}-{gel[0]}.json"
     if file.is_file():
         found: dict[str, Any] = json.loads(file.read_text())
         return found
-    bench, truth = draw_laboratory(seed)
-    folder = Path(tempfile.mkdtemp(prefix="laboratory"))
-    try:
-        began = time.process_time()
-        record_laboratory(bench, folder / "dataset", seed)
-        recorded = time.process_time()
-        with Dataset.open(folder / "dataset", write=False) as dataset:
-            recordings = read_recordings(dataset)
-        found_bench = identify_bench(
-            recordings, load_simulation(), load_pieces(), folder / "stages"
-        )
-        result = {
-            "seed": seed,
-            "accepted": found_bench.gate.accepted,
-            "share": found_bench.gate.share,
-            "misfit": found_bench.misfit,
-            "record_cpu_s": round(recorded - began, 1),
-            "identify_cpu_s": round(time.process_time() - recorded, 1),
-            "parameters": judge({e.key: e for e in found_bench.estimates}, truth),
-        }
-    finally:
+    bench, truth = draw_laboratory(seed, drivers=drivers)
+    folder = file.with_suffix("")
+    if not (folder / "recorded").is_file():
         shutil.rmtree(folder, ignore_errors=True)
-    out.mkdir(parents=True, exist_ok=True)
+        record_laboratory(bench, folder / "dataset", seed, gel, drivers=drivers)
+        (folder / "recorded").touch()
+    with Dataset.open(folder / "dataset", write=False) as dataset:
+        began, began_cpu = time.monotonic(), time.process_time()
+        recordings = read_recordings(dataset)
+    found_bench = identify_bench(recordings, load_simulation(), load_pieces(), folder / "stages")
+    result = {
+        "seed": seed,
+        "accepted": found_bench.gate.accepted,
+        "converged": found_bench.converged,
+        "share": found_bench.gate.share,
+        "misfit": found_bench.misfit,
+        "presses": found_bench.presses,
+        "identify_s": round(time.monotonic() - began, 1),
+        "identify_cpu_s": round(time.process_time() - began_cpu, 1),
+        "parameters": judge({e.key: e for e in found_bench.estimates}, truth),
+    }
     file.write_text(json.dumps(result, indent=1))
+    shutil.rmtree(folder)
     return result
 
 
@@ -170,19 +203,62 @@ def summary(results: list[dict[str, Any]]) -> dict[str, Any]:
     }  # fmt: skip
 
 
+FOLDER, COUNT = Path("output/laboratories"), 20
+MANY = (300, 6, 17)  # presses, per grip, grips per mounting
+
+
+@figure("identification")
+def hidden_laboratories() -> list[Figure]:
+    """Identify ``COUNT`` laboratories; about 1.5 min of processor time each. Resumes."""
+    found = summary([run_laboratory(seed, FOLDER) for seed in range(COUNT)])
+    shares = np.array(found["held_out_share"])
+    name, note = f"hidden laboratories ({COUNT}): ", f"accepted: {found['accepted']} of {COUNT}"
+    return [
+        at_least(f"{name}parameters in their 95 % interval", 100 * found["coverage_95"], "%", 85.0),
+        at_most(f"{name}median sigma over that of the prior", found["median_sharpness"], "", 0.5),
+        at_most(f"{name}held-out error over that of the nominal bench, median",
+                100 * float(np.median(shares)), "%", 50.0, note),
+        stated(f"{name}held-out error above 50 %", int((shares > 0.5).sum()), "laboratories"),
+        stated(f"{name}largest held-out error", 100 * float(shares.max()), "%"),
+    ]  # fmt: skip
+
+
+@figure("identification")
+def laboratory_through_drivers() -> list[Figure]:
+    """Identify a laboratory from recordings of real drivers on real wires, in real time."""
+    found = run_laboratory(0, FOLDER, drivers=True)
+    total = summary([found])
+    name = "hidden laboratory through drivers: "
+    return [
+        at_least(f"{name}parameters in their 95 % interval", 100 * total["coverage_95"], "%", 85.0),
+        at_most(f"{name}median sigma over that of the prior", total["median_sharpness"], "", 0.5),
+        at_most(f"{name}held-out error", 100 * found["share"], "%", 50.0),
+    ]
+
+
+@figure("identification")
+def identification_time() -> list[Figure]:
+    """Identify a bench from many presses."""
+    found = run_laboratory(0, FOLDER, MANY)
+    return [at_most(f"identify, {found['presses']} presses", found["identify_s"] / 60, "min", 20.0)]
+
+
 def main() -> int:
     """Run laboratories and print their summary."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--count", type=int, default=20)
     parser.add_argument("--first", type=int, default=0)
-    parser.add_argument("--out", type=Path, required=True, metavar="FOLDER")
+    parser.add_argument("--out", type=Path, default=FOLDER, metavar="FOLDER")
+    parser.add_argument("--drivers", action="store_true", help="record on the emulated bench")
     args = parser.parse_args()
     results = []
     for seed in range(args.first, args.first + args.count):
-        results.append(run_laboratory(seed, args.out))
+        results.append(run_laboratory(seed, args.out, drivers=args.drivers))
         last = results[-1]
+        covered = [one["covered"] for one in last["parameters"].values()]
         sys.stderr.write(
-            f"laboratory {seed}: share {last['share']:.2f}, recorded in {last['record_cpu_s']} s, "
+            f"laboratory {seed}: share {last['share']:.2f}, misfit {last['misfit']:.2f}, "
+            f"{sum(covered)} of {len(covered)} in their interval, converged: {last['converged']}, "
             f"identified in {last['identify_cpu_s']} s of CPU\n"
         )
     text = json.dumps(summary(results), indent=1)

@@ -23,7 +23,7 @@ MODULES = tuple(
     f"tests.bench.{name}"
     for name in (
         "throughput", "window", "experiments", "dataset", "labelling", "arm", "rig",
-        "device_faults", "wired", "campaign", "worker_faults", "machinery",
+        "device_faults", "wired", "campaign", "worker_faults", "machinery", "laboratories",
     )
 )  # fmt: skip
 

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
-import time
 from pathlib import Path
 
 from touchdown.backend.annotations import Dataset
@@ -42,11 +40,11 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
         recordings = read_recordings(dataset, lambda done, of: reading("Reading", done, of))
     with disk_errors("The result cannot be written", out, KEPT):
         out.parent.mkdir(parents=True, exist_ok=True)
-        found = identify_bench(recordings, nominal, library, out.with_suffix(".stages"), _Eta())
-        source = str(args.dataset)
-        figures = write_identification(found, out, source)
+        stages, source = out.with_suffix(".stages"), str(args.dataset)
+        found = identify_bench(recordings, nominal, library, stages, progress_lines())
         page = out.with_suffix(".html")
         write_atomically(page, identification_page(found, source).encode())
+        figures = write_identification(found, out, source)
     rows = [
         (e.key, f"{e.value:.4g}", f"{e.sigma:.2g}", e.unit, "yes" if e.key in found.used else "no")
         for e in found.estimates
@@ -62,24 +60,3 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
         "estimates": {e.key: [e.value, e.sigma] for e in found.estimates},
     })  # fmt: skip
     return 0 if found.gate.accepted else 1
-
-
-class _Eta:
-    """Progress of the stages on standard error, with the time left of the present one."""
-
-    def __init__(self, every_s: float = 2.0) -> None:
-        self._every_s = every_s
-        self._stage, self._began_s, self._told_s = "", 0.0, 0.0
-
-    def __call__(self, stage: str, done: int, total: int) -> None:
-        now_s = time.monotonic()
-        if stage != self._stage:
-            self._stage, self._began_s, self._told_s = stage, now_s, 0.0
-        if now_s - self._told_s < self._every_s:
-            return
-        self._told_s = now_s
-        left = (
-            f", about {(now_s - self._began_s) * (total - done) / done:.0f} s left" if done else ""
-        )
-        sys.stderr.write(f"{stage}: {done} of {total}{left}\n")
-        sys.stderr.flush()

@@ -1,8 +1,11 @@
 """Identification: recordings, sensors, press model, fit, replay gate and bench file."""
 
+import errno
 import json
 import re
+from contextlib import contextmanager, suppress
 from dataclasses import replace
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -16,9 +19,10 @@ from touchdown.backend.experiments.document import SIMULATED, check_svg
 from touchdown.backend.geometry import load_pieces
 from touchdown.backend.identification import read_recordings
 from touchdown.backend.identification.estimates import estimate, mean_estimate, spread_estimate
-from touchdown.backend.identification.fitting import ChannelNoise, GlsFit, Layout
+from touchdown.backend.identification.fitting import ChannelNoise, FitResult, GlsFit, Layout
 from touchdown.backend.identification.identify import (
     Identification,
+    _rest,
     identified_settings,
     write_identification,
 )
@@ -33,6 +37,7 @@ from touchdown.backend.identification.recordings import (
     Delays,
     PressRecording,
     PressSet,
+    Recordings,
     RestRecording,
     refuse_unusable,
     sample_presses,
@@ -47,7 +52,14 @@ from touchdown.backend.identification.sensors import (
     quantum,
     walk_rate,
 )
-from touchdown.backend.identification.stages import Gate, StageStore, split_grips
+from touchdown.backend.identification.stages import (
+    ROUNDS,
+    STARTS,
+    Gate,
+    StageStore,
+    fit_mechanics,
+    split_grips,
+)
 from touchdown.backend.simulation import build_gel
 
 ONSET_S = 0.3
@@ -140,6 +152,8 @@ def test_good_presses_are_not_refused(presses):
         ({"pose_mm": np.zeros((240, 3))}, "the arm does not move"),
         ({"wrench": np.full((2400, 6), 9.0)}, "saturated at 9.0 N"),
         ({"fields": ()}, "the left camera gives fewer"),
+        ({"onset_s": 1.0}, "it ends 1.4 s after contact"),
+        ({"onset_s": 0.1}, "the time in air before contact is missing"),
     ],
 )
 def test_unusable_recordings_are_refused_with_what_is_missing(changes, what):
@@ -148,6 +162,13 @@ def test_unusable_recordings_are_refused_with_what_is_missing(changes, what):
         refuse_unusable(bad, LIBRARY, "here")
     assert what in refused.value.what
     assert "ecord" in refused.value.fix
+
+
+def test_a_short_rest_is_left_out_and_named():
+    part = made_press().signals
+    found, missing = _rest(Recordings((), RestRecording((part,), (np.zeros(1),) * 2, True), ()))
+    assert found.estimates == ()
+    assert missing[0][1] == "`collect --plan rest`: 2 s at rest, 30 s are needed"
 
 
 def test_too_few_presses_are_refused(presses):
@@ -169,6 +190,16 @@ def test_signals_count_from_the_air_before_contact():
     assert found.wrench[0, -1, 2] == pytest.approx(5.0 * depth, abs=0.02)
     assert found.field_px[0, -1, 0, :, 1].mean() == pytest.approx(-17.0 * depth, abs=0.05)
     assert found.contact_mm[0] == pytest.approx(30.0)
+
+
+def test_markers_between_two_frames_follow_the_travel():
+    """The travel turns at touch, at 0.1 s and at 1.1 s; frames are 80 ms apart."""
+    press = made_press(0)
+    slow = tuple(f for f in press.signals.fields if f.sequence % 2 == 0)
+    found = sample_presses([replace(press, signals=replace(press.signals, fields=slow))], Delays())
+    depth = -found.motion_mm[0, 1::2, 2]
+    moved = -found.field_px[0, :, :, :, 1].mean(axis=2)
+    np.testing.assert_allclose(moved, 17.0 * depth[:, None] * np.ones(2), atol=0.05)
 
 
 def test_the_rate_of_a_random_walk_lies_within_its_uncertainty():
@@ -308,7 +339,7 @@ def test_a_fit_recovers_stiffness_and_scale():
     true[layout.parts["scale_left"]] = np.log([15.0, 18.0])
     noise = ChannelNoise(np.repeat([0.01, 4e-4, 0.02, 0.02], 3), np.full(12, 1e-4), np.zeros(12))
     fit = GlsFit(model, layout, model.predict(layout.values(true)), noise)
-    found = fit.run(start, rounds=1, evaluations=4)
+    found = fit.run(start, evaluations=4)
     for name in ("shear", "scale_left", "scale_right"):
         part = layout.parts[name]
         np.testing.assert_allclose(found.x[part], true[part], atol=0.05)
@@ -331,6 +362,73 @@ def test_a_finished_stage_is_not_computed_again(tmp_path):
     assert store.get("gel", lambda: {"x": [1.0]}) == {"x": [1.0]}
     assert store.get("gel", lambda: pytest.fail("computed twice")) == {"x": [1.0]}
     assert StageStore(tmp_path / "stages", "others").get("gel", lambda: {"x": []}) == {"x": []}
+
+
+def test_a_damaged_result_of_a_stage_is_computed_again(tmp_path):
+    store = StageStore(tmp_path / "stages", "inputs")
+    store.get("gel", lambda: {"x": [1.0]})
+    (file,) = (tmp_path / "stages").iterdir()
+    file.write_bytes(file.read_bytes()[:5])
+    assert store.get("gel", lambda: {"x": [2.0]}) == {"x": [2.0]}
+
+
+def test_a_full_disk_leaves_finished_stages_and_nothing_half_written(tmp_path):
+    store = StageStore(tmp_path / "stages", "inputs")
+    store.get("delays", lambda: {"x": [1.0]})
+    with full_disk(), pytest.raises(OSError, match="No space left"):
+        store.get("fit", lambda: {"x": [2.0]})
+    assert [path.name[:6] for path in (tmp_path / "stages").iterdir()] == ["delays"]
+    assert store.get("delays", lambda: pytest.fail("computed twice")) == {"x": [1.0]}
+
+
+def test_a_full_disk_at_the_end_leaves_no_bench_file(tmp_path):
+    with full_disk(), pytest.raises(OSError, match="No space left"):
+        write_identification(made_identification(0.3), tmp_path / "lab.toml", "LAB")
+    assert list(tmp_path.iterdir()) == []
+
+
+@contextmanager
+def full_disk():
+    full = OSError(errno.ENOSPC, "No space left on device")
+    with mock.patch("os.fsync", side_effect=full):
+        yield
+
+
+def fitted(monkeypatch, store, end=99, moved=0.1):
+    """Fit 6 presses with steps that take no time; cancel at the prediction ``end``."""
+    runs = []
+
+    def run(self, start, evaluations):
+        self.tell()
+        runs.append(len(self.measured))
+        nothing = np.zeros((len(start), len(start)))
+        return FitResult(start, nothing, np.ones(len(start)), 1.0, 1.0, moved)
+
+    def tell(_stage, _done, _total):
+        if len(runs) == end:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(GlsFit, "run", run)
+    presses = sample_presses([made_press(k) for k in range(6)], Delays())
+    found = None
+    with suppress(KeyboardInterrupt):
+        found = fit_mechanics(presses, NOMINAL, LIBRARY, np.full(3, 0.01), store, tell)
+    return found, len(runs)
+
+
+def test_a_cancelled_fit_continues_from_its_finished_parts(monkeypatch, tmp_path):
+    store = StageStore(tmp_path / "stages", "inputs")
+    assert fitted(monkeypatch, store, end=2) == (None, 2)
+    found, runs = fitted(monkeypatch, store)
+    assert runs == STARTS + 1 - 2
+    assert found.converged
+    assert fitted(monkeypatch, store)[1] == 0
+
+
+def test_a_fit_that_keeps_moving_does_not_converge(monkeypatch, tmp_path):
+    found, runs = fitted(monkeypatch, StageStore(tmp_path / "stages", "inputs"), moved=2.0)
+    assert runs == STARTS + ROUNDS
+    assert not found.converged
 
 
 def test_a_bench_that_predicts_no_better_is_refused():
@@ -363,7 +461,7 @@ def made_identification(share):
     spectra = (Spectrum("wrist, N", "N", np.arange(1.0, 9.0), np.arange(1.0, 9.0)),)
     return Identification(
         settings, NOMINAL, estimates, used, gate, ("shear",), np.ones((1, 1)), spectra,
-        (("frames", "10"),), (("mu", "a drag"),), 1.2, 54, 9, simulated=True,
+        (("frames", "10"),), (("mu", "a drag"),), 1.2, 54, 9, simulated=True, converged=True,
     )  # fmt: skip
 
 
@@ -381,6 +479,12 @@ def test_the_result_is_a_bench_file_figures_and_a_page(tmp_path):
         assert text in page
     for svg in re.findall(r"<svg.*?</svg>", page, re.DOTALL):
         check_svg(svg)
+
+
+def test_a_fit_that_did_not_converge_is_named():
+    found = replace(made_identification(0.3), converged=False)
+    assert "did not converge" in found.reason
+    assert "did not converge" in identification_page(found, "LAB")
 
 
 def test_a_refused_bench_is_not_written(tmp_path):

@@ -1,0 +1,134 @@
+"""Sheet that identifies a bench from the recordings of a dataset."""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+from PySide6.QtCore import QProcess, QUrl
+from PySide6.QtWidgets import QApplication, QLineEdit, QProgressBar, QPushButton, QWidget
+
+from touchdown.app.shell import BenchSheet, ask_path
+from touchdown.backend.core import data_folder, write_atomically
+from touchdown.backend.runs import dataset_folder
+from touchdown.widgets.base import Theme, hbox, label, set_property
+from touchdown.widgets.lists import FigureTable
+
+PROGRESS = re.compile(r"(.+): ([\d,]+) of ([\d,]+)(.*)")
+COLUMNS = ("parameter", "value", "standard uncertainty", "in the bench file")
+ABOUT = (
+    "Fits the simulated bench to presses recorded with `touchdown collect --plan rest`, `gel` and "
+    "`contact`. The bench moves nothing. Finished stages are kept after a cancel."
+)
+CANCELLED = "Cancelled. Identify again to continue from the finished stages."
+END_MS = 2000
+
+
+class IdentifySheet(BenchSheet):
+    """Dataset, progress, verdict and parameters. The fit runs in a process of its own."""
+
+    def __init__(self, parent: QWidget, theme: Theme) -> None:
+        super().__init__(parent, "Identify the bench")
+        self.dataset = QLineEdit(str(dataset_folder()))
+        self.dataset.setAccessibleName("Dataset")
+        self.choose = QPushButton("Choose\N{HORIZONTAL ELLIPSIS}")
+        self.begin, self.cancel = QPushButton("Identify"), QPushButton("Cancel")
+        self.accept_it = QPushButton("Accept")
+        self.accept_it.setToolTip("Keep the bench file in the data folder, named by the time")
+        self.progress = QProgressBar()
+        self.verdict, self.note = label("", "title", wrap=True), label("", wrap=True)
+        self.note.setOpenExternalLinks(True)
+        self.table = FigureTable(theme, "Parameters", COLUMNS)
+        self.table.empty = "No result yet"
+        self._child, self._error, self._draft = QProcess(self), "", Path()
+        self._child.readyReadStandardError.connect(self._read)
+        self._child.finished.connect(lambda code, _: self.show_end(code, self._output()))
+        self.choose.clicked.connect(lambda: ask_path(self, "Dataset", self._choose))
+        self.begin.clicked.connect(self._start)
+        self.cancel.clicked.connect(self.end)
+        self.accept_it.clicked.connect(self._accept)
+        application = QApplication.instance()
+        assert application is not None
+        application.aboutToQuit.connect(self.end)
+        row = hbox(label("Dataset"), (self.dataset, 1), self.choose)
+        texts = (self.verdict, self.note, (self.table, 1))
+        foot = (self.begin, self.cancel, self.accept_it)
+        self.arrange(label(ABOUT, "muted", wrap=True), row, self.progress, *texts, foot=foot,
+                     spacing=10)  # fmt: skip
+        self.resize_to_em(44, 34)
+        self._show_buttons(can_accept=False)
+
+    def end(self) -> None:
+        """End the process. Its stages are written atomically, so that finished ones are kept."""
+        if self._is_running():
+            self._child.kill()
+            self._child.waitForFinished(END_MS)
+
+    def show_line(self, line: str) -> None:
+        """Show a line of progress; keep an error for the end."""
+        if found := PROGRESS.fullmatch(line):
+            stage, done, total, left = found.groups()
+            self.progress.setRange(0, int(total.replace(",", "")))
+            self.progress.setValue(int(done.replace(",", "")))
+            self.progress.setFormat(f"{stage}: %p %{left}")
+        elif line.startswith("{"):
+            error = json.loads(line)["error"]
+            self._error = f"{error['what']} {error['fix']}"
+        elif line:
+            self._error = line
+
+    def show_end(self, code: int, output: str) -> None:
+        """Show the result ``output`` of the process, a JSON object, or its error."""
+        self.progress.reset()
+        found: dict[str, Any] = json.loads(output) if code in (0, 1) and output else {}
+        self.verdict.setText(found.get("reason") or self._error or CANCELLED)
+        tone = "good" if found.get("accepted") else "bad" if found or self._error else ""
+        set_property(self.verdict, "tone", tone)
+        self.table.show_rows([
+            (key, f"{value:.4g}", f"{sigma:.2g}", "yes" if key in found["used"] else "no")
+            for key, (value, sigma) in found.get("estimates", {}).items()
+        ])  # fmt: skip
+        page = QUrl.fromLocalFile(found["report"]).toString() if found else ""
+        self.note.setText(f'<a href="{page}">Report with plots and residuals</a>' if page else "")
+        self._show_buttons(can_accept=bool(found.get("accepted")))
+
+    def _choose(self, folder: Path) -> None:
+        self.dataset.setText(str(folder))
+
+    def _start(self) -> None:
+        dataset = Path(self.dataset.text())
+        self._draft, self._error = data_folder() / "identified" / dataset.name / "bench.toml", ""
+        words = ("-m", "touchdown", "identify", str(dataset), "--out", str(self._draft), "--json")
+        self.verdict.setText("")
+        self._child.start(sys.executable, words)
+        self.progress.setRange(0, 0)
+        self._show_buttons(can_accept=False)
+
+    def _accept(self) -> None:
+        kept = data_folder() / "benches" / f"{datetime.now():%Y%m%d-%H%M%S}.toml"
+        write_atomically(kept, self._draft.read_bytes())
+        self.note.setText(f"Accepted: {kept}. Open it with `touchdown app --bench`.")
+        self.accept_it.setEnabled(False)
+
+    def _is_running(self) -> bool:
+        return self._child.state() != QProcess.ProcessState.NotRunning
+
+    def _read(self) -> None:
+        for line in bytes(self._child.readAllStandardError().data()).decode().splitlines():
+            self.show_line(line)
+
+    def _output(self) -> str:
+        return bytes(self._child.readAllStandardOutput().data()).decode()
+
+    def _show_buttons(self, *, can_accept: bool) -> None:
+        running = self._is_running()
+        self.cancel.setEnabled(running)
+        for widget in (self.dataset, self.choose, self.begin):
+            widget.setEnabled(not running)
+        self.accept_it.setEnabled(can_accept)
+        set_property(self.accept_it, "role", "primary" if can_accept else "")
+        set_property(self.begin, "role", "" if can_accept else "primary")

@@ -46,8 +46,9 @@ class IdentifySheet(BenchSheet):
         self.table.empty = "No result yet"
         self._child, self._error, self._draft = QProcess(self), "", Path()
         self._child.readyReadStandardError.connect(self._read)
-        self._child.finished.connect(lambda code, _: self.show_end(code, self._output()))
-        self.choose.clicked.connect(lambda: ask_path(self, "Dataset", self._choose))
+        self._child.finished.connect(self._finished)
+        take = self.dataset.setText
+        self.choose.clicked.connect(lambda: ask_path(self, "Dataset", lambda at: take(str(at))))
         self.begin.clicked.connect(self._start)
         self.cancel.clicked.connect(self.end)
         self.accept_it.clicked.connect(self._accept)
@@ -96,9 +97,6 @@ class IdentifySheet(BenchSheet):
         self.note.setText(f'<a href="{page}">Report with plots and residuals</a>' if page else "")
         self._show_buttons(can_accept=bool(found.get("accepted")))
 
-    def _choose(self, folder: Path) -> None:
-        self.dataset.setText(str(folder))
-
     def _start(self) -> None:
         dataset = Path(self.dataset.text())
         self._draft, self._error = data_folder() / "identified" / dataset.name / "bench.toml", ""
@@ -110,9 +108,17 @@ class IdentifySheet(BenchSheet):
 
     def _accept(self) -> None:
         kept = data_folder() / "benches" / f"{datetime.now():%Y%m%d-%H%M%S}.toml"
-        write_atomically(kept, self._draft.read_bytes())
+        try:
+            write_atomically(kept, self._draft.read_bytes())
+        except OSError as error:
+            self.note.setText(f"The bench file cannot be kept: {error}")
+            return
         self.note.setText(f"Accepted: {kept}. Open it with `touchdown app --bench`.")
         self.accept_it.setEnabled(False)
+
+    def _finished(self, code: int) -> None:
+        self._read()
+        self.show_end(code, bytes(self._child.readAllStandardOutput().data()).decode())
 
     def _is_running(self) -> bool:
         return self._child.state() != QProcess.ProcessState.NotRunning
@@ -120,9 +126,6 @@ class IdentifySheet(BenchSheet):
     def _read(self) -> None:
         for line in bytes(self._child.readAllStandardError().data()).decode().splitlines():
             self.show_line(line)
-
-    def _output(self) -> str:
-        return bytes(self._child.readAllStandardOutput().data()).decode()
 
     def _show_buttons(self, *, can_accept: bool) -> None:
         running = self._is_running()

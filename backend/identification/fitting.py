@@ -29,6 +29,7 @@ DEPTH_SD_MM = 0.08  # of the contact height from the onset
 HOLD = slice(14, None)  # ticks with the largest strain, for the shape of the field
 STEP_SHARE = 0.02  # step of a numerical derivative relative to the width of the prior
 # The face touches on cells of 1 mm, so that a prediction changes in steps with the position.
+SCALES = {"scale_left": slice(6, 9), "scale_right": slice(9, 12)}  # and their channels
 POSITIONS, POSITION_STEP_MM = ("print_x", "print_y", "grasp_x"), 0.5
 # Error of the model and of the tracker that is constant over a press, of the measured value
 MODEL_SHARE = 0.004
@@ -133,37 +134,32 @@ class GlsFit:
         return np.asarray(self._whitening @ left.reshape(len(left), -1, 1))[..., 0]
 
     def _derivatives(self, x: FloatArray, names: list[str]) -> dict[str, FloatArray]:
-        """Return the derivative (B, 20, 12) of the prediction by the unknowns of each press."""
-        values = self.layout.values(x)
+        """Return the derivative (B, 20, 12) of the prediction by the unknowns of each press.
+
+        That by a position is central over whole cells. ``deeper_mm`` is the depth of a press.
+        """
+        values, unknowns = self.layout.values(x), {u.name: u for u in self.layout.unknowns}
         at = self.model.predict(values)
+
+        def moved(name: str, step: float) -> FloatArray:
+            self.tell()
+            one = unknowns.get(name)
+            now = np.full(len(at), step) if one is None else one.inner(values[name]) + step
+            return self.model.predict({**values, name: now if one is None else one.outer(now)})
+
         result = {}
         for name in names:
-            self.tell()
-            if name in ("scale_left", "scale_right"):
-                first = 6 if name == "scale_left" else 9
+            if name in SCALES:
                 slope = np.zeros_like(at)
-                slope[..., first : first + 3] = at[..., first : first + 3]
-            elif name == "deeper_mm":
-                step = 0.02
-                slope = (self.model.predict({**values, name: np.full(len(at), step)}) - at) / step
+                slope[..., SCALES[name]] = at[..., SCALES[name]]
+            elif name in POSITIONS:
+                step = POSITION_STEP_MM
+                slope = (moved(name, step) - moved(name, -step)) / (2.0 * step)
             else:
-                slope = self._slope(x, at, name)
+                step = STEP_SHARE * (unknowns[name].prior_sd if name in unknowns else 1.0)
+                slope = (moved(name, step) - at) / step
             result[name] = np.nan_to_num(slope, nan=0.0)
         return result
-
-    def _slope(self, x: FloatArray, at: FloatArray, name: str) -> FloatArray:
-        """Return the derivative by one unknown; central over whole cells for a position."""
-        unknown = next(u for u in self.layout.unknowns if u.name == name)
-        where = self.layout.parts[name]
-        ahead, behind = x.copy(), x.copy()
-        if name in POSITIONS:
-            ahead[where] += POSITION_STEP_MM
-            behind[where] -= POSITION_STEP_MM
-            pair = [self.model.predict(self.layout.values(v)) for v in (ahead, behind)]
-            return np.asarray((pair[0] - pair[1]) / (2.0 * POSITION_STEP_MM))
-        step = STEP_SHARE * unknown.prior_sd
-        ahead[where] += step
-        return np.asarray((self.model.predict(self.layout.values(ahead)) - at) / step)
 
     def _jacobian(self, x: FloatArray) -> FloatArray:
         names = [u.name for u in self.layout.unknowns]

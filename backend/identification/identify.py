@@ -20,7 +20,6 @@ from touchdown.backend.identification.estimates import (
     Estimate,
     identifiable,
 )
-from touchdown.backend.identification.press_model import field_basis, project_fields
 from touchdown.backend.identification.recordings import (
     CONTACT_STAGE,
     GEL_STAGES,
@@ -175,11 +174,7 @@ def identify_bench(
 
     friction = store.get("friction", slipped) if slips else {"mu": [], "sigma": []}
     pads = friction_estimates(np.array(friction["mu"]), np.array(friction["sigma"]))
-    roll_off = (float(mechanics.roll_off_mm[0]), float(mechanics.roll_off_mm[1]))
-    basis = field_basis(nominal.tactile.pitch_mm, roll_off)
-    _, misfit = project_fields(held.field_px[:, :1], held.seen[:, :1], basis)
-    marker_px = (float(np.sqrt(np.median(misfit))), float(drifts[2]))
-    gate = replay_gate(held, mechanics, nominal, library, marker_px)
+    gate = replay_gate(held, mechanics, nominal, library, float(drifts[2]))
     estimates = (
         *rest.estimates, *identify_air(presses, float(drifts[2]), rest=bool(rest.estimates)),
         *delayed, *arm_compliance(gel[:40]), *mechanics_estimates(mechanics),

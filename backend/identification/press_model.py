@@ -30,6 +30,11 @@ from touchdown.backend.simulation import (
 CHANNELS = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz", "left x", "left z", "left turn",
             "right x", "right z", "right turn")  # fmt: skip
 SUBCELLS = 3  # whole cells of 1 mm would make the prediction a step function of the position
+# Conditions of the bench that the model leaves out, and their shapes
+ABSENT: dict[str, Any] = {
+    "yaw_rad": (), "crown_rad": (), "wrist_yaw_rad": (), "wrist_lever_mm": (3,), "ft_offset": (6,),
+    "cable_n_mm": (3, 3), "print_offset_mm": (2,), "label_error_mm": (2,), "bias_px": (2, 2),
+}  # fmt: skip
 STIFF_ARM_N_MM = 1e6  # the measured hand does not yield
 
 
@@ -173,24 +178,16 @@ class PressModel:
             limit_radius_mm=grasp.limit_radius_mm * np.sqrt(area) * ones,
             slips=np.full(count, "mu_grip" in v),
             grasp_offset_mm=offset,
-            yaw_rad=np.zeros(count),
             alpha=np.maximum(v["alpha"], 0.0),
             relax_s=v["relax_s"],
             creep=grasp.creep_share * ones,
             creep_s=grasp.creep_s * ones,
-            crown_rad=np.zeros(count),
-            wrist_yaw_rad=np.zeros(count),
-            wrist_lever_mm=np.zeros((count, 3)),
-            cable_n_mm=np.zeros((count, 3, 3)),
             mu=nominal.mu * ones,
             foundation_n_mm3=v["foundation"],
             tangential_n_mm3=nominal.face.tangential_n_mm3 * ones,
             tilt_rad=tilt,
-            print_offset_mm=np.zeros((count, 2)),
-            label_error_mm=np.zeros((count, 2)),
             gain=np.ones((count, 2)),
-            bias_px=np.zeros((count, 2, 2)),
-            ft_offset=np.zeros((count, 6)),
+            **{name: np.zeros((count, *shape)) for name, shape in ABSENT.items()},
         )
 
 

@@ -124,7 +124,6 @@ class Mechanics:
     """Fit of ``presses``: solution, layout, basis. ``converged``: the last round moved little."""
 
     presses: PressSet
-    unknowns: tuple[Unknown, ...]
     layout: Layout
     fit: FitResult
     roll_off_mm: FloatArray
@@ -136,7 +135,7 @@ class Mechanics:
 
         The standard uncertainties of logarithms are relative.
         """
-        unknown = next(u for u in self.unknowns if u.name == name)
+        unknown = next(u for u in self.layout.unknowns if u.name == name)
         place = self.layout.parts[name]
         return np.asarray(unknown.outer(self.fit.x[place])), self.fit.sigma[place]
 
@@ -159,7 +158,7 @@ def fit_mechanics(
     marker_field = store.get("field", shape)
     roll_off = np.array(marker_field["roll_off_mm"])
     basis = field_basis(pitch, (float(roll_off[0]), float(roll_off[1])))
-    few = presses.take(_spread_rows(presses, START_PRESSES))
+    few = presses.take(np.arange(0, len(presses), -(-len(presses) // START_PRESSES)))
     unknowns = unknowns_of(nominal)
     work = np.r_[np.repeat(len(few), STARTS), np.repeat(len(presses), ROUNDS)] * EVALUATIONS
 
@@ -201,17 +200,7 @@ def fit_mechanics(
         if result.moved < SETTLED:
             break
     covariance = np.array(marker_field["covariance"])
-    settled = result.moved < SETTLED
-    return Mechanics(presses, unknowns, layout, result, roll_off, covariance, settled)
-
-
-def _spread_rows(presses: PressSet, most: int) -> NDArray[np.intp]:
-    """Return at most ``most`` presses, evenly from all grippings."""
-    order = np.argsort(
-        [np.flatnonzero(presses.grip[: k + 1] == g).size for k, g in enumerate(presses.grip)],
-        kind="stable",
-    )
-    return np.sort(order[:most])
+    return Mechanics(presses, layout, result, roll_off, covariance, result.moved < SETTLED)
 
 
 def _start(
@@ -301,7 +290,7 @@ def friction_estimates(mu: FloatArray, sigma: FloatArray) -> list[Estimate]:
 
 def correlations(found: Mechanics) -> tuple[tuple[str, ...], FloatArray]:
     """Return names and correlation matrix of common unknowns and means over grippings."""
-    names = tuple(u.name for u in found.unknowns if u.scope != "mounting")
+    names = tuple(u.name for u in found.layout.unknowns if u.scope != "mounting")
     rows = np.zeros((len(names), found.layout.size))
     for k, name in enumerate(names):
         rows[k, found.layout.parts[name]] = 1.0 / len(found.layout.parts[name])
@@ -340,34 +329,35 @@ GATE_CHANNELS = (*CHANNELS[:6], "left markers", "right markers")
 
 def replay_gate(
     held: PressSet, found: Mechanics, nominal: SimulationSettings, library: PieceLibrary,
-    marker_noise_px: tuple[float, float],
+    drift_px: float,
 ) -> Gate:  # fmt: skip
     """Predict the ``held`` presses by both benches.
 
     A gripping that was not fitted has the mean values of the population.
-    ``marker_noise_px``: white noise and drift per √s of a marker.
+    ``drift_px``: of a marker per √s.
     """
     model = PressModel(held, nominal, library)
     known = {m: k for k, m in enumerate(np.unique(found.presses.mounting))}
     fitted = {}
-    for unknown in found.unknowns:
-        name = unknown.name
+    for unknown in found.layout.unknowns:
+        values, _ = found.of(unknown.name)
         if unknown.scope == "mounting":
-            values = unknown.outer(found.fit.x[found.layout.parts[name]])
-            fitted[name] = values[[known[m] for m in held.mounting]]
+            fitted[unknown.name] = values[[known[m] for m in held.mounting]]
         else:
-            mean = 0.0 if name == "grasp_x" else float(found.of(name)[0].mean())
-            fitted[name] = np.full(len(held), mean)
-    plain = {u.name: np.full(len(held), u.start) for u in found.unknowns}
+            mean = 0.0 if unknown.name == "grasp_x" else float(values.mean())
+            fitted[unknown.name] = np.full(len(held), mean)
+    plain = {u.name: np.full(len(held), u.start) for u in found.layout.unknowns}
     # Tilt and position of a mounting are no part of a bench file: both benches get them.
-    plain |= {u.name: fitted[u.name] for u in found.unknowns if u.scope == "mounting"}
+    plain |= {u.name: fitted[u.name] for u in found.layout.unknowns if u.scope == "mounting"}
     if not nominal.grasp.hysteresis:
         plain["alpha"] = np.zeros(len(held))
     pitch, usual = nominal.tactile.pitch_mm, nominal.tactile.roll_off_mm
     own = (float(found.roll_off_mm[0]), float(found.roll_off_mm[1]))
+    _, misfit = project_fields(held.field_px[:, :1], held.seen[:, :1], field_basis(pitch, own))
+    noise_px = (float(np.sqrt(np.median(misfit))), drift_px)
     squares, series = [], []
     for bench, roll_off in ((plain, usual), (fitted, own)):
-        square, channels = _normalised(model, bench, field_basis(pitch, roll_off), marker_noise_px)
+        square, channels = _normalised(model, bench, field_basis(pitch, roll_off), noise_px)
         squares.append(square)
         series.append(channels)
     phase = _phases(held)
@@ -424,7 +414,9 @@ def fit_pad_friction(
     friction times grip force, so an error of the grip force is part of the friction.
     """
     model, count = PressModel(presses, nominal, library), len(presses)
-    values = {u.name: np.full(count, float(found.of(u.name)[0].mean())) for u in found.unknowns}
+    values = {
+        u.name: np.full(count, float(found.of(u.name)[0].mean())) for u in found.layout.unknowns
+    }
     for name in ("tilt_x", "tilt_y", "print_x", "print_y", "grasp_x"):
         values[name] = np.zeros(count)
     ratio = np.maximum(presses.wrench[:, -1, 2], 0.5) / (2.0 * model.grip_force_n)

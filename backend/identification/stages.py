@@ -49,8 +49,8 @@ from touchdown.backend.identification.recordings import STEPS_PER_TICK, PressSet
 Json = dict[str, Any]
 Tell = Callable[[str, int, int], None]  # stage, done, total
 VERSION = 1  # of the stored results; raised when a stage computes something else
-STARTS, START_PRESSES, ROUNDS, EVALUATIONS = 3, 36, 5, 6
-SETTLED = 0.3  # a round that moves no unknown by more of its uncertainty is the last
+STARTS, START_PRESSES, ROUNDS, EVALUATIONS = 3, 36, 8, 6
+SETTLED = 0.5  # a round that moves no unknown by more of its uncertainty is the last
 EARLY = 4  # tick of the slopes for the start
 SLIPPED = 0.1  # largest relative error of the friction of a press that slipped
 HELD_OUT = 3  # every third gripping is held out
@@ -346,7 +346,7 @@ def replay_gate(
         else:
             mean = 0.0 if unknown.name == "grasp_x" else float(values.mean())
             fitted[unknown.name] = np.full(len(held), mean)
-    plain = {u.name: np.full(len(held), u.start) for u in found.layout.unknowns}
+    plain = {u.name: np.full(len(held), u.start) for u in unknowns_of(nominal)}
     # Tilt and position of a mounting are no part of a bench file: both benches get them.
     plain |= {u.name: fitted[u.name] for u in found.layout.unknowns if u.scope == "mounting"}
     if not nominal.grasp.hysteresis:

@@ -325,7 +325,7 @@ def sheets(stage: Stage, folder: Path) -> Iterator[str]:
 def _identified(wizard: CalibratePresenter, folder: Path) -> Iterator[str]:
     wizard._identify()
     assert wizard.identify is not None
-    wizard.identify.dataset.setText("/home/ann/lab/first-day")
+    wizard.identify.dataset.setText("lab/first-day")
     wizard.identify.show_line("fit, round 2: 1,204 of 2,304 ... about 3.5 min left")
     yield "identify"
     reason = "Accepted: on 30 presses of 5 held-out grippings the error above the noise is 31 % of "

@@ -276,7 +276,7 @@ def score_fused_verdicts(
     chart = reliability_curve(np.concatenate(promised), np.concatenate(real))
     if model.calibration is None:
         del verdicts["calibrated"]
-    return {**verdicts, "map_iou": iou, "reliability": chart.as_json()}
+    return {**verdicts, "map_iou": iou, "reliability": chart}
 
 
 def _support(

@@ -21,7 +21,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.backend.core import FloatArray
-from touchdown.backend.learning import Z_95, rate_interval
+from touchdown.backend.learning import Z_95, calibration_error, rate_interval
+
+Json = dict[str, Any]
 
 
 @dataclass(frozen=True, slots=True)
@@ -185,53 +187,26 @@ def sequential_decision(
 BINS = 15
 
 
-@dataclass(frozen=True, slots=True)
-class ReliabilityCurve:
-    """Per bin of equal mass: mean predicted probability ``promised``, observed share ``came``,
-    ``count``.
-    """
-
-    promised: tuple[float, ...]
-    came: tuple[float, ...]
-    count: tuple[int, ...]
-
-    @property
-    def ece(self) -> float:
-        """Mean distance of prediction and observation, weighted by count; NaN without cases."""
-        weight = np.array(self.count, dtype=np.float64)
-        if not weight.sum():
-            return float("nan")
-        gap = np.abs(np.array(self.promised) - np.array(self.came))
-        return float((gap * weight).sum() / weight.sum())
-
-    def as_json(self) -> dict[str, Any]:
-        """Return the rounded curve."""
-        return {
-            "promised": [round(v, 4) for v in self.promised],
-            "came": [round(v, 4) for v in self.came],
-            "count": list(self.count),
-            "ece": round(self.ece, 4),
-        }
-
-
 def reliability_curve(
     probability: FloatArray, truth: NDArray[np.bool_] | FloatArray, bins: int = BINS
-) -> ReliabilityCurve:
+) -> Json:
     """Sort ``probability`` (n,) into ``bins`` of equal mass and compare with ``truth`` (n,).
 
-    A share in ``truth`` represents cases that were counted together.
+    A share in ``truth`` represents cases that were counted together. Returns per bin the mean
+    probability ``promised``, the observed share ``came`` and the ``count``; and ``ece``.
     """
     order = np.argsort(probability, kind="stable")
     parts = [part for part in np.array_split(order, bins) if len(part)]
-    return ReliabilityCurve(
-        tuple(float(probability[part].mean()) for part in parts),
-        tuple(float(truth[part].mean()) for part in parts),
-        tuple(len(part) for part in parts),
-    )
+    found = [(float(probability[p].mean()), float(truth[p].mean()), len(p)) for p in parts]
+    return {
+        "promised": [round(promised, 4) for promised, _, _ in found],
+        "came": [round(came, 4) for _, came, _ in found],
+        "count": [count for _, _, count in found],
+        "ece": round(calibration_error(found), 4),
+    }
 
 
 PressResult = Mapping[str, Any]  # result of one job of presses
-Json = dict[str, Any]
 
 
 def iou_change(pairs: Sequence[tuple[PressResult, PressResult]], before: str, after: str) -> Json:
@@ -274,11 +249,6 @@ class IntervalAgreement:
 
     cells: int
     outside: tuple[str, ...]
-
-    @property
-    def share(self) -> float:
-        """Share of cells that agree; 1 without cells."""
-        return 1.0 - len(self.outside) / self.cells if self.cells else 1.0
 
 
 def compare_intervals(small: TablesContent, large: TablesContent) -> IntervalAgreement:

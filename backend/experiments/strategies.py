@@ -724,4 +724,4 @@ def reliability_of_counts(counts: FloatArray) -> Json:
     some = count > 0
     promised = np.repeat(counts[2][some] / counts[0][some], count[some])
     came = np.repeat(counts[1][some] / counts[0][some], count[some])
-    return reliability_curve(promised, came).as_json()
+    return reliability_curve(promised, came)

@@ -23,7 +23,7 @@ from .inference import modality_columns as modality_columns
 from .metrics import CONTACT_LEVEL as CONTACT_LEVEL
 from .metrics import Z_95 as Z_95
 from .metrics import EvaluationScores as EvaluationScores
-from .metrics import SamplePrediction as SamplePrediction
+from .metrics import calibration_error as calibration_error
 from .metrics import clustered_interval as clustered_interval
 from .metrics import load_samples as load_samples
 from .metrics import rate_interval as rate_interval

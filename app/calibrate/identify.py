@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from PySide6.QtCore import QProcess, QUrl
+from PySide6.QtGui import QDesktopServices
 from PySide6.QtWidgets import QApplication, QLineEdit, QProgressBar, QPushButton, QWidget
 
 from touchdown.app.shell import BenchSheet, ask_path
@@ -21,8 +22,8 @@ from touchdown.widgets.lists import FigureTable
 PROGRESS = re.compile(r"(.+): ([\d,]+) of ([\d,]+)(.*)")
 COLUMNS = ("parameter", "value", "standard uncertainty", "in the bench file")
 ABOUT = (
-    "Fits the simulated bench to presses recorded with `touchdown collect --plan rest`, `gel` and "
-    "`contact`. The bench moves nothing. Finished stages are kept after a cancel."
+    "Fits the simulated bench to presses recorded with touchdown collect and the plans rest, gel "
+    "and contact. Nothing moves. Finished stages are kept after a cancel."
 )
 CANCELLED = "Cancelled. Identify again to continue from the finished stages."
 END_MS = 2000
@@ -37,14 +38,13 @@ class IdentifySheet(BenchSheet):
         self.dataset.setAccessibleName("Dataset")
         self.choose = QPushButton("Choose\N{HORIZONTAL ELLIPSIS}")
         self.begin, self.cancel = QPushButton("Identify"), QPushButton("Cancel")
-        self.accept_it = QPushButton("Accept")
+        self.accept_it, self.report = QPushButton("Accept"), QPushButton("Report")
         self.accept_it.setToolTip("Keep the bench file in the data folder, named by the time")
         self.progress = QProgressBar()
         self.verdict, self.note = label("", "title", wrap=True), label("", wrap=True)
-        self.note.setOpenExternalLinks(True)
         self.table = FigureTable(theme, "Parameters", COLUMNS)
         self.table.empty = "No result yet"
-        self._child, self._error, self._draft = QProcess(self), "", Path()
+        self._child, self._error, self._draft, self._page = QProcess(self), "", Path(), ""
         self._child.readyReadStandardError.connect(self._read)
         self._child.finished.connect(self._finished)
         take = self.dataset.setText
@@ -52,12 +52,15 @@ class IdentifySheet(BenchSheet):
         self.begin.clicked.connect(self._start)
         self.cancel.clicked.connect(self.end)
         self.accept_it.clicked.connect(self._accept)
+        self.report.setEnabled(False)
+        open_page = QDesktopServices.openUrl
+        self.report.clicked.connect(lambda: open_page(QUrl.fromLocalFile(self._page)))
         application = QApplication.instance()
         assert application is not None
         application.aboutToQuit.connect(self.end)
         row = hbox(label("Dataset"), (self.dataset, 1), self.choose)
         texts = (self.verdict, self.note, (self.table, 1))
-        foot = (self.begin, self.cancel, self.accept_it)
+        foot = (self.begin, self.cancel, self.accept_it, self.report)
         self.arrange(label(ABOUT, "muted", wrap=True), row, self.progress, *texts, foot=foot,
                      spacing=10)  # fmt: skip
         self.resize_to_em(44, 34)
@@ -93,8 +96,9 @@ class IdentifySheet(BenchSheet):
             (key, f"{value:.4g}", f"{sigma:.2g}", "yes" if key in found["used"] else "no")
             for key, (value, sigma) in found.get("estimates", {}).items()
         ])  # fmt: skip
-        page = QUrl.fromLocalFile(found["report"]).toString() if found else ""
-        self.note.setText(f'<a href="{page}">Report with plots and residuals</a>' if page else "")
+        self._page = found.get("report", "")
+        self.report.setEnabled(bool(found))
+        self.note.setText("")
         self._show_buttons(can_accept=bool(found.get("accepted")))
 
     def _start(self) -> None:
@@ -113,7 +117,7 @@ class IdentifySheet(BenchSheet):
         except OSError as error:
             self.note.setText(f"The bench file cannot be kept: {error}")
             return
-        self.note.setText(f"Accepted: {kept}. Open it with `touchdown app --bench`.")
+        self.note.setText(f"Accepted: {kept}. Open it with touchdown app --bench FILE.")
         self.accept_it.setEnabled(False)
 
     def _finished(self, code: int) -> None:

@@ -260,7 +260,7 @@ def identification_time() -> list[Figure]:
     gel = [press for press in recordings.presses if press.stage == "gel"]
     copies = -(-MANY // len(gel))
     many = tuple(
-        replace(press, grip=f"{press.grip}-{copy}", uuid=f"{press.uuid}-{copy}")
+        replace(press, grip=f"{press.grip}-{copy % 3}", uuid=f"{press.uuid}-{copy}")
         for copy in range(copies)
         for press in gel
     )[:MANY]

@@ -50,7 +50,7 @@ from touchdown.app.shell import (
 from touchdown.app.tour import Tour, tour_stops
 from touchdown.app.workspaces import FIRST, Workspaces
 from touchdown.backend.bench import Session
-from touchdown.backend.core import CommandNotifier, Event, EventQueue
+from touchdown.backend.core import CommandNotifier, Event, EventQueue, RunStarted
 from touchdown.widgets.base import EventPump, load_resources
 from touchdown.widgets.shell import STOPPED, CardText, FaultCards, PillState, TopBar, TourStop
 
@@ -137,8 +137,9 @@ class TouchdownApp(QObject):
         self.bar = TopBar(self.theme, self.stop)
         self._speed = SpeedOverride(self.bar, self.say)
         context = WorkspaceContext(
-            self.theme, self.cards, runs, self.say, self.go, self._show_keys, self.remember
-        )
+            self.theme, self.cards, runs, self.say, self.go, self._show_keys, self.remember,
+            lambda text, step, act: self.window.next_step.ask(text, "Dismiss", step, act),
+        )  # fmt: skip
         self.workspaces = Workspaces(context, settings.pages, self._place, self._warn)
         self.window = MainWindow(self.theme, self.bar, self.cards, self.workspaces.all)
         self.window.may_close = lambda: self._closing.may_close(self.bench)
@@ -336,6 +337,8 @@ class TouchdownApp(QObject):
                           "Ctrl+T", self._next_theme),
             WindowCommand("larger", "Larger text", "Ctrl++", self.look.larger),
             WindowCommand("smaller", "Smaller text", "Ctrl+-", self.look.smaller),
+            WindowCommand("next-step", "Carry out the next step that is offered", "Ctrl+.",
+                          lambda: self.window.next_step.yes.click()),
             WindowCommand("keys", "Key sheet", "F1", self._show_keys),
             WindowCommand("palette", "Find a command", "Ctrl+K",
                           lambda: self.dialogs.show_palette()),
@@ -446,6 +449,8 @@ class TouchdownApp(QObject):
         return True
 
     def _take(self, event: Event) -> None:
+        if isinstance(event, RunStarted):
+            self.window.next_step.withdraw()
         self.workspaces.take(event)
         self.panels.calibrate.take(event)
         log_event(event)

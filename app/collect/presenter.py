@@ -276,7 +276,9 @@ class CollectPresenter:
         self.bench: Session | None = None
         self._asking = self._mine = False
         self._asked: HandOverAwaited | MountingAwaited | None = None
-        self._campaign, self._go_on = "", ""
+        self._campaign, self._go_on, self._gave = "", "", ""
+        # Gets what a campaign that ended gave, and the number of probes left.
+        self.ended: Callable[[str, int], None] = lambda *_: None
         self.dataset_trouble = ""  # why the dataset could not be opened
         self._pace, self._gauge = CampaignPace(), RecorderGauge()
         self._progress = CampaignProgress()
@@ -472,6 +474,7 @@ class CollectPresenter:
         self._page.target.detail.setText("")
         self._page.live.detail.setText("")
         self._page.target.eta.setText(event.reason)
+        self._gave = event.reason if event.ending in ("finished", "cancelled") else ""
         self._read_campaign()
         self.probes.end_run()
 
@@ -498,6 +501,9 @@ class CollectPresenter:
             target = self._page.target
             came = plan.count - left - len(plan.skipped)
             target.show_progress(came, plan.count, target.eta.text())
+            if self._gave:
+                self.ended(f"{plan.piece} on {plan.bottom}: {self._gave}", left)
+                self._gave = ""
 
         self._reader.submit(look, done, self._failed)
 

@@ -188,15 +188,7 @@ def probe_row(number: int, held: ProbeRecord) -> EpisodeTableRow:
         f"{local:%H:%M:%S}" if local.date() == today else f"{local:%y-%m-%d}",
         flagged=entry.flagged,
         deleted=entry.deleted,
-        grip=grip_text(entry.grip_id),
-        person=entry.person,
-        distance_mm=float(np.nan_to_num(np.hypot(*held.offset_mm), nan=-1.0)),
     )
-
-
-def grip_text(grip_id: str) -> str:
-    """Return mounting and grip such as "1.3", or the identifier as it is."""
-    return ".".join(part.rpartition("-")[2] for part in grip_id.split("/")[-2:])
 
 
 def quality_text(quality: EpisodeQuality) -> str:

@@ -31,7 +31,6 @@ from touchdown.backend.bench import Session
 from touchdown.backend.core import Event
 from touchdown.backend.geometry import load_pieces
 from touchdown.widgets.forms import TargetForm
-from touchdown.widgets.lists import TableArrangement
 
 
 def join_half_commands(
@@ -82,7 +81,6 @@ class CollectMemory:
 
     target: dict[str, object] = field(default_factory=dict)
     signal: Annotated[int, Field(ge=0, lt=len(SIGNALS))] = 0
-    list: TableArrangement = field(default_factory=TableArrangement)
     origin: OriginCheckNote | None = None
     half: Annotated[str, Field(pattern="^(collect|label)$")] = COLLECT
 
@@ -134,6 +132,7 @@ class CollectWorkspace(Workspace):
         self.presenter = CollectPresenter(
             self.collect_page, self._context.cards, self.reader, self._catalogue
         )
+        self.presenter.ended = self._offer_next
         self._wire()
         self.collect_page.target.show_catalogue(*piece_titles(self._catalogue))
         self.page.half_shown.connect(self._half_came)
@@ -180,7 +179,6 @@ class CollectWorkspace(Workspace):
         mine = CollectMemory(
             asdict(page.target.form()),
             page.signal.currentIndex(),
-            page.table.arrangement,
             self.presenter.origin.note,
             self.page.front,
         )
@@ -192,10 +190,6 @@ class CollectWorkspace(Workspace):
         form, invalid = restore_form(TargetForm(), mine.target)
         self.collect_page.target.show_form(form)
         self.collect_page.signal.setCurrentIndex(mine.signal)
-        try:
-            self.collect_page.table.arrange(mine.list)
-        except ValueError:
-            dropped.append("list")
         self.presenter.origin.show_note(mine.origin)
         self.page.bring(mine.half)
         return [*self.label.recall(memory), *dropped, *invalid]
@@ -270,6 +264,17 @@ class CollectWorkspace(Workspace):
         if name.strip() and name != self.presenter.person:
             self.label.be(name)
 
+    def _offer_next(self, gave: str, left: int) -> None:
+        """Offer to label the probes of a campaign, or show the button that continues it."""
+
+        def show() -> None:
+            self._context.go(self.name)
+            self.page.show_half(COLLECT if left else LABEL)
+            if left:
+                self.collect_page.target.go_on.setFocus()
+
+        self._context.offer(gave, f"Continue: {left:,} left" if left else "Label them", show)
+
     # -- orders -----------------------------------------------------------------------------------
 
     def _wire(self) -> None:
@@ -301,10 +306,6 @@ class CollectWorkspace(Workspace):
             self._act("leave-out", "Skip: leave its place out", "S", lambda p: p.decide("skip")),
             WindowCommand("person", "Say who collects", "Ctrl+U",
                     lambda: self.collect_page.target.ask_person()),
-            WindowCommand("columns", "Choose the columns of the episodes", "",
-                    lambda: self.collect_page.table.choose_columns()),
-            WindowCommand("sort", "Sort the episodes by the next column", "",
-                    lambda: self.collect_page.table.sort_by_next()),
             WindowCommand("fit", "Fit the force and moment ranges", "Ctrl+F",
                     lambda: self.collect_page.fit()),
         )  # fmt: skip

@@ -77,7 +77,7 @@ class BulkPresenter:
             return
         book, person, shown = self._on.book, self._on.session.person, self._on.shown
         # Bulk changes must not touch control items.
-        order = [uuid for uuid in self._on.walk.order if not shown.hides(uuid)]
+        order = [uuid for uuid in self._on.walk.selected if not shown.hides(uuid)]
 
         async def compute() -> None:
             found = await self._on.saving.save(lambda: book.preview(person, order, change))
@@ -199,12 +199,14 @@ class SideTabKeys:
         """Ask for a bulk change of the queue and its value."""
         choices = [(str(n), text) for n, (_, text, _) in enumerate(KINDS, start=1)]
         names = {text: name for name, text, _ in KINDS}
+        walk, which = self._on.walk, "every label of this queue"
+        if walk.selected is not walk.order:
+            which = f"the {len(walk.selected):,} selected labels"
         self._on.do(
             lambda: self._page.choice.ask(
-                "Change every label of this queue how?", choices,
-                lambda word: self._begin(names[word]),
+                f"Change {which} how?", choices, lambda word: self._begin(names[word])
             )
-        )  # fmt: skip
+        )
 
     def _begin(self, kind: str) -> None:
         form = self._page.bulk

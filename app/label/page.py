@@ -12,6 +12,7 @@ from PySide6.QtWidgets import QComboBox, QListWidget, QPushButton, QWidget
 from touchdown.app.label.side import BulkForm, KeyboardLineEdit, SideTabs
 from touchdown.app.label.text import QUEUES
 from touchdown.app.shell import LabelSheets
+from touchdown.backend.annotations import FILTER_HELP
 from touchdown.widgets.base import (
     ElidedLabel,
     Panel,
@@ -19,6 +20,7 @@ from touchdown.widgets.base import (
     WrappedItemDelegate,
     add_items,
     compact_combo_box,
+    flat_button,
     hbox,
     label,
     scroll_into_view,
@@ -102,6 +104,7 @@ EMPTY_QUEUES = {
     "returned": empty_queue(
         "None of your labels was rejected", "No label came back, and you rejected no probe."
     ),
+    "all": empty_queue("No episode passes the filter", "Change it above, or clear it."),
     "conflicts": empty_queue("There are no conflicts", "No merge left an episode two labels."),
     **dict.fromkeys(("doubt", "disagreement", "uncertainty", "duplicates"), NOT_SCORED),
 }
@@ -164,6 +167,8 @@ class LabelPage(QWidget):
     value_entered = Signal()
     health_requested = Signal()
     finding_chosen = Signal(int)
+    filter_typed = Signal(str)
+    filter_kept = Signal()
 
     def __init__(self, theme: Theme) -> None:
         super().__init__()
@@ -173,6 +178,10 @@ class LabelPage(QWidget):
         for name, text in QUEUES:
             self.queue.addItem(text, name)
         self.queue.setAccessibleName("Queue")
+        hint = "piece:pot state:draft since:2026-11-30 sort:pair"
+        self.filter = KeyboardLineEdit("Filter", hint, self.filter_typed.emit, self.setFocus)
+        self.filter.setToolTip(FILTER_HELP)
+        self.keep_filter = flat_button("Save", "Give the filter a name, as a queue (Ctrl+S)")
         self.list = LabelList(theme, self.row_chosen.emit)
         self.bulk = BulkForm(
             self.preview_requested.emit,
@@ -220,11 +229,14 @@ class LabelPage(QWidget):
         self.curves.activated.connect(self._curves_chosen)
         self.pictures.currentIndexChanged.connect(self._pictures_chosen)
         self.person.clicked.connect(self.person_requested)
+        self.keep_filter.clicked.connect(self.filter_kept)
         self._arrange()
 
     def _arrange(self) -> None:
         self.queue_panel = Panel("Queue", self.list)
         self.queue_panel.column.insertWidget(1, self.queue)
+        self.queue_panel.column.insertLayout(2, hbox((self.filter, 1), self.keep_filter))
+        self.show_filter(None, saved=False)
         self.view_panel = Panel("Displacement", self.view)
         self.view_panel.header.addWidget(self.person)
         inner = self.view_panel.column
@@ -264,6 +276,23 @@ class LabelPage(QWidget):
         if title:
             self.queue.setItemText(at, title)
         self.queue.setCurrentIndex(at)
+
+    def list_saved(self, names: Sequence[str]) -> None:
+        """List the saved filters below the queues."""
+        while self.queue.count() > len(QUEUES):
+            self.queue.removeItem(len(QUEUES))
+        for name in names:
+            self.queue.addItem(name, name)
+
+    def show_filter(self, text: str | None, *, saved: bool) -> None:
+        """Show the filter of the queue, None if it has none; a saved one can be forgotten."""
+        for widget in (self.filter, self.keep_filter):
+            widget.setVisible(text is not None)
+        if not self.filter.hasFocus():
+            self.filter.setText(text or "")
+            self.filter.setCursorPosition(0)
+        self.keep_filter.setText("Forget" if saved else "Save")
+        self.keep_filter.setAccessibleName(f"{self.keep_filter.text()} the filter")
 
     def sheets(self) -> LabelSheets:
         """Return the present sizes and theme of the curves."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 
@@ -22,6 +22,7 @@ from touchdown.app.label.session import (
     Prefetcher,
     PresentEpisode,
     QueueCursor,
+    QueueEntries,
     read_queue,
 )
 from touchdown.app.label.text import (
@@ -53,6 +54,7 @@ from touchdown.app.shell import (
 from touchdown.backend.annotations import (
     AnswerContext,
     ControlItemLabels,
+    Dataset,
     EpisodeEntry,
     QualityReport,
     Revision,
@@ -60,6 +62,14 @@ from touchdown.backend.annotations import (
 from touchdown.backend.episodes import QualityIssue
 from touchdown.backend.placement import resting_contact
 from touchdown.widgets.views import OffsetScene, offset_text, verdict_text
+
+
+def next_work(dataset: Dataset, session: AnnotationSession) -> tuple[str, int]:
+    """Return the next queue of the person and its size; "" and the approved labels if none."""
+    for name in ("returned", "review", "unlabelled"):
+        if size := len(dataset.queue(name, session.person)):
+            return name, size
+    return "", dataset.counts().get("approved", 0)
 
 
 def show_item(page: LabelPage, item: LabelItem) -> None:
@@ -133,10 +143,14 @@ class LabelPresenter:
         self._sheets: LabelSheets | None = None
         read = item_reader(opened.dataset, opened.prelabel, lambda: self._sheets)
         self._prefetch = Prefetcher(read, main_thread, self._arrived)
-        self.walk = QueueCursor(page.list, self._prefetch)
+        nothing = QueueEntries(opened.dataset, (), 0)
+        self.walk = QueueCursor(page.list, self._prefetch, nothing)
+        page.list.selection_changed.connect(self._show_count)
         self.clock = ViewingTimer()
         self._news = ""
         self._badges: tuple[str, ...] = ()
+        # Gets the size of a queue that is done, the next queue of the person, and its size.
+        self.ended: Callable[[int, str, int], None] = lambda *_: None
 
     def close(self) -> None:
         """Save a pending edit and end the prefetching."""
@@ -151,6 +165,7 @@ class LabelPresenter:
         session, here = replace(self.session), (self.walk.uuid or "") if stay else ""
         order, entries, gold = await self.saving.save(lambda: read_queue(self.dataset, session))
         self._cover_rows()
+        self._page.show_filter(session.wanted, saved=session.queue in session.saved)
         self.shown.begin(self.session.person, gold)
         entries.update({uuid: self.shown.entry(entries[uuid]) for uuid in gold})
         self.walk.begin(order, entries, here)
@@ -229,11 +244,12 @@ class LabelPresenter:
 
     async def _end(self) -> None:
         """Tell what is left at the end of the queue; show that nothing is."""
-        session, at = replace(self.session), self.walk.uuid
+        session, at, done = replace(self.session), self.walk.uuid, len(self.walk.order)
         left, _, _ = await self.saving.save(lambda: read_queue(self.dataset, session))
         if not left:
             self._news = "The end of the queue: nothing is left."
             await self.read_queue(stay=False)
+            self.ended(done, *await self.saving.save(lambda: next_work(self.dataset, session)))
         elif self.walk.uuid == at:
             count = count_noun(len(left), "episode")
             self._page.say(f"The end of the queue: {count} left. Ctrl+R reads it again.")
@@ -285,9 +301,10 @@ class LabelPresenter:
 
     def _nothing(self) -> EmptyState:
         """Return why the queue is empty."""
-        if not self.walk.total:
+        if not self.walk.entries.total:
             return NO_PROBES
-        return EMPTY_QUEUES.get(self.session.queue, EMPTY_QUEUE)
+        queue = self.session.queue if self.session.wanted is None else "all"
+        return EMPTY_QUEUES.get(queue, EMPTY_QUEUE)
 
     def _said_of(self, now: PresentEpisode) -> str:
         """Return why the episode is in this queue, where it needs an action."""
@@ -358,6 +375,8 @@ class LabelPresenter:
     def _show_count(self) -> None:
         count = len(self.walk.order)
         place = f"{self.walk.at + 1:,} of {count:,}" if count else "empty"
+        if self.walk.selected is not self.walk.order:
+            place += f", {len(self.walk.selected):,} selected"
         self._page.queue_panel.detail.setText(place)
 
     def refuse(self, reason: str) -> None:
@@ -399,7 +418,7 @@ class LabelPresenter:
     def _take(self, now: PresentEpisode) -> None:
         uuid = now.item.entry.uuid
         now.edit, now.history = self._begin(uuid), self.shown.of(uuid).history(uuid)
-        self.walk.entries[uuid] = self.entry(uuid)
+        self.walk.entries.renew(self.entry(uuid))
 
     def entry(self, uuid: str) -> EpisodeEntry:
         """Return the index entry of an episode as the person may see it."""

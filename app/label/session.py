@@ -5,16 +5,21 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Generic, TypeVar
+from typing import Annotated, Generic, TypeVar
+
+from pydantic import Field
 
 from touchdown.app.label.text import FINDING, blind_queue_row, queue_row
 from touchdown.app.shell import LabelDraft, LabelItem, MainThreadQueue
 from touchdown.backend.annotations import (
+    SCORES,
     ControlItemView,
     Dataset,
     EpisodeEntry,
     Revision,
+    ScoredLabel,
     Verdict,
+    parse_filter,
     with_control_items,
 )
 from touchdown.backend.core import InputError
@@ -37,16 +42,24 @@ class AnnotationSession:
     """Person and settings of the labelling.
 
     ``sigma_mm`` is the uncertainty that the person stated last. ``chosen`` is the content of the
-    queue ``finding``; it is not stored.
+    queue ``finding``; it is not stored. ``filter`` is that of the queue ``all``; each of ``saved``
+    is a queue under its own name.
     """
 
     person: str = ""
     queue: str = "unlabelled"
     seed: int = 0
-    sigma_mm: float | None = None
+    sigma_mm: Annotated[float, Field(gt=0, le=20)] | None = None
     blind: bool = False
     hidden: bool = False
     chosen: FindingQueue | None = None
+    filter: str = ""
+    saved: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def wanted(self) -> str | None:
+        """Filter of the queue, None if it is not one of all episodes."""
+        return self.filter if self.queue == "all" else self.saved.get(self.queue)
 
     @property
     def trusted_mm(self) -> float:
@@ -174,18 +187,32 @@ def neighbours(order: Sequence[str], at: int) -> list[str]:
 
 
 class QueueEntries(dict[str, EpisodeEntry]):
-    """Entries of a queue by id, read in pages on first use. ``total``: episodes of the dataset."""
+    """Entries of a queue by id, read in pages on first use. ``total``: episodes of the dataset.
 
-    def __init__(self, dataset: Dataset, order: Sequence[str], total: int) -> None:
+    ``beside``: their labels and those of the model, if the queue is about ``score``.
+    """
+
+    def __init__(self, dataset: Dataset, order: Sequence[str], total: int, score: str = "") -> None:
         super().__init__()
-        self._dataset, self._order, self.total = dataset, order, total
+        self._dataset, self._order, self.total, self._score = dataset, order, total, score
+        self.beside: dict[str, ScoredLabel] = {}
         self._place = {uuid: at for at, uuid in enumerate(order)}
 
     def __missing__(self, uuid: str) -> EpisodeEntry:
         start = self._place.get(uuid, 0) // ENTRIES_PER_PAGE * ENTRIES_PER_PAGE
         page = self._dataset.entries([uuid, *self._order[start : start + ENTRIES_PER_PAGE]])
         self.update(page | self)
+        self._compare(list(page))
         return dict.__getitem__(self, uuid)
+
+    def renew(self, entry: EpisodeEntry) -> None:
+        """Update an episode after a change of its label."""
+        self[entry.uuid] = entry
+        self._compare([entry.uuid])
+
+    def _compare(self, uuids: Sequence[str]) -> None:
+        if self._score:
+            self.beside.update(self._dataset.scores.beside(uuids, self._score))
 
 
 ENTRIES_PER_PAGE = 200
@@ -196,26 +223,28 @@ QueueContent = tuple[list[str], QueueEntries, dict[str, ControlItemView]]
 
 def read_queue(dataset: Dataset, session: AnnotationSession) -> QueueContent:
     """Return a queue with control items mixed in. Slow: do not call on the thread of the window."""
-    s = session
+    s, score = session, session.queue if session.queue in SCORES else ""
     if s.queue == FINDING:
         order = [] if s.chosen is None else list(s.chosen.said)
+    elif s.wanted is not None:
+        order, score = dataset.queue("all", s.person, wanted=s.wanted), parse_filter(s.wanted).score
     else:
         order = dataset.queue(s.queue, s.person, seed=s.seed)
     known, gold = dataset.uuids(), dict[str, ControlItemView]()
     order = [uuid for uuid in order if uuid in known]
     if s.queue == "unlabelled":
         order, gold = with_control_items(dataset, s.person, order, known, s.seed)
-    return order, QueueEntries(dataset, order, len(known)), gold
+    return order, QueueEntries(dataset, order, len(known), score), gold
 
 
 class QueueCursor:
     """Keeps list, order and prefetch consistent. The order does not change until the next read."""
 
-    def __init__(self, rows: LabelList, prefetch: Prefetcher[LabelItem]) -> None:
-        self._rows, self._prefetch = rows, prefetch
+    def __init__(
+        self, rows: LabelList, prefetch: Prefetcher[LabelItem], entries: QueueEntries
+    ) -> None:
+        self._rows, self._prefetch, self.entries = rows, prefetch, entries
         self.order: list[str] = []
-        self.entries: dict[str, EpisodeEntry] = {}
-        self.total = 0
         self.badges: dict[str, tuple[str, ...]] = {}
         self.at = -1
         self.begun = False
@@ -228,11 +257,17 @@ class QueueCursor:
         """The present episode."""
         return self.order[self.at] if 0 <= self.at < len(self.order) else None
 
+    @property
+    def selected(self) -> list[str]:
+        """The selected episodes if there are several, else all of the queue."""
+        rows = self._rows.selected()
+        return [self.order[at] for at in rows] if len(rows) > 1 else self.order
+
     def begin(self, order: Sequence[str], entries: QueueEntries, stay: str) -> None:
         """Use a queue; start with ``stay`` if it contains it, else with the first episode."""
         self.begun = True
         self.answered.clear()
-        self.order, self.entries, self.total = list(order), entries, entries.total
+        self.order, self.entries = list(order), entries
         self._show_rows()
         self.at = self.order.index(stay) if stay in self.order else (0 if self.order else -1)
         self._want()
@@ -278,7 +313,7 @@ class QueueCursor:
 
     def take(self, entry: EpisodeEntry) -> None:
         """Update the entry of an episode and its row."""
-        self.entries[entry.uuid] = entry
+        self.entries.renew(entry)
         self.note(entry.uuid, self.badges.get(entry.uuid, ()))
 
     def _show_rows(self) -> None:
@@ -288,8 +323,10 @@ class QueueCursor:
         entry = self.entries[uuid]
         if self._blind:
             return blind_queue_row(entry, answered=uuid in self.answered)
-        badges = () if self._hides else self.badges.get(uuid, ())
-        return queue_row(entry, entry.state, badges)
+        if self._hides:
+            return queue_row(entry, entry.state)
+        beside = self.entries.beside.get(uuid)
+        return queue_row(entry, entry.state, self.badges.get(uuid, ()), beside)
 
     def _want(self) -> None:
         if self.at >= 0:

@@ -38,6 +38,7 @@ from touchdown.widgets.base import (
 )
 from touchdown.widgets.lists import HistoryList
 
+MOST_PERIODS = 12  # newest periods of the agreement over time
 LEAST = 2  # one common episode gives no agreement figures
 
 
@@ -81,6 +82,9 @@ def pair_agreement_text(first: str, second: str, c: AgreementReport) -> str:
     lines.append(", ".join(part for part in rest if part))
     if not any(map(math.isnan, c.drift_mm)):
         lines.append(f"drift x {signed(c.drift_mm[0])}, y {signed(c.drift_mm[1])} mm")
+    if len(c.periods) > 1:
+        periods = [f"{name}: {rms:.2f} mm of {count}" for name, count, rms in c.periods]
+        lines += ["RMS over time:", *periods[-MOST_PERIODS:]]
     times = [f"{seconds:.1f} s" for seconds in c.seconds if not math.isnan(seconds)]
     if times and not math.isnan(c.seconds[0]):
         lines.append(f"time {' and '.join(times)} an episode")
@@ -231,7 +235,8 @@ class BulkForm(QWidget):
         for name, text, _ in KINDS:
             self.kind.addItem(text, name)
         self.preview, self.apply = QPushButton("Preview"), QPushButton("Apply")
-        self.found = label("Changes every label of the queue that is shown.", "muted", wrap=True)
+        text = "Changes the selected labels (click with Ctrl or Shift), else all of the queue."
+        self.found = label(text, "muted", wrap=True)
         buttons = hbox(self.preview, self.apply, 1)
         vbox(
             self.kind, self.value, buttons, self.found, 1,

@@ -14,9 +14,11 @@ from touchdown.backend.annotations import (
     LabelState,
     Operation,
     Revision,
+    ScoredLabel,
     Source,
 )
 from touchdown.backend.placement import NOTABLE_SIGMAS, OffsetFit, sigmas_apart
+from touchdown.widgets.base import signed
 from touchdown.widgets.lists import HistoryRow, LabelListRow
 from touchdown.widgets.views import Ghost, offset_text
 
@@ -32,6 +34,7 @@ QUEUES: tuple[tuple[str, str], ...] = (
     ("conflicts", "Conflicts after a merge"),
     ("audit", "Random audit"),
     ("gold", "Gold: approved labels, answered blind"),
+    ("all", "All episodes"),
 )
 
 FINDING = "finding"  # the queue of a finding of the dataset check
@@ -126,8 +129,24 @@ def revision_difference(before: Revision | None, after: Revision) -> str:
     return "; ".join(parts)
 
 
-def queue_row(entry: EpisodeEntry, state: LabelState, badges: Sequence[str] = ()) -> LabelListRow:
-    """Return the row of an episode in the queue."""
+def beside_text(known: ScoredLabel) -> str:
+    """Return score, label and predicted label (x, y in mm); unknown ones are left out."""
+    places = [
+        f"{name}{', '.join(signed(float(mm)) for mm in said.offset_mm)}"
+        for name, said in (("", known.label), ("model ", known.model))
+        if said is not None and said.is_set
+    ]
+    score = "" if known.score is None else f"{known.score:.1f}: "
+    return score + "; ".join(places)
+
+
+def queue_row(
+    entry: EpisodeEntry,
+    state: LabelState,
+    badges: Sequence[str] = (),
+    beside: ScoredLabel | None = None,
+) -> LabelListRow:
+    """Return the row of an episode in the queue; ``beside``: its label and that of the model."""
     when = f"{datetime.fromtimestamp(entry.recorded_ns / 1e9):%d %b %H:%M:%S}"
     marks = [
         word
@@ -140,7 +159,8 @@ def queue_row(entry: EpisodeEntry, state: LabelState, badges: Sequence[str] = ()
         if holds
     ]
     title = f"{entry.piece} on {entry.bottom}"
-    return LabelListRow(entry.uuid, title, when, state, (*marks, *badges))
+    known = () if beside is None else (beside_text(beside),)
+    return LabelListRow(entry.uuid, title, when, state, (*known, *marks, *badges))
 
 
 def blind_queue_row(entry: EpisodeEntry, *, answered: bool) -> LabelListRow:

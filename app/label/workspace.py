@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from PySide6.QtCore import Signal
@@ -26,14 +27,17 @@ from touchdown.app.shell import (
     Workspace,
     WorkspaceContext,
     WorkspacePage,
+    count_noun,
     error_card,
     open_dataset,
+    restore_form,
 )
 from touchdown.backend.annotations import (
     MergeReport,
     QualityReport,
     check_dataset_quality,
     check_person,
+    parse_filter,
 )
 from touchdown.backend.core import InputError, TouchdownError
 from touchdown.backend.learning import ModelRegistry, models_below
@@ -221,6 +225,9 @@ class LabelTools:
     keys: SideTabKeys
 
 
+MEMORY = ("person", "queue", "sigma_mm", "blind", "filter", "saved")  # stored of the session
+
+
 class LabelWorkspace(Workspace):
     """The label half. Opens the dataset when it is entered for the first time."""
 
@@ -286,32 +293,23 @@ class LabelWorkspace(Workspace):
             self._opened = None
 
     def memory(self) -> Memory:
-        """Return person, queue, uncertainty and blind mode to store."""
-        s = self.session
-        queue = "unlabelled" if s.queue == FINDING else s.queue
-        return {"person": s.person, "queue": queue, "sigma_mm": s.sigma_mm, "blind": s.blind}
+        """Return person, queue, uncertainty, blind mode and filters to store."""
+        kept = {name: getattr(self.session, name) for name in MEMORY}
+        return kept | ({"queue": "unlabelled"} if self.session.queue == FINDING else {})
 
     def recall(self, memory: Memory) -> Sequence[str]:
         """Restore stored settings; return the names of invalid fields."""
-        dropped = []
-        person, queue = memory.get("person", ""), memory.get("queue", "unlabelled")
-        sigma_mm, blind = memory.get("sigma_mm"), memory.get("blind", False)
-        if isinstance(person, str) and (not person or _is_name(person)):
-            self.session.person = person
-        else:
+        s = self.session
+        kept, dropped = restore_form(s, memory)
+        if kept.person and not _is_name(kept.person):
+            kept.person = s.person
             dropped.append("person")
-        if isinstance(queue, str) and queue in dict(QUEUES):
-            self.session.queue = queue
-        else:
+        if kept.queue not in (*dict(QUEUES), *kept.saved):
+            kept.queue = s.queue
             dropped.append("queue")
-        if sigma_mm is None or (isinstance(sigma_mm, float) and 0 < sigma_mm <= 20):
-            self.session.sigma_mm = sigma_mm
-        else:
-            dropped.append("sigma_mm")
-        if isinstance(blind, bool):
-            self.session.blind = blind
-        else:
-            dropped.append("blind")
+        for name in MEMORY:
+            setattr(s, name, getattr(kept, name))
+        self.label_page.list_saved(list(s.saved))
         self._show_session()
         return dropped
 
@@ -347,6 +345,7 @@ class LabelWorkspace(Workspace):
             HealthPresenter(page, presenter),
             SideTabKeys(page, presenter, decisions, side, bulk),
         )
+        presenter.ended = self._offer_next
         page.say("")
         for notice in (*opened.dataset.notices, opened.read_only):
             if notice:
@@ -355,6 +354,62 @@ class LabelWorkspace(Workspace):
                 )
         presenter.refresh()
         self.opened(opened)
+
+    def _offer_next(self, done: int, queue: str, size: int) -> None:
+        """Tell that a queue is done; offer the next one, or a training."""
+        titles, now, offer = dict(QUEUES), self.session.queue, self._context.offer
+        text = f"{titles.get(now, now)}: {count_noun(done, 'episode')} done."
+        if queue:
+            text = f"{text} {titles[queue]}: {count_noun(size, 'episode')}."
+            offer(text, "Open that queue", partial(self._go_to, queue))
+        elif size:
+            text = f"{text} {count_noun(size, 'label')} approved."
+            offer(text, "Train on them", partial(self._context.go, "train"))
+
+    def _go_to(self, queue: str) -> None:
+        self._context.go(self.name)
+        self.page.show_half("label")
+        self._open_queue(queue)
+
+    def _open_queue(self, name: str) -> None:
+        self.label_page.list_saved(list(self.session.saved))
+        self.label_page.show_queue(name)
+        self._choose_queue(name)
+
+    def ask_filter(self) -> None:
+        """Show all episodes and let the filter be typed."""
+        if self.session.wanted is None:
+            self._open_queue("all")
+            self.label_page.show_filter(self.session.filter, saved=False)
+        self.label_page.filter.setFocus()
+        self.label_page.filter.selectAll()
+
+    def filter(self, text: str) -> None:
+        """Show the episodes that pass a filter, or why it is none."""
+        try:
+            parse_filter(text)
+        except InputError as error:
+            self.label_page.say(f"{error.what} {error.fix}", bad=True)
+            return
+        self.session.filter = text.strip()
+        self.label_page.setFocus()
+        self._open_queue("all")
+
+    def keep_filter(self) -> None:
+        """Ask for the name of the filter; forget a saved one, whose list stays."""
+        session = self.session
+        if session.queue in session.saved:
+            session.filter = session.saved.pop(session.queue)
+            self._open_queue("all")
+        elif session.wanted is not None:
+            self.label_page.ask_words("Name of the filter", "", self._save_filter)
+
+    def _save_filter(self, name: str) -> None:
+        if name in {word for queue in QUEUES for word in queue} or not name.isprintable():
+            self.label_page.say(f"A filter cannot have the name '{name}'.", bad=True)
+        else:
+            self.session.saved[name] = self.session.filter
+            self._open_queue(name)
 
     def _failed(self, error: Exception) -> None:
         self.label_page.say("No dataset is open.", bad=True)
@@ -428,6 +483,8 @@ class LabelWorkspace(Workspace):
         page.apply_requested.connect(lambda: self.on(lambda t: t.bulk.apply()))
         page.value_entered.connect(lambda: self.on(lambda t: t.bulk.preview(ask=True)))
         page.health_requested.connect(self.look_through)
+        page.filter_typed.connect(self.filter)
+        page.filter_kept.connect(self.keep_filter)
         page.finding_chosen.connect(lambda row: self.on(lambda t: t.health.choose(row)))
 
     def on(self, act: Callable[[LabelTools], None]) -> None:
@@ -577,13 +634,20 @@ def label_commands(w: LabelWorkspace, context: WorkspaceContext) -> tuple[Window
            lambda t: t.presenter.go_to(len(t.presenter.walk.order) - 1)),
         WindowCommand("number", "Go to a place of the queue, by its number", "Q", w.ask_number),
         WindowCommand("queue", "Choose the queue", "Ctrl+J", w.list_queues),
+        WindowCommand("filter", "Filter and sort all episodes", "Ctrl+F", w.ask_filter),
+        WindowCommand("keep-filter", "Save the filter as a queue, or forget it", "Ctrl+S",
+                      w.keep_filter),
+        WindowCommand("select-next", "Select also the next episode, for a bulk change",
+                      "Shift+PgDown", lambda: w.label_page.list.extend(1), repeats=True),
+        WindowCommand("select-previous", "Select also the episode before, for a bulk change",
+                      "Shift+PgUp", lambda: w.label_page.list.extend(-1), repeats=True),
         on("reread", "Read the queue again", "Ctrl+R",
            lambda t: t.presenter.flushed(t.presenter.read_queue)),
         on("versions", "Restore an earlier version, by its digit", "O",
            lambda t: t.keys.versions()),
         on("agreement", "Figures of agreement", "E", lambda t: t.keys.agreement()),
         on("log", "Search the log of all actions", "L", lambda t: t.keys.log()),
-        on("bulk", "Change every label of the queue", "B", lambda t: t.keys.many()),
+        on("bulk", "Change the selected labels, or all of the queue", "B", lambda t: t.keys.many()),
         WindowCommand("health", "Check all episodes of the dataset", "Ctrl+H", w.look_through),
         on("findings", "Choose a finding, by its digit", "F", lambda t: t.health.ask()),
         WindowCommand("blind", "Blind mode: no model, no other sources", "Ctrl+B", w.toggle_blind),

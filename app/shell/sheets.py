@@ -9,23 +9,28 @@ from PySide6.QtCore import QEvent, QObject, QSize
 from PySide6.QtGui import QDragEnterEvent, QDropEvent
 from PySide6.QtWidgets import QDialog, QFileDialog, QFrame, QLayout, QPushButton, QWidget
 
-from touchdown.widgets.base import hbox, label, rule, vbox
+from touchdown.widgets.base import ElidedLabel, hbox, label, rule, vbox
 
 LEAST_WINDOW = QSize(800, 440)  # of the main window
 
 
 class QuestionRow(QFrame):
-    """A question with two answers; the first one (no) does nothing."""
+    """A question with two answers; no does nothing. ``low``: one line in the foot of the window."""
 
-    def __init__(self) -> None:
+    def __init__(self, *, low: bool = False) -> None:
         super().__init__()
         self.setProperty("role", "question")
-        self.text = label("", "title", wrap=True)
+        self.text = ElidedLabel("title") if low else label("", "title", wrap=True)
         self.no, self.yes = QPushButton("No"), QPushButton("Yes")
         self._act: Callable[[], None] | None = None
         for button in (self.no, self.yes):
             button.setAutoDefault(False)
-        hbox((self.text, 1), self.no, self.yes, parent=self)
+            button.setProperty("low", "yes" if low else "")
+        hbox((self.text, 1), self.no, self.yes, parent=self, margins=(8, 0, 0, 0) if low else None)
+        if low:
+            policy = self.text.sizePolicy()
+            policy.setHorizontalPolicy(policy.Policy.Maximum)
+            self.text.setSizePolicy(policy)
         self.no.clicked.connect(self.withdraw)
         self.yes.clicked.connect(self._accept)
         self.hide()

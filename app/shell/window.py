@@ -19,7 +19,7 @@ from PySide6.QtWidgets import (
 )
 
 from touchdown.app.shell.bench_text import BenchCaption
-from touchdown.app.shell.sheets import LEAST_WINDOW
+from touchdown.app.shell.sheets import LEAST_WINDOW, QuestionRow
 from touchdown.app.shell.workspace import Workspace
 from touchdown.widgets.base import (
     MAX_SCALE,
@@ -61,6 +61,7 @@ class MainWindow(QMainWindow):
         named = [(tab.name, tab.title) for tab in tabs]
         self.rail = {name: _rail_button(text) for name, text in (*named, *FOOT_OF_RAIL)}
         self._message, self._right = ElidedLabel("muted"), label("", "small")
+        self.next_step = QuestionRow(low=True)
         self._banner = BenchBanner(theme)
         # The name is unknown until a bench is attached.
         self._banner.hide()
@@ -79,7 +80,7 @@ class MainWindow(QMainWindow):
         frame.setObjectName("frame")
         self._foot_frame = QFrame()
         self._foot_frame.setProperty("role", "foot")
-        foot = cards.strip, (self._message, 1), self._banner, self._right
+        foot = cards.strip, self.next_step, (self._message, 1), self._banner, self._right
         hbox(*foot, parent=self._foot_frame, margins=(12, 4, 12, 4), spacing=16)
         whole = bar, (middle, 1), self._foot_frame
         vbox(*whole, parent=frame, margins=(0, 0, 0, 0), spacing=0)

@@ -39,7 +39,8 @@ class WorkspaceContext:
     """Services of the window for its workspaces. ``runs`` is the folder of the recorded runs.
 
     ``say`` shows a sentence in the footer, ``go`` shows a workspace by name, ``keys`` shows the key
-    sheet, ``remember`` writes the settings at once, so that a crash does not lose them.
+    sheet, ``remember`` writes the settings at once, so that a crash does not lose them, ``offer``
+    shows what has ended, with text and action of the next step, which moves nothing.
     """
 
     theme: Theme
@@ -49,6 +50,7 @@ class WorkspaceContext:
     go: Callable[[str], None]
     keys: Callable[[], None]
     remember: Callable[[], None]
+    offer: Callable[[str, str, Callable[[], None]], None]
 
 
 class LazyPages(Protocol):

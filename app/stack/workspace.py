@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -22,6 +22,7 @@ from touchdown.app.shell import (
 from touchdown.app.stack.attended import OperatorPromptsPresenter
 from touchdown.app.stack.comparison import ComparisonPresenter
 from touchdown.app.stack.page import StackPage
+from touchdown.app.stack.planned import PlannedRun, PlannedRunsSheet
 from touchdown.app.stack.presenter import StackPresenter, stack_request
 from touchdown.backend.bench import Session
 from touchdown.backend.core import Event, Outcome
@@ -44,6 +45,13 @@ def careful_form(form: RunForm, on_bench: SceneChoice) -> RunForm:
     *under, bottom = on_bench.bottoms
     stands = replace(form, piece=on_bench.piece, bottom=bottom, under="".join(under[:1]))
     return replace(stands, mode=mode, strategy=strategy)
+
+
+@dataclass(frozen=True, slots=True)
+class StackMemory:
+    """Stored settings beside the form."""
+
+    planned: tuple[PlannedRun, ...] = ()
 
 
 # Outcomes of a release on devices, as observed by the operator: command, text, key, outcome.
@@ -70,7 +78,8 @@ class StackWorkspace(Workspace):
         self.attended: OperatorPromptsPresenter | None = None
         self.pieces: PieceSheet | None = None
         self._catalogue: PieceLibrary | None = None
-        self._form = RunForm()
+        self.planned: PlannedRunsSheet | None = None
+        self._form, self._kept = RunForm(), StackMemory()
         self.commands = (
             WindowCommand("start", "Start stacking", "Ctrl+Return", self._start),
             WindowCommand("step", "Next step: carry out the move that waits", "N",
@@ -81,6 +90,8 @@ class StackWorkspace(Workspace):
                           lambda: self.page.run.pause.clicked.emit()),
             WindowCommand("compare", "Compare the strategies on the same seed", "Ctrl+D",
                           self._compare),
+            WindowCommand("planned", "Runs in a row: list, order, start", "Ctrl+Shift+D",
+                          self._plan),
             WindowCommand("confirm", "Yes: the scene is set, the hand is there, as proposed", "Y",
                     lambda: self._on_trial(OperatorPromptsPresenter.confirm)),
             *(
@@ -99,6 +110,7 @@ class StackWorkspace(Workspace):
         self.page = page = StackPage(self._context.theme)
         page.run.start.clicked.connect(self._start)
         page.compare.clicked.connect(self._compare)
+        page.run.row.clicked.connect(self._plan)
         page.add_piece.clicked.connect(self._add_piece)
         FileDrop(page, PIECE_SOURCES, lambda path: self._piece_sheet().take(path))
         yield
@@ -114,6 +126,13 @@ class StackWorkspace(Workspace):
         self.comparison = ComparisonPresenter(
             bench, self._context.theme, lambda: stack_request(page.run.form()), presenter.begin
         )
+        self.planned = PlannedRunsSheet(
+            bench, page, self._context.cards, presenter.begin, self._context.remember,
+            lambda gave: self._context.offer(gave, "Review", lambda: self._context.go("review")),
+        )  # fmt: skip
+        for run in self._kept.planned:
+            safe = run if bench.simulated else careful_form(run, bench.usual)
+            self.planned.runs.append(replace(run, mode=safe.mode, strategy=safe.strategy))
         self._catalogue = bench.catalogue
         page.run.show_catalogue(*piece_titles(bench.catalogue))
         page.run.show_devices(not bench.simulated)
@@ -144,6 +163,8 @@ class StackWorkspace(Workspace):
             self.side.take(event)
         if self.comparison is not None:
             self.comparison.take(event)
+        if self.planned is not None:
+            self.planned.take(event)
         if self.attended is not None:
             self.attended.take(event)
 
@@ -164,14 +185,17 @@ class StackWorkspace(Workspace):
         self.page.run.draw_icons()
 
     def memory(self) -> Memory:
-        """Return the form to store; without a bench the stored one."""
-        return asdict(self._form if self.presenter is None else self.page.run.form())
+        """Return form and planned runs to store; without a bench the stored ones."""
+        runs = self._kept.planned if self.planned is None else tuple(self.planned.runs)
+        form = self._form if self.presenter is None else self.page.run.form()
+        return asdict(form) | asdict(StackMemory(runs))
 
     def recall(self, memory: Memory) -> Sequence[str]:
         """Restore the stored form; return the names of invalid fields."""
         self._form, dropped = restore_form(RunForm(), memory)
+        self._kept, wrong = restore_form(StackMemory(), memory)
         self.page.run.show_form(self._form)
-        return dropped
+        return [*dropped, *wrong]
 
     # -- orders -----------------------------------------------------------------------------------
 
@@ -184,6 +208,11 @@ class StackWorkspace(Workspace):
     def _compare(self) -> None:
         if self.comparison is not None:
             self.comparison.open(self.page.window())
+
+    def _plan(self) -> None:
+        if self.planned is not None:
+            self.planned.change(self.planned.runs, 0)
+            self.planned.present()
 
     def _piece_sheet(self) -> PieceSheet:
         """Return the sheet that adds a piece, made on first use."""

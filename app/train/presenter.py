@@ -147,6 +147,9 @@ class TrainPresenter:
         self._sampled: tuple[tuple[str, bool], ...] | None = None
         self._stamp_s, self._epochs_s = 0.0, list[float]()
         self._cancelling = False
+        self._over = ""  # id of the training that has just ended
+        # Gets what a training gave, with text and action of the next step.
+        self.offer: Callable[[str, str, Callable[[], None]], None] = lambda *_: None
 
     # -- reading ----------------------------------------------------------------------------------
 
@@ -182,6 +185,13 @@ class TrainPresenter:
         self.choose()
         if not page.runs.chosen() and self.runs:
             page.runs.choose([next(iter(self.runs))])
+        over, self._over = self.runs.get(self._over), ""
+        if over is not None and over.card is not None:
+            self.offer(words.ended_text(over.card), "Put it in use", lambda: self._use(over.uuid))
+
+    def _use(self, uuid: str) -> None:
+        self._page.runs.choose([uuid])
+        self.promote()
 
     # -- orders -----------------------------------------------------------------------------------
 
@@ -256,7 +266,7 @@ class TrainPresenter:
         except InputError as error:
             self._failed(error)
             return
-        self._epochs_s, self._cancelling = [], False
+        self._epochs_s, self._cancelling, self.live = [], False, ""
         self.thread = TrainingThread(
             request,
             self._main_thread,
@@ -287,7 +297,7 @@ class TrainPresenter:
     def _ended(self, error: Exception | None) -> None:
         if self.thread is not None:
             self.thread.close()
-        self.thread, self._cancelling = None, False
+        self.thread, self._cancelling, self._over = None, False, self.live
         self._cards.withdraw()
         self._still(False)
         self._show_progress("")

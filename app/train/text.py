@@ -96,6 +96,13 @@ def promotion_question(card: ModelCard, used: ModelCard | None) -> str:
     )
 
 
+def ended_text(card: ModelCard) -> str:
+    """Return what a training gave."""
+    iou, held_out = _test(card)
+    probes = count_noun(held_out, "held-out probe")
+    return f"The training of {card.piece} gave IoU {100 * iou:.0f} % on {probes}."
+
+
 def _test(card: ModelCard) -> tuple[float, int]:
     """Return the IoU on the probes that were held out, and their number."""
     iou = card.metrics.get("validation", {}).get("iou")

@@ -80,6 +80,7 @@ class TrainWorkspace(Workspace):
             self.presenter = TrainPresenter(
                 self.page, self._context.cards, reading, self._worker, self._main_thread
             )
+            self.presenter.offer = self._context.offer
         self._reread()
 
     def close(self) -> None:

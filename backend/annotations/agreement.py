@@ -6,6 +6,7 @@ import math
 from collections import Counter
 from collections.abc import Hashable, Iterable, Sequence
 from dataclasses import dataclass
+from datetime import datetime
 from itertools import permutations
 from statistics import fmean, median
 
@@ -107,6 +108,7 @@ class LabellerAnswer:
     verdict: Verdict | None
     seen_ms: int | None
     blind: bool
+    at_ns: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,7 +116,8 @@ class AgreementReport:
     """Agreement of two persons, first minus second; NaN where the data do not suffice.
 
     ``drift_mm`` (x, y): mean difference in the second half of the episodes minus that in the first.
-    ``seconds``: median time per answer of each person, where it was measured.
+    ``seconds``: median time per answer of each person, where it was measured. ``periods``: name,
+    number of episodes and RMS distance in mm of each day, ISO week or month, oldest first.
     """
 
     episodes: int
@@ -128,6 +131,7 @@ class AgreementReport:
     alpha: float
     drift_mm: tuple[float, float]
     seconds: tuple[float, float]
+    periods: tuple[tuple[str, int, float], ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,27 +174,27 @@ def read_answers(
     """
     sql = """
     SELECT episode, geometry, x_um, y_um, theta_mdeg, sigma_um, verdict,
-        json_extract(body, '$.seen_ms'), json_extract(body, '$.blind')
+        json_extract(body, '$.seen_ms'), json_extract(body, '$.blind'), at_ns
     FROM (
         SELECT r.episode, r.geometry, r.x_um, r.y_um, r.theta_mdeg, r.sigma_um, r.verdict, o.body,
-            o.lamport, o.seq FROM op o JOIN label_rev r USING (op_uuid)
+            o.lamport, o.seq, o.at_ns FROM op o JOIN label_rev r USING (op_uuid)
         WHERE o.actor = ? AND o.verb IN ('label.set', 'label.accept_next')
         UNION ALL
         SELECT p.episode, h.geometry, p.x_um, p.y_um, p.theta_mdeg, p.sigma_um, p.verdict, o.body,
-            o.lamport, o.seq FROM op o JOIN opinion p USING (op_uuid)
+            o.lamport, o.seq, o.at_ns FROM op o JOIN opinion p USING (op_uuid)
         JOIN label_head l ON l.episode = p.episode JOIN label_rev h ON h.rev_uuid = l.rev_uuid
         WHERE o.actor = ?
     ) ORDER BY lamport, seq
     """
     found: dict[str, LabellerAnswer] = {}
     for row in database.rows(sql, (person, person)):
-        episode, geometry, *label, verdict, seen_ms, hidden = row
+        episode, geometry, *label, verdict, seen_ms, hidden, at_ns = row
         if blind is not None and (hidden is None or bool(hidden) is not blind):
             continue
         # The latest answer counts and determines the order.
         found.pop(episode, None)
         found[episode] = LabellerAnswer(
-            episode, geometry, Label(*label), verdict, seen_ms, bool(hidden)
+            episode, geometry, Label(*label), verdict, seen_ms, bool(hidden), at_ns
         )
     return found
 
@@ -212,18 +216,19 @@ def compare_with_control_items(
     """
     sql = """
     SELECT p.episode, r.geometry, p.x_um, p.y_um, p.theta_mdeg, p.sigma_um, p.verdict,
-        json_extract(o.body, '$.seen_ms'), r.x_um, r.y_um, r.theta_mdeg, r.sigma_um, r.verdict
+        json_extract(o.body, '$.seen_ms'), o.at_ns, r.x_um, r.y_um, r.theta_mdeg, r.sigma_um,
+        r.verdict
     FROM opinion p JOIN op o USING (op_uuid) JOIN label_head h ON h.episode = p.episode
     JOIN label_rev r ON r.rev_uuid = h.counting
     WHERE o.actor = ? AND instr(h.authors, ?) = 0 ORDER BY o.lamport, o.seq
     """
     given, approved_labels = dict[str, LabellerAnswer](), dict[str, LabellerAnswer]()
     for row in database.rows(sql, (person, f"\n{person}\n")):
-        episode, record, *label, verdict, seen_ms, x, y, theta, sigma, approved = row
+        episode, record, *label, verdict, seen_ms, at_ns, x, y, theta, sigma, approved = row
         # The latest answer counts and determines the order.
         given.pop(episode, None)
         given[episode] = LabellerAnswer(
-            episode, record, Label(*label), verdict, seen_ms, blind=True
+            episode, record, Label(*label), verdict, seen_ms, blind=True, at_ns=at_ns
         )
         approved_labels[episode] = LabellerAnswer(
             episode, record, Label(x, y, theta, sigma), approved, None, False
@@ -259,7 +264,21 @@ def _agreement(
         alpha=krippendorff_alpha(named),
         drift_mm=(drift_x, drift_y),
         seconds=(_seconds(one), _seconds(two)),
+        periods=_periods([max(x.at_ns, y.at_ns) for x, y in pairs], d),
     )
+
+
+# Name of the periods of up to so many days
+PERIODS = ((15, "%Y-%m-%d"), (100, "%G-W%V"), (math.inf, "%Y-%m"))
+
+
+def _periods(times_ns: Sequence[int], d: Floats) -> tuple[tuple[str, int, float], ...]:
+    """Return the differences ``d`` (n, 2) by day, week or month, after their whole duration."""
+    days = (max(times_ns) - min(times_ns)) / 86_400e9 if times_ns else 0
+    form = next(form for most, form in PERIODS if days < most)
+    names = np.array([f"{datetime.fromtimestamp(t / 1e9):{form}}" for t in times_ns])
+    parts = {str(name): d[names == name] for name in np.unique(names)}
+    return tuple((name, len(part), rms_mm(part, 0 * part)) for name, part in parts.items())
 
 
 def _seconds(given: dict[str, LabellerAnswer]) -> float:

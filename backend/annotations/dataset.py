@@ -414,10 +414,11 @@ class Dataset:
         return self.geometry.patch(head.geometry, head.label)
 
     def queue(
-        self, name: str, person: str, *, seed: int = 0, limit: int | None = None
+        self, name: str, person: str, *, seed: int = 0, limit: int | None = None, wanted: str = ""
     ) -> list[str]:
-        """Return the episodes of a review queue for ``person``, in order."""
-        return queues.episode_queue(self.database, name, person, seed=seed)[:limit]
+        """Return the episodes of a queue for ``person``; ``wanted`` is the filter of "all"."""
+        found = queues.episode_queue(self.database, name, person, seed=seed, wanted=wanted)
+        return found[:limit]
 
     def uuids(self) -> set[str]:
         """Return the ids of all episodes that are not deleted."""

@@ -5,11 +5,15 @@ Scores are computed by a job about episodes; models also suggest offsets.
 
 from __future__ import annotations
 
+import json
+import shlex
 import time
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from datetime import datetime, timedelta
 from hashlib import blake2b
+from typing import NamedTuple
 
 from touchdown.backend.annotations import operation_log
 from touchdown.backend.annotations.database import Database
@@ -30,6 +34,14 @@ class Suggestion:
     label: Label
     source: str
     at_ns: int
+
+
+class ScoredLabel(NamedTuple):
+    """Present label of an episode, the offset that a model predicts, and a score of both."""
+
+    label: Label
+    model: Label | None
+    score: float | None
 
 
 class ScoreStore:
@@ -81,6 +93,20 @@ class ScoreStore:
             None if row is None else Suggestion(Label(*row[:4]), f"{MODEL_PREFIX}{row[4]}", row[5])
         )
 
+    def beside(self, uuids: Sequence[str], score: str) -> dict[str, ScoredLabel]:
+        """Return label, suggestion and score ``score`` of these episodes."""
+        sql = (
+            "SELECT h.episode, s.value, r.x_um, r.y_um, r.theta_mdeg, r.sigma_um, m.x_um, m.y_um,"  # noqa: S608
+            " m.theta_mdeg, m.sigma_um FROM label_head h JOIN label_rev r USING (rev_uuid)"
+            f" LEFT JOIN suggestion m ON m.episode = h.episode LEFT JOIN {_VALID_SCORE}"
+            " WHERE h.episode IN (SELECT value FROM json_each(:uuids))"
+        )
+        rows = self._database.rows(sql, {"uuids": json.dumps(list(uuids)), "score": score})
+        return {
+            uuid: ScoredLabel(Label(*both[:4]), Label(*both[4:]) if both[7] else None, value)
+            for uuid, value, *both in rows
+        }
+
 
 def disagreement(head: Revision, suggestion: Suggestion) -> float | None:
     """Return the distance of label and suggestion in standard uncertainties, or None."""
@@ -95,7 +121,7 @@ def disagreement(head: Revision, suggestion: Suggestion) -> float | None:
 
 QUEUES = (
     "unlabelled", "review", "returned", "doubt", "disagreement", "uncertainty", "coverage",
-    "duplicates", "conflicts", "audit", "gold",
+    "duplicates", "conflicts", "audit", "gold", "all",
 )  # fmt: skip
 
 AUDIT_SHARE = 0.05  # share of submitted and approved labels in a random audit
@@ -103,7 +129,81 @@ AUDIT_SHARE = 0.05  # share of submitted and approved labels in a random audit
 BIN_UM = 2000  # coverage is counted in squares of this size, per pair of pieces
 
 
-def episode_queue(database: Database, name: str, person: str, *, seed: int = 0) -> list[str]:
+_ORDERS = {
+    "newest": "e.recorded_ns DESC",
+    "oldest": "e.recorded_ns",
+    "pair": "e.piece, e.bottom",
+    "state": "h.state",
+    "person": "e.person",
+    "distance": "r.x_um * r.x_um + r.y_um * r.y_um DESC",
+    **dict.fromkeys(SCORES, "s.value DESC"),
+}
+_MARKS = {"flagged": "h.flagged", "conflict": "h.conflict", "refused": "NOT e.accepted"}
+_FIELDS = {
+    "piece": "e.piece = {}",
+    "bottom": "e.bottom = {}",
+    "state": "h.state = {}",
+    "person": "(e.person = {0} OR instr(h.authors, char(10) || {0} || char(10)) > 0)",
+    "since": "e.recorded_ns >= {}",
+    "until": "e.recorded_ns < {}",
+    **dict.fromkeys(SCORES, "s.value >= {}"),
+}
+FILTER_HELP = (
+    f"Use words, and {':, '.join(_FIELDS)}: with a value, state: also with {', '.join(_MARKS)}, "
+    f"days such as 2026-11-30, and sort: with {', '.join(_ORDERS)}. One score at a time."
+)
+
+
+class QueueFilter(NamedTuple):
+    """Condition and order of SQL, and the score that they are about ("" for none)."""
+
+    where: str
+    values: dict[str, object]
+    order: str
+    score: str
+
+
+def parse_filter(text: str) -> QueueFilter:
+    """Return the filter of words and ``key:value`` pairs, as ``FILTER_HELP`` lists them.
+
+    Raises ``InputError`` that names the wrong word.
+    """
+    terms, order, scores, word = ["NOT h.deleted"], "newest", set[str](), text
+    values: dict[str, object] = {}
+    try:
+        for number, word in enumerate(shlex.split(text)):
+            (key, colon, value), name = word.partition(":"), f"v{number}"
+            scores |= {key, value if key == "sort" else ""}.intersection(SCORES)
+            if key == "sort":
+                order = {found: found for found in _ORDERS}[value]
+            elif key == "state" and value in _MARKS:
+                terms.append(_MARKS[value])
+            elif colon:
+                terms.append(_FIELDS[key].format(f":{name}"))
+                values[name] = _value(key, value)
+            else:
+                terms.append(f"instr({_TEXT}, :{name}) > 0")
+                values[name] = word.lower()
+        (score,) = scores or {""}
+    except (KeyError, ValueError, OverflowError):
+        raise InputError(f"'{word}' is no filter.", "filter", FILTER_HELP) from None
+    return QueueFilter(" AND ".join(terms), {**values, "score": score}, _ORDERS[order], score)
+
+
+def _value(key: str, text: str) -> object:
+    """Return a value as SQLite compares it: local days as the ns of their start or end."""
+    if key in SCORES:
+        return float(text)
+    if key not in ("since", "until"):
+        return text
+    begin = datetime.strptime(text, "%Y-%m-%d") + timedelta(days=key == "until")
+    # Whole numbers of SQLite have 64 bits, which end in the year 2262.
+    return max(0, min(int(begin.timestamp()) * 1_000_000_000, 2**63 - 1))
+
+
+def episode_queue(
+    database: Database, name: str, person: str, *, seed: int = 0, wanted: str = ""
+) -> list[str]:
     """Return the episodes of a queue for ``person``, in order, without deleted ones.
 
     - unlabelled: not yet accepted, oldest first, skipped ones last
@@ -115,9 +215,19 @@ def episode_queue(database: Database, name: str, person: str, *, seed: int = 0) 
     - conflicts: two labels since a merge; audit: a share drawn by ``seed``
     - gold: control items, a share of the approved labels of others, answered blind and once each;
       undone answers are asked again
+    - all: every episode that passes the filter ``wanted`` (see ``parse_filter``)
     """
     if name not in QUEUES:
         raise InputError(f"There is no queue '{name}'.", "queue", f"Use {', '.join(QUEUES)}.")
+    if name == "all":
+        where, values, order, _ = parse_filter(wanted)
+        revision = "JOIN label_rev r USING (rev_uuid)" if " r." in f"{where} {order}" else ""
+        scored = f"LEFT JOIN {_VALID_SCORE}" if values["score"] else ""
+        sql = (
+            "SELECT e.uuid FROM episode e JOIN label_head h ON h.episode = e.uuid"  # noqa: S608
+            f" {revision} {scored} WHERE {where} ORDER BY {order}, e.uuid"
+        )
+        return [uuid for (uuid,) in database.rows(sql, values)]
     if name == "coverage":
         return _coverage(database)
     if name in ("audit", "gold"):
@@ -168,6 +278,16 @@ def _drawn(uuids: list[str], seed: int) -> list[str]:
     return [uuid for value, uuid in thrown if value < AUDIT_SHARE * 2**64]
 
 
+# A score counts while the label is the one it was computed for; uncertainty needs no label.
+_VALID_SCORE = (
+    "score s ON s.episode = h.episode AND s.name = :score"
+    " AND (s.rev_uuid = h.rev_uuid OR s.name = 'uncertainty')"
+)
+_TEXT = (
+    "lower(e.piece || ' ' || e.bottom || ' ' || e.person || ' ' || e.grip_id || ' ' || h.authors"
+    " || e.series || ' ' || e.campaign || ' ' || e.uuid || ' ' || r.note || ' '"
+    " || coalesce(r.reason, ''))"
+)
 _IN_ORDER = "SELECT episode FROM label_head WHERE {} ORDER BY skipped, episode"
 _BY_SCORE = (
     "SELECT s.episode FROM score s JOIN label_head h USING (episode)"

@@ -111,7 +111,7 @@ class StandInBench:
     simulated = True
     description = BenchDescription(mode="simulated")
     identity, method = BenchIdentity("stand-in"), StackSettings()
-    name, limits_source, connection = "", "the program itself", None
+    name, limits_source, connection, run_id = "", "the program itself", None, "run"
     usual, hand, model, dataset = SceneChoice(), None, None, None
     calibrations = guard = None
     degraded = ()

@@ -1,5 +1,8 @@
 """The Stack page asks the operator of a trial on devices; keys and buttons answer."""
 
+import json
+from dataclasses import asdict
+
 import pytest
 from PySide6.QtCore import QEvent, Qt, QTimer
 from PySide6.QtGui import QKeyEvent, QKeySequence, QShortcut
@@ -16,11 +19,14 @@ from PySide6.QtWidgets import (
 )
 
 from tests.app.conftest import settle
+from touchdown.app.shell import restore_form
+from touchdown.app.stack.workspace import StackMemory
 from touchdown.backend.core.events import (
     HandOverAwaited,
     OutcomeAwaited,
     PhaseEntered,
     PhotoKept,
+    RunFinished,
     SetUpAwaited,
     TrialFinished,
 )
@@ -298,3 +304,108 @@ def test_stop_before_a_bench_is_there_is_harmless(main, qtbot):
 def test_the_words_never_promise_an_emergency_stop(live):
     assert "software" in live.bar.stop.text()
     assert "emergency" not in live.bar.stop.text().lower()
+
+
+@pytest.fixture
+def row(live, bench, tmp_path):
+    """The sheet of planned runs with two runs of a file."""
+    live.go("stack")
+    workspace = live.workspaces["stack"]
+    (tmp_path / "row.toml").write_text(
+        '[[run]]\npiece = "barrel"\nseed = 5\n[[run]]\nbottom = "hex20"\n'
+    )
+    workspace._plan()
+    workspace.planned.add_file(tmp_path / "row.toml")
+    return workspace.planned
+
+
+def end(live, bench, row, ending="finished"):
+    bench.tell_start(trials=1)
+    bench.tell_end()
+    bench.events.publish(RunFinished(bench.clock_s(), "run", ending, ""))
+    settle(live)
+    row.look()
+    assert row.runs[-1].result == "", "the run is not over while the bench is not idle"
+    bench.set_state(RunState.IDLE)
+    row.look()
+
+
+def test_planned_runs_follow_each_other_in_the_order_of_the_list(live, bench, row, tmp_path):
+    usual = live.workspaces["stack"].page.run.form()
+    row.add_form()
+    sheet = row
+    sheet.list.setCurrentRow(2)
+    sheet.buttons["Up"].click()
+    pairs = [(run.piece, run.bottom) for run in row.runs]
+    usual_pair = usual.piece, usual.bottom
+    assert pairs == [("barrel", usual.bottom), usual_pair, (usual.piece, "hex20")]
+    sheet.buttons["Start"].click()
+    assert (bench.started[-1].piece, bench.started[-1].seed) == ("barrel", 5)
+    assert not sheet.buttons["Start"].isEnabled()
+    assert "running" in sheet.list.item(0).text()
+    sheet.list.setCurrentRow(0)
+    assert not sheet.buttons["Remove"].isEnabled()
+    sheet.buttons["Down"].click()  # the run in progress may be moved
+    end(live, bench, row)
+    assert [run.result for run in row.runs] == ["", "1 of 1 trial placed", ""]
+    assert bench.started[-1].piece == usual.piece
+    # A kill now loses nothing: results and order are in the file.
+    pages = json.loads((tmp_path / "window.json").read_text())["pages"]
+    assert pages["stack"]["planned"] == [asdict(run) for run in row.runs]
+    kept, dropped = restore_form(StackMemory(), pages["stack"])
+    assert (list(kept.planned), dropped) == (row.runs, [])
+    end(live, bench, row)
+    end(live, bench, row)
+    assert len(bench.started) == 3
+    assert live.window.next_step.text.text().startswith("3 of 3 planned runs done")
+    assert not row.on
+
+
+def test_stop_and_a_run_that_did_not_finish_end_the_row(live, bench, row):
+    row.start()
+    live.stop()
+    bench.set_state(RunState.RUNNING)
+    end(live, bench, row, "stopped")
+    assert row.runs[0].result == "1 of 1 trial placed, stopped"
+    assert (row.on, len(bench.started)) == (False, 1)
+    row.start()
+    assert len(bench.started) == 1, "after STOP nothing starts before Reset"
+    live.reset()
+    row.start()
+    assert len(bench.started) == 2
+
+
+def test_on_devices_a_person_starts_every_run_and_stop_ends_the_row(live, bench, row, monkeypatch):
+    monkeypatch.setattr(bench, "simulated", False)
+    row.start()
+    end(live, bench, row)
+    assert (row.on, len(bench.started)) == (True, 1)
+    assert "hex20 waits" in live.cards.asks.text
+    live.stop()
+    row.look()
+    assert not row.on
+    assert "STOP ended the row" in row.said.text()
+    live.reset()
+    row.look()
+    assert len(bench.started) == 1
+    live.cards.asks.answers[1][1]()
+    assert len(bench.started) == 2
+    assert live.cards.asks is None
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [("", "No [[run]] can be read"), ("[[run]", "line 1, column 6"),
+     ("run = [3]", "wrong entries: 3"),
+     ('[[run]]\npiece = "moon"', "Run 1 has wrong entries: piece"),
+     ("[[run]]\n[[run]]\ntrials = 0", "Run 2 has wrong entries: trials"),
+     ("[[run]]\nseed = 1.5", "seed"), ("[[run]]\ncolour = 3", "colour"),
+     ("[[run]]\nseed = 2026-11-26", "seed")],
+)  # fmt: skip
+def test_a_file_of_runs_that_is_wrong_adds_none(live, row, tmp_path, text, said):
+    form, before = live.workspaces["stack"].page.run.form(), list(row.runs)
+    (tmp_path / "wrong.toml").write_text(text)
+    row.add_file(tmp_path / "wrong.toml")
+    assert said in live.cards.card("INPUT").text.what
+    assert row.runs == before
+    assert live.workspaces["stack"].page.run.form() == form

@@ -93,11 +93,13 @@ class RunPanel(Panel):
         self.start.setProperty("role", "primary")
         self.pause = QPushButton("Pause")
         self.cancel = QPushButton("Cancel")
+        self.row = QPushButton("In a row")
         for combo in (self._piece, self._bottom, self._under, self._strategy):
             combo.currentIndexChanged.connect(lambda _: self.chosen.emit())
         describe(
             (self.pause, "Pause", "Pause at the next safe point, arm lifted (P)"),
             (self.cancel, "Cancel", "End the run: lift the arm, keep the grip"),
+            (self.row, "Runs in a row", "List of planned runs (Ctrl+Shift+D)"),
         )
         self.start.setAccessibleName("Start stacking")
         self._arrange()
@@ -131,7 +133,8 @@ class RunPanel(Panel):
         self.column.addLayout(fields)
         add_items(self.column, self._certificate, self._signals)
         self.column.addSpacing(2)
-        add_items(self.column, self.start, hbox((self.pause, 1), (self.cancel, 1)))
+        pair = hbox((self.pause, 1), (self.cancel, 1))
+        add_items(self.column, hbox((self.start, 1), self.row), pair)
 
     def show_catalogue(
         self, pieces: Sequence[tuple[str, str]], bottoms: Sequence[tuple[str, str]]

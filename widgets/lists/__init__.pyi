@@ -9,6 +9,5 @@ from .recordings import RowsOnDemand as RowsOnDemand
 from .tables import EpisodeTable as EpisodeTable
 from .tables import EpisodeTableRow as EpisodeTableRow
 from .tables import FigureTable as FigureTable
-from .tables import TableArrangement as TableArrangement
 from .tables import TrainingRow as TrainingRow
 from .tables import TrainingTable as TrainingTable

@@ -6,9 +6,18 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from PySide6.QtCore import QAbstractListModel, QModelIndex, QRectF, QSize, Qt
+from PySide6.QtCore import (
+    QAbstractListModel,
+    QItemSelection,
+    QItemSelectionModel,
+    QModelIndex,
+    QRectF,
+    QSize,
+    Qt,
+    Signal,
+)
 from PySide6.QtGui import QFontMetrics, QPainter, QPen
-from PySide6.QtWidgets import QPushButton, QStyleOptionViewItem, QWidget
+from PySide6.QtWidgets import QApplication, QPushButton, QStyleOptionViewItem, QWidget
 
 from touchdown.widgets.base import (
     ROOT,
@@ -222,13 +231,21 @@ class LabelListRow:
 
 
 class LabelList(_NumberedList):
-    """List of thousands of episodes; ``chosen`` gets the index of the clicked row."""
+    """List of thousands of episodes; ``chosen`` gets the index of the clicked row.
+
+    Clicks with Ctrl or Shift select several rows and choose none.
+    """
+
+    selection_changed = Signal()
 
     def __init__(self, theme: Theme, chosen: Callable[[int], None]) -> None:
         super().__init__("Episodes of the queue")
+        self._choose, self._chosen = chosen, 0
+        self.setSelectionMode(self.SelectionMode.ExtendedSelection)
         self.draw_rows(self._rows, _LabelPainter(theme, self))
         self.setMinimumWidth(170)
-        self.clicked.connect(lambda index: chosen(index.row()))
+        self.clicked.connect(self._on_clicked)
+        self.selectionModel().selectionChanged.connect(lambda *_: self.selection_changed.emit())
 
     def show_rows(self, rows: Sequence[LabelListRow]) -> None:
         """Replace all rows."""
@@ -236,9 +253,31 @@ class LabelList(_NumberedList):
         self._rows.show(range(len(rows)))
 
     def choose(self, at: int) -> None:
-        """Select a row and scroll to it."""
-        self.setCurrentIndex(self._rows.index(at))
+        """Select one row and scroll to it."""
+        self._chosen = at
+        # ``setCurrentIndex`` of the view would take the Ctrl of a command for that of a click.
+        only = QItemSelectionModel.SelectionFlag.ClearAndSelect
+        self.selectionModel().setCurrentIndex(self._rows.index(at), only)
         self.scrollTo(self.currentIndex())
+
+    def selected(self) -> list[int]:
+        """Return the selected rows in order."""
+        return sorted(index.row() for index in self.selectedIndexes())
+
+    def extend(self, by: int) -> None:
+        """Select the rows from the chosen one to ``by`` rows after the present end."""
+        end = self._rows.index(self.currentIndex().row() + by)
+        if end.isValid():
+            flag = QItemSelectionModel.SelectionFlag
+            rows = QItemSelection(*sorted((self._rows.index(self._chosen), end)))
+            self.selectionModel().select(rows, flag.ClearAndSelect)
+            self.selectionModel().setCurrentIndex(end, flag.NoUpdate)
+            self.scrollTo(end)
+
+    def _on_clicked(self, index: QModelIndex) -> None:
+        several = Qt.KeyboardModifier.ControlModifier | Qt.KeyboardModifier.ShiftModifier
+        if not QApplication.keyboardModifiers() & several:
+            self._choose(index.row())
 
 
 class _LabelPainter(RowPainter):

@@ -3,22 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
-from PySide6.QtCore import (
-    QAbstractTableModel,
-    QItemSelectionModel,
-    QPoint,
-    QSignalBlocker,
-    QSize,
-    Qt,
-)
+from PySide6.QtCore import QAbstractTableModel, QItemSelectionModel, QSignalBlocker, QSize, Qt
 from PySide6.QtGui import QFontMetrics, QKeyEvent, QPainter, QPaintEvent
 from PySide6.QtWidgets import (
     QAbstractItemView,
     QHeaderView,
-    QMenu,
     QTableView,
     QTableWidget,
     QTableWidgetItem,
@@ -27,22 +19,17 @@ from PySide6.QtWidgets import (
 
 from touchdown.widgets.base import ENTER, ROOT, ModelIndex, Theme, plain_table, ui_font
 
-HEADS = ("No.", "Status", "Quality", "x, y (mm)", "Time", "Grip", "Person")
+HEADS = ("No.", "Status", "Quality", "x, y (mm)", "Time")
 RIGHT = frozenset((0, 3, 4))
-WIDTHS_EM = (2.9, 4.5, 3.8, 5.3, 4.1, 3.4, 4.6)
-NUMBER, QUALITY, TIME = 0, 2, 4
+WIDTHS_EM = (2.9, 4.5, 3.8, 5.3, 4.1)
+QUALITY = 2
 ALIGN_LEFT = Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignVCenter
 ALIGN_RIGHT = Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter
-# Appended to the header that sorts: Qt's own indicator would cover the text.
-UP, DOWN = "\N{BLACK UP-POINTING SMALL TRIANGLE}", "\N{BLACK DOWN-POINTING SMALL TRIANGLE}"
 
 
 @dataclass(frozen=True, slots=True)
 class EpisodeTableRow:
-    """One probe. ``status``: state of its label or "deleted"; ``quality``: ok, or the defect.
-
-    ``distance_mm``: size of the displacement, by which its column sorts.
-    """
+    """One probe. ``status``: state of its label or "deleted"; ``quality``: ok, or the defect."""
 
     uuid: str
     number: str
@@ -52,30 +39,11 @@ class EpisodeTableRow:
     time: str
     flagged: bool = False
     deleted: bool = False
-    grip: str = ""
-    person: str = ""
-    distance_mm: float = 0.0
 
     def cells(self) -> tuple[str, ...]:
         """Return the texts of the columns."""
         status = f"\N{BLACK FLAG} {self.status}" if self.flagged else self.status
-        return self.number, status, self.quality, self.where, self.time, self.grip, self.person
-
-    def keys(self) -> tuple[float | str, ...]:
-        """Return the sort keys of the columns."""
-        number = float(self.number)
-        return (
-            number, self.status, self.quality, self.distance_mm, number, self.grip, self.person,
-        )  # fmt: skip
-
-
-@dataclass(frozen=True, slots=True)
-class TableArrangement:
-    """Visible columns and sort order."""
-
-    columns: tuple[str, ...] = HEADS[:5]
-    sort: str = HEADS[NUMBER]
-    descending: bool = True
+        return self.number, status, self.quality, self.where, self.time
 
 
 class EpisodeTable(QTableView):
@@ -84,8 +52,6 @@ class EpisodeTable(QTableView):
     def __init__(self, theme: Theme, choose: Callable[[str], None]) -> None:
         super().__init__()
         self._theme, self._choose = theme, choose
-        self._all: Sequence[EpisodeTableRow] = ()
-        self._arrangement = TableArrangement()
         self._rows = _EpisodeModel(self)
         self.setModel(self._rows)
         plain_table(self, "Episodes")
@@ -94,64 +60,13 @@ class EpisodeTable(QTableView):
         head = self.horizontalHeader()
         head.setSectionResizeMode(QHeaderView.ResizeMode.Fixed)
         head.setSectionResizeMode(QUALITY, QHeaderView.ResizeMode.Stretch)
-        head.setSectionsClickable(True)
-        head.sectionClicked.connect(self.sort_by)
-        head.setContextMenuPolicy(Qt.ContextMenuPolicy.CustomContextMenu)
-        head.customContextMenuRequested.connect(self._offer_columns)
-        head.setToolTip("Click: sort by this column. Right click: choose the columns.")
         self.clicked.connect(lambda index: self._choose(self._rows.rows[index.row()].uuid))
         self.fit_to_theme()
-        self.arrange(self._arrangement)
 
     def show_rows(self, rows: Sequence[EpisodeTableRow], chosen: str) -> None:
-        """Replace the rows, sort them and select one."""
-        self._all = rows
-        column = HEADS.index(self._arrangement.sort)
-        newest = sorted(rows, key=lambda row: row.keys()[NUMBER], reverse=True)
-        down = self._arrangement.descending
-        self._rows.show(sorted(newest, key=lambda row: row.keys()[column], reverse=down))
+        """Replace the rows and select one."""
+        self._rows.show(rows)
         self.mark(chosen)
-
-    @property
-    def arrangement(self) -> TableArrangement:
-        """Visible columns and sort order."""
-        return self._arrangement
-
-    def arrange(self, wanted: TableArrangement) -> None:
-        """Set columns and sort order; raises ValueError for an unknown column."""
-        if not wanted.columns or not {*wanted.columns, wanted.sort} <= set(HEADS):
-            raise ValueError("unknown column")
-        chosen = self.chosen()
-        self._arrangement = wanted
-        for column, name in enumerate(HEADS):
-            self.setColumnHidden(column, name not in wanted.columns)
-        head = self.horizontalHeader()
-        head.setStretchLastSection(self.isColumnHidden(QUALITY))
-        self._rows.mark_head(HEADS.index(wanted.sort), DOWN if wanted.descending else UP)
-        self.show_rows(self._all, chosen)
-
-    def sort_by(self, column: int) -> None:
-        """Sort by a column; a second call reverses the order."""
-        now, name = self._arrangement, HEADS[column]
-        down = not now.descending if now.sort == name else column in (NUMBER, TIME)
-        self.arrange(replace(now, sort=name, descending=down))
-
-    def sort_by_next(self) -> None:
-        """Sort by the next visible column."""
-        shown = [column for column, name in enumerate(HEADS) if name in self._arrangement.columns]
-        at = HEADS.index(self._arrangement.sort)
-        self.sort_by(next((column for column in shown if column > at), shown[0]))
-
-    def show_column(self, column: int, *, shown: bool) -> None:
-        """Show or hide a column; the last visible one stays."""
-        now, name = self._arrangement, HEADS[column]
-        wanted = [one for one in HEADS if (one in now.columns if one != name else shown)]
-        if wanted:
-            self.arrange(replace(now, columns=tuple(wanted)))
-
-    def choose_columns(self) -> None:
-        """Open the menu of columns below the header."""
-        self._offer_columns(self.horizontalHeader().rect().bottomLeft())
 
     def chosen(self) -> str:
         """Return the uuid of the selected row, "" for none."""
@@ -179,16 +94,6 @@ class EpisodeTable(QTableView):
         for column, width in enumerate(WIDTHS_EM):
             self.setColumnWidth(column, round(width * em))
 
-    def _offer_columns(self, at: QPoint) -> None:
-        menu = QMenu(self)
-        menu.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
-        for column, name in enumerate(HEADS):
-            action = menu.addAction(name)
-            action.setCheckable(True)
-            action.setChecked(not self.isColumnHidden(column))
-            action.triggered.connect(lambda on, column=column: self.show_column(column, shown=on))
-        menu.popup(self.horizontalHeader().mapToGlobal(at))
-
     def keyPressEvent(self, event: QKeyEvent) -> None:
         """Leave letters and Enter to the page."""
         if event.key() in ENTER or event.text().isprintable():
@@ -201,7 +106,6 @@ class _EpisodeModel(QAbstractTableModel):
     def __init__(self, parent: QWidget) -> None:
         super().__init__(parent)
         self.rows: list[EpisodeTableRow] = []
-        self._marked, self._mark = NUMBER, DOWN
 
     def rowCount(self, parent: ModelIndex = ROOT) -> int:
         return 0 if parent.isValid() else len(self.rows)
@@ -214,9 +118,7 @@ class _EpisodeModel(QAbstractTableModel):
             return None
         if role == Qt.ItemDataRole.TextAlignmentRole:
             return ALIGN_RIGHT if section in RIGHT else ALIGN_LEFT
-        if role != Qt.ItemDataRole.DisplayRole:
-            return None
-        return f"{HEADS[section]} {self._mark}" if section == self._marked else HEADS[section]
+        return HEADS[section] if role == Qt.ItemDataRole.DisplayRole else None
 
     def data(self, index: ModelIndex, role: int = Qt.ItemDataRole.DisplayRole) -> Any:
         row = self.rows[index.row()]
@@ -231,10 +133,6 @@ class _EpisodeModel(QAbstractTableModel):
             font.setStrikeOut(True)
             return font
         return None
-
-    def mark_head(self, section: int, mark: str) -> None:
-        self._marked, self._mark = section, mark
-        self.headerDataChanged.emit(Qt.Orientation.Horizontal, 0, len(HEADS) - 1)
 
     def show(self, rows: Sequence[EpisodeTableRow]) -> None:
         self.beginResetModel()

@@ -10,7 +10,7 @@ from PySide6.QtCore import Qt
 from tests.app.collect.conftest import CAMPAIGN, PROBES
 from tests.app.conftest import settle
 from touchdown.app.collect.origin import CampaignPace, OriginCheckNote, RecorderGauge, residual_text
-from touchdown.app.collect.probes import PairProbes, ProbeRecord, displacement_text, grip_text
+from touchdown.app.collect.probes import PairProbes, ProbeRecord, displacement_text
 from touchdown.app.collect.requests import probe_text
 from touchdown.app.collect.workspace import CollectMemory
 from touchdown.app.shell import duration_text, restore_form
@@ -169,6 +169,24 @@ def test_a_discarded_probe_can_be_collected_again_without_a_restart(page):
     assert target.go_on.isEnabled()
 
 
+def test_the_end_of_a_campaign_offers_to_label_it_or_to_continue(page):
+    dataset, step = page.presenter.dataset, page.main.window.next_step
+    plan = replace(new_campaign("pot", "circle15", "random", 0, PROBES, None), uuid=CAMPAIGN)
+    for more, offered in ((1, "Continue: 1 left"), (0, "Label them")):
+        replace(plan, count=PROBES + more).save(dataset.folder)
+        page.begin()
+        assert step.isHidden(), "a run that starts takes the offer of the former one away"
+        page.bench.set_state(RunState.IDLE)
+        page.tell(RunFinished(2.0, "run", "finished", f"{PROBES} probes are collected."))
+        page.settle()
+        assert step.text.text() == f"pot on circle15: {PROBES} probes are collected."
+        assert step.yes.text() == offered
+    started = len(page.bench.started)
+    step.yes.click()
+    assert page.workspace.page.front == "label"
+    assert len(page.bench.started) == started, "an offer moves nothing"
+
+
 def test_the_check_of_the_origin_is_used_once_and_remembered_and_gone_with_the_origin(page):
     page.begin()
     page.tell(OriginChecked(1.0, (0.25, -0.5), 0.11, True))
@@ -296,11 +314,6 @@ def test_notes_that_make_no_sense_are_refused():
         assert restore_form(CollectMemory(), {"origin": bad}) == (CollectMemory(), ["origin"])
     far = OriginCheckNote((1.0, 0.0), 0.1, False, "2026-01-01 10:00")
     assert "does not agree" in residual_text(far)
-
-
-def test_a_grip_in_words():
-    assert grip_text("0190-campaign/mounting-2/grip-3") == "2.3"
-    assert grip_text("g1") == "g1"
 
 
 def test_a_displacement_in_words():

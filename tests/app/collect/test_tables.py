@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from PySide6.QtCore import QPoint, QRect, QSize, Qt
 from PySide6.QtTest import QTest
-from PySide6.QtWidgets import QApplication, QLabel, QMenu
+from PySide6.QtWidgets import QApplication, QLabel
 
 from tests.app.collect.conftest import PROBES
 from tests.app.conftest import settle
@@ -21,7 +21,6 @@ from touchdown.backend.episodes.quality import count_coverage
 from touchdown.backend.geometry.pieces import load_pieces
 from touchdown.backend.runs.requests import CollectRequest, RunState
 from touchdown.widgets.forms.collect_form import TargetForm
-from touchdown.widgets.lists.tables import DOWN, HEADS, TableArrangement
 from touchdown.widgets.plots.distribution import NEAR_PX
 from touchdown.widgets.shell.fault_cards import CardQuestion, CardText
 
@@ -120,44 +119,6 @@ def test_a_person_who_types_keeps_the_focus(page):
     settle(page.main)
     assert not page.view.target.start.isEnabled()
     assert page.view.target.person.hasFocus()
-
-
-def test_the_list_is_sorted_by_a_click_and_its_columns_are_chosen_and_remembered(page, qtbot):
-    table, head = page.view.table, page.view.table.horizontalHeader()
-    page.presenter.probes.choose(page.uuids[1])
-    settle(page.main)
-
-    def click(column):
-        at = QPoint(head.sectionViewportPosition(column) + 8, head.height() // 2)
-        QTest.mouseClick(head.viewport(), Qt.MouseButton.LeftButton, pos=at)
-
-    click(3)
-    away = [row.distance_mm for row in table.rows()]
-    assert away == sorted(away)
-    click(3)
-    assert [row.distance_mm for row in table.rows()] == away[::-1]
-    assert table.chosen() == page.presenter.probes.shown
-    said = [table.model().headerData(k, Qt.Orientation.Horizontal, Qt.ItemDataRole.DisplayRole)
-            for k in range(len(HEADS))]  # fmt: skip
-    assert said == [*HEADS[:3], f"{HEADS[3]} {DOWN}", *HEADS[4:]]
-    assert table.isColumnHidden(HEADS.index("Person"))
-    table.choose_columns()
-    menu = table.findChild(QMenu)
-    for name in ("Person", "Time"):
-        next(a for a in menu.actions() if a.text() == name).trigger()
-    menu.close()
-    assert not table.isColumnHidden(HEADS.index("Person"))
-    assert {row.cells()[-1] for row in table.rows()} == {"setup"}
-    memory = page.workspace.memory()
-    table.arrange(TableArrangement())
-    assert page.workspace.recall(memory) == []
-    assert table.arrangement == TableArrangement(
-        (*HEADS[:4], "Person"), sort="x, y (mm)", descending=True
-    )
-    assert page.workspace.recall({**memory, "list": {"columns": ["Mood"]}}) == ["list"]
-    for column in range(len(HEADS)):
-        table.show_column(column, shown=False)
-    assert not all(table.isColumnHidden(column) for column in range(len(HEADS)))
 
 
 def test_each_half_has_its_own_key_and_its_keys_do_nothing_in_the_other(page):

@@ -101,6 +101,8 @@ BY_KEYS = {
     "value_entered": ("bulk",),
     "health_requested": ("health",),
     "finding_chosen": ("findings",),
+    "filter_typed": ("filter",),
+    "filter_kept": ("keep-filter",),
 }
 """What a mouse can ask of the page, and the commands that ask for the same."""
 BY_HAND = {"play"}  # Space: the page takes it, a stop of the bench goes first

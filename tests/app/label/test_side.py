@@ -1,11 +1,14 @@
 """What concerns many episodes: bulk changes, agreement, the log, scores, a second copy."""
 
+import json
 import shutil
 from dataclasses import replace
 
 import pytest
+from PySide6.QtCore import Qt
+from PySide6.QtTest import QTest
 
-from tests.app.label.conftest import CTRL, ITEMS, KEY, WITHOUT_LABEL, make_episode
+from tests.app.label.conftest import CTRL, ITEMS, KEY, SHIFT, WITHOUT_LABEL, make_episode
 from tests.app.label.test_values import content
 from tests.backend.annotations.filling import fill
 from touchdown.app.label.session import AnnotationSession, QueueEntries, read_queue
@@ -377,3 +380,101 @@ def test_entries_and_rows_of_a_large_queue_are_read_in_pages(tmp_path) -> None:
         assert len(entries) == 150
         assert [row.uuid for row in rows] == order
         assert dict(entries) == {entry.uuid: entry for entry in dataset.episodes()}
+
+
+def type_filter(desk, text):
+    desk.do((KEY.Key_F, CTRL))
+    assert desk.page.filter.hasFocus()
+    desk.page.filter.setText(text)
+    desk.press(KEY.Key_Return)
+    desk.settle()
+
+
+def test_all_episodes_are_a_queue_with_a_filter_that_a_kill_cannot_lose(desk, tmp_path):
+    presenter, page, session = desk.workspace.presenter, desk.page, desk.workspace.session
+    kept = presenter.walk.order[3]
+    desk.book.set("Ann", kept, Label(1500, -200, 0, 100), note="bent corner")
+    assert page.filter.isHidden()
+    type_filter(desk, "colour:red")
+    assert "'colour:red' is no filter. Use words, and piece:" in page.message.text()
+    type_filter(desk, "corner state:draft")
+    assert (presenter.walk.order, desk.uuid) == ([kept], kept)
+    for name, said in (("gold", "cannot have the name"), ("Corners", "")):
+        desk.press(KEY.Key_S, CTRL)
+        page.words.setText(name)
+        desk.press(KEY.Key_Return)
+        desk.settle()
+        assert said in page.message.text()
+    assert (page.queue.currentText(), page.keep_filter.text()) == ("Corners", "Forget")
+    # Stored with the last key: nothing is left to write when the program is killed.
+    stored = json.loads((tmp_path / "window.json").read_text())["pages"]["collect"]
+    assert (stored["queue"], stored["saved"]) == ("Corners", {"Corners": "corner state:draft"})
+    session.saved.clear()
+    assert desk.workspace.recall(stored) == []
+    assert session.wanted == "corner state:draft"
+    type_filter(desk, "bottom:hex20")
+    assert page.nothing.title.text() == "No episode passes the filter"
+    presenter.choose_queue("Corners")
+    desk.settle()
+    assert presenter.walk.order == [kept]
+    page.keep_filter.click()
+    desk.settle()
+    assert (session.queue, session.saved, page.queue.findData("Corners")) == ("all", {}, -1)
+    assert presenter.walk.order == [kept], "the list stays as it was"
+
+
+def test_a_bulk_change_takes_the_selected_labels_alone(desk):
+    page, order = desk.page, desk.workspace.presenter.walk.order
+    desk.do((KEY.Key_PageDown, SHIFT), (KEY.Key_PageDown, SHIFT), (KEY.Key_PageUp, SHIFT))
+    assert page.queue_panel.detail.text() == f"1 of {len(order)}, 2 selected"
+    desk.do(KEY.Key_B)
+    assert "Change the 2 selected labels how?" in page.choice._title.text()
+    desk.do(KEY.Key_Escape)
+    place = page.list.visualRect(page.list.index_of(3)).center()
+    QTest.mouseClick(page.list.viewport(), Qt.MouseButton.LeftButton, CTRL, place)
+    assert page.list.selected() == [0, 1, 3]
+    assert desk.uuid == order[0], "a click with Ctrl goes nowhere"
+    page.bulk.kind.setCurrentIndex(page.bulk.kind.findData("accept"))
+    page.bulk.preview.click()
+    desk.settle()
+    assert "3 labels will change" in page.bulk.found.text()
+    page.bulk.apply.click()
+    desk.settle()
+    states = [desk.book.head(uuid).state for uuid in order]
+    assert [at for at, state in enumerate(states) if state == "submitted"] == [0, 1, 3]
+
+
+def test_the_model_stands_beside_the_label_where_a_queue_is_about_a_score(desk):
+    presenter, page = desk.workspace.presenter, desk.page
+    first, second = presenter.walk.order[:2]
+    desk.book.set("Ann", first, Label(1500, -200, 0, 100))
+    presenter.dataset.scores.put("disagreement", {first: 2.5, second: 7.0}, "m")
+    presenter.dataset.scores.suggest({first: Label(1000, 300, 0, 300)}, "m")
+    presenter.choose_queue("disagreement")
+    desk.settle()
+    assert presenter.walk.order == [second, first]
+    minus = "\N{MINUS SIGN}"
+    assert page.list.rows()[1].badges[0] == f"2.5: +1.50, {minus}0.20; model +1.00, +0.30"
+    presenter.go_to(1)
+    desk.settle()
+    desk.do(KEY.Key_Right)
+    assert page.list.rows()[1].badges[0].startswith("+1.60, ")
+    desk.do(KEY.Key_H)
+    assert not any("model" in word for word in page.list.rows()[1].badges), "hidden with the rest"
+
+
+def test_the_end_of_a_queue_says_what_it_gave_and_offers_the_next_one(desk):
+    presenter, step = desk.workspace.presenter, desk.main.window.next_step
+    for uuid in presenter.walk.order[:2]:
+        desk.book.accept("Bob", uuid, Label(1, 1, 0, 100))
+    presenter.choose_queue("review")
+    desk.settle()
+    assert step.isHidden()
+    desk.do(KEY.Key_Return, KEY.Key_Return)
+    left = ITEMS - 2
+    text = f"Waiting for review: 2 episodes done. Unlabelled and drafts: {left} episodes."
+    assert (step.text.text(), step.yes.text()) == (text, "Open that queue")
+    assert step.text.width() >= step.text.fontMetrics().horizontalAdvance("Waiting for review: 2")
+    desk.do((KEY.Key_Period, CTRL))
+    assert step.isHidden()
+    assert (desk.workspace.session.queue, len(presenter.walk.order)) == ("unlabelled", left)

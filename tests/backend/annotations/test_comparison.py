@@ -8,9 +8,11 @@ import os
 import shutil
 import tempfile
 from collections.abc import Iterator
+from datetime import datetime
 from functools import partial
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -19,7 +21,7 @@ from tests.backend.annotations.conftest import add, authors, context_for
 from tests.backend.annotations.test_values import ACTIONS, FAST, PEOPLE, Step, act, contents
 from tests.backend.annotations.test_values import tables as catalogue_tables
 from touchdown.backend.annotations import review
-from touchdown.backend.annotations.agreement import suggestion_bias
+from touchdown.backend.annotations.agreement import _periods, suggestion_bias
 from touchdown.backend.annotations.dataset import Dataset
 from touchdown.backend.annotations.operation_log import read_journal
 from touchdown.backend.annotations.training_set import labelled_episodes
@@ -57,6 +59,25 @@ def test_opinions_are_compared_and_change_no_label(dataset, record):
     assert found.kappa == pytest.approx((0.8 - 0.48) / 0.52)
     assert found.drift_mm == pytest.approx(((300 + 0 + 300) / 3e3 - (100 - 200) / 2e3, 0.0))
     assert found.seconds == (6.0, 60.0)
+    (period,) = found.periods
+    assert period[1:] == (5, found.rms_mm)
+
+
+@pytest.mark.parametrize(
+    ("step_days", "names"),
+    [(0.2, ["2026-01-01"]), (3, ["2026-01-01", "2026-01-04"]), (30, ["2026-W01", "2026-W05"]),
+     (120, ["2026-01", "2026-05"])],
+)  # fmt: skip
+def test_agreement_over_time_has_days_weeks_or_months(step_days, names):
+    begin = datetime(2026, 1, 1, 12).timestamp()
+    times_ns = [int((begin + 86_400 * days) * 1e9) for days in (0, step_days, step_days)]
+    periods = _periods(times_ns, np.array([[0.3, -0.4], [0.0, 1.0], [0.0, 2.0]]))
+    assert [name for name, _, _ in periods] == names
+    assert sum(count for _, count, _ in periods) == 3
+    if len(periods) > 1:
+        assert periods[0][2] == pytest.approx(0.5)
+        assert periods[1][2] == pytest.approx(math.sqrt(2.5))
+    assert _periods([], np.zeros((0, 2))) == ()
 
 
 def test_two_persons_without_a_common_episode(dataset, record):

@@ -10,9 +10,11 @@ import shutil
 import signal
 import subprocess
 import sys
+import time
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
+from datetime import datetime
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +25,14 @@ from tests.backend.annotations.filling import fill
 from touchdown.backend.annotations import episode_index
 from touchdown.backend.annotations.backups import list_backups, restore_backup
 from touchdown.backend.annotations.dataset import Dataset
-from touchdown.backend.annotations.queues import AUDIT_SHARE, QUEUES, Suggestion, disagreement
+from touchdown.backend.annotations.queues import (
+    AUDIT_SHARE,
+    QUEUES,
+    ScoredLabel,
+    Suggestion,
+    disagreement,
+    parse_filter,
+)
 from touchdown.backend.annotations.rebuild import rebuild_dataset
 from touchdown.backend.annotations.reconciliation import check_dataset
 from touchdown.backend.annotations.review import ReviewStatus, check_person, state_after
@@ -243,8 +252,56 @@ def test_work_moves_from_queue_to_queue(dataset, record):
     assert dataset.queue("returned", "ann") == [b]
     labels.undo("cleo")
     assert dataset.queue("returned", "cleo") == [a]
-    with pytest.raises(InputError, match="no queue 'all'"):
-        dataset.queue("all", "ann")
+    with pytest.raises(InputError, match="no queue 'nothing'"):
+        dataset.queue("nothing", "ann")
+
+
+def test_all_episodes_are_filtered_and_ordered(dataset, record):
+    labels, (a, b, c) = dataset.labels, [record(x, 0).uuid for x in (3000, -5000, 1000)]
+    other = dataset.record(
+        replace(dataset.read(c), episode_id="another"),
+        Label(0, 0), source="commanded", context=context_for(dataset, "pot", "hex20"),
+    ).uuid  # fmt: skip
+    labels.accept("ann", a)
+    labels.set("bob", b, Label(-5000, 0, 0, 100), note="Bent Corner")
+    labels.flag("ann", c)
+    dataset.scores.put("doubt", {a: 2.0, b: 9.0, c: 4.0}, "m")
+    labels.set("bob", c, Label(1001, 0, 0, 100))  # a score of a former label does not count
+    today = f"{datetime.now():%Y-%m-%d}"
+
+    def found(text):
+        return dataset.queue("all", "ann", wanted=text)
+
+    for text, wanted in (
+        ("", [other, c, b, a]), ("sort:oldest", [a, b, c, other]),
+        ("sort:distance", [b, a, c, other]), ("sort:state", [b, c, other, a]),
+        ("bottom:hex20", [other]), ("state:submitted", [a]), ("state:flagged", [c]),
+        ("state:refused", []), ("person:bob", [c, b]), ("doubt:0 sort:doubt", [b, a]),
+        ("doubt:5", [b]), ("corner BENT", [b]), ("nowhere", []), ("since:2999-01-01", []),
+        (f"since:{today} until:{today} piece:pot", [other, c, b, a]), ("until:1999-01-01", []),
+        ("sort:doubt", [b, a, c, other]),
+    ):  # fmt: skip
+        assert found(text) == wanted, text
+    for text in ("colour:red", "since:yesterday", "sort:mood", "doubt:much",
+                 "doubt:1 sort:uncertainty", 'person:"bob'):  # fmt: skip
+        with pytest.raises(InputError, match="is no filter"):
+            found(text)
+    labels.delete("ann", other, "test")
+    assert found("") == [c, b, a]
+    dataset.scores.suggest({b: Label(-4000, 500, 0, 300)}, "m")
+    beside = dataset.scores.beside([a, b], "doubt")
+    assert beside[a] == ScoredLabel(Label(3000, 0, 0, 150), None, 2.0)
+    assert beside[b].model == Label(-4000, 500, 0, 300)
+
+
+def test_a_day_begins_at_local_midnight(monkeypatch):
+    with monkeypatch.context() as patch:
+        patch.setenv("TZ", "NPT-5:45")
+        time.tzset()
+        values = parse_filter("since:2026-11-26 until:2026-11-26").values
+    time.tzset()
+    begin = 1_795_630_500 * 10**9  # 2026-11-25 18:15 UTC
+    assert values == {"v0": begin, "v1": begin + 86_400 * 10**9, "score": ""}
 
 
 def test_coverage_brings_the_emptiest_squares_first(dataset, record):

@@ -1,0 +1,230 @@
+"""Runs in a row: a list of planned runs, started one after the other."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+from pathlib import Path
+
+from PySide6.QtCore import QSignalBlocker, QTimer
+from PySide6.QtWidgets import QPushButton
+
+from touchdown.app.shell import (
+    BenchSheet,
+    ask_path,
+    carry_out,
+    count_noun,
+    is_run_active,
+    restore_form,
+)
+from touchdown.app.stack.page import StackPage
+from touchdown.app.stack.presenter import stack_request
+from touchdown.backend.bench import Session
+from touchdown.backend.core import (
+    Event,
+    InputError,
+    Outcome,
+    RunFinished,
+    TrialFinished,
+    parse_toml,
+)
+from touchdown.backend.runs import StackRequest
+from touchdown.widgets.base import KeylessList, hbox, label, vbox
+from touchdown.widgets.forms import STRATEGIES, RunForm, RunPanel
+from touchdown.widgets.shell import CardQuestion, FaultCards
+
+LOOK_MS = 100  # a row looks this often whether its run has ended
+FIX = "Each run is a table [[run]] with keys such as piece, bottom, seed and trials."
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedRun(RunForm):
+    """One run of the list; ``result`` is empty until it ended."""
+
+    result: str = ""
+
+    def text(self, number: int, state: str) -> str:
+        """Return the run as two lines of a list."""
+        tower = " on ".join(filter(None, (self.piece, self.bottom, self.under)))
+        strategy = dict(STRATEGIES).get(self.strategy, self.strategy)
+        what = f"{count_noun(self.trials, 'trial')}, seed {self.seed}, {strategy}"
+        return f"{number}. {tower}: {self.result or state}\n{what}"
+
+
+def read_planned_runs(path: Path, panel: RunPanel) -> list[PlannedRun]:
+    """Return the runs of a TOML file. Keys that are missing are those of the form on ``panel``.
+
+    Raises ``InputError`` for entries that this form cannot hold.
+    """
+    try:
+        tables = parse_toml(path.read_bytes())["run"]
+        tables = list(json.loads(json.dumps(tables, default=str)))
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InputError(f"No [[run]] can be read: {error}.", str(path), FIX) from error
+    usual, runs = panel.form(), list[PlannedRun]()
+    for number, table in enumerate(tables, start=1):
+        values = table if isinstance(table, dict) else {str(table): ""}
+        run, wrong = restore_form(PlannedRun(**asdict(usual)), values)
+        wrong += sorted(set(values) - set(asdict(run)))
+        with QSignalBlocker(panel):
+            panel.show_form(run)
+            held = asdict(panel.form())
+            panel.show_form(usual)
+        wrong += [name for name, value in held.items() if value != getattr(run, name)]
+        if wrong:
+            what = f"Run {number} has wrong entries: {', '.join(wrong)}."
+            raise InputError(what, str(path), FIX)
+        runs.append(replace(run, result=""))
+    return runs
+
+
+class PlannedRunsSheet(BenchSheet):
+    """Keeps the list and starts its runs; on devices a person starts each of them.
+
+    ``begin`` starts a run like the button of the page, with all its questions; ``remember`` stores
+    the list; ``offer`` shows what a row gave.
+    """
+
+    def __init__(
+        self, bench: Session, page: StackPage, cards: FaultCards,
+        begin: Callable[[StackRequest], bool], remember: Callable[[], None],
+        offer: Callable[[str], None],
+    ) -> None:  # fmt: skip
+        super().__init__(page.window(), "Runs in a row")
+        self._bench, self._page, self._cards, self._begin = bench, page, cards, begin
+        self._remember, self._offer = remember, offer
+        self.runs: list[PlannedRun] = []
+        self.on = False  # further runs follow
+        self._now: PlannedRun | None = None
+        self._ended: RunFinished | None = None
+        self._outcomes: list[Outcome] = []
+        self._asked: CardQuestion | None = None
+        self._timer = QTimer(self)
+        self._timer.setInterval(LOOK_MS)
+        self._timer.timeout.connect(self.look)
+        self.list = KeylessList("Planned runs", "Add the run of the form, or read a file.")
+        self.said = label("", "muted", wrap=True)
+        orders: dict[str, tuple[str, Callable[[], None]]] = {
+            "Add the form": ("Add the run of the form on the page", self.add_form),
+            "From a file": ("Add the runs of a TOML file, a table [[run]] each", self._ask_file),
+            "Up": ("Move the selected run up", partial(self._move, -1)),
+            "Down": ("Move the selected run down", partial(self._move, 1)),
+            "Remove": ("Remove the selected run", self._remove),
+            "Start": ("Start the next run; the others follow", self.start),
+            "Hold": ("Start no further run", self.hold),
+        }
+        self.buttons = {name: QPushButton(name) for name in orders}
+        for name, (tip, act) in orders.items():
+            self.buttons[name].setToolTip(tip)
+            self.buttons[name].clicked.connect(lambda _=False, act=act: act())
+        *column, start, hold = self.buttons.values()
+        start.setProperty("role", "primary")
+        rows = hbox((self.list, 1), vbox(*column, 1), spacing=12)
+        self.arrange((rows, 1), self.said, foot=(start, hold), spacing=10)
+        self.resize_to_em(38, 22)
+        self.list.currentRowChanged.connect(self._show_buttons)
+        self._show_buttons()
+
+    def add_form(self) -> None:
+        """Add the run of the form."""
+        self.change([*self.runs, PlannedRun(**asdict(self._page.run.form()))], len(self.runs))
+
+    def add_file(self, path: Path) -> None:
+        """Add the runs of a file; show a card if one of them is wrong."""
+        panel, runs, more = self._page.run, self.runs, list[PlannedRun]()
+        if carry_out(lambda: more.extend(read_planned_runs(path, panel)), self._cards):
+            self.change(runs + more, len(runs))
+
+    def _ask_file(self) -> None:
+        ask_path(self, "Planned runs", self.add_file, names="Planned runs (*.toml)")
+
+    def _move(self, by: int) -> None:
+        at, runs = self.list.currentRow(), list(self.runs)
+        runs.insert(at + by, runs.pop(at))
+        self.change(runs, at + by)
+
+    def _remove(self) -> None:
+        at = self.list.currentRow()
+        self.change([*self.runs[:at], *self.runs[at + 1 :]], at)
+
+    def change(self, runs: list[PlannedRun], at: int) -> None:
+        """Replace the list and store it at once; ``at`` is the selected run."""
+        self.runs = runs
+        self._remember()
+        self.list.clear()
+        for number, run in enumerate(runs, start=1):
+            self.list.addItem(run.text(number, "running" if run is self._now else "planned"))
+        self.list.setCurrentRow(min(at, len(runs) - 1))
+        self._show_buttons()
+
+    def _show_buttons(self, _row: int = 0) -> None:
+        at, last = self.list.currentRow(), len(self.runs) - 1
+        possible = {
+            "Up": at > 0, "Down": 0 <= at < last, "Hold": self.on,
+            "Remove": at >= 0 and self.runs[at] is not self._now,
+            "Start": bool(self.runs) and self._now is None,
+        }  # fmt: skip
+        for name, on in possible.items():
+            self.buttons[name].setEnabled(on)
+
+    def _say(self, text: str) -> None:
+        self.said.setText(text)
+        self.change(self.runs, max(self.list.currentRow(), 0))
+
+    def start(self) -> None:
+        """Start the next run; the others follow. A list that is done begins anew."""
+        if not self.runs or is_run_active(self._bench):
+            return
+        if all(run.result for run in self.runs):
+            self.runs = [replace(run, result="") for run in self.runs]
+        if self._asked is not None and self._cards.asks is self._asked:
+            self._cards.withdraw()
+        run = next(run for run in self.runs if not run.result)
+        self._outcomes, self._ended = [], None
+        self.on = self._begin(stack_request(run))
+        self._now = run if self.on else None
+        self._timer.start()
+        self._say("" if self.on else "The run was refused: the row is held.")
+
+    def hold(self, why: str = "The row is held.") -> None:
+        """Start no further run."""
+        self.on = False
+        self._say(why)
+
+    def take(self, event: Event) -> None:
+        """Follow the present run."""
+        if isinstance(event, TrialFinished):
+            self._outcomes.append(event.outcome)
+        elif isinstance(event, RunFinished) and event.run_id == self._bench.run_id:
+            self._ended = event
+
+    def look(self) -> None:
+        """Go on once the run has ended and the bench is idle; end the row after a stop."""
+        if self._now is not None and self._ended is not None and not is_run_active(self._bench):
+            self._go_on(self._now, self._ended.ending)
+        elif self.on and self._now is None and self._bench.interlock.latched:
+            self.hold("STOP ended the row.")
+        if not self.on and self._now is None:
+            self._timer.stop()
+
+    def _go_on(self, run: PlannedRun, ending: str) -> None:
+        placed = self._outcomes.count(Outcome.PLACED)
+        result = f"{placed} of {count_noun(len(self._outcomes), 'trial')} placed"
+        if ending != "finished":
+            self.on, result = False, f"{result}, {ending}"
+        self.runs = [replace(r, result=result) if r is run else r for r in self.runs]
+        self._now = None
+        left = [run for run in self.runs if not run.result]
+        done = f"{len(self.runs) - len(left)} of {count_noun(len(self.runs), 'planned run')} done"
+        if not self.on or not left:
+            self.hold(f"{done}.")
+            self._offer(f"{done}; the last one: {result}.")
+        elif not self._bench.simulated:
+            text = f"{done}. {left[0].piece} on {left[0].bottom} waits: start it when all is ready."
+            self._asked = CardQuestion(text, (("Hold the row", self.hold), ("Start", self.start)))
+            self._cards.ask(self._asked)
+            self._say(text)
+        else:
+            self.start()

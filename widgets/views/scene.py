@@ -158,7 +158,7 @@ class SideView(PictureView):
         """Draw both halves: table, bottoms, piece, hand, next step."""
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
         t, scene = self._theme.tokens, self.scene
-        painter.fillRect(self.rect(), t.colour("bg"))
+        painter.fillRect(self.rect().adjusted(0, 0, 1, 1), t.colour("bg"))
         if not scene.bottoms:
             draw_message(painter, self.rect(), self._theme, "No bench yet")
             return

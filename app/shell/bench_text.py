@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from touchdown.backend.bench import Session, model_in_use, shipped_model
 from touchdown.backend.core import InputError
 from touchdown.backend.geometry import PieceLibrary
-from touchdown.backend.learning import ModelCard, ModelRegistry, load_card
+from touchdown.backend.learning import ModelCard, ModelRegistry, load_card, pretraining_text
 from touchdown.backend.learning.fused import shipped_fused
 from touchdown.backend.runs import models_folder
 
@@ -104,6 +104,7 @@ def card_caption(card: ModelCard) -> ModelCaption:
         f"Model {card.weights_sha256[:12]} for {card.piece}, {whence}.",
         f"It sees {MODALITY_NAMES[card.modality]}.",
         f"Trained on {trained} ({kind})." if trained else "",
+        pretraining_text(card),
         f"{iou} on the probes that were held out." if iou else "",
     )
     return ModelCaption(", ".join(filter(None, short)), "\n".join(filter(None, lines)))

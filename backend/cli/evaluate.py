@@ -51,6 +51,7 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
         hardware_rows,
         load_checkpoint,
         load_episodes,
+        pretraining_text,
         save_card,
     )
 
@@ -63,9 +64,14 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
         of_real = evaluate(checkpoint, real, delta=args.delta, pieces=args.pieces)["all"]
         registry = ModelRegistry(models_folder())
         registry.note_hardware(card.weights_sha256, len(real), of_real.iou, of_real.point_accuracy)
-    trained_on = set(card.data.get("episodes", {}))
+    origin, trained_on = card.data, set[str]()
+    while origin:
+        trained_on |= set(origin.get("episodes", {}))
+        origin = origin.get("pretrained", {}).get("data")
     kind = "simulated" if real is None else f"{len(real)} hardware probes"
     screen.show(score_table(f"{card.piece}, {card.modality} ({kind})", scores, trained_on))
+    if text := pretraining_text(card):
+        screen.say(text)
     fitted = card.calibration
     if args.calibrate:
         calibrated = calibrate_model(checkpoint, rows)
@@ -88,6 +94,7 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
             "simulated": card.simulated,
             "hardware_probes": 0 if real is None else len(real),
             "trained_on": sorted(trained_on),
+            **{name: card.data.get(name) for name in ("pretrained", "mixed")},
             "scores": {name: s.as_json() for name, s in scores.items()},
         }
     )

@@ -31,15 +31,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "too good, because both sides share the errors of a mounting (default: whole series)",
     )  # fmt: skip
     parser.add_argument(
-        "--modality", choices=("FT", "Tac", "FT+Tac"), default=usual.modality,
-        help="inputs of the model: wrench, markers or both",
+        "--from", type=Path, dest="pretrained", metavar="CHECKPOINT",
+        help="model file to fine-tune; it sets sizes, modality and normalisation",
+    )  # fmt: skip
+    parser.add_argument(
+        "--mix", type=Path, metavar="DATA", help="data of which episodes join the training side"
+    )
+    parser.add_argument("--mix-share", type=float, default=0.5, help="its share of that side")
+    parser.add_argument(
+        "--modality", choices=("FT", "Tac", "FT+Tac"),
+        help="inputs of the model: wrench, markers or both (default: those of --from, else both)",
     )  # fmt: skip
     parser.add_argument(
         "--epochs", type=int, default=usual.epochs, help="epochs; the best weights are kept"
     )
     parser.add_argument("--batch", type=int, default=usual.batch, help="episodes a step")
     parser.add_argument(
-        "--learning-rate", type=float, default=usual.learning_rate, help="step of the optimiser"
+        "--learning-rate", type=float, help="step of the optimiser (default: 1e-3, --from: 1e-4)"
     )
     parser.add_argument(
         "--seed", type=int, default=usual.seed, help="of initial weights, order and split"
@@ -56,7 +64,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     add_device(parser)
     parser.add_argument(
-        "--out", type=Path, help="model file (default: <piece>.safetensors in the current folder)"
+        "--out",
+        type=Path,
+        help="model file (default: ./<piece>.safetensors, or <checkpoint>-tuned)",
     )
     parser.add_argument(
         "--resume", action="store_true", help="resume an interrupted training of the same model"
@@ -80,20 +90,21 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
         TrainingEpoch,
         TrainingFinished,
         TrainingLoaded,
+        load_card,
         make_training_job,
+        pretraining_text,
         run_training,
     )
 
     names = ("modality", "epochs", "batch", "learning_rate", "precision", "divide_series", "seed")
+    options = ("labels", "resume", "threads", "device", "pretrained", "mix", "mix_share")
+    stem = f"{args.pretrained.stem}-tuned" if args.pretrained else args.piece or "model"
     job = make_training_job(
         args.data,
         args.piece,
-        args.out or Path(f"{args.piece or 'model'}.safetensors"),
+        args.out or Path(f"{stem}.safetensors"),
         {name: getattr(args, name) for name in names},
-        labels=args.labels,
-        resume=args.resume,
-        threads=args.threads,
-        device=args.device,
+        **{name: getattr(args, name) for name in options},
     )
     curve: list[dict[str, object]] = []
     answer: dict[str, object] = {}
@@ -125,6 +136,8 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
                         f"{100 * report.iou:.1f} %, point accuracy "
                         f"{100 * report.point_accuracy:.1f} %, {report.seconds:.0f} s"
                     )
+                    if text := pretraining_text(load_card(report.out)):
+                        screen.say(text)
                     answer |= report.model_dump(mode="json", exclude={"kind"})
                 case TrainingCancelled():
                     screen.say(f"Cancelled after epoch {report.done}; continue with --resume.")

@@ -6,6 +6,7 @@ from .checkpoint import card_path as card_path
 from .checkpoint import check_face as check_face
 from .checkpoint import load_card as load_card
 from .checkpoint import load_checkpoint as load_checkpoint
+from .checkpoint import pretraining_text as pretraining_text
 from .checkpoint import save_card as save_card
 from .checkpoint import save_checkpoint as save_checkpoint
 from .checkpoint import save_half_precision as save_half_precision

@@ -187,6 +187,18 @@ def load_card(path: Path) -> ModelCard:
     return card
 
 
+def pretraining_text(card: ModelCard) -> str:
+    """Return the checkpoint and the mixed-in episodes of a fine-tuned model, "" for others."""
+    origin, mixed = card.data.get("pretrained"), card.data.get("mixed")
+    before = card.metrics.get("validation", {}).get("pretrained", {}).get("iou")
+    figures = "" if before is None else f", IoU {100 * before:.0f} % on the same held-out probes"
+    texts = (
+        f"Fine-tuned from the model {origin['weights_sha256'][:12]}{figures}." if origin else "",
+        f"{mixed['episodes']:,} of the training probes were mixed in." if mixed else "",
+    )
+    return " ".join(filter(None, texts))
+
+
 def check_face(
     card: ModelCard, piece: str, geometry: str, where: str, points: int | None = None
 ) -> None:

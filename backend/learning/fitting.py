@@ -6,17 +6,19 @@ import math
 import time
 from collections import Counter
 from collections.abc import Callable
+from dataclasses import replace
 from hashlib import sha256
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
 from touchdown.backend.annotations import LabelChoice, is_dataset, load_training_set
-from touchdown.backend.config import BenchDescription, StabilitySettings
+from touchdown.backend.config import BenchDescription, StabilitySettings, TrainingSettings
 from touchdown.backend.core import FloatArray, InputError, package_version, write_atomically
-from touchdown.backend.episodes import TrainingRows, load_rows
+from touchdown.backend.episodes import Split, TrainingRows, join_rows, load_rows, split_rows
 from touchdown.backend.geometry import face_points, load_pieces
 from touchdown.backend.learning.calibration import PatchCalibration, fit_calibration
 from touchdown.backend.learning.checkpoint import (
@@ -171,7 +173,8 @@ DIVERGED_NATS = 2 * math.log(2)  # twice the loss of a constant prediction of 0.
 def fit_model(job: TrainingJob, tell: ReportCallback, cancelled: Callable[[], bool]) -> None:
     """Run ``job`` and report each step; the state is saved after each epoch until the end.
 
-    Raises ``InputError`` for invalid data, an invalid output name or a state of other settings.
+    Raises ``InputError`` for invalid data, an invalid output name, a state of other settings, or a
+    checkpoint to fine-tune that is damaged, or of another piece or modality.
     """
     if job.out.suffix != ".safetensors":
         raise InputError(
@@ -179,12 +182,29 @@ def fit_model(job: TrainingJob, tell: ReportCallback, cancelled: Callable[[], bo
         )
     began_s = time.monotonic()
     use_deterministic_algorithms(job.threads)
+    pretrained = None if job.pretrained is None else load_checkpoint(job.pretrained)
     rows = load_episodes(job.data, job.piece, job.labels)
+    benches, settings, split = read_benches(job.data, rows), job.settings, None
+    origin, key = dict[str, Any](), ""
+    if pretrained is not None:
+        card = pretrained.card
+        check_face(card, rows.piece, rows.geometry, str(job.pretrained), rows.patch.shape[1])
+        key, sizes = card.weights_sha256, (settings.hidden, settings.layers)
+        if (card.modality, card.hyper.hidden, card.hyper.layers) != (settings.modality, *sizes):
+            what = f"The model sees {card.modality}, the training asks for {settings.modality}"
+            fix = "Leave out --modality, or choose another model."
+            raise InputError(f"{what} (or other layers).", str(job.pretrained), fix)
+        origin["pretrained"] = {"weights_sha256": key, "data": card.data}
+    if job.mix is not None:
+        own, more = len(rows), load_episodes(job.mix, rows.piece, job.labels)
+        rows, split = mix_rows(rows, more, job.mix_share, settings)
+        origin["mixed"] = {"episodes": len(rows) - own, "fingerprint_sha256": fingerprint(more)}
     data = fingerprint(rows)
-    trainer = Trainer(rows, job.settings, select_device(job.device))
-    state = resume_path(job.out)
+    trainer = Trainer(rows, settings, select_device(job.device), split)
+    before = None if pretrained is None else trainer.start_from(pretrained)
+    state, key = resume_path(job.out), data + key
     if job.resume:
-        load_training_state(state, trainer, data)
+        load_training_state(state, trainer, key)
     tell(
         TrainingLoaded(
             piece=rows.piece,
@@ -198,7 +218,7 @@ def fit_model(job: TrainingJob, tell: ReportCallback, cancelled: Callable[[], bo
         )
     )
     for report in trainer.epochs(cancelled):
-        save_training_state(state, trainer, data)
+        save_training_state(state, trainer, key)
         tell(report)
     if not trainer.finished:
         tell(TrainingCancelled(done=trainer.done, state=state))
@@ -210,8 +230,11 @@ def fit_model(job: TrainingJob, tell: ReportCallback, cancelled: Callable[[], bo
             "Choose a smaller --learning-rate.",
         )
     probability = trainer.predict_held_out()
-    card = make_card(rows, trainer, data, read_benches(job.data, rows), probability)
+    card = make_card(rows, trainer, data, benches, probability)
+    card.data.update(origin)
     validation = card.metrics["validation"]
+    if before is not None:
+        validation["pretrained"] = before.model_dump(include={"iou", "validation_loss"})
     validation["bottoms"] = bottom_figures(rows, trainer.split.held_out, probability)
     if job.keep is not None:
         write_atomically(job.keep / MANIFEST, training_manifest(rows, trainer.split))
@@ -229,6 +252,24 @@ def fit_model(job: TrainingJob, tell: ReportCallback, cancelled: Callable[[], bo
             seconds=time.monotonic() - began_s,
         )
     )
+
+
+def mix_rows(
+    rows: TrainingRows, more: TrainingRows, share: float, settings: TrainingSettings
+) -> tuple[TrainingRows, Split]:
+    """Split ``rows``, and add episodes of ``more`` at random as ``share`` of the training side.
+
+    The validation side is that of ``rows`` alone. Raises ``InputError`` for too few episodes.
+    """
+    seed, divide = settings.seed, settings.divide_series
+    split = split_rows(rows, settings.validation_share, seed, divide_series=divide)
+    count = round(len(split.train) * share / (1 - share))
+    if not 0 < count <= len(more):
+        what = f"A share of {share:g} needs {count} episodes to mix in; there are {len(more)}."
+        raise InputError(what, "mix_share", "Choose another --mix-share, or simulate more.")
+    chosen = np.sort(np.random.default_rng(seed).choice(len(more), count, replace=False))
+    train = np.concatenate([split.train, len(rows) + np.arange(count)])
+    return join_rows([rows, more.take(chosen)]), replace(split, train=train)
 
 
 def load_episodes(data: Path, piece: str | None, labels: LabelChoice) -> TrainingRows:

@@ -195,19 +195,23 @@ class Trainer:
     The order of the samples depends on seed and epoch only, so resuming needs no generator state.
     The weights of the epoch with the lowest validation loss are kept (or of the last, see
     ``settings.keep``); ``best_figures`` are their IoU and point accuracy on the validation side.
-    ``device`` is used for computing; data stay in main memory. Raises ``InputError`` if the device
-    does not support the precision.
+    ``device`` is used for computing; data stay in main memory. ``split``: both sides (None:
+    split here). Raises ``InputError`` if the device does not support the precision.
     """
 
     def __init__(
-        self, rows: TrainingRows, settings: TrainingSettings, device: torch.device = CPU
+        self,
+        rows: TrainingRows,
+        settings: TrainingSettings,
+        device: torch.device = CPU,
+        split: Split | None = None,
     ) -> None:
         if settings.precision == "bfloat16" and not computes_bfloat16(device):
             raise InputError(
                 "This processor cannot multiply in bfloat16.", "precision", "Train in float32."
             )
         self.settings, self.device = settings, device
-        self.split: Split = split_rows(
+        self.split: Split = split or split_rows(
             rows, settings.validation_share, settings.seed, divide_series=settings.divide_series
         )
         self._rows, self._seen = rows, modality_columns(settings.modality)
@@ -224,6 +228,11 @@ class Trainer:
         self.best_epoch, self.best_loss = 0, float("inf")
         self.best_figures = (0.0, 0.0)
         self.best_state: dict[str, Tensor] = self._weights()
+
+    def start_from(self, checkpoint: Checkpoint) -> TrainingEpoch:
+        """Take weights and normalisation of ``checkpoint`` as epoch 0; return its figures."""
+        self.model.load_state_dict(load_network(checkpoint).state_dict())
+        return self._validate(math.nan)
 
     def epochs(self, cancelled: Callable[[], bool] = lambda: False) -> Iterator[TrainingEpoch]:
         """Run the remaining epochs; stops without a report when ``cancelled`` returns True."""

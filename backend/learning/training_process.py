@@ -42,7 +42,8 @@ class JobMessage(BaseModel):
 class TrainingJob(JobMessage):
     """Train on the episodes of ``piece`` (None: the only one) in ``data``; write to ``out``.
 
-    ``data``: dataset, with the ``labels`` to use, or folder of packs.
+    ``data``: dataset, with the ``labels`` to use, or folder of packs. ``pretrained``: model file to
+    fine-tune. Episodes of ``mix`` are added, as the share ``mix_share`` of the training side.
     """
 
     data: Path
@@ -50,6 +51,9 @@ class TrainingJob(JobMessage):
     out: Path
     settings: TrainingSettings
     labels: LabelChoice = "approved"
+    pretrained: Path | None = None
+    mix: Path | None = None
+    mix_share: Annotated[float, Field(gt=0, lt=1)] = 0.5
     resume: bool = False
     # folder for the manifest of the training set and sample predictions
     keep: Path | None = None

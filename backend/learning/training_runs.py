@@ -201,6 +201,7 @@ def run_training(
 
 
 _DEFAULTS = TrainingSettings()
+FINE_TUNING_RATE = 1e-4  # a tenth of the rate of a training from scratch [U]
 
 
 def train_model(  # noqa: PLR0913 - each is a keyword of the public API
@@ -209,10 +210,13 @@ def train_model(  # noqa: PLR0913 - each is a keyword of the public API
     out: Path | str,
     *,
     epochs: int = _DEFAULTS.epochs,
-    modality: Modality = _DEFAULTS.modality,
+    modality: Modality | None = None,
     seed: int = 0,
     batch: int = _DEFAULTS.batch,
-    learning_rate: float = _DEFAULTS.learning_rate,
+    learning_rate: float | None = None,
+    pretrained: Path | str | None = None,
+    mix: Path | str | None = None,
+    mix_share: float = 0.5,
     labels: LabelChoice = "approved",
     divide_series: bool = False,
     resume: bool = False,
@@ -236,14 +240,20 @@ def train_model(  # noqa: PLR0913 - each is a keyword of the public API
         Model file (``.safetensors``). The card is written beside it (``.json``).
     epochs : int
         Passes over the training episodes. The epoch of lowest validation loss is kept.
-    modality : {"FT", "Tac", "FT+Tac"}
-        Input of the network: wrench, marker displacements or both.
+    modality : {"FT", "Tac", "FT+Tac"}, optional
+        Input of the network: wrench, markers or both (default: as ``pretrained``, else both).
     seed : int
         Seed of the initial weights, the order of the episodes and the split.
     batch : int
         Episodes per step.
-    learning_rate : float
-        Step size of the optimiser.
+    learning_rate : float, optional
+        Step size of the optimiser (default: 1e-4 with ``pretrained``, else 1e-3).
+    pretrained : Path or str, optional
+        Model file to fine-tune. It sets the sizes, the modality and the normalisation.
+    mix : Path or str, optional
+        Data of which episodes are added to the training side, for example simulated ones.
+    mix_share : float
+        Share of the added episodes in the training side (0 to 1, both excluded).
     labels : {"approved", "submitted", "drafts"}
         Labels of a dataset to train on. Packs hold final labels.
     divide_series : bool
@@ -265,7 +275,7 @@ def train_model(  # noqa: PLR0913 - each is a keyword of the public API
     Raises
     ------
     InputError
-        If the data, a setting or the model file cannot be used, or the training diverges.
+        If the data, a setting or a model file cannot be used, or the training diverges.
     FaultError
         If the child process dies.
 
@@ -287,6 +297,7 @@ def train_model(  # noqa: PLR0913 - each is a keyword of the public API
     job = make_training_job(
         Path(data), piece, Path(out), settings,
         labels=labels, resume=resume, threads=threads, device=device,
+        pretrained=pretrained, mix=mix, mix_share=mix_share,
     )  # fmt: skip
     run_training(job, on_report or (lambda report: None))
     return load_card(job.out)
@@ -297,15 +308,26 @@ def make_training_job(
 ) -> TrainingJob:
     """Return the job for ``settings`` (``TrainingSettings``) and ``options`` (``TrainingJob``).
 
-    Raises ``InputError`` for a bad value, or if no file can be written to ``out``.
+    Settings may be None. Raises ``InputError`` for a bad value, or if ``out`` cannot be written.
     """
+    chosen = {name: value for name, value in settings.items() if value is not None}
+    for name in ("pretrained", "mix"):
+        options[name] = options.get(name) and Path(str(options[name])).resolve()
+    if isinstance(start := options["pretrained"], Path):
+        if start == out.resolve():
+            what, fix = "The new model would replace its checkpoint.", "Choose another --out."
+            raise InputError(what, str(out), fix)
+        card = load_card(start)
+        sizes = {"hidden": card.hyper.hidden, "layers": card.hyper.layers}
+        chosen = {"modality": card.modality, "learning_rate": FINE_TUNING_RATE} | sizes | chosen
+        piece = piece or card.piece
     if options.get("threads") is None:
         options["threads"] = default_threads()
     job = {
         "data": data.resolve(),
         "piece": piece,
         "out": _checked_model_file(out.resolve()),
-        "settings": parse_settings(TrainingSettings, dict(settings), "arguments"),
+        "settings": parse_settings(TrainingSettings, chosen, "arguments"),
         **options,
     }
     return parse_settings(TrainingJob, job, "arguments")
@@ -343,9 +365,8 @@ def record_training(
     if not is_dataset(job.data):
         yield None
         return
-    parameters = job.model_dump(
-        mode="json", include={"piece", "out", "labels", "resume", "threads"}
-    )
+    recorded = {"piece", "out", "labels", "resume", "threads", "pretrained", "mix", "mix_share"}
+    parameters = job.model_dump(mode="json", include=recorded)
     run = _begin(job.data, job.settings, parameters)
     try:
         with run:

@@ -3,7 +3,12 @@
 import pytest
 
 from tests.app.conftest import settle
-from touchdown.app.shell.bench_text import model_card_in_use, run_model_caption, scene_model_caption
+from touchdown.app.shell.bench_text import (
+    card_caption,
+    model_card_in_use,
+    run_model_caption,
+    scene_model_caption,
+)
 from touchdown.backend.bench.assembly import model_in_use
 from touchdown.backend.learning import ModelRegistry, load_checkpoint, save_checkpoint
 from touchdown.backend.runs.recorder import models_folder
@@ -33,6 +38,10 @@ def test_the_words_follow_what_is_in_use(mine):
     own = run_model_caption("pot", "paper")
     assert own.short == f"yours {card.weights_sha256[:8]}, IoU 40 %, 20 probes"
     assert "promoted in Train" in own.full
+    told = {"pretrained": {"weights_sha256": "ab" * 32, "data": {}}, "mixed": {"episodes": 5}}
+    full = card_caption(card.model_copy(update={"data": card.data | told})).full
+    assert "Fine-tuned from the model abababababab." in full
+    assert "5 of the training probes were mixed in." in full
     assert run_model_caption("barrel", "paper").short.startswith("shipped")
     ModelRegistry(models_folder()).roll_back("pot")
     assert run_model_caption("pot", "paper").short.startswith("shipped")

@@ -18,6 +18,7 @@ from touchdown.backend.bench.assembly import shipped_model
 from touchdown.backend.cli.command_line import main
 from touchdown.backend.config.method import TrainingSettings
 from touchdown.backend.core import Episode, EpisodeQuality, InputError
+from touchdown.backend.episodes import PackedEpisode, patch_hex, write_packs
 from touchdown.backend.geometry import Piece, face_points, load_pieces
 from touchdown.backend.learning import (
     Checkpoint,
@@ -54,6 +55,7 @@ from touchdown.backend.learning.training_process import (
     TrainingProcess,
     default_threads,
 )
+from touchdown.backend.learning.training_runs import make_training_job
 from touchdown.backend.placement.estimator import Estimator
 
 
@@ -500,3 +502,97 @@ def test_bad_input_of_the_child_is_an_input_error_here(tmp_path: Path) -> None:
 def test_a_wrong_ending_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="safetensors"):
         fit_model(job(tmp_path, tmp_path / "pot.pt"), lambda _: None, lambda: False)
+
+
+@pytest.fixture
+def shifted(pot: Piece, tmp_path: Path) -> Callable[..., Path]:
+    """Write episodes of a bench whose torque has an offset and a smaller gain."""
+
+    def write(name: str, offset: float, gain: float, seed: int) -> Path:
+        points, rng = face_points(pot.face), np.random.default_rng(seed)
+        packed = []
+        for i in range(60):
+            side = 1.0 if rng.random() < 0.5 else -1.0
+            observation = rng.normal(size=(20, 258)).astype(np.float32)
+            observation[:, 256] += np.float32(gain * side + offset)
+            label = {
+                "episode": f"{name}{i}", "x_um": 0, "y_um": 0, "sigma_um": 0, "piece": pot.name,
+                "source": "commanded", "bottom": "short",
+                "patch": patch_hex(points[:, 0] * side >= 0),
+                "points": len(points), "geometry": pot.sha256, "grip_id": f"g{name}{i // 3}",
+                "mounting_id": f"m{name}{i // 6}", "person": "simulated", "seed": i,
+            }  # fmt: skip
+            packed.append(PackedEpisode(observation, label))
+        write_packs(tmp_path / name, "w", iter(packed), {"test": "yes"})
+        return tmp_path / name
+
+    return write
+
+
+def fine_tune(job_: TrainingJob) -> ModelCard:
+    fit_model(job_, lambda _: None, lambda: False)
+    return load_card(job_.out)
+
+
+def test_fine_tuning_adapts_a_model_to_a_shifted_bench(
+    tmp_path: Path, shifted: Callable[..., Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    nominal, lab = shifted("nominal", 0.0, 8.0, 1), shifted("lab", 6.0, 4.0, 2)
+    first, tuned = tmp_path / "pot.safetensors", tmp_path / "tuned.safetensors"
+    fitted = TrainingSettings(
+        modality="FT", hidden=12, epochs=12, batch=8, learning_rate=0.01, validation_share=0.25
+    )
+    origin = fine_tune(job(nominal, first, settings=fitted))
+    tuning = job(lab, tuned, settings=fitted, pretrained=first)
+    card = fine_tune(tuning)
+
+    validation = card.metrics["validation"]
+    assert validation["loss"] < 0.5 * validation["pretrained"]["validation_loss"]
+    assert card.data["pretrained"] == {"weights_sha256": origin.weights_sha256, "data": origin.data}
+    fresh = evaluate(tuned, shifted("later", 6.0, 4.0, 3))["all"].iou
+    assert fresh > evaluate(first, tmp_path / "later")["all"].iou + 0.2
+    # inputs keep the scale of the checkpoint
+    before, after = (load_checkpoint(path).arrays for path in (first, tuned))
+    assert all(np.array_equal(before[name], after[name]) for name in ("mean", "scale"))
+    assert not np.array_equal(before["head.weight"], after["head.weight"])
+
+    again = tmp_path / "again.safetensors"
+    mixed = {"mix": nominal, "mix_share": 0.25}
+    fine_tune(tuning.model_copy(update={"out": again}))
+    assert again.read_bytes() == tuned.read_bytes()
+    with_mix = fine_tune(tuning.model_copy(update={"out": again, **mixed}))
+    counts = (with_mix.data["held_out"], with_mix.data["mixed"]["episodes"])
+    assert counts == (card.data["held_out"], round((60 - card.data["held_out"]) / 3))
+    assert main(["evaluate", str(again), str(lab)]) == 0
+    shown = " ".join(capsys.readouterr().out.split())
+    assert f"Fine-tuned from the model {origin.weights_sha256[:12]}" in shown
+    assert f"{counts[1]} of the training probes were mixed in." in shown
+
+
+def test_a_checkpoint_that_does_not_fit_is_not_fine_tuned(
+    tmp_path: Path, write_data: TrainingProcessData, pot: Piece
+) -> None:
+    data, path = write_data(tmp_path / "data"), tmp_path / "old.safetensors"
+    out = tmp_path / "new.safetensors"
+    barrel = load_pieces().piece("barrel")
+    cases = [
+        (barrel, {}, {}, "of 'barrel', not of 'pot'"),
+        (pot, {"geometry": "ab" * 32}, {}, "another version"),
+        (pot, {"vector_order": "wrench first"}, {}, "channels are ordered"),
+        (pot, {"modality": "Tac"}, {"modality": "FT"}, "sees Tac, the training asks for FT"),
+    ]
+    for piece, card, asked, words in cases:
+        write_model(path, piece, **{"modality": "FT+Tac", **card})
+        with pytest.raises(InputError, match=words):
+            fine_tune(make_training_job(data, "pot", out, asked, pretrained=path))
+    write_model(path, pot)
+    usual = make_training_job(data, None, out, {}, pretrained=path)
+    assert (usual.piece, usual.settings.learning_rate) == ("pot", 1e-4)
+    with pytest.raises(InputError, match="needs 18"):
+        fine_tune(usual.model_copy(update={"mix": data, "mix_share": 0.9}))
+    path.write_bytes(path.read_bytes()[:-4] + b"oops")
+    with pytest.raises(InputError, match="damaged"):
+        fine_tune(usual)
+    with pytest.raises(InputError, match="replace its checkpoint"):
+        make_training_job(data, None, path, {}, pretrained=path)
+    assert not out.exists()

@@ -57,7 +57,7 @@ from touchdown.backend.devices import (
 )
 from touchdown.backend.geometry import PieceLibrary
 from touchdown.backend.learning import ModelCard
-from touchdown.backend.learning.fused import Guard, open_guard, shipped_path
+from touchdown.backend.learning.fused import Guard, network_path, open_guard
 from touchdown.backend.placement import Estimator, SupportTower, load_network_of
 from touchdown.backend.rig import BenchConnection
 from touchdown.backend.runs import (
@@ -513,7 +513,7 @@ class Session:
         """Return the guard of the network of ``method``, None without a calibration here."""
         if self._guards is None or method.strategy != "fused" or not self.identity.sha256:
             return None
-        weights = Path(method.fused.weights) if method.fused.weights else shipped_path()
+        weights = network_path(method.fused.weights)
         card = load_network_of(method.fused).card
         return open_guard(weights, card.weights_sha256, self.identity.sha256, self._guards)
 

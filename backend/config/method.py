@@ -200,7 +200,8 @@ class TowerSettings(Settings):
 class FusedSettings(Settings):
     """Strategy ``fused``: a network fuses the signals of all probes."""
 
-    weights: str = ""  # network file; empty for the shipped one
+    # Network file; empty for the shipped one, "any" for the shipped one for any outline.
+    weights: str = ""
     # Largest probability at release that the support misses the centre of mass [U].
     risk: Probability = 0.07
     # Smallest distance of the centre of mass from the edge of the support [U].

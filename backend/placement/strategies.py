@@ -11,7 +11,6 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from math import pi, sqrt
-from pathlib import Path
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -36,8 +35,7 @@ from touchdown.backend.learning.fused import (
     FusedForward,
     GraspedFace,
     InsetDistribution,
-    load_fused,
-    shipped_fused,
+    load_network,
     wrench_at_sensor,
 )
 from touchdown.backend.placement.belief import Belief
@@ -539,7 +537,7 @@ def check_outlines(settings: StackSettings, pieces: Iterable[Piece]) -> None:
 
 def load_network_of(settings: FusedSettings) -> FusedCheckpoint:
     """Return the network named by the settings; raises ``InputError``."""
-    return load_fused(Path(settings.weights)) if settings.weights else shipped_fused()
+    return load_network(settings.weights)
 
 
 def deepest_shift(expected_mm: FloatArray, shifts_mm: FloatArray) -> XY:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 from touchdown.backend.config import BenchIdentity, StackSettings
@@ -35,7 +34,7 @@ from touchdown.backend.learning.fused import (
     ReleaseClaim,
     find_certificate,
     method_sha256,
-    shipped_path,
+    network_path,
     signal_score,
 )
 from touchdown.backend.placement import (
@@ -297,7 +296,7 @@ def certificate_status(
     if request.weigh:
         return CertificateStatus(None, "none covers a weighed centre of mass")
     method = request.method(base)
-    weights = Path(method.fused.weights) if method.fused.weights else shipped_path()
+    weights = network_path(method.fused.weights)
     own = () if bench.calibrations is None else (bench.calibrations,)
     claim = ReleaseClaim(
         bench.name,

@@ -115,15 +115,34 @@ def join_networks(networks: Sequence[FusedCheckpoint]) -> FusedCheckpoint:
     return FusedCheckpoint(arrays, first.card.model_copy(update=about))
 
 
+ANY_OUTLINE = "any"  # the shipped network for any outline, trained on bench-v2
+
+
 def shipped_path() -> Path:
     """Return the path of the network that comes with the program."""
     return Path(str(files("touchdown.resources"))) / "models" / "fused" / "fused.safetensors"
 
 
+def network_path(weights: str) -> Path:
+    """Return the file of ``FusedSettings.weights``: "" and "any" name the shipped networks."""
+    if weights == ANY_OUTLINE:
+        return shipped_path().with_stem(weights)
+    return Path(weights) if weights else shipped_path()
+
+
 @lru_cache(maxsize=2)
+def _shipped(weights: str) -> FusedCheckpoint:
+    return load_fused(network_path(weights))
+
+
 def shipped_fused() -> FusedCheckpoint:
     """Return the network that comes with the program; raises ``InputError``."""
-    return load_fused(shipped_path())
+    return _shipped("")
+
+
+def load_network(weights: str) -> FusedCheckpoint:
+    """Return the network of ``network_path``; raises ``InputError``."""
+    return _shipped(weights) if weights in ("", ANY_OUTLINE) else load_fused(Path(weights))
 
 
 def _bad(path: Path, what: str) -> InputError:

@@ -18,6 +18,7 @@ from shapely import contains_xy
 from shapely.affinity import translate
 from shapely.geometry import Point, Polygon, box
 
+from touchdown.backend.config.bench_description import bench_sha256
 from touchdown.backend.config.method import (
     BeliefSettings,
     FusedSettings,
@@ -49,6 +50,7 @@ from touchdown.backend.placement.strategies import (
     equivalent_disc,
     fit_face_centre,
     holding_probability,
+    load_network_of,
     make_strategy,
 )
 from touchdown.backend.placement.support_tower import XY, SupportTower
@@ -498,6 +500,16 @@ def test_the_network_that_ships_says_what_it_was_made_from() -> None:
     assert {"pot", "barrel", "mushroom", "short", "long", "hex20", "rect12x28"} <= set(
         card.left_out
     )
+
+
+def test_the_network_for_any_outline_is_named_by_a_setting() -> None:
+    found = load_network_of(FusedSettings(weights="any")).card
+    assert (found.bench_sha256, found.outlines) == (
+        bench_sha256(load_simulation(preset="bench-v2")),
+        "any",
+    )
+    assert found.hyper.networks == 4
+    assert load_network_of(FusedSettings()).card.outlines == "convex"
 
 
 EXACT = 1e-6

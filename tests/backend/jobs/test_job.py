@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ import pytest
 from tests.backend.jobs.sample_kinds import KINDS
 from touchdown.backend.core.faults import InputError
 from touchdown.backend.core.scheduling import NICENESS
-from touchdown.backend.jobs import sources
+from touchdown.backend.jobs import DaskCluster, sources
 from touchdown.backend.jobs.execution import (
     MAX_WORKER_DEATHS,
     Executor,
@@ -209,3 +210,26 @@ def test_only_what_a_function_uses_of_its_module_counts() -> None:
     simulated = source_files(module, "simulate_collection")
     assert "touchdown.backend.simulation.batch" in simulated
     assert not any(name.startswith("touchdown.backend.bench") for name in simulated)
+
+
+@pytest.mark.optional
+@pytest.mark.slow
+@pytest.mark.allow_leaks
+def test_two_dask_workers_give_the_numbers_of_one_process(tmp_path: Path) -> None:
+    """Needs the extra ``cluster``."""
+    distributed = pytest.importorskip("distributed")
+    apart = draws(5)
+    total = JobSpec("add", inputs=tuple(spec.id for spec in apart))
+    specs = [*apart, total, JobSpec("refuse")]
+    alone, shared = JobStore(tmp_path / "1"), JobStore(tmp_path / "2")
+    list(run_campaign(specs, SerialExecutor(KINDS, alone), alone))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        with distributed.LocalCluster(
+            n_workers=2, threads_per_worker=1, dashboard_address=None
+        ) as cluster:
+            dask = DaskCluster.at(KINDS, shared, cluster.scheduler_address)
+            results = list(run_campaign(specs, dask, shared))
+    assert [r.kind for r in results if r.state == "failed"] == ["refuse"]
+    for spec in [*apart, total]:
+        assert shared.result(spec.id) == alone.result(spec.id)

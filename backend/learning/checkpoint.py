@@ -88,7 +88,8 @@ class ModelCard(BaseModel):
     program_version: str
     weights_sha256: str
     licence: str = "Apache-2.0"
-    simulated: bool = True  # all training data came from a simulated bench
+    # All training data came from a simulated bench, or those of the checkpoint it is tuned from.
+    simulated: bool = True
     # benches of the training data, as far as known
     benches: tuple[BenchDescription, ...] = ()
     grid_mm: float = 1.0  # pitch of the face points

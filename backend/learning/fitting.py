@@ -231,6 +231,9 @@ def fit_model(job: TrainingJob, tell: ReportCallback, cancelled: Callable[[], bo
         )
     probability = trainer.predict_held_out()
     card = make_card(rows, trainer, data, benches, probability)
+    if pretrained is not None and pretrained.card.simulated:
+        # A few real probes do not replace its evaluation on hardware.
+        card = card.model_copy(update={"simulated": True})
     card.data.update(origin)
     validation = card.metrics["validation"]
     if before is not None:

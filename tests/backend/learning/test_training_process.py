@@ -30,6 +30,7 @@ from touchdown.backend.learning import (
     TrainingLoaded,
     card_path,
     evaluate,
+    fitting,
     load_card,
     load_checkpoint,
     load_network,
@@ -535,7 +536,10 @@ def fine_tune(job_: TrainingJob) -> ModelCard:
 
 
 def test_fine_tuning_adapts_a_model_to_a_shifted_bench(
-    tmp_path: Path, shifted: Callable[..., Path], capsys: pytest.CaptureFixture[str]
+    tmp_path: Path,
+    shifted: Callable[..., Path],
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     nominal, lab = shifted("nominal", 0.0, 8.0, 1), shifted("lab", 6.0, 4.0, 2)
     first, tuned = tmp_path / "pot.safetensors", tmp_path / "tuned.safetensors"
@@ -544,7 +548,9 @@ def test_fine_tuning_adapts_a_model_to_a_shifted_bench(
     )
     origin = fine_tune(job(nominal, first, settings=fitted))
     tuning = job(lab, tuned, settings=fitted, pretrained=first)
+    monkeypatch.setattr(fitting, "only_simulated", lambda rows: False)  # real probes
     card = fine_tune(tuning)
+    assert card.simulated  # as the checkpoint, until it is evaluated on real probes
 
     validation = card.metrics["validation"]
     assert validation["loss"] < 0.5 * validation["pretrained"]["validation_loss"]

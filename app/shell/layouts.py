@@ -14,7 +14,7 @@ from PySide6.QtCore import QPoint
 from PySide6.QtGui import QAction
 from PySide6.QtWidgets import QMenu, QWidget
 
-from touchdown.app.shell.settings import parse_stored
+from touchdown.app.shell.settings import copy_aside, parse_stored
 from touchdown.backend.core import parse_json, write_atomically
 from touchdown.widgets.base import ColumnArrangement, Columns
 from touchdown.widgets.forms import NameDialog
@@ -61,17 +61,6 @@ def save_layouts(path: Path, book: SavedLayouts) -> None:
     """Write all layouts. Raises ``OSError``."""
     body = json.dumps({"version": VERSION, **asdict(book)}, indent=1, default=sorted)
     write_atomically(path, body.encode())
-
-
-def copy_aside(path: Path, now: datetime) -> Path:
-    """Copy the file to a unique name beside it and return that. Raises ``OSError``."""
-    stem = f"{path.stem}-aside-{now:%Y%m%d-%H%M%S}"
-    kept, count = path.with_name(f"{stem}.json"), 1
-    while kept.exists():
-        count += 1
-        kept = path.with_name(f"{stem}-{count}.json")
-    write_atomically(kept, path.read_bytes())
-    return kept
 
 
 def _kept_aside(path: Path, now: datetime, what: str, *, move: bool = True) -> str:

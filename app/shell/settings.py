@@ -6,6 +6,7 @@ import json
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from datetime import datetime
 from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, get_type_hints
@@ -75,21 +76,46 @@ def settings_path() -> Path:
 
 
 def load_settings(path: Path) -> tuple[WindowSettings, str]:
-    """Return (settings, warning). Unreadable values are replaced by defaults and named."""
+    """Return (settings, warning). Unreadable values are replaced by defaults and named.
+
+    The file is then copied aside, because the next change overwrites it.
+    """
     try:
         raw = parse_json(path.read_bytes())
     except FileNotFoundError:
         return WindowSettings(), ""
     except (OSError, ValueError) as error:
-        return WindowSettings(), f"The window settings could not be read ({error}): defaults."
+        what = f"The window settings could not be read ({error}): defaults."
+        return WindowSettings(), what + _kept(path)
     if not isinstance(raw, dict) or raw.get("version") != VERSION:
-        return WindowSettings(), "The window settings are of another version: defaults are used."
+        what = "The window settings are of another version: defaults are used."
+        return WindowSettings(), what + _kept(path)
     pages, dropped = raw.get("pages"), list[str]()
     if isinstance(pages, dict):
         dropped = [name for name, page in pages.items() if not isinstance(page, dict)]
         raw["pages"] = {name: page for name, page in pages.items() if name not in dropped}
     settings, wrong = restore_form(WindowSettings(toured=True), raw)
-    return settings, ignored_words([*wrong, *dropped])
+    ignored = ignored_words([*wrong, *dropped])
+    return settings, ignored + _kept(path) if ignored else ""
+
+
+def _kept(path: Path) -> str:
+    """Copy the file aside; return the sentence about it."""
+    try:
+        return f" The file is kept as {copy_aside(path, datetime.now()).name}."
+    except OSError as error:
+        return f" The file could not be kept aside ({error})."
+
+
+def copy_aside(path: Path, now: datetime) -> Path:
+    """Copy the file to a unique name beside it and return that. Raises ``OSError``."""
+    stem = f"{path.stem}-aside-{now:%Y%m%d-%H%M%S}"
+    kept, count = path.with_name(f"{stem}.json"), 1
+    while kept.exists():
+        count += 1
+        kept = path.with_name(f"{stem}-{count}.json")
+    write_atomically(kept, path.read_bytes())
+    return kept
 
 
 def ignored_words(names: Sequence[str]) -> str:

@@ -168,10 +168,14 @@ def test_a_bad_file_never_prevents_the_start(tmp_path, content):
     path = tmp_path / "window.json"
     path.write_bytes(content.encode("utf-8", "surrogateescape"))
     settings, warning = load_settings(path)
-    assert warning
     assert settings.theme == "dark"
     assert settings.scale == 1.0
     assert settings.geometry is None
+    # The next change overwrites the file.
+    save_settings(path, settings)
+    (kept,) = tmp_path.glob("window-aside-*.json")
+    assert kept.name in warning
+    assert kept.read_bytes() == content.encode("utf-8", "surrogateescape")
 
 
 def test_good_fields_of_a_partly_bad_file_are_kept(tmp_path):

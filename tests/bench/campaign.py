@@ -391,6 +391,8 @@ def strike_program(bench: str, kind: str, activity: str, seed: int) -> Seen:
         words = [*VERBS[activity], "--runs", str(folder / "runs"), "--seed", str(seed)]
         words += ["--emulated"] * (bench == "emulated")
         words += ["--dataset", str(folder / "ds")] * (activity == "collecting")
+        # A campaign started in the background of a script ignores Ctrl-C; a child would inherit it.
+        signal.signal(signal.SIGINT, signal.default_int_handler)
         child = subprocess.Popen(
             [sys.executable, "-m", "touchdown", *words],
             stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,

@@ -27,6 +27,7 @@ from touchdown.backend.experiments.fusion import (
     WEIGHTS,
     DataPortion,
     FusionRecipe,
+    best_rules,
     count_under_threshold,
     held_out_setup,
     load_sequences,
@@ -447,6 +448,13 @@ def test_counted_by_hand() -> None:
     assert (once["placed"], once["unsafe"], once["not_released"]) == (0, 1, 3)
     least = count_under_threshold(trials, 0.11, 0, "minimum")
     assert (least["placed"], least["unsafe"], least["not_released"]) == (2, 1, 1)
+
+
+def test_the_best_rules_place_more_for_each_further_unsafe_trial() -> None:
+    rows = [(3, 60), (0, 20), (1, 50), (0, 30), (2, 45), (1, 40)]
+    rules = [{"unsafe": unsafe, "placed": placed} for unsafe, placed in rows]
+    kept = [(rule["unsafe"], rule["placed"]) for rule in best_rules(rules)]
+    assert kept == [(0, 30), (1, 50), (3, 60)]
 
 
 def test_a_rule_counts_what_trials_under_it_come_to() -> None:

@@ -375,6 +375,15 @@ def test_stop_and_a_run_that_did_not_finish_end_the_row(live, bench, row):
     assert len(bench.started) == 2
 
 
+@pytest.mark.parametrize("ending", ["cancelled", "failed"])
+def test_no_run_follows_one_that_did_not_finish(live, bench, row, ending):
+    row.start()
+    bench.set_state(RunState.RUNNING)
+    end(live, bench, row, ending)
+    assert row.runs[0].result == f"1 of 1 trial placed, {ending}"
+    assert (row.on, len(bench.started)) == (False, 1)
+
+
 def test_on_devices_a_person_starts_every_run_and_stop_ends_the_row(live, bench, row, monkeypatch):
     monkeypatch.setattr(bench, "simulated", False)
     row.start()

@@ -3,7 +3,7 @@
 SHELL := /bin/bash
 .SHELLFLAGS := -eu -o pipefail -c
 .DEFAULT_GOAL := help
-.PHONY: help setup run demo test check lint types contracts format bench campaign fuzz screens pictures models exchange-check clean
+.PHONY: help setup run demo test check lint types contracts format bench campaign fuzz screens pictures models exchange-check docs docs-links clean
 
 export PYTHON
 # Compiled once, not by every process again, also where the environment forbids to keep it.
@@ -19,7 +19,7 @@ MEMORY_MB := 6000
 CORE := import sys; print("sysmon" if sys.version_info >= (3, 12) else "ctrace")
 
 help: ## list the targets
-	@awk -F':.*## ' '/^[a-z]+:.*## / { printf "  make %-10s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+	@awk -F':.*## ' '/^[a-z-]+:.*## / { printf "  make %-14s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
 
 setup: ## make .venv ready (quick when nothing changed)
 	@.ci/setup.sh
@@ -86,9 +86,15 @@ models: setup ## train the shipped models from scratch (the longest target: abou
 	@$(BIN)/touchdown models --pieces pot,mushroom,mug --episodes 4000 --epochs 18 --seed 2
 	@$(BIN)/touchdown models --pieces barrel --episodes 8000 --epochs 22 --seed 3
 
+docs: setup ## build the documentation site in output/docs/html and run the examples (offline)
+	@.ci/docs.sh html
+
+docs-links: setup ## check the external links of the documents (needs the network)
+	@.ci/docs.sh linkcheck
+
 exchange-check: setup ## load an export with the real readers (installs them separately: several GB)
 	@.ci/exchange-check
 
 clean: ## remove the results of the other targets (not the data)
-	@rm -rf .venv build *.egg-info .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis
+	@rm -rf .venv .venv-docs docs/gallery docs/generated docs/index.myst build *.egg-info .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis
 	@find . -name __pycache__ -type d -prune -exec rm -rf {} +

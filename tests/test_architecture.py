@@ -30,7 +30,7 @@ TESTS = sorted((ROOT / "tests").rglob("*.py"))
 MODULES, LINES = 470, 108_000
 TEXT_FILES = ["*.md", "*.toml", "*.txt", "Makefile", ".ci/*", "docs/**/*.md", "resources/**/*.toml"]
 TEXTS = sorted(p for pattern in TEXT_FILES for p in ROOT.glob(pattern) if p.is_file())
-TOP = {"app", "widgets", "backend", "resources", "touchdown", "tests", "docs", ".ci"}
+TOP = {"app", "widgets", "backend", "resources", "touchdown", "tests", "docs", "examples", ".ci"}
 
 
 def _name(path: Path) -> str:

@@ -2,12 +2,14 @@
 
 import ast
 import importlib
+import importlib.util
 import json
 import re
 from pathlib import Path
 
 import pytest
 
+import touchdown as td
 from tests.bench import figures
 from tests.bench.run import MODULES
 from tests.fusion_tables import CALIBRATIONS, PAGES, loops, named, written
@@ -16,6 +18,7 @@ from touchdown.backend.cli.doctor.command import DoctorCheck
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCUMENTS = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")])
+EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
 COMMANDS = (ROOT / "docs" / "command-line.md").read_text("utf-8")
 
 
@@ -159,3 +162,63 @@ def test_every_picture_of_a_state_is_one_that_is_made():
     names = re.findall(r"`([a-z-]+)`", text)
     assert len(names) >= 18
     assert [name for name in names if f'"{name}"' not in made] == []
+
+
+@pytest.fixture(scope="module")
+def pages():
+    """Return the module that makes pages of the site."""
+    spec = importlib.util.spec_from_file_location("pages", ROOT / "docs" / "_ext" / "pages.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_every_page_stands_in_one_list_of_the_site(pages):
+    listed = [
+        str((ROOT / "docs" / link).resolve().relative_to(ROOT))
+        for title, text in pages.sections().items()
+        if title
+        for link in re.findall(r"^- \[[^]]+\]\(([^)#]+)\)", text, re.MULTILINE)
+    ]
+    decisions = (ROOT / "docs" / "decisions" / "README.md").read_text("utf-8")
+    listed += [f"docs/decisions/{link}" for link in re.findall(r"\]\(([^)]+)\)", decisions)]
+    assert sorted(listed) == sorted({*map(_name, DOCUMENTS)} - {"README.md", "docs/README.md"})
+
+
+def test_the_page_of_arguments_names_every_verb_and_option(pages):
+    page = pages.arguments_page()
+    assert [verb for verb in VERBS if f"\ntouchdown {verb}\n---" not in page] == []
+    assert ".. option:: --strategy {paper,paper-calibrated," in page
+    assert page.count(".. option::") > 200
+
+
+def test_the_page_of_settings_has_defaults_ranges_and_comments(pages):
+    page = pages.settings_page()
+    row = "``depth_mm``\n     - ``1.5``\n     - > 0, ≤ 100\n     - commanded travel after first"
+    assert row in page
+    assert "   * - ``least_x_mm``" in page
+
+
+def test_the_page_of_the_api_names_every_public_name_once():
+    listed = re.findall(r"^   (\w+)$", (ROOT / "docs" / "api.rst").read_text("utf-8"), re.MULTILINE)
+    assert sorted(listed) == sorted(set(td.__all__) - {"__version__"})
+
+
+@pytest.mark.parametrize("path", EXAMPLES, ids=_name)
+def test_an_example_has_a_title_a_text_a_picture_and_public_names(path):
+    tree = ast.parse(path.read_text("utf-8"))
+    title, line, text = ast.get_docstring(tree).split("\n", 2)
+    assert line == "=" * len(title)
+    assert len(text.strip()) > 40
+    nodes = list(ast.walk(tree))
+    assert any(ast.unparse(n) == "plt.show()" for n in nodes if isinstance(n, ast.Expr))
+    used = {n.attr for n in nodes if isinstance(n, ast.Attribute) and ast.unparse(n.value) == "td"}
+    assert used <= set(td.__all__)
+    for node in nodes:
+        if isinstance(node, ast.ImportFrom) and node.module.startswith("touchdown"):
+            public = importlib.import_module(node.module).__all__
+            assert {alias.name for alias in node.names} <= set(public)
+
+
+def test_the_gallery_has_a_dozen_examples():
+    assert len(EXAMPLES) >= 12

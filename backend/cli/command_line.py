@@ -118,21 +118,27 @@ def _dispatch(words: list[str]) -> int:
     if name not in VERBS:
         known = ", ".join(VERBS)
         raise InputError(f"There is no verb '{name}'.", "touchdown", f"Use one of: {known}.")
-    verb = importlib.import_module(module_of(name))
-    parser = Parser(
-        prog=f"touchdown {name}", description=VERBS[name], allow_abbrev=False,
-        formatter_class=DefaultsFormatter,
-    )  # fmt: skip
-    parser.add_argument(
-        "--json", action="store_true", help="print one JSON object and nothing else"
-    )
-    verb.add_arguments(parser)
+    parser = parser_of(name)
     args, unknown = parser.parse_known_args(rest)
     if hasattr(args, "handed_on"):
         args.handed_on = unknown
     elif unknown:
         parser.error(f"unknown argument: {' '.join(unknown)}")
-    return int(verb.run(args, VerbOutput(json=args.json, lab=_lab_of(rest))))
+    run = importlib.import_module(module_of(name)).run
+    return int(run(args, VerbOutput(json=args.json, lab=_lab_of(rest))))
+
+
+def parser_of(verb: str) -> Parser:
+    """Return the parser of a verb, with all its arguments."""
+    parser = Parser(
+        prog=f"touchdown {verb}", description=VERBS[verb], allow_abbrev=False,
+        formatter_class=DefaultsFormatter,
+    )  # fmt: skip
+    parser.add_argument(
+        "--json", action="store_true", help="print one JSON object and nothing else"
+    )
+    importlib.import_module(module_of(verb)).add_arguments(parser)
+    return parser
 
 
 def _lab_of(words: list[str]) -> str:

@@ -44,7 +44,7 @@ intersphinx_mapping = {
 }
 
 autosummary_generate = True
-autosummary_context = {"own_members": pages.own_members}
+autosummary_context = {"members": pages.members()}
 autosummary_ignore_module_all = False
 autodoc_typehints = "none"  # the numpydoc sections state types, shapes and units
 numpydoc_show_class_members = False

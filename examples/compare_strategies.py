@@ -13,7 +13,7 @@ from scipy.stats import binomtest
 
 import touchdown as td
 
-TRIALS = 4
+TRIALS = 3
 placed, probes = {}, {}
 with td.simulated_bench(preset="bench-v1") as bench:
     for strategy in ("pick-and-place", "fused"):

@@ -18,7 +18,7 @@ drawing = """<svg xmlns="http://www.w3.org/2000/svg" width="30mm" height="24mm" 
 <path fill-rule="evenodd" d="M0 0H30V16L22 24H0Z M8 8V16H16V8Z"/></svg>"""
 
 with tempfile.TemporaryDirectory() as folder:
-    source = Path(folder) / "plate.svg"
+    source = Path(folder) / "drawing.svg"
     source.write_text(drawing, "utf-8")
     wanted = PieceImport(role="bottom", density_g_cm3=1.24, height_mm=20.0)
     measured = measure_piece(source, wanted)

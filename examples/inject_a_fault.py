@@ -12,7 +12,7 @@ import touchdown as td
 from touchdown.backend.core import FaultRaised, PhaseEntered
 
 events = []
-with td.simulated_bench(disturbances=("force_torque:stop@6+1",)) as bench:
+with td.simulated_bench(disturbances=("force_torque:stop@4+1",)) as bench:
     bench.events.subscribe(events.append)
     result = bench.run(td.StackRequest(piece="pot", bottoms=("short",), strategy="fused", seed=7))
 

@@ -21,8 +21,8 @@ with tempfile.TemporaryDirectory() as folder:
         bench.run(td.CollectRequest(piece="pot", bottom="square15", count=3, seed=4, person="Ann"))
         print(dataset.counts())
     rows = load_training_set(Path(folder), "pot", labels="drafts")
-    observation, patch, offset_mm = rows.inputs(range(len(rows))), rows.patch, rows.offset_mm
-print("input", observation.shape, "target", patch.shape)
+    patch, offset_mm = rows.patch, rows.offset_mm
+print("input", rows.observation.shape, "target", patch.shape)
 
 # %%
 # Measured labels of the simulated bench are drafts. A person accepts them and another one approves

@@ -30,8 +30,8 @@ print(f"{scores.episodes} episodes, IoU {scores.iou:.2f}")
 
 epochs = [report for report in reports if isinstance(report, TrainingEpoch)]
 figure, axes = plt.subplots(figsize=(5.5, 3.6))
-axes.plot([each.epoch for each in epochs], [each.train_loss for each in epochs], label="training")
-axes.plot([each.epoch for each in epochs], [each.validation_loss for each in epochs], label="validation")
+axes.plot([each.epoch for each in epochs], [each.train_loss for each in epochs])
+axes.plot([each.epoch for each in epochs], [each.validation_loss for each in epochs])
 axes.set(xlabel="epoch", ylabel="loss")
-axes.legend()
+axes.legend(["training", "validation"])
 plt.show()

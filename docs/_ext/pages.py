@@ -79,7 +79,7 @@ def arguments_page() -> str:
         page += f".. code-block:: text\n\n{textwrap.indent(textwrap.fill(usage, 96), '   ')}\n\n"
         page += f".. program:: touchdown {verb}\n\n"
         for group in parser._action_groups:
-            actions = [a for a in group._group_actions if a.help != argparse.SUPPRESS]
+            actions = [a for a in group._group_actions if a.dest != "help"]
             if actions and group not in parser._action_groups[:2]:
                 page += f".. rubric:: {escaped(group.title or '')}\n\n"
             page += "".join(_option(action, formatter) for action in actions)
@@ -241,16 +241,18 @@ def made_pages() -> dict[Path, str]:
     return pages
 
 
-def own_members(name: str) -> list[str]:
-    """Return public methods and properties that the class ``touchdown.<name>`` defines itself."""
-    item = getattr(touchdown, name.rpartition(".")[2])
-    return [
-        member
-        for member, value in vars(item).items()
-        if not member.startswith(("_", "model_"))
-        and (inspect.isfunction(inspect.unwrap(getattr(value, "__func__", value)))
-             or isinstance(value, property))
-    ]  # fmt: skip
+def members() -> dict[str, list[str]]:
+    """Return methods and properties that each public class defines itself."""
+    classes = {n: c for n in touchdown.__all__ if inspect.isclass(c := getattr(touchdown, n))}
+    return {
+        name: [
+            member
+            for member, value in vars(item).items()
+            if not member.startswith(("_", "model_"))
+            and (isinstance(value, classmethod | property) or inspect.isfunction(value))
+        ]
+        for name, item in classes.items()
+    }
 
 
 # -- Sphinx ---------------------------------------------------------------------------------------

@@ -1,50 +1,46 @@
 """Write the inventories of other projects, so that ``make docs`` needs no network.
 
-Each holds the names that our pages refer to, with their pages. Add a name below and run
-``.venv-docs/bin/python docs/_inventories/write.py``. ``make docs-links`` checks the addresses.
+Each holds the names that our pages refer to, with their pages. Add a line below and run
+``.venv/bin/python docs/_inventories/write.py``. ``make docs-links`` checks the addresses.
 """
 
 import zlib
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
-PYTHON = {
-    "py:class": {
-        "pathlib.Path": "library/pathlib.html#$",
-        "str": "library/stdtypes.html#$",
-        "enum.Enum": "library/enum.html#$",
-    },
-    "py:exception": {
-        "Exception": "library/exceptions.html#$",
-        "ValueError": "library/exceptions.html#$",
-    },
+# Kind of the object, page ($: the name), names.
+NAMES = {
+    "python": [
+        ("py:class", "library/functions.html#$", "bool float int"),
+        ("py:class", "library/stdtypes.html#$", "dict list str tuple"),
+        ("py:class", "library/pathlib.html#$", "pathlib.Path"),
+        ("py:data", "library/constants.html#$", "False None True"),
+        ("py:function", "library/functions.html#$", "callable"),
+        ("std:label", "library/stdtypes.html#$", "bltin-boolean-values"),
+        ("std:term", "glossary.html#term-$", "iterable iterator mapping sequence"),
+    ],
+    "numpy": [("py:class", "reference/generated/$.html#$", "numpy.ndarray")],
+    "scipy": [("py:class", "reference/generated/$.html#$", "scipy.spatial.ConvexHull")],
+    "torch": [("py:class", "generated/$.html#$", "torch.nn.LSTM torch.optim.Adam")],
 }
-NUMPY = {"py:class": {"numpy.ndarray": "reference/generated/numpy.ndarray.html#$"}}
-SCIPY = {
-    "py:class": {"scipy.spatial.ConvexHull": "reference/generated/scipy.spatial.ConvexHull.html#$"}
-}
-TORCH = {
-    "py:class": {
-        "torch.nn.LSTM": "generated/torch.nn.LSTM.html#$",
-        "torch.optim.Adam": "generated/torch.optim.Adam.html#$",
-    }
-}
+HEAD = """\
+# Sphinx inventory version 2
+# Project: {}
+# Version:
+# The remainder of this file is compressed using zlib.
+"""
 
 
-def inventory(project: str, names: dict[str, dict[str, str]]) -> bytes:
-    """Return an inventory of version 2."""
-    head = f"# Sphinx inventory version 2\n# Project: {project}\n# Version: \n"
-    head += "# The remainder of this file is compressed using zlib.\n"
+def inventory(project: str) -> bytes:
+    """Return the inventory of a project, in version 2 of the format of Sphinx."""
     lines = [
-        f"{name} {kind} 1 {page} -\n"
-        for kind, pages in names.items()
-        for name, page in sorted(pages.items())
+        f"{name} {kind} 1 {page.replace('$', name)} -\n"
+        for kind, page, names in NAMES[project]
+        for name in names.split()
     ]
-    return head.encode() + zlib.compress("".join(lines).encode(), 9)
+    return HEAD.format(project).encode() + zlib.compress("".join(lines).encode(), 9)
 
 
 if __name__ == "__main__":
-    for project, names in {
-        "python": PYTHON, "numpy": NUMPY, "scipy": SCIPY, "torch": TORCH,
-    }.items():  # fmt: skip
-        (HERE / f"{project}.inv").write_bytes(inventory(project, names))
+    for each in NAMES:
+        (HERE / f"{each}.inv").write_bytes(inventory(each))

@@ -18,8 +18,8 @@ from touchdown.backend.learning import TrainingEpoch
 reports = []
 with tempfile.TemporaryDirectory() as folder:
     data, others, model = (Path(folder) / name for name in ("data", "others", "pot.safetensors"))
-    simulate = ["simulate", "--piece", "pot", "--probes-per-grip", "10", "--workers", "1"]
-    main([*simulate, "--bottoms", "square15", "--episodes", "240", "--out", str(data)])
+    simulate = ["simulate", "--piece", "pot", "--probes-per-grip", "2", "--workers", "1"]
+    main([*simulate, "--bottoms", "square15", "--episodes", "480", "--out", str(data)])
     main([*simulate, "--bottoms", "circle15", "--episodes", "60", "--out", str(others)])
     td.train_model(data, "pot", model, epochs=6, threads=1, on_report=reports.append)
     scores = td.evaluate(model, others)["all"]

@@ -7,7 +7,7 @@ from collections import Counter
 from touchdown.app.label.decisions import LabelDecisions
 from touchdown.app.label.page import LabelPage
 from touchdown.app.label.presenter import LabelPresenter
-from touchdown.app.label.side import BULK, HISTORY, KINDS, BulkForm, SideTabs, agreement_text
+from touchdown.app.label.side import BULK, HISTORY, KINDS, BulkForm, SideTabs, agreement_figures
 from touchdown.app.label.text import history_rows, operation_text
 from touchdown.app.shell import SaveWorker, count_noun, parse_displacement
 from touchdown.backend.annotations import (
@@ -43,7 +43,7 @@ class SideTabsPresenter:
         elif self._side.tab == AGREEMENT:
             dataset = self._presenter.dataset
             self._worker.submit(
-                lambda: agreement_text(dataset), self._side.agreement.setText, self._failed
+                lambda: agreement_figures(dataset), self._side.show_agreement, self._failed
             )
 
     def _failed(self, error: Exception) -> None:

@@ -191,12 +191,12 @@ class LabelPage(QWidget):
         )
         self.health = DatasetHealthPanel(self.health_requested.emit, self.finding_chosen.emit)
         self.side = SideTabs(
+            theme,
             self.version_chosen.emit,
             self.search_changed.emit,
             self.tab_chosen.emit,
             self.setFocus,
-            self.bulk,
-            self.health,
+            (self.bulk, self.health),
         )
         self.strip = StateStrip(theme)
         self.view = OffsetView(theme, self.face_dragged.emit, self.face_dropped.emit)

@@ -29,6 +29,7 @@ from touchdown.backend.annotations import (
 )
 from touchdown.widgets.base import (
     Panel,
+    Theme,
     WrappedItemDelegate,
     hbox,
     label,
@@ -37,19 +38,30 @@ from touchdown.widgets.base import (
     vbox,
 )
 from touchdown.widgets.lists import HistoryList
+from touchdown.widgets.plots import RUN_COLOURS, CurveLine, CurvePlot
 
 MOST_PERIODS = 12  # newest periods of the agreement over time
 LEAST = 2  # one common episode gives no agreement figures
 
 
-def agreement_text(dataset: Dataset) -> str:
-    """Return the agreement figures of a dataset. Slow: do not call on the thread of the window."""
+def agreement_figures(dataset: Dataset) -> tuple[str, list[CurveLine]]:
+    """Return the agreement of a dataset as text, and its course over time, a curve per pair.
+
+    Slow: do not call on the thread of the window.
+    """
     people = sorted(name for name in dataset.people() if name != PROGRAM_ACTOR)
-    parts = []
+    parts, lines = [], list[CurveLine]()
     for first, second in combinations(people, 2):
         found = dataset.compare(first, second)
         if found.episodes >= LEAST:
             parts.append(pair_agreement_text(first, second, found))
+            points = tuple(
+                (n, rms) for n, (_, _, rms) in enumerate(found.periods[-MOST_PERIODS:], 1)
+            )
+            if len(points) > 1:
+                token = RUN_COLOURS[len(lines) % len(RUN_COLOURS)]
+                dashed = len(lines) >= len(RUN_COLOURS)
+                lines.append(CurveLine(f"{first}, {second}", points, token, dashed))
     for person in people:
         gold = compare_with_control_items(dataset.database, dataset.geometry, person)
         if gold.episodes:
@@ -62,7 +74,7 @@ def agreement_text(dataset: Dataset) -> str:
         "One unlabelled episode in 20 is gold: it has an approved label of another person and "
         "looks like the others. Your decision there is stored as an opinion, as in the queue "
         "'Gold': it changes no label."
-    )
+    ), lines
 
 
 def pair_agreement_text(first: str, second: str, c: AgreementReport) -> str:
@@ -83,8 +95,9 @@ def pair_agreement_text(first: str, second: str, c: AgreementReport) -> str:
     if not any(map(math.isnan, c.drift_mm)):
         lines.append(f"drift x {signed(c.drift_mm[0])}, y {signed(c.drift_mm[1])} mm")
     if len(c.periods) > 1:
-        periods = [f"{name}: {rms:.2f} mm of {count}" for name, count, rms in c.periods]
-        lines += ["RMS over time:", *periods[-MOST_PERIODS:]]
+        newest = enumerate(c.periods[-MOST_PERIODS:], start=1)
+        periods = [f"{n}. {name}: {rms:.2f} mm of {count}" for n, (name, count, rms) in newest]
+        lines += ["RMS over time:", *periods]
     times = [f"{seconds:.1f} s" for seconds in c.seconds if not math.isnan(seconds)]
     if times and not math.isnan(c.seconds[0]):
         lines.append(f"time {' and '.join(times)} an episode")
@@ -143,20 +156,25 @@ HISTORY, BULK, HEALTH = 0, 3, 4
 
 
 class SideTabs(Panel):
-    """Side tabs. ``search`` receives the filter of the log; ``leave`` is called at its end."""
+    """Side tabs. ``search`` receives the filter of the log; ``leave`` is called at its end.
+
+    ``tools``: the tabs *Bulk* and *Health*.
+    """
 
     def __init__(
         self,
+        theme: Theme,
         restore: Callable[[str], None],
         search: Callable[[str], None],
         entered: Callable[[int], None],
         leave: Callable[[], None],
-        bulk: QWidget,
-        health: QWidget,
+        tools: tuple[QWidget, QWidget],
     ) -> None:
         super().__init__("")
         self.history = HistoryList(restore)
         self.agreement = label("", wrap=True)
+        self.over_time = CurvePlot(theme, "RMS (mm) by period, oldest first")
+        self.over_time.hide()
         self.log = QListWidget()
         hint = "Search person, action, episode"
         self.needle = KeyboardLineEdit("Search the log", hint, lambda _: leave(), leave)
@@ -166,7 +184,8 @@ class SideTabs(Panel):
         self._stack = QStackedWidget()
         log = QWidget()
         vbox(self.needle, (self.log, 1), parent=log, margins=(0, 0, 0, 0))
-        for page in (self.history, _top(self.agreement), log, bulk, health):
+        agree = _top(self.over_time, self.agreement)
+        for page in (self.history, agree, log, *tools):
             self._stack.addWidget(page)
         self.column.addWidget(self._stack, 1)
         self._buttons = QButtonGroup(self)
@@ -190,16 +209,22 @@ class SideTabs(Panel):
         """Index of the visible tab."""
         return self._stack.currentIndex()
 
+    def show_agreement(self, found: tuple[str, Sequence[CurveLine]]) -> None:
+        """Show the figures as text and, over two periods or more, as curves."""
+        self.agreement.setText(found[0])
+        self.over_time.show_lines(found[1], max((len(one.points) for one in found[1]), default=0))
+        self.over_time.setVisible(bool(found[1]))
+
     def show_log(self, lines: Sequence[str]) -> None:
         """Show operations, newest first."""
         self.log.clear()
         self.log.addItems(list(lines))
 
 
-def _top(widget: QWidget) -> QWidget:
-    """Return a scroll area with a text at its top."""
+def _top(*widgets: QWidget) -> QWidget:
+    """Return a scroll area with widgets at its top."""
     holder = QWidget()
-    vbox(widget, 1, parent=holder, margins=(0, 0, 0, 0))
+    vbox(*widgets, 1, parent=holder, margins=(0, 0, 0, 0))
     scroll = scroll_area(holder)
     scroll.setFocusPolicy(Qt.FocusPolicy.NoFocus)
     return scroll

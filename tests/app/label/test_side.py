@@ -12,7 +12,7 @@ from tests.app.label.conftest import CTRL, ITEMS, KEY, SHIFT, WITHOUT_LABEL, mak
 from tests.app.label.test_values import content
 from tests.backend.annotations.filling import fill
 from touchdown.app.label.session import AnnotationSession, QueueEntries, read_queue
-from touchdown.app.label.side import agreement_text
+from touchdown.app.label.side import agreement_figures
 from touchdown.backend.annotations import Dataset, EpisodeContext, Label
 from touchdown.backend.core.values import EpisodeQuality
 from touchdown.widgets.lists.recordings import RowsOnDemand
@@ -49,7 +49,7 @@ def test_a_bulk_change_that_makes_no_sense_has_no_preview(desk, kind, text):
     assert "such as" in form.found.text() or "needs a reason" in form.found.text()
 
 
-def test_opinions_measure_agreement_and_change_no_label(desk):
+def test_opinions_measure_agreement_and_change_no_label(desk, monkeypatch):
     uuids = desk.workspace.presenter.walk.order[:3]
     for _ in uuids:
         desk.do(KEY.Key_Right, KEY.Key_Return)
@@ -68,11 +68,20 @@ def test_opinions_measure_agreement_and_change_no_label(desk):
         desk.type(f"{(label.x_um - 100) / 1000},{(label.y_um + 200) / 1000}")
         desk.do(KEY.Key_Return, KEY.Key_Return)
     assert content(desk) == before
-    words = agreement_text(desk.workspace.presenter.dataset)
+    words, _ = agreement_figures(desk.workspace.presenter.dataset)
     assert "Ann minus Bob, 3 episodes" in words
     assert "x: bias +0.10 mm" in words
     assert "y: bias \N{MINUS SIGN}0.20 mm" in words
     assert "RMS 0.22 mm" in words
+    side, compare = desk.page.side, Dataset.compare
+    periods = ("2026-11-25", 2, 0.5), ("2026-11-26", 1, 0.3)
+    monkeypatch.setattr(Dataset, "compare", lambda *a: replace(compare(*a), periods=periods))
+    assert side.over_time.isHidden()
+    desk.do(KEY.Key_E)
+    assert "2. 2026-11-26: 0.30 mm of 1" in side.agreement.text()
+    (line,) = side.over_time.lines
+    assert (line.name, line.points) == ("Ann, Bob", ((1, 0.5), (2, 0.3)))
+    assert side.over_time.isVisible()
 
 
 def test_the_model_scores_the_dataset_beside_the_labels(desk, qtbot):
@@ -364,7 +373,7 @@ def test_gold_among_the_ordinary_queue_cannot_be_told_and_keeps_its_label(desk, 
         desk.do(KEY.Key_Return)
     assert seen[0] == seen[1] == seen[2]
     assert {uuid: desk.book.head(uuid) for uuid in gold} == heads
-    assert "Ann on gold minus approved label, 2 episodes" in agreement_text(presenter.dataset)
+    assert "Ann on gold minus approved label, 2 episodes" in agreement_figures(presenter.dataset)[0]
     desk.do((KEY.Key_R, CTRL))
     assert not set(gold) & set(presenter.walk.order)
 

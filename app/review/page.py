@@ -152,10 +152,12 @@ class ReviewPage(WorkspacePage):
         panel = Panel("Time")
         panel.column.addLayout(hbox(self.play, (self.time_line, 1)))
         panel.header.addWidget(self.at)
+        self.bookmark = flat_button("Bookmark", "Note at the cursor: add, change or remove (B)")
         self.picture = flat_button("Picture", "Export what is shown as PNG and SVG (Ctrl+E)")
         self.table = flat_button("Table", "Export the probes as CSV (Ctrl+Shift+E)")
         self.html = flat_button("Page", "Export picture and probes as one HTML page")
         viewer = "Open the file in the viewer of this computer (Ctrl+O)"
         self.viewer = flat_button("Open file", viewer)
-        add_items(panel.header, self.picture, self.table, self.html, self.viewer)
+        exports = self.picture, self.table, self.html, self.viewer
+        add_items(panel.header, self.bookmark, *exports)
         return panel

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 from touchdown.app.review.campaign import CollectedRun
@@ -21,11 +22,18 @@ from touchdown.app.review.recordings import (
     RunReader,
     activity_text,
 )
-from touchdown.app.review.replay import ReplayPresenter
+from touchdown.app.review.replay import TOUCH_S, ReplayPresenter
 from touchdown.app.review.timing import TrialTimeline
-from touchdown.app.shell import RunStory, SaveWorker, TrialStory, count_noun, run_score
+from touchdown.app.shell import (
+    BookmarkDialog,
+    RunStory,
+    SaveWorker,
+    TrialStory,
+    count_noun,
+    run_score,
+)
 from touchdown.backend.core import InputError
-from touchdown.backend.runs import EVENT_LOG_NAME
+from touchdown.backend.runs import BOOKMARKS_NAME, EVENT_LOG_NAME, Bookmark, read_bookmarks
 from touchdown.widgets.shell import CardText, FaultCards
 from touchdown.widgets.views import OUTCOME_WORDS, DecisionText
 
@@ -55,6 +63,9 @@ class ReviewPresenter:
         self._told: list[str] = []
         # Name of a series or a collecting run, for captions.
         self._whole = ""
+        self._notes: tuple[Path, int] | None = None  # file of the bookmarks, and the trial
+        self.note = BookmarkDialog(page, "Bookmark")
+        self.bookmarks: list[Bookmark] = []  # of the whole run, or of the episode
         self.file: Path | None = None  # file for an external viewer
         self.caption = ""  # caption of the shown trial or episode
         self._asked = 0
@@ -183,6 +194,7 @@ class ReviewPresenter:
     def _choose_part(self, row: int) -> None:
         """Show a trial of the run, or an episode of the series."""
         self._page.film.stop()
+        self._notes, self.bookmarks = None, []
         self._asked += 1
         if 0 <= row < len(self._episodes):
             self._show_episode(self._episodes[row])
@@ -200,6 +212,7 @@ class ReviewPresenter:
         self.caption = f"Run {self._run.name}: {pair}, trial {whole.trial}, seed {whole.seed}"
         faces = self.library.face(head.piece), self.library.face(head.bottom.split("+")[-1])
         self.replay.show(trial, *faces)
+        self._read_notes(self._run / BOOKMARKS_NAME, whole.trial)
         kept = [f.path for f in trial.episodes() if f.path]
         if not kept:
             self._page.signals_panel.detail.setText("no signals were kept")
@@ -226,7 +239,26 @@ class ReviewPresenter:
         faces = self.library.face(entry.piece), self.library.face(entry.bottom)
         self.replay.show(shown.trial, *faces, told=self._told)
         self.replay.take(shown.recorded)
+        self._read_notes(self.library.folder / "bookmarks" / f"{entry.uuid}.json", 1)
         self._page.signals_panel.detail.setText(shown.says)
+
+    def _read_notes(self, path: Path, trial: int) -> None:
+        self._notes = path, trial
+        self._later(lambda: read_bookmarks(path), partial(self._show_notes, path, trial))
+
+    def _show_notes(self, path: Path, trial: int, marks: list[Bookmark]) -> None:
+        if self._notes == (path, trial):
+            self.bookmarks = marks
+            self.replay.show_bookmarks([mark for mark in marks if mark.trial == trial])
+
+    def bookmark(self) -> bool:
+        """Ask for the note at the cursor; return False if nothing is shown."""
+        if self._notes is not None:
+            (path, trial), t_s = self._notes, round(self.replay.cursor_s, 2)
+            known = (mark for mark in self.replay.bookmarks if abs(mark.t_s - t_s) < TOUCH_S)
+            take = partial(self._show_notes, path, trial)
+            self.note.ask_note(path, next(known, Bookmark(trial, t_s)), take)
+        return self._notes is not None
 
     def _later(self, work: Callable[[], object], take: Callable[..., None]) -> None:
         """Run ``work`` on the reader's thread; drop the result after another choice."""

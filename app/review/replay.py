@@ -12,12 +12,14 @@ from touchdown.app.review.timing import TOUCHING, PatchScore, TrialTimeline
 from touchdown.app.shell import TrialStory, belief_scene, true_patch_outline, unprobed_scene
 from touchdown.backend.core import Said, TrialFinished
 from touchdown.backend.geometry import Outline
+from touchdown.backend.runs import Bookmark
 from touchdown.widgets.plots import NO_WRENCH
 from touchdown.widgets.views import (
     NO_PROBES,
     OUTCOME_WORDS,
     BeliefScene,
     DecisionText,
+    TimeMark,
     TimeScene,
     caption_of,
     decision_text,
@@ -27,6 +29,7 @@ from touchdown.widgets.views import (
 NO_RECORDING = DecisionText("No recording chosen", "", "", "Choose one in the list.")
 NO_READING = DecisionText("No estimate", "", "", "No model evaluated a probe here.")
 NO_MAP = ("No belief map", "No model evaluated a probe here.")
+TOUCH_S = 0.005  # farthest bookmark from the cursor that counts as the one at it
 ONE_PROBE = ("No belief map", "A belief map needs a stacking run; this is a single probe.")
 
 
@@ -39,8 +42,10 @@ class ReplayPresenter:
         self.recorded = TrialRecording()
         self.cursor_s = 0.0
         self._whole: TrialStory | None = None
+        self._told: Sequence[str] = ()
         self._faces: tuple[Outline | None, Outline | None] = (None, None)
         self._said_s = np.zeros(0)
+        self.bookmarks: Sequence[Bookmark] = ()
         self._known = -1
 
     @property
@@ -68,10 +73,8 @@ class ReplayPresenter:
         """
         self.trial, self.recorded, self._faces = trial, TrialRecording(), (face, bottom)
         self._whole = None if trial is None else trial.story(float("inf"))
-        lines = [] if trial is None else [(f.t_s, text) for f in trial.events if (text := _line(f))]
-        self._said_s = np.array([t_s for t_s, _ in lines])
-        self._page.story.clear()
-        self._page.story.addItems([text for _, text in lines] or list(told))
+        self.bookmarks, self._told = (), told
+        self._tell()
         self._page.signals_panel.detail.setText("")
         why = NO_WRENCH if trial is not None else NO_RECORDING.result
         for view in (self._page.forces, self._page.moments):
@@ -79,12 +82,43 @@ class ReplayPresenter:
         self._show_strip()
         self.take(TrialRecording())
 
+    def show_bookmarks(self, bookmarks: Sequence[Bookmark]) -> None:
+        """Show the bookmarks of the trial."""
+        self.bookmarks = bookmarks
+        self._tell()
+        self._draw_time()
+        self.seek(self.cursor_s)
+
+    def jump_to_bookmark(self, by: int) -> None:
+        """Move to the next (1) or the previous (-1) bookmark."""
+        times = [mark.t_s for mark in self.bookmarks]
+        later = [t for t in times if by * (t - self.cursor_s) > TOUCH_S]
+        if later:
+            self._page.film.stop()
+            self.seek(min(later) if by > 0 else max(later))
+
+    def _tell(self) -> None:
+        """List the events and the bookmarks, by time."""
+        events = () if self.trial is None else self.trial.events
+        lines = [(event.t_s, text) for event in events if (text := _line(event))]
+        told = [] if lines else self._told
+        lines += [(mark.t_s, f"Bookmark: {mark.note}") for mark in self.bookmarks]
+        lines.sort(key=lambda line: line[0])
+        self._said_s = np.array([t_s for t_s, _ in lines])
+        self._page.story.clear()
+        self._page.story.addItems([*(text for _, text in lines), *told])
+
+    def _draw_time(self) -> None:
+        marks = () if self.trial is None else self.trial.marks()
+        notes = tuple(TimeMark(m.t_s, m.note, strong=True, note=True) for m in self.bookmarks)
+        both = tuple(sorted((*marks, *notes), key=lambda mark: mark.t_s))
+        self._page.time_line.show_scene(TimeScene(self.span_s, self.recorded.spans_s, both))
+
     def take(self, recorded: TrialRecording) -> None:
         """Add the signals of the trial; the cursor stays if it is inside them."""
         self.recorded = recorded
         span = self.span_s
-        marks = () if self.trial is None else self.trial.marks()
-        self._page.time_line.show_scene(TimeScene(span, recorded.spans_s, marks))
+        self._draw_time()
         self._page.film.take_reel(recorded.reel, span)
         self.seek(span[1])
 

@@ -7,13 +7,14 @@ import io
 import re
 from base64 import b64encode
 from collections.abc import Sequence
+from functools import partial
 from html import escape
 from pathlib import Path
 
 from PySide6.QtCore import QRectF, QSize, Qt
-from PySide6.QtGui import QImage, QPainter
+from PySide6.QtGui import QCursor, QImage, QPainter
 from PySide6.QtSvg import QSvgRenderer
-from PySide6.QtWidgets import QWidget
+from PySide6.QtWidgets import QMenu, QWidget
 
 from touchdown.app.review.exports import open_in_viewer
 from touchdown.app.shell import SaveWorker, WorkspaceContext, ask_path, error_card
@@ -27,6 +28,7 @@ from touchdown.backend.experiments import (
     PictureGallery,
     Report,
     ReportPicture,
+    ReportSection,
     ReportTable,
     TableEntry,
     read_report,
@@ -75,7 +77,10 @@ def recolour_drawing(svg: str, tokens: Tokens) -> str:
 
 # Output of ``touchdown experiment``, relative to its working directory.
 USUAL = Path("output/experiment")
-JOBS = "jobs"
+# Reports of the documents, where the program runs from a checkout.
+SHIPPED = Path(__file__).resolve().parents[2] / "docs" / "results"
+TABLES, JOBS = "tables*.json", "jobs"
+MOST_OPENED = 5
 
 
 class ReportsPresenter:
@@ -88,10 +93,22 @@ class ReportsPresenter:
         self.sheet: ReportSheet | None = None
         self.report: Report | None = None
         self._file = Path()
+        self._opened: list[Path] = []
+        self.menu: QMenu | None = None
         self._entry: TableEntry | None = None
         self._asked = 0
         self._part = 0
         self._drawing = 0
+
+    def offer(self) -> None:
+        """List the reports opened last, the one of this folder, and those of the program."""
+        menu = self.menu = QMenu(self._window)
+        menu.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
+        near = [*self._opened, *sorted(USUAL.glob(TABLES)), *sorted(SHIPPED.glob(TABLES))]
+        for file in dict.fromkeys(path.resolve() for path in near):
+            menu.addAction(f"{file.parent.name}/{file.name}", partial(self.open, file))
+        menu.addAction("Other file\N{HORIZONTAL ELLIPSIS}", self.ask)
+        menu.popup(QCursor.pos())
 
     def ask(self) -> None:
         """Let the user choose a file, without blocking the window."""
@@ -147,6 +164,7 @@ class ReportsPresenter:
             sheet.browser.clicked.connect(self._open_in_browser)
             sheet.other.clicked.connect(self.ask)
         self.report, self._file = report, file
+        self._opened = [file, *(one for one in self._opened if one != file)][:MOST_OPENED]
         self.sheet.show_head(
             report.title, report.banner, str(file), [s.title for s in report.sections]
         )
@@ -259,27 +277,15 @@ def _gallery(
     return made
 
 
-REPORT_STYLE = """
-body { font: 15px/1.5 sans-serif; margin: 2em auto; max-width: 1200px; padding: 0 1em; }
-img { max-width: 100%; }
-table { border-collapse: collapse; font-variant-numeric: tabular-nums; }
-th, td { border-bottom: 1px solid #bbb; padding: 3px 10px; text-align: left; }
-"""
-
-
-def report_html(caption: str, facts: str, picture: bytes, table: str) -> str:
+def report_html(caption: str, facts: str, picture: bytes, table: str, banner: str) -> str:
     """Return an HTML page with ``caption``, the lines of ``facts``, a PNG and a CSV table."""
-    rows = list(csv.reader(io.StringIO(table)))
-    head = "".join(f"<th>{escape(name)}</th>" for name in rows[0])
-    body = "".join(
-        f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in row)}</tr>\n" for row in rows[1:]
+    head, *rows = csv.reader(io.StringIO(table))
+    # Units of column names in brackets, as "x (mm)" for x_mm.
+    names = [re.sub(r"_(s|mm)$", r" (\1)", name) for name in head]
+    image = (
+        f'<img alt="{escape(caption)}" src="data:image/png;base64,{b64encode(picture).decode()}">'
     )
-    said = "<br>\n".join(escape(line) for line in facts.splitlines())
-    return (
-        f'<!DOCTYPE html>\n<html lang="en">\n<head><meta charset="utf-8">'
-        f"<title>{escape(caption)}</title><style>{REPORT_STYLE}</style></head>\n<body>\n"
-        f"<h1>{escape(caption)}</h1>\n<p>{said}</p>\n"
-        f'<img alt="{escape(caption)}" src="data:image/png;base64,{b64encode(picture).decode()}">\n'
-        f"<table>\n<thead><tr>{head}</tr></thead>\n<tbody>\n{body}</tbody>\n</table>\n"
-        "</body>\n</html>\n"
+    parts = PictureGallery("", (ReportPicture(image),)), ReportTable.of_texts("", names, rows)
+    return report_page(
+        Report(caption, tuple(facts.splitlines()), (ReportSection("", (), parts),), banner)
     )

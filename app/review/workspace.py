@@ -23,6 +23,7 @@ from touchdown.app.shell import (
     Workspace,
     WorkspaceContext,
 )
+from touchdown.backend.experiments import SIMULATED
 from touchdown.backend.runs import dataset_folder
 from touchdown.widgets.shell import CardText
 
@@ -49,6 +50,12 @@ class ReviewWorkspace(Workspace):
                     lambda: self.presenter.replay.jump(-1.0), repeats=True),
             WindowCommand("second-on", "One second forward", "L",
                     lambda: self.presenter.replay.jump(1.0), repeats=True),
+            WindowCommand("bookmark", "Bookmark at the cursor: add, change or remove", "B",
+                          self._bookmark),
+            WindowCommand("next-bookmark", "Next bookmark", "N",
+                          lambda: self.presenter.replay.jump_to_bookmark(1)),
+            WindowCommand("previous-bookmark", "Previous bookmark", "Shift+N",
+                          lambda: self.presenter.replay.jump_to_bookmark(-1)),
             WindowCommand("filter", "Filter the recordings", "/",
                     lambda: self.page.filter.setFocus()),
             WindowCommand("picture", "Export what is shown as PNG and SVG", "Ctrl+E",
@@ -58,7 +65,7 @@ class ReviewWorkspace(Workspace):
             WindowCommand("cancel", "Stop reading a long run", "Esc",
                     lambda: self.presenter.cancel_reading()),
             WindowCommand("experiments", "Open a report of experiments", "Ctrl+Shift+O",
-                    lambda: self.reports.ask()),
+                    lambda: self.reports.offer()),
             WindowCommand("viewer", "Open the file in its own program", "Ctrl+O",
                           self._open_outside),
         )  # fmt: skip
@@ -81,10 +88,11 @@ class ReviewWorkspace(Workspace):
         page.time_chosen.connect(self.presenter.replay.seek)
         page.play.clicked.connect(page.film.play_or_pause)
         page.filter_changed.connect(self.presenter.recordings.show)
+        page.bookmark.clicked.connect(self._bookmark)
         page.picture.clicked.connect(self._picture)
         page.table.clicked.connect(self._table)
         page.html.clicked.connect(self._report)
-        page.experiments.clicked.connect(self.reports.ask)
+        page.experiments.clicked.connect(self.reports.offer)
         page.viewer.clicked.connect(self._open_outside)
 
     def enter(self) -> None:
@@ -119,6 +127,10 @@ class ReviewWorkspace(Workspace):
         shown, theme, caption = self.page.shown, self._context.theme, self._caption()
         self._export(lambda: export_picture(shown, theme, self.exports, name, caption)[0])
 
+    def _bookmark(self) -> None:
+        if not self.presenter.bookmark():
+            self._context.say("Nothing is chosen that could have a bookmark.")
+
     def _caption(self) -> str:
         at_s = self.presenter.replay.cursor_s
         return f"{self.presenter.caption}, at {at_s:.2f} s"
@@ -137,11 +149,15 @@ class ReviewWorkspace(Workspace):
             self._context.say("Nothing is chosen that could be reported.")
             return
         # Take the picture now: the page may have changed when the table is ready.
-        name, caption, facts = dated_file_name("review"), self._caption(), self.page.score.words
+        name, caption = dated_file_name("review"), self._caption()
+        notes = [f"Bookmark, trial {mark.trial}, {mark.t_s:.2f} s: {mark.note}"
+                 for mark in self.presenter.bookmarks]  # fmt: skip
+        facts, head = "\n".join((self.page.score.words, *notes)), self.presenter.story.head
+        banner = SIMULATED if head is not None and head.simulated else ""
         picture = view_picture(self.page.shown, self._context.theme, caption)
 
         def write(table: str) -> None:
-            text = report_html(caption, facts, picture, table)
+            text = report_html(caption, facts, picture, table, banner)
             self._export(lambda: write_export(text, self.exports, f"{name}.html"))
 
         self.presenter.make_table(write)

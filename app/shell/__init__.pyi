@@ -77,6 +77,7 @@ from .settings import restore_form as restore_form
 from .settings import save_settings as save_settings
 from .settings import settings_path as settings_path
 from .sheets import BenchSheet as BenchSheet
+from .sheets import BookmarkDialog as BookmarkDialog
 from .sheets import FileDrop as FileDrop
 from .sheets import QuestionRow as QuestionRow
 from .sheets import ask_path as ask_path

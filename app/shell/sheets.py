@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection
+from dataclasses import replace
 from pathlib import Path
 
 from PySide6.QtCore import QEvent, QObject, QSize
 from PySide6.QtGui import QDragEnterEvent, QDropEvent
 from PySide6.QtWidgets import QDialog, QFileDialog, QFrame, QLayout, QPushButton, QWidget
 
+from touchdown.backend.core import InputError
+from touchdown.backend.runs import Bookmark, keep_bookmark
 from touchdown.widgets.base import ElidedLabel, hbox, label, rule, vbox
+from touchdown.widgets.forms import NameDialog
 
-LEAST_WINDOW = QSize(800, 440)  # of the main window
+LEAST_WINDOW = QSize(480, 330)  # of the main window
 
 
 class QuestionRow(QFrame):
@@ -93,6 +97,26 @@ class BenchSheet(QDialog):
         em, parent = self.fontMetrics().height(), self.parentWidget()
         assert parent is not None
         self.resize(QSize(width * em, height * em).boundedTo(parent.size()))
+
+
+class BookmarkDialog(NameDialog):
+    """Asks for the note of a bookmark, and stores it beside the recording."""
+
+    def ask_note(self, path: Path, mark: Bookmark, done: Callable[[list[Bookmark]], None]) -> None:
+        """Ask for the note of ``mark`` in the file ``path``; ``done`` gets all bookmarks."""
+
+        def take(text: str) -> str:
+            note = " ".join(text.split())
+            if not note and not mark.note:
+                return "Type a note."
+            try:
+                done(keep_bookmark(path, replace(mark, note=note)))
+            except InputError as error:
+                return f"{error.what} {error.fix}"
+            return ""
+
+        removes = " (an empty note removes it)" if mark.note else ""
+        self.ask(f"Note at {mark.t_s:.2f} s{removes}", (), take, mark.note)
 
 
 class FileDrop(QObject):

@@ -43,6 +43,8 @@ class StackPage(LivePage):
         self.score = ScorePanel(theme)
         self.add_piece = flat_button("Add piece", "Add a piece from a CAD file")
         self.run.header.addWidget(self.add_piece)
+        self.bookmark = flat_button("Bookmark", "Note on this moment of the run (B)")
+        self.traces_panel.header.addWidget(self.bookmark)
         self.compare = flat_button("Compare", "Compare the strategies on the same seed (Ctrl+D)")
         self.score.header.addWidget(self.compare)
         self.side = SideView(theme)

@@ -9,12 +9,14 @@ from typing import TYPE_CHECKING
 
 from touchdown.app.shell import (
     BenchViewPresenter,
+    BookmarkDialog,
     FileDrop,
     LivePresenter,
     Memory,
     WindowCommand,
     Workspace,
     WorkspaceContext,
+    is_run_active,
     pause_or_resume,
     piece_titles,
     restore_form,
@@ -27,7 +29,7 @@ from touchdown.app.stack.presenter import StackPresenter, stack_request
 from touchdown.backend.bench import Session
 from touchdown.backend.core import Event, Outcome
 from touchdown.backend.geometry import PIECE_SOURCES, PieceLibrary, load_pieces
-from touchdown.backend.runs import SceneChoice
+from touchdown.backend.runs import BOOKMARKS_NAME, Bookmark, SceneChoice
 from touchdown.widgets.forms import RunForm
 from touchdown.widgets.views import NO_DECISION
 
@@ -79,6 +81,7 @@ class StackWorkspace(Workspace):
         self.pieces: PieceSheet | None = None
         self._catalogue: PieceLibrary | None = None
         self.planned: PlannedRunsSheet | None = None
+        self._bench: Session | None = None
         self._form, self._kept = RunForm(), StackMemory()
         self.commands = (
             WindowCommand("start", "Start stacking", "Ctrl+Return", self._start),
@@ -92,6 +95,7 @@ class StackWorkspace(Workspace):
                           self._compare),
             WindowCommand("planned", "Runs in a row: list, order, start", "Ctrl+Shift+D",
                           self._plan),
+            WindowCommand("bookmark", "Bookmark this moment of the run", "B", self._bookmark),
             WindowCommand("confirm", "Yes: the scene is set, the hand is there, as proposed", "Y",
                     lambda: self._on_trial(OperatorPromptsPresenter.confirm)),
             *(
@@ -111,14 +115,16 @@ class StackWorkspace(Workspace):
         page.run.start.clicked.connect(self._start)
         page.compare.clicked.connect(self._compare)
         page.run.row.clicked.connect(self._plan)
+        page.bookmark.clicked.connect(self._bookmark)
         page.add_piece.clicked.connect(self._add_piece)
+        self.note = BookmarkDialog(page, "Bookmark")
         FileDrop(page, PIECE_SOURCES, lambda path: self._piece_sheet().take(path))
         yield
         self.columns = self.lazy_pages = page.columns
 
     def attach(self, bench: Session) -> None:
         """Connect the page to a bench."""
-        page = self.page
+        page, self._bench = self.page, bench
         self.live = LivePresenter(bench, page)
         self.presenter = presenter = StackPresenter(bench, page, self._context.cards)
         self.side = BenchViewPresenter(bench, page.side, page.side_panel)
@@ -213,6 +219,17 @@ class StackWorkspace(Workspace):
         if self.planned is not None:
             self.planned.change(self.planned.runs, 0)
             self.planned.present()
+
+    def _bookmark(self) -> None:
+        """Ask for the note of a bookmark at the present time of the run."""
+        bench = self._bench
+        if bench is None or bench.run_folder is None or not is_run_active(bench):
+            self._context.say("No recorded run is active. Review sets bookmarks afterwards.")
+            return
+        mark = Bookmark(bench.status().trial, round(bench.clock_s(), 2))
+        said = f"Bookmark at {mark.t_s:.2f} s of trial {mark.trial}."
+        path = bench.run_folder / BOOKMARKS_NAME
+        self.note.ask_note(path, mark, lambda _: self._context.say(said))
 
     def _piece_sheet(self) -> PieceSheet:
         """Return the sheet that adds a piece, made on first use."""

@@ -16,10 +16,12 @@ from .document import BLUE as BLUE
 from .document import FAINT as FAINT
 from .document import INK as INK
 from .document import ORANGE as ORANGE
+from .document import SIMULATED as SIMULATED
 from .document import VIOLET as VIOLET
 from .document import PictureGallery as PictureGallery
 from .document import Report as Report
 from .document import ReportPicture as ReportPicture
+from .document import ReportSection as ReportSection
 from .document import ReportTable as ReportTable
 from .document import TableEntry as TableEntry
 from .document import report_page as report_page

@@ -23,6 +23,7 @@ from touchdown.backend.core import (
     Event,
     FaultRaised,
     FloatArray,
+    MarkerField,
     Outcome,
     RunStarted,
     StabilityJudged,
@@ -46,6 +47,7 @@ from touchdown.backend.experiments.trials import BatchTrialResult
 from touchdown.backend.geometry import rings_of
 
 WIDTH_PX = 230
+ARROW_GAIN = 3  # drawn length of a displacement of a marker over the real one
 
 
 def _base64(image: NDArray[np.uint8]) -> str:
@@ -91,6 +93,9 @@ def belief_svg(
         style = f'stroke="{colour}" stroke-width="{width}"'
         parts.append(f'<path d="M{x - 1.4} {-y}h2.8M{x} {-y - 1.4}v2.8" {style}/>')
         parts.append(f'<path d="M{x} {-y}l{step[0]} {-step[1]}" {style}/>')
+        parts.append(f'<path d="M{cx - view_mm + 2} {view_mm - cy - 2}h10" {style}/>')
+    place = f'x="{cx - view_mm + 13}" y="{view_mm - cy - 1.2}"'
+    parts.append(f'<text {place} font-size="2.4" fill="#ffffff">10 mm</text>')
     parts.append("</svg>")
     return "".join(parts)
 
@@ -129,6 +134,8 @@ def tactile_png(episode: Episode) -> str:
     last = {frame.finger: frame.image for frame in episode.recording.frames}
     if set(last) != {"left", "right"}:
         return ""
+    for markers in {one.finger: one for one in episode.recording.fields}.values():
+        last[markers.finger] = _with_arrows(last[markers.finger], markers)
     both = cv2.hconcat([last["left"], last["right"]])
     small = cv2.resize(both, (WIDTH_PX * 2, WIDTH_PX * 3 // 4), interpolation=cv2.INTER_AREA)
     _, jpeg = cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, 85])
@@ -136,6 +143,18 @@ def tactile_png(episode: Episode) -> str:
         f'<img alt="Tactile images, left and right finger" width="{WIDTH_PX}" '
         f'src="data:image/jpeg;base64,{_base64(jpeg)}"/>'
     )
+
+
+def _with_arrows(image: NDArray[np.uint8], markers: MarkerField) -> NDArray[np.uint8]:
+    """Return a copy of a tactile image with the displacements of its markers."""
+    drawn = image.copy()
+    by_px = markers.displacement_px
+    rest_px = markers.position_px - by_px
+    arrows_px = np.stack([rest_px, rest_px + ARROW_GAIN * by_px], axis=1)
+    known = np.isfinite(arrows_px).all(axis=(1, 2))
+    for start, tip in np.rint(arrows_px[known] * image.shape[1] / 320).astype(int).tolist():
+        cv2.arrowedLine(drawn, start, tip, (0, 200, 249), 2, cv2.LINE_AA, tipLength=0.35)
+    return drawn
 
 
 FILM_FILE = "film.json"  # file of a job with the strips of its trials
@@ -163,7 +182,10 @@ def belief_film(end: BatchTrialResult, outline_mm: FloatArray) -> Mapping[str, A
     return {"end": f"Seed {end.seed}: {word}. {end.reason}", "probes": probes}
 
 
-_LEGEND = f"{FILM_LEGEND} Below: forces of the press, and both tactile images at its end."
+_LEGEND = (
+    f"{FILM_LEGEND} Below: forces of the press, and both tactile images at its end; arrows: "
+    f"displacements of the markers, {ARROW_GAIN} times enlarged."
+)
 
 
 _AnyEvent = TypeVar("_AnyEvent", bound=Event)
@@ -202,11 +224,13 @@ def write_run_report(
     OSError
         The file cannot be written.
     """
-    galleries, rows, placed = [], [], 0
+    galleries, rows, about, placed = [], [], [_LEGEND], 0
     for events in runs:
         head, trials = _split_trials(events)
         if head is None:
             continue
+        told = f"Run {head.run_id}: {head.piece} on {head.bottom}, strategy {head.strategy}"
+        about.append(f"{told}, seed {head.seed}.")
         outline = outlines_mm.get(head.bottom.split("+")[-1]) if head.simulated else None
         for trial in trials:
             title = f"{head.piece} on {head.bottom}, seed {trial.started.seed}"
@@ -217,7 +241,7 @@ def write_run_report(
     table = ReportTable.of_texts("", ("trial", "outcome", "probes", "true margin"), rows)
     report = Report(
         f"Touchdown: {placed} of {len(rows)} placed",
-        (_LEGEND,),
+        tuple(about),
         (ReportSection("", (), (table, *galleries)),),
     )
     write_atomically(path, report_page(report).encode())

@@ -58,13 +58,17 @@ from .plan import CancelledError as CancelledError
 from .plan import Plan as Plan
 from .plans import check_request as check_request
 from .plans import make_plan as make_plan
+from .recorder import BOOKMARKS_NAME as BOOKMARKS_NAME
 from .recorder import PHOTO_SUFFIXES as PHOTO_SUFFIXES
+from .recorder import Bookmark as Bookmark
 from .recorder import RecordingOptions as RecordingOptions
 from .recorder import RunRecorder as RunRecorder
 from .recorder import calibrations_folder as calibrations_folder
 from .recorder import dataset_folder as dataset_folder
+from .recorder import keep_bookmark as keep_bookmark
 from .recorder import keep_photo as keep_photo
 from .recorder import models_folder as models_folder
+from .recorder import read_bookmarks as read_bookmarks
 from .requests import CalibrateRequest as CalibrateRequest
 from .requests import CollectRequest as CollectRequest
 from .requests import DecisionMode as DecisionMode

@@ -6,10 +6,12 @@ run pauses before the next probe.
 
 from __future__ import annotations
 
+import json
+import math
 import tempfile
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Generic, TypeVar
@@ -30,6 +32,7 @@ from touchdown.backend.core import (
     data_folder,
     disk_errors,
     make_folder,
+    parse_json,
     write_atomically,
 )
 from touchdown.backend.devices import Interlock
@@ -240,6 +243,44 @@ def keep_photo(run: Path, trial: int, source: Path) -> Path:
         what = f"The picture cannot be kept: {error.strerror or error}."
         raise InputError(what, str(source), "Look at the file and at the disk.") from error
     return path
+
+
+BOOKMARKS_NAME = "bookmarks.json"
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class Bookmark:
+    """Note on the time line of a trial; ``t_s`` is a time of the bench clock."""
+
+    trial: int
+    t_s: float
+    note: str = ""
+
+
+def read_bookmarks(path: Path) -> list[Bookmark]:
+    """Return the bookmarks in a file in order, none without a file; raises ``InputError``."""
+    try:
+        found = parse_json(path.read_bytes())["bookmarks"] if path.is_file() else ()
+        marks = [Bookmark(int(m["trial"]), float(m["t_s"]), str(m["note"])) for m in found]
+        if not all(math.isfinite(mark.t_s) for mark in marks):
+            raise ValueError("a time is not finite")
+    except (OSError, ValueError, TypeError, KeyError, OverflowError) as error:
+        fix = "Move the file away; the recording itself is not affected."
+        raise InputError(f"The bookmarks cannot be read: {error!r}.", str(path), fix) from error
+    return sorted(marks)
+
+
+def keep_bookmark(path: Path, mark: Bookmark) -> list[Bookmark]:
+    """Store a bookmark in place of that at the same time; without a note only remove that.
+
+    Return all bookmarks of the file, which is replaced as a whole. Raises ``InputError``.
+    """
+    place = mark.trial, mark.t_s
+    marks = [one for one in read_bookmarks(path) if (one.trial, one.t_s) != place]
+    marks = sorted([*marks, mark] if mark.note else marks)
+    with disk_errors("The bookmark cannot be stored", path, "Make room on this disk."):
+        write_atomically(path, json.dumps({"bookmarks": list(map(asdict, marks))}).encode())
+    return marks
 
 
 MOST_HELD = 2000  # most events kept in memory; a run pauses long before

@@ -32,6 +32,7 @@ from touchdown.backend.core.events import (
 )
 from touchdown.backend.core.values import Outcome
 from touchdown.backend.devices.protocols import RobotMode
+from touchdown.backend.runs.recorder import BOOKMARKS_NAME, Bookmark, read_bookmarks
 from touchdown.backend.runs.requests import RunState
 
 PNG = b"\x89PNG\r\n\x1a\n" + bytes(40)
@@ -418,3 +419,20 @@ def test_a_file_of_runs_that_is_wrong_adds_none(live, row, tmp_path, text, said)
     assert said in live.cards.card("INPUT").text.what
     assert row.runs == before
     assert live.workspaces["stack"].page.run.form() == form
+
+
+def test_a_moment_of_a_run_gets_a_bookmark_beside_its_log(live, bench, tmp_path):
+    live.go("stack")
+    note = live.workspaces["stack"].note
+    press(live, Qt.Key.Key_B)
+    assert "No recorded run" in live.window._message.text()
+    bench.run_folder = tmp_path / "run"
+    bench.set_state(RunState.RUNNING, trial=1)
+    press(live, Qt.Key.Key_B)
+    at_s = bench.clock_s()
+    bench.turn(2.0)
+    note.field.setText("  it  slipped? ")
+    note.save.click()
+    assert not note.isVisible()
+    mark = Bookmark(1, pytest.approx(at_s, abs=0.01), "it slipped?")
+    assert read_bookmarks(tmp_path / "run" / BOOKMARKS_NAME) == [mark]

@@ -123,8 +123,24 @@ def test_a_bad_file_is_one_card_and_no_sheet(review, qtbot, tmp_path, content):
     assert review.reports.sheet is None
 
 
-def test_the_file_is_asked_for_beside_the_window(review):
+def test_reports_are_listed_and_another_file_is_asked_for_beside_the_window(
+    review, qtbot, tmp_path
+):
+    file = tmp_path / "mine" / "tables.json"
+    file.parent.mkdir()
+    file.write_bytes(FULL.read_bytes())
+    open_report(review, qtbot, file)
+    review.reports.sheet.close()
     review.page.experiments.click()
+    menu = review.reports.menu
+    names = [action.text() for action in menu.actions()]
+    assert (names[0], names[-1]) == ("mine/tables.json", "Other file\N{HORIZONTAL ELLIPSIS}")
+    assert "results/tables-full.json" in names
+    menu.actions()[names.index("results/tables-full.json")].trigger()
+    qtbot.waitUntil(lambda: review.reports.sheet.isVisible() and not review.reader.busy)
+    assert review.reports._file == FULL
+    menu.actions()[-1].trigger()
+    menu.close()
     (dialog,) = review.page.findChildren(QFileDialog)
     assert dialog.isVisible()
     dialog.reject()

@@ -185,12 +185,14 @@ class NameDialog(QDialog):
         vbox(self.head, self.field, self.said, row, parent=self, margins=(18, 14, 18, 14),
              spacing=10)  # fmt: skip
 
-    def ask(self, what: str, taken: Sequence[str], take: Callable[[str], str]) -> None:
-        """Ask for ``what``; warns that a name in ``taken`` will be replaced."""
+    def ask(
+        self, what: str, taken: Sequence[str], take: Callable[[str], str], text: str = ""
+    ) -> None:
+        """Ask for ``what``, first ``text``; warns that a name in ``taken`` will be replaced."""
         self._take, self._taken = take, taken
         self.head.setText(what)
         self.field.setAccessibleName(what)
-        self.field.clear()
+        self.field.setText(text)
         self._say("")
         self.setMinimumWidth(22 * self.fontMetrics().height())
         self.show()

@@ -172,11 +172,12 @@ class FilmView(QWidget):
 
 @dataclass(frozen=True, slots=True)
 class TimeMark:
-    """Event on the time line; ``strong`` ones are drawn at full height with their word."""
+    """Event on the time line, or a ``note``; ``strong``: drawn at full height with its word."""
 
     t_s: float
     word: str
     strong: bool = False
+    note: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -255,7 +256,8 @@ class TimeLine(QWidget):
         metrics = painter.fontMetrics()
         for mark in self.scene.marks:
             x, half = area.x(mark.t_s), 0.5 * area.rect.height()
-            painter.setPen(QPen(t.colour("text" if mark.strong else "muted"), 1.4))
+            ink = "focus" if mark.note else "text" if mark.strong else "muted"
+            painter.setPen(QPen(t.colour(ink), 3.0 if mark.note else 1.4))
             top = area.rect.top() if mark.strong else area.rect.top() + half
             painter.drawLine(QPointF(x, top), QPointF(x, area.rect.bottom()))
             width = metrics.horizontalAdvance(mark.word) + 4.0

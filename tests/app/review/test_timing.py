@@ -211,6 +211,37 @@ def test_a_click_on_the_line_moves_the_cursor(told):
     assert review.replay.cursor_s == pytest.approx(6.0, abs=pixel_s)
 
 
+def test_a_bookmark_stands_on_the_line_and_among_what_happened(told, tmp_path):
+    review, *_ = told
+    replay, note, story = review.replay, review.presenter.note, review.page.story
+    for at_s, words in ((8.0, "later"), (3.0, "slipped?")):
+        replay.seek(at_s)
+        review.press(KEY.Key_B)
+        note.field.setText(words)
+        note.save.click()
+    marks = [mark for mark in review.page.time_line.scene.marks if mark.note]
+    assert [(mark.t_s, mark.word) for mark in marks] == [(3.0, "slipped?"), (8.0, "later")]
+    assert story.currentItem().text() == "Bookmark: slipped?"
+    review.page.html.click()
+    review.settle()
+    (page,) = (tmp_path / "exports").glob("*.html")
+    assert "Bookmark, trial 1, 3.00 s: slipped?" in page.read_text("utf-8")
+    review.choose(0)
+    review.settle()
+    assert [mark.note for mark in replay.bookmarks] == ["slipped?", "later"], "read from the disk"
+    replay.seek(0.0)
+    review.press(KEY.Key_N)
+    review.press(KEY.Key_N)
+    assert replay.cursor_s == 8.0
+    review.press(KEY.Key_N, Qt.KeyboardModifier.ShiftModifier)
+    assert replay.cursor_s == 3.0
+    review.page.bookmark.click()
+    assert note.field.text() == "slipped?"
+    note.field.setText("")
+    note.save.click()
+    assert [mark.note for mark in replay.bookmarks] == ["later"]
+
+
 def test_an_episode_of_the_dataset_is_shown_with_its_label(start, isolated_settings):
     folder, catalogue = isolated_settings / "data" / "dataset", load_pieces()
     with Dataset.open(folder, person="Ann") as dataset:
@@ -232,6 +263,13 @@ def test_an_episode_of_the_dataset_is_shown_with_its_label(start, isolated_setti
     assert bottom.contains(0.999 * scene.truth).all()
     assert piece.contains(scene.truth - (4.0, -2.5)).sum() >= 0.9 * len(scene.truth)
     assert "IoU" in review.page.estimate.text()
+    review.press(KEY.Key_B)
+    review.presenter.note.field.setText("good example")
+    review.presenter.note.save.click()
+    assert review.page.story.item(0).text() == "Bookmark: good example"
+    assert (folder / "bookmarks" / f"{entry.uuid}.json").is_file()
+    with Dataset.open(folder, person="Ann") as dataset:
+        assert dataset.notices == ()
 
 
 @pytest.mark.promise("W16")
@@ -279,15 +317,19 @@ def test_pictures_tables_and_pages_hold_what_is_shown(told, tmp_path):
         re.sub(r"<(meta|img|br)([^>]*)>", r"<\1\2/>", text.split("\n", 1)[1])
     )
     rows = [[cell.text or "" for cell in row] for row in root.iter("tr")]
-    assert rows == list(csv.reader(io.StringIO(table.read_text())))
+    names, *lines = csv.reader(io.StringIO(table.read_text()))
+    assert rows[1:] == lines
+    assert {"decided (s)", "margin (mm)", "iou"} <= set(rows[0])
     # The shown margin and agreement are those of the row.
-    last = dict(zip(rows[0], rows[-1], strict=True))
+    last = dict(zip(names, rows[-1], strict=True))
     assert f"{float(last['margin_mm']):+.1f} mm" == review.page.decision._margin.text()
     assert f"IoU {float(last['iou']):.2f}" in review.page.estimate.text()
     picture = base64.b64decode(root.find(".//img").get("src").partition(",")[2])
     assert QImage.fromData(picture).width() == review.page.shown.width()
     assert root.find(".//h1").text.startswith("Run 2026")
-    assert "1 of 1 placed" in "".join(root.find(".//p").itertext())
+    said = "\n".join(line.text or "" for line in root.iter("p"))
+    assert "1 of 1 placed" in said
+    assert "SIMULATED BENCH" in said
 
 
 def test_a_viewer_that_is_not_there_is_said(told, monkeypatch):

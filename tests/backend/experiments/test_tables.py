@@ -21,6 +21,7 @@ from touchdown.backend.core import (
     BeliefUpdated,
     Event,
     InputError,
+    MarkerField,
     Outcome,
     PlaceAction,
     RunStarted,
@@ -40,7 +41,7 @@ from touchdown.backend.experiments.models import (
     shipped_model_folders,
 )
 from touchdown.backend.experiments.results import DATA, PAGE, write_tables
-from touchdown.backend.experiments.run_report import write_run_report
+from touchdown.backend.experiments.run_report import _with_arrows, write_run_report
 from touchdown.backend.experiments.statics import ProbeGroups
 from touchdown.backend.experiments.statistics import (
     VerdictCounts,
@@ -607,3 +608,14 @@ def test_the_table_of_job_functions_names_those_that_run() -> None:
     codes = {kind: job_code(kind, "1") for kind in KINDS}
     assert all(code.startswith("1+") for code in codes.values())
     assert len(set(codes.values())) > 8
+
+
+def test_the_tactile_images_show_the_displacements_three_times_enlarged() -> None:
+    at_px, by_px = np.full((63, 2), np.nan), np.zeros((63, 2))
+    at_px[0], by_px[0] = (110.0, 100.0), (10.0, 0.0)
+    field = MarkerField("left", 1, 0.0, at_px, by_px, np.zeros(63, np.uint8), 1.0, 0.0)
+    drawn = _with_arrows(np.zeros((240, 320, 3), np.uint8), field).any(axis=2)
+    columns = np.flatnonzero(drawn.any(axis=0))
+    assert abs(columns.min() - 100) <= 2
+    assert abs(columns.max() - 130) <= 2
+    assert abs(np.flatnonzero(drawn.any(axis=1)).mean() - 100) <= 1

@@ -24,7 +24,16 @@ from touchdown.backend.episodes import read_episode, read_first
 from touchdown.backend.runs import recorder as store_module
 from touchdown.backend.runs.event_log import read_events
 from touchdown.backend.runs.motions import wait_until_durable
-from touchdown.backend.runs.recorder import CLOCK_SET, RecordingOptions, RunStore, keep_photo
+from touchdown.backend.runs.recorder import (
+    BOOKMARKS_NAME,
+    CLOCK_SET,
+    Bookmark,
+    RecordingOptions,
+    RunStore,
+    keep_bookmark,
+    keep_photo,
+    read_bookmarks,
+)
 from touchdown.backend.runs.requests import CollectRequest, SceneChoice
 
 PNG = b"\x89PNG\r\n\x1a\n"
@@ -180,3 +189,33 @@ def test_recordings_are_logged_by_the_wall_clock_and_keep_the_bench_clock(tmp_pa
         with path.open("rb") as file:
             logged = {m.log_time for _, c, m in make_reader(file).iter_messages() if c.id == 3}
         assert logged == {start_ns + round(1e9 * onset_s)}
+
+
+def test_a_bookmark_is_whole_on_the_disk_at_every_instant(tmp_path, monkeypatch):
+    path = tmp_path / "run" / BOOKMARKS_NAME
+    assert read_bookmarks(path) == []
+    first, later = Bookmark(1, 3.25, "slipped?"), Bookmark(2, 1.0, "new gel")
+    keep_bookmark(path, later)
+    assert keep_bookmark(path, first) == read_bookmarks(path) == [first, later]
+    with monkeypatch.context() as patch:
+        # As a kill or a full disk before the rename: the former file stays.
+        patch.setattr(Path, "replace", lambda *_: (_ for _ in ()).throw(OSError(28, "full")))
+        with pytest.raises(InputError, match="cannot be stored: full"):
+            keep_bookmark(path, Bookmark(1, 9.0, "lost"))
+    assert read_bookmarks(path) == [first, later]
+    changed = Bookmark(1, 3.25, "it slipped")
+    assert keep_bookmark(path, changed) == [changed, later]
+    assert keep_bookmark(path, Bookmark(1, 3.25)) == [later]
+    assert list(path.parent.iterdir()) == [path]
+
+
+@pytest.mark.parametrize(
+    "content", ["", "[]", '{"bookmarks": 3}', '{"bookmarks": [{"trial": 1}]}',
+                '{"bookmarks": [{"trial": 1, "t_s": NaN, "note": "a"}]}'],
+)  # fmt: skip
+def test_bookmarks_that_cannot_be_read_are_left_alone(tmp_path, content):
+    path = tmp_path / BOOKMARKS_NAME
+    path.write_text(content)
+    with pytest.raises(InputError, match="bookmarks cannot be read"):
+        keep_bookmark(path, Bookmark(1, 1.0, "a"))
+    assert path.read_text() == content

@@ -30,9 +30,7 @@ def parser() -> argparse.ArgumentParser:
     made.add_argument("--grab", metavar="FILE.png", type=Path,
                       help="start a run, save a picture of the window and end")  # fmt: skip
     made.add_argument("--after", metavar="S", type=float, default=20.0,
-                      help="with --grab or --measure: seconds to wait (20)")  # fmt: skip
-    made.add_argument("--measure", action="store_true",
-                      help="start a run, measure the window and print one JSON object")  # fmt: skip
+                      help="with --grab: seconds to wait (20)")  # fmt: skip
     return made
 
 
@@ -55,7 +53,7 @@ def incompatibility(python: tuple[int, int], pyside: str) -> str | None:
 def main(argv: Sequence[str] | None = None) -> int:
     """Open the window; return the exit status. Status 3: this version of Qt cannot be used."""
     args = parser().parse_args(argv)
-    if (args.grab or args.measure) and not _display():
+    if args.grab and not _display():
         os.environ.setdefault("QT_QPA_PLATFORM", "offscreen")
     import PySide6
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import gc
-import json
 import sys
 from functools import partial
 from pathlib import Path
@@ -13,7 +12,6 @@ from PySide6.QtCore import QObject, QTimer
 from PySide6.QtWidgets import QApplication
 
 from touchdown.app.application import TouchdownApp
-from touchdown.app.benchmark import Measurement
 from touchdown.app.review import ReviewWorkspace
 from touchdown.app.shell import (
     ErrorBox,
@@ -51,9 +49,7 @@ def run(args: argparse.Namespace, application: QApplication, splash: Splash) -> 
     try:
         _show(main, args)
         splash.close()
-        if args.measure:
-            Measurement(main, args.after, _print)
-        elif args.grab is not None:
+        if args.grab is not None:
             _WindowGrab(main, args)
         return application.exec()
     finally:
@@ -73,7 +69,7 @@ def _show(main: TouchdownApp, args: argparse.Namespace) -> None:
         main.window.resize(*args.size)
     if args.page is not None:
         main.go(args.page)
-    elif args.grab is not None or args.measure:
+    elif args.grab is not None:
         main.go("stack")
     if args.replay is not None:
         main.go("review")
@@ -81,7 +77,7 @@ def _show(main: TouchdownApp, args: argparse.Namespace) -> None:
         assert isinstance(review, ReviewWorkspace)
         review.presenter.open(args.replay)
     # No tour if the command line asks for something else.
-    main.tour_due = not (args.grab or args.measure or args.page or args.replay)
+    main.tour_due = not (args.grab or args.page or args.replay)
     main.connect_bench(partial(open_bench, args.bench, tuple(args.inject)))
 
 
@@ -174,7 +170,3 @@ class _WindowGrab(QObject):
     def _save(self) -> None:
         self._main.window.grab().save(str(self._file))
         self._main.quit_at_once()
-
-
-def _print(figures: dict[str, float]) -> None:
-    sys.stdout.write(json.dumps(figures) + "\n")

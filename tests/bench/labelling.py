@@ -6,6 +6,7 @@ often the model itself is wrong there.
 
 import dataclasses
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -17,11 +18,12 @@ from typing import Any
 from unittest import mock
 
 import numpy as np
+from PySide6.QtCore import Qt
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication
 
 from tests.app.label.conftest import make_episode
-from tests.bench.figures import Figure, at_least, at_most, figure, stated
+from tests.bench.figures import Figure, at_least, at_most, failures, figure, stated
 from touchdown.app.application import TouchdownApp
 from touchdown.app.label.text import evidence_badges
 from touchdown.app.shell.datasets import ModelPrelabeller, model_path_in_use
@@ -134,6 +136,107 @@ def _walk(folder: Path) -> list[Figure]:
         *_stated("accept and next, processor time of the window's thread", working, (50, 95), note),
         Figure("episodes read ahead", held / 1e6, "MB", "<= 50", held <= 50e6, note),
     ]  # fmt: skip
+
+
+DRAFTS, WRONG_DRAFTS, DRAFT_MM = 100, 30, (1.0, 4.0)
+NUMBER = re.compile(r"[+\N{MINUS SIGN}]?\d+\.\d+")
+
+
+@figure("day")
+def scripted_annotator() -> list[Figure]:
+    """Label 100 collected drafts by keys, from what the page shows; 30 are off by 1 to 4 mm.
+
+    Enter accepts a label without a badge. With one, M takes the model's displacement; if a badge
+    remains, the displacement that the scene camera measured is typed.
+    """
+    os.environ.setdefault("QT_QPA_PLATFORM", "offscreen")
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        with mock.patch.dict(os.environ, {"TOUCHDOWN_DATA": name}):
+            true, wrong = _collect_drafts(folder / "dataset")
+            keys, seconds = _label_by_keys(folder, len(true))
+            with Dataset.open(folder / "dataset") as dataset:
+                heads = {uuid: dataset.labels.head(uuid) for uuid in true}
+    error_mm = {u: float(np.hypot(*(h.label.offset_mm - true[u]))) for u, h in heads.items()}
+    left = sum(head.state == "draft" for head in heads.values())
+    note = f"{len(true)} drafts, {len(wrong)} wrong, simulated devices"
+    return [
+        at_most("day of labelling, median final error", float(np.median([*error_mm.values()])),
+                "mm", 0.3, note),
+        stated("day of labelling, median final error of the wrong drafts",
+               float(np.median([error_mm[uuid] for uuid in wrong])), "mm", note),
+        at_most("day of labelling, keys a draft", keys / len(true), "", 2.5, note),
+        at_most("day of labelling, time", seconds / 60, "min", 4,
+                "of the window; a person looks longer"),
+        failures("day of labelling, drafts left", left),
+    ]  # fmt: skip
+
+
+def _collect_drafts(folder: Path) -> tuple[dict[str, Any], list[str]]:
+    """Return the true displacement of each probe in mm, and the probes whose draft is wrong."""
+    rng = np.random.default_rng(SEED)
+    with mock.patch("os.fsync"), Dataset.open(folder, person="Ann") as dataset:
+        session = simulated_session(keep=RecordingOptions(None))
+        session.dataset = dataset
+        session.run(CollectRequest(count=DRAFTS, person="Ann"))
+        session.close()
+        true = {e.uuid: dataset.labels.head(e.uuid).label.offset_mm for e in dataset.episodes()}
+        wrong = rng.choice(list(true), WRONG_DRAFTS, replace=False).tolist()
+        for uuid in wrong:
+            turn, by_mm = rng.uniform(0, 2 * np.pi), rng.uniform(*DRAFT_MM)
+            at_mm = true[uuid] + by_mm * np.array([np.cos(turn), np.sin(turn)])
+            x_um, y_um = np.rint(1e3 * at_mm).astype(int).tolist()
+            dataset.labels.set("Ann", uuid, Label(x_um, y_um, 0, 300))
+    return true, wrong
+
+
+def _label_by_keys(folder: Path, count: int) -> tuple[int, float]:
+    """Return the number of keys and the seconds in which the queue of drafts was labelled."""
+    application, window, workspace = _opened(folder)
+    page, keys = workspace.label_page, 0
+
+    def calm() -> bool:
+        p = workspace.presenter
+        return p is not None and p.present is not None and not (p.saving.busy or p.editing.waits)
+
+    def until(done: Callable[[], bool]) -> None:
+        end_s = time.monotonic() + 20
+        while not done() and time.monotonic() < end_s:
+            QTest.qWait(1)
+
+    def press(*pressed: Any) -> None:
+        nonlocal keys
+        for key in pressed:
+            QTest.keyClick(window.window.windowHandle(), key)
+            keys += 1
+        application.processEvents()
+        until(calm)
+
+    def badged() -> bool:
+        return any("off" in badge for badge in page.strip.badges)
+
+    def here() -> str:
+        present = workspace.presenter.present
+        return "" if present is None else present.item.entry.uuid
+
+    until(calm)
+    begun_s = time.monotonic()
+    for _ in range(count):
+        if workspace.presenter.present is None:
+            break
+        if badged():
+            press(Qt.Key.Key_M)
+        numbers = NUMBER.findall(page.scene_line.text())
+        if badged() and len(numbers) > 1:
+            text = ",".join(numbers[:2]).replace("\N{MINUS SIGN}", "-").replace("+", "")
+            press(*text, Qt.Key.Key_Return)
+        before = here()
+        press(Qt.Key.Key_Return)
+        until(lambda before=before: here() != before)  # type: ignore[misc]
+    taken_s = time.monotonic() - begun_s
+    window.quit_at_once()
+    window.close()
+    return keys, taken_s
 
 
 def _stated(name: str, times_ms: list[float], shares: tuple[int, ...], note: str) -> list[Figure]:

@@ -1,8 +1,9 @@
-"""Child that measures a window beside a simulated bench: ``python -m`` it ``soak`` or ``start``.
+"""Child that measures a window beside a simulated bench: ``python -m`` it with one of the words.
 
 ``soak``: many simulated minutes on a stepped bench, with all pages in turn. ``start``: from the
-command to live pictures, then again in the same process with every module imported. Prints one JSON
-object.
+command to live pictures, then again in the same process with every module imported. ``pages``:
+change of page and dragging of pictures. ``rest``: memory and processor time without a run.
+``load`` and seconds: frame times beside a live run. Prints one JSON object.
 """
 
 import gc
@@ -11,20 +12,24 @@ import sys
 import tempfile
 import threading
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import psutil
-from PySide6.QtCore import QDeadlineTimer, QEventLoop, QTimer
+from PySide6.QtCore import QDeadlineTimer, QEvent, QEventLoop, QObject, QPoint, QPointF, Qt, QTimer
+from PySide6.QtGui import QMouseEvent
+from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication
 from shiboken6 import isValid
 
 from touchdown.app.application import TouchdownApp
 from touchdown.app.shell.errors import ErrorBox
 from touchdown.app.stack.workspace import StackWorkspace
-from touchdown.app.start import open_simulated_bench
+from touchdown.app.start import THREAD_SWITCH_S, open_simulated_bench
 from touchdown.backend.bench.assembly import simulated_session
 from touchdown.backend.bench.session import STEP_US, Session
+from touchdown.backend.core import ActionChosen, Event
 from touchdown.backend.runs import RecordingOptions, RunState, SceneChoice, StackRequest
 from touchdown.widgets.base.freshness import PERIOD_MS
 
@@ -33,6 +38,11 @@ TICKS_A_STEP = 1e3 * STEP_S / PERIOD_MS
 PAGE_S, SAMPLE_S = 10.0, 10.0  # time per page; interval of the memory samples
 WARM_UP = 0.2  # share of the minutes in which caches may still fill
 START_MS = 60_000
+HEARTBEAT_MS = 10
+# More trials than any measurement lasts, so that trial changes are part of the load.
+TRIALS, FIRST_SEED = 500, 100
+RUN_UP_S, CHANGES, MOVES = 20.0, 60, 80  # simulated time before the pages; changes; moves a picture
+SETTLE_MS, IDLE_MS = 10_000, 20_000
 
 
 def _window(application: QApplication, folder: Path) -> TouchdownApp:
@@ -76,6 +86,7 @@ def soak(application: QApplication, folder: Path) -> dict[str, float]:
     return {
         "slope_mb_per_min": float(np.polyfit(at_min, memory[first:], 1)[0]),
         "memory_mb": memory[-1],
+        "pss_mb": _pss_mb(),
         "wall_s": wall_s,
         **pictures.per_second(),
         "threads_left": len(set(threading.enumerate()) - threads),
@@ -156,7 +167,213 @@ def _to_live(application: QApplication, folder: Path) -> float:
     return taken_s
 
 
+class Measurement(QObject):
+    """Waits for the bench, starts a long run, measures for ``seconds``, reports and quits."""
+
+    def __init__(
+        self, main: TouchdownApp, seconds: float, report: Callable[[dict[str, float]], None]
+    ) -> None:
+        super().__init__(main)
+        self._main, self._seconds, self._report = main, seconds, report
+        self._lags_ms: list[float] = []
+        self._latencies_ms: list[float] = []
+        self._due_s = 0.0
+        self._timer = QTimer(self)
+        self._timer.setTimerType(Qt.TimerType.PreciseTimer)
+        self._timer.timeout.connect(self._wait)
+        self._timer.start(HEARTBEAT_MS)
+        self._warm_s = 0.0
+
+    def _wait(self) -> None:
+        """Start the measurement two seconds after the run has begun."""
+        cards = self._main.cards
+        if self._main.bench is None and cards.codes:
+            text = cards.card(cards.codes[0]).text
+            sys.stderr.write(f"touchdown: {text.what} {text.next_step}\n")
+            self._timer.stop()
+            self._main.quit_at_once(1)
+        if self._main.bench is None:
+            return
+        if self._warm_s == 0.0:
+            self._main.bench.events.subscribe(self._take)
+            self._main.bench.start(StackRequest(trials=TRIALS, seed=FIRST_SEED))
+            self._warm_s = time.perf_counter() + 2.0
+        if time.perf_counter() < self._warm_s:
+            return
+        self._timer.timeout.disconnect(self._wait)
+        self._timer.timeout.connect(self._beat)
+        self._start_s = self._due_s = time.perf_counter()
+        self._thread_s, self._process = time.thread_time(), psutil.Process()
+        self._process_s = sum(self._process.cpu_times()[:2])
+        self._counts = self._paints()
+
+    def _take(self, event: Event) -> None:
+        """Record a decision. Runs on the thread of the bench, so it only appends."""
+        if isinstance(event, ActionChosen):
+            self._latencies_ms.append(event.latency_ms)
+
+    def _beat(self) -> None:
+        now_s = time.perf_counter()
+        self._due_s += HEARTBEAT_MS * 1e-3
+        self._lags_ms.append(max(0.0, 1e3 * (now_s - self._due_s)))
+        if now_s > self._due_s:
+            self._due_s = now_s
+        if now_s - self._start_s >= self._seconds:
+            self._timer.stop()
+            self._finish(now_s - self._start_s)
+
+    def _paints(self) -> tuple[int, int, int]:
+        stack = self._main.workspaces["stack"]
+        assert isinstance(stack, StackWorkspace)
+        assert stack.live is not None
+        shown = stack.live.frames_shown
+        return shown["left"], shown["right"], stack.page.force.paints
+
+    def _finish(self, wall_s: float) -> None:
+        left, right, traces = (
+            (after - before) / wall_s
+            for after, before in zip(self._paints(), self._counts, strict=True)
+        )
+        lags = np.array(self._lags_ms)
+        thread = time.thread_time() - self._thread_s
+        process = sum(self._process.cpu_times()[:2]) - self._process_s
+        self._report(
+            {
+                "seconds": round(wall_s, 2),
+                "window_cpu_percent": round(100 * thread / wall_s, 1),
+                "process_cpu_percent": round(100 * process / wall_s, 1),
+                "tactile_left_fps": round(left, 1),
+                "tactile_right_fps": round(right, 1),
+                "traces_fps": round(traces, 1),
+                "lag_p50_ms": round(float(np.percentile(lags, 50)), 2),
+                "lag_p99_ms": round(float(np.percentile(lags, 99)), 2),
+                "lag_max_ms": round(float(lags.max()), 2),
+                **_decisions(self._latencies_ms),
+                "memory_mb": round(self._process.memory_info().rss / 1e6, 1),
+                "pace": round(self._main.pace, 3),
+            }
+        )
+        self._main.quit_at_once()
+
+
+def _decisions(latencies_ms: list[float]) -> dict[str, float]:
+    """Return count, median, 99th percentile and maximum; only the count if there were none."""
+    if not latencies_ms:
+        return {"decisions": 0}
+    p50, p99 = np.percentile(latencies_ms, [50, 99])
+    return {
+        "decisions": len(latencies_ms),
+        "decision_p50_ms": round(float(p50), 2),
+        "decision_p99_ms": round(float(p99), 2),
+        "decision_max_ms": round(max(latencies_ms), 2),
+    }
+
+
+def load(application: QApplication, folder: Path) -> dict[str, float]:
+    """Return frame times, processor time and decisions beside a live run of some seconds."""
+    sys.setswitchinterval(THREAD_SWITCH_S)
+    main = _window(application, folder)
+    main.start()
+    main.window.resize(1600, 940)
+    main.go("stack")
+    main.connect_bench(open_simulated_bench)
+    answers: list[dict[str, float]] = []
+    Measurement(main, float(sys.argv[2]), answers.append)
+    application.exec()
+    main.close()
+    return answers[0]
+
+
+def pages(application: QApplication, folder: Path) -> dict[str, float]:
+    """Return the 95th percentiles of a page change, and of a move of the pointer in a picture."""
+    session = simulated_session(keep=RecordingOptions(folder / "runs"))
+    session.prepare(SceneChoice())
+    session.open = lambda speed=1.0: None  # type: ignore[method-assign]
+    main = _window(application, folder)
+    main.window.resize(1600, 940)
+    main.window.show()
+    main.attach(session)
+    session.start(StackRequest(trials=20, seed=100))
+    pictures, changes, moves = _Pictures(main), [], []
+    for step in range(round(RUN_UP_S / STEP_S)):
+        _step(main, session, step, pictures)
+    for turn in range(CHANGES):
+        name = list(main.workspaces)[turn % len(main.workspaces)]
+        changes.append(_timed_ms(application, lambda name=name: main.go(name)))
+        for step in range(5):
+            _step(main, session, step + 1, pictures)
+    main.go("stack")
+    stack = main.workspaces["stack"]
+    assert isinstance(stack, StackWorkspace)
+    for view in (stack.page.belief, *stack.page.tactile.values()):
+        view.zoom_by(2.0)
+        centre, button = view.rect().center(), Qt.MouseButton.LeftButton
+        QTest.mousePress(view, button, Qt.KeyboardModifier.NoModifier, centre)
+        for turn in range(MOVES):
+            at = centre + QPoint(turn % 40 - 20, turn % 30 - 15)
+            place, map_to = QPointF(at), QPointF(view.mapToGlobal(at))
+            event = QMouseEvent(QEvent.Type.MouseMove, place, map_to, Qt.MouseButton.NoButton,
+                                button, Qt.KeyboardModifier.NoModifier)  # fmt: skip
+            moves.append(
+                _timed_ms(application, lambda e=event, v=view: application.sendEvent(v, e))
+            )
+        QTest.mouseRelease(view, button, Qt.KeyboardModifier.NoModifier, centre)
+    _close(application, main)
+    found = {"change": changes[len(main.workspaces) :], "drag": moves}
+    return {f"{name}_p95_ms": float(np.percentile(ms, 95)) for name, ms in found.items()}
+
+
+def _timed_ms(application: QApplication, act: Callable[[], object]) -> float:
+    """Return the time of ``act`` with the painting that follows."""
+    begun_s = time.perf_counter()
+    act()
+    application.processEvents()
+    return 1e3 * (time.perf_counter() - begun_s)
+
+
+def _processes() -> list[psutil.Process]:
+    me = psutil.Process()
+    return [me, *me.children(recursive=True)]
+
+
+def _pss_mb() -> float:
+    return sum(one.memory_full_info().pss for one in _processes()) / 1e6
+
+
+def rest(application: QApplication, folder: Path) -> dict[str, float]:
+    """Return memory and share of one core of all processes, without a run, then minimised."""
+    main = _window(application, folder)
+    main.start()
+    main.go("operate")
+    main.connect_bench(open_simulated_bench)
+    _wait(application, lambda: main.bench is not None, START_MS)
+    _wait(application, lambda: False, SETTLE_MS)
+    idle, pss_mb = _share_percent(application), _pss_mb()
+    main.window.showMinimized()
+    minimised = _share_percent(application)
+    main.quit_at_once()
+    _close(application, main)
+    return {"idle_percent": idle, "minimised_percent": minimised, "pss_mb": pss_mb}
+
+
+def _share_percent(application: QApplication) -> float:
+    def used_s() -> float:
+        return sum(sum(one.cpu_times()[:2]) for one in _processes())
+
+    begun_s, before_s = time.monotonic(), used_s()
+    _wait(application, lambda: False, IDLE_MS)
+    return 100 * (used_s() - before_s) / (time.monotonic() - begun_s)
+
+
+def _wait(application: QApplication, done: Callable[[], bool], most_ms: int) -> None:
+    until = QDeadlineTimer(most_ms)
+    while not done() and not until.hasExpired():
+        application.processEvents(QEventLoop.ProcessEventsFlag.WaitForMoreEvents, 50)
+
+
 if __name__ == "__main__":
     with tempfile.TemporaryDirectory() as name:
-        answer = {"soak": soak, "start": start}[sys.argv[1]](QApplication([]), Path(name))
+        modes = {"soak": soak, "start": start, "pages": pages, "rest": rest, "load": load}
+        measure = modes[sys.argv[1]]
+        answer = measure(QApplication([]), Path(name))
     sys.stdout.write(json.dumps(answer) + "\n")

@@ -5,8 +5,10 @@ used.
 """
 
 import argparse
+import collections
 import json
 import os
+import re
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
@@ -19,11 +21,12 @@ from PySide6.QtCore import QBuffer, QDeadlineTimer, QEventLoop
 from PySide6.QtGui import QPainter
 from PySide6.QtWidgets import QApplication
 
-from tests import screen_faults, screen_panels, screen_states
+from tests import screen_check, screen_panels, screen_states
 from tests.app.label.conftest import make_episode
 from tests.app.stand_in import StandInBench
 from tests.picture_files import PictureFiles, run_reporting
 from touchdown.app.application import TouchdownApp
+from touchdown.app.shell import count_noun
 from touchdown.app.shell.errors import ErrorBox
 from touchdown.backend.annotations import AnswerContext, Dataset, EpisodeContext, Label
 from touchdown.backend.core.values import Outcome, PlaceAction
@@ -42,6 +45,7 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--sizes", nargs="*", default=[f"{w}x{h}" for w, h in SIZES])
     parser.add_argument("--scale", default="1", help="device pixels per pixel: 1, 1.25, 1.5, 2")
     parser.add_argument("--only", nargs="*", default=[""], help="states whose name begins so")
+    parser.add_argument("--check", action="store_true", help="check all sizes and scales instead")
     args = parser.parse_args(argv)
     return run_reporting(lambda: _render_in_a_folder(args))
 
@@ -55,7 +59,7 @@ def _render_in_a_folder(args: argparse.Namespace) -> int:
             os.environ[name] = folder
         if os.environ["QT_QPA_PLATFORM"] == "offscreen":
             _use_large_screen(Path(folder) / "screen.json")
-        return _render(args, Path(folder), files)
+        return (_check if args.check else _render)(args, Path(folder), files)
 
 
 def _use_large_screen(file: Path) -> None:
@@ -85,6 +89,35 @@ def _render(args: argparse.Namespace, folder: Path, files: dict[str, PictureFile
             stage.close()
     sys.stdout.write(f"{count} pictures in {args.out}\n")
     return 0
+
+
+def _check(args: argparse.Namespace, folder: Path, _files: dict[str, PictureFiles]) -> int:
+    """Print the failures of each theme and state at each size and scale, and their count.
+
+    One line names a failure, the number of views that show it, and the first of them.
+    """
+    application, views = QApplication([]), 0
+    _make_dataset(folder / "dataset")
+    screen_panels.train_models(folder / "packs")
+    found = collections.defaultdict[str, list[str]](list)
+    for theme in args.themes:
+        stage = Stage(application, folder / theme, theme)
+        for state in stage.states():
+            if not state.startswith(tuple(args.only)):
+                continue
+            for name, size, whole in screen_check.logical_sizes():
+                for line in screen_check.view_failures(stage.main.window, size, whole=whole):
+                    found[re.sub(r"\d+(x\d+)? (of \d+ )?px", "px", line)].append(
+                        f"{theme} {name} {state}: {line}"
+                    )
+                views += 1
+            stage.main.window.resize(*screen_check.STARTS)
+            stage.settle()
+        stage.close()
+    for _, places in sorted(found.items()):
+        sys.stdout.write(f"{places[0]} ({count_noun(len(places), 'view')})\n")
+    sys.stdout.write(f"{count_noun(len(found), 'failure')} in {views} views\n")
+    return 1 if found else 0
 
 
 def _make_dataset(folder: Path) -> None:
@@ -173,7 +206,7 @@ class Stage:
         yield from screen_states.of_a_run(self)
         yield from screen_panels.attended(self)
         yield from self._faults()
-        yield from screen_faults.of_faults(self)
+        yield from screen_states.of_faults(self)
         yield from screen_panels.pauses(self)
         yield from self._dialogs()
         yield from screen_panels.sheets(self, self.folder)

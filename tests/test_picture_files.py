@@ -1,11 +1,16 @@
-"""Pictures of the documents survive a disk that takes no more of them."""
+"""Pictures of the documents survive a full disk, and ``make screens CHECK=1`` finds misfits."""
 
 from pathlib import Path
 
 import pytest
+from PySide6.QtCore import QRectF, QSize, Qt
+from PySide6.QtGui import QPainter
+from PySide6.QtWidgets import QComboBox, QLabel, QPushButton, QWidget
 
 from tests import pictures, screens
 from tests.picture_files import PictureFiles, run_reporting
+from tests.screen_check import view_failures
+from touchdown.widgets.base import ElidedLabel, scroll_area
 
 
 @pytest.fixture
@@ -57,3 +62,51 @@ def test_a_folder_that_cannot_be_written_is_reported_before_anything_is_drawn(
 def test_a_bug_shows_its_trace(capsys):
     assert run_reporting(lambda: 1 // 0) == 1
     assert "ZeroDivisionError" in capsys.readouterr().out
+
+
+class Painted(QWidget):
+    def paintEvent(self, _event):  # noqa: N802
+        painter = QPainter(self)
+        painter.drawText(QRectF(5, 0, 60, 20), int(Qt.AlignmentFlag.AlignLeft), "0.25")
+        painter.drawText(QRectF(15, 2, 60, 20), int(Qt.AlignmentFlag.AlignLeft), "0.50")
+        painter.drawText(QRectF(0, 40, 30, 20), int(Qt.AlignmentFlag.AlignLeft), "1234.5 mm")
+
+
+def test_the_check_of_the_screens_finds_what_does_not_fit(qtbot):
+    window = QWidget()
+    qtbot.addWidget(window)
+
+    def put(widget, *place):
+        widget.setParent(window)
+        widget.setGeometry(*place)
+        widget.show()
+        return widget
+
+    put(QLabel("wide enough"), 0, 0, 200, 30)
+    assert view_failures_of(window) == []
+    put(QLabel("146 mm"), 0, 40, 20, 30)
+    put(QPushButton("Calibrate"), 0, 80, 20, 30)
+    combo = put(QComboBox(), 0, 120, 40, 30)
+    combo.addItem("pick-and-place")
+    put(ElidedLabel("muted"), 0, 160, 60, 30).setText("trial 1 of 1, probe 12")
+    put(QPushButton("Far"), 390, 0, 80, 30)
+    put(QPushButton("One"), 100, 200, 80, 30)
+    put(QPushButton("Two"), 150, 210, 80, 30)
+    put(Painted(), 200, 100, 100, 100)
+    inside = QPushButton("Reached by scrolling")
+    inside.setMinimumSize(200, 600)
+    put(scroll_area(inside), 100, 250, 280, 40)
+    found = view_failures_of(window)
+    for words in (
+        "elided: 'trial 1 of 1, probe 12'", "cut off: QLabel '146 mm'", "cut off: QPushButton 'Cal",
+        "'pick-and-place' needs", "off the screen: QPushButton 'Far' by 70 px",
+        "overlap: QPushButton 'One' and QPushButton 'Two'", "overlap: painted '0.25' and '0.50'",
+        "cut off: painted '1234.5 mm'",
+    ):  # fmt: skip
+        assert sum(words in line for line in found) == 1, (words, found)
+    assert len(found) == 8
+
+
+def view_failures_of(window):
+    window.show()
+    return view_failures(window, QSize(400, 300))

@@ -21,6 +21,7 @@ from touchdown.widgets.plots import SPANS_S, TracesPanel
 from touchdown.widgets.views import LOOKS, BeliefPanel, SideView
 
 TRACES, BENCH = "Force and moment", "Bench to scale"
+LEAST_PX = 150, 112  # heights of belief map and bench, which all fit into 1280x720
 
 
 class OperatePage(LivePage):
@@ -48,6 +49,8 @@ class OperatePage(LivePage):
         self.side_panel = Panel(BENCH, self.side)
         self.belief, self.legend = self.belief_panel.view, self.belief_panel.legend
         self.maps = self.belief_panel.maps
+        for view, least_px in zip((self.belief, self.side), LEAST_PX, strict=True):
+            view.setMinimumHeight(least_px)
         self.looks = compact_combo_box([text for _, text in LOOKS], "What the tactile views show")
         self.baseline = flat_button("Baseline", "Take a new tactile reference, in air (B)")
         self.span = compact_combo_box([f"{span:.0f} s" for span in SPANS_S], "Length of the traces")

@@ -38,7 +38,7 @@ from touchdown.widgets.base import (
 )
 from touchdown.widgets.shell import BenchBanner, FaultCards, TopBar
 
-LEAST_EM, MOST_EM = (62, 34.5), (74, 38)  # limits of the minimum size of a page, which else scrolls
+LEAST_EM, MOST_EM = (62, 34.5), (74, 39)  # limits of the minimum size of a page, which else scrolls
 USUAL = QSize(1600, 940)
 RAIL_GAP_PX, RAIL_MARGIN_PX = 4, 8
 FOOT_OF_RAIL = (("layouts", "Layout"), ("theme", "Theme"), ("keys", "Keys"))
@@ -74,7 +74,9 @@ class MainWindow(QMainWindow):
         body = QWidget()
         # Below the page: what is above a new card keeps its place under the hand.
         vbox((self._stack, 1), cards, parent=body, margins=(0, 0, 0, 0), spacing=0)
-        self._rail_frame = self._rail()
+        self._rail_frame = scroll_area(self._rail())
+        self._rail_frame.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+        self._rail_frame.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
         middle = hbox(self._rail_frame, (body, 1), spacing=0)
         frame = self._frame = QWidget()
         frame.setObjectName("frame")
@@ -158,13 +160,18 @@ class MainWindow(QMainWindow):
 
     def _fit_rail(self) -> None:
         full = Qt.ToolButtonStyle.ToolButtonTextUnderIcon
+        frame = self._rail_frame
         for style in (full, Qt.ToolButtonStyle.ToolButtonTextOnly):
             for button in self.rail.values():
                 button.setToolButtonStyle(style)
             needed = sum(button.sizeHint().height() + RAIL_GAP_PX for button in self.rail.values())
             taken = self._bar.sizeHint().height() + self._foot_frame.sizeHint().height()
-            if needed + 2 * RAIL_MARGIN_PX <= self.height() - taken:
-                return
+            fits = needed + 2 * RAIL_MARGIN_PX <= self.height() - taken
+            if fits:
+                break
+        # Where even the texts are too high, the rail scrolls.
+        bar_px = 0 if fits else frame.verticalScrollBar().sizeHint().width()
+        frame.setFixedWidth(frame.widget().sizeHint().width() + bar_px)
 
     def _fit_columns(self, page: QWidget) -> None:
         """Give a page room; show its controls first where it is wider than the window."""

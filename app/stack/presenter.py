@@ -183,6 +183,8 @@ class StackPresenter:
         if text and status.phase:
             text += f", probe {status.probe}: {status.phase}" if status.probe else ""
         self._page.run.detail.setText(text)
+        # Leaves the width of the header to the progress.
+        self._page.add_piece.setVisible(not active)
 
     def _draw_question(self, status: RunStatus) -> None:
         asking, button = "", "Approve  A"
@@ -236,7 +238,7 @@ class StackPresenter:
     def _draw_map(self) -> None:
         trial, belief = self._shown_trial(), self._page.belief
         if trial is None or not trial.probes:
-            scene, detail = BeliefScene() if trial is None else unprobed_scene(trial), ""
+            scene, detail = BeliefScene() if trial is None else unprobed_scene(trial), ("", "")
             changed = belief.scene.belief is not None or belief.scene.empty != scene.empty
         else:
             look = trial.probes[self._index(trial)]
@@ -247,7 +249,9 @@ class StackPresenter:
         self._page.legend.show_truth(
             scene.truth is not None, weighed=scene.com_sigma_mm is not None
         )
-        self._page.belief_panel.detail.setText(detail)
+        text, tip = detail
+        self._page.belief_panel.detail.setText(text)
+        self._page.belief_panel.detail.setToolTip(tip)
 
     def _draw_strip(self) -> None:
         trial = self._shown_trial()
@@ -334,13 +338,13 @@ def stack_request(form: RunForm) -> StackRequest:
     )
 
 
-def _belief_detail(scene: BeliefScene, look: ProbeStory) -> str:
+def _belief_detail(scene: BeliefScene, look: ProbeStory) -> tuple[str, str]:
+    """Return the line above the map and its tool tip."""
     if scene.belief is None:
-        return ""
+        return "", ""
     largest = float(scene.belief.probability.max())
     text = f"probe {look.probe}, largest p {largest:.2f}"
     if look.stability is not None:
         text += ", judged from the patch" if look.stability.source == "patch" else ""
-    if look.latency_ms is not None:
-        text += f", {look.latency_ms:.1f} ms"
-    return text
+    tip = "" if look.latency_ms is None else f"decided in {look.latency_ms:.1f} ms"
+    return text, tip

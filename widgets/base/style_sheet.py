@@ -54,7 +54,7 @@ QPushButton[role="stop"]:hover {{ background: {pill_red}; }}
 QPushButton[role="stop"]:pressed {{ background: {on_light}; }}
 QToolButton[role="rail"] {{ background: transparent; border: 2px solid transparent;
     border-left-width: 3px; border-radius: 6px; padding: 4px 0;
-    color: {muted}; font-size: {small}pt; min-height: 40px; }}
+    color: {muted}; font-size: {small}pt; min-height: 24px; }}
 QToolButton[role="rail"]:hover {{ background: {raised}; color: {text}; }}
 QToolButton[role="rail"]:checked {{ background: {raised}; color: {text}; font-weight: 600;
     border-left-color: {focus}; border-radius: 3px; }}

@@ -334,11 +334,18 @@ class GridPainter:
         self.painter.drawText(box, int(Qt.AlignmentFlag.AlignHCenter), text)
 
     def grid(self, count: int, line: str = "grid", gap: float = 2.0) -> None:
-        """Draw about ``count`` lines each way with their values."""
-        area = self.area
-        step = nice_step(area.x1 - area.x0, count)
-        for value in ticks(area.x0, area.x1, count):
-            self.column(value, tick_text(value, step), line, gap)
+        """Draw about ``count`` lines each way with their values, fewer where they would touch."""
+        area, metrics = self.area, self.painter.fontMetrics()
+        while True:
+            step = nice_step(area.x1 - area.x0, count)
+            texts = {value: tick_text(value, step) for value in ticks(area.x0, area.x1, count)}
+            widest = max(map(metrics.horizontalAdvance, texts.values()), default=0)
+            room = step / (area.x1 - area.x0) * area.rect.width()
+            if count == 1 or room >= widest + metrics.averageCharWidth():
+                break
+            count -= 1
+        for value, text in texts.items():
+            self.column(value, text, line, gap)
         for value in ticks(area.y0, area.y1, count):
             self.row(value, tick_text(value, step), line)
 

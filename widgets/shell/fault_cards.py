@@ -6,9 +6,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from PySide6.QtCore import QEvent, QObject, Qt
-from PySide6.QtGui import QGuiApplication, QKeyEvent
+from PySide6.QtGui import QGuiApplication, QKeyEvent, QResizeEvent
 from PySide6.QtWidgets import (
     QApplication,
+    QBoxLayout,
     QFrame,
     QPlainTextEdit,
     QPushButton,
@@ -27,6 +28,7 @@ from touchdown.widgets.base import (
 )
 
 MAX_CARDS = 4
+LEAST_EM = 46  # width of a card with its buttons beside the text, in heights of the font
 ANSWER_EM = 9  # least width of an answer, so that each has its place
 STOPPED = "STOPPED"  # code of the card of a stop, always on top
 
@@ -124,7 +126,7 @@ class FaultCard(QFrame):
         words.addWidget(self._foot)
         shown = self._details
         details = self._button("Details", lambda: shown.setVisible(shown.isHidden()))
-        row = hbox((words, 1), self.more, self.fold, details, self._button("Copy", self._copy))
+        row = hbox(1, self.more, self.fold, details, self._button("Copy", self._copy))
         if self.text.offer is not None:
             self.offer = self._button(self.text.offer[0], self._accept)
             self.offer.setProperty("role", "primary")
@@ -135,7 +137,16 @@ class FaultCard(QFrame):
             end.setProperty("role", "reset")
             end.setToolTip("Clear the latched faults and the stop. Nothing starts to move.")
         row.addWidget(end)
-        vbox(row, self._details, parent=self, margins=(12, 8, 10, 8))
+        self._line = QBoxLayout(QBoxLayout.Direction.LeftToRight)
+        add_items(self._line, (words, 1), row)
+        vbox(self._line, self._details, parent=self, margins=(12, 8, 10, 8))
+
+    def resizeEvent(self, event: QResizeEvent) -> None:
+        """Put the buttons below the text of a narrow card."""
+        super().resizeEvent(event)
+        way = QBoxLayout.Direction
+        wide = self.width() > LEAST_EM * self.fontMetrics().height()
+        self._line.setDirection(way.LeftToRight if wide else way.TopToBottom)
 
     def _button(self, text: str, slot: Callable[[], None]) -> QPushButton:
         button = QPushButton(text)

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from PySide6.QtCore import QLineF, QRectF
 from PySide6.QtGui import QColor, QImage, QPainter, QPen
 
+from tests.screen_check import PaintRecorder
 from tests.widgets.views.test_belief import force, is_colour, pixels
 from touchdown.widgets.base import signed
 from touchdown.widgets.plots import (
@@ -20,7 +21,7 @@ from touchdown.widgets.plots import (
     tick_text,
     ticks,
 )
-from touchdown.widgets.plots.axes import TraceBuckets, spread_labels
+from touchdown.widgets.plots.axes import GridPainter, TraceBuckets, spread_labels
 from touchdown.widgets.views import tactile
 from touchdown.widgets.views.tactile import DimmedPicture
 
@@ -61,6 +62,17 @@ def test_tick_text_has_a_true_minus_and_the_decimals_of_its_step():
     assert tick_text(-0.1, 0.05) == "\N{MINUS SIGN}0.10"
     assert tick_text(10, 5) == "10"
     assert (tick_text(-0.001, 0.5), signed(-0.001)) == ("0.0", "+0.00")  # zero is not negative
+
+
+@pytest.mark.parametrize("side", [40, 70, 110, 300])
+def test_the_labels_of_a_grid_never_touch(theme, side):
+    image, drawn = QImage(500, 400, QImage.Format.Format_RGB32), PaintRecorder()
+    area = PlotArea(QRectF(60, 10, side, side), -0.034, 0.021, -0.034, 0.021)
+    with drawn(), QPainter(image) as painter:
+        GridPainter(painter, area, theme.tokens).grid(4, line="")
+    below = [one.box for one in drawn.painted if one.box.top() > area.rect.bottom()]
+    assert below
+    assert all(a.right() < b.left() for a, b in pairwise(below))
 
 
 def test_the_area_maps_corners_to_corners():

@@ -1,0 +1,334 @@
+"""Find texts cut off, overlaps and controls out of reach in a window (``make screens CHECK=1``).
+
+Sizes are those of a screen in physical pixels; a scale divides them into logical ones. Painted
+texts are those that Python code draws; elided texts count where digits are lost.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from itertools import combinations, product
+from typing import Any
+from unittest import mock
+
+from PySide6.QtCore import QPoint, QPointF, QRect, QRectF, QSize, Qt
+from PySide6.QtGui import QFontMetrics, QFontMetricsF, QPainter
+from PySide6.QtWidgets import (
+    QAbstractButton,
+    QAbstractItemView,
+    QAbstractScrollArea,
+    QApplication,
+    QComboBox,
+    QFileDialog,
+    QHeaderView,
+    QLabel,
+    QLineEdit,
+    QMenu,
+    QPushButton,
+    QScrollBar,
+    QSizeGrip,
+    QSpinBox,
+    QSplitterHandle,
+    QStyle,
+    QStyleOptionButton,
+    QTableView,
+    QToolButton,
+    QWidget,
+)
+
+from touchdown.widgets.base import ElidedLabel
+
+SIZES = ((800, 600), (1024, 768), (1280, 720), (1366, 768), (1600, 940), (2560, 1440))
+SCALES = (1.0, 1.25, 1.5, 2.0)
+STARTS = (1600, 940)  # size of the window in which the states arise
+STATE_AND_STOP = (800, 600)  # only these two have to be visible at this size
+SLACK_PX = 2
+ARROW_PX, MOST_DIGITS, MOST_ROWS = 22, 16, 12
+TOUCH_PX = 1.5  # texts whose boxes overlap by less do not touch
+DIGIT = re.compile(r"\d")
+SCROLLS = Qt.ScrollBarPolicy.ScrollBarAlwaysOff
+
+
+@dataclass(frozen=True, slots=True)
+class PaintedText:
+    """One call of ``drawText``: the device, the box of the text on it, and the text."""
+
+    device: object
+    box: QRectF
+    text: str
+    cut: bool
+
+
+class PaintRecorder:
+    """Records the texts that are painted or elided while it is active."""
+
+    def __init__(self) -> None:
+        self.painted: list[PaintedText] = []
+        self.elided: set[tuple[str, str]] = set()
+
+    @contextmanager
+    def __call__(self) -> Iterator[None]:
+        draw = QPainter.drawText
+
+        def draw_text(painter: QPainter, *args: Any) -> Any:
+            self._note(painter, args)
+            return draw(painter, *args)
+
+        with (
+            mock.patch.object(QPainter, "drawText", draw_text),
+            mock.patch.object(QFontMetrics, "elidedText", self._eliding(QFontMetrics)),
+            mock.patch.object(QFontMetricsF, "elidedText", self._eliding(QFontMetricsF)),
+        ):
+            yield
+
+    def _eliding(self, kind: Any) -> Callable[..., str]:
+        elide = kind.elidedText
+
+        def elided_text(metrics: Any, text: str, *args: Any) -> str:
+            shown: str = elide(metrics, text, *args)
+            if shown != text:
+                self.elided.add((text, shown))
+            return shown
+
+        return elided_text
+
+    def _note(self, painter: QPainter, args: tuple[Any, ...]) -> None:
+        text = next(one for one in args if isinstance(one, str))
+        first, metrics = args[0], QFontMetricsF(painter.font())
+        room = None
+        if isinstance(first, QRect | QRectF):
+            room = QRectF(first)
+            flags = int(args[1]) if not isinstance(args[1], str) else 0
+            box = QRectF(painter.boundingRect(room, flags, text))
+            room = None if flags & int(Qt.TextFlag.TextDontClip) else room
+        else:
+            at = QPointF(first) if isinstance(first, QPoint | QPointF) else QPointF(*args[:2])
+            width = metrics.horizontalAdvance(text)
+            box = QRectF(at.x(), at.y() - metrics.ascent(), width, metrics.height())
+        cut = room is not None and box.width() > room.width() + SLACK_PX
+        if text.strip():
+            box = painter.combinedTransform().mapRect(box)
+            self.painted.append(PaintedText(painter.device(), box, text, cut))
+
+
+def logical_sizes() -> Iterator[tuple[str, QSize, bool]]:
+    """Yield name, size in logical pixels and whether the whole window is checked there."""
+    for width, height in SIZES:
+        for scale in SCALES:
+            size = QSize(int(width / scale), int(height / scale))
+            yield f"{width}x{height}@{scale:g}", size, (width, height) != STATE_AND_STOP
+
+
+def view_failures(window: QWidget, size: QSize, *, whole: bool = True) -> list[str]:
+    """Resize a window to a screen of ``size`` and return what is wrong there, one line each.
+
+    ``whole`` False: only state and STOP of the top bar are looked at.
+    """
+    recorder = PaintRecorder()
+    tops = [one for one in QApplication.topLevelWidgets() if one.isVisible() and one is not window]
+    with recorder():
+        window.resize(size)
+        for top in tops:
+            usual = top.property("usual") or top.size()
+            top.setProperty("usual", usual)
+            top.resize(usual.boundedTo(size))
+        for _ in range(3):
+            QApplication.processEvents()
+        drawn = [one for one in recorder.painted if not isinstance(one.device, QWidget)]
+        recorder.painted[:] = drawn
+        window.grab()
+        for top in tops:
+            top.grab()
+    screen = QRect(QPoint(), size)
+    if not whole:
+        bar = window._bar  # type: ignore[attr-defined]
+        return [line for part in (bar.pill, bar.stop) for line in _reach(part, window, screen)]
+    found = list(_painted_failures(recorder))
+    for top in (window, *tops):
+        if not isinstance(top, QMenu | QFileDialog):
+            found += _widget_failures(top, screen)
+    return list(dict.fromkeys(found))
+
+
+def _widget_failures(top: QWidget, screen: QRect) -> Iterator[str]:
+    for widget in (top, *top.findChildren(QWidget)):
+        if not widget.isVisible() or widget.window() is not top:
+            continue
+        if _is_control(widget):
+            yield from _reach(widget, top, screen)
+        yield from _cut(widget)
+        yield from _overlaps(widget)
+
+
+def _name(widget: QWidget) -> str:
+    text = getattr(widget, "text", None)
+    words = text() if callable(text) else ""
+    words = words or widget.accessibleName() or widget.objectName()
+    return f"{type(widget).__name__} '{' '.join(str(words).split())[:60]}'"
+
+
+def _is_control(widget: QWidget) -> bool:
+    kinds = QAbstractButton | QComboBox | QLineEdit | QSpinBox
+    if isinstance(widget, QScrollBar | QHeaderView | QSplitterHandle):
+        return False
+    inner = isinstance(widget.parentWidget(), QComboBox | QSpinBox | QLineEdit)
+    return not inner and (
+        isinstance(widget, kinds) or bool(widget.focusPolicy() & Qt.FocusPolicy.TabFocus)
+    )
+
+
+def _reach(widget: QWidget, top: QWidget, screen: QRect) -> Iterator[str]:
+    """Yield a line if a part of the widget can be neither seen nor reached by scrolling."""
+    rect, at = widget.rect(), widget
+    while at is not top:
+        rect, at = rect.translated(at.pos()), at.parentWidget()
+        area = at.parentWidget()
+        room = at.rect()
+        if isinstance(area, QAbstractScrollArea) and at is area.viewport():
+            # Scrolled into view: only what is larger than the viewport is lost.
+            if area.horizontalScrollBarPolicy() != SCROLLS or _inside(area.horizontalScrollBar()):
+                rect = QRect(0, rect.y(), min(rect.width(), room.width()), rect.height())
+            if area.verticalScrollBarPolicy() != SCROLLS:
+                rect = QRect(rect.x(), 0, rect.width(), min(rect.height(), room.height()))
+        elif at is top:
+            room = room.intersected(screen)
+        seen = rect.intersected(room)
+        lost = max(rect.width() - seen.width(), rect.height() - seen.height())
+        if lost > SLACK_PX and not rect.isEmpty():
+            yield f"off the screen: {_name(widget)} by {lost} px, in {_name(at)}"
+            return
+
+
+def _inside(bar: QScrollBar) -> bool:
+    return bar.maximum() > bar.minimum()
+
+
+def _cut(widget: QWidget) -> Iterator[str]:
+    """Yield a line if the text of a standard widget does not fit it."""
+    if isinstance(widget, QLabel):
+        # What an elided label leaves out is recorded when it is painted.
+        yield from () if isinstance(widget, ElidedLabel) else _cut_label(widget)
+    elif isinstance(widget, QHeaderView | QTableView):
+        yield from _cut_cells(widget)
+    else:
+        text, needed, room = _line_of(widget)
+        if text.strip() and needed > room + SLACK_PX:
+            yield f"cut off: {_name(widget)}: '{text[:60]}' needs {needed} of {room} px"
+
+
+def _line_of(widget: QWidget) -> tuple[str, int, int]:
+    """Return text, its width and the room for it of a control of one line."""
+    metrics, text, room = widget.fontMetrics(), "", 0
+    if isinstance(widget, QPushButton):
+        option = QStyleOptionButton()
+        widget.initStyleOption(option)
+        part = QStyle.SubElement.SE_PushButtonContents
+        room = widget.style().subElementRect(part, option, widget).width()
+        room -= 0 if widget.icon().isNull() else widget.iconSize().width() + 4
+        text = widget.text()
+    elif isinstance(widget, QToolButton):
+        shown = widget.toolButtonStyle() != Qt.ToolButtonStyle.ToolButtonIconOnly
+        text, room = widget.text() if shown else "", widget.width() - 4
+    elif isinstance(widget, QComboBox):
+        text, room = widget.currentText(), widget.width() - ARROW_PX
+    elif isinstance(widget, QSpinBox):
+        text, room = widget.text(), widget.lineEdit().contentsRect().width()
+    elif isinstance(widget, QLineEdit) and len(widget.text()) < MOST_DIGITS:
+        text, room = widget.text(), widget.contentsRect().width()
+    return text, metrics.size(int(Qt.TextFlag.TextShowMnemonic), text).width(), room
+
+
+def _cut_cells(view: QHeaderView | QTableView) -> Iterator[str]:
+    model, along = view.model(), Qt.Orientation.Horizontal
+    cells: list[tuple[str, int, int]] = []
+    if model is None:
+        return
+    if isinstance(view, QTableView):
+        for row, at in product(range(min(model.rowCount(), MOST_ROWS)), range(model.columnCount())):
+            text = str(model.index(row, at).data() or "")
+            room = 0 if view.isColumnHidden(at) or not DIGIT.search(text) else view.columnWidth(at)
+            cells.append((text, view.fontMetrics().horizontalAdvance(text), room))
+    elif view.orientation() == along:
+        for at in range(view.count()):
+            text = str(model.headerData(at, along) or "")
+            room = 0 if view.isSectionHidden(at) else view.sectionSize(at)
+            cells.append((text, view.sectionSizeFromContents(at).width() - 8, room))
+    for text, needed, room in cells:
+        if room and text.strip() and needed > room + SLACK_PX:
+            yield f"cut off: cell of {_name(view)}: '{text[:60]}' needs {needed} of {room} px"
+
+
+def _cut_label(label: QLabel) -> Iterator[str]:
+    text, room = label.text(), label.contentsRect()
+    if not text.strip() or not label.pixmap().isNull():
+        return
+    if label.wordWrap():
+        needed = label.heightForWidth(label.width())
+        if needed > label.height() + SLACK_PX:
+            what = f"needs {needed} of {label.height()} px of height"
+            yield f"cut off: {_name(label)}: {what}"
+        return
+    size = label.fontMetrics().size(0, text)
+    if size.width() > room.width() + SLACK_PX:
+        yield f"cut off: {_name(label)}: needs {size.width()} of {room.width()} px"
+    elif size.height() > room.height() + 2 * SLACK_PX:
+        yield f"cut off: {_name(label)}: needs {size.height()} of {room.height()} px of height"
+
+
+def _overlaps(parent: QWidget) -> Iterator[str]:
+    if isinstance(parent, QAbstractScrollArea | QComboBox | QSpinBox | QLineEdit):
+        return
+    if isinstance(parent.parentWidget(), QAbstractItemView):
+        return
+    children = [
+        one for one in parent.children()
+        if isinstance(one, QWidget) and one.isVisible() and not one.isWindow()
+        and not isinstance(one, QSizeGrip | QSplitterHandle)
+        and not one.testAttribute(Qt.WidgetAttribute.WA_TransparentForMouseEvents)
+    ]  # fmt: skip
+    for one, other in combinations(children, 2):
+        shared = one.geometry().intersected(other.geometry())
+        if min(shared.width(), shared.height()) > SLACK_PX:
+            by_px = min(shared.width(), shared.height())
+            yield f"overlap: {_name(one)} and {_name(other)} by {by_px} px"
+
+
+def _painted_failures(recorder: PaintRecorder) -> Iterator[str]:
+    for text, shown in sorted(recorder.elided):
+        # Digits in what an ellipsis stands for.
+        begins, _, ends = shown.partition("\N{HORIZONTAL ELLIPSIS}")
+        if DIGIT.search(text[len(begins) : len(text) - len(ends)]):
+            yield f"elided: '{text}' to '{shown}'"
+    by_device: dict[int, list[PaintedText]] = {}
+    for one in recorder.painted:
+        by_device.setdefault(id(one.device), []).append(one)
+    for texts in by_device.values():
+        where = _place(texts[0].device)
+        unique = list({(one.text, one.box.toRect().getRect()): one for one in texts}.values())
+        for one in unique:
+            if one.cut or _leaves(one):
+                yield f"cut off: painted '{one.text[:60]}' on {where}"
+        for one, other in combinations(unique, 2):
+            if one.text != other.text and _touch(one.box, other.box):
+                yield f"overlap: painted '{one.text[:40]}' and '{other.text[:40]}' on {where}"
+
+
+def _leaves(one: PaintedText) -> bool:
+    if not isinstance(one.device, QWidget):
+        return False
+    room = QRectF(one.device.rect()).adjusted(-SLACK_PX, -3, SLACK_PX, 3)
+    return not room.contains(one.box)
+
+
+def _touch(one: QRectF, other: QRectF) -> bool:
+    # A font leaves room above and below its digits.
+    down = 0.2 * min(one.height(), other.height())
+    shared = one.intersected(other)
+    return shared.width() > TOUCH_PX and shared.height() > down + TOUCH_PX
+
+
+def _place(device: object) -> str:
+    return _name(device) if isinstance(device, QWidget) else "a picture"

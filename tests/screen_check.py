@@ -20,6 +20,7 @@ from PySide6.QtWidgets import (
     QAbstractButton,
     QAbstractItemView,
     QAbstractScrollArea,
+    QAbstractSpinBox,
     QApplication,
     QComboBox,
     QFileDialog,
@@ -30,9 +31,9 @@ from PySide6.QtWidgets import (
     QPushButton,
     QScrollBar,
     QSizeGrip,
-    QSpinBox,
     QSplitterHandle,
     QStyle,
+    QStyledItemDelegate,
     QStyleOptionButton,
     QTableView,
     QToolButton,
@@ -40,6 +41,7 @@ from PySide6.QtWidgets import (
 )
 
 from touchdown.widgets.base import ElidedLabel
+from touchdown.widgets.shell.tour import TourCard
 
 SIZES = ((800, 600), (1024, 768), (1280, 720), (1366, 768), (1600, 940), (2560, 1440))
 SCALES = (1.0, 1.25, 1.5, 2.0)
@@ -48,7 +50,7 @@ STATE_AND_STOP = (800, 600)  # only these two have to be visible at this size
 SLACK_PX = 2
 ARROW_PX, MOST_DIGITS, MOST_ROWS = 22, 16, 12
 TOUCH_PX = 1.5  # texts whose boxes overlap by less do not touch
-DIGIT = re.compile(r"\d")
+DIGIT = re.compile(r"(?<![A-Za-z\d])\d")  # no key such as F1
 SCROLLS = Qt.ScrollBarPolicy.ScrollBarAlwaysOff
 
 
@@ -134,6 +136,8 @@ def view_failures(window: QWidget, size: QSize, *, whole: bool = True) -> list[s
         for top in tops:
             usual = top.property("usual") or top.size()
             top.setProperty("usual", usual)
+            # As a sheet that is opened in a window of this size.
+            top.setMinimumWidth(min(top.minimumWidth(), size.width()))
             top.resize(usual.boundedTo(size))
         for _ in range(3):
             QApplication.processEvents()
@@ -171,10 +175,10 @@ def _name(widget: QWidget) -> str:
 
 
 def _is_control(widget: QWidget) -> bool:
-    kinds = QAbstractButton | QComboBox | QLineEdit | QSpinBox
+    kinds = QAbstractButton | QComboBox | QLineEdit | QAbstractSpinBox
     if isinstance(widget, QScrollBar | QHeaderView | QSplitterHandle):
         return False
-    inner = isinstance(widget.parentWidget(), QComboBox | QSpinBox | QLineEdit)
+    inner = isinstance(widget.parentWidget(), QComboBox | QAbstractSpinBox | QLineEdit | QTableView)
     return not inner and (
         isinstance(widget, kinds) or bool(widget.focusPolicy() & Qt.FocusPolicy.TabFocus)
     )
@@ -232,9 +236,9 @@ def _line_of(widget: QWidget) -> tuple[str, int, int]:
     elif isinstance(widget, QToolButton):
         shown = widget.toolButtonStyle() != Qt.ToolButtonStyle.ToolButtonIconOnly
         text, room = widget.text() if shown else "", widget.width() - 4
-    elif isinstance(widget, QComboBox):
+    elif isinstance(widget, QComboBox) and not widget.isEditable():
         text, room = widget.currentText(), widget.width() - ARROW_PX
-    elif isinstance(widget, QSpinBox):
+    elif isinstance(widget, QAbstractSpinBox):
         text, room = widget.text(), widget.lineEdit().contentsRect().width()
     elif isinstance(widget, QLineEdit) and len(widget.text()) < MOST_DIGITS:
         text, room = widget.text(), widget.contentsRect().width()
@@ -247,6 +251,8 @@ def _cut_cells(view: QHeaderView | QTableView) -> Iterator[str]:
     if model is None:
         return
     if isinstance(view, QTableView):
+        if type(view.itemDelegate()) is not QStyledItemDelegate:
+            return  # recorded when it is painted
         for row, at in product(range(min(model.rowCount(), MOST_ROWS)), range(model.columnCount())):
             text = str(model.index(row, at).data() or "")
             room = 0 if view.isColumnHidden(at) or not DIGIT.search(text) else view.columnWidth(at)
@@ -255,7 +261,8 @@ def _cut_cells(view: QHeaderView | QTableView) -> Iterator[str]:
         for at in range(view.count()):
             text = str(model.headerData(at, along) or "")
             room = 0 if view.isSectionHidden(at) else view.sectionSize(at)
-            cells.append((text, view.sectionSizeFromContents(at).width() - 8, room))
+            widest = max(map(view.fontMetrics().horizontalAdvance, text.split("\n")))
+            cells.append((text, widest, room))
     for text, needed, room in cells:
         if room and text.strip() and needed > room + SLACK_PX:
             yield f"cut off: cell of {_name(view)}: '{text[:60]}' needs {needed} of {room} px"
@@ -279,14 +286,14 @@ def _cut_label(label: QLabel) -> Iterator[str]:
 
 
 def _overlaps(parent: QWidget) -> Iterator[str]:
-    if isinstance(parent, QAbstractScrollArea | QComboBox | QSpinBox | QLineEdit):
+    if isinstance(parent, QAbstractScrollArea | QComboBox | QAbstractSpinBox | QLineEdit):
         return
     if isinstance(parent.parentWidget(), QAbstractItemView):
         return
     children = [
         one for one in parent.children()
         if isinstance(one, QWidget) and one.isVisible() and not one.isWindow()
-        and not isinstance(one, QSizeGrip | QSplitterHandle)
+        and not isinstance(one, QSizeGrip | QSplitterHandle | TourCard)
         and not one.testAttribute(Qt.WidgetAttribute.WA_TransparentForMouseEvents)
     ]  # fmt: skip
     for one, other in combinations(children, 2):
@@ -317,9 +324,10 @@ def _painted_failures(recorder: PaintRecorder) -> Iterator[str]:
 
 
 def _leaves(one: PaintedText) -> bool:
-    if not isinstance(one.device, QWidget):
+    device = one.device
+    if not isinstance(device, QWidget) or isinstance(device.parentWidget(), QAbstractScrollArea):
         return False
-    room = QRectF(one.device.rect()).adjusted(-SLACK_PX, -3, SLACK_PX, 3)
+    room = QRectF(device.rect()).adjusted(-SLACK_PX, -3, SLACK_PX, 3)
     return not room.contains(one.box)
 
 

@@ -61,8 +61,8 @@ def provenance_text(revision: Revision) -> str:
     spread = "uncertainty unknown" if sigma is None else f"sigma {sigma / 1e3:.2f} mm"
     kind = revision.source.partition(":")[0]
     basis = {
-        "commanded": "commanded displacement",
-        "measured": "measured displacement",
+        "commanded": "commanded",
+        "measured": "measured",
         "human": f"set by {revision.person}",
         "model": f"{source_text(revision.source)} alone",
     }.get(kind, revision.source)

@@ -282,9 +282,8 @@ def report_html(caption: str, facts: str, picture: bytes, table: str, banner: st
     head, *rows = csv.reader(io.StringIO(table))
     # Units of column names in brackets, as "x (mm)" for x_mm.
     names = [re.sub(r"_(s|mm)$", r" (\1)", name) for name in head]
-    image = (
-        f'<img alt="{escape(caption)}" src="data:image/png;base64,{b64encode(picture).decode()}">'
-    )
+    source = f"data:image/png;base64,{b64encode(picture).decode()}"
+    image = f'<img style="max-width:100%" alt="{escape(caption)}" src="{source}">'
     parts = PictureGallery("", (ReportPicture(image),)), ReportTable.of_texts("", names, rows)
     return report_page(
         Report(caption, tuple(facts.splitlines()), (ReportSection("", (), parts),), banner)

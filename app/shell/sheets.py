@@ -6,13 +6,21 @@ from collections.abc import Callable, Collection
 from dataclasses import replace
 from pathlib import Path
 
-from PySide6.QtCore import QEvent, QObject, QSize
+from PySide6.QtCore import QEvent, QObject, QSize, Qt
 from PySide6.QtGui import QDragEnterEvent, QDropEvent
-from PySide6.QtWidgets import QDialog, QFileDialog, QFrame, QLayout, QPushButton, QWidget
+from PySide6.QtWidgets import (
+    QDialog,
+    QFileDialog,
+    QFrame,
+    QLayout,
+    QPushButton,
+    QScrollArea,
+    QWidget,
+)
 
 from touchdown.backend.core import InputError
 from touchdown.backend.runs import Bookmark, keep_bookmark
-from touchdown.widgets.base import ElidedLabel, hbox, label, rule, vbox
+from touchdown.widgets.base import ElidedLabel, hbox, label, rule, scroll_area, vbox
 from touchdown.widgets.forms import NameDialog
 
 LEAST_WINDOW = QSize(480, 330)  # of the main window
@@ -89,8 +97,12 @@ class BenchSheet(QDialog):
         close.clicked.connect(self.close)
         for button in (*foot, close):
             button.setAutoDefault(False)
-        row = hbox(*foot, 1, close)
-        vbox(*parts, rule(), row, parent=self, margins=(18, 14, 18, 14), spacing=spacing)
+        row, body = hbox(*foot, 1, close), QWidget()
+        vbox(*parts, parent=body, margins=(0, 0, 0, 0), spacing=spacing)
+        scroll = scroll_area(body)
+        scroll.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+        scroll.setSizeAdjustPolicy(QScrollArea.SizeAdjustPolicy.AdjustToContents)
+        vbox((scroll, 1), rule(), row, parent=self, margins=(18, 14, 18, 14), spacing=spacing)
 
     def resize_to_em(self, width: int, height: int) -> None:
         """Set the size in heights of the font, at most that of the window."""

@@ -74,7 +74,8 @@ class MainWindow(QMainWindow):
         body = QWidget()
         # Below the page: what is above a new card keeps its place under the hand.
         vbox((self._stack, 1), cards, parent=body, margins=(0, 0, 0, 0), spacing=0)
-        self._rail_frame = scroll_area(self._rail())
+        self._rail_column = self._rail()
+        self._rail_frame = scroll_area(self._rail_column)
         self._rail_frame.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         self._rail_frame.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
         middle = hbox(self._rail_frame, (body, 1), spacing=0)
@@ -171,7 +172,7 @@ class MainWindow(QMainWindow):
                 break
         # Where even the texts are too high, the rail scrolls.
         bar_px = 0 if fits else frame.verticalScrollBar().sizeHint().width()
-        frame.setFixedWidth(frame.widget().sizeHint().width() + bar_px)
+        frame.setFixedWidth(self._rail_column.sizeHint().width() + bar_px)
 
     def _fit_columns(self, page: QWidget) -> None:
         """Give a page room; show its controls first where it is wider than the window."""

@@ -80,7 +80,7 @@ class TrainPage(WorkspacePage):
         add_items(self.split_panel.column, self.leaks, self.form.divide)
         self._left = column_of((self.form, 0), (self.split_panel, 1))
         self.samples_panel = Panel("Held-out probes, true patch outlined")
-        self.samples_panel.detail.setText("blue p = 0, yellow p = 1")
+        self.samples_panel.detail.setText("p: blue 0, yellow 1")
         self.samples_panel.column.addWidget(self.samples, 1)
         middle = column_of((self._curves(), 3), (self.samples_panel, 2))
         self.runs_panel = Panel("Trainings", self.runs)

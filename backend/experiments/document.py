@@ -377,7 +377,6 @@ def _frame(title: str, inside: str) -> str:
 
 
 PAGE_STYLE = """
-img{max-width:100%}
 body{font:15px/1.45 'DejaVu Sans',system-ui,sans-serif;color:#1B2127;background:#F2F4F6;
 margin:2em auto;max-width:1180px;padding:0 1em}
 h1{font-size:1.5em}h2{font-size:1.2em;margin:2em 0 .3em}h3{font-size:1em;margin:1.2em 0 .2em}

@@ -138,9 +138,10 @@ def test_reports_are_listed_and_another_file_is_asked_for_beside_the_window(
     assert "results/tables-full.json" in names
     menu.actions()[names.index("results/tables-full.json")].trigger()
     qtbot.waitUntil(lambda: review.reports.sheet.isVisible() and not review.reader.busy)
-    assert review.reports._file == FULL
-    menu.actions()[-1].trigger()
-    menu.close()
+    assert review.reports._file == FULL.resolve()
+    review.page.experiments.click()
+    review.reports.menu.actions()[-1].trigger()
+    review.reports.menu.close()
     (dialog,) = review.page.findChildren(QFileDialog)
     assert dialog.isVisible()
     dialog.reject()

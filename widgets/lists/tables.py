@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from PySide6.QtCore import QAbstractTableModel, QItemSelectionModel, QSignalBlocker, QSize, Qt
-from PySide6.QtGui import QFontMetrics, QKeyEvent, QPainter, QPaintEvent
+from PySide6.QtGui import QFontMetrics, QKeyEvent, QPainter, QPaintEvent, QResizeEvent
 from PySide6.QtWidgets import (
     QAbstractItemView,
     QHeaderView,
@@ -157,8 +157,20 @@ class FigureTable(QTableWidget):
         self._theme = theme
         plain_table(self, name)
         self.setSelectionMode(QAbstractItemView.SelectionMode.NoSelection)
-        self.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
         self.show_columns(columns)
+
+    def resizeEvent(self, event: QResizeEvent) -> None:
+        """Fit the first column."""
+        super().resizeEvent(event)
+        self._fit_first()
+
+    def _fit_first(self) -> None:
+        """Give the first column the free width; the table scrolls where there is none."""
+        mode, head = QHeaderView.ResizeMode, self.horizontalHeader()
+        columns = range(self.columnCount())
+        px = sum(max(head.sectionSizeHint(at), self.sizeHintForColumn(at)) for at in columns)
+        fits = px <= self.viewport().width()
+        head.setSectionResizeMode(0, mode.Stretch if fits else mode.ResizeToContents)
 
     def show_columns(self, columns: Sequence[str]) -> None:
         """Set the column headers."""
@@ -170,7 +182,6 @@ class FigureTable(QTableWidget):
         header = self.horizontalHeader()
         header.setMinimumSectionSize(24)
         header.setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
-        header.setSectionResizeMode(0, QHeaderView.ResizeMode.Stretch)
         self.fit_to_theme()
 
     def show_rows(self, rows: Sequence[Sequence[str]]) -> None:
@@ -184,6 +195,7 @@ class FigureTable(QTableWidget):
                 if c:
                     item.setTextAlignment(ALIGN_RIGHT)
                 self.setItem(r, c, item)
+        self._fit_first()
         self.updateGeometry()
 
     def sizeHint(self) -> QSize:

@@ -229,6 +229,8 @@ def draw_message(
         painter.setFont(font)
         high = painter.boundingRect(area, both, words).height() if words else 0.0
         boxes.append((words, token, font, high))
+    if sum(high for *_, high in boxes) + LINE_GAP_PX > area.height():
+        boxes.pop()  # no room for the detail
     top = area.center().y() - (sum(high for *_, high in boxes) + LINE_GAP_PX) / 2
     for words, token, font, high in boxes:
         if words:

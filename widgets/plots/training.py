@@ -137,7 +137,7 @@ class CurvePlot(_TrainingPlot):
         self._draw_axes(painter, area, whole=True)
         drawn = [one for one in self.lines if one.points]
         if not drawn:
-            draw_message(painter, area.rect, self._theme, "", "No epoch yet")
+            draw_message(painter, self.rect(), self._theme, "", "No epoch yet")
             return
         if self.best:
             painter.setPen(QPen(self._theme.tokens.colour("muted"), 1, Qt.PenStyle.DotLine))
@@ -173,7 +173,7 @@ class ReliabilityPlot(_TrainingPlot):
         painter.setPen(QPen(self._theme.tokens.colour("muted"), 1, Qt.PenStyle.DotLine))
         painter.drawLine(area.rect.bottomLeft(), area.rect.topRight())
         if not any(one.points for one in self.lines):
-            draw_message(painter, area.rect, self._theme, "", "No epoch yet")
+            draw_message(painter, self.rect(), self._theme, "", "No epoch yet")
             return
         painter.setFont(ui_font(self._theme.scale, 0.82, 500))
         height = painter.fontMetrics().height()

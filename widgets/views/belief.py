@@ -331,7 +331,9 @@ class BeliefView(PictureView):
         belief = self.scene.belief
         if belief is None:
             if not self._thumbnail:
-                draw_message(painter, area.rect, self._theme, *self.scene.empty)
+                line = painter.fontMetrics().height()
+                inside = area.rect.adjusted(0, line, 0, -line)  # between the names of the axes
+                draw_message(painter, inside, self._theme, *self.scene.empty)
             return
         painter.save()
         painter.setClipRect(area.rect)

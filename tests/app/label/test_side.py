@@ -229,7 +229,7 @@ def test_taking_the_model_keeps_its_name_until_a_person_moves_it(desk):
 
 
 def test_the_page_says_what_a_label_rests_on(desk):
-    assert "commanded displacement, sigma 0.30 mm" in desk.page.basis.text()
+    assert "commanded, sigma 0.30 mm" in desk.page.basis.text()
     desk.do(KEY.Key_Right)
     assert "set by Ann, sigma 0.20 mm" in desk.page.basis.text()
     assert [g.kind for g in desk.page.view.scene.ghosts] == ["commanded", "model"]

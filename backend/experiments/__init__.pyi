@@ -29,10 +29,7 @@ from .document import to_markdown as to_markdown
 from .evaluation import EVALUATED_STRATEGIES as EVALUATED_STRATEGIES
 from .evaluation import CollectionKind as CollectionKind
 from .evaluation import DomainShift as DomainShift
-from .evaluation import NuisanceSensitivity as NuisanceSensitivity
 from .evaluation import RandomisedTraining as RandomisedTraining
-from .evaluation import sensitivity_report as sensitivity_report
-from .evaluation import sensitivity_table as sensitivity_table
 from .evaluation import shift_tables as shift_tables
 from .fusion import PORTIONS as PORTIONS
 from .fusion import WEIGHTS as WEIGHTS

@@ -300,21 +300,17 @@ def paired_traces(first: FloatArray, second: FloatArray, title: str, unit: str) 
     return _frame(title, axis_line + "".join(lines) + note)
 
 
-def curves_chart(  # noqa: PLR0913 - three describe the axes
+def curves_chart(
     title: str,
     x: FloatArray,
     curves: Mapping[str, FloatArray],
     units: tuple[str, str],
     *,
     log: bool = False,
-    span: tuple[float, float] | None = None,
-    bars: Mapping[str, FloatArray] = MappingProxyType({}),
 ) -> str:
     """Return named ``curves`` (n,) over ``x`` (n,), on logarithmic axes if ``log``.
 
     Colours go by their order: blue, orange, violet. ``units``: of ``x`` and of the curves.
-    ``span``: ends of the vertical axis, by default those of the curves. ``bars``: ends (n, 2) of an
-    interval of each point of a curve, by its name; its points are then marked.
     """
 
     def scaled(values: FloatArray) -> FloatArray:
@@ -322,10 +318,8 @@ def curves_chart(  # noqa: PLR0913 - three describe the axes
 
     across = scaled(x)
     heights = {name: scaled(np.asarray(values)) for name, values in curves.items()}
-    low, high = span or (
-        min(float(np.nanmin(h)) for h in heights.values()),
-        max(float(np.nanmax(h)) for h in heights.values()),
-    )
+    low = min(float(np.nanmin(h)) for h in heights.values())
+    high = max(float(np.nanmax(h)) for h in heights.values())
     width, height = max(float(np.ptp(across)), 1e-12), max(high - low, 1e-12)
 
     def at(value: float) -> float:
@@ -335,12 +329,8 @@ def curves_chart(  # noqa: PLR0913 - three describe the axes
     places = [_unit((a - across[0]) / width) for a in across]
     looks = ((BLUE, "none"), (ORANGE, "5 3"), (VIOLET, "2 3"))
     for k, ((name, values), (colour, dash)) in enumerate(zip(heights.items(), looks, strict=False)):
-        known = [(a, v, j) for j, (a, v) in enumerate(zip(places, values, strict=True)) if v == v]
-        points = " ".join(f"{a:.1f},{at(v):.1f}" for a, v, _ in known)
-        for a, v, j in known if name in bars else ():
-            bar = "V".join(f"{at(end):.1f}" for end in bars[name][j])
-            lines.append(f'<path d="M{a:.1f} {bar}" stroke="{colour}" stroke-opacity=".45"/>')
-            lines.append(f'<circle cx="{a:.1f}" cy="{at(v):.1f}" r="2.5" fill="{colour}"/>')
+        known = [(a, v) for a, v in zip(places, values, strict=True) if v == v]
+        points = " ".join(f"{a:.1f},{at(v):.1f}" for a, v in known)
         lines.append(
             f'<polyline points="{points}" fill="none" stroke="{colour}" stroke-dasharray="{dash}"/>'
             f'<text x="{PAD}" y="{28 + 11 * k}" font-size="9" fill="{colour}">{escape(name)}</text>'

@@ -1,8 +1,7 @@
-"""Evaluation of existing models and strategies on other benches and in the second world.
+"""Evaluation of existing models and strategies in the second world.
 
-A study gives the same seeds and draws to every bench: groups of presses, and whole trials. Results
-are paired by group. ``DomainShift`` compares the simulated bench with the second world,
-``NuisanceSensitivity`` scales each nuisance of the bench from 0 to 3.
+A study gives the same seeds and draws to bench and second world: groups of presses, and whole
+trials. Results are paired by group.
 
 Domain randomisation trains on probes whose mountings are benches with their own settings: nuisance
 sizes and the laws of gel, grip, contact and friction are drawn per mounting from wide ranges around
@@ -11,31 +10,14 @@ the given bench. The ranges were chosen by hand and are not fitted to the second
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations, zip_longest
 from typing import Any, Literal
 
-import numpy as np
-
 from touchdown.backend.config import SimulationSettings, StackSettings, bench_sha256
-from touchdown.backend.experiments.document import (
-    PictureGallery,
-    Report,
-    ReportPicture,
-    ReportSection,
-    ReportTable,
-    curves_chart,
-    format_estimate,
-    format_percent,
-)
-from touchdown.backend.experiments.nuisances import (
-    NUISANCES,
-    Nuisance,
-    randomise_bench,
-    scale_nuisance,
-)
+from touchdown.backend.experiments.document import ReportTable, format_estimate, format_percent
+from touchdown.backend.experiments.nuisances import randomise_bench
 from touchdown.backend.experiments.statistics import (
     VerdictCounts,
     estimate_mean,
@@ -66,99 +48,10 @@ EVALUATED_STRATEGIES = (
     "zero-wrench",
 )  # the last two use no model of a piece
 POOLED = "pooled"  # over the bottoms of a study
+MODEL = "FT+Tac"
 Json = dict[str, Any]
 JsonMapping = Mapping[str, Any]
-Cell = tuple[str, str, str]  # bench, bottom, strategy with its model ("" for presses)
-Cells = Mapping[Cell, Sequence[JobSpec]]
-
-
-@dataclass(frozen=True, slots=True)
-class BenchStudy:
-    """Presses and trials with the same seeds on several ``benches``.
-
-    ``benches``: world (of ``WORLDS``) and settings by name. ``models``: source (job or file) by
-    name. ``strategies``: strategy and source of its model by name in the tables. ``groups`` of
-    presses and ``trials`` are those of each bottom; ``first``: number of the first one.
-    """
-
-    benches: Mapping[str, tuple[str, SimulationSettings]]
-    code: str
-    piece: str
-    bottoms: tuple[str, ...]
-    models: Mapping[str, str]
-    strategies: Mapping[str, tuple[str, str]]
-    groups: int
-    trials: int
-    first: int = 0
-
-    def cells(self) -> dict[Cell, list[JobSpec]]:
-        """Return the jobs of every cell."""
-        return {
-            (bench, bottom, name): list(self._jobs(bench, bottom, name))
-            for bench in self.benches
-            for bottom in self.bottoms
-            for name in ("", *self.strategies)
-        }
-
-    def jobs(self) -> list[JobSpec]:
-        """Return all jobs, the first ones of every cell first, for comparable partial results."""
-        return [spec for specs in zip_longest(*self.cells().values()) for spec in specs if spec]
-
-    def _jobs(self, bench: str, bottom: str, name: str) -> Iterator[JobSpec]:
-        world, settings = self.benches[bench]
-        dumped = settings.model_dump(mode="json")
-        params: Json = {"bench": dumped, "piece": self.piece, "bottom": bottom}
-        if world != "bench":
-            params["world"] = world
-        cell = CELL_SEEDS * (10 * PIECES.index(self.piece) + TABLE_BOTTOMS.index(bottom))
-        if not name:
-            kind, first, total, size = "static", PRESSES_SEED, self.groups, GROUPS_PER_JOB
-            count, inputs = "groups", tuple(sorted(set(self.models.values())))
-            params |= {"models": dict(self.models), "probes": PROBES, "fused": sorted(self.models)}
-        else:
-            kind, first, total, size = "beyond", TRIALS_SEED, self.trials, TRIALS_PER_JOB
-            (strategy, source), method = self.strategies[name], StackSettings()
-            count, inputs = "trials", (source,)
-            params |= {"strategy": strategy, "method": method.model_dump(mode="json")}
-            params |= network_params(strategy, method)
-        code = job_code(kind, self.code)
-        for k in range(0, total, size):
-            own = {**params, count: min(size, total - k)}
-            yield JobSpec(kind, own, first + cell + self.first + k, inputs, code)
-
-    def answer(self, name: str, bench: SimulationSettings) -> Json:
-        """Return the head of a result file of the format ``name``."""
-        return {
-            "format": f"touchdown-{name}/1",
-            "simulated": True,
-            "bench_sha256": bench_sha256(bench),
-            "code": self.code,
-            "piece": self.piece,
-        }
-
-
-def finished_results(cells: Cells, store: JobStore, *benches: str) -> dict[Cell, list[Json]]:
-    """Return the results of the jobs that are finished on all of ``benches``.
-
-    By cell, and pooled over the bottoms.
-    """
-    found: dict[Cell, list[Json]] = {}
-    for (bench, bottom, strategy), jobs in cells.items():
-        if bench not in benches:
-            continue
-        same = zip(*(cells[other, bottom, strategy] for other in benches), strict=True)
-        ready = [all(store.has(spec.id) for spec in specs) for specs in same]
-        done = [dict(store.result(spec.id)) for spec, ok in zip(jobs, ready, strict=True) if ok]
-        for over in (bottom, POOLED):
-            found.setdefault((bench, over, strategy), []).extend(done)
-    return found
-
-
-def job_effort(spec: JobSpec) -> int:
-    """Return the relative duration of a job of presses or trials."""
-    p = spec.params
-    slow = 4 if "world" in p else 1
-    return slow * (int(p["groups"]) * PROBES if "groups" in p else 5 * int(p["trials"]))
+Cell = tuple[str, str, str]  # world, bottom, strategy with its model ("" for presses)
 
 
 def press_scores(parts: Sequence[JsonMapping], model: str) -> Json:
@@ -178,136 +71,6 @@ def press_scores(parts: Sequence[JsonMapping], model: str) -> Json:
     for name in ("rejected", "left_out"):
         figures[name] = sum(part[name] for part in parts)
     return figures
-
-
-def _trial_counts(parts: Iterable[JsonMapping]) -> Json:
-    return count_outcomes([trial for part in parts for trial in part["trials"]])
-
-
-FACTORS = (0.0, 0.5, 1.0, 2.0, 3.0)
-MODEL, BENCH = "FT+Tac", "bench"
-
-
-@dataclass(frozen=True, slots=True)
-class NuisanceSensitivity:
-    """Sensitivity of ``model`` (a job or file) to each nuisance, scaled one at a time."""
-
-    bench: SimulationSettings
-    code: str
-    piece: str
-    model: str
-    bottoms: tuple[str, ...] = ("short", "long")
-    strategy: str = "paper"
-    groups: int = 20
-    trials: int = 0
-    nuisances: tuple[Nuisance, ...] = NUISANCES
-
-    def study(self) -> BenchStudy:
-        """Return the study; the bench itself and the ends of the range come first."""
-        benches = {BENCH: ("bench", self.bench)}
-        for factor in (0.0, 3.0, 0.5, 2.0):
-            for nuisance in self.nuisances:
-                scaled = scale_nuisance(self.bench, nuisance, factor)
-                benches[_bench_name(nuisance, factor)] = ("bench", scaled)
-        strategies = {self.strategy: (self.strategy, self.model)} if self.trials else {}
-        return BenchStudy(
-            benches, self.code, self.piece, self.bottoms, {MODEL: self.model}, strategies,
-            self.groups, self.trials,
-        )  # fmt: skip
-
-    def jobs(self) -> list[JobSpec]:
-        """Return every job once."""
-        return self.study().jobs()
-
-    def effort(self, spec: JobSpec) -> int:
-        """Return the relative duration of a job."""
-        return job_effort(spec)
-
-    def answer(self, store: JobStore) -> Json:
-        """Return the finished results: one row per nuisance and factor."""
-        study = self.study()
-        cells = study.cells()
-        return {
-            **study.answer("sensitivity", self.bench),
-            "bottoms": list(self.bottoms),
-            "model": self.model,
-            "strategy": self.strategy,
-            "nuisances": [
-                {
-                    "name": nuisance.name,
-                    "title": nuisance.title,
-                    "keys": list(nuisance.keys),
-                    "limit": nuisance.limit,
-                    "at": list(self._rows(nuisance, cells, store)),
-                }
-                for nuisance in self.nuisances
-            ],
-        }
-
-    def _rows(self, nuisance: Nuisance, cells: Cells, store: JobStore) -> Iterator[Json]:
-        for factor in FACTORS:
-            bench = _bench_name(nuisance, factor)
-            found = finished_results(cells, store, *{BENCH: 0, bench: 0})
-            if not (presses := found[bench, POOLED, ""]):
-                continue
-            row: Json = {"factor": factor, **press_scores(presses, MODEL)}
-            changes = {
-                bottom: iou_change(
-                    list(zip(found[BENCH, bottom, ""], found[bench, bottom, ""], strict=True)),
-                    MODEL, MODEL,
-                )
-                for bottom in (POOLED, *self.bottoms)
-            }  # fmt: skip
-            row["iou_change"] = changes.pop(POOLED)
-            row["iou_change_on"] = changes
-            if trials := found.get((bench, POOLED, self.strategy)):
-                row["trials"] = _trial_counts(trials)
-            yield row
-
-
-def _bench_name(nuisance: Nuisance, factor: float) -> str:
-    return BENCH if factor == 1.0 else f"{nuisance.name} {factor:g}"
-
-
-def sensitivity_table(answer: JsonMapping) -> ReportTable:
-    """Return the change of IoU at each factor and stability at both ends, by nuisance."""
-    rows = []
-    for nuisance in answer["nuisances"]:
-        at = {row["factor"]: row for row in nuisance["at"]}
-        changes = [format_change(at.get(factor, {}).get("iou_change")) for factor in FACTORS]
-        right = [format_estimate(stability_of(at[f])) if f in at else "" for f in FACTORS[::2]]
-        limit = f", draws end at {nuisance['limit']}" if nuisance["limit"] else ""
-        rows.append((f"{nuisance['title']}{limit}", *changes[:2], *changes[3:], *right))
-    header = ("nuisance", "0", "0.5", "2", "3", "stable right, 0", "1", "3")
-    title = "Change of the IoU in points, paired by group; stability right, %"
-    return ReportTable.of_texts(title, header, rows)
-
-
-def sensitivity_report(answer: JsonMapping) -> Report:
-    """Return the report: one chart per nuisance, and the table of changes."""
-    about = (
-        f"{answer['piece'].title()} on {' and '.join(answer['bottoms'])}, one model as it is, "
-        f"bench {answer['bench_sha256'][:16]}, program {answer['code']}. Each nuisance alone is 0 "
-        "to 3 times as large as on the bench; all else, seeds included, stays. IoU of single "
-        "presses, and stability right after one press, on as many stable as unstable places. "
-        "Bars: 95 % intervals, each value for itself. Values of one chart share their presses, so "
-        "that small changes mean more than the bars say: see the table."
-    )
-    charts = tuple(ReportPicture(_chart(n)) for n in answer["nuisances"] if n["at"])
-    parts = (PictureGallery("", charts), sensitivity_table(answer))
-    title = "Touchdown: sensitivity to each nuisance of the bench"
-    return Report(title, (about,), (ReportSection("", (), parts),))
-
-
-def _chart(nuisance: JsonMapping) -> str:
-    curves, bars = {}, {}
-    for name, get in (("IoU", iou_of), ("stability right", stability_of)):
-        estimates = [[get(row)[key] for key in ("value", "low", "high")] for row in nuisance["at"]]
-        values = np.array(estimates, dtype=np.float64)  # None becomes NaN
-        curves[name], bars[name] = values[:, 0], values[:, 1:]
-    factors = np.array([row["factor"] for row in nuisance["at"]])
-    units = ("times its size on the bench", "")
-    return curves_chart(nuisance["title"], factors, curves, units, span=(0.3, 1.0), bars=bars)
 
 
 # mountings: drawn by the bench; randomised: each with its own nuisance sizes and laws
@@ -362,12 +125,6 @@ class RandomisedTraining:
         settings = paper_training(MODEL, self.epochs)
         return training_job((self.piece, "patch"), settings, self.device, self.data(), self.code)
 
-    def effort(self, spec: JobSpec) -> int:
-        """Return the relative duration of a job (unit of ``job_effort``)."""
-        if spec.kind == "train":
-            return math.ceil(self.probes * self.epochs / 20)
-        return int(spec.params["episodes"]) // 2
-
 
 @dataclass(frozen=True, slots=True)
 class DomainShift:
@@ -375,8 +132,9 @@ class DomainShift:
 
     ``models``: source (job or file) by name in the tables. ``trained``: models that are trained
     first, on their own collections. Strategies read the first of ``models`` and each of
-    ``trained``, unless they need no model. ``first``: number of the first group and trial in a
-    cell; models are selected on later ones.
+    ``trained``, unless they need no model. ``groups`` of presses and ``trials`` are those of each
+    bottom. ``first``: number of the first group and trial in a cell; models are selected on later
+    ones.
     """
 
     bench: SimulationSettings
@@ -390,37 +148,75 @@ class DomainShift:
     trained: tuple[RandomisedTraining, ...] = ()
     first: int = 0
 
-    def study(self) -> BenchStudy:
-        """Return the study of both worlds."""
-        trained = {plan.name: plan.training().id for plan in self.trained}
-        given = next(iter(self.models.values()))
-        strategies = {name: (name, given) for name in self.strategies}
-        for strategy in self.strategies:
-            if strategy not in EVALUATED_STRATEGIES[-2:]:
-                strategies |= {f"{strategy}, {n}": (strategy, s) for n, s in trained.items()}
-        return BenchStudy(
-            {world: (world, self.bench) for world in WORLDS}, self.code, self.piece, self.bottoms,
-            {**self.models, **trained}, strategies, self.groups, self.trials, self.first,
-        )  # fmt: skip
-
     def jobs(self) -> list[JobSpec]:
-        """Return all jobs; those of the trainings come first."""
+        """Return all jobs: the trainings, then the first ones of every cell first, for comparable
+        partial results.
+        """
         made = [spec for plan in self.trained for spec in (*plan.data(), plan.training())]
-        return [*made, *self.study().jobs()]
+        turns = zip_longest(*self._cells().values())
+        return [*made, *(spec for specs in turns for spec in specs if spec)]
 
     def effort(self, spec: JobSpec) -> int:
         """Return the relative duration of a job."""
-        training = spec.kind in ("simulate", "train")
-        return self.trained[0].effort(spec) if training else job_effort(spec)
+        p = spec.params
+        if spec.kind == "simulate":
+            return int(p["episodes"]) // 2
+        if spec.kind == "train":
+            return self.trained[0].probes * self.trained[0].epochs // 20 + 1
+        slow = 4 if "world" in p else 1
+        return slow * (int(p["groups"]) * PROBES if "groups" in p else 5 * int(p["trials"]))
+
+    def _models(self) -> dict[str, str]:
+        return {**self.models, **{plan.name: plan.training().id for plan in self.trained}}
+
+    def _cells(self) -> dict[Cell, list[JobSpec]]:
+        """Return the jobs of every cell."""
+        models = self._models()
+        given = next(iter(models.values()))
+        asked = {"": ("", "")} | {name: (name, given) for name in self.strategies}
+        for strategy in self.strategies:
+            if strategy not in EVALUATED_STRATEGIES[-2:]:
+                asked |= {f"{strategy}, {p.name}": (strategy, models[p.name]) for p in self.trained}
+        return {
+            (world, bottom, name): list(self._jobs(world, bottom, models, *asked[name]))
+            for world in WORLDS
+            for bottom in self.bottoms
+            for name in asked
+        }
+
+    def _jobs(
+        self, world: str, bottom: str, models: Mapping[str, str], strategy: str, source: str
+    ) -> Iterator[JobSpec]:
+        dumped = self.bench.model_dump(mode="json")
+        params: Json = {"bench": dumped, "piece": self.piece, "bottom": bottom}
+        if world != "bench":
+            params["world"] = world
+        cell = CELL_SEEDS * (10 * PIECES.index(self.piece) + TABLE_BOTTOMS.index(bottom))
+        if not strategy:
+            kind, first, total, size = "static", PRESSES_SEED, self.groups, GROUPS_PER_JOB
+            count, inputs = "groups", tuple(sorted(set(models.values())))
+            params |= {"models": dict(models), "probes": PROBES, "fused": sorted(models)}
+        else:
+            kind, first, total, size = "beyond", TRIALS_SEED, self.trials, TRIALS_PER_JOB
+            count, inputs, method = "trials", (source,), StackSettings()
+            params |= {"strategy": strategy, "method": method.model_dump(mode="json")}
+            params |= network_params(strategy, method)
+        code = job_code(kind, self.code)
+        for k in range(0, total, size):
+            own = {**params, count: min(size, total - k)}
+            yield JobSpec(kind, own, first + cell + self.first + k, inputs, code)
 
     def answer(self, store: JobStore) -> Json:
         """Return the finished results of both worlds, by cell and pooled over bottoms."""
-        study = self.study()
-        found = finished_results(study.cells(), store, *WORLDS)
+        found = self._finished(store)
         return {
-            **study.answer("elsewhere", self.bench),
+            "format": "touchdown-elsewhere/1",
+            "simulated": True,
+            "bench_sha256": bench_sha256(self.bench),
+            "code": self.code,
+            "piece": self.piece,
             "first": self.first,
-            "models": dict(study.models),
+            "models": self._models(),
             "presses": [
                 {"world": world, "bottom": bottom, "model": model, **press_scores(parts, model)}
                 for (world, bottom, strategy), parts in found.items()
@@ -430,11 +226,27 @@ class DomainShift:
             "changes": [change for bottom in (*self.bottoms, POOLED)
                         for change in _changes(found, bottom)],
             "trials": [
-                {"world": world, "bottom": bottom, "strategy": strategy, **_trial_counts(parts)}
+                {"world": world, "bottom": bottom, "strategy": strategy,
+                 **count_outcomes([trial for part in parts for trial in part["trials"]])}
                 for (world, bottom, strategy), parts in found.items()
                 if strategy and parts
             ],
         }  # fmt: skip
+
+    def _finished(self, store: JobStore) -> dict[Cell, list[Json]]:
+        """Return the results of the jobs that are finished in both worlds.
+
+        By cell, and pooled over the bottoms.
+        """
+        found: dict[Cell, list[Json]] = {}
+        cells = self._cells()
+        for (world, bottom, strategy), jobs in cells.items():
+            same = zip(*(cells[other, bottom, strategy] for other in WORLDS), strict=True)
+            ready = [all(store.has(spec.id) for spec in specs) for specs in same]
+            done = [dict(store.result(spec.id)) for spec, ok in zip(jobs, ready, strict=True) if ok]
+            for over in (bottom, POOLED):
+                found.setdefault((world, over, strategy), []).extend(done)
+        return found
 
 
 def _changes(found: Mapping[Cell, Sequence[Json]], bottom: str) -> Iterator[Json]:
@@ -459,8 +271,8 @@ def shift_tables(answer: JsonMapping) -> list[ReportTable]:
     presses = [
         (
             name,
-            *_compared(iou_of(here), iou_of(there)),
-            *_compared(stability_of(here), stability_of(there)),
+            *_compared(here["iou"], there["iou"]),
+            *_compared(here["stable_1"]["accuracy"], there["stable_1"]["accuracy"]),
             " / ".join(
                 format_percent(scores["stable_1"]["unsafe"]["value"]) for scores in (here, there)
             ),
@@ -522,13 +334,3 @@ def _compared(here: JsonMapping, there: JsonMapping) -> tuple[str, str, str]:
     known = here["value"] is not None and there["value"] is not None
     change = f"{100 * (there['value'] - here['value']):+.1f}" if known else ""
     return format_estimate(here), format_estimate(there), change
-
-
-def iou_of(scores: JsonMapping) -> Json:
-    """Return the IoU estimate of ``press_scores``."""
-    return dict(scores["iou"])
-
-
-def stability_of(scores: JsonMapping) -> Json:
-    """Return the stability accuracy after one probe of ``press_scores``."""
-    return dict(scores["stable_1"]["accuracy"])

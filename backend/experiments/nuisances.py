@@ -6,8 +6,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -15,66 +14,54 @@ import numpy as np
 from touchdown.backend.config import SimulationSettings
 
 FOUNDATION = "face.foundation_range_n_mm3"
-
-
-@dataclass(frozen=True, slots=True)
-class Nuisance:
-    """A nuisance of the bench. ``keys``: settings scaled together; ``limit``: bound of draws."""
-
-    name: str
-    title: str
-    keys: tuple[str, ...]
-    limit: str = ""
-
-
-# Quantities that differ between mountings, grippings or probes.
-NUISANCES = (
-    Nuisance("tilt", "Tilt of the board", ("spread.tilt_rad",), "0.02 rad"),
-    Nuisance("grasp-offset", "Grasp offset", ("spread.grasp_offset_mm",), "2 mm"),
-    Nuisance("yaw", "Rotation in the hand", ("spread.yaw_rad",)),
-    Nuisance("foundation", "Range of the contact stiffness", (FOUNDATION,)),
-    Nuisance("gel", "Gel stiffness", ("spread.gel",), "0.7 to 1.3"),
-    Nuisance("hysteresis", "Gel hysteresis", ("grasp.hysteresis_share",)),
-    Nuisance("grip-friction", "Friction in the grip", ("spread.mu_grip",), "0.35 to 1.1"),
-    Nuisance("grip-force", "Grip force", ("spread.grip_force_n",), "4 to 15 N"),
-    Nuisance("face-friction", "Friction of the faces", ("spread.mu",), "0.2 to 0.6"),
-    Nuisance("label-error", "Error of the arm", ("spread.label_error_mm",), "0.3 mm"),
-    Nuisance("print-offset", "Place of the bottom", ("spread.print_offset_mm",), "0.5 mm"),
-    Nuisance("gain", "Tactile gain", ("spread.gain",), "0.8 to 1.2"),
-    Nuisance("tactile-bias", "Tactile reference error", ("tactile.bias_px",), "1 px"),
-    Nuisance("tactile-drift", "Tactile drift", ("tactile.drift_px_sqrt_s",)),
-    Nuisance("tactile-noise", "Tactile white noise", ("tactile.white_px",)),
-    Nuisance("lost", "Lost markers and frames", ("tactile.lost_share", "tactile.drop_share")),
-    Nuisance("wrist-offset", "Wrist offset after tare", ("wrist.offset_n", "wrist.offset_nm")),
-    Nuisance("wrist-noise", "Wrist white noise", ("wrist.white_n", "wrist.white_nm")),
-    Nuisance("wrist-drift", "Wrist drift", ("wrist.drift_n_sqrt_min", "wrist.drift_nm_sqrt_min")),
-)
+# Settings of each nuisance, which are scaled together.
+NUISANCES: Mapping[str, tuple[str, ...]] = {
+    "tilt": ("spread.tilt_rad",),
+    "grasp-offset": ("spread.grasp_offset_mm",),
+    "yaw": ("spread.yaw_rad",),
+    "foundation": (FOUNDATION,),
+    "gel": ("spread.gel",),
+    "hysteresis": ("grasp.hysteresis_share",),
+    "grip-friction": ("spread.mu_grip",),
+    "grip-force": ("spread.grip_force_n",),
+    "face-friction": ("spread.mu",),
+    "label-error": ("spread.label_error_mm",),
+    "print-offset": ("spread.print_offset_mm",),
+    "gain": ("spread.gain",),
+    "tactile-bias": ("tactile.bias_px",),
+    "tactile-drift": ("tactile.drift_px_sqrt_s",),
+    "tactile-noise": ("tactile.white_px",),
+    "lost": ("tactile.lost_share", "tactile.drop_share"),
+    "wrist-offset": ("wrist.offset_n", "wrist.offset_nm"),
+    "wrist-noise": ("wrist.white_n", "wrist.white_nm"),
+    "wrist-drift": ("wrist.drift_n_sqrt_min", "wrist.drift_nm_sqrt_min"),
+}
 
 # Those that bench-v1 does not draw.
-LATER_NUISANCES = (
-    Nuisance("reseat", "Re-seating in the grasp", ("spread.reseat_mm", "spread.pitch_rad")),
-    Nuisance("flatness", "Faces out of flat", ("spread.face_tilt_rad", "spread.face_crown_rad")),
-    Nuisance("com", "Centre of mass", ("spread.com_mm",), "2 mm"),
-    Nuisance("pad-area", "Gripped area", ("spread.pad_area",), "factor 1.65"),
-    Nuisance("wrist-yaw", "Yaw of the wrist sensor", ("spread.wrist_yaw_rad",)),
-    Nuisance("wrist-lever", "Place of the wrist sensor", ("spread.wrist_lever_mm",)),
-    Nuisance("cable", "Cable pull", ("spread.cable_n_mm",)),
-    Nuisance("creep", "Gel creep", ("grasp.creep_share",)),
-    Nuisance("release", "Disturbance at release", (".release_disturbance_mm",)),
-)
+LATER_NUISANCES: Mapping[str, tuple[str, ...]] = {
+    "reseat": ("spread.reseat_mm", "spread.pitch_rad"),
+    "flatness": ("spread.face_tilt_rad", "spread.face_crown_rad"),
+    "com": ("spread.com_mm",),
+    "pad-area": ("spread.pad_area",),
+    "wrist-yaw": ("spread.wrist_yaw_rad",),
+    "wrist-lever": ("spread.wrist_lever_mm",),
+    "cable": ("spread.cable_n_mm",),
+    "creep": ("grasp.creep_share",),
+    "release": (".release_disturbance_mm",),
+}
 
 
 def scale_nuisance(
-    settings: SimulationSettings, nuisance: Nuisance, factor: float
+    settings: SimulationSettings, keys: Sequence[str], factor: float
 ) -> SimulationSettings:
-    """Return the bench with one nuisance scaled by ``factor``.
+    """Return the bench with one nuisance, the settings ``keys``, scaled by ``factor``.
 
     A log-uniform range keeps its middle. An absent range stays absent.
     """
     if factor == 1.0:
         return settings
     content = settings.model_dump(mode="json")
-    for key in nuisance.keys:
+    for key in keys:
         section, name = key.split(".")
         values = content[section] if section else content
         values[name] = _times(values.get(name, 0.0), factor)
@@ -101,14 +88,14 @@ def band_benches(
         section, name = key.split(".")
         return bool((content[section] if section else content).get(name))
 
-    chosen = [n for n in (*NUISANCES, *LATER_NUISANCES) if any(map(drawn, n.keys))]
+    every = {**NUISANCES, **LATER_NUISANCES}
+    chosen = {name: keys for name, keys in every.items() if any(map(drawn, keys))}
     cube = LatinHypercube(len(chosen), seed=BAND_SEED).random(count)
     found = []
     for factors in (BAND_FACTOR ** (2.0 * cube - 1.0)).tolist():
-        one = bench
-        for nuisance, factor in zip(chosen, factors, strict=True):
-            one = scale_nuisance(one, nuisance, factor)
-        by_name = {n.name: f for n, f in zip(chosen, factors, strict=True)}
+        one, by_name = bench, dict(zip(chosen, factors, strict=True))
+        for name, keys in chosen.items():
+            one = scale_nuisance(one, keys, by_name[name])
         found.append((by_name, one))
     return found
 
@@ -149,8 +136,8 @@ def randomise_bench(bench: SimulationSettings, seed: int) -> SimulationSettings:
     seed.
     """
     rng = np.random.default_rng([seed, _RNG_STREAM])
-    for nuisance in NUISANCES:
-        bench = scale_nuisance(bench, nuisance, _factor(rng, NUISANCE_FACTORS))
+    for keys in NUISANCES.values():
+        bench = scale_nuisance(bench, keys, _factor(rng, NUISANCE_FACTORS))
     content = bench.model_dump(mode="json")
     for key, limits in LAW_FACTORS.items():
         section, name = key.split(".")

@@ -1,52 +1,36 @@
-"""``touchdown experiment elsewhere`` and ``sensitivity``: existing models on other benches."""
+"""``touchdown experiment elsewhere``: existing models in the second world."""
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping
 from typing import get_args
 
-from touchdown.backend.cli.experiment.campaign import (
-    KEPT,
-    UNWRITTEN,
-    ExperimentRun,
-    Json,
-    parse_names,
-    write_json,
-)
-from touchdown.backend.config import SimulationSettings
-from touchdown.backend.core import InputError, disk_errors, write_atomically
+from touchdown.backend.cli.experiment.campaign import ExperimentRun, Json, parse_names, write_json
+from touchdown.backend.core import InputError
 from touchdown.backend.experiments import (
     EVALUATED_STRATEGIES,
     PIECES,
     TABLE_BOTTOMS,
     CollectionKind,
     DomainShift,
-    NuisanceSensitivity,
     RandomisedTraining,
     load_model,
     program_version,
-    report_page,
-    sensitivity_report,
-    sensitivity_table,
     shift_tables,
 )
 
-EVALUATIONS = ("elsewhere", "sensitivity")
-
 
 def add_evaluation_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of ``elsewhere`` and ``sensitivity``."""
-    asked = parser.add_argument_group("elsewhere, sensitivity")
+    """Add the arguments of ``elsewhere``."""
+    asked = parser.add_argument_group("elsewhere")
     asked.add_argument("--groups", type=int, default=20, help="of three probes, in each cell")
     asked.add_argument("--first", type=int, default=0, metavar="N", help="number of the first "
                        "group and trial in each cell, to make choices on other ones than are "
-                       "reported (elsewhere)")  # fmt: skip
+                       "reported")  # fmt: skip
     asked.add_argument("--train", metavar="NAMES", help="train FT+Tac first, with the assumed "
                        "training of the paper, and evaluate it too: on probes of 120 mountings of "
                        "the bench (mountings), of 120 mountings with random nuisances, gel and "
-                       "friction (randomised), or both, separated by a comma "
-                       "(elsewhere)")  # fmt: skip
+                       "friction (randomised), or both, separated by a comma")  # fmt: skip
     asked.add_argument(
         "--probes", type=int, default=2000, help="of --train on each of three outlines"
     )
@@ -54,12 +38,14 @@ def add_evaluation_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run_evaluation(run: ExperimentRun) -> Json:
-    """Run ``elsewhere`` or ``sensitivity``; write a JSON file, and a page for the sensitivity.
+    """Run ``elsewhere`` and write its file.
 
     Raises ``InputError`` for counts without work, for unknown names, and if the second world lacks
     its engine.
     """
-    args, bench = run.args, run.bench()
+    from touchdown.backend.simulation import import_mujoco
+
+    args, bench, code = run.args, run.bench(), program_version()
     if args.groups < 1 or args.trials < 0:
         raise InputError(
             "The counts give no presses.", "--groups, --trials", "Give a positive number of groups."
@@ -70,37 +56,6 @@ def run_evaluation(run: ExperimentRun) -> Json:
     bottoms = parse_names(args.bottoms, TABLE_BOTTOMS, "--bottoms")
     strategies = parse_names(args.strategies, EVALUATED_STRATEGIES, "--strategies")
     found = run.models(bench)
-    models = {n: found[piece, n] for n in ("FT+Tac", "FT") if (piece, n) in found}
-    plan: DomainShift | NuisanceSensitivity
-    if args.what == "elsewhere":
-        plan = _domain_shift(args, bench, piece, models)
-    else:
-        plan = NuisanceSensitivity(
-            bench, program_version(), piece, models["FT+Tac"], bottoms, strategies[0],
-            args.groups, args.trials,
-        )  # fmt: skip
-    run.run(plan.jobs(), plan.effort)
-    answer = plan.answer(run.store)
-    if isinstance(plan, DomainShift):
-        tables = shift_tables(answer)
-        _keep_trained(run, plan)
-    else:
-        tables = [sensitivity_table(answer)]
-        page = args.out / "sensitivity.html"
-        with disk_errors(UNWRITTEN, page, KEPT):
-            write_atomically(page, report_page(sensitivity_report(answer)).encode())
-    for table in tables:
-        run.screen.table(table.title, *table.texts())
-    path = args.out / f"{args.what}.json"
-    write_json(path, answer)
-    return {"file": str(path), **run.counts(), args.what: answer}
-
-
-def _domain_shift(
-    args: argparse.Namespace, bench: SimulationSettings, piece: str, models: Mapping[str, str]
-) -> DomainShift:
-    from touchdown.backend.simulation import import_mujoco
-
     import_mujoco()
     if args.first < 0 or args.epochs < 1 or args.probes < 10:
         raise InputError(
@@ -110,14 +65,13 @@ def _domain_shift(
         )
     names: tuple[CollectionKind, ...] = get_args(CollectionKind)
     wanted = parse_names(args.train, names, "--train") if args.train else ()
-    code = program_version()
-    return DomainShift(
+    plan = DomainShift(
         bench=bench,
         code=code,
         piece=piece,
-        models=models,
-        bottoms=tuple(args.bottoms.split(",")),
-        strategies=tuple(args.strategies.split(",")),
+        models={n: found[piece, n] for n in ("FT+Tac", "FT") if (piece, n) in found},
+        bottoms=bottoms,
+        strategies=strategies,
         groups=args.groups,
         trials=args.trials,
         trained=tuple(
@@ -127,6 +81,14 @@ def _domain_shift(
         ),
         first=args.first,
     )
+    run.run(plan.jobs(), plan.effort)
+    answer = plan.answer(run.store)
+    _keep_trained(run, plan)
+    for table in shift_tables(answer):
+        run.screen.table(table.title, *table.texts())
+    path = args.out / "elsewhere.json"
+    write_json(path, answer)
+    return {"file": str(path), **run.counts(), "elsewhere": answer}
 
 
 def _keep_trained(run: ExperimentRun, plan: DomainShift) -> None:

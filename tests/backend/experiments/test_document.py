@@ -25,7 +25,6 @@ from touchdown.backend.experiments.document import (
     report_page,
     to_markdown,
 )
-from touchdown.backend.experiments.evaluation import sensitivity_report
 from touchdown.backend.experiments.results import read_report, report_of
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -36,11 +35,6 @@ def assert_golden(path: Path, text: str) -> None:
     if os.environ.get("REWRITE_GOLDEN"):
         path.write_text(text, "utf-8")
     assert path.read_text("utf-8") == text
-
-
-def test_the_published_sensitivity_page_is_rendered_from_its_data() -> None:
-    answer = json.loads((RESULTS / "sensitivity-pot.json").read_bytes())
-    assert_golden(RESULTS / "sensitivity-pot.html", report_page(sensitivity_report(answer)))
 
 
 @pytest.mark.parametrize("name", ["beyond-statics-pot", "beyond-towers"])

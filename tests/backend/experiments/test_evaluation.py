@@ -15,19 +15,12 @@ from touchdown.backend.config.simulation import SimulationSettings, SpreadSettin
 from touchdown.backend.core.faults import InputError
 from touchdown.backend.experiments import (
     BEYOND_FORMAT,
-    KINDS,
     DomainShift,
-    NuisanceSensitivity,
     RandomisedTraining,
-    adopt_models,
     merged_oracle_shares,
-    report_page,
-    sensitivity_report,
-    sensitivity_table,
-    shipped_model_folders,
 )
 from touchdown.backend.experiments.comparison import oracle_shares, quantity_label
-from touchdown.backend.experiments.evaluation import FACTORS, press_scores, shift_tables
+from touchdown.backend.experiments.evaluation import press_scores, shift_tables
 from touchdown.backend.experiments.nuisances import (
     FOUNDATION,
     LATER_NUISANCES,
@@ -45,25 +38,22 @@ from touchdown.backend.experiments.strategies import (
     parse_verdicts,
     trial_lines,
 )
-from touchdown.backend.jobs import JobStore, SerialExecutor, run_campaign
 from touchdown.backend.learning.checkpoint import load_card
 from touchdown.backend.simulation import conditions, mujoco_available
 
-BY_NAME = {found.name: found for found in NUISANCES}
+EVERY = {**NUISANCES, **LATER_NUISANCES}
 
 
 def test_every_spread_but_that_of_a_jig_is_a_nuisance() -> None:
-    keys = {key for found in (*NUISANCES, *LATER_NUISANCES) for key in found.keys}
+    keys = {key for found in EVERY.values() for key in found}
     assert {f"spread.{name}" for name in SpreadSettings.model_fields} - keys == {"spread.jig_mm"}
 
 
 @pytest.mark.parametrize(
-    ("found", "preset"),
-    [*((n, "bench-v1") for n in NUISANCES), *((n, "bench-v2") for n in LATER_NUISANCES)],
-    ids=lambda found: getattr(found, "name", ""),
+    ("name", "preset"), [(name, "bench-v1" if name in NUISANCES else "bench-v2") for name in EVERY]
 )
-def test_one_nuisance_grows_and_nothing_else(found, preset) -> None:
-    bench = load_simulation(preset=preset)
+def test_one_nuisance_grows_and_nothing_else(name, preset) -> None:
+    bench, found = load_simulation(preset=preset), EVERY[name]
     assert scale_nuisance(bench, found, 1.0) == bench
     before, after = bench.model_dump(), scale_nuisance(bench, found, 3.0).model_dump()
     changed = {
@@ -74,8 +64,8 @@ def test_one_nuisance_grows_and_nothing_else(found, preset) -> None:
         if after[section][name] != value
     } | {f".{name}" for name, value in before.items()
          if isinstance(value, float) and after[name] != value}  # fmt: skip
-    assert changed == set(found.keys)
-    for key in set(found.keys) - {"face.foundation_range_n_mm3"}:
+    assert changed == set(found)
+    for key in set(found) - {"face.foundation_range_n_mm3"}:
         section, name = key.split(".")
         new, old = (content[section] if section else content for content in (after, before))
         assert new[name] == pytest.approx(3.0 * old[name])
@@ -83,7 +73,7 @@ def test_one_nuisance_grows_and_nothing_else(found, preset) -> None:
 
 def test_a_range_keeps_its_middle() -> None:
     bench = load_simulation(preset="bench-v1")
-    low, high = scale_nuisance(bench, BY_NAME["foundation"], 0.5).face.foundation_range_n_mm3
+    low, high = scale_nuisance(bench, NUISANCES["foundation"], 0.5).face.foundation_range_n_mm3
     assert low * high == pytest.approx(5.0 * 50.0)
     assert high / low == pytest.approx((50.0 / 5.0) ** 0.5)
 
@@ -92,8 +82,7 @@ def test_a_band_is_a_latin_hypercube_of_the_nuisances_that_a_bench_draws() -> No
     bench = load_simulation(preset="bench-v2")
     found = band_benches(bench, 16)
     assert found == band_benches(bench, 16)
-    names = {n.name for n in (*NUISANCES, *LATER_NUISANCES)}
-    for name in names:
+    for name in EVERY:
         log2 = np.sort([np.log2(factors[name]) for factors, _ in found])
         # One in each sixteenth of the range from a half to two.
         assert np.floor(8.0 * (log2 + 1.0)).tolist() == list(range(16))
@@ -102,11 +91,11 @@ def test_a_band_is_a_latin_hypercube_of_the_nuisances_that_a_bench_draws() -> No
         assert one.release_disturbance_mm == pytest.approx(0.5 * factors["release"])
         assert one.mu == bench.mu
     plain, _ = band_benches(load_simulation(preset="bench-v1"), 2)[0]
-    assert set(plain) == {n.name for n in NUISANCES}
+    assert set(plain) == set(NUISANCES)
 
 
 def test_without_tilt_no_board_is_tilted() -> None:
-    bench = scale_nuisance(load_simulation(preset="bench-v1"), BY_NAME["tilt"], 0.0)
+    bench = scale_nuisance(load_simulation(preset="bench-v1"), NUISANCES["tilt"], 0.0)
     draws = [conditions.draw_mounting(bench, np.random.default_rng(k)) for k in range(3)]
     assert [draw.tilt_rad for draw in draws] == [(0.0, 0.0)] * 3
 
@@ -153,31 +142,6 @@ def test_a_drop_is_told_in_points() -> None:
     assert len(changes.rows) == len(trials.rows) == 0
 
 
-def test_sensitivity_is_asked_once_for_the_bench_itself(tmp_path: Path) -> None:
-    store, bench = JobStore(tmp_path), load_simulation(preset="quiet")
-    source = adopt_models(store, *shipped_model_folders("quiet"))["pot", "FT+Tac"]
-    asked = (BY_NAME["tilt"], BY_NAME["gain"])
-    plan = NuisanceSensitivity(bench, "test", "pot", source, ("short",), groups=4, nuisances=asked)
-    jobs = plan.jobs()
-    assert len(jobs) == 1 + 2 * (len(FACTORS) - 1)
-    # The bench itself comes first, then the ends of the range.
-    assert all(job.seed == jobs[0].seed for job in jobs)
-    some = jobs[:3]
-    assert {r.state for r in run_campaign(some, SerialExecutor(KINDS, store), store)} == {"done"}
-    answer = plan.answer(store)
-    tilt, gain = answer["nuisances"]
-    assert [row["factor"] for row in tilt["at"]] == [0.0, 1.0]
-    assert tilt["at"][1] == gain["at"][1]
-    assert tilt["at"][1]["iou_change"]["value"] == 0.0
-    shift = tilt["at"][0]["iou_change"]["value"]
-    assert shift == pytest.approx(tilt["at"][0]["iou"]["value"] - tilt["at"][1]["iou"]["value"])
-    assert shift != 0.0
-    assert tilt["at"][0]["iou_change_on"] == {"short": tilt["at"][0]["iou_change"]}
-    page = report_page(sensitivity_report(answer))
-    assert page.count("<svg") == 2
-    assert sensitivity_table(answer).texts()[1][1] in page
-
-
 @pytest.mark.optional
 @pytest.mark.skipif(not mujoco_available(), reason="needs the optional engine")
 def test_both_worlds_are_asked_the_same_and_only_once(
@@ -217,10 +181,10 @@ def test_both_worlds_are_asked_the_same_and_only_once(
 @pytest.mark.parametrize(
     ("words", "where"),
     [
-        (["sensitivity", "--groups", "0"], "--groups"),
-        (["sensitivity", "--pieces", "pot,barrel"], "--pieces"),
-        (["sensitivity", "--bottoms", "sea"], "--bottoms"),
-        (["sensitivity", "--strategies", "ceiling"], "--strategies"),
+        (["elsewhere", "--groups", "0"], "--groups"),
+        (["elsewhere", "--pieces", "pot,barrel"], "--pieces"),
+        (["elsewhere", "--bottoms", "sea"], "--bottoms"),
+        (["elsewhere", "--strategies", "ceiling"], "--strategies"),
         (["elsewhere", "--train", "everything"], "--train"),
         (["elsewhere", "--first", "-1"], "--first"),
         (["beyond", "--strategies", "luck"], "--strategies"),
@@ -388,7 +352,7 @@ def test_laws_fill_their_range_and_pairs_stay_pairs(
 
 
 def test_every_nuisance_has_a_size_of_its_own(drawn: list[SimulationSettings]) -> None:
-    keys = [n.keys[0] for n in NUISANCES if n.keys[0] not in {FOUNDATION, *LAW_FACTORS}]
+    keys = [keys[0] for keys in NUISANCES.values() if keys[0] not in {FOUNDATION, *LAW_FACTORS}]
     sizes = np.array([float(value(drawn[3], key)[0] / value(BENCH, key)[0]) for key in keys])
     assert ((sizes >= NUISANCE_FACTORS[0]) & (sizes <= NUISANCE_FACTORS[1])).all()
     assert len(set(sizes.round(9))) == len(keys)

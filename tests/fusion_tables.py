@@ -13,7 +13,7 @@ from typing import Any
 
 from tests.guard_study import guard_table
 from touchdown.backend.experiments.comparison import comparison_tables
-from touchdown.backend.experiments.document import to_markdown
+from touchdown.backend.experiments.document import ReportTable
 from touchdown.backend.experiments.statistics import estimate_rate
 
 DOCS = Path(__file__).parents[1] / "docs"
@@ -33,6 +33,16 @@ TITLES = {
 }
 KINDS = {", rather stable than not": "likely", ", sure enough to release": "released"}
 Json = dict[str, Any]
+
+
+def markdown(tables: list[ReportTable]) -> str:
+    """Return tables as Markdown."""
+    parts = []
+    for table in tables:
+        header, *rows = table.texts()
+        lines = [header, ("---",) * len(header), *rows]
+        parts += [f"{table.title}:", "\n".join(f"| {' | '.join(row)} |" for row in lines)]
+    return "\n\n".join(parts)
 
 
 def loops(answer: Json) -> str:
@@ -118,7 +128,7 @@ def compared(answer: Json) -> str:
             lines.append(f"| {names_of} | {_points(row)} | {counts} |")
     if "band" in answer:
         around = [t for t in comparison_tables(answer) if "benches around" in t.title]
-        lines += ["", to_markdown(around).strip()]
+        lines += ["", markdown(around).strip()]
     return "\n".join([*lines, "", _provenance(answer)])
 
 
@@ -217,7 +227,7 @@ def guarded(answer: Json) -> str:
         f"{counts[0]}; those before the alarms: {counts[1] or 'none'}. Sources of the jobs: "
         f"`{answer['code']}`."
     )
-    table = to_markdown([guard_table(answer)]).partition("\n\n")[2].strip()
+    table = markdown([guard_table(answer)]).partition("\n\n")[2].strip()
     return f"{table}\n\n{text}"
 
 

@@ -9,8 +9,6 @@ from .collection import split_jobs as split_jobs
 from .comparison import StrategyComparison as StrategyComparison
 from .comparison import comparison_tables as comparison_tables
 from .comparison import decided_strategies as decided_strategies
-from .comparison import merged_oracle_shares as merged_oracle_shares
-from .comparison import oracle_share_table as oracle_share_table
 from .comparison import stopped_text as stopped_text
 from .document import BLUE as BLUE
 from .document import FAINT as FAINT
@@ -25,7 +23,6 @@ from .document import ReportSection as ReportSection
 from .document import ReportTable as ReportTable
 from .document import TableEntry as TableEntry
 from .document import report_page as report_page
-from .document import to_markdown as to_markdown
 from .evaluation import EVALUATED_STRATEGIES as EVALUATED_STRATEGIES
 from .evaluation import CollectionKind as CollectionKind
 from .evaluation import DomainShift as DomainShift
@@ -47,7 +44,6 @@ from .models import shipped_model_folders as shipped_model_folders
 from .results import CONTENT_ERRORS as CONTENT_ERRORS
 from .results import DATA as DATA
 from .results import program_version as program_version
-from .results import read_beyond as read_beyond
 from .results import read_report as read_report
 from .results import rewrite_tables as rewrite_tables
 from .results import write_comparison as write_comparison
@@ -64,7 +60,6 @@ from .strategies import ClosedLoopComparison as ClosedLoopComparison
 from .strategies import StaticComparison as StaticComparison
 from .strategies import base_strategy as base_strategy
 from .strategies import method_of as method_of
-from .tables import BEYOND_FORMAT as BEYOND_FORMAT
 from .tables import PIECES as PIECES
 from .tables import SCALES as SCALES
 from .tables import TABLE_BOTTOMS as TABLE_BOTTOMS

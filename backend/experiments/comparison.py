@@ -1,8 +1,6 @@
 """Comparison of strategies as tables and a report.
 
-The oracle share is the improvement of a strategy over the paper's method, relative to that of the
-oracle. One oracle knows the outline of the bottom, the other only that it is round. A share counts
-the trials and groups that paper, strategy and oracle have in common. A paired change is the
+A paired change is the
 difference of a strategy to the paper's method on common seeds; a strategy with settings in its name
 is compared with the same strategy without them. Intervals are a bootstrap over seeds
 within each cell, all strategies always drawn together (Efron and Tibshirani, An Introduction to the
@@ -17,7 +15,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from touchdown.backend.core import FloatArray, InputError, Outcome
+from touchdown.backend.core import FloatArray, Outcome
 from touchdown.backend.experiments.document import (
     RELIABILITY_LEGEND,
     PictureGallery,
@@ -40,8 +38,6 @@ from touchdown.backend.experiments.strategies import (
     ClosedLoopComparison,
     StaticComparison,
     base_strategy,
-    parse_trials,
-    parse_verdicts,
     released_unsafely,
 )
 from touchdown.backend.experiments.tables import UNSAFE_OUTCOMES, score_verdicts
@@ -79,20 +75,6 @@ def _quantities(trials: Trials, answers: Answers) -> Iterator[tuple[str, ValueFu
         }
         yield f"right, n = {n}", _right, sums
         yield f"balanced, n = {n}", _balanced, sums
-
-
-def oracle_shares(trials: Trials, answers: Answers) -> list[Json]:
-    """Return one row per quantity, strategy and oracle (``to``).
-
-    ``share`` is None if the oracle is not better than the paper; its interval is None if that
-    happens in more bootstrap draws than lie beyond one end of it.
-    """
-    return [
-        {**_row(name, what, _shared(sums, (PAPER, name, to)), value), "to": to}
-        for what, value, sums in _quantities(trials, answers)
-        if value is not _right
-        for name, to in _compared_pairs(sums)
-    ]
 
 
 def paired_changes(trials: Trials, answers: Answers) -> list[Json]:
@@ -194,44 +176,6 @@ def _change(
     return [row]
 
 
-def quantity_label(row: Mapping[str, Any]) -> str:
-    """Return the quantity of a row, with the oracle if it is not the first one."""
-    to = row.get("to", ORACLES[0])
-    return str(row["what"]) if to == ORACLES[0] else f"{row['what']}, to {to}"
-
-
-def merged_oracle_shares(stored: Sequence[tuple[str, Mapping[str, Any]]]) -> list[Json]:
-    """Return the rows over several named ``beyond.json``.
-
-    Raises ``InputError`` if two of them contain the same cell of a strategy, or differ in the
-    bench.
-    """
-    trials: dict[Cell, list[Json]] = {}
-    answers: dict[Cell, dict[int, Json]] = {}
-    benches = {answer["bench_sha256"] for _, answer in stored}
-    if len(benches) > 1:
-        raise InputError(
-            "The files belong to different benches.", "--beyond", "Name files of one bench."
-        )
-    for name, answer in stored:
-        for known, more in ((trials, parse_trials(answer)), (answers, parse_verdicts(answer))):
-            for cell in sorted(known.keys() & more.keys()):
-                what = f"{' '.join(cell)} is in two of the files."
-                raise InputError(what, name, "Name one file for each strategy and cell.")
-            known.update(more)  # type: ignore[arg-type]
-    return oracle_shares(trials, answers)
-
-
-def _compared_pairs(found: Mapping[Cell, Any]) -> list[tuple[str, str]]:
-    """Return pairs of strategy and oracle."""
-    names = dict.fromkeys(strategy for strategy, _, _ in found)
-    if PAPER not in names:
-        return []
-    own = (name for name in names if base_strategy(name) == name)
-    compared = [name for name in own if name not in (PAPER, *ORACLES)]
-    return [(name, to) for to in ORACLES if to in names for name in compared]
-
-
 def _shared(sums: Sums, names: Sequence[str]) -> list[FloatArray]:
     """Return by cell an array (seeds, strategies, sums) of the seeds that all strategies have."""
     cells = []
@@ -265,53 +209,6 @@ def _balanced(sums: FloatArray) -> FloatArray:
 
 def _right(sums: FloatArray) -> FloatArray:
     return np.asarray((sums[..., 0] + sums[..., 2]) / (sums[..., 1] + sums[..., 3]))
-
-
-def _row(name: str, what: str, counts: Sequence[FloatArray], value: ValueFunction) -> Json:
-    row: Json = dict.fromkeys(("paper", "own", "ceiling", "share", "share_low", "share_high"))
-    row.update(strategy=name, what=what, n=0)
-    if not counts:
-        return row
-    total = np.sum([cell.sum(axis=0) for cell in counts], axis=0)
-    values = value(total)
-    row["n"] = int(total[0, -1])
-    for key, one in zip(("paper", "own", "ceiling"), values.tolist(), strict=True):
-        row[key] = None if np.isnan(one) else one
-    upwards = what != "unsafe"
-    share = _share_of_way(values, upwards=upwards)
-    if np.isnan(share):
-        return row
-    row["share"] = float(share)
-    drawn = _share_of_way(value(_bootstrap_sums(counts)), upwards=upwards)
-    known = drawn[~np.isnan(drawn)]
-    if len(known) > (1.0 - INTERVAL_PERCENTILES[0] / 100.0) * BOOTSTRAP_DRAWS:
-        ends = np.percentile(known, INTERVAL_PERCENTILES)
-        if value is _mean:
-            ends = np.r_[ends, _eventless_shares(total, values, upwards=upwards)]
-        row["share_low"], row["share_high"] = float(ends.min()), float(ends.max())
-    return row
-
-
-def _eventless_shares(total: FloatArray, values: FloatArray, *, upwards: bool) -> FloatArray:
-    """Return the shares at the exact bounds of rates without events, which no draw of a bootstrap
-    changes.
-    """
-    found = []
-    for k, (events, n) in enumerate(total.astype(int).tolist()):
-        for bound in rate_interval(events, n) if events in (0, n) else ():
-            moved = values.copy()
-            moved[k] = bound
-            found.append(_share_of_way(moved, upwards=upwards))
-    shares = np.array(found, dtype=np.float64)
-    return np.asarray(shares[~np.isnan(shares)])
-
-
-def _share_of_way(values: FloatArray, *, upwards: bool) -> FloatArray:
-    """Return the shares (...) of values (..., 3); NaN if the oracle is not better."""
-    paper, own, ceiling = np.moveaxis(values, -1, 0)
-    way = ceiling - paper
-    better = way > 0.0 if upwards else way < 0.0
-    return np.asarray(np.where(better, (own - paper) / np.where(better, way, 1.0), np.nan))
 
 
 def _bootstrap_sums(counts: Sequence[FloatArray]) -> FloatArray:
@@ -371,7 +268,6 @@ class StrategyComparison:
         """Return all finished results; ``quantity``: the one on which it may have stopped early."""
         found = self.loops.table(store)
         answers = self.statics.answers(store) if self.statics else {}
-        found["gaps"] = oracle_shares(self.loops.trials_of(store), answers)
         found["changes"] = paired_changes(self.loops.trials_of(store), answers)
         found["of_ceiling"] = placed_of_ceiling(self.loops.trials_of(store))
         if self.statics is not None:
@@ -464,8 +360,6 @@ def comparison_tables(answer: Mapping[str, Any]) -> list[ReportTable]:
                 ),
             )
         )
-    if answer.get("gaps"):
-        found.append(oracle_share_table(answer["gaps"]))
     if answer.get("changes"):
         found.append(
             ReportTable.of_texts(
@@ -513,15 +407,6 @@ def _band_table(answer: Mapping[str, Any]) -> ReportTable:
     return ReportTable.of_texts(title, ("strategy", "benches", "trials", *head), rows)
 
 
-def oracle_share_table(rows: Sequence[Json]) -> ReportTable:
-    """Return the table of the oracle shares."""
-    return ReportTable.of_texts(
-        "Share of the improvement from paper to ceiling, common trials; 95 % intervals",
-        ("strategy", "of", "n", "paper %", "own %", "ceiling %", "share %"),
-        map(_oracle_share_row, rows),
-    )
-
-
 def _traced(cell: Json, text: str) -> TableEntry:
     return TableEntry(text, jobs=tuple(cell.get("jobs", ())), seed=cell.get("seed"))
 
@@ -564,12 +449,6 @@ def _reliability_row(cell: Json) -> tuple[str, ...]:
     charts = [cell["reliability"].get(str(n)) for n in RELIABLE_AFTER]
     ece = ["" if chart is None else f"{chart['ece']:.3f}" for chart in charts]
     return _name(cell), *ece, format_estimate(cell["iou"])
-
-
-def _oracle_share_row(row: Json) -> tuple[str, ...]:
-    shares = [format_percent(row[key]) for key in ("paper", "own", "ceiling")]
-    share = {"value": row["share"], "low": row["share_low"], "high": row["share_high"]}
-    return row["strategy"], quantity_label(row), str(row["n"]), *shares, format_estimate(share)
 
 
 def _change_row(row: Json) -> tuple[str, ...]:

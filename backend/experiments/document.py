@@ -1,4 +1,4 @@
-"""Reports of sections, tables and pictures, rendered as one HTML page or as Markdown tables.
+"""Reports of sections, tables and pictures, rendered as one HTML page.
 
 All report pages of the experiments use ``Report`` and ``report_page``; the Review workspace shows
 the same values. Charts are SVG text. SVG from a file is checked: one element without scripts and
@@ -49,7 +49,7 @@ class TableEntry:
 
 @dataclass(frozen=True, slots=True)
 class ReportTable:
-    """A table of a report, of the command line or of a Markdown file.
+    """A table of a report or of the command line.
 
     ``columns``: name and subtitle; ``rows``: name, and one entry per column. ``corner`` is the
     heading of the row names, ``note`` the text below the table.
@@ -443,15 +443,3 @@ def _paragraphs(texts: Iterable[str]) -> str:
 
 def _tag(name: str, text: str) -> str:
     return f"<{name}>{escape(text)}</{name}>" if text else ""
-
-
-def to_markdown(tables: Iterable[ReportTable]) -> str:
-    """Return tables as Markdown."""
-    parts = []
-    for table in tables:
-        header, *rows = table.texts()
-        lines = [header, ("---",) * len(header), *rows]
-        parts.append(
-            "\n".join([f"{table.title}:", "", *(f"| {' | '.join(row)} |" for row in lines)])
-        )
-    return "\n\n".join(parts) + "\n"

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -16,11 +16,7 @@ import numpy as np
 
 from touchdown.backend.core import InputError, parse_json, read_limited, write_atomically
 from touchdown.backend.episodes import patch_bits
-from touchdown.backend.experiments.comparison import (
-    comparison_report,
-    comparison_tables,
-    merged_oracle_shares,
-)
+from touchdown.backend.experiments.comparison import comparison_report
 from touchdown.backend.experiments.document import (
     FILM_LEGEND,
     PictureGallery,
@@ -38,10 +34,8 @@ from touchdown.backend.experiments.document import (
     reliability_gallery,
     report_page,
     scatter_map,
-    to_markdown,
 )
 from touchdown.backend.experiments.run_report import FILM_FILE
-from touchdown.backend.experiments.strategies import parse_trials, parse_verdicts
 from touchdown.backend.experiments.tables import (
     BEYOND_READABLE,
     CALIBRATED,
@@ -63,19 +57,17 @@ CELL_KEYS = ("piece", "bottom", "tower", "outline", "strategy")
 def comparison_sections(tables: JsonMapping) -> list[ReportSection]:
     """Return the section on the comparisons of strategies; none if the tables hold none."""
     answers = tables.get("beyond") or ()
-    return list(comparison_report(joined_comparison(answers, tables)).sections) if answers else []
+    return list(comparison_report(joined_comparison(answers)).sections) if answers else []
 
 
-def joined_comparison(answers: Sequence[JsonMapping], tables: JsonMapping) -> Json:
+def joined_comparison(answers: Sequence[JsonMapping]) -> Json:
     """Return several comparisons as one: the largest result of each cell, side by side."""
     statics = [answer["statics"] for answer in answers if "statics" in answer]
-    rows = {
-        name: [row for answer in answers for row in answer.get(name) or ()]
-        for name in ("changes", "of_ceiling", "gaps", "band")
-    }
     return {
-        **rows,
-        "gaps": tables.get("gaps") or rows["gaps"],
+        **{
+            name: [row for answer in answers for row in answer.get(name) or ()]
+            for name in ("changes", "of_ceiling", "band")
+        },
         "bench_sha256": answers[0]["bench_sha256"],
         "code": ", ".join(dict.fromkeys(answer["code"] for answer in answers)),
         "models": {p: m for answer in answers for p, m in answer.get("models", {}).items()},
@@ -373,8 +365,6 @@ def read_beyond(file: Path) -> Json:
     with _checked_content(file, fix):
         comparison_report(found)
         str(found["bench_sha256"])
-        parse_trials(found)
-        parse_verdicts(found)
     return found
 
 
@@ -405,7 +395,7 @@ def _checked_content(file: Path, fix: str) -> Iterator[None]:
 
 
 PAGE, DATA = "tables.html", "tables.json"
-BEYOND_PAGE, BEYOND_DATA, BEYOND_TABLES = "beyond.html", "beyond.json", "beyond.md"
+BEYOND_PAGE, BEYOND_DATA = "beyond.html", "beyond.json"
 
 
 def write_tables(out: Path, recipe: Recipe, store: JobStore) -> tuple[Path, Json]:
@@ -414,7 +404,7 @@ def write_tables(out: Path, recipe: Recipe, store: JobStore) -> tuple[Path, Json
     Parameters
     ----------
     out : Path
-        Existing folder. A ``beyond.json`` of the same bench in it is included.
+        Existing folder.
     recipe : Recipe
         Jobs of the tables.
     store : JobStore
@@ -426,19 +416,11 @@ def write_tables(out: Path, recipe: Recipe, store: JobStore) -> tuple[Path, Json
         Path of the page.
     content : dict
         Content of ``tables.json``.
-
-    Raises
-    ------
-    InputError
-        The ``beyond.json`` in the folder is damaged.
     """
     found = table_results(recipe, store)
     spec = recipe.twins()
     twins = store.result(spec.id) if store.has(spec.id) else None
     found["figures"] = {"twins": twins, "films": _stored_films(recipe, store)}
-    compared = comparison_beside(out, found["bench_sha256"])
-    if compared is not None:
-        found["beyond"] = [compared]
     return _written(out / DATA, found), found
 
 
@@ -456,10 +438,6 @@ def rewrite_tables(file: Path, compared: Sequence[Path]) -> Path:
             raise InputError("It belongs to another bench.", str(path), f"Leave it out of {file}.")
     if answers:
         found["beyond"] = answers
-        found["gaps"] = []
-        with suppress(InputError):  # files that share a cell: each has shares of its own
-            named = zip(map(str, compared), answers, strict=True)
-            found["gaps"] = merged_oracle_shares(list(named))
     return _written(file, found)
 
 
@@ -476,22 +454,10 @@ def _json_bytes(content: Mapping[str, Any]) -> bytes:
 
 
 def write_comparison(out: Path, answer: Mapping[str, Any]) -> Path:
-    """Write a comparison of strategies; tables written to the same folder include it."""
+    """Write a comparison of strategies; return the path of its file."""
     write_atomically(out / BEYOND_DATA, _json_bytes(answer))
     write_atomically(out / BEYOND_PAGE, report_page(comparison_report(answer)).encode())
-    write_atomically(out / BEYOND_TABLES, to_markdown(comparison_tables(answer)).encode())
     return out / BEYOND_DATA
-
-
-def comparison_beside(out: Path, bench_id: str) -> Json | None:
-    """Return the comparison in the folder of the tables, if it is of the same bench.
-
-    Raises ``InputError`` for a damaged one.
-    """
-    if not (out / BEYOND_DATA).exists():
-        return None
-    answer = read_beyond(out / BEYOND_DATA)
-    return answer if answer["bench_sha256"] == bench_id else None
 
 
 def program_version() -> str:

@@ -128,31 +128,6 @@ def group_lines(answers: Mapping[int, Mapping[str, Any]]) -> list[str]:
     ]
 
 
-def parse_trials(answer: Mapping[str, Any]) -> dict[Cell, list[Json]]:
-    """Return the trials of each cell of a ``beyond.json``."""
-    found: dict[Cell, list[Json]] = {}
-    for cell in answer["cells"]:
-        for line in cell.get("trials", ()):
-            seed, outcome, probes, least, *outline = line.split()
-            trial = {"seed": int(seed), "outcome": outcome, "probes": int(probes)}
-            trial |= {
-                "least_probes": int(least),
-                **dict(zip(TRIAL_WORDS[4:], outline, strict=False)),
-            }
-            found.setdefault(_cell(cell), []).append(trial)
-    return found
-
-
-def parse_verdicts(answer: Mapping[str, Any]) -> dict[Cell, dict[int, Json]]:
-    """Return margins and verdicts of each cell of a ``beyond.json``, by the first seed."""
-    found: dict[Cell, dict[int, Json]] = {}
-    for cell in answer.get("statics", {}).get("cells", ()):
-        for line in cell.get("asked", ()):
-            seed, *groups = line.split()
-            found.setdefault(_cell(cell), {})[int(seed)] = _answer(groups)
-    return found
-
-
 def _cell(cell: Mapping[str, Any]) -> Cell:
     return cell["strategy"], cell["piece"], cell["bottom"]
 
@@ -165,19 +140,6 @@ def _group(answer: Mapping[str, Any], g: int) -> str:
     return ":".join([NO_SUPPORT if margin is None else f"{margin:g}", *bits])
 
 
-def _answer(groups: Sequence[str]) -> Json:
-    parts = [group.split(":") for group in groups]
-    margins = [None if part[0] == NO_SUPPORT else float(part[0]) for part in parts]
-    verdicts = {
-        kind: {
-            str(n): [part[1 + v][k] == "1" for part in parts] for k, n in enumerate(PROBE_COUNTS)
-        }
-        for v, kind in enumerate(VERDICT_KINDS)
-    }
-    return {"margin_mm": [[m, m] for m in margins], **verdicts}
-
-
-FORMAT = BEYOND_FORMAT
 # the first two are those of the tables, with the same seeds
 SINGLE_BOTTOMS = ("short", "long", "hex20", "rect12x28")
 # bottom-up; the first is that of the tables
@@ -251,7 +213,7 @@ class ClosedLoopComparison:
         cells, left_out = self.trials_of(store), self.left_out(store)
         traces = job_traces(self.jobs(), store)
         return {
-            "format": FORMAT,
+            "format": BEYOND_FORMAT,
             "bench_sha256": bench_sha256(self.bench),
             "code": self.code,
             **provenance(self.jobs(), store),

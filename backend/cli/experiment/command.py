@@ -15,7 +15,6 @@ from touchdown.backend.cli.experiment.campaign import (
     Json,
     add_campaign_arguments,
     parse_names,
-    write_json,
 )
 from touchdown.backend.cli.experiment.certify import add_certify_arguments, run_certify
 from touchdown.backend.cli.experiment.evaluation import add_evaluation_arguments, run_evaluation
@@ -23,7 +22,6 @@ from touchdown.backend.cli.output import VerbOutput, require_positive
 from touchdown.backend.config import StackSettings
 from touchdown.backend.core import InputError, disk_errors, write_atomically
 from touchdown.backend.experiments import (
-    BEYOND_FORMAT,
     BOTTOMS,
     COMPARED_PIECES,
     CONTENT_ERRORS,
@@ -46,18 +44,14 @@ from touchdown.backend.experiments import (
     comparison_tables,
     decided_strategies,
     keep_models,
-    merged_oracle_shares,
     method_of,
-    oracle_share_table,
     program_version,
-    read_beyond,
     read_report,
     ready_sequences,
     rewrite_tables,
     stopped_text,
     threshold_counts,
     threshold_jobs,
-    to_markdown,
     write_comparison,
     write_tables,
 )
@@ -67,13 +61,13 @@ from touchdown.backend.runs import check_weighing
 
 
 def add_report_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of ``report`` and ``gap``."""
+    """Add the arguments of ``report``."""
     report = parser.add_argument_group("report")
     report.add_argument("--tables", type=Path, metavar="JSON", help="the tables.json whose page is "
                         "written again, beside it (default: that of --out)")  # fmt: skip
     report.add_argument("--beyond", type=Path, nargs="+", default=[], metavar="JSON", help="its "
                         "new comparisons of strategies, each a beyond.json of the same bench "
-                        "(default: the present ones); gap: the comparisons to use")  # fmt: skip
+                        "(default: the present ones)")  # fmt: skip
 
 
 def rewrite_report(args: argparse.Namespace, screen: VerbOutput) -> Json:
@@ -98,42 +92,6 @@ def compare_tables(answer: Json, other: Json, file: Path, screen: VerbOutput) ->
     screen.say(f"{agree} of {found.cells} cells agree with {file}")
     for name in found.outside:
         screen.say(f"  not: {name}")
-
-
-GAP_DATA, GAP_TABLE = "gap.json", "gap.md"
-
-
-def write_gap(args: argparse.Namespace, screen: VerbOutput) -> Json:
-    """Print the oracle shares over all files of ``--beyond`` and write them to ``--out``.
-
-    Raises ``InputError`` for files that do not match, or lack the paper or an oracle.
-    """
-    stored = [(str(path), read_beyond(path)) for path in args.beyond]
-    rows = merged_oracle_shares(stored)
-    if not rows:
-        raise InputError(
-            "The files have no seeds common to paper, ceiling and another strategy.",
-            "--beyond",
-            "Name the beyond.json of each.",
-        )
-    sheet = oracle_share_table(rows)
-    screen.table(sheet.title, *sheet.texts())
-    first = stored[0][1]
-    content = {
-        "format": BEYOND_FORMAT,
-        "bench_sha256": first["bench_sha256"],
-        "code": first["code"],
-        "models": {},
-        "cells": [],
-        "pooled": [],
-        "gaps": rows,
-    }
-    file = args.out / GAP_DATA
-    with disk_errors(UNWRITTEN, file, KEPT):
-        write_atomically(args.out / GAP_TABLE, to_markdown([sheet]).encode())
-    write_json(file, content)
-    screen.say(f"Written: {file} and {GAP_TABLE}")
-    return {"file": str(file), "gaps": rows}
 
 
 MOST_NETWORKS = 8
@@ -240,12 +198,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
     parser.add_argument(
         "what",
-        choices=("tables", "report", "beyond", "gap", "fused", "elsewhere", "certify"),
+        choices=("tables", "report", "beyond", "fused", "elsewhere", "certify"),
         help="tables: the paper's Tables I to III; report: write their page again, with other "
-        "comparisons; beyond: strategies beyond the paper, and the ceiling; gap: share of the gap "
-        "to the ceiling; fused: train the network of the strategy 'fused'; elsewhere: evaluate in "
-        "a second simulated world; certify: bound the unsafe releases of a network of 'fused' on "
-        "fresh scenes",
+        "comparisons; beyond: strategies beyond the paper, and the ceiling; fused: train the "
+        "network of the strategy 'fused'; elsewhere: evaluate in a second simulated world; "
+        "certify: bound the unsafe releases of a network of 'fused' on fresh scenes",
     )
     scale = parser.add_mutually_exclusive_group()
     scale.add_argument(
@@ -299,9 +256,8 @@ def _add_beyond_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     """Run all unfinished jobs, then write the page; return 0 if no job failed."""
-    if args.what in ("report", "gap"):
-        way = rewrite_report if args.what == "report" else write_gap
-        screen.result({**way(args, screen)})
+    if args.what == "report":
+        screen.result(rewrite_report(args, screen))
         return 0
     # Read before the first job, to report a wrong file early.
     other = None if args.against is None else read_report(args.against)[0]

@@ -1,4 +1,4 @@
-"""Report pages and Markdown tables equal their golden files.
+"""Report pages equal their golden files.
 
 After an intended change of a page run this file with ``REWRITE_GOLDEN=1`` and read the difference.
 """
@@ -17,14 +17,8 @@ import pytest
 from tests.backend.experiments.test_tables import facts, page
 from touchdown.backend.cli.command_line import main
 from touchdown.backend.core import InputError, Outcome
-from touchdown.backend.experiments.comparison import comparison_report, comparison_tables
-from touchdown.backend.experiments.document import (
-    Report,
-    ReportSection,
-    ReportTable,
-    report_page,
-    to_markdown,
-)
+from touchdown.backend.experiments.comparison import comparison_report
+from touchdown.backend.experiments.document import Report, ReportSection, ReportTable, report_page
 from touchdown.backend.experiments.results import read_report, report_of
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -38,10 +32,9 @@ def assert_golden(path: Path, text: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["beyond-statics-pot", "beyond-towers"])
-def test_the_comparison_of_strategies_has_its_page_and_its_tables(name: str) -> None:
+def test_the_comparison_of_strategies_has_its_page(name: str) -> None:
     answer = json.loads((RESULTS / f"{name}.json").read_bytes())
     assert_golden(GOLDEN / f"{name}.html", report_page(comparison_report(answer)))
-    assert_golden(GOLDEN / f"{name}.md", to_markdown(comparison_tables(answer)))
 
 
 def test_the_report_of_two_runs(tmp_path: Path) -> None:
@@ -96,7 +89,6 @@ def answer(*cells: Json, bench: str = "") -> Json:
         "models": {"pot": "c" * 32},
         "cells": list(cells),
         "pooled": [],
-        "gaps": [],
     }
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
@@ -21,14 +22,13 @@ from touchdown.backend.experiments.comparison import (
     comparison_report,
     comparison_tables,
     decided_strategies,
-    oracle_shares,
     paired_changes,
     placed_of_ceiling,
     stopped_text,
 )
 from touchdown.backend.experiments.document import report_page
 from touchdown.backend.experiments.models import adopt_models, shipped_model_folders
-from touchdown.backend.experiments.results import comparison_beside, write_comparison
+from touchdown.backend.experiments.results import write_comparison
 from touchdown.backend.experiments.statistics import (
     SEQUENTIAL_ERROR,
     evidence,
@@ -36,15 +36,14 @@ from touchdown.backend.experiments.statistics import (
     verdict_changes,
 )
 from touchdown.backend.experiments.strategies import (
-    FORMAT,
     PROBABILITY_STEPS,
     SURFACE_KINDS,
+    TRIAL_WORDS,
     ClosedLoopComparison,
     StaticComparison,
     count_outcomes,
     least_probes,
     method_of,
-    parse_trials,
     released_unsafely,
     reliability_of_counts,
     run_closed_loop,
@@ -52,7 +51,7 @@ from touchdown.backend.experiments.strategies import (
     static_scores,
     weighed_piece,
 )
-from touchdown.backend.experiments.tables import QUICK, TOWER, Recipe
+from touchdown.backend.experiments.tables import BEYOND_FORMAT, QUICK, TOWER, Recipe
 from touchdown.backend.experiments.trials import SceneSetup, start_scene
 from touchdown.backend.geometry.pieces import load_pieces
 from touchdown.backend.jobs.job import SPEC_FILE, JobContext, JobSpec, JobStore, run_job
@@ -92,10 +91,8 @@ def test_every_fresh_trial_has_an_outline_and_a_mounting_of_its_own(
     (job,) = short.jobs()
     assert run_job(job, {"beyond": run_closed_loop}, store).state == "done"
     answer = StrategyComparison(short).answer(store)
-    assert [t["outline"] for t in parse_trials(answer)["pick-and-place", "pot", "fresh"]] == [
-        "disc",
-        "rectangle",
-    ]
+    outlines = [line.split()[4] for line in answer["cells"][0]["trials"]]
+    assert outlines == ["disc", "rectangle"]
     loops, classes = comparison_tables(answer)
     assert [row[0] for row in loops.rows][1] == "pick-and-place pooled fresh outlines"
     assert [row[1][0].value for row in classes.rows] == ["disc", "rectangle"]
@@ -111,7 +108,8 @@ def test_on_uneven_faces_the_trials_in_which_a_good_place_exists_are_counted(
     (job,) = plan.jobs()
     assert run_job(job, {"beyond": run_closed_loop}, store).state == "done"
     answer = StrategyComparison(plan).answer(store)
-    (trial,) = parse_trials(answer)["pick-and-place", "pot", "fresh"]
+    (line,) = answer["cells"][0]["trials"]
+    trial = dict(zip(TRIAL_WORDS, line.split(), strict=True))
     scene = start_scene(SceneSetup.of_trial(job.params, job.seed), job.seed)
     assert scene is not None
     assert scene.bottoms.bodies[-1].surface.kind == trial["surface"] in SURFACE_KINDS
@@ -199,31 +197,6 @@ def test_counted_probabilities_make_the_chart_of_the_probabilities_themselves() 
     # The mean distance between p and p squared is 1/2 - 1/3.
     assert reliability_of_counts(counts)["ece"] == pytest.approx(1 / 6, abs=0.01)
     assert sum(reliability_of_counts(counts)["count"]) == 20000
-
-
-def test_shares_of_the_way_count_what_all_three_did() -> None:
-    def cell(*outcomes: str) -> list[Json]:
-        return [{"seed": k, "outcome": word} for k, word in enumerate(outcomes)]
-
-    trials = {
-        ("paper", "pot", "short"): cell("fell", "placed", "fell", "gave_up", "placed"),
-        ("mine", "pot", "short"): cell("placed", "placed", "fell", "placed"),
-        ("ceiling", "pot", "short"): cell("placed", "placed", "placed", "placed"),
-    }
-    row, unsafe = oracle_shares(trials, {})
-    assert (row["n"], row["paper"], row["own"], row["ceiling"]) == (4, 0.25, 0.75, 1.0)
-    assert row["share"] == pytest.approx(2 / 3)
-    # Of the unsafe releases one of two is gone; the ceiling has none.
-    assert (unsafe["what"], unsafe["paper"], unsafe["share"]) == ("unsafe", 0.5, 0.5)
-    assert oracle_shares({k: v for k, v in trials.items() if k[0] != "ceiling"}, {}) == []
-    said = {
-        ("paper", "pot", "short"): {1: answer([False] * 2, [False] * 2, [2.0, -2.0])},
-        ("mine", "pot", "short"): {1: answer([False] * 2, [True, False], [2.0, -2.0])},
-        ("ceiling", "pot", "short"): {1: answer([False] * 2, [True, False], [2.0, -2.0])},
-    }
-    rows = oracle_shares({}, said)
-    assert [r["what"] for r in rows] == [f"balanced, n = {n}" for n in NS]
-    assert (rows[0]["paper"], rows[0]["own"], rows[0]["share"]) == (0.5, 1.0, 1.0)
 
 
 def test_changes_are_paired_by_seed() -> None:
@@ -396,13 +369,12 @@ def compared(*strategies: str) -> Json:
     }
     said = static_scores([answer([True, False], [True, False], [1.0, -1.0])])
     return {
-        "format": FORMAT,
+        "format": BEYOND_FORMAT,
         "bench_sha256": "a" * 64,
         "code": "<1>",
         "cells": [{"strategy": name, **cell} for name in strategies],
         "pooled": [],
         "statics": {"cells": [], "pooled": [{"strategy": name, **said} for name in strategies]},
-        "gaps": [],
     }
 
 
@@ -415,11 +387,9 @@ def test_the_page_shows_every_strategy_and_escapes_what_it_is_told() -> None:
     assert "SIMULATED BENCH" in page
 
 
-def test_tables_show_the_comparison_beside_them_if_it_is_of_their_bench(tmp_path: Path) -> None:
-    write_comparison(tmp_path, compared("mine"))
-    assert comparison_beside(tmp_path, "a" * 64) == compared("mine")
-    assert comparison_beside(tmp_path, "b" * 64) is None
-    assert comparison_beside(tmp_path / "none", "a" * 64) is None
+def test_a_comparison_is_written_with_its_page(tmp_path: Path) -> None:
+    file = write_comparison(tmp_path, compared("mine"))
+    assert json.loads(file.read_bytes()) == compared("mine")
     assert "mine" in (tmp_path / "beyond.html").read_text("utf-8")
 
 

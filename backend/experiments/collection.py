@@ -1,8 +1,7 @@
 """Simulated collections of labelled episodes, written as packs by one or several processes.
 
 The split into jobs depends on the plan alone, so results do not depend on the number of processes.
-``find_ambiguous_pairs`` searches for presses with similar signals and different patches. The module
-does not import torch, because spawned workers import it.
+The module does not import torch, because spawned workers import it.
 """
 
 from __future__ import annotations
@@ -16,19 +15,11 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.backend.config import SimulationSettings
-from touchdown.backend.core import CHANNELS, TACTILE_CHANNELS, FloatArray, InputError
-from touchdown.backend.episodes import (
-    START_KEY,
-    PackedEpisode,
-    TrainingRows,
-    patch_hex,
-    write_packs,
-)
+from touchdown.backend.core import InputError
+from touchdown.backend.episodes import START_KEY, PackedEpisode, patch_hex, write_packs
 from touchdown.backend.geometry import Piece, Tower, face_points
-from touchdown.backend.learning import channel_groups
 from touchdown.backend.simulation import BatchPlan, EpisodeBatch, simulate_episodes
 
 GRIPS_PER_JOB = 20  # grips solved in one batch
@@ -146,91 +137,6 @@ def pack_metadata(job: CollectionJob) -> dict[str, str]:
         "grips_per_mounting": str(plan.grips_per_mounting),
         "settings": plan.settings.model_dump_json(),
     } | ({} if job.start_ns is None else {START_KEY: str(job.start_ns)})
-
-
-HOLD_TICKS = 5  # hold at the end of the press, with settled signals
-MAX_PAIR_IOU = 0.25  # patches with a smaller overlap are different
-MIN_PATCH_SHARE = 0.15  # least share of the face covered by a patch of a pair
-BLOCK_ROWS = 500
-
-
-@dataclass(frozen=True, slots=True)
-class AmbiguousPair:
-    """Two presses with similar signals and different patches.
-
-    ``first``, ``second``: row numbers; ``distance``: rms difference in units of the spread of each
-    channel group; ``rank``: share of all pairs with a smaller distance.
-    """
-
-    first: int
-    second: int
-    distance: float
-    patch_iou: float
-    rank: float
-
-
-def hold_signals(rows: TrainingRows) -> FloatArray:
-    """Return (n, 258) mean signals of the hold."""
-    signals = rows.observation[:, -HOLD_TICKS:].mean(axis=1, dtype=np.float64)
-    return np.asarray(signals, dtype=np.float64)
-
-
-def largest_marker_px(signals: FloatArray) -> FloatArray:
-    """Return (n,) the largest displacement of a marker."""
-    field = signals[:, :TACTILE_CHANNELS].reshape(len(signals), 2, 2, -1)
-    return np.asarray(np.hypot(field[:, :, 0], field[:, :, 1]).max(axis=(1, 2)))
-
-
-def standardise(signals: FloatArray) -> FloatArray:
-    """Return signals (n, 258) scaled to unit spread and equal weight per channel group."""
-    groups = channel_groups()
-    centred = signals - signals.mean(axis=0)
-    size = np.bincount(groups)
-    spread = np.sqrt(np.bincount(groups, (centred**2).mean(axis=0)) / size)
-    spread[spread < 1e-12] = 1.0
-    count = len(size)
-    return np.asarray(centred / (spread * np.sqrt(size * count))[groups], dtype=np.float64)
-
-
-def find_ambiguous_pairs(
-    signals: FloatArray, patch: NDArray[np.bool_], count: int, unlike_iou: float = MAX_PAIR_IOU
-) -> list[AmbiguousPair]:
-    """Return the ``count`` nearest pairs of ``signals`` (n, 258) with different ``patch`` (n, N).
-
-    Both patches cover at least ``LEAST_SHARE`` of the face. Each press occurs in one pair at most.
-    All pairs are searched.
-    """
-    if signals.shape[1] != CHANNELS:
-        raise ValueError(f"signals have {signals.shape[1]} channels, not {CHANNELS}")
-    place = standardise(signals)
-    squares = (place**2).sum(axis=1)
-    size = patch.sum(axis=1)
-    large = size >= MIN_PATCH_SHARE * patch.shape[1]
-    bits = patch.astype(np.float32)
-    found: list[tuple[float, int, int, float]] = []
-    everything = []
-    for start in range(0, len(place), BLOCK_ROWS):
-        rows = slice(start, start + BLOCK_ROWS)
-        distance = squares[rows, None] + squares - 2.0 * place[rows] @ place.T
-        both = bits[rows] @ bits.T
-        iou = both / np.maximum(size[rows, None] + size - both, 1.0)
-        later = np.arange(start, start + len(distance))[:, None] < np.arange(len(place))
-        everything.append(distance[later])
-        i, j = np.nonzero(later & (iou < unlike_iou) & large[rows, None] & large)
-        best = np.argsort(distance[i, j])[: 20 * count]
-        found += [
-            (float(distance[i[k], j[k]]), start + int(i[k]), int(j[k]), float(iou[i[k], j[k]]))
-            for k in best
-        ]
-    pairs = np.sort(np.concatenate(everything))
-    twins: list[AmbiguousPair] = []
-    used: set[int] = set()
-    for square, first, second, iou_of in sorted(found):
-        if len(twins) < count and not used & {first, second}:
-            used |= {first, second}
-            rank = float(np.searchsorted(pairs, square) / len(pairs))
-            twins.append(AmbiguousPair(first, second, max(square, 0.0) ** 0.5, iou_of, rank))
-    return twins
 
 
 POLL_S = 0.2

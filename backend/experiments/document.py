@@ -14,9 +14,7 @@ from types import MappingProxyType
 from typing import Any
 from xml.etree import ElementTree
 
-import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.backend.core import FloatArray, Outcome
 
@@ -203,33 +201,6 @@ INK, FAINT = "#1B2127", "#C9D0D7"
 BLUE, ORANGE, VIOLET = "#005FCC", "#C04A00", "#3A0D3F"
 
 
-def scatter_map(
-    points_mm: FloatArray, values: FloatArray, title: str, unit: str, reach_mm: float
-) -> str:
-    """Return a map of ``values`` (n,) at ``points_mm`` (n, 2), with symmetric colours if signed.
-
-    The scale ends at the 98th percentile of the magnitude, so single presses do not flatten the
-    rest.
-    """
-    top = float(np.percentile(np.abs(values), 98)) or 1.0
-    signed = bool((values < 0).any())
-    low = -top if signed else 0.0
-    shade = np.clip((values - low) / (top - low), 0.0, 1.0)
-    table = cv2.COLORMAP_TWILIGHT_SHIFTED if signed else cv2.COLORMAP_CIVIDIS
-    grey = np.round(255 * shade).astype(np.uint8)[:, None]
-    colours = [f"#{r:02x}{g:02x}{b:02x}" for b, g, r in cv2.applyColorMap(grey, table)[:, 0]]
-    dots = [
-        f'<circle cx="{_x(x, reach_mm):.1f}" cy="{_x(-y, reach_mm):.1f}" r="1.8" fill="{colour}"/>'
-        for (x, y), colour in zip(points_mm, colours, strict=True)
-    ]
-    cross = (
-        f'<path d="M{PAD} {SIDE / 2}H{SIDE - PAD}M{SIDE / 2} {PAD}V{SIDE - PAD}" '
-        f'stroke="{FAINT}" stroke-width="0.7"/>'
-    )
-    text = f"{low:.3g} to {top:.3g} {unit}; ±{reach_mm:.0f} mm"
-    return _frame(title, cross + "".join(dots) + _text(SIDE / 2, SIDE - 8, text))
-
-
 def reliability_chart(
     promised: Sequence[float], came: Sequence[float], title: str, note: str
 ) -> str:
@@ -270,34 +241,6 @@ def reliability_gallery(
         ),
         text,
     )
-
-
-def patch_picture(points_mm: FloatArray, patch: NDArray[np.bool_], title: str, note: str) -> str:
-    """Return the face with the points in contact."""
-    reach = float(np.abs(points_mm).max()) + 1.0
-    cell = (SIDE - 2 * PAD) / (2.0 * reach)
-    cells = [
-        f'<rect x="{_x(x, reach) - cell / 2:.1f}" y="{_x(-y, reach) - cell / 2:.1f}" '
-        f'width="{cell:.1f}" height="{cell:.1f}" fill="{ORANGE if on else FAINT}"/>'
-        for (x, y), on in zip(points_mm, patch, strict=True)
-    ]
-    return _frame(title, "".join(cells) + _text(SIDE / 2, SIDE - 8, note))
-
-
-def paired_traces(first: FloatArray, second: FloatArray, title: str, unit: str) -> str:
-    """Return three channels of two presses (20, 3) over 2 s, as full and dashed lines."""
-    top = max(float(np.abs(first).max()), float(np.abs(second).max()), 1e-9)
-    lines = []
-    for values, dash in ((first, ""), (second, ' stroke-dasharray="3 3"')):
-        for axis, colour in enumerate((BLUE, ORANGE, VIOLET)):
-            points = " ".join(
-                f"{_unit(k / (len(values) - 1)):.1f},{_unit(0.5 - 0.5 * v / top):.1f}"
-                for k, v in enumerate(values[:, axis])
-            )
-            lines.append(f'<polyline points="{points}" fill="none" stroke="{colour}"{dash}/>')
-    axis_line = f'<path d="M{PAD} {SIDE / 2}H{SIDE - PAD}" stroke="{FAINT}"/>'
-    note = _text(SIDE / 2, SIDE - 8, f"x y z, ±{top:.3g} {unit}, 2 s")
-    return _frame(title, axis_line + "".join(lines) + note)
 
 
 def curves_chart(
@@ -342,10 +285,6 @@ def curves_chart(
     ]
     note = _text(SIDE / 2, SIDE - 20, spans[0]) + _text(SIDE / 2, SIDE - 7, spans[1])
     return _frame(title, axis + "".join(lines) + note)
-
-
-def _x(mm: float, reach_mm: float) -> float:
-    return _unit(0.5 + 0.5 * mm / reach_mm)
 
 
 def _unit(share: float) -> float:

@@ -7,11 +7,10 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.backend.bench import SimulatedBenchChoice, simulated_session
 from touchdown.backend.config import (
@@ -21,15 +20,12 @@ from touchdown.backend.config import (
     bench_sha256,
     parse_settings,
 )
-from touchdown.backend.core import Event, FloatArray, TrialFinished
-from touchdown.backend.episodes import TrainingRows, join_rows, load_rows, patch_hex, write_packs
+from touchdown.backend.core import Event, TrialFinished
+from touchdown.backend.episodes import TrainingRows, join_rows, load_rows, write_packs
 from touchdown.backend.experiments.certification import run_certified_scenes
 from touchdown.backend.experiments.collection import (
     batch_plan,
     episode_rows,
-    find_ambiguous_pairs,
-    hold_signals,
-    largest_marker_px,
     pack_metadata,
     split_jobs,
 )
@@ -74,7 +70,6 @@ from touchdown.backend.simulation import Scene
 from touchdown.backend.simulation import simulate_episodes as simulated
 
 GROUPS_PER_BATCH = 50
-PAIRS = 3
 FILMS_PER_CELL = 2  # number of trials per stacking cell stored as pictures
 
 
@@ -254,46 +249,6 @@ def run_on_devices(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
     }
 
 
-def describe_signals(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
-    """Describe a small collection: signals over the displacement, and ambiguous presses."""
-    facts = simulate_collection(spec, place)
-    rows = load_rows(place.folder)
-    signals = hold_signals(rows)
-    points = face_points(load_pieces().top(rows.piece).face)
-    pairs = find_ambiguous_pairs(signals, rows.patch, PAIRS)
-    return {
-        "bench_sha256": facts["bench_sha256"],
-        "piece": rows.piece,
-        "bottom": spec.params["bottom"],
-        "offset_mm": _rounded(rows.offset_mm),
-        "marker_px": _rounded(largest_marker_px(signals)),
-        "moment_nm": _rounded(signals[:, -3:-1], 5),
-        "points_mm": _rounded(points),
-        "pairs": [
-            {
-                **asdict(pair),
-                "offset_mm": _rounded(rows.offset_mm[[pair.first, pair.second]]),
-                "patch": [patch_hex(rows.patch[i]) for i in (pair.first, pair.second)],
-                "force_n": _rounded(rows.observation[[pair.first, pair.second], :, -6:-3]),
-                "moment_nm": _rounded(rows.observation[[pair.first, pair.second], :, -3:], 5),
-                "marker_rms_px": _rms(signals[pair.first, :-6] - signals[pair.second, :-6]),
-                "force_rms_n": _rms(signals[pair.first, -6:-3] - signals[pair.second, -6:-3]),
-                "moment_rms_nm": _rms(signals[pair.first, -3:] - signals[pair.second, -3:]),
-            }
-            for pair in pairs
-        ],
-    }
-
-
-def _rounded(values: FloatArray | NDArray[np.float32], digits: int = 3) -> list[Any]:
-    rounded: list[Any] = np.round(np.asarray(values, dtype=np.float64), digits).tolist()
-    return rounded
-
-
-def _rms(values: FloatArray) -> float:
-    return round(float(np.sqrt(np.mean(values**2))), 5)
-
-
 def _bench(params: Mapping[str, Any]) -> SimulationSettings:
     return parse_settings(SimulationSettings, params["bench"], "job")
 
@@ -305,7 +260,6 @@ KINDS: JobFunctions = {
     "static": evaluate_static,
     "stack": run_stacking,
     "devices": run_on_devices,
-    "twins": describe_signals,
     "beyond": run_closed_loop,
     "promises": run_static_groups,
     "certify": run_certified_scenes,

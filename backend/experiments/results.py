@@ -12,10 +12,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from touchdown.backend.core import InputError, parse_json, read_limited, write_atomically
-from touchdown.backend.episodes import patch_bits
 from touchdown.backend.experiments.comparison import comparison_report
 from touchdown.backend.experiments.document import (
     FILM_LEGEND,
@@ -28,12 +25,9 @@ from touchdown.backend.experiments.document import (
     check_svg,
     format_outcomes,
     format_percent,
-    paired_traces,
-    patch_picture,
     rate_entry,
     reliability_gallery,
     report_page,
-    scatter_map,
 )
 from touchdown.backend.experiments.run_report import FILM_FILE
 from touchdown.backend.experiments.tables import (
@@ -96,7 +90,6 @@ def report_of(tables: JsonMapping) -> Report:
     facts = tables["bench_facts"]
     slipped = facts["slipped"]
     slip = "not measured" if slipped is None else f"{100 * slipped:.0f} %"
-    figures = tables.get("figures") or {}
     sections = [
         _table1(tables["table1"]),
         _table2(tables["table2"], BALANCED_SAMPLE),
@@ -104,8 +97,7 @@ def report_of(tables: JsonMapping) -> Report:
         _table3(tables["table3"]),
         *comparison_sections(tables),
         _reliability(facts["after_three_probes"]),
-        _distribution(figures.get("twins")),
-        _film_section(figures.get("films") or ()),
+        _film_section((tables.get("figures") or {}).get("films") or ()),
     ]
     return Report(
         f"Touchdown: the paper's experiments, {tables['scale']}",
@@ -282,55 +274,6 @@ def _reliability(charts: Sequence[JsonMapping]) -> ReportSection | None:
     )
 
 
-def _distribution(twins: JsonMapping | None) -> ReportSection | None:
-    if not twins:
-        return None
-    offset = np.array(twins["offset_mm"])
-    reach = float(np.abs(offset).max())
-    moment = np.array(twins["moment_nm"])
-    maps = tuple(
-        ReportPicture(scatter_map(offset, values, title, unit, reach))
-        for values, title, unit in (
-            (np.array(twins["marker_px"]), "Largest marker displacement", "px"),
-            (moment[:, 0], "Tx at the end of the press", "N m"),
-            (moment[:, 1], "Ty at the end of the press", "N m"),
-        )
-    )
-    pairs = (_ambiguous_pair(number, pair, twins) for number, pair in enumerate(twins["pairs"], 1))
-    alike = (
-        "Pairs below: presses with similar signals and different patches, nearest among all "
-        "pairs with little overlap."
-    )
-    text = (
-        "Over the commanded displacement. Tilt of the board, errors of the grasp and slip make "
-        "them uneven about the middle."
-    )
-    title = f"Signals ({twins['piece'].title()} on {twins['bottom']})"
-    return ReportSection(title, (text, alike), (PictureGallery("Signals", maps), *pairs))
-
-
-def _ambiguous_pair(number: int, pair: JsonMapping, twins: JsonMapping) -> PictureGallery:
-    points = np.array(twins["points_mm"])
-    pictures = []
-    for name, text, at in zip("AB", pair["patch"], pair["offset_mm"], strict=True):
-        patch = patch_bits(text, len(points))
-        note = f"at {at[0]:+.1f}, {at[1]:+.1f} mm"
-        pictures.append(ReportPicture(patch_picture(points, patch, f"Patch {name}", note)))
-    caption = (
-        f"Overlap of the patches {100 * pair['patch_iou']:.0f} %; signals differ by "
-        f"{pair['marker_rms_px']:.2f} px, {pair['force_rms_n']:.2f} N, "
-        f"{1e3 * pair['moment_rms_nm']:.1f} N mm (rms); nearer are {100 * pair['rank']:.2f} % of "
-        "all pairs of presses."
-    )
-    for key, title, unit in (
-        ("force_n", "Force, A full, B dashed", "N"),
-        ("moment_nm", "Moment, A full, B dashed", "N m"),
-    ):
-        a, b = (np.array(values) for values in pair[key])
-        pictures.append(ReportPicture(paired_traces(a, b, title, unit)))
-    return PictureGallery(f"Pair {number}", tuple(pictures), caption)
-
-
 def _film_section(films: Sequence[JsonMapping]) -> ReportSection | None:
     if not films:
         return None
@@ -418,9 +361,7 @@ def write_tables(out: Path, recipe: Recipe, store: JobStore) -> tuple[Path, Json
         Content of ``tables.json``.
     """
     found = table_results(recipe, store)
-    spec = recipe.twins()
-    twins = store.result(spec.id) if store.has(spec.id) else None
-    found["figures"] = {"twins": twins, "films": _stored_films(recipe, store)}
+    found["figures"] = {"films": _stored_films(recipe, store)}
     return _written(out / DATA, found), found
 
 

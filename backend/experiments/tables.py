@@ -88,7 +88,6 @@ JOB_FUNCTIONS = {
     "static": ("job_kinds", "evaluate_static"),
     "stack": ("job_kinds", "run_stacking"),
     "devices": ("job_kinds", "run_on_devices"),
-    "twins": ("job_kinds", "describe_signals"),
     "beyond": ("strategies", "run_closed_loop"),
     "promises": ("strategies", "run_static_groups"),
     "sequences": ("fusion", "probe_sequences"),
@@ -122,12 +121,11 @@ class Scale:
     probes_per_grip: int = 50
     grips_per_mounting: int = 40
     fused: int = 5
-    pictured: int = 1500  # probes of the collection that is searched for ambiguous presses
     repeated: int = 0  # trials of each cell of Table 3 that are repeated on the devices
 
 
 FULL = Scale("full", probes=2000, epochs=30, groups=400, trials=100, repeated=20)
-QUICK = Scale("quick", probes=0, epochs=0, groups=40, trials=10, mountings=4, pictured=400)
+QUICK = Scale("quick", probes=0, epochs=0, groups=40, trials=10, mountings=4)
 # Tables 1 and 2 of models that exist
 STABILITY = Scale("stability", probes=0, epochs=0, groups=200, trials=0, mountings=40)
 SCALES = {scale.name: scale for scale in (FULL, QUICK, STABILITY)}
@@ -161,18 +159,19 @@ class Recipe:
 
     def data(self, piece: str) -> list[JobSpec]:
         """Return the collections of training probes of ``piece``, one per outline."""
-        return [self._collection("simulate", piece, b, self.scale.probes) for b in TRAINING_BOTTOMS]
-
-    def _collection(self, kind: str, piece: str, bottom: str, episodes: int) -> JobSpec:
-        return self._job(
-            kind,
-            TRAINING_SEED,
-            piece=piece,
-            bottom=bottom,
-            episodes=episodes,
-            probes_per_grip=self.scale.probes_per_grip,
-            grips_per_mounting=self.scale.grips_per_mounting,
-        )
+        scale = self.scale
+        return [
+            self._job(
+                "simulate",
+                TRAINING_SEED,
+                piece=piece,
+                bottom=bottom,
+                episodes=scale.probes,
+                probes_per_grip=scale.probes_per_grip,
+                grips_per_mounting=scale.grips_per_mounting,
+            )
+            for bottom in TRAINING_BOTTOMS
+        ]
 
     def training(self, piece: str, model: str) -> JobSpec:
         """Return the training of one model."""
@@ -226,15 +225,10 @@ class Recipe:
         params = {**cell.params, "trials": self.scale.repeated}
         return JobSpec("devices", params, cell.seed, cell.inputs, job_code("devices", self.code))
 
-    def twins(self) -> JobSpec:
-        """Return the small collection that is searched for ambiguous presses."""
-        piece, bottom = self.pieces[0], TRAINING_BOTTOMS[0]
-        return self._collection("twins", piece, bottom, self.scale.pictured)
-
     def effort(self, spec: JobSpec) -> int:
         """Return the relative duration of a job."""
         p, scale = spec.params, self.scale
-        if spec.kind in ("simulate", "twins"):
+        if spec.kind == "simulate":
             return int(p["episodes"])
         if spec.kind == "train":
             return scale.probes * scale.epochs // 2
@@ -248,8 +242,6 @@ class Recipe:
             if self.scale.probes:
                 yield from self.data(piece)
                 yield from (self.training(piece, name) for name, _, _ in MODELS)
-        if self.scale.trials:
-            yield self.twins()
         for piece in self.pieces:
             samples = product(TABLE_BOTTOMS, (BALANCED, PAPER_PROTOCOL))
             cells = [self.static(piece, bottom, protocol) for bottom, protocol in samples]

@@ -19,7 +19,6 @@ from .fitting import make_card as make_card
 from .inference import LstmState as LstmState
 from .inference import NetworkShape as NetworkShape
 from .inference import PatchForward as PatchForward
-from .inference import channel_groups as channel_groups
 from .inference import modality_columns as modality_columns
 from .metrics import CONTACT_LEVEL as CONTACT_LEVEL
 from .metrics import Z_95 as Z_95

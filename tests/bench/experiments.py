@@ -356,14 +356,13 @@ def training_of_one_piece() -> list[Figure]:
     return [at_most("training, 6,000 probes, 30 epochs", seconds, "s", 240, note)]
 
 
-PART = Scale("part", FULL.probes, epochs=2, groups=20, trials=5, pictured=100, repeated=2)
+PART = Scale("part", FULL.probes, epochs=2, groups=20, trials=5, repeated=2)
 # factor from the measured part of a job kind to the full tables
 TIMES = {
     "train": FULL.epochs / PART.epochs,
     "static": FULL.groups / PART.groups,
     "stack": FULL.trials / PART.trials,
     "devices": FULL.repeated / PART.repeated,
-    "twins": FULL.pictured / PART.pictured,
 }
 WORKERS, LIMIT_H = 2, 2.0
 

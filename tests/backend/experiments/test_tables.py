@@ -15,7 +15,6 @@ import pytest
 from touchdown.backend.bench.assembly import make_scene
 from touchdown.backend.config.simulation import SimulationSettings, load_simulation
 from touchdown.backend.core import (
-    CHANNELS,
     ActionChosen,
     BeliefMap,
     BeliefUpdated,
@@ -32,7 +31,6 @@ from touchdown.backend.core import (
     TrialStarted,
 )
 from touchdown.backend.experiments import statics
-from touchdown.backend.experiments.collection import find_ambiguous_pairs, largest_marker_px
 from touchdown.backend.experiments.job_kinds import KINDS
 from touchdown.backend.experiments.models import (
     adopt_models,
@@ -85,7 +83,7 @@ from touchdown.backend.simulation.gripper import scene_mounting
 
 HARD = SimulationSettings.model_validate({"preset": "hard"})
 TABLES = {"table1", "table2", "table3"}
-TINY = Scale("tiny", 30, 1, 4, 2, 2, 1, 5, 2, fused=3, pictured=40)
+TINY = Scale("tiny", 30, 1, 4, 2, 2, 1, 5, 2, fused=3)
 
 
 def test_full_has_the_papers_counts() -> None:
@@ -94,7 +92,6 @@ def test_full_has_the_papers_counts() -> None:
     assert {kind: kinds.count(kind) for kind in kinds} == {
         "simulate": 9,
         "train": 12,
-        "twins": 1,
         "static": 12,
         "stack": 15,
         "devices": 9,
@@ -249,7 +246,7 @@ def test_quick_uses_models_that_exist_and_leaves_other_cells_empty(tmp_path: Pat
         load_model("0" * 32, store)
     only = {("pot", "FT+Tac"): models["pot", "FT+Tac"]}
     recipe = Recipe(replace(QUICK, groups=4, trials=2), HARD, "1", only, ("pot",))
-    assert {spec.kind for spec in recipe.jobs()} == {"twins", "static", "stack"}
+    assert {spec.kind for spec in recipe.jobs()} == {"static", "stack"}
     alone = Recipe(STABILITY, HARD, "1", only, ("pot",))
     assert {spec.kind for spec in alone.jobs()} == {"static"}
     assert recipe.static("barrel", "short") is None
@@ -390,27 +387,6 @@ def test_honest_probabilities_lie_on_the_diagonal_and_boasting_ones_do_not() -> 
     boasting = np.where(p > 0.5, 0.5 + 0.5 * p, 0.5 * p)
     # An even number of bins: none lies across the middle, where both errors would cancel.
     assert reliability_curve(boasting, truth, bins=14)["ece"] == pytest.approx(0.125, abs=0.01)
-
-
-def test_planted_twins_are_found() -> None:
-    rng = np.random.default_rng(1)
-    signals = rng.standard_normal((120, CHANNELS))
-    signals[70] = signals[11] + 1e-3 * rng.standard_normal(CHANNELS)
-    signals[80] = signals[12]
-    patch = np.zeros((120, 40), bool)
-    patch[:, :20] = True
-    patch[70] = ~patch[70]
-    first = find_ambiguous_pairs(signals, patch, 1)[0]
-    # 12 and 80 feel alike as well, but so are their patches.
-    assert (first.first, first.second) == (11, 70)
-    assert first.distance < 2e-3
-    assert first.rank < 1e-3
-
-
-def test_the_largest_marker_displacement_is_a_length() -> None:
-    signals = np.zeros((1, CHANNELS))
-    signals[0, 5], signals[0, 63 + 5] = 3.0, -4.0
-    assert largest_marker_px(signals)[0] == pytest.approx(5.0)
 
 
 HULL = np.array([[0.0, 0.0], [3.0, 0.0], [3.0, 2.0], [0.0, 2.0]])

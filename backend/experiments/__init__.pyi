@@ -52,9 +52,9 @@ from .run_report import write_run_report as write_run_report
 from .statistics import compare_intervals as compare_intervals
 from .statistics import sequential_decision as sequential_decision
 from .strategies import BOTTOMS as BOTTOMS
+from .strategies import CEILING as CEILING
 from .strategies import COMPARED_PIECES as COMPARED_PIECES
 from .strategies import MODEL_FREE as MODEL_FREE
-from .strategies import ORACLES as ORACLES
 from .strategies import STRATEGIES as STRATEGIES
 from .strategies import ClosedLoopComparison as ClosedLoopComparison
 from .strategies import StaticComparison as StaticComparison

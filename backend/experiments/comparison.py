@@ -31,8 +31,8 @@ from touchdown.backend.experiments.nuisances import band_benches
 from touchdown.backend.experiments.statics import PROBE_COUNTS
 from touchdown.backend.experiments.statistics import evidence, sequential_decision
 from touchdown.backend.experiments.strategies import (
+    CEILING,
     IOU_AFTER,
-    ORACLES,
     RELIABLE_AFTER,
     Cell,
     ClosedLoopComparison,
@@ -121,21 +121,22 @@ def decided_strategies(trials: Trials, quantity: str) -> dict[str, Literal["more
 
 
 def placed_of_ceiling(trials: Trials) -> list[Json]:
-    """Return for each strategy and oracle the ratio of their placed trials, on common seeds."""
+    """Return for each strategy the ratio of its placed trials to those of the ceiling, on common
+    seeds.
+    """
     rows = []
     sums = _outcome_sums(trials, "placed")
     names = dict.fromkeys(strategy for strategy, _, _ in sums)
-    for name in (name for name in names if name not in ORACLES):
-        for oracle in (o for o in ORACLES if o in names):
-            counts = _shared(sums, (oracle, name))
-            total = np.sum([cell.sum(axis=0) for cell in counts], axis=0)
-            if not counts or not total[0, 0]:
-                continue
-            drawn = _bootstrap_sums(counts)[..., 0]
-            ratio = drawn[:, 1] / np.maximum(drawn[:, 0], 1.0)
-            low, high = np.percentile(ratio, INTERVAL_PERCENTILES).tolist()
-            row = {"strategy": name, "ceiling": oracle, "n": int(total[0, -1])}
-            rows.append({**row, "value": total[1, 0] / total[0, 0], "low": low, "high": high})
+    for name in names if CEILING in names else ():
+        counts = _shared(sums, (CEILING, name))
+        total = np.sum([cell.sum(axis=0) for cell in counts], axis=0)
+        if name == CEILING or not counts or not total[0, 0]:
+            continue
+        drawn = _bootstrap_sums(counts)[..., 0]
+        ratio = drawn[:, 1] / np.maximum(drawn[:, 0], 1.0)
+        low, high = np.percentile(ratio, INTERVAL_PERCENTILES).tolist()
+        row = {"strategy": name, "ceiling": CEILING, "n": int(total[0, -1])}
+        rows.append({**row, "value": total[1, 0] / total[0, 0], "low": low, "high": high})
     return rows
 
 

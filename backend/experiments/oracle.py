@@ -28,7 +28,6 @@ from touchdown.backend.core import (
 from touchdown.backend.geometry import (
     Piece,
     Tower,
-    circle,
     contact_margins_mm,
     draw_offset,
     face_points,
@@ -54,7 +53,6 @@ from touchdown.backend.simulation import (
     GripDraw,
     MountingDraw,
     ProbeDraw,
-    Region,
     SensorNoise,
     SupportStack,
     begin_probes,
@@ -71,10 +69,9 @@ from touchdown.backend.simulation import (
 )
 
 _Point = tuple[float, float]
-DIAMETERS_MM = (10.0, 30.0)  # of a round bottom with unknown diameter
 SHIFT_X, SHIFT_Y, TILT_X, TILT_Y, STIFFNESS, GEL, MU_GRIP, GRIP, GRASP_X, GRASP_Z = range(10)
-YAW, GAIN_LEFT, GAIN_RIGHT, MU, DIAMETER = range(10, 15)
-COLUMNS = 15
+YAW, GAIN_LEFT, GAIN_RIGHT, MU = range(10, 14)
+COLUMNS = 15  # the last one is not read; it keeps the random draws
 NORMAL = slice(TILT_X, COLUMNS)  # columns that are standard normal before any probe
 # More columns on a bench that draws piece, wrist sensor and grasp of each probe (bench-v2).
 DAY = slice(COLUMNS, COLUMNS + DAY_SCORES)
@@ -83,15 +80,11 @@ SEAT = slice(DAY.stop, DAY.stop + SEAT_SCORES)
 
 @dataclass(frozen=True, slots=True)
 class OracleSetting:
-    """Knowledge of the oracle about a trial: bench, piece and bottom.
-
-    If ``diameter_known`` is False, the bottom is round with a diameter within ``DIAMETERS_MM``.
-    """
+    """Knowledge of the oracle about a trial: bench, piece and bottom."""
 
     piece: Piece
     bottom: Piece
     settings: SimulationSettings
-    diameter_known: bool = True
     probe: ProbeSettings = field(default_factory=ProbeSettings)
 
 
@@ -133,21 +126,9 @@ def draw_hypotheses(
     value = np.zeros((count, SEAT.stop if _draws_more(setting.settings) else COLUMNS))
     value[:, NORMAL] = rng.standard_normal((count, COLUMNS - TILT_X))
     value[:, COLUMNS:] = rng.spawn(1)[0].standard_normal((count, value.shape[1] - COLUMNS))
-    if setting.diameter_known:
-        places = draw_offset(rng, setting.piece.face, setting.bottom.face, count)
-    else:
-        sizes = diameters_mm(setting, value)
-        places = np.concatenate(
-            [draw_offset(rng, setting.piece.face, circle(float(d)), 1) for d in sizes]
-        )
+    places = draw_offset(rng, setting.piece.face, setting.bottom.face, count)
     value[:, :TILT_X] = places - np.asarray(at_mm)
     return HypothesisEnsemble(value, GraspHistory.fresh(count))
-
-
-def diameters_mm(setting: OracleSetting, value: FloatArray) -> FloatArray:
-    """Return the diameter of the unknown round bottom (n,)."""
-    low, high = DIAMETERS_MM
-    return np.asarray(low + (high - low) * _share(value[:, DIAMETER]), dtype=np.float64)
 
 
 def predict_press(
@@ -160,9 +141,7 @@ def predict_press(
     settings, value = setting.settings, worlds.value
     conditions = _conditions(setting, value)
     true = value[:, :TILT_X] + np.asarray(at_mm)
-    outline: Region = setting.bottom.face
-    if not setting.diameter_known:
-        outline = _Discs(0.5 * diameters_mm(setting, value)[:, None])
+    outline = setting.bottom.face
     subcells = settings.face.subcells
     lattice = settings.face.lattice_mm / subcells
     points = face_points(setting.piece.face, lattice)
@@ -200,28 +179,9 @@ def _seat_shift_mm(setting: OracleSetting, value: FloatArray) -> FloatArray:
     return np.array([seat["reseat_mm"][0] + height_mm * seat["pitch_rad"] for seat in seats])
 
 
-@dataclass(frozen=True, slots=True)
-class _Discs:
-    """One disc of radius (n, 1) per face."""
-
-    radius_mm: FloatArray
-
-    def contains(self, points_mm: FloatArray, /) -> NDArray[np.bool_]:
-        return np.asarray(np.hypot(points_mm[..., 0], points_mm[..., 1]) <= self.radius_mm)
-
-
 def _stand(setting: OracleSetting, value: FloatArray) -> SupportStack | None:
-    support = setting.settings.support
-    if setting.diameter_known:
-        stand = support_stack(Tower((setting.bottom.body(),)), support)
-        return None if stand is None else join_support_stacks([stand] * len(value))
-    stands = []
-    for diameter in diameters_mm(setting, value):
-        face = circle(float(diameter))
-        body = replace(setting.bottom.body(), lower=face, upper=face)
-        stands.append(support_stack(Tower((body,)), support))
-    found = [stand for stand in stands if stand is not None]
-    return join_support_stacks(found) if found else None
+    stand = support_stack(Tower((setting.bottom.body(),)), setting.settings.support)
+    return None if stand is None else join_support_stacks([stand] * len(value))
 
 
 def _conditions(setting: OracleSetting, value: FloatArray) -> Conditions:
@@ -304,7 +264,7 @@ MAP_CELLS, PITCH_MM = 65, 1.0
 class OracleStrategy:
     """Strategy with complete knowledge of the bench model and its nuisance distributions.
 
-    It does not know the place of the bottom or any nuisance value; the outline is known if set so.
+    It does not know the place of the bottom or any nuisance value.
     """
 
     def __init__(self, setting: OracleSetting, origin_mm: XY, seed: int) -> None:
@@ -353,14 +313,11 @@ class OracleStrategy:
             # The entered centre of mass is wrong, and no probe tells by how much.
             true += [day_draw(setting.settings.spread, z)["com_mm"] for z in value[:, DAY]]
         share = setting.piece.mass_g / (setting.piece.mass_g + setting.bottom.mass_g)
-        if setting.diameter_known:
-            face = setting.bottom.face
-            own = inset_mm(face, share * true)
-            piece = setting.piece
-            if "region" in (face.kind, piece.face.kind):
-                return np.minimum(contact_margins_mm(piece.face, piece.com_xy_mm, face, true), own)
-            return np.minimum(inset_mm(face, true), own)
-        return np.asarray(0.5 * diameters_mm(setting, value) - np.hypot(true[:, 0], true[:, 1]))
+        piece, face = setting.piece, setting.bottom.face
+        own = inset_mm(face, share * true)
+        if "region" in (face.kind, piece.face.kind):
+            return np.minimum(contact_margins_mm(piece.face, piece.com_xy_mm, face, true), own)
+        return np.minimum(inset_mm(face, true), own)
 
     def _assimilate(self, touched: ProbeObservation) -> None:
         seen = self._signals.of(touched.observation[None])[0]
@@ -395,12 +352,8 @@ class OracleStrategy:
         empty = BeliefMap(np.zeros(covered.shape), covered, corner, PITCH_MM, self._probes)
         cells = empty.cell_centres_mm()
         count_in = np.zeros(covered.shape)
-        radius = 0.5 * diameters_mm(self._setting, self.worlds.value)
-        for shift, r in zip(self.worlds.value[:, :TILT_X], radius, strict=True):
-            if self._setting.diameter_known:
-                count_in += self._setting.bottom.face.contains(cells + shift)
-            else:
-                count_in += np.hypot(*np.moveaxis(cells + shift, -1, 0)) <= r
+        for shift in self.worlds.value[:, :TILT_X]:
+            count_in += self._setting.bottom.face.contains(cells + shift)
         p = (count_in + 0.5) / (self.worlds.count + 1.0)
         return BeliefMap(np.log(p / (1.0 - p)), covered, corner, PITCH_MM, self._probes)
 

@@ -146,9 +146,8 @@ SINGLE_BOTTOMS = ("short", "long", "hex20", "rect12x28")
 TOWERS = ("short+long", "short+hex20", "short+rect12x28")
 BOTTOMS = (*SINGLE_BOTTOMS, *TOWERS, FRESH)
 TOWER_CELLS = 5  # offset of the cell number of a tower from that of its upper bottom
-# Both know the bench. The first knows the outline, the second only that the bottom is round.
-ORACLES = ("ceiling", "ceiling-diameter")
-STRATEGIES: tuple[str, ...] = (*get_args(StrategyName), *ORACLES)
+CEILING = "ceiling"  # the oracle, which knows bench and outline
+STRATEGIES: tuple[str, ...] = (*get_args(StrategyName), CEILING)
 # ten parallel trials on towers take half the time of five times two
 TRIALS_PER_JOB, TOWER_TRIALS_PER_JOB = 2, 10  # the latter also on fresh outlines
 COMPARED_PIECES = (*PIECES, "brick")  # the last one is heavy enough to be weighed
@@ -157,7 +156,7 @@ EXACT_MM, GRID_MM = 1e-6, 0.25
 # for the least number of probes: longest step, inset from the edge of the stable region
 STEP_MM, SAFE_INSET_MM = 3.0, 0.2
 REGION_GRID_MM = 0.5  # of places on a region
-MODEL_FREE = (*ORACLES, "fused", "pick-and-place")  # strategies without a model of the piece
+MODEL_FREE = (CEILING, "fused", "pick-and-place")  # strategies without a model of the piece
 
 
 @dataclass(frozen=True, slots=True)
@@ -188,7 +187,7 @@ class ClosedLoopComparison:
             for piece in self.pieces
             for bottom in self.bottoms
             for strategy in self.strategies
-            if not (strategy in ORACLES and bottom in TOWERS)
+            if not (strategy == CEILING and bottom in TOWERS)
             if first % _chunk(bottom) == 0
         ]
 
@@ -246,7 +245,7 @@ class ClosedLoopComparison:
     @staticmethod
     def effort(spec: JobSpec) -> int:
         """Return the relative duration of a job."""
-        return int(spec.params["trials"]) * (100 if spec.params["strategy"] in ORACLES else 3)
+        return int(spec.params["trials"]) * (100 if spec.params["strategy"] == CEILING else 3)
 
     def _job(self, piece: str, bottom: str, strategy: str, first: int) -> JobSpec:
         source = "" if base_strategy(strategy) in MODEL_FREE else self.models[piece]
@@ -407,9 +406,8 @@ def _strategy_of(
     """Return method, model and factory of the strategy of a job, for scenes and their set-ups."""
     p, case = spec.params, pairs[0][0]
     method, name = parse_settings(StackSettings, p["method"], "job"), p["strategy"]
-    if name in ORACLES:
-        known = name == ORACLES[0]
-        return method, uninformed_model(case), oracle_factory(pairs, diameter_known=known)
+    if name == CEILING:
+        return method, uninformed_model(case), oracle_factory(pairs)
     method, model = method_of(name, method), uninformed_model(case)
     if spec.inputs:
         model = batch_model(load_model(spec.inputs[0], place.store), case.piece)
@@ -492,12 +490,10 @@ def weighed_piece(scene: Scene) -> WeighedPiece:
     return estimate_held_piece(empty, held, lever_mm)
 
 
-def oracle_factory(
-    pairs: Iterable[tuple[SceneSetup, Scene]], *, diameter_known: bool
-) -> Callable[[Scene, XY], Strategy]:
+def oracle_factory(pairs: Iterable[tuple[SceneSetup, Scene]]) -> Callable[[Scene, XY], Strategy]:
     """Return the factory of the oracle strategy for scenes and their set-ups."""
     settings = {
-        scene.number: OracleSetting(case.piece, case.bottoms[0], case.settings, diameter_known)
+        scene.number: OracleSetting(case.piece, case.bottoms[0], case.settings)
         for case, scene in pairs
     }
     return lambda scene, at: OracleStrategy(settings[scene.number], at, scene.seed)
@@ -575,7 +571,7 @@ class StaticComparison:
     @staticmethod
     def effort(spec: JobSpec) -> int:
         """Return the relative duration of a job (unit of ``ClosedLoopComparison``)."""
-        return GROUPS_PER_JOB * (200 if spec.params["strategy"] in ORACLES else 3)
+        return GROUPS_PER_JOB * (200 if spec.params["strategy"] == CEILING else 3)
 
     def _job(self, piece: str, bottom: str, strategy: str, first: int) -> JobSpec:
         source = "" if base_strategy(strategy) in MODEL_FREE else self.models[piece]

@@ -23,11 +23,11 @@ from touchdown.backend.config import StackSettings
 from touchdown.backend.core import InputError, disk_errors, write_atomically
 from touchdown.backend.experiments import (
     BOTTOMS,
+    CEILING,
     COMPARED_PIECES,
     CONTENT_ERRORS,
     DATA,
     MODEL_FREE,
-    ORACLES,
     PIECES,
     PORTIONS,
     SCALES,
@@ -233,7 +233,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def _add_beyond_arguments(parser: argparse.ArgumentParser) -> None:
     beyond = parser.add_argument_group("beyond")
     beyond.add_argument("--strategies", default="paper,fused", help="or "
-                        "zero-wrench, paper-calibrated, ceiling, ceiling-diameter, pick-and-place; "
+                        "zero-wrench, paper-calibrated, ceiling, pick-and-place; "
                         "settings follow a name: fused:policy.least_probes=2")  # fmt: skip
     beyond.add_argument("--bottoms", default="short,long", help="or hex20, rect12x28, towers "
                         "short+long, short+hex20, short+rect12x28, and fresh: another outline in "
@@ -367,7 +367,7 @@ def _check_cell(piece: str, name: str, *, known: bool) -> None:
     if not known and strategy not in MODEL_FREE:
         fix = f"Choose from {', '.join(MODEL_FREE)}."
         raise InputError(f"There is no model of '{piece}', which '{strategy}' needs.", name, fix)
-    if strategy not in ORACLES:
+    if strategy != CEILING:
         check_weighing(load_pieces().top(piece), method_of(name, StackSettings()))
 
 

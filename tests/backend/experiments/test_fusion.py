@@ -112,8 +112,8 @@ def scene(bench_v1: SimulationSettings) -> Scene:
     return found
 
 
-def setting_of(scene: Scene, *, known: bool = True) -> OracleSetting:
-    return OracleSetting(scene.piece, load_pieces().bottom("short"), scene.settings, known)
+def setting_of(scene: Scene) -> OracleSetting:
+    return OracleSetting(scene.piece, load_pieces().bottom("short"), scene.settings)
 
 
 def true_world(scene: Scene, bench: BatchedTrials, shift_mm: np.ndarray) -> np.ndarray:
@@ -161,18 +161,6 @@ def test_the_true_world_feels_what_the_bench_felt(scene: Scene, preset: str) -> 
     apart = np.abs(mine - growth) / [0.05, 0.05, 0.25, 0.005, 0.005, 0.005]
     assert apart[0].max() < 1.0
     assert apart[1].max() > 3.0
-
-
-def test_a_round_bottom_of_the_right_size_is_the_known_one(scene: Scene) -> None:
-    value = np.zeros((1, oracle.COLUMNS))
-    value[0, :2] = 5.0, 2.0  # the middle of the diameters that may be is that of Short: 20 mm
-    one = HypothesisEnsemble(value, GraspHistory.fresh(1))
-    known, unknown = (
-        predict_press(setting_of(scene, known=known), one, (0.0, 0.0), np.random.default_rng(4))
-        for known in (True, False)
-    )
-    assert np.array_equal(known.observation, unknown.observation)
-    assert known.usable.all()
 
 
 @pytest.mark.parametrize("factors", [FIRST_STEPS, NEXT_STEPS])

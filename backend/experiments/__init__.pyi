@@ -41,7 +41,6 @@ from .models import adopt_models as adopt_models
 from .models import keep_models as keep_models
 from .models import load_model as load_model
 from .models import shipped_model_folders as shipped_model_folders
-from .results import CONTENT_ERRORS as CONTENT_ERRORS
 from .results import DATA as DATA
 from .results import program_version as program_version
 from .results import read_report as read_report
@@ -49,7 +48,6 @@ from .results import rewrite_tables as rewrite_tables
 from .results import write_comparison as write_comparison
 from .results import write_tables as write_tables
 from .run_report import write_run_report as write_run_report
-from .statistics import compare_intervals as compare_intervals
 from .statistics import sequential_decision as sequential_decision
 from .strategies import BOTTOMS as BOTTOMS
 from .strategies import CEILING as CEILING

@@ -3,14 +3,13 @@
 Rates have Wilson intervals, and exact bounds without events. Means have normal intervals over
 independent groups.
 ``reliability_curve`` sorts probabilities into bins of equal mass; its ``ece`` is the expected
-calibration error. ``iou_change`` compares the same seeds group by group. ``compare_intervals``
-lists the cells of one ``tables.json`` whose interval misses the value of another one.
+calibration error. ``iou_change`` compares the same seeds group by group.
 """
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, astuple, dataclass
 from fractions import Fraction
 from math import comb
@@ -238,40 +237,3 @@ def format_change(change: Json | None) -> str:
         return ""
     half = 50.0 * (change["high"] - change["low"])
     return f"{100 * change['value']:+.1f} ± {half:.1f}"
-
-
-TablesContent = Mapping[str, Any]
-
-
-@dataclass(frozen=True, slots=True)
-class IntervalAgreement:
-    """Number of compared cells, and names of those whose interval misses the other value."""
-
-    cells: int
-    outside: tuple[str, ...]
-
-
-def compare_intervals(small: TablesContent, large: TablesContent) -> IntervalAgreement:
-    """Compare the cells that two contents of ``tables.json`` have in common."""
-    values = dict(_named_rates(large))
-    outside, count = [], 0
-    for name, rate in _named_rates(small):
-        other = values.get(name)
-        if other is not None:
-            count += 1
-            if not rate["low"] <= other["value"] <= rate["high"]:
-                outside.append(name)
-    return IntervalAgreement(count, tuple(outside))
-
-
-def _named_rates(answer: TablesContent) -> Iterator[tuple[str, Mapping[str, float]]]:
-    """Yield the name (table, row, piece, bottom) and the rate of each cell with a value."""
-    rows = {"table1": ("metric", "model"), "table2": ("method",), "table3": ("strategy", "tower")}
-    for table, keys in rows.items():
-        for row in answer[table]:
-            named = " ".join(str(row[key]) for key in keys)
-            for cell in row["cells"]:
-                rate = cell.get("accuracy", cell) if table == "table2" else cell
-                if rate.get("value") is not None:
-                    where = f"{cell.get('piece', '')} {cell.get('bottom', '')}"
-                    yield f"{table} {named} {where}", rate

@@ -25,7 +25,6 @@ from touchdown.backend.experiments import (
     BOTTOMS,
     CEILING,
     COMPARED_PIECES,
-    CONTENT_ERRORS,
     DATA,
     MODEL_FREE,
     PIECES,
@@ -40,13 +39,11 @@ from touchdown.backend.experiments import (
     StrategyComparison,
     base_strategy,
     best_rules,
-    compare_intervals,
     comparison_tables,
     decided_strategies,
     keep_models,
     method_of,
     program_version,
-    read_report,
     ready_sequences,
     rewrite_tables,
     stopped_text,
@@ -77,21 +74,6 @@ def rewrite_report(args: argparse.Namespace, screen: VerbOutput) -> Json:
         page = rewrite_tables(file, args.beyond)
     screen.say(f"Written: {page}")
     return {"page": str(page), "file": str(file)}
-
-
-def compare_tables(answer: Json, other: Json, file: Path, screen: VerbOutput) -> None:
-    """Print the cells of ``answer`` whose interval misses the value of ``other``, read from
-    ``file``.
-    """
-    try:
-        found = compare_intervals(answer, other)
-    except CONTENT_ERRORS as error:
-        what = f"There are no tables to compare with: {error}."
-        raise InputError(what, str(file), "Name a tables.json.") from error
-    agree = found.cells - len(found.outside)
-    screen.say(f"{agree} of {found.cells} cells agree with {file}")
-    for name in found.outside:
-        screen.say(f"  not: {name}")
 
 
 MOST_NETWORKS = 8
@@ -218,10 +200,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "models, Tables I and II alone: 200 groups, and 800 presses on 40 mountings per cell",
     )  # fmt: skip
     parser.set_defaults(scale="quick")
-    parser.add_argument(
-        "--against", type=Path, metavar="JSON", help="name the cells whose 95 %% interval misses "
-        "the value of another tables.json",
-    )  # fmt: skip
     add_campaign_arguments(parser)
     _add_beyond_arguments(parser)
     add_evaluation_arguments(parser)
@@ -259,12 +237,8 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     if args.what == "report":
         screen.result(rewrite_report(args, screen))
         return 0
-    # Read before the first job, to report a wrong file early.
-    other = None if args.against is None else read_report(args.against)[0]
     this = ExperimentRun(args, screen)
     answer = WAYS[args.what](this)
-    if other is not None and "tables" in answer:
-        compare_tables(answer["tables"], other, args.against, screen)
     screen.result(answer)
     return 1 if this.failed else 0
 

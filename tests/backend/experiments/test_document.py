@@ -244,20 +244,6 @@ def test_a_film_of_a_foreign_file_only_draws(full: Json, inside: str) -> None:
             report_of({**full, "figures": {"films": [film(svg)]}})
 
 
-def test_tables_are_not_held_against_a_foreign_file_and_nothing_is_run_before(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    foreign = tmp_path / "foreign.json"
-    foreign.write_text('{"format": "touchdown-sensitivity/1"}', encoding="utf-8")
-    out = tmp_path / "out"
-    assert main(["experiment", "tables", "--out", str(out), "--against", str(foreign)]) == 2
-    said = capsys.readouterr().err
-    assert said.count("\n") <= 3
-    assert "touchdown-sensitivity/1" in said
-    assert str(foreign) in said
-    assert not out.exists()
-
-
 def test_the_page_is_written_anew_with_comparisons_of_its_own_bench(
     full: Json, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -43,7 +43,6 @@ from touchdown.backend.experiments.run_report import _with_arrows, write_run_rep
 from touchdown.backend.experiments.statics import ProbeGroups
 from touchdown.backend.experiments.statistics import (
     VerdictCounts,
-    compare_intervals,
     estimate_mean,
     estimate_rate,
     reliability_curve,
@@ -544,36 +543,6 @@ def test_copies_of_a_group_on_its_mounting_add_nothing() -> None:
         assert by_four[name]["low"] == pytest.approx(change["low"], abs=1e-9)
         assert by_four[name]["high"] == pytest.approx(change["high"], abs=1e-9)
         assert (by_four[name]["n"], by_four[name]["mountings"]) == (240, 60)
-
-
-def tables(iou: float, right: float, placed: float, half: float) -> dict[str, Any]:
-    """Return tables of one cell each, their intervals ``half`` to both sides."""
-
-    def rate(value: float) -> dict[str, Any]:
-        return {"value": value, "low": value - half, "high": value + half, "n": 40}
-
-    where = {"piece": "pot", "bottom": "short"}
-    empty = {"piece": "pot", "bottom": "long", "value": None, "low": None, "high": None, "n": 0}
-    return {
-        "table1": [{"metric": "iou", "model": "FT", "cells": [{**where, **rate(iou)}, empty]}],
-        "table2": [{"method": "1", "cells": [{**where, "accuracy": rate(right)}, {**where}]}],
-        "table3": [
-            {"strategy": "paper", "tower": "one", "cells": [{**where, **rate(placed)}]},
-            {"strategy": "paper", "tower": "two", "cells": []},
-        ],
-    }
-
-
-def test_cells_whose_interval_misses_the_value_are_named() -> None:
-    found = compare_intervals(tables(0.5, 0.6, 0.7, 0.1), tables(0.59, 0.6, 0.85, 0.01))
-    assert found.cells == 3
-    assert found.outside == ("table3 paper one pot short",)
-
-
-def test_the_width_of_the_small_one_decides() -> None:
-    narrow, wide = tables(0.5, 0.6, 0.7, 0.01), tables(0.55, 0.65, 0.75, 0.1)
-    assert len(compare_intervals(narrow, wide).outside) == 3
-    assert compare_intervals(wide, narrow).outside == ()
 
 
 def test_the_table_of_job_functions_names_those_that_run() -> None:

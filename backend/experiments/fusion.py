@@ -79,7 +79,6 @@ from touchdown.backend.learning.fused import (
     FusedTrainer,
     FusedTraining,
     GraspedFace,
-    InputPart,
     acting_point_mm,
     data_sha256,
     join_networks,
@@ -495,7 +494,6 @@ class FusionRecipe:
     counts: Mapping[str, int] = field(default_factory=lambda: COUNTS)
     steps: int = 6000
     seed: int = 0
-    without: InputPart | None = None  # input left out in an ablation
     device: DeviceName = "auto"
     portions: Mapping[str, DataPortion] = field(default_factory=lambda: PORTIONS)
     outlines: OutlineKinds = "convex"  # of the bottoms
@@ -518,7 +516,6 @@ class FusionRecipe:
             "free": len(portions.get("free", ())),
             "counts": [len(some) for some in portions.values() if some],
             **({"surfaces": len(portions["surface"])} if portions.get("surface") else {}),
-            "without": self.without,
             "device": self.device,
             **self._wide,
             **({"kick_mm": kick} if (kick := self.bench.release_disturbance_mm) else {}),
@@ -601,12 +598,9 @@ def train_fusion(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
     use_one_thread()
     folders = [place.store.folder(source) for source in spec.inputs]
     train, held_out = map(load_sequences, split_folders(folders, spec.params["counts"]))
-    without, kinds = spec.params["without"], spec.params.get("outlines", "convex")
+    kinds = spec.params.get("outlines", "convex")
     settings = FusedTraining(
-        steps=spec.params["steps"],
-        seed=spec.seed,
-        without=without,
-        kick_mm=spec.params.get("kick_mm", 0.0),
+        steps=spec.params["steps"], seed=spec.seed, kick_mm=spec.params.get("kick_mm", 0.0)
     )
     device = select_device(spec.params["device"])
     trainer = FusedTrainer(train, held_out, settings, device)
@@ -634,7 +628,6 @@ def train_fusion(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
             "steps": settings.steps,
             "batch": settings.batch,
             "learning_rate": settings.learning_rate,
-            "without": without,
             "device": device_name(device),
             "kick_mm": settings.kick_mm,
         },

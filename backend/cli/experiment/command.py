@@ -77,7 +77,6 @@ def rewrite_report(args: argparse.Namespace, screen: VerbOutput) -> Json:
 
 
 MOST_NETWORKS = 8
-ABLATIONS = ("wrench", "fields", "others", "mirrors")
 
 
 def add_fused_arguments(parser: argparse.ArgumentParser) -> None:
@@ -99,8 +98,6 @@ def add_fused_arguments(parser: argparse.ArgumentParser) -> None:
     fused.add_argument("--ready", action="store_true", help="train on the finished sequences of "
                        "--out, also of earlier versions of the program; simulate none")  # fmt: skip
     fused.add_argument("--seed", type=int, default=0, help="of data and training")
-    fused.add_argument("--without", choices=ABLATIONS, help="an ablation: the wrench, the marker "
-                       "fields, the other probes, or mirror images of the data")  # fmt: skip
     fused.add_argument("--outlines", choices=("convex", "any"), default="convex", help="of the "
                        "bottoms; any: also rings, crescents, L, U, stars and feet")  # fmt: skip
     fused.add_argument("--rule-trials", type=int, default=0, help="trials of each piece on each of "
@@ -137,7 +134,7 @@ def train_fused(run: ExperimentRun) -> Json:
         )
     bench, code = run.bench(), program_version()
     recipe = FusionRecipe(
-        bench, code, counts, args.steps, args.seed, args.without, args.device,
+        bench, code, counts, args.steps, args.seed, args.device,
         outlines=args.outlines, networks=args.networks,
     )  # fmt: skip
     if args.ready:

@@ -24,7 +24,6 @@ from .checkpoint import shipped_path as shipped_path
 from .features import SENSOR_MM as SENSOR_MM
 from .features import TICKS as TICKS
 from .features import GraspedFace as GraspedFace
-from .features import InputPart as InputPart
 from .features import acting_point_mm as acting_point_mm
 from .features import wrench_at_sensor as wrench_at_sensor
 from .guard import ALARM as ALARM

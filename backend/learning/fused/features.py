@@ -1,14 +1,13 @@
 """Inputs and array shapes of the fusion network.
 
-Each probe is summarised in about 200 numbers instead of 20 x 258. Ablations leave inputs out; their
-checkpoint files have the same form.
+Each probe is summarised in about 200 numbers instead of 20 x 258.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Final, Literal, get_args
+from typing import Annotated, Final
 
 import numpy as np
 import pydantic.dataclasses
@@ -210,23 +209,3 @@ def weight_shapes(shape: FusedShape) -> Mapping[str, tuple[int, ...]]:
     linear("both", width, inner)
     linear("answer", OF_MIXTURE * shape.parts, width)
     return arrays
-
-
-# wrench and centre of pressure; marker fields; earlier probes; mirrored training data
-InputPart = Literal["wrench", "fields", "others", "mirrors"]
-INPUT_PARTS: tuple[InputPart, ...] = get_args(InputPart)
-UNREAD = 1e30
-_WRENCH, _FIELDS, _ACTS = 6 * len(TICKS), 2 * MODES * len(TICKS), 2 * len(GROWN)
-
-
-def unread_inputs(part: InputPart | None) -> NDArray[np.bool_]:
-    """Return the mask (inputs,) of inputs of a probe and its piece that need ``part``."""
-    none = np.zeros(PROBE_INPUTS + PIECE_INPUTS, dtype=np.bool_)
-    acts = _WRENCH + _FIELDS
-    if part == "wrench":
-        none[:_WRENCH] = none[acts : acts + _ACTS] = True
-    if part == "fields":
-        none[_WRENCH:acts] = True
-    if part == "others":
-        none[acts + _ACTS : PROBE_INPUTS] = True
-    return none

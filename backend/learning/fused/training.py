@@ -21,14 +21,11 @@ from touchdown.backend.core import FloatArray
 from touchdown.backend.geometry import edge_normals
 from touchdown.backend.learning.fused.features import (
     LENGTH_MM,
-    UNREAD,
     FusedShape,
     GraspedFace,
-    InputPart,
     field_components,
     mirror_signals,
     probe_inputs,
-    unread_inputs,
     weight_shapes,
 )
 from touchdown.backend.learning.fused.inference import point_inputs
@@ -37,16 +34,12 @@ from touchdown.backend.learning.training import Adam
 MARGIN_REACH_MM = 36.0  # outermost nodes of the margins of a sequence
 SQUARE_ROOT_OF_TWO_PI = math.sqrt(2.0 * math.pi)
 LEAST_LOG_SD, MOST_LOG_SD = -4.0, 2.0
-WEIGHT_AND_BIAS = ("weight", "bias")
 
 
 class FusedNet(nn.Module):
-    """Network from the probes of one grasp to the distribution of the inset of a point.
+    """Network from the probes of one grasp to the distribution of the inset of a point."""
 
-    ``alone``: attention is disabled, so each probe is processed by itself.
-    """
-
-    def __init__(self, shape: FusedShape, seed: int, *, alone: bool = False) -> None:
+    def __init__(self, shape: FusedShape, seed: int) -> None:
         super().__init__()
         self.shape = shape
         generator = torch.Generator().manual_seed(seed)
@@ -54,12 +47,6 @@ class FusedNet(nn.Module):
         for name, size in weight_shapes(shape).items():
             drawn = torch.randn(size, generator=generator) / math.sqrt(size[-1])
             self.weights[_key(name)] = drawn if len(size) > 1 else torch.zeros(size)
-        if alone:
-            for name in (
-                f"{layer}.joins.{what}" for layer in range(shape.layers) for what in WEIGHT_AND_BIAS
-            ):
-                self.weights[_key(name)].data.zero_()
-                self.weights[_key(name)].requires_grad_(False)
 
     def fused(self, probes: Tensor) -> Tensor:
         """Return the state (b, P, width) after each of the scaled probes (b, P, inputs)."""
@@ -130,7 +117,6 @@ class FusedTraining:
     learning_rate: float = 2e-3
     seed: int = 0
     shape: FusedShape = field(default_factory=FusedShape)
-    without: InputPart | None = None  # inputs left out by an ablation
     kick_mm: float = 0.0  # sd per axis of the shift of the centre of mass at a release
 
 
@@ -246,16 +232,13 @@ class FusedTrainer:
     ) -> None:
         self._settings, self._device = settings, device
         self.modes = field_components(train["field"][:FIRST_OF_FIELDS])
-        self._train = prepare_sequences(train, self.modes, mirror=settings.without != "mirrors")
+        self._train = prepare_sequences(train, self.modes, mirror=True)
         self._held_out = prepare_sequences(held_out, self.modes, mirror=False)
         rows = self._train.probes[self._train.there]
         self.mean, spread = rows.mean(dim=0), rows.std(dim=0)
         self.scale: Tensor = torch.where(spread > 1e-6, spread, torch.ones(()))
-        self.scale[torch.from_numpy(unread_inputs(settings.without))] = UNREAD
-        alone = settings.without == "others"
-        self.net: FusedNet = FusedNet(settings.shape, settings.seed, alone=alone).to(device)
-        learned = (weight for weight in self.net.parameters() if weight.requires_grad)
-        self._adam = Adam(learned, settings.learning_rate)
+        self.net: FusedNet = FusedNet(settings.shape, settings.seed).to(device)
+        self._adam = Adam(self.net.parameters(), settings.learning_rate)
         self._generator = torch.Generator().manual_seed(settings.seed + 1)
 
     def steps(self) -> Iterator[float]:

@@ -33,7 +33,6 @@ from touchdown.backend.learning.fused.features import (
     TICKS,
     FusedShape,
     GraspedFace,
-    InputPart,
     acting_point_mm,
     expected_fused_arrays,
     field_components,
@@ -340,26 +339,6 @@ def test_a_bad_file_is_refused_by_name(kept: Path, what: str) -> None:
         load_fused(kept)
     assert kept.name in str(refused.value)
     assert len(TICKS) == 8
-
-
-@pytest.mark.parametrize("part", ["wrench", "fields", "others"])
-def test_what_an_ablation_leaves_out_changes_nothing(part: InputPart) -> None:
-    settings = FusedTraining(2, 16, seed=3, shape=SMALL, without=part)
-    trainer = FusedTrainer(made_up(24, 1), made_up(8, 2), settings)
-    list(trainer.steps())
-    forward = FusedForward(trainer.arrays(), SMALL)
-    rng = np.random.default_rng(5)
-    wrench, field = signals(rng, 3)
-    offset = rng.normal(size=(3, 2))
-    other_wrench, other_field = signals(rng, 3)
-    known = forward.known(wrench, field, offset, FACE)[-1]
-    changed = {
-        "wrench": forward.known(other_wrench, field, offset, FACE)[-1],
-        "fields": forward.known(wrench, other_field, offset, FACE)[-1],
-        "others": forward.known(wrench[2:], field[2:], offset[2:], FACE)[-1],
-    }
-    for name, found in changed.items():
-        assert np.allclose(found, known, atol=1e-9) == (name == part)
 
 
 WRITER = [sys.executable, "-m", "tests.backend.learning.fused.fused_writer"]

@@ -55,7 +55,6 @@ from .strategies import COMPARED_PIECES as COMPARED_PIECES
 from .strategies import MODEL_FREE as MODEL_FREE
 from .strategies import STRATEGIES as STRATEGIES
 from .strategies import ClosedLoopComparison as ClosedLoopComparison
-from .strategies import StaticComparison as StaticComparison
 from .strategies import base_strategy as base_strategy
 from .strategies import method_of as method_of
 from .tables import PIECES as PIECES

@@ -36,7 +36,6 @@ from touchdown.backend.experiments.strategies import (
     RELIABLE_AFTER,
     Cell,
     ClosedLoopComparison,
-    StaticComparison,
     base_strategy,
     released_unsafely,
 )
@@ -224,13 +223,12 @@ def _bootstrap_sums(counts: Sequence[FloatArray]) -> FloatArray:
 
 @dataclass(frozen=True, slots=True)
 class StrategyComparison:
-    """Closed loops ``loops`` and optional verdicts on groups ``statics``.
+    """Comparison ``loops``, whose trials may be repeated on other benches.
 
     ``band``: number of benches around that of ``loops`` on which its trials are repeated.
     """
 
     loops: ClosedLoopComparison
-    statics: StaticComparison | None = None
     band: int = 0
 
     def band_loops(self) -> list[tuple[dict[str, float], ClosedLoopComparison]]:
@@ -256,29 +254,22 @@ class StrategyComparison:
 
     def jobs(self) -> list[JobSpec]:
         """Return the jobs of all."""
-        said = self.statics.jobs() if self.statics else ()
         around = [job for _, loops in self.band_loops() for job in loops.jobs()]
-        return [*self.loops.jobs(), *said, *around]
-
-    def effort(self, spec: JobSpec) -> int:
-        """Return the relative duration of a job."""
-        kind = ClosedLoopComparison if spec.kind == "beyond" else StaticComparison
-        return kind.effort(spec)
+        return [*self.loops.jobs(), *self.loops.group_jobs(), *around]
 
     def answer(self, store: JobStore, quantity: str | None = None) -> Json:
         """Return all finished results; ``quantity``: the one on which it may have stopped early."""
-        found = self.loops.table(store)
-        answers = self.statics.answers(store) if self.statics else {}
-        found["changes"] = paired_changes(self.loops.trials_of(store), answers)
-        found["of_ceiling"] = placed_of_ceiling(self.loops.trials_of(store))
-        if self.statics is not None:
-            found["statics"] = self.statics.table(store)
+        found, trials = self.loops.table(store), self.loops.trials_of(store)
+        found["changes"] = paired_changes(trials, self.loops.answers(store))
+        found["of_ceiling"] = placed_of_ceiling(trials)
+        if self.loops.groups:
+            found["statics"] = self.loops.group_table(store)
         if self.band:
             found["band"] = [
                 _band_row(factors, loops, store) for factors, loops in self.band_loops()
             ]
         if quantity is not None:
-            decided = decided_strategies(self.loops.trials_of(store), quantity)
+            decided = decided_strategies(trials, quantity)
             found["stopped"] = {"quantity": quantity, "round": ROUND_TRIALS, "decided": decided}
         return found
 

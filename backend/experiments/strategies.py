@@ -123,16 +123,12 @@ def trial_lines(trials: Iterable[Mapping[str, Any]]) -> list[str]:
 def group_lines(answers: Mapping[int, Mapping[str, Any]]) -> list[str]:
     """Return one line per job of groups, by the seed of its first group."""
     return [
-        " ".join([str(seed), *(_group(answer, g) for g in range(len(answer["margin_mm"])))])
+        " ".join([str(seed), *(_group_text(answer, g) for g in range(len(answer["margin_mm"])))])
         for seed, answer in sorted(answers.items())
     ]
 
 
-def _cell(cell: Mapping[str, Any]) -> Cell:
-    return cell["strategy"], cell["piece"], cell["bottom"]
-
-
-def _group(answer: Mapping[str, Any], g: int) -> str:
+def _group_text(answer: Mapping[str, Any], g: int) -> str:
     margin = answer["margin_mm"][g][1]
     bits = [
         "".join(str(int(answer[kind][str(n)][g])) for n in PROBE_COUNTS) for kind in VERDICT_KINDS
@@ -150,22 +146,26 @@ CEILING = "ceiling"  # the oracle, which knows bench and outline
 STRATEGIES: tuple[str, ...] = (*get_args(StrategyName), CEILING)
 # ten parallel trials on towers take half the time of five times two
 TRIALS_PER_JOB, TOWER_TRIALS_PER_JOB = 2, 10  # the latter also on fresh outlines
+GROUPS_PER_JOB = 2  # even, so that stable and unstable first places alternate as in Table 2
 COMPARED_PIECES = (*PIECES, "brick")  # the last one is heavy enough to be weighed
 ENTRY_STREAM = 992  # random stream of the entry errors, separate from the bench
+ENTRY_SIGMA_MM = 1.0  # error of the simulated operator who measures the place of the upper bottom
 EXACT_MM, GRID_MM = 1e-6, 0.25
 # for the least number of probes: longest step, inset from the edge of the stable region
 STEP_MM, SAFE_INSET_MM = 3.0, 0.2
 REGION_GRID_MM = 0.5  # of places on a region
 MODEL_FREE = (CEILING, "fused", "pick-and-place")  # strategies without a model of the piece
 
+CELL_KEYS = ("strategy", "piece", "bottom")
+
 
 @dataclass(frozen=True, slots=True)
 class ClosedLoopComparison:
-    """Closed-loop comparison of strategies.
+    """Comparison of strategies: ``trials`` in closed loop of each cell, and verdicts over
+    ``groups`` groups of each cell with a single bottom.
 
-    ``models``: by piece the job or file of the model FT+Tac. ``entry_sigma_mm``: error of the
-    simulated operator who measures the place of the upper bottom; None: the strategies are not
-    given the tower. ``outline_seed``: hexadecimal seed of the fresh outlines.
+    ``models``: by piece the job or file of the model FT+Tac. ``outline_seed``: hexadecimal seed of
+    the fresh outlines.
     """
 
     bench: SimulationSettings
@@ -175,14 +175,14 @@ class ClosedLoopComparison:
     bottoms: tuple[str, ...] = ("short", "long")
     strategies: tuple[str, ...] = ("paper", "fused", "ceiling")
     trials: int = 50
-    entry_sigma_mm: float | None = 1.0
+    groups: int = 0
     method: StackSettings = field(default_factory=StackSettings)
     outline_seed: str = FRESH_SEED
 
     def jobs(self) -> list[JobSpec]:
-        """Return all jobs; the first trials of every cell come first."""
+        """Return the jobs of the trials; the first trials of every cell come first."""
         return [
-            self._job(piece, bottom, strategy, first)
+            self._loop(piece, bottom, strategy, first)
             for first in range(0, self.trials, TRIALS_PER_JOB)
             for piece in self.pieces
             for bottom in self.bottoms
@@ -191,26 +191,30 @@ class ClosedLoopComparison:
             if first % _chunk(bottom) == 0
         ]
 
+    def group_jobs(self) -> list[JobSpec]:
+        """Return the jobs of the groups; the first groups of every cell come first."""
+        return [
+            self._group(piece, bottom, strategy, first)
+            for first in range(0, self.groups, GROUPS_PER_JOB)
+            for piece in self.pieces
+            for bottom in self.bottoms
+            if bottom in SINGLE_BOTTOMS
+            for strategy in self.strategies
+            if strategy != "pick-and-place"
+        ]
+
     def trials_of(self, store: JobStore) -> dict[Cell, list[Json]]:
         """Return all finished trials by strategy, piece and bottom."""
-        cells: dict[Cell, list[Json]] = {}
-        for spec in self.jobs():
-            trials = store.result(spec.id)["trials"] if store.has(spec.id) else []
-            cells.setdefault(_cell(spec.params), []).extend(trials)
-        return cells
+        return {cell: _trials(done) for cell, (_, done) in _finished(self.jobs(), store).items()}
 
-    def left_out(self, store: JobStore) -> dict[Cell, int]:
-        """Return the number of towers without a stable place, by strategy, piece and bottom."""
-        found: Counter[Cell] = Counter()
-        for spec in self.jobs():
-            if store.has(spec.id):
-                found[_cell(spec.params)] += store.result(spec.id)["left_out"]
-        return found
+    def answers(self, store: JobStore) -> dict[Cell, dict[int, Json]]:
+        """Return the finished groups by strategy, piece and bottom, then by the first seed."""
+        return {cell: done for cell, (_, done) in _finished(self.group_jobs(), store).items()}
 
     def table(self, store: JobStore) -> Json:
         """Return the counts of all finished trials, by cell and pooled by strategy."""
-        cells, left_out = self.trials_of(store), self.left_out(store)
-        traces = job_traces(self.jobs(), store)
+        cells = _finished(self.jobs(), store)
+        trials = {cell: _trials(done) for cell, (_, done) in cells.items()}
         return {
             "format": BEYOND_FORMAT,
             "bench_sha256": bench_sha256(self.bench),
@@ -219,22 +223,39 @@ class ClosedLoopComparison:
             "models": dict(self.models),
             "cells": [
                 {
-                    "strategy": s,
-                    "piece": piece,
-                    "bottom": bottom,
-                    **count_outcomes(trials),
-                    "left_out": left_out[s, piece, bottom],
-                    **traces[s, piece, bottom],
-                    "trials": trial_lines(trials),
+                    **dict(zip(CELL_KEYS, cell, strict=True)),
+                    **count_outcomes(trials[cell]),
+                    "left_out": sum(result["left_out"] for result in done.values()),
+                    **trace,
+                    "trials": trial_lines(trials[cell]),
                 }
-                for (s, piece, bottom), trials in cells.items()
+                for cell, (trace, done) in cells.items()
             ],
             "pooled": [
-                {"strategy": s, "tower": tower, **outline, **count_outcomes(trials)}
+                {"strategy": s, "tower": tower, **outline, **count_outcomes(some)}
                 for s in self.strategies
-                for tower, outline, trials in _pooled_groups(s, cells)
-                if trials
+                for tower, outline, some in _pooled_groups(s, trials)
+                if some
             ],
+        }
+
+    def group_table(self, store: JobStore) -> Json:
+        """Return the scores of the groups of every cell, and pooled by strategy."""
+        cells = _finished(self.group_jobs(), store)
+        pooled: dict[str, list[Json]] = {}
+        for (strategy, *_), (_, done) in cells.items():
+            pooled.setdefault(strategy, []).extend(done.values())
+        return {
+            "cells": [
+                {
+                    **dict(zip(CELL_KEYS, cell, strict=True)),
+                    **static_scores(list(done.values())),
+                    **trace,
+                    "asked": group_lines(done),
+                }
+                for cell, (trace, done) in cells.items()
+            ],
+            "pooled": [{"strategy": s, **static_scores(done)} for s, done in pooled.items()],
         }
 
     @staticmethod
@@ -245,11 +266,13 @@ class ClosedLoopComparison:
     @staticmethod
     def effort(spec: JobSpec) -> int:
         """Return the relative duration of a job."""
-        return int(spec.params["trials"]) * (100 if spec.params["strategy"] == CEILING else 3)
+        p, oracle = spec.params, spec.params["strategy"] == CEILING
+        if "groups" in p:
+            return GROUPS_PER_JOB * (200 if oracle else 3)
+        return int(p["trials"]) * (100 if oracle else 3)
 
-    def _job(self, piece: str, bottom: str, strategy: str, first: int) -> JobSpec:
-        source = "" if base_strategy(strategy) in MODEL_FREE else self.models[piece]
-        params = _job_params(self, (strategy, piece, bottom))
+    def _loop(self, piece: str, bottom: str, strategy: str, first: int) -> JobSpec:
+        params: Json = {"trials": min(_chunk(bottom), self.trials - first)}
         if bottom == FRESH:
             seed = FRESH_TRIAL_SEED + CELL_SEEDS * COMPARED_PIECES.index(piece) + first
             params["outline_seed"] = self.outline_seed
@@ -258,11 +281,40 @@ class ClosedLoopComparison:
             cell = 10 * COMPARED_PIECES.index(piece) + touched
             cell += TOWER_CELLS * (bottom in TOWERS)
             seed = STACKING_SEED + CELL_SEEDS * cell + first
-        params["trials"] = min(_chunk(bottom), self.trials - first)
-        if bottom in TOWERS:
-            params["entry_sigma_mm"] = self.entry_sigma_mm
-        inputs = (source,) if source else ()
-        return JobSpec("beyond", params, seed, inputs, job_code("beyond", self.code))
+        return self._job("beyond", (strategy, piece, bottom), seed, params)
+
+    def _group(self, piece: str, bottom: str, strategy: str, first: int) -> JobSpec:
+        cell = 10 * COMPARED_PIECES.index(piece) + SINGLE_BOTTOMS.index(bottom)
+        seed = STATIC_SEED + CELL_SEEDS * cell + first
+        params = {"groups": min(GROUPS_PER_JOB, self.groups - first)}
+        return self._job("promises", (strategy, piece, bottom), seed, params)
+
+    def _job(self, kind: str, cell: Cell, seed: int, params: Json) -> JobSpec:
+        strategy, piece, _ = cell
+        source = "" if base_strategy(strategy) in MODEL_FREE else self.models[piece]
+        params |= {
+            "bench": self.bench.model_dump(mode="json"),
+            "method": self.method.model_dump(mode="json"),
+            **dict(zip(CELL_KEYS, cell, strict=True)),
+            **network_params(strategy, self.method),
+        }
+        return JobSpec(kind, params, seed, (source,) if source else (), job_code(kind, self.code))
+
+
+def _finished(jobs: Iterable[JobSpec], store: JobStore) -> dict[Cell, tuple[Json, dict[int, Json]]]:
+    """Return of each cell its trace (first seed, finished jobs), and the results by first seed."""
+    found: dict[Cell, tuple[Json, dict[int, Json]]] = {}
+    for spec in jobs:
+        cell = (spec.params["strategy"], spec.params["piece"], spec.params["bottom"])
+        trace, done = found.setdefault(cell, ({"seed": spec.seed, "jobs": []}, {}))
+        if store.has(spec.id):
+            trace["jobs"].append(spec.id)
+            done[spec.seed] = dict(store.result(spec.id))
+    return found
+
+
+def _trials(done: Mapping[int, Json]) -> list[Json]:
+    return [trial for result in done.values() for trial in result["trials"]]
 
 
 def base_strategy(name: str) -> str:
@@ -298,15 +350,6 @@ def network_params(strategy: str, method: StackSettings) -> Json:
     return {"fused_sha256": load_network_of(rules).card.weights_sha256}
 
 
-def _job_params(plan: ClosedLoopComparison | StaticComparison, cell: Cell) -> Json:
-    return {
-        "bench": plan.bench.model_dump(mode="json"),
-        "method": plan.method.model_dump(mode="json"),
-        **dict(zip(("strategy", "piece", "bottom"), cell, strict=True)),
-        **network_params(cell[0], plan.method),
-    }
-
-
 def _chunk(bottom: str) -> int:
     """Return the largest number of trials of a job."""
     return TOWER_TRIALS_PER_JOB if bottom in (*TOWERS, FRESH) else TRIALS_PER_JOB
@@ -326,16 +369,6 @@ def _pooled_groups(
         yield FRESH, {"outline": name}, [t for t in chosen if t["outline"] in outlines]
     for kind in SURFACE_KINDS:
         yield FRESH, {"outline": kind}, [t for t in chosen if t.get("surface") == kind]
-
-
-def job_traces(jobs: Iterable[JobSpec], store: JobStore) -> dict[Cell, Json]:
-    """Return the first seed and the finished jobs of each cell."""
-    found: dict[Cell, Json] = {}
-    for spec in jobs:
-        trace = found.setdefault(_cell(spec.params), {"seed": spec.seed, "jobs": []})
-        if store.has(spec.id):
-            trace["jobs"].append(spec.id)
-    return found
 
 
 def count_outcomes(trials: Sequence[Mapping[str, Any]]) -> Json:
@@ -411,7 +444,7 @@ def _strategy_of(
     method, model = method_of(name, method), uninformed_model(case)
     if spec.inputs:
         model = batch_model(load_model(spec.inputs[0], place.store), case.piece)
-    return method, model, _informed_strategy(case, p.get("entry_sigma_mm"), method, model)
+    return method, model, _informed_strategy(case, method, model)
 
 
 def least_probes(scene: Scene) -> int:
@@ -455,21 +488,18 @@ def _way_on_grid_mm(scene: Scene) -> float:
 
 
 def _informed_strategy(
-    case: SceneSetup, sigma_mm: float | None, settings: StackSettings, model: BatchModel
+    case: SceneSetup, settings: StackSettings, model: BatchModel
 ) -> Callable[[Scene, XY], Strategy]:
-    """Create strategies that know what an operator enters and what a weighing measures.
-
-    ``sigma_mm``: error of the entered place of the tower, None if it is not entered.
-    """
+    """Create strategies that know what an operator enters and what a weighing measures."""
 
     def create(scene: Scene, at: XY) -> Strategy:
         below = None
-        if sigma_mm is not None:
+        if len(case.bottoms) > 1:
             rng = np.random.default_rng([scene.seed, scene.number, ENTRY_STREAM])
             steps = np.diff([body.at_mm for body in scene.bottoms.bodies], axis=0)
-            entered = steps + sigma_mm * rng.standard_normal(steps.shape)
+            entered = steps + ENTRY_SIGMA_MM * rng.standard_normal(steps.shape)
             offset_mm = tuple((float(x), float(y)) for x, y in entered)
-            entry = TowerSettings(offset_mm=offset_mm, sigma_mm=sigma_mm)
+            entry = TowerSettings(offset_mm=offset_mm, sigma_mm=ENTRY_SIGMA_MM)
             below = SupportTower.entered(case.piece, case.bottoms, entry)
         held = grasped_piece_in(scene, model, below)
         if settings.weigh:
@@ -505,82 +535,11 @@ def uninformed_model(case: SceneSetup) -> BatchModel:
     return BatchModel(lambda seen: np.full((len(seen), len(points)), 0.5), points, None)
 
 
-GROUPS_PER_JOB = 2  # even, so that stable and unstable first places alternate as in Table 2
 PROBES_PER_GROUP = max(PROBE_COUNTS)
 RELIABLE_AFTER = (1, 3)
 IOU_AFTER = 3
 PROBABILITY_STEPS = 400  # number of bins of probabilities
 STRATEGIES_WITHOUT_BELIEF = ("zero-wrench",)  # strategies without a belief in cells
-
-
-@dataclass(frozen=True, slots=True)
-class StaticComparison:
-    """Verdicts of strategies over ``groups`` groups of each piece and bottom."""
-
-    bench: SimulationSettings
-    code: str
-    models: Mapping[str, str]
-    pieces: tuple[str, ...]
-    bottoms: tuple[str, ...]
-    strategies: tuple[str, ...]
-    groups: int
-    method: StackSettings = field(default_factory=StackSettings)
-
-    def jobs(self) -> list[JobSpec]:
-        """Return all jobs; the first groups of every cell come first."""
-        return [
-            self._job(piece, bottom, strategy, first)
-            for first in range(0, self.groups, GROUPS_PER_JOB)
-            for piece in self.pieces
-            for bottom in self.bottoms
-            if bottom in SINGLE_BOTTOMS
-            for strategy in self.strategies
-            if strategy != "pick-and-place"
-        ]
-
-    def answers(self, store: JobStore) -> dict[Cell, dict[int, Json]]:
-        """Return the finished results by strategy, piece and bottom, then by the first seed."""
-        found: dict[Cell, dict[int, Json]] = {}
-        for spec in self.jobs():
-            cell = found.setdefault(_cell(spec.params), {})
-            if store.has(spec.id):
-                cell[spec.seed] = dict(store.result(spec.id))
-        return found
-
-    def table(self, store: JobStore) -> Json:
-        """Return the scores of every cell, and pooled by strategy."""
-        cells, traces = self.answers(store), job_traces(self.jobs(), store)
-        pooled = {
-            s: [a for k, v in cells.items() if k[0] == s for a in v.values()] for s, *_ in cells
-        }
-        return {
-            "cells": [
-                {
-                    "strategy": s,
-                    "piece": p,
-                    "bottom": b,
-                    **static_scores(list(answers.values())),
-                    **traces[s, p, b],
-                    "asked": group_lines(answers),
-                }
-                for (s, p, b), answers in cells.items()
-            ],
-            "pooled": [{"strategy": s, **static_scores(answers)} for s, answers in pooled.items()],
-        }
-
-    @staticmethod
-    def effort(spec: JobSpec) -> int:
-        """Return the relative duration of a job (unit of ``ClosedLoopComparison``)."""
-        return GROUPS_PER_JOB * (200 if spec.params["strategy"] == CEILING else 3)
-
-    def _job(self, piece: str, bottom: str, strategy: str, first: int) -> JobSpec:
-        source = "" if base_strategy(strategy) in MODEL_FREE else self.models[piece]
-        params = _job_params(self, (strategy, piece, bottom))
-        params["groups"] = min(GROUPS_PER_JOB, self.groups - first)
-        cell = 10 * COMPARED_PIECES.index(piece) + SINGLE_BOTTOMS.index(bottom)
-        seed = STATIC_SEED + CELL_SEEDS * cell + first
-        inputs = (source,) if source else ()
-        return JobSpec("promises", params, seed, inputs, job_code("promises", self.code))
 
 
 def run_static_groups(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:

@@ -35,7 +35,6 @@ from touchdown.backend.experiments import (
     ClosedLoopComparison,
     FusionRecipe,
     Recipe,
-    StaticComparison,
     StrategyComparison,
     base_strategy,
     best_rules,
@@ -223,10 +222,6 @@ def _add_beyond_arguments(parser: argparse.ArgumentParser) -> None:
                         "benches with every nuisance half to twice as large")  # fmt: skip
     beyond.add_argument("--stop-early", choices=("placed", "unsafe"), help="end a comparison once "
                         "it is decided on this quantity (error 5 %%, at any time)")  # fmt: skip
-    beyond.add_argument("--entry-sigma", type=float, default=1.0, metavar="MM", help="standard "
-                        "uncertainty of the entered position of the upper bottom")  # fmt: skip
-    beyond.add_argument("--no-entry", action="store_true", help="enter no position of "
-                        "the upper bottom: strategies assume that it is centred")  # fmt: skip
 
 
 def run(args: argparse.Namespace, screen: VerbOutput) -> int:
@@ -264,9 +259,8 @@ def run_beyond(run: ExperimentRun) -> Json:
     plan = _comparison_of(run)
     if args.stop_early:
         _run_rounds(plan, run)
-    rest = plan.statics.jobs() if plan.statics else []
-    if jobs := rest if args.stop_early else plan.jobs():
-        run.run(jobs, plan.effort)
+    if jobs := plan.loops.group_jobs() if args.stop_early else plan.jobs():
+        run.run(jobs, plan.loops.effort)
     answer = plan.answer(run.store, args.stop_early)
     if args.stop_early:
         screen.say(stopped_text(answer["stopped"]))
@@ -290,7 +284,7 @@ def _run_rounds(plan: StrategyComparison, run: ExperimentRun) -> None:
             "Leave out --shard, and name a strategy and its reference with --strategies.",
         )
     while jobs := plan.next_round(store, args.stop_early):
-        if not run.run(jobs, plan.effort):
+        if not run.run(jobs, plan.loops.effort):
             break
 
 
@@ -311,8 +305,6 @@ def _comparison_of(run: ExperimentRun) -> StrategyComparison:
         raise InputError(
             f"'{args.outline_seed}' is not a hash.", "--outline-seed", "Give 8 to 64 hex digits."
         )
-    if not args.entry_sigma > 0.0:
-        raise InputError("--entry-sigma must be positive.", "--entry-sigma", "Give it in mm.")
     loops = ClosedLoopComparison(
         bench=bench,
         code=program_version(),
@@ -321,15 +313,10 @@ def _comparison_of(run: ExperimentRun) -> StrategyComparison:
         bottoms=parse_names(args.bottoms, BOTTOMS, "--bottoms"),
         strategies=strategies,
         trials=args.trials,
-        entry_sigma_mm=None if args.no_entry else args.entry_sigma,
+        groups=args.statics,
         outline_seed=args.outline_seed,
     )
-    said = None
-    if args.statics:
-        said = StaticComparison(
-            bench, loops.code, loops.models, pieces, loops.bottoms, loops.strategies, args.statics
-        )
-    return StrategyComparison(loops, said, args.band)
+    return StrategyComparison(loops, args.band)
 
 
 def _check_cell(piece: str, name: str, *, known: bool) -> None:

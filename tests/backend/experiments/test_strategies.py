@@ -40,7 +40,6 @@ from touchdown.backend.experiments.strategies import (
     SURFACE_KINDS,
     TRIAL_WORDS,
     ClosedLoopComparison,
-    StaticComparison,
     count_outcomes,
     least_probes,
     method_of,
@@ -294,10 +293,12 @@ def test_answers_of_another_network_are_other_jobs(
     ships, other = shipped_fused(), tmp_path / "other.safetensors"
     save_checkpoint(other, {**ships.arrays, "mean": ships.arrays["mean"] + 1.0}, ships.card)
     asks = StackSettings(fused=FusedSettings(weights=str(other)))
-    for kind in (StaticComparison, ClosedLoopComparison):
-        plan = kind(bench_v1, "1", {"pot": "m"}, ("pot",), ("long",), ("paper", "fused"), 2)
-        paper, fused = plan.jobs()
-        _, theirs = replace(plan, method=asks).jobs()
+    plan = ClosedLoopComparison(
+        bench_v1, "1", {"pot": "m"}, ("pot",), ("long",), ("paper", "fused"), 2, 2
+    )
+    for jobs in (ClosedLoopComparison.jobs, ClosedLoopComparison.group_jobs):
+        paper, fused = jobs(plan)
+        _, theirs = jobs(replace(plan, method=asks))
         assert theirs.id != fused.id
         assert fused.params["fused_sha256"] == ships.card.weights_sha256
         assert theirs.params["fused_sha256"] not in paper.params.values()
@@ -333,17 +334,16 @@ def test_a_tower_and_groups_from_end_to_end(bench_v1: SimulationSettings, store:
     models = adopt_models(store, *shipped_model_folders("bench-v1"))
     source = {"pot": models["pot", "FT+Tac"]}
     loops = ClosedLoopComparison(
-        bench_v1, "1", source, bottoms=("short+long",), strategies=("fused",), trials=1
+        bench_v1, "1", source, ("pot",), ("short+long", "long"), ("paper",), 1, 2
     )
-    said = StaticComparison(bench_v1, "1", source, ("pot",), ("long",), ("paper",), 2)
-    plan = StrategyComparison(loops, said)
+    plan = StrategyComparison(loops)
     for job in plan.jobs():
         assert (
             run_job(job, {"beyond": run_closed_loop, "promises": run_static_groups}, store).state
             == "done"
         )
     found = plan.answer(store)
-    (loop,), (cell,) = found["cells"], found["statics"]["cells"]
+    (loop, _), (cell,) = found["cells"], found["statics"]["cells"]
     assert loop["placed"]["n"] + loop["left_out"] == 1
     assert cell["groups"] == 2
     for traced, kind in ((loop, "beyond"), (cell, "promises")):

@@ -61,3 +61,4 @@ from .tables import PIECES as PIECES
 from .tables import SCALES as SCALES
 from .tables import TABLE_BOTTOMS as TABLE_BOTTOMS
 from .tables import Recipe as Recipe
+from .tables import job_effort as job_effort

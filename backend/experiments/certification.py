@@ -177,11 +177,6 @@ class Certification:
         seed = attempt.seed + level * self.scenes + first
         return JobSpec("certify", params, seed, (), attempt.sources)
 
-    @staticmethod
-    def effort(spec: JobSpec) -> int:
-        """Return the relative duration of a job."""
-        return int(spec.params["trials"])
-
     def counts(self, attempt: Attempt, store: JobStore) -> list[ReleaseCounts]:
         """Return the counts of each risk; none while a job is missing."""
         jobs = self.jobs(attempt)

@@ -156,16 +156,6 @@ class DomainShift:
         turns = zip_longest(*self._cells().values())
         return [*made, *(spec for specs in turns for spec in specs if spec)]
 
-    def effort(self, spec: JobSpec) -> int:
-        """Return the relative duration of a job."""
-        p = spec.params
-        if spec.kind == "simulate":
-            return int(p["episodes"]) // 2
-        if spec.kind == "train":
-            return self.trained[0].probes * self.trained[0].epochs // 20 + 1
-        slow = 4 if "world" in p else 1
-        return slow * (int(p["groups"]) * PROBES if "groups" in p else 5 * int(p["trials"]))
-
     def _models(self) -> dict[str, str]:
         return {**self.models, **{plan.name: plan.training().id for plan in self.trained}}
 

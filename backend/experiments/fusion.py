@@ -548,15 +548,6 @@ class FusionRecipe:
         """Parameters of the wide family; none for the convex one, whose jobs keep their ids."""
         return {} if self.outlines == "convex" else {"outlines": self.outlines}
 
-    @staticmethod
-    def effort(spec: JobSpec) -> int:
-        """Return the relative duration of a job."""
-        if spec.kind == "sequences":
-            return 2 if spec.params["free"] else 1
-        if spec.kind == "fused-trials":
-            return int(spec.params["trials"])
-        return max(1, int(spec.params.get("steps", 0)) // 100)
-
 
 def ready_sequences(
     store: JobStore, bench: SimulationSettings, outlines: OutlineKinds

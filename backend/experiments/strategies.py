@@ -12,12 +12,9 @@ likely to stand than to fall. A name may carry settings of the method, as in
 
 On the bottom ``fresh`` every trial has an outline of its own, drawn by ``fresh_bottom``.
 
-``beyond.json`` stores one line per trial and group beside the counts. A trial: ``seed outcome
+``beyond.json`` stores one line per trial beside the counts: ``seed outcome
 probes least`` (``least`` as in ``least_probes``), and the class of a fresh outline; on a face that
-is not flat the outline, its kind and the largest margin of any place (``best_margin_mm``). A job of
-groups: the seed of its first group, then for each group ``margin:likely:released``: the true margin
-of all interfaces in mm (``-`` without support) and the two verdicts after each number of probes in
-``PROBE_COUNTS``, 1 for yes.
+is not flat the outline, its kind and the largest margin of any place (``best_margin_mm``).
 """
 
 from __future__ import annotations
@@ -108,8 +105,6 @@ from touchdown.backend.simulation import Scene, simulate_weighing, touched_margi
 
 Json = dict[str, Any]
 Cell = tuple[str, str, str]  # strategy, piece, bottom
-NO_SUPPORT = "-"
-VERDICT_KINDS = ("likely", "says")
 TRIAL_WORDS = ("seed", "outcome", "probes", "least_probes", "outline", "surface", "best_mm")
 SURFACE_KINDS = ("tilted", "stepped", "domed")
 POSSIBLE_MM = 1.0  # margin of a place at which a piece can be expected to be placed
@@ -118,22 +113,6 @@ POSSIBLE_MM = 1.0  # margin of a place at which a piece can be expected to be pl
 def trial_lines(trials: Iterable[Mapping[str, Any]]) -> list[str]:
     """Return one line per trial."""
     return [" ".join(str(t[k]) for k in TRIAL_WORDS if k in t) for t in trials]
-
-
-def group_lines(answers: Mapping[int, Mapping[str, Any]]) -> list[str]:
-    """Return one line per job of groups, by the seed of its first group."""
-    return [
-        " ".join([str(seed), *(_group_text(answer, g) for g in range(len(answer["margin_mm"])))])
-        for seed, answer in sorted(answers.items())
-    ]
-
-
-def _group_text(answer: Mapping[str, Any], g: int) -> str:
-    margin = answer["margin_mm"][g][1]
-    bits = [
-        "".join(str(int(answer[kind][str(n)][g])) for n in PROBE_COUNTS) for kind in VERDICT_KINDS
-    ]
-    return ":".join([NO_SUPPORT if margin is None else f"{margin:g}", *bits])
 
 
 # the first two are those of the tables, with the same seeds
@@ -251,7 +230,6 @@ class ClosedLoopComparison:
                     **dict(zip(CELL_KEYS, cell, strict=True)),
                     **static_scores(list(done.values())),
                     **trace,
-                    "asked": group_lines(done),
                 }
                 for cell, (trace, done) in cells.items()
             ],
@@ -262,14 +240,6 @@ class ClosedLoopComparison:
     def first_trial(spec: JobSpec) -> int:
         """Return the number of the first trial of a job in its cell, from 0."""
         return (spec.seed - STACKING_SEED) % CELL_SEEDS
-
-    @staticmethod
-    def effort(spec: JobSpec) -> int:
-        """Return the relative duration of a job."""
-        p, oracle = spec.params, spec.params["strategy"] == CEILING
-        if "groups" in p:
-            return GROUPS_PER_JOB * (200 if oracle else 3)
-        return int(p["trials"]) * (100 if oracle else 3)
 
     def _loop(self, piece: str, bottom: str, strategy: str, first: int) -> JobSpec:
         params: Json = {"trials": min(_chunk(bottom), self.trials - first)}

@@ -104,6 +104,22 @@ def job_code(kind: str, version: str) -> str:
     return f"{version}+{source_hash(f'touchdown.backend.experiments.{module}', function)}"
 
 
+def job_effort(spec: JobSpec) -> int:
+    """Return the relative duration of a job, as a rule in units of 40 ms of one core."""
+    p, kind = spec.params, spec.kind
+    if kind in ("sequences", "fuse", "fuse-join"):
+        return int(15 * p.get("steps", 200 if p.get("free") else 100))
+    if kind in ("simulate", "train"):
+        return int(p["episodes"] if kind == "simulate" else 500 * p["training"]["epochs"])
+    if kind in ("static", "promises"):
+        groups = p["groups"] if "groups" in p else p["mountings"] * p["grips"]
+        presses = int(groups) * int(p.get("probes", max(map(int, COUNTS))))
+        slow = 60 if p.get("strategy") == "ceiling" else 10 if "world" in p else 3
+        return slow * presses
+    slow = 2000 if kind == "devices" else 300 if p.get("strategy") == "ceiling" else 10
+    return slow * int(p["trials"]) * (4 if "world" in p else 1)
+
+
 @dataclass(frozen=True, slots=True)
 class Scale:
     """Size of an experiment: ``probes`` for training per outline, groups and trials per cell.
@@ -224,18 +240,6 @@ class Recipe:
             return None
         params = {**cell.params, "trials": self.scale.repeated}
         return JobSpec("devices", params, cell.seed, cell.inputs, job_code("devices", self.code))
-
-    def effort(self, spec: JobSpec) -> int:
-        """Return the relative duration of a job."""
-        p, scale = spec.params, self.scale
-        if spec.kind == "simulate":
-            return int(p["episodes"])
-        if spec.kind == "train":
-            return scale.probes * scale.epochs // 2
-        if spec.kind == "static":
-            groups = p["groups"] if "groups" in p else p["mountings"] * p["grips"]
-            return 5 * int(groups) * int(p["probes"]) // 2
-        return (2000 if spec.kind == "devices" else 10) * int(p["trials"])
 
     def _all(self) -> Iterator[JobSpec]:
         for piece in self.pieces:

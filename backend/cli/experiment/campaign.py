@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -13,7 +13,7 @@ from touchdown.backend.cli.output import VerbOutput, make_output_folder, require
 from touchdown.backend.cli.train import add_device
 from touchdown.backend.config import SimulationSettings, load_simulation
 from touchdown.backend.core import InputError, disk_errors, write_atomically
-from touchdown.backend.experiments import KINDS, adopt_models, shipped_model_folders
+from touchdown.backend.experiments import KINDS, adopt_models, job_effort, shipped_model_folders
 from touchdown.backend.jobs import (
     Executor,
     JobSpec,
@@ -93,7 +93,7 @@ class ExperimentRun:
         own = self.args.models
         return adopt_models(self.store, *([own] if own else shipped_model_folders(bench.preset)))
 
-    def run(self, jobs: list[JobSpec], effort_of: Callable[[JobSpec], int]) -> bool:
+    def run(self, jobs: list[JobSpec]) -> bool:
         """Run the unfinished jobs, or those of one shard; return True if none failed."""
         self.jobs |= {spec.id: spec for spec in jobs}
         part, before = jobs, len(self.failed)
@@ -103,10 +103,10 @@ class ExperimentRun:
         else:
             self.store.sweep()
         done = 0
-        with self.screen.progress(f"{len(part)} jobs", sum(map(effort_of, part))) as advance:
+        with self.screen.progress(f"{len(part)} jobs", sum(map(job_effort, part))) as advance:
             for result in run_campaign(part, self._executor(), self.store):
                 spec = self.jobs[result.id]
-                done += effort_of(spec)
+                done += job_effort(spec)
                 advance(done, _job_name(spec))
                 if result.state == "failed":
                     self.failed.append(result.id)

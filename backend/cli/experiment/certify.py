@@ -46,7 +46,7 @@ def run_certify(run: ExperimentRun) -> Json:
         f"Attempt {attempt.number}, error {100 * attempt.error:.3g} % for each risk, seeds from "
         f"{attempt.seed}. It is spent, whatever comes out."
     )
-    run.run(plan.jobs(attempt), plan.effort)
+    run.run(plan.jobs(attempt))
     counts = plan.counts(attempt, run.store)
     file = None
     if counts and attempt.state == "begun":

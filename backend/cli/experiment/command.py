@@ -147,11 +147,11 @@ def train_fused(run: ExperimentRun) -> Json:
     jobs = recipe.jobs()
     answer: Json = {"file": None, "fused": None, "rules": []}
     if not args.steps:
-        run.run(jobs, recipe.effort)
+        run.run(jobs)
         return {**answer, **run.counts()}
     training = jobs[-1].id
     asked = threshold_jobs(bench, code, training, args.rule_trials, args.outlines)
-    run.run([*jobs, *asked], recipe.effort)
+    run.run([*jobs, *asked])
     out = args.out / WEIGHTS
     if store.has(training):
         weights = store.folder(training) / WEIGHTS
@@ -239,7 +239,7 @@ def run_tables(run: ExperimentRun) -> Json:
     """Run the jobs of the paper's tables; write the page and the file of the results."""
     args = run.args
     recipe = _recipe(run)
-    run.run(recipe.jobs(), recipe.effort)
+    run.run(recipe.jobs())
     with disk_errors(UNWRITTEN, args.out, KEPT):
         page, answer = write_tables(args.out, recipe, run.store)
     if args.keep_models:
@@ -260,7 +260,7 @@ def run_beyond(run: ExperimentRun) -> Json:
     if args.stop_early:
         _run_rounds(plan, run)
     if jobs := plan.loops.group_jobs() if args.stop_early else plan.jobs():
-        run.run(jobs, plan.loops.effort)
+        run.run(jobs)
     answer = plan.answer(run.store, args.stop_early)
     if args.stop_early:
         screen.say(stopped_text(answer["stopped"]))
@@ -284,7 +284,7 @@ def _run_rounds(plan: StrategyComparison, run: ExperimentRun) -> None:
             "Leave out --shard, and name a strategy and its reference with --strategies.",
         )
     while jobs := plan.next_round(store, args.stop_early):
-        if not run.run(jobs, plan.loops.effort):
+        if not run.run(jobs):
             break
 
 

@@ -81,7 +81,7 @@ def run_evaluation(run: ExperimentRun) -> Json:
         ),
         first=args.first,
     )
-    run.run(plan.jobs(), plan.effort)
+    run.run(plan.jobs())
     answer = plan.answer(run.store)
     _keep_trained(run, plan)
     for table in shift_tables(answer):

@@ -24,7 +24,6 @@ from touchdown.backend.experiments.nuisances import (
     scale_nuisance,
 )
 from touchdown.backend.experiments.statistics import format_change, iou_change
-from touchdown.backend.experiments.strategies import group_lines
 from touchdown.backend.learning.checkpoint import load_card
 from touchdown.backend.simulation import conditions, mujoco_available
 
@@ -187,19 +186,6 @@ def test_what_cannot_be_measured_is_refused(
     given = ["experiment", verb, "--pieces", "pot", "--out", str(tmp_path), "--json"]
     assert main([*given, *more]) == 2
     assert where in capsys.readouterr().err
-
-
-def test_a_line_holds_the_verdicts_on_each_group() -> None:
-    said = {
-        "margin_mm": [[3.5, 1.25], [-2.0, -2.0], [None, None]],
-        "left_out": 0,
-        "likely": {"1": [True, False, False], "2": [True, True, False],
-                   "3": [True, False, True], "5": [True, False, False]},
-        "says": {"1": [False] * 3, "2": [False, True, False],
-                 "3": [True, False, False], "5": [True, False, False]},
-    }  # fmt: skip
-    (line,) = group_lines({600: said})
-    assert line == "600 1.25:1111:0011 -2:0100:0100 -:0010:0000"
 
 
 BENCH = load_simulation(preset="bench-v1")

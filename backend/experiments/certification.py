@@ -45,7 +45,6 @@ from touchdown.backend.experiments.tables import PIECES, job_code
 from touchdown.backend.experiments.trials import (
     FRESH,
     BatchTrialResult,
-    MixedBottomLockstep,
     SceneSetup,
     stack_in_lockstep,
 )
@@ -222,7 +221,7 @@ def run_certified_scenes(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
     seeds = range(spec.seed, spec.seed + p["trials"])
     scenes = [fresh_scene(piece, seed, bench, p["outlines"]) for seed in seeds]
     model = uninformed_model(SceneSetup(piece, (), bench))
-    results = stack_in_lockstep(scenes, model, method, EpisodeLimits(), world=MixedBottomLockstep)
+    results = stack_in_lockstep(scenes, model, method, EpisodeLimits())
     # A release over a bottom that a press toppled is unsafe, whatever became of the piece.
     trials = [{**end.as_json(), "released": _was_released(end)} for end in results]
     return {"bench_sha256": bench_sha256(bench), "trials": trials}

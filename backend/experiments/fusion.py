@@ -41,7 +41,6 @@ from touchdown.backend.experiments.trials import (
     FRESH,
     FRESH_TRIAL_SEED,
     BatchTrialResult,
-    MixedBottomLockstep,
     SceneSetup,
     grasped_piece_in,
     refused_presses,
@@ -92,7 +91,13 @@ from touchdown.backend.placement import (
     ProbeObservation,
 )
 from touchdown.backend.sensing import EpisodeLimits
-from touchdown.backend.simulation import Scene, release_kick_mm, touched_margins_mm, true_com_xy_mm
+from touchdown.backend.simulation import (
+    BatchedTrials,
+    Scene,
+    release_kick_mm,
+    touched_margins_mm,
+    true_com_xy_mm,
+)
 
 MARGIN_STEP_MM = 1.5  # between the nodes of the margins
 PROBES = 5
@@ -159,7 +164,7 @@ def simulate_sequences(
     outline of the bottom, its last corner repeated; ``reach_mm`` (s, 16), ``com_mm`` (s, 2),
     ``grip_height_mm`` (s,): the face. ``true_com_mm`` (s, 2): true centre of mass in ``F``.
     """
-    bench, limits, n = MixedBottomLockstep(scenes), EpisodeLimits(), len(scenes)
+    bench, limits, n = BatchedTrials(scenes), EpisodeLimits(), len(scenes)
     piece = scenes[0].piece
     anywhere = rng.random(n) < RANDOM_SEQUENCE_SHARE
     lever = np.asarray(scenes[0].grip_height_mm + SENSOR_MM)
@@ -346,8 +351,8 @@ def record_trials(cases: Sequence[SceneSetup], seeds: Sequence[int], weights: Pa
         recorders.append(RecordingFusedStrategy(grasped_piece_in(scene, None), settings, at))
         return recorders[-1]
 
-    model, world = uninformed_model(cases[0]), cases[0].world
-    results = stack_in_lockstep(scenes, model, settings, EpisodeLimits(), create, world)
+    model = uninformed_model(cases[0])
+    results = stack_in_lockstep(scenes, model, settings, EpisodeLimits(), create)
     return [
         _trial_record(scene, end, one.exceeds_by_probe)
         for scene, end, one in zip(scenes, results, recorders, strict=True)

@@ -375,7 +375,7 @@ def run_closed_loop(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
     seeds = range(spec.seed, spec.seed + p["trials"])
     cases = [SceneSetup.of_trial(p, seed) for seed in seeds]
     case = cases[0]
-    world = WORLDS[p["world"]] if "world" in p else case.world
+    world = WORLDS[p.get("world", "bench")]
     pairs = [
         (each, scene)
         for each, seed in zip(cases, seeds, strict=True)

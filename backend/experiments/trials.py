@@ -27,8 +27,6 @@ from touchdown.backend.core import (
     Stability,
 )
 from touchdown.backend.geometry import (
-    FRESH_SOURCE,
-    Outline,
     Piece,
     PieceLibrary,
     Tower,
@@ -57,7 +55,6 @@ from touchdown.backend.sensing import EpisodeLimits, refuse_observation
 from touchdown.backend.simulation import (
     BatchedTrials,
     PressTruth,
-    Region,
     Scene,
     TrialPresses,
     judge_release,
@@ -111,11 +108,6 @@ class SceneSetup:
             return cls.of_job(params, *params["bottom"].split("+"))
         bottom = fresh_bottom(params["outline_seed"], seed - FRESH_TRIAL_SEED)
         return replace(cls.of_job(params), bottoms=(bottom,))
-
-    @property
-    def world(self) -> type[BatchedTrials]:
-        """Class of the simulation; that of fresh outlines takes another bottom in each trial."""
-        return MixedBottomLockstep if self.bottoms[0].source == FRESH_SOURCE else BatchedTrials
 
 
 def start_scene(case: SceneSetup, seed: int) -> Scene | None:
@@ -194,30 +186,6 @@ def uniform_offset(case: SceneSetup, seed: int, probe: int, attempt: int) -> Flo
 def displacement_rng(seed: int, probe: int, attempt: int) -> np.random.Generator:
     """Return the random generator of the displacement of one probe of a trial."""
     return np.random.default_rng([seed, _DISPLACEMENT, probe + 1, attempt + 1])
-
-
-class MixedBottomLockstep(BatchedTrials):
-    """Trials over different bottoms, either all fixed to the table or all free."""
-
-    @staticmethod
-    def shared(scene: Scene) -> tuple[object, ...]:
-        """Return the quantities that are equal in all scenes."""
-        return scene.piece, scene.settings, scene.bottoms.bodies[-1].fixed
-
-    def surfaces(self, rows: NDArray[np.intp]) -> Region:
-        """Return the outline of each trial's bottom."""
-        return _OutlinePerTrial(tuple(self.scenes[row].surface for row in rows.tolist()))
-
-
-@dataclass(frozen=True, slots=True)
-class _OutlinePerTrial:
-    """One outline per face of the batch."""
-
-    each: tuple[Outline, ...]
-
-    def contains(self, points_mm: FloatArray, /) -> NDArray[np.bool_]:
-        pairs = zip(self.each, points_mm, strict=True)
-        return np.stack([outline.contains(points) for outline, points in pairs])
 
 
 # contact probabilities (k, N) of observations (k, 20, 258)

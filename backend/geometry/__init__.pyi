@@ -11,7 +11,6 @@ from .cad import piece_svg as piece_svg
 from .cad import save_piece as save_piece
 from .families import FRESH_CLASSES as FRESH_CLASSES
 from .families import FRESH_SEED as FRESH_SEED
-from .families import FRESH_SOURCE as FRESH_SOURCE
 from .families import UNSEEN_BOTTOMS as UNSEEN_BOTTOMS
 from .families import UNSEEN_PIECES as UNSEEN_PIECES
 from .families import UNTRAINED_CLASSES as UNTRAINED_CLASSES

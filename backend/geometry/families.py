@@ -268,7 +268,6 @@ FreshClass = Literal[
 FRESH_CLASSES: tuple[FreshClass, ...] = get_args(FreshClass)
 UNTRAINED_CLASSES: tuple[FreshClass, ...] = ("frame", "bars", "tee")
 FRESH_SEED = "b151a540c14f9b0cc66a92d3b1683025bbe7204e"  # the commit that froze bench-v2
-FRESH_SOURCE = "fresh outlines"
 FRESH_SIZES_MM = (14.0, 30.0)  # longest side, or diameter
 FRESH_RATIO = 2.0  # greatest ratio of the sides
 FRESH_FEATURE_MM = 4.0  # narrowest wall, bar and foot; gaps and holes are half as wide at least
@@ -320,7 +319,7 @@ def fresh_bottom(seed: str, number: int) -> Piece:
         fixed=False,
         nominal=True,
         sha256="",
-        source=FRESH_SOURCE,
+        source="fresh outlines",
     )
 
 

@@ -465,12 +465,23 @@ class TrialPresses:
     truth: PressTruth
 
 
+@dataclass(frozen=True, slots=True)
+class _OutlinePerTrial:
+    """One outline per face of the batch."""
+
+    each: tuple[Outline, ...]
+
+    def contains(self, points_mm: FloatArray, /) -> NDArray[np.bool_]:
+        pairs = zip(self.each, points_mm, strict=True)
+        return np.stack([outline.contains(points) for outline, points in pairs])
+
+
 class BatchedTrials:
-    """Trials with the same piece, touched outline and settings; scenes differ in seed and tower.
+    """Trials with the same piece and settings; scenes differ in seed and tower.
 
     ``grips``: number of the gripping in each scene, the first by default. Equal scenes with
     different numbers are grippings on one mounting. Raises ValueError for scenes of different
-    pieces, surfaces, settings or numbers of free bodies.
+    pieces, settings or numbers of free bodies.
     """
 
     def __init__(
@@ -480,8 +491,10 @@ class BatchedTrials:
         grips: Sequence[int] | None = None,
     ) -> None:
         first = scenes[0]
-        if any(self.shared(s) != self.shared(first) for s in scenes):
-            raise ValueError("trials in lockstep share piece, surface and settings")
+        free = [sum(not body.fixed for body in s.bottoms.bodies) for s in scenes]
+        shared = [(s.piece, s.settings, n) for s, n in zip(scenes, free, strict=True)]
+        if any(one != shared[0] for one in shared):
+            raise ValueError("trials in lockstep share piece, settings and number of free bodies")
         self.scenes, self._first = scenes, first
         self._probe = probe or ProbeSettings()
         points = face_points(first.piece.face, first.settings.face.lattice_mm)
@@ -506,20 +519,6 @@ class BatchedTrials:
         self._slid_mm = np.zeros((len(scenes), 2))
         self._stands = [support_stack(tower, first.settings.support) for tower in self.bottoms]
 
-    @staticmethod
-    def shared(scene: Scene) -> tuple[object, ...]:
-        """Return the values that must be equal in all scenes."""
-        return (
-            scene.piece,
-            scene.surface,
-            scene.settings,
-            sum(not body.fixed for body in scene.bottoms.bodies),
-        )
-
-    def surfaces(self, rows: NDArray[np.intp]) -> Region:
-        """Return the outline below the faces of the trials ``rows``."""
-        return self._first.surface
-
     def start_commands_mm(self) -> FloatArray:
         """Return (B, 2): commands of the face that place each piece at the start of its scene."""
         return np.stack([start_command_mm(scene)[:2] for scene in self.scenes])
@@ -535,7 +534,7 @@ class BatchedTrials:
         carried = self._carried.take(rows)
         state = begin_probes(
             self._points_mm,
-            self.surfaces(rows),
+            self._outlines(rows),
             true_offset_mm(commands_mm, conditions, carried.slip) - self._slid_mm[rows],
             conditions,
             carried,
@@ -560,6 +559,11 @@ class BatchedTrials:
                 pressed.state.residual <= RESIDUAL_LIMIT,
             ),
         )
+
+    def _outlines(self, rows: NDArray[np.intp]) -> Region:
+        """Return the outlines below the faces of the trials ``rows``."""
+        each = tuple(self.scenes[row].surface for row in rows.tolist())
+        return each[0] if each.count(each[0]) == len(each) else _OutlinePerTrial(each)
 
     def _stand(self, rows: NDArray[np.intp]) -> SupportStack | None:
         stands = [stand for i in rows.tolist() if (stand := self._stands[i]) is not None]

@@ -333,22 +333,23 @@ class SecondWorldTrials(BatchedTrials):
     def press(self, trials: Sequence[int], commands_mm: FloatArray) -> TrialPresses:
         """Press the pieces of ``trials`` at ``commands_mm`` (k, 2); slip persists."""
         rows = np.asarray(trials, dtype=np.intp)
-        settings, first = self._first.settings, self._first
+        settings, piece = self._first.settings, self._first.piece
         conditions = self._conditions(rows)
         before = self._carried.take(rows).slip
         true = true_offset_mm(commands_mm, conditions, before) - self._slid_mm[rows]
         noise = [draw_noise(settings, self._rule, self._sensor_rng(i)) for i in rows.tolist()]
         pressed: list[DescentRecord] = []
         slip, toppled = before.copy(), np.zeros(len(rows), dtype=np.bool_)
-        reach_mm = float(np.hypot(*first.surface.half_extents_mm))
         for k, trial in enumerate(rows.tolist()):
             own = conditions.take(np.array([k]))
-            mounted = build_model(first.piece, self.bottoms[trial], own, true[k], settings.support)
+            mounted = build_model(piece, self.bottoms[trial], own, true[k], settings.support)
             pads = CreepingPads(own, before[k])
+            outline = self.scenes[trial].surface
+            reach_mm = float(np.hypot(*outline.half_extents_mm))
             high_mm = START_CLEARANCE_MM + float(np.hypot(*own.tilt_rad[0])) * reach_mm
             surface = self.bottoms[trial].bodies[-1].surface
             if not surface.flat:
-                high_mm += max(0.0, float(surface_points(first.surface, surface)[:, 2].max()))
+                high_mm += max(0.0, float(surface_points(outline, surface)[:, 2].max()))
             high_mm += self._probe.approach_mm_s * noise[k].phase_s
             press = SecondWorldPress(mounted, pads, own, self._probe)
             pressed.append(

@@ -68,12 +68,7 @@ from touchdown.backend.experiments.tables import (
     TRAINING_SEED,
     Recipe,
 )
-from touchdown.backend.experiments.trials import (
-    MixedBottomLockstep,
-    SceneSetup,
-    stack_in_lockstep,
-    start_scene,
-)
+from touchdown.backend.experiments.trials import SceneSetup, stack_in_lockstep, start_scene
 from touchdown.backend.geometry.families import FRESH_SEED, UNSEEN_BOTTOMS, UNSEEN_PIECES
 from touchdown.backend.geometry.outlines import circle, contact_margins_mm, face_points, square
 from touchdown.backend.geometry.pieces import load_pieces
@@ -268,7 +263,7 @@ def test_side_by_side_each_presses_its_own_bottom(
     ]
     scenes = [Scene(piece, Tower((b,)), (0.0, 0.0), 3 + k, bench_v1) for k, b in enumerate(bottoms)]
     places = np.array([[5.0, 1.0], [-6.0, 2.0]])
-    together = MixedBottomLockstep(scenes).press([0, 1], places)
+    together = BatchedTrials(scenes).press([0, 1], places)
     for k in range(2):
         alone = BatchedTrials(scenes[k : k + 1]).press([0], places[k : k + 1])
         np.testing.assert_allclose(together.observation[k], alone.observation[0], atol=2e-3)
@@ -479,7 +474,7 @@ def test_rules_for_any_outline_are_counted_on_fresh_ones_of_another_seed(
     rule = StackSettings(strategy="fused", fused=FusedSettings(risk=0.5, inset_mm=0.0))
     scenes = [scene for c, s in zip(cases, seeds, strict=True) if (scene := start_scene(c, s))]
     model, limits = uninformed_model(cases[0]), EpisodeLimits()
-    ends = stack_in_lockstep(scenes, model, rule, limits, world=cases[0].world)
+    ends = stack_in_lockstep(scenes, model, rule, limits)
     recorded = record_trials(cases, seeds, shipped_path())
     for end, trial in zip(ends, recorded, strict=True):
         assert end.verdict is not None

@@ -7,10 +7,10 @@ The module does not import torch, because spawned workers import it.
 from __future__ import annotations
 
 import multiprocessing
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import ExitStack
 from dataclasses import dataclass
-from multiprocessing.sharedctypes import Synchronized
 from pathlib import Path
 from typing import NamedTuple
 
@@ -139,9 +139,6 @@ def pack_metadata(job: CollectionJob) -> dict[str, str]:
     } | ({} if job.start_ns is None else {START_KEY: str(job.start_ns)})
 
 
-POLL_S = 0.2
-
-
 class Redraws(NamedTuple):
     """Number of probes ``drawn_again``; of these ``unsolved`` had no balance in the simulation."""
 
@@ -161,71 +158,33 @@ def run_jobs(
     workers : int
         Number of processes; 1 runs all jobs in this process.
     advance : callable
-        Called with the number of finished episodes.
+        Called with the number of finished episodes after each job.
 
     Returns
     -------
     Redraws
         Probes that were drawn again. An error in one job stops all and is raised.
     """
-    workers = min(workers, len(jobs))
-    if workers == 1:
-        return _run_here(jobs, advance)
-    context = multiprocessing.get_context("spawn")
-    finished = context.Value("q", 0)
-    parts: list[Redraws] = []
-    with ProcessPoolExecutor(workers, context, initializer=_count_in, initargs=(finished,)) as pool:
-        waiting = {pool.submit(run_job, job) for job in jobs}
-        try:
-            while waiting:
-                done, waiting = wait(waiting, timeout=POLL_S, return_when=FIRST_COMPLETED)
-                parts += [future.result() for future in done]
-                advance(int(finished.value))
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
+    finished, parts = 0, list[Redraws]()
+    with ExitStack() as stack:
+        results: Iterable[Redraws] = map(run_job, jobs)
+        if (count := min(workers, len(jobs))) > 1:
+            pool = ProcessPoolExecutor(count, multiprocessing.get_context("spawn"))
+            stack.callback(pool.shutdown, cancel_futures=True)
+            results = pool.map(run_job, jobs)
+        for job, redraws in zip(jobs, results, strict=True):
+            parts.append(redraws)
+            finished += job.episodes
+            advance(finished)
     return _total(parts)
 
 
-def _run_here(jobs: Sequence[CollectionJob], advance: Callable[[int], None]) -> Redraws:
-    """Run in this process, which has everything imported."""
-    finished = 0
-
-    def count(episodes: int) -> None:
-        nonlocal finished
-        finished += episodes
-        advance(finished)
-
-    return _total([run_job(job, count) for job in jobs])
-
-
-def run_job(job: CollectionJob, count: Callable[[int], None] | None = None) -> Redraws:
-    """Simulate and write one job; return the numbers of repeated probes.
-
-    ``count`` gets the size of each batch; the default is the counter of this worker.
-    """
-    batches: list[EpisodeBatch] = []
-    for batch in simulate_episodes(job.plan, job.grips):
-        batches.append(batch)
-        (count or _count)(len(batch.episode))
+def run_job(job: CollectionJob) -> Redraws:
+    """Simulate and write one job; return the numbers of repeated probes."""
+    batches = list(simulate_episodes(job.plan, job.grips))
     write_packs(job.folder, job.stem, episode_rows(job, batches), pack_metadata(job))
     return _total([Redraws(batch.rejected, batch.unsolved) for batch in batches])
 
 
 def _total(parts: Sequence[Redraws]) -> Redraws:
     return Redraws(sum(p.drawn_again for p in parts), sum(p.unsolved for p in parts))
-
-
-_finished: Synchronized[int] | None = None
-
-
-def _count_in(finished: Synchronized[int]) -> None:
-    """Set the shared episode counter of this worker (pool initializer)."""
-    global _finished
-    _finished = finished
-
-
-def _count(episodes: int) -> None:
-    if _finished is not None:
-        with _finished.get_lock():
-            _finished.value += episodes

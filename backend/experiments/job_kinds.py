@@ -21,19 +21,13 @@ from touchdown.backend.config import (
     parse_settings,
 )
 from touchdown.backend.core import Event, TrialFinished
-from touchdown.backend.episodes import TrainingRows, join_rows, load_rows, write_packs
+from touchdown.backend.episodes import TrainingRows, join_rows, load_rows
 from touchdown.backend.experiments.certification import run_certified_scenes
-from touchdown.backend.experiments.collection import (
-    batch_plan,
-    episode_rows,
-    pack_metadata,
-    split_jobs,
-)
+from touchdown.backend.experiments.collection import batch_plan, run_jobs, split_jobs
 from touchdown.backend.experiments.fusion import FUSED_KINDS
 from touchdown.backend.experiments.models import WEIGHTS, batch_model, load_model
 from touchdown.backend.experiments.run_report import FILM_FILE, belief_film
 from touchdown.backend.experiments.statics import (
-    SLIPPED_MM,
     ProbeGroups,
     jig_groups,
     join_groups,
@@ -67,7 +61,6 @@ from touchdown.backend.learning import (
 from touchdown.backend.runs import RecordingOptions, StackRequest
 from touchdown.backend.sensing import EpisodeLimits
 from touchdown.backend.simulation import Scene
-from touchdown.backend.simulation import simulate_episodes as simulated
 
 GROUPS_PER_BATCH = 50
 FILMS_PER_CELL = 2  # number of trials per stacking cell stored as pictures
@@ -82,22 +75,14 @@ def simulate_collection(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
         piece, bottom, settings, p["episodes"], spec.seed, p["probes_per_grip"],
         p["grips_per_mounting"],
     )  # fmt: skip
-    rejected, unsolved, slipped, contact = 0, 0, 0, 0.0
-    for job in split_jobs(plan, {"geometry": piece.sha256}, place.folder):
-        batches = list(simulated(plan, job.grips))
-        write_packs(job.folder, job.stem, episode_rows(job, batches), pack_metadata(job))
-        rejected += sum(batch.rejected for batch in batches)
-        unsolved += sum(batch.unsolved for batch in batches)
-        slipped += sum(int((batch.slip_mm > SLIPPED_MM).sum()) for batch in batches)
-        contact += sum(float(batch.patch.mean(axis=1).sum()) for batch in batches)
-    n = plan.episodes
+    redraws = run_jobs(
+        split_jobs(plan, {"geometry": piece.sha256}, place.folder), 1, lambda done: None
+    )
     return {
         "bench_sha256": bench_sha256(settings),
-        "episodes": n,
-        "rejected": rejected,
-        "unsolved": unsolved,
-        "slipped": slipped / n,
-        "base_rate": contact / n,
+        "episodes": plan.episodes,
+        "rejected": redraws.drawn_again,
+        "unsolved": redraws.unsolved,
     }
 
 

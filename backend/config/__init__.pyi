@@ -48,5 +48,6 @@ from .simulation import load_simulation as load_simulation
 from .toml_file import first_error as first_error
 from .toml_file import first_error_message as first_error_message
 from .toml_file import parse_settings as parse_settings
+from .toml_file import read_json_model as read_json_model
 from .toml_file import read_settings as read_settings
 from .toml_file import read_toml as read_toml

@@ -1,4 +1,4 @@
-"""Reading of TOML files into settings models.
+"""Reading of TOML and JSON files into settings models.
 
 A bad file raises one error that names the file, the key and the reason.
 """
@@ -45,6 +45,15 @@ def parse_settings(model: type[Model], content: dict[str, Any], where: str) -> M
         raise InputError(
             f"Bad value for '{key}': {first_error_message(error)}.", where, f"Correct '{key}'."
         ) from error
+
+
+def read_json_model(model: type[Model], path: Path, limit: int, fix: str) -> Model:
+    """Read and validate JSON of at most ``limit`` bytes; raises ``InputError`` with ``fix``."""
+    try:
+        return model.model_validate_json(read_limited(path, limit, fix))
+    except ValidationError as error:
+        what = f"The file is damaged or foreign, {first_error(error)}."
+        raise InputError(what, str(path), fix) from error
 
 
 def first_error(error: ValidationError) -> str:

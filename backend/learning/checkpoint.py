@@ -11,12 +11,12 @@ from typing import Any, ClassVar, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict
 from safetensors import SafetensorError
 from safetensors.numpy import load as load_arrays
 from safetensors.numpy import save as save_arrays
 
-from touchdown.backend.config import SAMPLES_PER_PROBE, BenchDescription, first_error
+from touchdown.backend.config import SAMPLES_PER_PROBE, BenchDescription, read_json_model
 from touchdown.backend.core import InputError, read_limited, write_atomically
 from touchdown.backend.learning.calibration import PatchCalibration
 from touchdown.backend.learning.inference import (
@@ -169,11 +169,7 @@ def load_checkpoint(path: Path) -> Checkpoint:
 def load_card(path: Path) -> ModelCard:
     """Load and check the card of the weights ``path``."""
     where = card_path(path)
-    content = read_limited(where, MAX_CARD_BYTES, FIX)
-    try:
-        card = ModelCard.model_validate_json(content)
-    except ValidationError as error:
-        raise _bad(where, f"Bad model card, {first_error(error)}") from error
+    card = read_json_model(ModelCard, where, MAX_CARD_BYTES, FIX)
     wanted = modality_columns(card.modality)
     problems = {
         f"architecture '{card.arch}' is not known": card.arch not in ARCHITECTURES,

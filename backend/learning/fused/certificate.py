@@ -24,15 +24,10 @@ from touchdown.backend.config import (
     Settings,
     StackSettings,
     first_error,
+    read_json_model,
     sha256_of_json,
 )
-from touchdown.backend.core import (
-    InputError,
-    append_line,
-    disk_errors,
-    read_limited,
-    write_atomically,
-)
+from touchdown.backend.core import InputError, append_line, disk_errors, write_atomically
 
 TOTAL_ERROR = 0.05  # error probability of all attempts of one log together
 RISK_LIMIT = 0.01  # largest bound of a certificate of simulated scenes
@@ -355,13 +350,7 @@ def write_certificate(folder: Path, name: str, certificate: ReleaseCertificate) 
 
 def read_certificate(path: Path) -> ReleaseCertificate:
     """Read a certificate and check its bound; raises ``InputError`` for a damaged file."""
-    fix = "Certify the model again."
-    content = read_limited(path, MAX_BYTES, fix)
-    try:
-        return ReleaseCertificate.model_validate_json(content)
-    except ValidationError as error:
-        what = f"The certificate cannot be used: {first_error(error)}."
-        raise InputError(what, str(path), fix) from error
+    return read_json_model(ReleaseCertificate, path, MAX_BYTES, "Certify the model again.")
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,9 +15,9 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict
 
-from touchdown.backend.config import first_error
+from touchdown.backend.config import read_json_model
 from touchdown.backend.core import InputError, read_limited
 from touchdown.backend.learning.checkpoint import card_path, parse_arrays
 from touchdown.backend.learning.fused.features import (
@@ -70,11 +70,8 @@ def load_fused(path: Path) -> FusedCheckpoint:
 
     Checked: size, card, hash, name, shape and type of every array, finite values.
     """
-    content, about = (read_limited(p, MAX_BYTES, FIX) for p in (path, card_path(path)))
-    try:
-        card = FusedCard.model_validate_json(about)
-    except ValidationError as error:
-        raise _bad(card_path(path), f"Bad card, {first_error(error)}") from error
+    content = read_limited(path, MAX_BYTES, FIX)
+    card = read_json_model(FusedCard, card_path(path), MAX_BYTES, FIX)
     if hashlib.sha256(content).hexdigest() != card.weights_sha256:
         raise _bad(path, "The weights are damaged or not those of their card (SHA-256 differs)")
     if card.vector_order != VECTOR_ORDER or card.ticks != TICKS:

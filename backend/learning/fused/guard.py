@@ -15,24 +15,18 @@ from bisect import bisect_left, insort
 from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import ClassVar, Literal, TypeVar
+from typing import ClassVar, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict
 
-from touchdown.backend.config import first_error
-from touchdown.backend.core import (
-    DISK_TIMEOUT_S,
-    InputError,
-    blocking_section,
-    read_limited,
-    write_atomically,
-)
+from touchdown.backend.config import read_json_model
+from touchdown.backend.core import DISK_TIMEOUT_S, InputError, blocking_section, write_atomically
 
 ALARM = 20.0  # at most 5 % false alarms, over any number of trials
 UNSEEN_SHARE = 0.01  # of the field energy, counts as much as inputs one standard deviation off
 LARGEST_SCORE = 1e9  # also of signals that are not finite
-MAX_BYTES = 5_000_000
+MAX_BYTES, FIX = 5_000_000, "Move it away, or restore it from a copy."
 _POINTS, _WEIGHTS = np.polynomial.legendre.leggauss(64)
 POWERS, SHARES = 0.5 * (_POINTS + 1.0), 0.5 * _WEIGHTS  # quadrature over the powers in (0, 1)
 SIGNALS_ALIKE = "Signals look as in calibration"
@@ -125,7 +119,7 @@ class Guard:
         self._calibration, self._path = calibration, path
         self.state: GuardState = GuardState(calibration_sha256=own)
         if path is not None and path.is_file():
-            self.state = _read(GuardState, path)
+            self.state = read_json_model(GuardState, path, MAX_BYTES, FIX)
             if self.state.calibration_sha256 != own:
                 self._change(calibration_sha256=own, observed=())
         self._replay()
@@ -192,7 +186,9 @@ def open_guard(weights: Path, weights_sha256: str, bench_sha256: str, states: Pa
     ``states``: folder of the states. Raises ``InputError`` for a damaged file.
     """
     path = guard_path(weights)
-    found = _read(GuardFile, path) if path.is_file() else GuardFile(weights_sha256=weights_sha256)
+    found = GuardFile(weights_sha256=weights_sha256)
+    if path.is_file():
+        found = read_json_model(GuardFile, path, MAX_BYTES, FIX)
     if found.weights_sha256 != weights_sha256:
         what = "The calibration of the guard is that of another network."
         raise InputError(what, str(path), "Calibrate it again.")
@@ -203,17 +199,5 @@ def open_guard(weights: Path, weights_sha256: str, bench_sha256: str, states: Pa
     return None
 
 
-F = TypeVar("F", bound=_File)
-
-
 def _now() -> str:
     return datetime.now(UTC).isoformat(timespec="seconds")
-
-
-def _read(kind: type[F], path: Path) -> F:
-    fix = "Move it away, or restore it from a copy."
-    try:
-        return kind.model_validate_json(read_limited(path, MAX_BYTES, fix))
-    except ValidationError as error:
-        what = f"The file of the guard is damaged, {first_error(error)}."
-        raise InputError(what, str(path), fix) from error

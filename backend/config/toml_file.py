@@ -52,7 +52,7 @@ def read_json_model(model: type[Model], path: Path, limit: int, fix: str) -> Mod
     try:
         return model.model_validate_json(read_limited(path, limit, fix))
     except ValidationError as error:
-        what = f"The file is damaged or foreign, {first_error(error)}."
+        what = f"The file {path.name} cannot be used: {first_error(error)}."
         raise InputError(what, str(path), fix) from error
 
 

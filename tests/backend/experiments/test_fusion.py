@@ -269,7 +269,7 @@ def test_side_by_side_each_presses_its_own_bottom(
         np.testing.assert_allclose(together.observation[k], alone.observation[0], atol=2e-3)
         np.testing.assert_allclose(together.truth.offset_mm[k], alone.truth.offset_mm[0], atol=1e-4)
     with pytest.raises(ValueError, match="share"):
-        BatchedTrials(scenes)
+        BatchedTrials([scenes[0], replace(scenes[1], piece=load_pieces().top("barrel"))])
 
 
 def test_a_step_knows_only_where_the_press_acted() -> None:

@@ -230,7 +230,7 @@ def test_without_a_file_or_with_a_damaged_one_there_is_no_certificate(tmp_path: 
     assert find_certificate(claim).scope == "None was made."
     (tmp_path / "fused-x.certificate.json").write_text("{}")
     assert "cannot be used" in find_certificate(claim).scope
-    assert find_certificate(claim).message.startswith("No certificate for this bench: the cert")
+    assert find_certificate(claim).message.startswith("No certificate for this bench: the file")
 
 
 def test_line_that_a_crash_cut_off_was_never_written(tmp_path: Path) -> None:

@@ -21,7 +21,6 @@ from touchdown.backend.episodes.training_rows import TrainingRows, split_rows
 from touchdown.backend.learning import (
     NetworkShape,
     Trainer,
-    channel_groups,
     device_name,
     fingerprint,
     modality_columns,
@@ -29,7 +28,7 @@ from touchdown.backend.learning import (
     select_device,
     use_one_thread,
 )
-from touchdown.backend.learning.inference import Modality, fit_normaliser_in_parts
+from touchdown.backend.learning.inference import Modality, channel_groups, fit_normaliser_in_parts
 from touchdown.backend.learning.training import (
     Adam,
     computes_bfloat16,

@@ -55,14 +55,13 @@ from .review import REJECT_REASONS as REJECT_REASONS
 from .review import check_person as check_person
 from .review import refresh_heads as refresh_heads
 from .review import state_after as state_after
-from .run_tracking import METRICS_FILE as METRICS_FILE
-from .run_tracking import RUNS_FOLDER as RUNS_FOLDER
 from .run_tracking import ActiveRun as ActiveRun
 from .run_tracking import RunInfo as RunInfo
-from .run_tracking import hardware_info as hardware_info
+from .run_tracking import RunTracker as RunTracker
 from .run_tracking import is_run_alive as is_run_alive
-from .run_tracking import package_versions as package_versions
+from .run_tracking import read_metrics as read_metrics
 from .run_tracking import read_run_info as read_run_info
+from .run_tracking import run_folders as run_folders
 from .storage import DISK_FULL_ERRNOS as DISK_FULL_ERRNOS
 from .storage import NotWritableError as NotWritableError
 from .storage import WriterLock as WriterLock

@@ -1,6 +1,6 @@
-"""SQLite file of one dataset: tables, migration of older schemas, one locked connection.
+"""SQLite file of one dataset: tables and one locked connection.
 
-Transactions are explicit. A migration works on a copy, which then replaces the file.
+Transactions are explicit.
 """
 
 from __future__ import annotations
@@ -100,31 +100,8 @@ CREATE TABLE suggestion (
 ) WITHOUT ROWID;
 """
 
-# The folder of a run and the file of a campaign hold the data; these tables serve queries. ``mark``
-# and ``read_bytes`` tell which state of the run's files the rows reflect. The progress of a
-# campaign follows from its episodes.
-RUNS = """
-CREATE TABLE run (
-    uuid TEXT PRIMARY KEY, kind TEXT NOT NULL,
-    state TEXT NOT NULL CHECK (state IN
-        ('queued', 'running', 'finished', 'failed', 'cancelled', 'interrupted')),
-    started_ns INTEGER NOT NULL, ended_ns INTEGER, reason TEXT NOT NULL, program TEXT NOT NULL,
-    seed INTEGER NOT NULL, hardware TEXT NOT NULL, environment TEXT NOT NULL,
-    manifest TEXT NOT NULL, chain TEXT NOT NULL, mark TEXT NOT NULL, read_bytes INTEGER NOT NULL
-) WITHOUT ROWID;
-CREATE INDEX run_started ON run (started_ns);
-CREATE TABLE param (
-    run TEXT NOT NULL REFERENCES run (uuid), key TEXT NOT NULL, value TEXT NOT NULL,
-    PRIMARY KEY (run, key)
-) WITHOUT ROWID;
-CREATE TABLE metric (
-    run TEXT NOT NULL REFERENCES run (uuid), name TEXT NOT NULL, step INTEGER NOT NULL,
-    value REAL, at_ns INTEGER NOT NULL, PRIMARY KEY (run, name, step)
-) WITHOUT ROWID;
-CREATE TABLE artifact (
-    run TEXT NOT NULL REFERENCES run (uuid), name TEXT NOT NULL, path TEXT NOT NULL,
-    sha256 TEXT NOT NULL, bytes INTEGER NOT NULL, PRIMARY KEY (run, name)
-) WITHOUT ROWID;
+# The progress of a campaign follows from its episodes.
+CAMPAIGNS = """
 CREATE VIEW plan_item AS
     SELECT e.campaign, e.plan_item AS item, e.uuid AS episode, e.piece, e.bottom, e.recorded_ns,
         e.accepted AND NOT h.deleted AS done
@@ -135,10 +112,6 @@ CREATE VIEW campaign AS
         min(recorded_ns) AS began_ns, max(recorded_ns) AS last_ns, count(*) AS episodes,
         count(DISTINCT CASE WHEN done THEN item END) AS done
     FROM plan_item GROUP BY campaign;
-CREATE TABLE schema_migration (
-    from_version INTEGER NOT NULL, to_version INTEGER PRIMARY KEY, at_ns INTEGER NOT NULL,
-    program TEXT NOT NULL
-) WITHOUT ROWID;
 """
 
 CHECKED = """
@@ -182,7 +155,7 @@ KEYS = {
 
 
 GUARDS = "".join(_guards(table, key) for table, key in KEYS.items())
-SCHEMA = TABLES + GUARDS + RUNS + CHECKED + APART
+SCHEMA = TABLES + GUARDS + CAMPAIGNS + CHECKED + APART
 
 CATALOGUE_FILE = "catalog.db"
 REBUILD = "'touchdown dataset rebuild --replace' rebuilds it from files and journal."

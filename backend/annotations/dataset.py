@@ -158,7 +158,7 @@ class Dataset:
         self.journal: OperationJournal = OperationJournal(folder / "labels")
         self.labels: LabelStore = LabelStore(database, self.journal, description.site)
         self.scores: ScoreStore = ScoreStore(database)
-        self.runs: RunTracker = RunTracker(folder, database, self.labels.chain_heads)
+        self.runs: RunTracker = RunTracker(folder, self.labels.chain_heads)
         self.backups: BackupStore = BackupStore(database, folder / "backup")
         self.backup_trouble: str = ""
         self.labels.after_commit = partial(self._back_up, self.backups.hourly)

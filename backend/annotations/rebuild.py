@@ -35,7 +35,7 @@ COMPARED = {
     " recorded_ns, piece, bottom, geometry, grip_id, mounting_id, person, mode, quality, accepted,"
     " keep_frames, state",
 }
-CARRIED = ("event", "score", "suggestion", "run", "param", "metric", "artifact", "schema_migration")
+CARRIED = ("event", "score", "suggestion")
 UNUSABLE = "state IN ('missing', 'quarantined', 'damaged')"
 
 

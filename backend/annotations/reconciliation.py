@@ -34,7 +34,7 @@ from touchdown.backend.annotations.operation_log import (
     read_operations,
     store_operation,
 )
-from touchdown.backend.annotations.run_tracking import check_runs, sync_run_tables
+from touchdown.backend.annotations.run_tracking import check_runs
 from touchdown.backend.annotations.values import (
     FIRST_HASH,
     PROGRAM_ACTOR,
@@ -306,7 +306,6 @@ def reconcile(
         found = [problem for problem in check if not (problem.lasting and problem.target in known)]
         for start in range(0, len(found), REPAIRS_PER_TRANSACTION):
             reported += _repaired(parts, found[start : start + REPAIRS_PER_TRANSACTION], again)
-    sync_run_tables(parts.folder, parts.database)
     with parts.database.reading() as connection:
         sites = list(newest_operations(connection))
     for site in sites:

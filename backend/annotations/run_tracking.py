@@ -1,7 +1,6 @@
 """Tracking of trainings and other runs of a dataset: parameters, metrics, artifacts, state.
 
-One run is one folder (``runs/<uuid>/run.json``, ``metrics.jsonl``), complete after any crash; the
-tables derive from the folders.
+One run is one folder (``runs/<uuid>/run.json``, ``metrics.jsonl``), complete after any crash.
 """
 
 from __future__ import annotations
@@ -21,7 +20,6 @@ from pathlib import Path
 from typing import Any, Literal, Self, get_args
 
 from touchdown.backend.annotations.consistency import ConsistencyProblem, DatasetParts, leftover
-from touchdown.backend.annotations.database import Database
 from touchdown.backend.annotations.values import uuid7
 from touchdown.backend.core import (
     InputError,
@@ -30,20 +28,10 @@ from touchdown.backend.core import (
     package_version,
     parse_json,
     program_stamp,
+    read_json_lines,
     sync_folder,
     write_atomically,
 )
-
-
-def hardware_info() -> dict[str, object]:
-    """Return processor, memory and operating system of this computer."""
-    return {"machine": platform.machine(), "cores": os.cpu_count(), "system": platform.system()}
-
-
-def package_versions() -> dict[str, object]:
-    """Return the versions of Python and of the packages that affect results."""
-    versions = {name: package_version(name) for name in ("numpy", "torch")}
-    return {"python": platform.python_version(), **versions}
 
 
 RUNS_FOLDER = "runs"
@@ -197,86 +185,10 @@ class ActiveRun:
         write_run_info(self.folder, self.about)
 
 
-JSON_COLUMNS = ("hardware", "environment", "chain")
-RUN_COLUMNS = (
-    "uuid", "kind", "state", "started_ns", "seed", "program", "manifest", "ended_ns", "reason",
-    *JSON_COLUMNS,
-)  # fmt: skip
-
-
-def sync_run_tables(folder: Path, database: Database) -> None:
-    """Update the tables from the run folders; rows of a missing folder stay."""
-    sql = "SELECT uuid, mark, read_bytes FROM run"
-    known = {uuid: (mark, count) for uuid, mark, count in database.rows(sql)}
-    for run in run_folders(folder):
-        mark, size = run_file_stamp(run)
-        if mark and known.get(run.name, ("", 0)) != (mark, size):
-            try:
-                about = read_run_info(run)
-            except InputError:
-                continue
-            with database.transaction() as connection:
-                _enter(connection, about, mark)
-                _take_metrics(connection, run, known.get(run.name, ("", 0))[1])
-
-
 def run_folders(folder: Path) -> list[Path]:
     """Return the run folders in the order of their start."""
     runs = folder / RUNS_FOLDER
     return sorted(path for path in runs.iterdir() if path.is_dir()) if runs.is_dir() else []
-
-
-def run_file_stamp(run: Path) -> tuple[str, int]:
-    """Return a stamp of ``run.json`` ("" if missing), and the size of the metrics in bytes."""
-    try:
-        about = (run / ABOUT).stat()
-        mark = f"{about.st_mtime_ns}:{about.st_size}"
-    except FileNotFoundError:
-        mark = ""
-    try:
-        return mark, (run / METRICS_FILE).stat().st_size
-    except FileNotFoundError:
-        return mark, 0
-
-
-def _enter(connection: sqlite3.Connection, about: RunInfo, mark: str) -> None:
-    row = {name: getattr(about, name) for name in RUN_COLUMNS}
-    row |= {name: json.dumps(row[name]) for name in JSON_COLUMNS} | {"mark": mark}
-    names = ", ".join(row)
-    values = ", ".join(f":{name}" for name in row)
-    changes = ", ".join(f"{name} = excluded.{name}" for name in row if name != "uuid")
-    connection.execute(
-        f"INSERT INTO run ({names}, read_bytes) VALUES ({values}, 0)"  # noqa: S608
-        f" ON CONFLICT (uuid) DO UPDATE SET {changes}",
-        row,
-    )
-    params = [(about.uuid, key, json.dumps(value)) for key, value in about.params.items()]
-    connection.executemany("INSERT OR REPLACE INTO param VALUES (?, ?, ?)", params)
-    made = [(about.uuid, *asdict(each).values()) for each in about.artifacts]
-    connection.executemany("INSERT OR REPLACE INTO artifact VALUES (?, ?, ?, ?, ?)", made)
-
-
-def _take_metrics(connection: sqlite3.Connection, run: Path, start: int) -> None:
-    """Copy the complete lines after byte ``start``; all lines if the file became shorter."""
-    path = run / METRICS_FILE
-    if not path.exists():
-        return
-    if path.stat().st_size < start:
-        connection.execute("DELETE FROM metric WHERE run = ?", (run.name,))
-        start = 0
-    with path.open("rb") as file:
-        file.seek(start)
-        content = file.read()
-    content = content[: content.rfind(b"\n") + 1]
-    rows = []
-    for line in content.splitlines():
-        with suppress(ValueError, KeyError, TypeError):
-            value = parse_json(line)
-            row = (value["name"], value["step"], value["value"], value["at_ns"])
-            rows.append((run.name, *row))
-    connection.executemany("INSERT OR REPLACE INTO metric VALUES (?, ?, ?, ?, ?)", rows)
-    sql = "UPDATE run SET read_bytes = ? WHERE uuid = ?"
-    connection.execute(sql, (start + len(content), run.name))
 
 
 @dataclass(frozen=True, slots=True)
@@ -289,16 +201,22 @@ class Metric:
     at_ns: int
 
 
+def read_metrics(run: Path) -> list[Metric]:
+    """Return the values of a run, ordered by name and step; of one step the last is kept."""
+    found: dict[tuple[str, int], Metric] = {}
+    for line in read_json_lines(run / METRICS_FILE):
+        with suppress(ValueError, KeyError, TypeError):
+            value = math.nan if line["value"] is None else float(line["value"])
+            metric = Metric(str(line["name"]), int(line["step"]), value, int(line["at_ns"]))
+            found[metric.name, metric.step] = metric
+    return [found[key] for key in sorted(found)]
+
+
 class RunTracker:
-    """Runs of one dataset. Thread-safe.
+    """Runs of one dataset. Thread-safe; reads the files of the runs at each call."""
 
-    If the dataset is open for reading only, the tables are as the last writer left them.
-    """
-
-    def __init__(
-        self, folder: Path, database: Database, heads: Callable[[], Mapping[str, Any]]
-    ) -> None:
-        self._folder, self._database, self._heads = folder, database, heads
+    def __init__(self, folder: Path, heads: Callable[[], Mapping[str, Any]]) -> None:
+        self._folder, self._heads = folder, heads
 
     def begin(self, kind: str, *, seed: int, settings: Mapping[str, Any]) -> ActiveRun:
         """Begin a run of ``kind`` ("train", "evaluate" ...); ``settings``: JSON values.
@@ -306,61 +224,45 @@ class RunTracker:
         Writes files only, so it works while another program has the dataset open, and the run
         outlives this object.
         """
+        hardware = {
+            "machine": platform.machine(), "cores": os.cpu_count(), "system": platform.system(),
+        }  # fmt: skip
+        packages = {name: package_version(name) for name in ("numpy", "torch")}
         about = RunInfo(
             uuid7(), kind, "running", time.time_ns(), seed, program_stamp(), dict(settings),
-            hardware=hardware_info(), environment=package_versions(), chain=self._heads(),
+            hardware=hardware, environment={"python": platform.python_version(), **packages},
+            chain=self._heads(),
         )  # fmt: skip
         return ActiveRun(self._folder, about)
 
     def entries(self, kind: str | None = None) -> list[RunInfo]:
-        """Return the runs (of ``kind``), newest first."""
-        return self._entries("kind = coalesce(?, kind) ORDER BY started_ns DESC", kind)
+        """Return the runs (of ``kind``), newest first; unreadable ones are left out."""
+        found = []
+        for run in run_folders(self._folder):
+            with suppress(InputError):
+                about = read_run_info(run)
+                found += [about] if kind in (None, about.kind) else []
+        return sorted(found, key=lambda about: about.started_ns, reverse=True)
 
     def entry(self, uuid: str) -> RunInfo:
         """Return one run; raises ``InputError`` if there is no such run."""
-        found = self._entries("uuid = ?", uuid)
+        found = [about for about in self.entries() if about.uuid == uuid]
         if not found:
             raise InputError("There is no such run.", uuid, "List the runs of the dataset.")
         return found[0]
 
     def metrics(self, uuid: str, name: str | None = None) -> list[Metric]:
         """Return the values of a run (of one name), ordered by name and step."""
-        self._follow()
-        sql = (
-            "SELECT name, step, value, at_ns FROM metric WHERE run = ? AND name = coalesce(?, name)"
-        )
-        rows = self._database.rows(f"{sql} ORDER BY name, step", (uuid, name))
-        return [Metric(n, s, math.nan if v is None else v, at_ns) for n, s, v, at_ns in rows]
-
-    def _follow(self) -> None:
-        if self._database.writable:
-            sync_run_tables(self._folder, self._database)
-
-    def _entries(self, where: str, value: str | None) -> list[RunInfo]:
-        self._follow()
-        sql = f"SELECT {', '.join(RUN_COLUMNS)} FROM run WHERE {where}"  # noqa: S608
-        return [self._entry(row) for row in self._database.rows(sql, (value,))]
-
-    def _entry(self, row: tuple[Any, ...]) -> RunInfo:
-        values = dict(zip(RUN_COLUMNS, row, strict=True))
-        values |= {name: parse_json(values[name]) for name in JSON_COLUMNS}
-        uuid = values["uuid"]
-        params = self._database.rows("SELECT key, value FROM param WHERE run = ?", (uuid,))
-        sql = "SELECT name, path, sha256, bytes FROM artifact WHERE run = ?"
-        made = tuple(Artifact(*each) for each in self._database.rows(sql, (uuid,)))
-        return RunInfo(
-            **values, params={key: parse_json(text) for key, text in params}, artifacts=made
-        )
-
-
-OPEN = ("queued", "running")
+        found = read_metrics(self._folder / RUNS_FOLDER / uuid)
+        return [metric for metric in found if name in (None, metric.name)]
 
 
 def check_runs(parts: DatasetParts) -> Iterator[ConsistencyProblem]:
     """Yield runs whose process is gone, and folders without a run."""
     for run in run_folders(parts.folder):
         if not (run / ABOUT).exists():
-            if not is_run_alive(run) and not run_file_stamp(run)[1]:
+            lines = run / METRICS_FILE
+            if not is_run_alive(run) and not (lines.exists() and lines.stat().st_size):
                 yield leftover(parts, run, "was left before its run began")
             continue
         try:
@@ -368,7 +270,7 @@ def check_runs(parts: DatasetParts) -> Iterator[ConsistencyProblem]:
         except InputError as error:
             yield ConsistencyProblem("run-unreadable", parts.name(run), str(error))
             continue
-        if about.state in OPEN and not is_run_alive(run):
+        if about.state in ("queued", "running") and not is_run_alive(run):
             message = (
                 f"The run {about.uuid} ({about.kind}) was interrupted: it can be started again."
             )
@@ -380,14 +282,6 @@ def check_runs(parts: DatasetParts) -> Iterator[ConsistencyProblem]:
             yield ConsistencyProblem(
                 "interrupted", about.uuid, message, partial(_interrupt, run, about)
             )
-    for (uuid,) in parts.database.rows("SELECT uuid FROM run WHERE state IN (?, ?)", OPEN):
-        if not (parts.folder / RUNS_FOLDER / uuid).is_dir():
-            message = f"The folder of run {uuid} is gone; its figures so far are kept."
-            yield ConsistencyProblem("interrupted", uuid, message, partial(_close, uuid))
-
-
-def _close(uuid: str, connection: sqlite3.Connection) -> None:
-    connection.execute("UPDATE run SET state = 'interrupted' WHERE uuid = ?", (uuid,))
 
 
 def _interrupt(run: Path, about: RunInfo, _: sqlite3.Connection) -> None:

@@ -10,7 +10,6 @@ import math
 import shutil
 import tempfile
 import threading
-import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
@@ -18,28 +17,25 @@ from pathlib import Path
 from typing import Any
 
 from touchdown.backend.annotations import (
-    METRICS_FILE,
-    RUNS_FOLDER,
     ActiveRun,
     CheckProgress,
     Dataset,
     LabelChoice,
     NotWritableError,
     RunInfo,
-    hardware_info,
+    RunTracker,
     is_dataset,
     is_run_alive,
     no_progress,
-    package_versions,
+    read_metrics,
     read_run_info,
-    uuid7,
+    run_folders,
 )
 from touchdown.backend.config import TrainingSettings, parse_settings
 from touchdown.backend.core import (
     FaultError,
     InputError,
     disk_errors,
-    program_stamp,
     read_json_lines,
 )
 from touchdown.backend.learning.checkpoint import ModelCard, load_card
@@ -103,19 +99,12 @@ class TrainingRun:
 
 def list_training_runs(data: Path) -> list[TrainingRun]:
     """Return the trainings on ``data``, newest first; other folders are skipped."""
-    runs = data / RUNS_FOLDER
-    folders = (
-        sorted((p for p in runs.iterdir() if p.is_dir()), reverse=True) if runs.is_dir() else []
-    )
     found = []
-    for folder in folders:
-        try:
-            run = read_training_run(folder)
-        except InputError:
-            continue
-        if run.about.kind == KIND:
-            found.append(run)
-    return sorted(found, key=lambda run: run.about.started_ns, reverse=True)
+    for folder in run_folders(data):
+        with suppress(InputError):
+            found.append(read_training_run(folder))
+    runs = [run for run in found if run.about.kind == KIND]
+    return sorted(runs, key=lambda run: run.about.started_ns, reverse=True)
 
 
 def read_training_run(folder: Path) -> TrainingRun:
@@ -124,9 +113,7 @@ def read_training_run(folder: Path) -> TrainingRun:
     state: str = about.state
     if state == "running" and not is_run_alive(folder):
         state = "interrupted"
-    made = TrainingRun(
-        folder, about, state, _curves(folder / METRICS_FILE), _bins(folder / RELIABILITY)
-    )
+    made = TrainingRun(folder, about, state, _curves(folder), _bins(folder / RELIABILITY))
     if state == "finished":
         with suppress(InputError):
             return replace(made, card=load_card(folder / MODEL))
@@ -134,13 +121,11 @@ def read_training_run(folder: Path) -> TrainingRun:
     return replace(made, can_resume=state in UNFINISHED and (folder / RESUME).is_file())
 
 
-def _curves(path: Path) -> dict[str, Curve]:
-    curves: dict[str, dict[int, float]] = {}
-    for line in read_json_lines(path):
-        with suppress(ValueError, KeyError, TypeError):
-            value = math.nan if line["value"] is None else float(line["value"])
-            curves.setdefault(str(line["name"]), {})[int(line["step"])] = value
-    return {name: tuple(sorted(values.items())) for name, values in curves.items()}
+def _curves(folder: Path) -> dict[str, Curve]:
+    curves: dict[str, list[tuple[int, float]]] = {}
+    for metric in read_metrics(folder):
+        curves.setdefault(metric.name, []).append((metric.step, metric.value))
+    return {name: tuple(points) for name, points in curves.items()}
 
 
 def _bins(path: Path) -> dict[int, tuple[ReliabilityBin, ...]]:
@@ -504,8 +489,4 @@ def _begin(data: Path, settings: TrainingSettings, parameters: Mapping[str, Any]
         if is_dataset(data):
             with Dataset.open(data, create=False, write=False) as dataset:
                 return dataset.runs.begin(KIND, seed=settings.seed, settings=params)
-        about = RunInfo(
-            uuid7(), KIND, "running", time.time_ns(), settings.seed, program_stamp(), params,
-            hardware=hardware_info(), environment=package_versions(),
-        )  # fmt: skip
-        return ActiveRun(data, about)
+        return RunTracker(data, dict).begin(KIND, seed=settings.seed, settings=params)

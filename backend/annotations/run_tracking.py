@@ -33,7 +33,6 @@ from touchdown.backend.core import (
     write_atomically,
 )
 
-
 RUNS_FOLDER = "runs"
 ABOUT, METRICS_FILE, ALIVE = "run.json", "metrics.jsonl", "alive.lock"
 FORMAT = 1

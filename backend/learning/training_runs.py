@@ -32,12 +32,7 @@ from touchdown.backend.annotations import (
     run_folders,
 )
 from touchdown.backend.config import TrainingSettings, parse_settings
-from touchdown.backend.core import (
-    FaultError,
-    InputError,
-    disk_errors,
-    read_json_lines,
-)
+from touchdown.backend.core import FaultError, InputError, disk_errors, read_json_lines
 from touchdown.backend.learning.checkpoint import ModelCard, load_card
 from touchdown.backend.learning.inference import Modality
 from touchdown.backend.learning.metrics import ReliabilityBin, calibration_error

@@ -16,7 +16,6 @@ from .mcap_container import input_errors as input_errors
 from .mcap_container import read_chunk as read_chunk
 from .mcap_container import read_chunks as read_chunks
 from .mcap_container import read_first as read_first
-from .mcap_container import read_groups as read_groups
 from .mcap_container import read_whole as read_whole
 from .messages import COMMAND_TOPIC as COMMAND_TOPIC
 from .messages import LABEL_TOPIC as LABEL_TOPIC

@@ -147,12 +147,17 @@ class ChunkContents:
 
 @dataclass(frozen=True, slots=True)
 class StoredChunk:
-    """One chunk record of a file: position, hash of its records, and contents."""
+    """One chunk record of a file: position, plain records, contents with the metadata before."""
 
     offset: int
     length: int
-    sha256: str
+    records: bytes
     contents: ChunkContents
+
+    @property
+    def sha256(self) -> str:
+        """Hash of the records, hexadecimal."""
+        return sha256(self.records).hexdigest()
 
 
 @contextmanager
@@ -169,17 +174,6 @@ def input_errors(path: Path) -> Iterator[None]:
         raise InputError(
             f"The file is damaged or foreign: {error}.", str(path), DAMAGED_FILE_FIX
         ) from error
-
-
-def read_groups(path: Path) -> Iterator[ChunkContents]:
-    """Yield one ``ChunkContents`` per chunk, with the metadata records before it.
-
-    Checks both magics and the CRC of data, summary and every chunk; raises ``InputError``.
-    """
-    with input_errors(path):
-        data = read_bytes(path)
-        _check_ends(data)
-        yield from _groups(memoryview(data)[len(MAGIC) : -len(MAGIC)])
 
 
 def read_bytes(path: Path) -> bytes:
@@ -207,8 +201,7 @@ def read_first(path: Path) -> ChunkContents:
                 raise ValueError("the file ends inside a record")
             content = memoryview(file.read(length))
             if op == Opcode.METADATA:
-                name, values = read_metadata(content)
-                group.metadata[name] = values
+                group.metadata.update([read_metadata(content)])
             elif op == Opcode.CHUNK:
                 _read_messages(read_chunk_records(content), group)
         return group
@@ -230,30 +223,35 @@ def read_chunk(path: Path, offset: int, length: int) -> ChunkContents:
 
 
 def read_chunks(path: Path) -> Iterator[StoredChunk]:
-    """Yield every chunk of a complete file; raises ``InputError`` if it is damaged."""
+    """Yield every chunk of a complete file; raises ``InputError`` if it is damaged.
+
+    Checks both magics and the CRC of data, summary and every chunk. All chunks share one dictionary
+    of the metadata read so far.
+    """
     with input_errors(path):
         data = read_bytes(path)
         _check_ends(data)
         at, metadata = len(MAGIC), dict[str, dict[str, str]]()
         for op, content in iter_records(memoryview(data)[at : -len(MAGIC)], "the file"):
             if op == Opcode.METADATA:
-                name, values = read_metadata(content)
-                metadata[name] = values
-            if op == Opcode.CHUNK:
+                metadata.update([read_metadata(content)])
+            elif op == Opcode.CHUNK:
                 plain, group = read_chunk_records(content), ChunkContents(metadata)
                 _read_messages(plain, group)
-                yield StoredChunk(at, 9 + len(content), sha256(plain).hexdigest(), group)
+                yield StoredChunk(at, 9 + len(content), plain, group)
+            elif op == Opcode.DATA_END:
+                break
             at += 9 + len(content)
 
 
 def read_whole(path: Path) -> ChunkContents:
     """Return all metadata and messages of a file in one ``ChunkContents``."""
     whole = ChunkContents()
-    for part in read_groups(path):
-        whole.metadata.update(part.metadata)
-        for topic, messages in part.messages.items():
+    for chunk in read_chunks(path):
+        whole.metadata = chunk.contents.metadata
+        for topic, messages in chunk.contents.messages.items():
             whole.messages.setdefault(topic, []).extend(messages)
-            whole.sequence.setdefault(topic, []).extend(part.sequence[topic])
+            whole.sequence.setdefault(topic, []).extend(chunk.contents.sequence[topic])
     return whole
 
 
@@ -285,22 +283,6 @@ def _check_ends(data: bytes) -> None:
         raise ValueError("its data has no end")
     if crc and zlib.crc32(memoryview(data)[:end]) != crc:
         raise ValueError("the checksum of its data is wrong")
-
-
-def _groups(body: memoryview) -> Iterator[ChunkContents]:
-    group = ChunkContents()
-    for op, content in iter_records(body, "the file"):
-        if op == Opcode.METADATA:
-            name, values = read_metadata(content)
-            group.metadata[name] = values
-        elif op == Opcode.CHUNK:
-            _read_messages(read_chunk_records(content), group)
-            yield group
-            group = ChunkContents()
-        elif op == Opcode.DATA_END:
-            break
-    if group.metadata:
-        yield group
 
 
 def read_metadata(content: memoryview) -> tuple[str, dict[str, str]]:

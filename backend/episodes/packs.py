@@ -19,7 +19,7 @@ from touchdown.backend.episodes.mcap_container import (
     input_errors,
     message_list,
     message_rows,
-    read_groups,
+    read_chunks,
 )
 from touchdown.backend.episodes.messages import (
     LABEL_TOPIC,
@@ -116,10 +116,10 @@ def write_packs(
 
 def read_pack(path: Path) -> Iterator[PackedEpisode]:
     """Yield the episodes of a pack in order; raises ``InputError`` for a damaged file."""
-    for group in read_groups(path):
-        if group.messages:
+    for chunk in read_chunks(path):
+        if chunk.contents.messages:
             with input_errors(path):
-                row = _row(group)
+                row = _row(chunk.contents)
             yield row
 
 

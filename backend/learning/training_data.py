@@ -30,8 +30,8 @@ from touchdown.backend.episodes import (
     divided_indices,
     find_packs,
     input_errors,
+    read_chunks,
     read_first,
-    read_groups,
     split_grips,
     split_series,
     unpack_json,
@@ -234,8 +234,8 @@ def _warnings(
 def _in_packs(folder: Path) -> Iterator[TrainingCandidate]:
     for path in find_packs(folder):
         with input_errors(path):
-            for group in read_groups(path):
-                for message in group.messages.get(LABEL_TOPIC.name, ()):
+            for chunk in read_chunks(path):
+                for message in chunk.contents.messages.get(LABEL_TOPIC.name, ()):
                     label = unpack_json(message)
                     names = ("piece", "bottom", "grip_id", "mounting_id")
                     yield TrainingCandidate(*(str(label.get(name, "")) for name in names))

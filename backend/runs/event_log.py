@@ -25,7 +25,6 @@ from typing import IO, Any
 
 import numpy as np
 
-from touchdown.backend import core
 from touchdown.backend.core import (
     DISK_TIMEOUT_S,
     Event,
@@ -40,48 +39,14 @@ from touchdown.backend.core import (
 from touchdown.backend.devices import Limits
 
 FORMAT = 1
-# Recorded names of events. They are data on disk and stay when a class is renamed.
-_RECORDED: dict[str, type[Event]] = {
-    "RunStarted": core.RunStarted,
-    "TrialStarted": core.TrialStarted,
-    "PhaseEntered": core.PhaseEntered,
-    "EpisodeRecorded": core.EpisodeRecorded,
-    "PatchEstimated": core.PatchEstimated,
-    "BeliefUpdated": core.BeliefUpdated,
-    "StabilityJudged": core.StabilityJudged,
-    "ActionChosen": core.ActionChosen,
-    "ApprovalAwaited": core.ApprovalAwaited,
-    "SetUpAwaited": core.SetUpAwaited,
-    "OutcomeAwaited": core.OutcomeAwaited,
-    "PhotoKept": core.PhotoKept,
-    "Released": core.Released,
-    "TrialFinished": core.TrialFinished,
-    "RunFinished": core.RunFinished,
-    "CampaignBegan": core.CampaignBegan,
-    "Gripped": core.Gripped,
-    "OriginChecked": core.OriginChecked,
-    "PieceWeighed": core.PieceWeighed,
-    "CalibrationMeasured": core.CalibrationMeasured,
-    "DecisionAwaited": core.DecisionAwaited,
-    "HandOverAwaited": core.HandOverAwaited,
-    "MountingAwaited": core.MountingAwaited,
-    "ProbeCollected": core.ProbeCollected,
-    "EpisodeDecided": core.EpisodeDecided,
-    "FaultRaised": core.FaultRaised,
-    "Paused": core.Paused,
-    "Noticed": core.Noticed,
-    "FaultsReset": core.FaultsReset,
-    "Progress": core.Progress,
-    "Said": core.Said,
-    "Refused": core.Refused,
-}
-_KIND_OF = {cls: kind for kind, cls in _RECORDED.items()}
+# Events are recorded under the names of their classes.
+_RECORDED = {cls.__name__: cls for cls in Event.__subclasses__()}
 _DTYPES = {"float64", "float32", "bool", "uint8"}
 
 
 def encode_event(event: Event) -> dict[str, Any]:
     """Return ``event`` as a JSON-ready dictionary with its kind."""
-    return {"kind": _KIND_OF[type(event)], **_encode_fields(event)}
+    return {"kind": type(event).__name__, **_encode_fields(event)}
 
 
 def decode_event(line: dict[str, Any], where: str) -> Event:

@@ -74,11 +74,6 @@ CREATE TABLE mark (
     owner TEXT NOT NULL, PRIMARY KEY (episode, name)
 ) WITHOUT ROWID;
 CREATE INDEX mark_name ON mark (name, present, episode);
-CREATE TABLE review (
-    op_uuid TEXT NOT NULL REFERENCES op (op_uuid), rev_uuid TEXT NOT NULL, reviewer TEXT NOT NULL,
-    decision TEXT NOT NULL, reason TEXT, seen_ms INTEGER, blind INTEGER,
-    PRIMARY KEY (op_uuid, rev_uuid)
-);
 CREATE TABLE opinion (
     op_uuid TEXT NOT NULL REFERENCES op (op_uuid), episode TEXT NOT NULL, x_um INTEGER,
     y_um INTEGER, theta_mdeg INTEGER, sigma_um INTEGER, verdict TEXT,
@@ -148,7 +143,6 @@ CREATE INDEX apart_episode ON apart (episode);
 KEYS = {
     "op": "op_uuid = NEW.op_uuid OR (site = NEW.site AND seq = NEW.seq)",
     "label_rev": "rev_uuid = NEW.rev_uuid",
-    "review": "op_uuid = NEW.op_uuid AND rev_uuid = NEW.rev_uuid",
     "opinion": "op_uuid = NEW.op_uuid AND episode = NEW.episode",
     "event": "id = NEW.id",
 }

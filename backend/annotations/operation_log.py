@@ -182,11 +182,6 @@ def _store_body(connection: sqlite3.Connection, operation: Operation) -> None:
         connection.execute("INSERT INTO closed VALUES (?, ?)", (closed, operation.op_uuid))
     for mark in body.get("marks", ()):
         _store_mark(connection, operation, mark)
-    for review in body.get("reviews", ()):
-        seen, blind = body.get("seen_ms"), body.get("blind")
-        who = (operation.op_uuid, review["rev_uuid"], operation.actor)
-        what = (review["decision"], review["reason"], seen, blind)
-        connection.execute("INSERT INTO review VALUES (?, ?, ?, ?, ?, ?, ?)", (*who, *what))
     for opinion in body.get("opinions", ()):
         connection.execute(
             "INSERT INTO opinion VALUES (:op_uuid, :episode, :x_um, :y_um, :theta_mdeg, :sigma_um,"

@@ -26,7 +26,6 @@ COMPARED = {
     "label_rev": "*",
     "closed": "*",
     "mark": "*",
-    "review": "*",
     "opinion": "*",
     "apart": "*",
     "label_head": "*",

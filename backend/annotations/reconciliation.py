@@ -85,7 +85,7 @@ def check_labels(parts: DatasetParts, *, whole: bool) -> Iterator[ConsistencyPro
 
 
 # Tables that follow from the operations.
-DERIVED = ("label_rev", "closed", "mark", "review", "opinion", "apart")
+DERIVED = ("label_rev", "closed", "mark", "opinion", "apart")
 # Columns of an episode file that never change.
 RECORDED = (
     "series, campaign, plan_item, sha256, bytes, recorded_ns, piece, bottom, geometry, grip_id,"

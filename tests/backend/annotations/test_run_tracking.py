@@ -135,8 +135,9 @@ def test_the_way_of_a_label_from_the_campaign_to_approval(dataset, record):
     assert labels.counting(uuid) == final
     states = [revision.state for revision in labels.history(uuid)]
     assert states == ["draft", "draft", "submitted", "superseded", "draft", "submitted", "approved"]
-    reviews = dataset.database.rows("SELECT reviewer, decision, seen_ms, blind FROM review")
-    assert reviews == [("bob", "approved", 900, 1), ("bob", "approved", None, None)]
+    done = [op for op in reversed(labels.log()) if op.actor == "bob"]
+    assert [op.body["reviews"][0]["decision"] for op in done] == ["approved", "approved"]
+    assert (done[0].body["seen_ms"], done[0].body["blind"]) == (900, True)
 
 
 def test_accepting_a_changed_offset_is_one_revision(dataset, record):

@@ -95,20 +95,6 @@ CREATE TABLE suggestion (
 ) WITHOUT ROWID;
 """
 
-# The progress of a campaign follows from its episodes.
-CAMPAIGNS = """
-CREATE VIEW plan_item AS
-    SELECT e.campaign, e.plan_item AS item, e.uuid AS episode, e.piece, e.bottom, e.recorded_ns,
-        e.accepted AND NOT h.deleted AS done
-    FROM episode e JOIN label_head h ON h.episode = e.uuid
-    WHERE e.campaign != '' AND e.plan_item IS NOT NULL;
-CREATE VIEW campaign AS
-    SELECT campaign AS uuid, min(piece) AS piece, min(bottom) AS bottom,
-        min(recorded_ns) AS began_ns, max(recorded_ns) AS last_ns, count(*) AS episodes,
-        count(DISTINCT CASE WHEN done THEN item END) AS done
-    FROM plan_item GROUP BY campaign;
-"""
-
 CHECKED = """
 CREATE TABLE checked_folder (
     path TEXT PRIMARY KEY, stamp TEXT NOT NULL, rows INTEGER NOT NULL, at_ns INTEGER NOT NULL
@@ -149,7 +135,7 @@ KEYS = {
 
 
 GUARDS = "".join(_guards(table, key) for table, key in KEYS.items())
-SCHEMA = TABLES + GUARDS + CAMPAIGNS + CHECKED + APART
+SCHEMA = TABLES + GUARDS + CHECKED + APART
 
 CATALOGUE_FILE = "catalog.db"
 REBUILD = "'touchdown dataset rebuild --replace' rebuilds it from files and journal."

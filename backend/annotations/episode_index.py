@@ -250,8 +250,13 @@ def items_deleted(database: Database, campaign: str, reason: str) -> set[int]:
 
 def list_campaigns(database: Database) -> list[CampaignEntry]:
     """Return the campaigns that have episodes, newest last."""
-    sql = "SELECT uuid, piece, bottom, episodes, done FROM campaign"
-    return [CampaignEntry(*row) for row in database.rows(f"{sql} ORDER BY began_ns")]
+    sql = (
+        "SELECT e.campaign, min(e.piece), min(e.bottom), count(*),"  # noqa: S608
+        " count(DISTINCT CASE WHEN e.accepted AND NOT h.deleted THEN e.plan_item END)"
+        f" FROM {TABLES} WHERE e.campaign != '' AND e.plan_item IS NOT NULL"
+        " GROUP BY e.campaign ORDER BY min(e.recorded_ns)"
+    )
+    return [CampaignEntry(*row) for row in database.rows(sql)]
 
 
 SPLIT_TAG = "split:"

@@ -473,7 +473,7 @@ OTHER_OP = """INSERT OR REPLACE INTO op SELECT 'other', site, seq, lamport, at_n
     target_op, body, prev_hash, hash FROM op"""
 
 
-@pytest.mark.parametrize("table", ["op", "label_rev", "event", "review", "opinion"])
+@pytest.mark.parametrize("table", ["op", "label_rev", "event", "opinion"])
 def test_append_only_tables_refuse_update_delete_and_replace(dataset, record, table):
     entry = record()
     dataset.labels.accept("ann", entry.uuid)

@@ -418,7 +418,7 @@ COLUMNS = "uuid, series, path, sha256, bytes, piece, bottom, geometry, person, s
 
 def tables(dataset: Dataset, columns: str = COLUMNS) -> dict[str, list[tuple[object, ...]]]:
     listed = {}
-    for name in ("op", "label_rev", "label_head", "mark", "review", "closed"):
+    for name in ("op", "label_rev", "label_head", "mark", "closed"):
         rows = dataset.database.rows(f"SELECT * FROM {name}")
         listed[name] = sorted(rows, key=repr)
     listed["episode"] = dataset.database.rows(f"SELECT {columns} FROM episode")

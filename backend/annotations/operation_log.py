@@ -28,7 +28,7 @@ from touchdown.backend.annotations.values import (
     operation_hash,
     uuid7,
 )
-from touchdown.backend.core import make_folder, parse_json, sync_folder
+from touchdown.backend.core import append_line, parse_json
 
 FIELDS = tuple(field.name for field in fields(Operation))
 COLUMNS = ", ".join(FIELDS)  # of the table ``op``
@@ -342,7 +342,9 @@ class OperationJournal:
         if missing:
             # Unknown until written, so that the next call looks again after a failure.
             self._written.pop(site, None)
-            _append(path, missing)
+            # not ``asdict``, which copies the body of a bulk operation
+            rows = ({name: getattr(operation, name) for name in FIELDS} for operation in missing)
+            append_line(path, b"\n".join(map(canonical_json, rows)))
         self._written[site] = missing[-1].seq if missing else last
         return len(missing)
 
@@ -366,21 +368,6 @@ def line_numbers(path: Path) -> Iterator[int]:
     for line in path.read_bytes().splitlines():
         with suppress(ValueError, TypeError, KeyError):
             yield int(parse_json(line)["seq"])
-
-
-def _append(path: Path, operations: list[Operation]) -> None:
-    is_new = not path.exists()
-    if is_new:
-        make_folder(path.parent)
-    # not ``asdict``, which copies the body of a bulk operation
-    rows = ({name: getattr(operation, name) for name in FIELDS} for operation in operations)
-    lines = b"".join(canonical_json(row) + b"\n" for row in rows)
-    with path.open("ab") as file:
-        file.write(lines)
-        file.flush()
-        os.fsync(file.fileno())
-    if is_new:
-        sync_folder(path.parent)
 
 
 def _cut_torn_line(path: Path) -> int:

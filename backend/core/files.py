@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from functools import lru_cache
 from importlib.metadata import PackageNotFoundError, version
+from io import FileIO
 from pathlib import Path
 from typing import Any
 
@@ -137,18 +138,37 @@ def read_limited(path: Path, limit: int, fix: str) -> bytes:
 
 
 def append_line(path: Path, line: bytes) -> None:
-    """Append a line to a file durably, and make its folder.
+    """Append a line (or several, without the last line feed) to a file durably; make its folder.
 
-    An incomplete last line, which a crash may have left, is cut off. Raises ``OSError``.
+    An incomplete last line, which a crash may have left, is cut off. Raises ``OSError``; then
+    nothing is appended.
     """
-    make_folder(path.parent)
-    with path.open("a+b") as file:
-        file.seek(0)
-        file.truncate(file.read().rfind(b"\n") + 1)
-        file.write(line + b"\n")
-        file.flush()
-        os.fsync(file.fileno())
-    sync_folder(path.parent)
+    if is_new := not path.exists():
+        make_folder(path.parent)
+    with path.open("a+b", buffering=0) as file:
+        end, rest = _end_of_lines(file), memoryview(line + b"\n")
+        file.truncate(end)
+        try:
+            while rest:
+                rest = rest[file.write(rest) :]
+            os.fsync(file.fileno())
+        except OSError:
+            with suppress(OSError):
+                file.truncate(end)
+            raise
+    if is_new:
+        sync_folder(path.parent)
+
+
+def _end_of_lines(file: FileIO) -> int:
+    """Return the offset behind the last line feed, 0 without one."""
+    size = start = file.seek(0, os.SEEK_END)
+    length, end = 1, 0
+    while start and not end:
+        start = max(0, size - length)
+        file.seek(start)
+        end, length = file.read().rfind(b"\n") + 1, 4096 * length
+    return start + end
 
 
 def read_json_lines(path: Path) -> list[dict[str, Any]]:

@@ -11,17 +11,15 @@ import base64
 import dataclasses
 import json
 import math
-import os
 import types
 import typing
 from collections.abc import Iterator
-from contextlib import suppress
 from dataclasses import asdict
 from datetime import UTC, datetime
 from enum import Enum
 from functools import cache
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 
@@ -145,43 +143,17 @@ class EventLog:
         make_folder(folder.parent)
         folder.mkdir(exist_ok=False)
         self.folder = folder
-        self._file: IO[bytes] = (folder / EVENT_LOG_NAME).open("xb")
-        self._durable_bytes = 0
         self._append({"format": FORMAT, "program": "touchdown"})
-        sync_folder(folder)
         sync_folder(folder.parent)
 
     def __call__(self, event: Event) -> None:
-        """Append ``event``."""
-        if not self._file.closed:
-            self._append(encode_event(event))
-
-    def close(self) -> None:
-        """Close the file; closing twice is allowed."""
-        self._file.close()
-
-    def mend(self) -> None:
-        """Reopen the file after a failed write and cut off an incomplete line.
-
-        Raises ``OSError`` if that fails too. Synced lines stay untouched.
-        """
-        self.abandon()
-        self._file = (self.folder / EVENT_LOG_NAME).open("r+b")
-        self._file.truncate(self._durable_bytes)
-        self._file.seek(self._durable_bytes)
-
-    def abandon(self) -> None:
-        """Close after a failed write without writing again."""
-        with suppress(OSError):
-            self._file.close()
+        """Append ``event``; raises ``OSError``, then nothing is appended."""
+        self._append(encode_event(event))
 
     def _append(self, line: dict[str, object]) -> None:
-        raw = json.dumps(line, separators=(",", ":"), allow_nan=False).encode() + b"\n"
-        self._file.write(raw)
-        self._file.flush()
+        raw = json.dumps(line, separators=(",", ":"), allow_nan=False).encode()
         with blocking_section("waits for the disk", DISK_TIMEOUT_S):
-            os.fsync(self._file.fileno())
-        self._durable_bytes += len(raw)
+            append_line(self.folder / EVENT_LOG_NAME, raw)
 
 
 def event_log_path(run: Path) -> Path:

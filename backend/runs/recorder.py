@@ -339,7 +339,7 @@ class RunRecorder:
     def obstacle(self) -> Fault | None:
         """Return the fault that prevents recording another probe, None if there is none."""
         with self._lock:
-            self._write(mend=True)
+            self._write()
             if self._held:
                 what = "The event log cannot be written: the disk is full."
                 kept = f"{CONSEQUENCE} What it did is kept in memory."
@@ -353,12 +353,10 @@ class RunRecorder:
         if self._leave is not None:
             self._leave()
         with self._lock:
-            self._write(mend=True)
+            self._write()
             if self._log is not None and self._held:
                 lost = len(self._held)
                 self._give_up(f"the disk is full, the last {lost} lines are lost")
-            if self._log is not None:
-                self._log.close()
             self._leave = self._log = None
         store, self.store = self.store, RunStore(None, {})
         store.close()
@@ -374,15 +372,13 @@ class RunRecorder:
             if jump_s := self._wall.jump_s():
                 self._held.append(Said(event.t_s, CLOCK_SET.format(jump_s)))
             self._held.append(event)
-            self._write(mend=len(self._held) > 1)
+            self._write()
 
-    def _write(self, *, mend: bool) -> None:
+    def _write(self) -> None:
         """Append the events in memory, the oldest first; the rest stays in memory."""
         if self._log is None or not self._held:
             return
         try:
-            if mend:
-                self._log.mend()
             while self._held:
                 self._log(self._held[0])
                 del self._held[0]
@@ -394,7 +390,6 @@ class RunRecorder:
         assert self._log is not None
         log, self._log = self._log, None
         self._held.clear()
-        log.abandon()
         self._interlock.raise_fault(
             Fault(
                 "JOURNAL-FAILED",

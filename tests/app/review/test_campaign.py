@@ -102,7 +102,6 @@ def test_the_probes_of_a_collection_are_shown(main, qtbot, tmp_path, filled):
     journal = EventLog(tmp_path / "runs" / "20261121-041511-703")
     for fact in collected(uuids):
         journal(fact)
-    journal.close()
     main.go("review")
     workspace = main.workspaces["review"]
     qtbot.waitUntil(lambda: not workspace.reader.busy, timeout=60_000)

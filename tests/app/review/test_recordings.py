@@ -36,7 +36,6 @@ def record(folder, outcomes, ending="finished", piece="pot", probes=1):
         bench.tell_end(outcome)
     if ending is not None:
         bench.events.publish(RunFinished(0.0, "run", ending, ""))
-    journal.close()
     return folder
 
 
@@ -230,7 +229,6 @@ def test_a_run_without_trials_is_named_by_what_it_was_for(tmp_path, activity, te
     journal(RunStarted(0.0, "run", "pot", "circle15", "random", 0, 1, True, "{}",
                        activity=activity))  # fmt: skip
     journal(RunFinished(0.0, "run", "cancelled", ""))
-    journal.close()
     assert read_run_summary(tmp_path / "run").text() == text
 
 
@@ -272,7 +270,6 @@ def test_only_a_device_fault_before_the_release_keeps_a_trial_out_of_the_rate(
         bench.events.publish(PhaseEntered(0.0, phase, 1))
         bench.events.publish(TrialFinished(0.0, number, 7, Outcome.ABORTED, reason, 1, None, None))
     bench.tell_finish()
-    journal.close()
     main.go("review")
     page = main.workspaces["review"].page
     described(main, qtbot)

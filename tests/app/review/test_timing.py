@@ -73,7 +73,6 @@ def make_run(folder):
     bench.turn(2.0)
     bench.tell_end(Outcome.PLACED)
     bench.events.publish(RunFinished(bench.clock_s(), "run", "finished", ""))
-    journal.close()
     return episodes, decided_s
 
 
@@ -367,7 +366,6 @@ def test_a_single_probe_tells_what_it_felt_and_that_it_ended(start, tmp_path):
     ended = RunFinished(71.0, "run", "finished", "")
     for fact in (head, PhaseEntered(69.0, "press", 1), felt, PhaseEntered(70.0, "lift", 1), ended):
         journal(fact)
-    journal.close()
     review = start()
     review.choose(0)
     page = review.page

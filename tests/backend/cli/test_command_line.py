@@ -664,7 +664,6 @@ def test_a_run_of_a_removed_strategy_still_replays(tmp_path, capsys) -> None:
     folder = tmp_path / "run"
     journal = EventLog(folder)
     journal(RunStarted(0.0, "stack", "pot", "short", "pressure", 7, 1, True, "{}"))
-    journal.close()
     assert main(["replay", str(folder), "--json"]) == 0
     result = json.loads(capsys.readouterr().out)
     assert (result["piece"], result["facts"]) == ("pot", {"RunStarted": 1})
@@ -679,7 +678,6 @@ def test_a_collection_replays_as_its_probes(tmp_path, capsys) -> None:
     for item, reasons in ((4, ""), (7, "slip in grasp")):
         place = (item, 1, 1 + item // 5, 2, (1.5, -2.0), (1.45, -1.98), 0.12)
         journal(ProbeCollected(1.0, f"uuid-{item}", *place, signals, 0.0, 0.0, reasons))
-    journal.close()
     assert main(["replay", "latest", "--runs", str(tmp_path)]) == 0
     words = " ".join(capsys.readouterr().out.split())
     assert "Collection: 2 probes, 2 of 2 of campaign campaign-1, in data/pot" in words

@@ -168,7 +168,7 @@ def test_the_catalogue_can_be_rebuilt_from_the_files(
     assert main(["dataset", "rebuild", "--dataset", str(folder), "--json"]) == 0
     answer = json.loads(capfd.readouterr().out)
     assert answer["equal"]
-    assert (answer["rows"]["op"], answer["rows"]["review"], answer["rows"]["opinion"]) == (19, 2, 1)
+    assert (answer["rows"]["op"], answer["rows"]["opinion"]) == (19, 1)
     assert answer["rows"]["label_head"] == answer["rows"]["episode"] == 4
 
 

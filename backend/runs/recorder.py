@@ -157,7 +157,7 @@ class DiskWriter(Generic[T]):
         self._thread.shutdown(wait=True)
 
 
-class RunStore:
+class RunStore(DiskWriter[Path]):
     """Writes the episodes of a run."""
 
     def __init__(
@@ -166,21 +166,16 @@ class RunStore:
         metadata: Mapping[str, str],
         obstacle: Callable[[], Fault | None] = lambda: None,
     ) -> None:
+        super().__init__("episode-writer")
         self._folder, self._metadata = folder, dict(metadata)
         self.started_ns = 0  # wall clock at bench time zero of the present scene
         self.obstacle = obstacle
-        self._writer = DiskWriter[Path]("episode-writer")
 
     def keep(self, episode: Episode) -> None:
         """Start to write ``episode``; nothing is written without a folder."""
         if self._folder is not None:
             self.settle()
-            self._writer.begin(partial(self._write, self._folder, episode))
-
-    @property
-    def written(self) -> bool:
-        """True if no write is in progress, so that ``settle`` returns or raises at once."""
-        return self._writer.written
+            self.begin(partial(self._write_file, self._folder, episode))
 
     def settle(self) -> Path | None:
         """Wait until the last episode is durable; return its path.
@@ -188,7 +183,7 @@ class RunStore:
         Raises ``FaultError`` if the disk refused it; the next call writes it again.
         """
         try:
-            return self._writer.settle()
+            return super().settle()
         except OSError as error:
             raise FaultError(
                 Fault(
@@ -203,12 +198,12 @@ class RunStore:
     def close(self) -> None:
         """Finish the last write and end the thread; a refused episode is dropped."""
         try:
-            if self._writer.pending:
+            if self.pending:
                 self.settle()
         finally:
-            self._writer.close()
+            super().close()
 
-    def _write(self, folder: Path, episode: Episode) -> Path:
+    def _write_file(self, folder: Path, episode: Episode) -> Path:
         make_folder(folder)
         path = folder / f"{episode.episode_id}.mcap"
         metadata = {**self._metadata, START_KEY: str(self.started_ns)}

@@ -90,7 +90,7 @@ def test_a_plan_goes_on_waiting_by_steps_until_the_episode_is_written(slow):
     waiting = next(plan)
     assert not waiting.until()
     done.set()
-    store._writer._pending.result(30.0)
+    store._pending.result(30.0)
     assert waiting.until()
     with pytest.raises(StopIteration) as ended:
         next(plan)

@@ -21,7 +21,7 @@ from touchdown.backend.annotations import (
     Source,
 )
 from touchdown.backend.core import FINGERS, Episode, FloatArray, ImageArray, InputError, MarkerField
-from touchdown.backend.episodes import CompressedEpisode
+from touchdown.backend.episodes import HOMOGRAPHY_KEY, CompressedEpisode
 from touchdown.backend.geometry import rotated
 from touchdown.backend.placement import OffsetFit
 from touchdown.backend.sensing import Homography, observe_offset
@@ -124,9 +124,6 @@ def as_float_pair(offset_mm: FloatArray) -> tuple[float, float]:
     return float(x), float(y)
 
 
-HOMOGRAPHY = "scene_homography"
-
-
 @dataclass(frozen=True, slots=True)
 class SceneObservation:
     """``images``: pressed, then lifted. ``place``: the face in the first, None if not seen."""
@@ -143,7 +140,7 @@ class SceneObservation:
 
 def scene_observation(episode: Episode, pair: Pair, face: FloatArray) -> SceneObservation | None:
     """Return what the scene camera recorded, None without picture or calibration."""
-    text = dict(episode.metadata).get(HOMOGRAPHY)
+    text = dict(episode.metadata).get(HOMOGRAPHY_KEY)
     if episode.recording is None or not episode.recording.scene or text is None:
         return None
     try:

@@ -525,7 +525,7 @@ class Session:
 
     def open_record(self) -> None:
         """Open event log and episode store of the run; raises ``InputError``."""
-        self._recorder.open(self.run_id, self.live_mode)
+        self._recorder.open(self.run_id, self.live_mode, self.description.model_dump_json())
 
     def set_scene(self, choice: SceneChoice, method: StackSettings) -> Bench:
         """Build a new scene and return its bench for the run in progress."""

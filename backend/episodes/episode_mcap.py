@@ -8,17 +8,18 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
 import struct
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 
-from touchdown.backend.config import SAMPLES_PER_PROBE, TICK_S
+from touchdown.backend.config import SAMPLES_PER_PROBE, TICK_S, BenchDescription
 from touchdown.backend.core import (
     CHANNELS,
     FINGERS,
@@ -35,6 +36,7 @@ from touchdown.backend.core import (
     TactileFrame,
     parse_json,
     program_stamp,
+    rotation_vector,
     write_atomically,
 )
 from touchdown.backend.episodes.mcap_container import (
@@ -49,7 +51,6 @@ from touchdown.backend.episodes.mcap_container import (
     input_errors,
     iter_records,
     message_list,
-    message_rows,
     read_bytes,
     read_chunk_records,
     read_metadata,
@@ -57,23 +58,35 @@ from touchdown.backend.episodes.mcap_container import (
     read_whole,
 )
 from touchdown.backend.episodes.messages import (
+    CAMERA_TOPICS,
     COMMAND_TOPIC,
     EVENT_TOPIC,
+    GEL_DEPTH_MM,
+    HAND_FRAME,
     IMAGE_TOPICS,
     LABEL_TOPIC,
     MARKER_TOPICS,
     OBSERVATION_TOPIC,
+    POINT_TOPICS,
     POSE_TOPIC,
     SCENE_TOPIC,
+    STATIC_TOPIC,
+    TACTILE_PX,
+    TF_TOPIC,
     WRENCH_TOPIC,
     MarkerRows,
     Times,
     Topic,
+    Transform,
+    pack_camera,
+    pack_hand,
     pack_image,
     pack_json,
     pack_markers,
     pack_observation,
+    pack_points,
     pack_pose,
+    pack_transforms,
     pack_wrench,
     schema_text,
     stamps_ns,
@@ -83,6 +96,7 @@ from touchdown.backend.episodes.messages import (
     unpack_pose_mm,
     unpack_wrench,
 )
+from touchdown.backend.sensing import Homography, locate_camera
 
 KeepFrames = Literal["jpeg95_444", "png", "none"]
 ENCODING: dict[KeepFrames, str] = {"jpeg95_444": "jpeg", "png": "png"}
@@ -116,6 +130,54 @@ def decode_image(data: bytes) -> ImageArray:
     return image.astype(np.uint8, copy=False)
 
 
+FACTS_KEY = "facts"  # record ``bench``: description of the bench as JSON
+PADS_KEY = "pad_distance_mm"  # pair: distance of the pads, the width of the held piece
+HOMOGRAPHY_KEY = "scene_homography"  # pair: board mm to px of the scene camera
+# Left: u along x, v down, seen along y; right: u against x, seen against y.
+_HALF = math.sqrt(0.5)
+_GEL_ROTATIONS = ((-_HALF, 0.0, 0.0, _HALF), (0.0, -_HALF, _HALF, 0.0))
+
+
+class Frames(NamedTuple):
+    """Constant transforms, and size (width, height) and focal length in px of cameras by frame."""
+
+    static: list[Transform]
+    cameras: dict[str, tuple[tuple[int, int], float]]
+
+
+def make_frames(facts: str, pairs: Mapping[str, str], scene_px: tuple[int, int]) -> Frames:
+    """Return the frames as far as they are known.
+
+    ``base`` of the arm positions, ``hand`` at the grasp pivot, ``ft`` at the wrist sensor, cameras
+    (x right, y down in the picture as stored; a tactile one is exact in the plane of its pad).
+    ``facts``: ``BenchDescription`` as JSON; ``pairs``: of an episode; ``scene_px``: width, height.
+    """
+    bench, frames = BenchDescription.model_validate_json(facts), Frames([], {})
+    if bench.sensor_height_mm is not None:
+        turned = bench.ft_frame.partition(", turned ")[2].removesuffix(" rad")
+        half_rad = 0.5 * float(turned or 0.0)
+        turn = (0.0, 0.0, math.sin(half_rad), math.cos(half_rad))
+        at_mm = (0.0, 0.0, bench.sensor_height_mm)
+        frames.static.append(Transform(HAND_FRAME, WRENCH_TOPIC.frame_id, at_mm, turn))
+    if bench.mm_per_px is not None and PADS_KEY in pairs:
+        y_mm = 0.5 * float(pairs[PADS_KEY]) - GEL_DEPTH_MM
+        for k, finger in enumerate(FINGERS):
+            frame, at_mm = IMAGE_TOPICS[finger].frame_id, (0.0, (y_mm, -y_mm)[k], 0.0)
+            frames.static.append(Transform(HAND_FRAME, frame, at_mm, _GEL_ROTATIONS[k]))
+            frames.cameras[frame] = TACTILE_PX, GEL_DEPTH_MM / bench.mm_per_px[k]
+    board = Homography.parse(pairs[HOMOGRAPHY_KEY]) if any(scene_px) else None
+    if board is not None and (seen := locate_camera(board, scene_px)) is not None:
+        focal_px, axes, eye_mm = seen
+        vector = rotation_vector(axes)
+        half_rad = 0.5 * float(np.linalg.norm(vector))
+        rotation = [*(0.5 * np.sinc(half_rad / np.pi) * vector), math.cos(half_rad)]
+        frame = SCENE_TOPIC.frame_id
+        frames.static.append(Transform(POSE_TOPIC.frame_id, frame, eye_mm.tolist(), rotation))
+        frames.cameras[frame] = scene_px, focal_px
+    return frames
+
+
+StampedMessages = tuple[Topic, Times, Times, Iterable[bytes]]
 SCHEMA_VERSION = "1"
 REST_KEY = "rest"  # pair of an episode that was recorded at rest, without a press
 START_KEY = "clock_start_ns"  # wall clock at the zero of the bench clock, ns since 1970
@@ -151,17 +213,24 @@ def write_episode(
     Markers and wrench are stored losslessly, images according to ``keep_frames``. Raises
     ``OSError`` if the disk fails; the episode can then be written again.
     """
-    scene = () if episode.recording is None else episode.recording.scene
-    with McapWriter(path, (*TOPICS, SCENE_TOPIC) if scene else TOPICS) as writer:
+    recording, topics, frames, width, height = episode.recording, TOPICS, None, 0, 0
+    if recording is not None and recording.scene:
+        topics = (*topics, SCENE_TOPIC)
+        height, width = recording.scene[0].image.shape[:2]
+    if recording is not None and FACTS_KEY in metadata:
+        frames = make_frames(metadata[FACTS_KEY], dict(episode.metadata), (width, height))
+        cameras = (CAMERA_TOPICS[frame] for frame in frames.cameras)
+        topics = (*topics, TF_TOPIC, STATIC_TOPIC, *POINT_TOPICS.values(), *cameras)
+    with McapWriter(path, topics) as writer:
         writer.start_ns = int(metadata.get(START_KEY, 0))
         for name, values in _metadata(episode, metadata, keep_frames).items():
             writer.add_metadata(name, values)
-        blocks = [_observation(writer, episode), *_notes(writer, episode, label)]
-        if episode.recording is not None:
-            blocks += _signals(writer, episode.recording)
+        blocks = [writer.block(*part) for part in _notes(episode, label)]
+        if recording is not None:
+            blocks += [writer.block(*part) for part in recording_messages(recording, frames)]
         writer.add_chunk(blocks, compress=True)
-        if episode.recording is not None and keep_frames != "none":
-            images = _images(writer, episode.recording, keep_frames)
+        if recording is not None and keep_frames != "none":
+            images = [writer.block(*part) for part in image_messages(recording, keep_frames)]
             if images:
                 writer.add_chunk(images, compress=False)
         check_counts(writer.part, writer.finish())
@@ -190,79 +259,70 @@ def _metadata(
     }
 
 
-def _observation(writer: McapWriter, episode: Episode) -> MessageBlock:
-    count = len(episode.observation)
-    stamps = to_ns(episode.onset_s + TICK_S * np.arange(1, count + 1))
-    rows = pack_observation(stamps, episode.observation)
-    return message_rows(
-        writer.channel[OBSERVATION_TOPIC.name], writer.logged(stamps), np.arange(count), rows
-    )
-
-
-def _notes(
-    writer: McapWriter, episode: Episode, label: Mapping[str, object] | None
-) -> list[MessageBlock]:
-    onset, channel = int(to_ns([episode.onset_s])[0]), writer.channel
+def _notes(episode: Episode, label: Mapping[str, object] | None) -> Iterator[StampedMessages]:
+    """Yield observation, event and label."""
+    steps = np.arange(len(episode.observation))
+    stamps = to_ns(episode.onset_s + TICK_S * (steps + 1))
+    yield OBSERVATION_TOPIC, stamps, steps, pack_observation(stamps, episode.observation)
     event = {"event": "contact", "t_s": episode.onset_s}
-    notes = [(EVENT_TOPIC, event)] + ([] if label is None else [(LABEL_TOPIC, label)])
-    return [
-        message_list(channel[t.name], writer.logged([onset]), [0], [pack_json(note)])
-        for t, note in notes
-    ]
+    for topic, note in ((EVENT_TOPIC, event), (LABEL_TOPIC, label)):
+        if note is not None:
+            yield topic, to_ns([episode.onset_s]), np.zeros(1, np.int64), [pack_json(note)]
 
 
-def _signals(writer: McapWriter, recording: Recording) -> list[MessageBlock]:
-    blocks = []
+def recording_messages(recording: Recording, frames: Frames | None) -> Iterator[StampedMessages]:
+    """Yield topic, stamps in ns, sequence numbers and messages of the signals without images.
+
+    ``frames``: also transforms, cameras and marker clouds.
+    """
+    hand = () if frames is None else ((TF_TOPIC, recording.pose_t_s, pack_hand, recording.pose_mm),)
     for topic, t_s, pack, values in (
         (WRENCH_TOPIC, recording.wrench_t_s, pack_wrench, recording.wrench),
         (POSE_TOPIC, recording.pose_t_s, pack_pose, recording.pose_mm),
         (COMMAND_TOPIC, recording.command_t_s, pack_pose, recording.command_mm),
+        *hand,
     ):
         if len(t_s):
-            stamps = to_ns(t_s)
-            channel, sequence = writer.channel[topic.name], np.arange(len(stamps))
-            blocks.append(
-                message_rows(channel, writer.logged(stamps), sequence, pack(stamps, values))
-            )
+            yield topic, to_ns(t_s), np.arange(len(t_s)), pack(to_ns(t_s), values)
+    if frames is not None and len(recording.pose_t_s):
+        start, first = to_ns(recording.pose_t_s[:1]), np.zeros(1, np.int64)
+        yield STATIC_TOPIC, start, first, [pack_transforms(int(start[0]), frames.static)]
+        for frame, (size_px, focal_px) in frames.cameras.items():
+            message = pack_camera(int(start[0]), frame, size_px, focal_px)
+            yield CAMERA_TOPICS[frame], start, first, [message]
     for finger in FINGERS:
         fields = [field for field in recording.fields if field.finger == finger]
-        if fields:
-            blocks.append(_markers(writer, finger, fields))
-    return blocks
+        if not fields:
+            continue
+        stamps, frame = to_ns([field.t_s for field in fields]), MARKER_TOPICS[finger].frame_id
+        sequence = np.array([field.sequence for field in fields], dtype=np.int64)
+        markers = MarkerRows(
+            np.stack([field.position_px for field in fields]),
+            np.stack([field.displacement_px for field in fields]),
+            np.stack([field.state for field in fields]),
+            np.array([field.quality for field in fields], dtype=np.float64),
+            np.array([field.residual_px for field in fields], dtype=np.float64),
+        )
+        yield MARKER_TOPICS[finger], stamps, sequence, pack_markers(stamps, markers, frame)
+        if frames is not None and frame in frames.cameras:
+            cloud = pack_points(stamps, markers, frame, GEL_DEPTH_MM / frames.cameras[frame][1])
+            yield POINT_TOPICS[finger], stamps, sequence, cloud
 
 
-def _markers(writer: McapWriter, finger: Finger, fields: Sequence[MarkerField]) -> MessageBlock:
-    stamps = to_ns([field.t_s for field in fields])
-    markers = MarkerRows(
-        np.stack([field.position_px for field in fields]),
-        np.stack([field.displacement_px for field in fields]),
-        np.stack([field.state for field in fields]),
-        np.array([field.quality for field in fields], dtype=np.float64),
-        np.array([field.residual_px for field in fields], dtype=np.float64),
-    )
-    topic = MARKER_TOPICS[finger]
-    rows = pack_markers(stamps, markers, topic.frame_id)
-    sequence = np.array([field.sequence for field in fields], dtype=np.int64)
-    return message_rows(writer.channel[topic.name], writer.logged(stamps), sequence, rows)
-
-
-def _images(writer: McapWriter, recording: Recording, keep: KeepFrames) -> list[MessageBlock]:
+def image_messages(recording: Recording, keep: KeepFrames) -> Iterator[StampedMessages]:
+    """Yield the images like ``recording_messages``; each is encoded when it is taken."""
     scene = [TactileFrame("left", i, p.t_s, p.image) for i, p in enumerate(recording.scene)]
-    blocks = []
     for topic, frames in (
         *((IMAGE_TOPICS[f], [p for p in recording.frames if p.finger == f]) for f in FINGERS),
         (SCENE_TOPIC, scene),
     ):
-        stamps = to_ns([frame.t_s for frame in frames]).tolist()
+        stamps = to_ns([frame.t_s for frame in frames])
         messages = (
-            pack_image(stamp, topic.frame_id, ENCODING[keep], encode_image(frame.image, keep))
+            pack_image(int(stamp), topic.frame_id, ENCODING[keep], encode_image(frame.image, keep))
             for stamp, frame in zip(stamps, frames, strict=True)
         )
         if frames:
-            sequence = [frame.sequence for frame in frames]
-            channel = writer.channel[topic.name]
-            blocks.append(message_list(channel, writer.logged(stamps), sequence, messages))
-    return blocks
+            yield topic, stamps, np.array([frame.sequence for frame in frames]), messages
 
 
 def to_s(ns: Times) -> FloatArray:

@@ -143,6 +143,8 @@ class ChunkContents:
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
     messages: dict[str, list[memoryview]] = field(default_factory=dict)
     sequence: dict[str, list[int]] = field(default_factory=dict)
+    log_ns: list[int] = field(default_factory=list)  # of all messages
+    schemas: dict[str, str] = field(default_factory=dict)  # message types by topic
 
 
 @dataclass(frozen=True, slots=True)
@@ -249,6 +251,8 @@ def read_whole(path: Path) -> ChunkContents:
     whole = ChunkContents()
     for chunk in read_chunks(path):
         whole.metadata = chunk.contents.metadata
+        whole.log_ns += chunk.contents.log_ns
+        whole.schemas |= chunk.contents.schemas
         for topic, messages in chunk.contents.messages.items():
             whole.messages.setdefault(topic, []).extend(messages)
             whole.sequence.setdefault(topic, []).extend(chunk.contents.sequence[topic])
@@ -320,13 +324,17 @@ def read_chunk_records(content: memoryview) -> bytes:
 
 
 def _read_messages(plain: bytes, group: ChunkContents) -> None:
-    topics: dict[int, str] = {}
+    topics, schemas = dict[int, str](), dict[int, str]()
     for op, content in iter_records(plain, "a chunk"):
-        if op == Opcode.CHANNEL:
-            (channel,) = struct.unpack_from("<H", content, 0)
+        if op == Opcode.SCHEMA:
+            schemas[struct.unpack_from("<H", content)[0]] = read_text(content, 2)[0]
+        elif op == Opcode.CHANNEL:
+            channel, schema = struct.unpack_from("<HH", content, 0)
             topics[channel] = read_text(content, 4)[0]
+            group.schemas[topics[channel]] = schemas[schema]
         elif op == Opcode.MESSAGE:
-            channel, sequence = struct.unpack_from("<HI", content, 0)
+            channel, sequence, log_ns = struct.unpack_from("<HIQ", content, 0)
+            group.log_ns.append(log_ns)
             topic = topics[channel]
             group.messages.setdefault(topic, []).append(content[22:])
             group.sequence.setdefault(topic, []).append(sequence)
@@ -415,6 +423,19 @@ class McapWriter:
         self._chunk_indexes.append(encode_record(Opcode.CHUNK_INDEX, entry))
         old = self._span_ns or (first, last)
         self._span_ns = (min(first, old[0]), max(last, old[1]))
+
+    def block(
+        self, topic: Topic, stamps_ns: ArrayLike, sequence: ArrayLike, messages: Iterable[bytes]
+    ) -> MessageBlock:
+        """Build a block of messages of ``topic``; of equal size where they are a ``ByteRows``."""
+        channel, log_ns, numbers = (
+            self.channel[topic.name],
+            self.logged(stamps_ns),
+            np.asarray(sequence),
+        )
+        if isinstance(messages, np.ndarray):
+            return message_rows(channel, log_ns, numbers, messages)
+        return message_list(channel, log_ns.tolist(), numbers.tolist(), messages)
 
     def _add_message_indexes(self, blocks: Sequence[MessageBlock]) -> dict[int, int]:
         at = len(self._schemas) + len(self._channels)

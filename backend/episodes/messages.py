@@ -12,6 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib.resources import files
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,56 +22,38 @@ from touchdown.backend.core import GRID_COLS, GRID_ROWS, MARKERS, FloatArray, pa
 ENCAPSULATION = b"\x00\x01\x00\x00"
 
 
-class CdrWriter:
-    """Append fields in order; each primitive is aligned to its own size."""
+def cdr(layout: str, *values: Any) -> bytes:
+    """Return a message, one value per letter of ``layout``; primitives are aligned to their size.
 
-    def __init__(self) -> None:
-        self._bytes = bytearray()
+    Letters: h ``std_msgs/Header`` (stamp in ns, frame), s string, q sequence (array or bytes), else
+    the ``struct`` letter of one or several numbers (B H i I f d).
+    """
+    content = bytearray()
 
-    def align(self, size: int) -> None:
-        """Pad with zeros to a multiple of ``size``."""
-        self._bytes.extend(bytes(-len(self._bytes) % size))
+    def put(kind: str, *numbers: float) -> None:
+        content.extend(bytes(-len(content) % struct.calcsize(kind)))
+        content.extend(struct.pack(f"<{len(numbers)}{kind}", *numbers))
 
-    def number(self, kind: str, value: float) -> None:
-        """Append one number; ``kind`` is its ``struct`` letter (B H i I f d)."""
-        self.align(struct.calcsize(kind))
-        self._bytes.extend(struct.pack("<" + kind, value))
+    def text(value: str) -> None:
+        data = value.encode("utf-8") + b"\x00"
+        put("I", len(data))
+        content.extend(data)
 
-    def text(self, value: str) -> None:
-        """Append a string: length with the final NUL, bytes, NUL."""
-        content = value.encode("utf-8") + b"\x00"
-        self.number("I", len(content))
-        self._bytes.extend(content)
-
-    def sequence(self, values: NDArray[np.generic] | bytes) -> int:
-        """Append a count and the elements; returns the offset of the first element."""
-        array = np.frombuffer(values, np.uint8) if isinstance(values, bytes) else values
-        self.number("I", array.size)
-        if array.size:
-            self.align(array.dtype.itemsize)
-        start = len(self._bytes)
-        self._bytes.extend(np.ascontiguousarray(array).tobytes())
-        return start
-
-    def header(self, stamp_ns: int, frame_id: str) -> None:
-        """Append a ``std_msgs/Header``."""
-        self.number("i", stamp_ns // 1_000_000_000)
-        self.number("I", stamp_ns % 1_000_000_000)
-        self.text(frame_id)
-
-    def numbers(self, kind: str, values: Sequence[float]) -> None:
-        """Append several numbers of one kind."""
-        for value in values:
-            self.number(kind, value)
-
-    @property
-    def size(self) -> int:
-        """Bytes so far, without the encapsulation."""
-        return len(self._bytes)
-
-    def finish(self) -> bytes:
-        """Return the message with its encapsulation."""
-        return ENCAPSULATION + bytes(self._bytes)
+    for kind, value in zip(layout, values, strict=True):
+        if kind == "h":
+            put("i", value[0] // 1_000_000_000)
+            put("I", value[0] % 1_000_000_000)
+            text(value[1])
+        elif kind == "s":
+            text(value)
+        elif kind == "q":
+            array = np.frombuffer(value, np.uint8) if isinstance(value, bytes) else value
+            put("I", array.size)
+            content.extend(bytes(-len(content) % array.itemsize if array.size else 0))
+            content.extend(np.ascontiguousarray(array).tobytes())
+        else:
+            put(kind, *np.ravel(value).tolist())
+    return ENCAPSULATION + bytes(content)
 
 
 class CdrReader:
@@ -149,6 +132,23 @@ MARKER_TOPICS = {
     "left": Topic("/tac/left/markers", "lab_msgs/msg/MarkerField", "tac_left"),
     "right": Topic("/tac/right/markers", "lab_msgs/msg/MarkerField", "tac_right"),
 }
+POINT_TOPICS = {
+    finger: Topic(f"/tac/{finger}/points", "sensor_msgs/msg/PointCloud2", topic.frame_id)
+    for finger, topic in IMAGE_TOPICS.items()
+}
+TF_TOPIC = Topic("/tf", "tf2_msgs/msg/TFMessage", POSE_TOPIC.frame_id)
+STATIC_TOPIC = Topic("/tf_static", TF_TOPIC.schema)
+CAMERA_TOPICS = {
+    topic.frame_id: Topic(
+        topic.name.replace("image", "camera_info"), "sensor_msgs/msg/CameraInfo", topic.frame_id
+    )
+    for topic in (*IMAGE_TOPICS.values(), SCENE_TOPIC)
+}
+HAND_FRAME = "hand"
+POINT_FIELDS = ("x", "y", "z", "displacement_px")
+TACTILE_PX = (320, 240)
+# The optics of a tactile camera are not known. A pinhole this far from its gel stands for it.
+GEL_DEPTH_MM = 20.0
 
 
 @lru_cache(maxsize=16)
@@ -158,30 +158,27 @@ def schema_text(name: str) -> bytes:
     return file.read_bytes()
 
 
-def _repeat(template: bytes, stamps_ns: Times) -> ByteRows:
+def _repeat(template: bytes, stamps_ns: Times, at: int = _HEAD) -> ByteRows:
     rows = np.tile(np.frombuffer(template, np.uint8), (len(stamps_ns), 1))
     stamp = np.empty(len(stamps_ns), Stamp)
     stamp["sec"], stamp["nsec"] = stamps_ns // 1_000_000_000, stamps_ns % 1_000_000_000
-    rows[:, _HEAD : _HEAD + 8] = stamp.view(np.uint8).reshape(-1, 8)
+    rows[:, at : at + 8] = stamp.view(np.uint8).reshape(-1, 8)
     return rows
 
 
-def _fill(rows: ByteRows, offset: int, values: NDArray[np.generic]) -> None:
+def _fill(rows: ByteRows, end: int, values: NDArray[np.generic]) -> None:
+    """Replace the bytes before ``end``, which counts from the end of a row."""
     raw = np.ascontiguousarray(values).view(np.uint8).reshape(len(rows), -1)
-    rows[:, _HEAD + offset : _HEAD + offset + raw.shape[1]] = raw
+    at = rows.shape[1] - end
+    rows[:, at - raw.shape[1] : at] = raw
 
 
 def _pack_doubles(
     stamps_ns: Times, frame_id: str, default: Sequence[float], values: FloatArray
 ) -> ByteRows:
     """Pack a header and the doubles ``default``, the first k replaced by ``values`` (n, k)."""
-    writer = CdrWriter()
-    writer.header(0, frame_id)
-    writer.align(8)
-    offset = writer.size
-    writer.numbers("d", default)
-    rows = _repeat(writer.finish(), stamps_ns)
-    _fill(rows, offset, values.astype("<f8"))
+    rows = _repeat(cdr("hd", (0, frame_id), default), stamps_ns)
+    _fill(rows, 8 * (len(default) - values.shape[1]), values.astype("<f8"))
     return rows
 
 
@@ -198,15 +195,10 @@ def pack_pose(stamps_ns: Times, position_mm: FloatArray) -> ByteRows:
 
 def pack_observation(stamps_ns: Times, values: NDArray[np.float32]) -> ByteRows:
     """Pack ``Observation``: ``values`` (n, channels) for the steps 0, 1, ... n - 1."""
-    writer = CdrWriter()
-    writer.header(0, OBSERVATION_TOPIC.frame_id)
-    writer.align(4)
-    step = writer.size
-    writer.number("I", 0)
-    offset = writer.sequence(np.zeros(values.shape[1], "<f4"))
-    rows = _repeat(writer.finish(), stamps_ns)
-    _fill(rows, step, np.arange(len(values), dtype="<u4"))
-    _fill(rows, offset, values.astype("<f4"))
+    template = cdr("hIq", (0, OBSERVATION_TOPIC.frame_id), 0, np.zeros(values.shape[1], "<f4"))
+    rows = _repeat(template, stamps_ns)
+    _fill(rows, 4 + 4 * values.shape[1], np.arange(len(values), dtype="<u4"))
+    _fill(rows, 0, values.astype("<f4"))
     return rows
 
 
@@ -227,38 +219,78 @@ class MarkerRows:
 
 def pack_markers(stamps_ns: Times, markers: MarkerRows, frame_id: str) -> ByteRows:
     """Pack ``MarkerField``, axis before marker: all u, then all v."""
-    writer = CdrWriter()
-    writer.header(0, frame_id)
-    writer.number("H", GRID_ROWS)
-    writer.number("H", GRID_COLS)
-    displacement = writer.sequence(np.zeros(2 * MARKERS, "<f8"))
-    state = writer.sequence(np.zeros(MARKERS, np.uint8))
-    position = writer.sequence(np.zeros(2 * MARKERS, "<f8"))
-    writer.align(8)
-    quality = writer.size
-    writer.numbers("d", [0.0, 0.0])
-    rows = _repeat(writer.finish(), stamps_ns)
-    _fill(rows, displacement, _by_axis(markers.displacement_px))
-    _fill(rows, state, markers.state)
-    _fill(rows, position, _by_axis(markers.position_px))
-    _fill(rows, quality, np.stack([markers.quality, markers.residual_px], 1).astype("<f8"))
+    axes, seen = np.zeros(2 * MARKERS), np.zeros(MARKERS, np.uint8)
+    layout = cdr("hHHqqqd", (0, frame_id), GRID_ROWS, GRID_COLS, axes, seen, axes, [0.0, 0.0])
+    rows = _repeat(layout, stamps_ns)
+    state = len(cdr("hHHqq", (0, frame_id), GRID_ROWS, GRID_COLS, axes, seen))
+    _fill(rows, len(layout) - state, markers.state)
+    _fill(rows, len(layout) - state + MARKERS + 4, _by_axis(markers.displacement_px))
+    _fill(rows, 2 * 8, _by_axis(markers.position_px))
+    _fill(rows, 0, np.stack([markers.quality, markers.residual_px], 1).astype("<f8"))
     return rows
+
+
+def pack_points(stamps_ns: Times, markers: MarkerRows, frame_id: str, mm_per_px: float) -> ByteRows:
+    """Pack ``PointCloud2`` in the frame of a tactile camera: x, y, z in m, displacement in px."""
+    centred = (markers.position_px - np.divide(TACTILE_PX, 2)) * (mm_per_px / 1e3)
+    depth = np.full((*centred.shape[:2], 1), GEL_DEPTH_MM / 1e3)
+    moved = np.linalg.norm(markers.displacement_px, axis=2, keepdims=True)
+    points = np.concatenate([centred, depth, moved], axis=2).astype("<f4")
+    step = 4 * len(POINT_FIELDS)
+    fields = [v for k, name in enumerate(POINT_FIELDS) for v in (name, 4 * k, 7, 1)]  # 7: float32
+    rows = _repeat(
+        cdr("hI" + "sIBI" * len(POINT_FIELDS) + "BIqB", (0, frame_id),
+            [1, MARKERS, len(POINT_FIELDS)], *fields, 0, [step, step * MARKERS],
+            bytes(step * MARKERS), 1),
+        stamps_ns,
+    )  # fmt: skip
+    _fill(rows, 1, points)
+    return rows
+
+
+class Transform(NamedTuple):
+    """Pose of the frame ``child`` in ``parent``: position in mm, unit quaternion (x, y, z, w)."""
+
+    parent: str
+    child: str
+    position_mm: Sequence[float]
+    rotation: Sequence[float] = (0.0, 0.0, 0.0, 1.0)
+
+
+def pack_transforms(stamp_ns: int, transforms: Sequence[Transform]) -> bytes:
+    """Pack one ``TFMessage``."""
+    values = [
+        value
+        for parent, child, position_mm, rotation in transforms
+        for value in ((stamp_ns, parent), child, np.divide(position_mm, 1e3), rotation)
+    ]
+    return cdr("I" + "hsdd" * len(transforms), len(transforms), *values)
+
+
+def pack_hand(stamps_ns: Times, position_mm: FloatArray) -> ByteRows:
+    """Pack ``TFMessage``: the hand at ``position_mm`` (n, 3), pointing straight down."""
+    hand = Transform(POSE_TOPIC.frame_id, HAND_FRAME, (0.0, 0.0, 0.0))
+    rows = _repeat(pack_transforms(0, [hand]), stamps_ns, _HEAD + 4)
+    _fill(rows, 4 * 8, (position_mm / 1e3).astype("<f8"))
+    return rows
+
+
+def pack_camera(stamp_ns: int, frame_id: str, size_px: tuple[int, int], focal_px: float) -> bytes:
+    """Pack ``CameraInfo`` of a pinhole camera, ``size_px`` (width, height) about its centre."""
+    u, v = np.divide(size_px, 2)
+    matrix = np.array([[focal_px, 0.0, u, 0.0], [0.0, focal_px, v, 0.0], [0.0, 0.0, 1.0, 0.0]])
+    return cdr("hIsqdddIB", (stamp_ns, frame_id), size_px[::-1], "plumb_bob", np.zeros(5),
+               matrix[:, :3], np.eye(3), matrix, [0] * 6, 0)  # fmt: skip
 
 
 def pack_image(stamp_ns: int, frame_id: str, encoding: str, data: bytes) -> bytes:
     """Pack one ``CompressedImage``; ``encoding`` is "jpeg" or "png"."""
-    writer = CdrWriter()
-    writer.header(stamp_ns, frame_id)
-    writer.text(encoding)
-    writer.sequence(data)
-    return writer.finish()
+    return cdr("hsq", (stamp_ns, frame_id), encoding, data)
 
 
 def pack_json(content: Mapping[str, object]) -> bytes:
     """Pack a JSON object as text in a ``std_msgs/String``."""
-    writer = CdrWriter()
-    writer.text(json.dumps(content, sort_keys=True, separators=(",", ":"), ensure_ascii=False))
-    return writer.finish()
+    return cdr("s", json.dumps(content, sort_keys=True, separators=(",", ":"), ensure_ascii=False))
 
 
 def unpack_json(message: bytes | memoryview) -> dict[str, object]:

@@ -17,8 +17,6 @@ from touchdown.backend.episodes.mcap_container import (
     ChunkContents,
     McapWriter,
     input_errors,
-    message_list,
-    message_rows,
     read_chunks,
 )
 from touchdown.backend.episodes.messages import (
@@ -80,15 +78,8 @@ class PackWriter:
         base = self.episodes * _SPACING_NS
         stamps = base + _TICKS_NS
         observation = pack_observation(stamps, row.observation)
-        obs = message_rows(
-            self._writer.channel[OBSERVATION_TOPIC.name],
-            self._writer.logged(stamps),
-            _STEPS,
-            observation,
-        )
-        channel = self._writer.channel[LABEL_TOPIC.name]
-        log_ns = self._writer.logged([base])
-        label = message_list(channel, log_ns, [self.episodes], [pack_json(row.label)])
+        obs = self._writer.block(OBSERVATION_TOPIC, stamps, _STEPS, observation)
+        label = self._writer.block(LABEL_TOPIC, [base], [self.episodes], [pack_json(row.label)])
         self._writer.add_chunk([obs, label], compress=True)
         self.episodes += 1
 

@@ -26,7 +26,7 @@ from touchdown.backend.core import (
     RunStarted,
     Said,
 )
-from touchdown.backend.episodes import START_KEY
+from touchdown.backend.episodes import FACTS_KEY, START_KEY
 from touchdown.backend.runs.bench import Bench, RunContext
 from touchdown.backend.runs.campaign import (
     Campaign,
@@ -284,7 +284,7 @@ def _context(
         bench={
             "run": session.run_id,
             "origin": json.dumps(calibration),
-            "facts": session.description.model_dump_json(),
+            FACTS_KEY: session.description.model_dump_json(),
             "probe": bench.settings.probe.model_dump_json(),
             "stage": request.stage,
             START_KEY: str(bench.started_ns),

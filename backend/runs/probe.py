@@ -10,6 +10,7 @@ import numpy as np
 
 from touchdown.backend.config import EARLY_TICKS, SAMPLES_PER_PROBE, TICK_S
 from touchdown.backend.core import Fault, FaultError, FloatArray, PhaseEntered, Said, ScenePicture
+from touchdown.backend.episodes import HOMOGRAPHY_KEY, PADS_KEY
 from touchdown.backend.runs import messages
 from touchdown.backend.runs.bench import Bench, PressedProbe
 from touchdown.backend.runs.motions import (
@@ -136,9 +137,10 @@ def scene_pictures(bench: Bench) -> tuple[ScenePicture, ...]:
 
 
 def _calibration(bench: Bench) -> tuple[tuple[str, str], ...]:
-    """Return the metadata of a probe: scene camera, references, drift and calibrations."""
+    """Return the metadata of a probe: pads, scene camera, references, drift and calibrations."""
     view = bench.scene_view
-    board = () if view is None else (("scene_homography", view.homography.text()),)
+    pads = ((PADS_KEY, f"{bench.piece.width_mm:g}"),)
+    board = pads if view is None else (*pads, (HOMOGRAPHY_KEY, view.homography.text()))
     references = bench.sensing.references.items()
     rest = ((f"reference_{finger}", taken.sha256) for finger, taken in references)
     drift = bench.sensing.drift

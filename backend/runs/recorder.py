@@ -36,7 +36,7 @@ from touchdown.backend.core import (
     write_atomically,
 )
 from touchdown.backend.devices import Interlock
-from touchdown.backend.episodes import START_KEY, write_episode
+from touchdown.backend.episodes import FACTS_KEY, START_KEY, write_episode
 from touchdown.backend.runs.event_log import EventLog
 from touchdown.backend.runs.plan import PausePoint, Plan
 
@@ -316,8 +316,11 @@ class RunRecorder:
         if self._keep.episodes:
             check_free_space(self._keep.runs)
 
-    def open(self, run_id: str, mode: str) -> None:
-        """Begin a run in ``mode``; raises ``InputError`` without space or a writable folder."""
+    def open(self, run_id: str, mode: str, facts: str) -> None:
+        """Begin a run in ``mode``; ``facts``: the description of the bench as JSON.
+
+        Raises ``InputError`` without space or a writable folder.
+        """
         self.close()
         self._wall = ClockJumpDetector()
         self.folder = None if self._keep.runs is None else self._keep.runs / run_id
@@ -329,7 +332,8 @@ class RunRecorder:
             with disk_errors(NOT_KEPT, self.folder.parent, NOT_KEPT_FIX):
                 self._log = EventLog(self.folder)
             self._leave = self._hub.subscribe(self._record)
-        self.store = RunStore(episodes, {"run": run_id, "mode": mode}, self.obstacle)
+        metadata = {"run": run_id, "mode": mode, FACTS_KEY: facts}
+        self.store = RunStore(episodes, metadata, self.obstacle)
 
     def obstacle(self) -> Fault | None:
         """Return the fault that prevents recording another probe, None if there is none."""

@@ -12,6 +12,7 @@ from .picture_files import count_pictures as count_pictures
 from .picture_files import read_pictures as read_pictures
 from .scene_camera import Homography as Homography
 from .scene_camera import calibrate_scene_camera as calibrate_scene_camera
+from .scene_camera import locate_camera as locate_camera
 from .scene_camera import observe_offset as observe_offset
 from .slip import TorsionSlipDetector as TorsionSlipDetector
 from .slip import slip_since_loading as slip_since_loading

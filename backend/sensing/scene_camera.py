@@ -24,6 +24,7 @@ from touchdown.backend.geometry import BOARD_DOTS_MM
 MIN_DOT_AREA_PX = 20
 BRIGHT = 230  # dots are magenta: blue and red at least this, green at most ``255 - BRIGHT``
 MAX_RESIDUAL_PX = 2.0
+MIN_TILT = 0.02  # smallest foreshortening that determines the focal length
 _FIX = "Show all four dots to the camera, evenly lit, and calibrate again."
 
 
@@ -57,6 +58,31 @@ class Homography:
         if not np.isfinite(matrix).all() or abs(np.linalg.det(matrix)) < 1e-12:
             raise InputError("The homography is singular.", "scene", _FIX)
         return cls(matrix, residual_px)
+
+
+def locate_camera(
+    board: Homography, size_px: tuple[int, int]
+) -> tuple[float, FloatArray, FloatArray] | None:
+    """Return focal length in px, axes (3, 3) and centre (3,) in mm of the camera of ``board``.
+
+    The columns of the axes are right, down and ahead; the principal point is the centre of the
+    picture. None where the camera looks straight down, which leaves the focal length open. Source:
+    Zhang, A flexible new technique for camera calibration, IEEE PAMI 22 (2000), eq. 3 and 4.
+    """
+    h = board.matrix.copy()
+    h[:2] -= np.outer(0.5 * np.array(size_px), h[2])
+    # The axes of the board are orthogonal and of one length: two equations for 1 / f².
+    first, second = h[:2, 0], h[:2, 1]
+    a = np.array([first @ second, first @ first - second @ second])
+    b = np.array([h[2, 0] * h[2, 1], h[2, 0] ** 2 - h[2, 1] ** 2])
+    if not (np.hypot(*a) > MIN_TILT * (first @ first) and a @ b < 0.0):
+        return None
+    focal_px = math.sqrt(float(a @ a / -(a @ b)))
+    h[2] *= focal_px
+    h *= math.copysign(2.0, h[2, 2]) / np.linalg.norm(h[:, :2], axis=0).sum()
+    u, _, v = np.linalg.svd(np.column_stack([h[:, 0], h[:, 1], np.cross(h[:, 0], h[:, 1])]))
+    axes = np.asarray((u @ v).T)
+    return focal_px, axes, np.asarray(-axes @ h[:, 2])
 
 
 def fit_homography(board_mm: FloatArray, image_px: FloatArray) -> Homography:

@@ -10,8 +10,11 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 from mcap.records import Statistics
+from scipy.spatial.transform import Rotation
 
 from tests.backend.annotations.conftest import stored_label
+from touchdown.backend.config import SimulationSettings
+from touchdown.backend.config.bench_description import describe_simulation
 from touchdown.backend.core.faults import InputError
 from touchdown.backend.core.files import program_stamp
 from touchdown.backend.core.values import (
@@ -21,10 +24,14 @@ from touchdown.backend.core.values import (
     EpisodeQuality,
     MarkerField,
     Recording,
+    ScenePicture,
     TactileFrame,
 )
 from touchdown.backend.episodes import episode_mcap, messages
 from touchdown.backend.episodes.episode_mcap import (
+    FACTS_KEY,
+    HOMOGRAPHY_KEY,
+    PADS_KEY,
     read_compressed_episode,
     read_episode,
     to_s,
@@ -34,6 +41,8 @@ from touchdown.backend.episodes.mcap_container import read_whole
 from touchdown.backend.episodes.messages import CdrReader
 from touchdown.backend.episodes.packs import PackedEpisode, PackWriter, read_pack, write_packs
 from touchdown.backend.episodes.training_rows import join_rows, load_rows, patch_bits, patch_hex
+from touchdown.backend.sensing import Homography
+from touchdown.backend.simulation.scene_camera import camera_matrix
 
 STAMP = np.array([1_700_000_000_123_456_789])
 HEAD = "00 01 00 00 00 f1 53 65 15 cd 5b 07"
@@ -78,6 +87,20 @@ def test_text_has_the_published_bytes():
     packed = messages.pack_json({"x_mm": 1.5})
     assert packed == bytes.fromhex("00 01 00 00 0d 00 00 00 7b 22 78 5f 6d 6d 22 3a 31 2e 35 7d 00")
     assert messages.unpack_json(packed) == {"x_mm": 1.5}
+
+
+def test_transforms_have_the_bytes_of_rosbags():
+    placed = [
+        messages.Transform("base", "hand", (100.0, 200.0, 300.0)),
+        messages.Transform("hand", "ft", (0.0, 0.0, 120.0), (0.0, 0.0, 0.6, 0.8)),
+    ]
+    assert messages.pack_transforms(int(STAMP[0]), placed).hex() == (
+        "000100000200000000f1536515cd5b070500000062617365000000000500000068616e6400000000"
+        "000000009a9999999999b93f9a9999999999c93f333333333333d33f000000000000000000000000"
+        "000000000000000000000000000000000000f03f00f1536515cd5b070500000068616e6400000000"
+        "03000000667400000000000000000000000000000000000000000000b81e85eb51b8be3f00000000"
+        "000000000000000000000000333333333333e33f9a9999999999e93f"
+    )
 
 
 def test_observation_fields_lie_where_cdr_puts_them():
@@ -199,6 +222,61 @@ def test_a_file_without_commanded_poses_is_read_as_before(path):
     got = read_episode(path).recording
     assert (got.command_t_s.shape, got.command_mm.shape) == ((0,), (0, 3))
     assert np.array_equal(got.pose_t_s, silent.pose_t_s)
+
+
+def test_viewers_place_markers_wrench_and_scene(path):
+    board = Homography(camera_matrix()[:, [0, 1, 3]] / camera_matrix()[2, 3], 0.0)
+    picture = ScenePicture(0.1, np.zeros((480, 640, 3), np.uint8))
+    pairs = ((PADS_KEY, "30"), (HOMOGRAPHY_KEY, board.text()))
+    sent = replace(episode(), recording=replace(recording(), scene=(picture,)), metadata=pairs)
+    settings = SimulationSettings.model_validate({"wrist": {"yaw_rad": 0.5}})
+    facts = describe_simulation(settings).model_dump_json()
+    write_episode(path, sent, None, {FACTS_KEY: facts})
+    assert read_episode(path).metadata == sent.metadata
+    found = read_whole(path).messages
+    placed = dict(transforms(found["/tf_static"][0]))
+    ((child, (parent, hand_m, turn)),) = transforms(found["/tf"][3])
+    assert (child, parent, turn.magnitude()) == ("hand", "base", 0.0)
+    assert np.allclose(hand_m, sent.recording.pose_mm[3] / 1e3)
+    assert len(found["/tf"]) == len(sent.recording.pose_t_s)
+    parent, at_m, turn = placed["ft"]
+    assert (parent, at_m.tolist()) == ("hand", [0.0, 0.0, settings.wrist.height_mm / 1e3])
+    assert turn.as_rotvec() == pytest.approx([0.0, 0.0, 0.5])
+    for finger, side in (("left", 1.0), ("right", -1.0)):
+        field = next(f for f in sent.recording.fields if f.finger == finger)
+        data = bytes(found[f"/tac/{finger}/points"][0])[-1 - 16 * MARKERS : -1]
+        cloud = np.frombuffer(data, "<f4").reshape(MARKERS, 4).astype(float)
+        parent, at_m, turn = placed[f"tac_{finger}"]
+        px = field.position_px - (160.0, 120.0)
+        x, z = 0.058e-3 * side * px[:, 0], -0.058e-3 * px[:, 1]
+        expected = np.column_stack([x, np.full(MARKERS, 0.015 * side), z])
+        assert np.allclose(at_m + turn.apply(cloud[:, :3]), expected, atol=1e-8)
+        assert np.allclose(cloud[:, 3], np.linalg.norm(field.displacement_px, axis=1), atol=1e-5)
+        seen = cloud[:, :3] @ intrinsics(found[f"/tac/{finger}/camera_info"][0]).T
+        assert np.allclose(seen[:, :2] / seen[:, 2:], field.position_px, atol=1e-3)
+    parent, eye_m, turn = placed["scene"]
+    assert parent == "base"
+    corners_mm = np.array([[0.0, 0.0], [20.0, -5.0], [-7.0, 12.0]])
+    ahead = turn.inv().apply(np.insert(corners_mm / 1e3, 2, 0.0, axis=1) - eye_m)
+    seen = ahead @ intrinsics(found["/scene/camera_info"][0]).T
+    assert np.allclose(seen[:, :2] / seen[:, 2:], board.to_px(corners_mm), atol=1e-6)
+
+
+def transforms(message):
+    """Yield child and (parent, position in m, rotation) of each transform."""
+    reader = CdrReader(message)
+    for _ in range(reader.integer("I")):
+        (_, parent), child = reader.header(), reader.text()
+        numbers = [reader.number("d") for _ in range(7)]
+        yield child, (parent, np.array(numbers[:3]), Rotation.from_quat(numbers[3:]))
+
+
+def intrinsics(message):
+    """Return the matrix K of a ``CameraInfo``."""
+    reader = CdrReader(message)
+    reader.header()
+    reader.integer("I"), reader.integer("I"), reader.text(), reader.sequence("<f8")
+    return np.array([reader.number("d") for _ in range(9)]).reshape(3, 3)
 
 
 def test_pictures_are_close_as_jpeg_and_exact_as_png(path):

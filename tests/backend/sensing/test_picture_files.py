@@ -46,6 +46,7 @@ from touchdown.backend.sensing.scene_camera import (
     Homography,
     calibrate_scene_camera,
     fit_homography,
+    locate_camera,
     observe_offset,
 )
 from touchdown.backend.sensing.slip import TorsionSlipDetector, press_slip_mm, slip_since_loading
@@ -55,7 +56,15 @@ from touchdown.backend.simulation import mechanics
 from touchdown.backend.simulation.finger_camera import load_gel_appearance
 from touchdown.backend.simulation.marker_fields import build_gel
 from touchdown.backend.simulation.mechanics import advance_probes, begin_probes
-from touchdown.backend.simulation.scene_camera import BOTTOM, camera_matrix, render_scene
+from touchdown.backend.simulation.scene_camera import (
+    BOTTOM,
+    EYE_MM,
+    FOCAL_PX,
+    HEIGHT_PX,
+    WIDTH_PX,
+    camera_matrix,
+    render_scene,
+)
 
 TRUE = camera_matrix()[:, [0, 1, 3]] / camera_matrix()[2, 3]
 
@@ -95,6 +104,17 @@ def test_a_picture_of_the_bench_is_a_calibration(scene) -> None:
     there = np.array([[0.0, 0.0], [12.5, 0.0], [0.0, -12.5], [-9.0, 9.0]])
     assert np.abs(fitted.to_px(there) - Homography(TRUE, 0.0).to_px(there)).max() < 0.5
     assert Homography.parse(fitted.text()).text() == fitted.text()
+
+
+def test_the_camera_is_located_from_its_homography() -> None:
+    focal_px, axes, eye_mm = locate_camera(Homography(TRUE, 0.0), (WIDTH_PX, HEIGHT_PX))
+    assert focal_px == pytest.approx(FOCAL_PX, rel=1e-9)
+    np.testing.assert_allclose(eye_mm, EYE_MM, rtol=1e-9)
+    inner = np.array([[focal_px, 0.0, WIDTH_PX / 2], [0.0, focal_px, HEIGHT_PX / 2], [0, 0, 1]])
+    again = inner @ np.column_stack([axes.T, -axes.T @ eye_mm])
+    np.testing.assert_allclose(again, camera_matrix(), rtol=1e-8, atol=1e-8)
+    # Straight down, or the picture of a drawing: any focal length fits.
+    assert locate_camera(Homography(np.diag([5.0, -5.0, 1.0]), 0.0), (640, 480)) is None
 
 
 def test_holes_and_gaps_of_a_bottom_are_drawn_open() -> None:

@@ -5,7 +5,8 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from backend.catalogue.dataset import Dataset
+
+from touchdown.backend.annotations import Dataset
 
 
 def main(folder: Path, out: Path) -> None:

@@ -38,6 +38,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--tables", action="store_true",
         help="csv: also ft.csv, markers.csv and poses.csv of every episode",
     )  # fmt: skip
+    parser.add_argument(
+        "--state-with", default="", metavar="S,S",
+        help="lerobot: wrench, markers or both in observation.state besides the pose; followed by "
+        "environment_state in that feature instead",
+    )  # fmt: skip
     parser.add_argument("--seed", type=int, default=0, help="which series are held out")
     parser.add_argument(
         "--divide-series", action="store_true",
@@ -62,6 +67,7 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
             divide_series=args.divide_series,
             video=args.video,
             tables=args.tables,
+            state_with=tuple(args.state_with.split(",")) if args.state_with else (),
             on_progress=lambda count, total: advance(count, total=total),
         )
     screen.say(f"{done.episodes} episodes are in {done.folder}.")

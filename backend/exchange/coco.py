@@ -1,11 +1,11 @@
-"""COCO-like JSON: the bottom face as a canvas, the contact patch as an annotation on it."""
+"""COCO JSON: contact patch and outlines on scene pictures, markers on tactile pictures."""
 
 from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator, Mapping
-from dataclasses import asdict
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -14,93 +14,171 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.backend.annotations import Dataset, Label, Pair, content_hash
-from touchdown.backend.core import FloatArray, InputError, parse_json
+from touchdown.backend.core import (
+    FINGERS,
+    MARKERS,
+    Finger,
+    FloatArray,
+    ImageArray,
+    InputError,
+    parse_json,
+)
+from touchdown.backend.episodes import (
+    HOMOGRAPHY_KEY,
+    IMAGE_TOPICS,
+    MARKER_TOPICS,
+    OBSERVATION_TOPIC,
+    SCENE_TOPIC,
+    TACTILE_PX,
+    ChunkContents,
+    decode_image,
+    read_whole,
+    stamps_ns,
+    unpack_image,
+    unpack_markers,
+)
 from touchdown.backend.exchange.exports import ExportJob
 from touchdown.backend.exchange.label_import import ImportedLabel, label_file
 from touchdown.backend.exchange.query import SelectedEpisode
 from touchdown.backend.geometry import overlap_polygon, rings_of, rotated
+from touchdown.backend.sensing import Homography
 
 FILE = "annotations.json"
 PX_PER_MM = 20.0
 MARGIN_MM = 12.0
 VISIBLE = 2
 DECIMALS = 4
-FLIP = np.array([1.0, -1.0])  # rows of an image run downwards
+CONTACT, FACE, BOTTOM, GEL = 1, 2, 3, 4  # categories
+PICTURES = "images"
+Annotations = list[dict[str, object]]
 MIN_IOU = 0.99
 EDGE_PX = 1.0  # rounding of a polygon moves its edge by up to this
 INK, PAPER = 60, 245
 
 
 def write(job: ExportJob, folder: Path) -> Mapping[str, object]:
-    """Write ``annotations.json`` and one image per pair into ``folder``."""
-    images, annotations = [], []
-    canvases: dict[str, Canvas] = {}
+    """Write ``annotations.json`` and the pictures of every episode into ``folder``.
+
+    Scene picture while pressed: patch, face and bottom by its homography. Tactile pictures at the
+    last tick: the 63 markers. An episode without a scene picture has a drawing of its bottom.
+    """
+    (folder / PICTURES).mkdir()
+    images: list[dict[str, object]] = []
+    annotations: list[dict[str, object]] = []
+
+    def add(one: SelectedEpisode, name: str, size: tuple[int, int], found: Annotations,
+            **extra: object) -> None:  # fmt: skip
+        images.append({
+            "id": len(images) + 1, "file_name": f"{PICTURES}/{name}", "width": size[0],
+            "height": size[1], "episode": one.entry.uuid, "file_sha256": one.entry.sha256,
+            "pair": one.revision.geometry, "split": one.split, **extra,
+        })  # fmt: skip
+        for annotation in found:
+            numbers = {"id": len(annotations) + 1, "image_id": len(images), "iscrowd": 0}
+            annotations.append({**numbers, **annotation})
+
     for one in job.chosen:
-        name = one.revision.geometry
-        if name not in canvases:
-            canvases[name] = Canvas(job.dataset.geometry.pair(name))
-            canvases[name].draw(folder / _file_name(name))
-        canvas = canvases[name]
-        images.append(_image(one, canvas))
-        annotations.append(_annotation(one, canvas))
+        pair = job.dataset.geometry.pair(one.revision.geometry)
+        path = job.dataset.folder / one.entry.path
+        contents = ChunkContents() if one.entry.mode == "mass" else read_whole(path)
+        canvas, picture = _scene(contents) or (drawn_canvas(pair), None)
+        name = f"{one.revision.geometry[:16] if picture is None else one.entry.uuid}-scene.png"
+        if not (folder / PICTURES / name).exists():
+            canvas.save(folder / PICTURES / name, pair, picture)
+        matrix = canvas.board.matrix.tolist()
+        add(one, name, canvas.size, _annotations(one, pair, canvas), homography=matrix)
+        for finger, (suffix, encoded, markers) in _tactile(contents).items():
+            name = f"{one.entry.uuid}-{finger}.{suffix}"
+            (folder / PICTURES / name).write_bytes(encoded)
+            add(one, name, TACTILE_PX, [markers])
         job.advance(one.index + 1)
     selected = content_hash([[o.entry.uuid, o.revision.rev_uuid] for o in job.chosen])
-    info = {"description": "contact patches", "px_per_mm": PX_PER_MM, "revisions_sha256": selected,
-            "origin_px": {name: list(c.origin_px) for name, c in canvases.items()}}  # fmt: skip
-    categories = [{"id": 1, "name": "contact", "supercategory": "patch",
-                   "keypoints": ["offset", "com"], "skeleton": []}]  # fmt: skip
+    info = {"description": "contact patches", "revisions_sha256": selected}
+    categories = [
+        {"id": CONTACT, "name": "contact", "supercategory": "patch",
+         "keypoints": ["offset", "com"], "skeleton": []},
+        {"id": FACE, "name": "face", "supercategory": "outline"},
+        {"id": BOTTOM, "name": "bottom", "supercategory": "outline"},
+        {"id": GEL, "name": "gel", "supercategory": "sensor", "skeleton": [],
+         "keypoints": [f"marker{k:02d}" for k in range(MARKERS)]},
+    ]  # fmt: skip
     content = {"info": info, "images": images, "annotations": annotations, "categories": categories}
     (folder / FILE).write_text(json.dumps(content, ensure_ascii=False), "utf-8")
-    return {"data": "json", "px_per_mm": PX_PER_MM}
+    return {"data": "json"}
 
 
+@dataclass(frozen=True, slots=True)
 class Canvas:
-    """Transform between mm in the bottom frame and pixels of an image of face and bottom."""
+    """Picture of ``size`` (width, height); ``board`` maps mm in the frame of the bottom to px."""
 
-    def __init__(self, pair: Pair) -> None:
-        self.pair = pair
-        x_mm, y_mm = (extent + MARGIN_MM for extent in pair.bottom.half_extents_mm)
-        half = (math.ceil(x_mm * PX_PER_MM), math.ceil(y_mm * PX_PER_MM))
-        self.origin_px = half
-        self.width, self.height = 2 * half[0] + 1, 2 * half[1] + 1
+    board: Homography
+    size: tuple[int, int]
 
     def px(self, points_mm: FloatArray) -> FloatArray:
         """Return points (n, 2) of the bottom frame in px."""
-        flipped = points_mm * FLIP * PX_PER_MM
-        centred = flipped + np.array(self.origin_px, dtype=np.float64)
-        return np.asarray(np.round(centred, DECIMALS), dtype=np.float64)
+        return np.asarray(np.round(self.board.to_px(points_mm), DECIMALS), dtype=np.float64)
 
-    def draw(self, path: Path) -> None:
-        """Draw the outline of the bottom."""
-        picture = np.full((self.height, self.width), PAPER, dtype=np.uint8)
-        rings = rings_of(self.px(self.pair.bottom.path()))
-        corners = [np.rint(ring).astype(np.int32) for ring in rings]
-        cv2.polylines(picture, corners, isClosed=True, color=INK, thickness=2)
-        path.parent.mkdir(exist_ok=True)
+    def save(self, path: Path, pair: Pair, picture: ImageArray | None) -> None:
+        """Write ``picture``, or a drawing of the outline of the bottom."""
+        if picture is None:
+            picture = np.full(self.size[::-1], PAPER, dtype=np.uint8)
+            rings = rings_of(self.px(pair.bottom.path()))
+            corners = [np.rint(ring).astype(np.int32) for ring in rings]
+            cv2.polylines(picture, corners, isClosed=True, color=INK, thickness=2)
         done, data = cv2.imencode(".png", picture)
         assert done
         path.write_bytes(data.tobytes())
 
 
-def _file_name(pair: str) -> str:
-    return f"images/{pair[:16]}.png"
+def drawn_canvas(pair: Pair) -> Canvas:
+    """Return the canvas of a drawing of the bottom, ``PX_PER_MM`` to scale."""
+    x, y = (math.ceil((mm + MARGIN_MM) * PX_PER_MM) for mm in pair.bottom.half_extents_mm)
+    return Canvas(_drawn(PX_PER_MM, (x, y)), (2 * x + 1, 2 * y + 1))
 
 
-def _image(one: SelectedEpisode, canvas: Canvas) -> dict[str, object]:
-    return {
-        "id": one.index + 1,
-        "file_name": _file_name(one.revision.geometry),
-        "width": canvas.width,
-        "height": canvas.height,
-        "episode": one.entry.uuid,
-        "file_sha256": one.entry.sha256,
-        "pair": one.revision.geometry,
-        "split": one.split,
-    }
+def _drawn(px_per_mm: float, origin_px: Sequence[float]) -> Homography:
+    """Return the map of a drawing, whose rows run downwards."""
+    matrix = np.diag([px_per_mm, -px_per_mm, 1.0])
+    matrix[:2, 2] = origin_px
+    return Homography(matrix, 0.0)
 
 
-def _annotation(one: SelectedEpisode, canvas: Canvas) -> dict[str, object]:
-    revision, pair = one.revision, canvas.pair
+def _scene(contents: ChunkContents) -> tuple[Canvas, ImageArray] | None:
+    """Return canvas and picture of the scene camera while pressed, None without them."""
+    messages = contents.messages.get(SCENE_TOPIC.name)
+    pairs = dict(parse_json(contents.metadata["pairs"]["items"])) if messages else {}
+    if not messages or HOMOGRAPHY_KEY not in pairs:
+        return None
+    picture = decode_image(unpack_image(messages[0])[1])
+    size = (picture.shape[1], picture.shape[0])
+    return Canvas(Homography.parse(pairs[HOMOGRAPHY_KEY]), size), picture
+
+
+def _tactile(contents: ChunkContents) -> dict[Finger, tuple[str, bytes, dict[str, object]]]:
+    """Return the encoded picture of each finger nearest to the last tick, and its markers."""
+    found: dict[Finger, tuple[str, bytes, dict[str, object]]] = {}
+    for finger in FINGERS:
+        images = contents.messages.get(IMAGE_TOPICS[finger].name)
+        fields = contents.messages.get(MARKER_TOPICS[finger].name)
+        if images and fields:
+            last_ns = stamps_ns(contents.messages[OBSERVATION_TOPIC.name])[-1]
+            image = images[int(np.abs(stamps_ns(images) - last_ns).argmin())]
+            at = int(np.abs(stamps_ns(fields) - stamps_ns([image])).argmin())
+            markers = unpack_markers(fields[at : at + 1])
+            # Seen, inferred and lost are visible, not visible and not labelled.
+            visible = VISIBLE - markers.state[0].astype(int)
+            points = np.column_stack([markers.position_px[0].round(DECIMALS), visible])
+            points[visible == 0] = 0.0
+            box = [0.0, 0.0, *map(float, TACTILE_PX)]
+            found[finger] = *unpack_image(image), {
+                "category_id": GEL, "bbox": box, "area": box[2] * box[3], "segmentation": [],
+                "keypoints": points.ravel().tolist(), "num_keypoints": int((visible > 0).sum()),
+            }  # fmt: skip
+    return found
+
+
+def _annotations(one: SelectedEpisode, pair: Pair, canvas: Canvas) -> Annotations:
+    revision = one.revision
     offset = revision.label.offset_mm
     yaw_rad = math.radians((revision.label.theta_mdeg or 0) / 1e3)
     x_mm, y_mm = offset.tolist()
@@ -111,19 +189,17 @@ def _annotation(one: SelectedEpisode, canvas: Canvas) -> dict[str, object]:
         for xy in canvas.px(np.stack([offset, centre_mm])).tolist()
         for value in (*xy, VISIBLE)
     ]
-    return {
-        "id": one.index + 1,
-        "image_id": one.index + 1,
-        "category_id": 1,
-        **_shape(rings_of(canvas.px(patch_mm)), (canvas.height, canvas.width)),
-        "iscrowd": 0,
-        "keypoints": points,
-        "num_keypoints": 2,
-        "rev_uuid": revision.rev_uuid,
-        "source": revision.source,
-        "state": revision.state,
-        "label": asdict(revision.label),
-    }
+    face_mm = rotated(pair.face.path(), yaw_rad) + offset
+    outlines = ((CONTACT, patch_mm), (FACE, face_mm), (BOTTOM, pair.bottom.path()))
+    found: Annotations = [
+        {"category_id": kind, **_shape(rings_of(canvas.px(outline)), canvas.size[::-1])}
+        for kind, outline in outlines
+    ]
+    found[0] |= {
+        "keypoints": points, "num_keypoints": 2, "rev_uuid": revision.rev_uuid,
+        "source": revision.source, "state": revision.state, "label": asdict(revision.label),
+    }  # fmt: skip
+    return found
 
 
 def _shape(rings_px: list[FloatArray], size: tuple[int, int]) -> dict[str, object]:
@@ -171,12 +247,16 @@ def read_coco(source: Path, dataset: Dataset) -> Iterator[ImportedLabel]:
     path = label_file(source, FILE)
     try:
         content = parse_json(path.read_bytes())
-        origins, scale = content["info"]["origin_px"], float(content["info"]["px_per_mm"])
-        images = {image["id"]: image for image in content["images"]}
+        info, images = content["info"], {image["id"]: image for image in content["images"]}
         for annotation in content["annotations"]:
+            if annotation["category_id"] != CONTACT:
+                continue
             image = images[annotation["image_id"]]
-            origin = np.array(origins[image["pair"]], dtype=np.float64).reshape(2)
-            yield _row(annotation, image, (origin, scale), dataset)
+            if "homography" in image:
+                board = Homography(np.array(image["homography"], np.float64).reshape(3, 3), 0.0)
+            else:  # exports of earlier versions
+                board = _drawn(float(info["px_per_mm"]), info["origin_px"][image["pair"]])
+            yield _row(annotation, image, board, dataset)
     except (OSError, ValueError, KeyError, TypeError, IndexError) as error:
         why = f"{error} is missing" if isinstance(error, KeyError) else error
         raise InputError(
@@ -185,15 +265,13 @@ def read_coco(source: Path, dataset: Dataset) -> Iterator[ImportedLabel]:
 
 
 def _row(
-    annotation: Mapping[str, Any],
-    image: Mapping[str, Any],
-    frame: tuple[FloatArray, float],
-    dataset: Dataset,
+    annotation: Mapping[str, Any], image: Mapping[str, Any], board: Homography, dataset: Dataset
 ) -> ImportedLabel:
-    """Return one offset; ``frame``: origin of the bottom frame in px, and px a mm."""
-    origin_px, px_per_mm = frame
+    """Return one offset; ``board`` maps mm of the bottom frame to px."""
     at_px = np.array(annotation["keypoints"][:2], dtype=np.float64)
-    x_mm, y_mm = ((at_px - origin_px) / px_per_mm * FLIP).tolist()
+    ((x_mm, y_mm),) = (
+        Homography(np.asarray(np.linalg.inv(board.matrix), np.float64), 0.0).to_px(at_px).tolist()
+    )
     x_um, y_um = round(x_mm * 1e3), round(y_mm * 1e3)
     was = Label(**annotation["label"]) if "label" in annotation else None
     moved = was is None or (was.x_um, was.y_um) != (x_um, y_um)
@@ -204,7 +282,7 @@ def _row(
     if annotation["segmentation"]:
         pair = dataset.geometry.pair(str(image["pair"]))
         points = rotated(pair.points_mm, math.radians((label.theta_mdeg or 0) / 1e3))
-        points_px = (points + label.offset_mm) * FLIP * px_per_mm + origin_px
+        points_px = board.to_px(points + label.offset_mm)
         touching = dataset.geometry.patch(pair.sha256, label).touching
         share = _iou(annotation["segmentation"], points_px, touching)
         if share < MIN_IOU:

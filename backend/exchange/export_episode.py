@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,11 +19,13 @@ from touchdown.backend.core import (
     ImageArray,
     InputError,
     Recording,
+    parse_json,
 )
 from touchdown.backend.episodes import (
     COMMAND_TOPIC,
+    FACTS_KEY,
+    HOMOGRAPHY_KEY,
     CompressedEpisode,
-    CompressedImages,
     episode_of,
     read_compressed_episode,
     read_first,
@@ -30,6 +33,8 @@ from touchdown.backend.episodes import (
 )
 from touchdown.backend.exchange.features import (
     ACTION,
+    ADDED,
+    ENVIRONMENT,
     FPS,
     FT,
     FT_WINDOW,
@@ -37,6 +42,7 @@ from touchdown.backend.exchange.features import (
     OFFSET,
     PATCH,
     PICTURES,
+    SCENE,
     STATE,
     TICK_NS,
     WINDOW,
@@ -44,6 +50,7 @@ from touchdown.backend.exchange.features import (
     Values,
 )
 from touchdown.backend.exchange.query import SelectedEpisode
+from touchdown.backend.exchange.video import HEIGHT, WIDTH
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,24 +86,36 @@ class ExportSignals:
     """Signals that all episodes of an export have.
 
     ``native``: the recorded signals, not only the observation; ``commanded``: also the commanded
-    pose of the arm.
+    pose of the arm; ``scene``: pictures of the scene camera. ``robot``: kind of bench.
+    ``state_with``: signals in the state besides the pose.
     """
 
-    native: bool
-    commanded: bool
+    native: bool = False
+    commanded: bool = False
+    scene: bool = False
+    robot: str = "touchdown"
+    state_with: tuple[str, ...] = ()
+
+    @property
+    def cameras(self) -> tuple[str, ...]:
+        """Keys of the pictures."""
+        return (*PICTURES.values(), SCENE) if self.scene else tuple(PICTURES.values())
 
 
 def common_signals(dataset: Dataset, chosen: Iterable[SelectedEpisode]) -> ExportSignals:
     """Return the signals that all episodes have."""
-    commanded = True
+    commanded, scene, modes = True, True, set[str]()
     for one in chosen:
         if one.entry.mode == "mass":
-            return ExportSignals(native=False, commanded=False)
+            return ExportSignals()
         first = read_first(dataset.folder / one.entry.path)
         if first.metadata["episode"]["recording"] != "native":
-            return ExportSignals(native=False, commanded=False)
+            return ExportSignals()
         commanded = commanded and COMMAND_TOPIC.name in first.messages
-    return ExportSignals(native=True, commanded=commanded)
+        scene = scene and f'"{HOMOGRAPHY_KEY}"' in first.metadata["pairs"]["items"]
+        modes.add(str(parse_json(first.metadata["bench"].get(FACTS_KEY, "{}")).get("mode", "")))
+    robot = "_".join(["touchdown", *(modes if len(modes) == 1 else ())]).rstrip("_")
+    return ExportSignals(True, commanded, scene, robot)
 
 
 def read_export(
@@ -119,7 +138,13 @@ def read_export(
     if signals.native:
         assert episode.recording is not None
         values |= _recorded(episode.recording, episode.onset_s, commanded=signals.commanded)
-    return ExportEpisode(one, values, {} if film is None else _pictures(film))
+        added = [values[key] for name, key in ADDED.items() if name in signals.state_with]
+        if "environment_state" in signals.state_with:
+            values[ENVIRONMENT] = np.concatenate(added, axis=1)
+        else:
+            values[STATE] = np.concatenate([values[STATE], *added], axis=1)
+    shown = {} if film is None else _pictures(film)
+    return ExportEpisode(one, values, {k: shown[k] for k in signals.cameras if k in shown})
 
 
 def _packed(dataset: Dataset, one: SelectedEpisode) -> NDArray[np.float32]:
@@ -169,14 +194,26 @@ def _poses(position_mm: FloatArray) -> NDArray[np.float32]:
 
 def _pictures(film: CompressedEpisode) -> dict[str, tuple[ImageArray, ...]]:
     ticks_s = film.episode.onset_s + np.arange(1, SAMPLES_PER_PROBE + 1) / FPS
-    return {
-        PICTURES[finger]: _nearest(film.pictures[finger], ticks_s)
+    found = {
+        PICTURES[finger]: _nearest(
+            film.pictures[finger].t_s, film.pictures[finger].picture, ticks_s
+        )
         for finger in FINGERS
         if film.pictures[finger].packed
     }
+    recording = film.episode.recording
+    if recording is not None and recording.scene:
+        scaled = (cv2.resize(one.image, (WIDTH, HEIGHT), interpolation=cv2.INTER_AREA)
+                  for one in recording.scene)  # fmt: skip
+        shots = [image.astype(np.uint8) for image in scaled]
+        at_s = np.array([one.t_s for one in recording.scene])
+        found[SCENE] = _nearest(at_s, shots.__getitem__, ticks_s)
+    return found
 
 
-def _nearest(pictures: CompressedImages, ticks_s: FloatArray) -> tuple[ImageArray, ...]:
-    index = np.abs(pictures.t_s[None, :] - ticks_s[:, None]).argmin(axis=1).tolist()
-    decoded = {k: np.ascontiguousarray(pictures.picture(k)[:, :, ::-1]) for k in sorted(set(index))}
+def _nearest(
+    t_s: FloatArray, picture: Callable[[int], ImageArray], ticks_s: FloatArray
+) -> tuple[ImageArray, ...]:
+    index = np.abs(t_s[None, :] - ticks_s[:, None]).argmin(axis=1).tolist()
+    decoded = {k: np.ascontiguousarray(picture(k)[:, :, ::-1]) for k in sorted(set(index))}
     return tuple(decoded[k] for k in index)

@@ -25,7 +25,14 @@ from touchdown.backend.core import (
 )
 from touchdown.backend.exchange import export_episode, manifest
 from touchdown.backend.exchange.export_episode import ExportEpisode, ExportSignals
-from touchdown.backend.exchange.features import COMMANDED, MEASURED, Feature, make_features
+from touchdown.backend.exchange.features import (
+    ADDED,
+    COMMANDED,
+    MEASURED,
+    STATE_WITH,
+    Feature,
+    make_features,
+)
 from touchdown.backend.exchange.query import (
     ExportQuery,
     ExportState,
@@ -46,8 +53,8 @@ ProgressCallback = Callable[[int], None]
 class ExportJob:
     """Input of a format writer.
 
-    ``pictures``: include the tactile images at the ticks; ``tables``: include the recorded signals
-    at their own rates.
+    ``pictures``: include the images at the ticks; ``tables``: include the recorded signals at their
+    own rates; ``layout``: name of the format.
     """
 
     dataset: Dataset
@@ -57,6 +64,12 @@ class ExportJob:
     pictures: bool
     advance: ProgressCallback
     tables: bool = False
+    layout: str = ""
+
+    @property
+    def cameras(self) -> tuple[str, ...]:
+        """Keys of the pictures to write."""
+        return self.signals.cameras if self.pictures else ()
 
     def episodes(self) -> Iterator[ExportEpisode]:
         """Yield the episodes in order, one in memory at a time."""
@@ -85,10 +98,12 @@ class ExportFormat:
 FORMATS = {
     "lerobot": ExportFormat("lerobot_v3", signals=True, video="sample"),
     "robomimic": ExportFormat("robomimic", signals=True),
-    "zarr": ExportFormat("zarr_v3", signals=True),
+    "zarr": ExportFormat("zarr_arrays", signals=True),
+    "replay-buffer": ExportFormat("zarr_arrays", signals=True),
     "coco": ExportFormat("coco", signals=False),
     "csv": ExportFormat("csv_tables", signals=False, tables=True),
     "jsonl": ExportFormat("jsonl", signals=False),
+    "ros2": ExportFormat("rosbag2", signals=False),
 }
 EXPORTS = tuple(FORMATS)
 
@@ -135,6 +150,7 @@ def export(  # noqa: PLR0913 - each is a keyword of the public API
     divide_series: bool = False,
     video: Video | None = None,
     tables: bool = False,
+    state_with: Sequence[str] = (),
     on_progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> ExportResult:
     """Export episodes and labels of a dataset; same as ``touchdown export``.
@@ -146,8 +162,9 @@ def export(  # noqa: PLR0913 - each is a keyword of the public API
     ----------
     dataset : Dataset, Path or str
         Open dataset, or its folder, which is then opened for reading.
-    format : {"lerobot", "robomimic", "zarr", "coco", "csv", "jsonl"}
-        File format. The last three hold labels and no signals, except for ``tables``.
+    format : {"lerobot", "robomimic", "zarr", "replay-buffer", "coco", "csv", "jsonl", "ros2"}
+        File format. ``coco``, ``csv`` and ``jsonl`` hold labels and no signals, except for
+        ``tables``. ``ros2`` copies the episode files.
     out : Path or str
         New folder to write.
     piece, bottom, series, campaign : str, optional
@@ -166,6 +183,9 @@ def export(  # noqa: PLR0913 - each is a keyword of the public API
         "none").
     tables : bool
         With "csv": also write wrench, markers and poses of every episode at their own rates.
+    state_with : sequence of {"wrench", "markers", "environment_state"}
+        With "lerobot": signals that ``observation.state`` holds besides the pose, or with
+        "environment_state" ``observation.environment_state`` instead.
     on_progress : callable, optional
         Receives the number of episodes written, and the number to write.
 
@@ -205,7 +225,7 @@ def export(  # noqa: PLR0913 - each is a keyword of the public API
             dataset = stack.enter_context(Dataset.open(dataset, create=False, write=False))
         selection = select_episodes(dataset, query)
         _check_video(format, selection.chosen, wanted)
-        job = _job(dataset, format, selection, tables=tables)
+        job = _job(dataset, format, selection, tuple(state_with), tables=tables)
         part = _begin(out)
         try:
             described = manifest.make_manifest(dataset, format, query, selection, job.features)
@@ -226,18 +246,28 @@ def export(  # noqa: PLR0913 - each is a keyword of the public API
     return ExportResult(out, len(job.chosen), manifest_sha256, tuple(described["warnings"]))
 
 
-def _job(dataset: Dataset, name: str, selection: Selection, *, tables: bool) -> ExportJob:
-    signals, features = ExportSignals(native=False, commanded=False), tuple[Feature, ...]()
+def _job(
+    dataset: Dataset, name: str, selection: Selection, state_with: tuple[str, ...], *, tables: bool
+) -> ExportJob:
+    signals, features = ExportSignals(), tuple[Feature, ...]()
     if FORMATS[name].signals:
         signals = export_episode.common_signals(dataset, selection.chosen)
+        signals = replace(signals, state_with=state_with)
+    fits = name == "lerobot" and signals.native and {*ADDED} & {*state_with}
+    if state_with and not (fits and {*state_with} <= {*STATE_WITH}):
+        what, fix = f"The state cannot hold '{','.join(state_with)}'.", "Add wrench or markers to "
+        fix += "the state of recorded episodes with lerobot, and environment_state if you like."
+        raise InputError(what, "--state-with", fix)
+    if FORMATS[name].signals:
         points = export_episode.face_points(dataset, selection.chosen)
-        features = make_features(points, native=signals.native)
-    return ExportJob(dataset, selection.chosen, features, signals, False, lambda done: None, tables)
+        features = make_features(points, native=signals.native, state_with=state_with)
+    common = (dataset, selection.chosen, features, signals)
+    return ExportJob(*common, False, lambda done: None, tables, name)
 
 
 def _check_video(name: str, chosen: Sequence[SelectedEpisode], video: Video) -> None:
     if video != "none" and not FORMATS[name].signals:
-        raise InputError(f"The format '{name}' holds no pictures.", "--video", "Leave it out.")
+        raise InputError(f"The format '{name}' has no videos.", "--video", "Leave it out.")
     without = len(chosen) - len(_filmed(chosen))
     if video == "all" and without:
         raise InputError(

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import importlib
 import json
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
@@ -39,6 +39,11 @@ MARKERS, FT, FT_WINDOW = "observation.markers", "observation.ft", "observation.f
 STATE, ACTION = "observation.state", "action"
 OFFSET, PATCH = "label.offset_mm", "label.patch"
 PICTURES = {"left": "observation.images.tac_left", "right": "observation.images.tac_right"}
+SCENE = "observation.images.scene"
+ENVIRONMENT = "observation.environment_state"
+# Signals that ``state_with`` adds to the state, and the feature instead of it.
+ADDED = {"wrench": FT, "markers": MARKERS}
+STATE_WITH = (*ADDED, "environment_state")
 # Definition of the action in an export, as stated in its manifest.
 COMMANDED, MEASURED = "commanded", "measured"
 DEMOS = "demos.hdf5"  # file name of a robomimic export
@@ -60,11 +65,26 @@ POSE_NAMES = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
 FT_NAMES = ("fx_n", "fy_n", "fz_n", "tx_nm", "ty_nm", "tz_nm")
 
 
-def make_features(points: int, *, native: bool) -> tuple[Feature, ...]:
-    """Return the features of episodes with ``points`` face points; ``native``: recordings too."""
+def short_name(key: str) -> str:
+    """Return the name of a feature in robomimic files and replay buffers."""
+    return key.removeprefix("observation.").removeprefix("images.").replace(".", "_")
+
+
+def make_features(
+    points: int, *, native: bool, state_with: Sequence[str] = ()
+) -> tuple[Feature, ...]:
+    """Return the features of episodes with ``points`` face points; ``native``: recordings too.
+
+    ``state_with``: signals that the state holds besides the pose, see ``STATE_WITH``.
+    """
+    names = {"wrench": FT_NAMES, "markers": tuple(f"m{k:03d}" for k in range(TACTILE_CHANNELS))}
+    added = tuple(name for signal in ADDED if signal in state_with for name in names[signal])
+    apart = "environment_state" in state_with
+    state = POSE_NAMES if apart else POSE_NAMES + added
     recorded = (
         Feature(FT_WINDOW, "float32", (WINDOW, WRENCH_CHANNELS)),
-        Feature(STATE, "float32", (7,), names=POSE_NAMES),
+        Feature(STATE, "float32", (len(state),), names=state),
+        *((Feature(ENVIRONMENT, "float32", (len(added),), names=added),) if apart else ()),
         Feature(ACTION, "float32", (7,), names=POSE_NAMES),
     )
     return (

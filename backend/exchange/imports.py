@@ -222,7 +222,8 @@ def _has_signals(values: Mapping[str, NDArray[Any]]) -> bool:
         FT_WINDOW: (SAMPLES_PER_PROBE, WINDOW, WRENCH_CHANNELS),
         STATE: (SAMPLES_PER_PROBE, 7),
     }
-    return all(key in values and values[key].shape == shape for key, shape in shapes.items())
+    # A state may hold other signals behind the pose.
+    return all(k in values and values[k][:, : s[1]].shape == s for k, s in shapes.items())
 
 
 def _recording(values: Mapping[str, NDArray[Any]], *, commanded: bool) -> Recording | None:
@@ -233,7 +234,7 @@ def _recording(values: Mapping[str, NDArray[Any]], *, commanded: bool) -> Record
     ticks_s = np.asarray(1e-9 * TICK_NS * np.arange(1, SAMPLES_PER_PROBE + 1), dtype=np.float64)
     wrench: FloatArray = values[FT_WINDOW].reshape(-1, WRENCH_CHANNELS).astype(np.float64)
     pose_mm = _position_mm(values[STATE])
-    has_commands = commanded and ACTION in values and values[ACTION].shape == values[STATE].shape
+    has_commands = commanded and ACTION in values and values[ACTION].shape == (SAMPLES_PER_PROBE, 7)
     return Recording(
         wrench_t_s=np.asarray(fine_ns * 1e-9, dtype=np.float64),
         wrench=wrench,

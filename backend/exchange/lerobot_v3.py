@@ -14,9 +14,13 @@ from numpy.typing import NDArray
 from touchdown.backend.config import SAMPLES_PER_PROBE
 from touchdown.backend.exchange.export_episode import ExportEpisode
 from touchdown.backend.exchange.exports import ExportJob
-from touchdown.backend.exchange.features import FPS, PICTURES, Feature, require_package
+from touchdown.backend.exchange.features import FPS, Feature, require_package
 from touchdown.backend.exchange.query import indices_by_side
 from touchdown.backend.exchange.video import CHUNK_FILES, CODEC, VIDEO_MB, VideoWriter
+
+QUANTILES = {"q01": 0.01, "q10": 0.10, "q50": 0.50, "q90": 0.90, "q99": 0.99}
+# Quantiles are exact up to this number of episodes, then of an even sample; pixels are sampled.
+MAX_BLOCKS, MAX_ROWS = 1000, 1000
 
 
 class RunningStats:
@@ -28,6 +32,8 @@ class RunningStats:
         self._greatest: NDArray[Any] = np.array(-np.inf)
         self._mean: NDArray[Any] = np.array(0.0)
         self._squares: NDArray[Any] = np.array(0.0)
+        self._blocks: list[NDArray[Any]] = []  # every ``_stride``-th block, for the quantiles
+        self._stride, self._added = 1, 0
 
     def add(self, rows: NDArray[np.float64]) -> None:
         """Add a block (n, ...)."""
@@ -39,16 +45,23 @@ class RunningStats:
         self._squares = self._squares + within + gap**2 * (self.count * n / total)
         self._mean = self._mean + gap * (n / total)
         self.count = total
+        if self._added % self._stride == 0:
+            self._blocks.append(rows[:: len(rows) // MAX_ROWS + 1].astype(np.float32))
+        self._added += 1
+        if len(self._blocks) > MAX_BLOCKS:
+            self._blocks, self._stride = self._blocks[::2], 2 * self._stride
 
     def result(self) -> dict[str, Any]:
         """Return min, max, mean, std and count as lists, in the form of LeRobot."""
         deviation = np.sqrt(self._squares / self.count)
+        rows, levels = np.concatenate(self._blocks), list(QUANTILES.values())
         return {
             "min": self._least.tolist(),
             "max": self._greatest.tolist(),
             "mean": self._mean.tolist(),
             "std": deviation.tolist(),
             "count": [self.count],
+            **dict(zip(QUANTILES, np.quantile(rows, levels, axis=0).tolist(), strict=True)),
         }
 
 
@@ -59,6 +72,16 @@ VIDEO_PATH = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.m
 EPISODES_PATH = "meta/episodes/chunk-000/file-000.parquet"
 COUNTERS = ("frame_index", "episode_index", "index", "task_index")
 STATS_EVERY = 5  # every n-th image is used for the pixel statistics
+CARD = """---
+task_categories: [robotics]
+tags: [LeRobot, tactile, touchdown]
+configs: [{{config_name: default, data_files: data/*/*.parquet}}]
+---
+
+{episodes} presses of a held piece on a support at {fps} Hz, recorded by Touchdown ({robot}). Tasks:
+{tasks}. Features: {features}. `meta/info.json` has their sizes and names, `manifest.json` episodes,
+labels and hashes. Positions in `observation.state` are interpolated at the ticks.
+"""
 
 
 def write(job: ExportJob, folder: Path) -> Mapping[str, object]:
@@ -70,7 +93,7 @@ def write(job: ExportJob, folder: Path) -> Mapping[str, object]:
         data = stack.enter_context(closing(_ParquetWriter(folder, job.features)))
         films = {
             key: stack.enter_context(closing(VideoWriter(folder, VIDEO_PATH, key)))
-            for key in (PICTURES.values() if job.pictures else ())
+            for key in job.cameras
         }
         for episode in job.episodes():
             task = _task(episode.chosen.entry.piece, episode.chosen.entry.bottom)
@@ -86,7 +109,11 @@ def write(job: ExportJob, folder: Path) -> Mapping[str, object]:
     table = pa.Table.from_pylist([{**row, **places} for row in rows])
     require_package("pyarrow.parquet").write_table(table, path, compression="snappy")
     _write_tasks(folder, tasks)
-    _write_json(folder / "meta/info.json", _info(job, len(tasks)))
+    info = _info(job, len(tasks))
+    _write_json(folder / "meta/info.json", info)
+    card = CARD.format(episodes=len(rows), fps=FPS, robot=job.signals.robot, tasks="; ".join(tasks),
+                       features=", ".join(f"`{key}`" for key in info["features"]))  # fmt: skip
+    (folder / "README.md").write_text(card, "utf-8")
     _write_json(folder / "meta/stats.json", {key: one.result() for key, one in stats.items()})
     return {"data": "parquet, snappy"} | ({"video": CODEC} if job.pictures else {})
 
@@ -205,13 +232,13 @@ def _info(job: ExportJob, tasks: int) -> dict[str, Any]:
         f.key: {"dtype": f.dtype, "shape": list(f.shape), "names": list(f.names) or None}
         for f in job.features
     }
-    for key in PICTURES.values() if job.pictures else ():
+    for key in job.cameras:
         listed[key] = VideoWriter.feature()
     listed["timestamp"] = {"dtype": "float32", "shape": [1], "names": None}
     listed |= {name: {"dtype": "int64", "shape": [1], "names": None} for name in COUNTERS}
     return {
         "codebase_version": CODEBASE,
-        "robot_type": None,
+        "robot_type": job.signals.robot,
         "total_episodes": len(job.chosen),
         "total_frames": len(job.chosen) * SAMPLES_PER_PROBE,
         "total_tasks": tasks,

@@ -93,7 +93,9 @@ def _episode(one: SelectedEpisode) -> dict[str, object]:
 def write_manifest(folder: Path, manifest: Manifest) -> str:
     """List the files of ``folder`` in the manifest and write it last; returns its SHA-256."""
     found = (path for path in folder.rglob("*") if path.is_file())
-    paths = sorted(path for path in found if path != folder / MANIFEST_NAME and path.name[0] != ".")
+    paths = sorted(
+        path for path in found if path != folder / MANIFEST_NAME and path.name[:10] != ".touchdown"
+    )
     manifest["files"] = [
         {
             "path": path.relative_to(folder).as_posix(),

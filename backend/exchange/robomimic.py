@@ -24,9 +24,9 @@ from touchdown.backend.exchange.features import (
     FPS,
     OFFSET,
     PATCH,
-    PICTURES,
     Feature,
     require_package,
+    short_name,
 )
 
 
@@ -164,12 +164,11 @@ def _write_demo(
         if feature.key == ACTION:
             action = episode.values[ACTION]
         elif feature.key in (OFFSET, PATCH):
-            _dataset(demo, feature.key.replace(".", "_"), episode.per_tick(feature))
+            _dataset(demo, short_name(feature.key), episode.per_tick(feature))
         else:
             _observation(demo, feature.key, episode.values[feature.key])
-    for key in PICTURES.values():
-        if key in episode.pictures:
-            _observation(demo, key, np.stack(episode.pictures[key]))
+    for key, pictures in episode.pictures.items():
+        _observation(demo, key, np.stack(pictures))
     dones = np.zeros(SAMPLES_PER_PROBE, dtype=np.int64)
     dones[-1] = 1
     _dataset(demo, "actions", action)
@@ -180,7 +179,7 @@ def _write_demo(
 
 
 def _observation(demo: Any, key: str, values: NDArray[Any]) -> None:
-    name = key.removeprefix("observation.images.").removeprefix("observation.")
+    name = short_name(key)
     _dataset(demo, f"obs/{name}", values)
     _dataset(demo, f"next_obs/{name}", np.concatenate([values[1:], values[-1:]]))
 

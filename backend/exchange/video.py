@@ -12,8 +12,9 @@ from touchdown.backend.exchange.features import FPS, require_package
 
 VIDEO_MB = 200
 CODEC: dict[str, object] = {
-    "codec": "h264", "crf": 10, "gop": 10, "pix_fmt": "yuv444p", "preset": "veryfast",
+    "codec": "h264", "crf": 10, "gop": 10, "pix_fmt": "yuv420p", "preset": "veryfast",
 }  # fmt: skip
+PLAYABLE = {"movflags": "+faststart"}  # the index before the pictures: browsers play at once
 HEIGHT, WIDTH = 240, 320
 CHUNK_FILES = 1000
 
@@ -86,7 +87,7 @@ class VideoWriter:
         name = self._pattern.format(video_key=self._key, chunk_index=chunk, file_index=number)
         path = self._folder / name
         path.parent.mkdir(parents=True, exist_ok=True)
-        self._container = require_package("av").open(str(path), "w")
+        self._container = require_package("av").open(str(path), "w", options=PLAYABLE)
         # one thread: the same images give the same file
         options = {name: str(CODEC[name]) for name in ("crf", "preset")}
         options |= {"g": str(CODEC["gop"]), "threads": "1"}

@@ -13,11 +13,29 @@ import pytest
 
 from tests.backend.annotations.conftest import context_for
 from touchdown.backend.annotations import Dataset, Label, uuid7
-from touchdown.backend.core.values import FINGERS, Episode, EpisodeQuality, Recording, TactileFrame
+from touchdown.backend.bench import make_scene
+from touchdown.backend.config import SimulationSettings
+from touchdown.backend.config.bench_description import describe_simulation
+from touchdown.backend.core.values import (
+    FINGERS,
+    MARKERS,
+    Episode,
+    EpisodeQuality,
+    MarkerField,
+    Recording,
+    ScenePicture,
+    TactileFrame,
+)
+from touchdown.backend.episodes import FACTS_KEY, HOMOGRAPHY_KEY, PADS_KEY
 from touchdown.backend.exchange.exports import ExportResult, Video, export
+from touchdown.backend.geometry import load_pieces
+from touchdown.backend.runs import SceneChoice
+from touchdown.backend.sensing import Homography
+from touchdown.backend.simulation.scene_camera import camera_matrix, render_scene
 
 EVERY = ("approved", "submitted", "draft")
 GOOD = EpisodeQuality(True, (), 0, 0.0, 0, 5.0, 0.0)
+BOARD = camera_matrix()[:, [0, 1, 3]] / camera_matrix()[2, 3]  # board mm to px
 Hand = Callable[..., ExportResult]
 
 
@@ -46,6 +64,36 @@ def recorded_episode(seed: int, frames: bool = True, commands: bool = True) -> E
         told_mm = rng.normal(scale=20.0, size=(260, 3))
         recording = replace(recording, command_t_s=pose_t_s.copy(), command_mm=told_mm)
     return Episode(uuid7(), "pot", observation, np.zeros(2), onset_s, GOOD, recording)
+
+
+def seen_episode(seed: int) -> Episode:
+    """An episode of the simulated bench's description with scene pictures and marker fields."""
+    episode, rng = recorded_episode(seed), np.random.default_rng(seed)
+    fields = tuple(
+        MarkerField(frame.finger, frame.sequence, frame.t_s, rng.uniform(5, 235, (MARKERS, 2)),
+                    rng.normal(size=(MARKERS, 2)), rng.integers(0, 3, MARKERS).astype(np.uint8), 1)
+        for frame in episode.recording.frames
+    )  # fmt: skip
+    choice = SceneChoice("pot", ("circle15",), 3, jig=True)
+    scene = make_scene(load_pieces(), choice, SimulationSettings())
+    pictures = tuple(
+        ScenePicture(episode.onset_s + t_s, render_scene(scene, at, 0.0, 0.0))
+        for t_s, at in ((0.5, (-2.5, 0.0)), (3.0, (30.0, 0.0)))
+    )
+    pairs = ((HOMOGRAPHY_KEY, Homography(BOARD, 0.0).text()), (PADS_KEY, "30"))
+    recording = replace(episode.recording, fields=fields, scene=pictures)
+    return replace(episode, recording=recording, metadata=pairs)
+
+
+@pytest.fixture
+def seen(tmp_path: Path) -> Iterator[Dataset]:
+    with Dataset.open(tmp_path / "seen", person="cleo") as opened:
+        facts = describe_simulation(SimulationSettings()).model_dump_json()
+        context = replace(context_for(opened), bench={FACTS_KEY: facts})
+        for k in range(2):
+            label = Label(1000 * k - 2501, 137 * k, 12 * k, 150)
+            opened.record(seen_episode(k), label, source="measured", context=context)
+        yield opened
 
 
 def fill(dataset: Dataset, count: int = 6, frames: bool = True) -> list[str]:

@@ -5,14 +5,20 @@ from __future__ import annotations
 import csv
 import errno
 import hashlib
+import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import av
+import cv2
 import h5py
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
+import yaml
 import zarr
+from mcap.reader import make_reader
 from zarr.core.sync import cleanup_resources
 
 from tests.backend.annotations.conftest import context_for, small_episode
@@ -195,6 +201,103 @@ def test_zarr_holds_the_same_numbers(dataset, hand, request):
     assert array.chunks[0] == 1
 
 
+def test_a_replay_buffer_is_read_as_diffusion_policy_does(seen, hand, request):
+    """The checks and reads of ReplayBuffer in real-stanford/diffusion_policy."""
+    request.addfinalizer(cleanup_resources)
+    done = hand("replay-buffer", of=seen, states=("draft",), video="all")
+    root = zarr.open(str(done.folder / "replay_buffer.zarr"), mode="r")
+    assert root.metadata.zarr_format == 2
+    ends = root["meta"]["episode_ends"][:]
+    assert (ends.dtype, ends.tolist()) == (np.int64, [20, 40])
+    data = {key: array[: ends[-1]] for key, array in root["data"].arrays()}
+    assert all(len(values) == ends[-1] for values in data.values())
+    assert {"state", "action", "markers", "ft", "ft_window", "tac_left", "scene"} <= set(data)
+    assert data["scene"].shape == (40, 240, 320, 3)
+    assert (data["label_offset_mm"][:20] == data["label_offset_mm"][0]).all()
+    for listed, end in zip(manifest_of(done.folder)["episodes"], ends, strict=True):
+        mine = np.concatenate([data["markers"], data["ft"]], axis=1)[end - 20 : end]
+        assert mine.tobytes() == seen.read(listed["uuid"]).observation.tobytes()
+
+
+def test_a_ros_2_bag_says_what_its_file_holds(seen, hand, tmp_path):
+    done = hand("ros2", of=seen, states=("draft",))
+    for listed in manifest_of(done.folder)["episodes"]:
+        bag = done.folder / listed["uuid"]
+        told = json.loads((bag / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+        assert told["relative_file_paths"] == [f"{listed['uuid']}.mcap"]
+        with (bag / told["relative_file_paths"][0]).open("rb") as file:
+            summary = make_reader(file).get_summary()
+        numbers = summary.statistics
+        assert told["starting_time"]["nanoseconds_since_epoch"] == numbers.message_start_time
+        span_ns = numbers.message_end_time - numbers.message_start_time
+        assert (told["duration"]["nanoseconds"], told["message_count"]) == (
+            span_ns, numbers.message_count
+        )  # fmt: skip
+        topics = {
+            one["topic_metadata"]["name"]: (one["topic_metadata"]["type"], one["message_count"])
+            for one in told["topics_with_message_count"]
+        }
+        assert topics == {
+            channel.topic: (summary.schemas[channel.schema_id].name, count)
+            for number, count in numbers.channel_message_counts.items()
+            if (channel := summary.channels[number]) and count
+        }
+        assert {"/tf", "/tf_static", "/tac/left/points", "/scene/camera_info"} <= set(topics)
+    with Dataset.open(tmp_path / "packed"):
+        write_pack(tmp_path / "packed" / "packs" / "a.mcap")
+    with (
+        Dataset.open(tmp_path / "packed") as dataset,
+        pytest.raises(InputError, match="no signals"),
+    ):
+        hand("ros2", "none", of=dataset)
+
+
+def test_lerobot_tells_quantiles_robot_and_scene(seen, hand):
+    done = hand("lerobot", of=seen, states=("draft",), video="all")
+    info = json.loads((done.folder / "meta/info.json").read_text())
+    assert info["robot_type"] == "touchdown_simulated"
+    film = info["features"]["observation.images.scene"]["info"]
+    assert (film["video.codec"], film["video.pix_fmt"]) == ("h264", "yuv420p")
+    with av.open(str(next((done.folder / "videos").glob("*scene/*/*.mp4")))) as container:
+        frames = [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
+        assert container.streams.video[0].pix_fmt == "yuv420p"
+    pressed = seen.read(manifest_of(done.folder)["episodes"][0]["uuid"]).recording.scene[0].image
+    small = cv2.resize(pressed, (320, 240), interpolation=cv2.INTER_AREA)[:, :, ::-1]
+    assert np.abs(frames[9].astype(int) - small).mean() < 4.0
+    stats = json.loads((done.folder / "meta/stats.json").read_text())
+    every = np.concatenate([seen.read(e.uuid).observation[:, 252:] for e in seen.episodes()])
+    for key, share in (("q01", 0.01), ("q10", 0.1), ("q50", 0.5), ("q90", 0.9), ("q99", 0.99)):
+        np.testing.assert_allclose(
+            stats["observation.ft"][key], np.quantile(every, share, axis=0), rtol=1e-5, atol=1e-6
+        )
+        assert np.shape(stats["observation.images.scene"][key]) == (3, 1, 1)
+    card = (done.folder / "README.md").read_text()
+    front = yaml.safe_load(card.split("---")[1])
+    assert "LeRobot" in front["tags"]
+    assert front["configs"][0]["data_files"] == "data/*/*.parquet"
+
+
+@pytest.mark.parametrize("apart", [False, True])
+def test_the_state_can_hold_the_touch_signals(apart, dataset, hand, tmp_path):
+    wanted = ("wrench", "markers", *(("environment_state",) if apart else ()))
+    done = hand("lerobot", states=EVERY, divide_series=True, state_with=wanted)
+    table = pq.read_table(done.folder / "data/chunk-000/file-000.parquet").to_pydict()
+    touch = np.concatenate([table["observation.ft"], table["observation.markers"]], axis=1)
+    state = np.array(table["observation.state"])
+    added = np.array(table["observation.environment_state"]) if apart else state[:, 7:]
+    assert np.array_equal(added, touch)
+    assert state.shape[1] == (7 if apart else 265)
+    info = json.loads((done.folder / "meta/info.json").read_text())["features"]
+    assert len(info["observation.state"]["names"]) == state.shape[1]
+    with Dataset.open(tmp_path / "back") as back:
+        EpisodeImport(back, "lerobot", done.folder, ImportOptions("dora")).write()
+        assert all(back.read(e.uuid).recording is not None for e in back.episodes())
+    for name, wrong in (("zarr", ("wrench",)), ("lerobot", ("force",)), ("lerobot", wanted[2:])):
+        if wrong:
+            with pytest.raises(InputError, match="cannot hold"):
+                hand(name, "none", states=EVERY, divide_series=True, state_with=wrong)
+
+
 def test_packed_episodes_have_what_the_model_is_given(tmp_path, hand):
     folder = tmp_path / "packed"
     with Dataset.open(folder):
@@ -227,7 +330,7 @@ def test_packed_episodes_have_what_the_model_is_given(tmp_path, hand):
 
 
 def test_pictures_are_refused_where_there_are_none(hand, dataset):
-    with pytest.raises(InputError, match="holds no pictures"):
+    with pytest.raises(InputError, match="has no videos"):
         hand("csv", video="all")
     dataset.record(recorded_episode(60, frames=False), Label(1, 2, 0, 3), source="measured",
                    context=context_for(dataset), keep_frames="none")  # fmt: skip

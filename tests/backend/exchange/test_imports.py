@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import av
+import cv2
 import h5py
 import numpy as np
 import pyarrow as pa
@@ -26,7 +27,7 @@ from hypothesis.extra.numpy import arrays
 from tests.backend.annotations.conftest import context_for
 from tests.backend.exchange.conftest import recorded_episode
 from touchdown.backend.annotations import Dataset, Label, Pair
-from touchdown.backend.core import Fault, FaultError, InputError, Recording
+from touchdown.backend.core import MARKERS, Fault, FaultError, InputError, Recording
 from touchdown.backend.exchange import coco, csv_tables, export, jsonl
 from touchdown.backend.exchange.imports import EpisodeImport, ImportOptions, read_foreign
 from touchdown.backend.exchange.label_import import LabelImportResult, import_labels
@@ -38,6 +39,7 @@ from touchdown.backend.geometry import (
     rings_of,
     true_patch,
 )
+from touchdown.backend.simulation.scene_camera import camera_matrix
 
 NAMED = ImportOptions("dora", "dora", "pot", "circle15")
 FORMATS = ("lerobot", "robomimic")
@@ -270,6 +272,8 @@ def test_polygons_are_the_overlap_of_the_outlines(hand, dataset):
     content = json.loads((out / "annotations.json").read_text())
     images = {image["id"]: image for image in content["images"]}
     for annotation in content["annotations"]:
+        if annotation["category_id"] != 1:
+            continue
         image = images[annotation["image_id"]]
         label = dataset.labels.head(image["episode"]).label
         pair = dataset.geometry.pair(image["pair"])
@@ -281,11 +285,68 @@ def test_polygons_are_the_overlap_of_the_outlines(hand, dataset):
         assert (out / image["file_name"]).is_file()
 
 
+def test_outlines_lie_on_the_pictures_of_the_scene_camera(seen, hand):
+    out = hand("coco", of=seen, states=("draft",)).folder
+    content = json.loads((out / "annotations.json").read_text())
+    images = {image["id"]: image for image in content["images"]}
+    assert len(images) == len({image["file_name"] for image in images.values()}) == 2 * 3
+    turn = np.linspace(0.0, 2.0 * np.pi, 256)
+    round_mm = np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    compared = 0
+    for annotation in content["annotations"]:
+        image = images[annotation["image_id"]]
+        episode, pair = seen.read(image["episode"]), seen.geometry.pair(image["pair"])
+        if annotation["category_id"] not in (2, 3):
+            continue
+        shown = cv2.imread(str(out / image["file_name"])).astype(int)
+        assert np.abs(shown - episode.recording.scene[0].image).mean() < 2.0
+        label = seen.labels.head(episode.episode_id).label
+        face_mm = pair.face.radius_mm * round_mm + label.offset_mm
+        ring = face_mm if annotation["category_id"] == 2 else pair.bottom.radius_mm * round_mm
+        projected = np.insert(ring, 2, [[0.0], [1.0]], axis=1) @ camera_matrix().T
+        true = shapely.Polygon(projected[:, :2] / projected[:, 2:])
+        drawn = shapely.Polygon(np.reshape(annotation["segmentation"][0], (-1, 2)))
+        assert true.symmetric_difference(drawn).area < 0.01 * true.area
+        compared += 1
+    assert compared == 4
+    assert take(seen, out, "coco").changed == 0
+
+
+def test_markers_are_keypoints_of_the_tactile_pictures(seen, hand):
+    out = hand("coco", of=seen, states=("draft",)).folder
+    content = json.loads((out / "annotations.json").read_text())
+    gels = [a for a in content["annotations"] if a["category_id"] == 4]
+    images = {image["id"]: image for image in content["images"]}
+    episode = seen.read(images[gels[0]["image_id"]]["episode"])
+    last_s = episode.onset_s + 2.0
+    left = [f for f in episode.recording.fields if f.finger == "left"]
+    field = min(left, key=lambda f: abs(f.t_s - last_s))
+    points = np.reshape(gels[0]["keypoints"], (MARKERS, 3))
+    assert np.array_equal(points[:, 2], 2 - field.state)
+    kept = field.state < 2
+    np.testing.assert_allclose(points[kept, :2], field.position_px[kept], atol=1e-4)
+    assert not points[~kept].any()
+
+
+def test_annotations_of_earlier_versions_are_read(hand, dataset):
+    out = hand("coco").folder
+
+    def age(content: Any) -> None:
+        content["info"] |= {"px_per_mm": 20.0, "origin_px": {}}
+        for image in content["images"]:
+            (_, _, u), (_, _, v), _ = image.pop("homography")
+            content["info"]["origin_px"][image["pair"]] = [u, v]
+        content["annotations"] = [a for a in content["annotations"] if a["category_id"] == 1]
+
+    edit_json(out / "annotations.json", age)
+    assert take(dataset, out, "coco").changed == 0
+
+
 @pytest.mark.parametrize(("bottom", "parts"), [("ring24", 0), ("feet3", 3), ("channel20", 1)])
 def test_patches_with_holes_are_run_lengths_and_parts_are_polygons(bottom, parts):
     below, face = load_pieces().bottom(bottom).face, circle(25.4)
-    canvas = coco.Canvas(Pair("", face, below, (0.0, 0.0), 1.0))
-    size, offset = (canvas.height, canvas.width), np.array([1.5, -0.7])
+    canvas = coco.drawn_canvas(Pair("", face, below, (0.0, 0.0), 1.0))
+    size, offset = canvas.size[::-1], np.array([1.5, -0.7])
     rings = rings_of(canvas.px(overlap_polygon(face, (1.5, -0.7), below)))
     drawn = shapely.Polygon()
     for ring in rings:

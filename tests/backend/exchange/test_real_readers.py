@@ -22,7 +22,7 @@ pytestmark = [
 
 
 def test_real_readers_find_every_number(dataset, hand, tmp_path):
-    for kind in ("robomimic", "zarr", "coco"):
+    for kind in ("robomimic", "zarr", "replay-buffer", "coco", "ros2"):
         hand(kind, f"exports/{kind}")
     hand("lerobot", "exports/lerobot", video="sample")
     dataset.close()
@@ -36,4 +36,4 @@ def test_real_readers_find_every_number(dataset, hand, tmp_path):
         env=environment, capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert found.returncode == 0, found.stdout + found.stderr[-3000:]
-    assert found.stdout.count(" ok ") == 6
+    assert found.stdout.count(" ok ") == 8

@@ -82,7 +82,7 @@ class TrainingReader:
             found, form.piece, form.held_out / 100, form.seed, divide_series=form.divide_series
         )
         runs = tuple(list_training_runs(data))
-        piece = seen.piece or (str(runs[0].about.params.get("piece", "")) if runs else "")
+        piece = seen.piece or (runs[0].piece if runs else "")
         if not piece and (history := self._registry.history()):
             # Without data the model that was changed last can be rolled back.
             piece = history[-1].piece
@@ -138,8 +138,7 @@ def _label_hint(form: TrainingForm) -> str:
 def sample_scenes(run: TrainingRun) -> list[SampleScene]:
     """Return the samples of a finished training. Raises ``InputError``."""
     samples = load_samples(run.folder)
-    piece = str(run.about.params.get("piece", ""))
-    points = face_points(load_pieces().piece(piece).face)
+    points = face_points(load_pieces().piece(run.piece).face)
     return [
         SampleScene(points, s.probability, s.truth, s.bottom, f"IoU {100 * s.iou:.0f} %")
         for s in samples

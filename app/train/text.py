@@ -51,7 +51,7 @@ def run_row(run: TrainingRun, in_use: ModelInUse | None, marks: Mapping[str, str
     mark = f"{marks[run.uuid]}  " if run.uuid in marks else ""
     done, total = len(run.curves.get("iou", ())), params.get("epochs", 0)
     cells = (
-        f"{mark}{params.get('piece', '?')}  {when}",
+        f"{mark}{run.piece or '?'}  {when}",
         "in use" if used else run.state,
         str(params.get("modality", "?")),
         _per_cent(run.value("iou", best)),
@@ -184,7 +184,7 @@ def figure_rows(runs: Sequence[TrainingRun]) -> list[tuple[str, ...]]:
 
     Runs for different pieces have no bottom in common: each row then names its piece.
     """
-    pieces = [str(run.about.params.get("piece", "?")) for run in runs]
+    pieces = [run.piece or "?" for run in runs]
     tables = [_bottoms(run) for run in runs]
     if len(set(pieces)) > 1:
         tables = [

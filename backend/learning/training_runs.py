@@ -77,9 +77,29 @@ class TrainingRun:
         return self.about.uuid
 
     @property
+    def piece(self) -> str:
+        """Grasped piece; "" before the end of a training that names none."""
+        return self.card.piece if self.card else str(self.about.params.get("piece") or "")
+
+    @property
     def model(self) -> Path:
         """Path of the weights of a finished run."""
-        return self.folder / MODEL
+        return self._made()[0]
+
+    def with_card(self) -> TrainingRun:
+        """Return the run with the card of its model, unless the file is gone or a later one."""
+        model, sha256 = self._made()
+        with suppress(InputError):
+            card = load_card(model)
+            return replace(self, card=card) if sha256 in ("", card.weights_sha256) else self
+        return self
+
+    def _made(self) -> tuple[Path, str]:
+        """Return path and hash ("": unknown) of the weights; `train` writes them to its --out."""
+        for made in self.about.artifacts:
+            if made.name == "model":
+                return self.folder.parents[1] / made.path, made.sha256
+        return self.folder / MODEL, ""
 
     @property
     def best_epoch(self) -> int:
@@ -110,9 +130,7 @@ def read_training_run(folder: Path) -> TrainingRun:
         state = "interrupted"
     made = TrainingRun(folder, about, state, _curves(folder), _bins(folder / RELIABILITY))
     if state == "finished":
-        with suppress(InputError):
-            return replace(made, card=load_card(folder / MODEL))
-        return made
+        return made.with_card()
     return replace(made, can_resume=state in UNFINISHED and (folder / RESUME).is_file())
 
 

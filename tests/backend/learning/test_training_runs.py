@@ -20,6 +20,7 @@ from touchdown.backend.config.method import TrainingSettings
 from touchdown.backend.core.faults import FaultError, InputError
 from touchdown.backend.episodes.training_rows import load_rows
 from touchdown.backend.learning import (
+    ModelRegistry,
     RecordedTraining,
     TrainingCancelled,
     TrainingCandidate,
@@ -32,6 +33,7 @@ from touchdown.backend.learning import (
     load_samples,
     read_training_run,
     resume_request,
+    save_card,
     training_candidates,
     training_set_overview,
 )
@@ -243,6 +245,13 @@ def test_the_train_verb_records_its_run(folder: Path, capfd: pytest.CaptureFixtu
         for name in CURVES:
             kept = [m.value for m in dataset.runs.metrics(run.uuid, name)]
             assert kept == [epoch[name] for epoch in answer["curve"]]
+    # Its model, outside the dataset, can be promoted, until a later one takes its file.
+    shown = read_training_run(folder / "runs" / run.uuid)
+    assert (shown.model, shown.card, shown.piece) == (out, load_card(out), "pot")
+    use = ModelRegistry(folder.parent / "models").promote(shown.model)
+    assert use.weights_sha256 == model.sha256
+    save_card(out, load_card(out).model_copy(update={"weights_sha256": 64 * "0"}))
+    assert read_training_run(shown.folder).card is None
 
 
 def test_a_dataset_that_is_open_elsewhere_gets_its_run_too(folder: Path) -> None:

@@ -45,6 +45,7 @@ from .simulation import SurfaceSettings as SurfaceSettings
 from .simulation import TactileSettings as TactileSettings
 from .simulation import WristSettings as WristSettings
 from .simulation import load_simulation as load_simulation
+from .simulation import settings_with as settings_with
 from .toml_file import first_error as first_error
 from .toml_file import first_error_message as first_error_message
 from .toml_file import parse_settings as parse_settings

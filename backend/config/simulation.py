@@ -5,6 +5,7 @@ Defaults are those of preset ``mixed``. Values marked [U] are unconfirmed estima
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, TypeAlias
@@ -13,6 +14,7 @@ from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, mod
 
 from touchdown.backend.config.method import NonNegative, Positive, Settings
 from touchdown.backend.config.toml_file import parse_settings, read_toml
+from touchdown.backend.core import InputError
 
 Share = Annotated[float, Field(ge=0, le=1)]
 Friction = Annotated[float, Field(gt=0, le=10)]
@@ -287,3 +289,26 @@ def _overlay(base: dict[str, Any], top: dict[str, Any]) -> dict[str, Any]:
         else:
             merged[key] = value
     return merged
+
+
+def settings_with(settings: SimulationSettings, values: Mapping[str, float]) -> SimulationSettings:
+    """Return ``settings`` with ``values`` by key, such as ``tactile.mm_per_px.0``.
+
+    Raises ``InputError`` for a key that is no number of a setting, or a value out of range.
+    """
+    content = settings.model_dump(mode="json")
+    for key, value in values.items():
+        *groups, last = key.split(".")
+        place: Any = content
+        try:
+            for name in groups:
+                place = place[name]
+            where = int(last) if isinstance(place, list) else last
+            if not isinstance(place[where], int | float):
+                raise TypeError("no number")
+            place[where] = value
+        except (KeyError, TypeError, ValueError, IndexError) as error:
+            raise InputError(
+                "The bench has no such number.", key, "Name a setting of the bench."
+            ) from error
+    return parse_settings(SimulationSettings, content, "bench")

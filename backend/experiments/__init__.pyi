@@ -31,6 +31,7 @@ from .evaluation import shift_tables as shift_tables
 from .fusion import PORTIONS as PORTIONS
 from .fusion import WEIGHTS as WEIGHTS
 from .fusion import FusionRecipe as FusionRecipe
+from .fusion import adopt_tuning as adopt_tuning
 from .fusion import best_rules as best_rules
 from .fusion import ready_sequences as ready_sequences
 from .fusion import threshold_counts as threshold_counts

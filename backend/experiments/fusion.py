@@ -33,7 +33,9 @@ from touchdown.backend.config import (
     bench_sha256,
     parse_settings,
 )
-from touchdown.backend.core import CHANNELS, TACTILE_CHANNELS, FloatArray, Outcome
+from touchdown.backend.core import CHANNELS, TACTILE_CHANNELS, FloatArray, InputError, Outcome
+from touchdown.backend.episodes import TrainingRows
+from touchdown.backend.experiments.nuisances import bench_within
 from touchdown.backend.experiments.results import program_version
 from touchdown.backend.experiments.strategies import uninformed_model
 from touchdown.backend.experiments.tables import job_code
@@ -48,11 +50,13 @@ from touchdown.backend.experiments.trials import (
     start_scene,
 )
 from touchdown.backend.geometry import (
+    FLAT,
     FRESH_CLASSES,
     UNSEEN_BOTTOMS,
     UNSEEN_PIECES,
     Outline,
     OutlineKinds,
+    PieceLibrary,
     ShapeFamily,
     Tower,
     circle,
@@ -82,6 +86,8 @@ from touchdown.backend.learning.fused import (
     data_sha256,
     join_networks,
     load_fused,
+    one_network,
+    wrench_at_sensor,
 )
 from touchdown.backend.placement import (
     XY,
@@ -239,9 +245,63 @@ def corners_mm(outline: Outline) -> NDArray[np.float32]:
     return np.concatenate([polygon, filled]).astype(np.float32)
 
 
+def labelled_sequences(
+    rows: TrainingRows, library: PieceLibrary, sensor_mm: float
+) -> dict[str, NDArray[Any]]:
+    """Return labelled probes as the arrays of ``simulate_sequences``, one sequence a gripping.
+
+    Labels stand for the true displacements, and their steps for the commanded ones. ``sensor_mm``:
+    height of the wrist sensor above the grasp pivot. Raises ``InputError`` for a bottom that is not
+    convex, or of which the face is not flat.
+    """
+    groups: dict[tuple[str, ...], list[int]] = {}
+    for row, key in enumerate(zip(rows.mounting_id, rows.grip_id, rows.bottom, strict=True)):
+        groups.setdefault(key, []).append(row)
+    piece, n = library.top(rows.piece), len(groups)
+    count = np.array([len(group) for group in groups.values()])
+    there = np.arange(count.max()) < count[:, None]
+    order = np.concatenate(list(groups.values()))
+    seen = rows.inputs(order)[:, TICKS]
+    arrays: dict[str, NDArray[Any]] = {
+        "wrench": wrench_at_sensor(seen[..., TACTILE_CHANNELS:], sensor_mm),
+        "field": seen[..., :TACTILE_CHANNELS].astype(np.float16),
+        "offset_mm": rows.offset_mm[order].astype(np.float32),
+    }
+    for name, values in arrays.items():
+        arrays[name] = np.zeros((*there.shape, *values.shape[1:]), values.dtype)
+        arrays[name][there] = values
+    support = []
+    for _, _, name in groups:
+        below = library.bottom(name)
+        outline = below.upper or below.face
+        if outline.kind == "region" or below.surface != FLAT:
+            raise InputError(
+                f"The bottom {name} is not convex and flat.", "fine-tuning of fused",
+                "Use probes on circles, rectangles and other convex bottoms.",
+            )  # fmt: skip
+        support.append(corners_mm(outline))
+    face = GraspedFace.of(
+        face_points(piece.face), np.asarray(piece.com_xy_mm), np.asarray(piece.grip_height_mm)
+    )
+    return {
+        **arrays,
+        "true_mm": arrays["offset_mm"],
+        "count": count,
+        "support_mm": np.stack(support),
+        "reach_mm": np.tile(face.reach_mm.astype(np.float32), (n, 1)),
+        "com_mm": np.tile(face.com_mm.astype(np.float32), (n, 1)),
+        "grip_height_mm": np.full(n, face.grip_height_mm, np.float32),
+        "true_com_mm": np.tile(face.com_mm, (n, 1)),
+    }
+
+
 def load_sequences(folders: Sequence[Path]) -> dict[str, NDArray[Any]]:
     """Return the sequences of all folders, joined in order and padded with zeros."""
-    parts = [dict(np.load(folder / DATA)) for folder in folders]
+    return join_sequences([dict(np.load(folder / DATA)) for folder in folders])
+
+
+def join_sequences(parts: Sequence[dict[str, NDArray[Any]]]) -> dict[str, NDArray[Any]]:
+    """Return sequences joined in order; shorter ones are padded with zeros."""
     longest = max(part["true_mm"].shape[1] for part in parts)
     for part in parts:
         for name in PROBE_ARRAYS:
@@ -258,7 +318,7 @@ THRESHOLD_BOTTOMS: Mapping[str, Outline] = {
     "disc 16": circle(16.0),
     "rectangle 13 x 19": rectangle(13.0, 19.0),
 }
-WEIGHTS = "fused.safetensors"
+WEIGHTS, LABELLED = "fused.safetensors", ("labelled.npz", "labelled-held-out.npz")
 THRESHOLD_PIECES = ("mushroom", "barrel", "pot")
 THRESHOLD_SEED, CELL_SEEDS = 45_000_000, 10_000
 TRIALS_PER_JOB = 8
@@ -440,6 +500,7 @@ def count_under_threshold(
 
 
 FIRST_SEED, SEEDS_PER_JOB = 40_000_000, 1000  # disjoint from the seeds of all tables
+LABELLED_HELD_OUT = 5  # every fifth labelled gripping
 HELD_OUT = 16  # one job in HELD_OUT of each portion is held out: other pieces, bottoms, mountings
 NETWORK_SEEDS = 1000  # between the trainings of an ensemble
 REPORTED = 500
@@ -491,7 +552,8 @@ class FusionRecipe:
     """Jobs of each of ``portions``, followed by a training of ``steps`` steps; none with 0.
 
     ``ready``: finished jobs of sequences, perhaps of an earlier version of the program, by portion.
-    They replace the portions.
+    They replace the portions. ``ranges``: low and high of settings, drawn for each job of
+    sequences. ``tuning``: of ``adopt_tuning``; each training then starts from a network.
     """
 
     bench: SimulationSettings
@@ -504,6 +566,8 @@ class FusionRecipe:
     outlines: OutlineKinds = "convex"  # of the bottoms
     ready: Mapping[str, Sequence[JobSpec]] = field(default_factory=dict)
     networks: int = 1  # of an ensemble, each with its own initial weights and order of the data
+    ranges: Mapping[str, Sequence[float]] = field(default_factory=dict)  # settings drawn by job
+    tuning: Mapping[str, Any] = field(default_factory=dict)  # adopted network and labelled probes
 
     def jobs(self) -> list[JobSpec]:
         """Return the data in turn from each portion, then the training."""
@@ -524,6 +588,7 @@ class FusionRecipe:
             "device": self.device,
             **self._wide,
             **({"kick_mm": kick} if (kick := self.bench.release_disturbance_mm) else {}),
+            **self.tuning,
         }
         inputs = tuple(part.id for some in portions.values() for part in some)
         code = job_code("fuse", self.code)
@@ -536,8 +601,9 @@ class FusionRecipe:
         return [*parts, *trained, JobSpec("fuse-join", {}, self.seed, members, code)]
 
     def _part(self, portion: DataPortion, place: int) -> JobSpec:
+        first = FIRST_SEED + SEEDS_PER_JOB * (1000 * self.seed + place)
         params = {
-            "bench": self.bench.model_dump(mode="json"),
+            "bench": bench_within(self.bench, self.ranges, first).model_dump(mode="json"),
             "pieces": portion.pieces,
             "sequences": portion.bottoms,
             "probes": portion.probes,
@@ -545,7 +611,6 @@ class FusionRecipe:
             **({"surface": UNEVEN} if portion.uneven else {}),
             **self._wide,
         }
-        first = FIRST_SEED + SEEDS_PER_JOB * (1000 * self.seed + place)
         return JobSpec("sequences", params, first, (), job_code("sequences", self.code))
 
     @property
@@ -555,18 +620,22 @@ class FusionRecipe:
 
 
 def ready_sequences(
-    store: JobStore, bench: SimulationSettings, outlines: OutlineKinds
+    store: JobStore,
+    bench: SimulationSettings,
+    outlines: OutlineKinds,
+    ranges: Mapping[str, Sequence[float]] | None = None,
 ) -> dict[str, list[JobSpec]]:
     """Return the finished jobs of sequences of a bench and a family, by portion, by seed.
 
     Of jobs with the same seed, made by several versions of the program, one is taken.
     """
-    wanted = bench.model_dump(mode="json")
     found: dict[str, dict[int, JobSpec]] = {name: {} for name in PORTIONS}
     for path in sorted(store.root.glob(f"*/{SPEC_FILE}")):
         spec = JobSpec.parse(path.read_text(encoding="utf-8"))
         p = spec.params
-        if spec.kind != "sequences" or p["bench"] != wanted:
+        if spec.kind != "sequences":
+            continue
+        if p["bench"] != bench_within(bench, ranges or {}, spec.seed).model_dump(mode="json"):
             continue
         sizes = p["pieces"], p["sequences"], p["probes"], p["free"]
         for name, portion in PORTIONS.items():
@@ -576,6 +645,40 @@ def ready_sequences(
             if inside and sizes == own and p.get("outlines", "convex") == outlines:
                 found[name][spec.seed] = spec
     return {name: [some[seed] for seed in sorted(some)] for name, some in found.items()}
+
+
+FINE_TUNING_RATE = 2e-4  # a tenth of the rate of a training from scratch [U]
+
+
+def adopt_tuning(
+    store: JobStore, network: Path, rows: TrainingRows | None, sensor_mm: float, share: float
+) -> Json:
+    """Store a network, and labelled probes if any, for jobs that fine-tune it.
+
+    Returns the parameters of these jobs. Every fifth gripping is held out. ``sensor_mm``: height of
+    the wrist sensor above the grasp pivot; ``share``: of simulated sequences. Raises ``InputError``
+    for probes or a network that cannot be used.
+    """
+    found = load_fused(network)
+    if found.card.outlines != "convex":
+        what, fix = "Only networks for convex outlines can be fine-tuned.", "Name another one."
+        raise InputError(what, str(network), fix)
+    own = {} if rows is None else labelled_sequences(rows, load_pieces(), sensor_mm)
+    count = len(own.get("count", ()))
+    held = np.arange(count) % LABELLED_HELD_OUT == LABELLED_HELD_OUT - 1
+    if own and not held.any():
+        what = f"The labelled probes come from {count} grippings, {LABELLED_HELD_OUT} are needed."
+        raise InputError(what, "--data", "Label probes of more grippings.")
+    facts = {"weights_sha256": found.card.weights_sha256, "data_sha256": data_sha256(own)}
+    spec = JobSpec("tuning", facts)
+    if not store.has(spec.id):
+        with store.writing(spec) as part:
+            save_checkpoint(part / WEIGHTS, found.arrays, found.card)
+            for name, rest in zip(LABELLED if own else (), (~held, held), strict=False):
+                chosen = {key: values[rest] for key, values in own.items()}
+                np.savez(part / name, **chosen)  # type: ignore[arg-type]
+            store.finish(spec, part, {"sequences": count})
+    return {"tuning": spec.id, "share": share, "learning_rate": FINE_TUNING_RATE}
 
 
 def split_folders(folders: Sequence[Path], counts: Sequence[int]) -> tuple[list[Path], list[Path]]:
@@ -598,10 +701,28 @@ def train_fusion(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
     settings = FusedTraining(
         steps=spec.params["steps"], seed=spec.seed, kick_mm=spec.params.get("kick_mm", 0.0)
     )
+    origin, metrics = dict[str, Any](), dict[str, Any]()
+    if tuning := spec.params.get("tuning"):
+        folder = place.store.folder(tuning)
+        start, own = load_fused(folder / WEIGHTS), 0
+        if (folder / LABELLED[0]).exists():
+            labelled, held_out = (dict(np.load(folder / name)) for name in LABELLED)
+            own = len(labelled["count"])
+            train = mix_sequences(labelled, train, spec.params["share"])
+        member = spec.seed // NETWORK_SEEDS % start.card.hyper.networks
+        settings = replace(
+            settings,
+            start=one_network(start, member).arrays,
+            shape=replace(start.card.hyper, networks=1),
+            learning_rate=spec.params["learning_rate"],
+        )
+        origin = {"pretrained": start.card.weights_sha256, "labelled_sequences": own}
     device = select_device(spec.params["device"])
     trainer = FusedTrainer(train, held_out, settings, device)
+    if tuning:
+        metrics["pretrained_held_out_loss"] = round(trainer.held_out_loss(), 4)
     losses = list(trainer.steps())
-    metrics = {
+    metrics |= {
         "train_loss": round(float(np.mean(losses[-REPORTED:])), 4),
         "held_out_loss": round(trainer.held_out_loss(), 4),
     }
@@ -626,12 +747,23 @@ def train_fusion(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
             "learning_rate": settings.learning_rate,
             "device": device_name(device),
             "kick_mm": settings.kick_mm,
+            **origin,
         },
         metrics=metrics,
         program_version=program_version(),
     )
     card = save_checkpoint(place.folder / WEIGHTS, trainer.arrays(), card)
     return {"weights_sha256": card.weights_sha256, **metrics}
+
+
+def mix_sequences(
+    own: Mapping[str, NDArray[Any]], more: Mapping[str, NDArray[Any]], share: float
+) -> dict[str, NDArray[Any]]:
+    """Return ``more`` and the sequences of ``own``, repeated until ``more`` is ``share`` of all."""
+    count = max(1, round(len(more["count"]) * (1.0 - share) / share))
+    rows = np.resize(np.arange(len(own["count"])), count)
+    kept = {name: values[rows] for name, values in own.items()}
+    return join_sequences([{name: more[name] for name in kept}, kept])
 
 
 def join_trained(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from touchdown.backend.config import SimulationSettings
+from touchdown.backend.config import SimulationSettings, settings_with
 
 FOUNDATION = "face.foundation_range_n_mm3"
 # Settings of each nuisance, which are scaled together.
@@ -66,6 +66,18 @@ def scale_nuisance(
         values = content[section] if section else content
         values[name] = _times(values.get(name, 0.0), factor)
     return SimulationSettings.model_validate(content)
+
+
+RANGES_SEED = 993
+
+
+def bench_within(
+    bench: SimulationSettings, ranges: Mapping[str, Sequence[float]], seed: int
+) -> SimulationSettings:
+    """Return ``bench`` with the settings of ``ranges`` drawn uniformly from low to high."""
+    rng = np.random.default_rng([seed, RANGES_SEED])
+    drawn = {key: float(rng.uniform(*pair)) for key, pair in sorted(ranges.items())}
+    return settings_with(bench, drawn) if drawn else bench
 
 
 BAND_SEED, BAND_FACTOR = 994, 2.0  # magnitudes from half to twice those of the bench

@@ -83,7 +83,8 @@ class GlsFit:
     """Fit of ``measured`` (B, 20, 12) by ``model``; call ``run`` for the solution.
 
     ``sigma_mm``: standard uncertainty of the position of a press. ``tell`` is called after every
-    prediction and may raise to cancel.
+    prediction and may raise to cancel. ``prior``: mean and standard deviation of the unknowns,
+    without limits, instead of those of their prior ranges.
     """
 
     model: PressModel
@@ -92,6 +93,7 @@ class GlsFit:
     noise: ChannelNoise
     sigma_mm: float = 0.05
     tell: Callable[[], None] = lambda: None
+    prior: tuple[FloatArray, FloatArray] | None = None
     _whitening: FloatArray = field(default_factory=lambda: np.zeros(0))
 
     def run(self, start: FloatArray, evaluations: int = 8) -> FitResult:
@@ -101,6 +103,8 @@ class GlsFit:
         centre = layout.vector(lambda u: u.prior_mean)
         low = layout.vector(lambda u: float(u.inner(u.low)) if u.low or not u.log else -20.0)
         high = layout.vector(lambda u: float(u.inner(u.high)))
+        if self.prior is not None:
+            (centre, prior), low, high = self.prior, low - np.inf, high + np.inf
         begin = np.clip(start, low + 1e-6, high - 1e-6)
         self._whitening = self._press_whitening(begin)
 
@@ -144,7 +148,8 @@ class GlsFit:
         def moved(name: str, step: float) -> FloatArray:
             self.tell()
             one = unknowns.get(name)
-            now = np.full(len(at), step) if one is None else one.inner(values[name]) + step
+            known = self.model.fixed.get(name, 0.0) if one is None else one.inner(values[name])
+            now = known + np.full(len(at), step)
             return self.model.predict({**values, name: now if one is None else one.outer(now)})
 
         result = {}

@@ -174,7 +174,7 @@ def identify_bench(
 
     friction = store.get("friction", slipped) if slips else {"mu": [], "sigma": []}
     pads = friction_estimates(np.array(friction["mu"]), np.array(friction["sigma"]))
-    gate = replay_gate(held, mechanics, nominal, library, float(drifts[2]))
+    gate = replay_gate(held, mechanics, nominal, library, drifts)
     estimates = (
         *rest.estimates, *identify_air(presses, float(drifts[2]), rest=bool(rest.estimates)),
         *delayed, *arm_compliance(gel[:40]), *mechanics_estimates(mechanics),
@@ -232,8 +232,10 @@ def identified_settings(
     share = next((e for e in estimates if e.key == "grasp.hysteresis_share"), None)
     if share is not None and "grasp.hysteresis_share" in used:
         content["grasp"]["hysteresis"] = bool(share.low > 0.0)
-    if "face.foundation_n_mm3" in used:
-        content["face"]["foundation_range_n_mm3"] = None
+    face = content["face"]
+    if "face.foundation_n_mm3" in used and face.get("foundation_range_n_mm3"):
+        # TOML has no null: without a value the preset of the bench file would bring its range back.
+        face["foundation_range_n_mm3"] = 2 * [face["foundation_n_mm3"]]
     return parse_settings(SimulationSettings, content, "identified bench"), tuple(used)
 
 

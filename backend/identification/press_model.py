@@ -99,13 +99,16 @@ Values = Mapping[str, FloatArray]  # value of each unknown for each press (B,)
 class PressModel:
     """Predicts the presses of one ``PressSet`` from values per press.
 
-    ``grasp_z_mm`` (B,): height of the pivot in the grasp, from the contact height.
+    ``grasp_z_mm`` (B,): height of the pivot in the grasp, from the contact height. ``fixed``:
+    values of unknowns that a prediction need not give.
     """
 
     def __init__(
-        self, presses: PressSet, nominal: SimulationSettings, library: PieceLibrary
-    ) -> None:
+        self, presses: PressSet, nominal: SimulationSettings, library: PieceLibrary,
+        fixed: Values | None = None,
+    ) -> None:  # fmt: skip
         self.presses, self.nominal, self.library = presses, nominal, library
+        self.fixed = fixed or {}
         self._subcells = max(nominal.face.subcells, SUBCELLS)
         lattice = nominal.face.lattice_mm / self._subcells
         pairs = [(r.piece, r.bottom) for r in presses.recordings]
@@ -123,6 +126,7 @@ class PressModel:
     def predict(self, values: Values) -> FloatArray:
         """Return (B, 20, 12); NaN for a press without equilibrium."""
         result = np.full((len(self.presses), SAMPLES_PER_PROBE, len(CHANNELS)), np.nan)
+        values = {**self.fixed, **values}
         for top, outline, points, rows in self._groups:
             own = {name: np.broadcast_to(v, len(self.presses))[rows] for name, v in values.items()}
             result[rows] = self._press(top, outline, points, rows, own)

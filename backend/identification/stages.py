@@ -54,6 +54,7 @@ SETTLED = 0.5  # a round that moves no unknown by more of its uncertainty is the
 EARLY = 4  # tick of the slopes for the start
 SLIPPED = 0.1  # largest relative error of the friction of a press that slipped
 HELD_OUT = 3  # every third gripping is held out
+CONDITIONED = 2  # first presses of a held-out gripping, which give its own values
 SYSTEMATIC = 0.005  # relative error of tracker and model that no scatter shows
 
 
@@ -327,18 +328,40 @@ PHASES = ("touch", "ramp", "hold")
 GATE_CHANNELS = (*CHANNELS[:6], "left markers", "right markers")
 
 
+def judged_presses(held: PressSet) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return the first presses of each gripping, and those that are predicted from them.
+
+    The first are ``CONDITIONED`` of a gripping, or all but one; a single press is left out. Raises
+    ``InputError`` if no gripping has two.
+    """
+    first: list[int] = []
+    judged: list[int] = []
+    for grip in np.unique(held.grip):
+        rows = np.flatnonzero(held.grip == grip).tolist()
+        known = min(CONDITIONED, len(rows) - 1)
+        if known:
+            first += rows[:known]
+            judged += rows[known:]
+    if not judged:
+        raise InputError(
+            "No held-out gripping has two valid presses.", "recordings",
+            "Record more presses a gripping with `touchdown collect --plan gel`.",
+        )  # fmt: skip
+    return np.array(first), np.array(judged)
+
+
 def replay_gate(
     held: PressSet, found: Mechanics, nominal: SimulationSettings, library: PieceLibrary,
-    drift_px: float,
+    drift: FloatArray,
 ) -> Gate:  # fmt: skip
-    """Predict the ``held`` presses by both benches.
+    """Predict the ``held`` presses by both benches, from the first presses of each gripping.
 
-    A gripping that was not fitted has the mean values of the population.
-    ``drift_px``: of a marker per √s.
+    No bench file holds the values of a gripping itself. Each bench estimates them from the first
+    presses, with its mean values and the spreads of the fitted grippings as prior, and predicts the
+    others. ``drift`` (3,): N, N·m, px per √s.
     """
-    model = PressModel(held, nominal, library)
     known = {m: k for k, m in enumerate(np.unique(found.presses.mounting))}
-    fitted = {}
+    fitted, spread = {}, {}
     for unknown in found.layout.unknowns:
         values, _ = found.of(unknown.name)
         if unknown.scope == "mounting":
@@ -346,53 +369,74 @@ def replay_gate(
         else:
             mean = 0.0 if unknown.name == "grasp_x" else float(values.mean())
             fitted[unknown.name] = np.full(len(held), mean)
+            spread[unknown.name] = float(np.std(unknown.inner(values))) + 1e-3
     plain = {u.name: np.full(len(held), u.start) for u in unknowns_of(nominal)}
     # Tilt and position of a mounting are no part of a bench file: both benches get them.
     plain |= {u.name: fitted[u.name] for u in found.layout.unknowns if u.scope == "mounting"}
     if not nominal.grasp.hysteresis:
         plain["alpha"] = np.zeros(len(held))
+    first, judged = judged_presses(held)
+    early, late = held.take(first), held.take(judged)
     pitch, usual = nominal.tactile.pitch_mm, nominal.tactile.roll_off_mm
     own = (float(found.roll_off_mm[0]), float(found.roll_off_mm[1]))
-    _, misfit = project_fields(held.field_px[:, :1], held.seen[:, :1], field_basis(pitch, own))
-    noise_px = (float(np.sqrt(np.median(misfit))), drift_px)
-    squares, series = [], []
-    for bench, roll_off in ((plain, usual), (fitted, own)):
-        square, channels = _normalised(model, bench, field_basis(pitch, roll_off), noise_px)
-        squares.append(square)
-        series.append(channels)
-    phase = _phases(held)
+    _, misfit = project_fields(late.field_px[:, :1], late.seen[:, :1], field_basis(pitch, own))
+    marker_px = float(np.sqrt(np.median(misfit)))
+    layout = Layout(
+        tuple(u for u in found.layout.unknowns if u.scope == "grip"), early.mounting, early.grip
+    )
+    number = np.searchsorted(np.unique(early.grip), late.grip)
+
+    def predicted(
+        bench: dict[str, FloatArray], roll_off: tuple[float, float]
+    ) -> tuple[FloatArray, FloatArray]:
+        """Estimate the values of each gripping from its first presses and predict the others."""
+        basis = field_basis(pitch, roll_off)
+        start = layout.vector(lambda u: float(u.inner(bench[u.name][0])))
+        fit = GlsFit(
+            PressModel(early, nominal, library, {k: v[first] for k, v in bench.items()}), layout,
+            measured_channels(early, basis),
+            channel_noise(early, basis, drift[:2], float(drift[2])),
+            prior=(start, layout.vector(lambda u: spread[u.name])),
+        )  # fmt: skip
+        x = fit.run(start).x
+        own = {u.name: u.outer(x[layout.parts[u.name]])[number] for u in layout.unknowns}
+        values = {k: v[judged] for k, v in bench.items()} | own
+        return _normalised(PressModel(late, nominal, library), values, basis, marker_px, drift)
+
+    squares, series = zip(predicted(plain, usual), predicted(fitted, own), strict=True)
+    phase = _phases(late)
     tables = [
         np.stack([np.sqrt(np.nanmean(np.where((phase == p)[..., None], s, np.nan), axis=(0, 1)))
                   for p in range(len(PHASES))]) for s in squares
     ]  # fmt: skip
-    per_grip = np.array(
-        [[np.nanmean(s[held.grip == g]) for g in np.unique(held.grip)] for s in squares]
+    by_grip = np.array(
+        [[np.nanmean(s[late.grip == g]) for g in np.unique(late.grip)] for s in squares]
     )
     above = [max(float(np.nanmean(s)) - 1.0, 1e-9) for s in squares]
-    first = int(np.nanargmax(held.wrench[:, -1, 2]))
-    measured = measured_channels(held, field_basis(pitch, own))
+    one = int(np.nanargmax(late.wrench[:, -1, 2]))
+    measured = measured_channels(late, field_basis(pitch, own))
     pair = [2, 7]
-    example = np.stack(
-        [measured[first][:, pair], series[0][first][:, pair], series[1][first][:, pair]]
-    )
+    example = np.stack([measured[one][:, pair], *(channels[one][:, pair] for channels in series)])
     return Gate(
         tables[0], tables[1], float(np.sqrt(above[1] / above[0])),
-        int((per_grip[1] < per_grip[0]).sum()), per_grip.shape[1], len(held), example,
+        int((by_grip[1] < by_grip[0]).sum()), by_grip.shape[1], len(late), example,
     )  # fmt: skip
 
 
 def _normalised(
-    model: PressModel, values: dict[str, FloatArray], basis: FloatArray, noise: tuple[float, float]
-) -> tuple[FloatArray, FloatArray]:
+    model: PressModel, values: dict[str, FloatArray], basis: FloatArray, marker_px: float,
+    drift: FloatArray,
+) -> tuple[FloatArray, FloatArray]:  # fmt: skip
     """Return mean squares (B, 20, 8) of the residuals over the noise, and the prediction."""
     held = model.presses
     predicted = model.predict(values)
     t_s = TICK_S * np.arange(1, SAMPLES_PER_PROBE + 1)
-    sd = held.air_sd.mean(axis=0) * np.sqrt(1.0 / 100.0 + 1.0 / 250.0)
-    wrench = ((held.wrench - predicted[..., :6]) / sd) ** 2
+    white = held.air_sd.mean(axis=0) ** 2 * (1.0 / 100.0 + 1.0 / 250.0)
+    noise = white + np.repeat(drift[:2] ** 2, 3) * t_s[:, None]
+    wrench = (held.wrench - predicted[..., :6]) ** 2 / noise
     amplitude = predicted[..., 6:].reshape(len(held), SAMPLES_PER_PROBE, 2, 3)
     field = np.einsum("btfi,fima->btfma", amplitude, basis[:, :3])
-    variance = noise[0] ** 2 + noise[1] ** 2 * t_s + 0.03**2
+    variance = marker_px**2 + float(drift[2]) ** 2 * t_s + 0.03**2
     left = ((held.field_px - field) ** 2).mean(axis=-1) * held.seen
     mean = left.sum(axis=-1) / np.maximum(held.seen.sum(axis=-1), 1)
     return np.concatenate([wrench, mean / variance[:, None]], axis=2), predicted

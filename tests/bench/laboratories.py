@@ -1,19 +1,22 @@
 """Hidden laboratories: benches drawn from wide ranges, recorded, identified, and judged.
 
 ``python -m tests.bench.laboratories --count 20``. Only this judge knows the drawn values. Their
-recordings come from ``collect`` on the simulated bench, through the dataset, with half the usual
-images and fast free moves; with ``--drivers`` from the emulated bench: real drivers on real wires,
+recordings come from ``collect`` on the simulated bench, through the dataset, with fewer images
+and fast free moves; with ``--drivers`` from the emulated bench: real drivers on real wires,
 in real time. The laboratories share the model of the identification, so this checks for errors, not
-for realism. Finished laboratories are kept in ``--out``.
+for realism. Results of finished laboratories are kept in ``--out``, and with ``--keep`` their
+recordings: a laboratory without its result is then identified again from them.
 """
 
 import argparse
+import io
 import json
 import shutil
 import sys
+import tempfile
 import time
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, redirect_stdout, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -21,15 +24,28 @@ from unittest import mock
 
 import numpy as np
 
-from tests.backend.bench.brisk import RATE_HZ, brisk_method, on
-from tests.bench.figures import Figure, at_least, at_most, figure, stated
+from tests.backend.bench.brisk import brisk_method, on
+from tests.bench.figures import DATA, Figure, at_least, at_most, figure, stated
 from touchdown.backend.annotations import Dataset
 from touchdown.backend.bench import EmulatedBench, Session, SimulatedBenchChoice, simulated_session
-from touchdown.backend.config import SimulationSettings, load_simulation
-from touchdown.backend.core import FaultError, InputError, Paused
-from touchdown.backend.geometry import load_pieces
+from touchdown.backend.cli.command_line import main as command_line
+from touchdown.backend.config import (
+    SimulationSettings,
+    StabilitySettings,
+    TrainingSettings,
+    load_simulation,
+)
+from touchdown.backend.core import FaultError, InputError, Paused, write_atomically
+from touchdown.backend.episodes import Split, TrainingRows, join_rows, load_rows
+from touchdown.backend.experiments.document import curves_chart
+from touchdown.backend.geometry import face_points, load_pieces
 from touchdown.backend.identification import Recordings, identify_bench, read_recordings
 from touchdown.backend.identification.stages import Gate, replay_gate
+from touchdown.backend.learning import stable_flags, use_one_thread
+from touchdown.backend.learning.inference import modality_columns
+from touchdown.backend.learning.metrics import CONTACT_LEVEL, iou
+from touchdown.backend.learning.training import Trainer, predict
+from touchdown.backend.placement.estimator import mean_entropy
 from touchdown.backend.runs import CollectRequest, RecordingOptions, newest_campaign
 
 # Setting: low, high, and whether the logarithm is uniform
@@ -62,8 +78,10 @@ RANGES: dict[str, tuple[float, float, bool]] = {
     "spread.print_offset_mm": (0.05, 0.25, False),
     "spread.jig_mm": (0.05, 0.25, False),
 }
-GEL, CONTACT = (36, 4, 3), (2, 1, 6)  # presses, per grip, grips per mounting
+GEL, CONTACT = (45, 5, 3), (2, 1, 6)  # presses, per grip, grips per mounting
 REST_S, TRIES = 31.0, 20
+# Slip is judged by five pictures in the middle of a ramp of 0.8 s; a lower rate loses most presses.
+RATE_HZ = 18.0
 
 
 def draw_laboratory(
@@ -156,7 +174,9 @@ def recorded_laboratory(seed: int, folder: Path, *, drivers: bool = False) -> Re
         return read_recordings(dataset)
 
 
-def run_laboratory(seed: int, out: Path, *, drivers: bool = False) -> dict[str, Any]:
+def run_laboratory(
+    seed: int, out: Path, *, drivers: bool = False, keep: bool = False
+) -> dict[str, Any]:
     """Return the result of one laboratory, from ``out`` if it is there; its parts are kept too."""
     file = out / f"laboratory-{seed}{'-drivers' if drivers else ''}.json"
     if file.is_file():
@@ -164,6 +184,7 @@ def run_laboratory(seed: int, out: Path, *, drivers: bool = False) -> dict[str, 
         return found
     bench, truth = draw_laboratory(seed, drivers=drivers)
     folder = file.with_suffix("")
+    shutil.rmtree(folder / "stages", ignore_errors=True)
     recordings = recorded_laboratory(seed, folder, drivers=drivers)
     began_cpu = time.process_time()
     drawn: list[Gate] = []
@@ -185,11 +206,16 @@ def run_laboratory(seed: int, out: Path, *, drivers: bool = False) -> dict[str, 
         "drawn_share": found_bench.gate.share / drawn[0].share,
         "misfit": found_bench.misfit,
         "presses": found_bench.presses,
+        "judged": found_bench.gate.presses,
+        "grips": found_bench.gate.grips,
         "identify_cpu_s": round(time.process_time() - began_cpu, 1),
         "parameters": judge({e.key: e for e in found_bench.estimates}, truth),
+        "bench": found_bench.settings.model_dump(mode="json", exclude_none=True),
+        "ranges": found_bench.ranges(),
     }
-    file.write_text(json.dumps(result, indent=1))
-    shutil.rmtree(folder)
+    write_atomically(file, json.dumps(result, indent=1).encode())
+    if not keep:
+        shutil.rmtree(folder)
     return result
 
 
@@ -269,7 +295,7 @@ def identification_time() -> list[Figure]:
         for press in gel
     )[:MANY]
     slipped = tuple(press for press in recordings.presses if press.stage == "contact")
-    stages = FOLDER / "time" / "stages"
+    stages = FOLDER / "time-stages"
     shutil.rmtree(stages, ignore_errors=True)
     began_cpu = time.process_time()
     identify_bench(
@@ -280,6 +306,195 @@ def identification_time() -> list[Figure]:
     return [at_most(f"identify, {MANY} presses, one core", minutes, "min", 20.0, note)]
 
 
+# Patch networks on probes of one laboratory: pot, small network, minutes of one core.
+CURVE_LABELS, REPEATS, SIMULATED_PROBES, POOL, TESTED = (0, 50, 200), 3, 1500, 400, 400
+SMALL = TrainingSettings(hidden=128, epochs=14, keep="last", patience=100)
+TUNING = SMALL.model_copy(update={"learning_rate": 3e-4, "epochs": 12, "batch": 32})
+LABORATORY_SEED, TEST_SEED = 31_000, 32_000
+BATCH, MOST, ACTIVE_SEEDS = 20, 160, 12
+
+
+def simulated_probes(bench: Path, count: int, seed: int, bottoms: str, *sizes: int) -> TrainingRows:
+    """Return ``count`` probes of the pot over each of ``bottoms``; ``sizes``: of grip, mounting."""
+    with tempfile.TemporaryDirectory() as name:
+        per_grip, per_mounting = sizes
+        words = ["simulate", "--piece", "pot", "--bottoms", bottoms, "--episodes", count, "--seed",
+                 seed, "--bench", bench, "--out", name, "--workers", 1, "--probes-per-grip",
+                 per_grip, "--grips-per-mounting", per_mounting, "--json"]  # fmt: skip
+        with redirect_stdout(io.StringIO()):
+            assert command_line(list(map(str, words))) == 0
+        return load_rows(Path(name))
+
+
+def trained(
+    rows: TrainingRows, settings: TrainingSettings, seed: int, start: Any = None, more: Any = None
+) -> Any:
+    """Return a network trained on ``rows``, from ``start`` if given, with half of ``more``."""
+    split_at = np.arange(len(rows))
+    if more is not None:
+        chosen = np.random.default_rng(seed).choice(len(more), len(rows), replace=False)
+        rows = join_rows([rows, more.take(np.sort(chosen))])
+        split_at = np.arange(len(rows))
+    # The last epoch counts, so that nothing is held out.
+    split = Split(split_at, split_at[:8], "")
+    trainer = Trainer(rows, settings.model_copy(update={"seed": seed}), split=split)
+    if start is not None:
+        trainer.model.load_state_dict(start.state_dict())
+    for _ in trainer.epochs():
+        pass
+    return trainer.best_model()
+
+
+def patches(network: Any, rows: TrainingRows) -> Any:
+    """Return the probabilities (n, N) of contact."""
+    return predict(network, rows.inputs(np.arange(len(rows))), modality_columns("FT+Tac"))
+
+
+def tested(network: Any, rows: TrainingRows) -> dict[str, float]:
+    """Return IoU, and balanced accuracy of stability from one probe."""
+    probability, points = patches(network, rows), face_points(load_pieces().piece("pot").face)
+    said = stable_flags(probability > StabilitySettings().delta, points)
+    stable = stable_flags(rows.patch, points)
+    balanced = 0.5 * (np.mean(said[stable]) + np.mean(~said[~stable]))
+    return {
+        "iou": iou(probability > CONTACT_LEVEL, rows.patch),
+        "balanced_stability": float(balanced),
+    }
+
+
+def laboratory_probes(seed: int, out: Path) -> tuple[dict[str, Path], TrainingRows, TrainingRows]:
+    """Return the bench files by name, labelled probes of the laboratory, and its test probes."""
+    drawn, _ = draw_laboratory(seed, drivers=True)
+    found = json.loads((out / f"laboratory-{seed}.json").read_text())
+    benches = {"laboratory": drawn.model_dump(mode="json", exclude_none=True),
+               "identified": found["bench"], "nominal": {}}  # fmt: skip
+    files = {}
+    for name, content in benches.items():
+        files[name] = out / f"{name}-{seed}.toml"
+        lines = [f"{key} = {json.dumps(v)}" for key, v in content.items()
+                 if not isinstance(v, dict)]  # fmt: skip
+        for group, values in content.items():
+            if isinstance(values, dict):
+                lines.append(f"[{group}]")
+                lines += [f"{key} = {json.dumps(v)}" for key, v in values.items()]
+        files[name].write_text("\n".join(lines) + "\n")
+    known, unseen = "circle15,circle25,square15", "short,long"
+    pool = simulated_probes(files["laboratory"], POOL // 3 + 1, LABORATORY_SEED, known, 15, 3)
+    test = simulated_probes(files["laboratory"], TESTED // 2, TEST_SEED, unseen, 5, 2)
+    return files, pool, test
+
+
+def learning_curves(seed: int, out: Path) -> dict[str, Any]:
+    """Test patch networks on one laboratory by the number of its labelled probes.
+
+    Simulation of the nominal and of the identified bench, the latter fine-tuned on labels (with as
+    many simulated probes), and labels alone. Of ``REPEATS`` draws of labels and initial weights.
+    """
+    use_one_thread()
+    files, pool, test = laboratory_probes(seed, out)
+    sizes = "circle15,circle25,square15", 10, 2
+    simulated = {name: simulated_probes(files[name], SIMULATED_PROBES // 3, 1, *sizes)
+                 for name in ("nominal", "identified")}  # fmt: skip
+    rows = []
+    for repeat in range(REPEATS):
+        start = {name: trained(some, SMALL, repeat) for name, some in simulated.items()}
+        order = np.random.default_rng(repeat).permutation(len(pool))
+        arms = {"nominal simulation": (0, start["nominal"]), "fine-tuned": (0, start["identified"])}
+        rows += [{"arm": arm, "labels": n, "repeat": repeat, **tested(network, test)}
+                 for arm, (n, network) in arms.items()]  # fmt: skip
+        for labels in CURVE_LABELS[1:]:
+            own = pool.take(order[:labels])
+            tuned = trained(own, TUNING, repeat, start["identified"], simulated["identified"])
+            alone = trained(own, SMALL.model_copy(update={"epochs": 40, "batch": 16}), repeat)
+            both = {"fine-tuned": tuned, "laboratory alone": alone}
+            rows += [{"arm": arm, "labels": labels, "repeat": repeat, **tested(network, test)}
+                     for arm, network in both.items()]  # fmt: skip
+    return {"laboratory": seed, "simulated_probes": SIMULATED_PROBES, "tested": len(test),
+            "repeats": REPEATS, "rows": rows}  # fmt: skip
+
+
+def curve_pictures(found: Mapping[str, Any]) -> dict[str, str]:
+    """Return the learning curves as SVG, by name of the quantity."""
+    pictures = {}
+    for quantity, title in (("iou", "IoU"), ("balanced_stability", "balanced stability")):
+        curves = {
+            arm: np.array([
+                np.mean([r[quantity] for r in found["rows"] if (r["arm"], r["labels"]) == (arm, n)]
+                        or [np.nan]) for n in CURVE_LABELS])
+            for arm in ("nominal simulation", "fine-tuned", "laboratory alone")
+        }  # fmt: skip
+        constant = curves["nominal simulation"]
+        constant[:] = constant[0]
+        labels = np.array(CURVE_LABELS, float)
+        pictures[quantity] = curves_chart(title, labels, curves, ("labelled probes", ""))
+    return pictures
+
+
+def active_labelling(seed: int, out: Path) -> dict[str, Any]:
+    """Count the labels for equal IoU, in the order of the queue and in random order.
+
+    The network of the nominal bench is fine-tuned on all labels after every ``BATCH`` of them.
+    """
+    use_one_thread()
+    files, pool, test = laboratory_probes(seed, out)
+    simulated = simulated_probes(files["nominal"], SIMULATED_PROBES // 3, 1,
+                                 "circle15,circle25,square15", 10, 2)  # fmt: skip
+    start = trained(simulated, SMALL, 0)
+    begin = tested(start, test)["iou"]
+    curves: dict[str, list[list[float]]] = {"random": [], "queue": []}
+    for one in range(ACTIVE_SEEDS):
+        order = np.random.default_rng(one).permutation(len(pool))
+        for way, found in curves.items():
+            network, chosen, line = start, np.zeros(0, int), [begin]
+            while len(chosen) < MOST:
+                rest = order[~np.isin(order, chosen)]
+                if way == "queue":
+                    doubt = mean_entropies(patches(network, pool.take(rest)))
+                    rest = rest[np.argsort(-doubt, kind="stable")]
+                chosen = np.concatenate([chosen, rest[:BATCH]])
+                network = trained(pool.take(chosen), TUNING, one, start, simulated)
+                line.append(tested(network, test)["iou"])
+            found.append(line)
+    return {"laboratory": seed, "batch": BATCH, "seeds": ACTIVE_SEEDS, "curves": curves,
+            **labels_needed(curves)}  # fmt: skip
+
+
+def mean_entropies(probability: Any) -> Any:
+    """Return the score of the queue *Model is unsure* for each probe (n,)."""
+    return np.array([mean_entropy(row.astype(float)) for row in probability])
+
+
+def labels_needed(curves: Mapping[str, list[list[float]]]) -> dict[str, Any]:
+    """Return the labels by which each seed first reaches the IoU of random order at the end.
+
+    The target is the mean over seeds; a curve counts as its running maximum, between labels by
+    interpolation. The interval is a bootstrap over seeds.
+    """
+    lines = {way: np.array(found) for way, found in curves.items()}
+    labels = BATCH * np.arange(lines["random"].shape[1])
+
+    def share(rows: Any) -> float:
+        mean = {way: np.maximum.accumulate(line[rows].mean(axis=0)) for way, line in lines.items()}
+        target = mean["random"][-1]
+        needed = {way: float(np.interp(target, one, labels)) for way, one in mean.items()}
+        return needed["queue"] / needed["random"]
+
+    count = len(lines["random"])
+    rng = np.random.default_rng(0)
+    drawn = [share(rng.integers(count, size=count)) for _ in range(2000)]
+    return {
+        "share": share(np.arange(count)),
+        "interval": np.quantile(drawn, [0.025, 0.975]).tolist(),
+    }
+
+
+def save_result(name: str, found: Mapping[str, Any]) -> None:
+    """Write a result to docs/results, and to standard output."""
+    text = json.dumps({**found, "seconds": round(time.process_time(), 1)}, indent=1) + "\n"
+    write_atomically(DATA.parent / f"{name}.json", text.encode())
+    sys.stdout.write(text)
+
+
 def main() -> int:
     """Run laboratories and print their summary."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -287,10 +502,23 @@ def main() -> int:
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--out", type=Path, default=FOLDER, metavar="FOLDER")
     parser.add_argument("--drivers", action="store_true", help="record on the emulated bench")
+    parser.add_argument("--curves", type=int, metavar="SEED", help="learning curves on a "
+                        "laboratory that was identified, into docs/results")  # fmt: skip
+    parser.add_argument("--active", type=int, metavar="SEED", help="labels saved by the queue")
+    parser.add_argument("--keep", action="store_true", help="keep the recordings, 100 MB each")
     args = parser.parse_args()
+    if args.curves is not None:
+        found = learning_curves(args.curves, args.out)
+        save_result("learning-curves", found)
+        for name, picture in curve_pictures(found).items():
+            write_atomically(DATA.parent / f"learning-curves-{name}.svg", picture.encode())
+        return 0
+    if args.active is not None:
+        save_result("active-labelling", active_labelling(args.active, args.out))
+        return 0
     results = []
     for seed in range(args.first, args.first + args.count):
-        results.append(run_laboratory(seed, args.out, drivers=args.drivers))
+        results.append(run_laboratory(seed, args.out, drivers=args.drivers, keep=args.keep))
         last = results[-1]
         covered = [one["covered"] for one in last["parameters"].values()]
         sys.stderr.write(

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import argparse
+import json
 import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from touchdown.backend.annotations import LABEL_CHOICES
 from touchdown.backend.cli.experiment.campaign import (
     KEPT,
     UNWRITTEN,
@@ -19,8 +21,8 @@ from touchdown.backend.cli.experiment.campaign import (
 from touchdown.backend.cli.experiment.certify import add_certify_arguments, run_certify
 from touchdown.backend.cli.experiment.evaluation import add_evaluation_arguments, run_evaluation
 from touchdown.backend.cli.output import VerbOutput, require_positive
-from touchdown.backend.config import StackSettings
-from touchdown.backend.core import InputError, disk_errors, write_atomically
+from touchdown.backend.config import SimulationSettings, StackSettings
+from touchdown.backend.core import InputError, disk_errors, read_limited, write_atomically
 from touchdown.backend.experiments import (
     BOTTOMS,
     CEILING,
@@ -36,6 +38,7 @@ from touchdown.backend.experiments import (
     FusionRecipe,
     Recipe,
     StrategyComparison,
+    adopt_tuning,
     base_strategy,
     best_rules,
     comparison_tables,
@@ -76,6 +79,8 @@ def rewrite_report(args: argparse.Namespace, screen: VerbOutput) -> Json:
 
 
 MOST_NETWORKS = 8
+MAX_FIGURES = 10_000_000  # bytes
+RANGES_FIX = "Name the .json file that 'touchdown identify' wrote beside the bench file."
 
 
 def add_fused_arguments(parser: argparse.ArgumentParser) -> None:
@@ -99,6 +104,17 @@ def add_fused_arguments(parser: argparse.ArgumentParser) -> None:
     fused.add_argument("--seed", type=int, default=0, help="of data and training")
     fused.add_argument("--outlines", choices=("convex", "any"), default="convex", help="of the "
                        "bottoms; any: also rings, crescents, L, U, stars and feet")  # fmt: skip
+    fused.add_argument("--ranges", type=Path, metavar="JSON", help="figures of 'identify' beside "
+                       "its bench file: each job of sequences draws its bench from the 95 %% "
+                       "intervals")  # fmt: skip
+    fused.add_argument("--from", type=Path, dest="pretrained", metavar="CHECKPOINT", help="network "
+                       "of 'fused' to fine-tune on the simulated parts and on --data")  # fmt: skip
+    fused.add_argument("--data", type=Path, metavar="LAB", help="dataset or packs with labelled "
+                       "probes of one piece, several a gripping")  # fmt: skip
+    fused.add_argument("--labels", choices=LABEL_CHOICES, default="approved", help="which labels "
+                       "of a dataset count")  # fmt: skip
+    fused.add_argument("--mix-share", type=float, default=0.5, help="of simulated sequences in a "
+                       "fine-tuning")  # fmt: skip
     fused.add_argument("--rule-trials", type=int, default=0, help="trials of each piece on each of "
                        "four separate bottoms, or of each class of outlines, for every rule of "
                        "release")  # fmt: skip
@@ -132,12 +148,13 @@ def train_fused(run: ExperimentRun) -> Json:
             f"others), and 1 to {MOST_NETWORKS} networks.",
         )
     bench, code = run.bench(), program_version()
+    ranges = _ranges(args.ranges) if args.ranges else {}
     recipe = FusionRecipe(
         bench, code, counts, args.steps, args.seed, args.device,
-        outlines=args.outlines, networks=args.networks,
+        outlines=args.outlines, networks=args.networks, ranges=ranges, tuning=_tuning(run, bench),
     )  # fmt: skip
     if args.ready:
-        recipe = replace(recipe, ready=ready_sequences(store, bench, args.outlines))
+        recipe = replace(recipe, ready=ready_sequences(store, bench, args.outlines, ranges))
         if any(len(some) == 1 for some in recipe.ready.values()) or not any(recipe.ready.values()):
             raise InputError(
                 "There are too few finished sequences of this bench and family.",
@@ -160,6 +177,33 @@ def train_fused(run: ExperimentRun) -> Json:
         run.screen.say(f"The network is in {out}.")
         answer |= {"file": str(out), "fused": store.result(training)}
     return {**answer, **run.counts(), "rules": _rules(run.screen, store, asked)}
+
+
+def _ranges(path: Path) -> dict[str, list[float]]:
+    """Return the ranges in the figures of an identification; raises ``InputError``."""
+    try:
+        found = json.loads(read_limited(path, MAX_FIGURES, RANGES_FIX))["randomisation"]
+        return {str(key): [float(low), float(high)] for key, (low, high) in found.items()}
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise InputError("This file has no ranges.", str(path), RANGES_FIX) from error
+
+
+def _tuning(run: ExperimentRun, bench: SimulationSettings) -> Json:
+    """Return the parameters of a fine-tuning, {} for a training from scratch."""
+    from touchdown.backend.learning import load_episodes
+
+    args = run.args
+    if args.pretrained is None and args.data is None:
+        return {}
+    if args.pretrained is None or not 0.0 < args.mix_share < 1.0:
+        raise InputError(
+            "A fine-tuning needs a network, and simulated sequences beside the labelled ones.",
+            "--from, --mix-share",
+            "Name the network, with a share between 0 and 1.",
+        )
+    rows = None if args.data is None else load_episodes(args.data, None, args.labels)
+    height_mm = bench.wrist.height_mm
+    return adopt_tuning(run.store, args.pretrained, rows, height_mm, args.mix_share)
 
 
 def _rules(screen: VerbOutput, store: JobStore, asked: list[JobSpec]) -> list[dict[str, Any]]:

@@ -19,6 +19,7 @@ from .checkpoint import join_networks as join_networks
 from .checkpoint import load_fused as load_fused
 from .checkpoint import load_network as load_network
 from .checkpoint import network_path as network_path
+from .checkpoint import one_network as one_network
 from .checkpoint import shipped_fused as shipped_fused
 from .checkpoint import shipped_path as shipped_path
 from .features import SENSOR_MM as SENSOR_MM

@@ -112,6 +112,15 @@ def join_networks(networks: Sequence[FusedCheckpoint]) -> FusedCheckpoint:
     return FusedCheckpoint(arrays, first.card.model_copy(update=about))
 
 
+def one_network(found: FusedCheckpoint, member: int) -> FusedCheckpoint:
+    """Return the network ``member`` of an ensemble; a single network as it is."""
+    if found.card.hyper.networks == 1:
+        return found
+    shared, hyper = shared_arrays(), replace(found.card.hyper, networks=1)
+    arrays = {k: v if k in shared else v[member] for k, v in found.arrays.items()}
+    return FusedCheckpoint(arrays, found.card.model_copy(update={"hyper": hyper}))
+
+
 ANY_OUTLINE = "any"  # the shipped network for any outline, trained on bench-v2
 
 

@@ -48,6 +48,12 @@ class FusedNet(nn.Module):
             drawn = torch.randn(size, generator=generator) / math.sqrt(size[-1])
             self.weights[_key(name)] = drawn if len(size) > 1 else torch.zeros(size)
 
+    @torch.no_grad()
+    def load(self, arrays: Arrays) -> None:
+        """Take the weights of a checkpoint of one network."""
+        for key, weight in self.weights.items():
+            weight.copy_(torch.from_numpy(arrays[key.replace("/", ".")]))
+
     def fused(self, probes: Tensor) -> Tensor:
         """Return the state (b, P, width) after each of the scaled probes (b, P, inputs)."""
         count = probes.shape[1]
@@ -118,6 +124,7 @@ class FusedTraining:
     seed: int = 0
     shape: FusedShape = field(default_factory=FusedShape)
     kick_mm: float = 0.0  # sd per axis of the shift of the centre of mass at a release
+    start: Arrays | None = None  # arrays of a network to fine-tune, with its scaling and fields
 
 
 @dataclass(frozen=True, slots=True)
@@ -231,13 +238,20 @@ class FusedTrainer:
         device: torch.device = torch.device("cpu"),  # noqa: B008 - a value, never changed
     ) -> None:
         self._settings, self._device = settings, device
-        self.modes = field_components(train["field"][:FIRST_OF_FIELDS])
+        start = settings.start
+        if start is None:
+            self.modes = field_components(train["field"][:FIRST_OF_FIELDS])
+        else:
+            self.modes = start["modes"]
         self._train = prepare_sequences(train, self.modes, mirror=True)
         self._held_out = prepare_sequences(held_out, self.modes, mirror=False)
         rows = self._train.probes[self._train.there]
         self.mean, spread = rows.mean(dim=0), rows.std(dim=0)
         self.scale: Tensor = torch.where(spread > 1e-6, spread, torch.ones(()))
         self.net: FusedNet = FusedNet(settings.shape, settings.seed).to(device)
+        if start is not None:
+            self.mean, self.scale = (torch.from_numpy(start[k].copy()) for k in ("mean", "scale"))
+            self.net.load(start)
         self._adam = Adam(self.net.parameters(), settings.learning_rate)
         self._generator = torch.Generator().manual_seed(settings.seed + 1)
 

@@ -14,8 +14,9 @@ import numpy as np
 import pytest
 
 from touchdown.backend.config.method import FusedSettings, StackSettings
-from touchdown.backend.config.simulation import SimulationSettings, load_simulation
+from touchdown.backend.config.simulation import SimulationSettings, load_simulation, settings_with
 from touchdown.backend.core import CHANNELS, TACTILE_CHANNELS, ContactPatch, InputError, disk_errors
+from touchdown.backend.episodes import TrainingRows
 from touchdown.backend.experiments import oracle
 from touchdown.backend.experiments.comparison import comparison_tables
 from touchdown.backend.experiments.fusion import (
@@ -27,9 +28,11 @@ from touchdown.backend.experiments.fusion import (
     WEIGHTS,
     DataPortion,
     FusionRecipe,
+    adopt_tuning,
     best_rules,
     count_under_threshold,
     held_out_setup,
+    labelled_sequences,
     load_sequences,
     margin_field,
     next_places,
@@ -79,7 +82,7 @@ from touchdown.backend.jobs.execution import SerialExecutor, run_campaign
 from touchdown.backend.jobs.job import JobStore, run_job
 from touchdown.backend.learning.checkpoint import card_path, load_checkpoint
 from touchdown.backend.learning.fused.checkpoint import load_fused, shipped_path
-from touchdown.backend.learning.fused.features import field_components
+from touchdown.backend.learning.fused.features import TICKS, field_components
 from touchdown.backend.learning.fused.training import prepare_sequences
 from touchdown.backend.placement.strategies import ProbeObservation
 from touchdown.backend.sensing.episode import EpisodeLimits
@@ -316,6 +319,67 @@ def test_from_nothing_to_a_network_with_its_card(
     assert found.card.training["held_out_sequences"] == 3
     again = tiny(bench_v1, seed=1)
     assert not {job.seed for job in again.jobs()[:4]} & {job.seed for job in jobs[:4]}
+    # It is fine-tuned on labelled probes, of which every fifth gripping is held out.
+    network = store.folder(jobs[-1].id) / WEIGHTS
+    tuning = adopt_tuning(store, network, labelled_rows("circle15"), 120.0, 0.25)
+    (*parts, tuned) = tiny(bench_v1, tuning=tuning).jobs()
+    assert [part.id for part in parts] == [job.id for job in jobs[:-1]]
+    (result,) = run_campaign([tuned], SerialExecutor(FUSED_KINDS, store), store)
+    assert result.state == "done", result.error
+    other = load_fused(store.folder(tuned.id) / WEIGHTS)
+    assert other.card.training["pretrained"] == found.card.weights_sha256
+    assert other.card.training["labelled_sequences"] == 4
+    assert other.card.training["sequences"] == 3 + 9
+    assert other.card.training["held_out_sequences"] == 1
+    assert other.card.metrics["pretrained_held_out_loss"] != other.card.metrics["held_out_loss"]
+    for name in ("mean", "scale", "modes"):
+        np.testing.assert_array_equal(other.arrays[name], found.arrays[name])
+    moved = np.abs(other.arrays["probe.weight"] - found.arrays["probe.weight"]).max()
+    assert 0.0 < moved < 1e-3
+    with pytest.raises(InputError, match="is not convex"):
+        adopt_tuning(store, network, labelled_rows("ring24"), 120.0, 0.25)
+
+
+def labelled_rows(bottom: str) -> TrainingRows:
+    """Return ten probes of the pot in five grippings, the grippings in turn."""
+    rng = np.random.default_rng(4)
+    grips = tuple(f"g{k % 5}" for k in range(10))
+    pot, offset = load_pieces().top("pot"), rng.uniform(-5, 5, (10, 2))
+    seen = rng.normal(size=(10, 20, CHANNELS)).astype(np.float32)
+    patch = np.zeros((10, 4), bool)
+    return TrainingRows(
+        "pot", pot.sha256, seen, offset, patch, 10 * (bottom,), grips, 10 * ("m",), 10 * ({},)
+    )
+
+
+def test_labelled_probes_of_a_gripping_are_a_sequence() -> None:
+    rows = labelled_rows("square15")
+    found = labelled_sequences(rows, load_pieces(), sensor_mm=100.0)
+    assert found["count"].tolist() == 5 * [2]
+    np.testing.assert_allclose(found["true_mm"][3], rows.offset_mm[[3, 8]], rtol=1e-6)
+    seen = rows.observation[8, TICKS, TACTILE_CHANNELS:]
+    np.testing.assert_array_equal(found["wrench"][3, 1, :, :3], seen[:, :3])
+    # The sensor of the network is 20 mm higher: the moment about x gains 20 mm of Fy.
+    np.testing.assert_allclose(
+        found["wrench"][3, 1, :, 3], seen[:, 3] + 0.02 * seen[:, 1], atol=1e-6
+    )
+    assert np.abs(found["support_mm"][0]).max() == pytest.approx(7.5)
+
+
+def test_each_job_draws_its_bench_from_the_ranges(bench_v1: SimulationSettings) -> None:
+    ranges = {"grasp.shear_n_mm": [2.0, 3.0], "tactile.mm_per_px.1": [0.06, 0.07]}
+    jobs = tiny(bench_v1, ranges=ranges).jobs()[:4]
+    benches = [SimulationSettings.model_validate(job.params["bench"]) for job in jobs]
+    drawn = [bench.grasp.shear_n_mm for bench in benches]
+    assert len(set(drawn)) == 4
+    assert all(2.0 <= one <= 3.0 for one in drawn)
+    assert all(bench.tactile.mm_per_px[0] == bench_v1.tactile.mm_per_px[0] for bench in benches)
+    nominal = {"grasp.shear_n_mm": bench_v1.grasp.shear_n_mm,
+               "tactile.mm_per_px.1": bench_v1.tactile.mm_per_px[1]}  # fmt: skip
+    assert settings_with(benches[0], nominal) == bench_v1
+    for key in ("grasp.nothing", "grasp", "tactile.mm_per_px.7", "grasp.shear_n_mm.0"):
+        with pytest.raises(InputError, match="no such number"):
+            settings_with(bench_v1, {key: 1.0})
 
 
 def test_the_wide_family_has_its_own_target_and_leaves_old_jobs_alone(

@@ -56,8 +56,11 @@ from touchdown.backend.identification.stages import (
     ROUNDS,
     STARTS,
     Gate,
+    Mechanics,
     StageStore,
     fit_mechanics,
+    judged_presses,
+    replay_gate,
     split_grips,
 )
 from touchdown.backend.simulation import build_gel
@@ -357,6 +360,48 @@ def test_whole_grippings_are_held_out_from_every_mounting():
         split_grips(presses.take(np.arange(8)))
 
 
+def test_the_first_presses_of_a_gripping_predict_the_others():
+    presses = made_set(np.zeros((8, 2)), RAMP * (0.0, 0.0, -1.0), grips=[0, 0, 0, 0, 1, 1, 2, 3])
+    first, judged = judged_presses(presses)
+    assert (first.tolist(), judged.tolist()) == ([0, 1, 4], [2, 3, 5])
+    with pytest.raises(InputError, match="two valid presses"):
+        judged_presses(presses.take(np.array([6, 7])))
+
+
+@pytest.mark.slow
+def test_the_gate_judges_what_a_bench_can_know():
+    """A held-out gripping 20 % stiffer than the mean counts against neither bench."""
+    offsets = [(5, 1), (-4, 3), (2, -6), (-6, -3), (4, 4), (-2, 5)]
+    presses = made_set(offsets, RAMP * (0.0, 0.0, -0.8), piece="pot", bottom="square15",
+                       grips=[0, 1, 2, 2, 2, 2])  # fmt: skip
+    presses = replace(presses, contact_mm=np.full(6, 30.0))
+    model = PressModel(presses, NOMINAL, LIBRARY)
+    layout = Layout(unknowns_of(NOMINAL), presses.mounting, presses.grip)
+    x = layout.vector(lambda u: float(u.inner(u.start)))
+    x[layout.parts["shear"]] += np.log([0.9, 1.1, 1.2])
+    x[layout.parts["normal_ratio"]] += np.log(1.5)
+    seen = model.predict(layout.values(x))
+    basis = field_basis(NOMINAL.tactile.pitch_mm, NOMINAL.tactile.roll_off_mm)
+    amplitude = seen[..., 6:].reshape(6, 20, 2, 3)
+    rng = np.random.default_rng(0)
+    field = np.einsum("btfi,fima->btfma", amplitude, basis[:, :3])
+    noise = np.repeat([1e-2, 4e-4], 3) * rng.standard_normal((6, 20, 6))
+    presses = replace(presses, wrench=seen[..., :6] + noise,
+                      field_px=field + 0.05 * rng.standard_normal(field.shape))  # fmt: skip
+    fitted, held = presses.take(np.array([0, 1])), presses.take(np.arange(2, 6))
+    layout = Layout(unknowns_of(NOMINAL), fitted.mounting, fitted.grip)
+    x = layout.vector(lambda u: float(u.inner(u.start)))
+    x[layout.parts["shear"]] += np.log([0.9, 1.1])
+    x[layout.parts["normal_ratio"]] += np.log(1.5)
+    nothing = np.zeros((len(x), len(x)))
+    fit = FitResult(x, nothing, np.full(len(x), 0.01), 1.0, 1.0, 0.1)
+    roll_off = np.array(NOMINAL.tactile.roll_off_mm)
+    found = Mechanics(fitted, layout, fit, roll_off, np.zeros((2, 2)), converged=True)
+    gate = replay_gate(held, found, NOMINAL, LIBRARY, np.full(3, 1e-3))
+    assert (gate.grips, gate.presses, gate.accepted) == (1, 2, True)
+    assert gate.share < 0.3
+
+
 def test_a_finished_stage_is_not_computed_again(tmp_path):
     store = StageStore(tmp_path / "stages", "inputs")
     assert store.get("gel", lambda: {"x": [1.0]}) == {"x": [1.0]}
@@ -451,6 +496,15 @@ def test_only_sharp_estimates_enter_the_bench():
     assert found.grasp.hysteresis
     assert found.tactile.mm_per_px == (0.058, 0.061)
     assert found.grasp.torsion_nmm_rad == NOMINAL.grasp.torsion_nmm_rad
+
+
+def test_the_stiffness_of_the_faces_is_kept_beside_the_preset(tmp_path):
+    nominal = load_simulation(preset="bench-v1")
+    settings, used = identified_settings(nominal, (estimate("face.foundation_n_mm3", 12.5, 0.1),))
+    found = replace(made_identification(0.3), settings=settings, used=used)
+    write_identification(found, tmp_path / "lab.toml", "LAB")
+    assert load_simulation(tmp_path / "lab.toml") == settings
+    assert settings.face.foundation_range_n_mm3 == (12.5, 12.5)
 
 
 def made_identification(share):

@@ -307,11 +307,14 @@ def identification_time() -> list[Figure]:
 
 
 # Patch networks on probes of one laboratory: pot, small network, minutes of one core.
-CURVE_LABELS, REPEATS, SIMULATED_PROBES, POOL, TESTED = (0, 50, 200), 3, 1500, 400, 400
-SMALL = TrainingSettings(hidden=128, epochs=14, keep="last", patience=100)
-TUNING = SMALL.model_copy(update={"learning_rate": 3e-4, "epochs": 12, "batch": 32})
+CURVE_LABELS, REPEATS, SIMULATED_PROBES, POOL, TESTED = (0, 50, 200), 3, 1200, 400, 400
+SMALL = TrainingSettings(hidden=64, epochs=12, keep="last", patience=100)
+TUNING = SMALL.model_copy(update={"learning_rate": 3e-4, "epochs": 10, "batch": 32})
+ALONE = SMALL.model_copy(update={"epochs": 30, "batch": 16})
+KNOWN, UNSEEN = "circle15,circle25,square15", "short,long"
 LABORATORY_SEED, TEST_SEED = 31_000, 32_000
-BATCH, MOST, ACTIVE_SEEDS = 20, 160, 12
+# Active labelling: smaller still, since it trains some hundred times.
+BATCH, MOST, ACTIVE_SEEDS, TINY = 25, 150, 10, {"hidden": 32}
 
 
 def simulated_probes(bench: Path, count: int, seed: int, bottoms: str, *sizes: int) -> TrainingRows:
@@ -378,9 +381,8 @@ def laboratory_probes(seed: int, out: Path) -> tuple[dict[str, Path], TrainingRo
                 lines.append(f"[{group}]")
                 lines += [f"{key} = {json.dumps(v)}" for key, v in values.items()]
         files[name].write_text("\n".join(lines) + "\n")
-    known, unseen = "circle15,circle25,square15", "short,long"
-    pool = simulated_probes(files["laboratory"], POOL // 3 + 1, LABORATORY_SEED, known, 15, 3)
-    test = simulated_probes(files["laboratory"], TESTED // 2, TEST_SEED, unseen, 5, 2)
+    pool = simulated_probes(files["laboratory"], POOL // 3 + 1, LABORATORY_SEED, KNOWN, 15, 3)
+    test = simulated_probes(files["laboratory"], TESTED // 2, TEST_SEED, UNSEEN, 5, 2)
     return files, pool, test
 
 
@@ -392,8 +394,7 @@ def learning_curves(seed: int, out: Path) -> dict[str, Any]:
     """
     use_one_thread()
     files, pool, test = laboratory_probes(seed, out)
-    sizes = "circle15,circle25,square15", 10, 2
-    simulated = {name: simulated_probes(files[name], SIMULATED_PROBES // 3, 1, *sizes)
+    simulated = {name: simulated_probes(files[name], SIMULATED_PROBES // 3, 1, KNOWN, 10, 2)
                  for name in ("nominal", "identified")}  # fmt: skip
     rows = []
     for repeat in range(REPEATS):
@@ -405,7 +406,7 @@ def learning_curves(seed: int, out: Path) -> dict[str, Any]:
         for labels in CURVE_LABELS[1:]:
             own = pool.take(order[:labels])
             tuned = trained(own, TUNING, repeat, start["identified"], simulated["identified"])
-            alone = trained(own, SMALL.model_copy(update={"epochs": 40, "batch": 16}), repeat)
+            alone = trained(own, ALONE, repeat)
             both = {"fine-tuned": tuned, "laboratory alone": alone}
             rows += [{"arm": arm, "labels": labels, "repeat": repeat, **tested(network, test)}
                      for arm, network in both.items()]  # fmt: skip
@@ -437,9 +438,11 @@ def active_labelling(seed: int, out: Path) -> dict[str, Any]:
     """
     use_one_thread()
     files, pool, test = laboratory_probes(seed, out)
-    simulated = simulated_probes(files["nominal"], SIMULATED_PROBES // 3, 1,
-                                 "circle15,circle25,square15", 10, 2)  # fmt: skip
-    start = trained(simulated, SMALL, 0)
+    simulated = simulated_probes(files["nominal"], SIMULATED_PROBES // 3, 1, KNOWN, 10, 2)
+    start, tuning = (
+        trained(simulated, SMALL.model_copy(update=TINY), 0),
+        TUNING.model_copy(update=TINY),
+    )
     begin = tested(start, test)["iou"]
     curves: dict[str, list[list[float]]] = {"random": [], "queue": []}
     for one in range(ACTIVE_SEEDS):
@@ -452,7 +455,7 @@ def active_labelling(seed: int, out: Path) -> dict[str, Any]:
                     doubt = mean_entropies(patches(network, pool.take(rest)))
                     rest = rest[np.argsort(-doubt, kind="stable")]
                 chosen = np.concatenate([chosen, rest[:BATCH]])
-                network = trained(pool.take(chosen), TUNING, one, start, simulated)
+                network = trained(pool.take(chosen), tuning, one, start, simulated)
                 line.append(tested(network, test)["iou"])
             found.append(line)
     return {"laboratory": seed, "batch": BATCH, "seeds": ACTIVE_SEEDS, "curves": curves,

@@ -676,7 +676,7 @@ def adopt_tuning(
             save_checkpoint(part / WEIGHTS, found.arrays, found.card)
             for name, rest in zip(LABELLED if own else (), (~held, held), strict=False):
                 chosen = {key: values[rest] for key, values in own.items()}
-                np.savez(part / name, **chosen)  # type: ignore[arg-type]
+                np.savez(part / name, **chosen)
             store.finish(spec, part, {"sequences": count})
     return {"tuning": spec.id, "share": share, "learning_rate": FINE_TUNING_RATE}
 

@@ -76,7 +76,7 @@ def bench_within(
 ) -> SimulationSettings:
     """Return ``bench`` with the settings of ``ranges`` drawn uniformly from low to high."""
     rng = np.random.default_rng([seed, RANGES_SEED])
-    drawn = {key: float(rng.uniform(*pair)) for key, pair in sorted(ranges.items())}
+    drawn = {key: float(rng.uniform(low, high)) for key, (low, high) in sorted(ranges.items())}
     return settings_with(bench, drawn) if drawn else bench
 
 

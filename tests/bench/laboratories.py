@@ -307,14 +307,15 @@ def identification_time() -> list[Figure]:
 
 
 # Patch networks on probes of one laboratory: pot, small network, minutes of one core.
-CURVE_LABELS, REPEATS, SIMULATED_PROBES, POOL, TESTED = (0, 50, 200), 3, 1200, 400, 400
-SMALL = TrainingSettings(hidden=64, epochs=12, keep="last", patience=100)
+CURVE_LABELS, REPEATS, SIMULATED_PROBES, POOL, TESTED = (0, 50, 200), 3, 3000, 400, 400
+SMALL = TrainingSettings(hidden=128, epochs=24, keep="last", patience=100)
 TUNING = SMALL.model_copy(update={"learning_rate": 3e-4, "epochs": 10, "batch": 32})
-ALONE = SMALL.model_copy(update={"epochs": 30, "batch": 16})
+ALONE = SMALL.model_copy(update={"epochs": 40, "batch": 16})
+MIXED = 400  # simulated probes beside the labelled ones of a fine-tuning
 KNOWN, UNSEEN = "circle15,circle25,square15", "short,long"
 LABORATORY_SEED, TEST_SEED = 31_000, 32_000
 # Active labelling: smaller still, since it trains some hundred times.
-BATCH, MOST, ACTIVE_SEEDS, TINY = 25, 150, 10, {"hidden": 32}
+BATCH, MOST, ACTIVE_SEEDS, TINY = 25, 150, 10, {"hidden": 64}
 
 
 def simulated_probes(bench: Path, count: int, seed: int, bottoms: str, *sizes: int) -> TrainingRows:
@@ -332,14 +333,12 @@ def simulated_probes(bench: Path, count: int, seed: int, bottoms: str, *sizes: i
 def trained(
     rows: TrainingRows, settings: TrainingSettings, seed: int, start: Any = None, more: Any = None
 ) -> Any:
-    """Return a network trained on ``rows``, from ``start`` if given, with half of ``more``."""
-    split_at = np.arange(len(rows))
+    """Return a network trained on ``rows``, from ``start`` if given, with some of ``more``."""
     if more is not None:
-        chosen = np.random.default_rng(seed).choice(len(more), len(rows), replace=False)
+        chosen = np.random.default_rng(seed).choice(len(more), MIXED, replace=False)
         rows = join_rows([rows, more.take(np.sort(chosen))])
-        split_at = np.arange(len(rows))
     # The last epoch counts, so that nothing is held out.
-    split = Split(split_at, split_at[:8], "")
+    split = Split(np.arange(len(rows)), np.arange(8), "")
     trainer = Trainer(rows, settings.model_copy(update={"seed": seed}), split=split)
     if start is not None:
         trainer.model.load_state_dict(start.state_dict())
@@ -389,20 +388,19 @@ def laboratory_probes(seed: int, out: Path) -> tuple[dict[str, Path], TrainingRo
 def learning_curves(seed: int, out: Path) -> dict[str, Any]:
     """Test patch networks on one laboratory by the number of its labelled probes.
 
-    Simulation of the nominal and of the identified bench, the latter fine-tuned on labels (with as
-    many simulated probes), and labels alone. Of ``REPEATS`` draws of labels and initial weights.
+    Simulation of the nominal and of the identified bench, the latter fine-tuned on labels and some
+    simulated probes, and labels alone. ``REPEATS`` draws of the labels and of what is mixed in.
     """
     use_one_thread()
     files, pool, test = laboratory_probes(seed, out)
     simulated = {name: simulated_probes(files[name], SIMULATED_PROBES // 3, 1, KNOWN, 10, 2)
                  for name in ("nominal", "identified")}  # fmt: skip
-    rows = []
+    start = {name: trained(some, SMALL, 0) for name, some in simulated.items()}
+    arms = {"nominal simulation": "nominal", "fine-tuned": "identified"}
+    rows = [{"arm": arm, "labels": 0, "repeat": 0, **tested(start[name], test)}
+            for arm, name in arms.items()]  # fmt: skip
     for repeat in range(REPEATS):
-        start = {name: trained(some, SMALL, repeat) for name, some in simulated.items()}
         order = np.random.default_rng(repeat).permutation(len(pool))
-        arms = {"nominal simulation": (0, start["nominal"]), "fine-tuned": (0, start["identified"])}
-        rows += [{"arm": arm, "labels": n, "repeat": repeat, **tested(network, test)}
-                 for arm, (n, network) in arms.items()]  # fmt: skip
         for labels in CURVE_LABELS[1:]:
             own = pool.take(order[:labels])
             tuned = trained(own, TUNING, repeat, start["identified"], simulated["identified"])

@@ -50,6 +50,7 @@ from touchdown.app.shell import (
 from touchdown.app.tour import Tour, tour_stops
 from touchdown.app.workspaces import FIRST, Workspaces
 from touchdown.backend.bench import Session
+from touchdown.backend.calibration import CalibrationName
 from touchdown.backend.core import CommandNotifier, Event, EventQueue, RunStarted
 from touchdown.widgets.base import EventPump, load_resources
 from touchdown.widgets.shell import STOPPED, CardText, FaultCards, PillState, TopBar, TourStop
@@ -326,6 +327,7 @@ class TouchdownApp(QObject):
             WindowCommand("limits", "Limits of motion and force", "", self._show_limits),
             WindowCommand("calibrate", "Calibrate: payload, board, tool, wrist, cameras",
                           "Ctrl+Shift+K", self._show_calibrations),
+            WindowCommand("check-day", "Daily check", "", lambda: self._show_calibrations("day")),
             WindowCommand("layout", "Reset the layout", "Ctrl+0", self._reset_layout),
             WindowCommand("layouts", "Layouts of this workspace", "Ctrl+Alt+L",
                           lambda: self.layout_menu.show(self.window.rail["layouts"])),
@@ -364,9 +366,9 @@ class TouchdownApp(QObject):
         if self.bench is not None:
             self.panels.limits.open()
 
-    def _show_calibrations(self) -> None:
+    def _show_calibrations(self, what: CalibrationName | None = None) -> None:
         if self.bench is not None:
-            self.panels.calibrate.open()
+            self.panels.calibrate.open(what)
 
     def _connect_again(self) -> None:
         if self.bench is not None:

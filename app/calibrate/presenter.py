@@ -14,12 +14,18 @@ from touchdown.app.calibrate.identify import IdentifySheet
 from touchdown.app.calibrate.sheet import CalibrateSheet, CalibrationView, PlaceForm
 from touchdown.app.shell import arm_position_mm, carry_out, is_run_active, start_obstacle
 from touchdown.backend.bench import Session
-from touchdown.backend.calibration import CALIBRATION_NAMES, CalibrationName, CalibrationStatus
+from touchdown.backend.calibration import (
+    MEASUREMENT_NAMES,
+    CalibrationName,
+    CalibrationStatus,
+    DayCheck,
+)
 from touchdown.backend.core import (
     FINGERS,
     CalibrationMeasured,
     Event,
     HandOverAwaited,
+    InputError,
     Progress,
     RunFinished,
     RunStarted,
@@ -68,16 +74,18 @@ class CalibratePresenter:
         self._person, self._now_s = person, now_s
         self.sheet: CalibrateSheet | None = None
         self.identify: IdentifySheet | None = None
-        self._chosen: CalibrationName = CALIBRATION_NAMES[0]
+        self._chosen: CalibrationName = MEASUREMENT_NAMES[0]
         self._running: CalibrationName | None = None
         self._progress = Progress(0.0, 0, 1, "")
         self._measured: dict[CalibrationName, CalibrationMeasured] = {}
         self._said: dict[CalibrationName, str] = {}
         self._standings: dict[CalibrationName, CalibrationStatus] = {}
+        self._history: tuple[DayCheck, ...] = ()
         self._drawn_s = self._read_s = float("-inf")
 
-    def open(self) -> None:
-        """Show the calibration sheet."""
+    def open(self, what: CalibrationName | None = None) -> None:
+        """Show the calibration sheet, with ``what`` selected."""
+        self._chosen = what or self._chosen
         if self.sheet is None:
             catalogue = self._bench.catalogue
             form = PlaceForm(catalogue.tops, catalogue.bottoms, self._usual())
@@ -102,7 +110,7 @@ class CalibratePresenter:
     def take(self, event: Event) -> None:
         """Follow calibration runs, also those started elsewhere."""
         if isinstance(event, RunStarted):
-            known = {str(what): what for what in CALIBRATION_NAMES}
+            known = {str(what): what for what in MEASUREMENT_NAMES}
             self._running = known.get(event.strategy) if event.activity == "calibrate" else None
             self._progress = Progress(event.t_s, 0, 1, "")
             return
@@ -112,6 +120,7 @@ class CalibratePresenter:
             self._progress = event
         elif isinstance(event, CalibrationMeasured):
             self._measured[self._running] = event
+            self._read_s = float("-inf")
             self._said.pop(self._running, None)
         elif isinstance(event, HandOverAwaited) and self.sheet is not None:
             answer = self._bench.answer
@@ -142,7 +151,7 @@ class CalibratePresenter:
     # -- orders -----------------------------------------------------------------------------------
 
     def _choose(self, index: int) -> None:
-        self._chosen = CALIBRATION_NAMES[index]
+        self._chosen = MEASUREMENT_NAMES[index]
         self.draw(at_once=True)
 
     def _measure(self) -> None:
@@ -179,13 +188,17 @@ class CalibratePresenter:
         self._read_s, store = self._now_s(), self._bench.calibrations
         if store is not None:
             names = device_names(self._bench.devices)
-            self._standings = {what: store.status(what, names) for what in CALIBRATION_NAMES}
+            try:
+                self._history = tuple(self._bench.day_checks.history())
+            except InputError as error:
+                self._history, self._said["day"] = (), f"{error.what} {error.where}"
+            self._standings = {what: store.status(what, names) for what in MEASUREMENT_NAMES}
 
     def _look(self) -> CalibrationView:
         what, active, mine = self._chosen, is_run_active(self._bench), self._running == self._chosen
         why = NO_STORE if self._bench.calibrations is None else start_obstacle(self._bench)
         return CalibrationView(
-            rows=tuple(self._row(each) for each in CALIBRATION_NAMES),
+            rows=tuple(self._row(each) for each in MEASUREMENT_NAMES),
             what=what,
             found=None if mine else self._measured.get(what),
             progress=self._progress if mine else None,
@@ -194,6 +207,7 @@ class CalibratePresenter:
             said=self._said.get(what, ""),
             busy=active,
             why="A run is going on" if active else why,
+            history=self._history if what == "day" else (),
         )
 
     def _empty(self, what: CalibrationName) -> str:
@@ -207,6 +221,11 @@ class CalibratePresenter:
         return f"Last measured {when:%Y-%m-%d %H:%M}{by}: {file.residual:.2g} {file.unit}."
 
     def _row(self, what: CalibrationName) -> tuple[str, str]:
+        if what == "day":
+            for last in self._history[-1:]:
+                out = f"Out of limits on {last.day}"
+                return (out, "bad") if last.findings else (f"Passed on {last.day}", "good")
+            return "Never checked on this bench", ""
         standing = self._standings.get(what)
         if standing is None:
             return NO_STORE, ""

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from operator import attrgetter
 
-from PySide6.QtCore import QRectF, QSize, Qt
-from PySide6.QtGui import QPainter, QPen
 from PySide6.QtWidgets import (
     QButtonGroup,
     QCheckBox,
     QComboBox,
-    QGridLayout,
-    QHBoxLayout,
     QProgressBar,
     QPushButton,
     QVBoxLayout,
@@ -22,8 +19,10 @@ from PySide6.QtWidgets import (
 from touchdown.app.shell import BenchSheet, QuestionRow
 from touchdown.backend.calibration import (
     CALIBRATION_KINDS,
-    CALIBRATION_NAMES,
+    MEASUREMENT_NAMES,
+    QUANTITIES,
     CalibrationName,
+    DayCheck,
     format_residual,
     format_value,
     quantity_name,
@@ -33,80 +32,16 @@ from touchdown.backend.runs import CalibrateRequest
 from touchdown.widgets.base import (
     CaptionedView,
     Theme,
-    add_items,
     hbox,
     label,
     scroll_area,
     set_property,
-    ui_font,
     vbox,
 )
-from touchdown.widgets.forms import decimal_box, field_label, inset_spin_boxes
-from touchdown.widgets.plots import PictureView, draw_message
+from touchdown.widgets.forms import FormFields, decimal_box, set_entries
+from touchdown.widgets.lists import FigureTable
+from touchdown.widgets.plots import CurveLine, CurvePlot
 from touchdown.widgets.views import MIN_SIZE, TactileView
-
-MOST_BARS = 126
-
-
-class ResidualBars(PictureView):
-    """Bar chart of residuals; the dashed line is the limit of the checked figure."""
-
-    def __init__(self, theme: Theme) -> None:
-        super().__init__(theme, "Residuals", (200, 80))
-        self._sizes: tuple[float, ...] = ()
-        self._limit, self._unit, self._counts = 1.0, "", ""
-        self.empty = ""
-
-    def sizeHint(self) -> QSize:
-        """Return the preferred size."""
-        em = round(10 * self._theme.scale)
-        return QSize(36 * em, 11 * em)
-
-    def show_residuals(self, found: CalibrationMeasured | None, counts: str, empty: str) -> None:
-        """Show the magnitudes of the residuals of ``found``, or ``empty`` without one.
-
-        The limit applies to ``counts``.
-        """
-        self._sizes, self._counts, self.empty = (), counts, empty
-        if found is not None:
-            self._sizes = tuple(abs(value) for value in found.residuals[:MOST_BARS])
-            self._limit, self._unit = found.limit, found.unit
-            largest = f"largest {max(self._sizes, default=0.0):.3g} {found.unit}"
-            empty = f"{largest}, limit {found.limit:g} {found.unit}"
-        self.setAccessibleDescription(empty)
-        self.update()
-
-    def paint(self, painter: QPainter) -> None:
-        """Draw the bars."""
-        painter.fillRect(self.rect(), self._theme.tokens.colour("bg"))
-        painter.setFont(ui_font(self._theme.scale, 0.85))
-        if self._sizes:
-            self._draw(painter)
-        else:
-            said = "Not measured since the start", self.empty
-            draw_message(painter, self.rect(), self._theme, *said)
-
-    def _draw(self, painter: QPainter) -> None:
-        tokens, metrics = self._theme.tokens, painter.fontMetrics()
-        line = metrics.height()
-        area = QRectF(self.rect()).adjusted(8, line + 6, -8, -(line + 6))
-        top = 1.15 * max(self._limit, *self._sizes)
-        step = area.width() / len(self._sizes)
-        for index, size in enumerate(self._sizes):
-            high = area.height() * size / top
-            bar = QRectF(
-                area.left() + index * step + 0.12 * step, area.bottom() - high, 0.76 * step, high
-            )
-            beyond = self._counts == "largest" and size > self._limit
-            painter.fillRect(bar, tokens.colour("bad" if beyond else "axis_x"))
-        y = area.bottom() - area.height() * self._limit / top
-        painter.setPen(QPen(tokens.colour("text"), 1.5, Qt.PenStyle.DashLine))
-        painter.drawLine(area.left(), y, area.right(), y)  # type: ignore[call-overload]
-        painter.setPen(tokens.colour("muted"))
-        painter.drawLine(area.bottomLeft(), area.bottomRight())
-        painter.drawText(8, line, f"limit of the {self._counts}: {self._limit:g} {self._unit}")
-        painter.drawText(8, self.height() - 5, f"{len(self._sizes)} residuals")
-
 
 REACH_MM = 200.0
 
@@ -119,38 +54,27 @@ class PlaceForm(QWidget):
     ) -> None:
         super().__init__()
         self.piece, self.bottom = QComboBox(), QComboBox()
-        for box, names, name in (
-            (self.piece, pieces, usual.piece), (self.bottom, bottoms, usual.bottom),
-        ):  # fmt: skip
-            box.addItems(list(names))
-            box.setCurrentText(name)
+        set_entries(self.piece, [(name, name) for name in pieces], usual.piece)
+        set_entries(self.bottom, [(name, name) for name in bottoms], usual.bottom)
         self.x_mm, self.y_mm = decimal_box(-REACH_MM, REACH_MM), decimal_box(-REACH_MM, REACH_MM)
-        self.pitch_mm = decimal_box(0.5, 5.0)
+        self.pitch_mm, self.hand_over = (
+            decimal_box(0.5, 5.0),
+            QCheckBox("Hand the piece over (no jig)"),
+        )
         self.pitch_mm.setValue(usual.pitch_mm)
         for spin in (self.x_mm, self.y_mm, self.pitch_mm):
             spin.setSuffix(" mm")
-            inset_spin_boxes(spin)
-        self.hand_over = QCheckBox("Hand the piece over (no jig)")
-        first, second = QHBoxLayout(), QHBoxLayout()
-        self._titles: dict[QWidget, QWidget] = {}
-        for row, text, field in (
-            (first, "Piece", self.piece),
-            (first, "Bottom", self.bottom),
-            (first, "Pitch of the dots", self.pitch_mm),
-            (second, "Origin x", self.x_mm),
-            (second, "y", self.y_mm),
-        ):
-            self._titles[field] = field_label(text, field)
-            field.setAccessibleName(text)
-            add_items(row, self._titles[field], field)
-        second.addWidget(self.hand_over)
-        for row in (first, second):
-            row.addStretch(1)
-        vbox(first, second, parent=self, margins=(0, 0, 0, 0))
+        x, y, pitch = self.x_mm, self.y_mm, self.pitch_mm
+        fields = FormFields(12, 6, piece=self.piece, bottom=self.bottom, x=x, y=y, pitch=pitch)
+        fields.add_halves(0, ("Piece", self.piece, ""), ("Bottom", self.bottom, ""))
+        fields.add_halves(1, ("Origin x", x, ""), ("y", y, ""))
+        self._pitch_title = fields.add_halves(2, ("Pitch of the dots", pitch, ""))[0]
+        fields.addWidget(self.hand_over, 2, 2, 1, 2)
+        vbox(fields, parent=self, margins=(0, 0, 0, 0))
 
     def show_pitch(self, on: bool) -> None:
         """Show or hide the dot pitch, which only camera calibrations need."""
-        for widget in (self.pitch_mm, self._titles[self.pitch_mm]):
+        for widget in (self.pitch_mm, self._pitch_title):
             widget.setVisible(on)
 
     def request(self, what: CalibrationName) -> CalibrateRequest:
@@ -165,8 +89,32 @@ class PlaceForm(QWidget):
         )
 
 
-MOST_VALUES = 10
-VALUE_COLUMNS = 2
+MOST_RESIDUALS = 126
+DAY_COLOURS = ("axis_x", "axis_y", "axis_z", "scene", "focus", "text")
+HIGHEST_SHARE = 3.0  # of a limit, in the plot
+
+
+def residual_lines(found: CalibrationMeasured) -> list[CurveLine]:
+    """Return the sizes of the residuals and their limit."""
+    sizes = [abs(value) for value in found.residuals[:MOST_RESIDUALS]]
+    limit = ((1.0, found.limit), (float(len(sizes)), found.limit))
+    counts = "limit" if found.what in ("payload", "wrist") else "limit of the rms"
+    points = tuple((float(k), size) for k, size in enumerate(sizes, start=1))
+    return [CurveLine("", points, "axis_x"), CurveLine(counts, limit, "muted", dashed=True)]
+
+
+def history_lines(checks: Sequence[DayCheck]) -> list[CurveLine]:
+    """Return by day how far each quantity was from the middle of its limits; 1 is a limit."""
+    limit = ((1.0, 1.0), (float(len(checks)), 1.0))
+    lines = [CurveLine("limit", limit, "muted", dashed=True)] if checks else []
+    for key, colour in zip(QUANTITIES, DAY_COLOURS, strict=True):
+        points = []
+        for day, check in enumerate(checks, start=1):
+            shares = [check.share(n) for n in check.values if n.partition("_")[2] == key]
+            points += [(float(day), min(max(shares), HIGHEST_SHARE))] if shares else []
+        name = "wrist noise" if key == "noise_n" else key.partition("_")[0]
+        lines.append(CurveLine(name, tuple(points), colour))
+    return lines
 
 
 STEPS: dict[CalibrationName, tuple[str, ...]] = {
@@ -195,15 +143,11 @@ STEPS: dict[CalibrationName, tuple[str, ...]] = {
         "The piece is pressed at the rim on four sides: it leans, the dots follow.",
         "Exchanged fingers and mirrored pictures are put right from the next start on.",
     ),
-}
-
-# Figure of the residuals that the limit applies to.
-COUNTS: dict[CalibrationName, str] = {
-    "payload": "largest",
-    "wrist": "largest",
-    "board": "rms",
-    "tool": "rms",
-    "camera": "rms",
+    "day": (
+        "Empty the gripper. The piece waits in its jig, or is handed over.",
+        "Markers and wrist sensor rest for 20 s; then the piece is pressed four times.",
+        "The result is stored. Out of limits, each release is asked until a check passes.",
+    ),
 }
 
 
@@ -214,7 +158,7 @@ class CalibrationView:
     ``rows`` holds (condition, tone) per calibration, ``what`` is the selected one. ``found`` is its
     result that waits to be accepted; ``empty`` is shown without one. ``progress`` is set while it
     is measured. ``said`` is the last message. ``why`` is the reason why no measurement can start,
-    "" if one can.
+    "" if one can. ``history``: daily checks, where they are selected.
     """
 
     rows: tuple[tuple[str, str], ...]
@@ -226,6 +170,7 @@ class CalibrationView:
     said: str
     busy: bool
     why: str
+    history: tuple[DayCheck, ...] = ()
 
 
 class CalibrateSheet(BenchSheet):
@@ -235,7 +180,7 @@ class CalibrateSheet(BenchSheet):
         super().__init__(parent, "Calibrate")
         self.form = form
         self._shown: CalibrationView | None = None
-        self.choices = [QPushButton(CALIBRATION_KINDS[what].title) for what in CALIBRATION_NAMES]
+        self.choices = [QPushButton(CALIBRATION_KINDS[what].title) for what in MEASUREMENT_NAMES]
         self.conditions = [label("", "small") for _ in self.choices]
         self.group = QButtonGroup(self)
         self.title = label("", "head")
@@ -243,9 +188,8 @@ class CalibrateSheet(BenchSheet):
         self.live = label("", "muted")
         self.fingers: dict[Finger, TactileView] = {f: TactileView(theme, f) for f in FINGERS}
         self.progress = QProgressBar()
-        self.bars = ResidualBars(theme)
-        self.names = [label("", "muted") for _ in range(MOST_VALUES)]
-        self.values = [label("") for _ in range(MOST_VALUES)]
+        self.plot = CurvePlot(theme, "Compared with the limit")
+        self.table = FigureTable(theme, "Values", ("quantity", "value", "limits"))
         self.figure, self.note = label("", "title", wrap=True), label("", wrap=True)
         self.question = QuestionRow()
         self.measure, self.cancel = QPushButton("Measure"), QPushButton("Cancel")
@@ -264,7 +208,7 @@ class CalibrateSheet(BenchSheet):
         for index, (words, tone) in enumerate(look.rows):
             self.conditions[index].setText(words)
             set_property(self.conditions[index], "tone", tone)
-        self.choices[CALIBRATION_NAMES.index(look.what)].setChecked(True)
+        self.choices[MEASUREMENT_NAMES.index(look.what)].setChecked(True)
         self.title.setText(CALIBRATION_KINDS[look.what].title)
         now = 1 if look.progress is not None else 0 if look.found is None else 2
         for index, (step, text) in enumerate(zip(self.steps, STEPS[look.what], strict=True)):
@@ -279,31 +223,39 @@ class CalibrateSheet(BenchSheet):
         self.progress.setMaximum(max(progress.total, 1))
         self.progress.setValue(progress.done)
         self.progress.setFormat(progress.text)
-        self._show_found(look.found, look.said)
-        if before is None or (before.found, before.empty) != (look.found, look.empty):
-            self.bars.show_residuals(look.found, COUNTS[look.what], look.empty)
+        parts = attrgetter("what", "found", "empty", "said", "history")
+        if before is None or parts(before) != parts(look):
+            self._show_result(look)
         self._show_buttons(look)
 
     # -- inside -----------------------------------------------------------------------------------
 
-    def _show_found(self, found: CalibrationMeasured | None, said: str) -> None:
-        values, figure, tone = [], "", ""
-        if found is not None:
-            residual = format_residual(found.residual, found.limit, found.unit)
-            figure = f"Residual {residual}."
+    def _show_result(self, look: CalibrationView) -> None:
+        found, said, figure, tone = look.found, look.said, "", ""
+        rows, lines, count = list[Sequence[str]](), list[CurveLine](), 0
+        if look.what == "day":
+            lines, count = history_lines(look.history), len(look.history)
+            for check in look.history[-1:]:
+                out, rows = check.findings, check.rows()
+                figure = f"{check.day}: {'out of' if out else 'within'} limits."
+                tone, said = "bad" if out else "good", said or "\n".join(out.values())
+        elif found is not None:
+            figure = f"Residual {format_residual(found.residual, found.limit, found.unit)}."
             tone = "good" if found.residual <= found.limit else "bad"
             said = " ".join(text for text in (found.obstacle, found.note) if text)
-            values = list(zip(found.names, found.values, found.sigmas, found.units, strict=True))
-        for index, (name, value) in enumerate(zip(self.names, self.values, strict=True)):
-            known = index < len(values)
-            name.setText(quantity_name(values[index][0]) if known else "")
-            value.setText(format_value(*values[index]) if known else "")
-            for widget in (name, value):
-                widget.setVisible(known)
+            values = zip(found.names, found.values, found.sigmas, found.units, strict=True)
+            rows = [(quantity_name(value[0]), format_value(*value)) for value in values]
+            lines, count = residual_lines(found), len(found.residuals)
+        self.plot.empty = look.empty
+        self.plot.show_lines(lines, count)
+        self.table.setVisible(bool(rows))
+        self.table.show_rows(rows)
+        self.table.setFixedHeight(self.table.sizeHint().height())
         self.figure.setText(figure)
         set_property(self.figure, "tone", tone)
         self.note.setText(said)
-        set_property(self.note, "tone", "bad" if found is not None and found.obstacle else "")
+        obstacle = look.what != "day" and found is not None and bool(found.obstacle)
+        set_property(self.note, "tone", "bad" if obstacle else "")
 
     def _show_buttons(self, look: CalibrationView) -> None:
         self.measure.setText("Measure" if look.found is None else "Repeat")
@@ -311,6 +263,7 @@ class CalibrateSheet(BenchSheet):
         self.measure.setToolTip(look.why or "The arm moves. STOP works as ever.")
         self.cancel.setEnabled(look.busy)
         can_accept = look.found is not None and look.found.acceptable and not look.busy
+        can_accept = can_accept and look.what != "day"  # is stored at once
         self.accept_it.setEnabled(can_accept)
         set_property(self.accept_it, "role", "primary" if can_accept else "")
         set_property(self.measure, "role", "" if can_accept else "primary")
@@ -343,23 +296,10 @@ class CalibrateSheet(BenchSheet):
             view.setFixedSize(MIN_SIZE)
         pair = (CaptionedView(f"{f.capitalize()} finger", v) for f, v in self.fingers.items())
         hbox(*pair, parent=self._pictures, margins=(0, 0, 0, 0))
-        page, seen = QWidget(), hbox(self._pictures, (self.bars, 1))
+        page, seen = QWidget(), hbox(self._pictures, (self.plot, 1))
         vbox(
             self.title, *self.steps, self.form, self.live, self.progress, self.question, (seen, 1),
-            self.figure, self.note, self._value_grid(),
+            self.figure, self.note, self.table,
             parent=page, margins=(0, 0, 8, 0), spacing=8,
         )  # fmt: skip
         return page
-
-    def _value_grid(self) -> QGridLayout:
-        grid = QGridLayout()
-        grid.setHorizontalSpacing(16)
-        high = -(-MOST_VALUES // VALUE_COLUMNS)
-        for index, (name, value) in enumerate(zip(self.names, self.values, strict=True)):
-            at, side = index % high, 2 * (index // high)
-            grid.addWidget(name, at, side)
-            grid.addWidget(value, at, side + 1)
-            value.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
-        for side in range(VALUE_COLUMNS):
-            grid.setColumnStretch(2 * side + 1, 1)
-        return grid

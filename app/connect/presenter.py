@@ -106,7 +106,9 @@ class ConnectPresenter:
     def _look(self) -> ConnectView:
         connection, lines = self._connection, self._connection.lines()
         can = not is_run_active(self._bench)
-        rows = tuple(device_row(line, can=can and not connection.busy) for line in lines)
+        store, free = self._bench.calibrations, can and not connection.busy
+        gels = {} if store is None else store.gels.texts()
+        rows = tuple(device_row(one, can=free, gel=gels.get(one.name, "")) for one in lines)
         kind = "emulated bench" if self._bench.description.mode == "emulated" else "real devices"
         return ConnectView(
             f"{self._bench.name} ({kind})", self._text(lines), rows, connection.busy, can
@@ -124,8 +126,8 @@ class ConnectPresenter:
         return f"{ready} of {len(lines)} connected. {NOTHING_MOVES}"
 
 
-def device_row(line: DeviceStatus, *, can: bool) -> DeviceRowView:
-    """Return the row of one device."""
+def device_row(line: DeviceStatus, *, can: bool, gel: str = "") -> DeviceRowView:
+    """Return the row of one device; ``gel``: life of its gel."""
     failed = line.state == "failed"
     present = {"connecting": "now", "failed": "failed"}.get(line.state, "open")
     marks = [
@@ -141,7 +143,7 @@ def device_row(line: DeviceStatus, *, can: bool) -> DeviceRowView:
     elif line.identity is not None:
         who = line.identity
         text = f"{who.maker} {who.model}, {who.serial}"
-        text += f". {line.notice}" if line.notice else ""
+        text = ". ".join(filter(None, (text, gel, line.notice)))
     order = "disconnect" if line.state == "ready" else "connect"
     words = {"disconnect": "Disconnect", "connect": "Retry" if failed else "Connect"}
     return DeviceRowView(

@@ -14,6 +14,7 @@ from touchdown.app.shell import (
     error_card,
     face_outlines,
     is_run_active,
+    model_card_in_use,
     run_model_caption,
     run_score,
     start_obstacle,
@@ -24,6 +25,7 @@ from touchdown.app.stack.page import StackPage
 from touchdown.backend.bench import Session
 from touchdown.backend.core import Event, InputError, Outcome, RefusedError, TrialFinished
 from touchdown.backend.geometry import LEAST_WEIGHED_G
+from touchdown.backend.learning import gel_mismatches
 from touchdown.backend.runs import (
     DecisionMode,
     RunState,
@@ -118,9 +120,10 @@ class StackPresenter:
         pieces = bench.catalogue.pieces
         heavy = form.piece in pieces and pieces[form.piece].mass_g >= LEAST_WEIGHED_G
         run.show_weigh(heavy)
+        withheld = self._withheld(form)
         if form.strategy != "fused":
             run.show_certificate("", "")
-            run.show_signals("")
+            run.show_signals(withheld)
             return
         request = stack_request(run.form())
         try:
@@ -132,7 +135,21 @@ class StackPresenter:
         withdrawn = guard is not None and guard.withdrawn and status.certificate is not None
         text = "Certificate withdrawn." if withdrawn else status.message
         run.show_certificate(text, status.message if withdrawn else status.scope)
-        run.show_signals("" if guard is None else guard.describe())
+        run.show_signals(f"{'' if guard is None else guard.describe()} {withheld}".strip())
+
+    def _withheld(self, form: RunForm) -> str:
+        """Return why the daily check withholds releases, and what a replaced gel invalidates."""
+        try:
+            texts, store = [self._bench.day_checks.obstacle()], self._bench.calibrations
+            camera = None if store is None else store.status("camera", {})
+            if camera is not None and camera.condition == "gel replaced":
+                texts.append(f"Camera calibration: {camera.why}.")
+            if form.strategy in ("paper", "paper-calibrated"):
+                found = gel_mismatches(model_card_in_use(form.piece), self._bench.description)
+                texts += [f"Model trained with another gel: {one}." for one in found]
+        except InputError as error:
+            return error.what
+        return " ".join(filter(None, texts))
 
     def take(self, event: Event) -> None:
         """Handle one event; it is drawn with the next tick."""

@@ -154,6 +154,7 @@ class BenchModels:
         self, registry: ModelRegistry | None, description: BenchDescription, grid_mm: float
     ) -> None:
         self._registry, self._description, self._grid_mm = registry, description, grid_mm
+        self.since_ns = 0  # earlier evaluations on hardware do not count
         self._loaded: dict[tuple[Path, str], Estimator] = {}
         self._stamps: dict[Path, tuple[int, int] | None] = {}
         self._checked: dict[str, Path] = {}
@@ -179,9 +180,9 @@ class BenchModels:
             self._checked[choice.piece] = path
         if choice.alone:
             card = loaded.card
-            probes = (
-                0 if self._registry is None else self._registry.hardware_probes(card.weights_sha256)
-            )
+            probes = 0
+            if self._registry is not None:
+                probes = self._registry.hardware_probes(card.weights_sha256, self.since_ns)
             found = card_mismatches(card, self._description, piece.sha256, self._grid_mm, probes)
             check_autonomous(card, found, f"model {card.weights_sha256[:12]}")
         return loaded

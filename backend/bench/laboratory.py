@@ -81,6 +81,7 @@ def lab_session(
     return session
 
 
+GEL_REPLACED = "its camera calibration, and models and certificates from before, do not hold for it"
 START_SPEED = 0.1  # share of every speed in air, until the operator changes it
 
 
@@ -144,21 +145,26 @@ def open_lab(
 def calibrations_of(lab: Lab) -> CalibrationStore:
     """Return the calibrations of a laboratory, beside its file or in the configured folder."""
     bench = f"--bench {shlex.quote(str(lab.path))} --home"
-    return CalibrationStore(lab.calibrations, lab.settings.kind, bench)
+    return CalibrationStore(lab.calibrations, lab.settings.kind, bench, lab.gels)
 
 
 def find_camera_conflicts(lab: Lab) -> dict[str, str]:
-    """Return the conflicts of lab file and calibration by camera; the calibration wins."""
-    seats = _seats(lab)
+    """Return by camera its conflict with the calibration, which wins, and a replaced gel."""
+    seats, store = _seats(lab), calibrations_of(lab)
     if seats is None:
         return {}
-    return camera_conflicts(lab.settings.gelsight, seats, calibrations_of(lab).command("camera"))
+    command = store.command("camera")
+    found = camera_conflicts(lab.settings.gelsight, seats, command)
+    for finger, text in store.gels.replaced_after(seats.file.date).items():
+        name, told = f"tactile_{finger}", f"{text[:1].upper()}{text[1:]}: {GEL_REPLACED}"
+        found[name] = ". ".join(filter(None, (found.get(name), f"{told}. Run '{command}'")))
+    return found
 
 
 def _seats(lab: Lab) -> CalibrationRecord | None:
     """Return the calibration of the cameras; an expired one still holds for the assignment."""
     kept = calibrations_of(lab).status("camera", {})
-    return kept.record if kept.condition in ("valid", "expired") else None
+    return kept.record if kept.condition in ("valid", "expired", "gel replaced") else None
 
 
 class _LabBench:
@@ -173,6 +179,7 @@ class _LabBench:
     ) -> None:
         self._lab, self._catalogue, self._clock = lab, catalogue, BenchClock()
         self._models = BenchModels(registry, lab.facts, method.belief.pitch_mm)
+        self._models.since_ns = calibrations_of(lab).gels.replaced_ns()
         first = SceneChoice(lab.settings.piece, tuple(lab.settings.bottom.split("+")))
         self._scene(first)
         try:
@@ -200,6 +207,7 @@ class _LabBench:
 
         connection.when_ready = set_first
         session.calibrations = store = calibrations_of(self._lab)
+        session.events.subscribe(store.gels.take)
         connection.prove = GelCheck(None if any_gels else store, wired.devices, raw.frames).prove
         limits = Limits(**settings.limits.model_dump())
         session.join(connection, settings.name, limits, str(self._lab.path))

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Self
 
 from touchdown.backend.annotations import Dataset
-from touchdown.backend.calibration import CalibrationStore, calibrated_positions
+from touchdown.backend.calibration import CalibrationStore, DayChecks, calibrated_positions
 from touchdown.backend.config import BenchDescription, BenchIdentity, StackSettings
 from touchdown.backend.core import (
     FINGERS,
@@ -266,6 +266,13 @@ class Session:
         """Card of the model that estimates contact on the present scene, None without one."""
         estimator = None if self._scene is None else self._scene.estimator
         return estimator.card if isinstance(estimator, Estimator) else None
+
+    @property
+    def day_checks(self) -> DayChecks:
+        """Daily checks of this bench; without a folder of calibrations none are kept."""
+        if self.calibrations is None:
+            return DayChecks(None)
+        return self.calibrations.day_checks(self.identity, self.description.sha256)
 
     @property
     def degraded(self) -> tuple[DegradedDevice, ...]:

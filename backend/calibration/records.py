@@ -13,11 +13,14 @@ from datetime import UTC, datetime, timedelta
 from functools import partial
 from hashlib import sha256
 from pathlib import Path
+from types import MappingProxyType
 from typing import Annotated, Literal
 
 from pydantic import Field, ValidationError
 
 from touchdown.backend.calibration.cameras import FINGERPRINT_VALUES
+from touchdown.backend.calibration.day_checks import DayChecks
+from touchdown.backend.calibration.gels import GelLedger
 from touchdown.backend.calibration.result import (
     CALIBRATION_KINDS,
     CALIBRATION_NAMES,
@@ -25,9 +28,10 @@ from touchdown.backend.calibration.result import (
     ON_BOTTOM,
     CalibrationName,
 )
-from touchdown.backend.config import Settings
+from touchdown.backend.config import BenchIdentity, Settings
 from touchdown.backend.core import (
     CalibrationMeasured,
+    Finger,
     InputError,
     RefusedError,
     parse_json,
@@ -188,7 +192,7 @@ def _first_error(error: Exception) -> str:
     return next(iter(str(error).splitlines()), type(error).__name__)
 
 
-Condition = Literal["valid", "expired", "missing", "other device", "damaged"]
+Condition = Literal["valid", "expired", "missing", "other device", "gel replaced", "damaged"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -225,16 +229,34 @@ class CalibrationStore:
     """Calibration files of one folder and one bench ``mode``.
 
     ``where``: argument that names the bench on the command line, such as "--bench lab.toml".
+    ``gels``: serial numbers of the mounted gels, as far as known.
     """
 
-    def __init__(self, folder: Path, mode: Mode, where: str = "") -> None:
+    def __init__(
+        self,
+        folder: Path,
+        mode: Mode,
+        where: str = "",
+        gels: Mapping[Finger, str] = MappingProxyType({}),
+    ) -> None:
         self.folder: Path = folder
         self.mode: Mode = mode
         self._where = where
+        self.gels: GelLedger = GelLedger(folder, mode, gels)
 
     def command(self, what: CalibrationName) -> str:
         """Return the command that measures and accepts a calibration of this bench."""
+        if what == "day":
+            return f"touchdown check-day {self._where}".rstrip()
         return " ".join(filter(None, ("touchdown calibrate", what, self._where, "--accept")))
+
+    def day_checks(self, identity: BenchIdentity, bench_sha256: str = "") -> DayChecks:
+        """Return the daily checks of a bench; ``bench_sha256`` names one without identity."""
+        path = self.folder / f"day-checks-{self.mode}.jsonl"
+        return DayChecks(
+            path, identity.sha256 or bench_sha256, self.command("day"),
+            required=identity.daily_check,
+        )  # fmt: skip
 
     def accept(
         self,
@@ -301,6 +323,8 @@ class CalibrationStore:
         status = partial(CalibrationStatus, what, command=self.command(what))
         try:
             record = self._newest(what)
+            seen = record if what == "camera" else None
+            replaced = {} if seen is None else self.gels.replaced_after(seen.file.date)
         except InputError as error:
             return status("damaged", None, f"{error.what} [{error.where}]")
         if record is None:
@@ -308,6 +332,8 @@ class CalibrationStore:
         if other := record.foreign(devices):
             then = record.file.devices[other].serial or "another one"
             return status("other device", record, f"made with {other} {then}")
+        if replaced:
+            return status("gel replaced", record, " and ".join(replaced.values()))
         left = record.days_left(now or datetime.now(UTC))
         if left < 0:
             return status("expired", record, f"expired {_age(-left)} ago")
@@ -324,7 +350,7 @@ class CalibrationStore:
     ) -> dict[CalibrationName, CalibrationRecord]:
         """Return the valid calibrations; if ``required``, refuse an invalid one.
 
-        Its reason is CALIBRATION-MISSING, -EXPIRED, -OTHER-DEVICE or -DAMAGED.
+        Its reason is CALIBRATION-MISSING, -EXPIRED, -OTHER-DEVICE, -GEL-REPLACED or -DAMAGED.
         """
         used: dict[CalibrationName, CalibrationRecord] = {}
         for status in self.statuses(devices, now):

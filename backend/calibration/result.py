@@ -13,12 +13,15 @@ from typing import Literal, get_args
 
 import numpy as np
 
+from touchdown.backend.calibration.day_checks import NAMES, quantity
 from touchdown.backend.core import CalibrationMeasured, FloatArray, RefusedError, read_only
 
-CalibrationName = Literal["payload", "board", "tool", "wrist", "camera"]
+# "day": the daily check, which is no calibration
+CalibrationName = Literal["payload", "board", "tool", "wrist", "camera", "day"]
 MIRROR_CODES = ("none", "x", "y", "both")  # mirroring of an image by code: bit 0 in x, bit 1 in y
 ON_BOTTOM = " on "  # separates piece and bottom in ``about`` of a board
-CALIBRATION_NAMES: tuple[CalibrationName, ...] = get_args(CalibrationName)
+MEASUREMENT_NAMES: tuple[CalibrationName, ...] = get_args(CalibrationName)
+CALIBRATION_NAMES = MEASUREMENT_NAMES[:-1]
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,6 +62,7 @@ CALIBRATION_KINDS: dict[CalibrationName, CalibrationKind] = {
             ("tactile_left", "tactile_right"),
             ("left_u_mm_px", "left_v_mm_px", "right_u_mm_px", "right_v_mm_px"),
         ),
+        CalibrationKind("day", "Daily check", 1, (), ()),
     )
 }
 
@@ -201,6 +205,7 @@ QUANTITY_NAMES = {
     "left_v_mm_px": "Left camera, down",
     "right_u_mm_px": "Right camera, across",
     "right_v_mm_px": "Right camera, down",
+    **{name: quantity(name).title for name in NAMES},
 }
 _MIRRORED = tuple(
     {"none": "no", "both": "in x and y"}.get(one, f"in {one}") for one in MIRROR_CODES

@@ -198,6 +198,7 @@ def _prove(
 def _recover(args: argparse.Namespace, action: str, screen: VerbOutput) -> int:
     """Do one step of the operator without a window; return 1 if it was declined or failed."""
     from touchdown.backend.bench import LabChoice, lab_session
+    from touchdown.backend.cli.calibrate import show_day
     from touchdown.backend.cli.connection import line_text, report_devices
     from touchdown.backend.core import raised_priority
     from touchdown.backend.runs import check_connected
@@ -227,6 +228,8 @@ def _recover(args: argparse.Namespace, action: str, screen: VerbOutput) -> int:
             check_connected(connection, homes=True)
             done = _move(session, action, args, screen)
         state = _bench_state(session, screen)
+        if action == "status" and session.calibrations is not None:
+            state["daily_check"] = show_day(session.calibrations, session.day_checks, screen)
         lines, missing = connection.lines(), connection.missing()
     devices = [{"name": n.name, "state": n.state, "text": line_text(n)} for n in lines]
     screen.result({"action": action, "done": done, "devices": devices, **state})

@@ -1,7 +1,7 @@
 """``touchdown calibrate``: measure the parts of a bench, accept the results.
 
 Parts: payload, board, tool, wrist, cameras. ``risk`` bounds the unsafe releases of a laboratory
-from its own trials; nothing moves.
+from its own trials; nothing moves. ``touchdown check-day`` is the daily check.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from touchdown.backend.calibration import (
     CALIBRATION_NAMES,
     CalibrationName,
     CalibrationStore,
+    DayChecks,
     format_residual,
     format_value,
     quantity_name,
@@ -39,13 +40,14 @@ from touchdown.backend.cli.connection import (
     refuse_misplaced_arguments,
 )
 from touchdown.backend.cli.output import VerbOutput, ctrl_c_cancels
-from touchdown.backend.config import load_lab
+from touchdown.backend.config import BenchIdentity, load_lab
 from touchdown.backend.core import (
     CalibrationMeasured,
     Event,
     HandOverAwaited,
     InputError,
     Progress,
+    RefusedError,
     data_folder,
 )
 from touchdown.backend.runs import (
@@ -65,6 +67,25 @@ TITLES: dict[str, str] = {kind.what: kind.title for kind in CALIBRATION_KINDS.va
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
+    if parser.prog.endswith("check-day"):
+        parser.set_defaults(what="day", runs=None, limit=None, accept=False)
+        parser.add_argument(
+            "--last", action="store_true", help="show the last check; nothing moves"
+        )
+    else:
+        _add_calibration_arguments(parser)
+    add_scene_arguments(parser, BOTTOM, "board or bottom")
+    add_hand_over_arguments(parser)
+    parser.add_argument(
+        "--pitch", type=float, default=PITCH_MM, metavar="MM", help="pitch of the dots"
+    )
+    parser.add_argument("--person", help="who accepts (default: the account's name)")
+    parser.add_argument("--seed", type=int, default=0, help="of the simulated bench")
+    parser.add_argument("--calibrations", metavar="DIR", help="folder (default: the bench's)")
+    add_bench_arguments(parser)
+
+
+def _add_calibration_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "what", choices=(*CALIBRATION_NAMES, "status", RISK), help="what to measure; 'status'; or "
         "'risk': bound the unsafe releases of a laboratory from its trials",
@@ -80,15 +101,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--accept", action="store_true", help="store the result if it is acceptable"
     )
-    add_scene_arguments(parser, BOTTOM, "board or bottom")
-    add_hand_over_arguments(parser)
-    parser.add_argument(
-        "--pitch", type=float, default=PITCH_MM, metavar="MM", help="pitch of the dots"
-    )
-    parser.add_argument("--person", help="who accepts (default: the account's name)")
-    parser.add_argument("--seed", type=int, default=0, help="of the simulated bench")
-    parser.add_argument("--calibrations", metavar="DIR", help="folder (default: the bench's)")
-    add_bench_arguments(parser)
 
 
 def run(args: argparse.Namespace, screen: VerbOutput) -> int:
@@ -106,6 +118,10 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     if args.what == "status":
         return _status(_store_of(args), screen)
     what: CalibrationName = args.what
+    if what == "day" and args.last:
+        identity = load_lab(Path(args.bench)).identity if at_lab(args) else BenchIdentity()
+        store = _store_of(args)
+        return _report_day(store, store.day_checks(identity), screen)
     fill_in_scene(args, BOTTOM)
     refuse_hidden_prompt(args, screen)
     request = CalibrateRequest(
@@ -121,7 +137,12 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
         session.events.subscribe(told.take)
         with ctrl_c_cancels(session.engine.cancel), held_piece_reported(session, screen):
             session.run(request)
-        return _report(args, session, told, screen)
+        if what != "day":
+            return _report(args, session, told, screen)
+        if told.measured is None:
+            raise RefusedError("NO-CHECK", "" if told.ended is None else told.ended.reason)
+        assert session.calibrations is not None
+        return _report_day(session.calibrations, session.day_checks, screen)
 
 
 class _CalibrationProgress(RunProgress):
@@ -176,6 +197,29 @@ def _report(
         "faults": told.faults,
     })  # fmt: skip
     return 0 if found is not None and found.acceptable else 1
+
+
+def _report_day(store: CalibrationStore, checks: DayChecks, screen: VerbOutput) -> int:
+    shown = show_day(store, checks, screen)
+    screen.result(shown)
+    return 1 if shown["withheld"] else 0
+
+
+def show_day(store: CalibrationStore, checks: DayChecks, screen: VerbOutput) -> dict[str, object]:
+    """Print and return the last daily check, the gels, and why releases are withheld."""
+    history, withheld = checks.history(), checks.obstacle()
+    for check in history[-1:]:
+        header = ("quantity", "value", "limits")
+        screen.table(f"Daily check of {check.day}", header, *check.rows(), right=header[1:])
+    findings = list(history[-1].findings.values()) if history else []
+    gels, camera = [f"{text}." for text in store.gels.texts().values()], store.status("camera", {})
+    if camera.condition == "gel replaced":
+        gels.append(f"Cameras: {camera.why}. {camera.fix}")
+    for text in (*findings, *gels, withheld or "The daily check withholds no release."):
+        screen.say(text)
+    last = json.loads(history[-1].model_dump_json()) if history else None
+    days = len(history)
+    return {"last": last, "days": days, "findings": findings, "gels": gels, "withheld": withheld}
 
 
 def _verdict(found: CalibrationMeasured) -> str:
@@ -277,7 +321,7 @@ def _store_of(args: argparse.Namespace) -> CalibrationStore:
     if at_lab(args):
         lab = load_lab(Path(args.bench))
         own = folder if args.calibrations else lab.calibrations
-        return CalibrationStore(own, lab.settings.kind, where)
+        return CalibrationStore(own, lab.settings.kind, where, lab.gels)
     return CalibrationStore(folder, "emulated" if args.emulated else "simulated", where)
 
 

@@ -31,6 +31,7 @@ VERBS = {
     "stack": "place a piece by touch on the simulated bench or on a lab's devices",
     "demo": "stack three pieces without a window and write a report",
     "calibrate": "calibrate payload, board, tool, wrist and cameras, or show the status",
+    "check-day": "check sensors and gels against their limits and their history",
     "collect": "collect labelled probes into a dataset",
     "identify": "identify a bench from recordings, and write it as a bench file with a report",
     "dataset": "show, check, back up, rebuild and merge datasets",
@@ -53,7 +54,7 @@ VERBS = {
 # Verbs whose module has another name.
 _MODULES = {
     "import": "import_", "doctor": "doctor.command", "experiment": "experiment.command",
-    "models": "experiment.models", "identify": "experiment.identify",
+    "models": "experiment.models", "identify": "experiment.identify", "check-day": "calibrate",
 }  # fmt: skip
 
 DONE, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130

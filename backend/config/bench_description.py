@@ -31,6 +31,7 @@ class BenchDescription(Settings):
     mm_per_px: tuple[Positive, Positive] | None = None
     ft_frame: str = ""  # reference frame of the wrench
     sensor_height_mm: Positive | None = None  # wrist sensor above the grasp pivot
+    gels: tuple[str, str] | None = None  # serial numbers of the left and the right gel
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,11 +39,13 @@ class BenchIdentity:
     """Bench as named by a certificate of releases; ``sha256`` is "" for a bench that can have none.
 
     ``calibrations``: folder of a laboratory, None where the bench has none of its own.
+    ``daily_check``: a release on a day without a daily check is asked.
     """
 
     name: str = ""
     sha256: str = ""
     calibrations: Path | None = None
+    daily_check: bool = False
 
 
 def describe_simulation(settings: SimulationSettings) -> BenchDescription:

@@ -288,6 +288,7 @@ class FingerCameraSettings(Settings):
     """The camera of one finger."""
 
     serial: str = ""  # as printed on the sensor, such as 2D8Y-69GR
+    gel: Annotated[str, Field(pattern=r"^[\w./#-]{0,40}$")] = ""  # serial number of its gel
     file: str = ""  # A video or pipe in place of a camera
     mirror: Literal["none", "x", "y", "both"] = "none"
     # Overrides the value for both fingers.

@@ -33,6 +33,7 @@ from .registry import SHIPPED_MODEL as SHIPPED_MODEL
 from .registry import ModelRegistry as ModelRegistry
 from .registry import card_mismatches as card_mismatches
 from .registry import check_autonomous as check_autonomous
+from .registry import gel_mismatches as gel_mismatches
 from .registry import models_below as models_below
 from .training import Trainer as Trainer
 from .training import device_name as device_name

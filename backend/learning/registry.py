@@ -61,7 +61,19 @@ def card_mismatches(
     found += [
         m for name, text in names.items() if (m := _compared(card.benches, bench, name, text))
     ]
-    return tuple(found)
+    return (*found, *gel_mismatches(card, bench))
+
+
+def gel_mismatches(card: ModelCard, bench: BenchDescription) -> list[CardMismatch]:
+    """Return the fingers whose gel is none of those that the training data come from."""
+    found = []
+    for at, (name, here) in enumerate(
+        zip(("left gel", "right gel"), bench.gels or (), strict=False)
+    ):
+        known = {one.gels[at] for one in card.benches if one.gels} - {""}
+        if here and known and here not in known:
+            found.append(CardMismatch(name, " or ".join(sorted(known)), here))
+    return found
 
 
 def check_autonomous(card: ModelCard, found: Sequence[CardMismatch], where: str) -> None:
@@ -199,9 +211,10 @@ class ModelRegistry:
         with self._lock:
             _append_line(self.folder / EVALUATIONS, line)
 
-    def hardware_probes(self, weights_sha256: str) -> int:
-        """Return the largest number of hardware probes in one evaluation."""
+    def hardware_probes(self, weights_sha256: str, since_ns: int = 0) -> int:
+        """Return the largest number of hardware probes in one evaluation from ``since_ns`` on."""
         lines = read_json_lines(self.folder / EVALUATIONS)
+        lines = [line for line in lines if line.get("at_ns", 0) >= since_ns]
         counts = [e.get("probes") for e in lines if e.get("weights_sha256") == weights_sha256]
         return max((n for n in counts if isinstance(n, int)), default=0)
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.backend.annotations import Dataset
-from touchdown.backend.calibration import UNCALIBRATED, CalibratedPositions
+from touchdown.backend.calibration import UNCALIBRATED, CalibratedPositions, DayChecks
 from touchdown.backend.config import BenchDescription, BenchIdentity, StackSettings
 from touchdown.backend.core import (
     Clock,
@@ -215,7 +215,8 @@ class Bench(SceneFacts):
     is the wrist sensor above the grasp pivot, None if unknown. ``below`` is the tower under the
     touched surface as entered, None for a single bottom. ``placed`` holds the calibrated positions
     of board and tool. ``started_ns`` is the wall clock at bench time zero, ns since 1970.
-    ``guard``: comparison of the signals with a calibration.
+    ``guard``: comparison of the signals with a calibration. ``withheld``: why the daily check
+    withholds unattended release, "" if it does not.
     """
 
     now_s: Callable[[], float]
@@ -237,6 +238,7 @@ class Bench(SceneFacts):
     placed: CalibratedPositions = UNCALIBRATED
     started_ns: int = 0
     guard: Guard | None = None
+    withheld: str = ""
 
 
 SCENE_TIMEOUT_S = 120.0  # longest time to set a scene, with emulated devices to start
@@ -275,6 +277,7 @@ class RunContext(Protocol):
     description: BenchDescription  # recorded with episodes
     identity: BenchIdentity  # the one that a certificate must name
     dataset: Dataset | None  # takes collected episodes
+    day_checks: DayChecks
     decisions: deque[EpisodeDecision]  # newest decision on the newest episode, if pending
     catalogue: PieceLibrary
     method: StackSettings  # before the settings of the request

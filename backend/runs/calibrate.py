@@ -1,12 +1,14 @@
-"""Calibration runs: board, payload, wrist, tool, cameras.
+"""Calibration runs: board, payload, wrist, tool, cameras; and the daily check.
 
-A run measures and reports the estimate with its residual; it changes nothing.
+A run measures and reports the estimate with its residual; it changes nothing. The daily check is
+stored at once.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections import defaultdict
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -20,6 +22,7 @@ from touchdown.backend.calibration import (
     CalibrationEstimate,
     CalibrationName,
     PoseReadings,
+    Quantity,
     Side,
     SidePress,
     TouchedEdge,
@@ -33,16 +36,20 @@ from touchdown.backend.calibration import (
     estimate_tool,
     estimate_wrist,
     fingers_distinguishable,
+    quantity,
 )
 from touchdown.backend.config import StackSettings
 from touchdown.backend.core import (
     FINGERS,
+    Finger,
     FloatArray,
     InputError,
+    MarkerState,
     PhaseEntered,
     PieceWeighed,
     Pose,
     Progress,
+    Recording,
     RefusedError,
     RunStarted,
     Said,
@@ -65,6 +72,7 @@ from touchdown.backend.runs.motions import (
     zero_wrench,
 )
 from touchdown.backend.runs.plan import PausePoint, Plan, Wait
+from touchdown.backend.runs.probe import press_once
 from touchdown.backend.runs.requests import CalibrateRequest, request_record
 from touchdown.backend.runs.touch_probing import (
     BELOW_MM,
@@ -398,12 +406,7 @@ def _gels_at_rest(bench: Bench) -> Plan[tuple[tuple[float, ...], str]]:
 
 
 def _side_presses(bench: Bench, request: CalibrateRequest) -> Plan[list[SidePress]]:
-    yield from pick_piece(bench)
-    sigma_mm = bench.settings.collect.origin_sigma_mm
-    centre = bench.placed.origin(request.origin_mm, sigma_mm, request.bottom)
-    origin = np.array([centre.x_mm, centre.y_mm])
-    contact_mm = yield from find_height(bench, origin)
-    start_mm = contact_mm + bench.settings.probe.start_height_mm
+    origin, start_mm = yield from _take_to_bottom(bench, request)
     out_mm = np.array(bench.outline.half_extents_mm) + PUSH_REACH * np.array(
         bench.piece.face.half_extents_mm
     )
@@ -421,6 +424,16 @@ def _side_presses(bench: Bench, request: CalibrateRequest) -> Plan[list[SidePres
     yield Progress(bench.now_s(), MOST_PUSHES, MOST_PUSHES, "back to the jig")
     yield from return_piece(bench)
     return presses
+
+
+def _take_to_bottom(bench: Bench, request: CalibrateRequest) -> Plan[tuple[FloatArray, float]]:
+    """Take the piece to the bottom; return its centre (2,) and the start height of a press."""
+    yield from pick_piece(bench)
+    sigma_mm = bench.settings.collect.origin_sigma_mm
+    centre = bench.placed.origin(request.origin_mm, sigma_mm, request.bottom)
+    origin = np.array([centre.x_mm, centre.y_mm])
+    contact_mm = yield from find_height(bench, origin)
+    return origin, contact_mm + bench.settings.probe.start_height_mm
 
 
 def next_side(presses: Sequence[SidePress]) -> Side | None:
@@ -456,6 +469,87 @@ def _side_press(bench: Bench, side: Side) -> Plan[SidePress]:
     return SidePress(side, np.stack(at_rest), np.stack(moved))
 
 
+DAY_RESTS, DAY_REST_S, DAY_PRESSES = 4, 5.0, 4
+LEAST_PRESS_N = 2.0  # pictures of a smaller press force do not count
+SEEN_SHARE = 0.5  # a marker that is seen in fewer pictures is missing
+
+
+def measure_day(bench: Bench, request: CalibrateRequest) -> Plan[CalibrationEstimate]:
+    """Measure the quantities of the daily check with the empty hand at rest, then with presses.
+
+    Nothing is gripped while a value at rest is out of the limits for any bench.
+    """
+    begun_s, found = bench.now_s(), defaultdict[str, list[float]](list)
+    places = dict[Finger, FloatArray]()
+    for rest in range(DAY_RESTS):
+        yield PausePoint()
+        yield Progress(bench.now_s(), rest, DAY_RESTS + DAY_PRESSES, "at rest, the hand is empty")
+        yield from wait(bench, DAY_REST_S)
+        for finger in FINGERS:
+            now_s = bench.now_s()
+            fields = bench.sensing.fields[finger].between(now_s - DAY_REST_S, now_s)
+            if len(fields) < MIN_SAMPLES:
+                raise RefusedError("NO-SAMPLES", f"The {finger} camera sent no images.")
+            seen = np.mean([f.state == MarkerState.SEEN for f in fields], axis=0) >= SEEN_SHARE
+            places_px = np.stack([f.position_px[seen] for f in fields])
+            found[f"{finger}_markers"].append(float(seen.sum()))
+            if seen.any():
+                places[finger] = places_px.mean(axis=(0, 1))
+                found[f"{finger}_noise_px"].append(float(places_px.std(axis=0).mean()))
+    samples = bench.sensing.raw.samples.window(begun_s, bench.now_s())
+    if len(samples.t_s) < MIN_SAMPLES or not np.isfinite(samples.values).all():
+        raise RefusedError("NO-SAMPLES", "The wrist sensor sent no valid samples at rest.")
+    line = np.polynomial.polynomial.polyfit(samples.t_s - begun_s, samples.values[:, :3], 1)
+    left_n = samples.values[:, :3] - line[0] - np.outer(samples.t_s - begun_s, line[1])
+    found["wrist_noise_n"] = [float(left_n.std(axis=0).max())]
+    found["wrist_drift_n_min"] = [60.0 * float(np.linalg.norm(line[1]))]
+    if all(quantity(n).low <= np.mean(v) <= quantity(n).high for n, v in found.items()):
+        yield from _day_presses(bench, request, found, places)
+    quantities = [
+        Quantity(name, float(np.mean(v)), float(np.std(v)) / math.sqrt(len(v)), quantity(name).unit)
+        for name, v in found.items()
+    ]
+    variances = np.diag([q.sigma**2 for q in quantities])
+    return CalibrationEstimate(tuple(quantities), variances, np.zeros(0), 0.0, 1.0, "of the limits")
+
+
+def _day_presses(
+    bench: Bench,
+    request: CalibrateRequest,
+    found: Mapping[str, list[float]],
+    places: Mapping[Finger, FloatArray],
+) -> Plan[None]:
+    """Press on the bottom; add motion of the markers per force, and their offset by the grasp."""
+    origin, start_mm = yield from _take_to_bottom(bench, request)
+    x_mm, y_mm = origin.tolist()
+    steps = DAY_RESTS + DAY_PRESSES
+    for press in range(1, DAY_PRESSES + 1):
+        yield PausePoint()
+        yield Progress(bench.now_s(), DAY_RESTS + press - 1, steps, f"press {press}")
+        yield from move_to(bench, Pose(x_mm, y_mm, start_mm), "the arm to shift")
+        recording = (yield from press_once(bench, press)).episode.recording
+        assert recording is not None
+        for finger in FINGERS:
+            held_px = bench.sensing.references[finger].position_px.mean(axis=0)
+            offset_px = float(np.linalg.norm(held_px - places[finger]))
+            found[f"{finger}_offset_px"].append(offset_px)
+            found[f"{finger}_stiffness_px_n"].append(motion_per_force(recording, finger))
+        yield from rise_from_contact(bench, start_mm)
+    yield Progress(bench.now_s(), steps, steps, "back to the jig")
+    yield from return_piece(bench)
+
+
+def motion_per_force(recording: Recording, finger: Finger) -> float:
+    """Return the mean motion of the markers over the press force, px/N, by least squares."""
+    fields = [field for field in recording.fields if field.finger == finger]
+    moved_px = np.linalg.norm([f.displacement_px.mean(axis=0) for f in fields], axis=1)
+    press_n = np.interp([f.t_s for f in fields], recording.wrench_t_s, recording.wrench[:, 2])
+    press_n[press_n < LEAST_PRESS_N] = 0.0
+    if not press_n.any():
+        raise RefusedError("WEAK-PUSH", f"The press stayed below {LEAST_PRESS_N:g} N.")
+    return float(moved_px @ press_n / (press_n @ press_n))
+
+
 Measure = Callable[[Bench, CalibrateRequest], Plan[CalibrationEstimate]]
 MEASURES: dict[CalibrationName, Measure] = {
     "payload": measure_payload,
@@ -463,6 +557,7 @@ MEASURES: dict[CalibrationName, Measure] = {
     "tool": measure_tool,
     "wrist": measure_wrist,
     "camera": measure_cameras,
+    "day": measure_day,
 }
 
 
@@ -479,7 +574,8 @@ def calibrate_run(session: RunContext, request: CalibrateRequest) -> Plan[None]:
     ended = yield from run_to_end(bench, _measured(bench, request))
     if ended.value is not None:
         about = f"{request.piece}{ON_BOTTOM}{request.bottom}" if request.what == "board" else ""
-        yield ended.value.to_event(bench.now_s(), request.what, about)
+        measured = ended.value.to_event(bench.now_s(), request.what, about)
+        yield session.day_checks.judge(measured) if request.what == "day" else measured
     yield run_finished(bench, session.run_id, ended, f"The {request.what} is measured.")
 
 

@@ -73,6 +73,11 @@ from touchdown.backend.runs.requests import StackRequest, request_record
 def pick_and_place(bench: Bench) -> Plan[TrialResult]:
     """Release at the first place without a test: the paper's baseline, simulated benches only."""
     yield from take_piece(bench)
+    if bench.withheld:
+        untested = PlaceAction("release", (0.0, 0.0), None, False, "Release without a test.")
+        ended = yield from _unapproved(bench, untested, 1)
+        if ended is not None:
+            return ended
     yield from zero_sensors(bench, 1)
     yield PhaseEntered(bench.now_s(), "approach", 1)
     motion = bench.arm.press(probe_command(bench))
@@ -218,9 +223,15 @@ def _probe_or_search(
 
 def _asks(bench: Bench, action: PlaceAction) -> bool:
     """Return True if ``action`` needs the operator's yes."""
-    withdrawn = bench.guard is not None and bench.guard.withdrawn
-    unsure = action.kind == "ask" or (action.kind == "release" and withdrawn)
+    unsure = action.kind == "ask" or (action.kind == "release" and _withheld(bench) != "")
     return unsure or bench.settings.mode != "auto"
+
+
+def _withheld(bench: Bench) -> str:
+    """Return why unattended release is withheld, "" if it is not."""
+    if bench.guard is None or not bench.guard.withdrawn:
+        return bench.withheld
+    return f"{bench.guard.describe()} {bench.withheld}".rstrip()
 
 
 def _unapproved(bench: Bench, action: PlaceAction, probe: int) -> Plan[TrialResult | None]:
@@ -230,8 +241,8 @@ def _unapproved(bench: Bench, action: PlaceAction, probe: int) -> Plan[TrialResu
     if not _asks(bench, action):
         return None
     alone = bench.settings.mode == "auto"
-    if alone and bench.guard is not None and bench.guard.withdrawn:
-        action = replace(action, reason=f"{action.reason} {bench.guard.describe()}")
+    if alone:
+        action = replace(action, reason=f"{action.reason} {_withheld(bench)}".rstrip())
     if alone and not bench.prompt.attended:
         return TrialResult(Outcome.ASKED, f"{action.reason} {NOBODY}", probe)
     patience_s = PATIENCE_S if alone else math.inf
@@ -347,8 +358,12 @@ def stack_run(session: RunContext, request: StackRequest) -> Plan[None]:
         yield Said(0.0, status.message)
     if guard is not None:
         yield Said(0.0, guard.describe())
+    told = ""
     for trial in range(request.trials):
-        bench = replace(session.set_scene(request.scene(trial), method), guard=guard)
+        if (withheld := session.day_checks.obstacle()) not in ("", told):
+            yield Said(0.0, told := withheld)
+        scene = session.set_scene(request.scene(trial), method)
+        bench = replace(scene, guard=guard, withheld=withheld)
         seed = request.seed + trial
         start_mm = None if bench.scoring is None else bench.scoring.start_mm()
         yield TrialStarted(bench.now_s(), trial + 1, seed, start_mm)

@@ -7,6 +7,7 @@ from functools import cache
 
 import numpy as np
 
+from touchdown.backend.bench import Session
 from touchdown.backend.config.bench_description import BenchDescription, BenchIdentity
 from touchdown.backend.config.method import StackSettings
 from touchdown.backend.core.event_bus import EventBus
@@ -153,6 +154,10 @@ class StandInBench:
             raise RefusedError("LATCHED", "The bench is stopped: press Reset first.")
         self.started.append(request)
         self.set_state(RunState.RUNNING)
+
+    @property
+    def day_checks(self):
+        return Session.day_checks.fget(self)
 
     def change_limits(self, limits, person):
         self.interlock.change_limits(limits, self.clock_s())

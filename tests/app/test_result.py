@@ -87,7 +87,9 @@ def told(live, bench, fact, ending="finished", reason=""):
 
 def test_it_opens_with_what_holds_and_what_to_do(wizard) -> None:
     sheet = shown(wizard)
-    assert [c.text() for c in sheet.conditions] == 5 * ["Never calibrated on this bench"]
+    assert [c.text() for c in sheet.conditions] == [
+        *5 * ["Never calibrated on this bench"], "Never checked on this bench",
+    ]  # fmt: skip
     assert sheet.title.text() == "Payload"
     assert sheet.steps[0].text().startswith("1  Empty the gripper")
     assert not sheet.form.isVisible()
@@ -151,10 +153,8 @@ def test_a_good_result_is_shown_with_its_residual_and_kept_once_accepted(wizard,
     sheet = told(wizard, bench, GOOD)
     assert sheet.figure.text() == "Residual 0.02 N, within the limit of 0.3 N."
     assert sheet.figure.property("tone") == "good"
-    assert (sheet.names[0].text(), sheet.values[0].text()) == (
-        "Mass", "1.5020 \N{PLUS-MINUS SIGN} 0.0040 kg",
-    )  # fmt: skip
-    assert "limit 0.3 N" in sheet.bars.accessibleDescription()
+    assert sheet.table.texts()[0][:2] == ["Mass", "1.5020 \N{PLUS-MINUS SIGN} 0.0040 kg"]
+    assert "limit 0.300" in sheet.plot.accessibleDescription()
     assert sheet.measure.text() == "Repeat"
     assert list(bench.calibrations.folder.glob("*")) == []
     sheet.accept_it.click()
@@ -224,14 +224,38 @@ def test_accepted_cameras_say_from_when_on_they_are_read_so(wizard, bench) -> No
 
 
 def test_an_expired_calibration_is_red_with_its_date_and_person(wizard, bench, far_east) -> None:
-    assert shown(wizard).bars.empty == "Measure first."
+    assert shown(wizard).plot.empty == "Measure first."
     bench.calibrations.accept(GOOD, {}, "Ada", datetime(2020, 1, 1, 12, tzinfo=UTC))
     wizard.panels.calibrate.open()
     sheet = shown(wizard)
-    assert sheet.bars.empty == "Last measured 2020-01-01 17:45 by Ada: 0.02 N."
-    assert "Ada" in sheet.bars.accessibleDescription()
+    assert sheet.plot.empty == "Last measured 2020-01-01 17:45 by Ada: 0.02 N."
+    assert "Ada" in sheet.plot.accessibleDescription()
     assert sheet.conditions[0].text().startswith("Expired")
     assert sheet.conditions[0].property("tone") == "bad"
+
+
+def test_the_daily_check_shows_its_history_and_what_to_do(wizard, bench) -> None:
+    wizard.actions.action("check-day").trigger()
+    assert shown(wizard).plot.empty == "Measure first."
+    names = ("left_markers", "wrist_noise_n")
+    for noise_n in (0.1, 0.3):
+        found = replace(
+            GOOD, what="day", names=names, values=(63.0, noise_n), sigmas=(0.0, 0.0),
+            units=("", "N"), residuals=(),
+        )  # fmt: skip
+        sheet = told(wizard, bench, bench.day_checks.judge(found, datetime.now(UTC)))
+    assert sheet.title.text() == "Daily check"
+    assert sheet.figure.text().endswith(": out of limits.")
+    assert sheet.note.text() == (
+        "Noise at rest, wrist sensor: 0.3, above 0.2 N. Check its cable and earth, and what shakes "
+        "the table."
+    )
+    assert sheet.table.texts()[1] == ["Noise at rest, wrist sensor", "0.3 N", "0 to 0.2"]
+    assert sheet.conditions[5].text().startswith("Out of limits on")
+    assert not sheet.accept_it.isEnabled()
+    assert {line.name: len(line.points) for line in sheet.plot.lines if line.points} == {
+        "limit": 2, "markers": 1, "wrist noise": 1,
+    }  # fmt: skip
 
 
 def test_only_the_cameras_ask_for_the_pitch_of_the_dots(wizard) -> None:

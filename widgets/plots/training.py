@@ -45,7 +45,7 @@ class CurveLine:
 class _TrainingPlot(PictureView):
     """Axes and lines; small enough to be drawn without a cache."""
 
-    unit = ""
+    unit, empty = "", "No epoch yet"
 
     def __init__(self, theme: Theme, name: str) -> None:
         super().__init__(theme, name, (130, 96), (280, 170), opaque=False)
@@ -55,7 +55,7 @@ class _TrainingPlot(PictureView):
 
     def _show(self, lines: Sequence[CurveLine], words: Iterable[str]) -> None:
         self.lines = tuple(lines)
-        self.setAccessibleDescription(", ".join(words) or "no epoch yet")
+        self.setAccessibleDescription(", ".join(words) or self.empty)
         self.update()
 
     def _area(self, x: tuple[float, float], y: tuple[float, float], right: float) -> PlotArea:
@@ -137,7 +137,7 @@ class CurvePlot(_TrainingPlot):
         self._draw_axes(painter, area, whole=True)
         drawn = [one for one in self.lines if one.points]
         if not drawn:
-            draw_message(painter, self.rect(), self._theme, "", "No epoch yet")
+            draw_message(painter, self.rect(), self._theme, "", self.empty)
             return
         if self.best:
             painter.setPen(QPen(self._theme.tokens.colour("muted"), 1, Qt.PenStyle.DotLine))
@@ -173,7 +173,7 @@ class ReliabilityPlot(_TrainingPlot):
         painter.setPen(QPen(self._theme.tokens.colour("muted"), 1, Qt.PenStyle.DotLine))
         painter.drawLine(area.rect.bottomLeft(), area.rect.topRight())
         if not any(one.points for one in self.lines):
-            draw_message(painter, self.rect(), self._theme, "", "No epoch yet")
+            draw_message(painter, self.rect(), self._theme, "", self.empty)
             return
         painter.setFont(ui_font(self._theme.scale, 0.82, 500))
         height = painter.fontMetrics().height()

@@ -36,7 +36,14 @@ from touchdown.backend.calibration.result import (
     Quantity,
     format_value,
 )
-from touchdown.backend.core import CalibrationMeasured, InputError, RefusedError
+from touchdown.backend.config import BenchIdentity
+from touchdown.backend.core import (
+    MARKERS,
+    CalibrationMeasured,
+    InputError,
+    PhaseEntered,
+    RefusedError,
+)
 from touchdown.backend.runs.calibrate import MOST_PUSHES, next_side
 from touchdown.backend.runs.calibrations import payload_wrench
 from touchdown.backend.simulation.marker_fields import build_gel
@@ -402,3 +409,115 @@ def test_a_bench_that_needs_them_is_refused_by_name_with_the_fix(store):
 )
 def test_values_have_words_digits_and_units(name, value, sigma, unit, words):
     assert format_value(name, value, sigma, unit) == words
+
+
+GOOD_DAY = {
+    **{f"{side}_markers": float(MARKERS) for side in ("left", "right")},
+    "left_stiffness_px_n": 1.1, "right_stiffness_px_n": 1.1,
+    "wrist_noise_n": 0.1, "wrist_drift_n_min": 0.01,
+}  # fmt: skip
+BENCH = BenchIdentity("Lab", "abc", daily_check=True)
+
+
+def checked(store, day, bench=BENCH, **changes: float) -> CalibrationMeasured:
+    """Make the check of a day; return its event."""
+    values = GOOD_DAY | changes
+    estimate = CalibrationEstimate(
+        tuple(Quantity(n, v, 0.0, "") for n, v in values.items()), np.eye(6), np.zeros(0), 0.0,
+        1.0, "of the limits",
+    )  # fmt: skip
+    event = estimate.to_event(0.0, "day")
+    return store.day_checks(bench).judge(event, NOW + timedelta(days=day))
+
+
+def test_a_daily_check_that_is_missing_or_out_of_limits_withholds_releases_in_words(store):
+    def why(day):
+        return store.day_checks(BENCH).obstacle(NOW + timedelta(days=day))
+
+    fix = "each release is asked. Run 'touchdown check-day --bench lab.toml'."
+    assert why(0) == f"There is no daily check of today: {fix}"
+    assert store.day_checks(replace(BENCH, daily_check=False)).obstacle() == ""
+    assert checked(store, 0).acceptable
+    assert (why(0), why(1)[:32]) == ("", "There is no daily check of today")
+    found = checked(store, 1, left_markers=60.0, wrist_noise_n=0.4)
+    assert not found.acceptable
+    assert "Number of markers, left finger: 60, below 63. Clean the gel" in found.obstacle
+    assert "Noise at rest, wrist sensor: 0.4, above 0.2 N. Check its cable" in found.obstacle
+    assert why(1) == (
+        f"The daily check of 2026-03-02 is out of limits (number of markers, noise at rest): {fix}"
+    )
+    # The last check of a day counts; another bench has checks of its own.
+    assert checked(store, 1).acceptable
+    checked(store, 1, replace(BENCH, sha256="other"), left_markers=1.0)
+    assert why(1) == ""
+    assert [check.day for check in store.day_checks(BENCH).history()] == [
+        "2026-03-01",
+        "2026-03-02",
+    ]
+
+
+def test_a_history_tightens_the_limits_and_what_is_out_of_them_is_no_part_of_it(store):
+    for day in range(5):
+        assert checked(store, day, left_stiffness_px_n=1.1 + 0.01 * day).acceptable
+    assert "Motion of the markers, left finger: 1.6" in (
+        checked(store, 5, left_stiffness_px_n=1.6).obstacle
+    )
+    for day in range(6, 20):
+        assert not checked(store, day, left_stiffness_px_n=1.6).acceptable
+    assert checked(store, 20, left_stiffness_px_n=1.15).acceptable
+
+
+@pytest.mark.parametrize("damage", [b"{\n", b'{"version": 1', b"\xff\xfe\n", b'{"version": 2}\n'])
+def test_a_damaged_line_is_skipped_and_as_the_last_one_withholds_releases(store, damage):
+    checked(store, 0)
+    (path,) = store.folder.iterdir()
+    path.write_bytes(path.read_bytes() + damage)
+    checks = store.day_checks(BENCH)
+    assert len(checks.history()) == 1
+    assert checks.obstacle(NOW).startswith("The record of the last daily check is damaged: each")
+    checked(store, 0)
+    assert store.day_checks(BENCH).obstacle(NOW) == ""
+    path.unlink()
+    path.mkdir()
+    with pytest.raises(InputError, match="The daily checks cannot be read"):
+        checks.obstacle()
+
+
+def pressed(folder, left: str, presses: int):
+    """Press with these gels; return the ledger."""
+    ledger = CalibrationStore(folder, "hardware", gels={"left": left, "right": "R-1"}).gels
+    for _ in range(presses):
+        ledger.take(PhaseEntered(0.0, "press", 1))
+        ledger.take(PhaseEntered(0.0, "approach", 1))
+    return ledger
+
+
+def test_presses_are_counted_by_serial_number_and_survive_a_torn_line(tmp_path):
+    assert pressed(tmp_path, "", 2).texts().keys() == {"tactile_right"}
+    left, right = pressed(tmp_path, "A", 3).lives()
+    assert (left.presses, right.presses, left.before) == (3, 5, "")
+    path = tmp_path / "gel-left-hardware.txt"
+    # A line torn by a power failure is skipped; the next press begins a new one.
+    path.write_bytes(path.read_bytes() + b"\n2026-01-01T00:00:00+00:00 A")
+    left, _ = pressed(tmp_path, "A", 1).lives()
+    assert (left.presses, left.before) == (4, "")
+    assert left.text == f"Left gel A: 4 presses since {datetime.now():%Y-%m-%d}"
+    left, _ = pressed(tmp_path, "B", 0).lives()
+    assert (left.presses, left.before) == (0, "A")
+    left, _ = pressed(tmp_path, "A", 1).lives()
+    assert (left.presses, left.before) == (5, "")
+
+
+def test_a_replaced_gel_ends_the_camera_calibration_until_it_is_made_again(tmp_path):
+    store = CalibrationStore(tmp_path, "hardware", gels={"left": "B"})
+    store.accept(of_kind("camera"), {}, now=NOW)
+    assert store.status("camera", {}, NOW).condition == "valid"
+    pressed(tmp_path, "A", 1)
+    pressed(tmp_path, "B", 1)
+    standing = store.status("camera", {}, NOW)
+    today = f"{datetime.now():%Y-%m-%d}"
+    assert standing.condition == "gel replaced"
+    assert standing.why == f"the left gel was replaced on {today} (A by B)"
+    assert "camera" not in store.in_use({}, required=False)
+    store.accept(of_kind("camera"), {}, now=datetime.now(UTC) + timedelta(seconds=2))
+    assert store.status("camera", {}).condition == "valid"

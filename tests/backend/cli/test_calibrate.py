@@ -23,13 +23,19 @@ from tests.backend.annotations.conftest import context_for, small_episode
 from tests.backend.bench.brisk import RATE_HZ
 from touchdown.backend.annotations import Dataset, Label, list_backups
 from touchdown.backend.calibration.records import CalibrationStore, read_record
-from touchdown.backend.calibration.result import CALIBRATION_NAMES, CalibrationEstimate, Quantity
+from touchdown.backend.calibration.result import (
+    CALIBRATION_KINDS,
+    CALIBRATION_NAMES,
+    CalibrationEstimate,
+    Quantity,
+)
 from touchdown.backend.cli import calibrate, collect, dataset, import_, main, stack, train
 from touchdown.backend.cli.bench import _timing_table
 from touchdown.backend.cli.collect import coverage_text
 from touchdown.backend.cli.connection import fill_in_scene, wait_for_disk_space
 from touchdown.backend.cli.output import VerbOutput, progress_lines
-from touchdown.backend.core import Fault, RunFinished
+from touchdown.backend.config import load_lab
+from touchdown.backend.core import Fault, PhaseEntered, RunFinished
 from touchdown.backend.episodes.quality import count_coverage
 from touchdown.backend.geometry.outlines import circle
 from touchdown.backend.rig.diagnostics import SensorTiming
@@ -182,6 +188,37 @@ def test_status_says_what_lacks_and_what_to_do(capsys) -> None:
     rows = json.loads(capsys.readouterr().out)["calibrations"]
     assert [row["what"] for row in rows] == list(CALIBRATION_NAMES)
     assert [row["condition"] for row in rows] == ["valid"] + 4 * ["missing"]
+
+
+def test_the_last_check_the_gels_and_what_they_mean_are_shown(lab, capsys) -> None:
+    text = lab.read_text("utf-8").replace('"FILL-IN1" }', '"FILL-IN1", gel = "B" }')
+    lab.write_text(text.replace("daily_check = false", "daily_check = true"), "utf-8")
+    assert main(["check-day", "--last", "--bench", str(lab)]) == 1
+    said = " ".join(capsys.readouterr().out.split())
+    assert "There is no daily check of today: each release is asked." in said
+    assert f"Run 'touchdown check-day --bench {lab} --home'." in said
+    store = CalibrationStore(lab.parent / "calibrations", "hardware", gels={"left": "A"})
+    store.accept(
+        replace(
+            GOOD,
+            what="camera",
+            names=CALIBRATION_KINDS["camera"].values,
+            values=4 * (0.06,),
+            sigmas=4 * (0.01,),
+            units=4 * ("mm/px",),
+        ),
+        {},
+    )
+    store.gels.take(PhaseEntered(0.0, "press", 1))
+    checks = store.day_checks(load_lab(lab).identity)
+    checks.judge(replace(GOOD, what="day", names=("wrist_noise_n",), values=(0.3,)))
+    assert main(["check-day", "--last", "--bench", str(lab), "--json"]) == 1
+    told = json.loads(capsys.readouterr().out)
+    assert told["last"]["limits"] == {"wrist_noise_n": [0.0, 0.2]}
+    assert told["findings"][0].startswith("Noise at rest, wrist sensor: 0.3, above 0.2 N.")
+    assert "is out of limits (noise at rest): each release is asked." in told["withheld"]
+    assert told["gels"][0].startswith("Left gel B: 0 presses since ")
+    assert re.match(r"Cameras: the left gel was replaced on .* \(A by B\)\. Run", told["gels"][1])
 
 
 def test_the_command_that_status_names_works_as_it_is_pasted(lab, capsys) -> None:

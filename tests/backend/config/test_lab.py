@@ -149,6 +149,12 @@ def test_facts_follow_the_sensors_and_not_their_addresses(tmp_path):
         return load_lab(written(tmp_path, HEAD.format(kind="hardware") + more)).facts
 
     plain = facts("")
+    named = '[gelsight]\nleft = { gel = "A-1" }\n'
+    assert (facts(named).sha256, facts(named).gels) == (plain.sha256, ("A-1", ""))
+    labs = [load_lab(written(tmp_path, HEAD.format(kind="hardware") + t)).identity
+            for t in ("", named, named.replace("A-1", "B"))]  # fmt: skip
+    assert labs[0].sha256 == plain.sha256
+    assert len({lab.sha256 for lab in labs}) == 3, "a certificate names the gels, if known"
     assert facts('[melfa]\nhost = "10.0.0.7"\n[limits]\npress_n = 20.0\n') == plain
     assert facts("[gelsight]\nmm_per_px_x = 0.06\n").sha256 != plain.sha256
     assert facts("[mounting]\nsensor_height_mm = 90.0\n").ft_frame != plain.ft_frame

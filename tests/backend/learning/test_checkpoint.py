@@ -5,6 +5,7 @@ import io
 import json
 import os
 import struct
+import time
 from contextlib import redirect_stderr, redirect_stdout
 from importlib.resources import files
 from pathlib import Path
@@ -93,6 +94,21 @@ def test_simulation_alone_needs_hardware_probes(card: ModelCard) -> None:
     assert fields(card, LAB, HARDWARE_PROBES) == ["mm/px", "F/T frame"]
     with pytest.raises(InputError, match="49 of 50 hardware probes evaluated"):
         check_autonomous(card, card_mismatches(card, lab, card.geometry, 1.0, 49), "model")
+
+
+def test_a_replaced_gel_is_named_and_evaluations_before_it_do_not_count(tmp_path, card) -> None:
+    lab = LAB.model_copy(update={"gels": ("A", "R")})
+    real = card.model_copy(update={"simulated": False, "benches": (LAB, lab)})
+    assert fields(real, lab) == []
+    found = card_mismatches(
+        real, lab.model_copy(update={"gels": ("B", "R")}), card.geometry, 1.0, 0
+    )
+    assert [str(one) for one in found] == ["left gel: the model A, the bench B"]
+    assert fields(real, LAB) == []
+    registry = ModelRegistry(tmp_path)
+    registry.note_hardware("f" * 64, 60, 0.8, 0.9)
+    assert registry.hardware_probes("f" * 64) == 60
+    assert registry.hardware_probes("f" * 64, time.time_ns() + 10**9) == 0
 
 
 def test_a_model_of_real_probes_is_no_model_of_the_simulation(card: ModelCard) -> None:

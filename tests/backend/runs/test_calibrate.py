@@ -11,7 +11,7 @@ import pytest
 from tests.backend.bench.brisk import on
 from tests.backend.runs.blind_bench import BRISK, BlindBench
 from touchdown.backend.bench.assembly import SimulatedBenchChoice, simulated_session
-from touchdown.backend.calibration import FINGERPRINT_VALUES, CalibrationEstimate
+from touchdown.backend.calibration import FINGERPRINT_VALUES, CalibrationEstimate, CalibrationStore
 from touchdown.backend.config.simulation import SimulationSettings
 from touchdown.backend.core import (
     CalibrationMeasured,
@@ -310,6 +310,44 @@ def test_pressing_at_the_rim_tells_how_the_cameras_sit(monkeypatch):
         assert scales[f"{finger}_u_mm_px"] == pytest.approx(0.0585, rel=0.01)
         assert scales[f"{finger}_v_mm_px"] == pytest.approx(0.0602, rel=0.01)
     assert found.residual == pytest.approx(1.7, abs=0.4)
+
+
+GRASP, TACTILE, WRIST = (
+    {"shear_n_mm": 2.0},
+    {"lost_share": 0.5, "lost_frames": 999},
+    {"white_n": 0.4},
+)
+RESTLESS = ("number of markers", "noise at rest", "drift at rest")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("changes", "faults", "out"),
+    [
+        ({}, (), ()),
+        ({"grasp": GRASP}, (), ("motion of the markers",)),
+        ({"tactile": TACTILE, "wrist": WRIST}, ("force_torque:drift=0.02@0",), RESTLESS),
+    ],
+)
+def test_the_daily_check_names_what_is_changed_on_the_bench(
+    changes, faults, out, tmp_path, monkeypatch
+):
+    for name, value in (("DAY_RESTS", 2), ("DAY_REST_S", 1.5), ("DAY_PRESSES", 1)):
+        monkeypatch.setattr(calibrate, name, value)
+    changes = {**changes, "tactile": {**changes.get("tactile", {}), "rate_hz": 8.0}}
+    settings = SimulationSettings.model_validate(changes)
+    choice = SimulatedBenchChoice(given=settings, disturbances=faults)
+    with simulated_session(choice, keep=RecordingOptions(None), method=BRISK) as session:
+        session.interlock.limits = Limits(contact_speed_mm_s=4.0)
+        session.calibrations = CalibrationStore(tmp_path, "simulated")
+        told = []
+        on(session, CalibrationMeasured, told.append)
+        session.run(CalibrateRequest("day", seed=2))
+        (found,) = told
+        assert found.acceptable == (not out), found.obstacle
+        assert all(word in session.day_checks.obstacle() for word in out)
+        assert ("left_stiffness_px_n" in found.names) == (len(out) < 2), "nothing was gripped"
+        assert not session.devices["gripper"].status().holding
 
 
 HEAVY = """

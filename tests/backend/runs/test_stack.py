@@ -1,5 +1,7 @@
 """Questions of a run where it is unsure: signals that differ from calibration, no place found."""
 
+from types import SimpleNamespace
+
 import pytest
 
 from tests.backend.bench.brisk import brisk_method, on
@@ -59,6 +61,31 @@ def test_without_a_person_a_release_after_the_alarm_ends_as_asked():
     assert not bench.of(ApprovalAwaited)
     assert len(guard.state.observed) == 6, "the trial itself is counted"
     assert any(said.text == guard.describe() for said in bench.of(Said)), "in the run log"
+
+
+@pytest.mark.parametrize("strategy", ["paper", "fused", "pick-and-place"])
+@pytest.mark.parametrize("attended", [False, True])
+def test_a_failed_daily_check_asks_before_each_release_and_says_so_in_the_log(strategy, attended):
+    bench = fused_bench(BOLD) if strategy == "fused" else OracleSession()
+    bench.session.prompt.attended = attended
+    why = "The daily check of 2026-01-01 is out of limits"
+    bench.session.calibrations = SimpleNamespace(
+        day_checks=lambda *_: SimpleNamespace(obstacle=lambda: why),
+        status=lambda *_: SimpleNamespace(condition="missing"), in_use=lambda *_, **__: {},
+    )  # fmt: skip
+    on(bench.session, ApprovalAwaited, lambda _: bench.session.answer(True))
+    bench.session.run(request(strategy=strategy))
+    (end,) = bench.of(TrialFinished)
+    assert [said.text for said in bench.of(Said)].count(why) == 1
+    asked = [event.action for event in bench.of(ApprovalAwaited)]
+    assert all(why in action.reason for action in asked)
+    if attended:
+        assert "release" in [action.kind for action in asked]
+        assert bench.of(Released)
+    else:
+        assert (end.outcome, len(asked)) == (Outcome.ASKED, 0)
+        assert why in end.reason
+        assert not bench.of(Released)
 
 
 def test_a_yes_presses_and_judges_again_before_the_jaws_open():

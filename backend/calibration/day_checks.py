@@ -1,0 +1,182 @@
+"""Daily checks of a bench: limits, history, and the releases that they withhold.
+
+One JSON line per check in a file beside the calibrations; the last check of a day counts. The
+limits for any bench hold always. From ``LEAST_CHECKS`` days on, the median and the spread (median
+absolute deviation) of the days within limits tighten them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field, ValidationError
+
+from touchdown.backend.config import Settings
+from touchdown.backend.core import MARKERS, CalibrationMeasured, append_line, disk_errors
+
+LEAST_CHECKS, MOST_CHECKS = 5, 30  # days of a history
+SPREADS = 6.0  # standard deviations, 1.4826 median absolute deviations each, within limits
+SIDES = {"left": "left finger", "right": "right finger", "wrist": "wrist sensor"}
+
+
+@dataclass(frozen=True, slots=True)
+class CheckedQuantity:
+    """Quantity with its limits for any bench, ``low`` 0 if it has none, and what to do beyond.
+
+    ``least``: smallest distance of a limit from the median of the history.
+    """
+
+    title: str
+    unit: str
+    low: float
+    high: float
+    least: float
+    fix: str
+
+
+# By the name of a value without its side, as in "left_noise_px".
+QUANTITIES = {
+    "stiffness_px_n": CheckedQuantity("Motion of the markers", "px/N", 0.5, 2.0, 0.3,
+        "Check the grip force and look for tears in the gel; replace a worn gel."),
+    "markers": CheckedQuantity("Number of markers", "", MARKERS, MARKERS, 0.5,
+        "Clean the gel and look at its picture; replace a gel with worn dots."),
+    "noise_px": CheckedQuantity("Noise of the markers", "px", 0.0, 0.18, 0.06,
+        "Check light, focus and cable of the camera, and that nothing touches the gel."),
+    "offset_px": CheckedQuantity("Offset of the grasp", "px", 0.0, 8.0, 3.0,
+        "Check how the piece sits between the jaws, and that gel and camera are fixed."),
+    "noise_n": CheckedQuantity("Noise at rest", "N", 0.0, 0.2, 0.03,
+        "Check its cable and earth, and what shakes the table."),
+    "drift_n_min": CheckedQuantity("Drift at rest", "N/min", 0.0, 0.2, 0.1,
+        "Let the sensor warm up and check again; check its mounting."),
+}  # fmt: skip
+NAMES = frozenset(f"{side}_{key}" for side in SIDES for key in QUANTITIES)
+
+
+def quantity(name: str) -> CheckedQuantity:
+    """Return the quantity of a value such as "left_noise_px", with its side in the title."""
+    side, _, key = name.partition("_")
+    return replace(QUANTITIES[key], title=f"{QUANTITIES[key].title}, {SIDES[side]}")
+
+
+class DayCheck(Settings):
+    """Values of one check by name, each with its limits. The date is UTC."""
+
+    version: Literal[1] = 1
+    bench: str
+    date: Annotated[datetime, Field(strict=False)]
+    values: dict[str, float]
+    limits: dict[str, tuple[float, float]]
+
+    @property
+    def day(self) -> str:
+        """Date on this computer's clock."""
+        return f"{self.date.astimezone():%Y-%m-%d}"
+
+    def share(self, name: str) -> float:
+        """Return how far a value is from the middle of its limits; more than 1 is out of them."""
+        low, high = self.limits[name]
+        middle = 0.5 * (low + high) if low > 0.0 else 0.0
+        return abs(self.values[name] - middle) / ((high - middle) or 0.5)
+
+    @property
+    def findings(self) -> dict[str, str]:
+        """Each value out of limits as a sentence, with what to do."""
+        found = {}
+        for name, (low, high) in self.limits.items():
+            known, value = quantity(name), self.values[name]
+            if not low <= value <= high:
+                beyond = f"below {low:.3g}" if value < low else f"above {high:.3g}"
+                what = f"{known.title}: {value:.3g}, {beyond} {known.unit}".rstrip()
+                found[name] = f"{what}. {known.fix}"
+        return found
+
+    def rows(self) -> list[tuple[str, ...]]:
+        """Return name, value and limits of each quantity as texts."""
+        named = [(quantity(n), self.values[n], *limits) for n, limits in self.limits.items()]
+        return [
+            (known.title, f"{value:.3g} {known.unit}".rstrip(), f"{low:.3g} to {high:.3g}")
+            for known, value, low, high in named
+        ]
+
+
+class DayChecks:
+    """Checks of one bench, by its hash ``bench`` ("": of any), in ``path`` (None: none).
+
+    ``required``: unattended release needs a check of the same day. ``command`` makes a check.
+    """
+
+    def __init__(
+        self, path: Path | None, bench: str = "", command: str = "", *, required: bool = False
+    ) -> None:
+        self._path, self._bench, self._command, self._required = path, bench, command, required
+
+    def history(self) -> list[DayCheck]:
+        """Return the last check of each day, oldest first; raises ``InputError``."""
+        return self._read()[0]
+
+    def judge(self, found: CalibrationMeasured, now: datetime | None = None) -> CalibrationMeasured:
+        """Compare a check with its limits, store it, and return it with the result.
+
+        Raises ``InputError`` if it cannot be stored.
+        """
+        date, limits = (now or datetime.now(UTC)).replace(microsecond=0), {}
+        values = dict(zip(found.names, found.values, strict=True))
+        check = DayCheck(bench=self._bench, date=date, values=values, limits={})
+        before = [one for one in self.history() if one.day != check.day]
+        for name in values:
+            known, within = quantity(name), [one for one in before if name in one.values]
+            past = [o.values[name] for o in within if name not in o.findings][-MOST_CHECKS:]
+            low, high = known.low, known.high
+            if len(past) >= LEAST_CHECKS:
+                middle = float(np.median(past))
+                spread = 1.4826 * float(np.median(np.abs(np.subtract(past, middle))))
+                reach = max(SPREADS * spread, known.least)
+                low, high = max(low, middle - reach), min(high, middle + reach)
+            limits[name] = (low, high)
+        check = check.model_copy(update={"limits": limits})
+        if self._path is not None:
+            fix = "Make room, or name a folder that can be written, and check again."
+            with disk_errors("The daily check cannot be stored", self._path, fix):
+                append_line(self._path, check.model_dump_json().encode())
+        shares = tuple(map(check.share, found.names))
+        obstacle = " ".join(check.findings.values())
+        return replace(found, residual=max(shares), residuals=shares, obstacle=obstacle)
+
+    def obstacle(self, now: datetime | None = None) -> str:
+        """Return why unattended release is withheld, "" if it is not; raises ``InputError``."""
+        checks, damaged = self._read()
+        today = f"{(now or datetime.now(UTC)).astimezone():%Y-%m-%d}"
+        if damaged:
+            why = "The record of the last daily check is damaged"
+        elif checks and checks[-1].findings:
+            names = (name.partition("_")[2] for name in checks[-1].findings)
+            titles = ", ".join(dict.fromkeys(QUANTITIES[name].title.lower() for name in names))
+            why = f"The daily check of {checks[-1].day} is out of limits ({titles})"
+        elif self._required and (not checks or checks[-1].day != today):
+            why = "There is no daily check of today"
+        else:
+            return ""
+        return f"{why}: each release is asked. Run '{self._command}'."
+
+    def _read(self) -> tuple[list[DayCheck], bool]:
+        """Return the last check of each day, and True if the last line is damaged."""
+        days, damaged = dict[str, DayCheck](), False
+        if self._path is None or not self._path.exists():
+            return [], False
+        with disk_errors("The daily checks cannot be read", self._path, "Check its permissions."):
+            lines = self._path.read_bytes().splitlines()
+        for line in lines:
+            try:
+                check = DayCheck.model_validate_json(line)
+            except ValidationError:
+                damaged = True
+                continue
+            damaged = not (check.limits.keys() == check.values.keys() <= NAMES)
+            if not damaged and self._bench in ("", check.bench):
+                days.pop(check.day, None)
+                days[check.day] = check
+        return list(days.values()), damaged

@@ -119,7 +119,8 @@ class CalibratePresenter:
         if isinstance(event, Progress):
             self._progress = event
         elif isinstance(event, CalibrationMeasured):
-            self._measured[self._running] = event
+            if self._running != "day":  # which is stored at once
+                self._measured[self._running] = event
             self._read_s = float("-inf")
             self._said.pop(self._running, None)
         elif isinstance(event, HandOverAwaited) and self.sheet is not None:
@@ -189,7 +190,7 @@ class CalibratePresenter:
         if store is not None:
             names = device_names(self._bench.devices)
             try:
-                self._history = tuple(self._bench.day_checks.history())
+                self._history = tuple(self._bench.day_checks.read()[0])
             except InputError as error:
                 self._history, self._said["day"] = (), f"{error.what} {error.where}"
             self._standings = {what: store.status(what, names) for what in MEASUREMENT_NAMES}

@@ -57,14 +57,12 @@ class PlaceForm(QWidget):
         set_entries(self.piece, [(name, name) for name in pieces], usual.piece)
         set_entries(self.bottom, [(name, name) for name in bottoms], usual.bottom)
         self.x_mm, self.y_mm = decimal_box(-REACH_MM, REACH_MM), decimal_box(-REACH_MM, REACH_MM)
-        self.pitch_mm, self.hand_over = (
-            decimal_box(0.5, 5.0),
-            QCheckBox("Hand the piece over (no jig)"),
-        )
+        self.hand_over = QCheckBox("Hand the piece over (no jig)")
+        self.pitch_mm = decimal_box(0.5, 5.0)
         self.pitch_mm.setValue(usual.pitch_mm)
-        for spin in (self.x_mm, self.y_mm, self.pitch_mm):
-            spin.setSuffix(" mm")
         x, y, pitch = self.x_mm, self.y_mm, self.pitch_mm
+        for spin in (x, y, pitch):
+            spin.setSuffix(" mm")
         fields = FormFields(12, 6, piece=self.piece, bottom=self.bottom, x=x, y=y, pitch=pitch)
         fields.add_halves(0, ("Piece", self.piece, ""), ("Bottom", self.bottom, ""))
         fields.add_halves(1, ("Origin x", x, ""), ("y", y, ""))
@@ -89,18 +87,17 @@ class PlaceForm(QWidget):
         )
 
 
-MOST_RESIDUALS = 126
 DAY_COLOURS = ("axis_x", "axis_y", "axis_z", "scene", "focus", "text")
 HIGHEST_SHARE = 3.0  # of a limit, in the plot
 
 
 def residual_lines(found: CalibrationMeasured) -> list[CurveLine]:
     """Return the sizes of the residuals and their limit."""
-    sizes = [abs(value) for value in found.residuals[:MOST_RESIDUALS]]
+    sizes = [abs(value) for value in found.residuals]
     limit = ((1.0, found.limit), (float(len(sizes)), found.limit))
-    counts = "limit" if found.what in ("payload", "wrist") else "limit of the rms"
+    name = "limit" if found.what in ("payload", "wrist") else "limit of the rms"
     points = tuple((float(k), size) for k, size in enumerate(sizes, start=1))
-    return [CurveLine("", points, "axis_x"), CurveLine(counts, limit, "muted", dashed=True)]
+    return [CurveLine("", points, "axis_x"), CurveLine(name, limit, "muted", dashed=True)]
 
 
 def history_lines(checks: Sequence[DayCheck]) -> list[CurveLine]:
@@ -254,8 +251,7 @@ class CalibrateSheet(BenchSheet):
         self.figure.setText(figure)
         set_property(self.figure, "tone", tone)
         self.note.setText(said)
-        obstacle = look.what != "day" and found is not None and bool(found.obstacle)
-        set_property(self.note, "tone", "bad" if obstacle else "")
+        set_property(self.note, "tone", "bad" if found is not None and found.obstacle else "")
 
     def _show_buttons(self, look: CalibrationView) -> None:
         self.measure.setText("Measure" if look.found is None else "Repeat")
@@ -263,7 +259,6 @@ class CalibrateSheet(BenchSheet):
         self.measure.setToolTip(look.why or "The arm moves. STOP works as ever.")
         self.cancel.setEnabled(look.busy)
         can_accept = look.found is not None and look.found.acceptable and not look.busy
-        can_accept = can_accept and look.what != "day"  # is stored at once
         self.accept_it.setEnabled(can_accept)
         set_property(self.accept_it, "role", "primary" if can_accept else "")
         set_property(self.measure, "role", "" if can_accept else "primary")

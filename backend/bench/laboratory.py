@@ -145,7 +145,7 @@ def open_lab(
 def calibrations_of(lab: Lab) -> CalibrationStore:
     """Return the calibrations of a laboratory, beside its file or in the configured folder."""
     bench = f"--bench {shlex.quote(str(lab.path))} --home"
-    return CalibrationStore(lab.calibrations, lab.settings.kind, bench, lab.gels)
+    return CalibrationStore(lab.calibrations, lab.settings.kind, bench, lab.facts.gels)
 
 
 def find_camera_conflicts(lab: Lab) -> dict[str, str]:

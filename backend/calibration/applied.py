@@ -112,7 +112,8 @@ def calibrated_cameras(settings: GelsightSettings, record: CalibrationRecord) ->
     for finger in FINGERS:
         code = values.get(f"{finger}_mirror")
         mirror = own[finger].mirror if code is None else MIRROR_CODES[round(code.value)]
-        sat[finger] = own[finger].model_copy(update={"mirror": mirror})
+        gel = getattr(settings, finger).gel  # is named by finger
+        sat[finger] = own[finger].model_copy(update={"mirror": mirror, "gel": gel})
     scale = {
         f"mm_per_px_{pixel}": 0.5
         * sum(values[f"{finger}_{image}_mm_px"].value for finger in FINGERS)

@@ -114,10 +114,6 @@ class DayChecks:
     ) -> None:
         self._path, self._bench, self._command, self._required = path, bench, command, required
 
-    def history(self) -> list[DayCheck]:
-        """Return the last check of each day, oldest first; raises ``InputError``."""
-        return self._read()[0]
-
     def judge(self, found: CalibrationMeasured, now: datetime | None = None) -> CalibrationMeasured:
         """Compare a check with its limits, store it, and return it with the result.
 
@@ -126,7 +122,7 @@ class DayChecks:
         date, limits = (now or datetime.now(UTC)).replace(microsecond=0), {}
         values = dict(zip(found.names, found.values, strict=True))
         check = DayCheck(bench=self._bench, date=date, values=values, limits={})
-        before = [one for one in self.history() if one.day != check.day]
+        before = [one for one in self.read()[0] if one.day != check.day]
         for name in values:
             known, within = quantity(name), [one for one in before if name in one.values]
             past = [o.values[name] for o in within if name not in o.findings][-MOST_CHECKS:]
@@ -148,7 +144,7 @@ class DayChecks:
 
     def obstacle(self, now: datetime | None = None) -> str:
         """Return why unattended release is withheld, "" if it is not; raises ``InputError``."""
-        checks, damaged = self._read()
+        checks, damaged = self.read()
         today = f"{(now or datetime.now(UTC)).astimezone():%Y-%m-%d}"
         if damaged:
             why = "The record of the last daily check is damaged"
@@ -162,8 +158,11 @@ class DayChecks:
             return ""
         return f"{why}: each release is asked. Run '{self._command}'."
 
-    def _read(self) -> tuple[list[DayCheck], bool]:
-        """Return the last check of each day, and True if the last line is damaged."""
+    def read(self) -> tuple[list[DayCheck], bool]:
+        """Return the last check of each day, and True if the last line is damaged.
+
+        Raises ``InputError``.
+        """
         days, damaged = dict[str, DayCheck](), False
         if self._path is None or not self._path.exists():
             return [], False

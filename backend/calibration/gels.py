@@ -7,7 +7,6 @@ program, in any way, loses none.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -45,11 +44,11 @@ class GelLife:
 
 
 class GelLedger:
-    """Counts of one bench ``mode`` in ``folder``; ``serials``: gels mounted now, "" if unknown."""
+    """Counts of one bench ``mode`` in ``folder``; ``gels``: left and right one, "" if unknown."""
 
-    def __init__(self, folder: Path, mode: str, serials: Mapping[Finger, str]) -> None:
+    def __init__(self, folder: Path, mode: str, gels: tuple[str, str] | None) -> None:
         self._paths = {finger: folder / f"gel-{finger}-{mode}.txt" for finger in FINGERS}
-        self._serials = {finger: serial for finger, serial in serials.items() if serial}
+        self._serials = {f: gel for f, gel in zip(FINGERS, gels or (), strict=False) if gel}
 
     def take(self, event: Event) -> None:
         """Count the press that ``event`` begins; a disk that refuses it does not end the run."""

@@ -13,7 +13,6 @@ from datetime import UTC, datetime, timedelta
 from functools import partial
 from hashlib import sha256
 from pathlib import Path
-from types import MappingProxyType
 from typing import Annotated, Literal
 
 from pydantic import Field, ValidationError
@@ -31,7 +30,6 @@ from touchdown.backend.calibration.result import (
 from touchdown.backend.config import BenchIdentity, Settings
 from touchdown.backend.core import (
     CalibrationMeasured,
-    Finger,
     InputError,
     RefusedError,
     parse_json,
@@ -229,15 +227,11 @@ class CalibrationStore:
     """Calibration files of one folder and one bench ``mode``.
 
     ``where``: argument that names the bench on the command line, such as "--bench lab.toml".
-    ``gels``: serial numbers of the mounted gels, as far as known.
+    ``gels``: serial numbers of the left and the right gel, if known.
     """
 
     def __init__(
-        self,
-        folder: Path,
-        mode: Mode,
-        where: str = "",
-        gels: Mapping[Finger, str] = MappingProxyType({}),
+        self, folder: Path, mode: Mode, where: str = "", gels: tuple[str, str] | None = None
     ) -> None:
         self.folder: Path = folder
         self.mode: Mode = mode
@@ -253,10 +247,8 @@ class CalibrationStore:
     def day_checks(self, identity: BenchIdentity, bench_sha256: str = "") -> DayChecks:
         """Return the daily checks of a bench; ``bench_sha256`` names one without identity."""
         path = self.folder / f"day-checks-{self.mode}.jsonl"
-        return DayChecks(
-            path, identity.sha256 or bench_sha256, self.command("day"),
-            required=identity.daily_check,
-        )  # fmt: skip
+        bench, required = identity.sha256 or bench_sha256, identity.daily_check
+        return DayChecks(path, bench, self.command("day"), required=required)
 
     def accept(
         self,

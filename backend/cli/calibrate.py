@@ -67,13 +67,6 @@ TITLES: dict[str, str] = {kind.what: kind.title for kind in CALIBRATION_KINDS.va
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
-    if parser.prog.endswith("check-day"):
-        parser.set_defaults(what="day", runs=None, limit=None, accept=False)
-        parser.add_argument(
-            "--last", action="store_true", help="show the last check; nothing moves"
-        )
-    else:
-        _add_calibration_arguments(parser)
     add_scene_arguments(parser, BOTTOM, "board or bottom")
     add_hand_over_arguments(parser)
     parser.add_argument(
@@ -83,9 +76,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=int, default=0, help="of the simulated bench")
     parser.add_argument("--calibrations", metavar="DIR", help="folder (default: the bench's)")
     add_bench_arguments(parser)
-
-
-def _add_calibration_arguments(parser: argparse.ArgumentParser) -> None:
+    if parser.prog.endswith("check-day"):
+        parser.add_argument(
+            "--last", action="store_true", help="show the last check; nothing moves"
+        )
+        parser.set_defaults(what="day", runs=None, limit=None, accept=False)
+        return
     parser.add_argument(
         "what", choices=(*CALIBRATION_NAMES, "status", RISK), help="what to measure; 'status'; or "
         "'risk': bound the unsafe releases of a laboratory from its trials",
@@ -207,7 +203,7 @@ def _report_day(store: CalibrationStore, checks: DayChecks, screen: VerbOutput) 
 
 def show_day(store: CalibrationStore, checks: DayChecks, screen: VerbOutput) -> dict[str, object]:
     """Print and return the last daily check, the gels, and why releases are withheld."""
-    history, withheld = checks.history(), checks.obstacle()
+    history, withheld = checks.read()[0], checks.obstacle()
     for check in history[-1:]:
         header = ("quantity", "value", "limits")
         screen.table(f"Daily check of {check.day}", header, *check.rows(), right=header[1:])
@@ -321,7 +317,7 @@ def _store_of(args: argparse.Namespace) -> CalibrationStore:
     if at_lab(args):
         lab = load_lab(Path(args.bench))
         own = folder if args.calibrations else lab.calibrations
-        return CalibrationStore(own, lab.settings.kind, where, lab.gels)
+        return CalibrationStore(own, lab.settings.kind, where, lab.facts.gels)
     return CalibrationStore(folder, "emulated" if args.emulated else "simulated", where)
 
 

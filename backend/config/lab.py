@@ -28,7 +28,7 @@ from touchdown.backend.config.bench_description import (
 from touchdown.backend.config.hardware import HardwareSettings
 from touchdown.backend.config.method import Force, NonNegative, Positive, Settings, Speed
 from touchdown.backend.config.toml_file import parse_settings, read_toml
-from touchdown.backend.core import FINGERS, Finger, InputError, write_atomically
+from touchdown.backend.core import InputError, write_atomically
 
 ADDRESS_URL = re.compile(r"(?:socket|udp|tcp)://(?:[^@/]*@)?(?P<host>\[[^\]]+\]|[^:/]+)")
 TERMINALS = Path("/dev/pts")
@@ -214,28 +214,23 @@ class Lab:
         """Bench as named by a certificate; the file decides, not later calibrations."""
         facts = self.facts
         sha256 = sha256_of_json([facts.sha256, *facts.gels]) if facts.gels else facts.sha256
-        daily_check = self.settings.daily_check
-        return BenchIdentity(self.settings.name, sha256, self.calibrations, daily_check)
-
-    @property
-    def gels(self) -> dict[Finger, str]:
-        """Serial number of the gel of each finger, "" if it is not known."""
-        return {finger: getattr(self.settings.gelsight, finger).gel for finger in FINGERS}
+        settings = self.settings
+        return BenchIdentity(settings.name, sha256, self.calibrations, settings.daily_check)
 
     @property
     def facts(self) -> BenchDescription:
         """Description of the bench, on which the numbers of an observation depend."""
         settings = self.settings
         mounting, gelsight, ft = settings.mounting, settings.gelsight, settings.ft
+        fingers = gelsight.left, gelsight.right
+        gels = gelsight.left.gel, gelsight.right.gel
         scale = 0.5 * (gelsight.mm_per_px_x + gelsight.mm_per_px_y)
         kept = {
             "name": settings.name,
             "ft": [ft.driver, ft.rotation, ft.sign],
             "mounting": mounting.model_dump(mode="json"),
             "gelsight": [gelsight.mm_per_px_x, gelsight.mm_per_px_y, gelsight.crop_fraction],
-            "fingers": [
-                f.model_dump(mode="json", exclude={"gel"}) for f in (gelsight.left, gelsight.right)
-            ],
+            "fingers": [f.model_dump(mode="json", exclude={"gel"}) for f in fingers],
         }
         return BenchDescription(
             mode=settings.kind,
@@ -243,7 +238,7 @@ class Lab:
             mm_per_px=(scale, scale),
             ft_frame=wrist_frame(mounting.sensor_height_mm, mounting.sensor_yaw_rad),
             sensor_height_mm=mounting.sensor_height_mm,
-            gels=(self.gels["left"], self.gels["right"]) if any(self.gels.values()) else None,
+            gels=gels if any(gels) else None,
         )
 
 

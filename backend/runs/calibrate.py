@@ -41,6 +41,7 @@ from touchdown.backend.calibration import (
 from touchdown.backend.config import StackSettings
 from touchdown.backend.core import (
     FINGERS,
+    MARKERS,
     Finger,
     FloatArray,
     InputError,
@@ -488,12 +489,11 @@ def measure_day(bench: Bench, request: CalibrateRequest) -> Plan[CalibrationEsti
         for finger in FINGERS:
             now_s = bench.now_s()
             fields = bench.sensing.fields[finger].between(now_s - DAY_REST_S, now_s)
-            if len(fields) < MIN_SAMPLES:
-                raise RefusedError("NO-SAMPLES", f"The {finger} camera sent no images.")
-            seen = np.mean([f.state == MarkerState.SEEN for f in fields], axis=0) >= SEEN_SHARE
-            places_px = np.stack([f.position_px[seen] for f in fields])
+            states = [f.state == MarkerState.SEEN for f in fields] or [np.zeros(MARKERS, bool)]
+            seen = np.mean(states, axis=0) >= SEEN_SHARE
             found[f"{finger}_markers"].append(float(seen.sum()))
             if seen.any():
+                places_px = np.stack([f.position_px[seen] for f in fields])
                 places[finger] = places_px.mean(axis=(0, 1))
                 found[f"{finger}_noise_px"].append(float(places_px.std(axis=0).mean()))
     samples = bench.sensing.raw.samples.window(begun_s, bench.now_s())

@@ -450,7 +450,7 @@ def test_a_daily_check_that_is_missing_or_out_of_limits_withholds_releases_in_wo
     assert checked(store, 1).acceptable
     checked(store, 1, replace(BENCH, sha256="other"), left_markers=1.0)
     assert why(1) == ""
-    assert [check.day for check in store.day_checks(BENCH).history()] == [
+    assert [check.day for check in store.day_checks(BENCH).read()[0]] == [
         "2026-03-01",
         "2026-03-02",
     ]
@@ -473,7 +473,7 @@ def test_a_damaged_line_is_skipped_and_as_the_last_one_withholds_releases(store,
     (path,) = store.folder.iterdir()
     path.write_bytes(path.read_bytes() + damage)
     checks = store.day_checks(BENCH)
-    assert len(checks.history()) == 1
+    assert len(checks.read()[0]) == 1
     assert checks.obstacle(NOW).startswith("The record of the last daily check is damaged: each")
     checked(store, 0)
     assert store.day_checks(BENCH).obstacle(NOW) == ""
@@ -485,7 +485,7 @@ def test_a_damaged_line_is_skipped_and_as_the_last_one_withholds_releases(store,
 
 def pressed(folder, left: str, presses: int):
     """Press with these gels; return the ledger."""
-    ledger = CalibrationStore(folder, "hardware", gels={"left": left, "right": "R-1"}).gels
+    ledger = CalibrationStore(folder, "hardware", gels=(left, "R-1")).gels
     for _ in range(presses):
         ledger.take(PhaseEntered(0.0, "press", 1))
         ledger.take(PhaseEntered(0.0, "approach", 1))
@@ -509,7 +509,7 @@ def test_presses_are_counted_by_serial_number_and_survive_a_torn_line(tmp_path):
 
 
 def test_a_replaced_gel_ends_the_camera_calibration_until_it_is_made_again(tmp_path):
-    store = CalibrationStore(tmp_path, "hardware", gels={"left": "B"})
+    store = CalibrationStore(tmp_path, "hardware", gels=("B", "R-1"))
     store.accept(of_kind("camera"), {}, now=NOW)
     assert store.status("camera", {}, NOW).condition == "valid"
     pressed(tmp_path, "A", 1)

@@ -197,7 +197,7 @@ def test_the_last_check_the_gels_and_what_they_mean_are_shown(lab, capsys) -> No
     said = " ".join(capsys.readouterr().out.split())
     assert "There is no daily check of today: each release is asked." in said
     assert f"Run 'touchdown check-day --bench {lab} --home'." in said
-    store = CalibrationStore(lab.parent / "calibrations", "hardware", gels={"left": "A"})
+    store = CalibrationStore(lab.parent / "calibrations", "hardware", gels=("A", ""))
     store.accept(
         replace(
             GOOD,

@@ -77,14 +77,11 @@ class PlaceForm(QWidget):
 
     def request(self, what: CalibrationName) -> CalibrateRequest:
         """Return the request that the form describes."""
+        x_mm, y_mm, pitch_mm = (box.value() for box in (self.x_mm, self.y_mm, self.pitch_mm))
         return CalibrateRequest(
-            what,
-            self.piece.currentText(),
-            self.bottom.currentText(),
-            origin_mm=(self.x_mm.value(), self.y_mm.value()),
-            hand_over=self.hand_over.isChecked(),
-            pitch_mm=self.pitch_mm.value(),
-        )
+            what, self.piece.currentText(), self.bottom.currentText(), 0, (x_mm, y_mm),
+            self.hand_over.isChecked(), pitch_mm,
+        )  # fmt: skip
 
 
 DAY_COLOURS = ("axis_x", "axis_y", "axis_z", "scene", "focus", "text")
@@ -273,18 +270,12 @@ class CalibrateSheet(BenchSheet):
         self.resize_to_em(54, 38)
 
     def _left(self) -> QVBoxLayout:
-        left = QVBoxLayout()
-        left.setSpacing(4)
-        rows = zip(self.choices, self.conditions, strict=True)
-        for index, (choice, condition) in enumerate(rows):
+        for index, choice in enumerate(self.choices):
             choice.setCheckable(True)
             choice.setAutoDefault(False)
             self.group.addButton(choice, index)
-            left.addWidget(choice)
-            left.addWidget(condition)
-            left.addSpacing(6)
-        left.addStretch(1)
-        return left
+        rows = zip(self.choices, self.conditions, strict=True)
+        return vbox(*(widget for row in rows for widget in row), 1, spacing=5)
 
     def _right(self) -> QWidget:
         for view in self.fingers.values():

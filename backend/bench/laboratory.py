@@ -81,7 +81,6 @@ def lab_session(
     return session
 
 
-GEL_REPLACED = "its camera calibration, and models and certificates from before, do not hold for it"
 START_SPEED = 0.1  # share of every speed in air, until the operator changes it
 
 
@@ -156,8 +155,9 @@ def find_camera_conflicts(lab: Lab) -> dict[str, str]:
     command = store.command("camera")
     found = camera_conflicts(lab.settings.gelsight, seats, command)
     for finger, text in store.gels.replaced_after(seats.file.date).items():
-        name, told = f"tactile_{finger}", f"{text[:1].upper()}{text[1:]}: {GEL_REPLACED}"
-        found[name] = ". ".join(filter(None, (found.get(name), f"{told}. Run '{command}'")))
+        name, told = f"tactile_{finger}", f"T{text[1:]}: calibration, models and certificates of "
+        told += f"the old gel do not hold. Run '{command}'"
+        found[name] = ". ".join(filter(None, (found.get(name), told)))
     return found
 
 

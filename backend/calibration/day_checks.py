@@ -44,9 +44,9 @@ QUANTITIES = {
         "Check the grip force and look for tears in the gel; replace a worn gel."),
     "markers": CheckedQuantity("Number of markers", "", MARKERS, MARKERS, 0.5,
         "Clean the gel and look at its picture; replace a gel with worn dots."),
-    "noise_px": CheckedQuantity("Noise of the markers", "px", 0.0, 0.18, 0.06,
+    "noise_px": CheckedQuantity("Noise of the markers", "px", 0.0, 0.18, 0.03,
         "Check light, focus and cable of the camera, and that nothing touches the gel."),
-    "offset_px": CheckedQuantity("Offset of the grasp", "px", 0.0, 8.0, 3.0,
+    "offset_px": CheckedQuantity("Offset of the grasp", "px", 0.0, 4.0, 1.0,
         "Check how the piece sits between the jaws, and that gel and camera are fixed."),
     "noise_n": CheckedQuantity("Noise at rest", "N", 0.0, 0.2, 0.03,
         "Check its cable and earth, and what shakes the table."),
@@ -96,17 +96,18 @@ class DayCheck(Settings):
 
     def rows(self) -> list[tuple[str, ...]]:
         """Return name, value and limits of each quantity as texts."""
-        named = [(quantity(n), self.values[n], *limits) for n, limits in self.limits.items()]
-        return [
-            (known.title, f"{value:.3g} {known.unit}".rstrip(), f"{low:.3g} to {high:.3g}")
-            for known, value, low, high in named
-        ]
+        rows = []
+        for name, (low, high) in self.limits.items():
+            known, value = quantity(name), f"{self.values[name]:.3g}"
+            rows.append((known.title, f"{value} {known.unit}".rstrip(), f"{low:.3g} to {high:.3g}"))
+        return rows
 
 
 class DayChecks:
     """Checks of one bench, by its hash ``bench`` ("": of any), in ``path`` (None: none).
 
-    ``required``: unattended release needs a check of the same day. ``command`` makes a check.
+    ``required``: unattended release needs a check of the same day. ``command`` makes a check. All
+    methods raise ``InputError`` for an error of the disk.
     """
 
     def __init__(
@@ -115,10 +116,7 @@ class DayChecks:
         self._path, self._bench, self._command, self._required = path, bench, command, required
 
     def judge(self, found: CalibrationMeasured, now: datetime | None = None) -> CalibrationMeasured:
-        """Compare a check with its limits, store it, and return it with the result.
-
-        Raises ``InputError`` if it cannot be stored.
-        """
+        """Compare a check with its limits and store it; return it with the result."""
         date, limits = (now or datetime.now(UTC)).replace(microsecond=0), {}
         values = dict(zip(found.names, found.values, strict=True))
         check = DayCheck(bench=self._bench, date=date, values=values, limits={})
@@ -143,14 +141,13 @@ class DayChecks:
         return replace(found, residual=max(shares), residuals=shares, obstacle=obstacle)
 
     def obstacle(self, now: datetime | None = None) -> str:
-        """Return why unattended release is withheld, "" if it is not; raises ``InputError``."""
+        """Return why unattended release is withheld, "" if it is not."""
         checks, damaged = self.read()
         today = f"{(now or datetime.now(UTC)).astimezone():%Y-%m-%d}"
         if damaged:
             why = "The record of the last daily check is damaged"
         elif checks and checks[-1].findings:
-            names = (name.partition("_")[2] for name in checks[-1].findings)
-            titles = ", ".join(dict.fromkeys(QUANTITIES[name].title.lower() for name in names))
+            titles = "; ".join(quantity(name).title.lower() for name in checks[-1].findings)
             why = f"The daily check of {checks[-1].day} is out of limits ({titles})"
         elif self._required and (not checks or checks[-1].day != today):
             why = "There is no daily check of today"
@@ -159,10 +156,7 @@ class DayChecks:
         return f"{why}: each release is asked. Run '{self._command}'."
 
     def read(self) -> tuple[list[DayCheck], bool]:
-        """Return the last check of each day, and True if the last line is damaged.
-
-        Raises ``InputError``.
-        """
+        """Return the last check of each day, and True if the last line is damaged."""
         days, damaged = dict[str, DayCheck](), False
         if self._path is None or not self._path.exists():
             return [], False

@@ -12,15 +12,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
-from touchdown.backend.core import (
-    FINGERS,
-    Event,
-    Finger,
-    InputError,
-    PhaseEntered,
-    disk_errors,
-    make_folder,
-)
+from touchdown.backend.core import FINGERS, Event, Finger, InputError, PhaseEntered, disk_errors
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +87,7 @@ def _count(path: Path, serial: str) -> None:
     rows, line = _mountings(path), "."
     if not rows or rows[-1][1] != serial or not path.read_bytes().endswith(b"."):
         line = f"\n{datetime.now(UTC).isoformat(timespec='seconds')} {serial} ."
-    make_folder(path.parent)
+    path.parent.mkdir(parents=True, exist_ok=True)
     with path.open("ab") as file:
         file.write(line.encode())
 

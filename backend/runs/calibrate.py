@@ -545,9 +545,7 @@ def motion_per_force(recording: Recording, finger: Finger) -> float:
     moved_px = np.linalg.norm([f.displacement_px.mean(axis=0) for f in fields], axis=1)
     press_n = np.interp([f.t_s for f in fields], recording.wrench_t_s, recording.wrench[:, 2])
     press_n[press_n < LEAST_PRESS_N] = 0.0
-    if not press_n.any():
-        raise RefusedError("WEAK-PUSH", f"The press stayed below {LEAST_PRESS_N:g} N.")
-    return float(moved_px @ press_n / (press_n @ press_n))
+    return float(moved_px @ press_n / max(press_n @ press_n, LEAST_PRESS_N))
 
 
 Measure = Callable[[Bench, CalibrateRequest], Plan[CalibrationEstimate]]
@@ -576,7 +574,10 @@ def calibrate_run(session: RunContext, request: CalibrateRequest) -> Plan[None]:
         about = f"{request.piece}{ON_BOTTOM}{request.bottom}" if request.what == "board" else ""
         measured = ended.value.to_event(bench.now_s(), request.what, about)
         yield session.day_checks.judge(measured) if request.what == "day" else measured
-    yield run_finished(bench, session.run_id, ended, f"The {request.what} is measured.")
+    done = (
+        "The daily check is stored" if request.what == "day" else f"The {request.what} is measured"
+    )
+    yield run_finished(bench, session.run_id, ended, f"{done}.")
 
 
 def _measured(bench: Bench, request: CalibrateRequest) -> Plan[CalibrationEstimate]:

@@ -444,7 +444,8 @@ def test_a_daily_check_that_is_missing_or_out_of_limits_withholds_releases_in_wo
     assert "Number of markers, left finger: 60, below 63. Clean the gel" in found.obstacle
     assert "Noise at rest, wrist sensor: 0.4, above 0.2 N. Check its cable" in found.obstacle
     assert why(1) == (
-        f"The daily check of 2026-03-02 is out of limits (number of markers, noise at rest): {fix}"
+        f"The daily check of 2026-03-02 is out of limits (number of markers, left finger; "
+        f"noise at rest, wrist sensor): {fix}"
     )
     # The last check of a day counts; another bench has checks of its own.
     assert checked(store, 1).acceptable

@@ -216,7 +216,9 @@ def test_the_last_check_the_gels_and_what_they_mean_are_shown(lab, capsys) -> No
     told = json.loads(capsys.readouterr().out)
     assert told["last"]["limits"] == {"wrist_noise_n": [0.0, 0.2]}
     assert told["findings"][0].startswith("Noise at rest, wrist sensor: 0.3, above 0.2 N.")
-    assert "is out of limits (noise at rest): each release is asked." in told["withheld"]
+    assert (
+        "is out of limits (noise at rest, wrist sensor): each release is asked." in told["withheld"]
+    )
     assert told["gels"][0].startswith("Left gel B: 0 presses since ")
     assert re.match(r"Cameras: the left gel was replaced on .* \(A by B\)\. Run", told["gels"][1])
 

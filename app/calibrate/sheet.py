@@ -226,7 +226,8 @@ class CalibrateSheet(BenchSheet):
 
     def _show_result(self, look: CalibrationView) -> None:
         found, said, figure, tone = look.found, look.said, "", ""
-        rows, lines, count = list[Sequence[str]](), list[CurveLine](), 0
+        rows: Sequence[Sequence[str]] = ()
+        lines, count = list[CurveLine](), 0
         if look.what == "day":
             lines, count = history_lines(look.history), len(look.history)
             for check in look.history[-1:]:

@@ -94,7 +94,7 @@ class DayCheck(Settings):
                 found[name] = f"{what}. {known.fix}"
         return found
 
-    def rows(self) -> list[tuple[str, ...]]:
+    def rows(self) -> list[tuple[str, str, str]]:
         """Return name, value and limits of each quantity as texts."""
         rows = []
         for name, (low, high) in self.limits.items():

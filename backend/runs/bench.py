@@ -277,10 +277,13 @@ class RunContext(Protocol):
     description: BenchDescription  # recorded with episodes
     identity: BenchIdentity  # the one that a certificate must name
     dataset: Dataset | None  # takes collected episodes
-    day_checks: DayChecks
     decisions: deque[EpisodeDecision]  # newest decision on the newest episode, if pending
     catalogue: PieceLibrary
     method: StackSettings  # before the settings of the request
+
+    @property
+    def day_checks(self) -> DayChecks:
+        """Return the daily checks of the bench."""
 
     def check_scene(self, choice: SceneChoice) -> Mapping[str, object]:
         """Return the settings a run on ``choice`` depends on, JSON-ready; raises ``InputError``."""

@@ -40,7 +40,7 @@ class CheckedQuantity:
 
 # By the name of a value without its side, as in "left_noise_px".
 QUANTITIES = {
-    "stiffness_px_n": CheckedQuantity("Motion of the markers", "px/N", 0.5, 2.0, 0.3,
+    "stiffness_px_n": CheckedQuantity("Motion of the markers", "px/N", 0.6, 2.0, 0.3,
         "Check the grip force and look for tears in the gel; replace a worn gel."),
     "markers": CheckedQuantity("Number of markers", "", MARKERS, MARKERS, 0.5,
         "Clean the gel and look at its picture; replace a gel with worn dots."),

@@ -79,7 +79,7 @@ class GelLedger:
 
     def replaced_ns(self) -> int:
         """Return the time of the last replacement, ns since 1970; 0 without one."""
-        times = (life.since.timestamp() for life in self.lives() if life.before)
+        times = [life.since.timestamp() for life in self.lives() if life.before]
         return round(1e9 * max(times, default=0.0))
 
 

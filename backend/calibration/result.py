@@ -16,12 +16,11 @@ import numpy as np
 from touchdown.backend.calibration.day_checks import NAMES, quantity
 from touchdown.backend.core import CalibrationMeasured, FloatArray, RefusedError, read_only
 
-# "day": the daily check, which is no calibration
 CalibrationName = Literal["payload", "board", "tool", "wrist", "camera", "day"]
 MIRROR_CODES = ("none", "x", "y", "both")  # mirroring of an image by code: bit 0 in x, bit 1 in y
 ON_BOTTOM = " on "  # separates piece and bottom in ``about`` of a board
 MEASUREMENT_NAMES: tuple[CalibrationName, ...] = get_args(CalibrationName)
-CALIBRATION_NAMES = MEASUREMENT_NAMES[:-1]
+CALIBRATION_NAMES = MEASUREMENT_NAMES[:-1]  # the daily check is no calibration
 
 
 @dataclass(frozen=True, slots=True)

@@ -77,9 +77,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--calibrations", metavar="DIR", help="folder (default: the bench's)")
     add_bench_arguments(parser)
     if parser.prog.endswith("check-day"):
-        parser.add_argument(
-            "--last", action="store_true", help="show the last check; nothing moves"
-        )
+        parser.add_argument("--last", action="store_true", help="only show the last check")
         parser.set_defaults(what="day", runs=None, limit=None, accept=False)
         return
     parser.add_argument(

@@ -215,8 +215,7 @@ class Bench(SceneFacts):
     is the wrist sensor above the grasp pivot, None if unknown. ``below`` is the tower under the
     touched surface as entered, None for a single bottom. ``placed`` holds the calibrated positions
     of board and tool. ``started_ns`` is the wall clock at bench time zero, ns since 1970.
-    ``guard``: comparison of the signals with a calibration. ``withheld``: why the daily check
-    withholds unattended release, "" if it does not.
+    ``guard``: comparison of the signals with a calibration. ``withheld``: ``DayChecks.obstacle``.
     """
 
     now_s: Callable[[], float]

@@ -1,7 +1,6 @@
 """Calibration runs: board, payload, wrist, tool, cameras; and the daily check.
 
-A run measures and reports the estimate with its residual; it changes nothing. The daily check is
-stored at once.
+A run measures and reports the estimate with its residual; only the daily check is stored at once.
 """
 
 from __future__ import annotations

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from dataclasses import replace
+from datetime import UTC, datetime
 from importlib.resources import files
 from pathlib import Path
 from types import SimpleNamespace
@@ -43,6 +45,11 @@ if TYPE_CHECKING:
     from tests.screens import Stage
 
 REPORT = Path(__file__).parents[1] / "docs/results/tables-full.json"
+DAY_NAMES = (
+    *(f"{side}_{key}" for key in ("markers", "noise_px") for side in ("left", "right")),
+    "wrist_noise_n", "wrist_drift_n_min",
+    *(f"{side}_{key}" for key in ("offset_px", "stiffness_px_n") for side in ("left", "right")),
+)  # fmt: skip
 PAYLOAD = CalibrationMeasured(
     0.0, "payload",
     names=("mass_kg", "com_x_mm", "com_y_mm", "com_z_mm"), values=(1.502, -0.3, 0.1, 62.4),
@@ -317,6 +324,15 @@ def sheets(stage: Stage, folder: Path) -> Iterator[str]:
     wizard._choose(1)
     wizard.draw(at_once=True)
     yield "calibrate-board"
+    for day in range(9):
+        # The gel of the left finger becomes soft.
+        motion = 1.30 + 0.02 * (day % 3) + (0.5 if day == 8 else 0.0)
+        values = (63.0, 63.0, 0.025, 0.027, 0.1, 0.02 + 0.005 * (day % 4), 0.08, 0.15, motion, 1.38)
+        check = replace(PAYLOAD, what="day", names=DAY_NAMES, values=values)
+        bench.day_checks.judge(check, datetime(2026, 3, 2 + day, 12, tzinfo=UTC))
+    wizard.open("day")
+    stage.settle()
+    yield "calibrate-day"
     wizard.sheet.close()
     yield from _identified(wizard, folder)
     bench.calibrations = None

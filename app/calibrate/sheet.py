@@ -84,7 +84,7 @@ class PlaceForm(QWidget):
         )  # fmt: skip
 
 
-DAY_COLOURS = ("axis_x", "axis_y", "axis_z", "scene", "focus", "text")
+DAY_COLOURS = ("axis_x", "axis_y", "axis_z", "good", "text", "scene")
 HIGHEST_SHARE = 3.0  # of a limit, in the plot
 
 
@@ -107,7 +107,7 @@ def history_lines(checks: Sequence[DayCheck]) -> list[CurveLine]:
             shares = [check.share(n) for n in check.values if n.partition("_")[2] == key]
             points += [(float(day), min(max(shares), HIGHEST_SHARE))] if shares else []
         name = "wrist noise" if key == "noise_n" else key.partition("_")[0]
-        lines.append(CurveLine(name, tuple(points), colour))
+        lines.append(CurveLine(name, tuple(points), colour, dashed=key.endswith("_px")))
     return lines
 
 
@@ -245,6 +245,7 @@ class CalibrateSheet(BenchSheet):
         self.plot.show_lines(lines, count)
         self.table.setVisible(bool(rows))
         self.table.show_rows(rows)
+        self.table.setColumnHidden(2, look.what != "day")
         self.table.setFixedHeight(self.table.sizeHint().height())
         self.figure.setText(figure)
         set_property(self.figure, "tone", tone)

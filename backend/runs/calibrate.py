@@ -490,7 +490,7 @@ def measure_day(bench: Bench, request: CalibrateRequest) -> Plan[CalibrationEsti
             fields = bench.sensing.fields[finger].between(now_s - DAY_REST_S, now_s)
             states = [f.state == MarkerState.SEEN for f in fields] or [np.zeros(MARKERS, bool)]
             seen = np.mean(states, axis=0) >= SEEN_SHARE
-            found[f"{finger}_markers"].append(float(seen.sum()))
+            found[f"{finger}_markers"] = [min([*found[f"{finger}_markers"], float(seen.sum())])]
             if seen.any():
                 places_px = np.stack([f.position_px[seen] for f in fields])
                 places[finger] = places_px.mean(axis=(0, 1))

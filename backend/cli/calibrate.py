@@ -212,8 +212,7 @@ def show_day(store: CalibrationStore, checks: DayChecks, screen: VerbOutput) -> 
     for text in (*findings, *gels, withheld or "The daily check withholds no release."):
         screen.say(text)
     last = json.loads(history[-1].model_dump_json()) if history else None
-    days = len(history)
-    return {"last": last, "days": days, "findings": findings, "gels": gels, "withheld": withheld}
+    return {"last": last, "findings": findings, "gels": gels, "withheld": withheld}
 
 
 def _verdict(found: CalibrationMeasured) -> str:

@@ -3,7 +3,7 @@
 SHELL := /bin/bash
 .SHELLFLAGS := -eu -o pipefail -c
 .DEFAULT_GOAL := help
-.PHONY: help setup run demo test check lint types contracts format bench campaign fuzz screens pictures models exchange-check docs docs-links clean
+.PHONY: help setup run demo test check lint types contracts format bench campaign fuzz screens pictures models exchange-check docs docs-links bundle release clean
 
 export PYTHON
 # Compiled once, not by every process again, also where the environment forbids to keep it.
@@ -94,6 +94,12 @@ docs-links: setup ## check the external links of the documents (needs the networ
 
 exchange-check: setup ## load an export with the real readers (installs them separately: several GB)
 	@.ci/exchange-check
+
+bundle: setup ## build the application bundle for Linux, in dist (an environment of its own)
+	@.ci/bundle/build
+
+release: setup ## check, build everything of a release into dist/VERSION, tag it; pushes nothing
+	@.ci/release
 
 clean: ## remove the results of the other targets (not the data)
 	@rm -rf .venv .venv-docs docs/gallery docs/generated docs/index.myst build *.egg-info .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis

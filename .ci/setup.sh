@@ -44,7 +44,7 @@ fi
 printf 'setup: installing packages (the first time takes some minutes)\n'
 install() {
     .venv/bin/python -m pip install --quiet --disable-pip-version-check \
-        --constraint constraints.txt --editable '.[dev,mujoco]'
+        --constraint constraints.txt --editable '.[app,cad,dev,mujoco]'
 }
 # What came through is kept by pip: the second try goes on where a broken download ended the first.
 install || { printf 'setup: once more in 10 s\n' >&2; sleep 10; install; } \

@@ -6,6 +6,7 @@ import argparse
 import os
 import sys
 from collections.abc import Sequence
+from importlib.util import find_spec
 from pathlib import Path
 
 
@@ -34,7 +35,7 @@ def parser() -> argparse.ArgumentParser:
     return made
 
 
-INSTALL = 'pip install "PySide6-Essentials>=6.8,!=6.9.1,<6.12"'
+INSTALL = 'pip install "touchdown[app]"'
 
 
 def incompatibility(python: tuple[int, int], pyside: str) -> str | None:
@@ -51,13 +52,16 @@ def incompatibility(python: tuple[int, int], pyside: str) -> str | None:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Open the window; return the exit status. Status 3: this version of Qt cannot be used."""
+    """Open the window; return the exit status. Status 3: Qt is missing or cannot be used."""
     args = parser().parse_args(argv)
     if args.grab and not _display():
         os.environ.setdefault("QT_QPA_PLATFORM", "offscreen")
-    import PySide6
+    if find_spec("PySide6") is None or find_spec("pyqtgraph") is None:
+        wrong: str | None = f"The window needs Qt and pyqtgraph. Install them: {INSTALL}"
+    else:
+        import PySide6
 
-    wrong = incompatibility(sys.version_info[:2], PySide6.__version__)
+        wrong = incompatibility(sys.version_info[:2], PySide6.__version__)
     if wrong is None and not _display() and "QT_QPA_PLATFORM" not in os.environ:
         wrong = "There is no display. Without one use 'make demo' or 'touchdown stack'."
     if wrong is not None:

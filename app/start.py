@@ -13,16 +13,10 @@ from PySide6.QtWidgets import QApplication
 
 from touchdown.app.application import TouchdownApp
 from touchdown.app.review import ReviewWorkspace
-from touchdown.app.shell import (
-    ErrorBox,
-    exit_after_timeout,
-    install_error_hooks,
-    log_to,
-    settings_path,
-)
+from touchdown.app.shell import ErrorBox, exit_after_timeout, install_error_hooks, log_to
 from touchdown.app.splash import Splash
 from touchdown.backend.bench import Session
-from touchdown.backend.core import CommandNotifier, InputError, data_folder
+from touchdown.backend.core import CommandNotifier, InputError, config_folder, data_folder
 from touchdown.backend.runs import calibrations_folder, models_folder
 
 # Switch interval of the interpreter. A decision makes hundreds of short library calls, each of
@@ -39,7 +33,7 @@ def run(args: argparse.Namespace, application: QApplication, splash: Splash) -> 
     box = ErrorBox()
     restore = install_error_hooks(box)
     writable = log_to(data_folder() / "log") is not None
-    path = settings_path()
+    path = config_folder() / "window.json"
     if args.reset_layout:
         path.unlink(missing_ok=True)
     notifier = CommandNotifier(args.notify) if args.notify else None

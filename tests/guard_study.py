@@ -26,7 +26,8 @@ from touchdown.backend.config import (
     bench_sha256,
     load_simulation,
 )
-from touchdown.backend.experiments import PIECES, program_version
+from touchdown.backend.core import package_version
+from touchdown.backend.experiments import PIECES
 from touchdown.backend.experiments.certification import CONVEX, fresh_scene
 from touchdown.backend.experiments.document import ReportTable
 from touchdown.backend.experiments.statistics import estimate_rate
@@ -341,7 +342,7 @@ def main() -> None:
     args = parser.parse_args()
     study = GuardStudy(
         load_simulation(None, args.preset),
-        program_version(),
+        package_version("touchdown"),
         tuple((piece, bottom) for piece in PIECES for bottom in SINGLE_BOTTOMS),
         args.calibration,
         args.sequences,

@@ -32,8 +32,8 @@ from touchdown.backend.config import (
     load_simulation,
     parse_settings,
 )
-from touchdown.backend.core import FloatArray, write_atomically
-from touchdown.backend.experiments import PIECES, program_version
+from touchdown.backend.core import FloatArray, package_version, write_atomically
+from touchdown.backend.experiments import PIECES
 from touchdown.backend.experiments.document import ReportTable
 from touchdown.backend.experiments.statistics import estimate_rate
 from touchdown.backend.geometry import Piece, load_pieces, overlap_polygon
@@ -459,7 +459,7 @@ def main(argv: list[str] | None = None) -> int:
     args = parser.parse_args(argv)
     plan = ReleaseStudy(
         load_simulation(preset="bench-v1"),
-        program_version(),
+        package_version("touchdown"),
         tuple(args.pieces.split(",")),
         args.unstable,
         args.stable,

@@ -28,9 +28,30 @@ CODE = sorted(
 )
 TESTS = sorted((ROOT / "tests").rglob("*.py"))
 MODULES, LINES = 470, 108_000
-TEXT_FILES = ["*.md", "*.toml", "*.txt", "Makefile", ".ci/*", "docs/**/*.md", "resources/**/*.toml"]
+TEXT_FILES = [
+    "*.md",
+    "*.toml",
+    "*.txt",
+    "*.cff",
+    "Makefile",
+    ".ci/*",
+    ".github/**/*",
+    "docs/**/*.md",
+]
+TEXT_FILES += ["resources/**/*.toml"]
 TEXTS = sorted(p for pattern in TEXT_FILES for p in ROOT.glob(pattern) if p.is_file())
-TOP = {"app", "widgets", "backend", "resources", "touchdown", "tests", "docs", "examples", ".ci"}
+TOP = {
+    ".ci",
+    ".github",
+    "app",
+    "backend",
+    "docs",
+    "examples",
+    "resources",
+    "tests",
+    "touchdown",
+    "widgets",
+}
 
 
 def _name(path: Path) -> str:
@@ -256,7 +277,9 @@ IMPORTED_AS = {
 
 def test_what_is_imported_is_declared_and_nothing_else():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
-    names = [re.match(r"[A-Za-z0-9_-]+", wanted)[0] for wanted in project["dependencies"]]
+    extras = project["optional-dependencies"]
+    wanted = [*project["dependencies"], *extras["app"], *extras["cad"]]
+    names = [re.match(r"[A-Za-z0-9_-]+", each)[0] for each in wanted]
     declared = {module for name in names for module in IMPORTED_AS.get(name, {name})}
     imported = set()
     for path in CODE:

@@ -1,11 +1,18 @@
 """What importing a package loads, and that the method runs without simulation or window."""
 
 import json
+import re
 import subprocess
 import sys
+import tomllib
+from email.message import Message
+from importlib.metadata import distributions
+from itertools import chain
 from pathlib import Path
 
 import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
 
 REFUSE = """
 import sys
@@ -74,3 +81,35 @@ def test_children_inherit_the_import_path() -> None:
     """No child computes the path of the package from a file name."""
     code = "import touchdown, sys; print(touchdown.__file__)"
     assert Path(run(code).strip()).samefile(sys.modules["touchdown"].__file__ or "")
+
+
+def _licence(package: Message) -> str:
+    """Return the licence that the metadata of a package state, in one line."""
+    if stated := package["License-Expression"] or package["License"]:
+        first = str(stated).splitlines()[0]
+        if package["License-Expression"] or ("Copyright" not in first and len(first) <= 60):
+            return first
+    kinds = package.get_all("Classifier", [])
+    return ", ".join(k.rpartition(" :: ")[2] for k in kinds if k.startswith("License ::"))
+
+
+def _plain(name: str) -> str:
+    return re.sub(r"[-_.]+", "-", re.split(r"[\[<>=!;~ ]", name)[0]).lower()
+
+
+def test_the_licences_of_all_dependencies_are_listed() -> None:
+    page = (ROOT / "docs" / "dependencies.md").read_text("utf-8").rpartition("|---|---|\n")[2]
+    listed = dict(re.findall(r"^\| (\S+) \| (.+) \|$", page, re.MULTILINE))
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
+    pinned = [line for line in (ROOT / "constraints.txt").read_text("utf-8").splitlines()
+              if not line.startswith("#")]  # fmt: skip
+    wanted = [
+        *project["dependencies"],
+        *chain.from_iterable(project["optional-dependencies"].values()),
+        *pinned,
+    ]
+    assert {_plain(name) for name in wanted} == set(listed)
+    found = {_plain(d.name): _licence(d.metadata) for d in distributions()}
+    assert {n: found[n] for n in listed if n in found} == {
+        n: listed[n] for n in listed if n in found
+    }

@@ -15,6 +15,13 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 PARTS = ("app", "backend", "resources", "widgets")
 WRITTEN = ROOT / "tests" / "data" / "written_0_1"
+# Packages of the extras, which the base runs without; an import of one fails.
+EXTRAS = "PySide6 shiboken6 pyqtgraph trimesh ezdxf svgelements distributed mujoco foxglove"
+EXCHANGE = "pyarrow av h5py zarr"
+REFUSING = (
+    f"import os, sys; sys.modules.update(dict.fromkeys("
+    f"os.environ.get('ABSENT', '{EXTRAS} {EXCHANGE}').split()))"
+)
 BUILD = "from setuptools import build_meta; print(build_meta.build_{kind}({out!r}))"
 
 
@@ -59,13 +66,13 @@ def installed(
 ) -> Iterator[tuple[Path, Path]]:
     """An environment with the wheel in it, and a folder with packages of the parts' names.
 
-    The dependencies are those of the environment of the tests.
+    The dependencies are those of the environment of the tests, without the extras.
     """
     folder = tmp_path_factory.mktemp("installed")
     subprocess.run([sys.executable, "-m", "venv", "--without-pip", folder / "venv"], check=True)
     python = folder / "venv" / ("Scripts" if os.name == "nt" else "bin") / "python"
     site = Path(sysconfig.get_path("purelib", vars={"base": str(folder / "venv")}))
-    (site / "dependencies.pth").write_text(sysconfig.get_path("purelib") + "\n")
+    (site / "dependencies.pth").write_text(f"{sysconfig.get_path('purelib')}\n{REFUSING}\n")
     before = {path.name for path in site.iterdir()}
     with zipfile.ZipFile(wheels[0]) as wheel:
         wheel.extractall(site)
@@ -134,9 +141,12 @@ def test_a_script_beside_such_folders_imports_ours(installed: tuple[Path, Path])
 
 @pytest.mark.slow
 def test_each_child_process_starts_from_the_wheel(
-    installed: tuple[Path, Path], tmp_path: Path
+    installed: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Pool, training, emulated bench with its rig, and the reader of foreign files."""
+    """Pool, training, emulated bench with its rig, and the reader of foreign files.
+
+    Without Qt and the packages of the extras; the foreign reader has those of `exchange`.
+    """
     data, model = tmp_path / "data", tmp_path / "pot.safetensors"
     verb(
         installed, "simulate", "--piece", "pot", "--bottoms", "circle15,square15",
@@ -149,6 +159,9 @@ def test_each_child_process_starts_from_the_wheel(
     assert model.is_file()
     shutil.unpack_archive(WRITTEN / "dataset.zip", tmp_path / "written")
     dataset = next(p.parent for p in (tmp_path / "written").rglob("dataset.json"))
+    states = ("--states", "draft")
+    verb(installed, "export", "csv", "--dataset", dataset, "--out", tmp_path / "csv", *states)
+    monkeypatch.setenv("ABSENT", EXTRAS)
     verb(
         installed, "export", "lerobot", "--dataset", dataset, "--out", tmp_path / "out",
         "--states", "draft,submitted,approved", "--video", "none",
@@ -159,3 +172,40 @@ def test_each_child_process_starts_from_the_wheel(
     )  # fmt: skip
     emulated = ("stack", "--emulated", "--seed", "7", "--no-episodes", "--json")
     assert json.loads(verb(installed, *emulated, "--runs", tmp_path / "runs"))["trials"]
+
+
+def test_a_release_needs_a_clean_tree_a_section_of_the_changelog_and_a_free_tag(
+    tmp_path: Path,
+) -> None:
+    (tmp_path / ".ci").mkdir()
+    shutil.copy(ROOT / ".ci" / "release", tmp_path / ".ci")
+    (tmp_path / "pyproject.toml").write_text('[project]\nversion = "1.2.3"\n')
+    changes = tmp_path / "CHANGELOG.md"
+
+    def git(*words: str) -> None:
+        subprocess.run(["git", "-c", "user.name=a", "-c", "user.email=a@b", *words], cwd=tmp_path,
+                       check=True, capture_output=True)  # fmt: skip
+
+    def check() -> str:
+        words = ["bash", ".ci/release", "--check"]
+        done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=False)
+        return done.stdout if done.returncode == 0 else done.stderr
+
+    def commit(text: str) -> None:
+        changes.write_text(text)
+        git("add", "--all")
+        git("commit", "--quiet", "--message", "x")
+
+    git("init", "--quiet")
+    commit("## Unreleased\n\n- A\n\n## 1.2.2 - 2026-01-01\n\n- B\n")
+    assert "no section '## 1.2.3 - YYYY-MM-DD'" in check()
+    commit("## 1.2.3 - 2026-02-02\n\n## 1.2.2 - 2026-01-01\n\n- B\n")
+    assert "no section" in check()
+    commit("## 1.2.3 - 2026-02-02\n\n- A\n\n## 1.2.2 - 2026-01-01\n\n- B\n")
+    assert check() == "release: 1.2.3 can be made\n"
+    git("tag", "v1.2.3")
+    assert "can be made" in check()
+    changes.write_text("other")
+    assert "not committed" in check()
+    commit(changes.read_text() + "\n## 1.2.3 - 2026-02-02\n\n- A\n")
+    assert "the tag v1.2.3 names another commit" in check()

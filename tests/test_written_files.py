@@ -6,8 +6,10 @@ written anew: where a test fails, the program must learn to read the older file.
 
 import json
 import shutil
+import sqlite3
 from collections import Counter
 from collections.abc import Iterator
+from contextlib import closing
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -22,11 +24,11 @@ from touchdown.app.shell import ErrorBox, load_settings
 from touchdown.app.shell.layouts import load_layouts
 from touchdown.backend.annotations import Dataset, EpisodeFilter, Label, check_dataset
 from touchdown.backend.annotations.backups import check_backup, list_backups, restore_backup
-from touchdown.backend.calibration.records import CalibrationStore
+from touchdown.backend.calibration.records import CalibrationStore, read_record
 from touchdown.backend.cli.command_line import main
 from touchdown.backend.cli.settings import load_method
 from touchdown.backend.config.lab import load_lab
-from touchdown.backend.core import events, values
+from touchdown.backend.core import InputError, RefusedError, events, values
 from touchdown.backend.episodes.training_rows import load_rows
 from touchdown.backend.exchange import jsonl
 from touchdown.backend.learning.checkpoint import load_checkpoint
@@ -46,6 +48,7 @@ WRITTEN = Path(__file__).parent / "data" / "written_0_1"
 NOW = datetime(2026, 11, 30, 12, tzinfo=UTC)
 OFFSETS_UM = [(-1588, 8245), (7500, -2100), (-3164, 3853), (3857, 8980)]
 STATES = ["approved", "draft", "submitted", "draft"]
+OF_OPENING = (".lock", "-shm", "-wal")  # files that an opened dataset has beside its data
 
 
 @pytest.fixture
@@ -352,3 +355,67 @@ def test_an_exported_log_of_labels_is_read() -> None:
     assert len(log) == 19
     assert log[0].verb == "record"
     assert log[-1].verb == "undo"
+
+
+# -- downgrade: this version with the files of a newer one -----------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new", "read", "said"),
+    [
+        ("models/pot/*.json", "touchdown-model/1", "touchdown-model/2",
+         lambda p: load_checkpoint(p.with_suffix(".safetensors")), "touchdown-model/1"),
+        ("calibrations/payload-*.json", '"version": 1', '"version": 2', read_record, "version 1"),
+        ("runs/stacked/journal.jsonl", '"format":1', '"format":2', lambda p: list(read_events(p)),
+         "format 2 is not known"),
+    ],
+)  # fmt: skip
+def test_a_file_of_a_newer_version_is_refused_by_name(tmp_path, name, old, new, read, said) -> None:
+    shutil.copytree(WRITTEN, tmp_path / "data")
+    (path,) = (tmp_path / "data").glob(name)
+    text = path.read_text("utf-8").replace(old, new, 1)
+    assert new in text
+    path.write_text(text, "utf-8")
+    with pytest.raises(InputError, match=said) as refused:
+        read(path)
+    assert path.name in refused.value.where
+    assert path.read_text("utf-8") == text
+
+
+@pytest.mark.parametrize(("name", "load"), [("window.json", load_settings), ("layouts.json", None)])
+def test_settings_of_a_newer_version_are_kept_aside(tmp_path, name, load) -> None:
+    raw = json.loads((WRITTEN / name).read_bytes()) | {"version": 99}
+    path = tmp_path / name
+    path.write_text(json.dumps(raw))
+    _, warning = load(path) if load else load_layouts(path, NOW)
+    assert "of another version" in warning
+    (kept,) = tmp_path.glob("*-aside-*.json")
+    assert json.loads(kept.read_bytes()) == raw
+    assert kept.name in warning
+
+
+def test_a_dataset_of_a_newer_version_is_exported_but_not_changed(
+    folder: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    about = json.loads((folder / "dataset.json").read_bytes())
+    about |= {"schema_version": about["schema_version"] + 1, "created_by": "touchdown 0.9.0+ab"}
+    (folder / "dataset.json").write_text(json.dumps(about))
+    with closing(sqlite3.connect(folder / "catalog.db")) as catalogue:
+        catalogue.execute(f"PRAGMA user_version = {about['schema_version']}")
+
+    def files() -> dict[Path, bytes]:
+        kept = (p for p in folder.rglob("*") if p.is_file() and not p.name.endswith(OF_OPENING))
+        return {path: path.read_bytes() for path in kept}
+
+    before = files()
+    words = ["--dataset", str(folder)]
+    assert main(["export", "csv", *words, "--out", str(tmp_path / "out"), "--states", "draft"]) == 0
+    assert main(["import", "csv", str(WRITTEN / "csv"), *words, "--person", "eve"]) == 0
+    said = "".join(capfd.readouterr())
+    assert "was written by touchdown 0.9.0+ab (schema 5): open for reading only" in said
+    with (
+        Dataset.open(folder, create=False, person="ann") as newer,
+        pytest.raises(RefusedError, match="reading only"),
+    ):
+        newer.labels.set("ann", newer.episodes()[0].uuid, Label(3, 4))
+    assert files() == before

@@ -76,7 +76,6 @@ from .settings import ignored_words as ignored_words
 from .settings import load_settings as load_settings
 from .settings import restore_form as restore_form
 from .settings import save_settings as save_settings
-from .settings import settings_path as settings_path
 from .sheets import BenchSheet as BenchSheet
 from .sheets import BookmarkDialog as BookmarkDialog
 from .sheets import FileDrop as FileDrop

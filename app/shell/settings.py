@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from datetime import datetime
@@ -64,15 +63,6 @@ def parse_stored(kind: Any, stored: object) -> Any:
 
 
 _adapter = lru_cache(TypeAdapter)
-
-
-def settings_path() -> Path:
-    """Return the settings file: $TOUCHDOWN_CONFIG, else in the XDG configuration folder."""
-    chosen = os.environ.get("TOUCHDOWN_CONFIG")
-    if chosen:
-        return Path(chosen) / "window.json"
-    base = os.environ.get("XDG_CONFIG_HOME") or str(Path.home() / ".config")
-    return Path(base) / "touchdown" / "window.json"
 
 
 def load_settings(path: Path) -> tuple[WindowSettings, str]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from importlib.metadata import version
 from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -23,7 +22,7 @@ from touchdown.backend.config import (
     describe_simulation,
     read_settings,
 )
-from touchdown.backend.core import InputError, Pose
+from touchdown.backend.core import InputError, Pose, program_version
 from touchdown.backend.emulation import parse_script
 from touchdown.backend.geometry import (
     Piece,
@@ -226,7 +225,7 @@ def run_record(bench: Mapping[str, object], model: Estimator | None) -> dict[str
     return {
         **bench,
         "model": card and {"piece": card.piece, "weights_sha256": card.weights_sha256},
-        "program": version("touchdown"),
+        "program": program_version(),
     }
 
 

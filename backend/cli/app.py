@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import importlib
-from importlib.util import find_spec
 from types import ModuleType
 
 from touchdown.backend.cli.output import VerbOutput
@@ -26,13 +25,7 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
 
 
 def open_window(arguments: list[str]) -> int:
-    """Start the window; return its exit code. Raises ``InputError`` if Qt is not installed."""
-    if find_spec("PySide6") is None:
-        raise InputError(
-            "The window needs Qt, which is not installed.",
-            "PySide6",
-            "Run 'make setup', or work without a window: 'touchdown stack'.",
-        )
+    """Start the window; return its exit code."""
     parser = _window().parser()
     parser.exit_on_error = False
     try:

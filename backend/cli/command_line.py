@@ -110,8 +110,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _dispatch(words: list[str]) -> int:
-    front = _front()
     if not words or words[0].startswith("-"):
+        front = _front()
         front.parse_args(words)
         front.print_help()
         return BAD_INPUT

@@ -10,12 +10,15 @@ import json
 import os
 import sys
 import tomllib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from functools import lru_cache
+from hashlib import sha256
+from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
 from io import FileIO
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 from touchdown.backend.core.faults import InputError
@@ -26,10 +29,18 @@ UNSYNCABLE_ERRNOS = frozenset({errno.EINVAL, errno.ENOTSUP})
 
 def data_folder() -> Path:
     """Return the operator's data folder: $TOUCHDOWN_DATA, else the XDG data folder."""
-    if chosen := os.environ.get("TOUCHDOWN_DATA"):
-        return Path(chosen)
-    base = os.environ.get("XDG_DATA_HOME") or str(Path.home() / ".local" / "share")
-    return Path(base) / "touchdown"
+    return _operator_folder("TOUCHDOWN_DATA", "XDG_DATA_HOME", ".local/share")
+
+
+def config_folder() -> Path:
+    """Return the folder of the window settings: $TOUCHDOWN_CONFIG, else the XDG folder."""
+    return _operator_folder("TOUCHDOWN_CONFIG", "XDG_CONFIG_HOME", ".config")
+
+
+def _operator_folder(chosen: str, base: str, usual: str) -> Path:
+    if named := os.environ.get(chosen):
+        return Path(named)
+    return Path(os.environ.get(base) or Path.home() / usual) / "touchdown"
 
 
 def sync_folder(folder: Path) -> None:
@@ -225,6 +236,37 @@ def package_version(package: str) -> str:
         return ""
 
 
+def require_package(module: str, extra: str = "exchange") -> ModuleType:
+    """Import an optional package; raises ``InputError`` with its extra if it is not installed."""
+    try:
+        return import_module(module)
+    except ImportError as error:
+        raise InputError(
+            f"The package '{module.partition('.')[0]}' is not installed.",
+            f"extra '{extra}'",
+            f"Install it: pip install 'touchdown[{extra}]'.",
+        ) from error
+
+
+def hash_files(paths: Iterable[Path], root: Path) -> str:
+    """Return 16 hex digits of the contents of ``paths`` and of their names below ``root``."""
+    digest = sha256()
+    for path in sorted(paths):
+        digest.update(f"{path.relative_to(root)}\0".encode() + path.read_bytes() + b"\0")
+    return digest.hexdigest()[:16]
+
+
+@lru_cache(maxsize=1)
+def program_version() -> str:
+    """Return version and hash of the sources, such as ``0.1.0+9f86d081884c7d65``.
+
+    The sources are those of ``touchdown.backend`` and the TOML files of the resources.
+    """
+    backend = Path(__file__).resolve().parents[1]
+    paths = [*backend.rglob("*.py"), *backend.parent.glob("resources/**/*.toml")]
+    return f"{package_version('touchdown')}+{hash_files(paths, backend.parent)}"
+
+
 def program_stamp() -> str:
-    """Return name and version of this program."""
-    return f"touchdown {package_version('touchdown') or '(not installed)'}"
+    """Return name, version and hash of the sources of this program."""
+    return f"touchdown {program_version()}"

@@ -6,31 +6,16 @@ are imported on use.
 
 from __future__ import annotations
 
-import importlib
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.backend.core import TACTILE_CHANNELS, WRENCH_CHANNELS, InputError
-
-
-def require_package(module: str) -> ModuleType:
-    """Import a package of the extra ``exchange``; raises ``InputError`` if it is not installed."""
-    try:
-        return importlib.import_module(module)
-    except ImportError as error:
-        raise InputError(
-            f"The package '{module.partition('.')[0]}' is not installed.",
-            "extra 'exchange'",
-            "Install it: pip install 'touchdown[exchange]'.",
-        ) from error
-
+from touchdown.backend.core import TACTILE_CHANNELS, WRENCH_CHANNELS
 
 FPS = 10
 TICK_NS = 1_000_000_000 // FPS

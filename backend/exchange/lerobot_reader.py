@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.backend.core import InputError, parse_json
-from touchdown.backend.exchange.features import PICTURES, ForeignEpisode, require_package
+from touchdown.backend.core import InputError, parse_json, require_package
+from touchdown.backend.exchange.features import PICTURES, ForeignEpisode
 
 VERSIONS = ("v3.0", "v2.1")
 PREFIXES = ("observation.", "action", "label.")

@@ -12,9 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.backend.config import SAMPLES_PER_PROBE
+from touchdown.backend.core import require_package
 from touchdown.backend.exchange.export_episode import ExportEpisode
 from touchdown.backend.exchange.exports import ExportJob
-from touchdown.backend.exchange.features import FPS, Feature, require_package
+from touchdown.backend.exchange.features import FPS, Feature
 from touchdown.backend.exchange.query import indices_by_side
 from touchdown.backend.exchange.video import CHUNK_FILES, CODEC, VIDEO_MB, VideoWriter
 

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.backend.config import SAMPLES_PER_PROBE
+from touchdown.backend.core import require_package
 from touchdown.backend.exchange.export_episode import ExportEpisode
 from touchdown.backend.exchange.exports import ExportJob
 from touchdown.backend.exchange.features import (
@@ -25,7 +26,6 @@ from touchdown.backend.exchange.features import (
     OFFSET,
     PATCH,
     Feature,
-    require_package,
     short_name,
 )
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.backend.core import InputError, parse_json
+from touchdown.backend.core import InputError, parse_json, require_package
 from touchdown.backend.exchange.features import (
     ACTION,
     DEMOS,
@@ -17,7 +17,6 @@ from touchdown.backend.exchange.features import (
     PATCH,
     PICTURES,
     ForeignEpisode,
-    require_package,
 )
 
 # Larger than any array of a probe: a damaged shape is not allocated.

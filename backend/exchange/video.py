@@ -7,8 +7,8 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
-from touchdown.backend.core import ImageArray
-from touchdown.backend.exchange.features import FPS, require_package
+from touchdown.backend.core import ImageArray, require_package
+from touchdown.backend.exchange.features import FPS
 
 VIDEO_MB = 200
 CODEC: dict[str, object] = {

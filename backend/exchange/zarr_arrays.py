@@ -14,8 +14,9 @@ from typing import Any
 import numpy as np
 
 from touchdown.backend.config import SAMPLES_PER_PROBE
+from touchdown.backend.core import require_package
 from touchdown.backend.exchange.exports import ExportJob
-from touchdown.backend.exchange.features import FPS, require_package, short_name
+from touchdown.backend.exchange.features import FPS, short_name
 from touchdown.backend.exchange.video import HEIGHT, WIDTH
 
 FOLDER, BUFFER = "episodes.zarr", "replay_buffer.zarr"

@@ -43,7 +43,6 @@ from .models import keep_models as keep_models
 from .models import load_model as load_model
 from .models import shipped_model_folders as shipped_model_folders
 from .results import DATA as DATA
-from .results import program_version as program_version
 from .results import read_report as read_report
 from .results import rewrite_tables as rewrite_tables
 from .results import write_comparison as write_comparison

@@ -38,8 +38,8 @@ from touchdown.backend.core import (
     RunStarted,
     TrialFinished,
     TrialStarted,
+    program_version,
 )
-from touchdown.backend.experiments.results import program_version
 from touchdown.backend.experiments.strategies import uninformed_model
 from touchdown.backend.experiments.tables import PIECES, job_code
 from touchdown.backend.experiments.trials import (

@@ -33,10 +33,16 @@ from touchdown.backend.config import (
     bench_sha256,
     parse_settings,
 )
-from touchdown.backend.core import CHANNELS, TACTILE_CHANNELS, FloatArray, InputError, Outcome
+from touchdown.backend.core import (
+    CHANNELS,
+    TACTILE_CHANNELS,
+    FloatArray,
+    InputError,
+    Outcome,
+    program_version,
+)
 from touchdown.backend.episodes import TrainingRows
 from touchdown.backend.experiments.nuisances import bench_within
-from touchdown.backend.experiments.results import program_version
 from touchdown.backend.experiments.strategies import uninformed_model
 from touchdown.backend.experiments.tables import job_code
 from touchdown.backend.experiments.trials import (

@@ -8,7 +8,6 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
@@ -399,14 +398,6 @@ def write_comparison(out: Path, answer: Mapping[str, Any]) -> Path:
     write_atomically(out / BEYOND_DATA, _json_bytes(answer))
     write_atomically(out / BEYOND_PAGE, report_page(comparison_report(answer)).encode())
     return out / BEYOND_DATA
-
-
-def program_version() -> str:
-    """Return the version of the program, which is part of the id of every job."""
-    try:
-        return version("touchdown")
-    except PackageNotFoundError:
-        return "source tree"
 
 
 def _stored_films(recipe: Recipe, store: JobStore) -> list[Json]:

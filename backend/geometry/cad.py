@@ -13,12 +13,11 @@ import math
 import re
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 from xml.sax.saxutils import escape
 
 import numpy as np
 import shapely
-import trimesh
 from numpy.typing import NDArray
 from shapely.affinity import translate
 
@@ -29,6 +28,7 @@ from touchdown.backend.core import (
     disk_errors,
     parse_toml,
     read_limited,
+    require_package,
     write_atomically,
 )
 from touchdown.backend.geometry.drawings import read_drawing
@@ -41,6 +41,9 @@ from touchdown.backend.geometry.pieces import (
     load_pieces,
     pieces_folder,
 )
+
+if TYPE_CHECKING:
+    import trimesh
 
 MAX_BYTES = 64_000_000  # a binary STL of 1.2 million triangles
 MAX_CORNERS = 400  # of one outline
@@ -183,6 +186,9 @@ def _check_numbers(wanted: PieceImport) -> None:
 
 def _read_mesh(path: Path, content: bytes) -> trimesh.Trimesh:
     """Return the mesh with merged vertices, in the units of the file."""
+    require_package("trimesh", "cad")
+    import trimesh
+
     fix = "Export the piece again as a binary STL."
     if not content.strip(b"\0 \r\n\t"):
         raise InputError("The file is empty.", str(path), fix)
@@ -209,6 +215,8 @@ def _read_mesh(path: Path, content: bytes) -> trimesh.Trimesh:
 
 
 def _measure_mesh(mesh: trimesh.Trimesh, path: Path, wanted: PieceImport) -> MeasuredPiece:
+    import trimesh
+
     raw = np.ptp(mesh.vertices, axis=0)
     unit_mm = UNITS_MM[wanted.unit or "mm"]
     _check_size(raw * unit_mm, raw, path)
@@ -460,6 +468,8 @@ def _grip_height(wanted: PieceImport, height_mm: float) -> float | None:
 
 def _grip(mesh: trimesh.Trimesh, z_mm: float, x_mm: float, path: Path) -> tuple[float, float]:
     """Return the extent along y between the pads at height ``z_mm``."""
+    import trimesh
+
     level = trimesh.intersections.mesh_plane(  # type: ignore[no-untyped-call]
         mesh, (0.0, 0.0, 1.0), (0.0, 0.0, z_mm)
     )

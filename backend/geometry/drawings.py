@@ -19,9 +19,8 @@ from xml.etree import ElementTree
 
 import numpy as np
 import shapely
-from svgelements import SVG, Close, Line, Move, Shape
 
-from touchdown.backend.core import FloatArray, InputError
+from touchdown.backend.core import FloatArray, InputError, require_package
 
 CHORD_MM = 0.005
 MAX_CURVES = 500
@@ -43,6 +42,7 @@ def read_drawing(path: Path, content: bytes, unit_mm: float | None = None) -> sh
     ``unit_mm``: length of a unit; by default the one that the file names. Raises ``InputError`` in
     one sentence for an unreadable or unsupported file, and for curves that are open or cross.
     """
+    require_package("svgelements" if path.suffix.lower() == ".svg" else "ezdxf", "cad")
     read = _read_svg if path.suffix.lower() == ".svg" else _read_dxf
     try:
         with np.errstate(all="ignore"):  # of numbers that are refused below
@@ -108,6 +108,8 @@ def _joined(curves: Sequence[FloatArray]) -> list[shapely.LineString]:
 
 
 def _read_svg(content: bytes, unit_mm: float | None) -> Iterator[FloatArray]:
+    from svgelements import SVG, Shape
+
     text = content.decode("utf-8")
     if "<!ENTITY" in text or ("<!DOCTYPE" in text and "[" in text.split(">", 1)[0]):
         raise ValueError("it declares entities")
@@ -178,6 +180,8 @@ def _check_path(data: str) -> None:
 
 def _subpaths(segments: Iterable[Any], matrix: FloatArray) -> Iterator[FloatArray]:
     """Yield the points (k, 2) of subpaths; ``matrix`` turns their units into mm."""
+    from svgelements import Close, Line, Move
+
     points: list[FloatArray] = []
     for segment in segments:
         end = np.atleast_2d(np.array(segment.end, dtype=np.float64))

@@ -8,7 +8,7 @@ from __future__ import annotations
 from importlib import import_module
 from typing import Any
 
-from touchdown.backend.core import InputError
+from touchdown.backend.core import InputError, require_package
 from touchdown.backend.jobs.job import JobFunctions, JobResult, JobSpec, JobStore, run_job
 
 JOBS_AHEAD = 2  # jobs submitted per worker thread, so that none is idle
@@ -24,14 +24,7 @@ class DaskCluster:
     @classmethod
     def at(cls, kinds: JobFunctions, store: JobStore, address: str) -> DaskCluster:
         """Connect to the scheduler ``address`` (tcp://host:8786); raises ``InputError``."""
-        try:
-            distributed: Any = import_module("distributed")
-        except ImportError as error:
-            raise InputError(
-                "Dask is not installed.",
-                "--executor",
-                "Install the extra: pip install '.[cluster]'.",
-            ) from error
+        distributed: Any = require_package("distributed", "cluster")
         try:
             return cls(kinds, store, distributed.Client(address, timeout="10s"))
         except (OSError, ValueError) as error:

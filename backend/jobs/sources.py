@@ -10,8 +10,9 @@ from __future__ import annotations
 import ast
 from collections.abc import Iterable, Iterator
 from functools import cache
-from hashlib import sha256
 from pathlib import Path
+
+from touchdown.backend.core import hash_files
 
 PACKAGE = "touchdown.backend"
 ROOT = Path(__file__).resolve().parents[1]
@@ -24,11 +25,8 @@ def source_hash(module: str, function: str, root: Path = ROOT) -> str:
 
     ``root``: folder of the package ``touchdown.backend``.
     """
-    digest = sha256()
     paths = [*source_files(module, function, root).values(), *root.parent.glob(DATA)]
-    for path in sorted(paths):
-        digest.update(f"{path.relative_to(root.parent)}\0".encode() + path.read_bytes() + b"\0")
-    return digest.hexdigest()[:16]
+    return hash_files(paths, root.parent)
 
 
 def source_files(module: str, function: str, root: Path = ROOT) -> dict[str, Path]:

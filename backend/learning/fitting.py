@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from touchdown.backend.annotations import LabelChoice, is_dataset, load_training_set
 from touchdown.backend.config import BenchDescription, StabilitySettings, TrainingSettings
-from touchdown.backend.core import FloatArray, InputError, package_version, write_atomically
+from touchdown.backend.core import FloatArray, InputError, program_version, write_atomically
 from touchdown.backend.episodes import Split, TrainingRows, join_rows, load_rows, split_rows
 from touchdown.backend.geometry import face_points, load_pieces
 from touchdown.backend.learning.calibration import PatchCalibration, fit_calibration
@@ -327,7 +327,7 @@ def make_card(
             "device": device_name(trainer.device),
         },
         seed=settings.seed,
-        program_version=package_version("touchdown") or "source tree",
+        program_version=program_version(),
         weights_sha256="",
         simulated=only_simulated(rows),
         benches=benches,

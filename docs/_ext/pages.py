@@ -32,7 +32,8 @@ DOCS = Path(__file__).resolve().parents[1]
 ROOT = DOCS.parent
 MADE = DOCS / "generated"
 # Files outside `docs` that are pages of the site.
-OUTSIDE = {"CONTRIBUTING.md": "contributing", "CHANGELOG.md": "changelog", "CONTEXT.md": "glossary"}
+OUTSIDE = {"CONTRIBUTING.md": "contributing", "CHANGELOG.md": "changelog", "CONTEXT.md": "glossary",
+           "SECURITY.md": "security"}  # fmt: skip
 # Pages of a section that exist on the site alone, before those that README.md lists.
 SITE_ONLY = {
     "Reference": {

@@ -18,7 +18,6 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
-from importlib.metadata import PackageNotFoundError, version
 from importlib.resources import files
 from importlib.resources.abc import Traversable
 from pathlib import Path
@@ -28,7 +27,7 @@ from rich.text import Text
 
 from touchdown.backend.cli.doctor.qt_libraries import missing_libraries, packages_for
 from touchdown.backend.cli.output import VerbOutput
-from touchdown.backend.core import InputError, data_folder
+from touchdown.backend.core import InputError, data_folder, package_version
 
 if TYPE_CHECKING:
     from touchdown.backend.config import Lab, LabSettings
@@ -157,17 +156,11 @@ def check_catalogue(folder: Path | None = None) -> DoctorCheck:
     return DoctorCheck("catalogue", True, ", ".join(sorted(catalogue.pieces)))
 
 
-QT_INSTALL = 'pip install --force-reinstall "PySide6-Essentials>=6.8,!=6.9.1,<6.12"'
+QT_INSTALL = (
+    'pip install --force-reinstall "PySide6-Essentials>=6.8,!=6.9.1,<6.12" "pyqtgraph>=0.13.7"'
+)
 CHILD_LIMIT_S = 60
 BUSY = "The computer was too busy for this check. Close other programs and repeat."
-
-
-def installed(name: str) -> str | None:
-    """Return the installed version of the distribution ``name``, or None."""
-    try:
-        return version(name)
-    except PackageNotFoundError:
-        return None
 
 
 def check_python() -> DoctorCheck:
@@ -194,11 +187,12 @@ def qt_pair_fault(qt: str, python: tuple[int, int]) -> str:
 
 
 def check_qt_versions() -> DoctorCheck:
-    """Check for PySide6-Essentials without Addons, in a working version."""
-    qt = installed("PySide6-Essentials")
-    if qt is None:
-        return DoctorCheck("qt", False, "PySide6-Essentials is not installed", QT_INSTALL)
-    shiboken = installed("shiboken6")
+    """Check for PySide6-Essentials without Addons, in a working version, and for pyqtgraph."""
+    qt = package_version("PySide6-Essentials")
+    if not qt:
+        absent = "not installed (optional, for the window)"
+        return DoctorCheck("qt", True, absent, 'pip install "touchdown[app]"')
+    shiboken = package_version("shiboken6")
     if shiboken != qt:
         return DoctorCheck(
             "qt", False, f"PySide6-Essentials {qt} with shiboken6 {shiboken}", QT_INSTALL
@@ -208,8 +202,10 @@ def check_qt_versions() -> DoctorCheck:
         # Uninstalling PySide6-Addons removes the shared PySide6/__init__.py.
         return DoctorCheck("qt", False, "the package PySide6 is damaged", QT_INSTALL)
     fault = qt_pair_fault(qt, sys.version_info[:2])
-    full = installed("PySide6")
-    if full is not None and not fault:
+    if not fault and not package_version("pyqtgraph"):
+        fault = "pyqtgraph is not installed."
+    full = package_version("PySide6")
+    if full and not fault:
         fault = f"PySide6 {full} and PySide6-Essentials {qt} are mixed."
     return DoctorCheck(
         "qt", not fault, fault or f"PySide6-Essentials {qt}", QT_INSTALL if fault else ""
@@ -228,6 +224,8 @@ def check_qt_libraries() -> DoctorCheck:
 
 def check_qt_platform() -> DoctorCheck:
     """Start Qt offscreen in a child process, because a failure aborts."""
+    if not package_version("PySide6-Essentials"):
+        return DoctorCheck("qt platform", True, "no Qt")
     code = (
         "import sys; from PySide6.QtWidgets import QApplication; "
         "sys.stdout.write(QApplication([]).platformName())"
@@ -245,18 +243,18 @@ def check_opencv() -> DoctorCheck:
     """Check for headless OpenCV only; other builds bring a second Qt into the process."""
     name = "opencv-contrib-python-headless"
     unwanted = ("opencv-python", "opencv-contrib-python", "opencv-python-headless")
-    others = [other for other in unwanted if installed(other) is not None]
+    others = [other for other in unwanted if package_version(other)]
     if others:
         fix = f"pip uninstall -y {' '.join(others)} && pip install --force-reinstall {name}"
         return DoctorCheck("opencv", False, f"also installed: {', '.join(others)}", fix)
-    found = installed(name)
+    found = package_version(name)
     fix = "" if found else f"pip install {name}"
-    return DoctorCheck("opencv", found is not None, found or "not installed", fix)
+    return DoctorCheck("opencv", bool(found), found or "not installed", fix)
 
 
 def check_torch() -> DoctorCheck:
     """Read version, threads and device of torch in a child process; its import is slow."""
-    if installed("torch") is None:
+    if not package_version("torch"):
         return DoctorCheck(
             "torch", False, "not installed", "pip install torch (the CPU build will do)"
         )
@@ -280,18 +278,18 @@ def check_torch() -> DoctorCheck:
 def check_others() -> DoctorCheck:
     """Check the other required packages."""
     required = (
-        "pyqtgraph", "numpy", "scipy", "pydantic", "rich", "safetensors", "zstandard", "pyserial",
+        "numpy", "scipy", "pydantic", "rich", "safetensors", "zstandard", "pyserial",
     )  # fmt: skip
-    if absent := [name for name in required if installed(name) is None]:
+    if absent := [name for name in required if not package_version(name)]:
         fix = f"pip install {' '.join(absent)}"
         return DoctorCheck("packages", False, f"missing: {', '.join(absent)}", fix)
-    listed = ", ".join(f"{name} {installed(name)}" for name in required)
+    listed = ", ".join(f"{name} {package_version(name)}" for name in required)
     return DoctorCheck("packages", True, listed)
 
 
 def check_mujoco() -> DoctorCheck:
     """Check for MuJoCo (optional second judge and fall animation)."""
-    found = installed("mujoco-core") or installed("mujoco")
+    found = package_version("mujoco-core") or package_version("mujoco")
     if found:
         return DoctorCheck("mujoco", True, found)
     return DoctorCheck(
@@ -381,13 +379,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--bench", type=Path, metavar="FILE", help="check the devices of a lab file instead"
     )
-    parser.add_argument(
+    group = parser.add_mutually_exclusive_group()
+    group.add_argument(
         "--dataset",
         nargs="?",
         const="",
         metavar="DIR",
         help="check a dataset instead, without changes (default: the one in the data folder)",
     )
+    group.add_argument(
+        "--bundle", type=Path, metavar="FILE.zip",
+        help="write a problem report: findings, versions, settings, logs and the last run",
+    )  # fmt: skip
+    kept = "names of persons, account, computer and home folder"
+    for what, told in (("pictures", "pictures of the last run"), ("names", kept)):
+        parser.add_argument(
+            f"--with-{what}", action="store_true", help=f"with --bundle: also {told}"
+        )
 
 
 def run(args: argparse.Namespace, screen: VerbOutput) -> int:
@@ -412,7 +420,17 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     screen.table("touchdown doctor", ("", "check", "found", "what to do"), *rows)
     failed = [check for check in checks if not check.ok]
     screen.say("Everything required is present." if not failed else f"{len(failed)} to fix.")
-    screen.result({"checks": [asdict(check) for check in checks]})
+    answer: dict[str, object] = {"checks": [asdict(check) for check in checks]}
+    if args.bundle is not None:
+        from touchdown.backend.cli.doctor.problem_report import write_report
+
+        kept = {"pictures": args.with_pictures, "names": args.with_names}
+        written = write_report(args.bundle, answer, lab=args.bench, **kept)
+        screen.say(
+            f"Problem report of {len(written)} files: {args.bundle}. Read them before you send it."
+        )
+        answer["bundle"] = {"file": str(args.bundle), "files": written}
+    screen.result(answer)
     return 1 if failed else 0
 
 

@@ -6,8 +6,8 @@ import argparse
 from pathlib import Path
 
 from touchdown.backend.cli.experiment.campaign import UNWRITTEN, ExperimentRun, Json, write_json
-from touchdown.backend.core import InputError, disk_errors
-from touchdown.backend.experiments import LEAST_SCENES, PIECES, Certification, program_version
+from touchdown.backend.core import InputError, disk_errors, package_version
+from touchdown.backend.experiments import LEAST_SCENES, PIECES, Certification
 
 KEPT = "Free some space, or copy the model to another folder; finished jobs are kept."
 
@@ -90,5 +90,5 @@ def _plan(run: ExperimentRun, weights: Path) -> Certification:
         raise InputError(
             f"{args.scenes} scenes are too few.", "--scenes", f"Give at least {LEAST_SCENES}."
         )
-    name = args.bench.stem if args.bench else bench.preset
-    return Certification(bench, name, weights.resolve(), risks, args.scenes, program_version())
+    name, code = args.bench.stem if args.bench else bench.preset, package_version("touchdown")
+    return Certification(bench, name, weights.resolve(), risks, args.scenes, code)

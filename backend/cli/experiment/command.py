@@ -22,7 +22,13 @@ from touchdown.backend.cli.experiment.certify import add_certify_arguments, run_
 from touchdown.backend.cli.experiment.evaluation import add_evaluation_arguments, run_evaluation
 from touchdown.backend.cli.output import VerbOutput, require_positive
 from touchdown.backend.config import SimulationSettings, StackSettings
-from touchdown.backend.core import InputError, disk_errors, read_limited, write_atomically
+from touchdown.backend.core import (
+    InputError,
+    disk_errors,
+    package_version,
+    read_limited,
+    write_atomically,
+)
 from touchdown.backend.experiments import (
     BOTTOMS,
     CEILING,
@@ -45,7 +51,6 @@ from touchdown.backend.experiments import (
     decided_strategies,
     keep_models,
     method_of,
-    program_version,
     ready_sequences,
     rewrite_tables,
     stopped_text,
@@ -147,7 +152,7 @@ def train_fused(run: ExperimentRun) -> Json:
             "--outlines any, 2 to 180 on uneven bottoms (with one of them but free ones also no "
             f"others), and 1 to {MOST_NETWORKS} networks.",
         )
-    bench, code = run.bench(), program_version()
+    bench, code = run.bench(), package_version("touchdown")
     ranges = _ranges(args.ranges) if args.ranges else {}
     recipe = FusionRecipe(
         bench, code, counts, args.steps, args.seed, args.device,
@@ -351,7 +356,7 @@ def _comparison_of(run: ExperimentRun) -> StrategyComparison:
         )
     loops = ClosedLoopComparison(
         bench=bench,
-        code=program_version(),
+        code=package_version("touchdown"),
         models={piece: found.get((piece, "FT+Tac"), "") for piece in pieces},
         pieces=pieces,
         bottoms=parse_names(args.bottoms, BOTTOMS, "--bottoms"),
@@ -397,7 +402,7 @@ def _recipe(run: ExperimentRun) -> Recipe:
             "--full trains its own models.", "--models", "Leave it out or use --quick."
         )
     models = {} if scale.probes else run.models(bench)
-    return Recipe(scale, bench, program_version(), models, pieces, args.device)
+    return Recipe(scale, bench, package_version("touchdown"), models, pieces, args.device)
 
 
 WAYS = {

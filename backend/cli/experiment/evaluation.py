@@ -6,7 +6,7 @@ import argparse
 from typing import get_args
 
 from touchdown.backend.cli.experiment.campaign import ExperimentRun, Json, parse_names, write_json
-from touchdown.backend.core import InputError
+from touchdown.backend.core import InputError, package_version
 from touchdown.backend.experiments import (
     EVALUATED_STRATEGIES,
     PIECES,
@@ -15,7 +15,6 @@ from touchdown.backend.experiments import (
     DomainShift,
     RandomisedTraining,
     load_model,
-    program_version,
     shift_tables,
 )
 
@@ -45,7 +44,7 @@ def run_evaluation(run: ExperimentRun) -> Json:
     """
     from touchdown.backend.simulation import import_mujoco
 
-    args, bench, code = run.args, run.bench(), program_version()
+    args, bench, code = run.args, run.bench(), package_version("touchdown")
     if args.groups < 1 or args.trials < 0:
         raise InputError(
             "The counts give no presses.", "--groups, --trials", "Give a positive number of groups."

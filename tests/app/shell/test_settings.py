@@ -22,6 +22,7 @@ from touchdown.app.__main__ import incompatibility
 from touchdown.app.shell.actions import EVERYWHERE_CONTEXT, STOP_BINDINGS, portable_key
 from touchdown.app.shell.errors import ErrorBox, install_error_hooks, log_to
 from touchdown.app.shell.settings import WindowSettings, load_settings, restore_form, save_settings
+from touchdown.backend.cli import main as touchdown_command
 from touchdown.widgets.base.theme import THEMES
 from touchdown.widgets.forms import PoseReadout, RunForm
 
@@ -222,6 +223,14 @@ def test_the_guard_knows_the_bad_pairs(python, pyside, bad):
     if line:
         assert pyside in line
         assert "pip install" in line
+
+
+@pytest.mark.parametrize("absent", ["PySide6", "pyqtgraph"])
+def test_without_qt_the_line_that_installs_it_is_printed(monkeypatch, capsys, absent):
+    monkeypatch.setitem(sys.modules, absent, None)
+    assert command_line.main([]) == 3
+    assert 'pip install "touchdown[app]"' in capsys.readouterr().err
+    assert touchdown_command(["app"]) == 3
 
 
 def test_a_splash_says_what_goes_on_before_the_slow_imports(qapp, monkeypatch):

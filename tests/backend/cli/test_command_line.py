@@ -26,6 +26,7 @@ from touchdown.backend.cli import command_line
 from touchdown.backend.cli.command_line import VERBS, main
 from touchdown.backend.cli.doctor.command import check_catalogue
 from touchdown.backend.cli.output import ctrl_c_cancels
+from touchdown.backend.core import program_version
 from touchdown.backend.core.events import CampaignBegan, ProbeCollected, RunStarted
 from touchdown.backend.core.faults import (
     Fault,
@@ -498,6 +499,7 @@ def test_the_shipped_model_is_the_one_recorded(tmp_path, capsys) -> None:
     }  # fmt: skip
     assert settings["disturbances"] == ["tactile_left:stop@0.5"]
     assert len(settings["model"]["weights_sha256"]) == 64
+    assert settings["program"] == program_version()
 
 
 @pytest.mark.parametrize(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import stat
 import subprocess
@@ -12,6 +13,7 @@ from pathlib import Path
 
 import pytest
 
+import touchdown
 from tests.backend.annotations.conftest import context_for, small_episode
 from touchdown.backend.annotations import Dataset, Label, read_run_info
 from touchdown.backend.annotations.geometry_records import GeometryStore
@@ -228,3 +230,25 @@ def test_an_empty_catalogue_is_named_with_its_remedy(tmp_path):
     (tmp_path / "catalog.db").touch()
     with pytest.raises(InputError, match=r"catalogue is empty.*dataset rebuild"):
         Dataset.open(tmp_path, write=False)
+
+
+def test_the_program_names_its_version_and_the_hash_of_its_sources(tmp_path):
+    version, _, digest = files.program_version().partition("+")
+    assert version == touchdown.__version__
+    assert re.fullmatch("[0-9a-f]{16}", digest)
+    assert files.program_stamp() == f"touchdown {version}+{digest}"
+    one, two = tmp_path / "a.py", tmp_path / "b.py"
+    one.write_text("x = 1\n")
+    two.write_text("y = 1\n")
+    before = files.hash_files([one, two], tmp_path)
+    assert files.hash_files([two, one], tmp_path) == before
+    two.write_text("y = 2\n")
+    assert files.hash_files([one, two], tmp_path) != before
+    two.rename(tmp_path / "c.py")
+    assert files.hash_files([one, tmp_path / "c.py"], tmp_path) != before
+
+
+def test_a_missing_package_of_an_extra_is_named_with_its_line():
+    with pytest.raises(InputError, match="'no_such_package' is not installed") as caught:
+        files.require_package("no_such_package.part", "cad")
+    assert "pip install 'touchdown[cad]'" in caught.value.fix

@@ -21,6 +21,7 @@ from touchdown.backend.core import (
     RunStarted,
     TrialFinished,
     TrialStarted,
+    program_version,
 )
 from touchdown.backend.experiments.certification import (
     FAMILIES,
@@ -71,6 +72,7 @@ def test_every_scene_has_a_seed_of_its_own_and_a_third_has_each_piece(weights: P
         scenes = {p: sum(o["trials"] for o in own if o["piece"] == p) for p in PIECES}
         assert scenes == dict.fromkeys(PIECES, 100)
     assert attempt.error == 0.0125  # two risks share the error of the first attempt
+    assert attempt.program_version == program_version()
 
 
 @pytest.mark.parametrize("family", FAMILIES)

@@ -1,6 +1,7 @@
 """"""
 
 import math
+import sys
 
 import pytest
 import shapely
@@ -217,3 +218,15 @@ def test_a_drawing_is_the_prism_over_its_outline(tmp_path):
     with pytest.raises(InputError, match=r"0\.00529 x 0\.00794 mm, which is unlikely") as refused:
         measure_piece(path, PieceImport(mass_g=9.0, height_mm=40.0))
     assert "--units m (20 x 30 mm)" in refused.value.fix
+
+
+@pytest.mark.parametrize(("name", "package"), [("a.stl", "trimesh"), ("a.svg", "svgelements"),
+                                               ("a.dxf", "ezdxf")])  # fmt: skip
+def test_without_the_extra_the_package_is_named(tmp_path, monkeypatch, name, package):
+    monkeypatch.setitem(sys.modules, package, None)
+    (tmp_path / name).write_text("solid")
+    with pytest.raises(InputError, match=f"'{package}' is not installed") as caught:
+        measure_piece(
+            tmp_path / name, PieceImport(mass_g=10.0, height_mm=None if name == "a.stl" else 5.0)
+        )
+    assert "touchdown[cad]" in caught.value.fix

@@ -17,6 +17,7 @@ from tests.backend.annotations.test_packs_in_datasets import write_pack
 from touchdown.backend.annotations import Dataset, RunInfo
 from touchdown.backend.cli.command_line import main
 from touchdown.backend.config.method import TrainingSettings
+from touchdown.backend.core import program_stamp, program_version
 from touchdown.backend.core.faults import FaultError, InputError
 from touchdown.backend.episodes.training_rows import load_rows
 from touchdown.backend.learning import (
@@ -60,6 +61,7 @@ def test_a_finished_training_is_kept_whole(tmp_path: Path, write_data: Data) -> 
     assert run.best_epoch == epochs[-1].best_epoch
     assert run.card is not None
     assert run.about.params["piece"] == "pot"
+    assert (run.card.program_version, run.about.program) == (program_version(), program_stamp())
     manifest = (run.folder / "manifest.json").read_bytes()
     assert run.card.manifest_sha256 == run.about.manifest == sha256(manifest).hexdigest()
     sides = [e["split"] for e in json.loads(manifest)["episodes"]]

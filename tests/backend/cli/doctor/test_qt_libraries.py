@@ -3,16 +3,23 @@
 import io
 import json
 import re
+import shutil
+import zipfile
 from argparse import Namespace
 from dataclasses import asdict
+from pathlib import Path
 
 import pytest
 
 from touchdown.backend.cli.command_line import main
 from touchdown.backend.cli.doctor import command
 from touchdown.backend.cli.doctor.command import DoctorCheck
+from touchdown.backend.cli.doctor.problem_report import write_report
 from touchdown.backend.cli.doctor.qt_libraries import PACKAGES, missing_in, packages_for
 from touchdown.backend.cli.output import VerbOutput
+from touchdown.backend.core import InputError, program_stamp
+
+WRITTEN = Path(__file__).parents[3] / "data" / "written_0_1"
 
 
 def _run(monkeypatch, *checks, as_json=True):
@@ -20,7 +27,9 @@ def _run(monkeypatch, *checks, as_json=True):
     for look in command.EXAMINATIONS:
         look.__name__ = "check_something"
     stream = io.StringIO()
-    code = command.run(Namespace(bench=None, dataset=None), VerbOutput(json=as_json, stream=stream))
+    code = command.run(
+        Namespace(bench=None, dataset=None, bundle=None), VerbOutput(json=as_json, stream=stream)
+    )
     return code, stream.getvalue()
 
 
@@ -45,7 +54,7 @@ def test_a_damaged_installation_does_not_end_the_doctor(monkeypatch):
     monkeypatch.setattr(command, "EXAMINATIONS", (check_data_folder, lambda: GOOD))
     stream = io.StringIO()
     screen = VerbOutput(json=True, stream=stream)
-    assert command.run(Namespace(bench=None, dataset=None), screen) == 1
+    assert command.run(Namespace(bench=None, dataset=None, bundle=None), screen) == 1
     first, second = json.loads(stream.getvalue())["checks"]
     assert (first["name"], first["ok"], first["fix"]) == ("data folder", False, "make setup")
     assert second["ok"]
@@ -86,6 +95,7 @@ def test_pairs_of_qt_and_python(qt, python, fit):
 VERSIONS = {
     "PySide6-Essentials": "6.11.3",
     "shiboken6": "6.11.3",
+    "pyqtgraph": "0.14.0",
     "opencv-contrib-python-headless": "5.0.0.93",
     "torch": None,
 }
@@ -94,7 +104,7 @@ VERSIONS = {
 @pytest.mark.parametrize(
     ("changed", "look", "word"),
     [
-        ({"PySide6-Essentials": None}, "check_qt_versions", "not installed"),
+        ({"pyqtgraph": None}, "check_qt_versions", "pyqtgraph"),
         ({"shiboken6": "6.10.0"}, "check_qt_versions", "shiboken6 6.10.0"),
         ({"PySide6": "6.11.3"}, "check_qt_versions", "mixed"),
         ({"opencv-python": "4.10"}, "check_opencv", "opencv-python"),
@@ -105,7 +115,7 @@ VERSIONS = {
 )
 def test_wrong_packages_are_named_with_the_fix(monkeypatch, changed, look, word):
     versions = {**VERSIONS, **changed}
-    monkeypatch.setattr(command, "installed", versions.get)
+    monkeypatch.setattr(command, "package_version", lambda name: versions.get(name) or "")
     check = getattr(command, look)()
     assert not check.ok
     assert word in check.detail
@@ -113,9 +123,16 @@ def test_wrong_packages_are_named_with_the_fix(monkeypatch, changed, look, word)
 
 
 def test_good_packages_are_good(monkeypatch):
-    monkeypatch.setattr(command, "installed", VERSIONS.get)
+    monkeypatch.setattr(command, "package_version", VERSIONS.get)
     assert command.check_qt_versions() == DoctorCheck("qt", True, "PySide6-Essentials 6.11.3")
     assert command.check_opencv().ok
+
+
+def test_an_installation_without_qt_is_complete_and_names_the_extra(monkeypatch):
+    monkeypatch.setattr(command, "package_version", {}.get)
+    check = command.check_qt_versions()
+    assert (check.ok, check.fix) == (True, 'pip install "touchdown[app]"')
+    assert command.check_qt_platform().ok
 
 
 @pytest.mark.parametrize("look", [command.check_torch, command.check_qt_platform])
@@ -200,3 +217,87 @@ def test_missing_models_are_named(tmp_path):
     for piece in ("mushroom", "barrel"):
         (tmp_path / f"{piece}.safetensors").touch()
     assert command.check_models(tmp_path).ok
+
+
+JOURNAL = (
+    '{"format":1,"program":"touchdown"}\n'
+    '{"kind":"RunStarted","settings":"{\\"person\\": \\"J\\\\u00fcrgen K\\", \\"path\\": '
+    '\\"HOME/x\\", \\"note\\": \\"by\\\\nMarta\\"}"}\n'
+    '{"kind":"EpisodeDecided","person":"Eve"}\n{"ki'
+)
+
+
+@pytest.fixture
+def data_of_operator(monkeypatch, tmp_path):
+    """Data and settings of an operator called Marta, in whose dataset Ann labels."""
+    home = tmp_path / "marta"
+    data, config = home / "data", home / "config"
+    for folder in (
+        data / "log",
+        data / "runs" / "20260101-1",
+        data / "runs" / "20260102-2",
+        config,
+    ):
+        folder.mkdir(parents=True)
+    monkeypatch.setenv("HOME", str(home))
+    monkeypatch.setenv("LOGNAME", "marta")
+    monkeypatch.setenv("TOUCHDOWN_DATA", str(data))
+    monkeypatch.setenv("TOUCHDOWN_CONFIG", str(config))
+    monkeypatch.setattr("platform.node", lambda: "BENCHPC7")
+    shutil.unpack_archive(WRITTEN / "dataset.zip", data / "dataset")
+    log = (
+        f"INFO started in {data} on benchpc7\nann and J\u00fcrgen K approved, Annular ring; ann_2\n"
+    )
+    (data / "log" / "app.log").write_bytes(log.encode() + b"\xff\x00\x80 torn")
+    (data / "log" / "app.log.1").symlink_to(data / "log" / "gone")
+    (data / "log" / "app.log.2").mkdir()
+    (config / "window.json").write_text('{"pages": {"collect": {"person": "Eve"}}, "theme')
+    for run in ("20260101-1", "20260102-2"):
+        text = JOURNAL.replace("HOME", str(home)).replace("Eve", f"Eve{run[-1]}")
+        (data / "runs" / run / "journal.jsonl").write_text(text)
+    (data / "runs" / "20260102-2" / "trial-1.jpg").write_bytes(b"\xff\xd8 a picture of Marta")
+    return tmp_path
+
+
+NAMES = re.compile(r"marta|j(\u00fc|\\+u00fc)rgen|\beve|\bann\b|ann_2|benchpc7", re.IGNORECASE)
+
+
+def _report(folder, *options):
+    out = folder / "out.zip"
+    assert main(["doctor", "--bundle", str(out), *options]) == 0
+    with zipfile.ZipFile(out) as archive:
+        assert archive.testzip() is None
+        return {name: archive.read(name) for name in archive.namelist()}
+
+
+def test_a_problem_report_holds_no_names_and_no_pictures(monkeypatch, data_of_operator):
+    monkeypatch.setattr(command, "EXAMINATIONS", (command.check_data_folder,))
+    files = _report(data_of_operator)
+    assert set(files) == {
+        "README.txt", "doctor.json", "versions.json", "log/app.log", "run/journal.jsonl",
+        "settings/window.json",
+    }  # fmt: skip
+    found = {name: NAMES.findall(raw.decode()) for name, raw in files.items()}
+    assert found == {name: [] for name in files}
+    assert str(data_of_operator) not in b"".join(files.values()).decode()
+    assert "Not readable: log/app.log.1: No such file" in files["README.txt"].decode()
+    log = files["log/app.log"].decode()
+    known = r"INFO started in ~/data on <computer>\n(<person \d>) and <person \d> approved, Annular"
+    assert re.match(known, log)
+    assert "torn" in log
+    assert json.loads(files["versions.json"])["program"] == program_stamp()
+    assert json.loads(files["doctor.json"])["checks"][0]["detail"] == "~/data"
+    assert len(files["run/journal.jsonl"].splitlines()) == 4
+    with pytest.raises(InputError, match="cannot be written"):
+        write_report(data_of_operator / "out.zip", {})
+
+
+def test_names_and_pictures_come_with_an_option_each(monkeypatch, data_of_operator):
+    monkeypatch.setattr(command, "EXAMINATIONS", ())
+    files = _report(data_of_operator, "--with-pictures")
+    assert files["run/trial-1.jpg"].startswith(b"\xff\xd8")
+    assert not NAMES.findall(files["run/journal.jsonl"].decode())
+    (data_of_operator / "out.zip").unlink()
+    files = _report(data_of_operator, "--with-names")
+    assert b"Eve2" in files["run/journal.jsonl"]
+    assert "run/trial-1.jpg" not in files

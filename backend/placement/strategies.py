@@ -301,6 +301,7 @@ NO_CONTACT = "No contact was found"
 EVEN = 0.5
 FARTHEST_MM = 14.0  # positions farther from the last probe are outside of the training data
 STEPS_MM = np.arange(-15.0, 15.0, 0.05)
+EXPECTED_SHARE = 1e-3  # probability that is worth a millimetre of expected inset
 
 
 class FusedStrategy:
@@ -347,7 +348,7 @@ class FusedStrategy:
         stable = margin_mm >= settings.fused.inset_mm and not weak
         hull = support_hull_mm(replace(self._belief, map=shown), shown.log_odds > 0.0)
         stability = Stability(stable, margin_mm, SupportKind.AREA, hull, centre, "belief")
-        target = deepest_shift(self._expected_mm(reached, cells + here), cells - com)
+        target = best_shift(self._promise(reached, cells + here), cells - com)
         action = self._choose(stability, target, face_centre, weak)
         return PlaceDecision(shown, stability, action)
 
@@ -488,15 +489,18 @@ class FusedStrategy:
         kept = np.flatnonzero(holds >= 1.0 - rules.risk)
         return float(STEPS_MM[kept[-1]]) if len(kept) else float(STEPS_MM[0])
 
-    def _expected_mm(self, over: InsetDistribution, places_mm: FloatArray) -> FloatArray:
-        """Return the expected inset (n,) of the centre of mass in the shallowest interface.
+    def _promise(self, over: InsetDistribution, places_mm: FloatArray) -> FloatArray:
+        """Return the probability (n,) that all interfaces hold the centre of mass at places.
 
+        A share of the expected inset is added, which decides where the probability is zero.
         ``places_mm`` (n, 2): positions of the insets ``over``, in the frame of the map.
         """
-        if self._lower is None:
-            return over.expected_mm()
-        lower = self._lower.insets_mm(places_mm).mean(axis=0)
-        return np.asarray(np.minimum(over.expected_mm(), lower))
+        holds, expected = over.exceeds(0.0), over.expected_mm()
+        if self._lower is not None:
+            lower = self._lower.insets_mm(places_mm)
+            holds = holds * (lower > 0.0).mean(axis=0)
+            expected = np.minimum(expected, lower.mean(axis=0))
+        return np.asarray(holds + EXPECTED_SHARE * expected)
 
     def _choose(
         self, stability: Stability, target: XY, face_centre: FaceCentre, weak: str
@@ -540,12 +544,9 @@ def load_network_of(settings: FusedSettings) -> FusedCheckpoint:
     return load_network(settings.weights)
 
 
-def deepest_shift(expected_mm: FloatArray, shifts_mm: FloatArray) -> XY:
-    """Return the shift to the deepest expected inset of the centre of mass.
-
-    ``expected_mm`` (n,): expected inset after each of ``shifts_mm`` (n, 2) from here.
-    """
-    x, y = shifts_mm[int(expected_mm.argmax())]
+def best_shift(value: FloatArray, shifts_mm: FloatArray) -> XY:
+    """Return the one of ``shifts_mm`` (n, 2) with the greatest ``value`` (n,)."""
+    x, y = shifts_mm[int(value.argmax())]
     return float(x), float(y)
 
 

@@ -46,7 +46,7 @@ from touchdown.backend.placement.strategies import (
     PlaceDecision,
     ProbeObservation,
     SearchingStrategy,
-    deepest_shift,
+    best_shift,
     equivalent_disc,
     fit_face_centre,
     holding_probability,
@@ -490,8 +490,8 @@ def test_it_goes_where_the_centre_of_mass_lies_deepest() -> None:
     cells = np.stack(np.meshgrid(np.arange(-3.0, 4.0), np.arange(-3.0, 4.0)), axis=-1)
     cells = cells.reshape(-1, 2)
     inset = 5.0 - np.hypot(*(cells - (2.0, -1.0)).T)
-    assert deepest_shift(inset, cells) == (2.0, -1.0)
-    assert deepest_shift(inset, cells - (1.0, 0.0)) == (1.0, -1.0)
+    assert best_shift(inset, cells) == (2.0, -1.0)
+    assert best_shift(inset, cells - (1.0, 0.0)) == (1.0, -1.0)
 
 
 def test_the_network_that_ships_says_what_it_was_made_from() -> None:

@@ -16,6 +16,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn.functional import grid_sample, linear, relu, rms_norm
+from torch.optim import Muon
 
 from touchdown.backend.core import FloatArray
 from touchdown.backend.geometry import edge_normals
@@ -111,6 +112,8 @@ NEAR_MM, ANYWHERE_MM = 2.5, 16.0
 MIRRORS = ((False, False), (True, False), (False, True), (True, True))
 MIRROR_SIGNS = tuple((-1.0 if x else 1.0, -1.0 if y else 1.0) for x, y in MIRRORS)
 FIRST_OF_FIELDS = AT_ONCE = 2000
+BATCHES_AT_ONCE = 8
+MATRIX_RATE = 2.5  # learning rate of the inner matrices, relative to the others
 Arrays = Mapping[str, NDArray[Any]]
 
 
@@ -152,7 +155,7 @@ class ProbeSequences:
         With margins it is the signed distance to the hull of the contact that the piece would have
         with its centre of mass there.
         """
-        at = points_mm + self.true_mm[rows][:, :, None]
+        at = points_mm + self.true_mm[rows, : points_mm.shape[1], None]
         if self.margin_mm.shape[-1]:
             own = len(self.margin_mm)
             signs = torch.tensor(MIRROR_SIGNS)[rows // own][:, None, None]
@@ -252,7 +255,12 @@ class FusedTrainer:
         if start is not None:
             self.mean, self.scale = (torch.from_numpy(start[k].copy()) for k in ("mean", "scale"))
             self.net.load(start)
-        self._adam = Adam(self.net.parameters(), settings.learning_rate)
+        learned = dict(self.net.weights.items())
+        inner = [key for key, w in learned.items() if w.dim() == 2 and key != _key("answer.weight")]
+        # Orthogonal updates of the inner matrices, as long as those of Adam (arXiv 2502.16982).
+        matrices = [learned.pop(key) for key in inner]
+        self._muon = Muon(matrices, weight_decay=0.0, adjust_lr_fn="match_rms_adamw")
+        self._adam = Adam(learned.values(), settings.learning_rate)
         self._generator = torch.Generator().manual_seed(settings.seed + 1)
 
     def steps(self) -> Iterator[float]:
@@ -262,13 +270,26 @@ class FusedTrainer:
             warm = min(1.0, (step + 1) / 100)
             share = 0.5 * (1.0 + math.cos(math.pi * step / settings.steps))
             self._adam.rate = settings.learning_rate * warm * share
-            size = (settings.batch,)
-            rows = torch.randint(len(self._train.probes), size, generator=self._generator)
-            loss = self._loss(self._train, rows, self._generator)
-            self._adam.zero_grad()
+            self._muon.param_groups[0]["lr"] = MATRIX_RATE * self._adam.rate
+            if step % BATCHES_AT_ONCE == 0:
+                batches = self._batches()
+            loss = self._loss(self._train, next(batches), self._generator)
+            self.net.zero_grad()
             loss.backward()  # type: ignore[no-untyped-call]
             self._adam.step()
+            self._muon.step()  # type: ignore[no-untyped-call]
             yield float(loss.detach())
+
+    def _batches(self) -> Iterator[Tensor]:
+        """Yield the rows of the next batches, each of sequences of similar length.
+
+        A batch computes as many probes of each sequence as its longest one has.
+        """
+        size = (BATCHES_AT_ONCE * self._settings.batch,)
+        rows = torch.randint(len(self._train.probes), size, generator=self._generator)
+        by_length = rows[self._train.there[rows].sum(dim=1).argsort(stable=True)]
+        order = torch.randperm(BATCHES_AT_ONCE, generator=self._generator)
+        yield from by_length.view(BATCHES_AT_ONCE, -1)[order]
 
     @torch.no_grad()
     def held_out_loss(self) -> float:
@@ -284,14 +305,16 @@ class FusedTrainer:
         return {**about, **found}
 
     def _loss(self, data: ProbeSequences, rows: Tensor, generator: torch.Generator) -> Tensor:
-        points = _points(data, rows, generator)
+        there = data.there[rows]
+        there = there[:, : int(there.sum(dim=1).max())]
+        count = there.shape[1]
+        points = _points(data, rows, count, generator)
         kick = self._settings.kick_mm
         moved = points + kick * torch.randn(points.shape, generator=generator) if kick else points
         inset = data.inset_mm(rows, moved) / LENGTH_MM
-        away = (data.offset_mm[rows] - data.offset_mm[rows][:, :1])[:, :, None]
+        away = (data.offset_mm[rows, :count] - data.offset_mm[rows, :1])[:, :, None]
         asked = point_inputs(points.numpy(), away.numpy()).astype(np.float32)
-        probes = (data.probes[rows] - self.mean) / self.scale
-        there = data.there[rows]
+        probes = (data.probes[rows, :count] - self.mean) / self.scale
         seen = torch.where(there[..., None], probes, 0.0).to(self._device)
         answer = self.net(seen, torch.from_numpy(asked).to(self._device))
         return negative_log_likelihood(answer, inset.to(self._device))[
@@ -307,9 +330,9 @@ def data_sha256(arrays: Arrays) -> str:
     return digest.hexdigest()
 
 
-def _points(data: ProbeSequences, rows: Tensor, generator: torch.Generator) -> Tensor:
-    """Draw points (b, P, q, 2) in mm from the face after each probe."""
-    b, count = len(rows), data.probes.shape[1]
+def _points(data: ProbeSequences, rows: Tensor, count: int, generator: torch.Generator) -> Tensor:
+    """Draw points (b, count, q, 2) in mm from the face after each of the first ``count`` probes."""
+    b = len(rows)
     drawn = torch.randn((b, count, POINTS, 2), generator=generator)
     anywhere = 2.0 * torch.rand((b, count, POINTS, 2), generator=generator) - 1.0
     spread = torch.tensor([0.0] + 4 * [NEAR_MM] + 3 * [0.0])[:, None]

@@ -337,7 +337,7 @@ class FusedStrategy:
         cells = (self._belief.map.cell_centres_mm() - np.asarray(here)).reshape(-1, 2)
         near = np.hypot(*(cells - com).T) <= FARTHEST_MM
         seen = near | self._belief.map.covered.ravel()
-        over = self._inset(known, cells[seen], here)
+        over = self._inset(known[:1], cells[seen], here)  # without mirror images: many points
         supported = np.full(len(cells), EVEN)
         supported[seen] = over.exceeds(0.0)
         reached, cells = over.at(near[seen]), cells[near]
@@ -456,8 +456,8 @@ class FusedStrategy:
         """Return the state after all probes; None if a signal is outside the training data."""
         if not np.isfinite(self._seen).all():
             return None
-        known = self._forward.known(*self._signals())
-        return np.asarray(known[-1], dtype=np.float64) if np.isfinite(known).all() else None
+        known = self._forward.known_by_mirror(*self._signals())
+        return np.asarray(known[:, -1], dtype=np.float64) if np.isfinite(known).all() else None
 
     def signal_distances(self) -> tuple[float, float]:
         """Return how far the signals of all probes are from the training data."""

@@ -133,6 +133,11 @@ def field_components(field: Array) -> Array:
     return np.stack(found).astype(np.float32)
 
 
+# in x and y; the signals of a piece and its mirror image are equally likely
+MIRRORS = ((False, False), (True, False), (False, True), (True, True))
+MIRROR_SIGNS = tuple((-1.0 if x else 1.0, -1.0 if y else 1.0) for x, y in MIRRORS)
+
+
 def mirror_signals(
     wrench: Array, field: Array, *, across_x: bool, across_y: bool
 ) -> tuple[Array, Array]:

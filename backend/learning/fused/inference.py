@@ -13,10 +13,13 @@ from numpy.typing import NDArray
 from touchdown.backend.core import FloatArray
 from touchdown.backend.learning.fused.features import (
     LENGTH_MM,
+    MIRROR_SIGNS,
+    MIRRORS,
     PROBE_INPUTS,
     FusedShape,
     GraspedFace,
     centre_fields,
+    mirror_signals,
     probe_inputs,
     shared_arrays,
     weight_shapes,
@@ -111,6 +114,21 @@ class FusedForward:
             x = x + self._linear(f"{layer}.down", _relu(self._linear(f"{layer}.up", _rms_norm(x))))
         return _rms_norm(x).swapaxes(0, 1)
 
+    def known_by_mirror(
+        self, wrench: Array, field: Array, offset_mm: FloatArray, face: GraspedFace
+    ) -> FloatArray:
+        """Return the states (4, P, networks, width) of the signals and of their mirror images."""
+        return np.stack(
+            [
+                self.known(
+                    *mirror_signals(wrench, field, across_x=across_x, across_y=across_y),
+                    offset_mm * signs,
+                    face.mirrored(across_x=across_x, across_y=across_y),
+                )
+                for (across_x, across_y), signs in zip(MIRRORS, MIRROR_SIGNS, strict=True)
+            ]
+        )
+
     def distances(
         self, wrench: Array, field: Array, offset_mm: FloatArray, face: GraspedFace
     ) -> tuple[float, float]:
@@ -138,20 +156,33 @@ class FusedForward:
     ) -> InsetDistribution:
         """Return the inset of ``points_mm`` (n, 2), relative to the last offset, in the support.
 
-        ``known`` (networks, width) after the last probe; ``from_first_mm`` (2,): its offset from
-        the first.
+        ``known`` (m, networks, width) after the last probe, of the signals and their mirror images
+        or of the signals alone, whose distributions are mixed; ``from_first_mm`` (2,): offset of
+        the last probe from the first.
         """
+        images, networks, _ = known.shape
+        parts = [
+            self._inset(state, points_mm * signs, from_first_mm * signs)
+            for state, signs in zip(known, np.array(MIRROR_SIGNS), strict=False)
+        ]
+        weight, mean_mm, sd_mm = (
+            np.stack(of, axis=2).reshape(len(points_mm), -1) for of in zip(*parts, strict=True)
+        )
+        return InsetDistribution(weight / images, mean_mm, sd_mm, networks)
+
+    def _inset(
+        self, known: FloatArray, points_mm: FloatArray, from_first_mm: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return weight, mean and standard deviation (n, networks, parts) of one image."""
         points = point_inputs(points_mm, from_first_mm)[None].astype(np.float32)
         about = self._linear("about", known[:, None].astype(np.float32))
         x = _relu(about + self._linear("point", points))
         answer = self._linear("answer", _relu(self._linear("both", x)))
-        weight, mean, log_sd = np.split(answer.astype(np.float64), 3, axis=-1)
+        weight, mean, log_sd = np.split(answer.astype(np.float64).swapaxes(0, 1), 3, axis=-1)
         weight = np.exp(weight - weight.max(axis=-1, keepdims=True))
         share = weight / weight.sum(axis=-1, keepdims=True) / len(known)
         sd = np.exp(np.clip(log_sd, LEAST_LOG_SD, MOST_LOG_SD))
-        parts = (share, LENGTH_MM * mean, LENGTH_MM * sd)
-        shares, means, sds = (p.swapaxes(0, 1).reshape(len(points_mm), -1) for p in parts)
-        return InsetDistribution(shares, means, sds, len(known))
+        return share, LENGTH_MM * mean, LENGTH_MM * sd
 
     def _attended(self, layer: int, x: FloatArray) -> FloatArray:
         networks, count, width = x.shape

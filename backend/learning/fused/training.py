@@ -22,6 +22,8 @@ from touchdown.backend.core import FloatArray
 from touchdown.backend.geometry import edge_normals
 from touchdown.backend.learning.fused.features import (
     LENGTH_MM,
+    MIRROR_SIGNS,
+    MIRRORS,
     FusedShape,
     GraspedFace,
     field_components,
@@ -109,8 +111,6 @@ def checkpoint_arrays(net: FusedNet) -> dict[str, Tensor]:
 
 POINTS = 8  # points evaluated after each probe: the centre of mass, four near it, three anywhere
 NEAR_MM, ANYWHERE_MM = 2.5, 16.0
-MIRRORS = ((False, False), (True, False), (False, True), (True, True))
-MIRROR_SIGNS = tuple((-1.0 if x else 1.0, -1.0 if y else 1.0) for x, y in MIRRORS)
 FIRST_OF_FIELDS = AT_ONCE = 2000
 BATCHES_AT_ONCE = 8
 MATRIX_RATE = 2.5  # learning rate of the inner matrices, relative to the others

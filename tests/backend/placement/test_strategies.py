@@ -361,7 +361,7 @@ def test_on_a_leaning_tower_it_neither_lets_go_nor_aims_where_the_lower_bottom_t
     presses: list[TrialPresses],
 ) -> None:
     """The same presses; under the disc of 24 mm a narrow one stands far to its left."""
-    disc, narrow = circle(24.0), circle(14.0)
+    disc, narrow = circle(24.0), circle(15.0)
     low = Body("low", narrow, narrow, 20.0, 30.0, 10.0)
     touched = Body("disc", disc, disc, 20.0, 10.0, 10.0)
     tower = SupportTower((low, touched), ((5.0, 0.0),), 0.5, piece_g=15.0)
@@ -373,7 +373,7 @@ def test_on_a_leaning_tower_it_neither_lets_go_nor_aims_where_the_lower_bottom_t
     assert leaning[-1].action.target_mm is not None
     true = presses[-1].truth.offset_mm[0] - PLACES[-1]
     middle: XY = (-float(true[0]), -float(true[1]))
-    for at_mm, falls in ((4.0, True), (-4.0, False)):
+    for at_mm, falls in ((6.0, True), (-4.0, False)):
         at = middle[0] + at_mm, middle[1]
         # The exact judge of the tower that was entered, with the piece there.
         bodies = (low, replace(touched, at_mm=(5.0, 0.0)))
@@ -396,14 +396,14 @@ def one_who_knows(
 
     def known(wrench: Any, fields: Any, offset_mm: Any, face: GraspedFace) -> Any:
         faces.append(face)
-        return offset_mm
+        return np.asarray(offset_mm)[None]
 
     def inset(here_mm: Any, points_mm: Any, from_first_mm: Any) -> InsetDistribution:
-        deep = DISC_MM - np.hypot(*(here_mm + points_mm - middle_mm).T)[:, None]
+        deep = DISC_MM - np.hypot(*(here_mm[0] + points_mm - middle_mm).T)[:, None]
         return InsetDistribution(np.ones_like(deep), deep, np.full_like(deep, 0.2))
 
     reasoner = FusedStrategy(held, settings, (6.0, 4.0))
-    reasoner._forward = SimpleNamespace(known=known, inset=inset)  # type: ignore[assignment]
+    reasoner._forward = SimpleNamespace(known_by_mirror=known, inset=inset)  # type: ignore[assignment]
     return reasoner, faces
 
 

@@ -30,6 +30,7 @@ from touchdown.backend.learning.fused.checkpoint import (
     load_fused,
 )
 from touchdown.backend.learning.fused.features import (
+    MIRRORS,
     TICKS,
     FusedShape,
     GraspedFace,
@@ -84,7 +85,7 @@ def test_without_torch_the_network_answers_as_with_it() -> None:
     offset, points = rng.normal(size=(4, 2)), 5.0 * rng.normal(size=(7, 2))
     forward = FusedForward(arrays, SMALL)
     known = forward.known(wrench, field, offset, FACE)
-    found = forward.inset(known[-1], points, offset[-1] - offset[0])
+    found = forward.inset(known[-1:], points, offset[-1] - offset[0])
 
     net = FusedNet(SMALL, 0)
     for key in net.weights:
@@ -117,12 +118,32 @@ def test_a_mixture_exceeds_what_draws_from_it_exceed() -> None:
     rng, forward = np.random.default_rng(3), FusedForward(weights(3), SMALL)
     wrench, field = signals(rng, 1)
     known = forward.known(wrench, field, np.zeros((1, 2)), FACE)
-    inset = forward.inset(known[0], np.array([[1.0, 2.0]]), np.zeros(2))
+    inset = forward.inset(known[:1], np.array([[1.0, 2.0]]), np.zeros(2))
     part = rng.choice(2, size=20_000, p=inset.weight[0])
     drawn = inset.mean_mm[0][part] + inset.sd_mm[0][part] * rng.normal(size=20_000)
     assert inset.expected_mm()[0] == pytest.approx(drawn.mean(), abs=0.3)
     middle = float(np.median(drawn))
     assert inset.exceeds(middle)[0] == pytest.approx(0.5, abs=0.02)
+
+
+@pytest.mark.parametrize(("across_x", "across_y"), MIRRORS[1:])
+def test_with_its_mirror_images_a_grasp_is_answered_as_its_mirror_image(
+    across_x: bool, across_y: bool
+) -> None:
+    rng, forward = np.random.default_rng(5), FusedForward(weights(5), SMALL)
+    wrench, field = signals(rng, 2)
+    offset, points = rng.normal(size=(2, 2)), 5.0 * rng.normal(size=(6, 2))
+    signs = np.array([-1.0 if across_x else 1.0, -1.0 if across_y else 1.0])
+    mirrored = mirror_signals(wrench, field, across_x=across_x, across_y=across_y)
+    known = forward.known_by_mirror(wrench, field, offset, FACE)[:, -1]
+    image = FACE.mirrored(across_x=across_x, across_y=across_y)
+    other = forward.known_by_mirror(*mirrored, offset * signs, image)[:, -1]
+    found = forward.inset(known, points, offset[-1] - offset[0])
+    same = forward.inset(other, points * signs, (offset[-1] - offset[0]) * signs)
+    np.testing.assert_allclose(same.exceeds(0.5), found.exceeds(0.5), atol=1e-6)
+    alone = forward.inset(known[:1], points, offset[-1] - offset[0])
+    assert not np.allclose(alone.exceeds(0.5), found.exceeds(0.5), atol=1e-3)
+    np.testing.assert_allclose(found.weight.sum(axis=1), 1.0, atol=1e-6)
 
 
 def test_an_ensemble_is_its_networks_together_and_trusts_the_least_confident() -> None:
@@ -145,8 +166,8 @@ def test_an_ensemble_is_its_networks_together_and_trusts_the_least_confident() -
 
     def insets(found: FusedCheckpoint) -> InsetDistribution:
         forward = FusedForward(found.arrays, found.card.hyper)
-        known = forward.known(wrench, field, offset, FACE)
-        return forward.inset(known[-1], points, offset[-1] - offset[0])
+        known = forward.known_by_mirror(wrench, field, offset, FACE)[:, -1]
+        return forward.inset(known, points, offset[-1] - offset[0])
 
     alone = [insets(one) for one in checkpoints]
     together = insets(joined)

@@ -508,7 +508,7 @@ def test_the_network_for_any_outline_is_named_by_a_setting() -> None:
         bench_sha256(load_simulation(preset="bench-v2")),
         "any",
     )
-    assert found.hyper.networks == 4
+    assert found.hyper.networks == 2
     assert load_network_of(FusedSettings()).card.outlines == "convex"
 
 

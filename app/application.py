@@ -422,7 +422,7 @@ class TouchdownApp(QObject):
 
         def draw(turn: int) -> None:
             parts = self.workspaces[self.window.front].parts
-            if turn < len(parts):
+            if turn < len(parts) and not self.window.isMinimized():
                 parts[turn]()
 
         for turn in range(MOST_PARTS):

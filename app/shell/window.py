@@ -38,7 +38,10 @@ from touchdown.widgets.base import (
 )
 from touchdown.widgets.shell import BenchBanner, FaultCards, TopBar
 
-LEAST_EM, MOST_EM = (62, 34.5), (74, 39)  # limits of the minimum size of a page, which else scrolls
+LEAST_EM, MOST_EM = (
+    (62, 34.5),
+    (74, 39.5),
+)  # limits of the minimum size of a page, which else scrolls
 USUAL = QSize(1600, 940)
 RAIL_GAP_PX, RAIL_MARGIN_PX = 4, 8
 FOOT_OF_RAIL = (("layouts", "Layout"), ("theme", "Theme"), ("keys", "Keys"))
@@ -179,7 +182,7 @@ class MainWindow(QMainWindow):
         em, needed = QFontMetrics(ui_font(self._theme.scale)).height(), page.minimumSizeHint()
         sizes = zip(LEAST_EM, (needed.width(), needed.height()), MOST_EM, strict=True)
         page.setMinimumSize(
-            *(max(int(least * em), min(size, most * em)) for least, size, most in sizes)
+            *(int(max(least * em, min(size, most * em))) for least, size, most in sizes)
         )
         # Hidden pages have no layout yet: use the width of the window.
         room = self.width() - self._rail_frame.sizeHint().width()

@@ -77,6 +77,8 @@ class ProbePanel(Panel):
         super().__init__("Probe")
         self.values, self.model = label("", "small", wrap=True), ElidedLabel("small")
         self.strip = PhaseStrip(theme, phases)
+        # Two lines in a narrow column, so that the page knows the height that it needs.
+        self.values.setMinimumHeight(2 * self.values.fontMetrics().height())
         self.result = label("No probe yet.", wrap=True)
         self.probe, self.cancel = QPushButton("Probe once"), QPushButton("Cancel")
         self.probe.setProperty("role", "primary")

@@ -210,11 +210,9 @@ class TopBar(QFrame):
             if one_row:
                 break
         else:
-            for short in (False, True):
-                for chip in chips:
-                    chip.show_short(short)
-                if self._devices_px(chips) + 2 * MARGIN <= room:
-                    break
+            for chip in chips:
+                chip.show_short(False)
+                chip.show_short(self._devices_px(chips) + 2 * MARGIN > room)
         if one_row and self._second.count():
             self._second.removeWidget(self._devices)
             self._second.takeAt(0)

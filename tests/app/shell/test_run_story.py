@@ -306,6 +306,13 @@ def test_every_frame_is_drawn_once(live, bench):
         bench.turn(0.04)
         settle(live, 5)
     assert live.workspaces["stack"].live.frames_shown["left"] == before + 10
+    live.window.showMinimized()
+    bench.turn(0.2)
+    settle(live)
+    assert live.workspaces["stack"].live.frames_shown["left"] == before + 10
+    live.window.showNormal()
+    settle(live)
+    assert live.workspaces["stack"].live.frames_shown["left"] > before + 10
 
 
 @pytest.mark.promise("W1")

@@ -31,6 +31,7 @@ def shown(cards):
 
 
 def test_further_cards_take_no_room_until_they_are_asked_for(cards):
+    cards.resize(1280, 300)
     cards.show_card(refused("LIMIT"))
     one_px = cards.sizeHint().height()
     for text in (fault("FT-TRIP"), refused("DRAGGING")):

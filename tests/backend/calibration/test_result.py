@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
+import signal
 from collections.abc import Callable
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
@@ -507,6 +509,27 @@ def test_presses_are_counted_by_serial_number_and_survive_a_torn_line(tmp_path):
     assert (left.presses, left.before) == (0, "A")
     left, _ = pressed(tmp_path, "A", 1).lives()
     assert (left.presses, left.before) == (5, "")
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork")
+def test_a_killed_program_loses_no_press(tmp_path):
+    reader, writer = os.pipe()
+    child = os.fork()
+    while child == 0:
+        pressed(tmp_path, "A", 1)
+        os.write(writer, b".")
+    os.close(writer)
+    told = os.read(reader, 1)
+    while len(told) < 20:
+        told += os.read(reader, 1)
+    os.kill(child, signal.SIGKILL)
+    os.waitpid(child, 0)
+    while more := os.read(reader, 4096):
+        told += more
+    os.close(reader)
+    left, right = pressed(tmp_path, "A", 0).lives()
+    assert right.presses in (len(told), len(told) + 1)
+    assert left.presses in (right.presses, right.presses + 1)
 
 
 def test_a_replaced_gel_ends_the_camera_calibration_until_it_is_made_again(tmp_path):

@@ -248,6 +248,26 @@ def test_a_lab_of_hardware_refuses_to_stack_and_looks_beside_its_file(tmp_path, 
         assert session.engine.busy
 
 
+def test_a_lab_counts_the_presses_of_its_gels_and_names_a_replaced_one(tmp_path):
+    template = (files("touchdown.resources") / "benches" / "lab.toml").read_text(encoding="utf-8")
+    path = tmp_path / "lab.toml"
+    filled(tmp_path / "calibrations", {}, at=NOW - timedelta(minutes=1))
+    for gel, presses in (("A-1", 3), ("B-2", 0)):
+        path.write_text(template.replace('"FILL-IN1" }', f'"FILL-IN1", gel = "{gel}" }}'))
+        with lab_session(LabChoice(path), keep=RecordingOptions(None)) as session:
+            for _ in range(presses):
+                session.events.publish(PhaseEntered(0.0, "press", 1))
+            (life,) = session.calibrations.gels.lives()
+            assert (life.serial, life.presses) == (gel, presses)
+            told = dict(session.connection.notices)
+    assert told["tactile_left"].startswith(
+        f"The left gel was replaced on {datetime.now():%Y-%m-%d}"
+    )
+    assert "(A-1 by B-2): calibration, models and certificates" in told["tactile_left"]
+    with pytest.raises(RefusedError, match=r"calibrate camera.*GEL-REPLACED"):
+        calibrations_for(CollectRequest(), "hardware", session.calibrations, {})
+
+
 MOST_S = 40.0
 
 

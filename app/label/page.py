@@ -11,7 +11,6 @@ from PySide6.QtWidgets import QComboBox, QListWidget, QPushButton, QWidget
 
 from touchdown.app.label.side import BulkForm, KeyboardLineEdit, SideTabs
 from touchdown.app.label.text import QUEUES
-from touchdown.app.shell import LabelSheets
 from touchdown.backend.annotations import FILTER_HELP
 from touchdown.widgets.base import (
     ElidedLabel,
@@ -293,10 +292,6 @@ class LabelPage(QWidget):
             self.filter.setCursorPosition(0)
         self.keep_filter.setText("Forget" if saved else "Save")
         self.keep_filter.setAccessibleName(f"{self.keep_filter.text()} the filter")
-
-    def sheets(self) -> LabelSheets:
-        """Return the present sizes and theme of the curves."""
-        return LabelSheets(self.forces.sheet(), self.moments.sheet(), self.phase.sheet())
 
     def open_entry(self, first: str) -> None:
         """Open the entry of a displacement with its first characters."""

@@ -41,7 +41,6 @@ from touchdown.app.shell import (
     CURSOR_S,
     LabelDraft,
     LabelItem,
-    LabelSheets,
     MainThreadQueue,
     OpenedDataset,
     SaveAction,
@@ -78,10 +77,8 @@ def show_item(page: LabelPage, item: LabelItem) -> None:
     first, last = item.span_s
     at_s = min(max(CURSOR_S, first), last)
     page.film.take_reel(item.reel, (max(first, 0.0), last))
-    ahead = item.ahead
-    page.forces.show_trace(item.trace, None if ahead is None else ahead.forces)
-    page.moments.show_trace(item.trace, None if ahead is None else ahead.moments)
-    page.phase.show_trace(item.trace, None if ahead is None else ahead.phase)
+    for plot in (page.forces, page.moments, page.phase):
+        plot.show_trace(item.trace)
     page.show_cursor(at_s)
     entry = item.entry
     page.view_panel.detail.setText(f"{entry.piece} on {entry.bottom}, {entry.uuid[-8:]}")
@@ -140,8 +137,7 @@ class LabelPresenter:
         self.present: PresentEpisode | None = None
         self.saving = SaveQueue(worker, self.refuse, self._show_saving)
         self.editing = LabelEditing(self, page, self.shown, session, self.saving)
-        self._sheets: LabelSheets | None = None
-        read = item_reader(opened.dataset, opened.prelabel, lambda: self._sheets)
+        read = item_reader(opened.dataset, opened.prelabel)
         self._prefetch = Prefetcher(read, main_thread, self._arrived)
         nothing = QueueEntries(opened.dataset, (), 0)
         self.walk = QueueCursor(page.list, self._prefetch, nothing)
@@ -283,7 +279,6 @@ class LabelPresenter:
             return
         self._show_count()
         self.clock.restart()
-        self._sheets = self._page.sheets()
         if isinstance(ready, Exception):
             self.present = None
             empty = self.walk.uuid is None

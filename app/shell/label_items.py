@@ -25,7 +25,7 @@ from touchdown.backend.episodes import HOMOGRAPHY_KEY, CompressedEpisode
 from touchdown.backend.geometry import rotated
 from touchdown.backend.placement import OffsetFit
 from touchdown.backend.sensing import Homography, observe_offset
-from touchdown.widgets.plots import Drawn, PhaseSheet, TraceSheet, WrenchTrace, has_moments
+from touchdown.widgets.plots import WrenchTrace
 from touchdown.widgets.views import FilmTrack, PictureOutline, Reel, SceneShot, latest
 
 LIMIT_UM = 99_990  # largest displacement that can be typed or nudged
@@ -186,29 +186,6 @@ CURSOR_S = 2.0  # an episode is first shown at the end of the press
 
 
 @dataclass(frozen=True, slots=True)
-class LabelSheets:
-    """Sizes and themes of the wrench plots: forces, moments, and one against the other."""
-
-    forces: TraceSheet
-    moments: TraceSheet
-    phase: PhaseSheet
-
-
-@dataclass(frozen=True, slots=True)
-class PrerenderedItem:
-    """Plots drawn in advance; used while the window has not changed."""
-
-    forces: Drawn
-    moments: Drawn
-    phase: Drawn
-
-    @property
-    def bytes(self) -> int:
-        """Size of the pictures in memory."""
-        return sum(image.sizeInBytes() for _, image in (self.forces, self.moments, self.phase))
-
-
-@dataclass(frozen=True, slots=True)
 class ModelLabel:
     """Estimate of the models; ``spread_mm`` is the spread between them.
 
@@ -250,7 +227,6 @@ class LabelItem:
     scene: SceneObservation | None = None
     # Revision judged by the other episodes of its pair, and its ``doubt``.
     doubt: tuple[str, float] | None = None
-    ahead: PrerenderedItem | None = None
 
     @property
     def span_s(self) -> tuple[float, float]:
@@ -260,13 +236,8 @@ class LabelItem:
         return float(self.trace.t_s[0]), float(self.trace.t_s[-1])
 
 
-def item_reader(
-    dataset: Dataset, prelabel: PrelabelFunction, sheets: Callable[[], LabelSheets | None]
-) -> Callable[[str], LabelItem]:
-    """Return a function that reads an episode of ``dataset``. Any thread may call it.
-
-    It also draws the plots that do not depend on the label, at the sizes of ``sheets``.
-    """
+def item_reader(dataset: Dataset, prelabel: PrelabelFunction) -> Callable[[str], LabelItem]:
+    """Return a function that reads an episode of ``dataset``. Any thread may call it."""
     outlines = lru_cache(MAX_OUTLINES)(pair_outlines)
 
     def read(uuid: str) -> LabelItem:
@@ -274,8 +245,8 @@ def item_reader(
         film = dataset.film(uuid)
         pair = dataset.geometry.pair(entry.geometry)
         item = make_item(entry, film, pair, prelabel(film.episode, pair), outlines(pair))
-        item = replace(item, doubt=dataset.scores.of_revision("doubt", uuid))
-        return prerender(item, sheets())
+        _decode_first(item)
+        return replace(item, doubt=dataset.scores.of_revision("doubt", uuid))
 
     return read
 
@@ -285,22 +256,13 @@ def pair_outlines(pair: Pair) -> Outlines:
     return pair.face.path(96), pair.bottom.path(96)
 
 
-def prerender(item: LabelItem, sheets: LabelSheets | None) -> LabelItem:
-    """Return the item with its first pictures decoded and its plots drawn."""
+def _decode_first(item: LabelItem) -> None:
+    """Decode the pictures that are shown first."""
     first, last = item.span_s
     for track in item.reel.values():
         index = latest(track.picture_t_s, min(max(CURSOR_S, first), last))
         if index >= 0:
             track.picture(index)
-    trace = item.trace
-    if trace is None or sheets is None or len(trace.t_s) < 2 or not has_moments(trace):
-        return item
-    ahead = PrerenderedItem(
-        (sheets.forces, sheets.forces.draw(trace)),
-        (sheets.moments, sheets.moments.draw(trace)),
-        (sheets.phase, sheets.phase.draw(trace)),
-    )
-    return replace(item, ahead=ahead, bytes=item.bytes + ahead.bytes)
 
 
 def make_item(

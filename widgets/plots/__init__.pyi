@@ -20,13 +20,9 @@ from .force_traces import TracesPanel as TracesPanel
 from .pictures import PictureView as PictureView
 from .recorded_traces import CHANNEL_NAMES as CHANNEL_NAMES
 from .recorded_traces import NO_WRENCH as NO_WRENCH
-from .recorded_traces import Drawn as Drawn
 from .recorded_traces import PhasePlot as PhasePlot
-from .recorded_traces import PhaseSheet as PhaseSheet
 from .recorded_traces import RecordedTraces as RecordedTraces
-from .recorded_traces import TraceSheet as TraceSheet
 from .recorded_traces import WrenchTrace as WrenchTrace
-from .recorded_traces import has_moments as has_moments
 from .training import RUN_COLOURS as RUN_COLOURS
 from .training import CurveLine as CurveLine
 from .training import CurvePlot as CurvePlot

@@ -285,7 +285,7 @@ class TestTraces:
         qtbot.addWidget(plot)
         plot.resize(400, 200)
         plot.show_trace(trace)
-        assert plot.sheet().units == ("N", "N·m")
+        assert plot.units == ("N", "N·m")
         assert plot.area("N").y1 != plot.area("N·m").y1
         assert count(plot, theme.tokens.colour("axis_x")) > 50
         assert count(plot, theme.tokens.colour("axis_z")) > 50
@@ -302,22 +302,18 @@ class TestTraces:
         assert sought[-1] == pytest.approx(0.5, abs=0.01)
 
     @pytest.mark.parametrize("kind", [_traces, PhasePlot])
-    def test_what_was_drawn_ahead_is_used_only_where_it_fits(
+    def test_curves_are_drawn_again_only_after_a_change(
         self, theme, qtbot, trace, monkeypatch, kind
     ):
         plot, drawn = kind(theme), []
         qtbot.addWidget(plot)
-        plot.resize(400, 200)
-        ahead = plot.sheet(), plot.sheet().draw(trace)
-        real = type(ahead[0]).draw
-        monkeypatch.setattr(type(ahead[0]), "draw", lambda s, t: drawn.append(1) or real(s, t))
-        plot.show_trace(trace, ahead)
-        shown = plot.grab().toImage()
-        assert not drawn
+        real = plot.draw_curves
+        monkeypatch.setattr(plot, "draw_curves", lambda on, t: drawn.append(1) or real(on, t))
         plot.show_trace(trace)
-        assert plot.grab().toImage() == shown
+        for _ in range(2):
+            plot.show_cursor(1.0)
+            plot.grab()
         assert len(drawn) == 1
-        plot.show_trace(trace, ahead)
         plot.resize(420, 200)
         plot.grab()
         assert len(drawn) == 2

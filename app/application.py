@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
@@ -25,6 +24,7 @@ from touchdown.app.shell import (
     LayoutsPresenter,
     MainWindow,
     PersonCalls,
+    SaveWorker,
     ServoSwitch,
     SpeedOverride,
     StopKeyFilter,
@@ -56,42 +56,6 @@ from touchdown.widgets.base import EventPump, load_resources
 from touchdown.widgets.shell import STOPPED, CardText, FaultCards, PillState, TopBar, TourStop
 
 
-class BenchLoader:
-    """Builds one bench at a time on a thread. The pump calls ``take``."""
-
-    def __init__(self) -> None:
-        self._arrived: list[Session | Exception] = []
-        self._make: Callable[[], Session] | None = None
-        self.waiting = False
-
-    def begin(self, make: Callable[[], Session]) -> None:
-        """Start building the bench. Does nothing while another one is being built."""
-        if self.waiting:
-            return
-        self.waiting, self._make = True, make
-        threading.Thread(target=self._build, args=(make,), name="connect", daemon=True).start()
-
-    def again(self) -> bool:
-        """Build the bench once more; return False if none was ever built."""
-        if self._make is None:
-            return False
-        self.begin(self._make)
-        return True
-
-    def take(self) -> Session | Exception | None:
-        """Return the finished bench or the error, None while there is neither."""
-        if not self._arrived:
-            return None
-        self.waiting = False
-        return self._arrived.pop()
-
-    def _build(self, make: Callable[[], Session]) -> None:
-        try:
-            self._arrived.append(make())
-        except Exception as error:  # noqa: BLE001 - an unreported end would stay "connecting"
-            self._arrived.append(error)
-
-
 def bench_failed_card(error: Exception, again: Callable[[], None]) -> CardText:
     """Return the card of a bench that could not be built; ``again`` repeats the attempt."""
     return CardText(
@@ -117,6 +81,7 @@ class TouchdownApp(QObject):
     _chips: DeviceChipsPresenter
     _servo: ServoSwitch
     _holds: Callable[[], bool] | None = None
+    _make: Callable[[], Session] | None = None
 
     def __init__(
         self,
@@ -146,7 +111,7 @@ class TouchdownApp(QObject):
         self.window.may_close = lambda: self._closing.may_close(self.bench)
         self.calls = PersonCalls(self.window, settings.calls, notifier)
         self._closing = CloseConfirmation(self.cards, self.stop, self.window.close)
-        self._arrival, self._mailbox = BenchLoader(), EventQueue()
+        self._loader, self._mailbox = SaveWorker(self, "connect"), EventQueue()
         self.actions = ActionRegistry(
             self.window, key_bindings(self._commands(), self.workspaces.all), settings.keys
         )
@@ -183,8 +148,10 @@ class TouchdownApp(QObject):
 
     def connect_bench(self, make: Callable[[], Session]) -> None:
         """Build the bench on a separate thread; the window stays responsive."""
+        self._make = make
         self._show_connecting()
-        self._arrival.begin(make)
+        if not self._loader.busy:
+            self._loader.submit(make, self.attach, self._connect_failed)
 
     def attach(self, bench: Session) -> None:
         """Connect the window to a bench."""
@@ -219,6 +186,7 @@ class TouchdownApp(QObject):
     def close(self) -> None:
         """Save the settings and close the bench. May be called twice."""
         self.pump.stop()
+        self._loader.close(0.0)
         self._application.removeEventFilter(self._stop_key)
         self.remember()
         self.layouts.remember()
@@ -373,8 +341,8 @@ class TouchdownApp(QObject):
     def _connect_again(self) -> None:
         if self.bench is not None:
             self.panels.open_connect()
-        elif self._arrival.again():
-            self._show_connecting()
+        elif self._make is not None:
+            self.connect_bench(self._make)
 
     def _reset_layout(self) -> None:
         self.window.showNormal()
@@ -433,13 +401,6 @@ class TouchdownApp(QObject):
         return self.bench is not None and self.bench.repaint_hold.on
 
     def _pull(self) -> bool:
-        arrived = self._arrival.take()
-        if isinstance(arrived, Exception):
-            self._connect_failed(arrived)
-            return True
-        if arrived is not None:
-            self.attach(arrived)
-            return True
         failure = self._box.take()
         if failure is not None:
             self.cards.show_card(failure)

@@ -127,7 +127,7 @@ class CollectWorkspace(Workspace):
         yield
         self.label.build_in(self.page)
         yield
-        self.reader = SaveWorker(self.label.main_thread, "collect-reader")
+        self.reader = SaveWorker(self.page, "collect-reader")
         self._catalogue = load_pieces()
         self.presenter = CollectPresenter(
             self.collect_page, self._context.cards, self.reader, self._catalogue

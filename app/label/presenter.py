@@ -41,7 +41,6 @@ from touchdown.app.shell import (
     CURSOR_S,
     LabelDraft,
     LabelItem,
-    MainThreadQueue,
     OpenedDataset,
     SaveAction,
     SaveQueue,
@@ -123,12 +122,7 @@ class LabelPresenter:
     """Connects one dataset to the label page. Owns a thread: call ``close``."""
 
     def __init__(
-        self,
-        page: LabelPage,
-        opened: OpenedDataset,
-        worker: SaveWorker,
-        main_thread: MainThreadQueue,
-        session: AnnotationSession,
+        self, page: LabelPage, opened: OpenedDataset, worker: SaveWorker, session: AnnotationSession
     ) -> None:
         self._page, self.dataset, self.book = page, opened.dataset, opened.dataset.labels
         # Labels as the person sees them: control items look like the rest.
@@ -138,7 +132,7 @@ class LabelPresenter:
         self.saving = SaveQueue(worker, self.refuse, self._show_saving)
         self.editing = LabelEditing(self, page, self.shown, session, self.saving)
         read = item_reader(opened.dataset, opened.prelabel)
-        self._prefetch = Prefetcher(read, main_thread, self._arrived)
+        self._prefetch = Prefetcher(read, worker, self._arrived)
         nothing = QueueEntries(opened.dataset, (), 0)
         self.walk = QueueCursor(page.list, self._prefetch, nothing)
         page.list.selection_changed.connect(self._show_count)

@@ -10,7 +10,7 @@ from typing import Annotated, Generic, TypeVar
 from pydantic import Field
 
 from touchdown.app.label.text import FINDING, blind_queue_row, queue_row
-from touchdown.app.shell import LabelDraft, LabelItem, MainThreadQueue
+from touchdown.app.shell import LabelDraft, LabelItem, SaveWorker
 from touchdown.backend.annotations import (
     SCORES,
     ControlItemView,
@@ -101,10 +101,7 @@ class Prefetcher(Generic[Item]):
     """
 
     def __init__(
-        self,
-        read: Callable[[str], Item],
-        main_thread: MainThreadQueue,
-        arrived: Callable[[str], None],
+        self, read: Callable[[str], Item], main_thread: SaveWorker, arrived: Callable[[str], None]
     ) -> None:
         self._read, self._main_thread, self._arrived = read, main_thread, arrived
         self._changed = threading.Condition()

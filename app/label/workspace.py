@@ -19,7 +19,6 @@ from touchdown.app.label.session import AnnotationSession
 from touchdown.app.label.side import HEALTH
 from touchdown.app.label.text import FINDING, QUEUES
 from touchdown.app.shell import (
-    MainThreadQueue,
     Memory,
     OpenedDataset,
     SaveWorker,
@@ -53,15 +52,9 @@ IN_USE = "-"
 class DatasetTasks:
     """Long tasks on the dataset, on a separate thread, so that saving goes on."""
 
-    def __init__(
-        self,
-        page: LabelPage,
-        presenter: LabelPresenter,
-        opened: OpenedDataset,
-        main_thread: MainThreadQueue,
-    ) -> None:
-        self._page, self._on, self._opened, self._main_thread = page, presenter, opened, main_thread
-        self._jobs, self._ended = SaveWorker(main_thread, "label-jobs"), threading.Event()
+    def __init__(self, page: LabelPage, presenter: LabelPresenter, opened: OpenedDataset) -> None:
+        self._page, self._on, self._opened = page, presenter, opened
+        self._jobs, self._ended = SaveWorker(page, "label-jobs"), threading.Event()
 
     def score(self) -> None:
         """Let the model judge every episode. Fills four queues; changes no label."""
@@ -134,7 +127,7 @@ class DatasetTasks:
         def tell(done: int, count: int) -> bool:
             if done % TELL_EVERY == 0:
                 text = f"{doing} the dataset: {done:,} of {count:,}"
-                self._main_thread.put(lambda: self._page.say(text))
+                self._jobs.put(lambda: self._page.say(text))
             return not self._ended.is_set()
 
         return tell
@@ -241,7 +234,6 @@ class LabelWorkspace(Workspace):
         self.opened: Callable[[OpenedDataset], None] = lambda _: None
         self.refused: Callable[[str], None] = lambda _: None  # the dataset cannot be opened
         self.person_changed: Callable[[str], None] = lambda _: None
-        self.worker: SaveWorker | None = None
         self.tools: LabelTools | None = None
         self._opened: OpenedDataset | None = None
         self.commands = label_commands(self, context)
@@ -253,7 +245,7 @@ class LabelWorkspace(Workspace):
         self.label_page = LabelPage(self._context.theme)
         self._wire()
         self.page.add("label", "Label", self.label_page)
-        self.main_thread = MainThreadQueue(self.page)
+        self.worker = SaveWorker(self.label_page, "label-commits")
 
     @property
     def presenter(self) -> LabelPresenter | None:
@@ -284,10 +276,7 @@ class LabelWorkspace(Workspace):
         if self.tools is not None:
             self.tools.tasks.close()
             self.tools.presenter.close()
-        if self.worker is not None:
-            self.worker.close()
-            self.worker = None
-        self.main_thread.close()
+        self.worker.close()
         if self._opened is not None:
             self._opened.dataset.close()
             self._opened = None
@@ -319,20 +308,15 @@ class LabelWorkspace(Workspace):
 
     def open(self) -> None:
         """Open the dataset if a person is named and it is not open yet."""
-        if self.presenter is not None or not self.session.person:
-            return
-        if self.worker is None:
-            self.worker = SaveWorker(self.main_thread)
-        elif self.worker.busy:
+        if self.presenter is not None or not self.session.person or self.worker.busy:
             return
         self.label_page.say("Opening the dataset …")
         person = self.session.person
         self.worker.submit(lambda: open_dataset(self.folder, person), self._take, self._failed)
 
     def _take(self, opened: OpenedDataset) -> None:
-        assert self.worker is not None
         self._opened, page = opened, self.label_page
-        presenter = LabelPresenter(page, opened, self.worker, self.main_thread, self.session)
+        presenter = LabelPresenter(page, opened, self.worker, self.session)
         decisions = LabelDecisions(page, presenter)
         side = SideTabsPresenter(page.side, presenter, self.worker)
         bulk = BulkPresenter(page.bulk, presenter, opened.catalogue, page.choice)
@@ -341,7 +325,7 @@ class LabelWorkspace(Workspace):
             decisions,
             side,
             bulk,
-            DatasetTasks(page, presenter, opened, self.main_thread),
+            DatasetTasks(page, presenter, opened),
             HealthPresenter(page, presenter),
             SideTabKeys(page, presenter, decisions, side, bulk),
         )

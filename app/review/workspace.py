@@ -16,13 +16,7 @@ from touchdown.app.review.page import ReviewPage
 from touchdown.app.review.presenter import ReviewPresenter
 from touchdown.app.review.recordings import ReviewDataset
 from touchdown.app.review.reports import ReportsPresenter, report_html
-from touchdown.app.shell import (
-    MainThreadQueue,
-    SaveWorker,
-    WindowCommand,
-    Workspace,
-    WorkspaceContext,
-)
+from touchdown.app.shell import SaveWorker, WindowCommand, Workspace, WorkspaceContext
 from touchdown.backend.experiments import SIMULATED
 from touchdown.backend.runs import dataset_folder
 from touchdown.widgets.shell import CardText
@@ -74,8 +68,7 @@ class ReviewWorkspace(Workspace):
         """Create the page and the thread that reads for it."""
         self.page = ReviewPage(self._context.theme)
         yield
-        self.main_thread = MainThreadQueue(self.page)
-        self.reader = SaveWorker(self.main_thread, "review-reader")
+        self.reader = SaveWorker(self.page, "review-reader")
         self.library = ReviewDataset(dataset_folder())
         self.presenter = ReviewPresenter(
             self.page, self._context.runs, self._context.cards, self.reader, self.library
@@ -115,7 +108,6 @@ class ReviewWorkspace(Workspace):
         self.presenter.cancel_reading()
         self.reader.submit(self.library.close, lambda _: None, lambda _: None)
         self.reader.close()
-        self.main_thread.close()
 
     # -- orders -----------------------------------------------------------------------------------
 

@@ -66,7 +66,6 @@ from .run_story import face_outlines as face_outlines
 from .run_story import run_score as run_score
 from .run_story import true_patch_outline as true_patch_outline
 from .run_story import unprobed_scene as unprobed_scene
-from .saving import MainThreadQueue as MainThreadQueue
 from .saving import SaveAction as SaveAction
 from .saving import SaveQueue as SaveQueue
 from .saving import SaveWorker as SaveWorker

@@ -14,50 +14,26 @@ from PySide6.QtCore import QObject, Qt, Signal
 
 from touchdown.backend.core import FaultError, RefusedError, TouchdownError
 
-
-class MainThreadQueue(QObject):
-    """Calls functions on the thread of the window, in the order in which they were put in."""
-
-    _arrived = Signal()
-
-    def __init__(self, parent: QObject | None = None) -> None:
-        super().__init__(parent)
-        self._calls: deque[Callable[[], None]] = deque()
-        self._arrived.connect(self._call_next, Qt.ConnectionType.QueuedConnection)
-
-    def put(self, call: Callable[[], None]) -> None:
-        """Call ``call`` from the event loop of the window. Any thread may use this method."""
-        self._calls.append(call)
-        self._arrived.emit()
-
-    def close(self) -> None:
-        """Drop the calls that were not made yet."""
-        self._calls.clear()
-
-    def _call_next(self) -> None:
-        # One call per event, so that the window stays responsive between them.
-        if self._calls:
-            self._calls.popleft()()
-
-
 Result = TypeVar("Result")
 
 
 class SaveWorker(QObject):
     """Runs jobs on one thread, in order. Exactly one of ``done`` and ``failed`` follows each job.
 
-    ``finished`` is emitted on the thread of the window after each job.
+    The thread starts with the first job. ``put`` calls a function on the thread of the window, and
+    ``finished`` is emitted there after each job.
     """
 
     finished = Signal()
+    _arrived = Signal()
 
-    def __init__(self, main_thread: MainThreadQueue, name: str = "label-commits") -> None:
-        super().__init__()
-        self._main_thread = main_thread
+    def __init__(self, parent: QObject, name: str) -> None:
+        super().__init__(parent)
+        self._calls: deque[Callable[[], None]] = deque()
         self._jobs: queue.SimpleQueue[tuple[Callable[..., Any], ...] | None] = queue.SimpleQueue()
-        self._waiting = 0
+        self._waiting, self._closed = 0, False
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
-        self._thread.start()
+        self._arrived.connect(self._call_next, Qt.ConnectionType.QueuedConnection)
 
     @property
     def busy(self) -> bool:
@@ -73,11 +49,25 @@ class SaveWorker(QObject):
         """Run ``work`` on the thread; call ``done`` or ``failed`` on the thread of the window."""
         self._waiting += 1
         self._jobs.put((work, done, failed))
+        if self._thread.ident is None:
+            self._thread.start()
 
-    def close(self) -> None:
-        """Finish the submitted jobs, then end the thread."""
-        self._jobs.put(None)
-        self._thread.join()
+    def put(self, call: Callable[[], None]) -> None:
+        """Call ``call`` from the event loop of the window. Any thread may use this method."""
+        self._calls.append(call)
+        self._arrived.emit()
+
+    def close(self, timeout_s: float | None = None) -> None:
+        """Finish the submitted jobs and end the thread; the ends that remain are not reported."""
+        self._closed = True
+        if self._thread.ident is not None:
+            self._jobs.put(None)
+            self._thread.join(timeout_s)
+
+    def _call_next(self) -> None:
+        # One call per event, so that the window stays responsive between them.
+        if self._calls and not self._closed:
+            self._calls.popleft()()
 
     def _run(self) -> None:
         while (job := self._jobs.get()) is not None:
@@ -86,7 +76,7 @@ class SaveWorker(QObject):
                 finish = partial(self._finish, done, work())
             except Exception as error:  # noqa: BLE001 - an unreported end would block the page
                 finish = partial(self._finish, failed, error)
-            self._main_thread.put(finish)
+            self.put(finish)
 
     def _finish(self, report: Callable[[Any], None], result: object) -> None:
         self._waiting -= 1

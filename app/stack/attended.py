@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from touchdown.app.shell import MainThreadQueue, SaveWorker, ask_path, error_card
+from touchdown.app.shell import SaveWorker, ask_path, error_card
 from touchdown.app.stack.page import StackPage
 from touchdown.backend.bench import Session
 from touchdown.backend.core import (
@@ -42,8 +42,7 @@ class OperatorPromptsPresenter:
         self._bench, self._page, self._cards = bench, page, cards
         self._asked: TrialPrompt | None = None
         self._mine = False
-        self._main_thread = MainThreadQueue(page)
-        self._files: SaveWorker | None = None
+        self._files = SaveWorker(page, "photos")
 
     def take(self, event: Event) -> None:
         """Follow the stacking runs."""
@@ -98,8 +97,6 @@ class OperatorPromptsPresenter:
     def add_photo(self, source: Path) -> None:
         """Store a picture of this trial beside the log of its run."""
         run, trial = self._bench.run_folder, self._bench.status().trial
-        if self._files is None:
-            self._files = SaveWorker(self._main_thread, "photos")
 
         def work() -> str:
             if run is None:
@@ -112,10 +109,7 @@ class OperatorPromptsPresenter:
 
     def close(self) -> None:
         """End the thread that stores pictures."""
-        if self._files is not None:
-            self._files.close()
-            self._files = None
-        self._main_thread.close()
+        self._files.close()
 
     # -- inside -----------------------------------------------------------------------------------
 

@@ -13,7 +13,7 @@ from PySide6.QtGui import QPainter
 from PySide6.QtSvg import QSvgRenderer
 from PySide6.QtWidgets import QComboBox, QLineEdit, QPushButton, QWidget
 
-from touchdown.app.shell import BenchSheet, FileDrop, MainThreadQueue, SaveWorker, ask_path
+from touchdown.app.shell import BenchSheet, FileDrop, SaveWorker, ask_path
 from touchdown.backend.core import InputError
 from touchdown.backend.geometry import (
     PICTURE_PX,
@@ -79,8 +79,7 @@ class PieceSheet(BenchSheet):
         self._added = added
         self._path: Path | None = None
         self._measured: MeasuredPiece | None = None
-        self._main_thread = MainThreadQueue(self)
-        self._worker: SaveWorker | None = None
+        self._worker = SaveWorker(self, "piece-import")
         self._asked = 0  # number of the newest measurement
         self._delay = QTimer(self, interval=MEASURE_AFTER_MS, singleShot=True)
         self._delay.timeout.connect(self.measure)
@@ -134,10 +133,7 @@ class PieceSheet(BenchSheet):
 
     def close_worker(self) -> None:
         """End the thread."""
-        if self._worker is not None:
-            self._worker.close()
-            self._worker = None
-        self._main_thread.close()
+        self._worker.close()
 
     # -- inside -----------------------------------------------------------------------------------
 
@@ -192,8 +188,6 @@ class PieceSheet(BenchSheet):
         )
 
     def _submit(self, work: Callable[[], object], done: Callable[[object], None]) -> None:
-        if self._worker is None:
-            self._worker = SaveWorker(self._main_thread, "piece-import")
         self._worker.submit(work, done, partial(self._failed, self._asked))
 
     def _measurement(self, number: int, measured: object) -> None:

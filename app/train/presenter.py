@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from touchdown.app.shell import MainThreadQueue, SaveWorker, log
+from touchdown.app.shell import SaveWorker, log
 from touchdown.app.train import text as words
 from touchdown.app.train.page import FIGURES, TrainPage
 from touchdown.app.train.reading import ModelInUse, TrainingLookup, TrainingReader, sample_scenes
@@ -56,7 +56,7 @@ class TrainingThread:
     """Starts at once; ``ended`` is called exactly once."""
 
     def __init__(
-        self, request: TrainingRequest, main_thread: MainThreadQueue, told: TrainingCallbacks
+        self, request: TrainingRequest, main_thread: SaveWorker, told: TrainingCallbacks
     ) -> None:
         self._request, self._main_thread, self._told = request, main_thread, told
         self._lock, self._cancelled = threading.Lock(), False
@@ -129,15 +129,10 @@ class TrainPresenter:
     """Keeps the training runs, the selection, and the run in progress."""
 
     def __init__(
-        self,
-        page: TrainPage,
-        cards: FaultCards,
-        reading: TrainingReader,
-        worker: SaveWorker,
-        main_thread: MainThreadQueue,
+        self, page: TrainPage, cards: FaultCards, reading: TrainingReader, worker: SaveWorker
     ) -> None:
         self._page, self._cards, self._reading = page, cards, reading
-        self._worker, self._main_thread = worker, main_thread
+        self._worker = worker
         self.looked: TrainingLookup | None = None
         self.runs: dict[str, TrainingRun] = {}
         self.in_use: ModelInUse | None = None
@@ -269,7 +264,7 @@ class TrainPresenter:
         self._epochs_s, self._cancelling, self.live = [], False, ""
         self.thread = TrainingThread(
             request,
-            self._main_thread,
+            self._worker,
             TrainingCallbacks(self._begun, self._report, self._ended, self._still),
         )
         self._show_progress("starting \N{HORIZONTAL ELLIPSIS}")

@@ -7,7 +7,6 @@ from dataclasses import asdict
 from pathlib import Path
 
 from touchdown.app.shell import (
-    MainThreadQueue,
     Memory,
     SaveWorker,
     WindowCommand,
@@ -35,7 +34,6 @@ class TrainWorkspace(Workspace):
     def __init__(self, context: WorkspaceContext) -> None:
         self._context = context
         self.presenter: TrainPresenter | None = None
-        self._main_thread: MainThreadQueue | None = None
         self._worker: SaveWorker | None = None
         self._folders = [dataset_folder()]
         self.commands = (
@@ -74,12 +72,10 @@ class TrainWorkspace(Workspace):
     def enter(self) -> None:
         """Read datasets and training runs, which may have changed."""
         if self.presenter is None:
-            self._main_thread = MainThreadQueue(self.page)
-            self._worker = SaveWorker(self._main_thread, "train-reading")
+            self._worker = SaveWorker(self.page, "train-reading")
             reading = TrainingReader(ModelRegistry(models_folder()))
-            self.presenter = TrainPresenter(
-                self.page, self._context.cards, reading, self._worker, self._main_thread
-            )
+            cards = self._context.cards
+            self.presenter = TrainPresenter(self.page, cards, reading, self._worker)
             self.presenter.offer = self._context.offer
         self._reread()
 
@@ -90,8 +86,6 @@ class TrainWorkspace(Workspace):
         if self._worker is not None:
             self._worker.close()
             self._worker = None
-        if self._main_thread is not None:
-            self._main_thread.close()
         self.presenter = None
 
     def fit_to_theme(self) -> None:

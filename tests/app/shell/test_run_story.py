@@ -359,7 +359,7 @@ def test_a_bench_that_cannot_be_built_is_a_card(main, qtbot):
         raise KeyError("no such model")  # of whatever kind
 
     main.connect_bench(fail)
-    qtbot.waitUntil(lambda: bool(main._arrival._arrived), timeout=60_000)
+    qtbot.waitUntil(lambda: not main._loader.busy, timeout=60_000)
     settle(main)
     assert main.cards.codes == ("CONNECT",)
     assert "no such model" in main.cards.card("CONNECT").text.what
@@ -368,6 +368,6 @@ def test_a_bench_that_cannot_be_built_is_a_card(main, qtbot):
     next(button for button in buttons if button.text() == "Try again").click()
     assert main.cards.codes == ()
     assert main.bar.pill.state.word == "CONNECTING"
-    qtbot.waitUntil(lambda: bool(main._arrival._arrived), timeout=60_000)
+    qtbot.waitUntil(lambda: not main._loader.busy, timeout=60_000)
     settle(main)
     assert main.cards.codes == ("CONNECT",)

@@ -201,12 +201,11 @@ def ask(window: Watched, thread: str) -> None:
 def _ask_in_train(window: Watched, thread: str, leave: Callable[[], None]) -> None:
     train = window.train()
     assert train._worker is not None
-    assert train._main_thread is not None
     assert train.presenter is not None
     if thread == "saving":
         train._worker.submit(leave, _nothing, _nothing)
         return
-    put, asked = train._main_thread.put, threading.Event()
+    put, asked = train._worker.put, threading.Event()
 
     def hand_over(letter: Callable[[], None]) -> None:
         put(letter)
@@ -214,7 +213,7 @@ def _ask_in_train(window: Watched, thread: str, leave: Callable[[], None]) -> No
             asked.set()
             leave()
 
-    train._main_thread.put = hand_over  # type: ignore[method-assign]
+    train._worker.put = hand_over  # type: ignore[method-assign]
     train.presenter.start()
 
 

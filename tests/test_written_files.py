@@ -316,7 +316,7 @@ def test_settings_of_the_window_are_kept() -> None:
     assert warning == ""
     assert (settings.theme, settings.scale, settings.front) == ("light", 1.25, "review")
     assert sorted(settings.pages) == ["collect", "operate", "review", "stack", "train"]
-    book, notice = load_layouts(WRITTEN / "layouts.json", NOW)
+    book, notice = load_layouts(WRITTEN / "layouts.json")
     assert notice == ""
     assert not book.locked
     assert book.saved["stack"]["no score"].hidden == {"Trials"}

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import asdict, dataclass, field, fields
-from datetime import datetime
+from dataclasses import dataclass, field, fields
 from functools import partial
 from pathlib import Path
 
@@ -14,8 +12,7 @@ from PySide6.QtCore import QPoint
 from PySide6.QtGui import QAction
 from PySide6.QtWidgets import QMenu, QWidget
 
-from touchdown.app.shell.settings import copy_aside, parse_stored
-from touchdown.backend.core import parse_json, write_atomically
+from touchdown.app.shell.settings import kept_aside, parse_stored, read_stored, write_stored
 from touchdown.widgets.base import ColumnArrangement, Columns
 from touchdown.widgets.forms import NameDialog
 
@@ -36,44 +33,23 @@ class SavedLayouts:
     saved: dict[str, LayoutKey] = field(default_factory=dict)
 
 
-def load_layouts(path: Path, now: datetime) -> tuple[SavedLayouts, str]:
-    """Return (layouts, notice). An invalid file is moved aside."""
-    try:
-        raw = parse_json(path.read_bytes())
-    except FileNotFoundError:
-        return SavedLayouts(), ""
-    except (OSError, ValueError) as error:
-        return SavedLayouts(), _kept_aside(path, now, f"The layouts could not be read ({error}).")
-    if not isinstance(raw, dict) or raw.get("version") != VERSION:
-        return SavedLayouts(), _kept_aside(path, now, "The layouts are of another version.")
+def load_layouts(path: Path) -> tuple[SavedLayouts, str]:
+    """Return (layouts, notice). Of an invalid file the usual ones are used."""
+    raw, wrong = read_stored(path, VERSION, "layouts")
+    if not raw:
+        return SavedLayouts(), kept_aside(path, f"{wrong} {INSTEAD}") if wrong else ""
     missing = [one.name for one in fields(SavedLayouts) if one.name not in raw]
     try:
         book: SavedLayouts = parse_stored(SavedLayouts, {} if missing else raw)
     except ValidationError as error:
         missing = [".".join(map(str, error.errors()[0]["loc"]))]
     if missing:
-        what = f"The layouts make no sense ({missing[0]})."
-        return SavedLayouts(), _kept_aside(path, now, what)
+        wrong = f"The layouts make no sense ({missing[0]}). {INSTEAD}"
+        return SavedLayouts(), kept_aside(path, wrong)
     return book, ""
 
 
-def save_layouts(path: Path, book: SavedLayouts) -> None:
-    """Write all layouts. Raises ``OSError``."""
-    body = json.dumps({"version": VERSION, **asdict(book)}, indent=1, default=sorted)
-    write_atomically(path, body.encode())
-
-
-def _kept_aside(path: Path, now: datetime, what: str, *, move: bool = True) -> str:
-    """Keep a copy of a file whose layouts are not used; return ``what`` and the file's name."""
-    try:
-        kept = copy_aside(path, now)
-        if move:
-            path.unlink()
-    except OSError as error:
-        return f"{what} The usual ones are used; the file could not be kept aside ({error})."
-    return f"{what} The usual ones are used; the file is kept as {kept.name}."
-
-
+INSTEAD = "The usual ones are used."
 USUAL = "Usual"
 Entry = tuple[str, Callable[[], None]]
 
@@ -93,7 +69,7 @@ class LayoutsPresenter:
 
     def load(self, workspaces: Collection[str]) -> str:
         """Read the stored layouts of these workspaces; return a notice, "" if they are valid."""
-        self.book, notice = load_layouts(self._path, datetime.now())
+        self.book, notice = load_layouts(self._path)
         unknown = [name for name in self.book.present if name not in workspaces]
         return self._without(dict.fromkeys(unknown, "no such workspace")) or notice
 
@@ -117,7 +93,7 @@ class LayoutsPresenter:
         for name, columns in self._columns.items():
             self.book.present[name] = columns.arrangement()
         try:
-            save_layouts(self._path, self.book)
+            write_stored(self._path, VERSION, self.book)
         except OSError as error:
             self._failed(error)
 
@@ -226,7 +202,7 @@ class LayoutsPresenter:
             return ""
         told = ", ".join(f"{name} ({reason})" for name, reason in wrong.items())
         what = f"Layouts that do not fit this version: {told}."
-        notice = _kept_aside(self._path, datetime.now(), what, move=False)
+        notice = kept_aside(self._path, f"{what} {INSTEAD}")
         for name in wrong:
             del self.book.present[name]
         return notice

@@ -65,47 +65,51 @@ def parse_stored(kind: Any, stored: object) -> Any:
 _adapter = lru_cache(TypeAdapter)
 
 
-def load_settings(path: Path) -> tuple[WindowSettings, str]:
-    """Return (settings, warning). Unreadable values are replaced by defaults and named.
-
-    The file is then copied aside, because the next change overwrites it.
-    """
+def read_stored(path: Path, version: int, what: str) -> tuple[Json, str]:
+    """Return the content of a settings file, {} if it cannot be used, and the reason, if any."""
     try:
         raw = parse_json(path.read_bytes())
     except FileNotFoundError:
-        return WindowSettings(), ""
+        return {}, ""
     except (OSError, ValueError) as error:
-        what = f"The window settings could not be read ({error}): defaults."
-        return WindowSettings(), what + _kept(path)
-    if not isinstance(raw, dict) or raw.get("version") != VERSION:
-        what = "The window settings are of another version: defaults are used."
-        return WindowSettings(), what + _kept(path)
+        return {}, f"The {what} could not be read ({error})."
+    if not isinstance(raw, dict) or raw.get("version") != version:
+        return {}, f"The {what} are of another version."
+    return raw, ""
+
+
+def kept_aside(path: Path, what: str) -> str:
+    """Copy a file aside, because the next change overwrites it; return ``what`` with its name."""
+    stem, count = f"{path.stem}-aside-{datetime.now():%Y%m%d-%H%M%S}", 1
+    kept = path.with_name(f"{stem}.json")
+    while kept.exists():
+        count += 1
+        kept = path.with_name(f"{stem}-{count}.json")
+    try:
+        write_atomically(kept, path.read_bytes())
+    except OSError as error:
+        return f"{what} The file could not be kept aside ({error})."
+    return f"{what} The file is kept as {kept.name}."
+
+
+def write_stored(path: Path, version: int, values: Any) -> None:
+    """Write a dataclass as a settings file. Raises ``OSError``."""
+    body = json.dumps({"version": version, **asdict(values)}, indent=1, default=sorted)
+    write_atomically(path, body.encode())
+
+
+def load_settings(path: Path) -> tuple[WindowSettings, str]:
+    """Return (settings, warning). Unreadable values are replaced by defaults and named."""
+    raw, wrong = read_stored(path, VERSION, "window settings")
+    if not raw:
+        return WindowSettings(), kept_aside(path, f"{wrong} Defaults are used.") if wrong else ""
     pages, dropped = raw.get("pages"), list[str]()
     if isinstance(pages, dict):
         dropped = [name for name, page in pages.items() if not isinstance(page, dict)]
         raw["pages"] = {name: page for name, page in pages.items() if name not in dropped}
-    settings, wrong = restore_form(WindowSettings(toured=True), raw)
-    ignored = ignored_words([*wrong, *dropped])
-    return settings, ignored + _kept(path) if ignored else ""
-
-
-def _kept(path: Path) -> str:
-    """Copy the file aside; return the sentence about it."""
-    try:
-        return f" The file is kept as {copy_aside(path, datetime.now()).name}."
-    except OSError as error:
-        return f" The file could not be kept aside ({error})."
-
-
-def copy_aside(path: Path, now: datetime) -> Path:
-    """Copy the file to a unique name beside it and return that. Raises ``OSError``."""
-    stem = f"{path.stem}-aside-{now:%Y%m%d-%H%M%S}"
-    kept, count = path.with_name(f"{stem}.json"), 1
-    while kept.exists():
-        count += 1
-        kept = path.with_name(f"{stem}-{count}.json")
-    write_atomically(kept, path.read_bytes())
-    return kept
+    settings, invalid = restore_form(WindowSettings(toured=True), raw)
+    ignored = ignored_words([*invalid, *dropped])
+    return settings, kept_aside(path, ignored) if ignored else ""
 
 
 def ignored_words(names: Sequence[str]) -> str:
@@ -115,5 +119,4 @@ def ignored_words(names: Sequence[str]) -> str:
 
 def save_settings(path: Path, settings: WindowSettings) -> None:
     """Write the settings. Raises ``OSError``."""
-    body = {"version": VERSION, **asdict(settings)}
-    write_atomically(path, json.dumps(body, indent=1).encode())
+    write_stored(path, VERSION, settings)

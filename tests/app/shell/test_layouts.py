@@ -27,7 +27,8 @@ from tests.app.conftest import opened, settle
 from touchdown.app.shell import ErrorBox, log, log_to, move_on_screen
 from touchdown.app.shell.actions import is_plain_key, key_refusal
 from touchdown.app.shell.errors import BOX_SIZE, REMEMBERED_TEXTS, REPEAT_INTERVAL_S, RepeatFilter
-from touchdown.app.shell.layouts import SavedLayouts, load_layouts, save_layouts
+from touchdown.app.shell.layouts import VERSION, SavedLayouts, load_layouts
+from touchdown.app.shell.settings import write_stored
 from touchdown.backend.devices.protocols import Identity
 from touchdown.backend.runs.requests import RunState
 from touchdown.widgets.base.panel import ColumnArrangement, Columns
@@ -278,7 +279,6 @@ def test_every_widget_that_takes_the_focus_has_a_name(live):
     assert nameless == []
 
 
-NOW = datetime(2026, 3, 4, 5, 6, 7)
 SCREEN = QRect(0, 0, 1920, 1080)
 
 
@@ -353,8 +353,8 @@ def test_a_book_survives_the_disk(tmp_path):
         present={"stack": ColumnArrangement((0.5, 0.25, 0.25), frozenset({"Trials"}))},
         saved={"stack": {"wide map": ColumnArrangement((0.25, 0.5, 0.25))}},
     )
-    save_layouts(tmp_path / "layouts.json", book)
-    assert load_layouts(tmp_path / "layouts.json", NOW) == (book, "")
+    write_stored(tmp_path / "layouts.json", VERSION, book)
+    assert load_layouts(tmp_path / "layouts.json") == (book, "")
 
 
 @pytest.mark.promise("D8", "W8")
@@ -374,11 +374,11 @@ def test_a_book_survives_the_disk(tmp_path):
 def test_a_bad_file_is_one_notice_and_kept_aside(tmp_path, content):
     path = tmp_path / "layouts.json"
     path.write_bytes(content)
-    book, notice = load_layouts(path, NOW)
+    book, notice = load_layouts(path)
     assert book == SavedLayouts()
-    assert "layouts-aside-20260304-050607.json" in notice
-    assert (tmp_path / "layouts-aside-20260304-050607.json").read_bytes() == content
-    assert not path.exists()
+    (kept,) = tmp_path.glob("layouts-aside-*.json")
+    assert kept.name in notice
+    assert kept.read_bytes() == content
 
 
 def test_a_saved_layout_comes_back_after_a_restart(main, tmp_path):

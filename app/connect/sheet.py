@@ -123,11 +123,9 @@ class ConnectSheet(BenchSheet):
                 label("", "muted"),
                 [label("") for _ in self._steps],
                 label("", wrap=True),
-                QPushButton("Connect"),
-                QPushButton(""),
+                QPushButton("Connect", autoDefault=False),
+                QPushButton("", autoDefault=False),
             )
-            row.button.setAutoDefault(False)
-            row.extra.setAutoDefault(False)
             row.button.clicked.connect(partial(self.row_pressed.emit, index))
             row.extra.clicked.connect(partial(self.extra_pressed.emit, index))
             widgets = (row.name, row.state, *row.marks, row.text, row.extra, row.button)

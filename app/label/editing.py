@@ -72,9 +72,7 @@ class LabelEditing:
     ) -> None:
         self._front, self._page, self._book = front, page, book
         self._session, self._saving = session, saving
-        self._nudging = QTimer(page)
-        self._nudging.setSingleShot(True)
-        self._nudging.setInterval(NUDGES_MS)
+        self._nudging = QTimer(page, singleShot=True, interval=NUDGES_MS)
         self._nudging.timeout.connect(self.drop)
 
     @property

@@ -318,9 +318,7 @@ class JogKeyFilter(QObject):
         self._page, self._pad = page, pad
         self._down: set[int] = set()
         self.armed = False
-        self._idle = QTimer(self)
-        self._idle.setSingleShot(True)
-        self._idle.setInterval(IDLE_MS)
+        self._idle = QTimer(self, singleShot=True, interval=IDLE_MS)
         self._idle.timeout.connect(self.disarm)
 
     def arm(self, on: bool) -> None:

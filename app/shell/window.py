@@ -234,9 +234,7 @@ class Appearance(QObject):
         self.theme.choose(application, self._name(), scale)
         self._wanted_scale = self.theme.scale
         self._window: QWidget | None = None
-        self._settled = QTimer(self)
-        self._settled.setSingleShot(True)
-        self._settled.setInterval(SETTLE_MS)
+        self._settled = QTimer(self, singleShot=True, interval=SETTLE_MS)
         self._settled.timeout.connect(lambda: self.show(self.choice, self._wanted_scale))
         application.styleHints().colorSchemeChanged.connect(self._follow)
 

@@ -101,8 +101,7 @@ class PlannedRunsSheet(BenchSheet):
         self._ended: RunFinished | None = None
         self._outcomes: list[Outcome] = []
         self._asked: CardQuestion | None = None
-        self._timer = QTimer(self)
-        self._timer.setInterval(LOOK_MS)
+        self._timer = QTimer(self, interval=LOOK_MS)
         self._timer.timeout.connect(self.look)
         self.list = KeylessList("Planned runs", "Add the run of the form, or read a file.")
         self.said = label("", "muted", wrap=True)

@@ -91,9 +91,7 @@ class EventPump:
         self._now_s, self._budget_s = now_s, budget_s
         self._turns: tuple[deque[Callable[[], None]], ...] = tuple(deque() for _ in range(TURNS))
         self.ticks = 0
-        self._timer = QTimer(parent)
-        self._timer.setTimerType(Qt.TimerType.PreciseTimer)
-        self._timer.setInterval(PERIOD_MS)
+        self._timer = QTimer(parent, timerType=Qt.TimerType.PreciseTimer, interval=PERIOD_MS)
         self._timer.timeout.connect(self.tick)
 
     def add(self, draw: Callable[[], None]) -> None:

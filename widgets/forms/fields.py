@@ -137,11 +137,7 @@ def whole_box(low: int, high: int, auto: str = "") -> QSpinBox:
 
 def decimal_box(low: float, high: float, decimals: int = 2, step: float = 1.0) -> QDoubleSpinBox:
     """Return a spin box for decimal numbers."""
-    box = QDoubleSpinBox()
-    box.setDecimals(decimals)
-    box.setRange(low, high)
-    box.setSingleStep(step)
-    return box
+    return QDoubleSpinBox(decimals=decimals, minimum=low, maximum=high, singleStep=step)
 
 
 class FormFields(QGridLayout):
@@ -244,9 +240,7 @@ class HoldState(QObject):
         self.what = ""
         self._source = 0
         self._widget: QWidget | None = None
-        self._timer = QTimer(self)
-        self._timer.setTimerType(Qt.TimerType.PreciseTimer)
-        self._timer.setInterval(RENEW_MS)
+        self._timer = QTimer(self, timerType=Qt.TimerType.PreciseTimer, interval=RENEW_MS)
         self._timer.timeout.connect(self._beat)
         parent.destroyed.connect(self._timer.stop)
 

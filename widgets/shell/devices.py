@@ -173,9 +173,9 @@ class DeviceInspector(QDialog):
         self._grid.setVerticalSpacing(6)
         self._grid.setColumnStretch(1, 1)
         self._values: dict[str, QLabel] = {}
-        self._close = QPushButton("Close")
-        self._close.clicked.connect(self.close)
-        buttons = hbox(self.reconnect, 1, self._close)
+        close = QPushButton("Close")
+        close.clicked.connect(self.close)
+        buttons = hbox(self.reconnect, 1, close)
         vbox(self._head, self._grid, 1, rule(), buttons, parent=self, margins=(18, 14, 18, 14),
              spacing=10)  # fmt: skip
         self.setMinimumWidth(300)

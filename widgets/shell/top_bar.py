@@ -75,9 +75,7 @@ class ServoButton(QPushButton):
         self.setProperty("role", "compact")
         self.ordered: Callable[[bool], None] = _nothing
         self._on: bool | None = None
-        self._held = QTimer(self)
-        self._held.setSingleShot(True)
-        self._held.setInterval(HELD_MS)
+        self._held = QTimer(self, singleShot=True, interval=HELD_MS)
         self._held.timeout.connect(self._switch_on)
         self.pressed.connect(self._press)
         self.released.connect(self._held.stop)
@@ -135,11 +133,10 @@ class TopBar(QFrame):
         self._robot = label("Robot: unknown", "small")
         self._safety = label("Safety: unknown", "small")
         self.chips = {key: DeviceChip(theme, name) for key, name in DEVICE_CHIPS}
-        self.override = QSpinBox()
-        self.override.setRange(*OVERRIDE)
-        self.override.setValue(OVERRIDE[1])
-        self.override.setSingleStep(10)
-        self.override.setSuffix(" %")
+        least, most = OVERRIDE
+        self.override = QSpinBox(
+            minimum=least, maximum=most, value=most, singleStep=10, suffix=" %"
+        )
         self.override.setKeyboardTracking(False)
         self.override.setAccessibleName("Speed override")
         self.override.setToolTip(

@@ -75,8 +75,7 @@ class FilmView(QWidget):
             grid.setColumnStretch(column, 1)
         self._clock = QElapsedTimer()
         self._from_s = 0.0
-        self._timer = QTimer(self)
-        self._timer.setInterval(TICK_MS)
+        self._timer = QTimer(self, interval=TICK_MS)
         self._timer.timeout.connect(self._turn)
 
     @property

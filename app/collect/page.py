@@ -74,8 +74,6 @@ class CollectPage(LivePage):
         for plot in (self.force, self.moment):
             # Large axis labels need larger plots.
             plot.setMinimumSize(max(200, round(12 * em)), max(104, round(6.1 * em)))
-        self.table.fit_to_theme()
-        self.target.draw_icons()
 
     # -- inside -----------------------------------------------------------------------------------
 

@@ -168,11 +168,6 @@ class CollectWorkspace(Workspace):
         self.label.leave()
         self._hush_keys()
 
-    def fit_to_theme(self) -> None:
-        """Apply the sizes and icons of the theme."""
-        self.collect_page.fit_to_theme()
-        self.label.fit_to_theme()
-
     def memory(self) -> Memory:
         """Return the settings of both halves to store."""
         page = self.collect_page

@@ -302,10 +302,6 @@ class LabelWorkspace(Workspace):
         self._show_session()
         return dropped
 
-    def fit_to_theme(self) -> None:
-        """Apply the row height of the theme."""
-        self.label_page.list.fit_to_theme()
-
     def open(self) -> None:
         """Open the dataset if a person is named and it is not open yet."""
         if self.presenter is not None or not self.session.person or self.worker.busy:

@@ -236,10 +236,6 @@ class OperateWorkspace(Workspace):
         self.page.jog.hold.end("another page came to the front")
         self.keys.disarm()
 
-    def fit_to_theme(self) -> None:
-        """Apply the sizes of the theme."""
-        self.page.fit_to_theme()
-
     def reset_layout(self) -> None:
         """Select the first entry of all lists."""
         for chooser in (self.page.looks, self.page.span, self.page.maps):

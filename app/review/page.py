@@ -85,10 +85,6 @@ class ReviewPage(WorkspacePage):
         else:
             super().keyPressEvent(event)
 
-    def fit_to_theme(self) -> None:
-        """Apply the row height of the theme."""
-        self.runs.fit_to_theme()
-
     def show_cursor(self, t_s: float) -> None:
         """Show all views at one time."""
         self.film.show_cursor(t_s)

@@ -94,8 +94,8 @@ class ReviewWorkspace(Workspace):
         self.presenter.recordings.refresh()
 
     def fit_to_theme(self) -> None:
-        """Apply the row height of the theme."""
-        self.page.fit_to_theme()
+        """Apply the sizes of the theme; draw the pictures of an open report again."""
+        super().fit_to_theme()
         self.reports.fit_to_theme()
 
     def leave(self) -> None:

@@ -104,7 +104,10 @@ class Workspace:
         """Handle that another page comes to the front: end what must not go on unseen."""
 
     def fit_to_theme(self) -> None:
-        """Apply the sizes and icons of the theme."""
+        """Apply the sizes and icons of the theme to all parts of the page."""
+        for part in (self.page, *self.page.findChildren(QWidget)):
+            if hasattr(part, "fit_to_theme"):
+                part.fit_to_theme()
 
     def reset_layout(self) -> None:
         """Restore the default layout."""

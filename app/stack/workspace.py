@@ -185,11 +185,6 @@ class StackWorkspace(Workspace):
         """Show why no bench is connected yet."""
         self.page.show_waiting(word, why)
 
-    def fit_to_theme(self) -> None:
-        """Apply sizes and icons of the theme."""
-        self.page.fit_to_theme()
-        self.page.run.draw_icons()
-
     def memory(self) -> Memory:
         """Return form and planned runs to store; without a bench the stored ones."""
         runs = self._kept.planned if self.planned is None else tuple(self.planned.runs)

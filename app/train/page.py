@@ -65,9 +65,6 @@ class TrainPage(WorkspacePage):
     def fit_to_theme(self) -> None:
         """Apply the sizes and icons of the theme."""
         self._left.setMinimumWidth(round(20 * self.em))
-        for table in (self.split, self.runs, self.differences, self.figures):
-            table.fit_to_theme()
-        self.form.draw_icons()
 
     def show_busy(self, busy: bool) -> None:
         """Show that data are being read."""

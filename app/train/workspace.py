@@ -88,10 +88,6 @@ class TrainWorkspace(Workspace):
             self._worker = None
         self.presenter = None
 
-    def fit_to_theme(self) -> None:
-        """Apply sizes and icons of the theme."""
-        self.page.fit_to_theme()
-
     def memory(self) -> Memory:
         """Return form and folders to store."""
         form = self.page.form.form()

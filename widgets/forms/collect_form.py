@@ -203,7 +203,7 @@ class TargetPanel(Panel):
         self._fields.set_enabled(buttons.form)
         self.person.setEnabled(buttons.form)
         self.here.setEnabled(buttons.form)
-        self.draw_icons()
+        self.fit_to_theme()
 
     def ask_person(self) -> None:
         """Focus the name field."""
@@ -223,6 +223,6 @@ class TargetPanel(Panel):
         self.residual.setText(text)
         self.take.setEnabled(usable)
 
-    def draw_icons(self) -> None:
+    def fit_to_theme(self) -> None:
         """Draw the icons in the colours of the theme."""
         draw_run_icons(self._theme, self.start, self.pause, self.end)

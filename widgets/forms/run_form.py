@@ -194,9 +194,9 @@ class RunPanel(Panel):
         self.pause.setText("Resume" if buttons.paused else "Pause")
         self.cancel.setEnabled(buttons.cancel)
         self._fields.set_enabled(buttons.form and self._piece.count() > 0)
-        self.draw_icons()
+        self.fit_to_theme()
 
-    def draw_icons(self) -> None:
+    def fit_to_theme(self) -> None:
         """Draw the icons in the colours of the theme."""
         draw_run_icons(self._theme, self.start, self.pause, self.cancel)
 

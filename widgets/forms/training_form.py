@@ -172,8 +172,8 @@ class TrainingFormPanel(Panel):
         self._fields.set_enabled(not buttons.cancel)
         self.folder.setEnabled(not buttons.cancel)
         self.defaults.setEnabled(not buttons.cancel)
-        self.draw_icons()
+        self.fit_to_theme()
 
-    def draw_icons(self) -> None:
+    def fit_to_theme(self) -> None:
         """Draw the icon in the colours of the theme."""
         draw_run_icons(self._theme, self.start)

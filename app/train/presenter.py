@@ -5,7 +5,6 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
@@ -37,26 +36,11 @@ POLL_INTERVAL_S = 0.05
 STOP_TIMEOUT_S, JOIN_S = 1.0, 1.0
 
 
-@dataclass(frozen=True, slots=True)
-class TrainingCallbacks:
-    """Callbacks on the thread of the window.
-
-    ``ended`` receives the cause of an early end, or None.
-
-    ``still``: the child process has stalled or continues.
-    """
-
-    begun: Callable[[Path], None]
-    report: Callable[[Report], None]
-    ended: Callable[[Exception | None], None]
-    still: Callable[[bool], None]
-
-
 class TrainingThread:
-    """Starts at once; ``ended`` is called exactly once."""
+    """Starts at once. Calls the presenter on the thread of the window; ``ended`` exactly once."""
 
     def __init__(
-        self, request: TrainingRequest, main_thread: SaveWorker, told: TrainingCallbacks
+        self, request: TrainingRequest, main_thread: SaveWorker, told: TrainPresenter
     ) -> None:
         self._request, self._main_thread, self._told = request, main_thread, told
         self._lock, self._cancelled = threading.Lock(), False
@@ -262,20 +246,18 @@ class TrainPresenter:
             self._failed(error)
             return
         self._epochs_s, self._cancelling, self.live = [], False, ""
-        self.thread = TrainingThread(
-            request,
-            self._worker,
-            TrainingCallbacks(self._begun, self._report, self._ended, self._still),
-        )
+        self.thread = TrainingThread(request, self._worker, self)
         self._show_progress("starting \N{HORIZONTAL ELLIPSIS}")
         self.show_buttons()
 
-    def _begun(self, folder: Path) -> None:
+    def begun(self, folder: Path) -> None:
+        """Show the run that has begun in ``folder``."""
         self.live = folder.name
         self._read_run(folder, choose=True)
         self._show_progress("reading the episodes \N{HORIZONTAL ELLIPSIS}")
 
-    def _report(self, report: Report) -> None:
+    def report(self, report: Report) -> None:
+        """Show a report of the run."""
         now_s = time.monotonic()
         if isinstance(report, TrainingEpoch):
             self._epochs_s.append(now_s - self._stamp_s)
@@ -289,19 +271,21 @@ class TrainPresenter:
         if self.live in self.runs:
             self._read_run(self.runs[self.live].folder)
 
-    def _ended(self, error: Exception | None) -> None:
+    def ended(self, error: Exception | None) -> None:
+        """Show the end of the run, with the cause of an early one."""
         if self.thread is not None:
             self.thread.close()
         self.thread, self._cancelling, self._over = None, False, self.live
         self._cards.withdraw()
-        self._still(False)
+        self.still(False)
         self._show_progress("")
         if error is not None:
             self._cards.show_card(words.failure_card(error))
         self.show_buttons()
         self.look()
 
-    def _still(self, on: bool) -> None:
+    def still(self, on: bool) -> None:
+        """Show that the child process has stalled, or continues."""
         if on and self.thread is not None:
             self._cards.show_card(words.STILL)
         else:

@@ -68,11 +68,6 @@ class EpisodeTable(QTableView):
         self._rows.show(rows)
         self.mark(chosen)
 
-    def chosen(self) -> str:
-        """Return the uuid of the selected row, "" for none."""
-        index = self.currentIndex()
-        return self._rows.rows[index.row()].uuid if index.isValid() else ""
-
     def rows(self) -> Sequence[EpisodeTableRow]:
         """Return the rows in their present order."""
         return self._rows.rows

@@ -163,7 +163,8 @@ def identify_air(presses: PressSet, drift_px: float, *, rest: bool) -> list[Esti
     ``drift_px``: of the markers per √s. Without a recording at ``rest`` also the white noise of the
     wrist sensor.
     """
-    air, px = presses.air_wrench, presses.air_px.reshape(len(presses), -1)
+    # Along z the gels still recover from the press before.
+    air, px = presses.air_wrench, presses.air_px[..., 0]
     # Tare (200 samples) and reference (10 frames, 1.5 s of drift) add to the draw of a probe.
     tare = presses.air_sd.mean(axis=0) * np.sqrt(1.0 / 200.0 + 1.0 / 250.0)
     shift = np.hypot(1.2 * drift_px, 0.01)

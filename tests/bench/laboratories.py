@@ -79,7 +79,7 @@ RANGES: dict[str, tuple[float, float, bool]] = {
     "spread.jig_mm": (0.05, 0.25, False),
 }
 GEL, CONTACT = (45, 5, 3), (2, 1, 6)  # presses, per grip, grips per mounting
-REST_S, TRIES = 31.0, 20
+REST_S, TRIES = 31.0, 60
 # Slip is judged by five pictures in the middle of a ramp of 0.8 s; a lower rate loses most presses.
 RATE_HZ = 18.0
 
@@ -184,7 +184,6 @@ def run_laboratory(
         return found
     bench, truth = draw_laboratory(seed, drivers=drivers)
     folder = file.with_suffix("")
-    shutil.rmtree(folder / "stages", ignore_errors=True)
     recordings = recorded_laboratory(seed, folder, drivers=drivers)
     began_cpu = time.process_time()
     drawn: list[Gate] = []
@@ -308,14 +307,14 @@ def identification_time() -> list[Figure]:
 
 # Patch networks on probes of one laboratory: pot, small network, minutes of one core.
 CURVE_LABELS, REPEATS, SIMULATED_PROBES, POOL, TESTED = (0, 50, 200), 3, 3000, 400, 400
-SMALL = TrainingSettings(hidden=128, epochs=24, keep="last", patience=100)
+SMALL = TrainingSettings(hidden=64, epochs=20, keep="last", patience=100)
 TUNING = SMALL.model_copy(update={"learning_rate": 3e-4, "epochs": 10, "batch": 32})
 ALONE = SMALL.model_copy(update={"epochs": 40, "batch": 16})
 MIXED = 400  # simulated probes beside the labelled ones of a fine-tuning
 KNOWN, UNSEEN = "circle15,circle25,square15", "short,long"
 LABORATORY_SEED, TEST_SEED = 31_000, 32_000
 # Active labelling: smaller still, since it trains some hundred times.
-BATCH, MOST, ACTIVE_SEEDS, TINY = 25, 150, 10, {"hidden": 64}
+BATCH, MOST, ACTIVE_SEEDS, TINY = 25, 150, 10, {"hidden": 32}
 
 
 def simulated_probes(bench: Path, count: int, seed: int, bottoms: str, *sizes: int) -> TrainingRows:

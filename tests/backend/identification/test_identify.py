@@ -48,6 +48,7 @@ from touchdown.backend.identification.sensors import (
     delay_estimates,
     estimate_delays,
     flicker,
+    identify_air,
     identify_rest,
     quantum,
     walk_rate,
@@ -266,6 +267,15 @@ def test_rest_gives_noise_timing_and_losses():
     assert shares["tactile.drop_share"] == pytest.approx(0.01, abs=1e-3)
     assert shares["wrist.drift_n_sqrt_min"] < 0.01
     assert dict(found.facts)["flicker, right"].startswith("1.000 %")
+
+
+def test_recovery_from_the_press_before_is_no_error_of_the_reference():
+    presses = made_set(np.zeros((60, 2)), RAMP * (0.0, 0.0, -1.0))
+    px = 0.1 * np.random.default_rng(1).standard_normal((60, 2, 2))
+    px[1::2, :, 1] += 0.5
+    found = identify_air(replace(presses, air_px=px), 1e-3, rest=True)
+    (bias,) = [one for one in found if one.key == "tactile.bias_px"]
+    assert bias.low < 0.1 < bias.high
 
 
 def test_compressed_images_give_a_bound_only():

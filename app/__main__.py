@@ -25,6 +25,8 @@ def parser() -> argparse.ArgumentParser:
     made.add_argument("--notify", metavar="COMMAND",
                       help="command that calls a person on a fault, on a question and at the end "
                       "of a run; its last arguments are a title and a text")  # fmt: skip
+    made.add_argument("--live", nargs="?", const="127.0.0.1:8765", metavar="HOST:PORT",
+                      help="serve streams and events to Foxglove (at 127.0.0.1:8765)")  # fmt: skip
     made.add_argument("--replay", metavar="RUN", type=Path, help="review this recorded run")
     made.add_argument("--reset-layout", action="store_true", help="forget the window settings")
     made.add_argument("--size", metavar="WxH", type=_size, help="size of the window, in pixels")

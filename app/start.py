@@ -72,7 +72,20 @@ def _show(main: TouchdownApp, args: argparse.Namespace) -> None:
         review.presenter.open(args.replay)
     # No tour if the command line asks for something else.
     main.tour_due = not (args.grab or args.page or args.replay)
-    main.connect_bench(partial(open_bench, args.bench, tuple(args.inject)))
+    main.connect_bench(partial(_open_bench, args))
+
+
+def _open_bench(args: argparse.Namespace) -> Session:
+    session = open_bench(args.bench, tuple(args.inject))
+    if args.live:
+        from touchdown.backend.bench import serve_live
+
+        try:
+            sys.stderr.write(f"{serve_live(session, args.live)}\n")
+        except InputError:
+            session.close()
+            raise
+    return session
 
 
 def open_simulated_bench(

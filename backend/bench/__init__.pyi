@@ -17,5 +17,7 @@ from .laboratory import LabChoice as LabChoice
 from .laboratory import find_camera_conflicts as find_camera_conflicts
 from .laboratory import lab_session as lab_session
 from .laboratory import open_lab as open_lab
+from .live_view import LiveView as LiveView
+from .live_view import serve_live as serve_live
 from .session import RunResult as RunResult
 from .session import Session as Session

@@ -33,6 +33,7 @@ from touchdown.backend.core import (
     Finger,
     InputError,
     MarkerField,
+    Recording,
     RefusedError,
     RepaintHold,
     RunFinished,
@@ -425,6 +426,10 @@ class Session:
             self.home_gripper()
             self.connection.wait()
         check_connected(self.connection)
+
+    def recording(self, start_s: float, end_s: float) -> Recording | None:
+        """Return the signals between two bench times, None before the first scene."""
+        return None if self._scene is None else self._scene.sensing.recording(start_s, end_s)
 
     def join(self, connection: BenchConnection, name: str, limits: Limits, source: str) -> None:
         """Take the devices of lab ``name``, which outlive every scene, and connect STOP to them."""

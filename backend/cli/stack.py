@@ -89,6 +89,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="weigh the piece in six poses first, and judge by its measured centre of mass",
     )  # fmt: skip
     add_bench_arguments(parser)
+    parser.add_argument("--live", nargs="?", const="127.0.0.1:8765", metavar="HOST:PORT",
+                        help="serve streams and events to Foxglove (127.0.0.1:8765)")  # fmt: skip
     parser.add_argument("--runs", metavar="DIR", help="folder for runs (default: data folder)")
     parser.add_argument("--no-episodes", action="store_true", help="store the journal only")
 
@@ -141,6 +143,10 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
             answer_prompt(fact, session, screen)
 
         session.events.subscribe(take)
+        if args.live:
+            from touchdown.backend.bench import serve_live
+
+            screen.say(serve_live(session, args.live))
         session.prompt.attended = sys.stdin.isatty() and not screen.json
         if args.reset_guard is not None:
             guard = session.guard_of(request.method(session.method))

@@ -58,6 +58,7 @@ from touchdown.backend.episodes.mcap_container import (
     read_whole,
 )
 from touchdown.backend.episodes.messages import (
+    BELIEF_TOPIC,
     CAMERA_TOPICS,
     COMMAND_TOPIC,
     EVENT_TOPIC,
@@ -191,6 +192,8 @@ TOPICS = (
     *MARKER_TOPICS.values(),
     *IMAGE_TOPICS.values(),
 )
+LIVE_TOPICS = (*TOPICS[2:], TF_TOPIC, STATIC_TOPIC, BELIEF_TOPIC, *POINT_TOPICS.values(),
+               *(CAMERA_TOPICS[topic.frame_id] for topic in IMAGE_TOPICS.values()))  # fmt: skip
 
 
 def to_ns(t_s: ArrayLike) -> Times:

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.backend.core import GRID_COLS, GRID_ROWS, MARKERS, FloatArray, parse_json
+from touchdown.backend.core import GRID_COLS, GRID_ROWS, MARKERS, BeliefMap, FloatArray, parse_json
 
 ENCAPSULATION = b"\x00\x01\x00\x00"
 
@@ -144,6 +144,7 @@ CAMERA_TOPICS = {
     )
     for topic in (*IMAGE_TOPICS.values(), SCENE_TOPIC)
 }
+BELIEF_TOPIC = Topic("/belief", "nav_msgs/msg/OccupancyGrid", POSE_TOPIC.frame_id)
 HAND_FRAME = "hand"
 POINT_FIELDS = ("x", "y", "z", "displacement_px")
 TACTILE_PX = (320, 240)
@@ -281,6 +282,14 @@ def pack_camera(stamp_ns: int, frame_id: str, size_px: tuple[int, int], focal_px
     matrix = np.array([[focal_px, 0.0, u, 0.0], [0.0, focal_px, v, 0.0], [0.0, 0.0, 1.0, 0.0]])
     return cdr("hIsqdddIB", (stamp_ns, frame_id), size_px[::-1], "plumb_bob", np.zeros(5),
                matrix[:, :3], np.eye(3), matrix, [0] * 6, 0)  # fmt: skip
+
+
+def pack_belief(stamp_ns: int, belief: BeliefMap) -> bytes:
+    """Pack ``OccupancyGrid``: probability of support in percent, -1 where nothing was probed."""
+    percent = np.where(belief.covered, np.rint(100.0 * belief.probability), -1.0).astype(np.int8)
+    x, y = ((mm - 0.5 * belief.pitch_mm) / 1e3 for mm in belief.origin_mm)
+    return cdr("hIfIdq", (stamp_ns, BELIEF_TOPIC.frame_id), [0, 0], belief.pitch_mm / 1e3,
+               percent.shape[::-1], [x, y, 0.0, 0.0, 0.0, 0.0, 1.0], percent)  # fmt: skip
 
 
 def pack_image(stamp_ns: int, frame_id: str, encoding: str, data: bytes) -> bytes:

@@ -36,6 +36,7 @@ from .engine import LiveThread as LiveThread
 from .event_log import EVENT_LOG_NAME as EVENT_LOG_NAME
 from .event_log import changed_limits as changed_limits
 from .event_log import decode_event as decode_event
+from .event_log import encode_event as encode_event
 from .event_log import event_log_path as event_log_path
 from .event_log import log_limit_change as log_limit_change
 from .event_log import read_events as read_events

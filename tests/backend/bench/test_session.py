@@ -1,8 +1,12 @@
 """Sessions as a script uses them: open a bench, run a request, read the result."""
 
+import re
 import shutil
+import socket
+import sys
 import threading
 from contextlib import nullcontext
+from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
 from types import SimpleNamespace
@@ -11,11 +15,29 @@ import numpy as np
 import pytest
 
 from tests.backend.bench.brisk import brisk_method, brisk_session, brisk_settings
+from tests.backend.exchange.conftest import seen_episode
 from tests.backend.rig.scripted import scripted
-from touchdown.backend.bench import RunResult, open_lab, simulated_bench
+from touchdown.backend.bench import (
+    LiveView,
+    RunResult,
+    live_view,
+    open_lab,
+    serve_live,
+    simulated_bench,
+)
+from touchdown.backend.config import SimulationSettings
+from touchdown.backend.config.bench_description import describe_simulation
+from touchdown.backend.core import EventBus
 from touchdown.backend.core.events import BeliefUpdated, EpisodeRecorded, TrialFinished
 from touchdown.backend.core.faults import Fault, FaultError, InputError, RefusedError
-from touchdown.backend.core.values import Outcome
+from touchdown.backend.core.values import BeliefMap, Outcome
+from touchdown.backend.episodes import (
+    FACTS_KEY,
+    LIVE_TOPICS,
+    read_whole,
+    unpack_json,
+    write_episode,
+)
 from touchdown.backend.runs.event_log import read_events
 from touchdown.backend.runs.recorder import RecordingOptions
 from touchdown.backend.runs.requests import ProbeRequest, SceneChoice, SetRequest, StackRequest
@@ -197,3 +219,104 @@ def test_a_lab_is_opened_without_connecting_and_connects_when_asked(tmp_path):
         devices["arm"].fails_at = "identify"
         with pytest.raises(FaultError, match="arm: identify"):
             bench.connect()
+
+
+def stalled_run(folder, publish):
+    """Run a seeded trial with a live view; return the lines of the event log and the view."""
+    with simulated_bench(settings=brisk_settings(), method=brisk_method(), runs=folder) as bench:
+        view = None if publish is None else LiveView(bench, publish, lambda topic: True)
+        result = bench.run(StackRequest(strategy="pick-and-place", seed=7))
+        if view is not None:
+            view.close()
+    folder = result.run_folder
+    lines = (folder / "journal.jsonl").read_text().replace(folder.name, "").splitlines()
+    return [line for line in lines if '"RunStarted"' not in line], view
+
+
+def test_a_stalled_live_view_changes_no_event(tmp_path, monkeypatch):
+    monkeypatch.setattr(live_view, "CLOSE_S", 0.0)
+    monkeypatch.setattr(live_view, "MOST_EVENTS", 4)
+    free, stalled = threading.Event(), threading.Event()
+
+    def publish(topic, log_ns, message):
+        stalled.set()
+        free.wait(60.0)
+
+    alone, _ = stalled_run(tmp_path / "alone", None)
+    shown, view = stalled_run(tmp_path / "shown", publish)
+    free.set()
+    view._thread.join(10.0)
+    assert stalled.is_set()
+    assert shown == alone
+    assert view.events.dropped > 0
+
+
+def test_the_live_view_has_the_topics_and_types_of_a_recording(tmp_path):
+    episode, sent, complete = seen_episode(0), {}, threading.Event()
+    times = [episode.onset_s - 0.3]  # of the clock; it stands in the end
+    session = SimpleNamespace(
+        events=EventBus(), description=describe_simulation(SimulationSettings()),
+        clock_s=lambda: times.append(times[-1] + 0.15 * (len(times) < 20)) or times[-1],
+        recording=lambda start_s, end_s: part_of(episode.recording, start_s, end_s),
+    )  # fmt: skip
+
+    def publish(topic, log_ns, message):
+        sent.setdefault(topic.name, []).append(message)
+        if {"/belief", "/tac/left/image", "/tac/left/points"} <= set(sent):
+            complete.set()
+
+    view = LiveView(session, publish, lambda topic: True)
+    session.events.publish(EpisodeRecorded(0.0, replace(episode, recording=None), 1, ""))
+    belief = BeliefMap(np.log([[3.0, 1.0]]), np.array([[True, False]]), (1.0, 2.0), 2.0, 1)
+    session.events.publish(BeliefUpdated(0.0, belief, 1))
+    assert complete.wait(10.0)
+    view.close()
+    facts = session.description.model_dump_json()
+    write_episode(tmp_path / "e.mcap", episode, None, {FACTS_KEY: facts})
+    recorded = read_whole(tmp_path / "e.mcap").messages
+    assert set(sent) - {"/belief"} == {
+        topic for topic in recorded if topic != "/obs" and not topic.startswith("/scene")
+    }
+    for topic in set(sent) & {"/ft/tared", "/robot/pose", "/tf", "/tac/left/markers"}:
+        assert set(sent[topic]) <= {bytes(message) for message in recorded[topic]}, topic
+    assert unpack_json(sent["/episode/event"][0])["event"] == "EpisodeRecorded"
+
+
+HANDSHAKE = (
+    b"GET / HTTP/1.1\r\nHost: localhost\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+    b"Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Version: 13\r\n"
+    b"Sec-WebSocket-Protocol: foxglove.sdk.v1\r\n\r\n"
+)
+
+
+def test_foxglove_is_told_every_topic():
+    pytest.importorskip("foxglove")
+    with brisk() as bench:
+        text = serve_live(bench, "127.0.0.1:0")
+        port = int(text.rstrip(".").rpartition(":")[2])
+        with socket.create_connection(("127.0.0.1", port), 10.0) as client:
+            client.sendall(HANDSHAKE)
+            told = b""
+            while not all(f'"{topic.name}"'.encode() in told for topic in LIVE_TOPICS):
+                told += client.recv(1 << 16)
+
+
+def test_a_live_view_that_cannot_be_served_says_what_to_do(monkeypatch):
+    monkeypatch.setitem(sys.modules, "foxglove", None)
+    for address, fix in (("127.0.0.1:0", r"touchdown\[live\]"), ("nowhere", "HOST:PORT")):
+        with pytest.raises(InputError) as error:
+            serve_live(SimpleNamespace(), address)
+        assert re.search(fix, error.value.fix)
+
+
+def part_of(recording, start_s, end_s):
+    """The samples of a recording between two times."""
+    cut = {}
+    for name in ("wrench", "pose", "command"):
+        t_s = getattr(recording, f"{name}_t_s")
+        kept = (t_s >= start_s) & (t_s <= end_s)
+        values = name if name == "wrench" else f"{name}_mm"
+        cut |= {f"{name}_t_s": t_s[kept], values: getattr(recording, values)[kept]}
+    for name in ("fields", "frames"):
+        cut[name] = tuple(f for f in getattr(recording, name) if start_s <= f.t_s <= end_s)
+    return replace(recording, scene=(), **cut)

@@ -20,6 +20,7 @@ from touchdown.backend.core.files import program_stamp
 from touchdown.backend.core.values import (
     FINGERS,
     MARKERS,
+    BeliefMap,
     Episode,
     EpisodeQuality,
     MarkerField,
@@ -89,7 +90,7 @@ def test_text_has_the_published_bytes():
     assert messages.unpack_json(packed) == {"x_mm": 1.5}
 
 
-def test_transforms_have_the_bytes_of_rosbags():
+def test_transforms_and_maps_have_the_bytes_of_rosbags():
     placed = [
         messages.Transform("base", "hand", (100.0, 200.0, 300.0)),
         messages.Transform("hand", "ft", (0.0, 0.0, 120.0), (0.0, 0.0, 0.6, 0.8)),
@@ -100,6 +101,12 @@ def test_transforms_have_the_bytes_of_rosbags():
         "000000000000000000000000000000000000f03f00f1536515cd5b070500000068616e6400000000"
         "03000000667400000000000000000000000000000000000000000000b81e85eb51b8be3f00000000"
         "000000000000000000000000333333333333e33f9a9999999999e93f"
+    )
+    belief = BeliefMap(np.log([[3.0, 1.0]]), np.array([[True, False]]), (1.0, 2.0), 2.0, 1)
+    assert messages.pack_belief(int(STAMP[0]), belief).hex() == (
+        "0001000000f1536515cd5b0705000000626173650000000000000000000000006f12033b02000000"
+        "010000000000000000000000fca9f1d24d62503f0000000000000000000000000000000000000000"
+        "000000000000000000000000000000000000f03f020000004bff"
     )
 
 

@@ -23,6 +23,7 @@ from tests.backend.bench.brisk import brisk_method
 from tests.backend.runs.oracle_bench import OracleSession, request
 from tests.journeys.operate_desk import SteppedSession
 from tests.prompt_window import PACES
+from tests.screen_check import view_failures
 from touchdown import resources
 from touchdown.app.__main__ import parser
 from touchdown.app.start import open_bench
@@ -361,6 +362,15 @@ def test_no_text_is_cut_off_on_any_page_at_any_scale(live, scale):
     assert QRect(live.window.rect()).contains(corner)
     live.look.show("dark", 1.0)
     assert cut == []
+
+
+@pytest.mark.parametrize("page", ["operate", "stack"])
+def test_small_screens_cut_off_no_number_and_reach_every_control(live, page):
+    """A part of ``make screens CHECK=1``."""
+    live.go(page)
+    settle(live)
+    sizes = (1280, 720), (819, 614), (512, 384)
+    assert [view_failures(live.window, QSize(*size)) for size in sizes] == [[], [], []]
 
 
 @pytest.mark.promise("W9")

@@ -175,7 +175,7 @@ class NameDialog(QDialog):
         self._taken: Sequence[str] = ()
         self.setWindowTitle(title)
         self.head, self.said = label("", "head"), label("", "small", wrap=True)
-        self.field = QLineEdit()
+        self.field = QLineEdit(accessibleName="Name or note")
         self.save, close = QPushButton("Save"), QPushButton("Close")
         self.save.setDefault(True)
         self.save.clicked.connect(self._try)

@@ -387,7 +387,7 @@ def test_settings_of_a_newer_version_are_kept_aside(tmp_path, name, load) -> Non
     raw = json.loads((WRITTEN / name).read_bytes()) | {"version": 99}
     path = tmp_path / name
     path.write_text(json.dumps(raw))
-    _, warning = load(path) if load else load_layouts(path, NOW)
+    _, warning = load(path) if load else load_layouts(path)
     assert "of another version" in warning
     (kept,) = tmp_path.glob("*-aside-*.json")
     assert json.loads(kept.read_bytes()) == raw

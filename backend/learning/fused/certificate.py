@@ -420,7 +420,7 @@ def _mismatch(certificate: ReleaseCertificate, claim: ReleaseClaim) -> tuple[int
     """Return the number of conditions that hold, and the first that does not, or ""."""
     found, own, wanted = certificate.attempt, certificate.risk, claim.method.fused.risk
     bottoms, settings = certificate.bottoms, method_sha256(claim.method)
-    changed = " with other sensors or gels" if found.bench == claim.bench else ""
+    changed = " with other settings, sensors or gels" if found.bench == claim.bench else ""
     conditions = (
         (found.bench_sha256 == claim.bench_sha256, f"the present one is of {found.bench}{changed}"),
         (found.weights_sha256 == claim.weights_sha256, "the present one is of another model"),

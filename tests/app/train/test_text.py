@@ -60,7 +60,7 @@ def trained(piece, **bottoms):
     figures = {name: {"iou": iou, "point_accuracy": 0.9} for name, iou in bottoms.items()}
     whole = {"iou": sum(bottoms.values()) / len(bottoms), "point_accuracy": 0.9}
     card = SimpleNamespace(metrics={"validation": {**whole, "bottoms": figures}})
-    return SimpleNamespace(card=card, about=SimpleNamespace(params={"piece": piece}))
+    return SimpleNamespace(card=card, piece=piece, about=SimpleNamespace(params={"piece": piece}))
 
 
 def test_trainings_of_one_piece_are_compared_bottom_by_bottom():

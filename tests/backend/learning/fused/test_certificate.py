@@ -206,7 +206,10 @@ def of_risk(risk: float, merge_mm: float = 0.0) -> StackSettings:
 @pytest.mark.parametrize(
     ("changed", "why"),
     [
-        ({"bench_sha256": "c" * 64}, "The present one is of bench-v2."),
+        (
+            {"bench_sha256": "c" * 64},
+            "The present one is of bench-v2 with other settings, sensors or gels.",
+        ),
         ({"weights_sha256": "c" * 64}, "The present one is of another model."),
         ({"method": METHOD}, "It holds for a risk of 3 %, not of 7 %."),
         ({"method": of_risk(0.03, 0.5)}, "It holds for other settings of the method."),

@@ -494,6 +494,15 @@ def test_it_goes_where_the_centre_of_mass_lies_deepest() -> None:
     assert best_shift(inset, cells - (1.0, 0.0)) == (1.0, -1.0)
 
 
+def test_a_sure_place_is_preferred_to_a_deeper_one_that_is_unsure() -> None:
+    reasoner, _ = one_who_knows(HELD)
+    mean, sd = np.array([[3.0], [1.5], [-90.0], [-80.0]]), np.array([[6.0], [0.3], [0.1], [0.1]])
+    over = InsetDistribution(np.ones((4, 1)), mean, sd)
+    promise = reasoner._promise(over, np.zeros((4, 2)))
+    assert promise.argmax() == 1
+    assert promise[3] > promise[2]
+
+
 def test_the_network_that_ships_says_what_it_was_made_from() -> None:
     card = shipped_fused().card
     assert card.bench_sha256.startswith("03b08d28746d9339")

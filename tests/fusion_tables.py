@@ -50,8 +50,8 @@ def loops(answer: Json) -> str:
     cells = [cell for cell in answer["cells"] if cell["strategy"] == "fused"]
     pieces = sorted({cell["piece"] for cell in cells}, reverse=True)
     lines = [
-        "| | trials | placed, % | unsafe, % | placed / fell / knocked over / gave up / aborted "
-        "| probes of the placed |",
+        "| | trials | placed, % | unsafe, % | placed / fell / knocked over / gave up or asked / "
+        "aborted | probes of the placed |",
         "|---|---|---|---|---|---|",
     ]
     for piece in pieces:
@@ -66,6 +66,7 @@ def _loop(name: str, cells: list[Json]) -> str:
     for cell in cells:
         outcomes.update(cell["outcomes"])
     trials, placed = outcomes.total(), outcomes["placed"]
+    outcomes["gave_up"] += outcomes["asked"]
     unsafe = outcomes["fell"] + outcomes["knocked_over"]
     spent = sum(c["probes"] * c["outcomes"]["placed"] for c in cells if c["probes"])
     probes = f"{spent / placed:.1f}" if placed else "-"
@@ -240,9 +241,10 @@ def rendered(name: str, answer: Json) -> str:
         return stability(answer)
     if "fresh" in name:
         return fresh(answer)
-    if "sources" in answer:
+    if answer.get("changes"):
         return compared(answer)
-    return statics(answer) if "statics" in name else loops(answer)
+    table = statics(answer) if "statics" in name else loops(answer)
+    return f"{table}\n\n{_provenance(answer)}" if "sources" in answer else table
 
 
 def fresh(answer: Json) -> str:

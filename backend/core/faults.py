@@ -49,6 +49,10 @@ class InputError(TouchdownError):
         self.where: str = where
         self.fix: str = fix
 
+    def __reduce__(self) -> tuple[type[InputError], tuple[str, str, str]]:
+        """Pass the three texts between processes; a subclass arrives as ``InputError``."""
+        return InputError, (self.what, self.where, self.fix)
+
 
 @dataclass(frozen=True, slots=True)
 class Fault:

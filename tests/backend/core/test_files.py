@@ -9,6 +9,7 @@ import signal
 import stat
 import subprocess
 import sys
+from copy import copy
 from pathlib import Path
 
 import pytest
@@ -18,6 +19,7 @@ from tests.backend.annotations.conftest import context_for, small_episode
 from touchdown.backend.annotations import Dataset, Label, read_run_info
 from touchdown.backend.annotations.geometry_records import GeometryStore
 from touchdown.backend.annotations.operation_log import read_journal
+from touchdown.backend.annotations.storage import ReadOnlyFolderError
 from touchdown.backend.calibration.records import read_record
 from touchdown.backend.cli.settings import load_method
 from touchdown.backend.config import load_lab, load_simulation
@@ -192,6 +194,10 @@ def test_foreign_text_is_refused_shortly(name, what, tmp_path):
 
 def test_a_message_is_bounded():
     error = InputError("x" * 100_000, "here", "Do this.")
+    # As between processes; an error that cannot be passed leaves the pool of a worker hanging.
+    for one in (error, ReadOnlyFolderError(Path("data"), OSError("full"))):
+        passed = copy(one)
+        assert (str(passed), passed.what, passed.where) == (str(one), one.what, one.where)
     assert len(error.what) < MAX_MESSAGE + 10
     assert str(error).endswith("[here] Do this.")
 

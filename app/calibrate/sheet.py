@@ -182,7 +182,7 @@ class CalibrateSheet(BenchSheet):
         self.live = label("", "muted")
         self.fingers: dict[Finger, TactileView] = {f: TactileView(theme, f) for f in FINGERS}
         self.progress = QProgressBar()
-        self.plot = CurvePlot(theme, "Compared with the limit")
+        self.plot = CurvePlot(theme, "Share of the limit, by check")
         self.table = FigureTable(theme, "Values", ("quantity", "value", "limits"))
         self.figure, self.note = label("", "title", wrap=True), label("", wrap=True)
         self.question = QuestionRow()

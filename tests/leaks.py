@@ -2,8 +2,11 @@
 
 import gc
 import os
+import socket
+import stat
 import sys
 import threading
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -22,7 +25,7 @@ class Snapshot:
 
     threads: frozenset[threading.Thread]
     children: frozenset[int]
-    sockets: frozenset[tuple[str, ...]]
+    sockets: frozenset[int]
     widgets: frozenset[int]
 
 
@@ -55,7 +58,8 @@ def leaks_since(before: Snapshot, keeper: int | None = None) -> list[str]:
         for child in _children(keeper)
         if child.pid not in before.children
     ]
-    found += [f"socket {key}" for key in _sockets() if key not in before.sockets]
+    new = [_address(fd) for inode, fd in _sockets().items() if inode not in before.sockets]
+    found += [f"socket {address}" for address in new if address]
     found += [
         f"top-level widget {widget!r}" for widget in _widgets() if id(widget) not in before.widgets
     ]
@@ -124,9 +128,22 @@ def _childless() -> bool:
     return False
 
 
-def _sockets() -> list[tuple[str, ...]]:
-    connections = psutil.Process().net_connections(kind="inet")
-    return [(str(c.fd), str(c.laddr), str(c.raddr), c.status) for c in connections]
+def _sockets() -> dict[int, int]:
+    """Return inode and descriptor of each socket; psutil reads all connections of the machine."""
+    found = {}
+    for path in Path("/dev/fd").glob("*"):
+        with suppress(OSError):  # the descriptor of the listing itself
+            status = os.fstat(int(path.name))
+            if stat.S_ISSOCK(status.st_mode):
+                found[status.st_ino] = int(path.name)
+    return found
+
+
+def _address(descriptor: int) -> str:
+    """Return the address of an internet socket, nothing for one within this machine."""
+    with socket.socket(fileno=os.dup(descriptor)) as end:
+        inet = end.family in (socket.AF_INET, socket.AF_INET6)
+        return str(end.getsockname()) if inet else ""
 
 
 def _widgets() -> list[object]:

@@ -11,19 +11,11 @@ from dataclasses import dataclass, replace
 from hashlib import blake2b
 from typing import Any
 
-from touchdown.backend.annotations import operation_log, review
+from touchdown.backend.annotations import operation_log, review, values
 from touchdown.backend.annotations.dataset import Dataset
 from touchdown.backend.annotations.labels import LabelEditor, LabelStore
 from touchdown.backend.annotations.operation_log import OperationDraft
 from touchdown.backend.annotations.review import BY_PROGRAM, ReviewStatus, RevisionNode
-from touchdown.backend.annotations.values import (
-    AnswerContext,
-    ControlItemStep,
-    EpisodeEntry,
-    Label,
-    Operation,
-    Revision,
-)
 from touchdown.backend.core import InputError
 
 CONTROL_ITEM_EVERY = 20
@@ -37,7 +29,7 @@ class ControlItemView:
     ``beside``: the episode of the queue before it, "" if it comes first.
     """
 
-    recorded: Revision
+    recorded: values.Revision
     beside: str
 
 
@@ -61,7 +53,9 @@ def with_control_items(
 
 
 def mix_control_items(
-    order: Sequence[str], items: Sequence[str], begun: Mapping[str, ControlItemStep] | None = None
+    order: Sequence[str],
+    items: Sequence[str],
+    begun: Mapping[str, values.ControlItemStep] | None = None,
 ) -> list[str]:
     """Return ``order`` with one of ``items`` inserted per block of 19 episodes.
 
@@ -126,37 +120,37 @@ class ControlItemLabels(LabelEditor):
         """
         return self if self.hides(uuid) else self._book
 
-    def entry(self, entry: EpisodeEntry) -> EpisodeEntry:
+    def entry(self, entry: values.EpisodeEntry) -> values.EpisodeEntry:
         """Return the entry as the page shows it."""
         if not self.hides(entry.uuid):
             return entry
         now = self._now(entry.uuid)
         return replace(entry, state=now.version.state, conflict=False, deleted=bool(now.deleted))
 
-    def log(self, *, text: str = "", limit: int = 500) -> list[Operation]:
+    def log(self, *, text: str = "", limit: int = 500) -> list[values.Operation]:
         """Return the log, newest first, without others' operations on control items."""
         return [op for op in self._book.log(text=text, limit=limit) if not self._tells(op)]
 
-    def _tells(self, operation: Operation) -> bool:
+    def _tells(self, operation: values.Operation) -> bool:
         if operation.verb in BY_PROGRAM or operation.actor == self._person:
             return False
         episodes = operation.episodes
         return bool(episodes) and all(self.hides(uuid) for uuid in episodes)
 
-    def _now(self, uuid: str) -> ControlItemStep:
+    def _now(self, uuid: str) -> values.ControlItemStep:
         """Return the entry as the person sees it."""
         return self._steps(uuid)[-1]
 
-    def head(self, uuid: str) -> Revision:
+    def head(self, uuid: str) -> values.Revision:
         """Return the label as the person sees it."""
         return self.history(uuid)[-1]
 
-    def history(self, uuid: str) -> list[Revision]:
+    def history(self, uuid: str) -> list[values.Revision]:
         """Return the revisions as the person sees them, oldest first."""
         versions = {step.version.rev_uuid: step.version for step in reversed(self._steps(uuid))}
         return list(reversed(versions.values()))
 
-    def restore_revision(self, person: str, uuid: str, rev_uuid: str) -> Revision:
+    def restore_revision(self, person: str, uuid: str, rev_uuid: str) -> values.Revision:
         """Write an old revision again as a draft."""
         for old in self.history(uuid):
             if old.rev_uuid == rev_uuid:
@@ -174,15 +168,15 @@ class ControlItemLabels(LabelEditor):
         if self._now(uuid).deleted != reason:
             self._mark(person, "delete", uuid, deleted=reason)
 
-    def _steps(self, uuid: str) -> list[ControlItemStep]:
+    def _steps(self, uuid: str) -> list[values.ControlItemStep]:
         """Return the revisions of an episode as the person saw them, recording first."""
         shown = self._shown[uuid]
-        begun = ControlItemStep(shown.recorded, beside=shown.beside)
+        begun = values.ControlItemStep(shown.recorded, beside=shown.beside)
         return [begun, *self._book.control_item_steps(self._person, uuid)]
 
     def _head_and_status(
         self, connection: sqlite3.Connection, uuid: str
-    ) -> tuple[Revision, ReviewStatus]:
+    ) -> tuple[values.Revision, ReviewStatus]:
         return self.head(uuid), self._review_status(uuid)
 
     def _review_status(self, uuid: str) -> ReviewStatus:
@@ -196,7 +190,7 @@ class ControlItemLabels(LabelEditor):
 
     @contextmanager
     def edit(
-        self, person: str, verb: str, context: AnswerContext | None = None
+        self, person: str, verb: str, context: values.AnswerContext | None = None
     ) -> Iterator[tuple[sqlite3.Connection, OperationDraft, str]]:
         """Store the changes of a draft as steps on control items, not as labels and reviews."""
         with self._book.edit(person, verb, context) as (connection, draft, name):
@@ -204,7 +198,7 @@ class ControlItemLabels(LabelEditor):
             for rev in draft.revs:
                 now = self._now(rev["episode"])
                 names = ("rev_uuid", "parent", "source", "state", "reason", "verdict")
-                label = Label(rev["x_um"], rev["y_um"], rev["theta_mdeg"], rev["sigma_um"])
+                label = values.Label(rev["x_um"], rev["y_um"], rev["theta_mdeg"], rev["sigma_um"])
                 version = replace(now.version, label=label, **{name: rev[name] for name in names})
                 operation_log.add_step(draft, replace(now, version=version, copy_of=None))
             draft.revs, draft.reviews = [], []
@@ -213,7 +207,7 @@ class ControlItemLabels(LabelEditor):
         self._book.record_control_item_step(person, verb, replace(self._now(uuid), **what))
 
 
-def _node(step: ControlItemStep, verb: str) -> RevisionNode:
+def _node(step: values.ControlItemStep, verb: str) -> RevisionNode:
     r = step.version
     return RevisionNode(
         r.rev_uuid, r.parent, step.copy_of, r.state, r.geometry, 0, "", verb, r.person

@@ -11,13 +11,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
-from touchdown.backend.bench.assembly import (
-    BenchModels,
-    SimulatedBenchChoice,
-    SimulatedScoring,
-    make_scene,
-    run_record,
-)
+from touchdown.backend.bench import assembly
 from touchdown.backend.bench.emulated_child import EmulatedProcess
 from touchdown.backend.bench.emulated_scene import (
     BENCH_FILE,
@@ -91,20 +85,20 @@ class EmulatedBench:
 
     def __init__(
         self,
-        choice: SimulatedBenchChoice | None = None,
+        choice: assembly.SimulatedBenchChoice | None = None,
         *,
         keep: RecordingOptions | None = None,
         method: StackSettings | None = None,
         registry: ModelRegistry | None = None,
         plan: FaultPlan | None = None,
     ) -> None:
-        choice = choice or SimulatedBenchChoice()
+        choice = choice or assembly.SimulatedBenchChoice()
         self._settings, self.plan = choice.settings(), plan or FaultPlan()
         self._pieces, self._catalogue = choice.pieces, load_pieces(choice.pieces)
         self._method = method or StackSettings()
         self._clock = BenchClock()
         description = describe_simulation(self._settings)
-        self._models = BenchModels(registry, description, self._method.belief.pitch_mm)
+        self._models = assembly.BenchModels(registry, description, self._method.belief.pitch_mm)
         self._present = ExitStack()
         self._process = EmulatedProcess(lambda fault: self.session.interlock.raise_fault(fault))
         self.session: Session = Session(
@@ -163,7 +157,7 @@ class EmulatedBench:
 
     def _make_stage(self, choice: SceneChoice, raw: RawStreams) -> SceneDevices:
         self._present.close()
-        scene = make_scene(self._catalogue, choice, self._settings)
+        scene = assembly.make_scene(self._catalogue, choice, self._settings)
         estimator = self._models.of(choice, scene.piece)
         cancelled = self.session.engine.cancelled
         with ExitStack() as stack:
@@ -190,7 +184,7 @@ class EmulatedBench:
             piece=self._catalogue.top(choice.piece),  # without a drawn centre of mass
             bottom="+".join(choice.bottoms),
             advance=self._clock.wait,
-            scoring=SimulatedScoring(truth, self._method.policy.longest_step_mm, False),
+            scoring=assembly.SimulatedScoring(truth, self._method.policy.longest_step_mm, False),
             estimator=estimator,
             payload=gripper_payload(wrist.payload_kg, wrist.payload_com_mm),
             outline=scene.surface,
@@ -200,14 +194,14 @@ class EmulatedBench:
         )
 
     def _check(self, choice: SceneChoice) -> Mapping[str, object]:
-        scene = make_scene(self._catalogue, choice, self._settings)
+        scene = assembly.make_scene(self._catalogue, choice, self._settings)
         loaded = self._models.check(choice, scene.piece)
         bench = {
             "emulated": True,
             "simulation": self._settings.model_dump(mode="json"),
             "faults": self.plan.model_dump(mode="json"),
         }
-        return run_record(bench, loaded)
+        return assembly.run_record(bench, loaded)
 
 
 @contextmanager
@@ -250,7 +244,7 @@ def emulated_bench(
 
     """
     with EmulatedBench(
-        SimulatedBenchChoice(preset=preset, pieces=pieces),
+        assembly.SimulatedBenchChoice(preset=preset, pieces=pieces),
         keep=RecordingOptions(runs),
         method=method,
         registry=ModelRegistry(models_folder()),

@@ -26,19 +26,7 @@ from touchdown.backend.calibration import (
     format_value,
     quantity_name,
 )
-from touchdown.backend.cli.connection import (
-    RunProgress,
-    add_bench_arguments,
-    add_hand_over_arguments,
-    add_scene_arguments,
-    ask_yes_no_in_thread,
-    at_lab,
-    fill_in_scene,
-    held_piece_reported,
-    open_bench,
-    refuse_hidden_prompt,
-    refuse_misplaced_arguments,
-)
+from touchdown.backend.cli import connection
 from touchdown.backend.cli.output import VerbOutput, ctrl_c_cancels
 from touchdown.backend.config import BenchIdentity, load_lab
 from touchdown.backend.core import (
@@ -67,15 +55,15 @@ TITLES: dict[str, str] = {kind.what: kind.title for kind in CALIBRATION_KINDS.va
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
-    add_scene_arguments(parser, BOTTOM, "board or bottom")
-    add_hand_over_arguments(parser)
+    connection.add_scene_arguments(parser, BOTTOM, "board or bottom")
+    connection.add_hand_over_arguments(parser)
     parser.add_argument(
         "--pitch", type=float, default=PITCH_MM, metavar="MM", help="pitch of the dots"
     )
     parser.add_argument("--person", help="who accepts (default: the account's name)")
     parser.add_argument("--seed", type=int, default=0, help="of the simulated bench")
     parser.add_argument("--calibrations", metavar="DIR", help="folder (default: the bench's)")
-    add_bench_arguments(parser)
+    connection.add_bench_arguments(parser)
     if parser.prog.endswith("check-day"):
         parser.add_argument("--last", action="store_true", help="only show the last check")
         parser.set_defaults(what="day", runs=None, limit=None, accept=False)
@@ -104,7 +92,7 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     """
     if not args.pitch > 0:
         raise InputError("The pitch must be positive.", "--pitch", "Give it in mm, such as 1.9.")
-    refuse_misplaced_arguments(args)
+    connection.refuse_misplaced_arguments(args)
     if args.what == RISK:
         return _risk(args, screen)
     if args.runs is not None or args.limit is not None:
@@ -113,23 +101,25 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
         return _status(_store_of(args), screen)
     what: CalibrationName = args.what
     if what == "day" and args.last:
-        identity = load_lab(Path(args.bench)).identity if at_lab(args) else BenchIdentity()
+        identity = (
+            load_lab(Path(args.bench)).identity if connection.at_lab(args) else BenchIdentity()
+        )
         store = _store_of(args)
         return _report_day(store, store.day_checks(identity), screen)
-    fill_in_scene(args, BOTTOM)
-    refuse_hidden_prompt(args, screen)
+    connection.fill_in_scene(args, BOTTOM)
+    connection.refuse_hidden_prompt(args, screen)
     request = CalibrateRequest(
         what, args.piece, args.bottom, args.seed, (args.origin[0], args.origin[1]),
         args.hand_over, args.pitch,
     )  # fmt: skip
     # A new gel must be connected to be calibrated.
     keep, any_gels = RecordingOptions(None), args.what == "camera"
-    bench = open_bench(args, screen, keep, prepare=lambda _: request, any_gels=any_gels)
+    bench = connection.open_bench(args, screen, keep, prepare=lambda _: request, any_gels=any_gels)
     with bench as session, ExitStack() as bars:
         session.calibrations = _store_of(args)
         told = _CalibrationProgress(screen, bars, session)
         session.events.subscribe(told.take)
-        with ctrl_c_cancels(session.engine.cancel), held_piece_reported(session, screen):
+        with ctrl_c_cancels(session.engine.cancel), connection.held_piece_reported(session, screen):
             session.run(request)
         if what != "day":
             return _report(args, session, told, screen)
@@ -139,7 +129,7 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
         return _report_day(session.calibrations, session.day_checks, screen)
 
 
-class _CalibrationProgress(RunProgress):
+class _CalibrationProgress(connection.RunProgress):
     """Events of a calibration so far."""
 
     measured: CalibrationMeasured | None = None
@@ -155,7 +145,7 @@ class _CalibrationProgress(RunProgress):
             self.move(fact.done, fact.total, fact.text)
         elif isinstance(fact, HandOverAwaited):
             self.screen.say(f"  {hand_over_message(fact)} Enter confirms.")
-            ask_yes_no_in_thread(self._session.answer)
+            connection.ask_yes_no_in_thread(self._session.answer)
         elif isinstance(fact, CalibrationMeasured):
             self.measured = fact
 
@@ -271,7 +261,7 @@ def _status(store: CalibrationStore, screen: VerbOutput) -> int:
 
 def _risk(args: argparse.Namespace, screen: VerbOutput) -> int:
     """Bound the unsafe releases of a laboratory; return 0 if the certificate was written."""
-    if not at_lab(args):
+    if not connection.at_lab(args):
         raise InputError(
             "The risk is that of the trials of a laboratory.", "--bench", "Name its lab file."
         )
@@ -311,7 +301,7 @@ def _risk(args: argparse.Namespace, screen: VerbOutput) -> int:
 def _store_of(args: argparse.Namespace) -> CalibrationStore:
     folder = Path(args.calibrations) if args.calibrations else calibrations_folder()
     where = _bench_arguments(args)
-    if at_lab(args):
+    if connection.at_lab(args):
         lab = load_lab(Path(args.bench))
         own = folder if args.calibrations else lab.calibrations
         return CalibrationStore(own, lab.settings.kind, where, lab.facts.gels)
@@ -325,7 +315,7 @@ def _bench_arguments(args: argparse.Namespace) -> str:
     every calibration, so ``--home`` is always safe.
     """
     words = ["--bench", args.bench] if args.bench is not None else []
-    words += ["--home"] if at_lab(args) else []
+    words += ["--home"] if connection.at_lab(args) else []
     words += ["--emulated"] if args.emulated else []
     words += ["--hand-over"] if args.hand_over else []
     for flag in ("preset", "pieces", "piece", "bottom", "override", "person", "calibrations"):

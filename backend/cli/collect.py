@@ -11,19 +11,7 @@ from pathlib import Path
 
 from touchdown.backend.annotations import Dataset, EpisodeFilter
 from touchdown.backend.bench import Session
-from touchdown.backend.cli.connection import (
-    RunProgress,
-    add_bench_arguments,
-    add_hand_over_arguments,
-    add_scene_arguments,
-    at_lab,
-    fill_in_scene,
-    held_piece_reported,
-    open_bench,
-    refuse_hidden_prompt,
-    refuse_misplaced_arguments,
-    wait_for_disk_space,
-)
+from touchdown.backend.cli import connection
 from touchdown.backend.cli.output import (
     VerbOutput,
     ctrl_c_cancels,
@@ -62,7 +50,7 @@ MAX_LISTED = 12  # printed findings; ``--json`` contains all
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
-    add_scene_arguments(parser, BOTTOM, "bottom piece")
+    connection.add_scene_arguments(parser, BOTTOM, "bottom piece")
     parser.add_argument("--count", type=int, help="probes to collect (default: 20)")
     parser.add_argument(
         "--plan", metavar="PLAN", help="recording for identify: rest, gel, contact, or a TOML file"
@@ -79,7 +67,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--grips-per-mounting", type=int,
         help=f"maximum (default: a third of the grips, at most {limits.grips_per_mounting})",
     )  # fmt: skip
-    add_hand_over_arguments(parser)
+    connection.add_hand_over_arguments(parser)
     parser.add_argument(
         "--origin-sigma", type=float, metavar="MM", help="standard uncertainty of the origin"
     )
@@ -91,19 +79,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--resume", action="store_true", help="resume the newest campaign with its plan"
     )
-    add_bench_arguments(parser)
+    connection.add_bench_arguments(parser)
     parser.add_argument("--runs", metavar="DIR", help="folder for journals (default: data folder)")
 
 
 def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     """Collect; return 0 if every probe of the plan was recorded or skipped on purpose, else 1."""
     require_positive(args, "probes_per_grip", "grips_per_mounting")
-    refuse_misplaced_arguments(args)
-    fill_in_scene(args, BOTTOM)
+    connection.refuse_misplaced_arguments(args)
+    connection.fill_in_scene(args, BOTTOM)
     plan = _plan(args)
     # A real bench has no jig: the operator hands the piece over.
-    args.hand_over |= at_lab(args)
-    refuse_hidden_prompt(args, screen)
+    args.hand_over |= connection.at_lab(args)
+    connection.refuse_hidden_prompt(args, screen)
     folder = Path(args.dataset) if args.dataset else dataset_folder()
     runs = Path(args.runs) if args.runs else data_folder() / "runs"
     keep = RecordingOptions(runs, episodes=False)
@@ -119,7 +107,7 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
             session.dataset = dataset
             return request
 
-        with open_bench(
+        with connection.open_bench(
             args, screen, keep, method=StackSettings(), prepare=prepare, campaign=True
         ) as session:
             prepare(session)
@@ -127,7 +115,7 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
             with (
                 ExitStack() as bars,
                 ctrl_c_cancels(session.engine.cancel),
-                held_piece_reported(session, screen),
+                connection.held_piece_reported(session, screen),
             ):
                 told = _CollectionProgress(screen, bars, session)
                 session.events.subscribe(told.take)
@@ -135,7 +123,7 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
         return _report(dataset, session, told, screen)
 
 
-class _CollectionProgress(RunProgress):
+class _CollectionProgress(connection.RunProgress):
     """Events of a campaign so far."""
 
     began: CampaignBegan | None = None
@@ -164,7 +152,7 @@ class _CollectionProgress(RunProgress):
             self.screen.say(f"  {hand_over_message(fact)} Enter confirms.")
             self._confirm(sys.stdin.readline() != "")
         elif isinstance(fact, Paused):
-            if wait_for_disk_space(fact.fault, self.screen, "campaign"):
+            if connection.wait_for_disk_space(fact.fault, self.screen, "campaign"):
                 self._engine.resume()
             else:
                 # Without an operator the campaign ends and can be resumed.

@@ -11,17 +11,7 @@ from typing import TYPE_CHECKING, get_args
 
 from rich.table import Table
 
-from touchdown.backend.cli.connection import (
-    add_bench_arguments,
-    add_scene_arguments,
-    answer_prompt,
-    ask_yes_no_in_thread,
-    at_lab,
-    fill_in_scene,
-    held_piece_reported,
-    open_bench,
-    refuse_misplaced_arguments,
-)
+from touchdown.backend.cli import connection
 from touchdown.backend.cli.output import VerbOutput, ctrl_c_cancels, require_positive, text_table
 from touchdown.backend.cli.settings import load_method
 from touchdown.backend.config import StackSettings, TowerSettings
@@ -57,7 +47,7 @@ INPUT_CODE = "INPUT"  # code of bad input, which the command line reports itself
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
-    add_scene_arguments(
+    connection.add_scene_arguments(
         parser, BOTTOM, "support, bottom-up and joined by + for a tower, such as short+long"
     )
     parser.add_argument("--seed", type=int, default=0, help="trial k uses seed + k")
@@ -88,7 +78,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--weigh", action="store_true",
         help="weigh the piece in six poses first, and judge by its measured centre of mass",
     )  # fmt: skip
-    add_bench_arguments(parser)
+    connection.add_bench_arguments(parser)
     parser.add_argument("--live", nargs="?", const="127.0.0.1:8765", metavar="HOST:PORT",
                         help="serve streams and events to Foxglove (127.0.0.1:8765)")  # fmt: skip
     parser.add_argument("--runs", metavar="DIR", help="folder for runs (default: data folder)")
@@ -98,13 +88,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     """Run all trials; return 0 if every piece was placed, else 1."""
     require_positive(args, "trials")
-    lab = at_lab(args)
-    refuse_misplaced_arguments(args)
+    lab = connection.at_lab(args)
+    connection.refuse_misplaced_arguments(args)
     if not lab and any(args.origin):
         raise InputError(
             "This argument is for real devices only.", "--origin", "Name a lab file with --bench."
         )
-    fill_in_scene(args, BOTTOM)
+    connection.fill_in_scene(args, BOTTOM)
     mode: DecisionMode = args.mode or ("approve" if lab else "auto")
     if mode != "auto" and screen.json:
         raise InputError(
@@ -126,7 +116,7 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     runs = Path(args.runs) if args.runs else data_folder() / "runs"
     keep = RecordingOptions(runs, episodes=not args.no_episodes)
     method = _method(args, request)
-    with open_bench(
+    with connection.open_bench(
         args, screen, keep, method=method, prepare=lambda _: request, campaign=True
     ) as session:
         bench = session.name or f"{'emulated' if args.emulated else 'simulated'} bench"
@@ -139,8 +129,8 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
                 text = action.reason if action.kind == "ask" else f"{action.kind} ({step})?"
                 screen.say(f"  {text} Enter or y: yes; anything else: no.")
                 number = session.prompt.number
-                ask_yes_no_in_thread(lambda yes: session.prompt.answer(yes, number))
-            answer_prompt(fact, session, screen)
+                connection.ask_yes_no_in_thread(lambda yes: session.prompt.answer(yes, number))
+            connection.answer_prompt(fact, session, screen)
 
         session.events.subscribe(take)
         if args.live:
@@ -154,7 +144,7 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
                 fix = "Leave it out, or name the strategy and bench of a calibrated network."
                 raise InputError("No signals are compared in this run.", "--reset-guard", fix)
             guard.reset(args.reset_guard)
-        with ctrl_c_cancels(session.engine.cancel), held_piece_reported(session, screen):
+        with ctrl_c_cancels(session.engine.cancel), connection.held_piece_reported(session, screen):
             result = session.run(request)
     if result.trials:
         screen.show(trial_table(result.trials, bench=bench.removesuffix(" bench")))

@@ -13,27 +13,16 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
-from touchdown.backend.core.events import (
-    ApprovalAwaited,
-    DecisionAwaited,
-    Event,
-    FaultRaised,
-    HandOverAwaited,
-    MountingAwaited,
-    OutcomeAwaited,
-    Paused,
-    RunFinished,
-    SetUpAwaited,
-)
+from touchdown.backend.core import events
 from touchdown.backend.core.faults import InputError
 
 TITLE = "Touchdown"
 # What a run waits for, by event; also shown as its state
-QUESTIONS: dict[type[Event], str] = {
-    SetUpAwaited: "set the scene",
-    HandOverAwaited: "a hand at the jaws",
-    MountingAwaited: "confirm the mounting",
-    OutcomeAwaited: "say the outcome",
+QUESTIONS: dict[type[events.Event], str] = {
+    events.SetUpAwaited: "set the scene",
+    events.HandOverAwaited: "a hand at the jaws",
+    events.MountingAwaited: "confirm the mounting",
+    events.OutcomeAwaited: "say the outcome",
 }
 COMMAND_S = 30.0  # a command that takes longer is ended
 WAITING = 16  # calls that wait for a slow command; later ones are dropped
@@ -63,7 +52,7 @@ class PersonCall:
         return f"{TITLE}: {self.reason}"
 
 
-def person_call(event: Event) -> PersonCall | None:
+def person_call(event: events.Event) -> PersonCall | None:
     """Return the call for an event, None for an event that needs nobody.
 
     Parameters
@@ -77,18 +66,18 @@ def person_call(event: Event) -> PersonCall | None:
         A fault, a question to the operator, an automatic pause, or the end of the run.
 
     """
-    if isinstance(event, FaultRaised):
+    if isinstance(event, events.FaultRaised):
         fault = event.fault
         return PersonCall("fault", f"{fault.code}: {fault.what} {fault.next_step}".strip())
-    if isinstance(event, ApprovalAwaited):
+    if isinstance(event, events.ApprovalAwaited):
         return PersonCall("question", f"Approve the next action: {event.action.reason}")
-    if isinstance(event, DecisionAwaited):
+    if isinstance(event, events.DecisionAwaited):
         return PersonCall("question", "Keep or discard the last probe.")
-    if isinstance(event, Paused):
+    if isinstance(event, events.Paused):
         return PersonCall("question", f"The run has paused: {event.fault.what}")
     if type(event) in QUESTIONS:
         return PersonCall("question", f"The run waits for you: {QUESTIONS[type(event)]}.")
-    if isinstance(event, RunFinished):
+    if isinstance(event, events.RunFinished):
         return PersonCall("end", f"The run ended ({event.ending}): {event.reason}".rstrip(": "))
     return None
 
@@ -132,7 +121,7 @@ class CommandNotifier:
         self._thread = threading.Thread(target=self._work, name="notify", daemon=True)
         self._thread.start()
 
-    def take(self, event: Event) -> None:
+    def take(self, event: events.Event) -> None:
         """Call a person if ``event`` needs one; returns at once."""
         call = person_call(event)
         if call is not None:

@@ -31,24 +31,7 @@ from touchdown.backend.episodes import (
     read_first,
     to_ns,
 )
-from touchdown.backend.exchange.features import (
-    ACTION,
-    ADDED,
-    ENVIRONMENT,
-    FPS,
-    FT,
-    FT_WINDOW,
-    MARKERS,
-    OFFSET,
-    PATCH,
-    PICTURES,
-    SCENE,
-    STATE,
-    TICK_NS,
-    WINDOW,
-    Feature,
-    Values,
-)
+from touchdown.backend.exchange import features
 from touchdown.backend.exchange.query import SelectedEpisode
 from touchdown.backend.exchange.video import HEIGHT, WIDTH
 
@@ -58,10 +41,10 @@ class ExportEpisode:
     """``values`` by feature: (20, ...), or (...) if constant. ``pictures``: 20 RGB per key."""
 
     chosen: SelectedEpisode
-    values: Mapping[str, Values]
+    values: Mapping[str, features.Values]
     pictures: Mapping[str, tuple[ImageArray, ...]]
 
-    def per_tick(self, feature: Feature) -> Values:
+    def per_tick(self, feature: features.Feature) -> features.Values:
         """Return ``feature`` as (20, ...), repeated if it is constant."""
         values = self.values[feature.key]
         return np.repeat(values[None], SAMPLES_PER_PROBE, axis=0) if feature.constant else values
@@ -99,7 +82,11 @@ class ExportSignals:
     @property
     def cameras(self) -> tuple[str, ...]:
         """Keys of the pictures."""
-        return (*PICTURES.values(), SCENE) if self.scene else tuple(PICTURES.values())
+        return (
+            (*features.PICTURES.values(), features.SCENE)
+            if self.scene
+            else tuple(features.PICTURES.values())
+        )
 
 
 def common_signals(dataset: Dataset, chosen: Iterable[SelectedEpisode]) -> ExportSignals:
@@ -124,9 +111,9 @@ def read_export(
     """Read one episode; ``pictures`` decodes the images nearest to the ticks, if any."""
     label = one.revision.label
     patch = dataset.geometry.patch(one.revision.geometry, label)
-    values: dict[str, Values] = {
-        OFFSET: label.offset_mm.astype(np.float32),
-        PATCH: patch.touching.astype(np.uint8),
+    values: dict[str, features.Values] = {
+        features.OFFSET: label.offset_mm.astype(np.float32),
+        features.PATCH: patch.touching.astype(np.uint8),
     }
     if one.entry.mode == "mass":
         return ExportEpisode(one, values | _observed(_packed(dataset, one)), {})
@@ -138,11 +125,11 @@ def read_export(
     if signals.native:
         assert episode.recording is not None
         values |= _recorded(episode.recording, episode.onset_s, commanded=signals.commanded)
-        added = [values[key] for name, key in ADDED.items() if name in signals.state_with]
+        added = [values[key] for name, key in features.ADDED.items() if name in signals.state_with]
         if "environment_state" in signals.state_with:
-            values[ENVIRONMENT] = np.concatenate(added, axis=1)
+            values[features.ENVIRONMENT] = np.concatenate(added, axis=1)
         else:
-            values[STATE] = np.concatenate([values[STATE], *added], axis=1)
+            values[features.STATE] = np.concatenate([values[features.STATE], *added], axis=1)
     shown = {} if film is None else _pictures(film)
     return ExportEpisode(one, values, {k: shown[k] for k in signals.cameras if k in shown})
 
@@ -157,19 +144,23 @@ def _packed(dataset: Dataset, one: SelectedEpisode) -> NDArray[np.float32]:
     return read_observation(dataset.folder, row)
 
 
-def _observed(observation: NDArray[np.float32]) -> dict[str, Values]:
+def _observed(observation: NDArray[np.float32]) -> dict[str, features.Values]:
     split = np.split(observation, [TACTILE_CHANNELS], axis=1)
-    return {MARKERS: split[0].copy(), FT: split[1].copy()}
+    return {features.MARKERS: split[0].copy(), features.FT: split[1].copy()}
 
 
-def _recorded(recording: Recording, onset_s: float, *, commanded: bool) -> dict[str, Values]:
+def _recorded(
+    recording: Recording, onset_s: float, *, commanded: bool
+) -> dict[str, features.Values]:
     """Return wrench windows and poses at the ticks, all times in integer ns since contact.
 
     The action is the commanded pose of the next tick; the measured pose if it is not known.
     """
     onset_ns = int(to_ns([onset_s])[0])
-    ticks_ns = TICK_NS * np.arange(1, SAMPLES_PER_PROBE + 1)
-    fine_ns = (TICK_NS // WINDOW) * np.arange(1, WINDOW * SAMPLES_PER_PROBE + 1)
+    ticks_ns = features.TICK_NS * np.arange(1, SAMPLES_PER_PROBE + 1)
+    fine_ns = (features.TICK_NS // features.WINDOW) * np.arange(
+        1, features.WINDOW * SAMPLES_PER_PROBE + 1
+    )
     # Sample and hold: at 1 kHz these are the samples themselves, shifted by less than 1 ms.
     latest = np.searchsorted(to_ns(recording.wrench_t_s) - onset_ns, fine_ns, side="right") - 1
     wrench = recording.wrench[np.maximum(latest, 0)].astype(np.float32)
@@ -179,10 +170,10 @@ def _recorded(recording: Recording, onset_s: float, *, commanded: bool) -> dict[
     action = np.concatenate([state[1:], state[-1:]])
     if commanded:
         told_ns = to_ns(recording.command_t_s) - onset_ns
-        holds = np.searchsorted(told_ns, ticks_ns + TICK_NS, side="right") - 1
+        holds = np.searchsorted(told_ns, ticks_ns + features.TICK_NS, side="right") - 1
         action = _poses(recording.command_mm[np.maximum(holds, 0)])
-    windows = wrench.reshape(SAMPLES_PER_PROBE, WINDOW, WRENCH_CHANNELS)
-    return {FT_WINDOW: windows, STATE: state, ACTION: action}
+    windows = wrench.reshape(SAMPLES_PER_PROBE, features.WINDOW, WRENCH_CHANNELS)
+    return {features.FT_WINDOW: windows, features.STATE: state, features.ACTION: action}
 
 
 def _poses(position_mm: FloatArray) -> NDArray[np.float32]:
@@ -193,9 +184,9 @@ def _poses(position_mm: FloatArray) -> NDArray[np.float32]:
 
 
 def _pictures(film: CompressedEpisode) -> dict[str, tuple[ImageArray, ...]]:
-    ticks_s = film.episode.onset_s + np.arange(1, SAMPLES_PER_PROBE + 1) / FPS
+    ticks_s = film.episode.onset_s + np.arange(1, SAMPLES_PER_PROBE + 1) / features.FPS
     found = {
-        PICTURES[finger]: _nearest(
+        features.PICTURES[finger]: _nearest(
             film.pictures[finger].t_s, film.pictures[finger].picture, ticks_s
         )
         for finger in FINGERS
@@ -207,7 +198,7 @@ def _pictures(film: CompressedEpisode) -> dict[str, tuple[ImageArray, ...]]:
                   for one in recording.scene)  # fmt: skip
         shots = [image.astype(np.uint8) for image in scaled]
         at_s = np.array([one.t_s for one in recording.scene])
-        found[SCENE] = _nearest(at_s, shots.__getitem__, ticks_s)
+        found[features.SCENE] = _nearest(at_s, shots.__getitem__, ticks_s)
     return found
 
 

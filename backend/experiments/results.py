@@ -12,22 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from touchdown.backend.core import InputError, parse_json, read_limited, write_atomically
+from touchdown.backend.experiments import document
 from touchdown.backend.experiments.comparison import comparison_report
-from touchdown.backend.experiments.document import (
-    FILM_LEGEND,
-    PictureGallery,
-    Report,
-    ReportPicture,
-    ReportSection,
-    ReportTable,
-    TableEntry,
-    check_svg,
-    format_outcomes,
-    format_percent,
-    rate_entry,
-    reliability_gallery,
-    report_page,
-)
 from touchdown.backend.experiments.run_report import FILM_FILE
 from touchdown.backend.experiments.tables import (
     BEYOND_READABLE,
@@ -47,7 +33,7 @@ JsonMapping = Mapping[str, Any]
 CELL_KEYS = ("piece", "bottom", "tower", "outline", "strategy")
 
 
-def comparison_sections(tables: JsonMapping) -> list[ReportSection]:
+def comparison_sections(tables: JsonMapping) -> list[document.ReportSection]:
     """Return the section on the comparisons of strategies; none if the tables hold none."""
     answers = tables.get("beyond") or ()
     return list(comparison_report(joined_comparison(answers)).sections) if answers else []
@@ -84,7 +70,7 @@ def _largest(parts: Iterable[JsonMapping], name: str) -> list[JsonMapping]:
     return [found[cell] for cell in sorted(found)]
 
 
-def report_of(tables: JsonMapping) -> Report:
+def report_of(tables: JsonMapping) -> document.Report:
     """Return the report; raises one of ``CONTENT_ERRORS`` for other content."""
     facts = tables["bench_facts"]
     slipped = facts["slipped"]
@@ -98,7 +84,7 @@ def report_of(tables: JsonMapping) -> Report:
         _reliability(facts["after_three_probes"]),
         _film_section((tables.get("figures") or {}).get("films") or ()),
     ]
-    return Report(
+    return document.Report(
         f"Touchdown: the paper's experiments, {tables['scale']}",
         (
             f"Preset {tables['bench']['preset']}, bench {tables['bench_sha256'][:16]}, program "
@@ -113,19 +99,19 @@ def report_of(tables: JsonMapping) -> Report:
     )
 
 
-def _table1(rows: Sequence[JsonMapping]) -> ReportSection:
+def _table1(rows: Sequence[JsonMapping]) -> document.ReportSection:
     grids = []
     for metric, title in (("iou", "IoU, %"), ("accuracy", "Face points right, %")):
         chosen = [row for row in rows if row["metric"] == metric]
         lines = tuple(
             (row["model"], (*(_cell(cell) for cell in row["cells"]), _mean(row))) for row in chosen
         )
-        grids.append(ReportTable(title, _table_columns(chosen[0]["cells"], "mean"), lines))
+        grids.append(document.ReportTable(title, _table_columns(chosen[0]["cells"], "mean"), lines))
     note = (
         "Against the label, which is the overlap at the commanded displacement, as data is "
         "labelled on a bench; against_truth in the JSON is against the real one."
     )
-    return ReportSection("Table 1: contact patch from one probe", (note,), tuple(grids))
+    return document.ReportSection("Table 1: contact patch from one probe", (note,), tuple(grids))
 
 
 BALANCED_SAMPLE = "Right, %, on a sample with as many stable as unstable places"
@@ -138,7 +124,7 @@ def _made(tables: JsonMapping) -> str:
     return f", {tables['date']}, sources: {named}" if named else ""
 
 
-def _paper_protocol(answer: JsonMapping | None) -> list[ReportSection]:
+def _paper_protocol(answer: JsonMapping | None) -> list[document.ReportSection]:
     """Return Tables 1 and 2 in the paper's protocol; older files have none."""
     if not answer:
         return []
@@ -153,11 +139,11 @@ def _paper_protocol(answer: JsonMapping | None) -> list[ReportSection]:
         _table2(answer["table2"], "Right, %, over the whole range; base: the larger class"),
     ):
         title = section.title.replace(":", ", paper's protocol:")
-        found.append(ReportSection(title, (what, *section.text), section.parts))
+        found.append(document.ReportSection(title, (what, *section.text), section.parts))
     return found
 
 
-def _table2(rows: Sequence[JsonMapping], title: str) -> ReportSection:
+def _table2(rows: Sequence[JsonMapping], title: str) -> document.ReportSection:
     names = {"Implicit": "Implicit"}
     for n in COUNTS:
         names |= {n: f"Ours, n = {n}", f"{CALIBRATED} {n}": f"Ours, calibrated, n = {n}"}
@@ -167,7 +153,7 @@ def _table2(rows: Sequence[JsonMapping], title: str) -> ReportSection:
         cells = [_stability_cell(cell) for cell in row["cells"]]
         notes = [*_errors(row["pooled"])]
         notes += [_change_note(*change) for change in row.get("changes", {}).items()]
-        pooled = rate_entry(row["pooled"]["accuracy"], notes=notes)
+        pooled = document.rate_entry(row["pooled"]["accuracy"], notes=notes)
         lines.append((names[row["method"]], (*cells, pooled)))
     excluded = max(sum(cell.get("excluded", 0) for cell in row["cells"]) for row in rows)
     note = (
@@ -175,8 +161,10 @@ def _table2(rows: Sequence[JsonMapping], title: str) -> ReportSection:
         "random ones of the same gripping; the question is always asked for the place of the "
         "first. By every interface; the top one alone in the JSON."
     )
-    grid = ReportTable(title, _table_columns(rows[0]["cells"], "pooled"), tuple(lines), note)
-    return ReportSection("Table 2: stability", (), (grid,))
+    grid = document.ReportTable(
+        title, _table_columns(rows[0]["cells"], "pooled"), tuple(lines), note
+    )
+    return document.ReportSection("Table 2: stability", (), (grid,))
 
 
 def _change_note(name: str, change: JsonMapping) -> str:
@@ -184,7 +172,7 @@ def _change_note(name: str, change: JsonMapping) -> str:
     return f"{name} {value:+.1f} ({low:+.1f} to {high:+.1f}) points against the paper's fusion"
 
 
-def _table3(rows: Sequence[JsonMapping]) -> ReportSection:
+def _table3(rows: Sequence[JsonMapping]) -> document.ReportSection:
     titles = {"one": "One bottom", "two": "Two bottoms: Long stands on Short, off centre by 0-6 mm"}
     grids = []
     for tower, title in titles.items():
@@ -193,17 +181,19 @@ def _table3(rows: Sequence[JsonMapping]) -> ReportSection:
         for row in chosen:
             name = "Pick and place" if row["strategy"] == "pick-and-place" else "Ours"
             unsafe = row["unsafe"]
-            fell = [f"fell {format_percent(unsafe['value'])} % of {unsafe['n']}"]
-            total = rate_entry(row["pooled"], row["paper_pooled"], fell if unsafe["n"] else ())
+            fell = [f"fell {document.format_percent(unsafe['value'])} % of {unsafe['n']}"]
+            total = document.rate_entry(
+                row["pooled"], row["paper_pooled"], fell if unsafe["n"] else ()
+            )
             lines.append((name, (*(_stacking_cell(cell) for cell in row["cells"]), total)))
         columns = _table_columns(chosen[0]["cells"], "pooled")
-        grids.append(ReportTable(f"{title}: placed, %", columns, tuple(lines)))
+        grids.append(document.ReportTable(f"{title}: placed, %", columns, tuple(lines)))
     note = (
         "Every trial counts; every start is unstable; the exact judge of all interfaces decides. "
         "Counts: placed / fell / knocked over / gave up / aborted. Devices agree: trials repeated "
         "with devices, images and tracker that ended alike."
     )
-    return ReportSection("Table 3: stacking", (note,), tuple(grids))
+    return document.ReportSection("Table 3: stacking", (note,), tuple(grids))
 
 
 def _table_columns(cells: Sequence[JsonMapping], last: str) -> tuple[tuple[str, str], ...]:
@@ -212,23 +202,23 @@ def _table_columns(cells: Sequence[JsonMapping], last: str) -> tuple[tuple[str, 
 
 def _cell(
     cell: JsonMapping, estimate: JsonMapping | None = None, notes: tuple[str, ...] = ()
-) -> TableEntry:
+) -> document.TableEntry:
     """Return an entry with the common parts of a cell; ``estimate``: its value."""
-    return rate_entry(cell if estimate is None else estimate, cell["paper"], notes, cell)
+    return document.rate_entry(cell if estimate is None else estimate, cell["paper"], notes, cell)
 
 
-def _stability_cell(cell: JsonMapping) -> TableEntry:
+def _stability_cell(cell: JsonMapping) -> document.TableEntry:
     if "accuracy" not in cell:
         return _cell(cell)
-    base = f"base {format_percent(cell['base_rate'])}"
+    base = f"base {document.format_percent(cell['base_rate'])}"
     return _cell(cell, cell["accuracy"], (base, *_errors(cell)))
 
 
-def _stacking_cell(cell: JsonMapping) -> TableEntry:
+def _stacking_cell(cell: JsonMapping) -> document.TableEntry:
     counts = cell.get("outcomes")
     if counts is None:
         return _cell(cell)
-    notes = [format_outcomes(counts)]
+    notes = [document.format_outcomes(counts)]
     again = cell.get("devices")
     if again:
         notes.append(f"devices agree {again['same_outcome']} of {again['trials']}")
@@ -242,24 +232,26 @@ def _errors(binary: JsonMapping) -> tuple[str, ...]:
         return ()
     found, unsafe = binary["found"]["value"], binary["unsafe"]["value"]
     return (
-        f"balanced {format_percent(binary['balanced'])}",
-        f"found {format_percent(found)}, unsafe {format_percent(unsafe)}",
+        f"balanced {document.format_percent(binary['balanced'])}",
+        f"found {document.format_percent(found)}, unsafe {document.format_percent(unsafe)}",
     )
 
 
-def _mean(row: JsonMapping) -> TableEntry:
-    return TableEntry(
-        format_percent(row["mean"]), "", (f"paper {format_percent(row['paper_mean'])}",)
+def _mean(row: JsonMapping) -> document.TableEntry:
+    return document.TableEntry(
+        document.format_percent(row["mean"]),
+        "",
+        (f"paper {document.format_percent(row['paper_mean'])}",),
     )
 
 
-def _reliability(charts: Sequence[JsonMapping]) -> ReportSection | None:
+def _reliability(charts: Sequence[JsonMapping]) -> document.ReportSection | None:
     if not charts:
         return None
     drawn = [
         (
             f"{chart['piece'].title()} on {chart['bottom']}",
-            f"ECE {chart['ece']:.3f}, IoU {format_percent(chart['map_iou']['value'])}",
+            f"ECE {chart['ece']:.3f}, IoU {document.format_percent(chart['map_iou']['value'])}",
             chart,
         )
         for chart in charts
@@ -268,22 +260,24 @@ def _reliability(charts: Sequence[JsonMapping]) -> ReportSection | None:
         "Belief after three probes against the true support, over all covered cells, 15 bins of "
         "equal mass. Horizontal: predicted. Vertical: observed."
     )
-    return ReportSection(
-        "Calibration of the probabilities", (text,), (reliability_gallery("", "", drawn),)
+    return document.ReportSection(
+        "Calibration of the probabilities", (text,), (document.reliability_gallery("", "", drawn),)
     )
 
 
-def _film_section(films: Sequence[JsonMapping]) -> ReportSection | None:
+def _film_section(films: Sequence[JsonMapping]) -> document.ReportSection | None:
     if not films:
         return None
     strips = []
     for film in films:
         probes = tuple(
-            ReportPicture(check_svg(probe["svg"]), f"Probe {number}", probe["why"])
+            document.ReportPicture(
+                document.check_svg(probe["svg"]), f"Probe {number}", probe["why"]
+            )
             for number, probe in enumerate(film["probes"], 1)
         )
-        strips.append(PictureGallery(film["title"], probes, end=film["end"]))
-    return ReportSection("Belief maps by probe", (FILM_LEGEND,), tuple(strips))
+        strips.append(document.PictureGallery(film["title"], probes, end=film["end"]))
+    return document.ReportSection("Belief maps by probe", (document.FILM_LEGEND,), tuple(strips))
 
 
 MAX_BYTES = 64 * 2**20  # a full report has about 1 MB
@@ -292,7 +286,7 @@ Json = dict[str, Any]
 CONTENT_ERRORS = (KeyError, TypeError, ValueError, AttributeError, IndexError)
 
 
-def read_report(file: Path) -> tuple[Json, Report]:
+def read_report(file: Path) -> tuple[Json, document.Report]:
     """Return the content of a ``tables.json`` and its report; raises ``InputError``."""
     fix = "Name a tables.json, as `touchdown experiment tables` writes it."
     found = _read(file, (TABLES_FORMAT,), fix)
@@ -384,7 +378,7 @@ def rewrite_tables(file: Path, compared: Sequence[Path]) -> Path:
 def _written(file: Path, found: Json) -> Path:
     """Write the page beside ``file``, then the file; return the path of the page."""
     page = file.with_suffix(".html")
-    write_atomically(page, report_page(report_of(found)).encode())
+    write_atomically(page, document.report_page(report_of(found)).encode())
     write_atomically(file, _json_bytes(found))
     return page
 
@@ -396,7 +390,7 @@ def _json_bytes(content: Mapping[str, Any]) -> bytes:
 def write_comparison(out: Path, answer: Mapping[str, Any]) -> Path:
     """Write a comparison of strategies; return the path of its file."""
     write_atomically(out / BEYOND_DATA, _json_bytes(answer))
-    write_atomically(out / BEYOND_PAGE, report_page(comparison_report(answer)).encode())
+    write_atomically(out / BEYOND_PAGE, document.report_page(comparison_report(answer)).encode())
     return out / BEYOND_DATA
 
 

@@ -31,18 +31,7 @@ from touchdown.backend.core import (
     TrialStarted,
     write_atomically,
 )
-from touchdown.backend.experiments.document import (
-    BLUE,
-    FILM_LEGEND,
-    ORANGE,
-    VIOLET,
-    PictureGallery,
-    Report,
-    ReportPicture,
-    ReportSection,
-    ReportTable,
-    report_page,
-)
+from touchdown.backend.experiments import document
 from touchdown.backend.experiments.trials import BatchTrialResult
 from touchdown.backend.geometry import rings_of
 
@@ -112,7 +101,7 @@ def wrench_svg(episode: Episode) -> str:
     force = episode.observation[:, 252:255].astype(np.float64)
     top = max(1.0, float(np.nanmax(np.abs(force))))
     lines = []
-    for axis, colour in enumerate((BLUE, ORANGE, VIOLET)):
+    for axis, colour in enumerate((document.BLUE, document.ORANGE, document.VIOLET)):
         points = " ".join(
             f"{10 * (k + 1):.1f},{30 - 26 * v / top:.1f}" for k, v in enumerate(force[:, axis])
         )
@@ -183,8 +172,8 @@ def belief_film(end: BatchTrialResult, outline_mm: FloatArray) -> Mapping[str, A
 
 
 _LEGEND = (
-    f"{FILM_LEGEND} Below: forces of the press, and both tactile images at its end; arrows: "
-    f"displacements of the markers, {ARROW_GAIN} times enlarged."
+    f"{document.FILM_LEGEND} Below: forces of the press, and both tactile images at its end; "
+    f"arrows: displacements of the markers, {ARROW_GAIN} times enlarged."
 )
 
 
@@ -238,13 +227,13 @@ def write_run_report(
             rows.append((title, *_result(trial)))
             end = trial.finished
             placed += end is not None and end.outcome is Outcome.PLACED
-    table = ReportTable.of_texts("", ("trial", "outcome", "probes", "true margin"), rows)
-    report = Report(
+    table = document.ReportTable.of_texts("", ("trial", "outcome", "probes", "true margin"), rows)
+    report = document.Report(
         f"Touchdown: {placed} of {len(rows)} placed",
         tuple(about),
-        (ReportSection("", (), (table, *galleries)),),
+        (document.ReportSection("", (), (table, *galleries)),),
     )
-    write_atomically(path, report_page(report).encode())
+    write_atomically(path, document.report_page(report).encode())
 
 
 def _split_trials(facts: Iterable[Event]) -> tuple[RunStarted | None, list[_TrialRecord]]:
@@ -268,7 +257,9 @@ def _result(trial: _TrialRecord) -> tuple[str, str, str]:
     return end.outcome.value.replace("_", " "), str(end.probes), margin
 
 
-def _gallery(title: str, trial: _TrialRecord, outline_mm: FloatArray | None) -> PictureGallery:
+def _gallery(
+    title: str, trial: _TrialRecord, outline_mm: FloatArray | None
+) -> document.PictureGallery:
     pictures = []
     episodes = {recorded.probe: recorded for recorded in trial.of(EpisodeRecorded)}
     panels = trial.of(BeliefUpdated), trial.of(StabilityJudged), trial.of(ActionChosen)
@@ -276,7 +267,9 @@ def _gallery(title: str, trial: _TrialRecord, outline_mm: FloatArray | None) -> 
         drawing = belief_svg(updated, judged, chosen, outline_mm)
         if recorded := episodes.get(updated.probe):
             drawing += wrench_svg(recorded.episode) + tactile_png(recorded.episode)
-        pictures.append(ReportPicture(drawing, f"Probe {updated.probe}", chosen.action.reason))
+        pictures.append(
+            document.ReportPicture(drawing, f"Probe {updated.probe}", chosen.action.reason)
+        )
     reason = "Interrupted." if trial.finished is None else trial.finished.reason
     end = " ".join([*(event.fault.what for event in trial.of(FaultRaised)), reason])
-    return PictureGallery(title, tuple(pictures), end=end)
+    return document.PictureGallery(title, tuple(pictures), end=end)

@@ -31,16 +31,8 @@ from touchdown.backend.core import (
     require_package,
     write_atomically,
 )
+from touchdown.backend.geometry import pieces
 from touchdown.backend.geometry.drawings import read_drawing
-from touchdown.backend.geometry.pieces import (
-    DRAWINGS,
-    LEAST_WEIGHED_G,
-    PIECE_NAME,
-    PIECE_SOURCES,
-    PieceFile,
-    load_pieces,
-    pieces_folder,
-)
 
 if TYPE_CHECKING:
     import trimesh
@@ -150,13 +142,13 @@ def measure_piece(path: Path, wanted: PieceImport) -> MeasuredPiece:
     """
     _check_numbers(wanted)
     kind = path.suffix.lower()
-    if kind not in PIECE_SOURCES:
-        known = ", ".join(PIECE_SOURCES)
+    if kind not in pieces.PIECE_SOURCES:
+        known = ", ".join(pieces.PIECE_SOURCES)
         fix = f"Export the piece as one of {known}."
         raise InputError(f"Pieces cannot be read from '{kind or path.name}' files.", str(path), fix)
     limit = MAX_BYTES // 1_000_000
     content = read_limited(path, MAX_BYTES, f"Check the path, or export it below {limit} MB.")
-    if kind in DRAWINGS:
+    if kind in pieces.DRAWINGS:
         return _measure_drawing(path, content, wanted)
     if wanted.height_mm is not None:
         raise InputError(
@@ -493,9 +485,9 @@ def _with_notes(piece: MeasuredPiece) -> MeasuredPiece:
     if math.isnan(x):
         notes.append(
             "The centre of mass is unknown: a run weighs the piece first (--weigh)."
-            if piece.mass_g >= LEAST_WEIGHED_G
+            if piece.mass_g >= pieces.LEAST_WEIGHED_G
             else "The centre of mass is unknown, and a piece lighter than "
-            f"{LEAST_WEIGHED_G:g} g cannot be weighed: enter com_xy_mm in its file."
+            f"{pieces.LEAST_WEIGHED_G:g} g cannot be weighed: enter com_xy_mm in its file."
         )
     elif not piece.face.convex_hull.contains(shapely.Point(piece.com_mm[:2])):
         notes.append("The centre of mass lies outside the face: the piece does not stand on it.")
@@ -616,7 +608,7 @@ def piece_svg(
 def piece_name(path: Path) -> str:
     """Return a valid name for the piece of a file."""
     name = re.sub(r"[^a-z0-9_-]+", "-", path.stem.lower()).strip("-_")[:40]
-    return name if PIECE_NAME.fullmatch(name) else f"piece-{name}"[:40].rstrip("-")
+    return name if pieces.PIECE_NAME.fullmatch(name) else f"piece-{name}"[:40].rstrip("-")
 
 
 def save_piece(
@@ -635,20 +627,20 @@ def save_piece(
         If the name is invalid or taken, or a file cannot be written. Nothing is overwritten.
 
     """
-    if PIECE_NAME.fullmatch(name) is None:
+    if pieces.PIECE_NAME.fullmatch(name) is None:
         fix = "Use small letters, digits, '-' and '_', a letter first, at most 40."
         raise InputError(f"'{name}' cannot be the name of a piece.", "--name", fix)
     own = folder is None
-    place = pieces_folder() if folder is None else folder
+    place = pieces.pieces_folder() if folder is None else folder
     written, picture = place / f"{name}.toml", place / f"{name}.svg"
-    library = load_pieces()
+    library = pieces.load_pieces()
     if (own and name in {*library.pieces, *library.broken}) or written.exists() or picture.exists():
         known = library.pieces.get(name)
         where = str(next((p for p in (written, picture) if p.exists()), known and known.source))
         raise InputError(f"There is already a piece '{name}'.", where, "Give another --name.")
     title = title or name.replace("-", " ").replace("_", " ").capitalize()
     text = piece_toml(piece, title)
-    parse_settings(PieceFile, parse_toml(text), str(written))
+    parse_settings(pieces.PieceFile, parse_toml(text), str(written))
     fix = "Name another folder (--out), or make room."
     with disk_errors("The piece cannot be written", place, fix):
         write_atomically(picture, piece_svg(piece, title).encode())

@@ -19,17 +19,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from touchdown.backend.core import FloatArray
-from touchdown.backend.geometry.outlines import (
-    Outline,
-    circle,
-    convex_polygon,
-    enclosed_area_mm2,
-    geometry_of,
-    hull_of,
-    overlap_edges,
-    rectangle,
-    rotated,
-)
+from touchdown.backend.geometry import outlines
 from touchdown.backend.geometry.pieces import Piece, PieceLibrary
 from touchdown.backend.geometry.regions import channel, crescent, ell, feet, region, ring, star, tee
 from touchdown.backend.geometry.tower import Body
@@ -58,8 +48,8 @@ class ShapeFamily:
     ``kinds``: of the outlines, convex or any.
     """
 
-    unseen_bottoms: tuple[Outline, ...]
-    unseen_faces: tuple[Outline, ...]
+    unseen_bottoms: tuple[outlines.Outline, ...]
+    unseen_faces: tuple[outlines.Outline, ...]
     kinds: OutlineKinds = "convex"
 
     @classmethod
@@ -110,7 +100,7 @@ class ShapeFamily:
             source="family",
         )
 
-    def _face(self, rng: np.random.Generator) -> tuple[Outline, float]:
+    def _face(self, rng: np.random.Generator) -> tuple[outlines.Outline, float]:
         """Return face and width of a piece; in the wide family both vary more."""
         if self.kinds == "convex":
             return _draw_outline(rng, FACES_MM, self.unseen_faces, round_share=0.5), WIDTH_MM
@@ -120,18 +110,18 @@ class ShapeFamily:
         return _draw_outline(rng, FACES_MM, self.unseen_faces, round_share=0.5), width
 
 
-def similarity(first: Outline, second: Outline) -> float:
+def similarity(first: outlines.Outline, second: outlines.Outline) -> float:
     """Return the intersection over union of two outlines: aligned centroids, best of many
     orientations.
     """
     a, b = _centred(first.polygon(48)), _centred(second.polygon(48))
     angles = 2.0 * pi * np.arange(ROTATIONS) / ROTATIONS
-    turns = np.stack([rotated(b, float(angle)) for angle in angles])
-    common = float(enclosed_area_mm2(overlap_edges(a[None], turns)).max())
+    turns = np.stack([outlines.rotated(b, float(angle)) for angle in angles])
+    common = float(outlines.enclosed_area_mm2(outlines.overlap_edges(a[None], turns)).max())
     return common / (area_mm2(a) + area_mm2(b) - common)
 
 
-def is_similar(first: Outline, second: Outline) -> bool:
+def is_similar(first: outlines.Outline, second: outlines.Outline) -> bool:
     """Return True if the similarity exceeds ``SIMILAR_IOU``; areas that differ too much decide
     early.
     """
@@ -148,17 +138,17 @@ def area_mm2(polygon_mm: FloatArray) -> float:
 def _draw_outline(
     rng: np.random.Generator,
     sizes_mm: tuple[float, float],
-    unseen: tuple[Outline, ...],
+    unseen: tuple[outlines.Outline, ...],
     round_share: float = 0.3,
-) -> Outline:
+) -> outlines.Outline:
     while True:
         size = float(rng.uniform(*sizes_mm))
-        outline = circle(size) if rng.random() < round_share else _polygon(rng, size)
+        outline = outlines.circle(size) if rng.random() < round_share else _polygon(rng, size)
         if outline is not None and not any(is_similar(outline, other) for other in unseen):
             return outline
 
 
-def _polygon(rng: np.random.Generator, size_mm: float) -> Outline | None:
+def _polygon(rng: np.random.Generator, size_mm: float) -> outlines.Outline | None:
     """Return a rectangle, a rounded one or a random convex polygon of the given mean diameter."""
     kind = int(rng.integers(3))
     ratio = float(rng.uniform(1.0, MAX_ASPECT_RATIO)) ** 0.5
@@ -172,12 +162,12 @@ def _polygon(rng: np.random.Generator, size_mm: float) -> Outline | None:
     else:
         angle = np.sort(rng.uniform(0.0, 2.0 * pi, int(rng.integers(5, 12))))
         points = 0.5 * size_mm * np.stack([ratio * np.cos(angle), np.sin(angle) / ratio], axis=1)
-    hull = _centred(_hull(rotated(points, float(rng.uniform(0.0, 2.0 * pi)))))
+    hull = _centred(_hull(outlines.rotated(points, float(rng.uniform(0.0, 2.0 * pi)))))
     span = hull.max(axis=0) - hull.min(axis=0)
     if len(hull) < 3 or span.min() < 0.5 * size_mm:
         return None
     try:
-        return convex_polygon(tuple((float(x), float(y)) for x, y in hull))
+        return outlines.convex_polygon(tuple((float(x), float(y)) for x, y in hull))
     except ValueError:
         return None  # nearly collinear corners
 
@@ -186,7 +176,7 @@ def _hull(points_mm: FloatArray) -> FloatArray:
     """Return the corners of the convex hull, counter-clockwise from the leftmost one."""
     import shapely
 
-    corners = hull_of(shapely.multipoints(points_mm))
+    corners = outlines.hull_of(shapely.multipoints(points_mm))
     return np.roll(corners, -int(np.lexsort(corners.T[::-1])[0]), axis=0)
 
 
@@ -194,7 +184,7 @@ LEAST_REGION_MM = 14.0
 SLIVER_RATIO = 3.0  # greatest ratio of the sides of a rectangle of the wide family
 
 
-def draw_region(rng: np.random.Generator, size_mm: float) -> Outline:
+def draw_region(rng: np.random.Generator, size_mm: float) -> outlines.Outline:
     """Return an outline of the wide family about ``size_mm`` wide, turned at random.
 
     Ring, crescent, L, U, star, two to four feet, triangle, or a rectangle up to 3:1. The classes
@@ -218,20 +208,20 @@ def draw_region(rng: np.random.Generator, size_mm: float) -> Outline:
             elif kind == 6:
                 outline = _triangle(rng, size_mm)
             else:
-                outline = rectangle(size_mm, size_mm / (1.5 + (SLIVER_RATIO - 1.5) * a))
+                outline = outlines.rectangle(size_mm, size_mm / (1.5 + (SLIVER_RATIO - 1.5) * a))
             return _turned(outline, float(rng.uniform(0.0, 2.0 * pi)))
         except ValueError:
             continue  # too narrow, or the face centre is outside
 
 
-def _feet(rng: np.random.Generator, count: int, size_mm: float, foot_mm: float) -> Outline:
+def _feet(rng: np.random.Generator, count: int, size_mm: float, foot_mm: float) -> outlines.Outline:
     """Return round feet on a circle, about ``size_mm`` wide in all."""
     angle = 2.0 * pi * (np.arange(count) + 0.3 * rng.uniform(-1.0, 1.0, count)) / count
     at = 0.5 * (size_mm - foot_mm) * np.stack([np.cos(angle), np.sin(angle)], axis=1)
     return feet([(float(x), float(y)) for x, y in at], foot_mm)
 
 
-def _triangle(rng: np.random.Generator, size_mm: float) -> Outline:
+def _triangle(rng: np.random.Generator, size_mm: float) -> outlines.Outline:
     """Return a triangle about its centroid whose angles are 35 degrees at least."""
     share = rng.dirichlet(np.ones(3))
     angle = np.cumsum(2.0 * (pi / 180.0 * 35.0 + (pi - pi / 180.0 * 105.0) * share))
@@ -239,13 +229,13 @@ def _triangle(rng: np.random.Generator, size_mm: float) -> Outline:
     return _polygon_of(_centred(corners))
 
 
-def _polygon_of(corners_mm: FloatArray) -> Outline:
-    return convex_polygon(tuple((float(x), float(y)) for x, y in corners_mm))
+def _polygon_of(corners_mm: FloatArray) -> outlines.Outline:
+    return outlines.convex_polygon(tuple((float(x), float(y)) for x, y in corners_mm))
 
 
-def _turned(outline: Outline, angle_rad: float) -> Outline:
+def _turned(outline: outlines.Outline, angle_rad: float) -> outlines.Outline:
     def turn(corners: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
-        return [(float(x), float(y)) for x, y in rotated(np.array(corners), angle_rad)]
+        return [(float(x), float(y)) for x, y in outlines.rotated(np.array(corners), angle_rad)]
 
     if outline.kind == "circle":
         return outline
@@ -323,7 +313,7 @@ def fresh_bottom(seed: str, number: int) -> Piece:
     )
 
 
-def draw_fresh_outline(rng: np.random.Generator, title: FreshClass) -> Outline:
+def draw_fresh_outline(rng: np.random.Generator, title: FreshClass) -> outlines.Outline:
     """Return an outline of one class, turned at random.
 
     The longest side is 14 to 30 mm, sides differ by a factor of 2 at most, and walls, bars and feet
@@ -344,16 +334,16 @@ def draw_fresh_outline(rng: np.random.Generator, title: FreshClass) -> Outline:
 
 def _fresh_shape(
     rng: np.random.Generator, title: FreshClass, size: float, short: float, wall: float
-) -> Outline:
+) -> outlines.Outline:
     if title == "polygon":
         angle = np.sort(rng.uniform(0.0, 2.0 * pi, int(rng.integers(5, 9))))
         around = np.stack([size * np.cos(angle), short * np.sin(angle)], axis=1)
         return _polygon_of(_centred(_hull(0.5 * around)))
     if title == "feet":
         return _feet(rng, int(rng.integers(3, 5)), size, wall)
-    make: dict[str, Callable[[], Outline]] = {
-        "disc": lambda: circle(size),
-        "rectangle": lambda: rectangle(size, short),
+    make: dict[str, Callable[[], outlines.Outline]] = {
+        "disc": lambda: outlines.circle(size),
+        "rectangle": lambda: outlines.rectangle(size, short),
         "triangle": lambda: _triangle(rng, size),
         "ring": lambda: ring(size, size - 2.0 * wall),
         "frame": lambda: _frame(size, short, wall),
@@ -369,20 +359,20 @@ def _box(x_mm: float, y_mm: float, middle_y_mm: float = 0.0) -> list[tuple[float
     return [(-x, m - y), (x, m - y), (x, m + y), (-x, m + y)]
 
 
-def _frame(x_mm: float, y_mm: float, wall_mm: float) -> Outline:
+def _frame(x_mm: float, y_mm: float, wall_mm: float) -> outlines.Outline:
     return region([(_box(x_mm, y_mm), [_box(x_mm - 2 * wall_mm, y_mm - 2 * wall_mm)])])
 
 
-def _bars(x_mm: float, y_mm: float, wall_mm: float) -> Outline:
+def _bars(x_mm: float, y_mm: float, wall_mm: float) -> outlines.Outline:
     at = 0.5 * (y_mm - wall_mm)
     return region((_box(x_mm, wall_mm, middle), []) for middle in (-at, at))
 
 
-def _is_wide(outline: Outline) -> bool:
+def _is_wide(outline: outlines.Outline) -> bool:
     """Return True if all parts and gaps are as wide as required."""
     import shapely
 
-    whole, half = geometry_of(outline), 0.499 * FRESH_FEATURE_MM
+    whole, half = outlines.geometry_of(outline), 0.499 * FRESH_FEATURE_MM
     parts = shapely.get_parts(whole)
     inside = whole.buffer(-half if outline.parts else -0.5 * FRESH_CONVEX_MM)
     apart = shapely.get_parts(whole.buffer(0.5 * half))

@@ -18,18 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.backend.core import FloatArray
-from touchdown.backend.geometry.outlines import (
-    LEAST_PART_MM2,
-    NO_SUPPORT,
-    Outline,
-    Point,
-    common_area,
-    geometry_of,
-    hull_margins_mm,
-    hull_of,
-    large_parts,
-    rotated,
-)
+from touchdown.backend.geometry import outlines
 
 MAX_TURN = tan(radians(5.0))  # slope beyond which a released piece counts as turned
 PITCH_MM = 1.0  # of the points that stand for a dome
@@ -64,9 +53,9 @@ class Surface:
 
     """
 
-    tilt_rad: Point = (0.0, 0.0)
+    tilt_rad: outlines.Point = (0.0, 0.0)
     step_mm: float = 0.0
-    step_line: Point = (0.0, 0.0)
+    step_line: outlines.Point = (0.0, 0.0)
     dome_mm: float = 0.0
 
     @property
@@ -81,7 +70,7 @@ class Surface:
         return next((name for name, size in sizes.items() if size), "flat")
 
     @property
-    def slope(self) -> Point:
+    def slope(self) -> outlines.Point:
         """Rise per mm along x and y due to the tilt."""
         return -self.tilt_rad[1], self.tilt_rad[0]
 
@@ -126,17 +115,17 @@ class PieceOnSurface:
     @classmethod
     def over(  # noqa: PLR0913 - three place the face
         cls,
-        face: Outline,
-        at_mm: Point,
+        face: outlines.Outline,
+        at_mm: outlines.Point,
         yaw_rad: float,
-        below: Outline,
+        below: outlines.Outline,
         surface: Surface,
         com_height_mm: float,
         mu: float = inf,
     ) -> PieceOnSurface:
         """Return ``face`` at ``at_mm``, rotated by ``yaw_rad``, over ``surface`` of ``below``."""
         points, heights = _touchable(
-            common_area(face, at_mm, yaw_rad, below, (0.0, 0.0), 0.0), surface
+            outlines.common_area(face, at_mm, yaw_rad, below, (0.0, 0.0), 0.0), surface
         )
         return cls(points, heights, com_height_mm, min(MAX_TURN, mu))
 
@@ -174,7 +163,7 @@ class PieceOnSurface:
         shift is searched along 32 directions, so that it is up to 0.5 % too long.
         """
         if not len(self.points_mm):
-            return NO_SUPPORT
+            return outlines.NO_SUPPORT
         angles = 2.0 * pi * np.arange(DIRECTIONS) / DIRECTIONS
         rays = np.stack([np.cos(angles), np.sin(angles)], axis=1)
         if self.rest_slope(centre_mm) is not None:
@@ -216,7 +205,7 @@ def _touchable(area: Any, surface: Surface) -> tuple[FloatArray, FloatArray]:
     for part, lift_mm in step_levels(area, surface):
         if shapely.is_empty(part):
             continue
-        points = hull_of(part) if not surface.dome_mm else spread_points(part)
+        points = outlines.hull_of(part) if not surface.dome_mm else spread_points(part)
         found.append((points, level.heights_mm(points) + lift_mm))
     points, heights = (np.concatenate(values) for values in zip(*found, strict=True))
     return points, heights
@@ -232,10 +221,10 @@ def step_levels(area: Any, surface: Surface) -> list[tuple[Any, float]]:
     far = 2.0 * max(map(abs, (*shapely.bounds(area).tolist(), distance, 1.0)))
     box = np.array([(distance, -far), (distance + far, -far), (distance + far, far)])
     box = np.concatenate([box, [(distance, far)]])
-    high = shapely.Polygon(rotated(box, angle))
+    high = shapely.Polygon(outlines.rotated(box, angle))
     return [
-        (large_parts(shapely.intersection(area, high)), surface.step_mm),
-        (large_parts(shapely.difference(area, high)), 0.0),
+        (outlines.large_parts(shapely.intersection(area, high)), surface.step_mm),
+        (outlines.large_parts(shapely.difference(area, high)), 0.0),
     ]
 
 
@@ -270,10 +259,10 @@ Rows = NDArray[np.intp]
 
 
 def surface_margins_mm(
-    face: Outline,
-    com_xy_mm: Point,
+    face: outlines.Outline,
+    com_xy_mm: outlines.Point,
     com_height_mm: float,
-    below: Outline,
+    below: outlines.Outline,
     surface: Surface,
     places_mm: FloatArray,
 ) -> FloatArray:
@@ -284,8 +273,8 @@ def surface_margins_mm(
     """
     import shapely
 
-    margin, rows, areas = hull_margins_mm(face, com_xy_mm, below, places_mm)
-    large = shapely.area(areas) > LEAST_PART_MM2
+    margin, rows, areas = outlines.hull_margins_mm(face, com_xy_mm, below, places_mm)
+    large = shapely.area(areas) > outlines.LEAST_PART_MM2
     if large.any() and not surface.flat:
         rows, areas, at = rows[large], areas[large], places_mm[rows[large]]
         points = _touchable_points(face, at - np.asarray(com_xy_mm), below, surface, areas)
@@ -295,11 +284,15 @@ def surface_margins_mm(
 
 
 def _touchable_points(
-    face: Outline, at_mm: FloatArray, below: Outline, surface: Surface, areas: NDArray[np.object_]
+    face: outlines.Outline,
+    at_mm: FloatArray,
+    below: outlines.Outline,
+    surface: Surface,
+    areas: NDArray[np.object_],
 ) -> Touchable:
     import shapely
 
-    level, support = replace(surface, step_mm=0.0), geometry_of(below)
+    level, support = replace(surface, step_mm=0.0), outlines.geometry_of(below)
     found = []
     for part, lift_mm in step_levels(support, surface):
         shared = shapely.intersection(areas, part) if surface.step_mm else areas

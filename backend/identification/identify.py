@@ -12,6 +12,7 @@ import numpy as np
 from touchdown.backend.config import SimulationSettings, parse_settings
 from touchdown.backend.core import FloatArray, write_atomically
 from touchdown.backend.geometry import PieceLibrary
+from touchdown.backend.identification import sensors, stages
 from touchdown.backend.identification.estimates import (
     CONTACT,
     GEL,
@@ -26,31 +27,6 @@ from touchdown.backend.identification.recordings import (
     Recordings,
     refuse_unusable,
     sample_presses,
-)
-from touchdown.backend.identification.sensors import (
-    GOOD_REST_S,
-    LEAST_REST_S,
-    RestResult,
-    Spectrum,
-    arm_compliance,
-    delay_estimates,
-    estimate_delays,
-    identify_air,
-    identify_rest,
-)
-from touchdown.backend.identification.stages import (
-    Gate,
-    Json,
-    StageStore,
-    Tell,
-    correlations,
-    fit_mechanics,
-    fit_pad_friction,
-    friction_estimates,
-    mechanics_estimates,
-    replay_gate,
-    split_grips,
-    stage_key,
 )
 
 # A parameter replaces the nominal one if its uncertainty is below this share of the prior's.
@@ -88,10 +64,10 @@ class Identification:
     nominal: SimulationSettings
     estimates: tuple[Estimate, ...]
     used: tuple[str, ...]
-    gate: Gate
+    gate: stages.Gate
     names: tuple[str, ...]
     correlation: FloatArray
-    spectra: tuple[Spectrum, ...]
+    spectra: tuple[sensors.Spectrum, ...]
     facts: tuple[tuple[str, str], ...]
     missing: tuple[tuple[str, str], ...]
     misfit: float
@@ -122,7 +98,7 @@ def identify_bench(
     nominal: SimulationSettings,
     library: PieceLibrary,
     folder: Path,
-    tell: Tell = lambda _stage, _done, _of: None,
+    tell: stages.Tell = lambda _stage, _done, _of: None,
 ) -> Identification:
     """Identify a bench.
 
@@ -149,7 +125,7 @@ def identify_bench(
         If the recordings are unusable, with what is missing and how to record it.
 
     """
-    store = StageStore(folder, stage_key(recordings, nominal))
+    store = stages.StageStore(folder, stages.stage_key(recordings, nominal))
     gel = [p for p in recordings.of_stage(*GEL_STAGES) if p.accepted]
     refuse_unusable(gel, library, "recordings")
     rest, missing = _rest(recordings)
@@ -160,30 +136,37 @@ def identify_bench(
         drift.get("tactile.drift_px_sqrt_s", nominal.tactile.drift_px_sqrt_s),
     ])  # fmt: skip
     tell("delays", 0, 1)
-    found = store.get("delays", lambda: {k: v.tolist() for k, v in estimate_delays(gel).items()})
-    delayed, taken = delay_estimates({k: np.array(v, dtype=float) for k, v in found.items()})
+    found = store.get(
+        "delays", lambda: {k: v.tolist() for k, v in sensors.estimate_delays(gel).items()}
+    )
+    delayed, taken = sensors.delay_estimates(
+        {k: np.array(v, dtype=float) for k, v in found.items()}
+    )
     presses = sample_presses(gel, taken)
-    fitted_rows, held_rows = split_grips(presses)
+    fitted_rows, held_rows = stages.split_grips(presses)
     held = presses.take(held_rows)
-    mechanics = fit_mechanics(presses.take(fitted_rows), nominal, library, drifts, store, tell)
+    mechanics = stages.fit_mechanics(
+        presses.take(fitted_rows), nominal, library, drifts, store, tell
+    )
     slips = recordings.of_stage(CONTACT_STAGE)
 
-    def slipped() -> Json:
+    def slipped() -> stages.Json:
         contact = sample_presses(slips, taken)
-        return fit_pad_friction(contact, mechanics, nominal, library)
+        return stages.fit_pad_friction(contact, mechanics, nominal, library)
 
     friction = store.get("friction", slipped) if slips else {"mu": [], "sigma": []}
-    pads = friction_estimates(np.array(friction["mu"]), np.array(friction["sigma"]))
-    gate = replay_gate(held, mechanics, nominal, library, drifts)
+    pads = stages.friction_estimates(np.array(friction["mu"]), np.array(friction["sigma"]))
+    gate = stages.replay_gate(held, mechanics, nominal, library, drifts)
     estimates = (
-        *rest.estimates, *identify_air(presses, float(drifts[2]), rest=bool(rest.estimates)),
-        *delayed, *arm_compliance(gel[:40]), *mechanics_estimates(mechanics),
+        *rest.estimates,
+        *sensors.identify_air(presses, float(drifts[2]), rest=bool(rest.estimates)),
+        *delayed, *sensors.arm_compliance(gel[:40]), *stages.mechanics_estimates(mechanics),
         *pads,
     )  # fmt: skip
     if not pads:
         count = f": {len(friction['mu'])} of {len(slips)} presses slipped" if slips else ""
         missing.append((", ".join(identifiable(CONTACT)), f"`{CONTACT}`{count}"))
-    names, correlation = correlations(mechanics)
+    names, correlation = stages.correlations(mechanics)
     settings, used = identified_settings(nominal, estimates) if gate.accepted else (nominal, ())
     missing += [(e.key, f"more of `{GEL}`: its uncertainty is {e.sharpness:.0%} of the prior's")
                 for e in estimates if e.sharpness >= USEFUL_SHARPNESS]  # fmt: skip
@@ -194,16 +177,16 @@ def identify_bench(
     )  # fmt: skip
 
 
-def _rest(recordings: Recordings) -> tuple[RestResult, list[tuple[str, str]]]:
+def _rest(recordings: Recordings) -> tuple[sensors.RestResult, list[tuple[str, str]]]:
     names = ", ".join(identifiable(REST))
     rest = recordings.rest
-    if rest is None or rest.length_s < LEAST_REST_S:
+    if rest is None or rest.length_s < sensors.LEAST_REST_S:
         length = 0.0 if rest is None else rest.length_s
-        text = f"`{REST}`: {length:.0f} s at rest, {LEAST_REST_S:.0f} s are needed"
-        return RestResult((), (), ()), [(names, text)]
-    found = identify_rest(rest)
+        text = f"`{REST}`: {length:.0f} s at rest, {sensors.LEAST_REST_S:.0f} s are needed"
+        return sensors.RestResult((), (), ()), [(names, text)]
+    found = sensors.identify_rest(rest)
     missing = []
-    if rest.length_s < GOOD_REST_S:
+    if rest.length_s < sensors.GOOD_REST_S:
         missing.append(("slow drift", f"`{REST}`: only {rest.length_s:.0f} s at rest"))
     return found, missing
 

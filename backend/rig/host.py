@@ -29,36 +29,16 @@ from touchdown.backend.devices import (
     recent_positions_mm,
     travelled_mm,
 )
+from touchdown.backend.rig import messages, safety
 from touchdown.backend.rig.memory import BACKEND_BEAT, RIG_BEAT, STOPS, Ring, SharedMemory
-from touchdown.backend.rig.messages import (
-    Message,
-    Row,
-    arm_row,
-    as_row,
-    error_row,
-    gripper_row,
-    inspector_row,
-    program_fault,
-    sensor_row,
-)
-from touchdown.backend.rig.safety import (
-    JAWS,
-    MOVES,
-    DriverCommands,
-    Failsafe,
-    FailsafeInput,
-    FailsafeOutput,
-    RigMeasurement,
-    refuse_opening,
-)
 
 
 class DeviceWorkers:
     """Runs the commands of each device one after the other, on one thread per device."""
 
-    def __init__(self, names: Iterable[str], carry_out: Callable[[Message], None]) -> None:
+    def __init__(self, names: Iterable[str], carry_out: Callable[[messages.Message], None]) -> None:
         self._carry_out, self._gone = carry_out, False
-        self._waiting: dict[str, queue.SimpleQueue[Message | None]] = {}
+        self._waiting: dict[str, queue.SimpleQueue[messages.Message | None]] = {}
         self._threads: dict[str, threading.Thread] = {}
         for name in names:
             self._waiting[name] = queue.SimpleQueue()
@@ -67,7 +47,7 @@ class DeviceWorkers:
             )
             self._threads[name].start()
 
-    def give(self, name: str, order: Message) -> bool:
+    def give(self, name: str, order: messages.Message) -> bool:
         """Queue a command for a device; return False if there is no such device."""
         if name not in self._waiting:
             return False
@@ -85,7 +65,7 @@ class DeviceWorkers:
         self._threads[name].join(limit_s)
         return not self._threads[name].is_alive()
 
-    def _work(self, waiting: queue.SimpleQueue[Message | None]) -> None:
+    def _work(self, waiting: queue.SimpleQueue[messages.Message | None]) -> None:
         while (order := waiting.get()) is not None and not self._gone:
             self._carry_out(order)
 
@@ -132,23 +112,25 @@ class RigHost:
         limits: Limits,
         now_s: Callable[[], float],
         memory: SharedMemory,
-        say: Callable[[Message], bool],
+        say: Callable[[messages.Message], bool],
     ) -> None:
         self.devices, self._now_s, self._memory, self._say = devices, now_s, memory, say
         # Read once: it takes longer than a cycle.
         self._traced = devices.arm if isinstance(devices.arm, TracedArm) else None
         self._homing = devices.gripper if isinstance(devices.gripper, HomingGripper) else None
-        self._core = Failsafe(now_s(), limits)
+        self._core = safety.Failsafe(now_s(), limits)
         self._lock = threading.RLock()
         self._showing, self._noting = threading.Lock(), threading.Lock()
-        self._orders = DriverCommands(
-            devices.arm, devices.gripper, lambda right: refuse_opening(right, self.measured())
+        self._orders = safety.DriverCommands(
+            devices.arm,
+            devices.gripper,
+            lambda right: safety.refuse_opening(right, self.measured()),
         )
         self._motions: list[_RunningMotion] = []
         self._cancel = threading.Event()
         self._gone = False
         self._rounds = 0
-        self._slow: dict[str, Row] = {}
+        self._slow: dict[str, messages.Row] = {}
         self._cursors = [devices.samples.count, devices.poses.count]
         self._wrench_s = -np.inf
         self._held_since_s, self._gripped_mm = np.inf, np.nan
@@ -164,8 +146,8 @@ class RigHost:
             try:
                 out = self._core.step(now_s, self._inbox())
             except Exception as error:  # noqa: BLE001 - whatever it is, the arm must not go on
-                fault = self._core.latch(program_fault(f"{type(error).__name__}: {error}"))
-                out = FailsafeOutput(stop=True, fault=fault, why=fault)
+                fault = self._core.latch(messages.program_fault(f"{type(error).__name__}: {error}"))
+                out = safety.FailsafeOutput(stop=True, fault=fault, why=fault)
             self._act(now_s, out)
         self._tell_motions()
         if self._rounds % STATE_ROUNDS == 0:
@@ -174,10 +156,10 @@ class RigHost:
         self._memory.beat(RIG_BEAT)
         return out.leave
 
-    def _inbox(self) -> FailsafeInput:
+    def _inbox(self) -> safety.FailsafeInput:
         memory = self._memory
         moving = any(one.of_arm and not one.motion.done for one in self._motions)
-        return FailsafeInput(
+        return safety.FailsafeInput(
             memory.count(BACKEND_BEAT),
             memory.count(STOPS),
             memory.lease_until_s,
@@ -186,7 +168,7 @@ class RigHost:
             self._wrench_s,
         )
 
-    def _act(self, now_s: float, out: FailsafeOutput) -> None:
+    def _act(self, now_s: float, out: safety.FailsafeOutput) -> None:
         if out.stop:
             self._stop(now_s, "stop")
         elif out.hold:
@@ -200,7 +182,9 @@ class RigHost:
         if out.fault is not None:
             fault = out.fault
             self._note(now_s, f"fault {fault.code}: {fault.what}")
-            self._say({"kind": "fault", "number": self._core.faults, "fault": as_row(fault)})
+            self._say(
+                {"kind": "fault", "number": self._core.faults, "fault": messages.as_row(fault)}
+            )
 
     def _stop(self, now_s: float, why: str) -> None:
         self._note(now_s, why)
@@ -241,11 +225,13 @@ class RigHost:
     def _show(self, now_s: float, *, slow: bool) -> None:
         with self._showing:
             if slow or not self._slow:
-                self._slow = {n: inspector_row(d, now_s) for n, d in self.devices.named().items()}
+                self._slow = {
+                    n: messages.inspector_row(d, now_s) for n, d in self.devices.named().items()
+                }
             rows = {
-                "arm": arm_row(self.devices.arm),
-                "gripper": gripper_row(self.devices.gripper, self._homing),
-                "force_torque": sensor_row(self.devices.force_torque),
+                "arm": messages.arm_row(self.devices.arm),
+                "gripper": messages.gripper_row(self.devices.gripper, self._homing),
+                "force_torque": messages.sensor_row(self.devices.force_torque),
             }
             self._store_grip_width(now_s)
             self._memory.show({name: {**self._slow[name], **row} for name, row in rows.items()})
@@ -282,12 +268,12 @@ class RigHost:
     def _end(self, one: _RunningMotion, fault: Fault | None) -> None:
         self._motions.remove(one)
         self._note(self._now_s(), f"motion {one.number} ended{f': {fault.code}' if fault else ''}")
-        row = as_row(fault)
+        row = messages.as_row(fault)
         self._say({"kind": "ended", "motion": one.number, "fault": row, **_contact(one.motion)})
 
     # -- messages ---------------------------------------------------------------------------------
 
-    def take(self, message: Message) -> None:
+    def take(self, message: messages.Message) -> None:
         """Process a message of the backend."""
         kind = message["kind"]
         if kind == "order":
@@ -323,7 +309,7 @@ class RigHost:
         self._cancel.set()
         self.workers.leave()
 
-    def _take_order(self, message: Message) -> None:
+    def _take_order(self, message: messages.Message) -> None:
         name = message["order"]
         if name in AT_ONCE:
             self._carry_out(message)
@@ -331,7 +317,7 @@ class RigHost:
         if not self.workers.give(name.split(".")[0], message):
             self._reply(message, error=ValueError(f"there is no order {name!r}"))
 
-    def _carry_out(self, message: Message) -> None:
+    def _carry_out(self, message: messages.Message) -> None:
         try:
             found = self._obey(message)
         except Exception as error:  # noqa: BLE001 - an order must not end the thread of its device
@@ -339,7 +325,7 @@ class RigHost:
         else:
             self._reply(message, found)
 
-    def _obey(self, message: Message) -> OrderResult:
+    def _obey(self, message: messages.Message) -> OrderResult:
         name, given = message["order"], message["args"]
         self._note(self._now_s(), f"order {message['id']} {name} {given}")
         device, _, verb = name.partition(".")
@@ -354,11 +340,11 @@ class RigHost:
         if verb == "close":
             self.devices.named()[device].close()
             return None
-        if name not in MOVES | JAWS:
+        if name not in safety.MOVES | safety.JAWS:
             return self._orders.give(name, given, self._core.limits)
         with self._lock:
             self._core.refuse(self._now_s(), message["lease_until_s"])
-            if name in MOVES:
+            if name in safety.MOVES:
                 self._core.refuse_unfelt(self._now_s())
             stops = self._core.stops
         try:
@@ -370,14 +356,14 @@ class RigHost:
                     self._stop(self._now_s(), "stop")
 
     def _reply(
-        self, message: Message, found: OrderResult = None, error: Exception | None = None
+        self, message: messages.Message, found: OrderResult = None, error: Exception | None = None
     ) -> None:
         number = message["id"]
-        answer: Message = {"kind": "reply", "id": number, "motion": None}
+        answer: messages.Message = {"kind": "reply", "id": number, "motion": None}
         # Under the lock: the end of a motion is never reported before its start.
         with self._lock:
             if error is not None:
-                answer["error"] = error_row(error)
+                answer["error"] = messages.error_row(error)
                 self._note(self._now_s(), f"order {number} refused: {error}")
             elif found is None or isinstance(found, list):
                 answer["value"] = found
@@ -385,7 +371,7 @@ class RigHost:
                 answer["motion"] = self._follow(number, found, message["order"])
                 answer["sent"] = dict(found.sent)
             # Publish the state first: the reader of the answer must find it.
-            self._show(self._now_s(), slow=message["order"] not in AT_ONCE | MOVES)
+            self._show(self._now_s(), slow=message["order"] not in AT_ONCE | safety.MOVES)
             self._say(answer)
 
     def _follow(self, number: int, motion: Motion, order: str) -> int:
@@ -393,18 +379,18 @@ class RigHost:
         for known in self._motions:
             if known.motion is motion:
                 return known.number
-        self._motions.append(_RunningMotion(number, motion, order in MOVES))
+        self._motions.append(_RunningMotion(number, motion, order in safety.MOVES))
         return number
 
     # -- opening on a held piece ------------------------------------------------------------------
 
-    def measured(self) -> RigMeasurement:
+    def measured(self) -> safety.RigMeasurement:
         """Return the present measurements of the rig."""
         now_s, devices = self._now_s(), self.devices
         samples = devices.samples.window(now_s - 1.0, now_s)
         finite = np.isfinite(samples.values).all(axis=1)
         status = devices.gripper.status()
-        return RigMeasurement(
+        return safety.RigMeasurement(
             press_n=np.nan if self._traced is None else self._traced.press_n,
             wrench_age_s=now_s - float(samples.t_s[finite][-1]) if finite.any() else np.nan,
             moved_mm=travelled_mm(recent_positions_mm(devices.poses, now_s)),
@@ -414,7 +400,7 @@ class RigHost:
         )
 
 
-def _contact(motion: Motion) -> Message:
+def _contact(motion: Motion) -> messages.Message:
     return {
         "detected_s": getattr(motion, "detected_s", None),
         "onset_s": getattr(motion, "onset_s", None),
@@ -427,5 +413,5 @@ def _fault_of(motion: Motion) -> Fault | None:
     except FaultError as error:
         return error.fault
     except TouchdownError as error:
-        return program_fault(str(error))
+        return messages.program_fault(str(error))
     return None

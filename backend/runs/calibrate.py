@@ -56,21 +56,9 @@ from touchdown.backend.core import (
     pose_rotation,
 )
 from touchdown.backend.geometry import LEAST_WEIGHED_G, Outline, Piece
+from touchdown.backend.runs import motions
 from touchdown.backend.runs.bench import Bench, RunContext
 from touchdown.backend.runs.jig import pick_piece, return_piece, with_handed_piece
-from touchdown.backend.runs.motions import (
-    FIRST_POSES_S,
-    MOVE_S,
-    middle_of_overlap,
-    move_to,
-    press_command,
-    retry_if_void,
-    run_finished,
-    run_to_end,
-    wait,
-    zero_sensors,
-    zero_wrench,
-)
 from touchdown.backend.runs.plan import PausePoint, Plan, Wait
 from touchdown.backend.runs.probe import press_once
 from touchdown.backend.runs.requests import CalibrateRequest, request_record
@@ -202,7 +190,7 @@ def _touches(bench: Bench, centre: FloatArray, start_mm: float, before: int) -> 
             raise RefusedError(
                 "NO-TOUCH", "A touch on the bottom found no contact: check the origin."
             )
-        middle = middle_of_overlap(bench.piece.face, bench.outline, off)
+        middle = motions.middle_of_overlap(bench.piece.face, bench.outline, off)
         found.append([*(centre + middle), height_mm])
     return np.array(found)
 
@@ -309,10 +297,10 @@ def weigh_empty(bench: Bench) -> Plan[PoseReadings]:
     if not bench.arm.rotates:
         what = "This arm keeps its hand level: the centre of mass cannot be weighed."
         raise RefusedError("CANNOT-TURN", what)
-    yield from wait(bench, FIRST_POSES_S)
+    yield from motions.wait(bench, motions.FIRST_POSES_S)
     here = bench.arm.pose(max_age_s=0.2)
     empty = yield from _weighed(bench)
-    yield from move_to(bench, here)
+    yield from motions.move_to(bench, here)
     return empty
 
 
@@ -324,7 +312,7 @@ def weigh_held(bench: Bench, empty: PoseReadings) -> Plan[Bench]:
     """
     piece, here = bench.piece, bench.arm.pose(max_age_s=0.2)
     held = yield from read_poses(bench)
-    yield from move_to(bench, here)
+    yield from motions.move_to(bench, here)
     assert piece.grip_height_mm is not None
     lever_mm = piece.grip_height_mm + (bench.sensor_height_mm or math.nan)
     found = estimate_held_piece(empty, held, lever_mm)
@@ -339,7 +327,7 @@ def weigh_held(bench: Bench, empty: PoseReadings) -> Plan[Bench]:
 def read_poses(bench: Bench) -> Plan[PoseReadings]:
     """Return mean untared readings of the hand, high above the bench, in six poses."""
     # The change of wrench by tilting must not count as contact.
-    yield from zero_wrench(bench)
+    yield from motions.zero_wrench(bench)
     here = bench.arm.pose(max_age_s=0.2)
     times, turns, wrenches, sigmas = [], [], [], []
     high_mm = here.z_mm + RAISE_MM
@@ -351,8 +339,8 @@ def read_poses(bench: Bench) -> Plan[PoseReadings]:
         yield PausePoint()
         yield Progress(bench.now_s(), at, PAYLOAD_POSES, f"pose {at + 1} of {PAYLOAD_POSES}")
         yield PhaseEntered(bench.now_s(), "shift", 0)
-        yield from move_to(bench, place, "the hand to lean")
-        yield from wait(bench, SETTLE_S + WEIGH_S)
+        yield from motions.move_to(bench, place, "the hand to lean")
+        yield from motions.wait(bench, SETTLE_S + WEIGH_S)
         turns.append(pose_rotation(bench.arm.pose(max_age_s=0.2)))
         now_s = bench.now_s()
         rows = bench.sensing.raw.samples.window(now_s - WEIGH_S, now_s).values
@@ -362,7 +350,7 @@ def read_poses(bench: Bench) -> Plan[PoseReadings]:
         wrenches.append(rows.mean(axis=0))
         sigmas.append(rows.std(axis=0, ddof=1) / math.sqrt(len(rows)))
     yield Progress(bench.now_s(), PAYLOAD_POSES, PAYLOAD_POSES, "back to level")
-    yield from move_to(bench, Pose(here.x_mm, here.y_mm, high_mm), "the hand to level")
+    yield from motions.move_to(bench, Pose(here.x_mm, here.y_mm, high_mm), "the hand to level")
     return PoseReadings(np.array(times), np.stack(turns), np.stack(wrenches), np.stack(sigmas))
 
 
@@ -392,7 +380,7 @@ def _gels_at_rest(bench: Bench) -> Plan[tuple[tuple[float, ...], str]]:
     """
     why = ""
     for _ in range(LOOKS):
-        yield from wait(bench, REST_S)
+        yield from motions.wait(bench, REST_S)
         now_s, numbers = bench.now_s(), list[float]()
         try:
             for finger in FINGERS:
@@ -417,9 +405,9 @@ def _side_presses(bench: Bench, request: CalibrateRequest) -> Plan[list[SidePres
         way = np.zeros(2)
         way["xy".index(side[1])] = 1.0 if side[0] == "+" else -1.0
         x_mm, y_mm = (origin + out_mm * way).tolist()
-        yield from move_to(bench, Pose(x_mm, y_mm, start_mm), "the arm to shift")
+        yield from motions.move_to(bench, Pose(x_mm, y_mm, start_mm), "the arm to shift")
         push = partial(_side_press, bench, side)
-        presses.append((yield from retry_if_void(bench, push, void_touch(bench, start_mm))))
+        presses.append((yield from motions.retry_if_void(bench, push, void_touch(bench, start_mm))))
         yield from rise_from_contact(bench, start_mm)
     yield Progress(bench.now_s(), MOST_PUSHES, MOST_PUSHES, "back to the jig")
     yield from return_piece(bench)
@@ -453,10 +441,10 @@ def next_side(presses: Sequence[SidePress]) -> Side | None:
 
 
 def _side_press(bench: Bench, side: Side) -> Plan[SidePress]:
-    yield from zero_sensors(bench, 0)
+    yield from motions.zero_sensors(bench, 0)
     yield PhaseEntered(bench.now_s(), "press", 0)
-    press = bench.arm.press(press_command(bench, DEPTH_MM, RAMP_S, HOLD_S))
-    yield Wait(lambda: press.done, MOVE_S, "the press to end")
+    press = bench.arm.press(motions.press_command(bench, DEPTH_MM, RAMP_S, HOLD_S))
+    yield Wait(lambda: press.done, motions.MOVE_S, "the press to end")
     press.result()
     now_s = bench.now_s()
     at_rest, moved = [], []
@@ -484,7 +472,7 @@ def measure_day(bench: Bench, request: CalibrateRequest) -> Plan[CalibrationEsti
     for rest in range(DAY_RESTS):
         yield PausePoint()
         yield Progress(bench.now_s(), rest, DAY_RESTS + DAY_PRESSES, "at rest, the hand is empty")
-        yield from wait(bench, DAY_REST_S)
+        yield from motions.wait(bench, DAY_REST_S)
         for finger in FINGERS:
             now_s = bench.now_s()
             fields = bench.sensing.fields[finger].between(now_s - DAY_REST_S, now_s)
@@ -525,7 +513,7 @@ def _day_presses(
     for press in range(1, DAY_PRESSES + 1):
         yield PausePoint()
         yield Progress(bench.now_s(), DAY_RESTS + press - 1, steps, f"press {press}")
-        yield from move_to(bench, Pose(x_mm, y_mm, start_mm), "the arm to shift")
+        yield from motions.move_to(bench, Pose(x_mm, y_mm, start_mm), "the arm to shift")
         recording = (yield from press_once(bench, press)).episode.recording
         assert recording is not None
         for finger in FINGERS:
@@ -568,7 +556,7 @@ def calibrate_run(session: RunContext, request: CalibrateRequest) -> Plan[None]:
         session.simulated, settings, activity="calibrate",
     )  # fmt: skip
     bench = session.set_scene(choice, session.method)
-    ended = yield from run_to_end(bench, _measured(bench, request))
+    ended = yield from motions.run_to_end(bench, _measured(bench, request))
     if ended.value is not None:
         about = f"{request.piece}{ON_BOTTOM}{request.bottom}" if request.what == "board" else ""
         measured = ended.value.to_event(bench.now_s(), request.what, about)
@@ -576,11 +564,11 @@ def calibrate_run(session: RunContext, request: CalibrateRequest) -> Plan[None]:
     done = (
         "The daily check is stored" if request.what == "day" else f"The {request.what} is measured"
     )
-    yield run_finished(bench, session.run_id, ended, f"{done}.")
+    yield motions.run_finished(bench, session.run_id, ended, f"{done}.")
 
 
 def _measured(bench: Bench, request: CalibrateRequest) -> Plan[CalibrationEstimate]:
-    yield from wait(bench, FIRST_POSES_S)
+    yield from motions.wait(bench, motions.FIRST_POSES_S)
     if request.takes_piece and (request.hand_over or bench.jig is None):
         bench = with_handed_piece(bench)
     return (yield from MEASURES[request.what](bench, request))

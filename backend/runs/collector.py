@@ -44,7 +44,7 @@ from touchdown.backend.core import (
     Said,
 )
 from touchdown.backend.episodes import REST_KEY, Coverage, KeepFrames
-from touchdown.backend.runs import messages
+from touchdown.backend.runs import messages, motions
 from touchdown.backend.runs.bench import Bench, PressedProbe
 from touchdown.backend.runs.campaign import Campaign, ProbeTarget, planned_displacement_mm, xy_mm
 from touchdown.backend.runs.jig import (
@@ -52,16 +52,6 @@ from touchdown.backend.runs.jig import (
     pick_piece,
     return_piece,
     with_handed_piece,
-)
-from touchdown.backend.runs.motions import (
-    FIRST_POSES_S,
-    OPERATOR_TIMEOUT_S,
-    descent_start,
-    lift,
-    move_to,
-    wait,
-    wait_while_writing,
-    zero_sensors,
 )
 from touchdown.backend.runs.plan import PausePoint, Plan, Wait
 from touchdown.backend.runs.probe import press_once, scene_pictures
@@ -232,7 +222,7 @@ class Collector:
         ``after`` is the number of grips made on this mounting before; at least one more is made.
         """
         if self.hand_over or bench.jig is None:
-            yield from wait(bench, FIRST_POSES_S)
+            yield from motions.wait(bench, motions.FIRST_POSES_S)
             bench = with_handed_piece(bench)
         first = after + 1
         most = max(first, bench.settings.collect.grips_per_mounting)
@@ -316,7 +306,7 @@ class Collector:
     def _rest(self, bench: Bench, context: EpisodeContext) -> Plan[None]:
         """Record the held piece at rest in air, in blocks; they belong to no campaign."""
         yield from self._settled(bench)
-        yield from zero_sensors(bench, self._probes)
+        yield from motions.zero_sensors(bench, self._probes)
         yield Said(bench.now_s(), f"Recording {self.rest_s:g} s at rest; do not touch the bench.")
         context = replace(context, campaign="", plan_item=None)
         end_s, writing = bench.now_s() + self.rest_s, False
@@ -324,7 +314,7 @@ class Collector:
             yield PausePoint()
             yield from wait_for_space(lambda: no_space_fault(self.recorder.dataset.folder))
             start_s = bench.now_s()
-            yield from wait(bench, min(REST_BLOCK_S, end_s - start_s))
+            yield from motions.wait(bench, min(REST_BLOCK_S, end_s - start_s))
             block = assemble_episode(
                 bench.sensing.recording(start_s, bench.now_s()),
                 onset_s=start_s,
@@ -347,7 +337,7 @@ class Collector:
         """Return the entry of the last probe; a full disk pauses until it is written."""
         while True:
             if waits:
-                yield from wait_while_writing(bench, lambda: self.recorder.written)
+                yield from motions.wait_while_writing(bench, lambda: self.recorder.written)
             try:
                 entry = self.recorder.settle()
                 assert entry is not None
@@ -385,7 +375,9 @@ class Collector:
                 yield from self._settled(bench)
                 assert self._last is not None
                 yield DecisionAwaited(bench.now_s(), self._last[0].uuid, item)
-                yield Wait(lambda: bool(self._decisions), OPERATOR_TIMEOUT_S, "the operator")
+                yield Wait(
+                    lambda: bool(self._decisions), motions.OPERATOR_TIMEOUT_S, "the operator"
+                )
             slip_mm = pending.pressed.episode.quality.slip_mm
             why = ""
             if not slip_mm <= SLIP_MM:
@@ -408,16 +400,16 @@ class Collector:
         self._probes += 1
         probe = bench.settings.probe
         there = (origin.x_mm + wanted_mm[0], origin.y_mm + wanted_mm[1])
-        place = descent_start(bench, there)
+        place = motions.descent_start(bench, there)
         if first_mm is None:
             yield from approach_with_piece(bench, place)
         else:
             place = replace(place, z_mm=first_mm + probe.start_height_mm)
-            yield from move_to(bench, place, "the arm to shift")
+            yield from motions.move_to(bench, place, "the arm to shift")
         yield from self._settled(bench)
         pressed = yield from press_once(bench, self._probes, np.array(wanted_mm))
         where = measure_offset(pressed.episode, origin, bench.settings.collect)
-        yield from lift(bench, self._probes)
+        yield from motions.lift(bench, self._probes)
         episode = pressed.episode
         if episode.recording is not None:
             # One more picture of the scene, after lifting.

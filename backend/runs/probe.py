@@ -11,16 +11,8 @@ import numpy as np
 from touchdown.backend.config import EARLY_TICKS, SAMPLES_PER_PROBE, TICK_S
 from touchdown.backend.core import Fault, FaultError, FloatArray, PhaseEntered, Said, ScenePicture
 from touchdown.backend.episodes import HOMOGRAPHY_KEY, PADS_KEY
-from touchdown.backend.runs import messages
+from touchdown.backend.runs import messages, motions
 from touchdown.backend.runs.bench import Bench, PressedProbe
-from touchdown.backend.runs.motions import (
-    lift,
-    move_to,
-    probe_command,
-    retry_if_void,
-    wait_until_durable,
-    zero_sensors,
-)
 from touchdown.backend.runs.plan import Plan, Wait
 from touchdown.backend.sensing import TorsionSlipDetector, assemble_episode, synchronise
 
@@ -46,19 +38,19 @@ def press_once(
 
     def after_void(fault: Fault) -> Plan[None]:
         yield Said(bench.now_s(), f"Probe {probe} is void: {fault.what} Pressing again.")
-        yield from lift(bench, probe)
+        yield from motions.lift(bench, probe)
 
     press = partial(_press, bench, probe, offset_mm, decides=decides)
-    return (yield from retry_if_void(bench, press, after_void))
+    return (yield from motions.retry_if_void(bench, press, after_void))
 
 
 def _press(
     bench: Bench, probe: int, offset_mm: FloatArray | None, *, decides: bool
 ) -> Plan[PressedProbe]:
-    yield from zero_sensors(bench, probe)
+    yield from motions.zero_sensors(bench, probe)
     yield PhaseEntered(bench.now_s(), "approach", probe)
     here = bench.arm.pose(max_age_s=0.2)
-    motion = bench.arm.press(probe_command(bench))
+    motion = bench.arm.press(motions.probe_command(bench))
     limit_s = 60.0
     yield Wait(lambda: motion.done or motion.onset_s is not None, limit_s, "contact")
     if motion.onset_s is not None:
@@ -73,7 +65,7 @@ def _press(
     except FaultError as cause:
         if cause.fault.code == "NO-CONTACT":
             # The arm is below any expected contact: return to the start of the press.
-            yield from move_to(bench, here, "the arm to go back up")
+            yield from motions.move_to(bench, here, "the arm to go back up")
         raise
     onset_s = motion.onset_s
     if onset_s is None:
@@ -161,8 +153,8 @@ def probe_until_accepted(bench: Bench, probe: int, tries: int = 2) -> Plan[Press
         reasons = "; ".join(pressed.episode.quality.reasons)
         yield Said(bench.now_s(), messages.rejected_message(probe, pressed.episode.quality.reasons))
         bench.store.keep(pressed.episode)
-        yield from lift(bench, probe)
-        yield from wait_until_durable(bench)
+        yield from motions.lift(bench, probe)
+        yield from motions.wait_until_durable(bench)
         if attempt + 1 == tries:
             raise FaultError(
                 Fault(

@@ -46,23 +46,9 @@ from touchdown.backend.placement import (
     load_network_of,
     make_strategy,
 )
-from touchdown.backend.runs import messages, outcome
+from touchdown.backend.runs import messages, motions, outcome
 from touchdown.backend.runs.bench import Bench, JudgedProbe, PressedProbe, RunContext
 from touchdown.backend.runs.calibrate import check_weighing, weigh_empty, weigh_held
-from touchdown.backend.runs.motions import (
-    MOVE_S,
-    ask_operator,
-    lift,
-    open_and_rise,
-    probe_command,
-    release_piece,
-    run_to_end,
-    shift_piece,
-    take_piece,
-    wait,
-    wait_until_durable,
-    zero_sensors,
-)
 from touchdown.backend.runs.outcome import TrialResult, judge_release, trial_finished
 from touchdown.backend.runs.plan import PausePoint, Plan, Wait, motion_done
 from touchdown.backend.runs.probe import probe_until_accepted
@@ -72,15 +58,15 @@ from touchdown.backend.runs.requests import StackRequest, request_record
 
 def pick_and_place(bench: Bench) -> Plan[TrialResult]:
     """Release at the first place without a test: the paper's baseline, simulated benches only."""
-    yield from take_piece(bench)
+    yield from motions.take_piece(bench)
     if bench.withheld:
         untested = PlaceAction("release", (0.0, 0.0), None, False, "Release without a test.")
         ended = yield from _unapproved(bench, untested, 1)
         if ended is not None:
             return ended
-    yield from zero_sensors(bench, 1)
+    yield from motions.zero_sensors(bench, 1)
     yield PhaseEntered(bench.now_s(), "approach", 1)
-    motion = bench.arm.press(probe_command(bench))
+    motion = bench.arm.press(motions.probe_command(bench))
     yield Wait(lambda: motion.done or motion.onset_s is not None, 60.0, "contact")
     if motion.onset_s is None:
         motion.result()
@@ -88,8 +74,8 @@ def pick_and_place(bench: Bench) -> Plan[TrialResult]:
     settings = bench.settings.release
     yield PhaseEntered(bench.now_s(), "unload", 1)
     unload = bench.arm.unload(settings.unload_n, bench.settings.probe.approach_mm_s)
-    yield from motion_done(unload, MOVE_S, "the arm to unload")
-    yield from wait(bench, settings.settle_s)
+    yield from motion_done(unload, motions.MOVE_S, "the arm to unload")
+    yield from motions.wait(bench, settings.settle_s)
     yield PhaseEntered(bench.now_s(), "release", 1)
     status = bench.gripper.status()
     evidence = ReleaseEvidence(
@@ -108,7 +94,7 @@ def pick_and_place(bench: Bench) -> Plan[TrialResult]:
         holding=status.holding,
         approved=True,
     )
-    yield from open_and_rise(bench, 1, evidence, status.width_mm)
+    yield from motions.open_and_rise(bench, 1, evidence, status.width_mm)
     return (yield from judge_release(bench, 1))
 
 
@@ -121,7 +107,7 @@ REFUSED = "The operator answered no: giving up, the piece stays in the gripper."
 
 def place_piece(bench: Bench) -> Plan[TrialResult]:
     """Place the piece by the strategy; else the trial ends knocked over, asked or given up."""
-    yield from take_piece(bench)
+    yield from motions.take_piece(bench)
     here = bench.arm.pose(max_age_s=0.2)
     strategy = make_strategy(grasped_piece(bench), bench.settings, (here.x_mm, here.y_mm))
     approved, counted = False, False
@@ -133,7 +119,7 @@ def place_piece(bench: Bench) -> Plan[TrialResult]:
         pressed = yield from _probe_or_search(bench, probe, strategy)
         if isinstance(pressed, PlaceAction):
             yield Said(bench.now_s(), f"Probe {probe}: {pressed.reason}")
-            yield from lift(bench, probe)
+            yield from motions.lift(bench, probe)
             ended = yield from _unapproved(bench, pressed, probe)
             if ended is not None:
                 return ended
@@ -149,7 +135,7 @@ def place_piece(bench: Bench) -> Plan[TrialResult]:
         late = held_s > bench.settings.probe.verdict_wait_s
         if action.kind == "release" and not late and (approved or not _asks(bench, action)):
             return (yield from _let_go(bench, judged, approved=True))
-        yield from lift(bench, probe)
+        yield from motions.lift(bench, probe)
         yield from _recorded(bench, pressed)
         if late:
             text = f"The estimate took {held_s:.1f} s, too long to hold the press"
@@ -196,7 +182,7 @@ def _judge(bench: Bench, pressed: PressedProbe, strategy: Strategy) -> Plan[Judg
 
 def _let_go(bench: Bench, judged: JudgedProbe, *, approved: bool) -> Plan[TrialResult]:
     probe = judged.pressed.probe
-    yield from release_piece(bench, judged, approved=approved)
+    yield from motions.release_piece(bench, judged, approved=approved)
     # Publish the outcome first: a refused write of the episode must not hide it.
     ending = yield from judge_release(bench, probe)
     try:
@@ -247,7 +233,7 @@ def _unapproved(bench: Bench, action: PlaceAction, probe: int) -> Plan[TrialResu
         return TrialResult(Outcome.ASKED, f"{action.reason} {NOBODY}", probe)
     patience_s = PATIENCE_S if alone else math.inf
     question = ApprovalAwaited(bench.now_s(), action, probe)
-    reply = yield from ask_operator(bench, question, "the operator", patience_s)
+    reply = yield from motions.ask_operator(bench, question, "the operator", patience_s)
     if reply is None:
         return TrialResult(Outcome.ASKED, f"{action.reason} {UNANSWERED}", probe)
     if not reply and (alone or action.kind == "ask"):
@@ -260,7 +246,7 @@ def _shift(bench: Bench, strategy: Strategy, action: PlaceAction, probe: int) ->
     if action.kind == "ask":
         assert isinstance(strategy, SearchingStrategy)
         action = strategy.go_on()
-    yield from shift_piece(bench, action.step_mm, probe)
+    yield from motions.shift_piece(bench, action.step_mm, probe)
 
 
 def _count_signals(bench: Bench, strategy: Strategy) -> Plan[None]:
@@ -275,7 +261,7 @@ def _count_signals(bench: Bench, strategy: Strategy) -> Plan[None]:
 
 def _recorded(bench: Bench, pressed: PressedProbe) -> Plan[None]:
     """Publish the episode without its native-rate signals: 25 MB that stay in its file."""
-    path = yield from wait_until_durable(bench)
+    path = yield from motions.wait_until_durable(bench)
     episode = replace(pressed.episode, recording=None)
     yield EpisodeRecorded(bench.now_s(), episode, pressed.probe, "" if path is None else path.name)
 
@@ -368,7 +354,7 @@ def stack_run(session: RunContext, request: StackRequest) -> Plan[None]:
         start_mm = None if bench.scoring is None else bench.scoring.start_mm()
         yield TrialStarted(bench.now_s(), trial + 1, seed, start_mm)
         at_mm = outcome.trial_start_mm(session, request, trial) if bench.scoring is None else None
-        ended = yield from run_to_end(bench, _placing(bench, request, at_mm))
+        ended = yield from motions.run_to_end(bench, _placing(bench, request, at_mm))
         if guard is not None and (problem := guard.save()):
             yield Said(bench.now_s(), problem)
         ending, run_ending = ended.value, ended.run_ending
@@ -394,7 +380,7 @@ def _placing(
     if at_mm is not None:
         yield from outcome.set_up_scene(bench, request, at_mm)
     if empty is not None:
-        yield from take_piece(bench)
+        yield from motions.take_piece(bench)
         bench = yield from weigh_held(bench, empty)
     plan = pick_and_place if request.strategy == "pick-and-place" else place_piece
     return (yield from plan(bench))

@@ -23,14 +23,8 @@ from touchdown.backend.core import (
     Stream,
     TactileFrame,
 )
+from touchdown.backend.sensing import zeroing
 from touchdown.backend.sensing.jpeg_damage import DamageCheckingTracker
-from touchdown.backend.sensing.zeroing import (
-    TactileReference,
-    Tare,
-    WrenchDrift,
-    take_reference,
-    take_tare,
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,18 +57,18 @@ class LiveSensing:
         self.fields: Mapping[Finger, Stream[MarkerField]] = fields
         self.wrench: SampleStream = wrench
         self._trackers = {finger: DamageCheckingTracker(finger) for finger in FINGERS}
-        self._in_air: dict[Finger, TactileReference] = {}
+        self._in_air: dict[Finger, zeroing.TactileReference] = {}
         self._frame_cursor = {finger: raw.frames[finger].count for finger in FINGERS}
         self._sample_cursor = raw.samples.count
         self._payload = payload
-        self._tare = Tare(payload, np.zeros(WRENCH_CHANNELS))
+        self._tare = zeroing.Tare(payload, np.zeros(WRENCH_CHANNELS))
         # Bench time of the last tare: a verdict reached before it belongs to a former probe.
         self.tare_s: float = float("-inf")
         # What is known of the wrist sensor's, for any thread; None while that is too little.
-        self.drift: WrenchDrift | None = None
+        self.drift: zeroing.WrenchDrift | None = None
 
     @property
-    def tare(self) -> Tare:
+    def tare(self) -> zeroing.Tare:
         """Wrench that is subtracted from the raw samples."""
         return self._tare
 
@@ -92,34 +86,34 @@ class LiveSensing:
         if len(samples.t_s):
             self.wrench.put(samples.t_s, self._tare.apply(samples.values))
 
-    def zero_wrench(self, now_s: float, rest_s: float = 0.2) -> Tare:
+    def zero_wrench(self, now_s: float, rest_s: float = 0.2) -> zeroing.Tare:
         """Take the tare from the last ``rest_s`` of raw samples in air."""
         window = self.raw.samples.window(now_s - rest_s, now_s)
-        self._tare = take_tare(window.t_s, window.values, self._payload)
+        self._tare = zeroing.take_tare(window.t_s, window.values, self._payload)
         self.tare_s = now_s
         return self._tare
 
-    def take_references(self, count: int) -> Mapping[Finger, TactileReference]:
+    def take_references(self, count: int) -> Mapping[Finger, zeroing.TactileReference]:
         """Take the tactile reference of both fingers from the newest ``count`` fields each.
 
         All later references must have the shape of the first ones, taken in air after gripping.
         Raises ``RefusedError`` if the piece touches something, or for a gel of another grid.
         """
-        taken: dict[Finger, TactileReference] = {}
+        taken: dict[Finger, zeroing.TactileReference] = {}
         for finger in FINGERS:
             stream = self.fields[finger]
             newest, _, _ = stream.since(stream.count - count)
             grid = self._trackers[finger].tracker.grid
             if newest and newest[-1].quality == 0.0 and grid.rows and not grid.usable:
                 raise RefusedError("grid", f"{finger}: {grid.message}.")
-            taken[finger] = take_reference(newest, self._in_air.get(finger))
+            taken[finger] = zeroing.take_reference(newest, self._in_air.get(finger))
         self._in_air = self._in_air or taken
         for finger, reference in taken.items():
             self._trackers[finger].tracker.set_reference(reference)
         return taken
 
     @property
-    def references(self) -> Mapping[Finger, TactileReference]:
+    def references(self) -> Mapping[Finger, zeroing.TactileReference]:
         """References in use, by finger."""
         found = {finger: one.tracker.reference for finger, one in self._trackers.items()}
         return {finger: reference for finger, reference in found.items() if reference is not None}

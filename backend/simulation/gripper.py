@@ -15,16 +15,7 @@ import numpy as np
 from touchdown.backend.config import ProbeSettings
 from touchdown.backend.core import FloatArray
 from touchdown.backend.geometry import Tower, face_points
-from touchdown.backend.simulation import mechanics
-from touchdown.backend.simulation.conditions import (
-    Conditions,
-    SeedScope,
-    conditions_from_draws,
-    draw_gripping,
-    draw_probe,
-    scoped_generator,
-    true_offset_mm,
-)
+from touchdown.backend.simulation import conditions, mechanics
 from touchdown.backend.simulation.ground_truth import Scene, scene_mounting, true_com_xy_mm
 from touchdown.backend.simulation.pressing import TIMELINE_VALUES, pack_equilibrium
 from touchdown.backend.simulation.supports import slide_bottoms, support_stack
@@ -142,8 +133,10 @@ class HeldPiece:
         self._scene, self._grip = scene, grip
         self._bottoms = bottoms or scene.bottoms
         self.mounting = scene_mounting(scene)
-        rng = scoped_generator(scene.seed, SeedScope.GRIPPING, scene.number, scene.mounting, grip)
-        self.gripping = draw_gripping(scene.settings, force_n, rng)
+        rng = conditions.scoped_generator(
+            scene.seed, conditions.SeedScope.GRIPPING, scene.number, scene.mounting, grip
+        )
+        self.gripping = conditions.draw_gripping(scene.settings, force_n, rng)
         self.probe = 0
         self.conditions = self._draw(ProbeSettings())
         face = scene.settings.face
@@ -239,7 +232,7 @@ class HeldPiece:
 
     def offset_mm(self, command_mm: FloatArray) -> tuple[float, float]:
         """Return the true displacement of the face in ``O`` for a command."""
-        true = true_offset_mm(command_mm[None, :2], self.conditions)[0]
+        true = conditions.true_offset_mm(command_mm[None, :2], self.conditions)[0]
         now, first = self.bottoms.bodies[-1].at_mm, self._scene.bottoms.bodies[-1].at_mm
         x, y = now[0] - first[0], now[1] - first[1]
         return float(true[0] + self._slip_x_mm() - x), float(true[1] - y)
@@ -276,16 +269,16 @@ class HeldPiece:
             surfaces=[self._bottoms.bodies[-1].surface],
         ).on(support_stack(self._bottoms, self._scene.settings.support))
 
-    def _draw(self, probe: ProbeSettings) -> Conditions:
+    def _draw(self, probe: ProbeSettings) -> conditions.Conditions:
         scene = self._scene
         place = (scene.number, scene.mounting, self._grip, self.probe)
-        rng = scoped_generator(scene.seed, SeedScope.PROBE, *place)
-        draw = draw_probe(scene.settings, rng)
+        rng = conditions.scoped_generator(scene.seed, conditions.SeedScope.PROBE, *place)
+        draw = conditions.draw_probe(scene.settings, rng)
         if self.probe == 0:
             # Before the first press the piece is at the start of the scene.
             still = (0.0, 0.0)
             draw = replace(draw, label_error_mm=still, reseat_mm=still, pitch_rad=0.0)
-        return conditions_from_draws(
+        return conditions.conditions_from_draws(
             scene.settings,
             probe,
             scene.grip_height_mm,
@@ -302,7 +295,7 @@ def start_command_mm(scene: Scene) -> FloatArray:
     if scene.jig:
         return np.array([*scene.start_mm, scene.grip_height_mm + scene.start_height_mm])
     holding = HeldPiece(scene, 0, ProbeSettings().grip_force_n)
-    true = true_offset_mm(np.zeros((1, 2)), holding.conditions)[0]
+    true = conditions.true_offset_mm(np.zeros((1, 2)), holding.conditions)[0]
     x, y = scene.start_mm
     return np.array([x - true[0], y - true[1], scene.grip_height_mm + scene.start_height_mm])
 

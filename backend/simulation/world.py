@@ -17,23 +17,7 @@ from touchdown.backend.config import ProbeSettings
 from touchdown.backend.core import FINGERS, IDENTITY_ROTATION, Finger, FloatArray
 from touchdown.backend.devices import PressCommand
 from touchdown.backend.emulation import DisturbanceScript
-from touchdown.backend.simulation import ground_truth
-from touchdown.backend.simulation.arm import (
-    ArmCycle,
-    ArmDrive,
-    SimPress,
-    SimProgram,
-    SimTravel,
-    SimUnload,
-)
-from touchdown.backend.simulation.finger_camera import (
-    Exposure,
-    FingerCamera,
-    MarkerMotion,
-    TactileRenderer,
-    load_gel_appearance,
-    mirror_appearance,
-)
+from touchdown.backend.simulation import arm, finger_camera, ground_truth
 from touchdown.backend.simulation.gripper import HeldPiece, SimulatedJaws, start_command_mm
 from touchdown.backend.simulation.ground_truth import Scene, SceneTruth
 from touchdown.backend.simulation.marker_fields import gel_from_settings
@@ -55,7 +39,7 @@ class CycleRecord:
     end_us: int
     t_s: FloatArray
     wrench: FloatArray
-    shots: Mapping[Finger, list[Exposure]]
+    shots: Mapping[Finger, list[finger_camera.Exposure]]
     pose_mm: FloatArray
 
 
@@ -72,7 +56,7 @@ class World:
         settings = scene.settings
         self.cycle_us = settings.cycle_us
         self.now_us = 0
-        self.drive = ArmDrive(start_command_mm(scene))
+        self.drive = arm.ArmDrive(start_command_mm(scene))
         width_mm = scene.piece.width_mm
         self.jaws = SimulatedJaws(width_mm + OPEN_CLEARANCE_MM, width_mm)
         self._gel = gel_from_settings(settings)
@@ -102,17 +86,17 @@ class World:
 
     # -- commands ---------------------------------------------------------------------------------
 
-    def travel(self, target_mm: FloatArray, speed_mm_s: float) -> SimTravel:
+    def travel(self, target_mm: FloatArray, speed_mm_s: float) -> arm.SimTravel:
         """Start a straight move of ``G`` to ``target_mm`` (3,)."""
-        program = SimTravel(self.drive.command_mm, target_mm, speed_mm_s)
+        program = arm.SimTravel(self.drive.command_mm, target_mm, speed_mm_s)
         self.drive.run(program)
         return program
 
-    def follow(self, program: SimProgram) -> None:
+    def follow(self, program: arm.SimProgram) -> None:
         """Start a jog, or a program with rotation."""
         self.drive.run(program)
 
-    def press(self, law: PressCommand) -> SimPress:
+    def press(self, law: PressCommand) -> arm.SimPress:
         """Start a press: a new probe, whose nuisances are drawn."""
         if self._holding is not None:
             self._holding.begin_probe(ProbeSettings(stiffness_n_mm=law.stiffness_n_mm))
@@ -121,13 +105,13 @@ class World:
         start_s = self.now_us * 1e-6
         # The air samples are converted to the sensor offset of the new probe.
         air = air_s, air_n + self._sensor_offset()[2]
-        program = SimPress(law, float(self.drive.command_mm[2]), start_s, air)
+        program = arm.SimPress(law, float(self.drive.command_mm[2]), start_s, air)
         self.drive.run(program)
         return program
 
-    def unload(self, force_n: float, speed_mm_s: float) -> SimUnload:
+    def unload(self, force_n: float, speed_mm_s: float) -> arm.SimUnload:
         """Start rising until the press force above that in air is ``force_n``."""
-        program = SimUnload(force_n, self._tare_n, speed_mm_s, float(self.drive.command_mm[2]))
+        program = arm.SimUnload(force_n, self._tare_n, speed_mm_s, float(self.drive.command_mm[2]))
         self.drive.run(program)
         return program
 
@@ -149,7 +133,7 @@ class World:
         before = self._load(self._values)
         field_before = self._field_px
         command = self.drive.step(
-            ArmCycle(start_s, end_us * 1e-6, *self._heard),
+            arm.ArmCycle(start_s, end_us * 1e-6, *self._heard),
             stalled=self._script.active("arm", "stall", start_s),
         )
         if not self._script.active("gripper", "stall", start_s):
@@ -167,7 +151,7 @@ class World:
             finger: self._cameras[finger].shots(
                 start_us,
                 end_us,
-                MarkerMotion(field_before[i], self._field_px[i], self._bias_px(i)),
+                finger_camera.MarkerMotion(field_before[i], self._field_px[i], self._bias_px(i)),
                 watched=finger in watched,
             )
             for i, finger in enumerate(FINGERS)
@@ -319,12 +303,14 @@ class World:
 
 def _cameras(
     scene: Scene, seeds: np.ndarray[tuple[int, ...], np.dtype[np.uint32]], still_px: float
-) -> dict[Finger, FingerCamera]:
-    look = load_gel_appearance()
-    looks = {"left": look, "right": mirror_appearance(look)}
+) -> dict[Finger, finger_camera.FingerCamera]:
+    look = finger_camera.load_gel_appearance()
+    looks = {"left": look, "right": finger_camera.mirror_appearance(look)}
     return {
-        finger: FingerCamera(
-            scene.settings.tactile, TactileRenderer(looks[finger], seed, still_px), seed
+        finger: finger_camera.FingerCamera(
+            scene.settings.tactile,
+            finger_camera.TactileRenderer(looks[finger], seed, still_px),
+            seed,
         )
         for finger, seed in zip(FINGERS, seeds, strict=False)
     }

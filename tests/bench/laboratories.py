@@ -192,7 +192,7 @@ def run_laboratory(
         drawn.append(replay_gate(held, fit, bench, *rest))
         return replay_gate(held, fit, nominal, *rest)
 
-    with mock.patch("touchdown.backend.identification.identify.replay_gate", gate):
+    with mock.patch("touchdown.backend.identification.stages.replay_gate", gate):
         found_bench = identify_bench(
             recordings, load_simulation(), load_pieces(), folder / "stages"
         )

@@ -13,17 +13,7 @@ from PySide6.QtGui import QColor, QMouseEvent, QPainter, QPen
 
 from touchdown.backend.core import FloatArray
 from touchdown.widgets.base import MapName, Theme, Tokens, map_colours, ui_font
-from touchdown.widgets.plots.axes import (
-    PictureCache,
-    PlotArea,
-    centred_square,
-    draw_message,
-    draw_mm_grid,
-    draw_rings,
-    nice_step,
-    tick_text,
-    ticks,
-)
+from touchdown.widgets.plots import axes
 from touchdown.widgets.plots.pictures import PictureView
 
 NEAR_PX = 12.0  # a click farther than this from every dot selects none
@@ -83,7 +73,7 @@ class DistributionView(PictureView):
         self._choose = choose
         self.scene = DistributionScene()
         self._map: MapName = "cividis"
-        self._cache = PictureCache(self, theme)
+        self._cache = axes.PictureCache(self, theme)
 
     def show_scene(self, scene: DistributionScene) -> None:
         """Show another scene."""
@@ -93,13 +83,13 @@ class DistributionView(PictureView):
         self.setAccessibleDescription(said)
         self.update()
 
-    def area(self) -> PlotArea:
+    def area(self) -> axes.PlotArea:
         """Return the drawn square."""
         em = self.fontMetrics().height()
         margins = QMarginsF(2.2 * em, 0.9 * em, 3.6 * em, 1.4 * em)
         reach = self.scene.reach_mm
-        square = centred_square(self.size(), margins, 40.0)
-        return self.zoom.of(PlotArea(square, -reach, reach, -reach, reach))
+        square = axes.centred_square(self.size(), margins, 40.0)
+        return self.zoom.of(axes.PlotArea(square, -reach, reach, -reach, reach))
 
     def mousePressEvent(self, event: QMouseEvent) -> None:
         """Select the nearest dot."""
@@ -118,7 +108,9 @@ class DistributionView(PictureView):
         """Draw the cached picture; render it again if the scene, part, size or theme changed."""
         if not len(self.scene.bottom):
             painter.fillRect(self.rect(), self._theme.tokens.colour("panel"))
-            draw_message(painter, self.rect(), self._theme, "Nothing yet", "No pair is chosen.")
+            axes.draw_message(
+                painter, self.rect(), self._theme, "Nothing yet", "No pair is chosen."
+            )
             return
         painter.drawPixmap(0, 0, self._cache.picture(self._draw, id(self.scene), self.zoom))
 
@@ -126,7 +118,7 @@ class DistributionView(PictureView):
         area = self.area()
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
         painter.setFont(ui_font(self._theme.scale, 0.8))
-        draw_mm_grid(painter, area, self._theme, 6 if area.rect.width() > 260 else 4)
+        axes.draw_mm_grid(painter, area, self._theme, 6 if area.rect.width() > 260 else 4)
         painter.save()
         painter.setClipRect(area.rect)
         if self.scene.bins is not None:
@@ -134,14 +126,14 @@ class DistributionView(PictureView):
         painter.setBrush(Qt.BrushStyle.NoBrush)
         painter.setPen(QPen(self._theme.tokens.colour("text"), 2))
         outline = self.scene.bottom
-        draw_rings(painter, area.points(outline[:, 0], outline[:, 1]))
+        axes.draw_rings(painter, area.points(outline[:, 0], outline[:, 1]))
         if self.scene.bins is None:
             self._draw_dots(painter, area)
         self._draw_chosen(painter, area)
         painter.restore()
         self._draw_scale(painter, area)
 
-    def _draw_bins(self, painter: QPainter, area: PlotArea, bins: BinCounts) -> None:
+    def _draw_bins(self, painter: QPainter, area: axes.PlotArea, bins: BinCounts) -> None:
         shades = legible_colours(bins.counts / self.scene.span[1], self._map, self._theme.tokens)
         hole = QPen(self._theme.tokens.colour("border"), 1, Qt.PenStyle.DotLine)
         (x_mm, y_mm), size = bins.first_mm, bins.bin_mm
@@ -155,7 +147,7 @@ class DistributionView(PictureView):
                 painter.setPen(hole)
                 painter.drawRect(box)
 
-    def _draw_dots(self, painter: QPainter, area: PlotArea) -> None:
+    def _draw_dots(self, painter: QPainter, area: axes.PlotArea) -> None:
         scene, t = self.scene, self._theme.tokens
         low, high = scene.span
         shades = legible_colours((scene.values - low) / (high - low), self._map, t)
@@ -176,7 +168,7 @@ class DistributionView(PictureView):
                 painter.setPen(QPen(t.colour("text"), 1.4))
                 painter.drawRect(QRectF(at.x() - 6, at.y() - 6, 12, 12))
 
-    def _draw_chosen(self, painter: QPainter, area: PlotArea) -> None:
+    def _draw_chosen(self, painter: QPainter, area: axes.PlotArea) -> None:
         if not 0 <= self.scene.chosen < len(self.scene.points_mm):
             return
         x, y = self.scene.points_mm[self.scene.chosen].tolist()
@@ -185,7 +177,7 @@ class DistributionView(PictureView):
             painter.setPen(QPen(self._theme.tokens.colour(colour), width))
             painter.drawEllipse(QPointF(area.x(x), area.y(y)), 9, 9)
 
-    def _draw_scale(self, painter: QPainter, area: PlotArea) -> None:
+    def _draw_scale(self, painter: QPainter, area: axes.PlotArea) -> None:
         t, (low, high) = self._theme.tokens, self.scene.span
         bar = QRectF(area.rect.right() + 10, area.rect.top(), 10, area.rect.height())
         ramp = legible_colours(np.linspace(1.0, 0.0, int(bar.height())), self._map, t)
@@ -194,14 +186,14 @@ class DistributionView(PictureView):
         painter.setPen(QPen(t.colour("border"), 1))
         painter.drawRect(bar)
         whole = self.scene.bins is not None
-        step = max(nice_step(high - low, 4), 1.0 if whole else 0.0)
-        scale, height = PlotArea(bar, 0, 1, low, high), painter.fontMetrics().height()
+        step = max(axes.nice_step(high - low, 4), 1.0 if whole else 0.0)
+        scale, height = axes.PlotArea(bar, 0, 1, low, high), painter.fontMetrics().height()
         painter.setPen(t.colour("muted"))
-        for value in ticks(low, high, 4):
+        for value in axes.ticks(low, high, 4):
             if self.scene.bins is not None and value != round(value):
                 continue
             box = QRectF(bar.right() + 4, scale.y(value) - height / 2, 60, height)
-            painter.drawText(box, int(Qt.AlignmentFlag.AlignVCenter), tick_text(value, step))
+            painter.drawText(box, int(Qt.AlignmentFlag.AlignVCenter), axes.tick_text(value, step))
 
 
 def legible_colours(share: FloatArray, name: MapName, tokens: Tokens) -> NDArray[np.uint8]:

@@ -12,20 +12,7 @@ from PySide6.QtWidgets import QWidget
 
 from touchdown.backend.core import FloatArray
 from touchdown.widgets.base import Age, Panel, Theme, flat_button, signed, true_minus, ui_font
-from touchdown.widgets.plots.axes import (
-    GridPainter,
-    PictureCache,
-    PlotArea,
-    TraceBuckets,
-    draw_message,
-    draw_stale_overlay,
-    finite_runs,
-    nice_step,
-    polygon_of,
-    thin_buckets,
-    tick_text,
-    ticks,
-)
+from touchdown.widgets.plots import axes
 from touchdown.widgets.plots.pictures import PictureView
 
 AXES = ("x", "y", "z")
@@ -43,10 +30,10 @@ class TracePlot(PictureView):
         super().__init__(theme, f"{name} traces", (240, 110))
         self._name, self._symbol, self._unit = name, symbol, unit
         self._least = self.limit = limit
-        self.buckets = TraceBuckets(3, buckets=BUCKETS)
+        self.buckets = axes.TraceBuckets(3, buckets=BUCKETS)
         self._age, self._age_s, self._reason = Age.NEVER, 0.0, ""
         self._note = ""
-        self._ground = PictureCache(self, theme)
+        self._ground = axes.PictureCache(self, theme)
         self.points_drawn = 0
 
     def add(self, t_s: FloatArray, values: FloatArray) -> None:
@@ -59,7 +46,7 @@ class TracePlot(PictureView):
 
     def show_span(self, span_s: float) -> None:
         """Set the time span; this removes all samples."""
-        self.buckets = TraceBuckets(3, span_s, buckets=BUCKETS)
+        self.buckets = axes.TraceBuckets(3, span_s, buckets=BUCKETS)
         self._ground.clear()
         self.update()
 
@@ -103,14 +90,14 @@ class TracePlot(PictureView):
 
     def _grow(self, magnitude: float) -> None:
         if magnitude * 1.05 > self.limit:
-            self.limit = nice_step(magnitude * 1.05, 1)
+            self.limit = axes.nice_step(magnitude * 1.05, 1)
 
-    def area(self) -> PlotArea:
+    def area(self) -> axes.PlotArea:
         """Return the area of the traces."""
         em = self.fontMetrics().height()
         top = 1.7 * em
         rect = QRectF(2.9 * em, top, self.width() - 8.9 * em, self.height() - top - 1.6 * em)
-        return self.zoom.of(PlotArea(rect, -self.buckets.span_s, 0.0, -self.limit, self.limit))
+        return self.zoom.of(axes.PlotArea(rect, -self.buckets.span_s, 0.0, -self.limit, self.limit))
 
     def reading(self, x: float, y: float) -> str:
         """Return the time and the values of the traces then."""
@@ -125,16 +112,18 @@ class TracePlot(PictureView):
         area, ground = self.area(), self._draw_background
         painter.drawPixmap(0, 0, self._ground.picture(ground, self.limit, self.zoom))
         if self.buckets.empty:
-            draw_message(painter, area.rect, self._theme, "Waiting for data", self._reason)
+            axes.draw_message(painter, area.rect, self._theme, "Waiting for data", self._reason)
             return
         self._draw_traces(painter, area)
         self._draw_end_labels(painter, area)
         if self._age in (Age.STALE, Age.GONE):
             panel = self._theme.tokens.colour("panel")
-            draw_stale_overlay(painter, area.rect, self._theme, self._age_s, panel)
+            axes.draw_stale_overlay(painter, area.rect, self._theme, self._age_s, panel)
 
-    def _draw_traces(self, painter: QPainter, area: PlotArea) -> None:
-        lines = _polylines(area, *thin_buckets(*self.buckets.ordered(), int(area.rect.width())))
+    def _draw_traces(self, painter: QPainter, area: axes.PlotArea) -> None:
+        lines = _polylines(
+            area, *axes.thin_buckets(*self.buckets.ordered(), int(area.rect.width()))
+        )
         painter.setClipRect(area.rect)
         self.points_drawn = 0
         for name, stretches in zip(AXES, lines, strict=True):
@@ -144,7 +133,7 @@ class TracePlot(PictureView):
                 painter.drawPolyline(line)
         painter.setClipping(False)
 
-    def _draw_end_labels(self, painter: QPainter, area: PlotArea) -> None:
+    def _draw_end_labels(self, painter: QPainter, area: axes.PlotArea) -> None:
         font = ui_font(self._theme.scale, 0.92, 500)
         painter.setFont(font)
         height = painter.fontMetrics().height()
@@ -168,8 +157,8 @@ class TracePlot(PictureView):
         height = painter.fontMetrics().height()
         # Low plots label only the middle and the ends.
         count = 4 if rect.height() >= 7 * height else 2
-        step = nice_step(area.y1 - area.y0, count)
-        for value in ticks(area.y0, area.y1, count):
+        step = axes.nice_step(area.y1 - area.y0, count)
+        for value in axes.ticks(area.y0, area.y1, count):
             y = area.y(value)
             painter.setPen(QPen(t.colour("border" if value == 0 else "grid"), 1))
             painter.drawLine(QPointF(rect.left(), y), QPointF(rect.right(), y))
@@ -177,13 +166,13 @@ class TracePlot(PictureView):
             # Keeps the lowest label clear of the first one of the time axis.
             y = min(y, rect.bottom() - 0.35 * height)
             box = QRectF(0, y - height / 2, rect.left() - 6, height)
-            painter.drawText(box, int(Qt.AlignmentFlag.AlignRight), tick_text(value, step))
-        widest = painter.fontMetrics().horizontalAdvance(f"{tick_text(-60, 1)} s")
+            painter.drawText(box, int(Qt.AlignmentFlag.AlignRight), axes.tick_text(value, step))
+        widest = painter.fontMetrics().horizontalAdvance(f"{axes.tick_text(-60, 1)} s")
         count = 5 if rect.width() >= 7 * widest else 2
-        step = nice_step(area.x1 - area.x0, count)
-        for at_s in ticks(area.x0, area.x1, count):
-            text = "now" if at_s == 0 else f"{tick_text(at_s, step)} s"
-            GridPainter(painter, area, t).column(at_s, text, gap=3)
+        step = axes.nice_step(area.x1 - area.x0, count)
+        for at_s in axes.ticks(area.x0, area.x1, count):
+            text = "now" if at_s == 0 else f"{axes.tick_text(at_s, step)} s"
+            axes.GridPainter(painter, area, t).column(at_s, text, gap=3)
         painter.setPen(t.colour("muted"))
         painter.setFont(ui_font(self._theme.scale, 0.85, 500))
         name = f"{self._name} ({self._unit})"
@@ -200,7 +189,7 @@ class TracePlot(PictureView):
 
 
 def _polylines(
-    area: PlotArea, age_s: FloatArray, low: FloatArray, high: FloatArray
+    area: axes.PlotArea, age_s: FloatArray, low: FloatArray, high: FloatArray
 ) -> list[list[QPolygonF]]:
     """Return per axis one polyline for each stretch without a gap; a bucket adds two points."""
     points = np.empty((low.shape[1], len(age_s), 2, 2))
@@ -209,7 +198,7 @@ def _polylines(
     for end, values in enumerate((low, high)):
         points[:, :, end, 1] = area.rows(np.clip(values, area.y0 - room, area.y1 + room)).T
     return [
-        [polygon_of(axis[start:end].reshape(-1, 2)) for start, end in finite_runs(values)]
+        [axes.polygon_of(axis[start:end].reshape(-1, 2)) for start, end in axes.finite_runs(values)]
         for axis, values in zip(points, low.T, strict=True)
     ]
 

@@ -13,15 +13,7 @@ from PySide6.QtGui import QColor, QFontMetrics, QPainter, QPen, QPolygonF
 
 from touchdown.backend.core import FloatArray
 from touchdown.widgets.base import Theme, draw_elided_line, map_colours, ui_font
-from touchdown.widgets.plots.axes import (
-    GridPainter,
-    PlotArea,
-    draw_message,
-    nice_step,
-    spread_labels,
-    tick_text,
-    ticks,
-)
+from touchdown.widgets.plots import axes
 from touchdown.widgets.plots.pictures import PictureView
 from touchdown.widgets.views import stroke_on_black
 
@@ -58,34 +50,34 @@ class _TrainingPlot(PictureView):
         self.setAccessibleDescription(", ".join(words) or self.empty)
         self.update()
 
-    def _area(self, x: tuple[float, float], y: tuple[float, float], right: float) -> PlotArea:
+    def _area(self, x: tuple[float, float], y: tuple[float, float], right: float) -> axes.PlotArea:
         em = self.fontMetrics().height()
         top = 1.6 * em
         width, height = self.width() - 2.6 * em - right, self.height() - top - 1.5 * em
         rect = QRectF(2.6 * em, top, max(width, 20), max(height, 20))
-        return self.zoom.of(PlotArea(rect, *x, *y))
+        return self.zoom.of(axes.PlotArea(rect, *x, *y))
 
     def _beside(self, endings: Iterable[str] = ()) -> float:
         """Return the width of the texts right of the curves."""
         metrics = QFontMetrics(ui_font(self._theme.scale, 0.82, 500))
         return 12.0 + max(metrics.horizontalAdvance(text) for text in (WIDEST_ENDING, *endings))
 
-    def _draw_axes(self, painter: QPainter, area: PlotArea, *, whole: bool) -> None:
+    def _draw_axes(self, painter: QPainter, area: axes.PlotArea, *, whole: bool) -> None:
         t, rect = self._theme.tokens, area.rect
         painter.fillRect(rect, t.colour("bg"))
         painter.setFont(ui_font(self._theme.scale, 0.82))
         height = painter.fontMetrics().height()
         rows = max(2, int(rect.height() / (1.7 * height)))
-        step = nice_step(area.y1 - area.y0, rows)
-        grid = GridPainter(painter, area, t)
-        for value in ticks(area.y0, area.y1, rows):
-            grid.row(value, tick_text(value, step))
+        step = axes.nice_step(area.y1 - area.y0, rows)
+        grid = axes.GridPainter(painter, area, t)
+        for value in axes.ticks(area.y0, area.y1, rows):
+            grid.row(value, axes.tick_text(value, step))
         count = max(2, int(rect.width() / (1.8 * height)))
-        step = nice_step(area.x1 - area.x0, count)
+        step = axes.nice_step(area.x1 - area.x0, count)
         step = max(step, 1.0) if whole else step
-        for value in ticks(area.x0, area.x1, count):
+        for value in axes.ticks(area.x0, area.x1, count):
             if not whole or value == round(value):
-                grid.column(value, tick_text(value, step), line="")
+                grid.column(value, axes.tick_text(value, step), line="")
         painter.setFont(ui_font(self._theme.scale, 0.85, 500))
         head = QRectF(rect.left(), 0, self.width() - rect.left(), rect.top() - 3)
         align = Qt.AlignmentFlag.AlignBottom | Qt.AlignmentFlag.AlignLeft
@@ -93,7 +85,7 @@ class _TrainingPlot(PictureView):
         title = painter.fontMetrics().elidedText(self._name, elide, room)
         painter.drawText(head, int(align), title)
 
-    def _draw_line(self, painter: QPainter, area: PlotArea, line: CurveLine) -> None:
+    def _draw_line(self, painter: QPainter, area: axes.PlotArea, line: CurveLine) -> None:
         pen = QPen(self._theme.tokens.colour(line.token), 1.6)
         if line.dashed:
             pen.setStyle(Qt.PenStyle.DashLine)
@@ -119,7 +111,7 @@ class CurvePlot(_TrainingPlot):
         self.epochs, self.best = epochs, best
         self._show(lines, (f"{one.name} {one.points[-1][1]:.3f}" for one in lines if one.points))
 
-    def area(self) -> PlotArea:
+    def area(self) -> axes.PlotArea:
         """Return the area of the curves, in epochs and values."""
         values = [y for one in self.lines for _, y in one.points if math.isfinite(y)]
         low, high = (min(values), max(values)) if values else (0.0, 1.0)
@@ -137,7 +129,7 @@ class CurvePlot(_TrainingPlot):
         self._draw_axes(painter, area, whole=True)
         drawn = [one for one in self.lines if one.points]
         if not drawn:
-            draw_message(painter, self.rect(), self._theme, "", self.empty)
+            axes.draw_message(painter, self.rect(), self._theme, "", self.empty)
             return
         if self.best:
             painter.setPen(QPen(self._theme.tokens.colour("muted"), 1, Qt.PenStyle.DotLine))
@@ -148,7 +140,7 @@ class CurvePlot(_TrainingPlot):
         painter.setFont(ui_font(self._theme.scale, 0.82, 500))
         height = painter.fontMetrics().height()
         wanted = [area.y(one.points[-1][1]) for one in drawn]
-        places = spread_labels(wanted, height, area.rect.top(), area.rect.bottom())
+        places = axes.spread_labels(wanted, height, area.rect.top(), area.rect.bottom())
         for one, y in zip(drawn, places, strict=True):
             painter.setPen(self._theme.tokens.colour(one.token))
             box = QRectF(area.rect.right() + 5, y - height / 2, self.width(), height)
@@ -173,7 +165,7 @@ class ReliabilityPlot(_TrainingPlot):
         painter.setPen(QPen(self._theme.tokens.colour("muted"), 1, Qt.PenStyle.DotLine))
         painter.drawLine(area.rect.bottomLeft(), area.rect.topRight())
         if not any(one.points for one in self.lines):
-            draw_message(painter, self.rect(), self._theme, "", self.empty)
+            axes.draw_message(painter, self.rect(), self._theme, "", self.empty)
             return
         painter.setFont(ui_font(self._theme.scale, 0.82, 500))
         height = painter.fontMetrics().height()
@@ -249,7 +241,7 @@ class SampleStrip(PictureView):
     def paint(self, painter: QPainter) -> None:
         """Draw the tiles."""
         if not self.scenes:
-            draw_message(painter, self.rect(), self._theme, "No samples", self._why)
+            axes.draw_message(painter, self.rect(), self._theme, "No samples", self._why)
             return
         columns, _, side = self._grid()
         em = self.fontMetrics().height()

@@ -12,19 +12,7 @@ import struct
 from dataclasses import dataclass
 from enum import IntFlag
 
-from touchdown.backend.devices.framing import (
-    NO_WRENCH,
-    FrameStep,
-    FrameStream,
-    ProtocolError,
-    TakeFrame,
-    Wrench,
-    crc16_x25,
-    never_skip,
-    noise_until,
-    require_length,
-    wrench_of,
-)
+from touchdown.backend.devices import framing
 from touchdown.backend.devices.identification import ProtocolSignature
 
 FRAME_BYTES = 37
@@ -57,10 +45,10 @@ class BotaFrame:
     timestamp_us: int
     temperature_c: float
 
-    def wrench(self) -> Wrench:
+    def wrench(self) -> framing.Wrench:
         """Return the wrench; NaN if the sensor marks it invalid or unscaled."""
         unusable = self.status & (BotaStatus.INVALID | BotaStatus.RAW)
-        return NO_WRENCH if unusable else wrench_of(self.values)
+        return framing.NO_WRENCH if unusable else framing.wrench_of(self.values)
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,8 +82,8 @@ def encode(message: BotaMessage | BotaRequest) -> bytes:
         try:
             body = _FIELDS.pack(message.status, *numbers)
         except (struct.error, OverflowError) as error:
-            raise ProtocolError("range", "bota frame", 1) from error
-        return bytes((HEADER,)) + body + struct.pack("<H", crc16_x25(body))
+            raise framing.ProtocolError("range", "bota frame", 1) from error
+        return bytes((HEADER,)) + body + struct.pack("<H", framing.crc16_x25(body))
     if isinstance(message, BotaBoot):
         return _BOOT
     if isinstance(message, BotaReply):
@@ -107,67 +95,67 @@ def encode(message: BotaMessage | BotaRequest) -> bytes:
 
 def decode_frame(data: bytes) -> BotaFrame:
     """Return the frame of exactly 37 bytes; raises ``ProtocolError``."""
-    require_length(data, FRAME_BYTES, "bota frame")
+    framing.require_length(data, FRAME_BYTES, "bota frame")
     if data[0] != HEADER:
-        raise ProtocolError("header", "bota frame")
-    if crc16_x25(data[1:-2]) != int.from_bytes(data[-2:], "little"):
-        raise ProtocolError("crc", "bota frame", FRAME_BYTES - 2)
+        raise framing.ProtocolError("header", "bota frame")
+    if framing.crc16_x25(data[1:-2]) != int.from_bytes(data[-2:], "little"):
+        raise framing.ProtocolError("crc", "bota frame", FRAME_BYTES - 2)
     status, *values, timestamp_us, temperature_c = _FIELDS.unpack(data[1:-2])
     if not math.isfinite(temperature_c) or not all(map(math.isfinite, values)):
         if not status & BotaStatus.INVALID:
-            raise ProtocolError("number", "bota frame", 3)
+            raise framing.ProtocolError("number", "bota frame", 3)
         temperature_c, *values = (
             v if math.isfinite(v) else math.nan for v in (temperature_c, *values)
         )
     return BotaFrame(status, tuple(values), timestamp_us, temperature_c)
 
 
-def incoming() -> FrameStream[BotaMessage]:
+def incoming() -> framing.FrameStream[BotaMessage]:
     """Return the decoder of the sensor's messages: frames and texts in any order."""
-    return FrameStream(_take, _text_behind)
+    return framing.FrameStream(_take, _text_behind)
 
 
-def requests() -> FrameStream[BotaRequest]:
+def requests() -> framing.FrameStream[BotaRequest]:
     """Return the decoder of commands."""
-    return FrameStream(_take_request, never_skip)
+    return framing.FrameStream(_take_request, framing.never_skip)
 
 
 def _checked(text: bytes, pattern: re.Pattern[bytes]) -> bytes:
     if pattern.fullmatch(text) is None:
-        raise ProtocolError("text", "bota command")
+        raise framing.ProtocolError("text", "bota command")
     return text
 
 
-def _take(data: bytes, at: int) -> FrameStep[BotaMessage] | None:
+def _take(data: bytes, at: int) -> framing.FrameStep[BotaMessage] | None:
     if data[at] == HEADER:
         if len(data) - at < FRAME_BYTES:
             return None
         try:
-            return FrameStep(FRAME_BYTES, decode_frame(data[at : at + FRAME_BYTES]))
-        except ProtocolError:
-            return FrameStep(1, refused=True)
+            return framing.FrameStep(FRAME_BYTES, decode_frame(data[at : at + FRAME_BYTES]))
+        except framing.ProtocolError:
+            return framing.FrameStep(1, refused=True)
     if data.startswith(_BOOT, at):
-        return FrameStep(len(_BOOT), BotaBoot())
+        return framing.FrameStep(len(_BOOT), BotaBoot())
     if found := _REPLY.match(data, at):
-        return FrameStep(len(found[0]), BotaReply(found[1].decode(), int(found[2])))
+        return framing.FrameStep(len(found[0]), BotaReply(found[1].decode(), int(found[2])))
     rest = data[at : at + len(_BOOT)]
     if _BOOT.startswith(rest) or re.fullmatch(rb"r(,(0(,([CcfR],?)?)?)?)?", rest):
         return None
-    return noise_until(data, at, b"\xaarA")
+    return framing.noise_until(data, at, b"\xaarA")
 
 
-def _text_behind(take: TakeFrame[BotaMessage], data: bytes, at: int) -> bool:
+def _text_behind(take: framing.TakeFrame[BotaMessage], data: bytes, at: int) -> bool:
     """Return True if a text starts within an incomplete frame."""
     return re.compile(_REPLY.pattern + b"|" + _BOOT).search(data, at) is not None
 
 
-def _take_request(data: bytes, at: int) -> FrameStep[BotaRequest] | None:
+def _take_request(data: bytes, at: int) -> framing.FrameStep[BotaRequest] | None:
     if found := _REQUEST.match(data, at):
         command, *arguments = found[0].decode().split(",")
-        return FrameStep(len(found[0]), BotaRequest(command, tuple(map(int, arguments))))
+        return framing.FrameStep(len(found[0]), BotaRequest(command, tuple(map(int, arguments))))
     if len(data) - at < _REQUEST_LONGEST and re.fullmatch(rb"[cf][0-9,]*", data[at:]):
         return None
-    return FrameStep(1, refused=True)
+    return framing.FrameStep(1, refused=True)
 
 
 SIGNATURES = (

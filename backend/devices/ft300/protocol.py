@@ -9,16 +9,7 @@ from __future__ import annotations
 import struct
 from dataclasses import dataclass
 
-from touchdown.backend.devices.framing import (
-    FrameStep,
-    FrameStream,
-    ProtocolError,
-    Wrench,
-    crc16_modbus,
-    noise_until,
-    take_frame,
-    wrench_of,
-)
+from touchdown.backend.devices import framing
 from touchdown.backend.devices.identification import ProtocolSignature
 
 SLAVE = 9
@@ -40,9 +31,9 @@ class Ft300Sample:
 
     counts: tuple[int, ...]
 
-    def wrench(self) -> Wrench:
+    def wrench(self) -> framing.Wrench:
         """Return N and N·m."""
-        return wrench_of(
+        return framing.wrench_of(
             [*(c / 100 for c in self.counts[:3]), *(c / 1000 for c in self.counts[3:])]
         )
 
@@ -110,8 +101,8 @@ def encode(message: Ft300Request | Ft300Message) -> bytes:
     try:
         body = _body(message)
     except struct.error as error:
-        raise ProtocolError("range", "ft300 message") from error
-    return body + struct.pack("<H", crc16_modbus(body))
+        raise framing.ProtocolError("range", "ft300 message") from error
+    return body + struct.pack("<H", framing.crc16_modbus(body))
 
 
 def _body(message: ReadRegisters | WriteRegister | WriteRegisters | Ft300Message) -> bytes:
@@ -134,19 +125,19 @@ def _body(message: ReadRegisters | WriteRegister | WriteRegisters | Ft300Message
             return struct.pack(">BBB", SLAVE, function | 0x80, code)
 
 
-def incoming() -> FrameStream[Ft300Message]:
+def incoming() -> framing.FrameStream[Ft300Message]:
     """Return the decoder of the sensor's messages: answers and stream."""
-    return FrameStream(_take)
+    return framing.FrameStream(_take)
 
 
-def requests() -> FrameStream[Ft300Request]:
+def requests() -> framing.FrameStream[Ft300Request]:
     """Return the decoder of requests."""
-    return FrameStream(_take_request)
+    return framing.FrameStream(_take_request)
 
 
 def _checked(frame: bytes) -> bytes:
-    if crc16_modbus(frame[:-2]) != int.from_bytes(frame[-2:], "little"):
-        raise ProtocolError("crc", "ft300 frame", len(frame) - 2)
+    if framing.crc16_modbus(frame[:-2]) != int.from_bytes(frame[-2:], "little"):
+        raise framing.ProtocolError("crc", "ft300 frame", len(frame) - 2)
     return frame[:-2]
 
 
@@ -185,37 +176,37 @@ def decode(frame: bytes) -> Ft300Message:
     )
 
 
-def _take(data: bytes, at: int) -> FrameStep[Ft300Message] | None:
-    return take_frame(data, at, _incoming_length(data, at), b"\x20\x09", decode)
+def _take(data: bytes, at: int) -> framing.FrameStep[Ft300Message] | None:
+    return framing.take_frame(data, at, _incoming_length(data, at), b"\x20\x09", decode)
 
 
-def _take_request(data: bytes, at: int) -> FrameStep[Ft300Request] | None:
+def _take_request(data: bytes, at: int) -> framing.FrameStep[Ft300Request] | None:
     if data[at] == 0xFF:
         return _take_stop(data, at)
     if data[at] != SLAVE:
-        return noise_until(data, at, b"\x09\xff")
+        return framing.noise_until(data, at, b"\x09\xff")
     head = data[at : at + 7]
     if len(head) < 2:
         return None
     if head[1] in (_READ, _WRITE_ONE):
         length = 8
     elif head[1] != _WRITE_MANY:
-        return FrameStep(1)
+        return framing.FrameStep(1)
     elif len(head) < 7:
         return None
     elif head[6] not in range(2, 2 * LARGEST_READ + 1, 2) or head[4:6] != bytes((0, head[6] // 2)):
-        return FrameStep(1, refused=True)
+        return framing.FrameStep(1, refused=True)
     else:
         length = 9 + head[6]
-    return take_frame(data, at, length, b"", lambda frame: _request(_checked(frame)))
+    return framing.take_frame(data, at, length, b"", lambda frame: _request(_checked(frame)))
 
 
-def _take_stop(data: bytes, at: int) -> FrameStep[Ft300Request] | None:
+def _take_stop(data: bytes, at: int) -> framing.FrameStep[Ft300Request] | None:
     window = data[at : at + STOP_BYTES]
     run = len(window) - len(window.lstrip(b"\xff"))
     if run == STOP_BYTES:
-        return FrameStep(STOP_BYTES, StreamStop())
-    return None if run == len(window) else FrameStep(run, refused=True)
+        return framing.FrameStep(STOP_BYTES, StreamStop())
+    return None if run == len(window) else framing.FrameStep(run, refused=True)
 
 
 def _request(body: bytes) -> Ft300Request:

@@ -17,14 +17,8 @@ import numpy as np
 
 from touchdown.backend.config import GelsightSettings, HardwareSettings
 from touchdown.backend.core import Fault, FaultError, Finger, ImageArray, Stream, TactileFrame
+from touchdown.backend.devices import protocols
 from touchdown.backend.devices.cameras import PictureFilter, PictureSource, link_fault, open_source
-from touchdown.backend.devices.protocols import (
-    ArrivalCounter,
-    ConnectionSteps,
-    DeviceState,
-    Health,
-    Identity,
-)
 
 T = TypeVar("T")
 
@@ -131,7 +125,7 @@ class TactileCamera:
         now_s: Callable[[], float],
         frames: Stream[TactileFrame] | None = None,
         open_camera: Callable[[Path, GelsightSettings], PictureSource] = open_source,
-        identity: Identity | None = None,
+        identity: protocols.Identity | None = None,
     ) -> None:
         self.finger: Finger = finger
         self.name = f"tactile_{finger}"
@@ -143,17 +137,17 @@ class TactileCamera:
         self._stop, self._first = threading.Event(), threading.Event()
         self._threads: list[threading.Thread] = []
         # State of the connection; FAULT while the camera is missing or hangs.
-        self.state = DeviceState.CLOSED
-        self.identity: Identity | None = None  # None before the first connection
+        self.state = protocols.DeviceState.CLOSED
+        self.identity: protocols.Identity | None = None  # None before the first connection
         self._facts: Mapping[str, float] = {}
-        self._arrivals = ArrivalCounter()
+        self._arrivals = protocols.ArrivalCounter()
         self._damaged = self.reopened = self._sequence = 0
         self._gate = self._new_gate()
-        self.steps = ConnectionSteps()
+        self.steps = protocols.ConnectionSteps()
         self.fault: Fault | None = None
 
     @property
-    def health(self) -> Health:
+    def health(self) -> protocols.Health:
         """Delivered pictures per second, age of the newest, counts; ``lost`` are undelivered
         pictures.
         """
@@ -162,7 +156,7 @@ class TactileCamera:
 
     def describe(self) -> Mapping[str, str | float]:
         """Return condition, scale, and the camera's format and controls."""
-        stale = self.state is DeviceState.READY and self.health.age_s > STALE_S
+        stale = self.state is protocols.DeviceState.READY and self.health.age_s > STALE_S
         return {
             "kind": self.identity.model if self.identity else "GelSight Mini",
             "condition": "stale" if stale else self.state.value,
@@ -177,15 +171,15 @@ class TactileCamera:
 
     def connect(self, timeout_s: float, cancel: threading.Event) -> None:
         """Find the camera by its serial number, open it, wait for the first bright picture."""
-        if self.state is DeviceState.READY:
+        if self.state is protocols.DeviceState.READY:
             return
         self.close()
-        self.state, self.fault = DeviceState.CONNECTING, None
+        self.state, self.fault = protocols.DeviceState.CONNECTING, None
         self.steps.begin()
         self._stop, self._first, self._newest = threading.Event(), threading.Event(), Mailbox()
         self._damaged = self.reopened = self._sequence = 0
         self._gate = self._new_gate()
-        self._arrivals = ArrivalCounter()
+        self._arrivals = protocols.ArrivalCounter()
         targets = (self._watch, self._deliver)
         self._threads = [
             threading.Thread(target=run, args=(self._stop,), name=self.name, daemon=True)
@@ -208,7 +202,7 @@ class TactileCamera:
         for thread in self._threads:
             thread.join(JOIN_S)
         self._threads = []
-        self.state = DeviceState.CLOSED
+        self.state = protocols.DeviceState.CLOSED
 
     def _new_gate(self) -> PictureFilter:
         return PictureFilter(self.finger, self.name, self._settings, self._now_s())
@@ -219,7 +213,7 @@ class TactileCamera:
             self.identity = self._given
             return Path(self.name)
         if self._own.file:
-            self.identity = Identity("", "video file", Path(self._own.file).name, "")
+            self.identity = protocols.Identity("", "video file", Path(self._own.file).name, "")
             return Path(self._own.file)
         folders = self._settings.by_id, self._settings.names, self._settings.nodes
         found = {camera.serial: camera.path for camera in find_cameras(*map(Path, folders))}
@@ -227,7 +221,7 @@ class TactileCamera:
             there = ", ".join(found) or "none"
             what = f"No camera with the number '{self._own.serial}' is plugged in (there: {there})."
             raise FaultError(link_fault(self.name, what))
-        self.identity = Identity("GelSight", "GelSight Mini", self._own.serial, "")
+        self.identity = protocols.Identity("GelSight", "GelSight Mini", self._own.serial, "")
         return found[self._own.serial]
 
     def _watch(self, stop: threading.Event) -> None:
@@ -296,7 +290,7 @@ class TactileCamera:
             self.frames.put(t_s, TactileFrame(self.finger, sequence, t_s, image, jpeg))
             self._arrivals.note(t_s)
             self.fault = None
-            self.state = DeviceState.READY
+            self.state = protocols.DeviceState.READY
             self.steps.reached("first sample")
             self._first.set()
 
@@ -307,7 +301,7 @@ class TactileCamera:
     def _fail(self, fault: Fault) -> None:
         self.fault = fault
         if self._first.is_set():
-            self.state = DeviceState.FAULT
+            self.state = protocols.DeviceState.FAULT
 
 
 def make_gelsight(

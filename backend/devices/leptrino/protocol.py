@@ -12,16 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum, IntFlag
 
-from touchdown.backend.devices.framing import (
-    FrameStep,
-    FrameStream,
-    ProtocolError,
-    Wrench,
-    never_skip,
-    noise_until,
-    wrench_of,
-    xor8,
-)
+from touchdown.backend.devices import framing
 from touchdown.backend.devices.identification import ProtocolSignature
 
 DLE, STX, ETX, NAK_BYTE = 0x10, 0x02, 0x03, 0x15
@@ -95,10 +86,10 @@ class LeptrinoSample:
     status: int
     reserve: int = 0
 
-    def wrench(self, rated: Sequence[float]) -> Wrench:
+    def wrench(self, rated: Sequence[float]) -> framing.Wrench:
         """Scale by the rated loads of the sensor."""
         pairs = zip(self.counts, rated, strict=True)
-        return wrench_of([count / FULL_SCALE * load for count, load in pairs])
+        return framing.wrench_of([count / FULL_SCALE * load for count, load in pairs])
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,11 +108,11 @@ def encode(packet: Packet) -> bytes:
         command, code, body = _content(packet)
         data = bytes((4 + len(body), 0xFF, command, code)) + body
     except (struct.error, ValueError, OverflowError) as error:
-        raise ProtocolError("range", "leptrino frame") from error
+        raise framing.ProtocolError("range", "leptrino frame") from error
     if len(data) > LONGEST_DATA:
-        raise ProtocolError("length", "leptrino frame", LONGEST_DATA)
+        raise framing.ProtocolError("length", "leptrino frame", LONGEST_DATA)
     stuffed = data.replace(b"\x10", b"\x10\x10")
-    return b"\x10\x02" + stuffed + b"\x10\x03" + bytes((xor8(data) ^ ETX,))
+    return b"\x10\x02" + stuffed + b"\x10\x03" + bytes((framing.xor8(data) ^ ETX,))
 
 
 def _content(
@@ -133,7 +124,7 @@ def _content(
         parts = ((packet.model, 16), (packet.serial, 8), (packet.firmware, 4))
         text = "".join(part.ljust(width) for part, width in parts) + packet.rate
         if len(text) not in (28, 34) or not text.isascii():
-            raise ProtocolError("text", "leptrino info", 4)
+            raise framing.ProtocolError("text", "leptrino info", 4)
         return LeptrinoCommand.INFO, 0, text.encode("ascii")
     if isinstance(packet, RatedLoads):
         return LeptrinoCommand.RATED, 0, struct.pack("<6f", *packet.loads)
@@ -143,42 +134,42 @@ def _content(
     return packet.command, 0, body
 
 
-def packets() -> FrameStream[Packet]:
+def packets() -> framing.FrameStream[Packet]:
     """Return a decoder of either direction."""
-    return FrameStream(_take, never_skip)
+    return framing.FrameStream(_take, framing.never_skip)
 
 
-def _take(data: bytes, at: int) -> FrameStep[Packet] | None:
+def _take(data: bytes, at: int) -> framing.FrameStep[Packet] | None:
     if data[at] != DLE:
-        return noise_until(data, at, b"\x10")
+        return framing.noise_until(data, at, b"\x10")
     if at + 1 == len(data):
         return None
     if data[at + 1] == NAK_BYTE:
-        return FrameStep(2, LeptrinoNak())
+        return framing.FrameStep(2, LeptrinoNak())
     if data[at + 1] != STX:
-        return FrameStep(2)  # a pair of 10h is content of a lost frame, never a start
+        return framing.FrameStep(2)  # a pair of 10h is content of a lost frame, never a start
     content = _CONTENT.match(data, at + 2)
     end = at + 2 if content is None else content.end()
     if end - at > 2 * LONGEST_DATA + 2:
-        return FrameStep(2, refused=True)
+        return framing.FrameStep(2, refused=True)
     tail = data[end : end + 3]
     if len(tail) > 1 and tail[1] != ETX:
-        return FrameStep(end - at, refused=True)
+        return framing.FrameStep(end - at, refused=True)
     if len(tail) < 3:
         return None
     try:
-        return FrameStep(end + 3 - at, decode(data[at : end + 3]))
-    except ProtocolError:
-        return FrameStep(2, refused=True)
+        return framing.FrameStep(end + 3 - at, decode(data[at : end + 3]))
+    except framing.ProtocolError:
+        return framing.FrameStep(2, refused=True)
 
 
 def decode(frame: bytes) -> Packet:
     """Return the message of one whole frame; raises ``ProtocolError``."""
     data, check = frame[2:-3].replace(b"\x10\x10", b"\x10"), frame[-1]
-    if xor8(data) ^ ETX != check:
-        raise ProtocolError("bcc", "leptrino frame", len(data))
+    if framing.xor8(data) ^ ETX != check:
+        raise framing.ProtocolError("bcc", "leptrino frame", len(data))
     if len(data) < 4 or data[0] != len(data) or data[1] != 0xFF:
-        raise ProtocolError("length", "leptrino frame")
+        raise framing.ProtocolError("length", "leptrino frame")
     command, code, body = data[2], data[3], data[4:]
     if not body:
         return PlainFrame(command, code)
@@ -186,8 +177,8 @@ def decode(frame: bytes) -> Packet:
         if code == 0:
             return _body(command, body)
     except (struct.error, UnicodeDecodeError) as error:
-        raise ProtocolError("body", "leptrino frame", 4) from error
-    raise ProtocolError("body", "leptrino frame", 4)
+        raise framing.ProtocolError("body", "leptrino frame", 4) from error
+    raise framing.ProtocolError("body", "leptrino frame", 4)
 
 
 def _body(command: int, body: bytes) -> Packet:
@@ -200,7 +191,7 @@ def _body(command: int, body: bytes) -> Packet:
     if command == LeptrinoCommand.RATED:
         loads = struct.unpack("<6f", body)
         if not all(0 < load < 1e6 for load in loads):
-            raise ProtocolError("range", "leptrino rated load", 4)
+            raise framing.ProtocolError("range", "leptrino rated load", 4)
         return RatedLoads(loads)
     if command in (LeptrinoCommand.GET_FILTER, LeptrinoCommand.SET_FILTER):
         index, *zeros = struct.unpack("<4B", body)
@@ -210,7 +201,7 @@ def _body(command: int, body: bytes) -> Packet:
         *counts, reserve, status, zero = struct.unpack("<6hHBB", body)
         if not zero:
             return LeptrinoSample(command, tuple(counts), status, reserve)
-    raise ProtocolError("body", "leptrino frame", 4)
+    raise framing.ProtocolError("body", "leptrino frame", 4)
 
 
 SIGNATURES = (

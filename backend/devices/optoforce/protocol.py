@@ -10,15 +10,7 @@ import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from touchdown.backend.devices.framing import (
-    FrameStep,
-    FrameStream,
-    ProtocolError,
-    Wrench,
-    sum16,
-    take_frame,
-    wrench_of,
-)
+from touchdown.backend.devices import framing
 from touchdown.backend.devices.identification import ProtocolSignature
 
 # Rate of each ``speed`` code; 0 stops the stream.
@@ -76,9 +68,11 @@ class OptoforceFrame:
         triples = zip(self.counts, counts_at_capacity, capacity, strict=True)
         return [count / full * load for count, full, load in triples]
 
-    def wrench(self, counts_at_capacity: Sequence[float], capacity: Sequence[float]) -> Wrench:
+    def wrench(
+        self, counts_at_capacity: Sequence[float], capacity: Sequence[float]
+    ) -> framing.Wrench:
         """Return the wrench of a sensor of six axes."""
-        return wrench_of(self.scaled(counts_at_capacity, capacity))
+        return framing.wrench_of(self.scaled(counts_at_capacity, capacity))
 
 
 OptoforceMessage = OptoforceFrame | OptoforceAck
@@ -89,8 +83,8 @@ def encode(message: OptoforceMessage | OptoforceConfig) -> bytes:
     try:
         body = _body(message)
     except (struct.error, ValueError) as error:
-        raise ProtocolError("range", "optoforce message", 4) from error
-    return body + struct.pack(">H", sum16(body))
+        raise framing.ProtocolError("range", "optoforce message", 4) from error
+    return body + struct.pack(">H", framing.sum16(body))
 
 
 def _body(message: OptoforceMessage | OptoforceConfig) -> bytes:
@@ -100,7 +94,7 @@ def _body(message: OptoforceMessage | OptoforceConfig) -> bytes:
         return _ACK + bytes((message.status,))
     kind = {axes: code for code, axes in _AXES.items()}.get(len(message.counts))
     if kind is None:
-        raise ProtocolError("length", "optoforce frame", 8)
+        raise framing.ProtocolError("length", "optoforce frame", 8)
     content = struct.pack(
         f">HH{len(message.counts)}h", message.count, message.status, *message.counts
     )
@@ -116,19 +110,19 @@ def decode(frame: bytes) -> OptoforceMessage:
     return OptoforceFrame(count, status, tuple(counts))
 
 
-def incoming() -> FrameStream[OptoforceMessage]:
+def incoming() -> framing.FrameStream[OptoforceMessage]:
     """Return the decoder of the sensor's messages."""
-    return FrameStream(_take)
+    return framing.FrameStream(_take)
 
 
-def requests() -> FrameStream[OptoforceConfig]:
+def requests() -> framing.FrameStream[OptoforceConfig]:
     """Return the decoder of configurations."""
-    return FrameStream(_take_request)
+    return framing.FrameStream(_take_request)
 
 
 def _summed(frame: bytes) -> bytes:
-    if sum16(frame[:-2]) != int.from_bytes(frame[-2:], "big"):
-        raise ProtocolError("sum", "optoforce frame", len(frame) - 2)
+    if framing.sum16(frame[:-2]) != int.from_bytes(frame[-2:], "big"):
+        raise framing.ProtocolError("sum", "optoforce frame", len(frame) - 2)
     return frame[:-2]
 
 
@@ -142,13 +136,13 @@ def _length(data: bytes, at: int) -> int | None:
     return None if len(head) < 4 and (_ACK.startswith(head) or _FRAME.startswith(head)) else 0
 
 
-def _take(data: bytes, at: int) -> FrameStep[OptoforceMessage] | None:
-    return take_frame(data, at, _length(data, at), b"\xaa", decode)
+def _take(data: bytes, at: int) -> framing.FrameStep[OptoforceMessage] | None:
+    return framing.take_frame(data, at, _length(data, at), b"\xaa", decode)
 
 
-def _take_request(data: bytes, at: int) -> FrameStep[OptoforceConfig] | None:
+def _take_request(data: bytes, at: int) -> framing.FrameStep[OptoforceConfig] | None:
     length = 9 if _CONFIG.startswith(data[at : at + 4]) else 0
-    return take_frame(data, at, length, b"\xaa", lambda f: OptoforceConfig(*_summed(f)[4:]))
+    return framing.take_frame(data, at, length, b"\xaa", lambda f: OptoforceConfig(*_summed(f)[4:]))
 
 
 SIGNATURES = (

@@ -15,19 +15,8 @@ from functools import partial
 
 from touchdown.backend.config import HardwareSettings, WsgSettings
 from touchdown.backend.core import Fault, FaultError
+from touchdown.backend.devices import protocols
 from touchdown.backend.devices.identification import identify_device
-from touchdown.backend.devices.protocols import (
-    NOTHING_MOVED,
-    ArrivalCounter,
-    CommandedMotion,
-    ConnectionSteps,
-    DeviceState,
-    GripStatus,
-    Health,
-    Identity,
-    replaced_fault,
-    stopped_fault,
-)
 from touchdown.backend.devices.wsg import protocol
 from touchdown.backend.devices.wsg.gcl import GclProtocol
 from touchdown.backend.devices.wsg.protocol import (
@@ -112,13 +101,17 @@ def link_fault(what: str) -> Fault:
     )
 
 
-STOPPED, REPLACED = stopped_fault(NAME), replaced_fault(NAME)
+STOPPED, REPLACED = protocols.stopped_fault(NAME), protocols.replaced_fault(NAME)
 NOT_CONNECTED = Fault(
-    "NOT-CONNECTED", "The gripper is not connected.", NOTHING_MOVED, "Connect it first.", NAME
+    "NOT-CONNECTED",
+    "The gripper is not connected.",
+    protocols.NOTHING_MOVED,
+    "Connect it first.",
+    NAME,
 )
 
 
-class WsgMotion(CommandedMotion):
+class WsgMotion(protocols.CommandedMotion):
     """A motion in steps, the active one first; ``pending`` once the gripper has accepted it."""
 
     def __init__(
@@ -174,10 +167,10 @@ class WsgCore:
         self._heard_s = 0.0
 
     @property
-    def status(self) -> GripStatus:
+    def status(self) -> protocols.GripStatus:
         """Last width, force per finger and grip."""
         holding = self.grasp_state is GraspState.HOLDING
-        return GripStatus(self.width_mm, self.force_sum_n / self._fingers, holding)
+        return protocols.GripStatus(self.width_mm, self.force_sum_n / self._fingers, holding)
 
     @property
     def most_force_n(self) -> float:
@@ -366,19 +359,19 @@ class WsgGripper:
         self._language = language()
         self._thread: threading.Thread | None = None
         self._stop = threading.Event()
-        self.steps = ConnectionSteps()
-        self._state = DeviceState.CLOSED
-        self.identity: Identity | None = None  # None before the first connection
-        self._arrivals = ArrivalCounter()
+        self.steps = protocols.ConnectionSteps()
+        self._state = protocols.DeviceState.CLOSED
+        self.identity: protocols.Identity | None = None  # None before the first connection
+        self._arrivals = protocols.ArrivalCounter()
         # True if a piece was held when the connection was lost: the operator must acknowledge the
         # stop.
         self.lost_holding = False
 
     @property
-    def state(self) -> DeviceState:
+    def state(self) -> protocols.DeviceState:
         """State of the connection; FAULT for a latched fault of the gripper."""
-        faulty = self._state is DeviceState.READY and self._core.fault is not None
-        return DeviceState.FAULT if faulty else self._state
+        faulty = self._state is protocols.DeviceState.READY and self._core.fault is not None
+        return protocols.DeviceState.FAULT if faulty else self._state
 
     @property
     def fault(self) -> Fault | None:
@@ -391,14 +384,14 @@ class WsgGripper:
         return SystemFlag.REFERENCED in self._core.flags
 
     @property
-    def health(self) -> Health:
+    def health(self) -> protocols.Health:
         """Replies per second, age of the newest, counts; ``lost`` are damaged replies."""
         return self._arrivals.health(self._now_s(), self._language.bad_frames)
 
     def describe(self) -> Mapping[str, str | float]:
         """Return type, state of the grip, readings and losses."""
         core, status = self._core, self._core.status
-        stale = self._state is DeviceState.READY and self.health.age_s > STALE_S
+        stale = self._state is protocols.DeviceState.READY and self.health.age_s > STALE_S
         return {
             "kind": self.identity.model if self.identity else "WSG",
             "condition": "stale" if stale else self.state.value,
@@ -415,10 +408,10 @@ class WsgGripper:
         was lost while holding a piece, the fast stop stays until ``acknowledge``: the operator
         checks the piece first.
         """
-        if self._state is DeviceState.READY:
+        if self._state is protocols.DeviceState.READY:
             return
         self.close()
-        self._state = DeviceState.CONNECTING
+        self._state = protocols.DeviceState.CONNECTING
         self._core, self._language = WsgCore(self._settings), self._new_language()
         self.steps.begin()
         try:
@@ -428,7 +421,7 @@ class WsgGripper:
             self._greet(cancel)
         except (OSError, FaultError) as error:
             self._drop()
-            self._state = DeviceState.CLOSED
+            self._state = protocols.DeviceState.CLOSED
             if isinstance(error, FaultError):
                 raise
             raise FaultError(link_fault(f"The gripper cannot be reached: {error}.")) from error
@@ -441,12 +434,12 @@ class WsgGripper:
             self._stop.set()
             self._thread.join()
             self._thread = None
-            if self._state is DeviceState.READY and self._socket is not None:
+            if self._state is protocols.DeviceState.READY and self._socket is not None:
                 self._announce_end()
         self._drop()
-        self._state = DeviceState.CLOSED
+        self._state = protocols.DeviceState.CLOSED
 
-    def status(self) -> GripStatus:
+    def status(self) -> protocols.GripStatus:
         """Return the last status of the gripper."""
         return self._core.status
 
@@ -498,7 +491,7 @@ class WsgGripper:
             raise FaultError(self._core.fault)
 
     def _require_link(self) -> None:
-        if self._state is not DeviceState.READY:
+        if self._state is not protocols.DeviceState.READY:
             raise FaultError(self._core.fault or NOT_CONNECTED)
 
     def _greet(self, cancel: threading.Event) -> None:
@@ -558,12 +551,12 @@ class WsgGripper:
     def _begin(self) -> None:
         self._stop.clear()
         now_s = self._now_s()
-        self._arrivals = ArrivalCounter()
+        self._arrivals = protocols.ArrivalCounter()
         self._arrivals.note(now_s, 0)
         with self._lock:
             requests = self._core.subscribe(now_s)
         self.steps.reached("configure")
-        self._state = DeviceState.READY
+        self._state = protocols.DeviceState.READY
         self._thread = threading.Thread(target=self._listen, name="wsg", daemon=True)
         self._thread.start()
         self._send(requests)
@@ -614,7 +607,7 @@ class WsgGripper:
         with self._lock:
             self.lost_holding |= self._core.status.holding
             self._core.latch(link_fault(f"The connection to the gripper is lost: {error}."))
-            self._state = DeviceState.FAULT
+            self._state = protocols.DeviceState.FAULT
 
     def _announce_end(self) -> None:
         """Announce the end, which avoids a fast stop, unless that would open the grip. If the

@@ -20,13 +20,7 @@ from pydantic import BaseModel, ConfigDict
 from touchdown.backend.config import read_json_model
 from touchdown.backend.core import InputError, read_limited
 from touchdown.backend.learning.checkpoint import card_path, parse_arrays
-from touchdown.backend.learning.fused.features import (
-    ARCH,
-    TICKS,
-    FusedShape,
-    expected_fused_arrays,
-    shared_arrays,
-)
+from touchdown.backend.learning.fused import features
 from touchdown.backend.learning.inference import VECTOR_ORDER
 
 MAX_BYTES = 10_000_000
@@ -38,10 +32,10 @@ class FusedCard(BaseModel):
 
     model_config: ClassVar[ConfigDict] = ConfigDict(frozen=True, extra="forbid")
     format: Literal["touchdown-fused/1"] = "touchdown-fused/1"
-    arch: Literal["causal-attention-inset/1"] = ARCH
-    hyper: FusedShape
+    arch: Literal["causal-attention-inset/1"] = features.ARCH
+    hyper: features.FusedShape
     vector_order: str = VECTOR_ORDER
-    ticks: tuple[int, ...] = TICKS
+    ticks: tuple[int, ...] = features.TICKS
     answers: str = "how far a point lies within the support, mm: a mixture of normal distributions"
     family: str = ""  # pieces and bottoms of the training, as text
     outlines: Literal["convex", "any"] = "convex"  # kinds of outlines in the training
@@ -74,10 +68,10 @@ def load_fused(path: Path) -> FusedCheckpoint:
     card = read_json_model(FusedCard, card_path(path), MAX_BYTES, FIX)
     if hashlib.sha256(content).hexdigest() != card.weights_sha256:
         raise _bad(path, "The weights are damaged or not those of their card (SHA-256 differs)")
-    if card.vector_order != VECTOR_ORDER or card.ticks != TICKS:
+    if card.vector_order != VECTOR_ORDER or card.ticks != features.TICKS:
         raise _bad(path, "It reads other channels or instants than this program")
     found = FusedCheckpoint(parse_arrays(content, path), card)
-    expected = expected_fused_arrays(card.hyper)
+    expected = features.expected_fused_arrays(card.hyper)
     if {name: array.shape for name, array in found.arrays.items()} != expected:
         raise _bad(path, "Its arrays are not those that its card announces")
     if any(a.dtype != np.float32 or not np.isfinite(a).all() for a in found.arrays.values()):
@@ -92,7 +86,7 @@ def join_networks(networks: Sequence[FusedCheckpoint]) -> FusedCheckpoint:
 
     Raises ``InputError`` if their sizes, data or scaling differ.
     """
-    first, shared = networks[0], shared_arrays()
+    first, shared = networks[0], features.shared_arrays()
     for other in networks[1:]:
         same = all(np.array_equal(other.arrays[name], first.arrays[name]) for name in shared)
         cards = other.card.hyper == first.card.hyper, other.card.data_sha256
@@ -116,7 +110,7 @@ def one_network(found: FusedCheckpoint, member: int) -> FusedCheckpoint:
     """Return the network ``member`` of an ensemble; a single network as it is."""
     if found.card.hyper.networks == 1:
         return found
-    shared, hyper = shared_arrays(), replace(found.card.hyper, networks=1)
+    shared, hyper = features.shared_arrays(), replace(found.card.hyper, networks=1)
     arrays = {k: v if k in shared else v[member] for k, v in found.arrays.items()}
     return FusedCheckpoint(arrays, found.card.model_copy(update={"hyper": hyper}))
 

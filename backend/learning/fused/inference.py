@@ -11,19 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.backend.core import FloatArray
-from touchdown.backend.learning.fused.features import (
-    LENGTH_MM,
-    MIRROR_SIGNS,
-    MIRRORS,
-    PROBE_INPUTS,
-    FusedShape,
-    GraspedFace,
-    centre_fields,
-    mirror_signals,
-    probe_inputs,
-    shared_arrays,
-    weight_shapes,
-)
+from touchdown.backend.learning.fused import features
 
 Array = NDArray[np.float32]
 LEAST_LOG_SD, MOST_LOG_SD = -4.0, 2.0
@@ -79,12 +67,14 @@ class InsetDistribution:
 class FusedForward:
     """Weights prepared for use; stateless. Networks of an ensemble run in one pass."""
 
-    def __init__(self, arrays: Mapping[str, Array], shape: FusedShape) -> None:
-        shared, self._shape = shared_arrays(), shape
+    def __init__(self, arrays: Mapping[str, Array], shape: features.FusedShape) -> None:
+        shared, self._shape = features.shared_arrays(), shape
         self._mean, self._scale = (arrays[name].astype(np.float64) for name in ("mean", "scale"))
         self._modes = arrays["modes"]
         every = {
-            name: array.astype(np.float64).reshape(shape.networks, *weight_shapes(shape)[name])
+            name: array.astype(np.float64).reshape(
+                shape.networks, *features.weight_shapes(shape)[name]
+            )
             for name, array in arrays.items()
             if name not in shared
         }
@@ -99,7 +89,7 @@ class FusedForward:
                 self._arrays[name] = self._arrays[name].astype(np.float32)
 
     def known(
-        self, wrench: Array, field: Array, offset_mm: FloatArray, face: GraspedFace
+        self, wrench: Array, field: Array, offset_mm: FloatArray, face: features.GraspedFace
     ) -> FloatArray:
         """Return the state (P, networks, width) after each probe of one grasp so far.
 
@@ -115,38 +105,40 @@ class FusedForward:
         return _rms_norm(x).swapaxes(0, 1)
 
     def known_by_mirror(
-        self, wrench: Array, field: Array, offset_mm: FloatArray, face: GraspedFace
+        self, wrench: Array, field: Array, offset_mm: FloatArray, face: features.GraspedFace
     ) -> FloatArray:
         """Return the states (4, P, networks, width) of the signals and of their mirror images."""
         return np.stack(
             [
                 self.known(
-                    *mirror_signals(wrench, field, across_x=across_x, across_y=across_y),
+                    *features.mirror_signals(wrench, field, across_x=across_x, across_y=across_y),
                     offset_mm * signs,
                     face.mirrored(across_x=across_x, across_y=across_y),
                 )
-                for (across_x, across_y), signs in zip(MIRRORS, MIRROR_SIGNS, strict=True)
+                for (across_x, across_y), signs in zip(
+                    features.MIRRORS, features.MIRROR_SIGNS, strict=True
+                )
             ]
         )
 
     def distances(
-        self, wrench: Array, field: Array, offset_mm: FloatArray, face: GraspedFace
+        self, wrench: Array, field: Array, offset_mm: FloatArray, face: features.GraspedFace
     ) -> tuple[float, float]:
         """Return mean square of the standardised inputs, and share of field energy it cannot see.
 
         Arguments as for ``known``. NaN for signals that are not finite.
         """
-        inputs = self._standardised(wrench, field, offset_mm, face)[:, :PROBE_INPUTS]
-        fields, modes = centre_fields(field), self._modes.astype(np.float64)
+        inputs = self._standardised(wrench, field, offset_mm, face)[:, : features.PROBE_INPUTS]
+        fields, modes = features.centre_fields(field), self._modes.astype(np.float64)
         seen = (fields @ modes.swapaxes(-1, -2)) @ modes
         late = np.s_[:, :, LATE:]
         unseen = float(((fields - seen)[late] ** 2).sum() / (fields[late] ** 2).sum())
         return float((np.clip(inputs, -LARGEST_SD, LARGEST_SD) ** 2).mean()), unseen
 
     def _standardised(
-        self, wrench: Array, field: Array, offset_mm: FloatArray, face: GraspedFace
+        self, wrench: Array, field: Array, offset_mm: FloatArray, face: features.GraspedFace
     ) -> FloatArray:
-        probes = probe_inputs(wrench, field, offset_mm, face, self._modes)
+        probes = features.probe_inputs(wrench, field, offset_mm, face, self._modes)
         piece = np.broadcast_to(face.inputs(), (len(probes), face.inputs().shape[-1]))
         x = np.concatenate([probes, piece], axis=-1)
         return np.asarray((x - self._mean) / self._scale)
@@ -163,7 +155,7 @@ class FusedForward:
         images, networks, _ = known.shape
         parts = [
             self._inset(state, points_mm * signs, from_first_mm * signs)
-            for state, signs in zip(known, np.array(MIRROR_SIGNS), strict=False)
+            for state, signs in zip(known, np.array(features.MIRROR_SIGNS), strict=False)
         ]
         weight, mean_mm, sd_mm = (
             np.stack(of, axis=2).reshape(len(points_mm), -1) for of in zip(*parts, strict=True)
@@ -182,7 +174,7 @@ class FusedForward:
         weight = np.exp(weight - weight.max(axis=-1, keepdims=True))
         share = weight / weight.sum(axis=-1, keepdims=True) / len(known)
         sd = np.exp(np.clip(log_sd, LEAST_LOG_SD, MOST_LOG_SD))
-        return share, LENGTH_MM * mean, LENGTH_MM * sd
+        return share, features.LENGTH_MM * mean, features.LENGTH_MM * sd
 
     def _attended(self, layer: int, x: FloatArray) -> FloatArray:
         networks, count, width = x.shape
@@ -205,7 +197,7 @@ def point_inputs(points_mm: FloatArray, from_first_mm: FloatArray) -> FloatArray
     """Return (..., 5): points (..., 2) from the last and the first offset, and distance."""
     away = np.hypot(points_mm[..., :1], points_mm[..., 1:])
     joined = np.concatenate([points_mm, points_mm + from_first_mm, away], axis=-1)
-    return np.asarray(joined / LENGTH_MM, dtype=np.float64)
+    return np.asarray(joined / features.LENGTH_MM, dtype=np.float64)
 
 
 def _relu(x: NDArray[Any]) -> NDArray[Any]:

@@ -20,17 +20,7 @@ from torch.optim import Muon
 
 from touchdown.backend.core import FloatArray
 from touchdown.backend.geometry import edge_normals
-from touchdown.backend.learning.fused.features import (
-    LENGTH_MM,
-    MIRROR_SIGNS,
-    MIRRORS,
-    FusedShape,
-    GraspedFace,
-    field_components,
-    mirror_signals,
-    probe_inputs,
-    weight_shapes,
-)
+from touchdown.backend.learning.fused import features
 from touchdown.backend.learning.fused.inference import point_inputs
 from touchdown.backend.learning.training import Adam
 
@@ -42,12 +32,12 @@ LEAST_LOG_SD, MOST_LOG_SD = -4.0, 2.0
 class FusedNet(nn.Module):
     """Network from the probes of one grasp to the distribution of the inset of a point."""
 
-    def __init__(self, shape: FusedShape, seed: int) -> None:
+    def __init__(self, shape: features.FusedShape, seed: int) -> None:
         super().__init__()
         self.shape = shape
         generator = torch.Generator().manual_seed(seed)
         self.weights: nn.ParameterDict = nn.ParameterDict()
-        for name, size in weight_shapes(shape).items():
+        for name, size in features.weight_shapes(shape).items():
             drawn = torch.randn(size, generator=generator) / math.sqrt(size[-1])
             self.weights[_key(name)] = drawn if len(size) > 1 else torch.zeros(size)
 
@@ -125,7 +115,7 @@ class FusedTraining:
     batch: int = 128
     learning_rate: float = 2e-3
     seed: int = 0
-    shape: FusedShape = field(default_factory=FusedShape)
+    shape: features.FusedShape = field(default_factory=features.FusedShape)
     kick_mm: float = 0.0  # sd per axis of the shift of the centre of mass at a release
     start: Arrays | None = None  # arrays of a network to fine-tune, with its scaling and fields
 
@@ -158,7 +148,7 @@ class ProbeSequences:
         at = points_mm + self.true_mm[rows, : points_mm.shape[1], None]
         if self.margin_mm.shape[-1]:
             own = len(self.margin_mm)
-            signs = torch.tensor(MIRROR_SIGNS)[rows // own][:, None, None]
+            signs = torch.tensor(features.MIRROR_SIGNS)[rows // own][:, None, None]
             return interpolate(self.margin_mm[rows % own].float(), signs * at / MARGIN_REACH_MM)
         along = torch.einsum("bpqx,bkx->bpqk", at, self.normal[rows])
         return (self.reach_mm[rows][:, None, None] - along).amin(dim=-1)
@@ -181,7 +171,7 @@ def prepare_sequences(
     parts = [
         _prepared({name: values[first : first + AT_ONCE] for name, values in arrays.items()}, modes,
                   across_x=across_x, across_y=across_y)
-        for across_x, across_y in (MIRRORS if mirror else MIRRORS[:1])
+        for across_x, across_y in (features.MIRRORS if mirror else features.MIRRORS[:1])
         for first in range(0, len(arrays["count"]), AT_ONCE)
     ]  # fmt: skip
     columns = [np.concatenate(column) for column in zip(*parts, strict=True)]
@@ -197,14 +187,14 @@ def _prepared(
     The margins are left out.
     """
     signs = np.array([-1.0 if across_x else 1.0, -1.0 if across_y else 1.0])
-    wrench, seen = mirror_signals(
+    wrench, seen = features.mirror_signals(
         arrays["wrench"], arrays["field"], across_x=across_x, across_y=across_y
     )
-    face = GraspedFace(
+    face = features.GraspedFace(
         *(arrays[k].astype(np.float64) for k in ("reach_mm", "com_mm", "grip_height_mm"))
     ).mirrored(across_x=across_x, across_y=across_y)
     offset = arrays["offset_mm"] * signs
-    inputs = probe_inputs(wrench, seen, offset, face, modes)
+    inputs = features.probe_inputs(wrench, seen, offset, face, modes)
     piece = np.broadcast_to(face.inputs()[:, None], (*inputs.shape[:2], face.inputs().shape[-1]))
     normal, reach = half_planes(arrays["support_mm"].astype(np.float64))
     columns = (
@@ -243,7 +233,7 @@ class FusedTrainer:
         self._settings, self._device = settings, device
         start = settings.start
         if start is None:
-            self.modes = field_components(train["field"][:FIRST_OF_FIELDS])
+            self.modes = features.field_components(train["field"][:FIRST_OF_FIELDS])
         else:
             self.modes = start["modes"]
         self._train = prepare_sequences(train, self.modes, mirror=True)
@@ -311,7 +301,7 @@ class FusedTrainer:
         points = _points(data, rows, count, generator)
         kick = self._settings.kick_mm
         moved = points + kick * torch.randn(points.shape, generator=generator) if kick else points
-        inset = data.inset_mm(rows, moved) / LENGTH_MM
+        inset = data.inset_mm(rows, moved) / features.LENGTH_MM
         away = (data.offset_mm[rows, :count] - data.offset_mm[rows, :1])[:, :, None]
         asked = point_inputs(points.numpy(), away.numpy()).astype(np.float32)
         probes = (data.probes[rows, :count] - self.mean) / self.scale

@@ -31,13 +31,7 @@ from touchdown.backend.core import (
     detect_contact,
     force_over_baseline,
 )
-from touchdown.backend.simulation.batch import (
-    BatchedTrials,
-    PressTruth,
-    TrialPresses,
-    draw_noise,
-    observe_presses,
-)
+from touchdown.backend.simulation import batch
 from touchdown.backend.simulation.conditions import Conditions, true_offset_mm
 from touchdown.backend.simulation.ground_truth import Scene
 from touchdown.backend.simulation.marker_fields import Gel
@@ -322,7 +316,7 @@ class SecondWorldPress:
         return bool((left[:3] < BALANCE_N).all() and (left[3:] < BALANCE_NMM).all())
 
 
-class SecondWorldTrials(BatchedTrials):
+class SecondWorldTrials(batch.BatchedTrials):
     """The second world with the interface of the bench."""
 
     def __init__(self, scenes: Sequence[Scene], probe: ProbeSettings | None = None) -> None:
@@ -330,14 +324,14 @@ class SecondWorldTrials(BatchedTrials):
         tactile = self._first.settings.tactile
         self._gel = build_half_space_gel(tactile.mm_per_px, tactile.pitch_mm, tactile.dilation)
 
-    def press(self, trials: Sequence[int], commands_mm: FloatArray) -> TrialPresses:
+    def press(self, trials: Sequence[int], commands_mm: FloatArray) -> batch.TrialPresses:
         """Press the pieces of ``trials`` at ``commands_mm`` (k, 2); slip persists."""
         rows = np.asarray(trials, dtype=np.intp)
         settings, piece = self._first.settings, self._first.piece
         conditions = self._conditions(rows)
         before = self._carried.take(rows).slip
         true = true_offset_mm(commands_mm, conditions, before) - self._slid_mm[rows]
-        noise = [draw_noise(settings, self._rule, self._sensor_rng(i)) for i in rows.tolist()]
+        noise = [batch.draw_noise(settings, self._rule, self._sensor_rng(i)) for i in rows.tolist()]
         pressed: list[DescentRecord] = []
         slip, toppled = before.copy(), np.zeros(len(rows), dtype=np.bool_)
         for k, trial in enumerate(rows.tolist()):
@@ -363,11 +357,11 @@ class SecondWorldTrials(BatchedTrials):
         )
         moved = slip[:, :, :2] - before[:, :, :2]
         course = _join_presses(pressed)
-        return TrialPresses(
-            observation=observe_presses(course, conditions, settings, noise, self._gel),
+        return batch.TrialPresses(
+            observation=batch.observe_presses(course, conditions, settings, noise, self._gel),
             detected=np.array([bool(np.isfinite(p.onset_s)) for p in pressed]),
             travel_mm=course.travel_mm,
-            truth=PressTruth(
+            truth=batch.PressTruth(
                 true_offset_mm(commands_mm, conditions, slip) - self._slid_mm[rows],
                 np.asarray(np.hypot(moved[..., 0], moved[..., 1]).max(axis=1)),
                 toppled,

@@ -28,7 +28,7 @@ from touchdown.backend.experiments.strategies import BOTTOMS, FRESH, SINGLE_BOTT
 from touchdown.backend.experiments.trials import grasped_piece_in
 from touchdown.backend.geometry import Surface, Tower, face_points, load_pieces, true_patch
 from touchdown.backend.simulation import batch as batch_module
-from touchdown.backend.simulation import conditions, gripper, marker_fields, mechanics
+from touchdown.backend.simulation import conditions, marker_fields, mechanics
 from touchdown.backend.simulation.batch import (
     TARE_HEIGHT_MM,
     BatchedTrials,
@@ -234,7 +234,6 @@ def test_a_press_on_it_feels_as_it_did(monkeypatch: pytest.MonkeyPatch) -> None:
         return np.random.default_rng([seed, scope, *place])
 
     monkeypatch.setattr(conditions, "scoped_generator", drawn_alike)
-    monkeypatch.setattr(gripper, "scoped_generator", drawn_alike)
     catalogue = load_pieces()
     tower = Tower((catalogue.bottom("long").body(),))
     bench = BatchedTrials(

@@ -28,7 +28,8 @@ from tests.backend.exchange.test_imports import manifest_of
 from touchdown.backend.annotations import SPLIT_TAG, Dataset, Label, operation_log, review
 from touchdown.backend.core import FINGERS, MARKERS, FaultError, InputError, MarkerField
 from touchdown.backend.exchange import EXPORTS, EpisodeImport, ImportOptions, export, exports
-from touchdown.backend.exchange.export_episode import STATE, common_signals, read_export
+from touchdown.backend.exchange.export_episode import common_signals, read_export
+from touchdown.backend.exchange.features import STATE
 from touchdown.backend.exchange.query import ExportQuery, SelectedEpisode, select_episodes
 from touchdown.backend.exchange.robomimic import DiskFullSafeFile
 

@@ -226,44 +226,13 @@ LATER_KEYS: dict[str, tuple[str, ...]] = {
         "wrist_yaw_rad", "wrist_lever_mm", "cable_n_mm",
     ),
 }  # fmt: skip
-_BENCHES = Path(str(files("touchdown.resources"))) / "benches"
-_NO_DRIFT = {"drift_n_sqrt_min": 0.0, "drift_nm_sqrt_min": 0.0}
+_RESOURCES = Path(str(files("touchdown.resources")))
 PRESETS: dict[str, dict[str, Any]] = {
     "mixed": {},
-    "realistic": {"release_disturbance_mm": 0.5},
-    "quiet": {
-        "tactile": {"white_px": 0.2, "bias_px": 0.3, "drift_px_sqrt_s": 0.0, "lost_share": 0.0},
-        "wrist": {
-            "white_n": 0.05,
-            "white_nm": 0.002,
-            "offset_n": 0.05,
-            "offset_nm": 0.002,
-            **_NO_DRIFT,
-        },
-        "spread": {"label_error_mm": 0.0, "print_offset_mm": 0.0},
-    },
+    **read_toml(_RESOURCES / "presets.toml"),
     # The paper's method performs here about as on its robot (docs/bench-v1.md); never changed.
-    "bench-v1": read_toml(_BENCHES / "bench-v1.toml"),
-    "bench-v2": read_toml(_BENCHES / "bench-v2.toml"),  # never changed (docs/bench-v2.md)
-    "hard": {
-        "mu_grip": 0.45,
-        "grasp": {"hysteresis": True},
-        "face": {"foundation_range_n_mm3": (5.0, 50.0)},
-        "support": {"rocks": True, "slides": True},
-        "tactile": {"bias_px": 0.6, "drift_px_sqrt_s": 0.05},
-        "wrist": {"offset_n": 0.4, "offset_nm": 0.02},
-        "spread": {"grasp_offset_mm": 1.0, "tilt_rad": 0.013, "mu": 0.25},
-    },
-    "off": {
-        "tactile": dict.fromkeys(
-            ("jitter_s", "drop_share", "white_px", "bias_px", "drift_px_sqrt_s", "lost_share"), 0.0
-        ),
-        "wrist": {
-            **dict.fromkeys(("white_n", "white_nm", "offset_n", "offset_nm"), 0.0),
-            **_NO_DRIFT,
-        },
-        "spread": dict.fromkeys(SpreadSettings.model_fields, 0.0),
-    },
+    "bench-v1": read_toml(_RESOURCES / "benches" / "bench-v1.toml"),
+    "bench-v2": read_toml(_RESOURCES / "benches" / "bench-v2.toml"),  # never changed
 }
 
 

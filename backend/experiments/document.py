@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
+from importlib.resources import files
 from types import MappingProxyType
 from typing import Any
 from xml.etree import ElementTree
@@ -305,24 +306,9 @@ def _frame(title: str, inside: str) -> str:
     )
 
 
-PAGE_STYLE = """
-body{font:15px/1.45 'DejaVu Sans',system-ui,sans-serif;color:#1B2127;background:#F2F4F6;
-margin:2em auto;max-width:1180px;padding:0 1em}
-h1{font-size:1.5em}h2{font-size:1.2em;margin:2em 0 .3em}h3{font-size:1em;margin:1.2em 0 .2em}
-.banner{background:#F9C800;color:#14181C;padding:.35em .8em;display:inline-block;font-weight:600}
-.wide{overflow-x:auto}.strip,.charts{display:flex;gap:14px;flex-wrap:wrap}
-.charts svg{background:#fff;border:1px solid #C9D0D7}
-.probe{background:#fff;border:1px solid #C9D0D7;padding:10px;width:232px}
-.probe p{margin:.4em 0;font-size:.85em}.end{font-weight:600}
-table{border-collapse:collapse;background:#fff}
-th{text-align:left;font-weight:600;white-space:nowrap}td{text-align:right;white-space:nowrap}
-td,th{padding:.35em .7em;border-bottom:1px solid #C9D0D7;vertical-align:top}
-small{color:#55606B;display:block;font-size:.8em}code{font-size:.85em;overflow-wrap:anywhere}
-"""
-
-
 def report_page(report: Report) -> str:
     """Return a report as one HTML page; hovering over a cell shows its job and seed."""
+    style = files("touchdown.resources").joinpath("report.css").read_text(encoding="utf-8")
     sections = []
     for section in report.sections:
         parts = "".join(
@@ -332,7 +318,7 @@ def report_page(report: Report) -> str:
         sections.append(_tag("h2", section.title) + _paragraphs(section.text) + parts)
     return (
         '<!doctype html><html lang="en"><head><meta charset="utf-8">'
-        f"{_tag('title', report.title)}<style>{PAGE_STYLE}</style></head><body>"
+        f"{_tag('title', report.title)}<style>{style}</style></head><body>"
         + _tag("h1", report.title)
         + (f'<p class="banner">{escape(report.banner)}</p>' if report.banner else "")
         + f"{_paragraphs(report.about)}{''.join(sections)}</body></html>"

@@ -1,7 +1,7 @@
 """Tables 1 to 3 of the paper: jobs, results as JSON rows, and the published numbers.
 
-Paper: Ota et al., "Tactile Estimation of Extrinsic Contact Patch for Stable Placement", ICRA 2024,
-arXiv 2309.14552. Published values are in % except Table III (successes of 10); keys: piece, bottom.
+``resources/paper.toml`` holds the published numbers, in % except Table III (successes of 10); keys:
+piece, bottom.
 ``Recipe`` lists the jobs and their dependencies at one ``Scale`` and runs nothing.
 """
 
@@ -11,12 +11,14 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from importlib.resources import files
 from itertools import product
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
-from touchdown.backend.config import SimulationSettings, TrainingSettings, bench_sha256
+from touchdown.backend.config import SimulationSettings, TrainingSettings, bench_sha256, read_toml
 from touchdown.backend.core import Outcome
 from touchdown.backend.experiments.statistics import (
     VerdictCounts,
@@ -33,32 +35,14 @@ PAPER_CELLS = tuple(product(("mushroom", "barrel", "pot"), ("short", "long")))
 PaperRow = Mapping[tuple[str, str], float]
 
 
-def _paper_row(*values: float) -> PaperRow:
-    return dict(zip(PAPER_CELLS, values, strict=True))
+def _paper_table(name: str) -> Mapping[str, PaperRow]:
+    rows = _PAPER[name].items()
+    return {key: dict(zip(PAPER_CELLS, values, strict=True)) for key, values in rows}
 
 
-PAPER_IOU: Mapping[str, PaperRow] = {
-    "FT": _paper_row(27.4, 37.7, 29.6, 44.5, 23.8, 53.2),
-    "Tac": _paper_row(33.6, 22.2, 31.5, 42.6, 16.5, 37.5),
-    "FT+Tac": _paper_row(38.4, 50.7, 31.9, 41.2, 24.8, 54.8),
-}
-PAPER_POINT_ACCURACY: Mapping[str, PaperRow] = {
-    "FT": _paper_row(67.4, 65.5, 75.3, 73.1, 68.0, 71.9),
-    "Tac": _paper_row(72.9, 60.4, 76.5, 77.5, 66.9, 71.7),
-    "FT+Tac": _paper_row(77.9, 73.8, 77.0, 75.4, 67.3, 74.9),
-}
-# Implicit, and the method fusing n = 1, 2, 3 probes; the paper has no n = 5.
-PAPER_STABILITY: Mapping[str, PaperRow] = {
-    "Implicit": _paper_row(73.7, 73.0, 63.9, 69.8, 64.2, 66.0),
-    "1": _paper_row(69.8, 81.0, 63.7, 71.4, 61.7, 69.4),
-    "2": _paper_row(88.4, 93.0, 92.7, 88.9, 83.2, 83.9),
-    "3": _paper_row(93.0, 93.2, 97.3, 92.1, 91.1, 85.7),
-}
-PAPER_STACKING: Mapping[str, PaperRow] = {
-    "pick-and-place": _paper_row(0, 0, 0, 0, 0, 0),
-    "one": _paper_row(8, 6, 8, 5, 7, 6),
-    "two": _paper_row(6, 5, 7, 5, 6, 5),
-}
+_PAPER = read_toml(Path(str(files("touchdown.resources"))) / "paper.toml")
+PAPER_IOU, PAPER_POINT_ACCURACY = _paper_table("iou"), _paper_table("point_accuracy")
+PAPER_STABILITY, PAPER_STACKING = _paper_table("stability"), _paper_table("stacking")
 PAPER_RUNS = 10
 
 

@@ -1,78 +1,35 @@
 """Estimates with intervals, and the parameters that each recording plan identifies.
 
-The list is fixed beforehand: unit, stage, prior range and plan of every parameter.
+``resources/identification.toml`` lists unit, stage, plan and prior range of every parameter.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from importlib.resources import files
+from pathlib import Path
 
 import numpy as np
 from scipy.stats import chi2
 from scipy.stats import t as student_t
 
+from touchdown.backend.config import read_toml
 from touchdown.backend.core import FloatArray
 
 REST, GEL, CONTACT = (f"collect --plan {plan}" for plan in ("rest", "gel", "contact"))
-# Key, unit, stage, plan, prior range
-_TABLE: tuple[tuple[str, str, int, str, float, float], ...] = (
-    ("wrist.white_n", "N", 1, REST, 0.005, 0.4),
-    ("wrist.white_nm", "N·m", 1, REST, 0.0002, 0.02),
-    ("wrist.drift_n_sqrt_min", "N/√min", 1, REST, 0.0, 0.1),
-    ("wrist.drift_nm_sqrt_min", "N·m/√min", 1, REST, 0.0, 0.004),
-    ("wrist.rate_hz", "Hz", 1, REST, 50.0, 8000.0),
-    ("tactile.white_px", "px", 1, REST, 0.005, 0.3),
-    ("tactile.drift_px_sqrt_s", "px/√s", 1, REST, 0.0, 0.1),
-    ("tactile.rate_hz", "Hz", 1, REST, 10.0, 60.0),
-    ("tactile.jitter_s", "s", 1, REST, 0.0, 0.02),
-    ("tactile.drop_share", "1", 1, REST, 0.0, 0.05),
-    ("tactile.lost_share", "1", 1, REST, 0.0, 0.02),
-    ("wrist.offset_n", "N", 1, GEL, 0.0, 0.8),
-    ("wrist.offset_nm", "N·m", 1, GEL, 0.0, 0.04),
-    ("tactile.bias_px", "px", 1, GEL, 0.0, 1.0),
-    ("delay.command_pose", "s", 2, GEL, -0.05, 0.25),
-    ("delay.pose_wrench", "s", 2, GEL, -0.05, 0.25),
-    ("delay.wrench_markers", "s", 2, GEL, -0.05, 0.25),
-    ("arm.stiffness_x", "N/mm", 2, GEL, 5.0, 1000.0),
-    ("arm.stiffness_y", "N/mm", 2, GEL, 5.0, 1000.0),
-    ("arm.stiffness_z", "N/mm", 2, GEL, 5.0, 1000.0),
-    ("arm.repeatability_mm", "mm", 2, GEL, 0.0, 0.5),
-    ("spread.tilt_rad", "rad", 2, GEL, 0.0, 0.03),
-    ("spread.print_offset_mm", "mm", 2, GEL, 0.0, 0.6),
-    ("spread.jig_mm", "mm", 2, GEL, 0.0, 0.5),
-    ("spread.grasp_offset_mm", "mm", 2, f"{GEL} --hand-over", 0.0, 2.0),
-    ("grasp.shear_n_mm", "N/mm", 3, GEL, 1.0, 16.0),
-    ("grasp.normal_n_mm", "N/mm", 3, GEL, 4.0, 24.0),
-    ("grasp.torsion_nmm_rad", "N·mm/rad", 3, GEL, 40.0, 500.0),
-    ("grasp.hysteresis_share", "1", 3, GEL, 0.0, 0.5),
-    ("grasp.hysteresis_s", "s", 3, GEL, 0.1, 2.5),
-    ("face.foundation_n_mm3", "N/mm³", 3, GEL, 2.0, 100.0),
-    ("tactile.roll_off_mm.0", "mm", 3, GEL, 3.0, 12.0),
-    ("tactile.roll_off_mm.1", "mm", 3, GEL, 3.0, 12.0),
-    ("tactile.mm_per_px.0", "mm/px", 3, GEL, 0.045, 0.08),
-    ("tactile.mm_per_px.1", "mm/px", 3, GEL, 0.045, 0.08),
-    ("spread.gel", "1", 3, GEL, 0.0, 0.3),
-    ("spread.gain", "1", 3, GEL, 0.0, 0.2),
-    ("mu_grip", "1", 4, CONTACT, 0.3, 1.2),
-    ("spread.mu_grip", "1", 4, CONTACT, 0.0, 0.4),
-)
-PARAMETERS = {row[0]: row for row in _TABLE}
+_LISTS = read_toml(Path(str(files("touchdown.resources"))) / "identification.toml")
+# Key: unit, stage, recording, prior range
+PARAMETERS: dict[str, tuple[str, int, str, float, float]] = {
+    key: (unit, stage, f"collect --plan {plan}", low, high)
+    for key, (unit, stage, plan, low, high) in _LISTS["parameters"].items()
+}
 # Parameters that no plan identifies, with the recording that would.
-OTHER_RECORDINGS = (
-    ("mu, spread.mu, face.tangential_n_mm3", "a lateral drag under load, which no plan does yet"),
-    ("grasp.limit_radius_mm", "a twist of the held piece under a low grip force"),
-    ("tactile.dilation, spread.grip_force_n", "a change of the grip force with the piece held"),
-    ("spread.yaw_rad", "presses of a piece whose face is not round"),
-    ("spread.label_error_mm", "an outside measurement of the position of the arm"),
-    ("wrist.height_mm, yaw_rad, payload_kg", "`calibrate payload` and `calibrate wrist`"),
-    ("support", "presses on a bottom that is free to rock and slide"),
-    ("release_disturbance_mm", "releases beside the edge of a support"),
-)
+OTHER_RECORDINGS: tuple[tuple[str, str], ...] = tuple(_LISTS["others"].items())
 
 
 def identifiable(plan: str) -> tuple[str, ...]:
     """Return the keys that a recording with ``plan`` identifies."""
-    return tuple(row[0] for row in _TABLE if row[3] == plan)
+    return tuple(key for key, row in PARAMETERS.items() if row[2] == plan)
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,17 +48,17 @@ class Estimate:
     @property
     def unit(self) -> str:
         """Unit of the value."""
-        return PARAMETERS[self.key][1]
+        return PARAMETERS[self.key][0]
 
     @property
     def stage(self) -> int:
         """Number of the stage that gives it."""
-        return PARAMETERS[self.key][2]
+        return PARAMETERS[self.key][1]
 
     @property
     def prior(self) -> tuple[float, float]:
         """Range considered beforehand."""
-        return PARAMETERS[self.key][4:]
+        return PARAMETERS[self.key][3:]
 
     @property
     def sharpness(self) -> float:

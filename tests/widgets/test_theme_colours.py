@@ -1,7 +1,7 @@
 """Every token pair that is shown together can be read, with normal and with other colour vision."""
 
 import re
-from dataclasses import asdict, replace
+from dataclasses import replace
 from itertools import combinations, product
 from pathlib import Path
 from typing import get_args
@@ -12,8 +12,14 @@ from PySide6.QtGui import QColor, QPalette
 from PySide6.QtWidgets import QComboBox, QLineEdit, QListWidget, QPushButton, QSpinBox
 
 from touchdown.app import splash
-from touchdown.widgets.base.style_sheet import make_style_sheet
-from touchdown.widgets.base.theme import CONTRAST, DARK, LIGHT, MAPS, load_resources
+from touchdown.widgets.base.theme import (
+    CONTRAST,
+    DARK,
+    LIGHT,
+    MAPS,
+    load_resources,
+    make_style_sheet,
+)
 from touchdown.widgets.plots.distribution import legible_colours
 from touchdown.widgets.shell.devices import ChipState, mark_colours
 from touchdown.widgets.views.offset import GHOST_STYLES
@@ -103,9 +109,7 @@ def test_inks_can_be_read_on_their_grounds(tokens, inks, grounds, least):
 def rules_of(tokens) -> dict[str, dict[str, str]]:
     """Return the colours that the style sheet gives to each selector."""
     rules: dict[str, dict[str, str]] = {}
-    for selectors, body in re.findall(
-        r"([^{}]+)\{([^{}]*)\}", make_style_sheet(asdict(tokens), 10.0)
-    ):
+    for selectors, body in re.findall(r"([^{}]+)\{([^{}]*)\}", make_style_sheet(tokens, 10.0)):
         told = dict(re.findall(r"(?:^|[;\s])(color|background)\s*:\s*(#[0-9A-Fa-f]{6})", body))
         for selector in selectors.split(","):
             rules.setdefault(selector.strip(), {}).update(told)
@@ -157,7 +161,7 @@ def test_in_high_contrast_a_disabled_control_has_a_broken_frame(qapp, qtbot, kin
     load_resources()
     control = kind()
     qtbot.addWidget(control)
-    control.setStyleSheet(make_style_sheet(asdict(CONTRAST), 10.0))
+    control.setStyleSheet(make_style_sheet(CONTRAST, 10.0))
     control.resize(120, 60)
 
     def share():
@@ -175,7 +179,7 @@ def test_in_high_contrast_a_disabled_control_has_a_broken_frame(qapp, qtbot, kin
 def test_hints_in_empty_fields_and_lists_can_be_read(qapp, qtbot, kind, tokens):
     field = kind()
     qtbot.addWidget(field)
-    field.setStyleSheet(make_style_sheet(asdict(tokens), 10.0))
+    field.setStyleSheet(make_style_sheet(tokens, 10.0))
     field.ensurePolished()
     hint = field.palette().color(QPalette.ColorRole.PlaceholderText)
     assert hint.alpha() == 255

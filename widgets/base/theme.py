@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from functools import cache
 from importlib.resources import files
+from string import Template
 from typing import Literal
 
 import numpy as np
@@ -23,8 +24,6 @@ from PySide6.QtGui import (
 )
 from PySide6.QtSvg import QSvgRenderer
 from PySide6.QtWidgets import QAbstractButton, QApplication, QWidget
-
-from touchdown.widgets.base.style_sheet import make_style_sheet
 
 ThemeName = Literal["dark", "light", "contrast"]
 THEMES: tuple[ThemeName, ...] = ("dark", "light", "contrast")
@@ -127,7 +126,7 @@ class Theme:
         construction.
         """
         self._take(application, name, scale)
-        sheet = make_style_sheet(asdict(self.tokens), BASE_POINTS * self.scale)
+        sheet = make_style_sheet(self.tokens, BASE_POINTS * self.scale)
         dressed = application if window is None else window
         if sheet != dressed.styleSheet():
             if window is not None and window.styleSheet():
@@ -167,6 +166,24 @@ def load_resources() -> None:
         data = resources.joinpath("fonts", f"Inter-{style}.otf").read_bytes()
         QFontDatabase.addApplicationFontFromData(data)
     QDir.addSearchPath("icons", str(resources.joinpath("icons")))
+
+
+# Size of marks in px per point of the text.
+MARKS = {"arrow": 1.0, "small_arrow": 0.9, "tick": 1.3, "drop": 2.2, "step": 1.8}
+
+
+def make_style_sheet(tokens: Tokens, points: float) -> str:
+    """Return the style sheet for a theme and the base font size in points."""
+    sizes = {
+        "small": f"{points * 0.9:.2f}",
+        "head": f"{points * 1.15:.2f}",
+        "figure": f"{points * 1.7:.2f}",
+        **{mark: f"{share * points:.0f}" for mark, share in MARKS.items()},
+    }
+    names = ("style", "contrast") if tokens.name == "contrast" else ("style",)
+    resources = files("touchdown.resources")
+    sheet = "".join(resources.joinpath(f"{name}.qss").read_text(encoding="utf-8") for name in names)
+    return Template(sheet).substitute(asdict(tokens), **sizes)
 
 
 @cache

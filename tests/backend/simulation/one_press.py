@@ -16,7 +16,7 @@ from touchdown.backend.config import SimulationSettings, StackSettings
 from touchdown.backend.core import TACTILE_CHANNELS, EpisodeRecorded, FloatArray, TrialStarted
 from touchdown.backend.geometry import face_points, load_pieces
 from touchdown.backend.simulation import batch as episodes
-from touchdown.backend.simulation import conditions, gripper
+from touchdown.backend.simulation import conditions
 
 RMS_LIMIT_PX = 0.15
 # Piece, bottom, seed.
@@ -53,9 +53,8 @@ class OnePress:
 def press_both_ways(piece: str, bottom: str, seed: int, patch: pytest.MonkeyPatch) -> OnePress:
     """Press once on the devices and once in the batch, with equal mechanical draws."""
     patch.setattr(conditions, "draw_mounting", lambda *_: MOUNTING)
-    for module in (gripper, conditions):
-        patch.setattr(module, "draw_gripping", lambda *_: GRIPPING)
-        patch.setattr(module, "draw_probe", lambda *_: PROBE)
+    patch.setattr(conditions, "draw_gripping", lambda *_: GRIPPING)
+    patch.setattr(conditions, "draw_probe", lambda *_: PROBE)
     devices = OracleSession(preset="off", method=ONE_PROBE, rate_hz=25.0)
     devices.session.run(request(piece=piece, bottoms=(bottom,), seed=seed))
     recorded = devices.of(EpisodeRecorded)[0]

@@ -318,7 +318,7 @@ def report_page(report: Report) -> str:
         sections.append(_tag("h2", section.title) + _paragraphs(section.text) + parts)
     return (
         '<!doctype html><html lang="en"><head><meta charset="utf-8">'
-        f"{_tag('title', report.title)}<style>{style}</style></head><body>"
+        f"{_tag('title', report.title)}<style>\n{style}</style></head><body>"
         + _tag("h1", report.title)
         + (f'<p class="banner">{escape(report.banner)}</p>' if report.banner else "")
         + f"{_paragraphs(report.about)}{''.join(sections)}</body></html>"

@@ -33,10 +33,21 @@ from touchdown.backend.annotations import (
 )
 from touchdown.backend.config import TrainingSettings, parse_settings
 from touchdown.backend.core import FaultError, InputError, disk_errors, read_json_lines
-from touchdown.backend.learning import training_process
 from touchdown.backend.learning.checkpoint import ModelCard, load_card
 from touchdown.backend.learning.inference import Modality
 from touchdown.backend.learning.metrics import ReliabilityBin, calibration_error
+from touchdown.backend.learning.training_process import (
+    DeviceName,
+    ReportCallback,
+    TrainingCancelled,
+    TrainingEpoch,
+    TrainingFinished,
+    TrainingJob,
+    TrainingLoaded,
+    TrainingProcess,
+    TrainingReport,
+    default_threads,
+)
 
 KIND = "train"
 MODEL, RESUME, RELIABILITY = "model.safetensors", "model.resume.safetensors", "reliability.jsonl"
@@ -144,30 +155,30 @@ CURVES = ("train_loss", "validation_loss", "iou", "point_accuracy")
 CALIBRATION = "calibration_error"
 
 
-def record_report(run: ActiveRun, report: training_process.TrainingReport) -> None:
+def record_report(run: ActiveRun, report: TrainingReport) -> None:
     """Store a report of the training; the last one ends the run."""
     match report:
-        case training_process.TrainingLoaded():
+        case TrainingLoaded():
             facts = report.model_dump(mode="json", include={"episodes", "held_out", "base_rate"})
             for name, value in facts.items():
                 run.metric(name, 0, value)
-        case training_process.TrainingEpoch():
+        case TrainingEpoch():
             for name in CURVES:
                 run.metric(name, report.epoch, getattr(report, name))
             run.metric(CALIBRATION, report.epoch, calibration_error(report.reliability))
             record_reliability(run, report.epoch, report.reliability)
             run.end_epoch()
-        case training_process.TrainingFinished():
+        case TrainingFinished():
             for name, path in (("model", report.out), ("card", report.out.with_suffix(".json"))):
                 run.artifact(name, path)
             run.finish(load_card(report.out).manifest_sha256)
-        case training_process.TrainingCancelled():
+        case TrainingCancelled():
             run.cancel()
 
 
 def run_training(
-    job: training_process.TrainingJob,
-    on_report: training_process.ReportCallback,
+    job: TrainingJob,
+    on_report: ReportCallback,
     on_notice: Callable[[str], None] = lambda text: None,
     progress: CheckProgress = no_progress,
 ) -> str | None:
@@ -179,7 +190,7 @@ def run_training(
     """
     with record_training(job, on_notice, progress) as run:
         kept = job if run is None else job.model_copy(update={"keep": run.folder})
-        with training_process.TrainingProcess(kept) as training:
+        with TrainingProcess(kept) as training:
             for report in training.reports():
                 if run is not None:
                     record_report(run, report)
@@ -208,8 +219,8 @@ def train_model(  # noqa: PLR0913 - each is a keyword of the public API
     divide_series: bool = False,
     resume: bool = False,
     threads: int | None = None,
-    device: training_process.DeviceName = "auto",
-    on_report: training_process.ReportCallback | None = None,
+    device: DeviceName = "auto",
+    on_report: ReportCallback | None = None,
 ) -> ModelCard:
     """Train a contact-patch model and return its card; same as ``touchdown train``.
 
@@ -292,7 +303,7 @@ def train_model(  # noqa: PLR0913 - each is a keyword of the public API
 
 def make_training_job(
     data: Path, piece: str | None, out: Path, settings: Mapping[str, object], **options: object
-) -> training_process.TrainingJob:
+) -> TrainingJob:
     """Return the job for ``settings`` (``TrainingSettings``) and ``options`` (``TrainingJob``).
 
     Settings may be None. Raises ``InputError`` for a bad value, or if ``out`` cannot be written.
@@ -309,7 +320,7 @@ def make_training_job(
         chosen = {"modality": card.modality, "learning_rate": FINE_TUNING_RATE} | sizes | chosen
         piece = piece or card.piece
     if options.get("threads") is None:
-        options["threads"] = training_process.default_threads()
+        options["threads"] = default_threads()
     job = {
         "data": data.resolve(),
         "piece": piece,
@@ -317,7 +328,7 @@ def make_training_job(
         "settings": parse_settings(TrainingSettings, chosen, "arguments"),
         **options,
     }
-    return parse_settings(training_process.TrainingJob, job, "arguments")
+    return parse_settings(TrainingJob, job, "arguments")
 
 
 def _checked_model_file(out: Path) -> Path:
@@ -341,9 +352,7 @@ def record_reliability(run: ActiveRun, epoch: int, bins: object) -> None:
 
 @contextmanager
 def record_training(
-    job: training_process.TrainingJob,
-    say: Callable[[str], None],
-    progress: CheckProgress = no_progress,
+    job: TrainingJob, say: Callable[[str], None], progress: CheckProgress = no_progress
 ) -> Iterator[ActiveRun | None]:
     """Record ``job`` as a run of the dataset ``job.data``; yields None for a folder of packs.
 
@@ -405,7 +414,7 @@ class RecordedTraining:
         resumed = {} if request.resumed_run is None else {"resumed": request.resumed_run.uuid}
         parameters = {"piece": request.piece, "labels": request.labels, **resumed}
         self._run = _begin(request.data, request.settings, parameters)
-        self._child: training_process.TrainingProcess | None = None
+        self._child: TrainingProcess | None = None
         self._cancelled = self._killed = False
         self._lock = threading.Lock()
 
@@ -425,14 +434,14 @@ class RecordedTraining:
         with self._lock:
             return None if self._child is None else self._child.pid
 
-    def reports(self) -> Iterator[training_process.TrainingReport]:
+    def reports(self) -> Iterator[TrainingReport]:
         """Train, and yield each report after it was stored.
 
         Raises ``InputError`` for invalid input, ``FaultError`` if the child dies.
         """
         with self._run as run:
             job = self._job()
-            with training_process.TrainingProcess(job) as child:
+            with TrainingProcess(job) as child:
                 with self._lock:
                     self._child = child
                     if self._cancelled:
@@ -464,7 +473,7 @@ class RecordedTraining:
             if self._child is not None:
                 self._child.kill()
 
-    def _job(self) -> training_process.TrainingJob:
+    def _job(self) -> TrainingJob:
         request, out = self._request, self._run.folder / MODEL
         if request.resumed_run is not None:
             shutil.copyfile(request.resumed_run.folder / RESUME, self._run.folder / RESUME)
@@ -474,7 +483,7 @@ class RecordedTraining:
             for epoch, bins in request.resumed_run.reliability.items():
                 record_reliability(self._run, epoch, bins)
             self._run.end_epoch()
-        return training_process.TrainingJob(
+        return TrainingJob(
             data=request.data,
             piece=request.piece,
             out=out,

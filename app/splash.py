@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from PySide6.QtCore import Qt
+from PySide6.QtCore import QDeadlineTimer, QEvent, Qt
 from PySide6.QtGui import QColor, QPixmap
-from PySide6.QtWidgets import QApplication, QSplashScreen
+from PySide6.QtWidgets import QApplication, QSplashScreen, QWidget
 
 WIDTH, HEIGHT = 420, 140
+EXPOSED_MS = 300  # longest wait for the window system to show the splash
 GROUND, TEXT = "#1B2026", "#FFFFFF"
 
 
@@ -24,4 +25,12 @@ class Splash(QSplashScreen):
         self.show()
         self.showMessage(f"Touchdown\n\n{what} \N{HORIZONTAL ELLIPSIS}",
                          Qt.AlignmentFlag.AlignCenter.value, QColor(TEXT))  # fmt: skip
+        limit = QDeadlineTimer(EXPOSED_MS)
+        while not (self.windowHandle().isExposed() or limit.hasExpired()):
+            QApplication.processEvents()
         QApplication.processEvents()
+
+    def event(self, event: QEvent) -> bool:
+        """Leave out the wait of QSplashScreen, always 1 s: it is mapped after its show event."""
+        shown = event.type() == QEvent.Type.Show
+        return QWidget.event(self, event) if shown else super().event(event)

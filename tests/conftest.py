@@ -39,7 +39,7 @@ settings.register_profile(
 settings.load_profile("suite")
 LOOPBACK = ("127.", "::1", "localhost")
 _numbers = itertools.count()
-_warm = WarmStart()
+_warm = WarmStart("touchdown.backend.learning.training_child")
 _give_back: Any = getattr(ctypes.CDLL(None), "malloc_trim", None) if os.name == "posix" else None
 """Hands freed memory back to the system where the C library would keep it (glibc)."""
 

@@ -1,9 +1,7 @@
-"""Training processes that start in milliseconds: forked from one that has torch loaded already.
+"""Child processes that start in milliseconds: forked from one that has imported their module.
 
-What runs in them is ``touchdown.backend.learning.training_child`` as ever, in a process of its own,
-with its own pipes and exit status. Only the 3 s of importing torch are saved, for each of about
-forty children.
-``cold_start`` marks a test that takes the ordinary start.
+The main function of the module runs as ever, in a process of its own, with its own arguments,
+environment, pipes and exit status. Only the seconds of importing torch or Qt are saved.
 """
 
 import gc
@@ -14,12 +12,11 @@ import signal
 import socket
 import subprocess
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import IO, Any
 
-MODULE = "touchdown.backend.learning.training_child"
 LONGEST_BYTES = 1 << 16
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -27,7 +24,8 @@ ROOT = Path(__file__).resolve().parents[1]
 class WarmStart:
     """Stands in for ``subprocess.Popen``; the server is started when it is first needed."""
 
-    def __init__(self) -> None:
+    def __init__(self, module: str) -> None:
+        self._module = module
         self._server: subprocess.Popen[bytes] | None = None
         self._control: socket.socket | None = None
 
@@ -37,21 +35,22 @@ class WarmStart:
         return None if self._server is None else self._server.pid
 
     def popen(self, command: Sequence[str], **options: Any) -> Any:
-        if list(command[1:]) != ["-m", MODULE]:
+        if list(command[1:3]) != ["-m", self._module]:
             return subprocess.Popen(command, **options)
-        return WarmChild(self._connected(), options["env"], options["stderr"])
+        start = json.dumps([list(command[2:]), dict(options["env"])])
+        return WarmChild(self.connected(), start.encode(), options["stderr"])
 
     def close(self) -> None:
         if self._server is not None and self._control is not None:
             self._control.close()
             self._server.wait(60)
 
-    def _connected(self) -> socket.socket:
+    def connected(self) -> socket.socket:
         if self._control is None:
             self._control, far = socket.socketpair()
             with far:
                 self._server = subprocess.Popen(
-                    [sys.executable, "-m", "tests.warm"],
+                    [sys.executable, "-m", "tests.warm", self._module],
                     stdin=far,
                     stdout=subprocess.DEVNULL,
                     cwd=ROOT,
@@ -60,14 +59,14 @@ class WarmStart:
 
 
 class WarmChild:
-    """What of ``subprocess.Popen`` a training uses."""
+    """The part of ``subprocess.Popen`` that is used of these children."""
 
-    def __init__(self, control: socket.socket, env: Mapping[str, str], stderr: IO[bytes]) -> None:
+    def __init__(self, control: socket.socket, start: bytes, stderr: IO[Any]) -> None:
         their_in, our_in = os.pipe()
         our_out, their_out = os.pipe()
         self._status, told = os.pipe()
         theirs = [their_in, their_out, stderr.fileno(), told]
-        socket.send_fds(control, [json.dumps(dict(env)).encode()], theirs)
+        socket.send_fds(control, [start], theirs)
         for descriptor in (their_in, their_out, told):
             os.close(descriptor)
         self.pid = int(control.recv(LONGEST_BYTES))
@@ -79,7 +78,7 @@ class WarmChild:
         """Return the exit status as ``Popen`` does, minus the number of the signal if killed."""
         if self.returncode is None:
             if not select.select([self._status], [], [], timeout)[0]:
-                raise subprocess.TimeoutExpired(MODULE, timeout or 0.0)
+                raise subprocess.TimeoutExpired("warm", timeout or 0.0)
             self.returncode = int(os.read(self._status, 64) or b"-9")
             os.close(self._status)
         return self.returncode
@@ -89,10 +88,9 @@ class WarmChild:
             os.kill(self.pid, signal.SIGKILL)
 
 
-def serve(control: socket.socket) -> None:
-    """Fork a training for each message; tell its pid, and its status when it has ended."""
-    import_module(MODULE)  # before there is anything to fork
-
+def serve(control: socket.socket, module: str) -> None:
+    """Fork a child for each message; tell its pid, and its status when it has ended."""
+    main = import_module(module).main  # before there is anything to fork
     gc.collect()
     gc.freeze()
     ended, wake = os.pipe()
@@ -113,7 +111,7 @@ def serve(control: socket.socket) -> None:
             if not pid:
                 for descriptor in (control.fileno(), ended, wake, *waiting.values()):
                     os.close(descriptor)
-                _train(json.loads(message), received)
+                _run(main, *json.loads(message), received)
             waiting[pid] = received.pop()
             for descriptor in received:
                 os.close(descriptor)
@@ -129,16 +127,17 @@ def _reap(waiting: dict[int, int]) -> None:
             os.close(told)
 
 
-def _train(environment: dict[str, str], received: list[int]) -> None:
-    """Be the training; never returns."""
-    from touchdown.backend.learning.training_child import main
-
+def _run(
+    main: Callable[[], int], words: list[str], environment: dict[str, str], received: list[int]
+) -> None:
+    """Be the child; never returns."""
     code = 1
     try:
         signal.set_wakeup_fd(-1)
         signal.signal(signal.SIGCHLD, signal.SIG_DFL)
         os.environ.clear()
         os.environ.update(environment)
+        sys.argv = words
         for number, descriptor in enumerate(received[:3]):
             os.dup2(descriptor, number)
         for descriptor in received:
@@ -158,4 +157,4 @@ def _train(environment: dict[str, str], received: list[int]) -> None:
 
 
 if __name__ == "__main__":
-    serve(socket.socket(fileno=0))
+    serve(socket.socket(fileno=0), sys.argv[1])

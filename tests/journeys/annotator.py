@@ -1,4 +1,4 @@
-"""The window in a process of its own with people at its keyboard: ``python -m`` this module.
+"""The window in a process of its own with people at its keyboard, forked by ``tests.warm``.
 
 It is the application as it is started by its user; a timer in it presses keys on its window, looks
 at what is shown, and says on standard output what the window called saved. Its words on the
@@ -9,11 +9,13 @@ from __future__ import annotations
 
 import json
 import os
+import pkgutil
 import signal
 import sys
 import time
 import traceback
 from collections.abc import Callable, Generator, Iterator
+from importlib import import_module
 from itertools import count
 from typing import Any
 
@@ -21,10 +23,19 @@ from PySide6.QtCore import QObject, Qt, QTimer
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication
 
+import touchdown.app
+import touchdown.widgets
 from touchdown.app import start
 from touchdown.app.application import TouchdownApp
 from touchdown.app.label.text import QUEUES as LISTED
 from touchdown.backend.core import data_folder
+
+# What the window and its bench import as they go, in the process from which they are forked.
+for package in (touchdown.app, touchdown.widgets):
+    for module in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
+        import_module(module.name)
+for name in ("mujoco", "scipy.stats", "touchdown.backend.bench.assembly"):
+    import_module(name)
 
 KEY = Qt.Key
 NONE = Qt.KeyboardModifier.NoModifier
@@ -219,6 +230,56 @@ def nudge_and_die(me: Person) -> Doing:
     yield lambda: False
 
 
+def look(me: Person, uuid: str) -> Doing:
+    """Go to an episode by its number in the queue, and tell what is shown of it."""
+    at = me.presenter.walk.order.index(uuid)
+    if me.uuid != uuid:
+        me.press(KEY.Key_Q)
+        yield me.page.words.isVisible
+        me.type(str(at + 1))
+        yield from me.do(KEY.Key_Return)
+        yield lambda: me.calm() and me.uuid == uuid
+    strip, row = me.page.strip, me.page.list.rows()[at]
+    history = me.page.side.history.list
+    tell(
+        saw=uuid, at=at, when=row.detail, row=[row.title, row.state, *row.badges],
+        strip=[strip.state, *strip.badges, strip.saved.partition(", ")[2]],
+        basis=me.page.basis.text(), message=me.page.message.text(),
+        versions=[history.item(k).text().splitlines()[0] for k in range(history.count())],
+    )  # fmt: skip
+
+
+def chosen() -> list[str]:
+    return os.environ["CHOSEN"].split(",")
+
+
+def nudge_chosen(me: Person) -> Doing:
+    for uuid in chosen():
+        yield from look(me, uuid)
+        me.press(KEY.Key_Right)
+        yield me.calm
+        yield from look(me, uuid)
+
+
+def take_back_chosen(me: Person) -> Doing:
+    for uuid in chosen():
+        yield from look(me, uuid)
+    for uuid in reversed(chosen()):
+        yield from me.do(KEY.Key_U)
+        assert me.uuid == uuid, "undo went to another episode"
+        yield from look(me, uuid)
+
+
+def do_chosen_again(me: Person) -> Doing:
+    for uuid in chosen():
+        yield from me.do((KEY.Key_U, SHIFT))
+        assert me.uuid == uuid, "redo went to another episode"
+        yield from look(me, uuid)
+    for uuid in chosen():
+        yield from look(me, uuid)
+        yield from me.do(KEY.Key_Return)
+
+
 def four_eyes(me: Person) -> Doing:
     """Ann tries to approve her own label, in an audit that draws one of hers."""
     dataset, sitting = me.presenter.dataset, me.workspace.session
@@ -311,6 +372,7 @@ def train(me: Person) -> Doing:
 PARTS = {
     "arrive": arrive, "take-back": take_back, "label": label, "four-eyes": four_eyes,
     "review": review, "correct": correct, "train": train, "nudge-and-die": nudge_and_die,
+    "nudge": nudge_chosen, "take-back-chosen": take_back_chosen, "do-again": do_chosen_again,
 }  # fmt: skip
 
 
@@ -362,7 +424,3 @@ def main() -> int:
     from touchdown.app.__main__ import main as run
 
     return run([])
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -12,8 +12,6 @@ import os
 import random
 import shutil
 import signal
-import subprocess
-import sys
 import threading
 from collections import Counter
 from collections.abc import Callable
@@ -24,6 +22,7 @@ from typing import Any
 
 import pytest
 
+from tests.warm import WarmChild
 from touchdown.backend.annotations import Dataset, Revision, check_dataset
 from touchdown.backend.cli.command_line import main
 from touchdown.backend.learning.training_runs import list_training_runs
@@ -92,17 +91,12 @@ def folder(isolated_settings, capsys) -> Path:
 class Window:
     """The application in a process of its own, used by the parts of a day."""
 
-    def __init__(self, parts: list[str], log: Path) -> None:
-        self._log = log.open("w")
-        self.process = subprocess.Popen(
-            [sys.executable, "-m", "tests.journeys.annotator", *parts],
-            stdout=subprocess.PIPE, stderr=self._log, text=True, cwd=Path.cwd(), env=os.environ,
-        )  # fmt: skip
+    def __init__(self, process: WarmChild) -> None:
+        self.process = process
 
     def until(self, known: Known, enough: int | None) -> list[Told]:
         """Return what it told until its end, or until ``enough`` are decided and it was killed."""
         told, dying = [], None
-        assert self.process.stdout is not None
         for line in self.process.stdout:
             if not line.endswith("\n"):
                 break  # torn by the kill: nothing that was acknowledged
@@ -118,20 +112,19 @@ class Window:
 
     def close(self) -> int:
         """Return how it ended."""
-        if self.process.stdout is not None:
-            self.process.stdout.close()
+        self.process.stdin.close()
+        self.process.stdout.close()
         self.process.kill()
-        self._log.close()
         return self.process.wait(120)
 
 
 @pytest.fixture
-def window(tmp_path):
+def window(open_window, tmp_path):
     """Return what starts the application for some parts of the day."""
     made: list[Window] = []
 
     def start(*parts: str) -> Window:
-        made.append(Window(list(parts), tmp_path / f"window-{len(made)}.log"))
+        made.append(Window(open_window([*parts], tmp_path / f"window-{len(made)}.log")))
         return made[-1]
 
     yield start

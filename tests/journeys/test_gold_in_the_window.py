@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import json
-import os
 import signal
-import subprocess
-import sys
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -47,14 +45,17 @@ def chosen(folder) -> list[str]:
         return [[record() for _ in range(WAITING)][3], uuid]
 
 
-def window(parts: list[str], log: Path, *, deadly: int | None) -> list[Told]:
-    """Return what the window told, until it ended or had told ``deadly`` looks and was killed."""
-    with log.open("w") as errors, subprocess.Popen(
-        [sys.executable, "-m", "tests.journeys.gold_sitting", "arrive", *parts],
-        stdout=subprocess.PIPE, stderr=errors, text=True, env=os.environ,
-    ) as process:  # fmt: skip
+@pytest.fixture
+def window(open_window, tmp_path):
+    """Return a function that plays parts and returns what the window told.
+
+    The window is killed when it has told ``deadly`` looks, ends by itself if that is None.
+    """
+    logs = count()
+
+    def play(*parts: str, deadly: int | None = None) -> list[Told]:
+        process = open_window(["arrive", *parts], tmp_path / f"{next(logs)}.log")
         told: list[Told] = []
-        assert process.stdout is not None
         for line in process.stdout:
             if line.endswith("\n"):
                 told.append(json.loads(line))
@@ -62,9 +63,12 @@ def window(parts: list[str], log: Path, *, deadly: int | None) -> list[Told]:
             if deadly is not None and sum("saw" in one for one in told) == deadly:
                 process.kill()
                 break
+        process.stdin.close()
         process.stdout.close()
         assert process.wait(120) == (0 if deadly is None else -signal.SIGKILL)
-    return told
+        return told
+
+    return play
 
 
 def seen(told: list[Told], uuid: str) -> list[Told]:
@@ -76,12 +80,12 @@ def seen(told: list[Told], uuid: str) -> list[Told]:
 @pytest.mark.slow
 @pytest.mark.timeout(300)
 def test_a_kill_loses_no_nudge_on_gold_and_undo_reaches_behind_it(
-    folder, chosen, monkeypatch, tmp_path
+    folder, chosen, monkeypatch, window
 ):
     plain, gold = chosen
     monkeypatch.setenv("CHOSEN", ",".join(chosen))
-    before = window(["nudge"], tmp_path / "1.log", deadly=4)
-    after = window(["take-back", "do-again"], tmp_path / "2.log", deadly=None)
+    before = window("nudge", deadly=4)
+    after = window("take-back-chosen", "do-again")
     for told in (before, after):
         assert seen(told, gold) == seen(told, plain)
     for uuid in chosen:
@@ -115,7 +119,9 @@ KILLS = 20
 
 @pytest.mark.slow
 @pytest.mark.timeout(1200)
-def test_no_nudge_is_lost_where_the_window_is_killed_0_6_s_after_it(folder, monkeypatch, tmp_path):
+def test_no_nudge_is_lost_where_the_window_is_killed_0_6_s_after_it(
+    folder, monkeypatch, window, tmp_path
+):
     """Each window is the first of its person, who has not said how sure they are."""
     with Dataset.open(folder, person="setup") as dataset:
         context, label = context_for(dataset), Label(1000, -500, 0, 150)
@@ -124,7 +130,7 @@ def test_no_nudge_is_lost_where_the_window_is_killed_0_6_s_after_it(folder, monk
     for number in range(KILLS):
         monkeypatch.setenv("TOUCHDOWN_CONFIG", str(tmp_path / f"config-{number}"))
         monkeypatch.setenv("EPISODE", str(number))
-        told = window(["nudge-and-die"], tmp_path / f"{number}.log", deadly=-1)
+        told = window("nudge-and-die", deadly=-1)
         nudged = next(one for one in told if "nudged" in one)
         with Dataset.open(folder, create=False) as dataset:
             label = dataset.labels.head(nudged["nudged"]).label

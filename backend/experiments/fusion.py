@@ -13,7 +13,7 @@ same trials. They use no bottoms or seeds of the tables. Imports torch.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from hashlib import sha256
 from itertools import zip_longest
@@ -120,7 +120,6 @@ AIM_SD_MM = 2.0
 MAX_ATTEMPTS = 4
 CORNERS = 128
 DATA = "sequences.npz"
-PROBE_ARRAYS = ("wrench", "field", "offset_mm", "true_mm")
 _DRAWS = 79
 
 
@@ -301,20 +300,10 @@ def labelled_sequences(
     }
 
 
-def load_sequences(folders: Sequence[Path]) -> dict[str, NDArray[Any]]:
-    """Return the sequences of all folders, joined in order and padded with zeros."""
-    return join_sequences([dict(np.load(folder / DATA)) for folder in folders])
-
-
-def join_sequences(parts: Sequence[dict[str, NDArray[Any]]]) -> dict[str, NDArray[Any]]:
-    """Return sequences joined in order; shorter ones are padded with zeros."""
-    longest = max(part["true_mm"].shape[1] for part in parts)
-    for part in parts:
-        for name in PROBE_ARRAYS:
-            missing = longest - part[name].shape[1]
-            wide = [(0, 0), (0, missing)] + (part[name].ndim - 2) * [(0, 0)]
-            part[name] = np.pad(part[name], wide)
-    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+def read_sequences(folders: Iterable[Path]) -> Iterator[dict[str, NDArray[Any]]]:
+    """Yield the sequences of each folder."""
+    for folder in folders:
+        yield dict(np.load(folder / DATA))
 
 
 # Free bottoms of 30 mm and 30 g, none of the tables.
@@ -508,6 +497,7 @@ def count_under_threshold(
 FIRST_SEED, SEEDS_PER_JOB = 40_000_000, 1000  # disjoint from the seeds of all tables
 LABELLED_HELD_OUT = 5  # every fifth labelled gripping
 HELD_OUT = 16  # one job in HELD_OUT of each portion is held out: other pieces, bottoms, mountings
+BATCH = 128
 NETWORK_SEEDS = 1000  # between the trainings of an ensemble
 REPORTED = 500
 FAMILY_TEXT = (
@@ -516,7 +506,9 @@ FAMILY_TEXT = (
     "nothing that covers a shape left out by more than 90 % (intersection over union)"
 )
 SURFACE_TEXT = ", some tilted, stepped or domed"
-REGION_TEXT = "half of the bottoms rings, crescents, L, U, stars, feet, triangles or slivers; "
+REGION_TEXT = (
+    "half to two thirds of the bottoms rings, crescents, L, U, stars, feet, triangles or slivers; "
+)
 SUPPORT_TEXTS = ("fixed to the table", "most fixed to the table, some free to rock and slide")
 
 
@@ -571,6 +563,7 @@ class FusionRecipe:
     portions: Mapping[str, DataPortion] = field(default_factory=lambda: PORTIONS)
     outlines: OutlineKinds = "convex"  # of the bottoms
     ready: Mapping[str, Sequence[JobSpec]] = field(default_factory=dict)
+    batch: int = BATCH  # sequences a step
     networks: int = 1  # of an ensemble, each with its own initial weights and order of the data
     ranges: Mapping[str, Sequence[float]] = field(default_factory=dict)  # settings drawn by job
     tuning: Mapping[str, Any] = field(default_factory=dict)  # adopted network and labelled probes
@@ -593,6 +586,7 @@ class FusionRecipe:
             **({"surfaces": len(portions["surface"])} if portions.get("surface") else {}),
             "device": self.device,
             **self._wide,
+            **({"batch": self.batch} if self.batch != BATCH else {}),
             **({"kick_mm": kick} if (kick := self.bench.release_disturbance_mm) else {}),
             **self.tuning,
         }
@@ -657,7 +651,12 @@ FINE_TUNING_RATE = 2e-4  # a tenth of the rate of a training from scratch [U]
 
 
 def adopt_tuning(
-    store: JobStore, network: Path, rows: TrainingRows | None, sensor_mm: float, share: float
+    store: JobStore,
+    network: Path,
+    rows: TrainingRows | None,
+    sensor_mm: float,
+    share: float,
+    learning_rate: float = FINE_TUNING_RATE,
 ) -> Json:
     """Store a network, and labelled probes if any, for jobs that fine-tune it.
 
@@ -666,8 +665,9 @@ def adopt_tuning(
     for probes or a network that cannot be used.
     """
     found = load_fused(network)
-    if found.card.outlines != "convex":
-        what, fix = "Only networks for convex outlines can be fine-tuned.", "Name another one."
+    if rows is not None and found.card.outlines != "convex":
+        what = "Only networks for convex outlines can be fine-tuned on labelled probes."
+        fix = "Name another one."
         raise InputError(what, str(network), fix)
     own = {} if rows is None else labelled_sequences(rows, load_pieces(), sensor_mm)
     count = len(own.get("count", ()))
@@ -684,7 +684,7 @@ def adopt_tuning(
                 chosen = {key: values[rest] for key, values in own.items()}
                 np.savez(part / name, **chosen)
             store.finish(spec, part, {"sequences": count})
-    return {"tuning": spec.id, "share": share, "learning_rate": FINE_TUNING_RATE}
+    return {"tuning": spec.id, "share": share, "learning_rate": learning_rate}
 
 
 def split_folders(folders: Sequence[Path], counts: Sequence[int]) -> tuple[list[Path], list[Path]]:
@@ -702,19 +702,26 @@ def train_fusion(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
     """Train the network on the sequences of the input jobs."""
     use_one_thread()
     folders = [place.store.folder(source) for source in spec.inputs]
-    train, held_out = map(load_sequences, split_folders(folders, spec.params["counts"]))
+    simulated, kept = split_folders(folders, spec.params["counts"])
+    train, held_out = read_sequences(simulated), read_sequences(kept)
     kinds = spec.params.get("outlines", "convex")
     settings = FusedTraining(
-        steps=spec.params["steps"], seed=spec.seed, kick_mm=spec.params.get("kick_mm", 0.0)
+        steps=spec.params["steps"],
+        batch=spec.params.get("batch", BATCH),
+        seed=spec.seed,
+        kick_mm=spec.params.get("kick_mm", 0.0),
     )
     origin, metrics = dict[str, Any](), dict[str, Any]()
     if tuning := spec.params.get("tuning"):
         folder = place.store.folder(tuning)
         start, own = load_fused(folder / WEIGHTS), 0
+        if start.card.outlines != kinds:
+            what = f"This network is of outlines {start.card.outlines}, the sequences are not."
+            raise InputError(what, "--from", f"Give --outlines {start.card.outlines}.")
         if (folder / LABELLED[0]).exists():
-            labelled, held_out = (dict(np.load(folder / name)) for name in LABELLED)
-            own = len(labelled["count"])
-            train = mix_sequences(labelled, train, spec.params["share"])
+            labelled, judged = (dict(np.load(folder / name)) for name in LABELLED)
+            own, held_out = len(labelled["count"]), iter([judged])
+            train = mix_sequences(labelled, simulated, spec.params["share"])
         member = spec.seed // NETWORK_SEEDS % start.card.hyper.networks
         settings = replace(
             settings,
@@ -742,12 +749,12 @@ def train_fusion(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
         outlines=kinds,
         left_out=(*UNSEEN_PIECES, *UNSEEN_BOTTOMS),
         bench_sha256=spec.params["bench_sha256"],
-        data_sha256=data_sha256(train),
+        data_sha256=trainer.data["sha256"],
         seed=spec.seed,
         training={
-            "sequences": len(train["count"]),
-            "probes": int(train["count"].sum()),
-            "held_out_sequences": len(held_out["count"]),
+            "sequences": trainer.data["sequences"],
+            "probes": trainer.data["probes"],
+            "held_out_sequences": trainer.held_out_count,
             "steps": settings.steps,
             "batch": settings.batch,
             "learning_rate": settings.learning_rate,
@@ -763,13 +770,16 @@ def train_fusion(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
 
 
 def mix_sequences(
-    own: Mapping[str, NDArray[Any]], more: Mapping[str, NDArray[Any]], share: float
-) -> dict[str, NDArray[Any]]:
-    """Return ``more`` and the sequences of ``own``, repeated until ``more`` is ``share`` of all."""
-    count = max(1, round(len(more["count"]) * (1.0 - share) / share))
-    rows = np.resize(np.arange(len(own["count"])), count)
-    kept = {name: values[rows] for name, values in own.items()}
-    return join_sequences([{name: more[name] for name in kept}, kept])
+    own: Mapping[str, NDArray[Any]], folders: Sequence[Path], share: float
+) -> Iterator[dict[str, NDArray[Any]]]:
+    """Yield the sequences of ``folders`` and those of ``own``, repeated until the former are
+    ``share`` of all.
+    """
+    total = sum(len(np.load(folder / DATA)["count"]) for folder in folders)
+    rows = np.arange(max(1, round(total * (1.0 - share) / share))) % len(own["count"])
+    for part in read_sequences(folders):
+        yield {name: part[name] for name in own}
+    yield {name: values[rows] for name, values in own.items()}
 
 
 def join_trained(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:

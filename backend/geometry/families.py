@@ -37,7 +37,7 @@ TALL_MM = 65.0  # greatest height of a free bottom of the wide family
 
 
 OutlineKinds = Literal["convex", "any"]
-REGION_SHARE, REGION_FACE_SHARE = 0.5, 0.25  # of bottoms and faces of the wide family
+REGION_SHARE, REGION_FACE_SHARE = 2.0 / 3.0, 0.25  # of bottoms and faces of the wide family
 WIDTHS_MM = (20.0, 45.0)  # of its pieces between the pads
 
 
@@ -181,17 +181,18 @@ def _hull(points_mm: FloatArray) -> FloatArray:
 
 
 LEAST_REGION_MM = 14.0
+FEET = (5, 8, 9, 10, 11)
 SLIVER_RATIO = 3.0  # greatest ratio of the sides of a rectangle of the wide family
 
 
 def draw_region(rng: np.random.Generator, size_mm: float) -> outlines.Outline:
     """Return an outline of the wide family about ``size_mm`` wide, turned at random.
 
-    Ring, crescent, L, U, star, two to four feet, triangle, or a rectangle up to 3:1. The classes
-    ``UNTRAINED_CLASSES`` are left to the tests.
+    Ring, crescent, L, U, star, two to four feet (five times as often, since they are the hardest),
+    triangle, or a rectangle up to 3:1. The classes ``UNTRAINED_CLASSES`` are left to the tests.
     """
     while True:
-        kind, a, b = int(rng.integers(8)), float(rng.uniform()), float(rng.uniform())
+        kind, a, b = int(rng.integers(12)), float(rng.uniform()), float(rng.uniform())
         wall = size_mm * (0.2 + 0.2 * a)
         try:
             if kind == 0:
@@ -203,7 +204,7 @@ def draw_region(rng: np.random.Generator, size_mm: float) -> outlines.Outline:
                 outline = build(size_mm, size_mm * (0.7 + 0.3 * b), wall)
             elif kind == 4:
                 outline = star(4 + int(4 * b), size_mm, size_mm * (0.4 + 0.3 * a))
-            elif kind == 5:
+            elif kind in FEET:
                 outline = _feet(rng, 2 + int(3 * b), size_mm, wall)
             elif kind == 6:
                 outline = _triangle(rng, size_mm)

@@ -102,6 +102,8 @@ def add_fused_arguments(parser: argparse.ArgumentParser) -> None:
     fused.add_argument("--surface-parts", type=int, default=0, help="of eight probes on tilted, "
                        "stepped and domed bottoms; needs --outlines any")  # fmt: skip
     fused.add_argument("--steps", type=int, default=6000, help="of the training; 0: data only")
+    fused.add_argument("--batch", type=int, default=128, help="sequences a step; 512 pays on a "
+                       "graphics processor")  # fmt: skip
     fused.add_argument("--networks", type=int, default=1, metavar="N", help="to train; "
                        "all must agree on a release")  # fmt: skip
     fused.add_argument("--ready", action="store_true", help="train on the finished sequences of "
@@ -114,6 +116,7 @@ def add_fused_arguments(parser: argparse.ArgumentParser) -> None:
                        "intervals")  # fmt: skip
     fused.add_argument("--from", type=Path, dest="pretrained", metavar="CHECKPOINT", help="network "
                        "of 'fused' to fine-tune on the simulated parts and on --data")  # fmt: skip
+    fused.add_argument("--rate", type=float, default=2e-4, help="learning rate of a fine-tuning")
     fused.add_argument("--data", type=Path, metavar="LAB", help="dataset or packs with labelled "
                        "probes of one piece, several a gripping")  # fmt: skip
     fused.add_argument("--labels", choices=LABEL_CHOICES, default="approved", help="which labels "
@@ -143,11 +146,12 @@ def train_fused(run: ExperimentRun) -> Json:
     others = args.long_parts + args.longest_parts + args.surface_parts
     known &= args.parts >= 4 or (args.parts == 0 and others > 0)
     known &= args.surface_parts == 0 or args.outlines == "any"
+    known &= args.batch >= 1
     if not known or min(args.steps, args.seed, args.rule_trials) < 0:
         raise InputError(
-            "A number of parts, networks, steps or trials, or the seed, is out of range.",
+            "A number of parts, networks, steps or trials, batch or seed is out of range.",
             "--parts, --long-parts, --longest-parts, --free-parts, --surface-parts, --networks, "
-            "--steps, --rule-trials, --seed",
+            "--steps, --batch, --rule-trials, --seed",
             "Give 4 to 120 parts, none or 2 to 400 long, 2 to 200 longest, 2 to 100 free and, with "
             "--outlines any, 2 to 180 on uneven bottoms (with one of them but free ones also no "
             f"others), and 1 to {MOST_NETWORKS} networks.",
@@ -156,7 +160,8 @@ def train_fused(run: ExperimentRun) -> Json:
     ranges = _ranges(args.ranges) if args.ranges else {}
     recipe = FusionRecipe(
         bench, code, counts, args.steps, args.seed, args.device,
-        outlines=args.outlines, networks=args.networks, ranges=ranges, tuning=_tuning(run, bench),
+        outlines=args.outlines, batch=args.batch, networks=args.networks, ranges=ranges,
+        tuning=_tuning(run, bench),
     )  # fmt: skip
     if args.ready:
         recipe = replace(recipe, ready=ready_sequences(store, bench, args.outlines, ranges))
@@ -200,15 +205,16 @@ def _tuning(run: ExperimentRun, bench: SimulationSettings) -> Json:
     args = run.args
     if args.pretrained is None and args.data is None:
         return {}
-    if args.pretrained is None or not 0.0 < args.mix_share < 1.0:
+    if args.pretrained is None or not (0.0 < args.mix_share < 1.0 and 0.0 < args.rate < 1.0):
         raise InputError(
-            "A fine-tuning needs a network, and simulated sequences beside the labelled ones.",
-            "--from, --mix-share",
-            "Name the network, with a share between 0 and 1.",
+            "A fine-tuning needs a network, a learning rate, and simulated sequences beside the "
+            "labelled ones.",
+            "--from, --rate, --mix-share",
+            "Name the network, with a rate and a share between 0 and 1.",
         )
     rows = None if args.data is None else load_episodes(args.data, None, args.labels)
     height_mm = bench.wrist.height_mm
-    return adopt_tuning(run.store, args.pretrained, rows, height_mm, args.mix_share)
+    return adopt_tuning(run.store, args.pretrained, rows, height_mm, args.mix_share, args.rate)
 
 
 def _rules(screen: VerbOutput, store: JobStore, asked: list[JobSpec]) -> list[dict[str, Any]]:

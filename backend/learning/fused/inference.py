@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from math import erf, sqrt
+from math import sqrt
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtr
 
 from touchdown.backend.core import FloatArray
 from touchdown.backend.learning.fused import features
@@ -59,7 +60,7 @@ class InsetDistribution:
 
     def _by_network(self, least_mm: float | FloatArray) -> FloatArray:
         z = (self.mean_mm - np.asarray(least_mm)[..., None]) / self.sd_mm
-        share = self.weight * np.interp(z, _STEPS, _NORMAL)
+        share = self.weight * ndtr(z)
         each = share.reshape(len(share), self.networks, -1).sum(axis=-1)
         return np.asarray(self.networks * each)
 
@@ -96,30 +97,33 @@ class FusedForward:
         ``wrench`` (P, 8, 6) in N and N·m, ``field`` (P, 8, 252) in px, ``offset_mm`` (P, 2). NaN
         from the first probe that differs too much from the training data.
         """
-        x = self._standardised(wrench, field, offset_mm, face)
-        x = np.where(np.abs(x) <= FARTHEST_SD, x, np.nan)[None]
-        x = self._linear("probe2", _relu(self._linear("probe", x)))
-        for layer in range(self._shape.layers):
-            x = x + self._attended(layer, _rms_norm(x))
-            x = x + self._linear(f"{layer}.down", _relu(self._linear(f"{layer}.up", _rms_norm(x))))
-        return _rms_norm(x).swapaxes(0, 1)
+        states = self._states(self._standardised(wrench, field, offset_mm, face)[None])
+        return np.asarray(states[0])
 
     def known_by_mirror(
         self, wrench: Array, field: Array, offset_mm: FloatArray, face: features.GraspedFace
     ) -> FloatArray:
         """Return the states (4, P, networks, width) of the signals and of their mirror images."""
-        return np.stack(
-            [
-                self.known(
-                    *features.mirror_signals(wrench, field, across_x=across_x, across_y=across_y),
-                    offset_mm * signs,
-                    face.mirrored(across_x=across_x, across_y=across_y),
-                )
-                for (across_x, across_y), signs in zip(
-                    features.MIRRORS, features.MIRROR_SIGNS, strict=True
-                )
-            ]
-        )
+        inputs = [
+            self._standardised(
+                *features.mirror_signals(wrench, field, across_x=across_x, across_y=across_y),
+                offset_mm * signs,
+                face.mirrored(across_x=across_x, across_y=across_y),
+            )
+            for (across_x, across_y), signs in zip(
+                features.MIRRORS, features.MIRROR_SIGNS, strict=True
+            )
+        ]
+        return self._states(np.stack(inputs))
+
+    def _states(self, inputs: FloatArray) -> FloatArray:
+        """Return the states (m, P, networks, width) of standardised inputs (m, P, inputs)."""
+        x = np.where(np.abs(inputs) <= FARTHEST_SD, inputs, np.nan)[:, None]
+        x = self._linear("probe2", _relu(self._linear("probe", x)))
+        for layer in range(self._shape.layers):
+            x = x + self._attended(layer, _rms_norm(x))
+            x = x + self._linear(f"{layer}.down", _relu(self._linear(f"{layer}.up", _rms_norm(x))))
+        return _rms_norm(x).swapaxes(1, 2)
 
     def distances(
         self, wrench: Array, field: Array, offset_mm: FloatArray, face: features.GraspedFace
@@ -177,16 +181,16 @@ class FusedForward:
         return share, features.LENGTH_MM * mean, features.LENGTH_MM * sd
 
     def _attended(self, layer: int, x: FloatArray) -> FloatArray:
-        networks, count, width = x.shape
+        images, networks, count, width = x.shape
         heads = self._shape.heads
         asked = self._linear(f"{layer}.asks", x)
-        asked = asked.reshape(networks, count, 3, heads, width // heads)
-        query, key, value = asked.transpose(2, 0, 3, 1, 4)
+        asked = asked.reshape(images, networks, count, 3, heads, width // heads)
+        query, key, value = asked.transpose(3, 0, 1, 4, 2, 5)
         score = query @ key.swapaxes(-1, -2) / sqrt(width // heads)
         score[..., np.triu(np.ones((count, count), dtype=np.bool_), k=1)] = -np.inf
         share = np.exp(score - score.max(axis=-1, keepdims=True))
         share /= share.sum(axis=-1, keepdims=True)
-        joined = (share @ value).swapaxes(1, 2).reshape(networks, count, width)
+        joined = (share @ value).swapaxes(2, 3).reshape(images, networks, count, width)
         return self._linear(f"{layer}.joins", joined)
 
     def _linear(self, name: str, x: NDArray[Any]) -> NDArray[Any]:
@@ -207,8 +211,3 @@ def _relu(x: NDArray[Any]) -> NDArray[Any]:
 def _rms_norm(x: FloatArray) -> FloatArray:
     tiny = float(np.finfo(np.float32).eps)
     return np.asarray(x / np.sqrt((x**2).mean(axis=-1, keepdims=True) + tiny))
-
-
-# Table of the normal distribution function.
-_STEPS = np.linspace(-8.0, 8.0, 3201)
-_NORMAL = np.array([0.5 * (1.0 + erf(z / sqrt(2.0))) for z in _STEPS])

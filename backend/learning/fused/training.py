@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, fields
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -21,7 +22,6 @@ from torch.optim import Muon
 from touchdown.backend.core import FloatArray
 from touchdown.backend.geometry import edge_normals
 from touchdown.backend.learning.fused import features
-from touchdown.backend.learning.fused.inference import point_inputs
 from touchdown.backend.learning.training import Adam
 
 MARGIN_REACH_MM = 36.0  # outermost nodes of the margins of a sequence
@@ -101,7 +101,7 @@ def checkpoint_arrays(net: FusedNet) -> dict[str, Tensor]:
 
 POINTS = 8  # points evaluated after each probe: the centre of mass, four near it, three anywhere
 NEAR_MM, ANYWHERE_MM = 2.5, 16.0
-FIRST_OF_FIELDS = AT_ONCE = 2000
+FIRST_OF_FIELDS = 2000  # sequences that determine the components of the fields
 BATCHES_AT_ONCE = 8
 MATRIX_RATE = 2.5  # learning rate of the inner matrices, relative to the others
 Arrays = Mapping[str, NDArray[Any]]
@@ -139,6 +139,10 @@ class ProbeSequences:
     margin_mm: Tensor
     there: Tensor
 
+    def to(self, device: torch.device) -> ProbeSequences:
+        """Return the sequences in the memory of ``device``."""
+        return ProbeSequences(*(getattr(self, column.name).to(device) for column in fields(self)))
+
     def inset_mm(self, rows: Tensor, points_mm: Tensor) -> Tensor:
         """Return the inset (b, P, q) of ``points_mm`` (b, P, q, 2), given in the face frame.
 
@@ -148,7 +152,7 @@ class ProbeSequences:
         at = points_mm + self.true_mm[rows, : points_mm.shape[1], None]
         if self.margin_mm.shape[-1]:
             own = len(self.margin_mm)
-            signs = torch.tensor(features.MIRROR_SIGNS)[rows // own][:, None, None]
+            signs = torch.tensor(features.MIRROR_SIGNS).to(at)[rows // own][:, None, None]
             return interpolate(self.margin_mm[rows % own].float(), signs * at / MARGIN_REACH_MM)
         along = torch.einsum("bpqx,bkx->bpqk", at, self.normal[rows])
         return (self.reach_mm[rows][:, None, None] - along).amin(dim=-1)
@@ -162,29 +166,43 @@ def interpolate(nodes: Tensor, at: Tensor) -> Tensor:
 
 
 def prepare_sequences(
-    arrays: Arrays, modes: NDArray[np.float32], *, mirror: bool
+    parts: Iterable[Arrays], modes: NDArray[np.float32], *, mirror: bool
 ) -> ProbeSequences:
     """Prepare sequences of ``experiments.fusion``, with mirror images if ``mirror``.
 
-    Works in blocks, since all marker fields at once would exceed the memory.
+    One part at a time is kept, since all marker fields at once would exceed the memory.
     """
-    parts = [
-        _prepared({name: values[first : first + AT_ONCE] for name, values in arrays.items()}, modes,
-                  across_x=across_x, across_y=across_y)
-        for across_x, across_y in (features.MIRRORS if mirror else features.MIRRORS[:1])
-        for first in range(0, len(arrays["count"]), AT_ONCE)
-    ]  # fmt: skip
-    columns = [np.concatenate(column) for column in zip(*parts, strict=True)]
-    margin = arrays.get("margin_mm", np.empty((len(arrays["count"]), 0, 0)))
-    return ProbeSequences(*map(torch.from_numpy, (*columns[:-1], margin, columns[-1])))
+    images = features.MIRRORS if mirror else features.MIRRORS[:1]
+    blocks: list[list[list[NDArray[Any]]]] = [[] for _ in images]
+    margins = []
+    for part in parts:
+        margins.append(part.get("margin_mm", np.empty((len(part["count"]), 0, 0), np.float32)))
+        for own, (across_x, across_y) in zip(blocks, images, strict=True):
+            own.append(_prepared(part, modes, across_x=across_x, across_y=across_y))
+    ordered = [block for own in blocks for block in own]
+    columns = [_joined([block.pop(0) for block in ordered]) for _ in range(len(ordered[0]))]
+    return ProbeSequences(
+        *map(torch.from_numpy, (*columns[:-1], np.concatenate(margins), columns[-1]))
+    )
+
+
+def _joined(arrays: list[NDArray[Any]]) -> NDArray[Any]:
+    """Return arrays (n, k, ...) joined in order, padded with zeros to the largest k."""
+    size = max(array.shape[1] for array in arrays)
+    joined = np.zeros((sum(map(len, arrays)), size, *arrays[0].shape[2:]), arrays[0].dtype)
+    first = 0
+    for array in arrays:
+        joined[first : first + len(array), : array.shape[1]] = array
+        first += len(array)
+    return joined
 
 
 def _prepared(
     arrays: Arrays, modes: NDArray[np.float32], *, across_x: bool, across_y: bool
-) -> tuple[NDArray[Any], ...]:
-    """Return the columns of ``ProbeSequences`` for a block, mirrored in x, y, both or not.
+) -> list[NDArray[Any]]:
+    """Return the columns of ``ProbeSequences`` for a part, mirrored in x, y, both or not.
 
-    The margins are left out.
+    The margins are left out; they replace the half planes.
     """
     signs = np.array([-1.0 if across_x else 1.0, -1.0 if across_y else 1.0])
     wrench, seen = features.mirror_signals(
@@ -196,7 +214,8 @@ def _prepared(
     offset = arrays["offset_mm"] * signs
     inputs = features.probe_inputs(wrench, seen, offset, face, modes)
     piece = np.broadcast_to(face.inputs()[:, None], (*inputs.shape[:2], face.inputs().shape[-1]))
-    normal, reach = half_planes(arrays["support_mm"].astype(np.float64))
+    corners = slice(0 if "margin_mm" in arrays else None)
+    normal, reach = half_planes(arrays["support_mm"][:, corners].astype(np.float64))
     columns = (
         np.concatenate([inputs, piece], axis=-1),
         arrays["true_mm"] * signs,
@@ -206,7 +225,7 @@ def _prepared(
         reach,
     )
     there = np.arange(inputs.shape[1]) < arrays["count"][:, None]
-    return (*(column.astype(np.float32) for column in columns), there)
+    return [*(column.astype(np.float32) for column in columns), there]
 
 
 def half_planes(polygon_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -221,26 +240,39 @@ def half_planes(polygon_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 class FusedTrainer:
-    """Network and data of one training; the same seed gives the same weights on one thread."""
+    """Network and data of one training; the same seed gives the same weights on one thread.
+
+    ``train`` and ``held_out`` are arrays of ``experiments.fusion`` in parts, read one by one.
+    ``data``: counts of sequences and probes, and the hash of the training set, for the card.
+    """
 
     def __init__(
         self,
-        train: Arrays,
-        held_out: Arrays,
+        train: Iterable[Arrays],
+        held_out: Iterable[Arrays],
         settings: FusedTraining,
         device: torch.device = torch.device("cpu"),  # noqa: B008 - a value, never changed
     ) -> None:
         self._settings, self._device = settings, device
-        start = settings.start
+        start, parts = settings.start, self._counted(train)
+        first: list[Arrays] = []
         if start is None:
-            self.modes = features.field_components(train["field"][:FIRST_OF_FIELDS])
+            while sum(len(part["count"]) for part in first) < FIRST_OF_FIELDS:
+                if (part := next(parts, None)) is None:
+                    break
+                first.append(part)
+            seen = [part["field"].reshape(-1, *part["field"].shape[-2:]) for part in first]
+            self.modes = features.field_components(np.concatenate(seen))
         else:
             self.modes = start["modes"]
-        self._train = prepare_sequences(train, self.modes, mirror=True)
-        self._held_out = prepare_sequences(held_out, self.modes, mirror=False)
-        rows = self._train.probes[self._train.there]
+        sequences = prepare_sequences(chain(first, parts), self.modes, mirror=True)
+        del first
+        rows = sequences.probes[sequences.there]
         self.mean, spread = rows.mean(dim=0), rows.std(dim=0)
         self.scale: Tensor = torch.where(spread > 1e-6, spread, torch.ones(()))
+        self._train = sequences.to(device)
+        self._held_out = prepare_sequences(held_out, self.modes, mirror=False).to(device)
+        self.held_out_count: int = len(self._held_out.there)
         self.net: FusedNet = FusedNet(settings.shape, settings.seed).to(device)
         if start is not None:
             self.mean, self.scale = (torch.from_numpy(start[k].copy()) for k in ("mean", "scale"))
@@ -251,7 +283,18 @@ class FusedTrainer:
         matrices = [learned.pop(key) for key in inner]
         self._muon = Muon(matrices, weight_decay=0.0, adjust_lr_fn="match_rms_adamw")
         self._adam = Adam(learned.values(), settings.learning_rate)
-        self._generator = torch.Generator().manual_seed(settings.seed + 1)
+        self._generator = torch.Generator(device).manual_seed(settings.seed + 1)
+
+    def _counted(self, parts: Iterable[Arrays]) -> Iterator[Arrays]:
+        """Yield the parts of the training set; count and hash them."""
+        digest = hashlib.sha256()
+        self.data: dict[str, Any] = {"sequences": 0, "probes": 0}
+        for part in parts:
+            digest.update(data_sha256(part).encode())
+            self.data["sequences"] += len(part["count"])
+            self.data["probes"] += int(part["count"].sum())
+            self.data["sha256"] = digest.hexdigest()
+            yield part
 
     def steps(self) -> Iterator[float]:
         """Yield the loss (nats a point) of each step."""
@@ -263,30 +306,31 @@ class FusedTrainer:
             self._muon.param_groups[0]["lr"] = MATRIX_RATE * self._adam.rate
             if step % BATCHES_AT_ONCE == 0:
                 batches = self._batches()
-            loss = self._loss(self._train, next(batches), self._generator)
+            loss = self._loss(self._train, *next(batches), self._generator)
             self.net.zero_grad()
             loss.backward()  # type: ignore[no-untyped-call]
             self._adam.step()
             self._muon.step()  # type: ignore[no-untyped-call]
             yield float(loss.detach())
 
-    def _batches(self) -> Iterator[Tensor]:
-        """Yield the rows of the next batches, each of sequences of similar length.
-
-        A batch computes as many probes of each sequence as its longest one has.
-        """
+    def _batches(self) -> Iterator[tuple[Tensor, int]]:
+        """Yield rows and most probes of the next batches, each of sequences of similar length."""
         size = (BATCHES_AT_ONCE * self._settings.batch,)
-        rows = torch.randint(len(self._train.probes), size, generator=self._generator)
-        by_length = rows[self._train.there[rows].sum(dim=1).argsort(stable=True)]
-        order = torch.randperm(BATCHES_AT_ONCE, generator=self._generator)
-        yield from by_length.view(BATCHES_AT_ONCE, -1)[order]
+        count, generator, device = len(self._train.probes), self._generator, self._device
+        rows = torch.randint(count, size, generator=generator, device=device)
+        probes, order = self._train.there[rows].sum(dim=1).sort(stable=True)
+        batches = rows[order].view(BATCHES_AT_ONCE, -1)
+        most = probes.view(BATCHES_AT_ONCE, -1).amax(dim=1).tolist()
+        for k in torch.randperm(BATCHES_AT_ONCE, generator=generator, device=device).tolist():
+            yield batches[k], most[k]
 
     @torch.no_grad()
     def held_out_loss(self) -> float:
         """Return the loss on the held-out sequences, at the same points every time."""
-        generator = torch.Generator().manual_seed(7)
-        rows = torch.arange(len(self._held_out.probes))
-        return float(self._loss(self._held_out, rows, generator))
+        generator = torch.Generator(self._device).manual_seed(7)
+        rows = torch.arange(len(self._held_out.probes), device=self._device)
+        most = int(self._held_out.there.sum(dim=1).max())
+        return float(self._loss(self._held_out, rows, most, generator))
 
     def arrays(self) -> dict[str, NDArray[np.float32]]:
         """Return the arrays of a checkpoint."""
@@ -294,22 +338,26 @@ class FusedTrainer:
         about = {"mean": self.mean.numpy(), "scale": self.scale.numpy(), "modes": self.modes}
         return {**about, **found}
 
-    def _loss(self, data: ProbeSequences, rows: Tensor, generator: torch.Generator) -> Tensor:
-        there = data.there[rows]
-        there = there[:, : int(there.sum(dim=1).max())]
-        count = there.shape[1]
+    def _loss(
+        self, data: ProbeSequences, rows: Tensor, count: int, generator: torch.Generator
+    ) -> Tensor:
+        """Return the mean loss after each of the first ``count`` probes of ``rows``."""
+        there = data.there[rows, :count, None]
         points = _points(data, rows, count, generator)
-        kick = self._settings.kick_mm
-        moved = points + kick * torch.randn(points.shape, generator=generator) if kick else points
+        moved = points
+        if kick := self._settings.kick_mm:
+            noise = torch.randn(points.shape, generator=generator, device=points.device)
+            moved = points + kick * noise
         inset = data.inset_mm(rows, moved) / features.LENGTH_MM
         away = (data.offset_mm[rows, :count] - data.offset_mm[rows, :1])[:, :, None]
-        asked = point_inputs(points.numpy(), away.numpy()).astype(np.float32)
-        probes = (data.probes[rows, :count] - self.mean) / self.scale
-        seen = torch.where(there[..., None], probes, 0.0).to(self._device)
-        answer = self.net(seen, torch.from_numpy(asked).to(self._device))
-        return negative_log_likelihood(answer, inset.to(self._device))[
-            there.to(self._device)
-        ].mean()
+        distance = points.square().sum(dim=-1, keepdim=True).sqrt()
+        asked = torch.cat([points, points + away, distance], dim=-1) / features.LENGTH_MM
+        probes = (data.probes[rows, :count] - self.mean.to(rows.device)) / self.scale.to(
+            rows.device
+        )
+        answer = self.net(torch.where(there, probes, 0.0), asked)
+        loss = torch.where(there, negative_log_likelihood(answer, inset), 0.0)
+        return loss.sum() / (there.sum() * POINTS)
 
 
 def data_sha256(arrays: Arrays) -> str:
@@ -322,9 +370,9 @@ def data_sha256(arrays: Arrays) -> str:
 
 def _points(data: ProbeSequences, rows: Tensor, count: int, generator: torch.Generator) -> Tensor:
     """Draw points (b, count, q, 2) in mm from the face after each of the first ``count`` probes."""
-    b = len(rows)
-    drawn = torch.randn((b, count, POINTS, 2), generator=generator)
-    anywhere = 2.0 * torch.rand((b, count, POINTS, 2), generator=generator) - 1.0
-    spread = torch.tensor([0.0] + 4 * [NEAR_MM] + 3 * [0.0])[:, None]
-    wide = torch.tensor(5 * [0.0] + 3 * [ANYWHERE_MM])[:, None]
-    return data.com_mm[rows][:, None, None] + spread * drawn + wide * anywhere
+    shape, com = (len(rows), count, POINTS, 2), data.com_mm[rows][:, None, None]
+    drawn = torch.randn(shape, generator=generator, device=com.device)
+    anywhere = 2.0 * torch.rand(shape, generator=generator, device=com.device) - 1.0
+    spread = torch.tensor([0.0] + 4 * [NEAR_MM] + 3 * [0.0]).to(com)[:, None]
+    wide = torch.tensor(5 * [0.0] + 3 * [ANYWHERE_MM]).to(com)[:, None]
+    return com + spread * drawn + wide * anywhere

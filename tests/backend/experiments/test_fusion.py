@@ -33,9 +33,9 @@ from touchdown.backend.experiments.fusion import (
     count_under_threshold,
     held_out_setup,
     labelled_sequences,
-    load_sequences,
     margin_field,
     next_places,
+    read_sequences,
     ready_sequences,
     record_trials,
     threshold_jobs,
@@ -303,13 +303,14 @@ def test_from_nothing_to_a_network_with_its_card(
     jobs = tiny(bench_v1).jobs()
     for result in run_campaign(jobs, SerialExecutor(FUSED_KINDS, store), store):
         assert result.state == "done", result.error
-    data = load_sequences([store.folder(job.id) for job in jobs[:2]])
+    parts = list(read_sequences(store.folder(job.id) for job in jobs[:2]))
+    assert [part["wrench"].shape[2:] for part in parts] == 2 * [(8, CHANNELS - TACTILE_CHANNELS)]
     # Two sequences of two presses and one of three, all padded to three.
-    assert data["wrench"].shape == (3, 3, 8, CHANNELS - TACTILE_CHANNELS)
-    assert data["count"].tolist()[:2] == [2, 2]
-    assert data["count"][2] <= 3
-    assert not data["wrench"][:2, 2].any()
-    assert data["wrench"][:2, :2].any(axis=(2, 3)).all()
+    data = prepare_sequences(parts, field_components(parts[0]["field"]), mirror=True)
+    assert data.probes.shape[:2] == (4 * 3, 3)
+    assert data.there[:2].tolist() == 2 * [[True, True, False]]
+    assert not data.probes[:2, 2].any()
+    assert data.probes[:2, :2].any(dim=2).all()
     # The start of a sequence overlaps its bottom, and steps are those of a trial or anywhere.
     found = load_fused(store.folder(jobs[-1].id) / WEIGHTS)
     assert found.card.bench_sha256.startswith("03b08d28746d9339")
@@ -392,12 +393,29 @@ def test_the_wide_family_has_its_own_target_and_leaves_old_jobs_alone(
     assert ["surface" in job.params for job in jobs[:4]] == [False, True, False, True]
     for result in run_campaign(jobs, SerialExecutor(FUSED_KINDS, store), store):
         assert result.state == "done", result.error
-    data = load_sequences([store.folder(job.id) for job in jobs[:4]])
-    assert data["margin_mm"].shape == (8, 49, 49)
+    parts = list(read_sequences(store.folder(job.id) for job in jobs[:4]))
+    assert [part["margin_mm"].shape for part in parts] == 4 * [(2, 49, 49)]
     card = load_fused(store.folder(jobs[-1].id) / WEIGHTS).card
     assert card.outlines == "any"
     assert "crescents" in card.family
     assert "stepped" in card.family
+    # Such a network is trained further on simulated sequences of its kind alone.
+    network = store.folder(jobs[-1].id) / WEIGHTS
+    tuning = adopt_tuning(store, network, None, 120.0, 0.5, 1e-3)
+    longer = replace(recipe, tuning=tuning, batch=4)
+    other = replace(tiny(bench_v1), tuning=tuning).jobs()
+    executor = SerialExecutor(FUSED_KINDS, store)
+    ends = [
+        *run_campaign(longer.jobs()[-1:], executor, store),
+        *run_campaign(other, executor, store),
+    ]
+    assert [end.state for end in ends] == ["done", *4 * ["done"], "failed"]
+    assert "Give --outlines any." in str(ends[-1].error)
+    facts = load_fused(store.folder(ends[0].id) / WEIGHTS).card.training
+    assert (facts["batch"], facts["learning_rate"]) == (4, 1e-3)
+    assert facts["pretrained"] == load_fused(network).card.weights_sha256
+    with pytest.raises(InputError, match="Only networks for convex outlines"):
+        adopt_tuning(store, network, labelled_rows("circle15"), 120.0, 0.25)
     monkeypatch.setattr("touchdown.backend.experiments.fusion.PORTIONS", TINY)
     ready = ready_sequences(store, bench_v1, "any")
     assert {name: len(some) for name, some in ready.items()} == {
@@ -406,11 +424,12 @@ def test_the_wide_family_has_its_own_target_and_leaves_old_jobs_alone(
         "surface": 2,
     }
     # No input of the network depends on the truth.
+    data = parts[0]
     truths = {
         name: data[name] + 1 for name in ("margin_mm", "true_mm", "support_mm", "true_com_mm")
     }
     modes = field_components(data["field"])
-    both = (prepare_sequences(some, modes, mirror=False) for some in (data, {**data, **truths}))
+    both = (prepare_sequences([some], modes, mirror=False) for some in (data, {**data, **truths}))
     first, second = (sequences.probes.numpy() for sequences in both)
     np.testing.assert_array_equal(first, second)
 

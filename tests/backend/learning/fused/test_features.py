@@ -280,7 +280,7 @@ def test_the_true_inset_is_that_of_the_outline() -> None:
     padded = np.concatenate([outline.polygon(), np.repeat(outline.polygon()[-1:], 28, axis=0)])
     arrays["support_mm"] = np.tile(padded.astype(np.float32), (2, 1, 1))
     modes = field_components(arrays["field"])
-    data: ProbeSequences = prepare_sequences(arrays, modes, mirror=True)
+    data: ProbeSequences = prepare_sequences([arrays], modes, mirror=True)
     points = torch.tensor([[1.0, 2.0], [-3.0, 0.5]]).expand(8, 2, 2, 2)
     found = data.inset_mm(torch.arange(8), points).numpy()
     expected = inset_mm(outline, (points + data.true_mm[:, :, None]).numpy().astype(np.float64))
@@ -292,7 +292,9 @@ def test_margins_replace_the_outline_and_are_mirrored_with_it() -> None:
     axis = np.linspace(-36.0, 36.0, 25)
     nodes = 0.5 * axis[None, :] - 0.25 * axis[:, None]
     arrays["margin_mm"] = np.stack([nodes, 2.0 * nodes]).astype(np.float16)
-    data: ProbeSequences = prepare_sequences(arrays, field_components(arrays["field"]), mirror=True)
+    data: ProbeSequences = prepare_sequences(
+        [arrays], field_components(arrays["field"]), mirror=True
+    )
     points = torch.tensor([[1.0, 2.0], [-3.0, 0.5]]).expand(8, 2, 2, 2)
     found = data.inset_mm(torch.arange(8), points).numpy()
     at = (points + data.true_mm[:, :, None]).numpy()
@@ -305,13 +307,13 @@ def test_margins_replace_the_outline_and_are_mirrored_with_it() -> None:
 def test_a_training_learns_and_is_the_same_again() -> None:
     settings = FusedTraining(100, 32, learning_rate=1e-2, seed=3, shape=SMALL)
     train, held_out = made_up(96, 1), made_up(32, 2)
-    trainer = FusedTrainer(train, held_out, settings)
+    trainer = FusedTrainer([train], [held_out], settings)
     before = trainer.held_out_loss()
     losses = list(trainer.steps())
     assert np.mean(losses[-10:]) < 0.5 * losses[0]
     assert trainer.held_out_loss() < before - 0.7
     short = FusedTraining(steps=3, batch=48, seed=3, shape=SMALL)
-    twice = [FusedTrainer(train, held_out, short) for _ in range(2)]
+    twice = [FusedTrainer([train], [held_out], short) for _ in range(2)]
     for one in twice:
         list(one.steps())
     first, second = (one.arrays() for one in twice)
@@ -321,8 +323,8 @@ def test_a_training_learns_and_is_the_same_again() -> None:
 def test_a_kick_blurs_the_target() -> None:
     train, held_out = made_up(96, 1), made_up(32, 2)
     settings = FusedTraining(3, 48, seed=3, shape=SMALL, kick_mm=0.5)
-    trainer = FusedTrainer(train, held_out, settings)
-    plain = FusedTrainer(train, held_out, replace(settings, kick_mm=0.0))
+    trainer = FusedTrainer([train], [held_out], settings)
+    plain = FusedTrainer([train], [held_out], replace(settings, kick_mm=0.0))
     assert trainer.held_out_loss() != plain.held_out_loss()
     assert torch.equal(trainer.mean, plain.mean)
 

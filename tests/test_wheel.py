@@ -86,19 +86,20 @@ def installed(
     shutil.rmtree(folder)
 
 
-def run(installed: tuple[Path, Path], *words: str | Path) -> str:
+def run(installed: tuple[Path, Path], *words: str | Path, most: int = 0) -> str:
+    """Return what a command says whose status is at most ``most``."""
     python, laboratory = installed
     clean = {k: v for k, v in os.environ.items() if not k.startswith("PYTHON")}
     done = subprocess.run(
         [python, *words], cwd=laboratory, env=clean, capture_output=True, text=True, timeout=300,
         check=False,
     )  # fmt: skip
-    assert done.returncode == 0, done.stderr[-3000:] + done.stdout[-500:]
+    assert 0 <= done.returncode <= most, done.stderr[-3000:] + done.stdout[-500:]
     return done.stdout
 
 
-def verb(installed: tuple[Path, Path], *words: str | Path) -> str:
-    return run(installed, "-m", "touchdown", *words)
+def verb(installed: tuple[Path, Path], *words: str | Path, most: int = 0) -> str:
+    return run(installed, "-m", "touchdown", *words, most=most)
 
 
 def test_the_wheel_holds_the_tree_and_nothing_else(wheels: tuple[Path, Path]) -> None:
@@ -170,8 +171,10 @@ def test_each_child_process_starts_from_the_wheel(
         installed, "import", "lerobot", tmp_path / "out", "--dataset", tmp_path / "taken",
         "--person", "ann",
     )  # fmt: skip
-    emulated = ("stack", "--emulated", "--seed", "7", "--no-episodes", "--json")
-    assert json.loads(verb(installed, *emulated, "--runs", tmp_path / "runs"))["trials"]
+    # Ends after one press, with status 1 where the piece may not be released there.
+    emulated = ("stack", "--emulated", "--strategy", "pick-and-place", "--no-episodes", "--json")
+    (trial,) = json.loads(verb(installed, *emulated, "--runs", tmp_path, most=1))["trials"]
+    assert trial["outcome"]
 
 
 def test_a_release_needs_a_clean_tree_a_section_of_the_changelog_and_a_free_tag(

@@ -2,11 +2,13 @@
 
 One JSON line per check in a file beside the calibrations; the last check of a day counts. The
 limits for any bench hold always. From ``LEAST_CHECKS`` days on, the median and the spread (median
-absolute deviation) of the days within limits tighten them.
+absolute deviation) of the days within limits tighten them. The number of markers is compared with
+the first check of the same gel instead.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -19,6 +21,8 @@ from touchdown.backend.config import Settings
 from touchdown.backend.core import MARKERS, CalibrationMeasured, append_line, disk_errors
 
 LEAST_CHECKS, MOST_CHECKS = 5, 30  # days of a history
+FEWEST_MARKERS = MARKERS - 6  # an episode may lack as many
+WORN_MARKERS = 3  # markers that a gel may lose after its first check
 SPREADS = 6.0  # standard deviations, 1.4826 median absolute deviations each, within limits
 SIDES = {"left": "left finger", "right": "right finger", "wrist": "wrist sensor"}
 
@@ -42,7 +46,7 @@ class CheckedQuantity:
 QUANTITIES = {
     "stiffness_px_n": CheckedQuantity("Motion of the markers", "px/N", 0.6, 2.0, 0.3,
         "Check the grip force and look for tears in the gel; replace a worn gel."),
-    "markers": CheckedQuantity("Number of markers", "", MARKERS, MARKERS, 0.5,
+    "markers": CheckedQuantity("Number of markers", "", FEWEST_MARKERS, MARKERS, WORN_MARKERS,
         "Clean the gel and look at its picture; replace a gel with worn dots."),
     "noise_px": CheckedQuantity("Noise of the markers", "px", 0.0, 0.18, 0.03,
         "Check light, focus and cable of the camera, and that nothing touches the gel."),
@@ -63,13 +67,17 @@ def quantity(name: str) -> CheckedQuantity:
 
 
 class DayCheck(Settings):
-    """Values of one check by name, each with its limits. The date is UTC."""
+    """Values of one check by name, each with its limits. The date is UTC.
+
+    ``gels``: serial number of the gel by finger, where it is known.
+    """
 
     version: Literal[1] = 1
     bench: str
     date: Annotated[datetime, Field(strict=False)]
     values: dict[str, float]
     limits: dict[str, tuple[float, float]]
+    gels: dict[str, str] = Field(default_factory=dict)
 
     @property
     def day(self) -> str:
@@ -77,10 +85,14 @@ class DayCheck(Settings):
         return f"{self.date.astimezone():%Y-%m-%d}"
 
     def share(self, name: str) -> float:
-        """Return how far a value is from the middle of its limits; more than 1 is out of them."""
+        """Return how far a value is from the best one; more than 1 is out of its limits.
+
+        The best is the middle of the limits, 0 where they have no lower one, all for markers.
+        """
         low, high = self.limits[name]
-        middle = 0.5 * (low + high) if low > 0.0 else 0.0
-        return abs(self.values[name] - middle) / ((high - middle) or 0.5)
+        best = 0.5 * (low + high) if low > 0.0 else 0.0
+        best = high if name.endswith("_markers") else best
+        return abs(self.values[name] - best) / (max(high - best, best - low) or 0.5)
 
     @property
     def findings(self) -> dict[str, str]:
@@ -106,31 +118,30 @@ class DayCheck(Settings):
 class DayChecks:
     """Checks of one bench, by its hash ``bench`` ("": of any), in ``path`` (None: none).
 
-    ``required``: unattended release needs a check of the same day. ``command`` makes a check. All
-    methods raise ``InputError`` for an error of the disk.
+    ``required``: unattended release needs a check of the same day. ``command`` makes a check.
+    ``gels``: serial numbers by finger, where known. All methods raise ``InputError`` for an error
+    of the disk.
     """
 
     def __init__(
-        self, path: Path | None, bench: str = "", command: str = "", *, required: bool = False
+        self,
+        path: Path | None,
+        bench: str = "",
+        command: str = "",
+        *,
+        required: bool = False,
+        gels: Mapping[str, str] | None = None,
     ) -> None:
         self._path, self._bench, self._command, self._required = path, bench, command, required
+        self._gels = dict(gels or {})
 
     def judge(self, found: CalibrationMeasured, now: datetime | None = None) -> CalibrationMeasured:
         """Compare a check with its limits and store it; return it with the result."""
-        date, limits = (now or datetime.now(UTC)).replace(microsecond=0), {}
+        date = (now or datetime.now(UTC)).replace(microsecond=0)
         values = dict(zip(found.names, found.values, strict=True))
-        check = DayCheck(bench=self._bench, date=date, values=values, limits={})
-        before = [one for one in self.read()[0] if one.day != check.day]
-        for name in values:
-            known, within = quantity(name), [one for one in before if name in one.values]
-            past = [o.values[name] for o in within if name not in o.findings][-MOST_CHECKS:]
-            low, high = known.low, known.high
-            if len(past) >= LEAST_CHECKS:
-                middle = float(np.median(past))
-                spread = 1.4826 * float(np.median(np.abs(np.subtract(past, middle))))
-                reach = max(SPREADS * spread, known.least)
-                low, high = max(low, middle - reach), min(high, middle + reach)
-            limits[name] = (low, high)
+        check = DayCheck(bench=self._bench, date=date, values=values, limits={}, gels=self._gels)
+        before = [one for one in self._every()[0] if one.day != check.day]
+        limits = {name: self._limits(name, before) for name in values}
         check = check.model_copy(update={"limits": limits})
         if self._path is not None:
             fix = "Make room, or name a folder that can be written, and check again."
@@ -139,6 +150,27 @@ class DayChecks:
         shares = tuple(map(check.share, found.names))
         obstacle = " ".join(check.findings.values())
         return replace(found, residual=max(shares), residuals=shares, obstacle=obstacle)
+
+    def _limits(self, name: str, before: list[DayCheck]) -> tuple[float, float]:
+        """Return the limits of a value after the checks of other days."""
+        known, (side, _, key) = quantity(name), name.partition("_")
+        low, high, gel = known.low, known.high, self._gels.get(side)
+        if key == "markers" and gel:
+            # By serial number: also on the other finger, and before a change of the bench.
+            among = [
+                (one, f"{at}_{key}") for one in before for at in one.gels if one.gels[at] == gel
+            ]
+        else:
+            among = [(one, name) for one in before if self._bench in ("", one.bench)]
+        past = [one.values[at] for one, at in among if at in one.values and at not in one.findings]
+        if key == "markers":
+            return max(low, past[0] - known.least) if past else low, high
+        if len(past := past[-MOST_CHECKS:]) >= LEAST_CHECKS:
+            middle = float(np.median(past))
+            spread = 1.4826 * float(np.median(np.abs(np.subtract(past, middle))))
+            reach = max(SPREADS * spread, known.least)
+            low, high = max(low, middle - reach), min(high, middle + reach)
+        return low, high
 
     def obstacle(self, now: datetime | None = None) -> str:
         """Return why unattended release is withheld, "" if it is not."""
@@ -157,7 +189,12 @@ class DayChecks:
 
     def read(self) -> tuple[list[DayCheck], bool]:
         """Return the last check of each day, and True if the last line is damaged."""
-        days, damaged = dict[str, DayCheck](), False
+        every, damaged = self._every()
+        return [one for one in every if self._bench in ("", one.bench)], damaged
+
+    def _every(self) -> tuple[list[DayCheck], bool]:
+        """Return the last check of each day and bench, and True if the last line is damaged."""
+        days, damaged = dict[tuple[str, str], DayCheck](), False
         if self._path is None or not self._path.exists():
             return [], False
         with disk_errors("The daily checks cannot be read", self._path, "Check its permissions."):
@@ -169,7 +206,7 @@ class DayChecks:
                 damaged = True
                 continue
             damaged = not (check.limits.keys() == check.values.keys() <= NAMES)
-            if not damaged and self._bench in ("", check.bench):
-                days.pop(check.day, None)
-                days[check.day] = check
+            if not damaged:
+                days.pop((check.bench, check.day), None)
+                days[check.bench, check.day] = check
         return list(days.values()), damaged

@@ -36,16 +36,20 @@ class GelLife:
 
 
 class GelLedger:
-    """Counts of one bench ``mode`` in ``folder``; ``gels``: left and right one, "" if unknown."""
+    """Counts of one bench ``mode`` in ``folder``; ``gels``: left and right one, "" if unknown.
+
+    ``serials``: those known, by finger.
+    """
 
     def __init__(self, folder: Path, mode: str, gels: tuple[str, str] | None) -> None:
         self._paths = {finger: folder / f"gel-{finger}-{mode}.txt" for finger in FINGERS}
-        self._serials = {f: gel for f, gel in zip(FINGERS, gels or (), strict=False) if gel}
+        pairs = zip(FINGERS, gels or (), strict=False)
+        self.serials: dict[Finger, str] = {finger: gel for finger, gel in pairs if gel}
 
     def take(self, event: Event) -> None:
         """Count the press that ``event`` begins; a disk that refuses it does not end the run."""
         if isinstance(event, PhaseEntered) and event.phase == "press":
-            for finger, serial in self._serials.items():
+            for finger, serial in self.serials.items():
                 with suppress(OSError, InputError):
                     _count(self._paths[finger], serial)
 
@@ -53,7 +57,7 @@ class GelLedger:
         """Return the known gels; raises ``InputError`` if the counts cannot be read."""
         found, every = [], {finger: _mountings(path) for finger, path in self._paths.items()}
         counts = [(name, presses) for rows in every.values() for _, name, presses in rows]
-        for finger, serial in self._serials.items():
+        for finger, serial in self.serials.items():
             rows, since = every[finger], datetime.now(UTC)
             while rows and rows[-1][1] == serial:
                 since = rows.pop()[0]

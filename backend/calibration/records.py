@@ -248,7 +248,8 @@ class CalibrationStore:
         """Return the daily checks of a bench; ``bench_sha256`` names one without identity."""
         path = self.folder / f"day-checks-{self.mode}.jsonl"
         bench, required = identity.sha256 or bench_sha256, identity.daily_check
-        return DayChecks(path, bench, self.command("day"), required=required)
+        gels = self.gels.serials
+        return DayChecks(path, bench, self.command("day"), required=required, gels=gels)
 
     def accept(
         self,

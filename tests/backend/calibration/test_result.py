@@ -441,9 +441,9 @@ def test_a_daily_check_that_is_missing_or_out_of_limits_withholds_releases_in_wo
     assert store.day_checks(replace(BENCH, daily_check=False)).obstacle() == ""
     assert checked(store, 0).acceptable
     assert (why(0), why(1)[:32]) == ("", "There is no daily check of today")
-    found = checked(store, 1, left_markers=60.0, wrist_noise_n=0.4)
+    found = checked(store, 1, left_markers=59.0, wrist_noise_n=0.4)
     assert not found.acceptable
-    assert "Number of markers, left finger: 60, below 63. Clean the gel" in found.obstacle
+    assert "Number of markers, left finger: 59, below 60. Clean the gel" in found.obstacle
     assert "Noise at rest, wrist sensor: 0.4, above 0.2 N. Check its cable" in found.obstacle
     assert why(1) == (
         f"The daily check of 2026-03-02 is out of limits (number of markers, left finger; "
@@ -457,6 +457,23 @@ def test_a_daily_check_that_is_missing_or_out_of_limits_withholds_releases_in_wo
         "2026-03-01",
         "2026-03-02",
     ]
+
+
+def test_the_markers_of_a_gel_are_compared_with_its_first_check(store, tmp_path):
+    assert checked(store, 0, left_markers=61.0).residuals[0] == pytest.approx(1 / 3)
+    assert checked(store, 1, left_markers=58.0, right_markers=62.0).acceptable
+    assert "left finger: 57, below 58." in checked(store, 2, left_markers=57.0).obstacle
+    other = replace(BENCH, sha256="other")
+    assert "left finger: 56, below 57." in checked(store, 3, other, left_markers=56.0).obstacle
+    for day in range(4, 10):
+        assert checked(store, day, left_markers=58.0).acceptable
+    # By serial number after other settings of the bench, and on the other finger.
+    named = CalibrationStore(tmp_path, "hardware", gels=("A", "B"))
+    assert checked(named, 0).acceptable
+    named = CalibrationStore(tmp_path, "hardware", gels=("C", "A"))
+    found = checked(named, 1, other, left_markers=59.0, right_markers=59.0)
+    assert found.obstacle.startswith("Number of markers, right finger: 59, below 60. Clean")
+    assert "left" not in found.obstacle
 
 
 def test_a_history_tightens_the_limits_and_what_is_out_of_them_is_no_part_of_it(store):

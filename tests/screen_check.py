@@ -139,7 +139,7 @@ def view_failures(window: QWidget, size: QSize, *, whole: bool = True) -> list[s
             # As a sheet that is opened in a window of this size.
             top.setMinimumWidth(min(top.minimumWidth(), size.width()))
             top.resize(usual.boundedTo(size))
-        for _ in range(3):
+        for _ in range(8):  # layouts settle in a few rounds
             QApplication.processEvents()
         drawn = [one for one in recorder.painted if not isinstance(one.device, QWidget)]
         recorder.painted[:] = drawn

@@ -63,7 +63,7 @@ class CollectPage(LivePage):
 
     def _leave_room(self) -> None:
         for view in self.tactile.values():
-            view.limit_height(round(self.tactile_share * self.height()))
+            view.limit_height(round(self.tactile_share * self.seen_px))
 
     def fit_to_theme(self) -> None:
         """Set the widths of the controls for the size of the text."""

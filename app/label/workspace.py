@@ -47,6 +47,7 @@ from touchdown.widgets.shell import CardText
 
 TELL_EVERY = 20
 IN_USE = "-"
+NO_FILTER = "Labels are saved at once. To keep a filter as a queue, type one first (Ctrl+F)."
 
 
 class DatasetTasks:
@@ -383,6 +384,8 @@ class LabelWorkspace(Workspace):
             self._open_queue("all")
         elif session.wanted is not None:
             self.label_page.ask_words("Name of the filter", "", self._save_filter)
+        else:
+            self.label_page.say(NO_FILTER)
 
     def _save_filter(self, name: str) -> None:
         if name in {word for queue in QUEUES for word in queue} or not name.isprintable():

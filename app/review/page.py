@@ -76,7 +76,7 @@ class ReviewPage(WorkspacePage):
 
     def resizeEvent(self, _event: QResizeEvent) -> None:
         """Limit the height of the pictures."""
-        self.film.limit_height(round(FILM_SHARE * self.height()))
+        self.film.limit_height(round(FILM_SHARE * self.seen_px))
 
     def keyPressEvent(self, event: QKeyEvent) -> None:
         """Play with Space. While the bench moves, Space stops it and does not arrive here."""

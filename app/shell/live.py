@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 
 from PySide6.QtGui import QFontMetrics, QResizeEvent
-from PySide6.QtWidgets import QHBoxLayout, QSizePolicy, QWidget
+from PySide6.QtWidgets import QHBoxLayout, QScrollArea, QSizePolicy, QWidget
 
 from touchdown.app.shell.bench_text import count_noun
 from touchdown.backend.bench import Session
@@ -151,6 +151,14 @@ class WorkspacePage(QWidget):
         """Height of the base font in px."""
         return QFontMetrics(ui_font(self._theme.scale)).height()
 
+    @property
+    def seen_px(self) -> int:
+        """Height that is seen without scrolling; views that follow it do not hold the page up."""
+        at = self.parentWidget()
+        while at is not None and not isinstance(at, QScrollArea):
+            at = at.parentWidget()
+        return self.height() if at is None else min(self.height(), at.viewport().height())
+
     def fill(self, columns: QWidget) -> None:
         """Fill the page with its columns."""
         hbox(columns, parent=self, margins=(10, 8, 10, 8))
@@ -201,7 +209,7 @@ class LivePage(WorkspacePage):
     def _leave_room(self) -> None:
         share = 1.0 if self.columns.hides(self._traces) else self.tactile_share
         for view in self.tactile.values():
-            view.limit_height(round(share * self.height()))
+            view.limit_height(round(share * self.seen_px))
 
 
 def limit_height(panel: QWidget) -> None:

@@ -20,7 +20,7 @@ from PySide6.QtWidgets import (
 
 from touchdown.backend.core import InputError
 from touchdown.backend.runs import Bookmark, keep_bookmark
-from touchdown.widgets.base import ElidedLabel, hbox, label, rule, scroll_area, vbox
+from touchdown.widgets.base import ElidedLabel, FlowLayout, hbox, label, rule, scroll_area, vbox
 from touchdown.widgets.forms import NameDialog
 
 LEAST_WINDOW = QSize(480, 330)  # of the main window
@@ -97,7 +97,7 @@ class BenchSheet(QDialog):
         close.clicked.connect(self.close)
         for button in (*foot, close):
             button.setAutoDefault(False)
-        row, body = hbox(*foot, 1, close), QWidget()
+        row, body = FlowLayout(*foot, (QWidget(), 1), close), QWidget()
         vbox(*parts, parent=body, margins=(0, 0, 0, 0), spacing=spacing)
         scroll = scroll_area(body)
         scroll.setFocusPolicy(Qt.FocusPolicy.NoFocus)

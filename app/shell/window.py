@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Literal
 
-from PySide6.QtCore import QObject, QRect, QSize, Qt, QTimer
+from PySide6.QtCore import QEvent, QObject, QRect, QSize, Qt, QTimer
 from PySide6.QtGui import QCloseEvent, QFontMetrics, QRegion, QResizeEvent
 from PySide6.QtWidgets import (
     QApplication,
@@ -27,6 +27,7 @@ from touchdown.widgets.base import (
     THEMES,
     Columns,
     ElidedLabel,
+    FlowLayout,
     Theme,
     ThemeName,
     hbox,
@@ -40,10 +41,11 @@ from touchdown.widgets.shell import BenchBanner, FaultCards, TopBar
 
 LEAST_EM, MOST_EM = (
     (62, 34.5),
-    (74, 39.5),
+    (74, 43),
 )  # limits of the minimum size of a page, which else scrolls
 USUAL = QSize(1600, 940)
 RAIL_GAP_PX, RAIL_MARGIN_PX = 4, 8
+MESSAGE_PX = 420  # least width of the message in the foot
 FOOT_OF_RAIL = (("layouts", "Layout"), ("theme", "Theme"), ("keys", "Keys"))
 
 
@@ -86,8 +88,9 @@ class MainWindow(QMainWindow):
         frame.setObjectName("frame")
         self._foot_frame = QFrame()
         self._foot_frame.setProperty("role", "foot")
-        foot = cards.strip, self.next_step, (self._message, 1), self._banner, self._right
-        hbox(*foot, parent=self._foot_frame, margins=(12, 4, 12, 4), spacing=16)
+        message = self._message, MESSAGE_PX
+        foot = cards.strip, self.next_step, message, self._banner, self._right
+        FlowLayout(*foot, parent=self._foot_frame, margins=(12, 4, 12, 4), spacing=16)
         whole = bar, (middle, 1), self._foot_frame
         vbox(*whole, parent=frame, margins=(0, 0, 0, 0), spacing=0)
         self.setCentralWidget(frame)
@@ -111,7 +114,14 @@ class MainWindow(QMainWindow):
         self._pages[name], self._scrolls[name] = page, scroll_area(page)
         self._scrolls[name].setFocusPolicy(Qt.FocusPolicy.NoFocus)
         self._stack.addWidget(self._scrolls[name])
+        page.installEventFilter(self)
         self._fit_columns(page)
+
+    def eventFilter(self, watched: QObject, event: QEvent) -> bool:
+        """Follow the room that the views of a page need."""
+        if event.type() is QEvent.Type.LayoutRequest and isinstance(watched, QWidget):
+            self._give_room(watched)
+        return super().eventFilter(watched, event)
 
     def show_page(self, name: str) -> None:
         """Show the page of a workspace."""
@@ -179,16 +189,19 @@ class MainWindow(QMainWindow):
 
     def _fit_columns(self, page: QWidget) -> None:
         """Give a page room; show its controls first where it is wider than the window."""
-        em, needed = QFontMetrics(ui_font(self._theme.scale)).height(), page.minimumSizeHint()
-        sizes = zip(LEAST_EM, (needed.width(), needed.height()), MOST_EM, strict=True)
-        page.setMinimumSize(
-            *(int(max(least * em, min(size, most * em))) for least, size, most in sizes)
-        )
+        self._give_room(page)
         # Hidden pages have no layout yet: use the width of the window.
         room = self.width() - self._rail_frame.sizeHint().width()
         narrow = room < page.minimumWidth()
         for columns in page.findChildren(Columns):
             columns.lead_with_controls(narrow)
+
+    def _give_room(self, page: QWidget) -> None:
+        em, needed = QFontMetrics(ui_font(self._theme.scale)).height(), page.minimumSizeHint()
+        sizes = zip(LEAST_EM, (needed.width(), needed.height()), MOST_EM, strict=True)
+        page.setMinimumSize(
+            *(int(max(least * em, min(size, most * em))) for least, size, most in sizes)
+        )
 
     def closeEvent(self, event: QCloseEvent) -> None:
         """Close the window if allowed."""

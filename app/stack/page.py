@@ -78,7 +78,7 @@ class StackPage(LivePage):
         """Hide the side view where the controls need its room."""
         super()._leave_room()
         score_px = 0 if self.columns.hides("Trials") else self.score.sizeHint().height()
-        room = self.height() > self.run.sizeHint().height() + score_px + SIDE_PX
+        room = self.seen_px > self.run.sizeHint().height() + score_px + SIDE_PX
         self.side_panel.setVisible(room and not self.columns.hides(SIDE))
         # Without the side view the trials fill the column.
         layout = self._right.layout()

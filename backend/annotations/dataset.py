@@ -433,8 +433,9 @@ class Dataset:
         return [PairCount(*row) for row in self.database.rows(f"{sql} ORDER BY 1, 2, 3, 4")]
 
     def counts(self) -> dict[str, int]:
-        """Return the number of episodes per stage: unlabelled, review, approved, rejected, ..."""
-        sql = "SELECT stage, count(*) FROM label_head GROUP BY stage ORDER BY stage"
+        """Return the number of episodes by "unlabelled", "draft" or stage: review, approved, ..."""
+        stage = "CASE stage WHEN 'unlabelled' THEN state ELSE stage END"
+        sql = f"SELECT {stage}, count(*) FROM label_head GROUP BY 1 ORDER BY 1"  # noqa: S608
         return dict(self.database.rows(sql))
 
     def merge(self, person: str, other: Path) -> MergeReport:

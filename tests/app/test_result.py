@@ -364,13 +364,33 @@ def test_no_text_is_cut_off_on_any_page_at_any_scale(live, scale):
     assert cut == []
 
 
-@pytest.mark.parametrize("page", ["operate", "stack"])
+@pytest.mark.parametrize("page", ["operate", "stack", "review"])
 def test_small_screens_cut_off_no_number_and_reach_every_control(live, page):
     """A part of ``make screens CHECK=1``."""
     live.go(page)
     settle(live)
     sizes = (1280, 720), (819, 614), (512, 384)
     assert [view_failures(live.window, QSize(*size)) for size in sizes] == [[], [], []]
+
+
+def test_cards_scroll_in_a_low_window_and_the_message_has_a_line_of_its_own(live, bench):
+    live.go("stack")
+    bench.tell_start()
+    bench.tell_probe(1, (7.2, 3.1), -2.1)
+    bench.tell_fault()
+    live.stop()
+    live.cards.card("STOPPED").more.click()
+    settle(live)
+    assert view_failures(live.window, QSize(512, 384)) == []
+    message, banner = live.window._message, live.window._banner
+    assert message.shown() == message.text() != ""
+    assert message.geometry().bottom() < banner.y()
+    live.window.resize(1280, 720)
+    settle(live)
+    assert abs(message.geometry().center().y() - banner.geometry().center().y()) <= 1
+    live.reset()
+    settle(live)
+    assert live.window._scrolls["stack"].verticalScrollBar().maximum() == 0
 
 
 @pytest.mark.promise("W9")

@@ -6,6 +6,7 @@ from .panel import CaptionedView as CaptionedView
 from .panel import ColumnArrangement as ColumnArrangement
 from .panel import Columns as Columns
 from .panel import ElidedLabel as ElidedLabel
+from .panel import FlowLayout as FlowLayout
 from .panel import Panel as Panel
 from .panel import ScrollingNote as ScrollingNote
 from .panel import add_items as add_items

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TypeVar
 
-from PySide6.QtCore import QEvent, QRectF, QSize, Qt, Signal
+from PySide6.QtCore import QEvent, QRect, QRectF, QSize, Qt, Signal
 from PySide6.QtGui import QKeyEvent, QPainter, QPaintEvent, QResizeEvent
 from PySide6.QtWidgets import (
     QBoxLayout,
@@ -16,6 +16,7 @@ from PySide6.QtWidgets import (
     QHBoxLayout,
     QLabel,
     QLayout,
+    QLayoutItem,
     QScrollArea,
     QSizePolicy,
     QSplitter,
@@ -317,6 +318,114 @@ def _fill(box: _Box, items: Sequence[Item], margins: Margins | None, spacing: in
         else:
             box.addLayout(part, stretch)
     return box
+
+
+class FlowLayout(QLayout):
+    """Row that wraps to more lines where its width ends.
+
+    Items are widgets, or ``(widget, n)``: at least ``n`` px wide, takes the rest of its line.
+    """
+
+    def __init__(
+        self, *items: QWidget | tuple[QWidget, int], parent: QWidget | None = None,
+        margins: Margins = (0, 0, 0, 0), spacing: int = GAP_PX,
+    ) -> None:  # fmt: skip
+        super().__init__(*(() if parent is None else (parent,)))
+        self._items, self._least_px = list[QLayoutItem](), dict[QWidget, int]()
+        self.setContentsMargins(*margins)
+        self.setSpacing(spacing)
+        for item in items:
+            widget, least_px = item if isinstance(item, tuple) else (item, 0)
+            self.addWidget(widget)
+            if least_px:
+                self._least_px[widget] = least_px
+
+    def addItem(self, item: QLayoutItem, /) -> None:
+        """Append an item."""
+        self._items.append(item)
+
+    def count(self) -> int:
+        """Return the number of items."""
+        return len(self._items)
+
+    def itemAt(self, index: int, /) -> QLayoutItem | None:
+        """Return an item, None outside of the row."""
+        return self._items[index] if 0 <= index < len(self._items) else None
+
+    def takeAt(self, index: int, /) -> QLayoutItem | None:
+        """Remove an item."""
+        return self._items.pop(index) if 0 <= index < len(self._items) else None
+
+    def hasHeightForWidth(self) -> bool:
+        """Return True."""
+        return True
+
+    def heightForWidth(self, width: int, /) -> int:
+        """Return the height of all lines at this width."""
+        return self._place(QRect(0, 0, width, 0), move=False)
+
+    def setGeometry(self, rect: QRect, /) -> None:
+        """Place the items."""
+        super().setGeometry(rect)
+        self._place(rect, move=True)
+
+    def sizeHint(self) -> QSize:
+        """Return the size of one line."""
+        shown = self._shown()
+        width = sum(width + self.spacing() for _, width, _ in shown) - self.spacing()
+        return self._framed(
+            max(width, 0), max((item.sizeHint().height() for item, *_ in shown), default=0)
+        )
+
+    def minimumSize(self) -> QSize:
+        """Return the size of the widest item; other lines come from ``heightForWidth``."""
+        least = [item.minimumSize() for item, *_ in self._shown()]
+        return self._framed(
+            max((size.width() for size in least), default=0),
+            max((size.height() for size in least), default=0),
+        )
+
+    def _framed(self, width: int, height: int) -> QSize:
+        return QSize(width, height).grownBy(self.contentsMargins())
+
+    def _shown(self) -> list[tuple[QLayoutItem, int, bool]]:
+        """Return item, wanted width and True if it takes the rest of its line, per shown item."""
+        found = []
+        for item in self._items:
+            if not item.isEmpty():
+                least_px = self._least_px.get(item.widget(), 0)
+                found.append((item, least_px or item.sizeHint().width(), least_px > 0))
+        return found
+
+    def _place(self, rect: QRect, *, move: bool) -> int:
+        """Fill line after line; return the height."""
+        room, lines = (
+            rect.marginsRemoved(self.contentsMargins()),
+            list[list[tuple[QLayoutItem, int, bool]]](),
+        )
+        left = 0
+        for shown in self._shown():
+            if not lines or shown[1] > left:
+                lines.append([])
+                left = room.width()
+            lines[-1].append(shown)
+            left -= shown[1] + self.spacing()
+        y = room.y()
+        for line in lines:
+            x, taken = room.x(), sum(width + self.spacing() for _, width, _ in line)
+            rest = max(room.width() + self.spacing() - taken, 0)
+            widths = [min(width + rest * grows, room.width()) for _, width, grows in line]
+            heights = [_height(item, width) for (item, *_), width in zip(line, widths, strict=True)]
+            for (item, *_), width, high in zip(line, widths, heights, strict=True):
+                if move:
+                    item.setGeometry(QRect(x, y + (max(heights) - high) // 2, width, high))
+                x += width + self.spacing()
+            y += max(heights) + self.spacing() // 2
+        return y - room.y() - (self.spacing() // 2 if lines else 0) + rect.height() - room.height()
+
+
+def _height(item: QLayoutItem, width: int) -> int:
+    return item.heightForWidth(width) if item.hasHeightForWidth() else item.sizeHint().height()
 
 
 def label(text: str, role: str = "", *, wrap: bool = False) -> QLabel:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from PySide6.QtCore import QEvent, QObject, Qt
+from PySide6.QtCore import QEvent, QObject, QSize, Qt
 from PySide6.QtGui import QGuiApplication, QKeyEvent, QResizeEvent
 from PySide6.QtWidgets import (
     QApplication,
@@ -13,6 +13,7 @@ from PySide6.QtWidgets import (
     QFrame,
     QPlainTextEdit,
     QPushButton,
+    QScrollArea,
     QSizePolicy,
     QWidget,
 )
@@ -197,6 +198,33 @@ class FoldedCards(QFrame):
         self.show()
 
 
+class _CardScroll(QScrollArea):
+    """Cards at their full height, which scroll in a low window."""
+
+    def __init__(self, cards: QWidget) -> None:
+        super().__init__(widgetResizable=True, frameShape=QFrame.Shape.NoFrame)
+        self.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
+        self.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+        self.setWidget(cards)
+        policy = QSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Maximum)
+        policy.setHeightForWidth(True)
+        self.setSizePolicy(policy)
+
+    def heightForWidth(self, width: int, /) -> int:
+        """Return the height of the cards."""
+        return self.widget().heightForWidth(width)
+
+    def sizeHint(self) -> QSize:
+        """Return the size of the cards."""
+        return self.widget().sizeHint()
+
+    def eventFilter(self, watched: QObject, event: QEvent) -> bool:
+        """Follow the height of the cards."""
+        if event.type() is QEvent.Type.LayoutRequest and watched is self.widget():
+            self.updateGeometry()
+        return super().eventFilter(watched, event)
+
+
 class FaultCards(QWidget):
     """Queue of cards with at most one question; takes no room while empty.
 
@@ -215,7 +243,9 @@ class FaultCards(QWidget):
         self._unfolded = False
         self.folded = False  # True while the cards are one line in the foot of the window
         self.strip = FoldedCards(self, self._unfold_line, on_reset)
-        self._column = vbox(parent=self, margins=(10, 0, 10, 8), spacing=6)
+        inside = QWidget()
+        self._column = vbox(parent=inside, margins=(10, 0, 10, 8), spacing=6)
+        vbox(_CardScroll(inside), parent=self, margins=(0, 0, 0, 0))
         self.hide()
 
     @property

@@ -10,7 +10,7 @@ from itertools import product
 import cv2
 import numpy as np
 from PySide6.QtCore import QRectF, Qt
-from PySide6.QtGui import QPainter, QPen
+from PySide6.QtGui import QFontMetrics, QPainter, QPen
 
 from touchdown.backend.core import FloatArray
 from touchdown.widgets.base import Theme, blend, ui_font
@@ -144,7 +144,7 @@ class SideView(PictureView):
     """View of a ``SideScene``, from the side and from above; an equal scene is not drawn again."""
 
     def __init__(self, theme: Theme) -> None:
-        super().__init__(theme, "Bench from the side and from above", (120, 66), (280, 180))
+        super().__init__(theme, "Bench from the side and from above", (120, 59), (280, 180))
         self.scene = SideScene()
 
     def show_scene(self, scene: SideScene) -> None:
@@ -170,21 +170,29 @@ class SideView(PictureView):
         for area, axes, text in ((side, SIDE, scene.caption), (above, ABOVE, "from above")):
             painter.setClipRect(area.rect)
             self._draw_scene(painter, area, axes)
-            if self.height() > TEXT_PX:
+            if top := self._caption_px():
+                painter.setClipping(False)
                 painter.setPen(t.colour("muted"))
-                painter.drawText(area.rect.adjusted(8, 4, -8, -4), 0, text)
+                line = QRectF(area.rect.x() + 8, 4, area.rect.width() - 8, top - 4)
+                painter.drawText(line, 0, text)
                 draw_scale_bar(painter, area, self._theme)
 
     def halves(self) -> tuple[PlotArea, PlotArea]:
         """Return the areas from the side (x, z) and from above (x, y), to one scale."""
         (low, high), floor = self.scene.span_mm, self.scene.table_mm - 3.0
-        width, height = (self.width() - GAP_PX) / 2, float(self.height())
+        top = self._caption_px()
+        width, height = (self.width() - GAP_PX) / 2, float(self.height() - top)
         scale = min(width / (high - low), height / (self.scene.top_mm - floor))
         across, up = width / scale, height / scale
         x = (low + high - across) / 2, (low + high + across) / 2
-        beside = QRectF(width + GAP_PX, 0, width, height)
-        return (PlotArea(QRectF(0, 0, width, height), *x, floor, floor + up),
+        beside = QRectF(width + GAP_PX, top, width, height)
+        return (PlotArea(QRectF(0, top, width, height), *x, floor, floor + up),
                 PlotArea(beside, *x, -up / 2, up / 2))  # fmt: skip
+
+    def _caption_px(self) -> int:
+        """Return the height of the line above the picture; 0 in a low view, which has no texts."""
+        metrics = QFontMetrics(ui_font(self._theme.scale, 0.85))
+        return metrics.height() + 4 if self.height() > TEXT_PX else 0
 
     def _draw_scene(self, painter: QPainter, area: PlotArea, axes: Axes) -> None:
         t, scene = self._theme.tokens, self.scene

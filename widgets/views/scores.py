@@ -11,6 +11,7 @@ from PySide6.QtWidgets import QComboBox, QDialog, QPushButton, QSizePolicy, QSpi
 
 from touchdown.backend.core import Outcome
 from touchdown.widgets.base import (
+    FlowLayout,
     Panel,
     Theme,
     add_items,
@@ -18,6 +19,7 @@ from touchdown.widgets.base import (
     hbox,
     label,
     open_over,
+    scroll_area,
     set_property,
     vbox,
 )
@@ -25,6 +27,7 @@ from touchdown.widgets.forms import field_label, inset_spin_boxes, set_entries
 from touchdown.widgets.views.belief import BeliefScene, BeliefView
 
 MOST_VOID = 3
+HEAD_PX = 260  # least width of a text beside controls
 OUTCOME_WORDS: dict[Outcome, str] = {
     Outcome.PLACED: "placed",
     Outcome.FELL: "fell",
@@ -253,13 +256,17 @@ class ComparisonSheet(QDialog):
     def _arrange(self) -> None:
         close = QPushButton("Close")
         close.clicked.connect(self.close)
-        top = hbox(
-            (self.head, 1), field_label("Against", self.against), self.against,
+        top = FlowLayout(
+            (self.head, HEAD_PX), field_label("Against", self.against), self.against,
             field_label("Trial", self.trial), self.trial,
         )  # fmt: skip
-        columns = hbox(*((panel, 1) for panel in self.panels), spacing=8)
-        foot = hbox((self._pairs, 1), close, self.run)
-        vbox(top, (columns, 1), foot, parent=self, margins=(14, 12, 14, 12), spacing=8)
+        columns = QWidget()
+        panels = ((panel, 1) for panel in self.panels)
+        hbox(*panels, parent=columns, margins=(0, 0, 0, 0), spacing=8)
+        scroll = scroll_area(columns)
+        scroll.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+        foot = FlowLayout((self._pairs, HEAD_PX), close, self.run)
+        vbox(top, (scroll, 1), foot, parent=self, margins=(14, 12, 14, 12), spacing=8)
 
     def offer(self, rivals: Sequence[tuple[str, str]], chosen: str) -> None:
         """Set the (key, title) strategies for the right side and select one."""

@@ -404,6 +404,8 @@ def test_all_episodes_are_a_queue_with_a_filter_that_a_kill_cannot_lose(desk, tm
     kept = presenter.walk.order[3]
     desk.book.set("Ann", kept, Label(1500, -200, 0, 100), note="bent corner")
     assert page.filter.isHidden()
+    desk.press(KEY.Key_S, CTRL)
+    assert "type one first (Ctrl+F)" in page.message.text()
     type_filter(desk, "colour:red")
     assert "'colour:red' is no filter. Use words, and piece:" in page.message.text()
     type_filter(desk, "corner state:draft")

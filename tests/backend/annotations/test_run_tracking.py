@@ -242,7 +242,7 @@ def test_work_moves_from_queue_to_queue(dataset, record):
     labels.undo("bob")
     labels.delete("ann", c, "test")
     assert dataset.queue("unlabelled", "ann") == [a]
-    assert dataset.counts() == {"deleted": 1, "rejected": 1, "unlabelled": 1}
+    assert dataset.counts() == {"deleted": 1, "draft": 1, "rejected": 1}
     # What a person rejects of their own stays in sight, until the rejection is undone.
     labels.reject("cleo", a, "tilt")
     own = record().uuid

@@ -27,7 +27,7 @@ def fault(code):
 def shown(cards):
     """Codes of the cards that are seen, from the top."""
     seen = [c for c in map(cards.card, cards.codes) if not c.isHidden()]
-    return [c.text.code for c in sorted(seen, key=cards.layout().indexOf)]
+    return [c.text.code for c in sorted(seen, key=cards._column.indexOf)]
 
 
 def test_further_cards_take_no_room_until_they_are_asked_for(cards):
@@ -129,7 +129,8 @@ def test_a_question_and_a_stop_are_one_queue_and_no_button_takes_the_place_of_an
     answers = []
 
     def buttons():
-        qtbot.wait(1)
+        for _ in range(4):
+            QApplication.processEvents()
         seen = [b for b in cards.findChildren(QPushButton) if b.isVisible()]
         return {b.text(): QRect(b.mapTo(base, QPoint(0, 0)), b.size()) for b in seen}
 

@@ -18,7 +18,7 @@ import numpy as np
 from pydantic import Field, ValidationError
 
 from touchdown.backend.config import Settings
-from touchdown.backend.core import MARKERS, CalibrationMeasured, append_line, disk_errors
+from touchdown.backend.core import MARKERS, CalibrationMeasured, Finger, append_line, disk_errors
 
 LEAST_CHECKS, MOST_CHECKS = 5, 30  # days of a history
 FEWEST_MARKERS = MARKERS - 6  # an episode may lack as many
@@ -130,10 +130,10 @@ class DayChecks:
         command: str = "",
         *,
         required: bool = False,
-        gels: Mapping[str, str] | None = None,
+        gels: Mapping[Finger, str] | None = None,
     ) -> None:
         self._path, self._bench, self._command, self._required = path, bench, command, required
-        self._gels = dict(gels or {})
+        self._gels = {str(finger): gel for finger, gel in (gels or {}).items()}
 
     def judge(self, found: CalibrationMeasured, now: datetime | None = None) -> CalibrationMeasured:
         """Compare a check with its limits and store it; return it with the result."""

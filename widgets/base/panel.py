@@ -393,7 +393,8 @@ class FlowLayout(QLayout):
         found = []
         for item in self._items:
             if not item.isEmpty():
-                least_px = self._least_px.get(item.widget(), 0)
+                widget = item.widget()
+                least_px = 0 if widget is None else self._least_px.get(widget, 0)
                 found.append((item, least_px or item.sizeHint().width(), least_px > 0))
         return found
 

@@ -202,7 +202,10 @@ class _CardScroll(QScrollArea):
     """Cards at their full height, which scroll in a low window."""
 
     def __init__(self, cards: QWidget) -> None:
-        super().__init__(widgetResizable=True, frameShape=QFrame.Shape.NoFrame)
+        super().__init__()
+        self._cards = cards
+        self.setWidgetResizable(True)
+        self.setFrameShape(QFrame.Shape.NoFrame)
         self.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
         self.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         self.setWidget(cards)
@@ -212,15 +215,15 @@ class _CardScroll(QScrollArea):
 
     def heightForWidth(self, width: int, /) -> int:
         """Return the height of the cards."""
-        return self.widget().heightForWidth(width)
+        return self._cards.heightForWidth(width)
 
     def sizeHint(self) -> QSize:
         """Return the size of the cards."""
-        return self.widget().sizeHint()
+        return self._cards.sizeHint()
 
     def eventFilter(self, watched: QObject, event: QEvent) -> bool:
         """Follow the height of the cards."""
-        if event.type() is QEvent.Type.LayoutRequest and watched is self.widget():
+        if event.type() is QEvent.Type.LayoutRequest and watched is self._cards:
             self.updateGeometry()
         return super().eventFilter(watched, event)
 

@@ -10,43 +10,8 @@ from PySide6.QtCore import QObject
 from PySide6.QtGui import QIcon
 from PySide6.QtWidgets import QApplication
 
+from touchdown.app import shell
 from touchdown.app.connect import BenchDialogs
-from touchdown.app.shell import (
-    USUAL,
-    ActionRegistry,
-    Appearance,
-    CloseConfirmation,
-    CommandDialogs,
-    DeviceChipsPresenter,
-    DeviceInspectorPresenter,
-    ErrorBox,
-    LayoutMenu,
-    LayoutsPresenter,
-    MainWindow,
-    PersonCalls,
-    SaveWorker,
-    ServoSwitch,
-    SpeedOverride,
-    StopKeyFilter,
-    WindowCommand,
-    WindowSettings,
-    Workspace,
-    WorkspaceContext,
-    bench_caption,
-    ignored_words,
-    is_pressing,
-    key_bindings,
-    lift_hand,
-    load_settings,
-    log,
-    log_event,
-    may_be_moving,
-    move_on_screen,
-    pill_state,
-    save_settings,
-    show_event,
-    stopped_card,
-)
 from touchdown.app.tour import Tour, tour_stops
 from touchdown.app.workspaces import FIRST, Workspaces
 from touchdown.backend.bench import Session
@@ -77,51 +42,51 @@ class TouchdownApp(QObject):
     bench: Session | None = None
     # Set with the bench.
     panels: BenchDialogs
-    inspect: DeviceInspectorPresenter
-    _chips: DeviceChipsPresenter
-    _servo: ServoSwitch
+    inspect: shell.DeviceInspectorPresenter
+    _chips: shell.DeviceChipsPresenter
+    _servo: shell.ServoSwitch
     _holds: Callable[[], bool] | None = None
     _make: Callable[[], Session] | None = None
 
     def __init__(
         self,
         application: QApplication,
-        box: ErrorBox,
+        box: shell.ErrorBox,
         settings_file: Path,
         runs: Path,
         notifier: CommandNotifier | None = None,
     ) -> None:
         super().__init__()
         self._application, self._box, self._settings_file = application, box, settings_file
-        settings, warning = load_settings(settings_file)
+        settings, warning = shell.load_settings(settings_file)
         self._geometry = settings.geometry
         load_resources()
         application.setWindowIcon(QIcon("icons:touchdown.svg"))
-        self.look = Appearance(application, settings.theme, settings.scale, self)
+        self.look = shell.Appearance(application, settings.theme, settings.scale, self)
         self.theme = self.look.theme
         self.cards = FaultCards(self.reset)
         self.bar = TopBar(self.theme, self.stop)
-        self._speed = SpeedOverride(self.bar, self.say)
-        context = WorkspaceContext(
+        self._speed = shell.SpeedOverride(self.bar, self.say)
+        context = shell.WorkspaceContext(
             self.theme, self.cards, runs, self.say, self.go, self._show_keys, self.remember,
             lambda text, step, act: self.window.next_step.ask(text, "Dismiss", step, act),
         )  # fmt: skip
         self.workspaces = Workspaces(context, settings.pages, self._place, self._warn)
-        self.window = MainWindow(self.theme, self.bar, self.cards, self.workspaces.all)
+        self.window = shell.MainWindow(self.theme, self.bar, self.cards, self.workspaces.all)
         self.window.may_close = lambda: self._closing.may_close(self.bench)
-        self.calls = PersonCalls(self.window, settings.calls, notifier)
-        self._closing = CloseConfirmation(self.cards, self.stop, self.window.close)
-        self._loader, self._mailbox = SaveWorker(self, "connect"), EventQueue()
-        self.actions = ActionRegistry(
-            self.window, key_bindings(self._commands(), self.workspaces.all), settings.keys
+        self.calls = shell.PersonCalls(self.window, settings.calls, notifier)
+        self._closing = shell.CloseConfirmation(self.cards, self.stop, self.window.close)
+        self._loader, self._mailbox = shell.SaveWorker(self, "connect"), EventQueue()
+        self.actions = shell.ActionRegistry(
+            self.window, shell.key_bindings(self._commands(), self.workspaces.all), settings.keys
         )
-        self.dialogs = CommandDialogs(self.window, self.actions, self.go, self.remember)
-        self.layouts = LayoutsPresenter(
+        self.dialogs = shell.CommandDialogs(self.window, self.actions, self.go, self.remember)
+        self.layouts = shell.LayoutsPresenter(
             settings_file.with_name("layouts.json"),
             self.say,
             partial(self._disk_refused, "saving the layouts"),
         )
-        self.layout_menu = LayoutMenu(
+        self.layout_menu = shell.LayoutMenu(
             self.window, self.layouts, lambda: self.window.front, self.actions.action("layout")
         )
         self.dialogs.more = lambda: self.layouts.entries(self.window.front)
@@ -130,7 +95,7 @@ class TouchdownApp(QObject):
             self.theme, self.window, self.cards, self._stops, self.go, self._tour_ended
         )
         self._wire_rail()
-        warning = f"{warning} {ignored_words(self.actions.refused)}".strip()
+        warning = f"{warning} {shell.ignored_words(self.actions.refused)}".strip()
         self._warn(warning, self.layouts.load(tuple(self.workspaces)))
         front = settings.front if settings.front in self.workspaces else FIRST
         # Building a page takes twice as long with a style sheet.
@@ -139,7 +104,7 @@ class TouchdownApp(QObject):
         self.look.dress(self.window)
         self.pump = EventPump(self, self._pull, hold=self._hushed)
         self._add_parts()
-        self._stop_key = StopKeyFilter(self, self.stop, self._moving)
+        self._stop_key = shell.StopKeyFilter(self, self.stop, self._moving)
         application.installEventFilter(self._stop_key)
         self._show_connecting()
         self.go(front)
@@ -157,14 +122,14 @@ class TouchdownApp(QObject):
         """Connect the window to a bench."""
         self.bench = bench
         bench.events.subscribe(self._mailbox)
-        self._chips = DeviceChipsPresenter(bench, self.bar)
-        self.inspect = DeviceInspectorPresenter(bench, self.bar, self.window)
+        self._chips = shell.DeviceChipsPresenter(bench, self.bar)
+        self.inspect = shell.DeviceInspectorPresenter(bench, self.bar, self.window)
         self.workspaces.attach(bench)
-        self.window.show_bench(bench_caption(bench))
+        self.window.show_bench(shell.bench_caption(bench))
         self.panels = BenchDialogs(bench, self.theme, self.window, self.cards)
         self.panels.open_connect()
         self._speed.attach(bench)
-        self._servo = ServoSwitch(bench, self.bar, self.cards)
+        self._servo = shell.ServoSwitch(bench, self.bar, self.cards)
         bench.open()
         # No tour if the user has gone to another page meanwhile.
         fresh = self.tour_due and not self.toured and self.window.front == FIRST
@@ -198,7 +163,7 @@ class TouchdownApp(QObject):
     def remember(self) -> None:
         """Write the present settings; show a card if the disk refuses."""
         area = self.window.normalGeometry()
-        settings = WindowSettings(
+        settings = shell.WindowSettings(
             theme=self.look.choice,
             scale=self.theme.scale,
             geometry=(area.x(), area.y(), area.width(), area.height()),
@@ -209,7 +174,7 @@ class TouchdownApp(QObject):
             pages=self.workspaces.memory(),
         )
         try:
-            save_settings(self._settings_file, settings)
+            shell.save_settings(self._settings_file, settings)
         except OSError as error:
             self._disk_refused("saving the window settings", error)
 
@@ -239,7 +204,7 @@ class TouchdownApp(QObject):
         """Bench seconds per wall second; 0 without a bench."""
         return self.bench.pace if self.bench is not None else 0.0
 
-    def _place(self, ws: Workspace) -> Iterator[None]:
+    def _place(self, ws: shell.Workspace) -> Iterator[None]:
         if ws.lazy_pages is not None:
             ws.lazy_pages.take_out()
         self.window.add_page(ws.name, ws.page)
@@ -257,9 +222,11 @@ class TouchdownApp(QObject):
         """Stop by software. Returns at once; allowed in every state."""
         if self.bench is not None:
             self.bench.stop()
-            log.info("STOP by the operator")
-            self.cards.show_card(stopped_card(partial(lift_hand, self.bench, self.cards)))
-            self.cards.show_offer(STOPPED, is_pressing(self.bench))
+            shell.log.info("STOP by the operator")
+            self.cards.show_card(
+                shell.stopped_card(partial(shell.lift_hand, self.bench, self.cards))
+            )
+            self.cards.show_offer(STOPPED, shell.is_pressing(self.bench))
 
     def reset(self) -> None:
         """Clear the stop latch and the cards."""
@@ -282,42 +249,43 @@ class TouchdownApp(QObject):
         coming.enter()
 
     def _moving(self) -> bool:
-        return self.bench is not None and may_be_moving(self.bench)
+        return self.bench is not None and shell.may_be_moving(self.bench)
 
-    def _commands(self) -> list[WindowCommand]:
+    def _commands(self) -> list[shell.WindowCommand]:
         pages = [
-            WindowCommand(ws.name, f"{ws.title} workspace", ws.key, partial(self.go, ws.name))
+            shell.WindowCommand(ws.name, f"{ws.title} workspace", ws.key, partial(self.go, ws.name))
             for ws in self.workspaces.all
         ]
         return [
             *pages,
-            WindowCommand("connect", "Connect the bench", "Ctrl+L", self._connect_again),
-            WindowCommand("limits", "Limits of motion and force", "", self._show_limits),
-            WindowCommand("calibrate", "Calibrate: payload, board, tool, wrist, cameras",
-                          "Ctrl+Shift+K", self._show_calibrations),
-            WindowCommand("check-day", "Daily check", "", lambda: self._show_calibrations("day")),
-            WindowCommand("layout", "Reset the layout", "Ctrl+0", self._reset_layout),
-            WindowCommand("layouts", "Layouts of this workspace", "Ctrl+Alt+L",
-                          lambda: self.layout_menu.show(self.window.rail["layouts"])),
-            WindowCommand("lock", "Lock or unlock the layout", "",
-                          lambda: self.layouts.toggle_lock()),
-            WindowCommand("save-layout", "Save the layout under a name", "",
-                          lambda: self.layout_menu.ask_name()),
-            WindowCommand("theme", "Next theme: dark, light, high contrast, as the system",
-                          "Ctrl+T", self._next_theme),
-            WindowCommand("larger", "Larger text", "Ctrl++", self.look.larger),
-            WindowCommand("smaller", "Smaller text", "Ctrl+-", self.look.smaller),
-            WindowCommand("next-step", "Carry out the next step that is offered", "Ctrl+.",
-                          lambda: self.window.next_step.yes.click()),
-            WindowCommand("keys", "Key sheet", "F1", self._show_keys),
-            WindowCommand("palette", "Find a command", "Ctrl+K",
-                          lambda: self.dialogs.show_palette()),
-            WindowCommand("calls", "Sound and desktop notification: on or off", "",
-                          self._toggle_calls),
+            shell.WindowCommand("connect", "Connect the bench", "Ctrl+L", self._connect_again),
+            shell.WindowCommand("limits", "Limits of motion and force", "", self._show_limits),
+            shell.WindowCommand("calibrate", "Calibrate: payload, board, tool, wrist, cameras",
+                                "Ctrl+Shift+K", self._show_calibrations),
+            shell.WindowCommand("check-day", "Daily check", "",
+                                lambda: self._show_calibrations("day")),
+            shell.WindowCommand("layout", "Reset the layout", "Ctrl+0", self._reset_layout),
+            shell.WindowCommand("layouts", "Layouts of this workspace", "Ctrl+Alt+L",
+                                lambda: self.layout_menu.show(self.window.rail["layouts"])),
+            shell.WindowCommand("lock", "Lock or unlock the layout", "",
+                                lambda: self.layouts.toggle_lock()),
+            shell.WindowCommand("save-layout", "Save the layout under a name", "",
+                                lambda: self.layout_menu.ask_name()),
+            shell.WindowCommand("theme", "Next theme: dark, light, high contrast, as the system",
+                                "Ctrl+T", self._next_theme),
+            shell.WindowCommand("larger", "Larger text", "Ctrl++", self.look.larger),
+            shell.WindowCommand("smaller", "Smaller text", "Ctrl+-", self.look.smaller),
+            shell.WindowCommand("next-step", "Carry out the next step that is offered", "Ctrl+.",
+                                lambda: self.window.next_step.yes.click()),
+            shell.WindowCommand("keys", "Key sheet", "F1", self._show_keys),
+            shell.WindowCommand("palette", "Find a command", "Ctrl+K",
+                                lambda: self.dialogs.show_palette()),
+            shell.WindowCommand("calls", "Sound and desktop notification: on or off", "",
+                                self._toggle_calls),
             *self._speed.commands,
-            WindowCommand("fullscreen", "Full screen", "F11", self._full_screen),
-            WindowCommand("tour", "Tour of the window", "Ctrl+F1", lambda: self.tour.begin()),
-            WindowCommand("quit", "Quit", "Ctrl+Q", self._quit),
+            shell.WindowCommand("fullscreen", "Full screen", "F11", self._full_screen),
+            shell.WindowCommand("tour", "Tour of the window", "Ctrl+F1", lambda: self.tour.begin()),
+            shell.WindowCommand("quit", "Quit", "Ctrl+Q", self._quit),
         ]  # fmt: skip
 
     def _wire_rail(self) -> None:
@@ -346,14 +314,14 @@ class TouchdownApp(QObject):
 
     def _reset_layout(self) -> None:
         self.window.showNormal()
-        self.window.resize(USUAL)
+        self.window.resize(shell.USUAL)
         self._pull_back()
         self.layouts.reset(self.window.front)
         self.workspaces[self.window.front].reset_layout()
 
     def _pull_back(self) -> None:
         screens = [screen.availableGeometry() for screen in QApplication.screens()]
-        self.window.setGeometry(move_on_screen(self.window.geometry(), screens))
+        self.window.setGeometry(shell.move_on_screen(self.window.geometry(), screens))
 
     def _next_theme(self) -> None:
         self.look.next_theme()
@@ -416,9 +384,9 @@ class TouchdownApp(QObject):
             self.window.next_step.withdraw()
         self.workspaces.take(event)
         self.panels.calibrate.take(event)
-        log_event(event)
+        shell.log_event(event)
         self.calls.take(event)
-        show_event(event, self.bench, self.cards, self.say)
+        shell.show_event(event, self.bench, self.cards, self.say)
 
     def _show_connecting(self) -> None:
         self.bar.pill.show_state(PillState("CONNECTING", "ring", "blue", "preparing the bench"))
@@ -439,7 +407,7 @@ class TouchdownApp(QObject):
             self.inspect.draw()
             self.panels.draw()
             self._closing.draw(self.bench)
-            self.cards.show_offer(STOPPED, is_pressing(self.bench))
+            self.cards.show_offer(STOPPED, shell.is_pressing(self.bench))
             pace = f"{self.pace:.2f}\N{MULTIPLICATION SIGN} real time" if self.pace else ""
             self.window.show_right(pace)
-        self.bar.pill.show_state(pill_state(self.bench))
+        self.bar.pill.show_state(shell.pill_state(self.bench))

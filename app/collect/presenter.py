@@ -9,6 +9,7 @@ from datetime import datetime
 
 from PySide6.QtWidgets import QApplication
 
+from touchdown.app import shell
 from touchdown.app.collect.origin import CampaignPace, OriginCheckNote, RecorderGauge
 from touchdown.app.collect.page import CollectPage, OriginField
 from touchdown.app.collect.probes import PairProbes, ProbeRecord, read_pair, read_probe
@@ -18,14 +19,6 @@ from touchdown.app.collect.requests import (
     campaign_buttons,
     collect_request,
     probe_text,
-)
-from touchdown.app.shell import (
-    SaveWorker,
-    carry_out,
-    error_card,
-    is_run_active,
-    lift_hand,
-    pause_or_resume,
 )
 from touchdown.backend.annotations import Dataset, EpisodeEntry, EpisodeFilter, check_person
 from touchdown.backend.bench import Session
@@ -63,7 +56,7 @@ class ProbesPresenter:
     def __init__(
         self,
         page: CollectPage,
-        reader: SaveWorker,
+        reader: shell.SaveWorker,
         catalogue: PieceLibrary,
         failed: Callable[[Exception], None],
     ) -> None:
@@ -265,7 +258,7 @@ class CollectPresenter:
         self,
         page: CollectPage,
         cards: FaultCards,
-        reader: SaveWorker,
+        reader: shell.SaveWorker,
         catalogue: PieceLibrary,
         now_s: Callable[[], float] = time.monotonic,
     ) -> None:
@@ -342,7 +335,7 @@ class CollectPresenter:
 
     def _begin(self, request: CollectRequest) -> None:
         bench = self.bench
-        if bench is None or is_run_active(bench):
+        if bench is None or shell.is_run_active(bench):
             return
         if not request.person:
             # The line below the button shows the reason; focus the name.
@@ -354,17 +347,17 @@ class CollectPresenter:
             bench.dataset = self.dataset
             bench.start(request)
 
-        carry_out(start, self._cards)
+        shell.carry_out(start, self._cards)
 
     def lift(self) -> None:
         """Lift the arm out of contact, so that a run can start."""
         if self.bench is not None:
-            lift_hand(self.bench, self._cards)
+            shell.lift_hand(self.bench, self._cards)
 
     def pause_or_resume(self) -> None:
         """Pause at the next safe place, or resume."""
         if self.bench is not None and self._mine:
-            pause_or_resume(self.bench)
+            shell.pause_or_resume(self.bench)
 
     def end(self) -> None:
         """End the run in order; the campaign can be continued later."""
@@ -509,7 +502,7 @@ class CollectPresenter:
 
     def _failed(self, error: Exception) -> None:
         code = type(error).__name__.upper() if isinstance(error, TouchdownError) else "DATASET"
-        self._cards.show_card(error_card(code, error))
+        self._cards.show_card(shell.error_card(code, error))
 
     # -- showing ----------------------------------------------------------------------------------
 

@@ -9,18 +9,10 @@ import numpy as np
 
 from touchdown.app.collect.probes import ProbeRecord, displacement_text, quality_text, read_probe
 from touchdown.app.shell import ACTIVE_STATES, count_noun, is_pressing, start_obstacle
+from touchdown.backend import runs
 from touchdown.backend.annotations import Dataset
 from touchdown.backend.bench import Session
 from touchdown.backend.core import EpisodeDecision, HandOverAwaited, MountingAwaited
-from touchdown.backend.runs import (
-    DECISION_WORDS,
-    CollectRequest,
-    Pattern,
-    RunState,
-    fresh_seed,
-    hand_over_message,
-    mounting_question,
-)
 from touchdown.widgets.forms import ProbeText, TargetButtons, TargetForm
 
 
@@ -98,7 +90,7 @@ def apply_decision(
     elif decision == "keep":
         labels.restore(person, uuid)
     else:
-        labels.delete(person, uuid, DECISION_WORDS[decision])
+        labels.delete(person, uuid, runs.DECISION_WORDS[decision])
     return read_probe(dataset, dataset.entry(uuid), signals=True)
 
 
@@ -123,14 +115,14 @@ class CampaignState:
 
 def campaign_buttons(bench: Session | None, now: CampaignState) -> TargetButtons:
     """Return the enabled buttons."""
-    state = RunState.IDLE if bench is None else bench.status().state
+    state = runs.RunState.IDLE if bench is None else bench.status().state
     active = state in ACTIVE_STATES
     why = campaign_obstacle(bench, now)
-    paused = state in (RunState.PAUSED, RunState.PAUSING)
+    paused = state in (runs.RunState.PAUSED, runs.RunState.PAUSING)
     return TargetButtons(
         start=not why and not active,
-        pause=now.mine and (paused or state is RunState.RUNNING),
-        end=now.mine and active and state is not RunState.CANCELLING,
+        pause=now.mine and (paused or state is runs.RunState.RUNNING),
+        end=now.mine and active and state is not runs.RunState.CANCELLING,
         paused=paused,
         go_on=now.go_on,
         why_not=why,
@@ -143,8 +135,8 @@ def campaign_buttons(bench: Session | None, now: CampaignState) -> TargetButtons
 
 def _open_question(now: CampaignState) -> str:
     if isinstance(now.asked, MountingAwaited):
-        return mounting_question(now.asked)
-    return "" if now.asked is None else hand_over_message(now.asked)
+        return runs.mounting_question(now.asked)
+    return "" if now.asked is None else runs.hand_over_message(now.asked)
 
 
 def campaign_obstacle(bench: Session | None, now: CampaignState) -> str:
@@ -163,14 +155,14 @@ def campaign_obstacle(bench: Session | None, now: CampaignState) -> str:
     return "" if now.dataset.writable else "The dataset is open for reading only"
 
 
-def collect_request(form: TargetForm, person: str, *, campaign: str = "") -> CollectRequest:
+def collect_request(form: TargetForm, person: str, *, campaign: str = "") -> runs.CollectRequest:
     """Return the request of a form. With ``campaign``, the plan of that campaign applies."""
-    return CollectRequest(
+    return runs.CollectRequest(
         piece=form.piece,
         bottom=form.bottom,
         count=form.count,
-        seed=form.seed or fresh_seed(),
-        pattern=cast("Pattern", form.pattern),
+        seed=form.seed or runs.fresh_seed(),
+        pattern=cast("runs.Pattern", form.pattern),
         person=person,
         within_mm=form.within_mm or None,
         origin_mm=(form.origin_x_mm, form.origin_y_mm),

@@ -9,23 +9,12 @@ from typing import Annotated
 
 from pydantic import Field
 
+from touchdown.app import shell
 from touchdown.app.collect.origin import OriginCheckNote
 from touchdown.app.collect.page import CollectPage
 from touchdown.app.collect.presenter import CollectPresenter
 from touchdown.app.collect.probes import SIGNALS
 from touchdown.app.label import HalvesPage, LabelWorkspace
-from touchdown.app.shell import (
-    LivePresenter,
-    Memory,
-    OpenedDataset,
-    SaveWorker,
-    WindowCommand,
-    Workspace,
-    WorkspaceContext,
-    piece_titles,
-    portable_key,
-    restore_form,
-)
 from touchdown.backend.annotations import DESCRIPTION_FILE, Dataset
 from touchdown.backend.bench import Session
 from touchdown.backend.core import Event
@@ -36,20 +25,20 @@ from touchdown.widgets.forms import TargetForm
 def join_half_commands(
     front: Callable[[], str],
     titles: Mapping[str, str],
-    commands: Mapping[str, Sequence[WindowCommand]],
-) -> tuple[WindowCommand, ...]:
+    commands: Mapping[str, Sequence[shell.WindowCommand]],
+) -> tuple[shell.WindowCommand, ...]:
     """Merge the commands of both halves; a key used by several halves becomes one row.
 
     ``front`` returns the name of the visible half; ``titles`` and ``commands`` are keyed by that
     name. Commands of a hidden half do nothing.
     """
-    rows: dict[str, dict[str, WindowCommand]] = {}
+    rows: dict[str, dict[str, shell.WindowCommand]] = {}
     for half, given in commands.items():
         for command in given:
-            key = portable_key(command.key) or f"{half}.{command.name}"
+            key = shell.portable_key(command.key) or f"{half}.{command.name}"
             rows.setdefault(key, {})[half] = command
 
-    def run_in_front(halves: Mapping[str, WindowCommand]) -> None:
+    def run_in_front(halves: Mapping[str, shell.WindowCommand]) -> None:
         command = halves.get(front())
         if command is not None:
             command.run()
@@ -85,7 +74,7 @@ class CollectMemory:
     half: Annotated[str, Field(pattern="^(collect|label)$")] = COLLECT
 
 
-class CollectWorkspace(Workspace):
+class CollectWorkspace(shell.Workspace):
     """Collecting needs a bench, labelling does not.
 
     Both use the dataset opened by the label half.
@@ -94,10 +83,10 @@ class CollectWorkspace(Workspace):
     name, title, key = "collect", "Collect & Label", "Ctrl+2"
     page: HalvesPage
 
-    def __init__(self, context: WorkspaceContext) -> None:
+    def __init__(self, context: shell.WorkspaceContext) -> None:
         self._context = context
         self.label = LabelWorkspace(context)
-        self.live: LivePresenter | None = None
+        self.live: shell.LivePresenter | None = None
         self._bench: Session | None = None
         self._told_keys = False
         # Read-only dataset, open while no person is named.
@@ -108,11 +97,11 @@ class CollectWorkspace(Workspace):
         halves = {COLLECT: self._commands(), LABEL: self.label.commands}
         self.commands = (
             *join_half_commands(lambda: self.page.front, TITLES, halves),
-            WindowCommand("half", "The other half: collect, or label", "F2",
-                          lambda: self.page.show_half(OTHER[self.page.front])),
-            WindowCommand("half-collect", "Collect half", "Ctrl+Shift+C",
+            shell.WindowCommand("half", "The other half: collect, or label", "F2",
+                                lambda: self.page.show_half(OTHER[self.page.front])),
+            shell.WindowCommand("half-collect", "Collect half", "Ctrl+Shift+C",
                     lambda: self.page.show_half(COLLECT)),
-            WindowCommand("half-label", "Label half", "Ctrl+Shift+L",
+            shell.WindowCommand("half-label", "Label half", "Ctrl+Shift+L",
                     lambda: self.page.show_half(LABEL)),
         )  # fmt: skip
         self.held_keys = self.label.held_keys
@@ -127,14 +116,14 @@ class CollectWorkspace(Workspace):
         yield
         self.label.build_in(self.page)
         yield
-        self.reader = SaveWorker(self.page, "collect-reader")
+        self.reader = shell.SaveWorker(self.page, "collect-reader")
         self._catalogue = load_pieces()
         self.presenter = CollectPresenter(
             self.collect_page, self._context.cards, self.reader, self._catalogue
         )
         self.presenter.ended = self._offer_next
         self._wire()
-        self.collect_page.target.show_catalogue(*piece_titles(self._catalogue))
+        self.collect_page.target.show_catalogue(*shell.piece_titles(self._catalogue))
         self.page.half_shown.connect(self._half_came)
 
     # -- life -------------------------------------------------------------------------------------
@@ -142,7 +131,7 @@ class CollectWorkspace(Workspace):
     def attach(self, bench: Session) -> None:
         """Connect to a bench."""
         self._bench, page = bench, self.collect_page
-        self.live = LivePresenter(bench, page)
+        self.live = shell.LivePresenter(bench, page)
         self.presenter.attach(bench)
         self.parts = (*self.live.parts, self.presenter.draw, self.presenter.draw_maps)
 
@@ -160,7 +149,7 @@ class CollectWorkspace(Workspace):
         for _, piece in sorted(added):
             self._catalogue.add(piece)
         if added:
-            self.collect_page.target.show_catalogue(*piece_titles(self._catalogue))
+            self.collect_page.target.show_catalogue(*shell.piece_titles(self._catalogue))
         self._half_came(self.page.front)
 
     def leave(self) -> None:
@@ -168,7 +157,7 @@ class CollectWorkspace(Workspace):
         self.label.leave()
         self._hush_keys()
 
-    def memory(self) -> Memory:
+    def memory(self) -> shell.Memory:
         """Return the settings of both halves to store."""
         page = self.collect_page
         mine = CollectMemory(
@@ -179,10 +168,10 @@ class CollectWorkspace(Workspace):
         )
         return {**self.label.memory(), **asdict(mine)}
 
-    def recall(self, memory: Memory) -> Sequence[str]:
+    def recall(self, memory: shell.Memory) -> Sequence[str]:
         """Restore stored settings; return the names of invalid fields."""
-        mine, dropped = restore_form(CollectMemory(), memory)
-        form, invalid = restore_form(TargetForm(), mine.target)
+        mine, dropped = shell.restore_form(CollectMemory(), memory)
+        form, invalid = shell.restore_form(TargetForm(), mine.target)
         self.collect_page.target.show_form(form)
         self.collect_page.signal.setCurrentIndex(mine.signal)
         self.presenter.origin.show_note(mine.origin)
@@ -200,7 +189,7 @@ class CollectWorkspace(Workspace):
 
     # -- the dataset ------------------------------------------------------------------------------
 
-    def _take_dataset(self, opened: OpenedDataset) -> None:
+    def _take_dataset(self, opened: shell.OpenedDataset) -> None:
         self.presenter.take_dataset(opened.dataset, read=self.page.front == COLLECT)
         self._stop_looking()
 
@@ -288,7 +277,7 @@ class CollectWorkspace(Workspace):
         page.row_chosen.connect(presenter.probes.choose)
         page.filter_changed.connect(presenter.probes.restyle)
 
-    def _commands(self) -> tuple[WindowCommand, ...]:
+    def _commands(self) -> tuple[shell.WindowCommand, ...]:
         return (
             self._act("start", "Start, or keep and next", "F5", lambda p: p.start()),
             self._act("go-on", "Continue the last campaign", "Shift+F5", lambda p: p.go_on()),
@@ -299,16 +288,16 @@ class CollectWorkspace(Workspace):
             self._act("flag-probe", "Flag the probe", "X", lambda p: p.decide("flag")),
             self._act("again", "Redo the probe", "R", lambda p: p.decide("redo")),
             self._act("leave-out", "Skip: leave its place out", "S", lambda p: p.decide("skip")),
-            WindowCommand("person", "Say who collects", "Ctrl+U",
+            shell.WindowCommand("person", "Say who collects", "Ctrl+U",
                     lambda: self.collect_page.target.ask_person()),
-            WindowCommand("fit", "Fit the force and moment ranges", "Ctrl+F",
+            shell.WindowCommand("fit", "Fit the force and moment ranges", "Ctrl+F",
                     lambda: self.collect_page.fit()),
         )  # fmt: skip
 
     def _act(
         self, name: str, text: str, key: str, act: Callable[[CollectPresenter], None]
-    ) -> WindowCommand:
-        return WindowCommand(name, text, key, lambda: act(self.presenter))
+    ) -> shell.WindowCommand:
+        return shell.WindowCommand(name, text, key, lambda: act(self.presenter))
 
 
 def _ignore_unseen(_: object) -> None:

@@ -11,21 +11,8 @@ from PySide6.QtCore import QEvent, QObject, Qt, QTimer
 from PySide6.QtGui import QKeyEvent, QWindow
 from PySide6.QtWidgets import QApplication, QWidget
 
+from touchdown.app import shell
 from touchdown.app.operate.page import OperatePage
-from touchdown.app.shell import (
-    LIFT,
-    LIFT_MM,
-    arm_of,
-    carry_out,
-    gripper_of,
-    is_pressing,
-    is_run_active,
-    is_typing,
-    lift_hand,
-    log,
-    missing_scene_reason,
-    piece_titles,
-)
 from touchdown.backend.bench import Session
 from touchdown.backend.core import (
     LEVEL_TOLERANCE_RAD,
@@ -83,14 +70,14 @@ class ManualControlPresenter:
         hand = bench.hand
         page.scene.setVisible(bench.simulated)
         usual = SceneChoice()
-        self._titles = piece_titles(bench.catalogue)
+        self._titles = shell.piece_titles(bench.catalogue)
         page.scene.show_catalogue(*self._titles, (usual.piece, usual.bottoms[0]))
         page.jog.lift.clicked.connect(self.lift)
         page.jog.show_turning("" if hand is not None and hand.rotates else NO_JOINTS)
 
     def show_pieces(self) -> None:
         """Show the pieces that were added since; the selection is kept."""
-        titles, scene = piece_titles(self._bench.catalogue), self._page.scene
+        titles, scene = shell.piece_titles(self._bench.catalogue), self._page.scene
         if titles != self._titles:
             self._titles = titles
             chosen = str(scene.piece.currentData()), str(scene.bottom.currentData())
@@ -110,7 +97,7 @@ class ManualControlPresenter:
     def ended(self, cause: str) -> None:
         """End the hold and log its cause."""
         self._sequence = 0
-        log.info("jog %d ended: %s", self._hold, cause)
+        shell.log.info("jog %d ended: %s", self._hold, cause)
         if self._bench.hand is not None:
             self._bench.hand.jog.end(self._hold)
 
@@ -131,7 +118,7 @@ class ManualControlPresenter:
         """Reset if stopped, then lift the hand out of contact."""
         if self._bench.interlock.latched:
             self._cards.reset()
-        lift_hand(self._bench, self._cards)
+        shell.lift_hand(self._bench, self._cards)
 
     def grip(self) -> None:
         """Close the gripper on the piece."""
@@ -168,7 +155,7 @@ class ManualControlPresenter:
         hand = self._bench.hand
         if hand is None:
             return False
-        return carry_out(lambda: order(hand), self._cards)
+        return shell.carry_out(lambda: order(hand), self._cards)
 
     # -- showing ----------------------------------------------------------------------------------
 
@@ -185,22 +172,22 @@ class ManualControlPresenter:
         if now_s - self._drawn_s >= PERIOD_S or pads != self._drawn_pads:
             self._drawn_s, self._drawn_pads = now_s, pads
             self._page.jog.show_look(self._look())
-            words = LIFT if self._bench.interlock.latched else f"Lift {LIFT_MM:.0f} mm"
-            self._page.jog.show_lift(words if is_pressing(self._bench) else "")
+            words = shell.LIFT if self._bench.interlock.latched else f"Lift {shell.LIFT_MM:.0f} mm"
+            self._page.jog.show_lift(words if shell.is_pressing(self._bench) else "")
             self._draw_gripper()
 
     def why_not(self) -> str:
         """Return why manual motion is not possible now, "" if it is."""
         if self._bench.hand is None:
-            return missing_scene_reason(self._bench) or "The bench is being prepared"
+            return shell.missing_scene_reason(self._bench) or "The bench is being prepared"
         if self._bench.interlock.latched:
             return "Press Reset first"
         if not self._bench.hand.powered:
             return "The servo is off: hold Servo in the top bar for 1 s"
-        return "A run is going on" if is_run_active(self._bench) else ""
+        return "A run is going on" if shell.is_run_active(self._bench) else ""
 
     def _look(self) -> PoseReadout:
-        arm, hand = arm_of(self._bench), self._bench.hand
+        arm, hand = shell.arm_of(self._bench), self._bench.hand
         if arm is None or hand is None:
             return PoseReadout()
         try:
@@ -213,7 +200,7 @@ class ManualControlPresenter:
         slow, above_mm = hand.jog.state.slow, pose.z_mm - hand.surface_mm
         recovering, turned = self._bench.interlock.recovering, rotation_angle_rad(pose) > 0.0
         note = "Recovery: jog away from contact" if recovering else ""
-        if not note and hand.pressing_n and not is_run_active(self._bench):
+        if not note and hand.pressing_n and not shell.is_run_active(self._bench):
             note = f"In contact, {hand.pressing_n:.1f} N: lift first"
         note = note or self._bench.interlock.degraded
         warn = bool(note)
@@ -259,7 +246,7 @@ class ManualControlPresenter:
             )
 
     def _grip_status(self) -> GripStatus | None:
-        gripper = gripper_of(self._bench)
+        gripper = shell.gripper_of(self._bench)
         return None if gripper is None else gripper.status()
 
     def _frame(self) -> Frame:
@@ -350,7 +337,7 @@ class JogKeyFilter(QObject):
         if not isinstance(event, QKeyEvent) or not isinstance(watched, QWindow):
             return False
         joint = self._pad.frame.currentText() == "JOINT" and event.key() in JOINT_KEYS
-        if not (joint or event.key() in KEYS) or is_typing():
+        if not (joint or event.key() in KEYS) or shell.is_typing():
             return False
         # Qt sends ShortcutOverride before a key press. Accept it, so that no shortcut takes the
         # key; it is not a key press itself.
@@ -382,6 +369,6 @@ class JogKeyFilter(QObject):
             now is None
             or not now.isVisible()
             or now.window() is not self._page.window()
-            or is_typing()
+            or shell.is_typing()
         ):
             self.disarm()

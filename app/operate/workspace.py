@@ -9,27 +9,9 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
+from touchdown.app import shell
 from touchdown.app.operate.jogging import PACES, ROWS, JogKeyFilter, ManualControlPresenter
 from touchdown.app.operate.page import OperatePage
-from touchdown.app.shell import (
-    BenchViewPresenter,
-    LivePresenter,
-    Memory,
-    ProbeStory,
-    RunStory,
-    TrialStory,
-    WindowCommand,
-    Workspace,
-    WorkspaceContext,
-    belief_scene,
-    carry_out,
-    face_outlines,
-    is_run_active,
-    restore_form,
-    scene_model_caption,
-    start_obstacle,
-    unprobed_scene,
-)
 from touchdown.backend.bench import Session
 from touchdown.backend.config import ProbeSettings
 from touchdown.backend.core import (
@@ -65,8 +47,8 @@ class SingleProbePresenter:
 
     def start(self) -> None:
         """Start a single probe."""
-        if not is_run_active(self._bench):
-            carry_out(lambda: self._bench.start(ProbeRequest()), self._cards)
+        if not shell.is_run_active(self._bench):
+            shell.carry_out(lambda: self._bench.start(ProbeRequest()), self._cards)
 
     def cancel(self) -> None:
         """End the probe in order."""
@@ -75,7 +57,7 @@ class SingleProbePresenter:
 
     def show_model(self) -> None:
         """Show the model that reads the next probe."""
-        words = scene_model_caption(self._model, self.piece, simulated=self._bench.simulated)
+        words = shell.scene_model_caption(self._model, self.piece, simulated=self._bench.simulated)
         self._panel.show_model(f"Model: {words.short}", words.full)
 
     def take(self, event: Event) -> None:
@@ -102,7 +84,7 @@ class SingleProbePresenter:
         elif isinstance(event, RunFinished):
             self._end(event)
 
-    def story(self) -> TrialStory | None:
+    def story(self) -> shell.TrialStory | None:
         """Return the last probe as the paper's strategy reads it, None without a patch."""
         event, piece = self.patch, self._bench.catalogue.pieces.get(self.piece)
         if event is None or piece is None:
@@ -112,13 +94,13 @@ class SingleProbePresenter:
         # The paper's strategy reads the patch alone.
         felt = ProbeObservation(np.zeros((20, 258), np.float32), event.patch, here)
         found = make_strategy(held, method, here).conclude(felt)
-        look = ProbeStory(1, here, found.map, found.stability, found.action)
-        return TrialStory(1, 0, None, [look])
+        look = shell.ProbeStory(1, here, found.map, found.stability, found.action)
+        return shell.TrialStory(1, 0, None, [look])
 
     def draw(self) -> None:
         """Enable the buttons that are allowed now."""
-        active = is_run_active(self._bench)
-        why = "" if active else start_obstacle(self._bench)
+        active = shell.is_run_active(self._bench)
+        why = "" if active else shell.start_obstacle(self._bench)
         if active and not self._mine:
             why = "A run is going on"
         self._panel.show_buttons(
@@ -163,21 +145,21 @@ class OperateMemory:
     grip_n: float = 0.0
 
 
-class OperateWorkspace(Workspace):
+class OperateWorkspace(shell.Workspace):
     """Live views, belief of the last run, single probe, jog and gripper."""
 
     name, title, key = "operate", "Operate", "Ctrl+1"
     held_keys = ROWS
     page: OperatePage
 
-    def __init__(self, context: WorkspaceContext) -> None:
+    def __init__(self, context: shell.WorkspaceContext) -> None:
         self._context = context
-        self.live: LivePresenter | None = None
+        self.live: shell.LivePresenter | None = None
         self.hand: ManualControlPresenter | None = None
         self.probe: SingleProbePresenter | None = None
         self._bench: Session | None = None
-        self._story, self._shown = RunStory(), (-1, 0)
-        self.view: BenchViewPresenter | None = None
+        self._story, self._shown = shell.RunStory(), (-1, 0)
+        self.view: shell.BenchViewPresenter | None = None
         self.commands = self._commands()
 
     def build(self) -> Iterator[None]:
@@ -196,10 +178,10 @@ class OperateWorkspace(Workspace):
         """Connect the page to a bench."""
         page = self.page
         self._bench = bench
-        self.live = LivePresenter(bench, page)
+        self.live = shell.LivePresenter(bench, page)
         self.hand = ManualControlPresenter(bench, page, self._context.cards)
         self.probe = SingleProbePresenter(bench, page.probe, self._context.cards)
-        self.view = BenchViewPresenter(bench, page.side, page.side_panel)
+        self.view = shell.BenchViewPresenter(bench, page.side, page.side_panel)
         page.jog.hold_ended.connect(self.hand.ended)
         page.jog.step_pressed.connect(self.hand.step)
         page.jog.level.clicked.connect(self.hand.level)
@@ -241,17 +223,17 @@ class OperateWorkspace(Workspace):
         for chooser in (self.page.looks, self.page.span, self.page.maps):
             chooser.setCurrentIndex(0)
 
-    def memory(self) -> Memory:
+    def memory(self) -> shell.Memory:
         """Return the settings to store."""
         page = self.page
         look, span, shown = (box.currentIndex() for box in (page.looks, page.span, page.maps))
         return asdict(OperateMemory(look, span, shown, page.gripper.force.value()))
 
-    def recall(self, memory: Memory) -> Sequence[str]:
+    def recall(self, memory: shell.Memory) -> Sequence[str]:
         """Restore stored settings; return the names of invalid fields."""
         page = self.page
         usual = OperateMemory(grip_n=page.gripper.force.value())
-        mine, dropped = restore_form(usual, memory)
+        mine, dropped = shell.restore_form(usual, memory)
         page.looks.setCurrentIndex(mine.look)
         page.span.setCurrentIndex(mine.span)
         page.maps.setCurrentIndex(mine.map)
@@ -264,35 +246,36 @@ class OperateWorkspace(Workspace):
 
     # -- orders -----------------------------------------------------------------------------------
 
-    def _commands(self) -> tuple[WindowCommand, ...]:
+    def _commands(self) -> tuple[shell.WindowCommand, ...]:
         return (
-            WindowCommand("probe", "Probe once", "F5",
-                          lambda: self.page.probe.probe.clicked.emit()),
-            WindowCommand("grip", "Grip the piece", "G",
-                          lambda: self.page.gripper.grip.clicked.emit()),
-            WindowCommand("open", "Open the gripper", "Shift+G",
-                          lambda: self.page.gripper.open.clicked.emit()),
-            WindowCommand("zero", "Zero force and moment", "Z",
-                          lambda: self.page.zero.clicked.emit()),
-            WindowCommand("baseline", "Take a new tactile reference", "B",
-                          lambda: self.page.baseline.clicked.emit()),
-            WindowCommand("arm", "Arm or disarm the jog keys", "J",
-                          lambda: self.page.jog.keys.toggle()),
-            WindowCommand("shorter", "Shorter step, down to hold-to-run", "[",
-                          lambda: self.page.jog.pace.next_step(-1)),
-            WindowCommand("longer", "Longer step", "]", lambda: self.page.jog.pace.next_step(1)),
-            WindowCommand("frame", "Jog in the next frame: XYZ, TOOL, JOINT", "F",
-                          lambda: self.page.jog.next_frame()),
-            WindowCommand("turn", "Jog: turn the hand, or move it", "T",
-                          lambda: self.page.jog.turn.click()),
-            WindowCommand("level", "Level the hand", "Shift+T",
-                          lambda: self.page.jog.level.clicked.emit()),
-            WindowCommand("scene", "Set up a new scene on the simulated bench", "Ctrl+N",
-                          lambda: self.page.scene.ask()),
-            WindowCommand("freeze", "Hold the traces still", "Ctrl+P",
-                          lambda: self.page.pause.toggle()),
-            WindowCommand("fit", "Fit the force and moment ranges", "Ctrl+F",
-                          lambda: self.page.fit()),
+            shell.WindowCommand("probe", "Probe once", "F5",
+                                lambda: self.page.probe.probe.clicked.emit()),
+            shell.WindowCommand("grip", "Grip the piece", "G",
+                                lambda: self.page.gripper.grip.clicked.emit()),
+            shell.WindowCommand("open", "Open the gripper", "Shift+G",
+                                lambda: self.page.gripper.open.clicked.emit()),
+            shell.WindowCommand("zero", "Zero force and moment", "Z",
+                                lambda: self.page.zero.clicked.emit()),
+            shell.WindowCommand("baseline", "Take a new tactile reference", "B",
+                                lambda: self.page.baseline.clicked.emit()),
+            shell.WindowCommand("arm", "Arm or disarm the jog keys", "J",
+                                lambda: self.page.jog.keys.toggle()),
+            shell.WindowCommand("shorter", "Shorter step, down to hold-to-run", "[",
+                                lambda: self.page.jog.pace.next_step(-1)),
+            shell.WindowCommand("longer", "Longer step", "]",
+                                lambda: self.page.jog.pace.next_step(1)),
+            shell.WindowCommand("frame", "Jog in the next frame: XYZ, TOOL, JOINT", "F",
+                                lambda: self.page.jog.next_frame()),
+            shell.WindowCommand("turn", "Jog: turn the hand, or move it", "T",
+                                lambda: self.page.jog.turn.click()),
+            shell.WindowCommand("level", "Level the hand", "Shift+T",
+                                lambda: self.page.jog.level.clicked.emit()),
+            shell.WindowCommand("scene", "Set up a new scene on the simulated bench", "Ctrl+N",
+                                lambda: self.page.scene.ask()),
+            shell.WindowCommand("freeze", "Hold the traces still", "Ctrl+P",
+                                lambda: self.page.pause.toggle()),
+            shell.WindowCommand("fit", "Fit the force and moment ranges", "Ctrl+F",
+                                lambda: self.page.fit()),
         )  # fmt: skip
 
     def _renew(self, what: str) -> bool:
@@ -321,13 +304,13 @@ class OperateWorkspace(Workspace):
         trial, panel = single or self._story.trial, self.page.belief_panel
         panel.rename("Belief of the last run" if trial and not single else "Contact patch")
         if trial is None or not trial.probes:
-            self.page.belief.show_scene(NO_RUN if trial is None else unprobed_scene(trial))
+            self.page.belief.show_scene(NO_RUN if trial is None else shell.unprobed_scene(trial))
             panel.detail.setText("")
             return
-        face, bottom = face_outlines(self._bench.catalogue, self._story.head)
+        face, bottom = shell.face_outlines(self._bench.catalogue, self._story.head)
         if single:
             face, bottom = self._bench.catalogue.piece(self.probe.piece).face, None
-        scene = belief_scene(trial, len(trial.probes) - 1, face, bottom)
+        scene = shell.belief_scene(trial, len(trial.probes) - 1, face, bottom)
         self.page.belief.show_scene(scene)
         self.page.legend.show_truth(scene.truth is not None)
         panel.detail.setText(f"trial {trial.trial}, probe {len(trial.probes)}")

@@ -18,22 +18,8 @@ from PySide6.QtWidgets import QMenu, QWidget
 
 from touchdown.app.review.exports import open_in_viewer
 from touchdown.app.shell import SaveWorker, WorkspaceContext, ask_path, error_card
+from touchdown.backend import experiments
 from touchdown.backend.core import InputError, write_atomically
-from touchdown.backend.experiments import (
-    BLUE,
-    FAINT,
-    INK,
-    ORANGE,
-    VIOLET,
-    PictureGallery,
-    Report,
-    ReportPicture,
-    ReportSection,
-    ReportTable,
-    TableEntry,
-    read_report,
-    report_page,
-)
 from touchdown.widgets.base import Tokens, label
 from touchdown.widgets.views import FlowWidget, PictureCard, ReportCell, ReportGrid, ReportSheet
 
@@ -65,11 +51,11 @@ def render_drawing(svg: str, ratio: float, tokens: Tokens) -> QImage:
 def recolour_drawing(svg: str, tokens: Tokens) -> str:
     """Return a chart in the colours of a theme, with the attribute names that Qt needs."""
     for own, theirs in (
-        (INK, tokens.text),
-        (FAINT, tokens.border),
-        (BLUE, tokens.axis_x),
-        (ORANGE, tokens.axis_y),
-        (VIOLET, tokens.axis_z),
+        (experiments.INK, tokens.text),
+        (experiments.FAINT, tokens.border),
+        (experiments.BLUE, tokens.axis_x),
+        (experiments.ORANGE, tokens.axis_y),
+        (experiments.VIOLET, tokens.axis_z),
     ):
         svg = svg.replace(own, theirs)
     return svg.replace("<svg ", f"<svg {NAMESPACES} ", 1).replace(" href=", " xlink:href=")
@@ -91,11 +77,11 @@ class ReportsPresenter:
     ) -> None:
         self._window, self._context, self._reader, self._exports = window, context, reader, exports
         self.sheet: ReportSheet | None = None
-        self.report: Report | None = None
+        self.report: experiments.Report | None = None
         self._file = Path()
         self._opened: list[Path] = []
         self.menu: QMenu | None = None
-        self._entry: TableEntry | None = None
+        self._entry: experiments.TableEntry | None = None
         self._asked = 0
         self._part = 0
         self._drawing = 0
@@ -122,11 +108,11 @@ class ReportsPresenter:
         self._asked += 1
         asked = self._asked
 
-        def take(found: tuple[object, Report]) -> None:
+        def take(found: tuple[object, experiments.Report]) -> None:
             if asked == self._asked:
                 self._show(file, found[1])
 
-        self._reader.submit(lambda: read_report(file), take, self._failed)
+        self._reader.submit(lambda: experiments.read_report(file), take, self._failed)
 
     def fit_to_theme(self) -> None:
         """Show the part again with pictures in the colours of the theme."""
@@ -143,11 +129,11 @@ class ReportsPresenter:
         widgets: list[QWidget] = [label(section.title, "head", wrap=True)]
         about = self.report.about if number == 0 else ()
         widgets += [label(text, "muted", wrap=True) for text in (*about, *section.text)]
-        cards: list[tuple[ReportPicture, PictureCard]] = []
+        cards: list[tuple[experiments.ReportPicture, PictureCard]] = []
         for part in section.parts:
             if part.title:
                 widgets.append(label(part.title, "title", wrap=True))
-            if isinstance(part, ReportTable):
+            if isinstance(part, experiments.ReportTable):
                 widgets += self._grid(part)
             else:
                 widgets += _gallery(part, cards)
@@ -156,7 +142,7 @@ class ReportsPresenter:
 
     # -- inside -----------------------------------------------------------------------------------
 
-    def _show(self, file: Path, report: Report) -> None:
+    def _show(self, file: Path, report: experiments.Report) -> None:
         if self.sheet is None:
             self.sheet = sheet = ReportSheet(self._window)
             sheet.part_chosen.connect(self.show_part)
@@ -170,7 +156,7 @@ class ReportsPresenter:
         )
         self.sheet.open_large()
 
-    def _grid(self, grid: ReportTable) -> list[QWidget]:
+    def _grid(self, grid: experiments.ReportTable) -> list[QWidget]:
         def choose(row: int, column: int) -> None:
             inside = row >= 0 and column >= 0
             self._choose(grid.rows[row][1][column] if inside else None)
@@ -184,7 +170,7 @@ class ReportsPresenter:
             made.append(label(grid.note, "small", wrap=True))
         return made
 
-    def _draw(self, cards: Sequence[tuple[ReportPicture, PictureCard]]) -> None:
+    def _draw(self, cards: Sequence[tuple[experiments.ReportPicture, PictureCard]]) -> None:
         """Draw the pictures one by one on the thread while the part is shown."""
         assert self.sheet is not None
         self._drawing += 1
@@ -208,7 +194,7 @@ class ReportsPresenter:
 
         draw(0)
 
-    def _choose(self, entry: TableEntry | None) -> None:
+    def _choose(self, entry: experiments.TableEntry | None) -> None:
         self._entry = entry
         if self.sheet is None:
             return
@@ -221,7 +207,7 @@ class ReportsPresenter:
             away = "" if there else "; its folder is where the experiment was run"
             self.sheet.show_trace(f"{entry.trace.capitalize()}{away}.", can_open=there)
 
-    def _folder(self, entry: TableEntry) -> Path | None:
+    def _folder(self, entry: experiments.TableEntry) -> Path | None:
         """Return the run folder of a cell, None if it is not on this computer."""
         folder = self._file.parent / JOBS / entry.jobs[0]
         return folder if folder.is_dir() else None
@@ -241,7 +227,7 @@ class ReportsPresenter:
             if page.is_file():
                 return page
             self._exports.mkdir(parents=True, exist_ok=True)
-            write_atomically(made, report_page(report).encode())
+            write_atomically(made, experiments.report_page(report).encode())
             return made
 
         self._reader.submit(
@@ -254,13 +240,13 @@ class ReportsPresenter:
         self._context.cards.show_card(error_card("REPORT", error))
 
 
-def _look(entry: TableEntry) -> ReportCell:
+def _look(entry: experiments.TableEntry) -> ReportCell:
     interval = (entry.interval,) if entry.interval else ()
     return ReportCell(entry.value, (*interval, *entry.notes), entry.trace)
 
 
 def _gallery(
-    gallery: PictureGallery, cards: list[tuple[ReportPicture, PictureCard]]
+    gallery: experiments.PictureGallery, cards: list[tuple[experiments.ReportPicture, PictureCard]]
 ) -> list[QWidget]:
     """Return the widgets of a gallery; add its cards to those to be drawn."""
     made: list[QWidget] = [label(gallery.text, "muted", wrap=True)] if gallery.text else []
@@ -284,7 +270,12 @@ def report_html(caption: str, facts: str, picture: bytes, table: str, banner: st
     names = [re.sub(r"_(s|mm)$", r" (\1)", name) for name in head]
     source = f"data:image/png;base64,{b64encode(picture).decode()}"
     image = f'<img style="max-width:100%" alt="{escape(caption)}" src="{source}">'
-    parts = PictureGallery("", (ReportPicture(image),)), ReportTable.of_texts("", names, rows)
-    return report_page(
-        Report(caption, tuple(facts.splitlines()), (ReportSection("", (), parts),), banner)
+    parts = (
+        experiments.PictureGallery("", (experiments.ReportPicture(image),)),
+        experiments.ReportTable.of_texts("", names, rows),
+    )
+    return experiments.report_page(
+        experiments.Report(
+            caption, tuple(facts.splitlines()), (experiments.ReportSection("", (), parts),), banner
+        )
     )

@@ -4,22 +4,7 @@ from __future__ import annotations
 
 from typing import cast
 
-from touchdown.app.shell import (
-    ACTIVE_STATES,
-    ProbeStory,
-    RunStory,
-    TrialStory,
-    belief_scene,
-    count_noun,
-    error_card,
-    face_outlines,
-    is_run_active,
-    model_card_in_use,
-    run_model_caption,
-    run_score,
-    start_obstacle,
-    unprobed_scene,
-)
+from touchdown.app import shell
 from touchdown.app.stack.comparison import strategy_by_name
 from touchdown.app.stack.page import StackPage
 from touchdown.backend.bench import Session
@@ -61,12 +46,12 @@ class StackPresenter:
 
     def __init__(self, bench: Session, page: StackPage, cards: FaultCards) -> None:
         self._bench, self._page, self._cards = bench, page, cards
-        self.story = RunStory()
+        self.story = shell.RunStory()
         self._parts = (self._draw_decision, self._draw_map, self._draw_strip, self._draw_score)
         self._shown_versions = [-1] * len(self._parts)
         self._next_part = 0
         self._chosen: int | None = None
-        self._scenes: dict[tuple[int, int, bool], tuple[ProbeStory, BeliefScene]] = {}
+        self._scenes: dict[tuple[int, int, bool], tuple[shell.ProbeStory, BeliefScene]] = {}
         self._buttons: RunButtons | None = None
         self._state = RunState.IDLE
         self._asking = ""
@@ -75,7 +60,7 @@ class StackPresenter:
 
     def start(self) -> None:
         """Start the run of the form."""
-        if not is_run_active(self._bench):
+        if not shell.is_run_active(self._bench):
             self.show_model()
             self.begin(stack_request(self._page.run.form()))
 
@@ -88,7 +73,7 @@ class StackPresenter:
             self._cards.show_card(CardText(error.reason, "The run was not started.", error.detail,
                                            "", reset=latched, passing=not latched))  # fmt: skip
         except InputError as error:
-            self._cards.show_card(error_card("INPUT", error))
+            self._cards.show_card(shell.error_card("INPUT", error))
         else:
             return True
         return False
@@ -114,7 +99,7 @@ class StackPresenter:
 
     def _show_model(self) -> None:
         form, run = self._page.run.form(), self._page.run
-        words = run_model_caption(form.piece, form.strategy)
+        words = shell.run_model_caption(form.piece, form.strategy)
         run.show_model(words.short, words.full)
         bench = self._bench
         pieces = bench.catalogue.pieces
@@ -145,7 +130,7 @@ class StackPresenter:
             if camera is not None and camera.condition == "gel replaced":
                 texts.append(f"Camera calibration: {camera.why}.")
             if form.strategy in ("paper", "paper-calibrated"):
-                found = gel_mismatches(model_card_in_use(form.piece), self._bench.description)
+                found = gel_mismatches(shell.model_card_in_use(form.piece), self._bench.description)
                 texts += [f"Model trained with another gel: {one}." for one in found]
         except InputError as error:
             return error.what
@@ -183,8 +168,8 @@ class StackPresenter:
         self._next_part = 0
 
     def _draw_buttons(self, status: RunStatus) -> None:
-        active = status.state in ACTIVE_STATES
-        why = "" if active else start_obstacle(self._bench)
+        active = status.state in shell.ACTIVE_STATES
+        why = "" if active else shell.start_obstacle(self._bench)
         buttons = RunButtons(
             start=not why and not active,
             pause=status.state in (RunState.RUNNING, RunState.PAUSING, RunState.PAUSED),
@@ -224,7 +209,7 @@ class StackPresenter:
             decided and newest is not None and newest.probe >= status.estimated
         )
 
-    def _shown_trial(self) -> TrialStory | None:
+    def _shown_trial(self) -> shell.TrialStory | None:
         """Return the newest trial; until it has a map, the previous one stays."""
         trials = self.story.trials
         if len(trials) < 2 or trials[-1].finished is not None:
@@ -255,7 +240,10 @@ class StackPresenter:
     def _draw_map(self) -> None:
         trial, belief = self._shown_trial(), self._page.belief
         if trial is None or not trial.probes:
-            scene, detail = BeliefScene() if trial is None else unprobed_scene(trial), ("", "")
+            scene, detail = (
+                BeliefScene() if trial is None else shell.unprobed_scene(trial),
+                ("", ""),
+            )
             changed = belief.scene.belief is not None or belief.scene.empty != scene.empty
         else:
             look = trial.probes[self._index(trial)]
@@ -281,11 +269,11 @@ class StackPresenter:
         ]
         self._page.strip.show_probes(shown, self._index(trial))
 
-    def _index(self, trial: TrialStory) -> int:
+    def _index(self, trial: shell.TrialStory) -> int:
         """Return the index of the shown probe: the chosen one, else the newest."""
         return len(trial.probes) - 1 if self._chosen is None else self._chosen
 
-    def _decision(self, look: ProbeStory) -> DecisionText:
+    def _decision(self, look: shell.ProbeStory) -> DecisionText:
         text = decision_text(look.stability, look.action)
         trial = self._shown_trial()
         if self._chosen is not None:
@@ -322,7 +310,9 @@ class StackPresenter:
         if kept is None or kept[0] is not look:
             kept = (
                 look,
-                belief_scene(trial, index, *face_outlines(self._bench.catalogue, self.story.head)),
+                shell.belief_scene(
+                    trial, index, *shell.face_outlines(self._bench.catalogue, self.story.head)
+                ),
             )
             self._scenes[key] = kept
         return kept[1]
@@ -332,11 +322,11 @@ class StackPresenter:
         for trial in reversed(self.story.trials):
             if trial.finished is not None:
                 done = trial.finished
-                probes = count_noun(done.probes, "probe")
+                probes = shell.count_noun(done.probes, "probe")
                 last = f"Seed {done.seed}: {OUTCOME_WORDS[done.outcome]} after {probes}."
                 break
         planned = head.trials if head is not None else 0
-        self._page.score.show_score(run_score(self.story.trials, planned, last))
+        self._page.score.show_score(shell.run_score(self.story.trials, planned, last))
 
 
 def stack_request(form: RunForm) -> StackRequest:
@@ -355,7 +345,7 @@ def stack_request(form: RunForm) -> StackRequest:
     )
 
 
-def _belief_detail(scene: BeliefScene, look: ProbeStory) -> tuple[str, str]:
+def _belief_detail(scene: BeliefScene, look: shell.ProbeStory) -> tuple[str, str]:
     """Return the line above the map and its tool tip."""
     if scene.belief is None:
         return "", ""

@@ -7,20 +7,7 @@ from dataclasses import asdict, dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING
 
-from touchdown.app.shell import (
-    BenchViewPresenter,
-    BookmarkDialog,
-    FileDrop,
-    LivePresenter,
-    Memory,
-    WindowCommand,
-    Workspace,
-    WorkspaceContext,
-    is_run_active,
-    pause_or_resume,
-    piece_titles,
-    restore_form,
-)
+from touchdown.app import shell
 from touchdown.app.stack.attended import OperatorPromptsPresenter
 from touchdown.app.stack.comparison import ComparisonPresenter
 from touchdown.app.stack.page import StackPage
@@ -65,17 +52,17 @@ SEEN = (
 )
 
 
-class StackWorkspace(Workspace):
+class StackWorkspace(shell.Workspace):
     """Fingers, traces, belief, decision and score of one run at a time."""
 
     name, title, key = "stack", "Stack", "Ctrl+4"
     page: StackPage
 
-    def __init__(self, context: WorkspaceContext) -> None:
+    def __init__(self, context: shell.WorkspaceContext) -> None:
         self._context = context
-        self.live: LivePresenter | None = None
+        self.live: shell.LivePresenter | None = None
         self.presenter: StackPresenter | None = None
-        self.side: BenchViewPresenter | None = None
+        self.side: shell.BenchViewPresenter | None = None
         self.comparison: ComparisonPresenter | None = None
         self.attended: OperatorPromptsPresenter | None = None
         self.pieces: PieceSheet | None = None
@@ -84,28 +71,28 @@ class StackWorkspace(Workspace):
         self._bench: Session | None = None
         self._form, self._kept = RunForm(), StackMemory()
         self.commands = (
-            WindowCommand("start", "Start stacking", "Ctrl+Return", self._start),
-            WindowCommand("step", "Next step: carry out the move that waits", "N",
-                          lambda: self.page.decision.approve.clicked.emit()),
-            WindowCommand("approve", "Approve the move that waits", "A",
-                          lambda: self.page.decision.approve.clicked.emit()),
-            WindowCommand("pause", "Pause or resume", "P",
-                          lambda: self.page.run.pause.clicked.emit()),
-            WindowCommand("compare", "Compare the strategies on the same seed", "Ctrl+D",
-                          self._compare),
-            WindowCommand("planned", "Runs in a row: list, order, start", "Ctrl+Shift+D",
-                          self._plan),
-            WindowCommand("bookmark", "Bookmark this moment of the run", "B", self._bookmark),
-            WindowCommand("confirm", "Yes: the scene is set, the hand is there, as proposed", "Y",
-                    lambda: self._on_trial(OperatorPromptsPresenter.confirm)),
+            shell.WindowCommand("start", "Start stacking", "Ctrl+Return", self._start),
+            shell.WindowCommand("step", "Next step: carry out the move that waits", "N",
+                                lambda: self.page.decision.approve.clicked.emit()),
+            shell.WindowCommand("approve", "Approve the move that waits", "A",
+                                lambda: self.page.decision.approve.clicked.emit()),
+            shell.WindowCommand("pause", "Pause or resume", "P",
+                                lambda: self.page.run.pause.clicked.emit()),
+            shell.WindowCommand("compare", "Compare the strategies on the same seed", "Ctrl+D",
+                                self._compare),
+            shell.WindowCommand("planned", "Runs in a row: list, order, start", "Ctrl+Shift+D",
+                                self._plan),
+            shell.WindowCommand("bookmark", "Bookmark this moment of the run", "B", self._bookmark),
+            shell.WindowCommand("confirm", "Yes: the scene is set, the hand is there, as proposed",
+                                "Y", lambda: self._on_trial(OperatorPromptsPresenter.confirm)),
             *(
-                WindowCommand(name, text, key, partial(self._see, outcome))
+                shell.WindowCommand(name, text, key, partial(self._see, outcome))
                 for name, text, key, outcome in SEEN
             ),
-            WindowCommand("piece", "Add a piece from a CAD file", "", self._add_piece),
-            WindowCommand("photo", "Add a picture of this trial", "",
-                          lambda: self.page.trial.photo.clicked.emit()),
-            WindowCommand("fit", "Fit the force and moment ranges", "Ctrl+F",
+            shell.WindowCommand("piece", "Add a piece from a CAD file", "", self._add_piece),
+            shell.WindowCommand("photo", "Add a picture of this trial", "",
+                                lambda: self.page.trial.photo.clicked.emit()),
+            shell.WindowCommand("fit", "Fit the force and moment ranges", "Ctrl+F",
                     lambda: self.page.fit()),
         )  # fmt: skip
 
@@ -117,17 +104,17 @@ class StackWorkspace(Workspace):
         page.run.row.clicked.connect(self._plan)
         page.bookmark.clicked.connect(self._bookmark)
         page.add_piece.clicked.connect(self._add_piece)
-        self.note = BookmarkDialog(page, "Bookmark")
-        FileDrop(page, PIECE_SOURCES, lambda path: self._piece_sheet().take(path))
+        self.note = shell.BookmarkDialog(page, "Bookmark")
+        shell.FileDrop(page, PIECE_SOURCES, lambda path: self._piece_sheet().take(path))
         yield
         self.columns = self.lazy_pages = page.columns
 
     def attach(self, bench: Session) -> None:
         """Connect the page to a bench."""
         page, self._bench = self.page, bench
-        self.live = LivePresenter(bench, page)
+        self.live = shell.LivePresenter(bench, page)
         self.presenter = presenter = StackPresenter(bench, page, self._context.cards)
-        self.side = BenchViewPresenter(bench, page.side, page.side_panel)
+        self.side = shell.BenchViewPresenter(bench, page.side, page.side_panel)
         self.attended = OperatorPromptsPresenter(bench, page, self._context.cards)
         self.comparison = ComparisonPresenter(
             bench, self._context.theme, lambda: stack_request(page.run.form()), presenter.begin
@@ -140,14 +127,14 @@ class StackWorkspace(Workspace):
             safe = run if bench.simulated else careful_form(run, bench.usual)
             self.planned.runs.append(replace(run, mode=safe.mode, strategy=safe.strategy))
         self._catalogue = bench.catalogue
-        page.run.show_catalogue(*piece_titles(bench.catalogue))
+        page.run.show_catalogue(*shell.piece_titles(bench.catalogue))
         page.run.show_devices(not bench.simulated)
         page.run.show_form(self._form if bench.simulated else careful_form(self._form, bench.usual))
         page.decision.show_text(NO_DECISION)
         presenter.show_model()
         bench.prompt.attended = True
         page.run.chosen.connect(presenter.show_model)
-        page.run.pause.clicked.connect(lambda: pause_or_resume(bench))
+        page.run.pause.clicked.connect(lambda: shell.pause_or_resume(bench))
         page.run.cancel.clicked.connect(lambda: bench.engine.cancel())
         page.decision.approve.clicked.connect(lambda: presenter.answer(True))
         page.decision.decline.clicked.connect(lambda: presenter.answer(False))
@@ -185,16 +172,16 @@ class StackWorkspace(Workspace):
         """Show why no bench is connected yet."""
         self.page.show_waiting(word, why)
 
-    def memory(self) -> Memory:
+    def memory(self) -> shell.Memory:
         """Return form and planned runs to store; without a bench the stored ones."""
         runs = self._kept.planned if self.planned is None else tuple(self.planned.runs)
         form = self._form if self.presenter is None else self.page.run.form()
         return asdict(form) | asdict(StackMemory(runs))
 
-    def recall(self, memory: Memory) -> Sequence[str]:
+    def recall(self, memory: shell.Memory) -> Sequence[str]:
         """Restore the stored form; return the names of invalid fields."""
-        self._form, dropped = restore_form(RunForm(), memory)
-        self._kept, wrong = restore_form(StackMemory(), memory)
+        self._form, dropped = shell.restore_form(RunForm(), memory)
+        self._kept, wrong = shell.restore_form(StackMemory(), memory)
         self.page.run.show_form(self._form)
         return [*dropped, *wrong]
 
@@ -218,7 +205,7 @@ class StackWorkspace(Workspace):
     def _bookmark(self) -> None:
         """Ask for the note of a bookmark at the present time of the run."""
         bench = self._bench
-        if bench is None or bench.run_folder is None or not is_run_active(bench):
+        if bench is None or bench.run_folder is None or not shell.is_run_active(bench):
             self._context.say("No recorded run is active. Review sets bookmarks afterwards.")
             return
         mark = Bookmark(bench.status().trial, round(bench.clock_s(), 2))
@@ -242,7 +229,7 @@ class StackWorkspace(Workspace):
         """Let the new piece be chosen; without a bench, the next one knows it."""
         if self._catalogue is not None:
             self._catalogue.add(load_pieces().piece(name))
-            self.page.run.show_catalogue(*piece_titles(self._catalogue))
+            self.page.run.show_catalogue(*shell.piece_titles(self._catalogue))
         self._context.say(f"Piece '{name}' is added.")
 
     def _on_trial(self, order: Callable[[OperatorPromptsPresenter], None]) -> None:

@@ -6,15 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
 
-from touchdown.app.shell import (
-    Memory,
-    SaveWorker,
-    WindowCommand,
-    Workspace,
-    WorkspaceContext,
-    ask_path,
-    restore_form,
-)
+from touchdown.app import shell
 from touchdown.app.train.page import TrainPage
 from touchdown.app.train.presenter import TrainPresenter
 from touchdown.app.train.reading import TrainingReader
@@ -25,30 +17,30 @@ from touchdown.widgets.forms import TrainingForm
 MOST_FOLDERS = 8
 
 
-class TrainWorkspace(Workspace):
+class TrainWorkspace(shell.Workspace):
     """Training runs, their comparison, and the model in use. Reads when it is first entered."""
 
     name, title, key = "train", "Train", "Ctrl+3"
     page: TrainPage
 
-    def __init__(self, context: WorkspaceContext) -> None:
+    def __init__(self, context: shell.WorkspaceContext) -> None:
         self._context = context
         self.presenter: TrainPresenter | None = None
-        self._worker: SaveWorker | None = None
+        self._worker: shell.SaveWorker | None = None
         self._folders = [dataset_folder()]
         self.commands = (
-            WindowCommand("start", "Start training", "Ctrl+Return",
-                          self._order(TrainPresenter.start)),
-            WindowCommand("resume", "Resume the chosen training", "Ctrl+Shift+Return",
-                          self._order(TrainPresenter.resume)),
-            WindowCommand("cancel", "Cancel the training", "Esc",
-                          self._order(TrainPresenter.ask_cancel)),
-            WindowCommand("promote", "Put the chosen model in use", "Ctrl+P",
-                          self._order(TrainPresenter.promote)),
-            WindowCommand("roll-back", "Put the model before in use again", "Ctrl+Shift+P",
-                          self._order(TrainPresenter.roll_back)),
-            WindowCommand("folder", "Train on another folder", "Ctrl+O", self._ask_folder),
-            WindowCommand("reread", "Read data and trainings again", "Ctrl+R", self._reread),
+            shell.WindowCommand("start", "Start training", "Ctrl+Return",
+                                self._order(TrainPresenter.start)),
+            shell.WindowCommand("resume", "Resume the chosen training", "Ctrl+Shift+Return",
+                                self._order(TrainPresenter.resume)),
+            shell.WindowCommand("cancel", "Cancel the training", "Esc",
+                                self._order(TrainPresenter.ask_cancel)),
+            shell.WindowCommand("promote", "Put the chosen model in use", "Ctrl+P",
+                                self._order(TrainPresenter.promote)),
+            shell.WindowCommand("roll-back", "Put the model before in use again", "Ctrl+Shift+P",
+                                self._order(TrainPresenter.roll_back)),
+            shell.WindowCommand("folder", "Train on another folder", "Ctrl+O", self._ask_folder),
+            shell.WindowCommand("reread", "Read data and trainings again", "Ctrl+R", self._reread),
         )  # fmt: skip
 
     def build(self) -> Iterator[None]:
@@ -72,7 +64,7 @@ class TrainWorkspace(Workspace):
     def enter(self) -> None:
         """Read datasets and training runs, which may have changed."""
         if self.presenter is None:
-            self._worker = SaveWorker(self.page, "train-reading")
+            self._worker = shell.SaveWorker(self.page, "train-reading")
             reading = TrainingReader(ModelRegistry(models_folder()))
             cards = self._context.cards
             self.presenter = TrainPresenter(self.page, cards, reading, self._worker)
@@ -88,14 +80,14 @@ class TrainWorkspace(Workspace):
             self._worker = None
         self.presenter = None
 
-    def memory(self) -> Memory:
+    def memory(self) -> shell.Memory:
         """Return form and folders to store."""
         form = self.page.form.form()
         return {**asdict(form), "folders": [str(folder) for folder in self._folders[1:]]}
 
-    def recall(self, memory: Memory) -> Sequence[str]:
+    def recall(self, memory: shell.Memory) -> Sequence[str]:
         """Restore stored settings; return the names of invalid fields."""
-        form, dropped = restore_form(TrainingForm(), memory)
+        form, dropped = shell.restore_form(TrainingForm(), memory)
         folders = memory.get("folders", [])
         if isinstance(folders, list) and all(isinstance(one, str) for one in folders):
             self._folders = [self._folders[0], *(Path(one) for one in folders[:MOST_FOLDERS])]
@@ -133,7 +125,7 @@ class TrainWorkspace(Workspace):
         self._on(TrainPresenter.look)
 
     def _ask_folder(self) -> None:
-        ask_path(self.page, "Folder of a dataset, or of simulated packs", self.take_folder)
+        shell.ask_path(self.page, "Folder of a dataset, or of simulated packs", self.take_folder)
 
     def _show_folders(self, chosen: str) -> None:
         own = dataset_folder()

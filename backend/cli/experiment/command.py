@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from touchdown.backend import experiments
 from touchdown.backend.annotations import LABEL_CHOICES
 from touchdown.backend.cli.experiment.campaign import (
     KEPT,
@@ -29,36 +30,6 @@ from touchdown.backend.core import (
     read_limited,
     write_atomically,
 )
-from touchdown.backend.experiments import (
-    BOTTOMS,
-    CEILING,
-    COMPARED_PIECES,
-    DATA,
-    MODEL_FREE,
-    PIECES,
-    PORTIONS,
-    SCALES,
-    STRATEGIES,
-    WEIGHTS,
-    ClosedLoopComparison,
-    FusionRecipe,
-    Recipe,
-    StrategyComparison,
-    adopt_tuning,
-    base_strategy,
-    best_rules,
-    comparison_tables,
-    decided_strategies,
-    keep_models,
-    method_of,
-    ready_sequences,
-    rewrite_tables,
-    stopped_text,
-    threshold_counts,
-    threshold_jobs,
-    write_comparison,
-    write_tables,
-)
 from touchdown.backend.geometry import FRESH_SEED, load_pieces
 from touchdown.backend.jobs import JobSpec, JobStore
 from touchdown.backend.runs import check_weighing
@@ -76,9 +47,9 @@ def add_report_arguments(parser: argparse.ArgumentParser) -> None:
 
 def rewrite_report(args: argparse.Namespace, screen: VerbOutput) -> Json:
     """Render the page and store the comparisons; raises ``InputError`` for a bad file."""
-    file = args.tables or args.out / DATA
+    file = args.tables or args.out / experiments.DATA
     with disk_errors(UNWRITTEN, file, KEPT):
-        page = rewrite_tables(file, args.beyond)
+        page = experiments.rewrite_tables(file, args.beyond)
     screen.say(f"Written: {page}")
     return {"page": str(page), "file": str(file)}
 
@@ -141,7 +112,7 @@ def train_fused(run: ExperimentRun) -> Json:
     counts = {"short": args.parts - half, "more": half}
     counts |= {"free": args.free_parts, "long": args.long_parts, "longest": args.longest_parts}
     counts["surface"] = args.surface_parts
-    known = all(n == 0 or 2 <= n <= PORTIONS[name].most for name, n in counts.items())
+    known = all(n == 0 or 2 <= n <= experiments.PORTIONS[name].most for name, n in counts.items())
     known &= 1 <= args.networks <= MOST_NETWORKS
     others = args.long_parts + args.longest_parts + args.surface_parts
     known &= args.parts >= 4 or (args.parts == 0 and others > 0)
@@ -158,13 +129,15 @@ def train_fused(run: ExperimentRun) -> Json:
         )
     bench, code = run.bench(), package_version("touchdown")
     ranges = _ranges(args.ranges) if args.ranges else {}
-    recipe = FusionRecipe(
+    recipe = experiments.FusionRecipe(
         bench, code, counts, args.steps, args.seed, args.device,
         outlines=args.outlines, batch=args.batch, networks=args.networks, ranges=ranges,
         tuning=_tuning(run, bench),
     )  # fmt: skip
     if args.ready:
-        recipe = replace(recipe, ready=ready_sequences(store, bench, args.outlines, ranges))
+        recipe = replace(
+            recipe, ready=experiments.ready_sequences(store, bench, args.outlines, ranges)
+        )
         if any(len(some) == 1 for some in recipe.ready.values()) or not any(recipe.ready.values()):
             raise InputError(
                 "There are too few finished sequences of this bench and family.",
@@ -177,11 +150,11 @@ def train_fused(run: ExperimentRun) -> Json:
         run.run(jobs)
         return {**answer, **run.counts()}
     training = jobs[-1].id
-    asked = threshold_jobs(bench, code, training, args.rule_trials, args.outlines)
+    asked = experiments.threshold_jobs(bench, code, training, args.rule_trials, args.outlines)
     run.run([*jobs, *asked])
-    out = args.out / WEIGHTS
+    out = args.out / experiments.WEIGHTS
     if store.has(training):
-        weights = store.folder(training) / WEIGHTS
+        weights = store.folder(training) / experiments.WEIGHTS
         for made_there, wanted in ((card_path(weights), card_path(out)), (weights, out)):
             write_atomically(wanted, made_there.read_bytes())
         run.screen.say(f"The network is in {out}.")
@@ -214,16 +187,20 @@ def _tuning(run: ExperimentRun, bench: SimulationSettings) -> Json:
         )
     rows = None if args.data is None else load_episodes(args.data, None, args.labels)
     height_mm = bench.wrist.height_mm
-    return adopt_tuning(run.store, args.pretrained, rows, height_mm, args.mix_share, args.rate)
+    return experiments.adopt_tuning(
+        run.store, args.pretrained, rows, height_mm, args.mix_share, args.rate
+    )
 
 
 def _rules(screen: VerbOutput, store: JobStore, asked: list[JobSpec]) -> list[dict[str, Any]]:
     trials = [t for spec in asked if store.has(spec.id) for t in store.result(spec.id)["trials"]]
     if not trials:
         return []
-    found = threshold_counts(trials)
+    found = experiments.threshold_counts(trials)
     title = f"Best rules of release, {len(trials)} trials on bottoms of their own"
-    screen.table(title, list(found[0]), *(map(str, row.values()) for row in best_rules(found)))
+    screen.table(
+        title, list(found[0]), *(map(str, row.values()) for row in experiments.best_rules(found))
+    )
     return found
 
 
@@ -296,11 +273,11 @@ def run_tables(run: ExperimentRun) -> Json:
     recipe = _recipe(run)
     run.run(recipe.jobs())
     with disk_errors(UNWRITTEN, args.out, KEPT):
-        page, answer = write_tables(args.out, recipe, run.store)
+        page, answer = experiments.write_tables(args.out, recipe, run.store)
     if args.keep_models:
         with disk_errors(UNWRITTEN, args.keep_models, KEPT):
             args.keep_models.mkdir(parents=True, exist_ok=True)
-            kept = keep_models(run.store, recipe, args.keep_models)
+            kept = experiments.keep_models(run.store, recipe, args.keep_models)
         run.screen.say(f"{len(kept)} models: {args.keep_models}")
     counts = run.counts()
     done = counts["jobs"] - counts["missing"]
@@ -318,21 +295,23 @@ def run_beyond(run: ExperimentRun) -> Json:
         run.run(jobs)
     answer = plan.answer(run.store, args.stop_early)
     if args.stop_early:
-        screen.say(stopped_text(answer["stopped"]))
+        screen.say(experiments.stopped_text(answer["stopped"]))
     with disk_errors(UNWRITTEN, args.out, KEPT):
-        path = write_comparison(args.out, answer)
-    for sheet in comparison_tables(answer):
+        path = experiments.write_comparison(args.out, answer)
+    for sheet in experiments.comparison_tables(answer):
         screen.table(sheet.title, *sheet.texts())
     return {"file": str(path), **run.counts(), "beyond": answer}
 
 
-def _run_rounds(plan: StrategyComparison, run: ExperimentRun) -> None:
+def _run_rounds(plan: experiments.StrategyComparison, run: ExperimentRun) -> None:
     """Run rounds of trials until all comparisons are decided, or a job failed.
 
     Raises ``InputError`` if there is nothing to compare, or only a shard of the trials.
     """
     args, store = run.args, run.store
-    if args.shard or not decided_strategies(plan.loops.trials_of(store), args.stop_early):
+    if args.shard or not experiments.decided_strategies(
+        plan.loops.trials_of(store), args.stop_early
+    ):
         raise InputError(
             "A comparison stops early where one computer sees all trials of two strategies.",
             "--stop-early",
@@ -343,9 +322,9 @@ def _run_rounds(plan: StrategyComparison, run: ExperimentRun) -> None:
             break
 
 
-def _comparison_of(run: ExperimentRun) -> StrategyComparison:
+def _comparison_of(run: ExperimentRun) -> experiments.StrategyComparison:
     args, bench = run.args, run.bench()
-    pieces = parse_names(args.pieces, COMPARED_PIECES, "--pieces")
+    pieces = parse_names(args.pieces, experiments.COMPARED_PIECES, "--pieces")
     found = run.models(bench)
     strategies = _parse_strategies(args.strategies)
     for piece in pieces:
@@ -360,45 +339,47 @@ def _comparison_of(run: ExperimentRun) -> StrategyComparison:
         raise InputError(
             f"'{args.outline_seed}' is not a hash.", "--outline-seed", "Give 8 to 64 hex digits."
         )
-    loops = ClosedLoopComparison(
+    loops = experiments.ClosedLoopComparison(
         bench=bench,
         code=package_version("touchdown"),
         models={piece: found.get((piece, "FT+Tac"), "") for piece in pieces},
         pieces=pieces,
-        bottoms=parse_names(args.bottoms, BOTTOMS, "--bottoms"),
+        bottoms=parse_names(args.bottoms, experiments.BOTTOMS, "--bottoms"),
         strategies=strategies,
         trials=args.trials,
         groups=args.statics,
         outline_seed=args.outline_seed,
     )
-    return StrategyComparison(loops, args.band)
+    return experiments.StrategyComparison(loops, args.band)
 
 
 def _check_cell(piece: str, name: str, *, known: bool) -> None:
     """Raise ``InputError`` if a strategy cannot serve a piece; ``known``: it has a model."""
-    strategy = base_strategy(name)
-    if not known and strategy not in MODEL_FREE:
-        fix = f"Choose from {', '.join(MODEL_FREE)}."
+    strategy = experiments.base_strategy(name)
+    if not known and strategy not in experiments.MODEL_FREE:
+        fix = f"Choose from {', '.join(experiments.MODEL_FREE)}."
         raise InputError(f"There is no model of '{piece}', which '{strategy}' needs.", name, fix)
-    if strategy != CEILING:
-        check_weighing(load_pieces().top(piece), method_of(name, StackSettings()))
+    if strategy != experiments.CEILING:
+        check_weighing(load_pieces().top(piece), experiments.method_of(name, StackSettings()))
 
 
 def _parse_strategies(text: str) -> tuple[str, ...]:
     """Return names of strategies, each with the settings behind it; raises ``InputError``."""
     names = tuple(text.split(","))
-    parse_names(",".join(map(base_strategy, names)), STRATEGIES, "--strategies")
+    parse_names(
+        ",".join(map(experiments.base_strategy, names)), experiments.STRATEGIES, "--strategies"
+    )
     for name in names:
         if ":" in name:
-            method_of(name, StackSettings())
+            experiments.method_of(name, StackSettings())
     return names
 
 
-def _recipe(run: ExperimentRun) -> Recipe:
+def _recipe(run: ExperimentRun) -> experiments.Recipe:
     args, bench = run.args, run.bench()
-    wanted = parse_names(args.pieces, PIECES, "--pieces")
-    pieces = tuple(piece for piece in PIECES if piece in wanted)
-    scale = SCALES[args.scale]
+    wanted = parse_names(args.pieces, experiments.PIECES, "--pieces")
+    pieces = tuple(piece for piece in experiments.PIECES if piece in wanted)
+    scale = experiments.SCALES[args.scale]
     if args.keep_models and not scale.probes:
         raise InputError(
             f"--{args.scale} trains no models.", "--keep-models", "Leave it out or use --full."
@@ -408,7 +389,9 @@ def _recipe(run: ExperimentRun) -> Recipe:
             "--full trains its own models.", "--models", "Leave it out or use --quick."
         )
     models = {} if scale.probes else run.models(bench)
-    return Recipe(scale, bench, package_version("touchdown"), models, pieces, args.device)
+    return experiments.Recipe(
+        scale, bench, package_version("touchdown"), models, pieces, args.device
+    )
 
 
 WAYS = {

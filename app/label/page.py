@@ -12,21 +12,7 @@ from PySide6.QtWidgets import QComboBox, QListWidget, QPushButton, QWidget
 from touchdown.app.label.side import BulkForm, KeyboardLineEdit, SideTabs
 from touchdown.app.label.text import QUEUES
 from touchdown.backend.annotations import FILTER_HELP
-from touchdown.widgets.base import (
-    ElidedLabel,
-    Panel,
-    Theme,
-    WrappedItemDelegate,
-    add_items,
-    compact_combo_box,
-    flat_button,
-    hbox,
-    label,
-    scroll_into_view,
-    set_property,
-    signed,
-    vbox,
-)
+from touchdown.widgets import base
 from touchdown.widgets.forms import ChoiceBar
 from touchdown.widgets.lists import LabelList
 from touchdown.widgets.plots import CHANNEL_NAMES, PhasePlot, RecordedTraces
@@ -39,16 +25,16 @@ class DatasetHealthPanel(QWidget):
 
     def __init__(self, look: Callable[[], None], choose: Callable[[int], None]) -> None:
         super().__init__()
-        self.said = label("The dataset was not checked yet.", "muted", wrap=True)
+        self.said = base.label("The dataset was not checked yet.", "muted", wrap=True)
         self.list = QListWidget()
         self.list.setAccessibleName("Findings of the dataset")
-        WrappedItemDelegate(self.list)
+        base.WrappedItemDelegate(self.list)
         self.look = QPushButton("Check the dataset")
         self.look.setToolTip("Check all episodes of the dataset (Ctrl+H)")
         self.look.clicked.connect(look)
         self.list.itemClicked.connect(lambda item: choose(self.list.row(item)))
         self.list.itemActivated.connect(lambda item: choose(self.list.row(item)))
-        vbox(self.said, (self.list, 1), self.look, parent=self, margins=(0, 0, 0, 0))
+        base.vbox(self.said, (self.list, 1), self.look, parent=self, margins=(0, 0, 0, 0))
 
     def show_findings(self, said: str, lines: Sequence[str]) -> None:
         """Show a summary and one line per kind of problem."""
@@ -116,14 +102,14 @@ class EmptyStateView(QWidget):
     def __init__(self, act: Callable[[str], None]) -> None:
         super().__init__()
         self.shown = EMPTY_QUEUE
-        self.title, self.why = label("", "head", wrap=True), label("", "muted", wrap=True)
+        self.title, self.why = base.label("", "head", wrap=True), base.label("", "muted", wrap=True)
         self.button = QPushButton()
         self.button.setProperty("role", "primary")
         self.button.setFocusPolicy(Qt.FocusPolicy.TabFocus)
         self.button.clicked.connect(lambda: act(self.shown.command))
         for widget in (self.title, self.why):
             widget.setAlignment(Qt.AlignmentFlag.AlignCenter)
-        column = vbox(2, self.title, self.why, parent=self, spacing=8)
+        column = base.vbox(2, self.title, self.why, parent=self, spacing=8)
         column.addSpacing(4)
         column.addWidget(self.button, 0, Qt.AlignmentFlag.AlignHCenter)
         column.addStretch(3)
@@ -169,7 +155,7 @@ class LabelPage(QWidget):
     filter_typed = Signal(str)
     filter_kept = Signal()
 
-    def __init__(self, theme: Theme) -> None:
+    def __init__(self, theme: base.Theme) -> None:
         super().__init__()
         self.setObjectName("frame")
         self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
@@ -180,7 +166,7 @@ class LabelPage(QWidget):
         hint = "piece:pot state:draft since:2026-11-30 sort:pair"
         self.filter = KeyboardLineEdit("Filter", hint, self.filter_typed.emit, self.setFocus)
         self.filter.setToolTip(FILTER_HELP)
-        self.keep_filter = flat_button("Save", "Give the filter a name, as a queue (Ctrl+S)")
+        self.keep_filter = base.flat_button("Save", "Give the filter a name, as a queue (Ctrl+S)")
         self.list = LabelList(theme, self.row_chosen.emit)
         self.bulk = BulkForm(
             self.preview_requested.emit,
@@ -200,13 +186,13 @@ class LabelPage(QWidget):
         self.strip = StateStrip(theme)
         self.view = OffsetView(theme, self.face_dragged.emit, self.face_dropped.emit)
         self.nothing = EmptyStateView(self.command_requested.emit)
-        self.verdict, self.basis = ElidedLabel("head"), ElidedLabel("muted")
-        self.model_line, self.scene_line = ElidedLabel("muted"), ElidedLabel("muted")
-        self.message = ElidedLabel("")
+        self.verdict, self.basis = base.ElidedLabel("head"), base.ElidedLabel("muted")
+        self.model_line, self.scene_line = base.ElidedLabel("muted"), base.ElidedLabel("muted")
+        self.message = base.ElidedLabel("")
         self.entry = KeyboardLineEdit(
             "Displacement x,y in mm", "1.5,-2", self.displacement_typed.emit, self.leave_entry
         )
-        self.caption = ElidedLabel("muted")
+        self.caption = base.ElidedLabel("muted")
         self.words = KeyboardLineEdit("Words", "", self._take_words, self.leave_entry)
         for line in (self.caption, self.entry, self.words):
             line.hide()
@@ -214,12 +200,12 @@ class LabelPage(QWidget):
         self.banner = UnsavedBanner(self.retry_requested.emit, self.discard_requested.emit)
         self.film = FilmView(theme, self.show_cursor)
         self.shots = SceneShotView(theme)
-        self.pictures = compact_combo_box(["Tactile film", "Scene camera"], "Pictures")
+        self.pictures = base.compact_combo_box(["Tactile film", "Scene camera"], "Pictures")
         self.forces = RecordedTraces(theme, FORCES, self.show_cursor)
         self.moments = RecordedTraces(theme, MOMENTS, self.show_cursor)
         self.phase = PhasePlot(theme)
         pairs = [f"{CHANNEL_NAMES[a]} with {CHANNEL_NAMES[b]}" for a, b in PAIRS]
-        self.curves = compact_combo_box(["Forces, moments", *pairs], "Curves on one axis")
+        self.curves = base.compact_combo_box(["Forces, moments", *pairs], "Curves on one axis")
         self.person = QPushButton("nobody")
         self.person.setToolTip("Who labels (Ctrl+U)")
         self.person.setProperty("role", "header")
@@ -232,30 +218,30 @@ class LabelPage(QWidget):
         self._arrange()
 
     def _arrange(self) -> None:
-        self.queue_panel = Panel("Queue", self.list)
+        self.queue_panel = base.Panel("Queue", self.list)
         self.queue_panel.column.insertWidget(1, self.queue)
-        self.queue_panel.column.insertLayout(2, hbox((self.filter, 1), self.keep_filter))
+        self.queue_panel.column.insertLayout(2, base.hbox((self.filter, 1), self.keep_filter))
         self.show_filter(None, saved=False)
-        self.view_panel = Panel("Displacement", self.view)
+        self.view_panel = base.Panel("Displacement", self.view)
         self.view_panel.header.addWidget(self.person)
         inner = self.view_panel.column
         inner.insertWidget(1, self.strip)
         inner.insertWidget(2, self.nothing, 1)
         evidence = self.verdict, self.basis, self.scene_line, self.model_line
-        add_items(inner, *evidence, self.caption, self.entry, self.words, self.message)
-        film = self.film_panel = Panel("Pictures", self.film)
+        base.add_items(inner, *evidence, self.caption, self.entry, self.words, self.message)
+        film = self.film_panel = base.Panel("Pictures", self.film)
         film.column.addWidget(self.shots, 1)
         self.shots.hide()
         film.header.addWidget(self.pictures)
-        curves = Panel("Wrench")
+        curves = base.Panel("Wrench")
         curves.header.addWidget(self.curves)
-        plots = vbox((self.forces, 1), (self.moments, 1), spacing=2)
-        curves.column.addLayout(hbox((plots, 3), (self.phase, 2)), 1)
-        hbox(
-            (vbox((self.queue_panel, 5), (self.side, 4), spacing=8), 6),
+        plots = base.vbox((self.forces, 1), (self.moments, 1), spacing=2)
+        curves.column.addLayout(base.hbox((plots, 3), (self.phase, 2)), 1)
+        base.hbox(
+            (base.vbox((self.queue_panel, 5), (self.side, 4), spacing=8), 6),
             # The question is below the view: it must not cover the face.
-            (vbox(self.banner, (self.view_panel, 1), self.choice, spacing=8), 11),
-            (vbox(film, (curves, 1), spacing=8), 10),
+            (base.vbox(self.banner, (self.view_panel, 1), self.choice, spacing=8), 11),
+            (base.vbox(film, (curves, 1), spacing=8), 10),
             parent=self, margins=(10, 8, 10, 8), spacing=8,
         )  # fmt: skip
 
@@ -264,7 +250,7 @@ class LabelPage(QWidget):
         self.film.show_cursor(t_s)
         for view in (self.forces, self.moments, self.phase):
             view.show_cursor(t_s)
-        self.film_panel.detail.setText(f"{signed(t_s)} s")
+        self.film_panel.detail.setText(f"{base.signed(t_s)} s")
 
     def show_queue(self, name: str, title: str = "") -> None:
         """Show the chosen queue; ``title`` names a queue that is not in the list."""
@@ -317,7 +303,7 @@ class LabelPage(QWidget):
         self.caption.setText(caption)
         self.caption.setToolTip(caption)
         self.caption.show()
-        scroll_into_view(line)
+        base.scroll_into_view(line)
 
     def _take_words(self, text: str) -> None:
         if text.strip():
@@ -339,7 +325,7 @@ class LabelPage(QWidget):
 
     def say(self, text: str, *, bad: bool = False) -> None:
         """Show one sentence below the view; ``bad`` marks a refusal."""
-        set_property(self.message, "tone", "bad" if bad else "")
+        base.set_property(self.message, "tone", "bad" if bad else "")
         self.message.setText(text)
         self.message.setToolTip(text)
 

@@ -13,6 +13,7 @@ from PySide6.QtWidgets import QApplication, QWidget
 
 from touchdown.app import shell
 from touchdown.app.operate.page import OperatePage
+from touchdown.backend import devices
 from touchdown.backend.bench import Session
 from touchdown.backend.core import (
     LEVEL_TOLERANCE_RAD,
@@ -20,18 +21,6 @@ from touchdown.backend.core import (
     RefusedError,
     StaleSampleError,
     rotation_angle_rad,
-)
-from touchdown.backend.devices import (
-    FRAMES,
-    STEPS_DEG,
-    STEPS_MM,
-    Arm,
-    Axis,
-    Frame,
-    GripStatus,
-    JogOrder,
-    JogRange,
-    turns,
 )
 from touchdown.backend.runs import ManualControl, SceneChoice, SetRequest
 from touchdown.widgets.base import true_minus
@@ -42,8 +31,8 @@ PERIOD_S = 0.1
 LEVEL_RAD_S = math.radians(10.0)  # speed of levelling the hand
 NO_JOINTS = "The arm of this bench keeps its orientation: no JOINT frame and no turning."
 PACES = (
-    JogUnit("mm", "mm", STEPS_MM, (1.0, 50.0, 20.0)),
-    JogUnit("\N{DEGREE SIGN}", "degrees", STEPS_DEG, (1.0, 15.0, 5.0)),
+    JogUnit("mm", "mm", devices.STEPS_MM, (1.0, 50.0, 20.0)),
+    JogUnit("\N{DEGREE SIGN}", "degrees", devices.STEPS_DEG, (1.0, 15.0, 5.0)),
 )
 # Text of a pad while its direction is refused.
 SHORT = {
@@ -90,7 +79,7 @@ class ManualControlPresenter:
         if self._sequence == 0:
             self._hold += 1
         self._sequence += 1
-        order = JogOrder(self._hold, self._sequence, self._bench.clock_s(), _axis(what),
+        order = devices.JogOrder(self._hold, self._sequence, self._bench.clock_s(), _axis(what),
                          self._frame(), _sign(what) * self._speed())  # fmt: skip
         return self._ordered(lambda hand: hand.jog.renew(order))
 
@@ -219,7 +208,7 @@ class ManualControlPresenter:
         said = tuple((what, _room_words(what, room)) for what, room in rooms.items())
         return PoseReadout(text, age_s, said, note, warn=warn, turned=turned)
 
-    def _pose_text(self, arm: Arm, pose: Pose) -> str:
+    def _pose_text(self, arm: devices.Arm, pose: Pose) -> str:
         """Return the pose of the hand in the terms of the visible pads."""
         jog = self._page.jog
         if self._frame() == "JOINT":
@@ -233,7 +222,7 @@ class ManualControlPresenter:
 
     def _jog_speed(self, hand: ManualControl) -> str:
         state = hand.jog.state
-        if state.order is not None and turns(state.order.axis):
+        if state.order is not None and devices.turns(state.order.axis):
             return f"{math.degrees(state.speed):.1f}\N{DEGREE SIGN}/s"
         return f"{state.speed:.1f} mm/s"
 
@@ -245,12 +234,12 @@ class ManualControlPresenter:
                 status.width_mm, status.force_n, holding=status.holding, moving=moving
             )
 
-    def _grip_status(self) -> GripStatus | None:
+    def _grip_status(self) -> devices.GripStatus | None:
         gripper = shell.gripper_of(self._bench)
         return None if gripper is None else gripper.status()
 
-    def _frame(self) -> Frame:
-        return FRAMES[self._page.jog.frame.currentIndex()]
+    def _frame(self) -> devices.Frame:
+        return devices.FRAMES[self._page.jog.frame.currentIndex()]
 
     def _speed(self) -> float:
         """Return the selected speed in mm/s, or rad/s while the pads turn."""
@@ -258,17 +247,17 @@ class ManualControlPresenter:
         return math.radians(jog.speed.value()) if jog.turning else jog.speed.value()
 
 
-def _room_words(what: str, room: JogRange) -> str:
+def _room_words(what: str, room: devices.JogRange) -> str:
     """Return the text below the name of a pad."""
     if room.why:
         return SHORT.get(room.why, "refused")
-    if turns(_axis(what)):
+    if devices.turns(_axis(what)):
         return f"{math.degrees(room.left):.0f}\N{DEGREE SIGN}"
     return f"{room.left:.0f} mm"
 
 
-def _axis(what: str) -> Axis:
-    return cast("Axis", what[1:])
+def _axis(what: str) -> devices.Axis:
+    return cast("devices.Axis", what[1:])
 
 
 def _sign(what: str) -> float:

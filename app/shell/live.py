@@ -13,17 +13,7 @@ from touchdown.app.shell.bench_text import count_noun
 from touchdown.backend.bench import Session
 from touchdown.backend.core import FINGERS, Finger, MarkerField, TactileFrame
 from touchdown.backend.devices import DeviceState
-from touchdown.widgets.base import (
-    Age,
-    CaptionedView,
-    Columns,
-    Freshness,
-    Panel,
-    Theme,
-    hbox,
-    ui_font,
-    vbox,
-)
+from touchdown.widgets import base
 from touchdown.widgets.plots import TracePlot
 from touchdown.widgets.views import TactileView
 
@@ -37,8 +27,8 @@ class LivePresenter:
         self, bench: Session, page: LivePage, now_s: Callable[[], float] = time.monotonic
     ) -> None:
         self._bench, self._views, self._now_s = bench, page, now_s
-        self._fresh = {finger: Freshness() for finger in FINGERS}
-        self._wrench_fresh = Freshness()
+        self._fresh = {finger: base.Freshness() for finger in FINGERS}
+        self._wrench_fresh = base.Freshness()
         self._wrench_cursor = 0
         self.paused = False  # traces are paused; new samples are shown on resume
         self._headers_s = float("-inf")
@@ -137,7 +127,7 @@ Part = QWidget | QHBoxLayout
 class WorkspacePage(QWidget):
     """Base class of the pages."""
 
-    def __init__(self, theme: Theme) -> None:
+    def __init__(self, theme: base.Theme) -> None:
         super().__init__()
         self.setObjectName("frame")
         self._theme = theme
@@ -149,7 +139,7 @@ class WorkspacePage(QWidget):
     @property
     def em(self) -> int:
         """Height of the base font in px."""
-        return QFontMetrics(ui_font(self._theme.scale)).height()
+        return QFontMetrics(base.ui_font(self._theme.scale)).height()
 
     @property
     def seen_px(self) -> int:
@@ -161,7 +151,7 @@ class WorkspacePage(QWidget):
 
     def fill(self, columns: QWidget) -> None:
         """Fill the page with its columns."""
-        hbox(columns, parent=self, margins=(10, 8, 10, 8))
+        base.hbox(columns, parent=self, margins=(10, 8, 10, 8))
 
 
 class LivePage(WorkspacePage):
@@ -170,11 +160,11 @@ class LivePage(WorkspacePage):
     ``captions``: the framed view of each finger, whose header shows rate and markers.
     """
 
-    columns: Columns
-    captions: Mapping[Finger, Panel | CaptionedView]
+    columns: base.Columns
+    captions: Mapping[Finger, base.Panel | base.CaptionedView]
     tactile_share = 0.45  # maximum share of the page height for the finger images
 
-    def __init__(self, theme: Theme) -> None:
+    def __init__(self, theme: base.Theme) -> None:
         super().__init__(theme)
         self.tactile: dict[Finger, TactileView] = {f: TactileView(theme, f) for f in FINGERS}
         self.force = TracePlot(theme, "Force", "F", "N", 10.0)
@@ -188,7 +178,7 @@ class LivePage(WorkspacePage):
             self.moment,
         )
         for view in views:
-            view.show_age(Age.NEVER, 0.0, why)
+            view.show_age(base.Age.NEVER, 0.0, why)
 
     def resizeEvent(self, event: QResizeEvent) -> None:
         """Limit the height of the finger images."""
@@ -200,7 +190,7 @@ class LivePage(WorkspacePage):
         self.force.fit()
         self.moment.fit()
 
-    def stand_in(self, columns: Columns, traces: str) -> None:
+    def stand_in(self, columns: base.Columns, traces: str) -> None:
         """Fill the page; ``traces`` is the title of the panel below the fingers."""
         self.columns, self._traces = columns, traces
         columns.arranged.connect(self._leave_room)
@@ -221,5 +211,5 @@ def column_of(*parts: tuple[Part, int]) -> QWidget:
     """Return a column of (view, stretch)."""
     holder = QWidget()
     # The last item takes the remaining height when the stretching views are hidden.
-    vbox(*parts, 0, parent=holder, margins=(0, 0, 0, 0), spacing=8)
+    base.vbox(*parts, 0, parent=holder, margins=(0, 0, 0, 0), spacing=8)
     return holder

@@ -8,16 +8,7 @@ from PySide6.QtCore import Signal
 from PySide6.QtWidgets import QPushButton, QSizePolicy
 
 from touchdown.app.shell import WorkspacePage, column_of
-from touchdown.widgets.base import (
-    Columns,
-    Panel,
-    ScrollingNote,
-    Theme,
-    add_items,
-    hbox,
-    label,
-    rule,
-)
+from touchdown.widgets import base
 from touchdown.widgets.forms import TrainingFormPanel
 from touchdown.widgets.lists import FigureTable, TrainingTable
 from touchdown.widgets.plots import CurvePlot, ReliabilityPlot, SampleStrip
@@ -30,7 +21,7 @@ class TrainPage(WorkspacePage):
 
     runs_chosen = Signal(object)  # tuple of run identifiers
 
-    def __init__(self, theme: Theme) -> None:
+    def __init__(self, theme: base.Theme) -> None:
         super().__init__(theme)
         self.form = TrainingFormPanel(theme)
 
@@ -38,7 +29,7 @@ class TrainPage(WorkspacePage):
         """Create the other widgets of the page, a few milliseconds per step."""
         theme = self._theme
         self.split = FigureTable(theme, "Episodes per bottom", ("bottom", "train", "held out"))
-        self.leaks = ScrollingNote("What the split leaks")
+        self.leaks = base.ScrollingNote("What the split leaks")
         self.loss = CurvePlot(theme, "Loss per epoch (nats a point)")
         self.iou = CurvePlot(theme, "IoU per epoch", 1.0)
         self.accuracy = CurvePlot(theme, "Points right per epoch", 1.0)
@@ -52,7 +43,7 @@ class TrainPage(WorkspacePage):
         self.runs.empty = "No training on these data yet. Fill in the form, then Start training."
         self.figures.empty = "Choose a finished training: its figures per bottom are shown here"
         self.differences.empty = "Choose up to three trainings (Ctrl+click): what differs"
-        self.in_use = label("", "", wrap=True)
+        self.in_use = base.label("", "", wrap=True)
         self.promote, self.roll_back = QPushButton("Promote"), QPushButton("Roll back")
         for button in (self.promote, self.roll_back):
             # Disabled until the model in use is known.
@@ -71,25 +62,25 @@ class TrainPage(WorkspacePage):
         self.runs_panel.detail.setText("reading \N{HORIZONTAL ELLIPSIS}" if busy else "")
 
     def _arrange(self) -> None:
-        self.split_panel = Panel("Split", self.split)
-        held_out = label("Held out", "muted"), self.form.held_out
-        add_items(self.split_panel.header, *held_out)
-        add_items(self.split_panel.column, self.leaks, self.form.divide)
+        self.split_panel = base.Panel("Split", self.split)
+        held_out = base.label("Held out", "muted"), self.form.held_out
+        base.add_items(self.split_panel.header, *held_out)
+        base.add_items(self.split_panel.column, self.leaks, self.form.divide)
         self._left = column_of((self.form, 0), (self.split_panel, 1))
-        self.samples_panel = Panel("Held-out probes, true patch outlined")
+        self.samples_panel = base.Panel("Held-out probes, true patch outlined")
         self.samples_panel.detail.setText("p: blue to yellow")
         self.samples_panel.detail.setToolTip("blue p = 0, yellow p = 1")
         self.samples_panel.column.addWidget(self.samples, 1)
         middle = column_of((self._curves(), 3), (self.samples_panel, 2))
-        self.runs_panel = Panel("Trainings", self.runs)
-        buttons = hbox((self.promote, 1), (self.roll_back, 1))
-        add_items(self.runs_panel.column, rule(), self.in_use, buttons)
-        self.comparison = Panel("Comparison")
+        self.runs_panel = base.Panel("Trainings", self.runs)
+        buttons = base.hbox((self.promote, 1), (self.roll_back, 1))
+        base.add_items(self.runs_panel.column, base.rule(), self.in_use, buttons)
+        self.comparison = base.Panel("Comparison")
         # As high as its rows; the longer table below takes the rest.
         self.figures.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Preferred)
-        add_items(self.comparison.column, self.figures, (self.differences, 1))
+        base.add_items(self.comparison.column, self.figures, (self.differences, 1))
         right = column_of((self.runs_panel, 4), (self.comparison, 5))
-        self.columns = Columns(
+        self.columns = base.Columns(
             ((self._left, 5), (middle, 9), (right, 7)),
             {
                 "Split": self.split_panel,
@@ -102,9 +93,9 @@ class TrainPage(WorkspacePage):
         self.fill(self.columns)
         self.fit_to_theme()
 
-    def _curves(self) -> Panel:
-        self.curves_panel = Panel("Curves")
+    def _curves(self) -> base.Panel:
+        self.curves_panel = base.Panel("Curves")
         for pair in ((self.loss, self.reliability), (self.iou, self.accuracy)):
-            line = hbox(*((plot, 1) for plot in pair), spacing=10)
+            line = base.hbox(*((plot, 1) for plot in pair), spacing=10)
             self.curves_panel.column.addLayout(line, 1)
         return self.curves_panel

@@ -7,23 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from touchdown.app.shell import count_noun
+from touchdown.backend import learning
 from touchdown.backend.annotations import LABEL_CHOICES
 from touchdown.backend.bench import model_in_use
 from touchdown.backend.core import InputError
 from touchdown.backend.geometry import face_points, load_pieces
-from touchdown.backend.learning import (
-    SHIPPED_MODEL,
-    ModelCard,
-    ModelRegistry,
-    TrainingCandidate,
-    TrainingRun,
-    TrainingSetOverview,
-    list_training_runs,
-    load_card,
-    load_samples,
-    training_candidates,
-    training_set_overview,
-)
 from touchdown.widgets.forms import LABEL_TITLES, TrainingForm
 from touchdown.widgets.plots import SampleScene
 
@@ -43,7 +31,7 @@ class ModelInUse:
     before: str | None
     since_ns: int
     probes: int | None = None
-    card: ModelCard | None = None
+    card: learning.ModelCard | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,8 +41,8 @@ class TrainingLookup:
     ``trouble``: why there are no training data.
     """
 
-    overview: TrainingSetOverview
-    runs: tuple[TrainingRun, ...]
+    overview: learning.TrainingSetOverview
+    runs: tuple[learning.TrainingRun, ...]
     in_use: ModelInUse | None
     trouble: str = ""
 
@@ -62,10 +50,10 @@ class TrainingLookup:
 class TrainingReader:
     """Reads training data. Caches the last episodes, so that another split reads nothing."""
 
-    def __init__(self, registry: ModelRegistry) -> None:
+    def __init__(self, registry: learning.ModelRegistry) -> None:
         self._registry = registry
         self._key: tuple[str, str] | None = None
-        self._found: Sequence[TrainingCandidate] = ()
+        self._found: Sequence[learning.TrainingCandidate] = ()
 
     def look(self, form: TrainingForm, *, refresh: bool) -> TrainingLookup:
         """Read data, training runs and registry."""
@@ -78,10 +66,10 @@ class TrainingReader:
         except InputError as error:
             found, trouble = (), f"{error.what} {error.fix}"
             self._key = None
-        seen = training_set_overview(
+        seen = learning.training_set_overview(
             found, form.piece, form.held_out / 100, form.seed, divide_series=form.divide_series
         )
-        runs = tuple(list_training_runs(data))
+        runs = tuple(learning.list_training_runs(data))
         piece = seen.piece or (runs[0].piece if runs else "")
         if not piece and (history := self._registry.history()):
             # Without data the model that was changed last can be rolled back.
@@ -93,10 +81,10 @@ class TrainingReader:
         if not piece:
             return None
         path, history = self._registry.in_use(piece), self._registry.history(piece)
-        sha256 = SHIPPED_MODEL if path is None else path.stem
+        sha256 = learning.SHIPPED_MODEL if path is None else path.stem
         since_ns = history[-1].at_ns if history else 0
         try:
-            card = load_card(model_in_use(piece, self._registry))
+            card = learning.load_card(model_in_use(piece, self._registry))
         except InputError:
             card = None
         probes = None
@@ -104,7 +92,7 @@ class TrainingReader:
             probes = self._registry.hardware_probes(card.weights_sha256)
         return ModelInUse(piece, sha256, self._registry.before(piece), since_ns, probes, card)
 
-    def promote(self, run: TrainingRun) -> ModelInUse | None:
+    def promote(self, run: learning.TrainingRun) -> ModelInUse | None:
         """Put the model of a training in use."""
         use = self._registry.promote(run.model, run=run.uuid)
         return self.in_use(use.piece)
@@ -114,11 +102,13 @@ class TrainingReader:
         self._registry.roll_back(piece)
         return self.in_use(piece)
 
-    def _candidates(self, form: TrainingForm, *, refresh: bool) -> Sequence[TrainingCandidate]:
+    def _candidates(
+        self, form: TrainingForm, *, refresh: bool
+    ) -> Sequence[learning.TrainingCandidate]:
         key = (form.data, form.labels)
         if refresh or key != self._key:
             labels = next(name for name in LABEL_CHOICES if name == form.labels)
-            self._found = training_candidates(Path(form.data), labels)
+            self._found = learning.training_candidates(Path(form.data), labels)
             self._key = key
         return self._found
 
@@ -129,15 +119,15 @@ def _label_hint(form: TrainingForm) -> str:
     review = "accept labels in Label (Ctrl+2) and let somebody else approve them"
     for name, text in LABEL_TITLES[names.index(form.labels) + 1 :]:
         labels = next(choice for choice in LABEL_CHOICES if choice == name)
-        if count := len(training_candidates(Path(form.data), labels)):
+        if count := len(learning.training_candidates(Path(form.data), labels)):
             would = f"Labels '{text}' would give {count_noun(count, 'episode')}."
             return f"No label counts yet. {would} Or {review}."
     return f"No label counts yet: {review}."
 
 
-def sample_scenes(run: TrainingRun) -> list[SampleScene]:
+def sample_scenes(run: learning.TrainingRun) -> list[SampleScene]:
     """Return the samples of a finished training. Raises ``InputError``."""
-    samples = load_samples(run.folder)
+    samples = learning.load_samples(run.folder)
     points = face_points(load_pieces().piece(run.piece).face)
     return [
         SampleScene(points, s.probability, s.truth, s.bottom, f"IoU {100 * s.iou:.0f} %")

@@ -15,18 +15,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from touchdown.backend import geometry
 from touchdown.backend.annotations.values import Label, canonical_json, content_hash
 from touchdown.backend.core import FloatArray, InputError, parse_json, write_atomically
-from touchdown.backend.geometry import (
-    Outline,
-    Piece,
-    Point,
-    circle,
-    convex_polygon,
-    face_points,
-    region,
-    true_patch,
-)
 
 VERSION = 1
 GRID_UM = 1000
@@ -46,7 +37,7 @@ class TruePatch:
 
     points_mm: FloatArray
     touching: NDArray[np.bool_]
-    centre_mm: Point
+    centre_mm: geometry.Point
 
 
 @dataclass(frozen=True)
@@ -54,20 +45,20 @@ class Pair:
     """Geometry of a grasped face above a bottom face."""
 
     sha256: str
-    face: Outline
-    bottom: Outline
-    centre_mm: Point
+    face: geometry.Outline
+    bottom: geometry.Outline
+    centre_mm: geometry.Point
     pitch_mm: float
 
     @cached_property
     def points_mm(self) -> FloatArray:
         """(N, 2) lattice of the grasped face; read-only."""
-        points = face_points(self.face, self.pitch_mm)
+        points = geometry.face_points(self.face, self.pitch_mm)
         points.flags.writeable = False
         return points
 
 
-def face_record(outline: Outline, com_xy_mm: Point = (0.0, 0.0)) -> Record:
+def face_record(outline: geometry.Outline, com_xy_mm: geometry.Point = (0.0, 0.0)) -> Record:
     """Return the record of a face; ``com_xy_mm``: centre of mass relative to the face's centre."""
     record: Record = {"kind": "face", "v": VERSION, "com_um": [_um(value) for value in com_xy_mm]}
     if outline.kind == "circle":
@@ -85,7 +76,7 @@ def face_record(outline: Outline, com_xy_mm: Point = (0.0, 0.0)) -> Record:
 GRID: Record = {"kind": "grid", "v": VERSION, "pitch_um": GRID_UM, "origin_um": [0, 0]}
 
 
-def pair_records(piece: Piece, bottom: Piece) -> dict[str, Record]:
+def pair_records(piece: geometry.Piece, bottom: geometry.Piece) -> dict[str, Record]:
     """Return the records of ``piece`` above ``bottom`` by hash; the pair comes last.
 
     Raises ``InputError`` if the centre of mass of ``piece`` is unknown.
@@ -108,7 +99,7 @@ class GeometryStore:
         self.patch: Callable[[str, Label], TruePatch] = lru_cache(maxsize=4096)(self._patch)
         self.pair: Callable[[str], Pair] = lru_cache(maxsize=256)(self._pair)
 
-    def store_pair(self, piece: Piece, bottom: Piece) -> str:
+    def store_pair(self, piece: geometry.Piece, bottom: geometry.Piece) -> str:
         """Write the missing records of a pair; return the hash of the pair."""
         records = pair_records(piece, bottom)
         for name, record in records.items():
@@ -153,27 +144,27 @@ class GeometryStore:
             touching = np.zeros(len(pair.points_mm), dtype=np.bool_)
         else:
             yaw_rad = math.radians((label.theta_mdeg or 0) / 1e3)
-            touching = true_patch(pair.points_mm, label.offset_mm, pair.bottom, yaw_rad)
+            touching = geometry.true_patch(pair.points_mm, label.offset_mm, pair.bottom, yaw_rad)
         touching.flags.writeable = False
         return TruePatch(pair.points_mm, touching, pair.centre_mm)
 
 
-def _outline(record: Mapping[str, Any]) -> Outline:
+def _outline(record: Mapping[str, Any]) -> geometry.Outline:
     if record["shape"] == "circle":
-        return circle(record["d_um"] / 1e3)
+        return geometry.circle(record["d_um"] / 1e3)
     if record["shape"] == "region":
-        return region(
+        return geometry.region(
             (_ring_mm(part["exterior"]), [_ring_mm(hole) for hole in part["holes"]])
             for part in record["parts_um"]
         )
-    return convex_polygon(_ring_mm(record["vertices_um"]))
+    return geometry.convex_polygon(_ring_mm(record["vertices_um"]))
 
 
-def _ring_um(ring: Sequence[Point]) -> list[list[int]]:
+def _ring_um(ring: Sequence[geometry.Point]) -> list[list[int]]:
     return [[_um(x), _um(y)] for x, y in ring]
 
 
-def _ring_mm(ring_um: Sequence[Sequence[int]]) -> tuple[Point, ...]:
+def _ring_mm(ring_um: Sequence[Sequence[int]]) -> tuple[geometry.Point, ...]:
     return tuple((x / 1e3, y / 1e3) for x, y in ring_um)
 
 

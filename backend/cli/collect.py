@@ -9,6 +9,7 @@ from contextlib import ExitStack
 from importlib.resources import files
 from pathlib import Path
 
+from touchdown.backend import core
 from touchdown.backend.annotations import Dataset, EpisodeFilter
 from touchdown.backend.bench import Session
 from touchdown.backend.cli import connection
@@ -19,17 +20,6 @@ from touchdown.backend.cli.output import (
     require_positive,
 )
 from touchdown.backend.config import CollectSettings, RecordingPlan, StackSettings, read_settings
-from touchdown.backend.core import (
-    CampaignBegan,
-    Event,
-    Gripped,
-    HandOverAwaited,
-    InputError,
-    MountingAwaited,
-    Paused,
-    ProbeCollected,
-    data_folder,
-)
 from touchdown.backend.episodes import Coverage, check_quality
 from touchdown.backend.runs import (
     CollectRequest,
@@ -93,7 +83,7 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     args.hand_over |= connection.at_lab(args)
     connection.refuse_hidden_prompt(args, screen)
     folder = Path(args.dataset) if args.dataset else dataset_folder()
-    runs = Path(args.runs) if args.runs else data_folder() / "runs"
+    runs = Path(args.runs) if args.runs else core.data_folder() / "runs"
     keep = RecordingOptions(runs, episodes=False)
     person = args.person or getpass.getuser()
     with Dataset.open(
@@ -126,32 +116,32 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
 class _CollectionProgress(connection.RunProgress):
     """Events of a campaign so far."""
 
-    began: CampaignBegan | None = None
+    began: core.CampaignBegan | None = None
 
     def __init__(self, screen: VerbOutput, bars: ExitStack, session: Session) -> None:
         super().__init__("Collecting", screen, bars)
         self._confirm, self._engine = session.answer, session.engine
 
-    def take(self, fact: Event) -> None:
+    def take(self, fact: core.Event) -> None:
         """Handle one event."""
         super().take(fact)
-        if isinstance(fact, CampaignBegan | ProbeCollected):
+        if isinstance(fact, core.CampaignBegan | core.ProbeCollected):
             self.move(fact.done, fact.total, f"of {fact.total}")
-        if isinstance(fact, CampaignBegan):
+        if isinstance(fact, core.CampaignBegan):
             self.began = fact
-        elif isinstance(fact, ProbeCollected):
+        elif isinstance(fact, core.ProbeCollected):
             if fact.reasons:
                 self.screen.say(f"  probe {fact.probe} is not an observation: {fact.reasons}")
-        elif isinstance(fact, Gripped):
+        elif isinstance(fact, core.Gripped):
             at = f"mounting {fact.mounting}, grip {fact.grip}"
             self.screen.say(f"  {at}: {fact.mass_g:.1f} g held")
-        elif isinstance(fact, MountingAwaited):
+        elif isinstance(fact, core.MountingAwaited):
             self.screen.say(f"  {mounting_question(fact)} Type y for yes; Enter: no.")
             self._confirm(sys.stdin.readline().strip().lower() in ("y", "yes"))
-        elif isinstance(fact, HandOverAwaited):
+        elif isinstance(fact, core.HandOverAwaited):
             self.screen.say(f"  {hand_over_message(fact)} Enter confirms.")
             self._confirm(sys.stdin.readline() != "")
-        elif isinstance(fact, Paused):
+        elif isinstance(fact, core.Paused):
             if connection.wait_for_disk_space(fact.fault, self.screen, "campaign"):
                 self._engine.resume()
             else:
@@ -182,7 +172,7 @@ def _request(
 ) -> CollectRequest:
     campaign = newest_campaign(dataset.folder) if args.resume else ""
     if campaign is None:
-        raise InputError(
+        raise core.InputError(
             "This dataset has no campaign.", str(dataset.folder), "Collect without --resume."
         )
     named = {"stage", "rest_s", "depth_mm", "ramp_fraction", "grip_force_n"}

@@ -11,24 +11,9 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from touchdown.backend import core
 from touchdown.backend.cli.output import AdvanceFunction, VerbOutput
 from touchdown.backend.config import is_lab_file, load_lab
-from touchdown.backend.core import (
-    CommandNotifier,
-    Event,
-    Fault,
-    FaultRaised,
-    HandOverAwaited,
-    InputError,
-    Noticed,
-    Outcome,
-    OutcomeAwaited,
-    Paused,
-    RunFinished,
-    Said,
-    SetUpAwaited,
-    raised_priority,
-)
 from touchdown.backend.emulation import FaultPlan, load_faults, parse_fault
 from touchdown.backend.runs import (
     calibrations_folder,
@@ -116,7 +101,7 @@ def add_hand_over_arguments(parser: argparse.ArgumentParser) -> None:
 def refuse_hidden_prompt(args: argparse.Namespace, screen: VerbOutput) -> None:
     """Raise ``InputError`` for a hand-over whose prompt would not be shown."""
     if args.hand_over and screen.json:
-        raise InputError(
+        raise core.InputError(
             "With --json the prompt for the piece is not shown.", "--hand-over", "Leave out --json."
         )
 
@@ -145,9 +130,11 @@ def refuse_misplaced_arguments(args: argparse.Namespace) -> None:
         if getattr(args, name):
             bench = "simulated and emulated benches" if lab else "benches with a lab file"
             fix = "Leave it out." if lab else "Name a lab file with --bench."
-            raise InputError(f"This argument is for {bench} only.", f"--{name}", fix)
+            raise core.InputError(f"This argument is for {bench} only.", f"--{name}", fix)
     if args.faults and not args.emulated:
-        raise InputError("A fault plan is for emulated devices.", "--faults", "Add --emulated.")
+        raise core.InputError(
+            "A fault plan is for emulated devices.", "--faults", "Add --emulated."
+        )
 
 
 @contextmanager
@@ -183,7 +170,7 @@ def open_bench(
         notifier = _notifier(args, screen, rest)
         if file is not None and at_lab(args):
             # Before the first thread, so that all threads inherit it.
-            rest.enter_context(raised_priority())
+            rest.enter_context(core.raised_priority())
             session = lab_session(
                 LabChoice(file, pieces, **lab), keep=keep, method=method, registry=registry
             )
@@ -196,7 +183,7 @@ def open_bench(
             return
         if args.emulated:
             # Before the first thread, as above.
-            rest.enter_context(raised_priority())
+            rest.enter_context(core.raised_priority())
             plan = load_faults(args.faults) if args.faults else FaultPlan()
             faults = (*plan.fault, *map(parse_fault, args.inject))
             plan = plan.model_copy(update={"fault": faults})
@@ -220,11 +207,11 @@ def open_bench(
 
 def _notifier(
     args: argparse.Namespace, screen: VerbOutput, rest: ExitStack
-) -> Callable[[Event], None]:
+) -> Callable[[core.Event], None]:
     """Return what calls a person; raises ``InputError`` for a command that cannot be run."""
     if not args.notify:
         return lambda event: None
-    notifier = CommandNotifier(args.notify, screen.say)
+    notifier = core.CommandNotifier(args.notify, screen.say)
     rest.callback(notifier.close)
     return notifier.take
 
@@ -311,16 +298,16 @@ class RunProgress:
     def __init__(self, title: str, screen: VerbOutput, bars: ExitStack) -> None:
         self._title, self.screen, self._bars = title, screen, bars
         self._advance: AdvanceFunction | None = None
-        self.ended: RunFinished | None = None
+        self.ended: core.RunFinished | None = None
         self.faults: list[str] = []
 
-    def take(self, fact: Event) -> None:
+    def take(self, fact: core.Event) -> None:
         """Handle one event."""
-        if isinstance(fact, Said | Noticed):
+        if isinstance(fact, core.Said | core.Noticed):
             self.screen.say(f"  {fact.text}")
-        elif isinstance(fact, FaultRaised):
+        elif isinstance(fact, core.FaultRaised):
             self.faults.append(fact.fault.code)
-        elif isinstance(fact, RunFinished):
+        elif isinstance(fact, core.RunFinished):
             self.ended = fact
 
     def move(self, done: int, total: int, text: str) -> None:
@@ -331,33 +318,35 @@ class RunProgress:
 
 
 OUTCOME_KEYS = {
-    "s": Outcome.PLACED,
-    "f": Outcome.FELL,
-    "d": Outcome.KNOCKED_OVER,
-    "v": Outcome.ABORTED,
+    "s": core.Outcome.PLACED,
+    "f": core.Outcome.FELL,
+    "d": core.Outcome.KNOCKED_OVER,
+    "v": core.Outcome.ABORTED,
 }
 OUTCOME_HELP = "s: stands, f: fell, d: disturbed, v and reason: void. Enter: as proposed."
 
 
-def answer_prompt(fact: Event, session: Session, screen: VerbOutput) -> None:
+def answer_prompt(fact: core.Event, session: Session, screen: VerbOutput) -> None:
     """Print the question of an event and answer it; bench and STOP stay responsive."""
-    if isinstance(fact, SetUpAwaited | HandOverAwaited):
-        if isinstance(fact, SetUpAwaited):
+    if isinstance(fact, core.SetUpAwaited | core.HandOverAwaited):
+        if isinstance(fact, core.SetUpAwaited):
             screen.say(f"  {scene_to_set_message(fact)} Enter: ready. Ctrl-D: end the run.")
         else:
             screen.say(f"  {hand_over_message(fact)} Enter confirms.")
         _read_line_in_thread(lambda line: session.answer(line != ""))
-    elif isinstance(fact, OutcomeAwaited):
+    elif isinstance(fact, core.OutcomeAwaited):
         screen.say(f"  {outcome_question(fact)} {OUTCOME_HELP}")
         _read_line_in_thread(lambda line: _judge(line, fact, session, screen))
     # Real devices are not left unattended: the run ends.
-    elif isinstance(fact, Paused) and wait_for_disk_space(
+    elif isinstance(fact, core.Paused) and wait_for_disk_space(
         fact.fault, screen, "run", waits=session.simulated
     ):
         session.engine.resume()
 
 
-def wait_for_disk_space(fault: Fault, screen: VerbOutput, what: str, *, waits: bool = True) -> bool:
+def wait_for_disk_space(
+    fault: core.Fault, screen: VerbOutput, what: str, *, waits: bool = True
+) -> bool:
     """Print the reason of a pause and wait for the operator; False without one."""
     screen.say(f"  {fault.what} {fault.consequence}")
     if screen.json or not waits:
@@ -366,19 +355,19 @@ def wait_for_disk_space(fault: Fault, screen: VerbOutput, what: str, *, waits: b
     return sys.stdin.readline() != ""
 
 
-def parse_outcome(line: str, proposed: OutcomeAwaited) -> tuple[Outcome, str] | None:
+def parse_outcome(line: str, proposed: core.OutcomeAwaited) -> tuple[core.Outcome, str] | None:
     """Return the outcome in a line, None if there is none; a void trial needs a reason."""
     word, _, reason = line.strip().partition(" ")
     if not word:
-        reason = proposed.why if proposed.proposed is Outcome.ABORTED else ""
+        reason = proposed.why if proposed.proposed is core.Outcome.ABORTED else ""
         return proposed.proposed, reason
     outcome = OUTCOME_KEYS.get(word.lower())
-    if outcome is None or (outcome is Outcome.ABORTED and not reason.strip()):
+    if outcome is None or (outcome is core.Outcome.ABORTED and not reason.strip()):
         return None
     return outcome, reason.strip()
 
 
-def _judge(line: str, fact: OutcomeAwaited, session: Session, screen: VerbOutput) -> None:
+def _judge(line: str, fact: core.OutcomeAwaited, session: Session, screen: VerbOutput) -> None:
     while line:
         said = parse_outcome(line, fact)
         if said is not None:
@@ -386,7 +375,7 @@ def _judge(line: str, fact: OutcomeAwaited, session: Session, screen: VerbOutput
             return
         screen.say(f"  {OUTCOME_HELP}")
         line = sys.stdin.readline()
-    session.prompt.see(Outcome.ABORTED, "no outcome was entered")
+    session.prompt.see(core.Outcome.ABORTED, "no outcome was entered")
 
 
 def _read_line_in_thread(take: Callable[[str], None]) -> None:

@@ -7,21 +7,9 @@ from math import isnan
 from pathlib import Path
 from typing import get_args
 
+from touchdown.backend import geometry
 from touchdown.backend.cli.output import VerbOutput
 from touchdown.backend.core import InputError
-from touchdown.backend.geometry import (
-    UNITS_MM,
-    CentreOfMass,
-    MeasuredPiece,
-    Piece,
-    PieceEnd,
-    PieceImport,
-    PieceRole,
-    load_pieces,
-    measure_piece,
-    piece_name,
-    save_piece,
-)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -32,18 +20,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--face",
-        choices=get_args(PieceEnd),
+        choices=get_args(geometry.PieceEnd),
         help="side of the mesh that is the contact face (default: bottom; of a bottom: top)",
     )
     parser.add_argument(
         "--role",
-        choices=get_args(PieceRole),
+        choices=get_args(geometry.PieceRole),
         default="top",
         help="top: is grasped and placed; bottom: is stacked upon; both",
     )
     parser.add_argument(
         "--units",
-        choices=tuple(UNITS_MM),
+        choices=tuple(geometry.UNITS_MM),
         help="unit of the file (default: the one named in it, mm)",
     )
     parser.add_argument("--density", type=float, metavar="G_CM3", help="uniform density")
@@ -54,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="height of the grip above the face (default: 0.7 of the height)",
     )  # fmt: skip
     parser.add_argument(
-        "--com", choices=get_args(CentreOfMass),
+        "--com", choices=get_args(geometry.CentreOfMass),
         help="centre of mass: uniform density, or unknown and weighed by each run (default: "
         "uniform, but unknown for an outline with --mass)",
     )  # fmt: skip
@@ -80,12 +68,12 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
 
 def _add(args: argparse.Namespace, screen: VerbOutput) -> int:
     source = Path(args.source)
-    wanted = PieceImport(
+    wanted = geometry.PieceImport(
         args.face, args.role, args.units, args.density, args.mass, args.height, args.grip, args.com
     )
-    measured = measure_piece(source, wanted)
-    name = args.name or piece_name(source)
-    written, picture = save_piece(measured, name, args.title, args.out)
+    measured = geometry.measure_piece(source, wanted)
+    name = args.name or geometry.piece_name(source)
+    written, picture = geometry.save_piece(measured, name, args.title, args.out)
     screen.say(f"Piece '{name}' is written to {written}, its picture to {picture}.")
     for line in (*_words(measured), *measured.notes):
         screen.say(line)
@@ -110,7 +98,7 @@ def _add(args: argparse.Namespace, screen: VerbOutput) -> int:
     return 0
 
 
-def _words(piece: MeasuredPiece) -> tuple[str, ...]:
+def _words(piece: geometry.MeasuredPiece) -> tuple[str, ...]:
     x, y, z = piece.com_mm
     holes = sum(len(part.interiors) for part in piece.face.geoms)
     grip = "" if piece.width_mm is None else (
@@ -130,7 +118,7 @@ def _words(piece: MeasuredPiece) -> tuple[str, ...]:
 
 
 def _list(args: argparse.Namespace, screen: VerbOutput) -> int:
-    library = load_pieces(args.pieces)
+    library = geometry.load_pieces(args.pieces)
     pieces = [library.pieces[name] for name in sorted(library.pieces)]
     rows = [
         (p.name, p.title, ", ".join(p.roles), f"{p.height_mm:.1f}", f"{p.mass_g:.1f}", p.source)
@@ -148,14 +136,14 @@ def _list(args: argparse.Namespace, screen: VerbOutput) -> int:
 
 
 def _show(args: argparse.Namespace, screen: VerbOutput) -> int:
-    piece = load_pieces(args.pieces).piece(args.source)
+    piece = geometry.load_pieces(args.pieces).piece(args.source)
     facts = _facts(piece)
     screen.table(piece.title, ("", ""), *((key, str(value)) for key, value in facts.items()))
     screen.result(facts)
     return 0
 
 
-def _facts(piece: Piece) -> dict[str, object]:
+def _facts(piece: geometry.Piece) -> dict[str, object]:
     return {
         "name": piece.name, "title": piece.title, "roles": list(piece.roles),
         "height_mm": piece.height_mm, "mass_g": piece.mass_g,

@@ -11,23 +11,11 @@ from typing import TYPE_CHECKING, get_args
 
 from rich.table import Table
 
+from touchdown.backend import core
 from touchdown.backend.cli import connection
 from touchdown.backend.cli.output import VerbOutput, ctrl_c_cancels, require_positive, text_table
 from touchdown.backend.cli.settings import load_method
 from touchdown.backend.config import StackSettings, TowerSettings
-from touchdown.backend.core import (
-    ApprovalAwaited,
-    Event,
-    FaultRaised,
-    InputError,
-    Noticed,
-    Outcome,
-    PhaseEntered,
-    Said,
-    TrialFinished,
-    TrialStarted,
-    data_folder,
-)
 from touchdown.backend.runs import (
     DecisionMode,
     RecordingOptions,
@@ -91,17 +79,17 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     lab = connection.at_lab(args)
     connection.refuse_misplaced_arguments(args)
     if not lab and any(args.origin):
-        raise InputError(
+        raise core.InputError(
             "This argument is for real devices only.", "--origin", "Name a lab file with --bench."
         )
     connection.fill_in_scene(args, BOTTOM)
     mode: DecisionMode = args.mode or ("approve" if lab else "auto")
     if mode != "auto" and screen.json:
-        raise InputError(
+        raise core.InputError(
             "With --json the moves to approve are not shown.", "--mode", "Leave out --json."
         )
     if lab and screen.json:
-        raise InputError("Trials on devices ask their operator.", "--json", "Leave it out.")
+        raise core.InputError("Trials on devices ask their operator.", "--json", "Leave it out.")
     request = StackRequest(
         piece=args.piece,
         bottoms=tuple(args.bottom.split("+")),
@@ -113,7 +101,7 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
         origin_mm=(args.origin[0], args.origin[1]),
         weigh=args.weigh,
     )
-    runs = Path(args.runs) if args.runs else data_folder() / "runs"
+    runs = Path(args.runs) if args.runs else core.data_folder() / "runs"
     keep = RecordingOptions(runs, episodes=not args.no_episodes)
     method = _method(args, request)
     with connection.open_bench(
@@ -121,9 +109,9 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     ) as session:
         bench = session.name or f"{'emulated' if args.emulated else 'simulated'} bench"
 
-        def take(fact: Event) -> None:
+        def take(fact: core.Event) -> None:
             narrate(fact, screen, bench)
-            if isinstance(fact, ApprovalAwaited):
+            if isinstance(fact, core.ApprovalAwaited):
                 action = fact.action
                 step = ", ".join(f"{value:+.1f} mm" for value in action.step_mm)
                 text = action.reason if action.kind == "ask" else f"{action.kind} ({step})?"
@@ -142,7 +130,7 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
             guard = session.guard_of(request.method(session.method))
             if guard is None:
                 fix = "Leave it out, or name the strategy and bench of a calibrated network."
-                raise InputError("No signals are compared in this run.", "--reset-guard", fix)
+                raise core.InputError("No signals are compared in this run.", "--reset-guard", fix)
             guard.reset(args.reset_guard)
         with ctrl_c_cancels(session.engine.cancel), connection.held_piece_reported(session, screen):
             result = session.run(request)
@@ -153,7 +141,7 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     if result.run_folder is not None:
         screen.say(f"Kept in {result.run_folder}")
     screen.result({**_result(request, result, session), "bench": bench})
-    placed = [t for t in result.trials if t.outcome is Outcome.PLACED]
+    placed = [t for t in result.trials if t.outcome is core.Outcome.PLACED]
     return 0 if len(placed) == request.trials and not result.faults else 1
 
 
@@ -164,7 +152,7 @@ def _method(args: argparse.Namespace, request: StackRequest) -> StackSettings | 
         return method
     x, y, sigma = args.below
     if len(request.bottoms) != 2 or not sigma > 0.0:
-        raise InputError(
+        raise core.InputError(
             "This needs a tower of two bottoms and a positive uncertainty.",
             "--below",
             "Name both with --bottom LOWER+UPPER; for higher towers use --method.",
@@ -173,30 +161,30 @@ def _method(args: argparse.Namespace, request: StackRequest) -> StackSettings | 
     return (method or StackSettings()).model_copy(update={"tower": tower})
 
 
-def narrate(fact: Event, screen: VerbOutput, bench: str = "simulated bench") -> None:
+def narrate(fact: core.Event, screen: VerbOutput, bench: str = "simulated bench") -> None:
     """Print an event for people, if it has a text."""
-    if isinstance(fact, TrialStarted):
+    if isinstance(fact, core.TrialStarted):
         screen.say(f"Trial {fact.trial}, seed {fact.seed} ({bench})")
-    elif isinstance(fact, Said | Noticed):
+    elif isinstance(fact, core.Said | core.Noticed):
         screen.say(f"  {fact.t_s:6.2f} s  {fact.text}")
-    elif isinstance(fact, PhaseEntered) and fact.phase in ("unload", "release"):
+    elif isinstance(fact, core.PhaseEntered) and fact.phase in ("unload", "release"):
         screen.say(f"  {fact.t_s:6.2f} s  {fact.phase}")
-    elif isinstance(fact, FaultRaised) and fact.fault.code != INPUT_CODE:
+    elif isinstance(fact, core.FaultRaised) and fact.fault.code != INPUT_CODE:
         fault = fact.fault
         screen.say(
             f"  {fact.t_s:6.2f} s  FAULT {fault.code}: {fault.what} {fault.consequence} "
             f"{fault.next_step}"
         )
-    elif isinstance(fact, TrialFinished):
+    elif isinstance(fact, core.TrialFinished):
         word = fact.outcome.value.replace("_", " ")
         screen.say(f"  {fact.t_s:6.2f} s  {word}: {fact.reason}")
 
 
 def trial_table(
-    trials: Sequence[TrialFinished], pieces: Sequence[str] = (), bench: str = "simulated"
+    trials: Sequence[core.TrialFinished], pieces: Sequence[str] = (), bench: str = "simulated"
 ) -> Table:
     """Return the result table of a run; ``pieces``: a first column, one per trial."""
-    placed = sum(t.outcome is Outcome.PLACED for t in trials)
+    placed = sum(t.outcome is core.Outcome.PLACED for t in trials)
     rows = []
     for index, t in enumerate(trials):
         margin = "" if t.margin_mm is None else f"{t.margin_mm:+.2f}"

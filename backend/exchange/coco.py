@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from touchdown.backend import episodes
 from touchdown.backend.annotations import Dataset, Label, Pair, content_hash
 from touchdown.backend.core import (
     FINGERS,
@@ -22,20 +23,6 @@ from touchdown.backend.core import (
     ImageArray,
     InputError,
     parse_json,
-)
-from touchdown.backend.episodes import (
-    HOMOGRAPHY_KEY,
-    IMAGE_TOPICS,
-    MARKER_TOPICS,
-    OBSERVATION_TOPIC,
-    SCENE_TOPIC,
-    TACTILE_PX,
-    ChunkContents,
-    decode_image,
-    read_whole,
-    stamps_ns,
-    unpack_image,
-    unpack_markers,
 )
 from touchdown.backend.exchange.exports import ExportJob
 from touchdown.backend.exchange.label_import import ImportedLabel, label_file
@@ -80,7 +67,9 @@ def write(job: ExportJob, folder: Path) -> Mapping[str, object]:
     for one in job.chosen:
         pair = job.dataset.geometry.pair(one.revision.geometry)
         path = job.dataset.folder / one.entry.path
-        contents = ChunkContents() if one.entry.mode == "mass" else read_whole(path)
+        contents = (
+            episodes.ChunkContents() if one.entry.mode == "mass" else episodes.read_whole(path)
+        )
         canvas, picture = _scene(contents) or (drawn_canvas(pair), None)
         name = f"{one.revision.geometry[:16] if picture is None else one.entry.uuid}-scene.png"
         if not (folder / PICTURES / name).exists():
@@ -90,7 +79,7 @@ def write(job: ExportJob, folder: Path) -> Mapping[str, object]:
         for finger, (suffix, encoded, markers) in _tactile(contents).items():
             name = f"{one.entry.uuid}-{finger}.{suffix}"
             (folder / PICTURES / name).write_bytes(encoded)
-            add(one, name, TACTILE_PX, [markers])
+            add(one, name, episodes.TACTILE_PX, [markers])
         job.advance(one.index + 1)
     selected = content_hash([[o.entry.uuid, o.revision.rev_uuid] for o in job.chosen])
     info = {"description": "contact patches", "revisions_sha256": selected}
@@ -143,34 +132,36 @@ def _drawn(px_per_mm: float, origin_px: Sequence[float]) -> Homography:
     return Homography(matrix, 0.0)
 
 
-def _scene(contents: ChunkContents) -> tuple[Canvas, ImageArray] | None:
+def _scene(contents: episodes.ChunkContents) -> tuple[Canvas, ImageArray] | None:
     """Return canvas and picture of the scene camera while pressed, None without them."""
-    messages = contents.messages.get(SCENE_TOPIC.name)
+    messages = contents.messages.get(episodes.SCENE_TOPIC.name)
     pairs = dict(parse_json(contents.metadata["pairs"]["items"])) if messages else {}
-    if not messages or HOMOGRAPHY_KEY not in pairs:
+    if not messages or episodes.HOMOGRAPHY_KEY not in pairs:
         return None
-    picture = decode_image(unpack_image(messages[0])[1])
+    picture = episodes.decode_image(episodes.unpack_image(messages[0])[1])
     size = (picture.shape[1], picture.shape[0])
-    return Canvas(Homography.parse(pairs[HOMOGRAPHY_KEY]), size), picture
+    return Canvas(Homography.parse(pairs[episodes.HOMOGRAPHY_KEY]), size), picture
 
 
-def _tactile(contents: ChunkContents) -> dict[Finger, tuple[str, bytes, dict[str, object]]]:
+def _tactile(
+    contents: episodes.ChunkContents,
+) -> dict[Finger, tuple[str, bytes, dict[str, object]]]:
     """Return the encoded picture of each finger nearest to the last tick, and its markers."""
     found: dict[Finger, tuple[str, bytes, dict[str, object]]] = {}
     for finger in FINGERS:
-        images = contents.messages.get(IMAGE_TOPICS[finger].name)
-        fields = contents.messages.get(MARKER_TOPICS[finger].name)
+        images = contents.messages.get(episodes.IMAGE_TOPICS[finger].name)
+        fields = contents.messages.get(episodes.MARKER_TOPICS[finger].name)
         if images and fields:
-            last_ns = stamps_ns(contents.messages[OBSERVATION_TOPIC.name])[-1]
-            image = images[int(np.abs(stamps_ns(images) - last_ns).argmin())]
-            at = int(np.abs(stamps_ns(fields) - stamps_ns([image])).argmin())
-            markers = unpack_markers(fields[at : at + 1])
+            last_ns = episodes.stamps_ns(contents.messages[episodes.OBSERVATION_TOPIC.name])[-1]
+            image = images[int(np.abs(episodes.stamps_ns(images) - last_ns).argmin())]
+            at = int(np.abs(episodes.stamps_ns(fields) - episodes.stamps_ns([image])).argmin())
+            markers = episodes.unpack_markers(fields[at : at + 1])
             # Seen, inferred and lost are visible, not visible and not labelled.
             visible = VISIBLE - markers.state[0].astype(int)
             points = np.column_stack([markers.position_px[0].round(DECIMALS), visible])
             points[visible == 0] = 0.0
-            box = [0.0, 0.0, *map(float, TACTILE_PX)]
-            found[finger] = *unpack_image(image), {
+            box = [0.0, 0.0, *map(float, episodes.TACTILE_PX)]
+            found[finger] = *episodes.unpack_image(image), {
                 "category_id": GEL, "bbox": box, "area": box[2] * box[3], "segmentation": [],
                 "keypoints": points.ravel().tolist(), "num_keypoints": int((visible > 0).sum()),
             }  # fmt: skip

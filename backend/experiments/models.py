@@ -12,23 +12,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from touchdown.backend import learning
 from touchdown.backend.core import FloatArray, InputError
 from touchdown.backend.experiments.tables import MODELS, Recipe
 from touchdown.backend.experiments.trials import BatchModel
 from touchdown.backend.geometry import Piece, face_points
 from touchdown.backend.jobs import JobSpec, JobStore
-from touchdown.backend.learning import (
-    Checkpoint,
-    ModelCard,
-    card_path,
-    check_face,
-    load_card,
-    load_checkpoint,
-    load_network,
-    modality_columns,
-    predict,
-    save_half_precision,
-)
 
 WEIGHTS = "model.safetensors"
 
@@ -44,7 +33,7 @@ def adopt_models(store: JobStore, *folders: Path) -> dict[tuple[str, str], str]:
     for folder in folders:
         own: dict[tuple[str, str], str] = {}
         for path in sorted(folder.glob("*.safetensors")):
-            card = load_card(path)
+            card = learning.load_card(path)
             if (card.modality, card.answers) not in names:
                 continue
             key = (card.piece, names[card.modality, card.answers])
@@ -70,26 +59,26 @@ def keep_models(store: JobStore, recipe: Recipe, folder: Path) -> list[Path]:
             source = recipe.training(piece, name).id
             if store.has(source):
                 path = folder / f"{piece}-{name.lower()}.safetensors"
-                save_half_precision(path, load_model(source, store))
+                learning.save_half_precision(path, load_model(source, store))
                 written.append(path)
     return written
 
 
-def load_model(source: str, store: JobStore) -> Checkpoint:
+def load_model(source: str, store: JobStore) -> learning.Checkpoint:
     """Return the model of job ``source``: its training result, or a file adopted under this id."""
     if not store.has(source):
         raise InputError("There is no such model.", source, "Run the campaign from its beginning.")
-    return load_checkpoint(store.folder(source) / WEIGHTS)
+    return learning.load_checkpoint(store.folder(source) / WEIGHTS)
 
 
-def _adopt(store: JobStore, path: Path, card: ModelCard) -> str:
+def _adopt(store: JobStore, path: Path, card: learning.ModelCard) -> str:
     weights_sha256 = card.weights_sha256
     fitted = {} if card.calibration is None else {"calibration": card.calibration.model_dump()}
     spec = JobSpec("model", {"weights_sha256": weights_sha256, **fitted})
     if not store.has(spec.id):
         with store.writing(spec) as part:
             shutil.copyfile(path, part / WEIGHTS)
-            shutil.copyfile(card_path(path), card_path(part / WEIGHTS))
+            shutil.copyfile(learning.card_path(path), learning.card_path(part / WEIGHTS))
             store.finish(spec, part, {"weights_sha256": weights_sha256})
     return spec.id
 
@@ -101,13 +90,13 @@ def shipped_model_folders(preset: str) -> list[Path]:
     return [folder, own] if own.is_dir() else [folder]
 
 
-def batch_model(checkpoint: Checkpoint, piece: Piece) -> BatchModel:
+def batch_model(checkpoint: learning.Checkpoint, piece: Piece) -> BatchModel:
     """Return ``checkpoint`` for batches; raises ``InputError`` if it belongs to another piece."""
     card = checkpoint.card
-    check_face(card, piece.name, piece.sha256, card.weights_sha256[:12])
-    net, part = load_network(checkpoint), modality_columns(card.modality)
+    learning.check_face(card, piece.name, piece.sha256, card.weights_sha256[:12])
+    net, part = learning.load_network(checkpoint), learning.modality_columns(card.modality)
 
     def probability(observation: NDArray[np.float32]) -> FloatArray:
-        return predict(net, observation, part).astype(np.float64)
+        return learning.predict(net, observation, part).astype(np.float64)
 
     return BatchModel(probability, face_points(piece.face), card.base_rate, card.calibration)

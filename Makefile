@@ -3,7 +3,7 @@
 SHELL := /bin/bash
 .SHELLFLAGS := -eu -o pipefail -c
 .DEFAULT_GOAL := help
-.PHONY: help setup run demo test check lint types contracts format bench campaign fuzz screens pictures models exchange-check docs docs-links bundle release clean
+.PHONY: help setup run demo test check lint types contracts format bench campaign fuzz screens pictures models exchange-check cluster-check docs docs-links bundle release clean
 
 export PYTHON
 # Compiled once, not by every process again, also where the environment forbids to keep it.
@@ -13,6 +13,7 @@ TESTS ?= tests
 WORKERS ?= 2
 MINUTES ?= 10
 GROUP ?=
+PART ?=
 # Where so much is free in memory, tests write there: they flush thousands of small files.
 MEMORY_MB := 6000
 # From CPython 3.12 on, the monitoring of the interpreter measures coverage at no cost.
@@ -70,8 +71,9 @@ format: setup ## rewrite the sources in the house style
 bench: setup ## measure every figure and write docs/measured.md (GROUP=name for one group)
 	@QT_QPA_PLATFORM=offscreen OMP_NUM_THREADS=1 $(BIN)/python -m tests.bench.run --save $(GROUP)
 
-campaign: setup ## strike every device and process 600 times (40 min; resumes; writes docs/faults.md)
-	@QT_QPA_PLATFORM=offscreen OMP_NUM_THREADS=1 $(BIN)/python -m tests.bench.campaign
+campaign: setup ## strike every device and process 600 times (40 min; resumes; PART=shards: kill workers)
+	@QT_QPA_PLATFORM=offscreen OMP_NUM_THREADS=1 $(BIN)/python -m \
+	    $(if $(PART),tests.bench.run --save $(PART),tests.bench.campaign)
 
 fuzz: setup ## feed damaged bytes to every wire decoder (10 min each; MINUTES=1 for less)
 	@OMP_NUM_THREADS=1 $(BIN)/python -m tests.fuzz.wire --minutes $(MINUTES)
@@ -94,6 +96,9 @@ docs-links: setup ## check the external links of the documents (needs the networ
 
 exchange-check: setup ## load an export with the real readers (installs them separately: several GB)
 	@.ci/exchange-check
+
+cluster-check: setup ## run jobs on a Slurm of one node, started here (Debian packages, root)
+	@.ci/cluster-check
 
 bundle: setup ## build the application bundle for Linux, in dist (an environment of its own)
 	@.ci/bundle/build

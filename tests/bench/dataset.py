@@ -2,25 +2,38 @@
 
 import json
 import os
+import resource
 import shutil
 import sqlite3
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from pathlib import Path
 
+import h5py
 import numpy as np
+from numpy.typing import NDArray
 
 from tests.backend.annotations.filling import fill, make_files
-from tests.bench.figures import Figure, at_least, at_most, figure, stated
+from tests.bench.figures import Figure, at_least, at_most, figure, paired, stated
 from touchdown.backend.annotations import Dataset, EpisodeFilter, Label
 from touchdown.backend.annotations.reconciliation import check_catalogue
-from touchdown.backend.annotations.training_set import CacheRow, TrainingCache, open_cache
+from touchdown.backend.annotations.training_set import (
+    CacheRow,
+    TrainingCache,
+    load_training_set,
+    open_cache,
+    stored_observation,
+)
+from touchdown.backend.config import load_simulation
 from touchdown.backend.episodes.mcap_container import read_chunks
 from touchdown.backend.episodes.packs import MAX_EPISODES, PackedEpisode, PackWriter
+from touchdown.backend.experiments.collection import batch_plan, episode_rows, split_jobs
+from touchdown.backend.geometry import load_pieces
+from touchdown.backend.simulation import simulate_episodes
 
 EPISODES = 100_000
 APPROVED = 10_000
@@ -227,4 +240,144 @@ def two_hundred_kills() -> list[Figure]:
         Figure("lost or torn after kill -9", str(lost), "", "0", lost == 0, said),
         Figure("slowest start after a kill", answer["slowest_restart_s"], "s",
                "<= 2 per 1,000 episodes", answer["slowest_restart_s"] <= 2.0),
+    ]  # fmt: skip
+
+
+STORED, READ = 500, 200
+
+
+def _rows(count: int) -> list[PackedEpisode]:
+    """Return simulated episodes, which compress as real ones."""
+    settings, library = load_simulation(), load_pieces()
+    plan = batch_plan(library.top("pot"), library.bottom("circle25"), settings, count, 1, 50, 10)
+    (job,) = split_jobs(plan, {}, Path())
+    return list(episode_rows(job, list(simulate_episodes(plan, job.grips))))
+
+
+def _hdf5(path: Path, rows: Sequence[PackedEpisode]) -> None:
+    """Write rows to a durable HDF5 file: deflated chunks of one episode, labels as JSON."""
+    with h5py.File(path, "w") as file:
+        values = file.create_dataset("observation", (len(rows), 20, 258), "f4", chunks=(1, 20, 258),
+                                     compression="gzip", compression_opts=1)  # fmt: skip
+        labels = file.create_dataset("label", (len(rows),), h5py.string_dtype())
+        for k, row in enumerate(rows):
+            values[k], labels[k] = row.observation, json.dumps(dict(row.label))
+    with path.open("rb+") as written:
+        os.fsync(written.fileno())
+
+
+def _pack(path: Path, rows: Sequence[PackedEpisode]) -> None:
+    with PackWriter(path, {}) as pack:
+        for row in rows:
+            pack.write(row)
+
+
+@figure("peers")
+def stores_of_others() -> list[Figure]:
+    """Durable writing and random reading of the same simulated episodes, beside HDF5."""
+    rows, rng = _rows(STORED), np.random.default_rng(0)
+    with scratch() as folder:
+        pack, hdf5 = folder / "pack.mcap", folder / "pack.h5"
+
+        def timed(call: Callable[[], object]) -> Callable[[], float]:
+            return lambda: _times_ms(call, 1)[0] / 1e3
+
+        def singly(write: Callable[[Path, list[PackedEpisode]], None], suffix: str) -> None:
+            for k, row in enumerate(rows[:READ]):
+                write(folder / f"{k}{suffix}", [row])
+
+        whole = paired(
+            "store / HDF5, time to write 500 episodes to one file",
+            timed(lambda: _pack(pack, rows)),
+            timed(lambda: _hdf5(hdf5, rows)),
+            np.inf,
+        )
+        single = paired(
+            "store / HDF5, time to write a durable file an episode",
+            timed(lambda: singly(_pack, ".mcap")),
+            timed(lambda: singly(_hdf5, ".h5")),
+            np.inf,
+        )
+        chunks = [(c.offset, c.length) for c in read_chunks(pack)]
+        picked = np.unique(rng.integers(0, STORED, READ)).tolist()
+
+        def random_hdf5() -> list[NDArray[np.float32]]:
+            with h5py.File(hdf5) as file:
+                return [file["observation"][k] for k in picked]
+
+        read = paired("store / HDF5, time to read 200 episodes at random",
+                      timed(lambda: [stored_observation(pack, chunks[k]) for k in picked]),
+                      timed(random_hdf5), np.inf)  # fmt: skip
+        for k, values in zip(picked, random_hdf5(), strict=True):
+            assert np.array_equal(values, rows[k].observation)
+            assert np.array_equal(stored_observation(pack, chunks[k]), rows[k].observation)
+        sizes = [path.stat().st_size / STORED / 1e3 for path in (pack, hdf5)]
+    size = stated("store / HDF5, bytes an episode", sizes[0] / sizes[1], "",
+                  f"{sizes[0]:.1f} kB beside {sizes[1]:.1f} kB")  # fmt: skip
+    missing = Figure("store / LeRobot's writer, time to write", None, "", "<= 0.5", None,
+                     "not measured: lerobot is not installed")  # fmt: skip
+    return [whole, single, read, size, missing]
+
+
+MILLION = int(os.environ.get("EPISODES", "1000000"))
+PAGE, PAGES, QUERY_MS, FIRST_MS = 200, 300, 20.0, 100.0
+
+
+@figure("catalogue")
+def catalogue_of_simulated_episodes() -> list[Figure]:
+    """Simulate a large catalogue, index it, browse it and stream it to training.
+
+    The variable EPISODES sets the number of episodes (default: 1,000,000).
+    """
+    count = MILLION - MILLION % 3
+    name = f"{count:,} simulated episodes"
+    with scratch() as folder:
+        words = ["simulate", "--piece", "pot", "--bottoms", "circle15,circle25,square15",
+                 "--episodes", str(count // 3), "--out", str(folder / "packs"),
+                 "--json"]  # fmt: skip
+        done = subprocess.run([sys.executable, "-m", "touchdown", *words], cwd=ROOT, check=True,
+                              capture_output=True, text=True)  # fmt: skip
+        made_s = json.loads(done.stdout)["seconds"]
+        size = sum(path.stat().st_size for path in (folder / "packs").glob("*.mcap"))
+        begun_s = time.perf_counter()
+        Dataset.open(folder).close()
+        indexed_s = time.perf_counter() - begun_s
+        begun_s = time.perf_counter()
+        with Dataset.open(folder) as dataset:
+            open_s = time.perf_counter() - begun_s
+            first = _times_ms(lambda: dataset.episodes(EpisodeFilter(limit=PAGE)), 1)[0]
+            entries = dataset.episodes(EpisodeFilter(limit=20_000))
+            rng, after = np.random.default_rng(0), [entry.uuid for entry in entries]
+            queries: dict[str, list[float]] = {"page": [], "page of a bottom": [], "next": []}
+            for _ in range(PAGES):
+                place = after[int(rng.integers(len(after)))]
+                page = EpisodeFilter(after=place, limit=PAGE)
+                part = EpisodeFilter(after=place, limit=PAGE, bottom="circle25")
+                queries["page"] += _times_ms(lambda page=page: dataset.episodes(page), 1)
+                queries["page of a bottom"] += _times_ms(lambda p=part: dataset.episodes(p), 1)
+                queries["next"] += _times_ms(lambda: dataset.queue("unlabelled", "zoe", limit=1), 1)
+        catalogue = (folder / "catalog.db").stat().st_size
+        begun_s = time.perf_counter()
+        rows = load_training_set(folder, "pot", "drafts")
+        cached_s = time.perf_counter() - begun_s
+        listed = [rng.integers(0, len(rows), BATCH) for _ in range(400)]
+        begun_s = time.perf_counter()
+        for index in listed:
+            rows.inputs(index)
+        streamed = len(listed) * BATCH / (time.perf_counter() - begun_s)
+        assert len(rows) == count
+    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
+    return [
+        stated(f"{name}: made, two processes", count / made_s, "episodes/s", f"{made_s:.0f} s"),
+        stated(f"{name}: packs", size / count, "bytes an episode"),
+        stated(f"{name}: catalogue", catalogue / count, "bytes an episode"),
+        stated(f"{name}: indexed", count / indexed_s, "episodes/s", f"{indexed_s:.0f} s"),
+        stated(f"{name}: opened again", open_s, "s"),
+        at_most(f"{name}: first page of {PAGE}", first, "ms", FIRST_MS),
+        *(at_most(f"{name}: {key}, p99", float(np.percentile(times, 99)), "ms", QUERY_MS,
+                  f"{PAGES} queries, median {np.median(times):.2g}")
+          for key, times in queries.items()),
+        stated(f"{name}: training cache", count / cached_s, "episodes/s", f"{cached_s:.0f} s"),
+        stated(f"{name}: streamed to training, random batches of {BATCH}", streamed, "episodes/s"),
+        stated(f"{name}: largest memory of the process", memory, "GB"),
     ]  # fmt: skip

@@ -8,8 +8,11 @@ import os
 import tempfile
 import time
 from collections import defaultdict
+from collections.abc import Callable
+from functools import partial
 from itertools import product
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -24,7 +27,7 @@ from tests.backend.simulation.release_cases import (
     ask_about_surface,
     ask_both,
 )
-from tests.bench.figures import Figure, at_least, at_most, failures, figure, stated
+from tests.bench.figures import Figure, at_least, at_most, failures, figure, paired, stated
 from touchdown.backend.bench.assembly import SimulatedBenchChoice, simulated_session
 from touchdown.backend.config import (
     ProbeSettings,
@@ -33,7 +36,7 @@ from touchdown.backend.config import (
     load_simulation,
 )
 from touchdown.backend.core import ActionChosen, Event, FloatArray, Outcome, TrialFinished
-from touchdown.backend.episodes.training_rows import join_rows, load_rows
+from touchdown.backend.episodes.training_rows import TrainingRows, join_rows, load_rows
 from touchdown.backend.experiments import KINDS, PIECES, Recipe, adopt_models
 from touchdown.backend.experiments.models import batch_model
 from touchdown.backend.experiments.tables import FULL, Scale, agreement, paper_training
@@ -47,7 +50,12 @@ from touchdown.backend.geometry import Piece, draw_offset, face_points, load_pie
 from touchdown.backend.jobs.execution import ProcessPool, run_campaign
 from touchdown.backend.jobs.job import JobSpec, JobStore, run_job
 from touchdown.backend.learning.checkpoint import load_checkpoint
-from touchdown.backend.learning.training import Trainer, use_one_thread
+from touchdown.backend.learning.training import (
+    Trainer,
+    computes_bfloat16,
+    new_model,
+    use_one_thread,
+)
 from touchdown.backend.runs.requests import StackRequest, StrategyChoice
 from touchdown.backend.sensing import EpisodeLimits
 from touchdown.backend.simulation import (
@@ -354,6 +362,79 @@ def training_of_one_piece() -> list[Figure]:
     torch.set_num_threads(1)
     note = f"{epochs} epochs timed, on two threads"
     return [at_most("training, 6,000 probes, 30 epochs", seconds, "s", 240, note)]
+
+
+class PlainLoop:
+    """The network of the paper in the usual loop: TensorDataset, DataLoader, torch.optim.Adam."""
+
+    def __init__(self, rows: TrainingRows, trainer: Trainer) -> None:
+        self.inputs = torch.from_numpy(np.asarray(rows.inputs(np.arange(len(rows))), np.float32))
+        self.targets = torch.from_numpy(rows.patch.astype(np.float32))
+        self.split, self.batch = trainer.split, trainer.settings.batch
+        self.model = new_model(trainer.model.shape, trainer.settings.seed)
+        self.model.load_state_dict(trainer.model.state_dict())
+        self.optimiser = torch.optim.Adam(self.model.parameters(), trainer.settings.learning_rate)
+        train = torch.utils.data.TensorDataset(self.inputs[self.split.train],
+                                               self.targets[self.split.train])  # fmt: skip
+        self.loader = torch.utils.data.DataLoader(train, self.batch, shuffle=True)
+        self.criterion = torch.nn.BCEWithLogitsLoss()
+        torch.manual_seed(trainer.settings.seed)
+
+    def epoch(self) -> float:
+        """Train one epoch; return the loss on the held-out side."""
+        self.model.train()
+        for observation, target in self.loader:
+            self.optimiser.zero_grad()
+            self.criterion(self.model(observation), target).backward()
+            self.optimiser.step()
+        self.model.eval()
+        with torch.no_grad():
+            logits = self.model(self.inputs[self.split.held_out])
+        return float(self.criterion(logits, self.targets[self.split.held_out]))
+
+
+COMPARED_EPOCHS = 5
+
+
+@figure("peers")
+def training_of_others() -> list[Figure]:
+    """An epoch of 2,000 probes of the pot beside the plain loop, and the losses of both."""
+    scale = Scale("peers", 2000, 1, 1, 1, probes_per_grip=50)
+    with tempfile.TemporaryDirectory() as folder:
+        store = JobStore(Path(folder))
+        spec = next(s for s in Recipe(scale, HARD, "bench").jobs() if s.kind == "simulate")
+        run_job(spec, KINDS, store)
+        rows = load_rows(store.folder(spec.id))
+    torch.set_num_threads(1)
+    figures = []
+    for precision in ("float32", "bfloat16"):
+        if precision == "bfloat16" and not computes_bfloat16(torch.device("cpu")):
+            continue
+        settings = paper_training("FT+Tac", COMPARED_EPOCHS).model_copy(
+            update={"precision": precision, "schedule": "constant"}
+        )
+        trainer = Trainer(rows, settings)
+        plain, own = PlainLoop(rows, trainer), trainer.epochs()
+        losses: dict[str, list[float]] = {"ours": [], "plain": []}
+
+        def timed(name: str, once: Callable[[], float], losses: Any = losses) -> float:
+            begun_s = time.perf_counter()
+            losses[name].append(once())
+            return time.perf_counter() - begun_s
+
+        def ours(own: Any = own) -> float:
+            return float(next(own).validation_loss)
+
+        figures.append(paired(
+            f"training / plain PyTorch loop, time an epoch, {precision}",
+            partial(timed, "ours", ours), partial(timed, "plain", plain.epoch),
+            0.5 if precision == "bfloat16" else np.inf, COMPARED_EPOCHS,
+        ))  # fmt: skip
+        figures.append(stated(
+            f"training and plain loop: held-out loss after {COMPARED_EPOCHS} epochs, {precision}",
+            ", ".join(f"{values[-1]:.4f}" for values in losses.values()), "nats",
+        ))  # fmt: skip
+    return figures
 
 
 PART = Scale("part", FULL.probes, epochs=2, groups=20, trials=5, repeated=2)

@@ -24,6 +24,8 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from touchdown.backend.core.files import write_atomically
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
@@ -63,6 +65,24 @@ def failures(name: str, count: int, unit: str = "", note: str = "") -> Figure:
 
 def stated(name: str, value: float | str, unit: str, note: str = "") -> Figure:
     return Figure(name, value, unit, "stated", None, note)
+
+
+def paired(
+    name: str, ours: Callable[[], float], theirs: Callable[[], float], limit: float, pairs: int = 5
+) -> Figure:
+    """Return the median ratio of two costs, measured by turns; ``limit`` inf: no target.
+
+    The note has the spread of the ratio over the pairs, and the medians of both.
+    """
+    costs = np.array(
+        [(ours(), theirs()) if k % 2 == 0 else (theirs(), ours())[::-1] for k in range(pairs)]
+    )
+    ratio = costs[:, 0] / costs[:, 1]
+    own, other = np.median(costs, axis=0)
+    note = f"{ratio.min():.3g} to {ratio.max():.3g} in {pairs} pairs; {own:.4g} beside {other:.4g}"
+    if np.isinf(limit):
+        return stated(name, float(np.median(ratio)), "", note)
+    return at_most(name, float(np.median(ratio)), "", limit, note)
 
 
 Measure = Callable[[], list[Figure]]

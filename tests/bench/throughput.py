@@ -6,6 +6,8 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -16,10 +18,19 @@ from numpy.typing import NDArray
 from tests.backend.sensing.hard_clips import CLIPS, render
 from tests.backend.sensing.hard_clips import score as hard_score
 from tests.backend.sensing.known_truth import known_truth
-from tests.bench.figures import Figure, at_least, failures, figure, stated
+from tests.bench.figures import Figure, at_least, at_most, failures, figure, paired, stated
 from touchdown.backend.annotations.dataset import Dataset
 from touchdown.backend.bench.assembly import simulated_session
-from touchdown.backend.core import GRID_COLS, InputError, MarkerState
+from touchdown.backend.config import load_simulation
+from touchdown.backend.core import (
+    GRID_COLS,
+    TACTILE_CHANNELS,
+    InputError,
+    MarkerState,
+    TactileFrame,
+)
+from touchdown.backend.experiments.trials import WORLDS, SceneSetup, probing_scene
+from touchdown.backend.geometry import load_pieces
 from touchdown.backend.runs import CollectRequest, RecordingOptions
 from touchdown.backend.sensing import read_pictures, track_frames
 
@@ -198,3 +209,122 @@ def truth_that_is_known() -> list[Figure]:
         note = f"off by >= 10 px: {found.wrong}, lost: {found.lost}"
         figures.append(Figure(name, float(found.rms_seen), "px", f"<= {limit}", ok, note))
     return figures
+
+
+LARGE = sorted(set(GELSIGHT.glob("*.avi")) - set(SMALL_DOTS))
+FLOW = {"winSize": (15, 15), "maxLevel": 2, "criteria": (3, 10, 0.03)}
+
+
+def marked(path: Path) -> dict[int, NDArray[np.float64]]:
+    """Return the dots (63, 2) in px that were marked by eye, by frame."""
+    lines = (GELSIGHT / "marks.csv").read_text("utf-8").splitlines()
+    rows = [line.split(",") for line in lines if line.startswith(path.name)]
+    return {int(row[1]): np.array(row[2:], dtype=float).reshape(63, 2) for row in rows}
+
+
+Track = Callable[[list[TactileFrame]], Iterator[NDArray[np.float64]]]
+
+
+def ours(frames: list[TactileFrame]) -> Iterator[NDArray[np.float64]]:
+    """Yield the places (63, 2) of the product's tracker."""
+    for one in track_frames(frames, None, "clip"):
+        yield one.field.position_px.astype(float)
+
+
+def lucas_kanade(frames: list[TactileFrame]) -> Iterator[NDArray[np.float64]]:
+    """Yield the places by optical flow from frame to frame, as public GelSight code does."""
+    at = next(ours(frames[:1])).astype(np.float32)[:, None]
+    before = cv2.cvtColor(frames[0].image, cv2.COLOR_BGR2GRAY)
+    yield at[:, 0]
+    for frame in frames[1:]:
+        grey = cv2.cvtColor(frame.image, cv2.COLOR_BGR2GRAY)
+        at = cv2.calcOpticalFlowPyrLK(before, grey, at, None, **FLOW)[0]
+        before = grey
+        yield at[:, 0]
+
+
+def blobs(frames: list[TactileFrame]) -> Iterator[NDArray[np.float64]]:
+    """Yield the places by a blob detector, each dot the nearest blob to its last place."""
+    asked = cv2.SimpleBlobDetector_Params()
+    asked.minArea, asked.maxArea, asked.minDistBetweenBlobs = 25, 600, 10
+    asked.filterByCircularity = asked.filterByConvexity = asked.filterByInertia = False
+    detector = cv2.SimpleBlobDetector_create(asked)
+    at = next(ours(frames[:1]))
+    for frame in frames:
+        found = np.array([dot.pt for dot in detector.detect(frame.image.max(axis=2))])
+        if len(found):
+            distance = np.linalg.norm(at[:, None] - found, axis=2)
+            near = distance.argmin(axis=1)
+            at = np.where(distance.min(axis=1)[:, None] < 15, found[near], at)
+        yield at
+
+
+def _ms(track: Track, frames: list[TactileFrame]) -> float:
+    """Return the median time of a frame after the first."""
+    found, begun_s = [], time.perf_counter()
+    for _ in track(frames):
+        found.append(1e3 * (time.perf_counter() - begun_s))
+        begun_s = time.perf_counter()
+    return float(np.median(found[1:]))
+
+
+@figure("peers")
+def trackers_of_others() -> list[Figure]:
+    """Time a frame beside two usual trackers, and places against the dots marked by eye."""
+    cv2.setNumThreads(1)
+    rows, errors = [], {track: list[float]() for track in (ours, lucas_kanade, blobs)}
+    for path in LARGE:
+        frames, truth = list(read_pictures(path)), marked(path)
+        for track, found in errors.items():
+            places = {k: at for k, at in enumerate(track(frames)) if k in truth}
+            found += [float(d) for k, at in places.items()
+                      for d in np.linalg.norm(at - truth[k], axis=1)]  # fmt: skip
+        rows += [
+            paired(f"tracker / {name}, time a frame, {path.stem}", partial(_ms, ours, frames),
+                   partial(_ms, other, frames), np.inf)
+            for name, other in (("Lucas-Kanade", lucas_kanade), ("blob detector", blobs))
+        ]  # fmt: skip
+    ratios = [float(row.value or 0) for row in rows[::2]]
+    lost, of = sum(error > 3.0 for error in errors[ours]), f"of {len(errors[ours])}"
+    note = f"{min(ratios):.3g} to {max(ratios):.3g} over {len(LARGE)} clips"
+    whole = at_most("tracker / Lucas-Kanade, median over the clips", float(np.median(ratios)), "",
+                    1.5, note)  # fmt: skip
+    return [
+        whole,
+        failures("markers of the tracker over 3 px from their dots", lost, of),
+        *rows,
+        *(stated(f"{track.__name__.replace('_', ' ')}: distance from the dots, p50, p99, max",
+                 ", ".join(f"{np.percentile(found, q):.3g}" for q in (50, 99, 100)), "px",
+                 f"over 3 px: {sum(e > 3 for e in found)} of {len(found)}")
+          for track, found in errors.items()),
+    ]  # fmt: skip
+
+
+PRESSES = 24
+
+
+@figure("peers")
+def presses_of_mujoco() -> list[Figure]:
+    """Time a press on the simulated bench beside MuJoCo, and wrenches of both against statics."""
+    case = SceneSetup.of(load_pieces(), "pot", ("circle25",), load_simulation(preset="quiet"))
+    scenes = [probing_scene(case, seed) for seed in range(PRESSES)]
+    wrench: dict[str, NDArray[np.float32]] = {}
+
+    def pressed_s(name: str) -> float:
+        world = WORLDS[name](scenes)
+        begun_s = time.perf_counter()
+        found = world.press(range(PRESSES), world.start_commands_mm())
+        took_s = time.perf_counter() - begun_s
+        wrench[name] = found.observation[:, -1, TACTILE_CHANNELS:]
+        return took_s / PRESSES
+
+    ratio = paired("press simulation / MuJoCo press, time", lambda: pressed_s("bench"),
+                   lambda: pressed_s("elsewhere"), np.inf)  # fmt: skip
+    apart = np.abs(wrench["bench"] - wrench["elsewhere"])
+    note = f"of {PRESSES} presses, 2 s after contact; the pads of both worlds differ on purpose"
+    force, moment = np.median(apart[:, 2]), np.median(np.linalg.norm(apart[:, 3:5], axis=1))
+    return [
+        ratio,
+        stated("bench and MuJoCo apart, vertical force, median", float(force), "N", note),
+        stated("bench and MuJoCo apart, moment, median", float(moment), "N·m", note),
+    ]

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 from unittest import mock
 
+import numpy as np
 import psutil
 
 from tests.backend.devices.waiting import until
@@ -26,11 +27,12 @@ from tests.backend.rig.served import Backend, Served
 from tests.bench.children.failing_window import HOOKS, THREADS, WAYS, failed_s
 from tests.bench.children.faulty_window import FIRST_LABELS, HELD_S, LABELS
 from tests.bench.children.watched_arm import watched_arm
-from tests.bench.figures import Figure, at_least, at_most, figure
+from tests.bench.figures import Figure, at_least, at_most, failures, figure, stated
 from tests.bench.labelling import fill
 from touchdown.backend.annotations.dataset import Dataset
 from touchdown.backend.bench import EmulatedBench, SimulatedBenchChoice
 from touchdown.backend.core import FaultError, InputError, lock_file
+from touchdown.backend.episodes.packs import read_pack
 from touchdown.backend.exchange.imports import read_foreign
 from touchdown.backend.jobs import JobContext, JobSpec, JobStore, ProcessPool
 from touchdown.backend.runs import RecordingOptions, SceneChoice
@@ -486,3 +488,86 @@ def labels_while_the_catalogue_is_locked() -> list[Figure]:
         Figure("catalogue locked: labels of the Label page lost", len(lost), f"of {len(asked)}",
                "0", not lost and all_asked, ", ".join(lost)),
     ]  # fmt: skip
+
+
+SHARDS, KILLS_EACH, SHARD_CPU_S = 50, 2, 1.2
+SHARD_WORDS = (
+    "simulate", "--piece", "pot", "--bottoms", "circle15,circle25,square15", "--episodes", "6600",
+    "--probes-per-grip", "6", "--seed", "1", "--start", "2026-01-31T12:00:00Z",
+    "--executor", "serial",
+)  # fmt: skip
+
+
+class ShardWorker:
+    """Process of one shard, started again after each kill; killed at random processor times."""
+
+    def __init__(self, out: Path, number: int) -> None:
+        words = (*SHARD_WORDS, "--shard", f"{number}/{SHARDS}", "--out", str(out))
+        self.command = [sys.executable, "-m", "touchdown", *words]
+        rng = np.random.default_rng([24, number])
+        self.instants_s = list(rng.uniform(0.0, SHARD_CPU_S, KILLS_EACH))
+        self.killed, self.ended, self.codes = 0, False, list[int]()
+        self.start()
+
+    def start(self) -> None:
+        self.child = psutil.Popen(
+            self.command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+            env={**os.environ, "OMP_NUM_THREADS": "1"},
+        )  # fmt: skip
+
+    def look(self) -> None:
+        """Kill the process if its instant has come; start it again unless it is done."""
+        if self.child.poll() is not None:
+            self.codes.append(self.child.returncode)
+            self.ended = self.child.returncode == 0
+        elif self.killed < KILLS_EACH:
+            with suppress(psutil.NoSuchProcess):
+                if sum(self.child.cpu_times()[:2]) < self.instants_s[self.killed]:
+                    return
+                self.child.kill()
+                self.child.wait()
+                self.killed += 1
+        else:
+            return
+        if not self.ended:
+            self.start()
+
+
+@figure("shards")
+def fifty_killed_workers() -> list[Figure]:
+    """Kill 50 workers of a sharded simulation, two times each; compare with one process."""
+    with tempfile.TemporaryDirectory() as name:
+        out, alone = Path(name) / "shards", Path(name) / "alone"
+        began_s, workers = time.monotonic(), [ShardWorker(out, k) for k in range(SHARDS)]
+        seen: dict[str, tuple[int, int]] = {}
+        repeated: set[str] = set()
+        while not all(worker.ended for worker in workers):
+            for worker in workers:
+                if not worker.ended:
+                    worker.look()
+            for path in out.glob(".jobs/*/result.json"):
+                about = path.stat()
+                mark = (about.st_ino, about.st_mtime_ns)
+                if seen.setdefault(path.parent.name, mark) != mark:
+                    repeated.add(path.parent.name)
+            threading.Event().wait(0.05)
+        took_s = time.monotonic() - began_s
+        amid = len(list(out.glob(".jobs/.*.part")))
+        for folder in (out, alone):  # the first call finds nothing to do
+            words = [sys.executable, "-m", "touchdown", *SHARD_WORDS, "--out", str(folder)]
+            subprocess.run(words, check=True, stdout=subprocess.DEVNULL)
+        planned, done = ({p.name for p in f.glob(".jobs/[!.]*")} for f in (alone, out))
+        packs, expected = ({p.name: p.read_bytes() for p in f.glob("*.mcap")} for f in (out, alone))
+        uuids = [row.label["episode"] for p in sorted(out.glob("*.mcap")) for row in read_pack(p)]
+    kills = sum(worker.killed for worker in workers)
+    failed = [code for worker in workers for code in worker.codes if code not in (0, -9)]
+    wrong = [key for key in packs.keys() | expected.keys() if packs.get(key) != expected.get(key)]
+    of = f"{len(planned)} jobs, {SHARDS} workers, {kills} kills, {amid} of them amid a job"
+    return [
+        failures("shards: jobs missing or not planned", len(planned ^ done), "", of),
+        failures("shards: jobs done twice", len(repeated), ""),
+        failures("shards: episodes twice", len(uuids) - len(set(uuids)), f"of {len(uuids)}"),
+        failures("shards: packs other than those of one process", len(wrong), f"of {len(packs)}"),
+        failures("shards: workers that ended with an error", len(failed), ""),
+        stated("shards: time until all jobs are done", took_s, "s"),
+    ]

@@ -7,12 +7,23 @@ import time
 from datetime import UTC, datetime
 from pathlib import Path
 
+from touchdown.backend.cli.experiment import add_executor_arguments, run_jobs
 from touchdown.backend.cli.output import VerbOutput, make_output_folder, require_positive
 from touchdown.backend.config import load_simulation
-from touchdown.backend.core import InputError
-from touchdown.backend.experiments import batch_plan, run_jobs, split_jobs
+from touchdown.backend.core import InputError, disk_errors
+from touchdown.backend.experiments import (
+    Redraws,
+    batch_plan,
+    collect_packs,
+    collection_jobs,
+    publish_packs,
+    total_redraws,
+)
 from touchdown.backend.geometry import load_pieces
-from touchdown.backend.simulation import BatchPlan
+from touchdown.backend.jobs import JobSpec, JobStore
+
+JOBS = ".jobs"  # folder of the finished jobs beside the packs
+KEPT = "Free some space, then repeat the call with the same --start; finished jobs are kept."
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -33,47 +44,58 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--bench", metavar="FILE", help="settings of the simulated bench (TOML)")
     parser.add_argument("--pieces", metavar="DIR", help="folder with further piece files")
-    parser.add_argument("--workers", type=int, default=2, help="processes")
     parser.add_argument(
         "--start", metavar="TIME",
         help="time of the first episode, such as 2026-01-31T12:00:00+01:00 (default: now); the "
-        "same seed and start give the same files",
+        "same seed and start give the same files, and continue an interrupted call",
     )  # fmt: skip
+    add_executor_arguments(parser, workers=2)
 
 
 def run(args: argparse.Namespace, screen: VerbOutput) -> int:
-    """Simulate all pairs and write them; the result does not depend on ``--workers``."""
+    """Simulate all pairs and write them; the result does not depend on the executor."""
     require_positive(args, "episodes", "probes_per_grip", "grips_per_mounting", "workers")
     if args.seed < 0:
         raise InputError("--seed must not be negative.", "--seed", "Give 0, 1, 2 ...")
+    if args.shard and args.start is None:
+        fix = "Give all calls the same, such as 2026-01-31T12:00:00Z."
+        raise InputError("All shards need one time of the first episode.", "--start", fix)
     out = Path(args.out)
     if out.exists() and not out.is_dir():
         raise InputError("This is a file, not a folder.", str(out), "Name a new folder.")
-    if any(out.rglob("*.mcap")):
-        raise InputError(
-            "The folder already holds episodes.", str(out), "Name a new or an empty folder."
-        )
     start = _start(args.start)
-    start_ns = int(start.timestamp() * 1e6) * 1000
-    jobs = [job for plan, label in _plans(args) for job in split_jobs(plan, label, out, start_ns)]
-    make_output_folder(out)
-    total = sum(job.episodes for job in jobs)
+    jobs = _jobs(args, int(start.timestamp() * 1e6) * 1000)
+    store, known = JobStore(out / JOBS), {spec.id for spec in jobs}
+    finished = {path.name for path in store.root.glob("[!.]*")}
+    held = any(JOBS not in path.parts for path in out.rglob("*.mcap"))
+    if held and not (args.start and finished and finished <= known):
+        fix = "Name a new or an empty folder."
+        raise InputError("The folder already holds episodes.", str(out), fix)
+    make_output_folder(store.root)
+    if args.executor == "local" and min(args.workers, len(jobs)) == 1:
+        args.executor = "serial"
     began_s = time.monotonic()
-    with screen.progress(f"Simulating {total} episodes", total) as advance:
-        redraws = run_jobs(jobs, args.workers, advance)
+    failed = run_jobs(
+        args, screen, store, {"collection": collect_packs}, jobs,
+        lambda job: (f"{job.params['piece']} {job.params['bottom']}", int(job.params["probes"])),
+    )  # fmt: skip
+    with disk_errors("The packs cannot be moved", out, KEPT):
+        publish_packs(store, jobs, out)
     seconds = time.monotonic() - began_s
+    done = [spec for spec in jobs if store.has(spec.id)]
+    total = sum(spec.params["probes"] for spec in done)
+    redraws = total_redraws(Redraws(**store.result(spec.id)) for spec in done)
     screen.say(
         f"{total} simulated episodes in {seconds:.1f} s, {redraws.drawn_again} probes drawn again, "
         f"{redraws.unsolved} of them without a balance in the simulation: {out}"
     )
-    facts = {
-        "episodes": total,
-        **redraws._asdict(),
-        "seconds": round(seconds, 3),
-        "start": start.isoformat(),
-    }
-    screen.result({**facts, "out": str(out)})
-    return 0
+    if left := len(jobs) - len(done):
+        screen.say(f"{left} of {len(jobs)} jobs are missing.")
+    screen.result({
+        "episodes": total, **redraws._asdict(), "seconds": round(seconds, 3),
+        "start": start.isoformat(), "out": str(out), "missing": left, "failed": failed,
+    })  # fmt: skip
+    return 1 if failed else 0
 
 
 def _start(text: str | None) -> datetime:
@@ -90,9 +112,10 @@ def _start(text: str | None) -> datetime:
     return start
 
 
-def _plans(args: argparse.Namespace) -> list[tuple[BatchPlan, dict[str, object]]]:
-    """Return for each pair the plan and the label fields common to all its episodes."""
-    catalogue = load_pieces(Path(args.pieces) if args.pieces else None)
+def _jobs(args: argparse.Namespace, start_ns: int) -> list[JobSpec]:
+    """Return the jobs of all pairs."""
+    folder = Path(args.pieces) if args.pieces else None
+    catalogue = load_pieces(folder)
     settings = load_simulation(Path(args.bench) if args.bench else None, args.preset)
     piece = catalogue.top(args.piece)
     names = [name for name in args.bottoms.split(",") if name]
@@ -100,11 +123,11 @@ def _plans(args: argparse.Namespace) -> list[tuple[BatchPlan, dict[str, object]]
         raise InputError(
             "Name each bottom once.", "--bottoms", "For example circle15,circle25,square15."
         )
-    plans: list[tuple[BatchPlan, dict[str, object]]] = []
+    jobs: list[JobSpec] = []
     for name in names:
         plan = batch_plan(
             piece, catalogue.bottom(name), settings, args.episodes, args.seed,
             args.probes_per_grip, args.grips_per_mounting,
         )  # fmt: skip
-        plans.append((plan, {"geometry": piece.sha256}))
-    return plans
+        jobs += collection_jobs(plan, piece, start_ns, folder)
+    return jobs

@@ -1,16 +1,27 @@
-"""``touchdown train``: train a contact-patch model in a child process."""
+"""``touchdown train``: train a contact-patch model in a child process, or several of a sweep."""
 
 from __future__ import annotations
 
 import argparse
+import json
+import shutil
+from contextlib import suppress
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from touchdown.backend.cli.output import VerbOutput, progress_lines
+from touchdown.backend.cli.experiment import add_device, add_executor_arguments, run_jobs
+from touchdown.backend.cli.output import VerbOutput, make_output_folder, progress_lines
 from touchdown.backend.config import TrainingSettings
+from touchdown.backend.core import InputError, disk_errors
+from touchdown.backend.jobs import JobStore
 
 if TYPE_CHECKING:
     from pydantic import BaseModel
+
+    from touchdown.backend.learning import TrainingJob
+
+SWEPT = ("modality", "epochs", "batch", "learning_rate", "precision", "divide_series", "seed")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -71,14 +82,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--resume", action="store_true", help="resume an interrupted training of the same model"
     )
-
-
-def add_device(parser: argparse.ArgumentParser) -> None:
-    """Add the argument ``--device``."""
     parser.add_argument(
-        "--device", choices=("auto", "cpu", "cuda"), default="auto",
-        help="cpu, cuda, or auto: a graphics processor if torch finds one",
+        "--sweep", action="append", default=[], metavar="NAME=VALUE,...", help="train a model for "
+        "each value of a setting, such as learning-rate=1e-3,3e-4, and for each combination if "
+        "given again; --out is the one of highest validation IoU",
     )  # fmt: skip
+    add_executor_arguments(parser)
 
 
 def run(args: argparse.Namespace, screen: VerbOutput) -> int:
@@ -91,21 +100,13 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
         TrainingFinished,
         TrainingLoaded,
         load_card,
-        make_training_job,
         pretraining_text,
         run_training,
     )
 
-    names = ("modality", "epochs", "batch", "learning_rate", "precision", "divide_series", "seed")
-    options = ("labels", "resume", "threads", "device", "pretrained", "mix", "mix_share")
-    stem = f"{args.pretrained.stem}-tuned" if args.pretrained else args.piece or "model"
-    job = make_training_job(
-        args.data,
-        args.piece,
-        args.out or Path(f"{stem}.safetensors"),
-        {name: getattr(args, name) for name in names},
-        **{name: getattr(args, name) for name in options},
-    )
+    if args.sweep:
+        return _sweep(args, screen)
+    job = _training_job(args)
     curve: list[dict[str, object]] = []
     answer: dict[str, object] = {}
     with screen.progress(f"Training {args.piece or 'model'}", args.epochs) as advance:
@@ -148,3 +149,73 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
         answer["run"] = run_id
     screen.result({**answer, "curve": curve})
     return 1 if "cancelled" in answer else 0
+
+
+def _training_job(args: argparse.Namespace, **changed: object) -> TrainingJob:
+    from touchdown.backend.learning import make_training_job
+
+    options = ("labels", "resume", "threads", "device", "pretrained", "mix", "mix_share")
+    stem = f"{args.pretrained.stem}-tuned" if args.pretrained else args.piece or "model"
+    return make_training_job(
+        args.data,
+        args.piece,
+        args.out or Path(f"{stem}.safetensors"),
+        {name: getattr(args, name) for name in SWEPT} | changed,
+        **{name: getattr(args, name) for name in options},
+    )
+
+
+def _parse(value: str) -> object:
+    with suppress(ValueError):
+        return json.loads(value)
+    return value
+
+
+def _variants(sweep: list[str]) -> list[dict[str, object]]:
+    """Return the settings of each combination; raises ``InputError`` for an unknown setting."""
+    listed: dict[str, list[object]] = {}
+    for text in sweep:
+        name, _, values = text.partition("=")
+        if (name := name.replace("-", "_")) not in SWEPT or not values:
+            fix = f"Give NAME=VALUE,... with one of: {', '.join(SWEPT).replace('_', '-')}."
+            raise InputError(f"'{text}' is no setting with values.", "--sweep", fix)
+        listed[name] = [_parse(value) for value in values.split(",")]
+    return [dict(zip(listed, chosen, strict=True)) for chosen in product(*listed.values())]
+
+
+def _sweep(args: argparse.Namespace, screen: VerbOutput) -> int:
+    """Train the variants as jobs; return 0 if all are trained and the best one is written."""
+    from touchdown.backend.learning import MODEL, train_variant, variant_job
+
+    if args.resume:
+        fix = "Repeat the call without it; finished models of a sweep are kept."
+        raise InputError("A sweep continues by itself.", "--resume", fix)
+    args.threads = args.threads or 1
+    variants = _variants(args.sweep)
+    trainings = [_training_job(args, **chosen) for chosen in variants]
+    jobs = [variant_job(training) for training in trainings]
+    names = {job.id: " ".join(f"{k}={v}" for k, v in chosen.items())
+             for job, chosen in zip(jobs, variants, strict=True)}  # fmt: skip
+    out = trainings[0].out
+    store = JobStore(out.with_suffix(".sweep"))
+    make_output_folder(store.root)
+    failed = run_jobs(
+        args, screen, store, {"variant": train_variant}, jobs,
+        lambda job: (names[job.id], job.params["settings"]["epochs"]),
+    )  # fmt: skip
+    columns = ("iou", "point_accuracy", "best_epoch", "seconds")
+    ends = {job.id: store.result(job.id) for job in jobs if store.has(job.id)}
+    order = sorted(ends, key=lambda name: -float(ends[name]["iou"]))
+    rows = [{"model": names[i]} | {k: round(ends[i][k], 4) for k in columns} for i in order]
+    screen.table("Sweep", ("model", *columns), *(map(str, row.values()) for row in rows))
+    if complete := len(ends) == len(names):
+        model = store.folder(order[0]) / MODEL
+        with disk_errors("The model cannot be written", out, "Name another file."):
+            for path in (model, model.with_suffix(".json")):
+                shutil.copyfile(path, out.with_suffix(path.suffix))
+        screen.say(f"{out}: {names[order[0]]}")
+    screen.result({
+        "sweep": rows, "jobs": len(names), "missing": len(names) - len(ends), "failed": failed,
+        "out": str(out) if complete else None,
+    })  # fmt: skip
+    return 1 if failed else 0

@@ -89,10 +89,14 @@ def patch_bits(text: str, points: int) -> NDArray[np.bool_]:
 
 
 def find_packs(folder: Path) -> list[Path]:
-    """Return the packs in and below ``folder`` (or the file itself), sorted by name."""
+    """Return the packs in and below ``folder`` (or the file itself), sorted by name.
+
+    Hidden files and folders belong to unfinished jobs and are left out.
+    """
     if folder.is_file():
         return [folder]
-    found = sorted(p for p in folder.rglob("*.mcap") if not p.name.startswith("."))
+    packs = folder.rglob("*.mcap")
+    found = sorted(p for p in packs if "/." not in f"/{p.relative_to(folder).as_posix()}")
     if not found:
         raise InputError(
             "There are no episode files here.",

@@ -3,9 +3,12 @@ from .certification import LEAST_SCENES as LEAST_SCENES
 from .certification import Certification as Certification
 from .certification import certify_laboratory as certify_laboratory
 from .certification import labelled_trials as labelled_trials
+from .collection import Redraws as Redraws
 from .collection import batch_plan as batch_plan
-from .collection import run_jobs as run_jobs
-from .collection import split_jobs as split_jobs
+from .collection import collect_packs as collect_packs
+from .collection import collection_jobs as collection_jobs
+from .collection import publish_packs as publish_packs
+from .collection import total_redraws as total_redraws
 from .comparison import StrategyComparison as StrategyComparison
 from .comparison import comparison_tables as comparison_tables
 from .comparison import decided_strategies as decided_strategies
@@ -37,6 +40,7 @@ from .fusion import ready_sequences as ready_sequences
 from .fusion import threshold_counts as threshold_counts
 from .fusion import threshold_jobs as threshold_jobs
 from .identification_report import identification_page as identification_page
+from .identification_report import identify_dataset as identify_dataset
 from .job_kinds import KINDS as KINDS
 from .models import adopt_models as adopt_models
 from .models import keep_models as keep_models

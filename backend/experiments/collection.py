@@ -1,25 +1,24 @@
-"""Simulated collections of labelled episodes, written as packs by one or several processes.
+"""Simulated collections of labelled episodes, written as packs by independent jobs.
 
-The split into jobs depends on the plan alone, so results do not depend on the number of processes.
+The split into jobs depends on the plan alone, so results do not depend on the executor.
 The module does not import torch, because spawned workers import it.
 """
 
 from __future__ import annotations
 
-import multiprocessing
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from contextlib import ExitStack
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from touchdown.backend.config import SimulationSettings
-from touchdown.backend.core import InputError
+from touchdown.backend.config import SimulationSettings, parse_settings
+from touchdown.backend.core import InputError, program_version, sync_folder
 from touchdown.backend.episodes import START_KEY, PackedEpisode, patch_hex, write_packs
-from touchdown.backend.geometry import Piece, Tower, face_points
+from touchdown.backend.geometry import Piece, Tower, face_points, load_pieces
+from touchdown.backend.jobs import JobContext, JobSpec, JobStore
 from touchdown.backend.simulation import BatchPlan, EpisodeBatch, simulate_episodes
 
 GRIPS_PER_JOB = 20  # grips solved in one batch
@@ -146,45 +145,56 @@ class Redraws(NamedTuple):
     unsolved: int
 
 
-def run_jobs(
-    jobs: Sequence[CollectionJob], workers: int, advance: Callable[[int], None]
-) -> Redraws:
-    """Run all jobs of a collection.
+def collection_jobs(
+    plan: BatchPlan, piece: Piece, start_ns: int, pieces: Path | None
+) -> list[JobSpec]:
+    """Return the jobs of a plan, for ``collect_packs``; ``pieces``: folder of further pieces."""
+    common = {
+        "piece": plan.piece, "bottom": plan.bottom, "bench": plan.settings.model_dump(mode="json"),
+        "episodes": plan.episodes, "probes_per_grip": plan.probes_per_grip,
+        "grips_per_mounting": plan.grips_per_mounting, "start_ns": start_ns,
+        "pieces": None if pieces is None else str(pieces.resolve()),
+    }  # fmt: skip
+    return [
+        JobSpec(
+            "collection", {**common, "job": k, "probes": job.episodes}, plan.seed,
+            (piece.sha256,), program_version(),
+        )
+        for k, job in enumerate(split_jobs(plan, {}, Path()))
+    ]  # fmt: skip
 
-    Parameters
-    ----------
-    jobs : sequence of CollectionJob
-        Jobs, as ``split_jobs`` returns them.
-    workers : int
-        Number of processes; 1 runs all jobs in this process.
-    advance : callable
-        Called with the number of finished episodes after each job.
 
-    Returns
-    -------
-    Redraws
-        Probes that were drawn again. An error in one job stops all and is raised.
-    """
-    finished, parts = 0, list[Redraws]()
-    with ExitStack() as stack:
-        results: Iterable[Redraws] = map(run_job, jobs)
-        if (count := min(workers, len(jobs))) > 1:
-            pool = ProcessPoolExecutor(count, multiprocessing.get_context("spawn"))
-            stack.callback(pool.shutdown, cancel_futures=True)
-            results = pool.map(run_job, jobs)
-        for job, redraws in zip(jobs, results, strict=True):
-            parts.append(redraws)
-            finished += job.episodes
-            advance(finished)
-    return _total(parts)
+def collect_packs(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
+    """Write the packs of one job of a collection into its folder; the answer counts redraws."""
+    p = spec.params
+    library = load_pieces(p["pieces"] and Path(p["pieces"]))
+    piece = library.top(p["piece"])
+    plan = batch_plan(
+        piece, library.bottom(p["bottom"]), parse_settings(SimulationSettings, p["bench"], "job"),
+        p["episodes"], spec.seed, p["probes_per_grip"], p["grips_per_mounting"],
+    )  # fmt: skip
+    jobs = split_jobs(plan, {"geometry": piece.sha256}, place.folder, p["start_ns"])
+    return run_job(jobs[p["job"]])._asdict()
+
+
+def publish_packs(store: JobStore, specs: Iterable[JobSpec], out: Path) -> None:
+    """Move the packs of the finished jobs to the folder ``out``; may be repeated."""
+    for spec in specs:
+        if store.has(spec.id):
+            for path in store.folder(spec.id).glob("*.mcap"):
+                with suppress(FileNotFoundError):  # moved by another process
+                    path.replace(out / path.name)
+    sync_folder(out)
 
 
 def run_job(job: CollectionJob) -> Redraws:
     """Simulate and write one job; return the numbers of repeated probes."""
     batches = list(simulate_episodes(job.plan, job.grips))
     write_packs(job.folder, job.stem, episode_rows(job, batches), pack_metadata(job))
-    return _total([Redraws(batch.rejected, batch.unsolved) for batch in batches])
+    return total_redraws([Redraws(batch.rejected, batch.unsolved) for batch in batches])
 
 
-def _total(parts: Sequence[Redraws]) -> Redraws:
+def total_redraws(parts: Iterable[Redraws]) -> Redraws:
+    """Return the sums of all parts."""
+    parts = list(parts)
     return Redraws(sum(p.drawn_again for p in parts), sum(p.unsolved for p in parts))

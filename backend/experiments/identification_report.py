@@ -1,12 +1,19 @@
-"""Report page of an identification: decision, parameters, replay of held-out presses, noise."""
+"""Identification of a dataset as a job, and its report page.
+
+The page shows the decision, the parameters, the replay of held-out presses and the noise.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from touchdown.backend.config import TICK_S
+from touchdown.backend.annotations import CheckProgress, Dataset, no_progress
+from touchdown.backend.config import TICK_S, SimulationSettings, parse_settings
+from touchdown.backend.core import InputError, write_atomically
 from touchdown.backend.experiments.document import (
     SIMULATED,
     PictureGallery,
@@ -18,6 +25,7 @@ from touchdown.backend.experiments.document import (
     curves_chart,
     report_page,
 )
+from touchdown.backend.geometry import load_pieces
 from touchdown.backend.identification import (
     CONTACT,
     GATE_CHANNELS,
@@ -27,10 +35,41 @@ from touchdown.backend.identification import (
     Estimate,
     Identification,
     identifiable,
+    identify_bench,
+    read_recordings,
+    write_identification,
 )
+from touchdown.backend.jobs import JobContext, JobSpec
 
 STAGES = {1: "Sensors at rest", 2: "Arm and grasp", 3: "Gel", 4: "Contact"}
 MEASURED = "Recordings of devices: these figures hold for this set-up"
+
+
+def identify_dataset(
+    spec: JobSpec, place: JobContext, tell: CheckProgress = no_progress
+) -> Mapping[str, Any]:
+    """Identify the bench of a dataset; write bench file, figures and page to the job's folder.
+
+    The answer has the decision and the estimates, or ``refused`` with the parts of an
+    ``InputError``. Finished stages stay in the folder ``stages`` of the parameters.
+    """
+    p, out = spec.params, place.folder / spec.params["name"]
+    library = load_pieces(p["pieces"] and Path(p["pieces"]))
+    nominal = parse_settings(SimulationSettings, p["bench"], "job")
+    try:
+        with Dataset.open(Path(p["dataset"]), write=False, progress=tell) as dataset:
+            recordings = read_recordings(dataset, lambda done, of: tell("Reading", done, of))
+        found = identify_bench(recordings, nominal, library, Path(p["stages"]), tell)
+    except InputError as error:
+        return {"refused": [error.what, error.where, error.fix]}
+    page = identification_page(found, p["dataset"])
+    write_atomically(out.with_suffix(".html"), page.encode())
+    write_identification(found, out, p["dataset"])
+    return {
+        "accepted": found.gate.accepted, "reason": found.reason, "share": found.gate.share,
+        "used": list(found.used),
+        "estimates": {e.key: [e.value, e.sigma, e.unit] for e in found.estimates},
+    }  # fmt: skip
 
 
 def identification_page(found: Identification, source: str) -> str:

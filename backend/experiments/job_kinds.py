@@ -23,7 +23,7 @@ from touchdown.backend.config import (
 from touchdown.backend.core import Event, TrialFinished
 from touchdown.backend.episodes import TrainingRows, join_rows, load_rows
 from touchdown.backend.experiments.certification import run_certified_scenes
-from touchdown.backend.experiments.collection import batch_plan, run_jobs, split_jobs
+from touchdown.backend.experiments.collection import batch_plan, run_job, split_jobs, total_redraws
 from touchdown.backend.experiments.fusion import FUSED_KINDS
 from touchdown.backend.experiments.models import WEIGHTS, batch_model, load_model
 from touchdown.backend.experiments.run_report import FILM_FILE, belief_film
@@ -75,9 +75,8 @@ def simulate_collection(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
         piece, bottom, settings, p["episodes"], spec.seed, p["probes_per_grip"],
         p["grips_per_mounting"],
     )  # fmt: skip
-    redraws = run_jobs(
-        split_jobs(plan, {"geometry": piece.sha256}, place.folder), 1, lambda done: None
-    )
+    jobs = split_jobs(plan, {"geometry": piece.sha256}, place.folder)
+    redraws = total_redraws(map(run_job, jobs))
     return {
         "bench_sha256": bench_sha256(settings),
         "episodes": plan.episodes,

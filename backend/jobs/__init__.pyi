@@ -1,4 +1,5 @@
 from .cluster import DaskCluster as DaskCluster
+from .cluster import SlurmArrays as SlurmArrays
 from .execution import Executor as Executor
 from .execution import ProcessPool as ProcessPool
 from .execution import SerialExecutor as SerialExecutor

@@ -1,14 +1,33 @@
-"""Execution of jobs on a Dask cluster, local or at an address.
+"""Execution of jobs on a cluster: through Dask, or as job arrays of Slurm.
 
-Requires the optional extra ``cluster``.
+Dask requires the optional extra ``cluster``. A task of a job array calls ``main`` of this module.
 """
 
 from __future__ import annotations
 
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
 from importlib import import_module
+from pathlib import Path
 from typing import Any
 
-from touchdown.backend.core import InputError, require_package
+from touchdown.backend.core import (
+    InputError,
+    disk_errors,
+    parse_json,
+    require_package,
+    write_atomically,
+)
+from touchdown.backend.jobs.execution import MAX_WORKER_DEATHS, THREAD_VARIABLES
 from touchdown.backend.jobs.job import JobFunctions, JobResult, JobSpec, JobStore, run_job
 
 JOBS_AHEAD = 2  # jobs submitted per worker thread, so that none is idle
@@ -64,3 +83,135 @@ class DaskCluster:
         self._client.cancel(list(self._running))
         self._running.clear()
         self._client.close()
+
+
+MAX_ARRAY = 1000  # tasks of a job array; Slurm allows 1001 unless configured otherwise
+ONE_THREAD = ",".join(f"{name}=1" for name in THREAD_VARIABLES)
+NOT_QUEUED = "Invalid job id"
+
+
+def call_slurm(words: Sequence[str]) -> str:
+    """Return the output of a command of Slurm; raises ``InputError`` with its message."""
+    try:
+        done = subprocess.run(words, capture_output=True, text=True, check=False)
+    except OSError as error:
+        raise InputError(
+            f"Slurm is not available: {error}.", words[0], "Run on a computer that submits jobs."
+        ) from error
+    if done.returncode:
+        raise InputError(
+            f"Slurm refused: {done.stderr.strip()}.", words[0], "Correct this, then run again."
+        )
+    return done.stdout
+
+
+class SlurmArrays:
+    """Runs jobs as job arrays of Slurm; all nodes must have access to the store and the program.
+
+    Partition, account and time are set by the variables of ``sbatch`` (``SBATCH_PARTITION`` ...).
+    A job whose task left the queue without a result for ``gone_s`` is submitted again, at most
+    ``MAX_WORKER_DEATHS`` times; the results on a shared disk may come late.
+    """
+
+    def __init__(
+        self,
+        kinds: JobFunctions,
+        store: JobStore,
+        call: Callable[[Sequence[str]], str] = call_slurm,
+        look_s: float = 1.0,
+        gone_s: float = 15.0,
+    ) -> None:
+        self._kinds, self._store, self._call = kinds, store, call
+        self._look_s, self._gone_s = look_s, gone_s
+        call(["sbatch", "--version"])
+        with disk_errors("The folder of the jobs cannot be used", store.root, "Name another one."):
+            store.root.mkdir(parents=True, exist_ok=True)
+            self._folder = Path(tempfile.mkdtemp(prefix=".slurm-", dir=store.root)).resolve()
+        self._waiting: list[JobSpec] = []
+        # jobs and the files of their ends, by task, such as "12_3"
+        self._running: dict[str, tuple[JobSpec, Path]] = {}
+        self._gone: dict[str, float] = {}
+        self._deaths: Counter[str] = Counter()
+
+    def room(self) -> int:
+        """Return the number of jobs to submit: none until half an array is free."""
+        free = MAX_ARRAY - len(self._running) - len(self._waiting)
+        return free if 2 * free >= MAX_ARRAY else 0
+
+    def submit(self, spec: JobSpec) -> None:
+        """Keep the job for the next array."""
+        self._waiting.append(spec)
+
+    def finished(self) -> list[JobResult]:
+        """Submit the waiting jobs as one array, then wait for at least one job."""
+        while True:
+            if self._waiting:
+                self._submit_array()
+            if results := self._look():
+                return results
+            if not self._waiting:
+                threading.Event().wait(self._look_s)
+
+    def close(self) -> None:
+        """Cancel the tasks in the queue."""
+        if self._running:
+            self._call(["scancel", *self._arrays()])
+        shutil.rmtree(self._folder, ignore_errors=True)
+
+    def _submit_array(self) -> None:
+        folder, specs = Path(tempfile.mkdtemp(dir=self._folder)), self._waiting
+        kinds = {k: f"{call.__module__}:{call.__qualname__}" for k, call in self._kinds.items()}
+        jobs, root = [spec.canonical() for spec in specs], str(self._store.root.resolve())
+        tasks = json.dumps({"store": root, "kinds": kinds, "jobs": jobs})
+        write_atomically(folder / "tasks.json", tasks.encode())
+        code = f"from {__name__} import main; main()"
+        command = f"exec '{sys.executable}' -c '{code}' '{folder / 'tasks.json'}'"
+        number = self._call([
+            "sbatch", "--parsable", "--job-name=touchdown", f"--array=0-{len(specs) - 1}",
+            f"--output={folder}/%a.log", f"--export=ALL,{ONE_THREAD}", f"--wrap={command}",
+        ]).strip().partition(";")[0]  # fmt: skip
+        self._waiting = []
+        for index, spec in enumerate(specs):
+            self._running[f"{number}_{index}"] = spec, folder / f"{index}.json"
+
+    def _look(self) -> list[JobResult]:
+        queued, results, now_s = self._queued(), list[JobResult](), time.monotonic()
+        for task, (spec, end) in list(self._running.items()):
+            if end.is_file():
+                results.append(JobResult(**parse_json(end.read_bytes())))
+            elif task in queued or now_s - self._gone.setdefault(task, now_s) < self._gone_s:
+                continue
+            elif self._deaths[spec.id] < MAX_WORKER_DEATHS:
+                self._deaths[spec.id] += 1
+                self._waiting.append(spec)
+            else:
+                why = f"Its task ended {MAX_WORKER_DEATHS + 1} times without a result: {task}."
+                results.append(JobResult(spec.id, spec.kind, "failed", error=why))
+            del self._running[task]
+        return results
+
+    def _arrays(self) -> list[str]:
+        return sorted({task.partition("_")[0] for task in self._running})
+
+    def _queued(self) -> set[str]:
+        words = ["squeue", "--noheader", "--array", "--format=%i", "--jobs"]
+        try:
+            return set(self._call([*words, ",".join(self._arrays())]).split())
+        except InputError as error:  # the controller does not answer now, or knows no such array
+            return set() if NOT_QUEUED in error.what else set(self._running)
+
+
+def run_task(path: Path, index: int) -> JobResult:
+    """Run task ``index`` of the file of a job array, and write its end beside the file."""
+    tasks = parse_json(path.read_bytes())
+    spec = JobSpec.parse(tasks["jobs"][index])
+    module, _, function = tasks["kinds"].get(spec.kind, "").partition(":")
+    kinds = {spec.kind: getattr(import_module(module), function)} if module else {}
+    result = run_job(spec, kinds, JobStore(Path(tasks["store"])))
+    write_atomically(path.with_name(f"{index}.json"), json.dumps(asdict(result)).encode())
+    return result
+
+
+def main() -> None:
+    """Run the task of this process: its file is the first argument."""
+    run_task(Path(sys.argv[1]), int(os.environ["SLURM_ARRAY_TASK_ID"]))

@@ -50,7 +50,9 @@ from .training_process import DeviceName as DeviceName
 from .training_process import TrainingCancelled as TrainingCancelled
 from .training_process import TrainingEpoch as TrainingEpoch
 from .training_process import TrainingFinished as TrainingFinished
+from .training_process import TrainingJob as TrainingJob
 from .training_process import TrainingLoaded as TrainingLoaded
+from .training_runs import MODEL as MODEL
 from .training_runs import Curve as Curve
 from .training_runs import RecordedTraining as RecordedTraining
 from .training_runs import TrainingRequest as TrainingRequest
@@ -61,3 +63,5 @@ from .training_runs import read_training_run as read_training_run
 from .training_runs import resume_request as resume_request
 from .training_runs import run_training as run_training
 from .training_runs import train_model as train_model
+from .training_runs import train_variant as train_variant
+from .training_runs import variant_job as variant_job

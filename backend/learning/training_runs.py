@@ -13,6 +13,7 @@ import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +33,14 @@ from touchdown.backend.annotations import (
     run_folders,
 )
 from touchdown.backend.config import TrainingSettings, parse_settings
-from touchdown.backend.core import FaultError, InputError, disk_errors, read_json_lines
+from touchdown.backend.core import (
+    FaultError,
+    InputError,
+    disk_errors,
+    program_version,
+    read_json_lines,
+)
+from touchdown.backend.jobs import JobContext, JobSpec
 from touchdown.backend.learning.checkpoint import ModelCard, load_card
 from touchdown.backend.learning.inference import Modality
 from touchdown.backend.learning.metrics import ReliabilityBin, calibration_error
@@ -299,6 +307,28 @@ def train_model(  # noqa: PLR0913 - each is a keyword of the public API
     )  # fmt: skip
     run_training(job, on_report or (lambda report: None))
     return load_card(job.out)
+
+
+def variant_job(job: TrainingJob) -> JobSpec:
+    """Return the job of ``train_variant`` for one training of a sweep.
+
+    Its id depends on the names, sizes and times of the episodes and labels of ``data`` and ``mix``.
+    """
+    digest = sha256()
+    for folder in filter(None, (job.data, job.mix)):
+        for path in sorted({*folder.rglob("*.mcap"), *folder.glob("labels/*")}):
+            about = path.stat()
+            digest.update(f"{path} {about.st_size} {about.st_mtime_ns}\0".encode())
+    params = job.model_dump(mode="json", exclude={"out", "keep", "resume"})
+    return JobSpec("variant", params, inputs=(digest.hexdigest(),), code=program_version())
+
+
+def train_variant(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
+    """Train one model of a sweep into the job's folder; the answer is the report of its end."""
+    content = {**spec.params, "out": place.folder / MODEL}
+    with TrainingProcess(parse_settings(TrainingJob, content, "job")) as training:
+        *_, last = training.reports()
+    return last.model_dump(mode="json", exclude={"out", "kind"})
 
 
 def make_training_job(

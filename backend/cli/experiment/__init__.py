@@ -1,1 +1,5 @@
-"""Verb ``experiment``."""
+"""Verbs ``experiment``, ``models`` and ``identify``, and the execution of jobs of all verbs."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

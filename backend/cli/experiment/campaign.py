@@ -4,29 +4,19 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, TypeAlias
 
+from touchdown.backend.cli.experiment.executors import add_device, add_executor_arguments, run_jobs
 from touchdown.backend.cli.output import VerbOutput, make_output_folder, require_positive
-from touchdown.backend.cli.train import add_device
 from touchdown.backend.config import SimulationSettings, load_simulation
 from touchdown.backend.core import InputError, disk_errors, write_atomically
 from touchdown.backend.experiments import KINDS, adopt_models, job_effort, shipped_model_folders
-from touchdown.backend.jobs import (
-    Executor,
-    JobSpec,
-    JobStore,
-    independent_jobs,
-    parse_shard,
-    run_campaign,
-    shard_of,
-)
+from touchdown.backend.jobs import JobSpec, JobStore
 
 UNWRITTEN = "It could not be written"
 KEPT = "Free some space, or name another folder; finished jobs are kept."
-EXECUTORS = ("serial", "local", "dask")
 Json: TypeAlias = dict[str, Any]
 
 
@@ -47,13 +37,7 @@ def add_campaign_arguments(parser: argparse.ArgumentParser) -> None:
         "half precision",
     )  # fmt: skip
     add_device(parser)
-    parser.add_argument("--executor", choices=EXECUTORS, default="local", help="where jobs run")
-    parser.add_argument(
-        "--workers", type=int, default=max(1, (os.cpu_count() or 2) - 1),
-        help="processes of the local executor",
-    )  # fmt: skip
-    parser.add_argument("--cluster", metavar="ADDRESS", help="scheduler of the executor dask")
-    parser.add_argument("--shard", metavar="i/n", help="run every n-th job only, for batch queues")
+    add_executor_arguments(parser)
 
 
 def parse_names(text: str, known: Iterable[str], where: str) -> tuple[str, ...]:
@@ -96,46 +80,19 @@ class ExperimentRun:
     def run(self, jobs: list[JobSpec]) -> bool:
         """Run the unfinished jobs, or those of one shard; return True if none failed."""
         self.jobs |= {spec.id: spec for spec in jobs}
-        part, before = jobs, len(self.failed)
-        if self.args.shard:
-            part = shard_of(jobs, *parse_shard(self.args.shard))
-            part = independent_jobs(jobs, part, self.store)
-        else:
-            self.store.sweep()
-        done = 0
-        with self.screen.progress(f"{len(part)} jobs", sum(map(job_effort, part))) as advance:
-            for result in run_campaign(part, self._executor(), self.store):
-                spec = self.jobs[result.id]
-                done += job_effort(spec)
-                advance(done, _job_name(spec))
-                if result.state == "failed":
-                    self.failed.append(result.id)
-                    self.screen.say(f"{_job_name(spec)} failed: {result.error.strip()}")
-        return len(self.failed) == before
+        failed = run_jobs(self.args, self.screen, self.store, KINDS, jobs, _described)
+        self.failed += failed
+        return not failed
 
     def counts(self) -> Json:
         """Return the numbers of all and of missing jobs, and the failed ones."""
         missing = sum(not self.store.has(name) for name in self.jobs)
         return {"jobs": len(self.jobs), "missing": missing, "failed": self.failed}
 
-    def _executor(self) -> Executor:
-        from touchdown.backend.jobs import DaskCluster, ProcessPool, SerialExecutor
 
-        args = self.args
-        if args.executor == "serial":
-            return SerialExecutor(KINDS, self.store)
-        if args.executor == "local":
-            return ProcessPool(KINDS, self.store, args.workers, self.screen.say)
-        if not args.cluster:
-            raise InputError(
-                "The executor dask needs a scheduler.", "--cluster", "Give its address."
-            )
-        return DaskCluster.at(KINDS, self.store, args.cluster)
-
-
-def _job_name(spec: JobSpec) -> str:
+def _described(spec: JobSpec) -> tuple[str, int]:
     p = spec.params
     over = "+".join(p["bottoms"]) if "bottoms" in p else p.get("bottom", "")
     training = p.get("training", {}).get("modality", "")
     words = (spec.kind, p.get("piece", ""), over, training, p.get("strategy", ""))
-    return " ".join(word for word in words if word)
+    return " ".join(word for word in words if word), job_effort(spec)

@@ -1,62 +1,105 @@
-"""``touchdown identify``: identify a bench from the recordings of a dataset."""
+"""``touchdown identify``: identify benches from the recordings of datasets."""
 
 from __future__ import annotations
 
 import argparse
+import shutil
+from contextlib import suppress
+from functools import partial
 from pathlib import Path
+from typing import Any
 
-from touchdown.backend.annotations import Dataset
+from touchdown.backend.cli.experiment.executors import add_executor_arguments, run_jobs
 from touchdown.backend.cli.output import VerbOutput, progress_lines
 from touchdown.backend.config import load_simulation
-from touchdown.backend.core import InputError, disk_errors, write_atomically
-from touchdown.backend.experiments import identification_page
-from touchdown.backend.geometry import load_pieces
-from touchdown.backend.identification import identify_bench, read_recordings, write_identification
+from touchdown.backend.core import InputError, disk_errors, program_version
+from touchdown.backend.experiments import identify_dataset
+from touchdown.backend.jobs import JobSpec, JobStore
 
 KEPT = "Free some space, or name another file; finished stages are kept."
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
-    parser.add_argument("dataset", metavar="DATASET", help="dataset with recordings of one bench")
+    parser.add_argument(
+        "dataset", metavar="DATASET", nargs="+", help="dataset with recordings of one bench"
+    )
     parser.add_argument(
         "--out", type=Path, metavar="FILE", default=Path("lab-bench.toml"),
-        help="bench file to write; figures (.json) and report (.html) beside it",
+        help="bench file to write; figures (.json) and report (.html) beside it; of several "
+        "datasets: folder for a bench file each",
     )  # fmt: skip
     parser.add_argument("--preset", help="nominal bench: mixed (default), bench-v1, ...")
     parser.add_argument("--bench", metavar="FILE", help="nominal bench: settings file (TOML)")
     parser.add_argument("--pieces", metavar="DIR", help="folder with further piece files")
+    add_executor_arguments(parser)
 
 
 def run(args: argparse.Namespace, screen: VerbOutput) -> int:
-    """Identify; return 0 if the bench was accepted, 1 if the replay gate refused it."""
+    """Identify; return 0 if all benches were accepted, 1 if a replay gate refused one."""
     nominal = load_simulation(Path(args.bench) if args.bench else None, args.preset)
-    library = load_pieces(Path(args.pieces) if args.pieces else None)
-    out: Path = args.out
-    if out.suffix != ".toml":
-        raise InputError("The bench file is TOML.", str(out), "Name a file that ends with .toml.")
-    with Dataset.open(Path(args.dataset), write=False, progress=progress_lines()) as dataset:
-        reading = progress_lines()
-        recordings = read_recordings(dataset, lambda done, of: reading("Reading", done, of))
+    several, out = len(args.dataset) > 1, args.out
+    if (out.suffix == ".toml") == several:
+        what = "Several benches need a folder." if several else "The bench file is TOML."
+        fix = "Name a folder." if several else "Name a file that ends with .toml."
+        raise InputError(what, str(out), fix)
+    files = [out / f"{Path(name).resolve().name}.toml" for name in args.dataset]
+    if len(set(files)) < len(files):
+        fix = "Give each dataset a folder of another name."
+        raise InputError("Two datasets have one name.", "DATASET", fix)
+    files = files if several else [out]
+    pieces = str(Path(args.pieces).resolve()) if args.pieces else None
+    jobs = [
+        JobSpec("identify", {
+            "dataset": str(Path(dataset).resolve()), "name": file.name, "pieces": pieces,
+            "stages": str(file.with_suffix(".stages").resolve()),
+            "bench": nominal.model_dump(mode="json"),
+        }, code=program_version())
+        for dataset, file in zip(args.dataset, files, strict=True)
+    ]  # fmt: skip
+    args.executor = "serial" if args.executor == "local" and not several else args.executor
+    here = partial(identify_dataset, tell=progress_lines())
+    kinds = {"identify": here if args.executor == "serial" else identify_dataset}
+    store = JobStore(files[0].parent / f".{out.stem}.jobs")
     with disk_errors("The result cannot be written", out, KEPT):
-        out.parent.mkdir(parents=True, exist_ok=True)
-        stages, source = out.with_suffix(".stages"), str(args.dataset)
-        found = identify_bench(recordings, nominal, library, stages, progress_lines())
-        page = out.with_suffix(".html")
-        write_atomically(page, identification_page(found, source).encode())
-        figures = write_identification(found, out, source)
+        store.root.mkdir(parents=True, exist_ok=True)
+        failed = run_jobs(args, screen, store, kinds, jobs, lambda job: (job.params["dataset"], 1))
+        ended = [pair for pair in zip(jobs, files, strict=True) if store.has(pair[0].id)]
+        found = [_publish(store, spec, file) for spec, file in ended]
+    for one in found:
+        if "refused" in one and not several:
+            raise InputError(*one["refused"])
+        _show(one, screen)
+    answer = {"benches": found} if several or not found else found[0]
+    screen.result({**answer, "failed": failed})
+    return 0 if not failed and all(one.get("accepted") for one in found) else 1
+
+
+def _publish(store: JobStore, spec: JobSpec, out: Path) -> dict[str, Any]:
+    """Move the files of a finished job beside ``out``; return its answer and their paths."""
+    answer, folder = store.result(spec.id), store.folder(spec.id)
+    for suffix in (".html", ".json", ".toml"):
+        if (path := folder / out.with_suffix(suffix).name).is_file():
+            path.replace(out.with_suffix(suffix))
+    shutil.rmtree(folder)
+    with suppress(OSError):  # jobs of other shards are there
+        store.root.rmdir()
+    paths = {"report": str(out.with_suffix(".html")), "figures": str(out.with_suffix(".json"))}
+    bench = str(out) if answer.get("accepted") else None
+    return {**answer, "dataset": spec.params["dataset"], "bench": bench, **paths}
+
+
+def _show(found: dict[str, Any], screen: VerbOutput) -> None:
+    if "refused" in found:
+        screen.say(" ".join(found["refused"]))
+        return
     rows = [
-        (e.key, f"{e.value:.4g}", f"{e.sigma:.2g}", e.unit, "yes" if e.key in found.used else "no")
-        for e in found.estimates
+        (key, f"{value:.4g}", f"{sigma:.2g}", unit, "yes" if key in found["used"] else "no")
+        for key, (value, sigma, unit) in found["estimates"].items()
     ]
     header = ("parameter", "value", "standard uncertainty", "unit", "used")
-    screen.table("Identified bench", header, *rows, right=("value", "standard uncertainty"))
-    screen.say(found.reason)
-    screen.say(f"Report: {page}. " + (f"Bench file: {out}." if found.gate.accepted else ""))
-    screen.result({
-        "accepted": found.gate.accepted, "reason": found.reason, "share": found.gate.share,
-        "bench": str(out) if found.gate.accepted else None, "report": str(page),
-        "figures": str(figures), "used": list(found.used),
-        "estimates": {e.key: [e.value, e.sigma] for e in found.estimates},
-    })  # fmt: skip
-    return 0 if found.gate.accepted else 1
+    title = f"Identified bench of {found['dataset']}"
+    screen.table(title, header, *rows, right=("value", "standard uncertainty"))
+    screen.say(found["reason"])
+    bench = f"Bench file: {found['bench']}." if found["accepted"] else ""
+    screen.say(f"Report: {found['report']}. {bench}")

@@ -411,6 +411,36 @@ def test_simulated_packs_are_complete_and_the_same_for_any_number_of_workers(
     assert [p.read_bytes() for p in find_packs(out)] == [p.read_bytes() for p in find_packs(other)]
 
 
+def test_shards_of_a_simulation_make_one_folder_and_continue_after_an_interruption(
+    tmp_path, capsys
+) -> None:
+    whole, parts = tmp_path / "whole", tmp_path / "parts"
+    assert main([*SMALL, *START, "--executor", "serial", "--out", str(whole)]) == 0
+    shared = [*SMALL, *START, "--executor", "serial", "--out", str(parts)]
+    missing, packs = [], []
+    for shard in ("0/2", "0/2", "1/2"):
+        capsys.readouterr()
+        assert main([*shared, "--shard", shard]) == 0
+        missing.append(json.loads(capsys.readouterr().out)["missing"])
+        packs.append(len(find_packs(parts)))
+    assert missing[0] == missing[1] == 2 - packs[0]
+    assert (missing[2], packs[2]) == (0, 2)
+    for first, second in zip(find_packs(whole), find_packs(parts), strict=True):
+        assert (first.name, first.read_bytes()) == (second.name, second.read_bytes())
+    # Killed after its job was finished, before its pack was moved.
+    pack = find_packs(parts)[0]
+    specs = {path: path.read_text("utf-8") for path in parts.glob(".jobs/*/spec.json")}
+    (spec,) = [path for path, text in specs.items() if "circle15" in text]
+    pack.rename(spec.with_name(pack.name))
+    assert len(find_packs(parts)) == 1, "packs of hidden folders are not read"
+    assert main(shared) == 0
+    assert len(find_packs(parts)) == 2
+    for other in (["--seed", "5"], ["--start", "2026-01-31T12:00:01+01:00"]):
+        assert main([*shared, *other]) == 2, "another collection"
+    assert main([*SMALL, "--shard", "0/2", "--out", str(tmp_path / "new")]) == 2
+    assert "--start" in capsys.readouterr().err
+
+
 def test_nested_and_foreign_annotations_are_refused_in_plain_words(tmp_path, capsys) -> None:
     Dataset.open(tmp_path / "data").close()
     for content, why in (

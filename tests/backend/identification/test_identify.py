@@ -15,6 +15,7 @@ from touchdown.backend.cli.command_line import main
 from touchdown.backend.config import ProbeSettings, load_simulation
 from touchdown.backend.core import InputError, MarkerField, Recording
 from touchdown.backend.experiments import identification_page
+from touchdown.backend.experiments import identification_report as report
 from touchdown.backend.experiments.document import SIMULATED, check_svg
 from touchdown.backend.geometry import load_pieces
 from touchdown.backend.identification import read_recordings
@@ -563,3 +564,26 @@ def test_a_dataset_without_presses_is_refused_by_the_command(tmp_path, capsys):
     error = capsys.readouterr().err
     assert "0 valid presses" in error
     assert "collect --plan gel" in error
+
+
+def test_several_datasets_are_identified_as_jobs(tmp_path, monkeypatch, capsys):
+    made = {"a": made_identification(0.3), "b": made_identification(1.4)}
+    told = []
+    for name in made:
+        Dataset.open(tmp_path / name, person="ann").close()
+    monkeypatch.setattr(report, "read_recordings", lambda dataset, _: dataset.folder.name)
+    monkeypatch.setattr(report, "identify_bench", lambda name, *_: told.append(name) or made[name])
+    out = tmp_path / "benches"
+    words = ["identify", str(tmp_path / "a"), str(tmp_path / "b"), "--out", str(out), "--json"]
+    words += ["--executor", "serial"]
+    assert main([*words, "--shard", "0/2"]) == int(told == ["b"])
+    assert main([*words, "--shard", "1/2"]) == int(told[1] == "b")
+    assert sorted(told) == ["a", "b"]
+    files = ["a.html", "a.json", "a.toml", "b.html", "b.json"]
+    assert sorted(path.name for path in out.iterdir()) == files
+    capsys.readouterr()
+    assert main(words) == 1
+    a, b = json.loads(capsys.readouterr().out)["benches"]
+    assert (a["bench"], b["bench"]) == (str(out / "a.toml"), None)
+    assert a["estimates"]["grasp.shear_n_mm"] == [5.0, 0.2, "N/mm"]
+    assert main([*words[:3], "--out", str(tmp_path / "one.toml")]) == 2

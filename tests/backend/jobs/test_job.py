@@ -6,6 +6,7 @@ import json
 import os
 import shutil
 import warnings
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,8 @@ import pytest
 from tests.backend.jobs.sample_kinds import KINDS
 from touchdown.backend.core.faults import InputError
 from touchdown.backend.core.scheduling import NICENESS
-from touchdown.backend.jobs import DaskCluster
+from touchdown.backend.jobs import DaskCluster, SlurmArrays
+from touchdown.backend.jobs.cluster import NOT_QUEUED, run_task
 from touchdown.backend.jobs.execution import (
     MAX_WORKER_DEATHS,
     Executor,
@@ -231,3 +233,62 @@ def test_two_dask_workers_give_the_numbers_of_one_process(tmp_path: Path) -> Non
     assert [r.kind for r in results if r.state == "failed"] == ["refuse"]
     for spec in [*apart, total]:
         assert shared.result(spec.id) == alone.result(spec.id)
+
+
+class FakeSlurm:
+    """Runs the tasks of an array at once; tasks of the arrays ``lost`` end without a result."""
+
+    def __init__(self, lost: int = 0, silent: int = 0) -> None:
+        self.lost, self.silent, self.arrays, self.cancelled = lost, silent, 0, list[str]()
+
+    def __call__(self, words: Sequence[str]) -> str:
+        if words[0] == "squeue":
+            self.silent -= 1
+            raise InputError("Unable to contact" if self.silent >= 0 else NOT_QUEUED, "", "")
+        if words[0] == "scancel":
+            self.cancelled += words[1:]
+        if words[0] != "sbatch" or "--version" in words:
+            return ""
+        self.arrays += 1
+        options = dict(word.split("=", 1) for word in words if "=" in word)
+        if self.arrays > self.lost:
+            path = Path(options["--wrap"].rsplit("'", 2)[1])
+            for index in range(int(options["--array"].partition("-")[2]) + 1):
+                run_task(path, index)
+        return f"{self.arrays};cluster\n"
+
+
+def test_job_arrays_give_the_numbers_of_one_process(tmp_path: Path) -> None:
+    apart = draws(5)
+    total = JobSpec("add", inputs=tuple(spec.id for spec in apart))
+    specs = [*apart, total, JobSpec("refuse"), JobSpec("unknown")]
+    alone, shared = JobStore(tmp_path / "1"), JobStore(tmp_path / "2")
+    list(run_campaign(specs, SerialExecutor(KINDS, alone), alone))
+    slurm = FakeSlurm(lost=1, silent=2)
+    results = list(run_campaign(specs, SlurmArrays(KINDS, shared, slurm, 0.0, 0.0), shared))
+    assert sorted(r.kind for r in results if r.state == "failed") == ["refuse", "unknown"]
+    assert "Bad." in next(r.error for r in results if r.kind == "refuse")
+    assert [shared.result(s.id) for s in specs[:6]] == [alone.result(s.id) for s in specs[:6]]
+    # one lost array, its repetition, and the job that waited for them
+    assert slurm.arrays == 3
+    assert sorted(p.name for p in shared.root.iterdir()) == sorted(s.id for s in specs[:6])
+
+
+def test_a_task_that_never_leaves_a_result_is_given_up_and_the_queue_is_emptied(tmp_path) -> None:
+    store = JobStore(tmp_path)
+    slurm = FakeSlurm(lost=9)
+    (end,) = run_campaign(draws(1), SlurmArrays(KINDS, store, slurm, 0.0, 0.0), store)
+    assert (end.state, slurm.arrays) == ("failed", 3)
+    assert "3 times" in end.error
+    stopped = SlurmArrays(KINDS, store, slurm, 0.0, 0.0)
+    stopped.submit(draws(1)[0])
+    assert stopped.room() == 999
+    stopped._submit_array()
+    stopped.close()
+    assert slurm.cancelled == ["4"]
+
+
+def test_without_slurm_the_command_that_is_missing_is_named(tmp_path, monkeypatch) -> None:
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with pytest.raises(InputError, match="Slurm is not available"):
+        SlurmArrays(KINDS, JobStore(tmp_path))

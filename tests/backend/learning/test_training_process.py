@@ -39,6 +39,7 @@ from touchdown.backend.learning import (
     save_checkpoint,
     stable_flags,
     train_model,
+    training_runs,
 )
 from touchdown.backend.learning.fitting import fit_model
 from touchdown.backend.learning.inference import ARCH, Modality, Normaliser
@@ -602,3 +603,48 @@ def test_a_checkpoint_that_does_not_fit_is_not_fine_tuned(
     with pytest.raises(InputError, match="replace its checkpoint"):
         make_training_job(data, None, path, {}, pretrained=path)
     assert not out.exists()
+
+
+class TrainingHere:
+    """A training in this process, which takes milliseconds."""
+
+    calls = 0
+
+    def __init__(self, job: TrainingJob) -> None:
+        self.job = job
+
+    def __enter__(self) -> "TrainingHere":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        TrainingHere.calls += 1
+
+    def reports(self) -> list[object]:
+        found: list[object] = []
+        fit_model(self.job, found.append, lambda: False)
+        return found
+
+
+def test_a_sweep_keeps_the_best_model_and_repeats_no_training(
+    tmp_path: Path, write_data: Data, capsys: pytest.CaptureFixture[str], monkeypatch
+) -> None:
+    monkeypatch.setattr(training_runs, "TrainingProcess", TrainingHere)
+    data, out = write_data(tmp_path / "data", 36), tmp_path / "best.safetensors"
+    words = ["train", str(data), "--out", str(out), "--batch", "4", "--executor", "serial"]
+    words += ["--sweep", "learning-rate=3e-3,1e-9", "--sweep", "modality=FT", "--json"]
+    words += ["--epochs", "1"]
+    answers = []
+    for more in (["--shard", "0/2"], ["--shard", "1/2"], []):
+        assert main([*words, *more]) == 0
+        answers.append(json.loads(capsys.readouterr().out))
+    assert [answer["missing"] for answer in answers] == [1, 0, 0]
+    assert TrainingHere.calls == 2
+    good, bad = answers[-1]["sweep"]
+    assert good["model"] == "learning_rate=0.003 modality=FT"
+    assert good["iou"] > bad["iou"]
+    assert (answers[0]["out"], answers[-1]["out"]) == (None, str(out))
+    alone = tmp_path / "alone.safetensors"
+    train_model(data, "pot", alone, modality="FT", batch=4, threads=1, epochs=1, learning_rate=3e-3)
+    assert load_card(out).weights_sha256 == load_card(alone).weights_sha256
+    assert main([*words, "--sweep", "speed=3"]) == 2
+    assert main([*words, "--resume"]) == 2

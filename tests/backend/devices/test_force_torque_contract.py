@@ -137,7 +137,9 @@ class OverTheLink(Wired):
 
 
 @pytest.fixture(params=[*sorted(emulated_makes()), "leptrino over the link"])
-def wired(request, tmp_path):
+def wired(request, tmp_path, monkeypatch):
+    for driver in (bota_driver, ft300_driver):
+        monkeypatch.setattr(driver, "PAUSE_S", 0.1)  # an emulated sensor is quick
     kind, _, link = request.param.partition(" ")
     made = (OverTheLink if link else Wired)(kind, tmp_path)
     yield made

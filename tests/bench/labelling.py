@@ -11,6 +11,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -23,6 +24,7 @@ from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication
 
 from tests.app.label.conftest import make_episode
+from tests.backend.annotations import filling
 from tests.bench.figures import Figure, at_least, at_most, failures, figure, stated
 from touchdown.app.application import TouchdownApp
 from touchdown.app.label.text import evidence_badges
@@ -135,6 +137,92 @@ def _walk(folder: Path) -> list[Figure]:
         *_stated("accept saved and next painted", accepted, (50, 95), note),
         *_stated("accept and next, processor time of the window's thread", working, (50, 95), note),
         Figure("episodes read ahead", held / 1e6, "MB", "<= 50", held <= 50e6, note),
+    ]  # fmt: skip
+
+
+LARGE, RECORDED, PAGES, SORTED = 100_000, 120, 100, "piece:pot sort:pair"
+
+
+@figure("labelling")
+def large_dataset() -> list[Figure]:
+    """Walk 100,000 episodes in the window by its keys, list and filter, offscreen.
+
+    The last 120 have recordings; the files of the others are holes, which cannot be read.
+    """
+    os.environ.setdefault("QT_QPA_PLATFORM", "offscreen")
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        with mock.patch.dict(os.environ, {"TOUCHDOWN_DATA": str(folder)}):
+            with Dataset.open(folder / "dataset") as dataset:
+                filling.fill(dataset, LARGE - RECORDED)
+                filling.make_files(dataset)
+            with Dataset.open(folder / "dataset") as dataset:
+                dataset.resolve("bench")  # the journal that ``filling.fill`` did not write
+            fill(folder / "dataset", RECORDED, RECORDED)
+            return _walk_large(folder)
+
+
+def _walk_large(folder: Path) -> list[Figure]:
+    never, turns = threading.Event(), list[float]()  # turns of the event loop, ms
+
+    def turn() -> None:
+        start_s = time.perf_counter()
+        application.processEvents()
+        turns.append(1e3 * (time.perf_counter() - start_s))
+
+    def until(done: Callable[[], object]) -> None:
+        end_s = time.monotonic() + 300
+        while not done():
+            assert time.monotonic() < end_s, "the window did not come to it"
+            turn()
+            never.wait(0.001)
+
+    def press(*keys: Any, **more: Any) -> None:
+        for key in keys:
+            start_s = time.perf_counter()
+            QTest.keyClick(window.window.windowHandle(), key, **more)
+            turn()
+            pressed.append(1e3 * (time.perf_counter() - start_s))
+
+    def turn_pages() -> None:
+        """Page down at some places of the list, from its beginning to its end."""
+        bar = page.list.verticalScrollBar()
+        for start in np.linspace(0, bar.maximum(), PAGES // 10).astype(int).tolist():
+            bar.setValue(start - 9 * bar.pageStep() if start else 0)
+            for _ in range(10):
+                start_s = time.perf_counter()
+                bar.triggerAction(bar.SliderAction.SliderPageStepAdd)
+                turn()
+                paged.append(1e3 * (time.perf_counter() - start_s))
+        assert bar.value() == bar.maximum()
+
+    begun_s = time.monotonic()
+    application, window, workspace = _opened(folder)
+    page, pressed, paged = workspace.label_page, list[float](), list[float]()
+    until(lambda: workspace.presenter is not None and workspace.presenter.walk.order)
+    walk, opened_s = workspace.presenter.walk, time.monotonic() - begun_s
+    assert len(walk.order) == LARGE
+    turn_pages()
+    press(Qt.Key.Key_Q, *str(LARGE - RECORDED + 1), Qt.Key.Key_Return)
+    for at in range(LARGE - RECORDED, LARGE - 1):
+        until(lambda at=at: walk.at == at and not isinstance(walk.ahead(), Exception | None))  # type: ignore[misc]
+        press(Qt.Key.Key_PageDown)
+    press(Qt.Key.Key_F, modifier=Qt.KeyboardModifier.ControlModifier)
+    press(*SORTED)
+    begun_s = time.monotonic()
+    press(Qt.Key.Key_Return)
+    until(lambda: len(walk.order) < LARGE)
+    filtered_s, count = time.monotonic() - begun_s, len(walk.order)
+    turn_pages()
+    window.close()
+    note = f"{LARGE:,} episodes, offscreen"
+    page_ms, key_ms = (float(np.percentile(v, 95)) for v in (paged, pressed))
+    return [
+        stated("large dataset, window to its list", opened_s, "s", note),
+        at_most("large dataset, page of the list, p95", page_ms, "ms", 50, note),
+        at_most("large dataset, key, p95", key_ms, "ms", 50, f"{note}; {len(pressed)} keys"),
+        stated("large dataset, filtered and sorted", filtered_s, "s", f"{count:,} pass {SORTED}"),
+        at_most("large dataset, longest freeze", max(*turns, *pressed, *paged), "ms", 200, note),
     ]  # fmt: skip
 
 

@@ -218,7 +218,7 @@ def run_laboratory(
     return result
 
 
-def summary(results: list[dict[str, Any]]) -> dict[str, Any]:
+def summary(results: list[dict[str, Any]], *, drivers: bool = False) -> dict[str, Any]:
     """Return coverage, sharpness and held-out error over laboratories."""
     cells = [(key, one) for r in results for key, one in r["parameters"].items()]
     by_key = {
@@ -227,7 +227,7 @@ def summary(results: list[dict[str, Any]]) -> dict[str, Any]:
     }
     return {
         "laboratories": len(results),
-        "recorded_by": "collect on the simulated bench, through the dataset",
+        "recorded_by": f"collect on the {'emulated' if drivers else 'simulated'} bench",
         "coverage_95": float(np.mean([one["covered"] for _, one in cells])),
         "median_sharpness": float(np.median([one["sharpness"] for _, one in cells])),
         "held_out_share": [r["share"] for r in results],
@@ -465,26 +465,31 @@ def mean_entropies(probability: Any) -> Any:
 
 
 def labels_needed(curves: Mapping[str, list[list[float]]]) -> dict[str, Any]:
-    """Return the labels by which each seed first reaches the IoU of random order at the end.
+    """Return the labels by which each order first reaches the IoU of random order at the end.
 
     The target is the mean over seeds; a curve counts as its running maximum, between labels by
-    interpolation. The interval is a bootstrap over seeds.
+    interpolation. ``share`` is that of the queue over random order, None if the queue does not
+    reach it; the interval is a bootstrap over seeds, of those draws in which it does.
     """
     lines = {way: np.array(found) for way, found in curves.items()}
     labels = BATCH * np.arange(lines["random"].shape[1])
 
     def share(rows: Any) -> float:
         mean = {way: np.maximum.accumulate(line[rows].mean(axis=0)) for way, line in lines.items()}
-        target = mean["random"][-1]
-        needed = {way: float(np.interp(target, one, labels)) for way, one in mean.items()}
-        return needed["queue"] / needed["random"]
+        target = lines["random"][rows, -1].mean()
+        needed = {way: float(np.interp(target, one, labels, right=np.inf))
+                  for way, one in mean.items()}  # fmt: skip
+        return needed["queue"] / max(needed["random"], 1.0)
 
     count = len(lines["random"])
     rng = np.random.default_rng(0)
-    drawn = [share(rng.integers(count, size=count)) for _ in range(2000)]
+    drawn = np.array([share(rng.integers(count, size=count)) for _ in range(2000)])
+    whole, reached = share(np.arange(count)), drawn[np.isfinite(drawn)]
     return {
-        "share": share(np.arange(count)),
-        "interval": np.quantile(drawn, [0.025, 0.975]).tolist(),
+        "share": whole if np.isfinite(whole) else None,
+        "interval": np.quantile(reached, [0.025, 0.975]).tolist() if len(reached) else None,
+        "draws_that_reach": len(reached) / len(drawn),
+        "iou": {way: [float(line.mean(axis=0)[k]) for k in (0, -1)] for way, line in lines.items()},
     }
 
 
@@ -501,7 +506,8 @@ def main() -> int:
     parser.add_argument("--count", type=int, default=20)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--out", type=Path, default=FOLDER, metavar="FOLDER")
-    parser.add_argument("--drivers", action="store_true", help="record on the emulated bench")
+    parser.add_argument("--drivers", action="store_true", help="record on the emulated bench; "
+                        "the result goes into docs/results")  # fmt: skip
     parser.add_argument("--curves", type=int, metavar="SEED", help="learning curves on a "
                         "laboratory that was identified, into docs/results")  # fmt: skip
     parser.add_argument("--active", type=int, metavar="SEED", help="labels saved by the queue")
@@ -527,6 +533,10 @@ def main() -> int:
             f"{sum(covered)} of {len(covered)} in their interval, converged: {last['converged']}, "
             f"identified in {last['identify_cpu_s']} s of CPU\n"
         )
+    if args.drivers:
+        content = [{k: v for k, v in r.items() if k not in ("bench", "ranges")} for r in results]
+        save_result("laboratory-drivers", {**summary(results, drivers=True), "of": content})
+        return 0
     text = json.dumps(summary(results), indent=1)
     (args.out / "summary.json").write_text(text + "\n")
     sys.stdout.write(text + "\n")

@@ -78,8 +78,8 @@ campaign: setup ## strike every device and process 600 times (40 min; resumes; P
 fuzz: setup ## feed damaged bytes to every wire decoder (10 min each; MINUTES=1 for less)
 	@OMP_NUM_THREADS=1 $(BIN)/python -m tests.fuzz.wire --minutes $(MINUTES)
 
-screens: setup ## render every workspace and state, in all themes, into output/screens (CHECK=1: check sizes)
-	@QT_QPA_PLATFORM=offscreen OMP_NUM_THREADS=1 $(BIN)/python -m tests.screens $(if $(CHECK),--check) 2>/dev/null
+screens: setup ## render every workspace and state, in all themes, into output/screens (CHECK=1: check sizes; PSEUDO=1: with longer texts)
+	@QT_QPA_PLATFORM=offscreen OMP_NUM_THREADS=1 $(BIN)/python -m tests.screens $(if $(CHECK),--check) $(if $(PSEUDO),--pseudo) 2>/dev/null
 
 pictures: setup ## make the pictures of README and guides, in docs/img
 	@QT_QPA_PLATFORM=offscreen OMP_NUM_THREADS=1 $(BIN)/python -m tests.pictures 2>/dev/null

@@ -20,15 +20,15 @@ class PictureFiles:
         """Create ``folder`` if needed; raises OSError if it cannot be written."""
         self._folder, self._kept = folder, list[Path]()
         folder.mkdir(parents=True, exist_ok=True)
-        self.keep("trial", bytes(1 << 16))
+        self.keep("trial.png", bytes(1 << 16))
         self.drop()
 
-    def keep(self, name: str, png: bytes) -> None:
+    def keep(self, name: str, content: bytes) -> None:
         """Write a picture to a temporary file; raises OSError if the disk refuses it."""
-        beside = self._folder / f"{name}.png{PART}"
+        beside = self._folder / f"{name}{PART}"
         self._kept.append(beside)
         try:
-            beside.write_bytes(png)
+            beside.write_bytes(content)
         except OSError:
             self.drop()
             raise

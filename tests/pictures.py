@@ -1,4 +1,4 @@
-"""Render the pictures of README and guide from the simulated bench (``make pictures``).
+"""Render pictures and film of README and guide from the simulated bench (``make pictures``).
 
 The bench clock is advanced by the program, so that the pictures are the same on every machine
 except for dates and free disk space. No data of this computer are used.
@@ -30,10 +30,12 @@ from touchdown.backend.learning.training_runs import RecordedTraining, TrainingR
 from touchdown.backend.runs import RecordingOptions, RunState, SceneChoice
 
 SIZE = (1280, 720)
-PARTS = ("operate", "stack", "review", "collect", "train")
+PARTS = ("operate", "stack", "review", "collect", "train", "film")
 PERSON = "Ann"
 PROBES = 12
 PRESSED_S = 1.6  # time after which a press has reached its full force
+FILM_SIZE, FILM_QUALITY = (960, 540), 55
+FILM_STEP_S, FRAME_MS, LAST_FRAME_MS = 0.5, 100, 3000  # five times the speed of the bench
 STEPS = 100_000  # steps of the bench clock after which something has gone wrong
 
 
@@ -108,13 +110,17 @@ class Day:
         for _ in range(20):
             self.main.pump.tick()
             QApplication.processEvents()
+        # The lowest bit is camera noise and takes a sixth of the file.
+        pixels = self._pixels() & 0xFE
+        _, png = cv2.imencode(".png", pixels, [cv2.IMWRITE_PNG_COMPRESSION, 9])
+        self._files.keep(f"{name}.png", png.tobytes())
+        self.main.look.show("dark", 1.0)
+
+    def _pixels(self) -> Any:
+        """Return the window as (height, width, 3) bytes, BGR."""
         image = self.main.window.grab().toImage().convertToFormat(QImage.Format.Format_BGR888)
         rows = np.frombuffer(image.constBits(), np.uint8).reshape(image.height(), -1)
-        pixels = rows[:, : 3 * image.width()].reshape(image.height(), image.width(), 3)
-        # The lowest bit is camera noise and takes a sixth of the file.
-        _, png = cv2.imencode(".png", pixels & 0xFE, [cv2.IMWRITE_PNG_COMPRESSION, 9])
-        self._files.keep(name, png.tobytes())
-        self.main.look.show("dark", 1.0)
+        return rows[:, : 3 * image.width()].reshape(image.height(), image.width(), 3)
 
     def stack(self) -> None:
         main, workspace = self.main, self.main.workspaces["stack"]
@@ -123,10 +129,35 @@ class Day:
         workspace.page.run._trials.setValue(1)
         main.actions.action("stack.start").trigger()
         self.press(3)
-        for theme in ("dark", "light"):
-            self.grab(f"stack-{theme}", theme)
+        self.grab("stack-light", "light")
         self.until(lambda: workspace.presenter.story.ended is not None)
         self.go_on()
+
+    def film(self) -> None:
+        """Record a stacking run of one trial as an animation."""
+        main, workspace = self.main, self.main.workspaces["stack"]
+        main.go("stack")
+        self.until(lambda: main.bar.pill.state.word == "READY")
+        workspace.page.run._trials.setValue(1)
+        main.actions.action("stack.start").trigger()
+        story, frames = workspace.presenter.story, list[Any]()
+        self.until(lambda: story.head is not None and story.ended is None)
+        while story.ended is None:
+            next_s = self.session.clock_s() + FILM_STEP_S
+            self.until(
+                lambda at_s=next_s: (
+                    self.session.clock_s() > at_s or workspace.presenter.story.ended is not None
+                )
+            )
+            frames.append(cv2.resize(self._pixels(), FILM_SIZE, interpolation=cv2.INTER_AREA))
+        self.go_on()
+        frames.append(cv2.resize(self._pixels(), FILM_SIZE, interpolation=cv2.INTER_AREA))
+        film = cv2.Animation()
+        film.frames = frames
+        film.durations = [FRAME_MS] * (len(frames) - 1) + [LAST_FRAME_MS]
+        quality = [cv2.IMWRITE_WEBP_QUALITY, FILM_QUALITY]
+        _, webp = cv2.imencodeanimation(".webp", film, quality)
+        self._files.keep("stack-run.webp", webp.tobytes())
 
     def operate(self) -> None:
         self.main.go("operate")

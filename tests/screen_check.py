@@ -6,6 +6,7 @@ texts are those that Python code draws; elided texts count where digits are lost
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -39,6 +40,7 @@ from PySide6.QtWidgets import (
     QToolButton,
     QWidget,
 )
+from shiboken6 import isValid
 
 from touchdown.widgets.base import ElidedLabel
 from touchdown.widgets.shell.tour import TourCard
@@ -122,6 +124,38 @@ def logical_sizes() -> Iterator[tuple[str, QSize, bool]]:
         for scale in SCALES:
             size = QSize(int(width / scale), int(height / scale))
             yield f"{width}x{height}@{scale:g}", size, (width, height) != STATE_AND_STOP
+
+
+ACCENTS = str.maketrans(
+    "aeiouAEIOUcn", "\u00e5\u00eb\u00ef\u00f6\u00fc\u00c5\u00cb\u00cf\u00d6\u00dc\u00e7\u00f1"
+)
+LONGER = 0.3  # share by which a translation may be longer than the English text
+
+
+def pseudo_text(text: str) -> str:
+    """Return a text with words as in a long translation: accented, 30 % longer."""
+    if not re.search(r"[A-Za-z]{3}", text) or "\n" in text:
+        return text
+    more = math.ceil(LONGER * len(text))
+    added = "\u00f6" * more if " " not in text else (" \u00fcnd m\u00ebhr" * more)[:more]
+    return text.translate(ACCENTS) + added
+
+
+@contextmanager
+def pseudo_texts() -> Iterator[None]:
+    """Show all labels and buttons in pseudo texts, then in their own ones again."""
+    changed = list[tuple[Any, str, str]]()
+    for widget in QApplication.allWidgets():
+        if isinstance(widget, QLabel | QAbstractButton) and widget.isVisible():
+            text = widget.text()
+            widget.setText(pseudo_text(text))
+            changed.append((widget, text, widget.text()))
+    try:
+        yield
+    finally:
+        for widget, text, shown in changed:
+            if isValid(widget) and widget.text() == shown:
+                widget.setText(text)
 
 
 def view_failures(window: QWidget, size: QSize, *, whole: bool = True) -> list[str]:

@@ -24,8 +24,8 @@ def names(folder):
 
 
 def test_a_picture_is_there_when_all_are(files, tmp_path):
-    files.keep("stack", b"new")
-    files.keep("train", b"new")
+    files.keep("stack.png", b"new")
+    files.keep("train.png", b"new")
     assert (tmp_path / "stack.png").read_bytes() == b"old"
     files.put()
     assert (tmp_path / "stack.png").read_bytes() == b"new"
@@ -37,8 +37,8 @@ def test_a_full_disk_leaves_the_pictures_and_says_one_line(files, tmp_path, caps
     (tmp_path / "train.png.part").symlink_to("/dev/full")
 
     def draw():
-        files.keep("stack", b"new")
-        files.keep("train", b"new")
+        files.keep("stack.png", b"new")
+        files.keep("train.png", b"new")
         raise AssertionError("the disk took it")
 
     assert run_reporting(draw) == 1

@@ -6,8 +6,10 @@
 from __future__ import annotations
 
 import base64
+import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from datetime import datetime
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -29,6 +31,7 @@ from touchdown.backend.core import (
     StabilityJudged,
     TrialFinished,
     TrialStarted,
+    program_version,
     write_atomically,
 )
 from touchdown.backend.experiments import document
@@ -36,6 +39,7 @@ from touchdown.backend.experiments.trials import BatchTrialResult
 from touchdown.backend.geometry import rings_of
 
 WIDTH_PX = 230
+BAR_MM = 6.0  # width of the colour bar beside a belief map of 40 mm
 ARROW_GAIN = 3  # drawn length of a displacement of a marker over the real one
 
 
@@ -52,6 +56,8 @@ def belief_svg(
 ) -> str:
     """Return one panel: map, hull, centre of mass, planned step, and the true support if known.
 
+    A bar of the colours of p (support) stands at the right.
+
     The view is ``2 view_mm`` wide around the centre of the map; y points up.
     """
     belief = updated.belief
@@ -62,9 +68,10 @@ def belief_svg(
     left, bottom = belief.origin_mm[0] - half, belief.origin_mm[1] - half
     cx = left + 0.5 * nx * belief.pitch_mm
     cy = bottom + 0.5 * ny * belief.pitch_mm
+    wide_mm, right = 2 * view_mm + BAR_MM, cx + view_mm
     parts = [
-        f'<svg viewBox="{cx - view_mm} {-cy - view_mm} {2 * view_mm} {2 * view_mm}" '
-        f'width="{WIDTH_PX}" height="{WIDTH_PX}" role="img" '
+        f'<svg viewBox="{cx - view_mm} {-cy - view_mm} {wide_mm} {2 * view_mm}" '
+        f'width="{WIDTH_PX}" height="{2 * view_mm * WIDTH_PX / wide_mm:.0f}" role="img" '
         f'aria-label="Belief map after probe {updated.probe}">',
         f'<image x="{left}" y="{-(bottom + ny * belief.pitch_mm)}" '
         f'width="{nx * belief.pitch_mm}" height="{ny * belief.pitch_mm}" '
@@ -85,6 +92,16 @@ def belief_svg(
         parts.append(f'<path d="M{cx - view_mm + 2} {view_mm - cy - 2}h10" {style}/>')
     place = f'x="{cx - view_mm + 13}" y="{view_mm - cy - 1.2}"'
     parts.append(f'<text {place} font-size="2.4" fill="#ffffff">10 mm</text>')
+    ramp = np.arange(255, -1, -5, dtype=np.uint8)[:, None]
+    _, png = cv2.imencode(".png", cv2.applyColorMap(ramp, cv2.COLORMAP_CIVIDIS))
+    parts.append(
+        f'<rect x="{right}" y="{-cy - view_mm}" width="{BAR_MM}" height="{2 * view_mm}" '
+        f'fill="#ffffff"/><image x="{right + 1}" y="{-cy - 12}" width="1.8" height="24" '
+        f'preserveAspectRatio="none" href="data:image/png;base64,{_base64(png)}"/>'
+    )
+    for text, y in (("p", -14.0), ("1", -10.2), ("0.5", 0.9), ("0", 12.0)):
+        label = f'x="{right + 3.2}" y="{y - cy}" font-size="2.2" fill="{document.INK}"'
+        parts.append(f"<text {label}>{text}</text>")
     parts.append("</svg>")
     return "".join(parts)
 
@@ -100,8 +117,10 @@ def wrench_svg(episode: Episode) -> str:
     """Return the 10 Hz forces of one probe in N over the 2 s after contact."""
     force = episode.observation[:, 252:255].astype(np.float64)
     top = max(1.0, float(np.nanmax(np.abs(force))))
-    lines = []
+    lines, names = [], []
     for axis, colour in enumerate((document.BLUE, document.ORANGE, document.VIOLET)):
+        names.append(f'<text x="{10 + 18 * axis}" y="62" font-size="9" fill="{colour}">')
+        names.append(f"F{'xyz'[axis]}</text>")
         points = " ".join(
             f"{10 * (k + 1):.1f},{30 - 26 * v / top:.1f}" for k, v in enumerate(force[:, axis])
         )
@@ -110,9 +129,9 @@ def wrench_svg(episode: Episode) -> str:
         f'<svg viewBox="0 0 210 64" width="{WIDTH_PX}" height="70" role="img" '
         f'aria-label="Forces of the probe">'
         '<path d="M10 30h195" stroke="#76818C" stroke-width="0.5"/>'
-        + "".join(lines)
-        + '<text x="10" y="62" font-size="9" fill="#55606B">'
-        + f"Fx Fy Fz, ±{top:.1f} N, 2 s</text></svg>"
+        + "".join((*lines, *names))
+        + '<text x="66" y="62" font-size="9" fill="#55606B">'
+        + f"axis ±{top:.1f} N, 0 to 2 s after contact</text></svg>"
     )
 
 
@@ -213,13 +232,14 @@ def write_run_report(
     OSError
         The file cannot be written.
     """
-    galleries, rows, about, placed = [], [], [_LEGEND], 0
+    made = f"Written on {datetime.now():%Y-%m-%d at %H:%M} by touchdown {program_version()}."
+    galleries, rows, about, placed = [], [], [made, _LEGEND], 0
     for events in runs:
         head, trials = _split_trials(events)
         if head is None:
             continue
         told = f"Run {head.run_id}: {head.piece} on {head.bottom}, strategy {head.strategy}"
-        about.append(f"{told}, seed {head.seed}.")
+        about.append(f"{told}, {_model_text(head)}seed {head.seed}.")
         outline = outlines_mm.get(head.bottom.split("+")[-1]) if head.simulated else None
         for trial in trials:
             title = f"{head.piece} on {head.bottom}, seed {trial.started.seed}"
@@ -234,6 +254,16 @@ def write_run_report(
         (document.ReportSection("", (), (table, *galleries)),),
     )
     write_atomically(path, document.report_page(report).encode())
+
+
+def _model_text(head: RunStarted) -> str:
+    """Return the model or network of a run; "" if its settings name none."""
+    record = json.loads(head.settings)
+    if head.strategy == "fused":
+        weights = record.get("method", {}).get("fused", {}).get("weights")
+        return f"network {weights}, " if weights else "the shipped network, "
+    model = record.get("model") or {}
+    return f"model of {model['piece']} {model['weights_sha256'][:16]}, " if model else ""
 
 
 def _split_trials(facts: Iterable[Event]) -> tuple[RunStarted | None, list[_TrialRecord]]:

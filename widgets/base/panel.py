@@ -331,7 +331,7 @@ class FlowLayout(QLayout):
         margins: Margins = (0, 0, 0, 0), spacing: int = GAP_PX,
     ) -> None:  # fmt: skip
         super().__init__(*(() if parent is None else (parent,)))
-        self._items, self._least_px = list[QLayoutItem](), dict[QWidget, int]()
+        self._items, self._least_px = list[QLayoutItem](), dict[QWidget | None, int]()
         self.setContentsMargins(*margins)
         self.setSpacing(spacing)
         for item in items:
@@ -373,38 +373,29 @@ class FlowLayout(QLayout):
         """Return the size of one line."""
         shown = self._shown()
         width = sum(width + self.spacing() for _, width, _ in shown) - self.spacing()
-        return self._framed(
-            max(width, 0), max((item.sizeHint().height() for item, *_ in shown), default=0)
-        )
+        height = max((item.sizeHint().height() for item, *_ in shown), default=0)
+        return QSize(max(width, 0), height).grownBy(self.contentsMargins())
 
     def minimumSize(self) -> QSize:
         """Return the size of the widest item; other lines come from ``heightForWidth``."""
-        least = [item.minimumSize() for item, *_ in self._shown()]
-        return self._framed(
-            max((size.width() for size in least), default=0),
-            max((size.height() for size in least), default=0),
-        )
-
-    def _framed(self, width: int, height: int) -> QSize:
-        return QSize(width, height).grownBy(self.contentsMargins())
+        size = QSize(0, 0)
+        for item, *_ in self._shown():
+            size = size.expandedTo(item.minimumSize())
+        return size.grownBy(self.contentsMargins())
 
     def _shown(self) -> list[tuple[QLayoutItem, int, bool]]:
         """Return item, wanted width and True if it takes the rest of its line, per shown item."""
-        found = []
-        for item in self._items:
-            if not item.isEmpty():
-                widget = item.widget()
-                least_px = 0 if widget is None else self._least_px.get(widget, 0)
-                found.append((item, least_px or item.sizeHint().width(), least_px > 0))
-        return found
+        least_px = self._least_px
+        return [
+            (item, least_px.get(item.widget(), item.sizeHint().width()), item.widget() in least_px)
+            for item in self._items
+            if not item.isEmpty()
+        ]
 
     def _place(self, rect: QRect, *, move: bool) -> int:
         """Fill line after line; return the height."""
-        room, lines = (
-            rect.marginsRemoved(self.contentsMargins()),
-            list[list[tuple[QLayoutItem, int, bool]]](),
-        )
-        left = 0
+        room = rect.marginsRemoved(self.contentsMargins())
+        lines, left = list[list[tuple[QLayoutItem, int, bool]]](), 0
         for shown in self._shown():
             if not lines or shown[1] > left:
                 lines.append([])

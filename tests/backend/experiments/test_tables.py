@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import base64
+import json
 import re
 from dataclasses import replace
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -29,8 +31,9 @@ from touchdown.backend.core import (
     SupportKind,
     TrialFinished,
     TrialStarted,
+    program_version,
 )
-from touchdown.backend.experiments import statics
+from touchdown.backend.experiments import document, statics
 from touchdown.backend.experiments.job_kinds import KINDS
 from touchdown.backend.experiments.models import (
     adopt_models,
@@ -419,6 +422,23 @@ def page(tmp_path: Path, *runs: list[Event]) -> str:
     path = tmp_path / "report.html"
     write_run_report(path, runs, {"short": np.array([[0.0, 0], [1, 0], [0, 1]])})
     return path.read_text("utf-8")
+
+
+def test_a_report_names_its_date_program_and_model_and_the_scale_of_its_colours(
+    tmp_path: Path,
+) -> None:
+    model = json.dumps({"model": {"piece": "pot", "weights_sha256": "0123456789abcdef" * 4}})
+    network = json.dumps({"method": {"fused": {"weights": ""}}})
+    told = facts()
+    fused = replace(told[0], strategy="fused", settings=network)
+    text = page(tmp_path, [replace(told[0], settings=model), *told[1:]], [fused, *told[1:]])
+    assert f"Written on {datetime.now():%Y-%m-%d} at" in text
+    assert f"by touchdown {program_version()}." in text
+    assert "strategy paper, model of pot 0123456789abcdef, seed 3." in text
+    assert "strategy fused, the shipped network, seed 3." in text
+    for drawing in re.findall(r"<svg.*?</svg>", text):
+        assert [f">{p}</text>" in drawing for p in ("p", "0", "0.5", "1")] == [True] * 4
+        document.check_svg(drawing)
 
 
 @pytest.mark.promise("D9")

@@ -16,7 +16,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PARTS = ("app", "backend", "resources", "widgets")
 WRITTEN = ROOT / "tests" / "data" / "written_0_1"
 # Packages of the extras, which the base runs without; an import of one fails.
-EXTRAS = "PySide6 shiboken6 pyqtgraph trimesh ezdxf svgelements distributed mujoco foxglove"
+EXTRAS = "PySide6 shiboken6 pyqtgraph trimesh ezdxf svgelements distributed mujoco foxglove skfem"
 EXCHANGE = "pyarrow av h5py zarr"
 REFUSING = (
     f"import os, sys; sys.modules.update(dict.fromkeys("

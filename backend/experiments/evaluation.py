@@ -24,7 +24,7 @@ from touchdown.backend.experiments.statistics import (
     format_change,
     iou_change,
 )
-from touchdown.backend.experiments.strategies import count_outcomes, network_params
+from touchdown.backend.experiments.strategies import base_strategy, count_outcomes, network_params
 from touchdown.backend.experiments.tables import (
     CELL_SEEDS,
     PIECES,
@@ -35,7 +35,6 @@ from touchdown.backend.experiments.tables import (
     score_verdicts,
     training_job,
 )
-from touchdown.backend.experiments.trials import WORLDS
 from touchdown.backend.jobs import JobSpec, JobStore
 from touchdown.backend.learning import DeviceName
 
@@ -134,7 +133,7 @@ class DomainShift:
     first, on their own collections. Strategies read the first of ``models`` and each of
     ``trained``, unless they need no model. ``groups`` of presses and ``trials`` are those of each
     bottom. ``first``: number of the first group and trial in a cell; models are selected on later
-    ones.
+    ones. ``there``: world that is compared with the bench.
     """
 
     bench: SimulationSettings
@@ -147,6 +146,12 @@ class DomainShift:
     trials: int = 20
     trained: tuple[RandomisedTraining, ...] = ()
     first: int = 0
+    there: str = "elsewhere"
+
+    @property
+    def worlds(self) -> tuple[str, str]:
+        """Return the names of both worlds."""
+        return "bench", self.there
 
     def jobs(self) -> list[JobSpec]:
         """Return all jobs: the trainings, then the first ones of every cell first, for comparable
@@ -165,11 +170,11 @@ class DomainShift:
         given = next(iter(models.values()))
         asked = {"": ("", "")} | {name: (name, given) for name in self.strategies}
         for strategy in self.strategies:
-            if strategy not in EVALUATED_STRATEGIES[-2:]:
+            if base_strategy(strategy) not in EVALUATED_STRATEGIES[-2:]:
                 asked |= {f"{strategy}, {p.name}": (strategy, models[p.name]) for p in self.trained}
         return {
             (world, bottom, name): list(self._jobs(world, bottom, models, *asked[name]))
-            for world in WORLDS
+            for world in self.worlds
             for bottom in self.bottoms
             for name in asked
         }
@@ -214,7 +219,7 @@ class DomainShift:
                 for model in parts[0]["models"]
             ],
             "changes": [change for bottom in (*self.bottoms, POOLED)
-                        for change in _changes(found, bottom)],
+                        for change in _changes(found, bottom, self.worlds)],
             "trials": [
                 {"world": world, "bottom": bottom, "strategy": strategy,
                  **count_outcomes([trial for part in parts for trial in part["trials"]])}
@@ -231,7 +236,7 @@ class DomainShift:
         found: dict[Cell, list[Json]] = {}
         cells = self._cells()
         for (world, bottom, strategy), jobs in cells.items():
-            same = zip(*(cells[other, bottom, strategy] for other in WORLDS), strict=True)
+            same = zip(*(cells[other, bottom, strategy] for other in self.worlds), strict=True)
             ready = [all(store.has(spec.id) for spec in specs) for specs in same]
             done = [dict(store.result(spec.id)) for spec, ok in zip(jobs, ready, strict=True) if ok]
             for over in (bottom, POOLED):
@@ -239,9 +244,11 @@ class DomainShift:
         return found
 
 
-def _changes(found: Mapping[Cell, Sequence[Json]], bottom: str) -> Iterator[Json]:
+def _changes(
+    found: Mapping[Cell, Sequence[Json]], bottom: str, worlds: tuple[str, str]
+) -> Iterator[Json]:
     """Yield the paired changes per model between worlds and between models in one world."""
-    here, there = (found.get((world, bottom, ""), []) for world in WORLDS)
+    here, there = (found.get((world, bottom, ""), []) for world in worlds)
     if not here:
         return
     names = list(here[0]["models"])
@@ -249,7 +256,7 @@ def _changes(found: Mapping[Cell, Sequence[Json]], bottom: str) -> Iterator[Json
     for name in names:
         yield {"what": "drop", "bottom": bottom, "from": name, "to": name,
                **iou_change(across, name, name)}  # fmt: skip
-    for world, parts in zip(WORLDS, (here, there), strict=True):
+    for world, parts in zip(worlds, (here, there), strict=True):
         same = list(zip(parts, parts, strict=True))
         for old, new in combinations(names, 2):
             yield {"what": world, "bottom": bottom, "from": old, "to": new,
@@ -313,8 +320,9 @@ def _in_both_worlds(
 ) -> Iterator[tuple[str, JsonMapping, JsonMapping]]:
     """Yield the name (value of ``key`` and bottom) and the cells on the bench and elsewhere."""
     found = {(c[key], c["bottom"], c["world"]): c for c in cells}
+    worlds = sorted({world for _, _, world in found})  # the bench first
     for what, bottom in dict.fromkeys((what, bottom) for what, bottom, _ in found):
-        here, there = (found.get((what, bottom, world)) for world in WORLDS)
+        here, there = (found.get((what, bottom, world)) for world in worlds)
         if here is not None and there is not None:
             yield f"{what} {bottom}", here, there
 

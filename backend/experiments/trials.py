@@ -63,13 +63,17 @@ from touchdown.backend.simulation import (
     true_com_xy_mm,
     true_margin_mm,
 )
-from touchdown.backend.simulation.second_world import SecondWorldTrials
+from touchdown.backend.simulation.second_world import FiniteGelTrials, SecondWorldTrials
 
 _DISPLACEMENT = 78
 FRESH = "fresh"  # stands for one test outline per trial
 FRESH_TRIAL_SEED = 47_000_000  # of the trial on outline 0
 # Simulated worlds by name
-WORLDS: dict[str, type[BatchedTrials]] = {"bench": BatchedTrials, "elsewhere": SecondWorldTrials}
+WORLDS: dict[str, type[BatchedTrials]] = {
+    "bench": BatchedTrials,
+    "elsewhere": SecondWorldTrials,
+    "elsewhere-finite-elements": FiniteGelTrials,
+}
 
 
 @dataclass(frozen=True, slots=True)

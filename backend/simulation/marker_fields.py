@@ -17,13 +17,16 @@ from touchdown.backend.config import SAMPLES_PER_PROBE, SimulationSettings, Tact
 from touchdown.backend.core import GRID_COLS, GRID_ROWS, MARKERS, FloatArray, fill_unseen_markers
 from touchdown.backend.simulation.pressing import Timeline
 
+INPUTS = 4  # of a gel that is moved as a whole
+
 
 @dataclass(frozen=True, slots=True)
 class Gel:
     """Linear map from pad motion to image: ``map`` (2 fingers, 4, 63 * 2) in px.
 
-    Its four inputs are e_x (mm), e_z (mm), e_θ (rad) and N / F_g - 1. ``rest_px`` (2, 63, 2): the
-    straight rest grid in the 320x240 image.
+    Its four inputs are e_x (mm), e_z (mm), e_θ (rad) and N / F_g - 1. With another number of inputs
+    a timeline holds these, left finger first, in place of strains and pad forces. ``rest_px``
+    (2, 63, 2): the straight rest grid in the 320x240 image.
     """
 
     map: FloatArray
@@ -176,7 +179,8 @@ def fields_at_ticks(
     frame_t = t_s[rows, fingers, index]
     values = timeline.at(frame_t.reshape(count, -1)).reshape(*index.shape, -1)
     moved = _inputs(values, sight) - _inputs(air[:, None, None, None, :], sight)
-    field = (moved.reshape(count, 2, -1, 4) @ sight.gel.map).reshape(*index.shape, MARKERS, 2)
+    moved = moved.reshape(count, 2, -1, sight.gel.map.shape[1])
+    field = (moved @ sight.gel.map).reshape(*index.shape, MARKERS, 2)
     lost = np.stack([draw.lost for draw in draws])[rows, fingers, index]
     at_px = sight.gel.rest_px[:, None, None] + field
     lost |= (at_px < sight.border_px).any(axis=-1)
@@ -193,10 +197,13 @@ def fields_at_ticks(
 
 
 def _inputs(values: FloatArray, sight: PadImaging) -> FloatArray:
-    """Return (B, 2, ..., 4) inputs of the gel map for each finger, from (B, 2, ..., 14)."""
-    strain = values[..., 6:12].reshape(*values.shape[:-1], 2, 3)
-    normal = values[..., 12:14] / sight.grip_force_n[:, None, None, None, None] - 1.0
-    both = np.concatenate([strain, normal[..., None]], axis=-1)
+    """Return (B, 2, ..., k) inputs of the gel map for each finger, from (B, 2, ..., 6 + 2 k)."""
+    if sight.gel.map.shape[1] == INPUTS:
+        strain = values[..., 6:12].reshape(*values.shape[:-1], 2, 3)
+        normal = values[..., 12:14] / sight.grip_force_n[:, None, None, None, None] - 1.0
+        both = np.concatenate([strain, normal[..., None]], axis=-1)
+    else:
+        both = values[..., 6:].reshape(*values.shape[:-1], 2, -1)
     if values.shape[1] == 1:
         return np.asarray(both[:, 0].transpose(0, 3, 1, 2, 4), dtype=np.float64)
     return np.stack([both[:, 0, ..., 0, :], both[:, 1, ..., 1, :]], axis=1)

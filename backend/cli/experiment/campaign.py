@@ -10,9 +10,16 @@ from typing import Any, TypeAlias
 
 from touchdown.backend.cli.experiment.executors import add_device, add_executor_arguments, run_jobs
 from touchdown.backend.cli.output import VerbOutput, make_output_folder, require_positive
-from touchdown.backend.config import SimulationSettings, load_simulation
+from touchdown.backend.config import SimulationSettings, StackSettings, load_simulation
 from touchdown.backend.core import InputError, disk_errors, write_atomically
-from touchdown.backend.experiments import KINDS, adopt_models, job_effort, shipped_model_folders
+from touchdown.backend.experiments import (
+    KINDS,
+    adopt_models,
+    base_strategy,
+    job_effort,
+    method_of,
+    shipped_model_folders,
+)
 from touchdown.backend.jobs import JobSpec, JobStore
 
 UNWRITTEN = "It could not be written"
@@ -45,6 +52,16 @@ def parse_names(text: str, known: Iterable[str], where: str) -> tuple[str, ...]:
     names, known = tuple(text.split(",")), tuple(known)
     if unknown := [name for name in names if name not in known]:
         raise InputError(f"'{unknown[0]}' is not known.", where, f"Name some of {','.join(known)}.")
+    return names
+
+
+def parse_strategies(text: str, known: Iterable[str]) -> tuple[str, ...]:
+    """Return names of strategies, each with the settings behind it; raises ``InputError``."""
+    names = tuple(text.split(","))
+    parse_names(",".join(map(base_strategy, names)), known, "--strategies")
+    for name in names:
+        if ":" in name:
+            method_of(name, StackSettings())
     return names
 
 

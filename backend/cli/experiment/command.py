@@ -18,6 +18,7 @@ from touchdown.backend.cli.experiment.campaign import (
     Json,
     add_campaign_arguments,
     parse_names,
+    parse_strategies,
 )
 from touchdown.backend.cli.experiment.certify import add_certify_arguments, run_certify
 from touchdown.backend.cli.experiment.evaluation import add_evaluation_arguments, run_evaluation
@@ -326,7 +327,7 @@ def _comparison_of(run: ExperimentRun) -> experiments.StrategyComparison:
     args, bench = run.args, run.bench()
     pieces = parse_names(args.pieces, experiments.COMPARED_PIECES, "--pieces")
     found = run.models(bench)
-    strategies = _parse_strategies(args.strategies)
+    strategies = parse_strategies(args.strategies, experiments.STRATEGIES)
     for piece in pieces:
         for name in strategies:
             _check_cell(piece, name, known=(piece, "FT+Tac") in found)
@@ -361,18 +362,6 @@ def _check_cell(piece: str, name: str, *, known: bool) -> None:
         raise InputError(f"There is no model of '{piece}', which '{strategy}' needs.", name, fix)
     if strategy != experiments.CEILING:
         check_weighing(load_pieces().top(piece), experiments.method_of(name, StackSettings()))
-
-
-def _parse_strategies(text: str) -> tuple[str, ...]:
-    """Return names of strategies, each with the settings behind it; raises ``InputError``."""
-    names = tuple(text.split(","))
-    parse_names(
-        ",".join(map(experiments.base_strategy, names)), experiments.STRATEGIES, "--strategies"
-    )
-    for name in names:
-        if ":" in name:
-            experiments.method_of(name, StackSettings())
-    return names
 
 
 def _recipe(run: ExperimentRun) -> experiments.Recipe:

@@ -5,7 +5,13 @@ from __future__ import annotations
 import argparse
 from typing import get_args
 
-from touchdown.backend.cli.experiment.campaign import ExperimentRun, Json, parse_names, write_json
+from touchdown.backend.cli.experiment.campaign import (
+    ExperimentRun,
+    Json,
+    parse_names,
+    parse_strategies,
+    write_json,
+)
 from touchdown.backend.core import InputError, package_version
 from touchdown.backend.experiments import (
     EVALUATED_STRATEGIES,
@@ -23,6 +29,8 @@ def add_evaluation_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of ``elsewhere``."""
     asked = parser.add_argument_group("elsewhere")
     asked.add_argument("--groups", type=int, default=20, help="of three probes, in each cell")
+    asked.add_argument("--gel", choices=("half-space", "finite-elements"), default="half-space",
+                       help="of the second world")  # fmt: skip
     asked.add_argument("--first", type=int, default=0, metavar="N", help="number of the first "
                        "group and trial in each cell, to make choices on other ones than are "
                        "reported")  # fmt: skip
@@ -43,19 +51,24 @@ def run_evaluation(run: ExperimentRun) -> Json:
     its engine.
     """
     from touchdown.backend.simulation import import_mujoco
+    from touchdown.backend.simulation.second_world import import_skfem
 
     args, bench, code = run.args, run.bench(), package_version("touchdown")
-    if args.groups < 1 or args.trials < 0:
+    if min(args.groups, args.trials) < 0 or args.groups + args.trials == 0:
         raise InputError(
-            "The counts give no presses.", "--groups, --trials", "Give a positive number of groups."
+            "The counts give no presses.", "--groups, --trials", "Give a positive number of one."
         )
     (piece, *others) = parse_names(args.pieces, PIECES, "--pieces")
     if others:
         raise InputError("Only one piece is evaluated.", "--pieces", "Name one piece.")
     bottoms = parse_names(args.bottoms, TABLE_BOTTOMS, "--bottoms")
-    strategies = parse_names(args.strategies, EVALUATED_STRATEGIES, "--strategies")
+    strategies = parse_strategies(args.strategies, EVALUATED_STRATEGIES)
     found = run.models(bench)
     import_mujoco()
+    there = "elsewhere"
+    if args.gel != "half-space":
+        import_skfem()
+        there = f"elsewhere-{args.gel}"
     if args.first < 0 or args.epochs < 1 or args.probes < 10:
         raise InputError(
             "A number is out of range.",
@@ -79,6 +92,7 @@ def run_evaluation(run: ExperimentRun) -> Json:
             if name in wanted
         ),
         first=args.first,
+        there=there,
     )
     run.run(plan.jobs())
     answer = plan.answer(run.store)

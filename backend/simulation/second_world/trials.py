@@ -109,8 +109,9 @@ class CreepingPads:
     ``seen`` (2, 3): strain shown by the markers. ``normal_n`` (2,).
     """
 
-    def __init__(self, conditions: Conditions, slip: FloatArray) -> None:
+    def __init__(self, conditions: Conditions, slip: FloatArray, *, saturates: bool = True) -> None:
         self.slip = slip.copy()
+        self._seen = _saturated if saturates else np.copy
         self._half_mm = 0.5 * float(conditions.width_mm[0])
         self._shear_n_mm = float(conditions.shear_n_mm[0])
         self._normal_n_mm = float(conditions.normal_n_mm[0])
@@ -122,7 +123,7 @@ class CreepingPads:
         self.hardening = 1.0  # stiffness of shear and torsion over that of an unstrained gel
         self.normal_n = np.full(2, self._grip_n)
         self.strain = self._strain(self.rest())
-        self.seen = _saturated(self.strain)
+        self.seen = self._seen(self.strain)
 
     def rest(self) -> FloatArray:
         """Return (6,) displacement of the piece in the hand with unloaded pads."""
@@ -139,7 +140,7 @@ class CreepingPads:
         if self._slips:
             self._creep(dt_s)
         late = dt_s / (dt_s + SEEN_LATE_S)
-        self.seen += late * (_saturated(self.strain) - self.seen)
+        self.seen += late * (self._seen(self.strain) - self.seen)
 
     def _strain(self, held: FloatArray) -> FloatArray:
         swing = self._half_mm * SIGN
@@ -337,7 +338,7 @@ class SecondWorldTrials(batch.BatchedTrials):
         for k, trial in enumerate(rows.tolist()):
             own = conditions.take(np.array([k]))
             mounted = build_model(piece, self.bottoms[trial], own, true[k], settings.support)
-            pads = CreepingPads(own, before[k])
+            pads = self._pads(own, before[k])
             outline = self.scenes[trial].surface
             reach_mm = float(np.hypot(*outline.half_extents_mm))
             high_mm = START_CLEARANCE_MM + float(np.hypot(*own.tilt_rad[0])) * reach_mm
@@ -346,9 +347,8 @@ class SecondWorldTrials(batch.BatchedTrials):
                 high_mm += max(0.0, float(surface_points(outline, surface)[:, 2].max()))
             high_mm += self._probe.approach_mm_s * noise[k].phase_s
             press = SecondWorldPress(mounted, pads, own, self._probe)
-            pressed.append(
-                press.run(high_mm, noise[k].force_n, self._rule, 1e-6 * settings.cycle_us)
-            )
+            record = press.run(high_mm, noise[k].force_n, self._rule, 1e-6 * settings.cycle_us)
+            pressed.append(self._shown(record, own))
             slip[k] = pads.slip
             slide_mm, toppled[k] = bottoms_after_press(mounted, self.bottoms[trial])
             self._slide(rows[k : k + 1], slide_mm[None])
@@ -368,6 +368,13 @@ class SecondWorldTrials(batch.BatchedTrials):
                 np.array([p.settled for p in pressed]),
             ),
         )
+
+    def _pads(self, conditions: Conditions, slip: FloatArray) -> CreepingPads:
+        return CreepingPads(conditions, slip)
+
+    def _shown(self, record: DescentRecord, conditions: Conditions) -> DescentRecord:
+        """Return the record with the inputs of the marker field."""
+        return record
 
 
 def _join_presses(pressed: list[DescentRecord]) -> PressCourse:

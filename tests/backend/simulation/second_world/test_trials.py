@@ -1,4 +1,4 @@
-"""The gel of the second world against integrals of point forces, and its creep against its law."""
+"""The gels of the second world against closed forms, and their creep against its law."""
 
 from __future__ import annotations
 
@@ -11,6 +11,13 @@ from touchdown.backend.config import ProbeSettings, load_simulation
 from touchdown.backend.simulation import Conditions
 from touchdown.backend.simulation import conditions as nuisance
 from touchdown.backend.simulation.second_world import trials
+from touchdown.backend.simulation.second_world.finite_gel import (
+    CondensedGel,
+    DiscContact,
+    GelShape,
+    assemble_stiffness,
+    condense_gel,
+)
 from touchdown.backend.simulation.second_world.trials import (
     CreepingPads,
     build_half_space_gel,
@@ -109,3 +116,107 @@ def test_markers_follow_late_and_never_all_the_way(conditions: Conditions) -> No
     shown = trials.SATURATION_MM * np.tanh(1.0 / trials.SATURATION_MM)
     assert np.hypot(*gel.seen[0, :2]) == pytest.approx(shown * (1 - np.exp(-1)), rel=5e-3)
     assert gel.hardening == pytest.approx(1.0 + 1.0 / trials.HARDENING_MM**2)
+
+
+# Radius 1 on a layer four times as thick, wide enough to be infinite.
+LAYER = GelShape((16.0, 16.0), 4.0, 0.48, 1.0, across=4, around=3, layers=3)
+
+
+@pytest.fixture(scope="module")
+def layer() -> CondensedGel:
+    pytest.importorskip("skfem")
+    return condense_gel(LAYER, np.array([[0.3, -0.2], [0.0, 1.5], [0.0, -1.5]]))
+
+
+def spin(gel: CondensedGel) -> np.ndarray:
+    """Displacement of the nodes for a unit rotation of the disc."""
+    return np.stack([gel.at_mm[:, 1], -gel.at_mm[:, 0], 0.0 * gel.at_mm[:, 0]], axis=1)
+
+
+@pytest.mark.parametrize(
+    ("axis", "modulus"),
+    [(2, 2.0 + 2.0 * 0.48 / (1.0 - 2.0 * 0.48)), (0, 1.0)],
+    ids=["confined compression", "pure shear"],
+)
+def test_a_uniform_field_has_the_energy_of_its_modulus(axis: int, modulus: float) -> None:
+    """Oedometer modulus 2 G + lambda, and G, over the thickness, times the area."""
+    pytest.importorskip("skfem")
+    shape = replace(LAYER, size_mm=(5.0, 4.0), across=2, around=1, layers=2)
+    basis, stiffness = assemble_stiffness(shape)
+    field = np.zeros((3, basis.N))
+    field[axis] = 1.0 - basis.doflocs[2] / 4.0
+    forces = stiffness @ field.ravel()
+    assert field.ravel() @ forces == pytest.approx(modulus * 5.0 * 4.0 / 4.0)
+    inside = (np.abs(basis.doflocs) * [[2.0], [2.0], [1.0]] < [[5.0], [4.0], [4.0]]).all(axis=0)
+    inside &= basis.doflocs[2] > 0.0
+    assert np.abs(forces.reshape(3, -1)[:, inside]).max() < 1e-9
+
+
+def pressed_layer(thickness: float) -> tuple[float, float]:
+    """Stiffness of a smooth punch of radius 1, and mean square radius of its pressure.
+
+    Relative to those on a half-space, 4 G / (1 - nu) and 2 / 3: the dual integral equations of a
+    layer on a rigid base (Hayes et al. 1972) as one of Fredholm, on Gauss points.
+    """
+    k = 3.0 - 4.0 * 0.48
+    x = np.linspace(1e-6, 20.0, 4000)
+    near = (2 * k * np.sinh(2 * x) - 4 * x) / (2 * k * np.cosh(2 * x) + 4 * x**2 + 1 + k**2)
+    t, weight = (np.polynomial.legendre.leggauss(24)[i] for i in (0, 1))
+    t, weight = 0.5 * (t + 1.0), 0.5 * weight
+    wave = np.cos(np.outer(t, x / thickness))
+    kernel = (wave * ((1.0 - near) * (x[1] - x[0]) / thickness)) @ wave.T
+    found = np.linalg.solve(np.eye(24) - 2.0 / np.pi * kernel * weight, np.ones(24))
+    # The pressures of flat punches of radius t, each with a second moment of int 2 t^2 dt.
+    total = weight @ found
+    return float(total), float(3.0 * (weight * t**2) @ found / total)
+
+
+def test_a_smooth_punch_presses_as_on_an_elastic_layer(layer: CondensedGel) -> None:
+    contact = DiscContact(layer, 1.0, 0.0)
+    contact.follow(np.zeros(3), 1.0)
+    stiffer, wider = pressed_layer(4.0)
+    assert 1.0 / contact.depth_mm == pytest.approx(stiffer * 4.0 / (1.0 - 0.48), rel=0.03)
+    assert contact.force_n[:, 2].min() > 0.0
+    square = contact.force_n[:, 2] @ (layer.at_mm**2).sum(axis=1)
+    assert square == pytest.approx(wider * 2.0 / 3.0, rel=0.03)
+    assert contact.force_n[:, :2] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_stuck_disc_turns_as_reissner_and_sagoci_say(layer: CondensedGel) -> None:
+    turned = spin(layer)
+    moment = turned.ravel() @ layer.stiffness_n_mm @ turned.ravel()
+    assert moment == pytest.approx(16.0 / 3.0, rel=0.04)
+    outside = (layer.shown @ turned.ravel()).reshape(-1, 2)
+    assert outside[0] == pytest.approx([-0.2, -0.3], abs=1e-9)  # under the disc
+    assert outside[1, 0] == pytest.approx(1.5 * torsion_share(np.array([1.5]), 1.0)[0], rel=0.04)
+    assert outside[1] == pytest.approx(-outside[2], abs=1e-6)
+
+
+def test_a_disc_that_slips_entirely_is_at_the_limit_of_coulomb(layer: CondensedGel) -> None:
+    """Force mu N against the motion; moment mu N times the mean radius, pi / 4 of a punch."""
+    dragged, twisted = DiscContact(layer, 1.0, 0.3), DiscContact(layer, 1.0, 0.3)
+    for share in (0.0, 0.25, 0.5, 1.0):
+        dragged.follow(share * np.array([0.6, 0.8, 0.0]), 1.0)
+        twisted.follow(share * np.array([0.0, 0.0, 1.0]), 1.0)
+    assert dragged.solved
+    assert twisted.solved
+    assert dragged.force_n.sum(axis=0) == pytest.approx([0.18, 0.24, 1.0], abs=2e-3)
+    assert (spin(layer) * twisted.force_n).sum() == pytest.approx(0.3 * np.pi / 4, rel=0.03)
+    limit = 0.3 * dragged.force_n[:, 2]
+    assert np.hypot(*dragged.force_n[:, :2].T) == pytest.approx(limit, abs=1e-5)
+
+
+def test_a_disc_that_sticks_returns_and_one_that_slipped_does_not(layer: CondensedGel) -> None:
+    stuck, slipped = DiscContact(layer, 1.0, 50.0), DiscContact(layer, 1.0, 0.3)
+    for contact in (stuck, slipped):
+        rest = contact.follow(np.zeros(3), 1.0)
+        shown = contact.follow(np.array([0.0, 0.1, 0.0]), 1.0)
+        again = contact.follow(np.zeros(3), 1.0)
+        if contact is stuck:
+            assert shown[:2] - rest[:2] == pytest.approx([0.0, 0.1], abs=1e-9)
+            assert contact.force_n[:, 1].sum() == pytest.approx(0.0, abs=1e-9)
+            assert again == pytest.approx(rest, abs=1e-9)
+        else:
+            assert shown[1] - rest[1] < 0.09
+            assert contact.force_n[:, 1].sum() < -0.01
+            assert (again - rest)[1] < -1e-4

@@ -46,6 +46,7 @@ EVALUATED_STRATEGIES = (
     "fused",
     "zero-wrench",
 )  # the last two use no model of a piece
+BENCH = "bench"  # world that the others are compared with
 POOLED = "pooled"  # over the bottoms of a study
 MODEL = "FT+Tac"
 Json = dict[str, Any]
@@ -148,11 +149,6 @@ class DomainShift:
     first: int = 0
     there: str = "elsewhere"
 
-    @property
-    def worlds(self) -> tuple[str, str]:
-        """Return the names of both worlds."""
-        return "bench", self.there
-
     def jobs(self) -> list[JobSpec]:
         """Return all jobs: the trainings, then the first ones of every cell first, for comparable
         partial results.
@@ -174,7 +170,7 @@ class DomainShift:
                 asked |= {f"{strategy}, {p.name}": (strategy, models[p.name]) for p in self.trained}
         return {
             (world, bottom, name): list(self._jobs(world, bottom, models, *asked[name]))
-            for world in self.worlds
+            for world in (BENCH, self.there)
             for bottom in self.bottoms
             for name in asked
         }
@@ -184,7 +180,7 @@ class DomainShift:
     ) -> Iterator[JobSpec]:
         dumped = self.bench.model_dump(mode="json")
         params: Json = {"bench": dumped, "piece": self.piece, "bottom": bottom}
-        if world != "bench":
+        if world != BENCH:
             params["world"] = world
         cell = CELL_SEEDS * (10 * PIECES.index(self.piece) + TABLE_BOTTOMS.index(bottom))
         if not strategy:
@@ -219,7 +215,7 @@ class DomainShift:
                 for model in parts[0]["models"]
             ],
             "changes": [change for bottom in (*self.bottoms, POOLED)
-                        for change in _changes(found, bottom, self.worlds)],
+                        for change in _changes(found, bottom, self.there)],
             "trials": [
                 {"world": world, "bottom": bottom, "strategy": strategy,
                  **count_outcomes([trial for part in parts for trial in part["trials"]])}
@@ -236,7 +232,9 @@ class DomainShift:
         found: dict[Cell, list[Json]] = {}
         cells = self._cells()
         for (world, bottom, strategy), jobs in cells.items():
-            same = zip(*(cells[other, bottom, strategy] for other in self.worlds), strict=True)
+            same = zip(
+                *(cells[other, bottom, strategy] for other in (BENCH, self.there)), strict=True
+            )
             ready = [all(store.has(spec.id) for spec in specs) for specs in same]
             done = [dict(store.result(spec.id)) for spec, ok in zip(jobs, ready, strict=True) if ok]
             for over in (bottom, POOLED):
@@ -244,11 +242,9 @@ class DomainShift:
         return found
 
 
-def _changes(
-    found: Mapping[Cell, Sequence[Json]], bottom: str, worlds: tuple[str, str]
-) -> Iterator[Json]:
+def _changes(found: Mapping[Cell, Sequence[Json]], bottom: str, other: str) -> Iterator[Json]:
     """Yield the paired changes per model between worlds and between models in one world."""
-    here, there = (found.get((world, bottom, ""), []) for world in worlds)
+    here, there = (found.get((world, bottom, ""), []) for world in (BENCH, other))
     if not here:
         return
     names = list(here[0]["models"])
@@ -256,7 +252,7 @@ def _changes(
     for name in names:
         yield {"what": "drop", "bottom": bottom, "from": name, "to": name,
                **iou_change(across, name, name)}  # fmt: skip
-    for world, parts in zip(worlds, (here, there), strict=True):
+    for world, parts in zip((BENCH, other), (here, there), strict=True):
         same = list(zip(parts, parts, strict=True))
         for old, new in combinations(names, 2):
             yield {"what": world, "bottom": bottom, "from": old, "to": new,

@@ -27,11 +27,7 @@ from touchdown.backend.core import GRID_COLS, GRID_ROWS, MARKERS, FloatArray, In
 from touchdown.backend.simulation.conditions import Conditions
 from touchdown.backend.simulation.ground_truth import Scene
 from touchdown.backend.simulation.marker_fields import Gel
-from touchdown.backend.simulation.second_world.trials import (
-    CreepingPads,
-    DescentRecord,
-    SecondWorldTrials,
-)
+from touchdown.backend.simulation.second_world.trials import DescentRecord, SecondWorldTrials
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,11 +60,6 @@ class CondensedGel:
     stiffness_n_mm: FloatArray
     shown: FloatArray
 
-    @property
-    def shear_n_mm(self) -> float:
-        """Stiffness of the disc along x without slip."""
-        return float(self.stiffness_n_mm[0::3, 0::3].sum())
-
 
 def import_skfem() -> Any:
     """Return the optional package; raises ``InputError`` if it is missing."""
@@ -87,16 +78,12 @@ def _graded(length_mm: float, count: int, first_mm: float) -> FloatArray:
     share = np.arange(1, count + 1) / count
     if count * first_mm >= length_mm:
         return np.asarray(length_mm * share)
-
-    def excess_mm(rate: float) -> float:
-        return float(length_mm * np.expm1(rate / count) / np.expm1(rate) - first_mm)
-
-    rate = brentq(excess_mm, 1e-6, 100.0)
+    rate = brentq(lambda r: length_mm * np.expm1(r / count) / np.expm1(r) - first_mm, 1e-6, 100.0)
     return np.asarray(length_mm * np.expm1(rate * share) / np.expm1(rate))
 
 
 def _mesh(shape: GelShape) -> Any:
-    """Return hexahedra that are finest at the edge of the disc and follow it."""
+    """Return hexahedra, finest at the edge of the disc, which they follow."""
     half_mm = 0.5 * np.array(shape.size_mm)
     inner = shape.disc_mm * np.sin(0.5 * np.pi * np.linspace(-1.0, 1.0, shape.across + 1))
     finest = inner[1] - inner[0]
@@ -118,7 +105,7 @@ def _mesh(shape: GelShape) -> Any:
 def assemble_stiffness(shape: GelShape) -> tuple[Any, sparse.csc_array]:
     """Return the basis of one component, and the stiffness for a shear modulus of 1 N/mm².
 
-    The matrix has a block of nodes for each axis. Raises ``InputError`` without scikit-fem.
+    The matrix has a block for each axis. Raises ``InputError`` without scikit-fem.
     """
     fem = import_skfem()
     basis = fem.Basis(_mesh(shape), fem.ElementHex2(), intorder=4)
@@ -136,19 +123,10 @@ def assemble_stiffness(shape: GelShape) -> tuple[Any, sparse.csc_array]:
 
 
 def condense_gel(shape: GelShape, points_mm: FloatArray) -> CondensedGel:
-    """Eliminate all nodes but those under the disc.
+    """Return the gel with all nodes eliminated but those under the disc.
 
-    Parameters
-    ----------
-    shape : GelShape
-        Block and mesh.
-    points_mm : (m, 2) array
-        Points of the surface whose displacement is needed, x and z.
-
-    Raises
-    ------
-    InputError
-        If scikit-fem is not installed.
+    ``points_mm`` (m, 2): points of the surface that are shown. Raises ``InputError`` without
+    scikit-fem.
     """
     basis, whole = assemble_stiffness(shape)
     count, (x, z, deep) = basis.N, basis.doflocs
@@ -175,7 +153,6 @@ def condense_gel(shape: GelShape, points_mm: FloatArray) -> CondensedGel:
 
 
 ITERATIONS = 60  # at most, in one step
-CAUTIOUS_AFTER = 15  # iterations; then half steps
 SOLVED_N = 1e-5  # largest imbalance of a node in a solved step
 
 
@@ -184,13 +161,7 @@ class DiscContact:
 
     ``force_n`` (n, 3): on the nodes of the gel. ``slip_mm`` (n, 3): of the nodes relative to the
     disc. ``depth_mm``: of the disc in the gel. ``solved``: all steps so far have converged.
-
-    Parameters
-    ----------
-    gel : CondensedGel
-        Gel under the disc.
-    modulus_n_mm2, mu : float
-        Shear modulus, and friction between gel and disc.
+    ``mu``: friction between gel and disc.
     """
 
     def __init__(self, gel: CondensedGel, modulus_n_mm2: float, mu: float) -> None:
@@ -215,11 +186,10 @@ class DiscContact:
         x, z = self._gel.at_mm.T
         rigid = np.stack([motion[0] + motion[2] * z, motion[1] - motion[2] * x, 0.0 * x], axis=1)
         before, slip = self.slip_mm, self.slip_mm.copy()
-        for turn in range(ITERATIONS):
+        for _ in range(ITERATIONS):
             force = self._force(rigid + slip)
             lifted, slips, error = self._states(force, slip - before)
-            left = normal_n - force[:, 2].sum()
-            if max(abs(left), np.abs(error).max()) < SOLVED_N:
+            if max(abs(normal_n - force[:, 2].sum()), np.abs(error).max()) < SOLVED_N:
                 break
             slip = np.where((slips | lifted)[:, None], slip, before)
             slip[~lifted, 2] = 0.0
@@ -227,10 +197,7 @@ class DiscContact:
             active[slips, :2] = True
             force = self._force(rigid + slip)
             error, slope = self._linearised(force, slip - before, active, slips)
-            left = normal_n - force[:, 2].sum()
-            step = np.linalg.solve(slope, np.append(-error, left))
-            if turn > CAUTIOUS_AFTER:
-                step *= 0.5
+            step = np.linalg.solve(slope, np.append(-error, normal_n - force[:, 2].sum()))
             slip[active] += step[:-1]
             self.depth_mm += float(step[-1])
         else:
@@ -246,10 +213,7 @@ class DiscContact:
     def _states(
         self, force: FloatArray, slid: FloatArray
     ) -> tuple[NDArray[np.bool_], NDArray[np.bool_], FloatArray]:
-        """Return the nodes that are lifted, those that slip, and how far all are from the laws.
-
-        ``slid`` (n, 3): slip in this step. The last is (n, 3) in N.
-        """
+        """Return the nodes that are lifted, those that slip, and the errors of all laws (n, 3)."""
         wanted = force - self._penalty * slid
         lifted = wanted[:, 2] < 0.0
         wanted[lifted, 2] = 0.0
@@ -289,7 +253,7 @@ class DiscContact:
 
 STEP_S = 0.05  # between two solutions of the gel; the markers are interpolated
 LEAST_NORMAL_N = 0.1  # a pad that lifts off keeps this force
-COULOMB = 1e-6  # lowest friction between gel and piece
+TO_IMAGE = np.array([[[1.0, -1.0]], [[-1.0, -1.0]]])  # of x and z, by finger
 
 
 @cache
@@ -305,11 +269,9 @@ def marker_gels(
     z = (GRID_ROWS // 2 - row) * pitch_mm
     gel = condense_gel(shape, np.stack([np.append(x, -x), np.append(z, z)], axis=1))
     shown = gel.shown.reshape(2, MARKERS, 2, -1)
-    left, right = (
-        (shown[finger] * np.array([[facing], [-1.0]]) / scale).reshape(2 * MARKERS, -1)
-        for finger, (facing, scale) in enumerate(zip((1.0, -1.0), mm_per_px, strict=True))
-    )
-    return replace(gel, shown=left), replace(gel, shown=right)
+    left, right = shown / np.reshape(mm_per_px, (2, 1, 1, 1)) * TO_IMAGE[..., None]
+    rows = (2 * MARKERS, -1)
+    return replace(gel, shown=left.reshape(rows)), replace(gel, shown=right.reshape(rows))
 
 
 class FiniteGelTrials(SecondWorldTrials):
@@ -320,14 +282,13 @@ class FiniteGelTrials(SecondWorldTrials):
     stays that of ``CreepingPads``.
     """
 
+    saturates = False
+
     def __init__(self, scenes: Sequence[Scene], probe: ProbeSettings | None = None) -> None:
         super().__init__(scenes, probe)
         tactile = self._first.settings.tactile
         self._gels = marker_gels(tactile.mm_per_px, tactile.pitch_mm)
         self._gel = Gel(np.stack([np.eye(2 * MARKERS)] * 2), self._gel.rest_px)
-
-    def _pads(self, conditions: Conditions, slip: FloatArray) -> CreepingPads:
-        return CreepingPads(conditions, slip, saturates=False)
 
     def _shown(self, record: DescentRecord, conditions: Conditions) -> DescentRecord:
         """Return the record with marker displacements (M, 6 + 2 * 126) in place of strains."""
@@ -335,13 +296,12 @@ class FiniteGelTrials(SecondWorldTrials):
         steps = np.unique(np.append(np.arange(0, len(record.t_s), stride), len(record.t_s) - 1))
         fields, air, settled = [record.values[:, :6]], [record.air[:6]], record.settled
         for finger, gel in enumerate(self._gels):
-            modulus = float(conditions.shear_n_mm[0]) / gel.shear_n_mm
-            contact = DiscContact(gel, modulus, max(float(conditions.mu_grip[0]), COULOMB))
+            modulus = float(conditions.shear_n_mm[0]) / float(gel.stiffness_n_mm[::3, ::3].sum())
+            contact = DiscContact(gel, modulus, float(conditions.mu_grip[0]))
             strain = record.values[:, 6 + 3 * finger : 9 + 3 * finger]
             normal = np.maximum(record.values[:, 12 + finger], LEAST_NORMAL_N)
             air.append(contact.follow(np.zeros(3), float(conditions.grip_force_n[0])))
             found = np.stack([contact.follow(strain[k], float(normal[k])) for k in steps])
             fields.append(make_interp_spline(record.t_s[steps], found, k=1)(record.t_s))
             settled &= contact.solved
-        values, at_rest = np.hstack(fields), np.concatenate(air)
-        return replace(record, values=values, air=at_rest, settled=settled)
+        return replace(record, values=np.hstack(fields), air=np.concatenate(air), settled=settled)

@@ -320,6 +320,8 @@ class SecondWorldPress:
 class SecondWorldTrials(batch.BatchedTrials):
     """The second world with the interface of the bench."""
 
+    saturates = True  # the markers show strains up to ``SATURATION_MM`` only
+
     def __init__(self, scenes: Sequence[Scene], probe: ProbeSettings | None = None) -> None:
         super().__init__(scenes, probe)
         tactile = self._first.settings.tactile
@@ -338,7 +340,7 @@ class SecondWorldTrials(batch.BatchedTrials):
         for k, trial in enumerate(rows.tolist()):
             own = conditions.take(np.array([k]))
             mounted = build_model(piece, self.bottoms[trial], own, true[k], settings.support)
-            pads = self._pads(own, before[k])
+            pads = CreepingPads(own, before[k], saturates=self.saturates)
             outline = self.scenes[trial].surface
             reach_mm = float(np.hypot(*outline.half_extents_mm))
             high_mm = START_CLEARANCE_MM + float(np.hypot(*own.tilt_rad[0])) * reach_mm
@@ -368,9 +370,6 @@ class SecondWorldTrials(batch.BatchedTrials):
                 np.array([p.settled for p in pressed]),
             ),
         )
-
-    def _pads(self, conditions: Conditions, slip: FloatArray) -> CreepingPads:
-        return CreepingPads(conditions, slip)
 
     def _shown(self, record: DescentRecord, conditions: Conditions) -> DescentRecord:
         """Return the record with the inputs of the marker field."""

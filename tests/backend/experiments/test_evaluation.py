@@ -27,6 +27,7 @@ from touchdown.backend.experiments.statistics import format_change, iou_change
 from touchdown.backend.learning.checkpoint import load_card
 from touchdown.backend.simulation import conditions, mujoco_available
 
+BENCH = load_simulation(preset="bench-v1")
 EVERY = {**NUISANCES, **LATER_NUISANCES}
 
 
@@ -113,12 +114,13 @@ def test_figures_of_presses_join_their_parts() -> None:
     assert found["rejected"] == 2
 
 
-def test_a_drop_is_told_in_points() -> None:
+@pytest.mark.parametrize("world", ["elsewhere", "elsewhere-finite-elements"])
+def test_a_drop_is_told_in_points(world: str) -> None:
     here, there = (
-        {"world": world, "bottom": "short", "model": "M", **press_scores([part], "M")}
-        for world, part in (
+        {"world": name, "bottom": "short", "model": "M", **press_scores([part], "M")}
+        for name, part in (
             ("bench", _part([0.8, 0.8], [True], [3.0])),
-            ("elsewhere", _part([0.65, 0.65], [True], [0.1])),
+            (world, _part([0.65, 0.65], [True], [0.1])),
         )
     )
     presses, changes, trials = shift_tables({"presses": [here, there], "changes": [], "trials": []})
@@ -130,6 +132,16 @@ def test_a_drop_is_told_in_points() -> None:
 
 @pytest.mark.optional
 @pytest.mark.skipif(not mujoco_available(), reason="needs the optional engine")
+def test_a_gel_is_a_world_with_the_same_seeds_and_settings_behind_a_strategy() -> None:
+    name = "fused:fused.weights=any:fused.ensemble=mixture"
+    plan = DomainShift(BENCH, "code", "pot", {"FT": "x"}, strategies=(name,), groups=0, trials=2)
+    for there in ("elsewhere", "elsewhere-finite-elements"):
+        jobs = replace(plan, there=there).jobs()
+        assert [job.params.get("world", "bench") for job in jobs] == ["bench"] * 2 + [there] * 2
+        assert [job.seed for job in jobs[:2]] == [job.seed for job in jobs[2:]]
+        assert {job.params["strategy"] for job in jobs} == {name}
+
+
 def test_both_worlds_are_asked_the_same_and_only_once(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -167,7 +179,8 @@ def test_both_worlds_are_asked_the_same_and_only_once(
 @pytest.mark.parametrize(
     ("words", "where"),
     [
-        (["elsewhere", "--groups", "0"], "--groups"),
+        (["elsewhere", "--groups", "0", "--trials", "0"], "--groups"),
+        (["elsewhere", "--strategies", "fused:fused.unknown=1"], "fused.unknown"),
         (["elsewhere", "--pieces", "pot,barrel"], "--pieces"),
         (["elsewhere", "--bottoms", "sea"], "--bottoms"),
         (["elsewhere", "--strategies", "ceiling"], "--strategies"),
@@ -188,7 +201,6 @@ def test_what_cannot_be_measured_is_refused(
     assert where in capsys.readouterr().err
 
 
-BENCH = load_simulation(preset="bench-v1")
 SEEDS = range(24)
 
 

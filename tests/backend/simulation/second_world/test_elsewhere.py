@@ -18,6 +18,7 @@ from touchdown.backend.geometry import (
     signed_distances_mm,
 )
 from touchdown.backend.simulation import Conditions, Scene, mujoco_available, onset_rule
+from touchdown.backend.simulation.second_world import finite_gel
 from touchdown.backend.simulation.second_world.model import (
     HAND_JOINTS,
     HELD_JOINTS,
@@ -224,3 +225,19 @@ def test_draws_and_signals_are_those_of_the_scene_whatever_else_is_pressed() -> 
     # What crept in the hand is carried to the next press.
     again = alone.press([0], at[1:])
     assert again.truth.offset_mm[0] != pytest.approx(one.truth.offset_mm[0], abs=1e-9)
+
+
+def test_the_finite_gel_changes_the_markers_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("skfem")
+    coarse = finite_gel.GelShape(across=4, around=2, layers=2)
+    build = finite_gel.marker_gels
+    monkeypatch.setattr(finite_gel, "marker_gels", lambda *given: build(*given, coarse))
+    world, at = bench("pot", "short"), np.array([[6.0, 2.0]])
+    other, finite = world.press([0], at), finite_gel.FiniteGelTrials(world.scenes).press([0], at)
+    np.testing.assert_array_equal(finite.observation[..., 252:], other.observation[..., 252:])
+    assert finite.truth.solved.all()
+    # Finger, axis, row, column at the end. Under the disc the gel moves as a whole.
+    there, here = (press.observation[0, -1, :252].reshape(2, 2, 7, 9) for press in (other, finite))
+    assert np.abs(there[:, 1, 3, 4]).min() > 10.0
+    np.testing.assert_allclose(here[..., 2:5, 3:6], there[..., 2:5, 3:6], rtol=0.15, atol=0.3)
+    assert (np.abs(here[:, 1, 0, 0]) < 0.6 * np.abs(there[:, 1, 0, 0])).all()

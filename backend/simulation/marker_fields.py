@@ -17,8 +17,6 @@ from touchdown.backend.config import SAMPLES_PER_PROBE, SimulationSettings, Tact
 from touchdown.backend.core import GRID_COLS, GRID_ROWS, MARKERS, FloatArray, fill_unseen_markers
 from touchdown.backend.simulation.pressing import Timeline
 
-INPUTS = 4  # of a gel that is moved as a whole
-
 
 @dataclass(frozen=True, slots=True)
 class Gel:
@@ -198,7 +196,7 @@ def fields_at_ticks(
 
 def _inputs(values: FloatArray, sight: PadImaging) -> FloatArray:
     """Return (B, 2, ..., k) inputs of the gel map for each finger, from (B, 2, ..., 6 + 2 k)."""
-    if sight.gel.map.shape[1] == INPUTS:
+    if sight.gel.map.shape[1] == 4:
         strain = values[..., 6:12].reshape(*values.shape[:-1], 2, 3)
         normal = values[..., 12:14] / sight.grip_force_n[:, None, None, None, None] - 1.0
         both = np.concatenate([strain, normal[..., None]], axis=-1)

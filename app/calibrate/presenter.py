@@ -46,12 +46,6 @@ AFTER: dict[CalibrationName, str] = {
 }
 
 
-def validity_text(days_left: float) -> str:
-    """Return the remaining validity of a calibration as text."""
-    days = int(days_left)
-    return "less than a day" if days < 1 else "1 day" if days == 1 else f"{days} days"
-
-
 PERIOD_S = 0.1
 STANDINGS_S = 5.0
 FRESH_S = 0.5
@@ -235,7 +229,8 @@ class CalibratePresenter:
             needed = standing.condition != "missing" or self._bench.description.mode == "hardware"
             return standing.why[:1].upper() + standing.why[1:], "bad" if needed else ""
         file = standing.record.file
-        left = validity_text(standing.record.days_left(datetime.now(UTC)))
+        days = int(standing.record.days_left(datetime.now(UTC)))
+        left = "less than a day" if days < 1 else "1 day" if days == 1 else f"{days} days"
         also = f"; {standing.notice}" if standing.notice else ""
         return f"{file.residual:.2g} of {file.limit:g} {file.unit}, holds {left}{also}", "good"
 

@@ -245,7 +245,11 @@ def item_reader(dataset: Dataset, prelabel: PrelabelFunction) -> Callable[[str],
         film = dataset.film(uuid)
         pair = dataset.geometry.pair(entry.geometry)
         item = make_item(entry, film, pair, prelabel(film.episode, pair), outlines(pair))
-        _decode_first(item)
+        first, last = item.span_s
+        for track in item.reel.values():
+            index = latest(track.picture_t_s, min(max(CURSOR_S, first), last))
+            if index >= 0:
+                track.picture(index)
         return replace(item, doubt=dataset.scores.of_revision("doubt", uuid))
 
     return read
@@ -254,15 +258,6 @@ def item_reader(dataset: Dataset, prelabel: PrelabelFunction) -> Callable[[str],
 def pair_outlines(pair: Pair) -> Outlines:
     """Return the outlines (k, 2) of face and bottom. Views identify a pair by these arrays."""
     return pair.face.path(96), pair.bottom.path(96)
-
-
-def _decode_first(item: LabelItem) -> None:
-    """Decode the pictures that are shown first."""
-    first, last = item.span_s
-    for track in item.reel.values():
-        index = latest(track.picture_t_s, min(max(CURSOR_S, first), last))
-        if index >= 0:
-            track.picture(index)
 
 
 def make_item(

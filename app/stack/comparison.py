@@ -119,7 +119,8 @@ class ComparisonPresenter:
             )
         if not self._waiting:
             self._question = self._request()
-            rivals = _other_strategies(simulated=self._bench.simulated)
+            left_out = {"paper"} if self._bench.simulated else {"paper", BLIND}
+            rivals = [(key, title) for key, title in STRATEGIES if key not in left_out]
             self._pair = compared_strategies(self._question)
             if self._pair[1] not in dict(rivals):
                 self._pair = "paper", strategy_by_name(rivals[0][0]) or "paper"
@@ -259,12 +260,6 @@ def paired_text(titles: Sequence[str], stories: Sequence[RunStory | None]) -> st
 def compared_strategies(request: StackRequest) -> tuple[StrategyChoice, StrategyChoice]:
     """Return the paper's strategy and the chosen one, or the blind one if both are equal."""
     return "paper", BLIND if request.strategy == "paper" else request.strategy
-
-
-def _other_strategies(*, simulated: bool) -> list[tuple[str, str]]:
-    """Return the strategies for the right side; on devices only those that probe."""
-    left_out = {"paper"} if simulated else {"paper", BLIND}
-    return [(key, title) for key, title in STRATEGIES if key not in left_out]
 
 
 def _answered(story: RunStory | None) -> bool:

@@ -457,16 +457,11 @@ def take_back_step(
         step = replace(now, version=version, copy_of=old.rev_uuid)
     add_step(draft, step)
     if step.answer is not None:
-        draft.extra |= _answer_context(connection, before)
+        seen_ms, blind = connection.execute(
+            "SELECT json_extract(body, '$.seen_ms'), json_extract(body, '$.blind') FROM op"
+            " WHERE op_uuid = ?",
+            (before.version.op_uuid,),
+        ).fetchone()
+        draft.extra |= {} if seen_ms is None else {"seen_ms": seen_ms, "blind": bool(blind)}
     elif now.answer is not None:
         draft.opinions.append({"episode": uuid, "verdict": None} | asdict(NO_LABEL))
-
-
-def _answer_context(connection: sqlite3.Connection, step: ControlItemStep) -> dict[str, object]:
-    """Return time and blindness of the answer of a step."""
-    seen_ms, blind = connection.execute(
-        "SELECT json_extract(body, '$.seen_ms'), json_extract(body, '$.blind') FROM op"
-        " WHERE op_uuid = ?",
-        (step.version.op_uuid,),
-    ).fetchone()
-    return {} if seen_ms is None else {"seen_ms": seen_ms, "blind": bool(blind)}

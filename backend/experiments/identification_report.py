@@ -96,7 +96,12 @@ def _sections(found: Identification) -> Iterator[ReportSection]:
         parts: list[ReportTable | PictureGallery] = [_parameters(rows, found)] if rows else []
         if stage == 1 and found.facts:
             parts.append(ReportTable.of_texts("Further figures", ("figure", "value"), found.facts))
-            parts.append(_spectra(found))
+            pictures = []
+            for s in found.spectra:
+                units = ("Hz", f"{s.unit}²/Hz")
+                chart = curves_chart(s.name, s.f_hz, {"density": s.density}, units, log=True)
+                pictures.append(ReportPicture(chart))
+            parts.append(PictureGallery("Noise spectra at rest", tuple(pictures)))
         text = () if rows else ("Not recorded; see the last section.",)
         yield ReportSection(f"{stage}. {title}", text, tuple(parts))
     yield ReportSection(
@@ -126,15 +131,6 @@ def _parameters(rows: list[Estimate], found: Identification) -> ReportTable:
         for e in rows
     )  # fmt: skip
     return ReportTable("Parameters", columns, entries, corner="parameter")
-
-
-def _spectra(found: Identification) -> PictureGallery:
-    pictures = []
-    for s in found.spectra:
-        units = ("Hz", f"{s.unit}²/Hz")
-        chart = curves_chart(s.name, s.f_hz, {"density": s.density}, units, log=True)
-        pictures.append(ReportPicture(chart))
-    return PictureGallery("Noise spectra at rest", tuple(pictures))
 
 
 def _gate(found: Identification) -> ReportTable:

@@ -33,12 +33,6 @@ JsonMapping = Mapping[str, Any]
 CELL_KEYS = ("piece", "bottom", "tower", "outline", "strategy")
 
 
-def comparison_sections(tables: JsonMapping) -> list[document.ReportSection]:
-    """Return the section on the comparisons of strategies; none if the tables hold none."""
-    answers = tables.get("beyond") or ()
-    return list(comparison_report(joined_comparison(answers)).sections) if answers else []
-
-
 def joined_comparison(answers: Sequence[JsonMapping]) -> Json:
     """Return several comparisons as one: the largest result of each cell, side by side."""
     statics = [answer["statics"] for answer in answers if "statics" in answer]
@@ -75,12 +69,13 @@ def report_of(tables: JsonMapping) -> document.Report:
     facts = tables["bench_facts"]
     slipped = facts["slipped"]
     slip = "not measured" if slipped is None else f"{100 * slipped:.0f} %"
+    answers = tables.get("beyond") or ()
     sections = [
         _table1(tables["table1"]),
         _table2(tables["table2"], BALANCED_SAMPLE),
         *_paper_protocol(tables.get("paper_protocol")),
         _table3(tables["table3"]),
-        *comparison_sections(tables),
+        *(list(comparison_report(joined_comparison(answers)).sections) if answers else []),
         _reliability(facts["after_three_probes"]),
         _film_section((tables.get("figures") or {}).get("films") or ()),
     ]

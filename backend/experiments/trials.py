@@ -408,20 +408,15 @@ def _accepted_presses(
                     Outcome.ABORTED, f"Probe {probe} was rejected {MAX_ATTEMPTS} times: {why}."
                 )
         elif isinstance(trial.strategy, SearchingStrategy):
-            _recover_missed_contact(trial, trial.strategy)
+            action = trial.strategy.missed(trial.here)
+            if action.kind in UNRELEASED:
+                trial.close(UNRELEASED[action.kind], action.reason)
+            else:
+                trial.here = (trial.here[0] + action.step_mm[0], trial.here[1] + action.step_mm[1])
+                trial.tries = 0
         else:
             trial.close(Outcome.ABORTED, NO_CONTACT)
     return kept
-
-
-def _recover_missed_contact(trial: _RunningTrial, strategy: SearchingStrategy) -> None:
-    """Move on to the place that the strategy proposes after a missed contact."""
-    action = strategy.missed(trial.here)
-    if action.kind in UNRELEASED:
-        trial.close(UNRELEASED[action.kind], action.reason)
-    else:
-        trial.here = (trial.here[0] + action.step_mm[0], trial.here[1] + action.step_mm[1])
-        trial.tries = 0
 
 
 def _decide(trial: _RunningTrial, touched: ProbeObservation, bench: BatchedTrials) -> None:

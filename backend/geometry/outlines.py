@@ -53,7 +53,10 @@ class Outline:
             reach = self.radius_mm + EDGE_TOLERANCE_MM
             return np.asarray((points**2).sum(axis=-1) <= reach**2)
         if self.kind == "region":
-            return _covers(self, points)
+            import shapely
+
+            inside = shapely.intersects_xy(_tolerant(self), points[..., 0], points[..., 1])
+            return np.asarray(inside, dtype=np.bool_)
         start, normal = edge_normals(self.polygon())
         outward = points @ normal.T - (start * normal).sum(axis=1)
         return np.asarray((outward <= EDGE_TOLERANCE_MM).all(axis=-1))
@@ -188,13 +191,6 @@ def _grown(ring: Ring) -> Ring:
     shared = np.maximum(1.0 + (before * after).sum(axis=1), 0.01)[:, None]
     moved = corners + EDGE_TOLERANCE_MM * (before + after) / shared
     return tuple((float(x), float(y)) for x, y in moved)
-
-
-def _covers(outline: Outline, points_mm: FloatArray) -> NDArray[np.bool_]:
-    import shapely
-
-    inside = shapely.intersects_xy(_tolerant(outline), points_mm[..., 0], points_mm[..., 1])
-    return np.asarray(inside, dtype=np.bool_)
 
 
 def rotated(points_mm: FloatArray, yaw_rad: float) -> FloatArray:

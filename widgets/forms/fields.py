@@ -120,13 +120,6 @@ def set_entries(
         combo.setCurrentIndex(max(combo.findData(chosen), 0))
 
 
-def select_key(combo: QComboBox, key: str) -> None:
-    """Select the entry of this key; an unknown key changes nothing."""
-    index = combo.findData(key)
-    if index >= 0:
-        combo.setCurrentIndex(index)
-
-
 def whole_box(low: int, high: int, auto: str = "") -> QSpinBox:
     """Return a spin box for whole numbers; ``auto`` is the text of the lowest one."""
     box = QSpinBox()
@@ -183,7 +176,9 @@ class FormFields(QGridLayout):
         for name, field in self._fields.items():
             value = getattr(form, name)
             if isinstance(field, QComboBox):
-                select_key(field, value)
+                index = field.findData(value)
+                if index >= 0:
+                    field.setCurrentIndex(index)
             elif isinstance(field, QCheckBox):
                 field.setChecked(value)
             else:

@@ -181,7 +181,10 @@ def draw_marks(
             if scene.step_mm is not None and not small and scene.step_mm != (0.0, 0.0):
                 _step(painter, area, centre, scene)
             if scene.com_sigma_mm is not None and not small:
-                _uncertainty(painter, area, centre, scene.com_sigma_mm)
+                (x, y), (x_sigma, y_sigma) = centre, scene.com_sigma_mm
+                box = QRectF(area.place(x - 2 * x_sigma, y + 2 * y_sigma),
+                             area.place(x + 2 * x_sigma, y - 2 * y_sigma))  # fmt: skip
+                stroke_on_black(painter, 1.2, Qt.PenStyle.DotLine, lambda: painter.drawEllipse(box))
             draw_plus(painter, area.place(*centre), 4 if small else 8)
 
 
@@ -204,16 +207,6 @@ def draw_plus(painter: QPainter, at: QPointF, size: float) -> None:
         painter.drawLine(at - QPointF(0, size), at + QPointF(0, size))
 
     stroke_on_black(painter, 2.6, Qt.PenStyle.SolidLine, stroke)
-
-
-def _uncertainty(
-    painter: QPainter, area: PlotArea, centre: tuple[float, float], sigma_mm: tuple[float, float]
-) -> None:
-    """Draw the ellipse of two standard uncertainties."""
-    (x, y), (x_sigma, y_sigma) = centre, sigma_mm
-    box = QRectF(area.place(x - 2 * x_sigma, y + 2 * y_sigma),
-                 area.place(x + 2 * x_sigma, y - 2 * y_sigma))  # fmt: skip
-    stroke_on_black(painter, 1.2, Qt.PenStyle.DotLine, lambda: painter.drawEllipse(box))
 
 
 def _outline(

@@ -48,14 +48,6 @@ class Thumbnail(QWidget):
         self.setFocusPolicy(Qt.FocusPolicy.TabFocus)
         self.setCursor(Qt.CursorShape.PointingHandCursor)
 
-    def show_probe(self, scene: BeliefScene, caption: str) -> None:
-        """Show the state after this probe."""
-        self.view.show_scene(scene)
-        self.caption.setText(caption)
-        self.setAccessibleName(f"Probe {self.index + 1}: {describe_scene(scene)}")
-        said = caption.replace("\n", ", ")
-        self.setToolTip(f"Probe {said} (estimated margin). Click to view it again.")
-
     def show_chosen(self, chosen: bool) -> None:
         """Highlight the probe shown large."""
         self.chosen = chosen
@@ -157,7 +149,11 @@ class ProbeStrip(QWidget):
             self._row.insertWidget(len(self.thumbnails) - 1, fresh)
         for thumbnail, (scene, caption) in zip(self.thumbnails, probes, strict=True):
             if thumbnail.view.scene is not scene:
-                thumbnail.show_probe(scene, caption)
+                thumbnail.view.show_scene(scene)
+                thumbnail.caption.setText(caption)
+                thumbnail.setAccessibleName(f"Probe {thumbnail.index + 1}: {describe_scene(scene)}")
+                said = caption.replace("\n", ", ")
+                thumbnail.setToolTip(f"Probe {said} (estimated margin). Click to view it again.")
             thumbnail.show_chosen(thumbnail.index == chosen)
         lines = max((caption.count("\n") + 1 for _, caption in probes), default=1)
         if lines != self._lines:

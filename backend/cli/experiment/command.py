@@ -46,15 +46,6 @@ def add_report_arguments(parser: argparse.ArgumentParser) -> None:
                         "(default: the present ones)")  # fmt: skip
 
 
-def rewrite_report(args: argparse.Namespace, screen: VerbOutput) -> Json:
-    """Render the page and store the comparisons; raises ``InputError`` for a bad file."""
-    file = args.tables or args.out / experiments.DATA
-    with disk_errors(UNWRITTEN, file, KEPT):
-        page = experiments.rewrite_tables(file, args.beyond)
-    screen.say(f"Written: {page}")
-    return {"page": str(page), "file": str(file)}
-
-
 MOST_NETWORKS = 8
 MAX_FIGURES = 10_000_000  # bytes
 RANGES_FIX = "Name the .json file that 'touchdown identify' wrote beside the bench file."
@@ -260,7 +251,11 @@ def _add_beyond_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     """Run all unfinished jobs, then write the page; return 0 if no job failed."""
     if args.what == "report":
-        screen.result(rewrite_report(args, screen))
+        file = args.tables or args.out / experiments.DATA
+        with disk_errors(UNWRITTEN, file, KEPT):
+            page = experiments.rewrite_tables(file, args.beyond)
+        screen.say(f"Written: {page}")
+        screen.result({"page": str(page), "file": str(file)})
         return 0
     this = ExperimentRun(args, screen)
     answer = WAYS[args.what](this)

@@ -132,16 +132,6 @@ class MelfaPrograms:
         program.renew(speeds_rad_s, until_s)
         return program.motion
 
-    def travel_joints(
-        self, core: StreamCore, target_rad: FloatArray, speed_rad_s: float
-    ) -> CommandedMotion:
-        """Start to turn all joints to their ends."""
-        ends = {f"j{k}_rad": v for k, v in enumerate(target_rad.tolist(), 1)}
-        motion = CommandedMotion({**ends, "speed_rad_s": speed_rad_s})
-        self.level.leave()
-        core.run(JointTravelProgram(motion, target_rad, speed_rad_s))
-        return motion
-
 
 PHASES = {phase: float(place) for place, phase in enumerate(Phase)}
 
@@ -467,7 +457,11 @@ class MelfaArm:
             raise ValueError("six joints and the speed must be finite, the speed positive")
         self._require_stream()
         with self._lock:
-            return self._orders.travel_joints(self._core, target, speed_rad_s)
+            ends = {f"j{k}_rad": v for k, v in enumerate(target.tolist(), 1)}
+            motion = CommandedMotion({**ends, "speed_rad_s": speed_rad_s})
+            self._orders.level.leave()
+            self._core.run(JointTravelProgram(motion, target, speed_rad_s))
+            return motion
 
     def press(self, command: PressCommand) -> ArmPress:
         """Press compliantly, straight down; refused while the hand is turned."""

@@ -90,18 +90,14 @@ def _pack(block: Block) -> bytes:
 def decode_block(kind: BlockKind, data: bytes, where: str, offset: int) -> Block:
     """Return the block of 40 bytes; ``where`` and ``offset`` name it in an error."""
     try:
-        return _unpack(kind, data)
+        if kind is BlockKind.NONE:
+            return None
+        if kind is BlockKind.POSE:
+            *axes, flag1, flag2 = _POSE.unpack(data)
+            return MelfaPose(_finite(tuple(axes)), flag1, flag2)
+        return AxisValues(kind, _finite(_LAYOUTS[kind].unpack(data)))
     except ProtocolError as error:
         raise ProtocolError(error.what, where, offset) from error
-
-
-def _unpack(kind: BlockKind, data: bytes) -> Block:
-    if kind is BlockKind.NONE:
-        return None
-    if kind is BlockKind.POSE:
-        *axes, flag1, flag2 = _POSE.unpack(data)
-        return MelfaPose(_finite(tuple(axes)), flag1, flag2)
-    return AxisValues(kind, _finite(_LAYOUTS[kind].unpack(data)))
 
 
 def _finite(numbers: tuple[float, ...]) -> tuple[float, ...]:

@@ -46,7 +46,11 @@ class ControllerLock:
         name = re.sub(r"[^A-Za-z0-9.-]", "_", host)
         folder = Path(tempfile.gettempdir())
         self._path = folder / f"{PREFIX}{name}-{port}{SUFFIX}"
-        _delete_unlocked_files(folder, self._path)
+        found = folder.glob(f"{PREFIX}*{SUFFIX}") if os.name == "posix" else ()
+        for path in found:
+            if path != self._path:
+                with contextlib.suppress(OSError):
+                    _delete_file(_lock(path), path)
         try:
             self._descriptor = _lock(self._path, TRIES)
         except OSError as error:
@@ -83,14 +87,6 @@ def _delete_file(descriptor: int, path: Path) -> None:
         # Delete before unlocking: a waiting program finds it deleted and creates a new one.
         path.unlink(missing_ok=True)
     os.close(descriptor)
-
-
-def _delete_unlocked_files(folder: Path, wanted: Path) -> None:
-    found = folder.glob(f"{PREFIX}*{SUFFIX}") if os.name == "posix" else ()
-    for path in found:
-        if path != wanted:
-            with contextlib.suppress(OSError):
-                _delete_file(_lock(path), path)
 
 
 CONNECT_S = 3.0

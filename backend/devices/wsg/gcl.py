@@ -336,17 +336,13 @@ class GclProtocol:
                 told = tuple(self._texts[key].encode() for key in SELVES)
                 return [WsgReply(WsgCommand.SYSTEM_INFO, WsgStatus.SUCCESS, told)]
         if name.startswith("SYSFLAGS[") and not isinstance(value, str):
-            return self._flag(int(name[9:-1]), bool(value))
+            self._bits[SystemFlag(1 << int(name[9:-1]))] = bool(value)
+            if not all(flag in self._bits for flag in FLAGS):
+                return []
+            flags = sum(int(flag) for flag in FLAGS if self._bits[flag])
+            self._bits.clear()
+            return [WsgReply(WsgCommand.SYSTEM_STATE, WsgStatus.SUCCESS, (flags,))]
         return []
-
-    def _flag(self, bit: int, up: bool) -> list[WsgReply]:
-        """Store one flag; return all once each has been received."""
-        self._bits[SystemFlag(1 << bit)] = up
-        if not all(flag in self._bits for flag in FLAGS):
-            return []
-        flags = sum(int(flag) for flag in FLAGS if self._bits[flag])
-        self._bits.clear()
-        return [WsgReply(WsgCommand.SYSTEM_STATE, WsgStatus.SUCCESS, (flags,))]
 
 
 def _called(name: str) -> WsgCommand | None:

@@ -10,35 +10,13 @@ from datetime import datetime
 from PySide6.QtWidgets import QApplication
 
 from touchdown.app import shell
+from touchdown.app.collect import requests
 from touchdown.app.collect.origin import CampaignPace, OriginCheckNote, RecorderGauge
 from touchdown.app.collect.page import CollectPage, OriginField
 from touchdown.app.collect.probes import PairProbes, ProbeRecord, read_pair, read_probe
-from touchdown.app.collect.requests import (
-    CampaignState,
-    apply_decision,
-    campaign_buttons,
-    collect_request,
-    probe_text,
-)
+from touchdown.backend import core
 from touchdown.backend.annotations import Dataset, EpisodeEntry, EpisodeFilter, check_person
 from touchdown.backend.bench import Session
-from touchdown.backend.core import (
-    CampaignBegan,
-    DecisionAwaited,
-    EpisodeDecided,
-    EpisodeDecision,
-    Event,
-    Gripped,
-    HandOverAwaited,
-    InputError,
-    MountingAwaited,
-    OriginChecked,
-    PhaseEntered,
-    ProbeCollected,
-    RunFinished,
-    RunStarted,
-    TouchdownError,
-)
 from touchdown.backend.episodes import check_quality
 from touchdown.backend.geometry import PieceLibrary
 from touchdown.backend.runs import Campaign, CollectRequest, current_campaign, newest_campaign
@@ -117,7 +95,7 @@ class ProbesPresenter:
             return
         try:
             face, outline = (self._catalogue.piece(name).face for name in pair)
-        except InputError:
+        except core.InputError:
             return
         self._pair, self._read_from, dataset = pair, self.dataset, self.dataset
         self.harvest, self._stale, self.last, self.chosen = PairProbes(face, outline), True, "", ""
@@ -216,18 +194,18 @@ class CampaignProgress:
         """Number of accepted probes that were not deleted."""
         return self._done - len(self._beside)
 
-    def begin(self, event: CampaignBegan) -> None:
+    def begin(self, event: core.CampaignBegan) -> None:
         """Take the number of probes in the dataset at the start of a run."""
         self.campaign, self.total, self._done = event.campaign, event.total, event.done
         self._accepted, self._taken_back, self._beside = set(), set(), set()
 
-    def collected(self, event: ProbeCollected) -> None:
+    def collected(self, event: core.ProbeCollected) -> None:
         """Count one more probe."""
         self._done, self.total = event.done, event.total
         if not event.reasons:
             self._accepted.add(event.uuid)
 
-    def decided(self, event: EpisodeDecided) -> None:
+    def decided(self, event: core.EpisodeDecided) -> None:
         """Count a decision of the run. The next probe repeats the number."""
         if (
             event.decision in DISCARDING_DECISIONS
@@ -268,7 +246,7 @@ class CollectPresenter:
         self.person = ""
         self.bench: Session | None = None
         self._asking = self._mine = False
-        self._asked: HandOverAwaited | MountingAwaited | None = None
+        self._asked: core.HandOverAwaited | core.MountingAwaited | None = None
         self._campaign, self._go_on, self._gave = "", "", ""
         # Gets what a campaign that ended gave, and the number of probes left.
         self.ended: Callable[[str, int], None] = lambda *_: None
@@ -318,15 +296,15 @@ class CollectPresenter:
         elif self._asking:
             self.decide("keep")
         else:
-            self._begin(collect_request(self._page.target.form(), self.person))
+            self._begin(requests.collect_request(self._page.target.form(), self.person))
 
     def go_on(self) -> None:
         """Continue the newest campaign, or confirm that its mounting is unchanged."""
-        if isinstance(self._asked, MountingAwaited):
+        if isinstance(self._asked, core.MountingAwaited):
             self._answer(False)
         elif self._campaign:
             form = self._page.target.form()
-            self._begin(collect_request(form, self.person, campaign=self._campaign))
+            self._begin(requests.collect_request(form, self.person, campaign=self._campaign))
 
     def _answer(self, yes: bool) -> None:
         if self.bench is not None:
@@ -364,7 +342,7 @@ class CollectPresenter:
         if self.bench is not None and self._mine:
             self.bench.engine.cancel()
 
-    def decide(self, decision: EpisodeDecision) -> None:
+    def decide(self, decision: core.EpisodeDecision) -> None:
         """Decide on the selected probe, or on the last one if none is selected."""
         uuid, held = self.probes.shown, self.probes.held()
         if self.dataset is None or held is None or not self.person:
@@ -377,7 +355,7 @@ class CollectPresenter:
         else:
             dataset, person = self.dataset, self.person
             self._reader.submit(
-                lambda: apply_decision(dataset, person, uuid, decision),
+                lambda: requests.apply_decision(dataset, person, uuid, decision),
                 self._decided_beside,
                 self._failed,
             )
@@ -404,9 +382,9 @@ class CollectPresenter:
 
     # -- facts ------------------------------------------------------------------------------------
 
-    def take(self, event: Event) -> None:
+    def take(self, event: core.Event) -> None:
         """Follow the events of a collecting run."""
-        if isinstance(event, RunStarted):
+        if isinstance(event, core.RunStarted):
             self._mine = event.activity == "collect"
             if self._mine:
                 self._pace.restart(self._now_s())
@@ -414,35 +392,35 @@ class CollectPresenter:
                 self._show_pair(event.piece, event.bottom)
         if not self._mine:
             return
-        if isinstance(event, CampaignBegan):
+        if isinstance(event, core.CampaignBegan):
             self._campaign = event.campaign
             self._progress.begin(event)
             self._show_done()
-        elif isinstance(event, ProbeCollected):
+        elif isinstance(event, core.ProbeCollected):
             self._collected(event)
-        elif isinstance(event, DecisionAwaited):
+        elif isinstance(event, core.DecisionAwaited):
             self._asking = True
             self.probes.follow(event.uuid)
-        elif isinstance(event, EpisodeDecided):
+        elif isinstance(event, core.EpisodeDecided):
             self._asking = False
             self._progress.decided(event)
             self._show_done()
             self.probes.read(event.uuid)
-        elif isinstance(event, RunFinished):
+        elif isinstance(event, core.RunFinished):
             self._ended(event)
         else:
             self._tell(event)
 
-    def _tell(self, event: Event) -> None:
-        if isinstance(event, HandOverAwaited | MountingAwaited):
+    def _tell(self, event: core.Event) -> None:
+        if isinstance(event, core.HandOverAwaited | core.MountingAwaited):
             self._asked = event
-        elif isinstance(event, Gripped):
+        elif isinstance(event, core.Gripped):
             text = f"mounting {event.mounting}, grip {event.grip}, {event.mass_g:.1f} g held"
             self._page.live.detail.setText(text)
-        elif isinstance(event, PhaseEntered):
+        elif isinstance(event, core.PhaseEntered):
             self._asked = None
             self._page.target.detail.setText(event.phase)
-        elif isinstance(event, OriginChecked):
+        elif isinstance(event, core.OriginChecked):
             self.origin.show_note(OriginCheckNote.of(event, datetime.now()))
 
     def _show_pair(self, piece: str, bottom: str) -> None:
@@ -450,7 +428,7 @@ class CollectPresenter:
         target = self._page.target
         target.show_form(replace(target.form(), piece=piece, bottom=bottom))
 
-    def _collected(self, event: ProbeCollected) -> None:
+    def _collected(self, event: core.ProbeCollected) -> None:
         self._pace.note(self._now_s())
         self.probes.follow(event.uuid)
         self._progress.collected(event)
@@ -461,7 +439,7 @@ class CollectPresenter:
         done, total = self._progress.done, self._progress.total
         self._page.target.show_progress(done, total, self._pace.words(total - done))
 
-    def _ended(self, event: RunFinished) -> None:
+    def _ended(self, event: core.RunFinished) -> None:
         self._mine = self._asking = False
         self._asked = None
         self._page.target.detail.setText("")
@@ -501,17 +479,17 @@ class CollectPresenter:
         self._reader.submit(look, done, self._failed)
 
     def _failed(self, error: Exception) -> None:
-        code = type(error).__name__.upper() if isinstance(error, TouchdownError) else "DATASET"
+        code = type(error).__name__.upper() if isinstance(error, core.TouchdownError) else "DATASET"
         self._cards.show_card(shell.error_card(code, error))
 
     # -- showing ----------------------------------------------------------------------------------
 
     def draw(self) -> None:
         """Redraw what changed."""
-        now = CampaignState(
+        now = requests.CampaignState(
             self.person, self.dataset, self._mine, self._go_on, self._asked, self.dataset_trouble
         )
-        wanted = campaign_buttons(self.bench, now)
+        wanted = requests.campaign_buttons(self.bench, now)
         if wanted != self._buttons:
             self._buttons = wanted
             focused = QApplication.focusWidget()
@@ -530,4 +508,6 @@ class CollectPresenter:
 
     def _words(self, held: ProbeRecord | None) -> ProbeText:
         back = bool(self.probes.chosen)
-        return probe_text(held, asking=self._asking and not back, running=self._mine, back=back)
+        return requests.probe_text(
+            held, asking=self._asking and not back, running=self._mine, back=back
+        )

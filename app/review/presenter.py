@@ -6,13 +6,8 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
+from touchdown.app.review import episodes
 from touchdown.app.review.campaign import CollectedRun
-from touchdown.app.review.episodes import (
-    EpisodeSeries,
-    StoredEpisode,
-    TrialRecording,
-    read_trial_recording,
-)
 from touchdown.app.review.exports import probe_table
 from touchdown.app.review.page import ReviewPage
 from touchdown.app.review.recordings import (
@@ -163,7 +158,7 @@ class ReviewPresenter:
         self._name_parts("Probes", "of the run", "Collection")
         self._fill(collection.lines(), len(self._episodes) - 1)
 
-    def _open_series(self, series: EpisodeSeries) -> None:
+    def _open_series(self, series: episodes.EpisodeSeries) -> None:
         self._drop_reading()
         self.story, self._run, self.timed, self._told = RunStory(), None, [], []
         self._episodes = [uuid for uuid, _ in series.episodes]
@@ -218,9 +213,9 @@ class ReviewPresenter:
             self._page.signals_panel.detail.setText("no signals were kept")
             return
         paths = [self._run / "episodes" / name for name in kept]
-        self._later(lambda: read_trial_recording(paths), self._take_recorded)
+        self._later(lambda: episodes.read_trial_recording(paths), self._take_recorded)
 
-    def _take_recorded(self, recorded: TrialRecording) -> None:
+    def _take_recorded(self, recorded: episodes.TrialRecording) -> None:
         self.replay.take(recorded)
         detail = self._page.signals_panel.detail
         detail.setText("; ".join(recorded.missing) or f"{len(recorded.traces)} probes")
@@ -230,7 +225,7 @@ class ReviewPresenter:
         self._page.signals_panel.detail.setText("reading")
         self._later(lambda: self.library.episode(uuid), self._take_episode)
 
-    def _take_episode(self, shown: StoredEpisode) -> None:
+    def _take_episode(self, shown: episodes.StoredEpisode) -> None:
         entry = shown.entry
         self.file = self.library.folder / entry.path
         self.timed = [shown.trial]

@@ -13,29 +13,12 @@ from PySide6.QtWidgets import QApplication, QWidget
 
 from touchdown.app.shell.activity import is_run_active, start_obstacle
 from touchdown.app.shell.errors import log
+from touchdown.backend import core
 from touchdown.backend.bench import Session
-from touchdown.backend.core import (
-    CommandNotifier,
-    Event,
-    Fault,
-    FaultError,
-    FaultRaised,
-    FaultsReset,
-    InputError,
-    Noticed,
-    Paused,
-    PhaseEntered,
-    Refused,
-    RefusedError,
-    RunFinished,
-    RunStarted,
-    Said,
-    person_call,
-)
 from touchdown.widgets.shell import STOPPED, CardQuestion, CardText, FaultCards
 
 
-def fault_card(fault: Fault) -> CardText:
+def fault_card(fault: core.Fault) -> CardText:
     """Return the card of a fault that is raised now."""
     device = f"\nDevice: {fault.device}" if fault.device else ""
     at = time_of_day()
@@ -73,7 +56,7 @@ def stopped_card(lift: Callable[[], None]) -> CardText:
     )
 
 
-def refusal_card(error: RefusedError) -> CardText:
+def refusal_card(error: core.RefusedError) -> CardText:
     """Return the card of a refused or ended manual command."""
     consequence = "The order was refused or has ended."
     return CardText(
@@ -83,7 +66,7 @@ def refusal_card(error: RefusedError) -> CardText:
 
 def error_card(code: str, error: Exception, where: str = "", fix: str = "") -> CardText:
     """Return the card of a failed action. An ``InputError`` has a place and a fix of its own."""
-    if isinstance(error, InputError):
+    if isinstance(error, core.InputError):
         return CardText(code, error.what, where or f"In {error.where}.", error.fix, reset=False)
     what = str(error)
     if isinstance(error, OSError) and error.strerror:
@@ -98,13 +81,13 @@ def carry_out(order: Callable[[], object], cards: FaultCards, code: str = "INPUT
     """
     try:
         order()
-    except RefusedError as error:
+    except core.RefusedError as error:
         # The cause of an ended jog was shown already.
         if error.reason != "JOG-ENDED":
             cards.show_card(refusal_card(error))
-    except FaultError as error:
-        cards.show_card(refusal_card(RefusedError(error.fault.code, error.fault.what)))
-    except InputError as error:
+    except core.FaultError as error:
+        cards.show_card(refusal_card(core.RefusedError(error.fault.code, error.fault.what)))
+    except core.InputError as error:
         cards.show_card(error_card(code, error))
     else:
         cards.pass_on()
@@ -112,50 +95,50 @@ def carry_out(order: Callable[[], object], cards: FaultCards, code: str = "INPUT
     return False
 
 
-def log_event(event: Event) -> None:
+def log_event(event: core.Event) -> None:
     """Log an event that an operator may ask about later."""
-    if isinstance(event, RunStarted):
+    if isinstance(event, core.RunStarted):
         log.info("run %s: %s, %s on %s, seed %s",
                  event.run_id, event.activity, event.piece, event.bottom, event.seed)  # fmt: skip
-    elif isinstance(event, RunFinished):
+    elif isinstance(event, core.RunFinished):
         log.info("run %s %s %s", event.run_id, event.ending, event.reason)
-    elif isinstance(event, FaultRaised):
+    elif isinstance(event, core.FaultRaised):
         log.warning("fault %s: %s", event.fault.code, event.fault.what)
-    elif isinstance(event, FaultsReset):
+    elif isinstance(event, core.FaultsReset):
         log.info("reset by the operator")
-    elif isinstance(event, Paused):
+    elif isinstance(event, core.Paused):
         log.warning("paused %s: %s", event.fault.code, event.fault.what)
-    elif isinstance(event, Noticed):
+    elif isinstance(event, core.Noticed):
         log.warning("noticed %s: %s", event.fault.code, event.fault.what)
-    elif isinstance(event, Refused):
+    elif isinstance(event, core.Refused):
         log.info("refused %s: %s", event.reason, event.text)
 
 
 def show_event(
-    event: Event, bench: Session | None, cards: FaultCards, say: Callable[..., None]
+    event: core.Event, bench: Session | None, cards: FaultCards, say: Callable[..., None]
 ) -> None:
     """Show an event to the operator, if it needs attention. ``say`` writes to the footer."""
-    if isinstance(event, PhaseEntered | RunFinished):
+    if isinstance(event, core.PhaseEntered | core.RunFinished):
         cards.clear(cards.obstacles)
-    if isinstance(event, FaultRaised):
+    if isinstance(event, core.FaultRaised):
         cards.show_card(fault_card(event.fault))
-    elif isinstance(event, Refused):
-        cards.show_card(refusal_card(RefusedError(event.reason, event.text)))
-    elif isinstance(event, FaultsReset):
+    elif isinstance(event, core.Refused):
+        cards.show_card(refusal_card(core.RefusedError(event.reason, event.text)))
+    elif isinstance(event, core.FaultsReset):
         cards.clear()
         why = "" if bench is None else start_obstacle(bench)
         if bench is not None and why:
             say(f"{why}.", lambda: start_obstacle(bench) == why)
-    elif isinstance(event, Paused | Noticed):
-        waits = isinstance(event, Paused)
+    elif isinstance(event, core.Paused | core.Noticed):
+        waits = isinstance(event, core.Paused)
         card = fault_card(event.fault)
         cards.show_card(replace(card, reset=False, obstacle=waits, notice=not waits))
-    elif isinstance(event, RunStarted):
+    elif isinstance(event, core.RunStarted):
         say("")
         cards.pass_on()
-    elif isinstance(event, Said):
+    elif isinstance(event, core.Said):
         say(event.text)
-    elif isinstance(event, RunFinished) and event.ending != "finished":
+    elif isinstance(event, core.RunFinished) and event.ending != "finished":
         was = "failed" if event.ending == "failed" else f"was {event.ending}"
         say(f"The run {was}: {event.reason}")
 
@@ -248,17 +231,17 @@ class PersonCalls:
     The command of ``--notify`` runs always.
     """
 
-    def __init__(self, window: QWidget, on: bool, command: CommandNotifier | None) -> None:
+    def __init__(self, window: QWidget, on: bool, command: core.CommandNotifier | None) -> None:
         self._window, self.on, self._command = window, on, command
         # The usual program of Linux desktops; without it there is the sound alone.
         desktop = shutil.which("notify-send")
-        self._desktop = CommandNotifier(f"{desktop} --app-name=Touchdown") if desktop else None
+        self._desktop = core.CommandNotifier(f"{desktop} --app-name=Touchdown") if desktop else None
 
-    def take(self, event: Event) -> None:
+    def take(self, event: core.Event) -> None:
         """Call a person if ``event`` needs one; returns at once."""
         if self._command is not None:
             self._command.take(event)
-        if self.on and not self._window.isActiveWindow() and person_call(event) is not None:
+        if self.on and not self._window.isActiveWindow() and core.person_call(event) is not None:
             QApplication.beep()
             QApplication.alert(self._window)
             if self._desktop is not None:

@@ -6,22 +6,8 @@ from pathlib import Path
 
 from touchdown.app.shell import SaveWorker, ask_path, error_card
 from touchdown.app.stack.page import StackPage
+from touchdown.backend import core
 from touchdown.backend.bench import Session
-from touchdown.backend.core import (
-    Event,
-    HandOverAwaited,
-    InputError,
-    Outcome,
-    OutcomeAwaited,
-    PhaseEntered,
-    PhotoKept,
-    Released,
-    RunFinished,
-    RunStarted,
-    SetUpAwaited,
-    TrialFinished,
-    TrialStarted,
-)
 from touchdown.backend.runs import (
     PHOTO_SUFFIXES,
     hand_over_message,
@@ -32,7 +18,9 @@ from touchdown.widgets.shell import FaultCards
 from touchdown.widgets.views import OffsetScene, TrialPrompt
 
 # Events after which no question is open.
-_OVER = PhaseEntered | Released | TrialStarted | TrialFinished | RunFinished
+_OVER = (
+    core.PhaseEntered | core.Released | core.TrialStarted | core.TrialFinished | core.RunFinished
+)
 
 
 class OperatorPromptsPresenter:
@@ -44,19 +32,19 @@ class OperatorPromptsPresenter:
         self._mine = False
         self._files = SaveWorker(page, "photos")
 
-    def take(self, event: Event) -> None:
+    def take(self, event: core.Event) -> None:
         """Follow the stacking runs."""
-        if isinstance(event, RunStarted):
+        if isinstance(event, core.RunStarted):
             self._mine = event.activity == "stack"
         if not self._mine:
             return
-        if isinstance(event, SetUpAwaited):
+        if isinstance(event, core.SetUpAwaited):
             said, scene = scene_to_set_message(event), self._scene(event)
             self._ask(TrialPrompt("Set the scene", said, "Ready  Y", scene))
-        elif isinstance(event, HandOverAwaited):
+        elif isinstance(event, core.HandOverAwaited):
             said = hand_over_message(event)
             self._ask(TrialPrompt("Hand the piece over", said, "It is there  Y"))
-        elif isinstance(event, OutcomeAwaited):
+        elif isinstance(event, core.OutcomeAwaited):
             self._ask(TrialPrompt("What became of it?", event.why, proposed=event.proposed))
         elif isinstance(event, _OVER):
             self._ask(None)
@@ -76,12 +64,12 @@ class OperatorPromptsPresenter:
             self._ask(None)
             self._bench.answer(yes)
 
-    def see(self, outcome: Outcome) -> None:
+    def see(self, outcome: core.Outcome) -> None:
         """Press the button of an outcome."""
         if self._asked is not None and self._asked.proposed is not None:
             self._page.trial.judge(outcome)
 
-    def judge(self, outcome: Outcome, reason: str) -> None:
+    def judge(self, outcome: core.Outcome, reason: str) -> None:
         """Report the outcome of the trial."""
         if self._asked is not None and self._asked.proposed is not None:
             self._ask(None)
@@ -100,9 +88,11 @@ class OperatorPromptsPresenter:
 
         def work() -> str:
             if run is None:
-                raise InputError("This run is not kept.", str(source), "Name a folder for runs.")
+                raise core.InputError(
+                    "This run is not kept.", str(source), "Name a folder for runs."
+                )
             path = keep_photo(run, trial, source)
-            self._bench.events.publish(PhotoKept(self._bench.clock_s(), trial, path.name))
+            self._bench.events.publish(core.PhotoKept(self._bench.clock_s(), trial, path.name))
             return path.name
 
         self._files.submit(work, self._page.trial.detail.setText, self._refused)
@@ -118,7 +108,7 @@ class OperatorPromptsPresenter:
         self._page.trial.detail.setText("")
         self._page.show_trial(look)
 
-    def _scene(self, asked: SetUpAwaited) -> OffsetScene:
+    def _scene(self, asked: core.SetUpAwaited) -> OffsetScene:
         catalogue = self._bench.catalogue
         face = catalogue.piece(asked.piece).face.path(96)
         bottom = catalogue.piece(asked.bottom.split("+")[-1]).face.path(96)

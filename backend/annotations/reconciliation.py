@@ -16,16 +16,10 @@ from functools import partial
 from itertools import zip_longest
 from pathlib import Path
 
-from touchdown.backend.annotations import operation_log, review
+from touchdown.backend.annotations import episode_files, operation_log, review
 from touchdown.backend.annotations.backups import list_backups
 from touchdown.backend.annotations.consistency import ConsistencyProblem, DatasetParts, leftover
 from touchdown.backend.annotations.database import REBUILD, SCHEMA, Database, add_event
-from touchdown.backend.annotations.episode_files import (
-    check_episode_files,
-    check_losses,
-    check_packs,
-    quarantine_file,
-)
 from touchdown.backend.annotations.operation_log import (
     line_numbers,
     newest_operations,
@@ -208,7 +202,7 @@ def _damaged_journal(
     path = parts.journal.path(site)
 
     def write_anew(connection: sqlite3.Connection) -> None:
-        quarantine_file(parts, path)
+        episode_files.quarantine_file(parts, path)
         parts.journal.catch_up(connection, site, rewritten=True)
 
     message = f"The journal of labels is damaged ({error})"
@@ -283,11 +277,11 @@ def check_dataset(parts: DatasetParts, *, whole: bool = False) -> Iterator[Consi
 def _checks(parts: DatasetParts, whole: bool) -> Iterator[Iterator[ConsistencyProblem]]:
     # Labels come first, so that an episode with a label in the journal does not get a second one.
     yield check_labels(parts, whole=whole)
-    yield check_episode_files(parts, whole=whole)
-    yield check_packs(parts, whole=whole)
+    yield episode_files.check_episode_files(parts, whole=whole)
+    yield episode_files.check_packs(parts, whole=whole)
     yield check_runs(parts)
     yield _left_overs(parts)
-    yield check_losses(parts, whole=whole)
+    yield episode_files.check_losses(parts, whole=whole)
     yield open_findings(parts)
 
 

@@ -19,19 +19,9 @@ from hashlib import file_digest
 from pathlib import Path
 from typing import Any, Literal, Self, get_args
 
+from touchdown.backend import core
 from touchdown.backend.annotations.consistency import ConsistencyProblem, DatasetParts, leftover
 from touchdown.backend.annotations.values import uuid7
-from touchdown.backend.core import (
-    InputError,
-    lock_file,
-    make_folder,
-    package_version,
-    parse_json,
-    program_stamp,
-    read_json_lines,
-    sync_folder,
-    write_atomically,
-)
 
 RUNS_FOLDER = "runs"
 ABOUT, METRICS_FILE, ALIVE = "run.json", "metrics.jsonl", "alive.lock"
@@ -78,23 +68,23 @@ class RunInfo:
 def write_run_info(folder: Path, about: RunInfo) -> None:
     """Write ``run.json`` durably."""
     content = {"format": FORMAT, **asdict(about)}
-    write_atomically(folder / ABOUT, json.dumps(content, indent=1).encode("utf-8"))
+    core.write_atomically(folder / ABOUT, json.dumps(content, indent=1).encode("utf-8"))
 
 
 def read_run_info(folder: Path) -> RunInfo:
     """Read ``run.json``; raises ``InputError`` with its path."""
     path = folder / ABOUT
     try:
-        content = parse_json(path.read_bytes())
+        content = core.parse_json(path.read_bytes())
         if content.pop("format") != FORMAT or content["state"] not in get_args(RunState):
             raise ValueError("it is of another version")
         content["artifacts"] = tuple(Artifact(**made) for made in content["artifacts"])
         about = RunInfo(**content)
     except (OSError, ValueError, KeyError, TypeError) as error:
         fix = "Move the folder of this run out of the dataset."
-        raise InputError(f"The run cannot be read: {error}.", str(path), fix) from error
+        raise core.InputError(f"The run cannot be read: {error}.", str(path), fix) from error
     if about.uuid != folder.name:
-        raise InputError("This run belongs to another folder.", str(path), "Move it back.")
+        raise core.InputError("This run belongs to another folder.", str(path), "Move it back.")
     return about
 
 
@@ -104,7 +94,7 @@ def is_run_alive(folder: Path) -> bool:
     if not path.exists():
         return False
     try:
-        os.close(lock_file(path))
+        os.close(core.lock_file(path))
     except OSError:
         return True
     return False
@@ -120,13 +110,13 @@ class ActiveRun:
         self._dataset = dataset
         self.about: RunInfo = about
         self.folder: Path = dataset / RUNS_FOLDER / about.uuid
-        make_folder(self.folder.parent)
+        core.make_folder(self.folder.parent)
         self.folder.mkdir()
         # Locked before the files exist, so that a parallel check does not take it for a crash.
-        self._alive: int | None = lock_file(self.folder / ALIVE)
+        self._alive: int | None = core.lock_file(self.folder / ALIVE)
         self._metrics = (self.folder / METRICS_FILE).open("w", encoding="utf-8")
         write_run_info(self.folder, about)
-        sync_folder(self.folder.parent)
+        core.sync_folder(self.folder.parent)
 
     @property
     def uuid(self) -> str:
@@ -203,7 +193,7 @@ class Metric:
 def read_metrics(run: Path) -> list[Metric]:
     """Return the values of a run, ordered by name and step; of one step the last is kept."""
     found: dict[tuple[str, int], Metric] = {}
-    for line in read_json_lines(run / METRICS_FILE):
+    for line in core.read_json_lines(run / METRICS_FILE):
         with suppress(ValueError, KeyError, TypeError):
             value = math.nan if line["value"] is None else float(line["value"])
             metric = Metric(str(line["name"]), int(line["step"]), value, int(line["at_ns"]))
@@ -226,9 +216,9 @@ class RunTracker:
         hardware = {
             "machine": platform.machine(), "cores": os.cpu_count(), "system": platform.system(),
         }  # fmt: skip
-        packages = {name: package_version(name) for name in ("numpy", "torch")}
+        packages = {name: core.package_version(name) for name in ("numpy", "torch")}
         about = RunInfo(
-            uuid7(), kind, "running", time.time_ns(), seed, program_stamp(), dict(settings),
+            uuid7(), kind, "running", time.time_ns(), seed, core.program_stamp(), dict(settings),
             hardware=hardware, environment={"python": platform.python_version(), **packages},
             chain=self._heads(),
         )  # fmt: skip
@@ -238,7 +228,7 @@ class RunTracker:
         """Return the runs (of ``kind``), newest first; unreadable ones are left out."""
         found = []
         for run in run_folders(self._folder):
-            with suppress(InputError):
+            with suppress(core.InputError):
                 about = read_run_info(run)
                 found += [about] if kind in (None, about.kind) else []
         return sorted(found, key=lambda about: about.started_ns, reverse=True)
@@ -247,7 +237,7 @@ class RunTracker:
         """Return one run; raises ``InputError`` if there is no such run."""
         found = [about for about in self.entries() if about.uuid == uuid]
         if not found:
-            raise InputError("There is no such run.", uuid, "List the runs of the dataset.")
+            raise core.InputError("There is no such run.", uuid, "List the runs of the dataset.")
         return found[0]
 
     def metrics(self, uuid: str, name: str | None = None) -> list[Metric]:
@@ -266,7 +256,7 @@ def check_runs(parts: DatasetParts) -> Iterator[ConsistencyProblem]:
             continue
         try:
             about = read_run_info(run)
-        except InputError as error:
+        except core.InputError as error:
             yield ConsistencyProblem("run-unreadable", parts.name(run), str(error))
             continue
         if about.state in ("queued", "running") and not is_run_alive(run):

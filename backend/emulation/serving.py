@@ -10,14 +10,7 @@ from pathlib import Path
 from typing import Generic, Protocol, TypeVar
 
 from touchdown.backend.core import Finger, ImageArray, InputError
-from touchdown.backend.emulation.fault_plan import (
-    FaultPlan,
-    Faults,
-    SampleSchedule,
-    add_noise,
-    apply_faults,
-    hanging_gripper,
-)
+from touchdown.backend.emulation import fault_plan
 from touchdown.backend.emulation.server import DeviceServer, EmulatedDevice, PtyServer, TcpServer
 
 WrenchFunction = Callable[[float], Sequence[float]]  # time in s -> (6,) N and N·m
@@ -29,7 +22,7 @@ BenchTables = Mapping[str, Mapping[str, object]]  # tables of a bench file
 class StreamingSensor(EmulatedDevice, Protocol):
     """An emulated sensor that streams samples."""
 
-    pace: SampleSchedule
+    pace: fault_plan.SampleSchedule
 
 
 class RequestDecoder(Protocol[RequestT]):
@@ -45,7 +38,7 @@ class SerialSensor(EmulatedDevice, Generic[RequestT]):
     """
 
     def __init__(self, wrench: WrenchFunction, requests: RequestDecoder[RequestT]) -> None:
-        self._wrench, self._requests, self.pace = wrench, requests, SampleSchedule()
+        self._wrench, self._requests, self.pace = wrench, requests, fault_plan.SampleSchedule()
 
     def receive(self, now_s: float, data: bytes) -> bytes:
         """Process requests; return the answers."""
@@ -103,8 +96,10 @@ class EmulationChoice:
     host: str = "127.0.0.1"
     port: int | None = None
     tty: Path | None = None
-    faults: FaultPlan = field(default_factory=FaultPlan)
-    wrench: WrenchFunction = field(default_factory=lambda: add_noise(hanging_gripper))
+    faults: fault_plan.FaultPlan = field(default_factory=fault_plan.FaultPlan)
+    wrench: WrenchFunction = field(
+        default_factory=lambda: fault_plan.add_noise(fault_plan.hanging_gripper)
+    )
     part_mm: float | None = 20.0
     text: bool = False
     finger: Finger = "left"
@@ -165,7 +160,7 @@ def replace_host(tables: BenchTables, address: str) -> BenchTables:
 def serve_serial(
     emulated: Callable[[WrenchFunction], StreamingSensor],
     choice: EmulationChoice,
-    faults: Faults,
+    faults: fault_plan.Faults,
     tables: BenchTables | None = None,
 ) -> Emulation:
     """Serve a wrist sensor on a pseudo terminal, or on a TCP port if one is given.
@@ -182,7 +177,7 @@ def serve_serial(
         Tables of the bench file beyond ``[ft]``.
 
     """
-    sensor = emulated(apply_faults(choice.wrench, faults))
+    sensor = emulated(fault_plan.apply_faults(choice.wrench, faults))
     sensor.pace.faults = faults
     front: DeviceServer
     if choice.port is not None or sys.platform == "win32":

@@ -12,13 +12,8 @@ from numpy.typing import NDArray
 
 from touchdown.backend.config import SAMPLES_PER_PROBE
 from touchdown.backend.core import CHANNELS
+from touchdown.backend.episodes import mcap_container
 from touchdown.backend.episodes.episode_mcap import START_KEY
-from touchdown.backend.episodes.mcap_container import (
-    ChunkContents,
-    McapWriter,
-    input_errors,
-    read_chunks,
-)
 from touchdown.backend.episodes.messages import (
     LABEL_TOPIC,
     OBSERVATION_TOPIC,
@@ -56,7 +51,7 @@ class PackWriter:
     """
 
     def __init__(self, path: Path, metadata: Mapping[str, str]) -> None:
-        self._writer = McapWriter(path, (OBSERVATION_TOPIC, LABEL_TOPIC))
+        self._writer = mcap_container.McapWriter(path, (OBSERVATION_TOPIC, LABEL_TOPIC))
         self._writer.start_ns = int(metadata.get(START_KEY, 0))
         self._writer.add_metadata("pack", {"schema_version": SCHEMA_VERSION, **metadata})
         self.episodes = 0
@@ -107,14 +102,14 @@ def write_packs(
 
 def read_pack(path: Path) -> Iterator[PackedEpisode]:
     """Yield the episodes of a pack in order; raises ``InputError`` for a damaged file."""
-    for chunk in read_chunks(path):
+    for chunk in mcap_container.read_chunks(path):
         if chunk.contents.messages:
-            with input_errors(path):
+            with mcap_container.input_errors(path):
                 row = _row(chunk.contents)
             yield row
 
 
-def _row(group: ChunkContents) -> PackedEpisode:
+def _row(group: mcap_container.ChunkContents) -> PackedEpisode:
     if OBSERVATION_TOPIC.name not in group.messages or LABEL_TOPIC.name not in group.messages:
         raise ValueError("an episode lacks its observation or its label")
     observation = unpack_observation(group.messages[OBSERVATION_TOPIC.name])

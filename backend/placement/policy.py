@@ -13,18 +13,13 @@ from numpy.typing import NDArray
 
 from touchdown.backend.config import PolicySettings, StabilitySettings
 from touchdown.backend.core import ContactPatch, FloatArray, PlaceAction, Stability, SupportKind
+from touchdown.backend.placement import equilibrium
 from touchdown.backend.placement.belief import (
     Belief,
     CellGrid,
     cover_cells,
     face_lattice,
     is_finite,
-)
-from touchdown.backend.placement.equilibrium import (
-    convex_hull,
-    inside_hull,
-    signed_margin_mm,
-    support_kind,
 )
 from touchdown.backend.placement.support_tower import XY
 
@@ -68,8 +63,8 @@ def judge_stability(
         hull = _hull_on_map(belief, patch, offset_mm, settings.delta)
     else:
         hull = _hull_on_face(belief, patch, offset_mm, settings.delta)
-    margin_mm = signed_margin_mm(hull, centre)
-    support = support_kind(hull)
+    margin_mm = equilibrium.signed_margin_mm(hull, centre)
+    support = equilibrium.support_kind(hull)
     stable = support is SupportKind.AREA and margin_mm >= settings.margin_mm
     return Stability(stable, margin_mm, support, hull, centre, settings.judge_from)
 
@@ -88,7 +83,7 @@ def support_hull_mm(belief: Belief, cells: NDArray[np.bool_]) -> FloatArray:
     """Return the hull (k, 2) in mm of the centres of the marked ``cells`` (ny, nx)."""
     rows, columns = np.nonzero(cells)
     # Cell indices are integers, so collinear cells are detected exactly.
-    hull = convex_hull(np.stack((columns, rows), axis=1))
+    hull = equilibrium.convex_hull(np.stack((columns, rows), axis=1))
     return CellGrid.of(belief.map).to_mm(hull)
 
 
@@ -108,7 +103,7 @@ def _hull_on_face(
     """Return the hull of the latest patch alone, on the face points."""
     face = face_lattice(patch.points_mm, belief.map.pitch_mm)
     log_odds = belief.prior_log_odds + belief.log_odds(patch.probability)
-    hull = convex_hull(face.index[log_odds > log_odds_threshold(delta)])
+    hull = equilibrium.convex_hull(face.index[log_odds > log_odds_threshold(delta)])
     corner = np.add(face.corner_mm, offset_mm)
     return np.asarray(corner + face.pitch_mm * hull, dtype=np.float64)
 
@@ -134,7 +129,7 @@ def hull_centre(
     rows, columns = np.flatnonzero(cells.any(axis=1)), np.flatnonzero(cells.any(axis=0))
     box = np.s_[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
     centres = belief.map.cell_centres_mm()[box]
-    return _mean(centres[cells[box] if what == "cells" else inside_hull(hull, centres)])
+    return _mean(centres[cells[box] if what == "cells" else equilibrium.inside_hull(hull, centres)])
 
 
 def best_cells(belief: Belief) -> XY | None:

@@ -44,15 +44,9 @@ from touchdown.backend.core import (
     Said,
 )
 from touchdown.backend.episodes import REST_KEY, Coverage, KeepFrames
-from touchdown.backend.runs import messages, motions
+from touchdown.backend.runs import jig, messages, motions
 from touchdown.backend.runs.bench import Bench, PressedProbe
 from touchdown.backend.runs.campaign import Campaign, ProbeTarget, planned_displacement_mm, xy_mm
-from touchdown.backend.runs.jig import (
-    approach_with_piece,
-    pick_piece,
-    return_piece,
-    with_handed_piece,
-)
 from touchdown.backend.runs.plan import PausePoint, Plan, Wait
 from touchdown.backend.runs.probe import press_once, scene_pictures
 from touchdown.backend.runs.recorder import (
@@ -223,13 +217,13 @@ class Collector:
         """
         if self.hand_over or bench.jig is None:
             yield from motions.wait(bench, motions.FIRST_POSES_S)
-            bench = with_handed_piece(bench)
+            bench = jig.with_handed_piece(bench)
         first = after + 1
         most = max(first, bench.settings.collect.grips_per_mounting)
         for grip in range(first, most + 1):
             if not self.todo:
                 break
-            mass_g = yield from pick_piece(bench)
+            mass_g = yield from jig.pick_piece(bench)
             yield Gripped(bench.now_s(), grip, self.campaign.mountings, mass_g)
             if self.check_origin and grip == first:
                 context = yield from self._checked(bench, origin, context)
@@ -237,7 +231,7 @@ class Collector:
             if self.rest_s and grip == first:
                 yield from self._rest(bench, held)
             yield from self._grip(bench, target, origin, held)
-            yield from return_piece(bench)
+            yield from jig.return_piece(bench)
             yield from self._settled(bench)
             yield from self._carry_out(bench)
         return True
@@ -402,7 +396,7 @@ class Collector:
         there = (origin.x_mm + wanted_mm[0], origin.y_mm + wanted_mm[1])
         place = motions.descent_start(bench, there)
         if first_mm is None:
-            yield from approach_with_piece(bench, place)
+            yield from jig.approach_with_piece(bench, place)
         else:
             place = replace(place, z_mm=first_mm + probe.start_height_mm)
             yield from motions.move_to(bench, place, "the arm to shift")

@@ -18,16 +18,9 @@ from touchdown.backend.core import (
     TrialFinished,
 )
 from touchdown.backend.geometry import Piece, Tower, draw_start, start_generator
-from touchdown.backend.runs import messages
+from touchdown.backend.runs import messages, motions
 from touchdown.backend.runs.bench import Bench, RunContext
 from touchdown.backend.runs.jig import approach_with_piece, pick_piece, with_handed_piece
-from touchdown.backend.runs.motions import (
-    FIRST_POSES_S,
-    OPERATOR_TIMEOUT_S,
-    ask_operator,
-    descent_start,
-    wait,
-)
 from touchdown.backend.runs.plan import CancelledError, Plan, Wait
 from touchdown.backend.runs.requests import StackRequest
 from touchdown.backend.sensing import STANDARD_GRAVITY_M_S2
@@ -90,11 +83,11 @@ def trial_start_mm(session: RunContext, request: StackRequest, trial: int) -> tu
 
 def set_up_scene(bench: Bench, request: StackRequest, at_mm: tuple[float, float]) -> Plan[None]:
     """Have the operator place the bottom and hand over the piece, then carry it over its start."""
-    yield from wait(bench, FIRST_POSES_S)
+    yield from motions.wait(bench, motions.FIRST_POSES_S)
     holds = bench.gripper.status().holding
     bottoms = "+".join(request.bottoms)
     question = SetUpAwaited(bench.now_s(), request.piece, bottoms, at_mm, holds)
-    if not (yield from ask_operator(bench, question, "the operator to set the scene")):
+    if not (yield from motions.ask_operator(bench, question, "the operator to set the scene")):
         raise CancelledError("the scene was not set")
     bench = with_handed_piece(bench)
     if not holds:
@@ -102,7 +95,7 @@ def set_up_scene(bench: Bench, request: StackRequest, at_mm: tuple[float, float]
     sigma_mm = bench.settings.collect.origin_sigma_mm
     centre = bench.placed.origin(request.origin_mm, sigma_mm, bottoms)
     there = (centre.x_mm + at_mm[0], centre.y_mm + at_mm[1])
-    yield from approach_with_piece(bench, descent_start(bench, there))
+    yield from approach_with_piece(bench, motions.descent_start(bench, there))
 
 
 def proposed_outcome(bench: Bench) -> tuple[Outcome, str]:
@@ -147,7 +140,9 @@ def judge_release(bench: Bench, probe: int) -> Plan[TrialResult]:
         (outcome, why), prompt = proposed_outcome(bench), bench.prompt
         prompt.ask()
         yield OutcomeAwaited(bench.now_s(), outcome, why)
-        yield Wait(lambda: prompt.seen is not None, OPERATOR_TIMEOUT_S, "the operator to judge")
+        yield Wait(
+            lambda: prompt.seen is not None, motions.OPERATOR_TIMEOUT_S, "the operator to judge"
+        )
         assert prompt.seen is not None
         seen, reason = prompt.seen
         ending = TrialResult(seen, messages.seen_outcome_message(seen, reason), probe)

@@ -24,19 +24,13 @@ from touchdown.backend.config import (
 from touchdown.backend.core import CHANNELS, TACTILE_CHANNELS, FloatArray, OnsetRule
 from touchdown.backend.geometry import FLAT, Outline, Surface, Tower, face_points, scene_number
 from touchdown.backend.simulation import conditions as nuisance
-from touchdown.backend.simulation import marker_fields
+from touchdown.backend.simulation import marker_fields, pressing
 from touchdown.backend.simulation.conditions import Conditions, SeedScope, true_offset_mm
 from touchdown.backend.simulation.contact import RESIDUAL_LIMIT
 from touchdown.backend.simulation.gripper import start_command_mm
 from touchdown.backend.simulation.ground_truth import Scene, scene_mounting
 from touchdown.backend.simulation.marker_fields import CameraDraw, Gel, gel_from_settings
 from touchdown.backend.simulation.mechanics import ContactState, GraspHistory, Region, begin_probes
-from touchdown.backend.simulation.pressing import (
-    PressBatch,
-    PressCourse,
-    noise_samples,
-    press_batch,
-)
 from touchdown.backend.simulation.supports import (
     SupportStack,
     join_support_stacks,
@@ -318,7 +312,7 @@ def draw_noise(
     """Draw the sensor errors of one press."""
     cycle_s = 1e-6 * settings.cycle_us
     phase_s = cycle_s * float(rng.random())
-    force_n = settings.wrist.white_n * rng.standard_normal(noise_samples(rule, cycle_s))
+    force_n = settings.wrist.white_n * rng.standard_normal(pressing.noise_samples(rule, cycle_s))
     wrench = _wrench_noise(settings, rng)
     return SensorNoise(phase_s, force_n, wrench, marker_fields.draw_camera(settings.tactile, rng))
 
@@ -329,15 +323,15 @@ def press_with_noise(
     settings: SimulationSettings,
     probe: ProbeSettings,
     rule: OnsetRule,
-) -> PressBatch:
+) -> pressing.PressBatch:
     """Press B probes with drawn sensor errors."""
     phase_s = np.array([n.phase_s for n in noise])
     force_n = np.stack([n.force_n for n in noise])
-    return press_batch(state, phase_s, force_n, probe, rule, 1e-6 * settings.cycle_us)
+    return pressing.press_batch(state, phase_s, force_n, probe, rule, 1e-6 * settings.cycle_us)
 
 
 def observe_presses(
-    pressed: PressCourse,
+    pressed: pressing.PressCourse,
     conditions: Conditions,
     settings: SimulationSettings,
     noise: Sequence[SensorNoise],
@@ -382,7 +376,7 @@ def _at_wrist(
     return wrist_wrench(wrench_g, wrist.height_mm, yaw, lever)
 
 
-def _mean_wrench(pressed: PressCourse) -> FloatArray:
+def _mean_wrench(pressed: pressing.PressCourse) -> FloatArray:
     """Return (n, 20, 6) mean over the 100 samples of 1 ms up to each tick, N and N·mm."""
     # Ten groups of ten samples; the mean of a group is the value at its centre.
     centre = -0.1 + 1e-3 * (10.0 * np.arange(10) + 5.5)
@@ -407,7 +401,7 @@ def _wrench_noise(settings: SimulationSettings, rng: np.random.Generator) -> Flo
 
 
 def usable_presses(
-    pressed: PressBatch, conditions: Conditions, probe: ProbeSettings
+    pressed: pressing.PressBatch, conditions: Conditions, probe: ProbeSettings
 ) -> NDArray[np.bool_]:
     """Return (n,) True for presses that converged, found contact, and are below the force bound."""
     both = 2.0 * conditions.shear_n_mm * (1.0 + conditions.alpha + conditions.creep)

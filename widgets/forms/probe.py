@@ -9,17 +9,7 @@ from PySide6.QtCore import QRectF, QSize, Qt
 from PySide6.QtGui import QFontMetrics, QPainter, QPaintEvent, QPen
 from PySide6.QtWidgets import QGridLayout, QPushButton, QSizePolicy, QWidget
 
-from touchdown.widgets.base import (
-    ElidedLabel,
-    Panel,
-    Theme,
-    add_items,
-    describe,
-    hbox,
-    label,
-    set_property,
-    ui_font,
-)
+from touchdown.widgets import base
 from touchdown.widgets.forms.fields import decimal_box, field_label, inset_spin_boxes
 
 PADDING = 3  # width added to a phase name, in letters
@@ -28,7 +18,7 @@ PADDING = 3  # width added to a phase name, in letters
 class PhaseStrip(QWidget):
     """Phases in a row: completed ones are filled and ticked, the present one is framed, bold."""
 
-    def __init__(self, theme: Theme, phases: Sequence[str]) -> None:
+    def __init__(self, theme: base.Theme, phases: Sequence[str]) -> None:
         super().__init__()
         self._theme, self.phases, self.at = theme, tuple(phases), -1
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
@@ -45,7 +35,7 @@ class PhaseStrip(QWidget):
 
     def sizeHint(self) -> QSize:
         """Return one line of text with padding."""
-        high = QFontMetrics(ui_font(self._theme.scale, 0.8)).height()
+        high = QFontMetrics(base.ui_font(self._theme.scale, 0.8)).height()
         return QSize(200, high + 12)
 
     def paintEvent(self, _event: QPaintEvent) -> None:
@@ -63,31 +53,31 @@ class PhaseStrip(QWidget):
             painter.setBrush(t.colour("raised" if done or present else "bg"))
             painter.drawRoundedRect(box, 4, 4)
             painter.setPen(t.colour("text" if done or present else "muted"))
-            painter.setFont(ui_font(self._theme.scale, 0.8, 600 if present else 400))
+            painter.setFont(base.ui_font(self._theme.scale, 0.8, 600 if present else 400))
             text = f"\N{CHECK MARK}{name}" if done else name
             room, mode = round(box.width() - 2), Qt.TextElideMode.ElideRight
             fitted = painter.fontMetrics().elidedText(text, mode, room)
             painter.drawText(box, int(Qt.AlignmentFlag.AlignCenter), fitted)
 
 
-class ProbePanel(Panel):
+class ProbePanel(base.Panel):
     """Starts a single probe and shows its progress and result."""
 
-    def __init__(self, theme: Theme, phases: Sequence[str]) -> None:
+    def __init__(self, theme: base.Theme, phases: Sequence[str]) -> None:
         super().__init__("Probe")
-        self.values, self.model = label("", "small", wrap=True), ElidedLabel("small")
+        self.values, self.model = base.label("", "small", wrap=True), base.ElidedLabel("small")
         self.strip = PhaseStrip(theme, phases)
         # Two lines in a narrow column, so that the page knows the height that it needs.
         self.values.setMinimumHeight(2 * self.values.fontMetrics().height())
-        self.result = label("No probe yet.", wrap=True)
+        self.result = base.label("No probe yet.", wrap=True)
         self.probe, self.cancel = QPushButton("Probe once"), QPushButton("Cancel")
         self.probe.setProperty("role", "primary")
-        describe(
+        base.describe(
             (self.probe, "Probe once", "Press here with these values, record, and lift (F5)"),
             (self.cancel, "Cancel the probe", "End the run: lift the arm, keep the grip"),
         )
-        row = hbox((self.probe, 2), (self.cancel, 1))
-        add_items(self.column, self.values, self.model, self.strip, self.result, row)
+        row = base.hbox((self.probe, 2), (self.cancel, 1))
+        base.add_items(self.column, self.values, self.model, self.strip, self.result, row)
 
     def show_model(self, short: str, full: str) -> None:
         """Show the model in use; the tool tip has the details."""
@@ -123,13 +113,13 @@ class ProbeText:
     allowed: tuple[str, ...] = ()
 
 
-class LastProbePanel(Panel):
+class LastProbePanel(base.Panel):
     """Result and displacement of the last probe, one button per decision."""
 
     def __init__(self, decide: Callable[[str], None]) -> None:
         super().__init__("Probe")
-        self.result = label("No probe yet", "head", wrap=True)
-        self.where, self.words = ElidedLabel("small"), label("", "small", wrap=True)
+        self.result = base.label("No probe yet", "head", wrap=True)
+        self.where, self.words = base.ElidedLabel("small"), base.label("", "small", wrap=True)
         self.words.setAlignment(Qt.AlignmentFlag.AlignTop)
         self.words.setMinimumHeight(2 * self.fontMetrics().lineSpacing())
         self.buttons: dict[str, QPushButton] = {}
@@ -137,19 +127,19 @@ class LastProbePanel(Panel):
         grid.setSpacing(6)
         for at, (name, text, key, tip) in enumerate(DECISIONS):
             button = QPushButton(f"{text}  ({key})")
-            describe((button, text, tip))
+            base.describe((button, text, tip))
             button.setFocusPolicy(Qt.FocusPolicy.NoFocus)
             button.clicked.connect(lambda _=False, name=name: decide(name))
             self.buttons[name] = button
             row, column, span = (0, 3 * at, 3) if at < 2 else (1, 2 * (at - 2), 2)
             grid.addWidget(button, row, column, 1, span)
-        add_items(self.column, self.result, self.where, self.words, grid)
+        base.add_items(self.column, self.result, self.where, self.words, grid)
         self.show_words(ProbeText("No probe yet"))
 
     def show_words(self, words: ProbeText) -> None:
         """Show the texts of a probe; enable the ``allowed`` decisions."""
         self.result.setText(words.result)
-        set_property(self.result, "tone", words.tone)
+        base.set_property(self.result, "tone", words.tone)
         self.where.setText(words.where)
         self.words.setText(words.detail)
         self.detail.setText("waiting for you" if words.asking else "")
@@ -158,14 +148,14 @@ class LastProbePanel(Panel):
         self.setAccessibleDescription(". ".join((words.result, words.where, words.detail)))
 
 
-class PairHealthPanel(Panel):
+class PairHealthPanel(base.Panel):
     """Problems in the collected data, one per line, worst first."""
 
     MOST = 4
 
     def __init__(self) -> None:
         super().__init__("Health")
-        self.words = label("No probe checked yet.", "small", wrap=True)
+        self.words = base.label("No probe checked yet.", "small", wrap=True)
         self.words.setAlignment(Qt.AlignmentFlag.AlignTop)
         self.column.addWidget(self.words, 1)
 
@@ -187,27 +177,27 @@ class PairHealthPanel(Panel):
 USUAL_N, LEAST_N, MOST_N = 10.0, 1.0, 40.0
 
 
-class GripperPanel(Panel):
+class GripperPanel(base.Panel):
     """Status of the gripper; buttons to grip and open."""
 
     def __init__(self) -> None:
         super().__init__("Gripper")
-        self.figures = label("No data yet")
+        self.figures = base.label("No data yet")
         self.force = decimal_box(LEAST_N, MOST_N, decimals=1)
         self.force.setValue(USUAL_N)
         self.force.setSuffix(" N")
         inset_spin_boxes(self.force)
-        describe((self.force, "Grip force per finger", "Force per finger for the next grip"))
+        base.describe((self.force, "Grip force per finger", "Force per finger for the next grip"))
         self.grip, self.open = QPushButton("Grip"), QPushButton("Open")
         asks = "Open the jaws; asks first while a piece is held (Shift+G)"
-        describe(
+        base.describe(
             (self.grip, "Grip the gripper", "Close on the piece with this force (G)"),
             (self.open, "Open the gripper", asks),
         )
-        row = hbox(
+        row = base.hbox(
             field_label("Force", self.force), (self.force, 1), (self.grip, 1), (self.open, 1)
         )
-        add_items(self.column, self.figures, row)
+        base.add_items(self.column, self.figures, row)
 
     def show_status(self, width_mm: float, force_n: float, *, holding: bool, moving: bool) -> None:
         """Show width, force per finger and state."""

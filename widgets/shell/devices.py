@@ -10,17 +10,7 @@ from PySide6.QtCore import QPoint, QPointF, QRectF, QSize, Qt, Signal
 from PySide6.QtGui import QColor, QFontMetrics, QKeyEvent, QMouseEvent, QPainter, QPaintEvent, QPen
 from PySide6.QtWidgets import QDialog, QGridLayout, QLabel, QPushButton, QSizePolicy, QWidget
 
-from touchdown.widgets.base import (
-    ENTER,
-    Theme,
-    Tokens,
-    draw_elided_line,
-    hbox,
-    label,
-    rule,
-    ui_font,
-    vbox,
-)
+from touchdown.widgets import base
 from touchdown.widgets.shell.state import Colour, Shape, draw_shape
 
 ChipState = Literal["ready", "connecting", "degraded", "stale", "fault", "closed"]
@@ -44,7 +34,7 @@ class ChipValue:
     tip: str = ""
 
 
-def mark_colours(state: ChipState, tokens: Tokens) -> tuple[QColor, QColor | None]:
+def mark_colours(state: ChipState, tokens: base.Tokens) -> tuple[QColor, QColor | None]:
     """Return fill and rim of a state mark; a rim only where the fill lacks contrast."""
     colour = _LOOK[state][1]
     named = {"green": "good", "red": "bad", "grey": "muted", "blue": "text"}
@@ -61,7 +51,7 @@ class DeviceChip(QWidget):
 
     clicked = Signal()
 
-    def __init__(self, theme: Theme, name: str) -> None:
+    def __init__(self, theme: base.Theme, name: str) -> None:
         super().__init__()
         self.short = False
         self._theme, self._name = theme, name
@@ -83,8 +73,8 @@ class DeviceChip(QWidget):
 
     def sizeHint(self) -> QSize:
         """Return room for typical figures or, if ``short``, for the name."""
-        figures = QFontMetrics(ui_font(self._theme.scale, 0.86))
-        name = QFontMetrics(ui_font(self._theme.scale, 0.86, 600))
+        figures = QFontMetrics(base.ui_font(self._theme.scale, 0.86))
+        name = QFontMetrics(base.ui_font(self._theme.scale, 0.86, 600))
         width = name.horizontalAdvance(self._name)
         if not self.short:
             lost = name.horizontalAdvance("  10 lost") if "actile" in self._name else 0
@@ -114,7 +104,7 @@ class DeviceChip(QWidget):
 
     def keyPressEvent(self, event: QKeyEvent) -> None:
         """Emit ``clicked`` on Return; Space can mean STOP."""
-        if event.key() in ENTER and not event.isAutoRepeat():
+        if event.key() in base.ENTER and not event.isAutoRepeat():
             self.clicked.emit()
         else:
             super().keyPressEvent(event)
@@ -139,7 +129,7 @@ class DeviceChip(QWidget):
         left = self._left_px()
         middle, width = self.height() / 2, self.width() - left - 4
         painter.setPen(t.colour("text"))
-        painter.setFont(ui_font(self._theme.scale, 0.86, 600))
+        painter.setFont(base.ui_font(self._theme.scale, 0.86, 600))
         low, right = Qt.AlignmentFlag.AlignBottom, Qt.AlignmentFlag.AlignRight
         if self.short:
             box, centre = QRectF(left, 0, width, self.height()), Qt.AlignmentFlag.AlignVCenter
@@ -147,12 +137,12 @@ class DeviceChip(QWidget):
             return
         painter.drawText(QRectF(left, 3, width, middle - 2), int(low), self._name)
         if self.value.lost:
-            painter.setFont(ui_font(self._theme.scale, 0.8, 500))
+            painter.setFont(base.ui_font(self._theme.scale, 0.8, 500))
             box = QRectF(left, 3, width - 4, middle - 2)
             painter.drawText(box, int(low | right), f"{self.value.lost} lost")
-        painter.setFont(ui_font(self._theme.scale, 0.8))
+        painter.setFont(base.ui_font(self._theme.scale, 0.8))
         box = QRectF(left, middle, width, middle - 3)
-        draw_elided_line(painter, box, self.value.detail, t.colour("muted"))
+        base.draw_elided_line(painter, box, self.value.detail, t.colour("muted"))
 
 
 Rows = Sequence[tuple[str, str]]
@@ -167,7 +157,7 @@ class DeviceInspector(QDialog):
         self.reconnect = QPushButton("Reconnect")
         self.reconnect.setToolTip("Close the connection and open it again; the grip is kept")
         self.reconnect.clicked.connect(on_reconnect)
-        self._head = label("", "head")
+        self._head = base.label("", "head")
         self._grid = QGridLayout()
         self._grid.setHorizontalSpacing(28)
         self._grid.setVerticalSpacing(6)
@@ -175,9 +165,9 @@ class DeviceInspector(QDialog):
         self._values: dict[str, QLabel] = {}
         close = QPushButton("Close")
         close.clicked.connect(self.close)
-        buttons = hbox(self.reconnect, 1, close)
-        vbox(self._head, self._grid, 1, rule(), buttons, parent=self, margins=(18, 14, 18, 14),
-             spacing=10)  # fmt: skip
+        buttons = base.hbox(self.reconnect, 1, close)
+        rows = self._head, self._grid, 1, base.rule(), buttons
+        base.vbox(*rows, parent=self, margins=(18, 14, 18, 14), spacing=10)
         self.setMinimumWidth(300)
 
     def open_at(self, key: str, title: str, rows: Rows, below: QPoint) -> None:
@@ -211,9 +201,9 @@ class DeviceInspector(QDialog):
                 old.deleteLater()
         self._values.clear()
         for row, (field, value) in enumerate(rows):
-            shown = label(value)
+            shown = base.label(value)
             shown.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
             shown.setAccessibleName(field)
             self._values[field] = shown
-            self._grid.addWidget(label(field, "muted"), row, 0)
+            self._grid.addWidget(base.label(field, "muted"), row, 0)
             self._grid.addWidget(shown, row, 1)

@@ -10,18 +10,7 @@ from PySide6.QtGui import QKeyEvent, QMouseEvent, QPainter, QPaintEvent, QPen, Q
 from PySide6.QtWidgets import QBoxLayout, QScrollArea, QSizePolicy, QWidget
 
 from touchdown.backend.core import Stability
-from touchdown.widgets.base import (
-    ENTER,
-    MAPS,
-    MapName,
-    Panel,
-    Theme,
-    add_items,
-    compact_combo_box,
-    label,
-    rule,
-    vbox,
-)
+from touchdown.widgets import base
 from touchdown.widgets.plots import draw_message
 from touchdown.widgets.views.belief import BeliefLegend, BeliefScene, BeliefView, describe_scene
 from touchdown.widgets.views.decision import signed_mm
@@ -33,16 +22,16 @@ NO_PROBES = ("No probes yet", "Each press adds a map; click one to view it again
 class Thumbnail(QWidget):
     """Map and caption of one probe."""
 
-    def __init__(self, theme: Theme, index: int, on_click: Callable[[int], None]) -> None:
+    def __init__(self, theme: base.Theme, index: int, on_click: Callable[[int], None]) -> None:
         super().__init__()
         self._theme, self.index, self._on_click = theme, index, on_click
         self.chosen = False
         self.view = BeliefView(theme, thumbnail=True)
         self.view.setFixedSize(SIDE_PX, SIDE_PX)
         self.view.setAttribute(Qt.WidgetAttribute.WA_TransparentForMouseEvents)
-        self.caption = label("", "small")
+        self.caption = base.label("", "small")
         self.caption.setAlignment(Qt.AlignmentFlag.AlignHCenter)
-        column = vbox(parent=self, margins=(4, 4, 4, 2), spacing=1)
+        column = base.vbox(parent=self, margins=(4, 4, 4, 2), spacing=1)
         column.addWidget(self.view, 0, Qt.AlignmentFlag.AlignHCenter)
         column.addWidget(self.caption, 0, Qt.AlignmentFlag.AlignHCenter)
         self.setFocusPolicy(Qt.FocusPolicy.TabFocus)
@@ -67,7 +56,7 @@ class Thumbnail(QWidget):
 
     def keyPressEvent(self, event: QKeyEvent) -> None:
         """Select this probe with Return."""
-        if event.key() in ENTER:
+        if event.key() in base.ENTER:
             self._on_click(self.index)
         else:
             super().keyPressEvent(event)
@@ -76,12 +65,12 @@ class Thumbnail(QWidget):
 class ProbeStrip(QWidget):
     """Row of thumbnails, or column if upright; scrolls to the newest."""
 
-    def __init__(self, theme: Theme, on_choose: Callable[[int], None]) -> None:
+    def __init__(self, theme: base.Theme, on_choose: Callable[[int], None]) -> None:
         super().__init__()
         self._theme, self._on_choose = theme, on_choose
         self.thumbnails: list[Thumbnail] = []
         self._lines, self.upright = 1, False
-        self._map: MapName = "cividis"
+        self._map: base.MapName = "cividis"
         self._empty = NO_PROBES
         self._inner = QWidget()
         self._row = QBoxLayout(QBoxLayout.Direction.LeftToRight, self._inner)
@@ -93,7 +82,7 @@ class ProbeStrip(QWidget):
         self._scroll.setWidgetResizable(True)
         self._scroll.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         self._scroll.setVerticalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
-        vbox(self._scroll, parent=self, margins=(0, 0, 0, 0))
+        base.vbox(self._scroll, parent=self, margins=(0, 0, 0, 0))
         self._scroll.hide()
         self.setAccessibleName("Probes of this trial")
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
@@ -126,7 +115,7 @@ class ProbeStrip(QWidget):
         self._scroll.setHorizontalScrollBarPolicy(off if upright else needed)
         self.updateGeometry()
 
-    def show_map(self, name: MapName) -> None:
+    def show_map(self, name: base.MapName) -> None:
         """Set the colour map of all thumbnails."""
         self._map = name
         for thumbnail in self.thumbnails:
@@ -192,12 +181,12 @@ class MapAndStrip(QWidget):
 
     def __init__(self, view: BeliefView, legend: BeliefLegend, strip: ProbeStrip) -> None:
         super().__init__()
-        self._view, self._legend, self._strip, self._line = view, legend, strip, rule()
-        self._views = vbox((view, 1), legend, spacing=6)
+        self._view, self._legend, self._strip, self._line = view, legend, strip, base.rule()
+        self._views = base.vbox((view, 1), legend, spacing=6)
         self._box = QBoxLayout(QBoxLayout.Direction.TopToBottom, self)
         self._box.setContentsMargins(0, 0, 0, 0)
         self._box.setSpacing(6)
-        add_items(self._box, (self._views, 1), self._line, strip)
+        base.add_items(self._box, (self._views, 1), self._line, strip)
 
     @property
     def beside(self) -> bool:
@@ -225,21 +214,21 @@ class MapAndStrip(QWidget):
             self._strip.show_upright(beside)
 
 
-class BeliefPanel(Panel):
+class BeliefPanel(base.Panel):
     """Belief map with a choice of colour map, which the ``strip`` of small maps follows."""
 
-    def __init__(self, theme: Theme, title: str, strip: ProbeStrip | None = None) -> None:
+    def __init__(self, theme: base.Theme, title: str, strip: ProbeStrip | None = None) -> None:
         super().__init__(title)
         self.view, self.legend, self._strip = BeliefView(theme), BeliefLegend(theme), strip
         if strip is None:
-            add_items(self.column, (self.view, 1), self.legend)
+            base.add_items(self.column, (self.view, 1), self.legend)
         else:
             self.column.addWidget(MapAndStrip(self.view, self.legend, strip), 1)
-        self.maps = compact_combo_box(list(MAPS), "Colour map of the belief")
+        self.maps = base.compact_combo_box(list(base.MAPS), "Colour map of the belief")
         self.maps.currentIndexChanged.connect(self._choose)
         self.header.addWidget(self.maps)
 
     def _choose(self, index: int) -> None:
         for view in (self.view, self._strip):
             if view is not None:
-                view.show_map(MAPS[index])
+                view.show_map(base.MAPS[index])

@@ -5,12 +5,7 @@ from __future__ import annotations
 from enum import Enum
 
 from touchdown.backend.core import Fault
-from touchdown.backend.devices.melfa.r3_protocol import (
-    EMERGENCY_ERRORS,
-    NOT_READY_ERRORS,
-    OUT_OF_RANGE_ERRORS,
-    REJECTED_ERRORS,
-)
+from touchdown.backend.devices.melfa import r3_protocol
 from touchdown.backend.devices.protocols import HELD, NOTHING_MOVED, VOID_PRESS, arm_fault
 
 START = arm_fault(
@@ -75,15 +70,15 @@ def link_fault(what: str) -> Fault:
 def controller_fault(number: int, text: str = "") -> Fault:
     """Return the fault of an error number of the controller."""
     said = f"The controller reports error {number}" + (f": {text}." if text else ".")
-    if number in EMERGENCY_ERRORS:
+    if number in r3_protocol.EMERGENCY_ERRORS:
         step = "Release the emergency stop, press Reset, then connect the arm again."
         return arm_fault("HW-STOP", said, step, "The hardware has stopped the arm.")
     code, step = "CONTROLLER", "Look at the controller, press Reset, then connect the arm again."
-    if number in OUT_OF_RANGE_ERRORS:
+    if number in r3_protocol.OUT_OF_RANGE_ERRORS:
         code, step = "OUT-OF-RANGE", "Move the arm back with the teaching box, then press Reset."
-    elif number in NOT_READY_ERRORS:
+    elif number in r3_protocol.NOT_READY_ERRORS:
         code, step = "NOT-READY", "Automatic mode? Remote operation? Servo on? Then connect again."
-    elif number in REJECTED_ERRORS:
+    elif number in r3_protocol.REJECTED_ERRORS:
         code, step = "REJECTED", "Load the programs of resources/melfa into the controller."
     return arm_fault(code, said, step)
 

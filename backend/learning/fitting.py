@@ -20,7 +20,6 @@ from touchdown.backend.config import BenchDescription, StabilitySettings, Traini
 from touchdown.backend.core import FloatArray, InputError, program_version, write_atomically
 from touchdown.backend.episodes import Split, TrainingRows, join_rows, load_rows, split_rows
 from touchdown.backend.geometry import face_points, load_pieces
-from touchdown.backend.learning import metrics
 from touchdown.backend.learning.calibration import PatchCalibration, fit_calibration
 from touchdown.backend.learning.checkpoint import (
     Checkpoint,
@@ -30,6 +29,13 @@ from touchdown.backend.learning.checkpoint import (
     save_checkpoint,
 )
 from touchdown.backend.learning.inference import ARCH, modality_columns
+from touchdown.backend.learning.metrics import (
+    EvaluationScores,
+    bottom_figures,
+    choose_samples,
+    save_samples,
+    score,
+)
 from touchdown.backend.learning.training import (
     Trainer,
     device_name,
@@ -73,7 +79,7 @@ def evaluate(
     labels: LabelChoice = "approved",
     delta: float = StabilitySettings().delta,
     pieces: Path | None = None,
-) -> dict[str, metrics.EvaluationScores]:
+) -> dict[str, EvaluationScores]:
     """Measure a contact-patch model on labelled episodes; same as ``touchdown evaluate``.
 
     Parameters
@@ -116,7 +122,7 @@ def evaluate(
 
 def evaluate_model(
     checkpoint: Checkpoint, rows: TrainingRows, points_mm: FloatArray, delta: float
-) -> dict[str, metrics.EvaluationScores]:
+) -> dict[str, EvaluationScores]:
     """Return the scores per bottom, and of every episode under "all".
 
     ``points_mm`` (N, 2) are the face points. Raises ``InputError`` if model and data belong to
@@ -128,8 +134,8 @@ def evaluate_model(
     probability = _predictions(checkpoint, rows)
     bottoms, mounting = np.array(rows.bottom), np.array(rows.mounting_id)
 
-    def scored(which: NDArray[np.bool_]) -> metrics.EvaluationScores:
-        return metrics.score(
+    def scored(which: NDArray[np.bool_]) -> EvaluationScores:
+        return score(
             probability[which], rows.patch[which], points_mm, delta, mounting[which].tolist()
         )
 
@@ -232,12 +238,10 @@ def fit_model(job: TrainingJob, tell: ReportCallback, cancelled: Callable[[], bo
     validation = card.metrics["validation"]
     if before is not None:
         validation["pretrained"] = before.model_dump(include={"iou", "validation_loss"})
-    validation["bottoms"] = metrics.bottom_figures(rows, trainer.split.held_out, probability)
+    validation["bottoms"] = bottom_figures(rows, trainer.split.held_out, probability)
     if job.keep is not None:
         write_atomically(job.keep / MANIFEST, training_manifest(rows, trainer.split))
-        metrics.save_samples(
-            job.keep, metrics.choose_samples(rows, trainer.split.held_out, probability)
-        )
+        save_samples(job.keep, choose_samples(rows, trainer.split.held_out, probability))
     card = save_checkpoint(job.out, trainer.best_model().arrays(), card)
     state.unlink(missing_ok=True)
     best = trainer.best_figures

@@ -152,7 +152,7 @@ def test_devices_and_batch_press_the_same_cells(settings) -> None:
     seen = []
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(
-            lockstep,
+            lockstep.pressing,
             "press_batch",
             lambda state, *rest: seen.append(state) or press_batch(state, *rest),
         )
@@ -361,7 +361,7 @@ def test_no_press_on_free_bottoms_is_harder_than_a_spring_can_make_it() -> None:
         return seen[-1]
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(lockstep, "press_batch", watched)
+        patch.setattr(lockstep.pressing, "press_batch", watched)
         felt = lockstep.BatchedTrials(scenes).press(range(len(scenes)), places)
     wrench = seen[0].timeline.values[:, :, :6]
     assert np.isfinite(wrench).all()
@@ -531,7 +531,7 @@ def test_devices_and_batch_rock_alike(monkeypatch: pytest.MonkeyPatch) -> None:
         seen.append(press_batch(*args, **more))
         return seen[-1]
 
-    monkeypatch.setattr(lockstep, "press_batch", watched)
+    monkeypatch.setattr(lockstep.pressing, "press_batch", watched)
     bench = lockstep.BatchedTrials([scene])
     felt = bench.press([0], bench.start_commands_mm())
     batch = seen[0].state

@@ -422,8 +422,8 @@ def _mismatch(certificate: ReleaseCertificate, claim: ReleaseClaim) -> tuple[int
     bottoms, settings = certificate.bottoms, method_sha256(claim.method)
     changed = " with other settings, sensors or gels" if found.bench == claim.bench else ""
     conditions = (
+        (found.weights_sha256 == claim.weights_sha256, "none was made for this network"),
         (found.bench_sha256 == claim.bench_sha256, f"the present one is of {found.bench}{changed}"),
-        (found.weights_sha256 == claim.weights_sha256, "the present one is of another model"),
         (own == wanted, f"it holds for a risk of {100 * own:g} %, not of {100 * wanted:g} %"),
         (found.method_sha256 == settings, "it holds for other settings of the method"),
         (claim.piece in certificate.pieces, f"it does not cover the piece '{claim.piece}'"),

@@ -337,7 +337,7 @@ def test_certificate_of_the_form_is_shown_with_its_reason(live, bench):
     shown = run._certificate
     assert (shown.text(), shown.isVisibleTo(run)) == ("", False)
     run.show_form(replace(run.form(), strategy="fused"))
-    assert shown.text() == "No certificate for this bench: the present one is of bench-v2."
+    assert shown.text() == "No certificate for this bench: none was made for this network."
     run.show_certificate("Unsafe \u2264 1.0 % of releases.", "For pot.")
     assert (shown.toolTip(), shown.accessibleName()) == ("For pot.", "Certificate")
     assert shown.isVisibleTo(run)

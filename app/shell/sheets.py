@@ -24,6 +24,7 @@ from touchdown.widgets.base import ElidedLabel, FlowLayout, hbox, label, rule, s
 from touchdown.widgets.forms import NameDialog
 
 LEAST_WINDOW = QSize(480, 330)  # of the main window
+TOP_BAR_PX = 64  # with STOP
 
 
 class QuestionRow(QFrame):
@@ -105,10 +106,11 @@ class BenchSheet(QDialog):
         vbox((scroll, 1), rule(), row, parent=self, margins=(18, 14, 18, 14), spacing=spacing)
 
     def resize_to_em(self, width: int, height: int) -> None:
-        """Set the size in heights of the font, at most that of the window."""
+        """Set the size in heights of the font; in the middle of the window it leaves STOP free."""
         em, parent = self.fontMetrics().height(), self.parentWidget()
         assert parent is not None
-        self.resize(QSize(width * em, height * em).boundedTo(parent.size()))
+        room = (parent.size() - QSize(0, 2 * TOP_BAR_PX)).expandedTo(LEAST_WINDOW)
+        self.resize(QSize(width * em, height * em).boundedTo(room))
 
 
 class BookmarkDialog(NameDialog):

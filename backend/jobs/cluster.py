@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import os
+import shlex
 import shutil
 import subprocess
 import sys
@@ -165,7 +166,7 @@ class SlurmArrays:
         tasks = json.dumps({"store": root, "kinds": kinds, "jobs": jobs})
         write_atomically(folder / "tasks.json", tasks.encode())
         code = f"from {__name__} import main; main()"
-        command = f"exec '{sys.executable}' -c '{code}' '{folder / 'tasks.json'}'"
+        command = shlex.join(["exec", sys.executable, "-c", code, str(folder / "tasks.json")])
         number = self._call([
             "sbatch", "--parsable", "--job-name=touchdown", f"--array=0-{len(specs) - 1}",
             f"--output={folder}/%a.log", f"--export=ALL,{ONE_THREAD}", f"--wrap={command}",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shlex
 import shutil
 import warnings
 from collections.abc import Sequence
@@ -252,7 +253,7 @@ class FakeSlurm:
         self.arrays += 1
         options = dict(word.split("=", 1) for word in words if "=" in word)
         if self.arrays > self.lost:
-            path = Path(options["--wrap"].rsplit("'", 2)[1])
+            path = Path(shlex.split(options["--wrap"])[-1])
             for index in range(int(options["--array"].partition("-")[2]) + 1):
                 run_task(path, index)
         return f"{self.arrays};cluster\n"
@@ -262,7 +263,7 @@ def test_job_arrays_give_the_numbers_of_one_process(tmp_path: Path) -> None:
     apart = draws(5)
     total = JobSpec("add", inputs=tuple(spec.id for spec in apart))
     specs = [*apart, total, JobSpec("refuse"), JobSpec("unknown")]
-    alone, shared = JobStore(tmp_path / "1"), JobStore(tmp_path / "2")
+    alone, shared = JobStore(tmp_path / "1"), JobStore(tmp_path / "Ann's 2")
     list(run_campaign(specs, SerialExecutor(KINDS, alone), alone))
     slurm = FakeSlurm(lost=1, silent=2)
     results = list(run_campaign(specs, SlurmArrays(KINDS, shared, slurm, 0.0, 0.0), shared))

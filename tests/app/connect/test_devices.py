@@ -149,3 +149,9 @@ def test_looking_opens_no_port_so_that_none_can_hold_it_up_or_answer_wrongly(
     offered = wizard.editors["ft.address"]
     assert [offered.itemText(i) for i in range(offered.count())] == [str(ports / "usb-Silent")]
     assert "cameras AAAA-1111;" in wizard.said.text()
+
+
+def test_the_sheet_leaves_stop_free_in_a_low_window(wizard) -> None:
+    wizard.parentWidget().resize(1280, 720)
+    wizard.resize_to_em(48, 60)
+    assert wizard.height() <= wizard.parentWidget().height() - 128

@@ -169,7 +169,8 @@ def test_it_delivers_what_the_sensor_feels_in_order_at_its_rate(wired):
     period_s = 1.0 / (RATE_HZ.get(wired.kind) or driver.describe()["usual_hz"])
     span_s = run.t_s[-1] - run.t_s[10]
     assert span_s / (len(run.t_s) - 11) == pytest.approx(period_s, rel=0.3)
-    assert driver.samples.count - driver.health.received in range(wired.behind + 1)
+    # A sample may arrive between the two readings.
+    until(lambda: driver.samples.count - driver.health.received in range(wired.behind + 1))
     assert wired.condition in ("good", "slow")
     assert all(isinstance(value, str | float | int) for value in driver.describe().values())
 

@@ -366,9 +366,12 @@ def _share_percent(application: QApplication) -> float:
 
 
 def _wait(application: QApplication, done: Callable[[], bool], most_ms: int) -> None:
-    until = QDeadlineTimer(most_ms)
-    while not done() and not until.hasExpired():
-        application.processEvents(QEventLoop.ProcessEventsFlag.WaitForMoreEvents, 50)
+    # An event loop sleeps between events; processEvents with a time limit does not.
+    until, loop, poll = QDeadlineTimer(most_ms), QEventLoop(application), QTimer(interval=50)
+    poll.timeout.connect(lambda: loop.quit() if done() or until.hasExpired() else None)
+    poll.start()
+    loop.exec()
+    poll.stop()
 
 
 if __name__ == "__main__":

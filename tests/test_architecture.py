@@ -94,6 +94,11 @@ def test_the_tree_stays_small() -> None:
     assert lines <= LINES
 
 
+def test_a_class_name_has_one_meaning() -> None:
+    names = Counter(n.name for p in CODE for n in _nodes(p) if isinstance(n, ast.ClassDef))
+    assert [name for name, count in names.items() if count > 1] == []
+
+
 def test_a_module_has_at_most_900_lines() -> None:
     sizes = {_name(p): len(p.read_text("utf-8").splitlines()) for p in CODE + TESTS}
     assert {name: size for name, size in sizes.items() if size > 900} == {}

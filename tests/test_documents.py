@@ -35,6 +35,11 @@ def _anchors(path):
     return {re.sub(r"[^\w -]", "", text).strip().lower().replace(" ", "-") for text in headings}
 
 
+def test_the_glossary_has_at_most_60_terms():
+    rows = re.findall(r"^\| (?!term \|)", (ROOT / "CONTEXT.md").read_text("utf-8"), re.MULTILINE)
+    assert 30 < len(rows) <= 60
+
+
 @pytest.mark.parametrize("path", DOCUMENTS, ids=_name)
 def test_links_lead_somewhere(path):
     links = re.findall(r"\]\(([^)#\s]+)", path.read_text("utf-8"))

@@ -1,4 +1,4 @@
-"""Touchdown: feel how a grasped piece rests before letting it go.
+"""Touchdown: place a grasped piece by touch.
 
 The public API. Frames: z points up; wrenches are those of the environment on the tool, so that
 Fz > 0 while the piece is pressed down. Units stand in the names (``_mm``, ``_n``, ``_s``, ``_px``,

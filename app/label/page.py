@@ -87,10 +87,10 @@ EMPTY_QUEUES = {
     "unlabelled": empty_queue("Nothing is left to label", LABELLED),
     "review": empty_queue("Nothing waits for your review", "Other persons review your labels."),
     "returned": empty_queue(
-        "None of your labels was rejected", "No label came back, and you rejected no probe."
+        "None of your labels was rejected", "No label was returned, and you rejected no probe."
     ),
     "all": empty_queue("No episode passes the filter", "Change it above, or clear it."),
-    "conflicts": empty_queue("There are no conflicts", "No merge left an episode two labels."),
+    "conflicts": empty_queue("There are no conflicts", "No merge gave an episode two labels."),
     **dict.fromkeys(("doubt", "disagreement", "uncertainty", "duplicates"), NOT_SCORED),
 }
 EMPTY_QUEUE = empty_queue("Nothing is in this queue", "No episode belongs to this queue.")

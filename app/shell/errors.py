@@ -79,7 +79,7 @@ class ErrorBox:
         self._cards.append(
             CardText(
                 code=f"BUG-{kind.__name__.upper()}",
-                what=f"Something unexpected failed in {where}: {error or kind.__name__}",
+                what=f"An unexpected error occurred in {where}: {error or kind.__name__}",
                 consequence="The program goes on; this part may be incomplete.",
                 next_step="Copy the details into a report.",
                 details=details,

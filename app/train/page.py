@@ -49,7 +49,7 @@ class TrainPage(WorkspacePage):
             # Disabled until the model in use is known.
             button.setEnabled(False)
         self.promote.setToolTip("Put the chosen model in use for its piece (Ctrl+P)")
-        self.roll_back.setToolTip("Put the model before in use again (Ctrl+Shift+P)")
+        self.roll_back.setToolTip("Use the previous model again (Ctrl+Shift+P)")
         yield
         self._arrange()
 

@@ -386,7 +386,7 @@ class TrainPresenter:
 
         def show(scenes: list[SampleScene]) -> None:
             if number == self._shown:
-                page.samples.show_scenes(scenes, "This training kept none.")
+                page.samples.show_scenes(scenes, "This training stored no samples.")
 
         def none(error: Exception) -> None:
             page.samples.show_scenes((), str(error))

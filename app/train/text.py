@@ -35,9 +35,9 @@ SETTINGS = {
 
 STILL = CardText(
     "TRAINING-STILL",
-    "The training process does nothing: it was stopped, or waits for something that never comes.",
+    "The training process has stalled: it was suspended, or is blocked.",
     "Nothing is lost; whole epochs are kept.",
-    "Let it go on, or press Cancel: it is ended at once, and Resume goes on from the last epoch.",
+    "Continue the process, or press Cancel to end it; Resume goes on from the last epoch.",
     reset=False,
 )
 

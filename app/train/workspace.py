@@ -37,7 +37,7 @@ class TrainWorkspace(shell.Workspace):
                                 self._order(TrainPresenter.ask_cancel)),
             shell.WindowCommand("promote", "Put the chosen model in use", "Ctrl+P",
                                 self._order(TrainPresenter.promote)),
-            shell.WindowCommand("roll-back", "Put the model before in use again", "Ctrl+Shift+P",
+            shell.WindowCommand("roll-back", "Use the previous model again", "Ctrl+Shift+P",
                                 self._order(TrainPresenter.roll_back)),
             shell.WindowCommand("folder", "Train on another folder", "Ctrl+O", self._ask_folder),
             shell.WindowCommand("reread", "Read data and trainings again", "Ctrl+R", self._reread),

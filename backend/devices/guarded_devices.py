@@ -193,7 +193,7 @@ class GuardedArm(_Guarded):
         self._refuse_turning_jog(here, turning)
         rx, ry, rz = (part / turning for part in turn_rad_s)
         if not turn_to_limit_rad(here, (rx, ry, rz), limits) > 0:
-            raise RefusedError("LIMIT", "The hand leans as far as it may.")
+            raise RefusedError("LIMIT", "The tilt of the hand is at its limit.")
         motion = self._arm.jog(velocity_mm_s, for_s, turn_rad_s)
         return self._command(motion, speed or math.inf, turning)
 

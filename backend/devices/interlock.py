@@ -499,8 +499,8 @@ def refuse_place(pose: Pose, surface_mm: float, limits: Limits) -> None:
     if not lean_rad <= limits.tilt_rad + SLACK_RAD:
         raise RefusedError(
             "TILT",
-            f"The hand would lean by {math.degrees(lean_rad):.1f}\N{DEGREE SIGN}: "
-            f"{math.degrees(limits.tilt_rad):.0f}\N{DEGREE SIGN} is the most.",
+            f"The hand would tilt by {math.degrees(lean_rad):.1f}\N{DEGREE SIGN}; "
+            f"the limit is {math.degrees(limits.tilt_rad):.0f}\N{DEGREE SIGN}.",
         )
     if rotation_angle_rad(pose) > LEVEL_TOLERANCE_RAD:
         refuse_turning(pose, surface_mm, 0.0, limits)

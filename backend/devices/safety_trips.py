@@ -133,7 +133,7 @@ def _lost_fault(what: str) -> Fault:
     return Fault(
         "PIECE-LOST",
         what,
-        "Motion stopped; the probe in progress is void and nothing was let go.",
+        "Motion stopped; the probe in progress is void; the gripper was not opened.",
         "Take the piece out or grip it again by hand, then press Reset.",
         "gripper",
     )

@@ -119,7 +119,7 @@ class TrainingCandidate:
 
 
 @dataclass(frozen=True, slots=True)
-class PairCount:
+class PairSplit:
     """Numbers of episodes of one pair on each side."""
 
     piece: str
@@ -137,7 +137,7 @@ class TrainingSetOverview:
 
     pieces: tuple[str, ...]
     piece: str
-    pairs: tuple[PairCount, ...] = ()
+    pairs: tuple[PairSplit, ...] = ()
     kept_together: str = ""
     warnings: tuple[str, ...] = ()
     error: str = ""
@@ -191,19 +191,19 @@ def training_set_overview(
             names = [f"{one.piece} on {one.bottom}" for one in mine]
             split = split_series(mountings, names, share, seed)
     except InputError as error:
-        pairs = tuple(PairCount(chosen, b, sum(o.bottom == b for o in mine), 0) for b in bottoms)
+        pairs = tuple(PairSplit(chosen, b, sum(o.bottom == b for o in mine), 0) for b in bottoms)
         return TrainingSetOverview(pieces, chosen, pairs, error=f"{error.what} {error.fix}")
     train, held_out = (
         Counter(mine[i].bottom for i in side.tolist()) for side in (split.train, split.held_out)
     )
-    pairs = tuple(PairCount(chosen, name, train[name], held_out[name]) for name in bottoms)
+    pairs = tuple(PairSplit(chosen, name, train[name], held_out[name]) for name in bottoms)
     return TrainingSetOverview(
         pieces, chosen, pairs, split.kept_together, tuple(_warnings(mine, split, pairs))
     )
 
 
 def _warnings(
-    mine: Sequence[TrainingCandidate], split: Split, pairs: Sequence[PairCount]
+    mine: Sequence[TrainingCandidate], split: Split, pairs: Sequence[PairSplit]
 ) -> Iterator[str]:
     train = [mine[i] for i in split.train.tolist()]
     held_out = [mine[i] for i in split.held_out.tolist()]

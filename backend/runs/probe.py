@@ -115,7 +115,7 @@ def turned_fault(turned_rad: float) -> Fault:
     return Fault(
         "PIECE-TURNED",
         f"The piece turned in the grasp: the markers by {math.degrees(turned_rad):.1f}°.",
-        "Motion stopped; the probe in progress is void and nothing was let go.",
+        "Motion stopped; the probe in progress is void; the gripper was not opened.",
         "Take the piece out or grip it again by hand, then press Reset.",
         "gripper",
     )

@@ -290,7 +290,7 @@ class HoldState(QObject):
         elif watched is widget.window() and kind in _WINDOW_LOST:
             self.end("the window was lost")
         elif kind is QEvent.Type.ApplicationDeactivate:
-            self.end("the program was left")
+            self.end("another program is active")
         elif isinstance(event, QKeyEvent):
             self._key(event, at_window=isinstance(watched, QWindow))
         return False
@@ -317,14 +317,14 @@ class HoldState(QObject):
 
     def _state_changed(self, state: Qt.ApplicationState) -> None:
         if state is not Qt.ApplicationState.ApplicationActive:
-            self.end("the program was left")
+            self.end("another program is active")
 
     def _focus_changed(self, _old: QWidget | None, _new: QWidget | None) -> None:
         self.end("the focus moved")
 
     def _beat(self) -> None:
         if QGuiApplication.applicationState() is not Qt.ApplicationState.ApplicationActive:
-            self.end("the program was left")
+            self.end("another program is active")
         elif self.held and not self._renew(self.what):
             self.end("refused")
 

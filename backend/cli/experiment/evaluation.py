@@ -32,8 +32,7 @@ def add_evaluation_arguments(parser: argparse.ArgumentParser) -> None:
     asked.add_argument("--gel", choices=("half-space", "finite-elements"), default="half-space",
                        help="of the second world")  # fmt: skip
     asked.add_argument("--first", type=int, default=0, metavar="N", help="number of the first "
-                       "group and trial in each cell, to make choices on other ones than are "
-                       "reported")  # fmt: skip
+                       "group and trial in each cell; tune on others than reported")  # fmt: skip
     asked.add_argument("--train", metavar="NAMES", help="train FT+Tac first, with the assumed "
                        "training of the paper, and evaluate it too: on probes of 120 mountings of "
                        "the bench (mountings), of 120 mountings with random nuisances, gel and "

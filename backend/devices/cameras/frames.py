@@ -119,8 +119,9 @@ def size_px(picture: bytes) -> tuple[int, int]:
 
 
 def decoding_segments(picture: bytes) -> bytes:
-    """Return the segments needed for decoding, without comments and vendor data. Pictures of one
-    camera have few such headers, so that one wrong bit makes a new one.
+    """Return the segments needed for decoding, without comments and vendor data.
+
+    The pictures of a camera share few such headers: an unknown one is damaged.
     """
     return b"".join(
         bytes((kind,)) + segment for kind, segment in _segments(picture) if kind in _TABLES

@@ -36,7 +36,7 @@ from touchdown.backend.devices.melfa.r3_protocol import (
     ControllerState,
     R3Reply,
     R3Request,
-    RunStatus,
+    RunFlags,
     encode_request,
     read_axes,
     read_error,
@@ -285,7 +285,7 @@ class ControllerPoller:
     @property
     def ended(self) -> bool:
         """True when the controller reports that no program runs."""
-        return self.state is not None and RunStatus.RUNNING not in self.state.run
+        return self.state is not None and RunFlags.RUNNING not in self.state.run
 
     def step(self, now_s: float, *, streaming: bool, probing: bool = False) -> None:
         """Read the last answer and send the next request when it is due. ``probing``: the force
@@ -316,7 +316,7 @@ class ControllerPoller:
         else:
             if state.error:
                 self.fault = controller_fault(state.error)
-            elif streaming and RunStatus.RUNNING not in state.run:
+            elif streaming and RunFlags.RUNNING not in state.run:
                 self.fault = ENDED
 
     def _of_reading(self, reading: AxisReading) -> FloatArray:
@@ -439,7 +439,7 @@ class Console:
 
     def run_stream(self) -> None:
         """Start the controller program that opens the stream, and wait until it runs."""
-        if RunStatus.RUNNING in self.state().run:
+        if RunFlags.RUNNING in self.state().run:
             # A program of a broken connection is ended, never taken over.
             self.ask("STOP")
             self._wait_for_end()
@@ -450,7 +450,7 @@ class Console:
     def run_probe(self, values: Mapping[str, float]) -> None:
         """Write the variables of the force program, verify them, and run it."""
         program = self._settings.fsc.program
-        if RunStatus.RUNNING in self.state().run:
+        if RunFlags.RUNNING in self.state().run:
             self.ask("STOP")
         self._wait_for_end()
         self.ask("SLOTINIT")
@@ -471,7 +471,7 @@ class Console:
         self._wires.pace(running=True)
         self.ask("RUN", f"{program};1")
         try:
-            self._poll(RunStatus.RUNNING, RUN_S, what)
+            self._poll(RunFlags.RUNNING, RUN_S, what)
             self._go_on()
         except FaultError:
             self.ask("STOP")
@@ -524,11 +524,9 @@ class Console:
         self.ask("OVRD=", str(self._settings.override_start))
         self._go_on()
         self.ask("SRV", "ON")
-        self._poll(
-            RunStatus.SERVO_ON, self._settings.servo_timeout_s, "The servo does not come on."
-        )
+        self._poll(RunFlags.SERVO_ON, self._settings.servo_timeout_s, "The servo does not come on.")
 
-    def _poll(self, bit: RunStatus, limit_s: float, what: str) -> None:
+    def _poll(self, bit: RunFlags, limit_s: float, what: str) -> None:
         waited_s = 0.0
         while bit not in self.state().run:
             self._go_on()
@@ -555,7 +553,7 @@ class Console:
 
     def _wait_for_end(self) -> None:
         waited_s = 0.0
-        while RunStatus.RUNNING in self.state().run and waited_s < RUN_S:
+        while RunFlags.RUNNING in self.state().run and waited_s < RUN_S:
             self._wires.pause(POLL_S)
             waited_s += POLL_S
         self._wires.pace(running=False)

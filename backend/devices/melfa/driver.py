@@ -33,7 +33,7 @@ from touchdown.backend.devices.melfa.command_channel import (
 from touchdown.backend.devices.melfa.faults import link_fault
 from touchdown.backend.devices.melfa.force_program import AirBaseline, ForceProgram
 from touchdown.backend.devices.melfa.kinematics import JOINT_RANGES, MelfaPlacement
-from touchdown.backend.devices.melfa.r3_protocol import ControllerState, RunStatus
+from touchdown.backend.devices.melfa.r3_protocol import ControllerState, RunFlags
 from touchdown.backend.devices.melfa.realtime_protocol import CYCLE_S
 from touchdown.backend.devices.melfa.sockets import SocketLinks
 from touchdown.backend.devices.melfa.stream import END, Phase, StreamCore, StreamInput
@@ -151,7 +151,7 @@ def arm_status(
         stopped = fault is not None and fault.code == "HW-STOP"
         safety = SafetyMode.HW_STOP if stopped else SafetyMode.FAULT
     mode = RobotMode.READY
-    if state is not None and RunStatus.SERVO_ON not in state.run:
+    if state is not None and RunFlags.SERVO_ON not in state.run:
         mode = RobotMode.SERVO_OFF
     elif moving:
         mode = RobotMode.MOVING

@@ -20,7 +20,7 @@ import numpy as np
 from touchdown.backend.config import MelfaSettings
 from touchdown.backend.core import FloatArray, rotation_from_vector, rotation_vector
 from touchdown.backend.devices.melfa.kinematics import LIMITS_RAD
-from touchdown.backend.devices.melfa.r3_protocol import EMERGENCY_ERRORS, RunStatus, StopStatus
+from touchdown.backend.devices.melfa.r3_protocol import EMERGENCY_ERRORS, RunFlags, StopFlags
 from touchdown.backend.devices.melfa.realtime_protocol import CYCLE_S, FLANGE_MM, JOINTS
 
 NOISE_RAD = 1e-7  # standard deviation of the encoder feedback
@@ -348,14 +348,14 @@ class EmulatedController:
         """True during a jog or a move."""
         return self._jog is not None or self._moving is not None
 
-    def words(self) -> tuple[RunStatus, StopStatus]:
+    def words(self) -> tuple[RunFlags, StopFlags]:
         """Return run and stop status."""
-        run = RunStatus.REPEAT | RunStatus.OPERATION_ENABLED
-        run |= RunStatus.SERVO_ON if self.servo else RunStatus(0)
-        run |= RunStatus.RUNNING if self.program or self._moving else RunStatus(0)
-        stop = StopStatus.EMERGENCY if self.emergency else StopStatus(0)
-        stop |= StopStatus.STOP if self.stop_on else StopStatus(0)
-        stop |= StopStatus.WAIT if self.held else StopStatus(0)
+        run = RunFlags.REPEAT | RunFlags.OPERATION_ENABLED
+        run |= RunFlags.SERVO_ON if self.servo else RunFlags(0)
+        run |= RunFlags.RUNNING if self.program or self._moving else RunFlags(0)
+        stop = StopFlags.EMERGENCY if self.emergency else StopFlags(0)
+        stop |= StopFlags.STOP if self.stop_on else StopFlags(0)
+        stop |= StopFlags.WAIT if self.held else StopFlags(0)
         return run, stop
 
     @property

@@ -69,7 +69,7 @@ def joints_for(position_mm: FloatArray, hand: FloatArray, near_rad: FloatArray) 
     if not abs(bend) < 1.0:
         raise RefusedError("REACH", "The arm is too short for this place.")
     if not across > 1.0:
-        raise RefusedError("SINGULAR", "The wrist is over the axis of J1.")
+        raise RefusedError("SINGULAR", "The wrist is on the axis of J1: J1 is undefined.")
     q1, q3 = math.atan2(y, x), math.acos(bend)
     q2 = math.atan2(across, up) - math.atan2(
         FORE_MM * math.sin(q3), UPPER_MM + FORE_MM * math.cos(q3)

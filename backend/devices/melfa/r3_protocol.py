@@ -265,8 +265,8 @@ NOT_READY_ERRORS = frozenset({2000, 5120, 5600, 5610, 5620, 5630, 5640, 6020})
 REJECTED_ERRORS = frozenset({4140, 4340, 4350})  # any other number is a fault of the device
 
 
-class RunStatus(IntFlag):
-    """Run status."""
+class RunFlags(IntFlag):
+    """Bits of the run status."""
 
     REPEAT = 0x01
     CYCLE_STOP = 0x02
@@ -278,8 +278,8 @@ class RunStatus(IntFlag):
     OPERATION_ENABLED = 0x80
 
 
-class StopStatus(IntFlag):
-    """Stop status."""
+class StopFlags(IntFlag):
+    """Bits of the stop status."""
 
     EMERGENCY = 0x01
     STOP = 0x02
@@ -297,8 +297,8 @@ class ControllerState:
     line: int
     override: int
     edit_status: int
-    run: RunStatus
-    stop: StopStatus
+    run: RunFlags
+    stop: StopFlags
     error: int
     step: int
     mechanism: int
@@ -361,10 +361,10 @@ def _pair(text: str, mark: str) -> tuple[str, str]:
     return first, second
 
 
-def _status(text: str) -> tuple[RunStatus, StopStatus, int]:
+def _status(text: str) -> tuple[RunFlags, StopFlags, int]:
     if len(text) < 5:
         raise ProtocolError("fields", "r3 status", len(text))
-    return RunStatus(_hexadecimal(text[:2])), StopStatus(_hexadecimal(text[2:4])), whole(text[4:])
+    return RunFlags(_hexadecimal(text[:2])), StopFlags(_hexadecimal(text[2:4])), whole(text[4:])
 
 
 def _hexadecimal(text: str) -> int:

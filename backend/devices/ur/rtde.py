@@ -191,7 +191,7 @@ class UrConnections:
     stopper: DashboardInterface
 
     def close(self) -> None:
-        """Close all but the stopper, which its lane closes."""
+        """Close all connections but ``stopper``, which its own thread closes."""
         for interface in (self.control, self.receive, self.dashboard):
             interface.disconnect()
 

@@ -5,7 +5,7 @@ import math
 from touchdown.backend.devices.ft300 import protocol as ft300
 from touchdown.backend.devices.leptrino import protocol as leptrino
 from touchdown.backend.devices.melfa import r3_protocol
-from touchdown.backend.devices.melfa.r3_protocol import RunStatus, StopStatus
+from touchdown.backend.devices.melfa.r3_protocol import RunFlags, StopFlags
 from touchdown.backend.devices.melfa.realtime_protocol import MelfaPose, kind_of, turns
 from touchdown.backend.devices.wsg.protocol import SystemFlag
 
@@ -77,11 +77,11 @@ def _state(answer):
         "stop_status": int(told.stop),
         "mech_info": told.mechanism,
         "mech_number": told.mechanism_in_use,
-        "servo_on": RunStatus.SERVO_ON in told.run,
-        "running": RunStatus.RUNNING in told.run,
-        "operation_enabled": RunStatus.OPERATION_ENABLED in told.run,
-        "teach": RunStatus.TEACH in told.run,
-        "emergency": StopStatus.EMERGENCY in told.stop,
+        "servo_on": RunFlags.SERVO_ON in told.run,
+        "running": RunFlags.RUNNING in told.run,
+        "operation_enabled": RunFlags.OPERATION_ENABLED in told.run,
+        "teach": RunFlags.TEACH in told.run,
+        "emergency": StopFlags.EMERGENCY in told.stop,
     }
 
 

@@ -15,7 +15,7 @@ from touchdown.backend.devices.melfa.emulated_controller import (
     solve,
 )
 from touchdown.backend.devices.melfa.emulator import EmulatedMelfa
-from touchdown.backend.devices.melfa.r3_protocol import RunStatus, StopStatus, read_axes, read_state
+from touchdown.backend.devices.melfa.r3_protocol import RunFlags, StopFlags, read_axes, read_state
 from touchdown.backend.devices.melfa.r3_protocol import decode_reply as decode_answer
 from touchdown.backend.devices.melfa.realtime_protocol import (
     CYCLE_S,
@@ -133,25 +133,25 @@ def test_the_servo_takes_its_time_and_the_state_tells():
     client = Client()
     client.ask("1;1;CNTLON")
     client.ask("1;1;SRVON")
-    assert RunStatus.SERVO_ON not in client.state().run
+    assert RunFlags.SERVO_ON not in client.state().run
     client.wait(0.35)
-    assert client.state().run == RunStatus.SERVO_ON | RunStatus.OPERATION_ENABLED | RunStatus.REPEAT
+    assert client.state().run == RunFlags.SERVO_ON | RunFlags.OPERATION_ENABLED | RunFlags.REPEAT
     client.ask("1;1;RUNTDMXT;1")
-    assert RunStatus.RUNNING in client.state().run
+    assert RunFlags.RUNNING in client.state().run
 
 
 def test_an_emergency_stop_is_reset_only_when_it_is_released():
     client = Client().ready()
     client.device.controller.raise_error(61)
     state = client.state()
-    assert (state.error, StopStatus.EMERGENCY in state.stop) == (61, True)
+    assert (state.error, StopFlags.EMERGENCY in state.stop) == (61, True)
     assert client.ask("1;1;ERROR") == "Qok61;1"
     assert client.ask("1;1;SRVON") == "Qer5600"
     assert client.ask("1;1;RSTALRM") == "Qer61"
     client.device.controller.release_emergency_stop()
     assert client.ask("1;1;RSTALRM") == "QoK"
     assert client.state().error == 0
-    assert RunStatus.SERVO_ON not in client.state().run
+    assert RunFlags.SERVO_ON not in client.state().run
 
 
 @pytest.mark.promise("R13")
@@ -187,11 +187,11 @@ def test_a_move_ends_at_the_printed_place(move):
     told = f"({x:+.2f},{y + 20:+.2f},{z + 10:+.2f},{degrees})(7,0)"
     assert client.ask(f"1;9;EXEC{move} {told}") == "QoK"
     client.wait(0.05)
-    assert RunStatus.RUNNING in client.state().run
+    assert RunFlags.RUNNING in client.state().run
     client.wait(3.0)
     after = read_axes(client.ask("1;1;PPOSF").removeprefix("QoK")).values
     assert after[:3] == pytest.approx((x, y + 20, z + 10), abs=0.02)
-    assert RunStatus.RUNNING not in client.state().run
+    assert RunFlags.RUNNING not in client.state().run
 
 
 # -- stream ---------------------------------------------------------------------------------------
@@ -207,7 +207,7 @@ def test_published_packets_are_answered_while_the_program_runs():
     assert (reply.monitors, reply.counter) == ((2, 5, 8, 11), 1)
     assert reply.blocks[0].axes[:6] == pytest.approx(READY_RAD, abs=1e-6)
     assert client.device.stream.receive(client.now_s, data("mxt-end")) is None
-    assert RunStatus.RUNNING not in client.state().run
+    assert RunFlags.RUNNING not in client.state().run
     assert client.device.stream.receive(client.now_s, first) is None
 
 

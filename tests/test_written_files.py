@@ -30,7 +30,6 @@ from touchdown.backend.cli.settings import load_method
 from touchdown.backend.config.lab import load_lab
 from touchdown.backend.core import InputError, RefusedError, events, values
 from touchdown.backend.episodes.training_rows import load_rows
-from touchdown.backend.exchange import jsonl
 from touchdown.backend.learning.checkpoint import load_checkpoint
 from touchdown.backend.learning.metrics import load_samples
 from touchdown.backend.learning.registry import ModelRegistry
@@ -348,13 +347,6 @@ def test_exported_labels_come_in_unchanged(
     answer = json.loads(capfd.readouterr().out)
     assert (answer["changed"], answer["unchanged"], answer["refused"]) == (0, 4, [])
     assert answer["warnings"] == []
-
-
-def test_an_exported_log_of_labels_is_read() -> None:
-    log = jsonl.read_jsonl(WRITTEN / "jsonl")
-    assert len(log) == 19
-    assert log[0].verb == "record"
-    assert log[-1].verb == "undo"
 
 
 # -- downgrade: this version with the files of a newer one -----------------------------------------

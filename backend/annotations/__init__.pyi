@@ -38,7 +38,6 @@ from .operation_log import OperationDraft as OperationDraft
 from .operation_log import append_operation as append_operation
 from .operation_log import new_revision as new_revision
 from .operation_log import read_mark as read_mark
-from .operation_log import read_operations as read_operations
 from .queues import FILTER_HELP as FILTER_HELP
 from .queues import MODEL_PREFIX as MODEL_PREFIX
 from .queues import SCORES as SCORES
@@ -49,7 +48,6 @@ from .queues import parse_filter as parse_filter
 from .rebuild import rebuild_dataset as rebuild_dataset
 from .reconciliation import MergeReport as MergeReport
 from .reconciliation import check_dataset as check_dataset
-from .reconciliation import merge_labels as merge_labels
 from .reconciliation import reconcile as reconcile
 from .review import REJECT_REASONS as REJECT_REASONS
 from .review import check_person as check_person

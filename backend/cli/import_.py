@@ -13,31 +13,27 @@ from touchdown.backend.exchange import (
     EpisodeImport,
     ImportOptions,
     import_labels,
-    import_log,
     read_coco,
     read_csv,
-    read_jsonl,
     read_manifest,
 )
 from touchdown.backend.runs import dataset_folder
 
 EPISODES = ("lerobot", "robomimic")
 LABELS = ("coco", "csv")
-LOG = "jsonl"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
     parser.add_argument(
-        "format", choices=(*EPISODES, *LABELS, LOG),
-        help="lerobot, robomimic: new episodes; coco, csv: labels of episodes that are here; "
-        "jsonl: the log of labels of a copy",
+        "format", choices=(*EPISODES, *LABELS),
+        help="lerobot, robomimic: new episodes; coco, csv: labels of episodes that are here",
     )  # fmt: skip
     parser.add_argument("source", metavar="SRC", type=Path, help="file or folder")
     parser.add_argument("--dataset", metavar="DIR", help="dataset (default: in the data folder)")
     parser.add_argument(
         "--person", metavar="NAME",
-        help="author of the labels; needed for coco, csv and jsonl (episodes without it: measured "
+        help="author of the labels; needed for coco and csv (episodes without it: measured "
         "labels, entered under the account's name)",
     )  # fmt: skip
     parser.add_argument("--piece", help="grasped piece, if the file has none")
@@ -51,7 +47,7 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     """Import; return 0 if everything was imported or already present, else 1."""
     if not args.source.exists():
         raise InputError("There is no such file or folder.", str(args.source), "Check the path.")
-    if args.format in (*LABELS, LOG) and not args.person:
+    if args.format in LABELS and not args.person:
         raise InputError("Labels need a person.", "--person", "Name who made them.")
     folder = Path(args.dataset) if args.dataset else dataset_folder()
     actor = args.person or getpass.getuser()
@@ -62,7 +58,7 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
             screen.say(notice)
         if args.format in EPISODES:
             return _episodes(args, dataset, actor, screen)
-        return _log(args, dataset, screen) if args.format == LOG else _labels(args, dataset, screen)
+        return _labels(args, dataset, screen)
 
 
 def _episodes(args: argparse.Namespace, dataset: Dataset, actor: str, screen: VerbOutput) -> int:
@@ -114,23 +110,6 @@ def _labels(args: argparse.Namespace, dataset: Dataset, screen: VerbOutput) -> i
         "backup": backup,
     })  # fmt: skip
     return 1 if done.refused else 0
-
-
-def _log(args: argparse.Namespace, dataset: Dataset, screen: VerbOutput) -> int:
-    if args.check:
-        log = read_jsonl(args.source)
-        screen.say(f"{len(log)} operations can be read.")
-        screen.result({"operations": len(log), "conflicts": []})
-        return 0
-    done = import_log(dataset, args.source, args.person)
-    screen.say(f"{done.operations} operations are new, {len(done.conflicts)} episodes in conflict.")
-    backup = _backup_text(done.backup, screen)
-    screen.result({
-        "operations": done.operations,
-        "conflicts": list(done.conflicts),
-        "backup": backup,
-    })  # fmt: skip
-    return 0
 
 
 def _backup_text(backup: Path | None, screen: VerbOutput) -> str:

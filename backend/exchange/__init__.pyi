@@ -5,8 +5,6 @@ from .exports import ExportResult as ExportResult
 from .exports import export as export
 from .imports import EpisodeImport as EpisodeImport
 from .imports import ImportOptions as ImportOptions
-from .jsonl import import_log as import_log
-from .jsonl import read_jsonl as read_jsonl
 from .label_import import import_labels as import_labels
 from .manifest import read_manifest as read_manifest
 from .query import EXPORT_STATES as EXPORT_STATES

@@ -102,7 +102,6 @@ FORMATS = {
     "replay-buffer": ExportFormat("zarr_arrays", signals=True),
     "coco": ExportFormat("coco", signals=False),
     "csv": ExportFormat("csv_tables", signals=False, tables=True),
-    "jsonl": ExportFormat("jsonl", signals=False),
     "ros2": ExportFormat("rosbag2", signals=False),
 }
 EXPORTS = tuple(FORMATS)
@@ -162,9 +161,9 @@ def export(  # noqa: PLR0913 - each is a keyword of the public API
     ----------
     dataset : Dataset, Path or str
         Open dataset, or its folder, which is then opened for reading.
-    format : {"lerobot", "robomimic", "zarr", "replay-buffer", "coco", "csv", "jsonl", "ros2"}
-        File format. ``coco``, ``csv`` and ``jsonl`` hold labels and no signals, except for
-        ``tables``. ``ros2`` copies the episode files.
+    format : {"lerobot", "robomimic", "zarr", "replay-buffer", "coco", "csv", "ros2"}
+        File format. ``coco`` and ``csv`` hold labels and no signals, except for ``tables``.
+        ``ros2`` copies the episode files.
     out : Path or str
         New folder to write.
     piece, bottom, series, campaign : str, optional

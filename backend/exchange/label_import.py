@@ -37,16 +37,14 @@ def note_import(
         add_event(connection, person, "import", target, body)
 
 
-def label_file(source: Path, name: str, max_bytes: int = 1_000_000_000) -> Path:
+def label_file(source: Path, name: str) -> Path:
     """Return ``source``, or the file ``name`` in the export ``source``.
 
     Raises ``InputError`` if it does not exist or is too large.
     """
     path = source / name if source.is_dir() else source
-    if not path.is_file() or path.stat().st_size > max_bytes:
-        raise InputError(
-            f"There is no file of at most {max_bytes // 10**9} GB.", str(path), "Name the file."
-        )
+    if not path.is_file() or path.stat().st_size > 1_000_000_000:
+        raise InputError("There is no file of at most 1 GB.", str(path), "Name the file.")
     return path
 
 

@@ -283,9 +283,6 @@ def test_labels_go_out_and_come_in(exchange, say, tmp_path) -> None:
         assert say("export", kind, "--dataset", exchange, "--out", out)[0] == 0
         code, answer = say("import", kind, out, "--dataset", exchange, "--person", "ann")
         assert (code, answer["changed"], answer["unchanged"]) == (0, 0, 4)
-    assert say("export", "jsonl", "--dataset", exchange, "--out", tmp_path / "log")[0] == 0
-    words = ("import", "jsonl", tmp_path / "log", "--dataset", exchange, "--person", "ann")
-    assert say(*words)[1]["operations"] == 0
 
 
 def test_an_edited_table_without_its_manifest(exchange, say, tmp_path) -> None:

@@ -27,7 +27,7 @@ from touchdown.backend.core import files
 from touchdown.backend.core.faults import MAX_MESSAGE, InputError, RefusedError
 from touchdown.backend.core.files import MAX_DEPTH, parse_json, parse_toml, write_atomically
 from touchdown.backend.emulation.fault_plan import load_faults
-from touchdown.backend.exchange import read_coco, read_jsonl, read_manifest
+from touchdown.backend.exchange import read_coco, read_manifest
 from touchdown.backend.geometry.pieces import read_piece
 from touchdown.backend.learning import load_card, load_samples
 from touchdown.backend.runs import read_campaign, read_events
@@ -151,7 +151,6 @@ def test_depth_is_counted_and_brackets_within_text_are_not():
 
 
 READERS = {
-    "labels.jsonl": read_jsonl,
     "journal.jsonl": lambda path: list(read_journal(path)),
     "annotations.json": lambda path: list(read_coco(path, None)),
     "dataset.json": lambda path: Dataset.open(path.parent, write=False),

@@ -341,7 +341,7 @@ def test_pictures_are_refused_where_there_are_none(hand, dataset):
 
 
 def test_a_script_exports_a_folder_or_an_open_dataset(dataset, filled, tmp_path):
-    by_path = export(str(filled), "jsonl", str(tmp_path / "path"), held_out=0.0)
+    by_path = export(str(filled), "csv", str(tmp_path / "path"), held_out=0.0)
     assert by_path.episodes == 4
     seen: list[tuple[int, int]] = []
     of_open = export(dataset, "robomimic", tmp_path / "open", states=EVERY,
@@ -349,7 +349,7 @@ def test_a_script_exports_a_folder_or_an_open_dataset(dataset, filled, tmp_path)
     assert of_open.episodes == 6
     assert seen[-1] == (6, 6)
     with pytest.raises(InputError, match="no dataset"):
-        export(tmp_path / "none", "jsonl", tmp_path / "out")
+        export(tmp_path / "none", "csv", tmp_path / "out")
     with pytest.raises(InputError, match="no format"):
         export(dataset, "hdf", tmp_path / "out")
     with pytest.raises(InputError, match="holds no tables"):

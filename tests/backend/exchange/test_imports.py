@@ -28,7 +28,7 @@ from tests.backend.annotations.conftest import context_for
 from tests.backend.exchange.conftest import recorded_episode
 from touchdown.backend.annotations import Dataset, Label, Pair
 from touchdown.backend.core import MARKERS, Fault, FaultError, InputError, Recording
-from touchdown.backend.exchange import coco, csv_tables, export, jsonl
+from touchdown.backend.exchange import coco, csv_tables, export
 from touchdown.backend.exchange.imports import EpisodeImport, ImportOptions, read_foreign
 from touchdown.backend.exchange.label_import import LabelImportResult, import_labels
 from touchdown.backend.geometry import (
@@ -395,20 +395,7 @@ def test_bad_annotations_are_refused(text, hand, dataset):
         take(dataset, out, "coco")
 
 
-def test_the_log_brings_the_work_of_a_copy(hand, dataset, tmp_path):
-    shutil.copytree(dataset.folder, tmp_path / "copy")
-    (tmp_path / "copy" / "lock").unlink(missing_ok=True)
-    uuid = dataset.episodes()[0].uuid
-    with Dataset.open(tmp_path / "copy") as copy:
-        copy.labels.set("dora", uuid, copy.labels.head(uuid).label, note="seen")
-        out = hand("jsonl", of=copy).folder
-    done = jsonl.import_log(dataset, out, "ann")
-    assert (done.operations, done.conflicts) == (1, ())
-    assert dataset.labels.head(uuid).note == "seen"
-    assert jsonl.import_log(dataset, out, "ann").operations == 0
-
-
-@pytest.mark.parametrize("kind", ["csv", "jsonl", "robomimic"])
+@pytest.mark.parametrize("kind", ["csv", "robomimic"])
 def test_without_its_backup_nothing_is_imported(kind, hand, dataset, monkeypatch):
     out = hand(kind).folder
     if kind == "csv":
@@ -424,32 +411,11 @@ def test_without_its_backup_nothing_is_imported(kind, hand, dataset, monkeypatch
     before = dataset.database.one("SELECT count(*) FROM op")
     bring: dict[str, Callable[[], object]] = {
         "csv": lambda: take(dataset, out, kind),
-        "jsonl": lambda: jsonl.import_log(dataset, out, "ann"),
         "robomimic": lambda: EpisodeImport(dataset, kind, out, ImportOptions("ann")).write(),
     }
     with pytest.raises(FaultError, match="No room for 'import'"):
         bring[kind]()
     assert dataset.database.one("SELECT count(*) FROM op") == before
-
-
-def test_a_tampered_log_is_refused(hand, dataset, tmp_path):
-    path = tmp_path / "labels.jsonl"
-    lines = (hand("jsonl").folder / "labels.jsonl").read_text().splitlines()
-    path.write_text("\n".join([lines[0].replace("cleo", "eve"), *lines[1:]]) + "\n")
-    with pytest.raises(InputError, match="chain of labels is broken"):
-        jsonl.import_log(dataset, path, "ann")
-    path.write_text("\n".join([*lines[:2], "{}"]))
-    with pytest.raises(InputError, match="no operation"):
-        jsonl.import_log(dataset, path, "ann")
-
-
-def test_the_log_of_other_episodes_is_refused(hand, tmp_path):
-    out = hand("jsonl").folder
-    with Dataset.open(tmp_path / "other") as other:
-        with pytest.raises(InputError, match="not in this dataset"):
-            jsonl.import_log(other, out, "ann")
-        with pytest.raises(InputError, match="not in this dataset"):
-            jsonl.import_log(other, out / "labels.jsonl", "ann")
 
 
 WISH = ImportOptions("dora")
@@ -535,15 +501,14 @@ def test_half_an_export_is_refused_with_and_without_its_manifest(kind, hand, dat
     assert str(out) in error.value.where
 
 
-@pytest.mark.parametrize("kind", ["csv", "coco", "jsonl"])
+@pytest.mark.parametrize("kind", ["csv", "coco"])
 def test_labels_of_a_file_that_was_cut_are_refused(kind, hand, dataset):
     out = hand(kind).folder
-    name = {"csv": csv_tables.FILE, "coco": "annotations.json", "jsonl": jsonl.FILE}[kind]
+    name = {"csv": csv_tables.FILE, "coco": "annotations.json"}[kind]
     whole = (out / name).read_bytes()
     read: dict[str, Callable[[], object]] = {
         "csv": lambda: list(csv_tables.read_csv(out / name, dataset)),
         "coco": lambda: list(coco.read_coco(out / name, dataset)),
-        "jsonl": lambda: jsonl.read_jsonl(out / name),
     }
     for cut in (10, len(whole) // 2, len(whole) - 40):
         (out / name).write_bytes(whole[:cut])

@@ -7,18 +7,16 @@ deadline: a bad file may hang or crash it.
 from __future__ import annotations
 
 import json
-import queue
 import subprocess
 import sys
 import tempfile
-import threading
-import time
 from collections import Counter
-from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 from uuid import UUID
 
 import numpy as np
@@ -47,7 +45,6 @@ from touchdown.backend.core import (
     EpisodeQuality,
     FloatArray,
     InputError,
-    ProcessStallDetector,
     Recording,
     TactileFrame,
     write_atomically,
@@ -73,7 +70,6 @@ from touchdown.backend.exchange.manifest import GEOMETRY, Manifest, read_manifes
 from touchdown.backend.geometry import load_pieces
 
 DEADLINE_S = 60.0  # deadline per episode; the first one includes opening the file
-LOOK_S = 0.05
 
 
 def read_foreign(
@@ -87,77 +83,36 @@ def read_foreign(
     with (
         tempfile.TemporaryDirectory(prefix="touchdown-import-") as folder,
         tempfile.TemporaryFile() as stderr,
-    ):
-        child = subprocess.Popen(
+        subprocess.Popen(
             [*command, str(source.resolve()), folder],
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=stderr,
-        )
+            stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=stderr,
+        ) as child,
+        ThreadPoolExecutor(1) as listener,
+    ):  # fmt: skip
         assert child.stdout is not None
-        lines: queue.Queue[bytes] = queue.Queue()
-        listener = threading.Thread(target=_listen, args=(child.stdout, lines), daemon=True)
-        listener.start()
         try:
-            watch = ProcessStallDetector(child.pid)
-            if not (yield from _episodes(lines, watch, source, deadline_s)):
-                stderr.seek(0)
-                printed = stderr.read()[-2000:].decode("utf-8", "replace").splitlines()
-                last = f" ({printed[-1]})" if printed else ""
-                raise InputError(
-                    f"The reader crashed on this file{last}.",
-                    str(source),
-                    "It is damaged; use another copy.",
-                )
+            while True:
+                line = listener.submit(child.stdout.readline).result(deadline_s)
+                answer: dict[str, str] = json.loads(line) if line.endswith(b"\n") else {}
+                if "error" in answer:
+                    raise InputError(answer["error"], answer["where"] or str(source), answer["fix"])
+                if "episode" not in answer:
+                    break
+                path = Path(answer["episode"])
+                yield load_foreign(path)
+                path.unlink()
+        except TimeoutError:
+            what = f"The file was not read within {deadline_s:g} s and was given up."
+            fix = "It is damaged or far too large; use another copy."
+            raise InputError(what, str(source), fix) from None
         finally:
             child.kill()
-            child.wait()
-            listener.join()
-            child.stdout.close()
-
-
-def _listen(stream: IO[bytes], lines: queue.Queue[bytes]) -> None:
-    for line in stream:
-        lines.put(line)
-    lines.put(b"")
-
-
-def _next_line(
-    lines: queue.Queue[bytes], watch: ProcessStallDetector, source: Path, deadline_s: float
-) -> bytes:
-    """Return the next line of the reader; raises ``InputError`` if it stalls or is too slow."""
-    end_s = time.monotonic() + deadline_s
-    while True:
-        left_s = end_s - time.monotonic()
-        try:
-            return lines.get(timeout=max(min(LOOK_S, left_s), 0.0))
-        except queue.Empty:
-            if left_s <= 0.0:
-                what = f"was not read within {deadline_s:g} s and was given up"
-            elif watch.look(time.monotonic()):
-                what = "was given up: its reader makes no progress"
-            else:
-                continue
-        raise InputError(
-            f"The file {what}.", str(source), "It is damaged or far too large; use another copy."
-        )
-
-
-def _episodes(
-    lines: queue.Queue[bytes], watch: ProcessStallDetector, source: Path, deadline_s: float
-) -> Generator[ForeignEpisode, None, bool]:
-    """Yield the episodes; return True if the reader finished."""
-    while True:
-        line = _next_line(lines, watch, source, deadline_s)
-        answer: dict[str, str] = json.loads(line) if line.endswith(b"\n") else {}
-        if "episode" in answer:
-            path = Path(answer["episode"])
-            yield load_foreign(path)
-            path.unlink()
-        elif "error" in answer:
-            raise InputError(answer["error"], answer["where"] or str(source), answer["fix"])
-        else:
-            return "done" in answer
+        if "done" not in answer:
+            stderr.seek(0)
+            printed = stderr.read()[-2000:].decode("utf-8", "replace").splitlines()
+            last = f" ({printed[-1]})" if printed else ""
+            what = f"The reader crashed on this file{last}."
+            raise InputError(what, str(source), "It is damaged; use another copy.")
 
 
 FRAME_SHAPE = (240, 320, 3)

@@ -19,7 +19,7 @@ from touchdown.backend.exchange import (
 )
 from touchdown.backend.runs import dataset_folder
 
-EPISODES = ("lerobot", "robomimic")
+EPISODES = ("lerobot",)
 LABELS = ("coco", "csv")
 
 
@@ -27,7 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
     parser.add_argument(
         "format", choices=(*EPISODES, *LABELS),
-        help="lerobot, robomimic: new episodes; coco, csv: labels of episodes that are here",
+        help="lerobot: new episodes; coco, csv: labels of episodes that are here",
     )  # fmt: skip
     parser.add_argument("source", metavar="SRC", type=Path, help="file or folder")
     parser.add_argument("--dataset", metavar="DIR", help="dataset (default: in the data folder)")

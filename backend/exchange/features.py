@@ -31,7 +31,6 @@ ADDED = {"wrench": FT, "markers": MARKERS}
 STATE_WITH = (*ADDED, "environment_state")
 # Definition of the action in an export, as stated in its manifest.
 COMMANDED, MEASURED = "commanded", "measured"
-DEMOS = "demos.hdf5"  # file name of a robomimic export
 Values = NDArray[Any]
 
 
@@ -86,13 +85,12 @@ FACTS = "facts.json"
 
 @dataclass(frozen=True, slots=True)
 class ForeignEpisode:
-    """``values``: (T, ...) per feature. ``side`` of a split, or "". ``uuid`` of ours, or ""."""
+    """``values``: (T, ...) per feature. ``side`` of a split, or ""."""
 
     index: int
-    fps: float | None
+    fps: float
     values: Mapping[str, NDArray[Any]]
     side: str = ""
-    uuid: str = ""
 
 
 ForeignReader = Callable[[Path], Iterator[ForeignEpisode]]
@@ -100,7 +98,7 @@ ForeignReader = Callable[[Path], Iterator[ForeignEpisode]]
 
 def save_foreign(episode: ForeignEpisode, path: Path) -> None:
     """Write an episode for the parent process: arrays without objects, metadata as JSON."""
-    facts = {name: getattr(episode, name) for name in ("index", "fps", "side", "uuid")}
+    facts = {name: getattr(episode, name) for name in ("index", "fps", "side")}
     text = np.frombuffer(json.dumps(facts).encode("utf-8"), np.uint8)
     np.savez(path, **{FACTS: text, **episode.values})  # type: ignore[arg-type]
 

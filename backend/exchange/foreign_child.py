@@ -14,7 +14,7 @@ from typing import cast
 from touchdown.backend.core import InputError
 from touchdown.backend.exchange.features import ForeignReader, save_foreign
 
-READERS = {"lerobot": "lerobot_reader", "robomimic": "robomimic_reader"}
+READERS = {"lerobot": "lerobot_reader"}
 MEMORY_BYTES = 8_000_000_000
 
 

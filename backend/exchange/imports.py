@@ -139,7 +139,7 @@ def mapping_problem(foreign: ForeignEpisode) -> str:
     lacking = sorted(set(needed) - set(values))
     if lacking:
         return f"it lacks {', '.join(lacking)}"
-    if foreign.fps is not None and foreign.fps != FPS:
+    if foreign.fps != FPS:
         return f"it has {foreign.fps:g} ticks per second, not {FPS}"
     for key, width in needed.items():
         if values[key].shape != (SAMPLES_PER_PROBE, width):
@@ -152,8 +152,6 @@ def mapping_problem(foreign: ForeignEpisode) -> str:
 def mapping_losses(foreign: ForeignEpisode) -> tuple[str, ...]:
     """Return the information that the file lacks, and the assumptions made instead."""
     losses = []
-    if foreign.fps is None:
-        losses.append(f"It names no rate: ticks are taken as {1000 // FPS} ms apart.")
     if not _has_signals(foreign.values):
         losses.append("It has no wrench between the ticks and no poses: nothing is replayed there.")
     losses.append("It has no marker fields at their own rate, no bench clock and no tare.")
@@ -320,8 +318,8 @@ class EpisodeImport:
 
     def _is_here(self, foreign: ForeignEpisode) -> bool:
         named = self._named.get(foreign.index)
-        own = str(named["uuid"]) if named else foreign.uuid
-        return own in self._known or self._uuid(map_episode(foreign)) in self._known
+        own = {str(named["uuid"])} if named else set[str]()
+        return not self._known.isdisjoint({self._uuid(map_episode(foreign)), *own})
 
     def _uuid(self, mapped: MappedEpisode) -> str:
         """Return the id of an imported episode, which is the same for every import.
@@ -349,7 +347,7 @@ class EpisodeImport:
         else:
             # Grips are unknown: one grip for all episodes, so that no split can leak.
             origin = {
-                "uuid": foreign.uuid,
+                "uuid": "",
                 "piece": str(self._options.piece),
                 "bottom": str(self._options.bottom),
                 "geometry": self._geometry,

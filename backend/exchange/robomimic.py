@@ -21,7 +21,6 @@ from touchdown.backend.exchange.export_episode import ExportEpisode
 from touchdown.backend.exchange.exports import ExportJob
 from touchdown.backend.exchange.features import (
     ACTION,
-    DEMOS,
     FPS,
     OFFSET,
     PATCH,
@@ -104,6 +103,7 @@ class DiskFullSafeFile:
         """Do nothing: writes go to the disk at once."""
 
 
+DEMOS = "demos.hdf5"
 GYM = 2
 ENVIRONMENT = "Touchdown"
 ACTION_SIZE = 7

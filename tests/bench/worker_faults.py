@@ -22,7 +22,7 @@ import numpy as np
 import psutil
 
 from tests.backend.devices.waiting import until
-from tests.backend.exchange.test_imports import robomimic_file
+from tests.backend.exchange.test_imports import lerobot_21
 from tests.backend.rig.served import Backend, Served
 from tests.bench.children.failing_window import HOOKS, THREADS, WAYS, failed_s
 from tests.bench.children.faulty_window import FIRST_LABELS, HELD_S, LABELS
@@ -293,11 +293,11 @@ def reading(way: str) -> Found:
     """The reader of a foreign file, as soon as it is at work."""
     before, said = children(), list[str]()
     with tempfile.TemporaryDirectory() as folder:
-        path = robomimic_file(Path(folder) / "demo.hdf5")
+        path = lerobot_21(Path(folder) / "set")
 
         def read() -> None:
             try:
-                list(read_foreign("robomimic", path))
+                list(read_foreign("lerobot", path))
             except InputError as error:
                 said.append(error.what)
 

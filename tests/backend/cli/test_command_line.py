@@ -264,9 +264,9 @@ def exchange(tmp_path: Path) -> Path:
 
 def test_out_and_in_again(exchange, say, tmp_path) -> None:
     out, back = tmp_path / "out", tmp_path / "back"
-    code, answer = say("export", "robomimic", "--dataset", exchange, "--out", out)
+    code, answer = say("export", "lerobot", "--dataset", exchange, "--out", out, "--video", "none")
     assert (code, answer["episodes"]) == (0, 4)
-    words = ("import", "robomimic", out, "--dataset", back, "--person", "dora")
+    words = ("import", "lerobot", out, "--dataset", back, "--person", "dora")
     code, answer = say(*words, "--check")
     assert (code, answer["found"], answer["written"]) == (0, 4, 0)
     code, answer = say(*words)

@@ -39,7 +39,6 @@ CONTACT, FACE, BOTTOM, GEL = 1, 2, 3, 4  # categories
 PICTURES = "images"
 Annotations = list[dict[str, object]]
 MIN_IOU = 0.99
-EDGE_PX = 1.0  # rounding of a polygon moves its edge by up to this
 INK, PAPER = 60, 245
 
 
@@ -248,7 +247,7 @@ def read_coco(source: Path, dataset: Dataset) -> Iterator[ImportedLabel]:
             else:  # exports of earlier versions
                 board = _drawn(float(info["px_per_mm"]), info["origin_px"][image["pair"]])
             yield _row(annotation, image, board, dataset)
-    except (OSError, ValueError, KeyError, TypeError, IndexError) as error:
+    except (OSError, ValueError, KeyError, TypeError, IndexError, cv2.error) as error:
         why = f"{error} is missing" if isinstance(error, KeyError) else error
         raise InputError(
             f"The annotations cannot be read: {why}.", str(path), "Export them again."
@@ -284,39 +283,22 @@ def _row(
 def _iou(segmentation: Any, points_px: FloatArray, touching: NDArray[np.bool_]) -> float:
     """Return the overlap of the points (n, 2) within a drawn patch with the derived one (n,).
 
-    Rounding of the corners may move the edge, so points near it are not compared.
+    Rounding of the corners moves the edge by up to a pixel, so points near it are not compared.
     """
     if isinstance(segmentation, Mapping):
-        inside, near = _within_runs(segmentation, points_px)
+        height, width = (int(n) for n in segmentation["size"])
+        counts = np.array(segmentation["counts"], dtype=np.intp)
+        mask = np.repeat(np.arange(len(counts)) % 2, counts).reshape(width, height).T
     else:
-        rings = [np.array(ring, dtype=np.float64).reshape(-1, 2) for ring in segmentation]
-        inside, near = _within_rings(rings, points_px)
-    drawn = np.where(near, touching, inside)
+        low = np.floor(points_px.min(axis=0))
+        points_px = points_px - low
+        width, height = points_px.max(axis=0).astype(int) + 2
+        rings = [np.rint(np.reshape(ring, (-1, 2)) - low).astype(np.int32) for ring in segmentation]
+        mask = cv2.fillPoly(np.zeros((height, width), np.uint8), rings, (1,))
+    mask = np.pad(mask, 2)
+    x, y = np.clip(np.rint(points_px).astype(np.intp), -1, [width, height]).T + 2
+    around = np.stack([mask[y + j, x + i] for i in (-1, 0, 1) for j in (-1, 0, 1)])
+    near = (around != around[4]).any(axis=0)
+    drawn = np.where(near, touching, around[4] == 1)
     union = int((drawn | touching).sum())
     return int((drawn & touching).sum()) / union if union else 1.0
-
-
-Within = tuple[NDArray[np.bool_], NDArray[np.bool_]]  # inside, near the edge
-
-
-def _within_runs(runs: Mapping[str, Any], points_px: FloatArray) -> Within:
-    height, width = (int(n) for n in runs["size"])
-    counts = np.array(runs["counts"], dtype=np.intp)
-    flat = np.repeat(np.arange(len(counts)) % 2 == 1, counts)
-    mask = np.pad(flat.reshape(width, height), 2)
-    at = np.clip(np.rint(points_px).astype(np.intp), -1, [width, height]) + 2
-    around = np.stack(
-        [mask[at[:, 0] + i, at[:, 1] + j] for i in (-1, 0, 1) for j in (-1, 0, 1)], axis=1
-    )
-    inside = around[:, 4]
-    return inside, (around != inside[:, None]).any(axis=1)
-
-
-def _within_rings(rings_px: list[FloatArray], points_px: FloatArray) -> Within:
-    import shapely
-
-    rings = [shapely.Polygon(ring) for ring in rings_px]
-    edges = shapely.MultiLineString([ring.exterior for ring in rings])
-    near = shapely.distance(edges, shapely.points(points_px)) < EDGE_PX
-    inside = sum(shapely.contains_xy(ring, *points_px.T).astype(int) for ring in rings)
-    return inside % 2 == 1, near

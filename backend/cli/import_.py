@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import argparse
 import getpass
+from collections.abc import Sequence
 from pathlib import Path
+
+import numpy as np
 
 from touchdown.backend.annotations import Dataset
 from touchdown.backend.cli.output import VerbOutput, progress_lines
-from touchdown.backend.core import InputError
+from touchdown.backend.core import FINGERS, InputError, MarkerField, Recording, write_atomically
 from touchdown.backend.exchange import (
+    CONTACT_S,
     EpisodeImport,
     ImportOptions,
     import_labels,
@@ -17,9 +21,19 @@ from touchdown.backend.exchange import (
     read_csv,
     read_manifest,
 )
+from touchdown.backend.experiments import (
+    BLUE,
+    INK,
+    PictureGallery,
+    Report,
+    ReportPicture,
+    ReportSection,
+    curves_chart,
+    report_page,
+)
 from touchdown.backend.runs import dataset_folder
 
-EPISODES = ("lerobot",)
+EPISODES = ("lerobot", "mcap")
 LABELS = ("coco", "csv")
 
 
@@ -27,7 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
     parser.add_argument(
         "format", choices=(*EPISODES, *LABELS),
-        help="lerobot: new episodes; coco, csv: labels of episodes that are here",
+        help="lerobot, mcap (ROS 2): new episodes; coco, csv: labels of episodes that are here",
     )  # fmt: skip
     parser.add_argument("source", metavar="SRC", type=Path, help="file or folder")
     parser.add_argument("--dataset", metavar="DIR", help="dataset (default: in the data folder)")
@@ -39,6 +53,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--piece", help="grasped piece, if the file has none")
     parser.add_argument("--bottom", help="bottom, if the file has none")
     parser.add_argument(
+        "--map", type=Path, metavar="TOML",
+        help="lerobot, mcap: file that names signals, units and frames of a foreign recording",
+    )  # fmt: skip
+    parser.add_argument(
+        "--preview", type=Path, metavar="HTML", help="draw one press as the mapping file reads it"
+    )
+    parser.add_argument(
+        "--force", action="store_true", help="import presses that contradict the mapping file"
+    )
+    parser.add_argument(
         "--check", action="store_true", help="print the changes without making them"
     )
 
@@ -47,6 +71,10 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     """Import; return 0 if everything was imported or already present, else 1."""
     if not args.source.exists():
         raise InputError("There is no such file or folder.", str(args.source), "Check the path.")
+    if args.map is None and (args.format == "mcap" or args.preview):
+        raise InputError("A mapping file is missing.", "--map", "Name it; see docs/exchange.md.")
+    if args.map is not None and args.format not in EPISODES:
+        raise InputError(f"{args.format} needs no mapping file.", "--map", "Remove it.")
     if args.format in LABELS and not args.person:
         raise InputError("Labels need a person.", "--person", "Name who made them.")
     folder = Path(args.dataset) if args.dataset else dataset_folder()
@@ -62,18 +90,24 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
 
 
 def _episodes(args: argparse.Namespace, dataset: Dataset, actor: str, screen: VerbOutput) -> int:
-    wish = ImportOptions(actor, args.person, args.piece, args.bottom)
+    wish = ImportOptions(actor, args.person, args.piece, args.bottom, args.map)
     wanted = EpisodeImport(dataset, args.format, args.source, wish)
     with screen.progress("Reading", wanted.total) as advance:
         survey = wanted.survey(advance)
     screen.say(f"{survey.found} episodes found, {survey.here} of them are present already.")
+    if survey.contradictions:
+        screen.say("\n  ".join(["The signals contradict the mapping:", *survey.contradictions]))
+    if args.preview and wanted.presses:
+        page = _preview(wanted.presses[0].recording, args.source.name, survey.contradictions)
+        write_atomically(args.preview, page.encode("utf-8"))
+        screen.say(f"The first press is drawn in {args.preview}.")
     for why, count in survey.problems:
         screen.say(f"  {count} cannot be mapped: {why}.")
     for loss in survey.losses:
         screen.say(f"  {loss}")
     written: list[str] = []
     backup = ""
-    if survey.fit and not args.check:
+    if survey.fit and not args.check and (args.force or not survey.contradictions):
         with screen.progress("Writing", survey.fit) as advance:
             written = wanted.write(advance)
         backup = _backup_text(wanted.backup, screen)
@@ -84,9 +118,55 @@ def _episodes(args: argparse.Namespace, dataset: Dataset, actor: str, screen: Ve
         "written": len(written),
         "problems": [{"why": why, "episodes": count} for why, count in survey.problems],
         "losses": list(survey.losses),
+        "contradictions": list(survey.contradictions),
         "backup": backup,
     })  # fmt: skip
-    return 1 if survey.problems or not survey.found else 0
+    return 1 if survey.problems or not survey.found or survey.contradictions else 0
+
+
+def _preview(press: Recording | None, name: str, findings: Sequence[str]) -> str:
+    """Return an HTML page of the signals of one press, and what contradicts the mapping."""
+    assert press is not None
+    hand_mm = press.pose_mm - press.pose_mm[press.pose_t_s >= CONTACT_S][:1].sum(axis=0)
+    signals = [
+        ("Force", "N", "Fz rises in contact.", press.wrench_t_s, press.wrench[:, :3], "xyz"),
+        ("Moment", "N m", "", press.wrench_t_s, press.wrench[:, 3:], "xyz"),
+        ("Hand from contact", "mm", "z falls in contact.", press.pose_t_s, hand_mm, "xyz"),
+    ]
+    fields = {finger: [one for one in press.fields if one.finger == finger] for finger in FINGERS}
+    for finger, own in fields.items():
+        mean = np.array([one.displacement_px.mean(axis=0) for one in own]).reshape(-1, 2)
+        t_s, note = np.array([one.t_s for one in own]), "v falls: up, towards the hand."
+        signals.append((f"Markers, {finger}", "px", note, t_s, mean, "uv"))
+    pictures = [
+        ReportPicture(curves_chart(title, t_s - CONTACT_S, dict(zip(letters, rows.T, strict=True)),
+                                   ("s", unit)), note=note)
+        for title, unit, note, t_s, rows, letters in signals
+        if np.isfinite(rows).any()
+    ]  # fmt: skip
+    pictures += [
+        ReportPicture(_arrows(own[-1]), note=f"{finger}: arrows point up, to the hand.")
+        for finger, own in fields.items()
+        if own and np.isfinite(own[-1].displacement_px).all()
+    ]
+    about = f"Time 0 is the contact. Fz in still air is {press.tare[2]:+.1f} N."
+    sections = (
+        ReportSection("Contradictions", findings or ("None.",), ()),
+        ReportSection("", (), (PictureGallery("First press", tuple(pictures)),)),
+    )
+    return report_page(Report(f"{name} as the mapping reads it", (about,), sections, ""))
+
+
+def _arrows(field: MarkerField) -> str:
+    """Return the displacements of the markers in the frame of their picture."""
+    rows = np.hstack([field.position_px - field.displacement_px, field.displacement_px])
+    ways = "".join(f"M{u:.1f} {v:.1f}l{du:.1f} {dv:.1f}" for u, v, du, dv in rows)
+    ends = "".join(f"M{u:.1f} {v:.1f}h.1" for u, v in field.position_px)
+    return (
+        '<svg viewBox="0 0 320 240" width="220" height="165" role="img" aria-label="Markers">'
+        f'<path d="{ways}" stroke="{INK}" stroke-width="2"/>'
+        f'<path d="{ends}" stroke="{BLUE}" stroke-width="6" stroke-linecap="round"/></svg>'
+    )
 
 
 def _labels(args: argparse.Namespace, dataset: Dataset, screen: VerbOutput) -> int:

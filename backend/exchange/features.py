@@ -7,7 +7,7 @@ are imported on use.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.backend.core import TACTILE_CHANNELS, WRENCH_CHANNELS
+from touchdown.backend.core import TACTILE_CHANNELS, WRENCH_CHANNELS, EpisodeQuality, Recording
 
 FPS = 10
 TICK_NS = 1_000_000_000 // FPS
@@ -85,15 +85,18 @@ FACTS = "facts.json"
 
 @dataclass(frozen=True, slots=True)
 class ForeignEpisode:
-    """``values``: (T, ...) per feature. ``side`` of a split, or ""."""
+    """``values``: (T, ...) per feature. ``side`` of a split, or "".
+
+    ``recording`` and ``quality`` belong to a press that a mapping file found; the checks of quality
+    need signals that other files do not have.
+    """
 
     index: int
     fps: float
     values: Mapping[str, NDArray[Any]]
     side: str = ""
-
-
-ForeignReader = Callable[[Path], Iterator[ForeignEpisode]]
+    recording: Recording | None = None
+    quality: EpisodeQuality = EpisodeQuality(True, (), 0, 0.0, 0, 0.0, 0.0)
 
 
 def save_foreign(episode: ForeignEpisode, path: Path) -> None:

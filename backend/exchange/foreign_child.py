@@ -1,32 +1,35 @@
 """Child process that opens foreign files.
 
-Usage: ``python -m touchdown.backend.exchange.foreign_child KIND SRC DIR``.
+Usage: ``python -m touchdown.backend.exchange.foreign_child KIND SRC DIR [MAPPING]``.
 """
 
 from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
-from typing import cast
 
 from touchdown.backend.core import InputError
-from touchdown.backend.exchange.features import ForeignReader, save_foreign
+from touchdown.backend.exchange.features import ForeignEpisode, save_foreign
 
 READERS = {"lerobot": "lerobot_reader"}
 MEMORY_BYTES = 8_000_000_000
 
 
-def main(kind: str, source: str, folder: str) -> None:
+def main(kind: str, source: str, folder: str, mapping: str = "") -> None:
     """Read all episodes; every error becomes one line of output."""
     if sys.platform != "win32":
         import resource
 
         resource.setrlimit(resource.RLIMIT_AS, (MEMORY_BYTES, MEMORY_BYTES))
-    read = cast("ForeignReader", import_module(f"touchdown.backend.exchange.{READERS[kind]}").read)
+    name = "mapping" if mapping else READERS[kind]
+    reader = import_module(f"touchdown.backend.exchange.{name}")
+    given = (kind, Path(source), Path(mapping)) if mapping else (Path(source),)
     try:
-        for number, episode in enumerate(read(Path(source))):
+        episodes: Iterator[ForeignEpisode] = reader.read(*given)
+        for number, episode in enumerate(episodes):
             path = Path(folder) / f"{number:06d}.npz"
             save_foreign(episode, path)
             _tell({"episode": str(path)})
@@ -45,4 +48,4 @@ def _tell(answer: dict[str, object]) -> None:
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:4])
+    main(*sys.argv[1:])

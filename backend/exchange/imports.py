@@ -11,7 +11,7 @@ import subprocess
 import sys
 import tempfile
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from hashlib import sha256
@@ -35,14 +35,13 @@ from touchdown.backend.annotations import (
     uuid7,
     uuid7_from_parts,
 )
-from touchdown.backend.config import SAMPLES_PER_PROBE
+from touchdown.backend.config import SAMPLES_PER_PROBE, read_settings
 from touchdown.backend.core import (
     CHANNELS,
     FINGERS,
     TACTILE_CHANNELS,
     WRENCH_CHANNELS,
     Episode,
-    EpisodeQuality,
     FloatArray,
     InputError,
     Recording,
@@ -67,15 +66,26 @@ from touchdown.backend.exchange.features import (
 )
 from touchdown.backend.exchange.label_import import note_import
 from touchdown.backend.exchange.manifest import GEOMETRY, Manifest, read_manifest
+from touchdown.backend.exchange.mapped_presses import (
+    CONTACT_S,
+    contradictions,
+    cut_press,
+    find_presses,
+    measure_press,
+)
+from touchdown.backend.exchange.mapping import ImportMapping
 from touchdown.backend.geometry import load_pieces
 
 DEADLINE_S = 60.0  # deadline per episode; the first one includes opening the file
+MAPPED_DEADLINE_S = 1800.0  # pictures of a whole recording are tracked
 
 
 def read_foreign(
-    kind: str, source: Path, deadline_s: float = DEADLINE_S
+    kind: str, source: Path, deadline_s: float = DEADLINE_S, mapping: Path | None = None
 ) -> Iterator[ForeignEpisode]:
     """Yield the episodes that the reader ``kind`` finds in ``source``, one at a time.
+
+    With a ``mapping`` file their values are the signals of ``map_signals``.
 
     Raises ``InputError`` for a file that is damaged, foreign, or not read within the deadline.
     """
@@ -84,7 +94,7 @@ def read_foreign(
         tempfile.TemporaryDirectory(prefix="touchdown-import-") as folder,
         tempfile.TemporaryFile() as stderr,
         subprocess.Popen(
-            [*command, str(source.resolve()), folder],
+            [*command, str(source.resolve()), folder, *([str(mapping)] if mapping else [])],
             stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=stderr,
         ) as child,
         ThreadPoolExecutor(1) as listener,
@@ -120,21 +130,13 @@ MAX_OFFSET_MM = 1000.0
 MAX_NUMBER = 1 << 24
 
 
-@dataclass(frozen=True, slots=True)
-class MappedEpisode:
-    """A foreign episode in the form of a dataset; ``recording`` is None without a wrench."""
-
-    foreign: ForeignEpisode
-    observation: NDArray[np.float32]
-    recording: Recording | None
-    label: Label
-
-
 def mapping_problem(foreign: ForeignEpisode) -> str:
     """Return the reason why the episode cannot be mapped, or ""."""
     values = foreign.values
     if not 0 <= foreign.index < MAX_NUMBER:
         return "its number is out of range"
+    if not foreign.quality.accepted:
+        return f"it is no whole press: {foreign.quality.reasons[0]}"
     needed = {MARKERS: TACTILE_CHANNELS, FT: WRENCH_CHANNELS}
     lacking = sorted(set(needed) - set(values))
     if lacking:
@@ -151,6 +153,8 @@ def mapping_problem(foreign: ForeignEpisode) -> str:
 
 def mapping_losses(foreign: ForeignEpisode) -> tuple[str, ...]:
     """Return the information that the file lacks, and the assumptions made instead."""
+    if foreign.recording is not None:
+        return ("Pictures are tracked and not kept.",)
     losses = []
     if not _has_signals(foreign.values):
         losses.append("It has no wrench between the ticks and no poses: nothing is replayed there.")
@@ -158,16 +162,10 @@ def mapping_losses(foreign: ForeignEpisode) -> tuple[str, ...]:
     return tuple(losses)
 
 
-def map_episode(foreign: ForeignEpisode, *, commanded: bool = False) -> MappedEpisode:
-    """Return an episode for which ``mapping_problem`` found nothing, in the form of a dataset.
-
-    ``commanded``: its action is known to be the commanded pose of the next tick.
-    """
+def _observation(foreign: ForeignEpisode) -> NDArray[np.float32]:
+    """Return (20, 258) of an episode for which ``mapping_problem`` found nothing."""
     observation = np.concatenate([foreign.values[MARKERS], foreign.values[FT]], axis=1)
-    observation = np.ascontiguousarray(observation.astype(np.float32))
-    assert observation.shape == (SAMPLES_PER_PROBE, CHANNELS)
-    recording = _recording(foreign.values, commanded=commanded)
-    return MappedEpisode(foreign, observation, recording, _label(foreign.values))
+    return np.ascontiguousarray(observation.astype(np.float32))
 
 
 def _has_signals(values: Mapping[str, NDArray[Any]]) -> bool:
@@ -228,29 +226,35 @@ def _label(values: Mapping[str, NDArray[Any]]) -> Label:
 
 MODE = "imported"
 OWN_BITS, NUMBER_AT = 24, 48
-# The quality checks need signals that a foreign file does not have.
-TRUSTED = EpisodeQuality(True, (), 0, 0.0, 0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
 class ImportOptions:
-    """Information that a foreign file lacks: the pair, and the labeller (None: unknown)."""
+    """Information that a foreign file lacks: the pair, and the labeller (None: unknown).
+
+    ``mapping``: file that names its signals; the episodes are then the presses in it.
+    """
 
     actor: str
     labelled_by: str | None = None
     piece: str | None = None
     bottom: str | None = None
+    mapping: Path | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class ImportSurvey:
-    """Preview of an import: numbers of new, known and unusable episodes, with reasons."""
+    """Preview of an import: numbers of new, known and unusable episodes, with reasons.
+
+    ``contradictions``: what in the signals contradicts the mapping file.
+    """
 
     found: int
     fit: int
     here: int
     problems: tuple[tuple[str, int], ...]
     losses: tuple[str, ...]
+    contradictions: tuple[str, ...] = ()
 
 
 class EpisodeImport:
@@ -265,7 +269,11 @@ class EpisodeImport:
             raise InputError("This export was interrupted.", str(source), "Export it again.")
         self._dataset, self._kind, self._source, self._options = dataset, kind, source, options
         self._actor = check_person(options.actor)
-        self._manifest = read_manifest(source) if source.is_dir() else None
+        file = options.mapping
+        self._mapping = None if file is None else read_settings(ImportMapping, file)
+        self._manifest = read_manifest(source) if source.is_dir() and file is None else None
+        self.presses: list[ForeignEpisode] = []
+        """The presses of a mapped recording, from ``survey`` on."""
         self._named = _episodes_by_number(self._manifest, kind, source)
         spec = (self._manifest or {}).get("feature_spec")
         self.backup: Path | None = None
@@ -281,7 +289,7 @@ class EpisodeImport:
         problems: Counter[str] = Counter()
         lost: dict[str, None] = {}
         found = fit = here = 0
-        for foreign in read_foreign(self._kind, self._source):
+        for foreign in self._foreign():
             found += 1
             reason = self._reason(foreign)
             if reason:
@@ -292,7 +300,22 @@ class EpisodeImport:
                 fit += 1
                 lost |= dict.fromkeys(mapping_losses(foreign))
             advance(found)
-        return ImportSurvey(found, fit, here, tuple(sorted(problems.items())), tuple(lost))
+        reasons, contradicted = tuple(sorted(problems.items())), list[str]()
+        if self._mapping:
+            changes = [measure_press(press) for press in self.presses]
+            contradicted = contradictions(changes, self._mapping)
+        return ImportSurvey(found, fit, here, reasons, tuple(lost), tuple(contradicted))
+
+    def _foreign(self) -> Iterable[ForeignEpisode]:
+        if self._mapping is None:
+            return read_foreign(self._kind, self._source)
+        file = self._options.mapping
+        self.presses = self.presses or [
+            cut_press(episode, number, onset_s, self._mapping)
+            for episode in read_foreign(self._kind, self._source, MAPPED_DEADLINE_S, file)
+            for number, onset_s in enumerate(find_presses(episode.values))
+        ]
+        return self.presses
 
     def write(self, advance: Callable[[int], None] = lambda done: None) -> list[str]:
         """Write the new episodes that can be mapped; return their ids.
@@ -302,11 +325,10 @@ class EpisodeImport:
         self.backup = self._dataset.back_up_for("import")
         self._copy_geometry()
         series, written = uuid7(), list[tuple[str, str]]()
-        for foreign in read_foreign(self._kind, self._source):
+        for foreign in self._foreign():
             if self._reason(foreign) or self._is_here(foreign):
                 continue
-            mapped = map_episode(foreign, commanded=self._commanded)
-            written.append(self._record(mapped, series))
+            written.append(self._record(foreign, series))
             advance(len(written))
         self._record_import(series, written)
         return [uuid for uuid, _ in written]
@@ -319,16 +341,16 @@ class EpisodeImport:
     def _is_here(self, foreign: ForeignEpisode) -> bool:
         named = self._named.get(foreign.index)
         own = {str(named["uuid"])} if named else set[str]()
-        return not self._known.isdisjoint({self._uuid(map_episode(foreign)), *own})
+        return not self._known.isdisjoint({self._uuid(foreign), *own})
 
-    def _uuid(self, mapped: MappedEpisode) -> str:
+    def _uuid(self, foreign: ForeignEpisode) -> str:
         """Return the id of an imported episode, which is the same for every import.
 
         It sorts like the original id, else like the number, so a later export has the same order.
         """
-        number = mapped.foreign.index
+        number = foreign.index
         named = self._named.get(number)
-        digest = sha256(mapped.observation.tobytes())
+        digest = sha256(_observation(foreign).tobytes())
         digest.update(str(named["uuid"] if named else number).encode("utf-8"))
         own = int.from_bytes(digest.digest()[:4], "big") >> (32 - OWN_BITS)
         if named is None:
@@ -338,9 +360,9 @@ class EpisodeImport:
         former = UUID(named["uuid"]).int
         return str(UUID(int=former >> OWN_BITS << OWN_BITS | own))
 
-    def _record(self, mapped: MappedEpisode, series: str) -> tuple[str, str]:
+    def _record(self, foreign: ForeignEpisode, series: str) -> tuple[str, str]:
         """Store one episode; return its id and its side of the split."""
-        foreign, label = mapped.foreign, mapped.label
+        label = _label(foreign.values)
         origin = self._named.get(foreign.index)
         if origin is not None:
             label = Label(**origin["label"])
@@ -361,12 +383,14 @@ class EpisodeImport:
             grip_id=origin["grip_id"], mounting_id=origin["mounting_id"], mode=MODE,
             bench={"imported_from": self._kind},
         )  # fmt: skip
-        uuid = self._uuid(mapped)
+        uuid = self._uuid(foreign)
         offset = label.offset_mm if label.is_set else np.zeros(2)
         pairs = (("imported_as", origin["uuid"]),) if origin["uuid"] else ()
-        episode = Episode(uuid, origin["piece"], mapped.observation, offset, 0.0, TRUSTED,
-                          mapped.recording, pairs)  # fmt: skip
-        has_frames = mapped.recording is not None and bool(mapped.recording.frames)
+        recording = foreign.recording or _recording(foreign.values, commanded=self._commanded)
+        onset_s = CONTACT_S if foreign.recording else 0.0
+        episode = Episode(uuid, origin["piece"], _observation(foreign), offset, onset_s,
+                          foreign.quality, recording, pairs)  # fmt: skip
+        has_frames = recording is not None and bool(recording.frames)
         self._dataset.record(
             episode, label, source=origin["source"], context=context,
             keep_frames="jpeg95_444" if has_frames else "none",

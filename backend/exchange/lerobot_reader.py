@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,13 +18,13 @@ MAX_JSON_BYTES = 100_000_000
 MAX_TICKS = 100_000
 
 
-def read(source: Path) -> Iterator[ForeignEpisode]:
-    """Yield the episodes by number."""
+def read(source: Path, wanted: Sequence[str] = ()) -> Iterator[ForeignEpisode]:
+    """Yield the episodes by number, with the features ``wanted`` (default: those of an export)."""
     info = _info(source)
     fps, sides = float(info["fps"]), info.get("splits", {})
-    films = _VideoReader(source, info)
+    films = _VideoReader(source, info, wanted or tuple(PICTURES.values()))
     for path in sorted((source / "data").rglob("*.parquet")):
-        for number, rows in _groups(path, info["features"]):
+        for number, rows in _groups(path, info["features"], tuple(wanted) or PREFIXES):
             pictures = films.pictures(number)
             yield ForeignEpisode(number, fps, {**rows, **pictures}, _side(sides, number))
 
@@ -60,11 +60,11 @@ def _side(sides: Mapping[str, str], number: int) -> str:
 
 
 def _groups(
-    path: Path, features: Mapping[str, Any]
+    path: Path, features: Mapping[str, Any], wanted: tuple[str, ...]
 ) -> Iterator[tuple[int, dict[str, NDArray[Any]]]]:
     """Yield (episode, rows); an episode lies within one file, in order."""
     file = require_package("pyarrow.parquet").ParquetFile(path)
-    kept = [name for name in file.schema_arrow.names if name.startswith(PREFIXES)]
+    kept = [name for name in file.schema_arrow.names if name.startswith(wanted)]
     number, parts = -1, list[dict[str, NDArray[Any]]]()
     for group in range(file.num_row_groups):
         table = file.read_row_group(group, columns=[*kept, "episode_index"])
@@ -98,10 +98,11 @@ def _array(column: Any, feature: Mapping[str, Any]) -> NDArray[Any]:
 class _VideoReader:
     """Videos of a dataset v3.0, read at the positions in ``meta/episodes``."""
 
-    def __init__(self, source: Path, info: Mapping[str, Any]) -> None:
+    def __init__(self, source: Path, info: Mapping[str, Any], wanted: Sequence[str]) -> None:
         self._source, self._info = source, info
         is_filmed = info.get("codebase_version") == "v3.0" and info.get("video_path")
-        self._keys = [k for k in PICTURES.values() if is_filmed and k in info["features"]]
+        filmed = [k for k, one in info["features"].items() if one["dtype"] == "video"]
+        self._keys = [k for k in wanted if is_filmed and k in filmed]
         self._rows: dict[int, dict[str, Any]] = {}
         if self._keys:
             for path in sorted((source / "meta/episodes").rglob("*.parquet")):

@@ -25,6 +25,7 @@ from .document import ReportPicture as ReportPicture
 from .document import ReportSection as ReportSection
 from .document import ReportTable as ReportTable
 from .document import TableEntry as TableEntry
+from .document import curves_chart as curves_chart
 from .document import report_page as report_page
 from .evaluation import EVALUATED_STRATEGIES as EVALUATED_STRATEGIES
 from .evaluation import CollectionKind as CollectionKind

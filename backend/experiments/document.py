@@ -254,7 +254,7 @@ def curves_chart(
 ) -> str:
     """Return named ``curves`` (n,) over ``x`` (n,), on logarithmic axes if ``log``.
 
-    Colours go by their order: blue, orange, violet. ``units``: of ``x`` and of the curves.
+    Otherwise lines mark zero on both axes. Colours go by their order: blue, orange, violet. ``units``: of ``x`` and of the curves.
     """
 
     def scaled(values: FloatArray) -> FloatArray:
@@ -279,7 +279,12 @@ def curves_chart(
             f'<polyline points="{points}" fill="none" stroke="{colour}" stroke-dasharray="{dash}"/>'
             f'<text x="{PAD}" y="{28 + 11 * k}" font-size="9" fill="{colour}">{escape(name)}</text>'
         )
-    axis = f'<path d="M{PAD} {PAD}V{SIDE - PAD}H{SIDE - PAD}" stroke="{FAINT}" fill="none"/>'
+    ways = f"M{PAD} {PAD}V{SIDE - PAD}H{SIDE - PAD}"
+    if low < 0.0 < high and not log:
+        ways += f"M{PAD} {at(0.0):.1f}H{SIDE - PAD}"
+    if across[0] < 0.0 < across[-1] and not log:
+        ways += f"M{_unit(-across[0] / width):.1f} {PAD}V{SIDE - PAD}"
+    axis = f'<path d="{ways}" stroke="{FAINT}" fill="none"/>'
     ends = [10.0**v if log else v for v in (across[0], across[-1], low, high)]
     spans = [
         f"{a:.2g} to {b:.2g} {u}" for a, b, u in zip(ends[::2], ends[1::2], units, strict=True)

@@ -10,6 +10,7 @@ from .picture_files import DEFAULT_RATE_HZ as DEFAULT_RATE_HZ
 from .picture_files import OverlayVideo as OverlayVideo
 from .picture_files import count_pictures as count_pictures
 from .picture_files import read_pictures as read_pictures
+from .picture_files import resize_picture as resize_picture
 from .scene_camera import Homography as Homography
 from .scene_camera import calibrate_scene_camera as calibrate_scene_camera
 from .scene_camera import locate_camera as locate_camera

@@ -1,0 +1,224 @@
+"""Presses in the signals of a mapped recording, and what contradicts its mapping.
+
+Presses are found by the change of the force vector, so that a wrong sign or axis does not hide
+them. The checks need no calibration: while the hand goes down, the press force rises and the piece
+moves the markers up, towards the hand.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchdown.backend.config import TICK_S
+from touchdown.backend.core import (
+    FINGERS,
+    MARKERS,
+    TACTILE_CHANNELS,
+    FloatArray,
+    MarkerField,
+    OnsetRule,
+    Recording,
+    back_date_onset,
+    detect_contact,
+    force_over_baseline,
+)
+from touchdown.backend.exchange import features
+from touchdown.backend.exchange.features import ForeignEpisode
+from touchdown.backend.exchange.mapping import NOMINAL_PX, ImportMapping
+from touchdown.backend.sensing import STANDARD_GRAVITY_M_S2, assemble_episode
+
+CONTACT_S, LENGTH_S = 0.6, 2.8  # time of contact in a press, and its length
+AIR_S = (0.2, 0.55)  # tare and marker reference
+HELD = slice(12, 18)  # ticks
+NOISES = 6.0  # the force changes by more of its standard deviations at a contact
+LEAST_S = 0.5  # shorter contacts are knocks
+NUMBERS = 256  # presses an episode
+
+
+def find_presses(values: Mapping[str, NDArray[Any]]) -> list[float]:
+    """Return the times of contact in one recording."""
+    t_s, wrench = values["wrench.t_s"], values["wrench"]
+    rule = OnsetRule(rate_hz=min(1.0 / max(float(np.median(np.diff(t_s))), 1e-3), 1e3))
+    # The force before the start counts as that at the start: a press may follow soon.
+    grid = np.arange(t_s[0] - rule.lead / rule.rate_hz, t_s[-1], 1.0 / rule.rate_hz)
+    force = np.stack([np.interp(grid, t_s, wrench[:, k]) for k in range(3)])
+    start = force[:, rule.lead : rule.lead + rule.lead // 4 + 1]
+    force[:, : rule.lead] = start.mean(axis=1, keepdims=True)
+    noise_n = 1.05 * float(np.median(np.abs(np.diff(force)), axis=1).max())
+    least_n = max(rule.threshold_n, NOISES * noise_n)
+    rule = replace(rule, threshold_n=least_n, rise_n=0.3 * least_n)
+    over = np.linalg.norm(force_over_baseline(force, rule), axis=0)[None]
+    begin, found = 0, list[float]()
+    while begin + rule.lead < len(grid):
+        at = detect_contact(over[:, begin:], rule)
+        if at[0] < 0:
+            break
+        onset_s = back_date_onset(grid[begin:], over[:, begin:], at, rule)[0]
+        contact = begin + int(at[0])
+        air = force[:, max(contact - rule.lead, 0) : contact - rule.lead // 2].mean(axis=1)
+        away = np.linalg.norm(force[:, contact:] - air[:, None], axis=0) < least_n
+        length = int(away.argmax()) if away.any() else len(away)
+        if length >= LEAST_S * rule.rate_hz:
+            found.append(float(onset_s))
+        begin = contact + length + rule.lead
+    return found
+
+
+def cut_press(episode: ForeignEpisode, number: int, onset_s: float, mapping: ImportMapping
+              ) -> ForeignEpisode:  # fmt: skip
+    """Return the press ``number`` of a recording as an episode, with contact at ``CONTACT_S``."""
+    values = episode.values
+    t_s = {name: values[f"{name}.t_s"] - onset_s + CONTACT_S for name, _ in mapping}
+
+    def rows(name: str, start_s: float = 0.0, end_s: float = LENGTH_S) -> NDArray[np.intp]:
+        return np.flatnonzero((t_s[name] >= start_s) & (t_s[name] <= end_s))
+
+    def in_air(name: str) -> FloatArray:
+        air = values[name][rows(name, *AIR_S)]
+        return np.asarray(air.mean(axis=0) if len(air) else np.full(air.shape[1:], np.nan))
+
+    fields = []
+    for finger in FINGERS:
+        rest = in_air(finger)
+        for row in rows(finger):
+            place, state = values[finger][row].copy(), values[f"{finger}.state"][row].copy()
+            at_s = float(t_s[finger][row])
+            fields.append(MarkerField(finger, int(row), at_s, place, place - rest, state, 1.0))
+    tare = in_air("wrench")
+    recording = Recording(
+        wrench_t_s=t_s["wrench"][rows("wrench")],
+        wrench=values["wrench"][rows("wrench")] - tare,
+        fields=tuple(sorted(fields, key=lambda field: field.t_s)),
+        frames=(),
+        pose_t_s=t_s["pose"][rows("pose")],
+        pose_mm=values["pose"][rows("pose")],
+        tare=tare,
+    )
+    origin_mm = mapping.pose.origin_mm
+    offset_mm = _pose_mm(recording, CONTACT_S)[:2] - (origin_mm or (0.0, 0.0))
+    found = assemble_episode(recording, onset_s=CONTACT_S, offset_mm=offset_mm, piece="")
+    tactile, wrench = np.split(found.observation, [TACTILE_CHANNELS], axis=1)
+    observed: dict[str, NDArray[Any]] = {features.MARKERS: tactile, features.FT: wrench}
+    observed |= {} if origin_mm is None else {features.OFFSET: offset_mm}
+    index = NUMBERS * episode.index + number
+    return ForeignEpisode(index, features.FPS, observed, episode.side, recording, found.quality)
+
+
+def _pose_mm(recording: Recording, at_s: float) -> FloatArray:
+    t_s, mm = recording.pose_t_s, recording.pose_mm.T
+    return np.array([np.interp(at_s, t_s, axis) if len(t_s) else np.nan for axis in mm])
+
+
+def measure_press(press: ForeignEpisode) -> dict[str, FloatArray]:
+    """Return the changes from air to the end of a press; NaN where a signal has no samples.
+
+    ``wrench`` (6,), and ``weight`` (6,) in air; ``pose`` (3,) in mm from contact. Of the fingers:
+    ``shift`` (2, 2) in px, ``turn`` (2,) in rad from u towards v, and ``lag`` (2,) in s behind the
+    force.
+    """
+    r, wrench = press.recording, press.values[features.FT]
+    assert r is not None
+    markers = press.values[features.MARKERS].reshape(-1, len(FINGERS), 2, MARKERS)
+    held, (u, v) = markers[HELD].mean(axis=0), (NOMINAL_PX - NOMINAL_PX.mean(axis=0)).T
+    force, moved = np.linalg.norm(wrench[:, :3], axis=1), np.linalg.norm(markers.mean(-1), axis=2)
+    tick_s = TICK_S * np.arange(1, len(wrench) + 1)
+    grid, lags = np.arange(0.1, 1.6, 0.01), np.arange(-0.4, 0.405, 0.01)
+    wanted = np.interp(grid, tick_s, force)
+    fit = [[np.corrcoef(wanted, np.interp(grid + lag, tick_s, own))[0, 1] for lag in lags]
+           for own in moved.T]  # fmt: skip
+    return {
+        "wrench": wrench[HELD].mean(axis=0),
+        "weight": r.tare,
+        "pose": _pose_mm(r, CONTACT_S + tick_s[HELD][-1]) - _pose_mm(r, CONTACT_S),
+        "shift": held.mean(axis=-1),
+        "turn": (u * held[:, 1] - v * held[:, 0]).sum(axis=1) / (u**2 + v**2).sum(),
+        "lag": lags[np.argmax(fit, axis=1)],
+    }
+
+
+MOST_N, MOST_MM, LEAST_MM, MOST_PX, LEAST_PX = 300.0, 30.0, 0.02, 120.0, 0.5
+MOST_LEVER_M, LEAST_LEVER_M = 0.5, 1e-4
+MOST_LAG_S = 0.08
+TURN_RAD, TURN_NM = 2e-3, 0.02  # smaller ones do not count
+
+
+def contradictions(presses: Sequence[Mapping[str, FloatArray]], mapping: ImportMapping
+                   ) -> list[str]:  # fmt: skip
+    """Return what contradicts the mapping, one sentence each, from the medians over presses.
+
+    ``presses``: changes of ``measure_press``.
+    """
+    if not presses:
+        return ["No press was found: no force changes by 1 N for half a second. Check 'source' and "
+                "'force_unit' of 'wrench'."]  # fmt: skip
+    whole = [one for one in presses if all(np.isfinite(value).all() for value in one.values())]
+    middle = {name: np.median([one[name] for one in whole or presses[:1]], axis=0)
+              for name in presses[0]}  # fmt: skip
+    signals = (middle["wrench"], middle["pose"], *middle["shift"])
+    missing = [f"'{name}' has no samples at the presses: its 'stamp' or 'time_offset_s'."
+               for (name, _), value in zip(mapping, signals, strict=True)
+               if not np.isfinite(value).all()]  # fmt: skip
+    # A wrong sign elsewhere also reverses the turns.
+    return missing or [*_checks(middle, mapping.wrench.payload_kg)] or [*_turns(presses)]
+
+
+def _checks(middle: Mapping[str, FloatArray], payload_kg: float | None) -> Iterator[str]:
+    wrench, weight, travel = middle["wrench"], middle["weight"], middle["pose"]
+    force_n, size_mm = float(np.linalg.norm(wrench[:3])), float(np.linalg.norm(travel))
+    lever_m = float(np.linalg.norm(wrench[3:])) / max(force_n, 1e-9)
+    force_axis, travel_axis = ("xyz"[np.abs(one[:3]).argmax()] for one in (wrench, travel))
+    if force_n > MOST_N:
+        yield f"A press of {force_n:.0f} N: 'force_unit' of 'wrench'."
+    if force_axis != "z":
+        yield (f"The force changes most along {force_axis} while pressed "
+               f"({np.abs(wrench[:3]).max():.1f} N, Fz {wrench[2]:+.1f} N): 'axes' of 'wrench'.")
+    elif wrench[2] < 0.0:
+        yield (f"Fz falls by {-wrench[2]:.1f} N while the arm goes "
+               f"{'down' if travel[2] < 0.0 else 'up'}: "
+               "sign ('acts_on') or frame ('axes') of 'wrench'.")  # fmt: skip
+    if not LEAST_LEVER_M <= lever_m <= MOST_LEVER_M:
+        yield f"The moment has a lever of {lever_m:.3g} m: 'moment_unit' of 'wrench'."
+    due_n = -STANDARD_GRAVITY_M_S2 * (payload_kg or 0.0)
+    if payload_kg is not None and abs(weight[2] - due_n) > 1.0 - 0.25 * due_n:
+        yield (f"Fz in still air is {weight[2]:+.1f} N, the payload weighs {due_n:+.1f} N: unit, "
+               "'axes' or 'acts_on' of 'wrench', or a sensor that was tared.")  # fmt: skip
+    if not LEAST_MM <= size_mm <= MOST_MM:
+        yield f"The arm travels {size_mm:.3g} mm in contact: 'unit' of 'pose'."
+    elif travel_axis != "z":
+        yield f"The arm travels along {travel_axis} while pressed: 'axes' of 'pose'."
+    elif travel[2] > 0.0:
+        yield f"The arm goes up by {travel[2]:.2f} mm while pressed: 'axes' of 'pose'."
+    for finger, (u, v), lag_s in zip(FINGERS, middle["shift"], middle["lag"], strict=True):
+        quarters = round(float(np.angle(complex(-v, -u))) / (0.5 * np.pi)) % 4  # left from up
+        if not LEAST_PX <= np.hypot(u, v) <= MOST_PX:
+            yield (f"The markers of '{finger}' move by {np.hypot(u, v):.2g} px while pressed: "
+                   f"'kind', unit or 'source' of '{finger}', or a piece that is not gripped.")
+            continue
+        if quarters:
+            way = ("up", "left", "down", "right")[quarters]
+            yield (f"The markers of '{finger}' move {way} while pressed, not up: add "
+                   f"{360 - 90 * quarters} to its 'turn_deg'.")  # fmt: skip
+        if abs(lag_s) > MOST_LAG_S:
+            yield (f"The markers of '{finger}' move {abs(lag_s):.2f} s "
+                   f"{'after' if lag_s > 0.0 else 'before'} the force: add {-lag_s:+.2f} to its "
+                   "'time_offset_s'.")  # fmt: skip
+
+
+def _turns(presses: Sequence[Mapping[str, FloatArray]]) -> Iterator[str]:
+    """Compare the turn of the gels with the moment about y, which turns the piece in the grasp."""
+    moment = np.array([press["wrench"][4] for press in presses])
+    turns = np.array([press["turn"] for press in presses]) * (-1.0, 1.0)  # facing cameras
+    sure = (np.abs(moment) > TURN_NM) & (np.abs(turns) > TURN_RAD).all(axis=1)
+    against = (np.sign(turns[sure]) * np.sign(moment[sure])[:, None]).sum(axis=0) < 0
+    if against.all():
+        yield ("Both gels turn against the moment about y: 'left' and 'right' are exchanged, or "
+               "both need 'mirror'.")  # fmt: skip
+        return
+    for finger in np.array(FINGERS)[against]:
+        yield f"The gel of '{finger}' turns against the moment about y: its 'mirror'."
+

@@ -1,0 +1,214 @@
+"""Recordings of other laboratories: mapping file, presses, contradictions, preview."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import av
+import cv2
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from touchdown.backend.annotations import Dataset
+from touchdown.backend.cli.command_line import main
+from touchdown.backend.config import read_settings
+from touchdown.backend.core import InputError
+from touchdown.backend.exchange import mapping
+from touchdown.backend.exchange.features import ForeignEpisode
+from touchdown.backend.exchange.mapped_presses import (
+    contradictions,
+    cut_press,
+    find_presses,
+    measure_press,
+)
+from touchdown.backend.exchange.mapping import ImportMapping
+
+FOREIGN = Path(__file__).parents[2] / "data/foreign"  # .ci/exchange_check/foreign_example.py
+MAP = FOREIGN / "map.toml"
+ARRAY = {"source": "/gel_left/compressed", "kind": "displacements", "turn_deg": 180}
+
+
+@pytest.fixture(scope="module")
+def bag() -> dict[str, list[tuple[int, Any]]]:
+    """The messages by topic. The left gel is an array of displacements, tracked beforehand."""
+    signals = read_settings(ImportMapping, MAP)
+    topics = {signal.source: list(mapping.read_messages([FOREIGN / "press.mcap"], signal))
+              for _, signal in signals}  # fmt: skip
+    (episode,) = mapping.read("mcap", FOREIGN / "press.mcap", MAP)
+    upright = episode.values["left"] - episode.values["left"][0]
+    films = topics["/gel_left/compressed"]
+    topics["/gel_left/compressed"] = [
+        (stamp, -field[::-1].ravel()) for (stamp, _), field in zip(films, upright, strict=True)
+    ]
+    return topics
+
+
+def mapped(bag: Any, **changes: dict[str, Any]) -> tuple[ImportMapping, list[ForeignEpisode]]:
+    content = read_settings(ImportMapping, MAP).model_dump() | {"left": ARRAY}
+    content = {name: {**signal, **changes.get(name, {})} for name, signal in content.items()}
+    signals = ImportMapping.model_validate(content)
+    values = mapping.map_signals(signals, {name: bag[one.source] for name, one in signals})
+    episode = ForeignEpisode(0, None, values)
+    presses = [cut_press(episode, k, t_s, signals) for k, t_s in enumerate(find_presses(values))]
+    return signals, presses
+
+
+def test_a_recording_of_another_laboratory_has_the_numbers_of_the_bench(bag):
+    signals, (press,) = mapped(bag)
+    assert contradictions([measure_press(press)], signals) == []
+    assert press.quality.accepted
+    with np.load(FOREIGN / "truth.npz") as truth:
+        markers = press.values["observation.markers"] - truth["observation"][:, :252]
+        wrench = press.values["observation.ft"] - truth["observation"][:, 252:]
+        np.testing.assert_allclose(press.values["label.offset_mm"], truth["offset_mm"], atol=0.02)
+    assert np.sqrt((markers**2).mean()) < 0.2
+    # The offset after the tare differs; the press has 7.8 N and 0.11 N m.
+    assert np.abs(wrench[:, :3]).max() < 0.3
+    assert np.abs(wrench[:, 3:]).max() < 0.02
+
+
+@pytest.mark.parametrize(
+    ("changes", "named"),
+    [
+        ({"wrench": {"acts_on": "tool"}}, "Fz falls by 7.5 N while the arm goes down"),
+        ({"wrench": {"axes": ("z", "x", "y")}}, "changes most along x while pressed"),
+        ({"wrench": {"force_unit": "mN"}}, "No press was found"),
+        ({"wrench": {"force_unit": "kgf"}}, "the payload weighs -14.7 N"),
+        ({"wrench": {"moment_unit": "N m"}}, "'moment_unit' of 'wrench'"),
+        ({"pose": {"unit": "mm"}}, "'unit' of 'pose'"),
+        ({"pose": {"axes": ("x", "-y", "-z")}}, "The arm goes up"),
+        ({"pose": {"axes": ("y", "z", "x")}}, "The arm travels along y"),
+        ({"left": {"turn_deg": 0}}, "'left' move down while pressed, not up: add 180"),
+        ({"right": {"width_px": 9.0}}, "'right' move by 3.8e+02 px"),
+        ({"right": {"time_offset_s": 0.2}}, "0.16 s after the force: add -0.16"),
+        ({"right": {"time_offset_s": 60.0}}, "'right' has no samples at the presses"),
+        ({"right": {"mirror": True}}, "The gel of 'right' turns against the moment"),
+        ({"left": {"mirror": True}, "right": {"mirror": True}}, "Both gels turn against"),
+    ],
+)
+def test_a_wrong_unit_or_frame_is_named_by_what_contradicts_it(bag, changes, named):
+    signals, presses = mapped(bag, **changes)
+    found = contradictions([measure_press(press) for press in presses], signals)
+    assert any(named in sentence for sentence in found), found
+
+
+@pytest.mark.parametrize("turn_deg", [0, 90, 180, 270])
+@pytest.mark.parametrize("mirror", [False, True])
+def test_markers_turn_like_the_picture_they_are_in(turn_deg, mirror):
+    """One marker of a picture goes 5 px to the right and 1 px down."""
+    shape = (9, 7) if turn_deg in (90, 270) else (7, 9)
+    content = read_settings(ImportMapping, MAP).model_dump()["right"] | {
+        "kind": "displacements", "turn_deg": turn_deg, "mirror": mirror, "order": "planes"
+    }  # fmt: skip
+    whole = read_settings(ImportMapping, MAP).model_dump() | {"right": content}
+    source = ImportMapping.model_validate(whole).right
+    before, after = np.zeros((*shape, 2), int), np.zeros((*shape, 2))
+    before[2, 3], after[2, 3] = 1, (5.0, 1.0)
+    picture = np.zeros((10 * shape[0], 10 * shape[1]))
+    picture[25, 35], picture[26, 40] = 1.0, 2.0
+    turned = source.turned(picture)
+    (v0,), (u0,) = np.nonzero(turned == 1.0)
+    (v1,), (u1,) = np.nonzero(turned == 2.0)
+    still, moved = source.converted([np.moveaxis(field, 2, 0) for field in (0.0 * after, after)])
+    marker = 9 * (v0 // 10) + u0 // 10
+    np.testing.assert_allclose((moved - still)[marker], (u1 - u0, v1 - v0), atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "named"),
+    [
+        ('unit = "m"', 'unit = "inch"', "pose.unit"),
+        ("payload_kg", "payload_g", "payload_g"),
+        ('"-y", "-z"]', '"y", "-z"]', "right-handed"),
+        ("/tool_pose", "/tool", "There are no messages or rows of '/tool'"),
+        ('source = "/tool_pose"', 'source = "/tool_pose"\nfirst = 6', "has 7 numbers"),
+        ('kind = "positions"', 'kind = "images"', "It has numbers only"),
+    ],
+)
+def test_a_mapping_that_does_not_fit_is_refused(tmp_path, old, new, named):
+    path = tmp_path / "map.toml"
+    path.write_text(MAP.read_text("utf-8").replace(old, new), "utf-8")
+    with pytest.raises(InputError) as refused:
+        list(mapping.read("mcap", FOREIGN / "press.mcap", path))
+    assert named in refused.value.what
+
+
+def test_the_command_draws_refuses_and_imports(tmp_path, capsys):
+    words = ["import", "mcap", str(FOREIGN / "press.mcap"), "--dataset", str(tmp_path / "ds"),
+             "--piece", "pot", "--bottom", "square15", "--map"]  # fmt: skip
+    bad = tmp_path / "bad.toml"
+    bad.write_text(MAP.read_text("utf-8").replace("environment", "tool"), "utf-8")
+    picture = tmp_path / "out.png"
+    assert main([*words, str(bad), "--preview", str(picture)]) == 1
+    assert "sign ('acts_on') or frame ('axes') of 'wrench'" in capsys.readouterr().out
+    refused = cv2.imread(str(picture))
+    assert main([*words, str(MAP), "--preview", str(picture)]) == 0
+    assert refused.shape == (900, 1200, 3)
+    assert (cv2.imread(str(picture)) != refused).any()
+    with Dataset.open(tmp_path / "ds", write=False) as dataset:
+        (entry,) = dataset.episodes()
+        label = dataset.labels.head(entry.uuid).label
+        recording = dataset.read(entry.uuid).recording
+    assert label.offset_mm == pytest.approx([8.537, 1.931], abs=0.01)
+    assert (len(recording.fields), entry.mode) == (118, "imported")
+    assert main([*words[:-1]]) == 2
+    assert "mapping file" in capsys.readouterr().err
+
+
+def test_a_lerobot_data_set_with_its_own_features_comes_in(tmp_path, bag):
+    """25 rows a second; wrench and pose share a feature, the gels are in a video and an array."""
+    values = next(mapping.read("mcap", FOREIGN / "press.mcap", MAP)).values
+    t_s = np.arange(0.05, 2.3, 0.04)
+    state = [np.interp(t_s, values[f"{name}.t_s"], column)
+             for name in ("pose", "wrench") for column in values[name].T]  # fmt: skip
+    right = values["right"].reshape(len(values["right"]), -1)
+    columns: dict[str, Any] = {
+        "observation.state": np.stack(state, axis=1),
+        "tactile.right": np.stack([np.interp(t_s, values["right.t_s"], c) for c in right.T], 1),
+    }
+    features = {k: {"dtype": "float32", "shape": [v.shape[1]]} for k, v in columns.items()}
+    features["tactile.left"] = {"dtype": "video", "shape": [240, 320, 3]}
+    folder = tmp_path / "set"
+    for name in ("meta/episodes", "data", "videos"):
+        (folder / name).mkdir(parents=True)
+    info = {"codebase_version": "v3.0", "fps": 25, "features": features,
+            "video_path": "videos/{video_key}.mp4"}  # fmt: skip
+    (folder / "meta/info.json").write_text(json.dumps(info))
+    film = {f"videos/tactile.left/{name}": 0 for name in
+            ("chunk_index", "file_index", "from_timestamp")}  # fmt: skip
+    row = pa.Table.from_pylist([film | {"episode_index": 0, "length": len(t_s)}])
+    pq.write_table(row, folder / "meta/episodes/0.parquet")
+    table = pa.table(
+        {k: v.tolist() for k, v in columns.items()} | {"episode_index": [0] * len(t_s)}
+    )
+    pq.write_table(table, folder / "data/0.parquet")
+    films = read_settings(ImportMapping, MAP).left
+    pictures = [one for _, one in mapping.read_messages([FOREIGN / "press.mcap"], films)]
+    with av.open(str(folder / "videos/tactile.left.mp4"), "w") as container:
+        stream = container.add_stream("libx264", rate=25, options={"crf": "10"})
+        stream.width, stream.height, stream.pix_fmt = 320, 240, "yuv420p"
+        for at_s in t_s:
+            nearest = int(np.abs(values["left.t_s"] - at_s).argmin())
+            frame = av.VideoFrame.from_ndarray(pictures[nearest], format="bgr24")
+            container.mux(stream.encode(frame))
+        container.mux(stream.encode())
+    path = tmp_path / "map.toml"
+    path.write_text(
+        '[pose]\nsource = "observation.state"\nunit = "mm"\naxes = ["x", "y", "z"]\n'
+        '[wrench]\nsource = "observation.state"\nfirst = 3\nforce_unit = "N"\n'
+        'moment_unit = "N m"\naxes = ["x", "y", "z"]\nacts_on = "tool"\n'
+        '[left]\nsource = "tactile.left"\nkind = "images"\nturn_deg = 180\n'
+        '[right]\nsource = "tactile.right"\nkind = "positions"\n'
+    )
+    (episode,) = mapping.read("lerobot", folder, path)
+    (onset_s,) = find_presses(episode.values)
+    press = cut_press(episode, 0, onset_s, read_settings(ImportMapping, path))
+    assert contradictions([measure_press(press)], read_settings(ImportMapping, path)) == []
+    assert press.quality.accepted
+    with np.load(FOREIGN / "truth.npz") as truth:
+        markers = press.values["observation.markers"] - truth["observation"][:, :252]
+    assert np.sqrt((markers**2).mean()) < 0.5

@@ -35,10 +35,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="held-out share, in whole series or mountings",
     )  # fmt: skip
     parser.add_argument(
-        "--tables", action="store_true",
-        help="csv: also ft.csv, markers.csv and poses.csv of every episode",
-    )  # fmt: skip
-    parser.add_argument(
         "--state-with", default="", metavar="S,S",
         help="lerobot: wrench, markers or both in observation.state besides the pose; followed by "
         "environment_state in that feature instead",
@@ -66,7 +62,6 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
             seed=args.seed,
             divide_series=args.divide_series,
             video=args.video,
-            tables=args.tables,
             state_with=tuple(args.state_with.split(",")) if args.state_with else (),
             on_progress=lambda count, total: advance(count, total=total),
         )

@@ -1,76 +1,22 @@
-"""CSV: one row per episode and optional tables of its recorded signals, units in the column names.
-
-Signal tables keep the native rates, for spreadsheets and R.
-"""
+"""CSV: one row per episode, units in the column names."""
 
 from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from datetime import UTC, datetime
 from decimal import Decimal, InvalidOperation
-from itertools import chain
 from pathlib import Path
 
 import numpy as np
 
-from touchdown.backend.annotations import Dataset, EpisodeEntry, Label, Pair
-from touchdown.backend.core import MARKERS, FloatArray, InputError, MarkerState, Recording
-from touchdown.backend.episodes import episode_of, read_first
+from touchdown.backend.annotations import Dataset, Label, Pair
+from touchdown.backend.core import InputError
 from touchdown.backend.exchange.exports import ExportJob
-from touchdown.backend.exchange.features import FT_NAMES
 from touchdown.backend.exchange.label_import import ImportedLabel, label_file
 from touchdown.backend.exchange.query import SelectedEpisode
 from touchdown.backend.geometry import contact_edges, rotated, signed_distances_mm
-
-SIGNALS = "signals"
-FT_FILE, MARKERS_FILE, POSES_FILE = "ft.csv", "markers.csv", "poses.csv"
-FT_COLUMNS = ("t_s", *FT_NAMES)
-MARKER_COLUMNS = ("t_s", "finger", "marker", "u_px", "v_px", "du_px", "dv_px", "state")
-POSE_COLUMNS = ("t_s", "kind", "x_mm", "y_mm", "z_mm")
-STATES = {state.value: state.name.lower() for state in MarkerState}
-Row = Iterable[object]
-
-
-def write_signals(dataset: Dataset, entry: EpisodeEntry, folder: Path) -> None:
-    """Write the tables of one episode to ``folder/<uuid>``; nothing without recorded signals."""
-    path = dataset.folder / entry.path
-    episode = episode_of(read_first(path), path)
-    recording, onset_s = episode.recording, episode.onset_s
-    if recording is None:
-        return
-    place = folder / entry.uuid
-    place.mkdir(parents=True)
-    _table(place / FT_FILE, FT_COLUMNS, _timed(recording.wrench_t_s - onset_s, recording.wrench))
-    _table(place / MARKERS_FILE, MARKER_COLUMNS, _markers(recording, onset_s))
-    measured = _timed(recording.pose_t_s - onset_s, recording.pose_mm, "measured")
-    commanded = _timed(recording.command_t_s - onset_s, recording.command_mm, "commanded")
-    _table(place / POSES_FILE, POSE_COLUMNS, chain(measured, commanded))
-
-
-def _table(path: Path, columns: Sequence[str], rows: Iterable[Row]) -> None:
-    with path.open("w", newline="", encoding="utf-8") as file:
-        table = csv.writer(file)
-        table.writerow(columns)
-        table.writerows(rows)
-
-
-def _timed(t_s: FloatArray, values: FloatArray, *words: str) -> Iterator[Row]:
-    for at_s, row in zip(t_s.tolist(), values.tolist(), strict=True):
-        yield (at_s, *words, *row)
-
-
-def _markers(recording: Recording, onset_s: float) -> Iterator[Row]:
-    for field in recording.fields:
-        at_s = field.t_s - onset_s
-        places = zip(
-            range(MARKERS), field.position_px.tolist(), field.displacement_px.tolist(),
-            field.state.tolist(), strict=True,
-        )  # fmt: skip
-        for marker, position, displacement, state in places:
-            yield (at_s, field.finger, marker, *position, *displacement, STATES[state])
-
 
 FILE = "episodes.csv"
 COLUMNS = (
@@ -82,15 +28,13 @@ NEEDED = ("uuid", "x_mm", "y_mm")
 
 
 def write(job: ExportJob, folder: Path) -> Mapping[str, object]:
-    """Write ``episodes.csv`` (UTF-8, comma, decimal point, header) and the signal tables."""
+    """Write ``episodes.csv`` (UTF-8, comma, decimal point, header)."""
     with (folder / FILE).open("w", newline="", encoding="utf-8") as file:
         rows = csv.DictWriter(file, COLUMNS)
         rows.writeheader()
         for one in job.chosen:
             pair = job.dataset.geometry.pair(one.revision.geometry)
             rows.writerow(_row(one, margin_mm(pair, one.revision.label)))
-            if job.tables and one.entry.mode != "mass":
-                write_signals(job.dataset, one.entry, folder / SIGNALS)
             job.advance(one.index + 1)
     return {"data": "csv"}
 

@@ -63,7 +63,6 @@ class ExportJob:
     signals: ExportSignals
     pictures: bool
     advance: ProgressCallback
-    tables: bool = False
     layout: str = ""
 
     @property
@@ -85,14 +84,12 @@ class ExportFormat:
     """One export format, written by the function ``write(job, folder)`` of ``module``.
 
     ``write`` fills an empty folder and returns the encoding of the values, for the manifest.
-    ``signals``: the format holds arrays; otherwise labels only, with optional ``tables`` of the
-    recorded signals. ``video``: images by default.
+    ``signals``: the format holds arrays; otherwise labels only. ``video``: images by default.
     """
 
     module: str
     signals: bool
     video: Video = "none"
-    tables: bool = False
 
 
 FORMATS = {
@@ -101,7 +98,7 @@ FORMATS = {
     "zarr": ExportFormat("zarr_arrays", signals=True),
     "replay-buffer": ExportFormat("zarr_arrays", signals=True),
     "coco": ExportFormat("coco", signals=False),
-    "csv": ExportFormat("csv_tables", signals=False, tables=True),
+    "csv": ExportFormat("csv_tables", signals=False),
     "ros2": ExportFormat("rosbag2", signals=False),
 }
 EXPORTS = tuple(FORMATS)
@@ -148,7 +145,6 @@ def export(  # noqa: PLR0913 - each is a keyword of the public API
     seed: int = 0,
     divide_series: bool = False,
     video: Video | None = None,
-    tables: bool = False,
     state_with: Sequence[str] = (),
     on_progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> ExportResult:
@@ -162,8 +158,8 @@ def export(  # noqa: PLR0913 - each is a keyword of the public API
     dataset : Dataset, Path or str
         Open dataset, or its folder, which is then opened for reading.
     format : {"lerobot", "robomimic", "zarr", "replay-buffer", "coco", "csv", "ros2"}
-        File format. ``coco`` and ``csv`` hold labels and no signals, except for ``tables``.
-        ``ros2`` copies the episode files.
+        File format. ``coco`` and ``csv`` hold labels and no signals. ``ros2`` copies the episode
+        files.
     out : Path or str
         New folder to write.
     piece, bottom, series, campaign : str, optional
@@ -180,8 +176,6 @@ def export(  # noqa: PLR0913 - each is a keyword of the public API
     video : {"sample", "all", "none"}, optional
         Tactile images of 20 episodes, of all or of none (default: "sample" for LeRobot, else
         "none").
-    tables : bool
-        With "csv": also write wrench, markers and poses of every episode at their own rates.
     state_with : sequence of {"wrench", "markers", "environment_state"}
         With "lerobot": signals that ``observation.state`` holds besides the pose, or with
         "environment_state" ``observation.environment_state`` instead.
@@ -211,10 +205,6 @@ def export(  # noqa: PLR0913 - each is a keyword of the public API
         raise InputError(
             f"There is no format '{format}'.", "format", f"Use one of: {', '.join(EXPORTS)}."
         )
-    if tables and not FORMATS[format].tables:
-        raise InputError(
-            f"The format '{format}' holds no tables of signals.", "--tables", "Use csv."
-        )
     query = ExportQuery(
         piece, bottom, series, campaign, tuple(states), held_out, seed, divide_series
     )
@@ -224,7 +214,7 @@ def export(  # noqa: PLR0913 - each is a keyword of the public API
             dataset = stack.enter_context(Dataset.open(dataset, create=False, write=False))
         selection = select_episodes(dataset, query)
         _check_video(format, selection.chosen, wanted)
-        job = _job(dataset, format, selection, tuple(state_with), tables=tables)
+        job = _job(dataset, format, selection, tuple(state_with))
         part = _begin(out)
         try:
             described = manifest.make_manifest(dataset, format, query, selection, job.features)
@@ -246,7 +236,7 @@ def export(  # noqa: PLR0913 - each is a keyword of the public API
 
 
 def _job(
-    dataset: Dataset, name: str, selection: Selection, state_with: tuple[str, ...], *, tables: bool
+    dataset: Dataset, name: str, selection: Selection, state_with: tuple[str, ...]
 ) -> ExportJob:
     signals, features = ExportSignals(), tuple[Feature, ...]()
     if FORMATS[name].signals:
@@ -261,7 +251,7 @@ def _job(
         points = export_episode.face_points(dataset, selection.chosen)
         features = make_features(points, native=signals.native, state_with=state_with)
     common = (dataset, selection.chosen, features, signals)
-    return ExportJob(*common, False, lambda done: None, tables, name)
+    return ExportJob(*common, False, lambda done: None, name)
 
 
 def _check_video(name: str, chosen: Sequence[SelectedEpisode], video: Video) -> None:

@@ -1,16 +1,8 @@
-"""``touchdown emulate``: emulate a device over its real wire.
-
-During the emulation faults are typed as ``[device] kind [seconds]``, and ``clear`` ends them. A
-slow sensor needs its rate (``slow=300 5`` for 300 samples a second), a drifting one its drift
-(``drift=0.05 60`` for 0.05 N a second).
-"""
+"""``touchdown emulate``: emulate a device over its real wire."""
 
 from __future__ import annotations
 
 import argparse
-import os
-import select
-import sys
 import tempfile
 import threading
 import time
@@ -18,9 +10,7 @@ from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import TextIO
 
-from pydantic import ValidationError
 from rich.table import Table
 from rich.text import Text
 
@@ -34,7 +24,6 @@ from touchdown.backend.bench import (
     shorten_switch_interval,
 )
 from touchdown.backend.cli.output import VerbOutput, ctrl_c_cancels, text_table
-from touchdown.backend.config import first_error_message
 from touchdown.backend.core import (
     FINGERS,
     InputError,
@@ -45,7 +34,6 @@ from touchdown.backend.core import (
 from touchdown.backend.devices import emulated_makes
 from touchdown.backend.devices.gelsight import SERIAL
 from touchdown.backend.emulation import (
-    AMOUNTS,
     EVERY_ADDRESS,
     DeviceServer,
     Emulation,
@@ -60,71 +48,6 @@ from touchdown.backend.emulation import (
 )
 from touchdown.backend.geometry import load_pieces
 from touchdown.backend.runs import SceneChoice
-
-CLEAR = "clear"
-CHUNK = 4096
-USAGE = "Type a fault and Enter: [device] kind [seconds], slow=Hz, drift=N/s; 'clear' ends all."
-
-
-class FaultPrompt:
-    """Prompt for faults on ``source``; ignored if the source cannot be polled."""
-
-    def __init__(self, fronts: Sequence[DeviceServer], source: TextIO | None = None) -> None:
-        self._fronts, self._typed = fronts, b""
-        self._source: TextIO | None = sys.stdin if source is None else source
-        try:
-            usable = self._source is not None and self._source.fileno() >= 0
-        except (OSError, ValueError):
-            usable = False
-        if not usable or sys.platform == "win32":
-            self._source = None
-
-    @property
-    def listens(self) -> bool:
-        """True until the end of ``source``."""
-        return self._source is not None
-
-    def take(self, limit_s: float) -> str:
-        """Wait for a line for at most ``limit_s``; return the reply."""
-        # Lines that arrived together: select does not see the buffer of the source.
-        if b"\n" not in self._typed and self._source is not None:
-            if not select.select([self._source], [], [], limit_s)[0]:
-                return ""
-            data = os.read(self._source.fileno(), CHUNK)
-            self._typed += data
-            if not data:
-                self._source = None  # end of file
-        line, ended, rest = self._typed.partition(b"\n")
-        if not ended and self._source is not None:
-            return ""
-        self._typed = rest
-        return self.obey(line.decode(errors="replace"))
-
-    def obey(self, line: str) -> str:
-        """Run the command of a line; return the reply."""
-        words = line.split()
-        if not words:
-            return ""
-        if words == [CLEAR]:
-            for front in self._fronts:
-                front.faults.clear()
-            return "All faults have ended."
-        named = {front.faults.device: front for front in self._fronts if front.faults.device}
-        device = words[0] if words[0] in named and len(words) > 1 else ""
-        struck = named.get(device, self._fronts[0])
-        kind, *rest = words[1:] if device else words
-        try:
-            for_s = float(rest[0]) if rest else None
-            kind, _, much = kind.partition("=")
-            name, _ = AMOUNTS.get(kind, ("hz", ""))
-            struck.inject(kind, for_s, **({name: float(much)} if much else {}))
-        except ValidationError as error:
-            return f"'{line.strip()}' is no fault: {first_error_message(error)}. {USAGE}"
-        except ValueError:
-            return f"'{line.strip()}' is no fault of {', '.join(named)}. {USAGE}"
-        until = "until 'clear'" if for_s is None else f"for {for_s:g} s"
-        return f"{struck.faults.device}: {kind} {until}."
-
 
 STATUS_S = 0.5
 BENCH = "bench"
@@ -282,14 +205,10 @@ def _watch(
     emulation: Emulation, end: threading.Event, for_s: float | None, screen: VerbOutput
 ) -> None:
     end_s = float("inf") if for_s is None else time.monotonic() + for_s
-    typed = FaultPrompt(emulation.fronts)
     with screen.status() as show:
         while not end.is_set() and (left_s := end_s - time.monotonic()) > 0:
             show(_table(emulation.fronts))
-            if not typed.listens:
-                end.wait(min(left_s, STATUS_S))
-            elif said := typed.take(min(left_s, STATUS_S)):
-                screen.say(said)
+            end.wait(min(left_s, STATUS_S))
 
 
 def _table(fronts: Sequence[DeviceServer]) -> Table:

@@ -1,4 +1,3 @@
-from .fault_plan import AMOUNTS as AMOUNTS
 from .fault_plan import FaultPlan as FaultPlan
 from .fault_plan import Faults as Faults
 from .fault_plan import SampleSchedule as SampleSchedule

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import json
-import os
 import queue
 import socket
 import threading
@@ -20,7 +19,6 @@ from rich.table import Table
 from touchdown.backend import bench
 from touchdown.backend.cli import bench as bench_verb
 from touchdown.backend.cli import emulate, main
-from touchdown.backend.cli.emulate import FaultPrompt
 from touchdown.backend.cli.output import VerbOutput
 from touchdown.backend.cli.settings import as_toml, load_method
 from touchdown.backend.cli.stack import trial_table
@@ -28,9 +26,9 @@ from touchdown.backend.config import HardwareSettings, StackSettings, load_lab, 
 from touchdown.backend.core import Outcome, TrialFinished
 from touchdown.backend.devices import emulated_makes, make_force_torque
 from touchdown.backend.devices.dynpick.emulator import EmulatedDynpick
-from touchdown.backend.devices.wsg import EmulatedWsg, protocol
+from touchdown.backend.devices.wsg import protocol
 from touchdown.backend.devices.wsg.protocol import WsgCommand, WsgRequest
-from touchdown.backend.emulation import Faults, TcpServer, add_noise
+from touchdown.backend.emulation import TcpServer, add_noise
 from touchdown.backend.rig.connection import BenchConnection
 from touchdown.backend.runs.event_log import EVENT_LOG_NAME
 
@@ -138,65 +136,6 @@ def test_a_bench_leaves_its_file_in_the_folder(tmp_path, capsys):
     hardware = read_settings(HardwareSettings, tmp_path / "bench.toml")
     assert hardware.ft.address == told["ft"]["address"]
     assert hardware.wsg.port == told["wsg"]["port"]
-
-
-@pytest.fixture
-def fronts():
-    """A gripper and a sensor, begun but with no thread."""
-    made = [TcpServer(EmulatedWsg(), faults=Faults(name)) for name in ("gripper", "force_torque")]
-    for front in made:
-        front.faults.begin(time.monotonic())
-    yield made
-    for front in made:
-        front.close()
-
-
-def on(front):
-    return front.faults.names(time.monotonic())
-
-
-def test_a_kind_alone_strikes_the_main_device_and_a_named_one_its_own(fronts):
-    typed = FaultPrompt(fronts, io.StringIO())
-    assert typed.obey("part_lost 60") == "gripper: part_lost for 60 s."
-    assert "until 'clear'" in typed.obey("force_torque freeze")
-    assert (on(fronts[0]), on(fronts[1])) == (("part_lost",), ("freeze",))
-    typed.obey("clear")
-    assert (on(fronts[0]), on(fronts[1])) == ((), ())
-
-
-@pytest.mark.parametrize(
-    ("line", "said"),
-    [
-        *(("dark", ""), ("part_lost soon", ""), ("part_lost -1", ""), ("gripper", "")),
-        ("help", "use one of lost, flip"),
-        ("force_torque slow", "'hz', how many samples a second, belongs to 'slow'"),
-    ],
-)
-def test_what_is_no_fault_is_said_and_does_nothing(fronts, line, said):
-    typed = FaultPrompt(fronts, io.StringIO())
-    assert not typed.listens, "a text is not polled"
-    answer = typed.obey(line)
-    assert "is no fault" in answer
-    assert said in answer
-    assert on(fronts[0]) == on(fronts[1]) == ()
-
-
-def test_lines_come_as_they_are_typed_and_end(fronts):
-    read, write = os.pipe()
-    with os.fdopen(read) as source:
-        typed = FaultPrompt(fronts, source)
-        assert typed.take(0.0) == ""
-        os.write(write, b"silent 9\n")
-        assert typed.take(1.0) == "gripper: silent for 9 s."
-        os.write(write, b"part_lost 9\nforce_torque freeze 9\nsil")
-        assert typed.take(1.0) == "gripper: part_lost for 9 s."
-        assert typed.take(0.0) == "force_torque: freeze for 9 s."
-        assert typed.take(1.0) == ""
-        os.write(write, b"ent 8\n")
-        assert typed.take(1.0) == "gripper: silent for 8 s."
-        os.close(write)
-        assert typed.take(1.0) == ""
-        assert not typed.listens
 
 
 def _screen(*, as_json):

@@ -142,7 +142,7 @@ def _serve(
             screen.say(f"In a bench file:\n\n{bench_toml(tables)}\n")
         else:
             screen.say(f"Open it with: touchdown app --bench {args.lab_file}")
-        screen.say(f"{USAGE} Ctrl-C ends it.")
+        screen.say("Ctrl-C ends it.")
         with ctrl_c_cancels(end.set):
             _watch(emulation, end, args.for_s, screen)
     finally:

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import argparse
 import getpass
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from touchdown.backend.annotations import Dataset
 from touchdown.backend.cli.output import VerbOutput, progress_lines
-from touchdown.backend.core import FINGERS, InputError, MarkerField, Recording, write_atomically
+from touchdown.backend.core import FINGERS, InputError, Recording, write_atomically
 from touchdown.backend.exchange import (
     CONTACT_S,
     EpisodeImport,
@@ -22,8 +21,6 @@ from touchdown.backend.exchange import (
     read_manifest,
 )
 from touchdown.backend.experiments import (
-    BLUE,
-    INK,
     PictureGallery,
     Report,
     ReportPicture,
@@ -124,7 +121,7 @@ def _episodes(args: argparse.Namespace, dataset: Dataset, actor: str, screen: Ve
     return 1 if survey.problems or not survey.found or survey.contradictions else 0
 
 
-def _preview(press: Recording | None, name: str, findings: Sequence[str]) -> str:
+def _preview(press: Recording | None, name: str, findings: tuple[str, ...]) -> str:
     """Return an HTML page of the signals of one press, and what contradicts the mapping."""
     assert press is not None
     hand_mm = press.pose_mm - press.pose_mm[press.pose_t_s >= CONTACT_S][:1].sum(axis=0)
@@ -133,10 +130,10 @@ def _preview(press: Recording | None, name: str, findings: Sequence[str]) -> str
         ("Moment", "N m", "", press.wrench_t_s, press.wrench[:, 3:], "xyz"),
         ("Hand from contact", "mm", "z falls in contact.", press.pose_t_s, hand_mm, "xyz"),
     ]
-    fields = {finger: [one for one in press.fields if one.finger == finger] for finger in FINGERS}
-    for finger, own in fields.items():
-        mean = np.array([one.displacement_px.mean(axis=0) for one in own]).reshape(-1, 2)
-        t_s, note = np.array([one.t_s for one in own]), "v falls: up, towards the hand."
+    for finger in FINGERS:
+        own = [field for field in press.fields if field.finger == finger]
+        mean = np.array([field.displacement_px.mean(axis=0) for field in own]).reshape(-1, 2)
+        t_s, note = np.array([field.t_s for field in own]), "v falls: up, towards the hand."
         signals.append((f"Markers, {finger}", "px", note, t_s, mean, "uv"))
     pictures = [
         ReportPicture(curves_chart(title, t_s - CONTACT_S, dict(zip(letters, rows.T, strict=True)),
@@ -144,29 +141,12 @@ def _preview(press: Recording | None, name: str, findings: Sequence[str]) -> str
         for title, unit, note, t_s, rows, letters in signals
         if np.isfinite(rows).any()
     ]  # fmt: skip
-    pictures += [
-        ReportPicture(_arrows(own[-1]), note=f"{finger}: arrows point up, to the hand.")
-        for finger, own in fields.items()
-        if own and np.isfinite(own[-1].displacement_px).all()
-    ]
     about = f"Time 0 is the contact. Fz in still air is {press.tare[2]:+.1f} N."
     sections = (
         ReportSection("Contradictions", findings or ("None.",), ()),
         ReportSection("", (), (PictureGallery("First press", tuple(pictures)),)),
     )
     return report_page(Report(f"{name} as the mapping reads it", (about,), sections, ""))
-
-
-def _arrows(field: MarkerField) -> str:
-    """Return the displacements of the markers in the frame of their picture."""
-    rows = np.hstack([field.position_px - field.displacement_px, field.displacement_px])
-    ways = "".join(f"M{u:.1f} {v:.1f}l{du:.1f} {dv:.1f}" for u, v, du, dv in rows)
-    ends = "".join(f"M{u:.1f} {v:.1f}h.1" for u, v in field.position_px)
-    return (
-        '<svg viewBox="0 0 320 240" width="220" height="165" role="img" aria-label="Markers">'
-        f'<path d="{ways}" stroke="{INK}" stroke-width="2"/>'
-        f'<path d="{ends}" stroke="{BLUE}" stroke-width="6" stroke-linecap="round"/></svg>'
-    )
 
 
 def _labels(args: argparse.Namespace, dataset: Dataset, screen: VerbOutput) -> int:

@@ -288,7 +288,8 @@ def _iou(segmentation: Any, points_px: FloatArray, touching: NDArray[np.bool_]) 
     if isinstance(segmentation, Mapping):
         height, width = (int(n) for n in segmentation["size"])
         counts = np.array(segmentation["counts"], dtype=np.intp)
-        mask = np.repeat(np.arange(len(counts)) % 2, counts).reshape(width, height).T
+        flat = np.repeat(np.arange(len(counts)) % 2, counts).astype(np.uint8)
+        mask: NDArray[Any] = flat.reshape(width, height).T
     else:
         low = np.floor(points_px.min(axis=0))
         points_px = points_px - low

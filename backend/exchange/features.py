@@ -81,6 +81,7 @@ def make_features(
 
 
 FACTS = "facts.json"
+TRUSTED = EpisodeQuality(True, (), 0, 0.0, 0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,7 +97,7 @@ class ForeignEpisode:
     values: Mapping[str, NDArray[Any]]
     side: str = ""
     recording: Recording | None = None
-    quality: EpisodeQuality = EpisodeQuality(True, (), 0, 0.0, 0, 0.0, 0.0)
+    quality: EpisodeQuality = TRUSTED
 
 
 def save_foreign(episode: ForeignEpisode, path: Path) -> None:

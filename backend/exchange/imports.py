@@ -37,7 +37,6 @@ from touchdown.backend.annotations import (
 )
 from touchdown.backend.config import SAMPLES_PER_PROBE, read_settings
 from touchdown.backend.core import (
-    CHANNELS,
     FINGERS,
     TACTILE_CHANNELS,
     WRENCH_CHANNELS,

@@ -164,10 +164,12 @@ def contradictions(presses: Sequence[Mapping[str, FloatArray]], mapping: ImportM
                for (name, _), value in zip(mapping, signals, strict=True)
                if not np.isfinite(value).all()]  # fmt: skip
     # A wrong sign elsewhere also reverses the turns.
-    return missing or [*_checks(middle, mapping.wrench.payload_kg)] or [*_turns(presses)]
+    return missing or [
+        *_hand_checks(middle, mapping.wrench.payload_kg), *_marker_checks(middle)
+    ] or [*_turn_checks(presses)]  # fmt: skip
 
 
-def _checks(middle: Mapping[str, FloatArray], payload_kg: float | None) -> Iterator[str]:
+def _hand_checks(middle: Mapping[str, FloatArray], payload_kg: float | None) -> Iterator[str]:
     wrench, weight, travel = middle["wrench"], middle["weight"], middle["pose"]
     force_n, size_mm = float(np.linalg.norm(wrench[:3])), float(np.linalg.norm(travel))
     lever_m = float(np.linalg.norm(wrench[3:])) / max(force_n, 1e-9)
@@ -175,8 +177,8 @@ def _checks(middle: Mapping[str, FloatArray], payload_kg: float | None) -> Itera
     if force_n > MOST_N:
         yield f"A press of {force_n:.0f} N: 'force_unit' of 'wrench'."
     if force_axis != "z":
-        yield (f"The force changes most along {force_axis} while pressed "
-               f"({np.abs(wrench[:3]).max():.1f} N, Fz {wrench[2]:+.1f} N): 'axes' of 'wrench'.")
+        yield (f"The force changes most along {force_axis} while pressed ({force_n:.1f} N in all, "
+               f"Fz {wrench[2]:+.1f} N): 'axes' of 'wrench'.")  # fmt: skip
     elif wrench[2] < 0.0:
         yield (f"Fz falls by {-wrench[2]:.1f} N while the arm goes "
                f"{'down' if travel[2] < 0.0 else 'up'}: "
@@ -193,11 +195,14 @@ def _checks(middle: Mapping[str, FloatArray], payload_kg: float | None) -> Itera
         yield f"The arm travels along {travel_axis} while pressed: 'axes' of 'pose'."
     elif travel[2] > 0.0:
         yield f"The arm goes up by {travel[2]:.2f} mm while pressed: 'axes' of 'pose'."
+
+
+def _marker_checks(middle: Mapping[str, FloatArray]) -> Iterator[str]:
     for finger, (u, v), lag_s in zip(FINGERS, middle["shift"], middle["lag"], strict=True):
         quarters = round(float(np.angle(complex(-v, -u))) / (0.5 * np.pi)) % 4  # left from up
         if not LEAST_PX <= np.hypot(u, v) <= MOST_PX:
             yield (f"The markers of '{finger}' move by {np.hypot(u, v):.2g} px while pressed: "
-                   f"'kind', unit or 'source' of '{finger}', or a piece that is not gripped.")
+                   f"'kind', unit or 'source' of '{finger}', or a piece not gripped.")  # fmt: skip
             continue
         if quarters:
             way = ("up", "left", "down", "right")[quarters]
@@ -209,7 +214,7 @@ def _checks(middle: Mapping[str, FloatArray], payload_kg: float | None) -> Itera
                    "'time_offset_s'.")  # fmt: skip
 
 
-def _turns(presses: Sequence[Mapping[str, FloatArray]]) -> Iterator[str]:
+def _turn_checks(presses: Sequence[Mapping[str, FloatArray]]) -> Iterator[str]:
     """Compare the turn of the gels with the moment about y, which turns the piece in the grasp."""
     moment = np.array([press["wrench"][4] for press in presses])
     turns = np.array([press["turn"] for press in presses]) * (-1.0, 1.0)  # facing cameras
@@ -221,4 +226,3 @@ def _turns(presses: Sequence[Mapping[str, FloatArray]]) -> Iterator[str]:
         return
     for finger in np.array(FINGERS)[against]:
         yield f"The gel of '{finger}' turns against the moment about y: its 'mirror'."
-

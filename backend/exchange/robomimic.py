@@ -19,14 +19,7 @@ from touchdown.backend.config import SAMPLES_PER_PROBE
 from touchdown.backend.core import require_package
 from touchdown.backend.exchange.export_episode import ExportEpisode
 from touchdown.backend.exchange.exports import ExportJob
-from touchdown.backend.exchange.features import (
-    ACTION,
-    FPS,
-    OFFSET,
-    PATCH,
-    Feature,
-    short_name,
-)
+from touchdown.backend.exchange.features import ACTION, FPS, OFFSET, PATCH, Feature, short_name
 
 
 class DiskFullSafeFile:

@@ -254,7 +254,8 @@ def curves_chart(
 ) -> str:
     """Return named ``curves`` (n,) over ``x`` (n,), on logarithmic axes if ``log``.
 
-    Otherwise lines mark zero on both axes. Colours go by their order: blue, orange, violet. ``units``: of ``x`` and of the curves.
+    Lines mark zero on linear axes. Colours go by their order: blue, orange, violet. ``units``: of
+    ``x`` and of the curves.
     """
 
     def scaled(values: FloatArray) -> FloatArray:

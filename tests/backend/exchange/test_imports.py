@@ -106,7 +106,10 @@ def test_what_cannot_be_mapped_is_told_and_not_written(changes, why, back, tmp_p
 
 
 def test_a_value_that_is_not_finite_is_not_mapped():
-    values = {"observation.markers": np.full((20, 252), np.nan), "observation.ft": np.zeros((20, 6))}
+    values = {
+        "observation.markers": np.full((20, 252), np.nan),
+        "observation.ft": np.zeros((20, 6)),
+    }
     assert "not finite" in mapping_problem(ForeignEpisode(0, 10.0, values))
 
 
@@ -419,9 +422,7 @@ def probes(draw: st.DrawFn) -> tuple[Any, Any, Any, Label]:
 
 
 def out_of(dataset: Dataset, out: Path) -> Path:
-    return export(
-        dataset, "lerobot", out, states=("draft",), held_out=0.0, video="none"
-    ).folder
+    return export(dataset, "lerobot", out, states=("draft",), held_out=0.0, video="none").folder
 
 
 @settings(

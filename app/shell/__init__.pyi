@@ -46,7 +46,6 @@ from .errors import log_to as log_to
 from .label_items import CURSOR_S as CURSOR_S
 from .label_items import LabelDraft as LabelDraft
 from .label_items import LabelItem as LabelItem
-from .label_items import PrelabelFunction as PrelabelFunction
 from .label_items import as_float_pair as as_float_pair
 from .label_items import item_reader as item_reader
 from .label_items import parse_displacement as parse_displacement

@@ -48,7 +48,6 @@ from .queues import parse_filter as parse_filter
 from .rebuild import rebuild_dataset as rebuild_dataset
 from .reconciliation import MergeReport as MergeReport
 from .reconciliation import check_dataset as check_dataset
-from .reconciliation import reconcile as reconcile
 from .review import REJECT_REASONS as REJECT_REASONS
 from .review import check_person as check_person
 from .review import refresh_heads as refresh_heads
@@ -85,7 +84,6 @@ from .values import Operation as Operation
 from .values import Revision as Revision
 from .values import Source as Source
 from .values import Verdict as Verdict
-from .values import canonical_json as canonical_json
 from .values import content_hash as content_hash
 from .values import follow_uuid as follow_uuid
 from .values import is_uuid7 as is_uuid7

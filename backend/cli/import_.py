@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from touchdown.backend import experiments
 from touchdown.backend.annotations import Dataset
 from touchdown.backend.cli.output import VerbOutput, progress_lines
 from touchdown.backend.core import FINGERS, InputError, Recording, write_atomically
@@ -19,14 +20,6 @@ from touchdown.backend.exchange import (
     read_coco,
     read_csv,
     read_manifest,
-)
-from touchdown.backend.experiments import (
-    PictureGallery,
-    Report,
-    ReportPicture,
-    ReportSection,
-    curves_chart,
-    report_page,
 )
 from touchdown.backend.runs import dataset_folder
 
@@ -126,27 +119,29 @@ def _preview(press: Recording | None, name: str, findings: tuple[str, ...]) -> s
     assert press is not None
     hand_mm = press.pose_mm - press.pose_mm[press.pose_t_s >= CONTACT_S][:1].sum(axis=0)
     signals = [
-        ("Force", "N", "Fz rises in contact.", press.wrench_t_s, press.wrench[:, :3], "xyz"),
-        ("Moment", "N m", "", press.wrench_t_s, press.wrench[:, 3:], "xyz"),
-        ("Hand from contact", "mm", "z falls in contact.", press.pose_t_s, hand_mm, "xyz"),
+        ("Force", "N", "xyz", press.wrench_t_s, press.wrench[:, :3]),
+        ("Moment", "N m", "xyz", press.wrench_t_s, press.wrench[:, 3:]),
+        ("Hand from contact", "mm", "xyz", press.pose_t_s, hand_mm),
     ]
     for finger in FINGERS:
         own = [field for field in press.fields if field.finger == finger]
         mean = np.array([field.displacement_px.mean(axis=0) for field in own]).reshape(-1, 2)
-        t_s, note = np.array([field.t_s for field in own]), "v falls: up, towards the hand."
-        signals.append((f"Markers, {finger}", "px", note, t_s, mean, "uv"))
-    pictures = [
-        ReportPicture(curves_chart(title, t_s - CONTACT_S, dict(zip(letters, rows.T, strict=True)),
-                                   ("s", unit)), note=note)
-        for title, unit, note, t_s, rows, letters in signals
-        if np.isfinite(rows).any()
-    ]  # fmt: skip
-    about = f"Time 0 is the contact. Fz in still air is {press.tare[2]:+.1f} N."
-    sections = (
-        ReportSection("Contradictions", findings or ("None.",), ()),
-        ReportSection("", (), (PictureGallery("First press", tuple(pictures)),)),
+        t_s = np.array([field.t_s for field in own])
+        signals.append((f"Markers, {finger}", "px", "uv", t_s, mean))
+    pictures = []
+    for title, unit, names, t_s, rows in signals:
+        if np.isfinite(rows).any():
+            curves = dict(zip(names, rows.T, strict=True))
+            svg = experiments.curves_chart(title, t_s - CONTACT_S, curves, ("s", unit))
+            pictures.append(experiments.ReportPicture(svg))
+    about = (
+        f"Time 0 is the contact. Fz in still air is {press.tare[2]:+.1f} N.",
+        "In contact Fz rises, z of the hand falls, and v of the markers falls, towards the hand.",
     )
-    return report_page(Report(f"{name} as the mapping reads it", (about,), sections, ""))
+    gallery = experiments.PictureGallery("First press", tuple(pictures))
+    section = experiments.ReportSection("Contradictions", findings or ("None.",), (gallery,))
+    report = experiments.Report(f"{name} as the mapping reads it", about, (section,), "")
+    return experiments.report_page(report)
 
 
 def _labels(args: argparse.Namespace, dataset: Dataset, screen: VerbOutput) -> int:

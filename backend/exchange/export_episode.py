@@ -82,11 +82,7 @@ class ExportSignals:
     @property
     def cameras(self) -> tuple[str, ...]:
         """Keys of the pictures."""
-        return (
-            (*features.PICTURES.values(), features.SCENE)
-            if self.scene
-            else tuple(features.PICTURES.values())
-        )
+        return (*features.PICTURES.values(), *([features.SCENE] if self.scene else ()))
 
 
 def common_signals(dataset: Dataset, chosen: Iterable[SelectedEpisode]) -> ExportSignals:

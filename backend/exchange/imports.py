@@ -47,22 +47,9 @@ from touchdown.backend.core import (
     TactileFrame,
     write_atomically,
 )
+from touchdown.backend.exchange import features
 from touchdown.backend.exchange.exports import PARTIAL
-from touchdown.backend.exchange.features import (
-    ACTION,
-    COMMANDED,
-    FPS,
-    FT,
-    FT_WINDOW,
-    MARKERS,
-    OFFSET,
-    PICTURES,
-    STATE,
-    TICK_NS,
-    WINDOW,
-    ForeignEpisode,
-    load_foreign,
-)
+from touchdown.backend.exchange.features import ForeignEpisode, load_foreign
 from touchdown.backend.exchange.label_import import note_import
 from touchdown.backend.exchange.manifest import GEOMETRY, Manifest, read_manifest
 from touchdown.backend.exchange.mapped_presses import (
@@ -136,12 +123,12 @@ def mapping_problem(foreign: ForeignEpisode) -> str:
         return "its number is out of range"
     if not foreign.quality.accepted:
         return f"it is no whole press: {foreign.quality.reasons[0]}"
-    needed = {MARKERS: TACTILE_CHANNELS, FT: WRENCH_CHANNELS}
+    needed = {features.MARKERS: TACTILE_CHANNELS, features.FT: WRENCH_CHANNELS}
     lacking = sorted(set(needed) - set(values))
     if lacking:
         return f"it lacks {', '.join(lacking)}"
-    if foreign.fps != FPS:
-        return f"it has {foreign.fps:g} ticks per second, not {FPS}"
+    if foreign.fps != features.FPS:
+        return f"it has {foreign.fps:g} ticks per second, not {features.FPS}"
     for key, width in needed.items():
         if values[key].shape != (SAMPLES_PER_PROBE, width):
             return f"{key} has shape {values[key].shape}, not ({SAMPLES_PER_PROBE}, {width})"
@@ -154,23 +141,21 @@ def mapping_losses(foreign: ForeignEpisode) -> tuple[str, ...]:
     """Return the information that the file lacks, and the assumptions made instead."""
     if foreign.recording is not None:
         return ("Pictures are tracked and not kept.",)
-    losses = []
-    if not _has_signals(foreign.values):
-        losses.append("It has no wrench between the ticks and no poses: nothing is replayed there.")
-    losses.append("It has no marker fields at their own rate, no bench clock and no tare.")
-    return tuple(losses)
+    lost = ("It has no marker fields at their own rate, no bench clock and no tare.",)
+    between = "It has no wrench between the ticks and no poses: nothing is replayed there."
+    return lost if _has_signals(foreign.values) else (between, *lost)
 
 
 def _observation(foreign: ForeignEpisode) -> NDArray[np.float32]:
     """Return (20, 258) of an episode for which ``mapping_problem`` found nothing."""
-    observation = np.concatenate([foreign.values[MARKERS], foreign.values[FT]], axis=1)
-    return np.ascontiguousarray(observation.astype(np.float32))
+    parts = [foreign.values[key] for key in (features.MARKERS, features.FT)]
+    return np.ascontiguousarray(np.concatenate(parts, axis=1).astype(np.float32))
 
 
 def _has_signals(values: Mapping[str, NDArray[Any]]) -> bool:
     shapes = {
-        FT_WINDOW: (SAMPLES_PER_PROBE, WINDOW, WRENCH_CHANNELS),
-        STATE: (SAMPLES_PER_PROBE, 7),
+        features.FT_WINDOW: (SAMPLES_PER_PROBE, features.WINDOW, WRENCH_CHANNELS),
+        features.STATE: (SAMPLES_PER_PROBE, 7),
     }
     # A state may hold other signals behind the pose.
     return all(k in values and values[k][:, : s[1]].shape == s for k, s in shapes.items())
@@ -180,21 +165,24 @@ def _recording(values: Mapping[str, NDArray[Any]], *, commanded: bool) -> Record
     """Return the signals, with times from the contact in integer ns."""
     if not _has_signals(values):
         return None
-    fine_ns = (TICK_NS // WINDOW) * np.arange(1, WINDOW * SAMPLES_PER_PROBE + 1)
-    ticks_s = np.asarray(1e-9 * TICK_NS * np.arange(1, SAMPLES_PER_PROBE + 1), dtype=np.float64)
-    wrench: FloatArray = values[FT_WINDOW].reshape(-1, WRENCH_CHANNELS).astype(np.float64)
-    pose_mm = _position_mm(values[STATE])
-    has_commands = commanded and ACTION in values and values[ACTION].shape == (SAMPLES_PER_PROBE, 7)
+    step_ns, size = features.TICK_NS // features.WINDOW, features.WINDOW * SAMPLES_PER_PROBE
+    fine_ns = step_ns * np.arange(1, size + 1)
+    ticks_s = 1e-9 * features.TICK_NS * np.arange(1, SAMPLES_PER_PROBE + 1, dtype=np.float64)
+    wrench: FloatArray = values[features.FT_WINDOW].reshape(-1, WRENCH_CHANNELS).astype(np.float64)
+    action = values.get(features.ACTION, np.zeros(0)) if commanded else np.zeros(0)
+    command_mm = _position_mm(
+        action if action.shape == (SAMPLES_PER_PROBE, 7) else np.zeros((0, 3))
+    )
     return Recording(
         wrench_t_s=np.asarray(fine_ns * 1e-9, dtype=np.float64),
         wrench=wrench,
         fields=(),
         frames=_frames(values, ticks_s),
         pose_t_s=ticks_s,
-        pose_mm=pose_mm,
+        pose_mm=_position_mm(values[features.STATE]),
         tare=np.zeros(WRENCH_CHANNELS),
-        command_t_s=np.asarray(ticks_s + 1e-9 * TICK_NS) if has_commands else np.zeros(0),
-        command_mm=_position_mm(values[ACTION]) if has_commands else np.zeros((0, 3)),
+        command_t_s=np.asarray(ticks_s + 1e-9 * features.TICK_NS)[: len(command_mm)],
+        command_mm=command_mm,
     )
 
 
@@ -204,20 +192,21 @@ def _position_mm(poses: NDArray[Any]) -> FloatArray:
 
 def _frames(values: Mapping[str, NDArray[Any]], ticks_s: FloatArray) -> tuple[TactileFrame, ...]:
     shape = (SAMPLES_PER_PROBE, *FRAME_SHAPE)
-    fingers = [f for f in FINGERS if PICTURES[f] in values and values[PICTURES[f]].shape == shape]
+    films = {finger: values.get(features.PICTURES[finger], np.zeros(0)) for finger in FINGERS}
     return tuple(
-        TactileFrame(finger, k, float(t_s),
-                     np.ascontiguousarray(values[PICTURES[finger]][k, :, :, ::-1], dtype=np.uint8))
+        TactileFrame(finger, k, float(t_s), np.ascontiguousarray(film[k, :, :, ::-1], np.uint8))
         for k, t_s in enumerate(ticks_s)
-        for finger in fingers
+        for finger, film in films.items()
+        if film.shape == shape
     )  # fmt: skip
 
 
 def _label(values: Mapping[str, NDArray[Any]]) -> Label:
     """Return the offset of the file in integer µm; an empty label without one."""
-    if OFFSET not in values or values[OFFSET].reshape(-1).size < 2:
+    offset_mm = values.get(features.OFFSET, np.zeros(0)).reshape(-1)
+    if offset_mm.size < 2:
         return NO_LABEL
-    x_mm, y_mm = values[OFFSET].reshape(-1)[:2].astype(np.float64).tolist()
+    x_mm, y_mm = offset_mm[:2].astype(np.float64).tolist()
     if not (abs(x_mm) < MAX_OFFSET_MM and abs(y_mm) < MAX_OFFSET_MM):
         return NO_LABEL
     return Label(round(x_mm * 1e3), round(y_mm * 1e3))
@@ -277,7 +266,7 @@ class EpisodeImport:
         spec = (self._manifest or {}).get("feature_spec")
         self.backup: Path | None = None
         """The catalogue as it was before ``write``; None until then, or of an empty dataset."""
-        self._commanded = isinstance(spec, Mapping) and spec.get("action") == COMMANDED
+        self._commanded = isinstance(spec, Mapping) and spec.get("action") == features.COMMANDED
         known = dataset.database.rows("SELECT uuid FROM episode")
         self._known = {uuid for (uuid,) in known}
         self._geometry = "" if self._named else self._own_pair()

@@ -251,11 +251,11 @@ def _value(content: Any, where: str) -> NDArray[Any]:
     if content.encoding not in DEPTHS:
         fix = f"Convert it to one of: {', '.join(DEPTHS)}."
         raise InputError(f"Its pictures are in '{content.encoding}'.", where, fix)
-    shape = (content.height, content.width, DEPTHS[content.encoding])
+    depth = DEPTHS[content.encoding]
     raw = np.frombuffer(content.data, np.uint8).reshape(content.height, content.step)
-    picture = raw[:, : shape[1] * shape[2]].reshape(shape)
-    picture = picture[..., ::-1] if content.encoding == "rgb8" else picture
-    return np.ascontiguousarray(np.broadcast_to(picture, (*shape[:2], 3)))
+    picture = raw[:, : content.width * depth].reshape(content.height, content.width, depth)
+    colours = np.broadcast_to(picture, (content.height, content.width, 3))
+    return np.ascontiguousarray(colours[..., ::-1] if content.encoding == "rgb8" else colours)
 
 
 def _numbers(value: Any) -> Iterator[float]:

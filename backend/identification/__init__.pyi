@@ -4,7 +4,6 @@ from .estimates import REST as REST
 from .estimates import Estimate as Estimate
 from .estimates import identifiable as identifiable
 from .identify import Identification as Identification
-from .identify import bench_file as bench_file
 from .identify import identify_bench as identify_bench
 from .identify import write_identification as write_identification
 from .recordings import Recordings as Recordings

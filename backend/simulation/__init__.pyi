@@ -33,13 +33,11 @@ from .ground_truth import SceneTruth as SceneTruth
 from .ground_truth import judge_release as judge_release
 from .ground_truth import release_kick_mm as release_kick_mm
 from .ground_truth import touched_margins_mm as touched_margins_mm
-from .ground_truth import tower_with_piece as tower_with_piece
 from .ground_truth import true_com_xy_mm as true_com_xy_mm
 from .ground_truth import true_margin_mm as true_margin_mm
 from .marker_fields import build_gel as build_gel
 from .marker_fields import gel_from_settings as gel_from_settings
 from .mechanics import GraspHistory as GraspHistory
-from .mechanics import Region as Region
 from .mechanics import advance_probes as advance_probes
 from .mechanics import begin_probes as begin_probes
 from .release_mujoco import import_mujoco as import_mujoco

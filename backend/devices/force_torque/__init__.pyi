@@ -13,7 +13,6 @@ from .driver import open_link as open_link
 from .driver import pause as pause
 from .reader import LATE_S as LATE_S
 from .reader import ForceTorqueReader as ForceTorqueReader
-from .reader import implausible_text as implausible_text
 from .reader import overload_fault as overload_fault
 from .reader import range_text as range_text
 from .reader import require_plausible as require_plausible

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
 import av
-import cv2
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -142,13 +142,19 @@ def test_the_command_draws_refuses_and_imports(tmp_path, capsys):
              "--piece", "pot", "--bottom", "square15", "--map"]  # fmt: skip
     bad = tmp_path / "bad.toml"
     bad.write_text(MAP.read_text("utf-8").replace("environment", "tool"), "utf-8")
-    picture = tmp_path / "out.png"
-    assert main([*words, str(bad), "--preview", str(picture)]) == 1
+    page = tmp_path / "out.html"
+    assert main([*words, str(bad), "--preview", str(page)]) == 1
     assert "sign ('acts_on') or frame ('axes') of 'wrench'" in capsys.readouterr().out
-    refused = cv2.imread(str(picture))
-    assert main([*words, str(MAP), "--preview", str(picture)]) == 0
-    assert refused.shape == (900, 1200, 3)
-    assert (cv2.imread(str(picture)) != refused).any()
+    assert "Fz falls by 7.5 N while the arm goes down" in page.read_text("utf-8")
+    assert main([*words, str(MAP), "--preview", str(page)]) == 0
+    drawn = page.read_text("utf-8")
+    assert "<p>None.</p>" in drawn
+    for title, ends in (
+        ("Force", r"8\.2 N"),
+        ("Hand from contact", "0\\.59 mm"),
+        ("Markers, left", "px"),
+    ):
+        assert re.search(f'aria-label="{title}".*?{ends}</text></svg>', drawn), title
     with Dataset.open(tmp_path / "ds", write=False) as dataset:
         (entry,) = dataset.episodes()
         label = dataset.labels.head(entry.uuid).label

@@ -1,4 +1,4 @@
-"""Exports: selection, manifest, and incomplete exports."""
+"""Exports: selection, manifest, incomplete exports, and readers of other projects."""
 
 from __future__ import annotations
 
@@ -6,6 +6,9 @@ import csv
 import errno
 import hashlib
 import json
+import os
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -304,25 +307,20 @@ def test_packed_episodes_have_what_the_model_is_given(tmp_path, hand):
         pass
     write_pack(folder / "packs" / "a.mcap")
     with Dataset.open(folder) as dataset:
-        done = hand("robomimic", "packed-out", of=dataset)
+        done = hand("lerobot", "packed-out", of=dataset)
         assert done.episodes == 4
         assert "no recorded signals" in done.warnings[1]
         with Dataset.open(tmp_path / "back") as back:
-            EpisodeImport(back, "robomimic", done.folder, ImportOptions("dora")).write()
+            EpisodeImport(back, "lerobot", done.folder, ImportOptions("dora")).write()
             mine = {back.read(e.uuid).observation.tobytes() for e in back.episodes()}
-            again = hand("robomimic", "packed-again", of=back)
+            again = hand("lerobot", "packed-again", of=back)
             first, second = (
                 [row["split"] for row in manifest_of(one.folder)["episodes"]]
                 for one in (done, again)
             )
             assert first == second
-            with (
-                h5py.File(done.folder / "demos.hdf5") as a,
-                h5py.File(again.folder / "demos.hdf5") as b,
-            ):
-                for name in a["data"]:
-                    obs = f"data/{name}/obs/markers"
-                    assert a[obs][()].tobytes() == b[obs][()].tobytes()
+            table, same = (one.folder / "data/chunk-000/file-000.parquet" for one in (done, again))
+            assert table.read_bytes() == same.read_bytes()
     from touchdown.backend.episodes.packs import read_pack
 
     packed = {row.observation.tobytes() for row in read_pack(folder / "packs" / "a.mcap")}
@@ -402,3 +400,30 @@ def test_with_room_it_is_a_file_like_any_other(tmp_path):
     with h5py.File(tmp_path / "a.hdf5") as file:
         assert len(file) == len(VALUES)
         np.testing.assert_array_equal(file["demo_7/obs"][...], VALUES[7])
+
+
+ROOT = Path(__file__).resolve().parents[3]
+READERS = Path(os.environ.get("READERS") or ROOT / ".venv-readers") / "bin" / "python"
+CHECKS = ROOT / ".ci" / "exchange_check"
+
+
+@pytest.mark.optional
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+@pytest.mark.skipif(not READERS.exists(), reason="no readers: 'make exchange-check' has them")
+def test_real_readers_find_every_number(dataset, hand, tmp_path):
+    for kind in ("robomimic", "zarr", "replay-buffer", "coco", "ros2"):
+        hand(kind, f"exports/{kind}")
+    hand("lerobot", "exports/lerobot", video="sample")
+    dataset.close()
+    truth = tmp_path / "truth.npz"
+    environment = {**os.environ, "HF_HOME": str(tmp_path / "hf"), "PYTHONPATH": str(ROOT)}
+    subprocess.run(
+        [sys.executable, CHECKS / "truth.py", tmp_path / "data", truth], check=True, env=environment
+    )
+    found = subprocess.run(
+        [READERS, CHECKS / "readers.py", tmp_path / "exports", truth],
+        env=environment, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert found.returncode == 0, found.stdout + found.stderr[-3000:]
+    assert found.stdout.count(" ok ") == 8

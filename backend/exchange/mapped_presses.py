@@ -142,8 +142,7 @@ def measure_press(press: ForeignEpisode) -> dict[str, FloatArray]:
 
 
 MOST_N, MOST_MM, LEAST_MM, MOST_PX, LEAST_PX = 300.0, 30.0, 0.02, 120.0, 0.5
-MOST_LEVER_M, LEAST_LEVER_M = 0.5, 1e-4
-MOST_LAG_S = 0.08
+MOST_LEVER_M, LEAST_LEVER_M, MOST_LAG_S = 0.5, 1e-4, 0.08
 TURN_RAD, TURN_NM = 2e-3, 0.02  # smaller ones do not count
 
 
@@ -154,8 +153,8 @@ def contradictions(presses: Sequence[Mapping[str, FloatArray]], mapping: ImportM
     ``presses``: changes of ``measure_press``.
     """
     if not presses:
-        return ["No press was found: no force changes by 1 N for half a second. Check 'source' and "
-                "'force_unit' of 'wrench'."]  # fmt: skip
+        return ["No press was found: no force changes by 1 N for half a second. Check 'source', "
+                "'stamp' and 'force_unit' of 'wrench'."]  # fmt: skip
     whole = [one for one in presses if all(np.isfinite(value).all() for value in one.values())]
     middle = {name: np.median([one[name] for one in whole or presses[:1]], axis=0)
               for name in presses[0]}  # fmt: skip

@@ -181,8 +181,8 @@ def map_signals(mapping: ImportMapping, samples: Mapping[str, Samples]) -> dict[
             values[f"{name}.state"] = np.array([field.state for field in fields])
             continue
         both = sorted(_checked(source, samples[name], dimensions=1), key=lambda one: one[0])
-        if not both:
-            what = f"There are no messages or rows of '{source.source}'."
+        if len(both) < 2:
+            what = f"There are {len(both)} messages or rows of '{source.source}'."
             raise InputError(what, source.source, "Correct 'source' in the mapping.")
         values[f"{name}.t_s"] = np.array([1e-9 * stamp_ns for stamp_ns, _ in both])
         values[name] = source.converted([row for _, row in both])

@@ -124,7 +124,7 @@ def test_markers_turn_like_the_picture_they_are_in(turn_deg, mirror):
         ('unit = "m"', 'unit = "inch"', "pose.unit"),
         ("payload_kg", "payload_g", "payload_g"),
         ('"-y", "-z"]', '"y", "-z"]', "right-handed"),
-        ("/tool_pose", "/tool", "There are no messages or rows of '/tool'"),
+        ("/tool_pose", "/tool", "There are 0 messages or rows of '/tool'"),
         ('source = "/tool_pose"', 'source = "/tool_pose"\nfirst = 6', "has 7 numbers"),
         ('kind = "positions"', 'kind = "images"', "It has numbers only"),
     ],

@@ -30,6 +30,7 @@ from touchdown.app.application import TouchdownApp
 from touchdown.app.shell import count_noun
 from touchdown.app.shell.errors import ErrorBox
 from touchdown.backend.annotations import AnswerContext, Dataset, EpisodeContext, Label
+from touchdown.backend.core import PhaseEntered, RunFinished, RunStarted
 from touchdown.backend.core.values import Outcome, PlaceAction
 from touchdown.backend.geometry.pieces import load_pieces
 from touchdown.backend.runs.requests import RunState
@@ -247,10 +248,14 @@ class Stage:
         collect.label.be("Ann")
         self.settle()
         yield "collect"
-        self.bench.set_state(RunState.RUNNING, trial=3, trials=20, probe=3, phase="press")
+        bench = self.bench
+        bench.events.publish(RunStarted(bench.clock_s(), "run", "pot", "circle15", "collect", 0, 20,
+                                        True, "{}", activity="collect"))  # fmt: skip
+        bench.set_state(RunState.RUNNING, trial=3, trials=20, probe=3, phase="press")
         self.live(1.0)
         yield "collect-running"
-        self.bench.set_state(RunState.IDLE, trial=0, trials=0, probe=0, phase="")
+        bench.events.publish(RunFinished(bench.clock_s(), "run", "cancelled", ""))
+        bench.set_state(RunState.IDLE, trial=0, trials=0, probe=0, phase="")
         collect.page.show_half("label")
         self.settle()
         yield "label"
@@ -269,6 +274,7 @@ class Stage:
         yield "stack-ready"
         bench.tell_start()
         bench.set_state(RunState.RUNNING, trial=1, trials=3, probe=1, phase="press")
+        bench.events.publish(PhaseEntered(bench.clock_s(), "press", 1))
         self.live(1.0)
         yield "stack-first-press"
         bench.tell_probe(1, (7.2, 3.1), -2.1)
@@ -278,13 +284,14 @@ class Stage:
         yield "stack-your-turn"
         bench.tell_probe(3, (2.1, 0.9), 1.6)
         bench.tell_end()
-        bench.set_state(RunState.IDLE, awaiting=None, trial=0, probe=0, phase="")
+        bench.set_state(RunState.RUNNING, awaiting=None, phase="rise")
         self.live(0.0)
         yield "stack-placed"
         bench.tell_trial(2)
         bench.tell_probe(1, (6.0, -3.0), 0.5)
         bench.tell_end(Outcome.FELL, -0.8)
         bench.tell_finish()
+        bench.set_state(RunState.IDLE, trial=0, probe=0, phase="")
         yield "stack-fell"
         main.actions.action("stack.compare").trigger()
         yield "stack-comparison"

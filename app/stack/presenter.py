@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
+import math
 from typing import cast
 
 from touchdown.app import shell
 from touchdown.app.stack.comparison import strategy_by_name
 from touchdown.app.stack.page import StackPage
 from touchdown.backend.bench import Session
-from touchdown.backend.core import Event, InputError, Outcome, RefusedError, TrialFinished
+from touchdown.backend.core import (
+    Event,
+    InputError,
+    Outcome,
+    PlaceAction,
+    RefusedError,
+    TrialFinished,
+)
 from touchdown.backend.geometry import LEAST_WEIGHED_G
 from touchdown.backend.learning import gel_mismatches
 from touchdown.backend.runs import (
@@ -189,13 +197,11 @@ class StackPresenter:
         self._page.add_piece.setVisible(not active)
 
     def _draw_question(self, status: RunStatus) -> None:
-        asking, button = "", "Approve  A"
+        asking, button = "", ""
         self._page.decision.keep_room(self._page.run.form().mode != "auto")
         if status.awaiting is not None and self._has_heard(status):
-            kind = status.awaiting.kind
-            asking = {"release": "Release here?", "shift": "Take this step?"}.get(kind, "Go on?")
-            if self._page.run.form().mode == "step":
-                button = "Next step  N"
+            asking, act = question_text(status.awaiting)
+            button = f"{act}  {'N' if self._page.run.form().mode == 'step' else 'A'}"
         if asking != self._asking:
             self._asking = asking
             self._page.decision.show_question(asking, button)
@@ -231,8 +237,8 @@ class StackPresenter:
             text = DecisionText(title, "", "", follows)
         elif trial is not None:
             pressed = trial.phase in PRESSING
-            follows = "The estimate follows the press." if pressed else "A press follows."
-            text = DecisionText("Probing", "", "", follows)
+            text = (DecisionText("Pressing", "", "", "The estimate follows the press.") if pressed
+                    else DecisionText("Probing", "", "", "The press comes next."))  # fmt: skip
         else:
             return
         self._page.decision.show_text(text)
@@ -325,8 +331,25 @@ class StackPresenter:
                 probes = shell.count_noun(done.probes, "probe")
                 last = f"Seed {done.seed}: {OUTCOME_WORDS[done.outcome]} after {probes}."
                 break
-        planned = head.trials if head is not None else 0
+        planned, done = head.trials if head is not None else 0, len(self.story.outcomes)
+        if planned > done and self.story.ended is not None:
+            ended = f"The run ended after {done} of {planned} trials. Start begins a new run."
+            last = f"{last} {ended}".lstrip()
+        elif planned > done == len(self.story.trials) > 0:
+            last += f" Trial {done + 1} of {planned} follows."
         self._page.score.show_score(shell.run_score(self.story.trials, planned, last))
+
+
+def question_text(action: PlaceAction) -> tuple[str, str]:
+    """Return the question before a step that waits for approval, and the label of its button."""
+    if action.kind == "release":
+        return "Press once more and release here?", "Release"
+    if action.kind != "shift":
+        return "Go on probing?", "Go on"
+    x_mm, y_mm = action.step_mm
+    degrees = math.degrees(math.atan2(y_mm, x_mm)) % 360.0
+    how = f"{math.hypot(x_mm, y_mm):.1f} mm towards {degrees:.0f}\N{DEGREE SIGN}"
+    return f"Move {how} and probe again?", "Move and probe"
 
 
 def stack_request(form: RunForm) -> StackRequest:

@@ -76,6 +76,8 @@ class StackWorkspace(shell.Workspace):
                                 lambda: self.page.decision.approve.clicked.emit()),
             shell.WindowCommand("approve", "Approve the move that waits", "A",
                                 lambda: self.page.decision.approve.clicked.emit()),
+            shell.WindowCommand("decline", "Decline the step that waits: the trial ends", "D",
+                                lambda: self.page.decision.decline.clicked.emit()),
             shell.WindowCommand("pause", "Pause or resume", "P",
                                 lambda: self.page.run.pause.clicked.emit()),
             shell.WindowCommand("compare", "Compare the strategies on the same seed", "Ctrl+D",

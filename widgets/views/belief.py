@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from PySide6.QtCore import QMarginsF, QPointF, QRectF, QSize, Qt
@@ -77,7 +78,12 @@ class BeliefLegend(QWidget):
         for kind, text, x, row in self._places():
             y = row * line
             painter.setPen(QPen(self._theme.tokens.colour("text"), 1.6))
-            _mark(painter, kind, QPointF(x + 9, y + line / 2))
+            at = QPointF(x + 9, y + line / 2)
+            if kind in OUTLINES:
+                ends = at - QPointF(9, 0), at + QPointF(9, 0)
+                _stroke(painter, kind, partial(painter.drawLine, *ends))
+            else:
+                _mark(painter, kind, at)
             painter.setPen(self._theme.tokens.colour("muted"))
             box = QRectF(x + 22, y, self.width(), line)
             painter.drawText(box, int(Qt.AlignmentFlag.AlignVCenter), text)
@@ -105,15 +111,10 @@ def _mark(painter: QPainter, kind: str, at: QPointF) -> None:
         pen.setStyle(Qt.PenStyle.SolidLine if kind == "ring" else Qt.PenStyle.DotLine)
         painter.setPen(pen)
         painter.drawEllipse(at, 5, 5)
-    elif kind == "arrow":
+    else:
         painter.drawLine(left, right)
         painter.drawLine(right, right + QPointF(-5, -4))
         painter.drawLine(right, right + QPointF(-5, 4))
-    else:
-        styles = {"dots": Qt.PenStyle.DotLine, "dashes": Qt.PenStyle.DashLine}
-        pen.setStyle(styles.get(kind, Qt.PenStyle.SolidLine))
-        painter.setPen(pen)
-        painter.drawLine(left, right)
 
 
 LEAST_HALF_MM = 10.0
@@ -167,12 +168,11 @@ def draw_marks(
     """Draw all marks; ``small`` omits those too fine for a thumbnail."""
     painter.setBrush(Qt.BrushStyle.NoBrush)
     if scene.face is not None and scene.path and not small:
-        _outline(painter, area, scene.face + scene.path[-1], Qt.PenStyle.DotLine, 1.0)
+        _outline(painter, area, scene.face + scene.path[-1], "dots")
     if scene.truth is not None:
-        _outline(painter, area, scene.truth, Qt.PenStyle.DashLine, 1.6)
+        _outline(painter, area, scene.truth, "dashes")
     if scene.stability is not None and len(scene.stability.hull_mm):
-        width = 1.4 if small else 2.0
-        _outline(painter, area, scene.stability.hull_mm, Qt.PenStyle.SolidLine, width)
+        _outline(painter, area, scene.stability.hull_mm, "line", 1.4 if small else None)
     if not small:
         _path(painter, area, scene, theme)
     if scene.stability is not None:
@@ -188,11 +188,21 @@ def draw_marks(
             draw_plus(painter, area.place(*centre), 4 if small else 8)
 
 
-def stroke_on_black(painter: QPainter, width: float, style: Qt.PenStyle, draw: Draw) -> None:
-    """Stroke twice: black two pixels wider below, white above."""
-    for colour, extra in ((BLACK, 2.0), (WHITE, 0.0)):
-        pen = QPen(colour, width + extra)
-        if style is not Qt.PenStyle.SolidLine and colour is WHITE:
+# Width, style and colour of the outlines on a map.
+OUTLINES = {
+    "line": (2.0, Qt.PenStyle.SolidLine, WHITE),
+    "dots": (1.0, Qt.PenStyle.DotLine, WHITE),
+    "dashes": (2.0, Qt.PenStyle.DashLine, QColor("#FF8AE2")),
+}
+
+
+def stroke_on_black(
+    painter: QPainter, width: float, style: Qt.PenStyle, draw: Draw, colour: QColor = WHITE
+) -> None:
+    """Stroke twice: black two pixels wider below, ``colour`` above."""
+    for ink, extra in ((BLACK, 2.0), (colour, 0.0)):
+        pen = QPen(ink, width + extra)
+        if style is not Qt.PenStyle.SolidLine and not extra:
             pen.setStyle(style)
         pen.setJoinStyle(Qt.PenJoinStyle.RoundJoin)
         painter.setPen(pen)
@@ -210,10 +220,15 @@ def draw_plus(painter: QPainter, at: QPointF, size: float) -> None:
 
 
 def _outline(
-    painter: QPainter, area: PlotArea, points: FloatArray, style: Qt.PenStyle, width: float
+    painter: QPainter, area: PlotArea, points: FloatArray, kind: str, width: float | None = None
 ) -> None:
     placed = area.points(*points.T)
-    stroke_on_black(painter, width, style, lambda: draw_rings(painter, placed))
+    _stroke(painter, kind, lambda: draw_rings(painter, placed), width)
+
+
+def _stroke(painter: QPainter, kind: str, draw: Draw, width: float | None = None) -> None:
+    usual, style, colour = OUTLINES[kind]
+    stroke_on_black(painter, width or usual, style, draw, colour)
 
 
 def _path(painter: QPainter, area: PlotArea, scene: BeliefScene, theme: Theme) -> None:

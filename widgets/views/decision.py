@@ -112,6 +112,7 @@ class TrialPanel(Panel):
 
 
 ESTIMATED_MARGIN, TRUE_MARGIN = "estimated margin", "true margin"
+DECLINING = "Decline ends the trial; the piece stays in the gripper."
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,9 +148,9 @@ def decision_text(stability: Stability | None, action: PlaceAction | None) -> De
     if stability.support is SupportKind.NO_ESTIMATE or math.isnan(stability.margin_mm):
         result, tone = "? No estimate", ""
     elif stability.stable:
-        result, tone = "\N{CHECK MARK} Would stand", "good"
+        result, tone = "\N{CHECK MARK} Would stand here", "good"
     else:
-        result, tone = "\N{MULTIPLICATION X} Would fall", "bad"
+        result, tone = "\N{MULTIPLICATION X} Would fall here", "bad"
     reason = action.reason if action is not None else ""
     return DecisionText(result, tone, signed_mm(stability.margin_mm), reason)
 
@@ -169,9 +170,9 @@ class DecisionPanel(QFrame):
         self._text.setMinimumHeight(2 * self.fontMetrics().lineSpacing() + 4)
         self.approve = QPushButton("Approve  A")
         self.approve.setProperty("role", "primary")
-        self.approve.setToolTip("Make this move (A; N in step mode)")
-        self.decline = QPushButton("Decline")
-        self.decline.setToolTip("Do not move: the trial ends, the grip is kept")
+        self.approve.setToolTip("Approve this step (A; N in step mode)")
+        self.decline = QPushButton("Decline  D")
+        self.decline.setToolTip(DECLINING)
         self._asking = QWidget()
         self._arrange()
         self.show_text(NO_DECISION)
@@ -182,8 +183,8 @@ class DecisionPanel(QFrame):
         top.addWidget(self._caption, 0, Qt.AlignmentFlag.AlignBottom)
         top.addWidget(self._margin)
         self._ask_text = label("", "title", wrap=True)
-        hbox((self._ask_text, 1), self.decline, self.approve, parent=self._asking,
-             margins=(0, 0, 0, 0))  # fmt: skip
+        answers = hbox((label(DECLINING, "small", wrap=True), 1), self.decline, self.approve)
+        vbox(self._ask_text, answers, parent=self._asking, margins=(0, 0, 0, 0), spacing=2)
         vbox(top, self._text, self._asking, parent=self, margins=(12, 8, 12, 8), spacing=4)
 
     def show_text(self, text: DecisionText) -> None:

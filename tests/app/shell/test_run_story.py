@@ -1,5 +1,7 @@
 """The Stack workspace shows what the facts say, and orders what the operator asks."""
 
+from dataclasses import replace
+
 import pytest
 from PySide6.QtCore import Qt
 from PySide6.QtTest import QTest
@@ -8,8 +10,8 @@ from PySide6.QtWidgets import QPushButton
 from tests.app.conftest import settle
 from tests.app.stand_in import action
 from touchdown.app.shell.settings import load_settings
-from touchdown.app.stack.presenter import stack_request
-from touchdown.backend.core import Outcome, PhaseEntered, PieceWeighed, TrialFinished
+from touchdown.app.stack.presenter import question_text, stack_request
+from touchdown.backend.core import Outcome, PhaseEntered, PieceWeighed, PlaceAction, TrialFinished
 from touchdown.backend.runs.requests import RunState, StackRequest
 from touchdown.widgets.forms.run_form import RunForm
 from touchdown.widgets.views.belief import NO_PROBE
@@ -143,9 +145,10 @@ def test_a_trial_stopped_in_its_first_press_tells_one_story(live, bench, page):
     bench.tell_start()
     bench.events.publish(PhaseEntered(bench.clock_s(), "approach", 1))
     settle(live)
-    assert page.decision._text.text() == "A press follows."
+    assert page.decision._text.text() == "The press comes next."
     bench.events.publish(PhaseEntered(bench.clock_s(), "press", 1))
     settle(live)
+    assert page.decision._result.text() == "Pressing"
     assert page.decision._text.text() == "The estimate follows the press."
     assert page.belief.scene.empty == NO_PROBE
     done = TrialFinished(
@@ -154,7 +157,12 @@ def test_a_trial_stopped_in_its_first_press_tells_one_story(live, bench, page):
     bench.events.publish(done)
     settle(live)
     assert page.belief.scene.empty[0] == "No probe in this trial"
-    assert page.score._last.text() == "Seed 7: aborted after 0 probes."
+    assert page.score._last.text() == "Seed 7: aborted after 0 probes. Trial 2 of 3 follows."
+    bench.tell_finish()
+    settle(live)
+    assert page.score._last.text().endswith(
+        "The run ended after 1 of 3 trials. Start begins a new run."
+    )
     assert page.score.detail.text() == "1 of 3, 1 aborted"
     assert page.score._count.text() == "0 of 1 placed"
 
@@ -180,7 +188,7 @@ def test_an_outcome_stays_until_the_next_trial_has_a_map(live, bench, page):
     settle(live)
     assert page.belief.scene.truth is None
     assert page.belief.scene.path == ((5.0, 1.0),)
-    assert page.decision._result.text().endswith("Would fall")
+    assert page.decision._result.text().endswith("Would fall here")
     assert page.decision._caption.text() == "estimated margin"
 
 
@@ -208,11 +216,22 @@ def test_approval_is_asked_and_given_by_key(live, bench, key, mode, page):
     stood = page.belief_panel.geometry()
     bench.set_state(RunState.RUNNING, awaiting=action((4.4, 1.9), -1.1))
     settle(live)
-    assert page.decision.approve.isVisible()
+    assert page.decision.approve.text() == f"Move and probe  {'A' if mode == 'approve' else 'N'}"
+    assert (
+        page.decision._ask_text.text() == "Move 3.0 mm towards 203\N{DEGREE SIGN} and probe again?"
+    )
     assert page.belief_panel.geometry() == stood
     assert live.bar.pill.state.word == "YOUR TURN"
     QTest.keyClick(live.window, key)
     assert bench.answers == [True]
+    QTest.keyClick(live.window, Qt.Key.Key_D)
+    assert bench.answers == [True, False]
+
+
+def test_the_question_names_the_act():
+    release = PlaceAction("release", (0.0, 0.0), None, False, "")
+    assert question_text(release) == ("Press once more and release here?", "Release")
+    assert question_text(replace(release, kind="ask")) == ("Go on probing?", "Go on")
 
 
 @pytest.mark.promise("W15")

@@ -113,7 +113,6 @@ def by_hand(stage: Stage) -> Iterator[str]:
     """Jog pads with their ranges: hold, step, and keys."""
     main, page = stage.main, stage.main.workspaces["operate"].page
     main.go("operate")
-    stage.bench.hand = Hand()
     page.jog.show_turning("")
     stage.live(0.0)
     yield "operate-jog"
@@ -127,7 +126,6 @@ def by_hand(stage: Stage) -> Iterator[str]:
     yield "operate-turn"
     page.jog.turn.click()
     page.jog.pace.steps[0].setChecked(True)
-    stage.bench.hand = None
     stage.live(0.0)
 
 

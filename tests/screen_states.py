@@ -63,7 +63,7 @@ def of_the_pill(stage: Stage) -> Iterator[str]:
     bench.interlock.recovering = True
     stage.live(0.8)
     yield "state-recovery"
-    bench.interlock.recovering, bench.hand = False, None
+    bench.interlock.recovering, bench.hand = False, Hand()
     bench.still_s = 4.0
     stage.live(0.0)
     yield "state-still"

@@ -228,6 +228,7 @@ class Stage:
 
     def _operate(self) -> Iterator[str]:
         main, page = self.main, self.main.workspaces["operate"].page
+        self.bench.hand = screen_panels.Hand()
         main.go("operate")
         self.live(0.0)
         yield "operate-air"

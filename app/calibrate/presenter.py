@@ -10,9 +10,9 @@ from datetime import UTC, datetime
 
 from PySide6.QtWidgets import QWidget
 
+from touchdown.app import shell
 from touchdown.app.calibrate.identify import IdentifySheet
 from touchdown.app.calibrate.sheet import CalibrateSheet, CalibrationView, PlaceForm
-from touchdown.app.shell import arm_position_mm, carry_out, is_run_active, start_obstacle
 from touchdown.backend.bench import Session
 from touchdown.backend.calibration import (
     MEASUREMENT_NAMES,
@@ -153,7 +153,7 @@ class CalibratePresenter:
         if self.sheet is None:
             return
         request = self.sheet.form.request(self._chosen)
-        if carry_out(lambda: self._bench.start(request), self._cards, "CALIBRATE"):
+        if shell.carry_out(lambda: self._bench.start(request), self._cards, "CALIBRATE"):
             self._measured.pop(self._chosen, None)
             self._said.pop(self._chosen, None)
             self.draw(at_once=True)
@@ -169,7 +169,7 @@ class CalibratePresenter:
             self._said[self._chosen] = f"Accepted: {path.name}{AFTER.get(self._chosen, '')}"
             self._read_standings()
 
-        if carry_out(accept, self._cards, "CALIBRATE"):
+        if shell.carry_out(accept, self._cards, "CALIBRATE"):
             self.draw(at_once=True)
 
     def _identify(self) -> None:
@@ -190,8 +190,16 @@ class CalibratePresenter:
             self._standings = {what: store.status(what, names) for what in MEASUREMENT_NAMES}
 
     def _look(self) -> CalibrationView:
-        what, active, mine = self._chosen, is_run_active(self._bench), self._running == self._chosen
-        why = NO_STORE if self._bench.calibrations is None else start_obstacle(self._bench)
+        what, active = self._chosen, shell.is_run_active(self._bench)
+        mine = self._running == what
+        why = NO_STORE if self._bench.calibrations is None else shell.start_obstacle(self._bench)
+        gripper, said = shell.gripper_of(self._bench), self._said.get(what, "")
+        if gripper is not None and gripper.status().holding and not active:
+            # Simulated and emulated benches set a new scene for each run.
+            if self._bench.connection is not None:
+                why = why or "The gripper holds a piece: put it away, then open the gripper"
+            else:
+                said = said or "The gripper holds a piece: Measure first puts it back in its jig."
         return CalibrationView(
             rows=tuple(self._row(each) for each in MEASUREMENT_NAMES),
             what=what,
@@ -199,7 +207,7 @@ class CalibratePresenter:
             progress=self._progress if mine else None,
             live=self._live(),
             empty=self._empty(what),
-            said=self._said.get(what, ""),
+            said=said,
             busy=active,
             why="A run is going on" if active else why,
             history=self._history if what == "day" else (),
@@ -242,7 +250,7 @@ class CalibratePresenter:
         force, moment = window.values[:, :3].mean(axis=0), window.values[:, 3:].mean(axis=0)
         text = "F " + "  ".join(f"{v:+z.2f}" for v in force) + " N     T "
         text += "  ".join(f"{v:+z.3f}" for v in moment) + " N\N{MIDDLE DOT}m"
-        at = arm_position_mm(self._bench, 1.0)
+        at = shell.arm_position_mm(self._bench, 1.0)
         if at is not None:
             text += "     hand at " + "  ".join(f"{v:z.1f}" for v in at) + " mm"
         return true_minus(text)

@@ -182,7 +182,7 @@ class CalibrateSheet(BenchSheet):
         self.live = label("", "muted")
         self.fingers: dict[Finger, TactileView] = {f: TactileView(theme, f) for f in FINGERS}
         self.progress = QProgressBar()
-        self.plot = CurvePlot(theme, "Share of the limit, by check")
+        self.plot = CurvePlot(theme, "Residuals")
         self.table = FigureTable(theme, "Values", ("quantity", "value", "limits"))
         self.figure, self.note = label("", "title", wrap=True), label("", wrap=True)
         self.question = QuestionRow()
@@ -203,7 +203,7 @@ class CalibrateSheet(BenchSheet):
             self.conditions[index].setText(words)
             set_property(self.conditions[index], "tone", tone)
         self.choices[MEASUREMENT_NAMES.index(look.what)].setChecked(True)
-        self.title.setText(CALIBRATION_KINDS[look.what].title)
+        self.title.setText(f"Calibrate: {CALIBRATION_KINDS[look.what].title}")
         now = 1 if look.progress is not None else 0 if look.found is None else 2
         for index, (step, text) in enumerate(zip(self.steps, STEPS[look.what], strict=True)):
             step.setText(f"{index + 1}  {text}")
@@ -217,7 +217,7 @@ class CalibrateSheet(BenchSheet):
         self.progress.setMaximum(max(progress.total, 1))
         self.progress.setValue(progress.done)
         self.progress.setFormat(progress.text)
-        parts = attrgetter("what", "found", "empty", "said", "history")
+        parts = attrgetter("what", "found", "empty", "said", "why", "history")
         if before is None or parts(before) != parts(look):
             self._show_result(look)
         self._show_buttons(look)
@@ -241,6 +241,7 @@ class CalibrateSheet(BenchSheet):
             values = zip(found.names, found.values, found.sigmas, found.units, strict=True)
             rows = [(quantity_name(value[0]), format_value(*value)) for value in values]
             lines, count = residual_lines(found), len(found.residuals)
+        self.plot.name = "Share of the limit, by check" if look.what == "day" else "Residuals"
         self.plot.empty = look.empty
         self.plot.show_lines(lines, count)
         self.table.setVisible(bool(rows))
@@ -249,7 +250,7 @@ class CalibrateSheet(BenchSheet):
         self.table.setFixedHeight(self.table.sizeHint().height())
         self.figure.setText(figure)
         set_property(self.figure, "tone", tone)
-        self.note.setText(said)
+        self.note.setText(said or (f"{look.why}." if look.why and not look.busy else ""))
         set_property(self.note, "tone", "bad" if found is not None and found.obstacle else "")
 
     def _show_buttons(self, look: CalibrationView) -> None:

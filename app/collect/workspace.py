@@ -57,11 +57,6 @@ def join_half_commands(
 COLLECT, LABEL = "collect", "label"
 OTHER = {COLLECT: LABEL, LABEL: COLLECT}
 TITLES = {COLLECT: "Collect", LABEL: "Label"}
-# Main keys of the label half, which has no buttons for them.
-LABEL_WORDS = (
-    "Enter accepts the label (or approves it, in a review) and goes on, arrows move it, D rejects; "
-    "F1 shows all keys."
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,7 +83,6 @@ class CollectWorkspace(shell.Workspace):
         self.label = LabelWorkspace(context)
         self.live: shell.LivePresenter | None = None
         self._bench: Session | None = None
-        self._told_keys = False
         # Read-only dataset, open while no person is named.
         self._looked_at: Dataset | None = None
         self.label.opened = self._take_dataset
@@ -155,7 +149,6 @@ class CollectWorkspace(shell.Workspace):
     def leave(self) -> None:
         """Save the label in edit; a campaign continues in the background."""
         self.label.leave()
-        self._hush_keys()
 
     def memory(self) -> shell.Memory:
         """Return the settings of both halves to store."""
@@ -227,21 +220,12 @@ class CollectWorkspace(shell.Workspace):
     def _half_came(self, name: str) -> None:
         if name == LABEL:
             self.label.enter()
-            self._context.say(LABEL_WORDS)
-            self._told_keys = True
             return
         self.label.leave()
-        self._hush_keys()
         self.collect_page.setFocus()
         self.label.open()
         self._look()
         self.presenter.probes.restyle()
-
-    def _hush_keys(self) -> None:
-        """Remove the key hint of the label half from the footer."""
-        if self._told_keys:
-            self._told_keys = False
-            self._context.say("")
 
     def _take_person(self) -> None:
         name = self.collect_page.target.person.text()

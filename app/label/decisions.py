@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, cast
 
-from touchdown.app.label.page import LabelPage
+from touchdown.app.label.page import REVIEWING, LabelPage
 from touchdown.app.label.presenter import LabelPresenter
 from touchdown.backend.annotations import REJECT_REASONS, Operation, Verdict
 
-REVIEWING = ("review", "audit")  # queues in which Enter approves
 NO_DISPLACEMENT = "No displacement yet: type x,y or nudge; PgDown skips, D rejects."
 VERDICTS: tuple[tuple[str, str], ...] = (("S", "stable"), ("U", "unstable"), ("?", "unsure"))
 

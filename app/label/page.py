@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 from PySide6.QtCore import Qt, Signal
 from PySide6.QtGui import QKeyEvent
@@ -128,6 +129,12 @@ class EmptyStateView(QWidget):
 
 
 FORCES, MOMENTS = (0, 1, 2), (3, 4, 5)
+REVIEWING, APPROVE = ("review", "audit"), "Approve  (Enter)"  # queues in which Enter approves
+# Buttons below the displacement, and their commands.
+ACTS = {
+    "Accept  (Enter)": "accept", "Reject  (D)": "reject", "Flag  (X)": "flag",
+    "Skip  (PgDown)": "next",
+}  # fmt: skip
 PAIRS = [(a, b) for a in range(6) for b in range(a + 1, 6)]
 
 
@@ -186,6 +193,10 @@ class LabelPage(QWidget):
         self.strip = StateStrip(theme)
         self.view = OffsetView(theme, self.face_dragged.emit, self.face_dropped.emit)
         self.nothing = EmptyStateView(self.command_requested.emit)
+        self.acts = [QPushButton(text) for text in ACTS]
+        for button, name in zip(self.acts, ACTS.values(), strict=True):
+            button.setFocusPolicy(Qt.FocusPolicy.TabFocus)
+            button.clicked.connect(partial(self.command_requested.emit, name))
         self.verdict, self.basis = base.ElidedLabel("head"), base.ElidedLabel("muted")
         self.model_line, self.scene_line = base.ElidedLabel("muted"), base.ElidedLabel("muted")
         self.message = base.ElidedLabel("")
@@ -229,6 +240,7 @@ class LabelPage(QWidget):
         inner.insertWidget(2, self.nothing, 1)
         evidence = self.verdict, self.basis, self.scene_line, self.model_line
         base.add_items(inner, *evidence, self.caption, self.entry, self.words, self.message)
+        inner.addLayout(base.hbox(*((button, 1) for button in self.acts), spacing=4))
         film = self.film_panel = base.Panel("Pictures", self.film)
         film.column.addWidget(self.shots, 1)
         self.shots.hide()
@@ -261,6 +273,7 @@ class LabelPage(QWidget):
         if title:
             self.queue.setItemText(at, title)
         self.queue.setCurrentIndex(at)
+        self.acts[0].setText(APPROVE if name in REVIEWING else next(iter(ACTS)))
 
     def list_saved(self, names: Sequence[str]) -> None:
         """List the saved filters below the queues."""
@@ -359,7 +372,7 @@ class LabelPage(QWidget):
     def _swap(self, *, here: bool) -> None:
         focused = self.nothing.button.hasFocus()
         self.nothing.setVisible(not here)
-        for widget in (self.strip, self.view):
+        for widget in (self.strip, self.view, *self.acts):
             widget.setVisible(here)
         if focused and here:
             self.setFocus()

@@ -52,8 +52,8 @@ class ReviewPage(WorkspacePage):
         self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
         seek = self.time_chosen.emit
         self.runs = RecordingList(theme, "Recorded runs", self.recording_chosen.emit)
-        self.trials = KeylessList("Trials of the run")
-        self.story = KeylessList("What happened", "No steps: only runs have them.")
+        self.trials = KeylessList("Trials of the run", "The trials of a run appear here.")
+        self.story = KeylessList("What happened", "The steps of a run appear here.")
         self.kind, self.order, self.filter = QComboBox(), QComboBox(), QLineEdit()
         self.refresh = flat_button("Refresh", "Look for new recordings (Ctrl+R)")
         report = "Open a report of experiments (Ctrl+Shift+O)"
@@ -156,4 +156,5 @@ class ReviewPage(WorkspacePage):
         self.viewer = flat_button("Open file", viewer)
         exports = self.picture, self.table, self.html, self.viewer
         add_items(panel.header, self.bookmark, *exports)
+        self.acts = self.play, self.bookmark, *exports
         return panel

@@ -108,7 +108,9 @@ class ReviewPresenter:
         self._reader.submit(reading.read, done, failed)
 
     def draw(self) -> None:
-        """Show the progress of a long reading."""
+        """Show the progress of a long reading; enable what acts on a chosen recording."""
+        for button in self._page.acts:
+            button.setEnabled(self.file is not None)
         said = "" if self._reading is None else self._reading.progress()
         if said and said != self._said:
             if not self._said:

@@ -76,7 +76,7 @@ class ReplayPresenter:
         self.bookmarks, self._told = (), told
         self._tell()
         self._page.signals_panel.detail.setText("")
-        why = NO_WRENCH if trial is not None else NO_RECORDING.result
+        why = NO_WRENCH if trial is not None else ""
         for view in (self._page.forces, self._page.moments):
             view.show_trace(None, why=why)
         self._show_strip()
@@ -233,7 +233,7 @@ class ReplayPresenter:
         """Show why there is no map at the cursor."""
         page, whole = self._page, self._whole
         if whole is None:
-            scene, text = BeliefScene(empty=("No belief map", "")), NO_RECORDING
+            scene, text = BeliefScene(empty=("", "")), NO_RECORDING
         elif whole.probes or whole.finished is not None:
             scene = BeliefScene() if whole.probes else unprobed_scene(whole)
             text = DecisionText("No probe", "", "", _ending(story))

@@ -58,7 +58,7 @@ class ModelCaption:
 
 UNPROBED = ModelCaption("none, nothing is probed", "The piece is released without a test.")
 WRENCH_ONLY = ModelCaption("none, the wrench decides", "No network reads the probes.")
-NONE_HERE = ModelCaption("none in this scene", "Collecting needs none.")
+NONE_HERE = ModelCaption("none loaded", "Collecting needs none.")
 
 
 def run_model_caption(piece: str, strategy: str) -> ModelCaption:
@@ -84,7 +84,7 @@ def scene_model_caption(card: ModelCard | None, piece: str, *, simulated: bool) 
         return here
     taker = "Set (Ctrl+N), or a stacking run," if simulated else "A stacking run"
     then = f"{taker} takes the one in use: {card_caption(used).short}."
-    return ModelCaption(f"{here.short}; in use: {_model_origin(used)}", f"{here.full}\n{then}")
+    return ModelCaption(f"{here.short}; next run: {_model_origin(used)}", f"{here.full}\n{then}")
 
 
 def model_card_in_use(piece: str) -> ModelCard:

@@ -2,21 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from typing import cast
 
 from touchdown.app import shell
 from touchdown.app.stack.comparison import strategy_by_name
 from touchdown.app.stack.page import StackPage
 from touchdown.backend.bench import Session
-from touchdown.backend.core import (
-    Event,
-    InputError,
-    Outcome,
-    PlaceAction,
-    RefusedError,
-    TrialFinished,
-)
+from touchdown.backend.core import Event, InputError, Outcome, RefusedError, TrialFinished
 from touchdown.backend.geometry import LEAST_WEIGHED_G
 from touchdown.backend.learning import gel_mismatches
 from touchdown.backend.runs import (
@@ -36,6 +28,7 @@ from touchdown.widgets.views import (
     DecisionText,
     caption_of,
     decision_text,
+    question_text,
     signed_mm,
 )
 
@@ -338,18 +331,6 @@ class StackPresenter:
         elif planned > done == len(self.story.trials) > 0:
             last += f" Trial {done + 1} of {planned} follows."
         self._page.score.show_score(shell.run_score(self.story.trials, planned, last))
-
-
-def question_text(action: PlaceAction) -> tuple[str, str]:
-    """Return the question before a step that waits for approval, and the label of its button."""
-    if action.kind == "release":
-        return "Press once more and release here?", "Release"
-    if action.kind != "shift":
-        return "Go on probing?", "Go on"
-    x_mm, y_mm = action.step_mm
-    degrees = math.degrees(math.atan2(y_mm, x_mm)) % 360.0
-    how = f"{math.hypot(x_mm, y_mm):.1f} mm towards {degrees:.0f}\N{DEGREE SIGN}"
-    return f"Move {how} and probe again?", "Move and probe"
 
 
 def stack_request(form: RunForm) -> StackRequest:

@@ -47,7 +47,9 @@ def run_row(run: TrainingRun, in_use: ModelInUse | None, marks: Mapping[str, str
     params, best = run.about.params, run.best_epoch
     used = run.card is not None and in_use is not None and is_in_use(run.card, in_use)
     began = datetime.fromtimestamp(run.about.started_ns / 1e9)
-    when = f"{began:%H:%M}" if began.date() == datetime.now().date() else f"{began:%d %b %H:%M}"
+    when = (
+        f"{began:%H:%M:%S}" if began.date() == datetime.now().date() else f"{began:%d %b %H:%M:%S}"
+    )
     mark = f"{marks[run.uuid]}  " if run.uuid in marks else ""
     done, total = len(run.curves.get("iou", ())), params.get("epochs", 0)
     cells = (

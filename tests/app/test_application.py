@@ -20,9 +20,11 @@ from tests.app.stand_in import StandInBench
 from tests.app.tiny_packs import EPISODES, write_tiny_packs
 from tests.app.yardstick import USUAL_S, Yardstick
 from touchdown.app.application import TouchdownApp
+from touchdown.app.calibrate.presenter import CalibratePresenter
 from touchdown.app.shell.settings import load_settings
 from touchdown.app.workspaces import WORKSPACES
 from touchdown.backend.bench.assembly import model_in_use, simulated_session
+from touchdown.backend.calibration import CalibrationStore
 from touchdown.backend.core import RunFinished, Said
 from touchdown.backend.learning import ModelRegistry, list_training_runs
 from touchdown.backend.runs.recorder import RecordingOptions, models_folder
@@ -46,6 +48,23 @@ def test_only_the_page_in_front_is_made_and_every_command_is_known(main):
     with pytest.raises(KeyError):
         main.workspaces["nowhere"]
     assert [ws.name for ws in main.workspaces.ready] == ["stack"]
+
+
+def test_calibration_says_what_becomes_of_a_held_piece(live, bench, tmp_path, monkeypatch):
+    bench.calibrations = CalibrationStore(tmp_path / "calibrations", "simulated")
+    wizard = CalibratePresenter(bench, live.theme, live.window, live.cards)
+    wizard.open("payload")
+    sheet = wizard.sheet
+    assert sheet.title.text() == "Calibrate: Payload"
+    assert "Measure first puts it back in its jig" in sheet.note.text()
+    assert sheet.measure.isEnabled()
+    # Devices keep what they hold.
+    monkeypatch.setattr(bench, "connection", SimpleNamespace(busy=False))
+    monkeypatch.setattr(bench, "hand", SimpleNamespace(powered=True, pressing_n=0.0))
+    wizard.draw(at_once=True)
+    assert "put it away" in sheet.note.text()
+    assert not sheet.measure.isEnabled()
+    sheet.close()
 
 
 def test_a_page_that_comes_late_knows_bench_facts_and_why_there_was_none(main):

@@ -22,6 +22,7 @@ from touchdown.widgets.base.theme import (
 )
 from touchdown.widgets.plots.distribution import legible_colours
 from touchdown.widgets.shell.devices import ChipState, mark_colours
+from touchdown.widgets.views.belief import OUTLINES
 from touchdown.widgets.views.offset import GHOST_STYLES
 from touchdown.widgets.views.scene_camera import OUTLINE_STYLES
 from touchdown.widgets.views.tactile import BIN_COLOURS
@@ -214,6 +215,8 @@ def test_every_colour_that_is_no_token_is_one_of_those_looked_at_here():
     """White and black are marks that lie on each other; the ground of the arrows is always dark."""
     known = {*BIN_COLOURS, *(colour for colour, _ in OUTLINE_STYLES.values())}
     known |= {"#FFFFFF", "#000000", ARROWS_ON, splash.GROUND, splash.TEXT}
+    known |= {colour.name().upper() for *_, colour in OUTLINES.values()}  # on black
+    assert all(contrast_ratio(c, QColor("#000000")) >= 4.5 for *_, c in OUTLINES.values())
     assert contrast_ratio(QColor(splash.GROUND), QColor(splash.TEXT)) >= 4.5
     theme, found = ROOT / "widgets" / "base" / "theme.py", set()
     for file in (*(ROOT / "widgets").rglob("*.py"), *(ROOT / "app").rglob("*.py")):

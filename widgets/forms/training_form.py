@@ -64,7 +64,7 @@ class TrainingFormPanel(Panel):
     changed = Signal()
 
     def __init__(self, theme: Theme) -> None:
-        super().__init__("Train")
+        super().__init__("Next training")
         self._theme = theme
         # Fixed: in a squeezed form the fields overlap.
         self.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Fixed)

@@ -41,7 +41,7 @@ class _TrainingPlot(PictureView):
 
     def __init__(self, theme: Theme, name: str) -> None:
         super().__init__(theme, name, (130, 96), (280, 170), opaque=False)
-        self._name = name
+        self.name = name
         self.setToolTip(name)
         self.lines: tuple[CurveLine, ...] = ()
 
@@ -82,7 +82,7 @@ class _TrainingPlot(PictureView):
         head = QRectF(rect.left(), 0, self.width() - rect.left(), rect.top() - 3)
         align = Qt.AlignmentFlag.AlignBottom | Qt.AlignmentFlag.AlignLeft
         elide, room = Qt.TextElideMode.ElideRight, int(head.width())
-        title = painter.fontMetrics().elidedText(self._name, elide, room)
+        title = painter.fontMetrics().elidedText(self.name, elide, room)
         painter.drawText(head, int(align), title)
 
     def _draw_line(self, painter: QPainter, area: axes.PlotArea, line: CurveLine) -> None:
@@ -126,11 +126,12 @@ class CurvePlot(_TrainingPlot):
         """Draw axes, curves, and the names at their ends."""
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
         area = self.area()
-        self._draw_axes(painter, area, whole=True)
         drawn = [one for one in self.lines if one.points]
         if not drawn:
-            axes.draw_message(painter, self.rect(), self._theme, "", self.empty)
+            painter.fillRect(area.rect, self._theme.tokens.colour("bg"))
+            axes.draw_message(painter, area.rect, self._theme, self.name, self.empty)
             return
+        self._draw_axes(painter, area, whole=True)
         if self.best:
             painter.setPen(QPen(self._theme.tokens.colour("muted"), 1, Qt.PenStyle.DotLine))
             x = area.x(self.best)

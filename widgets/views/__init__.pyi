@@ -10,6 +10,7 @@ from .decision import DecisionText as DecisionText
 from .decision import TrialPanel as TrialPanel
 from .decision import TrialPrompt as TrialPrompt
 from .decision import decision_text as decision_text
+from .decision import question_text as question_text
 from .decision import signed_mm as signed_mm
 from .film import FilmTrack as FilmTrack
 from .film import FilmView as FilmView

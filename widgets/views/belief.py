@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 from PySide6.QtCore import QMarginsF, QPointF, QRectF, QSize, Qt
@@ -78,12 +77,7 @@ class BeliefLegend(QWidget):
         for kind, text, x, row in self._places():
             y = row * line
             painter.setPen(QPen(self._theme.tokens.colour("text"), 1.6))
-            at = QPointF(x + 9, y + line / 2)
-            if kind in OUTLINES:
-                ends = at - QPointF(9, 0), at + QPointF(9, 0)
-                _stroke(painter, kind, partial(painter.drawLine, *ends))
-            else:
-                _mark(painter, kind, at)
+            _mark(painter, kind, QPointF(x + 9, y + line / 2))
             painter.setPen(self._theme.tokens.colour("muted"))
             box = QRectF(x + 22, y, self.width(), line)
             painter.drawText(box, int(Qt.AlignmentFlag.AlignVCenter), text)
@@ -111,6 +105,8 @@ def _mark(painter: QPainter, kind: str, at: QPointF) -> None:
         pen.setStyle(Qt.PenStyle.SolidLine if kind == "ring" else Qt.PenStyle.DotLine)
         painter.setPen(pen)
         painter.drawEllipse(at, 5, 5)
+    elif kind in OUTLINES:
+        _stroke(painter, kind, lambda: painter.drawLine(left, right))
     else:
         painter.drawLine(left, right)
         painter.drawLine(right, right + QPointF(-5, -4))
@@ -331,17 +327,15 @@ class BeliefView(PictureView):
         self.renders += 1
         area = self.area()
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
-        if self._thumbnail:
+        belief = self.scene.belief
+        if self._thumbnail or belief is None:
             painter.fillRect(area.rect, self._theme.tokens.colour("bg"))
         else:
             painter.setFont(ui_font(self._theme.scale, 0.85))
             draw_mm_grid(painter, area, self._theme)
-        belief = self.scene.belief
         if belief is None:
             if not self._thumbnail:
-                line = painter.fontMetrics().height()
-                inside = area.rect.adjusted(0, line, 0, -line)  # between the names of the axes
-                draw_message(painter, inside, self._theme, *self.scene.empty)
+                draw_message(painter, area.rect, self._theme, *self.scene.empty)
             return
         painter.save()
         painter.setClipRect(area.rect)

@@ -155,6 +155,18 @@ def decision_text(stability: Stability | None, action: PlaceAction | None) -> De
     return DecisionText(result, tone, signed_mm(stability.margin_mm), reason)
 
 
+def question_text(action: PlaceAction) -> tuple[str, str]:
+    """Return the question before a step that waits for approval, and the label of its button."""
+    if action.kind == "release":
+        return "Press once more and release here?", "Release"
+    if action.kind != "shift":
+        return "Go on probing?", "Go on"
+    x_mm, y_mm = action.step_mm
+    degrees = math.degrees(math.atan2(y_mm, x_mm)) % 360.0
+    how = f"{math.hypot(x_mm, y_mm):.1f} mm towards {degrees:.0f}\N{DEGREE SIGN}"
+    return f"Move {how} and probe again?", "Move and probe"
+
+
 class DecisionPanel(QFrame):
     """Stability and margin on one line, the reason below, then the question if there is one."""
 

@@ -244,6 +244,8 @@ class TimeLine(QWidget):
             painter.fillRect(rect, shade)
         painter.setPen(QPen(t.colour("border"), 1))
         painter.drawRect(area.rect)
+        if self.scene.span_s[1] <= self.scene.span_s[0]:
+            return
         self._draw_marks(painter, area)
         self._draw_times(painter, area)
         x = area.x(self.cursor_s)
@@ -269,7 +271,7 @@ class TimeLine(QWidget):
     def _draw_times(self, painter: QPainter, area: PlotArea) -> None:
         painter.setPen(self._theme.tokens.colour("muted"))
         step = nice_step(area.x1 - area.x0, 8)
-        top, height = area.rect.bottom() + 2, painter.fontMetrics().height()
+        top, height = area.rect.bottom() + 6, painter.fontMetrics().height()
         for value in ticks(area.x0, area.x1, 8):
             text = f"{tick_text(value, step)} s"
             width = painter.fontMetrics().horizontalAdvance(text) + 2.0

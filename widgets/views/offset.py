@@ -159,14 +159,16 @@ def draw_ghosts(painter: QPainter, area: PlotArea, scene: OffsetScene, theme: Th
 
 
 def _letters(painter: QPainter, area: PlotArea, scene: OffsetScene, ghost: Ghost) -> None:
-    """Write the source beside its outline, each source on another side."""
-    turn = GHOST_STYLES[ghost.kind][2]
+    """Write the source beside its outline, each source on another side, inside the picture."""
+    turn, size = GHOST_STYLES[ghost.kind][2], painter.fontMetrics().size(0, ghost.kind)
     radius = float(np.nanmax(np.hypot(*scene.face.T)))
     x = area.x(ghost.offset_mm[0] + radius * math.cos(turn))
     y = area.y(ghost.offset_mm[1] + radius * math.sin(turn))
-    outwards = QPointF(9 * math.cos(turn), -9 * math.sin(turn))
-    box = QRectF(x - 20, y - 10, 40, 20).translated(outwards)
-    painter.drawText(box, int(Qt.AlignmentFlag.AlignCenter), ghost.kind[:2].capitalize())
+    box, inside = QRectF(0.0, 0.0, size.width() + 2.0, size.height()), area.rect
+    reach_x, reach_y = box.width() / 2 + 4, box.height() / 2 + 2
+    box.moveCenter(QPointF(x + reach_x * math.cos(turn), y - reach_y * math.sin(turn)))
+    box.moveLeft(max(min(box.left(), inside.right() - box.width()), inside.left()))
+    painter.drawText(box, int(Qt.AlignmentFlag.AlignCenter), ghost.kind)
 
 
 def ghost_pen(kind: GhostKind, theme: Theme) -> QPen:
@@ -176,10 +178,10 @@ def ghost_pen(kind: GhostKind, theme: Theme) -> QPen:
 
 
 class SourceBox(QCheckBox):
-    """Legend of one source, letters, name and line; shows or hides its outline."""
+    """Legend of one source, name and line; shows or hides its outline."""
 
     def __init__(self, theme: Theme, kind: GhostKind, view: OffsetView) -> None:
-        super().__init__(f"{kind[:2].capitalize()}  {kind}", view)
+        super().__init__(kind, view)
         self._theme, self._kind = theme, kind
         self.setAccessibleName(f"Show the {kind} position")
         self.setFocusPolicy(Qt.FocusPolicy.TabFocus)
@@ -275,7 +277,7 @@ class OffsetView(PictureView):
         self.editable = True
         self._held_mm: Point | None = None
         self._grasped: PlotArea | None = None  # at the start of a drag; the scale can change
-        self._reach_mm = 1.0
+        self._reach_mm, self._label_at = 1.0, QRectF()  # place of the label in the legend
         self._ground = PictureCache(self, theme)
         self._behind: QPixmap | None = None
         # Keeps the outlines alive, whose ids are part of the key.
@@ -312,6 +314,7 @@ class OffsetView(PictureView):
             box.setVisible(kind in kinds)
             box.setGeometry(round(x), round(y), width, box.sizeHint().height())
             y += box.height() * (kind in kinds)
+        self._label_at = QRectF(x, y + 4, width, self.fontMetrics().height())
 
     def area(self) -> PlotArea:
         """Return the drawn square with its visible part."""
@@ -361,6 +364,11 @@ class OffsetView(PictureView):
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
         draw_face(painter, area, self.scene, self._theme)
         draw_names(painter, area, self.scene, self._theme)
+        if self.scene.ghosts and self.scene.offset_mm is not None:
+            box, middle = self._label_at, self._label_at.center().y()
+            painter.setPen(QPen(self._theme.tokens.colour("text"), 2))
+            painter.drawText(box, int(Qt.AlignmentFlag.AlignLeft), "label")
+            painter.drawLine(QPointF(box.right() - SAMPLE_PX, middle), QPointF(box.right(), middle))
 
     def _background(self, scene: OffsetScene, area: PlotArea) -> QPixmap:
         """Return the background with the ghosts; rendered once per episode."""

@@ -13,7 +13,6 @@ from PySide6.QtWidgets import QApplication, QLabel
 from tests.app.collect.conftest import PROBES
 from tests.app.conftest import settle
 from touchdown.app.collect.requests import collect_request
-from touchdown.app.collect.workspace import LABEL_WORDS
 from touchdown.app.shell.errors import log_to
 from touchdown.backend.annotations.values import EpisodeFilter
 from touchdown.backend.core import Fault, Paused, PhaseEntered
@@ -327,16 +326,3 @@ def test_a_run_that_paused_by_itself_says_why_until_it_goes_on(live, bench):
     bench.events.publish(PhaseEntered(2.0, "press", 3))
     settle(live)
     assert live.cards.codes == ()
-
-
-def test_the_keys_of_label_are_told_on_label_alone(live):
-    live.go("collect")
-    page, foot = live.workspaces["collect"].page, live.window._message
-    for leave in (lambda: page.show_half("collect"), lambda: live.go("stack")):
-        live.go("collect")
-        page.show_half("label")
-        settle(live)
-        assert foot.text() == LABEL_WORDS
-        leave()
-        settle(live)
-        assert foot.text() == ""

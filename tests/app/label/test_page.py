@@ -19,7 +19,7 @@ from PySide6.QtWidgets import QApplication
 from tests.app.label.conftest import CTRL, ITEMS, KEY, SHIFT, WITHOUT_LABEL
 from tests.import_contracts import imports
 from touchdown.app.label.editing import ViewingTimer
-from touchdown.app.label.page import LabelPage
+from touchdown.app.label.page import EMPTY_QUEUE, LabelPage
 from touchdown.app.label.presenter import group_findings, health_text
 from touchdown.app.label.text import evidence_badges, model_evidence_text, scene_evidence_text
 from touchdown.app.shell.actions import portable_key
@@ -135,6 +135,20 @@ def test_other_views_pictures_and_curves_come_by_keys(desk):
     popup.close()
     desk.do(KEY.Key_X)
     assert desk.workspace.presenter.walk.entries[desk.uuid].flagged
+
+
+def test_the_main_acts_have_buttons_with_their_keys(desk):
+    texts = [button.text() for button in desk.page.acts]
+    assert texts == ["Accept  (Enter)", "Reject  (D)", "Flag  (X)", "Skip  (PgDown)"]
+    accept, reject = desk.page.acts[:2]
+    reject.click()
+    assert desk.page.choice.isVisible()
+    accept.click()
+    assert not desk.page.choice.isVisible()
+    desk.page.show_queue("review")
+    assert accept.text() == "Approve  (Enter)"
+    desk.page.show_nothing(EMPTY_QUEUE)
+    assert not accept.isVisible()
 
 
 def front(desk):

@@ -15,9 +15,9 @@ from PySide6.QtCore import QPoint, Qt
 from PySide6.QtGui import QImage
 from PySide6.QtSvg import QSvgRenderer
 from PySide6.QtTest import QTest
-from PySide6.QtWidgets import QApplication
+from PySide6.QtWidgets import QApplication, QLabel
 
-from tests.app.conftest import opened
+from tests.app.conftest import opened, settle
 from tests.app.label.conftest import make_episode
 from tests.app.stand_in import StandInBench
 from touchdown.app.review import exports
@@ -34,6 +34,7 @@ from touchdown.backend.core.values import FINGERS, ContactPatch, Outcome
 from touchdown.backend.episodes.episode_mcap import write_episode
 from touchdown.backend.geometry.pieces import load_pieces
 from touchdown.backend.runs.event_log import EventLog
+from touchdown.widgets.views import TimeScene
 
 KEY = Qt.Key
 PROBES = 3
@@ -123,6 +124,19 @@ def told(start, tmp_path):
 def newest(times, cursor_s):
     """Return the greatest time not after the cursor, by looking at all of them."""
     return max((t for t in times if t <= cursor_s + 1e-9), default=None)
+
+
+def test_nothing_chosen_is_said_once_and_offers_no_act(start):
+    review = start()
+    settle(review.main)
+    page = review.page
+    said = [one.text() for one in page.findChildren(QLabel) if "chosen" in one.text()]
+    said += [view.why_empty for view in (page.forces, page.moments) if view.why_empty]
+    assert said + list(filter(None, page.belief.scene.empty)) == ["No recording chosen"]
+    assert not any(button.isEnabled() for button in page.acts)
+    shown = page.time_line.grab().toImage()
+    page.time_line.show_scene(TimeScene((0.0, 2.0)))
+    assert shown != page.time_line.grab().toImage(), "the line of nothing has no times, no cursor"
 
 
 @pytest.mark.promise("W16")

@@ -69,11 +69,13 @@ def test_a_scene_keeps_its_model_and_says_who_takes_the_other(mine):
     shipped = model_card_in_use("pot")
     ModelRegistry(models_folder()).promote(model)
     words = scene_model_caption(shipped, "pot", simulated=True)
-    assert words.short.endswith(f"; in use: yours {card.weights_sha256[:8]}")
+    assert words.short.endswith(f"; next run: yours {card.weights_sha256[:8]}")
     assert "Set (Ctrl+N)" in words.full
     assert "Set" not in scene_model_caption(shipped, "pot", simulated=False).full
-    assert "in use:" not in scene_model_caption(card, "pot", simulated=True).short
-    assert scene_model_caption(None, "pot", simulated=True).short.startswith("none in this scene")
+    assert "next run:" not in scene_model_caption(card, "pot", simulated=True).short
+    assert scene_model_caption(None, "pot", simulated=True).short.startswith(
+        "none loaded; next run: "
+    )
 
 
 def test_stack_and_operate_show_it(live, bench, mine):
@@ -85,9 +87,8 @@ def test_stack_and_operate_show_it(live, bench, mine):
     run.show_form(RunForm())
     ModelRegistry(models_folder()).promote(model)
     live.go("operate")
-    assert (
-        probe.model.text() == f"Model: none in this scene; in use: yours {card.weights_sha256[:8]}"
-    )
+    next_run = f"next run: yours {card.weights_sha256[:8]}"
+    assert probe.model.text() == f"Model: none loaded; {next_run}"
     bench.model = card
     settle(live)
     assert probe.model.text() == f"Model: yours {card.weights_sha256[:8]}, IoU 40 %, 20 probes"

@@ -1,7 +1,5 @@
 """The Stack workspace shows what the facts say, and orders what the operator asks."""
 
-from dataclasses import replace
-
 import pytest
 from PySide6.QtCore import Qt
 from PySide6.QtTest import QTest
@@ -10,8 +8,8 @@ from PySide6.QtWidgets import QPushButton
 from tests.app.conftest import settle
 from tests.app.stand_in import action
 from touchdown.app.shell.settings import load_settings
-from touchdown.app.stack.presenter import question_text, stack_request
-from touchdown.backend.core import Outcome, PhaseEntered, PieceWeighed, PlaceAction, TrialFinished
+from touchdown.app.stack.presenter import stack_request
+from touchdown.backend.core import Outcome, PhaseEntered, PieceWeighed, TrialFinished
 from touchdown.backend.runs.requests import RunState, StackRequest
 from touchdown.widgets.forms.run_form import RunForm
 from touchdown.widgets.views.belief import NO_PROBE
@@ -226,12 +224,6 @@ def test_approval_is_asked_and_given_by_key(live, bench, key, mode, page):
     assert bench.answers == [True]
     QTest.keyClick(live.window, Qt.Key.Key_D)
     assert bench.answers == [True, False]
-
-
-def test_the_question_names_the_act():
-    release = PlaceAction("release", (0.0, 0.0), None, False, "")
-    assert question_text(release) == ("Press once more and release here?", "Release")
-    assert question_text(replace(release, kind="ask")) == ("Go on probing?", "Go on")
 
 
 @pytest.mark.promise("W15")

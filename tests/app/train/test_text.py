@@ -1,5 +1,6 @@
 """What the Train page says of a dataset that nobody has labelled yet."""
 
+import time
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -7,7 +8,7 @@ import pytest
 
 from tests.backend.annotations.conftest import context_for, small_episode
 from touchdown.app.train.reading import TrainingReader
-from touchdown.app.train.text import autonomy_text, figure_rows, promotion_question
+from touchdown.app.train.text import autonomy_text, figure_rows, promotion_question, run_row
 from touchdown.backend.annotations import Dataset, Label
 from touchdown.backend.bench.assembly import model_in_use
 from touchdown.backend.learning.registry import HARDWARE_PROBES, SHIPPED_MODEL, ModelRegistry
@@ -43,6 +44,17 @@ def test_labels_that_would_count_are_named_with_the_way_to_them(tmp_path):
         assert "Labels 'Approved and submitted' would give 1 episode." in told()
         dataset.labels.approve("bob", uuids[0])
         assert told() == ""
+
+
+@pytest.mark.parametrize("began_ns", [60_000_000_000, time.time_ns()])
+def test_two_trainings_of_one_minute_have_different_names(began_ns):
+    def name(started_ns):
+        about = SimpleNamespace(params={}, started_ns=started_ns)
+        run = SimpleNamespace(about=about, best_epoch=0, card=None, curves={}, uuid="", piece="pot",
+                              state="finished", value=lambda *_: float("nan"))  # fmt: skip
+        return run_row(run, None, {}).cells[0]
+
+    assert name(began_ns) != name(began_ns + 1_000_000_000)
 
 
 def test_a_promoted_model_can_be_rolled_back_without_data(tmp_path):

@@ -1,5 +1,7 @@
 """Every view: empty, one value, 1000 values, NaN, in every theme; and never blank or invented."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from PySide6.QtCore import Qt
@@ -7,13 +9,20 @@ from PySide6.QtGui import QColor, QImage, QPainter
 from PySide6.QtWidgets import QApplication
 
 from tests.app.stand_in import REST, action, belief, stability
-from touchdown.backend.core.values import MarkerField, Outcome, Stability, SupportKind, TactileFrame
+from touchdown.backend.core.values import (
+    MarkerField,
+    Outcome,
+    PlaceAction,
+    Stability,
+    SupportKind,
+    TactileFrame,
+)
 from touchdown.widgets.base import Age, Theme
 from touchdown.widgets.plots import TracePlot, draw_message
 from touchdown.widgets.shell.devices import ChipValue, DeviceChip
 from touchdown.widgets.shell.state import PillState, StatePill
-from touchdown.widgets.views.belief import BeliefScene, BeliefView, describe_scene
-from touchdown.widgets.views.decision import DecisionPanel, decision_text, signed_mm
+from touchdown.widgets.views.belief import OUTLINES, BeliefScene, BeliefView, describe_scene
+from touchdown.widgets.views.decision import DecisionPanel, decision_text, question_text, signed_mm
 from touchdown.widgets.views.offset import OffsetScene, OffsetView
 from touchdown.widgets.views.probe_maps import BeliefPanel, ProbeStrip
 from touchdown.widgets.views.scene import SideBody, SideScene, SideView
@@ -244,6 +253,28 @@ def test_the_question_is_shown_only_when_asked(qtbot, theme):
     assert panel.approve.isVisibleTo(panel)
     panel.show_question("")
     assert not panel.approve.isVisibleTo(panel)
+
+
+def test_an_empty_map_has_no_grid_behind_its_message(qtbot, theme, monkeypatch):
+    drawn = []
+    monkeypatch.setattr("touchdown.widgets.views.belief.draw_mm_grid", lambda *_: drawn.append(1))
+    view = shown(qtbot, BeliefView(theme))
+    view.grab()
+    assert not drawn
+    view.show_scene(scene())
+    view.grab()
+    assert drawn
+
+
+def test_face_hull_and_true_overlap_differ_in_style_or_colour():
+    looks = {(style, colour.name()) for _, style, colour in OUTLINES.values()}
+    assert len(looks) == len(OUTLINES) == 3
+
+
+def test_the_question_names_the_act():
+    release = PlaceAction("release", (0.0, 0.0), None, False, "")
+    assert question_text(release) == ("Press once more and release here?", "Release")
+    assert question_text(replace(release, kind="ask")) == ("Go on probing?", "Go on")
 
 
 @pytest.mark.parametrize("trials", [0, 1, 1000])

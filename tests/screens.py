@@ -255,10 +255,10 @@ class Stage:
         bench.set_state(RunState.RUNNING, trial=3, trials=20, probe=3, phase="press")
         self.live(1.0)
         yield "collect-running"
-        bench.events.publish(RunFinished(bench.clock_s(), "run", "cancelled", ""))
+        bench.events.publish(RunFinished(bench.clock_s(), "run", "cancelled", "by the operator"))
         bench.set_state(RunState.IDLE, trial=0, trials=0, probe=0, phase="")
         collect.page.show_half("label")
-        self.settle()
+        self.until(lambda: collect.label.presenter.present is not None)
         yield "label"
         yield from screen_panels.beside_the_queue(self)
         collect.page.show_half("collect")

@@ -130,8 +130,7 @@ class EmptyStateView(QWidget):
 
 FORCES, MOMENTS = (0, 1, 2), (3, 4, 5)
 REVIEWING, APPROVE = ("review", "audit"), "Approve  (Enter)"  # queues in which Enter approves
-# Buttons below the displacement, and their commands.
-ACTS = {
+ACTS = {  # buttons below the displacement, and their commands
     "Accept  (Enter)": "accept", "Reject  (D)": "reject", "Flag  (X)": "flag",
     "Skip  (PgDown)": "next",
 }  # fmt: skip

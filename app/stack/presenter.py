@@ -324,13 +324,12 @@ class StackPresenter:
                 probes = shell.count_noun(done.probes, "probe")
                 last = f"Seed {done.seed}: {OUTCOME_WORDS[done.outcome]} after {probes}."
                 break
-        planned, done = head.trials if head is not None else 0, len(self.story.outcomes)
-        if planned > done and self.story.ended is not None:
-            ended = f"The run ended after {done} of {planned} trials. Start begins a new run."
-            last = f"{last} {ended}".lstrip()
-        elif planned > done == len(self.story.trials) > 0:
-            last += f" Trial {done + 1} of {planned} follows."
-        self._page.score.show_score(shell.run_score(self.story.trials, planned, last))
+        planned, ended = head.trials if head is not None else 0, len(self.story.outcomes)
+        if planned > ended and self.story.ended is not None:
+            last += f" The run ended after {ended} of {planned} trials. Start begins a new run."
+        elif planned > ended == len(self.story.trials) > 0:
+            last += f" Trial {ended + 1} of {planned} follows."
+        self._page.score.show_score(shell.run_score(self.story.trials, planned, last.lstrip()))
 
 
 def stack_request(form: RunForm) -> StackRequest:

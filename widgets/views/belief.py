@@ -328,15 +328,16 @@ class BeliefView(PictureView):
         area = self.area()
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
         belief = self.scene.belief
-        if self._thumbnail or belief is None:
+        if belief is None:
+            painter.fillRect(self.rect(), self._theme.tokens.colour("bg"))
+            if not self._thumbnail:
+                draw_message(painter, self.rect(), self._theme, *self.scene.empty)
+            return
+        if self._thumbnail:
             painter.fillRect(area.rect, self._theme.tokens.colour("bg"))
         else:
             painter.setFont(ui_font(self._theme.scale, 0.85))
             draw_mm_grid(painter, area, self._theme)
-        if belief is None:
-            if not self._thumbnail:
-                draw_message(painter, area.rect, self._theme, *self.scene.empty)
-            return
         painter.save()
         painter.setClipRect(area.rect)
         self._draw_cells(painter, area, belief)

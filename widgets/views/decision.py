@@ -161,9 +161,8 @@ def question_text(action: PlaceAction) -> tuple[str, str]:
         return "Press once more and release here?", "Release"
     if action.kind != "shift":
         return "Go on probing?", "Go on"
-    x_mm, y_mm = action.step_mm
-    degrees = math.degrees(math.atan2(y_mm, x_mm)) % 360.0
-    how = f"{math.hypot(x_mm, y_mm):.1f} mm towards {degrees:.0f}\N{DEGREE SIGN}"
+    degrees = math.degrees(math.atan2(*reversed(action.step_mm))) % 360.0
+    how = f"{math.hypot(*action.step_mm):.1f} mm towards {degrees:.0f}\N{DEGREE SIGN}"
     return f"Move {how} and probe again?", "Move and probe"
 
 

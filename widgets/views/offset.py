@@ -116,6 +116,7 @@ GHOST_STYLES: dict[GhostKind, tuple[Qt.PenStyle, str, float]] = {
 }
 SCALE_BARS = 7  # of them fill the width
 SAMPLE_PX = 30  # line of a source in the legend
+ROOMY_PX = 400  # narrower pictures shorten the names of sources
 THICKEN_PX = 0.3
 
 
@@ -160,15 +161,16 @@ def draw_ghosts(painter: QPainter, area: PlotArea, scene: OffsetScene, theme: Th
 
 def _letters(painter: QPainter, area: PlotArea, scene: OffsetScene, ghost: Ghost) -> None:
     """Write the source beside its outline, each source on another side, inside the picture."""
-    turn, size = GHOST_STYLES[ghost.kind][2], painter.fontMetrics().size(0, ghost.kind)
+    turn, inside = GHOST_STYLES[ghost.kind][2], area.rect
+    name = ghost.kind if inside.width() > ROOMY_PX else ghost.kind[:2].capitalize()
     radius = float(np.nanmax(np.hypot(*scene.face.T)))
     x = area.x(ghost.offset_mm[0] + radius * math.cos(turn))
     y = area.y(ghost.offset_mm[1] + radius * math.sin(turn))
-    box, inside = QRectF(0.0, 0.0, size.width() + 2.0, size.height()), area.rect
+    box = QRectF(painter.fontMetrics().boundingRect(name)).adjusted(0, 0, 2, 0)
     reach_x, reach_y = box.width() / 2 + 4, box.height() / 2 + 2
     box.moveCenter(QPointF(x + reach_x * math.cos(turn), y - reach_y * math.sin(turn)))
     box.moveLeft(max(min(box.left(), inside.right() - box.width()), inside.left()))
-    painter.drawText(box, int(Qt.AlignmentFlag.AlignCenter), ghost.kind)
+    painter.drawText(box, int(Qt.AlignmentFlag.AlignCenter), name)
 
 
 def ghost_pen(kind: GhostKind, theme: Theme) -> QPen:
@@ -367,7 +369,7 @@ class OffsetView(PictureView):
         if self.scene.ghosts and self.scene.offset_mm is not None:
             box, middle = self._label_at, self._label_at.center().y()
             painter.setPen(QPen(self._theme.tokens.colour("text"), 2))
-            painter.drawText(box, int(Qt.AlignmentFlag.AlignLeft), "label")
+            painter.drawText(box.adjusted(1.3 * box.height(), 0, 0, 0), 0, "label")
             painter.drawLine(QPointF(box.right() - SAMPLE_PX, middle), QPointF(box.right(), middle))
 
     def _background(self, scene: OffsetScene, area: PlotArea) -> QPixmap:

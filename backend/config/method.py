@@ -204,6 +204,9 @@ class FusedSettings(Settings):
     weights: str = ""
     # Largest probability at release that the support misses the centre of mass [U].
     risk: Probability = 0.07
+    # The same after the first probe; it grows to `risk` at `max_probes`, by the same factor with
+    # each probe; 0: `risk` after every probe [U].
+    first_risk: Annotated[float, Field(ge=0, lt=1)] = 0.005
     # Smallest distance of the centre of mass from the edge of the support [U].
     inset_mm: Annotated[float, Field(ge=0, le=50)] = 0.25
     # Probability of a release by several networks: that of the least confident one, or their mean.
@@ -215,6 +218,16 @@ class FusedSettings(Settings):
     # Release only if the centre of mass lies within the hull of the measured centres of pressure,
     # by twice this standard deviation; for convex faces; 0: not required [U].
     pressure_sd_mm: Annotated[float, Field(ge=0, le=50)] = 0.0
+
+    def accepted_risk(self, probes: int, most: int) -> float:
+        """Return the accepted risk after ``probes`` of at most ``most`` probes.
+
+        While many remain, a further probe costs little and often finds a better place.
+        """
+        if not 0.0 < self.first_risk < self.risk or probes >= most:
+            return self.risk
+        growth = (self.risk / self.first_risk) ** (1.0 / (most - 1))
+        return float(self.first_risk * growth ** max(probes - 1, 0))
 
 
 class ReleaseSettings(Settings):

@@ -318,7 +318,8 @@ THRESHOLD_PIECES = ("mushroom", "barrel", "pot")
 THRESHOLD_SEED, CELL_SEEDS = 45_000_000, 10_000
 TRIALS_PER_JOB = 8
 INSETS_MM = (0.0, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0)
-RISKS = (0.1, 0.07, 0.05, 0.03, 0.02, 0.01, 0.005)
+RISKS = (0.1, 0.07, 0.05, 0.04, 0.03, 0.02, 0.015, 0.01, 0.005)
+FIRST_RISKS = (0.0, 0.003, 0.005, 0.01)  # 0: the same after every probe
 RULE_SEED = sha256(b"choice of the release rule").hexdigest()  # of fresh outlines
 NEVER_MM = 50.0
 RULE_PROBES = (8, 12)
@@ -448,13 +449,18 @@ def _trial_record(scene: Scene, end: BatchTrialResult, exceeds_by_probe: Sequenc
 
 
 def threshold_counts(trials: Sequence[Json]) -> list[Json]:
-    """Return the outcome counts for every rule: ensemble, most probes, inset and ``risk``."""
+    """Return the outcome counts for every rule: ensemble, most probes, inset and accepted risks."""
     return [
-        count_under_threshold(trials, risk, at, ensemble, most)
-        for ensemble in ENSEMBLES
+        count_under_threshold(trials, FusedSettings.model_validate(rule), most)
         for most in RULE_PROBES
-        for at in range(len(INSETS_MM))
-        for risk in RISKS
+        for rule in (
+            {"ensemble": ensemble, "inset_mm": inset_mm, "risk": risk, "first_risk": first_risk}
+            for ensemble in ENSEMBLES
+            for inset_mm in INSETS_MM
+            for risk in RISKS
+            for first_risk in FIRST_RISKS
+            if first_risk < risk
+        )
     ]
 
 
@@ -467,14 +473,13 @@ def best_rules(rules: Sequence[Json]) -> list[Json]:
     return best
 
 
-def count_under_threshold(
-    trials: Iterable[Json], risk: float, at: int, ensemble: str = "mixture", most: int = 8
-) -> Json:
-    """Count the outcomes under one rule: ``INSETS_MM[at]``, ``risk``, at most ``most`` probes."""
-    placed, unsafe, other, probes = 0, 0, 0, 0
+def count_under_threshold(trials: Iterable[Json], rule: FusedSettings, most: int = 8) -> Json:
+    """Count the outcomes under one rule with at most ``most`` probes."""
+    placed, unsafe, other, probes, at = 0, 0, 0, 0, INSETS_MM.index(rule.inset_mm)
+    needed = [1 - rule.accepted_risk(n, most) for n in range(1, most + 1)]
     for trial in trials:
-        steps = enumerate(trial["steps"][:most], start=1)
-        let_go = next(((n, s) for n, s in steps if s["exceeds"][ensemble][at] >= 1 - risk), None)
+        steps = enumerate(zip(trial["steps"], needed, strict=False), start=1)
+        let_go = next(((n, s) for n, (s, p) in steps if s["exceeds"][rule.ensemble][at] >= p), None)
         if let_go is None:
             fell = trial["outcome"] == Outcome.KNOCKED_OVER.value and len(trial["steps"]) < most
             unsafe, other = unsafe + fell, other + (not fell)
@@ -483,10 +488,11 @@ def count_under_threshold(
         else:
             unsafe += 1
     return {
-        "ensemble": ensemble,
+        "ensemble": rule.ensemble,
         "most_probes": most,
-        "inset_mm": INSETS_MM[at],
-        "risk": risk,
+        "inset_mm": rule.inset_mm,
+        "first_risk": rule.first_risk,
+        "risk": rule.risk,
         "placed": placed,
         "unsafe": unsafe,
         "not_released": other,

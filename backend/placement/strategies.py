@@ -482,11 +482,11 @@ class FusedStrategy:
 
     def _margin_mm(self, top: InsetDistribution, centre_mm: XY) -> float:
         """Return the inset of one position that is exceeded with the required probability."""
-        rules = self._settings.fused
+        rules, most = self._settings.fused, self._settings.policy.max_probes
         holds = holding_probability(
             top, self._lower, centre_mm, STEPS_MM, agreed=rules.ensemble == "minimum"
         )
-        kept = np.flatnonzero(holds >= 1.0 - rules.risk)
+        kept = np.flatnonzero(holds >= 1.0 - rules.accepted_risk(self._probes(), most))
         return float(STEPS_MM[kept[-1]]) if len(kept) else float(STEPS_MM[0])
 
     def _promise(self, over: InsetDistribution, places_mm: FloatArray) -> FloatArray:

@@ -8,7 +8,7 @@ import shutil
 from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pytest
@@ -499,6 +499,11 @@ def trial(outcome: str, *steps: tuple[float, float]) -> dict[str, Any]:
     return {"outcome": outcome, "steps": said}
 
 
+def constant(risk: float, ensemble: Literal["mixture", "minimum"] = "mixture") -> FusedSettings:
+    """Return the rule of one risk after every probe."""
+    return FusedSettings(risk=risk, first_risk=0.0, inset_mm=0.0, ensemble=ensemble)
+
+
 def test_counted_by_hand() -> None:
     trials = [
         trial("gave_up", (-1.0, 0.5), (0.5, 0.91), (2.0, 0.99)),
@@ -506,14 +511,18 @@ def test_counted_by_hand() -> None:
         trial("knocked_over", (-3.0, 0.1)),
         trial("aborted", (1.0, 0.8)),
     ]
-    bold, shy, never = (count_under_threshold(trials, risk, 0) for risk in (0.1, 0.02, 0.001))
+    bold, shy, never = (count_under_threshold(trials, constant(p)) for p in (0.1, 0.02, 0.001))
     assert (bold["placed"], bold["unsafe"], bold["not_released"], bold["probes"]) == (1, 2, 1, 2.0)
     assert (shy["placed"], shy["unsafe"], shy["not_released"], shy["probes"]) == (2, 1, 1, 2.5)
     assert (never["placed"], never["unsafe"], never["not_released"]) == (0, 1, 3)
-    once = count_under_threshold(trials, 0.1, 0, "mixture", most=1)
+    once = count_under_threshold(trials, constant(0.1), most=1)
     assert (once["placed"], once["unsafe"], once["not_released"]) == (0, 1, 3)
-    least = count_under_threshold(trials, 0.11, 0, "minimum")
+    least = count_under_threshold(trials, constant(0.11, "minimum"))
     assert (least["placed"], least["unsafe"], least["not_released"]) == (2, 1, 1)
+    # 1 %, 3.2 % and 10 % are accepted after the first, second and third probe.
+    grown = FusedSettings(risk=0.1, first_risk=0.01, inset_mm=0.0, ensemble="mixture")
+    later = count_under_threshold(trials, grown, most=3)
+    assert (later["placed"], later["unsafe"], later["probes"]) == (2, 1, 2.5)
 
 
 def test_the_best_rules_place_more_for_each_further_unsafe_trial() -> None:
@@ -529,10 +538,8 @@ def test_a_rule_counts_what_trials_under_it_come_to() -> None:
         {"preset": "off", "support": {"rocks": False, "slides": False}}
     )
     case, seeds = held_out_setup("pot", "disc 22", settings), range(70, 73)
-    found = count_under_threshold(
-        record_trials([case] * 3, seeds, shipped_path()), 0.1, INSETS_MM.index(0.5)
-    )
     rule = StackSettings(strategy="fused", fused=FusedSettings(risk=0.1, inset_mm=0.5))
+    found = count_under_threshold(record_trials([case] * 3, seeds, shipped_path()), rule.fused)
     scenes = [scene for seed in seeds if (scene := start_scene(case, seed)) is not None]
     ends = stack_in_lockstep(scenes, uninformed_model(case), rule, EpisodeLimits())
     words = [end.outcome.value for end in ends]
@@ -554,7 +561,9 @@ def test_rules_for_any_outline_are_counted_on_fresh_ones_of_another_seed(
     # A ring, three feet or more, and two bars: the margins are those of the exact judge.
     seeds = [jobs[0].seed + k for k in (4, 6, 7)]
     cases = [SceneSetup.of_trial(params, seed) for seed in seeds]
-    rule = StackSettings(strategy="fused", fused=FusedSettings(risk=0.5, inset_mm=0.0))
+    rule = StackSettings(
+        strategy="fused", fused=FusedSettings(risk=0.5, first_risk=0.0, inset_mm=0.0)
+    )
     scenes = [scene for c, s in zip(cases, seeds, strict=True) if (scene := start_scene(c, s))]
     model, limits = uninformed_model(cases[0]), EpisodeLimits()
     ends = stack_in_lockstep(scenes, model, rule, limits)

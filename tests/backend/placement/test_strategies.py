@@ -191,7 +191,7 @@ def test_three_presses_say_where_the_support_is(presses: list[TrialPresses]) -> 
 
 
 def test_a_release_needs_the_accepted_risk(presses: list[TrialPresses]) -> None:
-    bold = StackSettings(belief=SMALL, fused=FusedSettings(risk=0.9, inset_mm=0.0))
+    bold = StackSettings(belief=SMALL, fused=FusedSettings(risk=0.9, first_risk=0.0, inset_mm=0.0))
     shy = StackSettings(
         belief=SMALL,
         fused=FusedSettings(risk=1e-6, inset_mm=6.0),
@@ -260,7 +260,7 @@ def test_signals_outside_the_typical_marker_fields_are_far_from_the_training_dat
 def test_weak_evidence_is_not_released_on(
     presses: list[TrialPresses], policy: dict[str, int], fused: dict[str, float], why: str
 ) -> None:
-    bold = FusedSettings.model_validate({"risk": 0.9, "inset_mm": 0.0, **fused})
+    bold = FusedSettings.model_validate({"risk": 0.9, "first_risk": 0.0, "inset_mm": 0.0, **fused})
     settings = StackSettings(belief=SMALL, fused=bold, policy=PolicySettings(**policy))
     reasoner, found = concluded(presses, 0, settings)
     assert found[-1].action.kind == "shift"
@@ -278,16 +278,19 @@ def test_the_hull_of_the_centres_of_pressure_is_shrunk_by_two_deviations(
     corners = 6.0 * np.array([[np.cos(a), np.sin(a)] for a in (0.0, 2 * np.pi / 3, -2 * np.pi / 3)])
     centres = iter(np.array(PLACES[-1]) + corners - np.array(PLACES))
     monkeypatch.setattr(strategies, "pressed_at_mm", lambda wrench, lever_mm: next(centres))
-    bold = FusedSettings(risk=0.9, inset_mm=0.0, pressure_sd_mm=sd_mm)
+    bold = FusedSettings(risk=0.9, first_risk=0.0, inset_mm=0.0, pressure_sd_mm=sd_mm)
     assert concluded(presses, 0, StackSettings(belief=SMALL, fused=bold))[1][-1].action.kind == kind
 
 
 def test_a_press_replaces_one_at_the_same_place(presses: list[TrialPresses]) -> None:
-    merging = SETTINGS.model_copy(update={"fused": FusedSettings(merge_mm=0.5)})
+    either, merging = (
+        SETTINGS.model_copy(update={"fused": FusedSettings(first_risk=0.0, merge_mm=mm)})
+        for mm in (0.0, 0.5)
+    )
     there = ((2.0, 0.3), (2.3, 0.5), (2.0, 0.5))
     merged = concluded(presses, 0, merging, places=there)[1][-1]
-    alone = concluded(presses[-1:], 0, places=there[-1:])[1][-1]
-    every = concluded(presses, 0, places=there)[1][-1]
+    alone = concluded(presses[-1:], 0, either, places=there[-1:])[1][-1]
+    every = concluded(presses, 0, either, places=there)[1][-1]
     assert merged.stability.margin_mm == alone.stability.margin_mm
     assert merged.stability.margin_mm != every.stability.margin_mm
 
@@ -310,7 +313,7 @@ def test_signals_that_are_no_numbers_end_the_trial_without_a_release(
     presses: list[TrialPresses], value: float, where: Any
 ) -> None:
     """One value, a finger or the wrist, after a good probe; ready to let go at any other."""
-    bold = StackSettings(belief=SMALL, fused=FusedSettings(risk=0.999))
+    bold = StackSettings(belief=SMALL, fused=FusedSettings(risk=0.999, first_risk=0.0))
     reasoner, found = concluded(presses[:1], 0, bold, places=PLACES[:1])
     assert found[-1].action.kind == "release"
     observation = presses[1].observation[0].copy()
@@ -365,7 +368,7 @@ def test_on_a_leaning_tower_it_neither_lets_go_nor_aims_where_the_lower_bottom_t
     low = Body("low", narrow, narrow, 20.0, 30.0, 10.0)
     touched = Body("disc", disc, disc, 20.0, 10.0, 10.0)
     tower = SupportTower((low, touched), ((5.0, 0.0),), 0.5, piece_g=15.0)
-    bold = StackSettings(belief=SMALL, fused=FusedSettings(risk=0.4, inset_mm=0.0))
+    bold = StackSettings(belief=SMALL, fused=FusedSettings(risk=0.4, first_risk=0.0, inset_mm=0.0))
     alone, found = concluded(presses, 0, bold)
     assert found[-1].action.kind == "release"
     wary, leaning = concluded(presses, 0, bold, replace(HELD, below=tower))
@@ -413,7 +416,7 @@ def touch(reasoner: FusedStrategy, at: XY) -> PlaceDecision:
 
 
 def test_the_centre_of_mass_of_a_mug_is_judged_and_brought_over_the_middle() -> None:
-    deep = FusedSettings(risk=0.5, inset_mm=8.0)
+    deep = FusedSettings(risk=0.5, first_risk=0.0, inset_mm=8.0)
     reasoner, faces = one_who_knows(
         replace(HELD, com_xy_mm=MUG), StackSettings(strategy="fused", belief=SMALL, fused=deep)
     )
@@ -434,7 +437,7 @@ def test_the_centre_of_mass_of_a_mug_is_judged_and_brought_over_the_middle() -> 
 def test_the_uncertainty_of_a_weighed_centre_of_mass_enters_the_release() -> None:
     sure, _ = one_who_knows(HELD)
     weighed, _ = one_who_knows(replace(HELD, com_sigma_mm=0.7))
-    risk = SETTINGS.fused.risk
+    risk = SETTINGS.fused.first_risk
     for reasoner, sd_mm in ((sure, 0.2), (weighed, math.hypot(0.2, 0.7))):
         found = touch(reasoner, MIDDLE_MM).stability.margin_mm
         assert found == pytest.approx(DISC_MM + sd_mm * float(norm.ppf(risk)), abs=0.06)
@@ -446,6 +449,22 @@ def test_the_uncertainty_of_a_weighed_centre_of_mass_enters_the_release() -> Non
     for sigma_mm, stable in ((0.0, True), (0.49 * margin_mm, True), (0.51 * margin_mm, False)):
         held = replace(HELD, com_sigma_mm=sigma_mm)
         assert PaperStrategy(held, paper, (0.0, 0.0)).conclude(seen).stability.stable is stable
+
+
+@pytest.mark.parametrize(
+    ("first_risk", "accepted"),
+    [(0.01, (0.01, 0.02, 0.04, 0.04)), (0.0, (0.04,) * 4), (0.2, (0.04,) * 4)],
+)
+def test_the_accepted_risk_grows_with_each_probe_to_the_last(
+    first_risk: float, accepted: tuple[float, ...]
+) -> None:
+    fused = FusedSettings(risk=0.04, first_risk=first_risk, inset_mm=8.9)  # never released
+    policy = PolicySettings(max_probes=3)
+    settings = StackSettings(strategy="fused", belief=SMALL, fused=fused, policy=policy)
+    reasoner, _ = one_who_knows(HELD, settings)
+    for risk in accepted:
+        margin_mm = touch(reasoner, MIDDLE_MM).stability.margin_mm
+        assert margin_mm == pytest.approx(DISC_MM + 0.2 * float(norm.ppf(risk)), abs=0.051)
 
 
 @pytest.mark.parametrize("strategy", ["paper", "fused", "zero-wrench"])

@@ -625,7 +625,7 @@ def test_learned_fusion_lets_go_on_a_tower_only_where_the_entry_carries_it(lean_
     """Ready to let go of anything that the touched face might carry, it still asks the entry."""
     changes = {
         "policy": PolicySettings(max_probes=1),
-        "fused": FusedSettings(risk=0.999, inset_mm=0.0),
+        "fused": FusedSettings(risk=0.999, first_risk=0.0, inset_mm=0.0),
         "tower": TowerSettings(offset_mm=((lean_mm, 0.0),), sigma_mm=1.0),
     }
     bench = OracleSession(method=brisk_method().model_copy(update=changes))

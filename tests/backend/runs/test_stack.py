@@ -19,7 +19,7 @@ from touchdown.backend.core import (
 from touchdown.backend.learning.fused import Guard, GuardCalibration
 from touchdown.backend.runs import stack
 
-BOLD = {"risk": 0.999, "inset_mm": 0.0}  # releases at the first place
+BOLD = {"risk": 0.999, "first_risk": 0.0, "inset_mm": 0.0}  # releases at the first place
 SHY = {"risk": 1e-6, "inset_mm": 6.0}  # never does
 
 

@@ -26,6 +26,7 @@ DIRECTIONS = 16
 LENGTH_MM = 10.0  # unit of lengths in the network
 PIECE_INPUTS = DIRECTIONS + 3
 PROBE_INPUTS = len(TICKS) * (6 + 2 * MODES) + 2 * len(GROWN) + 4
+WAY = slice(PROBE_INPUTS - 4, PROBE_INPUTS)  # inputs from the first probe and from the last one
 
 
 @dataclass(frozen=True, slots=True)

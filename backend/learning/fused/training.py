@@ -118,6 +118,7 @@ class FusedTraining:
     shape: features.FusedShape = field(default_factory=features.FusedShape)
     kick_mm: float = 0.0  # sd per axis of the shift of the centre of mass at a release
     start: Arrays | None = None  # arrays of a network to fine-tune, with its scaling and fields
+    shuffled: float = 0.5  # share of the sequences of a step whose probes are in random order
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,13 +144,12 @@ class ProbeSequences:
         """Return the sequences in the memory of ``device``."""
         return ProbeSequences(*(getattr(self, column.name).to(device) for column in fields(self)))
 
-    def inset_mm(self, rows: Tensor, points_mm: Tensor) -> Tensor:
-        """Return the inset (b, P, q) of ``points_mm`` (b, P, q, 2), given in the face frame.
+    def inset_mm(self, rows: Tensor, at: Tensor) -> Tensor:
+        """Return the inset (b, P, q) of points ``at`` (b, P, q, 2), from the middle of the bottom.
 
         With margins it is the signed distance to the hull of the contact that the piece would have
         with its centre of mass there.
         """
-        at = points_mm + self.true_mm[rows, : points_mm.shape[1], None]
         if self.margin_mm.shape[-1]:
             own = len(self.margin_mm)
             signs = torch.tensor(features.MIRROR_SIGNS).to(at)[rows // own][:, None, None]
@@ -306,7 +306,9 @@ class FusedTrainer:
             self._muon.param_groups[0]["lr"] = MATRIX_RATE * self._adam.rate
             if step % BATCHES_AT_ONCE == 0:
                 batches = self._batches()
-            loss = self._loss(self._train, *next(batches), self._generator)
+            rows, most = next(batches)
+            order = self._order(rows, most)
+            loss = self._loss(self._train, rows, order, self._generator)
             self.net.zero_grad()
             loss.backward()  # type: ignore[no-untyped-call]
             self._adam.step()
@@ -330,7 +332,16 @@ class FusedTrainer:
         generator = torch.Generator(self._device).manual_seed(7)
         rows = torch.arange(len(self._held_out.probes), device=self._device)
         most = int(self._held_out.there.sum(dim=1).max())
-        return float(self._loss(self._held_out, rows, most, generator))
+        order = torch.arange(most, device=self._device).expand(len(rows), -1)
+        return float(self._loss(self._held_out, rows, order, generator))
+
+    def _order(self, rows: Tensor, most: int) -> Tensor:
+        """Return the order (b, ``most``) of the probes of ``rows``: as pressed, or a random one."""
+        drawn = torch.rand((len(rows), most + 1), generator=self._generator, device=self._device)
+        pressed = torch.arange(most, device=self._device, dtype=drawn.dtype)
+        shuffled = drawn[:, :1] < self._settings.shuffled
+        place = torch.where(shuffled, drawn[:, 1:], pressed)
+        return (place + most * ~self._train.there[rows, :most]).argsort(dim=1)
 
     def arrays(self) -> dict[str, NDArray[np.float32]]:
         """Return the arrays of a checkpoint."""
@@ -339,22 +350,25 @@ class FusedTrainer:
         return {**about, **found}
 
     def _loss(
-        self, data: ProbeSequences, rows: Tensor, count: int, generator: torch.Generator
+        self, data: ProbeSequences, rows: Tensor, order: Tensor, generator: torch.Generator
     ) -> Tensor:
-        """Return the mean loss after each of the first ``count`` probes of ``rows``."""
-        there = data.there[rows, :count, None]
-        points = _points(data, rows, count, generator)
-        moved = points
+        """Return the mean loss after each of the probes ``order`` (b, P) of ``rows`` (b,)."""
+        row, device = rows[:, None], rows.device
+        there = data.there[row, order][..., None]
+        points = _points(data, rows, order.shape[1], generator)
+        moved = points + data.true_mm[row, order][:, :, None]
         if kick := self._settings.kick_mm:
-            noise = torch.randn(points.shape, generator=generator, device=points.device)
-            moved = points + kick * noise
+            noise = torch.randn(points.shape, generator=generator, device=device)
+            moved = moved + kick * noise
         inset = data.inset_mm(rows, moved) / features.LENGTH_MM
-        away = (data.offset_mm[rows, :count] - data.offset_mm[rows, :1])[:, :, None]
+        offset = data.offset_mm[row, order]
+        away = (offset - offset[:, :1])[:, :, None]
         distance = points.square().sum(dim=-1, keepdim=True).sqrt()
         asked = torch.cat([points, points + away, distance], dim=-1) / features.LENGTH_MM
-        probes = (data.probes[rows, :count] - self.mean.to(rows.device)) / self.scale.to(
-            rows.device
-        )
+        probes = data.probes[row, order]
+        steps = offset.diff(dim=1, prepend=offset[:, :1])
+        probes[..., features.WAY] = torch.cat([away[:, :, 0], steps], dim=-1) / features.LENGTH_MM
+        probes = (probes - self.mean.to(device)) / self.scale.to(device)
         answer = self.net(torch.where(there, probes, 0.0), asked)
         loss = torch.where(there, negative_log_likelihood(answer, inset), 0.0)
         return loss.sum() / (there.sum() * POINTS)

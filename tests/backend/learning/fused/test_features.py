@@ -282,7 +282,7 @@ def test_the_true_inset_is_that_of_the_outline() -> None:
     modes = field_components(arrays["field"])
     data: ProbeSequences = prepare_sequences([arrays], modes, mirror=True)
     points = torch.tensor([[1.0, 2.0], [-3.0, 0.5]]).expand(8, 2, 2, 2)
-    found = data.inset_mm(torch.arange(8), points).numpy()
+    found = data.inset_mm(torch.arange(8), points + data.true_mm[:, :, None]).numpy()
     expected = inset_mm(outline, (points + data.true_mm[:, :, None]).numpy().astype(np.float64))
     np.testing.assert_allclose(found, expected, atol=1e-4)
 
@@ -296,7 +296,7 @@ def test_margins_replace_the_outline_and_are_mirrored_with_it() -> None:
         [arrays], field_components(arrays["field"]), mirror=True
     )
     points = torch.tensor([[1.0, 2.0], [-3.0, 0.5]]).expand(8, 2, 2, 2)
-    found = data.inset_mm(torch.arange(8), points).numpy()
+    found = data.inset_mm(torch.arange(8), points + data.true_mm[:, :, None]).numpy()
     at = (points + data.true_mm[:, :, None]).numpy()
     signs = np.repeat([[1.0, 1.0], [-1.0, 1.0], [1.0, -1.0], [-1.0, -1.0]], 2, axis=0)
     at = at * signs[:, None, None]
@@ -318,6 +318,34 @@ def test_a_training_learns_and_is_the_same_again() -> None:
         list(one.steps())
     first, second = (one.arrays() for one in twice)
     assert all(np.array_equal(first[name], second[name]) for name in first)
+
+
+def test_probes_in_another_order_are_those_of_a_trial_in_that_order() -> None:
+    rng, held_out = np.random.default_rng(6), made_up(8, 2)
+    train = {**made_up(16, 1), "count": rng.integers(1, 3, 16)}
+    train["offset_mm"] = rng.uniform(-5.0, 5.0, (16, 2, 2)).astype(np.float32)
+    back = np.where(train["count"][:, None] == 2, [[1, 0]], [[0, 1]])
+    turned = {
+        name: np.take_along_axis(a, back.reshape(16, 2, *(a.ndim - 2) * [1]), axis=1)
+        if name in ("wrench", "field", "offset_mm", "true_mm")
+        else a
+        for name, a in train.items()
+    }
+    settings = FusedTraining(1, 16, seed=3, shape=SMALL, shuffled=1.0)
+    trainer = FusedTrainer([train], [held_out], settings)
+    other = FusedTrainer([turned], [held_out], replace(settings, start=trainer.arrays()))
+    rows, images = torch.arange(64), torch.tensor(np.tile(back, (4, 1)))
+    pressed = torch.arange(2).expand(64, -1)
+    loss, expected = (
+        one._loss(one._train, rows, order, torch.Generator().manual_seed(1))
+        for one, order in ((trainer, images), (other, pressed))
+    )
+    torch.testing.assert_close(loss, expected)
+    order = trainer._order(rows, 2)
+    there = trainer._train.there
+    assert torch.equal(order.sort(dim=1).values, pressed)
+    assert torch.equal(there[rows[:, None], order], there)  # the missing probes stay last
+    assert 0 < int((order != pressed).any(dim=1).sum()) < 64
 
 
 def test_a_kick_blurs_the_target() -> None:

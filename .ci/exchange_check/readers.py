@@ -135,6 +135,23 @@ def lerobot_stream(truth: Truth) -> str:
     return f"{len(listed)} episodes, {20 * len(listed)} frames bit-equal, spans of time"
 
 
+def lerobot_policy(truth: Truth) -> str:
+    """Train ACT: its actions depend on touch if the state holds it, and only then."""
+    from policy import change_without_touch
+
+    plain, state, apart = (
+        change_without_touch(truth.exports / folder, steps, batch)
+        for folder, steps, batch in (
+            ("lerobot/sample", 10, 4), ("lerobot-state/sample", 10, 4), ("lerobot-apart", 300, 32)
+        )
+    )  # fmt: skip
+    assert plain[0] == 0.0 < min(state[0], apart[0])
+    return (
+        f"without touch its actions change by {plain[0]:g}; with touch in the state by "
+        f"{state[0]:.3g}, in the environment state by {apart[0]:.3g} (deviation {apart[1]:.3g})"
+    )
+
+
 def robomimic(truth: Truth) -> str:
     """Load all demos and the training side with SequenceDataset."""
     import robomimic.utils.obs_utils as obs_utils
@@ -228,6 +245,7 @@ def coco(truth: Truth) -> str:
 
 
 CHECKS = {"lerobot": lerobot, "lerobot stream": lerobot_stream, "lerobot video": lerobot_video,
+          "lerobot policy": lerobot_policy,
           "robomimic": robomimic, "zarr": zarr, "replay buffer": replay_buffer, "ros2": ros2,
           "coco": coco}  # fmt: skip
 PACKAGES = {
@@ -236,6 +254,7 @@ PACKAGES = {
     "ros2": "rosbags",
     "lerobot video": "lerobot",
     "lerobot stream": "lerobot",
+    "lerobot policy": "lerobot",
 }
 
 

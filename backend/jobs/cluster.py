@@ -29,7 +29,14 @@ from touchdown.backend.core import (
     write_atomically,
 )
 from touchdown.backend.jobs.execution import MAX_WORKER_DEATHS, THREAD_VARIABLES
-from touchdown.backend.jobs.job import JobFunctions, JobResult, JobSpec, JobStore, run_job
+from touchdown.backend.jobs.job import (
+    ARRAYS_PREFIX,
+    JobFunctions,
+    JobResult,
+    JobSpec,
+    JobStore,
+    run_job,
+)
 
 JOBS_AHEAD = 2  # jobs submitted per worker thread, so that none is idle
 
@@ -127,7 +134,7 @@ class SlurmArrays:
         call(["sbatch", "--version"])
         with disk_errors("The folder of the jobs cannot be used", store.root, "Name another one."):
             store.root.mkdir(parents=True, exist_ok=True)
-            self._folder = Path(tempfile.mkdtemp(prefix=".slurm-", dir=store.root)).resolve()
+            self._folder = Path(tempfile.mkdtemp(prefix=ARRAYS_PREFIX, dir=store.root)).resolve()
         self._waiting: list[JobSpec] = []
         # jobs and the files of their ends, by task, such as "12_3"
         self._running: dict[str, tuple[JobSpec, Path]] = {}
@@ -160,11 +167,13 @@ class SlurmArrays:
         shutil.rmtree(self._folder, ignore_errors=True)
 
     def _submit_array(self) -> None:
-        folder, specs = Path(tempfile.mkdtemp(dir=self._folder)), self._waiting
+        specs, root = self._waiting, self._store.root.resolve()
         kinds = {k: f"{call.__module__}:{call.__qualname__}" for k, call in self._kinds.items()}
-        jobs, root = [spec.canonical() for spec in specs], str(self._store.root.resolve())
-        tasks = json.dumps({"store": root, "kinds": kinds, "jobs": jobs})
-        write_atomically(folder / "tasks.json", tasks.encode())
+        jobs = [spec.canonical() for spec in specs]
+        tasks = json.dumps({"store": str(root), "kinds": kinds, "jobs": jobs})
+        with disk_errors("The tasks cannot be written", root, "Free some space; run again."):
+            folder = Path(tempfile.mkdtemp(dir=self._folder))
+            write_atomically(folder / "tasks.json", tasks.encode())
         code = f"from {__name__} import main; main()"
         command = shlex.join(["exec", sys.executable, "-c", code, str(folder / "tasks.json")])
         number = self._call([

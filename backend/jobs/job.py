@@ -69,6 +69,7 @@ class JobSpec:
 RESULT_FILE = "result.json"
 SPEC_FILE = "spec.json"
 _PART_SUFFIX = ".part"
+ARRAYS_PREFIX = ".slurm-"  # of the folders with the tasks of job arrays
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,13 +107,19 @@ class JobStore:
         shutil.rmtree(part, ignore_errors=True)
         part.mkdir(parents=True)
         try:
+            write_atomically(part / SPEC_FILE, spec.canonical().encode())
             yield part
         finally:
             shutil.rmtree(part, ignore_errors=True)
 
     def finish(self, spec: JobSpec, part: Path, answer: Mapping[str, Any]) -> None:
-        """Write spec and answer to the folder ``part`` and give it its final name."""
-        write_atomically(part / SPEC_FILE, spec.canonical().encode())
+        """Write the answer to the folder ``part`` and give it its final name.
+
+        Raises ``InputError`` if the folder was swept meanwhile: it may lack files of the job.
+        """
+        if not (part / SPEC_FILE).is_file():
+            what = "The folder of the job was deleted while it ran."
+            raise InputError(what, str(part), "Run the job again.")
         text = json.dumps(answer, sort_keys=True, allow_nan=False)
         write_atomically(part / RESULT_FILE, text.encode())
         try:
@@ -126,9 +133,9 @@ class JobStore:
     def sweep(self) -> int:
         """Delete unfinished folders of killed processes; return their number.
 
-        Call only while no process writes to the store.
+        A process that still writes to one of them fails.
         """
-        left = list(self.root.glob(f".*{_PART_SUFFIX}"))
+        left = [*self.root.glob(f".*{_PART_SUFFIX}"), *self.root.glob(f"{ARRAYS_PREFIX}*")]
         for part in left:
             shutil.rmtree(part, ignore_errors=True)
         return len(left)

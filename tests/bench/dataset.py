@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import resource
 import shutil
 import sqlite3
@@ -312,11 +313,63 @@ def stores_of_others() -> list[Figure]:
             assert np.array_equal(values, rows[k].observation)
             assert np.array_equal(stored_observation(pack, chunks[k]), rows[k].observation)
         sizes = [path.stat().st_size / STORED / 1e3 for path in (pack, hdf5)]
+        writer = _beside_lerobot(folder, rows, timed(lambda: _pack(pack, rows)))
     size = stated("store / HDF5, bytes an episode", sizes[0] / sizes[1], "",
                   f"{sizes[0]:.1f} kB beside {sizes[1]:.1f} kB")  # fmt: skip
-    missing = Figure("store / LeRobot's writer, time to write", None, "", "<= 0.5", None,
-                     "not measured: lerobot is not installed")  # fmt: skip
-    return [whole, single, read, size, missing]
+    return [whole, single, read, size, writer]
+
+
+READERS = Path(os.environ.get("READERS") or ROOT / ".venv-readers") / "bin" / "python"
+CHECKS = ROOT / ".ci" / "exchange_check"
+NO_READERS = "not measured: make exchange-check installs the readers"
+
+
+def _beside_lerobot(
+    folder: Path, rows: Sequence[PackedEpisode], ours: Callable[[], float]
+) -> Figure:
+    """Compare with LeRobot's writer in the environment of the readers."""
+    name = f"store / LeRobot's writer, time to write {STORED} episodes"
+    if not READERS.exists():
+        return Figure(name, None, "", "<= 0.5", None, NO_READERS)
+    np.savez(
+        folder / "rows.npz",
+        observation=np.stack([row.observation for row in rows]),
+        offset_mm=np.array([[row.label[k] for k in ("x_um", "y_um")] for row in rows], "f4") / 1e3,
+    )
+    words = [READERS, CHECKS / "writer.py", folder / "rows.npz", folder / "lerobot"]
+    quiet = {**os.environ, "HF_HOME": str(folder / "hf"), "HF_HUB_OFFLINE": "1", "PYTHONPATH": ""}
+    with subprocess.Popen(
+        words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True,
+        env=quiet,
+    ) as child:  # fmt: skip
+        asked, told = child.stdin, child.stdout
+        assert asked is not None
+        assert told is not None
+
+        def theirs() -> float:
+            asked.write("\n")
+            asked.flush()
+            return float(told.readline())
+
+        theirs()  # its imports and first files
+        return paired(name, ours, theirs, 0.5)
+
+
+@figure("readers")
+def exports_read_by_others() -> list[Figure]:
+    """Load a small export of each format with the readers of other projects."""
+    if not READERS.exists():
+        return [Figure("exports read by the real readers", None, "", "ok", None, NO_READERS)]
+    done = subprocess.run(
+        [ROOT / ".ci" / "exchange-check"], cwd=ROOT, capture_output=True, text=True, check=False,
+        env={**os.environ, "READERS": str(READERS.parents[1])},
+    )  # fmt: skip
+    lines = re.findall(r"^(.{14}) (\S+ \S+) +(ok|FAILED) +(.*)$", done.stdout, re.MULTILINE)
+    assert lines, done.stderr
+    return [
+        Figure(f"export read by {package}: {name.strip()}", told, "", "ok", told == "ok", note)
+        for name, package, told, note in lines
+    ]
 
 
 MILLION = int(os.environ.get("EPISODES", "1000000"))

@@ -393,12 +393,16 @@ class PlainLoop:
         return float(self.criterion(logits, self.targets[self.split.held_out]))
 
 
-COMPARED_EPOCHS = 5
+COMPARED_EPOCHS, MOST_EPOCHS = 5, 15
 
 
 @figure("peers")
 def training_of_others() -> list[Figure]:
-    """An epoch of 2,000 probes of the pot beside the plain loop, and the losses of both."""
+    """Training on 2,000 probes of the pot beside the plain loop.
+
+    An epoch in bfloat16 is faster but gains less, so the target holds for the time until the
+    held-out loss of the plain loop.
+    """
     scale = Scale("peers", 2000, 1, 1, 1, probes_per_grip=50)
     with tempfile.TemporaryDirectory() as folder:
         store = JobStore(Path(folder))
@@ -410,17 +414,21 @@ def training_of_others() -> list[Figure]:
     for precision in ("float32", "bfloat16"):
         if precision == "bfloat16" and not computes_bfloat16(torch.device("cpu")):
             continue
-        settings = paper_training("FT+Tac", COMPARED_EPOCHS).model_copy(
+        settings = paper_training("FT+Tac", MOST_EPOCHS).model_copy(
             update={"precision": precision, "schedule": "constant"}
         )
         trainer = Trainer(rows, settings)
         plain, own = PlainLoop(rows, trainer), trainer.epochs()
         losses: dict[str, list[float]] = {"ours": [], "plain": []}
+        spent_s: dict[str, list[float]] = {"ours": [], "plain": []}
 
-        def timed(name: str, once: Callable[[], float], losses: Any = losses) -> float:
+        def timed(
+            name: str, once: Callable[[], float], losses: Any = losses, spent_s: Any = spent_s
+        ) -> float:
             begun_s = time.perf_counter()
             losses[name].append(once())
-            return time.perf_counter() - begun_s
+            spent_s[name].append(time.perf_counter() - begun_s)
+            return float(spent_s[name][-1])
 
         def ours(own: Any = own) -> float:
             return float(next(own).validation_loss)
@@ -428,12 +436,24 @@ def training_of_others() -> list[Figure]:
         figures.append(paired(
             f"training / plain PyTorch loop, time an epoch, {precision}",
             partial(timed, "ours", ours), partial(timed, "plain", plain.epoch),
-            0.5 if precision == "bfloat16" else np.inf, COMPARED_EPOCHS,
+            np.inf, COMPARED_EPOCHS,
         ))  # fmt: skip
         figures.append(stated(
             f"training and plain loop: held-out loss after {COMPARED_EPOCHS} epochs, {precision}",
             ", ".join(f"{values[-1]:.4f}" for values in losses.values()), "nats",
         ))  # fmt: skip
+        aim = losses["plain"][-1]
+        while min(losses["ours"]) > aim and len(losses["ours"]) < MOST_EPOCHS:
+            timed("ours", ours)
+        epochs = next((k for k, loss in enumerate(losses["ours"], 1) if loss <= aim), 0)
+        ratio = sum(spent_s["ours"][:epochs]) / sum(spent_s["plain"]) if epochs else np.inf
+        name = f"training / plain PyTorch loop, time to the same held-out loss, {precision}"
+        note = f"{epochs} epochs to {aim:.4f} nats beside {COMPARED_EPOCHS}"
+        value = float(ratio) if epochs else f"not in {MOST_EPOCHS} epochs"
+        target, met = (
+            ("<= 0.5", bool(ratio <= 0.5)) if precision == "bfloat16" else ("stated", None)
+        )
+        figures.append(Figure(name, value, "", target, met, note))
     return figures
 
 

@@ -9,14 +9,16 @@ import shutil
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
+from unittest import mock
 
 import numpy as np
 import pytest
 
 from tests.backend.jobs.sample_kinds import KINDS
+from touchdown.backend.core import write_atomically
 from touchdown.backend.core.faults import InputError
 from touchdown.backend.core.scheduling import NICENESS
-from touchdown.backend.jobs import DaskCluster, SlurmArrays
+from touchdown.backend.jobs import DaskCluster, SlurmArrays, cluster
 from touchdown.backend.jobs.cluster import NOT_QUEUED, run_task
 from touchdown.backend.jobs.execution import (
     MAX_WORKER_DEATHS,
@@ -144,6 +146,18 @@ def test_a_killed_worker_loses_no_finished_job(tmp_path):
     # The pool ends the other worker too when one dies: it may leave a half-written job as well.
     assert store.sweep() in (1, 2)
     assert store.sweep() == 0
+
+
+def test_a_job_swept_while_it_runs_gives_no_result_without_its_files(tmp_path):
+    store, (spec,) = JobStore(tmp_path), draws(1)
+    with store.writing(spec) as part:
+        (part / "early").write_text("data")
+        (tmp_path / ".slurm-left").mkdir()
+        assert store.sweep() == 2
+        write_atomically(part / "late", b"data")
+        with pytest.raises(InputError, match="was deleted while it ran"):
+            store.finish(spec, part, {})
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.promise("P7", "P10")
@@ -287,6 +301,13 @@ def test_a_task_that_never_leaves_a_result_is_given_up_and_the_queue_is_emptied(
     stopped._submit_array()
     stopped.close()
     assert slurm.cancelled == ["4"]
+
+
+def test_tasks_on_a_full_disk_name_the_disk(tmp_path, monkeypatch) -> None:
+    arrays = SlurmArrays(KINDS, JobStore(tmp_path), FakeSlurm(), 0.0, 0.0)
+    monkeypatch.setattr(cluster, "write_atomically", mock.Mock(side_effect=OSError(28, "Full")))
+    with pytest.raises(InputError, match="The tasks cannot be written: Full"):
+        list(run_campaign(draws(1), arrays, JobStore(tmp_path)))
 
 
 def test_without_slurm_the_command_that_is_missing_is_named(tmp_path, monkeypatch) -> None:

@@ -6,6 +6,7 @@ specifications have equal results and the same id. A job has one folder, complet
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import shutil
@@ -182,7 +183,9 @@ def run_job(spec: JobSpec, kinds: JobFunctions, store: JobStore) -> JobResult:
             store.finish(spec, folder, answer)
     except TouchdownError as error:
         return JobResult(spec.id, spec.kind, "failed", time.monotonic() - began_s, str(error))
-    except Exception:  # noqa: BLE001 - one bad job must not end a campaign of thousands
+    except Exception as error:  # noqa: BLE001 - one bad job must not end a campaign of thousands
         why = traceback.format_exc(limit=-3)
+        if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
+            why = f"{error.strerror}: {store.root}. Free some space, then run the call again."
         return JobResult(spec.id, spec.kind, "failed", time.monotonic() - began_s, why)
     return JobResult(spec.id, spec.kind, "done", time.monotonic() - began_s)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import shlex
@@ -301,6 +302,13 @@ def test_a_task_that_never_leaves_a_result_is_given_up_and_the_queue_is_emptied(
     stopped._submit_array()
     stopped.close()
     assert slurm.cancelled == ["4"]
+
+
+def test_a_job_on_a_full_disk_names_the_disk(tmp_path) -> None:
+    full = mock.Mock(side_effect=OSError(errno.ENOSPC, "No space left on device"))
+    end = run_job(draws(1)[0], {"draw": full}, JobStore(tmp_path))
+    free = "Free some space, then run the call again."
+    assert end.error == f"No space left on device: {tmp_path}. {free}"
 
 
 def test_tasks_on_a_full_disk_name_the_disk(tmp_path, monkeypatch) -> None:

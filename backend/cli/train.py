@@ -65,8 +65,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--precision", choices=("float32", "bfloat16"), default=usual.precision,
-        help="of the products of a step; bfloat16 halves the time on processors that support it, "
-        "and is refused on others",
+        help="of the products of a step; bfloat16 halves the time of an epoch on processors that "
+        "support it, with a higher loss, and is refused on others",
     )  # fmt: skip
     parser.add_argument(
         "--threads", type=int,

@@ -415,6 +415,10 @@ def test_real_readers_find_every_number(dataset, hand, tmp_path):
     for kind in ("robomimic", "zarr", "replay-buffer", "coco", "ros2"):
         hand(kind, f"exports/{kind}")
     hand("lerobot", "exports/lerobot", video="sample")
+    touch, chosen = ("wrench", "markers"), {"states": EVERY, "divide_series": True}
+    hand("lerobot", "exports/lerobot-state", video="sample", state_with=touch, **chosen)
+    touch += ("environment_state",)
+    hand("lerobot", "exports/lerobot-apart", state_with=touch, **chosen)
     dataset.close()
     truth = tmp_path / "truth.npz"
     environment = {**os.environ, "HF_HOME": str(tmp_path / "hf"), "PYTHONPATH": str(ROOT)}
@@ -426,4 +430,4 @@ def test_real_readers_find_every_number(dataset, hand, tmp_path):
         env=environment, capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert found.returncode == 0, found.stdout + found.stderr[-3000:]
-    assert found.stdout.count(" ok ") == 8
+    assert found.stdout.count(" ok ") == 9

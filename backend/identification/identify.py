@@ -161,7 +161,7 @@ def identify_bench(
         *rest.estimates,
         *sensors.identify_air(presses, float(drifts[2]), rest=bool(rest.estimates)),
         *delayed, *sensors.arm_compliance(gel[:40]), *stages.mechanics_estimates(mechanics),
-        *pads,
+        stages.dilation_estimate(mechanics.presses, mechanics, nominal.tactile.pitch_mm), *pads,
     )  # fmt: skip
     if not pads:
         count = f": {len(friction['mu'])} of {len(slips)} presses slipped" if slips else ""

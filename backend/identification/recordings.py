@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 
-from touchdown.backend.annotations import Dataset, EpisodeEntry, EpisodeFilter
+from touchdown.backend.annotations import Dataset, EpisodeEntry, EpisodeFilter, Label
 from touchdown.backend.config import SAMPLES_PER_PROBE, TICK_S, ProbeSettings
 from touchdown.backend.core import FINGERS, MARKERS, FloatArray, InputError, MarkerState, Recording
 from touchdown.backend.episodes import REST_KEY, read_compressed_episode, read_first
@@ -94,7 +94,7 @@ class Recordings:
 
 def read_recordings(dataset: Dataset, progress: Progress = lambda _done, _of: None) -> Recordings:
     """Read presses and rest of a dataset; raises ``InputError`` for a damaged episode."""
-    entries = [e for e in dataset.episodes(EpisodeFilter()) if e.mode not in ("mass", "imported")]
+    entries = [e for e in dataset.episodes(EpisodeFilter()) if e.mode != "mass"]
     presses: list[PressRecording] = []
     rests: dict[str, list[RestRecording]] = {}
     for done, entry in enumerate(entries):
@@ -114,8 +114,10 @@ def read_recordings(dataset: Dataset, progress: Progress = lambda _done, _of: No
             continue
         facts = read_first(dataset.folder / entry.path).metadata["bench"]
         slipped = all("slipped" in reason for reason in episode.quality.reasons)
-        if episode.quality.accepted or (slipped and facts.get("stage") == CONTACT_STAGE):
-            presses.append(_press(dataset, entry, facts, episode.recording, episode.onset_s))
+        label = dataset.labels.head(entry.uuid).label
+        used = episode.quality.accepted or (slipped and facts.get("stage") == CONTACT_STAGE)
+        if used and label.is_set:
+            presses.append(_press(entry, facts, label, episode.recording, episode.onset_s))
     simulated = all(entry.mode != "lab" for entry in entries)
     # The clock starts anew with each mounting: only the longest rest is used.
     longest = max(rests.values(), key=len, default=[])
@@ -124,9 +126,8 @@ def read_recordings(dataset: Dataset, progress: Progress = lambda _done, _of: No
 
 
 def _press(
-    dataset: Dataset, entry: EpisodeEntry, facts: dict[str, str], signals: Recording, onset_s: float
+    entry: EpisodeEntry, facts: dict[str, str], label: Label, signals: Recording, onset_s: float
 ) -> PressRecording:
-    label = dataset.labels.head(entry.uuid).label
     probe = ProbeSettings.model_validate(json.loads(facts.get("probe", "{}")))
     return PressRecording(
         uuid=entry.uuid,

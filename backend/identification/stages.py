@@ -29,6 +29,7 @@ from touchdown.backend.identification.estimates import (
     spread_estimate,
 )
 from touchdown.backend.identification.fitting import (
+    HOLD,
     ChannelNoise,
     FitResult,
     GlsFit,
@@ -279,6 +280,26 @@ def mechanics_estimates(found: Mechanics) -> list[Estimate]:
         spread_estimate("arm.repeatability_mm", within, np.zeros(1), len(within) - grips),
     ]
     return result
+
+
+def dilation_estimate(presses: PressSet, found: Mechanics, pitch_mm: float) -> Estimate:
+    """Return the growth of the marker field with the pad force.
+
+    A lateral force F_y loads one pad and relieves the other by half of it: N / F_g - 1 is plus and
+    minus F_y / (2 F_g). The scatter between grippings gives the uncertainty.
+    """
+    basis = field_basis(pitch_mm, (float(found.roll_off_mm[0]), float(found.roll_off_mm[1])))
+    amplitude, _ = project_fields(presses.field_px[:, HOLD], presses.seen[:, HOLD], basis)
+    scale = np.array([found.of(name)[0].mean() for name in ("scale_left", "scale_right")])
+    grown = amplitude[..., 3].mean(axis=1) / scale @ (0.5, -0.5)
+    grip_n = np.array([r.probe.grip_force_n for r in presses.recordings])
+    load = presses.wrench[:, HOLD, 1].mean(axis=1) / (2.0 * grip_n)
+    power = max(float(load @ load), 1e-12)
+    value = float(load @ grown) / power
+    rest, grips = load * (grown - value * load), np.unique(presses.grip)
+    scatter = np.array([rest[presses.grip == g].sum() for g in grips])
+    sigma = float(np.sqrt(scatter @ scatter * len(grips) / max(len(grips) - 1, 1))) / power
+    return estimate("tactile.dilation", value, float(np.hypot(sigma, 0.05 * value)), len(grips) - 1)
 
 
 def friction_estimates(mu: FloatArray, sigma: FloatArray) -> list[Estimate]:

@@ -63,7 +63,11 @@ from touchdown.backend.simulation import (
     true_com_xy_mm,
     true_margin_mm,
 )
-from touchdown.backend.simulation.second_world import FiniteGelTrials, SecondWorldTrials
+from touchdown.backend.simulation.second_world import (
+    FiniteGelTrials,
+    SecondWorldTrials,
+    StickingGelTrials,
+)
 
 _DISPLACEMENT = 78
 FRESH = "fresh"  # stands for one test outline per trial
@@ -73,6 +77,7 @@ WORLDS: dict[str, type[BatchedTrials]] = {
     "bench": BatchedTrials,
     "elsewhere": SecondWorldTrials,
     "elsewhere-finite-elements": FiniteGelTrials,
+    "elsewhere-sticking-elements": StickingGelTrials,
 }
 
 

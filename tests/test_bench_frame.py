@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from tests.bench import figures, run, throughput
+from tests.bench import figures, laboratories, run, throughput
 from tests.bench.figures import Figure, figure
 from touchdown.backend.core.faults import InputError
 
@@ -118,3 +118,22 @@ def test_the_last_test_run_is_a_figure_unless_it_was_a_part(monkeypatch, tmp_pat
     report.write_text(line.format(0, 12, 3.0) + "</testsuites>", "utf-8")
     with pytest.raises(InputError, match="Only 12 tests"):
         throughput.last_test_run()
+
+
+def test_a_laboratory_is_added_to_those_that_are_there(tmp_path, monkeypatch):
+    monkeypatch.setattr(laboratories, "DATA", tmp_path / "measured.json")
+    for seed, share in ((13, 1.0), (2, 2.0), (13, 3.0)):
+        of = laboratories.with_result("hidden", {"seed": seed, "share": share, "bench": {}})
+        laboratories.save_result("hidden", {"of": of})
+    stored = laboratories.stored_results("hidden")
+    assert stored == [{"seed": 2, "share": 2.0}, {"seed": 13, "share": 3.0}]
+
+
+def test_success_that_comes_back_counts_what_was_lost():
+    own, before, after = (n * ["placed"] + (20 - n) * ["fell"] for n in (18, 8, 13))
+    found = laboratories.recovered(own, before, after)
+    assert found["lost_points"] == pytest.approx(50.0)
+    assert found["comes_back"] == pytest.approx(0.5)
+    low, high = found["interval"]
+    assert 0.1 < low < 0.5 < high < 0.9
+    assert found["unsafe_of_released"] == pytest.approx(7 / 20)

@@ -1,7 +1,8 @@
 """Hidden laboratories: benches drawn from wide ranges, recorded, identified, and judged.
 
-``python -m tests.bench.laboratories --count 20``. Only this judge knows the drawn values. Their
-recordings come from ``collect`` on the simulated bench, through the dataset, with fewer images
+``python -m tests.bench.laboratories --count 20``. Only this judge knows the drawn values. Results
+are added to those in docs/results, by seed, so that parts can run at different times. Recordings
+come from ``collect`` on the simulated bench, through the dataset, with fewer images
 and fast free moves; with ``--drivers`` from the emulated bench: real drivers on real wires,
 in real time. The laboratories share the model of the identification, so this checks for errors, not
 for realism. Results of finished laboratories are kept in ``--out``, and with ``--keep`` their
@@ -15,14 +16,18 @@ import shutil
 import sys
 import tempfile
 import time
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, redirect_stdout, suppress
 from dataclasses import replace
+from importlib.resources import files
+from itertools import product
 from pathlib import Path
 from typing import Any
 from unittest import mock
 
 import numpy as np
+from scipy.interpolate import make_interp_spline
 
 from tests.backend.bench.brisk import brisk_method, on
 from tests.bench.figures import DATA, Figure, at_least, at_most, figure, stated
@@ -30,23 +35,45 @@ from touchdown.backend.annotations import Dataset
 from touchdown.backend.bench import EmulatedBench, Session, SimulatedBenchChoice, simulated_session
 from touchdown.backend.cli.command_line import main as command_line
 from touchdown.backend.config import (
+    ProbeSettings,
     SimulationSettings,
     StabilitySettings,
+    StackSettings,
     TrainingSettings,
     load_simulation,
 )
-from touchdown.backend.core import FaultError, InputError, Paused, write_atomically
+from touchdown.backend.core import (
+    FINGERS,
+    FaultError,
+    InputError,
+    MarkerField,
+    Paused,
+    Recording,
+    write_atomically,
+)
 from touchdown.backend.episodes import Split, TrainingRows, join_rows, load_rows
+from touchdown.backend.experiments import KINDS
 from touchdown.backend.experiments.document import curves_chart
-from touchdown.backend.geometry import face_points, load_pieces
-from touchdown.backend.identification import Recordings, identify_bench, read_recordings
+from touchdown.backend.experiments.trials import refused_presses
+from touchdown.backend.geometry import Tower, draw_offset, face_points, load_pieces
+from touchdown.backend.identification import (
+    Recordings,
+    identify_bench,
+    read_recordings,
+    write_identification,
+)
+from touchdown.backend.identification.recordings import PressRecording
 from touchdown.backend.identification.stages import Gate, replay_gate
+from touchdown.backend.jobs import JobContext, JobSpec, JobStore
 from touchdown.backend.learning import stable_flags, use_one_thread
 from touchdown.backend.learning.inference import modality_columns
 from touchdown.backend.learning.metrics import CONTACT_LEVEL, iou
 from touchdown.backend.learning.training import Trainer, predict
 from touchdown.backend.placement.estimator import mean_entropy
 from touchdown.backend.runs import CollectRequest, RecordingOptions, newest_campaign
+from touchdown.backend.sensing import EpisodeLimits
+from touchdown.backend.simulation import BatchedTrials, Scene, wrist_wrench
+from touchdown.backend.simulation.second_world import FiniteGelTrials
 
 # Setting: low, high, and whether the logarithm is uniform
 RANGES: dict[str, tuple[float, float, bool]] = {
@@ -245,18 +272,34 @@ def summary(results: list[dict[str, Any]], *, drivers: bool = False) -> dict[str
 
 
 FOLDER = Path("output/laboratories")
+# Files in docs/results
+HIDDEN, THROUGH_DRIVERS = "hidden-laboratories", "laboratory-drivers"
+LOSSES, COMES_BACK = "laboratory-losses", "comes-back"
 MANY = 300  # presses
+
+
+def stored_results(name: str) -> list[dict[str, Any]]:
+    """Return the laboratories of a file in docs/results, none without the file."""
+    file = DATA.parent / f"{name}.json"
+    return list(json.loads(file.read_text())["of"]) if file.is_file() else []
+
+
+def with_result(name: str, result: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Return the stored laboratories with one more, or in place of that of the same seed."""
+    own = {k: v for k, v in result.items() if k not in ("bench", "ranges")}
+    kept = [one for one in stored_results(name) if one["seed"] != own["seed"]]
+    return sorted([*kept, own], key=lambda one: str(one["seed"]).zfill(3))
 
 
 @figure("identification")
 def hidden_laboratories() -> list[Figure]:
-    """Judge the finished laboratories of ``FOLDER``, which ``main`` fills."""
-    files = [file for file in FOLDER.glob("laboratory-*.json") if "drivers" not in file.stem]
-    if not files:
-        raise InputError("There is no result.", str(FOLDER), "Run tests.bench.laboratories first.")
-    found = summary([json.loads(file.read_text()) for file in files])
+    """Judge the laboratories in docs/results, which ``main`` adds."""
+    results = stored_results(HIDDEN)
+    if not results:
+        raise InputError("There is no result.", HIDDEN, "Run tests.bench.laboratories first.")
+    found = summary(results)
     shares = np.array(found["held_out_share"])
-    name = f"hidden laboratories ({len(files)}): "
+    name = f"hidden laboratories ({len(results)}): "
     note = f"accepted: {found['accepted']}"
     return [
         at_least(f"{name}parameters in their 95 % interval", 100 * found["coverage_95"], "%", 85.0),
@@ -363,6 +406,17 @@ def tested(network: Any, rows: TrainingRows) -> dict[str, float]:
     }
 
 
+def write_bench(file: Path, content: Mapping[str, Any]) -> Path:
+    """Write the settings of a bench."""
+    lines = [f"{key} = {json.dumps(v)}" for key, v in content.items() if not isinstance(v, dict)]
+    for group, values in content.items():
+        if isinstance(values, dict):
+            lines.append(f"[{group}]")
+            lines += [f"{key} = {json.dumps(v)}" for key, v in values.items()]
+    file.write_text("\n".join(lines) + "\n")
+    return file
+
+
 def laboratory_probes(seed: int, out: Path) -> tuple[dict[str, Path], TrainingRows, TrainingRows]:
     """Return the bench files by name, labelled probes of the laboratory, and its test probes."""
     drawn, _ = draw_laboratory(seed, drivers=True)
@@ -371,14 +425,7 @@ def laboratory_probes(seed: int, out: Path) -> tuple[dict[str, Path], TrainingRo
                "identified": found["bench"], "nominal": {}}  # fmt: skip
     files = {}
     for name, content in benches.items():
-        files[name] = out / f"{name}-{seed}.toml"
-        lines = [f"{key} = {json.dumps(v)}" for key, v in content.items()
-                 if not isinstance(v, dict)]  # fmt: skip
-        for group, values in content.items():
-            if isinstance(values, dict):
-                lines.append(f"[{group}]")
-                lines += [f"{key} = {json.dumps(v)}" for key, v in values.items()]
-        files[name].write_text("\n".join(lines) + "\n")
+        files[name] = write_bench(out / f"{name}-{seed}.toml", content)
     pool = simulated_probes(files["laboratory"], POOL // 3 + 1, LABORATORY_SEED, KNOWN, 15, 3)
     test = simulated_probes(files["laboratory"], TESTED // 2, TEST_SEED, UNSEEN, 5, 2)
     return files, pool, test
@@ -493,6 +540,185 @@ def labels_needed(curves: Mapping[str, list[list[float]]]) -> dict[str, Any]:
     }
 
 
+# Trials of the networks for any outline with their shipped rule, before and after an adaptation.
+PLACED = "pot", "barrel", "mushroom"
+TRIALS, RECOVERY_SEED = 5, 48_000_000  # of each piece and bottom
+RULE = (":fused.ensemble=mixture:policy.max_probes=12:policy.least_probes=4:fused.risk=0.025"
+        ":fused.inset_mm=0")  # fmt: skip
+LONG_PARTS, STEPS, RATE, NETWORKS = 6, 200, 1e-3, 2  # of an adaptation
+SECOND_WORLD = "elsewhere-finite-elements"
+SHIPPED = files("touchdown.resources") / "models/fused/any.safetensors"
+
+
+def outcomes(bench: SimulationSettings, network: str, world: str = "bench") -> list[str]:
+    """Return the outcomes of the trials of a network, by piece, bottom and seed."""
+    found = []
+    for number, (piece, bottom) in enumerate(product(PLACED, ("short", "long"))):
+        params = {
+            "bench": bench.model_dump(mode="json"), "piece": piece, "bottom": bottom,
+            "trials": TRIALS, "world": world, "strategy": f"fused:fused.weights={network}{RULE}",
+            "method": StackSettings().model_dump(mode="json"),
+        }  # fmt: skip
+        spec = JobSpec("beyond", params, RECOVERY_SEED + 1000 * number)
+        answer = KINDS["beyond"](spec, JobContext(Path(), JobStore(Path())))
+        found += [trial["outcome"] for trial in answer["trials"]]
+    return found
+
+
+def recovered(own: list[str], before: list[str], after: list[str]) -> dict[str, Any]:
+    """Return what comes back of the success lost against the own bench, paired by trial.
+
+    ``interval``: bootstrap over the trials, of the draws with a loss.
+    """
+    placed = np.array([[o == "placed" for o in part] for part in (own, before, after)], float)
+    rows = np.random.default_rng(0).integers(placed.shape[1], size=(2000, placed.shape[1]))
+    drawn = placed[:, rows].mean(axis=2)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        back = (drawn[2] - drawn[1]) / (drawn[0] - drawn[1])
+        share = float(np.diff(placed.mean(axis=1)[1:])[0] / (placed[0] - placed[1]).mean())
+    fell, stood = after.count("fell"), after.count("placed")
+    return {
+        "lost_points": 100.0 * float((placed[0] - placed[1]).mean()),
+        "comes_back": share if np.isfinite(share) else None,
+        "interval": np.quantile(back[drawn[0] > drawn[1]], [0.025, 0.975]).tolist(),
+        "unsafe_of_released": fell / max(fell + stood, 1),
+        "outcomes": {arm: dict(Counter(part)) for arm, part in
+                     (("own bench", own), ("before", before), ("after", after))},
+    }  # fmt: skip
+
+
+def adapted(bench: Path, ranges: Path, out: Path) -> Path:
+    """Train the shipped networks further on an identified bench and its ranges; return the file."""
+    words = ["experiment", "fused", "--bench", bench, "--ranges", ranges, "--from", SHIPPED,
+             "--outlines", "any", "--networks", NETWORKS, "--parts", 0, "--long-parts", LONG_PARTS,
+             "--steps", STEPS, "--rate", RATE, "--executor", "serial", "--out", out,
+             "--json"]  # fmt: skip
+    with redirect_stdout(io.StringIO()):
+        assert command_line(list(map(str, words))) == 0
+    return out / "fused.safetensors"
+
+
+class RecordedTrials(FiniteGelTrials):
+    """Trials of several grippings a mounting, whose presses are kept in ``records``."""
+
+    def __init__(self, scenes: list[Scene], probe: ProbeSettings, grips: list[int]) -> None:
+        super().__init__(scenes, probe)
+        gel = self._gel
+        BatchedTrials.__init__(self, scenes, probe, grips)
+        self._gel, self.records = gel, list[tuple[Any, Any]]()
+
+    def _shown(self, record: Any, conditions: Any) -> Any:
+        self.records.append((super()._shown(record, conditions), conditions))
+        return self.records[-1][0]
+
+
+def recorded_elsewhere(settings: SimulationSettings, seed: int) -> Recordings:
+    """Return recordings of the plan ``gel`` in the second world with the finite-element gel."""
+    count, per_grip, per_mounting = GEL_ELSEWHERE
+    probe, library = ProbeSettings(ramp_fraction=0.4), load_pieces()
+    piece, bottom = library.top("pot"), library.bottom("square15")
+    grips = list(range(count // per_grip))
+    scenes = [Scene(piece, Tower((bottom.body(),)), (0.0, 0.0), seed + g // per_mounting, settings)
+              for g in grips]  # fmt: skip
+    world, rng = RecordedTrials(scenes, probe, grips), np.random.default_rng([22, seed])
+    presses = []
+    for _ in range(per_grip):
+        at = draw_offset(rng, piece.face, bottom.face, len(grips))
+        press = world.press(grips, at)
+        reasons = refused_presses(press, EpisodeLimits())
+        for g, (record, conditions) in enumerate(world.records[-len(grips) :]):
+            if not reasons[g]:
+                signals = native_signals(record, conditions, scenes[g], at[g], rng)
+                presses.append(PressRecording(
+                    f"{len(presses)}", f"g{g}", f"m{g // per_mounting}", "pot", "square15", "gel",
+                    True, at[g], 0.15, record.onset_s, probe, signals))  # fmt: skip
+    return Recordings(tuple(presses), None, (f"second world {seed}",))
+
+
+GEL_ELSEWHERE = (45, 5, 3)
+AIR_S = 0.5
+
+
+def native_signals(record: Any, now: Any, scene: Scene, at_mm: Any, rng: Any) -> Recording:
+    """Return the signals of one press with the sensor errors of its bench."""
+    wrist, tactile = scene.settings.wrist, scene.settings.tactile
+    start_s, end_s = record.t_s[0] - AIR_S, record.t_s[-1]
+    path = make_interp_spline(np.r_[start_s, record.t_s], np.vstack([record.air, record.values]), 1)
+    t_s = np.arange(start_s, end_s, 1.0 / wrist.rate_hz)
+    white = np.repeat([wrist.white_n, wrist.white_nm], 3)
+    walk = np.repeat([wrist.drift_n_sqrt_min, wrist.drift_nm_sqrt_min], 3)
+    drift = walk * np.cumsum(rng.standard_normal((len(t_s), 6)), axis=0) / np.sqrt(
+        60.0 * wrist.rate_hz)  # fmt: skip
+    wrench = wrist_wrench(path(t_s)[:, :6], wrist.height_mm, wrist.yaw_rad) + now.ft_offset[0]
+    wrench += white * rng.standard_normal(wrench.shape) + drift
+    fall = ProbeSettings().approach_mm_s * AIR_S
+    pose_t_s = np.r_[start_s, record.t_s]
+    height = np.r_[record.height_mm[0] + fall, record.height_mm]
+    height = height + scene.grip_height_mm + now.grasp_offset_mm[0, 1]
+    give = path(pose_t_s)[:, :2] / now.robot_n_mm[0, :2]
+    fields = []
+    for k, finger in enumerate(FINGERS):
+        at_s = np.arange(start_s + rng.uniform(0.0, 0.04), end_s, 1.0 / tactile.rate_hz)
+        at_s = at_s + rng.uniform(-tactile.jitter_s, tactile.jitter_s, len(at_s))
+        shown = slice(6 + 126 * k, 132 + 126 * k)
+        moved = (path(at_s)[:, shown] - record.air[shown]).reshape(-1, 63, 2) * now.gain[0, k]
+        steps = rng.standard_normal((len(at_s), 1, 2)) / np.sqrt(tactile.rate_hz)
+        moved += now.bias_px[0, k] + tactile.drift_px_sqrt_s * np.cumsum(steps, axis=0)
+        moved += tactile.white_px * rng.standard_normal(moved.shape)
+        fields += [MarkerField(finger, n, t, one, one, np.zeros(63, np.uint8), 1.0)
+                   for n, (t, one) in enumerate(zip(at_s.tolist(), moved, strict=True))
+                   if start_s < t < end_s]  # fmt: skip
+    fields.sort(key=lambda field: field.t_s)
+    pose = np.column_stack([at_mm + give, height])
+    return Recording(t_s, wrench, tuple(fields), (), pose_t_s, pose, np.zeros(6))
+
+
+def add_loss(seed: int) -> None:
+    """Count the trials of the shipped networks in one laboratory, and on their own bench."""
+    use_one_thread()
+    there, _ = draw_laboratory(seed, drivers=True)
+    own = outcomes(load_simulation(preset="bench-v2"), str(SHIPPED))
+    before = outcomes(there, str(SHIPPED))
+    counted = {"own": dict(Counter(own)), "there": dict(Counter(before))}
+    lost = 100.0 * (own.count("placed") - before.count("placed")) / len(own)
+    of = with_result(LOSSES, {"seed": seed, "lost_points": lost, **counted})
+    save_result(LOSSES, {"of": of})
+
+
+def comes_back(place: str, out: Path) -> dict[str, Any]:
+    """Adapt the shipped networks to a laboratory, by its seed, or to the second world.
+
+    Trials on the bench of their training, and in the place before and after.
+    """
+    use_one_thread()
+    folder, began_s, times = out / f"adapted-{place}", time.process_time(), {}
+    folder.mkdir(parents=True, exist_ok=True)
+    bench, ranges = folder / "bench.toml", folder / "bench.json"
+    if place == SECOND_WORLD:
+        own, world = load_simulation(preset="bench-v1"), place
+        there, nominal = own, own
+        found = identify_bench(
+            recorded_elsewhere(there, 1), nominal, load_pieces(), folder / "stages"
+        )
+        facts: dict[str, Any] = {"accepted": found.gate.accepted, "share": found.gate.share,
+                                 "misfit": found.misfit, "used": list(found.used)}  # fmt: skip
+        write_identification(found, bench, place)
+    else:
+        own, world = load_simulation(preset="bench-v2"), "bench"
+        there, _ = draw_laboratory(int(place), drivers=True)
+        known = json.loads((out / f"laboratory-{place}.json").read_text())
+        write_bench(bench, known["bench"])
+        ranges.write_text(json.dumps({"randomisation": known["ranges"]}))
+        facts = {key: known[key] for key in ("accepted", "share", "misfit")}
+    times["identify"] = time.process_time() - began_s
+    network = adapted(bench, ranges, folder)
+    times["train"] = time.process_time() - began_s
+    arms = [(own, SHIPPED, "bench"), (there, SHIPPED, world), (there, network, world)]
+    result = recovered(*(outcomes(one, str(weights), where) for one, weights, where in arms))
+    times["trials"] = time.process_time() - began_s
+    return {"seed": place, "identified": facts, **result, "cpu_s_at_end_of": times}
+
+
 def save_result(name: str, found: Mapping[str, Any]) -> None:
     """Write a result to docs/results, and to standard output."""
     text = json.dumps({**found, "seconds": round(time.process_time(), 1)}, indent=1) + "\n"
@@ -506,11 +732,14 @@ def main() -> int:
     parser.add_argument("--count", type=int, default=20)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--out", type=Path, default=FOLDER, metavar="FOLDER")
-    parser.add_argument("--drivers", action="store_true", help="record on the emulated bench; "
-                        "the result goes into docs/results")  # fmt: skip
+    parser.add_argument("--drivers", action="store_true", help="record on the emulated bench")
     parser.add_argument("--curves", type=int, metavar="SEED", help="learning curves on a "
                         "laboratory that was identified, into docs/results")  # fmt: skip
     parser.add_argument("--active", type=int, metavar="SEED", help="labels saved by the queue")
+    parser.add_argument("--losses", action="store_true", help="only count the trials of the "
+                        "shipped networks in the laboratories")  # fmt: skip
+    parser.add_argument("--comes-back", metavar="PLACE", help="success after an adaptation to a "
+                        f"laboratory, by its seed, or to {SECOND_WORLD}")  # fmt: skip
     parser.add_argument("--keep", action="store_true", help="keep the recordings, 100 MB each")
     args = parser.parse_args()
     if args.curves is not None:
@@ -519,13 +748,18 @@ def main() -> int:
         for name, picture in curve_pictures(found).items():
             write_atomically(DATA.parent / f"learning-curves-{name}.svg", picture.encode())
         return 0
+    if args.comes_back is not None:
+        of = with_result(COMES_BACK, comes_back(args.comes_back, args.out))
+        save_result(COMES_BACK, {"of": of})
+        return 0
     if args.active is not None:
         save_result("active-labelling", active_labelling(args.active, args.out))
         return 0
-    results = []
     for seed in range(args.first, args.first + args.count):
-        results.append(run_laboratory(seed, args.out, drivers=args.drivers, keep=args.keep))
-        last = results[-1]
+        if args.losses:
+            add_loss(seed)
+            continue
+        last = run_laboratory(seed, args.out, drivers=args.drivers, keep=args.keep)
         covered = [one["covered"] for one in last["parameters"].values()]
         sys.stderr.write(
             f"laboratory {seed}: share {last['share']:.2f} (drawn bench "
@@ -533,13 +767,9 @@ def main() -> int:
             f"{sum(covered)} of {len(covered)} in their interval, converged: {last['converged']}, "
             f"identified in {last['identify_cpu_s']} s of CPU\n"
         )
-    if args.drivers:
-        content = [{k: v for k, v in r.items() if k not in ("bench", "ranges")} for r in results]
-        save_result("laboratory-drivers", {**summary(results, drivers=True), "of": content})
-        return 0
-    text = json.dumps(summary(results), indent=1)
-    (args.out / "summary.json").write_text(text + "\n")
-    sys.stdout.write(text + "\n")
+        name = THROUGH_DRIVERS if args.drivers else HIDDEN
+        of = with_result(name, last)
+        save_result(name, {**summary(of, drivers=args.drivers), "of": of})
     return 0
 
 

@@ -12,16 +12,9 @@ from pydantic import Field
 from touchdown.app import shell
 from touchdown.app.operate.jogging import PACES, ROWS, JogKeyFilter, ManualControlPresenter
 from touchdown.app.operate.page import OperatePage
+from touchdown.backend import core
 from touchdown.backend.bench import Session
 from touchdown.backend.config import ProbeSettings
-from touchdown.backend.core import (
-    EpisodeRecorded,
-    Event,
-    PatchEstimated,
-    PhaseEntered,
-    RunFinished,
-    RunStarted,
-)
 from touchdown.backend.placement import GraspedPiece, ProbeObservation, make_strategy
 from touchdown.backend.runs import ProbeRequest
 from touchdown.widgets.base import MAPS
@@ -40,7 +33,7 @@ class SingleProbePresenter:
         self._bench, self._panel, self._cards = bench, panel, cards
         self._mine = False
         self._felt: list[str] = []
-        self.patch: PatchEstimated | None = None  # of the last probe, None after other runs
+        self.patch: core.PatchEstimated | None = None  # of the last probe, None after other runs
         self.piece, self._model = bench.usual.piece, bench.model
         panel.values.setText(values_text(ProbeSettings()))
         self.show_model()
@@ -60,9 +53,9 @@ class SingleProbePresenter:
         words = shell.scene_model_caption(self._model, self.piece, simulated=self._bench.simulated)
         self._panel.show_model(f"Model: {words.short}", words.full)
 
-    def take(self, event: Event) -> None:
+    def take(self, event: core.Event) -> None:
         """Follow the events of a probe run."""
-        if isinstance(event, RunStarted):
+        if isinstance(event, core.RunStarted):
             self.piece = event.piece
             self._mine = event.activity == "probe"
             self._felt, self.patch = [], None
@@ -71,17 +64,17 @@ class SingleProbePresenter:
                 self._panel.result.setText("Probing.")
         if not self._mine:
             return
-        if isinstance(event, PhaseEntered) and event.phase in PHASES:
+        if isinstance(event, core.PhaseEntered) and event.phase in PHASES:
             self._panel.strip.show_phase(PHASES.index(event.phase))
-        elif isinstance(event, EpisodeRecorded):
+        elif isinstance(event, core.EpisodeRecorded):
             episode = event.episode
             self._felt.append(f"largest Fz {float(episode.observation[:, -4].max()):.1f} N")
             if not episode.quality.accepted:
                 self._felt.append(f"not an observation: {'; '.join(episode.quality.reasons)}")
-        elif isinstance(event, PatchEstimated):
+        elif isinstance(event, core.PatchEstimated):
             share, self.patch = float((event.patch.probability > 0.5).mean()), event
             self._felt.append(f"contact on {100 * share:.0f} % of the face")
-        elif isinstance(event, RunFinished):
+        elif isinstance(event, core.RunFinished):
             self._end(event)
 
     def story(self) -> shell.TrialStory | None:
@@ -111,7 +104,7 @@ class SingleProbePresenter:
             self.show_model()
         self._panel.detail.setText(self._bench.status().phase if active and self._mine else "")
 
-    def _end(self, event: RunFinished) -> None:
+    def _end(self, event: core.RunFinished) -> None:
         self._mine = False
         done = event.ending == "finished"
         if done:
@@ -195,7 +188,7 @@ class OperateWorkspace(shell.Workspace):
         draws = self.hand.draw, self.probe.draw, self._draw_belief, self.view.draw
         self.parts = (*self.live.parts, *draws)
 
-    def take(self, event: Event) -> None:
+    def take(self, event: core.Event) -> None:
         """Handle one event of the bench."""
         self._story.take(event)
         if self.probe is not None and self.view is not None:

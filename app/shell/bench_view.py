@@ -10,17 +10,8 @@ from dataclasses import replace
 import numpy as np
 
 from touchdown.app.shell.activity import arm_of, arm_position_mm, gripper_of
+from touchdown.backend import core
 from touchdown.backend.bench import Session
-from touchdown.backend.core import (
-    ActionChosen,
-    Event,
-    Fall,
-    PhaseEntered,
-    Released,
-    RunStarted,
-    StaleSampleError,
-    TrialStarted,
-)
 from touchdown.backend.geometry import Piece
 from touchdown.widgets.base import Panel, signed
 from touchdown.widgets.views import (
@@ -56,28 +47,28 @@ class BenchViewPresenter:
         self._bottoms: tuple[SideBody, ...] = ()
         self._table_mm, self._names = 0.0, ""
         self._let_go: SideBody | None = None
-        self._fall: Fall | None = None
+        self._fall: core.Fall | None = None
         self._fall_s = 0.0
         self._stands: bool | None = None
         self._tick = self._trial = self._let_go_in = 0
         self.next_mm: tuple[float, float] | None = None  # where the face goes next
         self._set(bench.usual.piece, bench.usual.bottoms)
 
-    def take(self, event: Event) -> None:
+    def take(self, event: core.Event) -> None:
         """Update scene and released piece."""
-        if isinstance(event, RunStarted | TrialStarted | Released):
+        if isinstance(event, core.RunStarted | core.TrialStarted | core.Released):
             self.next_mm = None
-        if isinstance(event, RunStarted):
+        if isinstance(event, core.RunStarted):
             self._set(event.piece, event.bottom.split("+"))
-        elif isinstance(event, ActionChosen):
+        elif isinstance(event, core.ActionChosen):
             held, (dx_mm, dy_mm) = self._held(), event.action.step_mm or (0.0, 0.0)
             if held is not None and event.action.kind == "shift":
                 self.next_mm = held.x_mm + dx_mm, held.y_mm + dy_mm
-        elif isinstance(event, TrialStarted):
+        elif isinstance(event, core.TrialStarted):
             self._trial = event.trial
-        elif isinstance(event, PhaseEntered) and event.phase == "rise":
+        elif isinstance(event, core.PhaseEntered) and event.phase == "rise":
             self._leave()
-        elif isinstance(event, Released):
+        elif isinstance(event, core.Released):
             if self._let_go is None or self._let_go_in != self._trial:
                 self._leave()
             self._stands, self._fall, self._fall_s = event.stands, event.fall, self._now_s()
@@ -161,7 +152,7 @@ class BenchViewPresenter:
             return UPRIGHT
         try:
             pose = arm.pose(math.inf)
-        except StaleSampleError:
+        except core.StaleSampleError:
             return UPRIGHT
         vector = np.array([pose.rx_rad, pose.ry_rad, pose.rz_rad])
         angle = float(np.linalg.norm(vector))

@@ -5,28 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
-from touchdown.backend.core import (
-    ActionChosen,
-    ApprovalAwaited,
-    BeliefMap,
-    BeliefUpdated,
-    Event,
-    Fall,
-    FloatArray,
-    Outcome,
-    PatchEstimated,
-    PhaseEntered,
-    PieceWeighed,
-    PlaceAction,
-    Released,
-    RunFinished,
-    RunStarted,
-    Said,
-    Stability,
-    StabilityJudged,
-    TrialFinished,
-    TrialStarted,
-)
+from touchdown.backend import core
 from touchdown.backend.geometry import Outline, PieceLibrary, overlap_polygon
 from touchdown.backend.learning import rate_interval
 from touchdown.backend.runs import excluding_fault
@@ -42,9 +21,9 @@ class ProbeStory:
 
     probe: int
     offset_mm: Offset | None = None
-    belief: BeliefMap | None = None
-    stability: Stability | None = None
-    action: PlaceAction | None = None
+    belief: core.BeliefMap | None = None
+    stability: core.Stability | None = None
+    action: core.PlaceAction | None = None
     latency_ms: float | None = None
 
 
@@ -57,10 +36,10 @@ class TrialStory:
     start_mm: Offset | None
     probes: list[ProbeStory] = field(default_factory=list)
     phase: str = ""
-    finished: TrialFinished | None = None
+    finished: core.TrialFinished | None = None
     stands: bool | None = None
-    fall: Fall | None = None
-    weighed: PieceWeighed | None = None
+    fall: core.Fall | None = None
+    weighed: core.PieceWeighed | None = None
 
     @property
     def excuse(self) -> str:
@@ -83,11 +62,11 @@ class TrialStory:
 
 
 # Fields of ``ProbeStory`` that an event reports under the same names.
-REPORTED: dict[type[Event], tuple[str, ...]] = {
-    PatchEstimated: ("probe", "offset_mm"),
-    BeliefUpdated: ("probe", "belief"),
-    StabilityJudged: ("probe", "stability"),
-    ActionChosen: ("probe", "action", "latency_ms"),
+REPORTED: dict[type[core.Event], tuple[str, ...]] = {
+    core.PatchEstimated: ("probe", "offset_mm"),
+    core.BeliefUpdated: ("probe", "belief"),
+    core.StabilityJudged: ("probe", "stability"),
+    core.ActionChosen: ("probe", "action", "latency_ms"),
 }
 
 
@@ -99,9 +78,9 @@ class RunStory:
 
     def __init__(self, *, of_any: bool = False) -> None:
         self._of_any = of_any
-        self.head: RunStarted | None = None
+        self.head: core.RunStarted | None = None
         self.trials: list[TrialStory] = []
-        self.ended: RunFinished | None = None
+        self.ended: core.RunFinished | None = None
         self.version = 0
         self._mine = True
 
@@ -111,13 +90,13 @@ class RunStory:
         return self.trials[-1] if self.trials else None
 
     @property
-    def outcomes(self) -> tuple[Outcome, ...]:
+    def outcomes(self) -> tuple[core.Outcome, ...]:
         """Outcomes of the finished trials."""
         return tuple(t.finished.outcome for t in self.trials if t.finished is not None)
 
-    def take(self, event: Event) -> None:
+    def take(self, event: core.Event) -> None:
         """Add the next event."""
-        if isinstance(event, RunStarted):
+        if isinstance(event, core.RunStarted):
             self._mine = self._of_any or event.activity == "stack"
         if not self._mine:
             return
@@ -129,27 +108,27 @@ class RunStory:
             return
         self.version += 1
 
-    def _follow(self, event: Event) -> bool:
+    def _follow(self, event: core.Event) -> bool:
         """Follow an event that reports no probe; return False if it has no effect."""
         trial = self.trial
-        if isinstance(event, RunStarted):
+        if isinstance(event, core.RunStarted):
             self.head, self.ended = event, None
             self.trials.clear()
-        elif isinstance(event, TrialStarted):
+        elif isinstance(event, core.TrialStarted):
             self.trials.append(TrialStory(event.trial, event.seed, event.start_mm))
-        elif isinstance(event, RunFinished):
+        elif isinstance(event, core.RunFinished):
             self.ended = event
-        elif trial is not None and isinstance(event, PhaseEntered):
+        elif trial is not None and isinstance(event, core.PhaseEntered):
             trial.phase = event.phase
-        elif trial is not None and isinstance(event, Released):
+        elif trial is not None and isinstance(event, core.Released):
             trial.stands, trial.fall = event.stands, event.fall
-        elif trial is not None and isinstance(event, PieceWeighed):
+        elif trial is not None and isinstance(event, core.PieceWeighed):
             trial.weighed = event
-        elif trial is not None and isinstance(event, TrialFinished):
+        elif trial is not None and isinstance(event, core.TrialFinished):
             trial.finished = event
         else:
             # A question or a sentence changes the state of the bench, which is shown beside.
-            return isinstance(event, ApprovalAwaited | Said)
+            return isinstance(event, core.ApprovalAwaited | core.Said)
         return True
 
     def _note(self, probe: int, **known: object) -> None:
@@ -166,7 +145,7 @@ class RunStory:
 
 def true_patch_outline(
     trial: TrialStory, look: ProbeStory, face: Outline | None, bottom: Outline | None
-) -> FloatArray | None:
+) -> core.FloatArray | None:
     """Return the (k, 2) outline of the true overlap at a probe, None if unknown."""
     shift = trial.frame_shift_mm()
     if shift is None or bottom is None or face is None:
@@ -182,7 +161,7 @@ def unprobed_scene(trial: TrialStory) -> BeliefScene:
     return BeliefScene(empty=("No probe in this trial", "It ended before the first estimate."))
 
 
-def _weight(found: PieceWeighed) -> tuple[str, str]:
+def _weight(found: core.PieceWeighed) -> tuple[str, str]:
     """Return title and detail of the result of a weighing."""
     (x, y), (x_sigma, y_sigma) = found.com_xy_mm, found.sigma_mm
     title = f"Centre of mass {x:+.1f} \N{PLUS-MINUS SIGN} {x_sigma:.1f}, "
@@ -229,18 +208,18 @@ def run_score(trials: Sequence[TrialStory], planned: int, last: str) -> Score:
         which = "1 trial that a device fault" if excused == 1 else f"{excused} that device faults"
         said = f"Not counted: {which} ended before the release ({', '.join(excuses)})."
         last = f"{last} {said}".strip()
-    placed = sum(outcome is Outcome.PLACED for outcome in outcomes)
+    placed = sum(outcome is core.Outcome.PLACED for outcome in outcomes)
     counted = len(outcomes) - excused
     interval = rate_interval(placed, counted) if counted else None
     ended = [t.finished for t in done if t.finished is not None]
     void = tuple(
-        f"Trial {one.trial}: {one.reason}" for one in ended if one.outcome is Outcome.ABORTED
+        f"Trial {one.trial}: {one.reason}" for one in ended if one.outcome is core.Outcome.ABORTED
     )
     return Score(outcomes, planned, interval, last, excused, void)
 
 
 def face_outlines(
-    catalogue: PieceLibrary, head: RunStarted | None
+    catalogue: PieceLibrary, head: core.RunStarted | None
 ) -> tuple[Outline | None, Outline | None]:
     """Return the outlines of the piece's face and of the touched bottom, None if unknown."""
     if head is None:

@@ -21,22 +21,7 @@ from PySide6.QtWidgets import (
 from touchdown.app.shell.bench_text import BenchCaption
 from touchdown.app.shell.sheets import LEAST_WINDOW, QuestionRow
 from touchdown.app.shell.workspace import Workspace
-from touchdown.widgets.base import (
-    MAX_SCALE,
-    MIN_SCALE,
-    THEMES,
-    Columns,
-    ElidedLabel,
-    FlowLayout,
-    Theme,
-    ThemeName,
-    hbox,
-    icon,
-    label,
-    scroll_area,
-    ui_font,
-    vbox,
-)
+from touchdown.widgets import base
 from touchdown.widgets.shell import BenchBanner, FaultCards, TopBar
 
 LEAST_EM, MOST_EM = (
@@ -53,7 +38,7 @@ class MainWindow(QMainWindow):
     """The main window. ``may_close`` decides on a close request."""
 
     def __init__(
-        self, theme: Theme, bar: TopBar, cards: FaultCards, tabs: Sequence[Workspace]
+        self, theme: base.Theme, bar: TopBar, cards: FaultCards, tabs: Sequence[Workspace]
     ) -> None:
         super().__init__()
         self._theme, self._bar = theme, bar
@@ -65,7 +50,7 @@ class MainWindow(QMainWindow):
         self._scrolls: dict[str, QScrollArea] = {}
         named = [(tab.name, tab.title) for tab in tabs]
         self.rail = {name: _rail_button(text) for name, text in (*named, *FOOT_OF_RAIL)}
-        self._message, self._right = ElidedLabel("muted"), label("", "small")
+        self._message, self._right = base.ElidedLabel("muted"), base.label("", "small")
         self.next_step = QuestionRow(low=True)
         self._banner = BenchBanner(theme)
         # The name is unknown until a bench is attached.
@@ -78,21 +63,21 @@ class MainWindow(QMainWindow):
     def _arrange(self, bar: TopBar, cards: FaultCards) -> None:
         body = QWidget()
         # Below the page: what is above a new card keeps its place under the hand.
-        vbox((self._stack, 1), cards, parent=body, margins=(0, 0, 0, 0), spacing=0)
+        base.vbox((self._stack, 1), cards, parent=body, margins=(0, 0, 0, 0), spacing=0)
         self._rail_column = self._rail()
-        self._rail_frame = scroll_area(self._rail_column)
+        self._rail_frame = base.scroll_area(self._rail_column)
         self._rail_frame.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         self._rail_frame.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
-        middle = hbox(self._rail_frame, (body, 1), spacing=0)
+        middle = base.hbox(self._rail_frame, (body, 1), spacing=0)
         frame = self._frame = QWidget()
         frame.setObjectName("frame")
         self._foot_frame = QFrame()
         self._foot_frame.setProperty("role", "foot")
         message = self._message, MESSAGE_PX
         foot = cards.strip, self.next_step, message, self._banner, self._right
-        FlowLayout(*foot, parent=self._foot_frame, margins=(12, 4, 12, 4), spacing=16)
+        base.FlowLayout(*foot, parent=self._foot_frame, margins=(12, 4, 12, 4), spacing=16)
         whole = bar, (middle, 1), self._foot_frame
-        vbox(*whole, parent=frame, margins=(0, 0, 0, 0), spacing=0)
+        base.vbox(*whole, parent=frame, margins=(0, 0, 0, 0), spacing=0)
         self.setCentralWidget(frame)
         # Takes the initial focus, so that no control looks selected.
         frame.setFocusPolicy(Qt.FocusPolicy.ClickFocus)
@@ -106,12 +91,12 @@ class MainWindow(QMainWindow):
         foot = [self.rail[name] for name, _ in FOOT_OF_RAIL]
         buttons: list[QWidget | int] = [*(self.rail[name] for name in self._tabs), 1, *foot]
         margins = 5, RAIL_MARGIN_PX, 5, RAIL_MARGIN_PX
-        vbox(*buttons, parent=rail, margins=margins, spacing=RAIL_GAP_PX)
+        base.vbox(*buttons, parent=rail, margins=margins, spacing=RAIL_GAP_PX)
         return rail
 
     def add_page(self, name: str, page: QWidget) -> None:
         """Add the page of a workspace."""
-        self._pages[name], self._scrolls[name] = page, scroll_area(page)
+        self._pages[name], self._scrolls[name] = page, base.scroll_area(page)
         self._scrolls[name].setFocusPolicy(Qt.FocusPolicy.NoFocus)
         self._stack.addWidget(self._scrolls[name])
         page.installEventFilter(self)
@@ -153,14 +138,14 @@ class MainWindow(QMainWindow):
 
     def fit_to_theme(self) -> None:
         """Redraw the icons of the rail; larger text scrolls."""
-        em = QFontMetrics(ui_font(self._theme.scale)).height()
+        em = QFontMetrics(base.ui_font(self._theme.scale)).height()
         for button in self.rail.values():
             button.setMinimumWidth(round(3.7 * em))
         self._bar.ensurePolished()
         self._bar.fit()
         self.setMinimumWidth(max(LEAST_WINDOW.width(), self._bar.minimumSizeHint().width()))
         for name, button in self.rail.items():
-            button.setIcon(icon(name, self._theme.tokens.colour("text"), 22))
+            button.setIcon(base.icon(name, self._theme.tokens.colour("text"), 22))
         self._fit_rail()
         for page in self._pages.values():
             self._fit_columns(page)
@@ -193,11 +178,11 @@ class MainWindow(QMainWindow):
         # Hidden pages have no layout yet: use the width of the window.
         room = self.width() - self._rail_frame.sizeHint().width()
         narrow = room < page.minimumWidth()
-        for columns in page.findChildren(Columns):
+        for columns in page.findChildren(base.Columns):
             columns.lead_with_controls(narrow)
 
     def _give_room(self, page: QWidget) -> None:
-        em, needed = QFontMetrics(ui_font(self._theme.scale)).height(), page.minimumSizeHint()
+        em, needed = QFontMetrics(base.ui_font(self._theme.scale)).height(), page.minimumSizeHint()
         sizes = zip(LEAST_EM, (needed.width(), needed.height()), MOST_EM, strict=True)
         page.setMinimumSize(
             *(int(max(least * em, min(size, most * em))) for least, size, most in sizes)
@@ -226,8 +211,8 @@ def _rail_button(text: str) -> QToolButton:
 
 STEP = 0.1
 SETTLE_MS = 80  # key presses within this time change the window once, so that STOP need not wait
-ThemeChoice = ThemeName | Literal["system"]
-CHOICES: tuple[ThemeChoice, ...] = (*THEMES, "system")
+ThemeChoice = base.ThemeName | Literal["system"]
+CHOICES: tuple[ThemeChoice, ...] = (*base.THEMES, "system")
 _WORDS: dict[ThemeChoice, str] = {
     "dark": "dark", "light": "light", "contrast": "high contrast", "system": "as the system",
 }  # fmt: skip
@@ -242,7 +227,7 @@ class Appearance(QObject):
         super().__init__(parent)
         self._application = application
         self.choice: ThemeChoice = choice
-        self.theme = Theme()
+        self.theme = base.Theme()
         self.refit: Callable[[], None] = lambda: None
         self.theme.choose(application, self._name(), scale)
         self._wanted_scale = self.theme.scale
@@ -284,10 +269,10 @@ class Appearance(QObject):
         self._step(-STEP)
 
     def _step(self, step: float) -> None:
-        self._wanted_scale = min(max(self._wanted_scale + step, MIN_SCALE), MAX_SCALE)
+        self._wanted_scale = min(max(self._wanted_scale + step, base.MIN_SCALE), base.MAX_SCALE)
         self._settled.start()
 
-    def _name(self) -> ThemeName:
+    def _name(self) -> base.ThemeName:
         return system_theme(self._application) if self.choice == "system" else self.choice
 
     def _follow(self, _scheme: Qt.ColorScheme) -> None:
@@ -295,7 +280,7 @@ class Appearance(QObject):
             self.show("system", self.theme.scale)
 
 
-def system_theme(application: QApplication) -> ThemeName:
+def system_theme(application: QApplication) -> base.ThemeName:
     """Return the theme of the desktop; dark if unknown."""
     hints = application.styleHints()
     # Qt reports high contrast since 6.10.

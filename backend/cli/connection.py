@@ -11,18 +11,10 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from touchdown.backend import core
+from touchdown.backend import core, runs
 from touchdown.backend.cli.output import AdvanceFunction, VerbOutput
 from touchdown.backend.config import is_lab_file, load_lab
 from touchdown.backend.emulation import FaultPlan, load_faults, parse_fault
-from touchdown.backend.runs import (
-    calibrations_folder,
-    check_connected,
-    hand_over_message,
-    models_folder,
-    outcome_question,
-    scene_to_set_message,
-)
 
 if TYPE_CHECKING:
     from touchdown.backend.bench import Session
@@ -163,7 +155,7 @@ def open_bench(
     from touchdown.backend.calibration import CalibrationStore
     from touchdown.backend.learning import ModelRegistry
 
-    registry = ModelRegistry(models_folder())
+    registry = ModelRegistry(runs.models_folder())
     file = None if args.bench is None else Path(args.bench)
     pieces = Path(args.pieces) if args.pieces else None
     with ExitStack() as rest:
@@ -192,14 +184,14 @@ def open_bench(
             session = rest.enter_context(bench).session
             if notice := bench.measure_real_time():
                 screen.say(notice)
-            store = CalibrationStore(calibrations_folder(), "emulated", "--emulated")
+            store = CalibrationStore(runs.calibrations_folder(), "emulated", "--emulated")
         else:
             scene = SimulatedBenchChoice(file, args.preset, tuple(args.inject), pieces)
             session = simulated_session(
                 scene, keep=keep, method=method, animate=True, registry=registry
             )
             rest.enter_context(session)
-            store = CalibrationStore(calibrations_folder(), "simulated")
+            store = CalibrationStore(runs.calibrations_folder(), "simulated")
         session.calibrations = store
         session.events.subscribe(notifier)
         yield session
@@ -229,16 +221,16 @@ def _connect(
     others = [name for name in connection.devices if name != ARM]
     connection.begin(others)
     report_devices(connection, screen.say, others)
-    check_connected(connection, others, homes=args.home)
+    runs.check_connected(connection, others, homes=args.home)
     session.check(request, connected=True)
     if args.home:
         screen.say("  gripper: homing, the jaws move")
         session.home_gripper()
         report_devices(connection, screen.say, ("gripper",))
-    check_connected(connection, others)
+    runs.check_connected(connection, others)
     connection.begin()
     report_devices(connection, screen.say, (ARM,))
-    check_connected(connection)
+    runs.check_connected(connection)
 
 
 @contextmanager
@@ -330,12 +322,12 @@ def answer_prompt(fact: core.Event, session: Session, screen: VerbOutput) -> Non
     """Print the question of an event and answer it; bench and STOP stay responsive."""
     if isinstance(fact, core.SetUpAwaited | core.HandOverAwaited):
         if isinstance(fact, core.SetUpAwaited):
-            screen.say(f"  {scene_to_set_message(fact)} Enter: ready. Ctrl-D: end the run.")
+            screen.say(f"  {runs.scene_to_set_message(fact)} Enter: ready. Ctrl-D: end the run.")
         else:
-            screen.say(f"  {hand_over_message(fact)} Enter confirms.")
+            screen.say(f"  {runs.hand_over_message(fact)} Enter confirms.")
         _read_line_in_thread(lambda line: session.answer(line != ""))
     elif isinstance(fact, core.OutcomeAwaited):
-        screen.say(f"  {outcome_question(fact)} {OUTCOME_HELP}")
+        screen.say(f"  {runs.outcome_question(fact)} {OUTCOME_HELP}")
         _read_line_in_thread(lambda line: _judge(line, fact, session, screen))
     # Real devices are not left unattended: the run ends.
     elif isinstance(fact, core.Paused) and wait_for_disk_space(

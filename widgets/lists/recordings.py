@@ -19,19 +19,7 @@ from PySide6.QtCore import (
 from PySide6.QtGui import QFontMetrics, QPainter, QPen
 from PySide6.QtWidgets import QApplication, QPushButton, QStyleOptionViewItem, QWidget
 
-from touchdown.widgets.base import (
-    ROOT,
-    KeylessList,
-    ModelIndex,
-    RowList,
-    RowPainter,
-    Theme,
-    draw_elided_line,
-    hbox,
-    label,
-    ui_font,
-    vbox,
-)
+from touchdown.widgets import base
 
 PAD_X, PAD_Y = 8, 5
 
@@ -54,7 +42,7 @@ class RecordingRow:
         return self.detail or self.title
 
 
-class _NumberedList(RowList):
+class _NumberedList(base.RowList):
     """List of ``_RowModel``. A row keeps its number however rows are sorted or filtered."""
 
     def __init__(self, name: str) -> None:
@@ -84,7 +72,7 @@ class RecordingList(_NumberedList):
     The number of a row is its index in ``take``. The tool tip shows a detail too long for its line.
     """
 
-    def __init__(self, theme: Theme, name: str, chosen: Callable[[int], None]) -> None:
+    def __init__(self, theme: base.Theme, name: str, chosen: Callable[[int], None]) -> None:
         super().__init__(name)
         self._chosen = chosen
         self.current = -1  # number of the selected row, -1 for none; kept while it is filtered out
@@ -161,10 +149,10 @@ class _RowModel(QAbstractListModel):
         self.rows: list[Any] | RowsOnDemand = []
         self.order: list[int] = []
 
-    def rowCount(self, parent: ModelIndex = ROOT) -> int:
+    def rowCount(self, parent: base.ModelIndex = base.ROOT) -> int:
         return 0 if parent.isValid() else len(self.order)
 
-    def data(self, index: ModelIndex, role: int = Qt.ItemDataRole.DisplayRole) -> Any:
+    def data(self, index: base.ModelIndex, role: int = Qt.ItemDataRole.DisplayRole) -> Any:
         if not 0 <= index.row() < len(self.order):
             return None
         row = self.rows[self.order[index.row()]]
@@ -180,24 +168,26 @@ class _RowModel(QAbstractListModel):
         self.endResetModel()
 
 
-class _RecordingPainter(RowPainter):
+class _RecordingPainter(base.RowPainter):
     """Two lines of equal height: title and detail."""
 
-    def sizeHint(self, _option: QStyleOptionViewItem, _index: ModelIndex) -> QSize:
-        line = QFontMetrics(ui_font(self.theme.scale)).height()
+    def sizeHint(self, _option: QStyleOptionViewItem, _index: base.ModelIndex) -> QSize:
+        line = QFontMetrics(base.ui_font(self.theme.scale)).height()
         return QSize(160, 2 * line + 2 * PAD_Y)
 
-    def paint(self, painter: QPainter, option: QStyleOptionViewItem, index: ModelIndex) -> None:
+    def paint(
+        self, painter: QPainter, option: QStyleOptionViewItem, index: base.ModelIndex
+    ) -> None:
         row = index.data(Qt.ItemDataRole.UserRole)
         if not isinstance(row, RecordingRow):
             return
         painter.save()
         text, _ = self.colours(painter, option)
-        painter.setFont(ui_font(self.theme.scale))
+        painter.setFont(base.ui_font(self.theme.scale))
         inner = QRectF(option.rect).adjusted(PAD_X, PAD_Y, -PAD_X, -PAD_Y)
         for at, words in enumerate((row.title, row.detail)):
             line = inner.adjusted(0, at * painter.fontMetrics().height(), 0, 0)
-            draw_elided_line(painter, line, words, text)
+            base.draw_elided_line(painter, line, words, text)
         painter.restore()
 
 
@@ -238,7 +228,7 @@ class LabelList(_NumberedList):
 
     selection_changed = Signal()
 
-    def __init__(self, theme: Theme, chosen: Callable[[int], None]) -> None:
+    def __init__(self, theme: base.Theme, chosen: Callable[[int], None]) -> None:
         super().__init__("Episodes of the queue")
         self._choose, self._chosen = chosen, 0
         self.setSelectionMode(self.SelectionMode.ExtendedSelection)
@@ -280,14 +270,16 @@ class LabelList(_NumberedList):
             self._choose(index.row())
 
 
-class _LabelPainter(RowPainter):
+class _LabelPainter(base.RowPainter):
     """Two lines: title and chip, then detail and badges."""
 
-    def sizeHint(self, _option: QStyleOptionViewItem, _index: ModelIndex) -> QSize:
-        line = QFontMetrics(ui_font(self.theme.scale)).height()
+    def sizeHint(self, _option: QStyleOptionViewItem, _index: base.ModelIndex) -> QSize:
+        line = QFontMetrics(base.ui_font(self.theme.scale)).height()
         return QSize(160, round(2.3 * line) + 8)
 
-    def paint(self, painter: QPainter, option: QStyleOptionViewItem, index: ModelIndex) -> None:
+    def paint(
+        self, painter: QPainter, option: QStyleOptionViewItem, index: base.ModelIndex
+    ) -> None:
         row = index.data(Qt.ItemDataRole.UserRole)
         if not isinstance(row, LabelListRow):
             return
@@ -296,18 +288,18 @@ class _LabelPainter(RowPainter):
         line = painter.fontMetrics().height()
         inner = QRectF(option.rect).adjusted(8, 4, -8, -4)
         chip_width = self._chip(painter, inner, row.state, line)
-        painter.setFont(ui_font(self.theme.scale, 1.0, 500))
-        draw_elided_line(painter, inner.adjusted(0, 0, -chip_width - 6, 0), row.title, text)
-        painter.setFont(ui_font(self.theme.scale, 0.88))
+        painter.setFont(base.ui_font(self.theme.scale, 1.0, 500))
+        base.draw_elided_line(painter, inner.adjusted(0, 0, -chip_width - 6, 0), row.title, text)
+        painter.setFont(base.ui_font(self.theme.scale, 0.88))
         second = inner.adjusted(0, 1.15 * line, 0, 0)
         words = " \N{MIDDLE DOT} ".join((*row.badges, row.detail))
-        draw_elided_line(painter, second, words, muted)
+        base.draw_elided_line(painter, second, words, muted)
         painter.restore()
 
     def _chip(self, painter: QPainter, inner: QRectF, state: str, line: float) -> float:
         fill, text = STATE_COLOURS[state]
         t = self.theme.tokens
-        painter.setFont(ui_font(self.theme.scale, 0.8, 600))
+        painter.setFont(base.ui_font(self.theme.scale, 0.8, 600))
         width = painter.fontMetrics().horizontalAdvance(state) + 12
         chip = QRectF(inner.right() - width, inner.top(), width, line + 1)
         painter.setPen(QPen(t.colour("border"), 1))
@@ -336,12 +328,12 @@ class HistoryList(QWidget):
     def __init__(self, restore: Callable[[str], None]) -> None:
         super().__init__()
         self._rows: list[HistoryRow] = []
-        self.list = KeylessList("Versions of the label")
+        self.list = base.KeylessList("Versions of the label")
         self.restore = QPushButton("Restore")
         self.restore.setToolTip("Make a new version with the content of the chosen one")
-        self.count = label("", "small")
-        foot = hbox((self.count, 1), self.restore)
-        vbox((self.list, 1), foot, parent=self, margins=(0, 0, 0, 0), spacing=6)
+        self.count = base.label("", "small")
+        foot = base.hbox((self.count, 1), self.restore)
+        base.vbox((self.list, 1), foot, parent=self, margins=(0, 0, 0, 0), spacing=6)
         self.list.currentRowChanged.connect(self._choose)
         self.restore.clicked.connect(lambda: restore(self._rows[self.list.currentRow()].rev_uuid))
         self.show_rows([])

@@ -18,15 +18,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from touchdown.widgets.base import (
-    ElidedLabel,
-    add_items,
-    hbox,
-    label,
-    scroll_into_view,
-    set_property,
-    vbox,
-)
+from touchdown.widgets import base
 
 MAX_CARDS = 4
 LEAST_EM = 46  # width of a card with its buttons beside the text, in heights of the font
@@ -85,8 +77,8 @@ class FaultCard(QFrame):
         super().__init__()
         self.text, self.count = text, 1
         self.setProperty("role", text.role)
-        self._title = label("", "head", wrap=True)
-        self._foot = label("", "small")
+        self._title = base.label("", "head", wrap=True)
+        self._foot = base.label("", "small")
         self._details = QPlainTextEdit(text.details or self._plain())
         self._details.setReadOnly(True)
         self._details.setAccessibleName("Details of the fault")
@@ -120,14 +112,14 @@ class FaultCard(QFrame):
         return f"{t.what} {t.consequence} {t.next_step} [{t.code}]"
 
     def _arrange(self) -> None:
-        words = vbox(self._title, spacing=2)
+        words = base.vbox(self._title, spacing=2)
         then = f"{self.text.consequence} {self.text.next_step}".strip()
         if then:
-            words.addWidget(label(then, wrap=True))
+            words.addWidget(base.label(then, wrap=True))
         words.addWidget(self._foot)
         shown = self._details
         details = self._button("Details", lambda: shown.setVisible(shown.isHidden()))
-        row = hbox(1, self.more, self.fold, details, self._button("Copy", self._copy))
+        row = base.hbox(1, self.more, self.fold, details, self._button("Copy", self._copy))
         if self.text.offer is not None:
             self.offer = self._button(self.text.offer[0], self._accept)
             self.offer.setProperty("role", "primary")
@@ -139,8 +131,8 @@ class FaultCard(QFrame):
             end.setToolTip("Clear the latched faults and the stop. Nothing starts to move.")
         row.addWidget(end)
         self._line = QBoxLayout(QBoxLayout.Direction.LeftToRight)
-        add_items(self._line, (words, 1), row)
-        vbox(self._line, self._details, parent=self, margins=(12, 8, 10, 8))
+        base.add_items(self._line, (words, 1), row)
+        base.vbox(self._line, self._details, parent=self, margins=(12, 8, 10, 8))
 
     def resizeEvent(self, event: QResizeEvent) -> None:
         """Put the buttons below the text of a narrow card."""
@@ -176,7 +168,7 @@ class FoldedCards(QFrame):
     ) -> None:
         super().__init__(parent)
         self.setProperty("role", "fault")
-        self._words = ElidedLabel("title")
+        self._words = base.ElidedLabel("title")
         self._words.setSizePolicy(QSizePolicy.Policy.Maximum, QSizePolicy.Policy.Preferred)
         self.show_all, self.reset = QPushButton("Show"), QPushButton("Reset")
         self.reset.setProperty("role", "reset")
@@ -184,7 +176,7 @@ class FoldedCards(QFrame):
             button.setProperty("low", "yes")
         self.show_all.clicked.connect(on_show)
         self.reset.clicked.connect(on_reset)
-        hbox((self._words, 1), self.show_all, self.reset, parent=self, margins=(8, 0, 0, 0))
+        base.hbox((self._words, 1), self.show_all, self.reset, parent=self, margins=(8, 0, 0, 0))
         self.hide()
 
     def show_first(self, text: CardText, count: int) -> None:
@@ -194,7 +186,7 @@ class FoldedCards(QFrame):
         self.show_all.setAccessibleName(f"Show: {text.what}")
         self.reset.setAccessibleName(f"Reset: {text.what}")
         self.reset.setVisible(text.reset)
-        set_property(self, "role", text.role)
+        base.set_property(self, "role", text.role)
         self.show()
 
 
@@ -247,8 +239,8 @@ class FaultCards(QWidget):
         self.folded = False  # True while the cards are one line in the foot of the window
         self.strip = FoldedCards(self, self._unfold_line, on_reset)
         inside = QWidget()
-        self._column = vbox(parent=inside, margins=(10, 0, 10, 8), spacing=6)
-        vbox(_CardScroll(inside), parent=self, margins=(0, 0, 0, 0))
+        self._column = base.vbox(parent=inside, margins=(10, 0, 10, 8), spacing=6)
+        base.vbox(_CardScroll(inside), parent=self, margins=(0, 0, 0, 0))
         self.hide()
 
     @property
@@ -296,14 +288,14 @@ class FaultCards(QWidget):
         frame.setProperty("role", "question")
         self._more = QPushButton()
         self._more.clicked.connect(self._unfold)
-        row = hbox(parent=frame)
+        row = base.hbox(parent=frame)
         for text, action in question.answers:
             answer = QPushButton(text)
             answer.setMinimumWidth(ANSWER_EM * self.fontMetrics().height())
             answer.clicked.connect(lambda _=False, action=action: self._answer(action))
             answer.setAccessibleName(f"{text}: {question.text}")
             row.addWidget(answer)
-        add_items(row, self._more, (label(question.text, "title", wrap=True), 1))
+        base.add_items(row, self._more, (base.label(question.text, "title", wrap=True), 1))
         self._question, self.asks = frame, question
         self._asked_last = front or self._asked_last
         self.folded = self.folded and not front
@@ -422,9 +414,9 @@ class UnsavedBanner(QFrame):
         super().__init__()
         self.setProperty("role", "fault")
         self.setAccessibleName("Unsaved label")
-        self.text = label("", wrap=True)
+        self.text = base.label("", wrap=True)
         self.again, self.discard = QPushButton("Save again (Enter)"), QPushButton("Discard (Esc)")
-        hbox((self.text, 1), self.again, self.discard, parent=self, margins=(12, 8, 10, 8))
+        base.hbox((self.text, 1), self.again, self.discard, parent=self, margins=(12, 8, 10, 8))
         self.again.clicked.connect(again)
         self.discard.clicked.connect(discard)
         self.hide()
@@ -437,4 +429,4 @@ class UnsavedBanner(QFrame):
         appears = bool(what) and self.isHidden()
         self.setVisible(bool(what))
         if appears:
-            scroll_into_view(self)
+            base.scroll_into_view(self)

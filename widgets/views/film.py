@@ -10,14 +10,7 @@ from PySide6.QtCore import QElapsedTimer, QPointF, QRectF, QSize, Qt, QTimer, Si
 from PySide6.QtGui import QMouseEvent, QPainter, QPaintEvent, QPen
 from PySide6.QtWidgets import QGridLayout, QSizePolicy, QWidget
 
-from touchdown.backend.core import (
-    FINGERS,
-    Finger,
-    FloatArray,
-    ImageArray,
-    MarkerField,
-    TactileFrame,
-)
+from touchdown.backend import core
 from touchdown.widgets.base import Age, Theme, blend, label, ui_font
 from touchdown.widgets.plots import PlotArea, nice_step, tick_text, ticks
 from touchdown.widgets.views.tactile import IMAGE_H, IMAGE_W, TactileView
@@ -34,16 +27,16 @@ class FilmTrack:
     All times are relative to the contact onset. Without pictures the arrows are drawn on grey.
     """
 
-    picture_t_s: FloatArray
-    picture: Callable[[int], ImageArray]
-    field_t_s: FloatArray
-    fields: Sequence[MarkerField]
+    picture_t_s: core.FloatArray
+    picture: Callable[[int], core.ImageArray]
+    field_t_s: core.FloatArray
+    fields: Sequence[core.MarkerField]
 
 
-Reel = Mapping[Finger, FilmTrack]
+Reel = Mapping[core.Finger, FilmTrack]
 
 
-def latest(t_s: FloatArray, cursor_s: float) -> int:
+def latest(t_s: core.FloatArray, cursor_s: float) -> int:
     """Return the index of the newest sample at or before the cursor, -1 before the first."""
     return int(np.searchsorted(t_s, cursor_s + 1e-9, side="right")) - 1
 
@@ -62,14 +55,14 @@ class FilmView(QWidget):
         self._reel: Reel = {}
         self._span_s = (0.0, 2.0)
         self.cursor_s = 0.0
-        self.views = {finger: TactileView(theme, finger) for finger in FINGERS}
+        self.views = {finger: TactileView(theme, finger) for finger in core.FINGERS}
         for view in self.views.values():
             view.never = view.gone = NOT_RECORDED
-        self.notes = {finger: label("", "small") for finger in FINGERS}
+        self.notes = {finger: label("", "small") for finger in core.FINGERS}
         grid = QGridLayout(self)
         grid.setContentsMargins(0, 0, 0, 0)
         grid.setSpacing(4)
-        for column, finger in enumerate(FINGERS):
+        for column, finger in enumerate(core.FINGERS):
             grid.addWidget(self.notes[finger], 0, column)
             grid.addWidget(self.views[finger], 1, column)
             grid.setColumnStretch(column, 1)
@@ -106,7 +99,7 @@ class FilmView(QWidget):
     def show_cursor(self, t_s: float) -> None:
         """Show the newest frame of each finger at this time."""
         self.cursor_s = t_s
-        for finger in FINGERS:
+        for finger in core.FINGERS:
             self._show_finger(finger, self._reel.get(finger))
 
     def play_or_pause(self) -> None:
@@ -146,7 +139,7 @@ class FilmView(QWidget):
             self.stop()
         self._seek(min(at_s, self._span_s[1]))
 
-    def _show_finger(self, finger: Finger, track: FilmTrack | None) -> None:
+    def _show_finger(self, finger: core.Finger, track: FilmTrack | None) -> None:
         view, note = self.views[finger], self.notes[finger]
         field = None
         if track is not None:
@@ -166,7 +159,7 @@ class FilmView(QWidget):
             t_s = self.cursor_s
             kept = len(track.picture_t_s) > 0
             note.setText(f"{finger}, {'before the first picture' if kept else 'no picture kept'}")
-        view.show_frame(TactileFrame(finger, index, t_s, image), field)
+        view.show_frame(core.TactileFrame(finger, index, t_s, image), field)
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,17 +14,8 @@ from PySide6.QtGui import QColor, QMouseEvent, QPainter, QPaintEvent, QPen, QPix
 from PySide6.QtWidgets import QCheckBox
 
 from touchdown.backend.core import FloatArray, SupportKind
+from touchdown.widgets import plots
 from touchdown.widgets.base import Theme, blend, signed, ui_font
-from touchdown.widgets.plots import (
-    PictureCache,
-    PictureView,
-    PlotArea,
-    centred_square,
-    draw_message,
-    draw_mm_grid,
-    draw_rings,
-    nice_step,
-)
 from touchdown.widgets.views.belief import draw_plus
 
 GhostKind = Literal["commanded", "measured", "scene", "model"]
@@ -120,9 +111,9 @@ ROOMY_PX = 400  # narrower pictures shorten the names of sources
 THICKEN_PX = 0.3
 
 
-def draw_scale_bar(painter: QPainter, area: PlotArea, theme: Theme) -> None:
+def draw_scale_bar(painter: QPainter, area: plots.PlotArea, theme: Theme) -> None:
     """Draw a bar of a round length at the lower left."""
-    length_mm = nice_step(area.x1 - area.x0, SCALE_BARS)
+    length_mm = plots.nice_step(area.x1 - area.x0, SCALE_BARS)
     length = length_mm * area.rect.width() / (area.x1 - area.x0)
     left, y = area.rect.left() + 10, area.rect.bottom() - 10
     painter.setPen(QPen(theme.tokens.colour("text"), 2))
@@ -132,12 +123,12 @@ def draw_scale_bar(painter: QPainter, area: PlotArea, theme: Theme) -> None:
     painter.drawText(QPointF(left, y - 8), f"{length_mm:g} mm")
 
 
-def draw_bottom(painter: QPainter, area: PlotArea, scene: OffsetScene, theme: Theme) -> None:
+def draw_bottom(painter: QPainter, area: plots.PlotArea, scene: OffsetScene, theme: Theme) -> None:
     """Draw the bottom face, filled, with its centre."""
     t = theme.tokens
     painter.setPen(QPen(t.colour("border"), 2))
     painter.setBrush(blend(t.colour("bg"), t.colour("border"), 0.22))
-    draw_rings(painter, area.points(*scene.bottom.T))
+    plots.draw_rings(painter, area.points(*scene.bottom.T))
     painter.setBrush(Qt.BrushStyle.NoBrush)
     painter.setPen(QPen(t.colour("muted"), 1))
     centre = area.place(0.0, 0.0)
@@ -145,7 +136,7 @@ def draw_bottom(painter: QPainter, area: PlotArea, scene: OffsetScene, theme: Th
         painter.drawLine(centre - arm, centre + arm)
 
 
-def draw_ghosts(painter: QPainter, area: PlotArea, scene: OffsetScene, theme: Theme) -> None:
+def draw_ghosts(painter: QPainter, area: plots.PlotArea, scene: OffsetScene, theme: Theme) -> None:
     """Draw the face positions of other sources: outline, uncertainty, name."""
     painter.setBrush(Qt.BrushStyle.NoBrush)
     painter.setFont(ui_font(theme.scale, 0.85, 500))
@@ -153,13 +144,13 @@ def draw_ghosts(painter: QPainter, area: PlotArea, scene: OffsetScene, theme: Th
         painter.setPen(ghost_pen(ghost.kind, theme))
         outline = _placed(area, scene.face, ghost.offset_mm, scene.yaw_rad)
         # Two thin lines: Qt takes ten times as long for a dashed line wider than 1 px.
-        draw_rings(painter, outline)
-        draw_rings(painter, outline + THICKEN_PX)
+        plots.draw_rings(painter, outline)
+        plots.draw_rings(painter, outline + THICKEN_PX)
         _sigma_circle(painter, area, ghost.offset_mm, ghost.sigma_mm)
         _letters(painter, area, scene, ghost)
 
 
-def _letters(painter: QPainter, area: PlotArea, scene: OffsetScene, ghost: Ghost) -> None:
+def _letters(painter: QPainter, area: plots.PlotArea, scene: OffsetScene, ghost: Ghost) -> None:
     """Write the source beside its outline, each source on another side, inside the picture."""
     turn, inside = GHOST_STYLES[ghost.kind][2], area.rect
     name = ghost.kind if inside.width() > ROOMY_PX else ghost.kind[:2].capitalize()
@@ -203,7 +194,7 @@ class SourceBox(QCheckBox):
             painter.drawLine(self.width() - SAMPLE_PX, y, self.width(), y)
 
 
-def draw_face(painter: QPainter, area: PlotArea, scene: OffsetScene, theme: Theme) -> None:
+def draw_face(painter: QPainter, area: plots.PlotArea, scene: OffsetScene, theme: Theme) -> None:
     """Draw the face at its label, with contact points, hull and centre of mass."""
     if scene.offset_mm is None:
         return
@@ -215,13 +206,13 @@ def draw_face(painter: QPainter, area: PlotArea, scene: OffsetScene, theme: Them
         painter.setPen(QPen(t.colour("good" if scene.margin_mm >= 0 else "bad"), 2))
         painter.drawPolygon(area.polygon(*scene.hull_mm.T))
     painter.setPen(QPen(t.colour("text"), 2))
-    draw_rings(painter, _placed(area, scene.face, scene.offset_mm, scene.yaw_rad))
+    plots.draw_rings(painter, _placed(area, scene.face, scene.offset_mm, scene.yaw_rad))
     painter.setPen(QPen(t.colour("text"), 1))
     _sigma_circle(painter, area, scene.offset_mm, scene.sigma_mm)
     draw_plus(painter, area.place(*scene.centre_mm), 8)
 
 
-def draw_names(painter: QPainter, area: PlotArea, scene: OffsetScene, theme: Theme) -> None:
+def draw_names(painter: QPainter, area: plots.PlotArea, scene: OffsetScene, theme: Theme) -> None:
     """Label bottom and face away from each other and draw the line between the centres."""
     if scene.names is None or scene.offset_mm is None:
         return
@@ -244,7 +235,7 @@ def draw_names(painter: QPainter, area: PlotArea, scene: OffsetScene, theme: The
 
 
 def _points(
-    painter: QPainter, area: PlotArea, points: FloatArray, colour: QColor, size: float
+    painter: QPainter, area: plots.PlotArea, points: FloatArray, colour: QColor, size: float
 ) -> None:
     """Draw points as squares; round ones take seven times as long."""
     pen = QPen(colour, size)
@@ -253,13 +244,13 @@ def _points(
     painter.drawPoints(area.polygon(*points.T))
 
 
-def _sigma_circle(painter: QPainter, area: PlotArea, at_mm: Point, sigma_mm: float) -> None:
+def _sigma_circle(painter: QPainter, area: plots.PlotArea, at_mm: Point, sigma_mm: float) -> None:
     if sigma_mm > 0:
         radius = sigma_mm * area.rect.width() / (area.x1 - area.x0)
         painter.drawEllipse(area.place(*at_mm), radius, radius)
 
 
-def _placed(area: PlotArea, outline: FloatArray, at_mm: Point, yaw_rad: float) -> FloatArray:
+def _placed(area: plots.PlotArea, outline: FloatArray, at_mm: Point, yaw_rad: float) -> FloatArray:
     c, s = math.cos(yaw_rad), math.sin(yaw_rad)
     x = outline[:, 0] * c - outline[:, 1] * s + at_mm[0]
     y = outline[:, 0] * s + outline[:, 1] * c + at_mm[1]
@@ -269,7 +260,7 @@ def _placed(area: PlotArea, outline: FloatArray, at_mm: Point, yaw_rad: float) -
 Moved = Callable[[Point], None]
 
 
-class OffsetView(PictureView):
+class OffsetView(plots.PictureView):
     """View of an ``OffsetScene`` with a draggable face; the background is cached."""
 
     def __init__(self, theme: Theme, moved: Moved, dropped: Callable[[], None]) -> None:
@@ -278,9 +269,9 @@ class OffsetView(PictureView):
         self.scene: OffsetScene | None = None
         self.editable = True
         self._held_mm: Point | None = None
-        self._grasped: PlotArea | None = None  # at the start of a drag; the scale can change
+        self._grasped: plots.PlotArea | None = None  # at the start of a drag; the scale can change
         self._reach_mm, self._label_at = 1.0, QRectF()  # place of the label in the legend
-        self._ground = PictureCache(self, theme)
+        self._ground = plots.PictureCache(self, theme)
         self._behind: QPixmap | None = None
         # Keeps the outlines alive, whose ids are part of the key.
         self._pair: tuple[object, object] | None = None
@@ -318,13 +309,13 @@ class OffsetView(PictureView):
             y += box.height() * (kind in kinds)
         self._label_at = QRectF(x, y + 4, width, self.fontMetrics().height())
 
-    def area(self) -> PlotArea:
+    def area(self) -> plots.PlotArea:
         """Return the drawn square with its visible part."""
         em = self.fontMetrics().height()
         margins = QMarginsF(2.4 * em, 0.4 * em, 0.4 * em, 1.5 * em)
         reach = self._reach_mm
-        square = centred_square(self.size(), margins, 60.0)
-        return self.zoom.of(PlotArea(square, -reach, reach, -reach, reach))
+        square = plots.centred_square(self.size(), margins, 60.0)
+        return self.zoom.of(plots.PlotArea(square, -reach, reach, -reach, reach))
 
     def mousePressEvent(self, event: QMouseEvent) -> None:
         """Start to drag the face; without a label, put it at the pressed place."""
@@ -358,7 +349,7 @@ class OffsetView(PictureView):
         """Draw the cached background, then face, points, hull and centre of mass."""
         if self.scene is None:
             painter.fillRect(self.rect(), self._theme.tokens.colour("panel"))
-            draw_message(painter, self.rect(), self._theme, "No episode")
+            plots.draw_message(painter, self.rect(), self._theme, "No episode")
             return
         area = self.area()
         painter.drawPixmap(0, 0, self._background(self.scene, area))
@@ -372,7 +363,7 @@ class OffsetView(PictureView):
             painter.drawText(box.adjusted(1.3 * box.height(), 0, 0, 0), 0, "label")
             painter.drawLine(QPointF(box.right() - SAMPLE_PX, middle), QPointF(box.right(), middle))
 
-    def _background(self, scene: OffsetScene, area: PlotArea) -> QPixmap:
+    def _background(self, scene: OffsetScene, area: plots.PlotArea) -> QPixmap:
         """Return the background with the ghosts; rendered once per episode."""
         ground = self._ground.picture(
             lambda painter: self._draw_ground(painter, scene, area),
@@ -389,11 +380,11 @@ class OffsetView(PictureView):
                 draw_ghosts(painter, area, replace(scene, ghosts=shown), self._theme)
         return self._behind
 
-    def _draw_ground(self, painter: QPainter, scene: OffsetScene, area: PlotArea) -> None:
+    def _draw_ground(self, painter: QPainter, scene: OffsetScene, area: plots.PlotArea) -> None:
         """Draw grid and bottom, once per pair of faces."""
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
         painter.setFont(ui_font(self._theme.scale, 0.85))
-        draw_mm_grid(painter, area, self._theme)
+        plots.draw_mm_grid(painter, area, self._theme)
         painter.setClipRect(area.rect)
         draw_bottom(painter, area, scene, self._theme)
         draw_scale_bar(painter, area, self._theme)

@@ -10,19 +10,7 @@ from PySide6.QtGui import QPainter, QPaintEvent, QPen
 from PySide6.QtWidgets import QComboBox, QDialog, QPushButton, QSizePolicy, QSpinBox, QWidget
 
 from touchdown.backend.core import Outcome
-from touchdown.widgets.base import (
-    FlowLayout,
-    Panel,
-    Theme,
-    add_items,
-    describe,
-    hbox,
-    label,
-    open_over,
-    scroll_area,
-    set_property,
-    vbox,
-)
+from touchdown.widgets import base
 from touchdown.widgets.forms import field_label, inset_spin_boxes, set_entries
 from touchdown.widgets.views.belief import BeliefScene, BeliefView
 
@@ -62,7 +50,7 @@ class Score:
 class OutcomeMarks(QWidget):
     """One mark per trial: tick, cross, dash, or a hollow box for trials to come."""
 
-    def __init__(self, theme: Theme) -> None:
+    def __init__(self, theme: base.Theme) -> None:
         super().__init__()
         self._theme = theme
         self._outcomes: Sequence[Outcome] = ()
@@ -93,7 +81,7 @@ class OutcomeMarks(QWidget):
             _mark(painter, self._theme, at, outcome)
 
 
-def _mark(painter: QPainter, theme: Theme, at: QPointF, outcome: Outcome | None) -> None:
+def _mark(painter: QPainter, theme: base.Theme, at: QPointF, outcome: Outcome | None) -> None:
     t = theme.tokens
     painter.setPen(QPen(t.colour("border"), 1))
     painter.setBrush(Qt.BrushStyle.NoBrush)
@@ -115,18 +103,18 @@ def _mark(painter: QPainter, theme: Theme, at: QPointF, outcome: Outcome | None)
         painter.drawLine(at + QPointF(-4, 0), at + QPointF(4, 0))
 
 
-class ScorePanel(Panel):
+class ScorePanel(base.Panel):
     """Count of placed pieces, success rate with its 95 % interval, and marks."""
 
-    def __init__(self, theme: Theme, title: str = "Trials") -> None:
+    def __init__(self, theme: base.Theme, title: str = "Trials") -> None:
         super().__init__(title)
-        self._count = label("0 of 0 placed", "figure")
-        self._rate = label("", "small")
+        self._count = base.label("0 of 0 placed", "figure")
+        self._rate = base.label("", "small")
         self._marks = OutcomeMarks(theme)
-        self._last = label("", "small", wrap=True)
-        self._void = label("", "small", wrap=True)
+        self._last = base.label("", "small", wrap=True)
+        self._void = base.label("", "small", wrap=True)
         self._void.hide()
-        add_items(self.column, self._count, self._marks, self._rate, self._last, self._void, 1)
+        base.add_items(self.column, self._count, self._marks, self._rate, self._last, self._void, 1)
         self.show_score(Score((), 0, None))
 
     def show_score(self, score: Score) -> None:
@@ -135,7 +123,7 @@ class ScorePanel(Panel):
         none = "No trial finished yet" if score.trials else "No trial yet"
         self._count.setText(f"{placed} of {score.counted} placed" if score.outcomes else none)
         # Before the first outcome the result beside it is the only headline.
-        set_property(self._count, "role", "figure" if score.outcomes else "title")
+        base.set_property(self._count, "role", "figure" if score.outcomes else "title")
         done = f"{len(score.outcomes)} of {score.trials}" if score.trials else ""
         aborted = sum(o is Outcome.ABORTED for o in score.outcomes)
         # Short: it shares the header with a button.
@@ -161,7 +149,7 @@ class ScorePanel(Panel):
     def show_facts(self, headline: str, text: str) -> None:
         """Describe a recording without trials: a headline and a small text."""
         self._count.setText(headline)
-        set_property(self._count, "role", "figure")
+        base.set_property(self._count, "role", "figure")
         self.detail.setText("")
         self._marks.hide()
         self._rate.hide()
@@ -194,16 +182,16 @@ class StrategyResult:
     scene: BeliefScene = field(default_factory=BeliefScene)
 
 
-class StrategyPanel(Panel):
+class StrategyPanel(base.Panel):
     """Column of one strategy in the comparison."""
 
-    def __init__(self, theme: Theme) -> None:
+    def __init__(self, theme: base.Theme) -> None:
         super().__init__("")
-        self.count, self.marks = label("", "figure"), OutcomeMarks(theme)
-        self.rate = label("", "small", wrap=True)
-        self.trial = label("", wrap=True)
+        self.count, self.marks = base.label("", "figure"), OutcomeMarks(theme)
+        self.rate = base.label("", "small", wrap=True)
+        self.trial = base.label("", wrap=True)
         self.belief = BeliefView(theme)
-        add_items(self.column, self.count, self.marks, self.rate, self.trial, (self.belief, 1))
+        base.add_items(self.column, self.count, self.marks, self.rate, self.trial, (self.belief, 1))
 
     def show_look(self, look: StrategyResult) -> None:
         """Show the result of a strategy."""
@@ -213,7 +201,7 @@ class StrategyPanel(Panel):
         self.rate.setVisible(bool(look.rate))
         self.marks.show_outcomes(look.outcomes, look.trials)
         self.trial.setText(look.trial)
-        set_property(self.trial, "tone", {True: "good", False: "bad", None: ""}[look.good])
+        base.set_property(self.trial, "tone", {True: "good", False: "bad", None: ""}[look.good])
         if self.belief.scene is not look.scene:
             self.belief.show_scene(look.scene)
 
@@ -228,7 +216,7 @@ class ComparisonSheet(QDialog):
     def __init__(
         self,
         parent: QWidget,
-        theme: Theme,
+        theme: base.Theme,
         run: Callable[[], None],
         choose: Callable[[int], None],
         against: Callable[[str], None],
@@ -236,16 +224,16 @@ class ComparisonSheet(QDialog):
         super().__init__(parent)
         self._window = parent
         self.setWindowTitle("Strategies on the same seed")
-        self.head = label("", "head", wrap=True)
-        self._pairs = label("", "muted", wrap=True)
+        self.head = base.label("", "head", wrap=True)
+        self._pairs = base.label("", "muted", wrap=True)
         self.panels = StrategyPanel(theme), StrategyPanel(theme)
         self.trial = QSpinBox()
         self.trial.setRange(1, 1)
         inset_spin_boxes(self.trial)
-        describe((self.trial, "Trial", "Trial shown on both sides"))
+        base.describe((self.trial, "Trial", "Trial shown on both sides"))
         self.trial.valueChanged.connect(choose)
         self.against = QComboBox()
-        describe((self.against, "Strategy to compare with", "Strategy on the right"))
+        base.describe((self.against, "Strategy to compare with", "Strategy on the right"))
         self.against.activated.connect(lambda at: against(self.against.itemData(at)))
         self.run = QPushButton("Run both")
         self.run.setProperty("role", "primary")
@@ -256,17 +244,17 @@ class ComparisonSheet(QDialog):
     def _arrange(self) -> None:
         close = QPushButton("Close")
         close.clicked.connect(self.close)
-        top = FlowLayout(
+        top = base.FlowLayout(
             (self.head, HEAD_PX), field_label("Against", self.against), self.against,
             field_label("Trial", self.trial), self.trial,
         )  # fmt: skip
         columns = QWidget()
         panels = ((panel, 1) for panel in self.panels)
-        hbox(*panels, parent=columns, margins=(0, 0, 0, 0), spacing=8)
-        scroll = scroll_area(columns)
+        base.hbox(*panels, parent=columns, margins=(0, 0, 0, 0), spacing=8)
+        scroll = base.scroll_area(columns)
         scroll.setFocusPolicy(Qt.FocusPolicy.NoFocus)
-        foot = FlowLayout((self._pairs, HEAD_PX), close, self.run)
-        vbox(top, (scroll, 1), foot, parent=self, margins=(14, 12, 14, 12), spacing=8)
+        foot = base.FlowLayout((self._pairs, HEAD_PX), close, self.run)
+        base.vbox(top, (scroll, 1), foot, parent=self, margins=(14, 12, 14, 12), spacing=8)
 
     def offer(self, rivals: Sequence[tuple[str, str]], chosen: str) -> None:
         """Set the (key, title) strategies for the right side and select one."""
@@ -278,7 +266,7 @@ class ComparisonSheet(QDialog):
 
     def open_large(self) -> None:
         """Show the sheet over most of its window."""
-        open_over(self, self._window, (1040, 640), 120)
+        base.open_over(self, self._window, (1040, 640), 120)
 
     def show_run(self, text: str, why_not: str) -> None:
         """Set label and availability of the run button; "" as ``text`` hides it."""

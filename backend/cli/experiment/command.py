@@ -11,15 +11,7 @@ from typing import Any
 
 from touchdown.backend import experiments
 from touchdown.backend.annotations import LABEL_CHOICES
-from touchdown.backend.cli.experiment.campaign import (
-    KEPT,
-    UNWRITTEN,
-    ExperimentRun,
-    Json,
-    add_campaign_arguments,
-    parse_names,
-    parse_strategies,
-)
+from touchdown.backend.cli.experiment import campaign
 from touchdown.backend.cli.experiment.certify import add_certify_arguments, run_certify
 from touchdown.backend.cli.experiment.evaluation import add_evaluation_arguments, run_evaluation
 from touchdown.backend.cli.output import VerbOutput, require_positive
@@ -91,7 +83,7 @@ def add_fused_arguments(parser: argparse.ArgumentParser) -> None:
                        "release")  # fmt: skip
 
 
-def train_fused(run: ExperimentRun) -> Json:
+def train_fused(run: campaign.ExperimentRun) -> campaign.Json:
     """Train the network; copy it with its card to the folder of the experiment when it is done.
 
     Raises ``InputError`` for counts that leave no training or held-out data.
@@ -137,7 +129,7 @@ def train_fused(run: ExperimentRun) -> Json:
                 "Simulate at least two jobs of each portion, with --steps 0.",
             )
     jobs = recipe.jobs()
-    answer: Json = {"file": None, "fused": None, "rules": []}
+    answer: campaign.Json = {"file": None, "fused": None, "rules": []}
     if not args.steps:
         run.run(jobs)
         return {**answer, **run.counts()}
@@ -163,7 +155,7 @@ def _ranges(path: Path) -> dict[str, list[float]]:
         raise InputError("This file has no ranges.", str(path), RANGES_FIX) from error
 
 
-def _tuning(run: ExperimentRun, bench: SimulationSettings) -> Json:
+def _tuning(run: campaign.ExperimentRun, bench: SimulationSettings) -> campaign.Json:
     """Return the parameters of a fine-tuning, {} for a training from scratch."""
     from touchdown.backend.learning import load_episodes
 
@@ -220,7 +212,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "models, Tables I and II alone: 200 groups, and 800 presses on 40 mountings per cell",
     )  # fmt: skip
     parser.set_defaults(scale="quick")
-    add_campaign_arguments(parser)
+    campaign.add_campaign_arguments(parser)
     _add_beyond_arguments(parser)
     add_evaluation_arguments(parser)
     add_fused_arguments(parser)
@@ -252,26 +244,26 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     """Run all unfinished jobs, then write the page; return 0 if no job failed."""
     if args.what == "report":
         file = args.tables or args.out / experiments.DATA
-        with disk_errors(UNWRITTEN, file, KEPT):
+        with disk_errors(campaign.UNWRITTEN, file, campaign.KEPT):
             page = experiments.rewrite_tables(file, args.beyond)
         screen.say(f"Written: {page}")
         screen.result({"page": str(page), "file": str(file)})
         return 0
-    this = ExperimentRun(args, screen)
+    this = campaign.ExperimentRun(args, screen)
     answer = WAYS[args.what](this)
     screen.result(answer)
     return 1 if this.failed else 0
 
 
-def run_tables(run: ExperimentRun) -> Json:
+def run_tables(run: campaign.ExperimentRun) -> campaign.Json:
     """Run the jobs of the paper's tables; write the page and the file of the results."""
     args = run.args
     recipe = _recipe(run)
     run.run(recipe.jobs())
-    with disk_errors(UNWRITTEN, args.out, KEPT):
+    with disk_errors(campaign.UNWRITTEN, args.out, campaign.KEPT):
         page, answer = experiments.write_tables(args.out, recipe, run.store)
     if args.keep_models:
-        with disk_errors(UNWRITTEN, args.keep_models, KEPT):
+        with disk_errors(campaign.UNWRITTEN, args.keep_models, campaign.KEPT):
             args.keep_models.mkdir(parents=True, exist_ok=True)
             kept = experiments.keep_models(run.store, recipe, args.keep_models)
         run.screen.say(f"{len(kept)} models: {args.keep_models}")
@@ -281,7 +273,7 @@ def run_tables(run: ExperimentRun) -> Json:
     return {"page": str(page), **counts, "tables": answer}
 
 
-def run_beyond(run: ExperimentRun) -> Json:
+def run_beyond(run: campaign.ExperimentRun) -> campaign.Json:
     """Run the trials of a comparison of strategies; write its page, its tables and its file."""
     args, screen = run.args, run.screen
     plan = _comparison_of(run)
@@ -292,14 +284,14 @@ def run_beyond(run: ExperimentRun) -> Json:
     answer = plan.answer(run.store, args.stop_early)
     if args.stop_early:
         screen.say(experiments.stopped_text(answer["stopped"]))
-    with disk_errors(UNWRITTEN, args.out, KEPT):
+    with disk_errors(campaign.UNWRITTEN, args.out, campaign.KEPT):
         path = experiments.write_comparison(args.out, answer)
     for sheet in experiments.comparison_tables(answer):
         screen.table(sheet.title, *sheet.texts())
     return {"file": str(path), **run.counts(), "beyond": answer}
 
 
-def _run_rounds(plan: experiments.StrategyComparison, run: ExperimentRun) -> None:
+def _run_rounds(plan: experiments.StrategyComparison, run: campaign.ExperimentRun) -> None:
     """Run rounds of trials until all comparisons are decided, or a job failed.
 
     Raises ``InputError`` if there is nothing to compare, or only a shard of the trials.
@@ -318,11 +310,11 @@ def _run_rounds(plan: experiments.StrategyComparison, run: ExperimentRun) -> Non
             break
 
 
-def _comparison_of(run: ExperimentRun) -> experiments.StrategyComparison:
+def _comparison_of(run: campaign.ExperimentRun) -> experiments.StrategyComparison:
     args, bench = run.args, run.bench()
-    pieces = parse_names(args.pieces, experiments.COMPARED_PIECES, "--pieces")
+    pieces = campaign.parse_names(args.pieces, experiments.COMPARED_PIECES, "--pieces")
     found = run.models(bench)
-    strategies = parse_strategies(args.strategies, experiments.STRATEGIES)
+    strategies = campaign.parse_strategies(args.strategies, experiments.STRATEGIES)
     for piece in pieces:
         for name in strategies:
             _check_cell(piece, name, known=(piece, "FT+Tac") in found)
@@ -340,7 +332,7 @@ def _comparison_of(run: ExperimentRun) -> experiments.StrategyComparison:
         code=package_version("touchdown"),
         models={piece: found.get((piece, "FT+Tac"), "") for piece in pieces},
         pieces=pieces,
-        bottoms=parse_names(args.bottoms, experiments.BOTTOMS, "--bottoms"),
+        bottoms=campaign.parse_names(args.bottoms, experiments.BOTTOMS, "--bottoms"),
         strategies=strategies,
         trials=args.trials,
         groups=args.statics,
@@ -359,9 +351,9 @@ def _check_cell(piece: str, name: str, *, known: bool) -> None:
         check_weighing(load_pieces().top(piece), experiments.method_of(name, StackSettings()))
 
 
-def _recipe(run: ExperimentRun) -> experiments.Recipe:
+def _recipe(run: campaign.ExperimentRun) -> experiments.Recipe:
     args, bench = run.args, run.bench()
-    wanted = parse_names(args.pieces, experiments.PIECES, "--pieces")
+    wanted = campaign.parse_names(args.pieces, experiments.PIECES, "--pieces")
     pieces = tuple(piece for piece in experiments.PIECES if piece in wanted)
     scale = experiments.SCALES[args.scale]
     if args.keep_models and not scale.probes:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import get_args
 
+from touchdown.backend import experiments
 from touchdown.backend.cli.experiment.campaign import (
     ExperimentRun,
     Json,
@@ -13,16 +14,6 @@ from touchdown.backend.cli.experiment.campaign import (
     write_json,
 )
 from touchdown.backend.core import InputError, package_version
-from touchdown.backend.experiments import (
-    EVALUATED_STRATEGIES,
-    PIECES,
-    TABLE_BOTTOMS,
-    CollectionKind,
-    DomainShift,
-    RandomisedTraining,
-    load_model,
-    shift_tables,
-)
 
 
 def add_evaluation_arguments(parser: argparse.ArgumentParser) -> None:
@@ -58,11 +49,11 @@ def run_evaluation(run: ExperimentRun) -> Json:
         raise InputError(
             "The counts give no presses.", "--groups, --trials", "Give a positive number of one."
         )
-    (piece, *others) = parse_names(args.pieces, PIECES, "--pieces")
+    (piece, *others) = parse_names(args.pieces, experiments.PIECES, "--pieces")
     if others:
         raise InputError("Only one piece is evaluated.", "--pieces", "Name one piece.")
-    bottoms = parse_names(args.bottoms, TABLE_BOTTOMS, "--bottoms")
-    strategies = parse_strategies(args.strategies, EVALUATED_STRATEGIES)
+    bottoms = parse_names(args.bottoms, experiments.TABLE_BOTTOMS, "--bottoms")
+    strategies = parse_strategies(args.strategies, experiments.EVALUATED_STRATEGIES)
     found = run.models(bench)
     import_mujoco()
     there = "elsewhere"
@@ -75,9 +66,9 @@ def run_evaluation(run: ExperimentRun) -> Json:
             "--first, --epochs, --probes",
             "Give --first 0 or more, --epochs 1 or more, --probes 10 or more.",
         )
-    names: tuple[CollectionKind, ...] = get_args(CollectionKind)
+    names: tuple[experiments.CollectionKind, ...] = get_args(experiments.CollectionKind)
     wanted = parse_names(args.train, names, "--train") if args.train else ()
-    plan = DomainShift(
+    plan = experiments.DomainShift(
         bench=bench,
         code=code,
         piece=piece,
@@ -87,7 +78,9 @@ def run_evaluation(run: ExperimentRun) -> Json:
         groups=args.groups,
         trials=args.trials,
         trained=tuple(
-            RandomisedTraining(bench, code, piece, name, args.probes, args.epochs, args.device)
+            experiments.RandomisedTraining(
+                bench, code, piece, name, args.probes, args.epochs, args.device
+            )
             for name in names
             if name in wanted
         ),
@@ -97,14 +90,14 @@ def run_evaluation(run: ExperimentRun) -> Json:
     run.run(plan.jobs())
     answer = plan.answer(run.store)
     _keep_trained(run, plan)
-    for table in shift_tables(answer):
+    for table in experiments.shift_tables(answer):
         run.screen.table(table.title, *table.texts())
     path = args.out / "elsewhere.json"
     write_json(path, answer)
     return {"file": str(path), **run.counts(), "elsewhere": answer}
 
 
-def _keep_trained(run: ExperimentRun, plan: DomainShift) -> None:
+def _keep_trained(run: ExperimentRun, plan: experiments.DomainShift) -> None:
     """Write the trained models, each to its own folder for ``--models``."""
     from touchdown.backend.learning import save_half_precision
 
@@ -113,5 +106,5 @@ def _keep_trained(run: ExperimentRun, plan: DomainShift) -> None:
         if run.store.has(source):
             path = run.args.keep_models / made.collected / f"{made.piece}-ft+tac.safetensors"
             path.parent.mkdir(parents=True, exist_ok=True)
-            save_half_precision(path, load_model(source, run.store))
+            save_half_precision(path, experiments.load_model(source, run.store))
             run.screen.say(f"A model: {path}")

@@ -23,6 +23,7 @@ import numpy as np
 from touchdown.backend.config import MelfaSettings, is_loopback
 from touchdown.backend.core import Fault, FaultError, FloatArray
 from touchdown.backend.devices.framing import ProtocolError
+from touchdown.backend.devices.melfa import r3_protocol
 from touchdown.backend.devices.melfa.faults import (
     UNLIMITED,
     controller_fault,
@@ -31,20 +32,6 @@ from touchdown.backend.devices.melfa.faults import (
     starved_fault,
 )
 from touchdown.backend.devices.melfa.kinematics import MelfaPlacement, hand_of
-from touchdown.backend.devices.melfa.r3_protocol import (
-    AxisReading,
-    ControllerState,
-    R3Reply,
-    R3Request,
-    RunFlags,
-    encode_request,
-    read_axes,
-    read_error,
-    read_opened,
-    read_parameter,
-    read_state,
-    replies,
-)
 from touchdown.backend.devices.melfa.realtime_protocol import CYCLE_S
 from touchdown.backend.devices.melfa.stream import FAULT_CYCLES, HOLD_CYCLES
 from touchdown.backend.devices.protocols import STOPPED, ConnectionStep, Identity, arm_fault
@@ -56,10 +43,10 @@ PACE_S = 0.1  # minimum time between two exchanges while a controller program ru
 TIMEOUT_S, DOWN_S = 1.0, 3.0
 
 
-class PendingRequest(Future[R3Reply]):
+class PendingRequest(Future[r3_protocol.R3Reply]):
     """A sent or queued request: wait for it, then read ``answer``."""
 
-    def __init__(self, request: R3Request, timeout_s: float) -> None:
+    def __init__(self, request: r3_protocol.R3Request, timeout_s: float) -> None:
         super().__init__()
         self.request, self.timeout_s = request, timeout_s
         self.until_s = math.inf
@@ -88,7 +75,7 @@ class R3Client:
         self._answered = False
         self._nonsense = False  # bytes since the last reply that are none
         self._unread = b""  # the first of them
-        self._decoder = replies()
+        self._decoder = r3_protocol.replies()
         self._waiting: deque[PendingRequest] = deque()
         self._lock = threading.Lock()
         self._current: PendingRequest | None = None
@@ -104,7 +91,7 @@ class R3Client:
         """Number of invalid replies."""
         return self._decoder.bad_frames
 
-    def ask(self, request: R3Request, timeout_s: float = TIMEOUT_S) -> PendingRequest:
+    def ask(self, request: r3_protocol.R3Request, timeout_s: float = TIMEOUT_S) -> PendingRequest:
         """Queue a request; STOP precedes all unsent requests."""
         ticket = PendingRequest(request, timeout_s)
         with self._lock:
@@ -158,7 +145,7 @@ class R3Client:
         log.info("not readable on the command channel: %s", self._unread.hex(" "))
         return link_fault("The data on the command channel are not an answer of a controller.")
 
-    def _receive(self, now_s: float, data: bytes) -> list[R3Reply]:
+    def _receive(self, now_s: float, data: bytes) -> list[r3_protocol.R3Reply]:
         if data:
             self._byte_s = now_s
             return self._decoder.feed(data)
@@ -166,7 +153,7 @@ class R3Client:
             return self._decoder.flush()
         return []
 
-    def _take(self, now_s: float, reply: R3Reply) -> None:
+    def _take(self, now_s: float, reply: r3_protocol.R3Reply) -> None:
         self._silent_since_s = math.inf
         if self._owed:
             self._owed -= 1
@@ -186,7 +173,7 @@ class R3Client:
             self._current = ticket
         ticket.until_s = now_s + ticket.timeout_s
         self._silent_since_s = min(self._silent_since_s, now_s)
-        return encode_request(ticket.request) + b"\r"
+        return r3_protocol.encode_request(ticket.request) + b"\r"
 
 
 # (now, received datagrams) -> packet of this cycle or None.
@@ -227,7 +214,7 @@ class ControllerLinks(Protocol):
     def open(self, cycle: CycleFunction, lost: Callable[[Fault], None]) -> None:
         """Connect; raises ``FaultError``."""
 
-    def ask(self, request: R3Request, timeout_s: float) -> PendingRequest:
+    def ask(self, request: r3_protocol.R3Request, timeout_s: float) -> PendingRequest:
         """Queue a request."""
 
     def finish(self, ticket: PendingRequest) -> None:
@@ -263,9 +250,9 @@ def _require_readable() -> Iterator[None]:
 STATE_S = 0.1
 PLACE_S = 0.04  # without a running program: otherwise 100 ms are required
 PROBING_STATE_S = 0.35
-STATE, PLACE = R3Request("STATE"), R3Request("PPOS", "F")
+STATE, PLACE = r3_protocol.R3Request("STATE"), r3_protocol.R3Request("PPOS", "F")
 
-AskFunction = Callable[[R3Request, float], PendingRequest]
+AskFunction = Callable[[r3_protocol.R3Request, float], PendingRequest]
 
 
 class ControllerPoller:
@@ -276,7 +263,7 @@ class ControllerPoller:
         self._ticket: PendingRequest | None = None
         self._next_s = -math.inf
         self._state_s = -math.inf
-        self.state: ControllerState | None = None
+        self.state: r3_protocol.ControllerState | None = None
         # Position of ``G`` of the last answer, (3,) mm; the reader resets it.
         self.place_mm: FloatArray | None = None
         # Fault of the controller, or of a program that ended by itself.
@@ -285,7 +272,7 @@ class ControllerPoller:
     @property
     def ended(self) -> bool:
         """True when the controller reports that no program runs."""
-        return self.state is not None and RunFlags.RUNNING not in self.state.run
+        return self.state is not None and r3_protocol.RunFlags.RUNNING not in self.state.run
 
     def step(self, now_s: float, *, streaming: bool, probing: bool = False) -> None:
         """Read the last answer and send the next request when it is due. ``probing``: the force
@@ -308,18 +295,18 @@ class ControllerPoller:
         try:
             with _require_readable():
                 if ticket.request == PLACE:
-                    self.place_mm = self._of_reading(read_axes(ticket.answer))
+                    self.place_mm = self._of_reading(r3_protocol.read_axes(ticket.answer))
                     return
-                self.state = state = read_state(ticket.answer)
+                self.state = state = r3_protocol.read_state(ticket.answer)
         except FaultError as error:
             self.fault = error.fault
         else:
             if state.error:
                 self.fault = controller_fault(state.error)
-            elif streaming and RunFlags.RUNNING not in state.run:
+            elif streaming and r3_protocol.RunFlags.RUNNING not in state.run:
                 self.fault = ENDED
 
-    def _of_reading(self, reading: AxisReading) -> FloatArray:
+    def _of_reading(self, reading: r3_protocol.AxisReading) -> FloatArray:
         axes = dict(zip(reading.names, reading.values, strict=True))
         x, y, z, a, b, c = (axes[name] for name in "XYZABC")
         return self._placing.from_flange(np.array([x, y, z]), hand_of(a, b, c, self._euler))
@@ -402,13 +389,13 @@ class Console:
 
     def ask(self, command: str, argument: str = "", timeout_s: float = ANSWER_S) -> str:
         """Send one request and return its answer."""
-        ticket = self._wires.ask(R3Request(command, argument), timeout_s)
+        ticket = self._wires.ask(r3_protocol.R3Request(command, argument), timeout_s)
         self._wires.finish(ticket)
         return ticket.answer
 
-    def state(self) -> ControllerState:
+    def state(self) -> r3_protocol.ControllerState:
         """Return the state of the controller."""
-        return read_state(self.ask("STATE"))
+        return r3_protocol.read_state(self.ask("STATE"))
 
     # -- start-up ---------------------------------------------------------------------------------
 
@@ -439,7 +426,7 @@ class Console:
 
     def run_stream(self) -> None:
         """Start the controller program that opens the stream, and wait until it runs."""
-        if RunFlags.RUNNING in self.state().run:
+        if r3_protocol.RunFlags.RUNNING in self.state().run:
             # A program of a broken connection is ended, never taken over.
             self.ask("STOP")
             self._wait_for_end()
@@ -450,7 +437,7 @@ class Console:
     def run_probe(self, values: Mapping[str, float]) -> None:
         """Write the variables of the force program, verify them, and run it."""
         program = self._settings.fsc.program
-        if RunFlags.RUNNING in self.state().run:
+        if r3_protocol.RunFlags.RUNNING in self.state().run:
             self.ask("STOP")
         self._wait_for_end()
         self.ask("SLOTINIT")
@@ -471,7 +458,7 @@ class Console:
         self._wires.pace(running=True)
         self.ask("RUN", f"{program};1")
         try:
-            self._poll(RunFlags.RUNNING, RUN_S, what)
+            self._poll(r3_protocol.RunFlags.RUNNING, RUN_S, what)
             self._go_on()
         except FaultError:
             self.ask("STOP")
@@ -486,7 +473,7 @@ class Console:
             raise FaultError(link_fault("Connecting was cancelled."))
 
     def _identify(self) -> Identity:
-        robot_type, version = read_opened(self.ask("OPEN=", CLIENT))
+        robot_type, version = r3_protocol.read_opened(self.ask("OPEN=", CLIENT))
         wanted = self._settings.robot_type
         if not robot_type.startswith(wanted):
             raise FaultError(other_arm_fault(robot_type, wanted))
@@ -496,14 +483,14 @@ class Console:
         """Reset the error that refused the last connection, as announced then. The controller
         refuses while an emergency stop is pressed, and the error is reported again.
         """
-        if self.alarm and read_error(self.ask("ERROR"))[0] == self.alarm:
+        if self.alarm and r3_protocol.read_error(self.ask("ERROR"))[0] == self.alarm:
             self._go_on()
             self.ask("CNTL", "ON")
             with suppress(FaultError):
                 self.ask("RSTALRM")
 
     def _require_no_error(self) -> None:
-        found, _ = read_error(self.ask("ERROR"))
+        found, _ = r3_protocol.read_error(self.ask("ERROR"))
         self.alarm = found
         if found:
             fault = controller_fault(found, self.ask("ERRORMES", str(found)))
@@ -511,7 +498,7 @@ class Console:
 
     def _require_time_limit(self) -> None:
         try:
-            _, value, _ = read_parameter(self.ask("PAR", "MXTTOUT"))
+            _, value, _ = r3_protocol.read_parameter(self.ask("PAR", "MXTTOUT"))
         except FaultError:
             value = "-1"
         self.unlimited = not value.isdecimal()
@@ -524,9 +511,13 @@ class Console:
         self.ask("OVRD=", str(self._settings.override_start))
         self._go_on()
         self.ask("SRV", "ON")
-        self._poll(RunFlags.SERVO_ON, self._settings.servo_timeout_s, "The servo does not come on.")
+        self._poll(
+            r3_protocol.RunFlags.SERVO_ON,
+            self._settings.servo_timeout_s,
+            "The servo does not come on.",
+        )
 
-    def _poll(self, bit: RunFlags, limit_s: float, what: str) -> None:
+    def _poll(self, bit: r3_protocol.RunFlags, limit_s: float, what: str) -> None:
         waited_s = 0.0
         while bit not in self.state().run:
             self._go_on()
@@ -553,7 +544,7 @@ class Console:
 
     def _wait_for_end(self) -> None:
         waited_s = 0.0
-        while RunFlags.RUNNING in self.state().run and waited_s < RUN_S:
+        while r3_protocol.RunFlags.RUNNING in self.state().run and waited_s < RUN_S:
             self._wires.pause(POLL_S)
             waited_s += POLL_S
         self._wires.pace(running=False)

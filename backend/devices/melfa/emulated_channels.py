@@ -16,18 +16,7 @@ import numpy as np
 
 from touchdown.backend.core import FloatArray
 from touchdown.backend.devices.framing import LineStream, ProtocolError
-from touchdown.backend.devices.melfa import r3_protocol, realtime_protocol
-from touchdown.backend.devices.melfa.emulated_controller import (
-    PLAIN,
-    READY_RAD,
-    SPEEDS_RAD_S,
-    STREAM,
-    EmulatedController,
-    RefusedCommandError,
-    angles_of,
-    frame_of,
-    solve,
-)
+from touchdown.backend.devices.melfa import emulated_controller, r3_protocol, realtime_protocol
 from touchdown.backend.devices.melfa.kinematics import LIMITS_RAD, hand_of
 from touchdown.backend.devices.melfa.r3_protocol import (
     LONGEST_REQUEST,
@@ -64,7 +53,7 @@ _KINDS = {0: BlockKind.POSE, 1: BlockKind.JOINT, 2: BlockKind.PULSE}
 class EmulatedStream:
     """Emulated stream; a fault sets ``jump_rad``, the error of the first replied position."""
 
-    def __init__(self, controller: EmulatedController) -> None:
+    def __init__(self, controller: emulated_controller.EmulatedController) -> None:
         self._controller, self._settings = controller, controller.settings
         controller.on_cycle = self._cycle
         self.jump_rad: FloatArray = np.zeros(6)
@@ -88,7 +77,7 @@ class EmulatedStream:
             request = decode_mxt_request(data)
         except ProtocolError:
             return None
-        if controller.program != STREAM:
+        if controller.program != emulated_controller.STREAM:
             if request.command is MxtCommand.MOVE and now_s > controller.stopped_s:
                 late_s = now_s - controller.stopped_s
                 self.late_command_s = max(self.late_command_s, late_s)
@@ -108,7 +97,7 @@ class EmulatedStream:
 
     def _cycle(self) -> None:
         """Count a cycle without a packet; too many in a row are an error."""
-        if self._controller.program != STREAM:
+        if self._controller.program != emulated_controller.STREAM:
             self._running = False
             return
         limit = self._settings.mxt.mxttout
@@ -123,7 +112,7 @@ class EmulatedStream:
     def _follow(self, request: MxtRequest) -> bool:
         controller, mxt, kind = self._controller, self._settings.mxt, kind_of(request.target)
         # The program of another maker takes positions of the kind of its first one.
-        own = controller.loaded == PLAIN
+        own = controller.loaded == emulated_controller.PLAIN
         wanted = (self._kind or kind) if own else _KINDS[mxt.position_type]
         self._kind = kind
         if mxt.send_type_must_match and kind is not wanted:
@@ -136,7 +125,9 @@ class EmulatedStream:
         if not controller.servo:
             controller.raise_error(2000)
             return False
-        shares = np.abs(target - controller.joints.command_rad) / (SPEEDS_RAD_S * CYCLE_S)
+        shares = np.abs(target - controller.joints.command_rad) / (
+            emulated_controller.SPEEDS_RAD_S * CYCLE_S
+        )
         share = float(shares.max())
         self.largest_share = max(self.largest_share, share)
         if share > TOLERANCE:
@@ -157,7 +148,7 @@ class EmulatedStream:
             a, b, c = target.axes[3:6]
             frame[:3, :3] = hand_of(a, b, c, self._settings.euler)
             frame[:3, 3] = target.axes[:3]
-            return solve(frame, near)
+            return emulated_controller.solve(frame, near)
         return None
 
     def _reply(self, request: MxtRequest) -> bytes:
@@ -180,8 +171,8 @@ class EmulatedStream:
         sources = (command_rad, joints.filtered_rad, joints.feedback_rad)
         angles = sources[(monitor - 1) // 3]
         if kind is BlockKind.POSE:
-            frame = frame_of(angles)
-            turned = angles_of(frame[:3, :3], self._settings.euler)
+            frame = emulated_controller.frame_of(angles)
+            turned = emulated_controller.angles_of(frame[:3, :3], self._settings.euler)
             return MelfaPose((*frame[:3, 3].tolist(), *turned, 0.0, 0.0), *FLAGS)
         if kind is BlockKind.PULSE:
             pulses = (angles * PULSES_PER_RAD).round().astype(int).tolist()
@@ -234,7 +225,7 @@ NO_LIMIT = 10_000.0  # default of SPD: the joints alone limit the speed
 class EmulatedCommands:
     """One client of the controller."""
 
-    def __init__(self, controller: EmulatedController) -> None:
+    def __init__(self, controller: emulated_controller.EmulatedController) -> None:
         self._controller = controller
         self._lines: LineStream[R3Request | None] = LineStream(_request, LONGEST_REQUEST)
         self._end = b""
@@ -285,7 +276,7 @@ class EmulatedCommands:
         self.received.append(request)
         try:
             answer = self._answers[request.command](request)
-        except RefusedCommandError as refused:
+        except emulated_controller.RefusedCommandError as refused:
             return R3Reply("Qer" if controller.error else "QeR", str(refused.number))
         except KeyError:
             return R3Reply("QeR", str(controller.settings.r3.error_unknown))
@@ -337,7 +328,7 @@ class EmulatedCommands:
         if request.argument == "OFF":
             controller.right = None if controller.right is self else controller.right
         elif controller.right not in (None, self):
-            raise RefusedCommandError(6020)
+            raise emulated_controller.RefusedCommandError(6020)
         else:
             controller.right = self
 
@@ -357,7 +348,9 @@ class EmulatedCommands:
         except ValueError:
             value = math.nan
         if not least <= value <= most:
-            raise RefusedCommandError(self._controller.settings.r3.error_unknown)
+            raise emulated_controller.RefusedCommandError(
+                self._controller.settings.r3.error_unknown
+            )
         return value
 
     def _text(self, request: R3Request) -> str:
@@ -372,7 +365,7 @@ class EmulatedCommands:
     def _load(self, request: R3Request) -> None:
         self._controller.require(self, still=True)
         if self._controller.held:
-            raise RefusedCommandError(5120)
+            raise emulated_controller.RefusedCommandError(5120)
         self._controller.loaded = self._controller.require_program(request.argument)
 
     def _run(self, request: R3Request) -> None:
@@ -393,7 +386,7 @@ class EmulatedCommands:
 
     def _reset_error(self, request: R3Request) -> None:
         if self._controller.right is not self:
-            raise RefusedCommandError(6020)
+            raise emulated_controller.RefusedCommandError(6020)
         self._controller.reset_error()
 
     def _state(self, request: R3Request) -> str:
@@ -423,12 +416,12 @@ class EmulatedCommands:
             "MXTTOUT": (controller.settings.mxt.mxttout,),
             "MEJAR": (*(end for limit in limits for end in (-limit, limit)), 0.0, 0.0, 0.0, 0.0),
             "MEPAR": (-1e4, 1e4) * 3,
-            "JSAFE": (*np.degrees(READY_RAD).round(2).tolist(), 0.0, 0.0),
+            "JSAFE": (*np.degrees(emulated_controller.READY_RAD).round(2).tolist(), 0.0, 0.0),
             "MEXTL": controller.frames["TOOL"],
             "MEXBS": controller.frames["BASE"],
         }
         if name not in values:
-            raise RefusedCommandError(controller.settings.r3.error_unknown)
+            raise emulated_controller.RefusedCommandError(controller.settings.r3.error_unknown)
         numbers = values[name]
         texts = (str(n) if isinstance(n, int) else f"{n:.2f}" for n in numbers)
         return f"{name};{', '.join(texts)};{len(numbers)}"
@@ -440,7 +433,7 @@ class EmulatedCommands:
         try:
             self._controller.variables[name] = float(value)
         except ValueError:
-            raise RefusedCommandError(4340) from None
+            raise emulated_controller.RefusedCommandError(4340) from None
 
     def _value(self, request: R3Request) -> str:
         name, controller = request.argument, self._controller
@@ -465,7 +458,7 @@ class EmulatedCommands:
             value = status[name.upper()]
             return f"{name}={value:+.{0 if value == int(value) else 6}f}"
         if name not in controller.variables:
-            raise RefusedCommandError(4340)
+            raise emulated_controller.RefusedCommandError(4340)
         return f"{name}={controller.variables[name]:+g}"
 
     # -- positions and moves ----------------------------------------------------------------------
@@ -477,8 +470,8 @@ class EmulatedCommands:
     def _shown_place(self) -> tuple[float, ...]:
         """Return position, mm, and angles, rad, of the tool in the coordinates that BASE sets."""
         base, tool = (self._frame(self._controller.frames[name]) for name in ("BASE", "TOOL"))
-        frame = base @ frame_of(self._controller.joints.feedback_rad) @ tool
-        turned = angles_of(frame[:3, :3], self._controller.settings.euler)
+        frame = base @ emulated_controller.frame_of(self._controller.joints.feedback_rad) @ tool
+        turned = emulated_controller.angles_of(frame[:3, :3], self._controller.settings.euler)
         return (*frame[:3, 3].tolist(), *turned)
 
     def _frame(self, numbers: Sequence[float]) -> FloatArray:
@@ -515,13 +508,13 @@ class EmulatedCommands:
             controller.tool = int(self._within(found[1], 1, 16))
         elif found := _DEFINE.fullmatch(text):
             if found[1].upper() in controller.positions:
-                raise RefusedCommandError(4350)
+                raise emulated_controller.RefusedCommandError(4350)
             controller.positions[found[1].upper()] = (0.0,) * 6
         elif found := _ASSIGN.fullmatch(text):
             self._named(found[1])
             controller.positions[found[1].upper()] = self._numbers(found[2])
         else:
-            raise RefusedCommandError(controller.settings.r3.error_unknown)
+            raise emulated_controller.RefusedCommandError(controller.settings.r3.error_unknown)
 
     def _set_speed(self, kind: str, text: str) -> None:
         if kind == "SPD":
@@ -537,7 +530,7 @@ class EmulatedCommands:
     def _named(self, name: str) -> tuple[float, ...]:
         numbers = self._controller.positions.get(name.upper())
         if numbers is None:
-            raise RefusedCommandError(4340)
+            raise emulated_controller.RefusedCommandError(4340)
         return numbers
 
     def _numbers(self, text: str) -> tuple[float, ...]:
@@ -547,7 +540,7 @@ class EmulatedCommands:
         except ValueError:
             numbers = ()
         if len(numbers) != 6 or not all(map(math.isfinite, numbers)):
-            raise RefusedCommandError(2802)
+            raise emulated_controller.RefusedCommandError(2802)
         return numbers
 
     def _move(self, numbers: tuple[float, ...], *, straight: bool) -> None:
@@ -555,9 +548,9 @@ class EmulatedCommands:
         frames = controller.frames
         base, tool = (np.linalg.inv(self._frame(frames[name])) for name in ("BASE", "TOOL"))
         frame = base @ self._frame(numbers) @ tool
-        target = solve(frame, controller.joints.command_rad)
+        target = emulated_controller.solve(frame, controller.joints.command_rad)
         if target is None:
-            raise RefusedCommandError(2602)
+            raise emulated_controller.RefusedCommandError(2602)
         controller.move(target, self._speed_share, self._speed_mm_s if straight else None)
 
 

@@ -60,17 +60,7 @@ from touchdown.backend.devices.streamed import (
     air_before,
     tilted_fault,
 )
-from touchdown.backend.devices.ur.rtde import (
-    NORMAL,
-    REDUCED,
-    RUNNING,
-    OpenRobot,
-    ReceiveInterface,
-    StopConnection,
-    UrConnections,
-    identity_of,
-    open_robot,
-)
+from touchdown.backend.devices.ur import rtde
 
 M_PER_MM = 1e-3
 # Permitted lag of the arm: this time at its speed, plus a distance.
@@ -186,7 +176,7 @@ class RobotWatchdog:
         self._told_s, self._told_at_s = -math.inf, now_s
         self.late = 0
 
-    def has_news(self, receive: ReceiveInterface, now_s: float) -> bool:
+    def has_news(self, receive: rtde.ReceiveInterface, now_s: float) -> bool:
         """Return True if the robot's clock has advanced since the last cycle."""
         told_s = receive.getTimestamp()
         if told_s == self._told_s:
@@ -195,13 +185,13 @@ class RobotWatchdog:
         self._told_s, self._told_at_s = told_s, now_s
         return True
 
-    def require_healthy(self, receive: ReceiveInterface, now_s: float) -> None:
+    def require_healthy(self, receive: rtde.ReceiveInterface, now_s: float) -> None:
         """Raise ``FaultError`` for silence and for faults of the robot."""
         if now_s - self._told_at_s > SILENT_S or not receive.isConnected():
             raise FaultError(link_fault("The robot tells nothing any more."))
         if receive.isEmergencyStopped():
             raise FaultError(robot_fault("An emergency stop is pressed", "HW-STOP"))
-        if receive.getSafetyMode() not in (NORMAL, REDUCED):
+        if receive.getSafetyMode() not in (rtde.NORMAL, rtde.REDUCED):
             raise FaultError(robot_fault("The robot has stopped by itself (protective stop)"))
 
 
@@ -225,7 +215,7 @@ class UrArm:
         now_s: Callable[[], float],
         wrench: SampleStream,
         poses: SampleStream | None = None,
-        open_with: OpenRobot = open_robot,
+        open_with: rtde.OpenRobot = rtde.open_robot,
     ) -> None:
         self._settings, self._now_s, self._open = settings, now_s, open_with
         self._wrench, self._cursor = wrench, 0
@@ -236,13 +226,13 @@ class UrArm:
         lags_s = 1e-3 * settings.arm_lag_ms, 1e-3 * settings.sensor_lag_ms
         self._orders = StreamedPrograms(LoopDelays(self._cycle_s, *lags_s))
         self._core = ServoCore()
-        self._robot: UrConnections | None = None
+        self._robot: rtde.UrConnections | None = None
         self._rotation = np.zeros(3)
         self._lock = threading.Lock()
         self._stop_asked, self._ends, self._stops = threading.Event(), threading.Event(), 0
         self._retreat_asked = threading.Event()
         self._thread: threading.Thread | None = None
-        self._lane: StopConnection | None = None
+        self._lane: rtde.StopConnection | None = None
         self._script_ended = False
         self._servoing = False
         self._watch = RobotWatchdog(-math.inf)
@@ -299,14 +289,14 @@ class UrArm:
         robot.dashboard.powerOn()
         robot.dashboard.brakeRelease()
         end_s, never = self._now_s() + SERVO_ON_S, threading.Event()
-        while robot.receive.getRobotMode() != RUNNING and self._now_s() <= end_s:
+        while robot.receive.getRobotMode() != rtde.RUNNING and self._now_s() <= end_s:
             never.wait(LOOK_S)
-        if robot.receive.getRobotMode() != RUNNING:
+        if robot.receive.getRobotMode() != rtde.RUNNING:
             raise FaultError(robot_fault("The motors do not come on"))
         with self._lock:
             self._send_script(robot)
 
-    def _send_script(self, robot: UrConnections) -> None:
+    def _send_script(self, robot: rtde.UrConnections) -> None:
         robot.control.reuploadScript()
         robot.control.setWatchdog(self._settings.watchdog_hz)
         self._core.begin(self._place_mm(robot))
@@ -315,7 +305,7 @@ class UrArm:
     def _begin(self) -> None:
         robot = self._robot = self._open(self._settings.host, self._settings.rate_hz)
         self.steps.reached("reach")
-        self.identity = identity_of(robot.dashboard, self._settings.host)
+        self.identity = rtde.identity_of(robot.dashboard, self._settings.host)
         self.steps.reached("identify")
         robot.control.setTcp([0.0, 0.0, 1e-3 * self._settings.tool_mm, 0.0, 0.0, 0.0])
         robot.control.setWatchdog(self._settings.watchdog_hz)
@@ -333,7 +323,7 @@ class UrArm:
         self._stop_asked.clear()
         self._retreat_asked.clear()
         self._script_ended = False
-        self._lane = StopConnection(robot.stopper)
+        self._lane = rtde.StopConnection(robot.stopper)
         self._ends = threading.Event()
         self.cycle(self._now_s())
         if self.fault is not None:
@@ -386,7 +376,7 @@ class UrArm:
             except (FaultError, RuntimeError) as error:
                 self._fail(robot, error)
 
-    def _fail(self, robot: UrConnections, error: FaultError | RuntimeError) -> None:
+    def _fail(self, robot: rtde.UrConnections, error: FaultError | RuntimeError) -> None:
         if self._stop_asked.is_set():
             # A stop came during this cycle: it is the reason of the controller's refusal.
             self._take_stop(robot)
@@ -395,14 +385,14 @@ class UrArm:
         else:
             self._latch(robot, link_fault(f"The robot does not answer: {error}."))
 
-    def _take_stop(self, robot: UrConnections) -> None:
+    def _take_stop(self, robot: rtde.UrConnections) -> None:
         """Handle a sent STOP; the caller holds the lock."""
         self._stop_asked.clear()
         self._retreat_asked.clear()
         self._core.end(STOPPED)
         self._servoing, self._script_ended = False, True
 
-    def _look(self, robot: UrConnections, now_s: float) -> None:
+    def _look(self, robot: rtde.UrConnections, now_s: float) -> None:
         """Read the state of the robot; raise its fault."""
         if self._watch.has_news(robot.receive, now_s):
             self._core.measured_mm = self._place_mm(robot)
@@ -410,7 +400,7 @@ class UrArm:
         if self.fault is None:
             self._watch.require_healthy(robot.receive, now_s)
 
-    def _command(self, robot: UrConnections, now_s: float) -> None:
+    def _command(self, robot: rtde.UrConnections, now_s: float) -> None:
         samples = self._wrench.since(self._cursor)
         self._cursor = samples.cursor
         if self._retreat_asked.is_set():
@@ -430,15 +420,15 @@ class UrArm:
         ):
             raise FaultError(robot_fault("The robot refuses a servo command"))
 
-    def _place_mm(self, robot: UrConnections) -> FloatArray:
+    def _place_mm(self, robot: rtde.UrConnections) -> FloatArray:
         return self._placing.pivot_mm(np.array(robot.receive.getActualTCPPose()))
 
-    def _still(self, robot: UrConnections) -> None:
+    def _still(self, robot: rtde.UrConnections) -> None:
         if self._servoing:
             self._servoing = False
             robot.control.servoStop(BRAKE_M_S2)
 
-    def _latch(self, robot: UrConnections, fault: Fault) -> None:
+    def _latch(self, robot: rtde.UrConnections, fault: Fault) -> None:
         self._core.end(fault)
         self.fault = self.fault or fault
         if self.state is DeviceState.READY:
@@ -457,12 +447,12 @@ class UrArm:
         program = self._core.program
         moving = program is not None and not program.motion.done
         mode = RobotMode.MOVING if moving else RobotMode.READY
-        if robot.receive.getRobotMode() != RUNNING:
+        if robot.receive.getRobotMode() != rtde.RUNNING:
             mode = RobotMode.SERVO_OFF
         safety = SafetyMode.NORMAL
         if self.fault is not None:
             safety = SafetyMode.HW_STOP if self.fault.code == "HW-STOP" else SafetyMode.FAULT
-        elif robot.receive.getSafetyMode() == REDUCED:
+        elif robot.receive.getSafetyMode() == rtde.REDUCED:
             safety = SafetyMode.REDUCED
         return ArmStatus(mode, safety, robot.receive.getSpeedScaling(), 0)
 
@@ -560,14 +550,14 @@ class UrArm:
         if (program := self._core.program) is not None:
             program.motion.end(STOPPED)
 
-    def _require_link(self) -> UrConnections:
+    def _require_link(self) -> rtde.UrConnections:
         if self._robot is None or self.state is not DeviceState.READY:
             raise FaultError(self.fault or NOT_CONNECTED)
         return self._robot
 
-    def _require_ready(self) -> UrConnections:
+    def _require_ready(self) -> rtde.UrConnections:
         stops, robot = self._stops, self._require_link()
-        if robot.receive.getRobotMode() != RUNNING:
+        if robot.receive.getRobotMode() != rtde.RUNNING:
             raise FaultError(servo_off_fault(ARM))
         if self._lane is not None and not self._lane.settle(SETTLE_S):
             raise FaultError(link_fault("The robot does not answer to STOP."))

@@ -39,7 +39,10 @@ def imports(root: Path = ROOT) -> dict[str, frozenset[str]]:
     for module, path in files.items():
         if path.name == "__init__.py" and tables[module]:
             continue
-        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+        nodes = list(ast.walk(ast.parse(path.read_text("utf-8"))))
+        used = [(n.value.id, n.attr) for n in nodes
+                if isinstance(n, ast.Attribute) and isinstance(n.value, ast.Name)]  # fmt: skip
+        for node in nodes:
             if isinstance(node, ast.Import):
                 found[module] |= {alias.name for alias in node.names}
             elif isinstance(node, ast.ImportFrom) and node.module:
@@ -47,6 +50,8 @@ def imports(root: Path = ROOT) -> dict[str, frozenset[str]]:
                     name = tables.get(node.module, {}).get(alias.name, node.module)
                     full = f"{node.module}.{alias.name}"
                     found[module].add(full if full in files else name)
+                    table, own = tables.get(full, {}), alias.asname or alias.name
+                    found[module] |= {table[n] for of, n in used if of == own and n in table}
     return {module: frozenset(names) for module, names in found.items()}
 
 

@@ -19,26 +19,8 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 
+from touchdown.backend import core
 from touchdown.backend.config import SAMPLES_PER_PROBE, TICK_S, BenchDescription
-from touchdown.backend.core import (
-    CHANNELS,
-    FINGERS,
-    WRENCH_CHANNELS,
-    Episode,
-    EpisodeQuality,
-    Finger,
-    FloatArray,
-    ImageArray,
-    InputError,
-    MarkerField,
-    Recording,
-    ScenePicture,
-    TactileFrame,
-    parse_json,
-    program_stamp,
-    rotation_vector,
-    write_atomically,
-)
 from touchdown.backend.episodes.mcap_container import (
     DAMAGE,
     DAMAGED_FILE_FIX,
@@ -111,7 +93,7 @@ _JPEG = [
 _PNG = [cv2.IMWRITE_PNG_COMPRESSION, 1]
 
 
-def encode_image(image: ImageArray, keep: KeepFrames) -> bytes:
+def encode_image(image: core.ImageArray, keep: KeepFrames) -> bytes:
     """Compress a (h, w, 3) BGR image; raises ``ValueError`` if that fails."""
     suffix, options = (".png", _PNG) if keep == "png" else (".jpg", _JPEG)
     done, data = cv2.imencode(suffix, image, options)
@@ -120,7 +102,7 @@ def encode_image(image: ImageArray, keep: KeepFrames) -> bytes:
     return data.tobytes()
 
 
-def decode_image(data: bytes) -> ImageArray:
+def decode_image(data: bytes) -> core.ImageArray:
     """Decompress to (h, w, 3) BGR; raises ``ValueError`` if the data are not an image."""
     try:
         image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
@@ -162,14 +144,14 @@ def make_frames(facts: str, pairs: Mapping[str, str], scene_px: tuple[int, int])
         frames.static.append(Transform(HAND_FRAME, WRENCH_TOPIC.frame_id, at_mm, turn))
     if bench.mm_per_px is not None and PADS_KEY in pairs:
         y_mm = 0.5 * float(pairs[PADS_KEY]) - GEL_DEPTH_MM
-        for k, finger in enumerate(FINGERS):
+        for k, finger in enumerate(core.FINGERS):
             frame, at_mm = IMAGE_TOPICS[finger].frame_id, (0.0, (y_mm, -y_mm)[k], 0.0)
             frames.static.append(Transform(HAND_FRAME, frame, at_mm, _GEL_ROTATIONS[k]))
             frames.cameras[frame] = TACTILE_PX, GEL_DEPTH_MM / bench.mm_per_px[k]
     board = Homography.parse(pairs[HOMOGRAPHY_KEY]) if any(scene_px) else None
     if board is not None and (seen := locate_camera(board, scene_px)) is not None:
         focal_px, axes, eye_mm = seen
-        vector = rotation_vector(axes)
+        vector = core.rotation_vector(axes)
         half_rad = 0.5 * float(np.linalg.norm(vector))
         rotation = [*(0.5 * np.sinc(half_rad / np.pi) * vector), math.cos(half_rad)]
         frame = SCENE_TOPIC.frame_id
@@ -204,7 +186,7 @@ def to_ns(t_s: ArrayLike) -> Times:
 
 def write_episode(
     path: Path,
-    episode: Episode,
+    episode: core.Episode,
     label: Mapping[str, object] | None,
     metadata: Mapping[str, str],
     keep_frames: KeepFrames = "jpeg95_444",
@@ -240,7 +222,7 @@ def write_episode(
 
 
 def _metadata(
-    episode: Episode, metadata: Mapping[str, str], keep: KeepFrames
+    episode: core.Episode, metadata: Mapping[str, str], keep: KeepFrames
 ) -> dict[str, dict[str, str]]:
     recording = episode.recording
     tare = [] if recording is None else recording.tare.tolist()
@@ -257,12 +239,12 @@ def _metadata(
         "bench": dict(metadata),
         "calibration": {"tare": json.dumps(tare)},
         "clock": {"utc_minus_monotonic_ns": metadata.get(START_KEY, "0"), "method": "bench clock"},
-        "software": {"schema_version": SCHEMA_VERSION, "program": program_stamp()},
+        "software": {"schema_version": SCHEMA_VERSION, "program": core.program_stamp()},
         "pairs": {"items": json.dumps(episode.metadata)},
     }
 
 
-def _notes(episode: Episode, label: Mapping[str, object] | None) -> Iterator[StampedMessages]:
+def _notes(episode: core.Episode, label: Mapping[str, object] | None) -> Iterator[StampedMessages]:
     """Yield observation, event and label."""
     steps = np.arange(len(episode.observation))
     stamps = to_ns(episode.onset_s + TICK_S * (steps + 1))
@@ -273,7 +255,9 @@ def _notes(episode: Episode, label: Mapping[str, object] | None) -> Iterator[Sta
             yield topic, to_ns([episode.onset_s]), np.zeros(1, np.int64), [pack_json(note)]
 
 
-def recording_messages(recording: Recording, frames: Frames | None) -> Iterator[StampedMessages]:
+def recording_messages(
+    recording: core.Recording, frames: Frames | None
+) -> Iterator[StampedMessages]:
     """Yield topic, stamps in ns, sequence numbers and messages of the signals without images.
 
     ``frames``: also transforms, cameras and marker clouds.
@@ -293,7 +277,7 @@ def recording_messages(recording: Recording, frames: Frames | None) -> Iterator[
         for frame, (size_px, focal_px) in frames.cameras.items():
             message = pack_camera(int(start[0]), frame, size_px, focal_px)
             yield CAMERA_TOPICS[frame], start, first, [message]
-    for finger in FINGERS:
+    for finger in core.FINGERS:
         fields = [field for field in recording.fields if field.finger == finger]
         if not fields:
             continue
@@ -312,11 +296,11 @@ def recording_messages(recording: Recording, frames: Frames | None) -> Iterator[
             yield POINT_TOPICS[finger], stamps, sequence, cloud
 
 
-def image_messages(recording: Recording, keep: KeepFrames) -> Iterator[StampedMessages]:
+def image_messages(recording: core.Recording, keep: KeepFrames) -> Iterator[StampedMessages]:
     """Yield the images like ``recording_messages``; each is encoded when it is taken."""
-    scene = [TactileFrame("left", i, p.t_s, p.image) for i, p in enumerate(recording.scene)]
+    scene = [core.TactileFrame("left", i, p.t_s, p.image) for i, p in enumerate(recording.scene)]
     for topic, frames in (
-        *((IMAGE_TOPICS[f], [p for p in recording.frames if p.finger == f]) for f in FINGERS),
+        *((IMAGE_TOPICS[f], [p for p in recording.frames if p.finger == f]) for f in core.FINGERS),
         (SCENE_TOPIC, scene),
     ):
         stamps = to_ns([frame.t_s for frame in frames])
@@ -328,13 +312,13 @@ def image_messages(recording: Recording, keep: KeepFrames) -> Iterator[StampedMe
             yield topic, stamps, np.array([frame.sequence for frame in frames]), messages
 
 
-def to_s(ns: Times) -> FloatArray:
+def to_s(ns: Times) -> core.FloatArray:
     """Convert ns to bench seconds; whole microseconds are exact."""
     whole_us = ns % 1000 == 0
     return np.where(whole_us, (ns // 1000) * 1e-6, ns * 1e-9).astype(np.float64)
 
 
-def read_episode(path: Path) -> Episode:
+def read_episode(path: Path) -> core.Episode:
     """Read an episode file with decoded frames.
 
     Parameters
@@ -357,52 +341,52 @@ def read_episode(path: Path) -> Episode:
     return episode_of(read_whole(path), path)
 
 
-def episode_of(contents: ChunkContents, path: Path) -> Episode:
+def episode_of(contents: ChunkContents, path: Path) -> core.Episode:
     """Return the episode of a file that was read; raises ``InputError`` if it is damaged."""
     if "pack" in contents.metadata:
-        raise InputError(
+        raise core.InputError(
             "The file is a pack of simulated episodes: no pictures were kept of them.",
             str(path),
             "Open them by the dataset that holds the pack.",
         )
     if "episode" not in contents.metadata:
-        raise InputError("The file holds no single episode.", str(path), DAMAGED_FILE_FIX)
+        raise core.InputError("The file holds no single episode.", str(path), DAMAGED_FILE_FIX)
     with input_errors(path):
         return _episode(contents)
 
 
-def _episode(contents: ChunkContents) -> Episode:
+def _episode(contents: ChunkContents) -> core.Episode:
     facts = contents.metadata["episode"]
     observation = unpack_observation(contents.messages[OBSERVATION_TOPIC.name])
-    if observation.shape != (SAMPLES_PER_PROBE, CHANNELS):
+    if observation.shape != (SAMPLES_PER_PROBE, core.CHANNELS):
         raise ValueError(f"the observation has shape {observation.shape}, not (20, 258)")
-    quality = parse_json(facts["quality"])
+    quality = core.parse_json(facts["quality"])
     quality["reasons"] = tuple(quality["reasons"])
-    pairs = parse_json(contents.metadata["pairs"]["items"])
-    return Episode(
+    pairs = core.parse_json(contents.metadata["pairs"]["items"])
+    return core.Episode(
         episode_id=facts["uuid"],
         piece=facts["grasped_piece"],
         observation=observation,
-        offset_mm=np.array(parse_json(facts["offset_mm"]), dtype=np.float64).reshape(2),
-        onset_s=float(parse_json(facts["onset_s"])),
-        quality=EpisodeQuality(**quality),
+        offset_mm=np.array(core.parse_json(facts["offset_mm"]), dtype=np.float64).reshape(2),
+        onset_s=float(core.parse_json(facts["onset_s"])),
+        quality=core.EpisodeQuality(**quality),
         recording=_recording(contents) if facts["recording"] == "native" else None,
         metadata=tuple((str(key), str(value)) for key, value in pairs),
     )
 
 
-def _recording(contents: ChunkContents) -> Recording:
+def _recording(contents: ChunkContents) -> core.Recording:
     topics = (WRENCH_TOPIC, POSE_TOPIC, COMMAND_TOPIC)
     wrench, pose, command = (contents.messages.get(topic.name, []) for topic in topics)
-    fields = [field for finger in FINGERS for field in _fields(contents, finger)]
+    fields = [field for finger in core.FINGERS for field in _fields(contents, finger)]
     frames = [
-        TactileFrame(finger, number, t_s, image)
-        for finger in FINGERS
+        core.TactileFrame(finger, number, t_s, image)
+        for finger in core.FINGERS
         for number, t_s, image in _pictures(contents, IMAGE_TOPICS[finger])
     ]
-    scene = (ScenePicture(t_s, image) for _, t_s, image in _pictures(contents, SCENE_TOPIC))
-    tare = parse_json(contents.metadata["calibration"]["tare"])
-    return Recording(
+    scene = (core.ScenePicture(t_s, image) for _, t_s, image in _pictures(contents, SCENE_TOPIC))
+    tare = core.parse_json(contents.metadata["calibration"]["tare"])
+    return core.Recording(
         wrench_t_s=to_s(stamps_ns(wrench)),
         wrench=unpack_wrench(wrench),
         fields=tuple(sorted(fields, key=lambda field: field.t_s)),
@@ -410,18 +394,18 @@ def _recording(contents: ChunkContents) -> Recording:
         pose_t_s=to_s(stamps_ns(pose)),
         pose_mm=unpack_pose_mm(pose),
         scene=tuple(scene),
-        tare=np.array(tare, dtype=np.float64).reshape(WRENCH_CHANNELS),
+        tare=np.array(tare, dtype=np.float64).reshape(core.WRENCH_CHANNELS),
         command_t_s=to_s(stamps_ns(command)),
         command_mm=unpack_pose_mm(command),
     )
 
 
-def _fields(contents: ChunkContents, finger: Finger) -> list[MarkerField]:
+def _fields(contents: ChunkContents, finger: core.Finger) -> list[core.MarkerField]:
     topic = MARKER_TOPICS[finger].name
     messages = contents.messages.get(topic, [])
     rows, t_s = unpack_markers(messages), to_s(stamps_ns(messages))
     return [
-        MarkerField(
+        core.MarkerField(
             finger,
             contents.sequence[topic][i],
             float(t_s[i]),
@@ -435,7 +419,9 @@ def _fields(contents: ChunkContents, finger: Finger) -> list[MarkerField]:
     ]
 
 
-def _pictures(contents: ChunkContents, topic: Topic) -> Iterator[tuple[int, float, ImageArray]]:
+def _pictures(
+    contents: ChunkContents, topic: Topic
+) -> Iterator[tuple[int, float, core.ImageArray]]:
     """Yield sequence number, time and image of each picture."""
     messages = contents.messages.get(topic.name, [])
     numbers = contents.sequence.get(topic.name, [])
@@ -447,10 +433,10 @@ def _pictures(contents: ChunkContents, topic: Topic) -> Iterator[tuple[int, floa
 class CompressedImages:
     """Compressed images of one finger in order of time; ``t_s`` (n,) on the bench clock."""
 
-    t_s: FloatArray
+    t_s: core.FloatArray
     packed: tuple[bytes, ...]
 
-    def picture(self, index: int) -> ImageArray:
+    def picture(self, index: int) -> core.ImageArray:
         """Decode image ``index`` to (h, w, 3) BGR; raises ``ValueError`` if it is damaged."""
         return decode_image(self.packed[index])
 
@@ -459,8 +445,8 @@ class CompressedImages:
 class CompressedEpisode:
     """``episode`` without frames, and the compressed images of each finger."""
 
-    episode: Episode
-    pictures: Mapping[Finger, CompressedImages]
+    episode: core.Episode
+    pictures: Mapping[core.Finger, CompressedImages]
 
     @property
     def bytes(self) -> int:
@@ -468,10 +454,10 @@ class CompressedEpisode:
         return sum(len(data) for film in self.pictures.values() for data in film.packed)
 
 
-def without_images(episode: Episode) -> CompressedEpisode:
+def without_images(episode: core.Episode) -> CompressedEpisode:
     """Return an episode recorded without images."""
     none = CompressedImages(np.zeros(0), ())
-    return CompressedEpisode(episode, dict.fromkeys(FINGERS, none))
+    return CompressedEpisode(episode, dict.fromkeys(core.FINGERS, none))
 
 
 def read_compressed_episode(path: Path) -> CompressedEpisode:
@@ -479,7 +465,7 @@ def read_compressed_episode(path: Path) -> CompressedEpisode:
     contents = read_whole(path)
     with input_errors(path):
         pictures = {}
-        for finger in FINGERS:
+        for finger in core.FINGERS:
             messages = contents.messages.pop(IMAGE_TOPICS[finger].name, [])
             contents.sequence.pop(IMAGE_TOPICS[finger].name, None)
             packed = tuple(bytes(unpack_image(message)[1]) for message in messages)
@@ -523,7 +509,7 @@ def salvage_file(torn: Path, target: Path) -> SalvageResult:
     report = {"from": torn.name, "bytes": torn.stat().st_size, **asdict(saved)}
     report["path"] = path and path.name
     text = json.dumps(report, indent=1, sort_keys=True)
-    write_atomically(target.with_name(f"{target.name}.json"), text.encode())
+    core.write_atomically(target.with_name(f"{target.name}.json"), text.encode())
     return saved
 
 

@@ -17,23 +17,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.backend.core import (
-    ActionChosen,
-    BeliefUpdated,
-    Episode,
-    EpisodeRecorded,
-    Event,
-    FaultRaised,
-    FloatArray,
-    MarkerField,
-    Outcome,
-    RunStarted,
-    StabilityJudged,
-    TrialFinished,
-    TrialStarted,
-    program_version,
-    write_atomically,
-)
+from touchdown.backend import core
 from touchdown.backend.experiments import document
 from touchdown.backend.experiments.trials import BatchTrialResult
 from touchdown.backend.geometry import rings_of
@@ -48,10 +32,10 @@ def _base64(image: NDArray[np.uint8]) -> str:
 
 
 def belief_svg(
-    updated: BeliefUpdated,
-    judged: StabilityJudged,
-    chosen: ActionChosen,
-    true_outline_mm: FloatArray | None,
+    updated: core.BeliefUpdated,
+    judged: core.StabilityJudged,
+    chosen: core.ActionChosen,
+    true_outline_mm: core.FloatArray | None,
     view_mm: float = 20.0,
 ) -> str:
     """Return one panel: map, hull, centre of mass, planned step, and the true support if known.
@@ -106,14 +90,14 @@ def belief_svg(
     return "".join(parts)
 
 
-def _polygon(points_mm: FloatArray, colour: str, width: float, dash: str = "") -> str:
+def _polygon(points_mm: core.FloatArray, colour: str, width: float, dash: str = "") -> str:
     rings = [" ".join(f"{x:.2f},{-y:.2f}" for x, y in ring) for ring in rings_of(points_mm)]
     dashes = f' stroke-dasharray="{dash}"' if dash else ""
     style = f'fill="none" stroke="{colour}" stroke-width="{width}"{dashes}'
     return "".join(f'<polygon points="{text}" {style}/>' for text in rings)
 
 
-def wrench_svg(episode: Episode) -> str:
+def wrench_svg(episode: core.Episode) -> str:
     """Return the 10 Hz forces of one probe in N over the 2 s after contact."""
     force = episode.observation[:, 252:255].astype(np.float64)
     top = max(1.0, float(np.nanmax(np.abs(force))))
@@ -135,7 +119,7 @@ def wrench_svg(episode: Episode) -> str:
     )
 
 
-def tactile_png(episode: Episode) -> str:
+def tactile_png(episode: core.Episode) -> str:
     """Return the last images of both fingers side by side as an ``img`` tag; "" without images."""
     if episode.recording is None:
         return ""
@@ -153,7 +137,7 @@ def tactile_png(episode: Episode) -> str:
     )
 
 
-def _with_arrows(image: NDArray[np.uint8], markers: MarkerField) -> NDArray[np.uint8]:
+def _with_arrows(image: NDArray[np.uint8], markers: core.MarkerField) -> NDArray[np.uint8]:
     """Return a copy of a tactile image with the displacements of its markers."""
     drawn = image.copy()
     by_px = markers.displacement_px
@@ -168,7 +152,7 @@ def _with_arrows(image: NDArray[np.uint8], markers: MarkerField) -> NDArray[np.u
 FILM_FILE = "film.json"  # file of a job with the strips of its trials
 
 
-def belief_film(end: BatchTrialResult, outline_mm: FloatArray) -> Mapping[str, Any]:
+def belief_film(end: BatchTrialResult, outline_mm: core.FloatArray) -> Mapping[str, Any]:
     """Return the strip for JSON; ``outline_mm`` (k, 2): true support in true places.
 
     The map is in commanded places, which differ from the true ones by the errors of grasp and
@@ -180,9 +164,9 @@ def belief_film(end: BatchTrialResult, outline_mm: FloatArray) -> Mapping[str, A
     shift = (last[0] - true[0], last[1] - true[1])
     for number, step in enumerate(end.steps, start=1):
         picture = belief_svg(
-            BeliefUpdated(0.0, step.map, number),
-            StabilityJudged(0.0, step.stability, number),
-            ActionChosen(0.0, step.action, number, 0.0),
+            core.BeliefUpdated(0.0, step.map, number),
+            core.StabilityJudged(0.0, step.stability, number),
+            core.ActionChosen(0.0, step.action, number, 0.0),
             outline_mm + shift,
         )
         probes.append({"svg": picture, "why": step.action.reason})
@@ -196,24 +180,24 @@ _LEGEND = (
 )
 
 
-_AnyEvent = TypeVar("_AnyEvent", bound=Event)
+_AnyEvent = TypeVar("_AnyEvent", bound=core.Event)
 
 
 @dataclass
 class _TrialRecord:
-    started: TrialStarted
-    events: list[Event] = field(default_factory=list)
+    started: core.TrialStarted
+    events: list[core.Event] = field(default_factory=list)
 
     def of(self, kind: type[_AnyEvent]) -> list[_AnyEvent]:
         return [event for event in self.events if isinstance(event, kind)]
 
     @property
-    def finished(self) -> TrialFinished | None:
-        return next(iter(self.of(TrialFinished)), None)
+    def finished(self) -> core.TrialFinished | None:
+        return next(iter(self.of(core.TrialFinished)), None)
 
 
 def write_run_report(
-    path: Path, runs: Sequence[Iterable[Event]], outlines_mm: Mapping[str, FloatArray]
+    path: Path, runs: Sequence[Iterable[core.Event]], outlines_mm: Mapping[str, core.FloatArray]
 ) -> None:
     """Write the report page of some runs atomically.
 
@@ -232,7 +216,7 @@ def write_run_report(
     OSError
         The file cannot be written.
     """
-    made = f"Written on {datetime.now():%Y-%m-%d at %H:%M} by touchdown {program_version()}."
+    made = f"Written on {datetime.now():%Y-%m-%d at %H:%M} by touchdown {core.program_version()}."
     galleries, rows, about, placed = [], [], [made, _LEGEND], 0
     for events in runs:
         head, trials = _split_trials(events)
@@ -246,17 +230,17 @@ def write_run_report(
             galleries.append(_gallery(title, trial, outline))
             rows.append((title, *_result(trial)))
             end = trial.finished
-            placed += end is not None and end.outcome is Outcome.PLACED
+            placed += end is not None and end.outcome is core.Outcome.PLACED
     table = document.ReportTable.of_texts("", ("trial", "outcome", "probes", "true margin"), rows)
     report = document.Report(
         f"Touchdown: {placed} of {len(rows)} placed",
         tuple(about),
         (document.ReportSection("", (), (table, *galleries)),),
     )
-    write_atomically(path, document.report_page(report).encode())
+    core.write_atomically(path, document.report_page(report).encode())
 
 
-def _model_text(head: RunStarted) -> str:
+def _model_text(head: core.RunStarted) -> str:
     """Return the model or network of a run; "" if its settings name none."""
     record = json.loads(head.settings)
     if head.strategy == "fused":
@@ -266,13 +250,13 @@ def _model_text(head: RunStarted) -> str:
     return f"model of {model['piece']} {model['weights_sha256'][:16]}, " if model else ""
 
 
-def _split_trials(facts: Iterable[Event]) -> tuple[RunStarted | None, list[_TrialRecord]]:
-    head: RunStarted | None = None
+def _split_trials(facts: Iterable[core.Event]) -> tuple[core.RunStarted | None, list[_TrialRecord]]:
+    head: core.RunStarted | None = None
     trials: list[_TrialRecord] = []
     for fact in facts:
-        if isinstance(fact, RunStarted):
+        if isinstance(fact, core.RunStarted):
             head = fact
-        elif isinstance(fact, TrialStarted):
+        elif isinstance(fact, core.TrialStarted):
             trials.append(_TrialRecord(fact))
         elif trials:
             trials[-1].events.append(fact)
@@ -288,11 +272,15 @@ def _result(trial: _TrialRecord) -> tuple[str, str, str]:
 
 
 def _gallery(
-    title: str, trial: _TrialRecord, outline_mm: FloatArray | None
+    title: str, trial: _TrialRecord, outline_mm: core.FloatArray | None
 ) -> document.PictureGallery:
     pictures = []
-    episodes = {recorded.probe: recorded for recorded in trial.of(EpisodeRecorded)}
-    panels = trial.of(BeliefUpdated), trial.of(StabilityJudged), trial.of(ActionChosen)
+    episodes = {recorded.probe: recorded for recorded in trial.of(core.EpisodeRecorded)}
+    panels = (
+        trial.of(core.BeliefUpdated),
+        trial.of(core.StabilityJudged),
+        trial.of(core.ActionChosen),
+    )
     for updated, judged, chosen in zip(*panels, strict=False):
         drawing = belief_svg(updated, judged, chosen, outline_mm)
         if recorded := episodes.get(updated.probe):
@@ -301,5 +289,5 @@ def _gallery(
             document.ReportPicture(drawing, f"Probe {updated.probe}", chosen.action.reason)
         )
     reason = "Interrupted." if trial.finished is None else trial.finished.reason
-    end = " ".join([*(event.fault.what for event in trial.of(FaultRaised)), reason])
+    end = " ".join([*(event.fault.what for event in trial.of(core.FaultRaised)), reason])
     return document.PictureGallery(title, tuple(pictures), end=end)

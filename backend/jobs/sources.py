@@ -80,7 +80,13 @@ def _exports_of(root: Path, package: str) -> dict[str, str]:
 
 
 def _imported(nodes: Iterable[ast.AST], root: Path) -> Iterator[str]:
-    """Yield the modules of the package that the import statements among ``nodes`` name."""
+    """Yield the modules of the package that the import statements among ``nodes`` name.
+
+    Of a package imported by its own name these are the modules of the attributes that are used.
+    """
+    nodes = list(nodes)
+    used = [(n.value.id, n.attr) for n in nodes
+            if isinstance(n, ast.Attribute) and isinstance(n.value, ast.Name)]  # fmt: skip
     for node in nodes:
         if isinstance(node, ast.Import):
             yield from (a.name for a in node.names if a.name.startswith(PACKAGE))
@@ -90,6 +96,8 @@ def _imported(nodes: Iterable[ast.AST], root: Path) -> Iterator[str]:
                 whole = f"{node.module}.{alias.name}"
                 exported = _exports_of(root, node.module).get(alias.name, node.module)
                 yield whole if _file(root, whole).is_file() else exported
+                defined, own = _exports_of(root, whole), alias.asname or alias.name
+                yield from (defined[name] for of, name in used if of == own and name in defined)
 
 
 def _used_nodes(tree: ast.Module, function: str) -> Iterator[ast.AST]:

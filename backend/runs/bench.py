@@ -11,24 +11,10 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from touchdown.backend import core
 from touchdown.backend.annotations import Dataset
 from touchdown.backend.calibration import UNCALIBRATED, CalibratedPositions, DayChecks
 from touchdown.backend.config import BenchDescription, BenchIdentity, StackSettings
-from touchdown.backend.core import (
-    Clock,
-    ContactPatch,
-    Episode,
-    EpisodeDecision,
-    Fall,
-    FloatArray,
-    ImageArray,
-    InputError,
-    Outcome,
-    PlaceAction,
-    Pose,
-    RepaintHold,
-    Stability,
-)
 from touchdown.backend.devices import Arm, Device, Gripper, GuardedArm, GuardedGripper, Interlock
 from touchdown.backend.geometry import Outline, Piece, PieceLibrary
 from touchdown.backend.learning import PatchCalibration
@@ -50,7 +36,7 @@ class OperatorPrompt:
         self.number = 0  # of the last question
         # Reply to the last question, None before it
         self.reply: bool | None = None
-        self.seen: tuple[Outcome, str] | None = None  # observed outcome and its reason
+        self.seen: tuple[core.Outcome, str] | None = None  # observed outcome and its reason
 
     def ask(self) -> None:
         """Open a question and clear the previous answer."""
@@ -70,7 +56,7 @@ class OperatorPrompt:
             self._asked = False
             return self.reply
 
-    def see(self, outcome: Outcome, reason: str) -> None:
+    def see(self, outcome: core.Outcome, reason: str) -> None:
         """Answer the open question with the observed outcome; ignored without one."""
         with self._lock:
             if self._asked:
@@ -85,7 +71,7 @@ class PressedProbe:
     moment, used for the decision latency only.
     """
 
-    episode: Episode
+    episode: core.Episode
     probe: int
     ended_s: float
     sampled_s: float
@@ -96,8 +82,8 @@ class JudgedProbe:
     """Pressed probe with the decision on it, made at bench time ``at_s`` while still pressed."""
 
     pressed: PressedProbe
-    stability: Stability
-    action: PlaceAction
+    stability: core.Stability
+    action: core.PlaceAction
     at_s: float
 
 
@@ -115,7 +101,7 @@ class PatchEstimator(Protocol):
     def prepare(self, early: NDArray[np.float32]) -> None:
         """Process the first ticks of the probe in progress to shorten its estimate."""
 
-    def estimate(self, episode: Episode) -> ContactPatch:
+    def estimate(self, episode: core.Episode) -> core.ContactPatch:
         """Return the contact patch of one episode."""
 
 
@@ -129,26 +115,26 @@ class NoEstimator:
     base_rate: float | None = None
     calibration: PatchCalibration | None = None
 
-    def __init__(self, points_mm: FloatArray | None = None) -> None:
+    def __init__(self, points_mm: core.FloatArray | None = None) -> None:
         self._points_mm = points_mm
 
     def prepare(self, early: NDArray[np.float32]) -> None:
         """Do nothing."""
 
-    def estimate(self, episode: Episode) -> ContactPatch:
+    def estimate(self, episode: core.Episode) -> core.ContactPatch:
         """Return the unknown patch; raises ``InputError`` without a face."""
         if self._points_mm is None:
-            raise InputError(
+            raise core.InputError(
                 f"No model of '{episode.piece}' is loaded.", "model", "Train one, or name one."
             )
-        return ContactPatch(self._points_mm.copy(), np.full(len(self._points_mm), 0.5))
+        return core.ContactPatch(self._points_mm.copy(), np.full(len(self._points_mm), 0.5))
 
 
 @dataclass(frozen=True, slots=True)
 class SceneView:
     """Scene camera: ``picture`` returns (h, w, 3); ``homography`` maps the board to the picture."""
 
-    picture: Callable[[], ImageArray]
+    picture: Callable[[], core.ImageArray]
     homography: Homography
 
 
@@ -162,7 +148,7 @@ class ReleaseVerdict:
     stands: bool
     knocked_over: bool
     margin_mm: float
-    fall: Fall | None
+    fall: core.Fall | None
     contradicted: bool | None = None
 
 
@@ -194,7 +180,7 @@ class SceneFacts:
     bottom: str
     scoring: GroundTruth | None
     outline: Outline
-    jig: Pose | None = None
+    jig: core.Pose | None = None
     scene_view: SceneView | None = None
     wrench_late_s: float = 0.0
     real_time: bool = False
@@ -228,7 +214,7 @@ class Bench(SceneFacts):
     settings: StackSettings
     wall_s: Callable[[], float]
     status: Callable[[], RunStatus]
-    repaint_hold: RepaintHold
+    repaint_hold: core.RepaintHold
     handed: bool = False
     calibrations: tuple[tuple[str, str], ...] = ()
     sensor_height_mm: float | None = None
@@ -254,12 +240,12 @@ class SceneDevices(SceneFacts):
     ``payload`` (6,) is the calibrated weight below the wrist sensor, N and N·m.
     """
 
-    clock: Clock
+    clock: core.Clock
     devices: Mapping[str, Device]
     arm: Arm
     gripper: Gripper
     advance: Callable[[int], None]
-    payload: FloatArray
+    payload: core.FloatArray
 
 
 # Builds the devices of a scene on the streams of a session. Raises ``InputError`` for an unknown
@@ -276,7 +262,7 @@ class RunContext(Protocol):
     description: BenchDescription  # recorded with episodes
     identity: BenchIdentity  # the one that a certificate must name
     dataset: Dataset | None  # takes collected episodes
-    decisions: deque[EpisodeDecision]  # newest decision on the newest episode, if pending
+    decisions: deque[core.EpisodeDecision]  # newest decision on the newest episode, if pending
     catalogue: PieceLibrary
     method: StackSettings  # before the settings of the request
 

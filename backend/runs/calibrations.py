@@ -10,6 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import cast
 
+from touchdown.backend import core
 from touchdown.backend.calibration import (
     AXES,
     FINGERPRINT_LIMIT_PX,
@@ -29,22 +30,6 @@ from touchdown.backend.calibration import (
     require_calibrated_bottom,
 )
 from touchdown.backend.config import BenchMode
-from touchdown.backend.core import (
-    FINGERS,
-    LEVEL_TOLERANCE_RAD,
-    CalibrationMeasured,
-    Event,
-    Fault,
-    FaultError,
-    Finger,
-    FloatArray,
-    Noticed,
-    Pose,
-    RefusedError,
-    StaleSampleError,
-    Stream,
-    TactileFrame,
-)
 from touchdown.backend.devices import Device, DeviceState, Gripper
 from touchdown.backend.geometry import Piece
 from touchdown.backend.rig import fault_of
@@ -93,7 +78,7 @@ def calibrations_for(
             require_calibrated_bottom(used, request.bottom, store.command("board"))
         return used
     if required:
-        raise RefusedError("CALIBRATION-MISSING", "This bench has no folder of calibrations.")
+        raise core.RefusedError("CALIBRATION-MISSING", "This bench has no folder of calibrations.")
     return {}
 
 
@@ -112,7 +97,7 @@ def payload_wrench(
     store: CalibrationStore | None,
     devices: Mapping[str, Device],
     used: UsedCalibrations | None = None,
-) -> FloatArray | None:
+) -> core.FloatArray | None:
     """Return the calibrated wrench (6,) of the empty gripper with a level hand, None if unknown.
 
     ``used`` are the calibrations that a run was checked with. They take precedence over files that
@@ -135,7 +120,7 @@ def payload_wrench(
 
 def accept_calibration(
     store: CalibrationStore,
-    measured: CalibrationMeasured,
+    measured: core.CalibrationMeasured,
     devices: Mapping[str, Device],
     person: str = "",
 ) -> Path:
@@ -148,7 +133,7 @@ def accept_calibration(
     if measured.what != "camera":
         return store.accept(measured, names, person)
     values = dict(zip(measured.names, measured.values, strict=True))
-    sources: dict[Finger, Finger] = {finger: finger for finger in FINGERS}
+    sources: dict[core.Finger, core.Finger] = {finger: finger for finger in core.FINGERS}
     if values["exchanged"]:
         sources = {"left": "right", "right": "left"}
     mirrors: dict[str, float] = {"exchanged": 0.0}
@@ -156,7 +141,7 @@ def accept_calibration(
     # Markers (63, 2) of each finger, none without fingerprints
     starts = range(0, len(measured.gels_px), FINGERPRINT_VALUES)
     places = (numbers_to_dots(measured.gels_px[i : i + FINGERPRINT_VALUES]) for i in starts)
-    seen_px = dict(zip(FINGERS, places, strict=False))
+    seen_px = dict(zip(core.FINGERS, places, strict=False))
     for finger, source in sources.items():
         now = str(devices[f"tactile_{source}"].describe().get("mirror", "none"))
         code = round(values[f"{finger}_mirror"]) ^ MIRROR_CODES.index(now)
@@ -189,7 +174,7 @@ class GelCheck:
         self,
         store: CalibrationStore | None,
         devices: Mapping[str, Device],
-        frames: Mapping[Finger, Stream[TactileFrame]],
+        frames: Mapping[core.Finger, core.Stream[core.TactileFrame]],
         pause: Callable[[threading.Event], object] = lambda cancel: cancel.wait(LOOK_S),
     ) -> None:
         self._store, self._devices, self._frames = store, devices, frames
@@ -202,7 +187,7 @@ class GelCheck:
         grid), GEL-MOVES, and GEL-OTHER, which names the finger the gel belongs to if known. Other
         devices pass.
         """
-        finger = next((finger for finger in FINGERS if name == f"tactile_{finger}"), None)
+        finger = next((finger for finger in core.FINGERS if name == f"tactile_{finger}"), None)
         if finger is None:
             return
         frames = self._newest(finger, cancel)
@@ -211,7 +196,7 @@ class GelCheck:
         if len(frames) < FEWEST:
             fault = fault_of(self._devices[name])
             if fault is not None:
-                raise FaultError(fault)
+                raise core.FaultError(fault)
             raise _fault("GEL-UNSEEN", name, "Its images arrive too slowly.", "Look at its cable.")
         seen = measure_rest(frames)
         if not seen.grid.usable:
@@ -219,7 +204,7 @@ class GelCheck:
             raise _fault("GEL-GRID", name, what, "Clean the gel, or fit one of 7 x 9 dots.")
         self._compare(finger, seen)
 
-    def _newest(self, finger: Finger, cancel: threading.Event) -> list[TactileFrame]:
+    def _newest(self, finger: core.Finger, cancel: threading.Event) -> list[core.TactileFrame]:
         """Return the next images; fewer from a slow camera."""
         stream, waited_s = self._frames[finger], 0.0
         begun = stream.count
@@ -228,7 +213,7 @@ class GelCheck:
             waited_s += LOOK_S
         return stream.since(begun)[0]
 
-    def _compare(self, finger: Finger, seen: GelRest) -> None:
+    def _compare(self, finger: core.Finger, seen: GelRest) -> None:
         name = f"tactile_{finger}"
         known = {
             one: mirrored_dots(px, str(self._devices[one].describe().get("mirror", "none")))
@@ -247,7 +232,7 @@ class GelCheck:
         again = "" if self._store is None else self._store.command("camera")
         raise other_gel_fault(finger, (away_px, limit_px), _next_step(name, owner, mirror), again)
 
-    def _known(self) -> dict[str, FloatArray]:
+    def _known(self) -> dict[str, core.FloatArray]:
         """Return the fingerprints of the raw images by camera, empty if not of these cameras."""
         if self._store is None:
             return {}
@@ -265,8 +250,8 @@ class GelCheck:
 
 
 def other_gel_fault(
-    finger: Finger, px: tuple[float, float], next_step: str, again: str
-) -> FaultError:
+    finger: core.Finger, px: tuple[float, float], next_step: str, again: str
+) -> core.FaultError:
     """Return the fault of a gel whose markers rest ``px[0]`` from the calibrated ones (limit
     ``px[1]``).
 
@@ -291,8 +276,8 @@ def _next_step(name: str, owner: str, mirror: str) -> str:
     return "Check if gels or sensors were exchanged, and put the right one back."
 
 
-def _fault(code: str, name: str, what: str, next_step: str) -> FaultError:
-    return FaultError(Fault(code, what, UNUSED, next_step, name))
+def _fault(code: str, name: str, what: str, next_step: str) -> core.FaultError:
+    return core.FaultError(core.Fault(code, what, UNUSED, next_step, name))
 
 
 CLEAR_MM = 1.0  # clearance above the support that excludes contact
@@ -309,12 +294,12 @@ class DriftMonitor:
     """
 
     def __init__(
-        self, scene: Bench, surface_mm: Callable[[], float], publish: Callable[[Event], None]
+        self, scene: Bench, surface_mm: Callable[[], float], publish: Callable[[core.Event], None]
     ) -> None:
         self._scene, self._surface_mm, self._publish = scene, surface_mm, publish
         self._cursor = scene.sensing.raw.samples.count
         self._watch = WrenchDriftEstimator()
-        self._at_rest: Pose | None = None
+        self._at_rest: core.Pose | None = None
         self._since_s = math.inf
         self._load: tuple[bool, float] | None = None
 
@@ -330,7 +315,7 @@ class DriftMonitor:
         was, found = self._scene.sensing.drift, self._watch.drift()
         self._scene.sensing.drift = found
         if found is not None and found.named and not (was is not None and was.named):
-            self._publish(Noticed(self._scene.now_s(), drift_notice(found)))
+            self._publish(core.Noticed(self._scene.now_s(), drift_notice(found)))
 
     def _at_rest_in_air(self) -> bool:
         status = self._scene.gripper.status()
@@ -341,9 +326,12 @@ class DriftMonitor:
             self._watch.reload()
             self._at_rest = None
         pose = None
-        with suppress(StaleSampleError):
+        with suppress(core.StaleSampleError):
             pose = self._scene.arm.pose(POSE_AGE_S)
-        if pose is None or math.hypot(pose.rx_rad, pose.ry_rad, pose.rz_rad) > LEVEL_TOLERANCE_RAD:
+        if (
+            pose is None
+            or math.hypot(pose.rx_rad, pose.ry_rad, pose.rz_rad) > core.LEVEL_TOLERANCE_RAD
+        ):
             self._at_rest = None
             if pose is not None:
                 self._watch.reload()
@@ -354,10 +342,10 @@ class DriftMonitor:
         return pose.z_mm >= self._surface_mm() + CLEAR_MM
 
 
-def drift_notice(drift: WrenchDrift) -> Fault:
+def drift_notice(drift: WrenchDrift) -> core.Fault:
     """Return the notice of a drifting wrist sensor; nothing is latched."""
     per_min = 60.0 * drift.rate_n_s
-    return Fault(
+    return core.Fault(
         "FT-DRIFT",
         f"The wrist sensor has drifted by {drift.moved_n:.2f} N in {drift.over_s:.0f} s, "
         f"in still air ({per_min:.1f} N a minute).",
@@ -368,7 +356,7 @@ def drift_notice(drift: WrenchDrift) -> Fault:
     )
 
 
-def _at_rest(one: Pose, other: Pose) -> bool:
+def _at_rest(one: core.Pose, other: core.Pose) -> bool:
     # Scalars instead of arrays: ten times faster for six numbers in every step.
     moved = (one.x_mm - other.x_mm, one.y_mm - other.y_mm, one.z_mm - other.z_mm)
     turned = (one.rx_rad - other.rx_rad, one.ry_rad - other.ry_rad, one.rz_rad - other.rz_rad)

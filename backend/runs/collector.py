@@ -15,6 +15,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from touchdown.backend import core
 from touchdown.backend.annotations import (
     NO_LABEL,
     Dataset,
@@ -25,24 +26,6 @@ from touchdown.backend.annotations import (
 )
 from touchdown.backend.calibration import HandPosition
 from touchdown.backend.config import CollectSettings
-from touchdown.backend.core import (
-    MARKERS,
-    TACTILE_CHANNELS,
-    DecisionAwaited,
-    Episode,
-    EpisodeDecided,
-    EpisodeDecision,
-    EpisodeRecorded,
-    Event,
-    FaultError,
-    FaultRaised,
-    FloatArray,
-    Gripped,
-    OriginChecked,
-    ProbeCollected,
-    RefusedError,
-    Said,
-)
 from touchdown.backend.episodes import REST_KEY, Coverage, KeepFrames
 from touchdown.backend.runs import jig, messages, motions
 from touchdown.backend.runs.bench import Bench, PressedProbe
@@ -70,7 +53,7 @@ AT_REST = "Rest in air, no press"
 class MeasuredOffset:
     """Displacement (2,) at contact, its standard uncertainty, and the contact height, mm."""
 
-    offset_mm: FloatArray
+    offset_mm: core.FloatArray
     sigma_mm: float
     contact_mm: float
 
@@ -81,7 +64,7 @@ class MeasuredOffset:
 
 
 def measure_offset(
-    episode: Episode, origin: HandPosition, settings: CollectSettings
+    episode: core.Episode, origin: HandPosition, settings: CollectSettings
 ) -> MeasuredOffset:
     """Return the position of the arm at contact onset relative to ``origin``.
 
@@ -107,9 +90,9 @@ def last_signal_excerpt(observation: NDArray[np.float32]) -> SignalExcerpt:
     """
     last = np.asarray(observation[-1], dtype=np.float64)
     # Per axis the value of largest magnitude with its sign; NaN if a value is missing
-    shifts = last[:TACTILE_CHANNELS].reshape(2, 2, MARKERS).swapaxes(0, 1).reshape(2, -1)
+    shifts = last[: core.TACTILE_CHANNELS].reshape(2, 2, core.MARKERS).swapaxes(0, 1).reshape(2, -1)
     u_px, v_px = (float(shift[np.argmax(np.abs(shift))]) for shift in shifts)
-    fz, tx, ty = (float(last[TACTILE_CHANNELS + channel]) for channel in (2, 3, 4))
+    fz, tx, ty = (float(last[core.TACTILE_CHANNELS + channel]) for channel in (2, 3, 4))
     return u_px, v_px, tx, ty, fz
 
 
@@ -122,7 +105,7 @@ class EpisodeRecorder(DiskWriter[EpisodeEntry]):
 
     def record(
         self,
-        episode: Episode,
+        episode: core.Episode,
         label: Label,
         context: EpisodeContext,
         keep_frames: KeepFrames = "jpeg95_444",
@@ -141,7 +124,7 @@ class EpisodeRecorder(DiskWriter[EpisodeEntry]):
         )
 
 
-def check_origin(bench: Bench, origin: HandPosition) -> Plan[OriginChecked]:
+def check_origin(bench: Bench, origin: HandPosition) -> Plan[core.OriginChecked]:
     """Touch around all four edges with the held piece and return the residual of the origin.
 
     Raises ``RefusedError`` "ORIGIN-FAR" if an edge is too far off.
@@ -162,7 +145,7 @@ def check_origin(bench: Bench, origin: HandPosition) -> Plan[OriginChecked]:
     sigma_mm = math.hypot(touch, collect.grip_sigma_mm)
     residual_mm = xy_mm(centre - (origin.x_mm, origin.y_mm))
     agrees = all(abs(off_mm) <= 3.0 * sigma_mm for off_mm in residual_mm)
-    check = OriginChecked(bench.now_s(), residual_mm, sigma_mm, agrees)
+    check = core.OriginChecked(bench.now_s(), residual_mm, sigma_mm, agrees)
     yield check
     return check
 
@@ -185,7 +168,7 @@ class Collector:
         self,
         campaign: Campaign,
         recorder: EpisodeRecorder,
-        decisions: deque[EpisodeDecision],
+        decisions: deque[core.EpisodeDecision],
         seen: Coverage,
         entries: list[EpisodeEntry],
     ) -> None:
@@ -200,8 +183,8 @@ class Collector:
         self._pending: _PendingEpisode | None = None
         self._last: tuple[EpisodeEntry, int] | None = None
         # Decision on the last episode until it is carried out
-        self._decision: EpisodeDecision | None = None
-        self._unpublished: deque[Event] = deque()  # events of durable probes, in order
+        self._decision: core.EpisodeDecision | None = None
+        self._unpublished: deque[core.Event] = deque()  # events of durable probes, in order
 
     def mounting(
         self,
@@ -224,7 +207,7 @@ class Collector:
             if not self.todo:
                 break
             mass_g = yield from jig.pick_piece(bench)
-            yield Gripped(bench.now_s(), grip, self.campaign.mountings, mass_g)
+            yield core.Gripped(bench.now_s(), grip, self.campaign.mountings, mass_g)
             if self.check_origin and grip == first:
                 context = yield from self._checked(bench, origin, context)
             held = replace(context, grip_id=f"{context.mounting_id}/grip-{grip}")
@@ -245,9 +228,9 @@ class Collector:
         for rest_of in (self._carry_out, self._settled):
             try:
                 yield from rest_of(bench, waits=False)
-            except FaultError as cause:
+            except core.FaultError as cause:
                 bench.interlock.raise_fault(cause.fault)
-                yield FaultRaised(bench.now_s(), cause.fault)
+                yield core.FaultRaised(bench.now_s(), cause.fault)
 
     def _settled(self, bench: Bench, *, waits: bool = True) -> Plan[None]:
         """Announce the previous probe once it is durable; ``waits`` for space on a full disk."""
@@ -262,8 +245,10 @@ class Collector:
         self._last = (entry, pending.item)
         now_s = bench.now_s()
         shown = replace(episode, episode_id=entry.uuid, recording=None)
-        self._unpublished.append(EpisodeRecorded(now_s, shown, pending.pressed.probe, entry.path))
-        self._unpublished.append(ProbeCollected(
+        self._unpublished.append(
+            core.EpisodeRecorded(now_s, shown, pending.pressed.probe, entry.path)
+        )
+        self._unpublished.append(core.ProbeCollected(
             now_s,
             uuid=entry.uuid,
             item=pending.item,
@@ -293,7 +278,7 @@ class Collector:
         x_mm, y_mm = check.residual_mm
         felt = f"The bottom was found {x_mm:+.2f}, {y_mm:+.2f} mm off its origin"
         fix = "." if check.agrees else ": set the origin again, because the labels have this error."
-        yield Said(bench.now_s(), f"{felt} (s.d. {check.sigma_mm:.2f}){fix}")
+        yield core.Said(bench.now_s(), f"{felt} (s.d. {check.sigma_mm:.2f}){fix}")
         found = {"residual_mm": [x_mm, y_mm], "sigma_mm": check.sigma_mm}
         return replace(context, bench={**context.bench, "origin_check": json.dumps(found)})
 
@@ -301,7 +286,9 @@ class Collector:
         """Record the held piece at rest in air, in blocks; they belong to no campaign."""
         yield from self._settled(bench)
         yield from motions.zero_sensors(bench, self._probes)
-        yield Said(bench.now_s(), f"Recording {self.rest_s:g} s at rest; do not touch the bench.")
+        yield core.Said(
+            bench.now_s(), f"Recording {self.rest_s:g} s at rest; do not touch the bench."
+        )
         context = replace(context, campaign="", plan_item=None)
         end_s, writing = bench.now_s() + self.rest_s, False
         while bench.now_s() < end_s:
@@ -336,7 +323,7 @@ class Collector:
                 entry = self.recorder.settle()
                 assert entry is not None
                 return entry
-            except FaultError as error:
+            except core.FaultError as error:
                 if error.fault.code != DISK_FULL or not waits:
                     self._pending = None
                     raise
@@ -368,7 +355,7 @@ class Collector:
             if self.ask:
                 yield from self._settled(bench)
                 assert self._last is not None
-                yield DecisionAwaited(bench.now_s(), self._last[0].uuid, item)
+                yield core.DecisionAwaited(bench.now_s(), self._last[0].uuid, item)
                 yield Wait(
                     lambda: bool(self._decisions), motions.OPERATOR_TIMEOUT_S, "the operator"
                 )
@@ -379,7 +366,7 @@ class Collector:
             elif not pending.drift_mm <= settings.drift_mm:
                 why = f"contact came {pending.drift_mm:.2f} mm off its first height"
             if why:
-                yield Said(bench.now_s(), f"The piece is gripped again: {why}.")
+                yield core.Said(bench.now_s(), f"The piece is gripped again: {why}.")
                 return
 
     def _probe(
@@ -445,10 +432,10 @@ class Collector:
                 yield from save_or_wait(lambda: self._decide(decision, entry, item))
             else:
                 self._decide(decision, entry, item)
-        except RefusedError as cause:
+        except core.RefusedError as cause:
             self._decision = None
-            yield Said(bench.now_s(), f"Refused: {cause.detail}")
-        except FaultError as cause:
+            yield core.Said(bench.now_s(), f"Refused: {cause.detail}")
+        except core.FaultError as cause:
             if waits or cause.fault.code != DISK_FULL:
                 raise
             fault = not_saved_fault(
@@ -457,12 +444,12 @@ class Collector:
                 "The probe stays in the dataset as it was.",
                 "press Reset, choose the probe and decide again.",
             )
-            raise FaultError(fault) from cause
+            raise core.FaultError(fault) from cause
         else:
             self._decision = None
-            yield EpisodeDecided(bench.now_s(), entry.uuid, item, decision, entry.person)
+            yield core.EpisodeDecided(bench.now_s(), entry.uuid, item, decision, entry.person)
 
-    def _decide(self, decision: EpisodeDecision, entry: EpisodeEntry, item: int) -> None:
+    def _decide(self, decision: core.EpisodeDecision, entry: EpisodeEntry, item: int) -> None:
         labels = self.recorder.dataset.labels
         if decision == "keep":
             return

@@ -13,30 +13,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Literal
 
-from touchdown.backend.core import (
-    QUESTIONS,
-    ActionChosen,
-    ApprovalAwaited,
-    Event,
-    EventBus,
-    Fault,
-    FaultError,
-    FaultRaised,
-    InputError,
-    PatchEstimated,
-    Paused,
-    PhaseEntered,
-    RefusedError,
-    Released,
-    RunFinished,
-    RunStarted,
-    Said,
-    StaleSampleError,
-    ThreadStallDetector,
-    TouchdownError,
-    TrialStarted,
-    blocking_section_of,
-)
+from touchdown.backend import core
 from touchdown.backend.devices import Interlock
 from touchdown.backend.runs.plan import (
     CancelledError,
@@ -59,10 +36,10 @@ class Engine:
 
     def __init__(
         self,
-        hub: EventBus,
+        hub: core.EventBus,
         interlock: Interlock,
         now_s: Callable[[], float],
-        unwell: Callable[[], Fault | None] = lambda: None,
+        unwell: Callable[[], core.Fault | None] = lambda: None,
     ) -> None:
         self._hub, self._interlock, self._now_s = hub, interlock, now_s
         self._unwell = unwell
@@ -73,10 +50,10 @@ class Engine:
         self._plan: Plan[object] | None = None
         self._waiting: Wait | None = None
         self._deadline_s = 0.0
-        self._throw: TouchdownError | None = None
+        self._throw: core.TouchdownError | None = None
         self._result: object | None = None
         self._error: Exception | None = None
-        self._obstacle: Fault | None = None  # reason of an automatic pause
+        self._obstacle: core.Fault | None = None  # reason of an automatic pause
         self._idle = threading.Event()
         self._idle.set()
         # Set by ``cancel`` until the next run: ends work that blocks the plan, such as connecting
@@ -98,9 +75,9 @@ class Engine:
         """Take ``plan``; it starts with the next tick. ``RefusedError`` if one is running."""
         with self._lock:
             if self._plan is not None:
-                raise RefusedError("BUSY", "A run is in progress: cancel it first.")
+                raise core.RefusedError("BUSY", "A run is in progress: cancel it first.")
             if self._interlock.latched:
-                raise RefusedError("LATCHED", "The bench is stopped: press Reset first.")
+                raise core.RefusedError("LATCHED", "The bench is stopped: press Reset first.")
             self._plan, self._waiting, self._throw = plan, None, None
             self._result, self._error, self._stand_until_s = None, None, None
             self._status = RunStatus(RunState.PREPARING, text="Preparing")
@@ -130,13 +107,13 @@ class Engine:
 
     def abandon(self, error: BaseException) -> None:
         """Latch a fault and end the run: the bench thread ended with ``error``."""
-        fault = Fault(
+        fault = core.Fault(
             "BENCH-DIED",
             f"The bench thread ended: {type(error).__name__}: {error}.",
             "All motion has stopped; the gripper was not opened.",
             "Copy the details for the maintainers, then start Touchdown again.",
         )
-        self._fail(FaultError(fault))
+        self._fail(core.FaultError(fault))
 
     # -- the bench's time -----------------------------------------------------------------------
 
@@ -146,10 +123,12 @@ class Engine:
             plan = self._plan
             if plan is None:
                 return
-            if self._interlock.latched and not isinstance(self._throw, StoppedError | FaultError):
+            if self._interlock.latched and not isinstance(
+                self._throw, StoppedError | core.FaultError
+            ):
                 faults = self._interlock.faults
                 stopped = StoppedError(stopped_message(self._interlock.stopped_by))
-                self._throw = FaultError(faults[0]) if faults else stopped
+                self._throw = core.FaultError(faults[0]) if faults else stopped
                 if self._status.state in (RunState.PAUSING, RunState.PAUSED):
                     # A paused plan has to run to report how its trial ended.
                     self._status = replace(self._status, state=RunState.FINISHING)
@@ -214,10 +193,10 @@ class Engine:
         except StopIteration as end:
             self._finish(end.value)
             return False
-        except (TouchdownError, ArithmeticError, ValueError, LookupError, OSError) as error:
+        except (core.TouchdownError, ArithmeticError, ValueError, LookupError, OSError) as error:
             self._fail(error)
             return False
-        if isinstance(step, Event):
+        if isinstance(step, core.Event):
             self._publish(step)
         elif isinstance(step, Wait):
             self._waiting = step
@@ -237,13 +216,13 @@ class Engine:
         self._pause(obstacle)
         return False
 
-    def _pause(self, obstacle: Fault | None) -> None:
+    def _pause(self, obstacle: core.Fault | None) -> None:
         with self._lock:
             self._obstacle = obstacle
             text = "Paused" if obstacle is None else obstacle.what
             self._status = replace(self._status, state=RunState.PAUSED, text=text)
         if obstacle is not None:
-            self._publish(Paused(self._now_s(), obstacle))
+            self._publish(core.Paused(self._now_s(), obstacle))
 
     def _sensors_well(self, until_s: float) -> bool:
         """Return True if the plan may leave its checkpoint; pauses the run after ``until_s``."""
@@ -258,7 +237,7 @@ class Engine:
             self._pause(unwell)
         return False
 
-    def _publish(self, event: Event) -> None:
+    def _publish(self, event: core.Event) -> None:
         with self._lock:
             self._status = _next_status(self._status, event)
         self._hub.publish(event)
@@ -292,45 +271,45 @@ class Engine:
         self._finish(None)
         self._error = None if ending == "cancelled" else error
         if ending == "failed":
-            fault = error.fault if isinstance(error, FaultError) else _fault_of(error)
-            if not isinstance(error, InputError):
+            fault = error.fault if isinstance(error, core.FaultError) else _fault_of(error)
+            if not isinstance(error, core.InputError):
                 self._interlock.raise_fault(fault)
-            self._hub.publish(FaultRaised(now_s, fault))
+            self._hub.publish(core.FaultRaised(now_s, fault))
         if was_busy:
-            self._hub.publish(RunFinished(now_s, run_id, ending, str(error)))
+            self._hub.publish(core.RunFinished(now_s, run_id, ending, str(error)))
 
 
-def _next_status(status: RunStatus, event: Event) -> RunStatus:
-    if isinstance(event, RunStarted):
+def _next_status(status: RunStatus, event: core.Event) -> RunStatus:
+    if isinstance(event, core.RunStarted):
         return replace(
             status, state=RunState.RUNNING, run_id=event.run_id, trials=event.trials, text="Running"
         )
-    if isinstance(event, TrialStarted):
+    if isinstance(event, core.TrialStarted):
         return replace(
             status, trial=event.trial, probe=0, estimated=0, phase="", awaiting=None, asks=""
         )
-    if isinstance(event, PhaseEntered):
+    if isinstance(event, core.PhaseEntered):
         return replace(status, phase=event.phase, probe=event.probe, awaiting=None, asks="")
-    if type(event) in QUESTIONS or isinstance(event, Released):
-        return replace(status, asks=QUESTIONS.get(type(event), ""))
-    if isinstance(event, PatchEstimated):
+    if type(event) in core.QUESTIONS or isinstance(event, core.Released):
+        return replace(status, asks=core.QUESTIONS.get(type(event), ""))
+    if isinstance(event, core.PatchEstimated):
         return replace(status, estimated=event.probe)
-    if isinstance(event, ActionChosen):
+    if isinstance(event, core.ActionChosen):
         return replace(status, text=event.action.reason)
-    if isinstance(event, ApprovalAwaited):
+    if isinstance(event, core.ApprovalAwaited):
         return replace(status, awaiting=event.action)
-    if isinstance(event, Said):
+    if isinstance(event, core.Said):
         return replace(status, text=event.text)
     return status
 
 
-def _fault_of(error: Exception) -> Fault:
-    if isinstance(error, StaleSampleError):
+def _fault_of(error: Exception) -> core.Fault:
+    if isinstance(error, core.StaleSampleError):
         return stale_fault(error)
-    if isinstance(error, InputError):
-        return Fault("INPUT", error.what, f"In {error.where}. Nothing was moved.", error.fix)
-    return Fault(
-        code=error.reason if isinstance(error, RefusedError) else type(error).__name__.upper(),
+    if isinstance(error, core.InputError):
+        return core.Fault("INPUT", error.what, f"In {error.where}. Nothing was moved.", error.fix)
+    return core.Fault(
+        code=error.reason if isinstance(error, core.RefusedError) else type(error).__name__.upper(),
         what=str(error) or type(error).__name__,
         consequence="The run ended; the gripper was not opened.",
         next_step="Read the message, remove the cause, then press Reset.",
@@ -352,16 +331,20 @@ class ThreadWatchdog:
     """
 
     def __init__(
-        self, number: int, steps: Callable[[], int], step_s: float, tell: Callable[[Fault], None]
+        self,
+        number: int,
+        steps: Callable[[], int],
+        step_s: float,
+        tell: Callable[[core.Fault], None],
     ) -> None:
         self._number, self._steps, self._tell = number, steps, tell
-        self._rest, self._still_s = ThreadStallDetector(os.getpid(), number), STILL_S + step_s
+        self._rest, self._still_s = core.ThreadStallDetector(os.getpid(), number), STILL_S + step_s
         self._seen, self._stepless_s = -1, 0.0
 
     def look(self, now_s: float) -> None:
         """Judge at ``now_s`` of ``time.monotonic``."""
         rested_s = self._rest.look(now_s)
-        steps, said = self._steps(), blocking_section_of(self._number)
+        steps, said = self._steps(), core.blocking_section_of(self._number)
         if steps != self._seen or said is not None:
             self._seen, self._rest.rested_s, self._stepless_s = steps, 0.0, 0.0
             if said is not None and now_s > said.until_s:
@@ -374,9 +357,9 @@ class ThreadWatchdog:
             self._tell(bench_fault("It is busy without end"))
 
 
-def bench_fault(why: str) -> Fault:
+def bench_fault(why: str) -> core.Fault:
     """Return the fault of a stalled bench thread; ``why`` is a sentence without its full stop."""
-    return Fault(
+    return core.Fault(
         "BENCH-STILL",
         f"The bench thread is stalled. {why}.",
         "Nothing is measured and no run continues; the gripper was not opened.",
@@ -400,7 +383,7 @@ class LiveThread:
         step: Callable[[], None],
         step_s: float,
         failed: Callable[[BaseException], None],
-        still: Callable[[Fault], None],
+        still: Callable[[core.Fault], None],
     ) -> None:
         self._step, self._step_s, self._failed, self._still = step, step_s, failed, still
         self._thread: threading.Thread | None = None
@@ -477,6 +460,6 @@ class LiveThread:
         while thread.is_alive() and not self._over.wait(WATCH_PERIOD_S):
             watch.look(time.monotonic())
 
-    def _hangs(self, fault: Fault) -> None:
+    def _hangs(self, fault: core.Fault) -> None:
         self._hung_at = self._steps
         self._still(fault)

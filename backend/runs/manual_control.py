@@ -7,20 +7,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 
-from touchdown.backend.core import (
-    Event,
-    EventBus,
-    Fault,
-    FaultError,
-    FaultRaised,
-    FaultsReset,
-    Refused,
-    RefusedError,
-    Said,
-    StaleSampleError,
-    pose_rotation,
-    require_unrotated,
-)
+from touchdown.backend import core
 from touchdown.backend.devices import (
     Device,
     DeviceState,
@@ -49,7 +36,7 @@ class ManualControl:
         scene: Bench,
         interlock: Interlock,
         around: JogSurroundings,
-        publish: Callable[[Event], None],
+        publish: Callable[[core.Event], None],
     ) -> None:
         self._scene, self._interlock, self._around = scene, interlock, around
         self._publish = publish
@@ -100,8 +87,8 @@ class ManualControl:
 
     def refuse_turned(self) -> None:
         """Raise ``RefusedError`` if the hand is rotated: a probe needs a level face."""
-        with suppress(StaleSampleError):
-            require_unrotated(pose_rotation(self._scene.arm.pose(max_age_s=1.0)))
+        with suppress(core.StaleSampleError):
+            core.require_unrotated(core.pose_rotation(self._scene.arm.pose(max_age_s=1.0)))
 
     # -- from any thread --------------------------------------------------------------------------
 
@@ -119,14 +106,14 @@ class ManualControl:
         )
         if status.holding:
             text = f"Opened by the operator on a held piece at {press_n:.1f} N of press force."
-            self._publish(Said(self._around.now_s(), text))
+            self._publish(core.Said(self._around.now_s(), text))
 
     def servo(self, on: bool) -> None:
         """Switch the motors on a separate thread; raises ``RefusedError``."""
         if self._around.busy():
-            raise RefusedError("BUSY", "A run is in progress: cancel it first.")
+            raise core.RefusedError("BUSY", "A run is in progress: cancel it first.")
         if self.switching:
-            raise RefusedError("MOVING", "The servo is being switched.")
+            raise core.RefusedError("MOVING", "The servo is being switched.")
         if on:
             self._interlock.refuse_latched()
         self._switch = threading.Thread(
@@ -161,31 +148,31 @@ class ManualControl:
             order, until_s = self._orders.popleft()
             try:
                 text = order()
-            except RefusedError as error:
+            except core.RefusedError as error:
                 if self._around.now_s() < until_s:
                     self._orders.appendleft((order, until_s))
                     return
                 self._refused(error)
-            except FaultError as error:
-                self._refused(RefusedError(error.fault.code, error.fault.what))
+            except core.FaultError as error:
+                self._refused(core.RefusedError(error.fault.code, error.fault.what))
             else:
-                self._publish(Said(self._around.now_s(), text))
+                self._publish(core.Said(self._around.now_s(), text))
 
     # -- inside -----------------------------------------------------------------------------------
 
     def _take(self) -> None:
         """Raise ``RefusedError`` while something else moves, else renew the lease."""
         if self._around.busy():
-            raise RefusedError("BUSY", "A run is in progress: cancel it first.")
+            raise core.RefusedError("BUSY", "A run is in progress: cancel it first.")
         if self.active:
-            raise RefusedError("MOVING", "Wait until the last motion has ended.")
+            raise core.RefusedError("MOVING", "Wait until the last motion has ended.")
         self._interlock.renew_lease(self._around.now_s())
 
     def _order(self, order: Callable[[], str], for_s: float) -> None:
         if self._around.busy():
-            raise RefusedError("BUSY", "A run takes its own tare and references.")
+            raise core.RefusedError("BUSY", "A run takes its own tare and references.")
         if len(self._orders) == WAITING:
-            raise RefusedError("WAITING", "Earlier commands are still waiting.")
+            raise core.RefusedError("WAITING", "Earlier commands are still waiting.")
         self._orders.append((order, self._around.now_s() + for_s))
 
     def _zero(self) -> str:
@@ -199,15 +186,15 @@ class ManualControl:
     def _switch_servo(self, on: bool) -> None:
         try:
             self._scene.arm.servo(on)
-        except FaultError as error:
-            self._refused(RefusedError(error.fault.code, error.fault.what))
-        except RefusedError as error:
+        except core.FaultError as error:
+            self._refused(core.RefusedError(error.fault.code, error.fault.what))
+        except core.RefusedError as error:
             self._refused(error)
         else:
-            self._publish(Said(self._around.now_s(), f"The servo is {'on' if on else 'off'}."))
+            self._publish(core.Said(self._around.now_s(), f"The servo is {'on' if on else 'off'}."))
 
-    def _refused(self, error: RefusedError) -> None:
-        self._publish(Refused(self._around.now_s(), error.reason, error.detail))
+    def _refused(self, error: core.RefusedError) -> None:
+        self._publish(core.Refused(self._around.now_s(), error.reason, error.detail))
 
 
 def check_devices(connection: BenchConnection | None, request: Request) -> None:
@@ -220,13 +207,15 @@ def check_devices(connection: BenchConnection | None, request: Request) -> None:
     refuse_simulated_only(request)
     if missing := connection.missing():
         names = ", ".join(missing)
-        raise RefusedError("NOT-CONNECTED", f"Not connected: {names}. Connect first (Ctrl+L).")
+        raise core.RefusedError("NOT-CONNECTED", f"Not connected: {names}. Connect first (Ctrl+L).")
 
 
 def refuse_simulated_only(request: Request) -> None:
     """Raise ``RefusedError`` for a request that devices never run."""
     if isinstance(request, StackRequest) and request.strategy == "pick-and-place":
-        raise RefusedError("SIMULATED-ONLY", "A release without a test is for simulations only.")
+        raise core.RefusedError(
+            "SIMULATED-ONLY", "A release without a test is for simulations only."
+        )
 
 
 def check_connected(
@@ -239,27 +228,27 @@ def check_connected(
     wanted = names or tuple(connection.devices)
     for line in (line for line in connection.lines() if line.name in wanted):
         if line.fault is not None:
-            raise FaultError(line.fault)
+            raise core.FaultError(line.fault)
         if line.needs == "home" and not homes:
-            raise RefusedError(
+            raise core.RefusedError(
                 "NOT-HOMED",
                 "The gripper does not know where its jaws are: empty them, then home it (--home).",
             )
         if line.needs == "acknowledge":
-            raise RefusedError(
+            raise core.RefusedError(
                 "FAST-STOP", "The gripper waits for an acknowledgement: see the Connect panel."
             )
     if connection.trouble is not None:
         raise connection.trouble
     if missing := [name for name in connection.missing() if name in wanted]:
-        raise RefusedError("NOT-CONNECTED", f"Not connected: {', '.join(missing)}.")
+        raise core.RefusedError("NOT-CONNECTED", f"Not connected: {', '.join(missing)}.")
 
 
 def check_no_contact(hand: ManualControl | None) -> None:
     """Raise ``RefusedError`` while the held piece presses on something."""
     pressing_n = 0.0 if hand is None else hand.pressing_n
     if pressing_n:
-        raise RefusedError(
+        raise core.RefusedError(
             "IN-CONTACT",
             f"The piece presses with {pressing_n:.1f} N: lift before you start (jog +Z).",
         )
@@ -287,7 +276,9 @@ def latch_device_faults(devices: Iterable[Device], interlock: Interlock) -> None
 class FaultNotifier:
     """Publishes faults that were latched without a run, each once."""
 
-    def __init__(self, hub: EventBus, interlock: Interlock, now_s: Callable[[], float]) -> None:
+    def __init__(
+        self, hub: core.EventBus, interlock: Interlock, now_s: Callable[[], float]
+    ) -> None:
         self._hub, self._interlock, self._now_s = hub, interlock, now_s
         self._told: set[tuple[str, str]] = set()
         hub.subscribe(self._note)
@@ -296,16 +287,16 @@ class FaultNotifier:
         """Publish latched faults that were not published since the last reset."""
         for fault in self._interlock.faults:
             if (fault.code, fault.device) not in self._told:
-                self._hub.publish(FaultRaised(self._now_s(), fault))
+                self._hub.publish(core.FaultRaised(self._now_s(), fault))
 
-    def tell_now(self, fault: Fault) -> None:
+    def tell_now(self, fault: core.Fault) -> None:
         """Latch and publish ``fault`` unless it was published since the last reset."""
         if (fault.code, fault.device) not in self._told:
             self._interlock.raise_fault(fault)
-            self._hub.publish(FaultRaised(self._now_s(), fault))
+            self._hub.publish(core.FaultRaised(self._now_s(), fault))
 
-    def _note(self, event: Event) -> None:
-        if isinstance(event, FaultRaised):
+    def _note(self, event: core.Event) -> None:
+        if isinstance(event, core.FaultRaised):
             self._told.add((event.fault.code, event.fault.device))
-        elif isinstance(event, FaultsReset):
+        elif isinstance(event, core.FaultsReset):
             self._told.clear()

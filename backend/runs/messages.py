@@ -4,29 +4,19 @@ from __future__ import annotations
 
 import math
 
-from touchdown.backend.core import (
-    ContactPatch,
-    HandOverAwaited,
-    MountingAwaited,
-    Outcome,
-    OutcomeAwaited,
-    PlaceAction,
-    SetUpAwaited,
-    Stability,
-    SupportKind,
-)
+from touchdown.backend import core
 
 CONTRADICTED = "The physics engine contradicts the static judge here; the static judge decides."
 
 
 def decision_message(
-    probe: int, patch: ContactPatch, stability: Stability, action: PlaceAction
+    probe: int, patch: core.ContactPatch, stability: core.Stability, action: core.PlaceAction
 ) -> str:
     """Return one line per probe: estimate, stability with signed margin, chosen move."""
     points = int((patch.probability > 0.5).sum())
     share = 100.0 * points / max(1, len(patch.probability))
     support = f"not stable, {stability.support.value}"
-    if stability.support is SupportKind.AREA:
+    if stability.support is core.SupportKind.AREA:
         digits = 1 if abs(stability.margin_mm) >= 0.1 else 2
         margin = f"{stability.margin_mm:+.{digits}f}".replace("-", "\N{MINUS SIGN}")
         support = f"{'stable' if stability.stable else 'not stable'}, margin {margin} mm"
@@ -50,7 +40,7 @@ DECISION_WORDS = {
 }  # recorded reason of a deletion, by decision
 
 
-def hand_over_message(awaited: HandOverAwaited) -> str:
+def hand_over_message(awaited: core.HandOverAwaited) -> str:
     """Return the next manual step of the operator."""
     if awaited.anew:
         return f"Take the {awaited.piece} and the gels off and refit them: a new series begins."
@@ -59,7 +49,7 @@ def hand_over_message(awaited: HandOverAwaited) -> str:
     return f"Take hold of the {awaited.piece}: the jaws open."
 
 
-def mounting_question(awaited: MountingAwaited) -> str:
+def mounting_question(awaited: core.MountingAwaited) -> str:
     """Return the question whether the last mounting of the campaign continues."""
     what = f"the {awaited.bottom} or the gels"
     return f"Were {what} mounted again since mounting {awaited.mounting} of this campaign?"
@@ -71,21 +61,21 @@ def rejected_message(probe: int, reasons: tuple[str, ...]) -> str:
 
 
 _SEEN = {
-    Outcome.PLACED: "The operator saw it stand.",
-    Outcome.FELL: "The operator saw it fall.",
-    Outcome.KNOCKED_OVER: "The operator saw the bottom disturbed.",
+    core.Outcome.PLACED: "The operator saw it stand.",
+    core.Outcome.FELL: "The operator saw it fall.",
+    core.Outcome.KNOCKED_OVER: "The operator saw the bottom disturbed.",
 }
 
 
-def seen_outcome_message(outcome: Outcome, reason: str) -> str:
+def seen_outcome_message(outcome: core.Outcome, reason: str) -> str:
     """Return the outcome as observed by the operator, with the given reason."""
-    if outcome is Outcome.ABORTED:
+    if outcome is core.Outcome.ABORTED:
         return f"Void: {reason.rstrip('.')}."
     said = _SEEN[outcome]
     return f"{said} {reason}".strip()
 
 
-def scene_to_set_message(awaited: SetUpAwaited) -> str:
+def scene_to_set_message(awaited: core.SetUpAwaited) -> str:
     """Return the scene the operator has to set before a trial on devices."""
     x, y = (f"{value:+.1f}".replace("-", "\N{MINUS SIGN}") for value in awaited.start_mm)
     bottom = " on ".join(reversed(awaited.bottom.split("+")))
@@ -96,11 +86,11 @@ def scene_to_set_message(awaited: SetUpAwaited) -> str:
     )
 
 
-def outcome_question(awaited: OutcomeAwaited) -> str:
+def outcome_question(awaited: core.OutcomeAwaited) -> str:
     """Return the question for the outcome, with the outcome proposed by the signals."""
     said = {
-        Outcome.PLACED: "it stands",
-        Outcome.FELL: "it fell",
-        Outcome.KNOCKED_OVER: "the bottom was disturbed",
+        core.Outcome.PLACED: "it stands",
+        core.Outcome.FELL: "it fell",
+        core.Outcome.KNOCKED_OVER: "the bottom was disturbed",
     }.get(awaited.proposed, "the trial is void")
     return f"What is the outcome? {awaited.why} Proposed: {said}."

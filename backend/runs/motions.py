@@ -15,19 +15,7 @@ from typing import Generic, Literal, TypeVar
 
 import numpy as np
 
-from touchdown.backend.core import (
-    Event,
-    Fault,
-    FaultError,
-    FaultRaised,
-    FloatArray,
-    PhaseEntered,
-    Pose,
-    RefusedError,
-    RunFinished,
-    Said,
-    StaleSampleError,
-)
+from touchdown.backend import core
 from touchdown.backend.devices import (
     STATIONARY_MM,
     VOID_PRESS,
@@ -52,7 +40,7 @@ from touchdown.backend.runs.recorder import DISK_FULL, refused_episode_fault
 from touchdown.backend.sensing import slip_since_loading
 
 
-def descent_start(bench: Bench, at_mm: tuple[float, float]) -> Pose:
+def descent_start(bench: Bench, at_mm: tuple[float, float]) -> core.Pose:
     """Return the start of a descent at (x, y): the start height above the expected contact.
 
     The contact height comes from the calibration of the board for this pair of piece and bottom,
@@ -63,10 +51,12 @@ def descent_start(bench: Bench, at_mm: tuple[float, float]) -> Pose:
     if board is not None and board.is_of(bench.piece.name, bench.bottom):
         off_mm = np.array([at_mm[0] - board.place.x_mm, at_mm[1] - board.place.y_mm])
         contact_mm = board.contact_at(middle_of_overlap(bench.piece.face, bench.outline, off_mm))
-    return Pose(*at_mm, contact_mm + bench.settings.probe.start_height_mm)
+    return core.Pose(*at_mm, contact_mm + bench.settings.probe.start_height_mm)
 
 
-def middle_of_overlap(face: Outline, bottom: Outline, offset_mm: FloatArray) -> FloatArray:
+def middle_of_overlap(
+    face: Outline, bottom: Outline, offset_mm: core.FloatArray
+) -> core.FloatArray:
     """Return the centroid (2,) of the overlap of ``face`` at ``offset_mm`` (2,) with ``bottom``.
 
     Without overlap it is the centre of the bottom.
@@ -106,7 +96,7 @@ def wait(bench: Bench, seconds: float) -> Plan[None]:
     yield Wait(lambda: bench.now_s() >= until_s, seconds + 1.0, "a pause to end")
 
 
-def move_to(bench: Bench, place: Pose, what: str = "the arm to arrive") -> Plan[None]:
+def move_to(bench: Bench, place: core.Pose, what: str = "the arm to arrive") -> Plan[None]:
     """Move straight to ``place`` in air, as fast as the override allows.
 
     In real time the wrench may be too old for a lateral motion; then the next sample is waited for.
@@ -118,8 +108,8 @@ def move_to(bench: Bench, place: Pose, what: str = "the arm to arrive") -> Plan[
         try:
             motion = bench.arm.move_to(place, bench.settings.probe.travel_mm_s)
             yield from motion_done(motion, MOVE_S / bench.interlock.override, what)
-        except (FaultError, RefusedError) as cause:
-            code = cause.reason if isinstance(cause, RefusedError) else cause.fault.code
+        except (core.FaultError, core.RefusedError) as cause:
+            code = cause.reason if isinstance(cause, core.RefusedError) else cause.fault.code
             if code not in UNLEASED or not left or bench.interlock.latched:
                 raise
             yield from wait(bench, AGAIN_S)
@@ -151,7 +141,7 @@ def probe_command(bench: Bench) -> PressCommand:
 
 
 def ask_operator(
-    bench: Bench, question: Event, what: str, patience_s: float = math.inf
+    bench: Bench, question: core.Event, what: str, patience_s: float = math.inf
 ) -> Plan[bool | None]:
     """Publish ``question`` and return the operator's yes or no; ``what`` names the wait.
 
@@ -172,12 +162,12 @@ def take_piece(bench: Bench) -> Plan[None]:
     """Close the gripper on the piece and let it settle; does nothing if a piece is held."""
     if bench.gripper.status().holding:
         return
-    yield PhaseEntered(bench.now_s(), "grip", 0)
+    yield core.PhaseEntered(bench.now_s(), "grip", 0)
     grip = bench.gripper.grip(bench.settings.probe.grip_force_n)
     yield from motion_done(grip, GRIP_S, "the gripper to hold the piece")
     yield from wait(bench, SETTLE_S)
     if not bench.gripper.status().holding:
-        raise RefusedError("NO-PIECE", NO_PIECE)
+        raise core.RefusedError("NO-PIECE", NO_PIECE)
 
 
 def zero_sensors(bench: Bench, probe: int) -> Plan[None]:
@@ -185,7 +175,7 @@ def zero_sensors(bench: Bench, probe: int) -> Plan[None]:
 
     Retries for ``REFERENCE_S`` after a hidden marker, a gap in the samples or a knock.
     """
-    yield PhaseEntered(bench.now_s(), "reference", probe)
+    yield core.PhaseEntered(bench.now_s(), "reference", probe)
     count = bench.settings.probe.reference_frames
     yield from wait(bench, SETTLE_S + count / 25.0)
 
@@ -195,9 +185,9 @@ def zero_sensors(bench: Bench, probe: int) -> Plan[None]:
 
     try:
         yield from _until_still(bench, take)
-    except RefusedError as cause:
-        raise FaultError(
-            Fault(
+    except core.RefusedError as cause:
+        raise core.FaultError(
+            core.Fault(
                 "NO-REFERENCE",
                 f"No tactile reference within {REFERENCE_S:.0f} s: {cause.detail}",
                 "No probe was started; the gripper was not opened.",
@@ -219,7 +209,7 @@ def _until_still(bench: Bench, take: Callable[[], object]) -> Plan[None]:
     while True:
         try:
             take()
-        except (FaultError, RefusedError):
+        except (core.FaultError, core.RefusedError):
             if bench.now_s() >= give_up_s:
                 raise
         else:
@@ -229,17 +219,17 @@ def _until_still(bench: Bench, take: Callable[[], object]) -> Plan[None]:
 
 def lift(bench: Bench, probe: int) -> Plan[None]:
     """Rise straight by the start height."""
-    yield PhaseEntered(bench.now_s(), "lift", probe)
+    yield core.PhaseEntered(bench.now_s(), "lift", probe)
     here = bench.arm.pose(max_age_s=0.2)
-    up = Pose(here.x_mm, here.y_mm, here.z_mm + bench.settings.probe.start_height_mm)
+    up = core.Pose(here.x_mm, here.y_mm, here.z_mm + bench.settings.probe.start_height_mm)
     yield from move_to(bench, up, "the arm to lift")
 
 
 def shift_piece(bench: Bench, step_mm: tuple[float, float], probe: int) -> Plan[None]:
     """Move sideways by ``step_mm`` with the arm lifted."""
-    yield PhaseEntered(bench.now_s(), "shift", probe)
+    yield core.PhaseEntered(bench.now_s(), "shift", probe)
     here = bench.arm.pose(max_age_s=0.2)
-    there = Pose(here.x_mm + step_mm[0], here.y_mm + step_mm[1], here.z_mm)
+    there = core.Pose(here.x_mm + step_mm[0], here.y_mm + step_mm[1], here.z_mm)
     yield from move_to(bench, there, "the arm to shift")
 
 
@@ -250,13 +240,13 @@ def release_piece(bench: Bench, judged: JudgedProbe, *, approved: bool) -> Plan[
     """
     settings = bench.settings.release
     probe = judged.pressed.probe
-    yield PhaseEntered(bench.now_s(), "unload", probe)
+    yield core.PhaseEntered(bench.now_s(), "unload", probe)
     width_mm = bench.gripper.status().width_mm
     unload = bench.arm.unload(settings.unload_n, bench.settings.probe.approach_mm_s)
     yield from motion_done(unload, MOVE_S, "the arm to unload")
     yield from wait(bench, settings.settle_s)
     yield from wait_at_rest(bench)
-    yield PhaseEntered(bench.now_s(), "release", probe)
+    yield core.PhaseEntered(bench.now_s(), "release", probe)
     yield from wait_fresh_wrench(bench)
     evidence = release_evidence(bench, judged, width_mm, approved=approved)
     yield from open_and_rise(bench, probe, evidence, width_mm)
@@ -271,9 +261,9 @@ def open_and_rise(
     opening = bench.gripper.release(evidence, open_mm, settings.open_mm_s)
     yield from motion_done(opening, MOVE_S, "the gripper to open")
     yield from wait(bench, 0.5)
-    yield PhaseEntered(bench.now_s(), "rise", probe)
+    yield core.PhaseEntered(bench.now_s(), "rise", probe)
     here = bench.arm.pose(max_age_s=0.2)
-    up = Pose(here.x_mm, here.y_mm, here.z_mm + settings.rise_mm)
+    up = core.Pose(here.x_mm, here.y_mm, here.z_mm + settings.rise_mm)
     yield from move_to(bench, up, "the arm to rise")
 
 
@@ -322,7 +312,7 @@ def wait_until_durable(bench: Bench) -> Plan[Path | None]:
         yield from wait_while_writing(bench, lambda: store.written)
         try:
             return store.settle()
-        except FaultError as error:
+        except core.FaultError as error:
             if error.fault.code != DISK_FULL:
                 raise
             refused = error
@@ -374,7 +364,7 @@ T = TypeVar("T")
 def retry_if_void(
     bench: Bench,
     attempt: Callable[[], Plan[T]],
-    after_void: Callable[[Fault], Plan[None]],
+    after_void: Callable[[core.Fault], Plan[None]],
     tries: int = VOID_TRIES,
 ) -> Plan[T]:
     """Return the result of ``attempt``, repeated up to ``tries`` times while its press is void.
@@ -385,7 +375,7 @@ def retry_if_void(
     for left in reversed(range(tries)):
         try:
             return (yield from attempt())
-        except FaultError as error:
+        except core.FaultError as error:
             if error.fault.code not in VOID or not left:
                 raise
             yield from wait_fresh_wrench(bench)
@@ -423,35 +413,35 @@ def run_to_end(bench: Bench, plan: Plan[R]) -> Plan[PlanEnd[R]]:
         return PlanEnd(None, "cancelled", str(cause))
     except StoppedError as cause:
         return PlanEnd(None, "stopped", str(cause))
-    except RefusedError as cause:
+    except core.RefusedError as cause:
         faults = bench.interlock.faults
         if faults:
             # The command met the latch of a fault that this run has not published yet.
-            yield FaultRaised(bench.now_s(), faults[0])
-            return PlanEnd(None, "failed", str(FaultError(faults[0])))
+            yield core.FaultRaised(bench.now_s(), faults[0])
+            return PlanEnd(None, "failed", str(core.FaultError(faults[0])))
         if bench.interlock.latched:
             return PlanEnd(None, "stopped", stopped_message(bench.interlock.stopped_by))
-        yield Said(bench.now_s(), f"Refused: {cause}")
+        yield core.Said(bench.now_s(), f"Refused: {cause}")
         yield from _retreat(bench)
         return PlanEnd(None, None, str(cause))
-    except (FaultError, StaleSampleError) as cause:
+    except (core.FaultError, core.StaleSampleError) as cause:
         if bench.interlock.stopped_by and not bench.interlock.faults:
             # STOP interrupted the motion: that is no device fault.
             return PlanEnd(None, "stopped", stopped_message(bench.interlock.stopped_by))
         # A fault that stopped the arm shows as an interrupted motion: report its cause.
         faults = bench.interlock.faults
-        found = stale_fault(cause) if isinstance(cause, StaleSampleError) else cause.fault
-        first = FaultError(faults[0] if faults else found)
+        found = stale_fault(cause) if isinstance(cause, core.StaleSampleError) else cause.fault
+        first = core.FaultError(faults[0] if faults else found)
         bench.interlock.raise_fault(first.fault)
-        yield FaultRaised(bench.now_s(), first.fault)
+        yield core.FaultRaised(bench.now_s(), first.fault)
         return PlanEnd(None, "failed", str(first))
     return PlanEnd(value)
 
 
-def run_finished(bench: Bench, run_id: str, ended: PlanEnd[R], done: str) -> RunFinished:
+def run_finished(bench: Bench, run_id: str, ended: PlanEnd[R], done: str) -> core.RunFinished:
     """Return the last event of a run that consists of one plan; ``done`` says what it did."""
     ending = ended.run_ending or ("finished" if ended.value else "failed")
-    return RunFinished(bench.now_s(), run_id, ending, ended.reason or done)
+    return core.RunFinished(bench.now_s(), run_id, ending, ended.reason or done)
 
 
 def _retreat(bench: Bench) -> Plan[None]:

@@ -16,25 +16,8 @@ from functools import partial
 from pathlib import Path
 from typing import Generic, TypeVar
 
+from touchdown.backend import core
 from touchdown.backend.annotations import DISK_FULL_ERRNOS, check_free_space, free_bytes_if_low
-from touchdown.backend.core import (
-    DISK_TIMEOUT_S,
-    ClockJumpDetector,
-    Episode,
-    Event,
-    EventBus,
-    Fault,
-    FaultError,
-    InputError,
-    Said,
-    SharedLock,
-    blocking_section,
-    data_folder,
-    disk_errors,
-    make_folder,
-    parse_json,
-    write_atomically,
-)
 from touchdown.backend.devices import Interlock
 from touchdown.backend.episodes import FACTS_KEY, START_KEY, write_episode
 from touchdown.backend.runs.event_log import EventLog
@@ -47,22 +30,22 @@ NOT_KEPT = "The run cannot be stored"
 NOT_KEPT_FIX = "Name a folder that can be written (TOUCHDOWN_DATA; without the window also --runs)."
 
 
-def wait_for_space(obstacle: Callable[[], Fault | None]) -> Plan[None]:
+def wait_for_space(obstacle: Callable[[], core.Fault | None]) -> Plan[None]:
     """Pause until nothing prevents the run from recording."""
     while (fault := obstacle()) is not None:
         yield PausePoint(fault)
 
 
-def no_space_fault(folder: Path) -> Fault | None:
+def no_space_fault(folder: Path) -> core.Fault | None:
     """Return the fault if there is too little space for another episode, else None."""
     short_bytes = free_bytes_if_low(folder)
     if short_bytes is None:
         return None
     what = f"Only {short_bytes / 1e9:.2f} GB are free on the disk of {folder}."
-    return Fault(DISK_FULL, what, CONSEQUENCE, NEXT_STEP)
+    return core.Fault(DISK_FULL, what, CONSEQUENCE, NEXT_STEP)
 
 
-def refused_episode_fault(fault: Fault) -> Fault:
+def refused_episode_fault(fault: core.Fault) -> core.Fault:
     """Return the fault of a probe that is kept in memory after a refused write."""
     return replace(fault, consequence=f"{CONSEQUENCE} The last one is kept in memory.",
                    next_step=NEXT_STEP)  # fmt: skip
@@ -75,40 +58,40 @@ def save_or_wait(save: Callable[[], None]) -> Plan[bool]:
     """
     while True:
         try:
-            with blocking_section("waits for the disk", DISK_TIMEOUT_S):
+            with core.blocking_section("waits for the disk", core.DISK_TIMEOUT_S):
                 save()
-        except FaultError as error:
+        except core.FaultError as error:
             if error.fault.code != DISK_FULL:
                 raise
             fault = error.fault
         except OSError as error:
             if error.errno not in DISK_FULL_ERRNOS:
                 raise
-            fault = Fault(DISK_FULL, "The disk is full.", "", "")
+            fault = core.Fault(DISK_FULL, "The disk is full.", "", "")
         else:
             return True
         yield PausePoint(replace(fault, consequence=CONSEQUENCE, next_step=NEXT_STEP))
 
 
-def not_saved_fault(folder: Path, what: str, consequence: str, next_step: str) -> Fault:
+def not_saved_fault(folder: Path, what: str, consequence: str, next_step: str) -> core.Fault:
     """Return the fault of a run that ended on a full disk without saving ``what``."""
     what = f"The disk of {folder} is full: {what} could not be saved."
-    return Fault(DISK_FULL, what, consequence, f"Make room on this disk, {next_step}", "store")
+    return core.Fault(DISK_FULL, what, consequence, f"Make room on this disk, {next_step}", "store")
 
 
 def dataset_folder() -> Path:
     """Return the folder of the operator's default dataset."""
-    return data_folder() / "dataset"
+    return core.data_folder() / "dataset"
 
 
 def calibrations_folder() -> Path:
     """Return the folder of the calibrations of a bench without a lab file."""
-    return data_folder() / "calibrations"
+    return core.data_folder() / "calibrations"
 
 
 def models_folder() -> Path:
     """Return the folder of the models in use."""
-    return data_folder() / "models"
+    return core.data_folder() / "models"
 
 
 T = TypeVar("T")
@@ -147,7 +130,7 @@ class DiskWriter(Generic[T]):
         if self._write is None:
             return None
         pending, self._pending = self._pending or self._thread.submit(self._write), None
-        with blocking_section("waits for the disk", DISK_TIMEOUT_S):
+        with core.blocking_section("waits for the disk", core.DISK_TIMEOUT_S):
             result = pending.result()
         self._write = None
         return result
@@ -164,14 +147,14 @@ class RunStore(DiskWriter[Path]):
         self,
         folder: Path | None,
         metadata: Mapping[str, str],
-        obstacle: Callable[[], Fault | None] = lambda: None,
+        obstacle: Callable[[], core.Fault | None] = lambda: None,
     ) -> None:
         super().__init__("episode-writer")
         self._folder, self._metadata = folder, dict(metadata)
         self.started_ns = 0  # wall clock at bench time zero of the present scene
         self.obstacle = obstacle
 
-    def keep(self, episode: Episode) -> None:
+    def keep(self, episode: core.Episode) -> None:
         """Start to write ``episode``; nothing is written without a folder."""
         if self._folder is not None:
             self.settle()
@@ -185,8 +168,8 @@ class RunStore(DiskWriter[Path]):
         try:
             return super().settle()
         except OSError as error:
-            raise FaultError(
-                Fault(
+            raise core.FaultError(
+                core.Fault(
                     DISK_FULL if error.errno in DISK_FULL_ERRNOS else "EPISODE-FAILED",
                     f"The episode cannot be written: {error.strerror or error}.",
                     "The run ends; its event log and all earlier episodes are on disk.",
@@ -203,8 +186,8 @@ class RunStore(DiskWriter[Path]):
         finally:
             super().close()
 
-    def _write_file(self, folder: Path, episode: Episode) -> Path:
-        make_folder(folder)
+    def _write_file(self, folder: Path, episode: core.Episode) -> Path:
+        core.make_folder(folder)
         path = folder / f"{episode.episode_id}.mcap"
         metadata = {**self._metadata, START_KEY: str(self.started_ns)}
         write_episode(path, episode, label=None, metadata=metadata)
@@ -225,18 +208,18 @@ def keep_photo(run: Path, trial: int, source: Path) -> Path:
     fix = "Choose a JPEG or PNG picture below 30 MB."
     try:
         if source.stat().st_size > MAX_BYTES:
-            raise InputError("The picture is too large.", str(source), fix)
+            raise core.InputError("The picture is too large.", str(source), fix)
         content = source.read_bytes()
         if source.suffix.lower() not in PHOTO_SUFFIXES or not content.startswith(_BEGINS):
-            raise InputError("This is no picture.", str(source), fix)
+            raise core.InputError("This is no picture.", str(source), fix)
         name = f"trial-{trial:03d}-"
         taken = [p.stem.removeprefix(name) for p in (run / FOLDER).glob(f"{name}*")]
         number = max((int(word) for word in taken if word.isdecimal()), default=0) + 1
         path = run / FOLDER / f"{name}{number}{source.suffix.lower()}"
-        write_atomically(path, content)
+        core.write_atomically(path, content)
     except OSError as error:
         what = f"The picture cannot be kept: {error.strerror or error}."
-        raise InputError(what, str(source), "Look at the file and at the disk.") from error
+        raise core.InputError(what, str(source), "Look at the file and at the disk.") from error
     return path
 
 
@@ -255,13 +238,15 @@ class Bookmark:
 def read_bookmarks(path: Path) -> list[Bookmark]:
     """Return the bookmarks in a file in order, none without a file; raises ``InputError``."""
     try:
-        found = parse_json(path.read_bytes())["bookmarks"] if path.is_file() else ()
+        found = core.parse_json(path.read_bytes())["bookmarks"] if path.is_file() else ()
         marks = [Bookmark(int(m["trial"]), float(m["t_s"]), str(m["note"])) for m in found]
         if not all(math.isfinite(mark.t_s) for mark in marks):
             raise ValueError("a time is not finite")
     except (OSError, ValueError, TypeError, KeyError, OverflowError) as error:
         fix = "Move the file away; the recording itself is not affected."
-        raise InputError(f"The bookmarks cannot be read: {error!r}.", str(path), fix) from error
+        raise core.InputError(
+            f"The bookmarks cannot be read: {error!r}.", str(path), fix
+        ) from error
     return sorted(marks)
 
 
@@ -273,8 +258,8 @@ def keep_bookmark(path: Path, mark: Bookmark) -> list[Bookmark]:
     place = mark.trial, mark.t_s
     marks = [one for one in read_bookmarks(path) if (one.trial, one.t_s) != place]
     marks = sorted([*marks, mark] if mark.note else marks)
-    with disk_errors("The bookmark cannot be stored", path, "Make room on this disk."):
-        write_atomically(path, json.dumps({"bookmarks": list(map(asdict, marks))}).encode())
+    with core.disk_errors("The bookmark cannot be stored", path, "Make room on this disk."):
+        core.write_atomically(path, json.dumps({"bookmarks": list(map(asdict, marks))}).encode())
     return marks
 
 
@@ -295,13 +280,13 @@ class RecordingOptions:
 class RunRecorder:
     """Opens and closes event log and episode store of a run; one run at a time."""
 
-    def __init__(self, keep: RecordingOptions, hub: EventBus, interlock: Interlock) -> None:
+    def __init__(self, keep: RecordingOptions, hub: core.EventBus, interlock: Interlock) -> None:
         self._keep, self._hub, self._interlock = keep, hub, interlock
         self._log: EventLog | None = None
         self._leave: Callable[[], None] | None = None
-        self._held: list[Event] = []  # events that did not fit on the disk, in order
-        self._lock = SharedLock()
-        self._wall = ClockJumpDetector()
+        self._held: list[core.Event] = []  # events that did not fit on the disk, in order
+        self._lock = core.SharedLock()
+        self._wall = core.ClockJumpDetector()
         self.store = RunStore(None, {})  # discards episodes outside a run
         self.folder: Path | None = None
 
@@ -309,8 +294,8 @@ class RunRecorder:
         """Raise ``InputError`` if the next run could not be kept."""
         if self._keep.runs is None:
             return
-        with disk_errors(NOT_KEPT, self._keep.runs, NOT_KEPT_FIX):
-            make_folder(self._keep.runs)
+        with core.disk_errors(NOT_KEPT, self._keep.runs, NOT_KEPT_FIX):
+            core.make_folder(self._keep.runs)
             with tempfile.TemporaryFile(dir=self._keep.runs):
                 pass
         if self._keep.episodes:
@@ -322,27 +307,27 @@ class RunRecorder:
         Raises ``InputError`` without space or a writable folder.
         """
         self.close()
-        self._wall = ClockJumpDetector()
+        self._wall = core.ClockJumpDetector()
         self.folder = None if self._keep.runs is None else self._keep.runs / run_id
         episodes = None
         if self.folder is not None:
             if self._keep.episodes:
                 episodes = self.folder / "episodes"
                 check_free_space(episodes)
-            with disk_errors(NOT_KEPT, self.folder.parent, NOT_KEPT_FIX):
+            with core.disk_errors(NOT_KEPT, self.folder.parent, NOT_KEPT_FIX):
                 self._log = EventLog(self.folder)
             self._leave = self._hub.subscribe(self._record)
         metadata = {"run": run_id, "mode": mode, FACTS_KEY: facts}
         self.store = RunStore(episodes, metadata, self.obstacle)
 
-    def obstacle(self) -> Fault | None:
+    def obstacle(self) -> core.Fault | None:
         """Return the fault that prevents recording another probe, None if there is none."""
         with self._lock:
             self._write()
             if self._held:
                 what = "The event log cannot be written: the disk is full."
                 kept = f"{CONSEQUENCE} What it did is kept in memory."
-                return Fault(DISK_FULL, what, kept, NEXT_STEP, "store")
+                return core.Fault(DISK_FULL, what, kept, NEXT_STEP, "store")
         if self.folder is None or not self._keep.episodes:
             return None
         return no_space_fault(self.folder)
@@ -360,7 +345,7 @@ class RunRecorder:
         store, self.store = self.store, RunStore(None, {})
         store.close()
 
-    def _record(self, event: Event) -> None:
+    def _record(self, event: core.Event) -> None:
         """Append ``event`` to the log; without disk space it is kept in memory.
 
         Other errors of the disk stop the run with a fault.
@@ -369,7 +354,7 @@ class RunRecorder:
             if self._log is None:
                 return
             if jump_s := self._wall.jump_s():
-                self._held.append(Said(event.t_s, CLOCK_SET.format(jump_s)))
+                self._held.append(core.Said(event.t_s, CLOCK_SET.format(jump_s)))
             self._held.append(event)
             self._write()
 
@@ -390,7 +375,7 @@ class RunRecorder:
         log, self._log = self._log, None
         self._held.clear()
         self._interlock.raise_fault(
-            Fault(
+            core.Fault(
                 "JOURNAL-FAILED",
                 f"The event log cannot be written: {why}.",
                 "The run ends; every event before is on disk, the gripper was not opened.",

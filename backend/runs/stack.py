@@ -10,24 +10,8 @@ import math
 from dataclasses import replace
 from typing import Any
 
+from touchdown.backend import core
 from touchdown.backend.config import BenchIdentity, StackSettings
-from touchdown.backend.core import (
-    ActionChosen,
-    ApprovalAwaited,
-    BeliefUpdated,
-    EpisodeRecorded,
-    FaultError,
-    FaultRaised,
-    Outcome,
-    PatchEstimated,
-    PhaseEntered,
-    PlaceAction,
-    RunFinished,
-    RunStarted,
-    Said,
-    StabilityJudged,
-    TrialStarted,
-)
 from touchdown.backend.devices import ReleaseEvidence
 from touchdown.backend.learning.fused import (
     CertificateStatus,
@@ -60,23 +44,23 @@ def pick_and_place(bench: Bench) -> Plan[TrialResult]:
     """Release at the first place without a test: the paper's baseline, simulated benches only."""
     yield from motions.take_piece(bench)
     if bench.withheld:
-        untested = PlaceAction("release", (0.0, 0.0), None, False, "Release without a test.")
+        untested = core.PlaceAction("release", (0.0, 0.0), None, False, "Release without a test.")
         ended = yield from _unapproved(bench, untested, 1)
         if ended is not None:
             return ended
     yield from motions.zero_sensors(bench, 1)
-    yield PhaseEntered(bench.now_s(), "approach", 1)
+    yield core.PhaseEntered(bench.now_s(), "approach", 1)
     motion = bench.arm.press(motions.probe_command(bench))
     yield Wait(lambda: motion.done or motion.onset_s is not None, 60.0, "contact")
     if motion.onset_s is None:
         motion.result()
-    yield Said(bench.now_s(), "Pick and place: contact found, release without a test.")
+    yield core.Said(bench.now_s(), "Pick and place: contact found, release without a test.")
     settings = bench.settings.release
-    yield PhaseEntered(bench.now_s(), "unload", 1)
+    yield core.PhaseEntered(bench.now_s(), "unload", 1)
     unload = bench.arm.unload(settings.unload_n, bench.settings.probe.approach_mm_s)
     yield from motion_done(unload, motions.MOVE_S, "the arm to unload")
     yield from motions.wait(bench, settings.settle_s)
-    yield PhaseEntered(bench.now_s(), "release", 1)
+    yield core.PhaseEntered(bench.now_s(), "release", 1)
     status = bench.gripper.status()
     evidence = ReleaseEvidence(
         verdict_stable=False,
@@ -117,8 +101,8 @@ def place_piece(bench: Bench) -> Plan[TrialResult]:
         yield from wait_for_space(bench.store.obstacle)
         probe += 1
         pressed = yield from _probe_or_search(bench, probe, strategy)
-        if isinstance(pressed, PlaceAction):
-            yield Said(bench.now_s(), f"Probe {probe}: {pressed.reason}")
+        if isinstance(pressed, core.PlaceAction):
+            yield core.Said(bench.now_s(), f"Probe {probe}: {pressed.reason}")
             yield from motions.lift(bench, probe)
             ended = yield from _unapproved(bench, pressed, probe)
             if ended is not None:
@@ -139,7 +123,7 @@ def place_piece(bench: Bench) -> Plan[TrialResult]:
         yield from _recorded(bench, pressed)
         if late:
             text = f"The estimate took {held_s:.1f} s, too long to hold the press"
-            yield Said(bench.now_s(), f"{text}: lifted, probing again.")
+            yield core.Said(bench.now_s(), f"{text}: lifted, probing again.")
             continue
         ended = yield from _unapproved(bench, action, probe)
         if ended is not None:
@@ -172,11 +156,11 @@ def _judge(bench: Bench, pressed: PressedProbe, strategy: Strategy) -> Plan[Judg
     latency_ms = 1e3 * (bench.wall_s() - pressed.sampled_s)
     bench.repaint_hold.end()
     now_s = bench.now_s()
-    yield PatchEstimated(now_s, patch, here, pressed.probe)
-    yield BeliefUpdated(now_s, concluded.map, pressed.probe)
-    yield StabilityJudged(now_s, stability, pressed.probe)
-    yield ActionChosen(now_s, action, pressed.probe, latency_ms)
-    yield Said(now_s, messages.decision_message(pressed.probe, patch, stability, action))
+    yield core.PatchEstimated(now_s, patch, here, pressed.probe)
+    yield core.BeliefUpdated(now_s, concluded.map, pressed.probe)
+    yield core.StabilityJudged(now_s, stability, pressed.probe)
+    yield core.ActionChosen(now_s, action, pressed.probe, latency_ms)
+    yield core.Said(now_s, messages.decision_message(pressed.probe, patch, stability, action))
     return JudgedProbe(pressed, stability, action, now_s)
 
 
@@ -187,27 +171,27 @@ def _let_go(bench: Bench, judged: JudgedProbe, *, approved: bool) -> Plan[TrialR
     ending = yield from judge_release(bench, probe)
     try:
         yield from _recorded(bench, judged.pressed)
-    except FaultError as cause:
+    except core.FaultError as cause:
         bench.interlock.raise_fault(cause.fault)
-        yield FaultRaised(bench.now_s(), cause.fault)
+        yield core.FaultRaised(bench.now_s(), cause.fault)
         return replace(ending, fault=cause.fault)
     return ending
 
 
 def _probe_or_search(
     bench: Bench, probe: int, strategy: Strategy
-) -> Plan[PressedProbe | PlaceAction]:
+) -> Plan[PressedProbe | core.PlaceAction]:
     """Probe; without contact a searching strategy returns its next move instead."""
     try:
         return (yield from probe_until_accepted(bench, probe))
-    except FaultError as cause:
+    except core.FaultError as cause:
         if cause.fault.code != "NO-CONTACT" or not isinstance(strategy, SearchingStrategy):
             raise
     here = bench.arm.pose(max_age_s=0.2)
     return strategy.missed((here.x_mm, here.y_mm))
 
 
-def _asks(bench: Bench, action: PlaceAction) -> bool:
+def _asks(bench: Bench, action: core.PlaceAction) -> bool:
     """Return True if ``action`` needs the operator's yes."""
     unsure = action.kind == "ask" or (action.kind == "release" and _withheld(bench) != "")
     return unsure or bench.settings.mode != "auto"
@@ -220,28 +204,28 @@ def _withheld(bench: Bench) -> str:
     return f"{bench.guard.describe()} {bench.withheld}".rstrip()
 
 
-def _unapproved(bench: Bench, action: PlaceAction, probe: int) -> Plan[TrialResult | None]:
+def _unapproved(bench: Bench, action: core.PlaceAction, probe: int) -> Plan[TrialResult | None]:
     """Return the end of the trial, None if ``action`` may be carried out; the arm is lifted."""
     if action.kind == "give_up":
-        return TrialResult(Outcome.GAVE_UP, action.reason, probe)
+        return TrialResult(core.Outcome.GAVE_UP, action.reason, probe)
     if not _asks(bench, action):
         return None
     alone = bench.settings.mode == "auto"
     if alone:
         action = replace(action, reason=f"{action.reason} {_withheld(bench)}".rstrip())
     if alone and not bench.prompt.attended:
-        return TrialResult(Outcome.ASKED, f"{action.reason} {NOBODY}", probe)
+        return TrialResult(core.Outcome.ASKED, f"{action.reason} {NOBODY}", probe)
     patience_s = PATIENCE_S if alone else math.inf
-    question = ApprovalAwaited(bench.now_s(), action, probe)
+    question = core.ApprovalAwaited(bench.now_s(), action, probe)
     reply = yield from motions.ask_operator(bench, question, "the operator", patience_s)
     if reply is None:
-        return TrialResult(Outcome.ASKED, f"{action.reason} {UNANSWERED}", probe)
+        return TrialResult(core.Outcome.ASKED, f"{action.reason} {UNANSWERED}", probe)
     if not reply and (alone or action.kind == "ask"):
-        return TrialResult(Outcome.GAVE_UP, f"{action.reason} {REFUSED}", probe)
-    return None if reply else TrialResult(Outcome.ABORTED, DECLINED, probe)
+        return TrialResult(core.Outcome.GAVE_UP, f"{action.reason} {REFUSED}", probe)
+    return None if reply else TrialResult(core.Outcome.ABORTED, DECLINED, probe)
 
 
-def _shift(bench: Bench, strategy: Strategy, action: PlaceAction, probe: int) -> Plan[None]:
+def _shift(bench: Bench, strategy: Strategy, action: core.PlaceAction, probe: int) -> Plan[None]:
     """Move to the next place; after the operator's yes to go on, to the one asked about."""
     if action.kind == "ask":
         assert isinstance(strategy, SearchingStrategy)
@@ -256,14 +240,16 @@ def _count_signals(bench: Bench, strategy: Strategy) -> Plan[None]:
     withdrawn = bench.guard.withdrawn
     bench.guard.observe(bench.piece.name, signal_score(strategy.signal_distances()))
     if bench.guard.withdrawn and not withdrawn:
-        yield Said(bench.now_s(), bench.guard.describe())
+        yield core.Said(bench.now_s(), bench.guard.describe())
 
 
 def _recorded(bench: Bench, pressed: PressedProbe) -> Plan[None]:
     """Publish the episode without its native-rate signals: 25 MB that stay in its file."""
     path = yield from motions.wait_until_durable(bench)
     episode = replace(pressed.episode, recording=None)
-    yield EpisodeRecorded(bench.now_s(), episode, pressed.probe, "" if path is None else path.name)
+    yield core.EpisodeRecorded(
+        bench.now_s(), episode, pressed.probe, "" if path is None else path.name
+    )
 
 
 def check_pieces(session: RunContext, request: StackRequest) -> None:
@@ -336,30 +322,30 @@ def stack_run(session: RunContext, request: StackRequest) -> Plan[None]:
         record["release"] = release_record(session.identity, session.method, request, status)
     settings = request_record(request, method, record)
     session.open_record()
-    yield RunStarted(
+    yield core.RunStarted(
         0.0, session.run_id, request.piece, "+".join(request.bottoms), request.strategy,
         request.seed, request.trials, session.simulated, settings,
     )  # fmt: skip
     if certified:
-        yield Said(0.0, status.message)
+        yield core.Said(0.0, status.message)
     if guard is not None:
-        yield Said(0.0, guard.describe())
+        yield core.Said(0.0, guard.describe())
     told = ""
     for trial in range(request.trials):
         if (withheld := session.day_checks.obstacle()) not in ("", told):
-            yield Said(0.0, told := withheld)
+            yield core.Said(0.0, told := withheld)
         scene = session.set_scene(request.scene(trial), method)
         bench = replace(scene, guard=guard, withheld=withheld)
         seed = request.seed + trial
         start_mm = None if bench.scoring is None else bench.scoring.start_mm()
-        yield TrialStarted(bench.now_s(), trial + 1, seed, start_mm)
+        yield core.TrialStarted(bench.now_s(), trial + 1, seed, start_mm)
         at_mm = outcome.trial_start_mm(session, request, trial) if bench.scoring is None else None
         ended = yield from motions.run_to_end(bench, _placing(bench, request, at_mm))
         if guard is not None and (problem := guard.save()):
-            yield Said(bench.now_s(), problem)
+            yield core.Said(bench.now_s(), problem)
         ending, run_ending = ended.value, ended.run_ending
         if ending is None:
-            ending = TrialResult(Outcome.ABORTED, ended.reason, bench.status().estimated)
+            ending = TrialResult(core.Outcome.ABORTED, ended.reason, bench.status().estimated)
         elif ending.fault is not None:
             run_ending = "failed"
         if run_ending is None:
@@ -367,10 +353,10 @@ def stack_run(session: RunContext, request: StackRequest) -> Plan[None]:
         yield trial_finished(bench, trial + 1, seed, ending)
         if run_ending is not None:
             reason = ending.reason if ending.fault is None else ending.fault.what
-            yield RunFinished(bench.now_s(), session.run_id, run_ending, reason)
+            yield core.RunFinished(bench.now_s(), session.run_id, run_ending, reason)
             return
     yield from wait_for_space(bench.store.obstacle)
-    yield RunFinished(bench.now_s(), session.run_id, "finished", "All trials are done.")
+    yield core.RunFinished(bench.now_s(), session.run_id, "finished", "All trials are done.")
 
 
 def _placing(

@@ -226,6 +226,10 @@ def test_only_what_a_function_uses_of_its_module_counts() -> None:
     simulated = source_files(module, "simulate_collection")
     assert "touchdown.backend.simulation.batch" in simulated
     assert not any(name.startswith("touchdown.backend.bench") for name in simulated)
+    # a package by its own name: learning.load_checkpoint
+    loaded = source_files("touchdown.backend.experiments.models", "load_model")
+    assert "touchdown.backend.learning.checkpoint" in loaded
+    assert "touchdown.backend.learning.fitting" not in loaded
 
 
 @pytest.mark.optional

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
@@ -99,6 +100,15 @@ _job_starts: list[SimpleQueue[JobStart]] = []  # in a worker: queue that reports
 def _register_worker(begun: SimpleQueue[JobStart]) -> None:
     lower_priority()
     _job_starts.append(begun)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    # A killed parent closes no queue: its workers would wait for jobs for ever.
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
 
 
 def run_in_worker(

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import signal
+import threading
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -47,4 +49,14 @@ def threads(_: JobSpec, __: JobContext) -> Mapping[str, Any]:
     return {"omp": os.environ.get("OMP_NUM_THREADS"), "nice": nice}
 
 
-KINDS = {"draw": draw, "add": add, "die": die, "refuse": refuse, "threads": threads}
+def orphan(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
+    """Kill the parent process, and go on."""
+    (place.store.root / "worker").write_text(str(os.getpid()))
+    os.kill(os.getppid(), signal.SIGKILL)
+    threading.Event().wait(60.0)
+    return {}
+
+
+KINDS = {
+    "draw": draw, "add": add, "die": die, "refuse": refuse, "threads": threads, "orphan": orphan,
+}  # fmt: skip

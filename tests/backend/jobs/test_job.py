@@ -7,12 +7,17 @@ import json
 import os
 import shlex
 import shutil
+import signal
+import subprocess
+import sys
 import warnings
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from unittest import mock
 
 import numpy as np
+import psutil
 import pytest
 
 from tests.backend.jobs.sample_kinds import KINDS
@@ -159,6 +164,28 @@ def test_a_job_swept_while_it_runs_gives_no_result_without_its_files(tmp_path):
         with pytest.raises(InputError, match="was deleted while it ran"):
             store.finish(spec, part, {})
     assert list(tmp_path.iterdir()) == []
+
+
+CAMPAIGN = """
+import sys
+from pathlib import Path
+from tests.backend.jobs.sample_kinds import KINDS
+from touchdown.backend.jobs import JobSpec, JobStore, ProcessPool, run_campaign
+store = JobStore(Path(sys.argv[1]))
+list(run_campaign([JobSpec("orphan")], ProcessPool(KINDS, store, 1), store))
+"""
+
+
+@pytest.mark.skipif(os.name != "posix", reason="SIGKILL")
+def test_workers_of_a_killed_program_end(tmp_path):
+    folder = Path(__file__).parents[3]
+    ended = subprocess.run(
+        [sys.executable, "-c", CAMPAIGN, str(tmp_path)], cwd=folder, check=False, timeout=60
+    )
+    assert ended.returncode == -signal.SIGKILL
+    worker = int((tmp_path / "worker").read_text())
+    with suppress(psutil.NoSuchProcess):
+        psutil.Process(worker).wait(30.0)
 
 
 @pytest.mark.promise("P7", "P10")

@@ -203,7 +203,7 @@ class FusedSettings(Settings):
     # Network file; empty for the shipped one, "any" for the shipped one for any outline.
     weights: str = ""
     # Largest probability at release that the support misses the centre of mass [U].
-    risk: Probability = 0.07
+    risk: Probability = 0.1
     # The same after the first probe; it grows to `risk` at `max_probes`, by the same factor with
     # each probe; 0: `risk` after every probe [U].
     first_risk: Annotated[float, Field(ge=0, lt=1)] = 0.005

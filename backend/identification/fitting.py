@@ -31,6 +31,9 @@ STEP_SHARE = 0.02  # step of a numerical derivative relative to the width of the
 # The face touches on cells of 1 mm, so that a prediction changes in steps with the position.
 SCALES = {"scale_left": slice(6, 9), "scale_right": slice(9, 12)}  # and their channels
 POSITIONS, POSITION_STEP_MM = ("print_x", "print_y", "grasp_x"), 0.5
+# Channels of each sensor by the one that shows its time stamps best, and their largest error
+STAMPS = {2: slice(0, 6), 7: slice(6, 9), 10: slice(9, 12)}
+LATEST_S = 0.02
 # Error of the model and of the tracker that is constant over a press, of the measured value
 MODEL_SHARE = 0.004
 FLOOR = np.r_[np.repeat([0.004, 0.0001], 3), np.tile([0.02, 0.02, 0.001], 2)]  # N, N·m, px
@@ -184,11 +187,36 @@ class GlsFit:
         scales = MODEL_SHARE * self.measured[..., None] * np.eye(len(CHANNELS))
         columns = np.concatenate(
             [scales.reshape(len(self.measured), -1, len(CHANNELS)),
+             self._late(x, slopes["deeper_mm"]),
              *(sd * slope.reshape(len(slope), -1, 1)
                for slope, sd in zip(slopes.values(), sds, strict=True))], axis=2,
         )  # fmt: skip
         covariance = noise_covariance(self.noise) + columns @ columns.swapaxes(1, 2)
         return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)))
+
+    def _late(self, x: FloatArray, deeper: FloatArray) -> FloatArray:
+        """Return (B, 240, 63): errors by the time stamps of each sensor, per press and per tick.
+
+        Their size follows from the residuals at ``x``: a late stamp shows while the force rises,
+        an error of the depth, with the slope ``deeper``, in the hold as well.
+        """
+        at = np.nan_to_num(self.model.predict(self.layout.values(x)))
+        rate = np.gradient(at, TICK_S, axis=1)
+        ticks, columns = np.eye(at.shape[1]), []
+        for lead, own in STAMPS.items():
+            both = np.stack([rate[..., lead], deeper[..., lead]], axis=-1)
+            left = self.measured[..., lead] - at[..., lead]
+            late_s = (np.linalg.pinv(both) @ left[..., None])[..., 0]
+            left = left - (both @ late_s[..., None])[..., 0]
+            excess = (left**2).sum(axis=1) - at.shape[1] * self.noise.white[lead] ** 2
+            share = excess / np.maximum((both[..., 0] ** 2).sum(axis=1), 1e-12)
+            sd_s = 1.4826 * float(np.median(np.abs(late_s[:, 0])))
+            tick_s = float(np.sqrt(max(np.median(share), 0.0)))
+            part = np.zeros_like(at)
+            part[..., own] = rate[..., own]
+            columns.append(min(sd_s, LATEST_S) * part[..., None])
+            columns.append(min(tick_s, LATEST_S) * part[..., None] * ticks[:, None])
+        return np.concatenate(columns, axis=3).reshape(len(at), at[0].size, -1)
 
 
 def noise_covariance(noise: ChannelNoise) -> FloatArray:

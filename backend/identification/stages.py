@@ -49,7 +49,7 @@ from touchdown.backend.identification.recordings import STEPS_PER_TICK, PressSet
 
 Json = dict[str, Any]
 Tell = Callable[[str, int, int], None]  # stage, done, total
-VERSION = 1  # of the stored results; raised when a stage computes something else
+VERSION = 2  # of the stored results; raised when a stage computes something else
 STARTS, START_PRESSES, ROUNDS, EVALUATIONS = 3, 36, 8, 6
 SETTLED = 0.5  # a round that moves no unknown by more of its uncertainty is the last
 EARLY = 4  # tick of the slopes for the start

@@ -379,6 +379,27 @@ def test_a_fit_recovers_stiffness_and_scale():
     assert (found.sigma[layout.parts["shear"]] < 0.02).all()
 
 
+def test_late_time_stamps_are_no_misfit_of_the_model():
+    """Stamps of each sensor are wrong by 8 ms in each press and at each tick."""
+    rng, offsets = np.random.default_rng(4), np.random.default_rng(5).uniform(-6, 6, (8, 2))
+    presses = made_set(offsets, RAMP * (0.0, 0.0, -1.0), piece="pot", bottom="square15")
+    presses = replace(presses, contact_mm=np.full(8, 30.0))
+    layout = Layout(unknowns_of(NOMINAL), presses.mounting, presses.grip)
+    model, x = (
+        PressModel(presses, NOMINAL, LIBRARY),
+        layout.vector(lambda u: float(u.inner(u.start))),
+    )
+    exact = model.predict(layout.values(x))
+    rate = np.gradient(exact, 0.1, axis=1)
+    late = 0.008 * (rng.standard_normal((8, 1, 3)) + rng.standard_normal((8, 20, 3)))
+    noise = ChannelNoise(np.repeat([0.01, 4e-4, 0.02, 0.02], 3), np.full(12, 1e-4), np.zeros(12))
+    white = noise.white * rng.standard_normal(exact.shape)
+    for late_s in (0.0, late):
+        shifted = exact - rate * np.repeat(late_s * np.ones((8, 20, 3)), (6, 3, 3), axis=2)
+        found = GlsFit(model, layout, shifted + white, noise).run(x, evaluations=1)
+        assert 0.5 < found.misfit < 1.5
+
+
 def test_growth_with_the_pad_force_follows_from_the_lateral_force():
     """Fy presses one pad and relieves the other; a growth of both pads alike does not count."""
     rng, rolls = np.random.default_rng(2), (7.5, 6.5)

@@ -211,7 +211,7 @@ class Day:
         self.main.go("review")
         workspace = self.main.workspaces["review"]
         self.wait(lambda: not workspace.presenter.recordings.describing)
-        workspace.page.runs.choose_row(0)
+        workspace.page.runs.setCurrentIndex(workspace.page.runs.model().index(0, 0))
         self.wait(lambda: not workspace.presenter.reading and not workspace.reader.busy)
         self.grab("review")
 

@@ -158,7 +158,7 @@ def reviewed(stage: Stage, runs: Path) -> Iterator[str]:
     workspace.presenter.recordings.refresh()
     stage.until(lambda: not workspace.reader.busy)
     for row, name in ((0, "run"), (1, "series")):
-        workspace.page.runs.choose_row(row)
+        workspace.page.runs.setCurrentIndex(workspace.page.runs.model().index(row, 0))
         stage.until(lambda: not workspace.reader.busy)
         yield f"review-{name}"
     yield from _report(stage, "review-report", (0, 3, -1))

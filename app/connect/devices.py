@@ -174,7 +174,7 @@ class DevicesPresenter:
         self.sheet.offer(found)
         cameras, ports = ", ".join(found[LEFT]), len(found["ft.address"])
         self.sheet.say(
-            f"In sight: cameras {cameras or 'none'}; serial ports {ports or 'none'}.", bad=False
+            f"Found: cameras {cameras or 'none'}; serial ports {ports or 'none'}.", bad=False
         )
 
     def _swap(self) -> None:

@@ -60,7 +60,7 @@ class DatasetTasks:
     def score(self) -> None:
         """Let the model judge every episode. Fills four queues; changes no label."""
         if self._jobs.busy:
-            self._page.say("This is being done already.")
+            self._page.say("This action is already in progress.")
             return
         self._page.say("Scoring the dataset …")
         opened, progress = self._opened, self._teller("Scoring")

@@ -55,9 +55,7 @@ class OperatePage(LivePage):
         self.baseline = flat_button("Baseline", "Take a new tactile reference, in air (B)")
         self.span = compact_combo_box([f"{span:.0f} s" for span in SPANS_S], "Length of the traces")
         self.zero = flat_button("Zero", "Zero force and moment here, in air (Z)")
-        self.pause = flat_button(
-            "Pause", "Hold the traces still; recording goes on", checkable=True
-        )
+        self.pause = flat_button("Pause", "Freeze the traces; recording continues", checkable=True)
         self.traces_panel = TracesPanel(
             TRACES, self.force, self.moment, (self.span, self.zero, self.pause)
         )

@@ -208,7 +208,7 @@ class OperateWorkspace(shell.Workspace):
 
     def leave(self) -> None:
         """End manual motion and disarm the keys."""
-        self.page.jog.hold.end("another page came to the front")
+        self.page.jog.hold.end("another page was opened")
         self.keys.disarm()
 
     def reset_layout(self) -> None:
@@ -265,7 +265,7 @@ class OperateWorkspace(shell.Workspace):
                                 lambda: self.page.jog.level.clicked.emit()),
             shell.WindowCommand("scene", "Set up a new scene on the simulated bench", "Ctrl+N",
                                 lambda: self.page.scene.ask()),
-            shell.WindowCommand("freeze", "Hold the traces still", "Ctrl+P",
+            shell.WindowCommand("freeze", "Freeze the traces", "Ctrl+P",
                                 lambda: self.page.pause.toggle()),
             shell.WindowCommand("fit", "Fit the force and moment ranges", "Ctrl+F",
                                 lambda: self.page.fit()),

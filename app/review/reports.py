@@ -201,7 +201,7 @@ class ReportsPresenter:
         if entry is None or not entry.value:
             self.sheet.show_trace("", can_open=False)
         elif not entry.jobs:
-            self.sheet.show_trace("Made of the other cells.", can_open=False)
+            self.sheet.show_trace("Computed from the other cells.", can_open=False)
         else:
             there = self._folder(entry) is not None
             away = "" if there else "; its folder is where the experiment was run"

@@ -113,7 +113,7 @@ class ReviewWorkspace(Workspace):
 
     def _picture(self) -> None:
         if self.presenter.file is None:
-            self._context.say("Nothing is chosen that could be pictured.")
+            self._context.say("The selection cannot be exported as a picture.")
             return
         name = dated_file_name(f"review-{self.presenter.replay.cursor_s:.2f}s")
         shown, theme, caption = self.page.shown, self._context.theme, self._caption()
@@ -121,7 +121,7 @@ class ReviewWorkspace(Workspace):
 
     def _bookmark(self) -> None:
         if not self.presenter.bookmark():
-            self._context.say("Nothing is chosen that could have a bookmark.")
+            self._context.say("The selection cannot have a bookmark.")
 
     def _caption(self) -> str:
         at_s = self.presenter.replay.cursor_s
@@ -134,11 +134,11 @@ class ReviewWorkspace(Workspace):
             )
 
         if not self.presenter.make_table(write):
-            self._context.say("Nothing is chosen that could be written as a table.")
+            self._context.say("The selection cannot be exported as a table.")
 
     def _report(self) -> None:
         if self.presenter.file is None:
-            self._context.say("Nothing is chosen that could be reported.")
+            self._context.say("The selection has no report.")
             return
         # Take the picture now: the page may have changed when the table is ready.
         name, caption = dated_file_name("review"), self._caption()
@@ -158,7 +158,7 @@ class ReviewWorkspace(Workspace):
         if self.presenter.file is not None:
             self._context.say(open_in_viewer(self.presenter.file))
         else:
-            self._context.say("Nothing is chosen that could be opened.")
+            self._context.say("The selection cannot be opened.")
 
     def _export(self, write: Callable[[], Path]) -> None:
         try:

@@ -173,7 +173,7 @@ class PlannedRunsSheet(BenchSheet):
         self.change(self.runs, max(self.list.currentRow(), 0))
 
     def start(self) -> None:
-        """Start the next run; the others follow. A list that is done begins anew."""
+        """Start the next run; the others follow. A finished list starts again."""
         if not self.runs or is_run_active(self._bench):
             return
         if all(run.result for run in self.runs):

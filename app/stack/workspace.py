@@ -74,7 +74,7 @@ class StackWorkspace(shell.Workspace):
             shell.WindowCommand("start", "Start stacking", "Ctrl+Return", self._start),
             shell.WindowCommand("step", "Next step: carry out the move that waits", "N",
                                 lambda: self.page.decision.approve.clicked.emit()),
-            shell.WindowCommand("approve", "Approve the move that waits", "A",
+            shell.WindowCommand("approve", "Approve the pending move", "A",
                                 lambda: self.page.decision.approve.clicked.emit()),
             shell.WindowCommand("decline", "Decline the step that waits: the trial ends", "D",
                                 lambda: self.page.decision.decline.clicked.emit()),

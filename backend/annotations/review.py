@@ -269,7 +269,7 @@ def _check_own_work(status: ReviewStatus, person: str) -> None:
     own = not status.authors or person in status.authors
     if status.state in ("draft", "rejected") and not own:
         names = " and ".join(status.authors)
-        raise RefusedError("another's work", f"This is the work of {names}: take it over first.")
+        raise RefusedError("another's work", f"The labels are by {names}: take them over first.")
 
 
 def _review(action: Action, status: ReviewStatus, person: str, four_eyes: bool) -> LabelState:

@@ -96,7 +96,7 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     if args.what == RISK:
         return _risk(args, screen)
     if args.runs is not None or args.limit is not None:
-        raise InputError("This is of 'risk' only.", "DATASET, --limit", "Leave it out.")
+        raise InputError("This applies to 'risk' only.", "DATASET, --limit", "Leave it out.")
     if args.what == "status":
         return _status(_store_of(args), screen)
     what: CalibrationName = args.what
@@ -263,7 +263,7 @@ def _risk(args: argparse.Namespace, screen: VerbOutput) -> int:
     """Bound the unsafe releases of a laboratory; return 0 if the certificate was written."""
     if not connection.at_lab(args):
         raise InputError(
-            "The risk is that of the trials of a laboratory.", "--bench", "Name its lab file."
+            "'risk' needs the trials of a laboratory.", "--bench", "Name its lab file."
         )
     # Imported here: measuring needs no torch.
     from touchdown.backend.experiments import LABORATORY_LIMIT, certify_laboratory, labelled_trials

@@ -60,7 +60,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "and its standard uncertainty, mm (default: centred, by eye)",
     )  # fmt: skip
     parser.add_argument(
-        "--reset-guard", metavar="REASON", help="of fused: compare the signals anew"
+        "--reset-guard", metavar="REASON", help="of fused: restart the comparison of the signals"
     )
     parser.add_argument(
         "--weigh", action="store_true",

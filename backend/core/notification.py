@@ -53,7 +53,7 @@ class PersonCall:
 
 
 def person_call(event: events.Event) -> PersonCall | None:
-    """Return the call for an event, None for an event that needs nobody.
+    """Return the call for an event, None for an event that needs no person.
 
     Parameters
     ----------

@@ -290,7 +290,7 @@ class Interlock:
         """Raise ``RefusedError`` unless motion may start now."""
         self.refuse_latched()
         if not self.has_lease(now_s):
-            raise RefusedError("NO-LEASE", "Nobody holds a live motion lease.")
+            raise RefusedError("NO-LEASE", "There is no live motion lease.")
 
 
 # Tolerance of the taught position of the jig on each axis.

@@ -355,7 +355,7 @@ class Supervision:
             yield fault, DegradedDevice("gripper", "silent", last_s)
 
     def _check_arm(self, now_s: float, explained: Collection[str]) -> Iterator[Fault]:
-        """Yield the fault of an arm that may be moved and has told no position for a while."""
+        """Yield the fault of an arm that may be moved and has reported no position for a while."""
         if self._arm is None or "arm" in explained or not self._interlock.has_lease(now_s):
             return
         try:

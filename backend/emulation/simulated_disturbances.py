@@ -115,8 +115,8 @@ def parse_disturbance(text: str) -> Disturbance:
         raise InputError(
             f"'{text}' needs an amount above 0, in {unit}." if unit else f"'{kind}' takes no rate.",
             text,
-            f"Write {device}:slow=10@3 for ten samples a second, force_torque:drift=0.05@3 for so "
-            "many N a second; other faults without a number.",
+            f"Write {device}:slow=10@3 for ten samples a second, force_torque:drift=0.05@3 for "
+            "0.05 N a second; other faults without a number.",
         )
     length = match["length"]
     length_s = float("inf") if length is None else float(length)

@@ -125,7 +125,7 @@ def program_fault(what: str) -> Fault:
     """Return the fault of a program error inside the rig."""
     return Fault(
         "RIG-ERROR",
-        f"The rig process met an error of this program: {what}.",
+        f"The rig process failed by an error of this program: {what}.",
         "The arm was stopped; the gripper was not opened.",
         "Copy the details for the maintainers, then press Reset.",
         "arm",

@@ -57,7 +57,7 @@ def control_lost(what: str) -> Fault:
     )
 
 
-ENDED = control_lost("The process that drives arm, gripper and wrist sensor was told to end.")
+ENDED = control_lost("The process that drives arm, gripper and wrist sensor was ordered to end.")
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,7 +175,7 @@ class Failsafe:
         if self._silent:
             raise RefusedError("BACKEND-SILENT", "The program that gave this order is silent.")
         if not now_s <= max(lease_until_s, self._lease_until_s):
-            raise RefusedError("NO-LEASE", "Nobody holds a live motion lease.")
+            raise RefusedError("NO-LEASE", "There is no live motion lease.")
 
     def refuse_unfelt(self, now_s: float) -> None:
         """Raise ``RefusedError`` while the wrist sensor is silent."""

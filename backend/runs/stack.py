@@ -84,7 +84,7 @@ def pick_and_place(bench: Bench) -> Plan[TrialResult]:
 
 DECLINED = "The operator declined the next move."
 PATIENCE_S = 600.0  # a run that was to need no operator waits this long for one
-NOBODY = "Nobody is there to ask: the piece stays in the gripper."
+NOBODY = "No operator is present: the piece stays in the gripper."
 UNANSWERED = f"No answer within {PATIENCE_S / 60:.0f} min: the piece stays in the gripper."
 REFUSED = "The operator answered no: giving up, the piece stays in the gripper."
 

@@ -28,7 +28,7 @@ from pathlib import Path
 import numpy as np
 import psutil
 
-from tests.backend.emulators.wound import WoundWires, bursts, force_apart, simulated_press
+from tests.backend.bench.wound import WoundWires, bursts, force_apart, simulated_press
 from tests.bench.figures import Figure, at_least, at_most, figure, stated
 from touchdown.backend.bench import EmulatedBench, Session, SimulatedBenchChoice, simulated_session
 from touchdown.backend.cli.output import VerbOutput

@@ -79,7 +79,7 @@ def test_stack_look_back_and_review(desk, qtbot, tmp_path):
     main.actions.action("review").trigger()
     review = main.workspaces["review"]
     qtbot.waitUntil(lambda: not review.presenter.recordings.describing, timeout=60_000)
-    review.page.runs.choose_row(0)
+    review.page.runs.setCurrentIndex(review.page.runs.model().index(0, 0))
     qtbot.waitUntil(lambda: not review.presenter.reading, timeout=60_000)
     assert review.page.trials.count() == 1
     assert len(review.page.strip.thumbnails) == len(trial.probes)

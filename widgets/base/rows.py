@@ -99,7 +99,7 @@ def true_minus(text: str) -> str:
 
 
 def signed(value: float, digits: int = 2) -> str:
-    """Return a number with its sign and so many decimals; zero is never negative."""
+    """Return a number with its sign and ``digits`` decimals; zero is never negative."""
     return true_minus(f"{value:+z.{digits}f}")
 
 

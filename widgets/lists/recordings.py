@@ -103,10 +103,6 @@ class RecordingList(_NumberedList):
             self.setCurrentIndex(self.index_of(number))
         self._telling = True
 
-    def choose_row(self, at: int) -> None:
-        """Select the row at this visible position, like a click."""
-        self.setCurrentIndex(self._rows.index(at))
-
     def shown(self) -> list[RecordingRow]:
         """Return the visible rows in their order."""
         return [self._rows.rows[number] for number in self._rows.order]

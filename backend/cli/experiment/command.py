@@ -301,7 +301,7 @@ def _run_rounds(plan: experiments.StrategyComparison, run: campaign.ExperimentRu
         plan.loops.trials_of(store), args.stop_early
     ):
         raise InputError(
-            "A comparison stops early where one computer sees all trials of two strategies.",
+            "An early stop needs two strategies and all of their trials on one computer.",
             "--stop-early",
             "Leave out --shard, and name a strategy and its reference with --strategies.",
         )

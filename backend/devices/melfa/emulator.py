@@ -173,8 +173,8 @@ class MelfaServer(DeviceServer):
     # -- stream -----------------------------------------------------------------------------------
 
     def _take(self, stream: socket.socket, answers: list[bytes]) -> None:
-        """Process one datagram. Whoever asks for positions is answered; other callers are ignored
-        while one commands motion, until it has left.
+        """Process one datagram. Requests for positions are always answered; while one caller
+        commands motion, other callers are ignored.
         """
         try:
             data, (host, port) = stream.recvfrom(CHUNK)

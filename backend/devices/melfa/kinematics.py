@@ -175,9 +175,9 @@ def check_joints(joints_rad: FloatArray) -> None:
         degrees = math.degrees(float(joints_rad[joint - 1]))
         raise RefusedError("JOINT-RANGE", f"J{joint} would be at {degrees:.1f}°.")
     if not abs(float(joints_rad[4])) >= WRIST_RAD:
-        raise RefusedError("SINGULAR", "J4 and J6 would come in line.")
+        raise RefusedError("SINGULAR", "The axes of J4 and J6 would align.")
     if not abs(float(joints_rad[2])) >= ELBOW_RAD:
-        raise RefusedError("SINGULAR", "The arm would be stretched.")
+        raise RefusedError("SINGULAR", "The elbow would be straight.")
 
 
 def check_step(before_rad: FloatArray, after_rad: FloatArray, fraction: float) -> None:

@@ -110,7 +110,7 @@ class GuardState(_File):
 class Guard:
     """Guard of one network on one bench; ``path``: file of its state, None to keep it in memory.
 
-    With another calibration it begins anew, but an alarm stays until the reset. Raises
+    Another calibration restarts it, but an alarm stays until the reset. Raises
     ``InputError`` for a damaged file.
     """
 
@@ -144,7 +144,7 @@ class Guard:
             self._change(withdrawn=_now())
 
     def reset(self, reason: str) -> None:
-        """Begin anew and store the reason; raises ``InputError`` without one or if it fails."""
+        """Restart and store the reason; raises ``InputError`` without one or if it fails."""
         if not reason.strip():
             raise InputError("A reset needs a reason.", "guard", "Name what was calibrated.")
         before = self.state

@@ -106,7 +106,7 @@ def test_the_probes_of_a_collection_are_shown(main, qtbot, tmp_path, filled):
     workspace = main.workspaces["review"]
     qtbot.waitUntil(lambda: not workspace.reader.busy, timeout=60_000)
     page = workspace.page
-    page.runs.choose_row(0)
+    page.runs.setCurrentIndex(page.runs.model().index(0, 0))
     qtbot.waitUntil(lambda: not workspace.reader.busy, timeout=60_000)
     assert page.trials_panel.accessibleName() == "Probes"
     assert page.trials.count() == 3

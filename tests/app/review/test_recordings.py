@@ -161,7 +161,7 @@ def test_recordings_are_sorted_and_the_chosen_one_stays(main, qtbot, tmp_path):
         return [text.partition("\n")[2].split()[0] for text in texts(main)]
 
     assert pieces() == ["mushroom", "barrel", "pot"]
-    page.runs.choose_row(0)
+    page.runs.setCurrentIndex(page.runs.model().index(0, 0))
     described(main, qtbot)
     assert presenter.story.head.piece == "mushroom"
     page.order.setCurrentIndex(page.order.findData("oldest"))
@@ -169,7 +169,7 @@ def test_recordings_are_sorted_and_the_chosen_one_stays(main, qtbot, tmp_path):
     assert page.runs.currentIndex().row() == 2
     page.order.setCurrentIndex(page.order.findData("pair"))
     assert pieces() == ["barrel", "mushroom", "pot"]
-    page.runs.choose_row(0)
+    page.runs.setCurrentIndex(page.runs.model().index(0, 0))
     described(main, qtbot)
     assert presenter.story.head.piece == "barrel"
     page.filter.setText("pot")
@@ -197,7 +197,7 @@ def test_only_the_newest_are_described_until_one_is_asked_for(main, qtbot, tmp_p
     described(main, qtbot)
     page, pot = main.workspaces["review"].page, f"{TIME}\npot on short: placed"
     assert texts(main) == [pot, TIME, TIME]
-    page.runs.choose_row(1)
+    page.runs.setCurrentIndex(page.runs.model().index(1, 0))
     described(main, qtbot)
     assert texts(main) == [pot, pot, TIME]
     page.filter.setText("barrel")
@@ -273,7 +273,7 @@ def test_only_a_device_fault_before_the_release_keeps_a_trial_out_of_the_rate(
     main.go("review")
     page = main.workspaces["review"].page
     described(main, qtbot)
-    page.runs.choose_row(0)
+    page.runs.setCurrentIndex(page.runs.model().index(0, 0))
     described(main, qtbot)
     words = page.score.words
     assert "1 of 4 placed" in words
@@ -328,7 +328,7 @@ def test_a_long_list_paints_and_measures_only_what_is_in_sight(qapp, qtbot, monk
     assert 3 < len(painted) < 80
     assert 0 < len(measured) < 80
     assert not picked
-    view.choose_row(3)
+    view.setCurrentIndex(view.model().index(3, 0))
     assert picked == [1396] == [view.current]
     view.choose(5)
     assert (picked, view.current) == ([1396], 5)
@@ -376,11 +376,11 @@ def test_no_turn_of_the_window_waits_for_a_long_journal(main, qtbot, run):
     watch = SlotWatch()
     try:
         for _ in range(CHOICES):
-            workspace.page.runs.choose_row(1)
+            workspace.page.runs.setCurrentIndex(workspace.page.runs.model().index(1, 0))
             qtbot.waitUntil(lambda: not workspace.reader.busy, timeout=60_000)
             watch.next_visit()
             watch.doing = "a long run"
-            workspace.page.runs.choose_row(0)
+            workspace.page.runs.setCurrentIndex(workspace.page.runs.model().index(0, 0))
             qtbot.waitUntil(lambda: not workspace.reader.busy, timeout=60_000)
             watch.next_visit()
             watch.doing = ""
@@ -403,7 +403,7 @@ def test_a_long_reading_says_how_far_it_is_and_can_be_given_up(main, qtbot, run,
 
     monkeypatch.setattr(recordings, "read_events", halting)
     monkeypatch.setattr(recordings, "LONG_S", 0.0)
-    page.runs.choose_row(0)
+    page.runs.setCurrentIndex(page.runs.model().index(0, 0))
 
     def words():
         main.pump.tick()
@@ -418,7 +418,7 @@ def test_a_long_reading_says_how_far_it_is_and_can_be_given_up(main, qtbot, run,
     qtbot.waitUntil(lambda: not workspace.reader.busy, timeout=60_000)
     assert page.trials.count() == 0
     # Chosen again it is read as if nothing had been.
-    page.runs.choose_row(1)
-    page.runs.choose_row(0)
+    page.runs.setCurrentIndex(page.runs.model().index(1, 0))
+    page.runs.setCurrentIndex(page.runs.model().index(0, 0))
     qtbot.waitUntil(lambda: not workspace.reader.busy, timeout=60_000)
     assert page.trials.count() == 2 * REPEATS

@@ -94,7 +94,7 @@ class Review:
         QTest.keyClick(self.main.window.windowHandle(), key, modifiers)
 
     def choose(self, row):
-        self.page.runs.choose_row(row)
+        self.page.runs.setCurrentIndex(self.page.runs.model().index(row, 0))
         self.settle()
         self.page.setFocus()
 

@@ -57,7 +57,7 @@ def test_without_a_person_a_release_after_the_alarm_ends_as_asked():
     end = trial_of(bench)
     assert end.outcome is Outcome.ASKED
     assert "Signals differ from calibration: each release is asked" in end.reason
-    assert end.reason.endswith("Nobody is there to ask: the piece stays in the gripper.")
+    assert end.reason.endswith("No operator is present: the piece stays in the gripper.")
     assert not bench.of(ApprovalAwaited)
     assert len(guard.state.observed) == 6, "the trial itself is counted"
     assert any(said.text == guard.describe() for said in bench.of(Said)), "in the run log"

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tests.backend.emulators.wound import WoundWires, bursts, force_apart, simulated_press
+from tests.backend.bench.wound import WoundWires, bursts, force_apart, simulated_press
 from touchdown.backend.bench import EmulatedScene, SimulatedBenchChoice, make_scene
 from touchdown.backend.bench.emulated_scene import (
     LATENCY_S,

@@ -59,7 +59,7 @@ from touchdown.backend.learning.fused.checkpoint import shipped_fused
 from touchdown.backend.simulation.ground_truth import Scene, true_margin_mm
 
 
-@pytest.mark.parametrize(("bottom", "trials"), [("long", 5), ("short+long", 23)])
+@pytest.mark.parametrize(("bottom", "trials"), [("long", 5), ("short+long", 23), ("fresh", 12)])
 def test_no_two_trials_of_a_cell_have_the_same_seed(bottom: str, trials: int) -> None:
     plan = ClosedLoopComparison(
         load_simulation(preset="bench-v1"), "1", {"pot": "m", "barrel": "m"}, ("pot", "barrel"),

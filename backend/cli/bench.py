@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, cast
 import numpy as np
 from rich.table import Table
 
-from touchdown.backend.cli.output import VerbOutput, ctrl_c_cancels, write_new
+from touchdown.backend.cli.output import VerbOutput, ctrl_c_cancels, without_window, write_new
 from touchdown.backend.config import PLACEHOLDERS, Lab, LabSettings, load_lab
 from touchdown.backend.core import Event, FaultError, InputError, Refused, RefusedError
 
@@ -231,7 +231,10 @@ def _recover(args: argparse.Namespace, action: str, screen: VerbOutput) -> int:
         if action == "status" and session.calibrations is not None:
             state["daily_check"] = show_day(session.calibrations, session.day_checks, screen)
         lines, missing = connection.lines(), connection.missing()
-    devices = [{"name": n.name, "state": n.state, "text": line_text(n)} for n in lines]
+    devices = [
+        {"name": n.name, "state": n.state, "text": without_window(line_text(n), screen.lab)}
+        for n in lines
+    ]
     screen.result({"action": action, "done": done, "devices": devices, **state})
     return 0 if done and not missing else 1
 

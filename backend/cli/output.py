@@ -151,14 +151,21 @@ def progress_lines(every_s: float = 2.0) -> Callable[[str, int, int], None]:
 
 
 def text_table(
-    title: str, header: Sequence[str], *rows: Iterable[str | Text], right: Container[str] = ()
+    title: str,
+    header: Sequence[str],
+    *rows: Iterable[str | Text],
+    right: Container[str] = (),
+    lab: str = "",
 ) -> Table:
-    """Return a table of plain texts; the columns of ``right`` are aligned to the right."""
+    """Return a table of plain texts; the columns of ``right`` are aligned to the right.
+
+    Steps in the window become commands for ``lab``.
+    """
     table = Table(title=title)
     for column in header:
         table.add_column(column, justify="right" if column in right else "left", overflow="fold")
     for row in rows:
-        table.add_row(*row)
+        table.add_row(*(without_window(c, lab) if isinstance(c, str) else c for c in row))
     return table
 
 

@@ -135,7 +135,7 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
         with ctrl_c_cancels(session.engine.cancel), connection.held_piece_reported(session, screen):
             result = session.run(request)
     if result.trials:
-        screen.show(trial_table(result.trials, bench=bench.removesuffix(" bench")))
+        screen.show(trial_table(result.trials, bench=bench.removesuffix(" bench"), lab=screen.lab))
     else:
         screen.say(f"No trial took place: {result.reason}")
     if result.run_folder is not None:
@@ -181,7 +181,10 @@ def narrate(fact: core.Event, screen: VerbOutput, bench: str = "simulated bench"
 
 
 def trial_table(
-    trials: Sequence[core.TrialFinished], pieces: Sequence[str] = (), bench: str = "simulated"
+    trials: Sequence[core.TrialFinished],
+    pieces: Sequence[str] = (),
+    bench: str = "simulated",
+    lab: str = "",
 ) -> Table:
     """Return the result table of a run; ``pieces``: a first column, one per trial."""
     placed = sum(t.outcome is core.Outcome.PLACED for t in trials)
@@ -192,7 +195,7 @@ def trial_table(
         first = (*pieces[index : index + 1], str(t.seed))
         rows.append((*first, t.outcome.value, str(t.probes), excess, margin, t.reason))
     header = (*(("piece",) if pieces else ()), "seed", *COLUMNS)
-    return text_table(f"{placed} of {len(trials)} placed ({bench})", header, *rows)
+    return text_table(f"{placed} of {len(trials)} placed ({bench})", header, *rows, lab=lab)
 
 
 def _result(request: StackRequest, result: RunResult, session: Session) -> dict[str, object]:

@@ -265,6 +265,16 @@ def test_rows_are_led_by_their_piece_where_there_are_several() -> None:
     ]
 
 
+def test_reasons_of_a_table_name_commands_instead_of_steps_in_the_window() -> None:
+    end = TrialFinished(1.0, 1, 7, Outcome.ABORTED, "Then press Reset.", 0, None, None)
+    for lab, reason in (
+        ("", "Then start again."),
+        ("b.toml", "run 'touchdown bench b.toml --reset'"),
+    ):
+        (cell,) = list(trial_table([end], lab=lab).columns[-1].cells)
+        assert reason in str(cell)
+
+
 HANDS = {
     "sound": lambda fx, fy, fz: (fx, fy, fz),
     "swapped axes": lambda fx, fy, fz: (fz, fy, fx),

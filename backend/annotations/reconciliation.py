@@ -20,6 +20,7 @@ from touchdown.backend.annotations import episode_files, operation_log, review
 from touchdown.backend.annotations.backups import list_backups
 from touchdown.backend.annotations.consistency import ConsistencyProblem, DatasetParts, leftover
 from touchdown.backend.annotations.database import REBUILD, SCHEMA, Database, add_event
+from touchdown.backend.annotations.geometry_records import GeometryStore
 from touchdown.backend.annotations.operation_log import (
     line_numbers,
     newest_operations,
@@ -282,7 +283,20 @@ def _checks(parts: DatasetParts, whole: bool) -> Iterator[Iterator[ConsistencyPr
     yield check_runs(parts)
     yield _left_overs(parts)
     yield episode_files.check_losses(parts, whole=whole)
+    yield _damaged_geometry(parts) if whole else iter(())
     yield open_findings(parts)
+
+
+def _damaged_geometry(parts: DatasetParts) -> Iterator[ConsistencyProblem]:
+    """Yield the geometry records of labels that are missing or damaged."""
+    store = GeometryStore(parts.geometry.folder)  # without the cache of earlier reads
+    for (pair,) in parts.database.rows("SELECT DISTINCT geometry FROM label_rev"):
+        try:
+            store.pair(pair)
+        except InputError as error:
+            name = parts.name(Path(error.where))
+            message = f"{name}: {error.what} {error.fix}"
+            yield ConsistencyProblem("geometry", name, message, lasting=True)
 
 
 def reconcile(

@@ -140,6 +140,8 @@ def status(args: argparse.Namespace, folder: Path, screen: VerbOutput) -> int:
     with Dataset.open(folder, create=False, write=False) as dataset:
         counts = dataset.count_by_pair()
         age, campaigns = dataset.backups.age, list_campaigns(dataset.database)
+        if (told := dataset.description).is_newer:
+            screen.say(f"It was written by {told.created_by} (schema {told.schema_version}).")
     for one in counts:
         pairs[one.piece, one.bottom, one.state] += one.episodes
         files[one.file_state] += one.episodes

@@ -251,6 +251,17 @@ def test_each_damage_is_found_by_every_verification(folder):
             assert [dataset.labels.head(e.uuid).label.x_um for e in dataset] == [*range(9)]
 
 
+def test_damaged_geometry_is_found_until_it_is_back(folder):
+    for path in sorted((folder / "geometry").iterdir()):
+        good = path.read_bytes()
+        for bad in (b"[" * 100_000, b""):
+            path.write_bytes(bad)
+            for _ in range(3):
+                assert verified(folder) == {f"geometry/{path.name}"}
+        path.write_bytes(good)
+    assert verified(folder) == set()
+
+
 def test_a_changed_word_of_a_row_is_found_until_it_is_mended(folder):
     for table, column in (("episode", "person"), ("label_rev", "note"), ("label_head", "actor")):
         with sqlite3.connect(folder / "catalog.db") as connection:

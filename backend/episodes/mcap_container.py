@@ -519,6 +519,6 @@ def _definitions(topics: Sequence[Topic]) -> tuple[bytes, bytes]:
             body += struct.pack("<I", len(content)) + content
             schemas += encode_record(Opcode.SCHEMA, struct.pack("<H", numbers[topic.schema]) + body)
         body = struct.pack("<HH", channel, numbers[topic.schema]) + encode_text(topic.name)
-        body += encode_text("cdr") + encode_text_map({"offered_qos_profiles": ""})
+        body += encode_text("cdr") + encode_text_map({"offered_qos_profiles": topic.qos})
         channels += encode_record(Opcode.CHANNEL, body)
     return schemas, channels

@@ -110,11 +110,12 @@ _HEAD = len(ENCAPSULATION)
 
 @dataclass(frozen=True, slots=True)
 class Topic:
-    """Channel of a file: name, message type and constant ``frame_id``."""
+    """Channel of a file: name, message type, constant ``frame_id`` and ROS 2 quality of service."""
 
     name: str
     schema: str
     frame_id: str = ""
+    qos: str = ""
 
 
 OBSERVATION_TOPIC = Topic("/obs", "lab_msgs/msg/Observation", "obs")
@@ -137,7 +138,12 @@ POINT_TOPICS = {
     for finger, topic in IMAGE_TOPICS.items()
 }
 TF_TOPIC = Topic("/tf", "tf2_msgs/msg/TFMessage", POSE_TOPIC.frame_id)
-STATIC_TOPIC = Topic("/tf_static", TF_TOPIC.schema)
+_EVER = {"sec": 9223372036, "nsec": 854775807}
+# Quality of service "transient local": the last message also reaches later subscribers.
+_LATCHED = {"history": 1, "depth": 1, "reliability": 1, "durability": 1, "liveliness": 1,
+            "deadline": _EVER, "lifespan": _EVER, "liveliness_lease_duration": _EVER,
+            "avoid_ros_namespace_conventions": False}  # fmt: skip
+STATIC_TOPIC = Topic("/tf_static", TF_TOPIC.schema, qos=json.dumps([_LATCHED]))
 CAMERA_TOPICS = {
     topic.frame_id: Topic(
         topic.name.replace("image", "camera_info"), "sensor_msgs/msg/CameraInfo", topic.frame_id

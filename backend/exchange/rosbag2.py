@@ -12,11 +12,6 @@ from touchdown.backend.episodes import STATIC_TOPIC, read_whole
 from touchdown.backend.exchange.exports import ExportJob
 
 VERSION = 5  # of the metadata: ROS 2 Humble and later read it
-_EVER = {"sec": 9223372036, "nsec": 854775807}
-# Quality of service "transient local": the last message also reaches later subscribers.
-_LATCHED = {"history": 1, "depth": 1, "reliability": 1, "durability": 1, "liveliness": 1,
-            "deadline": _EVER, "lifespan": _EVER, "liveliness_lease_duration": _EVER,
-            "avoid_ros_namespace_conventions": False}  # fmt: skip
 
 
 def write(job: ExportJob, folder: Path) -> Mapping[str, object]:
@@ -43,7 +38,7 @@ def _metadata(file: Path) -> dict[str, object]:
     topics = [
         {"message_count": count, "topic_metadata": {
             "name": name, "type": whole.schemas[name], "serialization_format": "cdr",
-            "offered_qos_profiles": json.dumps([_LATCHED]) if name == STATIC_TOPIC.name else "",
+            "offered_qos_profiles": STATIC_TOPIC.qos if name == STATIC_TOPIC.name else "",
         }}
         for name, count in counts.items()
     ]  # fmt: skip

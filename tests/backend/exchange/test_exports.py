@@ -237,11 +237,16 @@ def test_a_ros_2_bag_says_what_its_file_holds(seen, hand, tmp_path):
             span_ns, numbers.message_count
         )  # fmt: skip
         topics = {
-            one["topic_metadata"]["name"]: (one["topic_metadata"]["type"], one["message_count"])
+            about["name"]: (about["type"], about["offered_qos_profiles"], one["message_count"])
             for one in told["topics_with_message_count"]
+            for about in [one["topic_metadata"]]
         }
         assert topics == {
-            channel.topic: (summary.schemas[channel.schema_id].name, count)
+            channel.topic: (
+                summary.schemas[channel.schema_id].name,
+                *channel.metadata.values(),
+                count,
+            )
             for number, count in numbers.channel_message_counts.items()
             if (channel := summary.channels[number]) and count
         }

@@ -29,14 +29,7 @@ from touchdown.backend.core import (
     write_atomically,
 )
 from touchdown.backend.jobs.execution import MAX_WORKER_DEATHS, THREAD_VARIABLES
-from touchdown.backend.jobs.job import (
-    ARRAYS_PREFIX,
-    JobFunctions,
-    JobResult,
-    JobSpec,
-    JobStore,
-    run_job,
-)
+from touchdown.backend.jobs.job import JobFunctions, JobResult, JobSpec, JobStore, run_job
 
 JOBS_AHEAD = 2  # jobs submitted per worker thread, so that none is idle
 
@@ -134,7 +127,7 @@ class SlurmArrays:
         call(["sbatch", "--version"])
         with disk_errors("The folder of the jobs cannot be used", store.root, "Name another one."):
             store.root.mkdir(parents=True, exist_ok=True)
-            self._folder = Path(tempfile.mkdtemp(prefix=ARRAYS_PREFIX, dir=store.root)).resolve()
+            self._folder = Path(tempfile.mkdtemp(prefix=".slurm-", dir=store.root)).resolve()
         self._waiting: list[JobSpec] = []
         # jobs and the files of their ends, by task, such as "12_3"
         self._running: dict[str, tuple[JobSpec, Path]] = {}

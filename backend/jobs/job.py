@@ -70,7 +70,6 @@ class JobSpec:
 RESULT_FILE = "result.json"
 SPEC_FILE = "spec.json"
 _PART_SUFFIX = ".part"
-ARRAYS_PREFIX = ".slurm-"  # of the folders with the tasks of job arrays
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,11 +131,11 @@ class JobStore:
         sync_folder(self.root)
 
     def sweep(self) -> int:
-        """Delete unfinished folders of killed processes; return their number.
+        """Delete folders of killed processes: unfinished jobs and job arrays; return their number.
 
         A process that still writes to one of them fails.
         """
-        left = [*self.root.glob(f".*{_PART_SUFFIX}"), *self.root.glob(f"{ARRAYS_PREFIX}*")]
+        left = [*self.root.glob(f".*{_PART_SUFFIX}"), *self.root.glob(".slurm-*")]
         for part in left:
             shutil.rmtree(part, ignore_errors=True)
         return len(left)

@@ -129,8 +129,9 @@ def measure_press(press: ForeignEpisode) -> dict[str, FloatArray]:
     tick_s = TICK_S * np.arange(1, len(wrench) + 1)
     grid, lags = np.arange(0.1, 1.6, 0.01), np.arange(-0.4, 0.405, 0.01)
     wanted = np.interp(grid, tick_s, force)
-    fit = [[np.corrcoef(wanted, np.interp(grid + lag, tick_s, own))[0, 1] for lag in lags]
-           for own in moved.T]  # fmt: skip
+    with np.errstate(invalid="ignore"):  # markers that stand still
+        fit = [[np.corrcoef(wanted, np.interp(grid + lag, tick_s, own))[0, 1] for lag in lags]
+               for own in moved.T]  # fmt: skip
     return {
         "wrench": wrench[HELD].mean(axis=0),
         "weight": r.tare,

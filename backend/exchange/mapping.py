@@ -41,8 +41,7 @@ LENGTH_MM = {"m": 1e3, "mm": 1.0}
 # Rest positions for a marker array that holds displacements only.
 NOMINAL_PX = 32.0 * np.stack(np.divmod(np.arange(MARKERS), GRID_COLS)[::-1], -1) + (32.0, 24.0)
 
-# A time stamp in ns, and the numbers or the BGR picture of one message or row.
-Samples = Iterable[tuple[int, NDArray[Any]]]
+Samples = Iterable[tuple[int, NDArray[Any]]]  # time stamps in ns, with numbers or a BGR picture
 
 
 class SignalSource(Settings):

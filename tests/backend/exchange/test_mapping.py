@@ -96,6 +96,13 @@ def test_a_wrong_unit_or_frame_is_named_by_what_contradicts_it(bag, changes, nam
     assert any(named in sentence for sentence in found), found
 
 
+def test_markers_that_stand_still_are_named_without_a_warning(bag):
+    still = [(stamp, bag["/gel_right/markers"][0][1]) for stamp, _ in bag["/gel_right/markers"]]
+    signals, (press,) = mapped({**bag, "/gel_right/markers": still})
+    (found,) = contradictions([measure_press(press)], signals)
+    assert "The markers of 'right' move by" in found
+
+
 @pytest.mark.parametrize("turn_deg", [0, 90, 180, 270])
 @pytest.mark.parametrize("mirror", [False, True])
 def test_markers_turn_like_the_picture_they_are_in(turn_deg, mirror):

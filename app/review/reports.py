@@ -19,7 +19,7 @@ from PySide6.QtWidgets import QMenu, QWidget
 from touchdown.app.review.exports import open_in_viewer
 from touchdown.app.shell import SaveWorker, WorkspaceContext, ask_path, error_card
 from touchdown.backend import experiments
-from touchdown.backend.core import InputError, write_atomically
+from touchdown.backend.core import InputError, RunStarted, write_atomically
 from touchdown.widgets.base import Tokens, label
 from touchdown.widgets.views import FlowWidget, PictureCard, ReportCell, ReportGrid, ReportSheet
 
@@ -263,8 +263,13 @@ def _gallery(
     return made
 
 
-def report_html(caption: str, facts: str, picture: bytes, table: str, banner: str) -> str:
-    """Return an HTML page with ``caption``, the lines of ``facts``, a PNG and a CSV table."""
+def report_html(
+    caption: str, facts: str, picture: bytes, table: str, run: RunStarted | None
+) -> str:
+    """Return an HTML page with ``caption``, the lines of ``facts``, a PNG and a CSV table.
+
+    ``run``: start of the shown run, None for a series.
+    """
     head, *rows = csv.reader(io.StringIO(table))
     # Units of column names in brackets, as "x (mm)" for x_mm.
     names = [re.sub(r"_(s|mm)$", r" (\1)", name) for name in head]
@@ -274,8 +279,9 @@ def report_html(caption: str, facts: str, picture: bytes, table: str, banner: st
         experiments.PictureGallery("", (experiments.ReportPicture(image),)),
         experiments.ReportTable.of_texts("", names, rows),
     )
-    return experiments.report_page(
-        experiments.Report(
-            caption, tuple(facts.splitlines()), (experiments.ReportSection("", (), parts),), banner
-        )
-    )
+    about = [experiments.written_text(), *facts.splitlines()]
+    if run is not None:
+        about.insert(1, experiments.run_text(run))
+    banner = experiments.SIMULATED if run is not None and run.simulated else ""
+    sections = (experiments.ReportSection("", (), parts),)
+    return experiments.report_page(experiments.Report(caption, tuple(about), sections, banner))

@@ -17,7 +17,6 @@ from touchdown.app.review.presenter import ReviewPresenter
 from touchdown.app.review.recordings import ReviewDataset
 from touchdown.app.review.reports import ReportsPresenter, report_html
 from touchdown.app.shell import SaveWorker, WindowCommand, Workspace, WorkspaceContext
-from touchdown.backend.experiments import SIMULATED
 from touchdown.backend.runs import dataset_folder
 from touchdown.widgets.shell import CardText
 
@@ -145,11 +144,10 @@ class ReviewWorkspace(Workspace):
         notes = [f"Bookmark, trial {mark.trial}, {mark.t_s:.2f} s: {mark.note}"
                  for mark in self.presenter.bookmarks]  # fmt: skip
         facts, head = "\n".join((self.page.score.words, *notes)), self.presenter.story.head
-        banner = SIMULATED if head is not None and head.simulated else ""
         picture = view_picture(self.page.shown, self._context.theme, caption)
 
         def write(table: str) -> None:
-            text = report_html(caption, facts, picture, table, banner)
+            text = report_html(caption, facts, picture, table, head)
             self._export(lambda: write_export(text, self.exports, f"{name}.html"))
 
         self.presenter.make_table(write)

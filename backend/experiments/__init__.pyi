@@ -52,7 +52,9 @@ from .results import read_report as read_report
 from .results import rewrite_tables as rewrite_tables
 from .results import write_comparison as write_comparison
 from .results import write_tables as write_tables
+from .run_report import run_text as run_text
 from .run_report import write_run_report as write_run_report
+from .run_report import written_text as written_text
 from .statistics import sequential_decision as sequential_decision
 from .strategies import BOTTOMS as BOTTOMS
 from .strategies import CEILING as CEILING

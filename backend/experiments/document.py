@@ -216,7 +216,8 @@ def reliability_chart(
         f'<polyline points="{line}" fill="none" stroke="{BLUE}"/>'
     )
     ticks = _text(PAD - 8, SIDE - PAD + 4, "0") + _text(PAD - 8, PAD + 4, "1")
-    ticks += _text(SIDE - PAD, SIDE - PAD + 14, "1")
+    ticks += _text(SIDE - PAD, SIDE - PAD + 14, "1") + _text(PAD + 20, PAD - 5, "observed")
+    ticks += _text(SIDE / 2, SIDE - PAD + 14, "predicted")
     return _frame(title, box + dots + ticks + _text(SIDE / 2, SIDE - 6, note))
 
 
@@ -288,7 +289,8 @@ def curves_chart(
     axis = f'<path d="{ways}" stroke="{FAINT}" fill="none"/>'
     ends = [10.0**v if log else v for v in (across[0], across[-1], low, high)]
     spans = [
-        f"{a:.2g} to {b:.2g} {u}" for a, b, u in zip(ends[::2], ends[1::2], units, strict=True)
+        f"{letter}: {a:.2g} to {b:.2g} {unit}"
+        for letter, a, b, unit in zip("xy", ends[::2], ends[1::2], units, strict=True)
     ]
     note = _text(SIDE / 2, SIDE - 20, spans[0]) + _text(SIDE / 2, SIDE - 7, spans[1])
     return _frame(title, axis + "".join(lines) + note)

@@ -216,14 +216,12 @@ def write_run_report(
     OSError
         The file cannot be written.
     """
-    made = f"Written on {datetime.now():%Y-%m-%d at %H:%M} by touchdown {core.program_version()}."
-    galleries, rows, about, placed = [], [], [made, _LEGEND], 0
+    galleries, rows, about, placed = [], [], [written_text(), _LEGEND], 0
     for events in runs:
         head, trials = _split_trials(events)
         if head is None:
             continue
-        told = f"Run {head.run_id}: {head.piece} on {head.bottom}, strategy {head.strategy}"
-        about.append(f"{told}, {_model_text(head)}seed {head.seed}.")
+        about.append(run_text(head))
         outline = outlines_mm.get(head.bottom.split("+")[-1]) if head.simulated else None
         for trial in trials:
             title = f"{head.piece} on {head.bottom}, seed {trial.started.seed}"
@@ -238,6 +236,17 @@ def write_run_report(
         (document.ReportSection("", (), (table, *galleries)),),
     )
     core.write_atomically(path, document.report_page(report).encode())
+
+
+def written_text() -> str:
+    """Return the date of a report that is written now, and the program."""
+    return f"Written on {datetime.now():%Y-%m-%d at %H:%M} by touchdown {core.program_version()}."
+
+
+def run_text(head: core.RunStarted) -> str:
+    """Return pieces, strategy, model and seed of a run as one line."""
+    told = f"Run {head.run_id}: {head.piece} on {head.bottom}, strategy {head.strategy}"
+    return f"{told}, {_model_text(head)}seed {head.seed}."
 
 
 def _model_text(head: core.RunStarted) -> str:

@@ -345,6 +345,8 @@ def test_pictures_tables_and_pages_hold_what_is_shown(told, tmp_path):
     assert root.find(".//h1").text.startswith("Run 2026")
     said = "\n".join(line.text or "" for line in root.iter("p"))
     assert "1 of 1 placed" in said
+    assert re.search(r"Written on \d{4}-\d\d-\d\d at .* by touchdown \d", said)
+    assert re.search(r"Run .*: pot on short, strategy paper, .*seed \d", said)
     assert "SIMULATED BENCH" in said
 
 

@@ -3,7 +3,7 @@
 SHELL := /bin/bash
 .SHELLFLAGS := -eu -o pipefail -c
 .DEFAULT_GOAL := help
-.PHONY: help setup run demo test check lint types contracts format bench campaign fuzz screens pictures models exchange-check cluster-check docs docs-links bundle release clean
+.PHONY: help setup run demo test check lint types contracts format bench campaign fuzz screens texts pictures models exchange-check cluster-check docs docs-links bundle release clean
 
 export PYTHON
 # Compiled once, not by every process again, also where the environment forbids to keep it.
@@ -14,6 +14,7 @@ WORKERS ?= 2
 MINUTES ?= 10
 GROUP ?=
 PART ?=
+TO ?= de
 # Where so much is free in memory, tests write there: they flush thousands of small files.
 MEMORY_MB := 6000
 # From CPython 3.12 on, the monitoring of the interpreter measures coverage at no cost.
@@ -80,6 +81,11 @@ fuzz: setup ## feed damaged bytes to every wire decoder (10 min each; MINUTES=1 
 
 screens: setup ## render every workspace and state, in all themes, into output/screens (CHECK=1: check sizes; PSEUDO=1: with longer texts)
 	@QT_QPA_PLATFORM=offscreen OMP_NUM_THREADS=1 $(BIN)/python -m tests.screens $(if $(CHECK),--check) $(if $(PSEUDO),--pseudo) 2>/dev/null
+
+texts: setup ## write or update a translation of the window, in resources/languages (TO=de)
+	@mkdir -p resources/languages
+	@PATH="$(abspath $(BIN)):$$PATH" $(BIN)/python -m tests.screens --texts resources/languages/touchdown_$(TO).ts
+	@$(BIN)/pyside6-lrelease resources/languages/touchdown_$(TO).ts
 
 pictures: setup ## make the pictures of README and guides, in docs/img
 	@QT_QPA_PLATFORM=offscreen OMP_NUM_THREADS=1 $(BIN)/python -m tests.pictures 2>/dev/null

@@ -6,16 +6,22 @@ texts are those that Python code draws; elided texts count where digits are lost
 
 from __future__ import annotations
 
+import ast
+import json
 import math
 import re
+import subprocess
+import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cache
 from itertools import combinations, product
+from pathlib import Path
 from typing import Any
 from unittest import mock
 
-from PySide6.QtCore import QPoint, QPointF, QRect, QRectF, QSize, Qt
+from PySide6.QtCore import QPoint, QPointF, QRect, QRectF, QSize, Qt, QTranslator
 from PySide6.QtGui import QFontMetrics, QFontMetricsF, QPainter
 from PySide6.QtWidgets import (
     QAbstractButton,
@@ -43,6 +49,7 @@ from PySide6.QtWidgets import (
 from shiboken6 import isValid
 
 from touchdown.widgets.base import ElidedLabel
+from touchdown.widgets.base.panel import CONTEXT
 from touchdown.widgets.shell.tour import TourCard
 
 SIZES = ((800, 600), (1024, 768), (1280, 720), (1366, 768), (1600, 940), (2560, 1440))
@@ -129,6 +136,7 @@ def logical_sizes() -> Iterator[tuple[str, QSize, bool]]:
 ACCENTS = str.maketrans(
     "aeiouAEIOUcn", "\u00e5\u00eb\u00ef\u00f6\u00fc\u00c5\u00cb\u00cf\u00d6\u00dc\u00e7\u00f1"
 )
+MARKED = re.compile(f"[{''.join(map(chr, ACCENTS.values()))}]")
 LONGER = 0.3  # share by which a translation may be longer than the English text
 
 
@@ -138,18 +146,87 @@ def pseudo_text(text: str) -> str:
         return text
     more = math.ceil(LONGER * len(text))
     added = "\u00f6" * more if " " not in text else (" \u00fcnd m\u00ebhr" * more)[:more]
-    return text.translate(ACCENTS) + added
+    # Fields such as {:.1f} stay as they are.
+    parts = re.split(r"(\{[^{}]*\})", text)
+    return "".join(p if p[:1] == "{" else p.translate(ACCENTS) for p in parts) + added
+
+
+class PseudoTranslator(QTranslator):
+    """Translates the texts that the window gives for translation into pseudo texts."""
+
+    def translate(self, context: str, text: str, *_: object) -> str:
+        """Return the pseudo text of an extracted text, else the text itself."""
+        return pseudo_text(text) if context == CONTEXT and text in window_texts() else text
+
+
+# Functions that translate some arguments, by position; elements of their tuples by position.
+GIVEN = {
+    "tr": (0,), "label": (0,), "Panel": (0,), "CaptionedView": (0,), "__init__": (0,),
+    "rename": (0,), "show_message": (0,), "say": (0,), "flat_button": (0, 1), "HoldButton": (0, 2),
+    "compact_combo_box": (0, 1), "draw_message": (3, 4), "WindowCommand": (1,), "on": (1,),
+    "ask": (0, 1, 2), "TourStop": (2, 3), "CardText": (1, 2, 3), "CardQuestion": (0,),
+    "DecisionText": (0, 3), "TrialPrompt": (0, 1, 2), "ProbeText": (0,),
+}  # fmt: skip
+ROWS = {"describe": (1, 2), "add_wide": (0, 2, 3), "add_halves": (0, 2, 3), "set_entries": (1,)}
+CODE = Path(__file__).resolve().parents[1]
+
+
+@cache
+def window_texts() -> frozenset[str]:
+    """Return the literals of ``app`` and ``widgets`` that are translated or stand in tables."""
+    texts = set[str]()
+    for path in sorted(path for name in ("app", "widgets") for path in (CODE / name).rglob("*.py")):
+        tree = ast.parse(path.read_text("utf-8"))
+        for node in tree.body:
+            if isinstance(node, ast.Assign | ast.AnnAssign) and node.value is not None:
+                texts |= {
+                    text for text in _literals(node.value) if text[0].isupper() or " " in text
+                }
+        for call in ast.walk(tree):
+            if isinstance(call, ast.Call):
+                name = getattr(call.func, "attr", getattr(call.func, "id", ""))
+                rows = [row.elts for arg in call.args for row in ast.walk(arg)
+                        if name in ROWS and isinstance(row, ast.Tuple)]  # fmt: skip
+                for row, places in ((call.args, GIVEN), *((row, ROWS) for row in rows)):
+                    for at in places.get(name, ()):
+                        texts |= set(_literals(row[at])) if at < len(row) else set()
+    return frozenset(texts)
+
+
+def _literals(node: ast.AST) -> Iterator[str]:
+    """Yield the texts of an expression, without those that it compares with or formats."""
+    if isinstance(node, ast.Constant):
+        if isinstance(node.value, str) and re.search(r"[A-Za-z]{2}", node.value):
+            yield node.value
+    elif not isinstance(node, ast.JoinedStr | ast.Compare):
+        for child in ast.iter_child_nodes(node):
+            yield from _literals(child)
+
+
+def write_texts(file: Path) -> None:
+    """Write or update a file of translations for Qt Linguist; present translations stay."""
+    with tempfile.TemporaryDirectory() as folder:
+        listing = Path(folder) / "texts.py"
+        given = (f"{json.dumps(CONTEXT)}, {json.dumps(text)}" for text in sorted(window_texts()))
+        listing.write_text("".join(f"QCoreApplication.translate({one})\n" for one in given))
+        command = ["pyside6-lupdate", str(listing), "-locations", "none", "-ts", str(file)]
+        subprocess.run(command, check=True)
 
 
 @contextmanager
-def pseudo_texts() -> Iterator[None]:
-    """Show all labels and buttons in pseudo texts, then in their own ones again."""
+def pseudo_texts(untranslated: set[str]) -> Iterator[None]:
+    """Show all labels and buttons in pseudo texts, then in their own ones again.
+
+    Adds the texts that did not go through the translation to ``untranslated``.
+    """
     changed = list[tuple[Any, str, str]]()
     for widget in QApplication.allWidgets():
         if isinstance(widget, QLabel | QAbstractButton) and widget.isVisible():
             text = widget.text()
-            widget.setText(pseudo_text(text))
-            changed.append((widget, text, widget.text()))
+            if not MARKED.search(text):
+                widget.setText(pseudo_text(text))
+                changed.append((widget, text, widget.text()))
+                untranslated |= {text} - {widget.text()}
     try:
         yield
     finally:

@@ -50,7 +50,12 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--check", action="store_true", help="check all sizes and scales instead")
     parser.add_argument("--pseudo", action="store_true",
                         help="check with accented texts that are 30 %% longer")  # fmt: skip
+    parser.add_argument("--texts", type=Path, metavar="FILE.ts",
+                        help="write the texts of the window for Qt Linguist instead")  # fmt: skip
     args = parser.parse_args(argv)
+    if args.texts is not None:
+        screen_check.write_texts(args.texts)
+        return 0
     return run_reporting(lambda: _render_in_a_folder(args))
 
 
@@ -100,7 +105,10 @@ def _check(args: argparse.Namespace, folder: Path, _files: dict[str, PictureFile
 
     One line names a failure, the number of views that show it, and the first of them.
     """
-    application, views = QApplication([]), 0
+    application, views, plain = QApplication([]), 0, set[str]()
+    if args.pseudo:
+        pseudo = screen_check.PseudoTranslator(application)
+        application.installTranslator(pseudo)
     _make_dataset(folder / "dataset")
     screen_panels.train_models(folder / "packs")
     found = collections.defaultdict[str, list[str]](list)
@@ -110,7 +118,7 @@ def _check(args: argparse.Namespace, folder: Path, _files: dict[str, PictureFile
             # Larger and smaller text is an axis of its own.
             if state.startswith("text-") or not state.startswith(tuple(args.only)):
                 continue
-            with screen_check.pseudo_texts() if args.pseudo else contextlib.nullcontext():
+            with screen_check.pseudo_texts(plain) if args.pseudo else contextlib.nullcontext():
                 for name, size, whole in screen_check.logical_sizes():
                     for line in screen_check.view_failures(stage.main.window, size, whole=whole):
                         found[re.sub(r"\d+(x\d+)? (of \d+ )?px", "px", line)].append(
@@ -122,6 +130,8 @@ def _check(args: argparse.Namespace, folder: Path, _files: dict[str, PictureFile
         stage.close()
     for _, places in sorted(found.items()):
         sys.stdout.write(f"{places[0]} ({count_noun(len(places), 'view')})\n")
+    for text in sorted(plain):
+        sys.stdout.write(f"not translated: '{text}'\n")
     sys.stdout.write(f"{count_noun(len(found), 'failure')} in {views} views\n")
     return 1 if found else 0
 

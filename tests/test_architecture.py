@@ -224,6 +224,26 @@ def test_style_sheets_have_one_door():
     assert [name for name in users if not name.startswith("widgets/base/theme")] == []
 
 
+WIDGET_TEXTS = ("QPushButton", "QCheckBox", "QLabel", "setText", "setToolTip", "setPlaceholderText",
+                "setWindowTitle", "setAccessibleName", "setAccessibleDescription")  # fmt: skip
+
+
+def test_literals_reach_a_widget_through_the_translation():
+    found = []
+    # The splash is shown before a translation is loaded.
+    for path in (p for p in CODE if _name(p).startswith(("app/", "widgets/"))):
+        for call in _calls(path, *WIDGET_TEXTS) if path.name != "splash.py" else ():
+            for given in call.args[:1]:
+                texts = [given.body, given.orelse] if isinstance(given, ast.IfExp) else [given]
+                parts = [
+                    p for t in texts for p in (t.values if isinstance(t, ast.JoinedStr) else [t])
+                ]
+                words = "".join(str(p.value) for p in parts if isinstance(p, ast.Constant))
+                if re.search("[A-Za-z]{3}", words):
+                    found.append(f"{_name(path)}:{call.lineno} {words}")
+    assert found == []
+
+
 def test_no_signal_carries_samples():
     """Samples are pulled at the display's pace: a burst of signals would starve the event loop."""
     samples = {"TactileFrame", "MarkerField", "Samples", "Recording", "ndarray"}

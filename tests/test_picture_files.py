@@ -5,12 +5,12 @@ from pathlib import Path
 import pytest
 from PySide6.QtCore import QRectF, QSize, Qt
 from PySide6.QtGui import QPainter
-from PySide6.QtWidgets import QComboBox, QLabel, QPushButton, QWidget
+from PySide6.QtWidgets import QApplication, QComboBox, QLabel, QPushButton, QWidget
 
 from tests import pictures, screens
 from tests.picture_files import PictureFiles, run_reporting
-from tests.screen_check import view_failures
-from touchdown.widgets.base import ElidedLabel, scroll_area
+from tests.screen_check import PseudoTranslator, view_failures, window_texts
+from touchdown.widgets.base import ElidedLabel, Panel, describe, label, scroll_area, tr
 
 
 @pytest.fixture
@@ -110,3 +110,25 @@ def test_the_check_of_the_screens_finds_what_does_not_fit(qtbot):
 def view_failures_of(window):
     window.show()
     return view_failures(window, QSize(400, 300))
+
+
+def test_texts_of_the_window_go_through_the_translation(qtbot):
+    """Parts of ``widgets.base`` translate what they are given; fields keep their place and form."""
+    assert {"Start stacking", "Press Start stacking to begin.", "Grip"} <= window_texts()
+    translator, application = PseudoTranslator(), QApplication.instance()
+    application.installTranslator(translator)
+    try:
+        button, panel = QPushButton(tr("Grip")), Panel("Run")
+        for widget in (button, panel):
+            qtbot.addWidget(widget)
+        describe((button, "Start stacking", "not in the sources"))
+        assert button.text() == "Gr\u00efp\u00f6\u00f6"
+        assert button.accessibleName() == "St\u00e5rt st\u00e5\u00e7k\u00ef\u00f1g \u00fcnd "
+        assert (button.toolTip(), panel.accessibleName()) == (
+            "not in the sources",
+            "R\u00fc\u00f1\u00f6",
+        )
+        assert label("").text() == ""
+    finally:
+        application.removeTranslator(translator)
+    assert tr("{} of {:.1f} placed", 1, 2) == "1 of 2.0 placed"

@@ -16,7 +16,7 @@ from PySide6.QtWidgets import QApplication, QLineEdit, QProgressBar, QPushButton
 from touchdown.app.shell import BenchSheet, ask_path
 from touchdown.backend.core import data_folder, write_atomically
 from touchdown.backend.runs import dataset_folder
-from touchdown.widgets.base import Theme, hbox, label, set_property
+from touchdown.widgets.base import Theme, hbox, label, set_property, tr
 from touchdown.widgets.lists import FigureTable
 
 PROGRESS = re.compile(r"(.+): ([\d,]+) of ([\d,]+)(.*)")
@@ -35,11 +35,11 @@ class IdentifySheet(BenchSheet):
     def __init__(self, parent: QWidget, theme: Theme) -> None:
         super().__init__(parent, "Identify the bench")
         self.dataset = QLineEdit(str(dataset_folder()))
-        self.dataset.setAccessibleName("Dataset")
-        self.choose = QPushButton("Choose\N{HORIZONTAL ELLIPSIS}")
-        self.begin, self.cancel = QPushButton("Identify"), QPushButton("Cancel")
-        self.accept_it, self.report = QPushButton("Accept"), QPushButton("Report")
-        self.accept_it.setToolTip("Keep the bench file in the data folder, named by the time")
+        self.dataset.setAccessibleName(tr("Dataset"))
+        self.choose = QPushButton(tr("Choose\N{HORIZONTAL ELLIPSIS}"))
+        self.begin, self.cancel = QPushButton(tr("Identify")), QPushButton(tr("Cancel"))
+        self.accept_it, self.report = QPushButton(tr("Accept")), QPushButton(tr("Report"))
+        self.accept_it.setToolTip(tr("Keep the bench file in the data folder, named by the time"))
         self.progress = QProgressBar()
         self.verdict, self.note = label("", "title", wrap=True), label("", wrap=True)
         self.table = FigureTable(theme, "Parameters", COLUMNS)
@@ -115,9 +115,9 @@ class IdentifySheet(BenchSheet):
         try:
             write_atomically(kept, self._draft.read_bytes())
         except OSError as error:
-            self.note.setText(f"The bench file cannot be kept: {error}")
+            self.note.setText(tr("The bench file cannot be kept: {}", error))
             return
-        self.note.setText(f"Accepted: {kept}. Open it with touchdown app --bench FILE.")
+        self.note.setText(tr("Accepted: {}. Open it with touchdown app --bench FILE.", kept))
         self.accept_it.setEnabled(False)
 
     def _finished(self, code: int) -> None:

@@ -36,6 +36,7 @@ from touchdown.widgets.base import (
     label,
     scroll_area,
     set_property,
+    tr,
     vbox,
 )
 from touchdown.widgets.forms import FormFields, decimal_box, set_entries
@@ -57,7 +58,7 @@ class PlaceForm(QWidget):
         set_entries(self.piece, [(name, name) for name in pieces], usual.piece)
         set_entries(self.bottom, [(name, name) for name in bottoms], usual.bottom)
         self.x_mm, self.y_mm = decimal_box(-REACH_MM, REACH_MM), decimal_box(-REACH_MM, REACH_MM)
-        self.hand_over = QCheckBox("Hand the piece over (no jig)")
+        self.hand_over = QCheckBox(tr("Hand the piece over (no jig)"))
         self.pitch_mm = decimal_box(0.5, 5.0)
         self.pitch_mm.setValue(usual.pitch_mm)
         x, y, pitch = self.x_mm, self.y_mm, self.pitch_mm
@@ -174,7 +175,9 @@ class CalibrateSheet(BenchSheet):
         super().__init__(parent, "Calibrate")
         self.form = form
         self._shown: CalibrationView | None = None
-        self.choices = [QPushButton(CALIBRATION_KINDS[what].title) for what in MEASUREMENT_NAMES]
+        self.choices = [
+            QPushButton(tr(CALIBRATION_KINDS[what].title)) for what in MEASUREMENT_NAMES
+        ]
         self.conditions = [label("", "small") for _ in self.choices]
         self.group = QButtonGroup(self)
         self.title = label("", "head")
@@ -186,12 +189,12 @@ class CalibrateSheet(BenchSheet):
         self.table = FigureTable(theme, "Values", ("quantity", "value", "limits"))
         self.figure, self.note = label("", "title", wrap=True), label("", wrap=True)
         self.question = QuestionRow()
-        self.measure, self.cancel = QPushButton("Measure"), QPushButton("Cancel")
-        self.accept_it, self.identify = QPushButton("Accept"), QPushButton("Identify")
+        self.measure, self.cancel = QPushButton(tr("Measure")), QPushButton(tr("Cancel"))
+        self.accept_it, self.identify = QPushButton(tr("Accept")), QPushButton(tr("Identify"))
         self._pictures = QWidget()
-        self.cancel.setToolTip("End in an orderly way: lift, keep the piece")
-        self.accept_it.setToolTip("Keep the result as a file that expires")
-        self.identify.setToolTip("Fit the simulated bench to recorded presses")
+        self.cancel.setToolTip(tr("End in an orderly way: lift, keep the piece"))
+        self.accept_it.setToolTip(tr("Keep the result as a file that expires"))
+        self.identify.setToolTip(tr("Fit the simulated bench to recorded presses"))
         self._arrange()
 
     def show_look(self, look: CalibrationView) -> None:
@@ -203,7 +206,8 @@ class CalibrateSheet(BenchSheet):
             self.conditions[index].setText(words)
             set_property(self.conditions[index], "tone", tone)
         self.choices[MEASUREMENT_NAMES.index(look.what)].setChecked(True)
-        self.title.setText(f"Calibrate: {CALIBRATION_KINDS[look.what].title}")
+        title = tr(CALIBRATION_KINDS[look.what].title)
+        self.title.setText(tr("Calibrate: {}", title))
         now = 1 if look.progress is not None else 0 if look.found is None else 2
         for index, (step, text) in enumerate(zip(self.steps, STEPS[look.what], strict=True)):
             step.setText(f"{index + 1}  {text}")
@@ -254,9 +258,9 @@ class CalibrateSheet(BenchSheet):
         set_property(self.note, "tone", "bad" if found is not None and found.obstacle else "")
 
     def _show_buttons(self, look: CalibrationView) -> None:
-        self.measure.setText("Measure" if look.found is None else "Repeat")
+        self.measure.setText(tr("Measure" if look.found is None else "Repeat"))
         self.measure.setEnabled(not look.busy and not look.why)
-        self.measure.setToolTip(look.why or "The arm moves. STOP works as ever.")
+        self.measure.setToolTip(look.why or tr("The arm moves. STOP works as ever."))
         self.cancel.setEnabled(look.busy)
         can_accept = look.found is not None and look.found.acceptable and not look.busy
         self.accept_it.setEnabled(can_accept)
@@ -283,7 +287,7 @@ class CalibrateSheet(BenchSheet):
     def _right(self) -> QWidget:
         for view in self.fingers.values():
             view.setFixedSize(MIN_SIZE)
-        pair = (CaptionedView(f"{f.capitalize()} finger", v) for f, v in self.fingers.items())
+        pair = (CaptionedView(tr("{} finger", f.capitalize()), v) for f, v in self.fingers.items())
         hbox(*pair, parent=self._pictures, margins=(0, 0, 0, 0))
         page, seen = QWidget(), hbox(self._pictures, (self.plot, 1))
         vbox(

@@ -12,7 +12,7 @@ from touchdown.app.collect.probes import SIGNALS
 from touchdown.app.shell import LivePage, arm_position_mm, column_of
 from touchdown.backend.bench import Session
 from touchdown.backend.core import FINGERS
-from touchdown.widgets.base import CaptionedView, Panel, Theme, add_items, hbox, vbox
+from touchdown.widgets.base import CaptionedView, Panel, Theme, add_items, hbox, tr, vbox
 from touchdown.widgets.forms import LastProbePanel, PairHealthPanel, TargetPanel
 from touchdown.widgets.lists import EpisodeTable
 from touchdown.widgets.plots import DistributionView
@@ -42,19 +42,19 @@ class CollectPage(LivePage):
         self.coverage = DistributionView(theme, "Coverage of the displacements", choose)
         self.distribution = DistributionView(theme, "Distribution of the displacements", choose)
         self.signal = QComboBox()
-        self.signal.addItems([f"{name} ({unit})" for name, unit, _ in SIGNALS])
+        self.signal.addItems([f"{tr(name)} ({unit})" for name, unit, _ in SIGNALS])
         self.signal.setProperty("role", "compact")
-        self.signal.setAccessibleName("Signal that colours the dots")
-        self.signal.setToolTip("Colour the dots by this signal at the end of the press")
+        self.signal.setAccessibleName(tr("Signal that colours the dots"))
+        self.signal.setToolTip(tr("Colour the dots by this signal at the end of the press"))
         yield
         self.probe = LastProbePanel(self.decided.emit)
         self.table = EpisodeTable(theme, self.row_chosen.emit)
-        self.deleted = QCheckBox("Deleted too")
-        self.deleted.setToolTip("Show probes that were discarded")
+        self.deleted = QCheckBox(tr("Deleted too"))
+        self.deleted.setToolTip(tr("Show probes that were discarded"))
         self.health = PairHealthPanel()
         self._recorder_panel = Panel("Recorder")
         self.recorder = self._recorder_panel.detail
-        self.recorder.setAccessibleName("Recorder")
+        self.recorder.setAccessibleName(tr("Recorder"))
         # Return the focus to the page, whose commands are single letters.
         self.target.person.returnPressed.connect(self.setFocus, Qt.ConnectionType.QueuedConnection)
         self.signal.currentIndexChanged.connect(self.filter_changed)
@@ -68,9 +68,9 @@ class CollectPage(LivePage):
     def fit_to_theme(self) -> None:
         """Set the widths of the controls for the size of the text."""
         em = self.em
-        self._left.setMinimumWidth(round(17.5 * em))
+        self._left.least_px = round(17.5 * em)
         self._left.setMaximumWidth(round(22 * em))
-        self._right.setMinimumWidth(round(22 * em))
+        self._right.least_px = round(22 * em)
         for plot in (self.force, self.moment):
             # Large axis labels need larger plots.
             plot.setMinimumSize(max(200, round(12 * em)), max(104, round(6.1 * em)))

@@ -20,6 +20,7 @@ from touchdown.backend.bench import Session
 from touchdown.backend.episodes import check_quality
 from touchdown.backend.geometry import PieceLibrary
 from touchdown.backend.runs import Campaign, CollectRequest, current_campaign, newest_campaign
+from touchdown.widgets.base import tr
 from touchdown.widgets.forms import ProbeText, TargetButtons
 from touchdown.widgets.shell import FaultCards
 
@@ -101,7 +102,7 @@ class ProbesPresenter:
         self.harvest, self._stale, self.last, self.chosen = PairProbes(face, outline), True, "", ""
         if dataset is None:
             return
-        self._page.episodes.detail.setText("reading")
+        self._page.episodes.detail.setText(tr("reading"))
 
         def done(held: list[ProbeRecord]) -> None:
             if pair == self._pair and dataset is self._read_from:
@@ -168,11 +169,11 @@ class ProbesPresenter:
         page.distribution.show_scene(self.harvest.distribution(signal, self.shown))
         possible = int(seen.possible.sum())
         page.coverage_caption.detail.setText(
-            f"{possible - seen.holes} of {possible} bins of {seen.bin_mm:g} mm"
+            tr("{}/{} bins, {:g} mm", possible - seen.holes, possible, seen.bin_mm)
         )
         rows = self.harvest.rows(deleted=page.deleted.isChecked())
         page.table.show_rows(rows, self.shown)
-        page.episodes.detail.setText(f"{len(rows)} of {' on '.join(self._pair)}")
+        page.episodes.detail.setText(tr("{} of this pair", len(rows)))
         page.probe.show_words(words(self.held()))
 
 

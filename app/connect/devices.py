@@ -14,7 +14,7 @@ from touchdown.app.shell import BenchSheet
 from touchdown.backend.bench import Session
 from touchdown.backend.config import LabSettings, load_lab, save_lab
 from touchdown.backend.core import InputError
-from touchdown.widgets.base import label, rule, scroll_area, set_property
+from touchdown.widgets.base import label, rule, scroll_area, set_property, tr
 from touchdown.widgets.forms import field_label
 
 
@@ -41,12 +41,12 @@ class DevicesSheet(BenchSheet):
         self.source, self.said = label("", wrap=True), label("", wrap=True)
         self._form = QWidget()
         self.editors: dict[str, QComboBox | QLineEdit] = {}
-        self.look, self.swap = QPushButton("Look again"), QPushButton("Exchange left and right")
-        self.save = QPushButton("Save")
+        self.look, self.save = QPushButton(tr("Look again")), QPushButton(tr("Save"))
+        self.swap = QPushButton(tr("Exchange left and right"))
         self.save.setProperty("role", "primary")
-        self.look.setToolTip("Look for serial ports and cameras that are plugged in")
-        self.swap.setToolTip("Each camera to the other finger")
-        self.save.setToolTip("Write the lab file; nothing is connected or moved")
+        self.look.setToolTip(tr("Look for serial ports and cameras that are plugged in"))
+        self.swap.setToolTip(tr("Each camera to the other finger"))
+        self.save.setToolTip(tr("Write the lab file; nothing is connected or moved"))
         self._arrange(fields)
 
     def values(self) -> dict[str, str]:
@@ -152,7 +152,7 @@ class DevicesPresenter:
             self.sheet.look.clicked.connect(self._look)
             self.sheet.swap.clicked.connect(self._swap)
             self.sheet.save.clicked.connect(self._save)
-            self.sheet.source.setText(f"In {self._path}. What else it says stays as it is.")
+            self.sheet.source.setText(tr("In {}. What else it says stays as it is.", self._path))
         try:
             self._settings = load_lab(self._path).settings
         except InputError as error:

@@ -16,7 +16,7 @@ from touchdown.backend.bench import Session
 from touchdown.backend.config import LimitSettings
 from touchdown.backend.devices import Limits
 from touchdown.backend.runs import changed_limits
-from touchdown.widgets.base import label, rule
+from touchdown.widgets.base import label, rule, tr
 from touchdown.widgets.forms import decimal_box, field_label, inset_spin_boxes
 from touchdown.widgets.shell import FaultCards
 
@@ -53,10 +53,10 @@ class LimitsSheet(BenchSheet):
         self._grid.setVerticalSpacing(2)
         self.boxes: dict[str, QDoubleSpinBox] = {}
         self._shown: dict[str, tuple[float, float]] = {}
-        self.edit = QPushButton("Unlock")
+        self.edit = QPushButton(tr("Unlock"))
         self.edit.setCheckable(True)
-        self.edit.setToolTip("Let the limits be changed")
-        self.take = QPushButton("Change\N{HORIZONTAL ELLIPSIS}")
+        self.edit.setToolTip(tr("Let the limits be changed"))
+        self.take = QPushButton(tr("Change\N{HORIZONTAL ELLIPSIS}"))
         self.edit.toggled.connect(self._unlock)
         self.take.clicked.connect(self._taken)
         head = label("Limits of motion and force", "head")

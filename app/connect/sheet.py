@@ -10,7 +10,7 @@ from PySide6.QtCore import QRect, Qt, Signal
 from PySide6.QtWidgets import QGridLayout, QLabel, QPushButton, QWidget
 
 from touchdown.app.shell import BenchSheet, QuestionRow
-from touchdown.widgets.base import label, rule, set_property
+from touchdown.widgets.base import label, rule, set_property, tr
 
 MARKS = {
     "done": "\N{CHECK MARK}",
@@ -79,14 +79,15 @@ class ConnectSheet(BenchSheet):
         self._grid.setVerticalSpacing(8)
         self._grid.setColumnStretch(len(self._steps) + 2, 1)
         self._rows: list[_DeviceRow] = []
-        self.connect_all = QPushButton("Connect all")
+        self.connect_all = QPushButton(tr("Connect all"))
         self.connect_all.setProperty("role", "primary")
-        self.cancel, self.disconnect_all = QPushButton("Cancel"), QPushButton("Disconnect all")
-        self.devices, self.limits = QPushButton("Devices"), QPushButton("Limits")
-        self.connect_all.setToolTip("One after the other, the arm last; nothing moves")
-        self.cancel.setToolTip("End connecting; what is connected stays so")
-        self.disconnect_all.setToolTip("The arm is switched off first; the gripper keeps its grip")
-        self.devices.setToolTip("Choose makes, ports and cameras, and save the lab file")
+        self.cancel = QPushButton(tr("Cancel"))
+        self.disconnect_all = QPushButton(tr("Disconnect all"))
+        self.devices, self.limits = QPushButton(tr("Devices")), QPushButton(tr("Limits"))
+        self.connect_all.setToolTip(tr("One after the other, the arm last; nothing moves"))
+        self.cancel.setToolTip(tr("End connecting; what is connected stays so"))
+        self.disconnect_all.setToolTip(tr("First the arm goes off; the gripper keeps its grip"))
+        self.devices.setToolTip(tr("Choose makes, ports and cameras, and save the lab file"))
         foot = (self.connect_all, self.cancel, self.disconnect_all, self.devices, self.limits)
         self.arrange(
             self.head, self.text, rule(), self._grid, self.question, 1, foot=foot, spacing=10
@@ -95,8 +96,8 @@ class ConnectSheet(BenchSheet):
 
     def show_look(self, look: ConnectView) -> None:
         """Update the panel."""
-        self.head.setText(look.head)
-        self.text.setText(look.text)
+        self.head.setText(tr(look.head))
+        self.text.setText(tr(look.text))
         if len(look.rows) != len(self._rows):
             self._build(look.rows)
         for row, shown in zip(self._rows, look.rows, strict=True):
@@ -123,7 +124,7 @@ class ConnectSheet(BenchSheet):
                 label("", "muted"),
                 [label("") for _ in self._steps],
                 label("", wrap=True),
-                QPushButton("Connect", autoDefault=False),
+                QPushButton(tr("Connect"), autoDefault=False),
                 QPushButton("", autoDefault=False),
             )
             row.button.clicked.connect(partial(self.row_pressed.emit, index))
@@ -136,22 +137,22 @@ class ConnectSheet(BenchSheet):
             self._rows.append(row)
 
     def _show_row(self, row: _DeviceRow, look: DeviceRowView) -> None:
-        row.state.setText(look.state)
+        row.state.setText(tr(look.state))
         for mark, word, step in zip(row.marks, look.marks, self._steps, strict=True):
             mark.setText(MARKS[word])
             mark.setAccessibleName(f"{look.title}, {step}: {word}")
             set_property(mark, "tone", TONES.get(word, ""))
-        row.text.setText(look.text)
+        row.text.setText(tr(look.text))
         # A label in a grid does not request the height of its wrapped text.
         metrics, least = self.fontMetrics(), 3 if look.bad else 2
         room = QRect(0, 0, (25 if look.extra else 30) * metrics.height(), TALLEST_PX)
         high = metrics.boundingRect(room, Qt.TextFlag.TextWordWrap, look.text).height()
         row.text.setMinimumHeight(max(high, least * metrics.lineSpacing()) + 2)
         set_property(row.text, "tone", "bad" if look.bad else "")
-        row.button.setText(look.label)
+        row.button.setText(tr(look.label))
         row.button.setAccessibleName(f"{look.label} {look.title}")
         row.button.setEnabled(look.can)
         row.extra.setVisible(bool(look.extra))
-        row.extra.setText(look.extra)
+        row.extra.setText(tr(look.extra))
         row.extra.setAccessibleName(f"{look.extra} {look.title}")
         row.extra.setEnabled(look.can)

@@ -19,6 +19,7 @@ from touchdown.backend.annotations import (
     ShiftOrigin,
 )
 from touchdown.backend.geometry import PieceLibrary
+from touchdown.widgets.base import tr
 from touchdown.widgets.forms import ChoiceBar
 
 MOST_LINES = 300
@@ -101,7 +102,7 @@ class BulkPresenter:
                 count = await self._on.saving.save(lambda: book.bulk(person, wanted))
                 self._preview = None
                 self._form.found.setText(
-                    f"{count_noun(count, 'label')} changed. U takes it back in one step."
+                    tr("{} changed. U takes it back in one step.", count_noun(count, "label"))
                 )
                 await self._on.read_queue()
 

@@ -28,10 +28,10 @@ class DatasetHealthPanel(QWidget):
         super().__init__()
         self.said = base.label("The dataset was not checked yet.", "muted", wrap=True)
         self.list = QListWidget()
-        self.list.setAccessibleName("Findings of the dataset")
+        self.list.setAccessibleName(base.tr("Findings of the dataset"))
         base.WrappedItemDelegate(self.list)
-        self.look = QPushButton("Check the dataset")
-        self.look.setToolTip("Check all episodes of the dataset (Ctrl+H)")
+        self.look = QPushButton(base.tr("Check the dataset"))
+        self.look.setToolTip(base.tr("Check all episodes of the dataset (Ctrl+H)"))
         self.look.clicked.connect(look)
         self.list.itemClicked.connect(lambda item: choose(self.list.row(item)))
         self.list.itemActivated.connect(lambda item: choose(self.list.row(item)))
@@ -120,9 +120,9 @@ class EmptyStateView(QWidget):
     def show_why(self, nothing: EmptyState) -> None:
         """Show another reason."""
         self.shown = nothing
-        self.title.setText(nothing.title)
-        self.why.setText(nothing.why)
-        self.button.setText(nothing.button)
+        self.title.setText(base.tr(nothing.title))
+        self.why.setText(base.tr(nothing.why))
+        self.button.setText(base.tr(nothing.button))
         self.button.setVisible(bool(nothing.button))
         self.setAccessibleName(nothing.title)
         self.setAccessibleDescription(nothing.why)
@@ -167,8 +167,8 @@ class LabelPage(QWidget):
         self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
         self.queue = QComboBox()
         for name, text in QUEUES:
-            self.queue.addItem(text, name)
-        self.queue.setAccessibleName("Queue")
+            self.queue.addItem(base.tr(text), name)
+        self.queue.setAccessibleName(base.tr("Queue"))
         hint = "piece:pot state:draft since:2026-11-30 sort:pair"
         self.filter = KeyboardLineEdit("Filter", hint, self.filter_typed.emit, self.setFocus)
         self.filter.setToolTip(FILTER_HELP)
@@ -192,13 +192,13 @@ class LabelPage(QWidget):
         self.strip = StateStrip(theme)
         self.view = OffsetView(theme, self.face_dragged.emit, self.face_dropped.emit)
         self.nothing = EmptyStateView(self.command_requested.emit)
-        self.acts = [QPushButton(text) for text in ACTS]
+        self.acts = [QPushButton(base.tr(text)) for text in ACTS]
         for button, name in zip(self.acts, ACTS.values(), strict=True):
             button.setFocusPolicy(Qt.FocusPolicy.TabFocus)
             button.clicked.connect(partial(self.command_requested.emit, name))
-        self.verdict, self.basis = base.ElidedLabel("head"), base.ElidedLabel("muted")
-        self.model_line, self.scene_line = base.ElidedLabel("muted"), base.ElidedLabel("muted")
-        self.message = base.ElidedLabel("")
+        self.verdict, self.message = base.ElidedLabel("head"), base.label("", wrap=True)
+        lines = (base.label("", "muted", wrap=True) for _ in range(3))
+        self.basis, self.model_line, self.scene_line = lines
         self.entry = KeyboardLineEdit(
             "Displacement x,y in mm", "1.5,-2", self.displacement_typed.emit, self.leave_entry
         )
@@ -216,8 +216,8 @@ class LabelPage(QWidget):
         self.phase = PhasePlot(theme)
         pairs = [f"{CHANNEL_NAMES[a]} with {CHANNEL_NAMES[b]}" for a, b in PAIRS]
         self.curves = base.compact_combo_box(["Forces, moments", *pairs], "Curves on one axis")
-        self.person = QPushButton("nobody")
-        self.person.setToolTip("Who labels (Ctrl+U)")
+        self.person = QPushButton(base.tr("nobody"))
+        self.person.setToolTip(base.tr("Who labels (Ctrl+U)"))
         self.person.setProperty("role", "header")
         self.choice = ChoiceBar(self)
         self.queue.activated.connect(self._queue_chosen)
@@ -288,8 +288,8 @@ class LabelPage(QWidget):
         if not self.filter.hasFocus():
             self.filter.setText(text or "")
             self.filter.setCursorPosition(0)
-        self.keep_filter.setText("Forget" if saved else "Save")
-        self.keep_filter.setAccessibleName(f"{self.keep_filter.text()} the filter")
+        self.keep_filter.setText(base.tr("Forget" if saved else "Save"))
+        self.keep_filter.setAccessibleName(base.tr("{} the filter", self.keep_filter.text()))
 
     def open_entry(self, first: str) -> None:
         """Open the entry of a displacement with its first characters."""
@@ -338,12 +338,11 @@ class LabelPage(QWidget):
     def say(self, text: str, *, bad: bool = False) -> None:
         """Show one sentence below the view; ``bad`` marks a refusal."""
         base.set_property(self.message, "tone", "bad" if bad else "")
-        self.message.setText(text)
-        self.message.setToolTip(text)
+        self.message.setText(base.tr(text))
 
     def show_nobody(self) -> None:
         """Show that a person must be named first."""
-        self.queue_panel.detail.setText("no person is named")
+        self.queue_panel.detail.setText(base.tr("no person is named"))
         self.show_nothing(NO_PERSON)
         self.say("")
 
@@ -358,7 +357,6 @@ class LabelPage(QWidget):
             view.show_trace(None, why="")
         for line in (self.verdict, self.basis, self.model_line, self.scene_line):
             line.setText("")
-        self.basis.setToolTip("")
         for panel in (self.film_panel, self.view_panel):
             panel.detail.setText("")
         self.side.history.show_rows([])

@@ -59,6 +59,7 @@ from touchdown.backend.annotations import (
 )
 from touchdown.backend.episodes import QualityIssue
 from touchdown.backend.placement import resting_contact
+from touchdown.widgets.base import tr
 from touchdown.widgets.views import OffsetScene, offset_text, verdict_text
 
 
@@ -80,7 +81,8 @@ def show_item(page: LabelPage, item: LabelItem) -> None:
         plot.show_trace(item.trace)
     page.show_cursor(at_s)
     entry = item.entry
-    page.view_panel.detail.setText(f"{entry.piece} on {entry.bottom}, {entry.uuid[-8:]}")
+    page.view_panel.detail.setText(entry.uuid[-8:])
+    page.view_panel.detail.setToolTip(f"{entry.piece} on {entry.bottom}")
 
 
 def show_edit(
@@ -92,10 +94,9 @@ def show_edit(
     page.verdict.setText(verdict_text(scene))
     where = offset_text(scene.offset_mm, scene.sigma_mm)
     if edit.changed:
-        page.basis.setText(f"{where}. Not saved yet, {source_text(edit.source)}.")
+        page.basis.setText(tr("{}. Not saved yet, {}.", where, source_text(edit.source)))
     else:
         page.basis.setText(f"{offset_text(scene.offset_mm)}: {provenance_text(edit.base)}")
-    page.basis.setToolTip(page.basis.text())
     page.model_line.setText(model_evidence_text(edit, item, hidden=hidden))
     page.scene_line.setText(scene_evidence_text(edit, item, hidden=hidden))
     outlines = item.face, item.bottom

@@ -35,6 +35,7 @@ from touchdown.widgets.base import (
     label,
     scroll_area,
     signed,
+    tr,
     vbox,
 )
 from touchdown.widgets.lists import HistoryList
@@ -179,7 +180,7 @@ class SideTabs(Panel):
         hint = "Search person, action, episode"
         self.needle = KeyboardLineEdit("Search the log", hint, lambda _: leave(), leave)
         WrappedItemDelegate(self.log)
-        self.log.setAccessibleName("Log of all actions")
+        self.log.setAccessibleName(tr("Log of all actions"))
         self.needle.textChanged.connect(search)
         self._stack = QStackedWidget()
         log = QWidget()
@@ -190,7 +191,7 @@ class SideTabs(Panel):
         self.column.addWidget(self._stack, 1)
         self._buttons = QButtonGroup(self)
         for number, name in enumerate(TABS):
-            button = QPushButton(name)
+            button = QPushButton(tr(name))
             button.setCheckable(True)
             button.setProperty("role", "header")
             self._buttons.addButton(button, number)
@@ -256,10 +257,10 @@ class BulkForm(QWidget):
         super().__init__()
         self.kind = QComboBox()
         self.value = KeyboardLineEdit("By how much, or why", "", lambda _: entered(), leave)
-        self.kind.setAccessibleName("Change")
+        self.kind.setAccessibleName(tr("Change"))
         for name, text, _ in KINDS:
-            self.kind.addItem(text, name)
-        self.preview, self.apply = QPushButton("Preview"), QPushButton("Apply")
+            self.kind.addItem(tr(text), name)
+        self.preview, self.apply = QPushButton(tr("Preview")), QPushButton(tr("Apply"))
         text = "Changes the selected labels (click with Ctrl or Shift), else all of the queue."
         self.found = label(text, "muted", wrap=True)
         buttons = hbox(self.preview, self.apply, 1)

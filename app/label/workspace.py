@@ -42,7 +42,7 @@ from touchdown.backend.core import InputError, TouchdownError
 from touchdown.backend.learning import ModelRegistry, models_below
 from touchdown.backend.placement import score_labels
 from touchdown.backend.runs import dataset_folder, models_folder
-from touchdown.widgets.base import Theme, hbox, vbox
+from touchdown.widgets.base import Theme, hbox, tr, vbox
 from touchdown.widgets.shell import CardText
 
 TELL_EVERY = 20
@@ -438,8 +438,8 @@ class LabelWorkspace(Workspace):
 
     def _show_session(self) -> None:
         session, page = self.session, self.label_page
-        page.person.setText(session.person or "nobody")
-        page.person.setAccessibleName(f"Person: {page.person.text()}")
+        page.person.setText(session.person or tr("nobody"))
+        page.person.setAccessibleName(tr("Person: {}", page.person.text()))
         page.show_queue(session.queue)
         self.person_changed(session.person)
 

@@ -64,7 +64,7 @@ class OperatePage(LivePage):
 
     def fit_to_theme(self) -> None:
         """Set the widths of the controls for the size of the text."""
-        self._right.setMinimumWidth(round(20.5 * self.em))
+        self._right.least_px = round(20.5 * self.em)
 
     def show_waiting(self, why: str) -> None:
         """Show why there are no live data yet."""

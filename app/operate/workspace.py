@@ -17,7 +17,7 @@ from touchdown.backend.bench import Session
 from touchdown.backend.config import ProbeSettings
 from touchdown.backend.placement import GraspedPiece, ProbeObservation, make_strategy
 from touchdown.backend.runs import ProbeRequest
-from touchdown.widgets.base import MAPS
+from touchdown.widgets.base import MAPS, tr
 from touchdown.widgets.forms import ProbePanel
 from touchdown.widgets.plots import SPANS_S
 from touchdown.widgets.shell import FaultCards
@@ -61,7 +61,7 @@ class SingleProbePresenter:
             self._felt, self.patch = [], None
             if self._mine:
                 self._panel.strip.show_phase(-1)
-                self._panel.result.setText("Probing.")
+                self._panel.result.setText(tr("Probing."))
         if not self._mine:
             return
         if isinstance(event, core.PhaseEntered) and event.phase in PHASES:
@@ -295,7 +295,7 @@ class OperateWorkspace(shell.Workspace):
             return
         self._shown, single = now, self.probe.story()
         trial, panel = single or self._story.trial, self.page.belief_panel
-        panel.rename("Belief of the last run" if trial and not single else "Contact patch")
+        panel.rename("Last belief" if trial and not single else "Contact patch")
         if trial is None or not trial.probes:
             self.page.belief.show_scene(NO_RUN if trial is None else shell.unprobed_scene(trial))
             panel.detail.setText("")
@@ -306,8 +306,8 @@ class OperateWorkspace(shell.Workspace):
         scene = shell.belief_scene(trial, len(trial.probes) - 1, face, bottom)
         self.page.belief.show_scene(scene)
         self.page.legend.show_truth(scene.truth is not None)
-        panel.detail.setText(f"trial {trial.trial}, probe {len(trial.probes)}")
+        panel.detail.setText(tr("trial {}, probe {}", trial.trial, len(trial.probes)))
         if single and scene.stability is not None:
-            panel.detail.setText(f"margin {signed_mm(scene.stability.margin_mm)}")
+            panel.detail.setText(tr("margin {}", signed_mm(scene.stability.margin_mm)))
             (x, y), (dx, dy) = scene.path[0], scene.step_mm or (0.0, 0.0)
             self.view.next_mm = None if scene.step_mm is None else (x + dx, y + dy)

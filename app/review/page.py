@@ -16,6 +16,7 @@ from touchdown.widgets.base import (
     flat_button,
     hbox,
     label,
+    tr,
     vbox,
 )
 from touchdown.widgets.forms import set_entries
@@ -105,20 +106,20 @@ class ReviewPage(WorkspacePage):
                 QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon
             )
             combo.setMinimumContentsLength(4)
-            combo.setAccessibleName(name)
-            combo.setToolTip(tip)
+            combo.setAccessibleName(tr(name))
+            combo.setToolTip(tr(tip))
             combo.currentIndexChanged.connect(self.filter_changed)
-        self.filter.setPlaceholderText("Filter: pot, fell, 2026-11")
-        self.filter.setAccessibleName("Filter of the recordings")
+        self.filter.setPlaceholderText(tr("Filter: pot, fell, 2026-11"))
+        self.filter.setAccessibleName(tr("Filter of the recordings"))
         self.filter.setClearButtonEnabled(True)
         for button in self.filter.findChildren(QToolButton):
-            button.setAccessibleName("Clear the filter")
-            button.setToolTip("Clear the filter")
-        self.play.setText("Play")
-        self.play.setToolTip("Play from the cursor, or pause (Space, while nothing moves)")
-        self.play.setAccessibleName("Play or pause")
+            button.setAccessibleName(tr("Clear the filter"))
+            button.setToolTip(tr("Clear the filter"))
+        self.play.setText(tr("Play"))
+        self.play.setToolTip(tr("Play from the cursor, or pause (Space, while nothing moves)"))
+        self.play.setAccessibleName(tr("Play or pause"))
         self.filter.textChanged.connect(self.filter_changed)
-        self.film.ran.connect(lambda on: self.play.setText("Pause" if on else "Play"))
+        self.film.ran.connect(lambda on: self.play.setText(tr("Pause" if on else "Play")))
 
     def _arrange(self) -> None:
         runs = self.runs_panel = Panel("Recordings")

@@ -29,6 +29,7 @@ from touchdown.app.shell import (
 )
 from touchdown.backend.core import InputError
 from touchdown.backend.runs import BOOKMARKS_NAME, EVENT_LOG_NAME, Bookmark, read_bookmarks
+from touchdown.widgets.base import tr
 from touchdown.widgets.shell import CardText, FaultCards
 from touchdown.widgets.views import OUTCOME_WORDS, DecisionText
 
@@ -92,7 +93,7 @@ class ReviewPresenter:
         """Read a run and show its last trial; show a card for a damaged log."""
         self._drop_reading()
         reading = self._reading = RunReader(run)
-        self._page.trials_panel.detail.setText("reading")
+        self._page.trials_panel.detail.setText(tr("reading"))
 
         def done(read: ReadRun | None) -> None:
             if reading is self._reading and read is not None:
@@ -212,7 +213,7 @@ class ReviewPresenter:
         self._read_notes(self._run / BOOKMARKS_NAME, whole.trial)
         kept = [f.path for f in trial.episodes() if f.path]
         if not kept:
-            self._page.signals_panel.detail.setText("no signals were kept")
+            self._page.signals_panel.detail.setText(tr("no signals were kept"))
             return
         paths = [self._run / "episodes" / name for name in kept]
         self._later(lambda: episodes.read_trial_recording(paths), self._take_recorded)
@@ -220,11 +221,11 @@ class ReviewPresenter:
     def _take_recorded(self, recorded: episodes.TrialRecording) -> None:
         self.replay.take(recorded)
         detail = self._page.signals_panel.detail
-        detail.setText("; ".join(recorded.missing) or f"{len(recorded.traces)} probes")
+        detail.setText("; ".join(recorded.missing) or tr("{} probes", len(recorded.traces)))
         detail.setToolTip("\n".join(recorded.missing))
 
     def _show_episode(self, uuid: str) -> None:
-        self._page.signals_panel.detail.setText("reading")
+        self._page.signals_panel.detail.setText(tr("reading"))
         self._later(lambda: self.library.episode(uuid), self._take_episode)
 
     def _take_episode(self, shown: episodes.StoredEpisode) -> None:
@@ -269,7 +270,7 @@ class ReviewPresenter:
 
     def _failed(self, error: Exception) -> None:
         what = error.what if isinstance(error, InputError) else str(error)
-        self._page.signals_panel.detail.setText("cannot be read")
+        self._page.signals_panel.detail.setText(tr("cannot be read"))
         self._card(what, f"In {error.where}." if isinstance(error, InputError) else "")
 
     def _card(self, what: str, where: str) -> None:

@@ -33,6 +33,7 @@ from touchdown.backend.core import (
 )
 from touchdown.backend.geometry import Outline, PieceLibrary, load_pieces
 from touchdown.backend.runs import EVENT_LOG_NAME, decode_event, event_log_path, read_events
+from touchdown.widgets.base import tr
 from touchdown.widgets.lists import RecordingRow
 from touchdown.widgets.views import OUTCOME_WORDS
 
@@ -248,12 +249,12 @@ class RecordingsPresenter:
     def _say_what_is_there(self) -> None:
         """Show why the list is empty, or how many runs are still to be read."""
         page, left = self._page, len(self._to_describe)
-        page.runs_panel.detail.setText(f"{left:,} to read" if left > MOST_DESCRIBED else "")
+        page.runs_panel.detail.setText(tr("{:,} to read", left) if left > MOST_DESCRIBED else "")
         there = bool(self.folders or self.series)
         if (self._awaited and not there) or (self.describing and not page.runs.shown()):
-            page.empty.setText(LOOKING)
+            page.empty.setText(tr(LOOKING))
         else:
-            page.empty.setText(NO_MATCH if there else UNLISTED if self._trouble else NOTHING)
+            page.empty.setText(tr(NO_MATCH if there else UNLISTED if self._trouble else NOTHING))
         page.empty.setVisible(not page.runs.shown())
 
 

@@ -13,6 +13,7 @@ from touchdown.app.shell import TrialStory, belief_scene, true_patch_outline, un
 from touchdown.backend.core import Said, TrialFinished
 from touchdown.backend.geometry import Outline
 from touchdown.backend.runs import Bookmark
+from touchdown.widgets.base import tr
 from touchdown.widgets.plots import NO_WRENCH
 from touchdown.widgets.views import (
     NO_PROBES,
@@ -215,7 +216,7 @@ class ReplayPresenter:
         page.legend.show_truth(scene.truth is not None)
         page.decision.show_text(decision_text(look.stability, look.action))
         count = len(self._whole.probes) if self._whole is not None else 0
-        page.belief_panel.detail.setText(f"probe {look.probe} of {count}")
+        page.belief_panel.detail.setText(tr("probe {} of {}", look.probe, count))
         page.estimate.setText(patch_score_text(self.score()))
         page.strip.mark(index)
 

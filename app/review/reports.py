@@ -263,9 +263,7 @@ def _gallery(
     return made
 
 
-def report_html(
-    caption: str, facts: str, picture: bytes, table: str, run: RunStarted | None
-) -> str:
+def report_html(caption: str, facts: str, png: bytes, table: str, run: RunStarted | None) -> str:
     """Return an HTML page with ``caption``, the lines of ``facts``, a PNG and a CSV table.
 
     ``run``: start of the shown run, None for a series.
@@ -273,7 +271,7 @@ def report_html(
     head, *rows = csv.reader(io.StringIO(table))
     # Units of column names in brackets, as "x (mm)" for x_mm.
     names = [re.sub(r"_(s|mm)$", r" (\1)", name) for name in head]
-    source = f"data:image/png;base64,{b64encode(picture).decode()}"
+    source = f"data:image/png;base64,{b64encode(png).decode()}"
     image = f'<img style="max-width:100%" alt="{escape(caption)}" src="{source}">'
     parts = (
         experiments.PictureGallery("", (experiments.ReportPicture(image),)),

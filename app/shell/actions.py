@@ -19,6 +19,7 @@ from PySide6.QtWidgets import (
 
 from touchdown.app.shell.layouts import Entry
 from touchdown.app.shell.workspace import WindowCommand, Workspace
+from touchdown.widgets.base import tr
 from touchdown.widgets.forms import ACTIVE_DURING_QUESTION
 from touchdown.widgets.shell import CommandPalette, KeyDialog, KeySheet, PaletteEntry
 
@@ -202,7 +203,7 @@ class _BoundCommand:
     def __init__(self, window: QWidget, row: KeyBinding, *, on: bool) -> None:
         assert row.command is not None
         self._run_command = row.command.run
-        self.action = QAction(row.text, window)
+        self.action = QAction(tr(row.text), window)
         self.action.setAutoRepeat(row.command.repeats)
         self.action.setProperty(ACTIVE_DURING_QUESTION, row.command.beside)
         self.action.triggered.connect(self._run)
@@ -214,7 +215,7 @@ class _BoundCommand:
         """Set another key."""
         self.row = row
         self.action.setShortcut(QKeySequence(row.key))
-        tip = f"{row.text} ({row.key})" if row.key else row.text
+        tip = f"{tr(row.text)} ({row.key})" if row.key else tr(row.text)
         self.action.setToolTip(tip)
 
     def _run(self) -> None:
@@ -255,14 +256,14 @@ class CommandDialogs:
 
     def _choices(self) -> list[PaletteEntry]:
         rows = [row for row in self._actions.rows if row.command is not None]
-        acts = [PaletteEntry(row.id, row.title, row.text, row.key) for row in rows]
+        acts = [PaletteEntry(row.id, row.title, tr(row.text), row.key) for row in rows]
         self._offered = self.more()
         acts += [
             PaletteEntry(f"{MORE}{at}", "Here", text, "")
             for at, (text, _) in enumerate(self._offered)
         ]
         return acts + [
-            PaletteEntry(CHANGE + row.id, row.title, f"Change key of: {row.text}", "")
+            PaletteEntry(CHANGE + row.id, row.title, tr("Change key of: {}", tr(row.text)), "")
             for row in rows
         ]
 

@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 
+from PySide6.QtCore import QSize
 from PySide6.QtGui import QFontMetrics, QResizeEvent
 from PySide6.QtWidgets import QHBoxLayout, QScrollArea, QSizePolicy, QWidget
 
@@ -109,7 +110,7 @@ class LivePresenter:
             return
         health = device.health
         lost = count_noun(health.lost, "frame")
-        panel.detail.setToolTip(f"markers seen, measured rate; {lost} lost")
+        panel.detail.setToolTip(base.tr("markers seen, measured rate; {} lost", lost))
         panel.detail.setText(f"{seen}/{total}, {health.rate_hz:.1f} Hz")
 
     def _why_silent(self, finger: Finger) -> str:
@@ -207,9 +208,19 @@ def limit_height(panel: QWidget) -> None:
     panel.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Maximum)
 
 
-def column_of(*parts: tuple[Part, int]) -> QWidget:
+class PageColumn(QWidget):
+    """Column of a page: at least ``least_px`` wide, and as wide as its views need."""
+
+    least_px = 0
+
+    def minimumSizeHint(self) -> QSize:
+        """Return the size that views and least width need."""
+        return super().minimumSizeHint().expandedTo(QSize(self.least_px, 0))
+
+
+def column_of(*parts: tuple[Part, int]) -> PageColumn:
     """Return a column of (view, stretch)."""
-    holder = QWidget()
+    holder = PageColumn()
     # The last item takes the remaining height when the stretching views are hidden.
     base.vbox(*parts, 0, parent=holder, margins=(0, 0, 0, 0), spacing=8)
     return holder

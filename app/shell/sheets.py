@@ -20,10 +20,10 @@ from PySide6.QtWidgets import (
 
 from touchdown.backend.core import InputError
 from touchdown.backend.runs import Bookmark, keep_bookmark
-from touchdown.widgets.base import ElidedLabel, FlowLayout, hbox, label, rule, scroll_area, vbox
+from touchdown.widgets.base import ElidedLabel, FlowLayout, hbox, label, rule, scroll_area, tr, vbox
 from touchdown.widgets.forms import NameDialog
 
-LEAST_WINDOW = QSize(480, 330)  # of the main window
+LEAST_WINDOW = QSize(400, 330)  # of the main window: 800 px wide at scale 2
 TOP_BAR_PX = 64  # with STOP
 
 
@@ -34,7 +34,7 @@ class QuestionRow(QFrame):
         super().__init__()
         self.setProperty("role", "question")
         self.text = ElidedLabel("title") if low else label("", "title", wrap=True)
-        self.no, self.yes = QPushButton("No"), QPushButton("Yes")
+        self.no, self.yes = QPushButton(tr("No")), QPushButton(tr("Yes"))
         self._act: Callable[[], None] | None = None
         for button in (self.no, self.yes):
             button.setAutoDefault(False)
@@ -51,9 +51,9 @@ class QuestionRow(QFrame):
     def ask(self, text: str, no: str, yes: str, act: Callable[[], None]) -> None:
         """Ask a question; ``act`` is called for yes."""
         self._act = act
-        self.text.setText(text)
+        self.text.setText(tr(text))
         for button, word in ((self.no, no), (self.yes, yes)):
-            button.setText(word)
+            button.setText(tr(word))
             button.setAccessibleName(f"{word}: {text}")
         self.show()
 
@@ -75,7 +75,7 @@ class BenchSheet(QDialog):
     def __init__(self, parent: QWidget, title: str) -> None:
         super().__init__(parent)
         self.setModal(False)
-        self.setWindowTitle(title)
+        self.setWindowTitle(tr(title))
 
     def give_width(self, em: float) -> None:
         """Set the least width in heights of the font; not wider than the main window."""
@@ -94,7 +94,7 @@ class BenchSheet(QDialog):
         foot: tuple[QPushButton, ...], spacing: int,
     ) -> None:  # fmt: skip
         """Fill the sheet with ``parts`` (as in ``vbox``) above a row of buttons."""
-        close = QPushButton("Close")
+        close = QPushButton(tr("Close"))
         close.clicked.connect(self.close)
         for button in (*foot, close):
             button.setAutoDefault(False)

@@ -26,7 +26,7 @@ from touchdown.widgets.shell import BenchBanner, FaultCards, TopBar
 
 LEAST_EM, MOST_EM = (
     (62, 34.5),
-    (74, 43),
+    (90, 48),
 )  # limits of the minimum size of a page, which else scrolls
 USUAL = QSize(1600, 940)
 RAIL_GAP_PX, RAIL_MARGIN_PX = 4, 8
@@ -50,7 +50,7 @@ class MainWindow(QMainWindow):
         self._scrolls: dict[str, QScrollArea] = {}
         named = [(tab.name, tab.title) for tab in tabs]
         self.rail = {name: _rail_button(text) for name, text in (*named, *FOOT_OF_RAIL)}
-        self._message, self._right = base.ElidedLabel("muted"), base.label("", "small")
+        self._message, self._right = base.label("", "muted", wrap=True), base.label("", "small")
         self.next_step = QuestionRow(low=True)
         self._banner = BenchBanner(theme)
         # The name is unknown until a bench is attached.
@@ -122,9 +122,7 @@ class MainWindow(QMainWindow):
 
     def show_message(self, text: str) -> None:
         """Show a sentence in the footer."""
-        if text != self._message.text():
-            self._message.setText(text)
-            self._message.setToolTip(text)
+        self._message.setText(base.tr(text))
 
     def show_right(self, text: str) -> None:
         """Show numbers at the right of the footer."""
@@ -134,7 +132,7 @@ class MainWindow(QMainWindow):
         """Show the name of the bench in banner and title."""
         self._banner.show_bench(words.banner, words.tip, words.striped)
         self._banner.show()
-        self.setWindowTitle(words.title)
+        self.setWindowTitle(base.tr(words.title))
 
     def fit_to_theme(self) -> None:
         """Redraw the icons of the rail; larger text scrolls."""
@@ -199,12 +197,11 @@ class MainWindow(QMainWindow):
 def _rail_button(text: str) -> QToolButton:
     button = QToolButton()
     # A long name takes two lines; a single ampersand would mark a shortcut.
-    button.setText(text.replace(" & ", " &&\n"))
+    button.setText(base.tr(text).replace(" & ", " &&\n"))
     button.setProperty("role", "rail")
     button.setToolButtonStyle(Qt.ToolButtonStyle.ToolButtonTextUnderIcon)
     button.setIconSize(QSize(22, 22))
-    button.setAccessibleName(text)
-    button.setToolTip(text)
+    base.describe((button, text, text))
     button.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
     return button
 

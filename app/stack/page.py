@@ -7,7 +7,7 @@ from PySide6.QtWidgets import QSizePolicy, QVBoxLayout
 
 from touchdown.app.shell import LivePage, column_of, limit_height
 from touchdown.backend.core import FINGERS
-from touchdown.widgets.base import Columns, Panel, Theme, flat_button, hbox
+from touchdown.widgets.base import Columns, Panel, Theme, flat_button, hbox, tr
 from touchdown.widgets.forms import RunPanel
 from touchdown.widgets.plots import TracesPanel
 from touchdown.widgets.views import (
@@ -22,7 +22,7 @@ from touchdown.widgets.views import (
 )
 
 TRACES, SIDE = "Force and moment", "Bench from the side"  # SIDE: as recorded in layouts
-SIDE_PX = 107  # least height of the bench with its title
+SIDE_PX = 130  # least height of the bench with its title and the gaps around it
 
 
 class StackPage(LivePage):
@@ -32,7 +32,7 @@ class StackPage(LivePage):
 
     def __init__(self, theme: Theme) -> None:
         super().__init__(theme)
-        self.captions = {f: Panel(f"Tactile {f[0].upper()}", self.tactile[f]) for f in FINGERS}
+        self.captions = {f: Panel(tr("Tactile {}", f[0].upper()), self.tactile[f]) for f in FINGERS}
         self.traces_panel = TracesPanel("Force and moment at the wrist", self.force, self.moment)
         self.decision = DecisionPanel()
         self.trial = TrialPanel(theme)
@@ -53,7 +53,7 @@ class StackPage(LivePage):
 
     def fit_to_theme(self) -> None:
         """Set the widths of the controls for the size of the text."""
-        self._right.setMinimumWidth(round(16.5 * self.em))
+        self._right.least_px = round(16.5 * self.em)
 
     def show_waiting(self, result: str, why: str) -> None:
         """Show why there are no data yet."""

@@ -27,7 +27,7 @@ from touchdown.backend.geometry import (
     piece_svg,
     save_piece,
 )
-from touchdown.widgets.base import Theme, hbox, label, set_property
+from touchdown.widgets.base import Theme, hbox, label, set_property, tr
 from touchdown.widgets.forms import FormFields, decimal_box, set_entries
 from touchdown.widgets.plots import PictureView
 
@@ -83,8 +83,8 @@ class PieceSheet(BenchSheet):
         self._asked = 0  # number of the newest measurement
         self._delay = QTimer(self, interval=MEASURE_AFTER_MS, singleShot=True)
         self._delay.timeout.connect(self.measure)
-        self.choose = QPushButton("Choose a file\N{HORIZONTAL ELLIPSIS}")
-        self.add = QPushButton("Add piece")
+        self.choose = QPushButton(tr("Choose a file\N{HORIZONTAL ELLIPSIS}"))
+        self.add = QPushButton(tr("Add piece"))
         self.add.setProperty("role", "primary")
         self.file, self.said = label(NO_FILE, wrap=True), label("", "small", wrap=True)
         self.picture = PiecePicture(theme)

@@ -31,7 +31,7 @@ from touchdown.backend.core import (
     parse_toml,
 )
 from touchdown.backend.runs import StackRequest
-from touchdown.widgets.base import KeylessList, hbox, label, vbox
+from touchdown.widgets.base import KeylessList, hbox, label, tr, vbox
 from touchdown.widgets.forms import STRATEGIES, RunForm, RunPanel
 from touchdown.widgets.shell import CardQuestion, FaultCards
 
@@ -114,9 +114,9 @@ class PlannedRunsSheet(BenchSheet):
             "Start": ("Start the next run; the others follow", self.start),
             "Hold": ("Start no further run", self.hold),
         }
-        self.buttons = {name: QPushButton(name) for name in orders}
+        self.buttons = {name: QPushButton(tr(name)) for name in orders}
         for name, (tip, act) in orders.items():
-            self.buttons[name].setToolTip(tip)
+            self.buttons[name].setToolTip(tr(tip))
             self.buttons[name].clicked.connect(lambda _=False, act=act: act())
         *column, start, hold = self.buttons.values()
         start.setProperty("role", "primary")

@@ -44,22 +44,23 @@ class TrainPage(WorkspacePage):
         self.figures.empty = "Choose a finished training: its figures per bottom are shown here"
         self.differences.empty = "Choose up to three trainings (Ctrl+click): what differs"
         self.in_use = base.label("", "", wrap=True)
-        self.promote, self.roll_back = QPushButton("Promote"), QPushButton("Roll back")
+        self.promote = QPushButton(base.tr("Promote"))
+        self.roll_back = QPushButton(base.tr("Roll back"))
         for button in (self.promote, self.roll_back):
             # Disabled until the model in use is known.
             button.setEnabled(False)
-        self.promote.setToolTip("Put the chosen model in use for its piece (Ctrl+P)")
-        self.roll_back.setToolTip("Use the previous model again (Ctrl+Shift+P)")
+        self.promote.setToolTip(base.tr("Put the chosen model in use for its piece (Ctrl+P)"))
+        self.roll_back.setToolTip(base.tr("Use the previous model again (Ctrl+Shift+P)"))
         yield
         self._arrange()
 
     def fit_to_theme(self) -> None:
         """Apply the sizes and icons of the theme."""
-        self._left.setMinimumWidth(round(20 * self.em))
+        self._left.least_px = round(20 * self.em)
 
     def show_busy(self, busy: bool) -> None:
         """Show that data are being read."""
-        self.runs_panel.detail.setText("reading \N{HORIZONTAL ELLIPSIS}" if busy else "")
+        self.runs_panel.detail.setText(base.tr("reading \N{HORIZONTAL ELLIPSIS}" if busy else ""))
 
     def _arrange(self) -> None:
         self.split_panel = base.Panel("Split", self.split)
@@ -68,8 +69,8 @@ class TrainPage(WorkspacePage):
         base.add_items(self.split_panel.column, self.leaks, self.form.divide)
         self._left = column_of((self.form, 0), (self.split_panel, 1))
         self.samples_panel = base.Panel("Held-out probes, true patch outlined")
-        self.samples_panel.detail.setText("p: blue to yellow")
-        self.samples_panel.detail.setToolTip("blue p = 0, yellow p = 1")
+        self.samples_panel.detail.setText(base.tr("p: blue to yellow"))
+        self.samples_panel.detail.setToolTip(base.tr("blue p = 0, yellow p = 1"))
         self.samples_panel.column.addWidget(self.samples, 1)
         middle = column_of((self._curves(), 3), (self.samples_panel, 2))
         self.runs_panel = base.Panel("Trainings", self.runs)

@@ -18,6 +18,7 @@ from .panel import label as label
 from .panel import rule as rule
 from .panel import scroll_area as scroll_area
 from .panel import set_property as set_property
+from .panel import tr as tr
 from .panel import vbox as vbox
 from .rows import ENTER as ENTER
 from .rows import ROOT as ROOT

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TypeVar
 
-from PySide6.QtCore import QEvent, QRect, QRectF, QSize, Qt, Signal
+from PySide6.QtCore import QCoreApplication, QEvent, QRect, QRectF, QSize, Qt, Signal
 from PySide6.QtGui import QKeyEvent, QPainter, QPaintEvent, QResizeEvent
 from PySide6.QtWidgets import (
     QBoxLayout,
@@ -27,6 +27,7 @@ from PySide6.QtWidgets import (
 )
 
 _Box = TypeVar("_Box", bound=QBoxLayout)
+CONTEXT = "touchdown"  # of all texts in files of translations
 GAP_PX, NUDGE_PX = 8, 16
 LEAST_SHARE = 0.02
 
@@ -178,7 +179,7 @@ class _ColumnEdge(QSplitterHandle):
 
     def __init__(self, columns: Columns) -> None:
         super().__init__(Qt.Orientation.Horizontal, columns)
-        self.setAccessibleName("Edge between columns")
+        self.setAccessibleName(tr("Edge between columns"))
 
     def keyPressEvent(self, event: QKeyEvent) -> None:
         """Move the edge by one step."""
@@ -193,7 +194,7 @@ class _ColumnEdge(QSplitterHandle):
         """Show the tool tip only while the edge can be moved."""
         super().changeEvent(event)
         if event.type() is QEvent.Type.EnabledChange:
-            tip = "Drag, or Tab to it and press the arrows"
+            tip = tr("Drag, or Tab to it and press the arrows")
             self.setToolTip(tip if self.isEnabled() else "")
 
 
@@ -229,11 +230,20 @@ class ElidedLabel(QLabel):
         painter.drawText(QRectF(self.rect()), int(self.alignment()), self.shown())
 
 
+def tr(text: str, *values: object) -> str:
+    """Return a text in the language of the window, with ``values`` in its braces.
+
+    The widgets and functions here translate the names, titles and tool tips that they are given.
+    """
+    shown = QCoreApplication.translate(CONTEXT, text) if text else ""
+    return shown.format(*values) if values else shown
+
+
 def describe(*rows: tuple[QWidget, str, str]) -> None:
     """Set the accessible name and the tool tip of each widget."""
     for widget, name, tip in rows:
-        widget.setAccessibleName(name)
-        widget.setToolTip(tip)
+        widget.setAccessibleName(tr(name))
+        widget.setToolTip(tr(tip))
 
 
 def _detail() -> ElidedLabel:
@@ -251,7 +261,7 @@ class Panel(QFrame):
     def __init__(self, title: str, body: QWidget | None = None) -> None:
         super().__init__()
         self.setProperty("role", "card")
-        self.setAccessibleName(title)
+        self.setAccessibleName(tr(title))
         self._title, self.detail = label(title, "title"), _detail()
         self.header = hbox(self._title, (self.detail, 1))
         self.header.addStrut(HEADER_PX)
@@ -261,8 +271,8 @@ class Panel(QFrame):
 
     def rename(self, title: str) -> None:
         """Change the title."""
-        self._title.setText(title)
-        self.setAccessibleName(title)
+        self._title.setText(tr(title))
+        self.setAccessibleName(self._title.text())
 
 
 class CaptionedView(QWidget):
@@ -373,7 +383,9 @@ class FlowLayout(QLayout):
         """Return the size of one line."""
         shown = self._shown()
         width = sum(width + self.spacing() for _, width, _ in shown) - self.spacing()
-        height = max((item.sizeHint().height() for item, *_ in shown), default=0)
+        # A text that wraps hints at several lines.
+        sizes = (i.minimumSize() if i.hasHeightForWidth() else i.sizeHint() for i, *_ in shown)
+        height = max((size.height() for size in sizes), default=0)
         return QSize(max(width, 0), height).grownBy(self.contentsMargins())
 
     def minimumSize(self) -> QSize:
@@ -422,7 +434,7 @@ def _height(item: QLayoutItem, width: int) -> int:
 
 def label(text: str, role: str = "", *, wrap: bool = False) -> QLabel:
     """Return a plain-text label with a role of the style sheet."""
-    made = QLabel(text)
+    made = QLabel(tr(text))
     made.setTextFormat(Qt.TextFormat.PlainText)
     made.setWordWrap(wrap)
     if role:
@@ -466,7 +478,7 @@ class ScrollingNote(QScrollArea):
         super().__init__()
         self._label = label("", "small", wrap=True)
         self._label.setAlignment(Qt.AlignmentFlag.AlignTop)
-        self._label.setAccessibleName(name)
+        self._label.setAccessibleName(tr(name))
         self.setWidget(self._label)
         self.setWidgetResizable(True)
         self.setFrameShape(QFrame.Shape.NoFrame)
@@ -514,19 +526,17 @@ class ScrollingNote(QScrollArea):
 def compact_combo_box(texts: Sequence[str], name: str) -> QComboBox:
     """Return a small combo box; ``name`` is its accessible name and tool tip."""
     made = QComboBox()
-    made.addItems(list(texts))
+    made.addItems([tr(text) for text in texts])
     made.setProperty("role", "compact")
-    made.setAccessibleName(name)
-    made.setToolTip(name)
+    describe((made, name, name))
     return made
 
 
 def flat_button(text: str, tip: str, *, checkable: bool = False) -> QToolButton:
     """Return a flat button."""
     made = QToolButton()
-    made.setText(text)
+    made.setText(tr(text))
     made.setProperty("role", "plain")
-    made.setToolTip(tip)
-    made.setAccessibleName(tip)
+    describe((made, tip, tip))
     made.setCheckable(checkable)
     return made

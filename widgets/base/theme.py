@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 import pyqtgraph as pg
 from numpy.typing import NDArray
-from PySide6.QtCore import QByteArray, QDir, QRectF, QSize, Qt
+from PySide6.QtCore import QByteArray, QDir, QLocale, QRectF, QSize, Qt, QTranslator
 from PySide6.QtGui import (
     QColor,
     QFont,
@@ -152,7 +152,7 @@ class Theme:
 
 
 def load_resources() -> None:
-    """Register the bundled interface font and icons, so that all machines show the same.
+    """Register the bundled interface font and icons, and the translation for the desktop.
 
     Runs once per application: each added font makes Qt discard its text measurements.
     """
@@ -162,6 +162,9 @@ def load_resources() -> None:
         return
     application.setProperty(FONTS, True)
     resources = files("touchdown.resources")
+    translator = QTranslator(application)
+    if translator.load(QLocale(), "touchdown", "_", str(resources.joinpath("languages"))):
+        application.installTranslator(translator)
     for style in ("Regular", "Medium", "SemiBold"):
         data = resources.joinpath("fonts", f"Inter-{style}.otf").read_bytes()
         QFontDatabase.addApplicationFontFromData(data)

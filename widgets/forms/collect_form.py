@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from PySide6.QtCore import QSignalBlocker, Signal
 from PySide6.QtWidgets import QCheckBox, QComboBox, QProgressBar, QPushButton, QSizePolicy
 
-from touchdown.widgets.base import Panel, Theme, add_items, describe, hbox, label
+from touchdown.widgets.base import Panel, Theme, add_items, describe, hbox, label, tr
 from touchdown.widgets.forms.fields import (
     FormFields,
     decimal_box,
@@ -85,14 +85,14 @@ class TargetPanel(Panel):
         self.per_grip, self.seed = whole_box(0, 1000, "auto"), whole_box(0, 999_999, "new")
         self.person = NameField()
         self.origin = decimal_box(-100.0, 100.0, step=0.1), decimal_box(-100.0, 100.0, step=0.1)
-        self.check_origin = QCheckBox("Touch the edges after every mounting")
-        self.ask = QCheckBox("Wait for an answer after each probe")
-        self.hand_over = QCheckBox("Hand the piece over (no jig)")
+        self.check_origin = QCheckBox(tr("Touch the edges after every mounting"))
+        self.ask = QCheckBox(tr("Wait for an answer after each probe"))
+        self.hand_over = QCheckBox(tr("Hand the piece over (no jig)"))
         self.residual = label("", "small", wrap=True)
-        self.here, self.take = QPushButton("Set here"), QPushButton("Add residual")
-        self.why_not, self.lift = label("", "small", wrap=True), QPushButton("Lift 5 mm")
-        self.start, self.go_on = QPushButton("Start collecting"), QPushButton("Continue")
-        self.pause, self.end = QPushButton("Pause"), QPushButton("End")
+        self.here, self.take = QPushButton(tr("Set here")), QPushButton(tr("Add residual"))
+        self.why_not, self.lift = label("", "small", wrap=True), QPushButton(tr("Lift 5 mm"))
+        self.start, self.go_on = QPushButton(tr("Start collecting")), QPushButton(tr("Continue"))
+        self.pause, self.end = QPushButton(tr("Pause")), QPushButton(tr("End"))
         self.bar, self.eta = QProgressBar(), label("", "small")
         self._fields = FormFields(
             8, 3, piece=self.piece, bottom=self.bottom, within_mm=self.within,
@@ -183,7 +183,7 @@ class TargetPanel(Panel):
         """Enable buttons and fields; Start confirms while ``ask`` is set."""
         self.start.setEnabled(buttons.start or bool(buttons.ask))
         yes, no = buttons.answers or ("Confirm", "Continue")
-        self.start.setText(yes if buttons.ask else "Start collecting")
+        self.start.setText(yes if buttons.ask else tr("Start collecting"))
         said = buttons.ask or (f"{buttons.why_not}." if buttons.why_not else "")
         self.why_not.setText(said)
         self.why_not.setVisible(bool(said))
@@ -195,10 +195,10 @@ class TargetPanel(Panel):
         asked = buttons.answers is not None
         self.go_on.setEnabled(asked or (buttons.start and bool(buttons.go_on)))
         tip = buttons.go_on or "No campaign to continue"
-        self.go_on.setToolTip("No (Shift+F5)" if asked else tip)
+        self.go_on.setToolTip(tr("No (Shift+F5)") if asked else tip)
         self.pause.setEnabled(buttons.pause)
-        self.pause.setText("Resume" if buttons.paused else "Pause")
-        self.pause.setToolTip("Pause at the next safe point, arm lifted (P)")
+        self.pause.setText(tr("Resume" if buttons.paused else "Pause"))
+        self.pause.setToolTip(tr("Pause at the next safe point, arm lifted (P)"))
         self.end.setEnabled(buttons.end)
         self._fields.set_enabled(buttons.form)
         self.person.setEnabled(buttons.form)

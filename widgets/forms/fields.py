@@ -22,7 +22,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from touchdown.widgets.base import Theme, describe, fit_icon, icon, label, set_property
+from touchdown.widgets.base import Theme, describe, fit_icon, icon, label, set_property, tr
 
 INSET_PX = 6
 Field = QCheckBox | QComboBox | QDoubleSpinBox | QSpinBox
@@ -115,7 +115,7 @@ def set_entries(
     """Replace the (key, title) entries of a combo box; select ``chosen``, else the first."""
     combo.clear()
     for key, title in entries:
-        combo.addItem(title, key)
+        combo.addItem(tr(title), key)
     if chosen is not None and combo.count():
         combo.setCurrentIndex(max(combo.findData(chosen), 0))
 
@@ -205,7 +205,7 @@ def draw_run_icons(theme: Theme, start: QAbstractButton, *others: QAbstractButto
     tokens = theme.tokens
     start.setIcon(icon("play", tokens.colour("panel" if start.isEnabled() else "disabled")))
     for button, name in zip(others, ("pause", "cancel"), strict=False):
-        name = "play" if button.text() == "Resume" else name
+        name = "play" if button.text() == tr("Resume") else name
         button.setIcon(icon(name, tokens.colour("text" if button.isEnabled() else "disabled")))
     fit_icon(start, *others)
 
@@ -345,7 +345,7 @@ class HoldButton(QPushButton):
         step: Callable[[str], bool] = lambda _: False,
     ) -> None:
         """``step`` handles a press in place of a hold; it returns False to let the hold start."""
-        super().__init__(text)
+        super().__init__(tr(text))
         self._what, self._hold, self._step = what, hold, step
         self.setProperty("role", "hold")
         self.setFocusPolicy(Qt.FocusPolicy.NoFocus)
@@ -353,8 +353,7 @@ class HoldButton(QPushButton):
         self.setMinimumSize(LEAST_PX, LEAST_PX)
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Expanding)
         self.setAttribute(Qt.WidgetAttribute.WA_AcceptTouchEvents)
-        self.setAccessibleName(name)
-        self.setToolTip(name)
+        describe((self, name, name))
 
     def begin(self, source: int) -> None:
         """Step, or start the hold."""

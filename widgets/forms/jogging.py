@@ -17,7 +17,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from touchdown.widgets.base import ElidedLabel, Panel, add_items, hbox, label, set_property, vbox
+from touchdown.widgets import base
 from touchdown.widgets.forms.fields import HoldButton, HoldState, field_label, inset_spin_boxes
 
 
@@ -41,13 +41,13 @@ class JogPace(QWidget):
         self._pace = self._paces[0]
         self._kept = {pace.unit: pace.speeds[2] for pace in self._paces}
         self.steps = self._step_buttons()
-        self._unit = label(self._pace.unit, "muted")
+        self._unit = base.label(self._pace.unit, "muted")
         self.speed, self._slider = QDoubleSpinBox(), QSlider(Qt.Orientation.Horizontal)
         self.speed.setDecimals(0)
         inset_spin_boxes(self.speed)
         for widget in (self.speed, self._slider):
-            widget.setAccessibleName("Jog speed")
-            widget.setToolTip("At most 2 mm/s near the surface and in contact")
+            widget.setAccessibleName(base.tr("Jog speed"))
+            widget.setToolTip(base.tr("At most 2 mm/s near the surface and in contact"))
         self.speed.valueChanged.connect(self._follow_spin)
         self._slider.valueChanged.connect(self.speed.setValue)
         self._arrange()
@@ -64,8 +64,8 @@ class JogPace(QWidget):
         pace = self._pace = self._paces[at]
         for button, step in zip(self.steps[1:], self._paces[0].steps, strict=True):
             button.setVisible(step in pace.steps)
-            button.setAccessibleName(f"Step of {button.text()} {pace.spoken}")
-            button.setToolTip(f"{button.accessibleName()} ([ and ])")
+            button.setAccessibleName(base.tr("Step of {} {}", button.text(), pace.spoken))
+            button.setToolTip(base.tr("{} ([ and ])", button.accessibleName()))
         if self.steps[self._chosen()].isHidden():
             self.next_step(1)
         self._unit.setText(pace.unit)
@@ -90,14 +90,14 @@ class JogPace(QWidget):
     def _step_buttons(self) -> list[QPushButton]:
         group, made = QButtonGroup(self), []
         for text in ("Hold", *(f"{step:g}" for step in self._paces[0].steps)):
-            button = QPushButton(text)
+            button = QPushButton(base.tr(text))
             button.setProperty("role", "choice")
             button.setCheckable(True)
             group.addButton(button)
             made.append(button)
         made[0].setChecked(True)
-        made[0].setAccessibleName("Hold to run")
-        made[0].setToolTip("Hold to run ([ and ])")
+        made[0].setAccessibleName(base.tr("Hold to run"))
+        made[0].setToolTip(base.tr("Hold to run ([ and ])"))
         return made
 
     def _follow_spin(self, value: float) -> None:
@@ -105,9 +105,9 @@ class JogPace(QWidget):
         self._slider.setValue(round(value))
 
     def _arrange(self) -> None:
-        steps = hbox(*((button, 1) for button in self.steps), self._unit, spacing=4)
-        speed = hbox(field_label("Speed", self.speed), (self._slider, 1), self.speed)
-        vbox(steps, speed, parent=self, margins=(0, 0, 0, 0), spacing=6)
+        steps = base.hbox(*((button, 1) for button in self.steps), self._unit, spacing=4)
+        speed = base.hbox(field_label("Speed", self.speed), (self._slider, 1), self.speed)
+        base.vbox(steps, speed, parent=self, margins=(0, 0, 0, 0), spacing=6)
 
 
 MINUS, DEGREE = "\N{MINUS SIGN}", "\N{DEGREE SIGN}"
@@ -140,7 +140,7 @@ class PoseReadout:
     turned: bool = False
 
 
-class JogPad(Panel):
+class JogPad(base.Panel):
     """Pads of one frame. A press is one step if a step is selected, else motion while it lasts."""
 
     hold_ended = Signal(str)
@@ -157,31 +157,31 @@ class JogPad(Panel):
         self.pads = {what: self._pad(what) for what, _, _ in (*MOVES, *TURNS, *JOINT_PADS)}
         self.frame = QComboBox()
         self.frame.addItems(["XYZ", "TOOL", "JOINT"])
-        self.frame.setAccessibleName("Jog frame")
-        self.turn = QPushButton("Turn")
+        self.frame.setAccessibleName(base.tr("Jog frame"))
+        self.turn = QPushButton(base.tr("Turn"))
         self.turn.setCheckable(True)
         self.turn.setProperty("role", "choice")
-        self.turn.setAccessibleName("Turn the hand instead of moving it")
-        self.level = QPushButton("Level")
-        self.level.setAccessibleName("Level the hand")
-        self.keys = QPushButton("Arm keys")
+        self.turn.setAccessibleName(base.tr("Turn the hand instead of moving it"))
+        self.level = QPushButton(base.tr("Level"))
+        self.level.setAccessibleName(base.tr("Level the hand"))
+        self.keys = QPushButton(base.tr("Arm keys"))
         self.keys.setCheckable(True)
         for button in (self.level, self.keys):
             button.setProperty("role", "header")
-        self.keys.setAccessibleName("Arm the jog keys")
+        self.keys.setAccessibleName(base.tr("Arm the jog keys"))
         self.pace = JogPace(paces)
         self.speed = self.pace.speed
         self.lift = QPushButton()  # offered in contact
-        self.lift.setAccessibleName("Lift the hand out of contact")
+        self.lift.setAccessibleName(base.tr("Lift the hand out of contact"))
         self.lift.setProperty("role", "primary")
         self.lift.setProperty("low", "yes")
         self.lift.hide()
         self.joint = 1  # joint of the arrow keys in JOINT
         self._ready = self._turns = False
-        self._pose, self._note = ElidedLabel(""), label("", "small")
+        self._pose, self._note = base.ElidedLabel(""), base.label("", "small")
         self._field = QWidget()
-        self.level.setToolTip("Turn the hand to straight down, in place (Shift+T)")
-        self.turn.setToolTip("Turn the hand about these axes instead of moving it (T)")
+        self.level.setToolTip(base.tr("Turn the hand to straight down, in place (Shift+T)"))
+        self.turn.setToolTip(base.tr("Turn the hand about these axes instead of moving it (T)"))
         self.level.setEnabled(False)
         self.frame.currentIndexChanged.connect(self._show_frame)
         self.turn.toggled.connect(self._show_frame)
@@ -215,9 +215,9 @@ class JogPad(Panel):
 
     def show_armed(self, armed: bool) -> None:
         """Highlight the panel while keys move the arm."""
-        set_property(self, "armed", "yes" if armed else "no")
+        base.set_property(self, "armed", "yes" if armed else "no")
         self.keys.setChecked(armed)
-        self.keys.setText("Keys armed" if armed else "Arm keys")
+        self.keys.setText(base.tr("Keys armed" if armed else "Arm keys"))
         self._mark_joint()
 
     def show_ready(self, ready: bool, why: str) -> None:
@@ -225,13 +225,13 @@ class JogPad(Panel):
         self._ready = ready
         for what, pad in self.pads.items():
             pad.setEnabled(ready)
-            pad.setToolTip(f"Jog {_signed(what)}" if ready else why)
+            pad.setToolTip(base.tr("Jog {}", _signed(what)) if ready else why)
         self.keys.setEnabled(ready)
 
     def show_lift(self, words: str) -> None:
         """Offer to lift the hand; "" hides the button."""
         self.lift.setVisible(bool(words))
-        self.lift.setText(words)
+        self.lift.setText(base.tr(words))
 
     def show_look(self, look: PoseReadout) -> None:
         """Show pose, remaining travel and note."""
@@ -245,7 +245,7 @@ class JogPad(Panel):
             if self.pads[what].text() != text:
                 self.pads[what].setText(text)
                 self.pads[what].setAccessibleDescription(room)
-        set_property(self._note, "tone", "bad" if look.warn else "")
+        base.set_property(self._note, "tone", "bad" if look.warn else "")
         self.level.setEnabled(look.turned and self._ready)
 
     def press_key(self, page: QWidget, what: str, key: int) -> None:
@@ -296,14 +296,14 @@ class JogPad(Panel):
             "Arrows turn about X and Y, Page Up and Page Down about Z"
             if self.turning else "Arrows move X and Y, Page Up and Page Down move Z"
         )  # fmt: skip
-        self.keys.setToolTip(f"{keys} while this is on. It ends after 30 s without use.")
+        self.keys.setToolTip(base.tr("{} while this is on. It ends after 30 s without use.", keys))
         self._mark_joint()
 
     def _mark_joint(self) -> None:
         armed = self.keys.isChecked()
         for what, _, _ in JOINT_PADS:
             mark = armed and what[1:] == f"j{self.joint}"
-            set_property(self.pads[what], "chosen", "yes" if mark else "no")
+            base.set_property(self.pads[what], "chosen", "yes" if mark else "no")
 
     def _pad(self, what: str) -> HoldButton:
         pad = HoldButton(_signed(what), what, f"Jog {_signed(what)}", self.hold, self._pressed_step)
@@ -318,7 +318,7 @@ class JogPad(Panel):
         return True
 
     def _arrange(self) -> None:
-        add_items(self.header, self.level, self.keys)
+        base.add_items(self.header, self.level, self.keys)
         pads = QGridLayout(self._field)
         pads.setSpacing(4)
         for what, row, column in (*MOVES, *TURNS, *JOINT_PADS):
@@ -330,9 +330,11 @@ class JogPad(Panel):
         pads.setContentsMargins(0, 2, 0, 2)
         self._note.setWordWrap(True)
         self._note.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Preferred)
-        top = hbox((self._pose, 1), self.turn, self.frame)
-        middle = hbox(1, (self._field, 1000), 1)
-        add_items(self.column, top, (middle, 1000), self.pace, hbox((self._note, 1), self.lift), 1)
+        top = base.hbox((self._pose, 1), self.turn, self.frame)
+        middle = base.hbox(1, (self._field, 1000), 1)
+        base.add_items(
+            self.column, top, (middle, 1000), self.pace, base.hbox((self._note, 1), self.lift), 1
+        )
 
 
 def _signed(what: str) -> str:

@@ -22,7 +22,7 @@ class PhaseStrip(QWidget):
         super().__init__()
         self._theme, self.phases, self.at = theme, tuple(phases), -1
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
-        self.setAccessibleName("Phases of the probe")
+        self.setAccessibleName(base.tr("Phases of the probe"))
 
     def show_phase(self, at: int) -> None:
         """Show the present phase; -1: none yet, beyond the last: all done."""
@@ -70,7 +70,7 @@ class ProbePanel(base.Panel):
         # Two lines in a narrow column, so that the page knows the height that it needs.
         self.values.setMinimumHeight(2 * self.values.fontMetrics().height())
         self.result = base.label("No probe yet.", wrap=True)
-        self.probe, self.cancel = QPushButton("Probe once"), QPushButton("Cancel")
+        self.probe, self.cancel = QPushButton(base.tr("Probe once")), QPushButton(base.tr("Cancel"))
         self.probe.setProperty("role", "primary")
         base.describe(
             (self.probe, "Probe once", "Press here with these values, record, and lift (F5)"),
@@ -88,7 +88,7 @@ class ProbePanel(base.Panel):
         """Enable the buttons; ``why``: reason for a disabled one."""
         self.probe.setEnabled(probe)
         self.cancel.setEnabled(cancel)
-        self.probe.setToolTip(why or "Press here with these values, record, and lift (F5)")
+        self.probe.setToolTip(why or base.tr("Press here with these values, record, and lift (F5)"))
 
 
 DECISIONS: tuple[tuple[str, str, str, str], ...] = (
@@ -126,7 +126,7 @@ class LastProbePanel(base.Panel):
         grid = QGridLayout()
         grid.setSpacing(6)
         for at, (name, text, key, tip) in enumerate(DECISIONS):
-            button = QPushButton(f"{text}  ({key})")
+            button = QPushButton(f"{base.tr(text)}  ({key})")
             base.describe((button, text, tip))
             button.setFocusPolicy(Qt.FocusPolicy.NoFocus)
             button.clicked.connect(lambda _=False, name=name: decide(name))
@@ -138,11 +138,11 @@ class LastProbePanel(base.Panel):
 
     def show_words(self, words: ProbeText) -> None:
         """Show the texts of a probe; enable the ``allowed`` decisions."""
-        self.result.setText(words.result)
+        self.result.setText(base.tr(words.result))
         base.set_property(self.result, "tone", words.tone)
         self.where.setText(words.where)
         self.words.setText(words.detail)
-        self.detail.setText("waiting for you" if words.asking else "")
+        self.detail.setText(base.tr("waiting for you" if words.asking else ""))
         for name, button in self.buttons.items():
             button.setEnabled(name in words.allowed)
         self.setAccessibleDescription(". ".join((words.result, words.where, words.detail)))
@@ -164,9 +164,9 @@ class PairHealthPanel(base.Panel):
         probes = "1 probe" if judged == 1 else f"{judged} probes"
         self.detail.setText(f"{len(texts)} in {probes}" if texts else probes)
         if not judged:
-            self.words.setText("No probe checked yet.")
+            self.words.setText(base.tr("No probe checked yet."))
         elif not texts:
-            self.words.setText("\N{CHECK MARK} No problem found.")
+            self.words.setText(base.tr("\N{CHECK MARK} No problem found."))
         else:
             more = len(texts) - self.MOST
             tail = [f"and {more} more"] if more > 0 else []
@@ -188,7 +188,7 @@ class GripperPanel(base.Panel):
         self.force.setSuffix(" N")
         inset_spin_boxes(self.force)
         base.describe((self.force, "Grip force per finger", "Force per finger for the next grip"))
-        self.grip, self.open = QPushButton("Grip"), QPushButton("Open")
+        self.grip, self.open = QPushButton(base.tr("Grip")), QPushButton(base.tr("Open"))
         asks = "Open the jaws; asks first while a piece is held (Shift+G)"
         base.describe(
             (self.grip, "Grip the gripper", "Close on the piece with this force (G)"),

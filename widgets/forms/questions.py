@@ -8,7 +8,7 @@ from PySide6.QtCore import QEvent, QKeyCombination, Qt
 from PySide6.QtGui import QFocusEvent, QKeyEvent, QKeySequence
 from PySide6.QtWidgets import QDialog, QFrame, QGridLayout, QLineEdit, QPushButton, QWidget
 
-from touchdown.widgets.base import ENTER, hbox, label, scroll_into_view, vbox
+from touchdown.widgets.base import ENTER, hbox, label, scroll_into_view, tr, vbox
 
 COLUMNS = 3
 LONG = 18  # answers longer than this, in letters, are laid out two to a row
@@ -26,7 +26,7 @@ class ChoiceBar(QFrame):
     def __init__(self, parent: QWidget) -> None:
         super().__init__(parent)
         self.setProperty("role", "question")
-        self.setAccessibleName("Question")
+        self.setAccessibleName(tr("Question"))
         self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
         self._title = label("", "title", wrap=True)
         self._grid = QGridLayout()
@@ -145,14 +145,14 @@ class ChoiceBar(QFrame):
             button.setChecked(index == at)
 
     def _show(self, title: str, name: str, texts: Sequence[str], words: Sequence[str]) -> None:
-        self._title.setText(title)
+        self._title.setText(tr(title))
         self.setAccessibleName(name)
         for button in self._buttons:
             self._grid.removeWidget(button)
             # Until it is deleted it would be drawn below the new answers.
             button.hide()
             button.deleteLater()
-        self._buttons = [QPushButton(text) for text in texts]
+        self._buttons = [QPushButton(tr(text)) for text in texts]
         columns = COLUMNS if max(map(len, texts), default=0) <= LONG else 2
         for at, (button, word) in enumerate(zip(self._buttons, words, strict=True)):
             button.setFocusPolicy(Qt.FocusPolicy.NoFocus)
@@ -173,11 +173,11 @@ class NameDialog(QDialog):
         super().__init__(parent)
         self._take: Callable[[str], str] = str
         self._taken: Sequence[str] = ()
-        self.setWindowTitle(title)
+        self.setWindowTitle(tr(title))
         self.head, self.said = label("", "head"), label("", "small", wrap=True)
         self.field = QLineEdit()
-        self.field.setAccessibleName("Name or note")
-        self.save, close = QPushButton("Save"), QPushButton("Close")
+        self.field.setAccessibleName(tr("Name or note"))
+        self.save, close = QPushButton(tr("Save")), QPushButton(tr("Close"))
         self.save.setDefault(True)
         self.save.clicked.connect(self._try)
         close.clicked.connect(self.close)
@@ -191,7 +191,7 @@ class NameDialog(QDialog):
     ) -> None:
         """Ask for ``what``, first ``text``; warns that a name in ``taken`` will be replaced."""
         self._take, self._taken = take, taken
-        self.head.setText(what)
+        self.head.setText(tr(what))
         self.field.setAccessibleName(what)
         self.field.setText(text)
         self._say("")
@@ -202,7 +202,7 @@ class NameDialog(QDialog):
 
     def _say(self, text: str) -> None:
         known = text.strip() in self._taken
-        self.said.setText("This name exists. Saving replaces its layout." if known else "")
+        self.said.setText(tr("This name exists. Saving replaces its layout." if known else ""))
 
     def _try(self) -> None:
         reason = self._take(self.field.text())

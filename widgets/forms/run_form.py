@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from PySide6.QtCore import Signal
 from PySide6.QtWidgets import QCheckBox, QComboBox, QPushButton
 
-from touchdown.widgets.base import ElidedLabel, Panel, Theme, add_items, describe, hbox, label
+from touchdown.widgets import base
 from touchdown.widgets.forms.fields import (
     FormFields,
     decimal_box,
@@ -65,43 +65,42 @@ class RunButtons:
     why_not: str = ""
 
 
-class RunPanel(Panel):
+class RunPanel(base.Panel):
     """Form and buttons of a run; ``chosen`` is emitted on another piece, bottom or strategy."""
 
     chosen = Signal()
 
-    def __init__(self, theme: Theme) -> None:
+    def __init__(self, theme: base.Theme) -> None:
         super().__init__("Run")
         self._theme = theme
         self._piece, self._bottom, self._under = QComboBox(), QComboBox(), QComboBox()
         self._seed, self._trials = whole_box(0, 999_999), whole_box(1, 100)
         self._origin = decimal_box(-300.0, 300.0), decimal_box(-300.0, 300.0)
         self._strategy, self._mode = QComboBox(), QComboBox()
-        self._weigh = QCheckBox("Weigh first")
+        self._weigh = QCheckBox(base.tr("Weigh first"))
         self._fields = FormFields(
             12, 6, piece=self._piece, bottom=self._bottom, under=self._under, seed=self._seed,
             trials=self._trials, strategy=self._strategy, mode=self._mode, weigh=self._weigh,
             origin_x_mm=self._origin[0], origin_y_mm=self._origin[1],
         )  # fmt: skip
-        self._model = ElidedLabel("small")
-        self._certificate = label("", "small", wrap=True)
-        self._certificate.setAccessibleName("Certificate")
-        self._signals = label("", "small", wrap=True)
+        self._model = base.ElidedLabel("small")
+        self._certificate = base.label("", "small", wrap=True)
+        self._certificate.setAccessibleName(base.tr("Certificate"))
+        self._signals = base.label("", "small", wrap=True)
         set_entries(self._strategy, STRATEGIES)
         set_entries(self._mode, MODES)
-        self.start = QPushButton("Start stacking")
+        self.start = QPushButton(base.tr("Start stacking"))
         self.start.setProperty("role", "primary")
-        self.pause = QPushButton("Pause")
-        self.cancel = QPushButton("Cancel")
-        self.row = QPushButton("In a row")
+        self.pause = QPushButton(base.tr("Pause"))
+        self.cancel = QPushButton(base.tr("Cancel"))
+        self.row = base.flat_button("In a row", "List of planned runs (Ctrl+Shift+D)")
         for combo in (self._piece, self._bottom, self._under, self._strategy):
             combo.currentIndexChanged.connect(lambda _: self.chosen.emit())
-        describe(
+        base.describe(
             (self.pause, "Pause", "Pause at the next safe point, arm lifted (P)"),
             (self.cancel, "Cancel", "End the run: lift the arm, keep the grip"),
-            (self.row, "Runs in a row", "List of planned runs (Ctrl+Shift+D)"),
         )
-        self.start.setAccessibleName("Start stacking")
+        self.start.setAccessibleName(base.tr("Start stacking"))
         self._arrange()
         self.show_buttons(RunButtons(False, False, cancel=False, paused=False, form=True))
 
@@ -124,17 +123,18 @@ class RunPanel(Panel):
             ("Model", self._model, ""),
             ("Mode", self._mode, "Moves that wait for your approval"),
         )
-        describe((self._weigh, "Weigh first", "Measure the centre of mass of the held piece in six "
-                  "poses, and judge by it; for pieces of 100 g or more"))  # fmt: skip
+        tip = ("Measure the centre of mass of the held piece in six poses, and judge by it; "
+               "for pieces of 100 g or more")  # fmt: skip
+        base.describe((self._weigh, "Weigh first", tip))
         fields.addWidget(self._weigh, 7, 1, 1, 3)
         x, y = self._origin
         self._origin_words = fields.add_halves(8, ("Origin x", x, ""), ("y", y, "", "Origin y"))
         self.show_devices(False)
         self.column.addLayout(fields)
-        add_items(self.column, self._certificate, self._signals)
+        base.add_items(self.column, self._certificate, self._signals)
         self.column.addSpacing(2)
-        pair = hbox((self.pause, 1), (self.cancel, 1))
-        add_items(self.column, hbox((self.start, 1), self.row), pair)
+        self.header.addWidget(self.row)
+        self.column.addLayout(base.hbox((self.start, 2), (self.pause, 1), (self.cancel, 1)))
 
     def show_catalogue(
         self, pieces: Sequence[tuple[str, str]], bottoms: Sequence[tuple[str, str]]
@@ -150,7 +150,7 @@ class RunPanel(Panel):
         """Show the model in use; the tool tip has the details."""
         self._model.setText(short)
         self._model.setToolTip(full)
-        self._model.setAccessibleName(f"Model: {short}")
+        self._model.setAccessibleName(base.tr("Model: {}", short))
 
     def show_certificate(self, text: str, scope: str) -> None:
         """Show what is known about the risk of a release; the tool tip has its scope.
@@ -189,9 +189,9 @@ class RunPanel(Panel):
     def show_buttons(self, buttons: RunButtons) -> None:
         """Enable buttons and fields; the tool tip of a disabled Start gives the reason."""
         self.start.setEnabled(buttons.start)
-        self.start.setToolTip(buttons.why_not or "Start the run (Ctrl+Return)")
+        self.start.setToolTip(buttons.why_not or base.tr("Start the run (Ctrl+Return)"))
         self.pause.setEnabled(buttons.pause)
-        self.pause.setText("Resume" if buttons.paused else "Pause")
+        self.pause.setText(base.tr("Resume" if buttons.paused else "Pause"))
         self.cancel.setEnabled(buttons.cancel)
         self._fields.set_enabled(buttons.form and self._piece.count() > 0)
         self.fit_to_theme()
@@ -204,15 +204,15 @@ class RunPanel(Panel):
 Entries = Sequence[tuple[str, str]]  # (name, title) of pieces
 
 
-class ScenePanel(Panel):
+class ScenePanel(base.Panel):
     """Sets piece and bottom of the simulated bench; ``on_set`` gets their names."""
 
     def __init__(self, on_set: Callable[[str, str], None]) -> None:
         super().__init__("Bench")
         self._on_set = on_set
         self.piece, self.bottom = QComboBox(), QComboBox()
-        self.set = QPushButton("Set")
-        describe(
+        self.set = QPushButton(base.tr("Set"))
+        base.describe(
             (self.piece, "Piece", "Piece between the jaws"),
             (self.bottom, "Bottom", "Body below the piece"),
             (
@@ -223,7 +223,7 @@ class ScenePanel(Panel):
         )
         let_shrink(self.piece, self.bottom, letters=6)
         self.set.clicked.connect(self.ask)
-        self.column.addLayout(hbox((self.piece, 1), (self.bottom, 1), self.set))
+        self.column.addLayout(base.hbox((self.piece, 1), (self.bottom, 1), self.set))
 
     def show_catalogue(self, pieces: Entries, bottoms: Entries, chosen: tuple[str, str]) -> None:
         """Set the entries and select ``chosen`` (piece, bottom)."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from PySide6.QtCore import QSignalBlocker, Qt, Signal
 from PySide6.QtWidgets import QCheckBox, QComboBox, QPushButton, QSizePolicy, QToolButton
 
-from touchdown.widgets.base import Panel, Theme, add_items, describe, hbox
+from touchdown.widgets.base import Panel, Theme, add_items, describe, hbox, tr
 from touchdown.widgets.forms.fields import (
     FormFields,
     decimal_box,
@@ -70,7 +70,7 @@ class TrainingFormPanel(Panel):
         self.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Fixed)
         self.data, self.labels, self.piece = QComboBox(), QComboBox(), QComboBox()
         self.modality, self.folder = QComboBox(), QToolButton()
-        self.divide = QCheckBox("Divide series by grips")
+        self.divide = QCheckBox(tr("Divide series by grips"))
         self.layers, self.hidden = whole_box(1, 4), whole_box(4, 1024)
         self.epochs, self.batch = whole_box(1, 1000), whole_box(1, 1024)
         self.held_out, self.seed = whole_box(5, 50), whole_box(0, 999_999)
@@ -84,11 +84,11 @@ class TrainingFormPanel(Panel):
             learning_rate=self.rate, seed=self.seed, held_out=self.held_out,
             divide_series=self.divide,
         )  # fmt: skip
-        self.start, self.cancel = QPushButton("Start training"), QPushButton("Cancel")
-        self.resume, self.defaults = QPushButton("Resume"), QToolButton()
+        self.start, self.cancel = QPushButton(tr("Start training")), QPushButton(tr("Cancel"))
+        self.resume, self.defaults = QPushButton(tr("Resume")), QToolButton()
         self.start.setProperty("role", "primary")
         self.defaults.setProperty("role", "plain")
-        self.defaults.setText("Defaults")
+        self.defaults.setText(tr("Defaults"))
         self.folder.setText("\N{HORIZONTAL ELLIPSIS}")
         self.folder.setProperty("role", "field")
         set_entries(self.labels, LABEL_TITLES)
@@ -134,8 +134,8 @@ class TrainingFormPanel(Panel):
             ("Rate", self.rate, "Learning rate of the optimiser"),
             ("Seed", self.seed, "Seed of initial weights, order and split"),
         )
-        self.detail.setText("support: p > 0.9")
-        self.detail.setToolTip("A face point above this probability is support (delta)")
+        self.detail.setText(tr("support: p > 0.9"))
+        self.detail.setToolTip(tr("A face point above this probability is support (delta)"))
         self.header.addWidget(self.defaults)
         # One row, to leave room for the table of the split.
         buttons = hbox((self.start, 1), self.cancel, self.resume, spacing=4)
@@ -166,7 +166,7 @@ class TrainingFormPanel(Panel):
     def show_buttons(self, buttons: TrainingButtons) -> None:
         """Enable buttons and fields; the tool tip of a disabled Start gives the reason."""
         self.start.setEnabled(buttons.start)
-        self.start.setToolTip(buttons.why_not or "Train in a separate process (Ctrl+Return)")
+        self.start.setToolTip(buttons.why_not or tr("Train in a separate process (Ctrl+Return)"))
         self.cancel.setEnabled(buttons.cancel)
         self.resume.setEnabled(buttons.resume)
         self._fields.set_enabled(not buttons.cancel)

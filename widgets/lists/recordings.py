@@ -325,8 +325,8 @@ class HistoryList(QWidget):
         super().__init__()
         self._rows: list[HistoryRow] = []
         self.list = base.KeylessList("Versions of the label")
-        self.restore = QPushButton("Restore")
-        self.restore.setToolTip("Make a new version with the content of the chosen one")
+        self.restore = QPushButton(base.tr("Restore"))
+        self.restore.setToolTip(base.tr("Make a new version with the content of the chosen one"))
         self.count = base.label("", "small")
         foot = base.hbox((self.count, 1), self.restore)
         base.vbox((self.list, 1), foot, parent=self, margins=(0, 0, 0, 0), spacing=6)
@@ -339,7 +339,9 @@ class HistoryList(QWidget):
         self._rows = list(rows)
         self.list.clear()
         self.list.addItems([revision_text(row) for row in rows])
-        self.count.setText("1 version" if len(rows) == 1 else f"{len(rows)} versions")
+        self.count.setText(
+            base.tr("1 version") if len(rows) == 1 else base.tr("{} versions", len(rows))
+        )
         self._choose(-1)
 
     def choose(self, at: int) -> None:

@@ -15,7 +15,7 @@ from shiboken6 import Shiboken, VoidPtr
 
 from touchdown.backend.core import FloatArray
 from touchdown.backend.geometry import rings_of
-from touchdown.widgets.base import Theme, Tokens, true_minus, ui_font
+from touchdown.widgets.base import Theme, Tokens, tr, true_minus, ui_font
 
 
 def nice_step(span: float, count: int) -> float:
@@ -222,8 +222,8 @@ def draw_message(
     """Draw an empty state centred in ``rect``, wrapped to its width."""
     both = int(Qt.AlignmentFlag.AlignHCenter | Qt.TextFlag.TextWordWrap)
     area = QRectF(rect).adjusted(8, 0, -8, 0)
-    parts = [(text, "text", ui_font(theme.scale, 1.1, 500)),
-             (detail, "muted", ui_font(theme.scale, 0.92))]  # fmt: skip
+    parts = [(tr(text), "text", ui_font(theme.scale, 1.1, 500)),
+             (tr(detail), "muted", ui_font(theme.scale, 0.92))]  # fmt: skip
     boxes = []
     for words, token, font in parts:
         painter.setFont(font)

@@ -19,7 +19,7 @@ from PySide6.QtGui import (
 )
 from PySide6.QtWidgets import QFileDialog, QMessageBox, QSizePolicy, QStackedWidget, QWidget
 
-from touchdown.widgets.base import Theme, signed, ui_font
+from touchdown.widgets.base import Theme, signed, tr, ui_font
 from touchdown.widgets.plots.axes import PlotArea
 
 WHEEL_STEP, MENU_STEP, MOVE_SHARE, LEAST_SHARE = 1.25, 1.6, 0.1, 0.02
@@ -84,7 +84,7 @@ class PictureView(QWidget):
         self._theme, self._usual_px, self.zoom = theme, QSize(*usual_px), WHOLE
         self._pointer: QPointF | None = None
         self._grip: QPointF | None = None
-        self.setAccessibleName(name)
+        self.setAccessibleName(tr(name))
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Expanding)
         self.setMinimumSize(*least_px)
         self.setAttribute(Qt.WidgetAttribute.WA_OpaquePaintEvent, opaque)

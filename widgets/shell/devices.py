@@ -57,7 +57,7 @@ class DeviceChip(QWidget):
         self._theme, self._name = theme, name
         self.value = ChipValue("closed", "no data")
         self.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Fixed)
-        self.setAccessibleName(f"{name}: closed")
+        self.setAccessibleName(base.tr("{}: closed", name))
         self.setFocusPolicy(Qt.FocusPolicy.TabFocus)
         self.setCursor(Qt.CursorShape.PointingHandCursor)
         self.setAttribute(Qt.WidgetAttribute.WA_Hover)
@@ -154,8 +154,10 @@ class DeviceInspector(QDialog):
     def __init__(self, parent: QWidget, on_reconnect: Callable[[], None]) -> None:
         super().__init__(parent)
         self.key = ""
-        self.reconnect = QPushButton("Reconnect")
-        self.reconnect.setToolTip("Close the connection and open it again; the grip is kept")
+        self.reconnect = QPushButton(base.tr("Reconnect"))
+        self.reconnect.setToolTip(
+            base.tr("Close the connection and open it again; the grip is kept")
+        )
         self.reconnect.clicked.connect(on_reconnect)
         self._head = base.label("", "head")
         self._grid = QGridLayout()
@@ -163,7 +165,7 @@ class DeviceInspector(QDialog):
         self._grid.setVerticalSpacing(6)
         self._grid.setColumnStretch(1, 1)
         self._values: dict[str, QLabel] = {}
-        close = QPushButton("Close")
+        close = QPushButton(base.tr("Close"))
         close.clicked.connect(self.close)
         buttons = base.hbox(self.reconnect, 1, close)
         rows = self._head, self._grid, 1, base.rule(), buttons
@@ -173,9 +175,9 @@ class DeviceInspector(QDialog):
     def open_at(self, key: str, title: str, rows: Rows, below: QPoint) -> None:
         """Show device ``key`` with the upper left corner at ``below`` (global coordinates)."""
         self.key = key
-        self.setWindowTitle(f"{title}: raw fields")
+        self.setWindowTitle(base.tr("{}: raw fields", title))
         self._head.setText(title)
-        self.reconnect.setAccessibleName(f"Reconnect {title}")
+        self.reconnect.setAccessibleName(base.tr("Reconnect {}", title))
         self._build(rows)
         self.adjustSize()
         self.move(below)

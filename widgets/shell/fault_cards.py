@@ -23,6 +23,7 @@ from touchdown.widgets import base
 MAX_CARDS = 4
 LEAST_EM = 46  # width of a card with its buttons beside the text, in heights of the font
 ANSWER_EM = 9  # least width of an answer, so that each has its place
+QUESTION_PX = 260  # least width of a question beside its answers
 STOPPED = "STOPPED"  # code of the card of a stop, always on top
 
 
@@ -81,14 +82,14 @@ class FaultCard(QFrame):
         self._foot = base.label("", "small")
         self._details = QPlainTextEdit(text.details or self._plain())
         self._details.setReadOnly(True)
-        self._details.setAccessibleName("Details of the fault")
+        self._details.setAccessibleName(base.tr("Details of the fault"))
         self._details.setMaximumHeight(140)
         self._details.hide()
         self._on_button = on_button
         self.more = QPushButton()
         self.more.hide()
         self.fold = self._button("Fold", on_fold)
-        self.fold.setToolTip("Fold the cards into one line, to see the page below")
+        self.fold.setToolTip(base.tr("Fold the cards into one line, to see the page below"))
         self._arrange()
         self._show_count()
 
@@ -103,7 +104,7 @@ class FaultCard(QFrame):
 
     def _show_count(self) -> None:
         times = f" (\N{MULTIPLICATION SIGN}{self.count})" if self.count > 1 else ""
-        self._title.setText(self.text.what + times)
+        self._title.setText(base.tr(self.text.what) + times)
         self._foot.setText(f"[{self.text.code}]  {self.text.at}")
         self.setAccessibleName(self._plain())
 
@@ -113,7 +114,7 @@ class FaultCard(QFrame):
 
     def _arrange(self) -> None:
         words = base.vbox(self._title, spacing=2)
-        then = f"{self.text.consequence} {self.text.next_step}".strip()
+        then = f"{base.tr(self.text.consequence)} {base.tr(self.text.next_step)}".strip()
         if then:
             words.addWidget(base.label(then, wrap=True))
         words.addWidget(self._foot)
@@ -128,7 +129,7 @@ class FaultCard(QFrame):
         end = self._button(last, self._act)
         if self.text.reset:
             end.setProperty("role", "reset")
-            end.setToolTip("Clear the latched faults and the stop. Nothing starts to move.")
+            end.setToolTip(base.tr("Clear latched faults and the stop. Nothing starts to move."))
         row.addWidget(end)
         self._line = QBoxLayout(QBoxLayout.Direction.LeftToRight)
         base.add_items(self._line, (words, 1), row)
@@ -142,7 +143,7 @@ class FaultCard(QFrame):
         self._line.setDirection(way.LeftToRight if wide else way.TopToBottom)
 
     def _button(self, text: str, slot: Callable[[], None]) -> QPushButton:
-        button = QPushButton(text)
+        button = QPushButton(base.tr(text))
         button.setAccessibleName(f"{text}: {self.text.what}")
         button.clicked.connect(slot)
         return button
@@ -170,7 +171,7 @@ class FoldedCards(QFrame):
         self.setProperty("role", "fault")
         self._words = base.ElidedLabel("title")
         self._words.setSizePolicy(QSizePolicy.Policy.Maximum, QSizePolicy.Policy.Preferred)
-        self.show_all, self.reset = QPushButton("Show"), QPushButton("Reset")
+        self.show_all, self.reset = QPushButton(base.tr("Show")), QPushButton(base.tr("Reset"))
         self.reset.setProperty("role", "reset")
         for button in (self.show_all, self.reset):
             button.setProperty("low", "yes")
@@ -183,8 +184,8 @@ class FoldedCards(QFrame):
         """Show the first of ``count`` cards."""
         self._words.setText(f"{text.what} (+{count - 1})" if count > 1 else text.what)
         self._words.setToolTip(text.what)
-        self.show_all.setAccessibleName(f"Show: {text.what}")
-        self.reset.setAccessibleName(f"Reset: {text.what}")
+        self.show_all.setAccessibleName(base.tr("Show: {}", text.what))
+        self.reset.setAccessibleName(base.tr("Reset: {}", text.what))
         self.reset.setVisible(text.reset)
         base.set_property(self, "role", text.role)
         self.show()
@@ -288,14 +289,15 @@ class FaultCards(QWidget):
         frame.setProperty("role", "question")
         self._more = QPushButton()
         self._more.clicked.connect(self._unfold)
-        row = base.hbox(parent=frame)
+        buttons = []
         for text, action in question.answers:
-            answer = QPushButton(text)
+            answer = QPushButton(base.tr(text))
             answer.setMinimumWidth(ANSWER_EM * self.fontMetrics().height())
             answer.clicked.connect(lambda _=False, action=action: self._answer(action))
             answer.setAccessibleName(f"{text}: {question.text}")
-            row.addWidget(answer)
-        base.add_items(row, self._more, (base.label(question.text, "title", wrap=True), 1))
+            buttons.append(answer)
+        words = base.label(question.text, "title", wrap=True), QUESTION_PX
+        base.FlowLayout(*buttons, self._more, words, parent=frame, margins=(9, 9, 9, 9), spacing=6)
         self._question, self.asks = frame, question
         self._asked_last = front or self._asked_last
         self.folded = self.folded and not front
@@ -402,7 +404,7 @@ class FaultCards(QWidget):
         text = "Fewer" if self._unfolded else f"{waiting} more"
         for more in filter(None, (self._more, *(card.more for card in ranked[:1]))):
             more.setText(text)
-            more.setAccessibleName(f"{text}: the other cards")
+            more.setAccessibleName(base.tr("{}: the other cards", text))
         shown = bool(ranked) and not self.folded
         self.setVisible(shown or self._question is not None)
 
@@ -413,9 +415,10 @@ class UnsavedBanner(QFrame):
     def __init__(self, again: Callable[[], None], discard: Callable[[], None]) -> None:
         super().__init__()
         self.setProperty("role", "fault")
-        self.setAccessibleName("Unsaved label")
+        self.setAccessibleName(base.tr("Unsaved label"))
         self.text = base.label("", wrap=True)
-        self.again, self.discard = QPushButton("Save again (Enter)"), QPushButton("Discard (Esc)")
+        self.again = QPushButton(base.tr("Save again (Enter)"))
+        self.discard = QPushButton(base.tr("Discard (Esc)"))
         base.hbox((self.text, 1), self.again, self.discard, parent=self, margins=(12, 8, 10, 8))
         self.again.clicked.connect(again)
         self.discard.clicked.connect(discard)
@@ -423,7 +426,7 @@ class UnsavedBanner(QFrame):
 
     def show_trouble(self, what: str, *, waits: bool = False) -> None:
         """Show the reason; "" hides the banner. ``waits``: saving is retried automatically."""
-        self.text.setText(f"Not saved: {what}" if what else "")
+        self.text.setText(base.tr("Not saved: {}", what) if what else "")
         for button in (self.again, self.discard):
             button.setVisible(not waits)
         appears = bool(what) and self.isHidden()

@@ -21,7 +21,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from touchdown.widgets.base import ENTER, ModelIndex, hbox, label, rule, scroll_area, vbox
+from touchdown.widgets.base import ENTER, ModelIndex, hbox, label, rule, scroll_area, tr, vbox
 
 SHOWN = 200
 NAME, CHOICE = Qt.ItemDataRole.UserRole, Qt.ItemDataRole.UserRole + 1
@@ -102,11 +102,11 @@ class CommandPalette(QDialog):
         super().__init__(parent)
         self._window, self._on_choice = parent, on_choice
         self._choices: Sequence[PaletteEntry] = ()
-        self.setWindowTitle("Commands")
+        self.setWindowTitle(tr("Commands"))
         self.field, self.list = QLineEdit(), QListWidget()
-        self.field.setPlaceholderText("What do you want to do?")
-        self.field.setAccessibleName("Find a command")
-        self.list.setAccessibleName("Matching commands")
+        self.field.setPlaceholderText(tr("What do you want to do?"))
+        self.field.setAccessibleName(tr("Find a command"))
+        self.list.setAccessibleName(tr("Matching commands"))
         self.list.setItemDelegate(_PaletteDelegate(self.list))
         self.list.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         self.list.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
@@ -188,10 +188,10 @@ class KeySheet(QDialog):
     def __init__(self, parent: QWidget) -> None:
         super().__init__(parent)
         self._window = parent
-        self.setWindowTitle("Keys")
+        self.setWindowTitle(tr("Keys"))
         self._scroll = scroll_area()
-        self._scroll.setAccessibleName("Keyboard shortcuts")
-        close = QPushButton("Close")
+        self._scroll.setAccessibleName(tr("Keyboard shortcuts"))
+        close = QPushButton(tr("Close"))
         close.clicked.connect(self.close)
         column = vbox((self._scroll, 1), rule(), parent=self, margins=(20, 16, 20, 16), spacing=12)
         column.addWidget(close, 0, Qt.AlignmentFlag.AlignRight)
@@ -253,10 +253,10 @@ class KeyDialog(QDialog):
     def __init__(self, parent: QWidget) -> None:
         super().__init__(parent)
         self._change: Callable[[str], str] = str
-        self.setWindowTitle("Change a key")
+        self.setWindowTitle(tr("Change a key"))
         self.head, self.said = label("", "head", wrap=True), label("", wrap=True)
-        none, close = QPushButton("No key"), QPushButton("Close")
-        none.setToolTip("The command stays available in the palette")
+        none, close = QPushButton(tr("No key")), QPushButton(tr("Close"))
+        none.setToolTip(tr("The command stays available in the palette"))
         for button in (none, close):
             button.setFocusPolicy(Qt.FocusPolicy.TabFocus)
         none.clicked.connect(lambda: self._try(""))
@@ -268,8 +268,10 @@ class KeyDialog(QDialog):
     def ask(self, text: str, key: str, change: Callable[[str], str]) -> None:
         """Ask for a shortcut of the command ``text``; ``key`` is the present one."""
         self._change = change
-        self.head.setText(text)
-        self.said.setText(f"Present key: {key}. Press another one." if key else "Press a key.")
+        self.head.setText(tr(text))
+        self.said.setText(
+            tr("Present key: {}. Press another one.", key) if key else tr("Press a key.")
+        )
         self.setMinimumWidth(26 * self.fontMetrics().height())
         self.show()
         self.activateWindow()
@@ -299,4 +301,4 @@ class KeyDialog(QDialog):
         if reason:
             self.said.setText(reason)
         else:
-            self.said.setText(f"Key set to {key}." if key else "Key removed.")
+            self.said.setText(tr("Key set to {}.", key) if key else tr("Key removed."))

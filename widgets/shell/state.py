@@ -19,7 +19,7 @@ from PySide6.QtGui import (
 )
 from PySide6.QtWidgets import QSizePolicy, QWidget
 
-from touchdown.widgets.base import Theme, ui_font
+from touchdown.widgets.base import Theme, tr, ui_font
 from touchdown.widgets.lists import STATE_COLOURS
 
 Colour = Literal["grey", "blue", "green", "yellow", "red"]
@@ -45,14 +45,14 @@ class StatePill(QWidget):
         self._theme = theme
         self.state = PillState("NO DEVICES", "ring", "grey")
         self.setSizePolicy(QSizePolicy.Policy.Fixed, QSizePolicy.Policy.Fixed)
-        self.setAccessibleName("State: NO DEVICES")
+        self.setAccessibleName(tr("State: NO DEVICES"))
 
     def show_state(self, state: PillState) -> None:
         """Show a state and announce it to screen readers."""
         if state == self.state:
             return
         told, self.state = self.state.word, state
-        self.setAccessibleName(f"State: {state.word}")
+        self.setAccessibleName(tr("State: {}", state.word))
         self.setAccessibleDescription(state.note)
         if state.word != told and QAccessible.isActive():
             QAccessible.updateAccessibility(QAccessibleAnnouncementEvent(self, state.word))
@@ -63,7 +63,7 @@ class StatePill(QWidget):
         """Return room for the longest common word, so that the bar does not jump."""
         word = QFontMetrics(ui_font(self._theme.scale, 1.0, 600))
         note = QFontMetrics(ui_font(self._theme.scale, 0.78))
-        width = max(word.horizontalAdvance(w) for w in (self.state.word, "CANCELLING"))
+        width = max(word.horizontalAdvance(tr(w)) for w in (self.state.word, "CANCELLING"))
         width = max(width, note.horizontalAdvance("simulated, reference"))
         return QSize(width + self._left_px() + 16, 2 * note.height() + 8)
 
@@ -88,7 +88,7 @@ class StatePill(QWidget):
         middle = self.height() / 2 if self.state.note else self.height()
         box = QRectF(left, 0, self.width() - left - 4, middle + 3 * bool(self.state.note))
         low, centre = Qt.AlignmentFlag.AlignBottom, Qt.AlignmentFlag.AlignVCenter
-        painter.drawText(box, int(low if self.state.note else centre), self.state.word)
+        painter.drawText(box, int(low if self.state.note else centre), tr(self.state.word))
         if self.state.note:
             painter.setFont(ui_font(self._theme.scale, 0.78))
             box = QRectF(left, middle + 1, self.width() - left - 4, middle)

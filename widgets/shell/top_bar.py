@@ -8,7 +8,7 @@ from PySide6.QtCore import QPointF, QRectF, QSize, Qt, QTimer
 from PySide6.QtGui import QColor, QPainter, QPaintEvent, QPen, QPolygonF, QResizeEvent
 from PySide6.QtWidgets import QFrame, QPushButton, QSizePolicy, QSpinBox, QVBoxLayout, QWidget
 
-from touchdown.widgets.base import Theme, fit_icon, hbox, icon, label, ui_font, vbox
+from touchdown.widgets.base import Theme, fit_icon, hbox, icon, label, tr, ui_font, vbox
 from touchdown.widgets.shell.devices import DeviceChip
 from touchdown.widgets.shell.state import StatePill
 
@@ -24,7 +24,7 @@ class BenchBanner(QWidget):
 
     def show_bench(self, word: str, tip: str, striped: bool) -> None:
         """Set name, tool tip and stripes."""
-        self._word, self._striped = word, striped
+        self._word, self._striped = tr(word), striped
         self.setAccessibleName(f"{word}: {tip}")
         self.setToolTip(tip)
         self.updateGeometry()
@@ -80,7 +80,7 @@ class ServoButton(QPushButton):
         self.pressed.connect(self._press)
         self.released.connect(self._held.stop)
         self.show_state(None)
-        self.setAccessibleName("Servo: unknown")
+        self.setAccessibleName(tr("Servo: unknown"))
 
     def show_state(self, on: bool | None, *, busy: bool = False) -> None:
         """Show on, off, or None for unknown."""
@@ -90,7 +90,7 @@ class ServoButton(QPushButton):
             self.setText(word)
             self.setEnabled(on is not None and not busy)
             self.setToolTip("" if on is None else ON_TIP if on else OFF_TIP)
-            self.setAccessibleName(f"Servo: {'unknown' if on is None else word}")
+            self.setAccessibleName(tr("Servo: {}", "unknown" if on is None else word))
             self.setAccessibleDescription(self.toolTip())
 
     def _press(self) -> None:
@@ -111,6 +111,7 @@ MARGIN, GAP, CHIP_GAP = 8, 8, 4
 OVERRIDE_PAD_PX = 20  # frame and padding beside the figures of the override
 OVERRIDE = (10, 100)  # range, %
 USUAL_MODE = "Robot: Program"
+STOP_TEXTS = "STOP motion (software)", "STOP (software)"  # usual, and where the room ends
 DEVICE_CHIPS = (
     ("arm", "Arm"),
     ("gripper", "Gripper"),
@@ -138,10 +139,12 @@ class TopBar(QFrame):
             minimum=least, maximum=most, value=most, singleStep=10, suffix=" %"
         )
         self.override.setKeyboardTracking(False)
-        self.override.setAccessibleName("Speed override")
+        self.override.setAccessibleName(tr("Speed override"))
         self.override.setToolTip(
-            "Speed override (OVRD) of all moves in air, by hand and in runs. "
-            "The speed of presses is not changed."
+            tr(
+                "Speed override (OVRD) of all moves in air, by hand and in runs. "
+                "The speed of presses is not changed."
+            )
         )
         self.override.setProperty("role", "compact")
         self._override_title = label("OVRD", "small")
@@ -151,15 +154,17 @@ class TopBar(QFrame):
         self._servo_title.setBuddy(self.servo)
         self._estop_title = label("HW E-stop", "small")
         self._estop = label("unknown", "small")
-        self.stop = QPushButton("STOP motion (software)")
+        self.stop = QPushButton(tr(STOP_TEXTS[0]))
         self.stop.setProperty("role", "stop")
         self.stop.setIcon(icon("stop", QColor("#FFFFFF")))
         self.stop.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         self.stop.setSizePolicy(QSizePolicy.Policy.Fixed, QSizePolicy.Policy.Preferred)
-        self.stop.setAccessibleName("STOP motion, software stop")
+        self.stop.setAccessibleName(tr("STOP motion, software stop"))
         self.stop.setToolTip(
-            "Stops arm and gripper at once and ends the run; the grip is kept. Keys: F12, or "
-            "Space during motion. This is not the robot's emergency stop."
+            tr(
+                "Stops arm and gripper at once and ends the run; the grip is kept. Keys: F12, or "
+                "Space during motion. This is not the robot's emergency stop."
+            )
         )
         self.stop.pressed.connect(on_stop)
         self._least_px = 0
@@ -196,8 +201,11 @@ class TopBar(QFrame):
         """Show the chips in full, else their names only, else in full on a second row."""
         chips, room = tuple(self.chips.values()), self.width()
         fit_icon(self.stop)
+        beside = self.pill.sizeHint().width() + 3 * GAP
+        usual, self._least_px = (beside + self._stop_px(tr(text)) for text in STOP_TEXTS)
+        self.stop.setText(tr(STOP_TEXTS[usual > room]))
         # Constant width for common modes, so that the chips do not jump when the arm starts.
-        self._robot.setMinimumWidth(self._robot.fontMetrics().horizontalAdvance(USUAL_MODE))
+        self._robot.setMinimumWidth(self._robot.fontMetrics().horizontalAdvance(tr(USUAL_MODE)))
         figures = self.override.fontMetrics().horizontalAdvance("100 %")
         self.override.setFixedWidth(figures + OVERRIDE_PAD_PX)
         for short in (False, True):
@@ -218,9 +226,13 @@ class TopBar(QFrame):
             self._row.removeWidget(self._devices)
             self._second.addWidget(self._devices)
             self._second.addStretch(1)
-        self._least_px = self.pill.sizeHint().width() + self.stop.sizeHint().width() + 3 * GAP
         self._modes.setVisible(self._needed(()) <= room)
         self.updateGeometry()
+
+    def _stop_px(self, text: str) -> int:
+        """Return the width of STOP with another text."""
+        advance = self.stop.fontMetrics().horizontalAdvance
+        return self.stop.sizeHint().width() + advance(text) - advance(self.stop.text())
 
     def _needed(self, chips: tuple[DeviceChip, ...]) -> int:
         modes = max(self._robot.sizeHint().width(), self._safety.sizeHint().width())
@@ -247,7 +259,7 @@ class TopBar(QFrame):
         if text == self._estop.text():
             return
         self._estop.setText(text)
-        self._estop.setAccessibleName(f"Hardware emergency stop: {text}")
+        self._estop.setAccessibleName(tr("Hardware emergency stop: {}", text))
         self.fit()
 
 

@@ -9,7 +9,7 @@ from PySide6.QtCore import QEvent, QPoint, QRect, QSize, Qt
 from PySide6.QtGui import QColor, QKeyEvent, QPainter, QPaintEvent, QPen, QRegion
 from PySide6.QtWidgets import QFrame, QPushButton, QWidget
 
-from touchdown.widgets.base import ENTER, Theme, hbox, label, vbox
+from touchdown.widgets.base import ENTER, Theme, hbox, label, tr, vbox
 
 DIM = 110
 MARGIN_PX, RING_PX = 12, 4
@@ -72,25 +72,25 @@ class TourCard(QFrame):
         self._window, self._end = window, end
         self.title, self.text = label("", "head", wrap=True), label("", wrap=True)
         self.count = label("", "small")
-        self.back, self.next = QPushButton("Back"), QPushButton("Next")
-        self.end = QPushButton("End the tour")
+        self.back, self.next = QPushButton(tr("Back")), QPushButton(tr("Next"))
+        self.end = QPushButton(tr("End the tour"))
         self.next.setProperty("role", "primary")
         self.back.clicked.connect(lambda: turn(-1))
         self.next.clicked.connect(lambda: turn(1))
         self.end.clicked.connect(end)
-        self.end.setToolTip("Start it again from the palette: Ctrl+K, tour (Esc)")
+        self.end.setToolTip(tr("Start it again from the palette: Ctrl+K, tour (Esc)"))
         row = hbox(self.count, 1, self.end, self.back, self.next)
         vbox(self.title, self.text, row, parent=self, margins=(14, 10, 12, 12), spacing=8)
         self.hide()
 
     def show_stop(self, stop: TourStop, at: int, count: int) -> None:
         """Show the texts of stop ``at`` of ``count``."""
-        self.title.setText(stop.title)
-        self.text.setText(stop.text)
+        self.title.setText(tr(stop.title))
+        self.text.setText(tr(stop.text))
         self.count.setText(f"{at + 1} of {count}")
         self.back.setEnabled(at > 0)
-        self.next.setText("Done" if at == count - 1 else "Next")
-        self.setAccessibleName(f"Tour: {stop.title}. {stop.text}")
+        self.next.setText(tr("Done" if at == count - 1 else "Next"))
+        self.setAccessibleName(tr("Tour: {}. {}", stop.title, stop.text))
         self.show()
         self.raise_()
         self.next.setFocus()

@@ -12,7 +12,7 @@ from PySide6.QtGui import QColor, QFontMetrics, QImage, QPainter, QPaintEvent, Q
 from PySide6.QtWidgets import QSizePolicy, QWidget
 
 from touchdown.backend.core import BeliefMap, FloatArray, Stability
-from touchdown.widgets.base import MapName, Theme, map_colours, ui_font
+from touchdown.widgets.base import MapName, Theme, map_colours, tr, ui_font
 from touchdown.widgets.plots import (
     PictureCache,
     PictureView,
@@ -42,7 +42,7 @@ class BeliefLegend(QWidget):
         self._theme = theme
         self._more: tuple[tuple[str, str], ...] = ()
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
-        self.setAccessibleName("Legend of the belief map")
+        self.setAccessibleName(tr("Legend of the belief map"))
 
     def show_truth(self, shown: bool, *, weighed: bool = False) -> None:
         """Show or hide the entries of the true overlap and of a weighed centre of mass."""

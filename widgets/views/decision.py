@@ -9,7 +9,7 @@ from PySide6.QtCore import Qt, Signal
 from PySide6.QtWidgets import QFrame, QGridLayout, QPushButton, QWidget
 
 from touchdown.backend.core import Outcome, PlaceAction, Stability, SupportKind
-from touchdown.widgets.base import Panel, Theme, add_items, hbox, label, set_property, signed, vbox
+from touchdown.widgets import base
 from touchdown.widgets.forms import NameField
 from touchdown.widgets.views.offset import OffsetScene, OffsetView
 
@@ -40,33 +40,33 @@ class TrialPrompt:
     proposed: Outcome | None = None
 
 
-class TrialPanel(Panel):
+class TrialPanel(base.Panel):
     """Question to the operator during a trial; hidden if there is none."""
 
     answered = Signal(bool)
     judged = Signal(object, str)  # outcome, written reason
 
-    def __init__(self, theme: Theme) -> None:
+    def __init__(self, theme: base.Theme) -> None:
         super().__init__("Your turn")
-        self.text = label("", wrap=True)
+        self.text = base.label("", wrap=True)
         self.picture = OffsetView(theme, lambda _: None, lambda: None)
         self.picture.editable = False
-        self.picture.setAccessibleName("Start of the trial, seen from above")
-        self.yes, self.no = QPushButton("Ready"), QPushButton("Not now")
+        self.picture.setAccessibleName(base.tr("Start of the trial, seen from above"))
+        self.yes, self.no = QPushButton(base.tr("Ready")), QPushButton(base.tr("Not now"))
         self.yes.setProperty("role", "primary")
-        self.outcomes = {outcome: QPushButton(text) for outcome, text, _ in OUTCOMES}
+        self.outcomes = {outcome: QPushButton(base.tr(text)) for outcome, text, _ in OUTCOMES}
         self.reason = NameField()
-        self.reason.setPlaceholderText("Reason (required for a void trial)")
-        self.reason.setAccessibleName("Reason")
+        self.reason.setPlaceholderText(base.tr("Reason (required for a void trial)"))
+        self.reason.setAccessibleName(base.tr("Reason"))
         self.reason.setMaxLength(200)
-        self.photo = QPushButton("Photo\N{HORIZONTAL ELLIPSIS}")
-        self.photo.setToolTip("Store a photo of the bench with this trial")
+        self.photo = QPushButton(base.tr("Photo\N{HORIZONTAL ELLIPSIS}"))
+        self.photo.setToolTip(base.tr("Store a photo of the bench with this trial"))
         self._ready, self._judging = QWidget(), QWidget()
         self._arrange()
         self.yes.clicked.connect(lambda: self.answered.emit(True))
         self.no.clicked.connect(lambda: self.answered.emit(False))
-        self.no.setToolTip("End the run; nothing has moved")
-        self.yes.setToolTip("Continue (Y)")
+        self.no.setToolTip(base.tr("End the run; nothing has moved"))
+        self.yes.setToolTip(base.tr("Continue (Y)"))
         self.reason.returnPressed.connect(lambda: self.judge(Outcome.ABORTED))
         for outcome, button in self.outcomes.items():
             button.clicked.connect(lambda _=False, outcome=outcome: self.judge(outcome))
@@ -80,15 +80,15 @@ class TrialPanel(Panel):
             return
         self.rename(look.title)
         self.setAccessibleDescription(look.text)
-        self.text.setText(look.text)
+        self.text.setText(base.tr(look.text))
         self.picture.setVisible(look.scene is not None)
         if look.scene is not None:
             self.picture.show_scene(look.scene)
         self._ready.setVisible(bool(look.yes))
-        self.yes.setText(look.yes)
+        self.yes.setText(base.tr(look.yes))
         self._judging.setVisible(not look.yes)
         for outcome, button in self.outcomes.items():
-            set_property(button, "role", "primary" if outcome is look.proposed else "")
+            base.set_property(button, "role", "primary" if outcome is look.proposed else "")
 
     def judge(self, outcome: Outcome) -> None:
         """Report this outcome; a void trial needs a reason first."""
@@ -99,16 +99,16 @@ class TrialPanel(Panel):
             self.judged.emit(outcome, reason)
 
     def _arrange(self) -> None:
-        hbox(1, self.no, self.yes, parent=self._ready, margins=(0, 0, 0, 0))
+        base.hbox(1, self.no, self.yes, parent=self._ready, margins=(0, 0, 0, 0))
         judging = QGridLayout(self._judging)
         judging.setContentsMargins(0, 0, 0, 0)
         judging.setSpacing(6)
         for column, (outcome, _, tip) in enumerate(OUTCOMES):
-            self.outcomes[outcome].setToolTip(tip)
+            self.outcomes[outcome].setToolTip(base.tr(tip))
             judging.addWidget(self.outcomes[outcome], 0, column)
         judging.addWidget(self.reason, 1, 0, 1, 3)
         judging.addWidget(self.photo, 1, 3)
-        add_items(self.column, self.text, (self.picture, 1), self._ready, self._judging)
+        base.add_items(self.column, self.text, (self.picture, 1), self._ready, self._judging)
 
 
 ESTIMATED_MARGIN, TRUE_MARGIN = "estimated margin", "true margin"
@@ -138,7 +138,7 @@ def signed_mm(value: float) -> str:
         return "no estimate"
     if math.isinf(value):
         return "no support"
-    return f"{signed(value, 1)} mm"
+    return f"{base.signed(value, 1)} mm"
 
 
 def decision_text(stability: Stability | None, action: PlaceAction | None) -> DecisionText:
@@ -172,42 +172,43 @@ class DecisionPanel(QFrame):
     def __init__(self) -> None:
         super().__init__()
         self.setProperty("role", "card")
-        self.setAccessibleName("Decision")
-        self._result = label("", "figure")
-        self._margin = label("", "figure")
-        self._caption = label(ESTIMATED_MARGIN, "small")
-        self._text = label("", wrap=True)
+        self.setAccessibleName(base.tr("Decision"))
+        self._result = base.label("", "figure")
+        self._margin = base.label("", "figure")
+        self._caption = base.label(ESTIMATED_MARGIN, "small")
+        self._text = base.label("", wrap=True)
         self._text.setAlignment(Qt.AlignmentFlag.AlignTop | Qt.AlignmentFlag.AlignLeft)
         self._text.setMinimumHeight(2 * self.fontMetrics().lineSpacing() + 4)
-        self.approve = QPushButton("Approve  A")
+        self.approve = QPushButton(base.tr("Approve  A"))
         self.approve.setProperty("role", "primary")
-        self.approve.setToolTip("Approve this step (A; N in step mode)")
-        self.decline = QPushButton("Decline  D")
-        self.decline.setToolTip(DECLINING)
+        self.approve.setToolTip(base.tr("Approve this step (A; N in step mode)"))
+        self.decline = QPushButton(base.tr("Decline  D"))
+        self.decline.setToolTip(base.tr(DECLINING))
         self._asking = QWidget()
         self._arrange()
         self.show_text(NO_DECISION)
         self.show_question("")
 
     def _arrange(self) -> None:
-        top = hbox(self._result, 1)
+        top = base.hbox(self._result, 1)
         top.addWidget(self._caption, 0, Qt.AlignmentFlag.AlignBottom)
         top.addWidget(self._margin)
-        self._ask_text = label("", "title", wrap=True)
-        answers = hbox((label(DECLINING, "small", wrap=True), 1), self.decline, self.approve)
-        vbox(self._ask_text, answers, parent=self._asking, margins=(0, 0, 0, 0), spacing=2)
-        vbox(top, self._text, self._asking, parent=self, margins=(12, 8, 12, 8), spacing=4)
+        self._ask_text = base.label("", "title", wrap=True)
+        low = base.label(DECLINING, "small", wrap=True)
+        answers = base.hbox((low, 1), self.decline, self.approve)
+        base.vbox(self._ask_text, answers, parent=self._asking, margins=(0, 0, 0, 0), spacing=2)
+        base.vbox(top, self._text, self._asking, parent=self, margins=(12, 8, 12, 8), spacing=4)
 
     def show_text(self, text: DecisionText) -> None:
         """Show a decision."""
-        self._result.setText(text.result)
+        self._result.setText(base.tr(text.result))
         self._margin.setText(text.margin)
-        self._caption.setText(text.caption)
+        self._caption.setText(base.tr(text.caption))
         self._caption.setVisible(bool(text.margin))
-        self._text.setText(text.text)
-        self._text.setToolTip(text.text)
+        self._text.setText(base.tr(text.text))
+        self._text.setToolTip(base.tr(text.text))
         for part in (self._result, self._margin):
-            set_property(part, "tone", text.tone)
+            base.set_property(part, "tone", text.tone)
         margin = f"{text.caption} {text.margin}. " if text.margin else ""
         self.setAccessibleDescription(f"{text.result}. {margin}{text.text}")
 
@@ -220,6 +221,6 @@ class DecisionPanel(QFrame):
 
     def show_question(self, text: str, button: str = "Approve  A") -> None:
         """Ask for approval; an empty text withdraws the question."""
-        self._ask_text.setText(text)
-        self.approve.setText(button)
+        self._ask_text.setText(base.tr(text))
+        self.approve.setText(base.tr(button))
         self._asking.setVisible(bool(text))

@@ -11,7 +11,7 @@ from PySide6.QtGui import QMouseEvent, QPainter, QPaintEvent, QPen
 from PySide6.QtWidgets import QGridLayout, QSizePolicy, QWidget
 
 from touchdown.backend import core
-from touchdown.widgets.base import Age, Theme, blend, label, ui_font
+from touchdown.widgets.base import Age, Theme, blend, label, tr, ui_font
 from touchdown.widgets.plots import PlotArea, nice_step, tick_text, ticks
 from touchdown.widgets.views.tactile import IMAGE_H, IMAGE_W, TactileView
 
@@ -153,7 +153,7 @@ class FilmView(QWidget):
         view.show_age(Age.FRESH, 0.0, "")
         if index >= 0:
             image, t_s = track.picture(index), float(track.picture_t_s[index])
-            note.setText(f"{finger}, frame {index + 1} of {len(track.picture_t_s)}")
+            note.setText(tr("{}, frame {} of {}", finger, index + 1, len(track.picture_t_s)))
         else:
             image = np.full((IMAGE_H, IMAGE_W, 3), GROUND, dtype=np.uint8)
             t_s = self.cursor_s
@@ -188,7 +188,7 @@ class TimeLine(QWidget):
         super().__init__()
         self._theme, self._seek = theme, seek
         self.scene, self.cursor_s = TimeScene(), 0.0
-        self.setAccessibleName("Time line")
+        self.setAccessibleName(tr("Time line"))
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
         self.setAttribute(Qt.WidgetAttribute.WA_OpaquePaintEvent)
 

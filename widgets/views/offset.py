@@ -15,7 +15,7 @@ from PySide6.QtWidgets import QCheckBox
 
 from touchdown.backend.core import FloatArray, SupportKind
 from touchdown.widgets import plots
-from touchdown.widgets.base import Theme, blend, signed, ui_font
+from touchdown.widgets.base import Theme, blend, signed, tr, ui_font
 from touchdown.widgets.views.belief import draw_plus
 
 GhostKind = Literal["commanded", "measured", "scene", "model"]
@@ -176,7 +176,7 @@ class SourceBox(QCheckBox):
     def __init__(self, theme: Theme, kind: GhostKind, view: OffsetView) -> None:
         super().__init__(kind, view)
         self._theme, self._kind = theme, kind
-        self.setAccessibleName(f"Show the {kind} position")
+        self.setAccessibleName(tr("Show the {} position", kind))
         self.setFocusPolicy(Qt.FocusPolicy.TabFocus)
         self.setChecked(True)
         self.toggled.connect(view.update)
@@ -283,7 +283,7 @@ class OffsetView(plots.PictureView):
         self.scene = scene
         if scene is None:
             self._held_mm = self._grasped = None
-            self.setAccessibleDescription("No episode")
+            self.setAccessibleDescription(tr("No episode"))
         else:
             self._reach_mm = scene.reach_mm
             words = offset_text(scene.offset_mm, scene.sigma_mm)

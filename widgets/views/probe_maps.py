@@ -84,7 +84,7 @@ class ProbeStrip(QWidget):
         self._scroll.setVerticalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
         base.vbox(self._scroll, parent=self, margins=(0, 0, 0, 0))
         self._scroll.hide()
-        self.setAccessibleName("Probes of this trial")
+        self.setAccessibleName(base.tr("Probes of this trial"))
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
 
     def row_px(self) -> int:
@@ -140,9 +140,13 @@ class ProbeStrip(QWidget):
             if thumbnail.view.scene is not scene:
                 thumbnail.view.show_scene(scene)
                 thumbnail.caption.setText(caption)
-                thumbnail.setAccessibleName(f"Probe {thumbnail.index + 1}: {describe_scene(scene)}")
+                thumbnail.setAccessibleName(
+                    base.tr("Probe {}: {}", thumbnail.index + 1, describe_scene(scene))
+                )
                 said = caption.replace("\n", ", ")
-                thumbnail.setToolTip(f"Probe {said} (estimated margin). Click to view it again.")
+                thumbnail.setToolTip(
+                    base.tr("Probe {} (estimated margin). Click to view it again.", said)
+                )
             thumbnail.show_chosen(thumbnail.index == chosen)
         lines = max((caption.count("\n") + 1 for _, caption in probes), default=1)
         if lines != self._lines:

@@ -24,6 +24,7 @@ from PySide6.QtWidgets import (
 
 from touchdown.widgets.base import (
     ElidedLabel,
+    FlowLayout,
     ModelIndex,
     Theme,
     WrappedItemDelegate,
@@ -31,12 +32,13 @@ from touchdown.widgets.base import (
     label,
     open_over,
     scroll_area,
+    tr,
     ui_font,
     vbox,
 )
 
 GAP = 10
-PARTS_PX = 220
+PARTS_PX, TRACE_PX = 220, 260  # width of the list; least width of the source of a cell
 
 
 class PictureCard(QWidget):
@@ -101,12 +103,12 @@ class ReportSheet(QDialog):
     def __init__(self, parent: QWidget) -> None:
         super().__init__(parent)
         self._window = parent
-        self.setWindowTitle("Report of experiments")
+        self.setWindowTitle(tr("Report of experiments"))
         self.head, self.banner = label("", "head", wrap=True), label("", "title", wrap=True)
         self.banner.setAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
         self.file = ElidedLabel("small")
         self.parts = QListWidget()
-        self.parts.setAccessibleName("Parts of the report")
+        self.parts.setAccessibleName(tr("Parts of the report"))
         self.parts.setFixedWidth(PARTS_PX)
         WrappedItemDelegate(self.parts)
         self.parts.currentRowChanged.connect(self.part_chosen)
@@ -124,7 +126,7 @@ class ReportSheet(QDialog):
         close.clicked.connect(self.close)
         top = hbox((self.head, 1), (self.banner, 1))
         middle = hbox(self.parts, (self.room, 1), spacing=GAP)
-        foot = hbox((self.trace, 1), self.folder, self.browser, self.other, close)
+        foot = FlowLayout((self.trace, TRACE_PX), self.folder, self.browser, self.other, close)
         vbox(top, self.file, (middle, 1), foot, parent=self, margins=(14, 12, 14, 12), spacing=8)
 
     def open_large(self) -> None:
@@ -152,14 +154,14 @@ class ReportSheet(QDialog):
 
     def show_trace(self, words: str, *, can_open: bool) -> None:
         """Show the source of the selected cell; ``can_open``: its folder exists here."""
-        self.trace.setText(words or "Select a cell to see its source.")
+        self.trace.setText(words or tr("Select a cell to see its source."))
         self.folder.setEnabled(can_open)
 
 
 def _button(text: str, tip: str) -> QPushButton:
-    button = QPushButton(text)
+    button = QPushButton(tr(text))
     button.setAutoDefault(False)
-    button.setToolTip(tip)
+    button.setToolTip(tr(tip))
     return button
 
 

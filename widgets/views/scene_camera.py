@@ -11,7 +11,7 @@ from PySide6.QtCore import QPointF, QRectF, Qt
 from PySide6.QtGui import QColor, QImage, QPainter, QPen
 
 from touchdown.backend.core import FloatArray, ImageArray
-from touchdown.widgets.base import Theme, ui_font
+from touchdown.widgets.base import Theme, tr, ui_font
 from touchdown.widgets.plots import PictureView, draw_message, draw_rings
 
 OutlineKind = Literal["bottom", "label", "scene"]
@@ -56,7 +56,9 @@ class SceneShotView(PictureView):
         """Show pictures of an episode; ``why``: reason if there are none."""
         self.shots, self._why_empty = tuple(shots), why
         kinds = ", ".join(o.kind for shot in self.shots[:1] for o in shot.outlines)
-        self.setAccessibleDescription(f"{len(self.shots)} pictures, outlines: {kinds or 'none'}")
+        self.setAccessibleDescription(
+            tr("{} pictures, outlines: {}", len(self.shots), kinds or "none")
+        )
         self.update()
 
     def paint(self, painter: QPainter) -> None:

@@ -61,7 +61,9 @@ class OutcomeMarks(QWidget):
         """Show the outcomes and the trials to come."""
         self._outcomes, self._trials = outcomes, max(trials, len(outcomes))
         self.setAccessibleName(
-            ", ".join(OUTCOME_WORDS[o] for o in outcomes) if outcomes else "No trial finished"
+            ", ".join(OUTCOME_WORDS[o] for o in outcomes)
+            if outcomes
+            else base.tr("No trial finished")
         )
         self.update()
 
@@ -109,7 +111,7 @@ class ScorePanel(base.Panel):
     def __init__(self, theme: base.Theme, title: str = "Trials") -> None:
         super().__init__(title)
         self._count = base.label("0 of 0 placed", "figure")
-        self._rate = base.label("", "small")
+        self._rate = base.label("", "small", wrap=True)
         self._marks = OutcomeMarks(theme)
         self._last = base.label("", "small", wrap=True)
         self._void = base.label("", "small", wrap=True)
@@ -121,7 +123,9 @@ class ScorePanel(base.Panel):
         """Show the score."""
         placed = sum(o is Outcome.PLACED for o in score.outcomes)
         none = "No trial finished yet" if score.trials else "No trial yet"
-        self._count.setText(f"{placed} of {score.counted} placed" if score.outcomes else none)
+        self._count.setText(
+            base.tr("{} of {} placed", placed, score.counted) if score.outcomes else none
+        )
         # Before the first outcome the result beside it is the only headline.
         base.set_property(self._count, "role", "figure" if score.outcomes else "title")
         done = f"{len(score.outcomes)} of {score.trials}" if score.trials else ""
@@ -134,7 +138,7 @@ class ScorePanel(base.Panel):
         self._rate.setVisible(bool(rate))
         self._marks.show()
         self._marks.show_outcomes(score.outcomes, score.trials)
-        self._last.setText(score.last or "One mark per finished trial.")
+        self._last.setText(score.last or base.tr("One mark per finished trial."))
         # The newest only: a long run would fill the page.
         self._void.setText("\n".join(score.void[-MOST_VOID:]))
         self._void.setToolTip("\n".join(score.void))
@@ -223,7 +227,7 @@ class ComparisonSheet(QDialog):
     ) -> None:
         super().__init__(parent)
         self._window = parent
-        self.setWindowTitle("Strategies on the same seed")
+        self.setWindowTitle(base.tr("Strategies on the same seed"))
         self.head = base.label("", "head", wrap=True)
         self._pairs = base.label("", "muted", wrap=True)
         self.panels = StrategyPanel(theme), StrategyPanel(theme)
@@ -235,14 +239,14 @@ class ComparisonSheet(QDialog):
         self.against = QComboBox()
         base.describe((self.against, "Strategy to compare with", "Strategy on the right"))
         self.against.activated.connect(lambda at: against(self.against.itemData(at)))
-        self.run = QPushButton("Run both")
+        self.run = QPushButton(base.tr("Run both"))
         self.run.setProperty("role", "primary")
         self.run.setAutoDefault(False)
         self.run.clicked.connect(run)
         self._arrange()
 
     def _arrange(self) -> None:
-        close = QPushButton("Close")
+        close = QPushButton(base.tr("Close"))
         close.clicked.connect(self.close)
         top = base.FlowLayout(
             (self.head, HEAD_PX), field_label("Against", self.against), self.against,
@@ -271,6 +275,6 @@ class ComparisonSheet(QDialog):
     def show_run(self, text: str, why_not: str) -> None:
         """Set label and availability of the run button; "" as ``text`` hides it."""
         self.run.setVisible(bool(text))
-        self.run.setText(text)
+        self.run.setText(base.tr(text))
         self.run.setEnabled(not why_not)
-        self.run.setToolTip(why_not or "One after the other, with the same seed")
+        self.run.setToolTip(why_not or base.tr("One after the other, with the same seed"))

@@ -15,7 +15,7 @@ from tests.app.conftest import settle
 from tests.backend.bench.brisk import brisk_bench, brisk_method
 from touchdown.app.shell import window as appearance
 from touchdown.app.shell.activity import DEGRADED_DELAY_S, start_obstacle
-from touchdown.app.shell.live import LivePresenter
+from touchdown.app.shell.live import LivePresenter, column_of
 from touchdown.app.shell.top_bar import DeviceChipsPresenter, pill_state
 from touchdown.app.shell.window import CHOICES, Appearance, system_theme
 from touchdown.backend.bench.assembly import simulated_session
@@ -265,3 +265,26 @@ def test_forces_and_moments_go_into_their_own_plots_axis_by_axis():
     assert (force.span_s, moment.span_s) == (30.0, 30.0)
     np.testing.assert_array_equal(force.values[1], values[:, :3])
     np.testing.assert_array_equal(moment.values[1], values[:, 3:])
+
+
+def test_stop_has_a_shorter_text_where_the_room_ends(qtbot):
+    bar = TopBar(Theme(), lambda: None)
+    qtbot.addWidget(bar)
+    bar.resize(1280, 60)
+    bar.fit()
+    assert bar.stop.text() == "STOP motion (software)"
+    bar.resize(bar.minimumSizeHint())
+    bar.fit()
+    assert bar.stop.text() == "STOP (software)"
+    assert bar.pill.sizeHint().width() + bar.stop.sizeHint().width() < bar.width() < 400
+
+
+def test_a_column_is_as_wide_as_its_views_need(qtbot):
+    view = QWidget()
+    view.setMinimumWidth(300)
+    column = column_of((view, 1))
+    qtbot.addWidget(column)
+    column.least_px = 200
+    assert column.minimumSizeHint().width() == 300
+    column.least_px = 400
+    assert column.minimumSizeHint().width() == 400

@@ -14,6 +14,7 @@ from dataclasses import replace
 from typing import Literal
 
 from touchdown.backend import core
+from touchdown.backend.core import QUESTIONS, ThreadStallDetector
 from touchdown.backend.devices import Interlock
 from touchdown.backend.runs.plan import (
     CancelledError,
@@ -290,8 +291,8 @@ def _next_status(status: RunStatus, event: core.Event) -> RunStatus:
         )
     if isinstance(event, core.PhaseEntered):
         return replace(status, phase=event.phase, probe=event.probe, awaiting=None, asks="")
-    if type(event) in core.QUESTIONS or isinstance(event, core.Released):
-        return replace(status, asks=core.QUESTIONS.get(type(event), ""))
+    if type(event) in QUESTIONS or isinstance(event, core.Released):
+        return replace(status, asks=QUESTIONS.get(type(event), ""))
     if isinstance(event, core.PatchEstimated):
         return replace(status, estimated=event.probe)
     if isinstance(event, core.ActionChosen):
@@ -338,7 +339,7 @@ class ThreadWatchdog:
         tell: Callable[[core.Fault], None],
     ) -> None:
         self._number, self._steps, self._tell = number, steps, tell
-        self._rest, self._still_s = core.ThreadStallDetector(os.getpid(), number), STILL_S + step_s
+        self._rest, self._still_s = ThreadStallDetector(os.getpid(), number), STILL_S + step_s
         self._seen, self._stepless_s = -1, 0.0
 
     def look(self, now_s: float) -> None:

@@ -18,6 +18,7 @@ from typing import Generic, TypeVar
 
 from touchdown.backend import core
 from touchdown.backend.annotations import DISK_FULL_ERRNOS, check_free_space, free_bytes_if_low
+from touchdown.backend.core import ClockJumpDetector
 from touchdown.backend.devices import Interlock
 from touchdown.backend.episodes import FACTS_KEY, START_KEY, write_episode
 from touchdown.backend.runs.event_log import EventLog
@@ -286,7 +287,7 @@ class RunRecorder:
         self._leave: Callable[[], None] | None = None
         self._held: list[core.Event] = []  # events that did not fit on the disk, in order
         self._lock = core.SharedLock()
-        self._wall = core.ClockJumpDetector()
+        self._wall = ClockJumpDetector()
         self.store = RunStore(None, {})  # discards episodes outside a run
         self.folder: Path | None = None
 
@@ -307,7 +308,7 @@ class RunRecorder:
         Raises ``InputError`` without space or a writable folder.
         """
         self.close()
-        self._wall = core.ClockJumpDetector()
+        self._wall = ClockJumpDetector()
         self.folder = None if self._keep.runs is None else self._keep.runs / run_id
         episodes = None
         if self.folder is not None:

@@ -91,7 +91,7 @@ def test_it_opens_with_what_holds_and_what_to_do(wizard) -> None:
     assert [c.text() for c in sheet.conditions] == [
         *5 * ["Never calibrated on this bench"], "Never checked on this bench",
     ]  # fmt: skip
-    assert sheet.title.text() == "Payload"
+    assert sheet.title.text() == "Calibrate: Payload"
     assert sheet.steps[0].text().startswith("1  Empty the gripper")
     assert not sheet.form.isVisible()
     assert sheet.live.text().startswith("F ")
@@ -245,7 +245,7 @@ def test_the_daily_check_shows_its_history_and_what_to_do(wizard, bench) -> None
             units=("", "N"), residuals=(),
         )  # fmt: skip
         sheet = told(wizard, bench, bench.day_checks.judge(found, datetime.now(UTC)))
-    assert sheet.title.text() == "Daily check"
+    assert sheet.title.text() == "Calibrate: Daily check"
     assert sheet.figure.text().endswith(": out of limits.")
     assert sheet.note.text() == (
         "Noise at rest, wrist sensor: 0.3, above 0.2 N. Check its cable and earth, and what shakes "

@@ -29,6 +29,24 @@ LIMIT_S, PATIENCE_S = 150.0, 300.0
 PANEL = ("force_torque", "tactile_left", "tactile_right", "gripper", "arm")
 
 
+# ``touchdown`` that strikes a device with a fault for each line "device kind seconds" of its input.
+STRIKING = """
+import sys, threading, time
+from touchdown.backend.cli.command_line import main
+from touchdown.backend.emulation import fault_plan
+begin, made = fault_plan.Faults.__init__, {}
+def record(self, device, plan=None):
+    begin(self, device, plan)
+    made[device] = self
+def strike():
+    for device, kind, for_s in map(str.split, sys.stdin):
+        made[device].inject(time.monotonic(), kind, float(for_s))
+fault_plan.Faults.__init__ = record
+threading.Thread(target=strike, daemon=True).start()
+sys.exit(main(sys.argv[1:]))
+"""
+
+
 @pytest.fixture
 def served(tmp_path):
     """The lab file of an emulated bench, and the process that serves it: faults by its input."""
@@ -37,7 +55,7 @@ def served(tmp_path):
     # Emulated devices are known by their place below the folder for temporary files.
     with tempfile.TemporaryDirectory() as room:
         child = subprocess.Popen(
-            [sys.executable, "-m", "touchdown", *words, "--for", "600", "--json"],
+            [sys.executable, "-c", STRIKING, *words, "--for", "600", "--json"],
             stdin=subprocess.PIPE,
             stdout=subprocess.DEVNULL,
             text=True,

@@ -487,5 +487,6 @@ def test_the_end_of_a_queue_says_what_it_gave_and_offers_the_next_one(desk):
     assert (step.text.text(), step.yes.text()) == (text, "Open that queue")
     assert step.text.width() >= step.text.fontMetrics().horizontalAdvance("Waiting for review: 2")
     desk.do((KEY.Key_Period, CTRL))
+    desk.settle()
     assert step.isHidden()
     assert (desk.workspace.session.queue, len(presenter.walk.order)) == ("unlabelled", left)

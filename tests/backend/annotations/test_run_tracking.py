@@ -70,8 +70,8 @@ TABLE = {
 }
 STATES = ("draft", "submitted", "approved", "rejected")
 BY_ANOTHER = {
-    ("draft", "set"): "work of ann",
-    ("rejected", "set"): "work of ann",
+    ("draft", "set"): "labels are by ann",
+    ("rejected", "set"): "labels are by ann",
     ("submitted", "approve"): "approved",
     ("submitted", "reject"): "rejected",
 }
@@ -161,7 +161,7 @@ def test_rejected_work_goes_back_to_its_author(dataset, record):
     assert (rejected.state, rejected.reason) == ("rejected", "tilt")
     assert authors(dataset, uuid) == ("ann",)
     assert labels.counting(uuid) is None
-    with pytest.raises(RefusedError, match="work of ann"):
+    with pytest.raises(RefusedError, match="labels are by ann"):
         labels.set("bob", uuid, Label(1, 1))
     labels.take_over("bob", uuid)
     assert authors(dataset, uuid) == ("ann", "bob")

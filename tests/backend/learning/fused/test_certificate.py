@@ -211,7 +211,7 @@ def of_risk(risk: float, merge_mm: float = 0.0) -> StackSettings:
             "The present one is of bench-v2 with other settings, sensors or gels.",
         ),
         ({"weights_sha256": "c" * 64}, "None was made for this network."),
-        ({"method": METHOD}, "It holds for a risk of 3 %, not of 7 %."),
+        ({"method": METHOD}, "It holds for a risk of 3 %, not of 10 %."),
         ({"method": of_risk(0.03, 0.5)}, "It holds for other settings of the method."),
         ({"piece": "mushroom"}, "It does not cover the piece 'mushroom'."),
         ({"bottoms": ("short", "long")}, "It does not cover towers."),

@@ -237,6 +237,14 @@ class Dataset:
             raise
         return dataset
 
+    @property
+    def newer_writer(self) -> str:
+        """Program and schema of a dataset or catalogue from a later program, else ""."""
+        told = self.description
+        number = max(told.schema_version, self.database.schema_version)
+        by = told.created_by if told.is_newer else "a newer version"
+        return f"{by} (schema {number})" if number > SCHEMA_VERSION else ""
+
     def _reconcile(self, progress: CheckProgress) -> None:
         if self.writable:
             self._checked = CheckedFolders.take(self.database)
@@ -246,12 +254,9 @@ class Dataset:
             weakness = disk_weakness(self.folder)
             self.notices = (*problem_lines(self.problems), *filter(None, (weakness,)))
         elif self._lock is not None:
-            told = self.description
-            number = max(told.schema_version, self.database.schema_version)
-            by = f"{told.created_by} (schema {number})" if told.is_newer else "a newer version"
             self.notices = (
-                f"The dataset was written by {by}: open for reading only. Open it with the "
-                "Touchdown that wrote it.",
+                f"The dataset was written by {self.newer_writer}: open for reading only. "
+                "Open it with the Touchdown that wrote it.",
             )
         else:
             self.problems = [*check_losses(self.parts, whole=False), *open_findings(self.parts)]

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 import time
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
@@ -46,6 +46,7 @@ from touchdown.backend.core import (
     data_folder,
 )
 from touchdown.backend.devices import (
+    NAMES,
     DegradedDevice,
     Device,
     GuardedArm,
@@ -347,6 +348,7 @@ class Session:
         # Other events hold episodes and maps; a long run would fill the memory with them.
         kept = (TrialFinished, FaultRaised, RunFinished)
         leave = self.events.subscribe(lambda e: events.append(e) if isinstance(e, kept) else None)
+        also = ""
         try:
             self.engine.run(plan, self.advance)
         finally:
@@ -355,16 +357,31 @@ class Session:
                 until_s = self.clock_s() + LOSS_S
                 while self.clock_s() < until_s:
                     self.advance()
+                also = self._later_faults(events)
             leave()
             self._recorder.close()
         finished = next((e for e in reversed(events) if isinstance(e, RunFinished)), None)
+        trials = [e for e in events if isinstance(e, TrialFinished)]
+        if trials and also:
+            trials[-1] = replace(trials[-1], reason=f"{trials[-1].reason}{also}")
         return RunResult(
-            trials=tuple(e for e in events if isinstance(e, TrialFinished)),
+            trials=tuple(trials),
             ending="finished" if finished is None else finished.ending,
-            reason="" if finished is None else finished.reason,
+            reason="" if finished is None else f"{finished.reason}{also}",
             faults=tuple(e.fault for e in events if isinstance(e, FaultRaised)),
             run_folder=self.run_folder,
         )
+
+    def _later_faults(self, events: Sequence[Event]) -> str:
+        """Return and publish the devices with faults that the end of the run does not name."""
+        told = " ".join(e.reason for e in events if isinstance(e, TrialFinished | RunFinished))
+        first, *later = (fault.device for fault in self.interlock.faults)
+        names = (NAMES.get(device, device) for device in dict.fromkeys(later) if device != first)
+        also = ", ".join(sorted(name for name in names if f"The {name} " not in told))
+        if also:
+            also = f" Also with a fault: {also}."
+            self.events.publish(Said(self.clock_s(), also.strip()))
+        return also
 
     def check(self, request: Request, *, connected: bool = False) -> None:
         """Raise what ``run`` would raise for a request on the devices of a lab; nothing moves.

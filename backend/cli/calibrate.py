@@ -27,7 +27,7 @@ from touchdown.backend.calibration import (
     quantity_name,
 )
 from touchdown.backend.cli import connection
-from touchdown.backend.cli.output import VerbOutput, ctrl_c_cancels
+from touchdown.backend.cli.output import VerbOutput, ctrl_c_cancels, without_window
 from touchdown.backend.config import BenchIdentity, load_lab
 from touchdown.backend.core import (
     CalibrationMeasured,
@@ -175,7 +175,7 @@ def _report(
     screen.result({
         "what": args.what,
         "ending": None if told.ended is None else told.ended.ending,
-        "reason": None if told.ended is None else told.ended.reason,
+        "reason": None if told.ended is None else without_window(told.ended.reason, screen.lab),
         "measured": None if found is None else _as_json(found),
         "accepted": None if path is None else str(path),
         "faults": told.faults,

@@ -140,8 +140,8 @@ def status(args: argparse.Namespace, folder: Path, screen: VerbOutput) -> int:
     with Dataset.open(folder, create=False, write=False) as dataset:
         counts = dataset.count_by_pair()
         age, campaigns = dataset.backups.age, list_campaigns(dataset.database)
-        if (told := dataset.description).is_newer:
-            screen.say(f"It was written by {told.created_by} (schema {told.schema_version}).")
+        if by := dataset.newer_writer:
+            screen.say(f"It was written by {by}.")
     for one in counts:
         pairs[one.piece, one.bottom, one.state] += one.episodes
         files[one.file_state] += one.episodes
@@ -169,7 +169,7 @@ def status(args: argparse.Namespace, folder: Path, screen: VerbOutput) -> int:
     answer = {"dataset": str(folder), "episodes": pairs.total()}
     screen.result({**answer, "pairs": listed, "files": dict(files), "conflicts": conflicts,
                    "campaigns": [asdict(one) for one in campaigns],
-                   "backup_age_h": hours})  # fmt: skip
+                   "backup_age_h": hours, "newer_writer": by or None})  # fmt: skip
     return 0
 
 

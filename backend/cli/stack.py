@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, get_args
 from rich.table import Table
 
 from touchdown.backend import core
-from touchdown.backend.cli import connection
-from touchdown.backend.cli.output import VerbOutput, ctrl_c_cancels, require_positive, text_table
+from touchdown.backend.cli import connection, output
 from touchdown.backend.cli.settings import load_method
 from touchdown.backend.config import StackSettings, TowerSettings
 from touchdown.backend.runs import (
@@ -73,9 +72,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--no-episodes", action="store_true", help="store the journal only")
 
 
-def run(args: argparse.Namespace, screen: VerbOutput) -> int:
+def run(args: argparse.Namespace, screen: output.VerbOutput) -> int:
     """Run all trials; return 0 if every piece was placed, else 1."""
-    require_positive(args, "trials")
+    output.require_positive(args, "trials")
     lab = connection.at_lab(args)
     connection.refuse_misplaced_arguments(args)
     if not lab and any(args.origin):
@@ -132,7 +131,10 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
                 fix = "Leave it out, or name the strategy and bench of a calibrated network."
                 raise core.InputError("No signals are compared in this run.", "--reset-guard", fix)
             guard.reset(args.reset_guard)
-        with ctrl_c_cancels(session.engine.cancel), connection.held_piece_reported(session, screen):
+        with (
+            output.ctrl_c_cancels(session.engine.cancel),
+            connection.held_piece_reported(session, screen),
+        ):
             result = session.run(request)
     if result.trials:
         screen.show(trial_table(result.trials, bench=bench.removesuffix(" bench"), lab=screen.lab))
@@ -161,7 +163,7 @@ def _method(args: argparse.Namespace, request: StackRequest) -> StackSettings | 
     return (method or StackSettings()).model_copy(update={"tower": tower})
 
 
-def narrate(fact: core.Event, screen: VerbOutput, bench: str = "simulated bench") -> None:
+def narrate(fact: core.Event, screen: output.VerbOutput, bench: str = "simulated bench") -> None:
     """Print an event for people, if it has a text."""
     if isinstance(fact, core.TrialStarted):
         screen.say(f"Trial {fact.trial}, seed {fact.seed} ({bench})")
@@ -195,7 +197,7 @@ def trial_table(
         first = (*pieces[index : index + 1], str(t.seed))
         rows.append((*first, t.outcome.value, str(t.probes), excess, margin, t.reason))
     header = (*(("piece",) if pieces else ()), "seed", *COLUMNS)
-    return text_table(f"{placed} of {len(trials)} placed ({bench})", header, *rows, lab=lab)
+    return output.text_table(f"{placed} of {len(trials)} placed ({bench})", header, *rows, lab=lab)
 
 
 def _result(request: StackRequest, result: RunResult, session: Session) -> dict[str, object]:
@@ -209,7 +211,7 @@ def _result(request: StackRequest, result: RunResult, session: Session) -> dict[
         "faults": [fault.code for fault in result.faults],
         "trials": [
             {key: value for key, value in asdict(t).items() if key not in ("t_s", "trial")}
-            | {"outcome": t.outcome.value}
+            | {"outcome": t.outcome.value, "reason": output.without_window(t.reason)}
             for t in result.trials
         ],
     }

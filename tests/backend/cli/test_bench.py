@@ -73,6 +73,9 @@ def test_a_fault_at_connection_is_shown_with_its_command_and_reset_by_the_next(r
     assert code == 1
     assert f"Then run 'touchdown bench {lab} --reset'." in out
     once.clear()
+    devices = json.loads(recovering.run("--status", "--yes", "--json")[1])["devices"]
+    assert any(f"Then run 'touchdown bench {lab} --reset'." in one["text"] for one in devices)
+    once.clear()
     assert recovering.run("--reset", "--yes")[0] == 0
 
 
@@ -265,6 +268,7 @@ def test_all_devices_lost_at_once_are_named():
     assert {fault.device for fault in result.faults} == {
         "force_torque", "tactile_left", "tactile_right"
     }  # fmt: skip
+    assert "Also" not in result.reason, "the fault of the run names them"
 
 
 def test_faults_of_the_emulated_bench_are_texts_or_a_plan(monkeypatch, tmp_path, capsys):

@@ -376,6 +376,24 @@ def test_status_counts_by_pair_and_state(data_set, say) -> None:
     assert (campaign["uuid"], campaign["episodes"], campaign["done"]) == ("campaign-1", 3, 1)
 
 
+def test_status_names_the_writer_of_a_newer_schema_and_writes_nothing(data_set, say, capfd) -> None:
+    assert say("dataset", "--dataset", data_set)[1]["newer_writer"] is None
+    catalogue, description = data_set / "catalog.db", data_set / "dataset.json"
+    with closing(sqlite3.connect(catalogue)) as connection:
+        connection.execute("PRAGMA user_version = 99")
+    facts = json.loads(description.read_text())
+    for by, change in (
+        ("a newer version (schema 99)", {}),
+        ("touchdown 9.9 (schema 100)", {"schema_version": 100, "created_by": "touchdown 9.9"}),
+    ):
+        description.write_text(json.dumps(facts | change))
+        before = catalogue.read_bytes(), description.read_bytes()
+        assert say("dataset", "--dataset", data_set)[1]["newer_writer"] == by
+        assert main(["dataset", "--dataset", str(data_set)]) == 0
+        assert f"It was written by {by}." in capfd.readouterr().out
+        assert (catalogue.read_bytes(), description.read_bytes()) == before
+
+
 def test_the_usual_dataset_is_that_of_the_data_folder(data_set, say, monkeypatch) -> None:
     monkeypatch.setenv("TOUCHDOWN_DATA", str(data_set.parent))
     data_set.rename(data_set.parent / "dataset")

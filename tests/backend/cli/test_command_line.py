@@ -22,6 +22,7 @@ from tests.backend.annotations.conftest import context_for, small_episode
 from tests.backend.bench.brisk import RATE_HZ
 from tests.backend.exchange.conftest import fill
 from touchdown.backend.annotations import Dataset, Label
+from touchdown.backend.bench import Session
 from touchdown.backend.cli import command_line
 from touchdown.backend.cli.command_line import VERBS, main
 from touchdown.backend.cli.doctor.command import check_catalogue
@@ -673,6 +674,31 @@ def test_a_camera_that_falls_silent_ends_in_one_fault_and_keeps_the_rest(tmp_pat
     assert (status, again["ending"]) == (0, "failed")
     assert again["facts"]["EpisodeRecorded"] == 1
     assert again["facts"]["FaultRaised"] == 1
+
+
+@pytest.mark.promise("S12")
+def test_the_end_of_a_run_names_the_devices_whose_faults_come_later(
+    tmp_path, bench, capsys, monkeypatch
+) -> None:
+    """The fault of the arm comes before any other device is late."""
+    lost = Fault("MXT-LOST", "No reply.", "It stands.", "Press Reset.", "arm")
+    advance = Session.advance
+
+    def lose_arm(session: Session) -> None:
+        advance(session)
+        if session.clock_s() > 2.99:
+            session.interlock.raise_fault(lost)
+
+    monkeypatch.setattr(Session, "advance", lose_arm)
+    words = ["stack", "--strategy", "pick-and-place", "--runs", str(tmp_path), "--bench", bench]
+    for device in ("force_torque", "tactile_left", "tactile_right"):
+        words += ["--inject", f"{device}:stop@3.0"]
+    others = " Also with a fault: left tactile camera, right tactile camera, wrist sensor."
+    (trial,) = json.loads(call(capsys, *words)[1])["trials"]
+    assert trial["reason"] == f"No reply. It stands. Start again. [MXT-LOST]{others}"
+    assert main(words) == 1
+    said = " ".join(capsys.readouterr().out.split())
+    assert said.count(others) == 1
 
 
 def test_a_camera_silent_for_a_moment_costs_one_probe(tmp_path, bench, capsys) -> None:

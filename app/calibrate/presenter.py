@@ -198,7 +198,7 @@ class CalibratePresenter:
             # Simulated and emulated benches set a new scene for each run.
             if self._bench.connection is not None:
                 why = why or "The gripper holds a piece: put it away, then open the gripper"
-            elif what not in self._measured:
+            elif what not in self._measured and not (what == "day" and self._history):
                 said = said or "The gripper holds a piece: Measure first puts it back in its jig."
         return CalibrationView(
             rows=tuple(self._row(each) for each in MEASUREMENT_NAMES),

@@ -43,8 +43,8 @@ class TrialResult:
 # (excessive force, no contact, no piece, stop) are not among them.
 DEVICE_FAULTS = frozenset({
     "ARM-LINK", "ARM-STALE", "ARM-STALLED", "CAMERA-DARK", "CAMERA-FROZEN", "CAMERA-LINK",
-    "CAMERA-STALE", "CONTROLLER", "FT-LINK", "FT-SENSOR", "FT-STALE", "MXT-ENDED", "MXT-LOST",
-    "MXT-START", "PRESS-VOID", "WSG-DEVICE", "WSG-FAST-STOP", "WSG-FRAME", "WSG-LINK",
+    "CAMERA-STALE", "CONTROLLER", "FT-LINK", "FT-SENSOR", "FT-STALE", "GRIP-STALE", "MXT-ENDED",
+    "MXT-LOST", "MXT-START", "PRESS-VOID", "WSG-DEVICE", "WSG-FAST-STOP", "WSG-FRAME", "WSG-LINK",
     "WSG-TIMEOUT",
 })  # fmt: skip
 

@@ -549,6 +549,7 @@ def test_cancel_lifts_and_keeps_the_piece():
         ("force_torque:stop@4.0", "FT-STALE", "force_torque"),
         ("force_torque:jump@4.0", "FT-TRIP", "force_torque"),
         ("tactile_left:dark@3.0", "CAMERA-DARK", "tactile_left"),
+        ("gripper:silent@3.0", "GRIP-STALE", "gripper"),
         ("arm:silent@1.0", "ARM-STALE", "arm"),
         ("arm:stall@3.0", "ARM-STALLED", "arm"),
     ],

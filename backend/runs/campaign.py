@@ -172,7 +172,7 @@ class Campaign:
     seed: Annotated[int, Field(ge=0, lt=2**63)]
     count: Annotated[int, Field(ge=1, le=10_000_000)]
     within_mm: Annotated[float, Field(gt=0, le=1000)] | None = None
-    skipped: tuple[Annotated[int, Field(ge=0)], ...] = ()
+    skipped: tuple[Annotated[int, Field(ge=0, lt=2**31)], ...] = ()
     mountings: Annotated[int, Field(ge=0, le=1_000_000)] = 0
 
     def todo(self, entries: Iterable[EpisodeEntry]) -> list[int]:
@@ -216,9 +216,12 @@ def read_campaign(dataset: Path, uuid: str) -> Campaign:
     path = _path(dataset, uuid)
     try:
         content = parse_json(path.read_bytes())
-        if content.pop("format") != FORMAT or content["pattern"] not in PATTERNS:
+        version, skipped = content.pop("format"), content["skipped"]
+        if version is True or version != FORMAT or content["pattern"] not in PATTERNS:
             raise ValueError("it is of another version")
-        content["skipped"] = tuple(content["skipped"])
+        if not isinstance(skipped, list):
+            raise ValueError("'skipped' is not a list")
+        content["skipped"] = tuple(skipped)
         known = {field.name for field in fields(Campaign)}
         return Campaign(**{k: v for k, v in content.items() if k in known})
     except (OSError, ValueError, KeyError, TypeError) as error:

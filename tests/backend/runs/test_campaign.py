@@ -263,6 +263,18 @@ def test_a_campaign_with_a_senseless_number_is_named(tmp_path, key, value):
         read_campaign(tmp_path, campaign.uuid)
 
 
+@pytest.mark.parametrize(
+    ("key", "value"), [("format", True), ("skipped", {}), ("skipped", [2**70])]
+)
+def test_a_campaign_with_a_value_of_another_type_is_named(tmp_path, key, value):
+    campaign = new_campaign("pot", "short", "grid", 7, 12, 5.0)
+    campaign.save(tmp_path)
+    path = tmp_path / "campaigns" / f"{campaign.uuid}.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | {key: value}))
+    with pytest.raises(InputError, match=campaign.uuid):
+        read_campaign(tmp_path, campaign.uuid)
+
+
 @pytest.mark.parametrize(("seed", "count", "within_mm"), [(0, 0, None), (-1, 5, None), (0, 5, 0.0)])
 def test_senseless_campaigns_are_refused(seed, count, within_mm):
     with pytest.raises(InputError):

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from PySide6.QtCore import Signal
+from PySide6.QtCore import QSize, Signal
 from PySide6.QtWidgets import QButtonGroup, QPushButton, QStackedWidget, QWidget
 
 from touchdown.app.label.bulk import BulkPresenter, SideTabKeys, SideTabsPresenter
@@ -148,6 +148,15 @@ class DatasetTasks:
         self._page.say(str(error) if isinstance(error, TouchdownError) else repr(error), bad=True)
 
 
+class FrontStack(QStackedWidget):
+    """Pages of which the visible one alone needs room; a hidden page has no layout yet."""
+
+    def minimumSizeHint(self) -> QSize:
+        """Return the least size of the visible page."""
+        front = self.currentWidget()
+        return super().minimumSizeHint() if front is None else front.minimumSizeHint()
+
+
 class HalvesPage(WorkspacePage):
     """Shows one half at a time, with a switch if there are two."""
 
@@ -155,13 +164,14 @@ class HalvesPage(WorkspacePage):
 
     def __init__(self, theme: Theme) -> None:
         super().__init__(theme)
-        self._stack, self._buttons = QStackedWidget(), QButtonGroup(self)
+        self._stack, self._buttons = FrontStack(), QButtonGroup(self)
         self._names: list[str] = []
         self._halves: list[QWidget] = []
         self._bar = QWidget()
         self._row = hbox(1, parent=self._bar, margins=(10, 8, 10, 0), spacing=4)
         vbox(self._bar, (self._stack, 1), parent=self, margins=(0, 0, 0, 0), spacing=0)
         self._bar.hide()
+        self._stack.currentChanged.connect(lambda _: self._stack.updateGeometry())
         self._buttons.idClicked.connect(lambda at: self.show_half(self._names[at]))
 
     def add(self, name: str, title: str, page: QWidget) -> None:

@@ -402,6 +402,15 @@ def test_cards_scroll_in_a_low_window_and_the_message_has_a_line_of_its_own(live
     assert live.window._scrolls["stack"].verticalScrollBar().maximum() == 0
 
 
+@pytest.mark.parametrize("name", ["operate", "collect", "train", "stack", "review"])
+def test_every_page_fits_the_smallest_usual_window(live, name) -> None:
+    live.window.resize(1280, 720)
+    live.window.show()
+    live.go(name)
+    settle(live)
+    assert live.window._scrolls[name].horizontalScrollBar().maximum() == 0
+
+
 @pytest.mark.promise("W9")
 def test_at_200_percent_every_control_can_be_reached(live):
     """What does not fit is scrolled to when it gets the focus."""

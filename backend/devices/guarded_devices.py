@@ -115,11 +115,12 @@ class GuardedArm(_Guarded):
         """
         super().__init__(arm)
         self._arm, self._interlock = arm, interlock
-        self._now_s, self.press_n, self._surface_mm = now_s, press_n, surface_mm
+        self._now_s, self._surface_mm = now_s, surface_mm
+        self.press_n: PressForce = press_n
         # Last motion, and its speed in mm/s and rad/s; infinite where the other limits it.
         self.commanded: Motion | None = None
         self.press_command: PressCommand | None = None  # of the last press
-        self.commanded_speed = (math.inf, math.inf)
+        self.commanded_speed: tuple[float, float] = (math.inf, math.inf)
         interlock.on_stop(arm.stop, arm.retreat if isinstance(arm, RetreatingArm) else None)
 
     @property

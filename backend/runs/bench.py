@@ -33,7 +33,7 @@ class OperatorPrompt:
         self._asked = False
         # A window or a terminal shows questions of a run that was to need none
         self.attended = False
-        self.number = 0  # of the last question
+        self.number: int = 0  # of the last question
         # Reply to the last question, None before it
         self.reply: bool | None = None
         self.seen: tuple[core.Outcome, str] | None = None  # observed outcome and its reason

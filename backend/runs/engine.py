@@ -58,7 +58,7 @@ class Engine:
         self._idle = threading.Event()
         self._idle.set()
         # Set by ``cancel`` until the next run: ends work that blocks the plan, such as connecting
-        self.cancelled = threading.Event()
+        self.cancelled: threading.Event = threading.Event()
 
     # -- what the operator may ask, from any thread ---------------------------------------------
 

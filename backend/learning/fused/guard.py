@@ -46,7 +46,8 @@ class PowerMartingale:
     """
 
     def __init__(self) -> None:
-        self.trials, self._wealth = 0, np.zeros(len(POWERS))
+        self.trials: int = 0
+        self._wealth = np.zeros(len(POWERS))
 
     @property
     def value(self) -> float:

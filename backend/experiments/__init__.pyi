@@ -28,9 +28,7 @@ from .document import TableEntry as TableEntry
 from .document import curves_chart as curves_chart
 from .document import report_page as report_page
 from .evaluation import EVALUATED_STRATEGIES as EVALUATED_STRATEGIES
-from .evaluation import CollectionKind as CollectionKind
 from .evaluation import DomainShift as DomainShift
-from .evaluation import RandomisedTraining as RandomisedTraining
 from .evaluation import shift_tables as shift_tables
 from .fusion import PORTIONS as PORTIONS
 from .fusion import WEIGHTS as WEIGHTS

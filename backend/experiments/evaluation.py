@@ -2,10 +2,6 @@
 
 A study gives the same seeds and draws to bench and second world: groups of presses, and whole
 trials. Results are paired by group.
-
-Domain randomisation trains on probes whose mountings are benches with their own settings: nuisance
-sizes and the laws of gel, grip, contact and friction are drawn per mounting from wide ranges around
-the given bench. The ranges were chosen by hand and are not fitted to the second world.
 """
 
 from __future__ import annotations
@@ -13,45 +9,34 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations, zip_longest
-from typing import Any, Literal
+from typing import Any
 
 from touchdown.backend.config import SimulationSettings, StackSettings, bench_sha256
 from touchdown.backend.experiments.document import ReportTable, format_estimate, format_percent
-from touchdown.backend.experiments.nuisances import randomise_bench
 from touchdown.backend.experiments.statistics import (
     VerdictCounts,
     estimate_mean,
     format_change,
     iou_change,
 )
-from touchdown.backend.experiments.strategies import base_strategy, count_outcomes, network_params
+from touchdown.backend.experiments.strategies import count_outcomes, network_params
 from touchdown.backend.experiments.tables import (
     CELL_SEEDS,
     PIECES,
     TABLE_BOTTOMS,
-    TRAINING_BOTTOMS,
     job_code,
-    paper_training,
     score_verdicts,
-    training_job,
 )
 from touchdown.backend.jobs import JobSpec, JobStore
-from touchdown.backend.learning import DeviceName
 
 PRESSES_SEED, TRIALS_SEED = 5_000_000, 6_000_000
 GROUPS_PER_JOB, PROBES, TRIALS_PER_JOB = 10, 3, 2
-EVALUATED_STRATEGIES = (
-    "paper",
-    "paper-calibrated",
-    "fused",
-    "zero-wrench",
-)  # the last two use no model of a piece
+EVALUATED_STRATEGIES = ("paper", "paper-calibrated", "fused", "zero-wrench")
 BENCH = "bench"  # world that the others are compared with
 POOLED = "pooled"  # over the bottoms of a study
-MODEL = "FT+Tac"
 Json = dict[str, Any]
 JsonMapping = Mapping[str, Any]
-Cell = tuple[str, str, str]  # world, bottom, strategy with its model ("" for presses)
+Cell = tuple[str, str, str]  # world, bottom, strategy ("" for presses)
 
 
 def press_scores(parts: Sequence[JsonMapping], model: str) -> Json:
@@ -73,68 +58,14 @@ def press_scores(parts: Sequence[JsonMapping], model: str) -> Json:
     return figures
 
 
-# mountings: drawn by the bench; randomised: each with its own nuisance sizes and laws
-CollectionKind = Literal["mountings", "randomised"]
-# first seed of the mountings, disjoint from the tables; number of seeds per outline
-FIRST_SEED, OUTLINE_SEEDS = 7_000_000, 10_000
-TRAINING_PROBES, PROBES_PER_GRIP, GRIPS_PER_MOUNTING, EPOCHS = 2000, 5, 10, 30
-
-
-@dataclass(frozen=True, slots=True)
-class RandomisedTraining:
-    """Jobs of one model: ``probes`` over each training outline, then the paper's training.
-
-    Each collection job is one mounting and holds all its settings in its spec.
-    """
-
-    bench: SimulationSettings
-    code: str
-    piece: str
-    collected: CollectionKind
-    probes: int = TRAINING_PROBES
-    epochs: int = EPOCHS
-    device: DeviceName = "auto"
-
-    @property
-    def name(self) -> str:
-        """Name of the model in tables."""
-        return f"{MODEL} {self.collected}"
-
-    def data(self) -> list[JobSpec]:
-        """Return the collection jobs, one per mounting."""
-        size, code = PROBES_PER_GRIP * GRIPS_PER_MOUNTING, job_code("simulate", self.code)
-        found = []
-        for k, bottom in enumerate(TRAINING_BOTTOMS):
-            for first in range(0, self.probes, size):
-                seed = FIRST_SEED + OUTLINE_SEEDS * k + first // size
-                randomised = self.collected == "randomised"
-                bench = randomise_bench(self.bench, seed) if randomised else self.bench
-                params = {
-                    "piece": self.piece,
-                    "bottom": bottom,
-                    "episodes": min(size, self.probes - first),
-                    "probes_per_grip": PROBES_PER_GRIP,
-                    "grips_per_mounting": GRIPS_PER_MOUNTING,
-                    "bench": bench.model_dump(mode="json"),
-                }
-                found.append(JobSpec("simulate", params, seed, (), code))
-        return found
-
-    def training(self) -> JobSpec:
-        """Return the training job."""
-        settings = paper_training(MODEL, self.epochs)
-        return training_job((self.piece, "patch"), settings, self.device, self.data(), self.code)
-
-
 @dataclass(frozen=True, slots=True)
 class DomainShift:
     """Comparison of the simulated bench with the second world.
 
-    ``models``: source (job or file) by name in the tables. ``trained``: models that are trained
-    first, on their own collections. Strategies read the first of ``models`` and each of
-    ``trained``, unless they need no model. ``groups`` of presses and ``trials`` are those of each
-    bottom. ``first``: number of the first group and trial in a cell; models are selected on later
-    ones. ``there``: world that is compared with the bench.
+    ``models``: source (job or file) by name in the tables; strategies read the first one, unless
+    they need no model. ``groups`` of presses and ``trials`` are those of each bottom. ``first``:
+    number of the first group and trial in a cell; models are selected on later ones. ``there``:
+    world that is compared with the bench.
     """
 
     bench: SimulationSettings
@@ -145,39 +76,24 @@ class DomainShift:
     strategies: tuple[str, ...] = ("paper", "fused")
     groups: int = 40
     trials: int = 20
-    trained: tuple[RandomisedTraining, ...] = ()
     first: int = 0
     there: str = "elsewhere"
 
     def jobs(self) -> list[JobSpec]:
-        """Return all jobs: the trainings, then the first ones of every cell first, for comparable
-        partial results.
-        """
-        made = [spec for plan in self.trained for spec in (*plan.data(), plan.training())]
+        """Return all jobs, the first ones of every cell first, for comparable partial results."""
         turns = zip_longest(*self._cells().values())
-        return [*made, *(spec for specs in turns for spec in specs if spec)]
-
-    def _models(self) -> dict[str, str]:
-        return {**self.models, **{plan.name: plan.training().id for plan in self.trained}}
+        return [spec for specs in turns for spec in specs if spec]
 
     def _cells(self) -> dict[Cell, list[JobSpec]]:
         """Return the jobs of every cell."""
-        models = self._models()
-        given = next(iter(models.values()))
-        asked = {"": ("", "")} | {name: (name, given) for name in self.strategies}
-        for strategy in self.strategies:
-            if base_strategy(strategy) not in EVALUATED_STRATEGIES[-2:]:
-                asked |= {f"{strategy}, {p.name}": (strategy, models[p.name]) for p in self.trained}
         return {
-            (world, bottom, name): list(self._jobs(world, bottom, models, *asked[name]))
+            (world, bottom, strategy): list(self._jobs(world, bottom, strategy))
             for world in (BENCH, self.there)
             for bottom in self.bottoms
-            for name in asked
+            for strategy in ("", *self.strategies)
         }
 
-    def _jobs(
-        self, world: str, bottom: str, models: Mapping[str, str], strategy: str, source: str
-    ) -> Iterator[JobSpec]:
+    def _jobs(self, world: str, bottom: str, strategy: str) -> Iterator[JobSpec]:
         dumped = self.bench.model_dump(mode="json")
         params: Json = {"bench": dumped, "piece": self.piece, "bottom": bottom}
         if world != BENCH:
@@ -185,11 +101,12 @@ class DomainShift:
         cell = CELL_SEEDS * (10 * PIECES.index(self.piece) + TABLE_BOTTOMS.index(bottom))
         if not strategy:
             kind, first, total, size = "static", PRESSES_SEED, self.groups, GROUPS_PER_JOB
-            count, inputs = "groups", tuple(sorted(set(models.values())))
-            params |= {"models": dict(models), "probes": PROBES, "fused": sorted(models)}
+            count, inputs = "groups", tuple(sorted(set(self.models.values())))
+            params |= {"models": dict(self.models), "probes": PROBES, "fused": sorted(self.models)}
         else:
             kind, first, total, size = "beyond", TRIALS_SEED, self.trials, TRIALS_PER_JOB
-            count, inputs, method = "trials", (source,), StackSettings()
+            given = next(iter(self.models.values()))
+            count, inputs, method = "trials", (given,), StackSettings()
             params |= {"strategy": strategy, "method": method.model_dump(mode="json")}
             params |= network_params(strategy, method)
         code = job_code(kind, self.code)
@@ -207,7 +124,7 @@ class DomainShift:
             "code": self.code,
             "piece": self.piece,
             "first": self.first,
-            "models": self._models(),
+            "models": dict(self.models),
             "presses": [
                 {"world": world, "bottom": bottom, "model": model, **press_scores(parts, model)}
                 for (world, bottom, strategy), parts in found.items()

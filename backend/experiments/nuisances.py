@@ -1,7 +1,6 @@
 """Nuisances of the simulated bench: quantities that differ between mountings, grippings and probes.
 
-``scale_nuisance`` scales one of them, ``band_benches`` all at once by a Latin hypercube,
-``randomise_bench`` the nuisances and the laws of gel, grip, contact and friction at random.
+``scale_nuisance`` scales one of them, ``band_benches`` all at once by a Latin hypercube.
 """
 
 from __future__ import annotations
@@ -120,46 +119,3 @@ def _times(value: Any, factor: float) -> Any:
     low, high = np.log(value)
     middle, half = 0.5 * (low + high), 0.5 * (high - low) * factor
     return [float(np.exp(middle - half)), float(np.exp(middle + half))]
-
-
-NUISANCE_FACTORS = (0.5, 2.0)  # range of the scale of every nuisance of a randomised bench
-# Range of the log-uniform factor on a value of the bench (``section.name``); one factor for both
-# numbers of a pair.
-LAW_FACTORS: Mapping[str, tuple[float, float]] = {
-    "grasp.shear_n_mm": (0.5, 2.0),
-    "grasp.normal_n_mm": (0.5, 2.0),
-    "grasp.torsion_nmm_rad": (0.5, 2.0),
-    "grasp.limit_radius_mm": (0.6, 1.6),
-    "grasp.hysteresis_share": (0.3, 5.0),
-    "grasp.hysteresis_s": (0.1, 2.0),
-    "face.foundation_range_n_mm3": (0.3, 10.0),
-    "face.tangential_n_mm3": (0.5, 4.0),
-    ".mu": (0.6, 1.5),
-    ".mu_grip": (0.75, 2.0),
-    "tactile.mm_per_px": (0.9, 1.3),
-    "tactile.roll_off_mm": (0.6, 1.6),
-    "tactile.dilation": (0.3, 3.0),
-}
-_RNG_STREAM = 993  # separates these draws from those of the bench
-
-
-def randomise_bench(bench: SimulationSettings, seed: int) -> SimulationSettings:
-    """Return the randomised bench of the mounting ``seed``; reproducible for the same bench and
-    seed.
-    """
-    rng = np.random.default_rng([seed, _RNG_STREAM])
-    for keys in NUISANCES.values():
-        bench = scale_nuisance(bench, keys, _factor(rng, NUISANCE_FACTORS))
-    content = bench.model_dump(mode="json")
-    for key, limits in LAW_FACTORS.items():
-        section, name = key.split(".")
-        values, factor = content[section] if section else content, _factor(rng, limits)
-        value = values[name]
-        number = isinstance(value, (int, float))
-        values[name] = factor * value if number else value and [factor * v for v in value]
-    return SimulationSettings.model_validate(content)
-
-
-def _factor(rng: np.random.Generator, limits: tuple[float, float]) -> float:
-    low, high = np.log(limits)
-    return float(np.exp(rng.uniform(low, high)))

@@ -177,7 +177,14 @@ class Recipe:
         """Return the training of one model."""
         inputs, head = next((i, h) for name, i, h in MODELS if name == model)
         settings = paper_training(inputs, self.scale.epochs)
-        return training_job((piece, head), settings, self.device, self.data(piece), self.code)
+        params = {
+            "piece": piece,
+            "head": head,
+            "training": settings.model_dump(mode="json"),
+            "device": self.device,
+        }
+        data = tuple(spec.id for spec in self.data(piece))
+        return JobSpec("train", params, settings.seed, data, job_code("train", self.code))
 
     def static(self, piece: str, bottom: str, protocol: str = BALANCED) -> JobSpec | None:
         """Return the evaluation of the models of ``piece`` over one bottom; None without any."""
@@ -254,24 +261,6 @@ class Recipe:
     @staticmethod
     def _cell(piece: str, bottom: str) -> int:
         return 10 * PIECES.index(piece) + TABLE_BOTTOMS.index(bottom)
-
-
-def training_job(
-    target: tuple[str, NetworkHead],
-    settings: TrainingSettings,
-    device: DeviceName,
-    data: Iterable[JobSpec],
-    code: str,
-) -> JobSpec:
-    """Return the training of a network for ``target`` (piece, head) on collected ``data``."""
-    params = {
-        "piece": target[0],
-        "head": target[1],
-        "training": settings.model_dump(mode="json"),
-        "device": device,
-    }
-    inputs = tuple(spec.id for spec in data)
-    return JobSpec("train", params, settings.seed, inputs, job_code("train", code))
 
 
 def paper_training(inputs: str, epochs: int) -> TrainingSettings:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-from typing import get_args
 
 from touchdown.backend import experiments
 from touchdown.backend.cli.experiment.campaign import (
@@ -25,14 +24,6 @@ def add_evaluation_arguments(parser: argparse.ArgumentParser) -> None:
                        "that never slip under the piece")  # fmt: skip
     asked.add_argument("--first", type=int, default=0, metavar="N", help="number of the first "
                        "group and trial in each cell; tune on others than reported")  # fmt: skip
-    asked.add_argument("--train", metavar="NAMES", help="train FT+Tac first, with the assumed "
-                       "training of the paper, and evaluate it too: on probes of 120 mountings of "
-                       "the bench (mountings), of 120 mountings with random nuisances, gel and "
-                       "friction (randomised), or both, separated by a comma")  # fmt: skip
-    asked.add_argument(
-        "--probes", type=int, default=2000, help="of --train on each of three outlines"
-    )
-    asked.add_argument("--epochs", type=int, default=30, help="of --train")
 
 
 def run_evaluation(run: ExperimentRun) -> Json:
@@ -60,14 +51,8 @@ def run_evaluation(run: ExperimentRun) -> Json:
     if args.gel != "half-space":
         import_skfem()
         there = f"elsewhere-{args.gel}"
-    if args.first < 0 or args.epochs < 1 or args.probes < 10:
-        raise InputError(
-            "A number is out of range.",
-            "--first, --epochs, --probes",
-            "Give --first 0 or more, --epochs 1 or more, --probes 10 or more.",
-        )
-    names: tuple[experiments.CollectionKind, ...] = get_args(experiments.CollectionKind)
-    wanted = parse_names(args.train, names, "--train") if args.train else ()
+    if args.first < 0:
+        raise InputError("--first is negative.", "--first", "Give 0 or a positive number.")
     plan = experiments.DomainShift(
         bench=bench,
         code=code,
@@ -77,34 +62,13 @@ def run_evaluation(run: ExperimentRun) -> Json:
         strategies=strategies,
         groups=args.groups,
         trials=args.trials,
-        trained=tuple(
-            experiments.RandomisedTraining(
-                bench, code, piece, name, args.probes, args.epochs, args.device
-            )
-            for name in names
-            if name in wanted
-        ),
         first=args.first,
         there=there,
     )
     run.run(plan.jobs())
     answer = plan.answer(run.store)
-    _keep_trained(run, plan)
     for table in experiments.shift_tables(answer):
         run.screen.table(table.title, *table.texts())
     path = args.out / "elsewhere.json"
     write_json(path, answer)
     return {"file": str(path), **run.counts(), "elsewhere": answer}
-
-
-def _keep_trained(run: ExperimentRun, plan: experiments.DomainShift) -> None:
-    """Write the trained models, each to its own folder for ``--models``."""
-    from touchdown.backend.learning import save_half_precision
-
-    for made in plan.trained if run.args.keep_models else ():
-        source = made.training().id
-        if run.store.has(source):
-            path = run.args.keep_models / made.collected / f"{made.piece}-ft+tac.safetensors"
-            path.parent.mkdir(parents=True, exist_ok=True)
-            save_half_precision(path, experiments.load_model(source, run.store))
-            run.screen.say(f"A model: {path}")

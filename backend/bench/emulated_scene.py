@@ -153,14 +153,13 @@ KEPT = 500  # wrist samples kept for the sensor
 KEPT_COMMANDS = 3000  # cycles of commanded positions, 30 s
 CONTACT_MM = 0.02
 HAND_MM = 5.0  # On a bench with a jig, a piece released this high goes to the operator's hand
-STILL_PX = 0.01  # A gel at rest is rendered again after this creep, a third of the tracker's error
 
 
 class EmulatedScene:
     """Scene with the state that its devices read; time passes on its own thread."""
 
     def __init__(self, scene: Scene, settings: MelfaSettings) -> None:
-        self.scene, self.world = scene, World(scene, still_px=STILL_PX)
+        self.scene, self.world = scene, World(scene)
         self.frame: BenchFrame = BenchFrame(settings)
         start = self.frame.joints(self.world.drive.command_mm)
         self.melfa: EmulatedMelfa = EmulatedMelfa(settings, start_rad=start)

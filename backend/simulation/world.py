@@ -28,6 +28,7 @@ OPEN_CLEARANCE_MM = 20.0  # at the start the jaws are wider than the piece by th
 DRAG_MM = 1.0  # dragging a pressed piece farther than this knocks a free support over
 DRAG_N = 0.5
 JIG_MM = 1.0  # released within this distance of the jig, the piece is back in the jig
+STILL_PX = 0.01  # dots are drawn again after this creep, a third of the error of the tracker
 _TARE_CYCLES = 20
 _AIR_HISTORY_US = 400_000  # air samples kept for the baseline of the next press
 
@@ -46,12 +47,10 @@ class CycleRecord:
 class World:
     """Steps the scene. Commands are given between steps; ``drive`` and ``jaws`` halt at any time.
 
-    ``still_px``: motion of dots up to which an image is not rendered again.
+    Only the noise of an image is drawn anew while no dot has crept by more than ``STILL_PX``.
     """
 
-    def __init__(
-        self, scene: Scene, script: DisturbanceScript | None = None, *, still_px: float = 0.0
-    ) -> None:
+    def __init__(self, scene: Scene, script: DisturbanceScript | None = None) -> None:
         self.scene, self._script = scene, script or DisturbanceScript()
         settings = scene.settings
         self.cycle_us = settings.cycle_us
@@ -69,7 +68,7 @@ class World:
         )
         self._cable = np.array(day.cable_n_mm) if np.any(day.cable_n_mm) else None
         self._cable_from_mm = self.drive.command_mm.copy()
-        self._cameras = _cameras(scene, seeds.tolist(), still_px)
+        self._cameras = _cameras(scene, seeds.tolist())
         self._holding: HeldPiece | None = None
         self._bottoms = scene.bottoms
         self._grips = 0
@@ -302,14 +301,14 @@ class World:
 
 
 def _cameras(
-    scene: Scene, seeds: np.ndarray[tuple[int, ...], np.dtype[np.uint32]], still_px: float
+    scene: Scene, seeds: np.ndarray[tuple[int, ...], np.dtype[np.uint32]]
 ) -> dict[Finger, finger_camera.FingerCamera]:
     look = finger_camera.load_gel_appearance()
     looks = {"left": look, "right": finger_camera.mirror_appearance(look)}
     return {
         finger: finger_camera.FingerCamera(
             scene.settings.tactile,
-            finger_camera.TactileRenderer(looks[finger], seed, still_px),
+            finger_camera.TactileRenderer(looks[finger], seed, STILL_PX),
             seed,
         )
         for finger, seed in zip(FINGERS, seeds, strict=False)

@@ -24,6 +24,7 @@ from touchdown.backend.simulation import (
 from touchdown.backend.simulation.arm import ArmDrive, SimPress, SimTravel, SimUnload, travelled_mm
 from touchdown.backend.simulation.contact import TRIALS_PER_CALL, halve_steps
 from touchdown.backend.simulation.finger_camera import DotRenderer
+from touchdown.backend.simulation.world import STILL_PX
 
 LAW = PressCommand(1.5, 1.5, 2.0, 2.0, 1.0, 11.0, (15.0, 15.0, 15.0))
 CYCLE_S = 0.01
@@ -308,7 +309,7 @@ def test_nothing_is_left_of_the_frame_before(dots):
 def test_dots_that_hardly_moved_look_as_they_did_and_creep_adds_up():
     exact, still = (
         DotRenderer(load_gel_appearance(), np.random.default_rng(4), still_px)
-        for still_px in (0.0, 0.01)
+        for still_px in (0.0, STILL_PX)
     )
     first = drawn(still, STILL)
     assert (first == drawn(exact, STILL)).all()

@@ -65,7 +65,7 @@ class ThreadStallDetector:
 
     def __init__(self, process: int, thread: int) -> None:
         self._status = Path("/proc") / str(process) / "task" / str(thread) / "status"
-        self._switches: tuple[bytes, ...] = ()
+        self._switches = b""
         self._looked_s = 0.0
         self.passed_s: float = 0.0  # time between the last two looks, at most MAX_LOOK_STEP_S
         self.rested_s: float = 0.0
@@ -78,9 +78,10 @@ class ThreadStallDetector:
 
     def _rests(self) -> bool:
         """Return True if it was idle since the last look."""
-        before, self._switches, state = self._switches, (), b"R"
+        before, self._switches, state = self._switches, b"", b"R"
         with suppress(OSError):
-            lines = [line.split() for line in self._status.read_bytes().splitlines()]
-            state = next(words[1] for words in lines if words[0] == b"State:")
-            self._switches = tuple(words[1] for words in lines if words[0].endswith(b"_switches:"))
+            text = self._status.read_bytes()
+            state = text.partition(b"\nState:\t")[2][:1]
+            # Both counts, voluntary and not, from the end of the file.
+            self._switches = text.rpartition(b"\nvoluntary_ctxt_switches:")[2]
         return bool(before) and before == self._switches and state.decode() not in RUNNABLE_STATES

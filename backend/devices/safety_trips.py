@@ -246,6 +246,9 @@ class Supervision:
         may be moved.
         """
         self._gripper, self._wrist, self._arm = gripper, wrist, arm
+        # Tested once, since the test of a protocol is slow.
+        device: object = wrist
+        self._pace = device if isinstance(device, ReportsSlowness) else None
         self._stall = StallMonitor(arm)
         self._grip = GripMonitor(gripper)
         self._begun_s = self._finite_s = now_s
@@ -325,8 +328,8 @@ class Supervision:
                 self._rates[f"tactile_{finger}"].note(newest.t_s, self._counts[finger] - seen)
         for device, last_s, limit_s in ages:
             slow_s = self._rates[device].slow_since_s
-            if device == "force_torque" and isinstance(self._wrist, ReportsSlowness):
-                slow_s = slow_s if self._wrist.slow_since_s is None else self._wrist.slow_since_s
+            if device == "force_torque" and self._pace is not None:
+                slow_s = slow_s if self._pace.slow_since_s is None else self._pace.slow_since_s
             if slow_s is not None:
                 late.append(DegradedDevice(device, "slow", slow_s))
             elif now_s - last_s > LATE_SHARE[device] * limit_s:

@@ -72,8 +72,8 @@ class ManualControl:
 
         Without a piece the tare still includes its weight, so the wrench is no contact force.
         """
-        press_n = self._around.press_n()
-        return press_n if press_n > self._interlock.limits.contact_n and self.holding else 0.0
+        press_n = self._around.press_n() if self.holding else 0.0
+        return press_n if press_n > self._interlock.limits.contact_n else 0.0
 
     @property
     def surface_mm(self) -> float:

@@ -289,6 +289,7 @@ class RunRecorder:
         self._lock = core.SharedLock()
         self._wall = ClockJumpDetector()
         self.store = RunStore(None, {})  # discards episodes outside a run
+        self._open = False
         self.folder: Path | None = None
 
     def check(self) -> None:
@@ -319,7 +320,7 @@ class RunRecorder:
                 self._log = EventLog(self.folder)
             self._leave = self._hub.subscribe(self._record)
         metadata = {"run": run_id, "mode": mode, FACTS_KEY: facts}
-        self.store = RunStore(episodes, metadata, self.obstacle)
+        self.store, self._open = RunStore(episodes, metadata, self.obstacle), True
 
     def obstacle(self) -> core.Fault | None:
         """Return the fault that prevents recording another probe, None if there is none."""
@@ -334,7 +335,9 @@ class RunRecorder:
         return no_space_fault(self.folder)
 
     def close(self) -> None:
-        """Close event log and store of the last run."""
+        """Close event log and store of the last run; an idle bench calls this at every step."""
+        if not self._open:
+            return
         if self._leave is not None:
             self._leave()
         with self._lock:
@@ -343,7 +346,7 @@ class RunRecorder:
                 lost = len(self._held)
                 self._give_up(f"the disk is full, the last {lost} lines are lost")
             self._leave = self._log = None
-        store, self.store = self.store, RunStore(None, {})
+        store, self.store, self._open = self.store, RunStore(None, {}), False
         store.close()
 
     def _record(self, event: core.Event) -> None:

@@ -26,6 +26,8 @@ from touchdown.backend.core import (
 from touchdown.backend.sensing import zeroing
 from touchdown.backend.sensing.jpeg_damage import DamageCheckingTracker
 
+PRESS_SAMPLES = 10  # 10 ms of the usual wrist sensor
+
 
 @dataclass(frozen=True, slots=True)
 class RawStreams:
@@ -142,8 +144,8 @@ class LiveSensing:
         )
 
     def press_n(self, now_s: float, max_age_s: float) -> float:
-        """Return the mean press force (tared Fz, N) of the last 10 ms; NaN without samples."""
-        window = self.wrench.window(now_s - max_age_s, now_s)
-        if not len(window.t_s):
-            return float("nan")
-        return float(np.mean(window.values[-10:, 2]))
+        """Return the mean press force (tared Fz, N) of the newest samples; NaN without any."""
+        # A window of time is searched for sample by sample; this is called often.
+        newest = self.wrench.since(self.wrench.count - PRESS_SAMPLES)
+        fresh = newest.t_s >= now_s - max_age_s
+        return float(np.mean(newest.values[fresh, 2])) if fresh.any() else float("nan")

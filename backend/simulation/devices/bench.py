@@ -145,6 +145,8 @@ class SimulatedBench:
     def _disturbed(self, sensed: CycleRecord, t_s: float) -> tuple[FloatArray, FloatArray]:
         """Return times and values of the wrist samples with the scripted disturbances."""
         script, name = self._script, "force_torque"
+        if not script.disturbances:
+            return sensed.t_s, sensed.wrench
         if script.active(name, "stop", t_s):
             return sensed.t_s[:0], sensed.wrench[:0]
         times_s, wrench = sensed.t_s, sensed.wrench

@@ -164,6 +164,7 @@ class SimTactile(SimDevice):
 
 
 RATED = (200.0, 200.0, 200.0, 4.0, 4.0, 4.0)  # N and N·m, as the sensor of the laboratory
+_RATED = np.array(RATED)
 
 
 class SimForceTorque(SimDevice):
@@ -201,7 +202,7 @@ class SimForceTorque(SimDevice):
         """Put one block into the stream; return True if samples were delivered."""
         if self.state is DeviceState.CLOSED or not len(t_s):
             return False
-        beyond = np.any(np.abs(values) >= RATED, axis=1)
+        beyond = np.any(np.abs(values) >= _RATED, axis=1)
         if beyond.any():
             self.fault = self.fault or overload_fault(range_text(values[beyond][0], RATED))
             self.state = DeviceState.FAULT

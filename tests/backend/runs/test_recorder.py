@@ -18,17 +18,19 @@ from tests.backend.bench.brisk import brisk_bench, brisk_method, brisk_session
 from tests.backend.runs.oracle_bench import OracleSession, request
 from touchdown.backend.annotations.dataset import Dataset
 from touchdown.backend.bench.assembly import SimulatedBenchChoice, simulated_session
-from touchdown.backend.core import Event, Fault, InputError, PhaseEntered, Said
+from touchdown.backend.core import Event, EventBus, Fault, InputError, PhaseEntered, Said
+from touchdown.backend.devices.interlock import Interlock
 from touchdown.backend.devices.protocols import DeviceState
 from touchdown.backend.episodes import read_episode, read_first
 from touchdown.backend.runs import recorder as store_module
-from touchdown.backend.runs.event_log import read_events
+from touchdown.backend.runs.event_log import EVENT_LOG_NAME, read_events
 from touchdown.backend.runs.motions import wait_until_durable
 from touchdown.backend.runs.recorder import (
     BOOKMARKS_NAME,
     CLOCK_SET,
     Bookmark,
     RecordingOptions,
+    RunRecorder,
     RunStore,
     keep_bookmark,
     keep_photo,
@@ -54,6 +56,19 @@ def test_a_picture_that_was_taken_away_leaves_the_others_in_place(tmp_path, pict
     assert (second.name, third.name) == ("trial-003-2.png", "trial-003-3.png")
     assert second.read_bytes() == PNG + b"first"
     assert third.read_bytes() == PNG + b"third"
+
+
+def test_a_closed_record_is_left_alone_until_the_next_run(tmp_path):
+    recorder = RunRecorder(RecordingOptions(tmp_path), EventBus(), Interlock())
+    for run in ("first", "second"):
+        before = recorder.store
+        recorder.close()
+        assert recorder.store is before, "nothing was open"
+        recorder.open(run, "stepped", "{}")
+        during = recorder.store
+        recorder.close()
+        assert recorder.store not in (before, during)
+        assert (tmp_path / run / EVENT_LOG_NAME).exists()
 
 
 @pytest.mark.parametrize("call", ["fsync", "replace"])

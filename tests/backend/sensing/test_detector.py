@@ -356,6 +356,18 @@ def live_sensing() -> LiveSensing:
     return LiveSensing(raw, fields, SampleStream("wrench", 6, 10), np.zeros(6))
 
 
+def test_the_press_force_is_that_of_the_newest_samples_and_unknown_once_they_are_old() -> None:
+    sensing = live_sensing()
+    assert np.isnan(sensing.press_n(0.0, 0.2))
+    wrench = np.zeros((15, 6))
+    wrench[:, 2] = np.arange(15)
+    for k in range(15):
+        sensing.wrench.put(np.array([0.001 * k]), wrench[k : k + 1])
+    assert sensing.press_n(0.014, 0.2) == pytest.approx(9.5), "the last ten"
+    assert sensing.press_n(0.2115, 0.2) == pytest.approx(13.0), "younger than 0.2 s"
+    assert np.isnan(sensing.press_n(0.3, 0.2))
+
+
 def test_the_loop_refuses_a_later_reference_in_contact() -> None:
     sensing = live_sensing()
     frames, fields = sensing.raw.frames, sensing.fields

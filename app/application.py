@@ -102,7 +102,9 @@ class TouchdownApp(QObject):
         self.workspaces[front]
         self.look.refit = self._refit
         self.look.dress(self.window)
-        self.pump = EventPump(self, self._pull, hold=self._hushed)
+        self.pump = EventPump(
+            self, self._pull, hold=self._hushed, hidden=lambda: self.window.isMinimized()
+        )
         self._add_parts()
         self._stop_key = shell.StopKeyFilter(self, self.stop, self._moving)
         application.installEventFilter(self._stop_key)
@@ -358,7 +360,7 @@ class TouchdownApp(QObject):
 
         def draw(turn: int) -> None:
             parts = self.workspaces[self.window.front].parts
-            if turn < len(parts) and not self.window.isMinimized():
+            if turn < len(parts):
                 parts[turn]()
 
         for turn in range(MOST_PARTS):

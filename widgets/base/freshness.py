@@ -68,6 +68,7 @@ def scroll_into_view(widget: QWidget) -> None:
 TURNS = 2
 PERIOD_MS = 32 // TURNS  # each view at slightly above 30 Hz; a late tick leaves 30 frames/s
 BUDGET_S = 0.008
+HIDDEN_PERIOD_MS, HIDDEN_BUDGET_S = 100, 0.05  # of a minimised window, which draws nothing
 
 
 class EventPump:
@@ -75,7 +76,8 @@ class EventPump:
 
     ``pull`` handles one event and returns False if there was none. The time budget is checked after
     every event, so that a burst is spread over several ticks. A view that exceeds the budget is
-    drawn first at the next turn of its half.
+    drawn first at the next turn of its half. While ``hidden`` returns True nothing is drawn, and
+    events are handled every 100 ms.
     """
 
     def __init__(
@@ -84,10 +86,11 @@ class EventPump:
         pull: Callable[[], bool],
         *,
         hold: Callable[[], bool] = lambda: False,
+        hidden: Callable[[], bool] = lambda: False,
         now_s: Callable[[], float] = time.perf_counter,
         budget_s: float = BUDGET_S,
     ) -> None:
-        self._pull, self._hold = pull, hold
+        self._pull, self._hold, self._hidden = pull, hold, hidden
         self._now_s, self._budget_s = now_s, budget_s
         self._turns: tuple[deque[Callable[[], None]], ...] = tuple(deque() for _ in range(TURNS))
         self.ticks = 0
@@ -110,12 +113,16 @@ class EventPump:
         """Run one tick; does nothing while ``hold`` returns True."""
         if self._hold():
             return
+        hidden = self._hidden()
+        period_ms = HIDDEN_PERIOD_MS if hidden else PERIOD_MS
+        if self._timer.interval() != period_ms:
+            self._timer.setInterval(period_ms)
         views = self._turns[self.ticks % TURNS]
         self.ticks += 1
-        deadline = self._now_s() + self._budget_s
+        deadline = self._now_s() + (HIDDEN_BUDGET_S if hidden else self._budget_s)
         while self._pull() and self._now_s() < deadline:
             pass
-        for _ in range(len(views)):
+        for _ in range(0 if hidden else len(views)):
             draw = views[0]
             views.rotate(-1)
             draw()

@@ -111,6 +111,23 @@ def test_nothing_is_drawn_and_nothing_lost_while_a_decision_is_due(qapp, clock):
     assert (drawn, len(facts)) == (["view"], 0)
 
 
+def test_a_hidden_window_handles_events_and_draws_again_once_it_is_shown(qapp, clock):
+    owner, drawn, facts, hidden = QObject(), [], deque(range(3)), [True]
+
+    def pull():
+        return bool(facts) and facts.popleft() >= 0
+
+    pump = EventPump(owner, pull, hidden=lambda: hidden[0], now_s=clock)
+    pump.add(lambda: drawn.append("view"))
+    pump.tick()
+    pump.tick()
+    assert (drawn, len(facts), pump._timer.interval()) == ([], 0, 100)
+    hidden[0] = False
+    pump.tick()
+    pump.tick()
+    assert (drawn, pump._timer.interval()) == (["view"], 16)
+
+
 def test_a_second_window_registers_nothing_again(qapp):
     load_resources()
     load_resources()

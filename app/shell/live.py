@@ -6,19 +6,25 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 
+import numpy as np
 from PySide6.QtCore import QSize
 from PySide6.QtGui import QFontMetrics, QResizeEvent
 from PySide6.QtWidgets import QHBoxLayout, QScrollArea, QSizePolicy, QWidget
 
+from touchdown.app.shell.activity import is_run_active
 from touchdown.app.shell.bench_text import count_noun
 from touchdown.backend.bench import Session
-from touchdown.backend.core import FINGERS, Finger, MarkerField, TactileFrame
+from touchdown.backend.core import FINGERS, WRENCH_CHANNELS, Finger, MarkerField, TactileFrame
 from touchdown.backend.devices import DeviceState
 from touchdown.widgets import base
 from touchdown.widgets.plots import TracePlot
 from touchdown.widgets.views import TactileView
 
 HEADER_PERIOD_S = 0.25
+# On an idle bench, signals that change by less are redrawn every ``STILL_S``: markers in px, the
+# wrench as a share of the shown range. Both are a pixel or two on the screen.
+STILL_PX, STILL_SHARE, STILL_S = 0.3, 0.03, 0.1
+NEWEST = 16  # wrench samples whose mean is compared
 
 
 class LivePresenter:
@@ -30,9 +36,10 @@ class LivePresenter:
         self._bench, self._views, self._now_s = bench, page, now_s
         self._fresh = {finger: base.Freshness() for finger in FINGERS}
         self._wrench_fresh = base.Freshness()
-        self._wrench_cursor = 0
+        self._wrench_cursor, self._wrench_mean = 0, np.full(WRENCH_CHANNELS, np.nan)
         self.paused = False  # traces are paused; new samples are shown on resume
         self._headers_s = float("-inf")
+        self._shown: dict[Finger, MarkerField | None] = {}
         self._frame_cursor = dict.fromkeys(FINGERS, 0)
         self.frames_shown = dict.fromkeys(FINGERS, 0)
         # Functions that draw the live views, a few ms each.
@@ -54,8 +61,11 @@ class LivePresenter:
             # Of two frames, one is late: show both, one tick apart.
             frame = frames[0] if len(frames) == 2 else frames[-1]
             self._frame_cursor[finger] = cursor - (len(frames) == 2)
-            view.show_frame(frame, self._field_of(finger, frame))
-            self.frames_shown[finger] += 1
+            field = self._field_of(finger, frame)
+            if not self._same(self._shown.get(finger), field, frame.t_s):
+                view.show_frame(frame, field)
+                self._shown[finger] = field
+                self.frames_shown[finger] += 1
         view.show_age(fresh.judge(now_s), fresh.age_s(now_s), self._why_silent(finger))
 
     def _field_of(self, finger: Finger, frame: TactileFrame) -> MarkerField | None:
@@ -63,6 +73,20 @@ class LivePresenter:
         stream = self._bench.fields[finger]
         same = stream.between(frame.t_s, frame.t_s)
         return same[-1] if same else stream.newest()
+
+    def _same(self, was: MarkerField | None, now: MarkerField | None, t_s: float) -> bool:
+        """Return True if a picture of ``t_s`` looks like the one of ``was``, a moment before."""
+        if was is None or now is None or not self._idle():
+            return False
+        tracked = now.t_s == t_s and now.quality > 0.0
+        if not (tracked and 0.0 <= t_s - was.t_s < STILL_S and (now.state == was.state).all()):
+            return False
+        return bool(np.abs(now.position_px - was.position_px).max() <= STILL_PX)
+
+    def _idle(self) -> bool:
+        """Return True if neither a run nor the operator moves the bench."""
+        hand = self._bench.hand
+        return not is_run_active(self._bench) and (hand is None or not hand.active)
 
     def draw_wrench(self) -> None:
         """Update the traces."""
@@ -77,16 +101,23 @@ class LivePresenter:
 
     def _feed(self) -> None:
         samples = self._bench.wrench.since(self._wrench_cursor)
-        self._wrench_cursor = samples.cursor
         if len(samples.t_s):
-            self._views.force.add(samples.t_s, samples.values[:, :3])
-            self._views.moment.add(samples.t_s, samples.values[:, 3:])
+            views, mean = self._views, samples.values[-NEWEST:].mean(axis=0)
+            limits = STILL_SHARE * np.repeat([views.force.limit, views.moment.limit], 3)
+            near = (np.abs(mean - self._wrench_mean) <= limits).all()
+            if near and 0.0 <= samples.t_s[-1] - samples.t_s[0] < STILL_S and self._idle():
+                return
+            self._wrench_mean = mean
+            views.force.add(samples.t_s, samples.values[:, :3])
+            views.moment.add(samples.t_s, samples.values[:, 3:])
+        self._wrench_cursor = samples.cursor
 
     def show_span(self, span_s: float) -> None:
         """Change the time span; redraw from the samples that the stream still holds."""
         for plot in (self._views.force, self._views.moment):
             plot.show_span(span_s)
         self._wrench_cursor = 0
+        self._wrench_mean = np.full(WRENCH_CHANNELS, np.nan)
         self._feed()
 
     def draw_headers(self) -> None:

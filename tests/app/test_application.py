@@ -500,6 +500,7 @@ def test_operate_shows_every_frame_while_a_training_runs(desk):
         least = max(10, os.getpriority(os.PRIO_PROCESS, 0))
         assert behind == least, "a training stands behind everything else"
     main.go("operate")
+    bench.set_state(RunState.RUNNING)
     views = main.workspaces["operate"].page.tactile.values()
     yardstick = Yardstick()
     yardstick.measure(8)

@@ -178,6 +178,7 @@ class JogPad(base.Panel):
         self.lift.hide()
         self.joint = 1  # joint of the arrow keys in JOINT
         self._ready = self._turns = False
+        self._ready_why: tuple[bool, str] | None = None
         self._pose, self._note = base.ElidedLabel(""), base.label("", "small")
         self._field = QWidget()
         self.level.setToolTip(base.tr("Turn the hand to straight down, in place (Shift+T)"))
@@ -222,7 +223,9 @@ class JogPad(base.Panel):
 
     def show_ready(self, ready: bool, why: str) -> None:
         """Enable all pads, or disable them with the reason."""
-        self._ready = ready
+        if (ready, why) == self._ready_why:
+            return
+        self._ready, self._ready_why = ready, (ready, why)
         for what, pad in self.pads.items():
             pad.setEnabled(ready)
             pad.setToolTip(base.tr("Jog {}", _signed(what)) if ready else why)

@@ -1,5 +1,8 @@
 """The Stack workspace shows what the facts say, and orders what the operator asks."""
 
+from dataclasses import replace
+
+import numpy as np
 import pytest
 from PySide6.QtCore import Qt
 from PySide6.QtTest import QTest
@@ -311,7 +314,8 @@ def test_lost_frames_are_in_the_tips_and_on_the_chip_where_they_are_many(
 
 
 @pytest.mark.promise("W5")
-def test_every_frame_is_drawn_once(live, bench):
+def test_every_frame_of_a_run_is_drawn_once(live, bench):
+    bench.set_state(RunState.RUNNING)
     before = live.workspaces["stack"].live.frames_shown["left"]
     for _ in range(10):
         bench.turn(0.04)
@@ -324,6 +328,44 @@ def test_every_frame_is_drawn_once(live, bench):
     live.window.showNormal()
     settle(live)
     assert live.workspaces["stack"].live.frames_shown["left"] > before + 10
+
+
+@pytest.mark.promise("W5")
+def test_on_an_idle_bench_still_pictures_are_shown_every_tenth_of_a_second(live, bench):
+    shown = live.workspaces["stack"].live
+    before = shown.frames_shown["left"]
+    for _ in range(30):
+        bench.turn(0.04)
+        settle(live, 2)
+    assert shown.frames_shown["left"] == before + 10, "every third frame"
+    for _ in range(10):
+        bench.press += 0.1  # the fastest marker moves by 0.7 px, the slowest by 0.1 px
+        bench.turn(0.04)
+        settle(live, 2)
+    assert shown.frames_shown["left"] == before + 20, "every frame while something moves"
+
+
+@pytest.mark.promise("W5")
+@pytest.mark.parametrize("change", ["state", "quality", "late field"])
+def test_a_still_picture_with_other_markers_is_shown_at_once(live, bench, change):
+    shown, finger = live.workspaces["stack"].live, "left"
+    bench.turn(0.12)
+    settle(live)
+    newest = shown._shown[finger]
+    before = shown.frames_shown[finger]
+    bench.turn(0.04)
+    stream = bench.fields[finger]
+    field = stream.newest()
+    stream.clear()
+    changes = {
+        "state": {"state": np.where(np.arange(63) == 3, 2, field.state).astype(np.uint8)},
+        "quality": {"quality": 0.0},
+        "late field": {"t_s": newest.t_s},
+    }
+    field = replace(field, **changes[change])
+    stream.put(field.t_s, field)
+    settle(live, 2)
+    assert shown.frames_shown[finger] == before + 1
 
 
 @pytest.mark.promise("W1")

@@ -413,18 +413,15 @@ PACKS = "packs"
 MODE = "mass"
 # Simulated episodes that fail a check are redrawn before they are packed.
 GOOD = EpisodeQuality(True, (), 0, 0.0, 0, 0.0, 0.0)
-GOOD_TEXT = json.dumps(asdict(GOOD))
 RANDOM_BITS = 74
 
 
 @dataclass(frozen=True, slots=True)
 class PackEntry:
-    """One episode of a pack: id, position, hash and label message."""
+    """One episode of a pack: id, position and label message."""
 
     uuid: str
-    offset: int
-    length: int
-    sha256: str
+    chunk: StoredChunk
     label: Mapping[str, Any]
 
 
@@ -464,7 +461,7 @@ def read_pack_chunks(path: Path) -> Iterator[PackEntry]:
         with input_errors(path):
             label = unpack_json(messages[0])
             label_of(label)
-            yield PackEntry(_packed_uuid(chunk), chunk.offset, chunk.length, chunk.sha256, label)
+            yield PackEntry(_packed_uuid(chunk), chunk, label)
 
 
 def read_packed(path: Path, chunk: tuple[int, int]) -> Episode:
@@ -506,7 +503,7 @@ def _compare_pack(
         yield ConsistencyProblem("double", name, message, lambda _: quarantine_file(parts, path))
         return
     found |= elsewhere
-    changed = [p for p in listed if there.get(p.uuid) != (name, p.offset, "complete")]
+    changed = [p for p in listed if there.get(p.uuid) != (name, p.chunk.offset, "complete")]
     lost = [u for u, row in there.items() if row[0] == name and row[2] == "complete"]
     lost = sorted(set(lost) - {p.uuid for p in listed})
     if lost:
@@ -526,24 +523,22 @@ def enter_pack(
     """Insert rows and first labels of packed episodes as one operation; known ones are moved."""
     catalogue = load_pieces()
     name, size = parts.name(path), path.stat()
-    series = uuid7_from_parts(0, int(listed[0].sha256[:16], 16))
+    series = uuid7_from_parts(0, int(listed[0].chunk.sha256[:16], 16))
     bench = json.dumps({"pack": name, "bytes": size.st_size})
     connection.execute("DELETE FROM series WHERE uuid = ?", (series,))
     values = (series, size.st_mtime_ns, "", "", MODE, bench)
     connection.execute("INSERT INTO series VALUES (?, ?, ?, ?, ?, ?)", values)
-    pairs, revisions = dict[tuple[str, ...], str](), []
+    revisions = []
     for packed in listed:
+        length = packed.chunk.length
         moved = connection.execute(
             "UPDATE episode SET path = ?, chunk_off = ?, chunk_len = ?, bytes = ?,"
             " state = 'complete' WHERE uuid = ?",
-            (name, packed.offset, packed.length, packed.length, packed.uuid),
+            (name, packed.chunk.offset, length, length, packed.uuid),
         )
         if moved.rowcount:
             continue
-        names = tuple(str(packed.label[word]) for word in ("piece", "bottom", "geometry"))
-        if names not in pairs:
-            pairs[names] = _pair(parts, catalogue, packed.label, path)
-        geometry = pairs[names]
+        geometry = _pair(parts, catalogue, packed.label, path)
         row = _packed_row(packed, series, name, size.st_mtime_ns, geometry)
         episode_index.insert_episode(connection, row)
         if not _has_label(connection, packed.uuid):
@@ -560,7 +555,7 @@ def enter_pack(
 def _packed_row(
     packed: PackEntry, series: str, name: str, recorded_ns: int, geometry: str
 ) -> dict[str, Any]:
-    label = packed.label
+    label, chunk = packed.label, packed.chunk
     words = ("piece", "bottom", "grip_id", "mounting_id", "person")
     return {
         **{word: str(label[word]) for word in words},
@@ -570,15 +565,15 @@ def _packed_row(
         "plan_item": None,
         "kind": "pack",
         "path": name,
-        "chunk_off": packed.offset,
-        "chunk_len": packed.length,
+        "chunk_off": chunk.offset,
+        "chunk_len": chunk.length,
         "crc": None,
-        "sha256": packed.sha256,
-        "bytes": packed.length,
+        "sha256": chunk.sha256,
+        "bytes": chunk.length,
         "recorded_ns": recorded_ns,
         "geometry": geometry,
         "mode": MODE,
-        "quality": GOOD_TEXT,
+        "quality": json.dumps(asdict(GOOD)),
         "accepted": 1,
         "keep_frames": "none",
         "state": "complete",

@@ -202,15 +202,9 @@ def _value(key: str, text: str) -> object:
 
 
 def episode_queue(
-    database: Database,
-    name: str,
-    person: str,
-    *,
-    seed: int = 0,
-    wanted: str = "",
-    limit: int | None = None,
+    database: Database, name: str, person: str, *, seed: int = 0, wanted: str = ""
 ) -> list[str]:
-    """Return the first ``limit`` episodes of a queue for ``person``, in order, none deleted.
+    """Return the episodes of a queue for ``person``, in order, without deleted ones.
 
     - unlabelled: not yet accepted, oldest first, skipped ones last
     - review: submitted by others; returned: own labels and probes that were rejected
@@ -231,23 +225,21 @@ def episode_queue(
         scored = f"LEFT JOIN {_VALID_SCORE}" if values["score"] else ""
         sql = (
             "SELECT e.uuid FROM episode e JOIN label_head h ON h.episode = e.uuid"  # noqa: S608
-            f" {revision} {scored} WHERE {where} ORDER BY {order}, e.uuid LIMIT :limit"
+            f" {revision} {scored} WHERE {where} ORDER BY {order}, e.uuid"
         )
-        rows = database.rows(sql, {**values, "limit": -1 if limit is None else limit})
-        return [uuid for (uuid,) in rows]
+        return [uuid for (uuid,) in database.rows(sql, values)]
     if name == "coverage":
-        return _coverage(database)[:limit]
+        return _coverage(database)
     if name in ("audit", "gold"):
         found = _drawn(_ids(database, name, person), seed)
         answered = _answered(database, person) if name == "gold" else ()
-        return [uuid for uuid in found if uuid not in answered][:limit]
-    return _ids(database, name, person, limit)
+        return [uuid for uuid in found if uuid not in answered]
+    return _ids(database, name, person)
 
 
-def _ids(database: Database, name: str, person: str, limit: int | None = None) -> list[str]:
+def _ids(database: Database, name: str, person: str) -> list[str]:
     values: dict[str, object] = {"person": person, "author": f"\n{person}\n", "name": name}
-    values["limit"] = -1 if limit is None else limit
-    return [uuid for (uuid,) in database.rows(f"{_QUERIES[name]} LIMIT :limit", values)]
+    return [uuid for (uuid,) in database.rows(_QUERIES[name], values)]
 
 
 def _coverage(database: Database) -> list[str]:

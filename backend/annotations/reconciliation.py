@@ -10,10 +10,10 @@ import time
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from contextlib import closing, suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import partial
-from itertools import islice, zip_longest
+from itertools import zip_longest
 from pathlib import Path
 
 from touchdown.backend.annotations import episode_files, operation_log, review
@@ -40,8 +40,7 @@ from touchdown.backend.annotations.values import (
 )
 from touchdown.backend.core import Fault, InputError, parse_json, write_atomically
 
-# Newest operations checked on opening: number, and size of their bodies; ``verify`` checks all.
-CHECKED_OPERATIONS, CHECKED_CHARACTERS = 500, 2_000_000
+CHECKED_OPERATIONS = 500  # number of newest operations checked on opening; ``verify`` checks all
 
 
 def check_labels(parts: DatasetParts, *, whole: bool) -> Iterator[ConsistencyProblem]:
@@ -51,7 +50,7 @@ def check_labels(parts: DatasetParts, *, whole: bool) -> Iterator[ConsistencyPro
     broken: set[str] = set()
     chains: dict[str, list[Operation]] = {}
     for site, (seq, _) in catalogue.items():
-        after = 0 if whole else _first_checked(parts, site, seq)
+        after = 0 if whole else max(0, seq - CHECKED_OPERATIONS)
         with parts.database.reading() as connection:
             chain = read_operations(connection, "site = ? AND seq >= ?", (site, after))
         start = (chain[0].seq, chain[0].hash) if after else (0, FIRST_HASH)
@@ -78,19 +77,6 @@ def check_labels(parts: DatasetParts, *, whole: bool) -> Iterator[ConsistencyPro
     if wrong:
         message = f"{len(wrong)} label heads did not follow from the revisions: rebuilt."
         yield ConsistencyProblem("heads", parts.database.path.name, message, review.rebuild_heads)
-
-
-def _first_checked(parts: DatasetParts, site: str, newest: int) -> int:
-    """Return the number of the operation after which all are checked on opening."""
-    least, characters = max(0, newest - CHECKED_OPERATIONS), 0
-    sql = "SELECT seq, length(body) FROM op WHERE site = ? AND seq > ? ORDER BY seq DESC"
-    with parts.database.reading() as connection:
-        # Read one by one: the operation of a pack has the labels of 500 episodes.
-        for seq, size in connection.execute(sql, (site, least)):
-            characters += size
-            if characters > CHECKED_CHARACTERS:
-                return int(seq)
-    return least
 
 
 # Tables that follow from the operations.
@@ -269,8 +255,7 @@ LEFTOVERS = (
     ("runs/*", ".*.part"),
     (".", ".rebuilt.db*"),
 )
-# An unmounted disk causes thousands of repairs, and each new pack brings the rows of 500 episodes.
-REPAIRS_PER_TRANSACTION = 100
+REPAIRS_PER_TRANSACTION = 500  # an unmounted disk causes thousands of repairs
 BUSY_S = 60.0  # a cache changed more recently than this is in use
 
 
@@ -326,9 +311,9 @@ def reconcile(
     reported: list[ConsistencyProblem] = []
     for check in _checks(parts, whole):
         known = {problem.target for problem in reported}
-        found = (problem for problem in check if not (problem.lasting and problem.target in known))
-        while batch := list(islice(found, REPAIRS_PER_TRANSACTION)):
-            reported += _repaired(parts, batch, again)
+        found = [problem for problem in check if not (problem.lasting and problem.target in known)]
+        for start in range(0, len(found), REPAIRS_PER_TRANSACTION):
+            reported += _repaired(parts, found[start : start + REPAIRS_PER_TRANSACTION], again)
     with parts.database.reading() as connection:
         sites = list(newest_operations(connection))
     for site in sites:
@@ -352,7 +337,7 @@ def _repaired(
                 finding.repair(connection)
                 body = {"said": finding.message, "open": finding.stays_listed}
                 add_event(connection, PROGRAM_ACTOR, finding.kind, finding.target, body)
-                reported.append(replace(finding, repair=None))  # it holds the rows of a pack
+                reported.append(finding)
             except (InputError, OSError, sqlite3.IntegrityError) as error:
                 connection.execute("ROLLBACK TO one")
                 message = f"{finding.message} That failed: {error}"

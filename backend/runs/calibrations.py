@@ -282,6 +282,7 @@ def _fault(code: str, name: str, what: str, next_step: str) -> core.FaultError:
 
 CLEAR_MM = 1.0  # clearance above the support that excludes contact
 STILL_MM, STILL_RAD = 0.05, 0.001  # a hand within these limits is at rest
+DRIFT_PERIOD_S = 0.08  # between two looks at the wrench, which takes minutes to drift
 SETTLE_S = 0.2  # vibration has decayed after this time
 SAME_MM = 0.3  # jaws within this limit still hold the same load
 POSE_AGE_S = 0.2
@@ -298,13 +299,16 @@ class DriftMonitor:
     ) -> None:
         self._scene, self._surface_mm, self._publish = scene, surface_mm, publish
         self._cursor = scene.sensing.raw.samples.count
-        self._watch = WrenchDriftEstimator()
+        self._watch, self._due_s = WrenchDriftEstimator(), -math.inf
         self._at_rest: core.Pose | None = None
         self._since_s = math.inf
         self._load: tuple[bool, float] | None = None
 
     def update(self) -> None:
         """Process new samples; publish ``Noticed`` when the drift exceeds its limit."""
+        if (now_s := self._scene.now_s()) < self._due_s:
+            return
+        self._due_s = now_s + DRIFT_PERIOD_S
         samples = self._scene.sensing.raw.samples.since(self._cursor)
         self._cursor = samples.cursor
         if not self._at_rest_in_air():

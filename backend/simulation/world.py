@@ -10,6 +10,7 @@ import math
 from collections import deque
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
+from functools import lru_cache, partial
 
 import numpy as np
 
@@ -20,7 +21,7 @@ from touchdown.backend.emulation import DisturbanceScript
 from touchdown.backend.simulation import arm, finger_camera, ground_truth
 from touchdown.backend.simulation.gripper import HeldPiece, SimulatedJaws, start_command_mm
 from touchdown.backend.simulation.ground_truth import Scene, SceneTruth
-from touchdown.backend.simulation.marker_fields import gel_from_settings
+from touchdown.backend.simulation.marker_fields import Gel, gel_from_settings
 from touchdown.backend.simulation.pressing import TIMELINE_VALUES
 from touchdown.backend.simulation.wrist_sensor import WristLoad, WristSampler, cable_wrench
 
@@ -59,6 +60,8 @@ class World:
         width_mm = scene.piece.width_mm
         self.jaws = SimulatedJaws(width_mm + OPEN_CLEARANCE_MM, width_mm)
         self._gel = gel_from_settings(settings)
+        # Jaws without a piece mostly keep their forces.
+        self._empty_px = lru_cache(maxsize=1)(partial(_empty_px, self._gel))
         seeds = np.random.SeedSequence(
             [scene.seed, scene.number, 7, scene.mounting]
         ).generate_state(3)
@@ -272,9 +275,7 @@ class World:
         """Return (2, 63, 2) marker displacements in px, gain included."""
         holding = self._holding
         if holding is None:
-            asked_n = max(self.jaws.asked_n, self.jaws.force_n, 1e-3)
-            pads = np.full(2, self.jaws.force_n)
-            return self._gel.displacement_px(np.zeros((2, 3)), pads, np.array(asked_n))
+            return self._empty_px(self.jaws.force_n, max(self.jaws.asked_n, self.jaws.force_n))
         field = self._gel.displacement_px(
             values[6:12].reshape(2, 3), values[12:14], holding.conditions.grip_force_n[0]
         )
@@ -298,6 +299,12 @@ class World:
         if self._holding is None:
             return command
         return np.asarray(command + self._values[:3] / self._holding.conditions.robot_n_mm[0])
+
+
+def _empty_px(gel: Gel, force_n: float, asked_n: float) -> FloatArray:
+    """Return the marker field (2, 63, 2) of jaws that close on nothing."""
+    pads_n, grip_n = np.full(2, force_n), np.array(max(asked_n, 1e-3))
+    return gel.displacement_px(np.zeros((2, 3)), pads_n, grip_n)
 
 
 def _cameras(

@@ -65,8 +65,9 @@ class ProbePanel(base.Panel):
 
     def __init__(self, theme: base.Theme, phases: Sequence[str]) -> None:
         super().__init__("Probe")
-        self.values, self.model = base.label("", "small", wrap=True), self.detail
+        self.values, self.model = base.label("", "small", wrap=True), base.ElidedLabel("small")
         self.strip = PhaseStrip(theme, phases)
+        self._buttons: tuple[bool, bool, str] | None = None  # as shown last
         # Two lines in a narrow column, so that the page knows the height that it needs.
         self.values.setMinimumHeight(2 * self.values.fontMetrics().height())
         self.result = base.label("No probe yet.", wrap=True)
@@ -77,15 +78,18 @@ class ProbePanel(base.Panel):
             (self.cancel, "Cancel the probe", "End the run: lift the arm, keep the grip"),
         )
         row = base.hbox((self.probe, 2), (self.cancel, 1))
-        base.add_items(self.column, self.values, self.strip, self.result, row)
+        base.add_items(self.column, self.values, self.model, self.strip, self.result, row)
 
     def show_model(self, short: str, full: str) -> None:
-        """Show the model in use in the header; the tool tip has the details."""
+        """Show the model in use; the tool tip has the details."""
         self.model.setText(short)
         self.model.setToolTip(full)
 
     def show_buttons(self, *, probe: bool, cancel: bool, why: str) -> None:
         """Enable the buttons; ``why``: reason for a disabled one."""
+        if (probe, cancel, why) == self._buttons:
+            return
+        self._buttons = probe, cancel, why
         self.probe.setEnabled(probe)
         self.cancel.setEnabled(cancel)
         self.probe.setToolTip(why or base.tr("Press here with these values, record, and lift (F5)"))

@@ -185,9 +185,7 @@ class TopBar(QFrame):
         chips.addLayout(_two(self._servo_title, self.servo))
         self._row.insertWidget(3, self._devices)
         self._second = hbox()
-        rows = vbox(self._row, self._second, parent=self, margins=(MARGIN, 7, MARGIN, 7), spacing=6)
-        rows.setSizeConstraint(rows.SizeConstraint.SetNoConstraint)  # ``fit`` leaves out parts
-        self._layouts = chips, rows
+        vbox(self._row, self._second, parent=self, margins=(MARGIN, 7, MARGIN, 7), spacing=6)
         self.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Fixed)
 
     def minimumSizeHint(self) -> QSize:
@@ -229,8 +227,6 @@ class TopBar(QFrame):
             self._second.addWidget(self._devices)
             self._second.addStretch(1)
         self._modes.setVisible(self._needed(()) <= room)
-        for layout in self._layouts:
-            layout.activate()  # else figures are elided until the next event
         self.updateGeometry()
 
     def _stop_px(self, text: str) -> int:

@@ -84,6 +84,21 @@ def polls(over):
         pass
 
 
+def test_a_thread_rests_while_it_is_not_runnable_and_is_not_switched(tmp_path):
+    rest = ThreadStallDetector(os.getpid(), threading.get_native_id())
+    rest._status = tmp_path / "status"
+    looks = [("S", 5, 1), ("S", 5, 1), ("S", 6, 1), ("S", 6, 1), ("S", 6, 2), ("R", 6, 2),
+             ("D", 6, 2), ("S", 6, 2)]  # fmt: skip
+    rested_s = []
+    for at, (state, given, taken) in enumerate(looks):
+        rest._status.write_text(
+            f"Name:\tState:\nUmask:\t0022\nState:\t{state} (any)\nPid:\t1\n"
+            f"voluntary_ctxt_switches:\t{given}\nnonvoluntary_ctxt_switches:\t{taken}\n"
+        )
+        rested_s.append(rest.look(0.05 * at))
+    assert rested_s == pytest.approx([0.0, 0.05, 0.0, 0.05, 0.0, 0.0, 0.0, 0.05])
+
+
 @pytest.mark.promise("P7", "P10")
 def test_a_thread_that_waits_without_a_word_is_told_within_ten_looks(watched):
     one = watched(waits).settled()

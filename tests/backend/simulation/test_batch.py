@@ -202,6 +202,16 @@ def test_cables_and_sensor_place_change_only_the_wrench_of_a_press() -> None:
     assert difference < 0.02 < np.abs(force - real.observation[0, :, -6:-3]).max()
 
 
+def test_the_field_of_jaws_without_a_piece_follows_their_forces() -> None:
+    world = World(second())
+    still = world._field(world._rest)
+    world.jaws.force_n, world.jaws.asked_n = 8.0, 10.0
+    pressed = world._field(world._rest)
+    assert np.abs(pressed - still).max() > 0.1
+    world.jaws.asked_n = 20.0
+    assert np.abs(world._field(world._rest) - pressed).max() > 0.1
+
+
 def test_the_stepped_world_feels_cables_and_sensor_place() -> None:
     scene = second()
     day, world = scene_mounting(scene), World(scene)

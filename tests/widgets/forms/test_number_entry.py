@@ -5,7 +5,24 @@ from PySide6.QtCore import Qt
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication, QDoubleSpinBox, QSpinBox, QToolTip
 
+from touchdown.widgets.base import Theme
 from touchdown.widgets.forms.fields import inset_spin_boxes
+from touchdown.widgets.forms.probe import ProbePanel
+
+
+def test_the_buttons_of_a_probe_follow_every_change(qtbot):
+    panel = ProbePanel(Theme(), ("grip", "press"))
+    qtbot.addWidget(panel)
+    for probe, cancel, why in (
+        (False, False, "Press Reset first"),
+        (True, False, ""),
+        (True, False, ""),
+        (False, True, ""),
+        (False, True, "A run is going on"),
+    ):
+        panel.show_buttons(probe=probe, cancel=cancel, why=why)
+        assert (panel.probe.isEnabled(), panel.cancel.isEnabled()) == (probe, cancel)
+        assert panel.probe.toolTip().startswith(why or "Press here")
 
 
 @pytest.fixture

@@ -18,6 +18,7 @@ from touchdown.backend.config import SAMPLES_PER_PROBE, TICK_S
 from touchdown.backend.core import FloatArray
 from touchdown.backend.identification.press_model import (
     CHANNELS,
+    LATE,
     PressModel,
     Unknown,
     field_basis,
@@ -160,6 +161,9 @@ class GlsFit:
             if name in SCALES:
                 slope = np.zeros_like(at)
                 slope[..., SCALES[name]] = at[..., SCALES[name]]
+            elif name in LATE:
+                slope = np.zeros_like(at)
+                slope[..., LATE[name]] = -np.gradient(at, TICK_S, axis=1)[..., LATE[name]]
             elif name in POSITIONS:
                 step = POSITION_STEP_MM
                 slope = (moved(name, step) - moved(name, -step)) / (2.0 * step)

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.backend.config import SAMPLES_PER_PROBE, SimulationSettings
+from touchdown.backend.config import SAMPLES_PER_PROBE, TICK_S, SimulationSettings
 from touchdown.backend.core import FloatArray
 from touchdown.backend.geometry import PieceLibrary, face_points
 from touchdown.backend.identification.recordings import STEP_S, STEPS, STEPS_PER_TICK, PressSet
@@ -36,6 +36,8 @@ ABSENT: dict[str, Any] = {
     "cable_n_mm": (3, 3), "print_offset_mm": (2,), "label_error_mm": (2,), "bias_px": (2, 2),
 }  # fmt: skip
 STIFF_ARM_N_MM = 1e6  # the measured hand does not yield
+# Time stamps of a sensor behind the pose, as far as no delay was taken out, and its channels
+LATE = {"late_wrench_s": slice(0, 6), "late_markers_s": slice(6, 12)}
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,6 +84,7 @@ def unknowns_of(nominal: SimulationSettings) -> tuple[Unknown, ...]:
         Unknown("alpha", "common", 0.0, 0.5, False, alpha),
         Unknown("relax_s", "common", 0.1, 2.5, True, grasp.hysteresis_s),
         Unknown("foundation", "common", 2.0, 100.0, True, face.foundation_n_mm3),
+        *(Unknown(name, "common", -0.006, 0.006, False, 0.0) for name in LATE),
         Unknown("tilt_x", "mounting", -0.04, 0.04, False, 0.0),
         Unknown("tilt_y", "mounting", -0.04, 0.04, False, 0.0),
         Unknown("print_x", "mounting", -0.35, 0.35, False, 0.0),
@@ -159,6 +162,9 @@ class PressModel:
             [wrist_wrench(mean, wrist.height_mm, wrist.yaw_rad), amplitude.reshape(count, -1, 6)],
             axis=2,
         )
+        rate = np.gradient(result, TICK_S, axis=1)
+        for name, own in LATE.items():
+            result[..., own] -= v.get(name, zero)[:, None, None] * rate[..., own]
         result[~(state.residual <= RESIDUAL_LIMIT)] = np.nan
         return result
 

@@ -38,6 +38,7 @@ from touchdown.backend.identification.fitting import (
 )
 from touchdown.backend.identification.press_model import (
     CHANNELS,
+    LATE,
     PressModel,
     Unknown,
     field_basis,
@@ -49,7 +50,7 @@ from touchdown.backend.identification.recordings import STEPS_PER_TICK, PressSet
 
 Json = dict[str, Any]
 Tell = Callable[[str, int, int], None]  # stage, done, total
-VERSION = 2  # of the stored results; raised when a stage computes something else
+VERSION = 3  # of the stored results; raised when a stage computes something else
 STARTS, START_PRESSES, ROUNDS, EVALUATIONS = 3, 36, 8, 6
 SETTLED = 0.5  # a round that moves no unknown by more of its uncertainty is the last
 EARLY = 4  # tick of the slopes for the start
@@ -392,8 +393,9 @@ def replay_gate(
             fitted[unknown.name] = np.full(len(held), mean)
             spread[unknown.name] = float(np.std(unknown.inner(values))) + 1e-3
     plain = {u.name: np.full(len(held), u.start) for u in unknowns_of(nominal)}
-    # Tilt and position of a mounting are no part of a bench file: both benches get them.
-    plain |= {u.name: fitted[u.name] for u in found.layout.unknowns if u.scope == "mounting"}
+    # Delays, and tilt and position of a mounting, are no part of a bench file: both get them.
+    shared = (u.name for u in found.layout.unknowns if u.scope == "mounting" or u.name in LATE)
+    plain |= {name: fitted[name] for name in shared}
     if not nominal.grasp.hysteresis:
         plain["alpha"] = np.zeros(len(held))
     first, judged = judged_presses(held)

@@ -20,6 +20,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, redirect_stdout, suppress
 from dataclasses import replace
+from functools import cache
 from importlib.resources import files
 from itertools import product
 from pathlib import Path
@@ -678,11 +679,17 @@ def native_signals(record: Any, now: Any, scene: Scene, at_mm: Any, rng: Any) ->
     return Recording(t_s, wrench, tuple(fields), (), pose_t_s, pose, np.zeros(6))
 
 
+@cache
+def own_outcomes() -> list[str]:
+    """Return the outcomes of the shipped networks on the bench that they were trained for."""
+    return outcomes(load_simulation(preset="bench-v2"), str(SHIPPED))
+
+
 def add_loss(seed: int) -> None:
     """Count the trials of the shipped networks in one laboratory, and on their own bench."""
     use_one_thread()
     there, _ = draw_laboratory(seed, drivers=True)
-    own = outcomes(load_simulation(preset="bench-v2"), str(SHIPPED))
+    own = own_outcomes()
     before = outcomes(there, str(SHIPPED))
     counted = {"own": dict(Counter(own)), "there": dict(Counter(before))}
     lost = 100.0 * (own.count("placed") - before.count("placed")) / len(own)

@@ -400,6 +400,26 @@ def test_late_time_stamps_are_no_misfit_of_the_model():
         assert 0.5 < found.misfit < 1.5
 
 
+@pytest.mark.slow
+def test_small_delays_of_a_sensor_are_found_and_do_not_change_the_creep():
+    """All stamps of the wrist sensor are late by 3 ms, those of the markers early by 2 ms."""
+    offsets = np.random.default_rng(5).uniform(-6, 6, (8, 2))
+    presses = made_set(offsets, RAMP * (0.0, 0.0, -1.0), piece="pot", bottom="square15")
+    presses = replace(presses, contact_mm=np.full(8, 30.0))
+    layout = Layout(unknowns_of(NOMINAL), presses.mounting, presses.grip)
+    model, parts = PressModel(presses, NOMINAL, LIBRARY), layout.parts
+    x = layout.vector(lambda u: float(u.inner({"alpha": 0.15}.get(u.name, u.start))))
+    exact = model.predict(layout.values(x))
+    late_s = np.repeat([0.003, -0.002], 6)
+    shifted = exact - late_s * np.gradient(exact, 0.1, axis=1)
+    noise = ChannelNoise(np.repeat([0.01, 4e-4, 0.02, 0.02], 3), np.full(12, 1e-4), np.zeros(12))
+    found = GlsFit(model, layout, shifted, noise).run(x, evaluations=4)
+    for name, true_s in (("late_wrench_s", 0.003), ("late_markers_s", -0.002)):
+        assert found.x[parts[name]] == pytest.approx(true_s, abs=0.001)
+        assert found.sigma[parts[name]] < 0.002
+    assert found.x[parts["relax_s"]] == pytest.approx(x[parts["relax_s"]], abs=0.1)
+
+
 def test_growth_with_the_pad_force_follows_from_the_lateral_force():
     """Fy presses one pad and relieves the other; a growth of both pads alike does not count."""
     rng, rolls = np.random.default_rng(2), (7.5, 6.5)

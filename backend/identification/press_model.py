@@ -176,6 +176,9 @@ class PressModel:
         tilt = np.stack([v["tilt_x"], v["tilt_y"]], axis=1)
         offset = np.stack([v["grasp_x"], self.grasp_z_mm[rows]], axis=1)
         force_n = self.grip_force_n[rows]
+        # Steps of this length are implicit: these values decay as the exact ones do, and give the
+        # same force while the strain grows steadily.
+        relax_s = STEP_S / np.expm1(STEP_S / v["relax_s"])
         return Conditions(
             shear_n_mm=shear,
             normal_n_mm=shear * v["normal_ratio"],
@@ -188,8 +191,8 @@ class PressModel:
             limit_radius_mm=grasp.limit_radius_mm * np.sqrt(area) * ones,
             slips=np.full(count, "mu_grip" in v),
             grasp_offset_mm=offset,
-            alpha=np.maximum(v["alpha"], 0.0),
-            relax_s=v["relax_s"],
+            alpha=np.maximum(v["alpha"], 0.0) * v["relax_s"] / relax_s,
+            relax_s=relax_s,
             creep=grasp.creep_share * ones,
             creep_s=grasp.creep_s * ones,
             mu=nominal.mu * ones,

@@ -344,6 +344,16 @@ def test_the_model_agrees_with_the_published_vectors(offset, force, moment):
     assert found[3:5] == pytest.approx(moment, rel=0.02, abs=5e-4)
 
 
+def test_the_creep_of_the_model_decays_with_its_time():
+    """Steps of 50 ms, taken implicitly, would decay as with 0.325 s."""
+    hold = np.minimum(np.arange(1, 41) / 10.0, 1.0)[None, :, None]
+    presses = made_set([(0, 0)], hold * (0.0, 0.0, -0.5))
+    own = {"alpha": 0.3, "relax_s": 0.3}
+    values = {u.name: np.full(1, own.get(u.name, u.start)) for u in unknowns_of(NOMINAL)}
+    steps = np.diff(PressModel(presses, NOMINAL, LIBRARY).predict(values)[0, 7:, 2])
+    np.testing.assert_allclose(steps[1:] / steps[:-1], np.exp(-0.1 / 0.3), atol=0.006)
+
+
 def test_amplitudes_of_a_field_are_found_without_its_hidden_markers():
     gel = build_gel((1 / 17.0, 1 / 16.0), 1.9, (7.0, 6.0), 0.01)
     strain = np.array([[[0.1, -0.9, 0.01], [0.2, -0.8, -0.02]]])

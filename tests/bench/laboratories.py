@@ -109,7 +109,8 @@ RANGES: dict[str, tuple[float, float, bool]] = {
 GEL, CONTACT = (45, 5, 3), (2, 1, 6)  # presses, per grip, grips per mounting
 REST_S, TRIES = 31.0, 60
 REST_DRIVERS_S = 61.0  # a busy computer leaves gaps between the blocks
-# Whole cells of 1 mm err by 3 to 5 N·mm in the moments; those of the press model are coarser too.
+# Points a side of a cell of 1 mm. Whole cells err by 3 to 5 N·mm in the moments; the press model
+# has other ones, so that it does not repeat the errors of the bench.
 SUBCELLS = 5
 # Slip is judged by five pictures in the middle of a ramp of 0.8 s; a lower rate loses most presses.
 RATE_HZ = 18.0

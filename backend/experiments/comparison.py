@@ -4,12 +4,12 @@ A paired change is the
 difference of a strategy to the paper's method on common seeds; a strategy with settings in its name
 is compared with the same strategy without them. Intervals are a bootstrap over seeds
 within each cell, all strategies always drawn together (Efron and Tibshirani, An Introduction to the
-Bootstrap, 1993, ch. 13). A seed is one mounting in closed loops, a job of two mountings in groups.
+Bootstrap, 1993, ch. 13). A seed is one mounting.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -17,29 +17,23 @@ import numpy as np
 
 from touchdown.backend.core import FloatArray, Outcome
 from touchdown.backend.experiments.document import (
-    RELIABILITY_LEGEND,
-    PictureGallery,
     Report,
     ReportSection,
     ReportTable,
     TableEntry,
     format_estimate,
     format_percent,
-    reliability_gallery,
 )
 from touchdown.backend.experiments.nuisances import band_benches
-from touchdown.backend.experiments.statics import PROBE_COUNTS
 from touchdown.backend.experiments.statistics import evidence, sequential_decision
 from touchdown.backend.experiments.strategies import (
     CEILING,
-    IOU_AFTER,
-    RELIABLE_AFTER,
     Cell,
     ClosedLoopComparison,
     base_strategy,
     released_unsafely,
 )
-from touchdown.backend.experiments.tables import UNSAFE_OUTCOMES, score_verdicts
+from touchdown.backend.experiments.tables import UNSAFE_OUTCOMES
 from touchdown.backend.jobs import JobSpec, JobStore
 from touchdown.backend.learning import rate_interval
 
@@ -50,9 +44,7 @@ OUTCOME_QUANTITIES = {"placed": (Outcome.PLACED.value,), "unsafe": UNSAFE_OUTCOM
 POOLED_NAMES = {"one": "one bottom", "two": "two bottoms", "fresh": "fresh outlines"}
 Json = dict[str, Any]
 Trials = Mapping[Cell, Sequence[Json]]  # finished trials of each cell
-Answers = Mapping[Cell, Mapping[int, Json]]  # finished groups of each cell, by the first seed
-Sums = Mapping[Cell, Mapping[int, Sequence[float]]]  # contributions of a trial or group, by seed
-ValueFunction = Callable[[FloatArray], FloatArray]  # value of a quantity from its sums
+Sums = Mapping[Cell, Mapping[int, Sequence[float]]]  # event and count of a trial, by seed
 
 
 def _outcome_sums(trials: Trials, quantity: str) -> Sums:
@@ -63,20 +55,7 @@ def _outcome_sums(trials: Trials, quantity: str) -> Sums:
     }
 
 
-def _quantities(trials: Trials, answers: Answers) -> Iterator[tuple[str, ValueFunction, Sums]]:
-    """Yield name, value and contributions of every quantity."""
-    for quantity in OUTCOME_QUANTITIES:
-        yield quantity, _mean, _outcome_sums(trials, quantity)
-    for n in map(str, PROBE_COUNTS):
-        sums = {
-            cell: {seed: _verdicts(answer, n) for seed, answer in some.items()}
-            for cell, some in answers.items()
-        }
-        yield f"right, n = {n}", _right, sums
-        yield f"balanced, n = {n}", _balanced, sums
-
-
-def paired_changes(trials: Trials, answers: Answers) -> list[Json]:
+def paired_changes(trials: Trials) -> list[Json]:
     """Return one row per quantity and strategy: its ``change`` from a reference on common seeds.
 
     ``reference``: the paper's strategy, or that without the settings in the name; its value is
@@ -86,9 +65,10 @@ def paired_changes(trials: Trials, answers: Answers) -> list[Json]:
     """
     return [
         row
-        for what, value, sums in _quantities(trials, answers)
+        for what in OUTCOME_QUANTITIES
+        for sums in [_outcome_sums(trials, what)]
         for name, reference in _compared_names(sums)
-        for row in _change((name, reference), what, _shared(sums, (reference, name)), value)
+        for row in _change((name, reference), what, _shared(sums, (reference, name)))
     ]
 
 
@@ -146,33 +126,29 @@ def _compared_names(found: Mapping[Cell, Any]) -> list[tuple[str, str]]:
     return [(n, r) for n, r in references.items() if n != PAPER and r in names]
 
 
-def _change(
-    names: tuple[str, str], what: str, counts: Sequence[FloatArray], value: ValueFunction
-) -> list[Json]:
+def _change(names: tuple[str, str], what: str, counts: Sequence[FloatArray]) -> list[Json]:
     """Return the row of a change, none without common seeds; ``names``: strategy, reference."""
     if not counts:
         return []
     every = np.concatenate(counts)
-    paper, own = value(every.sum(axis=0)).tolist()
+    paper, own = _mean(every.sum(axis=0)).tolist()
     name, reference = names
     row: Json = {"strategy": name, "what": what, "n": int(every[:, 0, -1].sum())}
     row |= {"reference": reference, "paper": paper, "own": own, "change": own - paper}
-    row |= {"low": None, "high": None}
     if (every[:, 0] != every[:, 1]).any():
-        drawn = value(_bootstrap_sums(counts))
-        row["low"], row["high"] = np.nanpercentile(
+        drawn = _mean(_bootstrap_sums(counts))
+        row["low"], row["high"] = np.percentile(
             drawn[:, 1] - drawn[:, 0], INTERVAL_PERCENTILES
         ).tolist()
-    elif value is _mean:
+    else:
         row["high"] = rate_interval(0, len(every))[1]
         row["low"] = -row["high"]
-    if value is _mean:
-        # Imported here: the window shows stored comparisons only.
-        from scipy.stats import binomtest
+    # Imported here: the window shows stored comparisons only.
+    from scipy.stats import binomtest
 
-        row["only_own"], row["only_paper"] = _discordant(counts)
-        apart = row["only_paper"] + row["only_own"]
-        row["p"] = float(binomtest(row["only_own"], apart).pvalue) if apart else 1.0
+    row["only_own"], row["only_paper"] = _discordant(counts)
+    apart = row["only_paper"] + row["only_own"]
+    row["p"] = float(binomtest(row["only_own"], apart).pvalue) if apart else 1.0
     return [row]
 
 
@@ -189,26 +165,6 @@ def _shared(sums: Sums, names: Sequence[str]) -> list[FloatArray]:
 
 def _mean(sums: FloatArray) -> FloatArray:
     return np.asarray(sums[..., 0] / sums[..., 1])
-
-
-def _verdicts(answer: Json, n: str) -> Sequence[float]:
-    counts = score_verdicts(answer["likely"][n], answer["margin_mm"], interface=1)[0]
-    return (
-        counts.both,
-        counts.both + counts.missed,
-        counts.neither,
-        counts.neither + counts.unsafe,
-        len(answer["margin_mm"]),
-    )
-
-
-def _balanced(sums: FloatArray) -> FloatArray:
-    with np.errstate(invalid="ignore"):
-        return np.asarray(0.5 * (sums[..., 0] / sums[..., 1] + sums[..., 2] / sums[..., 3]))
-
-
-def _right(sums: FloatArray) -> FloatArray:
-    return np.asarray((sums[..., 0] + sums[..., 2]) / (sums[..., 1] + sums[..., 3]))
 
 
 def _bootstrap_sums(counts: Sequence[FloatArray]) -> FloatArray:
@@ -255,15 +211,13 @@ class StrategyComparison:
     def jobs(self) -> list[JobSpec]:
         """Return the jobs of all."""
         around = [job for _, loops in self.band_loops() for job in loops.jobs()]
-        return [*self.loops.jobs(), *self.loops.group_jobs(), *around]
+        return [*self.loops.jobs(), *around]
 
     def answer(self, store: JobStore, quantity: str | None = None) -> Json:
         """Return all finished results; ``quantity``: the one on which it may have stopped early."""
         found, trials = self.loops.table(store), self.loops.trials_of(store)
-        found["changes"] = paired_changes(trials, self.loops.answers(store))
+        found["changes"] = paired_changes(trials)
         found["of_ceiling"] = placed_of_ceiling(trials)
-        if self.loops.groups:
-            found["statics"] = self.loops.group_table(store)
         if self.band:
             found["band"] = [
                 _band_row(factors, loops, store) for factors, loops in self.band_loops()
@@ -281,7 +235,7 @@ def _band_row(factors: Mapping[str, float], loops: ClosedLoopComparison, store: 
 
 
 def comparison_tables(answer: Mapping[str, Any]) -> list[ReportTable]:
-    """Return the tables of a result: two more with groups, one more with an oracle."""
+    """Return the tables of a result; one more with an oracle."""
     classes = [row for row in answer["pooled"] if "outline" in row]
     pooled = [row for row in answer["pooled"] if "outline" not in row]
     found = [
@@ -315,28 +269,6 @@ def comparison_tables(answer: Mapping[str, Any]) -> list[ReportTable]:
                 "of them; 95 % intervals",
                 ("strategy", "bottoms", "trials", "possible %", "placed of possible %"),
                 map(_uneven_row, uneven),
-            )
-        )
-    if "statics" in answer:
-        cells = (*answer["statics"]["cells"], *answer["statics"]["pooled"])
-        found.append(
-            ReportTable.of_texts(
-                "Stability at the place of the first probe: balanced accuracy, %",
-                (
-                    "strategy",
-                    "groups",
-                    *(f"n = {n}" for n in PROBE_COUNTS),
-                    *(f"released, n = {n}" for n in PROBE_COUNTS),
-                    "unsafe %, n = 3",
-                ),
-                map(_verdict_row, cells),
-            )
-        )
-        found.append(
-            ReportTable.of_texts(
-                "Calibration of the maps, covered cells",
-                ("strategy", *(f"ECE, n = {n}" for n in RELIABLE_AFTER), f"IoU %, n = {IOU_AFTER}"),
-                map(_reliability_row, cells),
             )
         )
     if answer.get("band"):
@@ -430,19 +362,6 @@ def _uneven_row(cell: Json) -> tuple[str, ...]:
     return cell["strategy"], bottoms, str(cell["possible"]["n"]), *shares
 
 
-def _verdict_row(cell: Json) -> tuple[str | TableEntry, ...]:
-    kinds = cell["likely"], cell["released"]
-    balanced = [format_percent(by_n[str(n)]["balanced"]) for by_n in kinds for n in PROBE_COUNTS]
-    groups = _traced(cell, str(cell["groups"]))
-    return _name(cell), groups, *balanced, format_estimate(kinds[1]["3"]["unsafe"])
-
-
-def _reliability_row(cell: Json) -> tuple[str, ...]:
-    charts = [cell["reliability"].get(str(n)) for n in RELIABLE_AFTER]
-    ece = ["" if chart is None else f"{chart['ece']:.3f}" for chart in charts]
-    return _name(cell), *ece, format_estimate(cell["iou"])
-
-
 def _change_row(row: Json) -> tuple[str, ...]:
     shown = f"{100 * row['change']:+.1f}"
     if row["low"] is not None:
@@ -489,18 +408,10 @@ def comparison_report(answer: Mapping[str, Any]) -> Report:
         "spare: probes beyond the least number, median. Towers: the upper bottom stands off the "
         "lower one by 0 to 6 mm; those on which the piece has no stable place are left out."
     )
-    parts: list[ReportTable | PictureGallery] = [t for t in comparison_tables(answer) if t.rows]
-    charts = [
-        (pooled["strategy"], f"n = {n}, ECE {chart['ece']:.3f}", chart)
-        for pooled in answer.get("statics", {}).get("pooled", ())
-        for n, chart in pooled["reliability"].items()
-    ]
-    if charts:
-        parts.append(reliability_gallery("Calibration", RELIABILITY_LEGEND, charts))
+    parts = tuple(table for table in comparison_tables(answer) if table.rows)
     if stopped := answer.get("stopped"):
         text += f" {stopped_text(stopped)}"
-    cells = (*answer["cells"], *answer.get("statics", {}).get("cells", ()))
-    names = dict.fromkeys(cell["strategy"] for cell in cells)
+    names = dict.fromkeys(cell["strategy"] for cell in answer["cells"])
     networks = ", ".join(
         f"{piece} {source[:8]}" for piece, source in answer.get("models", {}).items()
     )
@@ -508,5 +419,5 @@ def comparison_report(answer: Mapping[str, Any]) -> Report:
     return Report(
         "Touchdown: strategies beyond the paper",
         (f"Bench {answer['bench_sha256'][:16]}.",),
-        (ReportSection(f"Strategies: {', '.join(names)}", (text, source), tuple(parts)),),
+        (ReportSection(f"Strategies: {', '.join(names)}", (text, source), parts),),
     )

@@ -221,28 +221,11 @@ def reliability_chart(
     return _frame(title, box + dots + ticks + _text(SIDE / 2, SIDE - 6, note))
 
 
-RELIABILITY_LEGEND = (
-    "Covered cells, 15 bins of equal mass. Horizontal: predicted. Vertical: observed."
-)
 FILM_LEGEND = (
     "Belief maps, 40 mm wide: yellow is support, blue is none, grey is unknown. Double line: "
     "hull of support above 90 %. Cross: centre of mass and planned step. Dashed: the true "
     "support, drawn after the fact."
 )
-
-
-def reliability_gallery(
-    title: str, text: str, charts: Iterable[tuple[str, str, Json]]
-) -> PictureGallery:
-    """Return the reliability diagrams of ``charts``: title, note and curve of each."""
-    return PictureGallery(
-        title,
-        tuple(
-            ReportPicture(reliability_chart(curve["promised"], curve["came"], name, note))
-            for name, note, curve in charts
-        ),
-        text,
-    )
 
 
 def curves_chart(

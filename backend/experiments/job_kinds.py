@@ -35,7 +35,7 @@ from touchdown.backend.experiments.statics import (
     score_fused_verdicts,
     score_patches,
 )
-from touchdown.backend.experiments.strategies import run_closed_loop, run_static_groups
+from touchdown.backend.experiments.strategies import run_closed_loop
 from touchdown.backend.experiments.tables import OWN_MODEL, PAPER_PROTOCOL
 from touchdown.backend.experiments.trials import (
     WORLDS,
@@ -245,6 +245,5 @@ KINDS: JobFunctions = {
     "stack": run_stacking,
     "devices": run_on_devices,
     "beyond": run_closed_loop,
-    "promises": run_static_groups,
     "certify": run_certified_scenes,
 }

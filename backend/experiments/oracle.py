@@ -291,14 +291,6 @@ class OracleStrategy:
         )
         return PlaceDecision(self._map(), stability, self._choose(stability, here, shift))
 
-    def stable_at(self, offset_mm: XY) -> bool:
-        """Return True if the risk of a release there is small."""
-        return self._at_risk_mm(offset_mm) >= 0.0
-
-    def likely_at(self, offset_mm: XY) -> bool:
-        """Return True if the piece stands in most hypotheses."""
-        return bool(np.median(self.margins_mm(offset_mm)) > 0.0)
-
     def _at_risk_mm(self, here: XY) -> float:
         margin = self.margins_mm(here)
         # The opening fingers shift the piece by a distance that no probe shows.

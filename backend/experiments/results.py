@@ -35,7 +35,6 @@ CELL_KEYS = ("piece", "bottom", "tower", "outline", "strategy")
 
 def joined_comparison(answers: Sequence[JsonMapping]) -> Json:
     """Return several comparisons as one: the largest result of each cell, side by side."""
-    statics = [answer["statics"] for answer in answers if "statics" in answer]
     return {
         **{
             name: [row for answer in answers for row in answer.get(name) or ()]
@@ -46,20 +45,15 @@ def joined_comparison(answers: Sequence[JsonMapping]) -> Json:
         "models": {p: m for answer in answers for p, m in answer.get("models", {}).items()},
         "cells": _largest(answers, "cells"),
         "pooled": _largest(answers, "pooled"),
-        "statics": {name: _largest(statics, name) for name in ("cells", "pooled")},
     }
 
 
 def _largest(parts: Iterable[JsonMapping], name: str) -> list[JsonMapping]:
     """Return the largest of the rows ``name`` of each cell, sorted by cell and strategy."""
-
-    def size(row: JsonMapping) -> int:
-        return int(row["groups"] if "groups" in row else row["placed"]["n"])
-
     found: dict[tuple[str, ...], JsonMapping] = {}
     for row in (row for part in parts for row in part[name]):
         cell = tuple(str(row.get(key, "")) for key in CELL_KEYS)
-        if cell not in found or size(row) > size(found[cell]):
+        if cell not in found or row["placed"]["n"] > found[cell]["placed"]["n"]:
             found[cell] = row
     return [found[cell] for cell in sorted(found)]
 
@@ -244,20 +238,20 @@ def _reliability(charts: Sequence[JsonMapping]) -> document.ReportSection | None
     if not charts:
         return None
     drawn = [
-        (
+        document.reliability_chart(
+            chart["promised"],
+            chart["came"],
             f"{chart['piece'].title()} on {chart['bottom']}",
             f"ECE {chart['ece']:.3f}, IoU {document.format_percent(chart['map_iou']['value'])}",
-            chart,
         )
         for chart in charts
     ]
+    gallery = document.PictureGallery("", tuple(map(document.ReportPicture, drawn)))
     text = (
         "Belief after three probes against the true support, over all covered cells, 15 bins of "
         "equal mass. Horizontal: predicted. Vertical: observed."
     )
-    return document.ReportSection(
-        "Calibration of the probabilities", (text,), (document.reliability_gallery("", "", drawn),)
-    )
+    return document.ReportSection("Calibration of the probabilities", (text,), (gallery,))
 
 
 def _film_section(films: Sequence[JsonMapping]) -> document.ReportSection | None:

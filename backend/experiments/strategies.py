@@ -1,14 +1,8 @@
-"""Jobs that compare strategies beyond the paper: closed-loop trials and verdicts on groups of
-probes.
+"""Jobs that compare strategies beyond the paper in closed-loop trials, those of Table 3.
 
-The trials are those of Table 3, the groups those of Table 2.
-
-A cell is one piece over one bottom under one strategy. It is split into jobs of a few trials or
-groups, so that an interrupted experiment resumes and a table can be read at any time. All
-strategies, the oracle included, get the same presses. After n probes of a group each strategy gives
-two verdicts on the first place: whether it would release there, and whether the piece is more
-likely to stand than to fall. A name may carry settings of the method, as in
-``fused:policy.least_probes=2``.
+A cell is one piece over one bottom under one strategy. It is split into jobs of a few trials, so
+that an interrupted experiment resumes and a table can be read at any time. A name may carry
+settings of the method, as in ``fused:policy.least_probes=2``.
 
 On the bottom ``fresh`` every trial has an outline of its own, drawn by ``fresh_bottom``.
 
@@ -37,32 +31,18 @@ from touchdown.backend.config import (
     bench_sha256,
     parse_settings,
 )
-from touchdown.backend.core import BeliefMap, ContactPatch, FloatArray, Outcome, Pose, pose_rotation
+from touchdown.backend.core import Outcome, Pose, pose_rotation
 from touchdown.backend.experiments.models import batch_model, load_model
 from touchdown.backend.experiments.oracle import OracleSetting, OracleStrategy
-from touchdown.backend.experiments.statics import (
-    PROBE_COUNTS,
-    ProbeGroups,
-    overlap_share,
-    probe_groups,
-)
-from touchdown.backend.experiments.statistics import (
-    IntervalEstimate,
-    VerdictCounts,
-    estimate_mean,
-    estimate_rate,
-    reliability_curve,
-)
+from touchdown.backend.experiments.statistics import IntervalEstimate, estimate_rate
 from touchdown.backend.experiments.tables import (
     BEYOND_FORMAT,
     CELL_SEEDS,
     PIECES,
     STACKING_SEED,
-    STATIC_SEED,
     UNSAFE_OUTCOMES,
     job_code,
     provenance,
-    score_verdicts,
 )
 from touchdown.backend.experiments.trials import (
     FRESH,
@@ -75,8 +55,6 @@ from touchdown.backend.experiments.trials import (
     grasped_piece_in,
     pair_of,
     pick_and_place_in_lockstep,
-    probing_scene,
-    rounded_margins,
     stack_in_lockstep,
     start_scene,
 )
@@ -90,15 +68,8 @@ from touchdown.backend.geometry import (
     judge_tower,
 )
 from touchdown.backend.jobs import JobContext, JobSpec, JobStore
-from touchdown.backend.learning import CONTACT_LEVEL, use_one_thread
-from touchdown.backend.placement import (
-    XY,
-    ProbeObservation,
-    Strategy,
-    SupportTower,
-    load_network_of,
-    make_strategy,
-)
+from touchdown.backend.learning import use_one_thread
+from touchdown.backend.placement import XY, Strategy, SupportTower, load_network_of, make_strategy
 from touchdown.backend.runs import LEANS
 from touchdown.backend.sensing import EpisodeLimits
 from touchdown.backend.simulation import Scene, simulate_weighing, touched_margins_mm
@@ -125,7 +96,6 @@ CEILING = "ceiling"  # the oracle, which knows bench and outline
 STRATEGIES: tuple[str, ...] = (*get_args(StrategyName), CEILING)
 # ten parallel trials on towers take half the time of five times two
 TRIALS_PER_JOB, TOWER_TRIALS_PER_JOB = 2, 10  # the latter also on fresh outlines
-GROUPS_PER_JOB = 2  # even, so that stable and unstable first places alternate as in Table 2
 COMPARED_PIECES = (*PIECES, "brick")  # the last one is heavy enough to be weighed
 ENTRY_STREAM = 992  # random stream of the entry errors, separate from the bench
 ENTRY_SIGMA_MM = 1.0  # error of the simulated operator who measures the place of the upper bottom
@@ -140,8 +110,7 @@ CELL_KEYS = ("strategy", "piece", "bottom")
 
 @dataclass(frozen=True, slots=True)
 class ClosedLoopComparison:
-    """Comparison of strategies: ``trials`` in closed loop of each cell, and verdicts over
-    ``groups`` groups of each cell with a single bottom.
+    """Comparison of strategies: ``trials`` in closed loop of each cell.
 
     ``models``: by piece the job or file of the model FT+Tac. ``outline_seed``: hexadecimal seed of
     the fresh outlines.
@@ -154,7 +123,6 @@ class ClosedLoopComparison:
     bottoms: tuple[str, ...] = ("short", "long")
     strategies: tuple[str, ...] = ("paper", "fused", "ceiling")
     trials: int = 50
-    groups: int = 0
     method: StackSettings = field(default_factory=StackSettings)
     outline_seed: str = FRESH_SEED
 
@@ -170,25 +138,9 @@ class ClosedLoopComparison:
             if first % _chunk(bottom) == 0
         ]
 
-    def group_jobs(self) -> list[JobSpec]:
-        """Return the jobs of the groups; the first groups of every cell come first."""
-        return [
-            self._group(piece, bottom, strategy, first)
-            for first in range(0, self.groups, GROUPS_PER_JOB)
-            for piece in self.pieces
-            for bottom in self.bottoms
-            if bottom in SINGLE_BOTTOMS
-            for strategy in self.strategies
-            if strategy != "pick-and-place"
-        ]
-
     def trials_of(self, store: JobStore) -> dict[Cell, list[Json]]:
         """Return all finished trials by strategy, piece and bottom."""
         return {cell: _trials(done) for cell, (_, done) in _finished(self.jobs(), store).items()}
-
-    def answers(self, store: JobStore) -> dict[Cell, dict[int, Json]]:
-        """Return the finished groups by strategy, piece and bottom, then by the first seed."""
-        return {cell: done for cell, (_, done) in _finished(self.group_jobs(), store).items()}
 
     def table(self, store: JobStore) -> Json:
         """Return the counts of all finished trials, by cell and pooled by strategy."""
@@ -218,24 +170,6 @@ class ClosedLoopComparison:
             ],
         }
 
-    def group_table(self, store: JobStore) -> Json:
-        """Return the scores of the groups of every cell, and pooled by strategy."""
-        cells = _finished(self.group_jobs(), store)
-        pooled: dict[str, list[Json]] = {}
-        for (strategy, *_), (_, done) in cells.items():
-            pooled.setdefault(strategy, []).extend(done.values())
-        return {
-            "cells": [
-                {
-                    **dict(zip(CELL_KEYS, cell, strict=True)),
-                    **static_scores(list(done.values())),
-                    **trace,
-                }
-                for cell, (trace, done) in cells.items()
-            ],
-            "pooled": [{"strategy": s, **static_scores(done)} for s, done in pooled.items()],
-        }
-
     @staticmethod
     def first_trial(spec: JobSpec) -> int:
         """Return the number of the first trial of a job in its cell, from 0."""
@@ -252,12 +186,6 @@ class ClosedLoopComparison:
             cell += TOWER_CELLS * (bottom in TOWERS)
             seed = STACKING_SEED + CELL_SEEDS * cell + first
         return self._job("beyond", (strategy, piece, bottom), seed, params)
-
-    def _group(self, piece: str, bottom: str, strategy: str, first: int) -> JobSpec:
-        cell = 10 * COMPARED_PIECES.index(piece) + SINGLE_BOTTOMS.index(bottom)
-        seed = STATIC_SEED + CELL_SEEDS * cell + first
-        params = {"groups": min(GROUPS_PER_JOB, self.groups - first)}
-        return self._job("promises", (strategy, piece, bottom), seed, params)
 
     def _job(self, kind: str, cell: Cell, seed: int, params: Json) -> JobSpec:
         strategy, piece, _ = cell
@@ -503,112 +431,3 @@ def uninformed_model(case: SceneSetup) -> BatchModel:
     """Return a model without predictions, for the oracle, which reads the signals."""
     points = face_points(case.piece.face)
     return BatchModel(lambda seen: np.full((len(seen), len(points)), 0.5), points, None)
-
-
-PROBES_PER_GROUP = max(PROBE_COUNTS)
-RELIABLE_AFTER = (1, 3)
-IOU_AFTER = 3
-PROBABILITY_STEPS = 400  # number of bins of probabilities
-STRATEGIES_WITHOUT_BELIEF = ("zero-wrench",)  # strategies without a belief in cells
-
-
-def run_static_groups(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
-    """Press groups of one cell and collect the verdicts of one strategy after each probe."""
-    p = spec.params
-    case = SceneSetup.of_job(p, p["bottom"])
-    use_one_thread()
-    seeds = [spec.seed + g for g in range(p["groups"])]
-    groups = probe_groups(case, seeds, PROBES_PER_GROUP)
-    scenes = [probing_scene(case, seed) for seed in seeds]
-    _, model, create = _strategy_of(spec, place, [(case, scene) for scene in scenes])
-    strategy = p["strategy"]
-    asked = VerdictCollector(
-        case, believes=base_strategy(strategy) not in STRATEGIES_WITHOUT_BELIEF
-    )
-    for g in range(len(groups.observation)):
-        asked.group(groups, g, create(scenes[g], pair_of(groups.offset_mm[g, 0])), model)
-    margins = [rounded_margins(pair) for pair in groups.margin_mm]
-    return {"margin_mm": margins, "left_out": groups.left_out, **asked.as_json()}
-
-
-class VerdictCollector:
-    """Collects the verdicts of one strategy, group by group."""
-
-    def __init__(self, case: SceneSetup, *, believes: bool) -> None:
-        self._case, self._believes = case, believes
-        self._says: dict[str, list[bool]] = {str(n): [] for n in PROBE_COUNTS}
-        self._likely: dict[str, list[bool]] = {str(n): [] for n in PROBE_COUNTS}
-        self._iou: list[float] = []
-        self._counts = {str(n): np.zeros((3, PROBABILITY_STEPS)) for n in RELIABLE_AFTER}
-
-    def group(self, groups: ProbeGroups, g: int, strategy: Strategy, model: BatchModel) -> None:
-        """Record the verdicts of ``strategy`` on the probes of group ``g``."""
-        first = pair_of(groups.offset_mm[g, 0])
-        probability = model.predict(groups.observation[g])
-        for k in range(PROBES_PER_GROUP):
-            patch = ContactPatch(model.points_mm.copy(), probability[k])
-            here = pair_of(groups.offset_mm[g, k])
-            concluded = strategy.conclude(ProbeObservation(groups.observation[g, k], patch, here))
-            n = str(k + 1)
-            if n in self._says:
-                self._says[n].append(strategy.stable_at(first))
-                self._likely[n].append(strategy.likely_at(first))
-            if self._believes and k + 1 in RELIABLE_AFTER:
-                self._note(concluded.map, groups, g, k + 1)
-
-    def _note(self, belief: BeliefMap, groups: ProbeGroups, g: int, probes: int) -> None:
-        cells = belief.cell_centres_mm()
-        offsets = groups.offset_mm[g, :probes]
-        under = np.any([self._case.piece.face.contains(cells - o) for o in offsets], axis=0)
-        covered = belief.covered & under
-        shift = groups.true_mm[g, 0] - groups.offset_mm[g, 0]
-        real = self._case.bottoms[0].face.contains(cells[covered] + shift)
-        promised = belief.probability[covered]
-        step = np.minimum((promised * PROBABILITY_STEPS).astype(int), PROBABILITY_STEPS - 1)
-        for row, weight in enumerate((np.ones(len(step)), real, promised)):
-            self._counts[str(probes)][row] += np.bincount(step, weight, PROBABILITY_STEPS)
-        if probes == IOU_AFTER:
-            self._iou.append(overlap_share(promised > CONTACT_LEVEL, real))
-
-    def as_json(self) -> Json:
-        """Return all verdicts; ``cells`` per n: count, supported cells, sum of probabilities."""
-        verdicts = {"says": self._says, "likely": self._likely}
-        if not self._believes:
-            return verdicts
-        cells = {n: np.round(rows, 4).tolist() for n, rows in self._counts.items()}
-        return {**verdicts, "iou": self._iou, "cells": cells}
-
-
-def static_scores(answers: Sequence[Json]) -> Json:
-    """Return balanced accuracy by n, reliability by n, and IoU."""
-    charts = {}
-    for n in map(str, RELIABLE_AFTER):
-        rows = [np.array(answer["cells"][n]) for answer in answers if "cells" in answer]
-        if rows:
-            charts[n] = reliability_of_counts(np.sum(rows, axis=0))
-    iou = [value for answer in answers for value in answer.get("iou", ())]
-    return {
-        "groups": sum(len(answer["margin_mm"]) for answer in answers),
-        "left_out": sum(answer["left_out"] for answer in answers),
-        "released": {n: _verdicts(answers, "says", n).as_json() for n in map(str, PROBE_COUNTS)},
-        "likely": {n: _verdicts(answers, "likely", n).as_json() for n in map(str, PROBE_COUNTS)},
-        "reliability": charts,
-        "iou": estimate_mean(iou).as_json(),
-    }
-
-
-def _verdicts(answers: Sequence[Json], kind: str, n: str) -> VerdictCounts:
-    """Count the verdicts after ``n`` probes against all interfaces."""
-    counts = VerdictCounts(0, 0, 0, 0)
-    for answer in answers:
-        counts += score_verdicts(answer[kind][n], answer["margin_mm"], interface=1)[0]
-    return counts
-
-
-def reliability_of_counts(counts: FloatArray) -> Json:
-    """Return the reliability of binned probabilities (3, STEPS)."""
-    count = counts[0].astype(int)
-    some = count > 0
-    promised = np.repeat(counts[2][some] / counts[0][some], count[some])
-    came = np.repeat(counts[1][some] / counts[0][some], count[some])
-    return reliability_curve(promised, came)

@@ -73,7 +73,6 @@ JOB_FUNCTIONS = {
     "stack": ("job_kinds", "run_stacking"),
     "devices": ("job_kinds", "run_on_devices"),
     "beyond": ("strategies", "run_closed_loop"),
-    "promises": ("strategies", "run_static_groups"),
     "sequences": ("fusion", "probe_sequences"),
     "fuse": ("fusion", "train_fusion"),
     "fuse-join": ("fusion", "join_trained"),
@@ -95,11 +94,9 @@ def job_effort(spec: JobSpec) -> int:
         return int(15 * p.get("steps", 200 if p.get("free") else 100))
     if kind in ("simulate", "train"):
         return int(p["episodes"] if kind == "simulate" else 500 * p["training"]["epochs"])
-    if kind in ("static", "promises"):
+    if kind == "static":
         groups = p["groups"] if "groups" in p else p["mountings"] * p["grips"]
-        presses = int(groups) * int(p.get("probes", max(map(int, COUNTS))))
-        slow = 60 if p.get("strategy") == "ceiling" else 10 if "world" in p else 3
-        return slow * presses
+        return (10 if "world" in p else 3) * int(groups) * int(p["probes"])
     slow = 2000 if kind == "devices" else 300 if p.get("strategy") == "ceiling" else 10
     return slow * int(p["trials"]) * (4 if "world" in p else 1)
 

@@ -16,7 +16,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.backend.config import FusedSettings, StabilitySettings, StackSettings
+from touchdown.backend.config import FusedSettings, StackSettings
 from touchdown.backend.core import (
     TACTILE_CHANNELS,
     BeliefMap,
@@ -228,12 +228,6 @@ class Strategy(Protocol):
     def conclude(self, touched: ProbeObservation) -> PlaceDecision:
         """Process the next probe; return the decision."""
 
-    def stable_at(self, offset_mm: XY) -> bool:
-        """Return True if the piece would be released with the face at ``offset_mm``."""
-
-    def likely_at(self, offset_mm: XY) -> bool:
-        """Return True if stable is more likely than unstable there, whatever the accepted risk."""
-
 
 @runtime_checkable
 class SearchingStrategy(Strategy, Protocol):
@@ -263,34 +257,16 @@ class PaperStrategy:
         calibrated = settings.strategy == "paper-calibrated"
         calibration = held.known_calibration() if calibrated else None
         self._belief = Belief.unknown(settings.belief, origin_mm, held.base_rate, calibration)
-        self._patch: ContactPatch | None = None
 
     def conclude(self, touched: ProbeObservation) -> PlaceDecision:
         """Update the belief, judge stability, choose the action."""
         settings, here = self._settings, touched.offset_mm
-        self._belief, self._patch = self._belief.updated(touched.patch, here), touched.patch
+        self._belief = self._belief.updated(touched.patch, here)
         stability = judge_stability(
             self._belief, touched.patch, self._held.com_xy_mm, here, settings.stability
         )
         action = choose_action(stability, self._belief, here, settings.policy, settings.stability)
         return PlaceDecision(self._belief.map, stability, action)
-
-    def stable_at(self, offset_mm: XY) -> bool:
-        """Judge the map there; with ``judge_from`` "patch" the latest patch, shifted."""
-        return self._judge(offset_mm, self._settings.stability)
-
-    def likely_at(self, offset_mm: XY) -> bool:
-        """Judge calibrated probabilities by one half; others have a single threshold."""
-        rules = self._settings.stability
-        if self._belief.calibration is not None:
-            rules = rules.model_copy(update={"delta": EVEN})
-        return self._judge(offset_mm, rules)
-
-    def _judge(self, offset_mm: XY, rules: StabilitySettings) -> bool:
-        if self._patch is None:
-            return False
-        com = self._held.com_xy_mm
-        return judge_stability(self._belief, self._patch, com, offset_mm, rules).stable
 
 
 NO_ESTIMATE = (
@@ -420,23 +396,6 @@ class FusedStrategy:
         self._further = shift
         return ask_whether(shift, situation, self._probes())
 
-    def stable_at(self, offset_mm: XY) -> bool:
-        """Evaluate another position of the face."""
-        inset = self.inset_at(offset_mm)
-        if inset is None:
-            return False
-        centre_mm = self._com_at(offset_mm)
-        reached = self._margin_mm(inset, centre_mm) >= self._settings.fused.inset_mm
-        return reached and not self._weak_evidence(inset, centre_mm)
-
-    def likely_at(self, offset_mm: XY) -> bool:
-        """Return True if the whole tower is more likely stable than unstable there."""
-        inset = self.inset_at(offset_mm)
-        if inset is None:
-            return False
-        centre_mm = self._com_at(offset_mm)
-        return bool(holding_probability(inset, self._lower, centre_mm, np.zeros(1))[0] > EVEN)
-
     def _com_at(self, offset_mm: XY) -> XY:
         com = self._held.com_xy_mm
         return offset_mm[0] + com[0], offset_mm[1] + com[1]
@@ -556,7 +515,6 @@ class ZeroWrenchStrategy:
     def __init__(self, held: GraspedPiece, settings: StackSettings, origin_mm: XY) -> None:
         self._held, self._settings, self._lever_mm = held, settings, held.lever_mm()
         self._belief = Belief.unknown(settings.belief, origin_mm, held.base_rate)
-        self._felt: list[tuple[XY, float]] = []
 
     def conclude(self, touched: ProbeObservation) -> PlaceDecision:
         """Release if the centre of pressure is under the centre of mass; else step to it."""
@@ -568,9 +526,8 @@ class ZeroWrenchStrategy:
         felt = bool(np.isfinite(at).all())
         acts = np.asarray(here) + at if felt else np.zeros((0, 2))
         apart_mm = math.hypot(at[0] - com[0], at[1] - com[1]) if felt else math.inf
-        self._felt.append((here, apart_mm))
         stability = Stability(
-            self._vanishes(apart_mm),
+            -apart_mm >= self._settings.required_margin_mm,
             -apart_mm,
             SupportKind.POINT if felt else SupportKind.NONE,
             acts.reshape(-1, 2),
@@ -580,22 +537,9 @@ class ZeroWrenchStrategy:
         target = (float(acts[0] - com[0]), float(acts[1] - com[1])) if felt else here
         return PlaceDecision(self._belief.map, stability, self._choose(stability, target, here))
 
-    def stable_at(self, offset_mm: XY) -> bool:
-        """Judge by the presses made there; False elsewhere."""
-        nearest_mm = self._settings.belief.min_shift_mm
-        there = [a for place, a in self._felt if math.dist(place, offset_mm) <= nearest_mm]
-        return bool(there) and self._vanishes(there[-1])
-
-    def likely_at(self, offset_mm: XY) -> bool:
-        """Return ``stable_at``: there is no belief."""
-        return self.stable_at(offset_mm)
-
-    def _vanishes(self, apart_mm: float) -> bool:
-        return -apart_mm >= self._settings.required_margin_mm
-
     def _choose(self, stability: Stability, target: XY, here: XY) -> PlaceAction:
         policy, words = self._settings.policy, describe_situation(stability)
-        probes, places = len(self._felt), count_places(self._belief)
+        probes, places = len(self._belief.visits), count_places(self._belief)
         if ended := release_or_give_up(stability, words, probes, policy, places):
             return ended
         aim = ShiftTarget(target, too_few_probes(policy) if stability.stable else "")

@@ -231,9 +231,6 @@ def _add_beyond_arguments(parser: argparse.ArgumentParser) -> None:
     beyond.add_argument("--outline-seed", default=FRESH_SEED, metavar="HEX", help="of the fresh "
                         "outlines, the hash of a commit (default: %(default).12s)")  # fmt: skip
     beyond.add_argument("--trials", type=int, default=50, help="of a cell")
-    beyond.add_argument("--statics", type=int, default=0, metavar="GROUPS", help="also "
-                        "evaluate each strategy at this number of positions of a cell, after 1 to "
-                        "5 probes")  # fmt: skip
     beyond.add_argument("--band", type=int, default=0, metavar="N", help="repeat the trials on N "
                         "benches with every nuisance half to twice as large")  # fmt: skip
     beyond.add_argument("--stop-early", choices=("placed", "unsafe"), help="end a comparison once "
@@ -279,8 +276,8 @@ def run_beyond(run: campaign.ExperimentRun) -> campaign.Json:
     plan = _comparison_of(run)
     if args.stop_early:
         _run_rounds(plan, run)
-    if jobs := plan.loops.group_jobs() if args.stop_early else plan.jobs():
-        run.run(jobs)
+    else:
+        run.run(plan.jobs())
     answer = plan.answer(run.store, args.stop_early)
     if args.stop_early:
         screen.say(experiments.stopped_text(answer["stopped"]))
@@ -318,11 +315,9 @@ def _comparison_of(run: campaign.ExperimentRun) -> experiments.StrategyCompariso
     for piece in pieces:
         for name in strategies:
             _check_cell(piece, name, known=(piece, "FT+Tac") in found)
-    if args.trials or not args.statics:
-        require_positive(args, "trials")
-    for name in ("statics", "band"):
-        if getattr(args, name) < 0:
-            raise InputError(f"--{name} is negative.", f"--{name}", "Give 0 or a positive number.")
+    require_positive(args, "trials")
+    if args.band < 0:
+        raise InputError("--band is negative.", "--band", "Give 0 or a positive number.")
     if not re.fullmatch("[0-9a-f]{8,64}", args.outline_seed):
         raise InputError(
             f"'{args.outline_seed}' is not a hash.", "--outline-seed", "Give 8 to 64 hex digits."
@@ -335,7 +330,6 @@ def _comparison_of(run: campaign.ExperimentRun) -> experiments.StrategyCompariso
         bottoms=campaign.parse_names(args.bottoms, experiments.BOTTOMS, "--bottoms"),
         strategies=strategies,
         trials=args.trials,
-        groups=args.statics,
         outline_seed=args.outline_seed,
     )
     return experiments.StrategyComparison(loops, args.band)

@@ -36,7 +36,6 @@ from touchdown.backend.experiments.statistics import (
     verdict_changes,
 )
 from touchdown.backend.experiments.strategies import (
-    PROBABILITY_STEPS,
     SURFACE_KINDS,
     TRIAL_WORDS,
     ClosedLoopComparison,
@@ -44,10 +43,7 @@ from touchdown.backend.experiments.strategies import (
     least_probes,
     method_of,
     released_unsafely,
-    reliability_of_counts,
     run_closed_loop,
-    run_static_groups,
-    static_scores,
     weighed_piece,
 )
 from touchdown.backend.experiments.tables import BEYOND_FORMAT, QUICK, TOWER, Recipe
@@ -148,7 +144,6 @@ def test_the_placed_are_a_share_of_what_the_ceiling_places() -> None:
 
 
 Json = dict[str, Any]
-NS = ("1", "2", "3", "5")
 
 
 @pytest.fixture(scope="module")
@@ -161,43 +156,6 @@ def store(tmp_path: Path) -> JobStore:
     return JobStore(tmp_path)
 
 
-def answer(says: list[bool], likely: list[bool], margins: list[float | None]) -> Json:
-    counts = np.zeros((3, PROBABILITY_STEPS))
-    counts[:, [40, 360]] = np.array([[10.0, 10.0], [1.0, 10.0], [1.0, 9.0]])
-    return {
-        "says": dict.fromkeys(NS, says),
-        "likely": dict.fromkeys(NS, likely),
-        "margin_mm": [[m, m] for m in margins],
-        "left_out": 0,
-        "iou": [0.5, 0.7],
-        "cells": {"1": counts.tolist(), "3": counts.tolist()},
-    }
-
-
-def test_scores_of_known_answers() -> None:
-    margins = [3.0, -3.0, 2.0, None, 0.1]  # the last one is too close to be scored
-    found = static_scores([answer([True, False, False, False, True], [True] * 5, margins)])
-    assert found["groups"] == 5
-    assert found["released"]["3"]["balanced"] == pytest.approx(0.75)
-    assert found["released"]["3"]["unsafe"]["value"] == 0.0
-    assert found["likely"]["3"]["balanced"] == pytest.approx(0.5)
-    assert found["iou"]["value"] == pytest.approx(0.6)
-    # Ten cells promised 0.1 of which one supports, ten promised 0.9 that all do: 0.05 on average.
-    assert found["reliability"]["3"]["ece"] == pytest.approx(0.05)
-
-
-def test_counted_probabilities_make_the_chart_of_the_probabilities_themselves() -> None:
-    rng = np.random.default_rng(6)
-    p = rng.uniform(size=20000)
-    true = rng.uniform(size=20000) < p**2
-    step = np.minimum((p * PROBABILITY_STEPS).astype(int), PROBABILITY_STEPS - 1)
-    weights = (np.ones(len(p)), true.astype(float), p)
-    counts = np.stack([np.bincount(step, w, PROBABILITY_STEPS).astype(np.float64) for w in weights])
-    # The mean distance between p and p squared is 1/2 - 1/3.
-    assert reliability_of_counts(counts)["ece"] == pytest.approx(1 / 6, abs=0.01)
-    assert sum(reliability_of_counts(counts)["count"]) == 20000
-
-
 def test_changes_are_paired_by_seed() -> None:
     def cell(*outcomes: str) -> list[Json]:
         return [{"seed": k, "outcome": word} for k, word in enumerate(outcomes)]
@@ -206,23 +164,16 @@ def test_changes_are_paired_by_seed() -> None:
         ("paper", "pot", "short"): cell("fell", "placed", "fell", "gave_up", "placed"),
         ("mine", "pot", "short"): cell("placed", "placed", "fell", "fell"),
     }
-    placed, unsafe = paired_changes(trials, {})
+    placed, unsafe = paired_changes(trials)
     assert (placed["n"], placed["paper"], placed["own"]) == (4, 0.25, 0.5)
     assert (placed["only_paper"], placed["only_own"]) == (0, 1)
     assert placed["low"] <= placed["change"] == 0.25 <= placed["high"]
     assert (unsafe["change"], unsafe["only_paper"], unsafe["only_own"]) == (0.0, 1, 1)
     same = {**trials, ("mine", "pot", "short"): trials["paper", "pot", "short"]}
     # No trial of five differs: the exact bound, 1 - 0.05 ** (1 / 5).
-    alike = paired_changes(same, {})[0]
+    alike = paired_changes(same)[0]
     assert (alike["low"], alike["high"]) == pytest.approx((-0.4507, 0.4507), abs=1e-4)
     assert (placed["p"], unsafe["p"], alike["p"]) == (1.0, 1.0, 1.0)
-    said = {
-        ("paper", "pot", "short"): {1: answer([False] * 2, [False] * 2, [2.0, -2.0])},
-        ("mine", "pot", "short"): {1: answer([False] * 2, [True, False], [2.0, -2.0])},
-    }
-    rows = {row["what"]: row for row in paired_changes({}, said)}
-    assert rows["right, n = 3"]["change"] == rows["balanced, n = 3"]["change"] == 0.5
-    assert "only_own" not in rows["right, n = 3"]
 
 
 def test_settings_in_a_name_are_compared_with_the_strategy_without_them() -> None:
@@ -235,7 +186,7 @@ def test_settings_in_a_name_are_compared_with_the_strategy_without_them() -> Non
         ("fused", "pot", "short"): cell(*["fell"] * 6),
         (name, "pot", "short"): cell(*["placed"] * 6),
     }
-    rows = [row for row in paired_changes(trials, {}) if row["strategy"] == name]
+    rows = [row for row in paired_changes(trials) if row["strategy"] == name]
     assert [row["reference"] for row in rows] == ["fused", "fused"]
     # Six of six discordant pairs in one direction: 2 / 2 ** 6.
     assert [row["p"] for row in rows] == [pytest.approx(0.03125)] * 2
@@ -294,15 +245,14 @@ def test_answers_of_another_network_are_other_jobs(
     save_checkpoint(other, {**ships.arrays, "mean": ships.arrays["mean"] + 1.0}, ships.card)
     asks = StackSettings(fused=FusedSettings(weights=str(other)))
     plan = ClosedLoopComparison(
-        bench_v1, "1", {"pot": "m"}, ("pot",), ("long",), ("paper", "fused"), 2, 2
+        bench_v1, "1", {"pot": "m"}, ("pot",), ("long",), ("paper", "fused"), 2
     )
-    for jobs in (ClosedLoopComparison.jobs, ClosedLoopComparison.group_jobs):
-        paper, fused = jobs(plan)
-        _, theirs = jobs(replace(plan, method=asks))
-        assert theirs.id != fused.id
-        assert fused.params["fused_sha256"] == ships.card.weights_sha256
-        assert theirs.params["fused_sha256"] not in paper.params.values()
-        assert "fused_sha256" not in paper.params
+    paper, fused = plan.jobs()
+    _, theirs = replace(plan, method=asks).jobs()
+    assert theirs.id != fused.id
+    assert fused.params["fused_sha256"] == ships.card.weights_sha256
+    assert theirs.params["fused_sha256"] not in paper.params.values()
+    assert "fused_sha256" not in paper.params
 
 
 def test_the_least_probes_on_a_tower_are_those_to_where_all_of_it_holds(
@@ -330,28 +280,19 @@ def off(scene: Scene, way_mm: float, angle: float) -> tuple[float, float]:
     return x + way_mm * float(np.cos(angle)), y + way_mm * float(np.sin(angle))
 
 
-def test_a_tower_and_groups_from_end_to_end(bench_v1: SimulationSettings, store: JobStore) -> None:
+def test_a_tower_from_end_to_end(bench_v1: SimulationSettings, store: JobStore) -> None:
     models = adopt_models(store, *shipped_model_folders("bench-v1"))
     source = {"pot": models["pot", "FT+Tac"]}
-    loops = ClosedLoopComparison(
-        bench_v1, "1", source, ("pot",), ("short+long", "long"), ("paper",), 1, 2
-    )
+    loops = ClosedLoopComparison(bench_v1, "1", source, ("pot",), ("short+long",), ("paper",), 1)
     plan = StrategyComparison(loops)
     for job in plan.jobs():
-        assert (
-            run_job(job, {"beyond": run_closed_loop, "promises": run_static_groups}, store).state
-            == "done"
-        )
+        assert run_job(job, {"beyond": run_closed_loop}, store).state == "done"
     found = plan.answer(store)
-    (loop, _), (cell,) = found["cells"], found["statics"]["cells"]
+    (loop,) = found["cells"]
     assert loop["placed"]["n"] + loop["left_out"] == 1
-    assert cell["groups"] == 2
-    for traced, kind in ((loop, "beyond"), (cell, "promises")):
-        (job,) = traced["jobs"]
-        spec = JobSpec.parse((store.folder(job) / SPEC_FILE).read_text("utf-8"))
-        assert (spec.id, spec.kind, spec.seed) == (job, kind, traced["seed"])
-    assert sum(cell["reliability"]["1"]["count"]) > 2 * 100
-    assert cell["reliability"]["3"]["ece"] < 1.0
+    (job,) = loop["jobs"]
+    spec = JobSpec.parse((store.folder(job) / SPEC_FILE).read_text("utf-8"))
+    assert (spec.id, spec.kind, spec.seed) == (job, "beyond", loop["seed"])
     assert all(len({len(row) for row in t.texts()}) == 1 for t in comparison_tables(found))
 
 
@@ -367,21 +308,18 @@ def compared(*strategies: str) -> Json:
         "excess_probes_median": 1.0,
         "left_out": 0,
     }
-    said = static_scores([answer([True, False], [True, False], [1.0, -1.0])])
     return {
         "format": BEYOND_FORMAT,
         "bench_sha256": "a" * 64,
         "code": "<1>",
         "cells": [{"strategy": name, **cell} for name in strategies],
         "pooled": [],
-        "statics": {"cells": [], "pooled": [{"strategy": name, **said} for name in strategies]},
     }
 
 
 def test_the_page_shows_every_strategy_and_escapes_what_it_is_told() -> None:
     page = report_page(comparison_report(compared("mine", "<b>")))
     assert page.count("mine pot long") == 1
-    assert page.count("<svg") == 4
     assert "<b>" not in page
     assert "&lt;1&gt;" in page
     assert "SIMULATED BENCH" in page

@@ -216,6 +216,8 @@ def identified_settings(
     if share is not None and "grasp.hysteresis_share" in used:
         content["grasp"]["hysteresis"] = bool(share.low > 0.0)
     face = content["face"]
+    if used:  # whole cells err in the moments of the presses that this bench explains
+        face["subcells"] = max(nominal.face.subcells, 3)
     if "face.foundation_n_mm3" in used and face.get("foundation_range_n_mm3"):
         # TOML has no null: without a value the preset of the bench file would bring its range back.
         face["foundation_range_n_mm3"] = 2 * [face["foundation_n_mm3"]]

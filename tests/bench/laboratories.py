@@ -67,6 +67,7 @@ from touchdown.backend.identification.recordings import PressRecording
 from touchdown.backend.identification.stages import Gate, replay_gate
 from touchdown.backend.jobs import JobContext, JobSpec, JobStore
 from touchdown.backend.learning import stable_flags, use_one_thread
+from touchdown.backend.learning.fused import load_fused
 from touchdown.backend.learning.inference import modality_columns
 from touchdown.backend.learning.metrics import CONTACT_LEVEL, iou
 from touchdown.backend.learning.training import Trainer, predict
@@ -683,9 +684,9 @@ def native_signals(record: Any, now: Any, scene: Scene, at_mm: Any, rng: Any) ->
 
 
 @cache
-def own_outcomes() -> list[str]:
-    """Return the outcomes of the shipped networks on the bench that they were trained for."""
-    return outcomes(load_simulation(preset="bench-v2"), str(SHIPPED))
+def own_outcomes(preset: str = "bench-v2") -> list[str]:
+    """Return the outcomes of the shipped networks on a bench without the errors of a laboratory."""
+    return outcomes(load_simulation(preset=preset), str(SHIPPED))
 
 
 def add_loss(seed: int) -> None:
@@ -721,15 +722,23 @@ def comes_back(place: str, out: Path) -> dict[str, Any]:
     else:
         own, world = load_simulation(preset="bench-v2"), "bench"
         there, _ = draw_laboratory(int(place), drivers=True)
-        known = json.loads((out / f"laboratory-{place}.json").read_text())
+        # From recordings through the drivers if there are some
+        names = f"laboratory-{place}-drivers.json", f"laboratory-{place}.json"
+        file = next(out / name for name in names if (out / name).is_file())
+        known = json.loads(file.read_text())
         write_bench(bench, known["bench"])
         ranges.write_text(json.dumps({"randomisation": known["ranges"]}))
         facts = {key: known[key] for key in ("accepted", "share", "misfit")}
     times["identify"] = time.process_time() - began_s
+    # The bench of the networks, and the place before and after their training
+    before = own_outcomes(own.preset), outcomes(there, str(SHIPPED), world)
+    times["first trials"] = time.process_time() - began_s
+    sys.stderr.write(f"placed: {[part.count('placed') for part in before]}, {times}\n")
     network = adapted(bench, ranges, folder)
+    facts["training"] = load_fused(network).card.metrics
     times["train"] = time.process_time() - began_s
-    arms = [(own, SHIPPED, "bench"), (there, SHIPPED, world), (there, network, world)]
-    result = recovered(*(outcomes(one, str(weights), where) for one, weights, where in arms))
+    sys.stderr.write(f"{facts['training']}, {times}\n")
+    result = recovered(*before, outcomes(there, str(network), world))
     times["trials"] = time.process_time() - began_s
     return {"seed": place, "identified": facts, **result, "cpu_s_at_end_of": times}
 

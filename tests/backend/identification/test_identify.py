@@ -598,6 +598,8 @@ def test_only_sharp_estimates_enter_the_bench():
     assert found.grasp.hysteresis
     assert found.tactile.mm_per_px == (0.058, 0.061)
     assert found.grasp.torsion_nmm_rad == NOMINAL.grasp.torsion_nmm_rad
+    assert found.face.subcells == 3
+    assert identified_settings(NOMINAL, ()) == (NOMINAL, ())
 
 
 def test_the_stiffness_of_the_faces_is_kept_beside_the_preset(tmp_path):

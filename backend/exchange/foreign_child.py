@@ -1,12 +1,17 @@
 """Child process that opens foreign files.
 
-Usage: ``python -m touchdown.backend.exchange.foreign_child KIND SRC DIR [MAPPING]``.
+Usage: ``python -m touchdown.backend.exchange.foreign_child KIND SRC DIR [MAPPING]``. Its standard
+input ends when the parent is killed. It then deletes DIR and exits.
 """
 
 from __future__ import annotations
 
+import errno
 import json
+import os
+import shutil
 import sys
+import threading
 from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
@@ -24,6 +29,8 @@ def main(kind: str, source: str, folder: str, mapping: str = "") -> None:
         import resource
 
         resource.setrlimit(resource.RLIMIT_AS, (MEMORY_BYTES, MEMORY_BYTES))
+    watch = threading.Thread(target=_leave_with_parent, args=(folder,), daemon=True)
+    watch.start()
     name = "mapping" if mapping else READERS[kind]
     reader = import_module(f"touchdown.backend.exchange.{name}")
     given = (kind, Path(source), Path(mapping)) if mapping else (Path(source),)
@@ -36,10 +43,21 @@ def main(kind: str, source: str, folder: str, mapping: str = "") -> None:
     except InputError as error:
         _tell({"error": error.what, "where": error.where, "fix": error.fix})
     except Exception as error:  # noqa: BLE001 - a foreign file may raise anything
-        what = f"The file is damaged or foreign: {type(error).__name__}: {error}."
-        _tell({"error": what, "where": source, "fix": "Use another copy, or export it again."})
+        if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
+            fix = "Make room on it, or name a folder on another disk in TMPDIR."
+            _tell({"error": "The disk of temporary files is full.", "where": folder, "fix": fix})
+        else:
+            what = f"The file is damaged or foreign: {type(error).__name__}: {error}."
+            _tell({"error": what, "where": source, "fix": "Use another copy, or export it again."})
     else:
         _tell({"done": True})
+    watch.join()  # DIR is in use until the parent ends this process
+
+
+def _leave_with_parent(folder: str) -> None:
+    os.read(0, 1)  # not sys.stdin, whose lock would hinder the end of the interpreter
+    shutil.rmtree(folder, ignore_errors=True)
+    os._exit(1)
 
 
 def _tell(answer: dict[str, object]) -> None:

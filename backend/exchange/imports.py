@@ -81,7 +81,7 @@ def read_foreign(
         tempfile.TemporaryFile() as stderr,
         subprocess.Popen(
             [*command, str(source.resolve()), folder, *([str(mapping)] if mapping else [])],
-            stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=stderr,
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=stderr,
         ) as child,
         ThreadPoolExecutor(1) as listener,
     ):  # fmt: skip
@@ -213,6 +213,9 @@ def _label(values: Mapping[str, NDArray[Any]]) -> Label:
 
 
 MODE = "imported"
+# Series of an imported episode, and whether its side of the split was ever set.
+_BEGUN = f"""SELECT series, EXISTS (SELECT 1 FROM mark m WHERE m.episode = uuid
+    AND m.name LIKE '{SPLIT_TAG}%') FROM episode WHERE uuid = ? AND mode = ?"""  # noqa: S608
 OWN_BITS, NUMBER_AT = 24, 48
 
 
@@ -312,14 +315,27 @@ class EpisodeImport:
         """
         self.backup = self._dataset.back_up_for("import")
         self._copy_geometry()
-        series, written = uuid7(), list[tuple[str, str]]()
+        series, written, sides = uuid7(), list[str](), list[tuple[str, str]]()
         for foreign in self._foreign():
-            if self._reason(foreign) or self._is_here(foreign):
+            if self._reason(foreign):
+                continue
+            if self._is_here(foreign):
+                # An interrupted import goes on in its series and grip, and sets its tags.
+                begun = self._dataset.database.first(_BEGUN, (self._uuid(foreign), MODE))
+                if begun is not None:
+                    series = begun[0]
+                    sides += [] if begun[1] else [(self._uuid(foreign), self._side(foreign))]
                 continue
             written.append(self._record(foreign, series))
+            sides.append((written[-1], self._side(foreign)))
             advance(len(written))
-        self._record_import(series, written)
-        return [uuid for uuid, _ in written]
+        self._record_import(series, len(written), sides)
+        return written
+
+    def _side(self, foreign: ForeignEpisode) -> str:
+        """Return the side of the split of an episode, "" if it has none."""
+        named = self._named.get(foreign.index)
+        return foreign.side if named is None else str(named["split"])
 
     def _reason(self, foreign: ForeignEpisode) -> str:
         if self._named and foreign.index not in self._named:
@@ -348,8 +364,8 @@ class EpisodeImport:
         former = UUID(named["uuid"]).int
         return str(UUID(int=former >> OWN_BITS << OWN_BITS | own))
 
-    def _record(self, foreign: ForeignEpisode, series: str) -> tuple[str, str]:
-        """Store one episode; return its id and its side of the split."""
+    def _record(self, foreign: ForeignEpisode, series: str) -> str:
+        """Store one episode; return its id."""
         label = _label(foreign.values)
         origin = self._named.get(foreign.index)
         if origin is not None:
@@ -364,7 +380,6 @@ class EpisodeImport:
                 "grip_id": f"{series}/unknown",
                 "mounting_id": f"{series}/unknown",
                 "source": "human" if self._options.labelled_by else "measured",
-                "split": foreign.side,
             }
         context = EpisodeContext(
             series=series, bottom=origin["bottom"], geometry=origin["geometry"], person=self._actor,
@@ -383,7 +398,7 @@ class EpisodeImport:
             episode, label, source=origin["source"], context=context,
             keep_frames="jpeg95_444" if has_frames else "none",
         )  # fmt: skip
-        return uuid, origin["split"]
+        return uuid
 
     def _own_pair(self) -> str:
         if self._options.piece is None or self._options.bottom is None:
@@ -405,15 +420,15 @@ class EpisodeImport:
         for named in self._named.values():
             self._dataset.geometry.pair(named["geometry"])
 
-    def _record_import(self, series: str, written: Sequence[tuple[str, str]]) -> None:
+    def _record_import(self, series: str, count: int, sides: Sequence[tuple[str, str]]) -> None:
         """Store the sides of the split as tags in one operation, and the import in the audit."""
         with self._dataset.database.reading() as connection:
             marks = [
                 read_mark(connection, uuid, f"{SPLIT_TAG}{side}", present=True)
-                for uuid, side in written
+                for uuid, side in sides
                 if side
             ]
-        body: dict[str, str | int] = {"format": self._kind, "episodes": len(written)}
+        body: dict[str, str | int] = {"format": self._kind, "episodes": count}
         note_import(self._dataset, self._actor, OperationDraft(marks=marks), series, body)
         self._dataset.labels.reload()
 

@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import csv
+import errno
 import json
+import os
 import shutil
 import sqlite3
+import subprocess
+import sys
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import replace
@@ -16,6 +20,7 @@ import av
 import cv2
 import h5py
 import numpy as np
+import psutil
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
@@ -26,9 +31,9 @@ from hypothesis.extra.numpy import arrays
 
 from tests.backend.annotations.conftest import context_for
 from tests.backend.exchange.conftest import recorded_episode
-from touchdown.backend.annotations import Dataset, Label, Pair
+from touchdown.backend.annotations import SPLIT_TAG, Dataset, Label, Pair
 from touchdown.backend.core import MARKERS, Fault, FaultError, InputError, Recording
-from touchdown.backend.exchange import coco, csv_tables, export
+from touchdown.backend.exchange import coco, csv_tables, export, foreign_child
 from touchdown.backend.exchange.features import ForeignEpisode
 from touchdown.backend.exchange.imports import (
     EpisodeImport,
@@ -136,6 +141,44 @@ def test_a_reader_that_takes_too_long_is_given_up(tmp_path):
 def test_a_reader_that_dies_is_told(tmp_path):
     with pytest.raises(InputError, match="crashed"):
         list(read_foreign("no such reader", tmp_path))
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs SIGKILL")
+def test_a_killed_import_leaves_neither_its_reader_nor_its_files(tmp_path):
+    """The reader writes into the temporary folder of the program, which no longer deletes it."""
+    code = (
+        "from pathlib import Path; from touchdown.backend.exchange.imports import read_foreign;"
+        f"episodes = read_foreign('lerobot', Path({str(lerobot_21(tmp_path / 'set'))!r}));"
+        "next(episodes); print('read', flush=True); input()"
+    )
+    place = tmp_path / "temporary"
+    place.mkdir()
+    with subprocess.Popen(
+        [sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+        env={**os.environ, "TMPDIR": str(place)},
+    ) as child:  # fmt: skip
+        assert child.stdout is not None
+        assert child.stdout.readline() == b"read\n"
+        readers = psutil.Process(child.pid).children()
+        assert [path.name for path in place.iterdir()]
+        child.kill()
+    gone, alive = psutil.wait_procs(readers, timeout=20.0)
+    assert (len(gone), alive, list(place.iterdir())) == (1, [], [])
+
+
+def test_a_full_disk_of_temporary_files_is_told(tmp_path, monkeypatch):
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    told = []
+    monkeypatch.setattr(foreign_child, "save_foreign", full)
+    monkeypatch.setattr(foreign_child, "_tell", told.append)
+    monkeypatch.setattr(foreign_child, "_leave_with_parent", lambda folder: None)
+    monkeypatch.setattr("resource.setrlimit", lambda *_: None)
+    foreign_child.main("lerobot", str(lerobot_21(tmp_path / "set")), str(tmp_path))
+    (answer,) = told
+    assert answer["error"] == "The disk of temporary files is full."
+    assert "TMPDIR" in answer["fix"]
 
 
 def test_newer_versions_are_refused(tmp_path):
@@ -638,6 +681,28 @@ def test_an_interrupted_import_goes_on(hand, tmp_path, monkeypatch):
             EpisodeImport(back, "lerobot", out, WISH).write(stop)
         assert len(EpisodeImport(back, "lerobot", out, WISH).write()) == 3
         assert len(back.episodes()) == 6
+        sides = [
+            {name for name in back.labels.marks(entry.uuid) if name.startswith(SPLIT_TAG)}
+            for entry in back.episodes()
+        ]
+        assert all(len(side) == 1 for side in sides), sides
+
+
+def test_an_interrupted_import_of_unknown_grips_goes_on_in_its_grip(hand, tmp_path):
+    """A split by grip must not tear one recording apart."""
+    out = hand("lerobot").folder
+    (out / "manifest.json").unlink()
+
+    def stop(done: int) -> None:
+        if done == 3:
+            raise KeyboardInterrupt
+
+    with Dataset.open(tmp_path / "back") as back:
+        with pytest.raises(KeyboardInterrupt):
+            EpisodeImport(back, "lerobot", out, NAMED).write(stop)
+        assert len(EpisodeImport(back, "lerobot", out, NAMED).write()) == 3
+        (count,) = back.database.one("SELECT count(DISTINCT grip_id) FROM episode")
+    assert count == 1
 
 
 def test_without_a_manifest_the_pair_has_to_be_named(hand, tmp_path):

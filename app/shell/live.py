@@ -16,14 +16,15 @@ from touchdown.app.shell.bench_text import count_noun
 from touchdown.backend.bench import Session
 from touchdown.backend.core import FINGERS, WRENCH_CHANNELS, Finger, MarkerField, TactileFrame
 from touchdown.backend.devices import DeviceState
+from touchdown.backend.sensing import looks_still
 from touchdown.widgets import base
 from touchdown.widgets.plots import TracePlot
 from touchdown.widgets.views import TactileView
 
 HEADER_PERIOD_S = 0.25
-# On an idle bench, signals that change by less are redrawn every ``STILL_S``: markers in px, the
-# wrench as a share of the shown range. Both are a pixel or two on the screen.
-STILL_PX, STILL_SHARE, STILL_S = 0.3, 0.03, 0.1
+# On an idle bench, markers that stand still and a wrench that changes by less than this share of
+# the shown range are redrawn every ``STILL_S``: they move by a pixel or two on the screen.
+STILL_SHARE, STILL_S = 0.03, 0.1
 NEWEST = 16  # wrench samples whose mean is compared
 
 
@@ -76,12 +77,8 @@ class LivePresenter:
 
     def _same(self, was: MarkerField | None, now: MarkerField | None, t_s: float) -> bool:
         """Return True if a picture of ``t_s`` looks like the one of ``was``, a moment before."""
-        if was is None or now is None or not self._idle():
-            return False
-        tracked = now.t_s == t_s and now.quality > 0.0
-        if not (tracked and 0.0 <= t_s - was.t_s < STILL_S and (now.state == was.state).all()):
-            return False
-        return bool(np.abs(now.position_px - was.position_px).max() <= STILL_PX)
+        recent = was is not None and 0.0 <= t_s - was.t_s < STILL_S
+        return recent and self._idle() and looks_still(was, now)
 
     def _idle(self) -> bool:
         """Return True if neither a run nor the operator moves the bench."""

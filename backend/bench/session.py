@@ -486,7 +486,7 @@ class Session:
         if (scene := self._scene) is not None:
             self._hand.tick()
             self._stage.advance(STEP_US)
-            scene.sensing.update()
+            scene.sensing.update(idle=not self.engine.busy and not self._hand.active)
             self._drift.update()
             self._supervision.check(self.clock_s())
         if not self.engine.busy:

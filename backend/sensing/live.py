@@ -27,6 +27,16 @@ from touchdown.backend.sensing import zeroing
 from touchdown.backend.sensing.jpeg_damage import DamageCheckingTracker
 
 PRESS_SAMPLES = 10  # 10 ms of the usual wrist sensor
+# Markers of an idle bench that move by less between two pictures stand still; time between these.
+STILL_PX, STILL_S = 0.3, 0.1
+
+
+def looks_still(was: MarkerField | None, now: MarkerField | None) -> bool:
+    """Return True if all markers of two fields were tracked and stand at the same places."""
+    if was is None or now is None or not was.quality * now.quality > 0.0:
+        return False
+    moved_px = np.abs(now.position_px - was.position_px).max()
+    return bool((now.state == was.state).all() and moved_px <= STILL_PX)
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,6 +69,7 @@ class LiveSensing:
         self.fields: Mapping[Finger, Stream[MarkerField]] = fields
         self.wrench: SampleStream = wrench
         self._trackers = {finger: DamageCheckingTracker(finger) for finger in FINGERS}
+        self._still = dict.fromkeys(FINGERS, False)
         self._in_air: dict[Finger, zeroing.TactileReference] = {}
         self._frame_cursor = {finger: raw.frames[finger].count for finger in FINGERS}
         self._sample_cursor = raw.samples.count
@@ -74,14 +85,23 @@ class LiveSensing:
         """Wrench that is subtracted from the raw samples."""
         return self._tare
 
-    def update(self) -> None:
-        """Process all samples and frames since the last call."""
+    def update(self, *, idle: bool = False) -> None:
+        """Process all samples and frames since the last call.
+
+        On an ``idle`` bench, markers that stand still are tracked every ``STILL_S`` only.
+        """
         for finger in FINGERS:
             frames, cursor, _ = self.raw.frames[finger].since(self._frame_cursor[finger])
             self._frame_cursor[finger] = cursor
             for frame in frames:
+                last = self.fields[finger].newest()
+                # The check for damage compares each JPEG with the one before.
+                still = idle and self._still[finger] and not frame.from_jpeg
+                if still and last is not None and 0.0 <= frame.t_s - last.t_s < STILL_S:
+                    continue
                 field = self._trackers[finger].track(frame)
                 if field is not None:
+                    self._still[finger] = looks_still(last, field)
                     self.fields[finger].put(frame.t_s, field)
         samples = self.raw.samples.since(self._sample_cursor)
         self._sample_cursor = samples.cursor

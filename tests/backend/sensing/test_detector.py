@@ -368,6 +368,30 @@ def test_the_press_force_is_that_of_the_newest_samples_and_unknown_once_they_are
     assert np.isnan(sensing.press_n(0.3, 0.2))
 
 
+def test_markers_that_stand_still_on_an_idle_bench_are_tracked_every_tenth_of_a_second() -> None:
+    sensing, clock, (image, _) = live_sensing(), count(), rest_dots()
+
+    def tracked(*presses_px: float, idle: bool = True, from_jpeg: bool = False) -> list[int]:
+        """Return which of the pictures were tracked."""
+        first = sensing.raw.frames["left"].count
+        before = sensing.fields["left"].count
+        for press_px, k in zip(presses_px, clock, strict=False):
+            shown = warp(image, bump_field, press_px)
+            frame = TactileFrame("left", k, k / 25, shown, from_jpeg=from_jpeg)
+            sensing.raw.frames["left"].put(k / 25, frame)
+            sensing.update(idle=idle)
+        return [f.sequence - first for f in sensing.fields["left"].since(before)[0]]
+
+    assert tracked(*[0.0] * 4, idle=False) == [0, 1, 2, 3]
+    assert tracked(*[0.0] * 9) == [2, 5, 8]
+    assert tracked(0.6, 1.2, 1.8, 2.4, 3.0, 3.6) == [2, 3, 4, 5], "motion is seen and followed"
+    assert tracked(*[3.6] * 7) == [0, 3, 6]
+    assert tracked(*[3.6] * 4, idle=False) == [0, 1, 2, 3], "a run needs every picture"
+    assert tracked(*[3.6] * 4, from_jpeg=True) == [0, 1, 2, 3], (
+        "damage is judged between neighbours"
+    )
+
+
 def test_the_loop_refuses_a_later_reference_in_contact() -> None:
     sensing = live_sensing()
     frames, fields = sensing.raw.frames, sensing.fields

@@ -99,7 +99,8 @@ class WristSampler:
     ) -> None:
         self._yaw_rad = settings.yaw_rad + yaw_rad
         self._lever_mm = np.array(lever_mm) if any(lever_mm) else None
-        self._settings = settings
+        # Rows: the wrench at the sensor for each component of the wrench at ``G``.
+        self._at_sensor = wrist_wrench(np.eye(6), settings.height_mm, self._yaw_rad, self._lever_mm)
         self._count = round(settings.rate_hz * cycle_us * 1e-6)
         self._rng = np.random.default_rng([seed, 4])
         self._white = np.repeat([settings.white_n, settings.white_nm], 3)
@@ -114,9 +115,8 @@ class WristSampler:
         self, start_us: int, end_us: int, strain: WristLoad
     ) -> tuple[FloatArray, FloatArray]:
         """Return times (n,) in s and samples (n, 6) in N and N·m of one cycle."""
-        settings = self._settings
-        wrench_g = strain.before_g + self._share * (strain.after_g - strain.before_g)
-        values = wrist_wrench(wrench_g, settings.height_mm, self._yaw_rad, self._lever_mm)
+        before = strain.before_g @ self._at_sensor
+        values = before + self._share * (strain.after_g @ self._at_sensor - before)
         self._drift = self._drift + self._walk * self._rng.standard_normal(6)
         values += strain.offset + self._drift
         values += self._white * self._rng.standard_normal((self._count, 6))

@@ -177,8 +177,8 @@ class Stage:
             self.main.pump.tick()
 
     def until(self, there: Callable[[], bool]) -> None:
-        """Run pump and event loop until ``there`` returns True, 20 s at most."""
-        until = QDeadlineTimer(20_000)
+        """Run pump and event loop until ``there`` returns True, 2 min at most."""
+        until = QDeadlineTimer(120_000)
         while not there() and not until.hasExpired():
             QApplication.processEvents(QEventLoop.ProcessEventsFlag.WaitForMoreEvents, 20)
             self.main.pump.tick()

@@ -302,6 +302,18 @@ def test_stop_has_a_shorter_text_where_the_room_ends(qtbot):
     assert bar.pill.sizeHint().width() + bar.stop.sizeHint().width() < bar.width() < 400
 
 
+def test_figures_of_chips_have_their_room_at_once(qtbot):
+    bar = TopBar(Theme(), lambda: None)
+    qtbot.addWidget(bar)
+    bar.resize(420, 100)
+    bar.show()
+    for width in (640, 1024, 1600):
+        bar.resize(width, 100)
+        chips = bar.chips.values()
+        assert [chip.width() for chip in chips] == [chip.sizeHint().width() for chip in chips]
+    assert not any(chip.short for chip in chips)
+
+
 def test_a_column_is_as_wide_as_its_views_need(qtbot):
     view = QWidget()
     view.setMinimumWidth(300)

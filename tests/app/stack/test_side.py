@@ -25,7 +25,7 @@ from touchdown.backend.geometry import Surface, load_pieces
 from touchdown.backend.learning.fused import Guard, GuardCalibration
 from touchdown.backend.runs.requests import RunState, StackRequest
 from touchdown.widgets.base import Panel, Theme
-from touchdown.widgets.views.scene import ABOVE, SIDE, UPRIGHT, SideBody, SideView
+from touchdown.widgets.views.scene import ABOVE, SIDE, UPRIGHT, SideBody, SideScene, SideView
 
 
 @pytest.mark.parametrize("angle", [0.0, 0.3, -1.2, 1.57, 2.5])
@@ -147,6 +147,19 @@ def test_a_turned_hand_is_drawn_turned_with_its_piece(bench, seen, tilt_deg):
     assert (across.min(), across.max()) == pytest.approx((-12.5, 12.5), abs=0.01)
     _, low, high = view.scene.hand_parts_mm(ABOVE)
     assert high[:, 1].min() - low[:, 1].max() == pytest.approx(2 * view.scene.jaws_mm, abs=1e-3)
+
+
+def test_from_above_the_hand_covers_the_piece(qtbot):
+    view = SideView(Theme())
+    qtbot.addWidget(view)
+    view.resize(400, 200)
+    piece = SideBody("pot", 7.5, 15.0, 38.0, 0.0, 0.0)
+    shown = []
+    for hand in (None, (0.0, 0.0, 30.0)):
+        view.show_scene(SideScene((SideBody("short", 10.0, 10.0, 30.0, 0.0, -30.0),), piece, hand))
+        at = view.halves()[1].place(11.0, 0.0)
+        shown.append(view.grab().toImage().pixelColor(at.toPoint()).name())
+    assert shown[0] != shown[1]
 
 
 def test_nothing_fallen_is_drawn_below_the_table(bench, seen):

@@ -8,6 +8,7 @@ import re
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import cv2
@@ -42,7 +43,7 @@ from touchdown.backend.experiments.models import (
     shipped_model_folders,
 )
 from touchdown.backend.experiments.results import DATA, PAGE, write_tables
-from touchdown.backend.experiments.run_report import _with_arrows, write_run_report
+from touchdown.backend.experiments.run_report import _with_arrows, wrench_svg, write_run_report
 from touchdown.backend.experiments.statics import ProbeGroups
 from touchdown.backend.experiments.statistics import (
     VerdictCounts,
@@ -439,6 +440,18 @@ def test_a_report_names_its_date_program_and_model_and_the_scale_of_its_colours(
     for drawing in re.findall(r"<svg.*?</svg>", text):
         assert [f">{p}</text>" in drawing for p in ("p", "0", "0.5", "1")] == [True] * 4
         document.check_svg(drawing)
+
+
+def test_forces_of_a_probe_have_axes_with_units() -> None:
+    observation = np.zeros((20, 258))
+    observation[:, 254] = np.linspace(0.375, 7.5, 20)
+    drawing = wrench_svg(SimpleNamespace(observation=observation))  # type: ignore[arg-type]
+    for text in ("F (N) over time after contact (s)", "+7.5", "\N{MINUS SIGN}7.5", "Fz", "2"):
+        assert f">{text}</text>" in drawing
+    force_z = re.findall(r'points="([^"]+)"', drawing)[2].split()
+    # 2 s and the largest force lie at the ends of the axes.
+    assert force_z[-1] == "202.0,14.0"
+    document.check_svg(drawing)
 
 
 @pytest.mark.promise("D9")

@@ -16,6 +16,7 @@ from touchdown.widgets.plots import (
     CurvePlot,
     LineBuffer,
     PlotArea,
+    ReliabilityPlot,
     nice_step,
     polygon_of,
     tick_text,
@@ -208,6 +209,15 @@ def test_a_title_without_room_ends_with_an_ellipsis(qtbot, theme):
         plot.resize(width, 120)
         edge = pixels(plot)[: int(plot.area().rect.top()) - 3, -1]
         assert (edge == edge[0]).all(), f"a letter is cut off at {width} px"
+
+
+def test_the_title_of_an_empty_plot_has_the_whole_view(qtbot, theme):
+    for plot in (CurvePlot(theme, "Loss per epoch (nats a point)"), ReliabilityPlot(theme)):
+        qtbot.addWidget(plot)
+        plot.resize(plot.minimumSize())
+        drawn = plot.grab().toImage()
+        for x, y in ((1, 1), (plot.width() - 2, plot.height() - 2)):
+            assert drawn.pixelColor(x, y) == theme.tokens.colour("bg")
 
 
 def test_time_that_jumps_back_starts_anew():

@@ -21,7 +21,7 @@ from touchdown.widgets.plots import SPANS_S, TracesPanel
 from touchdown.widgets.views import LOOKS, BeliefPanel, SideView
 
 TRACES, BENCH = "Force and moment", "Bench to scale"
-LEAST_PX = 150, 112  # heights of belief map and bench, which all fit into 1280x720
+LEAST_PX = 150, 133  # heights of belief map and bench, which all fit into 1280x720
 
 
 class OperatePage(LivePage):
@@ -79,7 +79,7 @@ class OperatePage(LivePage):
     def _arrange(self) -> None:
         self.tactile_panel = self._tactile_panel()
         feel = column_of((self.tactile_panel, 0), (self.traces_panel, 1))
-        middle = column_of((self.belief_panel, 5), (self.side_panel, 2), (self.probe, 0))
+        middle = column_of((self.belief_panel, 5), (self.side_panel, 4), (self.probe, 0))
         self._right = column_of((self.jog, 1), (self.gripper, 0), (self.scene, 0))
         self.stand_in(
             Columns(

@@ -102,7 +102,6 @@ class SingleProbePresenter:
         if self._bench.model is not self._model:
             self._model = self._bench.model
             self.show_model()
-        self._panel.detail.setText(self._bench.status().phase if active and self._mine else "")
 
     def _end(self, event: core.RunFinished) -> None:
         self._mine = False

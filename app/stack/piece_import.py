@@ -54,7 +54,7 @@ class PiecePicture(PictureView):
 
     def paint(self, painter: QPainter) -> None:
         """Draw the picture, as large as fits."""
-        painter.fillRect(self.rect(), self._theme.tokens.colour("bg"))
+        painter.fillRect(self.rect().adjusted(0, 0, 1, 1), self._theme.tokens.colour("bg"))
         if self._piece is None:
             return
         tokens = self._theme.tokens

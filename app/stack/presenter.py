@@ -353,8 +353,8 @@ def _belief_detail(scene: BeliefScene, look: shell.ProbeStory) -> tuple[str, str
     if scene.belief is None:
         return "", ""
     largest = float(scene.belief.probability.max())
-    text = f"probe {look.probe}, p \N{LESS-THAN OR EQUAL TO} {largest:.2f}"
+    text, tip = f"p \N{LESS-THAN OR EQUAL TO} {largest:.2f}", f"probe {look.probe}"
     if look.stability is not None:
         text += ", judged from the patch" if look.stability.source == "patch" else ""
-    tip = "" if look.latency_ms is None else f"decided in {look.latency_ms:.1f} ms"
+    tip += "" if look.latency_ms is None else f", decided in {look.latency_ms:.1f} ms"
     return text, tip

@@ -65,7 +65,7 @@ class ProbePanel(base.Panel):
 
     def __init__(self, theme: base.Theme, phases: Sequence[str]) -> None:
         super().__init__("Probe")
-        self.values, self.model = base.label("", "small", wrap=True), base.ElidedLabel("small")
+        self.values, self.model = base.label("", "small", wrap=True), self.detail
         self.strip = PhaseStrip(theme, phases)
         self._buttons: tuple[bool, bool, str] | None = None  # as shown last
         # Two lines in a narrow column, so that the page knows the height that it needs.
@@ -78,10 +78,10 @@ class ProbePanel(base.Panel):
             (self.cancel, "Cancel the probe", "End the run: lift the arm, keep the grip"),
         )
         row = base.hbox((self.probe, 2), (self.cancel, 1))
-        base.add_items(self.column, self.values, self.model, self.strip, self.result, row)
+        base.add_items(self.column, self.values, self.strip, self.result, row)
 
     def show_model(self, short: str, full: str) -> None:
-        """Show the model in use; the tool tip has the details."""
+        """Show the model in use in the header; the tool tip has the details."""
         self.model.setText(short)
         self.model.setToolTip(full)
 

@@ -62,6 +62,10 @@ class _TrainingPlot(PictureView):
         metrics = QFontMetrics(ui_font(self._theme.scale, 0.82, 500))
         return 12.0 + max(metrics.horizontalAdvance(text) for text in (WIDEST_ENDING, *endings))
 
+    def _draw_empty(self, painter: QPainter) -> None:
+        painter.fillRect(self.rect(), self._theme.tokens.colour("bg"))
+        axes.draw_message(painter, self.rect(), self._theme, self.name, self.empty)
+
     def _draw_axes(self, painter: QPainter, area: axes.PlotArea, *, whole: bool) -> None:
         t, rect = self._theme.tokens, area.rect
         painter.fillRect(rect, t.colour("bg"))
@@ -128,8 +132,7 @@ class CurvePlot(_TrainingPlot):
         area = self.area()
         drawn = [one for one in self.lines if one.points]
         if not drawn:
-            painter.fillRect(area.rect, self._theme.tokens.colour("bg"))
-            axes.draw_message(painter, area.rect, self._theme, self.name, self.empty)
+            self._draw_empty(painter)
             return
         self._draw_axes(painter, area, whole=True)
         if self.best:
@@ -152,7 +155,7 @@ class ReliabilityPlot(_TrainingPlot):
     """Share of points in contact over predicted probability; calibrated ones lie on the line."""
 
     def __init__(self, theme: Theme) -> None:
-        super().__init__(theme, "Share in contact over predicted p")
+        super().__init__(theme, "Share in contact over p")
 
     def show_lines(self, lines: Sequence[CurveLine]) -> None:
         """Show one line per run: (mean predicted probability, share in contact)."""
@@ -161,13 +164,13 @@ class ReliabilityPlot(_TrainingPlot):
     def paint(self, painter: QPainter) -> None:
         """Draw the diagonal and the bins."""
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
+        if not any(one.points for one in self.lines):
+            self._draw_empty(painter)
+            return
         area = self._area((0.0, 1.0), (0.0, 1.0), 14.0)
         self._draw_axes(painter, area, whole=False)
         painter.setPen(QPen(self._theme.tokens.colour("muted"), 1, Qt.PenStyle.DotLine))
         painter.drawLine(area.rect.bottomLeft(), area.rect.topRight())
-        if not any(one.points for one in self.lines):
-            axes.draw_message(painter, self.rect(), self._theme, "", self.empty)
-            return
         painter.setFont(ui_font(self._theme.scale, 0.82, 500))
         height = painter.fontMetrics().height()
         for row, one in enumerate(self.lines):

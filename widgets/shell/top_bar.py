@@ -227,6 +227,9 @@ class TopBar(QFrame):
             self._second.addWidget(self._devices)
             self._second.addStretch(1)
         self._modes.setVisible(self._needed(()) <= room)
+        for layout in (self._devices.layout(), self.layout()):
+            if layout is not None:
+                layout.activate()  # else figures are elided until the next event
         self.updateGeometry()
 
     def _stop_px(self, text: str) -> int:

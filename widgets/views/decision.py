@@ -111,7 +111,7 @@ class TrialPanel(base.Panel):
         base.add_items(self.column, self.text, (self.picture, 1), self._ready, self._judging)
 
 
-ESTIMATED_MARGIN, TRUE_MARGIN = "estimated margin", "true margin"
+ESTIMATED_MARGIN, TRUE_MARGIN = "est. margin", "true margin"
 DECLINING = "Decline ends the trial; the piece stays in the gripper."
 
 

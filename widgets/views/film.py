@@ -226,7 +226,7 @@ class TimeLine(QWidget):
         """Draw recorded intervals, events with the words that fit, times, and the cursor."""
         painter, t, area = QPainter(self), self._theme.tokens, self.area()
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
-        painter.fillRect(self.rect(), t.colour("panel"))
+        painter.fillRect(self.rect().adjusted(0, 0, 1, 1), t.colour("panel"))
         painter.setFont(ui_font(self._theme.scale, 0.8))
         painter.fillRect(area.rect, t.colour("bg"))
         shade = blend(t.colour("bg"), t.colour("axis_x"), 0.4)

@@ -9,7 +9,7 @@ from itertools import product
 
 import cv2
 import numpy as np
-from PySide6.QtCore import QRectF, Qt
+from PySide6.QtCore import QRectF
 from PySide6.QtGui import QFontMetrics, QPainter, QPen
 
 from touchdown.backend.core import FloatArray
@@ -208,9 +208,8 @@ class SideView(PictureView):
         fill = t.colour("raised")
         fill.setAlpha(120)
         painter.setPen(QPen(t.colour("border"), 1))
-        for number, part in enumerate(scene.hand_parts_mm(axes)):
-            palm = number == 0 and axes == ABOVE
-            painter.setBrush(Qt.BrushStyle.NoBrush if palm else fill)
+        painter.setBrush(fill)
+        for part in scene.hand_parts_mm(axes):
             painter.drawPolygon(polygon_of(area.points(*part.T)))
         if scene.next_mm is not None and scene.piece is not None:
             piece, (x, y) = scene.piece, scene.next_mm

@@ -63,7 +63,7 @@ class SceneShotView(PictureView):
 
     def paint(self, painter: QPainter) -> None:
         """Draw pictures and outlines."""
-        painter.fillRect(self.rect(), self._theme.tokens.colour("bg"))
+        painter.fillRect(self.rect().adjusted(0, 0, 1, 1), self._theme.tokens.colour("bg"))
         if not self.shots:
             text = NO_PICTURE_DETAIL if self._why_empty == NO_PICTURE else ""
             draw_message(painter, self.rect(), self._theme, self._why_empty, text)

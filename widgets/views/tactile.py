@@ -236,7 +236,7 @@ class TactileView(PictureView):
 
     def paint(self, painter: QPainter) -> None:
         """Draw image, arrows, legend and age."""
-        painter.fillRect(self.rect(), self._theme.tokens.colour("bg"))
+        painter.fillRect(self.rect().adjusted(0, 0, 1, 1), self._theme.tokens.colour("bg"))
         if self._frame is None or self._age in (Age.NEVER, Age.GONE):
             text = self.never if self._frame is None else self.gone
             draw_message(painter, self.rect(), self._theme, text, self._reason)

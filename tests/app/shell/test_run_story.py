@@ -98,7 +98,7 @@ def test_decision_and_map_show_the_newest_probe(live, bench, page):
     assert page.belief.scene.belief.probes == 2
     assert len(page.strip.thumbnails) == 2
     assert page.belief.scene.truth is None
-    assert "probe 2" in page.belief_panel.detail.text()
+    assert "probe 2" in page.belief_panel.detail.toolTip()
 
 
 def test_looking_back_and_forward_again(live, bench, qtbot, page):
@@ -190,7 +190,7 @@ def test_an_outcome_stays_until_the_next_trial_has_a_map(live, bench, page):
     assert page.belief.scene.truth is None
     assert page.belief.scene.path == ((5.0, 1.0),)
     assert page.decision._result.text().endswith("Would fall here")
-    assert page.decision._caption.text() == "estimated margin"
+    assert page.decision._caption.text() == "est. margin"
 
 
 def test_a_new_run_empties_map_and_message(live, bench, page):

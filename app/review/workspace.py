@@ -144,7 +144,8 @@ class ReviewWorkspace(Workspace):
         notes = [f"Bookmark, trial {mark.trial}, {mark.t_s:.2f} s: {mark.note}"
                  for mark in self.presenter.bookmarks]  # fmt: skip
         facts, head = "\n".join((self.page.score.words, *notes)), self.presenter.story.head
-        picture = view_picture(self.page.shown, self._context.theme, caption)
+        with self._context.theme.on_paper(self.page.shown):
+            picture = view_picture(self.page.shown, self._context.theme, caption)
 
         def write(table: str) -> None:
             text = report_html(caption, facts, picture, table, head)

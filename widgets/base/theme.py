@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from functools import cache
 from importlib.resources import files
@@ -138,6 +140,18 @@ class Theme:
             dressed.setStyleSheet(sheet)
         for widget in application.allWidgets():
             widget.update()
+
+    @contextmanager
+    def on_paper(self, view: QWidget) -> Iterator[None]:
+        """Draw ``view`` in the light theme for a while, as a page to read and print needs it."""
+        tokens, sheet = self.tokens, view.styleSheet()
+        self.tokens = LIGHT
+        view.setStyleSheet(make_style_sheet(LIGHT, BASE_POINTS * self.scale))
+        try:
+            yield
+        finally:
+            self.tokens = tokens
+            view.setStyleSheet(sheet)
 
     def _take(self, application: QApplication, name: ThemeName, scale: float) -> None:
         self.tokens = TOKENS[name]

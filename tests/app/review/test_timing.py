@@ -341,7 +341,14 @@ def test_pictures_tables_and_pages_hold_what_is_shown(told, tmp_path):
     assert f"{float(last['margin_mm']):+.1f} mm" == review.page.decision._margin.text()
     assert f"IoU {float(last['iou']):.2f}" in review.page.estimate.text()
     picture = base64.b64decode(root.find(".//img").get("src").partition(",")[2])
-    assert QImage.fromData(picture).width() == review.page.shown.width()
+    shown = QImage.fromData(picture)
+    assert shown.width() == review.page.shown.width()
+    # A page is light, the window stays dark: corners of the picture and of a panel.
+    theme, panel = review.main.theme, review.page.signals_panel
+    at = panel.mapTo(review.page.shown, QPoint(5, 5 + shown.height() - review.page.shown.height()))
+    assert theme.tokens.name == "dark"
+    assert (shown.pixelColor(2, 2).name(), shown.pixelColor(at).name()) == ("#ffffff", "#f2f4f6")
+    assert panel.grab().toImage().pixelColor(5, 5).name() == theme.tokens.panel.lower()
     assert root.find(".//h1").text.startswith("Run 2026")
     said = "\n".join(line.text or "" for line in root.iter("p"))
     assert "1 of 1 placed" in said

@@ -23,7 +23,7 @@ from touchdown.backend.experiments.trials import BatchTrialResult
 from touchdown.backend.geometry import rings_of
 
 WIDTH_PX = 230
-BAR_MM = 6.0  # width of the colour bar beside a belief map of 40 mm
+BAR_MM = 7.0  # width of the colour bar beside a belief map of 40 mm
 ARROW_GAIN = 3  # drawn length of a displacement of a marker over the real one
 
 
@@ -101,21 +101,23 @@ def wrench_svg(episode: core.Episode) -> str:
     """Return the 10 Hz forces of one probe in N over the 2 s after contact."""
     force = episode.observation[:, 252:255].astype(np.float64)
     top = max(1.0, float(np.nanmax(np.abs(force))))
-    lines, names = [], []
+    texts = [(0, 8, "start", document.INK, "F (N) over time after contact (s)")]
+    rows = (17, f"+{top:.1f}"), (37, "0"), (57, f"\N{MINUS SIGN}{top:.1f}")
+    texts += [(24, y, "end", document.INK, text) for y, text in rows]
+    texts += [(26 + 88 * t_s, 69, "middle", document.INK, f"{t_s}") for t_s in range(3)]
+    lines = [f'<path d="M26 14v40h176M26 34h176" stroke="{document.FAINT}" fill="none"/>']
     for axis, colour in enumerate((document.BLUE, document.ORANGE, document.VIOLET)):
-        names.append(f'<text x="{10 + 18 * axis}" y="62" font-size="9" fill="{colour}">')
-        names.append(f"F{'xyz'[axis]}</text>")
+        texts.append((164 + 15 * axis, 8, "start", colour, f"F{'xyz'[axis]}"))
         points = " ".join(
-            f"{10 * (k + 1):.1f},{30 - 26 * v / top:.1f}" for k, v in enumerate(force[:, axis])
+            f"{26 + 8.8 * (k + 1):.1f},{34 - 20 * v / top:.1f}"
+            for k, v in enumerate(force[:, axis])
         )
         lines.append(f'<polyline points="{points}" fill="none" stroke="{colour}"/>')
+    words = (f'<text x="{x}" y="{y}" font-size="9" text-anchor="{anchor}" fill="{colour}">{text}'
+             "</text>" for x, y, anchor, colour, text in texts)  # fmt: skip
     return (
-        f'<svg viewBox="0 0 210 64" width="{WIDTH_PX}" height="70" role="img" '
-        f'aria-label="Forces of the probe">'
-        '<path d="M10 30h195" stroke="#76818C" stroke-width="0.5"/>'
-        + "".join((*lines, *names))
-        + '<text x="66" y="62" font-size="9" fill="#55606B">'
-        + f"axis ±{top:.1f} N, 0 to 2 s after contact</text></svg>"
+        f'<svg viewBox="0 0 210 72" width="{WIDTH_PX}" height="79" role="img" '
+        f'aria-label="Forces of the probe">{"".join((*lines, *words))}</svg>'
     )
 
 

@@ -185,7 +185,9 @@ class TopBar(QFrame):
         chips.addLayout(_two(self._servo_title, self.servo))
         self._row.insertWidget(3, self._devices)
         self._second = hbox()
-        vbox(self._row, self._second, parent=self, margins=(MARGIN, 7, MARGIN, 7), spacing=6)
+        rows = vbox(self._row, self._second, parent=self, margins=(MARGIN, 7, MARGIN, 7), spacing=6)
+        rows.setSizeConstraint(rows.SizeConstraint.SetNoConstraint)  # ``fit`` leaves out parts
+        self._layouts = chips, rows
         self.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Fixed)
 
     def minimumSizeHint(self) -> QSize:
@@ -227,9 +229,8 @@ class TopBar(QFrame):
             self._second.addWidget(self._devices)
             self._second.addStretch(1)
         self._modes.setVisible(self._needed(()) <= room)
-        for layout in (self._devices.layout(), self.layout()):
-            if layout is not None:
-                layout.activate()  # else figures are elided until the next event
+        for layout in self._layouts:
+            layout.activate()  # else figures are elided until the next event
         self.updateGeometry()
 
     def _stop_px(self, text: str) -> int:

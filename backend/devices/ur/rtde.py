@@ -13,9 +13,9 @@ import math
 import struct
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, TypeAlias
 
 from touchdown.backend.config import HardwareSettings
 from touchdown.backend.core import FaultError
@@ -73,112 +73,10 @@ class StopConnection:
 
 RUNNING, NORMAL, REDUCED = 7, 1, 2  # robot mode, and the two safety modes in which the arm may move
 
-
-class ControlInterface(Protocol):
-    """``rtde_control.RTDEControlInterface``: one caller at a time."""
-
-    def servoL(  # noqa: N802
-        self,
-        pose: Sequence[float],
-        speed: float,
-        acceleration: float,
-        time: float,
-        lookahead_time: float,
-        gain: float,
-        /,
-    ) -> bool:
-        """Move to a pose in base axes within ``time``; command of one cycle."""
-
-    def servoStop(self, a: float = 10.0) -> bool:  # noqa: N802
-        """Brake with ``a`` m/s² and leave servo mode."""
-
-    def setTcp(self, offset: Sequence[float], /) -> bool:  # noqa: N802
-        """Set the tool: transform from the flange to the point of all poses."""
-
-    def isPoseWithinSafetyLimits(self, pose: Sequence[float], /) -> bool:  # noqa: N802
-        """Return True if a pose is within the robot's own safety planes."""
-
-    def isProgramRunning(self) -> bool:  # noqa: N802
-        """Return True while the script of this interface runs on the controller."""
-
-    def reuploadScript(self) -> bool:  # noqa: N802
-        """Restart the script."""
-
-    def setWatchdog(self, min_frequency: float = 10.0) -> bool:  # noqa: N802
-        """Make the controller stop if ``kickWatchdog`` is called less often than this, Hz."""
-
-    def kickWatchdog(self) -> bool:  # noqa: N802
-        """Reset the watchdog."""
-
-    def stopScript(self) -> None:  # noqa: N802
-        """End the script on the controller."""
-
-    def disconnect(self) -> None:
-        """Close."""
-
-
-class ReceiveInterface(Protocol):
-    """``rtde_receive.RTDEReceiveInterface``."""
-
-    def getActualTCPPose(self) -> Sequence[float]:  # noqa: N802
-        """x, y, z in m and a rotation vector in rad, in base axes."""
-
-    def getTimestamp(self) -> float:  # noqa: N802
-        """Time since the controller was started, s."""
-
-    def getRobotMode(self) -> int:  # noqa: N802
-        """7 while the motors are on."""
-
-    def getSafetyMode(self) -> int:  # noqa: N802
-        """1 normal, 2 reduced; others are stops."""
-
-    def isEmergencyStopped(self) -> bool:  # noqa: N802
-        """Return True while an emergency stop is pressed."""
-
-    def getFtRawWrench(self) -> Sequence[float]:  # noqa: N802
-        """Return forces in N and torques in N·m, flange axes, including the payload."""
-
-    def getSpeedScaling(self) -> float:  # noqa: N802
-        """Share of every commanded speed, by the slider of the teach pendant."""
-
-    def isConnected(self) -> bool:  # noqa: N802
-        """Return True while data arrives."""
-
-    def disconnect(self) -> None:
-        """Close."""
-
-
-class DashboardInterface(Protocol):
-    """``dashboard_client.DashboardClient``: power and brakes."""
-
-    def connect(self, timeout_ms: int = 2000) -> None:
-        """Connect."""
-
-    def getSerialNumber(self) -> str:  # noqa: N802
-        """Return the number of the robot."""
-
-    def getRobotModel(self) -> str:  # noqa: N802
-        """Such as UR5."""
-
-    def polyscopeVersion(self) -> str:  # noqa: N802
-        """Version of its software."""
-
-    def powerOn(self) -> None:  # noqa: N802
-        """Power up, brakes on."""
-
-    def brakeRelease(self) -> None:  # noqa: N802
-        """Release the brakes."""
-
-    def powerOff(self) -> None:  # noqa: N802
-        """Motors off, brakes on."""
-
-    def stop(self) -> None:
-        """End the script on the controller, which brakes the arm; raises ``RuntimeError`` if
-        none runs.
-        """
-
-    def disconnect(self) -> None:
-        """Close."""
+# Classes of ur_rtde, which has no types.
+ControlInterface: TypeAlias = Any  # rtde_control.RTDEControlInterface: one caller at a time
+ReceiveInterface: TypeAlias = Any  # rtde_receive.RTDEReceiveInterface
+DashboardInterface: TypeAlias = Any  # dashboard_client.DashboardClient: power, brakes, stop
 
 
 @dataclass(frozen=True, slots=True)

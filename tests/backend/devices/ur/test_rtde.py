@@ -252,17 +252,21 @@ def test_the_package_has_what_the_driver_calls():
     control = pytest.importorskip("rtde_control").RTDEControlInterface
     receive = pytest.importorskip("rtde_receive").RTDEReceiveInterface
     dashboard = pytest.importorskip("dashboard_client").DashboardClient
-    for ours, theirs in (
-        (rtde.ControlInterface, control),
-        (rtde.ReceiveInterface, receive),
-        (rtde.DashboardInterface, dashboard),
-    ):
-        for name, method in vars(ours).items():
-            if name.startswith("_"):
-                continue
+    # Names and numbers of arguments.
+    called = {
+        control: {"servoL": 6, "servoStop": 1, "setTcp": 1, "isPoseWithinSafetyLimits": 1,
+                  "isProgramRunning": 0, "reuploadScript": 0, "setWatchdog": 1, "kickWatchdog": 0,
+                  "stopScript": 0, "disconnect": 0},
+        receive: {"getActualTCPPose": 0, "getTimestamp": 0, "getRobotMode": 0, "getSafetyMode": 0,
+                  "isEmergencyStopped": 0, "getFtRawWrench": 0, "getSpeedScaling": 0,
+                  "isConnected": 0, "disconnect": 0},
+        dashboard: {"connect": 1, "getSerialNumber": 0, "getRobotModel": 0, "polyscopeVersion": 0,
+                    "powerOn": 0, "brakeRelease": 0, "powerOff": 0, "stop": 0, "disconnect": 0},
+    }  # fmt: skip
+    for theirs, methods in called.items():
+        for name, count in methods.items():
             told = (getattr(theirs, name).__doc__ or "").splitlines()[0]
-            asked = len(inspect.signature(method).parameters) - 1
-            assert told.count(":") - told.count("Flags") >= asked, (name, told)
+            assert told.count(":") - told.count("Flags") >= count, (name, told)
     with pytest.raises(RuntimeError):
         rtde.open_robot("127.0.0.1", 125.0)
 

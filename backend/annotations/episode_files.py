@@ -418,10 +418,12 @@ RANDOM_BITS = 74
 
 @dataclass(frozen=True, slots=True)
 class PackEntry:
-    """One episode of a pack: id, position and label message."""
+    """One episode of a pack: id, position, hash and label message."""
 
     uuid: str
-    chunk: StoredChunk
+    offset: int
+    length: int
+    sha256: str
     label: Mapping[str, Any]
 
 
@@ -461,7 +463,7 @@ def read_pack_chunks(path: Path) -> Iterator[PackEntry]:
         with input_errors(path):
             label = unpack_json(messages[0])
             label_of(label)
-            yield PackEntry(_packed_uuid(chunk), chunk, label)
+            yield PackEntry(_packed_uuid(chunk), chunk.offset, chunk.length, chunk.sha256, label)
 
 
 def read_packed(path: Path, chunk: tuple[int, int]) -> Episode:
@@ -503,7 +505,7 @@ def _compare_pack(
         yield ConsistencyProblem("double", name, message, lambda _: quarantine_file(parts, path))
         return
     found |= elsewhere
-    changed = [p for p in listed if there.get(p.uuid) != (name, p.chunk.offset, "complete")]
+    changed = [p for p in listed if there.get(p.uuid) != (name, p.offset, "complete")]
     lost = [u for u, row in there.items() if row[0] == name and row[2] == "complete"]
     lost = sorted(set(lost) - {p.uuid for p in listed})
     if lost:
@@ -523,18 +525,17 @@ def enter_pack(
     """Insert rows and first labels of packed episodes as one operation; known ones are moved."""
     catalogue = load_pieces()
     name, size = parts.name(path), path.stat()
-    series = uuid7_from_parts(0, int(listed[0].chunk.sha256[:16], 16))
+    series = uuid7_from_parts(0, int(listed[0].sha256[:16], 16))
     bench = json.dumps({"pack": name, "bytes": size.st_size})
     connection.execute("DELETE FROM series WHERE uuid = ?", (series,))
     values = (series, size.st_mtime_ns, "", "", MODE, bench)
     connection.execute("INSERT INTO series VALUES (?, ?, ?, ?, ?, ?)", values)
     revisions = []
     for packed in listed:
-        length = packed.chunk.length
         moved = connection.execute(
             "UPDATE episode SET path = ?, chunk_off = ?, chunk_len = ?, bytes = ?,"
             " state = 'complete' WHERE uuid = ?",
-            (name, packed.chunk.offset, length, length, packed.uuid),
+            (name, packed.offset, packed.length, packed.length, packed.uuid),
         )
         if moved.rowcount:
             continue
@@ -555,7 +556,7 @@ def enter_pack(
 def _packed_row(
     packed: PackEntry, series: str, name: str, recorded_ns: int, geometry: str
 ) -> dict[str, Any]:
-    label, chunk = packed.label, packed.chunk
+    label = packed.label
     words = ("piece", "bottom", "grip_id", "mounting_id", "person")
     return {
         **{word: str(label[word]) for word in words},
@@ -565,11 +566,11 @@ def _packed_row(
         "plan_item": None,
         "kind": "pack",
         "path": name,
-        "chunk_off": chunk.offset,
-        "chunk_len": chunk.length,
+        "chunk_off": packed.offset,
+        "chunk_len": packed.length,
         "crc": None,
-        "sha256": chunk.sha256,
-        "bytes": chunk.length,
+        "sha256": packed.sha256,
+        "bytes": packed.length,
         "recorded_ns": recorded_ns,
         "geometry": geometry,
         "mode": MODE,

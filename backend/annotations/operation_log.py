@@ -313,6 +313,7 @@ def newest_operations(connection: sqlite3.Connection) -> dict[str, tuple[int, st
 
 
 TAIL_BYTES = 65_536
+LINES_PER_WRITE = 100  # the operation of a pack has the revisions of 500 episodes
 
 
 class OperationJournal:
@@ -338,15 +339,16 @@ class OperationJournal:
         last = None if rewritten else self._written.get(site)
         if last is None:
             last = _cut_torn_line(path)
-        missing = read_operations(connection, "site = ? AND seq > ?", (site, last))
-        if missing:
-            # Unknown until written, so that the next call looks again after a failure.
-            self._written.pop(site, None)
+        # Unknown until written, so that the next call looks again after a failure.
+        self._written.pop(site, None)
+        first, where = last, "site = ? AND seq > ? AND seq <= ?"
+        while missing := read_operations(connection, where, (site, last, last + LINES_PER_WRITE)):
             # not ``asdict``, which copies the body of a bulk operation
             rows = ({name: getattr(operation, name) for name in FIELDS} for operation in missing)
             append_line(path, b"\n".join(map(canonical_json, rows)))
-        self._written[site] = missing[-1].seq if missing else last
-        return len(missing)
+            last = missing[-1].seq
+        self._written[site] = last
+        return last - first
 
 
 def read_journal(path: Path) -> Iterator[Operation]:

@@ -10,10 +10,10 @@ import time
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from contextlib import closing, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from functools import partial
-from itertools import zip_longest
+from itertools import islice, zip_longest
 from pathlib import Path
 
 from touchdown.backend.annotations import episode_files, operation_log, review
@@ -255,7 +255,8 @@ LEFTOVERS = (
     ("runs/*", ".*.part"),
     (".", ".rebuilt.db*"),
 )
-REPAIRS_PER_TRANSACTION = 500  # an unmounted disk causes thousands of repairs
+# An unmounted disk causes thousands of repairs, and each new pack brings the rows of 500 episodes.
+REPAIRS_PER_TRANSACTION = 100
 BUSY_S = 60.0  # a cache changed more recently than this is in use
 
 
@@ -311,9 +312,9 @@ def reconcile(
     reported: list[ConsistencyProblem] = []
     for check in _checks(parts, whole):
         known = {problem.target for problem in reported}
-        found = [problem for problem in check if not (problem.lasting and problem.target in known)]
-        for start in range(0, len(found), REPAIRS_PER_TRANSACTION):
-            reported += _repaired(parts, found[start : start + REPAIRS_PER_TRANSACTION], again)
+        found = (problem for problem in check if not (problem.lasting and problem.target in known))
+        while batch := list(islice(found, REPAIRS_PER_TRANSACTION)):
+            reported += _repaired(parts, batch, again)
     with parts.database.reading() as connection:
         sites = list(newest_operations(connection))
     for site in sites:
@@ -337,7 +338,7 @@ def _repaired(
                 finding.repair(connection)
                 body = {"said": finding.message, "open": finding.stays_listed}
                 add_event(connection, PROGRAM_ACTOR, finding.kind, finding.target, body)
-                reported.append(finding)
+                reported.append(replace(finding, repair=None))  # it holds the rows of a pack
             except (InputError, OSError, sqlite3.IntegrityError) as error:
                 connection.execute("ROLLBACK TO one")
                 message = f"{finding.message} That failed: {error}"

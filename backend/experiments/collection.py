@@ -21,7 +21,8 @@ from touchdown.backend.geometry import Piece, Tower, face_points, load_pieces
 from touchdown.backend.jobs import JobContext, JobSpec, JobStore
 from touchdown.backend.simulation import BatchPlan, EpisodeBatch, simulate_episodes
 
-GRIPS_PER_JOB = 20  # grips solved in one batch
+GRIPS_PER_JOB = range(20, 101)  # grips solved in one batch; beyond 100 it is not faster
+JOBS_PER_PLAN = 4  # least number of jobs of a plan that has more grips than one small job
 PROBES_PER_JOB = 128  # least number of probes of a job
 
 
@@ -79,8 +80,9 @@ def batch_plan(  # noqa: PLR0913 - each is a value of the plan
 def split_jobs(
     plan: BatchPlan, label: Mapping[str, object], folder: Path, start_ns: int | None = None
 ) -> list[CollectionJob]:
-    """Split a plan into jobs."""
-    size = max(GRIPS_PER_JOB, -(-PROBES_PER_JOB // plan.probes_per_grip))
+    """Split a plan into jobs; those of a large plan have more grips, which is faster."""
+    size = min(max(plan.grips // JOBS_PER_PLAN, GRIPS_PER_JOB[0]), GRIPS_PER_JOB[-1])
+    size = max(size, -(-PROBES_PER_JOB // plan.probes_per_grip))
     stem = f"{plan.piece}-{plan.bottom}"
     return [
         CollectionJob(

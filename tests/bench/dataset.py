@@ -30,6 +30,7 @@ from touchdown.backend.annotations.training_set import (
     stored_observation,
 )
 from touchdown.backend.config import load_simulation
+from touchdown.backend.core import write_atomically
 from touchdown.backend.episodes.mcap_container import read_chunks
 from touchdown.backend.episodes.packs import MAX_EPISODES, PackedEpisode, PackWriter
 from touchdown.backend.experiments.collection import batch_plan, episode_rows, split_jobs
@@ -373,46 +374,115 @@ def exports_read_by_others() -> list[Figure]:
 
 
 MILLION = int(os.environ.get("EPISODES", "1000000"))
+PART = 100_000  # simulated by one call
+BOTTOMS = "circle15,circle25,square15,hex20"
+START = "2026-01-01T00:00:00Z"
 PAGE, PAGES, QUERY_MS, FIRST_MS = 200, 300, 20.0, 100.0
+
+
+@contextmanager
+def _catalogue_folder() -> Iterator[Path]:
+    """Return the folder of the variable CATALOGUE, which is kept, or a new one."""
+    if kept := os.environ.get("CATALOGUE"):
+        yield Path(kept)
+        return
+    with scratch() as folder:
+        yield folder
+
+
+def _simulate(folder: Path, count: int) -> tuple[float, float]:
+    """Write the packs that are missing of ``count`` episodes; return (episodes, seconds).
+
+    These two leave out calls that were interrupted and continued.
+    """
+    episodes = seconds = 0.0
+    (folder / "packs").mkdir(parents=True, exist_ok=True)
+    for seed, first in enumerate(range(0, count, PART)):
+        part, told = folder / "parts" / str(seed), folder / "parts" / f"{seed}.json"
+        each = min(PART, count - first) // len(BOTTOMS.split(","))
+        if not told.exists():
+            anew = not part.exists()
+            words = ["simulate", "--piece", "pot", "--bottoms", BOTTOMS, "--episodes", str(each),
+                     "--seed", str(seed), "--start", START, "--out", str(part),
+                     "--json"]  # fmt: skip
+            done = subprocess.run([sys.executable, "-m", "touchdown", *words], cwd=ROOT, check=True,
+                                  capture_output=True, text=True)  # fmt: skip
+            answer = json.loads(done.stdout)
+            write_atomically(told, json.dumps({**answer, "whole": anew}).encode())
+        for path in part.glob("*.mcap"):
+            path.replace(folder / "packs" / f"{seed:03d}-{path.name}")
+        answer = json.loads(told.read_text())
+        if answer["whole"]:
+            episodes, seconds = episodes + answer["episodes"], seconds + answer["seconds"]
+    return episodes, seconds
+
+
+def index(folder: Path) -> None:
+    """Enter the new packs and print episodes, seconds and memory: run in a process of its own."""
+    with closing(sqlite3.connect(folder / "catalog.db")) as connection:
+        known = connection.execute("SELECT count(*) FROM sqlite_master").fetchone()[0]
+        sql = "SELECT count(*) FROM episode"
+        before = connection.execute(sql).fetchone()[0] if known else 0
+        begun_s = time.perf_counter()
+        Dataset.open(folder).close()
+        seconds = time.perf_counter() - begun_s
+        episodes = connection.execute(sql).fetchone()[0] - before
+    memory_gb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
+    answer = {"episodes": episodes, "seconds": seconds, "memory_gb": memory_gb}
+    sys.stdout.write(json.dumps(answer))
+
+
+def _index(folder: Path) -> tuple[float, float, float]:
+    """Enter the new packs; return (episodes, seconds, GB of memory) of the last call that did."""
+    code = "import sys; from tests.bench import dataset; dataset.index(dataset.Path(sys.argv[1]))"
+    done = subprocess.run([sys.executable, "-c", code, str(folder)], cwd=ROOT, check=True,
+                          capture_output=True, text=True)  # fmt: skip
+    answer, told = json.loads(done.stdout), folder / "indexed.json"
+    if answer["episodes"] or not told.exists():
+        write_atomically(told, json.dumps(answer).encode())
+    answer = json.loads(told.read_text())
+    return answer["episodes"], answer["seconds"], answer["memory_gb"]
+
+
+def _browsing(folder: Path) -> tuple[float, float, dict[str, list[float]]]:
+    """Return the seconds of opening, the ms of the first page, and those of each kind of query."""
+    begun_s = time.perf_counter()
+    with Dataset.open(folder) as dataset:
+        open_s = time.perf_counter() - begun_s
+        first = _times_ms(lambda: dataset.episodes(EpisodeFilter(limit=PAGE)), 1)[0]
+        places = [uuid for (uuid,) in dataset.parts.database.rows("SELECT uuid FROM episode")]
+        rng = np.random.default_rng(0)
+        queries: dict[str, list[float]] = {"page": [], "page of a bottom": [], "next": []}
+        for _ in range(PAGES):
+            place = places[int(rng.integers(len(places)))]
+            page = EpisodeFilter(after=place, limit=PAGE)
+            part = EpisodeFilter(after=place, limit=PAGE, bottom="circle25")
+            queries["page"] += _times_ms(lambda page=page: dataset.episodes(page), 1)
+            queries["page of a bottom"] += _times_ms(lambda p=part: dataset.episodes(p), 1)
+            queries["next"] += _times_ms(lambda: dataset.queue("unlabelled", "zoe", limit=1), 1)
+    return open_s, first, queries
 
 
 @figure("catalogue")
 def catalogue_of_simulated_episodes() -> list[Figure]:
     """Simulate a large catalogue, index it, browse it and stream it to training.
 
-    The variable EPISODES sets the number of episodes (default: 1,000,000).
+    The variable EPISODES sets the number of episodes (default: 1,000,000). With CATALOGUE, a
+    folder, an interrupted call is continued there, and a larger number builds on a smaller one.
     """
-    count = MILLION - MILLION % 3
+    count = MILLION - MILLION % len(BOTTOMS.split(","))
     name = f"{count:,} simulated episodes"
-    with scratch() as folder:
-        words = ["simulate", "--piece", "pot", "--bottoms", "circle15,circle25,square15",
-                 "--episodes", str(count // 3), "--out", str(folder / "packs"),
-                 "--json"]  # fmt: skip
-        done = subprocess.run([sys.executable, "-m", "touchdown", *words], cwd=ROOT, check=True,
-                              capture_output=True, text=True)  # fmt: skip
-        made_s = json.loads(done.stdout)["seconds"]
+    with _catalogue_folder() as folder:
+        made, made_s = _simulate(folder, count)
         size = sum(path.stat().st_size for path in (folder / "packs").glob("*.mcap"))
-        begun_s = time.perf_counter()
-        Dataset.open(folder).close()
-        indexed_s = time.perf_counter() - begun_s
-        begun_s = time.perf_counter()
-        with Dataset.open(folder) as dataset:
-            open_s = time.perf_counter() - begun_s
-            first = _times_ms(lambda: dataset.episodes(EpisodeFilter(limit=PAGE)), 1)[0]
-            entries = dataset.episodes(EpisodeFilter(limit=20_000))
-            rng, after = np.random.default_rng(0), [entry.uuid for entry in entries]
-            queries: dict[str, list[float]] = {"page": [], "page of a bottom": [], "next": []}
-            for _ in range(PAGES):
-                place = after[int(rng.integers(len(after)))]
-                page = EpisodeFilter(after=place, limit=PAGE)
-                part = EpisodeFilter(after=place, limit=PAGE, bottom="circle25")
-                queries["page"] += _times_ms(lambda page=page: dataset.episodes(page), 1)
-                queries["page of a bottom"] += _times_ms(lambda p=part: dataset.episodes(p), 1)
-                queries["next"] += _times_ms(lambda: dataset.queue("unlabelled", "zoe", limit=1), 1)
+        indexed, indexed_s, index_gb = _index(folder)
+        open_s, first, queries = _browsing(folder)
         catalogue = (folder / "catalog.db").stat().st_size
+        shutil.rmtree(folder / "cache", ignore_errors=True)
         begun_s = time.perf_counter()
         rows = load_training_set(folder, "pot", "drafts")
         cached_s = time.perf_counter() - begun_s
+        rng = np.random.default_rng(0)
         listed = [rng.integers(0, len(rows), BATCH) for _ in range(400)]
         begun_s = time.perf_counter()
         for index in listed:
@@ -420,17 +490,22 @@ def catalogue_of_simulated_episodes() -> list[Figure]:
         streamed = len(listed) * BATCH / (time.perf_counter() - begun_s)
         assert len(rows) == count
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
+    load = f"load of the machine {os.getloadavg()[2]:.1f}"
     return [
-        stated(f"{name}: made, two processes", count / made_s, "episodes/s", f"{made_s:.0f} s"),
+        *([stated(f"{name}: made, two processes", made / made_s, "episodes/s",
+                  f"{made:,.0f} in {made_s:.0f} s; {load}")] if made else []),
         stated(f"{name}: packs", size / count, "bytes an episode"),
         stated(f"{name}: catalogue", catalogue / count, "bytes an episode"),
-        stated(f"{name}: indexed", count / indexed_s, "episodes/s", f"{indexed_s:.0f} s"),
-        stated(f"{name}: opened again", open_s, "s"),
+        *([stated(f"{name}: indexed", indexed / indexed_s, "episodes/s",
+                  f"{indexed:,.0f} in {indexed_s:.0f} s; {load}")] if indexed else []),
+        stated(f"{name}: largest memory while indexing", index_gb, "GB"),
+        stated(f"{name}: opened again", open_s, "s", load),
         at_most(f"{name}: first page of {PAGE}", first, "ms", FIRST_MS),
         *(at_most(f"{name}: {key}, p99", float(np.percentile(times, 99)), "ms", QUERY_MS,
-                  f"{PAGES} queries, median {np.median(times):.2g}")
+                  f"{PAGES} queries, median {np.median(times):.2g}; {load}")
           for key, times in queries.items()),
         stated(f"{name}: training cache", count / cached_s, "episodes/s", f"{cached_s:.0f} s"),
-        stated(f"{name}: streamed to training, random batches of {BATCH}", streamed, "episodes/s"),
-        stated(f"{name}: largest memory of the process", memory, "GB"),
+        stated(f"{name}: streamed to training, random batches of {BATCH}", streamed, "episodes/s",
+               load),
+        stated(f"{name}: largest memory of the training", memory, "GB"),
     ]  # fmt: skip

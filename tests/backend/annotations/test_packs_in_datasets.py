@@ -22,7 +22,7 @@ import pytest
 
 from tests.backend.annotations.conftest import add, context_for, flip_byte, small_episode
 from touchdown.app.shell.datasets import open_dataset
-from touchdown.backend.annotations import storage
+from touchdown.backend.annotations import episode_files, operation_log, reconciliation, storage
 from touchdown.backend.annotations.dataset import Dataset
 from touchdown.backend.annotations.rebuild import rebuild_dataset
 from touchdown.backend.annotations.reconciliation import check_dataset, reconcile
@@ -377,6 +377,33 @@ def test_a_pack_becomes_episodes_with_commanded_drafts(folder):
             sent.add(tuple(int(v) for v in rng.integers(-8000, 8000, 2)))
             rng.normal(size=(20, 258))
         assert {(head.label.x_um, head.label.y_um) for head in heads} == sent
+    assert calm(folder)
+
+
+def test_many_packs_are_entered_in_batches_and_not_all_read_before(folder, monkeypatch):
+    steps = []
+    read, enter = episode_files.read_pack_chunks, episode_files.enter_pack
+    for seed in range(5, 9):
+        write_pack(folder / "packs" / f"{seed}.mcap", seed=seed)
+    monkeypatch.setattr(reconciliation, "REPAIRS_PER_TRANSACTION", 2)
+    monkeypatch.setattr(operation_log, "LINES_PER_WRITE", 2)
+    monkeypatch.setattr(
+        episode_files, "read_pack_chunks", lambda path: (steps.append("read"), read(path))[1]
+    )
+    monkeypatch.setattr(
+        episode_files, "enter_pack", lambda *given: (steps.append("enter"), enter(*given))
+    )
+    with Dataset.open(folder) as dataset:
+        assert steps == ["read", "read", "enter", "enter"] * 2 + ["read", "enter"]
+        assert all(problem.repair is None for problem in dataset.problems)
+        journal = dataset.journal.path(dataset.description.site)
+        assert [operation.seq for operation in operation_log.read_journal(journal)] == [
+            1,
+            2,
+            3,
+            4,
+            5,
+        ]
     assert calm(folder)
 
 

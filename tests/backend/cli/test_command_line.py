@@ -465,6 +465,14 @@ def test_jobs_cover_every_grip_once() -> None:
         assert sum(job.episodes for job in jobs) == 1234
 
 
+def test_a_large_plan_has_wide_jobs_and_a_small_one_jobs_for_all_workers() -> None:
+    from tests.backend.simulation.test_batch import plan
+
+    for episodes, widest in ((2_000, 20), (6_000, 30), (100_000, 100)):
+        jobs = collection.split_jobs(plan(episodes=episodes, probes_per_grip=50), {}, None)
+        assert max(len(job.grips) for job in jobs) == widest
+
+
 TRIAL_KEYS = {"seed", "outcome", "reason", "probes", "excess_probes", "margin_mm", "contradicted"}
 OUTCOMES = {"placed", "fell", "knocked_over", "gave_up", "asked", "aborted"}
 

@@ -422,8 +422,9 @@ class Dataset:
         self, name: str, person: str, *, seed: int = 0, limit: int | None = None, wanted: str = ""
     ) -> list[str]:
         """Return the episodes of a queue for ``person``; ``wanted`` is the filter of "all"."""
-        found = queues.episode_queue(self.database, name, person, seed=seed, wanted=wanted)
-        return found[:limit]
+        return queues.episode_queue(
+            self.database, name, person, seed=seed, wanted=wanted, limit=limit
+        )
 
     def uuids(self) -> set[str]:
         """Return the ids of all episodes that are not deleted."""

@@ -413,6 +413,7 @@ PACKS = "packs"
 MODE = "mass"
 # Simulated episodes that fail a check are redrawn before they are packed.
 GOOD = EpisodeQuality(True, (), 0, 0.0, 0, 0.0, 0.0)
+GOOD_TEXT = json.dumps(asdict(GOOD))
 RANDOM_BITS = 74
 
 
@@ -530,7 +531,7 @@ def enter_pack(
     connection.execute("DELETE FROM series WHERE uuid = ?", (series,))
     values = (series, size.st_mtime_ns, "", "", MODE, bench)
     connection.execute("INSERT INTO series VALUES (?, ?, ?, ?, ?, ?)", values)
-    revisions = []
+    pairs, revisions = dict[tuple[str, ...], str](), []
     for packed in listed:
         moved = connection.execute(
             "UPDATE episode SET path = ?, chunk_off = ?, chunk_len = ?, bytes = ?,"
@@ -539,7 +540,10 @@ def enter_pack(
         )
         if moved.rowcount:
             continue
-        geometry = _pair(parts, catalogue, packed.label, path)
+        names = tuple(str(packed.label[word]) for word in ("piece", "bottom", "geometry"))
+        if names not in pairs:
+            pairs[names] = _pair(parts, catalogue, packed.label, path)
+        geometry = pairs[names]
         row = _packed_row(packed, series, name, size.st_mtime_ns, geometry)
         episode_index.insert_episode(connection, row)
         if not _has_label(connection, packed.uuid):
@@ -574,7 +578,7 @@ def _packed_row(
         "recorded_ns": recorded_ns,
         "geometry": geometry,
         "mode": MODE,
-        "quality": json.dumps(asdict(GOOD)),
+        "quality": GOOD_TEXT,
         "accepted": 1,
         "keep_frames": "none",
         "state": "complete",

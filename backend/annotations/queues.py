@@ -202,9 +202,15 @@ def _value(key: str, text: str) -> object:
 
 
 def episode_queue(
-    database: Database, name: str, person: str, *, seed: int = 0, wanted: str = ""
+    database: Database,
+    name: str,
+    person: str,
+    *,
+    seed: int = 0,
+    wanted: str = "",
+    limit: int | None = None,
 ) -> list[str]:
-    """Return the episodes of a queue for ``person``, in order, without deleted ones.
+    """Return the first ``limit`` episodes of a queue for ``person``, in order, none deleted.
 
     - unlabelled: not yet accepted, oldest first, skipped ones last
     - review: submitted by others; returned: own labels and probes that were rejected
@@ -225,21 +231,23 @@ def episode_queue(
         scored = f"LEFT JOIN {_VALID_SCORE}" if values["score"] else ""
         sql = (
             "SELECT e.uuid FROM episode e JOIN label_head h ON h.episode = e.uuid"  # noqa: S608
-            f" {revision} {scored} WHERE {where} ORDER BY {order}, e.uuid"
+            f" {revision} {scored} WHERE {where} ORDER BY {order}, e.uuid LIMIT :limit"
         )
-        return [uuid for (uuid,) in database.rows(sql, values)]
+        rows = database.rows(sql, {**values, "limit": -1 if limit is None else limit})
+        return [uuid for (uuid,) in rows]
     if name == "coverage":
-        return _coverage(database)
+        return _coverage(database)[:limit]
     if name in ("audit", "gold"):
         found = _drawn(_ids(database, name, person), seed)
         answered = _answered(database, person) if name == "gold" else ()
-        return [uuid for uuid in found if uuid not in answered]
-    return _ids(database, name, person)
+        return [uuid for uuid in found if uuid not in answered][:limit]
+    return _ids(database, name, person, limit)
 
 
-def _ids(database: Database, name: str, person: str) -> list[str]:
+def _ids(database: Database, name: str, person: str, limit: int | None = None) -> list[str]:
     values: dict[str, object] = {"person": person, "author": f"\n{person}\n", "name": name}
-    return [uuid for (uuid,) in database.rows(_QUERIES[name], values)]
+    values["limit"] = -1 if limit is None else limit
+    return [uuid for (uuid,) in database.rows(f"{_QUERIES[name]} LIMIT :limit", values)]
 
 
 def _coverage(database: Database) -> list[str]:

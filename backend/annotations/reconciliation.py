@@ -40,7 +40,8 @@ from touchdown.backend.annotations.values import (
 )
 from touchdown.backend.core import Fault, InputError, parse_json, write_atomically
 
-CHECKED_OPERATIONS = 500  # number of newest operations checked on opening; ``verify`` checks all
+# Newest operations checked on opening: number, and size of their bodies; ``verify`` checks all.
+CHECKED_OPERATIONS, CHECKED_CHARACTERS = 500, 2_000_000
 
 
 def check_labels(parts: DatasetParts, *, whole: bool) -> Iterator[ConsistencyProblem]:
@@ -50,7 +51,7 @@ def check_labels(parts: DatasetParts, *, whole: bool) -> Iterator[ConsistencyPro
     broken: set[str] = set()
     chains: dict[str, list[Operation]] = {}
     for site, (seq, _) in catalogue.items():
-        after = 0 if whole else max(0, seq - CHECKED_OPERATIONS)
+        after = 0 if whole else _first_checked(parts, site, seq)
         with parts.database.reading() as connection:
             chain = read_operations(connection, "site = ? AND seq >= ?", (site, after))
         start = (chain[0].seq, chain[0].hash) if after else (0, FIRST_HASH)
@@ -77,6 +78,19 @@ def check_labels(parts: DatasetParts, *, whole: bool) -> Iterator[ConsistencyPro
     if wrong:
         message = f"{len(wrong)} label heads did not follow from the revisions: rebuilt."
         yield ConsistencyProblem("heads", parts.database.path.name, message, review.rebuild_heads)
+
+
+def _first_checked(parts: DatasetParts, site: str, newest: int) -> int:
+    """Return the number of the operation after which all are checked on opening."""
+    least, characters = max(0, newest - CHECKED_OPERATIONS), 0
+    sql = "SELECT seq, length(body) FROM op WHERE site = ? AND seq > ? ORDER BY seq DESC"
+    with parts.database.reading() as connection:
+        # Read one by one: the operation of a pack has the labels of 500 episodes.
+        for seq, size in connection.execute(sql, (site, least)):
+            characters += size
+            if characters > CHECKED_CHARACTERS:
+                return int(seq)
+    return least
 
 
 # Tables that follow from the operations.

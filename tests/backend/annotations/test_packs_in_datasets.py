@@ -14,6 +14,7 @@ import threading
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -404,6 +405,17 @@ def test_many_packs_are_entered_in_batches_and_not_all_read_before(folder, monke
             4,
             5,
         ]
+        first_checked = partial(
+            reconciliation._first_checked, dataset.parts, dataset.description.site, 5
+        )
+        assert first_checked() == 0
+        (size,) = dataset.database.one("SELECT max(length(body)) FROM op")
+        monkeypatch.setattr(reconciliation, "CHECKED_CHARACTERS", 2.5 * size)
+        assert first_checked() == 3
+        for name in ("unlabelled", "coverage", "all"):
+            order = dataset.queue(name, "ann")
+            assert len(order) > 3
+            assert dataset.queue(name, "ann", limit=3) == order[:3]
     assert calm(folder)
 
 

@@ -106,7 +106,7 @@ def paper_on_the_default_bench() -> list[Figure]:
     return [
         at_least("placed, paper strategy", placed, "of 60", 50, note),
         at_most("released unsafely, paper strategy", unsafe, "of 60", 3, note),
-        at_most("decision latency p99, headless", p99, "ms", 10, decided),
+        at_most("decision latency p99, headless", p99, "ms", 7, decided),
     ]
 
 

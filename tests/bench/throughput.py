@@ -15,13 +15,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from tests.backend.devices.cameras.damage import NATIVE_CROP, SCENES, native_pictures
 from tests.backend.sensing.hard_clips import CLIPS, render
 from tests.backend.sensing.hard_clips import score as hard_score
 from tests.backend.sensing.known_truth import known_truth
 from tests.bench.figures import Figure, at_least, at_most, failures, figure, paired, stated
 from touchdown.backend.annotations.dataset import Dataset
 from touchdown.backend.bench.assembly import simulated_session
-from touchdown.backend.config import load_simulation
+from touchdown.backend.config import GelsightSettings, load_simulation
 from touchdown.backend.core import (
     GRID_COLS,
     TACTILE_CHANNELS,
@@ -29,10 +30,13 @@ from touchdown.backend.core import (
     MarkerState,
     TactileFrame,
 )
+from touchdown.backend.devices.cameras.frames import JpegStream, PictureFilter
+from touchdown.backend.devices.cameras.sources import CHUNK
 from touchdown.backend.experiments.trials import WORLDS, SceneSetup, probing_scene
 from touchdown.backend.geometry import load_pieces
 from touchdown.backend.runs import CollectRequest, RecordingOptions
 from touchdown.backend.sensing import read_pictures, track_frames
+from touchdown.backend.sensing.jpeg_damage import DamageCheckingTracker
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -328,3 +332,39 @@ def presses_of_mujoco() -> list[Figure]:
         stated("bench and MuJoCo apart, vertical force, median", float(force), "N", note),
         stated("bench and MuJoCo apart, moment, median", float(moment), "N·m", note),
     ]
+
+
+NATIVE_PICTURES, CAMERA_HZ, NATIVE_SHARE = 40, 25.0, 35.0
+
+
+@figure("peers")
+def native_streams() -> list[Figure]:
+    """Processor time of both cameras at native size: bytes, decoding, checks and tracking.
+
+    The share follows from the processor time of a picture, so that other programs do not count.
+    """
+    cv2.setNumThreads(1)
+    costs = []
+    for clip, at in SCENES:
+        pictures = native_pictures(clip, at, NATIVE_PICTURES)
+        stream = JpegStream()
+        gate = PictureFilter(
+            "left", "tactile_left", GelsightSettings(crop_fraction=NATIVE_CROP), 0.0
+        )
+        tracker, seen = DamageCheckingTracker("left"), 0
+        for k, content in enumerate(pictures):
+            begun_s = time.process_time()
+            for first in range(0, len(content), CHUNK):
+                for whole in stream.feed(content[first : first + CHUNK]):
+                    image = gate.judge(k / CAMERA_HZ, whole)
+                    if image is not None:
+                        frame = TactileFrame("left", k, k / CAMERA_HZ, image, from_jpeg=True)
+                        seen += tracker.track(frame) is not None
+            if k:  # the first one finds the grid
+                costs.append(time.process_time() - begun_s)
+        assert seen >= 0.9 * len(pictures), seen
+    share = 100.0 * 2.0 * CAMERA_HZ * float(np.mean(costs)) / 2.0
+    size = f"{1e-6 * len(pictures[-1]):.1f} MB a picture"
+    note = f"{1e3 * float(np.mean(costs)):.2g} ms a picture, {size}, {len(costs)} pictures"
+    return [at_most("two native 3280x2464 MJPG streams at 25 Hz, share of two cores", share, "%",
+                    NATIVE_SHARE, note)]  # fmt: skip

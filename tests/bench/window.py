@@ -3,13 +3,23 @@
 import contextlib
 import json
 import os
+import socket
 import subprocess
 import sys
 import sysconfig
+import threading
+import time
 from pathlib import Path
 from statistics import median
+from typing import Any, BinaryIO
+
+import psutil
 
 from tests.bench.figures import Figure, at_least, at_most, failures, figure, stated
+from touchdown.backend.bench import serve_live, simulated_bench
+from touchdown.backend.core import InputError
+from touchdown.backend.episodes import LIVE_TOPICS
+from touchdown.backend.runs import SceneChoice, SetRequest
 
 STARTS = 5  # fresh processes
 START_S = 160  # longest time from the command to the first measured second
@@ -168,3 +178,83 @@ def _answer(command: list[str], most_s: float) -> dict[str, float] | str:
     except (ValueError, IndexError):
         return (done.stderr.strip().splitlines() or ["no answer"])[-1]
     return figures
+
+
+LIVE_S, LIVE_SHARE = 20.0, 10.0
+HANDSHAKE = (
+    b"GET / HTTP/1.1\r\nHost: localhost\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+    b"Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Version: 13\r\n"
+    b"Sec-WebSocket-Protocol: foxglove.sdk.v1\r\n\r\n"
+)
+
+
+def read_everything(port: int, seconds: float) -> None:
+    """Subscribe to all topics of a live view and print the bytes received: a process of its own."""
+    with (
+        socket.create_connection(("127.0.0.1", port), 10.0) as client,
+        client.makefile("rb") as told,
+    ):
+        client.sendall(HANDSHAKE)
+        while told.readline().strip():
+            pass
+        channels: list[int] = []
+        while len(channels) < len(LIVE_TOPICS):
+            channels += [channel["id"] for channel in _frame(told).get("channels", ())]
+        wanted = [{"id": k, "channelId": channel} for k, channel in enumerate(channels)]
+        text = json.dumps({"op": "subscribe", "subscriptions": wanted}).encode()
+        # RFC 6455: a masked text frame with a length of 16 bits; the mask is zero.
+        client.sendall(b"\x81\xfe" + len(text).to_bytes(2, "big") + bytes(4) + text)
+        sys.stdout.write("subscribed\n")
+        sys.stdout.flush()
+        count, end_s = 0, time.monotonic() + seconds
+        while time.monotonic() < end_s:
+            count += len(client.recv(1 << 20))
+    sys.stdout.write(str(count))
+
+
+def _frame(told: BinaryIO) -> dict[str, Any]:
+    """Return the JSON object of the next frame, an empty one for a binary frame."""
+    head = told.read(2)
+    length = head[1]
+    if length >= 126:
+        length = int.from_bytes(told.read(2 if length == 126 else 8), "big")
+    content = told.read(length)
+    return dict(json.loads(content)) if head[0] == 0x81 else {}
+
+
+def _spent_s(process: psutil.Process, known: set[int]) -> float:
+    """Return the processor time of all threads that are not ``known``."""
+    times = [one.user_time + one.system_time for one in process.threads() if one.id not in known]
+    return float(sum(times))
+
+
+@figure("window")
+def live_view_with_one_client() -> list[Figure]:
+    """Processor time of the threads of the live view while one client reads all topics."""
+    name, process = "live view with one client, share of one core", psutil.Process()
+    with simulated_bench() as bench:
+        bench.run(SetRequest(SceneChoice("pot", ("short",), 1)))
+        bench.open()
+        before = {thread.id for thread in process.threads()}
+        try:
+            port = int(serve_live(bench, "127.0.0.1:0").rstrip(".").rpartition(":")[2])
+        except InputError as error:
+            return [Figure(name, None, "%", f"<= {LIVE_SHARE:g}", None, f"not measured: {error}")]
+        code = f"from tests.bench.window import read_everything; read_everything({port}, {LIVE_S})"
+        with subprocess.Popen(
+            [sys.executable, "-c", code],
+            cwd=Path(__file__).parents[2],
+            stdout=subprocess.PIPE,
+            text=True,
+        ) as client:
+            assert client.stdout is not None
+            assert client.stdout.readline() == "subscribed\n"
+            begun_s, begun = time.monotonic(), _spent_s(process, before)
+            clock_s = bench.clock_s()
+            threading.Event().wait(0.6 * LIVE_S)
+            took_s = time.monotonic() - begun_s
+            pace = (bench.clock_s() - clock_s) / took_s
+            share = 100.0 * (_spent_s(process, before) - begun) / took_s
+            received = int(client.communicate()[0])
+    note = f"{1e-6 * received / LIVE_S:.2g} MB/s received; bench at {pace:.2f} x real time"
+    return [at_most(name, share / max(pace, 1e-3), "%", LIVE_SHARE, note)]

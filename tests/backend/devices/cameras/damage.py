@@ -70,7 +70,7 @@ class DamagedStream:
         crop = NATIVE_CROP if native else 0.0
         self._settings = GelsightSettings(crop_fraction=crop)
         found = islice(read_pictures(GELSIGHT / clip), at - BEFORE, at + 1)
-        *before, last = [self._encoded(frame.image, native, quality) for frame in found]
+        *before, last = [encoded(frame.image, quality, native=native) for frame in found]
         self.content = last
         self._gate = PictureFilter("left", "tactile_left", self._settings, 0.0)
         self._tracker = DamageCheckingTracker("left")
@@ -102,13 +102,21 @@ class DamagedStream:
             return None
         return tracker.track(TactileFrame("left", k, PERIOD_S * k, image, from_jpeg=True))
 
-    def _encoded(self, image, native, quality):
-        if native:
-            kept = [round(side * (1 - 2 * NATIVE_CROP)) for side in NATIVE]
-            rows, columns = (round(side * NATIVE_CROP) for side in NATIVE[::-1])
-            image = cv2.resize(image, kept, interpolation=cv2.INTER_CUBIC)
-            image = cv2.copyMakeBorder(image, rows, rows, columns, columns, cv2.BORDER_REFLECT)
-        return cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes()
+
+def encoded(image: np.ndarray, quality: int = 90, *, native: bool) -> bytes:
+    """Return a picture as a camera sends it, enlarged to the native size with its border."""
+    if native:
+        kept = [round(side * (1 - 2 * NATIVE_CROP)) for side in NATIVE]
+        rows, columns = (round(side * NATIVE_CROP) for side in NATIVE[::-1])
+        image = cv2.resize(image, kept, interpolation=cv2.INTER_CUBIC)
+        image = cv2.copyMakeBorder(image, rows, rows, columns, columns, cv2.BORDER_REFLECT)
+    return cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes()
+
+
+def native_pictures(clip: str, at: int, count: int) -> list[bytes]:
+    """Return ``count`` pictures of a clip from number ``at`` on, at native size."""
+    found = islice(read_pictures(GELSIGHT / clip), at, at + count)
+    return [encoded(frame.image, native=True) for frame in found]
 
 
 def outcomes(kind: str, count: int, seed: int, *, native: bool = False) -> Counter[str]:

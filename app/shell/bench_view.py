@@ -21,7 +21,6 @@ from touchdown.widgets.views import (
     SideBody,
     SideScene,
     SideView,
-    rotation,
 )
 
 HOLD_S = 3.0  # time for which the end of a release stays visible, also into the next trial
@@ -139,7 +138,7 @@ class BenchViewPresenter:
             return None
         turn = self._turn()
         # The centre of the face lies below the grasp pivot, along the hand.
-        down = rotation(turn)[:, 2] * (piece.grip_height_mm or 0.0)
+        down = core.rotation_from_quaternion(turn)[:, 2] * (piece.grip_height_mm or 0.0)
         x_mm, y_mm, z_mm = (round(float(v), 2) for v in np.subtract(hand, down))
         return SideBody(piece.name, piece.face.half_extents_mm[0], 0.5 * piece.width_mm,
                         piece.height_mm, x_mm, z_mm, turn, y_mm=y_mm,

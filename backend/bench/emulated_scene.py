@@ -35,6 +35,8 @@ from touchdown.backend.core import (
     Finger,
     FloatArray,
     ImageArray,
+    Pose,
+    pose_rotation,
     rotation_vector,
     set_realtime_priority,
 )
@@ -270,8 +272,9 @@ class BenchFrame:
     def __init__(self, settings: MelfaSettings) -> None:
         yaw, hand = math.radians(settings.yaw_deg), math.radians(settings.hand_deg)
         self._origin_mm, self._tool_mm = np.array(settings.origin_mm), settings.tool_mm
-        self._turn = _about_z(yaw)
-        self._hand = _about_z(yaw + hand) @ np.diag([1.0, -1.0, -1.0])
+        self._turn = pose_rotation(Pose(0.0, 0.0, 0.0, rz_rad=yaw))
+        hand_turn = pose_rotation(Pose(0.0, 0.0, 0.0, rz_rad=yaw + hand))
+        self._hand = hand_turn @ np.diag([1.0, -1.0, -1.0])
         self._last: tuple[list[float], FloatArray] = ([], np.eye(4))
 
     def _frame(self, joints_rad: FloatArray) -> FloatArray:
@@ -380,11 +383,6 @@ class SceneWsg(EmulatedWsg):
         """Return True if an operator holds the piece when the jaws open: on a bench with a jig."""
         world = self._world
         return world.scene.jig and world.clear_mm(world.drive.command_mm) > HAND_MM
-
-
-def _about_z(angle_rad: float) -> FloatArray:
-    c, s = math.cos(angle_rad), math.sin(angle_rad)
-    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
 SERIALS: Mapping[Finger, str] = {"left": "LEFT-0001", "right": "RGHT-0001"}

@@ -39,7 +39,6 @@ _REST_FIX = {
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
     parser.add_argument("file", type=Path, help="image, video or folder of images")
-    parser.add_argument("--grid", default=_GRID, help="rows x columns of the gel (only 7x9)")
     parser.add_argument(
         "--reference", type=Path, help="rest images that displacements count from (default: first)"
     )
@@ -55,12 +54,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     """Track and report; ``InputError`` for files or gels that cannot be tracked."""
-    if args.grid.lower() != _GRID:
-        raise InputError(
-            f"Grid {args.grid} is not supported.",
-            "--grid",
-            f"The model takes {_GRID} markers; use a {_GRID} large-dot gel.",
-        )
     # Suppress messages of OpenCV; the error names file and fix.
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     if args.template and not args.reference:

@@ -78,6 +78,7 @@ from .rotations import LEVEL_TOLERANCE_RAD as LEVEL_TOLERANCE_RAD
 from .rotations import pose_rotation as pose_rotation
 from .rotations import require_unrotated as require_unrotated
 from .rotations import rotation_angle_rad as rotation_angle_rad
+from .rotations import rotation_from_quaternion as rotation_from_quaternion
 from .rotations import rotation_from_vector as rotation_from_vector
 from .rotations import rotation_vector as rotation_vector
 from .rotations import tilt_margin_rad as tilt_margin_rad

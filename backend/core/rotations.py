@@ -6,6 +6,7 @@ The unrotated hand points straight down; a (3, 3) rotation maps its axes to thei
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -30,6 +31,18 @@ def rotation_from_vector(vector_rad: FloatArray) -> FloatArray:
             [c + k * x * x, k * x * y - s * z, k * x * z + s * y],
             [k * x * y + s * z, c + k * y * y, k * y * z - s * x],
             [k * x * z - s * y, k * y * z + s * x, c + k * z * z],
+        ]
+    )
+
+
+def rotation_from_quaternion(quaternion: Sequence[float] | FloatArray) -> FloatArray:
+    """Return the (3, 3) rotation matrix of a unit quaternion (w, x, y, z)."""
+    w, x, y, z = quaternion
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
         ]
     )
 

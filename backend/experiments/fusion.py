@@ -62,6 +62,7 @@ from touchdown.backend.geometry import (
     UNSEEN_PIECES,
     Outline,
     OutlineKinds,
+    Piece,
     PieceLibrary,
     ShapeFamily,
     Tower,
@@ -201,10 +202,8 @@ def simulate_sequences(
             seen[rows, probe] = press.observation[good][:, TICKS]
             count[rows] += 1
             waiting = waiting[~good]
-    height = np.asarray(scenes[0].grip_height_mm)
     true_com = np.array([true_com_xy_mm(scene) for scene in scenes])
     com_error = true_com - piece.com_xy_mm
-    face = GraspedFace.of(face_points(piece.face), np.asarray(piece.com_xy_mm), height)
     return {
         "wrench": seen[..., TACTILE_CHANNELS:],
         "field": seen[..., :TACTILE_CHANNELS].astype(np.float16),
@@ -212,10 +211,19 @@ def simulate_sequences(
         "true_mm": (true + com_error[:, None]).astype(np.float32),
         "count": count,
         "support_mm": np.stack([corners_mm(scene.surface) for scene in scenes]),
+        **_face_arrays(piece, n),
+        "true_com_mm": true_com,
+    }
+
+
+def _face_arrays(piece: Piece, n: int) -> dict[str, NDArray[Any]]:
+    """Return what ``n`` sequences of one piece tell of its face."""
+    height_mm, com = np.asarray(piece.grip_height_mm), np.asarray(piece.com_xy_mm)
+    face = GraspedFace.of(face_points(piece.face), com, height_mm)
+    return {
         "reach_mm": np.tile(face.reach_mm.astype(np.float32), (n, 1)),
         "com_mm": np.tile(face.com_mm.astype(np.float32), (n, 1)),
         "grip_height_mm": np.full(n, face.grip_height_mm, np.float32),
-        "true_com_mm": true_com,
     }
 
 
@@ -285,18 +293,13 @@ def labelled_sequences(
                 "Use probes on circles, rectangles and other convex bottoms.",
             )  # fmt: skip
         support.append(corners_mm(outline))
-    face = GraspedFace.of(
-        face_points(piece.face), np.asarray(piece.com_xy_mm), np.asarray(piece.grip_height_mm)
-    )
     return {
         **arrays,
         "true_mm": arrays["offset_mm"],
         "count": count,
         "support_mm": np.stack(support),
-        "reach_mm": np.tile(face.reach_mm.astype(np.float32), (n, 1)),
-        "com_mm": np.tile(face.com_mm.astype(np.float32), (n, 1)),
-        "grip_height_mm": np.full(n, face.grip_height_mm, np.float32),
-        "true_com_mm": np.tile(face.com_mm, (n, 1)),
+        **_face_arrays(piece, n),
+        "true_com_mm": np.tile(np.asarray(piece.com_xy_mm), (n, 1)),
     }
 
 

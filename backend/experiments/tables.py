@@ -143,10 +143,6 @@ class Recipe:
     pieces: tuple[str, ...] = PIECES
     device: DeviceName = "auto"  # of the training; another device changes the last digits
 
-    def bench_id(self) -> str:
-        """Return the SHA-256 of the bench's settings."""
-        return bench_sha256(self.bench)
-
     def jobs(self) -> list[JobSpec]:
         """Return every job once, inputs before the jobs that need them."""
         found: dict[str, JobSpec] = {}
@@ -301,7 +297,7 @@ def table_results(recipe: Recipe, store: JobStore) -> Json:
         "code": recipe.code,
         **provenance(recipe.jobs(), store),
         "bench": recipe.bench.model_dump(mode="json"),
-        "bench_sha256": recipe.bench_id(),
+        "bench_sha256": bench_sha256(recipe.bench),
         "simulated": True,
         "table1": _table1(recipe, store, BALANCED),
         "table2": _table2(recipe, store, BALANCED),

@@ -41,7 +41,6 @@ from .scene import Quaternion as Quaternion
 from .scene import SideBody as SideBody
 from .scene import SideScene as SideScene
 from .scene import SideView as SideView
-from .scene import rotation as rotation
 from .scene_camera import PictureOutline as PictureOutline
 from .scene_camera import SceneShot as SceneShot
 from .scene_camera import SceneShotView as SceneShotView

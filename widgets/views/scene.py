@@ -12,7 +12,7 @@ import numpy as np
 from PySide6.QtCore import QRectF
 from PySide6.QtGui import QFontMetrics, QPainter, QPen
 
-from touchdown.backend.core import FloatArray
+from touchdown.backend.core import FloatArray, rotation_from_quaternion
 from touchdown.widgets.base import Theme, blend, ui_font
 from touchdown.widgets.plots import PictureView, PlotArea, draw_message, draw_rings, polygon_of
 from touchdown.widgets.views.belief import draw_arrow
@@ -56,7 +56,7 @@ class SideBody:
         if self.profile_mm:
             top = [(x, 0.0, self.height_mm + rise) for x, rise in reversed(self.profile_mm)]
             ring = np.array([(-self.face_mm, 0.0, 0.0), (self.face_mm, 0.0, 0.0), *top])
-            return (ring @ rotation(self.turn)[[0, 2]].T + (self.x_mm, self.z_mm),)
+            return (ring @ rotation_from_quaternion(self.turn)[[0, 2]].T + (self.x_mm, self.z_mm),)
         if self.top_mm == self.face_mm:
             return (self._seen(self.face_mm, 0.0, self.height_mm),)
         foot = min(0.2 * self.height_mm, 6.0)
@@ -68,7 +68,7 @@ class SideBody:
         upper = _hull(self.top_mm, 0.0, self.height_mm, self.turn, ABOVE) + place
         if self.face is None:
             return (upper,)
-        face = self.face @ rotation(self.turn)[:2, :2].T + place
+        face = self.face @ rotation_from_quaternion(self.turn)[:2, :2].T + place
         return (face,) if self.top_mm == self.face_mm else (upper, face)
 
     def _seen(self, radius_mm: float, low_mm: float, high_mm: float) -> FloatArray:
@@ -83,25 +83,13 @@ def _hull(radius: float, low: float, high: float, turn: Quaternion, axes: Axes) 
     """
     ring = np.stack([np.cos(_ANGLES), np.sin(_ANGLES)], axis=1) * radius
     points = np.concatenate([np.column_stack([ring, np.full(len(ring), z)]) for z in (low, high)])
-    return _outer(points @ rotation(turn)[list(axes)].T)
+    return _outer(points @ rotation_from_quaternion(turn)[list(axes)].T)
 
 
 def _outer(points: FloatArray) -> FloatArray:
     """Return the convex hull (k, 2) of points (n, 2)."""
     hull = cv2.convexHull(points.astype(np.float32))
     return np.asarray(hull.reshape(-1, 2), dtype=np.float64)
-
-
-def rotation(turn: Quaternion) -> FloatArray:
-    """Return the (3, 3) rotation matrix of a unit quaternion w x y z."""
-    w, x, y, z = turn
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,7 +122,7 @@ class SideScene:
         if self.hand_mm is None:
             return ()
         inner, outer, wide = self.jaws_mm, self.jaws_mm + FINGER_MM, FINGER_WIDTH_MM / 2
-        turn = rotation(self.hand_turn)
+        turn = rotation_from_quaternion(self.hand_turn)
         spans = ((-outer, outer), PALM_MM), ((-outer, -inner), PAD_MM), ((inner, outer), PAD_MM)
         corners = (np.array([*product((-wide, wide), y, z)]) for y, z in spans)
         return tuple(_outer((box @ turn.T + self.hand_mm)[:, axes]) for box in corners)

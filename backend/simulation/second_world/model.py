@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from touchdown.backend.config import SupportSettings
-from touchdown.backend.core import FloatArray
+from touchdown.backend.core import FloatArray, rotation_from_quaternion
 from touchdown.backend.geometry import FLAT, Outline, Piece, Surface, Tower
 from touchdown.backend.simulation.conditions import Conditions
 from touchdown.backend.simulation.release_mujoco import (
@@ -222,8 +222,8 @@ def bottoms_after_press(mounted: MountedPiece, bottoms: Tower) -> tuple[FloatArr
     bodies = range(model.nbody - free, model.nbody)
     for k, number in enumerate(bodies):
         then = model.qpos0[HELD_JOINTS.stop + FREE_BODY_QPOS * k :][:3]
-        board = _rotation_matrix(model.body_quat[number])
-        now = _rotation_matrix(data.xquat[number])
+        board = rotation_from_quaternion(model.body_quat[number])
+        now = rotation_from_quaternion(data.xquat[number])
         lean = (board.T @ now)[:2, 2]
         edge = np.zeros(3)
         if np.hypot(*lean) > UPRIGHT_RAD:
@@ -239,15 +239,3 @@ def bottoms_after_press(mounted: MountedPiece, bottoms: Tower) -> tuple[FloatArr
         slides[k] = place - (then + board @ edge)[:2] + below_then
         below_now, below_then = data.xpos[number][:2], then[:2]
     return 1e3 * slides, falls
-
-
-def _rotation_matrix(quat: FloatArray) -> FloatArray:
-    """Return the rotation (3, 3) of a unit quaternion (w, x, y, z)."""
-    w, x, y, z = quat
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )

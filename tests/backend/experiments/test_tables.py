@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 from touchdown.backend.bench.assembly import make_scene
+from touchdown.backend.config.bench_description import bench_sha256
 from touchdown.backend.config.simulation import SimulationSettings, load_simulation
 from touchdown.backend.core import (
     ActionChosen,
@@ -228,7 +229,7 @@ def assert_traced(cell: dict[str, Any], store: JobStore, recipe: Recipe) -> None
     spec = spec_of(cell["job"])
     assert (spec.seed, spec.params["piece"]) == (cell["seed"], cell["piece"])
     assert spec.params["bench"] == recipe.bench.model_dump(mode="json")
-    assert store.result(spec.id)["bench_sha256"] == recipe.bench_id()
+    assert store.result(spec.id)["bench_sha256"] == bench_sha256(recipe.bench)
     blind = spec.params.get("strategy") == "pick-and-place"
     assert bool(spec.inputs) is not blind
     for training in spec.inputs:

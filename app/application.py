@@ -17,7 +17,7 @@ from touchdown.app.workspaces import FIRST, Workspaces
 from touchdown.backend.bench import Session
 from touchdown.backend.calibration import CalibrationName
 from touchdown.backend.core import CommandNotifier, Event, EventQueue, RunStarted
-from touchdown.widgets.base import EventPump, load_resources
+from touchdown.widgets.base import EventPump, load_resources, tr
 from touchdown.widgets.shell import STOPPED, CardText, FaultCards, PillState, TopBar, TourStop
 
 
@@ -25,7 +25,7 @@ def bench_failed_card(error: Exception, again: Callable[[], None]) -> CardText:
     """Return the card of a bench that could not be built; ``again`` repeats the attempt."""
     return CardText(
         "CONNECT",
-        f"The bench could not be prepared: {error}",
+        tr("The bench could not be prepared: {}", error),
         "Nothing is connected; recorded runs can still be reviewed.",
         "Try again (Ctrl+L), or run 'touchdown doctor' for the cause.",
         reset=False,
@@ -188,7 +188,7 @@ class TouchdownApp(QObject):
         self.cards.show_card(
             CardText(
                 "DATA-FOLDER",
-                f"The data folder {folder} cannot be written.",
+                tr("The data folder {} cannot be written.", folder),
                 "Runs, labels and the log of this session are not kept.",
                 "Make it writable, or start again with TOUCHDOWN_DATA set to another folder.",
                 reset=False,
@@ -255,7 +255,9 @@ class TouchdownApp(QObject):
 
     def _commands(self) -> list[shell.WindowCommand]:
         pages = [
-            shell.WindowCommand(ws.name, f"{ws.title} workspace", ws.key, partial(self.go, ws.name))
+            shell.WindowCommand(
+                ws.name, tr("{} workspace", tr(ws.title)), ws.key, partial(self.go, ws.name)
+            )
             for ws in self.workspaces.all
         ]
         return [
@@ -327,11 +329,11 @@ class TouchdownApp(QObject):
 
     def _next_theme(self) -> None:
         self.look.next_theme()
-        self.say(f"Theme: {self.look.words()}.")
+        self.say(tr("Theme: {}.", self.look.words()))
 
     def _toggle_calls(self) -> None:
         self.calls.on = not self.calls.on
-        self.say(f"Sound and desktop notification: {'on' if self.calls.on else 'off'}.")
+        self.say(tr("Sound and desktop notification: {}.", tr("on" if self.calls.on else "off")))
         self.remember()
 
     def _stops(self) -> tuple[TourStop, ...]:
@@ -410,6 +412,6 @@ class TouchdownApp(QObject):
             self.panels.draw()
             self._closing.draw(self.bench)
             self.cards.show_offer(STOPPED, shell.is_pressing(self.bench))
-            pace = f"{self.pace:.2f}\N{MULTIPLICATION SIGN} real time" if self.pace else ""
+            pace = tr("{:.2f}\N{MULTIPLICATION SIGN} real time", self.pace) if self.pace else ""
             self.window.show_right(pace)
         self.bar.pill.show_state(shell.pill_state(self.bench))

@@ -89,11 +89,11 @@ class IdentifySheet(BenchSheet):
         """Show the result ``output`` of the process, a JSON object, or its error."""
         self.progress.reset()
         found: dict[str, Any] = json.loads(output) if code in (0, 1) and output else {}
-        self.verdict.setText(found.get("reason") or self._error or CANCELLED)
+        self.verdict.setText(found.get("reason") or self._error or tr(CANCELLED))
         tone = "good" if found.get("accepted") else "bad" if found or self._error else ""
         set_property(self.verdict, "tone", tone)
         self.table.show_rows([
-            (key, f"{value:.4g}", f"{sigma:.2g}", "yes" if key in found["used"] else "no")
+            (key, f"{value:.4g}", f"{sigma:.2g}", tr("yes" if key in found["used"] else "no"))
             for key, (value, sigma) in found.get("estimates", {}).items()
         ])  # fmt: skip
         self._page = found.get("report", "")

@@ -36,7 +36,7 @@ from touchdown.backend.runs import (
     device_names,
     hand_over_message,
 )
-from touchdown.widgets.base import Age, Theme, true_minus
+from touchdown.widgets.base import Age, Theme, count_noun, tr, true_minus
 from touchdown.widgets.shell import FaultCards
 
 # Message after accepting a result that needs another step.
@@ -166,7 +166,8 @@ class CalibratePresenter:
         def accept() -> None:
             path = accept_calibration(store, found, self._bench.devices, self._person())
             del self._measured[self._chosen]
-            self._said[self._chosen] = f"Accepted: {path.name}{AFTER.get(self._chosen, '')}"
+            after = tr(AFTER.get(self._chosen, ""))
+            self._said[self._chosen] = f"{tr('Accepted: {}', path.name)}{after}"
             self._read_standings()
 
         if shell.carry_out(accept, self._cards, "CALIBRATE"):
@@ -197,9 +198,10 @@ class CalibratePresenter:
         if gripper is not None and gripper.status().holding and not active:
             # Simulated and emulated benches set a new scene for each run.
             if self._bench.connection is not None:
-                why = why or "The gripper holds a piece: put it away, then open the gripper"
+                why = why or tr("The gripper holds a piece: put it away, then open the gripper")
             elif what not in self._measured and not (what == "day" and self._history):
-                said = said or "The gripper holds a piece: Measure first puts it back in its jig."
+                held = "The gripper holds a piece: Measure first puts it back in its jig."
+                said = said or tr(held)
         return CalibrationView(
             rows=tuple(self._row(each) for each in MEASUREMENT_NAMES),
             what=what,
@@ -209,7 +211,7 @@ class CalibratePresenter:
             empty=self._empty(what),
             said=said,
             busy=active,
-            why="A run is going on" if active else why,
+            why=tr("A run is going on") if active else why,
             history=self._history if what == "day" else (),
         )
 
@@ -217,18 +219,18 @@ class CalibratePresenter:
         """Return the text shown in place of residuals: the stored result and its date."""
         standing = self._standings.get(what)
         if standing is None or standing.record is None:
-            return "Measure first."
+            return tr("Measure first.")
         file = standing.record.file
-        by = f" by {file.person}" if file.person else ""
-        when = file.date.astimezone()
-        return f"Last measured {when:%Y-%m-%d %H:%M}{by}: {file.residual:.2g} {file.unit}."
+        said = tr("Last measured {:%Y-%m-%d %H:%M}", file.date.astimezone())
+        said = tr("{} by {}", said, file.person) if file.person else said
+        return f"{said}: {file.residual:.2g} {file.unit}."
 
     def _row(self, what: CalibrationName) -> tuple[str, str]:
         if what == "day":
             for last in self._history[-1:]:
-                out = f"Out of limits on {last.day}"
-                return (out, "bad") if last.findings else (f"Passed on {last.day}", "good")
-            return "Never checked on this bench", ""
+                out = tr("Out of limits on {}", last.day)
+                return (out, "bad") if last.findings else (tr("Passed on {}", last.day), "good")
+            return tr("Never checked on this bench"), ""
         standing = self._standings.get(what)
         if standing is None:
             return NO_STORE, ""
@@ -238,21 +240,22 @@ class CalibratePresenter:
             return standing.why[:1].upper() + standing.why[1:], "bad" if needed else ""
         file = standing.record.file
         days = int(standing.record.days_left(datetime.now(UTC)))
-        left = "less than a day" if days < 1 else "1 day" if days == 1 else f"{days} days"
+        left = tr("less than a day") if days < 1 else count_noun(days, "day")
         also = f"; {standing.notice}" if standing.notice else ""
-        return f"{file.residual:.2g} of {file.limit:g} {file.unit}, holds {left}{also}", "good"
+        said = tr("{:.2g} of {:g} {}, holds {}", file.residual, file.limit, file.unit, left)
+        return f"{said}{also}", "good"
 
     def _live(self) -> str:
         now_s = self._bench.clock_s()
         window = self._bench.wrench.window(now_s - 0.1, now_s)
         if not len(window.t_s):
-            return "The wrist sensor is silent."
+            return tr("The wrist sensor is silent.")
         force, moment = window.values[:, :3].mean(axis=0), window.values[:, 3:].mean(axis=0)
         text = "F " + "  ".join(f"{v:+z.2f}" for v in force) + " N     T "
         text += "  ".join(f"{v:+z.3f}" for v in moment) + " N\N{MIDDLE DOT}m"
         at = shell.arm_position_mm(self._bench, 1.0)
         if at is not None:
-            text += "     hand at " + "  ".join(f"{v:z.1f}" for v in at) + " mm"
+            text += f"     {tr('hand at {} mm', '  '.join(f'{v:z.1f}' for v in at))}"
         return true_minus(text)
 
     def _draw_fingers(self, sheet: CalibrateSheet) -> None:

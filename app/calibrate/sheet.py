@@ -93,7 +93,7 @@ def residual_lines(found: CalibrationMeasured) -> list[CurveLine]:
     """Return the sizes of the residuals and their limit."""
     sizes = [abs(value) for value in found.residuals]
     limit = ((1.0, found.limit), (float(len(sizes)), found.limit))
-    name = "limit" if found.what in ("payload", "wrist") else "limit of the rms"
+    name = tr("limit" if found.what in ("payload", "wrist") else "limit of the rms")
     points = tuple((float(k), size) for k, size in enumerate(sizes, start=1))
     return [CurveLine("", points, "axis_x"), CurveLine(name, limit, "muted", dashed=True)]
 
@@ -101,13 +101,13 @@ def residual_lines(found: CalibrationMeasured) -> list[CurveLine]:
 def history_lines(checks: Sequence[DayCheck]) -> list[CurveLine]:
     """Return by day how far each quantity was from the middle of its limits; 1 is a limit."""
     limit = ((1.0, 1.0), (float(len(checks)), 1.0))
-    lines = [CurveLine("limit", limit, "muted", dashed=True)] if checks else []
+    lines = [CurveLine(tr("limit"), limit, "muted", dashed=True)] if checks else []
     for key, colour in zip(QUANTITIES, DAY_COLOURS, strict=True):
         points = []
         for day, check in enumerate(checks, start=1):
             shares = [check.share(n) for n in check.values if n.partition("_")[2] == key]
             points += [(float(day), min(max(shares), HIGHEST_SHARE))] if shares else []
-        name = "wrist noise" if key == "noise_n" else key.partition("_")[0]
+        name = tr("wrist noise" if key == "noise_n" else key.partition("_")[0])
         lines.append(CurveLine(name, tuple(points), colour, dashed=key.endswith("_px")))
     return lines
 
@@ -203,14 +203,14 @@ class CalibrateSheet(BenchSheet):
         if look == before:
             return
         for index, (words, tone) in enumerate(look.rows):
-            self.conditions[index].setText(words)
+            self.conditions[index].setText(tr(words))
             set_property(self.conditions[index], "tone", tone)
         self.choices[MEASUREMENT_NAMES.index(look.what)].setChecked(True)
         title = tr(CALIBRATION_KINDS[look.what].title)
         self.title.setText(tr("Calibrate: {}", title))
         now = 1 if look.progress is not None else 0 if look.found is None else 2
         for index, (step, text) in enumerate(zip(self.steps, STEPS[look.what], strict=True)):
-            step.setText(f"{index + 1}  {text}")
+            step.setText(f"{index + 1}  {tr(text)}")
             set_property(step, "role", "title" if index == now else "")
         self.form.setVisible(self.form.request(look.what).takes_piece)
         self.form.show_pitch(look.what == "camera")
@@ -236,16 +236,16 @@ class CalibrateSheet(BenchSheet):
             lines, count = history_lines(look.history), len(look.history)
             for check in look.history[-1:]:
                 out, rows = check.findings, check.rows()
-                figure = f"{check.day}: {'out of' if out else 'within'} limits."
+                figure = tr("{}: out of limits." if out else "{}: within limits.", check.day)
                 tone, said = "bad" if out else "good", said or "\n".join(out.values())
         elif found is not None:
-            figure = f"Residual {format_residual(found.residual, found.limit, found.unit)}."
+            figure = tr("Residual {}.", format_residual(found.residual, found.limit, found.unit))
             tone = "good" if found.residual <= found.limit else "bad"
             said = " ".join(text for text in (found.obstacle, found.note) if text)
             values = zip(found.names, found.values, found.sigmas, found.units, strict=True)
-            rows = [(quantity_name(value[0]), format_value(*value)) for value in values]
+            rows = [(tr(quantity_name(value[0])), format_value(*value)) for value in values]
             lines, count = residual_lines(found), len(found.residuals)
-        self.plot.name = "Share of the limit, by check" if look.what == "day" else "Residuals"
+        self.plot.name = tr("Share of the limit, by check" if look.what == "day" else "Residuals")
         self.plot.empty = look.empty
         self.plot.show_lines(lines, count)
         self.table.setVisible(bool(rows))
@@ -287,7 +287,9 @@ class CalibrateSheet(BenchSheet):
     def _right(self) -> QWidget:
         for view in self.fingers.values():
             view.setFixedSize(MIN_SIZE)
-        pair = (CaptionedView(tr("{} finger", f.capitalize()), v) for f, v in self.fingers.items())
+        pair = (
+            CaptionedView(tr("{} finger", tr(f).capitalize()), v) for f, v in self.fingers.items()
+        )
         hbox(*pair, parent=self._pictures, margins=(0, 0, 0, 0))
         page, seen = QWidget(), hbox(self._pictures, (self.plot, 1))
         vbox(

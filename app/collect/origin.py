@@ -10,7 +10,7 @@ from pathlib import Path
 
 from touchdown.app.shell import duration_text
 from touchdown.backend.core import OriginChecked
-from touchdown.widgets.base import signed
+from touchdown.widgets.base import signed, tr
 
 WINDOW_S = 120.0  # time window of the recording rate
 LOW_BYTES = 2_000_000_000
@@ -42,12 +42,12 @@ class RecorderGauge:
         try:
             free = shutil.disk_usage(folder).free
         except OSError as error:
-            return f"The disk does not answer: {error.strerror}"
+            return tr("The disk does not answer: {}", error.strerror)
         rate = self.bytes_a_minute(now_s)
-        text = f"{free / 1e9:.1f} GB free, {rate / 1e6:.1f} MB/min"
+        text = tr("{:.1f} GB free, {:.1f} MB/min", free / 1e9, rate / 1e6)
         if rate > 0:
-            text += f", room for {duration_text(60.0 * free / rate)}"
-        return f"Nearly full: {text}" if free < LOW_BYTES else text
+            text += f", {tr('room for {}', duration_text(60.0 * free / rate))}"
+        return tr("Nearly full: {}", text) if free < LOW_BYTES else text
 
 
 class CampaignPace:
@@ -70,7 +70,7 @@ class CampaignPace:
         if len(self._at_s) < 2 or left <= 0:
             return ""
         each_s = (self._at_s[-1] - self._at_s[0]) / (len(self._at_s) - 1)
-        return f"{left} left, about {duration_text(left * each_s)} at {each_s:.1f} s each"
+        return tr("{} left, about {} at {:.1f} s each", left, duration_text(left * each_s), each_s)
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,10 +99,10 @@ class OriginCheckNote:
 def residual_text(note: OriginCheckNote | None) -> str:
     """Return residual, uncertainty, judgement and date as text."""
     if note is None:
-        return "Origin not checked yet."
+        return tr("Origin not checked yet.")
     x, y = (signed(v) for v in note.residual_mm)
     spread = f"\N{PLUS-MINUS SIGN} {note.sigma_mm:.2f} mm"
-    said = "agrees with the origin" if note.agrees else "does not agree with the origin"
+    said = tr("agrees with the origin") if note.agrees else tr("does not agree with the origin")
     if note.used:
-        said = "the origin was moved there"
-    return f"Residual x {x}, y {y} {spread}: {said}. {note.at}"
+        said = tr("the origin was moved there")
+    return f"{tr('Residual x {}, y {} {}: {}.', x, y, spread, said)} {note.at}"

@@ -20,7 +20,7 @@ from touchdown.backend.bench import Session
 from touchdown.backend.episodes import check_quality
 from touchdown.backend.geometry import PieceLibrary
 from touchdown.backend.runs import Campaign, CollectRequest, current_campaign, newest_campaign
-from touchdown.widgets.base import tr
+from touchdown.widgets.base import count_noun, tr
 from touchdown.widgets.forms import ProbeText, TargetButtons
 from touchdown.widgets.shell import FaultCards
 
@@ -416,11 +416,12 @@ class CollectPresenter:
         if isinstance(event, core.HandOverAwaited | core.MountingAwaited):
             self._asked = event
         elif isinstance(event, core.Gripped):
-            text = f"mounting {event.mounting}, grip {event.grip}, {event.mass_g:.1f} g held"
+            held = "mounting {}, grip {}, {:.1f} g held"
+            text = tr(held, event.mounting, event.grip, event.mass_g)
             self._page.live.detail.setText(text)
         elif isinstance(event, core.PhaseEntered):
             self._asked = None
-            self._page.target.detail.setText(event.phase)
+            self._page.target.detail.setText(tr(event.phase))
         elif isinstance(event, core.OriginChecked):
             self.origin.show_note(OriginCheckNote.of(event, datetime.now()))
 
@@ -467,14 +468,15 @@ class CollectPresenter:
             if found is None or self._mine:
                 return
             plan, left = found
-            what = "1 probe is" if left == 1 else f"{left} probes are"
             self._campaign = plan.uuid if left else ""
-            self._go_on = f"Continue {plan.piece} on {plan.bottom}: {what} left" if left else ""
+            pair = tr("{} on {}", plan.piece, plan.bottom)
+            more = tr("Continue {}: {} left", pair, count_noun(left, "probe"))
+            self._go_on = more if left else ""
             target = self._page.target
             came = plan.count - left - len(plan.skipped)
             target.show_progress(came, plan.count, target.eta.text())
             if self._gave:
-                self.ended(f"{plan.piece} on {plan.bottom}: {self._gave}", left)
+                self.ended(f"{pair}: {self._gave}", left)
                 self._gave = ""
 
         self._reader.submit(look, done, self._failed)

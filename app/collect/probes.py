@@ -18,7 +18,7 @@ from touchdown.backend.runs import (
     last_signal_excerpt,
     read_probe_summary,
 )
-from touchdown.widgets.base import signed
+from touchdown.widgets.base import signed, tr
 from touchdown.widgets.lists import EpisodeTableRow
 from touchdown.widgets.plots import BinCounts, DistributionScene, reach_of
 
@@ -137,13 +137,13 @@ class PairProbes:
         name, unit, scale = SIGNALS[signal]
         values = np.array([np.nan if h.signals is None else scale * h.signals[signal]
                            for h in shown], dtype=np.float64)  # fmt: skip
-        return replace(self._scene(shown, chosen), values=values, title=f"{name} ({unit})")
+        return replace(self._scene(shown, chosen), values=values, title=f"{tr(name)} ({unit})")
 
     def bins(self, chosen: str) -> DistributionScene:
         """Return counts per bin."""
         seen = self.covered
         bins = BinCounts(seen.counts, seen.possible, seen.centre_mm(0, 0), seen.bin_mm)
-        return replace(self._scene(self.shown(), chosen), bins=bins, title="episodes per bin")
+        return replace(self._scene(self.shown(), chosen), bins=bins, title=tr("episodes per bin"))
 
     def _scene(self, shown: Sequence[ProbeRecord], chosen: str) -> DistributionScene:
         points = np.array([h.offset_mm for h in shown], dtype=np.float64).reshape(-1, 2)
@@ -193,12 +193,12 @@ def probe_row(number: int, held: ProbeRecord) -> EpisodeTableRow:
 
 def quality_text(quality: EpisodeQuality) -> str:
     """Return "ok" or the first reason of rejection."""
-    return "ok" if quality.accepted else "; ".join(quality.reasons) or "refused"
+    return tr("ok") if quality.accepted else "; ".join(quality.reasons) or tr("refused")
 
 
 def displacement_text(at_mm: tuple[float, float], digits: int = 1, unit: str = "") -> str:
     """Return a displacement such as "+1.5, +0.3", or "none"."""
     if not np.isfinite(at_mm).all():
-        return "none"
+        return tr("none")
     x, y = (signed(v, digits) for v in at_mm)
     return f"{x}, {y}{unit}"

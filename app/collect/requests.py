@@ -8,11 +8,12 @@ from typing import cast
 import numpy as np
 
 from touchdown.app.collect.probes import ProbeRecord, displacement_text, quality_text, read_probe
-from touchdown.app.shell import ACTIVE_STATES, count_noun, is_pressing, start_obstacle
+from touchdown.app.shell import ACTIVE_STATES, is_pressing, start_obstacle
 from touchdown.backend import runs
 from touchdown.backend.annotations import Dataset
 from touchdown.backend.bench import Session
 from touchdown.backend.core import EpisodeDecision, HandOverAwaited, MountingAwaited
+from touchdown.widgets.base import count_noun, tr
 from touchdown.widgets.forms import ProbeText, TargetButtons, TargetForm
 
 
@@ -20,17 +21,17 @@ def probe_text(held: ProbeRecord | None, *, asking: bool, running: bool, back: b
     """Return the description of a probe. ``back``: an older one is shown, or no run is active."""
     if held is None:
         if running:
-            return ProbeText("Probing", detail="The first probe is on its way.")
-        return ProbeText("No probe yet", detail="Press Start collecting (F5).")
+            return ProbeText("Probing", detail=tr("The first probe is on its way."))
+        return ProbeText("No probe yet", detail=tr("Press Start collecting (F5)."))
     entry = held.entry
     accepted = entry.quality.accepted
-    result, tone = ("\N{CHECK MARK} Observation", "good") if accepted else (
-        "\N{MULTIPLICATION X} No observation", "bad"
+    result, tone = (tr("\N{CHECK MARK} Observation"), "good") if accepted else (
+        tr("\N{MULTIPLICATION X} No observation"), "bad"
     )  # fmt: skip
     if entry.deleted:
         result, tone = "Discarded", ""
     elif entry.flagged:
-        result += ", flagged"
+        result = tr("{}, flagged", result)
     return ProbeText(
         result,
         tone,
@@ -45,26 +46,26 @@ def _place_text(held: ProbeRecord) -> str:
     """Return the displacement, if known, and the item of the plan, if any."""
     at = f"x, y {displacement_text(held.offset_mm, 2, ' mm')}"
     if not np.isfinite(held.offset_mm).all():
-        at = "No displacement"
+        at = tr("No displacement")
     item = held.entry.plan_item
-    return f"{at}, no plan" if item is None else f"{at}, item {item + 1}"
+    return tr("{}, no plan", at) if item is None else tr("{}, item {}", at, item + 1)
 
 
 def _detail_text(held: ProbeRecord, *, back: bool, running: bool) -> str:
     quality = held.entry.quality
     if not quality.accepted:
-        return f"{quality_text(quality)}. It is kept with its reasons and probed again."
-    parts = [f"slip {quality.slip_mm:.2f} mm"]
+        return tr("{}. It is kept with its reasons and probed again.", quality_text(quality))
+    parts = [tr("slip {:.2f} mm", quality.slip_mm)]
     if held.commanded_mm is not None:
-        parts.insert(0, f"commanded {displacement_text(held.commanded_mm, 2, ' mm')}")
+        parts.insert(0, tr("commanded {}", displacement_text(held.commanded_mm, 2, " mm")))
     if held.signals is not None:
-        parts.append(f"Fz {held.signals[4]:.1f} N at the end")
+        parts.append(tr("Fz {:.1f} N at the end", held.signals[4]))
     if quality.dropped_frames:
-        parts.append(f"{count_noun(quality.dropped_frames, 'frame')} lost")
+        parts.append(tr("{} lost", count_noun(quality.dropped_frames, "frame")))
     text = ", ".join(parts)
     text = f"{text[0].upper()}{text[1:]}."
     if back and running:
-        text += " Looking back: the run goes on."
+        text = f"{text} {tr('Looking back: the run goes on.')}"
     return text
 
 
@@ -142,17 +143,18 @@ def _open_question(now: CampaignState) -> str:
 def campaign_obstacle(bench: Session | None, now: CampaignState) -> str:
     """Return why no campaign can start, "" if one can or is running."""
     if bench is None or not bench.devices:
-        return "The bench is being prepared"
+        return tr("The bench is being prepared")
     if bench.status().state in ACTIVE_STATES:
-        return "" if now.mine else "A run is going on"
+        return "" if now.mine else tr("A run is going on")
     if why := start_obstacle(bench):
         pressing = not bench.interlock.latched and is_pressing(bench)
-        return "In contact: lift first" if pressing else why
+        return tr("In contact: lift first") if pressing else why
     if not now.person:
-        return "Say who collects: give your name above (Ctrl+U)"
+        return tr("Say who collects: give your name above (Ctrl+U)")
     if now.dataset is None:
-        return f"No dataset: {now.trouble}" if now.trouble else "The dataset is being opened"
-    return "" if now.dataset.writable else "The dataset is open for reading only"
+        opening = tr("The dataset is being opened")
+        return tr("No dataset: {}", now.trouble) if now.trouble else opening
+    return "" if now.dataset.writable else tr("The dataset is open for reading only")
 
 
 def collect_request(form: TargetForm, person: str, *, campaign: str = "") -> runs.CollectRequest:

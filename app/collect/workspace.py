@@ -19,6 +19,7 @@ from touchdown.backend.annotations import DESCRIPTION_FILE, Dataset
 from touchdown.backend.bench import Session
 from touchdown.backend.core import Event
 from touchdown.backend.geometry import load_pieces
+from touchdown.widgets.base import tr
 from touchdown.widgets.forms import TargetForm
 
 
@@ -46,7 +47,7 @@ def join_half_commands(
     return tuple(
         replace(
             next(iter(halves.values())),
-            text="; ".join(f"{titles[half]}: {one.text}" for half, one in halves.items()),
+            text="; ".join(f"{tr(titles[half])}: {tr(one.text)}" for half, one in halves.items()),
             run=partial(run_in_front, halves),
             repeats=all(one.repeats for one in halves.values()),
         )
@@ -241,7 +242,7 @@ class CollectWorkspace(shell.Workspace):
             if left:
                 self.collect_page.target.go_on.setFocus()
 
-        self._context.offer(gave, f"Continue: {left:,} left" if left else "Label them", show)
+        self._context.offer(gave, tr("Continue: {:,} left", left) if left else "Label them", show)
 
     # -- orders -----------------------------------------------------------------------------------
 

@@ -74,7 +74,7 @@ class DevicesSheet(BenchSheet):
 
     def say(self, text: str, *, bad: bool) -> None:
         """Show the result of the last action."""
-        self.said.setText(text)
+        self.said.setText(tr(text))
         set_property(self.said, "tone", "bad" if bad else "")
 
     def showEvent(self, event: QShowEvent) -> None:
@@ -95,8 +95,8 @@ class DevicesSheet(BenchSheet):
                 editor.setEditable(True)
                 editor.setInsertPolicy(QComboBox.InsertPolicy.NoInsert)
             else:
-                editor.setPlaceholderText(one.empty)
-            editor.setAccessibleName(f"{one.device}: {one.title}")
+                editor.setPlaceholderText(tr(one.empty))
+            editor.setAccessibleName(f"{tr(one.device)}: {tr(one.title)}")
             if one.device != device:
                 grid.addWidget(label(one.device, "title"), at, 0)
             device = one.device
@@ -173,9 +173,8 @@ class DevicesPresenter:
         self._found = found = choices(self._settings)
         self.sheet.offer(found)
         cameras, ports = ", ".join(found[LEFT]), len(found["ft.address"])
-        self.sheet.say(
-            f"Found: cameras {cameras or 'none'}; serial ports {ports or 'none'}.", bad=False
-        )
+        both = cameras or tr("none"), ports or tr("none")
+        self.sheet.say(tr("Found: cameras {}; serial ports {}.", *both), bad=False)
 
     def _swap(self) -> None:
         if self.sheet is not None:
@@ -203,9 +202,10 @@ class DevicesPresenter:
     def _wrong(self, one: DeviceField, text: str) -> str:
         """Return why ``text`` is not valid for a field, "" if it is."""
         if isinstance(self._held(one.key), int) and not text.isdecimal():
-            return f"{one.device}, {one.title.lower()}: write a number."
+            return tr("{}, {}: write a number.", tr(one.device), tr(one.title).lower())
         if one.key.endswith(".driver") and text not in self._found[one.key]:
-            return f"There is no '{text}' here: use one of {', '.join(self._found[one.key])}."
+            drivers = ", ".join(self._found[one.key])
+            return tr("There is no '{}' here: use one of {}.", text, drivers)
         return ""
 
     def _write(self, sheet: DevicesSheet, values: dict[str, str | int]) -> None:
@@ -215,10 +215,10 @@ class DevicesPresenter:
         except InputError as error:
             sheet.say(f"{error.what} {error.fix}", bad=True)
         except OSError as error:
-            sheet.say(f"The file cannot be written: {error.strerror}.", bad=True)
+            sheet.say(tr("The file cannot be written: {}.", error.strerror), bad=True)
         else:
-            again = "It holds when the window is opened again with this file."
-            sheet.say(f"Saved. {again}" if values else "Nothing is changed.", bad=False)
+            saved = "Saved. It holds when the window is opened again with this file."
+            sheet.say(saved if values else "Nothing is changed.", bad=False)
 
     def _held(self, key: str) -> object:
         value: object = self._settings

@@ -87,7 +87,7 @@ class LimitsSheet(BenchSheet):
             decimals = 3 if row.unit.endswith(FINE) else 1
             box = self.boxes[row.name] = decimal_box(-WIDEST, WIDEST, decimals)
             box.setSuffix(row.unit)
-            box.setAccessibleName(row.title)
+            box.setAccessibleName(tr(row.title))
             box.setKeyboardTracking(False)
             inset_spin_boxes(box)
             box.setMinimumWidth(8 * self.fontMetrics().height())
@@ -174,7 +174,7 @@ class LimitsPresenter:
 
     def _show(self) -> None:
         assert self.sheet is not None
-        source = self._said or f"From {self._bench.limits_source}."
+        source = self._said or tr("From {}.", self._bench.limits_source)
         self.sheet.show_rows(limit_rows(self._bench.interlock.limits), source)
 
     def _offer(self, values: Mapping[str, float]) -> str:
@@ -187,15 +187,15 @@ class LimitsPresenter:
             return limit_problem(error)
         pairs = changed_limits(self._bench.interlock.limits, wanted)
         if not pairs:
-            return "Nothing is changed."
+            return tr("Nothing is changed.")
         told = "; ".join(
-            f"{TITLES[name]} {displayed_limit(name, old):g} \N{RIGHTWARDS ARROW} "
+            f"{tr(TITLES[name])} {displayed_limit(name, old):g} \N{RIGHTWARDS ARROW} "
             f"{displayed_limit(name, new):g}{unit_suffix(limit_unit(name))}"
             for name, (old, new) in pairs.items()
         )
         assert self.sheet is not None
         self.sheet.question.ask(
-            f"Change {told}? It applies until the program ends, and is logged.",
+            tr("Change {}? It applies until the program ends, and is logged.", told),
             "Keep", "Change", lambda: self._take(wanted),
         )  # fmt: skip
         return ""
@@ -204,7 +204,7 @@ class LimitsPresenter:
         person, source = self._person(), self._bench.limits_source
         change = partial(self._bench.change_limits, wanted, person)
         if carry_out(change, self._cards, "LIMITS"):
-            changed = f"From {source}, changed at {time_of_day()} by {person}."
+            changed = tr("From {}, changed at {} by {}.", source, time_of_day(), person)
             self._said = "" if wanted == self._first else changed
         self._show()
 
@@ -225,10 +225,10 @@ def limit_problem(error: ValidationError) -> str:
     for bound, value in first.get("ctx", {}).items():
         if name in TITLES and bound in BOUNDS:
             limit = f"{displayed_limit(name, value):g}{unit_suffix(limit_unit(name))}"
-            return f"{TITLES[name]}: {BOUNDS[bound]} {limit}."
+            return f"{tr(TITLES[name])}: {tr(BOUNDS[bound])} {limit}."
     text = first["msg"].removeprefix("Value error, ")
     for known, title in TITLES.items():
-        text = text.replace(f"'{known}'", f"'{title}'")
+        text = text.replace(f"'{known}'", f"'{tr(title)}'")
     return f"{text}."
 
 

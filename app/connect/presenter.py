@@ -16,7 +16,7 @@ from touchdown.backend.bench import Session
 from touchdown.backend.core import RefusedError
 from touchdown.backend.devices import CONNECTION_STEPS
 from touchdown.backend.rig import BenchConnection, DeviceStatus
-from touchdown.widgets.base import Theme
+from touchdown.widgets.base import Theme, tr
 from touchdown.widgets.shell import DEVICE_CHIPS, FaultCards
 
 PERIOD_S = 0.1
@@ -109,7 +109,8 @@ class ConnectPresenter:
         store, free = self._bench.calibrations, can and not connection.busy
         gels = {} if store is None else store.gels.texts()
         rows = tuple(device_row(one, can=free, gel=gels.get(one.name, "")) for one in lines)
-        kind = "emulated bench" if self._bench.description.mode == "emulated" else "real devices"
+        emulated = self._bench.description.mode == "emulated"
+        kind = tr("emulated bench" if emulated else "real devices")
         return ConnectView(
             f"{self._bench.name} ({kind})", self._text(lines), rows, connection.busy, can
         )
@@ -120,10 +121,10 @@ class ConnectPresenter:
         if trouble is not None:
             return str(trouble)
         if not self._connection.busy and any(line.needs for line in lines):
-            return "The gripper needs you: see its row."
+            return tr("The gripper needs you: see its row.")
         if not self._connection.busy and ready == len(lines):
-            return "All devices are ready."
-        return f"{ready} of {len(lines)} connected. {NOTHING_MOVES}"
+            return tr("All devices are ready.")
+        return f"{tr('{} of {} connected.', ready, len(lines))} {tr(NOTHING_MOVES)}"
 
 
 def device_row(line: DeviceStatus, *, can: bool, gel: str = "") -> DeviceRowView:

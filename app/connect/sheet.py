@@ -140,7 +140,7 @@ class ConnectSheet(BenchSheet):
         row.state.setText(tr(look.state))
         for mark, word, step in zip(row.marks, look.marks, self._steps, strict=True):
             mark.setText(MARKS[word])
-            mark.setAccessibleName(f"{look.title}, {step}: {word}")
+            mark.setAccessibleName(f"{tr(look.title)}, {tr(step)}: {tr(word)}")
             set_property(mark, "tone", TONES.get(word, ""))
         row.text.setText(tr(look.text))
         # A label in a grid does not request the height of its wrapped text.
@@ -150,9 +150,9 @@ class ConnectSheet(BenchSheet):
         row.text.setMinimumHeight(max(high, least * metrics.lineSpacing()) + 2)
         set_property(row.text, "tone", "bad" if look.bad else "")
         row.button.setText(tr(look.label))
-        row.button.setAccessibleName(f"{look.label} {look.title}")
+        row.button.setAccessibleName(f"{tr(look.label)} {tr(look.title)}")
         row.button.setEnabled(look.can)
         row.extra.setVisible(bool(look.extra))
         row.extra.setText(tr(look.extra))
-        row.extra.setAccessibleName(f"{look.extra} {look.title}")
+        row.extra.setAccessibleName(f"{tr(look.extra)} {tr(look.title)}")
         row.extra.setEnabled(look.can)

@@ -9,7 +9,7 @@ from touchdown.app.label.page import LabelPage
 from touchdown.app.label.presenter import LabelPresenter
 from touchdown.app.label.side import BULK, HISTORY, KINDS, BulkForm, SideTabs, agreement_figures
 from touchdown.app.label.text import history_rows, operation_text
-from touchdown.app.shell import SaveWorker, count_noun, parse_displacement
+from touchdown.app.shell import SaveWorker, parse_displacement
 from touchdown.backend.annotations import (
     BulkChange,
     BulkPreview,
@@ -19,7 +19,7 @@ from touchdown.backend.annotations import (
     ShiftOrigin,
 )
 from touchdown.backend.geometry import PieceLibrary
-from touchdown.widgets.base import tr
+from touchdown.widgets.base import count_noun, tr
 from touchdown.widgets.forms import ChoiceBar
 
 MOST_LINES = 300
@@ -48,7 +48,7 @@ class SideTabsPresenter:
             )
 
     def _failed(self, error: Exception) -> None:
-        self._side.show_log([f"The log cannot be read: {error}"])
+        self._side.show_log([tr("The log cannot be read: {}", error)])
 
 
 YES = (("1", "Change them"),)
@@ -86,7 +86,7 @@ class BulkPresenter:
             self._form.found.setText(preview_text(found))
             self._form.apply.setEnabled(bool(found.rows))
             if ask and found.rows:
-                text = f"{count_noun(len(found.rows), 'label')} will change."
+                text = tr("{} will change.", count_noun(len(found.rows), "label"))
                 self._choice.ask(text, YES, lambda _: self.apply())
 
         self._on.flushed(compute)
@@ -140,9 +140,9 @@ class BulkPresenter:
 
 def preview_text(found: BulkPreview) -> str:
     """Return the number of changes, and why some labels are excluded."""
-    lines = [f"{count_noun(len(found.rows), 'label')} will change."]
+    lines = [tr("{} will change.", count_noun(len(found.rows), "label"))]
     for reason, count in Counter(reason for _, reason in found.refused).most_common(3):
-        lines.append(f"{count_noun(count, 'label')} will stay. Reason: {reason}")
+        lines.append(tr("{} will stay. Reason: {}", count_noun(count, "label"), tr(reason)))
     return "\n".join(lines)
 
 
@@ -200,13 +200,11 @@ class SideTabKeys:
         """Ask for a bulk change of the queue and its value."""
         choices = [(str(n), text) for n, (_, text, _) in enumerate(KINDS, start=1)]
         names = {text: name for name, text, _ in KINDS}
-        walk, which = self._on.walk, "every label of this queue"
+        walk, asks = self._on.walk, tr("Change every label of this queue how?")
         if walk.selected is not walk.order:
-            which = f"the {len(walk.selected):,} selected labels"
+            asks = tr("Change the {:,} selected labels how?", len(walk.selected))
         self._on.do(
-            lambda: self._page.choice.ask(
-                f"Change {which} how?", choices, lambda word: self._begin(names[word])
-            )
+            lambda: self._page.choice.ask(asks, choices, lambda word: self._begin(names[word]))
         )
 
     def _begin(self, kind: str) -> None:

@@ -8,6 +8,7 @@ from typing import Any, cast
 from touchdown.app.label.page import REVIEWING, LabelPage
 from touchdown.app.label.presenter import LabelPresenter
 from touchdown.backend.annotations import REJECT_REASONS, Operation, Verdict
+from touchdown.widgets.base import count_noun, tr
 
 NO_DISPLACEMENT = "No displacement yet: type x,y or nudge; PgDown skips, D rejects."
 VERDICTS: tuple[tuple[str, str], ...] = (("S", "stable"), ("U", "unstable"), ("?", "unsure"))
@@ -160,13 +161,13 @@ class LabelDecisions:
 
     def undo(self) -> None:
         """Undo the person's last action."""
-        self._reversed(self._on.book.undo, "Undone")
+        self._reversed(self._on.book.undo, "Undone.", "Undone on {}.")
 
     def redo(self) -> None:
         """Redo the last undone action."""
-        self._reversed(self._on.book.redo, "Done again")
+        self._reversed(self._on.book.redo, "Done again.", "Done again on {}.")
 
-    def _reversed(self, work: Callable[[str], Operation | None], word: str) -> None:
+    def _reversed(self, work: Callable[[str], Operation | None], one: str, more: str) -> None:
         person = self._on.session.person
 
         async def reverse() -> None:
@@ -174,17 +175,17 @@ class LabelDecisions:
             if found is None:
                 self._page.say("There is nothing to take back.")
             else:
-                self._show(found.episodes, word)
+                episodes = count_noun(len(found.episodes), "episode")
+                self._show(found.episodes, tr(one if len(found.episodes) == 1 else more, episodes))
 
         self._on.flushed(reverse)
 
-    def _show(self, touched: list[str], word: str) -> None:
+    def _show(self, touched: list[str], said: str) -> None:
         for uuid in touched:
             if uuid in self._on.walk.entries:
                 self._on.walk.take(self._on.entry(uuid))
         here = self._on.present.item.entry.uuid if self._on.present is not None else ""
         places = [at for uuid in touched if (at := self._on.walk.find(uuid)) >= 0]
-        said = f"{word}." if len(touched) == 1 else f"{word} on {len(touched)} episodes."
         if not here:
             self._on.read_with_news(said)
         elif here in touched or not places:

@@ -12,10 +12,11 @@ from touchdown.app.label.page import LabelPage
 from touchdown.app.label.session import USUAL_MM, AnnotationSession, PresentEpisode
 from touchdown.app.shell import LabelDraft, SaveAction, SaveQueue, parse_displacement
 from touchdown.backend.annotations import ControlItemLabels
+from touchdown.widgets.base import tr
 from touchdown.widgets.views import Point
 
 OFFERED_MM = (0.05, 0.1, 0.2, 0.3, 0.5, 1.0)
-ASSUMED = f"Saved with sigma {USUAL_MM:.2f} mm. Press S to say how sure you are."
+ASSUMED = tr("Saved with sigma {:.2f} mm. Press S to say how sure you are.", USUAL_MM)
 
 
 def ask_uncertainty(page: LabelPage, known_mm: float, take: Callable[[float], None]) -> None:

@@ -124,8 +124,8 @@ class EmptyStateView(QWidget):
         self.why.setText(base.tr(nothing.why))
         self.button.setText(base.tr(nothing.button))
         self.button.setVisible(bool(nothing.button))
-        self.setAccessibleName(nothing.title)
-        self.setAccessibleDescription(nothing.why)
+        self.setAccessibleName(self.title.text())
+        self.setAccessibleDescription(self.why.text())
 
 
 FORCES, MOMENTS = (0, 1, 2), (3, 4, 5)
@@ -171,7 +171,7 @@ class LabelPage(QWidget):
         self.queue.setAccessibleName(base.tr("Queue"))
         hint = "piece:pot state:draft since:2026-11-30 sort:pair"
         self.filter = KeyboardLineEdit("Filter", hint, self.filter_typed.emit, self.setFocus)
-        self.filter.setToolTip(FILTER_HELP)
+        self.filter.setToolTip(base.tr(FILTER_HELP))
         self.keep_filter = base.flat_button("Save", "Give the filter a name, as a queue (Ctrl+S)")
         self.list = LabelList(theme, self.row_chosen.emit)
         self.bulk = BulkForm(
@@ -214,7 +214,7 @@ class LabelPage(QWidget):
         self.forces = RecordedTraces(theme, FORCES, self.show_cursor)
         self.moments = RecordedTraces(theme, MOMENTS, self.show_cursor)
         self.phase = PhasePlot(theme)
-        pairs = [f"{CHANNEL_NAMES[a]} with {CHANNEL_NAMES[b]}" for a, b in PAIRS]
+        pairs = [base.tr("{} with {}", CHANNEL_NAMES[a], CHANNEL_NAMES[b]) for a, b in PAIRS]
         self.curves = base.compact_combo_box(["Forces, moments", *pairs], "Curves on one axis")
         self.person = QPushButton(base.tr("nobody"))
         self.person.setToolTip(base.tr("Who labels (Ctrl+U)"))
@@ -272,7 +272,7 @@ class LabelPage(QWidget):
         if title:
             self.queue.setItemText(at, title)
         self.queue.setCurrentIndex(at)
-        self.acts[0].setText(APPROVE if name in REVIEWING else next(iter(ACTS)))
+        self.acts[0].setText(base.tr(APPROVE if name in REVIEWING else next(iter(ACTS))))
 
     def list_saved(self, names: Sequence[str]) -> None:
         """List the saved filters below the queues."""
@@ -289,7 +289,8 @@ class LabelPage(QWidget):
             self.filter.setText(text or "")
             self.filter.setCursorPosition(0)
         self.keep_filter.setText(base.tr("Forget" if saved else "Save"))
-        self.keep_filter.setAccessibleName(base.tr("{} the filter", self.keep_filter.text()))
+        name = "Forget the filter" if saved else "Save the filter"
+        self.keep_filter.setAccessibleName(base.tr(name))
 
     def open_entry(self, first: str) -> None:
         """Open the entry of a displacement with its first characters."""
@@ -304,16 +305,17 @@ class LabelPage(QWidget):
         self._answer = answer
         self.words.setText(first)
         self.words.selectAll()
+        hint = base.tr(hint)
         self.words.setAccessibleName(hint)
-        self._show_line(self.words, f"{hint}: Enter takes it, Esc leaves")
+        self._show_line(self.words, base.tr("{}: Enter takes it, Esc leaves", hint))
         self.words.setFocus()
 
     def _show_line(self, line: KeyboardLineEdit, caption: str) -> None:
         """Show one entry line with its caption."""
         for other in (self.entry, self.words):
             other.setVisible(other is line)
-        self.caption.setText(caption)
-        self.caption.setToolTip(caption)
+        self.caption.setText(base.tr(caption))
+        self.caption.setToolTip(self.caption.text())
         self.caption.show()
         base.scroll_into_view(line)
 

@@ -45,7 +45,6 @@ from touchdown.app.shell import (
     SaveAction,
     SaveQueue,
     SaveWorker,
-    count_noun,
     item_reader,
     scene_shots,
 )
@@ -59,7 +58,7 @@ from touchdown.backend.annotations import (
 )
 from touchdown.backend.episodes import QualityIssue
 from touchdown.backend.placement import resting_contact
-from touchdown.widgets.base import tr
+from touchdown.widgets.base import count_noun, tr
 from touchdown.widgets.views import OffsetScene, offset_text, verdict_text
 
 
@@ -82,7 +81,7 @@ def show_item(page: LabelPage, item: LabelItem) -> None:
     page.show_cursor(at_s)
     entry = item.entry
     page.view_panel.detail.setText(entry.uuid[-8:])
-    page.view_panel.detail.setToolTip(f"{entry.piece} on {entry.bottom}")
+    page.view_panel.detail.setToolTip(tr("{} on {}", entry.piece, entry.bottom))
 
 
 def show_edit(
@@ -201,7 +200,7 @@ class LabelPresenter:
         if text.isdecimal() and 1 <= int(text) <= len(self.walk.order):
             self.go_to(int(text) - 1)
         else:
-            self._page.say(f"The queue has no number {text}.", bad=True)
+            self._page.say(tr("The queue has no number {}.", text), bad=True)
 
     def move(self, by: int) -> None:
         """Go forward (1) or back (-1) without a decision.
@@ -243,7 +242,7 @@ class LabelPresenter:
             self.ended(done, *await self.saving.save(lambda: next_work(self.dataset, session)))
         elif self.walk.uuid == at:
             count = count_noun(len(left), "episode")
-            self._page.say(f"The end of the queue: {count} left. Ctrl+R reads it again.")
+            self._page.say(tr("The end of the queue: {} left. Ctrl+R reads it again.", count))
 
     def show_at(self, at: int, said: str) -> None:
         """Show another place of the queue with a message. There must be no unsaved edit."""
@@ -254,8 +253,8 @@ class LabelPresenter:
         if self.walk.move_to(at):
             self._show_present()
         else:
-            end = "The end of the queue" if at > 0 else "The beginning of the queue"
-            self._page.say(f"{end}: Ctrl+R reads it again.")
+            end = "The end of the queue: Ctrl+R reads it again."
+            self._page.say(end if at > 0 else "The beginning of the queue: Ctrl+R reads it again.")
 
     def _arrived(self, uuid: str) -> None:
         if uuid == self.walk.uuid and (
@@ -347,26 +346,26 @@ class LabelPresenter:
             page.strip.show_label("", (), "")
             return
         if self.session.opines:
-            said = (f"says {now.verdict}",) if now.verdict else ()
+            said = (tr("says {}", tr(now.verdict)),) if now.verdict else ()
             answered = now.item.entry.uuid in self.walk.answered
             saved = "answered blind" if answered else "blind, not answered yet"
-            page.strip.show_label("unlabelled", said, "unsaved" if failure else saved)
+            page.strip.show_label("unlabelled", said, tr("unsaved" if failure else saved))
             return
         if waiting or failure or now.edit.changed:
-            saved = "unsaved"
+            saved = tr("unsaved")
         else:
-            saved = f"saved {local_time_text(now.edit.base.at_ns)}, rev {len(now.history)}"
+            saved = tr("saved {}, rev {}", local_time_text(now.edit.base.at_ns), len(now.history))
         badges = self._badges
-        flags = ("flag",) if self.walk.entries[now.item.entry.uuid].flagged else ()
-        verdict = (f"says {now.edit.base.verdict}",) if now.edit.base.verdict else ()
+        flags = (tr("flag"),) if self.walk.entries[now.item.entry.uuid].flagged else ()
+        verdict = (tr("says {}", tr(now.edit.base.verdict)),) if now.edit.base.verdict else ()
         page.strip.show_label(now.edit.base.state, (*badges, *flags, *verdict), saved,
                               warns=bool(badges))  # fmt: skip
 
     def _show_count(self) -> None:
         count = len(self.walk.order)
-        place = f"{self.walk.at + 1:,} of {count:,}" if count else "empty"
+        place = tr("{:,} of {:,}", self.walk.at + 1, count) if count else tr("empty")
         if self.walk.selected is not self.walk.order:
-            place += f", {len(self.walk.selected):,} selected"
+            place += f", {tr('{:,} selected', len(self.walk.selected))}"
         self._page.queue_panel.detail.setText(place)
 
     def refuse(self, reason: str) -> None:
@@ -420,8 +419,8 @@ class LabelPresenter:
 
 
 def _waiting_words(count: int) -> str:
-    what = "1 action waits and is" if count == 1 else f"{count} actions wait and are"
-    return f"another program is writing to the dataset. {what} done as soon as it has finished."
+    waits = "another program is writing to the dataset. {} will be done as soon as it has finished."
+    return tr(waits, count_noun(count, "waiting action"))
 
 
 DIGITS = 9
@@ -438,7 +437,7 @@ class FindingGroup:
     @property
     def title(self) -> str:
         """Kind and number of episodes."""
-        return f"{self.name}: {count_noun(len(self.said), 'episode')}"
+        return f"{tr(self.name)}: {count_noun(len(self.said), 'episode')}"
 
 
 class HealthPresenter:
@@ -485,11 +484,9 @@ def group_findings(findings: Sequence[QualityIssue]) -> list[FindingGroup]:
 
 def health_text(health: QualityReport, kinds: int, at: datetime) -> str:
     """Return how many episodes were checked and the number of findings."""
-    whole = f"{health.examined:,}" + (
-        f" of {health.count:,}" if health.examined < health.count else ""
-    )
-    noun = "episode was" if health.examined == 1 else "episodes were"
-    found = {0: "no problems were found", 1: "1 kind of finding"}.get(
-        kinds, f"{kinds} kinds of findings"
-    )
-    return f"{whole} {noun} checked at {at:%H:%M}: {found}."
+    checked = count_noun(health.examined, "episode")
+    if health.examined < health.count:
+        checked = tr("{:,} of {}", health.examined, count_noun(health.count, "episode"))
+    found = "no problems were found" if not kinds else "1 kind of finding" if kinds == 1 else ""
+    found = tr(found or "{} kinds of findings", kinds)
+    return tr("Checked {} at {:%H:%M}: {}.", checked, at, found)

@@ -18,7 +18,6 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from touchdown.app.shell import count_noun
 from touchdown.backend.annotations import (
     PROGRAM_ACTOR,
     AgreementReport,
@@ -31,6 +30,7 @@ from touchdown.widgets.base import (
     Panel,
     Theme,
     WrappedItemDelegate,
+    count_noun,
     hbox,
     label,
     scroll_area,
@@ -66,26 +66,31 @@ def agreement_figures(dataset: Dataset) -> tuple[str, list[CurveLine]]:
     for person in people:
         gold = compare_with_control_items(dataset.database, dataset.geometry, person)
         if gold.episodes:
-            parts.append(pair_agreement_text(f"{person} on gold", "approved label", gold))
+            parts.append(pair_agreement_text(tr("{} on gold", person), tr("approved label"), gold))
     swayed = suggestion_bias(dataset.database, people)
     if swayed.episodes >= LEAST:
         parts.append(suggestion_bias_text(swayed))
-    return "\n\n".join(parts) or (
-        "No two people have answered the same episodes yet.\n\n"
-        "One unlabelled episode in 20 is gold: it has an approved label of another person and "
-        "looks like the others. Your decision there is stored as an opinion, as in the queue "
-        "'Gold': it changes no label."
-    ), lines
+    return "\n\n".join(parts) or tr(NO_AGREEMENT), lines
+
+
+NO_AGREEMENT = (
+    "No two people have answered the same episodes yet.\n\nOne unlabelled episode in 20 is gold: "
+    "it has an approved label of another person and looks like the others. Your decision there is "
+    "stored as an opinion, as in the queue 'Gold': it changes no label."
+)
 
 
 def pair_agreement_text(first: str, second: str, c: AgreementReport) -> str:
     """Return the agreement of two persons; unknown figures are left out."""
-    lines = [f"{first} minus {second}, {count_noun(c.episodes, 'episode')}"]
+    lines = [tr("{} minus {}, {}", first, second, count_noun(c.episodes, "episode"))]
     for axis, bias, icc in (("x", c.bias_x_mm, c.icc_x), ("y", c.bias_y_mm, c.icc_y)):
         if not math.isnan(bias.mean):
-            limits = f", 95 % limits {signed(bias.lower)} to {signed(bias.upper)}"
-            known = "" if math.isnan(bias.lower) else limits
-            lines.append(f"{axis}: bias {signed(bias.mean)} mm{known}{_figure(', ICC', icc)}")
+            said = (
+                tr("{}: bias {} mm", axis, signed(bias.mean)),
+                _limits(bias.lower, bias.upper),
+                _figure("ICC", icc),
+            )
+            lines.append(", ".join(filter(None, said)))
     rest = [
         _figure("RMS", c.rms_mm, " mm"),
         _figure("patch IoU", c.patch_iou),
@@ -94,29 +99,37 @@ def pair_agreement_text(first: str, second: str, c: AgreementReport) -> str:
     ]
     lines.append(", ".join(part for part in rest if part))
     if not any(map(math.isnan, c.drift_mm)):
-        lines.append(f"drift x {signed(c.drift_mm[0])}, y {signed(c.drift_mm[1])} mm")
+        lines.append(tr("drift x {}, y {} mm", signed(c.drift_mm[0]), signed(c.drift_mm[1])))
     if len(c.periods) > 1:
         newest = enumerate(c.periods[-MOST_PERIODS:], start=1)
-        periods = [f"{n}. {name}: {rms:.2f} mm of {count}" for n, (name, count, rms) in newest]
-        lines += ["RMS over time:", *periods]
+        of = "{}. {}: {:.2f} mm of {}"
+        periods = [tr(of, n, name, rms, count) for n, (name, count, rms) in newest]
+        lines += [tr("RMS over time:"), *periods]
     times = [f"{seconds:.1f} s" for seconds in c.seconds if not math.isnan(seconds)]
     if times and not math.isnan(c.seconds[0]):
-        lines.append(f"time {' and '.join(times)} an episode")
+        lines.append(tr("time {} an episode", tr(" and ").join(times)))
     return "\n".join(line for line in lines if line)
 
 
 def suggestion_bias_text(s: SuggestionBias) -> str:
     """Return the difference between blind labels and those made with the model visible."""
-    lines = [f"Blind minus shown, {s.episodes} episodes"]
+    lines = [tr("Blind minus shown, {}", count_noun(s.episodes, "episode"))]
     for axis, bias in (("x", s.x_mm), ("y", s.y_mm)):
-        limits = f", 95 % limits {signed(bias.lower)} to {signed(bias.upper)}"
-        known = "" if math.isnan(bias.lower) else limits
-        lines.append(f"{axis}: mean difference {signed(bias.mean)} mm{known}")
+        said = (
+            tr("{}: mean difference {} mm", axis, signed(bias.mean)),
+            _limits(bias.lower, bias.upper),
+        )
+        lines.append(", ".join(filter(None, said)))
     return "\n".join(lines)
 
 
+def _limits(lower: float, upper: float) -> str:
+    limits = tr("95 % limits {} to {}", signed(lower), signed(upper))
+    return "" if math.isnan(lower) else limits
+
+
 def _figure(name: str, value: float, unit: str = "") -> str:
-    return "" if math.isnan(value) else f"{name} {value:.2f}{unit}"
+    return "" if math.isnan(value) else f"{tr(name)} {value:.2f}{unit}"
 
 
 class KeyboardLineEdit(QLineEdit):
@@ -130,8 +143,8 @@ class KeyboardLineEdit(QLineEdit):
     ) -> None:
         super().__init__()
         self._typed, self._leave = typed, leave
-        self.setAccessibleName(name)
-        self.setPlaceholderText(hint)
+        self.setAccessibleName(tr(name))
+        self.setPlaceholderText(tr(hint))
 
     def event(self, event: QEvent) -> bool:
         """Claim Enter and Esc before the shortcuts of the page."""
@@ -276,7 +289,7 @@ class BulkForm(QWidget):
 
     def _kind_chosen(self, at: int) -> None:
         hint = KINDS[at][2]
-        self.value.setPlaceholderText(hint)
+        self.value.setPlaceholderText(tr(hint))
         self.value.setEnabled(bool(hint))
         self._changed()
 

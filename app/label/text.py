@@ -18,7 +18,7 @@ from touchdown.backend.annotations import (
     Source,
 )
 from touchdown.backend.placement import NOTABLE_SIGMAS, OffsetFit, sigmas_apart
-from touchdown.widgets.base import signed
+from touchdown.widgets.base import count_noun, signed, tr
 from touchdown.widgets.lists import HistoryRow, LabelListRow
 from touchdown.widgets.views import Ghost, offset_text
 
@@ -43,28 +43,28 @@ FINDING = "finding"  # the queue of a finding of the dataset check
 def source_text(source: Source) -> str:
     """Return a source as text; a model is named by the start of its weight hash."""
     kind, _, weights = source.partition(":")
-    return models_text(weights) if kind == "model" else kind
+    return models_text(weights) if kind == "model" else tr(kind)
 
 
 def models_text(weights: str) -> str:
     """Return the models named by the start of their weight hashes, joined by ``+``."""
     first, *others = weights.split("+")
-    more = f" and {len(others)} more" if others else ""
-    return f"model {first[:8]}{more}"
+    said = tr("model {}", first[:8])
+    return tr("{} and {} more", said, len(others)) if others else said
 
 
 def provenance_text(revision: Revision) -> str:
     """Return source and uncertainty of a label as text."""
     if not revision.label.is_set:
-        return "no displacement is set yet"
+        return tr("no displacement is set yet")
     sigma = revision.label.sigma_um
-    spread = "uncertainty unknown" if sigma is None else f"sigma {sigma / 1e3:.2f} mm"
+    spread = tr("uncertainty unknown") if sigma is None else tr("sigma {:.2f} mm", sigma / 1000.0)
     kind = revision.source.partition(":")[0]
     basis = {
-        "commanded": "commanded",
-        "measured": "measured",
-        "human": f"set by {revision.person}",
-        "model": f"{source_text(revision.source)} alone",
+        "commanded": tr("commanded"),
+        "measured": tr("measured"),
+        "human": tr("set by {}", revision.person),
+        "model": tr("{} alone", source_text(revision.source)),
     }.get(kind, revision.source)
     return f"{basis}, {spread}"
 
@@ -72,11 +72,12 @@ def provenance_text(revision: Revision) -> str:
 def next_step_text(head: Revision, *, reviewing: bool, opines: bool) -> str:
     """Return the next step for a label, where Enter does not simply accept it."""
     if opines:
-        return "Blind: Enter keeps your displacement as an opinion, the label does not change."
+        return tr("Blind: Enter keeps your displacement as an opinion, the label does not change.")
     if head.state == "rejected":
-        return f"Rejected by {head.person}: {head.reason or 'no reason'}. Correct it, then Enter."
+        why = tr(head.reason or "no reason")
+        return tr("Rejected by {}: {}. Correct it, then Enter.", head.person, why)
     if reviewing and head.state == "submitted":
-        return f"Submitted by {head.person}: Enter approves, D rejects."
+        return tr("Submitted by {}: Enter approves, D rejects.", head.person)
     return ""
 
 
@@ -88,7 +89,7 @@ def local_time_text(at_ns: int) -> str:
 def label_text(label: Label) -> str:
     """Return a label as text."""
     if not label.is_set:
-        return "no displacement"
+        return tr("no displacement")
     x, y = label.offset_mm.tolist()
     return offset_text((x, y), (label.sigma_um or 0) / 1e3)
 
@@ -99,8 +100,8 @@ def history_rows(revisions: Sequence[Revision], head: Revision) -> list[HistoryR
     for number, revision in enumerate(revisions, start=1):
         before = revisions[number - 2] if number > 1 else None
         when = f"{datetime.fromtimestamp(revision.at_ns / 1e9):%Y-%m-%d %H:%M:%S}"
-        reason = f" ({revision.reason})" if revision.reason else ""
-        what = f"{revision.state}{reason}: {label_text(revision.label)}"
+        reason = f" ({tr(revision.reason)})" if revision.reason else ""
+        what = f"{tr(revision.state)}{reason}: {label_text(revision.label)}"
         who = f"{revision.person}, {source_text(revision.source)}, {when}"
         holds = revision.rev_uuid == head.rev_uuid
         rows.append(
@@ -119,13 +120,13 @@ def revision_difference(before: Revision | None, after: Revision) -> str:
     if before.label.is_set and after.label.is_set:
         dx, dy = (after.label.offset_mm - before.label.offset_mm).tolist()
         if dx or dy:
-            parts.append(f"moved {offset_text((dx, dy))}")
+            parts.append(tr("moved {}", offset_text((dx, dy))))
     if before.source != after.source:
-        parts.append(f"{source_text(before.source)} to {source_text(after.source)}")
+        parts.append(tr("{} to {}", source_text(before.source), source_text(after.source)))
     if before.verdict != after.verdict:
-        parts.append(f"stability {after.verdict or 'none'}")
+        parts.append(tr("stability {}", tr(after.verdict or "none")))
     if before.geometry != after.geometry:
-        parts.append("other geometry")
+        parts.append(tr("other geometry"))
     return "; ".join(parts)
 
 
@@ -133,7 +134,7 @@ def beside_text(known: ScoredLabel) -> str:
     """Return score, label and predicted label (x, y in mm); unknown ones are left out."""
     places = [
         f"{name}{', '.join(signed(float(mm)) for mm in said.offset_mm)}"
-        for name, said in (("", known.label), ("model ", known.model))
+        for name, said in (("", known.label), (f"{tr('model')} ", known.model))
         if said is not None and said.is_set
     ]
     score = "" if known.score is None else f"{known.score:.1f}: "
@@ -151,14 +152,14 @@ def queue_row(
     marks = [
         word
         for word, holds in (
-            ("flag", entry.flagged),
-            ("conflict", entry.conflict),
-            ("refused by quality", not entry.quality.accepted),
-            (entry.file_state, entry.file_state != "complete"),
+            (tr("flag"), entry.flagged),
+            (tr("conflict"), entry.conflict),
+            (tr("refused by quality"), not entry.quality.accepted),
+            (tr(entry.file_state), entry.file_state != "complete"),
         )
         if holds
     ]
-    title = f"{entry.piece} on {entry.bottom}"
+    title = tr("{} on {}", entry.piece, entry.bottom)
     known = () if beside is None else (beside_text(beside),)
     return LabelListRow(entry.uuid, title, when, state, (*known, *marks, *badges))
 
@@ -166,16 +167,17 @@ def queue_row(
 def blind_queue_row(entry: EpisodeEntry, *, answered: bool) -> LabelListRow:
     """Return the row of an episode that is answered blind; control items look like the rest."""
     plain = queue_row(replace(entry, flagged=False, conflict=False), "unlabelled")
-    return replace(plain, badges=("answered",) if answered else ())
+    return replace(plain, badges=(tr("answered"),) if answered else ())
 
 
 def operation_text(operation: Operation) -> str:
     """Return one action as a line of the log."""
     episodes = operation.episodes
     what = operation.verb.removeprefix("label.").replace("_", " ")
-    which = f"{len(episodes)} episodes" if len(episodes) != 1 else f"episode {episodes[0][-8:]}"
+    which = count_noun(len(episodes), "episode")
+    which = tr("episode {}", episodes[0][-8:]) if len(episodes) == 1 else which
     when = f"{datetime.fromtimestamp(operation.at_ns / 1e9):%Y-%m-%d %H:%M:%S}"
-    return f"{when}  {operation.actor}: {what}, {which}"
+    return f"{when}  {operation.actor}: {tr(what)}, {which}"
 
 
 LEAST_SIGMA_MM = 0.05  # lower bound of the label's uncertainty in comparisons
@@ -212,7 +214,7 @@ def evidence_badges(edit: LabelDraft, item: LabelItem) -> tuple[str, ...]:
             name, distance = "model", sigmas_from_model(edit, item)
     if distance is None or distance <= NOTABLE_SIGMAS:
         return ()
-    return (f"{name} {distance:.1f} \N{GREEK SMALL LETTER SIGMA} off",)
+    return (tr("{} {:.1f} \N{GREEK SMALL LETTER SIGMA} off", tr(name), distance),)
 
 
 def evidence_ghosts(item: LabelItem, history: Sequence[Revision]) -> tuple[Ghost, ...]:
@@ -240,24 +242,25 @@ def scene_evidence_text(edit: LabelDraft, item: LabelItem, *, hidden: bool) -> s
     if hidden:
         return ""
     if item.scene is None:
-        return "No scene picture: a slip in the grasp is not detected."
+        return tr("No scene picture: a slip in the grasp is not detected.")
     place = item.scene.place
     if place is None:
-        return "Scene camera: the rim of the face is not detected."
+        return tr("Scene camera: the rim of the face is not detected.")
     far = _distance_text(sigmas_from_scene(edit, item))
-    return f"Scene camera: {offset_text(place.offset_mm, place.sigma_mm)}{far}"
+    return f"{tr('Scene camera')}: {offset_text(place.offset_mm, place.sigma_mm)}{far}"
 
 
 def model_evidence_text(edit: LabelDraft, item: LabelItem, *, hidden: bool) -> str:
     """Return the model's estimate as text."""
     if hidden:
-        return "Model and other sources are hidden."
+        return tr("Model and other sources are hidden.")
     model = item.model
     if model is None:
-        return "No model of this piece, or it cannot judge this episode."
+        return tr("No model of this piece, or it cannot judge this episode.")
     where = offset_text(model.fit.offset_mm, model.fit.sigma_mm)
     name = models_text(model.weights).capitalize()
-    spread = f", they differ by {model.spread_mm:.2f} mm" if "+" in model.weights else ""
+    several = "+" in model.weights
+    spread = f", {tr('they differ by {:.2f} mm', model.spread_mm)}" if several else ""
     return f"{name}: {where}{spread}{_distance_text(sigmas_from_model(edit, item))} (M)"
 
 
@@ -268,4 +271,4 @@ def _sigmas_between(edit: LabelDraft, other: OffsetFit | None) -> float | None:
 
 
 def _distance_text(distance: float | None) -> str:
-    return "" if distance is None else f", {distance:.1f} sigma off"
+    return "" if distance is None else f", {tr('{:.1f} sigma off', distance)}"

@@ -26,7 +26,6 @@ from touchdown.app.shell import (
     Workspace,
     WorkspaceContext,
     WorkspacePage,
-    count_noun,
     error_card,
     open_dataset,
     restore_form,
@@ -42,7 +41,7 @@ from touchdown.backend.core import InputError, TouchdownError
 from touchdown.backend.learning import ModelRegistry, models_below
 from touchdown.backend.placement import score_labels
 from touchdown.backend.runs import dataset_folder, models_folder
-from touchdown.widgets.base import Theme, hbox, tr, vbox
+from touchdown.widgets.base import Theme, count_noun, hbox, tr, vbox
 from touchdown.widgets.shell import CardText
 
 TELL_EVERY = 20
@@ -63,10 +62,12 @@ class DatasetTasks:
             self._page.say("This action is already in progress.")
             return
         self._page.say("Scoring the dataset …")
-        opened, progress = self._opened, self._teller("Scoring")
+        opened, progress = self._opened, self._teller("Scoring the dataset: {:,} of {:,}")
         self._jobs.submit(
             lambda: score_labels(opened.dataset, opened.prelabel.model, progress),
-            lambda count: self._on.read_anew(f"{count} episodes were scored by the model."),
+            lambda count: self._on.read_anew(
+                tr("The model has scored {}.", count_noun(count, "episode"))
+            ),
             self._failed,
         )
 
@@ -76,7 +77,10 @@ class DatasetTasks:
             self._page.say("Wait until the dataset is checked or scored.")
             return
         self._page.say("Looking through the dataset …")
-        dataset, progress = self._opened.dataset, self._teller("Looking through")
+        dataset, progress = (
+            self._opened.dataset,
+            self._teller("Looking through the dataset: {:,} of {:,}"),
+        )
 
         def looked(health: QualityReport) -> None:
             self._page.say("")
@@ -91,7 +95,7 @@ class DatasetTasks:
             self._page.say("Show an episode of the piece first.", bad=True)
             return
         piece = now.item.entry.piece
-        hint = f"Folder of the models that pre-label {piece}, or {IN_USE} for the one in use"
+        hint = tr("Folder of the models that pre-label {}, or {} for the one in use", piece, IN_USE)
         self._page.ask_words(hint, "", lambda words: self._choose_models(piece, words))
 
     def _choose_models(self, piece: str, words: str) -> None:
@@ -100,15 +104,17 @@ class DatasetTasks:
         def choose() -> int:
             models = [] if words == IN_USE else models_below(Path(words).expanduser(), piece)
             if not models and words != IN_USE:
-                raise InputError(f"There is no model of '{piece}'.", words, "Name another folder.")
+                raise InputError(
+                    tr("There is no model of '{}'.", piece), words, "Name another folder."
+                )
             registry.choose_ensemble(piece, models, person)
             return len(models)
 
         def chosen(count: int) -> None:
             self._opened.prelabel.forget()
             self._on.read_anew(
-                f"{count} models of {piece} pre-label together." if count
-                else f"The model in use pre-labels {piece}."
+                tr("{} of {} pre-label together.", count_noun(count, "model"), piece) if count
+                else tr("The model in use pre-labels {}.", piece)
             )  # fmt: skip
 
         self._jobs.submit(choose, chosen, self._failed)
@@ -127,7 +133,7 @@ class DatasetTasks:
 
         def tell(done: int, count: int) -> bool:
             if done % TELL_EVERY == 0:
-                text = f"{doing} the dataset: {done:,} of {count:,}"
+                text = tr(doing, done, count)
                 self._jobs.put(lambda: self._page.say(text))
             return not self._ended.is_set()
 
@@ -141,8 +147,10 @@ class DatasetTasks:
         )
 
     def _merged(self, done: MergeReport) -> None:
-        conflicts = f", {len(done.conflicts)} in conflict" if done.conflicts else ""
-        self._page.say(f"Merged {done.operations} actions and {done.episodes} episodes{conflicts}.")
+        counts = [count_noun(done.operations, "action"), count_noun(done.episodes, "episode")]
+        if done.conflicts:
+            counts.append(count_noun(len(done.conflicts), "conflict"))
+        self._page.say(tr("Merged {}.", ", ".join(counts)))
 
     def _failed(self, error: Exception) -> None:
         self._page.say(str(error) if isinstance(error, TouchdownError) else repr(error), bad=True)
@@ -349,12 +357,12 @@ class LabelWorkspace(Workspace):
     def _offer_next(self, done: int, queue: str, size: int) -> None:
         """Tell that a queue is done; offer the next one, or a training."""
         titles, now, offer = dict(QUEUES), self.session.queue, self._context.offer
-        text = f"{titles.get(now, now)}: {count_noun(done, 'episode')} done."
+        text = tr("{}: {} done.", tr(titles.get(now, now)), count_noun(done, "episode"))
         if queue:
-            text = f"{text} {titles[queue]}: {count_noun(size, 'episode')}."
+            text = f"{text} {tr(titles[queue])}: {count_noun(size, 'episode')}."
             offer(text, "Open that queue", partial(self._go_to, queue))
         elif size:
-            text = f"{text} {count_noun(size, 'label')} approved."
+            text = f"{text} {tr('{} approved.', count_noun(size, 'label'))}"
             offer(text, "Train on them", partial(self._context.go, "train"))
 
     def _go_to(self, queue: str) -> None:
@@ -399,14 +407,14 @@ class LabelWorkspace(Workspace):
 
     def _save_filter(self, name: str) -> None:
         if name in {word for queue in QUEUES for word in queue} or not name.isprintable():
-            self.label_page.say(f"A filter cannot have the name '{name}'.", bad=True)
+            self.label_page.say(tr("A filter cannot have the name '{}'.", name), bad=True)
         else:
             self.session.saved[name] = self.session.filter
             self._open_queue(name)
 
     def _failed(self, error: Exception) -> None:
         self.label_page.say("No dataset is open.", bad=True)
-        card = error_card("DATASET", error, f"In {self.folder}.", "Look at the folder.")
+        card = error_card("DATASET", error, tr("In {}.", self.folder), "Look at the folder.")
         self._context.cards.show_card(card)
         self.refused(card.what)
 
@@ -489,7 +497,7 @@ class LabelWorkspace(Workspace):
         """Ask for a place of the queue and go there."""
         p = self.presenter
         if p is not None:
-            hint = f"Number in the queue, 1 to {len(p.walk.order):,}"
+            hint = tr("Number in the queue, 1 to {:,}", len(p.walk.order))
             self.label_page.ask_words(hint, "", p.go_to_number)
 
     def _type(self, text: str) -> None:
@@ -536,7 +544,7 @@ class LabelWorkspace(Workspace):
         def turn() -> None:
             opined = self.session.opines
             self.session.blind = not self.session.blind
-            words = f"Blind mode is {'on' if self.session.blind else 'off'}."
+            words = "Blind mode is on." if self.session.blind else "Blind mode is off."
             if self.session.opines is not opined:
                 self.on(lambda t: t.presenter.read_with_news(words))
             else:
@@ -565,6 +573,10 @@ def _is_name(person: str) -> bool:
         return False
 
 
+NUDGES = {
+    "Left": "Move the face {:g} mm left", "Right": "Move the face {:g} mm right",
+    "Up": "Move the face {:g} mm up", "Down": "Move the face {:g} mm down",
+}  # fmt: skip
 STEPS_UM = (("", 100), ("Shift+", 1000), ("Alt+", 10))
 ARROWS = (("Left", -1, 0), ("Right", 1, 0), ("Up", 0, 1), ("Down", 0, -1))
 
@@ -583,7 +595,7 @@ def label_commands(w: LabelWorkspace, context: WorkspaceContext) -> tuple[Window
         step_um = max(abs(dx_um), abs(dy_um))
         return on(
             f"nudge-{name.lower()}-{step_um}",
-            f"Move the face {step_um / 1000:g} mm {name.lower()}",
+            tr(NUDGES[name], step_um / 1000),
             f"{prefix}{name}",
             lambda t: t.presenter.editing.nudge(dx_um, dy_um),
             beside=True,

@@ -23,7 +23,7 @@ from touchdown.backend.core import (
     rotation_angle_rad,
 )
 from touchdown.backend.runs import ManualControl, SceneChoice, SetRequest
-from touchdown.widgets.base import true_minus
+from touchdown.widgets.base import tr, true_minus
 from touchdown.widgets.forms import JOINTS, JogPad, JogUnit, PoseReadout
 from touchdown.widgets.shell import CardQuestion, FaultCards
 
@@ -161,19 +161,20 @@ class ManualControlPresenter:
         if now_s - self._drawn_s >= PERIOD_S or pads != self._drawn_pads:
             self._drawn_s, self._drawn_pads = now_s, pads
             self._page.jog.show_look(self._look())
-            words = shell.LIFT if self._bench.interlock.latched else f"Lift {shell.LIFT_MM:.0f} mm"
+            latched = self._bench.interlock.latched
+            words = shell.LIFT if latched else tr("Lift {:.0f} mm", shell.LIFT_MM)
             self._page.jog.show_lift(words if shell.is_pressing(self._bench) else "")
             self._draw_gripper()
 
     def why_not(self) -> str:
         """Return why manual motion is not possible now, "" if it is."""
         if self._bench.hand is None:
-            return shell.missing_scene_reason(self._bench) or "The bench is being prepared"
+            return shell.missing_scene_reason(self._bench) or tr("The bench is being prepared")
         if self._bench.interlock.latched:
-            return "Press Reset first"
+            return tr("Press Reset first")
         if not self._bench.hand.powered:
-            return "The servo is off: hold Servo in the top bar for 1 s"
-        return "A run is going on" if shell.is_run_active(self._bench) else ""
+            return tr("The servo is off: hold Servo in the top bar for 1 s")
+        return tr("A run is going on") if shell.is_run_active(self._bench) else ""
 
     def _look(self) -> PoseReadout:
         arm, hand = shell.arm_of(self._bench), self._bench.hand
@@ -188,20 +189,21 @@ class ManualControlPresenter:
             return PoseReadout()
         slow, above_mm = hand.jog.state.slow, pose.z_mm - hand.surface_mm
         recovering, turned = self._bench.interlock.recovering, rotation_angle_rad(pose) > 0.0
-        note = "Recovery: jog away from contact" if recovering else ""
+        note = tr("Recovery: jog away from contact") if recovering else ""
         if not note and hand.pressing_n and not shell.is_run_active(self._bench):
-            note = f"In contact, {hand.pressing_n:.1f} N: lift first"
+            note = tr("In contact, {:.1f} N: lift first", hand.pressing_n)
         note = note or self._bench.interlock.degraded
         warn = bool(note)
         if not note and rotation_angle_rad(pose) > LEVEL_TOLERANCE_RAD:
             turned_deg = math.degrees(rotation_angle_rad(pose))
-            note = f"Turned by {turned_deg:.1f}\N{DEGREE SIGN}: level it to probe"
+            note = tr("Turned by {:.1f}\N{DEGREE SIGN}: level it to probe", turned_deg)
         if not note and any(room.why == "TURN-LOW" for room in rooms.values()):
             clear_mm = self._bench.interlock.limits.turn_clear_mm
-            note = f"{above_mm:.1f} mm above the surface, {clear_mm:.0f} mm needed to turn: jog +Z"
+            low = "{:.1f} mm above the surface, {:.0f} mm needed to turn: jog +Z"
+            note = tr(low, above_mm, clear_mm)
         if not note and not math.isnan(above_mm):
-            side = "above" if above_mm >= 0.0 else "below"
-            note = f"{abs(above_mm):.1f} mm {side} the surface"
+            above, below = "{:.1f} mm above the surface", "{:.1f} mm below the surface"
+            note = tr(above if above_mm >= 0.0 else below, abs(above_mm))
         if slow and hand.jog.state.order is not None:
             note = f"{self._jog_speed(hand)}: {slow}"
         age_s = max(self._bench.clock_s() - t_s, 0.0)
@@ -250,7 +252,7 @@ class ManualControlPresenter:
 def _room_words(what: str, room: devices.JogRange) -> str:
     """Return the text below the name of a pad."""
     if room.why:
-        return SHORT.get(room.why, "refused")
+        return tr(SHORT.get(room.why, "refused"))
     if devices.turns(_axis(what)):
         return f"{math.degrees(room.left):.0f}\N{DEGREE SIGN}"
     return f"{room.left:.0f} mm"

@@ -51,7 +51,7 @@ class SingleProbePresenter:
     def show_model(self) -> None:
         """Show the model that reads the next probe."""
         words = shell.scene_model_caption(self._model, self.piece, simulated=self._bench.simulated)
-        self._panel.show_model(f"Model: {words.short}", words.full)
+        self._panel.show_model(tr("Model: {}", tr(words.short)), tr(words.full))
 
     def take(self, event: core.Event) -> None:
         """Follow the events of a probe run."""
@@ -68,12 +68,12 @@ class SingleProbePresenter:
             self._panel.strip.show_phase(PHASES.index(event.phase))
         elif isinstance(event, core.EpisodeRecorded):
             episode = event.episode
-            self._felt.append(f"largest Fz {float(episode.observation[:, -4].max()):.1f} N")
+            self._felt.append(tr("largest Fz {:.1f} N", float(episode.observation[:, -4].max())))
             if not episode.quality.accepted:
-                self._felt.append(f"not an observation: {'; '.join(episode.quality.reasons)}")
+                self._felt.append(tr("not an observation: {}", "; ".join(episode.quality.reasons)))
         elif isinstance(event, core.PatchEstimated):
             share, self.patch = float((event.patch.probability > 0.5).mean()), event
-            self._felt.append(f"contact on {100 * share:.0f} % of the face")
+            self._felt.append(tr("contact on {:.0f} % of the face", 100 * share))
         elif isinstance(event, core.RunFinished):
             self._end(event)
 
@@ -95,7 +95,7 @@ class SingleProbePresenter:
         active = shell.is_run_active(self._bench)
         why = "" if active else shell.start_obstacle(self._bench)
         if active and not self._mine:
-            why = "A run is going on"
+            why = tr("A run is going on")
         self._panel.show_buttons(
             probe=not active and not why, cancel=active and self._mine, why=why
         )
@@ -116,10 +116,8 @@ class SingleProbePresenter:
 def values_text(probe: ProbeSettings) -> str:
     """Return the settings of a probe in one line."""
     x, y, z = (f"{k:g}" for k in probe.stiffness_n_mm)
-    return (
-        f"{probe.depth_mm:g} mm deep, {probe.duration_s:g} s, stiffness {x} {y} {z} N/mm, "
-        f"sampled at 10 Hz"
-    )
+    values = "{:g} mm deep, {:g} s, stiffness {} {} {} N/mm, sampled at 10 Hz"
+    return tr(values, probe.depth_mm, probe.duration_s, x, y, z)
 
 
 NO_RUN = BeliefScene(

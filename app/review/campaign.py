@@ -7,7 +7,6 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any
 
-from touchdown.app.shell import count_noun
 from touchdown.backend.core import (
     CampaignBegan,
     EpisodeDecided,
@@ -22,6 +21,7 @@ from touchdown.backend.core import (
     Said,
     parse_json,
 )
+from touchdown.widgets.base import count_noun, tr
 from touchdown.widgets.views import offset_text
 
 
@@ -41,9 +41,9 @@ class CollectedRun:
     def headline(self) -> str:
         """Number of probes taken and planned."""
         if self.begun is None:
-            return "Nothing was collected"
+            return tr("Nothing was collected")
         done = self.probes[-1].done if self.probes else self.begun.done
-        return f"{done} of {self.begun.total} probes"
+        return tr("{} of {} probes", done, self.begun.total)
 
     def lines(self) -> list[str]:
         """Return one line per probe."""
@@ -54,11 +54,13 @@ class CollectedRun:
         head, plan = self.head, _request(self.head)
         mountings = len({mounting for mounting, _ in self.grips})
         lines = [
-            f"{head.piece} on {head.bottom}",
-            f"plan: {head.strategy}, {plan.get('count', '?')} probes, seed {head.seed}",
-            f"collected by {plan.get('person') or 'nobody named'}",
-            f"{count_noun(len(self.probes), 'probe')} in this run, {self._decisions()}",
-            f"{count_noun(len(self.grips), 'grip')} on {count_noun(mountings, 'mounting')}",
+            tr("{} on {}", head.piece, head.bottom),
+            tr(
+                "plan: {}, {} probes, seed {}", tr(head.strategy), plan.get("count", "?"), head.seed
+            ),
+            tr("collected by {}", plan.get("person") or tr("nobody named")),
+            tr("{} in this run, {}", count_noun(len(self.probes), "probe"), self._decisions()),
+            tr("{} on {}", count_noun(len(self.grips), "grip"), count_noun(mountings, "mounting")),
             _ending(self.ended),
         ]
         return "\n".join(lines)
@@ -66,12 +68,12 @@ class CollectedRun:
     def _probe_words(self, probe: ProbeCollected) -> str:
         decided = self.decided.get(probe.uuid)
         word = "refused" if probe.reasons else "kept" if decided is None else decided.decision
-        return f"{word}, {offset_text(probe.measured_mm)}"
+        return f"{tr(word)}, {offset_text(probe.measured_mm)}"
 
     def _decisions(self) -> str:
         refused = sum(bool(probe.reasons) for probe in self.probes)
         said = Counter(one.decision for one in self.decided.values())
-        parts = [f"{refused} refused", *(f"{n} {word}" for word, n in said.most_common())]
+        parts = [tr("{} refused", refused), *(f"{n} {tr(word)}" for word, n in said.most_common())]
         return ", ".join(parts)
 
 
@@ -108,24 +110,26 @@ def event_text(event: Event) -> str:
     if isinstance(event, FaultRaised):
         return f"{event.fault.what} {event.fault.next_step}"
     if isinstance(event, Gripped):
-        return f"Grip {event.grip} of mounting {event.mounting}, {event.mass_g:.1f} g held"
+        return tr("Grip {} of mounting {}, {:.1f} g held", event.grip, event.mounting, event.mass_g)
     if isinstance(event, OriginChecked):
-        agrees = "agrees" if event.agrees else "does not agree"
-        return f"The origin {agrees}: off by {offset_text(event.residual_mm, event.sigma_mm)}"
+        agrees, differs = "The origin agrees: off by {}", "The origin does not agree: off by {}"
+        off = offset_text(event.residual_mm, event.sigma_mm)
+        return tr(agrees if event.agrees else differs, off)
     if isinstance(event, EpisodeDecided):
-        return f"{event.person or 'nobody named'}: {event.decision}, item {event.item}"
+        person = event.person or tr("nobody named")
+        return tr("{}: {}, item {}", person, tr(event.decision), event.item)
     if isinstance(event, CampaignBegan):
-        return f"The campaign goes on at {event.done} of {event.total} probes"
+        return tr("The campaign goes on at {} of {} probes", event.done, event.total)
     if isinstance(event, ProbeCollected):
-        why = f": refused, {event.reasons}" if event.reasons else ""
-        return f"Probe {event.done} of {event.total}{why}"
+        said = tr("Probe {} of {}", event.done, event.total)
+        return f"{said}: {tr('refused')}, {event.reasons}" if event.reasons else said
     return _ending(event) if isinstance(event, RunFinished) else ""
 
 
 def _ending(ended: RunFinished | None) -> str:
     if ended is None:
-        return "The journal ends before the run did."
-    return f"Run {ended.ending}." + (f" {ended.reason}" if ended.reason else "")
+        return tr("The journal ends before the run did.")
+    return tr("Run {}.", tr(ended.ending)) + (f" {ended.reason}" if ended.reason else "")
 
 
 def _request(head: RunStarted) -> dict[str, Any]:

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from touchdown.app.review.timing import TrialTimeline
-from touchdown.app.shell import ModelPrelabeller, count_noun
+from touchdown.app.shell import ModelPrelabeller
 from touchdown.backend.annotations import Dataset, EpisodeEntry
 from touchdown.backend.config import StackSettings
 from touchdown.backend.core import (
@@ -33,6 +33,7 @@ from touchdown.backend.episodes import CompressedEpisode, read_compressed_episod
 from touchdown.backend.geometry import PieceLibrary
 from touchdown.backend.placement import Belief, judge_stability
 from touchdown.backend.runs import read_campaign
+from touchdown.widgets.base import count_noun, tr
 from touchdown.widgets.plots import WrenchTrace
 from touchdown.widgets.views import FilmTrack, Reel
 
@@ -132,21 +133,23 @@ class EpisodeSeries:
         first = self.first
         when = datetime.fromtimestamp(first.recorded_ns * 1e-9)
         episodes = count_noun(len(self.episodes), "episode")
-        return f"{when:%Y-%m-%d  %H:%M:%S}\nseries: {first.piece} on {first.bottom}, {episodes}"
+        pair = tr("{} on {}", first.piece, first.bottom)
+        return f"{when:%Y-%m-%d  %H:%M:%S}\n{tr('series: {}, {}', pair, episodes)}"
 
     @property
     def facts(self) -> str:
         """Pair, plan, person and progress, one line each."""
         first = self.first
-        people = ", ".join(sorted(filter(None, self.people))) or "nobody named"
+        people = ", ".join(sorted(filter(None, self.people))) or tr("nobody named")
         mountings = len({mounting for mounting, _ in self.grips})
         states = Counter(state for _, state in self.episodes).most_common()
         lines = [
-            f"{first.piece} on {first.bottom}, {first.mode}",
+            f"{tr('{} on {}', first.piece, first.bottom)}, {tr(first.mode)}",
             self.plan,
-            f"recorded by {people}",
-            f"{', '.join(f'{count} {state}' for state, count in states)}; {self.refused} refused",
-            f"{count_noun(len(self.grips), 'grip')} on {count_noun(mountings, 'mounting')}",
+            tr("recorded by {}", people),
+            f"{', '.join(f'{count} {tr(state)}' for state, count in states)}; "
+            + tr("{} refused", self.refused),
+            tr("{} on {}", count_noun(len(self.grips), "grip"), count_noun(mountings, "mounting")),
         ]
         return "\n".join(line for line in lines if line)
 
@@ -177,7 +180,9 @@ def plan_text(dataset: Dataset, campaign: str) -> str:
         plan = read_campaign(dataset.folder, campaign) if campaign else None
     except InputError:
         return ""
-    return "" if plan is None else f"plan: {plan.pattern}, {plan.count} probes, seed {plan.seed}"
+    if plan is None:
+        return ""
+    return tr("plan: {}, {} probes, seed {}", tr(plan.pattern), plan.count, plan.seed)
 
 
 def read_stored_episode(
@@ -200,10 +205,11 @@ def read_stored_episode(
         TrialStarted(begun_s, 1, 0, at),
         EpisodeRecorded(episode.onset_s + JUDGED_S, bare, 1, entry.path),
     ]
-    says = "No displacement is labelled." if at is None else ""
+    says = tr("No displacement is labelled.") if at is None else ""
     if at is not None:
         facts += _model_reading(models, catalogue, entry, episode, at)
-        says = f"Label {label.state}, {label.source.split(':')[0]}, by {label.person}."
+        source = tr(label.source.split(":")[0])
+        says = tr("Label {}, {}, by {}.", tr(label.state), source, label.person)
     return StoredEpisode(entry, join_films([film]), TrialTimeline(head, tuple(facts)), says)
 
 

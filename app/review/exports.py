@@ -18,7 +18,7 @@ from PySide6.QtWidgets import QAbstractButton, QComboBox, QWidget
 from touchdown.app.review.timing import TrialTimeline
 from touchdown.backend.core import write_atomically
 from touchdown.backend.geometry import Outline
-from touchdown.widgets.base import Theme, ui_font
+from touchdown.widgets.base import Theme, tr, ui_font
 
 MARGIN_PX = 12
 
@@ -147,10 +147,10 @@ def open_in_viewer(path: Path) -> str:
     """Open ``path`` in the viewer of the desktop; return a message."""
     program = shutil.which(VIEWER)
     if program is None:
-        return f"This computer has no {VIEWER}: the file is {path}"
+        return tr("This computer has no {}: the file is {}", VIEWER, path)
     if not QProcess.startDetached(program, [str(path)])[0]:
-        return f"{VIEWER} did not start: the file is {path}"
-    return f"Opened outside: {path}"
+        return tr("{} did not start: the file is {}", VIEWER, path)
+    return tr("Opened outside: {}", path)
 
 
 def dated_file_name(name: str) -> str:

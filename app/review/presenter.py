@@ -19,17 +19,10 @@ from touchdown.app.review.recordings import (
 )
 from touchdown.app.review.replay import TOUCH_S, ReplayPresenter
 from touchdown.app.review.timing import TrialTimeline
-from touchdown.app.shell import (
-    BookmarkDialog,
-    RunStory,
-    SaveWorker,
-    TrialStory,
-    count_noun,
-    run_score,
-)
+from touchdown.app.shell import BookmarkDialog, RunStory, SaveWorker, TrialStory, run_score
 from touchdown.backend.core import InputError
 from touchdown.backend.runs import BOOKMARKS_NAME, EVENT_LOG_NAME, Bookmark, read_bookmarks
-from touchdown.widgets.base import tr
+from touchdown.widgets.base import count_noun, tr
 from touchdown.widgets.shell import CardText, FaultCards
 from touchdown.widgets.views import OUTCOME_WORDS, DecisionText
 
@@ -104,7 +97,7 @@ class ReviewPresenter:
             if reading is self._reading:
                 self.cancel_reading()
                 what = error.what if isinstance(error, InputError) else str(error)
-                self._card(f"The run could not be read: {what}", f"In {run}.")
+                self._card(tr("The run could not be read: {}", what), tr("In {}.", run))
 
         self._reader.submit(reading.read, done, failed)
 
@@ -149,14 +142,14 @@ class ReviewPresenter:
         self._name_parts("Trials", "of the run", "Outcomes")
         self._show_score()
         lines = [_trial_title(trial) for trial in self.story.trials]
-        lines = lines or ["1.  single probe" for _ in self.timed]
+        lines = lines or [tr("1.  single probe") for _ in self.timed]
         self._fill(lines, len(lines) - 1)
 
     def _open_collection(self, collection: CollectedRun) -> None:
         """Show a collecting run; its probes are episodes of the dataset."""
         self.timed, self._told = [], collection.told
         self._episodes = [probe.uuid for probe in collection.probes]
-        self._whole = f"Run {collection.head.run_id}, seed {collection.head.seed}"
+        self._whole = tr("Run {}, seed {}", collection.head.run_id, collection.head.seed)
         self._page.score.show_facts(collection.headline, collection.facts())
         self._name_parts("Probes", "of the run", "Collection")
         self._fill(collection.lines(), len(self._episodes) - 1)
@@ -165,7 +158,7 @@ class ReviewPresenter:
         self._drop_reading()
         self.story, self._run, self.timed, self._told = RunStory(), None, [], []
         self._episodes = [uuid for uuid, _ in series.episodes]
-        self._whole = ", ".join((f"Series {series.first.series}", series.plan)).rstrip(", ")
+        self._whole = ", ".join((tr("Series {}", series.first.series), series.plan)).rstrip(", ")
         count = len(series.episodes)
         self._page.score.show_facts(count_noun(count, "episode"), series.facts)
         self._name_parts("Episodes", "of the series", "Series")
@@ -177,7 +170,7 @@ class ReviewPresenter:
     def _name_parts(self, title: str, detail: str, whole: str) -> None:
         self._page.score.rename(whole)
         self._page.trials_panel.rename(title)
-        self._page.trials_panel.detail.setText(detail)
+        self._page.trials_panel.detail.setText(tr(detail))
 
     def _fill(self, lines: list[str], chosen: int) -> None:
         trials = self._page.trials
@@ -206,8 +199,9 @@ class ReviewPresenter:
         assert self._run is not None
         self.file = self._run / EVENT_LOG_NAME
         head, whole = trial.head, trial.story(float("inf"))
-        pair = f"{head.piece} on {head.bottom}"
-        self.caption = f"Run {self._run.name}: {pair}, trial {whole.trial}, seed {whole.seed}"
+        pair = tr("{} on {}", head.piece, head.bottom)
+        names = self._run.name, pair, whole.trial, whole.seed
+        self.caption = tr("Run {}: {}, trial {}, seed {}", *names)
         faces = self.library.face(head.piece), self.library.face(head.bottom.split("+")[-1])
         self.replay.show(trial, *faces)
         self._read_notes(self._run / BOOKMARKS_NAME, whole.trial)
@@ -221,7 +215,7 @@ class ReviewPresenter:
     def _take_recorded(self, recorded: episodes.TrialRecording) -> None:
         self.replay.take(recorded)
         detail = self._page.signals_panel.detail
-        detail.setText("; ".join(recorded.missing) or tr("{} probes", len(recorded.traces)))
+        detail.setText("; ".join(recorded.missing) or count_noun(len(recorded.traces), "probe"))
         detail.setToolTip("\n".join(recorded.missing))
 
     def _show_episode(self, uuid: str) -> None:
@@ -232,8 +226,8 @@ class ReviewPresenter:
         entry = shown.entry
         self.file = self.library.folder / entry.path
         self.timed = [shown.trial]
-        pair = f"{entry.piece} on {entry.bottom}"
-        self.caption = f"{self._whole}: {pair}, episode {entry.uuid}"
+        pair = tr("{} on {}", entry.piece, entry.bottom)
+        self.caption = f"{self._whole}: {pair}, {tr('episode {}', entry.uuid)}"
         faces = self.library.face(entry.piece), self.library.face(entry.bottom)
         self.replay.show(shown.trial, *faces, told=self._told)
         self.replay.take(shown.recorded)
@@ -271,7 +265,7 @@ class ReviewPresenter:
     def _failed(self, error: Exception) -> None:
         what = error.what if isinstance(error, InputError) else str(error)
         self._page.signals_panel.detail.setText(tr("cannot be read"))
-        self._card(what, f"In {error.where}." if isinstance(error, InputError) else "")
+        self._card(what, tr("In {}.", error.where) if isinstance(error, InputError) else "")
 
     def _card(self, what: str, where: str) -> None:
         self._cards.show_card(
@@ -294,10 +288,12 @@ class ReviewPresenter:
 
     def _show_score(self) -> None:
         head, ended = self.story.head, self.story.ended
-        last = "The journal ends before the run did." if ended is None else f"Run {ended.ending}."
+        last = tr("The journal ends before the run did.")
+        if ended is not None:
+            last = tr("Run {}.", tr(ended.ending))
         if head is not None:
             what = ", ".join(activity_text(head)) or head.strategy
-            last = f"{head.piece} on {head.bottom}, {what}. {last}"
+            last = f"{tr('{} on {}', head.piece, head.bottom)}, {what}. {last}"
         if head is not None and head.activity != "stack":
             self._page.score.show_facts(what.capitalize(), last)
             return
@@ -306,7 +302,9 @@ class ReviewPresenter:
 
 
 def _trial_title(trial: TrialStory) -> str:
-    word = "not finished" if trial.finished is None else OUTCOME_WORDS[trial.finished.outcome]
+    done = trial.finished
+    word = tr("not finished" if done is None else OUTCOME_WORDS[done.outcome])
     if trial.excuse:
-        word += f" by {trial.excuse}, not counted"
-    return f"{trial.trial}.  seed {trial.seed}: {word}, {count_noun(len(trial.probes), 'probe')}"
+        word = tr("{} by {}, not counted", word, trial.excuse)
+    probes = count_noun(len(trial.probes), "probe")
+    return tr("{}.  seed {}: {}, {}", trial.trial, trial.seed, word, probes)

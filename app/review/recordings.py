@@ -56,13 +56,14 @@ class RunSummary:
     def text(self) -> str:
         """Return piece, bottom and outcomes as text."""
         if self.head is None:
-            return "nothing recorded"
+            return tr("nothing recorded")
         said = _outcome_counts(self.outcomes) or activity_text(self.head)
         if self.ended is None:
-            said.append("not finished")
+            said.append(tr("not finished"))
         elif self.ended.ending != "finished":
-            said.append(f"run {self.ended.ending}")
-        return f"{self.head.piece} on {self.head.bottom}: {', '.join(said) or 'no trial'}"
+            said.append(tr("run {}", tr(self.ended.ending)))
+        pair = tr("{} on {}", self.head.piece, self.head.bottom)
+        return f"{pair}: {', '.join(said) or tr('no trial')}"
 
 
 def read_run_summary(run: Path) -> RunSummary:
@@ -78,7 +79,7 @@ def read_run_summary(run: Path) -> RunSummary:
         for number, raw in enumerate(file, start=1):
             if not raw.startswith(_STARTS) or not raw.endswith(b"\n"):
                 continue
-            where = f"{path}, line {number}"
+            where = tr("{}, line {}", path, number)
             try:
                 event = decode_event(parse_json(raw), where)
             except ValueError as error:
@@ -94,16 +95,15 @@ def read_run_summary(run: Path) -> RunSummary:
 
 def activity_text(head: RunStarted) -> list[str]:
     """Return the kind of a run without trials; nothing for a stacking run."""
-    return [] if head.activity == "stack" else [ACTIVITIES.get(head.activity, head.activity)]
+    return [] if head.activity == "stack" else [tr(ACTIVITIES.get(head.activity, head.activity))]
 
 
 def _outcome_counts(outcomes: tuple[Outcome, ...]) -> list[str]:
     """Return the single outcome, or the count of each."""
     if len(outcomes) == 1:
-        return [OUTCOME_WORDS[outcomes[0]]]
-    return [
-        f"{count} {OUTCOME_WORDS[outcome]}" for outcome, count in Counter(outcomes).most_common()
-    ]
+        return [tr(OUTCOME_WORDS[outcomes[0]])]
+    counts = Counter(outcomes).most_common()
+    return [f"{count} {tr(OUTCOME_WORDS[outcome])}" for outcome, count in counts]
 
 
 MOST_DESCRIBED = 50  # number of the newest runs that are described at once; older ones on demand
@@ -392,8 +392,9 @@ class RunReader:
         taken_s, share = self._now_s() - self._begun_s, self._share
         if taken_s < LONG_S:
             return ""
-        left = f", {taken_s * (1.0 / share - 1.0):.0f} s left" if share > 0.0 else ""
-        return f"{100.0 * share:.0f} % read{left}"
+        if share <= 0.0:
+            return tr("{:.0f} % read", 0.0)
+        return tr("{:.0f} % read, {:.0f} s left", 100.0 * share, taken_s * (1.0 / share - 1.0))
 
 
 def _line_count(journal: Path) -> int:

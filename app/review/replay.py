@@ -103,7 +103,7 @@ class ReplayPresenter:
         events = () if self.trial is None else self.trial.events
         lines = [(event.t_s, text) for event in events if (text := _line(event))]
         told = [] if lines else self._told
-        lines += [(mark.t_s, f"Bookmark: {mark.note}") for mark in self.bookmarks]
+        lines += [(mark.t_s, tr("Bookmark: {}", mark.note)) for mark in self.bookmarks]
         lines.sort(key=lambda line: line[0])
         self._said_s = np.array([t_s for t_s, _ in lines])
         self._page.story.clear()
@@ -226,9 +226,8 @@ class ReplayPresenter:
         assert patch is not None
         share = float(np.mean(patch.patch.probability > TOUCHING))
         self._page.belief.show_scene(BeliefScene(empty=ONE_PROBE))
-        self._page.decision.show_text(
-            DecisionText("Single probe", "", "", f"Contact on {100 * share:.0f} % of the face.")
-        )
+        said = tr("Contact on {:.0f} % of the face.", 100 * share)
+        self._page.decision.show_text(DecisionText("Single probe", "", "", said))
 
     def _show_no_probe(self, story: TrialStory | None) -> None:
         """Show why there is no map at the cursor."""
@@ -251,21 +250,19 @@ def _line(event: object) -> str:
     if isinstance(event, Said):
         return event.text
     if isinstance(event, TrialFinished):
-        return f"{OUTCOME_WORDS[event.outcome].capitalize()}: {event.reason}"
+        return f"{tr(OUTCOME_WORDS[event.outcome]).capitalize()}: {event.reason}"
     return ""
 
 
 def _ending(story: TrialStory | None) -> str:
     if story is None or story.finished is None:
-        return "There is nothing to show at this time."
+        return tr("There is nothing to show at this time.")
     return story.finished.reason
 
 
 def patch_score_text(score: PatchScore | None) -> str:
     """Return the fit of an estimate to the truth as text."""
     if score is None:
-        return "Estimate against truth: not known here."
-    return (
-        f"Estimate against truth, probe {score.probe}: IoU {score.iou:.2f}, "
-        f"{100 * score.accuracy:.0f} % of the points right"
-    )
+        return tr("Estimate against truth: not known here.")
+    figures = "Estimate against truth, probe {}: IoU {:.2f}, {:.0f} % of the points right"
+    return tr(figures, score.probe, score.iou, 100 * score.accuracy)

@@ -20,7 +20,7 @@ from touchdown.app.review.exports import open_in_viewer
 from touchdown.app.shell import SaveWorker, WorkspaceContext, ask_path, error_card
 from touchdown.backend import experiments
 from touchdown.backend.core import InputError, RunStarted, write_atomically
-from touchdown.widgets.base import Tokens, label
+from touchdown.widgets.base import Tokens, label, tr
 from touchdown.widgets.views import FlowWidget, PictureCard, ReportCell, ReportGrid, ReportSheet
 
 DEFAULT_SIZE_PX = 220, 220
@@ -93,14 +93,14 @@ class ReportsPresenter:
         near = [*self._opened, *sorted(USUAL.glob(TABLES)), *sorted(SHIPPED.glob(TABLES))]
         for file in dict.fromkeys(path.resolve() for path in near):
             menu.addAction(f"{file.parent.name}/{file.name}", partial(self.open, file))
-        menu.addAction("Other file\N{HORIZONTAL ELLIPSIS}", self.ask)
+        menu.addAction(tr("Other file\N{HORIZONTAL ELLIPSIS}"), self.ask)
         menu.popup(QCursor.pos())
 
     def ask(self) -> None:
         """Let the user choose a file, without blocking the window."""
         last = self._file.parent if self.report is not None else USUAL
         start = last if last.is_dir() else Path.cwd()
-        names = "Reports (*.json)"
+        names = f"{tr('Reports')} (*.json)"
         ask_path(self._window, "Report of experiments", self.open, start=start, names=names)
 
     def open(self, file: Path) -> None:
@@ -201,10 +201,10 @@ class ReportsPresenter:
         if entry is None or not entry.value:
             self.sheet.show_trace("", can_open=False)
         elif not entry.jobs:
-            self.sheet.show_trace("Computed from the other cells.", can_open=False)
+            self.sheet.show_trace(tr("Computed from the other cells."), can_open=False)
         else:
             there = self._folder(entry) is not None
-            away = "" if there else "; its folder is where the experiment was run"
+            away = "" if there else f"; {tr('its folder is where the experiment was run')}"
             self.sheet.show_trace(f"{entry.trace.capitalize()}{away}.", can_open=there)
 
     def _folder(self, entry: experiments.TableEntry) -> Path | None:
@@ -236,7 +236,7 @@ class ReportsPresenter:
 
     def _failed(self, error: Exception) -> None:
         if not isinstance(error, InputError):
-            error = RuntimeError(f"The report cannot be shown: {error}.")
+            error = RuntimeError(tr("The report cannot be shown: {}.", error))
         self._context.cards.show_card(error_card("REPORT", error))
 
 

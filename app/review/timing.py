@@ -24,6 +24,7 @@ from touchdown.backend.core import (
     TrialStarted,
 )
 from touchdown.backend.geometry import Outline
+from touchdown.widgets.base import tr
 from touchdown.widgets.views import TimeMark
 
 TOUCHING = 0.5  # probability above which a point counts as touching
@@ -91,17 +92,17 @@ class TrialTimeline:
         for event in self.events:
             if isinstance(event, PhaseEntered):
                 press = event.phase == "press"
-                marks.append(
-                    TimeMark(event.t_s, f"probe {event.probe}" if press else event.phase, press)
-                )
+                word = tr("probe {}", event.probe) if press else tr(event.phase)
+                marks.append(TimeMark(event.t_s, word, press))
             elif isinstance(event, ActionChosen):
-                marks.append(TimeMark(event.t_s, event.action.kind.replace("_", " "), strong=True))
-            elif isinstance(event, Released):
-                marks.append(TimeMark(event.t_s, "released", strong=True))
-            elif isinstance(event, TrialFinished):
                 marks.append(
-                    TimeMark(event.t_s, event.outcome.name.lower().replace("_", " "), True)
+                    TimeMark(event.t_s, tr(event.action.kind.replace("_", " ")), strong=True)
                 )
+            elif isinstance(event, Released):
+                marks.append(TimeMark(event.t_s, tr("released"), strong=True))
+            elif isinstance(event, TrialFinished):
+                outcome = event.outcome.name.lower().replace("_", " ")
+                marks.append(TimeMark(event.t_s, tr(outcome), strong=True))
         return tuple(marks)
 
     def score(self, cursor_s: float, bottom: Outline | None) -> PatchScore | None:

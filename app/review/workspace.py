@@ -18,6 +18,7 @@ from touchdown.app.review.recordings import ReviewDataset
 from touchdown.app.review.reports import ReportsPresenter, report_html
 from touchdown.app.shell import SaveWorker, WindowCommand, Workspace, WorkspaceContext
 from touchdown.backend.runs import dataset_folder
+from touchdown.widgets.base import tr
 from touchdown.widgets.shell import CardText
 
 
@@ -124,7 +125,7 @@ class ReviewWorkspace(Workspace):
 
     def _caption(self) -> str:
         at_s = self.presenter.replay.cursor_s
-        return f"{self.presenter.caption}, at {at_s:.2f} s"
+        return tr("{}, at {:.2f} s", self.presenter.caption, at_s)
 
     def _table(self) -> None:
         def write(text: str) -> None:
@@ -141,7 +142,7 @@ class ReviewWorkspace(Workspace):
             return
         # Take the picture now: the page may have changed when the table is ready.
         name, caption = dated_file_name("review"), self._caption()
-        notes = [f"Bookmark, trial {mark.trial}, {mark.t_s:.2f} s: {mark.note}"
+        notes = [tr("Bookmark, trial {}, {:.2f} s: {}", mark.trial, mark.t_s, mark.note)
                  for mark in self.presenter.bookmarks]  # fmt: skip
         facts, head = "\n".join((self.page.score.words, *notes)), self.presenter.story.head
         with self._context.theme.on_paper(self.page.shown):
@@ -161,9 +162,11 @@ class ReviewWorkspace(Workspace):
 
     def _export(self, write: Callable[[], Path]) -> None:
         try:
-            self._context.say(f"Written: {write()}")
+            self._context.say(tr("Written: {}", write()))
         except OSError as error:
-            what = f"It could not be written: {error.strerror or error}."
+            what = tr("It could not be written: {}.", error.strerror or error)
             self._context.cards.show_card(
-                CardText("EXPORT", what, f"In {self.exports}.", "Free some space.", reset=False)
+                CardText(
+                    "EXPORT", what, tr("In {}.", self.exports), "Free some space.", reset=False
+                )
             )

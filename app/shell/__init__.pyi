@@ -15,12 +15,12 @@ from .activity import missing_scene_reason as missing_scene_reason
 from .activity import pause_or_resume as pause_or_resume
 from .activity import start_obstacle as start_obstacle
 from .bench_text import bench_caption as bench_caption
-from .bench_text import count_noun as count_noun
 from .bench_text import duration_text as duration_text
 from .bench_text import model_card_in_use as model_card_in_use
 from .bench_text import piece_titles as piece_titles
 from .bench_text import run_model_caption as run_model_caption
 from .bench_text import scene_model_caption as scene_model_caption
+from .bench_text import tower_text as tower_text
 from .bench_view import BenchViewPresenter as BenchViewPresenter
 from .cards import LIFT as LIFT
 from .cards import LIFT_MM as LIFT_MM

@@ -53,11 +53,12 @@ def key_bindings(
     frame: Sequence[WindowCommand], workspaces: Iterable[Workspace]
 ) -> list[KeyBinding]:
     """Return all key bindings: global ones first, then by workspace."""
-    rows = [KeyBinding(EVERYWHERE_CONTEXT, "Everywhere", key, text) for key, text in STOP_BINDINGS]
-    rows += [KeyBinding(EVERYWHERE_CONTEXT, "Everywhere", c.key, c.text, c) for c in frame]
+    everywhere = EVERYWHERE_CONTEXT, tr("Everywhere")
+    rows = [KeyBinding(*everywhere, key, tr(text)) for key, text in STOP_BINDINGS]
+    rows += [KeyBinding(*everywhere, c.key, tr(c.text), c) for c in frame]
     for ws in workspaces:
-        rows += [KeyBinding(ws.name, ws.title, c.key, c.text, c) for c in ws.commands]
-        rows += [KeyBinding(ws.name, ws.title, key, text) for key, text in ws.held_keys]
+        rows += [KeyBinding(ws.name, tr(ws.title), c.key, tr(c.text), c) for c in ws.commands]
+        rows += [KeyBinding(ws.name, tr(ws.title), key, tr(text)) for key, text in ws.held_keys]
     return rows
 
 
@@ -82,16 +83,16 @@ def key_refusal(rows: Sequence[KeyBinding], name: str, key: str) -> str:
     """
     own = next((row for row in rows if row.id == name and row.command is not None), None)
     if own is None:
-        return f"There is no command '{name}'."
+        return tr("There is no command '{}'.", name)
     if not key:
         return ""
     wanted = portable_key(key)
     if not wanted:
-        return f"'{key}' is no key."
+        return tr("'{}' is no key.", key)
     for row in rows:
         meets = EVERYWHERE_CONTEXT in (row.context, own.context) or row.context == own.context
         if row is not own and meets and portable_key(row.key) == wanted:
-            return f"{wanted} already means '{row.text}' ({row.title})."
+            return tr("{} already means '{}' ({}).", wanted, row.text, row.title)
     return ""
 
 
@@ -203,7 +204,7 @@ class _BoundCommand:
     def __init__(self, window: QWidget, row: KeyBinding, *, on: bool) -> None:
         assert row.command is not None
         self._run_command = row.command.run
-        self.action = QAction(tr(row.text), window)
+        self.action = QAction(row.text, window)
         self.action.setAutoRepeat(row.command.repeats)
         self.action.setProperty(ACTIVE_DURING_QUESTION, row.command.beside)
         self.action.triggered.connect(self._run)
@@ -215,7 +216,7 @@ class _BoundCommand:
         """Set another key."""
         self.row = row
         self.action.setShortcut(QKeySequence(row.key))
-        tip = f"{tr(row.text)} ({row.key})" if row.key else tr(row.text)
+        tip = f"{row.text} ({row.key})" if row.key else row.text
         self.action.setToolTip(tip)
 
     def _run(self) -> None:
@@ -256,14 +257,15 @@ class CommandDialogs:
 
     def _choices(self) -> list[PaletteEntry]:
         rows = [row for row in self._actions.rows if row.command is not None]
-        acts = [PaletteEntry(row.id, row.title, tr(row.text), row.key) for row in rows]
+        acts = [PaletteEntry(row.id, row.title, row.text, row.key) for row in rows]
         self._offered = self.more()
+        here = tr("Here")
         acts += [
-            PaletteEntry(f"{MORE}{at}", "Here", text, "")
+            PaletteEntry(f"{MORE}{at}", here, text, "")
             for at, (text, _) in enumerate(self._offered)
         ]
         return acts + [
-            PaletteEntry(CHANGE + row.id, row.title, tr("Change key of: {}", tr(row.text)), "")
+            PaletteEntry(CHANGE + row.id, row.title, tr("Change key of: {}", row.text), "")
             for row in rows
         ]
 

@@ -15,7 +15,7 @@ from touchdown.backend.core import FaultError, Refused, Said, StaleSampleError
 from touchdown.backend.devices import NAMES, Arm, Device, Gripper, RobotMode
 from touchdown.backend.rig import reconnect
 from touchdown.backend.runs import RunState
-from touchdown.widgets.base import true_minus
+from touchdown.widgets.base import tr, true_minus
 from touchdown.widgets.shell import DEVICE_CHIPS, DeviceInspector, TopBar
 
 DEGRADED_DELAY_S = 1.0  # a sensor degraded for longer keeps runs from starting
@@ -71,25 +71,25 @@ def missing_scene_reason(bench: Session) -> str:
     """Return why there is no scene, "" where that does not matter."""
     if bench.connection is not None:
         if bench.connection.busy:
-            return "The devices are being connected"
-        return "Connect the bench first (Ctrl+L)"
-    return "" if bench.devices else "The bench is being prepared"
+            return tr("The devices are being connected")
+        return tr("Connect the bench first (Ctrl+L)")
+    return "" if bench.devices else tr("The bench is being prepared")
 
 
 def start_obstacle(bench: Session) -> str:
     """Return why no run can start although none is active, "" if one can."""
     if bench.interlock.latched:
-        return "Press Reset first"
+        return tr("Press Reset first")
     if bench.hand is None and missing_scene_reason(bench):
         return missing_scene_reason(bench)
     if bench.hand is not None and not bench.hand.powered:
-        return "The servo is off: hold Servo in the top bar for 1 s"
+        return tr("The servo is off: hold Servo in the top bar for 1 s")
     if bench.hand is not None and bench.hand.pressing_n:
-        return "In contact: lift first (jog +Z in Operate)"
+        return tr("In contact: lift first (jog +Z in Operate)")
     for degraded in bench.degraded:
         # Shorter ones would make the buttons flicker; starting is refused with a message.
         if bench.clock_s() - degraded.since_s > DEGRADED_DELAY_S:
-            return f"The {NAMES[degraded.device]} is {degraded.how}: check it first"
+            return tr("The {} is {}: check it first", tr(NAMES[degraded.device]), tr(degraded.how))
     return ""
 
 
@@ -138,7 +138,11 @@ class DeviceInspectorPresenter:
         except FaultError as error:
             publish(Refused(now_s, error.fault.code, f"{error.fault.what} {error.fault.next_step}"))
         else:
-            publish(Said(now_s, f"The {device.name} is connected again."))
+            publish(
+                Said(
+                    now_s, tr("The {} is connected again.", tr(NAMES.get(device.name, device.name)))
+                )
+            )
         finally:
             self._connecting = False
 
@@ -154,7 +158,7 @@ class DeviceInspectorPresenter:
     def _rows(self, device: Device) -> list[tuple[str, str]]:
         """Return the rows of a device; those of the wrist sensor include its drift."""
         drift = self._bench.drift if device.name == "force_torque" else None
-        told = [] if drift is None else [("drift in air", drift.words().removeprefix("drift "))]
+        told = [] if drift is None else [(tr("drift in air"), drift.words().removeprefix("drift "))]
         return [*inspector_rows(device), *told]
 
 
@@ -163,8 +167,8 @@ def inspector_rows(device: Device) -> list[tuple[str, str]]:
     health, who = device.health, device.identity
     rows = [
         ("state", device.state.value),
-        ("rate (Hz)", f"{health.rate_hz:.1f}"),
-        ("age (ms)", f"{1e3 * max(health.age_s, 0.0):.0f}"),
+        (tr("rate (Hz)"), f"{health.rate_hz:.1f}"),
+        (tr("age (ms)"), f"{1e3 * max(health.age_s, 0.0):.0f}"),
         ("received", f"{health.received}"),
         ("lost", f"{health.lost}"),
     ]

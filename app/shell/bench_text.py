@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import reduce
 
 from touchdown.backend.bench import Session, model_in_use, shipped_model
 from touchdown.backend.core import InputError
@@ -10,6 +11,7 @@ from touchdown.backend.geometry import PieceLibrary
 from touchdown.backend.learning import ModelCard, ModelRegistry, load_card, pretraining_text
 from touchdown.backend.learning.fused import shipped_fused
 from touchdown.backend.runs import models_folder
+from touchdown.widgets.base import count_noun, tr
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,11 +31,13 @@ def bench_caption(bench: Session) -> BenchCaption:
     if mode not in ("simulated", "emulated"):
         tip = "Real devices: the arm of this lab moves."
         return BenchCaption(f"Touchdown ({bench.name})", bench.name, tip, False, "")
-    name, tip = "SIMULATED", "No hardware is connected. Everything you see is computed."
-    if mode == "emulated":
-        name, tip = "EMULATED", "Real drivers and wires, emulated devices: no hardware moves."
-    title = name if mode == "simulated" else f"{name}: {bench.name}"
-    return BenchCaption(f"Touchdown ({title})", f"{name} BENCH", tip, True, name.lower())
+    if mode == "simulated":
+        tip = "No hardware is connected. Everything you see is computed."
+        title, note = tr("SIMULATED"), tr("simulated")
+        return BenchCaption(f"Touchdown ({title})", "SIMULATED BENCH", tip, True, note)
+    tip = "Real drivers and wires, emulated devices: no hardware moves."
+    title, note = f"{tr('EMULATED')}: {bench.name}", tr("emulated")
+    return BenchCaption(f"Touchdown ({title})", "EMULATED BENCH", tip, True, note)
 
 
 def piece_titles(catalogue: PieceLibrary) -> tuple[list[tuple[str, str]], list[tuple[str, str]]]:
@@ -43,6 +47,11 @@ def piece_titles(catalogue: PieceLibrary) -> tuple[list[tuple[str, str]], list[t
         for names in (catalogue.tops, catalogue.bottoms)
     )
     return tops, bottoms
+
+
+def tower_text(*names: str) -> str:
+    """Return pieces from the top down: "pot on short on long"."""
+    return reduce(lambda above, below: tr("{} on {}", above, below), names)
 
 
 MODALITY_NAMES = {"FT+Tac": "touch and wrench", "Tac": "touch", "FT": "the wrench"}
@@ -70,7 +79,7 @@ def run_model_caption(piece: str, strategy: str) -> ModelCaption:
     try:
         return fused_caption() if strategy == "fused" else card_caption(model_card_in_use(piece))
     except InputError as error:
-        return ModelCaption("cannot be read", f"{error.what} {error.fix}")
+        return ModelCaption(tr("cannot be read"), f"{error.what} {error.fix}")
 
 
 def scene_model_caption(card: ModelCard | None, piece: str, *, simulated: bool) -> ModelCaption:
@@ -82,9 +91,12 @@ def scene_model_caption(card: ModelCard | None, piece: str, *, simulated: bool) 
         return here
     if card is not None and used.weights_sha256 == card.weights_sha256:
         return here
-    taker = "Set (Ctrl+N), or a stacking run," if simulated else "A stacking run"
-    then = f"{taker} takes the one in use: {card_caption(used).short}."
-    return ModelCaption(f"{here.short}; next run: {_model_origin(used)}", f"{here.full}\n{then}")
+    taken = "Set (Ctrl+N), or a stacking run, takes the one in use: {}."
+    then = tr(taken if simulated else "A stacking run takes the one in use: {}.",
+              card_caption(used).short)  # fmt: skip
+    return ModelCaption(
+        tr("{}; next run: {}", tr(here.short), _model_origin(used)), f"{tr(here.full)}\n{then}"
+    )
 
 
 def model_card_in_use(piece: str) -> ModelCard:
@@ -98,14 +110,14 @@ def card_caption(card: ModelCard) -> ModelCaption:
     iou = "" if found is None else f"IoU {100 * found:.0f} %"
     trained = count_noun(probes, "probe") if probes else ""
     short = (_model_origin(card), iou, "" if _is_shipped(card) else trained)
-    kind = "simulated" if card.simulated else "of devices"
-    whence = "the one that ships" if _is_shipped(card) else "promoted in Train"
+    kind = tr("simulated") if card.simulated else tr("of devices")
+    whence = tr("the one that ships") if _is_shipped(card) else tr("promoted in Train")
     lines = (
-        f"Model {card.weights_sha256[:12]} for {card.piece}, {whence}.",
-        f"It sees {MODALITY_NAMES[card.modality]}.",
-        f"Trained on {trained} ({kind})." if trained else "",
+        tr("Model {} for {}, {}.", card.weights_sha256[:12], card.piece, whence),
+        tr("It sees {}.", tr(MODALITY_NAMES[card.modality])),
+        tr("Trained on {} ({}).", trained, kind) if trained else "",
         pretraining_text(card),
-        f"{iou} on the probes that were held out." if iou else "",
+        tr("{} on the probes that were held out.", iou) if iou else "",
     )
     return ModelCaption(", ".join(filter(None, short)), "\n".join(filter(None, lines)))
 
@@ -115,16 +127,11 @@ def fused_caption() -> ModelCaption:
     card = shipped_fused().card
     sequences = card.training.get("sequences")
     lines = (
-        f"The fusing network that ships: {card.weights_sha256[:12]}.",
-        f"Trained on {sequences:,} simulated sequences of probes." if sequences else "",
-        "It reads the signals of all probes itself: a promoted model changes nothing in it.",
+        tr("The fusing network that ships: {}.", card.weights_sha256[:12]),
+        tr("Trained on {:,} simulated sequences of probes.", sequences) if sequences else "",
+        tr("It reads the signals of all probes itself: a promoted model changes nothing in it."),
     )
-    return ModelCaption("its own, shipped", "\n".join(filter(None, lines)))
-
-
-def count_noun(count: int, noun: str) -> str:
-    """Return a number with its noun: "1 probe", "1,200 probes"."""
-    return f"{count:,} {noun}" if count == 1 else f"{count:,} {noun}s"
+    return ModelCaption(tr("its own, shipped"), "\n".join(filter(None, lines)))
 
 
 def duration_text(seconds: float) -> str:
@@ -136,11 +143,11 @@ def duration_text(seconds: float) -> str:
         return f"{minutes} min"
     if minutes < 48 * 60:
         return f"{minutes // 60} h {minutes % 60:02d} min"
-    return f"{min(minutes // 1440, 999)} days"
+    return tr("{} days", min(minutes // 1440, 999))
 
 
 def _model_origin(card: ModelCard) -> str:
-    return "shipped" if _is_shipped(card) else f"yours {card.weights_sha256[:8]}"
+    return tr("shipped") if _is_shipped(card) else tr("yours {}", card.weights_sha256[:8])
 
 
 def _is_shipped(card: ModelCard) -> bool:

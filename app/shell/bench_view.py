@@ -10,10 +10,11 @@ from dataclasses import replace
 import numpy as np
 
 from touchdown.app.shell.activity import arm_of, arm_position_mm, gripper_of
+from touchdown.app.shell.bench_text import tower_text
 from touchdown.backend import core
 from touchdown.backend.bench import Session
 from touchdown.backend.geometry import Piece
-from touchdown.widgets.base import Panel, signed
+from touchdown.widgets.base import Panel, signed, tr
 from touchdown.widgets.views import (
     UPRIGHT,
     USUAL_SPAN_MM,
@@ -101,8 +102,8 @@ class BenchViewPresenter:
         if self._let_go is None:
             return "" if hand is None else f"x {signed(hand[0], 1)}, y {signed(hand[1], 1)} mm"
         if self._stands is None:
-            return "released"
-        return f"trial {self._let_go_in}: {'stands' if self._stands else 'fell'}"
+            return tr("released")
+        return tr("trial {}: {}", self._let_go_in, tr("stands") if self._stands else tr("fell"))
 
     def _scene(self, hand: tuple[float, ...] | None) -> SideScene:
         assert self._piece is not None
@@ -199,7 +200,7 @@ class BenchViewPresenter:
             bodies.append(SideBody(piece.name, *sizes, 0.0, top_mm, UPRIGHT, profile, face=face))
         self._bottoms, self._table_mm = tuple(reversed(bodies)), top_mm
         titles = [p.title for p in reversed(pieces)]
-        self._names = " on ".join([self._piece.title, *titles] if self._piece else titles)
+        self._names = tower_text(*([self._piece.title] if self._piece else []), *titles)
 
 
 def _profile_mm(piece: Piece, half_mm: float) -> tuple[tuple[float, float], ...]:

@@ -15,15 +15,16 @@ from touchdown.app.shell.activity import is_run_active, start_obstacle
 from touchdown.app.shell.errors import log
 from touchdown.backend import core
 from touchdown.backend.bench import Session
+from touchdown.widgets.base import tr
 from touchdown.widgets.shell import STOPPED, CardQuestion, CardText, FaultCards
 
 
 def fault_card(fault: core.Fault) -> CardText:
     """Return the card of a fault that is raised now."""
-    device = f"\nDevice: {fault.device}" if fault.device else ""
-    at = time_of_day()
+    at, device = time_of_day(), f"\n{tr('Device')}: {fault.device}" if fault.device else ""
     details = (
-        f"{fault.what}\n{fault.consequence}\n{fault.next_step}\nCode: {fault.code}{device}\n{at}"
+        f"{fault.what}\n{fault.consequence}\n{fault.next_step}\n"
+        f"{tr('Code')}: {fault.code}{device}\n{at}"
     )
     return CardText(fault.code, fault.what, fault.consequence, fault.next_step, details, at=at)
 
@@ -67,7 +68,9 @@ def refusal_card(error: core.RefusedError) -> CardText:
 def error_card(code: str, error: Exception, where: str = "", fix: str = "") -> CardText:
     """Return the card of a failed action. An ``InputError`` has a place and a fix of its own."""
     if isinstance(error, core.InputError):
-        return CardText(code, error.what, where or f"In {error.where}.", error.fix, reset=False)
+        return CardText(
+            code, error.what, where or tr("In {}.", error.where), error.fix, reset=False
+        )
     what = str(error)
     if isinstance(error, OSError) and error.strerror:
         what = ": ".join(str(part) for part in (error.strerror, error.filename) if part)
@@ -139,8 +142,8 @@ def show_event(
     elif isinstance(event, core.Said):
         say(event.text)
     elif isinstance(event, core.RunFinished) and event.ending != "finished":
-        was = "failed" if event.ending == "failed" else f"was {event.ending}"
-        say(f"The run {was}: {event.reason}")
+        was = "The run failed: {1}" if event.ending == "failed" else "The run was {}: {}"
+        say(tr(was, tr(event.ending), event.reason))
 
 
 def time_of_day() -> str:
@@ -209,7 +212,7 @@ class CloseConfirmation:
         else:
             return None
         answers = ((stay, lambda: None), ("Stop and close", self._stop_and_close))
-        return CardQuestion(f"{what} Stop and close? The grip is kept.", answers)
+        return CardQuestion(f"{tr(what)} {tr('Stop and close? The grip is kept.')}", answers)
 
     def _ask(self, question: CardQuestion, *, front: bool = True) -> None:
         self._asked = question

@@ -15,6 +15,7 @@ from touchdown.backend.geometry import PieceLibrary, load_pieces
 from touchdown.backend.learning import ModelRegistry
 from touchdown.backend.placement import Ensemble, Estimator, OffsetGrid
 from touchdown.backend.runs import models_folder
+from touchdown.widgets.base import tr
 
 MAX_GRIDS = 16
 
@@ -88,7 +89,7 @@ def open_dataset(folder: Path, person: str) -> OpenedDataset:
     except NotWritableError as error:
         dataset, read_only = Dataset.open(folder, write=False), str(error.what)
     if not read_only and not dataset.writable:
-        read_only = "The dataset was written by a newer version."
+        read_only = tr("The dataset was written by a newer version.")
     pieces = load_pieces()
     return OpenedDataset(dataset, ModelPrelabeller(pieces, prelabel_models), pieces, read_only)
 

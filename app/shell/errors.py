@@ -16,6 +16,7 @@ from types import TracebackType
 
 from PySide6.QtCore import QMessageLogContext, QtMsgType, qInstallMessageHandler
 
+from touchdown.widgets.base import tr
 from touchdown.widgets.shell import CardText
 
 log = logging.getLogger("touchdown")  # of the window and of the devices
@@ -79,7 +80,7 @@ class ErrorBox:
         self._cards.append(
             CardText(
                 code=f"BUG-{kind.__name__.upper()}",
-                what=f"An unexpected error occurred in {where}: {error or kind.__name__}",
+                what=tr("An unexpected error occurred in {}: {}", where, error or kind.__name__),
                 consequence="The program goes on; this part may be incomplete.",
                 next_step="Copy the details into a report.",
                 details=details,
@@ -97,8 +98,9 @@ class ErrorBox:
             return
         details = f"{text}\n{context.file}:{context.line}" if context.file else text
         self._cards.append(
-            CardText("QT", f"The window system reports: {text}", "The picture may be incomplete.",
-                     "Copy the details into a report.", details, reset=False)
+            CardText("QT", tr("The window system reports: {}", text),
+                     "The picture may be incomplete.", "Copy the details into a report.", details,
+                     reset=False)
         )  # fmt: skip
 
 

@@ -13,7 +13,7 @@ from PySide6.QtGui import QAction
 from PySide6.QtWidgets import QMenu, QWidget
 
 from touchdown.app.shell.settings import kept_aside, parse_stored, read_stored, write_stored
-from touchdown.widgets.base import ColumnArrangement, Columns
+from touchdown.widgets.base import ColumnArrangement, Columns, tr
 from touchdown.widgets.forms import NameDialog
 
 VERSION = 1
@@ -37,14 +37,14 @@ def load_layouts(path: Path) -> tuple[SavedLayouts, str]:
     """Return (layouts, notice). Of an invalid file the usual ones are used."""
     raw, wrong = read_stored(path, VERSION, "layouts")
     if not raw:
-        return SavedLayouts(), kept_aside(path, f"{wrong} {INSTEAD}") if wrong else ""
+        return SavedLayouts(), kept_aside(path, f"{wrong} {tr(INSTEAD)}") if wrong else ""
     missing = [one.name for one in fields(SavedLayouts) if one.name not in raw]
     try:
         book: SavedLayouts = parse_stored(SavedLayouts, {} if missing else raw)
     except ValidationError as error:
         missing = [".".join(map(str, error.errors()[0]["loc"]))]
     if missing:
-        wrong = f"The layouts make no sense ({missing[0]}). {INSTEAD}"
+        wrong = tr("The layouts make no sense ({}). {}", missing[0], tr(INSTEAD))
         return SavedLayouts(), kept_aside(path, wrong)
     return book, ""
 
@@ -71,7 +71,7 @@ class LayoutsPresenter:
         """Read the stored layouts of these workspaces; return a notice, "" if they are valid."""
         self.book, notice = load_layouts(self._path)
         unknown = [name for name in self.book.present if name not in workspaces]
-        return self._without(dict.fromkeys(unknown, "no such workspace")) or notice
+        return self._without(dict.fromkeys(unknown, tr("no such workspace"))) or notice
 
     def add(self, workspace: str, columns: Columns | None) -> str:
         """Apply the stored layout to a new page; return a notice, "" if it is valid.
@@ -80,7 +80,7 @@ class LayoutsPresenter:
         """
         wanted, notice = self.book.present.get(workspace), ""
         if wanted is not None:
-            misfit = "no columns" if columns is None else columns.misfit(wanted)
+            misfit = tr("no columns") if columns is None else columns.misfit(wanted)
             notice = self._without({workspace: misfit} if misfit else {})
         if columns is not None:
             self._columns[workspace] = columns
@@ -133,12 +133,12 @@ class LayoutsPresenter:
         """Save the present layout as ``name``; return "" or the reason of refusal."""
         name = name.strip()
         if not name or len(name) > LONGEST_NAME:
-            return f"A name has 1 to {LONGEST_NAME} letters."
+            return tr("A name has 1 to {} letters.", LONGEST_NAME)
         if name == USUAL:
-            return f"'{USUAL}' is the layout of the first start."
+            return tr("'{}' is the layout of the first start.", tr(USUAL))
         self.book.saved.setdefault(workspace, {})[name] = self._columns[workspace].arrangement()
         self.remember()
-        self._tell(f"The layout is saved as '{name}'.")
+        self._tell(tr("The layout is saved as '{}'.", name))
         return ""
 
     def choose(self, workspace: str, name: str) -> None:
@@ -147,7 +147,7 @@ class LayoutsPresenter:
         wanted = columns.usual if name == USUAL else self.book.saved[workspace][name]
         wrong = columns.misfit(wanted)
         if wrong:
-            self._tell(f"The layout '{name}' does not fit this version: {wrong}.")
+            self._tell(tr("The layout '{}' does not fit this version: {}.", name, wrong))
             return
         columns.show_arrangement(wanted)
         self.remember()
@@ -181,16 +181,16 @@ class LayoutsPresenter:
         if not self.has(workspace):
             return []
         found: list[Entry] = [
-            (f"Layout: {name}", partial(self.choose, workspace, name))
+            (tr("Layout: {}", tr(name)), partial(self.choose, workspace, name))
             for name in (USUAL, *self.names(workspace))
         ]
         found += [
-            (f"Delete the layout '{name}'", partial(self.delete, workspace, name))
+            (tr("Delete the layout '{}'", name), partial(self.delete, workspace, name))
             for name in self.names(workspace)
         ]
         if not self.locked:
             found += [
-                (f"{'Leave out' if shown else 'Show'} the panel '{title}'",
+                (tr("Leave out the panel '{}'" if shown else "Show the panel '{}'", tr(title)),
                  partial(self.turn_panel, workspace, title))
                 for title, shown in self.panels(workspace)
             ]  # fmt: skip
@@ -201,8 +201,8 @@ class LayoutsPresenter:
         if not wrong:
             return ""
         told = ", ".join(f"{name} ({reason})" for name, reason in wrong.items())
-        what = f"Layouts that do not fit this version: {told}."
-        notice = kept_aside(self._path, f"{what} {INSTEAD}")
+        what = tr("Layouts that do not fit this version: {}.", told)
+        notice = kept_aside(self._path, f"{what} {tr(INSTEAD)}")
         for name in wrong:
             del self.book.present[name]
         return notice
@@ -251,7 +251,7 @@ class LayoutMenu:
             self._add(name, partial(layouts.choose, front, name), checked=name == present)
         self._add("Save under a name \N{HORIZONTAL ELLIPSIS}", self.ask_name)
         for name in layouts.names(front):
-            self._add(f"Delete '{name}'", partial(layouts.delete, front, name))
+            self._add(tr("Delete '{}'", name), partial(layouts.delete, front, name))
         self.menu.addSeparator()
         self._add("Locked", layouts.toggle_lock, checked=layouts.locked)
         for title, shown in layouts.panels(front):
@@ -263,7 +263,7 @@ class LayoutMenu:
     def _add(
         self, text: str, act: Callable[[], object] | None, *, checked: bool | None = None
     ) -> QAction:
-        made = QAction(text.replace("&", "&&"), self.menu)
+        made = QAction(tr(text).replace("&", "&&"), self.menu)
         if checked is not None:
             made.setCheckable(True)
             made.setChecked(checked)

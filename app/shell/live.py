@@ -12,7 +12,6 @@ from PySide6.QtGui import QFontMetrics, QResizeEvent
 from PySide6.QtWidgets import QHBoxLayout, QScrollArea, QSizePolicy, QWidget
 
 from touchdown.app.shell.activity import is_run_active
-from touchdown.app.shell.bench_text import count_noun
 from touchdown.backend.bench import Session
 from touchdown.backend.core import FINGERS, WRENCH_CHANNELS, Finger, MarkerField, TactileFrame
 from touchdown.backend.devices import DeviceState
@@ -137,17 +136,17 @@ class LivePresenter:
             panel.detail.setText("")
             return
         health = device.health
-        lost = count_noun(health.lost, "frame")
+        lost = base.count_noun(health.lost, "frame")
         panel.detail.setToolTip(base.tr("markers seen, measured rate; {} lost", lost))
         panel.detail.setText(f"{seen}/{total}, {health.rate_hz:.1f} Hz")
 
     def _why_silent(self, finger: Finger) -> str:
         device = self._bench.devices.get(f"tactile_{finger}")
         if device is None:
-            return "The bench is being prepared."
+            return base.tr("The bench is being prepared.")
         if device.state is not DeviceState.READY:
-            return f"The camera is {device.state.value}."
-        return "The camera has sent no frame for more than 2 s."
+            return base.tr("The camera is {}.", base.tr(device.state.value))
+        return base.tr("The camera has sent no frame for more than 2 s.")
 
 
 Part = QWidget | QHBoxLayout

@@ -9,6 +9,7 @@ from touchdown.backend import core
 from touchdown.backend.geometry import Outline, PieceLibrary, overlap_polygon
 from touchdown.backend.learning import rate_interval
 from touchdown.backend.runs import excluding_fault
+from touchdown.widgets.base import tr
 from touchdown.widgets.views import BeliefScene, Score
 
 Offset = tuple[float, float]
@@ -164,11 +165,11 @@ def unprobed_scene(trial: TrialStory) -> BeliefScene:
 def _weight(found: core.PieceWeighed) -> tuple[str, str]:
     """Return title and detail of the result of a weighing."""
     (x, y), (x_sigma, y_sigma) = found.com_xy_mm, found.sigma_mm
-    title = f"Centre of mass {x:+.1f} \N{PLUS-MINUS SIGN} {x_sigma:.1f}, "
-    title += f"{y:+.1f} \N{PLUS-MINUS SIGN} {y_sigma:.1f} mm"
+    at = "Centre of mass {:+.1f} \N{PLUS-MINUS SIGN} {:.1f}, {:+.1f} \N{PLUS-MINUS SIGN} {:.1f} mm"
+    title = tr(at, x, x_sigma, y, y_sigma)
     return (
         title.replace("-", "\N{MINUS SIGN}"),
-        f"The piece weighs {found.mass_g:.0f} g. The first press fills the map.",
+        tr("The piece weighs {:.0f} g. The first press fills the map.", found.mass_g),
     )
 
 
@@ -205,16 +206,16 @@ def run_score(trials: Sequence[TrialStory], planned: int, last: str) -> Score:
     excuses = sorted({trial.excuse for trial in done} - {""})
     excused = sum(bool(trial.excuse) for trial in done)
     if excused:
-        which = "1 trial that a device fault" if excused == 1 else f"{excused} that device faults"
-        said = f"Not counted: {which} ended before the release ({', '.join(excuses)})."
-        last = f"{last} {said}".strip()
+        said = "Not counted: {} that device faults ended before the release ({})."
+        if excused == 1:
+            said = "Not counted: {} trial that a device fault ended before the release ({})."
+        last = f"{last} {tr(said, excused, ', '.join(excuses))}".strip()
     placed = sum(outcome is core.Outcome.PLACED for outcome in outcomes)
     counted = len(outcomes) - excused
     interval = rate_interval(placed, counted) if counted else None
     ended = [t.finished for t in done if t.finished is not None]
-    void = tuple(
-        f"Trial {one.trial}: {one.reason}" for one in ended if one.outcome is core.Outcome.ABORTED
-    )
+    aborted = (one for one in ended if one.outcome is core.Outcome.ABORTED)
+    void = tuple(tr("Trial {}: {}", one.trial, one.reason) for one in aborted)
     return Score(outcomes, planned, interval, last, excused, void)
 
 

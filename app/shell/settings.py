@@ -14,6 +14,7 @@ from pydantic import Field, TypeAdapter, ValidationError
 
 from touchdown.app.shell.window import ThemeChoice
 from touchdown.backend.core import parse_json, write_atomically
+from touchdown.widgets.base import tr
 
 VERSION = 2
 Json = dict[str, object]
@@ -72,9 +73,9 @@ def read_stored(path: Path, version: int, what: str) -> tuple[Json, str]:
     except FileNotFoundError:
         return {}, ""
     except (OSError, ValueError) as error:
-        return {}, f"The {what} could not be read ({error})."
+        return {}, tr("The {} could not be read ({}).", tr(what), error)
     if not isinstance(raw, dict) or raw.get("version") != version:
-        return {}, f"The {what} are of another version."
+        return {}, tr("The {} are of another version.", tr(what))
     return raw, ""
 
 
@@ -88,8 +89,8 @@ def kept_aside(path: Path, what: str) -> str:
     try:
         write_atomically(kept, path.read_bytes())
     except OSError as error:
-        return f"{what} The file could not be kept aside ({error})."
-    return f"{what} The file is kept as {kept.name}."
+        return tr("{} The file could not be kept aside ({}).", what, error)
+    return tr("{} The file is kept as {}.", what, kept.name)
 
 
 def write_stored(path: Path, version: int, values: Any) -> None:
@@ -102,7 +103,9 @@ def load_settings(path: Path) -> tuple[WindowSettings, str]:
     """Return (settings, warning). Unreadable values are replaced by defaults and named."""
     raw, wrong = read_stored(path, VERSION, "window settings")
     if not raw:
-        return WindowSettings(), kept_aside(path, f"{wrong} Defaults are used.") if wrong else ""
+        return WindowSettings(), kept_aside(
+            path, tr("{} Defaults are used.", wrong)
+        ) if wrong else ""
     pages, dropped = raw.get("pages"), list[str]()
     if isinstance(pages, dict):
         dropped = [name for name, page in pages.items() if not isinstance(page, dict)]
@@ -114,7 +117,7 @@ def load_settings(path: Path) -> tuple[WindowSettings, str]:
 
 def ignored_words(names: Sequence[str]) -> str:
     """Return the warning for invalid fields, "" for none."""
-    return f"Ignored in the window settings: {', '.join(names)}." if names else ""
+    return tr("Ignored in the window settings: {}.", ", ".join(names)) if names else ""
 
 
 def save_settings(path: Path, settings: WindowSettings) -> None:

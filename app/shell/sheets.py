@@ -54,7 +54,7 @@ class QuestionRow(QFrame):
         self.text.setText(tr(text))
         for button, word in ((self.no, no), (self.yes, yes)):
             button.setText(tr(word))
-            button.setAccessibleName(f"{word}: {text}")
+            button.setAccessibleName(f"{tr(word)}: {tr(text)}")
         self.show()
 
     def withdraw(self) -> None:
@@ -122,15 +122,15 @@ class BookmarkDialog(NameDialog):
         def take(text: str) -> str:
             note = " ".join(text.split())
             if not note and not mark.note:
-                return "Type a note."
+                return tr("Type a note.")
             try:
                 done(keep_bookmark(path, replace(mark, note=note)))
             except InputError as error:
                 return f"{error.what} {error.fix}"
             return ""
 
-        removes = " (an empty note removes it)" if mark.note else ""
-        self.ask(f"Note at {mark.t_s:.2f} s{removes}", (), take, mark.note)
+        what = "Note at {:.2f} s (an empty note removes it)" if mark.note else "Note at {:.2f} s"
+        self.ask(tr(what, mark.t_s), (), take, mark.note)
 
 
 class FileDrop(QObject):
@@ -164,7 +164,7 @@ def ask_path(
 
     The window is not blocked.
     """
-    dialog = QFileDialog(parent, title, str(start or ""), names)
+    dialog = QFileDialog(parent, tr(title), str(start or ""), names)
     mode = QFileDialog.FileMode.ExistingFile if names else QFileDialog.FileMode.Directory
     dialog.setFileMode(mode)
     dialog.setOption(QFileDialog.Option.DontUseNativeDialog)

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from functools import partial
 
 from touchdown.app.shell.activity import arm_of
-from touchdown.app.shell.bench_text import bench_caption, count_noun
+from touchdown.app.shell.bench_text import bench_caption
 from touchdown.app.shell.cards import carry_out
 from touchdown.app.shell.workspace import WindowCommand
 from touchdown.backend.bench import Session
@@ -22,7 +22,7 @@ from touchdown.backend.devices import (
 )
 from touchdown.backend.rig import BenchConnection
 from touchdown.backend.runs import RunState, RunStatus
-from touchdown.widgets.base import Age, Freshness
+from touchdown.widgets.base import Age, Freshness, count_noun, tr
 from touchdown.widgets.shell import (
     DEVICE_CHIPS,
     ChipState,
@@ -55,7 +55,7 @@ def pill_state(bench: Session) -> PillState:
     if not bench.devices:
         return PillState("NO DEVICES", "ring", "grey", note)
     if bench.still_s >= STILL_S and bench.status().state is not RunState.PREPARING:
-        return PillState("STILL", "bang", "yellow", f"no step for {bench.still_s:.0f} s")
+        return PillState("STILL", "bang", "yellow", tr("no step for {:.0f} s", bench.still_s))
     if bench.interlock.latched:
         if bench.interlock.faults:
             return PillState("FAULT", "square", "red", "press Reset")
@@ -82,7 +82,7 @@ def _sensed(bench: Session, status: RunStatus) -> PillState | None:
     if status.state in SHOWS_DEGRADED and degraded:
         return PillState("DEGRADED", "bang", "yellow", _which(degraded, bench.clock_s()))
     if status.state is RunState.IDLE and bench.hand is not None and bench.hand.pressing_n:
-        note = f"{bench.hand.pressing_n:.0f} N: lift, jog +Z"
+        note = tr("{:.0f} N: lift, jog +Z", bench.hand.pressing_n)
         return PillState("IN CONTACT", "diamond", "yellow", note)
     return None
 
@@ -92,18 +92,18 @@ def _which(degraded: tuple[DegradedDevice, ...], now_s: float) -> str:
     first, *others = degraded
     for_s, more = now_s - first.since_s, f" +{len(others)}" if others else ""
     lasted = f"{for_s:.1f} s" if for_s < 1.0 else f"{for_s:.0f} s"
-    return f"{dict(DEVICE_CHIPS)[first.device]} {first.how} {lasted}{more}"
+    return f"{tr(dict(DEVICE_CHIPS)[first.device])} {tr(first.how)} {lasted}{more}"
 
 
 def _standing(connection: BenchConnection) -> PillState | None:
     """Return the connection state of a lab's devices, None if all are connected."""
     missing, count = connection.missing(), len(connection.devices)
     if connection.busy:
-        return PillState("CONNECTING", "ring", "blue", f"{count - len(missing)} of {count}")
+        return PillState("CONNECTING", "ring", "blue", tr("{} of {}", count - len(missing), count))
     if len(missing) == count:
         return PillState("NO DEVICES", "ring", "grey", "connect: Ctrl+L")
     if missing:
-        return PillState("NOT READY", "triangle", "blue", f"{len(missing)} not connected")
+        return PillState("NOT READY", "triangle", "blue", tr("{} not connected", len(missing)))
     return None
 
 
@@ -113,7 +113,7 @@ def _by_hand(bench: Session) -> str:
         return ""
     state = bench.hand.jog.state
     if state.order is None:
-        return "one step"
+        return tr("one step")
     order, speed = state.order, f"{state.speed:.0f} mm/s"
     if turns(order.axis):
         speed = f"{math.degrees(state.speed):.0f}\N{DEGREE SIGN}/s"
@@ -123,7 +123,7 @@ def _by_hand(bench: Session) -> str:
 def _of_run(note: str, status: RunStatus) -> PillState:
     word, shape, colour = _WORDS[status.state]
     if status.state is RunState.RUNNING and status.phase:
-        note = f"{note}, {status.phase}".lstrip(", ")
+        note = f"{note}, {tr(status.phase)}".lstrip(", ")
     return PillState(word, shape, colour, note)
 
 
@@ -163,7 +163,7 @@ class DeviceChipsPresenter:
         arm = arm_of(self._bench)
         if arm is not None:
             status = arm.status()
-            self._bar.show_modes(status.robot_mode.value, status.safety_mode.value)
+            self._bar.show_modes(tr(status.robot_mode.value), tr(status.safety_mode.value))
             active = status.safety_mode is SafetyMode.HW_STOP
             unknown = "active" if active else "unknown"
             self._bar.show_hardware_stop("none" if self._bench.simulated else unknown)
@@ -179,26 +179,27 @@ class DeviceChipsPresenter:
         age = fresh.judge(now_s)
         if state == "ready" and age in (Age.STALE, Age.GONE):
             state = "stale"
-            detail = f"stale {fresh.age_s(now_s):.1f} s"
+            detail = tr("stale {:.1f} s", fresh.age_s(now_s))
         elif state == "ready" and degraded is not None:
             state = "degraded"
             lasted_s = self._bench.clock_s() - degraded.since_s
             figure = f"{health.rate_hz:.0f} Hz" if degraded.how == "slow" else f"{lasted_s:.1f} s"
-            detail = f"{degraded.how} {figure}"
+            detail = f"{tr(degraded.how)} {figure}"
         elif state == "ready" and drift is not None and drift.named:
-            state, detail = "degraded", f"drift {drift.moved_n:.2f} N"
+            state, detail = "degraded", tr("drift {:.2f} N", drift.moved_n)
         elif device.state is DeviceState.READY and not math.isfinite(health.age_s):
-            detail = "no data yet"
+            detail = tr("no data yet")
         elif device.state is DeviceState.READY:
             detail = f"{health.rate_hz:.0f} Hz, {1e3 * max(health.age_s, 0):.0f} ms"
         else:
-            detail = device.state.value
+            detail = tr(device.state.value)
         who = device.identity
         lost = count_noun(health.lost, "frame" if key.startswith("tactile") else "sample")
-        tip = f"{device.state.value}, {detail}; {health.received} received, {lost} lost"
-        tip = tip if drift is None else f"{tip}\n{drift.words()}, in still air"
+        tip = f"{tr(device.state.value)}, {detail}; "
+        tip += tr("{} received, {} lost", health.received, lost)
+        tip = tip if drift is None else f"{tip}\n{tr('{}, in still air', drift.words())}"
         if who is not None:
-            tip = f"{who.maker} {who.model}, serial {who.serial}\n{tip}"
+            tip = f"{tr('{} {}, serial {}', who.maker, who.model, who.serial)}\n{tip}"
         share = health.lost / max(1, health.received + health.lost)
         much = health.lost >= LEAST_LOST and share > MUCH_LOST
         return ChipValue(state, detail, health.lost if much else 0, tip)
@@ -233,7 +234,7 @@ class SpeedOverride:
     def _choose(self, percent: int) -> None:
         if self._bench is not None:
             self._bench.interlock.override_speed(percent / 100)
-            self._say(f"Speed override {percent} %.")
+            self._say(tr("Speed override {} %.", percent))
 
     def _change(self, by_percent: int) -> None:
         self._bar.override.setValue(self._bar.override.value() + by_percent)

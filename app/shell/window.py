@@ -254,8 +254,8 @@ class Appearance(QObject):
     def words(self) -> str:
         """Return the chosen theme; for "system" also that of the desktop."""
         if self.choice != "system":
-            return _WORDS[self.choice]
-        return f"{_WORDS[self.choice]} ({_WORDS[self._name()]})"
+            return base.tr(_WORDS[self.choice])
+        return f"{base.tr(_WORDS[self.choice])} ({base.tr(_WORDS[self._name()])})"
 
     def larger(self) -> None:
         """Enlarge all text by a tenth of the base size."""

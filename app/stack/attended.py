@@ -14,6 +14,7 @@ from touchdown.backend.runs import (
     keep_photo,
     scene_to_set_message,
 )
+from touchdown.widgets.base import tr
 from touchdown.widgets.shell import FaultCards
 from touchdown.widgets.views import OffsetScene, TrialPrompt
 
@@ -80,7 +81,8 @@ class OperatorPromptsPresenter:
         if self._asked is None or self._asked.proposed is None:
             return
         kinds = " ".join(f"*{kind}" for kind in PHOTO_SUFFIXES)
-        ask_path(self._page, "Picture of this trial", self.add_photo, names=f"Pictures ({kinds})")
+        names = f"{tr('Pictures')} ({kinds})"
+        ask_path(self._page, "Picture of this trial", self.add_photo, names=names)
 
     def add_photo(self, source: Path) -> None:
         """Store a picture of this trial beside the log of its run."""

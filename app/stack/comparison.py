@@ -13,17 +13,17 @@ from touchdown.app.shell import (
     RunStory,
     TrialStory,
     belief_scene,
-    count_noun,
     face_outlines,
     is_run_active,
     run_score,
     start_obstacle,
+    tower_text,
 )
 from touchdown.backend.bench import Session
 from touchdown.backend.core import Event, Outcome, RunStarted, TrialFinished
 from touchdown.backend.experiments import sequential_decision
 from touchdown.backend.runs import StackRequest, StrategyChoice
-from touchdown.widgets.base import Theme
+from touchdown.widgets.base import Theme, count_noun, tr
 from touchdown.widgets.forms import STRATEGIES
 from touchdown.widgets.views import (
     OUTCOME_WORDS,
@@ -191,16 +191,15 @@ class ComparisonPresenter:
     ) -> None:
         assert self._question is not None
         piece, bottom, seed, trials = question
-        sheet.head.setText(
-            f"{piece} on {bottom}, seed {seed}, {trials} trials".replace("+", " on ")
-        )
+        pair = tower_text(piece, *bottom.split("+"))
+        sheet.head.setText(tr("{}, seed {}, {}", pair, seed, count_noun(trials, "trial")))
         sheet.trial.setRange(1, trials)
         at, titles = sheet.trial.value() - 1, dict(STRATEGIES)
         sheet.against.setEnabled(not active)
         for panel, strategy, story in zip(sheet.panels, self._pair, stories, strict=True):
-            panel.show_look(self._look(titles[strategy], story, trials, at))
+            panel.show_look(self._look(tr(titles[strategy]), story, trials, at))
         missing = self._missing(self._question)
-        sheet.show_pairs(paired_text([titles[name] for name in self._pair], stories))
+        sheet.show_pairs(paired_text([tr(titles[name]) for name in self._pair], stories))
         text = "" if active else "Run both" if len(missing) == 2 else "Run the other one"
         if not missing:
             text = "" if active else "Run both again"
@@ -211,7 +210,7 @@ class ComparisonPresenter:
             return StrategyResult(title, trials=trials, scene=NOT_RUN)
         score = run_score(story.trials, trials, "")
         placed = sum(outcome is Outcome.PLACED for outcome in story.outcomes)
-        count, rate = f"{placed} of {score.counted} placed", success_rate_text(score)
+        count, rate = tr("{} of {} placed", placed, score.counted), success_rate_text(score)
         if at >= len(story.trials):
             return StrategyResult(title, story.outcomes, trials, count, rate)
         trial = story.trials[at]
@@ -247,14 +246,13 @@ def paired_text(titles: Sequence[str], stories: Sequence[RunStory | None]) -> st
     if not counted:
         return ""
     only = counted.count((True, False)), counted.count((False, True))
-    text = (
-        f"Placed by {titles[0]} alone: {only[0]}, by {titles[1]} alone: {only[1]}, of "
-        f"{count_noun(len(counted), 'pair')}."
-    )
+    counts = (word for title, count in zip(titles, only, strict=True) for word in (title, count))
+    text = tr("Placed by {} alone: {}, by {} alone: {}, of {}.",
+              *counts, count_noun(len(counted), "pair"))  # fmt: skip
     better = {"more": titles[0], "less": titles[1], None: ""}[sequential_decision(*only)]
     if better:
-        return f"{text} {better} places more often (error at most 5 %)."
-    return f"{text} Undecided; more trials may follow."
+        return f"{text} {tr('{} places more often (error at most 5 %).', better)}"
+    return f"{text} {tr('Undecided; more trials may follow.')}"
 
 
 def compared_strategies(request: StackRequest) -> tuple[StrategyChoice, StrategyChoice]:
@@ -270,7 +268,8 @@ def _words(trial: TrialStory) -> tuple[str, bool | None]:
     """Return the result of a trial and if it is good (None while it continues)."""
     done = trial.finished
     if done is None:
-        return f"{trial.phase or 'begun'} \N{HORIZONTAL ELLIPSIS}", None
+        return f"{tr(trial.phase or 'begun')} \N{HORIZONTAL ELLIPSIS}", None
     probes = count_noun(done.probes, "probe")
     good = done.outcome is Outcome.PLACED
-    return f"{OUTCOME_WORDS[done.outcome].capitalize()} after {probes}. {done.reason}", good
+    word = tr(OUTCOME_WORDS[done.outcome]).capitalize()
+    return f"{tr('{} after {}.', word, probes)} {done.reason}", good

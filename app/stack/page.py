@@ -64,7 +64,7 @@ class StackPage(LivePage):
         """Show a question to the operator; its picture replaces the belief map."""
         self.trial.show_look(look)
         if look is not None and look.yes:
-            self.decision.show_text(DecisionText("Your turn", "", "", look.title + "."))
+            self.decision.show_text(DecisionText("Your turn", "", "", f"{tr(look.title)}."))
         pictured = look is not None and look.scene is not None
         high = QSizePolicy.Policy.Expanding if pictured else QSizePolicy.Policy.Fixed
         self.trial.setSizePolicy(QSizePolicy.Policy.Preferred, high)

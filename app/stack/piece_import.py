@@ -99,7 +99,7 @@ class PieceSheet(BenchSheet):
             combo.currentIndexChanged.connect(self._delay.start)
         for box, auto in ((self.mass_g, "by density"), (self.height_mm, "measured"),
                           (self.grip_mm, "0.7 of the height")):  # fmt: skip
-            box.setSpecialValueText(auto)
+            box.setSpecialValueText(tr(auto))
         self.density.setValue(1.24)
         for box in (self.density, self.mass_g, self.height_mm, self.grip_mm):
             box.valueChanged.connect(self._delay.start)
@@ -183,9 +183,8 @@ class PieceSheet(BenchSheet):
     def _ask_file(self) -> None:
         kinds = " ".join(f"*{kind}" for kind in PIECE_SOURCES)
         start = None if self._path is None else self._path.parent
-        ask_path(
-            self, "CAD file of the piece", self.take, start=start, names=f"CAD files ({kinds})"
-        )
+        names = f"{tr('CAD files')} ({kinds})"
+        ask_path(self, "CAD file of the piece", self.take, start=start, names=names)
 
     def _submit(self, work: Callable[[], object], done: Callable[[object], None]) -> None:
         self._worker.submit(work, done, partial(self._failed, self._asked))
@@ -193,13 +192,13 @@ class PieceSheet(BenchSheet):
     def _measurement(self, number: int, measured: object) -> None:
         if number == self._asked and isinstance(measured, MeasuredPiece):
             x, y, z = measured.com_mm
-            com = "" if isnan(x) else f", centre of mass {x:.2f}, {y:.2f}, {z:.2f} mm"
-            words = (
-                f"Face {measured.face.area:.1f} mm², height {measured.height_mm:.2f} mm, volume "
-                f"{1e-3 * measured.volume_mm3:.2f} cm³, mass {measured.mass_g:.1f} g{com}."
-            )
-            notes = " ".join((words, *measured.notes))
-            self._show(measured, notes.replace("(--weigh)", "(Weigh first)"))
+            found = "Face {:.1f} mm², height {:.2f} mm, volume {:.2f} cm³, mass {:.1f} g."
+            sizes = measured.face.area, measured.height_mm, 1e-3 * measured.volume_mm3
+            words = [tr(found, *sizes, measured.mass_g)]
+            if not isnan(x):
+                words.append(tr("Centre of mass {:.2f}, {:.2f}, {:.2f} mm.", x, y, z))
+            notes = " ".join((*words, *measured.notes))
+            self._show(measured, notes.replace("--weigh", tr("Weigh first")))
 
     def _failed(self, number: int, error: Exception) -> None:
         if number == self._asked:
@@ -212,7 +211,7 @@ class PieceSheet(BenchSheet):
         self._measured = measured
         self.add.setEnabled(measured is not None)
         self.picture.show_piece(measured)
-        self.said.setText(words)
+        self.said.setText(tr(words))
         set_property(self.said, "tone", "bad" if bad else "")
 
     def _save(self) -> None:
@@ -222,6 +221,6 @@ class PieceSheet(BenchSheet):
             self._submit(work, lambda _: self._saved(name))
 
     def _saved(self, name: str) -> None:
-        self._show(None, f"'{name}' is added.")
+        self._show(None, tr("'{}' is added.", name))
         self._added(name)
         self.close()

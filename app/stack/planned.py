@@ -15,9 +15,9 @@ from touchdown.app.shell import (
     BenchSheet,
     ask_path,
     carry_out,
-    count_noun,
     is_run_active,
     restore_form,
+    tower_text,
 )
 from touchdown.app.stack.page import StackPage
 from touchdown.app.stack.presenter import stack_request
@@ -31,7 +31,7 @@ from touchdown.backend.core import (
     parse_toml,
 )
 from touchdown.backend.runs import StackRequest
-from touchdown.widgets.base import KeylessList, hbox, label, tr, vbox
+from touchdown.widgets.base import KeylessList, count_noun, hbox, label, tr, vbox
 from touchdown.widgets.forms import STRATEGIES, RunForm, RunPanel
 from touchdown.widgets.shell import CardQuestion, FaultCards
 
@@ -47,9 +47,9 @@ class PlannedRun(RunForm):
 
     def text(self, number: int, state: str) -> str:
         """Return the run as two lines of a list."""
-        tower = " on ".join(filter(None, (self.piece, self.bottom, self.under)))
-        strategy = dict(STRATEGIES).get(self.strategy, self.strategy)
-        what = f"{count_noun(self.trials, 'trial')}, seed {self.seed}, {strategy}"
+        tower = tower_text(*filter(None, (self.piece, self.bottom, self.under)))
+        strategy = tr(dict(STRATEGIES).get(self.strategy, self.strategy))
+        what = tr("{}, seed {}, {}", count_noun(self.trials, "trial"), self.seed, strategy)
         return f"{number}. {tower}: {self.result or state}\n{what}"
 
 
@@ -62,7 +62,7 @@ def read_planned_runs(path: Path, panel: RunPanel) -> list[PlannedRun]:
         tables = parse_toml(path.read_bytes())["run"]
         tables = list(json.loads(json.dumps(tables, default=str)))
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InputError(f"No [[run]] can be read: {error}.", str(path), FIX) from error
+        raise InputError(tr("No [[run]] can be read: {}.", error), str(path), FIX) from error
     usual, runs = panel.form(), list[PlannedRun]()
     for number, table in enumerate(tables, start=1):
         values = table if isinstance(table, dict) else {str(table): ""}
@@ -74,7 +74,7 @@ def read_planned_runs(path: Path, panel: RunPanel) -> list[PlannedRun]:
             panel.show_form(usual)
         wrong += [name for name, value in held.items() if value != getattr(run, name)]
         if wrong:
-            what = f"Run {number} has wrong entries: {', '.join(wrong)}."
+            what = tr("Run {} has wrong entries: {}.", number, ", ".join(wrong))
             raise InputError(what, str(path), FIX)
         runs.append(replace(run, result=""))
     return runs
@@ -137,7 +137,7 @@ class PlannedRunsSheet(BenchSheet):
             self.change(runs + more, len(runs))
 
     def _ask_file(self) -> None:
-        ask_path(self, "Planned runs", self.add_file, names="Planned runs (*.toml)")
+        ask_path(self, "Planned runs", self.add_file, names=f"{tr('Planned runs')} (*.toml)")
 
     def _move(self, by: int) -> None:
         at, runs = self.list.currentRow(), list(self.runs)
@@ -154,7 +154,8 @@ class PlannedRunsSheet(BenchSheet):
         self._remember()
         self.list.clear()
         for number, run in enumerate(runs, start=1):
-            self.list.addItem(run.text(number, "running" if run is self._now else "planned"))
+            state = tr("running" if run is self._now else "planned")
+            self.list.addItem(run.text(number, state))
         self.list.setCurrentRow(min(at, len(runs) - 1))
         self._show_buttons()
 
@@ -169,7 +170,7 @@ class PlannedRunsSheet(BenchSheet):
             self.buttons[name].setEnabled(on)
 
     def _say(self, text: str) -> None:
-        self.said.setText(text)
+        self.said.setText(tr(text))
         self.change(self.runs, max(self.list.currentRow(), 0))
 
     def start(self) -> None:
@@ -210,18 +211,20 @@ class PlannedRunsSheet(BenchSheet):
 
     def _go_on(self, run: PlannedRun, ending: str) -> None:
         placed = self._outcomes.count(Outcome.PLACED)
-        result = f"{placed} of {count_noun(len(self._outcomes), 'trial')} placed"
+        result = tr("{} of {} placed", placed, count_noun(len(self._outcomes), "trial"))
         if ending != "finished":
-            self.on, result = False, f"{result}, {ending}"
+            self.on, result = False, f"{result}, {tr(ending)}"
         self.runs = [replace(r, result=result) if r is run else r for r in self.runs]
         self._now = None
         left = [run for run in self.runs if not run.result]
-        done = f"{len(self.runs) - len(left)} of {count_noun(len(self.runs), 'planned run')} done"
+        runs = count_noun(len(self.runs), "planned run")
+        done = tr("{} of {} done", len(self.runs) - len(left), runs)
         if not self.on or not left:
             self.hold(f"{done}.")
-            self._offer(f"{done}; the last one: {result}.")
+            self._offer(tr("{}; the last one: {}.", done, result))
         elif not self._bench.simulated:
-            text = f"{done}. {left[0].piece} on {left[0].bottom} waits: start it when all is ready."
+            waits = "{}. {} on {} waits: start it when all is ready."
+            text = tr(waits, done, left[0].piece, left[0].bottom)
             self._asked = CardQuestion(text, (("Hold the row", self.hold), ("Start", self.start)))
             self._cards.ask(self._asked)
             self._say(text)

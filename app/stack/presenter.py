@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import cast
 
 from touchdown.app import shell
@@ -18,6 +19,7 @@ from touchdown.backend.runs import (
     StackRequest,
     certificate_status,
 )
+from touchdown.widgets.base import count_noun, tr
 from touchdown.widgets.forms import RunButtons, RunForm
 from touchdown.widgets.shell import CardText, FaultCards
 from touchdown.widgets.views import (
@@ -119,7 +121,7 @@ class StackPresenter:
             run.show_certificate(error.what, error.fix)
             return
         withdrawn = guard is not None and guard.withdrawn and status.certificate is not None
-        text = "Certificate withdrawn." if withdrawn else status.message
+        text = tr("Certificate withdrawn.") if withdrawn else status.message
         run.show_certificate(text, status.message if withdrawn else status.scope)
         run.show_signals(f"{'' if guard is None else guard.describe()} {withheld}".strip())
 
@@ -129,10 +131,10 @@ class StackPresenter:
             texts, store = [self._bench.day_checks.obstacle()], self._bench.calibrations
             camera = None if store is None else store.status("camera", {})
             if camera is not None and camera.condition == "gel replaced":
-                texts.append(f"Camera calibration: {camera.why}.")
+                texts.append(tr("Camera calibration: {}.", camera.why))
             if form.strategy in ("paper", "paper-calibrated"):
                 found = gel_mismatches(shell.model_card_in_use(form.piece), self._bench.description)
-                texts += [f"Model trained with another gel: {one}." for one in found]
+                texts += [tr("Model trained with another gel: {}.", one) for one in found]
         except InputError as error:
             return error.what
         return " ".join(filter(None, texts))
@@ -182,9 +184,11 @@ class StackPresenter:
         if buttons != self._buttons:
             self._buttons = buttons
             self._page.run.show_buttons(buttons)
-        text = f"trial {status.trial} of {status.trials}" if active and status.trial else ""
+        text = tr("trial {} of {}", status.trial, status.trials) if active and status.trial else ""
         if text and status.phase:
-            text += f", probe {status.probe}: {status.phase}" if status.probe else ""
+            text += (
+                f", {tr('probe {}: {}', status.probe, tr(status.phase))}" if status.probe else ""
+            )
         self._page.run.detail.setText(text)
         # Leaves the width of the header to the progress.
         self._page.add_piece.setVisible(not active)
@@ -194,7 +198,7 @@ class StackPresenter:
         self._page.decision.keep_room(self._page.run.form().mode != "auto")
         if status.awaiting is not None and self._has_heard(status):
             asking, act = question_text(status.awaiting)
-            button = f"{act}  {'N' if self._page.run.form().mode == 'step' else 'A'}"
+            button = f"{tr(act)}  {'N' if self._page.run.form().mode == 'step' else 'A'}"
         if asking != self._asking:
             self._asking = asking
             self._page.decision.show_question(asking, button)
@@ -276,8 +280,8 @@ class StackPresenter:
         text = decision_text(look.stability, look.action)
         trial = self._shown_trial()
         if self._chosen is not None:
-            return DecisionText(text.result, text.tone, text.margin,
-                                f"Looking back at probe {look.probe}. {text.text}")  # fmt: skip
+            back = tr("Looking back at probe {}.", look.probe)
+            return replace(text, text=f"{back} {tr(text.text)}")
         if trial is None or trial.finished is None:
             return text
         return self._ended(trial.finished)
@@ -290,10 +294,10 @@ class StackPresenter:
         if done.outcome in RELEASED and done.margin_mm is not None:
             margin = signed_mm(done.margin_mm)
         head = self.story.head
-        word = OUTCOME_WORDS[done.outcome]
+        word = tr(OUTCOME_WORDS[done.outcome])
         several = head is not None and head.trials > 1
         return DecisionText(
-            f"{mark} Trial {done.trial} {word}" if several else f"{mark} {word.capitalize()}",
+            f"{mark} {tr('Trial {} {}', done.trial, word) if several else word.capitalize()}",
             "good" if placed else "bad",
             margin,
             done.reason,
@@ -321,14 +325,16 @@ class StackPresenter:
         for trial in reversed(self.story.trials):
             if trial.finished is not None:
                 done = trial.finished
-                probes = shell.count_noun(done.probes, "probe")
-                last = f"Seed {done.seed}: {OUTCOME_WORDS[done.outcome]} after {probes}."
+                probes = count_noun(done.probes, "probe")
+                word = tr(OUTCOME_WORDS[done.outcome])
+                last = tr("Seed {}: {} after {}.", done.seed, word, probes)
                 break
         planned, ended = head.trials if head is not None else 0, len(self.story.outcomes)
         if planned > ended and self.story.ended is not None:
-            last += f" The run ended after {ended} of {planned} trials. Start begins a new run."
+            then = "The run ended after {} of {} trials. Start begins a new run."
+            last = f"{last} {tr(then, ended, planned)}"
         elif planned > ended == len(self.story.trials) > 0:
-            last += f" Trial {ended + 1} of {planned} follows."
+            last = f"{last} {tr('Trial {} of {} follows.', ended + 1, planned)}"
         self._page.score.show_score(shell.run_score(self.story.trials, planned, last.lstrip()))
 
 
@@ -353,8 +359,9 @@ def _belief_detail(scene: BeliefScene, look: shell.ProbeStory) -> tuple[str, str
     if scene.belief is None:
         return "", ""
     largest = float(scene.belief.probability.max())
-    text, tip = f"p \N{LESS-THAN OR EQUAL TO} {largest:.2f}", f"probe {look.probe}"
-    if look.stability is not None:
-        text += ", judged from the patch" if look.stability.source == "patch" else ""
-    tip += "" if look.latency_ms is None else f", decided in {look.latency_ms:.1f} ms"
+    text, tip = f"p \N{LESS-THAN OR EQUAL TO} {largest:.2f}", tr("probe {}", look.probe)
+    if look.stability is not None and look.stability.source == "patch":
+        text += f", {tr('judged from the patch')}"
+    if look.latency_ms is not None:
+        tip += f", {tr('decided in {:.1f} ms', look.latency_ms)}"
     return text, tip

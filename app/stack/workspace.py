@@ -17,6 +17,7 @@ from touchdown.backend.bench import Session
 from touchdown.backend.core import Event, Outcome
 from touchdown.backend.geometry import PIECE_SOURCES, PieceLibrary, load_pieces
 from touchdown.backend.runs import BOOKMARKS_NAME, Bookmark, SceneChoice
+from touchdown.widgets.base import tr
 from touchdown.widgets.forms import RunForm
 from touchdown.widgets.views import NO_DECISION
 
@@ -211,7 +212,7 @@ class StackWorkspace(shell.Workspace):
             self._context.say("No recorded run is active. Review sets bookmarks afterwards.")
             return
         mark = Bookmark(bench.status().trial, round(bench.clock_s(), 2))
-        said = f"Bookmark at {mark.t_s:.2f} s of trial {mark.trial}."
+        said = tr("Bookmark at {:.2f} s of trial {}.", mark.t_s, mark.trial)
         path = bench.run_folder / BOOKMARKS_NAME
         self.note.ask_note(path, mark, lambda _: self._context.say(said))
 
@@ -232,7 +233,7 @@ class StackWorkspace(shell.Workspace):
         if self._catalogue is not None:
             self._catalogue.add(load_pieces().piece(name))
             self.page.run.show_catalogue(*shell.piece_titles(self._catalogue))
-        self._context.say(f"Piece '{name}' is added.")
+        self._context.say(tr("Piece '{}' is added.", name))
 
     def _on_trial(self, order: Callable[[OperatorPromptsPresenter], None]) -> None:
         if self.attended is not None:

@@ -26,6 +26,7 @@ from touchdown.backend.learning import (
     read_training_run,
     resume_request,
 )
+from touchdown.widgets.base import tr
 from touchdown.widgets.forms import TrainingButtons, TrainingForm
 from touchdown.widgets.plots import SampleScene
 from touchdown.widgets.shell import CardQuestion, FaultCards
@@ -315,9 +316,9 @@ class TrainPresenter:
         """Enable the buttons that are allowed now."""
         page, run = self._page, self._chosen_alone()
         idle = self.thread is None
-        why = "" if idle else "A training goes on"
+        why = "" if idle else tr("A training goes on")
         if idle and not self._can_start():
-            why = "There is nothing to train on yet"
+            why = tr("There is nothing to train on yet")
         resumable = run is not None and run.can_resume
         page.form.show_buttons(
             TrainingButtons(
@@ -395,7 +396,7 @@ class TrainPresenter:
         self._worker.submit(lambda: sample_scenes(run), show, none)
 
     def _show_progress(self, text: str) -> None:
-        self._page.curves_panel.detail.setText(text)
+        self._page.curves_panel.detail.setText(tr(text))
 
     def _take_use(self, in_use: ModelInUse | None) -> None:
         self.in_use = in_use

@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from touchdown.app.shell import count_noun
 from touchdown.backend import learning
 from touchdown.backend.annotations import LABEL_CHOICES
 from touchdown.backend.bench import model_in_use
 from touchdown.backend.core import InputError
 from touchdown.backend.geometry import face_points, load_pieces
+from touchdown.widgets.base import count_noun, tr
 from touchdown.widgets.forms import LABEL_TITLES, TrainingForm
 from touchdown.widgets.plots import SampleScene
 
@@ -113,16 +113,18 @@ class TrainingReader:
         return self._found
 
 
+REVIEW_HINT = "Accept labels in Label (Ctrl+2) and let somebody else approve them."
+
+
 def _label_hint(form: TrainingForm) -> str:
     """Return a hint if the label selection leaves no episodes."""
     names = [name for name, _ in LABEL_TITLES]
-    review = "accept labels in Label (Ctrl+2) and let somebody else approve them"
     for name, text in LABEL_TITLES[names.index(form.labels) + 1 :]:
         labels = next(choice for choice in LABEL_CHOICES if choice == name)
         if count := len(learning.training_candidates(Path(form.data), labels)):
-            would = f"Labels '{text}' would give {count_noun(count, 'episode')}."
-            return f"No label counts yet. {would} Or {review}."
-    return f"No label counts yet: {review}."
+            would = tr("Labels '{}' would give {}.", tr(text), count_noun(count, "episode"))
+            return f"{tr('No label counts yet.')} {would} {tr(REVIEW_HINT)}"
+    return f"{tr('No label counts yet.')} {tr(REVIEW_HINT)}"
 
 
 def sample_scenes(run: learning.TrainingRun) -> list[SampleScene]:

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from datetime import datetime
 from typing import Any
 
-from touchdown.app.shell import count_noun, duration_text, error_card
+from touchdown.app.shell import duration_text, error_card
 from touchdown.app.train.reading import ModelInUse
 from touchdown.backend.core import FaultError, InputError
 from touchdown.backend.episodes import group_noun
@@ -19,6 +19,7 @@ from touchdown.backend.learning import (
     TrainingRun,
     TrainingSetOverview,
 )
+from touchdown.widgets.base import count_noun, tr
 from touchdown.widgets.lists import TrainingRow
 from touchdown.widgets.plots import RUN_COLOURS, CurveLine
 from touchdown.widgets.shell import CardText
@@ -54,7 +55,7 @@ def run_row(run: TrainingRun, in_use: ModelInUse | None, marks: Mapping[str, str
     done, total = len(run.curves.get("iou", ())), params.get("epochs", 0)
     cells = (
         f"{mark}{run.piece or '?'}  {when}",
-        "in use" if used else run.state,
+        tr("in use" if used else run.state),
         str(params.get("modality", "?")),
         _per_cent(run.value("iou", best)),
         f"{done}/{total}" if run.card is None else f"{best}/{total}",
@@ -73,12 +74,12 @@ def model_in_use_text(in_use: ModelInUse | None) -> str:
         return ""
     alone = autonomy_text(in_use.probes)
     if in_use.before is None:
-        return f"In use for {in_use.piece}: the shipped model. {alone}".strip()
-    since = datetime.fromtimestamp(in_use.since_ns / 1e9)
+        return f"{tr('In use for {}: the shipped model.', in_use.piece)} {alone}".strip()
+    since = f"{datetime.fromtimestamp(in_use.since_ns / 1e9):%d %b %H:%M}"
+    models = _model(in_use.weights_sha256), since, _model(in_use.before)
     return (
-        f"In use for {in_use.piece}: {_model(in_use.weights_sha256)} "
-        f"since {since:%d %b %H:%M}; before it {_model(in_use.before)}. {alone}"
-    ).strip()
+        f"{tr('In use for {}: {} since {}; before it {}.', in_use.piece, *models)} {alone}".strip()
+    )
 
 
 def promotion_question(card: ModelCard, used: ModelCard | None) -> str:
@@ -90,19 +91,21 @@ def promotion_question(card: ModelCard, used: ModelCard | None) -> str:
     worse, thin = iou < used_iou, held_out < min(THIN_TEST, used_held_out)
     if not worse and not thin:
         return ""
-    why = "It is worse." if worse else "It was tested on few probes."
-    return (
-        f"Put this model in use for {card.piece}? {why} Its IoU is {100 * iou:.0f} % on "
-        f"{count_noun(held_out, 'probe')} held out; the model in use has {100 * used_iou:.0f} % on "
-        f"{count_noun(used_held_out, 'probe')}."
-    )
+    figures = "Its IoU is {:.0f} % on {} held out; the model in use has {:.0f} % on {}."
+    said = (
+        tr("Put this model in use for {}?", card.piece),
+        tr("It is worse." if worse else "It was tested on few probes."),
+        tr(figures, 100 * iou, count_noun(held_out, "probe"), 100 * used_iou,
+           count_noun(used_held_out, "probe")),
+    )  # fmt: skip
+    return " ".join(said)
 
 
 def ended_text(card: ModelCard) -> str:
     """Return what a training gave."""
     iou, held_out = _test(card)
     probes = count_noun(held_out, "held-out probe")
-    return f"The training of {card.piece} gave IoU {100 * iou:.0f} % on {probes}."
+    return tr("The training of {} gave IoU {:.0f} % on {}.", card.piece, 100 * iou, probes)
 
 
 def _test(card: ModelCard) -> tuple[float, int]:
@@ -116,18 +119,18 @@ def autonomy_text(probes: int | None) -> str:
     if probes is None:
         return ""
     if probes >= HARDWARE_PROBES:
-        return f"Auto on hardware: evaluated on {probes} hardware probes."
-    return (
+        return tr("Auto on hardware: evaluated on {} hardware probes.", probes)
+    return tr(
         "From simulations alone: on hardware approve or step mode only "
-        f"({probes} of {HARDWARE_PROBES} hardware probes evaluated)."
-    )
+        "({} of {} hardware probes evaluated).", probes, HARDWARE_PROBES,
+    )  # fmt: skip
 
 
 def split_text(overview: TrainingSetOverview, trouble: str) -> str:
     """Return errors of the data, or leaks of the split."""
     if trouble or overview.error:
         return trouble or overview.error
-    kept = f"{group_noun(overview.kept_together).capitalize()} are held out."
+    kept = tr("{} are held out.", tr(group_noun(overview.kept_together)).capitalize())
     return "\n".join((*overview.warnings, kept))
 
 
@@ -135,7 +138,7 @@ def split_rows(overview: TrainingSetOverview) -> list[tuple[str, str, str]]:
     """Return the counts per bottom and in total."""
     rows = [(p.bottom, f"{p.train:,}", f"{p.held_out:,}") for p in overview.pairs]
     if len(rows) > 1:
-        rows.append(("all", f"{overview.train:,}", f"{overview.held_out:,}"))
+        rows.append((tr("all"), f"{overview.train:,}", f"{overview.held_out:,}"))
     return rows
 
 
@@ -144,8 +147,10 @@ def curve_lines(runs: Sequence[TrainingRun], name: str) -> list[CurveLine]:
     if len(runs) == 1 and name == "validation_loss":
         curves = runs[0].curves
         return [
-            CurveLine("train", _points(curves.get("train_loss", ())), RUN_COLOURS[1], dashed=True),
-            CurveLine("valid.", _points(curves.get(name, ())), RUN_COLOURS[0]),
+            CurveLine(
+                tr("train"), _points(curves.get("train_loss", ())), RUN_COLOURS[1], dashed=True
+            ),
+            CurveLine(tr("valid."), _points(curves.get(name, ())), RUN_COLOURS[0]),
         ]
     marks = LETTERS if len(runs) > 1 else ("",)
     return [
@@ -160,7 +165,7 @@ def reliability_lines(runs: Sequence[TrainingRun]) -> list[CurveLine]:
     for at, (run, mark, token) in enumerate(zip(runs, LETTERS, RUN_COLOURS, strict=False)):
         bins = run.reliability.get(run.best_epoch, ())
         error = run.value("calibration_error", run.best_epoch)
-        name = f"error {error:.3f}" if math.isfinite(error) else ""
+        name = tr("error {:.3f}", error) if math.isfinite(error) else ""
         name = f"{mark}  {name}" if len(runs) > 1 else name
         lines.append(
             CurveLine(name, tuple((p, share) for p, share, _ in bins), token, dashed=at == 1)
@@ -174,10 +179,10 @@ def difference_rows(runs: Sequence[TrainingRun]) -> list[tuple[str, ...]]:
     for key, name in SETTINGS.items():
         values = [run.about.params.get(key) for run in runs]
         if len(runs) == 1 or any(value != values[0] for value in values):
-            rows.append((name, *(_setting(value) for value in values)))
+            rows.append((tr(name), *(_setting(value) for value in values)))
     data = [run.about.manifest[:8] or NOTHING for run in runs]
     if runs and (len(runs) == 1 or len(set(data)) > 1):
-        rows.append(("data", *data))
+        rows.append((tr("data"), *data))
     return rows
 
 
@@ -198,16 +203,16 @@ def figure_rows(runs: Sequence[TrainingRun]) -> list[tuple[str, ...]]:
     names = sorted({name for table in tables for name in table} - {"all"})
     if any("all" in table for table in tables):
         names.append("all")
-    return [(name, *(_pair(table.get(name)) for table in tables)) for name in names]
+    return [(tr(name), *(_pair(table.get(name)) for table in tables)) for name in names]
 
 
 def remaining_time_text(done: int, total: int, seconds: Sequence[float]) -> str:
     """Return the progress of a training; ``seconds``: durations of its epochs so far."""
     if not seconds:
-        return f"epoch {done} of {total}"
+        return tr("epoch {} of {}", done, total)
     recent = seconds[-5:]
     left_s = (total - done) * sum(recent) / len(recent)
-    return f"epoch {done} of {total}, about {duration_text(max(left_s, 1.0))} left"
+    return tr("epoch {} of {}, about {} left", done, total, duration_text(max(left_s, 1.0)))
 
 
 def failure_card(error: Exception) -> CardText:
@@ -217,7 +222,7 @@ def failure_card(error: Exception) -> CardText:
         step = "Choose the run and press Resume; free memory first if it ran short."
         return CardText(fault.code, fault.what, fault.consequence, step, reset=False)
     if not isinstance(error, InputError):
-        what = f"The training failed: {error}."
+        what = tr("The training failed: {}.", error)
         return CardText("TRAINING", what, "There is no new model.", "Train again.", reset=False)
     return error_card("TRAINING", error)
 
@@ -245,8 +250,10 @@ def _per_cent(value: float) -> str:
 
 
 def _setting(value: object) -> str:
+    if isinstance(value, bool):
+        return tr("yes" if value else "no")
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
 def _model(sha256: str) -> str:
-    return "the one that ships" if sha256 == SHIPPED_MODEL else f"model {sha256[:8]}"
+    return tr("the one that ships") if sha256 == SHIPPED_MODEL else tr("model {}", sha256[:8])

@@ -12,6 +12,7 @@ from touchdown.app.train.presenter import TrainPresenter
 from touchdown.app.train.reading import TrainingReader
 from touchdown.backend.learning import ModelRegistry
 from touchdown.backend.runs import dataset_folder, models_folder
+from touchdown.widgets.base import tr
 from touchdown.widgets.forms import TrainingForm
 
 MOST_FOLDERS = 8
@@ -131,7 +132,8 @@ class TrainWorkspace(shell.Workspace):
         own = dataset_folder()
         names = [one.name for one in self._folders]
         entries = [
-            (str(one), "Own dataset" if one == own else _short(one, names)) for one in self._folders
+            (str(one), tr("Own dataset") if one == own else _short(one, names))
+            for one in self._folders
         ]
         self.page.form.show_data(entries, chosen)
 

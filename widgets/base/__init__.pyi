@@ -11,6 +11,7 @@ from .panel import Panel as Panel
 from .panel import ScrollingNote as ScrollingNote
 from .panel import add_items as add_items
 from .panel import compact_combo_box as compact_combo_box
+from .panel import count_noun as count_noun
 from .panel import describe as describe
 from .panel import flat_button as flat_button
 from .panel import hbox as hbox

@@ -87,13 +87,13 @@ class Columns(QSplitter):
         """Return "" if ``wanted`` fits this page, else the reason."""
         shares = wanted.shares
         if len(shares) != len(self._parts):
-            return f"{len(shares)} columns instead of {len(self._parts)}"
+            return tr("{} columns instead of {}", len(shares), len(self._parts))
         if not all(math.isfinite(s) and s >= LEAST_SHARE for s in shares):
-            return "a column without width"
+            return tr("a column without width")
         if abs(sum(shares) - 1.0) > 0.01:
-            return "widths that do not fill the page"
+            return tr("widths that do not fill the page")
         unknown = sorted(wanted.hidden - set(self.panels))
-        return f"no panel '{unknown[0]}' here" if unknown else ""
+        return tr("no panel '{}' here", unknown[0]) if unknown else ""
 
     def show_arrangement(self, wanted: ColumnArrangement) -> None:
         """Apply an arrangement; raises ValueError if it does not fit."""
@@ -237,6 +237,18 @@ def tr(text: str, *values: object) -> str:
     """
     shown = QCoreApplication.translate(CONTEXT, text) if text else ""
     return shown.format(*values) if values else shown
+
+
+def count_noun(count: int, noun: str) -> str:
+    """Return a number with its noun: "1 probe", "1,200 probes".
+
+    Files of translations hold the forms of ``%n probes``.
+    """
+    source = f"%n {noun}s"
+    shown = QCoreApplication.translate(CONTEXT, source, None, count)
+    if shown == source.replace("%n", str(count)):  # no translation
+        return f"{count:,} {noun}" if count == 1 else f"{count:,} {noun}s"
+    return shown
 
 
 def describe(*rows: tuple[QWidget, str, str]) -> None:

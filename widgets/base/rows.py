@@ -23,6 +23,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
+from touchdown.widgets.base.panel import tr
 from touchdown.widgets.base.theme import Theme
 
 ModelIndex = QModelIndex | QPersistentModelIndex
@@ -41,7 +42,7 @@ def open_over(dialog: QWidget, window: QWidget, most: tuple[int, int], edge_px: 
 
 def plain_table(table: QTableView, name: str) -> None:
     """Set up a read-only table without lines and row headers."""
-    table.setAccessibleName(name)
+    table.setAccessibleName(tr(name))
     table.setEditTriggers(QTableView.EditTrigger.NoEditTriggers)
     table.setShowGrid(False)
     table.setWordWrap(False)
@@ -73,7 +74,7 @@ class RowList(QListView):
         super().__init__()
         self.setUniformItemSizes(True)
         self.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
-        self.setAccessibleName(name)
+        self.setAccessibleName(tr(name))
 
     def draw_rows(self, model: QAbstractListModel, painter: RowPainter) -> None:
         """Set model and delegate."""
@@ -142,8 +143,8 @@ class KeylessList(QListWidget):
 
     def __init__(self, name: str, nothing: str = "") -> None:
         super().__init__()
-        self._nothing = nothing
-        self.setAccessibleName(name)
+        self._nothing = tr(nothing)
+        self.setAccessibleName(tr(name))
         WrappedItemDelegate(self)
 
     def paintEvent(self, event: QPaintEvent) -> None:

@@ -80,7 +80,7 @@ class TargetPanel(Panel):
         self._theme = theme
         self.piece, self.bottom, self.pattern = QComboBox(), QComboBox(), QComboBox()
         self.within, self.count = decimal_box(0.0, WIDEST_MM), whole_box(1, 100_000)
-        self.within.setSpecialValueText(NO_LIMIT)
+        self.within.setSpecialValueText(tr(NO_LIMIT))
         self.within.setSuffix(" mm")
         self.per_grip, self.seed = whole_box(0, 1000, "auto"), whole_box(0, 999_999, "new")
         self.person = NameField()
@@ -102,7 +102,7 @@ class TargetPanel(Panel):
         )  # fmt: skip
         set_entries(self.pattern, PATTERNS)
         self.bar.setTextVisible(True)
-        self.bar.setFormat("%v of %m")
+        self.bar.setFormat(tr("%v of %m"))
         self.start.setProperty("role", "primary")
         self.person.setMaxLength(64)
         describe(
@@ -183,18 +183,18 @@ class TargetPanel(Panel):
         """Enable buttons and fields; Start confirms while ``ask`` is set."""
         self.start.setEnabled(buttons.start or bool(buttons.ask))
         yes, no = buttons.answers or ("Confirm", "Continue")
-        self.start.setText(yes if buttons.ask else tr("Start collecting"))
+        self.start.setText(tr(yes if buttons.ask else "Start collecting"))
         said = buttons.ask or (f"{buttons.why_not}." if buttons.why_not else "")
         self.why_not.setText(said)
         self.why_not.setVisible(bool(said))
         there = "Yes (F5)" if buttons.answers else "Confirm (F5)"
-        tip = there if buttons.ask else "Start a new campaign (F5)"
+        tip = tr(there if buttons.ask else "Start a new campaign (F5)")
         self.start.setToolTip(buttons.why_not or tip)
         self.lift.setVisible(buttons.in_contact)
-        self.go_on.setText(no)
+        self.go_on.setText(tr(no))
         asked = buttons.answers is not None
         self.go_on.setEnabled(asked or (buttons.start and bool(buttons.go_on)))
-        tip = buttons.go_on or "No campaign to continue"
+        tip = buttons.go_on or tr("No campaign to continue")
         self.go_on.setToolTip(tr("No (Shift+F5)") if asked else tip)
         self.pause.setEnabled(buttons.pause)
         self.pause.setText(tr("Resume" if buttons.paused else "Pause"))
@@ -220,7 +220,7 @@ class TargetPanel(Panel):
 
     def show_residual(self, text: str, *, usable: bool) -> None:
         """Show the result of the last check of the origin."""
-        self.residual.setText(text)
+        self.residual.setText(tr(text))
         self.take.setEnabled(usable)
 
     def fit_to_theme(self) -> None:

@@ -99,7 +99,9 @@ class _RefusedEntry(QObject):
     def _words(self) -> str:
         box = self._box
         low, high = (f"{value:.{self._decimals}f}" for value in (box.minimum(), box.maximum()))
-        return f"{self._typed.strip()} is refused: {low} to {high}{box.suffix()} is allowed."
+        return tr(
+            "{} is refused: {} to {}{} is allowed.", self._typed.strip(), low, high, box.suffix()
+        )
 
 
 def let_shrink(*combos: QComboBox, letters: int = 8) -> None:
@@ -124,7 +126,7 @@ def whole_box(low: int, high: int, auto: str = "") -> QSpinBox:
     """Return a spin box for whole numbers; ``auto`` is the text of the lowest one."""
     box = QSpinBox()
     box.setRange(low, high)
-    box.setSpecialValueText(auto)
+    box.setSpecialValueText(tr(auto))
     return box
 
 

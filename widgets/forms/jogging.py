@@ -64,7 +64,7 @@ class JogPace(QWidget):
         pace = self._pace = self._paces[at]
         for button, step in zip(self.steps[1:], self._paces[0].steps, strict=True):
             button.setVisible(step in pace.steps)
-            button.setAccessibleName(base.tr("Step of {} {}", button.text(), pace.spoken))
+            button.setAccessibleName(base.tr("Step of {} {}", button.text(), base.tr(pace.spoken)))
             button.setToolTip(base.tr("{} ([ and ])", button.accessibleName()))
         if self.steps[self._chosen()].isHidden():
             self.next_step(1)
@@ -208,7 +208,7 @@ class JogPad(base.Panel):
         item = self.frame.model().item(2)  # type: ignore[attr-defined]
         item.setEnabled(not reason)
         item.setToolTip(reason)
-        tip = "XYZ: axes of the bench. TOOL: axes of the hand. JOINT: one joint. (F)"
+        tip = base.tr("XYZ: axes of the bench. TOOL: axes of the hand. JOINT: one joint. (F)")
         self.frame.setToolTip(f"{tip} {reason}".strip())
         self._turns = not reason
         self.turn.setVisible(self._turns and self.frame.currentText() != "JOINT")
@@ -238,8 +238,8 @@ class JogPad(base.Panel):
 
     def show_look(self, look: PoseReadout) -> None:
         """Show pose, remaining travel and note."""
-        old = f"   ({look.age_s:.1f} s old)" if look.pose and look.age_s > 0.2 else ""
-        pose = f"{look.pose}{old}" or "No pose yet"
+        old = base.tr("   ({:.1f} s old)", look.age_s) if look.pose and look.age_s > 0.2 else ""
+        pose = f"{look.pose}{old}" or base.tr("No pose yet")
         self._pose.setText(pose)
         self._pose.setToolTip(pose)
         self._note.setText(look.note)
@@ -295,9 +295,9 @@ class JogPad(base.Panel):
         for what, pad in self.pads.items():
             pad.setVisible(what in shown)
         self.pace.show_pace(int(self.turning))
-        keys = "Digits choose a joint, arrows drive it" if joint else (
-            "Arrows turn about X and Y, Page Up and Page Down about Z"
-            if self.turning else "Arrows move X and Y, Page Up and Page Down move Z"
+        keys = base.tr("Digits choose a joint, arrows drive it") if joint else (
+            base.tr("Arrows turn about X and Y, Page Up and Page Down about Z")
+            if self.turning else base.tr("Arrows move X and Y, Page Up and Page Down move Z")
         )  # fmt: skip
         self.keys.setToolTip(base.tr("{} while this is on. It ends after 30 s without use.", keys))
         self._mark_joint()
@@ -309,7 +309,9 @@ class JogPad(base.Panel):
             base.set_property(self.pads[what], "chosen", "yes" if mark else "no")
 
     def _pad(self, what: str) -> HoldButton:
-        pad = HoldButton(_signed(what), what, f"Jog {_signed(what)}", self.hold, self._pressed_step)
+        pad = HoldButton(
+            _signed(what), what, base.tr("Jog {}", _signed(what)), self.hold, self._pressed_step
+        )
         pad.setProperty("axis", what[-1] if what[1] != "j" else "")
         return pad
 

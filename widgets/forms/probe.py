@@ -20,7 +20,7 @@ class PhaseStrip(QWidget):
 
     def __init__(self, theme: base.Theme, phases: Sequence[str]) -> None:
         super().__init__()
-        self._theme, self.phases, self.at = theme, tuple(phases), -1
+        self._theme, self.phases, self.at = theme, tuple(map(base.tr, phases)), -1
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
         self.setAccessibleName(base.tr("Phases of the probe"))
 
@@ -30,7 +30,7 @@ class PhaseStrip(QWidget):
             self.at = at
             known = 0 <= at < len(self.phases)
             said = self.phases[at] if known else "done" if at >= 0 else "not begun"
-            self.setAccessibleDescription(said)
+            self.setAccessibleDescription(base.tr(said))
             self.update()
 
     def sizeHint(self) -> QSize:
@@ -149,7 +149,8 @@ class LastProbePanel(base.Panel):
         self.detail.setText(base.tr("waiting for you" if words.asking else ""))
         for name, button in self.buttons.items():
             button.setEnabled(name in words.allowed)
-        self.setAccessibleDescription(". ".join((words.result, words.where, words.detail)))
+        said = (base.tr(words.result), words.where, words.detail)
+        self.setAccessibleDescription(". ".join(said))
 
 
 class PairHealthPanel(base.Panel):
@@ -165,15 +166,15 @@ class PairHealthPanel(base.Panel):
 
     def show_findings(self, texts: Sequence[str], *, judged: int) -> None:
         """Show the problems of ``judged`` probes; the tool tip has all of them."""
-        probes = "1 probe" if judged == 1 else f"{judged} probes"
-        self.detail.setText(f"{len(texts)} in {probes}" if texts else probes)
+        probes = base.count_noun(judged, "probe")
+        self.detail.setText(base.tr("{} in {}", len(texts), probes) if texts else probes)
         if not judged:
             self.words.setText(base.tr("No probe checked yet."))
         elif not texts:
             self.words.setText(base.tr("\N{CHECK MARK} No problem found."))
         else:
             more = len(texts) - self.MOST
-            tail = [f"and {more} more"] if more > 0 else []
+            tail = [base.tr("and {} more", more)] if more > 0 else []
             self.words.setText("\n".join([*texts[: self.MOST], *tail]))
         self.words.setToolTip("\n".join(texts[:40]))
 
@@ -205,7 +206,7 @@ class GripperPanel(base.Panel):
 
     def show_status(self, width_mm: float, force_n: float, *, holding: bool, moving: bool) -> None:
         """Show width, force per finger and state."""
-        word = "moving" if moving else "holding a piece" if holding else "empty"
+        word = base.tr("moving" if moving else "holding a piece" if holding else "empty")
         self.figures.setText(f"{width_mm:.1f} mm   {force_n:.1f} N   {word}")
 
     def show_ready(self, ready: bool) -> None:

@@ -48,8 +48,9 @@ class ChoiceBar(QFrame):
         """Ask; ``choices`` are (key, word), ``answer`` gets the chosen word."""
         self._choices, self._offered = dict(choices), []
         self._answer, self._typed = answer, _nothing
-        self._show(f"{title}  (Esc: cancel)", title, [f"{key}   {word}" for key, word in choices],
-                   [word for _, word in choices])  # fmt: skip
+        title = tr(title)
+        texts = [f"{key}   {tr(word)}" for key, word in choices]
+        self._show(tr("{}  (Esc: cancel)", title), title, texts, [word for _, word in choices])
 
     def offer(
         self,
@@ -64,12 +65,12 @@ class ChoiceBar(QFrame):
 
         A repeated call keeps the selection of the open question.
         """
-        self._answer, self._typed = answer, typed
+        self._answer, self._typed, title = answer, typed, tr(title)
         if self.isVisible() and self.accessibleName() == title and self._offered == list(words):
             self.setFocus()
             return
         self._choices, self._offered, self._marked = {}, list(words), marked
-        self._show(f"{title}  (Enter: accept, Tab: next, Esc: cancel)", title, words, words)
+        self._show(tr("{}  (Enter: accept, Tab: next, Esc: cancel)", title), title, words, words)
         self._mark(marked)
 
     @property
@@ -192,7 +193,7 @@ class NameDialog(QDialog):
         """Ask for ``what``, first ``text``; warns that a name in ``taken`` will be replaced."""
         self._take, self._taken = take, taken
         self.head.setText(tr(what))
-        self.field.setAccessibleName(what)
+        self.field.setAccessibleName(tr(what))
         self.field.setText(text)
         self._say("")
         self.setMinimumWidth(22 * self.fontMetrics().height())
@@ -207,7 +208,7 @@ class NameDialog(QDialog):
     def _try(self) -> None:
         reason = self._take(self.field.text())
         if reason:
-            self.said.setText(reason)
+            self.said.setText(tr(reason))
         else:
             self.close()
 

@@ -148,8 +148,8 @@ class RunPanel(base.Panel):
 
     def show_model(self, short: str, full: str) -> None:
         """Show the model in use; the tool tip has the details."""
-        self._model.setText(short)
-        self._model.setToolTip(full)
+        self._model.setText(base.tr(short))
+        self._model.setToolTip(base.tr(full))
         self._model.setAccessibleName(base.tr("Model: {}", short))
 
     def show_certificate(self, text: str, scope: str) -> None:

@@ -211,7 +211,7 @@ class LabelListRow:
     @property
     def text(self) -> str:
         """All words of the row, for search and screen readers."""
-        return ", ".join((self.title, self.detail, self.state, *self.badges))
+        return ", ".join((self.title, self.detail, base.tr(self.state), *self.badges))
 
     tip = text
 
@@ -293,7 +293,7 @@ class _LabelPainter(base.RowPainter):
         painter.restore()
 
     def _chip(self, painter: QPainter, inner: QRectF, state: str, line: float) -> float:
-        fill, text = STATE_COLOURS[state]
+        (fill, text), state = STATE_COLOURS[state], base.tr(state)
         t = self.theme.tokens
         painter.setFont(base.ui_font(self.theme.scale, 0.8, 600))
         width = painter.fontMetrics().horizontalAdvance(state) + 12
@@ -339,9 +339,7 @@ class HistoryList(QWidget):
         self._rows = list(rows)
         self.list.clear()
         self.list.addItems([revision_text(row) for row in rows])
-        self.count.setText(
-            base.tr("1 version") if len(rows) == 1 else base.tr("{} versions", len(rows))
-        )
+        self.count.setText(base.count_noun(len(rows), "version"))
         self._choose(-1)
 
     def choose(self, at: int) -> None:
@@ -354,6 +352,6 @@ class HistoryList(QWidget):
 
 def revision_text(row: HistoryRow) -> str:
     """Return the text of a revision."""
-    holds = ", holds" if row.head else ""
+    holds = base.tr(", holds") if row.head else ""
     lines = (f"{row.number}. {row.what}{holds}", row.who, row.difference)
     return "\n".join(lines).removesuffix("\n")

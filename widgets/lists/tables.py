@@ -17,7 +17,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from touchdown.widgets.base import ENTER, ROOT, ModelIndex, Theme, plain_table, ui_font
+from touchdown.widgets.base import ENTER, ROOT, ModelIndex, Theme, plain_table, tr, ui_font
 
 HEADS = ("No.", "Status", "Quality", "x, y (mm)", "Time")
 RIGHT = frozenset((0, 3, 4))
@@ -42,8 +42,8 @@ class EpisodeTableRow:
 
     def cells(self) -> tuple[str, ...]:
         """Return the texts of the columns."""
-        status = f"\N{BLACK FLAG} {self.status}" if self.flagged else self.status
-        return self.number, status, self.quality, self.where, self.time
+        status = f"\N{BLACK FLAG} {tr(self.status)}" if self.flagged else tr(self.status)
+        return self.number, status, tr(self.quality), self.where, self.time
 
 
 class EpisodeTable(QTableView):
@@ -113,7 +113,7 @@ class _EpisodeModel(QAbstractTableModel):
             return None
         if role == Qt.ItemDataRole.TextAlignmentRole:
             return ALIGN_RIGHT if section in RIGHT else ALIGN_LEFT
-        return HEADS[section] if role == Qt.ItemDataRole.DisplayRole else None
+        return tr(HEADS[section]) if role == Qt.ItemDataRole.DisplayRole else None
 
     def data(self, index: ModelIndex, role: int = Qt.ItemDataRole.DisplayRole) -> Any:
         row = self.rows[index.row()]
@@ -171,7 +171,7 @@ class FigureTable(QTableWidget):
         """Set the column headers."""
         self.setColumnCount(len(columns))
         for at, text in enumerate(columns):
-            item = QTableWidgetItem(text)
+            item = QTableWidgetItem(tr(text))
             item.setTextAlignment(ALIGN_RIGHT if at else ALIGN_LEFT)
             self.setHorizontalHeaderItem(at, item)
         header = self.horizontalHeader()
@@ -207,7 +207,7 @@ class FigureTable(QTableWidget):
                 painter.setFont(ui_font(self._theme.scale, 0.92))
                 area = self.viewport().rect().adjusted(8, 2, -8, -2)
                 flags = Qt.AlignmentFlag.AlignCenter | Qt.TextFlag.TextWordWrap
-                painter.drawText(area, int(flags), self.empty)
+                painter.drawText(area, int(flags), tr(self.empty))
 
     def texts(self) -> list[list[str]]:
         """Return the shown texts by row."""

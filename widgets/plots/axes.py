@@ -248,7 +248,7 @@ def draw_stale_overlay(
     veil.setAlpha(128)
     painter.fillRect(rect, veil)
     painter.setFont(ui_font(theme.scale, 1.0, 600))
-    text = f"STALE {age_s:.1f} s"
+    text = tr("STALE {:.1f} s", age_s)
     metrics = painter.fontMetrics()
     width = metrics.horizontalAdvance(text) + 16
     badge = QRectF(rect.center().x() - width / 2, rect.top() + 8, width, metrics.height() + 6)

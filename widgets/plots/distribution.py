@@ -12,7 +12,7 @@ from PySide6.QtCore import QMarginsF, QPointF, QRectF, Qt
 from PySide6.QtGui import QColor, QMouseEvent, QPainter, QPen
 
 from touchdown.backend.core import FloatArray
-from touchdown.widgets.base import MapName, Theme, Tokens, map_colours, ui_font
+from touchdown.widgets.base import MapName, Theme, Tokens, map_colours, tr, ui_font
 from touchdown.widgets.plots import axes
 from touchdown.widgets.plots.pictures import PictureView
 
@@ -79,7 +79,9 @@ class DistributionView(PictureView):
         """Show another scene."""
         self.scene = scene
         low, high = scene.span
-        said = f"{len(scene.points_mm)} displacements, {scene.title} {low:.3g} to {high:.3g}"
+        said = tr(
+            "{} displacements, {} {:.3g} to {:.3g}", len(scene.points_mm), scene.title, low, high
+        )
         self.setAccessibleDescription(said)
         self.update()
 

@@ -11,7 +11,7 @@ from PySide6.QtGui import QPainter, QPen, QPolygonF, QStaticText
 from PySide6.QtWidgets import QWidget
 
 from touchdown.backend.core import FloatArray
-from touchdown.widgets.base import Age, Panel, Theme, flat_button, signed, true_minus, ui_font
+from touchdown.widgets.base import Age, Panel, Theme, flat_button, signed, tr, true_minus, ui_font
 from touchdown.widgets.plots import axes
 from touchdown.widgets.plots.pictures import PictureView
 
@@ -27,8 +27,8 @@ class TracePlot(PictureView):
     unit = ""
 
     def __init__(self, theme: Theme, name: str, symbol: str, unit: str, limit: float) -> None:
-        super().__init__(theme, f"{name} traces", (240, 110))
-        self._name, self._symbol, self._unit = name, symbol, unit
+        self._name, self._symbol, self._unit = tr(name), symbol, unit
+        super().__init__(theme, tr("{} traces", self._name), (240, 110))
         self._least = self.limit = limit
         self.buckets = axes.TraceBuckets(3, buckets=BUCKETS)
         self._age, self._age_s, self._reason = Age.NEVER, 0.0, ""
@@ -79,13 +79,13 @@ class TracePlot(PictureView):
     def summary(self) -> str:
         """Return the newest values in words, for screen readers."""
         if self.buckets.empty:
-            return f"{self._name}: waiting for data"
+            return tr("{}: waiting for data", self._name)
         parts = (
             f"{self._symbol}{a} {v:z.2f}" for a, v in zip(AXES, self.buckets.last, strict=True)
         )
         span = f"{self.buckets.span_s:.0f} s"
         note = f"; {self._note}" if self._note else ""
-        largest = f"largest {self.buckets.largest():.2f} in {span}"
+        largest = tr("largest {:.2f} in {}", self.buckets.largest(), span)
         return f"{', '.join(parts)} {self._unit}; {largest}{note}"
 
     def _grow(self, magnitude: float) -> None:
@@ -171,7 +171,7 @@ class TracePlot(PictureView):
         count = 5 if rect.width() >= 7 * widest else 2
         step = axes.nice_step(area.x1 - area.x0, count)
         for at_s in axes.ticks(area.x0, area.x1, count):
-            text = "now" if at_s == 0 else f"{axes.tick_text(at_s, step)} s"
+            text = tr("now") if at_s == 0 else f"{axes.tick_text(at_s, step)} s"
             axes.GridPainter(painter, area, t).column(at_s, text, gap=3)
         painter.setPen(t.colour("muted"))
         painter.setFont(ui_font(self._theme.scale, 0.85, 500))

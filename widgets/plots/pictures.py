@@ -104,7 +104,7 @@ class PictureView(QWidget):
             ("&Copy picture", "", self.copy),
             ("&Save picture\N{HORIZONTAL ELLIPSIS}", "", self.save),
         ):
-            action = self.addAction(text, QKeySequence(key), act)
+            action = self.addAction(tr(text), QKeySequence(key), act)
             action.setShortcutContext(Qt.ShortcutContext.WidgetShortcut)
 
     def sizeHint(self) -> QSize:
@@ -196,7 +196,9 @@ class PictureView(QWidget):
             options=QFileDialog.Option.DontUseNativeDialog,
         )  # fmt: skip
         if path and not picture.save(path):
-            QMessageBox.warning(self, "Save picture", f"{path} cannot be written. Choose another.")
+            QMessageBox.warning(
+                self, tr("Save picture"), tr("{} cannot be written. Choose another.", path)
+            )
 
     def _grab(self) -> QPixmap:
         self._plain = True
@@ -278,7 +280,7 @@ class PictureView(QWidget):
             if self.enlarged is not None:
                 box, right = self.rect().adjusted(0, 4, -8, 0), Qt.AlignmentFlag.AlignRight
                 painter.setPen(self._theme.tokens.colour("muted"))
-                painter.drawText(box, int(right), "Esc: back")
+                painter.drawText(box, int(right), tr("Esc: back"))
             if at is not None and area is not None and area.rect.contains(at):
                 self._draw_crosshair(painter, area, at)
 

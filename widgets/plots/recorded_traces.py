@@ -12,7 +12,7 @@ from PySide6.QtGui import QColor, QMouseEvent, QPainter, QPen
 from PySide6.QtWidgets import QSizePolicy
 
 from touchdown.backend.core import FloatArray
-from touchdown.widgets.base import Theme, signed, ui_font
+from touchdown.widgets.base import Theme, signed, tr, ui_font
 from touchdown.widgets.plots.axes import (
     GridPainter,
     PictureCache,
@@ -255,7 +255,7 @@ class RecordedTraces(_RecordedPlot):
 
 def _reading(channel: int, value: float) -> str:
     if math.isnan(value):
-        return f"{CHANNEL_NAMES[channel]} none"
+        return tr("{} none", CHANNEL_NAMES[channel])
     return f"{CHANNEL_NAMES[channel]} {signed(value, 1 if channel < 3 else 3)}"
 
 
@@ -299,7 +299,7 @@ class PhasePlot(_RecordedPlot):
         height = painter.fontMetrics().height()
         GridPainter(painter, area, t).grid(4, line="")
         above = QRectF(0, area.rect.top() - height - 3, self.width(), height)
-        painter.drawText(above, int(Qt.AlignmentFlag.AlignLeft), "Ty over Tx (N·m)")
+        painter.drawText(above, int(Qt.AlignmentFlag.AlignLeft), tr("Ty over Tx (N·m)"))
         painter.setPen(QPen(t.colour("border"), 1))
         self._draw_path(painter, trace, area, len(trace.t_s))
 

@@ -12,7 +12,7 @@ from PySide6.QtCore import QPointF, QRectF, Qt
 from PySide6.QtGui import QColor, QFontMetrics, QPainter, QPen, QPolygonF
 
 from touchdown.backend.core import FloatArray
-from touchdown.widgets.base import Theme, draw_elided_line, map_colours, ui_font
+from touchdown.widgets.base import Theme, draw_elided_line, map_colours, tr, ui_font
 from touchdown.widgets.plots import axes
 from touchdown.widgets.plots.pictures import PictureView
 from touchdown.widgets.views import stroke_on_black
@@ -41,13 +41,13 @@ class _TrainingPlot(PictureView):
 
     def __init__(self, theme: Theme, name: str) -> None:
         super().__init__(theme, name, (130, 96), (280, 170), opaque=False)
-        self.name = name
-        self.setToolTip(name)
+        self.name = tr(name)
+        self.setToolTip(self.name)
         self.lines: tuple[CurveLine, ...] = ()
 
     def _show(self, lines: Sequence[CurveLine], words: Iterable[str]) -> None:
         self.lines = tuple(lines)
-        self.setAccessibleDescription(", ".join(words) or self.empty)
+        self.setAccessibleDescription(", ".join(words) or tr(self.empty))
         self.update()
 
     def _area(self, x: tuple[float, float], y: tuple[float, float], right: float) -> axes.PlotArea:
@@ -217,7 +217,7 @@ class SampleStrip(PictureView):
         """Show these samples; ``why`` is shown if there are none."""
         self.scenes, self._why = tuple(scenes), why
         words = [f"{scene.caption}, {scene.detail}" for scene in self.shown()]
-        self.setAccessibleDescription("; ".join(words) or why)
+        self.setAccessibleDescription("; ".join(words) or tr(why))
         self.update()
 
     def _grid(self) -> tuple[int, int, float]:

@@ -54,10 +54,10 @@ class DeviceChip(QWidget):
     def __init__(self, theme: base.Theme, name: str) -> None:
         super().__init__()
         self.short = False
-        self._theme, self._name = theme, name
+        self._theme, self._name = theme, base.tr(name)
         self.value = ChipValue("closed", "no data")
         self.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Fixed)
-        self.setAccessibleName(base.tr("{}: closed", name))
+        self.setAccessibleName(base.tr("{}: closed", self._name))
         self.setFocusPolicy(Qt.FocusPolicy.TabFocus)
         self.setCursor(Qt.CursorShape.PointingHandCursor)
         self.setAttribute(Qt.WidgetAttribute.WA_Hover)
@@ -68,7 +68,7 @@ class DeviceChip(QWidget):
             return
         self.value = value
         self.setToolTip(value.tip)
-        self.setAccessibleName(f"{self._name}: {value.state}, {value.detail}")
+        self.setAccessibleName(f"{self._name}: {base.tr(value.state)}, {base.tr(value.detail)}")
         self.update()
 
     def sizeHint(self) -> QSize:
@@ -77,7 +77,7 @@ class DeviceChip(QWidget):
         name = QFontMetrics(base.ui_font(self._theme.scale, 0.86, 600))
         width = name.horizontalAdvance(self._name)
         if not self.short:
-            lost = name.horizontalAdvance("  10 lost") if "actile" in self._name else 0
+            lost = name.horizontalAdvance(base.tr("  10 lost")) if "actile" in self._name else 0
             width = max(figures.horizontalAdvance("1000 Hz, 00 ms"), width + lost)
         return QSize(width + self._left_px() + 10, 2 * figures.height() + 8)
 
@@ -139,10 +139,10 @@ class DeviceChip(QWidget):
         if self.value.lost:
             painter.setFont(base.ui_font(self._theme.scale, 0.8, 500))
             box = QRectF(left, 3, width - 4, middle - 2)
-            painter.drawText(box, int(low | right), f"{self.value.lost} lost")
+            painter.drawText(box, int(low | right), base.tr("{} lost", self.value.lost))
         painter.setFont(base.ui_font(self._theme.scale, 0.8))
         box = QRectF(left, middle, width, middle - 3)
-        base.draw_elided_line(painter, box, self.value.detail, t.colour("muted"))
+        base.draw_elided_line(painter, box, base.tr(self.value.detail), t.colour("muted"))
 
 
 Rows = Sequence[tuple[str, str]]
@@ -175,9 +175,9 @@ class DeviceInspector(QDialog):
     def open_at(self, key: str, title: str, rows: Rows, below: QPoint) -> None:
         """Show device ``key`` with the upper left corner at ``below`` (global coordinates)."""
         self.key = key
-        self.setWindowTitle(base.tr("{}: raw fields", title))
-        self._head.setText(title)
-        self.reconnect.setAccessibleName(base.tr("Reconnect {}", title))
+        self.setWindowTitle(base.tr("{}: raw fields", base.tr(title)))
+        self._head.setText(base.tr(title))
+        self.reconnect.setAccessibleName(base.tr("Reconnect {}", base.tr(title)))
         self._build(rows)
         self.adjustSize()
         self.move(below)
@@ -205,7 +205,7 @@ class DeviceInspector(QDialog):
         for row, (field, value) in enumerate(rows):
             shown = base.label(value)
             shown.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
-            shown.setAccessibleName(field)
+            shown.setAccessibleName(base.tr(field))
             self._values[field] = shown
             self._grid.addWidget(base.label(field, "muted"), row, 0)
             self._grid.addWidget(shown, row, 1)

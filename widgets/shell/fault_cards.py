@@ -110,7 +110,8 @@ class FaultCard(QFrame):
 
     def _plain(self) -> str:
         t = self.text
-        return f"{t.what} {t.consequence} {t.next_step} [{t.code}]"
+        texts = (base.tr(text) for text in (t.what, t.consequence, t.next_step))
+        return f"{' '.join(texts)} [{t.code}]"
 
     def _arrange(self) -> None:
         words = base.vbox(self._title, spacing=2)
@@ -144,7 +145,7 @@ class FaultCard(QFrame):
 
     def _button(self, text: str, slot: Callable[[], None]) -> QPushButton:
         button = QPushButton(base.tr(text))
-        button.setAccessibleName(f"{text}: {self.text.what}")
+        button.setAccessibleName(f"{base.tr(text)}: {base.tr(self.text.what)}")
         button.clicked.connect(slot)
         return button
 
@@ -182,10 +183,11 @@ class FoldedCards(QFrame):
 
     def show_first(self, text: CardText, count: int) -> None:
         """Show the first of ``count`` cards."""
-        self._words.setText(f"{text.what} (+{count - 1})" if count > 1 else text.what)
-        self._words.setToolTip(text.what)
-        self.show_all.setAccessibleName(base.tr("Show: {}", text.what))
-        self.reset.setAccessibleName(base.tr("Reset: {}", text.what))
+        what = base.tr(text.what)
+        self._words.setText(f"{what} (+{count - 1})" if count > 1 else what)
+        self._words.setToolTip(what)
+        self.show_all.setAccessibleName(base.tr("Show: {}", what))
+        self.reset.setAccessibleName(base.tr("Reset: {}", what))
         self.reset.setVisible(text.reset)
         base.set_property(self, "role", text.role)
         self.show()
@@ -294,7 +296,7 @@ class FaultCards(QWidget):
             answer = QPushButton(base.tr(text))
             answer.setMinimumWidth(ANSWER_EM * self.fontMetrics().height())
             answer.clicked.connect(lambda _=False, action=action: self._answer(action))
-            answer.setAccessibleName(f"{text}: {question.text}")
+            answer.setAccessibleName(f"{base.tr(text)}: {base.tr(question.text)}")
             buttons.append(answer)
         words = base.label(question.text, "title", wrap=True), QUESTION_PX
         base.FlowLayout(*buttons, self._more, words, parent=frame, margins=(9, 9, 9, 9), spacing=6)
@@ -401,7 +403,7 @@ class FaultCards(QWidget):
             self._column.insertWidget(0 if front else -1, self._question)
             self._question.setVisible(front or self._unfolded)
             self._more.setVisible(front and waiting > 0)
-        text = "Fewer" if self._unfolded else f"{waiting} more"
+        text = base.tr("Fewer") if self._unfolded else base.tr("{} more", waiting)
         for more in filter(None, (self._more, *(card.more for card in ranked[:1]))):
             more.setText(text)
             more.setAccessibleName(base.tr("{}: the other cards", text))

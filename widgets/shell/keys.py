@@ -167,7 +167,7 @@ class CommandPalette(QDialog):
 
     def _describe(self) -> None:
         """Describe the selected command at the field, which screen readers follow."""
-        text = self.list.currentItem().text() if self.list.count() else "No match"
+        text = self.list.currentItem().text() if self.list.count() else tr("No match")
         self.field.setAccessibleDescription(text)
 
     def _take(self, item: QListWidgetItem | None) -> None:

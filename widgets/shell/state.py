@@ -52,10 +52,10 @@ class StatePill(QWidget):
         if state == self.state:
             return
         told, self.state = self.state.word, state
-        self.setAccessibleName(tr("State: {}", state.word))
-        self.setAccessibleDescription(state.note)
+        self.setAccessibleName(tr("State: {}", tr(state.word)))
+        self.setAccessibleDescription(tr(state.note))
         if state.word != told and QAccessible.isActive():
-            QAccessible.updateAccessibility(QAccessibleAnnouncementEvent(self, state.word))
+            QAccessible.updateAccessibility(QAccessibleAnnouncementEvent(self, tr(state.word)))
         self.updateGeometry()
         self.update()
 
@@ -64,7 +64,7 @@ class StatePill(QWidget):
         word = QFontMetrics(ui_font(self._theme.scale, 1.0, 600))
         note = QFontMetrics(ui_font(self._theme.scale, 0.78))
         width = max(word.horizontalAdvance(tr(w)) for w in (self.state.word, "CANCELLING"))
-        width = max(width, note.horizontalAdvance("simulated, reference"))
+        width = max(width, note.horizontalAdvance(tr("simulated, reference")))
         return QSize(width + self._left_px() + 16, 2 * note.height() + 8)
 
     def _left_px(self) -> int:
@@ -92,7 +92,7 @@ class StatePill(QWidget):
         if self.state.note:
             painter.setFont(ui_font(self._theme.scale, 0.78))
             box = QRectF(left, middle + 1, self.width() - left - 4, middle)
-            painter.drawText(box, int(Qt.AlignmentFlag.AlignTop), self.state.note)
+            painter.drawText(box, int(Qt.AlignmentFlag.AlignTop), tr(self.state.note))
 
 
 def draw_shape(
@@ -148,7 +148,7 @@ class StateStrip(QWidget):
     ) -> None:
         """Show a label; ``warns``: its first badge is a warning."""
         self.state, self.badges, self.saved, self.warns = state, tuple(badges), saved, warns
-        self.setAccessibleName(", ".join(filter(None, (state, *badges, saved))))
+        self.setAccessibleName(", ".join(filter(None, (tr(state), *badges, saved))))
         self.update()
 
     def paintEvent(self, _event: QPaintEvent) -> None:
@@ -172,6 +172,7 @@ class StateStrip(QWidget):
 
     def _chip(self, painter: QPainter, left: float, word: str, fill: str, text: str) -> float:
         t = self._theme.tokens
+        word = tr(word)
         width = painter.fontMetrics().horizontalAdvance(word) + 16
         box = QRectF(left + 0.5, 1.5, width, self.height() - 3)
         painter.setPen(QPen(t.colour("border"), 1))

@@ -25,8 +25,8 @@ class BenchBanner(QWidget):
     def show_bench(self, word: str, tip: str, striped: bool) -> None:
         """Set name, tool tip and stripes."""
         self._word, self._striped = tr(word), striped
-        self.setAccessibleName(f"{word}: {tip}")
-        self.setToolTip(tip)
+        self.setAccessibleName(f"{self._word}: {tr(tip)}")
+        self.setToolTip(tr(tip))
         self.updateGeometry()
         self.update()
 
@@ -86,11 +86,11 @@ class ServoButton(QPushButton):
         """Show on, off, or None for unknown."""
         word = "\N{EN DASH}" if on is None else "..." if busy else "on" if on else "off"
         self._on = on
-        if self.text() != word or self.isEnabled() == (on is None or busy):
-            self.setText(word)
+        if self.text() != tr(word) or self.isEnabled() == (on is None or busy):
+            self.setText(tr(word))
             self.setEnabled(on is not None and not busy)
-            self.setToolTip("" if on is None else ON_TIP if on else OFF_TIP)
-            self.setAccessibleName(tr("Servo: {}", "unknown" if on is None else word))
+            self.setToolTip(tr("" if on is None else ON_TIP if on else OFF_TIP))
+            self.setAccessibleName(tr("Servo: {}", tr("unknown" if on is None else word)))
             self.setAccessibleDescription(self.toolTip())
 
     def _press(self) -> None:
@@ -252,7 +252,7 @@ class TopBar(QFrame):
 
     def show_modes(self, robot: str, safety: str) -> None:
         """Show robot mode and safety mode of the arm."""
-        texts = (f"Robot: {robot}", f"Safety: {safety}")
+        texts = (tr("Robot: {}", robot), tr("Safety: {}", safety))
         if texts != (self._robot.text(), self._safety.text()):
             self._robot.setText(texts[0])
             self._safety.setText(texts[1])
@@ -260,6 +260,7 @@ class TopBar(QFrame):
 
     def show_hardware_stop(self, text: str) -> None:
         """Show the hardware emergency stop as reported by the controller, or "unknown"."""
+        text = tr(text)
         if text == self._estop.text():
             return
         self._estop.setText(text)

@@ -87,10 +87,10 @@ class TourCard(QFrame):
         """Show the texts of stop ``at`` of ``count``."""
         self.title.setText(tr(stop.title))
         self.text.setText(tr(stop.text))
-        self.count.setText(f"{at + 1} of {count}")
+        self.count.setText(tr("{} of {}", at + 1, count))
         self.back.setEnabled(at > 0)
         self.next.setText(tr("Done" if at == count - 1 else "Next"))
-        self.setAccessibleName(tr("Tour: {}. {}", stop.title, stop.text))
+        self.setAccessibleName(tr("Tour: {}. {}", self.title.text(), self.text.text()))
         self.show()
         self.raise_()
         self.next.setFocus()

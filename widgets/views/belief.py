@@ -86,7 +86,7 @@ class BeliefLegend(QWidget):
         """Return (mark, text, x, row) per entry."""
         metrics = QFontMetrics(ui_font(self._theme.scale, 0.88))
         x, row, places = 0.0, 0, []
-        for kind, text in (*ENTRIES, *self._more):
+        for kind, text in ((kind, tr(text)) for kind, text in (*ENTRIES, *self._more)):
             width = 22 + metrics.horizontalAdvance(text) + 12
             if x > 0 and x + width - 12 > self.width():
                 x, row = 0.0, row + 1
@@ -382,9 +382,10 @@ class BeliefView(PictureView):
 def describe_scene(scene: BeliefScene) -> str:
     """Return the scene in one sentence, for screen readers."""
     if scene.belief is None:
-        return scene.empty[0]
+        return tr(scene.empty[0])
     largest = scene.belief.probability.max()
-    text = f"{scene.belief.probes} probes fused, largest support {largest:.2f}"
+    text = tr("{} probes fused, largest support {:.2f}", scene.belief.probes, largest)
     if scene.stability is not None:
-        text += f", {scene.stability.support.value}, margin {scene.stability.margin_mm:.1f} mm"
+        text += f", {tr(scene.stability.support.value)}, "
+        text += tr("margin {:.1f} mm", scene.stability.margin_mm)
     return text

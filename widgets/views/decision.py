@@ -79,7 +79,7 @@ class TrialPanel(base.Panel):
             self.reason.clear()
             return
         self.rename(look.title)
-        self.setAccessibleDescription(look.text)
+        self.setAccessibleDescription(base.tr(look.text))
         self.text.setText(base.tr(look.text))
         self.picture.setVisible(look.scene is not None)
         if look.scene is not None:
@@ -135,9 +135,9 @@ NO_DECISION = DecisionText("No result yet", "", "", "Press Start stacking to beg
 def signed_mm(value: float) -> str:
     """Format a signed length with a true minus sign; infinite and NaN as words."""
     if math.isnan(value):
-        return "no estimate"
+        return base.tr("no estimate")
     if math.isinf(value):
-        return "no support"
+        return base.tr("no support")
     return f"{base.signed(value, 1)} mm"
 
 
@@ -162,8 +162,8 @@ def question_text(action: PlaceAction) -> tuple[str, str]:
     if action.kind != "shift":
         return "Go on probing?", "Go on"
     degrees = math.degrees(math.atan2(*reversed(action.step_mm))) % 360.0
-    how = f"{math.hypot(*action.step_mm):.1f} mm towards {degrees:.0f}\N{DEGREE SIGN}"
-    return f"Move {how} and probe again?", "Move and probe"
+    asks = "Move {:.1f} mm towards {:.0f}\N{DEGREE SIGN} and probe again?"
+    return base.tr(asks, math.hypot(*action.step_mm), degrees), "Move and probe"
 
 
 class DecisionPanel(QFrame):
@@ -209,8 +209,8 @@ class DecisionPanel(QFrame):
         self._text.setToolTip(base.tr(text.text))
         for part in (self._result, self._margin):
             base.set_property(part, "tone", text.tone)
-        margin = f"{text.caption} {text.margin}. " if text.margin else ""
-        self.setAccessibleDescription(f"{text.result}. {margin}{text.text}")
+        margin = f"{base.tr(text.caption)} {text.margin}. " if text.margin else ""
+        self.setAccessibleDescription(f"{base.tr(text.result)}. {margin}{base.tr(text.text)}")
 
     def keep_room(self, asks: bool) -> None:
         """Reserve room for a question in runs that ask, so that the views below do not move."""

@@ -148,17 +148,18 @@ class FilmView(QWidget):
         index = latest(track.picture_t_s, self.cursor_s) if track is not None else -1
         if track is None or (field is None and index < 0):
             view.show_age(Age.GONE, 0.0, "Nothing was recorded at this time.")
-            note.setText(finger)
+            note.setText(tr(finger))
             return
         view.show_age(Age.FRESH, 0.0, "")
         if index >= 0:
             image, t_s = track.picture(index), float(track.picture_t_s[index])
-            note.setText(tr("{}, frame {} of {}", finger, index + 1, len(track.picture_t_s)))
+            note.setText(tr("{}, frame {} of {}", tr(finger), index + 1, len(track.picture_t_s)))
         else:
             image = np.full((IMAGE_H, IMAGE_W, 3), GROUND, dtype=np.uint8)
             t_s = self.cursor_s
             kept = len(track.picture_t_s) > 0
-            note.setText(f"{finger}, {'before the first picture' if kept else 'no picture kept'}")
+            why = "{}, before the first picture" if kept else "{}, no picture kept"
+            note.setText(tr(why, tr(finger)))
         view.show_frame(core.TactileFrame(finger, index, t_s, image), field)
 
 
@@ -204,7 +205,7 @@ class TimeLine(QWidget):
     def show_cursor(self, t_s: float) -> None:
         """Move the cursor."""
         self.cursor_s = t_s
-        self.setAccessibleDescription(f"{t_s:.2f} s of {self.scene.span_s[1]:.2f} s")
+        self.setAccessibleDescription(tr("{:.2f} s of {:.2f} s", t_s, self.scene.span_s[1]))
         self.update()
 
     def area(self) -> PlotArea:

@@ -77,22 +77,25 @@ class OffsetScene:
 def verdict_text(scene: OffsetScene) -> str:
     """Return the predicted stability with its margin."""
     if scene.offset_mm is None:
-        return "No displacement yet"
+        return tr("No displacement yet")
     if scene.support is not SupportKind.AREA:
-        return "No contact: it would fall" if not scene.touching.any() else (
-            f"Would fall: {scene.support.value}"
+        return tr("No contact: it would fall") if not scene.touching.any() else (
+            tr("Would fall: {}", tr(scene.support.value))
         )  # fmt: skip
-    side = "inside" if scene.margin_mm >= 0 else "outside"
-    distance = f"centre of mass {abs(scene.margin_mm):.1f} mm {side} the hull"
+    inside = scene.margin_mm >= 0
+    distance = tr(
+        "centre of mass {:.1f} mm inside the hull" if inside
+        else "centre of mass {:.1f} mm outside the hull", abs(scene.margin_mm),
+    )  # fmt: skip
     if scene.too_close:
-        return f"Too close to call: {distance}"
-    return f"Would {'stand' if scene.margin_mm >= 0 else 'fall'}: {distance}"
+        return tr("Too close to call: {}", distance)
+    return tr("Would stand: {}" if inside else "Would fall: {}", distance)
 
 
 def offset_text(offset_mm: Point | None, sigma_mm: float = 0.0) -> str:
     """Format a displacement as "x +1.50, y +0.25 mm" with its uncertainty."""
     if offset_mm is None:
-        return "no displacement"
+        return tr("no displacement")
     x, y = (signed(v) for v in offset_mm)
     spread = f" \N{PLUS-MINUS SIGN} {sigma_mm:.2f}" if sigma_mm else ""
     return f"x {x}, y {y} mm{spread}"
@@ -153,7 +156,8 @@ def draw_ghosts(painter: QPainter, area: plots.PlotArea, scene: OffsetScene, the
 def _letters(painter: QPainter, area: plots.PlotArea, scene: OffsetScene, ghost: Ghost) -> None:
     """Write the source beside its outline, each source on another side, inside the picture."""
     turn, inside = GHOST_STYLES[ghost.kind][2], area.rect
-    name = ghost.kind if inside.width() > ROOMY_PX else ghost.kind[:2].capitalize()
+    name = tr(ghost.kind)
+    name = name if inside.width() > ROOMY_PX else name[:2].capitalize()
     radius = float(np.nanmax(np.hypot(*scene.face.T)))
     x = area.x(ghost.offset_mm[0] + radius * math.cos(turn))
     y = area.y(ghost.offset_mm[1] + radius * math.sin(turn))
@@ -174,9 +178,9 @@ class SourceBox(QCheckBox):
     """Legend of one source, name and line; shows or hides its outline."""
 
     def __init__(self, theme: Theme, kind: GhostKind, view: OffsetView) -> None:
-        super().__init__(kind, view)
+        super().__init__(tr(kind), view)
         self._theme, self._kind = theme, kind
-        self.setAccessibleName(tr("Show the {} position", kind))
+        self.setAccessibleName(tr("Show the {} position", tr(kind)))
         self.setFocusPolicy(Qt.FocusPolicy.TabFocus)
         self.setChecked(True)
         self.toggled.connect(view.update)
@@ -360,7 +364,7 @@ class OffsetView(plots.PictureView):
         if self.scene.ghosts and self.scene.offset_mm is not None:
             box, middle = self._label_at, self._label_at.center().y()
             painter.setPen(QPen(self._theme.tokens.colour("text"), 2))
-            painter.drawText(box.adjusted(1.3 * box.height(), 0, 0, 0), 0, "label")
+            painter.drawText(box.adjusted(1.3 * box.height(), 0, 0, 0), 0, tr("label"))
             painter.drawLine(QPointF(box.right() - SAMPLE_PX, middle), QPointF(box.right(), middle))
 
     def _background(self, scene: OffsetScene, area: plots.PlotArea) -> QPixmap:

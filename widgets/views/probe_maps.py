@@ -93,7 +93,7 @@ class ProbeStrip(QWidget):
 
     def column_px(self) -> int:
         """Return the width of a column with its scroll bar."""
-        return self.fontMetrics().horizontalAdvance("10: est. +10.0 mm") + 16
+        return self.fontMetrics().horizontalAdvance(base.tr("10: est. +10.0 mm")) + 16
 
     def sizeHint(self) -> QSize:
         """Return the size of one row or column."""
@@ -173,8 +173,9 @@ def caption_of(probe: int, stability: Stability | None) -> str:
     """Return the caption of a thumbnail, with the margin marked as an estimate."""
     if stability is None:
         return f"{probe}"
-    mark = "est. " if math.isfinite(stability.margin_mm) else ""
-    return f"{probe}: {mark}{signed_mm(stability.margin_mm)}"
+    margin = signed_mm(stability.margin_mm)
+    margin = base.tr("est. {}", margin) if math.isfinite(stability.margin_mm) else margin
+    return f"{probe}: {margin}"
 
 
 GAIN = 1.15  # growth of the map by which a column of thumbnails is preferred to a row

@@ -13,7 +13,7 @@ from PySide6.QtCore import QRectF
 from PySide6.QtGui import QFontMetrics, QPainter, QPen
 
 from touchdown.backend.core import FloatArray, rotation_from_quaternion
-from touchdown.widgets.base import Theme, blend, ui_font
+from touchdown.widgets.base import Theme, blend, tr, ui_font
 from touchdown.widgets.plots import PictureView, PlotArea, draw_message, draw_rings, polygon_of
 from touchdown.widgets.views.belief import draw_arrow
 from touchdown.widgets.views.offset import draw_scale_bar
@@ -155,7 +155,7 @@ class SideView(PictureView):
         floor = QRectF(side.rect)
         floor.setTop(side.y(scene.table_mm))
         painter.fillRect(floor, t.colour("hairline"))
-        for area, axes, text in ((side, SIDE, scene.caption), (above, ABOVE, "from above")):
+        for area, axes, text in ((side, SIDE, scene.caption), (above, ABOVE, tr("from above"))):
             painter.setClipRect(area.rect)
             self._draw_scene(painter, area, axes)
             if top := self._caption_px():

@@ -55,9 +55,9 @@ class SceneShotView(PictureView):
     def show_shots(self, shots: Sequence[SceneShot], why: str = NO_PICTURE) -> None:
         """Show pictures of an episode; ``why``: reason if there are none."""
         self.shots, self._why_empty = tuple(shots), why
-        kinds = ", ".join(o.kind for shot in self.shots[:1] for o in shot.outlines)
+        kinds = ", ".join(tr(o.kind) for shot in self.shots[:1] for o in shot.outlines)
         self.setAccessibleDescription(
-            tr("{} pictures, outlines: {}", len(self.shots), kinds or "none")
+            tr("{} pictures, outlines: {}", len(self.shots), kinds or tr("none"))
         )
         self.update()
 
@@ -96,9 +96,9 @@ class SceneShotView(PictureView):
             draw_rings(painter, points)
             at = QPointF(left + 6, top + 4 + (row + 0.8) * line)
             painter.setPen(SHADOW)
-            painter.drawText(at + QPointF(1, 1), outline.kind)
+            painter.drawText(at + QPointF(1, 1), tr(outline.kind))
             painter.setPen(QColor(colour))
-            painter.drawText(at, outline.kind)
+            painter.drawText(at, tr(outline.kind))
         painter.restore()
 
 

@@ -61,7 +61,7 @@ class OutcomeMarks(QWidget):
         """Show the outcomes and the trials to come."""
         self._outcomes, self._trials = outcomes, max(trials, len(outcomes))
         self.setAccessibleName(
-            ", ".join(OUTCOME_WORDS[o] for o in outcomes)
+            ", ".join(base.tr(OUTCOME_WORDS[o]) for o in outcomes)
             if outcomes
             else base.tr("No trial finished")
         )
@@ -122,16 +122,16 @@ class ScorePanel(base.Panel):
     def show_score(self, score: Score) -> None:
         """Show the score."""
         placed = sum(o is Outcome.PLACED for o in score.outcomes)
-        none = "No trial finished yet" if score.trials else "No trial yet"
+        none = base.tr("No trial finished yet" if score.trials else "No trial yet")
         self._count.setText(
             base.tr("{} of {} placed", placed, score.counted) if score.outcomes else none
         )
         # Before the first outcome the result beside it is the only headline.
         base.set_property(self._count, "role", "figure" if score.outcomes else "title")
-        done = f"{len(score.outcomes)} of {score.trials}" if score.trials else ""
+        done = base.tr("{} of {}", len(score.outcomes), score.trials) if score.trials else ""
         aborted = sum(o is Outcome.ABORTED for o in score.outcomes)
         # Short: it shares the header with a button.
-        last = f"{done}, {aborted} aborted" if aborted else f"{done} done"
+        last = base.tr("{}, {} aborted", done, aborted) if aborted else base.tr("{} done", done)
         self.detail.setText(last if done else "")
         rate = success_rate_text(score)
         self._rate.setText(rate)
@@ -167,7 +167,7 @@ def success_rate_text(score: Score) -> str:
         return ""
     low, high = (100 * bound for bound in score.interval)
     share = 100 * sum(o is Outcome.PLACED for o in score.outcomes) / score.counted
-    return f"{share:.0f} % success, 95 % interval {low:.0f} to {high:.0f} %"
+    return base.tr("{:.0f} % success, 95 % interval {:.0f} to {:.0f} %", share, low, high)
 
 
 @dataclass(frozen=True, slots=True)
@@ -200,7 +200,7 @@ class StrategyPanel(base.Panel):
     def show_look(self, look: StrategyResult) -> None:
         """Show the result of a strategy."""
         self.rename(look.title)
-        self.count.setText(look.count)
+        self.count.setText(base.tr(look.count))
         self.rate.setText(look.rate)
         self.rate.setVisible(bool(look.rate))
         self.marks.show_outcomes(look.outcomes, look.trials)

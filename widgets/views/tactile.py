@@ -20,7 +20,7 @@ from touchdown.backend.core import (
     MarkerState,
     TactileFrame,
 )
-from touchdown.widgets.base import Age, MapName, Theme, colour_table, map_colours, ui_font
+from touchdown.widgets.base import Age, MapName, Theme, colour_table, map_colours, tr, ui_font
 from touchdown.widgets.plots import (
     LineBuffer,
     PictureView,
@@ -168,7 +168,7 @@ class TactileView(PictureView):
     unit = "px"
 
     def __init__(self, theme: Theme, finger: Finger) -> None:
-        name, least_px = f"Tactile image, {finger} finger", (MIN_SIZE.width(), MIN_SIZE.height())
+        name, least_px = tr("Tactile image, {} finger", tr(finger)), MIN_SIZE.toTuple()
         super().__init__(theme, name, least_px, (IMAGE_W, IMAGE_H))
         self._frame: TactileFrame | None = None
         self._field: MarkerField | None = None
@@ -232,7 +232,7 @@ class TactileView(PictureView):
         far = np.hypot(*(field.position_px - (x, y)).T)
         near = int(np.argmin(np.where(np.isfinite(far), far, np.inf)))
         shift = float(np.hypot(*field.displacement_px[near]))
-        return f"{text}; marker {shift:.1f} px, {shift * MM_PER_PX:.2f} mm"
+        return f"{text}; " + tr("marker {:.1f} px, {:.2f} mm", shift, shift * MM_PER_PX)
 
     def paint(self, painter: QPainter) -> None:
         """Draw image, arrows, legend and age."""

@@ -405,7 +405,7 @@ def test_findings_are_grouped_by_kind_and_each_episode_keeps_its_words():
     assert kinds[0].first == "It jumps by 1 N."
     at = datetime(2026, 1, 1, 9, 5)
     assert health_text(QualityReport((), 1200, 1200), 0, at) == (
-        "1,200 episodes were checked at 09:05: no problems were found."
+        "Checked 1,200 episodes at 09:05: no problems were found."
     )
     assert health_text(QualityReport((), 7, 9), 2, at).startswith("7 of 9 episodes")
 
@@ -417,7 +417,7 @@ def test_a_finding_opens_its_episodes_as_a_queue(desk, qtbot):
     desk.press(KEY.Key_H, CTRL)
     qtbot.waitUntil(lambda: desk.page.health.list.count() > 0, timeout=60_000)
     assert desk.page.health.isVisible()
-    assert f"{ITEMS} episodes were checked" in desk.page.health.said.text()
+    assert f"Checked {ITEMS} episodes" in desk.page.health.said.text()
     kinds = desk.workspace.tools.health.kinds
     at = next(k for k, kind in enumerate(kinds) if kind.name == "Jerk")
     desk.press(KEY.Key_F)

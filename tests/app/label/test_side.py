@@ -90,7 +90,7 @@ def test_the_model_scores_the_dataset_beside_the_labels(desk, qtbot):
     desk.settle()
     assert "Ctrl+M" in desk.page.nothing.button.text()
     desk.press(KEY.Key_M, CTRL)
-    wait(desk, qtbot, "were scored")
+    wait(desk, qtbot, "has scored")
     qtbot.waitUntil(lambda: len(desk.workspace.presenter.walk.order) == LABELLED, timeout=60_000)
     assert content(desk) == before
 
@@ -108,7 +108,7 @@ def test_a_copy_labelled_elsewhere_is_merged_and_conflicts_are_resolved(desk, qt
     desk.workspace.tools.tasks.merge()
     desk.page.words.setText(str(other))
     desk.press(KEY.Key_Return)
-    wait(desk, qtbot, "1 in conflict")
+    wait(desk, qtbot, "1 conflict")
     assert desk.book.head(other_uuid).person == "Bob"
     presenter.choose_queue("conflicts")
     desk.settle()

@@ -89,7 +89,7 @@ def test_what_waits_for_another_program_is_counted_and_done_in_order(desk, qtbot
         desk.press(KEY.Key_Return)
         desk.press(KEY.Key_PageUp)
         assert desk.saving.waiting == 3
-        assert "3 actions wait" in desk.page.banner.text.text()
+        assert "3 waiting actions" in desk.page.banner.text.text()
         assert desk.page.banner.isVisible()
         assert not desk.page.banner.again.isVisible()
         assert desk.uuid == first

@@ -25,7 +25,7 @@ def test_labels_that_would_count_are_named_with_the_way_to_them(tmp_path):
 
     with Dataset.open(tmp_path / "data", person="ann") as dataset:
         assert told() == (
-            "No label counts yet: accept labels in Label (Ctrl+2) and let somebody else approve "
+            "No label counts yet. Accept labels in Label (Ctrl+2) and let somebody else approve "
             "them."
         )
         context = context_for(dataset)
@@ -36,7 +36,7 @@ def test_labels_that_would_count_are_named_with_the_way_to_them(tmp_path):
             for k in range(3)
         ]
         assert told().startswith(
-            "No label counts yet. Labels 'All, with drafts' would give 3 episodes. Or"
+            "No label counts yet. Labels 'All, with drafts' would give 3 episodes. Accept"
         )
         assert told("drafts") == ""
         dataset.labels.accept("ann", uuids[0])

@@ -21,7 +21,16 @@ from pathlib import Path
 from typing import Any
 from unittest import mock
 
-from PySide6.QtCore import QPoint, QPointF, QRect, QRectF, QSize, Qt, QTranslator
+from PySide6.QtCore import (
+    QAbstractListModel,
+    QPoint,
+    QPointF,
+    QRect,
+    QRectF,
+    QSize,
+    Qt,
+    QTranslator,
+)
 from PySide6.QtGui import QFontMetrics, QFontMetricsF, QPainter
 from PySide6.QtWidgets import (
     QAbstractButton,
@@ -46,11 +55,19 @@ from PySide6.QtWidgets import (
     QToolButton,
     QWidget,
 )
-from shiboken6 import isValid
 
-from touchdown.widgets.base import ElidedLabel
+from touchdown.backend.annotations import REJECT_REASONS
+from touchdown.backend.calibration import CALIBRATION_KINDS, QUANTITIES
+from touchdown.backend.core import FINGERS, Outcome, SupportKind
+from touchdown.backend.devices import CONNECTION_STEPS, NAMES, DeviceState, RobotMode, SafetyMode
+from touchdown.backend.geometry import load_pieces
+from touchdown.widgets.base import ROOT, ElidedLabel
 from touchdown.widgets.base.panel import CONTEXT
+from touchdown.widgets.forms import STRATEGIES
+from touchdown.widgets.lists.recordings import STATE_COLOURS
 from touchdown.widgets.shell.tour import TourCard
+from touchdown.widgets.views import ReportSheet
+from touchdown.widgets.views.offset import GHOST_STYLES
 
 SIZES = ((800, 600), (1024, 768), (1280, 720), (1366, 768), (1600, 940), (2560, 1440))
 SCALES = (1.0, 1.25, 1.5, 2.0)
@@ -142,13 +159,13 @@ LONGER = 0.3  # share by which a translation may be longer than the English text
 
 def pseudo_text(text: str) -> str:
     """Return a text with words as in a long translation: accented, 30 % longer."""
-    if not re.search(r"[A-Za-z]{3}", text) or "\n" in text:
+    if not re.search(r"[A-Za-z]{2}", text) or "<" in text:
         return text
     more = math.ceil(LONGER * len(text))
     added = "\u00f6" * more if " " not in text else (" \u00fcnd m\u00ebhr" * more)[:more]
     # Fields such as {:.1f} stay as they are.
-    parts = re.split(r"(\{[^{}]*\})", text)
-    return "".join(p if p[:1] == "{" else p.translate(ACCENTS) for p in parts) + added
+    parts = re.split(r"(\{[^{}]*\}|%[nvm])", text)
+    return "".join(p if p[:1] in ("{", "%") else p.translate(ACCENTS) for p in parts) + added
 
 
 class PseudoTranslator(QTranslator):
@@ -156,50 +173,106 @@ class PseudoTranslator(QTranslator):
 
     def translate(self, context: str, text: str, *_: object) -> str:
         """Return the pseudo text of an extracted text, else the text itself."""
-        return pseudo_text(text) if context == CONTEXT and text in window_texts() else text
+        known = text in window_texts() or text.removeprefix("%n ")[:-1] in counted_nouns()
+        return pseudo_text(text) if context == CONTEXT and known else text
 
 
-# Functions that translate some arguments, by position; elements of their tuples by position.
-GIVEN = {
-    "tr": (0,), "label": (0,), "Panel": (0,), "CaptionedView": (0,), "__init__": (0,),
-    "rename": (0,), "show_message": (0,), "say": (0,), "flat_button": (0, 1), "HoldButton": (0, 2),
-    "compact_combo_box": (0, 1), "draw_message": (3, 4), "WindowCommand": (1,), "on": (1,),
-    "ask": (0, 1, 2), "TourStop": (2, 3), "CardText": (1, 2, 3), "CardQuestion": (0,),
-    "DecisionText": (0, 3), "TrialPrompt": (0, 1, 2), "ProbeText": (0,),
-}  # fmt: skip
-ROWS = {"describe": (1, 2), "add_wide": (0, 2, 3), "add_halves": (0, 2, 3), "set_entries": (1,)}
+# Functions with literals that nobody reads.
+UNREAD = frozenset(
+    ["getLogger", "debug", "info", "warning", "error", "exception", "setObjectName", "setProperty",
+     "property", "set_property", "add_argument", "ArgumentParser", "ArgumentTypeError", "cast",
+     "setdefault", "setenv", "getattr", "ValueError", "KeyError", "NotImplementedError", "sub",
+     "compile", "search", "match", "fullmatch", "Thread", "count_noun"]
+)  # fmt: skip
+CODE_FIRST = frozenset(["CardText", "error_card", "RefusedError"])  # their first argument is a code
+NO_WORD = re.compile(
+    r"[A-Z]+(-[A-Z]+)+|((Ctrl|Shift|Alt)\+)+\S+|[\w.]*_[\w.]*|Pg(Up|Down)|\*?\.\w+"
+)
+# Words that the sources of the window do not tell from codes: states, headers, legends.
+RUN_WORDS = ("approach", "touch", "press", "hold", "lift", "shift", "unload", "release", "rise",
+             "grip", "reference", "weigh", "cancelled", "stopped", "failed", "finished", "silent",
+             "slow", "late", "label", "bottom", "scene", "random", "grid",
+             "adaptive", "stable", "unstable", "unsure", "record", "set", "accept", "approve",
+             "reject", "accept next", "take over", "opinion", "undo", "redo", "flag", "delete",
+             "restore", "resolve", "move", "knocked over", "gave up", "placed", "fell", "aborted",
+             "dark", "light", "probing", "collecting", "all", "degrees", "millimetres", "done",
+             "open", "now", "simulated", "emulated", "lab", "running", "succeeded", "interrupted",
+             "keep", "discard", "skip", "degraded", "stale", "active", "any", "auto", "new",
+             "nothing", "target", "step", "face", "quantity", "value", "limits", "parameter", "run",
+             "state", "sees", "epoch", "setting", "units", "layers", "rate", "schedule", "epochs",
+             "patience", "keeps", "batch", "seed", "piece", "labels", "best", "received", "lost",
+             "maker", "model", "serial", "firmware", "noise", "offset", "markers", "used", "sigma",
+             "grey", "commanded", "measured", "human", "signals", "conflict", "yes", "no",
+             "stepped", "refused", "kept", "none", "moving", "empty")  # fmt: skip
 CODE = Path(__file__).resolve().parents[1]
 
 
 @cache
 def window_texts() -> frozenset[str]:
-    """Return the literals of ``app`` and ``widgets`` that are translated or stand in tables."""
-    texts = set[str]()
+    """Return the literals of ``app`` and ``widgets`` that the window shows, each in one language.
+
+    These are the first arguments of ``tr``, all literals with two words or a capital, and the
+    words of ``backend`` that name states.
+    """
+    texts = set(_words_of_states())
     for path in sorted(path for name in ("app", "widgets") for path in (CODE / name).rglob("*.py")):
         tree = ast.parse(path.read_text("utf-8"))
-        for node in tree.body:
-            if isinstance(node, ast.Assign | ast.AnnAssign) and node.value is not None:
-                texts |= {
-                    text for text in _literals(node.value) if text[0].isupper() or " " in text
-                }
+        texts.update(text for text in _literals(tree) if _is_prose(text))
         for call in ast.walk(tree):
-            if isinstance(call, ast.Call):
-                name = getattr(call.func, "attr", getattr(call.func, "id", ""))
-                rows = [row.elts for arg in call.args for row in ast.walk(arg)
-                        if name in ROWS and isinstance(row, ast.Tuple)]  # fmt: skip
-                for row, places in ((call.args, GIVEN), *((row, ROWS) for row in rows)):
-                    for at in places.get(name, ()):
-                        texts |= set(_literals(row[at])) if at < len(row) else set()
+            if isinstance(call, ast.Call) and _called(call) == "tr":
+                texts.update(_literals(call.args[0]))
     return frozenset(texts)
 
 
+@cache
+def counted_nouns() -> frozenset[str]:
+    """Return the nouns of ``count_noun`` in ``app`` and ``widgets``."""
+    nouns = set[str]()
+    for path in (path for name in ("app", "widgets") for path in (CODE / name).rglob("*.py")):
+        for call in ast.walk(ast.parse(path.read_text("utf-8"))):
+            if isinstance(call, ast.Call) and _called(call) == "count_noun":
+                nouns.update(_literals(call.args[1]))
+    return frozenset(nouns)
+
+
+def _words_of_states() -> Iterator[str]:
+    for states in (DeviceState, RobotMode, SafetyMode, Outcome, SupportKind):
+        yield from (state.value for state in states)
+    yield from (kind.title for kind in CALIBRATION_KINDS.values())
+    yield from (part for name in QUANTITIES for part in name.split("_"))
+    yield from (*CONNECTION_STEPS, *REJECT_REASONS)
+    yield from (*RUN_WORDS, *FINGERS, *NAMES.values(), *STATE_COLOURS, *GHOST_STYLES)
+
+
+def _is_prose(text: str) -> bool:
+    return (" " in text.strip() or text.lstrip("&")[0].isupper()) and not NO_WORD.fullmatch(text)
+
+
+def _called(call: ast.Call) -> str:
+    return str(getattr(call.func, "attr", getattr(call.func, "id", "")))
+
+
 def _literals(node: ast.AST) -> Iterator[str]:
-    """Yield the texts of an expression, without those that it compares with or formats."""
+    """Yield the texts of some code, without those that it compares with, formats or only logs."""
     if isinstance(node, ast.Constant):
         if isinstance(node.value, str) and re.search(r"[A-Za-z]{2}", node.value):
             yield node.value
-    elif not isinstance(node, ast.JoinedStr | ast.Compare):
-        for child in ast.iter_child_nodes(node):
+        return
+    left_out: list[object] = []
+    if isinstance(node, ast.JoinedStr | ast.Compare | ast.Subscript):
+        return
+    if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
+        return  # a docstring
+    if isinstance(node, ast.Call) and _called(node) in UNREAD:
+        return
+    if isinstance(node, ast.Call) and _called(node) in CODE_FIRST:
+        left_out = [*node.args[:1]]
+    if isinstance(node, ast.Call) and _called(node) == "carry_out":
+        left_out = [*node.args[2:]]
+    if isinstance(node, ast.FunctionDef | ast.arg | ast.AnnAssign):
+        left_out = [getattr(node, "returns", None), getattr(node, "annotation", None)]
+    for child in ast.iter_child_nodes(node):
+        if child not in left_out:
             yield from _literals(child)
 
 
@@ -207,32 +280,172 @@ def write_texts(file: Path) -> None:
     """Write or update a file of translations for Qt Linguist; present translations stay."""
     with tempfile.TemporaryDirectory() as folder:
         listing = Path(folder) / "texts.py"
-        given = (f"{json.dumps(CONTEXT)}, {json.dumps(text)}" for text in sorted(window_texts()))
+        context = json.dumps(CONTEXT)
+        given = [f"{context}, {json.dumps(text)}" for text in sorted(window_texts())]
+        given += [f'{context}, "%n {noun}s", None, 1' for noun in sorted(counted_nouns())]
         listing.write_text("".join(f"QCoreApplication.translate({one})\n" for one in given))
         command = ["pyside6-lupdate", str(listing), "-locations", "none", "-ts", str(file)]
         subprocess.run(command, check=True)
 
 
-@contextmanager
-def pseudo_texts(untranslated: set[str]) -> Iterator[None]:
-    """Show all labels and buttons in pseudo texts, then in their own ones again.
+# Names, keys and terms that are the same in every language.
+DATA = frozenset(
+    ["Ann", "Bo", "setup", "root", "packs", "Bench", "stand", "in", "Touchdown", "IoU", "Enter",
+     "Esc", "Space", "Backspace", "Tab", "PgUp", "PgDown", "XYZ", "TOOL", "JOINT", "cividis",
+     "viridis", "cosine", "drift", "Jan", "Feb", "Apr", "Jun", "Aug", "Oct", "Nov", "Dec"]
+)  # fmt: skip
+WORD = re.compile(r"[^\W\d_]+(?:['\u2019][^\W\d_]+)?")
+NAMED = re.compile(
+    r"<[^<>]*>|\S*[\d_/\\.]\S*[\w/]|'[^']*'|\b(?:Ctrl|Alt|Shift)\+\S+|\[[A-Z-]+\]"
+    r"|(?<=\d) to (?=[\d\u2212-])"
+)
+TOKEN = re.compile(rf"\d|\0|{WORD.pattern}")
+FIELD = re.compile(r"\{[^{}]*\}|%s")
 
-    Adds the texts that did not go through the translation to ``untranslated``.
+
+@cache
+def backend_texts() -> list[tuple[str, re.Pattern[str]]]:
+    """Return the texts of ``backend`` and ``resources`` of two words or more.
+
+    Each has its longest part without fields.
     """
-    changed = list[tuple[Any, str, str]]()
-    for widget in QApplication.allWidgets():
-        if isinstance(widget, QLabel | QAbstractButton) and widget.isVisible():
-            text = widget.text()
-            if not MARKED.search(text):
-                widget.setText(pseudo_text(text))
-                changed.append((widget, text, widget.text()))
-                untranslated |= {text} - {widget.text()}
-    try:
-        yield
-    finally:
-        for widget, text, shown in changed:
-            if isValid(widget) and widget.text() == shown:
-                widget.setText(text)
+    texts = set[tuple[str, ...]]()
+    for path in sorted((CODE / "backend").rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+            if isinstance(node, ast.Constant) and isinstance(node.value, str):
+                texts.add(tuple(FIELD.split(node.value)))
+            elif isinstance(node, ast.JoinedStr):
+                parts = [getattr(part, "value", "") for part in node.values]
+                texts.add(tuple(part if isinstance(part, str) else "" for part in parts))
+    for path in sorted((CODE / "resources").rglob("*.toml")):
+        texts.update((line,) for line in re.findall('"([^"]*)"', path.read_text("utf-8")))
+    found = []
+    for parts in texts:
+        lower = [part.strip(" .:\n").lower() for part in parts]
+        longest = max(lower, key=len)
+        if len(WORD.findall(longest)) > 1:
+            found.append((longest, re.compile(".*?".join(map(re.escape, filter(None, lower))))))
+    return sorted(found, key=lambda one: -len(one[0]))
+
+
+@cache
+def plain_words(text: str) -> tuple[str, ...]:
+    """Return the English phrases of a shown text that no translation has changed.
+
+    Names, numbers and texts of the backend are data.
+    """
+    if not any(map(_is_plain, WORD.findall(NAMED.sub(" ", text)))):
+        return ()
+    for part, pattern in backend_texts():
+        if part in text.lower():
+            text = "".join(_left(text, pattern))
+    found, words, beside = list[str](), list[str](), False
+    for word in [*TOKEN.findall(NAMED.sub(" 0 ", text)), "0"]:
+        if _is_plain(word):
+            words.append(word)
+            continue
+        # Short parts of a text of the backend stand beside a long one.
+        part = (beside or word == "\0") and {one.lower() for one in words} <= backend_words()
+        if words and not part:
+            found.append(" ".join(words))
+        words, beside = [], word == "\0" or (beside and word.isdigit())
+    return tuple(found)
+
+
+@cache
+def backend_words() -> frozenset[str]:
+    """Return the words of ``backend`` that stand alone between two fields of a text."""
+    texts = (p.read_text("utf-8") for p in (CODE / "backend").rglob("*.py"))
+    parts = (part for text in texts for part in re.findall(r"[\"'}]([^\"'{}\n]{2,40})[\"'{]", text))
+    return frozenset(word.lower() for part in parts for word in WORD.findall(part))
+
+
+def _left(text: str, pattern: re.Pattern[str]) -> Iterator[str]:
+    """Yield the parts of a text between the matches of a pattern in lower case."""
+    end = 0
+    for found in pattern.finditer(text.lower()):
+        yield f"{text[end : found.start()]} \0 "
+        end = found.end()
+    yield text[end:]
+
+
+@cache
+def piece_names() -> frozenset[str]:
+    """Return the words of the names and titles of pieces, and of strategies."""
+    pieces = load_pieces().pieces.values()
+    names = " ".join([*(f"{p.name} {p.title}" for p in pieces), *(key for key, _ in STRATEGIES)])
+    return frozenset(WORD.findall(names))
+
+
+def _is_plain(word: str) -> bool:
+    """Return True for an English word; words without a vowel are units and symbols."""
+    has_vowel = len(word) > 1 and re.search("[aeiouAEIOU]", word) is not None
+    return has_vowel and not MARKED.search(word) and word not in DATA | piece_names()
+
+
+READERS = ("text", "title", "placeholderText", "toPlainText", "suffix", "specialValueText",
+           "toolTip", "accessibleName", "accessibleDescription")  # fmt: skip
+
+
+def shown_texts(window: QWidget) -> Iterator[tuple[str, str]]:
+    """Yield the texts of all visible widgets of a window, each with the name of its widget."""
+    yield "title", window.windowTitle()
+    for widget in (window, *window.findChildren(QWidget)):
+        if widget.isVisible() and widget.window() is window and not _is_data(widget):
+            readers = (getattr(widget, name, None) for name in READERS)
+            texts = [read() for read in readers if callable(read)]
+            texts += [text for action in widget.actions() for text in (action.text(),)]
+            if isinstance(widget, QComboBox):
+                texts += [widget.itemText(k) for k in range(widget.count())]
+            elif isinstance(widget, QAbstractItemView) and widget.model() is not None:
+                texts += _cells(widget)
+            yield from ((_name(widget), text) for text in texts if isinstance(text, str))
+
+
+def _is_data(device: object) -> bool:
+    """Return True for a part of a report, whose texts come from a file."""
+    if not isinstance(device, QWidget):
+        tops = QApplication.topLevelWidgets()
+        return any(isinstance(top, ReportSheet) and top.isVisible() for top in tops)
+    sheet = device.window()
+    return isinstance(sheet, QFileDialog) or (
+        isinstance(sheet, ReportSheet)
+        and any(
+            part is device or part.isAncestorOf(device)
+            for part in (sheet.room, sheet.head, sheet.banner, sheet.file, sheet.parts, sheet.trace)
+        )
+    )
+
+
+def _cells(view: QAbstractItemView) -> Iterator[str]:
+    model, role = view.model(), Qt.ItemDataRole
+    columns = 1 if isinstance(model, QAbstractListModel) else model.columnCount(ROOT)
+    for kind in (role.DisplayRole, role.ToolTipRole, role.AccessibleTextRole):
+        for at in range(columns):
+            yield model.headerData(at, Qt.Orientation.Horizontal, kind)
+        for row, at in product(range(min(model.rowCount(ROOT), MOST_ROWS)), range(columns)):
+            yield model.index(row, at).data(kind)
+
+
+def untranslated(state: str) -> dict[str, str]:
+    """Return the visible texts of all windows that stayed English in the pseudo-locale.
+
+    Each text has the names of ``state`` and of its widget.
+    """
+    recorder, found = PaintRecorder(), dict[str, str]()
+    tops = [one for one in QApplication.topLevelWidgets() if one.isVisible()]
+    with recorder():
+        for top in tops:
+            top.grab()
+    texts = [(_place(p.device), p.text) for p in recorder.painted if not _is_data(p.device)]
+    texts += [("elided", text) for text, _ in recorder.elided]
+    for top in tops:
+        if not isinstance(top, QFileDialog):
+            texts += shown_texts(top)
+    for name, text in texts:
+        if plain_words(text):
+            found.setdefault(text, f"{state}, {name}: {'; '.join(plain_words(text))}")
+    return found
 
 
 def view_failures(window: QWidget, size: QSize, *, whole: bool = True) -> list[str]:

@@ -40,6 +40,7 @@ from touchdown.backend.rig.connection import BenchConnection
 from touchdown.backend.runs.outcome import outcome_from_signals
 from touchdown.backend.runs.recorder import CONSEQUENCE, NEXT_STEP
 from touchdown.backend.runs.requests import RunState
+from touchdown.widgets.base import tr
 
 if TYPE_CHECKING:
     from tests.screens import Stage
@@ -175,7 +176,7 @@ def trained(stage: Stage, packs: Path) -> Iterator[str]:
     workspace.page.runs.choose(runs[:2])
     stage.until(lambda: not workspace._worker.busy)
     yield "train-compared"
-    workspace.presenter._show_progress("epoch 3 of 16, about 4 min left")
+    workspace.presenter._show_progress(tr("epoch {} of {}, about {} left", 3, 16, "4 min"))
     workspace.page.form.divide.setChecked(True)
     stage.until(lambda: not workspace._worker.busy)
     yield "train-leakage"

@@ -6,7 +6,6 @@ used.
 
 import argparse
 import collections
-import contextlib
 import json
 import os
 import re
@@ -27,13 +26,13 @@ from tests.app.label.conftest import make_episode
 from tests.app.stand_in import StandInBench
 from tests.picture_files import PictureFiles, run_reporting
 from touchdown.app.application import TouchdownApp
-from touchdown.app.shell import count_noun
 from touchdown.app.shell.errors import ErrorBox
 from touchdown.backend.annotations import AnswerContext, Dataset, EpisodeContext, Label
 from touchdown.backend.core import PhaseEntered, RunFinished, RunStarted
 from touchdown.backend.core.values import Outcome, PlaceAction
 from touchdown.backend.geometry.pieces import load_pieces
 from touchdown.backend.runs.requests import RunState
+from touchdown.widgets.base import count_noun
 from touchdown.widgets.shell.fault_cards import CardQuestion, CardText
 
 SIZES = ((1280, 720), (1600, 940))
@@ -49,7 +48,7 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--only", nargs="*", default=[""], help="states whose name begins so")
     parser.add_argument("--check", action="store_true", help="check all sizes and scales instead")
     parser.add_argument("--pseudo", action="store_true",
-                        help="check with accented texts that are 30 %% longer")  # fmt: skip
+                        help="use accented texts, 30 %% longer; list others")  # fmt: skip
     parser.add_argument("--texts", type=Path, metavar="FILE.ts",
                         help="write the texts of the window for Qt Linguist instead")  # fmt: skip
     args = parser.parse_args(argv)
@@ -79,8 +78,23 @@ def _use_large_screen(file: Path) -> None:
     os.environ["QT_QPA_PLATFORM"] = f"offscreen:configfile={file}"
 
 
-def _render(args: argparse.Namespace, folder: Path, files: dict[str, PictureFiles]) -> int:
+def _make_application(args: argparse.Namespace) -> QApplication:
+    """Return the application, with the pseudo-locale if asked for."""
     application = QApplication([])
+    if args.pseudo:
+        application.installTranslator(screen_check.PseudoTranslator(application))
+    return application
+
+
+def _list_untranslated(found: dict[str, str]) -> bool:
+    """Print texts that stayed English in the pseudo-locale; return True if there are any."""
+    for text, name in sorted(found.items()):
+        sys.stdout.write(f"not translated: {' '.join(text.split())} ({name})\n")
+    return bool(found)
+
+
+def _render(args: argparse.Namespace, folder: Path, files: dict[str, PictureFiles]) -> int:
+    application, plain = _make_application(args), dict[str, str]()
     _make_dataset(folder / "dataset")
     screen_panels.train_models(folder / "packs")
     count = 0
@@ -95,9 +109,11 @@ def _render(args: argparse.Namespace, folder: Path, files: dict[str, PictureFile
                     files[f"{theme}-{size}"].keep(f"{name}.png", stage.grab())
                     files[f"{theme}-{size}"].put()
                     count += 1
+                    if args.pseudo:
+                        plain |= screen_check.untranslated(name)
             stage.close()
     sys.stdout.write(f"{count} pictures in {args.out}\n")
-    return 0
+    return int(_list_untranslated(plain))
 
 
 def _check(args: argparse.Namespace, folder: Path, _files: dict[str, PictureFiles]) -> int:
@@ -105,10 +121,7 @@ def _check(args: argparse.Namespace, folder: Path, _files: dict[str, PictureFile
 
     One line names a failure, the number of views that show it, and the first of them.
     """
-    application, views, plain = QApplication([]), 0, set[str]()
-    if args.pseudo:
-        pseudo = screen_check.PseudoTranslator(application)
-        application.installTranslator(pseudo)
+    application, views, plain = _make_application(args), 0, dict[str, str]()
     _make_dataset(folder / "dataset")
     screen_panels.train_models(folder / "packs")
     found = collections.defaultdict[str, list[str]](list)
@@ -118,22 +131,21 @@ def _check(args: argparse.Namespace, folder: Path, _files: dict[str, PictureFile
             # Larger and smaller text is an axis of its own.
             if state.startswith("text-") or not state.startswith(tuple(args.only)):
                 continue
-            with screen_check.pseudo_texts(plain) if args.pseudo else contextlib.nullcontext():
-                for name, size, whole in screen_check.logical_sizes():
-                    for line in screen_check.view_failures(stage.main.window, size, whole=whole):
-                        found[re.sub(r"\d+(x\d+)? (of \d+ )?px", "px", line)].append(
-                            f"{theme} {name} {state}: {line}"
-                        )
-                    views += 1
+            if args.pseudo:
+                plain |= screen_check.untranslated(state)
+            for name, size, whole in screen_check.logical_sizes():
+                for line in screen_check.view_failures(stage.main.window, size, whole=whole):
+                    found[re.sub(r"\d+(x\d+)? (of \d+ )?px", "px", line)].append(
+                        f"{theme} {name} {state}: {line}"
+                    )
+                views += 1
             stage.main.window.resize(*screen_check.STARTS)
             stage.settle()
         stage.close()
     for _, places in sorted(found.items()):
         sys.stdout.write(f"{places[0]} ({count_noun(len(places), 'view')})\n")
-    for text in sorted(plain):
-        sys.stdout.write(f"not translated: '{text}'\n")
     sys.stdout.write(f"{count_noun(len(found), 'failure')} in {views} views\n")
-    return 1 if found else 0
+    return int(_list_untranslated(plain) or bool(found))
 
 
 def _make_dataset(folder: Path) -> None:

@@ -244,6 +244,25 @@ def test_literals_reach_a_widget_through_the_translation():
     assert found == []
 
 
+# f-strings of paths, settings, style sheets, logs and messages before a translation is loaded.
+UNTRANSLATED = re.compile(r"^(touchdown: |--|thread|<|data:|icon )|times more in between|app-name")
+UNITS = {"mm", "ms", "px", "Hz", "GB", "MB", "min", "IoU", "RX", "RY", "RZ", "rms", "Touchdown"}
+
+
+def test_sentences_go_through_the_translation_as_a_whole():
+    """A text with fields is ``tr("{} of {}", done, count)``, never an f-string."""
+    found = []
+    for path in (p for p in CODE if _name(p).startswith(("app/", "widgets/"))):
+        texts = (n for n in _nodes(path) if isinstance(n, ast.JoinedStr))
+        for text in texts if path.name not in ("splash.py", "__main__.py") else ():
+            parts = [p.value if isinstance(p, ast.Constant) else "{}" for p in text.values]
+            whole = re.sub(r"\S*(\.\w+|_|=)\S*", "", "".join(map(str, parts)))
+            words = set(re.findall(r"[A-Za-z]{2,}", whole)) - UNITS
+            if words and " " in whole.strip() and not UNTRANSLATED.search(whole):
+                found.append(f"{_name(path)}:{text.lineno} {whole}")
+    assert found == []
+
+
 def test_no_signal_carries_samples():
     """Samples are pulled at the display's pace: a burst of signals would starve the event loop."""
     samples = {"TactileFrame", "MarkerField", "Samples", "Recording", "ndarray"}

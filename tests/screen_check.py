@@ -203,7 +203,7 @@ RUN_WORDS = ("approach", "touch", "press", "hold", "lift", "shift", "unload", "r
              "patience", "keeps", "batch", "seed", "piece", "labels", "best", "received", "lost",
              "maker", "model", "serial", "firmware", "noise", "offset", "markers", "used", "sigma",
              "grey", "commanded", "measured", "human", "signals", "conflict", "yes", "no",
-             "stepped", "refused", "kept", "none", "moving", "empty")  # fmt: skip
+             "stepped", "refused", "kept", "Mass",  "none", "moving", "empty")  # fmt: skip
 CODE = Path(__file__).resolve().parents[1]
 
 
@@ -292,7 +292,9 @@ def write_texts(file: Path) -> None:
 DATA = frozenset(
     ["Ann", "Bo", "setup", "root", "packs", "Bench", "stand", "in", "Touchdown", "IoU", "Enter",
      "Esc", "Space", "Backspace", "Tab", "PgUp", "PgDown", "XYZ", "TOOL", "JOINT", "cividis",
-     "viridis", "cosine", "drift", "Jan", "Feb", "Apr", "Jun", "Aug", "Oct", "Nov", "Dec"]
+     "viridis", "cosine", "drift", "min", "bota", "dynpick", "leptrino", "melfa", "netft",
+     "optoforce", "ur", "Maker", "Model", "Jan", "Feb", "Apr", "Jun", "Aug", "Oct", "Nov",
+     "Dec"]
 )  # fmt: skip
 WORD = re.compile(r"[^\W\d_]+(?:['\u2019][^\W\d_]+)?")
 NAMED = re.compile(
@@ -305,12 +307,13 @@ FIELD = re.compile(r"\{[^{}]*\}|%s")
 
 @cache
 def backend_texts() -> list[tuple[str, re.Pattern[str]]]:
-    """Return the texts of ``backend`` and ``resources`` of two words or more.
+    """Return the texts of ``backend``, ``resources`` and the stand-in bench, from three words on.
 
     Each has its longest part without fields.
     """
     texts = set[tuple[str, ...]]()
-    for path in sorted((CODE / "backend").rglob("*.py")):
+    tests = (*(CODE / "tests").glob("screen*.py"), CODE / "tests" / "app" / "stand_in.py")
+    for path in (*(CODE / "backend").rglob("*.py"), *tests):
         for node in ast.walk(ast.parse(path.read_text("utf-8"))):
             if isinstance(node, ast.Constant) and isinstance(node.value, str):
                 texts.add(tuple(FIELD.split(node.value)))
@@ -323,7 +326,7 @@ def backend_texts() -> list[tuple[str, re.Pattern[str]]]:
     for parts in texts:
         lower = [part.strip(" .:\n").lower() for part in parts]
         longest = max(lower, key=len)
-        if len(WORD.findall(longest)) > 1:
+        if len(WORD.findall(longest)) > 1 and len(WORD.findall(" ".join(lower))) > 2:
             found.append((longest, re.compile(".*?".join(map(re.escape, filter(None, lower))))))
     return sorted(found, key=lambda one: -len(one[0]))
 

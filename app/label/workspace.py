@@ -184,7 +184,7 @@ class HalvesPage(WorkspacePage):
 
     def add(self, name: str, title: str, page: QWidget) -> None:
         """Add a half."""
-        button = QPushButton(title)
+        button = QPushButton(tr(title))
         button.setCheckable(True)
         button.setProperty("role", "tab")
         self._buttons.addButton(button, len(self._names))

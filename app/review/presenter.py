@@ -162,9 +162,8 @@ class ReviewPresenter:
         count = len(series.episodes)
         self._page.score.show_facts(count_noun(count, "episode"), series.facts)
         self._name_parts("Episodes", "of the series", "Series")
-        lines = [
-            f"{at}.  {state}, {uuid[-8:]}" for at, (uuid, state) in enumerate(series.episodes, 1)
-        ]
+        numbered = enumerate(series.episodes, 1)
+        lines = [f"{at}.  {tr(state)}, {uuid[-8:]}" for at, (uuid, state) in numbered]
         self._fill(lines, count - 1)
 
     def _name_parts(self, title: str, detail: str, whole: str) -> None:

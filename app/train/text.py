@@ -252,7 +252,7 @@ def _per_cent(value: float) -> str:
 def _setting(value: object) -> str:
     if isinstance(value, bool):
         return tr("yes" if value else "no")
-    return f"{value:g}" if isinstance(value, float) else str(value)
+    return f"{value:g}" if isinstance(value, float) else tr(str(value))
 
 
 def _model(sha256: str) -> str:

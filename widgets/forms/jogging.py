@@ -207,9 +207,9 @@ class JogPad(base.Panel):
         """Offer rotation and JOINT; a ``reason`` disables them and is shown instead."""
         item = self.frame.model().item(2)  # type: ignore[attr-defined]
         item.setEnabled(not reason)
-        item.setToolTip(reason)
+        item.setToolTip(base.tr(reason))
         tip = base.tr("XYZ: axes of the bench. TOOL: axes of the hand. JOINT: one joint. (F)")
-        self.frame.setToolTip(f"{tip} {reason}".strip())
+        self.frame.setToolTip(f"{tip} {base.tr(reason)}".strip())
         self._turns = not reason
         self.turn.setVisible(self._turns and self.frame.currentText() != "JOINT")
         self.level.setVisible(not reason)
@@ -228,7 +228,7 @@ class JogPad(base.Panel):
         self._ready, self._ready_why = ready, (ready, why)
         for what, pad in self.pads.items():
             pad.setEnabled(ready)
-            pad.setToolTip(base.tr("Jog {}", _signed(what)) if ready else why)
+            pad.setToolTip(base.tr("Jog {}", _signed(what)) if ready else base.tr(why))
         self.keys.setEnabled(ready)
 
     def show_lift(self, words: str) -> None:

@@ -407,7 +407,7 @@ def test_findings_are_grouped_by_kind_and_each_episode_keeps_its_words():
     assert health_text(QualityReport((), 1200, 1200), 0, at) == (
         "Checked 1,200 episodes at 09:05: no problems were found."
     )
-    assert health_text(QualityReport((), 7, 9), 2, at).startswith("7 of 9 episodes")
+    assert health_text(QualityReport((), 7, 9), 2, at).startswith("Checked 7 of 9 episodes")
 
 
 def test_a_finding_opens_its_episodes_as_a_queue(desk, qtbot):

@@ -93,6 +93,8 @@ def test_saved_figures_replace_those_of_their_function_and_the_page_shows_them(
     assert "2 figures: 0 meet their target, 1 miss it, 1 have none." in page
     assert "| group a | new | 3 ms | ≤ 2 | why |" in page
     assert "| other | 7 of 9 |" in page
+    # The old record of the other group has no time.
+    assert page.count("Time of ") == page.count("Time of 1 of 1 measurements: 0.0 min.") == 1
     assert page.startswith("Top")
     assert page.endswith("End")
     figures.save([], ["other"])

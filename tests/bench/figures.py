@@ -109,13 +109,16 @@ def read_records() -> list[Record]:
     return list(content["figures"])
 
 
-def records_of(group: str, measure: str, figures: Iterable[Figure]) -> list[Record]:
-    """Return the records of what one function measured today on this computer."""
+def records_of(
+    group: str, measure: str, figures: Iterable[Figure], seconds: float | None = None
+) -> list[Record]:
+    """Return the records of what one function measured today on this computer, in ``seconds``."""
     machine = f"{os.cpu_count()} cores, {platform.platform()}, CPython {platform.python_version()}"
     date = datetime.datetime.now(tz=datetime.UTC).date().isoformat()
+    took = {} if seconds is None else {"seconds": round(seconds, 1)}
     return [
         dict(zip(KEYS, (date, machine, group, measure, f.name, f.value, f.unit, f.target, f.ok,
-                        f.note), strict=True))
+                        f.note), strict=True)) | took
         for f in figures
         if f.value is not None
     ]  # fmt: skip
@@ -164,14 +167,27 @@ def tables(records: Sequence[Record]) -> str:
     ]
     for group, part in groupby(records, key=lambda record: record["group"]):
         parts.append(f"## Group {group}")
+        own_records = list(part)
+        if took := duration(own_records):
+            parts.append(took)
         by_machine: dict[str, list[Record]] = {}
-        for record in part:
+        for record in own_records:
             by_machine.setdefault(record["machine"], []).append(record)
         for machine, own in by_machine.items():
             rows = ((r["figure"], value(r), target(r), RESULTS[r["met"]], r["date"]) for r in own)
             parts.append(f"Machine: {machine}.")
             parts.append(_table(("figure", "measured", "target", "result", "date"), rows))
     return "\n\n".join(parts)
+
+
+def duration(records: Sequence[Record]) -> str:
+    """Return a sentence with the time of the measurements of which it is stored, "" without any."""
+    times = {record["measure"]: record["seconds"] for record in records if "seconds" in record}
+    if not times:
+        return ""
+    every = len({record["measure"] for record in records})
+    whole = sum(times.values()) / 60.0
+    return f"Time of {len(times)} of {every} measurements: {whole:.1f} min."
 
 
 def value(record: Record) -> str:

@@ -8,6 +8,7 @@ renders ``docs/measured.md``. Exit code 0 if every measured figure meets its tar
 import argparse
 import importlib
 import sys
+import time
 from collections.abc import Sequence
 from dataclasses import asdict
 
@@ -55,12 +56,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     with screen.progress("Measuring", len(wanted)) as advance:
         for done, (name, (group, measure)) in enumerate(wanted.items()):
             advance(done, name.replace("_", " "))
+            begun_s = time.monotonic()
             try:
                 found = measure()
             except TouchdownError as error:
                 found = [Figure(name, None, "", "", ok=False, note=str(error))]
             figures += found
-            records += records_of(group, name, found)
+            records += records_of(group, name, found, time.monotonic() - begun_s)
             for one in found:
                 screen.say(f"{one.name}: {measured(one)} ({WORDS[one.ok].plain})")
         advance(len(wanted))

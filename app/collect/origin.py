@@ -44,9 +44,11 @@ class RecorderGauge:
         except OSError as error:
             return tr("The disk does not answer: {}", error.strerror)
         rate = self.bytes_a_minute(now_s)
-        text = tr("{:.1f} GB free, {:.1f} MB/min", free / 1e9, rate / 1e6)
-        if rate > 0:
-            text += f", {tr('room for {}', duration_text(60.0 * free / rate))}"
+        figures = free / 1e9, rate / 1e6
+        text = tr("{:.1f} GB free, {:.1f} MB/min", *figures)
+        if rate > 0:  # as short as its line in a narrow window
+            lasts = duration_text(60.0 * free / rate)
+            text = tr("{:.1f} GB free, {} at {:.1f} MB/min", figures[0], lasts, figures[1])
         return tr("Nearly full: {}", text) if free < LOW_BYTES else text
 
 

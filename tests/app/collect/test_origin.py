@@ -1,6 +1,7 @@
 """The Collect half while a campaign goes on: answers, progress, origin, hand-over."""
 
 import math
+import re
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -283,6 +284,9 @@ def test_the_gauge_counts_bytes_of_the_last_two_minutes(tmp_path):
     for second in range(0, 61, 10):
         gauge.note(float(second), 2_000_000)
     assert gauge.bytes_a_minute(60.0) == pytest.approx(12e6)
+    # The time comes before the rate, so that no figure is cut off in a narrow window.
+    assert re.fullmatch(r"(Nearly full: )?[\d.]+ GB free, .+ at 12.0 MB/min",
+                        gauge.words(tmp_path, 60.0))  # fmt: skip
     assert gauge.bytes_a_minute(1000.0) == 0.0
     assert "GB free, 0.0 MB/min" in gauge.words(tmp_path, 1000.0)
     assert "does not answer" in gauge.words(tmp_path / "gone", 1000.0)

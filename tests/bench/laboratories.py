@@ -284,6 +284,7 @@ FOLDER = Path("output/laboratories")
 HIDDEN, THROUGH_DRIVERS = "hidden-laboratories", "laboratory-drivers"
 LOSSES, COMES_BACK = "laboratory-losses", "comes-back"
 MANY = 300  # presses
+LOST = 10.0  # points of success; less is no loss that could come back
 
 
 def stored_results(name: str) -> list[dict[str, Any]]:
@@ -333,6 +334,36 @@ def laboratory_through_drivers() -> list[Figure]:
         at_most(f"{name}median sigma over that of the prior", total["median_sharpness"], "", 0.5),
         at_most(f"{name}held-out error", 100 * found["share"], "%", 50.0),
     ]
+
+
+@figure("identification")
+def success_that_comes_back() -> list[Figure]:
+    """Judge the adaptations in docs/results, of those places that lost ten points of success."""
+    lost = [one for one in stored_results(COMES_BACK) if one["lost_points"] >= LOST]
+    if not lost:
+        raise InputError("There is no result.", COMES_BACK, "Run --comes-back first.")
+    elsewhere = [one for one in lost if one["seed"] == SECOND_WORLD]
+    own = [one for one in lost if one not in elsewhere]
+    figures = []
+    for name, part, limit in (
+        (f"hidden laboratories ({len(own)})", own, 50.0), ("second world", elsewhere, 40.0),
+    ):  # fmt: skip
+        ends = [Counter(), Counter(), Counter()]
+        for one in part:
+            for total, counts in zip(ends, one["outcomes"].values(), strict=True):
+                total.update(counts)
+        if part:
+            before, after = (end["placed"] - ends[0]["placed"] for end in ends[1:])
+            note = ", ".join(f"{arm}: {dict(end)}" for arm, end in zip(
+                part[0]["outcomes"], ends, strict=True))  # fmt: skip
+            figures.append(at_least(
+                f"{name}: success of `fused` that comes back of what was lost",
+                100.0 * (1.0 - after / before), "%", limit, note))  # fmt: skip
+            figures.append(at_most(
+                f"{name}: unsafe of released after the adaptation",
+                100.0 * ends[2]["fell"] / max(ends[2]["fell"] + ends[2]["placed"], 1), "%", 5.0,
+            ))  # fmt: skip
+    return figures
 
 
 @figure("identification")

@@ -293,7 +293,8 @@ DATA = frozenset(
     ["Ann", "Bo", "setup", "root", "packs", "Bench", "stand", "in", "Touchdown", "IoU", "Enter",
      "Esc", "Space", "Backspace", "Tab", "PgUp", "PgDown", "XYZ", "TOOL", "JOINT", "cividis",
      "viridis", "cosine", "drift", "min", "bota", "dynpick", "leptrino", "melfa", "netft",
-     "optoforce", "ur", "Maker", "Model", "Jan", "Feb", "Apr", "Jun", "Aug", "Oct", "Nov",
+     "optoforce", "ur", "Tac", "arm",
+     "Maker", "Model", "Jan", "Feb", "Apr", "Jun", "Aug", "Oct", "Nov",
      "Dec"]
 )  # fmt: skip
 WORD = re.compile(r"[^\W\d_]+(?:['\u2019][^\W\d_]+)?")
@@ -328,7 +329,7 @@ def backend_texts() -> list[tuple[str, re.Pattern[str]]]:
         longest = max(lower, key=len)
         if len(WORD.findall(longest)) > 1 and len(WORD.findall(" ".join(lower))) > 2:
             found.append((longest, re.compile(".*?".join(map(re.escape, filter(None, lower))))))
-    return sorted(found, key=lambda one: -len(one[0]))
+    return sorted(found, key=lambda one: -len(one[1].pattern))
 
 
 @cache

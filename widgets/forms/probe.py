@@ -92,7 +92,7 @@ class ProbePanel(base.Panel):
         self._buttons = probe, cancel, why
         self.probe.setEnabled(probe)
         self.cancel.setEnabled(cancel)
-        self.probe.setToolTip(why or base.tr("Press here with these values, record, and lift (F5)"))
+        self.probe.setToolTip(base.tr(why or "Press here with these values, record, and lift (F5)"))
 
 
 DECISIONS: tuple[tuple[str, str, str, str], ...] = (

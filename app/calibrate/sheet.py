@@ -85,6 +85,8 @@ class PlaceForm(QWidget):
         )  # fmt: skip
 
 
+# Names of the lines that differ from the keys of the quantities.
+DAY_NAMES = {"stiffness_px_n": "marker motion", "noise_n": "wrist noise"}
 DAY_COLOURS = ("axis_x", "axis_y", "axis_z", "good", "text", "scene")
 HIGHEST_SHARE = 3.0  # of a limit, in the plot
 
@@ -107,7 +109,7 @@ def history_lines(checks: Sequence[DayCheck]) -> list[CurveLine]:
         for day, check in enumerate(checks, start=1):
             shares = [check.share(n) for n in check.values if n.partition("_")[2] == key]
             points += [(float(day), min(max(shares), HIGHEST_SHARE))] if shares else []
-        name = tr("wrist noise" if key == "noise_n" else key.partition("_")[0])
+        name = tr(DAY_NAMES.get(key, key.partition("_")[0]))
         lines.append(CurveLine(name, tuple(points), colour, dashed=key.endswith("_px")))
     return lines
 
@@ -205,7 +207,10 @@ class CalibrateSheet(BenchSheet):
         for index, (words, tone) in enumerate(look.rows):
             self.conditions[index].setText(tr(words))
             set_property(self.conditions[index], "tone", tone)
-        self.choices[MEASUREMENT_NAMES.index(look.what)].setChecked(True)
+        chosen = self.choices[MEASUREMENT_NAMES.index(look.what)]
+        chosen.setChecked(True)
+        if self.focusWidget() in self.choices:
+            chosen.setFocus()
         title = tr(CALIBRATION_KINDS[look.what].title)
         self.title.setText(tr("Calibrate: {}", title))
         now = 1 if look.progress is not None else 0 if look.found is None else 2
@@ -282,7 +287,7 @@ class CalibrateSheet(BenchSheet):
             choice.setAutoDefault(False)
             self.group.addButton(choice, index)
         rows = zip(self.choices, self.conditions, strict=True)
-        return vbox(*(widget for row in rows for widget in row), 1, spacing=5)
+        return vbox(*(vbox(*row, spacing=3) for row in rows), 1, spacing=14)
 
     def _right(self) -> QWidget:
         for view in self.fingers.values():

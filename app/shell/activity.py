@@ -84,6 +84,8 @@ def start_obstacle(bench: Session) -> str:
         return missing_scene_reason(bench)
     if bench.hand is not None and not bench.hand.powered:
         return tr("The servo is off: hold Servo in the top bar for 1 s")
+    if bench.interlock.recovering:
+        return tr("After a fault: jog away from contact in Operate first")
     if bench.hand is not None and bench.hand.pressing_n:
         return tr("In contact: lift first (jog +Z in Operate)")
     for degraded in bench.degraded:

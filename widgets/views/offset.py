@@ -110,7 +110,7 @@ GHOST_STYLES: dict[GhostKind, tuple[Qt.PenStyle, str, float]] = {
 }
 SCALE_BARS = 7  # of them fill the width
 SAMPLE_PX = 30  # line of a source in the legend
-ROOMY_PX = 400  # narrower pictures shorten the names of sources
+ROOMY_PX = 400  # in narrower pictures, the legend alone names the sources
 THICKEN_PX = 0.3
 
 
@@ -156,8 +156,9 @@ def draw_ghosts(painter: QPainter, area: plots.PlotArea, scene: OffsetScene, the
 def _letters(painter: QPainter, area: plots.PlotArea, scene: OffsetScene, ghost: Ghost) -> None:
     """Write the source beside its outline, each source on another side, inside the picture."""
     turn, inside = GHOST_STYLES[ghost.kind][2], area.rect
+    if inside.width() <= ROOMY_PX:
+        return
     name = tr(ghost.kind)
-    name = name if inside.width() > ROOMY_PX else name[:2].capitalize()
     radius = float(np.nanmax(np.hypot(*scene.face.T)))
     x = area.x(ghost.offset_mm[0] + radius * math.cos(turn))
     y = area.y(ghost.offset_mm[1] + radius * math.sin(turn))

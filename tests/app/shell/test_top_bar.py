@@ -168,6 +168,11 @@ def test_what_lasts_keeps_the_start_disabled_and_says_why(live, bench):
     assert start_obstacle(bench) == "The wrist sensor is slow: check it first"
     assert not start.isEnabled()
     bench.degraded = ()
+    bench.interlock.recovering = True
+    settle(live)
+    assert not start.isEnabled()
+    assert "jog away" in start.toolTip()
+    bench.interlock.recovering = False
     settle(live)
     assert start.isEnabled()
 

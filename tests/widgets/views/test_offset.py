@@ -129,6 +129,7 @@ class TestOffsetView:
 
     def test_each_source_has_its_colour_and_a_box_that_hides_it(self, view, theme):
         kinds = ("commanded", "measured", "scene", "model")
+        view.resize(640, 480)
         view.show_scene(
             scene(
                 (8.0, 0.0), tuple(Ghost(k, (-9.0 + 3 * n, 6.0), 0.0) for n, k in enumerate(kinds))

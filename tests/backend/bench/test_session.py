@@ -97,6 +97,19 @@ def test_the_episode_of_a_probe_is_kept(tmp_path):
     assert (folder / "episodes" / recorded.path).is_file()
 
 
+def test_every_picture_of_a_run_is_tracked_and_every_third_of_an_idle_bench():
+    with simulated_bench(preset="quiet") as bench:
+        bench.run(SetRequest(SceneChoice(estimates=False)))
+        bench.run(ProbeRequest())
+        end_s = bench.clock_s()
+        run = bench.recording(end_s - 5.0, end_s)
+        for _ in range(100):
+            bench.advance()
+        idle = bench.recording(end_s + 0.5, bench.clock_s())
+    assert len(run.fields) == len(run.frames) > 200
+    assert len(idle.fields) / len(idle.frames) == pytest.approx(1 / 3, abs=0.1)
+
+
 def test_a_cancelled_run_returns_what_it_has():
     with brisk() as bench:
         cancel = bench.engine.cancel

@@ -41,7 +41,7 @@ from touchdown.backend.simulation.gripper import HeldPiece
 from touchdown.backend.simulation.ground_truth import Scene, scene_mounting, tower_with_piece
 from touchdown.backend.simulation.pressing import PressBatch
 from touchdown.backend.simulation.world import World
-from touchdown.backend.simulation.wrist_sensor import wrist_wrench
+from touchdown.backend.simulation.wrist_sensor import WristLoad, WristSampler, wrist_wrench
 
 BENCH = load_simulation(preset="bench-v1")
 SECOND = load_simulation(preset="bench-v2")
@@ -200,6 +200,19 @@ def test_cables_and_sensor_place_change_only_the_wrench_of_a_press() -> None:
     turned = wrist_wrench(np.c_[force + pull, np.zeros((20, 3))], 0.0, day.wrist_yaw_rad)[:, :3]
     difference = np.abs(turned - real.observation[0, :, -6:-3]).max()
     assert difference < 0.02 < np.abs(force - real.observation[0, :, -6:-3]).max()
+
+
+def test_the_samples_of_a_cycle_lead_from_one_load_to_the_next_at_the_sensor() -> None:
+    silent = dict.fromkeys(("white_n", "white_nm", "drift_n_sqrt_min", "drift_nm_sqrt_min"), 0.0)
+    settings = SimulationSettings().wrist.model_copy(update=silent)
+    yaw_rad, lever_mm = 0.03, (1.0, -2.0, 3.0)
+    sampler = WristSampler(settings, 10_000, 1, yaw_rad, lever_mm)
+    before, after = np.arange(6.0) - 2.0, np.arange(6.0)[::-1] * 1.5
+    t_s, values = sampler.samples(0, 10_000, WristLoad(before, after, np.full(6, 0.1)))
+    shares = (t_s / 0.01)[:, None]
+    loads = before + shares * (after - before)
+    place = settings.height_mm, settings.yaw_rad + yaw_rad, np.array(lever_mm)
+    np.testing.assert_allclose(values, wrist_wrench(loads, *place) + 0.1, atol=1e-9)
 
 
 def test_the_field_of_jaws_without_a_piece_follows_their_forces() -> None:

@@ -68,7 +68,7 @@ def pill_state(bench: Session) -> PillState:
     if by_hand:
         return PillState("JOG", "play", "green", by_hand)
     if bench.hand is not None and bench.interlock.recovering:
-        return PillState("RECOVERY", "diamond", "yellow", "jog away, in Operate")
+        return PillState("RECOVERY", "diamond", "yellow", "jog in Operate")
     status = bench.status()
     asks = status.asks if status.state is RunState.RUNNING else ""
     if status.awaiting is not None or asks:

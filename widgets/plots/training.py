@@ -172,15 +172,17 @@ class ReliabilityPlot(_TrainingPlot):
         painter.setPen(QPen(self._theme.tokens.colour("muted"), 1, Qt.PenStyle.DotLine))
         painter.drawLine(area.rect.bottomLeft(), area.rect.topRight())
         painter.setFont(ui_font(self._theme.scale, 0.82, 500))
-        height = painter.fontMetrics().height()
+        metrics, left = painter.fontMetrics(), area.rect.adjusted(6, 2, 0, 0)
+        wide = any(metrics.horizontalAdvance(one.name) > left.width() for one in self.lines)
         for row, one in enumerate(self.lines):
             self._draw_line(painter, area, one)
             painter.setBrush(self._theme.tokens.colour(one.token))
             for x, y in one.points:
                 painter.drawEllipse(QPointF(area.x(x), area.y(y)), 2.2, 2.2)
             painter.setBrush(Qt.BrushStyle.NoBrush)
-            box = area.rect.adjusted(6, 2 + row * height, 0, 0)
-            painter.drawText(box, int(Qt.AlignmentFlag.AlignLeft), one.name)
+            box = left.adjusted(0, row * metrics.height() * (2 if wide else 1), 0, 0)
+            wrap = Qt.TextFlag.TextWordWrap
+            painter.drawText(box, int(Qt.AlignmentFlag.AlignLeft | wrap), one.name)
 
 
 def _ending(line: CurveLine) -> str:

@@ -54,7 +54,7 @@ class DeviceChip(QWidget):
     def __init__(self, theme: base.Theme, name: str) -> None:
         super().__init__()
         self.short = False
-        self._theme, self._name = theme, base.tr(name)
+        self._theme, self._name, self._tactile = theme, base.tr(name), "Tactile" in name
         self.value = ChipValue("closed", "no data")
         self.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Fixed)
         self.setAccessibleName(base.tr("{}: closed", self._name))
@@ -77,7 +77,7 @@ class DeviceChip(QWidget):
         name = QFontMetrics(base.ui_font(self._theme.scale, 0.86, 600))
         width = name.horizontalAdvance(self._name)
         if not self.short:
-            lost = name.horizontalAdvance(base.tr("  10 lost")) if "actile" in self._name else 0
+            lost = name.horizontalAdvance(base.tr("  10 lost")) if self._tactile else 0
             width = max(figures.horizontalAdvance("1000 Hz, 00 ms"), width + lost)
         return QSize(width + self._left_px() + 10, 2 * figures.height() + 8)
 
@@ -132,8 +132,9 @@ class DeviceChip(QWidget):
         painter.setFont(base.ui_font(self._theme.scale, 0.86, 600))
         low, right = Qt.AlignmentFlag.AlignBottom, Qt.AlignmentFlag.AlignRight
         if self.short:
-            box, centre = QRectF(left, 0, width, self.height()), Qt.AlignmentFlag.AlignVCenter
-            painter.drawText(box, int(centre), self._name)
+            high = painter.fontMetrics().height()
+            box = QRectF(left, (self.height() - high) / 2, width, high)
+            base.draw_elided_line(painter, box, self._name, t.colour("text"))
             return
         painter.drawText(QRectF(left, 3, width, middle - 2), int(low), self._name)
         if self.value.lost:

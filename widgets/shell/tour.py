@@ -99,6 +99,7 @@ class TourCard(QFrame):
         """Place the card beside the highlight, between ``top`` (STOP stays free) and ``bottom``."""
         em = self.fontMetrics().height()
         width = min(24 * em, self._window.width() - 2 * MARGIN_PX)
+        width = max(width, self.minimumSizeHint().width())  # of the buttons
         self.setFixedWidth(width)
         high = max(self.heightForWidth(width), self.minimumSizeHint().height())
         self.resize(width, high)

@@ -11,6 +11,7 @@ import json
 import math
 import re
 import subprocess
+import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -284,7 +285,8 @@ def write_texts(file: Path) -> None:
         given = [f"{context}, {json.dumps(text)}" for text in sorted(window_texts())]
         given += [f'{context}, "%n {noun}s", None, 1' for noun in sorted(counted_nouns())]
         listing.write_text("".join(f"QCoreApplication.translate({one})\n" for one in given))
-        command = ["pyside6-lupdate", str(listing), "-locations", "none", "-ts", str(file)]
+        tool = Path(sys.executable).with_name("pyside6-lupdate")
+        command = [str(tool), str(listing), "-locations", "none", "-ts", str(file)]
         subprocess.run(command, check=True)
 
 

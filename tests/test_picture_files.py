@@ -2,6 +2,7 @@
 
 import contextlib
 import subprocess
+import sys
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -263,7 +264,8 @@ def test_a_translation_changes_order_and_plural_of_composed_texts(qtbot, transla
             continue
         said.attrib.clear()
     tree.write(source, encoding="utf-8")
-    subprocess.run(["pyside6-lrelease", str(source)], check=True, capture_output=True)
+    tool = Path(sys.executable).with_name("pyside6-lrelease")
+    subprocess.run([str(tool), str(source)], check=True, capture_output=True)
     translator = QTranslator()
     assert translator.load("touchdown_de", str(tmp_path))
     translated(translator)

@@ -669,16 +669,18 @@ def test_importing_twice_adds_nothing(hand, tmp_path, dataset):
     assert (survey.here, survey.fit) == (6, 0)
 
 
+def interrupt_third(done: int) -> None:
+    """Interrupt an import, as Ctrl+C does, after its third episode."""
+    if done == 3:
+        raise KeyboardInterrupt
+
+
 def test_an_interrupted_import_goes_on(hand, tmp_path, monkeypatch):
     out = hand("lerobot").folder
 
-    def stop(done: int) -> None:
-        if done == 3:
-            raise KeyboardInterrupt
-
     with Dataset.open(tmp_path / "back") as back:
         with pytest.raises(KeyboardInterrupt):
-            EpisodeImport(back, "lerobot", out, WISH).write(stop)
+            EpisodeImport(back, "lerobot", out, WISH).write(interrupt_third)
         assert len(EpisodeImport(back, "lerobot", out, WISH).write()) == 3
         assert len(back.episodes()) == 6
         sides = [
@@ -693,13 +695,9 @@ def test_an_interrupted_import_of_unknown_grips_goes_on_in_its_grip(hand, tmp_pa
     out = hand("lerobot").folder
     (out / "manifest.json").unlink()
 
-    def stop(done: int) -> None:
-        if done == 3:
-            raise KeyboardInterrupt
-
     with Dataset.open(tmp_path / "back") as back:
         with pytest.raises(KeyboardInterrupt):
-            EpisodeImport(back, "lerobot", out, NAMED).write(stop)
+            EpisodeImport(back, "lerobot", out, NAMED).write(interrupt_third)
         assert len(EpisodeImport(back, "lerobot", out, NAMED).write()) == 3
         (count,) = back.database.one("SELECT count(DISTINCT grip_id) FROM episode")
     assert count == 1

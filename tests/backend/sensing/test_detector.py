@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import count
 from pathlib import Path
 
@@ -37,7 +38,13 @@ from touchdown.backend.core.streams import SampleStream, Stream
 from touchdown.backend.core.values import FINGERS, MarkerField, MarkerState, Recording, TactileFrame
 from touchdown.backend.devices.gelsight.emulator import small_dots
 from touchdown.backend.runs import RecordingOptions, StackRequest
-from touchdown.backend.sensing import LiveSensing, RawStreams, assemble_episode, read_pictures
+from touchdown.backend.sensing import (
+    LiveSensing,
+    RawStreams,
+    assemble_episode,
+    looks_still,
+    read_pictures,
+)
 from touchdown.backend.sensing.detector import Blobs, Detector, order_grid
 from touchdown.backend.sensing.jpeg_damage import DamageCheckingTracker, shifted_along_rows
 from touchdown.backend.sensing.tracker import HiddenMarkers, nearest_dots
@@ -390,6 +397,20 @@ def test_markers_that_stand_still_on_an_idle_bench_are_tracked_every_tenth_of_a_
     assert tracked(*[3.6] * 4, from_jpeg=True) == [0, 1, 2, 3], (
         "damage is judged between neighbours"
     )
+
+
+def test_markers_of_unknown_place_or_quality_do_not_stand_still() -> None:
+    sensing, (image, _) = live_sensing(), rest_dots()
+    sensing.raw.frames["left"].put(0.0, TactileFrame("left", 0, 0.0, image))
+    sensing.update()
+    field = sensing.fields["left"].newest()
+    assert field is not None
+    assert looks_still(field, field)
+    lost = field.position_px.copy()
+    lost[5] = np.nan
+    for bad in (replace(field, position_px=lost), replace(field, quality=np.nan), None):
+        assert not looks_still(field, bad)
+        assert not looks_still(bad, field)
 
 
 def test_the_loop_refuses_a_later_reference_in_contact() -> None:

@@ -13,6 +13,7 @@ from tests.screen_check import PaintRecorder
 from tests.widgets.views.test_belief import force, is_colour, pixels
 from touchdown.widgets.base import signed
 from touchdown.widgets.plots import (
+    CurveLine,
     CurvePlot,
     LineBuffer,
     PlotArea,
@@ -218,6 +219,20 @@ def test_the_title_of_an_empty_plot_has_the_whole_view(qtbot, theme):
         drawn = plot.grab().toImage()
         for x, y in ((1, 1), (plot.width() - 2, plot.height() - 2)):
             assert drawn.pixelColor(x, y) == theme.tokens.colour("bg")
+
+
+def test_names_that_are_wider_than_a_plot_wrap_without_meeting(qtbot, theme):
+    plot, drawn = ReliabilityPlot(theme), PaintRecorder()
+    qtbot.addWidget(plot)
+    names = ["A  error of the earliest run 0.043", "B  error of the second run 0.050"]
+    plot.show_lines([CurveLine(name, ((0.2, 0.3), (0.8, 0.7)), "axis_x") for name in names])
+    plot.resize(220, 180)
+    with drawn():
+        plot.grab()
+    named = [one for one in drawn.painted if one.text in names]
+    assert len(named) == len(names)
+    assert not any(one.cut for one in named)
+    assert named[0].box.bottom() <= named[1].box.top()
 
 
 def test_time_that_jumps_back_starts_anew():

@@ -476,7 +476,8 @@ def test_the_model_stands_beside_the_label_where_a_queue_is_about_a_score(desk):
 
 def test_the_end_of_a_queue_says_what_it_gave_and_offers_the_next_one(desk):
     presenter, step = desk.workspace.presenter, desk.main.window.next_step
-    for uuid in presenter.walk.order[:2]:
+    submitted = presenter.walk.order[:2]
+    for uuid in submitted:
         desk.book.accept("Bob", uuid, Label(1, 1, 0, 100))
     presenter.choose_queue("review")
     desk.settle()
@@ -489,4 +490,6 @@ def test_the_end_of_a_queue_says_what_it_gave_and_offers_the_next_one(desk):
     desk.do((KEY.Key_Period, CTRL))
     desk.settle()
     assert step.isHidden()
-    assert (desk.workspace.session.queue, len(presenter.walk.order)) == ("unlabelled", left)
+    # An approved label can come back among them as a control item: its draw depends on the id.
+    waiting = [uuid for uuid in presenter.walk.order if uuid not in submitted]
+    assert (desk.workspace.session.queue, len(waiting)) == ("unlabelled", left)

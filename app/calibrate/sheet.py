@@ -88,6 +88,8 @@ class PlaceForm(QWidget):
 # Names of the lines that differ from the keys of the quantities.
 DAY_NAMES = {"stiffness_px_n": "marker motion", "noise_n": "wrist noise"}
 DAY_COLOURS = ("axis_x", "axis_y", "axis_z", "good", "text", "scene")
+AFTER_FAILED = "Then press Measure to check again."
+AFTER_PASSED = "Nothing to do: check again tomorrow."
 HIGHEST_SHARE = 3.0  # of a limit, in the plot
 
 
@@ -143,7 +145,7 @@ STEPS: dict[CalibrationName, tuple[str, ...]] = {
     "day": (
         "Empty the gripper. The piece waits in its jig, or is handed over.",
         "Markers and wrist sensor rest for 20 s; then the piece is pressed four times.",
-        "The result is stored. Out of limits, each release is asked until a check passes.",
+        "The result is stored. Out of limits, you are asked before each release until one passes.",
     ),
 }
 
@@ -242,7 +244,8 @@ class CalibrateSheet(BenchSheet):
             for check in look.history[-1:]:
                 out, rows = check.findings, check.rows()
                 figure = tr("{}: out of limits." if out else "{}: within limits.", check.day)
-                tone, said = "bad" if out else "good", said or "\n".join(out.values())
+                tone, after = ("bad", AFTER_FAILED) if out else ("good", AFTER_PASSED)
+                said = said or "\n".join((*out.values(), tr(after)))
         elif found is not None:
             figure = tr("Residual {}.", format_residual(found.residual, found.limit, found.unit))
             tone = "good" if found.residual <= found.limit else "bad"
@@ -258,8 +261,10 @@ class CalibrateSheet(BenchSheet):
         self.table.setColumnHidden(2, look.what != "day")
         self.table.setFixedHeight(self.table.sizeHint().height())
         self.figure.setText(figure)
+        self.figure.setVisible(bool(figure))
         set_property(self.figure, "tone", tone)
         self.note.setText(said or (f"{look.why}." if look.why and not look.busy else ""))
+        self.note.setVisible(bool(self.note.text()))
         set_property(self.note, "tone", "bad" if found is not None and found.obstacle else "")
 
     def _show_buttons(self, look: CalibrationView) -> None:
@@ -298,8 +303,8 @@ class CalibrateSheet(BenchSheet):
         hbox(*pair, parent=self._pictures, margins=(0, 0, 0, 0))
         page, seen = QWidget(), hbox(self._pictures, (self.plot, 1))
         vbox(
-            self.title, *self.steps, self.form, self.live, self.progress, self.question, (seen, 1),
-            self.figure, self.note, self.table,
+            self.title, self.figure, self.note, *self.steps, self.form, self.live, self.progress,
+            self.question, (seen, 1), self.table,
             parent=page, margins=(0, 0, 8, 0), spacing=8,
         )  # fmt: skip
         return page

@@ -117,6 +117,10 @@ def _text(editor: QComboBox | QLineEdit) -> str:
     return editor.currentText() if isinstance(editor, QComboBox) else editor.text()
 
 
+SOURCE = (
+    "Change what differs on your bench, then Save: it is written to {}; other entries stay. "
+    "Start the window again with this file to use it."
+)
 LEFT, RIGHT = "gelsight.left.serial", "gelsight.right.serial"
 ANY = "any"
 FIELDS = (
@@ -140,7 +144,8 @@ class DevicesPresenter:
     """Edits the device settings of a bench that has a lab file."""
 
     def __init__(self, bench: Session, window: QWidget) -> None:
-        self._path, self._window = Path(bench.limits_source), window
+        self._bench, self._window = bench, window
+        self._path = Path(bench.limits_source)
         self._settings: LabSettings | None = None
         self._found: Mapping[str, list[str]] = {}
         self.sheet: DevicesSheet | None = None
@@ -152,7 +157,7 @@ class DevicesPresenter:
             self.sheet.look.clicked.connect(self._look)
             self.sheet.swap.clicked.connect(self._swap)
             self.sheet.save.clicked.connect(self._save)
-            self.sheet.source.setText(tr("In {}. What else it says stays as it is.", self._path))
+            self.sheet.source.setText(tr(SOURCE, self._path))
         try:
             self._settings = load_lab(self._path).settings
         except InputError as error:
@@ -173,8 +178,14 @@ class DevicesPresenter:
         self._found = found = choices(self._settings)
         self.sheet.offer(found)
         cameras, ports = ", ".join(found[LEFT]), len(found["ft.address"])
-        both = cameras or tr("none"), ports or tr("none")
-        self.sheet.say(tr("Found: cameras {}; serial ports {}.", *both), bad=False)
+        if self._bench.description.mode != "hardware":
+            said = tr("The devices of this bench are emulated: there is nothing to search for.")
+        elif not cameras and not ports:
+            said = tr("No camera or serial port is plugged in. Plug it in, then press Look again.")
+        else:
+            both = cameras or tr("none"), ports or tr("none")
+            said = tr("Plugged in: cameras {}; serial ports {}.", *both)
+        self.sheet.say(said, bad=False)
 
     def _swap(self) -> None:
         if self.sheet is not None:
@@ -217,7 +228,7 @@ class DevicesPresenter:
         except OSError as error:
             sheet.say(tr("The file cannot be written: {}.", error.strerror), bad=True)
         else:
-            saved = "Saved. It holds when the window is opened again with this file."
+            saved = "Saved. Start the window again with this file to use it."
             sheet.say(saved if values else "Nothing is changed.", bad=False)
 
     def _held(self, key: str) -> object:

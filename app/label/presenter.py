@@ -12,6 +12,7 @@ from touchdown.app.label.page import (
     EMPTY_QUEUES,
     LOADING,
     NO_PROBES,
+    REVIEWING,
     UNREADABLE,
     EmptyState,
     LabelPage,
@@ -27,15 +28,15 @@ from touchdown.app.label.session import (
 )
 from touchdown.app.label.text import (
     FINDING,
+    EnterAct,
+    basis_text,
     evidence_badges,
     evidence_ghosts,
     history_rows,
     local_time_text,
     model_evidence_text,
     next_step_text,
-    provenance_text,
     scene_evidence_text,
-    source_text,
 )
 from touchdown.app.shell import (
     CURSOR_S,
@@ -59,7 +60,7 @@ from touchdown.backend.annotations import (
 from touchdown.backend.episodes import QualityIssue
 from touchdown.backend.placement import resting_contact
 from touchdown.widgets.base import count_noun, tr
-from touchdown.widgets.views import OffsetScene, offset_text, verdict_text
+from touchdown.widgets.views import OffsetScene, verdict_text
 
 
 def next_work(dataset: Dataset, session: AnnotationSession) -> tuple[str, int]:
@@ -85,21 +86,31 @@ def show_item(page: LabelPage, item: LabelItem) -> None:
 
 
 def show_edit(
-    page: LabelPage, item: LabelItem, edit: LabelDraft, history: Sequence[Revision], *, hidden: bool
-) -> None:
+    page: LabelPage, item: LabelItem, edit: LabelDraft, history: Sequence[Revision],
+    session: AnnotationSession,
+) -> None:  # fmt: skip
     """Show the edited label and its consequences."""
+    hidden, act = session.hides, _enter_act(edit, session)
     scene = offset_scene(item, edit, history, hidden=hidden)
     page.view.show_scene(scene)
     page.verdict.setText(verdict_text(scene))
-    where = offset_text(scene.offset_mm, scene.sigma_mm)
-    if edit.changed:
-        page.basis.setText(tr("{}. Not saved yet, {}.", where, source_text(edit.source)))
-    else:
-        page.basis.setText(f"{offset_text(scene.offset_mm)}: {provenance_text(edit.base)}")
+    model = None if hidden or item.model is None else item.model.fit
+    page.basis.setText(basis_text(edit, model, act))
     page.model_line.setText(model_evidence_text(edit, item, hidden=hidden))
     page.scene_line.setText(scene_evidence_text(edit, item, hidden=hidden))
     outlines = item.face, item.bottom
     page.shots.show_shots(scene_shots(item.scene, edit, outlines, hidden=hidden))
+
+
+def _enter_act(edit: LabelDraft, session: AnnotationSession) -> EnterAct:
+    """Return what Enter does with the label, "" if it stays as it is."""
+    if session.opines:
+        return ""
+    if edit.changed or edit.base.state == "draft":
+        return "accept"
+    if session.queue in REVIEWING:
+        return "approve"
+    return "" if edit.base.state in ("submitted", "approved") else "accept"
 
 
 def offset_scene(
@@ -324,8 +335,7 @@ class LabelPresenter:
         if now is not None:
             self._badges = self._badges_of(now)
             self._cover_rows()
-            hides = self.session.hides
-            show_edit(self._page, now.item, now.edit, now.history, hidden=hides)
+            show_edit(self._page, now.item, now.edit, now.history, self.session)
             self._show_saving()
 
     def _cover_rows(self) -> None:

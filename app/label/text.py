@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from datetime import datetime
+from typing import Literal
 
 from touchdown.app.shell import LabelDraft, LabelItem, as_float_pair
 from touchdown.backend.annotations import (
@@ -37,6 +38,7 @@ QUEUES: tuple[tuple[str, str], ...] = (
     ("all", "All episodes"),
 )
 
+EnterAct = Literal["accept", "approve", ""]
 FINDING = "finding"  # the queue of a finding of the dataset check
 
 
@@ -55,8 +57,6 @@ def models_text(weights: str) -> str:
 
 def provenance_text(revision: Revision) -> str:
     """Return source and uncertainty of a label as text."""
-    if not revision.label.is_set:
-        return tr("no displacement is set yet")
     sigma = revision.label.sigma_um
     spread = tr("uncertainty unknown") if sigma is None else tr("sigma {:.2f} mm", sigma / 1000.0)
     kind = revision.source.partition(":")[0]
@@ -67,6 +67,22 @@ def provenance_text(revision: Revision) -> str:
         "model": tr("{} alone", source_text(revision.source)),
     }.get(kind, revision.source)
     return f"{basis}, {spread}"
+
+
+def basis_text(edit: LabelDraft, model: OffsetFit | None, act: EnterAct) -> str:
+    """Return the displacement that Enter takes with ``act``, and its source."""
+    if not edit.label.is_set:
+        if act and model is not None:
+            at = offset_text(model.offset_mm, model.sigma_mm)
+            return tr("Accept takes the displacement of the model, {}.", at)
+        return tr("No displacement is set yet.")
+    where = offset_text(edit.offset_mm, edit.sigma_mm if edit.changed else 0.0)
+    if act:
+        takes = "Approve takes the label, {}" if act == "approve" else "Accept takes the label, {}"
+        where = tr(takes, where)
+    if edit.changed:
+        return tr("{}. Not saved yet, {}.", where, source_text(edit.source))
+    return f"{where}: {provenance_text(edit.base)}"
 
 
 def next_step_text(head: Revision, *, reviewing: bool, opines: bool) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from datetime import datetime
 from typing import Literal
 
 from PySide6.QtCore import QEvent, QObject, QRect, QSize, Qt, QTimer
@@ -121,8 +122,9 @@ class MainWindow(QMainWindow):
             self.rail[key].setChecked(key == name)
 
     def show_message(self, text: str) -> None:
-        """Show a sentence in the footer."""
-        self._message.setText(base.tr(text))
+        """Show a sentence in the footer, after the local time; an empty one clears it."""
+        said = f"{datetime.now():%H:%M}  {base.tr(text)}" if text else ""
+        self._message.setText(said)
 
     def show_right(self, text: str) -> None:
         """Show numbers at the right of the footer."""

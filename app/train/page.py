@@ -82,7 +82,7 @@ class TrainPage(WorkspacePage):
         base.add_items(self.comparison.column, self.figures, (self.differences, 1))
         right = column_of((self.runs_panel, 4), (self.comparison, 5))
         self.columns = base.Columns(
-            ((self._left, 5), (middle, 9), (right, 7)),
+            ((self._left, 5), (middle, 9), (right, 8)),
             {
                 "Split": self.split_panel,
                 "Curves": self.curves_panel,

@@ -45,20 +45,17 @@ STILL = CardText(
 
 def run_row(run: TrainingRun, in_use: ModelInUse | None, marks: Mapping[str, str]) -> TrainingRow:
     """Return a training run as a table row; ``marks`` are the letters of the chosen ones."""
-    params, best = run.about.params, run.best_epoch
     used = run.card is not None and in_use is not None and is_in_use(run.card, in_use)
     began = datetime.fromtimestamp(run.about.started_ns / 1e9)
     when = (
         f"{began:%H:%M:%S}" if began.date() == datetime.now().date() else f"{began:%d %b %H:%M:%S}"
     )
     mark = f"{marks[run.uuid]}  " if run.uuid in marks else ""
-    done, total = len(run.curves.get("iou", ())), params.get("epochs", 0)
     cells = (
-        f"{mark}{run.piece or '?'}  {when}",
+        f"{mark}{when}  {run.piece or '?'}",
         tr("in use" if used else run.state),
-        str(params.get("modality", "?")),
-        _per_cent(run.value("iou", best)),
-        f"{done}/{total}" if run.card is None else f"{best}/{total}",
+        str(run.about.params.get("modality", "?")),
+        _per_cent(run.value("iou", run.best_epoch)),
     )
     return TrainingRow(run.uuid, cells)
 

@@ -261,10 +261,10 @@ def shift_towards(
     clipped = distance_mm > longest_mm
     part = longest_mm / distance_mm if clipped else 1.0
     step = (away[0] * part, away[1] * part)
-    degrees = math.degrees(math.atan2(step[1], step[0])) % 360.0
     reason = f"{describe_situation(stability, required_mm)}"
     reason += f" ({aim.why})" if aim.why else ""
-    reason += f": move {math.hypot(*step):.1f} mm towards {degrees:.0f}°"
+    x, y = (f"{mm:+z.1f}".replace("-", "\N{MINUS SIGN}") for mm in step)
+    reason += f": move {math.hypot(*step):.1f} mm (x {x}, y {y})"
     reason += f", {distance_mm:.1f} mm wanted." if clipped else "."
     return PlaceAction("shift", step, aim.target_mm, clipped, reason)
 

@@ -249,7 +249,7 @@ def test_the_daily_check_shows_its_history_and_what_to_do(wizard, bench) -> None
     assert sheet.figure.text().endswith(": out of limits.")
     assert sheet.note.text() == (
         "Noise at rest, wrist sensor: 0.3, above 0.2 N. Check its cable and earth, and what shakes "
-        "the table."
+        "the table.\nThen press Measure to check again."
     )
     assert sheet.table.texts()[1] == ["Noise at rest, wrist sensor", "0.3 N", "0 to 0.2"]
     assert sheet.conditions[5].text().startswith("Out of limits on")

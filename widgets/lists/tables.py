@@ -234,7 +234,7 @@ class TrainingRow:
     cells: tuple[str, ...]
 
 
-RUN_COLUMNS = ("run", "state", "sees", "IoU %", "epoch")
+RUN_COLUMNS = ("run", "state", "sees", "IoU %")
 
 
 class TrainingTable(FigureTable):
@@ -246,6 +246,10 @@ class TrainingTable(FigureTable):
         self.setSelectionBehavior(QAbstractItemView.SelectionBehavior.SelectRows)
         self.setSelectionMode(QAbstractItemView.SelectionMode.ExtendedSelection)
         self.itemSelectionChanged.connect(self._tell)
+
+    def _fit_first(self) -> None:
+        """Elide the piece behind the time of a training instead of scrolling."""
+        self.horizontalHeader().setSectionResizeMode(0, QHeaderView.ResizeMode.Stretch)
 
     def show_runs(self, rows: Sequence[TrainingRow]) -> None:
         """Replace the rows without calling ``chosen``; the selection is kept."""

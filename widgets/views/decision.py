@@ -161,9 +161,9 @@ def question_text(action: PlaceAction) -> tuple[str, str]:
         return "Press once more and release here?", "Release"
     if action.kind != "shift":
         return "Go on probing?", "Go on"
-    degrees = math.degrees(math.atan2(*reversed(action.step_mm))) % 360.0
-    asks = "Move {:.1f} mm towards {:.0f}\N{DEGREE SIGN} and probe again?"
-    return base.tr(asks, math.hypot(*action.step_mm), degrees), "Move and probe"
+    x, y = (base.signed(mm, 1) for mm in action.step_mm)
+    asks = "Move {:.1f} mm (x {}, y {}) and probe again?"
+    return base.tr(asks, math.hypot(*action.step_mm), x, y), "Move and probe"
 
 
 class DecisionPanel(QFrame):

@@ -249,13 +249,13 @@ def test_a_hint_goes_when_it_no_longer_holds(live):
     wrong = [True]
     live.say("In contact: lift first.", lambda: wrong[0])
     drawn(live)
-    assert live.window._message.text() == "In contact: lift first."
+    assert live.window._message.text().endswith("  In contact: lift first.")
     wrong[0] = False
     drawn(live)
     assert live.window._message.text() == ""
     live.say("The run ended.")
     drawn(live)
-    assert live.window._message.text() == "The run ended."
+    assert live.window._message.text().endswith("  The run ended.")
 
 
 def drawn(main):

@@ -219,7 +219,8 @@ def test_approval_is_asked_and_given_by_key(live, bench, key, mode, page):
     settle(live)
     assert page.decision.approve.text() == f"Move and probe  {'A' if mode == 'approve' else 'N'}"
     assert (
-        page.decision._ask_text.text() == "Move 3.0 mm towards 203\N{DEGREE SIGN} and probe again?"
+        page.decision._ask_text.text()
+        == "Move 3.0 mm (x \N{MINUS SIGN}2.8, y \N{MINUS SIGN}1.2) and probe again?"
     )
     assert page.belief_panel.geometry() == stood
     assert live.bar.pill.state.word == "YOUR TURN"

@@ -64,7 +64,7 @@ def test_shift_is_clipped_and_explained() -> None:
     assert action.target_mm[1] == pytest.approx(HERE[1])
     assert action.target_mm[0] - HERE[0] == pytest.approx(5.0)
     assert action.reason == (
-        "Centre of mass 3.0 mm outside the hull: move 3.0 mm towards 0°, 5.0 mm wanted."
+        "Centre of mass 3.0 mm outside the hull: move 3.0 mm (x +3.0, y +0.0), 5.0 mm wanted."
     )
 
 
@@ -73,7 +73,10 @@ def test_a_short_step_is_taken_whole() -> None:
     assert not action.clipped
     assert action.step_mm == pytest.approx((2.0, -1.5))
     assert action.target_mm == pytest.approx((12.0, 18.5))
-    assert action.reason == "Centre of mass 1.4 mm outside the hull: move 2.5 mm towards 323°."
+    assert (
+        action.reason
+        == "Centre of mass 1.4 mm outside the hull: move 2.5 mm (x +2.0, y \N{MINUS SIGN}1.5)."
+    )
 
 
 def test_the_longest_step_is_a_setting() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Iterator
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -13,7 +14,6 @@ from typing import TYPE_CHECKING
 
 from PySide6.QtWidgets import QFileDialog
 
-from tests.app.review.test_timing import make_run
 from tests.app.tiny_packs import write_tiny_packs
 from tests.backend.rig.scripted import scripted
 from tests.backend.runs.test_calibrated import SEEN
@@ -24,12 +24,15 @@ from touchdown.backend.bench.laboratory import calibrations_of, find_camera_conf
 from touchdown.backend.calibration.records import CalibrationStore, DeviceName
 from touchdown.backend.config import BenchDescription, TrainingSettings, load_lab
 from touchdown.backend.core.events import (
+    ActionChosen,
     CalibrationMeasured,
     HandOverAwaited,
     OutcomeAwaited,
     Paused,
+    Said,
     SetUpAwaited,
     TrialFinished,
+    TrialStarted,
 )
 from touchdown.backend.core.faults import Fault
 from touchdown.backend.core.values import Outcome
@@ -43,6 +46,7 @@ from touchdown.backend.runs.requests import RunState
 from touchdown.widgets.base import tr
 
 if TYPE_CHECKING:
+    from tests.app.stand_in import StandInBench
     from tests.screens import Stage
 
 REPORT = Path(__file__).parents[1] / "docs/results/tables-full.json"
@@ -82,21 +86,36 @@ FULL = Fault("DISK-FULL", "Only 0.42 GB are free on the disk of the dataset.", C
 
 
 class Hand:
-    """Hand in air that can be jogged everywhere."""
+    """Hand that can be jogged everywhere in air, and only upwards in contact."""
 
-    rotates, powered, active, holding, pressing_n = True, True, False, True, 0.0
-    switching, surface_mm = False, 15.0
+    rotates, powered, active, holding, switching = True, True, False, True, False
 
-    def __init__(self) -> None:
-        rooms = {f"{sign}{axis}": JogRange(24.0 if axis in "xyz" else 0.26)
-                 for sign in "+-" for axis in axes_of("XYZ")}  # fmt: skip
-        rooms["-z"] = JogRange(0.0, "DRAGGING")
+    def __init__(self, bench: StandInBench) -> None:
+        self._bench = bench
         self.jog = SimpleNamespace(
             active=False,
             state=SimpleNamespace(order=None, speed=0.0, slow=""),
-            rooms=lambda frame: rooms,
+            rooms=self._rooms,
             end=lambda hold: None,
         )
+
+    @property
+    def surface_mm(self) -> float:
+        return float(self._bench.contact_z_mm)
+
+    @property
+    def pressing_n(self) -> float:
+        return 7.8 if self._bench.press else 0.0
+
+    def _rooms(self, _frame: str) -> dict[str, JogRange]:
+        axes = (f"{sign}{axis}" for sign in "+-" for axis in axes_of("XYZ"))
+        rooms = {axis: JogRange(24.0 if axis[1] in "xyz" else 0.26) for axis in axes}
+        rooms["-z"] = JogRange(float(self._bench.clear_mm))
+        if self._bench.press:
+            why = {axis: "DRAGGING" if axis[1] in "xy" else "TURN-PRESSING" for axis in rooms}
+            rooms |= {axis: JogRange(0.0, why[axis]) for axis in rooms if axis[1] != "z"}
+            rooms["-z"] = JogRange(0.5)
+        return rooms
 
 
 def train_models(folder: Path) -> None:
@@ -152,9 +171,8 @@ def beside_the_queue(stage: Stage) -> Iterator[str]:
 
 def reviewed(stage: Stage, runs: Path) -> Iterator[str]:
     """A recorded run with its pictures, then a series of the dataset."""
-    folder = runs / "20260301-101500-pot-short"
-    runs.mkdir(exist_ok=True)
-    make_run(folder)
+    recorded = stage.recorded.run_folder
+    shutil.copytree(recorded, runs / recorded.name)
     workspace = stage.main.workspaces["review"]
     workspace.presenter.recordings.refresh()
     stage.until(lambda: not workspace.reader.busy)
@@ -185,23 +203,24 @@ def trained(stage: Stage, packs: Path) -> Iterator[str]:
 
 def attended(stage: Stage) -> Iterator[str]:
     """Trial on devices: set the scene, hand the piece over, report the outcome."""
-    main, bench = stage.main, stage.bench
+    main, bench, run = stage.main, stage.bench, stage.repeated()
     page = main.workspaces["stack"].page
     main.go("stack")
     page.run.show_devices(True)
-    bench.tell_start()
-    bench.set_state(RunState.RUNNING, trial=1, trials=3, probe=0, phase="", asks="set the scene")
-    bench.events.publish(SetUpAwaited(0.0, "pot", "short", (6.2, -3.4), holds=False))
+    start_mm = run.until(TrialStarted).start_mm
+    bench.set_state(RunState.RUNNING, trial=1, trials=2, probe=0, phase="", asks="set the scene")
+    bench.events.publish(SetUpAwaited(0.0, "pot", "short", start_mm, holds=False))
     stage.live(0.0)
     yield "stack-set-the-scene"
     bench.set_state(RunState.RUNNING, asks="a hand at the jaws")
     bench.events.publish(HandOverAwaited(0.0, "pot", gives=True))
     stage.live(0.0)
     yield "stack-hand-over"
-    bench.tell_probe(1, (4.6, 2.0), -0.4)
-    bench.tell_probe(2, (2.1, 0.9), 1.6)
+    while (decided := run.until(ActionChosen)).action.kind != "release":
+        pass
+    run.until(Said)
     pot = bench.catalogue.piece("pot")
-    bench.set_state(RunState.RUNNING, asks="say the outcome")
+    bench.set_state(RunState.RUNNING, asks="say the outcome", probe=decided.probe)
     bench.events.publish(
         OutcomeAwaited(9.0, *outcome_from_signals(pot, side_n=0.3, left_n=0.1, holding=False))
     )
@@ -209,12 +228,13 @@ def attended(stage: Stage) -> Iterator[str]:
     yield "stack-say-the-outcome"
     yield from _photo(stage)
     why = "Void: the bottom was put in the wrong place."
-    bench.events.publish(TrialFinished(9.0, 1, 8, Outcome.ABORTED, why, 2, None, None))
+    bench.events.publish(TrialFinished(9.0, 1, 7, Outcome.ABORTED, why, decided.probe, None, None))
     bench.tell_finish()
     bench.set_state(RunState.IDLE, trial=0, probe=0, phase="", asks="")
     stage.live(0.0)
     yield "stack-void"
     page.run.show_devices(False)
+    bench.at_mm = None
 
 
 def _photo(stage: Stage) -> Iterator[str]:
@@ -300,6 +320,7 @@ def sheets(stage: Stage, folder: Path) -> Iterator[str]:
     """Connect panel, limits, calibration wizard."""
     main, bench = stage.main, stage.bench
     main.go("operate")
+    stage.live(0.0)
     bench.name, facts = "Bench 2", bench.description
     bench.description = BenchDescription(mode="hardware")
     yield from _connecting(stage, folder)

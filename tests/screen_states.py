@@ -38,7 +38,7 @@ def of_the_pill(stage: Stage) -> Iterator[str]:
     """Servo off, jog, probe, contact, recovery, slow sensor; on Operate."""
     bench = stage.bench
     stage.main.go("operate")
-    hand = bench.hand = Hand()
+    hand = bench.hand = Hand(bench)
     hand.powered = False
     stage.live(0.0)
     yield "state-servo-off"
@@ -57,13 +57,12 @@ def of_the_pill(stage: Stage) -> Iterator[str]:
     yield "state-probing"
     bench.events.publish(RunFinished(bench.clock_s(), "probe", "finished", ""))
     bench.set_state(RunState.IDLE, probe=0, phase="")
-    hand.pressing_n = 6.0
-    stage.live(0.8)
+    stage.live(1.0)
     yield "state-in-contact"
     bench.interlock.recovering = True
-    stage.live(0.8)
+    stage.live(1.0)
     yield "state-recovery"
-    bench.interlock.recovering, bench.hand = False, Hand()
+    bench.interlock.recovering, bench.hand = False, Hand(bench)
     bench.still_s = 4.0
     stage.live(0.0)
     yield "state-still"
@@ -133,7 +132,7 @@ def of_a_run(stage: Stage) -> Iterator[str]:
 def _run(now_s: Callable[[], float], lifted: Callable[[], bool]) -> Plan[object]:
     """Run that presses until it is lifted, also after a cancel."""
     yield RunStarted(now_s(), "run", "pot", "short", "paper", 7, 3, True, "{}")
-    yield TrialStarted(now_s(), 1, 8, (7.2, 3.1))
+    yield TrialStarted(now_s(), 1, 7, (7.2, 3.1))
     try:
         for probe in (1, 2):
             yield PhaseEntered(now_s(), "press", probe)

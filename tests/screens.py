@@ -7,36 +7,57 @@ used.
 import argparse
 import collections
 import json
+import math
 import os
 import re
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
+from typing import TypeVar
 
 os.environ.setdefault("QT_QPA_PLATFORM", "offscreen")
 
-import numpy as np
 from PySide6.QtCore import QBuffer, QDeadlineTimer, QEventLoop
 from PySide6.QtGui import QPainter
 from PySide6.QtWidgets import QApplication
 
 from tests import screen_check, screen_panels, screen_states
-from tests.app.label.conftest import make_episode
 from tests.app.stand_in import StandInBench
 from tests.picture_files import PictureFiles, run_reporting
 from touchdown.app.application import TouchdownApp
 from touchdown.app.shell.errors import ErrorBox
-from touchdown.backend.annotations import AnswerContext, Dataset, EpisodeContext, Label
-from touchdown.backend.core import PhaseEntered, RunFinished, RunStarted
-from touchdown.backend.core.values import Outcome, PlaceAction
-from touchdown.backend.geometry.pieces import load_pieces
-from touchdown.backend.runs.requests import RunState
+from touchdown.backend.annotations import AnswerContext, Dataset, Label
+from touchdown.backend.bench import SimulatedBenchChoice, simulated_session
+from touchdown.backend.config import SimulationSettings
+from touchdown.backend.core import (
+    ActionChosen,
+    CampaignBegan,
+    Event,
+    PatchEstimated,
+    PhaseEntered,
+    RunFinished,
+    RunStarted,
+    Said,
+    TrialFinished,
+)
+from touchdown.backend.runs import (
+    CollectRequest,
+    RecordingOptions,
+    RunState,
+    SceneChoice,
+    StackRequest,
+)
 from touchdown.widgets.base import count_noun
+from touchdown.widgets.forms import RunForm
 from touchdown.widgets.shell.fault_cards import CardQuestion, CardText
 
 SIZES = ((1280, 720), (1600, 940))
 THEMES = ("dark", "light", "contrast")
+SEED, TRIALS, PROBES = 1, 2, 8  # of the recorded run, and of the recorded campaign
+SHIFTED_MM, CLEAR_MM = 6.3, 24.0
+Told = TypeVar("Told", bound=Event)
 
 
 def main(argv: list[str]) -> int:
@@ -95,13 +116,13 @@ def _list_untranslated(found: dict[str, str]) -> bool:
 
 def _render(args: argparse.Namespace, folder: Path, files: dict[str, PictureFiles]) -> int:
     application, plain = _make_application(args), dict[str, str]()
-    _make_dataset(folder / "dataset")
+    recorded = RecordedBench(folder)
     screen_panels.train_models(folder / "packs")
     count = 0
     for theme in args.themes:
         for size in args.sizes:
             width, height = (int(part) for part in size.split("x"))
-            stage = Stage(application, folder / f"{theme}-{size}", theme)
+            stage = Stage(application, folder / f"{theme}-{size}", theme, recorded)
             stage.main.window.resize(width, height)
             for name in stage.states():
                 if name.startswith(tuple(args.only)):
@@ -122,11 +143,11 @@ def _check(args: argparse.Namespace, folder: Path, _files: dict[str, PictureFile
     One line names a failure, the number of views that show it, and the first of them.
     """
     application, views, plain = _make_application(args), 0, dict[str, str]()
-    _make_dataset(folder / "dataset")
+    recorded = RecordedBench(folder)
     screen_panels.train_models(folder / "packs")
     found = collections.defaultdict[str, list[str]](list)
     for theme in args.themes:
-        stage = Stage(application, folder / theme, theme)
+        stage = Stage(application, folder / theme, theme, recorded)
         for state in stage.states():
             # Larger and smaller text is an axis of its own.
             if state.startswith("text-") or not state.startswith(tuple(args.only)):
@@ -148,35 +169,82 @@ def _check(args: argparse.Namespace, folder: Path, _files: dict[str, PictureFile
     return int(_list_untranslated(plain) or bool(found))
 
 
-def _make_dataset(folder: Path) -> None:
-    """Make 24 labelled probes of a pot on a disc."""
-    catalogue = load_pieces()
-    with Dataset.open(folder, person="setup") as dataset:
-        pair = dataset.geometry.store_pair(catalogue.piece("pot"), catalogue.piece("circle15"))
-        for seed in range(24):
-            context = EpisodeContext("series", "circle15", pair, "setup", f"g{seed // 4}", "m1")
-            episode = make_episode(seed, frames=8)
-            x_um, y_um = np.rint(1e3 * episode.offset_mm).astype(int).tolist()
-            label = Label(x_um, y_um, 0, 300) if seed < 20 else Label()
-            uuid = dataset.record(episode, label, source="commanded", context=context).uuid
-            if seed < 8:
+class RecordedBench:
+    """A stacking run and a campaign of the simulated bench, which the stand-in bench repeats."""
+
+    def __init__(self, folder: Path) -> None:
+        # Opening fingers shift the piece, so that a trial falls.
+        settings = SimulationSettings(release_disturbance_mm=SHIFTED_MM)
+        choice = SimulatedBenchChoice(given=settings)
+        self.session = simulated_session(choice, keep=RecordingOptions(folder / "recorded"))
+        self.session.prepare(SceneChoice())
+        self._events: list[Event] = []
+        self.contact_z_mm = float("nan")
+        self.session.events.subscribe(self._take)
+        self._run(StackRequest(seed=SEED, trials=TRIALS))
+        (self.run_folder,) = (folder / "recorded").iterdir()
+        self.stacking = tuple(self._events)
+        with Dataset.open(folder / "dataset", person="setup") as dataset:
+            self.session.dataset = dataset
+            self._run(CollectRequest(seed=SEED, count=PROBES, person="setup", probes_per_grip=4))
+            self.session.dataset = None
+            for number, entry in enumerate(dataset.episodes()):
+                label = dataset.labels.head(entry.uuid).label
                 for person, by_um in (("Ann", 180), ("Bo", -120)):
-                    said = Label(x_um + by_um * (seed % 3), y_um - by_um, 0, 300)
-                    dataset.labels.opinion(
-                        person, uuid, said, context=AnswerContext(5200 + 90 * seed)
-                    )
+                    x_um, y_um = label.x_um + by_um * (number % 3), label.y_um - by_um
+                    said = Label(x_um, y_um, 0, 300)
+                    context = AnswerContext(5200 + 90 * number)
+                    dataset.labels.opinion(person, entry.uuid, said, context=context)
+        self.session.close()
+
+    def _take(self, event: Event) -> None:
+        self._events.append(event)
+        lifts = isinstance(event, PhaseEntered) and event.phase == "lift"
+        if lifts and math.isnan(self.contact_z_mm):
+            self.contact_z_mm = self.session.devices["arm"].pose(float("inf")).z_mm
+
+    def _run(self, request: StackRequest | CollectRequest) -> None:
+        self.session.start(request)
+        self.session.engine.tick()
+        while self.session.status().state is not RunState.IDLE:
+            self.session.advance()
+            self.session.engine.tick()
+
+
+class Repeated:
+    """The recorded stacking run, told by the stand-in bench at its own time."""
+
+    def __init__(self, bench: StandInBench, recorded: RecordedBench) -> None:
+        self._bench, self._coming = bench, collections.deque(recorded.stacking)
+
+    def until(self, kind: type[Told], **values: object) -> Told:
+        """Tell all events up to the next one of ``kind`` with these values; return it."""
+        while True:
+            event = self._coming.popleft()
+            self._bench.events.publish(replace(event, t_s=self._bench.clock_s()))
+            if isinstance(event, PhaseEntered):
+                patches = (one for one in self._coming if isinstance(one, PatchEstimated))
+                self._bench.at_mm = next((one.offset_mm for one in patches), self._bench.at_mm)
+            if isinstance(event, kind) and all(getattr(event, k) == v for k, v in values.items()):
+                return event
 
 
 class Stage:
     """One window and the sequence of its states."""
 
-    def __init__(self, application: QApplication, folder: Path, theme: str) -> None:
+    def __init__(
+        self, application: QApplication, folder: Path, theme: str, recorded: RecordedBench
+    ) -> None:
         folder.mkdir()
-        self.folder = folder
+        self.folder, self.recorded = folder, recorded
         self._application, self.bench = application, StandInBench()
+        self.bench.contact_z_mm, self.bench.clear_mm = recorded.contact_z_mm, CLEAR_MM
         self.main = TouchdownApp(application, ErrorBox(), folder / "window.json", folder / "runs")
         self.main.look.show(theme, 1.0)
         self.main.window.show()
+
+    def repeated(self) -> Repeated:
+        return Repeated(self.bench, self.recorded)
 
     def settle(self) -> None:
         for _ in range(20):
@@ -250,7 +318,7 @@ class Stage:
 
     def _operate(self) -> Iterator[str]:
         main, page = self.main, self.main.workspaces["operate"].page
-        self.bench.hand = screen_panels.Hand()
+        self.bench.hand = screen_panels.Hand(self.bench)
         main.go("operate")
         self.live(0.0)
         yield "operate-air"
@@ -274,11 +342,13 @@ class Stage:
         bench = self.bench
         bench.events.publish(RunStarted(bench.clock_s(), "run", "pot", "circle15", "collect", 0, 20,
                                         True, "{}", activity="collect"))  # fmt: skip
-        bench.set_state(RunState.RUNNING, trial=3, trials=20, probe=3, phase="press")
+        bench.events.publish(CampaignBegan(bench.clock_s(), "campaign", "series", "", 0, 20))
+        bench.set_state(RunState.RUNNING, trial=1, trials=20, probe=1, phase="press")
         self.live(1.0)
         yield "collect-running"
         bench.events.publish(RunFinished(bench.clock_s(), "run", "cancelled", "by the operator"))
         bench.set_state(RunState.IDLE, trial=0, trials=0, probe=0, phase="")
+        self.live(0.0)
         collect.page.show_half("label")
         self.until(lambda: collect.label.presenter.present is not None)
         yield "label"
@@ -291,29 +361,25 @@ class Stage:
             yield page
 
     def _stack(self) -> Iterator[str]:
-        main, bench = self.main, self.bench
+        main, bench, run = self.main, self.bench, self.repeated()
         main.go("stack")
+        main.workspaces["stack"].page.run.show_form(RunForm(seed=SEED, trials=TRIALS))
         self.live(0.0)
         yield "stack-ready"
-        bench.tell_start()
-        bench.set_state(RunState.RUNNING, trial=1, trials=3, probe=1, phase="press")
-        bench.events.publish(PhaseEntered(bench.clock_s(), "press", 1))
+        run.until(PhaseEntered, phase="press")
+        bench.set_state(RunState.RUNNING, trial=1, trials=TRIALS, probe=1, phase="press")
         self.live(1.0)
         yield "stack-first-press"
-        bench.tell_probe(1, (7.2, 3.1), -2.1)
-        bench.tell_probe(2, (4.6, 2.0), -0.4)
-        waits = PlaceAction("shift", (-2.0, -0.9), (0.3, -0.2), True, "")
-        bench.set_state(RunState.RUNNING, awaiting=waits, probe=2)
+        waits = run.until(ActionChosen, probe=2).action
+        run.until(Said)
+        self.live(0.0)
+        bench.set_state(RunState.RUNNING, awaiting=waits, probe=2, phase="lift")
         yield "stack-your-turn"
-        bench.tell_probe(3, (2.1, 0.9), 1.6)
-        bench.tell_end()
-        bench.set_state(RunState.RUNNING, awaiting=None, phase="rise")
+        probes = run.until(TrialFinished).probes
+        bench.set_state(RunState.RUNNING, awaiting=None, phase="rise", probe=probes)
         self.live(0.0)
         yield "stack-placed"
-        bench.tell_trial(2)
-        bench.tell_probe(1, (6.0, -3.0), 0.5)
-        bench.tell_end(Outcome.FELL, -0.8)
-        bench.tell_finish()
+        run.until(RunFinished)
         bench.set_state(RunState.IDLE, trial=0, probe=0, phase="")
         yield "stack-fell"
         main.actions.action("stack.compare").trigger()

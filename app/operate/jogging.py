@@ -37,7 +37,7 @@ PACES = (
 # Text of a pad while its direction is refused.
 SHORT = {
     "DRAGGING": "lift first", "TURN-PRESSING": "lift first", "TURN-LOW": "go up first",
-    "JOG-FORCE": "too much force", "RECOVERY": "only away", "DEGRADED": "only away",
+    "JOG-FORCE": "force limit", "RECOVERY": "only away", "DEGRADED": "only away",
     "FT-UNKNOWN": "no force", "NO-POSE": "no pose",
 }  # fmt: skip
 

@@ -136,6 +136,8 @@ class StandInBench:
         self._now_us = self._trial = 0
         self._rng = np.random.default_rng(3)
         self.press = 0.0
+        # The face in the frame of the bench: offset under load, height at contact and in air.
+        self.at_mm, self.contact_z_mm, self.clear_mm = None, 24.0, 3.0
         self._background = {f: _gel(1 if f == "left" else 2) for f in FINGERS}
 
     # -- Link -------------------------------------------------------------------------------------
@@ -198,8 +200,9 @@ class StandInBench:
             values = self._rng.normal(0, [0.1, 0.1, 0.1, 0.004, 0.004, 0.004], (40, 6))
             values += self.press * np.array([0.9, -0.6, 7.8, 0.04, -0.07, 0.01])
             self.wrench.put(t_s, values)
-            x, z = 4.0 - 1.5 * self.press, 24.0 + 3.0 * (1 - self.press)
-            self.devices["arm"].poses.put(t_s[-1:], np.array([[x, 1.0, z]]))
+            x, y = self.at_mm or (4.0 - 1.5 * self.press, 1.0)
+            z = self.contact_z_mm + self.clear_mm * (1 - self.press)
+            self.devices["arm"].poses.put(t_s[-1:], np.array([[x, y, z]]))
             for name, device in self.devices.items():
                 device.received += name not in self.silent
             for finger in FINGERS:
@@ -230,7 +233,7 @@ class StandInBench:
     def tell_trial(self, trial):
         """Announce a trial."""
         self._trial = trial
-        self.events.publish(TrialStarted(self.clock_s(), trial, 7 + trial, (7.2, 3.1)))
+        self.events.publish(TrialStarted(self.clock_s(), trial, 6 + trial, (7.2, 3.1)))
 
     def tell_probe(self, probe, offset, margin):
         """Announce all that is known after a probe at ``offset``."""
@@ -251,7 +254,9 @@ class StandInBench:
         stands = outcome is Outcome.PLACED
         reason = f"The piece {'stands' if stands else 'tips'}, {abs(margin):.1f} mm "
         reason += f"{'inside' if margin > 0 else 'outside'} its support."
-        self.events.publish(TrialFinished(t, self._trial, 7, outcome, reason, 3, 0, margin))
+        self.events.publish(
+            TrialFinished(t, self._trial, 6 + self._trial, outcome, reason, 3, 0, margin)
+        )
 
     def tell_finish(self):
         """Announce the end of the run."""
@@ -259,8 +264,10 @@ class StandInBench:
 
     def tell_fault(self, code="FT-TRIP"):
         """Latch and announce a fault."""
-        fault = Fault(code, "Force trip: 41.3 N over 40 N.", "Arm retracted 2 mm.",
-                      "Reset, then check the piece.", "force_torque")  # fmt: skip
+        fault = Fault(code, "Force trip: 41.3 N over 40 N.",
+                      "The arm draws back by 2 mm; the gripper was not opened.",
+                      "Check the piece and the support, then press Reset.",
+                      "force_torque")  # fmt: skip
         self.interlock.raise_fault(fault)
         self.events.publish(FaultRaised(self.clock_s(), fault))
 

@@ -49,6 +49,7 @@ if TYPE_CHECKING:
     from tests.app.stand_in import StandInBench
     from tests.screens import Stage
 
+CLEAR_MM = 24.0  # height of the face over the surface while the hand is jogged
 REPORT = Path(__file__).parents[1] / "docs/results/tables-full.json"
 DAY_NAMES = (
     *(f"{side}_{key}" for key in ("markers", "noise_px") for side in ("left", "right")),
@@ -114,7 +115,7 @@ class Hand:
         if self._bench.press:
             why = {axis: "DRAGGING" if axis[1] in "xy" else "TURN-PRESSING" for axis in rooms}
             rooms |= {axis: JogRange(0.0, why[axis]) for axis in rooms if axis[1] != "z"}
-            rooms["-z"] = JogRange(0.5)
+            rooms["-z"] = JogRange(1.0)
         return rooms
 
 
@@ -207,9 +208,9 @@ def attended(stage: Stage) -> Iterator[str]:
     page = main.workspaces["stack"].page
     main.go("stack")
     page.run.show_devices(True)
-    start_mm = run.until(TrialStarted).start_mm
+    trial = run.until(TrialStarted)
     bench.set_state(RunState.RUNNING, trial=1, trials=2, probe=0, phase="", asks="set the scene")
-    bench.events.publish(SetUpAwaited(0.0, "pot", "short", start_mm, holds=False))
+    bench.events.publish(SetUpAwaited(0.0, "pot", "short", trial.start_mm, holds=False))
     stage.live(0.0)
     yield "stack-set-the-scene"
     bench.set_state(RunState.RUNNING, asks="a hand at the jaws")
@@ -228,7 +229,9 @@ def attended(stage: Stage) -> Iterator[str]:
     yield "stack-say-the-outcome"
     yield from _photo(stage)
     why = "Void: the bottom was put in the wrong place."
-    bench.events.publish(TrialFinished(9.0, 1, 7, Outcome.ABORTED, why, decided.probe, None, None))
+    bench.events.publish(
+        TrialFinished(9.0, 1, trial.seed, Outcome.ABORTED, why, decided.probe, None, None)
+    )
     bench.tell_finish()
     bench.set_state(RunState.IDLE, trial=0, probe=0, phase="", asks="")
     stage.live(0.0)
@@ -320,6 +323,7 @@ def sheets(stage: Stage, folder: Path) -> Iterator[str]:
     """Connect panel, limits, calibration wizard."""
     main, bench = stage.main, stage.bench
     main.go("operate")
+    bench.clear_mm = CLEAR_MM
     stage.live(0.0)
     bench.name, facts = "Bench 2", bench.description
     bench.description = BenchDescription(mode="hardware")

@@ -56,7 +56,8 @@ from touchdown.widgets.shell.fault_cards import CardQuestion, CardText
 SIZES = ((1280, 720), (1600, 940))
 THEMES = ("dark", "light", "contrast")
 SEED, TRIALS, PROBES = 1, 2, 8  # of the recorded run, and of the recorded campaign
-SHIFTED_MM, CLEAR_MM = 6.3, 24.0
+SHIFTED_MM = 6.3
+LIFTED_MM = 3.0  # height of the face between the probes of a run
 Told = TypeVar("Told", bound=Event)
 
 
@@ -216,6 +217,7 @@ class Repeated:
 
     def __init__(self, bench: StandInBench, recorded: RecordedBench) -> None:
         self._bench, self._coming = bench, collections.deque(recorded.stacking)
+        bench.clear_mm = LIFTED_MM
 
     def until(self, kind: type[Told], **values: object) -> Told:
         """Tell all events up to the next one of ``kind`` with these values; return it."""
@@ -238,7 +240,7 @@ class Stage:
         folder.mkdir()
         self.folder, self.recorded = folder, recorded
         self._application, self.bench = application, StandInBench()
-        self.bench.contact_z_mm, self.bench.clear_mm = recorded.contact_z_mm, CLEAR_MM
+        self.bench.contact_z_mm, self.bench.clear_mm = recorded.contact_z_mm, screen_panels.CLEAR_MM
         self.main = TouchdownApp(application, ErrorBox(), folder / "window.json", folder / "runs")
         self.main.look.show(theme, 1.0)
         self.main.window.show()

@@ -364,6 +364,10 @@ class OffsetView(plots.PictureView):
         draw_names(painter, area, self.scene, self._theme)
         if self.scene.ghosts and self.scene.offset_mm is not None:
             box, middle = self._label_at, self._label_at.center().y()
+            ground = self._theme.tokens.colour("bg")
+            ground.setAlphaF(0.85)
+            top = min(one.y() for one in self.legend.values() if one.isVisibleTo(self))
+            painter.fillRect(QRectF(QPointF(box.x() - 4, top), box.bottomRight()), ground)
             painter.setPen(QPen(self._theme.tokens.colour("text"), 2))
             painter.drawText(box.adjusted(1.3 * box.height(), 0, 0, 0), 0, tr("label"))
             painter.drawLine(QPointF(box.right() - SAMPLE_PX, middle), QPointF(box.right(), middle))

@@ -1,6 +1,7 @@
 """The Collect half: form, keys, lists and maps."""
 
 import os
+import re
 import subprocess
 import sys
 
@@ -255,7 +256,7 @@ def test_a_hint_goes_when_it_no_longer_holds(live):
     assert live.window._message.text() == ""
     live.say("The run ended.")
     drawn(live)
-    assert live.window._message.text().endswith("  The run ended.")
+    assert re.fullmatch(r"\d\d:\d\d  The run ended\.", live.window._message.text())
 
 
 def drawn(main):

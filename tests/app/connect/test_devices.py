@@ -1,6 +1,7 @@
 """The device wizard: what is in sight is chosen and saved into the lab file."""
 
 import os
+import shutil
 import sys
 from functools import partial
 
@@ -149,6 +150,16 @@ def test_looking_opens_no_port_so_that_none_can_hold_it_up_or_answer_wrongly(
     offered = wizard.editors["ft.address"]
     assert [offered.itemText(i) for i in range(offered.count())] == [str(ports / "usb-Silent")]
     assert "cameras AAAA-1111;" in wizard.said.text()
+
+
+def test_nothing_found_says_what_to_do(wizard, main, bench, file, tmp_path, monkeypatch):
+    shutil.rmtree(tmp_path / "names")
+    monkeypatch.setattr(devices, "choices", partial(devices.choices, ports=tmp_path / "none"))
+    wizard.look.click()
+    assert "then press Look again" in wizard.said.text()
+    bench.description = BenchDescription(mode="emulated")
+    wizard.look.click()
+    assert "emulated: there is nothing to search for" in wizard.said.text()
 
 
 def test_the_sheet_leaves_stop_free_in_a_low_window(wizard) -> None:

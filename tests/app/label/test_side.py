@@ -1,6 +1,7 @@
 """What concerns many episodes: bulk changes, agreement, the log, scores, a second copy."""
 
 import json
+import re
 import shutil
 from dataclasses import replace
 
@@ -13,8 +14,11 @@ from tests.app.label.test_values import content
 from tests.backend.annotations.filling import fill
 from touchdown.app.label.session import AnnotationSession, QueueEntries, read_queue
 from touchdown.app.label.side import agreement_figures
+from touchdown.app.label.text import basis_text
+from touchdown.app.shell.label_items import LabelDraft
 from touchdown.backend.annotations import Dataset, EpisodeContext, Label
 from touchdown.backend.core.values import EpisodeQuality
+from touchdown.backend.placement import OffsetFit
 from touchdown.widgets.lists.recordings import RowsOnDemand
 
 LABELLED = ITEMS - WITHOUT_LABEL
@@ -229,9 +233,19 @@ def test_taking_the_model_keeps_its_name_until_a_person_moves_it(desk):
 
 
 def test_the_page_says_what_a_label_rests_on(desk):
-    assert "commanded, sigma 0.30 mm" in desk.page.basis.text()
+    takes = r"Accept takes the label, x \S+, y \S+ mm: "
+    assert re.fullmatch(f"{takes}commanded, sigma 0.30 mm", desk.page.basis.text())
     desk.do(KEY.Key_Right)
-    assert "set by Ann, sigma 0.20 mm" in desk.page.basis.text()
+    assert re.fullmatch(f"{takes}set by Ann, sigma 0.20 mm", desk.page.basis.text())
+    uuid = desk.uuid
+    desk.do(KEY.Key_Return)
+    head = desk.book.head(uuid)
+    edit, blank = LabelDraft.of(head), LabelDraft.blank(head)
+    assert basis_text(edit, None, "").startswith("x ")
+    assert basis_text(edit, None, "approve").startswith("Approve takes the label, x ")
+    model = OffsetFit((1.0, 2.0), 0.5)
+    assert "takes the displacement of the model, x +1.00" in basis_text(blank, model, "accept")
+    assert basis_text(blank, model, "") == basis_text(blank, None, "accept")
     assert [g.kind for g in desk.page.view.scene.ghosts] == ["commanded", "model"]
 
 

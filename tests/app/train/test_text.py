@@ -13,7 +13,7 @@ from touchdown.backend.bench.assembly import model_in_use
 from touchdown.backend.learning.registry import HARDWARE_PROBES, SHIPPED_MODEL, ModelRegistry
 from touchdown.widgets.base.theme import Theme, load_resources
 from touchdown.widgets.forms.training_form import TrainingForm
-from touchdown.widgets.lists.tables import FigureTable
+from touchdown.widgets.lists.tables import FigureTable, TrainingRow, TrainingTable
 
 
 def test_labels_that_would_count_are_named_with_the_way_to_them(tmp_path):
@@ -129,3 +129,15 @@ def test_rows_of_a_table_follow_the_text_down_as_well_as_up(qapp, qtbot):
         table.fit_to_theme()
         heights.append(table.rowHeight(0))
     assert heights[0] == heights[2] < heights[1]
+
+
+def test_the_table_of_trainings_does_not_scroll_sideways(qtbot):
+    table = TrainingTable(Theme(), lambda _: None)
+    qtbot.addWidget(table)
+    cells = ("B  24 Nov 19:51:30  mushroom", "interrupted", "FT+Tac", "40.1")
+    table.show_runs([TrainingRow("a", cells)])
+    table.resize(330, 200)
+    table.show()
+    assert table.horizontalScrollBar().maximum() == 0
+    room_px = table.columnWidth(0)
+    assert table.fontMetrics().horizontalAdvance("B  24 Nov 19:51:30") < room_px

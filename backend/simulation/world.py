@@ -36,7 +36,7 @@ _AIR_HISTORY_US = 400_000  # air samples kept for the baseline of the next press
 
 @dataclass(frozen=True, slots=True)
 class CycleRecord:
-    """Result of one cycle: wrist samples (n,), (n, 6), images, and ``G`` (3,) at its end."""
+    """Result of a cycle: wrist samples (n,), (n, 6), images, and ``G`` (3,) at its end."""
 
     end_us: int
     t_s: FloatArray
@@ -128,24 +128,20 @@ class World:
 
     # -- time -------------------------------------------------------------------------------------
 
-    def step(self, watched: Collection[Finger] = FINGERS) -> CycleRecord:
-        """Advance by one cycle and return its record, with images of ``watched`` fingers only."""
-        start_us, end_us = self.now_us, self.now_us + self.cycle_us
-        start_s, dt_s = start_us * 1e-6, self.cycle_us * 1e-6
-        before = self._load(self._values)
-        field_before = self._field_px
-        command = self.drive.step(
-            arm.ArmCycle(start_s, end_us * 1e-6, *self._heard),
-            stalled=self._script.active("arm", "stall", start_s),
-        )
-        if not self._script.active("gripper", "stall", start_s):
-            self._grasp(dt_s, command)
-        holding = self._holding
-        if holding is not None and (turn_rad := self._script.turn_rad(start_s, end_us * 1e-6)):
-            holding.turn(turn_rad)
-        self._values = self._rest if holding is None else holding.solve(command, dt_s)
-        self._watch_dragging(command)
-        self._field_px = self._field(self._values)
+    @property
+    def rests(self) -> bool:
+        """True if the forces of the next cycles are those of the last one."""
+        moving = self.drive.moving or self.jaws.moving or self._script.disturbances
+        return self._holding is None and not moving
+
+    def step(self, watched: Collection[Finger] = FINGERS, cycles: int = 1) -> CycleRecord:
+        """Advance by one cycle and return its record, with images of ``watched`` fingers only.
+
+        A world that ``rests`` advances by several ``cycles`` at once, with the same samples.
+        """
+        start_us, end_us = self.now_us, self.now_us + cycles * self.cycle_us
+        before, field_before = self._load(self._values), self._field_px
+        command = self.drive.command_mm if cycles > 1 else self._move(start_us, end_us)
         self.now_us = end_us
         strain = WristLoad(before, self._load(self._values), self._sensor_offset())
         t_s, wrench = self._wrist.samples(start_us, end_us, strain)
@@ -159,6 +155,23 @@ class World:
             for i, finger in enumerate(FINGERS)
         }
         return CycleRecord(end_us, t_s, wrench, shots, self._measured_mm(command))
+
+    def _move(self, start_us: int, end_us: int) -> FloatArray:
+        """Move arm, jaws and piece for one cycle; return the command (3,) at its end."""
+        start_s, dt_s = start_us * 1e-6, self.cycle_us * 1e-6
+        command = self.drive.step(
+            arm.ArmCycle(start_s, end_us * 1e-6, *self._heard),
+            stalled=self._script.active("arm", "stall", start_s),
+        )
+        if not self._script.active("gripper", "stall", start_s):
+            self._grasp(dt_s, command)
+        holding = self._holding
+        if holding is not None and (turn_rad := self._script.turn_rad(start_s, end_us * 1e-6)):
+            holding.turn(turn_rad)
+        self._values = self._rest if holding is None else holding.solve(command, dt_s)
+        self._watch_dragging(command)
+        self._field_px = self._field(self._values)
+        return command
 
     # -- truth ------------------------------------------------------------------------------------
 

@@ -101,7 +101,7 @@ class WristSampler:
         self._lever_mm = np.array(lever_mm) if any(lever_mm) else None
         # Rows: the wrench at the sensor for each component of the wrench at ``G``.
         self._at_sensor = wrist_wrench(np.eye(6), settings.height_mm, self._yaw_rad, self._lever_mm)
-        self._count = round(settings.rate_hz * cycle_us * 1e-6)
+        self._cycle_us, self._count = cycle_us, round(settings.rate_hz * cycle_us * 1e-6)
         self._rng = np.random.default_rng([seed, 4])
         self._white = np.repeat([settings.white_n, settings.white_nm], 3)
         per_minute = np.repeat([settings.drift_n_sqrt_min, settings.drift_nm_sqrt_min], 3)
@@ -114,11 +114,17 @@ class WristSampler:
     def samples(
         self, start_us: int, end_us: int, strain: WristLoad
     ) -> tuple[FloatArray, FloatArray]:
-        """Return times (n,) in s and samples (n, 6) in N and N·m of one cycle."""
+        """Return times (n,) in s and samples (n, 6) in N and N·m of one cycle.
+
+        Under a constant load it may be several cycles.
+        """
         before = strain.before_g @ self._at_sensor
-        values = before + self._share * (strain.after_g @ self._at_sensor - before)
-        self._drift = self._drift + self._walk * self._rng.standard_normal(6)
-        values += strain.offset + self._drift
-        values += self._white * self._rng.standard_normal((self._count, 6))
-        t_us = start_us + self._share[:, 0] * (end_us - start_us)
-        return np.round(t_us) * 1e-6, values
+        load = before + self._share * (strain.after_g @ self._at_sensor - before)
+        starts_us = np.arange(start_us, end_us, self._cycle_us)[:, None]
+        scores = self._rng.standard_normal((len(starts_us), 1 + self._count, 6))
+        drift = np.cumsum(np.vstack([self._drift, self._walk * scores[:, 0]]), axis=0)[1:]
+        self._drift = drift[-1]
+        values = load + (strain.offset + drift)[:, None]
+        values += self._white * scores[:, 1:]
+        t_us = starts_us + self._share[:, 0] * self._cycle_us
+        return np.round(t_us.ravel()) * 1e-6, values.reshape(-1, 6)

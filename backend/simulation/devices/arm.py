@@ -290,13 +290,13 @@ class SimArm(SimDevice):
         """Stop in the next cycle; equal to ``stop`` in the simulation."""
         self.stop()
 
-    def deliver(self, t_s: float, pose_mm: FloatArray, *, silent: bool) -> None:
-        """Process the measured position of one cycle and the end of a motion."""
+    def deliver(self, ends_s: FloatArray, pose_mm: FloatArray, *, silent: bool) -> None:
+        """Process the position measured at the end of each cycle, and the end of a motion."""
         if self.ready and not silent:
-            at_s = np.array([t_s])
-            self.poses.put(at_s, pose_mm[None])
-            self._commands.put(at_s, self._world.drive.command_mm[None])
-            self.arrived(t_s, 1)
+            cycles = len(ends_s)
+            self.poses.put(ends_s, np.tile(pose_mm, (cycles, 1)))
+            self._commands.put(ends_s, np.tile(self._world.drive.command_mm, (cycles, 1)))
+            self.arrived(float(ends_s[-1]), cycles)
         with self._lock:
             program, motion = self._program, self._motion
             if isinstance(program, SimPress) and isinstance(motion, ArmPress):

@@ -111,11 +111,12 @@ class SimulatedBench:
     def advance(self, step_us: int) -> None:
         """Advance time by ``step_us``; the world moves at the boundaries of its cycles."""
         end_us = self.clock.now_us + step_us
-        while self._world.now_us + self._world.cycle_us <= end_us:
+        while (cycles := (end_us - self._world.now_us) // self._world.cycle_us) > 0:
             watched = [f for f in FINGERS if self.tactile[f].state is DeviceState.READY]
-            sensed = self._world.step(watched)
+            cycles = cycles if self._world.rests else 1
+            sensed = self._world.step(watched, cycles)
             self.clock.advance(sensed.end_us - self.clock.now_us)
-            self._deliver(sensed)
+            self._deliver(sensed, cycles)
         self.clock.advance(end_us - self.clock.now_us)
 
     def truth(self, *, animate: bool = False) -> SceneTruth:
@@ -130,15 +131,18 @@ class SimulatedBench:
             height_mm = holding.gap_mm(self._world.drive.command_mm)
         return render_scene(self.scene, truth.offset_mm, truth.yaw_rad, height_mm)
 
-    def _deliver(self, sensed: CycleRecord) -> None:
+    def _deliver(self, sensed: CycleRecord, cycles: int) -> None:
         t_s = sensed.end_us * 1e-6
-        self.arm.deliver(t_s, sensed.pose_mm, silent=self._script.active("arm", "silent", t_s))
-        self.gripper.deliver(t_s, silent=self._script.active("gripper", "silent", t_s))
+        ends_s = 1e-6 * (sensed.end_us - self._world.cycle_us * np.arange(cycles)[::-1])
+        silent = self._script.active("arm", "silent", t_s)
+        self.arm.deliver(ends_s, sensed.pose_mm, silent=silent)
+        silent = self._script.active("gripper", "silent", t_s)
+        self.gripper.deliver(t_s, cycles, silent=silent)
         times_s, wrench = self._disturbed(sensed, t_s)
-        if self.force_torque.deliver(times_s, wrench):
-            self._world.hear(times_s, wrench[:, 2])
-        else:
-            self._world.hear(np.empty(0), np.empty(0))
+        heard = self.force_torque.deliver(times_s, wrench)
+        for part in np.split(np.arange(len(times_s)), cycles):
+            part = part if heard else part[:0]
+            self._world.hear(times_s[part], wrench[part, 2])
         for finger in FINGERS:
             self.tactile[finger].deliver(sensed.shots[finger])
 

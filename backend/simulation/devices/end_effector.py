@@ -86,17 +86,17 @@ class SimGripper(SimDevice):
             self._world.jaws.halt()
             self._end_motion(stopped_fault(self.name))
 
-    def deliver(self, t_s: float, *, silent: bool = False) -> None:
-        """Measure width and force of one cycle, and process the end of a motion.
+    def deliver(self, t_s: float, cycles: int = 1, *, silent: bool = False) -> None:
+        """Measure width and force of the last cycle, and process the end of a motion.
 
         ``silent``: no status is delivered; the jaws continue.
         """
         jaws = self._world.jaws
-        width, force = self._rng.standard_normal(2).tolist()
+        width, force = self._rng.standard_normal((cycles, 2))[-1].tolist()
         if self.ready and not silent:
             force_n = jaws.force_n + FORCE_NOISE_N * force if jaws.force_n > 0.0 else 0.0
             self._status = GripStatus(jaws.width_mm + WIDTH_NOISE_MM * width, force_n, jaws.holding)
-            self.arrived(t_s, 1)
+            self.arrived(t_s, cycles)
         with self._lock:
             if not jaws.moving:
                 self._end_motion()

@@ -242,7 +242,7 @@ class EmulatedScene:
         self._commands.append((over_s, self.world.drive.command_mm))
         for finger in FINGERS:
             if sensed.shots[finger]:
-                self._pictures[finger] = sensed.shots[finger][-1].image
+                self._pictures[finger] = sensed.shots[finger][-1].develop()
         return sensed
 
     def _run(self) -> None:

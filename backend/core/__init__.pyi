@@ -114,6 +114,7 @@ from .values import Fall as Fall
 from .values import Finger as Finger
 from .values import FloatArray as FloatArray
 from .values import ImageArray as ImageArray
+from .values import LazyFrame as LazyFrame
 from .values import MarkerField as MarkerField
 from .values import MarkerState as MarkerState
 from .values import Outcome as Outcome

@@ -14,6 +14,7 @@ tool, so that Fz > 0 while pressing.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import Enum, IntEnum
 from typing import Literal
@@ -113,9 +114,34 @@ class TactileFrame:
     t_s: float
     image: ImageArray
     from_jpeg: bool = False
+    made = True  # False for a ``LazyFrame`` that nobody has read
 
     def __post_init__(self) -> None:
         read_only(self.image)
+
+
+class LazyFrame(TactileFrame):
+    """A frame whose image is made by ``make`` when it is first read, by any thread."""
+
+    __slots__ = ("_make", "made")
+
+    def __init__(
+        self, finger: Finger, sequence: int, t_s: float, make: Callable[[], ImageArray]
+    ) -> None:
+        super().__init__(finger, sequence, t_s, np.empty(0, np.uint8))
+        object.__delattr__(self, "image")
+        object.__setattr__(self, "_make", make)
+        object.__setattr__(self, "made", False)
+
+    def __getattr__(self, name: str) -> ImageArray:
+        """Make the image: an attribute is missing until it is set."""
+        if name != "image":
+            raise AttributeError(name)
+        image: ImageArray = self._make()
+        read_only(image)
+        object.__setattr__(self, "image", image)
+        object.__setattr__(self, "made", True)
+        return image
 
 
 @dataclass(frozen=True, slots=True)

@@ -185,7 +185,8 @@ class PictureMonitor:
         """Return the fault of a camera that is frozen or dark since the last call, or None."""
         frames, self._cursor, _ = self._frames.since(self._cursor)
         equal = dark = 0
-        for frame in frames:
+        # A picture that nobody has read misleads nobody.
+        for frame in (frame for frame in frames if frame.made):
             alike = self._last is not None and _equal(self._last, frame.image)
             self._equal = self._equal + 1 if alike else 1
             self._dark = self._dark + 1 if frame.image[::8, ::8].mean() < DARKEST_MEAN else 0

@@ -12,9 +12,11 @@ grain of a gel at rest are read from resources/gels.
 from __future__ import annotations
 
 import json
+import threading
 import tomllib
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cache, lru_cache
+from functools import cache, lru_cache, partial
 from importlib import resources
 from typing import Any
 
@@ -90,15 +92,12 @@ Float32 = NDArray[np.float32]
 class DotRenderer:
     """Draws the 63 dots of one gel; ``rng`` determines darkness and flecks.
 
-    Nothing is drawn if no dot moved by more than ``still_px`` since the last drawing. ``mask``:
-    (240, 320) of the last ``draw``, 0 = no paint. Buffers are reused, since allocating them for
-    each frame costs more than the arithmetic.
+    ``mask``: (240, 320) of the last ``draw``, 0 = no paint. Buffers are reused, since allocating
+    them for each frame costs more than the arithmetic.
     """
 
-    def __init__(
-        self, look: GelAppearance, rng: np.random.Generator, still_px: float = 0.0
-    ) -> None:
-        self._look, self._still_px = look, still_px
+    def __init__(self, look: GelAppearance, rng: np.random.Generator) -> None:
+        self._look = look
         self._drawn_px = np.full((MARKERS, 2), np.inf)
         self._slopes = _gradient_operators(look.rest_px)
         contrast = 1.0 - np.abs(_CONTRAST_SPREAD * rng.standard_normal(MARKERS))
@@ -123,7 +122,7 @@ class DotRenderer:
 
         Returns True if the mask changed.
         """
-        if np.abs(displacement_px - self._drawn_px).max() <= self._still_px:
+        if np.array_equal(displacement_px, self._drawn_px):
             return False
         self._drawn_px = displacement_px.copy()
         centre_px = self._look.rest_px + displacement_px
@@ -201,13 +200,14 @@ _FRINGE_DEPTH = 0.5
 _FRINGE_PX = 4
 _BANK_FACTOR = 2
 
+Develop = Callable[[], ImageArray]
 Smear = tuple[slice, slice, Float32]  # rows and columns that a smear covers, and coverage (0..1)
 
 
 class TactileRenderer:
-    """Renders the images of one finger. Equal seeds and calls give equal bytes.
+    """Renders the images of one finger. Equal seeds and calls of ``expose`` give equal bytes.
 
-    ``still_px``: motion of dots up to which they are not drawn again.
+    ``still_px``: motion of dots up to which they are drawn where they were.
     """
 
     def __init__(self, look: GelAppearance, seed: int, still_px: float = 0.0) -> None:
@@ -221,7 +221,8 @@ class TactileRenderer:
         self._back = np.ascontiguousarray(grain.transpose(2, 0, 1))
         self._back += _background(look.background.tobytes(), look.background.shape)
         self._to_core = look.core.astype(np.float32)[:, None, None] - self._back
-        self._dots = DotRenderer(look, fixed, still_px)
+        self._dots = DotRenderer(look, fixed)
+        self._still_px, self._placed_px = still_px, np.full((MARKERS, 2), np.inf)
         self._bank = _noise_bank(json.dumps(fixed.bit_generator.state), look.noise)
         margin = 2 * _FRINGE_PX
         shadow = np.zeros((HEIGHT_PX + margin, WIDTH_PX + margin), dtype=np.float32)
@@ -229,27 +230,43 @@ class TactileRenderer:
         self._fringes = [_shifted_view(shadow, du, dv) for du, dv in _FRINGE]
         self._shaded = np.empty((3, HEIGHT_PX, WIDTH_PX), dtype=np.float32)
         self._smeared = False
+        self._developing = threading.Lock()
         self._plane = np.empty((HEIGHT_PX, WIDTH_PX), dtype=np.float32)
         self._levels = [np.empty((HEIGHT_PX, WIDTH_PX), dtype=np.uint8) for _ in range(3)]
 
     def render(self, displacement_px: FloatArray, hidden: NDArray[np.bool_]) -> ImageArray:
         """Return the image for ``displacement_px`` (63, 2); smears cover ``hidden`` dots (63,)."""
-        changed = self._dots.draw(displacement_px)
-        if changed:
-            np.multiply(self._dots.mask, np.float32(_FRINGE_DEPTH), out=self._shadow)
-        covered_px = (self.look.rest_px + displacement_px)[hidden]
+        return self.expose(displacement_px, hidden)()
+
+    def expose(self, displacement_px: FloatArray, hidden: NDArray[np.bool_]) -> Develop:
+        """Return a function that renders the image, from any thread."""
+        if np.abs(displacement_px - self._placed_px).max() > self._still_px:
+            self._placed_px = displacement_px.copy()
+        covered_px = self.look.rest_px[hidden] + displacement_px[hidden]
         smears = [smear for centre_px in covered_px if (smear := _smear(centre_px))]
-        fresh, self._smeared = changed or bool(smears) or self._smeared, bool(smears)
         rows = self._draws.integers(0, (_BANK_FACTOR - 1) * HEIGHT_PX, 3).tolist()
         columns = self._draws.integers(0, (_BANK_FACTOR - 1) * WIDTH_PX, 3).tolist()
-        for channel, (row, column) in enumerate(zip(rows, columns, strict=True)):
-            if fresh:
-                self._shade(channel, smears)
-            noise = self._bank[channel, row : row + HEIGHT_PX, column : column + WIDTH_PX]
-            cv2.add(self._shaded[channel], noise, self._plane)
-            # Rounds and saturates in one pass; the absolute value has no effect on levels.
-            cv2.convertScaleAbs(self._plane, self._levels[channel])
-        return np.asarray(cv2.merge(self._levels), dtype=np.uint8)
+        noise = [
+            plane[row : row + HEIGHT_PX, column : column + WIDTH_PX]
+            for plane, row, column in zip(self._bank, rows, columns, strict=True)
+        ]
+        return partial(self._develop, self._placed_px, smears, noise)
+
+    def _develop(
+        self, placed_px: FloatArray, smears: list[Smear], noise: list[Float32]
+    ) -> ImageArray:
+        with self._developing:
+            changed = self._dots.draw(placed_px)
+            if changed:
+                np.multiply(self._dots.mask, np.float32(_FRINGE_DEPTH), out=self._shadow)
+            fresh, self._smeared = changed or bool(smears) or self._smeared, bool(smears)
+            for channel, grain in enumerate(noise):
+                if fresh:
+                    self._shade(channel, smears)
+                cv2.add(self._shaded[channel], grain, self._plane)
+                # Rounds and saturates in one pass; the absolute value has no effect on levels.
+                cv2.convertScaleAbs(self._plane, self._levels[channel])
+            return np.asarray(cv2.merge(self._levels), dtype=np.uint8)
 
     def _shade(self, channel: int, smears: list[Smear]) -> None:
         """Draw dots, their coloured shadows and smears over the background of a colour."""
@@ -315,11 +332,14 @@ def _noise_bank(state: str, deviation: float) -> Float32:
 
 @dataclass(frozen=True, slots=True)
 class Exposure:
-    """One image (240, 320, 3) BGR, its time and number; gaps in the numbers are lost frames."""
+    """Number and time of one image; gaps in the numbers are lost frames.
+
+    ``develop`` returns the image (240, 320, 3), BGR.
+    """
 
     sequence: int
     t_us: int
-    image: ImageArray
+    develop: Develop
 
 
 @dataclass(frozen=True, slots=True)
@@ -363,7 +383,7 @@ class FingerCamera:
             share = (t_us - start_us) / (end_us - start_us)
             field = sight.before_px + share * (sight.after_px - sight.before_px)
             field = field + sight.bias_px + self._drift_px
-            taken.append(Exposure(sequence, t_us, self._optics.render(field, hidden)))
+            taken.append(Exposure(sequence, t_us, self._optics.expose(field, hidden)))
         return taken
 
     def _aim(self) -> None:

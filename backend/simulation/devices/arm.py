@@ -293,10 +293,10 @@ class SimArm(SimDevice):
     def deliver(self, ends_s: FloatArray, pose_mm: FloatArray, *, silent: bool) -> None:
         """Process the position measured at the end of each cycle, and the end of a motion."""
         if self.ready and not silent:
-            cycles = len(ends_s)
-            self.poses.put(ends_s, np.tile(pose_mm, (cycles, 1)))
-            self._commands.put(ends_s, np.tile(self._world.drive.command_mm, (cycles, 1)))
-            self.arrived(float(ends_s[-1]), cycles)
+            rows = len(ends_s), 3
+            self.poses.put(ends_s, np.broadcast_to(pose_mm, rows))
+            self._commands.put(ends_s, np.broadcast_to(self._world.drive.command_mm, rows))
+            self.arrived(float(ends_s[-1]), len(ends_s))
         with self._lock:
             program, motion = self._program, self._motion
             if isinstance(program, SimPress) and isinstance(motion, ArmPress):

@@ -119,6 +119,10 @@ class SimulatedBench:
             self._deliver(sensed, cycles)
         self.clock.advance(end_us - self.clock.now_us)
 
+    def rests(self) -> bool:
+        """Return True if nothing is held, nothing moves and nothing was asked to fail."""
+        return self._world.rests
+
     def truth(self, *, animate: bool = False) -> SceneTruth:
         """Return the ground truth; ``animate`` adds the motion of a fall if possible."""
         return self._world.truth(animate=animate)
@@ -140,7 +144,7 @@ class SimulatedBench:
         self.gripper.deliver(t_s, cycles, silent=silent)
         times_s, wrench = self._disturbed(sensed, t_s)
         heard = self.force_torque.deliver(times_s, wrench)
-        for part in np.split(np.arange(len(times_s)), cycles):
+        for part in np.arange(len(times_s)).reshape(cycles, -1):
             part = part if heard else part[:0]
             self._world.hear(times_s[part], wrench[part, 2])
         for finger in FINGERS:

@@ -14,6 +14,7 @@ from touchdown.backend.core import (
     Finger,
     FloatArray,
     ImageArray,
+    LazyFrame,
     SampleStream,
     Stream,
     TactileFrame,
@@ -144,12 +145,14 @@ class SimTactile(SimDevice):
                 continue
             lost = 0 if self._newest is None else shot.sequence - self._newest - 1
             self._newest = shot.sequence
-            image = self._seen(shot, t_s)
-            self.frames.put(t_s, TactileFrame(self.finger, shot.sequence, t_s, image))
+            frame: TactileFrame = LazyFrame(self.finger, shot.sequence, t_s, shot.develop)
+            if self._script.disturbances:
+                frame = TactileFrame(self.finger, shot.sequence, t_s, self._seen(shot, t_s))
+            self.frames.put(t_s, frame)
             self.arrived(t_s, 1, lost)
 
     def _seen(self, shot: Exposure, t_s: float) -> ImageArray:
-        image = shot.image
+        image = shot.develop()
         if self._script.active(self.name, "flicker", t_s):
             light = 1.0 + FLICKER * math.sin(1.3 * shot.sequence)
             return np.asarray(np.clip(image * light, 0, 255), dtype=np.uint8)

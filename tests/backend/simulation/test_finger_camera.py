@@ -307,15 +307,21 @@ def test_nothing_is_left_of_the_frame_before(dots):
 
 
 def test_dots_that_hardly_moved_look_as_they_did_and_creep_adds_up():
-    exact, still = (
-        DotRenderer(load_gel_appearance(), np.random.default_rng(4), still_px)
-        for still_px in (0.0, STILL_PX)
-    )
-    first = drawn(still, STILL)
-    assert (first == drawn(exact, STILL)).all()
-    for creep_px in (0.004, 0.008):
-        assert (drawn(still, STILL + creep_px) == first).all()
-    assert (drawn(still, STILL + 0.012) == drawn(exact, STILL + 0.012)).all()
+    exact, still = (TactileRenderer(load_gel_appearance(), 4, px) for px in (0.0, STILL_PX))
+    for creep_px, seen_px in ((0.0, 0.0), (0.004, 0.0), (0.008, 0.0), (0.012, 0.012)):
+        image = still.render(STILL + creep_px, NOBODY)
+        assert (image == exact.render(STILL + seen_px, NOBODY)).all(), creep_px
+
+
+def test_a_picture_developed_late_is_the_one_developed_at_once(look):
+    moved, hidden = np.tile([1.5, 2.0], (MARKERS, 1)), NOBODY.copy()
+    hidden[31] = True
+    course = [(STILL, NOBODY), (moved, hidden), (moved, NOBODY), (STILL, hidden)]
+    once, late = TactileRenderer(look, 4), TactileRenderer(look, 4)
+    images = [once.render(*shown) for shown in course]
+    pending = [late.expose(*shown) for shown in course]
+    for number in (2, 0, 3, 1, 0):
+        assert np.array_equal(pending[number](), images[number]), number
 
 
 MOST = 12

@@ -11,10 +11,12 @@ import pytest
 from touchdown.backend.config.simulation import SimulationSettings
 from touchdown.backend.core import FINGERS, FaultError, Pose, SampleStream
 from touchdown.backend.devices.protocols import PressCommand
+from touchdown.backend.devices.sensor_faults import PictureMonitor
 from touchdown.backend.emulation.simulated_disturbances import parse_script
 from touchdown.backend.geometry import Tower, load_pieces
 from touchdown.backend.simulation import RESIDUAL_LIMIT, Scene
 from touchdown.backend.simulation.devices.bench import BenchStreams, SimulatedBench
+from touchdown.backend.simulation.world import World
 
 PRESS = PressCommand(1.5, 1.5, 2.0, 2.0, 1.0, 11.0, (30.0, 30.0, 15.0))
 CATALOGUE = load_pieces()
@@ -154,6 +156,52 @@ def test_the_same_commands_give_the_same_bytes_however_time_is_wound():
     same = Driven((6.0, 1.0), preset="mixed", seed=3, cameras=True)
     same.rest(0.2)
     assert other.digest() != same.digest()
+
+
+def test_a_bench_at_rest_is_advanced_at_once_and_gives_the_same_bytes(monkeypatch):
+    steps, step = [], World.step
+    monkeypatch.setattr(
+        World, "step", lambda world, seen, n: steps.append(n) or step(world, seen, n)
+    )
+    digests, air = [], []
+    for step_us in (10_000, 100_000):
+        driven = Driven((6.0, 1.0), preset="hard", seed=3, cameras=True)
+        driven.rest(1.0, step_us)
+        steps.append(0)
+        driven.finish(driven.gripper.grip(10.0), 10_000)
+        driven.press()
+        driven.rest(0.5, step_us)
+        driven.release()
+        driven.rest(1.0, step_us)
+        digests.append((driven.digest(), driven.gripper.status()))
+        air.append(driven.bench._world._recent_n)
+    assert digests[0] == digests[1]
+    assert air[0] == air[1]
+    first = len(steps) - 1 - steps[::-1].index(0)
+    assert steps[first - 10 : first] == [10] * 10
+    assert set(steps[first + 1 :]) == {1, 10}, "single cycles while a piece is held"
+    failing = Driven(script=("force_torque:stop@0.05",))
+    assert not failing.bench.rests()
+
+
+def test_a_picture_is_made_when_it_is_read():
+    driven = Driven(cameras=True)
+    driven.rest(0.2)
+    frames = driven.bench.tactile["left"].frames.since(0)[0]
+    assert len(frames) >= 4
+    assert not any(frame.made for frame in frames)
+    image = frames[1].image
+    assert [frame.made for frame in frames[:3]] == [False, True, False]
+    assert image is frames[1].image
+    assert not image.flags.writeable
+    monitor = PictureMonitor("left", driven.bench.tactile["left"].frames)
+    driven.rest(0.4)
+    assert monitor.check() is None
+    assert not any(frame.made for frame in driven.bench.tactile["left"].frames.since(6)[0])
+    frozen = Driven(cameras=True, script=("tactile_left:freeze@0.1",))
+    monitor = PictureMonitor("left", frozen.bench.tactile["left"].frames)
+    frozen.rest(0.4)
+    assert monitor.check().code == "CAMERA-FROZEN"
 
 
 def test_odd_steps_wind_the_clock_exactly():
